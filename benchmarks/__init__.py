@@ -1,0 +1,1 @@
+"""Benchmarks: each runs its baselines in the same process and reports ratios."""

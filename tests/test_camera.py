@@ -1,0 +1,283 @@
+import copy
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from uwaug.camera import Camera, load_camera
+
+NIKON = "Nikon 5100 (NPL)"
+SIGMA = "Sigma SDMerill (NPL)"
+GRID = np.arange(400, 701, 5)
+
+
+def toy(**changes):
+    values = {"wavelengths": [400, 500, 700], "response": [[0, 1, 2], [0, 3, 0], [4, 1, 0]], "name": "toy"}
+    return Camera(**values | changes)
+
+
+# ---------------------------------------------------------------- own responses
+
+
+def test_attributes():
+    camera = toy()
+    assert camera.wavelengths.dtype == camera.response.dtype == np.float64
+    assert camera.response.shape == (3, 3)
+    assert repr(camera) == "Camera('toy', 3 wavelengths, 400–700 nm)"
+    assert Camera([550], [[1, 1, 1]]).name == "custom"
+
+
+def test_immutable_and_independent_of_its_input():
+    response = np.ones((3, 3))
+    camera = toy(response=response)
+    response[:] = 0
+    assert camera.response.min() == 1
+    with pytest.raises(ValueError, match="read-only"):
+        camera.response[0, 0] = 1
+    with pytest.raises(AttributeError):
+        camera.response = response
+
+
+@pytest.mark.parametrize("clone", [copy.copy, copy.deepcopy, lambda c: pickle.loads(pickle.dumps(c))])
+def test_copies_are_equal_and_still_read_only(clone):
+    camera = load_camera(NIKON)
+    twin = clone(camera)
+    assert twin == camera
+    assert hash(twin) == hash(camera)
+    assert not any(array.flags.writeable for array in (twin.wavelengths, twin.response))
+
+
+def test_equality_sees_every_field():
+    assert toy() == toy()
+    assert toy() != toy(name="other")
+    assert toy() != toy(wavelengths=[400, 500, 600])
+    assert toy() != toy(response=np.ones((3, 3)))
+
+
+@pytest.mark.parametrize(
+    "changes, error, message",
+    [
+        ({"wavelengths": [0.4, 0.5, 0.7]}, ValueError, "they look like micrometres"),
+        ({"wavelengths": [400, 700, 500]}, ValueError, "strictly ascending, but 700 is followed by 500"),
+        ({"response": np.ones((3, 4))}, ValueError, r"one row per wavelength, shape \(3, 3\), got \(3, 4\)"),
+        ({"response": np.ones((2, 3))}, ValueError, r"one row per wavelength, shape \(3, 3\), got \(2, 3\)"),
+        ({"response": "raw"}, TypeError, "response must be an array of numbers, got 'raw'"),
+        ({"response": [[1, 1, 1], [np.nan, 1, np.inf], [1, 1, 1]]}, ValueError, "2 NaN or infinite of 9 .* at 500 nm"),
+        ({"response": [[1, 1, 1], [1, 1, 1], [1, 1, -1e-6]]}, ValueError, "1 negative of 9 .* at 700 nm: set measure"),
+        ({"response": [[0, 1, 0], [0, 1, 0], [0, 1, 0]]}, ValueError, "'toy' has no response in red and blue"),
+    ],
+)
+def test_bad_input(changes, error, message):
+    with pytest.raises(error, match=message):
+        toy(**changes)
+
+
+# ---------------------------------------------------------------- at, weights
+
+
+def test_at_interpolates_and_is_dark_outside():
+    response = toy().at([300, 399.9, 400, 450, 600, 700, 700.1])
+    expected = [[0, 0, 0], [0, 0, 0], [0, 1, 2], [0, 2, 1], [2, 2, 0], [4, 1, 0], [0, 0, 0]]
+    np.testing.assert_allclose(response, expected, rtol=1e-15)
+    with pytest.raises(ValueError, match="strictly ascending"):
+        toy().at([500, 400])
+
+
+def test_weights_on_a_uniform_grid_are_the_normalised_samples():
+    camera = load_camera(NIKON)
+    samples = camera.response[(camera.wavelengths >= 400) & (camera.wavelengths <= 700)]
+    np.testing.assert_allclose(camera.weights(GRID), samples / samples.sum(axis=0), rtol=1e-13)
+
+
+def test_weights_on_a_grid_of_varying_step_are_rectangles():
+    grid = [420, 440, 500, 600]
+    samples, widths = toy().at(grid), np.array([20, 40, 80, 100])
+    areas = samples * widths[:, None]
+    np.testing.assert_allclose(toy().weights(grid), areas / areas.sum(axis=0), rtol=1e-14)
+
+
+def test_weights_at_one_wavelength():
+    np.testing.assert_array_equal(Camera([500, 600], [[1, 2, 3], [3, 2, 1]]).weights([550]), [[1, 1, 1]])
+
+
+@given(st.lists(st.floats(380, 780), min_size=2, max_size=40, unique=True))
+def test_weights_sum_to_one_and_do_not_depend_on_the_scale_of_the_response(grid):
+    grid = np.array([*sorted(grid), 790.0, 800.0])
+    camera = Camera([380, 800], [[1, 2, 1], [1, 0.5, 3]])
+    weights = camera.weights(grid)
+    np.testing.assert_allclose(weights.sum(axis=0), 1, rtol=1e-14)
+    assert weights.min() >= 0
+    np.testing.assert_allclose(Camera([380, 800], camera.response * 1e3).weights(grid), weights, rtol=1e-12)
+
+
+def test_weights_integrate():
+    # ∫ S λ dλ / ∫ S dλ of a triangle that falls from 2 at 400 nm to 0 at 500 nm: its centroid
+    nm = np.linspace(400, 500, 20001)
+    blue = toy(response=[[1, 1, 2], [1, 1, 0], [1, 1, 0]]).weights(nm)[:, 2]
+    assert blue @ nm == pytest.approx(400 + 100 / 3, abs=0.01)
+
+
+def test_weights_need_a_response():
+    with pytest.raises(ValueError, match="camera 'toy' on 400–450 nm has no response in red"):
+        toy().weights([400, 450])
+    with pytest.raises(ValueError, match="on 800–900 nm has no response in red and green and blue"):
+        toy().weights([800, 900])
+
+
+# ---------------------------------------------------------------- by name
+
+
+@pytest.mark.parametrize(
+    "name, nm, expected",
+    [
+        # Darrodi et al. 2015
+        (
+            NIKON,
+            [380, 450, 550, 595],
+            [
+                [0.001563842993, 0.000115, 0.001809560394],
+                [0.04886204744, 0.1960326346, 0.9631408803],
+                [0.04118873831, 0.8891023159, 0.06525313059],
+                [1, 0.2781784988, 0.007588],
+            ],
+        ),
+        (
+            SIGMA,
+            [400, 450, 630],
+            [
+                [0.005621074406, 0.006328097513, 0.1621594241],
+                [0.01889156723, 0.1836116893, 0.7374213625],
+                [1, 0.9257140683, 0.6111608788],
+            ],
+        ),
+    ],
+)
+def test_named_camera(name, nm, expected):
+    camera = load_camera(name)
+    assert camera.name == name
+    np.testing.assert_allclose(camera.at(nm), expected, atol=3e-7)
+
+
+@pytest.mark.parametrize("name", ["nikon 5100 (npl)", "NIKON 5100 NPL", "Nikon5100(NPL)", "Níkon 5100 (NPL)"])
+def test_names_are_matched_by_letters_and_digits(name):
+    assert load_camera(name) is load_camera(NIKON)
+
+
+def test_a_camera_passes_through():
+    camera = toy()
+    assert load_camera(camera) is camera
+
+
+@pytest.mark.parametrize("name", ["Nikon D90", "", "camera.txt"])
+def test_unknown_name(name):
+    with pytest.raises(ValueError, match=rf"no camera is called '{name}'; there are '.*', '.*', or .* path of a \.csv"):
+        load_camera(name)
+
+
+@pytest.mark.parametrize("camera", [None, 5100, ["a.csv"]])
+def test_wrong_type(camera):
+    with pytest.raises(TypeError, match=r"camera must be a name, the path of a CSV file or a Camera, got"):
+        load_camera(camera)
+
+
+COMPARE = """
+import sys
+import numpy as np
+import uwaug.camera
+from pathlib import Path
+
+if sys.argv[1] == "moved":
+    uwaug.camera._DATASET = Path("elsewhere.py")
+cameras = uwaug.camera._colour_science_cameras()
+assert ("colour" in sys.modules) == (sys.argv[1] == "moved")
+assert not np.get_printoptions()["legacy"]
+
+import colour
+
+assert list(cameras) == list(colour.MSDS_CAMERA_SENSITIVITIES)
+for name, camera in cameras.items():
+    entry = colour.MSDS_CAMERA_SENSITIVITIES[name]
+    assert camera.name == name
+    np.testing.assert_array_equal(camera.wavelengths, entry.wavelengths)
+    np.testing.assert_array_equal(camera.response, entry.values)
+"""
+
+
+@pytest.mark.parametrize("layout", ["as known", "moved"])
+def test_names_and_values_are_those_of_colour_science(layout):
+    # in a process of its own: importing colour changes NumPy's print options
+    done = subprocess.run([sys.executable, "-c", COMPARE, layout], check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+# ---------------------------------------------------------------- from a file
+
+ROWS = "400,0,1,2\n500,0,3,0\n700,4,1,0\n"
+
+
+def write(tmp_path, text, name="toy.csv"):
+    path = tmp_path / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        ROWS,
+        "wavelength,R,G,B\n" + ROWS,
+        "nm, red, green, blue\r\n" + ROWS.replace("\n", "\r\n"),
+        '\ufeff"lambda","r (rel.)","g","b"\n' + ROWS,
+        "\n" + ROWS.replace("\n", "\n\n") + " , , , \n",
+        ROWS.replace("500,0,3,0", " 5e2, 0.0 ,3, 0").rstrip(),
+    ],
+)
+def test_csv(tmp_path, text):
+    path = write(tmp_path, text)
+    assert load_camera(path) == load_camera(str(path)) == toy()
+
+
+def test_csv_path_objects_need_no_suffix(tmp_path):
+    assert load_camera(write(tmp_path, ROWS, "my camera.txt")) == toy(name="my camera")
+    assert load_camera(str(write(tmp_path, ROWS, "UPPER.CSV"))).name == "UPPER"
+
+
+def test_csv_is_read_anew(tmp_path):
+    path = write(tmp_path, ROWS)
+    before = load_camera(path)
+    write(tmp_path, ROWS.replace("4,1,0", "5,1,0"))
+    assert load_camera(path) != before
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("", "no rows of wavelength, R, G, B"),
+        ("wavelength,R,G,B\n", "no rows of wavelength, R, G, B"),
+        (ROWS.replace(",", ";"), r"line 1: expected wavelength, R, G, B separated by commas, got \['400;0;1;2'\]"),
+        (ROWS + "\n710,1,2\n", r"line 5: expected wavelength, R, G, B separated by commas, got \['710', '1', '2'\]"),
+        (ROWS + "800,0,0,x\n", r"line 4: expected four numbers, got \['800', '0', '0', 'x'\]"),
+        ("wavelength,B,G,R\n" + ROWS, r"line 1: columns must be wavelength, R, G, B, not \['wavelength', 'B'"),
+        (ROWS.replace("700", "450"), "strictly ascending, but 500 is followed by 450"),
+        (ROWS.replace("700,4", "700,nan"), "response has 1 NaN or infinite of 9 values, at 700 nm"),
+        (ROWS.replace("700,4", "700,0"), "camera 'toy' has no response in red"),
+        (b"\xff\xfe\x00PNG\n", "line 1: expected wavelength, R, G, B"),
+    ],
+)
+def test_bad_csv(tmp_path, text, message):
+    path = write(tmp_path, text)
+    with pytest.raises(ValueError, match=message) as info:
+        load_camera(path)
+    assert str(info.value).startswith(str(path))
+
+
+def test_missing_csv():
+    with pytest.raises(FileNotFoundError, match=r"nowhere\.csv"):
+        load_camera("nowhere.csv")
+    with pytest.raises(FileNotFoundError, match="nowhere"):
+        load_camera(Path("nowhere"))

@@ -1,0 +1,438 @@
+import copy
+import math
+import pickle
+import subprocess
+import sys
+import warnings
+
+import jerlov
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from scipy.optimize import brentq
+
+from uwaug.water import JERLOV_TYPES, Water
+
+NM = [400.0, 500.0, 600.0, 700.0]
+
+
+def toy(**changes):
+    values = {"wavelengths": NM, "a": [0.1, 0.2, 0.3, 0.7], "b": [0.4, 0.3, 0.2, 0.1], "kd": [0.3, 0.3, 0.4, 0.8]}
+    return Water(**values | changes)
+
+
+spectra = st.lists(st.floats(1e-3, 50), min_size=4, max_size=4)
+
+
+# ---------------------------------------------------------------- own spectra
+
+
+def test_attributes():
+    water = toy(name="tank", provenance=["measured by hand"])
+    assert water.wavelengths.dtype == water.a.dtype == np.float64
+    np.testing.assert_array_equal(water.kd, [0.3, 0.3, 0.4, 0.8])
+    np.testing.assert_allclose(water.beta, [0.5, 0.5, 0.5, 0.8], rtol=1e-15)
+    assert (water.name, water.provenance) == ("tank", ("measured by hand",))
+    assert repr(water) == "Water('tank', 4 wavelengths, 400–700 nm)"
+    assert toy().name == "custom"
+    assert toy().provenance == ()
+
+
+def test_immutable_and_independent_of_its_input():
+    a = np.array([0.1, 0.2, 0.3, 0.7])
+    water = toy(a=a)
+    a[:] = 9
+    assert water.a[0] == 0.1
+    for array in (water.wavelengths, water.a, water.b, water.kd):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
+    with pytest.raises(AttributeError):
+        water.a = a
+    with pytest.raises(AttributeError):
+        water.extra = 1
+
+
+@pytest.mark.parametrize("clone", [copy.copy, copy.deepcopy, lambda w: pickle.loads(pickle.dumps(w))])
+def test_copies_are_equal_and_still_read_only(clone):
+    water = Water.jerlov("5C")
+    twin = clone(water)
+    assert twin == water
+    assert hash(twin) == hash(water)
+    assert repr(twin) == repr(water)
+    assert not any(array.flags.writeable for array in (twin.wavelengths, twin.a, twin.b, twin.kd))
+
+
+@pytest.mark.parametrize(
+    "changes", [{"a": [0.1, 0.2, 0.3, 0.6]}, {"kd": [0, 0, 0, 0]}, {"name": "x"}, {"provenance": ("x",)}]
+)
+def test_equality_sees_every_field(changes):
+    assert toy() == toy()
+    assert toy(**changes) != toy()
+    assert toy() != "water"
+
+
+def test_one_wavelength_is_enough():
+    water = Water([550], [0.1], [0.3], [0.2])
+    assert water.visibility() == pytest.approx(-math.log(0.02) / 0.4)
+    assert water.at([550]) == water
+
+
+@pytest.mark.parametrize(
+    "changes, error, message",
+    [
+        ({"wavelengths": [[400, 500], [600, 700]]}, ValueError, r"1-D with at least one sample, got shape \(2, 2\)"),
+        ({"wavelengths": []}, ValueError, r"at least one sample, got shape \(0,\)"),
+        ({"wavelengths": 550.0}, ValueError, r"1-D .* got shape \(\)"),
+        ({"wavelengths": [400, 600, 500, 700]}, ValueError, "strictly ascending, but 600 is followed by 500"),
+        ({"wavelengths": [400, 500, 500, 700]}, ValueError, "strictly ascending, but 500 is followed by 500"),
+        ({"wavelengths": [400, np.nan, 600, 700]}, ValueError, "finite, got 1 NaN"),
+        ({"wavelengths": [0.4, 0.5, 0.6, 0.7]}, ValueError, r"in nm.* got 0.4…0.7; they look like micrometres"),
+        ({"wavelengths": [4e-7, 5e-7, 6e-7, 7e-7]}, ValueError, "they look like metres: multiply by 1e"),
+        ({"wavelengths": [4000, 5000, 6000, 7000]}, ValueError, "they look like ångströms: multiply by 0.1"),
+        ({"wavelengths": [0, 500, 600, 700]}, ValueError, "between 100 and 3000, got 0…700$"),
+        ({"wavelengths": "blue"}, TypeError, "wavelengths must be an array of numbers, got 'blue'"),
+        ({"a": [0.1, 0.2]}, ValueError, r"a must have one row per wavelength, shape \(4,\), got \(2,\)"),
+        ({"b": 0.3}, ValueError, r"b must have one row per wavelength, shape \(4,\), got \(\)"),
+        ({"kd": ["?"] * 4}, TypeError, "kd must be an array of numbers"),
+        ({"a": [0.1, np.nan, 0.3, np.nan]}, ValueError, "a has 2 NaN or infinite of 4 values, at 500, 700 nm: fill"),
+        ({"b": [np.inf, 1, 1, 1]}, ValueError, "b has 1 NaN or infinite of 4 values, at 400 nm"),
+        ({"kd": [0.1, 0.2, -0.3, 0.4]}, ValueError, "kd has 1 negative of 4 values, at 600 nm"),
+        ({"provenance": "a note"}, TypeError, "provenance must be a sequence of strings, got the string 'a note'"),
+    ],
+)
+def test_bad_input(changes, error, message):
+    with pytest.raises(error, match=message):
+        toy(**changes)
+
+
+def test_long_lists_of_bad_values_are_cut():
+    nm = np.arange(400.0, 500.0)
+    with pytest.raises(ValueError, match=r"a has 100 NaN or infinite of 100 values, at 400, .*, 407, … nm"):
+        Water(nm, nm * np.nan, nm, nm)
+
+
+# ---------------------------------------------------------------- Jerlov types
+
+# Solonenko & Mobley 2015, Tables 4–8: wavelength, a, b, K_d
+PRINTED = {
+    "I": [(400, 0.022, 0.0062, 0.028), (450, 0.018, 0.00381, 0.022)],
+    "II": [(400, 0.0355, 0.616, 0.0846), (550, 0.0622, 0.358, 0.0999), (700, 0.582, 0.238, 0.624)],
+    "3C": [(550, 0.082, 1.06, 0.187), (650, 0.346, 0.8, 0.498)],
+    "5C": [(300, 5.36, 3.73, 6.75), (575, 0.119, 1.23, 0.252)],
+    "7C": [(500, 0.29, 2.76, 0.56), (650, 0.403, 1.77, 0.635)],
+    "9C": [(400, 1.613, 5.36, 2.48), (550, 0.348, 3.12, 0.696), (700, 0.651, 2.07, 0.99)],
+}
+# a: Williamson & Hollins 2022; b: Solonenko & Mobley, Eq. (8) with Table 3; K_d: Jerlov 1976, Table XXVII
+REPAIRED = {
+    "3C": [(675, 0.503, 0.7542, 0.56), (700, 0.598, 0.709, 0.71)],
+    "5C": [
+        (600, 0.285, 1.1468, 0.40),
+        (625, 0.357, 1.0702, 0.48),
+        (650, 0.402, 1.0014, 0.54),
+        (675, 0.557, 0.9395, 0.65),
+        (700, 0.614, 0.8834, 0.80),
+    ],
+}
+# an independent repair: a between the neighbouring types, K_d from Eq. (3) of that a and b
+INDEPENDENT = {
+    "3C": [(675, 0.477, 0.6374), (700, 0.592, 0.7692)],
+    "5C": [(600, 0.259, 0.4085), (625, 0.327, 0.485), (650, 0.367, 0.5273), (675, 0.499, 0.6793), (700, 0.598, 0.7916)],
+}
+
+
+def values(water, nm):
+    (index,) = np.flatnonzero(water.wavelengths == nm)
+    return water.a[index], water.b[index], water.kd[index]
+
+
+@pytest.mark.parametrize("type", JERLOV_TYPES)
+def test_every_type_is_complete(type):
+    water = Water.jerlov(type)
+    assert water.name == type
+    np.testing.assert_array_equal(water.wavelengths, [300, 310, *range(350, 701, 25)])
+    for nm, *expected in PRINTED.get(type, []) + REPAIRED.get(type, []):
+        assert values(water, nm) == pytest.approx(expected, rel=1e-12)
+    # energy: K_d is more than absorption, less than what leaves the beam
+    assert (water.kd >= water.a).all()
+    assert (water.kd <= 1.05 * water.beta).all()
+
+
+@pytest.mark.parametrize("type", INDEPENDENT)
+def test_repairs_agree_with_an_independent_repair(type):
+    for nm, a, kd in INDEPENDENT[type]:
+        ours = values(Water.jerlov(type), nm)
+        assert ours[0] == pytest.approx(a, rel=0.12)
+        assert ours[2] == pytest.approx(kd, rel=0.13)
+
+
+def test_types_are_those_of_the_package():
+    assert jerlov.SOURCES["solonenko2015"].water_types == JERLOV_TYPES
+
+
+def test_provenance_names_what_was_repaired():
+    note = "misprinted in Solonenko & Mobley 2015, Table 7)"
+    for type, where in (("3C", "675–700"), ("5C", "600–700")):
+        provenance = Water.jerlov(type).provenance
+        assert f"Jerlov {type}: b: Solonenko & Mobley 2015, doi:10.1364/AO.54.005392" in provenance
+        assert f"Jerlov {type}: a at {where} nm: Williamson & Hollins 2022 ({note}" in provenance
+        assert f"Jerlov {type}: K_d at {where} nm: Jerlov 1976, Table XXVII ({note}" in provenance
+        assert any(s.startswith(f"Jerlov {type}: b at {where} nm: reconstructed from Eq. (8)") for s in provenance)
+    assert len(Water.jerlov("II").provenance) == 3
+    assert any("b at 300–700 nm: suspect" in s for s in Water.jerlov("I").provenance)
+
+
+# wavelength, a, b of Williamson & Hollins 2022 and K_d of Jerlov 1976
+MEASURED = {
+    "IB": [(400, 0.0448, 0.144, 0.051), (500, 0.0398, 0.128, 0.042), (700, 0.573, 0.111, 0.58)],
+    "5C": [(600, 0.285, 1.16, 0.40), (675, 0.557, 1.12, 0.65)],
+}
+
+
+@pytest.mark.parametrize("type", ["IB", "II", "III", "1C", "3C", "5C"])
+def test_measured_source(type):
+    water = Water.jerlov(type, source="williamson2022")
+    np.testing.assert_array_equal(water.wavelengths, np.arange(310, 701))
+    for nm, a, b, kd in MEASURED.get(type, []):
+        assert values(water, nm) == pytest.approx((a, b, kd), rel=1e-12)
+    assert f"Jerlov {type}: a at 310–411 nm: extrapolated by the paper's model (measured at 412–715 nm)" in (
+        water.provenance
+    )
+    assert f"Jerlov {type}: K_d at 310–700 nm: Jerlov 1976, Table XXVII (not in this source)" in water.provenance
+    assert len(water.provenance) == 5
+
+
+def test_warnings_of_the_package_stay_inside_and_come_back_on():
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        Water.jerlov("5C")
+        assert caught == []
+        jerlov.water("5C", source="solonenko2015").a(600)
+        assert [w.category for w in caught] == [jerlov.ProvenanceWarning]
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        (("5D",), r"type must be one of I, IA, .*9C with source 'solonenko2015', got '5D'"),
+        (("5c",), "got '5c'"),
+        ((5,), "got 5"),
+        (
+            ("9C", "williamson2022"),
+            "type must be one of IB, II, III, 1C, 3C, 5C with source 'williamson2022', got '9C'",
+        ),
+        (("II", "jerlov1976"), "source must be one of solonenko2015, williamson2022, got 'jerlov1976'"),
+    ],
+)
+def test_unknown_type_or_source(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        Water.jerlov(*arguments)
+
+
+# ---------------------------------------------------------------- resample, mix
+
+
+def test_at_is_linear_interpolation():
+    water = toy(name="tank", provenance=("by hand",))
+    fine = water.at([400, 425, 650, 700])
+    np.testing.assert_allclose(fine.a, [0.1, 0.125, 0.5, 0.7], rtol=1e-15)
+    np.testing.assert_allclose(fine.b, [0.4, 0.375, 0.15, 0.1], rtol=1e-15)
+    np.testing.assert_allclose(fine.kd, [0.3, 0.3, 0.6, 0.8], rtol=1e-15)
+    assert (fine.name, fine.provenance) == (water.name, water.provenance)
+    assert water.at(water.wavelengths) == water
+
+
+@pytest.mark.parametrize("nm, asked", [([399, 500], "399–500"), ([500, 701], "500–701"), ([720], "720")])
+def test_at_never_extrapolates(nm, asked):
+    with pytest.raises(ValueError, match=rf"^{asked} nm is outside the data of 'custom', 400–700 nm"):
+        toy().at(nm)
+
+
+def test_mix_by_hand():
+    other = Water([450, 500, 800], [1, 2, 5], [3, 3, 3], [1, 1, 1], name="other")
+    mixed = toy(name="toy").mix(other, 0.25)
+    np.testing.assert_array_equal(mixed.wavelengths, [450, 500, 600, 700])
+    np.testing.assert_allclose(mixed.a, [0.3625, 0.65, 0.975, 1.525], rtol=1e-14)
+    np.testing.assert_allclose(mixed.b, [1.0125, 0.975, 0.9, 0.825], rtol=1e-14)
+    np.testing.assert_allclose(mixed.kd, [0.475, 0.475, 0.55, 0.85], rtol=1e-14)
+    assert mixed.name == "0.75·toy + 0.25·other"
+
+
+def test_mix_names_and_provenance():
+    clear, turbid = Water.jerlov("II"), Water.jerlov("7C")
+    mixed = clear.mix(turbid, 0.3)
+    assert mixed.name == "0.7·II + 0.3·7C"
+    assert mixed.provenance == clear.provenance + turbid.provenance
+    again = mixed.mix(clear, 0.5)
+    assert again.name == "0.5·(0.7·II + 0.3·7C) + 0.5·II"
+    assert again.provenance == mixed.provenance
+
+
+@pytest.mark.parametrize("t, same", [(0, "II"), (1, "7C")])
+def test_mix_ends(t, same):
+    mixed, end = Water.jerlov("II").mix(Water.jerlov("7C"), t), Water.jerlov(same)
+    for key in ("wavelengths", "a", "b", "kd"):
+        np.testing.assert_array_equal(getattr(mixed, key), getattr(end, key))
+
+
+@given(st.floats(0, 1), st.floats(0, 1))
+def test_mix_is_a_monotone_slider(t1, t2):
+    assume(t1 < t2)
+    clear, turbid = Water.jerlov("1C"), Water.jerlov("9C")
+    assert clear.mix(turbid, t1).visibility() >= clear.mix(turbid, t2).visibility() * (1 - 1e-12)
+
+
+@pytest.mark.parametrize("t", [-0.1, 1.5, math.nan])
+def test_mix_share(t):
+    with pytest.raises(ValueError, match=r"t must be in \[0, 1\].*got"):
+        toy().mix(toy(), t)
+
+
+def test_mix_needs_a_water_and_a_common_range():
+    with pytest.raises(TypeError, match=r"other must be a Water.*got '7C'"):
+        toy().mix("7C", 0.5)
+    infrared = Water([800, 900], [1, 1], [1, 1], [1, 1])
+    with pytest.raises(ValueError, match="no common wavelength"):
+        toy().mix(infrared, 0.5)
+    assert toy().mix(Water([700, 900], [1, 1], [1, 1], [1, 1]), 0.5).wavelengths == [700]
+
+
+# ---------------------------------------------------------------- visibility
+
+
+def test_visibility_at_one_wavelength_is_koschmieder():
+    assert toy().visibility(500) == pytest.approx(-math.log(0.02) / 0.5, rel=1e-15)
+    assert toy().visibility(650) == pytest.approx(-math.log(0.02) / 0.65, rel=1e-14)
+    with pytest.raises(ValueError, match="720 nm is outside the data of 'custom', 400–700 nm"):
+        toy().visibility(720)
+
+
+@pytest.mark.parametrize("type", JERLOV_TYPES)
+def test_visibility_is_where_luminance_contrast_falls_to_2_percent(type):
+    water = Water.jerlov(type)
+    nm = np.linspace(400, 700, 2401)
+    observer, xyz = jerlov.cie_1931_cmf()
+    eye, beta = np.interp(nm, observer, xyz[:, 1]), np.interp(nm, water.wavelengths, water.a + water.b)
+    total = np.trapezoid(eye, nm)
+    reference = brentq(lambda z: np.trapezoid(eye * np.exp(-beta * z), nm) / total - 0.02, 1e-3, 1e3)
+    assert water.visibility() == pytest.approx(reference, rel=1e-4)
+
+
+def test_visibility_is_what_divers_know():
+    metres = {type: Water.jerlov(type).visibility() for type in JERLOV_TYPES}
+    assert 60 < metres["I"] < 90  # the clearest Secchi readings are 65 to 80 m
+    assert 5 < metres["II"] < 20
+    assert 1 < metres["9C"] < metres["7C"] < metres["5C"] < metres["3C"] < metres["1C"] < 10
+
+
+@given(st.floats(1e-6, 1e6))
+def test_visibility_of_grey_water(beta):
+    water = Water(NM, [beta / 4] * 4, [beta * 3 / 4] * 4, [beta] * 4)
+    assert water.visibility() == pytest.approx(-math.log(0.02) / beta, rel=1e-12)
+
+
+@given(spectra, spectra)
+def test_visibility_lies_between_those_of_the_best_and_the_worst_wavelength(a, b):
+    water = Water(NM, a, b, a)
+    worst, best = -math.log(0.02) / water.beta.max(), -math.log(0.02) / water.beta.min()
+    assert worst * (1 - 1e-12) <= water.visibility() <= best * (1 + 1e-12)
+
+
+def test_visibility_without_attenuation():
+    nothing = Water(NM, [0] * 4, [0] * 4, [0] * 4)
+    assert nothing.visibility() == nothing.visibility(500) == math.inf
+    window = Water([400, 500, 600, 700], [1, 0, 0, 1], [0] * 4, [0] * 4)
+    assert window.visibility() == math.inf
+    assert window.visibility(400) < math.inf
+
+
+def test_visibility_of_what_the_eye_cannot_see():
+    infrared = Water([750, 780], [2.6, 2.4], [0, 0], [2.6, 2.4])
+    with pytest.raises(ValueError, match="no wavelength in 400–700 nm: give"):
+        infrared.visibility()
+    assert infrared.visibility(750) == pytest.approx(-math.log(0.02) / 2.6)
+
+
+# ---------------------------------------------------------------- the turbidity knob
+
+
+@given(st.sampled_from(JERLOV_TYPES), st.floats(0.05, 80))
+def test_with_visibility_round_trip(type, metres):
+    water = Water.jerlov(type).with_visibility(metres)
+    assert water.visibility() == pytest.approx(metres, rel=1e-12)
+    assert min(water.a.min(), water.b.min(), water.kd.min()) >= 0
+
+
+@pytest.mark.parametrize("type", JERLOV_TYPES)
+def test_own_visibility_changes_nothing(type):
+    water = Water.jerlov(type)
+    same = water.with_visibility(water.visibility())
+    for key in ("wavelengths", "a", "b", "kd"):
+        np.testing.assert_allclose(getattr(same, key), getattr(water, key), rtol=1e-12)
+
+
+@given(st.floats(0.1, 80), st.floats(0.1, 80))
+def test_clearer_water_has_less_of_everything(v1, v2):
+    assume(v1 < v2)
+    murky, clear = (Water.jerlov("3C").with_visibility(v) for v in (v1, v2))
+    for key in ("a", "b", "kd"):
+        assert (getattr(clear, key) <= getattr(murky, key) * (1 + 1e-12)).all()
+
+
+def test_only_the_contents_are_scaled():
+    water = Water.jerlov("1C")  # nowhere below pure water
+    a_w, b_w = jerlov.pure_water_absorption(water.wavelengths), jerlov.pure_water_scattering(water.wavelengths)
+    scaled = water.with_visibility(3)
+    factor = (scaled.b - b_w) / (water.b - b_w)
+    np.testing.assert_allclose(factor, factor[0], rtol=1e-10)
+    assert factor[0] > 1
+    np.testing.assert_allclose(scaled.a, a_w + factor[0] * (water.a - a_w), rtol=1e-10)
+    k_w = a_w + b_w / 2
+    np.testing.assert_allclose(scaled.kd, k_w + factor[0] * (water.kd - k_w), rtol=1e-10)
+
+
+def test_turbid_water_cleared_absorbs_red_like_a_clear_type():
+    a650 = values(Water.jerlov("9C").with_visibility(Water.jerlov("1C").visibility()), 650)[0]
+    assert a650 == pytest.approx(values(Water.jerlov("1C"), 650)[0], rel=0.02)  # .344; one factor for all gives .064
+
+
+def test_with_visibility_is_named():
+    water = Water.jerlov("II").with_visibility(5)
+    assert water.name == "II at 5 m visibility"
+    assert water.provenance[:-1] == Water.jerlov("II").provenance
+    assert water.provenance[-1].startswith("II at 5 m visibility: all but pure water scaled by 1.917")
+    assert water.mix(Water.jerlov("I"), 0.5).name == "0.5·(II at 5 m visibility) + 0.5·I"
+
+
+def test_clearest_is_pure_water():
+    with pytest.raises(ValueError, match=r"metres=200 is more than the pure water in 'II' allows, 87\.5\d m"):
+        Water.jerlov("II").with_visibility(200)
+    water = Water.jerlov("II").with_visibility(87.5)
+    pure = jerlov.pure_water_absorption(water.wavelengths)
+    np.testing.assert_allclose(water.a, np.minimum(pure, Water.jerlov("II").a), rtol=0.01)
+
+
+@pytest.mark.parametrize("metres", [0, -3, math.nan, math.inf])
+def test_visibility_asked_for_must_be_a_length(metres):
+    with pytest.raises(ValueError, match="metres must be a positive, finite visibility, got"):
+        Water.jerlov("II").with_visibility(metres)
+
+
+def test_nothing_to_scale():
+    nm = np.arange(400.0, 701.0)
+    a, b = jerlov.pure_water_absorption(nm), jerlov.pure_water_scattering(nm)
+    with pytest.raises(ValueError, match="'pure' is nothing but pure water"):
+        Water(nm, a, b, a + b / 2, name="pure").with_visibility(5)
+
+
+def test_pure_water_is_not_known_everywhere():
+    wide = Water([250, 850], [1, 2], [1, 1], [1, 2])
+    with pytest.raises(ValueError, match=r"tabulated at 300–800 nm, but .*250–850 nm\) leaves it: resample"):
+        wide.with_visibility(1)
+    assert wide.at([300, 800]).with_visibility(1).visibility() == pytest.approx(1, rel=1e-12)
+
+
+def test_import_is_light():
+    code = "import sys, uwaug.water, uwaug.camera; print({'colour', 'jerlov'} & set(sys.modules))"
+    out = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
+    assert out == "set()\n"

@@ -1,0 +1,27 @@
+"""Underwater pictures that do not exist: a differentiable, batched, spectrally honest model of how water degrades an image."""
+
+#TMP from uwaug import distance
+from uwaug.blur import varying_blur
+from uwaug.camera import Camera, load_camera
+from uwaug.field import gaussian_random_field
+from uwaug.formation import Terms, form_image
+from uwaug.medium import Medium, PointSpread
+from uwaug.module import Underwater
+from uwaug.water import JERLOV_TYPES, Water
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "JERLOV_TYPES",
+    "Camera",
+    "Medium",
+    "PointSpread",
+    "Terms",
+    "Underwater",
+    "Water",
+#TMP    "distance",
+    "form_image",
+    "gaussian_random_field",
+    "load_camera",
+    "varying_blur",
+]
