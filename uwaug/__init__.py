@@ -1,6 +1,6 @@
 """Underwater pictures that do not exist: a differentiable, batched, spectrally honest model of how water degrades an image."""
 
-#TMP from uwaug import distance
+from uwaug import distance
 from uwaug.blur import varying_blur
 from uwaug.camera import Camera, load_camera
 from uwaug.field import gaussian_random_field
@@ -19,7 +19,7 @@ __all__ = [
     "Terms",
     "Underwater",
     "Water",
-#TMP    "distance",
+   "distance",
     "form_image",
     "gaussian_random_field",
     "load_camera",

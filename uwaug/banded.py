@@ -1,11 +1,14 @@
 """Banded matrices that blur, shrink and enlarge one axis of an image, applied block by block.
 
-A Gaussian blur with half-sample symmetric edges is a banded matrix per axis; so is "blur, then keep every m-th sample", and so is
-spline interpolation back. Written as matrices the reflection at the edges is folded into the entries, grids need not divide the
-image size, a 1×1 image is nothing special, and the adjoint that gradients need is the transpose. Each matrix is cut into row blocks
-that hold only the columns in use; a block is one small matrix product (GEMM), which on a CPU is faster than one scaled addition per
-tap for all but the narrowest kernels: 3×256², one thread, σ 0.98 / 1.53 / 4.1 px: blocks 0.33 / 0.36 / 0.28 ms, scaled additions
-0.25 / 0.40 / 1.0, kornia's convolution 1.1 / 1.4 / 2.7, a dense matrix 1.8; oneDNN strided convolutions lie between 0.3 and 3.
+A Gaussian blur with half-sample symmetric edges is a banded matrix per axis; so is "blur, then keep every m-th sample",
+and so is spline interpolation back. Written as matrices the reflection at the edges is folded into the entries, grids
+need not divide the image size, a 1×1 image is nothing special, and the adjoint that gradients need is the transpose.
+Each matrix is cut into row blocks that hold only the columns in use; a block is one small matrix product (GEMM), which
+on a CPU is faster than one scaled addition per
+tap for all but the narrowest kernels: 3×256², one thread, σ 0.98 / 1.53 / 4.1 px: blocks 0.33 / 0.36 / 0.28 ms, scaled
+    additions
+0.25 / 0.40 / 1.0, kornia's convolution 1.1 / 1.4 / 2.7, a dense matrix 1.8; oneDNN strided convolutions lie between 0.3
+and 3.
 """
 
 import math
@@ -17,6 +20,7 @@ from kornia.filters import get_gaussian_kernel1d
 from torch import Tensor
 
 _POLE = math.sqrt(3.0) - 2.0  # of the filter that turns samples into cubic B-spline coefficients
+ROWS = 16  # rows of a block where a matrix acts along rows
 _SPLINE_REACH = 8  # |_POLE|^8 = 3e-5, at a frequency where the Gaussian has already removed all but 1e-2
 
 
@@ -91,9 +95,9 @@ def blur_matrix(size: int, sigma: float, reach: float) -> Tensor:
 def shrink_matrix(size: int, cells: int, sigma: float, reach: float) -> Tensor:
     """(cells, size) matrix: cubic B-spline coefficients, on `cells` equal cells, of the axis blurred by `sigma` px.
 
-    Sampling a Gaussian and solving for spline coefficients (Unser 1999, eq. 11) is one kernel, Σ_k √3·pole^|k| g(x + k·cell): the
-    blur itself is the anti-aliasing filter, and the spline loses less than 70 dB from cell ≤ σ/1.1 on (linear interpolation: 45 dB;
-    Keys' cubic: 57).
+    Sampling a Gaussian and solving for spline coefficients (Unser 1999, eq. 11) is one kernel, Σ_k √3·pole^|k| g(x +
+    k·cell): the blur itself is the anti-aliasing filter, and the spline loses less than 70 dB from cell ≤ σ/1.1 on
+    (linear interpolation: 45 dB; Keys' cubic: 57).
     """
     cell = size / cells
     centres = (torch.arange(cells, dtype=torch.float64) + 0.5) * cell - 0.5
@@ -107,7 +111,8 @@ def shrink_matrix(size: int, cells: int, sigma: float, reach: float) -> Tensor:
 
 
 def enlarge_matrix(size: int, cells: int) -> Tensor:
-    """(size, cells) matrix: the values, at `size` samples, of the cubic B-spline with coefficients on `cells` equal cells."""
+    """(size, cells) matrix: the values, at `size` samples, of the cubic B-spline with coefficients on `cells` equal
+    cells."""
     x = (torch.arange(size, dtype=torch.float64) + 0.5) * cells / size - 0.5
     first = torch.floor(x).long() - 1
     t = (x - torch.floor(x))[:, None]
@@ -127,38 +132,39 @@ def cut(dense: Tensor, height: int, dtype: torch.dtype, device: torch.device) ->
     return Banded(len(dense), tuple(blocks))
 
 
-@lru_cache(maxsize=512)
+@lru_cache(maxsize=1024)
 def operators(
-    size: int, sigma: float, cell: float, reach: float, dtype: torch.dtype, device: torch.device
+    axis: int, size: int, sigma: float, cell: float, reach: float, dtype: torch.dtype, device: torch.device
 ) -> tuple[tuple[Banded, Banded], ...]:
-    """What blurs one axis, as (matrix, transpose) pairs in the order of use.
+    """What blurs one axis (0: along rows, 1: along columns), as (matrix, transpose) pairs in the order of use.
 
     One pair, a blur, on the image's own grid (`cell` = 1); two, shrink and enlarge, on a coarser one.
     """
+    wide = ROWS if axis == 0 else 32  # the fastest of 8…64 on 256 and 512 px
     if cell == 1:
-        blur = cut(blur_matrix(size, sigma, reach), 32, dtype, device)
+        blur = cut(blur_matrix(size, sigma, reach), wide, dtype, device)
         return ((blur, blur),)  # symmetric: half-sample reflection makes the cosine transform diagonalise it
     cells = -(-64 * size // round(64 * cell))  # cells come in 64ths of a px: exact in integers
     shrink, enlarge = shrink_matrix(size, cells, sigma, reach), enlarge_matrix(size, cells)
     return (
-        (cut(shrink, 16, dtype, device), cut(shrink.t(), 32, dtype, device)),
-        (cut(enlarge, 32, dtype, device), cut(enlarge.t(), 16, dtype, device)),
+        (cut(shrink, 16, dtype, device), cut(shrink.t(), wide, dtype, device)),
+        (cut(enlarge, wide, dtype, device), cut(enlarge.t(), 16, dtype, device)),
     )
 
 
 def along_rows(matrix: Banded, x: Tensor, first: int = 0, end: int | None = None) -> Tensor:
     """`matrix @ x` for x (rows, N); only blocks `first` to `end` of the result."""
     blocks = matrix.blocks[first:end]
-    start = blocks[0].row
-    out = x.new_empty(blocks[-1].row_end - start, x.shape[1])
-    for b in blocks:
-        torch.mm(b.matrix, x[b.col : b.col_end], out=out[b.row - start : b.row_end - start])
+    out = x.new_empty(blocks[-1].row_end - blocks[0].row, x.shape[1])
+    for b, part in zip(blocks, torch.split(out, blocks[0].row_end - blocks[0].row)):
+        torch.mm(b.matrix, x.narrow(0, b.col, b.col_end - b.col), out=part)
     return out
 
 
 def along_columns(matrix: Banded, x: Tensor) -> Tensor:
     """`x @ matrix.T` for x (N, columns)."""
+    blocks = matrix.blocks
     out = x.new_empty(x.shape[0], matrix.rows)
-    for b in matrix.blocks:
-        torch.mm(x[:, b.col : b.col_end], b.transposed, out=out[:, b.row : b.row_end])
+    for b, part in zip(blocks, torch.split(out, blocks[0].row_end, 1)):
+        torch.mm(x.narrow(1, b.col, b.col_end - b.col), b.transposed, out=part)
     return out

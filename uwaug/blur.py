@@ -1,9 +1,10 @@
 """A Gaussian blur of a different width at every pixel, from a planned stack of a few fixed-width blurs.
 
-The image is blurred at K fixed widths and combined per pixel with weights W_k(σ), ΣW_k = 1. A plan holds the widths, the grid of each
-and the weights as polynomials of v = ½ log(σ² + ½): logarithmic for wide blurs, linear in σ² for narrow ones, so that σ = 0 is the
-image itself and every gradient is finite. The weights are the least-squares fit, over a picture's frequencies (power ∝ 1/f²), of the
-K transfer functions to the wanted one; any point spread that is a mixture of Gaussians thus comes from the same stack.
+The image is blurred at K fixed widths and combined per pixel with weights W_k(σ), ΣW_k = 1. A plan holds the widths,
+the grid of each and the weights as polynomials of v = ½ log(σ² + ½): logarithmic for wide blurs, linear in σ² for
+narrow ones, so that σ = 0 is the image itself and every gradient is finite. The weights are the least-squares fit, over
+a picture's frequencies (power ∝ 1/f²), of the K transfer functions to the wanted one; any point spread that is a
+mixture of Gaussians thus comes from the same stack.
 """
 
 import math
@@ -16,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uwaug.banded import Banded, along_columns, along_rows, gaussian_rows, operators, sampled_parameter
+from uwaug.banded import ROWS, Banded, along_columns, along_rows, gaussian_rows, operators, sampled_parameter
 
 Chain = tuple[tuple[int, Banded, Banded], ...]  # (axis, matrix, its transpose), in the order of use
 Shape = Literal["gaussian", "exponential"]
@@ -53,7 +54,9 @@ class BlurPlan:
             return "no blur (it would not show)"
         widths = ", ".join(f"{s:.3g}" if c == 1 else f"{s:.3g}/{c:.2g}" for s, c in zip(self.sigmas, self.cells))
         decibel = -20 * math.log10(self.error)
-        return f"{len(self.sigmas)} blurs for σ {self.sigma_min:.3g}…{self.sigma_max:.3g} px ({widths}), {decibel:.0f} dB"
+        return (
+            f"{len(self.sigmas)} blurs for σ {self.sigma_min:.3g}…{self.sigma_max:.3g} px ({widths}), {decibel:.0f} dB"
+        )
 
 
 NO_BLUR = BlurPlan(0.0, 0.0, (0.0,), (1.0,), ((1.0,),), 0.0, 0.0)
@@ -74,13 +77,15 @@ def _frequencies() -> tuple[np.ndarray, np.ndarray]:
     f = np.stack([np.outer(radius, np.cos(angle)).ravel(), np.outer(radius, np.sin(angle)).ravel()])
     f = f[:, (f <= 0.5).all(0)]
     # rings at equal steps of log f hold equal power: area ∝ f·df, power density ∝ 1/f²
-    return f, np.full(f.shape[1], _CONTRAST / math.sqrt(f.shape[1]))
+    amplitude: np.ndarray = np.full(f.shape[1], _CONTRAST / math.sqrt(f.shape[1]))
+    return f, amplitude
 
 
 def _sampled_gaussian(f: np.ndarray, sigma: float) -> np.ndarray:
     """Transfer function of the sampled, normalised Gaussian of variance sigma²."""
     if sigma < 1e-3:
-        return 1 - 2 * sigma**2 * (np.sin(np.pi * f) ** 2).sum(0)
+        parabola: np.ndarray = 1 - 2 * sigma**2 * (np.sin(np.pi * f) ** 2).sum(0)
+        return parabola
     taps = np.arange(1, math.ceil(8 * max(sigma, 1)) + 1)
     weights = np.exp(-0.5 * (taps / sampled_parameter(sigma)) ** 2)
     axes = (1 + 2 * np.cos(2 * np.pi * f[..., None] * taps) @ weights) / (1 + 2 * weights.sum())
@@ -94,8 +99,9 @@ def transfer_function(f: np.ndarray, sigma: float, shape: Shape = "gaussian") ->
     Args:
         f: (2, F) frequencies, cycles per px.
         sigma: width, px, ≥ 0.
-        shape: "gaussian": exp(−2π²σ²f²); "exponential": exp(−2πσf), the classical transfer function of McGlamery (1980) and Jaffe
-            (1990), whose point spread ∝ (r² + σ²)^(−3/2) has half of its energy beyond 1.7 σ and no finite variance.
+        shape: "gaussian": exp(−2π²σ²f²); "exponential": exp(−2πσf), the classical transfer function of McGlamery (1980)
+            and Jaffe (1990), whose point spread ∝ (r² + σ²)^(−3/2) has half of its energy beyond 1.7 σ and no finite
+            variance.
     """
     if shape == "exponential":
         exponential: np.ndarray = np.exp(-2 * np.pi * sigma * np.hypot(f[0], f[1]))
@@ -114,8 +120,8 @@ def plan_blur(sigma_min: float, sigma_max: float, tolerance: float = 0.002, shap
 
     Args:
         sigma_min, sigma_max: range of widths, px, 0 ≤ sigma_min ≤ sigma_max.
-        tolerance: largest error that may pass, on a scale of 0…1; the planned RMSE is half of it, so that .002 gives 60 dB and .0005
-            72 dB on a picture with a standard deviation of .25.
+        tolerance: largest error that may pass, on a scale of 0…1; the planned RMSE is half of it, so that .002 gives 60
+            dB and .0005 72 dB on a picture with a standard deviation of .25.
         shape: "gaussian" or "exponential", see `transfer_function`.
 
     Raises:
@@ -180,7 +186,9 @@ def node_weights(variance: Tensor, plan: BlurPlan) -> Tensor:
     if degree == 0:
         return torch.ones_like(variance)
     low, high = _v(plan.sigma_min), _v(plan.sigma_max)
-    x = torch.log(variance + _V_FLOOR).sub(low + high).mul(1 / (high - low)).clamp(-1, 1)
+    slope = 1 / (high - low)
+    offset = (math.log(_V_FLOOR) - low - high) * slope
+    x = torch.log1p(variance * (1 / _V_FLOOR)).mul_(slope).add_(offset).clamp(-1, 1)  # 2v = log ½ + log1p(2σ²)
     b, _, h, w = x.shape
     terms = [torch.ones_like(x), x]
     for _ in range(degree - 1):
@@ -191,7 +199,8 @@ def node_weights(variance: Tensor, plan: BlurPlan) -> Tensor:
 
 @torch.library.custom_op("uwaug::node_blur", mutates_args=())
 def _node_blur(x: Tensor, sigma: float, cell: float, reach: float, adjoint: bool) -> Tensor:
-    """One blur of a stack on x (H, N, W), or its adjoint. An operator of its own so that torch.compile keeps it whole."""
+    """One blur of a stack on x (H, N, W), or its adjoint. An operator of its own so that torch.compile keeps it
+    whole."""
     chain = _chain(sigma, cell, reach, x.shape[0], x.shape[2], x.dtype, x.device)
     if adjoint:
         return _products(x.contiguous(), [(axis, transpose) for axis, _, transpose in reversed(chain)])
@@ -228,16 +237,17 @@ def _products(x: Tensor, chain: Iterable[tuple[int, Banded]]) -> Tensor:
 def _chain(
     sigma: float, cell: float, reach: float, height: int, width: int, dtype: torch.dtype, device: torch.device
 ) -> Chain:
-    """Products of one blur of a stack, along rows last so that the result can be had a few rows at a time."""
-    rows = operators(height, sigma, cell, reach, dtype, device)
-    columns = operators(width, sigma, cell, reach, dtype, device)
+    """Products of one blur of a stack, in the order that needs the fewest operations."""
+    rows = operators(0, height, sigma, cell, reach, dtype, device)
+    columns = operators(1, width, sigma, cell, reach, dtype, device)
     if cell == 1:
-        return ((1, *columns[0]), (0, *rows[0]))
+        return ((0, *rows[0]), (1, *columns[0]))
     return ((0, *rows[0]), (1, *columns[0]), (1, *columns[1]), (0, *rows[1]))
 
 
 def blurred_rows(image: Tensor, plan: BlurPlan) -> Iterator[tuple[slice, list[Tensor]]]:
-    """The plan's blurs of one image, a strip of rows at a time so that what follows stays in the cache. Not for gradients.
+    """The plan's blurs of one image, a strip of rows at a time so that what follows stays in the cache. Not for
+    gradients.
 
     Args:
         image (CxHxW tensor): float32 or float64.
@@ -252,14 +262,22 @@ def blurred_rows(image: Tensor, plan: BlurPlan) -> Iterator[tuple[slice, list[Te
         _chain(sigma, cell, plan.reach, h, w, x.dtype, x.device) if sigma > 0 else ()
         for sigma, cell in zip(plan.sigmas, plan.cells)
     ]
-    waiting = [_products(x, [(axis, matrix) for axis, matrix, _ in chain[:-1]]) for chain in chains]
-    blocks = max(1, _STRIP // (32 * c * w))  # the matrices that act along rows come in blocks of 32
-    for first in range(0, math.ceil(h / 32), blocks):
-        rows = slice(32 * first, min(32 * (first + blocks), h))
+    # all that cannot be had a few rows at a time is small: on the coarse grids, rows are few
+    sources = [
+        _products(x, [(axis, matrix) for axis, matrix, _ in chain[:-1]]) if len(chain) > 2 else x for chain in chains
+    ]
+    blocks = max(1, _STRIP // (ROWS * c * w))
+    for first in range(0, math.ceil(h / ROWS), blocks):
+        rows = slice(ROWS * first, min(ROWS * (first + blocks), h))
         strips = []
-        for chain, y in zip(chains, waiting):
-            strip = along_rows(chain[-1][1], y.reshape(len(y), -1), first, first + blocks) if chain else y[rows]
-            strips.append(strip.reshape(-1, c, w).transpose(0, 1)[None])
+        for chain, source in zip(chains, sources):
+            strip = source[rows]
+            if chain:
+                along = chain[-1] if len(chain) > 2 else chain[0]
+                strip = along_rows(along[1], source.reshape(len(source), -1), first, first + blocks).reshape(-1, c, w)
+            if len(chain) == 2:
+                strip = _products(strip, [chain[1][:2]])
+            strips.append(strip.transpose(0, 1)[None])
         yield rows, strips
 
 
@@ -295,12 +313,13 @@ def weighted_sum(weights: Tensor, images: list[Tensor]) -> Tensor:
     """Σ_k weights[:, k]·images[k], for weights (BxKxHxW) and K images (BxCxHxW)."""
     total = weights[:, :1] * images[0]
     for k in range(1, len(images)):
-        total = torch.addcmul(total, weights[:, k : k + 1], images[k])
+        total.addcmul_(weights[:, k : k + 1], images[k])
     return total
 
 
 def blur_exact(image: Tensor, sigma: Tensor, at: Tensor | None = None) -> Tensor:
-    """The reference: each pixel from its own sampled, normalised Gaussian, in float64. Slow: no stack, no grids, cut at 8σ.
+    """The reference: each pixel from its own sampled, normalised Gaussian, in float64. Slow: no stack, no grids, cut at
+    8σ.
 
     Args:
         image (CxHxW tensor): any float type.
@@ -315,7 +334,7 @@ def blur_exact(image: Tensor, sigma: Tensor, at: Tensor | None = None) -> Tensor
     image, flat = image.double(), sigma.double().flatten()
     out = image.new_empty(c, len(at))
     order = flat[at].argsort()  # neighbours in width share the reach of their kernels
-    for chunk in order.split(2048):
+    for chunk in torch.split(order, 2048):
         pixels = at[chunk]
         rows = gaussian_rows(pixels // w, flat[pixels], h)
         columns = gaussian_rows(pixels % w, flat[pixels], w)

@@ -13,6 +13,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.nn.functional import interpolate
 
 __all__ = [
     "DepthNetwork",
@@ -304,13 +305,12 @@ class DepthNetwork:
         return depth.view(*image.shape[:-3], 1, *image.shape[-2:])
 
     def _predict(self, image: Tensor) -> Tensor:
-        from torch.nn.functional import interpolate
-
         session = self._open()
         entry = session.get_inputs()[0]
-        if len(entry.shape) != 4 or (isinstance(entry.shape[1], int) and entry.shape[1] != 3):
-            raise ValueError(f"{self.path} must take (1, 3, h, w), got {entry.shape}: channels last?")
-        size = self._input_size(entry.shape, *image.shape[-2:])
+        shape = entry.shape
+        if len(shape) != 4 or not (shape[1] == 3 or (not isinstance(shape[1], int) and shape[3] != 3)):
+            raise ValueError(f"{self.path} must take (1, 3, h, w), got {shape}: channels last?")
+        size = self._input_size(shape, *image.shape[-2:])
         x = interpolate(image.float().cpu(), size, mode="bicubic", align_corners=False, antialias=True).clamp(0, 1)
         x = (x - x.new_tensor(self.mean).view(3, 1, 1)) / x.new_tensor(self.std).view(3, 1, 1)
         depth = torch.from_numpy(session.run(None, {entry.name: x.numpy()})[0])
@@ -363,4 +363,4 @@ def _check_positive(value: float, name: str) -> None:
 
 def _span(x: Tensor) -> str:
     known = x[~x.isnan()]
-    return f"{known.min():.4g} to {known.max():.4g}"
+    return f"{known.min():.4g} to {known.max():.4g}" if known.numel() else "NaN only"

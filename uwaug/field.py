@@ -102,7 +102,7 @@ def field_from_noise(
         return _synthesise(coefficients, height, width, exponent, low, high).to(noise.dtype)
 
 
-# One thread, 256² / 1024², a draw included: this .24 / 1.9 ms; 64² by FFT + bicubic interpolation .51 / 6.5;
+# One thread, 256² / 1024², a draw included: this .27 / 2.2 ms; 64² by FFT + bicubic interpolation .51 / 6.5;
 # FFT at full size 1.3 / 48. A 64² grid and cubic upsampling as two matrix products cost as much as this does.
 def _synthesise(noise: Tensor, height: int, width: int, exponent: float, low: float, high: float) -> Tensor:
     index = torch.arange(noise.shape[-1], dtype=noise.dtype, device=noise.device)

@@ -2,8 +2,9 @@
 
     I = T_β(z)·J + (T_G(z) − T_β(z))·blur_σ(z){J} + V(0) − V(z),    z := m·z
 
-Order "line_of_sight" blurs J and weights it with the curves of the pixel that looks; order "source", the paper's equation, weights first
-and blurs the product. Monte Carlo light transport (two planes, edge region) stands .0268 from the first and .0290 from the second.
+Order "line_of_sight" blurs J and weights it with the curves of the pixel that looks; order "source", the paper's
+equation, weights first and blurs the product. Monte Carlo light transport (two planes, edge region) stands .0268 from
+the first and .0290 from the second.
 """
 
 import math
@@ -18,6 +19,7 @@ from uwaug.blur import NO_BLUR, BlurPlan, Shape, blurred, blurred_rows, node_wei
 from uwaug.medium import FARTHEST, Medium, pixel_scale
 
 Order = Literal["line_of_sight", "source"]
+_LOG2E = math.log2(math.e)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +71,8 @@ def blur_demand(
 ) -> BlurDemand:
     """What a medium needs of the blur over a range of effective distances, and no more.
 
-    Distances at which forward scatter is fainter than the tolerance do not count, and its strength scales the error that may pass.
+    Distances at which forward scatter is fainter than the tolerance do not count, and its strength scales the error
+    that may pass.
 
     Args:
         medium: any batch; the demand covers all rows.
@@ -110,9 +113,10 @@ def form_image(
     """Form an underwater image.
 
     Args:
-        image (Bx3xHxW or 3xHxW tensor): J, linear light, 1 = white plate at the surface; may exceed [0, 1]. Half precision is computed in
-            float32.
-        distance (Bx1xHxW or 1xHxW tensor): z, metres along the ray, ≥ 0; +inf is open water. A batch of 1 serves all images.
+        image (Bx3xHxW or 3xHxW tensor): J, linear light, 1 = white plate at the surface; may exceed [0, 1]. Half
+            precision is computed in float32.
+        distance (Bx1xHxW or 1xHxW tensor): z, metres along the ray, ≥ 0; +inf is open water. A batch of 1 serves all
+            images.
         medium: one row, or as many as images. One image and B media give B images.
         field (Bx1xHxW or 1xHxW tensor): m, multiplies z; None for homogeneous water.
         order: "line_of_sight" or "source" (see the module).
@@ -126,7 +130,8 @@ def form_image(
         TypeError: if an argument is not a floating-point tensor.
         ValueError: if shapes disagree, a distance is NaN or negative, or the order is unknown.
 
-    Source: "Sea-ing Through Scattered Rays" (2025), equations for the three terms, with the sign of the forward term's exponent
+    Source: "Sea-ing Through Scattered Rays" (2025), equations for the three terms, with the sign of the forward term's
+        exponent
     corrected.
     """
     pieces = check(image, distance, medium, field, order)
@@ -137,13 +142,16 @@ def form_image(
 
 
 def unbatched(image: Tensor, distance: Tensor, medium: Medium) -> bool:
+    """Whether the caller gave one image without a batch dimension, and gets one back."""
     return image.ndim == 3 and len(medium) == 1 and (distance.ndim == 3 or len(distance) == 1)
 
 
 def check(
     image: Tensor, distance: Tensor, medium: Medium, field: Tensor | None, order: str
 ) -> tuple[Tensor, Tensor, Medium]:
-    """Validate; return image (BxCxHxW) and effective distance in float32 or float64, and the medium in the same dtype."""
+    """Validate; return image (BxCxHxW) and effective distance in float32 or float64, and the medium in the same
+    dtype.
+    """
     for name, value in (("image", image), ("distance", distance), ("field", field)):
         if value is None and name == "field":
             continue
@@ -152,12 +160,20 @@ def check(
             hint = "; scale 0…255 to 0…1 first" if got == torch.uint8 else ""
             raise TypeError(f"{name} must be a floating-point tensor, got {got}{hint}")
         if value.ndim not in (3, 4):
-            raise ValueError(f"{name} must have 3 or 4 dimensions, (B, C, H, W) or (C, H, W), got shape {tuple(value.shape)}")
+            raise ValueError(
+                f"{name} must have 3 or 4 dimensions, (B, C, H, W) or (C, H, W), got shape {tuple(value.shape)}"
+            )
         channels = 3 if name == "image" else 1
         if value.shape[-3] != channels:
-            raise ValueError(f"{name} must have {channels} channel{'s'[: channels - 1]}, (…, {channels}, H, W), got shape {tuple(value.shape)}")
+            raise ValueError(
+                f"{name} must be (…, {channels}, H, W), {channels} channel{'s'[: channels - 1]}; "
+                f"got shape {tuple(value.shape)}"
+            )
         if value.shape[-2:] != image.shape[-2:]:
-            raise ValueError(f"{name} is {tuple(value.shape[-2:])} but image is {tuple(image.shape[-2:])}: height and width must agree")
+            raise ValueError(
+                f"{name} is {tuple(value.shape[-2:])} but image is {tuple(image.shape[-2:])}: "
+                "height and width must agree"
+            )
     if order not in ("line_of_sight", "source"):
         raise ValueError(f"order must be 'line_of_sight' or 'source', got {order!r}")
     dtype = torch.promote_types(image.dtype, torch.float32)
@@ -176,10 +192,10 @@ def check(
         if not low >= 0:
             unknown, negative = int(z.isnan().sum()), int((z < 0).sum())
             raise ValueError(
-                f"distance is NaN at {unknown} and negative at {negative} of {z.numel()} pixels: expected metres ≥ 0 (+inf for open "
-                "water); fill unknown pixels first, see uwaug.distance.fill_unknown"
+                f"distance is NaN at {unknown} and negative at {negative} of {z.numel()} pixels: expected metres ≥ 0 "
+                "(+inf for open water); fill unknown pixels first, see uwaug.distance.fill_unknown"
             )
-    return image, z.clamp(max=FARTHEST), medium.to(dtype=dtype, device=image.device)
+    return image, z if field is not None else z.clamp(max=FARTHEST), medium.to(dtype=dtype, device=image.device)
 
 
 def _range(z: Tensor) -> tuple[float, float]:
@@ -188,7 +204,14 @@ def _range(z: Tensor) -> tuple[float, float]:
 
 
 def form(
-    image: Tensor, z: Tensor, medium: Medium, order: Order, tolerance: float, plan: BlurPlan | None, *, total: bool = False
+    image: Tensor,
+    z: Tensor,
+    medium: Medium,
+    order: Order,
+    tolerance: float,
+    plan: BlurPlan | None,
+    *,
+    total: bool = False,
 ) -> tuple[Tensor, ...]:
     """The model on checked input: direct, forward, backscatter; or only their sum."""
     b = max(len(image), len(z), len(medium)) if image.numel() and z.numel() else 0
@@ -205,30 +228,40 @@ def form(
             source = (medium.signal(z) - medium.transmission(z)) * image
         return _combine(image, z, medium, blurred(source, plan), plan, size, order, total)
     outputs = tuple(image.new_empty(b, 3, *size) for _ in range(1 if total else 3))
+    rows_of = [medium[i] for i in range(len(medium))]
     for i, j in enumerate(image):
         # one picture in several waters is blurred once
         samples = range(b) if len(image) == 1 else (i,)
         for rows, stack in blurred_rows(j, plan):
             for n in samples:
-                part = z[n if len(z) > 1 else 0, :, rows][None]
-                results = _combine(j[None, :, rows], part, medium[n if len(medium) > 1 else 0], stack, plan, size, order, total)
+                part, row = z[n if len(z) > 1 else 0, :, rows][None], rows_of[n if len(rows_of) > 1 else 0]
+                results = _combine(j[None, :, rows], part, row, stack, plan, size, order, total)
                 for out, result in zip(outputs, results):
                     out[n, :, rows] = result[0]
     return outputs
 
 
 def _combine(
-    image: Tensor, z: Tensor, medium: Medium, stack: list[Tensor], plan: BlurPlan, size: tuple[int, int], order: Order, total: bool
+    image: Tensor,
+    z: Tensor,
+    medium: Medium,
+    stack: list[Tensor],
+    plan: BlurPlan,
+    size: tuple[int, int],
+    order: Order,
+    total: bool,
 ) -> tuple[Tensor, ...]:
-    """What happens at each pixel by itself: curves, weights of the blurs, sum. z is (BxRxW) rows of an image of `size`."""
+    """What each pixel does by itself: curves, weights of the blurs, sum. `z` is rows of an image of `size`."""
     flat = z.reshape(len(z), 1, -1)
     shape = (-1, 3, *z.shape[-2:])
-    transmission = (medium.direct_weights @ (-medium.beta[:, :, None] * flat).exp_()).reshape(shape)
+    # exp2 is four times as fast as exp
+    transmission = (medium.direct_weights @ (medium.beta[:, :, None] * -_LOG2E * flat).exp2_()).reshape(shape)
     # expm1 for both: a veil of a millimetre of water is small, not zero; the signal is e^−Gz = 1 + expm1(−Gz)
     spent = (-medium.G[:, :, None] * flat).expm1_()
-    curves = torch.cat([medium.signal_weights, -medium.veil_weights], 1) @ spent
-    share = curves[:, :3].reshape(shape) + (medium.signal_weights.sum(-1)[:, :, None, None] - transmission)
-    veil = curves[:, 3:].reshape(shape)
+    share = (medium.signal_weights @ spent).add_(medium.signal_weights.sum(-1, keepdim=True)).reshape(
+        shape
+    ) - transmission
+    veil = (-medium.veil_weights @ spent).reshape(shape)
     if len(stack) > 1:
         lengths = medium.b_mean.reshape(-1, 1, 1, 1) * z
         scattered = weighted_sum(node_weights(medium.point_spread.variance(lengths, size), plan), stack)
@@ -237,5 +270,5 @@ def _combine(
     if order == "source":
         share = torch.ones_like(share)
     if total:
-        return (torch.addcmul(torch.addcmul(veil, share, scattered), transmission, image),)
+        return (torch.addcmul(veil, share, scattered).addcmul_(transmission, image),)
     return transmission * image, share * scattered, veil

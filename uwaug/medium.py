@@ -4,13 +4,15 @@
     T_G,c(z) = Σ_l s_cl e^(−G_l z)    what arrives at all (direct + forward)
     V_c(z)   = Σ_l v_cl e^(−G_l z)    so that the veil is V(0) − V(z)
 
-Each is a spectral integral replaced by a few exponentials with positive weights: exact at z = 0, monotone, never divided by z. The
-rates belong to the water and serve all three channels, and signal and veil alike; only the weights belong to the camera. (One
-Gauss quadrature per curve and channel needs 15 to 24 exponentials for a tolerance of .002; shared rates need 4 to 10.)
+Each is a spectral integral replaced by a few exponentials with positive weights: exact at z = 0, monotone, never
+    divided by z. The
+rates belong to the water and serve all three channels, and signal and veil alike; only the weights belong to the
+camera. (One Gauss quadrature per curve and channel needs 15 to 24 exponentials for a tolerance of .002; shared rates
+need 4 to 10.)
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -40,9 +42,10 @@ class PointSpread:
     Attributes:
         scale: width at one scattering length, px ≥ 0; a float, or a tensor (B,) that can be learned.
         exponent: > 0; a float, or a tensor (B,).
-        shape: "gaussian", or "exponential" for the classical transfer function e^(−2πσf), see `uwaug.blur.transfer_function`.
-        reference_size: None if px are px of the image at hand; else the short side, px, of the image that `scale` refers to, so that
-            the picture does not depend on its resolution.
+        shape: "gaussian", or "exponential" for the classical transfer function e^(−2πσf), see
+            `uwaug.blur.transfer_function`.
+        reference_size: None if px are px of the image at hand; else the short side, px, of the image that `scale`
+            refers to, so that the picture does not depend on its resolution.
     """
 
     scale: float | Tensor
@@ -61,7 +64,7 @@ class PointSpread:
 
     @staticmethod
     def paper(coefficient: float = 0.3) -> "PointSpread":
-        """The paper's law φ = coefficient·b̄ (its table 2: .3, its figure 7: .8), in px of its pictures (short side 518 px)."""
+        """The paper's law φ = coefficient·b̄ (table 2: .3, figure 7: .8), in px of its pictures, 518 px high."""
         return PointSpread(coefficient, 1.0, reference_size=PAPER_SIZE)
 
     @staticmethod
@@ -87,14 +90,25 @@ class PointSpread:
             lengths (BxC'xHxW tensor): scattering lengths b̄·z, finite, ≥ 0.
             size: (height, width) of the image, px.
         """
-        scale, exponent = (v.reshape(-1, 1, 1, 1).to(lengths) if isinstance(v, Tensor) else v for v in (self.scale, self.exponent))
+        scale, exponent = (
+            v.reshape(-1, 1, 1, 1).to(lengths) if isinstance(v, Tensor) else v for v in (self.scale, self.exponent)
+        )
         # from a millionth of a scattering length on: x^(2·exponent) with 2·exponent < 1 has an infinite slope at 0
         return (scale * pixel_scale(self.reference_size, size)) ** 2 * lengths.clamp(min=1e-6) ** (2 * exponent)
+
+    def map(self, function: Callable[[Tensor], Tensor]) -> "PointSpread":
+        """The same law with `function` applied to what it holds as tensors."""
+        if not isinstance(self.scale, Tensor) and not isinstance(self.exponent, Tensor):
+            return self
+        scale, exponent = (function(v) if isinstance(v, Tensor) else v for v in (self.scale, self.exponent))
+        return replace(self, scale=scale, exponent=exponent)
 
     def __str__(self) -> str:
         if isinstance(self.scale, (int, float)) and self.scale == 0:
             return "no blur"
-        scale, exponent = (f"{v:.3g}" if isinstance(v, (int, float)) else "learned" for v in (self.scale, self.exponent))
+        scale, exponent = (
+            f"{v:.3g}" if isinstance(v, (int, float)) else "learned" for v in (self.scale, self.exponent)
+        )
         unit = "px" if self.reference_size is None else f"px at {self.reference_size:g} px short side"
         return f"{self.shape} σ = {scale}·(b̄ z)^{exponent} {unit}"
 
@@ -126,9 +140,13 @@ class Medium:
     def __post_init__(self) -> None:
         b, k, n = len(self.beta), self.beta.shape[-1], self.G.shape[-1]
         wanted = {
-            "beta": (b, k), "direct_weights": (b, 3, k), "G": (b, n), "signal_weights": (b, 3, n), "veil_weights": (b, 3, n),
+            "beta": (b, k),
+            "direct_weights": (b, 3, k),
+            "G": (b, n),
+            "signal_weights": (b, 3, n),
+            "veil_weights": (b, 3, n),
             "b_mean": (b,),
-        }  # fmt: skip
+        }
         for name, shape in wanted.items():
             if tuple(getattr(self, name).shape) != shape:
                 raise ValueError(f"Medium.{name} must have shape {shape}, got {tuple(getattr(self, name).shape)}")
@@ -148,19 +166,22 @@ class Medium:
     ) -> "Medium":
         """Reduce spectra to as few exponentials as the tolerance allows.
 
-        The rates are the nodes of the Gauss quadrature (Golub & Welsch 1969) of the three channels' measures taken together; the
-        weights fit each curve by non-negative least squares over the distance range, with the value at z = 0 exact.
+        The rates are the nodes of the Gauss quadrature (Golub & Welsch 1969) of the three channels' measures taken
+        together; the weights fit each curve by non-negative least squares over the distance range, with the value at z
+        = 0 exact.
 
         Args:
             water: spectra a, b, K_d.
             camera: name of a colour-science response, path of a CSV file, or a `Camera`.
             vertical_depth: d, depth of the scene below the surface, m, ≥ 0.
-            g: share of the scattered light that leaves the line of sight, 0…1. Not the asymmetry of a phase function: .2 (the paper)
-                for a subject that fills part of the view, .066 for one that fills it.
-            mu: share of the scattered light that is sent towards the camera, 0…1, where 1 in the image means a white vertical plate.
+            g: share of the scattered light that leaves the line of sight, 0…1. Not the asymmetry of a phase function:
+                .2 (the paper) for a subject that fills part of the view, .066 for one that fills it.
+            mu: share of the scattered light that is sent towards the camera, 0…1, where 1 in the image means a white
+                vertical plate.
             point_spread: width law, by default `PointSpread.paper()`.
             tolerance: largest error of each curve over `distance_range`; 0 keeps every band.
-            distance_range: (nearest, farthest) effective distance m·z, m. Beyond it the curves stay monotone and bounded.
+            distance_range: (nearest, farthest) effective distance m·z, m. Beyond it the curves stay monotone and
+                bounded.
             wavelengths: bands, nm, by default 400…700 in steps of 5 as far as the water reaches.
 
         Raises:
@@ -185,15 +206,18 @@ class Medium:
         veil = mu * bands.b * light / lossy
         z = np.concatenate([[0.0], np.linspace(near, far, 49)[1 if near == 0 else 0 :]])
         rates, (direct,), error = _reduce(beta, (response * light,), z, tolerance)
-        scatter, (signal, backscatter), error_scatter = _reduce(lossy, (response * light, response * veil), z, tolerance)
+        scatter, (signal, backscatter), error_scatter = _reduce(
+            lossy, (response * light, response * veil), z, tolerance
+        )
         point_spread = PointSpread.paper() if point_spread is None else point_spread
         note = (
-            f"{water.name}: {len(rates)} + {len(scatter)} rates, curves within {max(error, error_scatter):.1g} over {near:g}…{far:g} m, "
+            f"{water.name}: {len(rates)} + {len(scatter)} rates, "
+            f"curves within {max(error, error_scatter):.1g} over {near:g}…{far:g} m, "
             f"{vertical_depth:g} m deep, g = {g:g}, μ = {mu:g}"
         )
-        tensors = (torch.from_numpy(x)[None] for x in (rates, direct, scatter, signal, backscatter))
+        tensors = [torch.from_numpy(x)[None] for x in (rates, direct, scatter, signal, backscatter)]
         b_mean = torch.from_numpy(np.array([(response @ bands.b).mean()]))
-        return Medium(*tensors, b_mean=b_mean, point_spread=point_spread, notes=(note,))
+        return assemble([*tensors, b_mean], point_spread, (note,))
 
     @staticmethod
     def from_coefficients(
@@ -241,33 +265,36 @@ class Medium:
             raise ValueError("media is empty: stack needs at least one Medium")
         laws = [m.point_spread for m in media]
         if len({(p.shape, p.reference_size) for p in laws}) > 1:
-            raise ValueError(f"media must share the shape and reference_size of their point spreads, got {sorted(set(map(str, laws)))}")
+            raise ValueError(
+                "media must share the shape and reference_size of their point spreads, "
+                f"got {sorted(set(map(str, laws)))}"
+            )
 
         def join(name: str) -> Tensor:
             parts = [getattr(m, name) for m in media]
             width = max(p.shape[-1] for p in parts)
             return torch.cat([torch.nn.functional.pad(p, (0, width - p.shape[-1])) for p in parts])
 
-        def join_law(name: str) -> float | Tensor:
-            values = [getattr(p, name) for p in laws]
+        def join_law(values: list[float | Tensor]) -> float | Tensor:
             if all(isinstance(v, (int, float)) and v == values[0] for v in values):
-                return float(values[0])
+                return values[0]
             return torch.cat([torch.as_tensor(v, dtype=m.beta.dtype).expand(len(m)) for v, m in zip(values, media)])
 
-        tensors = [join(n) for n in _TENSORS[:-1]]
-        law = replace(laws[0], scale=join_law("scale"), exponent=join_law("exponent"))
-        return Medium(*tensors, torch.cat([m.b_mean for m in media]), law, tuple(n for m in media for n in m.notes))
+        scale, exponent = join_law([p.scale for p in laws]), join_law([p.exponent for p in laws])
+        law = replace(laws[0], scale=scale, exponent=exponent)
+        tensors = [join(name) if name != "b_mean" else torch.cat([m.b_mean for m in media]) for name in _TENSORS]
+        return assemble(tensors, law, tuple(n for m in media for n in m.notes))
 
     def __len__(self) -> int:
         return len(self.beta)
 
     def __getitem__(self, i: int) -> "Medium":
         """The i-th medium, as a batch of one."""
-        part = slice(i, i + 1) if i != -1 else slice(-1, None)
-        law = self.point_spread
-        parts = {n: v[part] if isinstance(v, Tensor) and v.ndim else v for n, v in (("scale", law.scale), ("exponent", law.exponent))}
-        return replace(
-            self, **{n: getattr(self, n)[part] for n in _TENSORS}, point_spread=replace(law, **parts), notes=self.notes[part]
+        part = slice(i, i + 1 or None)
+        return assemble(
+            [t[part] for t in self.tensors()],
+            self.point_spread.map(lambda v: v[part] if v.ndim else v),
+            self.notes[part],
         )
 
     def tensors(self) -> tuple[Tensor, ...]:
@@ -276,11 +303,10 @@ class Medium:
 
     def to(self, *args: Any, **kwargs: Any) -> "Medium":
         """Move or cast, as `torch.Tensor.to`."""
-        law = self.point_spread
-        moved = {n: v.to(*args, **kwargs) if isinstance(v, Tensor) else v for n, v in (("scale", law.scale), ("exponent", law.exponent))}
-        return replace(
-            self, **{n: getattr(self, n).to(*args, **kwargs) for n in _TENSORS}, point_spread=replace(law, **moved)
-        )
+        if all(t.to(*args, **kwargs) is t for t in self.tensors()):
+            return self
+        law = self.point_spread.map(lambda v: v.to(*args, **kwargs))
+        return assemble([t.to(*args, **kwargs) for t in self.tensors()], law, self.notes)
 
     def transmission(self, z: Tensor) -> Tensor:
         """T_β(z): share of the light at the surface that arrives unscattered.
@@ -316,12 +342,19 @@ _TENSORS = tuple(f.name for f in fields(Medium) if f.name not in ("point_spread"
 FARTHEST = 1e9  # m: what stands for z = +inf, so that 0·inf never arises; any rate above 1e-7/m is spent by then
 
 
-def _curve(rates: Tensor, weights: Tensor, z: Tensor, function: Any) -> Tensor:
+def assemble(tensors: Sequence[Tensor], law: PointSpread, notes: tuple[str, ...]) -> Medium:
+    """A medium from its tensors, in the order of its attributes."""
+    beta, direct_weights, G, signal_weights, veil_weights, b_mean = tensors
+    return Medium(beta, direct_weights, G, signal_weights, veil_weights, b_mean, law, notes)
+
+
+def _curve(rates: Tensor, weights: Tensor, z: Tensor, function: Callable[[Tensor], Tensor]) -> Tensor:
     flat = z.clamp(max=FARTHEST)
     if z.ndim <= 1:
-        return weights.to(z) @ function(-rates.to(z)[:, :, None] * flat.reshape(1, 1, -1)).squeeze(-1 if z.ndim == 0 else ())
-    flat = flat.reshape(-1 if z.ndim == 4 else 1, 1, z.shape[-2] * z.shape[-1])
-    curve: Tensor = weights.to(z) @ function(-rates.to(z)[:, :, None] * flat)
+        values = weights.to(z) @ function(-rates.to(z)[:, :, None] * flat.reshape(1, 1, -1))
+        return values.squeeze(-1) if z.ndim == 0 else values
+    flat = flat.reshape(len(z) if z.ndim == 4 else 1, 1, z.shape[-2] * z.shape[-1])
+    curve = weights.to(z) @ function(-rates.to(z)[:, :, None] * flat)
     return curve.reshape(*curve.shape[:2], *z.shape[-2:])
 
 
@@ -346,18 +379,21 @@ def _reduce(rates: Array, measures: tuple[Array, ...], z: Array, tolerance: floa
     diagonal, off = _lanczos(rates, together)
     for k in range(1, len(diagonal) + 1):
         nodes = np.linalg.eigvalsh(np.diag(diagonal[:k]) + np.diag(off[: k - 1], 1) + np.diag(off[: k - 1], -1))
-        nodes = nodes.clip(0, None)
+        nodes = np.maximum(nodes, 0.0).astype(np.float64)
         weights = _fit_weights(np.exp(-nodes[:, None] * z), exact)
         error = float(np.abs(weights @ np.exp(-nodes[:, None] * z) - exact).max())
         if error <= tolerance:
-            return nodes, np.split(weights, len(measures)), error
-    raise ValueError(f"tolerance {tolerance} is out of reach of {len(diagonal)} exponentials; ask for 0 to keep all bands")
+            return nodes, list(np.split(weights, len(measures))), error
+    raise ValueError(
+        f"tolerance {tolerance} is out of reach of {len(diagonal)} exponentials; ask for 0 to keep all bands"
+    )
 
 
 def _lanczos(rates: Array, weights: Array) -> tuple[Array, Array]:
     """Diagonal and off-diagonal of the Jacobi matrix of a discrete measure (Lanczos, fully reorthogonalised)."""
     basis = [np.sqrt(weights / weights.sum())]
-    diagonal, off = [], []
+    diagonal: list[float] = []
+    off: list[float] = []
     while True:
         v = rates * basis[-1]
         diagonal.append(float(basis[-1] @ v))
@@ -372,9 +408,11 @@ def _lanczos(rates: Array, weights: Array) -> tuple[Array, Array]:
 
 
 def _fit_weights(basis: Array, exact: Array) -> Array:
-    """Non-negative weights (C, K) with weights @ basis ≈ exact, equal in the first column (z = 0, where the basis is 1).
+    """Non-negative weights (C, K) with weights @ basis ≈ exact, equal in the first column (z = 0, where the basis is
+    1).
 
-    The sum of the weights is fixed by eliminating one of them; a weight that comes out negative is struck out and the rest refitted.
+    The sum of the weights is fixed by eliminating one of them; a weight that comes out negative is struck out and the
+    rest refitted.
     """
     weights = np.zeros((len(exact), len(basis)))
     for row, curve in zip(weights, exact):

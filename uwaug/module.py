@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from uwaug.blur import BlurPlan
 from uwaug.colour import linear_to_srgb, srgb_to_linear
 from uwaug.formation import BlurDemand, Order, blur_demand, check, form, unbatched
-from uwaug.medium import Medium
+from uwaug.medium import Medium, assemble
 
 _HDR_LIMIT = 16.0  # sRGB values above this are taken for 0…255
 
@@ -20,18 +20,21 @@ class Underwater(nn.Module):
 
     Args:
         medium: one medium, or one for each image of a batch.
-        distance_range: (nearest, farthest) effective distance m·z, m, for which the blur is planned once; beyond it widths stop
-            changing, curves stay exact. None plans for each call's own distances, which cannot be compiled or exported.
+        distance_range: (nearest, farthest) effective distance m·z, m, for which the blur is planned once; beyond it
+            widths stop changing, curves stay exact. None plans for each call's own distances, which cannot be compiled
+            or exported.
         tolerance: largest error of the blur in the image, on a scale of 0…1.
         color_space: "srgb" decodes, works in linear light, and encodes again; "linear" takes values as they are.
-        learnable: make rates, light, veil and width scale parameters; they stay positive, and direct and signal light stay equal at z = 0.
+        learnable: make rates, light, veil and width scale parameters; they stay positive, and direct and signal light
+            stay equal at z = 0.
         order: "line_of_sight", or "source" for the paper's equation, see `uwaug.formation`.
 
     Shapes:
         image (Bx3xHxW or 3xHxW), distance (Bx1xHxW or 1xHxW, m), field (as distance, or None) → image.
 
     Raises:
-        TypeError, ValueError: as `uwaug.form_image`; and if an sRGB image exceeds 16, which is taken for a scale of 0…255.
+        TypeError, ValueError: as `uwaug.form_image`; and if an sRGB image exceeds 16, which is taken for a scale of
+            0…255.
 
     Examples:
         >>> import torch, uwaug
@@ -68,7 +71,6 @@ class Underwater(nn.Module):
             for v in (self._law.scale, self._law.exponent)
         )
         detached = {name: value.detach().clone() for name, value in zip(_NAMES, medium.tensors())}
-        self._uniform_exponent = None if isinstance(self._law.exponent, Tensor) else float(self._law.exponent)
         if not learnable:
             for name, value in {**detached, "scale": scale, "exponent": exponent}.items():
                 self.register_buffer(name, value)
@@ -79,8 +81,12 @@ class Underwater(nn.Module):
         self.register_buffer("b_mean", detached["b_mean"])
         self.register_buffer("exponent", exponent)
         for name, value in {
-            "beta": detached["beta"], "G": detached["G"], "veil_weights": detached["veil_weights"], "light": light, "scale": scale
-        }.items():  # fmt: skip
+            "beta": detached["beta"],
+            "G": detached["G"],
+            "veil_weights": detached["veil_weights"],
+            "light": light,
+            "scale": scale,
+        }.items():
             self.register_parameter(f"raw_{name}", nn.Parameter(_inverse_softplus(value)))
         for name in ("direct_weights", "signal_weights"):
             self.register_parameter(f"raw_{name}", nn.Parameter(torch.log(detached[name].clamp(min=1e-30))))
@@ -90,12 +96,11 @@ class Underwater(nn.Module):
         """The medium at hand; for a learnable module, of tensors that carry gradients to its parameters."""
         law = self._law
         if not self.learnable:
-            tensors = [self.get_buffer(name) for name in _NAMES]
             if isinstance(law.scale, Tensor):
                 law = replace(law, scale=self.get_buffer("scale"))
             if isinstance(law.exponent, Tensor):
                 law = replace(law, exponent=self.get_buffer("exponent"))
-            return Medium(*tensors, law, self._notes)
+            return assemble([self.get_buffer(name) for name in _NAMES], law, self._notes)
         light = F.softplus(self.get_parameter("raw_light"))[..., None]
         shares = {}
         for name in ("direct_weights", "signal_weights"):
@@ -114,12 +119,11 @@ class Underwater(nn.Module):
     def forward(self, image: Tensor, distance: Tensor, field: Tensor | None = None) -> Tensor:
         """Degrade an image; see the class."""
         medium = self.medium
-        pieces = check(image, distance, medium, field, self.order)
-        picture, z, medium = pieces
+        picture, z, medium = check(image, distance, medium, field, self.order)
         if self.color_space == "srgb":
             if not torch.compiler.is_compiling() and picture.numel() and picture.detach().max() > _HDR_LIMIT:
                 top = float(picture.detach().max())
-                raise ValueError(f"image reaches {top:g}: expected sRGB values of about 0…1; divide a 0…255 image by 255")
+                raise ValueError(f"image reaches {top:g}: expected sRGB of about 0…1; divide a 0…255 image by 255")
             picture = srgb_to_linear(picture)
         plan = self.plan((image.shape[-2], image.shape[-1]))
         with torch.autocast(image.device.type, enabled=False):
@@ -144,9 +148,12 @@ class Underwater(nn.Module):
 _NAMES = ("beta", "direct_weights", "G", "signal_weights", "veil_weights", "b_mean")
 
 
-@torch.compiler.assume_constant_result  # type: ignore[misc]
 def _plan(demand: BlurDemand, height: int, width: int) -> BlurPlan:
     return demand.plan((height, width))
+
+
+# what torch.compiler.assume_constant_result does, without its import of torch._dynamo, which takes .7 s
+_plan._dynamo_marked_constant = True  # type: ignore[attr-defined]
 
 
 def _inverse_softplus(y: Tensor) -> Tensor:

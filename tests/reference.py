@@ -1,0 +1,130 @@
+"""What the package is held against: float64 NumPy and SciPy, written straight from the equations."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from scipy.fft import dctn, idctn
+from scipy.optimize import brentq
+
+from uwaug.camera import load_camera
+from uwaug.water import Water
+
+BANDS = np.arange(400.0, 701.0, 5.0)  # nm; 61 of them
+NIKON = "Nikon 5100 (NPL)"
+
+
+class Curves(NamedTuple):
+    """T_β, T_G and the veil, each (3, …) over distances (…)."""
+
+    direct: np.ndarray
+    signal: np.ndarray
+    veil: np.ndarray
+
+
+def spectral_curves(
+    water: Water, z: np.ndarray, *, depth: float, g: float, mu: float, bands: np.ndarray = BANDS
+) -> Curves:
+    """The three integrals over wavelength as sums over the bands."""
+    z = np.asarray(z, dtype=np.float64)[..., None]
+    bulk = water.at(bands)
+    light = load_camera(NIKON).weights(bands) * np.exp(-bulk.kd * depth)[:, None]
+    beta, G = bulk.a + bulk.b, bulk.a + g * bulk.b
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # (1 − e^(−Gz))/G, and z where G = 0
+        column = np.where(G * z > 0, -np.expm1(-G * z) / G, z)
+    terms = (np.exp(-beta * z) @ light, np.exp(-G * z) @ light, (mu * bulk.b * column) @ light)
+    return Curves(*(np.moveaxis(t, -1, 0) for t in terms))
+
+
+def medium_curves(medium: Any, z: np.ndarray, row: int = 0) -> Curves:
+    """The curves of one row of a `Medium`, from its rates and weights; z = inf is the limit."""
+    rates, scatter = (r[row].detach().double().numpy() for r in (medium.beta, medium.G))
+    direct, signal, veil = (
+        w[row].detach().double().numpy() for w in (medium.direct_weights, medium.signal_weights, medium.veil_weights)
+    )
+
+    def depth(r: np.ndarray) -> np.ndarray:
+        with np.errstate(invalid="ignore"):
+            product = np.asarray(z, dtype=np.float64)[..., None] * r
+        return np.where(r == 0, 0, product)
+
+    parts = (np.exp(-depth(rates)) @ direct.T, np.exp(-depth(scatter)) @ signal.T, -np.expm1(-depth(scatter)) @ veil.T)
+    return Curves(*(np.moveaxis(p, -1, 0) for p in parts))
+
+
+def matched(sigma: float) -> float:
+    """The parameter of the sampled Gaussian whose variance is sigma²; sigma itself from .75 px on, to 1e-3."""
+    if sigma >= 0.75 or sigma == 0:
+        return sigma
+    n = np.arange(-12, 13)
+
+    def excess(s: float) -> float:
+        taps = np.exp(-0.5 * (n / s) ** 2)
+        return float((n**2 * taps).sum() / taps.sum()) - sigma**2
+
+    return float(brentq(excess, 0.03, 1.0)) if excess(0.03) < 0 else 0.0
+
+
+def gaussian_rows(centres: np.ndarray, sigma: np.ndarray, size: int) -> np.ndarray:
+    """(P, size): sampled, normalised Gaussians on an axis continued by half-sample mirror images, x → −1 − x → x + 2·size."""
+    reach = 9.0 * float(sigma.max(initial=0)) + 1
+    turns = math.ceil(reach / (2 * size)) + 1
+    sample = np.arange(size)
+    images = [n + 2 * size * k for k in range(-turns, turns + 1) for n in (sample, -1 - sample)]
+    width = np.maximum(sigma, 1e-3)[:, None]
+    rows = sum(np.exp(-0.5 * ((n - centres[:, None]) / width) ** 2) for n in images)
+    return rows / rows.sum(1, keepdims=True)
+
+
+def varying_gaussian(image: np.ndarray, sigma: np.ndarray, at: np.ndarray | None = None) -> np.ndarray:
+    """(C, P): the pixels `at` (flat indices, all by default) of an image (C, H, W), each under the Gaussian of its own width."""
+    c, h, w = image.shape
+    at = np.arange(h * w) if at is None else at
+    wide = np.broadcast_to(sigma, (h, w)).reshape(-1)[at]
+    small = wide < 0.75
+    wide = wide.copy()
+    wide[small] = [matched(float(s)) for s in wide[small]]
+    out = np.empty((c, len(at)))
+    for chunk in np.array_split(np.argsort(wide), math.ceil(len(at) / 1024)):
+        rows = gaussian_rows(at[chunk] // w, wide[chunk], h)
+        columns = gaussian_rows(at[chunk] % w, wide[chunk], w)
+        for channel, plane in zip(out, image):
+            channel[chunk] = ((rows @ plane) * columns).sum(1)
+    return out
+
+
+def exponential_blur(image: np.ndarray, sigma: float) -> np.ndarray:
+    """(C, H, W) under the transfer function e^(−2πσf): half-sample mirrors make it diagonal in the cosine transform."""
+    _, h, w = image.shape
+    f = np.hypot(np.arange(h)[:, None] / (2 * h), np.arange(w)[None] / (2 * w))
+    return idctn(dctn(image, axes=(1, 2)) * np.exp(-2 * np.pi * sigma * f), axes=(1, 2))
+
+
+def terms(
+    J: np.ndarray, z: np.ndarray, curves: Curves, sigma: np.ndarray, order: str = "line_of_sight"
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Direct, forward and backscatter of one image (3, H, W)."""
+    share = curves.signal - curves.direct
+    if order == "source":
+        forward = varying_gaussian(share * J, sigma).reshape(J.shape)
+    else:
+        forward = share * varying_gaussian(J, sigma).reshape(J.shape)
+    return curves.direct * J, forward, curves.veil
+
+
+def picture(height: int, width: int, seed: int = 0, channels: int = 3) -> np.ndarray:
+    """A picture (C, H, W) as pictures are: power ∝ 1/f², mean ½, standard deviation ¼ (except one of a single pixel)."""
+    noise = np.random.default_rng(seed).standard_normal((channels, height, width))
+    f = np.hypot(np.arange(height)[:, None] / height, np.arange(width)[None] / width)
+    f[0, 0] = math.inf
+    image = idctn(noise / f, axes=(1, 2))
+    spread = image.std((1, 2), keepdims=True)
+    return 0.5 + 0.25 * image / np.where(spread > 0, spread, 1)
+
+
+def psnr(x: torch.Tensor | np.ndarray, y: torch.Tensor | np.ndarray) -> float:
+    """Decibel, for a peak of 1."""
+    error = np.asarray(x, dtype=np.float64) - np.asarray(y, dtype=np.float64)
+    return -10 * math.log10(max(float((error**2).mean()), 1e-30))

@@ -1,0 +1,120 @@
+"""The command line, `uwaug …`. Exit codes: 0 done, 2 used wrongly."""
+
+import importlib.util
+import sys
+import time
+from pathlib import Path
+from typing import Annotated, NoReturn
+
+import typer
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from uwaug import __version__
+from uwaug.camera import load_camera
+from uwaug.medium import WAVELENGTHS
+from uwaug.presets import list_presets, load_preset
+from uwaug.water import JERLOV_TYPES, Water
+
+app = typer.Typer(
+    help="A differentiable, batched, spectrally honest model of how water degrades an image.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def main() -> None:
+    """Run the command line."""
+    app()
+
+
+def _refuse(message: str) -> NoReturn:
+    print(f"Error: {message}", file=sys.stderr)
+    raise typer.Exit(2)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"uwaug {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for the pictures; made if need be.")] = Path("uwaug-demo"),
+    force: Annotated[bool, typer.Option("--force", help="Write even if the folder holds other files.")] = False,
+) -> None:
+    """Draw a real scene in ten waters, term by term."""
+    if importlib.util.find_spec("matplotlib") is None:
+        _refuse('the demo draws with matplotlib, which is not installed: pip install "uwaug[plot]"')
+    from uwaug import plots
+
+    start = time.perf_counter()
+    report = []
+    errors = Console(stderr=True)
+    try:
+        others = sorted({path.name for path in out.iterdir()} - set(plots.PICTURES)) if out.exists() else []
+        if others and not force:
+            _refuse(
+                f"{out} holds other files, such as {others[0]}: choose an empty folder, or --force to write into it"
+            )
+        out.mkdir(parents=True, exist_ok=True)
+        scene = plots.motorcycle()
+        with Progress(console=errors, transient=True, disable=not errors.is_terminal) as progress:
+            for name, draw in progress.track(plots.PICTURES.items(), description="Drawing"):
+                before = time.perf_counter()
+                figure, modelled = draw(scene)
+                plots.save(figure, out / name)
+                report += [
+                    f"{out / name}  ({time.perf_counter() - before:.1f} s)",
+                    *(f"    {line}" for line in modelled),
+                ]
+    except OSError as error:
+        _refuse(f"cannot write to {out}: {error.strerror or error}")
+    print("\n".join(report))
+    print(f"{len(plots.PICTURES)} pictures in {out.resolve()}, {time.perf_counter() - start:.1f} s")
+
+
+@app.command()
+def waters() -> None:
+    """List the water types: visibility, attenuation, doubts."""
+    camera = load_camera("Nikon 5100 (NPL)")
+    weights = camera.weights(WAVELENGTHS)
+    table = Table(caption=f"β, K_d: means over the {camera.name}'s red, green, blue", caption_justify="left")
+    for heading in ("type", "visibility (m)", "β (1/m)", "K_d (1/m)"):
+        table.add_column(heading, justify="left" if heading == "type" else "right", no_wrap=True)
+    types = [Water.jerlov(name) for name in JERLOV_TYPES]
+    for water in types:
+        bands = water.at(WAVELENGTHS)
+        means = ("  ".join(f"{v:.3f}" for v in values @ weights) for values in (bands.beta, bands.kd))
+        table.add_row(water.name, f"{water.visibility():.1f}", *means)
+    Console().print(table)
+    print("\nNot as printed in Solonenko & Mobley 2015, or doubtful:")
+    for water in types:
+        # what is taken whole from the table has a citation without wavelengths
+        print(*(f"  {note}\n" for note in water.provenance if " nm: " in note), sep="", end="")
+
+
+@app.command()
+def presets() -> None:
+    """List the presets and where their figures come from."""
+    table = Table("name", "distance (m)", "γ", "depth (m)", "field", "source")
+    for name in list_presets():
+        p = load_preset(name)
+        low, high = p.field_range
+        table.add_row(
+            name, f"{p.near:g}–{p.far:g}", f"{p.gamma:g}", f"{p.vertical_depth:g}", f"{low:g}–{high:g}", p.source
+        )
+    Console().print(table)

@@ -1,0 +1,301 @@
+"""Presets: settings with a name, read from TOML files and checked before anything is computed."""
+
+import difflib
+import json
+import os
+import tomllib
+from dataclasses import dataclass, fields, is_dataclass
+from math import inf
+from pathlib import Path
+from typing import Any, ClassVar, Literal, get_args
+
+import torch
+from torch import Tensor
+
+from uwaug.camera import Camera, load_camera
+from uwaug.distance import from_relative
+from uwaug.field import gaussian_random_field
+from uwaug.medium import Medium, PointSpread
+from uwaug.module import Underwater
+from uwaug.water import JERLOV_TYPES, Water
+
+__all__ = ["Preset", "list_presets", "load_preset"]
+
+_ROUNDING = 0.005  # 1/m: half of the last digit that the paper prints
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A medium with the distances, the field and the colour space it is meant for; made by `load_preset`.
+
+    Attributes:
+        name: of the file, without its ending.
+        source: where the figures come from.
+        medium: water, camera, depth and width law: a batch of one.
+        vertical_depth: depth of the scene below the surface, m; the medium has it in it already.
+        near, far: range of distances, m.
+        gamma: exponent of the distance scaling, z = near + (far − near)·t^gamma.
+        field_range: least and largest value of the medium field.
+        color_space: "linear" if sRGB values are taken for light, as the paper does; "srgb" if they are decoded first.
+    """
+
+    name: str
+    source: str
+    medium: Medium
+    vertical_depth: float
+    near: float
+    far: float
+    gamma: float
+    field_range: tuple[float, float]
+    color_space: Literal["srgb", "linear"]
+
+    def distance(self, t: Tensor) -> Tensor:
+        """Metres from relative distance t in [0, 1], 0 = near; shape (…, H, W). See `uwaug.distance.from_relative`."""
+        return from_relative(t, self.near, self.far, self.gamma)
+
+    def field(self, shape: tuple[int, ...], generator: torch.Generator | None = None) -> Tensor:
+        """A random medium field for distances of `shape`, (B, 1, H, W). See `uwaug.gaussian_random_field`."""
+        low, high = self.field_range
+        return gaussian_random_field(shape, low=low, high=high, generator=generator)
+
+    def module(self) -> Underwater:
+        """The preset as an `uwaug.Underwater`, planned for its distances times its field."""
+        low, high = self.field_range
+        return Underwater(self.medium, (self.near * low, self.far * high), color_space=self.color_space)
+
+
+def list_presets() -> list[str]:
+    """Names of the presets that come with the package, sorted."""
+    return sorted(path.stem for path in _folder().glob("*.toml"))
+
+
+def load_preset(
+    name_or_path: str | os.PathLike[str],
+    *,
+    water: str | Water | None = None,
+    camera: str | os.PathLike[str] | Camera | None = None,
+) -> Preset:
+    """Load a preset.
+
+    Args:
+        name_or_path: a name, see `list_presets`; or the path of a TOML file (a string that ends in ``.toml``, or any
+            path object). Copy a file of the package's ``configs`` folder to make your own.
+        water: a Jerlov type ("I" … "9C") or a `Water` that takes the place of the preset's.
+        camera: a camera that takes the place of the preset's, see `load_camera`.
+
+    Raises:
+        ValueError: the name is unknown (lists the known); the file is no TOML, or a key is unknown, missing, of the
+            wrong type or out of range (names file and key); or water or camera is given where the preset has
+            coefficients.
+        OSError: the file cannot be read.
+
+    Examples:
+        >>> preset = load_preset("survey", water="II")
+        >>> preset.near, preset.far, preset.field_range
+        (1.0, 5.0, (0.7, 1.3))
+        >>> preset.distance(torch.tensor([[0.0, 0.5, 1.0]]))
+        tensor([[1., 3., 5.]])
+    """
+    path = _find(name_or_path)
+    config = _read(path)
+    try:
+        medium = _medium(config, path.parent, water, camera)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    z = config.distance
+    return Preset(
+        name=path.stem,
+        source=config.source,
+        medium=medium,
+        vertical_depth=config.medium.vertical_depth_m,
+        near=z.near_m,
+        far=z.far_m,
+        gamma=z.gamma,
+        field_range=(config.field.low, config.field.high),
+        color_space=config.color_space,
+    )
+
+
+# The schema: pydantic checks types and keys, each table its own ranges.
+
+
+class _Table:
+    __pydantic_config__: ClassVar[dict[str, Any]] = {"strict": True, "extra": "forbid"}
+
+    def _require(self, ok: bool, key: str, wanted: str) -> None:
+        if not ok:
+            raise ValueError(f"{key} must be {wanted}, got {getattr(self, key)!r}")
+
+
+_RGB = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class _Spectral(_Table):
+    type: str
+    camera: str
+
+    def __post_init__(self) -> None:
+        self._require(self.type in JERLOV_TYPES, "type", f"one of {', '.join(JERLOV_TYPES)}")
+
+
+@dataclass(frozen=True)
+class _Coefficients(_Table):
+    a_per_m: _RGB
+    b_per_m: _RGB
+    G_per_m: _RGB
+    kd_per_m: _RGB
+
+    def __post_init__(self) -> None:
+        for key, values in vars(self).items():
+            self._require(all(0 <= v < inf for v in values), key, "finite and ≥ 0")
+        self._require(min(self.G_per_m) > 0, "G_per_m", "> 0")
+
+
+@dataclass(frozen=True)
+class _Medium(_Table):
+    vertical_depth_m: float
+    g: float
+    mu: float
+
+    def __post_init__(self) -> None:
+        self._require(0 <= self.vertical_depth_m < inf, "vertical_depth_m", "finite and ≥ 0")
+        self._require(0 <= self.g <= 1, "g", "a share, 0…1")
+        self._require(0 <= self.mu <= 1, "mu", "a share, 0…1")
+
+
+@dataclass(frozen=True)
+class _PointSpread(_Table):
+    scale_px: float
+    exponent: float
+    short_side_px: float
+
+    def __post_init__(self) -> None:
+        self._require(0 <= self.scale_px < inf, "scale_px", "finite and ≥ 0")
+        self._require(1e-3 <= self.exponent < inf, "exponent", "finite and ≥ 0.001")
+        self._require(0 < self.short_side_px < inf, "short_side_px", "finite and > 0")
+
+
+@dataclass(frozen=True)
+class _Distance(_Table):
+    near_m: float
+    far_m: float
+    gamma: float
+
+    def __post_init__(self) -> None:
+        self._require(0 <= self.near_m < inf, "near_m", "finite and ≥ 0")
+        self._require(self.near_m < self.far_m < inf, "far_m", f"finite and > near_m = {self.near_m}")
+        self._require(0 < self.gamma < inf, "gamma", "finite and > 0")
+
+
+@dataclass(frozen=True)
+class _Field(_Table):
+    low: float
+    high: float
+
+    def __post_init__(self) -> None:
+        self._require(0 < self.low < inf, "low", "finite and > 0")
+        self._require(self.low <= self.high < inf, "high", f"finite and ≥ low = {self.low}")
+
+
+@dataclass(frozen=True)
+class _Config(_Table):
+    source: str
+    color_space: Literal["srgb", "linear"]
+    medium: _Medium
+    point_spread: _PointSpread
+    distance: _Distance
+    field: _Field
+    water: _Spectral | None = None
+    coefficients: _Coefficients | None = None
+
+    def __post_init__(self) -> None:
+        if (self.water is None) == (self.coefficients is None):
+            raise ValueError("water, coefficients: give one of these two tables")
+        if (c := self.coefficients) is None:
+            return
+        g = self.medium.g
+        for colour, a, b, printed in zip(("red", "green", "blue"), c.a_per_m, c.b_per_m, c.G_per_m, strict=True):
+            # a, b and G are each rounded in print
+            if abs(a + g * b - printed) > _ROUNDING * (2 + g) + 1e-9:
+                raise ValueError(
+                    f"coefficients.G_per_m is {printed} in {colour}, but a + g·b = {a} + {g}·{b} = {a + g * b:.4g}: "
+                    "more than rounding to two decimals explains"
+                )
+
+
+def _folder() -> Path:
+    here = Path(__file__).parent
+    installed = here / "configs"
+    return installed if installed.is_dir() else here.parent / "configs"
+
+
+def _find(name_or_path: str | os.PathLike[str]) -> Path:
+    if not isinstance(name_or_path, str) or name_or_path.endswith(".toml"):
+        return Path(name_or_path)
+    if name_or_path not in (names := list_presets()):
+        known = ", ".join(names)
+        raise ValueError(f"no preset is called {name_or_path!r}; there are {known}; or give the path of a .toml file")
+    return _folder() / f"{name_or_path}.toml"
+
+
+def _read(path: Path) -> _Config:
+    from pydantic import TypeAdapter, ValidationError
+
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: not a TOML file: {error}") from error
+    try:
+        # as JSON, because there strict types allow an array for a tuple
+        return TypeAdapter(_Config).validate_json(json.dumps(table, default=str))
+    except ValidationError as error:
+        raise ValueError(f"{path}: {'; '.join(_explain(dict(e)) for e in error.errors())}") from None
+
+
+def _explain(error: dict[str, Any]) -> str:
+    where = [str(part) for part in error["loc"]]
+    key = ".".join(where)
+    if error["type"] == "value_error":  # our own, which begins with the key
+        return ".".join([*where, str(error["ctx"]["error"])])
+    if error["type"] == "missing":
+        return f"{key} is missing"
+    if error["type"] == "unexpected_keyword_argument":
+        known = _keys(where[:-1])
+        close = difflib.get_close_matches(where[-1], known, n=1)
+        return f"{key} is no key; " + (f"did you mean {close[0]}?" if close else f"there are {', '.join(known)}")
+    return f"{key}: {error['msg']}, got {error['input']!r}"
+
+
+def _keys(tables: list[str]) -> list[str]:
+    table: Any = _Config
+    for name in tables:
+        kind = next(f.type for f in fields(table) if f.name == name)
+        table = next(t for t in (kind, *get_args(kind)) if is_dataclass(t))
+    return [f.name for f in fields(table)]
+
+
+def _medium(
+    config: _Config, folder: Path, water: str | Water | None, camera: str | os.PathLike[str] | Camera | None
+) -> Medium:
+    psf, depth = config.point_spread, config.medium.vertical_depth_m
+    law = PointSpread(psf.scale_px, psf.exponent, reference_size=psf.short_side_px)
+    if (spectral := config.water) is not None:
+        water = spectral.type if water is None else water
+        if camera is None:
+            camera = folder / spectral.camera if spectral.camera.lower().endswith(".csv") else spectral.camera
+        return Medium.from_water(
+            water if isinstance(water, Water) else Water.jerlov(water),
+            load_camera(camera),
+            vertical_depth=depth,
+            g=config.medium.g,
+            mu=config.medium.mu,
+            point_spread=law,
+            distance_range=(0.0, config.distance.far_m * config.field.high),
+        )
+    if water is not None or camera is not None:
+        raise ValueError("holds coefficients for red, green and blue, which no water or camera replaces")
+    a, b, G, kd = (torch.tensor(v, dtype=torch.float64) for v in vars(config.coefficients).values())
+    light = torch.exp(-kd * depth)
+    veil = config.medium.mu * b * light / G
+    return Medium.from_coefficients(a + b, G, veil, b_mean=float(b.mean()), point_spread=law, light=light)
