@@ -1,4 +1,4 @@
-"""Underwater pictures that do not exist: a differentiable, batched, spectrally honest model of how water degrades an image."""
+"""Underwater pictures that do not exist: a differentiable, batched, spectral model of how water degrades an image."""
 
 from uwaug import distance
 from uwaug.blur import varying_blur

@@ -199,8 +199,7 @@ def node_weights(variance: Tensor, plan: BlurPlan) -> Tensor:
 
 @torch.library.custom_op("uwaug::node_blur", mutates_args=())
 def _node_blur(x: Tensor, sigma: float, cell: float, reach: float, adjoint: bool) -> Tensor:
-    """One blur of a stack on x (H, N, W), or its adjoint. An operator of its own so that torch.compile keeps it
-    whole."""
+    """One blur of a stack on x (H, N, W), or its adjoint: an operator of its own, which torch.compile keeps whole."""
     chain = _chain(sigma, cell, reach, x.shape[0], x.shape[2], x.dtype, x.device)
     if adjoint:
         return _products(x.contiguous(), [(axis, transpose) for axis, _, transpose in reversed(chain)])

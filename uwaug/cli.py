@@ -110,11 +110,9 @@ def waters() -> None:
 @app.command()
 def presets() -> None:
     """List the presets and where their figures come from."""
-    table = Table("name", "distance (m)", "γ", "depth (m)", "field", "source")
+    table = Table("name", "distance (m)", "γ", "field", "source", box=None, pad_edge=False)
     for name in list_presets():
         p = load_preset(name)
         low, high = p.field_range
-        table.add_row(
-            name, f"{p.near:g}–{p.far:g}", f"{p.gamma:g}", f"{p.vertical_depth:g}", f"{low:g}–{high:g}", p.source
-        )
+        table.add_row(name, f"{p.near:g}–{p.far:g}", f"{p.gamma:g}", f"{low:g}–{high:g}", p.source)
     Console().print(table)
