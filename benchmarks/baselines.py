@@ -1,5 +1,7 @@
 """What uwaug is measured against, each written as cleanly and as fast as its recipe allows."""
 
+from itertools import pairwise
+
 import cv2
 import kornia
 import numpy as np
@@ -45,7 +47,7 @@ def published(
     direct, unblurred = lit * direct_share, lit * forward_share
     edges = np.linspace(0, path.max(), BINS + 1)
     forward = np.zeros_like(image)
-    for near, far in zip(edges[:-1], edges[1:]):
+    for near, far in pairwise(edges):
         inside = (path >= near) & (path < far)
         blurred = cv2.GaussianBlur(unblurred, (15, 15), phi * 0.5 * (near + far))
         forward[inside] = blurred[inside]

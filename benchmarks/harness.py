@@ -107,7 +107,8 @@ def motorcycle() -> tuple[Tensor, Tensor]:
 
 def scene(size: int, batch: int = 1) -> tuple[Tensor, Tensor]:
     """Picture and distance (1…5 m) of a square `size`, cut or tiled from the motorcycle scene, repeated `batch`
-    times."""
+    times.
+    """
     image, depth = motorcycle()
     near, far = depth.aminmax()
     distance = 1 + 4 * (depth - near) / (far - near)

@@ -39,9 +39,8 @@ def speed(
     a, b, kd = (v.astype(np.float32) for v in (seven.a, seven.b, seven.kd))
     light, G = np.exp(-kd), a + np.float32(0.2) * b
     rgb = [4, 3, 1]  # 600, 550, 450 nm
-    bands = dict(
-        response=response, beta=a + b, G=G, light=light, light_rgb=light[rgb], veil=np.float32(0.3) * b * light / G
-    )
+    veil = np.float32(0.3) * b * light / G
+    bands = {"response": response, "beta": a + b, "G": G, "light": light, "light_rgb": light[rgb], "veil": veil}
     per_channel = {k: torch.from_numpy(bands[k][rgb]) for k in ("beta", "G", "light", "veil")}
     degrade = uwaug.Underwater(_medium(water), (1.0, 5.0), color_space="linear")
     # the issue asks for ≥ 60 dB of the blur itself: do not let the strength of the forward term relax it

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from scipy.fft import dctn, idctn
+from scipy.ndimage import gaussian_filter
 from scipy.optimize import brentq
 
 from uwaug.camera import load_camera
@@ -69,6 +70,7 @@ def matched(sigma: float) -> float:
 
 def gaussian_rows(centres: np.ndarray, sigma: np.ndarray, size: int) -> np.ndarray:
     """(P, size): sampled, normalised Gaussians on an axis continued by half-sample mirror images, x → −1 − x → x + 2·size."""
+    sigma = np.minimum(sigma, 3.0 * size)  # the mean by then: the lowest frequency is down to e^(−44)
     reach = 9.0 * float(sigma.max(initial=0)) + 1
     turns = math.ceil(reach / (2 * size)) + 1
     sample = np.arange(size)
@@ -83,9 +85,8 @@ def varying_gaussian(image: np.ndarray, sigma: np.ndarray, at: np.ndarray | None
     c, h, w = image.shape
     at = np.arange(h * w) if at is None else at
     wide = np.broadcast_to(sigma, (h, w)).reshape(-1)[at]
-    small = wide < 0.75
-    wide = wide.copy()
-    wide[small] = [matched(float(s)) for s in wide[small]]
+    values, where = np.unique(wide, return_inverse=True)
+    wide = np.array([matched(float(s)) for s in values])[where]
     out = np.empty((c, len(at)))
     for chunk in np.array_split(np.argsort(wide), math.ceil(len(at) / 1024)):
         rows = gaussian_rows(at[chunk] // w, wide[chunk], h)
@@ -95,8 +96,17 @@ def varying_gaussian(image: np.ndarray, sigma: np.ndarray, at: np.ndarray | None
     return out
 
 
-def exponential_blur(image: np.ndarray, sigma: float) -> np.ndarray:
-    """(C, H, W) under the transfer function e^(−2πσf): half-sample mirrors make it diagonal in the cosine transform."""
+def gaussian(image: np.ndarray, sigma: float) -> np.ndarray:
+    """(C, H, W) under one Gaussian, by SciPy; by its transfer function where sampling no longer shows."""
+    if sigma < 4:
+        return gaussian_filter(image, (0, matched(sigma), matched(sigma)), mode="reflect", truncate=9)
+    _, h, w = image.shape
+    squared = np.add.outer((np.arange(h) / (2 * h)) ** 2, (np.arange(w) / (2 * w)) ** 2)
+    return idctn(dctn(image, axes=(1, 2)) * np.exp(-2 * (np.pi * sigma) ** 2 * squared), axes=(1, 2))
+
+
+def exponential(image: np.ndarray, sigma: float) -> np.ndarray:
+    """(C, H, W) under the transfer function e^(−2πσf). Half-sample mirrors make it diagonal in the cosine transform."""
     _, h, w = image.shape
     f = np.hypot(np.arange(h)[:, None] / (2 * h), np.arange(w)[None] / (2 * w))
     return idctn(dctn(image, axes=(1, 2)) * np.exp(-2 * np.pi * sigma * f), axes=(1, 2))

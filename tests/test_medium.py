@@ -215,6 +215,14 @@ def test_curves_are_computed_in_the_type_of_the_distance(coastal: Medium) -> Non
     assert coastal.signal(torch.rand(5).double()).dtype == torch.float64
 
 
+def test_autocast_changes_nothing(coastal: Medium) -> None:
+    z = 10 * torch.rand(1, 1, 6, 7)
+    with torch.autocast("cpu", torch.bfloat16):
+        results = [getattr(coastal, name)(z) for name in CURVES]
+    for name, result in zip(CURVES, results):
+        torch.testing.assert_close(result, getattr(coastal, name)(z), rtol=0, atol=1e-6)
+
+
 def test_a_stack_equals_its_members() -> None:
     waters = ("I", "II", "9C")
     laws = (PointSpread(1.0, 0.5), PointSpread(2.0, 0.7), PointSpread(torch.tensor([3.0]), torch.tensor([0.9])))

@@ -143,7 +143,7 @@ def test_unknown_name_lists_the_known(name):
 
 
 def test_missing_file():
-    with pytest.raises(FileNotFoundError, match="nowhere.toml"):
+    with pytest.raises(FileNotFoundError, match=r"nowhere\.toml"):
         load_preset("nowhere.toml")
 
 
@@ -180,7 +180,11 @@ def edited(tmp_path: Path, source: Path, pattern: str, replacement: str) -> Path
 @pytest.mark.parametrize(
     ("pattern", "replacement", "message"),
     [
-        (r"^vertical_depth_m", "vertical_depth_cm", "medium.vertical_depth_cm is no key; did you mean vertical_depth_m?"),
+        (
+            r"^vertical_depth_m",
+            "vertical_depth_cm",
+            "medium.vertical_depth_cm is no key; did you mean vertical_depth_m?",
+        ),
         (r"^mu =", "haze =", "medium.haze is no key; there are vertical_depth_m, g, mu"),
         (r"^source", "sauce", "sauce is no key; did you mean source?"),
         (r"^\[field\]", "[noise]", "noise is no key; there are source, color_space, medium, point_spread, distance"),
@@ -192,7 +196,11 @@ def edited(tmp_path: Path, source: Path, pattern: str, replacement: str) -> Path
         (r"^g = .*", "g = 20", "medium.g must be a share, 0…1, got 20"),
         (r"^mu = .*", "mu = -0.1", "medium.mu must be a share, 0…1, got -0.1"),
         (r"^vertical_depth_m = .*", "vertical_depth_m = -1", "medium.vertical_depth_m must be finite and ≥ 0, got -1"),
-        (r"^vertical_depth_m = .*", "vertical_depth_m = inf", "medium.vertical_depth_m must be finite and ≥ 0, got inf"),
+        (
+            r"^vertical_depth_m = .*",
+            "vertical_depth_m = inf",
+            "medium.vertical_depth_m must be finite and ≥ 0, got inf",
+        ),
         (r"^far_m = .*", "far_m = 1.0", "distance.far_m must be finite and > near_m = 1.0, got 1.0"),
         (r"^far_m = .*", "far_m = nan", "distance.far_m must be finite and > near_m = 1.0, got nan"),
         (r"^near_m = .*", "near_m = -1.0", "distance.near_m must be finite and ≥ 0, got -1.0"),
@@ -219,14 +227,14 @@ def test_error_names_file_and_key(tmp_path, pattern, replacement, message):
 @pytest.mark.parametrize(
     ("pattern", "replacement", "message"),
     [
-        (r"^G_per_m = .*", "G_per_m = [2.62, 2.82, 3.68]", "coefficients.G_per_m is 3.68 in blue, but a + g·b = 1.0 + 0.2·13.25"),
+        (r"^G_per_m = .*", "G_per_m = [2.62, 2.82, 3.68]", "G_per_m is 3.68 in blue, but a + g·b = 1.0 + 0.2·13.25"),
         (r"^G_per_m = .*", "G_per_m = [10.22, 11.02, 14.25]", "coefficients.G_per_m is 10.22 in red"),
         (r"^g = .*", "g = 0.21", "coefficients.G_per_m is 2.62 in red, but a + g·b = 0.72 + 0.21·9.5 = 2.715"),
         (r"^a_per_m = .*", "a_per_m = [0.72, 0.77]", "coefficients.a_per_m.2 is missing"),
-        (r"^b_per_m = .*", "b_per_m = [9.5, 10.25, -1.0]", "coefficients.b_per_m must be finite and ≥ 0, got (9.5, 10.25, -1.0)"),
+        (r"^b_per_m = .*", "b_per_m = [9.5, 10.25, -1.0]", "coefficients.b_per_m must be finite and ≥ 0, got (9.5,"),
         (r"^G_per_m = .*", "G_per_m = [0.0, 2.82, 3.65]", "coefficients.G_per_m must be > 0"),
         (r"^G_per_m = .*", "", "coefficients.G_per_m is missing"),
-        (r"^\[medium\]", '[water]\ntype = "II"\ncamera = "x"\n[medium]', "water, coefficients: give one of these two tables"),
+        (r"^\[medium\]", '[water]\ntype = "II"\ncamera = "x"\n[medium]', "water, coefficients: give one of these"),
     ],
 )  # fmt: skip
 def test_error_in_coefficients(tmp_path, pattern, replacement, message):
@@ -239,7 +247,9 @@ def test_error_in_coefficients(tmp_path, pattern, replacement, message):
 def test_all_errors_are_told_at_once(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(SPECTRAL.read_text().replace("mu = 0.3", 'mu = "x"').replace("far_m = 5.0", "far = 5.0"))
-    with pytest.raises(ValueError, match=r"medium\.mu: .*; distance\.far_m is missing; distance\.far is no key") as error:
+    with pytest.raises(
+        ValueError, match=r"medium\.mu: .*; distance\.far_m is missing; distance\.far is no key"
+    ) as error:
         load_preset(path)
     assert "\n" not in str(error.value)
 

@@ -7,6 +7,8 @@ from uwaug.field import gaussian_random_field
 from uwaug.formation import Terms, form_image
 from uwaug.medium import Medium, PointSpread
 from uwaug.module import Underwater
+from uwaug.presets import Preset, list_presets, load_preset
+from uwaug.transforms import RandomUnderwater
 from uwaug.water import JERLOV_TYPES, Water
 
 __version__ = "0.1.0"
@@ -16,12 +18,16 @@ __all__ = [
     "Camera",
     "Medium",
     "PointSpread",
+    "Preset",
+    "RandomUnderwater",
     "Terms",
     "Underwater",
     "Water",
-   "distance",
+    "distance",
     "form_image",
     "gaussian_random_field",
+    "list_presets",
     "load_camera",
+    "load_preset",
     "varying_blur",
 ]

@@ -111,7 +111,7 @@ def shrink_matrix(size: int, cells: int, sigma: float, reach: float) -> Tensor:
 
 
 def enlarge_matrix(size: int, cells: int) -> Tensor:
-    """(size, cells) matrix: values at `size` samples of the cubic B-spline that has its coefficients on `cells` cells."""
+    """(size, cells) matrix: values at `size` samples of the cubic B-spline with coefficients on `cells` equal cells."""
     x = (torch.arange(size, dtype=torch.float64) + 0.5) * cells / size - 0.5
     first = torch.floor(x).long() - 1
     t = (x - torch.floor(x))[:, None]

@@ -199,7 +199,7 @@ def draw_width_laws(scene: Scene) -> Drawing:
     low, high = (float(v) for v in scene.distance.aminmax())
     plot.axvspan(low, high, color="black", alpha=0.07, linewidth=0, label="this scene")
     plot.set(xlim=(0, 8), yscale="log", ylim=(0.01, 500))
-    plot.legend(frameon=False, fontsize=10.5, loc="lower right")
+    plot.legend(frameon=False, fontsize=10.5, loc="lower right", reverse=True)
     (y, x), (h, w) = (int(0.32 * height), int(0.50 * width)), (height // 4, width // 4)
     for whole, part, (label, picture) in zip(axes[:3], axes[3:6], columns, strict=True):
         _show(whole, picture, label)

@@ -1,0 +1,195 @@
+import re
+import subprocess
+import sys
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from uwaug import JERLOV_TYPES, Water, __version__, cli, load_camera, plots
+from uwaug.presets import list_presets
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Run a command line; return exit code, stdout, stderr."""
+
+    def call(*arguments: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["uwaug", *arguments])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        return (end.value.code or 0, *capsys.readouterr())
+
+    return call
+
+
+@pytest.fixture
+def small(monkeypatch):
+    """A scene of a few pixels in place of the motorcycle."""
+    generator = torch.Generator().manual_seed(0)
+    scene = plots.Scene(
+        torch.rand(3, 20, 30, generator=generator), torch.linspace(1, 4, 600).reshape(1, 20, 30), focal_px=40.0
+    )
+    monkeypatch.setattr(plots, "motorcycle", lambda: scene)
+    return scene
+
+
+def test_version(run):
+    assert run("--version") == (0, f"uwaug {__version__}\n", "")
+
+
+def test_help_names_every_command(run):
+    code, out, _ = run("--help")
+    assert code == 0
+    assert all(f"\n  {command} " in out for command in ("demo", "waters", "presets"))
+
+
+@pytest.mark.parametrize("command", ["demo", "waters", "presets"])
+def test_help_of_a_command(run, command):
+    code, out, err = run(command, "-h")
+    assert (code, err) == (0, "")
+    assert f"uwaug {command}" in out
+
+
+@pytest.mark.parametrize("arguments", [["demi"], ["demo", "--size", "3"], ["waters", "II"]])
+def test_wrong_use_is_exit_code_2_without_traceback(run, arguments):
+    code, out, err = run(*arguments)
+    assert (code, out) == (2, "")
+    assert err.strip().splitlines()[-1].startswith("Error: ")
+    assert "Traceback" not in err
+
+
+def test_waters(run):
+    code, out, err = run("waters")
+    assert (code, err) == (0, "")
+    rows = {line.split()[1]: line for line in out.splitlines() if re.match(r"│ \w+ ", line)}
+    assert list(rows) == list(JERLOV_TYPES)
+    assert all(f" {Water.jerlov(t).visibility():.1f} " in row for t, row in rows.items())
+    nm = np.arange(400, 701, 5)
+    response = load_camera("Nikon 5100 (NPL)").at(nm)
+    for type, row in rows.items():
+        water = Water.jerlov(type)
+        for spectrum in (water.a + water.b, water.kd):
+            means = np.interp(nm, water.wavelengths, spectrum) @ response / response.sum(axis=0)
+            assert "  ".join(f"{v:.3f}" for v in means) in row
+    doubts = out[out.index("doubtful") :]
+    assert "5C: a at 600–700 nm: Williamson & Hollins 2022 (misprinted" in doubts
+    assert "Jerlov I: b at 300–700 nm: suspect" in doubts
+    assert "9C" not in doubts
+
+
+def test_presets(run):
+    code, out, err = run("presets")
+    assert (code, err) == (0, "")
+    assert [line.split()[0] for line in out.splitlines()[1:]] == list_presets()
+    assert re.search(r"^examples-4 +0.25–2 +2.5 +0.3–1.7 +arXiv:2509.15011, figure 7, row 4", out, re.MULTILINE)
+
+
+def test_demo_on_the_real_scene(run, tmp_path):
+    out = tmp_path / "new" / "folder"
+    code, stdout, stderr = run("demo", "--out", str(out))
+    assert (code, stderr) == (0, "")
+    assert sorted(path.name for path in out.iterdir()) == list(plots.PICTURES)
+    lines = stdout.splitlines()
+    assert [line.split()[0] for line in lines if re.match(r".* \(\d+\.\d s\)$", line)] == [
+        str(out / n) for n in plots.PICTURES
+    ]
+    assert sum(line.startswith("    Medium(") for line in lines) == 10 + 1 + 2
+    assert "g = 0.066, μ = 0.1" in stdout
+    assert re.fullmatch(rf"5 pictures in {re.escape(str(out))}, \d+\.\d s", lines[-1])
+    from PIL import Image
+
+    for path in out.iterdir():
+        with Image.open(path) as picture:
+            assert picture.format == {".jpg": "JPEG", ".png": "PNG"}[path.suffix]
+            assert picture.width == 1400
+    assert sum(path.stat().st_size for path in out.iterdir()) < 1.2e6
+
+
+def test_demo_draws_over_its_own_files_only(run, small, tmp_path):
+    (tmp_path / "2-terms.jpg").write_text("old")
+    assert run("demo", "--out", str(tmp_path))[0] == 0
+    assert (tmp_path / "2-terms.jpg").stat().st_size > 1000
+    (tmp_path / "thesis.tex").write_text("mine")
+    code, out, err = run("demo", "--out", str(tmp_path))
+    assert (code, out) == (2, "")
+    assert err.startswith(f"Error: {tmp_path} holds other files, such as thesis.tex: ")
+    assert err.count("\n") == 1
+    assert run("demo", "--out", str(tmp_path), "--force")[0] == 0
+    assert (tmp_path / "thesis.tex").read_text() == "mine"
+
+
+def test_demo_cannot_write(run, small, tmp_path):
+    path = tmp_path / "file"
+    path.write_text("")
+    code, out, err = run("demo", "--out", str(path))
+    assert (code, out, err) == (2, "", f"Error: cannot write to {path}: Not a directory\n")
+
+
+def test_demo_without_matplotlib(run, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    code, _, err = run("demo")
+    assert code == 2
+    assert err.endswith('pip install "uwaug[plot]"\n')
+    assert err.count("\n") == 1
+
+
+def test_a_picture_is_written_whole_or_not_at_all(small, tmp_path, monkeypatch):
+    figure = plots.draw_terms(small).figure
+    path = tmp_path / "2-terms.jpg"
+    path.write_text("old")
+
+    def fail(target: Path, **_: object) -> None:
+        target.write_text("half")
+        raise OSError("disk full")
+
+    monkeypatch.setattr(figure, "savefig", fail)
+    with pytest.raises(OSError, match="disk full"):
+        plots.save(figure, path)
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("name", plots.PICTURES)
+def test_no_text_overlaps_or_leaves_the_picture(small, name, monkeypatch):
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.text import Text
+
+    drawn, draw = [], Text.draw
+    monkeypatch.setattr(Text, "draw", lambda text, renderer: (drawn.append(text), draw(text, renderer)))
+    figure = plots.PICTURES[name](small).figure
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    boxes = {(t.get_text(), i): t.get_window_extent() for i, t in enumerate(drawn) if t.get_text() and t.get_visible()}
+    assert len(boxes) > 10
+    for (label, _), box in boxes.items():
+        assert box.x0 >= 0, label
+        assert box.y0 >= 0, label
+        assert box.x1 <= figure.bbox.x1, label
+        assert box.y1 <= figure.bbox.y1, label
+    for ((first, _), a), ((second, _), b) in combinations(boxes.items(), 2):
+        assert not (a.x0 < b.x1 and b.x0 < a.x1 and a.y0 < b.y1 and b.y0 < a.y1), (first, second)
+
+
+def test_the_motorcycle_is_where_it_was_measured():
+    scene = plots.motorcycle()
+    assert scene.image.shape == (3, 500, 741)
+    assert 0 <= scene.image.min() < scene.image.max() <= 1
+    assert scene.distance.shape == (1, 500, 741)
+    # largest and least disparity of the benchmark, 59.9 and 7.2 px
+    assert scene.distance.min() > 994.978 * 0.193001 / (59.91 + 31.086)
+    assert scene.distance.max() < 994.978 * 0.193001 / (7.19 + 31.086) * 1.15
+    row, column = 250, 300  # near the axis, where depth and distance agree
+    from skimage.data import stereo_motorcycle
+
+    disparity = float(stereo_motorcycle()[2][row, column])
+    assert float(scene.distance[0, row, column]) == pytest.approx(994.978 * 0.193001 / (disparity + 31.086), rel=1e-3)
+
+
+def test_the_package_imports_neither_the_command_line_nor_what_it_needs():
+    code = (
+        "import sys, uwaug.presets; print(*{'typer', 'rich', 'pydantic', 'matplotlib', 'skimage'} & set(sys.modules))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "\n"

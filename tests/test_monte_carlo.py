@@ -1,0 +1,54 @@
+"""The model against Monte Carlo radiative transfer of a plane in water (Henyey–Greenstein, mean cosine .924)."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from uwaug.formation import form_image
+from uwaug.medium import Medium, PointSpread
+
+
+def errors(law: Callable[[float], PointSpread], g: float, order: str = "line_of_sight") -> list[float]:
+    """RMSE of direct + forward light in six waters, the noise of the reference taken out."""
+    with np.load(Path(__file__).parent / "data" / "monte_carlo.npz") as data:
+        texture, observed, cases = torch.from_numpy(data["J"].astype(np.float64)), data["DF"].astype(np.float64), str(data["params"])
+    offset = torch.arange(128).double() - 63.5
+    found = []
+    for light, case in zip(observed, json.loads(cases)):
+        a, b, f = case["a"], case["b"], case["focal_px"]
+        distance = case["z"] * torch.sqrt(1 + (offset[:, None] / f) ** 2 + (offset / f) ** 2)[None]
+        medium = Medium.from_coefficients((a + b,) * 3, (a + g * b,) * 3, (0,) * 3, b_mean=b, point_spread=law(f))
+        terms = form_image(texture.expand(3, -1, -1), distance, medium, order=order)
+        error = (terms.direct + terms.forward)[0].numpy() - light
+        found.append(float(np.sqrt((error**2).mean() - case["noise"] ** 2)))
+    return found
+
+
+@pytest.mark.parametrize("order", ["line_of_sight", "source"])
+def test_the_calibrated_width_law(order: str) -> None:
+    found = errors(PointSpread.calibrated, 0.066, order)
+    assert len(found) == 6
+    assert np.mean(found) <= 0.015, found
+
+
+def test_the_papers_constants_are_four_times_as_far() -> None:
+    assert np.mean(errors(lambda _: PointSpread(0.3), 0.2)) == pytest.approx(0.06, abs=0.01)
+
+
+def test_what_the_blur_brings() -> None:
+    direct_only = np.mean(errors(lambda _: PointSpread.none(), 1.0))
+    unblurred = np.mean(errors(lambda _: PointSpread.none(), 0.066))
+    assert direct_only > unblurred > 4 * np.mean(errors(PointSpread.calibrated, 0.066))
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.4])
+def test_a_wider_or_narrower_law_is_worse(factor: float) -> None:
+    def changed(focal_px: float) -> PointSpread:
+        law = PointSpread.calibrated(focal_px)
+        return PointSpread(law.scale * factor, law.exponent)
+
+    assert np.mean(errors(changed, 0.066)) > np.mean(errors(PointSpread.calibrated, 0.066))
