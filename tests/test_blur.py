@@ -96,7 +96,8 @@ def test_decibels_of_an_image_that_is_all_forward_scatter(motorcycle, low, high)
 
 @pytest.mark.parametrize("shape", ["gaussian", "exponential"])
 @pytest.mark.parametrize(
-    "low, high", [(0.0, 0.5), (0.0, 1.0), (0.0, 4.0), (0.6, 1.0), (2.0, 4.0), (0.9, 4.5), (0.75, 15.0), (2.0, 60.0), (0.0, 2000.0)]
+    "low, high",
+    [(0.0, 0.5), (0.0, 1.0), (0.0, 4.0), (0.6, 1.0), (2.0, 4.0), (0.9, 4.5), (0.75, 15.0), (2.0, 60.0), (0.0, 2000.0)],
 )
 def test_error_on_a_picture_is_the_predicted_one(shape, low, high) -> None:
     image = reference.picture(160, 200)
@@ -172,7 +173,9 @@ def test_a_full_resolution_blur_is_kornias(dtype, tolerance, sigma, size) -> Non
     radius = math.ceil(4.0 * sigma)
     parameter = sigma if sigma >= 1 else _sampled(sigma)
     kernel = kornia.filters.get_gaussian_kernel1d(2 * radius + 1, parameter, dtype=torch.float64).to(dtype)
-    padded = torch.from_numpy(np.pad(image.numpy(), ((0, 0), (0, 0), (radius, radius), (radius, radius)), mode="symmetric"))
+    padded = torch.from_numpy(
+        np.pad(image.numpy(), ((0, 0), (0, 0), (radius, radius), (radius, radius)), mode="symmetric")
+    )
     twin = kornia.filters.filter2d_separable(padded, kernel, kernel, padding="valid")
     torch.testing.assert_close(blur(image, node(sigma)), twin, rtol=0, atol=tolerance)
 
@@ -228,7 +231,9 @@ def test_linear_in_the_image(height, width, low, more, factor) -> None:
     x, y = rand(2, 1, 1, height, width)
     sigma, plan = low + (more - 1) * rand(1, 1, height, width), plan_blur(low, low + more)
     both = varying_blur(x + factor * y, sigma, plan)
-    torch.testing.assert_close(both, varying_blur(x, sigma, plan) + factor * varying_blur(y, sigma, plan), rtol=0, atol=1e-11)
+    torch.testing.assert_close(
+        both, varying_blur(x, sigma, plan) + factor * varying_blur(y, sigma, plan), rtol=0, atol=1e-11
+    )
 
 
 @settings(max_examples=25, deadline=None)
@@ -278,7 +283,9 @@ def test_layout_does_not_matter() -> None:
     expected = varying_blur(image, sigma)
     for x in (image.contiguous(memory_format=torch.channels_last), image.mT.contiguous().mT, image.flip(3).flip(3)):
         torch.testing.assert_close(varying_blur(x, sigma), expected, rtol=0, atol=1e-13)
-    torch.testing.assert_close(varying_blur(image[:, :1].expand(-1, 3, -1, -1), sigma)[:, 2:], expected[:, :1], rtol=0, atol=1e-13)
+    torch.testing.assert_close(
+        varying_blur(image[:, :1].expand(-1, 3, -1, -1), sigma)[:, 2:], expected[:, :1], rtol=0, atol=1e-13
+    )
 
 
 @pytest.mark.parametrize("low, high", [*RANGES, (0.0, 3.0)])
@@ -311,9 +318,7 @@ def test_gradcheck(low, high) -> None:
 def test_gradient_of_the_width_is_that_of_the_exact_blur() -> None:
     image, at = reference.picture(48, 48), 1e-3
     for sigma in (0.3, 0.6, 1.0, 2.0, 4.0):
-        wide, narrow = (
-            reference.gaussian(image, math.sqrt(sigma**2 + s * at)) for s in (1, -1)
-        )
+        wide, narrow = (reference.gaussian(image, math.sqrt(sigma**2 + s * at)) for s in (1, -1))
         slope = (wide - narrow) / (2 * at) * 2 * sigma  # dσ² = 2σ dσ
         width = torch.full((1, 1, 48, 48), sigma, dtype=torch.float64, requires_grad=True)
         varying_blur(torch.from_numpy(image)[None], width, plan_blur(0.0, 5.0, 0.0005)).sum().backward()
@@ -372,7 +377,9 @@ def test_the_plan_says_what_it_achieves() -> None:
         worst = 0.0
         for sigma in np.geomspace(low, high, 5):
             exact = reference.gaussian(image, sigma)
-            worst = max(worst, 10 ** (-reference.psnr(constant(torch.from_numpy(image)[None], sigma, plan=plan)[0], exact) / 20))
+            worst = max(
+                worst, 10 ** (-reference.psnr(constant(torch.from_numpy(image)[None], sigma, plan=plan)[0], exact) / 20)
+            )
         assert worst <= 2.5 * plan.error, str(plan)
 
 
@@ -381,11 +388,15 @@ def test_transfer_functions() -> None:
     radius = np.hypot(*f)
     np.testing.assert_allclose(transfer_function(f, 2.0), np.exp(-2 * (np.pi * 2.0 * radius) ** 2), rtol=0, atol=1e-6)
     np.testing.assert_allclose(transfer_function(f, 9.0), np.exp(-2 * (np.pi * 9.0 * radius) ** 2), rtol=0, atol=1e-12)
-    np.testing.assert_allclose(transfer_function(f, 1.5, "exponential"), np.exp(-2 * np.pi * 1.5 * radius), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(
+        transfer_function(f, 1.5, "exponential"), np.exp(-2 * np.pi * 1.5 * radius), rtol=0, atol=1e-15
+    )
     assert (transfer_function(f, 0.0) == 1).all()
     # continuous where its formula changes
     for at in (1e-3, 4.0):
-        np.testing.assert_allclose(transfer_function(f, at * (1 - 1e-9)), transfer_function(f, at * (1 + 1e-9)), rtol=0, atol=1e-6)
+        np.testing.assert_allclose(
+            transfer_function(f, at * (1 - 1e-9)), transfer_function(f, at * (1 + 1e-9)), rtol=0, atol=1e-6
+        )
 
 
 def test_widths_of_the_exponential_vary_too() -> None:
@@ -393,7 +404,11 @@ def test_widths_of_the_exponential_vary_too() -> None:
     levels = np.array([1.0, 2.0, 4.0, 8.0])
     index = np.random.default_rng(0).integers(0, 4, (60, 60))
     exact = np.choose(index, [reference.exponential(image, s) for s in levels])
-    result = varying_blur(torch.from_numpy(image)[None], torch.from_numpy(levels[index])[None, None], plan_blur(1.0, 8.0, 0.002, "exponential"))
+    result = varying_blur(
+        torch.from_numpy(image)[None],
+        torch.from_numpy(levels[index])[None, None],
+        plan_blur(1.0, 8.0, 0.002, "exponential"),
+    )
     assert reference.psnr(result[0], exact) >= 57
 
 

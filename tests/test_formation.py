@@ -30,21 +30,32 @@ def distances(*shape: int, far: float = 6.0, seed: int = 1) -> Tensor:
 
 def coefficients(seed: int = 3, law: PointSpread = LAW) -> Medium:
     beta, share, veil, light = rand(4, 3, seed=seed)
-    return Medium.from_coefficients(0.3 + beta, (0.3 + beta) * (0.1 + 0.4 * share), veil, b_mean=0.7, light=light, point_spread=law)
+    return Medium.from_coefficients(
+        0.3 + beta, (0.3 + beta) * (0.1 + 0.4 * share), veil, b_mean=0.7, light=light, point_spread=law
+    )
 
 
-def expected(image: Tensor, z: Tensor, medium: Medium, row: int = 0, order: str = "line_of_sight") -> tuple[np.ndarray, ...]:
+def expected(
+    image: Tensor, z: Tensor, medium: Medium, row: int = 0, order: str = "line_of_sight"
+) -> tuple[np.ndarray, ...]:
     """The terms of one image (3, H, W) at effective distances (H, W), by a blur that is exact at every pixel."""
     z = z.double().numpy()
     law = medium.point_spread
-    scale, exponent = (float(v.reshape(-1)[row if v.numel() > 1 else 0]) if isinstance(v, Tensor) else v for v in (law.scale, law.exponent))
+    scale, exponent = (
+        float(v.reshape(-1)[row if v.numel() > 1 else 0]) if isinstance(v, Tensor) else v
+        for v in (law.scale, law.exponent)
+    )
     if law.reference_size is not None:
         scale *= min(z.shape) / law.reference_size
     sigma = scale * np.minimum(float(medium.b_mean[row]) * z, 1e6) ** exponent
-    return reference.terms(image.double().numpy(), z, reference.medium_curves(medium, z, row), np.minimum(sigma, 1e4), order)
+    return reference.terms(
+        image.double().numpy(), z, reference.medium_curves(medium, z, row), np.minimum(sigma, 1e4), order
+    )
 
 
-def check(terms: Terms, image: Tensor, z: Tensor, medium: Medium, order: str = "line_of_sight", *, single: float = 3e-6) -> None:
+def check(
+    terms: Terms, image: Tensor, z: Tensor, medium: Medium, order: str = "line_of_sight", *, single: float = 3e-6
+) -> None:
     """Every term of every image of a batch, against the reference: direct and veil to rounding, forward to the tolerance .002."""
     rounding = 1e-12 if terms.direct.dtype == torch.float64 else single
     for i, parts in enumerate(zip(terms.direct, terms.forward, terms.backscatter)):
@@ -65,10 +76,16 @@ class Spectral(NamedTuple):
 
 
 @pytest.mark.parametrize("order", ["line_of_sight", "source"])
-@pytest.mark.parametrize("case", [Spectral("I", 1.0, 0.2, 0.3), Spectral("3C", 5.0, 0.0, 0.3), Spectral("9C", 0.0, 0.5, 1.0)], ids=str)
+@pytest.mark.parametrize(
+    "case", [Spectral("I", 1.0, 0.2, 0.3), Spectral("3C", 5.0, 0.0, 0.3), Spectral("9C", 0.0, 0.5, 1.0)], ids=str
+)
 def test_the_three_terms_from_spectra(case, order) -> None:
     water = Water.jerlov(case.type)
-    image, z, m = torch.from_numpy(reference.picture(40, 52))[None], distances(1, 1, 40, 52), 0.7 + 0.6 * rand(1, 1, 40, 52)
+    image, z, m = (
+        torch.from_numpy(reference.picture(40, 52))[None],
+        distances(1, 1, 40, 52),
+        0.7 + 0.6 * rand(1, 1, 40, 52),
+    )
     law = PointSpread(2.5, 0.6)
     kwargs = {"vertical_depth": case.depth, "g": case.g, "mu": case.mu, "point_spread": law}
     path = (z * m)[0, 0].numpy()
@@ -94,7 +111,17 @@ def test_the_orders_differ_at_an_edge_and_agree_on_a_plane() -> None:
 
 
 SIZES = [(1, 1), (1, 9), (7, 5), (16, 16), (31, 33), (32, 64), (65, 129), (130, 47), (40, 2100)]
-BATCHES = [(1, 1, 1, 0), (3, 1, 1, 0), (3, 3, 1, 1), (3, 3, 3, 3), (1, 1, 3, 0), (1, 3, 1, 3), (1, 3, 3, 0), (3, 1, 3, 3), (1, 1, 1, 3)]
+BATCHES = [
+    (1, 1, 1, 0),
+    (3, 1, 1, 0),
+    (3, 3, 1, 1),
+    (3, 3, 3, 3),
+    (1, 1, 3, 0),
+    (1, 3, 1, 3),
+    (1, 3, 3, 0),
+    (3, 1, 3, 3),
+    (1, 1, 1, 3),
+]
 
 
 def tracked(medium: Medium) -> Medium:
@@ -117,13 +144,18 @@ def test_the_path_without_gradients_equals_the_one_with(size, dtype, atol) -> No
 @pytest.mark.parametrize("order", ["line_of_sight", "source"])
 def test_batches_broadcast(batch, order) -> None:
     images, zs, media, fields = batch
-    image, z = torch.from_numpy(np.stack([reference.picture(20, 36, seed) for seed in range(images)])), distances(zs, 1, 20, 36)
+    image, z = (
+        torch.from_numpy(np.stack([reference.picture(20, 36, seed) for seed in range(images)])),
+        distances(zs, 1, 20, 36),
+    )
     medium = Medium.stack([coefficients(seed) for seed in range(media)])
     field = 0.7 + 0.6 * rand(fields, 1, 20, 36) if fields else None
     for m in (medium, tracked(medium)):
         terms = form_image(image, z, m, field, order=order)
         assert terms.image.shape == (max(batch), 3, 20, 36)
-        check(Terms(*(getattr(terms, n).detach() for n in TERMS)), image, z if field is None else z * field, medium, order)
+        check(
+            Terms(*(getattr(terms, n).detach() for n in TERMS)), image, z if field is None else z * field, medium, order
+        )
 
 
 def test_in_source_order_a_pixel_at_the_lens_sees_only_itself() -> None:
@@ -145,7 +177,11 @@ def test_one_image_without_a_batch() -> None:
 
 
 def test_per_image_width_laws() -> None:
-    laws = (PointSpread(torch.tensor([0.5]), 0.5), PointSpread(torch.tensor([3.0]), torch.tensor([1.0])), PointSpread(0.0))
+    laws = (
+        PointSpread(torch.tensor([0.5]), 0.5),
+        PointSpread(torch.tensor([3.0]), torch.tensor([1.0])),
+        PointSpread(0.0),
+    )
     medium = Medium.stack([coefficients(3, law) for law in laws])
     image, z = torch.from_numpy(reference.picture(30, 30))[None], distances(1, 1, 30, 30)
     check(form_image(image, z, medium), image, z, medium)
@@ -160,17 +196,24 @@ def test_resolution_of_the_width_law(reference_size) -> None:
 
 def test_an_exponential_point_spread() -> None:
     image, z = torch.from_numpy(reference.picture(48, 48))[None], torch.full((1, 1, 48, 48), 3.0).double()
-    medium = Medium.from_coefficients((1e3,) * 3, (0.1,) * 3, (0,) * 3, b_mean=1.0, point_spread=PointSpread(0.5, shape="exponential"))
+    medium = Medium.from_coefficients(
+        (1e3,) * 3, (0.1,) * 3, (0,) * 3, b_mean=1.0, point_spread=PointSpread(0.5, shape="exponential")
+    )
     exact = math.exp(-0.3) * reference.exponential(image[0].numpy(), 1.5)
     assert reference.psnr(form_image(image, z, medium).forward[0], exact) >= 57
 
 
-@pytest.mark.parametrize("law", [PointSpread.none(), LAW, PointSpread.calibrated(400.0), PointSpread(1.0, shape="exponential")], ids=str)
+@pytest.mark.parametrize(
+    "law", [PointSpread.none(), LAW, PointSpread.calibrated(400.0), PointSpread(1.0, shape="exponential")], ids=str
+)
 @pytest.mark.parametrize("order", ["line_of_sight", "source"])
 def test_what_arrives_of_a_white_wall_is_the_signal(law, order) -> None:
     # D + F = T_G·J for a constant image at a constant distance; in line-of-sight order at any distances
     medium, image = coefficients(3, law), torch.full((1, 3, 40, 30), 0.8).double()
-    for z in (torch.full((1, 1, 40, 30), 2.5).double(), *([distances(1, 1, 40, 30)] if order == "line_of_sight" else [])):
+    for z in (
+        torch.full((1, 1, 40, 30), 2.5).double(),
+        *([distances(1, 1, 40, 30)] if order == "line_of_sight" else []),
+    ):
         terms = form_image(image, z, medium, order=order)
         torch.testing.assert_close(terms.direct + terms.forward, 0.8 * medium.signal(z), rtol=0, atol=1e-7)
 
@@ -197,7 +240,10 @@ def test_one_pixel_of_open_water_does_not_spoil_the_others() -> None:
 
 def test_water_so_clear_that_the_blur_grows_without_end() -> None:
     medium = Medium.from_coefficients((0.5,) * 3, (0,) * 3, (0.2,) * 3, b_mean=1.0, point_spread=PointSpread(2.0, 1.0))
-    image, z = torch.from_numpy(reference.picture(40, 48))[None], torch.logspace(-1, 9, 48).double().expand(1, 1, 40, 48)
+    image, z = (
+        torch.from_numpy(reference.picture(40, 48))[None],
+        torch.logspace(-1, 9, 48).double().expand(1, 1, 40, 48),
+    )
     check(form_image(image, z, medium), image, z, medium)
     check(form_image(image.float(), z.float(), medium), image.float(), z.float(), medium)
 
@@ -215,7 +261,9 @@ def water(**kwargs: object) -> Callable[[], Medium]:
     return lambda: Medium.from_water(Water.jerlov("3C"), **{"point_spread": LAW, "tolerance": 0, **kwargs})
 
 
-def uniform(beta: float, G: float, veil: float = 0.3, b_mean: float = 0.7, law: PointSpread = LAW) -> Callable[[], Medium]:
+def uniform(
+    beta: float, G: float, veil: float = 0.3, b_mean: float = 0.7, law: PointSpread = LAW
+) -> Callable[[], Medium]:
     return lambda: Medium.from_coefficients((beta,) * 3, (G,) * 3, (veil,) * 3, b_mean=b_mean, point_spread=law)
 
 
@@ -254,7 +302,9 @@ SINGULAR = {
     "a steep width law, open water": Case(
         medium=lambda: coefficients(law=PointSpread(0.5, 3.0)), distance=lambda z: torch.where(z > 3, math.inf, z)
     ),
-    "a flat width law": Case(medium=lambda: coefficients(law=PointSpread(3.0, 0.3)), distance=lambda z: (z - 2).clamp(min=0)),
+    "a flat width law": Case(
+        medium=lambda: coefficients(law=PointSpread(3.0, 0.3)), distance=lambda z: (z - 2).clamp(min=0)
+    ),
     "black": Case(image=torch.zeros_like),
     "white": Case(image=torch.ones_like),
     "only 0 and 1": Case(image=torch.round),
@@ -279,8 +329,14 @@ def test_singular_points(name, dtype, order) -> None:
     check(plain, image, path, medium, order)
 
     law = medium.point_spread
-    scale, exponent = (torch.tensor([float(v)], dtype=torch.float64).requires_grad_() for v in (law.scale, law.exponent))
-    leaves = [image.clone().requires_grad_(), z.clone().requires_grad_(), *(t.clone().requires_grad_() for t in medium.tensors())]
+    scale, exponent = (
+        torch.tensor([float(v)], dtype=torch.float64).requires_grad_() for v in (law.scale, law.exponent)
+    )
+    leaves = [
+        image.clone().requires_grad_(),
+        z.clone().requires_grad_(),
+        *(t.clone().requires_grad_() for t in medium.tensors()),
+    ]
     if field is not None:
         field = field.clone().requires_grad_()
     learned = Medium(*leaves[2:], PointSpread(scale, exponent, law.shape, law.reference_size))
@@ -288,7 +344,19 @@ def test_singular_points(name, dtype, order) -> None:
     check(Terms(*(getattr(terms, n).detach() for n in TERMS)), image, path, medium, order)
     weight = rand(1, 3, 16, 20, seed=9).to(dtype)
     (terms.image * weight).sum().backward()
-    names = ("image", "distance", "beta", "direct_weights", "G", "signal_weights", "veil_weights", "b_mean", "scale", "exponent", "field")
+    names = (
+        "image",
+        "distance",
+        "beta",
+        "direct_weights",
+        "G",
+        "signal_weights",
+        "veil_weights",
+        "b_mean",
+        "scale",
+        "exponent",
+        "field",
+    )
     for leaf_name, leaf in zip(names, [*leaves, scale, exponent, field]):
         if leaf is not None and leaf.grad is not None:
             assert leaf.grad.isfinite().all(), leaf_name
@@ -298,7 +366,10 @@ def test_singular_points(name, dtype, order) -> None:
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_an_empty_batch(dtype) -> None:
     medium = coefficients()
-    for image, z in ((torch.rand(0, 3, 8, 9), torch.rand(0, 1, 8, 9)), (torch.rand(0, 3, 8, 9), torch.rand(1, 1, 8, 9))):
+    for image, z in (
+        (torch.rand(0, 3, 8, 9), torch.rand(0, 1, 8, 9)),
+        (torch.rand(0, 3, 8, 9), torch.rand(1, 1, 8, 9)),
+    ):
         for m in (medium, tracked(medium)):
             terms = form_image(image.to(dtype), z.to(dtype), m)
             assert terms.image.shape == (0, 3, 8, 9)
@@ -312,7 +383,11 @@ def test_an_empty_image() -> None:
 @pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float16])
 @pytest.mark.parametrize("grad", [False, True])
 def test_half_precision_is_computed_in_single(dtype, grad) -> None:
-    image, z, field = rand(2, 3, 20, 24).to(dtype), distances(2, 1, 20, 24).to(dtype), (0.7 + 0.6 * rand(2, 1, 20, 24)).to(dtype)
+    image, z, field = (
+        rand(2, 3, 20, 24).to(dtype),
+        distances(2, 1, 20, 24).to(dtype),
+        (0.7 + 0.6 * rand(2, 1, 20, 24)).to(dtype),
+    )
     image.requires_grad_(grad)
     terms = form_image(image, z, coefficients(), field)
     single = form_image(image.float(), z.float(), coefficients(), field.float())
@@ -328,7 +403,9 @@ def test_half_precision_is_computed_in_single(dtype, grad) -> None:
 def test_the_result_has_the_type_of_the_image() -> None:
     image, z = rand(1, 3, 8, 8), distances(1, 1, 8, 8)
     for dtype, other in itertools.product((torch.float16, torch.float32, torch.float64), repeat=2):
-        result = form_image(image.to(dtype), z.to(other), coefficients().to(torch.float32 if other == torch.float16 else other))
+        result = form_image(
+            image.to(dtype), z.to(other), coefficients().to(torch.float32 if other == torch.float16 else other)
+        )
         assert result.image.dtype == dtype
 
 
@@ -349,7 +426,10 @@ def test_layout_does_not_matter(grad) -> None:
     medium = tracked(coefficients()) if grad else coefficients()
     expected = form_image(image, z, medium).image
     layouts = {
-        "channels last": (image.contiguous(memory_format=torch.channels_last), z.contiguous(memory_format=torch.channels_last)),
+        "channels last": (
+            image.contiguous(memory_format=torch.channels_last),
+            z.contiguous(memory_format=torch.channels_last),
+        ),
         "transposed": (image.mT.contiguous().mT, z.mT.contiguous().mT),
         "sliced": (torch.nn.functional.pad(image, (3, 4, 1, 2))[..., 1:-2, 3:-4], z.repeat(1, 2, 1, 1)[:, 1:]),
         "channels from the back": (image.permute(0, 2, 3, 1).contiguous().permute(0, 3, 1, 2), z),
@@ -358,7 +438,9 @@ def test_layout_does_not_matter(grad) -> None:
         assert not (x.is_contiguous() and y.is_contiguous()), name
         torch.testing.assert_close(form_image(x, y, medium).image, expected, rtol=0, atol=1e-13)
     grey = image[:, :1].expand(-1, 3, -1, -1)
-    torch.testing.assert_close(form_image(grey, z, medium).image, form_image(grey.contiguous(), z, medium).image, rtol=0, atol=1e-13)
+    torch.testing.assert_close(
+        form_image(grey, z, medium).image, form_image(grey.contiguous(), z, medium).image, rtol=0, atol=1e-13
+    )
 
 
 def test_inputs_are_left_alone() -> None:
@@ -395,7 +477,14 @@ def test_gradcheck(order) -> None:
     def evaluate(image: Tensor, z: Tensor, field: Tensor, scale: Tensor, exponent: Tensor, *tensors: Tensor) -> Tensor:
         return form_image(image, z, Medium(*tensors, PointSpread(scale, exponent)), field, order=order, plan=plan).image
 
-    inputs = [rand(1, 3, 4, 5), distances(1, 1, 4, 5), 0.7 + 0.6 * rand(1, 1, 4, 5), torch.tensor([1.2]), torch.tensor([0.8]), *medium.tensors()]
+    inputs = [
+        rand(1, 3, 4, 5),
+        distances(1, 1, 4, 5),
+        0.7 + 0.6 * rand(1, 1, 4, 5),
+        torch.tensor([1.2]),
+        torch.tensor([0.8]),
+        *medium.tensors(),
+    ]
     assert torch.autograd.gradcheck(evaluate, [t.double().clone().requires_grad_() for t in inputs])
 
 
@@ -406,7 +495,11 @@ def test_a_plan_may_be_given() -> None:
 
 
 def test_tighter_tolerance_is_nearer() -> None:
-    medium, image, z = coefficients(law=PointSpread(3.0, 1.0)), torch.from_numpy(reference.picture(60, 60))[None], distances(1, 1, 60, 60)
+    medium, image, z = (
+        coefficients(law=PointSpread(3.0, 1.0)),
+        torch.from_numpy(reference.picture(60, 60))[None],
+        distances(1, 1, 60, 60),
+    )
     exact = expected(image[0], z[0, 0], medium)[1]
     found = [reference.psnr(form_image(image, z, medium, tolerance=t).forward[0], exact) for t in (0.02, 0.002, 0.0002)]
     assert found[0] < found[1] < found[2]

@@ -165,7 +165,9 @@ def test_mean_scattering_is_the_mean_over_the_channels() -> None:
 
 
 def test_a_water_with_a_short_spectrum_uses_what_it_has() -> None:
-    medium = Medium.from_water(Water([450, 550, 600], a=[1.0, 0.77, 0.72], b=[13, 10, 9.5], kd=[2, 1.6, 1.5]), tolerance=0)
+    medium = Medium.from_water(
+        Water([450, 550, 600], a=[1.0, 0.77, 0.72], b=[13, 10, 9.5], kd=[2, 1.6, 1.5]), tolerance=0
+    )
     assert medium.beta.shape == (1, 31)
 
 
@@ -190,11 +192,15 @@ def test_coefficients_may_be_batches_and_tensors() -> None:
     torch.testing.assert_close(medium.transmission(torch.tensor(2.0)), torch.exp(-2 * beta))
 
 
-@pytest.mark.parametrize("numbers", [torch.tensor([1, 2, 3]), np.array([1, 2, 3]), [1, 2, 3]], ids=["tensor", "array", "list"])
+@pytest.mark.parametrize(
+    "numbers", [torch.tensor([1, 2, 3]), np.array([1, 2, 3]), [1, 2, 3]], ids=["tensor", "array", "list"]
+)
 def test_whole_numbers_are_numbers(numbers: object) -> None:
     medium = Medium.from_coefficients(numbers, (0.1, 0.2, 0.3), (0.4, 0.5, 0.6))
     torch.testing.assert_close(medium.G.double(), torch.tensor([[0.1, 0.2, 0.3]], dtype=torch.float64))
-    torch.testing.assert_close(medium.veil_weights.sum(-1).double(), torch.tensor([[0.4, 0.5, 0.6]], dtype=torch.float64))
+    torch.testing.assert_close(
+        medium.veil_weights.sum(-1).double(), torch.tensor([[0.4, 0.5, 0.6]], dtype=torch.float64)
+    )
 
 
 @pytest.mark.parametrize("shape", [(), (5,), (1, 4, 6), (1, 1, 4, 6), (3, 1, 4, 6)], ids=str)
@@ -263,7 +269,9 @@ def test_iteration_ends(coastal: Medium) -> None:
 def test_to_casts_every_tensor_and_keeps_gradients() -> None:
     scale = torch.tensor([0.5], dtype=torch.float64, requires_grad=True)
     beta = torch.tensor([0.6, 0.3, 0.2], dtype=torch.float64, requires_grad=True)
-    medium = Medium.from_coefficients(beta, (0.1,) * 3, (0.2,) * 3, b_mean=0.3, point_spread=PointSpread(scale)).to(torch.float32)
+    medium = Medium.from_coefficients(beta, (0.1,) * 3, (0.2,) * 3, b_mean=0.3, point_spread=PointSpread(scale)).to(
+        torch.float32
+    )
     assert {t.dtype for t in (*medium.tensors(), medium.point_spread.scale)} == {torch.float32}
     (medium.transmission(torch.tensor(1.0)).sum() + medium.width(torch.ones(1, 1, 1, 1), (9, 9)).sum()).backward()
     assert beta.grad is not None
@@ -277,7 +285,17 @@ def test_gradients_of_every_tensor() -> None:
         return torch.cat([m.transmission(z), m.signal(z), m.backscatter(z), m.width(z, (3, 4)).expand(2, 3, 3, 4)])
 
     rand = lambda *shape: torch.rand(*shape, dtype=torch.float64, requires_grad=True)  # noqa: E731
-    inputs = (rand(2, 2), rand(2, 3, 2), rand(2, 3), rand(2, 3, 3), rand(2, 3, 3), rand(2), rand(2), rand(2), rand(1, 1, 3, 4))
+    inputs = (
+        rand(2, 2),
+        rand(2, 3, 2),
+        rand(2, 3),
+        rand(2, 3, 3),
+        rand(2, 3, 3),
+        rand(2),
+        rand(2),
+        rand(2),
+        rand(1, 1, 3, 4),
+    )
     assert torch.autograd.gradcheck(evaluate, inputs)
 
 

@@ -19,7 +19,11 @@ LAW = PointSpread(1.2, 0.8)
 
 
 def picture(height: int = 32, width: int = 40, batch: int = 1) -> Tensor:
-    return torch.from_numpy(np.stack([reference.picture(height, width, seed) for seed in range(batch)])).clamp(0, 1).float()
+    return (
+        torch.from_numpy(np.stack([reference.picture(height, width, seed) for seed in range(batch)]))
+        .clamp(0, 1)
+        .float()
+    )
 
 
 def distances(height: int = 32, width: int = 40, batch: int = 1) -> Tensor:
@@ -38,8 +42,12 @@ MEDIA = {
     "g = 1": lambda: coastal(g=1.0),
     "no veil": lambda: coastal(mu=0.0),
     "all bands": lambda: coastal(tolerance=0),
-    "coefficients": lambda: Medium.from_coefficients((0.6, 0.3, 0.25), (0.4, 0.1, 0.0), (0.1, 0.3, 0.4), b_mean=0.3, point_spread=LAW),
-    "float32": lambda: Medium.from_coefficients(torch.tensor([0.6, 0.3, 0.2]), (0.4, 0.1, 0.1), (0.1, 0.3, 0.4), b_mean=0.3, point_spread=LAW),
+    "coefficients": lambda: Medium.from_coefficients(
+        (0.6, 0.3, 0.25), (0.4, 0.1, 0.0), (0.1, 0.3, 0.4), b_mean=0.3, point_spread=LAW
+    ),
+    "float32": lambda: Medium.from_coefficients(
+        torch.tensor([0.6, 0.3, 0.2]), (0.4, 0.1, 0.1), (0.1, 0.3, 0.4), b_mean=0.3, point_spread=LAW
+    ),
     "batch": lambda: Medium.stack([Medium.from_water(Water.jerlov(t), point_spread=LAW) for t in ("I", "9C")]),
 }
 
@@ -101,7 +109,9 @@ def test_beyond_its_range_only_widths_stop() -> None:
     image = torch.full((1, 3, 32, 40), 0.6)
     for z in (0.0, 0.1, 9.0, 1e3):
         distance = torch.full((1, 1, 32, 40), z)
-        torch.testing.assert_close(degrade(image, distance), form_image(image, distance, medium).image, rtol=0, atol=2e-6)
+        torch.testing.assert_close(
+            degrade(image, distance), form_image(image, distance, medium).image, rtol=0, atol=2e-6
+        )
 
 
 @pytest.mark.parametrize("far", [20.0, 1e4, math.inf])
@@ -146,7 +156,9 @@ def test_the_module_can_be_cast() -> None:
     degrade, image, z = Underwater(coastal()), picture(), distances()
     expected = degrade(image, z)
     torch.testing.assert_close(copy.deepcopy(degrade).float()(image, z), expected, rtol=0, atol=1e-5)
-    torch.testing.assert_close(copy.deepcopy(degrade).double()(image.double(), z.double()).float(), expected, rtol=0, atol=1e-5)
+    torch.testing.assert_close(
+        copy.deepcopy(degrade).double()(image.double(), z.double()).float(), expected, rtol=0, atol=1e-5
+    )
 
 
 def test_nothing_to_learn_by_default(medium: Medium) -> None:
@@ -160,10 +172,14 @@ def test_learning_starts_at_the_medium(medium: Medium) -> None:
     image, z = picture(), distances()
     assert reference.psnr(learnable(image, z).detach(), fixed(image, z)) >= 54  # their plans differ
     start = learnable.medium
-    for name, value, given in zip(("beta", "direct", "G", "signal", "veil", "b_mean"), start.tensors(), medium.tensors()):
+    for name, value, given in zip(
+        ("beta", "direct", "G", "signal", "veil", "b_mean"), start.tensors(), medium.tensors()
+    ):
         torch.testing.assert_close(value.detach().to(given.dtype), given, rtol=1e-5, atol=2e-6, msg=name)
     for name in ("scale", "exponent"):
-        value, given = (torch.as_tensor(getattr(m.point_spread, name)).double().expand(len(medium)) for m in (start, medium))
+        value, given = (
+            torch.as_tensor(getattr(m.point_spread, name)).double().expand(len(medium)) for m in (start, medium)
+        )
         torch.testing.assert_close(value.detach(), given, rtol=1e-5, atol=2e-6)
 
 
@@ -196,7 +212,9 @@ def test_every_parameter_learns_and_stays_positive(medium: Medium) -> None:
 
 def test_learning_finds_another_water() -> None:
     image, z = picture(24, 24, 2), distances(24, 24, 2)
-    observed = Underwater(Medium.from_coefficients((0.5, 0.2, 0.3), (0.2, 0.1, 0.12), (0.1, 0.3, 0.4)), color_space="linear")(image, z)
+    observed = Underwater(
+        Medium.from_coefficients((0.5, 0.2, 0.3), (0.2, 0.1, 0.12), (0.1, 0.3, 0.4)), color_space="linear"
+    )(image, z)
     start = Medium.from_coefficients((0.3,) * 3, (0.15,) * 3, (0.2,) * 3)
     degrade = Underwater(start, color_space="linear", learnable=True)
     optimiser = torch.optim.LBFGS(degrade.parameters(), max_iter=60, line_search_fn="strong_wolfe")

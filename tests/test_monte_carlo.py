@@ -15,7 +15,11 @@ from uwaug.medium import Medium, PointSpread
 def errors(law: Callable[[float], PointSpread], g: float, order: str = "line_of_sight") -> list[float]:
     """RMSE of direct + forward light in six waters, the noise of the reference taken out."""
     with np.load(Path(__file__).parent / "data" / "monte_carlo.npz") as data:
-        texture, observed, cases = torch.from_numpy(data["J"].astype(np.float64)), data["DF"].astype(np.float64), str(data["params"])
+        texture, observed, cases = (
+            torch.from_numpy(data["J"].astype(np.float64)),
+            data["DF"].astype(np.float64),
+            str(data["params"]),
+        )
     offset = torch.arange(128).double() - 63.5
     found = []
     for light, case in zip(observed, json.loads(cases)):

@@ -76,7 +76,8 @@ def test_terms(name: str) -> None:
         assert_close(terms.direct, case.direct)
         assert_close(terms.forward, case.forward)
     direct, signal = (
-        (curve(case.distance)[0] / light(case)) ** case.field for curve in (case.medium.transmission, case.medium.signal)
+        (curve(case.distance)[0] / light(case)) ** case.field
+        for curve in (case.medium.transmission, case.medium.signal)
     )
     assert_close(lit * direct, case.direct)
     assert_close(lit * (signal - direct), case.forward)
@@ -94,7 +95,13 @@ def test_veil_and_coefficients_from_water(name: str, tolerance: float) -> None:
     case = load(name)
     p = case.parameters
     water = Water(WAVELENGTHS, p["a"], p["b"], p["Kd"])
-    kwargs = {"g": p["g"], "mu": p["mu"], "wavelengths": WAVELENGTHS, "tolerance": tolerance, "point_spread": PointSpread.none()}
+    kwargs = {
+        "g": p["g"],
+        "mu": p["mu"],
+        "wavelengths": WAVELENGTHS,
+        "tolerance": tolerance,
+        "point_spread": PointSpread.none(),
+    }
     medium = Medium.from_water(water, p["camera"], vertical_depth=p["vertical_depth_m"], **kwargs)
     veil = form_image(case.image, case.veil_distance, medium).backscatter
     surface = Medium.from_water(water, p["camera"], vertical_depth=0.0, **kwargs)
@@ -109,4 +116,6 @@ def test_the_field_is_told_apart() -> None:
     lit = case.image * light(case)
     ours = form_image(case.image, case.distance, case.medium, case.field)
     assert (ours.direct - case.direct).abs().max() > 1e-4
-    assert (ours.direct - lit * (case.medium.transmission(case.distance * case.field)[0] / light(case))).abs().max() < 1e-12
+    assert (
+        ours.direct - lit * (case.medium.transmission(case.distance * case.field)[0] / light(case))
+    ).abs().max() < 1e-12

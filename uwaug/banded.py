@@ -15,9 +15,12 @@ import math
 from functools import lru_cache
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from kornia.filters import get_gaussian_kernel1d
 from torch import Tensor
+
+from uwaug.water import Array
 
 _POLE = math.sqrt(3.0) - 2.0  # of the filter that turns samples into cubic B-spline coefficients
 ROWS = 16  # rows of a block where a matrix acts along rows
@@ -62,20 +65,22 @@ def gaussian_rows(centres: Tensor, sigma: Tensor, size: int) -> Tensor:
     return rows / rows.sum(1, keepdim=True)
 
 
-def sampled_parameter(sigma: float) -> float:
+def sampled_parameter(sigma: Array) -> Array:
     """Parameter of the sampled Gaussian whose variance is sigma²: sigma itself from 1 px on.
 
     A sampled Gaussian of σ = 0.5 px has a variance of 0.215 instead of 0.25 and one of 0.3 px hardly reacts to σ.
     """
-    if sigma >= 1:
-        return sigma
-    low, high = 0.02, 1.1
-    for _ in range(48):  # the variance grows with the parameter
-        middle = 0.5 * (low + high)
-        taps = [math.exp(-0.5 * (i / middle) ** 2) for i in range(1, 9)]
-        variance = 2 * sum(i * i * t for i, t in enumerate(taps, 1)) / (1 + 2 * sum(taps))
-        low, high = (middle, high) if variance < sigma * sigma else (low, middle)
-    return high
+    parameters, variances = _sampled_variances()
+    return np.where(sigma < 1, np.interp(sigma**2, variances, parameters), sigma)
+
+
+@lru_cache(maxsize=1)
+def _sampled_variances() -> tuple[Array, Array]:
+    """Parameters of sampled Gaussians, and the variances that they have."""
+    parameters = np.linspace(0.08, 1.05, 4096)
+    squares = np.arange(1, 9) ** 2
+    weights = np.exp(-0.5 * squares / parameters[:, None] ** 2)
+    return parameters, 2 * (weights @ squares) / (1 + 2 * weights.sum(1))
 
 
 def _fold(kernel: Tensor, first: Tensor, size: int) -> Tensor:
@@ -88,7 +93,7 @@ def _fold(kernel: Tensor, first: Tensor, size: int) -> Tensor:
 def blur_matrix(size: int, sigma: float, reach: float) -> Tensor:
     """(size, size) matrix of a sampled Gaussian of variance sigma² px², cut at `reach`·sigma."""
     radius = math.ceil(reach * sigma)
-    kernel = get_gaussian_kernel1d(2 * radius + 1, sampled_parameter(sigma), dtype=torch.float64)
+    kernel = get_gaussian_kernel1d(2 * radius + 1, float(sampled_parameter(np.array(sigma))), dtype=torch.float64)
     return _fold(kernel.expand(size, -1), torch.arange(size) - radius, size)
 
 

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from uwaug.banded import ROWS, Banded, along_columns, along_rows, gaussian_rows, operators, sampled_parameter
+from uwaug.water import Array
 
 Chain = tuple[tuple[int, Banded, Banded], ...]  # (axis, matrix, its transpose), in the order of use
 Shape = Literal["gaussian", "exponential"]
@@ -71,45 +72,37 @@ def _sigma(v: float) -> float:
 
 
 @lru_cache(maxsize=1)
-def _frequencies() -> tuple[np.ndarray, np.ndarray]:
+def _frequencies() -> tuple[Array, Array]:
     """Frequencies of a picture, (2, F) in cycles per px, and the amplitude (F,) each has if power falls as 1/f²."""
-    radius, angle = np.geomspace(1 / 1024, math.sqrt(0.5), 96), np.array([0.0, math.pi / 8, math.pi / 4])
+    radius, angle = np.geomspace(1 / 1024, math.sqrt(0.5), 48), np.array([0.0, math.pi / 8, math.pi / 4])
     f = np.stack([np.outer(radius, np.cos(angle)).ravel(), np.outer(radius, np.sin(angle)).ravel()])
     f = f[:, (f <= 0.5).all(0)]
     # rings at equal steps of log f hold equal power: area ∝ f·df, power density ∝ 1/f²
-    amplitude: np.ndarray = np.full(f.shape[1], _CONTRAST / math.sqrt(f.shape[1]))
+    amplitude: Array = np.full(f.shape[1], _CONTRAST / math.sqrt(f.shape[1]))
     return f, amplitude
 
 
-def _sampled_gaussian(f: np.ndarray, sigma: float) -> np.ndarray:
-    """Transfer function of the sampled, normalised Gaussian of variance sigma²."""
-    if sigma < 1e-3:
-        parabola: np.ndarray = 1 - 2 * sigma**2 * (np.sin(np.pi * f) ** 2).sum(0)
-        return parabola
-    taps = np.arange(1, math.ceil(8 * max(sigma, 1)) + 1)
-    weights = np.exp(-0.5 * (taps / sampled_parameter(sigma)) ** 2)
-    axes = (1 + 2 * np.cos(2 * np.pi * f[..., None] * taps) @ weights) / (1 + 2 * weights.sum())
-    transfer: np.ndarray = axes[0] * axes[1]
-    return transfer
+@lru_cache(maxsize=1)
+def _cosines() -> Array:
+    """cos(2πfn) at those frequencies for the taps n = 1…32 of a sampled Gaussian of up to 4 px, (2, 32, F)."""
+    f, _ = _frequencies()
+    cosines: Array = np.cos(2 * np.pi * f[:, None] * np.arange(1, 33)[:, None])
+    return cosines
 
 
-def transfer_function(f: np.ndarray, sigma: float, shape: Shape = "gaussian") -> np.ndarray:
-    """Transfer function of the point spread: what a pixel of width `sigma` asks for.
-
-    Args:
-        f: (2, F) frequencies, cycles per px.
-        sigma: width, px, ≥ 0.
-        shape: "gaussian": exp(−2π²σ²f²); "exponential": exp(−2πσf), the classical transfer function of McGlamery (1980)
-            and Jaffe (1990), whose point spread ∝ (r² + σ²)^(−3/2) has half of its energy beyond 1.7 σ and no finite
-            variance.
-    """
+def _transfer(sigmas: Array, shape: Shape) -> Array:
+    """Transfer functions (S, F), at the frequencies of a picture, that pixels of widths `sigmas` ask for."""
+    f, _ = _frequencies()
     if shape == "exponential":
-        exponential: np.ndarray = np.exp(-2 * np.pi * sigma * np.hypot(f[0], f[1]))
+        exponential: Array = np.exp(-2 * np.pi * sigmas[:, None] * np.hypot(*f))
         return exponential
-    if sigma > 4:  # sampling no longer shows
-        gaussian: np.ndarray = np.exp(-2 * (np.pi * sigma) ** 2 * (f**2).sum(0))
-        return gaussian
-    return _sampled_gaussian(f, sigma)
+    # wider than 4 px, sampling no longer shows
+    transfer: Array = np.exp(-2 * (np.pi * sigmas[:, None]) ** 2 * (f**2).sum(0))
+    narrow = sigmas <= 4
+    weights = np.exp(-0.5 * (np.arange(1, 33) / np.maximum(sampled_parameter(sigmas[narrow]), 0.01)[:, None]) ** 2)
+    axes = (1 + 2 * weights @ _cosines()) / (1 + 2 * weights.sum(1, keepdims=True))
+    transfer[narrow] = axes[0] * axes[1]
+    return transfer
 
 
 @lru_cache(maxsize=1024)
@@ -122,7 +115,9 @@ def plan_blur(sigma_min: float, sigma_max: float, tolerance: float = 0.002, shap
         sigma_min, sigma_max: range of widths, px, 0 ≤ sigma_min ≤ sigma_max.
         tolerance: largest error that may pass, on a scale of 0…1; the planned RMSE is half of it, so that .002 gives 60
             dB and .0005 72 dB on a picture with a standard deviation of .25.
-        shape: "gaussian" or "exponential", see `transfer_function`.
+        shape: what a pixel of width σ asks for. "gaussian": exp(−2π²σ²f²). "exponential": exp(−2πσf), the classical
+            transfer function of McGlamery (1980) and Jaffe (1990), whose point spread ∝ (r² + σ²)^(−3/2) has half of
+            its energy beyond 1.7 σ and no finite variance.
 
     Raises:
         ValueError: if the range or the tolerance is not as above, or the tolerance needs more than 24 blurs.
@@ -131,10 +126,10 @@ def plan_blur(sigma_min: float, sigma_max: float, tolerance: float = 0.002, shap
         raise ValueError(f"expected 0 ≤ sigma_min ≤ sigma_max, finite, in px; got {sigma_min} and {sigma_max}")
     if not 0 < tolerance < 1:
         raise ValueError(f"tolerance must lie in (0, 1) (image scale 0…1), got {tolerance}")
-    f, amplitude = _frequencies()
+    _, amplitude = _frequencies()
     target = 0.55 * tolerance
     v = np.linspace(_v(sigma_min), max(_v(sigma_max), _v(sigma_min) + 1e-9), 33)
-    wanted = np.stack([transfer_function(f, _sigma(x), shape) for x in v]) * amplitude
+    wanted = _transfer(np.array([_sigma(x) for x in v]), shape) * amplitude
     if np.sqrt(((wanted - amplitude) ** 2).sum(1)).max() <= target:
         return NO_BLUR
     # the exponential shape mixes Gaussians much narrower and wider than its own width
@@ -148,7 +143,7 @@ def plan_blur(sigma_min: float, sigma_max: float, tolerance: float = 0.002, shap
         steps = (np.arange(k) + 0.5) / k
         steps = (0.3 * steps + 0.35 * (1 - np.cos(np.pi * steps))) ** 1.1
         sigmas = (*identity, *(_sigma(low + (high - low) * s) for s in steps))
-        basis = np.stack([transfer_function(f, s) for s in sigmas]) * amplitude
+        basis = _transfer(np.array(sigmas), "gaussian") * amplitude
         # W_last = 1 − ΣW: fit the others to differences, first over f, then along v
         free = np.linalg.lstsq((basis[:-1] - basis[-1]).T, (wanted - basis[-1]).T, rcond=1e-10)[0]
         powers = chebyshev(np.linspace(-1, 1, len(v)), len(sigmas) + len(identity) if len(sigmas) > 1 else 0)

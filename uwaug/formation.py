@@ -55,14 +55,14 @@ class BlurDemand:
     def plan(self, size: tuple[int, int]) -> BlurPlan:
         """The plan for an image of (height, width) `size`.
 
-        Ends of the range are rounded outwards to quarter octaves, so that similar media share a plan and its matrices.
+        Ends of the range are rounded outwards to half octaves, so that similar media share a plan and its matrices.
         """
         scale = pixel_scale(self.reference_size, size)
         low, high = self.low * scale, min(self.high * scale, 8.0 * max(size))
         if high < 1e-6:
             return NO_BLUR
-        high = 2 ** (math.ceil(4 * math.log2(high)) / 4)
-        low = 2 ** (math.floor(4 * math.log2(low)) / 4) if low > 0.1 else 0.0
+        high = 2 ** (math.ceil(2 * math.log2(high)) / 2)
+        low = 2 ** (math.floor(2 * math.log2(low)) / 2) if low > 0.2 else 0.0
         return plan_blur(min(low, high), high, self.tolerance, self.shape)
 
 
@@ -97,7 +97,9 @@ def blur_demand(
     ends = np.array([near if visible[0] == z[0] else visible[0], visible[-1]])
     widths = scale * np.maximum(np.multiply.outer(ends, b_mean), 1e-6) ** exponent
     low, high = float(widths.min()) / margin, float(widths.max()) * margin
-    return BlurDemand(low, high, min(tolerance / float(strength.max()), 0.5), law.shape, law.reference_size)
+    # in half octaves, downwards, for the same reason as the widths: see `plan`
+    slack = 2.0 ** (math.floor(-2 * math.log2(float(strength.max()))) / 2)
+    return BlurDemand(low, high, min(tolerance * slack, 0.5), law.shape, law.reference_size)
 
 
 def form_image(

@@ -43,7 +43,7 @@ class PointSpread:
         scale: width at one scattering length, px ≥ 0; a float, or a tensor (B,) that can be learned.
         exponent: > 0; a float, or a tensor (B,).
         shape: "gaussian", or "exponential" for the classical transfer function e^(−2πσf), see
-            `uwaug.blur.transfer_function`.
+            `uwaug.blur.plan_blur`.
         reference_size: None if px are px of the image at hand; else the short side, px, of the image that `scale`
             refers to, so that the picture does not depend on its resolution.
     """

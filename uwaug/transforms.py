@@ -135,8 +135,12 @@ class RandomUnderwater(nn.Module):
         }
         self._ranges = {name: _range(name, *args) for name, args in ranges.items() if args[0] is not None}
         if visibility is not None:
-            for water in self.spectra.values():
-                water.with_visibility(self._ranges["visibility"][1])  # raises where pure water is murkier
+            for name, water in self.spectra.items():
+                for metres in self._ranges["visibility"]:
+                    try:
+                        water.with_visibility(metres)
+                    except ValueError as error:
+                        raise ValueError(f"visibility={visibility} does not suit water {name!r}: {error}") from None
         for name, (value, *_) in ranges.items():
             setattr(self, name, value)
         for name, value in (("p", p), ("field_probability", field_probability)):

@@ -6,7 +6,7 @@ import warnings
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, lru_cache, partial
 from typing import Any, Self
 
 import numpy as np
@@ -357,26 +357,38 @@ class Water(Spectra):
 
     def _eye(self) -> tuple[Array, Array]:
         """301 wavelengths (1 nm on a full range) and the eye's weight of each; the weights sum to 1."""
-        import jerlov
-
         low, high = max(self.wavelengths[0], 400.0), min(self.wavelengths[-1], 700.0)
         if low > high:
             raise ValueError(f"{self} has no wavelength in 400–700 nm: give visibility() a wavelength")
         nodes = np.linspace(low, high, 301)
-        observer, xyz = jerlov.cie_1931_cmf()
-        weights = np.interp(nodes, observer, xyz[:, 1])
+        weights = np.interp(nodes, *_observer())
         return nodes, weights / weights.sum()
 
     def _pure(self) -> "Water":
         """The pure sea water in this water."""
-        import jerlov
-
         nm = self.wavelengths
         if nm[0] < 300 or nm[-1] > 800:
             raise ValueError(f"pure water is tabulated at 300–800 nm, but {self} leaves it: resample with .at() first")
-        a = np.minimum(self.a, jerlov.pure_water_absorption(nm))
-        b = np.minimum(self.b, jerlov.pure_water_scattering(nm))
+        absorption, scattering = _pure_water(tuple(nm.tolist()))
+        a, b = np.minimum(self.a, absorption), np.minimum(self.b, scattering)
         return Water(nm, a, b, np.minimum(self.kd, a + b / 2))
+
+
+@cache
+def _observer() -> tuple[Array, Array]:
+    """The CIE 1931 observer: wavelengths and ȳ. Cached, as a transform scales a water for every picture."""
+    import jerlov
+
+    wavelengths, xyz = jerlov.cie_1931_cmf()
+    return wavelengths, xyz[:, 1]
+
+
+@lru_cache(maxsize=16)
+def _pure_water(nm: tuple[float, ...]) -> tuple[Array, Array]:
+    """Absorption and scattering of pure sea water at these wavelengths."""
+    import jerlov
+
+    return jerlov.pure_water_absorption(np.array(nm)), jerlov.pure_water_scattering(np.array(nm))
 
 
 def _distance_to_threshold(weights: Array, rates: Array) -> float:
