@@ -69,7 +69,7 @@ def matched(sigma: float) -> float:
 
 
 def gaussian_rows(centres: np.ndarray, sigma: np.ndarray, size: int) -> np.ndarray:
-    """(P, size): sampled, normalised Gaussians on an axis continued by half-sample mirror images, x → −1 − x → x + 2·size."""
+    """(P, size): sampled, normalised Gaussians on an axis continued by half-sample mirror images."""
     sigma = np.minimum(sigma, 3.0 * size)  # the mean by then: the lowest frequency is down to e^(−44)
     reach = 9.0 * float(sigma.max(initial=0)) + 1
     turns = math.ceil(reach / (2 * size)) + 1
@@ -81,7 +81,7 @@ def gaussian_rows(centres: np.ndarray, sigma: np.ndarray, size: int) -> np.ndarr
 
 
 def varying_gaussian(image: np.ndarray, sigma: np.ndarray, at: np.ndarray | None = None) -> np.ndarray:
-    """(C, P): the pixels `at` (flat indices, all by default) of an image (C, H, W), each under the Gaussian of its own width."""
+    """(C, P): pixels `at` (flat indices; all by default) of an image (C, H, W), each under its own Gaussian."""
     c, h, w = image.shape
     at = np.arange(h * w) if at is None else at
     wide = np.broadcast_to(sigma, (h, w)).reshape(-1)[at]
@@ -125,7 +125,7 @@ def terms(
 
 
 def picture(height: int, width: int, seed: int = 0, channels: int = 3) -> np.ndarray:
-    """A picture (C, H, W) as pictures are: power ∝ 1/f², mean ½, standard deviation ¼ (except one of a single pixel)."""
+    """A picture (C, H, W) as pictures are: power ∝ 1/f², mean ½, standard deviation ¼ (a single pixel: 0)."""
     noise = np.random.default_rng(seed).standard_normal((channels, height, width))
     f = np.hypot(np.arange(height)[:, None] / height, np.arange(width)[None] / width)
     f[0, 0] = math.inf

@@ -312,6 +312,16 @@ def test_compiles_whole() -> None:
         torch.testing.assert_close(compiled(image, z, field), expected, rtol=0, atol=2e-5)
 
 
+def test_compiles_for_every_size() -> None:
+    # from the second size on, the compiler takes height and width for symbols
+    torch._dynamo.reset()
+    degrade = Underwater(coastal(point_spread=PointSpread(2.0, 0.6, reference_size=40.0)))
+    compiled = torch.compile(degrade, fullgraph=True, backend="eager")
+    for height, width, batch in ((32, 40, 1), (48, 56, 1), (20, 30, 2), (7, 9, 3)):
+        image, z = picture(height, width, batch), distances(height, width, batch)
+        torch.testing.assert_close(compiled(image, z), degrade(image, z), rtol=0, atol=2e-5)
+
+
 def test_repr_says_what_is_modelled_and_what_is_skipped() -> None:
     text = repr(Underwater(coastal()))
     for part in ("3C", "rates", "0.1…20 m", "blurs for σ", "dB", "tolerance=0.002", "srgb", "line_of_sight"):

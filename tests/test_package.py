@@ -17,7 +17,8 @@ MODULES = sorted(
     {"uwaug"} | {m.name for m in pkgutil.walk_packages(uwaug.__path__, "uwaug.") if not m.name.endswith("__main__")}
 )
 HEAVY = (
-    "colour", "cv2", "jerlov", "matplotlib", "onnx", "onnxruntime", "onnxscript", "pydantic", "rich", "scipy", "skimage", "torchvision", "typer",
+    "colour", "cv2", "jerlov", "matplotlib", "onnx", "onnxruntime", "onnxscript", "pydantic", "rich", "scipy",
+    "skimage", "torchvision", "typer",
 )  # fmt: skip
 
 

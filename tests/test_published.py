@@ -1,8 +1,8 @@
-"""Agreement with the authors' implementation of the paper where its conventions are ours, at 60 pixels of five of its runs.
+"""Agreement with the authors' implementation of the paper, where its conventions are ours, at 60 pixels of five runs.
 
-Its habits: seven wavelengths; sRGB values used as if linear; the direct and forward terms take K_d at 600, 550 and 450 nm, the veil at
-all seven wavelengths; the veil's distance is smoothed first; β_D and G_D come from distances without the field, which then multiplies
-the optical depth, so that the transmission is T(z)^m and not T(m·z).
+Its habits: seven wavelengths; sRGB values used as if linear; the direct and forward terms take K_d at 600, 550 and
+450 nm, the veil at all seven wavelengths; the veil's distance is smoothed; β_D and G_D come from distances without
+the field, which then multiplies the optical depth, so that the transmission is T(z)^m and not T(m·z).
 """
 
 import json

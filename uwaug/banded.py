@@ -83,18 +83,42 @@ def _sampled_variances() -> tuple[Array, Array]:
     return parameters, 2 * (weights @ squares) / (1 + 2 * weights.sum(1))
 
 
+def mirrored(size: int, margin: int) -> Tensor:
+    """Indices into an axis of `size` samples that extend it by `margin` on both sides, half-sample symmetric."""
+    return _reflect(torch.arange(-margin, size + margin), size)
+
+
+def _reflect(index: Tensor, size: int) -> Tensor:
+    period = torch.full((1,), 2 * size, dtype=torch.int64)  # a tensor, as ONNX has no remainder by a symbolic number
+    index = torch.remainder(index, period)
+    return torch.minimum(index, period - 1 - index)
+
+
 def _fold(kernel: Tensor, first: Tensor, size: int) -> Tensor:
     """Dense (n, size) matrix: row i holds `kernel[i]` from column first[i] on, reflected into [0, size)."""
-    columns = (first[:, None] + torch.arange(kernel.shape[1])) % (2 * size)
-    columns = torch.where(columns < size, columns, 2 * size - 1 - columns)
-    return torch.zeros(len(kernel), size, dtype=torch.float64).scatter_add_(1, columns, kernel)
+    columns = _reflect(first[:, None] + torch.arange(kernel.shape[1]), size)
+    return torch.zeros(kernel.shape[0], size, dtype=torch.float64).scatter_add(1, columns, kernel)
+
+
+def blur_kernel(sigma: float, reach: float) -> Tensor:
+    """(1, 2r + 1) sampled Gaussian of variance sigma² px², cut at `reach`·sigma."""
+    radius = math.ceil(reach * sigma)
+    parameter = float(sampled_parameter(np.array(sigma)))
+    kernel: Tensor = get_gaussian_kernel1d(2 * radius + 1, parameter, dtype=torch.float64)
+    return kernel
 
 
 def blur_matrix(size: int, sigma: float, reach: float) -> Tensor:
-    """(size, size) matrix of a sampled Gaussian of variance sigma² px², cut at `reach`·sigma."""
-    radius = math.ceil(reach * sigma)
-    kernel = get_gaussian_kernel1d(2 * radius + 1, float(sampled_parameter(np.array(sigma))), dtype=torch.float64)
-    return _fold(kernel.expand(size, -1), torch.arange(size) - radius, size)
+    """(size, size) matrix of that kernel on a half-sample symmetric axis."""
+    kernel = blur_kernel(sigma, reach)
+    return _fold(kernel.expand(size, -1), torch.arange(size) - kernel.shape[1] // 2, size)
+
+
+def grid_matrices(size: int, sigma: float, cell: float, reach: float) -> tuple[Tensor, Tensor]:
+    """What blurs an axis on a grid of `cell` px: shrink (cells, size), enlarge (size, cells)."""
+    # cells come in 64ths of a px: exact in integers; one more than needed, as graphs of free size ask for two at least
+    cells = 1 - (-64 * size // round(64 * cell))
+    return shrink_matrix(size, cells, sigma, reach), enlarge_matrix(size, cells)
 
 
 def shrink_matrix(size: int, cells: int, sigma: float, reach: float) -> Tensor:
@@ -102,16 +126,22 @@ def shrink_matrix(size: int, cells: int, sigma: float, reach: float) -> Tensor:
 
     Sampling a Gaussian and solving for spline coefficients (Unser 1999, eq. 11) is one kernel, Σ_k √3·pole^|k| g(x +
     k·cell): the blur itself is the anti-aliasing filter, and the spline loses less than 70 dB from cell ≤ σ/1.1 on
-    (linear interpolation: 45 dB; Keys' cubic: 57).
+    (linear interpolation: 45 dB; Keys' cubic: 57). With g(x + k·cell) = g(x)·g(k·cell)·ratio^k it takes two
+    exponentials and a polynomial.
     """
     cell = size / cells
     centres = (torch.arange(cells, dtype=torch.float64) + 0.5) * cell - 0.5
     radius = math.ceil(reach * sigma)
     first = torch.round(centres).long() - radius
     x = (first[:, None] + torch.arange(2 * radius + 1)) - centres[:, None]
-    kernel = torch.zeros_like(x)
-    for k in range(-_SPLINE_REACH, _SPLINE_REACH + 1):
-        kernel += _POLE ** abs(k) * torch.exp(-0.5 * ((x + k * cell) / sigma) ** 2)
+    ratio = torch.exp(-x * (cell / sigma**2))
+    step = torch.exp(-0.5 * (torch.ones((), dtype=torch.float64) * cell / sigma) ** 2)  # g(cell)
+    kernel, forth, back = torch.ones_like(x), torch.ones_like(x), torch.ones_like(x)
+    for k in range(1, _SPLINE_REACH + 1):
+        # g(k·cell)·ratio^±k, each from the one before: g(k·cell) = g((k − 1)·cell)·g(cell)^(2k − 1)
+        forth, back = forth * (ratio * step ** (2 * k - 1)), back / ratio * step ** (2 * k - 1)
+        kernel = kernel + _POLE**k * (forth + back)
+    kernel = kernel * torch.exp(-0.5 * (x / sigma) ** 2)
     return _fold(kernel / kernel.sum(1, keepdim=True), first, size)
 
 
@@ -148,8 +178,7 @@ def operators(
     if cell == 1:
         blur = cut(blur_matrix(size, sigma, reach), wide, dtype, device)
         return ((blur, blur),)  # symmetric: half-sample reflection makes the cosine transform diagonalise it
-    cells = -(-64 * size // round(64 * cell))  # cells come in 64ths of a px: exact in integers
-    shrink, enlarge = shrink_matrix(size, cells, sigma, reach), enlarge_matrix(size, cells)
+    shrink, enlarge = grid_matrices(size, sigma, cell, reach)
     return (
         (cut(shrink, 16, dtype, device), cut(shrink.t(), wide, dtype, device)),
         (cut(enlarge, wide, dtype, device), cut(enlarge.t(), 16, dtype, device)),

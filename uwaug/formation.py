@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from uwaug.blur import NO_BLUR, BlurPlan, Shape, blurred, blurred_rows, node_weights, plan_blur, weighted_sum
-from uwaug.medium import FARTHEST, Medium, pixel_scale
+from uwaug.medium import FARTHEST, Medium
 
 Order = Literal["line_of_sight", "source"]
 _LOG2E = math.log2(math.e)
@@ -57,8 +57,12 @@ class BlurDemand:
 
         Ends of the range are rounded outwards to half octaves, so that similar media share a plan and its matrices.
         """
-        scale = pixel_scale(self.reference_size, size)
-        low, high = self.low * scale, min(self.high * scale, 8.0 * max(size))
+        return self.plan_sizes(min(size), min(size))
+
+    def plan_sizes(self, smallest: int, largest: int) -> BlurPlan:
+        """The plan for all images with a short side of `smallest` to `largest` px."""
+        scales = [1.0 if self.reference_size is None else side / self.reference_size for side in (smallest, largest)]
+        low, high = self.low * scales[0], min(self.high * scales[1], 8.0 * largest)
         if high < 1e-6:
             return NO_BLUR
         high = 2 ** (math.ceil(2 * math.log2(high)) / 2)
@@ -228,7 +232,7 @@ def form(
         source = image
         if order == "source":
             source = (medium.signal(z) - medium.transmission(z)) * image
-        return _combine(image, z, medium, blurred(source, plan), plan, size, order, total)
+        return combine(image, z, medium, blurred(source, plan), plan, size, order, total)
     outputs = tuple(image.new_empty(b, 3, *size) for _ in range(1 if total else 3))
     rows_of = [medium[i] for i in range(len(medium))]
     for i, j in enumerate(image):
@@ -237,13 +241,13 @@ def form(
         for rows, stack in blurred_rows(j, plan):
             for n in samples:
                 part, row = z[n if len(z) > 1 else 0, :, rows][None], rows_of[n if len(rows_of) > 1 else 0]
-                results = _combine(j[None, :, rows], part, row, stack, plan, size, order, total)
+                results = combine(j[None, :, rows], part, row, stack, plan, size, order, total)
                 for out, result in zip(outputs, results):
                     out[n, :, rows] = result[0]
     return outputs
 
 
-def _combine(
+def combine(
     image: Tensor,
     z: Tensor,
     medium: Medium,
@@ -254,7 +258,7 @@ def _combine(
     total: bool,
 ) -> tuple[Tensor, ...]:
     """What each pixel does by itself: curves, weights of the blurs, sum. `z` is rows of an image of `size`."""
-    flat = z.reshape(len(z), 1, -1)
+    flat = z.flatten(1)[:, None]
     shape = (-1, 3, *z.shape[-2:])
     # exp2 is four times as fast as exp
     transmission = (medium.direct_weights @ (medium.beta[:, :, None] * -_LOG2E * flat).exp2_()).reshape(shape)

@@ -30,9 +30,14 @@ _MOST_RATES = 12
 PAPER_SIZE = 518  # px, short side of the paper's pictures
 
 
-def pixel_scale(reference_size: float | None, size: tuple[int, int]) -> float:
+def pixel_scale(reference_size: float | None, size: tuple[int, int]) -> float | Tensor:
     """Px of an image of (height, width) `size` per px of one whose short side is `reference_size`."""
-    return 1.0 if reference_size is None else min(size) / reference_size
+    if reference_size is None:
+        return 1.0
+    if torch.compiler.is_exporting():  # sizes are symbols: count pixels in the graph
+        height, width = (torch.ones(side, dtype=torch.float32).sum() for side in size)
+        return torch.minimum(height, width) / reference_size
+    return min(size) / reference_size
 
 
 @dataclass(frozen=True)
