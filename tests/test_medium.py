@@ -390,7 +390,7 @@ def test_from_water_says_so_if_the_spectrum_is_elsewhere() -> None:
         ({"beta": torch.rand(2, 3), "G": torch.rand(3, 3)}, "beta|G"),
         ({"b_mean": -1.0}, "b_mean.*-1"),
         ({"b_mean": math.nan}, "b_mean.*nan"),
-        ({"b_mean": torch.rand(2)}, "b_mean"),
+        ({"b_mean": torch.rand(2, 2)}, "b_mean"),
     ],
 )
 def test_from_coefficients_rejects(change: dict[str, object], match: str) -> None:

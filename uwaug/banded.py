@@ -46,7 +46,7 @@ class Banded(NamedTuple):
 
 
 def gaussian_rows(centres: Tensor, sigma: Tensor, size: int) -> Tensor:
-    """Rows of sampled, normalised Gaussians on a half-sample symmetric axis: the exact reference.
+    """Rows of sampled, normalised Gaussians of variance sigma² on a half-sample symmetric axis: the exact reference.
 
     Args:
         centres (P float64 tensor): sample positions.
@@ -58,7 +58,8 @@ def gaussian_rows(centres: Tensor, sigma: Tensor, size: int) -> Tensor:
     """
     reach = int(torch.ceil(8 * sigma.max()).item()) if sigma.numel() else 0
     offsets = torch.arange(-reach, reach + 1, dtype=torch.float64)
-    taps = torch.exp(-0.5 * (offsets / sigma.clamp(min=1e-3)[:, None]) ** 2)
+    parameter = torch.from_numpy(sampled_parameter(sigma.numpy()))
+    taps = torch.exp(-0.5 * (offsets / parameter[:, None]) ** 2)
     folded = (centres[:, None].long() + offsets.long()) % (2 * size)
     folded = torch.where(folded < size, folded, 2 * size - 1 - folded)
     rows = torch.zeros(len(centres), size, dtype=torch.float64).scatter_add_(1, folded, taps)
@@ -129,25 +130,28 @@ def shrink_matrix(size: int, cells: int, sigma: float, reach: float) -> Tensor:
     (linear interpolation: 45 dB; Keys' cubic: 57). With g(x + k·cell) = g(x)·g(k·cell)·ratio^k it takes two
     exponentials and a polynomial.
     """
-    cell = size / cells
+    # a tensor: the quotient of two symbolic numbers would enter a graph in single precision
+    cell = torch.full((1,), size, dtype=torch.float64) / torch.full((1,), cells, dtype=torch.float64)
     centres = (torch.arange(cells, dtype=torch.float64) + 0.5) * cell - 0.5
     radius = math.ceil(reach * sigma)
-    first = torch.round(centres).long() - radius
-    x = (first[:, None] + torch.arange(2 * radius + 1)) - centres[:, None]
+    first = torch.floor(centres).long() - radius
+    x = (first[:, None] + torch.arange(2 * radius + 2)) - centres[:, None]
     ratio = torch.exp(-x * (cell / sigma**2))
-    step = torch.exp(-0.5 * (torch.ones((), dtype=torch.float64) * cell / sigma) ** 2)  # g(cell)
+    step = torch.exp(-0.5 * (cell / sigma) ** 2)  # g(cell)
     kernel, forth, back = torch.ones_like(x), torch.ones_like(x), torch.ones_like(x)
     for k in range(1, _SPLINE_REACH + 1):
         # g(k·cell)·ratio^±k, each from the one before: g(k·cell) = g((k − 1)·cell)·g(cell)^(2k − 1)
         forth, back = forth * (ratio * step ** (2 * k - 1)), back / ratio * step ** (2 * k - 1)
         kernel = kernel + _POLE**k * (forth + back)
-    kernel = kernel * torch.exp(-0.5 * (x / sigma) ** 2)
+    # cut at the same distance on both sides, wherever between two pixels the centre lies
+    kernel = kernel * torch.exp(-0.5 * (x / sigma) ** 2) * (x.abs() <= radius + 0.5)
     return _fold(kernel / kernel.sum(1, keepdim=True), first, size)
 
 
 def enlarge_matrix(size: int, cells: int) -> Tensor:
     """(size, cells) matrix: values at `size` samples of the cubic B-spline with coefficients on `cells` equal cells."""
-    x = (torch.arange(size, dtype=torch.float64) + 0.5) * cells / size - 0.5
+    per_px = torch.full((1,), cells, dtype=torch.float64) / torch.full((1,), size, dtype=torch.float64)
+    x = (torch.arange(size, dtype=torch.float64) + 0.5) * per_px - 0.5
     first = torch.floor(x).long() - 1
     t = (x - torch.floor(x))[:, None]
     kernel = torch.cat([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, 3 * (1 - t) ** 3 - 6 * (1 - t) ** 2 + 4, t**3], 1) / 6

@@ -57,12 +57,12 @@ class BlurDemand:
 
         Ends of the range are rounded outwards to half octaves, so that similar media share a plan and its matrices.
         """
-        return self.plan_sizes(min(size), min(size))
+        return self.plan_sizes(min(size), min(size), max(size))
 
-    def plan_sizes(self, smallest: int, largest: int) -> BlurPlan:
-        """The plan for all images with a short side of `smallest` to `largest` px."""
+    def plan_sizes(self, smallest: int, largest: int, longest: int) -> BlurPlan:
+        """The plan for all images with a short side of `smallest` to `largest` px and no side beyond `longest`."""
         scales = [1.0 if self.reference_size is None else side / self.reference_size for side in (smallest, largest)]
-        low, high = self.low * scales[0], min(self.high * scales[1], 8.0 * largest)
+        low, high = self.low * scales[0], min(self.high * scales[1], 8.0 * longest)  # wider blurs all give the mean
         if high < 1e-6:
             return NO_BLUR
         high = 2 ** (math.ceil(2 * math.log2(high)) / 2)
@@ -71,21 +71,28 @@ class BlurDemand:
 
 
 def blur_demand(
-    medium: Medium, distance_range: tuple[float, float], tolerance: float = 0.002, margin: float = 1.0
+    medium: Medium,
+    distance_range: tuple[float, float],
+    tolerance: float = 0.002,
+    *,
+    order: Order = "line_of_sight",
+    margin: float = 1.0,
 ) -> BlurDemand:
     """What a medium needs of the blur over a range of effective distances, and no more.
 
-    Distances at which forward scatter is fainter than the tolerance do not count, and its strength scales the error
-    that may pass.
+    Distances at which forward scatter is fainter than the tolerance do not count (in source order all do, as a pixel
+    there reads light that was weighted elsewhere), and its strength scales the error that may pass.
 
     Args:
         medium: any batch; the demand covers all rows.
         distance_range: (nearest, farthest) of m·z, m; 0 ≤ nearest ≤ farthest, inf allowed.
         tolerance: largest error in the image, on a scale of 0…1.
+        order: as for `form_image`.
         margin: widen the range of widths by this factor either way, for parameters that will be learned.
     """
+    if not 0 < tolerance < 1:
+        raise ValueError(f"tolerance must lie in (0, 1) (image scale 0…1), got {tolerance}")
     near, far = (min(max(d, 0.0), FARTHEST) for d in distance_range)
-    z = np.geomspace(max(near, 1e-3), max(far, 1e-3), 33)
     law = medium.point_spread
     beta, direct_weights, G, signal_weights, b_mean, scale, exponent = (
         v.detach().double().cpu().numpy() if isinstance(v, Tensor) else np.asarray(v)
@@ -93,12 +100,18 @@ def blur_demand(
             medium.beta, medium.direct_weights, medium.G, medium.signal_weights, medium.b_mean, law.scale, law.exponent
         )
     )  # fmt: skip
+    # by then all that attenuates has fallen below any tolerance
+    spent = 40 / max(float(G[G > 0].min()) if (G > 0).any() else 0.0, 1e-3)
+    z = np.geomspace(max(near, 1e-3), max(min(far, spent), near, 1e-3), 65)
     share = signal_weights @ np.exp(-G[:, :, None] * z) - direct_weights @ np.exp(-beta[:, :, None] * z)
     strength = np.abs(share).max(axis=(0, 1))
-    visible = z[strength > tolerance]
+    visible = np.flatnonzero(strength > tolerance)
     if len(visible) == 0:
         return BlurDemand(0.0, 0.0, tolerance, law.shape, law.reference_size)
-    ends = np.array([near if visible[0] == z[0] else visible[0], visible[-1]])
+    first, last = max(visible[0] - 1, 0), min(visible[-1] + 1, len(z) - 1)
+    ends = np.array([near if first == 0 else z[first], z[last]])
+    if order == "source":
+        ends = np.array([near, max(z[-1], min(far, spent))])
     widths = scale * np.maximum(np.multiply.outer(ends, b_mean), 1e-6) ** exponent
     low, high = float(widths.min()) / margin, float(widths.max()) * margin
     # in half octaves, downwards, for the same reason as the widths: see `plan`
@@ -158,6 +171,8 @@ def check(
     """Validate; return image (BxCxHxW) and effective distance in float32 or float64, and the medium in the same
     dtype.
     """
+    if not isinstance(medium, Medium):
+        raise TypeError(f"medium must be a uwaug.Medium, got {type(medium).__name__}; see Medium.from_water")
     for name, value in (("image", image), ("distance", distance), ("field", field)):
         if value is None and name == "field":
             continue
@@ -183,30 +198,38 @@ def check(
     if order not in ("line_of_sight", "source"):
         raise ValueError(f"order must be 'line_of_sight' or 'source', got {order!r}")
     dtype = torch.promote_types(image.dtype, torch.float32)
-    if torch.float64 in (distance.dtype, None if field is None else field.dtype) and image.dtype == torch.float64:
-        dtype = torch.float64
     image = image.to(dtype) if image.ndim == 4 else image.to(dtype)[None]
     z = distance.to(dtype) if distance.ndim == 4 else distance.to(dtype)[None]
-    if field is not None:
-        m = field.to(dtype) if field.ndim == 4 else field.to(dtype)[None]
-        z = z.clamp(max=FARTHEST) * m
-    sizes = {"image": len(image), "distance": len(z), "medium": len(medium)}
+    m = None if field is None else field.to(dtype) if field.ndim == 4 else field.to(dtype)[None]
+    sizes = {"image": len(image), "distance": len(z), "medium": len(medium), "field": 1 if m is None else len(m)}
     if len({n for n in sizes.values() if n != 1}) > 1:
         raise ValueError(f"batch sizes must agree or be 1, got {sizes}")
-    if not torch.compiler.is_compiling() and z.numel():
-        low = z.detach().min()  # NaN if any is
-        if not low >= 0:
+    if not torch.compiler.is_compiling():
+        if z.numel() and not z.detach().min() >= 0:  # NaN if any is
             unknown, negative = int(z.isnan().sum()), int((z < 0).sum())
             raise ValueError(
                 f"distance is NaN at {unknown} and negative at {negative} of {z.numel()} pixels: expected metres ≥ 0 "
                 "(+inf for open water); fill unknown pixels first, see uwaug.distance.fill_unknown"
             )
-    return image, z if field is not None else z.clamp(max=FARTHEST), medium.to(dtype=dtype, device=image.device)
+        if m is not None and m.numel():
+            low, high = m.detach().aminmax()
+            if not (low >= 0 and high < math.inf):
+                unknown, negative = int(m.isnan().sum()), int((m < 0).sum())
+                raise ValueError(
+                    f"field is NaN at {unknown}, negative at {negative} and infinite at {int(m.isinf().sum())} of "
+                    f"{m.numel()} pixels: expected finite values ≥ 0"
+                )
+    z = z.clamp(max=FARTHEST)
+    return image, z if m is None else z * m, medium.to(dtype=dtype, device=image.device)
 
 
-def _range(z: Tensor) -> tuple[float, float]:
-    low, high = z.detach().aminmax() if z.numel() else (0.0, 0.0)
-    return float(low), float(high)
+def _range(z: Tensor, medium: Medium) -> tuple[float, float]:
+    """Nearest and farthest effective distance that may scatter light: not open water, unless a channel never fades."""
+    low, high = (float(v) for v in z.detach().aminmax())
+    if high >= FARTHEST and bool((medium.G > 0).all()):
+        finite = z.detach()[z < FARTHEST]
+        high = float(finite.max()) if finite.numel() else low
+    return low, high
 
 
 def form(
@@ -220,12 +243,12 @@ def form(
     total: bool = False,
 ) -> tuple[Tensor, ...]:
     """The model on checked input: direct, forward, backscatter; or only their sum."""
-    b = max(len(image), len(z), len(medium)) if image.numel() and z.numel() else 0
+    b = max(len(image), len(z), len(medium)) if len(image) and len(z) and len(medium) else 0
     size = (image.shape[-2], image.shape[-1])
-    if b == 0:
-        return (image.new_zeros(0, 3, *size),) * (1 if total else 3)
+    if b * size[0] * size[1] == 0:
+        return (image.new_zeros(b, 3, *size),) * (1 if total else 3)
     if plan is None:
-        plan = blur_demand(medium, _range(z), tolerance).plan(size)
+        plan = blur_demand(medium, _range(z, medium), tolerance, order=order).plan(size)
     tensors = (image, z, medium.point_spread.scale, medium.point_spread.exponent, *medium.tensors())
     records = torch.is_grad_enabled() and any(isinstance(t, Tensor) and t.requires_grad for t in tensors)
     if records or torch.compiler.is_compiling() or order == "source":

@@ -64,8 +64,8 @@ class PointSpread:
                 raise ValueError(f"PointSpread.{name} must be a finite number ≥ {least:g}, got {value}")
         if self.shape not in ("gaussian", "exponential"):
             raise ValueError(f"PointSpread.shape must be 'gaussian' or 'exponential', got {self.shape!r}")
-        if self.reference_size is not None and not self.reference_size > 0:
-            raise ValueError(f"PointSpread.reference_size must be > 0 px or None, got {self.reference_size}")
+        if self.reference_size is not None and not 0 < self.reference_size < math.inf:
+            raise ValueError(f"PointSpread.reference_size must be finite and > 0 px or None, got {self.reference_size}")
 
     @staticmethod
     def paper(coefficient: float = 0.3) -> "PointSpread":
@@ -98,8 +98,8 @@ class PointSpread:
         scale, exponent = (
             v.reshape(-1, 1, 1, 1).to(lengths) if isinstance(v, Tensor) else v for v in (self.scale, self.exponent)
         )
-        # from a millionth of a scattering length on: x^(2·exponent) with 2·exponent < 1 has an infinite slope at 0
-        return (scale * pixel_scale(self.reference_size, size)) ** 2 * lengths.clamp(min=1e-6) ** (2 * exponent)
+        # x^(2·exponent) with 2·exponent < 1 has an infinite slope at 0; at 1e4 scattering lengths all light is gone
+        return (scale * pixel_scale(self.reference_size, size)) ** 2 * lengths.clamp(1e-6, 1e4) ** (2 * exponent)
 
     def map(self, function: Callable[[Tensor], Tensor]) -> "PointSpread":
         """The same law with `function` applied to what it holds as tensors."""
@@ -192,6 +192,8 @@ class Medium:
         Raises:
             ValueError: if an argument is outside its domain.
         """
+        if not isinstance(water, Water):
+            raise TypeError(f"water must be a uwaug.Water, as Water.jerlov('7C') gives; got {water!r}")
         for name, value, high in (("vertical_depth", vertical_depth, math.inf), ("g", g, 1.0), ("mu", mu, 1.0)):
             if not 0 <= value <= high or math.isinf(value):
                 raise ValueError(f"{name} must lie in [0, {high:g}], got {value}")
@@ -203,13 +205,18 @@ class Medium:
         if wavelengths is None:
             low, high = water.wavelengths[[0, -1]]
             wavelengths = WAVELENGTHS[(low <= WAVELENGTHS) & (high >= WAVELENGTHS)]
+            if len(wavelengths) == 0:
+                raise ValueError(
+                    f"water covers {low:g}–{high:g} nm: no band of 400–700 nm; give wavelengths in its range"
+                )
         bands = water.at(wavelengths)
         response = load_camera(camera).weights(wavelengths).T  # (3, bands), rows sum to 1
         beta, G = bands.a + bands.b, bands.a + g * bands.b
         light = np.exp(-bands.kd * vertical_depth)
         lossy = np.maximum(G, _LOSSLESS)
         veil = mu * bands.b * light / lossy
-        z = np.concatenate([[0.0], np.linspace(near, far, 49)[1 if near == 0 else 0 :]])
+        # linear steps for slow rates, logarithmic ones for the fast
+        z = np.concatenate([[0.0], np.geomspace(max(near, 1e-4 * far), far, 65), np.linspace(near, far, 33)[1:-1]])
         rates, (direct,), error = _reduce(beta, (response * light,), z, tolerance)
         scatter, (signal, backscatter), error_scatter = _reduce(
             lossy, (response * light, response * veil), z, tolerance
@@ -247,17 +254,25 @@ class Medium:
         Tensors keep their gradients; all are float64 inside unless given as tensors of another type.
         """
         given = {"beta": beta, "G": G, "veil": veil, "light": light}
-        rows = {k: v if isinstance(v, Tensor) else torch.tensor(v, dtype=torch.float64) for k, v in given.items()}
-        dtype = next((v.dtype for v in given.values() if isinstance(v, Tensor)), torch.float64)
+        floats = [v.dtype for v in given.values() if isinstance(v, Tensor) and v.is_floating_point()]
+        dtype = floats[0] if floats else torch.float64
+        rows = {k: torch.as_tensor(v, dtype=None if isinstance(v, Tensor) else dtype) for k, v in given.items()}
         for name, row in rows.items():
             if row.ndim not in (1, 2) or row.shape[-1] != 3:
                 raise ValueError(f"{name} must have shape (3,) or (B, 3), got {tuple(row.shape)}")
             low = row.detach().min() if row.numel() else torch.zeros(())
             if not bool(low >= 0) or not bool(torch.isfinite(row.detach()).all()):
                 raise ValueError(f"{name} must be finite and ≥ 0, got {row.detach().tolist()}")
-        b = max(len(r) if r.ndim == 2 else 1 for r in rows.values())
+        batches = {name: len(row) if row.ndim == 2 else 1 for name, row in rows.items()}
+        mean = torch.as_tensor(b_mean, dtype=None if isinstance(b_mean, Tensor) else dtype).to(dtype)
+        if mean.ndim > 1 or not bool((mean.detach() >= 0).all()) or not bool(mean.detach().isfinite().all()):
+            raise ValueError(f"b_mean must be a number or (B,), finite and ≥ 0 in 1/m, got {mean.detach().tolist()}")
+        batches["b_mean"] = len(mean) if mean.ndim else 1
+        b = max(batches.values())
+        if any(n not in (1, b) for n in batches.values()):
+            raise ValueError(f"batches must agree or be 1, got {batches}")
         rates, scatter, sky, ambient = (r.to(dtype).expand(b, 3) for r in rows.values())
-        mean = torch.as_tensor(b_mean, dtype=dtype).expand(b)
+        mean = mean.expand(b)
         point_spread = PointSpread.none() if point_spread is None else point_spread
         note = "coefficients: 3 + 3 rates, one per channel"
         diagonal = torch.diag_embed(ambient)
@@ -295,6 +310,8 @@ class Medium:
 
     def __getitem__(self, i: int) -> "Medium":
         """The i-th medium, as a batch of one."""
+        if not -len(self) <= i < len(self):
+            raise IndexError(f"medium {i} of {len(self)}")
         part = slice(i, i + 1 or None)
         return assemble(
             [t[part] for t in self.tensors()],
@@ -334,6 +351,7 @@ class Medium:
 
     def width(self, z: Tensor, size: tuple[int, int]) -> Tensor:
         """σ(z), px, for distances (B or 1, 1, H, W) in an image of (height, width) `size`."""
+        z = z.clamp(max=FARTHEST)
         return self.point_spread.variance(self.b_mean.reshape(-1, 1, 1, 1).to(z) * z, size).sqrt()
 
     def __repr__(self) -> str:
@@ -354,13 +372,15 @@ def assemble(tensors: Sequence[Tensor], law: PointSpread, notes: tuple[str, ...]
 
 
 def _curve(rates: Tensor, weights: Tensor, z: Tensor, function: Callable[[Tensor], Tensor]) -> Tensor:
-    flat = z.clamp(max=FARTHEST)
-    if z.ndim <= 1:
-        values = weights.to(z) @ function(-rates.to(z)[:, :, None] * flat.reshape(1, 1, -1))
-        return values.squeeze(-1) if z.ndim == 0 else values
-    flat = flat.reshape(len(z) if z.ndim == 4 else 1, 1, z.shape[-2] * z.shape[-1])
-    curve = weights.to(z) @ function(-rates.to(z)[:, :, None] * flat)
-    return curve.reshape(*curve.shape[:2], *z.shape[-2:])
+    with torch.autocast(z.device.type, enabled=False):
+        z = z.to(torch.promote_types(z.dtype, torch.float32)).clamp(max=FARTHEST)
+        rates, weights = rates.to(z), weights.to(z)
+        if z.ndim <= 1:
+            values = weights @ function(-rates[:, :, None] * z.reshape(1, 1, -1))
+            return values.squeeze(-1) if z.ndim == 0 else values
+        flat = z.reshape(len(z) if z.ndim == 4 else 1, 1, z.shape[-2] * z.shape[-1])
+        curve = weights @ function(-rates[:, :, None] * flat)
+        return curve.reshape(*curve.shape[:2], *z.shape[-2:])
 
 
 def _reduce(rates: Array, measures: tuple[Array, ...], z: Array, tolerance: float) -> tuple[Array, list[Array], float]:
@@ -375,9 +395,11 @@ def _reduce(rates: Array, measures: tuple[Array, ...], z: Array, tolerance: floa
     Returns:
         The rates (K), ascending; the weights, (3, K) for each measure; the largest error.
     """
+    wanted = np.concatenate(measures)  # (C, M)
     if tolerance == 0:
         return rates, list(measures), 0.0
-    wanted = np.concatenate(measures)  # (C, M)
+    if wanted.max() < 1e-300:  # no light so deep
+        return rates[:1], [m[:, :1] for m in measures], 0.0
     exact = wanted @ np.exp(-rates[:, None] * z)  # (C, N)
     jacobi = _jacobi(rates, (wanted / np.maximum(wanted.sum(1, keepdims=True), 1e-300)).sum(0))
     for k in range(1, len(jacobi) + 1):
@@ -391,9 +413,7 @@ def _reduce(rates: Array, measures: tuple[Array, ...], z: Array, tolerance: floa
         error = float(np.abs(weights @ basis - exact).max())
         if error <= tolerance:
             return nodes, list(np.split(weights, len(measures))), error
-    raise ValueError(
-        f"tolerance {tolerance} is out of reach of {len(jacobi)} exponentials; ask for 0 to keep all bands"
-    )
+    return rates, list(measures), 0.0  # every band is a rate: slow, and exact
 
 
 def _jacobi(points: Array, weights: Array) -> Array:

@@ -1,6 +1,7 @@
 """`Underwater`: a medium and a plan as an `nn.Module`."""
 
 from dataclasses import replace
+from operator import index
 from typing import Literal
 
 import torch
@@ -53,8 +54,16 @@ class Underwater(nn.Module):
         order: Order = "line_of_sight",
     ) -> None:
         super().__init__()
-        if color_space not in ("srgb", "linear"):
-            raise ValueError(f"color_space must be 'srgb' or 'linear', got {color_space!r}")
+        if not isinstance(medium, Medium):
+            raise TypeError(f"medium must be a uwaug.Medium, got {type(medium).__name__}; see Medium.from_water")
+        for name, choice, allowed in (
+            ("color_space", color_space, ("srgb", "linear")),
+            ("order", order, ("line_of_sight", "source")),
+        ):
+            if choice not in allowed:
+                raise ValueError(f"{name} must be one of {allowed}, got {choice!r}")
+        if not 0 < tolerance < 1:
+            raise ValueError(f"tolerance must lie in (0, 1) (image scale 0…1), got {tolerance}")
         if distance_range is not None and not 0 <= distance_range[0] < distance_range[1]:
             raise ValueError(f"distance_range must be 0 ≤ nearest < farthest in metres, got {distance_range}")
         self.distance_range = distance_range
@@ -62,10 +71,11 @@ class Underwater(nn.Module):
         self.color_space = color_space
         self.order: Order = order
         self.learnable = learnable
-        self._law, self._notes = medium.point_spread, medium.notes
+        self._law, self._notes = medium.point_spread.map(lambda v: v.detach().clone()), medium.notes
         self.demand: BlurDemand | None = None
         if distance_range is not None:
-            self.demand = blur_demand(medium, distance_range, tolerance, margin=2.0 if learnable else 1.0)
+            margin = 2.0 if learnable else 1.0
+            self.demand = blur_demand(medium, distance_range, tolerance, order=order, margin=margin)
         scale, exponent = (
             torch.as_tensor(v, dtype=medium.beta.dtype).detach().expand(len(medium)).clone()
             for v in (self._law.scale, self._law.exponent)
@@ -76,6 +86,12 @@ class Underwater(nn.Module):
                 self.register_buffer(name, value)
             return
         light = detached["direct_weights"].sum(-1)
+        apart = float((light - detached["signal_weights"].sum(-1)).abs().max())
+        if apart > 1e-5:
+            raise ValueError(
+                f"a learnable medium needs direct_weights and signal_weights of one sum, the light at z = 0; "
+                f"they differ by {apart:.2g}"
+            )
         for name in ("direct_weights", "signal_weights", "veil_weights"):
             self.register_buffer(f"{name}_used", detached[name] > 0)
         self.register_buffer("b_mean", detached["b_mean"])
@@ -85,7 +101,7 @@ class Underwater(nn.Module):
             "G": detached["G"],
             "veil_weights": detached["veil_weights"],
             "light": light,
-            "scale": scale,
+            **({} if self.demand is not None and self.demand.high == 0 else {"scale": scale}),
         }.items():
             self.register_parameter(f"raw_{name}", nn.Parameter(_inverse_softplus(value)))
         for name in ("direct_weights", "signal_weights"):
@@ -107,14 +123,21 @@ class Underwater(nn.Module):
             logits = self.get_parameter(f"raw_{name}").masked_fill(~self.get_buffer(f"{name}_used"), -1e30)
             shares[name] = light * torch.softmax(logits, -1)
         veil = F.softplus(self.get_parameter("raw_veil_weights")) * self.get_buffer("veil_weights_used")
-        law = replace(law, scale=F.softplus(self.get_parameter("raw_scale")))
+        if isinstance(law.exponent, Tensor):
+            law = replace(law, exponent=self.get_buffer("exponent"))
+        if "raw_scale" in self._parameters:
+            law = replace(law, scale=F.softplus(self.get_parameter("raw_scale")))
         beta, G = (F.softplus(self.get_parameter(f"raw_{name}")) for name in ("beta", "G"))
         b_mean = self.get_buffer("b_mean")
         return Medium(beta, shares["direct_weights"], G, shares["signal_weights"], veil, b_mean, law, self._notes)
 
     def plan(self, size: tuple[int, int]) -> BlurPlan | None:
         """The blur plan for images of (height, width) `size`; None without a `distance_range`."""
-        return None if self.demand is None else _plan(self.demand, *size)
+        if self.demand is None:
+            return None
+        height, width = size
+        # index(): a compiled module is compiled again for another size, which has another plan
+        return _plan(self.demand, index(height), index(width))
 
     def forward(self, image: Tensor, distance: Tensor, field: Tensor | None = None) -> Tensor:
         """Degrade an image; see the class."""

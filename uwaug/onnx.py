@@ -86,7 +86,7 @@ def _plan(module: Underwater, sides: tuple[int, int]) -> BlurPlan:
         )
     if module.order != "line_of_sight":
         raise ValueError(f"module.order must be 'line_of_sight' to be exported, got {module.order!r}")
-    return module.demand.plan_sizes(*sides)
+    return module.demand.plan_sizes(*sides, 4 * sides[1])
 
 
 def _traced(
