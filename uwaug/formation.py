@@ -52,21 +52,23 @@ class BlurDemand:
     shape: Shape
     reference_size: float | None
 
-    def plan(self, size: tuple[int, int]) -> BlurPlan:
+    def plan(self, size: tuple[int, int], shared: bool = False) -> BlurPlan:
         """The plan for an image of (height, width) `size`.
 
-        Ends of the range are rounded outwards to half octaves, so that similar media share a plan and its matrices.
+        `shared` rounds the ends of the range outwards to half octaves, so that similar demands share a plan and its
+        matrices: for media that change from call to call.
         """
-        return self.plan_sizes(min(size), min(size), max(size))
+        return self.plan_sizes(min(size), min(size), max(size), shared)
 
-    def plan_sizes(self, smallest: int, largest: int, longest: int) -> BlurPlan:
+    def plan_sizes(self, smallest: int, largest: int, longest: int, shared: bool = False) -> BlurPlan:
         """The plan for all images with a short side of `smallest` to `largest` px and no side beyond `longest`."""
         scales = [1.0 if self.reference_size is None else side / self.reference_size for side in (smallest, largest)]
         low, high = self.low * scales[0], min(self.high * scales[1], 8.0 * longest)  # wider blurs all give the mean
         if high < 1e-6:
             return NO_BLUR
-        high = 2 ** (math.ceil(2 * math.log2(high)) / 2)
-        low = 2 ** (math.floor(2 * math.log2(low)) / 2) if low > 0.2 else 0.0
+        if shared:
+            high = 2 ** (math.ceil(2 * math.log2(high)) / 2)
+            low = 2 ** (math.floor(2 * math.log2(low)) / 2) if low > 0.2 else 0.0
         return plan_blur(min(low, high), high, self.tolerance, self.shape)
 
 
@@ -114,7 +116,7 @@ def blur_demand(
         ends = np.array([near, max(z[-1], min(far, spent))])
     widths = scale * np.maximum(np.multiply.outer(ends, b_mean), 1e-6) ** exponent
     low, high = float(widths.min()) / margin, float(widths.max()) * margin
-    # in half octaves, downwards, for the same reason as the widths: see `plan`
+    # in half octaves, downwards, so that similar media may share a plan: see `plan`
     slack = 2.0 ** (math.floor(-2 * math.log2(float(strength.max()))) / 2)
     return BlurDemand(low, high, min(tolerance * slack, 0.5), law.shape, law.reference_size)
 
@@ -248,7 +250,7 @@ def form(
     if b * size[0] * size[1] == 0:
         return (image.new_zeros(b, 3, *size),) * (1 if total else 3)
     if plan is None:
-        plan = blur_demand(medium, _range(z, medium), tolerance, order=order).plan(size)
+        plan = blur_demand(medium, _range(z, medium), tolerance, order=order).plan(size, shared=True)
     tensors = (image, z, medium.point_spread.scale, medium.point_spread.exponent, *medium.tensors())
     records = torch.is_grad_enabled() and any(isinstance(t, Tensor) and t.requires_grad for t in tensors)
     if records or torch.compiler.is_compiling() or order == "source":
