@@ -117,8 +117,10 @@ def blur_matrix(size: int, sigma: float, reach: float) -> Tensor:
 
 def grid_matrices(size: int, sigma: float, cell: float, reach: float) -> tuple[Tensor, Tensor]:
     """What blurs an axis on a grid of `cell` px: shrink (cells, size), enlarge (size, cells)."""
-    # cells come in 64ths of a px: exact in integers; one more than needed, as graphs of free size ask for two at least
-    cells = 1 - (-64 * size // round(64 * cell))
+    # rounded up, in 64ths of a px and of positive numbers: exact, and the same in ONNX, whose division truncates;
+    # one more than needed, as a graph of free size asks for two at least
+    sixty_fourths = round(64 * cell)
+    cells = 1 + (64 * size + sixty_fourths - 1) // sixty_fourths
     return shrink_matrix(size, cells, sigma, reach), enlarge_matrix(size, cells)
 
 
