@@ -533,7 +533,7 @@ def test_gradcheck(order) -> None:
 
 def test_a_plan_may_be_given() -> None:
     medium, image, z = coefficients(), torch.from_numpy(reference.picture(30, 30))[None], distances(1, 1, 30, 30)
-    plan = blur_demand(medium, (float(z.min()), float(z.max())), 0.002).plan((30, 30))
+    plan = blur_demand(medium, (float(z.min()), float(z.max())), 0.002).plan((30, 30), shared=True)
     assert torch.equal(form_image(image, z, medium, plan=plan).image, form_image(image, z, medium).image)
 
 
@@ -561,7 +561,7 @@ def test_demand_leaves_out_what_cannot_show() -> None:
 
 
 def test_similar_media_share_a_plan() -> None:
-    plans = {blur_demand(uniform(0.5, 0.2, b_mean=b)(), (1.0, 6.0)).plan((100, 100)) for b in np.linspace(0.7, 0.72, 9)}
+    plans = {blur_demand(uniform(0.5, 0.2, b_mean=b)(), (1.0, 6.0)).plan((100, 100), shared=True) for b in np.linspace(0.7, 0.72, 9)}
     assert len(plans) <= 2
 
 

@@ -102,8 +102,9 @@ def blur_demand(
             medium.beta, medium.direct_weights, medium.G, medium.signal_weights, medium.b_mean, law.scale, law.exponent
         )
     )  # fmt: skip
-    # by then all that attenuates has fallen below any tolerance
-    spent = 40 / max(float(G[G > 0].min()) if (G > 0).any() else 0.0, 1e-3)
+    # by then the signal has faded below any tolerance, if all of it fades
+    slowest = float(G[(signal_weights > 0).any(1)].min(initial=np.inf))
+    spent = 40 / slowest if slowest > 0 else FARTHEST
     z = np.geomspace(max(near, 1e-3), max(min(far, spent), near, 1e-3), 65)
     share = signal_weights @ np.exp(-G[:, :, None] * z) - direct_weights @ np.exp(-beta[:, :, None] * z)
     strength = np.abs(share).max(axis=(0, 1))
@@ -228,7 +229,8 @@ def check(
 def _range(z: Tensor, medium: Medium) -> tuple[float, float]:
     """Nearest and farthest effective distance that may scatter light: not open water, unless a channel never fades."""
     low, high = (float(v) for v in z.detach().aminmax())
-    if high >= FARTHEST and bool((medium.G > 0).all()):
+    fades = (medium.G > 0) | (medium.signal_weights == 0).all(1)
+    if high >= FARTHEST and bool(fades.all()):
         finite = z.detach()[z < FARTHEST]
         high = float(finite.max()) if finite.numel() else low
     return low, high

@@ -7,7 +7,8 @@ import math
 import os
 from bisect import bisect
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import lru_cache, partial
 from itertools import accumulate
 from numbers import Real
@@ -196,7 +197,7 @@ class RandomUnderwater(nn.Module):
     @classmethod
     def severity(cls, level: int, **options: Any) -> "RandomUnderwater":
         """One of five grades, for robustness studies: visibility 20, 10, 5, 2.5, 1.25 m, in any of the coastal types
-        and II.
+        and II. They take 46, 62, 75, 84, 93 % of the contrast from a scene at 2 to 5 m.
 
         Args:
             level: 1 (mild) … 5 (severe).
@@ -440,6 +441,19 @@ def _metres(distance: Tensor, kind: str, unknown: str, numbers: Mapping[str, Any
         raise ValueError(f"{error}{hint}") from None
 
 
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """As in a DataLoader worker. Where threads divide an array decides which elements are not computed as vectors,
+    and those of exp2 and pow differ in the last bit: more threads would not replay what a worker has drawn.
+    """
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
 def _degrade(
     image: Tensor,
     distance: Tensor | None,
@@ -450,7 +464,7 @@ def _degrade(
 ) -> Tensor:
     """The whole transform of one picture (3xHxW), from what was drawn and what the transform is set to."""
     kind, unknown, color_space, order, shape = modes
-    with torch.no_grad(), torch.autocast(image.device.type, enabled=False):
+    with _one_thread(), torch.no_grad(), torch.autocast(image.device.type, enabled=False):
         unit = _unit(image)
         if unit.numel() and unit.amax() > _HDR_LIMIT:
             raise ValueError(f"image reaches {float(unit.amax()):g}: expected 0…1; divide a 0…255 image by 255")
