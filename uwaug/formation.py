@@ -78,6 +78,7 @@ def blur_demand(
     tolerance: float = 0.002,
     *,
     order: Order = "line_of_sight",
+    learned: bool = False,
     margin: float = 1.0,
 ) -> BlurDemand:
     """What a medium needs of the blur over a range of effective distances, and no more.
@@ -90,6 +91,7 @@ def blur_demand(
         distance_range: (nearest, farthest) of m·z, m; 0 ≤ nearest ≤ farthest, inf allowed.
         tolerance: largest error in the image, on a scale of 0…1.
         order: as for `form_image`.
+        learned: if none of it shows (g = 1), plan for what it may become: its gradient is not faint.
         margin: widen the range of widths by this factor either way, for parameters that will be learned.
     """
     if not 0 < tolerance < 1:
@@ -108,6 +110,8 @@ def blur_demand(
     z = np.geomspace(max(near, 1e-3), max(min(far, spent), near, 1e-3), 65)
     share = signal_weights @ np.exp(-G[:, :, None] * z) - direct_weights @ np.exp(-beta[:, :, None] * z)
     strength = np.abs(share).max(axis=(0, 1))
+    if learned and strength.max() <= tolerance:
+        strength = np.maximum(strength, (direct_weights @ np.exp(-beta[:, :, None] * z)).max(axis=(0, 1)))
     visible = np.flatnonzero(strength > tolerance)
     if len(visible) == 0:
         return BlurDemand(0.0, 0.0, tolerance, law.shape, law.reference_size)
@@ -250,11 +254,13 @@ def form(
     b = max(len(image), len(z), len(medium)) if len(image) and len(z) and len(medium) else 0
     size = (image.shape[-2], image.shape[-1])
     if b * size[0] * size[1] == 0:
-        return (image.new_zeros(b, 3, *size),) * (1 if total else 3)
+        return (image[:b].expand(b, -1, -1, -1),) * (1 if total else 3)
+    law = medium.point_spread
+    learned = torch.is_grad_enabled() and _learns(law.scale, law.exponent, *medium.tensors())
+    records = learned or (torch.is_grad_enabled() and _learns(image, z))
     if plan is None:
-        plan = blur_demand(medium, _range(z, medium), tolerance, order=order).plan(size, shared=True)
-    tensors = (image, z, medium.point_spread.scale, medium.point_spread.exponent, *medium.tensors())
-    records = torch.is_grad_enabled() and any(isinstance(t, Tensor) and t.requires_grad for t in tensors)
+        demand = blur_demand(medium, _range(z, medium), tolerance, order=order, learned=learned)
+        plan = demand.plan(size, shared=True)
     if records or torch.compiler.is_compiling() or order == "source":
         source = image
         if order == "source":
@@ -272,6 +278,10 @@ def form(
                 for out, result in zip(outputs, results):
                     out[n, :, rows] = result[0]
     return outputs
+
+
+def _learns(*values: float | Tensor) -> bool:
+    return any(isinstance(v, Tensor) and v.requires_grad for v in values)
 
 
 def combine(

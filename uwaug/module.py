@@ -75,7 +75,7 @@ class Underwater(nn.Module):
         self.demand: BlurDemand | None = None
         if distance_range is not None:
             margin = 2.0 if learnable else 1.0
-            self.demand = blur_demand(medium, distance_range, tolerance, order=order, margin=margin)
+            self.demand = blur_demand(medium, distance_range, tolerance, order=order, learned=learnable, margin=margin)
         scale, exponent = (
             torch.as_tensor(v, dtype=medium.beta.dtype).detach().expand(len(medium)).clone()
             for v in (self._law.scale, self._law.exponent)
