@@ -1,0 +1,32 @@
+"""All benchmarks: `python -m benchmarks [--quick]`. Each part also runs alone, as `python -m benchmarks.NAME`."""
+
+import argparse
+import importlib
+import time
+
+PARTS = ("model", "frontier", "planner", "stability", "physics", "scaling", "runtime", "throughput")
+
+
+def main() -> None:
+    """Run the parts in turn; a part whose optional library is missing is skipped by name."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="a smoke test of every part, nothing written")
+    parser.add_argument("parts", nargs="*", help=f"some of {', '.join(PARTS)}; all by default")
+    arguments = parser.parse_args()
+    unknown = sorted(set(arguments.parts) - set(PARTS))
+    if unknown:
+        parser.error(f"unknown part {', '.join(unknown)}; there are {', '.join(PARTS)}")
+    for name in arguments.parts or PARTS:
+        print(f"== {name}", flush=True)
+        began = time.perf_counter()
+        try:
+            part = importlib.import_module(f"benchmarks.{name}")
+        except ModuleNotFoundError as error:
+            print(f"skipped: {error.name} is not installed")
+            continue
+        part.main(arguments.quick)
+        print(f"== {name}: {time.perf_counter() - began:.0f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()
