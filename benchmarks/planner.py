@@ -86,11 +86,11 @@ def main(quick: bool = False) -> None:
             for distances in RANGES[1:2] if quick else RANGES:
                 row = cell(name, distances, law, 200 if quick else 2000, 2 if quick else 5)
                 rows.append(row)
-                less = row["rmse_one_blur_less"]
+                less = "–" if row["rmse_one_blur_less"] is None else f"{row['rmse_one_blur_less']:.5f}"
                 print(
                     f"{law:10} {name:3} {distances[0]:g}–{distances[1]:g} m: rates {row['rates']}, "
                     f"blurs {len(row['widths_px']) if row['blurred'] else 'none'}, {row['ms']:.0f} ms, "
-                    f"RMSE {row['rmse']:.5f}, max {row['max']:.4f}, one blur less {'–' if less is None else f'{less:.5f}'}",
+                    f"RMSE {row['rmse']:.5f}, max {row['max']:.4f}, one blur less {less}",
                     flush=True,
                 )
     held = sum(r["rmse"] <= TOLERANCE for r in rows)
