@@ -1,0 +1,481 @@
+"""The physics referee: our own Monte Carlo random walk against the laws for g, width and shape of the point spread.
+
+Light is traced backwards: a photon leaves the camera along z through endless homogeneous water, is scattered by the
+phase function, and ends where it first meets the endless plane at b·z scattering lengths, which emits the same
+radiance in all directions. Absorption is a weight e^(−aL) of the path L, so one walk serves every a/b.
+
+`python -m benchmarks.physics` writes results/physics.json and figures/physics.png and prints the tables.
+"""
+
+import argparse
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import jerlov
+import numpy as np
+import torch
+from scipy.optimize import minimize
+from scipy.special import j0
+
+from benchmarks.harness import save, use_threads
+from uwaug.formation import form_image
+from uwaug.medium import PAPER_SIZE, Medium, PointSpread
+
+HERE = Path(__file__).parent
+LENGTHS = (0.1, 0.2, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0)  # b·z
+ABSORPTION = (1.0, 0.4, 0.1)  # a/b: clear, coastal, turbid
+STATIONS = {
+    "ocean": ("AUTEC 7", "AUTEC 8", "AUTEC 9"),
+    "coast": ("HAOCE 5", "HAOCE 11"),
+    "harbour": ("NUC 2240", "NUC 2200", "NUC 2040"),
+}
+SIZE, FOCAL = 512, 0.866 * 512  # px: a square picture of 60°
+MEAN, CONTRAST = 0.5, 0.25  # of the picture that errors refer to; power ∝ 1/f²
+FREQUENCIES = np.geomspace(FOCAL / SIZE, FOCAL / 2, 64)  # cycles per unit tangent; equal steps of log f: equal power
+EDGES = np.concatenate([[0.0], np.geomspace(1e-5, 1e3, 641)])  # of the histogram of tangents
+
+Array = np.ndarray[Any, np.dtype[np.float64]]
+Sampler = Callable[[Array], tuple[Array, Array]]
+
+
+@dataclass(frozen=True)
+class PhaseFunction:
+    """Where one scattering sends light.
+
+    Attributes:
+        name: as printed.
+        absorption: a/b of the waters to look at.
+        sample: uniform numbers (N) to (cosine, sine) of the scattering angle.
+    """
+
+    name: str
+    absorption: tuple[float, ...]
+    sample: Sampler
+
+    @property
+    def mean_cosine(self) -> float:
+        """⟨cos θ⟩."""
+        return float(self.sample((np.arange(100_000) + 0.5) / 100_000)[0].mean())
+
+
+def henyey_greenstein(asymmetry: float) -> PhaseFunction:
+    """Henyey & Greenstein (1941), of mean cosine `asymmetry`, 0 < asymmetry < 1."""
+
+    def sample(u: Array) -> tuple[Array, Array]:
+        root = (1 - asymmetry**2) / (1 - asymmetry + 2 * asymmetry * u)
+        cosine = np.clip((1 + asymmetry**2 - root**2) / (2 * asymmetry), -1, 1)
+        return cosine, np.sqrt(1 - cosine**2)
+
+    return PhaseFunction(f"HG {asymmetry}", ABSORPTION, sample)
+
+
+def petzold(station: str) -> PhaseFunction:
+    """Petzold (1972) as measured, log-log between angles; below 0.1° the power law of the first two angles, on which
+    the report's own share of the light there rests.
+    """
+    measured = jerlov.petzold_scattering(station)
+    known = np.log(np.radians(measured.angles_deg))
+    grid = np.linspace(np.log(1e-10), np.log(np.pi), 20_001)
+    logs = np.log(measured.vsf)
+    slope = (logs[1] - logs[0]) / (known[1] - known[0])
+    vsf = np.exp(np.where(grid < known[0], logs[0] + slope * (grid - known[0]), np.interp(grid, known, logs)))
+    ring = 2 * np.pi * vsf * np.sin(np.exp(grid)) * np.exp(grid)  # per unit of log θ
+    share = np.concatenate([[0.0], np.cumsum((ring[1:] + ring[:-1]) / 2 * np.diff(grid))])
+    if abs(share[-1] / measured.b - 1) > 0.03:
+        raise ValueError(f"the angles of {station} hold {share[-1]:.4f}/m of b = {measured.b:.4f}/m")
+    share /= share[-1]
+
+    def sample(u: Array) -> tuple[Array, Array]:
+        angle = np.exp(np.interp(u, share, grid))
+        return np.cos(angle), np.sin(angle)
+
+    return PhaseFunction(station, (*ABSORPTION, round(measured.a / measured.b, 3)), sample)
+
+
+@dataclass(frozen=True)
+class Landings:
+    """Scattered light that reached the plane at `lengths` = b·z: tangent of the angle under which the camera would see
+    each landing point, path in scattering lengths, and weight; the weights of all photons sent sum to 1 − e^(−b·z).
+    """
+
+    lengths: float
+    tangent: Array
+    path: Array
+    weight: Array
+
+
+def walk(sample: Sampler, lengths: float, photons: int = 100_000, seed: int = 0) -> Landings:
+    """Send photons, each made to scatter before the plane (what does not is e^(−cz) exactly)."""
+    rng = np.random.default_rng(seed)
+    parts = [_walk(sample, lengths, min(20_000, photons - n), rng) for n in range(0, photons, 20_000)]
+    tangent, path, weight = (np.concatenate(column) for column in zip(*parts))
+    return Landings(lengths, tangent, path, weight * -np.expm1(-lengths) / photons)
+
+
+def _walk(sample: Sampler, lengths: float, n: int, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    def strata() -> Array:
+        numbers: Array = (rng.permutation(n) + rng.random(n)) / n
+        return numbers
+
+    path, angle, weight = -np.log1p(strata() * np.expm1(-lengths)), strata(), np.ones(n)
+    at, to = np.zeros((3, n)), np.zeros((3, n))
+    at[2], to[2] = path, 1.0
+    landed = []
+    while path.size:
+        cosine, sine = sample(angle)
+        to = _turn(to, cosine, sine, rng.uniform(0, 2 * np.pi, path.size))
+        step = rng.exponential(size=path.size)
+        ends = at[2] + step * to[2] >= lengths
+        x, y, z = at[:, ends]
+        rest = (lengths - z) / to[2, ends]
+        radius = np.hypot(x + rest * to[0, ends], y + rest * to[1, ends])
+        landed.append((radius / lengths, path[ends] + rest, weight[ends]))
+        stays = ~ends
+        # what has come far carries little light: roulette in step with a = 0.1 b
+        stays &= (path < 20) | (rng.random(path.size) < 0.9)
+        weight = np.where(path < 20, weight, weight / 0.9)[stays]
+        at, to, path = (at + step * to)[:, stays], to[:, stays], (path + step)[stays]
+        angle = rng.random(path.size)
+    tangent, total, weights = (np.concatenate(column) for column in zip(*landed))
+    return tangent, total, weights
+
+
+def _turn(to: Array, cosine: Array, sine: Array, azimuth: Array) -> Array:
+    """Unit vectors (3, N) turned by an angle; the basis of Duff et al. (2017) is smooth about the z axis."""
+    x, y, z = to
+    sign = np.copysign(1.0, z)
+    q = -1 / (sign + z)
+    across, along = sine * np.cos(azimuth), sine * np.sin(azimuth)
+    turned = cosine * to
+    turned[0] += across * (1 + sign * x * x * q) + along * (x * y * q)
+    turned[1] += across * (sign * x * y * q) + along * (sign + y * y * q)
+    turned[2] -= across * (sign * x) + along * y
+    turned /= np.sqrt((turned**2).sum(0))
+    return turned
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """Light from the plane in a water of absorption a/b: direct and forward share, transfer function of the scattered
+    light at `FREQUENCIES`, its share within each of `EDGES`[1:], and figures to print.
+    """
+
+    lengths: float
+    absorption: float
+    direct: float
+    forward: float
+    transfer: Array
+    encircled: Array
+    figures: dict[str, float]
+
+
+def spread(landings: Landings, absorption: float) -> Spread:
+    """Weigh a walk with absorption a/b.
+
+    Figures: shares D, F; g from D + F = e^(−(a + g b) z), of an endless plane and of a disc of 10° and 3° radius;
+    quantiles of the tangent; root mean square tangent within 45°; mean and deviation of its logarithm.
+    """
+    lengths, tangent = landings.lengths, landings.tangent
+    weight = landings.weight * np.exp(-absorption * landings.path)
+    direct, forward = float(np.exp(-(1 + absorption) * lengths)), float(weight.sum())
+    order = np.argsort(tangent)
+    share = np.cumsum(weight[order]) / forward
+    quantiles = np.interp((0.1, 0.25, 0.5, 0.75, 0.9), share, tangent[order])
+    near = tangent < 1
+    logs = np.log(np.maximum(tangent, 1e-9))
+    centre = float(np.average(logs, weights=weight))
+
+    def g(arrived: float) -> float:
+        return float(-np.log(arrived) / lengths - absorption)
+
+    figures = {
+        "D": direct,
+        "F": forward,
+        "g": g(direct + forward),
+        **{f"g_{r}deg": g(direct + weight[tangent < np.tan(np.radians(r))].sum()) for r in (10, 3)},
+        **{f"q{p}": float(q) for p, q in zip((10, 25, 50, 75, 90), quantiles)},
+        "rms_45deg": float(np.sqrt(np.average(tangent[near] ** 2, weights=weight[near]))),
+        "log_mean": centre,
+        "log_deviation": float(np.sqrt(np.average((logs - centre) ** 2, weights=weight))),
+    }
+    mass, _ = np.histogram(tangent, EDGES, weights=weight / forward)
+    transfer = j0(2 * np.pi * np.multiply.outer(FREQUENCIES, (EDGES[1:] + EDGES[:-1]) / 2)) @ mass
+    return Spread(lengths, absorption, direct, forward, transfer, np.cumsum(mass), figures)
+
+
+@dataclass(frozen=True)
+class Law:
+    """What a model claims of the scattered light: g, and a mixture of widths scale·(b·z)^exponent, unit tangent.
+
+    Attributes:
+        g: share of the scattered light that leaves the line of sight.
+        widths: (share, scale, exponent) of each part.
+        shape: "gaussian" or "exponential", as in `PointSpread`.
+    """
+
+    g: float
+    widths: tuple[tuple[float, float, float], ...]
+    shape: str = "gaussian"
+
+    def error(self, truth: Spread) -> float:
+        """RMSE of direct + forward light on a picture of `MEAN` and `CONTRAST` with power ∝ 1/f²."""
+        x = truth.lengths
+        transfer = np.zeros_like(FREQUENCIES)
+        for share, scale, exponent in self.widths:
+            radians = 2 * np.pi * scale * x**exponent * FREQUENCIES
+            transfer += share * np.exp(-radians if self.shape == "exponential" else -0.5 * radians**2)
+        return _error(truth, self.g, transfer)
+
+    def encircled(self, lengths: float, tangent: Array) -> Array:
+        """Share of the scattered light within a tangent."""
+        total = np.zeros_like(tangent)
+        for share, scale, exponent in self.widths:
+            r = tangent / (scale * lengths**exponent)
+            total += share * (1 - (1 / np.hypot(r, 1) if self.shape == "exponential" else np.exp(-0.5 * r * r)))
+        return total
+
+    def __str__(self) -> str:
+        parts = " + ".join(f"{share:.2f}·[{s:.4f} (bz)^{p:.2f}]" for share, s, p in self.widths)
+        return f"g = {self.g:.3f}, {self.shape} σ/f = {parts}"
+
+
+def _error(truth: Spread, g: float, transfer: Array) -> float:
+    forward = np.exp(-(truth.absorption + g) * truth.lengths) - truth.direct
+    wrong = forward * transfer - truth.forward * truth.transfer
+    return float(np.sqrt((MEAN * (forward - truth.forward)) ** 2 + CONTRAST**2 * (wrong**2).mean()))
+
+
+def least_error(truths: Sequence[Spread]) -> float:
+    """Mean error of the exact point spread with the best constant g: what no shape or width can repair."""
+    return min(float(np.mean([_error(t, g, t.transfer) for t in truths])) for g in np.linspace(0, 0.3, 301))
+
+
+PAPER = Law(0.2, ((1.0, 0.3 * SIZE / PAPER_SIZE / FOCAL, 1.0),))
+CALIBRATED = Law(0.066, ((1.0, PointSpread.calibrated(1.0).scale, PointSpread.calibrated(1.0).exponent),))  # type: ignore[arg-type]
+# g a little above that of least error, so that far scenes, shown brighter, are no worse than by the calibrated law
+PROPOSED = Law(0.05, ((1.0, 0.030, 0.62),), "exponential")
+
+
+def mean_error(law: Law, truths: Sequence[Spread], *, exposed: bool = False) -> float:
+    """Mean of `Law.error`; `exposed`: each over the light that arrives, as if every distance were exposed alike."""
+    return float(np.mean([law.error(t) / (t.direct + t.forward if exposed else 1) for t in truths]))
+
+
+def fit_law(truths: Sequence[Spread], shape: str = "gaussian", parts: int = 1) -> Law:
+    """The law of least mean square error: one or two widths, one g."""
+
+    def law(p: Array) -> Law:
+        if parts == 1:
+            return Law(abs(p[0]), ((1.0, float(np.exp(p[1])), abs(p[2])),), shape)
+        share = 1 / (1 + float(np.exp(-p[3])))
+        return Law(
+            abs(p[0]),
+            ((share, float(np.exp(p[1])), abs(p[2])), (1 - share, float(np.exp(p[4])), abs(p[5]))),
+            shape,
+        )
+
+    start = [0.06, np.log(0.06), 0.5] if parts == 1 else [0.05, np.log(0.01), 0.9, -0.5, np.log(0.11), 0.45]
+
+    def loss(p: Array) -> float:
+        return 1e4 * float(np.mean([law(p).error(truth) ** 2 for truth in truths]))
+
+    options = {"xatol": 1e-3, "fatol": 1e-4, "maxfev": 3000}
+    return law(minimize(loss, start, method="Nelder-Mead", options=options).x)
+
+
+@lru_cache(maxsize=1)
+def _pictures() -> tuple[torch.Tensor, Array, list[dict[str, float]]]:
+    with np.load(HERE.parent / "tests" / "data" / "monte_carlo.npz") as data:
+        return torch.from_numpy(data["J"].astype(float)), data["DF"].astype(float), json.loads(str(data["params"]))
+
+
+def picture_error(law: Law) -> float:
+    """Mean RMSE of direct + forward light over the Monte Carlo pictures (HG .924), their noise taken out."""
+    texture, observed, cases = _pictures()
+    offset, found = torch.arange(128).double() - 63.5, []
+    for light, case in zip(observed, cases):
+        a, b, f = case["a"], case["b"], case["focal_px"]
+        z = case["z"] * torch.sqrt(1 + (offset[:, None] / f) ** 2 + (offset / f) ** 2)[None]
+        total = torch.zeros(128, 128, dtype=torch.float64)
+        for share, scale, exponent in law.widths:
+            blur = PointSpread(scale * f, exponent, law.shape)  # type: ignore[arg-type]
+            G = a + law.g * b
+            medium = Medium.from_coefficients((a + b,) * 3, (G,) * 3, (0,) * 3, b_mean=b, point_spread=blur)
+            terms = form_image(texture.expand(3, -1, -1), z, medium)
+            total += share * (terms.direct + terms.forward)[0]
+        found.append(float(np.sqrt(((total.numpy() - light) ** 2).mean() - case["noise"] ** 2)))
+    return float(np.mean(found))
+
+
+def survey(phases: Sequence[PhaseFunction], photons: int) -> dict[str, list[Spread]]:
+    """All phase functions at all `LENGTHS` and their own a/b."""
+    result: dict[str, list[Spread]] = {}
+    for phase in phases:
+        walks = [walk(phase.sample, lengths, photons, seed) for seed, lengths in enumerate(LENGTHS)]
+        result[phase.name] = [spread(w, absorption) for absorption in phase.absorption for w in walks]
+    return result
+
+
+def rule_for_g(phases: Sequence[PhaseFunction], spreads: dict[str, list[Spread]]) -> dict[str, float]:
+    """Power law g = k·(1 − ⟨cos θ⟩)^p·(a/b)^q·(b z)^r by least squares of logarithms, and its deviation as a factor."""
+    rows, logs = [], []
+    for phase in phases:
+        for s in spreads[phase.name]:
+            rows.append([1, np.log(1 - phase.mean_cosine), np.log(s.absorption), np.log(s.lengths)])
+            logs.append(np.log(s.figures["g"]))
+    solution = np.linalg.lstsq(np.array(rows), np.array(logs), rcond=None)[0]
+    off = np.array(rows) @ solution - logs
+    return {
+        "k": float(np.exp(solution[0])),
+        "p_cosine": float(solution[1]),
+        "q_absorption": float(solution[2]),
+        "r_lengths": float(solution[3]),
+        "deviation_factor": float(np.exp(off.std())),
+    }
+
+
+def _rounded(s: Spread) -> dict[str, float]:
+    return {"bz": s.lengths, "a/b": s.absorption, **{k: float(f"{v:.5g}") for k, v in s.figures.items()}}
+
+
+def _at(spreads: Sequence[Spread], lengths: float, absorption: float) -> Spread:
+    return next(s for s in spreads if s.lengths == lengths and s.absorption == absorption)
+
+
+def compare(
+    spreads: dict[str, list[Spread]], own: dict[str, list[Spread]]
+) -> tuple[dict[str, Law], dict[str, dict[str, float]]]:
+    """Laws, given and refitted, and the mean error of each on Henyey–Greenstein, on Petzold's waters and in pictures.
+
+    The refits serve HG .924 and Petzold's stations, in their own waters, alike.
+    """
+    petzolds = [s for name in own for s in own[name]]
+    sets = {**{name: row for name, row in spreads.items() if name.startswith("HG")}, **own, "Petzold": petzolds}
+    both = [*spreads["HG 0.924"], *petzolds]
+    laws = {
+        "direct only": Law(1.0, ((1.0, 0.0, 1.0),)),
+        "paper": PAPER,
+        "paper, px of a 128 px picture": Law(PAPER.g, ((1.0, 0.3 / (0.866 * 128), 1.0),)),
+        "calibrated": CALIBRATED,
+        "exponential, proposed": PROPOSED,
+        "one Gaussian, refitted": fit_law(both),
+        "exponential, refitted": fit_law(both, "exponential"),
+        "two Gaussians, refitted": fit_law(both, parts=2),
+        "one Gaussian, Petzold alone": fit_law(petzolds),
+        "exponential, Petzold alone": fit_law(petzolds, "exponential"),
+        "exponential, HG 0.924 alone": fit_law(spreads["HG 0.924"], "exponential"),
+    }
+    exposed = ("HG 0.924", "Petzold")
+    errors = {
+        name: {
+            **{key: mean_error(law, truths) for key, truths in sets.items()},
+            **{f"{key}, exposed": mean_error(law, sets[key], exposed=True) for key in exposed},
+            "pictures": picture_error(law),
+        }
+        for name, law in laws.items()
+    }
+    errors["exact shape, best constant g"] = {key: least_error(truths) for key, truths in sets.items()}
+    columns = (key.replace("HG 0", "HG ").replace("exposed", "ex.") for key in errors["paper"])
+    print("mean RMSE of D + F".ljust(30), *(column.rjust(13) for column in columns))
+    for name, row in errors.items():
+        print(
+            name.ljust(30), *(f"{v:13.4f}" for v in row.values()), f"  {laws[name]}" if name in laws else "", flush=True
+        )
+    return laws, errors
+
+
+def draw(spreads: dict[str, list[Spread]], laws: dict[str, Law], errors: dict[str, dict[str, float]]) -> Path:
+    """Four panels: g, width, shape, error."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, ((left, right), (shape, bars)) = plt.subplots(2, 2, figsize=(11, 7.6), layout="constrained")
+    names = {"HG 0.85": "C0", "HG 0.924": "C1", "AUTEC 7": "C2", "HAOCE 11": "C3", "NUC 2200": "C4"}
+    shown = {
+        "paper": ("0.0", ":"),
+        "calibrated": ("0.0", "--"),
+        "exponential, proposed": ("0.0", "-"),
+        "two Gaussians, refitted": ("0.6", "-"),
+    }
+    radius = np.geomspace(3e-5, 3, 300)
+    for name, colour in names.items():
+        row = [_at(spreads[name], x, 0.4) for x in LENGTHS]
+        left.plot(LENGTHS, [s.figures["g"] for s in row], "o-", ms=4, color=colour, label=name)
+        right.loglog(LENGTHS, [s.figures["q50"] for s in row], "o-", ms=4, color=colour)
+        shape.semilogx(radius, np.interp(radius, EDGES[1:], row[3].encircled), color=colour, lw=2)
+    for name, (colour, style) in shown.items():
+        law = laws[name]
+        left.axhline(law.g, color=colour, ls=style, lw=1.2)
+        within = np.array([law.encircled(x, radius) for x in LENGTHS])
+        right.plot(LENGTHS, [np.interp(0.5, w, radius) for w in within], color=colour, ls=style, lw=1.2, label=name)
+        shape.plot(radius, within[3], color=colour, ls=style, lw=1.2)
+    left.set(xlabel="b·z", ylabel="effective g", title="Share of scattered light that is lost (a/b = 0.4)")
+    right.set(xlabel="b·z", ylabel="median tangent of scattered light", title="Width")
+    shape.set(xlabel="tangent", ylabel="share of scattered light within", title="Shape at b·z = 1")
+    left.legend(frameon=False, fontsize=8, title="Monte Carlo", bbox_to_anchor=(0, 0.94), loc="upper left")
+    right.legend(frameon=False, fontsize=8, title="laws")
+    columns = ("HG 0.924", "Petzold", "pictures")
+    for n, name in enumerate(shown):
+        values = [errors[name][c] for c in columns]
+        bar = bars.bar(np.arange(3) + 0.2 * n - 0.3, values, 0.18, color=("0.75", "0.5", "#1f6fb4", "#8fbbe0")[n])
+        bars.bar_label(bar, [f"{v:.3f}"[1:] for v in values], fontsize=7)
+        bar.set_label(name)
+    bars.set_xticks(range(3), ("HG .924", "Petzold's stations", "pictures (HG .924)"))
+    bars.set(ylabel="mean RMSE of D + F", title="Error of the laws, b·z = 0.1 … 5")
+    bars.legend(frameon=False, fontsize=8)
+    for axis in (left, right, shape, bars):
+        axis.spines[["top", "right"]].set_visible(False)
+    path = HERE / "figures" / "physics.png"
+    figure.savefig(path, dpi=85)
+    plt.close(figure)
+    return path
+
+
+def main(quick: bool = False) -> None:
+    """Run all parts and save the figures."""
+    use_threads(1)
+    stations = {k: v[:1] for k, v in STATIONS.items()} if quick else STATIONS
+    phases = [henyey_greenstein(g) for g in ((0.924,) if quick else (0.85, 0.9, 0.924, 0.95))]
+    phases += [petzold(name) for group in stations.values() for name in group]
+    spreads = survey(phases, 10_000 if quick else 400_000)
+    print("phase function   ⟨cos⟩    a/b=.4: g at b·z = .1     1     5; seen on a disc of 10°, 3°; median tangent")
+    for phase in phases:
+        row = [_at(spreads[phase.name], x, 0.4).figures for x in (0.1, 1.0, 5.0)]
+        g, q = [f["g"] for f in row], [f["q50"] for f in row]
+        disc = f"{row[1]['g_10deg']:.3f}, {row[1]['g_3deg']:.3f}"
+        print(f"{phase.name:14s} {phase.mean_cosine:8.4f} ", *(f"{v:.4f}" for v in g), disc, *(f"{v:.4f}" for v in q))
+    rule = rule_for_g(phases, spreads)
+    print("g = {k:.3f} (1 − ⟨cos⟩)^{p_cosine:.2f} (a/b)^{q_absorption:.2f} (bz)^{r_lengths:.2f}, within a factor "
+          "{deviation_factor:.2f}".format(**rule))  # fmt: skip
+    own = {
+        group: [s for n in names for s in spreads[n] if s.absorption not in ABSORPTION]
+        for group, names in stations.items()
+    }
+    laws, errors = compare(spreads, own)
+    each = {n: {k: fit_law(spreads[n], k) for k in ("gaussian", "exponential")} for n in ([] if quick else spreads)}
+    for name, fits in each.items():
+        print(name, *fits.values(), sep="; ", flush=True)
+    if quick:
+        return
+    results = {
+        "picture": {"mean": MEAN, "contrast": CONTRAST, "size_px": SIZE, "focal_px": FOCAL},
+        "mean_cosine": {phase.name: phase.mean_cosine for phase in phases},
+        "walks": {name: [_rounded(s) for s in row] for name, row in spreads.items()},
+        "rule_for_g": rule,
+        "laws": {n: {"g": law.g, "shape": law.shape, "share_scale_exponent": law.widths} for n, law in laws.items()},
+        "each": {n: {k: [law.g, *law.widths[0][1:]] for k, law in fits.items()} for n, fits in each.items()},
+        "errors": errors,
+    }
+    print(save("physics", results), draw(spreads, laws, errors))
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="a smoke test: few photons and waters, nothing written")
+    main(parser.parse_args().quick)

@@ -1,0 +1,121 @@
+"""Our random walk against an independent one (tabulated figures), and against what is known in closed form."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("cv2")
+sys.path.append(str(Path(__file__).parents[1]))  # for `import benchmarks`: importlib mode adds no path
+
+from benchmarks.physics import (
+    CALIBRATED,
+    EDGES,
+    FREQUENCIES,
+    LENGTHS,
+    PAPER,
+    PROPOSED,
+    STATIONS,
+    Law,
+    Spread,
+    fit_law,
+    henyey_greenstein,
+    mean_error,
+    petzold,
+    picture_error,
+    spread,
+    walk,
+)
+
+PHOTONS = 100_000
+# Henyey–Greenstein mean cosine, a/b, b·z: forward share, effective g, quantiles 25, 50, 75, 90 % of the tangent
+TABLE = [
+    (0.85, 1.0, 0.5, 0.21444, 0.08147, (0.048503, 0.117656, 0.256422, 0.506241)),
+    (0.85, 0.4, 2.0, 0.304873, 0.10299, (0.07828, 0.17503, 0.353784, 0.636074)),
+    (0.85, 0.4, 3.0, 0.193537, 0.12255, (0.098893, 0.207729, 0.391868, 0.65715)),
+    (0.924, 1.0, 0.1, 0.083989, 0.02344, (0.022445, 0.056231, 0.132212, 0.299721)),
+    (0.924, 0.4, 1.0, 0.399512, 0.03679, (0.031402, 0.076881, 0.175897, 0.369247)),
+    (0.924, 0.1, 2.0, 0.661072, 0.02947, (0.047043, 0.110767, 0.248454, 0.523024)),
+    (0.924, 0.1, 5.0, 0.482368, 0.04412, (0.10408, 0.211276, 0.41004, 0.742703)),
+]
+
+
+@pytest.mark.parametrize("asymmetry, absorption, lengths, forward, g, quantiles", TABLE)
+def test_agrees_with_an_independent_walk(
+    asymmetry: float, absorption: float, lengths: float, forward: float, g: float, quantiles: tuple[float, ...]
+) -> None:
+    found = spread(walk(henyey_greenstein(asymmetry).sample, lengths, PHOTONS), absorption)
+    assert found.forward == pytest.approx(forward, rel=0.005)
+    assert found.figures["g"] == pytest.approx(g, rel=0.03, abs=5e-4)
+    for name, value in zip(("q25", "q50", "q75", "q90"), quantiles):
+        assert found.figures[name] == pytest.approx(value, rel=0.02), name
+
+
+@pytest.mark.parametrize("asymmetry", [0.5, 0.924])
+def test_henyey_greenstein_samples_its_moments(asymmetry: float) -> None:
+    cosine, sine = henyey_greenstein(asymmetry).sample((np.arange(1_000_000) + 0.5) / 1e6)
+    np.testing.assert_allclose(cosine**2 + sine**2, 1, atol=1e-12)
+    assert cosine.mean() == pytest.approx(asymmetry, abs=1e-4)
+    # its Legendre moments are the powers of the asymmetry
+    assert (1.5 * cosine**2 - 0.5).mean() == pytest.approx(asymmetry**2, abs=1e-4)
+
+
+@pytest.mark.parametrize("station", [name for group in STATIONS.values() for name in group])
+def test_petzold_samples_what_was_measured(station: str) -> None:
+    import jerlov
+
+    measured = jerlov.petzold_scattering(station)
+    cosine, sine = petzold(station).sample((np.arange(1_000_000) + 0.5) / 1e6)
+    angle = np.degrees(np.arctan2(sine, cosine))
+    # the report's own integrals, which its tables do not reproduce to the last digit
+    assert (angle < 0.1).mean() == pytest.approx(measured.fraction_below_0_1_deg, rel=0.05)
+    assert (angle > 90).mean() == pytest.approx(measured.backscatter_ratio, rel=0.06)
+
+
+def test_single_scattering_in_a_thin_layer() -> None:
+    """At b·z = .001 light is scattered once: two integrals over the depth and the angle, with a/b = 1."""
+    lengths, asymmetry, absorption = 1e-3, 0.85, 1.0
+    mu = (np.arange(20_000) + 0.5) / 20_000
+    phase = 0.5 * (1 - asymmetry**2) / (1 + asymmetry**2 - 2 * asymmetry * mu) ** 1.5
+    depth = (np.arange(50) + 0.5) / 50 * lengths
+    c = 1 + absorption
+    arrives = np.exp(-c * (depth[:, None] + (lengths - depth[:, None]) / mu))
+    expected = lengths * (arrives * phase).mean()
+    found = spread(walk(henyey_greenstein(asymmetry).sample, lengths, PHOTONS), absorption)
+    assert found.forward == pytest.approx(expected, rel=0.005)
+
+
+def test_a_walk_repeats_with_its_seed_only() -> None:
+    sample = henyey_greenstein(0.9).sample
+    first, again, other = (walk(sample, 1.0, 1000, seed) for seed in (1, 1, 2))
+    assert np.array_equal(first.tangent, again.tangent)
+    assert not np.array_equal(first.tangent, other.tangent)
+
+
+def synthetic(law: Law, lengths: float) -> Spread:
+    """What a law says, as if a walk had found it."""
+    transfer = sum(s * np.exp(-2 * (np.pi * w * lengths**p * FREQUENCIES) ** 2) for s, w, p in law.widths)
+    direct = np.exp(-1.4 * lengths)
+    forward = np.exp(-(0.4 + law.g) * lengths) - direct
+    return Spread(lengths, 0.4, direct, forward, transfer, law.encircled(lengths, EDGES[1:]), {})
+
+
+def test_a_fit_finds_the_law_behind_the_data() -> None:
+    law = Law(0.1, ((1.0, 0.05, 0.7),))
+    truths = [synthetic(law, lengths) for lengths in LENGTHS]
+    assert mean_error(law, truths) < 1e-12
+    found = fit_law(truths)
+    assert found.g == pytest.approx(0.1, rel=0.02)
+    assert found.widths[0][1:] == pytest.approx((0.05, 0.7), rel=0.02)
+
+
+@pytest.mark.parametrize("shape, half", [("gaussian", np.sqrt(2 * np.log(2))), ("exponential", np.sqrt(3))])
+def test_half_of_the_light_is_within(shape: str, half: float) -> None:
+    law = Law(0.0, ((1.0, 0.1, 0.5),), shape)
+    assert law.encircled(4.0, np.array([0.2 * half])) == pytest.approx(0.5)
+
+
+def test_heavy_tails_are_nearer_to_the_pictures_than_one_gaussian() -> None:
+    assert picture_error(PROPOSED) < 0.9 * picture_error(CALIBRATED)
+    assert picture_error(CALIBRATED) < 0.25 * picture_error(PAPER)
