@@ -561,7 +561,8 @@ def test_demand_leaves_out_what_cannot_show() -> None:
 
 
 def test_similar_media_share_a_plan() -> None:
-    plans = {blur_demand(uniform(0.5, 0.2, b_mean=b)(), (1.0, 6.0)).plan((100, 100), shared=True) for b in np.linspace(0.7, 0.72, 9)}
+    demands = (blur_demand(uniform(0.5, 0.2, b_mean=b)(), (1.0, 6.0)) for b in np.linspace(0.7, 0.72, 9))
+    plans = {demand.plan((100, 100), shared=True) for demand in demands}
     assert len(plans) <= 2
 
 

@@ -1,2 +1,124 @@
-def test_name():
-    assert __name__ == "x"
+import json
+import multiprocessing
+from typing import Any
+
+import pytest
+import torch
+from loading import SIZE, Crops, DegradeBatch, Degraded, Keyed, Pairs
+from torch import Tensor, nn
+from torch.utils.data import DataLoader
+
+from uwaug import RandomUnderwater
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning"),  # Python ≥ 3.12 warns of every fork with threads
+    pytest.mark.filterwarnings("ignore:This DataLoader will create"),  # on machines of one core
+]
+START = pytest.mark.parametrize("start", [m for m in ("fork", "spawn") if m in multiprocessing.get_all_start_methods()])
+
+
+@pytest.fixture(scope="module")
+def crops(motorcycle: Any) -> Crops:
+    return Crops(motorcycle.srgb.float(), motorcycle.distance.float())
+
+
+def loader(dataset: Any, start: str | None = None, workers: int = 2, **options: Any) -> "DataLoader[Any]":
+    context = {"multiprocessing_context": start, "timeout": 60} if workers else {}
+    return DataLoader(dataset, **{"batch_size": 4, "num_workers": workers, **context, **options})
+
+
+@START
+def test_classification(start: str, crops: Crops) -> None:
+    torch.manual_seed(0)
+    augment = RandomUnderwater(["II", "1C"], mixing=(0, 1), p=0.9)
+    model = nn.Sequential(nn.BatchNorm2d(3), nn.Conv2d(3, 8, 5, 4), nn.ReLU(), nn.Flatten(), nn.LazyLinear(2))
+    model(torch.zeros(2, 3, SIZE, SIZE))  # makes the lazy layer
+    optimizer = torch.optim.Adam(model.parameters(), 0.01)
+    # workers that persist go on with their random numbers: other waters in the next epoch
+    data = loader(Degraded(crops, augment), start, persistent_workers=True)
+    losses, epochs = [], []
+    for _ in range(5):
+        seen = []
+        for images, labels in data:
+            loss = nn.functional.cross_entropy(model(images), labels)
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            seen.append((images, labels, loss.item()))
+        pictures, truth, values = zip(*seen)
+        epochs.append(torch.cat(pictures))
+        losses.append(sum(values))
+        assert torch.cat(truth).tolist() == [label for *_, label in crops]
+    assert losses[-1] < losses[0] / 2
+    clean = torch.stack([image for image, *_ in crops])
+    assert all(images.shape == clean.shape for images in epochs)
+    assert not torch.equal(epochs[0], epochs[1])
+    touched = (epochs[0] != clean).flatten(1).any(1)
+    assert touched.sum() >= len(crops) / 2
+
+
+@START
+def test_paired_restoration(start: str, crops: Crops) -> None:
+    torch.manual_seed(1)
+    augment = RandomUnderwater(visibility=(2.0, 8.0), g=(0.1, 0.3))
+    model = nn.Conv2d(3, 3, 3, padding=1)
+    optimizer = torch.optim.Adam(model.parameters(), 0.05)
+    data = loader(Pairs(crops, augment), start)
+    losses, seeds = [], []
+    for _ in range(2):
+        first, total = 0, 0.0
+        for clean, degraded, records in data:
+            loss = nn.functional.l1_loss(model(degraded), clean)
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            total += loss.item()
+            for i, record in enumerate(map(json.loads, records)):
+                image, distance, _ = crops[first + i]
+                assert torch.equal(clean[i], image)
+                # what a worker has drawn, with one thread, is replayed here bit for bit
+                assert torch.equal(augment.transform(image, distance, record), degraded[i])
+                seeds.append(record["samples"][0]["field_seed"])
+            first += len(clean)
+        losses.append(total)
+    assert losses[-1] < losses[0]
+    # two workers, two epochs, no draw twice
+    assert len(seeds) == len(set(seeds)) == 2 * len(crops)
+
+
+def run(data: "DataLoader[Any]") -> dict[int, Tensor]:
+    return {int(i): image for indices, images in data for i, image in zip(indices, images)}
+
+
+def test_keys_do_not_depend_on_workers(crops: Crops) -> None:
+    dataset = Keyed(crops, RandomUnderwater(mixing=(0, 1), visibility=(2.0, 8.0)))
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)  # the main process has more than a worker
+    expected = run(loader(dataset, workers=0))
+    torch.set_num_threads(before)
+    for data in (
+        loader(dataset, "fork", 1),
+        loader(dataset, "fork", 2, shuffle=True),
+        loader(dataset, "spawn", 2, batch_size=3),
+    ):
+        found = run(data)
+        assert found.keys() == expected.keys()
+        assert all(torch.equal(found[i], expected[i]) for i in expected)
+    dataset.epoch = 1
+    later = run(loader(dataset, "fork", 2))
+    assert not any(torch.equal(later[i], expected[i]) for i in expected)
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_whole_batches_in_collate_fn(workers: int, crops: Crops) -> None:
+    torch.manual_seed(2)
+    for augment in (RandomUnderwater(p=0.7), RandomUnderwater(same_on_batch=True)):
+        data = loader(crops, "fork", workers, collate_fn=DegradeBatch(augment))
+        batches = list(data)
+        assert all(type(batch) is list and len(batch) == 3 for batch in batches)
+        images, distances, labels = (torch.cat(parts) for parts in zip(*batches))
+        clean, given, wanted = zip(*crops)
+        assert torch.equal(distances, torch.stack(given))
+        assert labels.tolist() == list(wanted)
+        assert images.shape == (len(crops), 3, SIZE, SIZE)
+        assert not torch.equal(images, torch.stack(clean))

@@ -6,7 +6,8 @@ import subprocess
 import sys
 from collections import OrderedDict, defaultdict
 from collections.abc import Callable, Iterator
-from pathlib import Path, PosixPath, WindowsPath
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import kornia
@@ -16,7 +17,7 @@ import torch
 from torch import Tensor
 
 import uwaug.transforms
-from uwaug import JERLOV_TYPES, Camera, Medium, PointSpread, RandomUnderwater, Water, form_image, load_camera, load_preset
+from uwaug import JERLOV_TYPES, Camera, Medium, PointSpread, RandomUnderwater, Water, form_image, load_preset
 from uwaug.colour import linear_to_srgb, srgb_to_linear
 from uwaug.distance import fill_unknown, from_inverse, from_relative
 from uwaug.field import gaussian_random_field
@@ -42,7 +43,6 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "weights": {"waters": {"II": 3.0, "9C": 0, TANK: 1.5}},
     "everything random": EVERYTHING,
     "cameras": {"cameras": ["sigma sdmerill (npl)", LASERS]},
-    "file": {"cameras": Path(__file__).parent / "data" / "camera.csv"},
     "calibrated": {"point_spread": PointSpread.calibrated(28.6), "g": 0.066, "mu": 0.1},
     "heavy tails": {"point_spread": PointSpread(1.0, 0.6, "exponential")},
     "no blur": {"point_spread": PointSpread.none(), "tolerance": 0.01},
@@ -73,12 +73,13 @@ def picture(batch: int | None = None, dtype: torch.dtype = torch.float32) -> Ten
 
 
 def distances(batch: int | None = None) -> Tensor:
-    return torch.rand(*(() if batch is None else (batch,)), 1, H, W, generator=torch.Generator().manual_seed(8)) + 1e-3
+    generator = torch.Generator().manual_seed(8)
+    return 1e-3 + 0.999 * torch.rand(*(() if batch is None else (batch,)), 1, H, W, generator=generator)
 
 
 def leaves(aug: RandomUnderwater, batch: int | None = None) -> tuple[Tensor, ...]:
     """What a transform takes: image and map, or image alone."""
-    return (picture(batch), distances(batch).clamp(max=1)) if aug.distance is None else (picture(batch),)
+    return (picture(batch), distances(batch)) if aug.distance is None else (picture(batch),)
 
 
 def result(aug: RandomUnderwater, batch: int | None = None, key: int = 0) -> Tensor:
@@ -98,7 +99,7 @@ def test_replay_is_bit_exact(options: dict[str, Any], batch: int | None) -> None
     aug = RandomUnderwater(**options)
     image, *rest = leaves(aug, batch)
     distance = rest[0] if rest else None
-    for seed in range(4):
+    for seed in range(2):
         torch.manual_seed(seed)
         record = aug.make_params(image)
         first = aug.transform(image, distance, record)
@@ -111,7 +112,7 @@ def test_replay_is_bit_exact(options: dict[str, Any], batch: int | None) -> None
         assert same(first, aug.transform(image, distance, read))
         assert same(first, aug.transform(image, distance, pickle.loads(pickle.dumps(record))))
         assert same(first, pickle.loads(pickle.dumps(aug)).transform(image, distance, read))
-        for threads in (1, 2, 3):
+        for threads in (1, 3):
             before = torch.get_num_threads()
             torch.set_num_threads(threads)
             assert same(first, aug.transform(image, distance, record))
@@ -130,8 +131,8 @@ def test_replay_in_another_process(tmp_path: Path) -> None:
 import json, pickle, sys, torch
 augs, inputs = pickle.load(open("augs.pickle", "rb"))
 records = json.load(open("records.json"))
-out = {name: aug.transform(*inputs[name], *[None] * (2 - len(inputs[name])), records[name]) for name, aug in augs.items()}
-torch.save(out, "results.pt")
+results = {name: aug.transform(*(*inputs[name], None)[:2], records[name]) for name, aug in augs.items()}
+torch.save(results, "results.pt")
 """
     subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)
     for name, theirs in torch.load(tmp_path / "results.pt").items():
@@ -175,16 +176,9 @@ def test_copies_and_pickles(options: dict[str, Any]) -> None:
 
 
 def test_repr_builds_the_transform(options: dict[str, Any]) -> None:
-    names = {
-        "RandomUnderwater": RandomUnderwater,
-        "PointSpread": PointSpread,
-        "PosixPath": PosixPath,
-        "WindowsPath": WindowsPath,
-        repr(TANK): TANK,
-    }
     aug = RandomUnderwater(**options)
     text = repr(aug).replace(repr(TANK), "TANK").replace(repr(LASERS), "LASERS").replace(repr(brightness), "brightness")
-    twin = eval(text, {**names, "TANK": TANK, "LASERS": LASERS, "brightness": brightness})
+    twin = eval(text)
     assert repr(twin) == repr(aug)
     assert same(result(aug, 2), result(twin, 2))
 
@@ -205,7 +199,7 @@ class Sample(NamedTuple):
 @pytest.mark.parametrize("batch", [None, 2], ids=["single", "batch"])
 def test_structure_identity_and_no_mutation(options: dict[str, Any], batch: int | None) -> None:
     aug = RandomUnderwater(**{**options, "p": 1.0})
-    image, distance = picture(batch), distances(batch).clamp(max=1)
+    image, distance = picture(batch), distances(batch)
     kept = image.clone(), distance.clone()
     label, boxes = object(), [torch.zeros(2, 4)]
     keys = aug.image_key, aug.distance_key
@@ -214,30 +208,38 @@ def test_structure_identity_and_no_mutation(options: dict[str, Any], batch: int 
     for sample in (named, OrderedDict(named), default):
         before = dict(sample)
         out = aug(sample)
-        assert type(out) is type(sample) and out is not sample and list(out) == list(sample)
+        assert type(out) is type(sample)
+        assert out is not sample
+        assert list(out) == list(sample)
         assert all(sample[k] is before[k] for k in before)
         assert all(out[k] is sample[k] for k in sample if k != keys[0])
-        assert out[keys[0]].shape == image.shape and not torch.equal(out[keys[0]], image)
+        assert out[keys[0]].shape == image.shape
+        assert not torch.equal(out[keys[0]], image)
     for sample in ((image, distance, label, boxes), [image, distance, label, boxes], Sample(image, distance, 3)):
         before = list(sample)
         out = aug(sample)
-        assert type(out) is type(sample) and len(out) == len(sample)
+        assert type(out) is type(sample)
+        assert len(out) == len(sample)
         assert all(a is b for a, b in zip(sample, before))
         assert all(a is b for a, b in zip(out[1:], sample[1:]))
         assert not torch.equal(out[0], image)
     out = aug(image, distance, label)
-    assert type(out) is tuple and out[1] is distance and out[2] is label
+    assert type(out) is tuple
+    assert out[1] is distance
+    assert out[2] is label
     assert all(torch.equal(a, b) for a, b in zip((image, distance), kept))
 
 
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.float16, torch.bfloat16, torch.float32, torch.float64])
 @pytest.mark.parametrize("batch", [None, 2], ids=["single", "batch"])
 def test_types(options: dict[str, Any], dtype: torch.dtype, batch: int | None) -> None:
-    aug = RandomUnderwater(**{**options, "distance": 3.0 if "distance" not in options else options["distance"]})
+    aug = RandomUnderwater(**{**options, "distance": options.get("distance", 3.0)})
     image = picture(batch, dtype)
     record = aug.make_params(image)
     out = aug.transform(image, None, record)
-    assert out.dtype == dtype and out.shape == image.shape and out.is_contiguous()
+    assert out.dtype == dtype
+    assert out.shape == image.shape
+    assert out.is_contiguous()
     if dtype == torch.uint8:
         exact = aug.transform(image / 255, None, record)
         assert same(out, (exact * 255).round().clamp(0, 255).byte())
@@ -249,13 +251,14 @@ def test_types(options: dict[str, Any], dtype: torch.dtype, batch: int | None) -
 
 
 def test_half_precision_maps() -> None:
-    aug, image, distance = RandomUnderwater(), picture(), 1 + 4 * distances().clamp(max=1)
+    aug, image, distance = RandomUnderwater(), picture(), 1 + 4 * distances()
     record = aug.make_params(image)
     exact = aug.transform(image, distance, record)
     for dtype, error in ((torch.float16, 2e-3), (torch.bfloat16, 2e-2), (torch.float64, 1e-6)):
         assert (aug.transform(image, distance.to(dtype), record) - exact).abs().max() < error
         half = aug.transform(image.to(dtype), distance.to(dtype), record)
-        assert half.dtype == dtype and (half - exact).abs().max() < 2 * error
+        assert half.dtype == dtype
+        assert (half - exact).abs().max() < 2 * error
 
 
 def test_autocast_and_grad_mode_do_not_show() -> None:
@@ -283,9 +286,12 @@ def test_subclasses_come_back(batch: int | None, dtype: torch.dtype) -> None:
     aug = RandomUnderwater()
     image, distance = picture(batch, dtype).as_subclass(Photo), (distances(batch) + 1).as_subclass(Map)
     out, same_map = aug.at(0, 0, 0)(image, distance)
-    assert type(out) is Photo and same_map is distance and type(distance) is Map
+    assert type(out) is Photo
+    assert same_map is distance
+    assert type(distance) is Map
     plain, _ = aug.at(0, 0, 0)(picture(batch, dtype), distances(batch) + 1)
-    assert type(plain) is Tensor and same(plain, out.as_subclass(Tensor))
+    assert type(plain) is Tensor
+    assert same(plain, out.as_subclass(Tensor))
     assert type(aug({"image": image, "distance": distance})["image"]) is Photo
 
 
@@ -301,10 +307,11 @@ def test_torch_compile_replays_every_record(options: dict[str, Any]) -> None:
         assert same(compiled(image, distance, record), aug.transform(image, distance, record))
 
 
+@pytest.mark.filterwarnings("ignore:.*torch.jit.script_method.*:DeprecationWarning")  # torch's own
 def test_torch_compile_whole_batches() -> None:
     torch.compiler.reset()
     aug = RandomUnderwater("7C", g=(0.1, 0.3), p=0.7)
-    compiled = torch.compile(aug.transform, fullgraph=True)
+    compiled = torch.compile(aug.transform, fullgraph=True, backend="aot_eager")
     image, distance = picture(3), distances(3) + 1
     record = aug.make_params(image)
     for _ in range(12):  # more than the graphs that PyTorch would make
@@ -328,13 +335,16 @@ def test_transform_is_form_image(kind: str, color_space: str) -> None:
     elif kind != "metric":
         options |= {"distance": (1.0, 4.0)} if kind == "plane" else {"unknown": "fill"}
     aug = RandomUnderwater(["II", "7C", TANK], **options)
-    image, given = picture(2), distances(2).clamp(max=1) * (1 if "distance_kind" in options else 5)
+    image, given = picture(2), distances(2) * (1 if "distance_kind" in options else 5)
     if kind == "fill":
         given[:, :, 3:5, 4:9] = torch.tensor([math.nan, 0, -1, 0, 0])
     record = aug.make_params(image)
     out = aug.transform(image, None if kind == "plane" else given, record)
     for i, s in enumerate(record["samples"]):
-        first, second = (TANK if name == "tank" else Water.jerlov(name) for name in s["waters"])
+        # visibility is scaled on the bands of the medium, where pure water is no broken line of 25 nm pieces
+        first, second = (
+            (TANK if name == "tank" else Water.jerlov(name)).at(np.arange(400, 701, 5)) for name in s["waters"]
+        )
         water = first.mix(second, s["mixing"]).with_visibility(s["visibility"])
         law = PointSpread.paper(0.3 * s["blur_factor"])
         medium = Medium.from_water(
@@ -355,24 +365,32 @@ def test_transform_is_form_image(kind: str, color_space: str) -> None:
         light = srgb_to_linear(image[i]) if color_space == "srgb" else image[i]
         expected = form_image(light, z, medium, field).image
         expected = linear_to_srgb(expected) if color_space == "srgb" else expected
-        # waters are resampled before they are mixed and scaled, which moves visibility a little
-        torch.testing.assert_close(out[i], expected, rtol=0, atol=2e-3)
+        torch.testing.assert_close(out[i], expected, rtol=0, atol=1e-5)
 
 
 def test_defaults_are_the_survey() -> None:
     aug, preset = RandomUnderwater(distance_kind="relative"), load_preset("survey", water="7C")
-    assert list(aug.waters) == [t for t in JERLOV_TYPES if t != "I"] and set(aug.waters.values()) == {1}
+    assert list(aug.waters) == [t for t in JERLOV_TYPES if t != "I"]
+    assert set(aug.waters.values()) == {1}
     assert (aug.near, aug.far, aug.gamma) == (preset.near, preset.far, preset.gamma)
-    assert aug.field_range == preset.field_range and aug.vertical_depth == preset.vertical_depth
+    assert aug.field_range == preset.field_range
+    assert aug.vertical_depth == preset.vertical_depth
     assert aug.point_spread == preset.medium.point_spread
-    assert (aug.g, aug.mu, aug.field_probability, aug.mixing, aug.visibility, aug.blur_factor) == (0.2, 0.3, 1, 0, None, 1)
+    assert (aug.g, aug.mu, aug.field_probability, aug.mixing, aug.visibility, aug.blur_factor) == (
+        0.2,
+        0.3,
+        1,
+        0,
+        None,
+        1,
+    )
     # and so the picture is the preset's
     aug = RandomUnderwater("7C", distance_kind="relative", color_space="linear")
-    image, t = picture(), distances().clamp(max=1)
+    image, t = picture(), distances()
     record = aug.make_params(image)
     generator = torch.Generator().manual_seed(record["samples"][0]["field_seed"])
     expected = preset.module()(image, preset.distance(t), preset.field((1, 1, H, W), generator))
-    torch.testing.assert_close(aug.transform(image, t, record), expected[0], rtol=0, atol=2e-3)
+    torch.testing.assert_close(aug.transform(image, t, record), expected, rtol=0, atol=2e-3)
 
 
 def test_p_0_returns_the_input() -> None:
@@ -383,9 +401,10 @@ def test_p_0_returns_the_input() -> None:
             assert aug(image, distances(batch))[0] is image
             assert aug({"image": image, "distance": distances(batch)})["image"] is image
     calls = []
-    aug = RandomUnderwater(p=0.0, distance=lambda image: calls.append(image))
+    aug = RandomUnderwater(p=0.0, distance=calls.append)
     image = picture(3)
-    assert aug(image) is image and not calls  # a network is not asked in vain
+    assert aug(image) is image
+    assert not calls
 
 
 def test_p_leaves_some_pictures_alone() -> None:
@@ -405,7 +424,8 @@ def test_same_on_batch() -> None:
     image, distance = picture().repeat(3, 1, 1, 1), (distances() + 1).repeat(3, 1, 1, 1)
     assert len(aug.make_params(image)["samples"]) == 1
     out, _ = aug(image, distance)
-    assert torch.equal(out[0], out[1]) and torch.equal(out[0], out[2])
+    assert torch.equal(out[0], out[1])
+    assert torch.equal(out[0], out[2])
     out, _ = RandomUnderwater(**EVERYTHING)(image, distance)
     assert not torch.equal(out[0], out[1])
 
@@ -434,7 +454,8 @@ def test_empty_batches_and_tiny_pictures() -> None:
     assert aug(image, distances(0))[0] is image
     for size in ((1, 1), (1, 9), (7, 1), (2, 3)):
         out, _ = aug(torch.rand(3, *size), torch.rand(1, *size) + 0.5)
-        assert out.shape == (3, *size) and out.isfinite().all()
+        assert out.shape == (3, *size)
+        assert out.isfinite().all()
 
 
 def test_layouts() -> None:
@@ -451,7 +472,8 @@ def test_open_water_is_the_veil() -> None:
     distance = torch.full((1, H, W), math.inf)
     record = aug.make_params(picture())
     out = aug.transform(picture(), distance, record)
-    assert out.isfinite().all() and (out.flatten(1).std(1) < 1e-6).all()
+    assert out.isfinite().all()
+    assert (out.flatten(1).std(1) < 1e-6).all()
 
 
 def test_map_or_plane_or_network() -> None:
@@ -471,10 +493,13 @@ def test_map_or_plane_or_network() -> None:
     assert torch.equal(network.at(0, 0, 0)(image[None])[0], expected)
     seen: list[Tensor] = []
     RandomUnderwater(distance=lambda x: seen.append(x) or brightness(x) + 1)(picture(dtype=torch.uint8))
-    assert seen[0].shape == (3, H, W) and seen[0].is_floating_point() and seen[0].max() <= 1
+    assert seen[0].shape == (3, H, W)
+    assert seen[0].is_floating_point()
+    assert seen[0].max() <= 1
     module = torch.nn.Conv2d(3, 1, 1)
     out = RandomUnderwater(distance=torch.nn.Sequential(module, torch.nn.Softplus()))(image)
-    assert out.isfinite().all() and not out.requires_grad
+    assert out.isfinite().all()
+    assert not out.requires_grad
 
 
 def test_mask_after_kornia() -> None:
@@ -485,7 +510,8 @@ def test_mask_after_kornia() -> None:
     moved = flip(image, distance)
     assert isinstance(moved, list)
     out, z = aug.at(0, 0, 0)(moved)
-    assert z is moved[1] and torch.equal(z, distance.flip(-1))
+    assert z is moved[1]
+    assert torch.equal(z, distance.flip(-1))
     assert same(out, aug.at(0, 0, 0)(image.flip(-1), distance.flip(-1))[0])
 
 
@@ -499,10 +525,10 @@ def test_padding_is_unknown() -> None:
     out, _ = RandomUnderwater(unknown="fill")(moved)
     assert out.isfinite().all()
     # where 0 is a distance, padding must be NaN
-    t = distances().clamp(max=1)
+    t = distances()
     t[..., :5] = math.nan
     for kind in ("relative", "inverse"):
-        with pytest.raises(ValueError, match="distance.*NaN"):
+        with pytest.raises(ValueError, match=r"distance.* [1-9]\d* NaN"):
             RandomUnderwater(distance_kind=kind)(picture(), t)
         out, _ = RandomUnderwater(distance_kind=kind, unknown="fill")(picture(), t)
         assert out.isfinite().all()
@@ -582,12 +608,13 @@ def test_ranges_are_drawn_uniformly(name: str, drawn: list[dict[str, Any]]) -> N
     low, high = DRAWN[name]
     law = loguniform(low, high) if name == "visibility" else uniform(low, high - low)
     values = [s[name] for s in drawn]
-    assert low <= min(values) and max(values) <= high
+    assert low <= min(values)
+    assert max(values) <= high
     assert kstest(values, law.cdf).pvalue > 0.01
 
 
 def test_parameters_are_independent(drawn: list[dict[str, Any]]) -> None:
-    values = np.array([[s[name] for name in RANGES] + [s["waters"][0] == "II", s["applied"]] for s in drawn])
+    values = np.array([[s[name] for name in RANGES] + [*(w == "II" for w in s["waters"]), s["applied"]] for s in drawn])
     correlation = np.corrcoef(values.T) - np.eye(values.shape[1])
     assert np.abs(correlation).max() < 4 / math.sqrt(len(drawn))
 
@@ -607,7 +634,17 @@ def test_all_types_occur() -> None:
 
     samples = RandomUnderwater(JERLOV_TYPES).make_params(torch.empty(3000, 3, 1, 1), torch.Generator().manual_seed(1))
     counts = [sum(s["waters"] == [t] for s in samples["samples"]) for t in JERLOV_TYPES]
-    assert sum(counts) == 3000 and chisquare(counts).pvalue > 0.01
+    assert sum(counts) == 3000
+    assert chisquare(counts).pvalue > 0.01
+
+
+def test_camera_from_a_file(tmp_path: Path) -> None:
+    table = tmp_path / "lasers.csv"
+    table.write_text("450,0,0,1\n550,0,1,0\n600,1,0,0\n")
+    aug = RandomUnderwater(cameras=table)
+    assert aug.make_params(picture())["samples"][0]["camera"] == "lasers"
+    assert same(result(aug), result(RandomUnderwater(cameras=LASERS)))
+    assert same(result(aug), result(RandomUnderwater(cameras=str(table))))
 
 
 def test_listed_twice_counts_twice() -> None:
@@ -635,7 +672,8 @@ def test_field_spans_what_was_asked(bounds: tuple[float, float], monkeypatch: py
     RandomUnderwater(field_range=bounds)(picture(5), distances(5) + 1)
     assert len(seen) == 5
     for field in seen:
-        assert field.min().item() == pytest.approx(bounds[0]) and field.max().item() == pytest.approx(bounds[1])
+        assert field.min().item() == pytest.approx(bounds[0])
+        assert field.max().item() == pytest.approx(bounds[1])
     if bounds[0] < bounds[1]:
         assert not torch.equal(seen[0], seen[1])
     seen.clear()
@@ -707,8 +745,10 @@ def test_severity_takes_options() -> None:
         ({"unknown": "ignore"}, "unknown must be one of.*'ignore'"),
         ({"color_space": "rgb"}, "color_space must be one of.*'rgb'"),
         ({"order": "backwards"}, "order must be one of.*'backwards'"),
-        ({"near": 0.5}, "near = 0.5 would do nothing.*'metric'"),
-        ({"distance_kind": "inverse", "gamma": 2.0}, "gamma = 2.0 would do nothing.*'inverse'"),
+        ({"near": 0.5}, "near would do nothing.*'metric', got 0.5"),
+        ({"distance_kind": "inverse", "gamma": 2.0}, "gamma would do nothing.*'inverse', got 2.0"),
+        ({"mu": None}, "mu must be.*None"),
+        ({"g": abs}, "g must be.*abs"),
         ({"distance_kind": "relative", "near": (1.0, 6.0)}, r"near must lie below far.*\(1.0, 6.0\).*5.0"),
         ({"distance_kind": "relative", "gamma": 0.0}, "gamma must be.*0.0"),
         ({"distance_kind": "relative", "far": math.inf}, "far must be.*inf"),
@@ -799,7 +839,7 @@ def changed(**values: Any) -> Callable[[dict[str, Any]], Any]:
         (lambda r: None, TypeError, "params must be a record.*None"),
         (changed(waters=["II"]), ValueError, "params asks for 'II', but this transform has 7C, 9C"),
         (changed(camera="Kodak"), ValueError, "params asks for 'Kodak', but this transform has Nikon"),
-        (lambda r: {"samples": [{"applied": True}]}, ValueError, "params has no waters, camera.*other options"),
+        (lambda r: {"samples": [{"applied": True}]}, ValueError, "params is of a transform with other options.*camera"),
     ],
 )
 def test_records_are_checked(change: Callable[[Any], Any], error: type[Exception], match: str) -> None:
@@ -809,9 +849,12 @@ def test_records_are_checked(change: Callable[[Any], Any], error: type[Exception
 
 
 def test_records_of_other_transforms() -> None:
-    record = RandomUnderwater().make_params(picture())
-    with pytest.raises(ValueError, match="params has no near, far, gamma: it is of a transform with other options"):
-        RandomUnderwater(distance_kind="relative").transform(picture(), distances().clamp(max=1), record)
+    plain, scaled = RandomUnderwater(), RandomUnderwater(distance_kind="relative")
+    for one, other in ((plain, scaled), (scaled, plain)):
+        with pytest.raises(ValueError, match=r"params is of a transform with other options.* far, gamma, near"):
+            one.transform(picture(), distances(), other.make_params(picture()))
+    with pytest.raises(ValueError, match=r"other options.* visibility"):
+        plain.transform(picture(), distances(), RandomUnderwater(visibility=3.0).make_params(picture()))
 
 
 def test_record_is_plain() -> None:
@@ -837,21 +880,63 @@ def test_media_are_shared() -> None:
     assert uwaug.transforms._medium.cache_info().misses == 2
 
 
-# torchvision, where it is installed; what it does to tensors is tested with subclasses of our own above
+# torchvision, where it is installed; what it does with tensors is tested with subclasses of our own above
 
 
+@pytest.fixture(scope="module")
 def torchvision() -> Any:
+    if find_spec("torchvision") is None:
+        pytest.skip("torchvision is not installed")
     try:
         import torchvision
-    except ImportError:
-        pytest.skip("torchvision is not installed")
     except RuntimeError:
-        # its compiled part is for another build of torch, and the Python part registers with operators that are absent
-        for name, schema in (("nms", "(Tensor dets, Tensor scores, float iou_threshold) -> Tensor"), ("qnms", "(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")):
-            torch.library.define(f"torchvision::{name}", schema)
+        # built for another torch: without its compiled part, its Python part misses two operators
+        torch.library.define("torchvision::nms", "(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
+        torch.library.define("torchvision::qnms", "(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
         import torchvision
-    from torchvision import tv_tensors
-    from torchvision.transforms import v2
+    import torchvision.transforms.v2
 
-    assert torchvision.__version__
-    return v2, tv_tensors
+    return torchvision
+
+
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.float32])
+def test_in_a_torchvision_pipeline(torchvision: Any, dtype: torch.dtype) -> None:
+    v2, tv = torchvision.transforms.v2, torchvision.tv_tensors
+    pipeline = v2.Compose(
+        [
+            v2.RandomResizedCrop((20, 28), antialias=True),
+            v2.RandomHorizontalFlip(p=1.0),
+            v2.ColorJitter(0.2, 0.2),
+            RandomUnderwater(**EVERYTHING),
+            v2.ToDtype(torch.float32, scale=True),
+            v2.Normalize([0.5] * 3, [0.25] * 3),
+        ]
+    )
+    image, distance, label = tv.Image(picture(dtype=dtype)), tv.Mask(distances() + 1), object()
+    values = set(distance.flatten().tolist())
+    for sample in ((image, distance, label), {"image": image, "distance": distance, "label": label}):
+        out = pipeline(sample)
+        seen, z, same_label = out.values() if isinstance(out, dict) else out
+        assert type(out) is type(sample)
+        assert same_label is label
+        assert type(seen) is tv.Image
+        assert type(z) is tv.Mask
+        assert seen.shape == (3, 20, 28)
+        assert seen.isfinite().all()
+        assert set(z.flatten().tolist()) <= values  # moved, not jittered
+    seen, z, _ = pipeline(image, distance, label)
+    assert type(seen) is tv.Image
+    assert type(z) is tv.Mask
+
+
+def test_torchvision_padding(torchvision: Any) -> None:
+    v2, tv = torchvision.transforms.v2, torchvision.tv_tensors
+    image, distance = tv.Image(picture()), tv.Mask(distances() + 1)
+    padded = v2.Pad(4)(image, distance)
+    with pytest.raises(ValueError, match="zero"):
+        RandomUnderwater()(padded)
+    out, _ = RandomUnderwater(unknown="fill")(padded)
+    assert out.isfinite().all()
+    relative = v2.Pad(4, fill={tv.Image: 0, tv.Mask: math.nan})(image, tv.Mask(distances()))
+    out, _ = RandomUnderwater(distance_kind="relative", unknown="fill")(relative)
+    assert out.isfinite().all()

@@ -172,17 +172,16 @@ class RandomUnderwater(nn.Module):
         self.tolerance, self.color_space, self.order = tolerance, color_space, order
 
         self._field = _range("field_range", field_range, *_AMOUNT)
-        ranges = {name: getattr(self, name) for name in _BOUNDS}
-        self._ranges = {
-            name: _range(name, value, *_BOUNDS[name])
-            for name, value in ranges.items()
-            if value is not None and not callable(value)
-        }
+        left_out = {"visibility"} if visibility is None else set()
+        left_out |= {"distance"} if distance is None or callable(distance) else set()
         for name, usual in (("near", 1.0), ("far", 5.0), ("gamma", 1.0)):
             if name not in _SCALING[distance_kind]:
-                if ranges[name] != usual:
-                    raise ValueError(f"{name} = {ranges[name]} would do nothing: distance_kind is {distance_kind!r}")
-                del self._ranges[name]
+                if (value := getattr(self, name)) != usual:
+                    raise ValueError(f"{name} would do nothing: distance_kind is {distance_kind!r}, got {value}")
+                left_out.add(name)
+        self._ranges = {
+            name: _range(name, getattr(self, name), *bounds) for name, bounds in _BOUNDS.items() if name not in left_out
+        }
         if distance_kind != "metric" and self._ranges["near"][1] >= self._ranges["far"][0]:
             raise ValueError(f"near must lie below far, got near = {near} and far = {far} in metres")
         if distance_kind == "inverse" and self._ranges["near"][0] == 0:
@@ -229,7 +228,7 @@ class RandomUnderwater(nn.Module):
         two = ("first", "second") if self._ranges["mixing"][1] > 0 else ("first",)
         record: Record = {
             "applied": u["applied"] < self.p,
-            "waters": [names[bisect(weights, u[which] * weights[-1], hi=len(names) - 1)] for which in two],
+            "waters": [names[bisect(weights, u[which] * weights[-1])] for which in two],
             "camera": list(self.responses)[int(u["camera"] * len(self.responses))],
             "field_seed": seed if u["field"] < self.field_probability else None,
             "field_range": list(self._field),
@@ -287,10 +286,12 @@ class RandomUnderwater(nn.Module):
         samples: list[Record] = params["samples"]
         if len(samples) not in (1, batch):
             raise ValueError(f"params has {len(samples)} samples but image is a batch of {batch}")
+        wanted = {"applied", "waters", "camera", "field_seed", "field_range", *self._ranges}
         for sample in samples:
-            wanted = ("applied", "waters", "camera", "field_seed", "field_range", *self._ranges)
-            if missing := [name for name in wanted if name not in sample]:
-                raise ValueError(f"params has no {', '.join(missing)}: it is of a transform with other options")
+            if odd := wanted ^ set(sample):
+                raise ValueError(
+                    f"params is of a transform with other options: they differ in {', '.join(sorted(odd))}"
+                )
             for name, known in [(w, self.spectra) for w in sample["waters"]] + [(sample["camera"], self.responses)]:
                 if name not in known:
                     raise ValueError(f"params asks for {name!r}, but this transform has {', '.join(known)}")
@@ -306,7 +307,8 @@ class RandomUnderwater(nn.Module):
         if not torch.compiler.is_compiling():
             waters = [self.spectra[name] for name in sample["waters"]]
             return _degrade(image, distance, waters, self.responses[sample["camera"]], numbers, modes)
-        values = torch.tensor(list(numbers.values()), dtype=torch.float64)
+        one = torch.ones((), dtype=torch.float64)
+        values = torch.stack([one * value for value in numbers.values()])  # torch.tensor(…) would fix them in the graph
         tables = [*(self._water_tables[name] for name in sample["waters"]), self._camera_tables[sample["camera"]]]
         result: Tensor = _degrade_opaque(image, distance, tables, " ".join(numbers), values, " ".join(modes))
         return result

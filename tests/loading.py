@@ -1,0 +1,82 @@
+"""Datasets for the DataLoader tests, in a module of their own: a spawned worker imports what it is sent by name."""
+
+import json
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.utils.data import Dataset, default_collate
+
+from uwaug import RandomUnderwater
+
+SIZE = 48
+
+
+class Crops(Dataset[tuple[Tensor, Tensor, int]]):
+    """Crops of a scene: picture (3xSxS, 0…1), distance (1xSxS, m), and whether the crop is bright."""
+
+    def __init__(self, image: Tensor, distance: Tensor, count: int = 16) -> None:
+        generator = torch.Generator().manual_seed(0)
+        corners = [torch.randint(side - SIZE, (count,), generator=generator).tolist() for side in image.shape[-2:]]
+        pairs = [tuple(t[:, y : y + SIZE, x : x + SIZE].clone() for t in (image, distance)) for y, x in zip(*corners)]
+        brightness = torch.stack([picture.mean() for picture, _ in pairs])
+        self.items = [(*pair, int(b > brightness.median())) for pair, b in zip(pairs, brightness)]
+
+    def __len__(self) -> int:
+        return len(self.items)
+
+    def __getitem__(self, index: int) -> tuple[Tensor, Tensor, int]:
+        return self.items[index]
+
+
+class Degraded(Dataset[tuple[Tensor, int]]):
+    """For a classifier: every picture in a water of its own, new in every epoch."""
+
+    def __init__(self, crops: Crops, augment: RandomUnderwater) -> None:
+        self.crops, self.augment = crops, augment
+
+    def __len__(self) -> int:
+        return len(self.crops)
+
+    def __getitem__(self, index: int) -> tuple[Tensor, int]:
+        image, _, label = self.augment(self.crops[index])
+        return image, label
+
+
+class Pairs(Dataset[tuple[Tensor, Tensor, str]]):
+    """For restoration: clean, degraded, and the record that leads from one to the other."""
+
+    def __init__(self, crops: Crops, augment: RandomUnderwater) -> None:
+        self.crops, self.augment = crops, augment
+
+    def __len__(self) -> int:
+        return len(self.crops)
+
+    def __getitem__(self, index: int) -> tuple[Tensor, Tensor, str]:
+        clean, distance, _ = self.crops[index]
+        record = self.augment.make_params(clean)
+        return clean, self.augment.transform(clean, distance, record), json.dumps(record)
+
+
+class Keyed(Dataset[tuple[int, Tensor]]):
+    """For studies that must repeat: water from (seed, epoch, index)."""
+
+    def __init__(self, crops: Crops, augment: RandomUnderwater) -> None:
+        self.crops, self.augment, self.epoch = crops, augment, 0
+
+    def __len__(self) -> int:
+        return len(self.crops)
+
+    def __getitem__(self, index: int) -> tuple[int, Tensor]:
+        image, *_ = self.augment.at(0, self.epoch, index)(self.crops[index])
+        return index, image
+
+
+class DegradeBatch:
+    """A `collate_fn` that degrades whole batches."""
+
+    def __init__(self, augment: RandomUnderwater) -> None:
+        self.augment = augment
+
+    def __call__(self, samples: list[Any]) -> Any:
+        return self.augment(default_collate(samples))
