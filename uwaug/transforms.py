@@ -502,7 +502,11 @@ def _medium(waters: tuple[Water, ...], camera: Camera, law: PointSpread, *drawn:
     )
 
 
-@torch.library.custom_op("uwaug::random_underwater", mutates_args=())
+@torch.library.custom_op(
+    "uwaug::random_underwater",
+    mutates_args=(),
+    schema="(Tensor image, Tensor? distance, Tensor[] tables, str names, Tensor values, str modes) -> Tensor",
+)
 def _degrade_opaque(
     image: Tensor, distance: Tensor | None, tables: list[Tensor], names: str, values: Tensor, modes: str
 ) -> Tensor:
