@@ -43,10 +43,10 @@ def test_version(run):
 def test_help_names_every_command(run):
     code, out, _ = run("--help")
     assert code == 0
-    assert all(f"\n  {command} " in out for command in ("demo", "waters", "presets"))
+    assert all(f"\n  {command} " in out for command in ("demo", "waters", "presets", "export", "check"))
 
 
-@pytest.mark.parametrize("command", ["demo", "waters", "presets"])
+@pytest.mark.parametrize("command", ["demo", "waters", "presets", "export", "check"])
 def test_help_of_a_command(run, command):
     code, out, err = run(command, "-h")
     assert (code, err) == (0, "")
@@ -193,3 +193,62 @@ def test_the_package_imports_neither_the_command_line_nor_what_it_needs():
         "import sys, uwaug.presets; print(*{'typer', 'rich', 'pydantic', 'matplotlib', 'skimage'} & set(sys.modules))"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "\n"
+
+
+def test_export_and_check(run, tmp_path):
+    pytest.importorskip("onnxruntime")
+    out = tmp_path / "7C.onnx"
+    arguments = ("export", "--preset", "survey", "--water", "7C", "--image", "uint8", "--out", str(out))
+    code, stdout, stderr = run(*arguments)
+    assert (code, stderr) == (0, "")
+    assert re.match(rf"{re.escape(str(out))}  \(\d+ KiB\)\n    Medium\(7C: .*\n    \d blurs for σ ", stdout)
+    assert [path.name for path in tmp_path.iterdir()] == ["7C.onnx"]
+    before = out.read_bytes()
+    code, stdout, stderr = run(*arguments)
+    assert (code, stdout) == (2, "")
+    assert stderr == f"Error: {out} exists: choose another file, or --force to write over it\n"
+    code, stdout, stderr = run(*arguments, "--field", "maybe", "--force")
+    assert (code, stdout) == (2, "")
+    assert stderr.startswith("Error: field must be one of ('none', 'input'), got 'maybe'")
+    assert out.read_bytes() == before
+
+    code, stdout, stderr = run("check", str(out))
+    assert (code, stderr) == (0, "")
+    assert re.fullmatch(rf"{re.escape(str(out))}: 98 cases, largest difference [01] \(.*×.*×.*\)\n", stdout)
+    import onnx
+
+    model = onnx.load(out)
+    wrong = next(tensor for tensor in model.graph.initializer if tuple(tensor.dims) == (1, 3, 7))
+    wrong.CopyFrom(onnx.numpy_helper.from_array(onnx.numpy_helper.to_array(wrong) * np.float32(1.05), wrong.name))
+    onnx.save(model, out)
+    code, stdout, stderr = run("check", str(out))
+    assert (code, stdout) == (2, "")
+    assert re.fullmatch(r"Error: .*differs from float64 eager by \d+ \(limit 1\) at .*\n", stderr)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("export", "--preset", "no", "--out", "a.onnx"), "no preset is called 'no'"),
+        (("export", "--preset", "survey", "--water", "10C", "--out", "a.onnx"), "10C"),
+        (("export", "--preset", "survey", "--out", "missing/a.onnx"), "there is no folder missing"),
+        (("check", "a.onnx"), "No such file"),
+        (("check", "b.onnx"), "b.onnx: ONNX Runtime cannot load it"),
+    ],
+)
+def test_wrong_export_and_check(run, tmp_path, monkeypatch, arguments, message):
+    pytest.importorskip("onnxruntime")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "b.onnx").write_text("no model")
+    code, stdout, stderr = run(*arguments)
+    assert (code, stdout) == (2, "")
+    assert stderr.startswith("Error: ")
+    assert message in stderr
+    assert stderr.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["b.onnx"]
+
+
+def test_export_without_the_extra(run, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    code, _, stderr = run("export", "--preset", "survey", "--out", str(tmp_path / "a.onnx"))
+    assert (code, stderr) == (2, 'Error: onnx is missing: ONNX needs pip install "uwaug[onnx]"\n')

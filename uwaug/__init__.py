@@ -7,6 +7,7 @@ from uwaug.field import gaussian_random_field
 from uwaug.formation import Terms, form_image
 from uwaug.medium import Medium, PointSpread
 from uwaug.module import Underwater
+from uwaug.onnx import OnnxUnderwater, check_onnx, export_onnx
 from uwaug.presets import Preset, list_presets, load_preset
 from uwaug.transforms import RandomUnderwater
 from uwaug.water import JERLOV_TYPES, Water
@@ -17,13 +18,16 @@ __all__ = [
     "JERLOV_TYPES",
     "Camera",
     "Medium",
+    "OnnxUnderwater",
     "PointSpread",
     "Preset",
     "RandomUnderwater",
     "Terms",
     "Underwater",
     "Water",
+    "check_onnx",
     "distance",
+    "export_onnx",
     "form_image",
     "gaussian_random_field",
     "list_presets",

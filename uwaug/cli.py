@@ -1,4 +1,4 @@
-"""The command line, `uwaug …`. Exit codes: 0 done, 2 used wrongly."""
+"""The command line, `uwaug …`. Exit codes: 0 done, 2 used wrongly, or a file fails its check."""
 
 import importlib.util
 import sys
@@ -116,3 +116,40 @@ def presets() -> None:
         low, high = p.field_range
         table.add_row(name, f"{p.near:g}–{p.far:g}", f"{p.gamma:g}", f"{low:g}–{high:g}", p.source)
     Console().print(table)
+
+
+@app.command()
+def export(
+    preset: Annotated[str, typer.Option(help="Name of a preset, or path of its TOML file.")],
+    out: Annotated[Path, typer.Option(help="The file to write.")],
+    water: Annotated[str | None, typer.Option(help="Jerlov type that takes the place of the preset's.")] = None,
+    parameters: Annotated[str, typer.Option(help="frozen, or inputs: one file for many waters.")] = "frozen",
+    field: Annotated[str, typer.Option(help="none, or input: the medium field as an input.")] = "none",
+    image: Annotated[str, typer.Option(help="float32 (0…1) or uint8 (0…255).")] = "float32",
+    force: Annotated[bool, typer.Option("--force", help="Write over an existing file.")] = False,
+) -> None:
+    """Write a preset as an ONNX file, and check it."""
+    from uwaug.onnx import export_onnx, read_metadata
+
+    if out.exists() and not force:
+        _refuse(f"{out} exists: choose another file, or --force to write over it")
+    try:
+        module = load_preset(preset, water=water).module()
+        # export_onnx itself refuses other words
+        export_onnx(module, out, parameters=parameters, field=field, image=image)  # type: ignore[arg-type]
+        metadata = read_metadata(out)
+    except (ImportError, OSError, ValueError) as error:
+        _refuse(str(error))
+    print(f"{out}  ({out.stat().st_size / 1024:.0f} KiB)\n    {metadata['uwaug_medium']}\n    {metadata['uwaug_plan']}")
+
+
+@app.command()
+def check(path: Annotated[Path, typer.Argument(help="A file that uwaug has exported.")]) -> None:
+    """Check an ONNX file against the module it came from."""
+    from uwaug.onnx import check_onnx, read_module
+
+    try:
+        report = check_onnx(path, read_module(path))
+    except (ImportError, OSError, ValueError) as error:
+        _refuse(str(error))
+    print(f"{path}: {report.cases} cases, largest difference {report.worst:.2g} ({report.where})")

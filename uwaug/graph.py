@@ -1,0 +1,183 @@
+"""The model written for a graph: plain tensor operations, few and large, for any batch, height and width.
+
+Same equations, plan and matrices as `uwaug.formation`, `uwaug.blur` and `uwaug.banded`, which work in strips, blocks
+and caches that a graph has no room for. `uwaug.onnx.check_onnx` holds what is exported against them.
+"""
+
+import math
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from uwaug.banded import blur_kernel
+from uwaug.blur import BlurPlan
+from uwaug.colour import linear_to_srgb, srgb_to_linear
+from uwaug.medium import FARTHEST, Medium
+from uwaug.module import Underwater
+
+PARAMETERS = ("beta", "direct_weights", "G", "signal_weights", "veil_weights", "b_mean", "scale", "exponent")
+_POLE = math.sqrt(3.0) - 2.0  # of the filter that turns samples into cubic B-spline coefficients
+_SPLINE_REACH = 8
+
+
+def parameters_of(medium: Medium) -> dict[str, Tensor]:
+    """What a file exported with `parameters="inputs"` takes, by name; each with a row for every medium.
+
+    Shapes: beta (B, K), direct_weights (B, 3, K), G (B, L), signal_weights and veil_weights (B, 3, L), b_mean, scale
+    and exponent (B,); all float32.
+    """
+    law = medium.point_spread
+    rows = [torch.as_tensor(v).expand(len(medium)) for v in (law.scale, law.exponent)]
+    return {n: v.detach().to("cpu", torch.float32).contiguous() for n, v in zip(PARAMETERS, (*medium.tensors(), *rows))}
+
+
+class Graph(nn.Module):
+    """An `Underwater` module as a function of tensors alone: image, distance, then the field and the parameters if
+    those are inputs.
+    """
+
+    def __init__(self, module: Underwater, plan: BlurPlan, *, frozen: bool, field: bool, quantised: bool) -> None:
+        super().__init__()
+        self.plan, self.frozen, self.field, self.quantised = plan, frozen, field, quantised
+        self.srgb = module.color_space == "srgb"
+        medium = module.medium.to(torch.float64)
+        law = medium.point_spread
+        self.reference_size = law.reference_size
+        # a known exponent makes a simpler graph
+        self.power = law.exponent if frozen and not isinstance(law.exponent, Tensor) else None
+        values = parameters_of(medium)
+        rates, weights = _curves(*list(values.values())[:5])
+        for name, value in {**values, "rates": rates, "weights": weights}.items():
+            self.register_buffer(name, value)
+
+    def forward(self, image: Tensor, distance: Tensor, *rest: Tensor) -> Tensor:
+        """Image (Bx3xHxW) and distance (Bx1xHxW) → image."""
+        inputs = list(rest)
+        z = distance.clamp(0.0, FARTHEST)
+        if self.field:
+            z = z * inputs.pop(0)
+        if self.frozen:
+            rates, weights = self.get_buffer("rates"), self.get_buffer("weights")
+            b_mean, scale, exponent = (self.get_buffer(name) for name in PARAMETERS[5:])
+        else:
+            rates, weights = _curves(*inputs[:5])
+            b_mean, scale, exponent = inputs[5:]
+        j = image.to(torch.float32) / 255 if self.quantised else image
+        j = srgb_to_linear(j) if self.srgb else j
+        b, h, w = z.shape[0], z.shape[2], z.shape[3]
+        decay = torch.exp(-rates[:, :, None] * z.reshape(b, 1, h * w))
+        transmission, share, veil = ((weights[i] @ decay).reshape(b, 3, h, w) for i in range(3))
+        plan = self.plan
+        stack = [_blurred(j, sigma, cell, plan.reach) for sigma, cell in zip(plan.sigmas, plan.cells)]
+        scattered = stack[0]
+        if len(stack) > 1:
+            shares = self._shares(z, b_mean, scale, exponent)
+            scattered = shares[:, :1] * stack[0]
+            for k in range(1, len(stack)):
+                scattered = scattered + shares[:, k : k + 1] * stack[k]
+        result = transmission * j + share * scattered + veil
+        result = linear_to_srgb(result) if self.srgb else result
+        return torch.round(result * 255).clamp(0.0, 255.0).to(torch.uint8) if self.quantised else result
+
+    def _shares(self, z: Tensor, b_mean: Tensor, scale: Tensor, exponent: Tensor) -> Tensor:
+        """Weights of the plan's blurs, BxKxHxW: see `uwaug.blur.node_weights`."""
+        plan = self.plan
+        b, h, w = z.shape[0], z.shape[2], z.shape[3]
+        degree = len(plan.coefficients[0]) - 1
+        coefficients = torch.tensor(plan.coefficients, dtype=torch.float32)
+        if degree == 0:
+            return coefficients[None, :, :, None]
+        b_mean, scale, exponent = (v.reshape(-1, 1, 1, 1) for v in (b_mean, scale, exponent))
+        if self.reference_size is not None:
+            scale = scale * (torch.minimum(_number(h), _number(w)) / self.reference_size)
+        lengths = (b_mean * z).clamp(1e-6, 1e4)
+        squared = lengths * lengths
+        power = squared if self.power == 1 else squared ** (exponent if self.power is None else self.power)
+        low, high = (math.log(s * s + 0.5) for s in (plan.sigma_min, plan.sigma_max))
+        x = torch.log1p((2 * scale * scale) * power)  # 2v − log ½
+        x = (x * (2 / (high - low)) + (2 * math.log(0.5) - low - high) / (high - low)).clamp(-1, 1)
+        twice = 2 * x
+        terms = [torch.ones_like(x), x]
+        for _ in range(degree - 1):
+            terms.append(twice * terms[-1] - terms[-2])  # Chebyshev
+        return (coefficients @ torch.cat(terms, 1).reshape(b, degree + 1, h * w)).reshape(b, len(coefficients), h, w)
+
+
+def _curves(beta: Tensor, direct: Tensor, G: Tensor, signal: Tensor, veil: Tensor) -> tuple[Tensor, Tensor]:
+    """Rates (B, K + L + 1), and weights (3, B, 3, K + L + 1) that make T_β, T_G − T_β and V(0) − V of e^(−rate·z).
+
+    The last rate is 0 and carries V(0).
+    """
+    none, nothing = torch.zeros_like(direct), torch.zeros_like(signal)
+    total = veil.sum(-1, keepdim=True)
+    rates = torch.cat([beta, G, torch.zeros_like(beta[:, :1])], 1)
+    rows = (
+        torch.cat([direct, nothing, torch.zeros_like(total)], 2),
+        torch.cat([-direct, signal, torch.zeros_like(total)], 2),
+        torch.cat([none, -veil, total], 2),
+    )
+    return rates, torch.stack(rows)
+
+
+def _number(side: int) -> Tensor:
+    """A size as a tensor: the quotient of two symbolic numbers would enter a graph in single precision."""
+    return torch.full((1,), side, dtype=torch.float64).to(torch.float32)
+
+
+def _mirror(index: Tensor, size: int) -> Tensor:
+    """Fold indices into [0, size), half-sample symmetric."""
+    period = torch.full((1,), 2 * size, dtype=torch.int64)  # a tensor, as ONNX has no remainder by a symbolic number
+    index = torch.remainder(index, period)
+    return torch.minimum(index, period - 1 - index)
+
+
+def _blurred(image: Tensor, sigma: float, cell: float, reach: float) -> Tensor:
+    """One blur of the stack."""
+    if sigma == 0:
+        return image
+    h, w = image.shape[-2:]
+    if cell == 1:
+        kernel = blur_kernel(sigma, reach).to(torch.float32).expand(3, 1, 1, -1)
+        margin = kernel.shape[-1] // 2
+        x = image.index_select(2, _mirror(torch.arange(-margin, h + margin), h))
+        x = F.conv2d(x, kernel.transpose(2, 3).contiguous(), groups=3)
+        # to gather whole rows would copy them value by value
+        left, right = (x.index_select(3, _mirror(torch.arange(*ends), w)) for ends in ((-margin, 0), (w, w + margin)))
+        return F.conv2d(torch.cat([left, x, right], 3), kernel.contiguous(), groups=3)
+    (shrink_rows, enlarge_rows), (shrink_columns, enlarge_columns) = (_grid(n, sigma, cell, reach) for n in (h, w))
+    x = (shrink_rows @ image) @ shrink_columns.t()
+    return enlarge_rows @ (x @ enlarge_columns.t())
+
+
+def _grid(size: int, sigma: float, cell: float, reach: float) -> tuple[Tensor, Tensor]:
+    """What blurs one axis on a grid of `cell` px: matrices (cells, size) and (size, cells).
+
+    As `uwaug.banded.grid_matrices`; positions in double precision, values in single.
+    """
+    sixty_fourths = round(64 * cell)
+    cells = 1 + (64 * size + sixty_fourths - 1) // sixty_fourths
+    length, count = (torch.full((1,), n, dtype=torch.float64) for n in (size, cells))
+    centres = (torch.arange(cells, dtype=torch.float64) + 0.5) * (length / count) - 0.5
+    radius = math.ceil(reach * sigma)
+    first = torch.floor(centres).long() - radius
+    columns = first[:, None] + torch.arange(2 * radius + 2)
+    x = (columns - centres[:, None]).to(torch.float32)
+    steps = torch.arange(-_SPLINE_REACH, _SPLINE_REACH + 1)
+    shifted = x[:, :, None] + (length / count).to(torch.float32) * steps
+    poles = torch.tensor([_POLE ** abs(k) for k in range(-_SPLINE_REACH, _SPLINE_REACH + 1)], dtype=torch.float32)
+    kernel = (torch.exp(shifted * shifted * (-0.5 / sigma**2)) * poles).sum(2) * (x.abs() <= radius + 0.5)
+    shrink = _fold(kernel / kernel.sum(1, keepdim=True), columns, size)
+
+    at = (torch.arange(size, dtype=torch.float64) + 0.5) * (count / length) - 0.5
+    start = torch.floor(at)
+    t = (at - start).to(torch.float32)[:, None]
+    powers = torch.cat([torch.ones_like(t), t, t * t, t * t * t], 1)
+    spline = torch.tensor([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]], dtype=torch.float32) / 6
+    enlarge = _fold(powers @ spline, start.long()[:, None] + torch.arange(-1, 3), cells)
+    return shrink, enlarge
+
+
+def _fold(values: Tensor, columns: Tensor, size: int) -> Tensor:
+    """Dense (n, size) matrix: row i holds `values[i]` at `columns[i]`, reflected into [0, size)."""
+    return torch.zeros(values.shape[0], size, dtype=torch.float32).scatter_add(1, _mirror(columns, size), values)
