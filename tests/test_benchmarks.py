@@ -1,0 +1,125 @@
+import contextlib
+import io
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+sys.path.append(str(Path(__file__).parent.parent))  # the benchmarks are not installed
+
+for package in ("cv2", "matplotlib", "scipy"):
+    pytest.importorskip(package)
+
+from benchmarks import blurs, charts, frontier, scaling  # noqa: E402
+from uwaug.blur import blur_exact  # noqa: E402
+
+#            0          1          2          3          4          5
+POINTS = [(1.0, 0.5), (2.0, 0.1), (3.0, 0.2), (4.0, 0.01), (4.0, 0.02), (9.0, 0.0)]
+
+
+def test_front_holds_what_nothing_beats() -> None:
+    assert frontier.pareto(POINTS) == [0, 1, 3, 5]
+
+
+def test_front_of_equal_points_holds_them_all() -> None:
+    assert sorted(frontier.pareto([(1.0, 1.0), (1.0, 1.0), (2.0, 1.0), (1.0, 2.0)])) == [0, 1]
+
+
+def test_front_agrees_with_its_definition() -> None:
+    points = [tuple(p) for p in torch.randint(0, 12, (60, 2), generator=torch.Generator().manual_seed(0)).tolist()]
+
+    def beaten(p: tuple[float, ...]) -> bool:
+        return any(q != p and q[0] <= p[0] and q[1] <= p[1] for q in points)
+
+    assert sorted(frontier.pareto(points)) == [i for i, p in enumerate(points) if not beaten(p)]
+
+
+@pytest.mark.parametrize(("ours", "slower", "best"), [(0, 0.0, 0), (2, 0.5, 1), (3, 0.0, 3), (4, 0.0, 4), (5, 0.0, 5)])
+def test_excess_is_the_time_over_the_fastest_as_accurate(ours: int, slower: float, best: int) -> None:
+    assert frontier.excess(POINTS, ours) == (pytest.approx(slower), best)
+
+
+def test_a_near_tie_in_accuracy_counts_against_us() -> None:
+    assert frontier.excess([(1.0, 0.1005), (2.0, 0.1)], 1) == (1.0, 0)
+    assert frontier.excess([(1.0, 0.102), (2.0, 0.1)], 1) == (0.0, 1)
+
+
+def test_verdict() -> None:
+    entries = [
+        {"name": str(i), "default": i == 2, "median_ms": t, "rmse": e, "psnr_db": None}
+        for i, (t, e) in enumerate(POINTS)
+    ]
+    panel = frontier.judged(entries)
+    assert [e["front"] for e in panel["entries"]] == [True, True, False, True, False, True]
+    verdict = panel["verdict"]
+    assert (verdict["on_front"], verdict["within_10_percent"], verdict["beaten_by"]) == (False, False, "1")
+    assert verdict["slower_than_front"] == pytest.approx(0.5)
+
+
+def test_errors_are_of_the_image() -> None:
+    exact = torch.rand(1, 3, 16, 16, generator=torch.Generator().manual_seed(0)).double()
+    assert frontier.errors(exact, exact) == {"max": 0.0, "rmse": 0.0, "psnr_db": None, "ssim": 1.0}
+    wrong = frontier.errors(exact + 0.01, exact)
+    assert wrong["psnr_db"] == pytest.approx(40)
+    assert wrong["max"] == pytest.approx(0.01)
+
+
+def test_tiles_are_the_exact_blur() -> None:
+    rng = torch.Generator().manual_seed(0)
+    image, sigma = torch.rand(1, 3, 70, 70, generator=rng), 0.5 + 3 * torch.rand(1, 1, 70, 70, generator=rng)
+    whole = blur_exact(image[0], sigma[0, 0]).reshape(1, 3, 70, 70)
+    torch.testing.assert_close(blurs.exact(image, sigma)[0], whole, rtol=0, atol=1e-13)
+
+
+def test_fit_finds_the_exponent() -> None:
+    x = [1.0, 2.0, 4.0, 8.0]
+    assert scaling.fit(x, [3 * v**1.5 for v in x]) == pytest.approx({"exponent": 1.5, "residual_factor": 1.0})
+    assert scaling.fit(x, [1, 2, 1, 2])["residual_factor"] > math.exp(0.2)
+
+
+@pytest.mark.skipif(scaling.compiler() is None, reason="no g++")
+def test_the_fused_loop_computes_the_model(tmp_path: Path) -> None:
+    degrade = scaling.module()
+    image, distance = (t[..., :40, :51].contiguous() for t in scaling.scene(64, 2))
+    with torch.no_grad():
+        ours = degrade(image, distance)
+    result = scaling.Fused(str(tmp_path)).bind(degrade, image, distance)()
+    torch.testing.assert_close(result, ours, rtol=0, atol=2e-3)  # its blurs have no coarse grids
+    assert (result - image).abs().max() > 0.05
+
+
+@pytest.fixture(scope="module")
+def quick() -> dict[str, Any]:
+    threads = torch.get_num_threads()
+    with contextlib.redirect_stdout(io.StringIO()):
+        results = {"frontier": frontier.main(quick=True), "scaling": scaling.main(quick=True)}
+    torch.set_num_threads(threads)
+    return results
+
+
+def test_every_panel_has_one_default_and_a_front(quick: dict[str, Any]) -> None:
+    panels = quick["frontier"]["panels"]
+    assert {p["part"].split()[0] for p in panels.values()} == {"blur", "spectra", "number", "forward"}
+    for panel in panels.values():
+        assert sum(e["default"] for e in panel["entries"]) == 1
+        assert any(e["front"] for e in panel["entries"])
+        assert panel["verdict"]["psnr_db"] > 60
+
+
+def test_every_sweep_is_fitted(quick: dict[str, Any]) -> None:
+    for sweep in quick["scaling"]["sweeps"].values():
+        assert {"uwaug", "copy bound", "uwaug, peak memory"} <= sweep["fits"].keys()
+        assert all(p["peak_mib"] > 0 for p in sweep["points"])
+
+
+def test_charts_are_drawn(quick: dict[str, Any], tmp_path: Path) -> None:
+    panels = quick["frontier"]["panels"].values()
+    shown = next((p["size"], p["threads"]) for p in panels)
+    figures = (charts.frontier_figure(quick["frontier"], shown), charts.scaling_figure(quick["scaling"]))
+    for number, figure in enumerate(figures):
+        path = tmp_path / f"{number}.png"
+        figure.savefig(path, dpi=30)
+        assert path.stat().st_size > 5000
