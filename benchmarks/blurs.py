@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from benchmarks.baselines import BINS
-from uwaug.banded import mirrored
+from uwaug.banded import reflect
 from uwaug.blur import BlurPlan, blur_exact, blurred_rows, node_weights, weighted_sum
 
 _TILE = 64  # px
@@ -24,6 +24,11 @@ Gaussian = Callable[[np.ndarray, float], np.ndarray]
 
 def planar(out: Tensor | np.ndarray) -> Tensor:
     return out if isinstance(out, Tensor) else torch.from_numpy(out).permute(2, 0, 1)[None]
+
+
+def mirrored(size: int, margin: int) -> Tensor:
+    """Indices into an axis of `size` samples that extend it by `margin` on both sides, half-sample symmetric."""
+    return reflect(torch.arange(-margin, size + margin), size)
 
 
 def exact(image: Tensor, sigma: Tensor, most: int | None = None) -> tuple[Tensor, float]:

@@ -119,10 +119,12 @@ class Fused:
     """A module's model, with its plan but without coarse grids, as one loop in C++."""
 
     def __init__(self, folder: str) -> None:
-        source, library = Path(folder) / "fused.cpp", Path(folder) / "fused.so"
+        source, compiled, library = (Path(folder) / f"fused.{kind}" for kind in ("cpp", "o", "so"))
         source.write_text(FUSED)
-        flags = ["-O3", "-march=native", "-ffast-math", "-shared", "-fPIC"]
-        subprocess.run([compiler() or "g++", *flags, str(source), "-o", str(library), "-lmvec", "-lm"], check=True)
+        gxx, flags = compiler() or "g++", ["-O3", "-march=native", "-ffast-math", "-fPIC"]
+        subprocess.run([gxx, *flags, "-c", str(source), "-o", str(compiled)], check=True)
+        # linked with -ffast-math too, g++ before 13 would have the library flush subnormals in all of this process
+        subprocess.run([gxx, "-shared", str(compiled), "-o", str(library), "-lmvec", "-lm"], check=True)
         self._form = ctypes.CDLL(str(library)).form
 
     def bind(self, degrade: uwaug.Underwater, image: Tensor, distance: Tensor) -> Callable[[], Tensor]:

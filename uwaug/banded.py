@@ -4,11 +4,9 @@ A Gaussian blur with half-sample symmetric edges is a banded matrix per axis; so
 and so is spline interpolation back. Written as matrices the reflection at the edges is folded into the entries, grids
 need not divide the image size, a 1×1 image is nothing special, and the adjoint that gradients need is the transpose.
 Each matrix is cut into row blocks that hold only the columns in use; a block is one small matrix product (GEMM), which
-on a CPU is faster than one scaled addition per
-tap for all but the narrowest kernels: 3×256², one thread, σ 0.98 / 1.53 / 4.1 px: blocks 0.33 / 0.36 / 0.28 ms, scaled
-    additions
-0.25 / 0.40 / 1.0, kornia's convolution 1.1 / 1.4 / 2.7, a dense matrix 1.8; oneDNN strided convolutions lie between 0.3
-and 3.
+on a CPU is faster than one scaled addition per tap for all but the narrowest kernels: 3×256², one thread, σ 0.98 / 1.53
+/ 4.1 px: blocks 0.33 / 0.36 / 0.28 ms, scaled additions 0.25 / 0.40 / 1.0, kornia's convolution 1.1 / 1.4 / 2.7, a
+dense matrix 1.8; oneDNN strided convolutions lie between 0.3 and 3.
 """
 
 import math
@@ -22,9 +20,9 @@ from torch import Tensor
 
 from uwaug.water import Array
 
-_POLE = math.sqrt(3.0) - 2.0  # of the filter that turns samples into cubic B-spline coefficients
+POLE = math.sqrt(3.0) - 2.0  # of the filter that turns samples into cubic B-spline coefficients
 ROWS = 16  # rows of a block where a matrix acts along rows
-_SPLINE_REACH = 8  # |_POLE|^8 = 3e-5, at a frequency where the Gaussian has already removed all but 1e-2
+SPLINE_REACH = 8  # |POLE|^8 = 3e-5, at a frequency where the Gaussian has already removed all but 1e-2
 
 
 class Block(NamedTuple):
@@ -84,12 +82,8 @@ def _sampled_variances() -> tuple[Array, Array]:
     return parameters, 2 * (weights @ squares) / (1 + 2 * weights.sum(1))
 
 
-def mirrored(size: int, margin: int) -> Tensor:
-    """Indices into an axis of `size` samples that extend it by `margin` on both sides, half-sample symmetric."""
-    return _reflect(torch.arange(-margin, size + margin), size)
-
-
-def _reflect(index: Tensor, size: int) -> Tensor:
+def reflect(index: Tensor, size: int) -> Tensor:
+    """Fold indices into [0, size), half-sample symmetric."""
     period = torch.full((1,), 2 * size, dtype=torch.int64)  # a tensor, as ONNX has no remainder by a symbolic number
     index = torch.remainder(index, period)
     return torch.minimum(index, period - 1 - index)
@@ -97,7 +91,7 @@ def _reflect(index: Tensor, size: int) -> Tensor:
 
 def _fold(kernel: Tensor, first: Tensor, size: int) -> Tensor:
     """Dense (n, size) matrix: row i holds `kernel[i]` from column first[i] on, reflected into [0, size)."""
-    columns = _reflect(first[:, None] + torch.arange(kernel.shape[1]), size)
+    columns = reflect(first[:, None] + torch.arange(kernel.shape[1]), size)
     return torch.zeros(kernel.shape[0], size, dtype=torch.float64).scatter_add(1, columns, kernel)
 
 
@@ -141,10 +135,10 @@ def shrink_matrix(size: int, cells: int, sigma: float, reach: float) -> Tensor:
     ratio = torch.exp(-x * (cell / sigma**2))
     step = torch.exp(-0.5 * (cell / sigma) ** 2)  # g(cell)
     kernel, forth, back = torch.ones_like(x), torch.ones_like(x), torch.ones_like(x)
-    for k in range(1, _SPLINE_REACH + 1):
+    for k in range(1, SPLINE_REACH + 1):
         # g(k·cell)·ratio^±k, each from the one before: g(k·cell) = g((k − 1)·cell)·g(cell)^(2k − 1)
         forth, back = forth * (ratio * step ** (2 * k - 1)), back / ratio * step ** (2 * k - 1)
-        kernel = kernel + _POLE**k * (forth + back)
+        kernel = kernel + POLE**k * (forth + back)
     # cut at the same distance on both sides, wherever between two pixels the centre lies
     kernel = kernel * torch.exp(-0.5 * (x / sigma) ** 2) * (x.abs() <= radius + 0.5)
     return _fold(kernel / kernel.sum(1, keepdim=True), first, size)

@@ -15,7 +15,6 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 import torch
-from kornia.filters import filter2d_separable
 from torch import Tensor
 
 from uwaug.banded import (
@@ -23,10 +22,7 @@ from uwaug.banded import (
     Banded,
     along_columns,
     along_rows,
-    blur_kernel,
     gaussian_rows,
-    grid_matrices,
-    mirrored,
     operators,
     sampled_parameter,
 )
@@ -306,36 +302,12 @@ def blurred_rows(image: Tensor, plan: BlurPlan) -> Iterator[tuple[slice, list[Te
 
 def blurred(image: Tensor, plan: BlurPlan) -> list[Tensor]:
     """The plan's blurs of a batch: K tensors like `image` (BxCxHxW), differentiable."""
-    if torch.compiler.is_exporting():
-        return [
-            _plain_blur(image, sigma, cell, plan.reach) if sigma > 0 else image
-            for sigma, cell in zip(plan.sigmas, plan.cells)
-        ]
     b, c, h, w = image.shape
     x = image.permute(2, 0, 1, 3).reshape(h, b * c, w)
     return [
         (_node_blur(x, sigma, cell, plan.reach, False) if sigma > 0 else x).reshape(h, b, c, w).permute(1, 2, 0, 3)
         for sigma, cell in zip(plan.sigmas, plan.cells)
     ]
-
-
-def _plain_blur(image: Tensor, sigma: float, cell: float, reach: float) -> Tensor:
-    """One blur of a stack (BxCxHxW) in operations that any graph format has, for an image of any size."""
-    h, w = image.shape[-2:]
-    if cell == 1:
-        kernel = blur_kernel(sigma, reach).to(image)
-        rows, columns = (mirrored(n, kernel.shape[1] // 2) for n in (h, w))
-        narrow: Tensor = filter2d_separable(image[..., rows, :][..., columns], kernel, kernel, padding="valid")
-        return narrow
-    (shrink_rows, enlarge_rows), (shrink_columns, enlarge_columns) = (
-        tuple(matrix.to(image) for matrix in grid_matrices(n, sigma, cell, reach)) for n in (h, w)
-    )
-    # bmm: matmul with a matrix shared by a batch of free size asks the exporter for divisibility it cannot prove
-    x = image.flatten(0, 1)
-    for matrix in (shrink_rows, shrink_columns.t(), enlarge_columns.t(), enlarge_rows):
-        shared = matrix.expand(x.shape[0], -1, -1)
-        x = torch.bmm(shared, x) if matrix is shrink_rows or matrix is enlarge_rows else torch.bmm(x, shared)
-    return torch.unflatten(x, 0, (-1, image.shape[1]))
 
 
 def varying_blur(image: Tensor, sigma: Tensor, plan: BlurPlan | None = None, tolerance: float = 0.002) -> Tensor:

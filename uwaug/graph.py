@@ -10,15 +10,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from uwaug.banded import blur_kernel
+from uwaug.banded import POLE, SPLINE_REACH, blur_kernel, reflect
 from uwaug.blur import BlurPlan
 from uwaug.colour import linear_to_srgb, srgb_to_linear
 from uwaug.medium import FARTHEST, Medium
 from uwaug.module import Underwater
 
 PARAMETERS = ("beta", "direct_weights", "G", "signal_weights", "veil_weights", "b_mean", "scale", "exponent")
-_POLE = math.sqrt(3.0) - 2.0  # of the filter that turns samples into cubic B-spline coefficients
-_SPLINE_REACH = 8
 
 
 def parameters_of(medium: Medium) -> dict[str, Tensor]:
@@ -125,13 +123,6 @@ def _number(side: int) -> Tensor:
     return torch.full((1,), side, dtype=torch.float64).to(torch.float32)
 
 
-def _mirror(index: Tensor, size: int) -> Tensor:
-    """Fold indices into [0, size), half-sample symmetric."""
-    period = torch.full((1,), 2 * size, dtype=torch.int64)  # a tensor, as ONNX has no remainder by a symbolic number
-    index = torch.remainder(index, period)
-    return torch.minimum(index, period - 1 - index)
-
-
 def _blurred(image: Tensor, sigma: float, cell: float, reach: float) -> Tensor:
     """One blur of the stack."""
     if sigma == 0:
@@ -140,10 +131,10 @@ def _blurred(image: Tensor, sigma: float, cell: float, reach: float) -> Tensor:
     if cell == 1:
         kernel = blur_kernel(sigma, reach).to(torch.float32).expand(3, 1, 1, -1)
         margin = kernel.shape[-1] // 2
-        x = image.index_select(2, _mirror(torch.arange(-margin, h + margin), h))
+        x = image.index_select(2, reflect(torch.arange(-margin, h + margin), h))
         x = F.conv2d(x, kernel.transpose(2, 3).contiguous(), groups=3)
         # to gather whole rows would copy them value by value
-        left, right = (x.index_select(3, _mirror(torch.arange(*ends), w)) for ends in ((-margin, 0), (w, w + margin)))
+        left, right = (x.index_select(3, reflect(torch.arange(*ends), w)) for ends in ((-margin, 0), (w, w + margin)))
         return F.conv2d(torch.cat([left, x, right], 3), kernel.contiguous(), groups=3)
     (shrink_rows, enlarge_rows), (shrink_columns, enlarge_columns) = (_grid(n, sigma, cell, reach) for n in (h, w))
     x = (shrink_rows @ image) @ shrink_columns.t()
@@ -163,9 +154,9 @@ def _grid(size: int, sigma: float, cell: float, reach: float) -> tuple[Tensor, T
     first = torch.floor(centres).long() - radius
     columns = first[:, None] + torch.arange(2 * radius + 2)
     x = (columns - centres[:, None]).to(torch.float32)
-    steps = torch.arange(-_SPLINE_REACH, _SPLINE_REACH + 1)
+    steps = torch.arange(-SPLINE_REACH, SPLINE_REACH + 1)
     shifted = x[:, :, None] + (length / count).to(torch.float32) * steps
-    poles = torch.tensor([_POLE ** abs(k) for k in range(-_SPLINE_REACH, _SPLINE_REACH + 1)], dtype=torch.float32)
+    poles = torch.tensor([POLE ** abs(k) for k in range(-SPLINE_REACH, SPLINE_REACH + 1)], dtype=torch.float32)
     kernel = (torch.exp(shifted * shifted * (-0.5 / sigma**2)) * poles).sum(2) * (x.abs() <= radius + 0.5)
     shrink = _fold(kernel / kernel.sum(1, keepdim=True), columns, size)
 
@@ -180,4 +171,4 @@ def _grid(size: int, sigma: float, cell: float, reach: float) -> tuple[Tensor, T
 
 def _fold(values: Tensor, columns: Tensor, size: int) -> Tensor:
     """Dense (n, size) matrix: row i holds `values[i]` at `columns[i]`, reflected into [0, size)."""
-    return torch.zeros(values.shape[0], size, dtype=torch.float32).scatter_add(1, _mirror(columns, size), values)
+    return torch.zeros(values.shape[0], size, dtype=torch.float32).scatter_add(1, reflect(columns, size), values)
