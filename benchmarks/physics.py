@@ -1,210 +1,45 @@
-"""The physics referee: our own Monte Carlo random walk against the laws for g, width and shape of the point spread.
-
-Light is traced backwards: a photon leaves the camera along z through endless homogeneous water, is scattered by the
-phase function, and ends where it first meets the endless plane at b·z scattering lengths, which emits the same
-radiance in all directions. Absorption is a weight e^(−aL) of the path L, so one walk serves every a/b.
+"""The physics referee: our own Monte Carlo random walk (`benchmarks.transport`) against the laws for g, width and shape
+of the point spread.
 
 `python -m benchmarks.physics` writes results/physics.json and figures/physics.png and prints the tables.
 """
 
 import argparse
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
-import jerlov
 import numpy as np
 import torch
 from scipy.optimize import minimize
-from scipy.special import j0
 
 from benchmarks.harness import save, use_threads
+from benchmarks.transport import (
+    ABSORPTION,
+    EDGES,
+    FOCAL,
+    FREQUENCIES,
+    LENGTHS,
+    SIZE,
+    Array,
+    PhaseFunction,
+    Spread,
+    henyey_greenstein,
+    petzold,
+    survey,
+)
 from uwaug.formation import form_image
 from uwaug.medium import PAPER_SIZE, Medium, PointSpread
 
 HERE = Path(__file__).parent
-LENGTHS = (0.1, 0.2, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0)  # b·z
-ABSORPTION = (1.0, 0.4, 0.1)  # a/b: clear, coastal, turbid
 STATIONS = {
     "ocean": ("AUTEC 7", "AUTEC 8", "AUTEC 9"),
     "coast": ("HAOCE 5", "HAOCE 11"),
     "harbour": ("NUC 2240", "NUC 2200", "NUC 2040"),
 }
-SIZE, FOCAL = 512, 0.866 * 512  # px: a square picture of 60°
 MEAN, CONTRAST = 0.5, 0.25  # of the picture that errors refer to; power ∝ 1/f²
-FREQUENCIES = np.geomspace(FOCAL / SIZE, FOCAL / 2, 64)  # cycles per unit tangent; equal steps of log f: equal power
-EDGES = np.concatenate([[0.0], np.geomspace(1e-5, 1e3, 641)])  # of the histogram of tangents
-
-Array = np.ndarray[Any, np.dtype[np.float64]]
-Sampler = Callable[[Array], tuple[Array, Array]]
-
-
-@dataclass(frozen=True)
-class PhaseFunction:
-    """Where one scattering sends light.
-
-    Attributes:
-        name: as printed.
-        absorption: a/b of the waters to look at.
-        sample: uniform numbers (N) to (cosine, sine) of the scattering angle.
-    """
-
-    name: str
-    absorption: tuple[float, ...]
-    sample: Sampler
-
-    @property
-    def mean_cosine(self) -> float:
-        """⟨cos θ⟩."""
-        return float(self.sample((np.arange(100_000) + 0.5) / 100_000)[0].mean())
-
-
-def henyey_greenstein(asymmetry: float) -> PhaseFunction:
-    """Henyey & Greenstein (1941), of mean cosine `asymmetry`, 0 < asymmetry < 1."""
-
-    def sample(u: Array) -> tuple[Array, Array]:
-        root = (1 - asymmetry**2) / (1 - asymmetry + 2 * asymmetry * u)
-        cosine = np.clip((1 + asymmetry**2 - root**2) / (2 * asymmetry), -1, 1)
-        return cosine, np.sqrt(1 - cosine**2)
-
-    return PhaseFunction(f"HG {asymmetry}", ABSORPTION, sample)
-
-
-def petzold(station: str) -> PhaseFunction:
-    """Petzold (1972) as measured, log-log between angles; below 0.1° the power law of the first two angles, on which
-    the report's own share of the light there rests.
-    """
-    measured = jerlov.petzold_scattering(station)
-    known = np.log(np.radians(measured.angles_deg))
-    grid = np.linspace(np.log(1e-10), np.log(np.pi), 20_001)
-    logs = np.log(measured.vsf)
-    slope = (logs[1] - logs[0]) / (known[1] - known[0])
-    vsf = np.exp(np.where(grid < known[0], logs[0] + slope * (grid - known[0]), np.interp(grid, known, logs)))
-    ring = 2 * np.pi * vsf * np.sin(np.exp(grid)) * np.exp(grid)  # per unit of log θ
-    share = np.concatenate([[0.0], np.cumsum((ring[1:] + ring[:-1]) / 2 * np.diff(grid))])
-    if abs(share[-1] / measured.b - 1) > 0.03:
-        raise ValueError(f"the angles of {station} hold {share[-1]:.4f}/m of b = {measured.b:.4f}/m")
-    share /= share[-1]
-
-    def sample(u: Array) -> tuple[Array, Array]:
-        angle = np.exp(np.interp(u, share, grid))
-        return np.cos(angle), np.sin(angle)
-
-    return PhaseFunction(station, (*ABSORPTION, round(measured.a / measured.b, 3)), sample)
-
-
-@dataclass(frozen=True)
-class Landings:
-    """Scattered light that reached the plane at `lengths` = b·z: tangent of the angle under which the camera would see
-    each landing point, path in scattering lengths, and weight; the weights of all photons sent sum to 1 − e^(−b·z).
-    """
-
-    lengths: float
-    tangent: Array
-    path: Array
-    weight: Array
-
-
-def walk(sample: Sampler, lengths: float, photons: int = 100_000, seed: int = 0) -> Landings:
-    """Send photons, each made to scatter before the plane (what does not is e^(−cz) exactly)."""
-    rng = np.random.default_rng(seed)
-    parts = [_walk(sample, lengths, min(20_000, photons - n), rng) for n in range(0, photons, 20_000)]
-    tangent, path, weight = (np.concatenate(column) for column in zip(*parts))
-    return Landings(lengths, tangent, path, weight * -np.expm1(-lengths) / photons)
-
-
-def _walk(sample: Sampler, lengths: float, n: int, rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    def strata() -> Array:
-        numbers: Array = (rng.permutation(n) + rng.random(n)) / n
-        return numbers
-
-    path, angle, weight = -np.log1p(strata() * np.expm1(-lengths)), strata(), np.ones(n)
-    at, to = np.zeros((3, n)), np.zeros((3, n))
-    at[2], to[2] = path, 1.0
-    landed = []
-    while path.size:
-        cosine, sine = sample(angle)
-        to = _turn(to, cosine, sine, rng.uniform(0, 2 * np.pi, path.size))
-        step = rng.exponential(size=path.size)
-        ends = at[2] + step * to[2] >= lengths
-        x, y, z = at[:, ends]
-        rest = (lengths - z) / to[2, ends]
-        radius = np.hypot(x + rest * to[0, ends], y + rest * to[1, ends])
-        landed.append((radius / lengths, path[ends] + rest, weight[ends]))
-        stays = ~ends
-        # what has come far carries little light: roulette in step with a = 0.1 b
-        stays &= (path < 20) | (rng.random(path.size) < 0.9)
-        weight = np.where(path < 20, weight, weight / 0.9)[stays]
-        at, to, path = (at + step * to)[:, stays], to[:, stays], (path + step)[stays]
-        angle = rng.random(path.size)
-    tangent, total, weights = (np.concatenate(column) for column in zip(*landed))
-    return tangent, total, weights
-
-
-def _turn(to: Array, cosine: Array, sine: Array, azimuth: Array) -> Array:
-    """Unit vectors (3, N) turned by an angle; the basis of Duff et al. (2017) is smooth about the z axis."""
-    x, y, z = to
-    sign = np.copysign(1.0, z)
-    q = -1 / (sign + z)
-    across, along = sine * np.cos(azimuth), sine * np.sin(azimuth)
-    turned = cosine * to
-    turned[0] += across * (1 + sign * x * x * q) + along * (x * y * q)
-    turned[1] += across * (sign * x * y * q) + along * (sign + y * y * q)
-    turned[2] -= across * (sign * x) + along * y
-    turned /= np.sqrt((turned**2).sum(0))
-    return turned
-
-
-@dataclass(frozen=True, eq=False)
-class Spread:
-    """Light from the plane in a water of absorption a/b: direct and forward share, transfer function of the scattered
-    light at `FREQUENCIES`, its share within each of `EDGES`[1:], and figures to print.
-    """
-
-    lengths: float
-    absorption: float
-    direct: float
-    forward: float
-    transfer: Array
-    encircled: Array
-    figures: dict[str, float]
-
-
-def spread(landings: Landings, absorption: float) -> Spread:
-    """Weigh a walk with absorption a/b.
-
-    Figures: shares D, F; g from D + F = e^(−(a + g b) z), of an endless plane and of a disc of 10° and 3° radius;
-    quantiles of the tangent; root mean square tangent within 45°; mean and deviation of its logarithm.
-    """
-    lengths, tangent = landings.lengths, landings.tangent
-    weight = landings.weight * np.exp(-absorption * landings.path)
-    direct, forward = float(np.exp(-(1 + absorption) * lengths)), float(weight.sum())
-    order = np.argsort(tangent)
-    share = np.cumsum(weight[order]) / forward
-    quantiles = np.interp((0.1, 0.25, 0.5, 0.75, 0.9), share, tangent[order])
-    near = tangent < 1
-    logs = np.log(np.maximum(tangent, 1e-9))
-    centre = float(np.average(logs, weights=weight))
-
-    def g(arrived: float) -> float:
-        return float(-np.log(arrived) / lengths - absorption)
-
-    figures = {
-        "D": direct,
-        "F": forward,
-        "g": g(direct + forward),
-        **{f"g_{r}deg": g(direct + weight[tangent < np.tan(np.radians(r))].sum()) for r in (10, 3)},
-        **{f"q{p}": float(q) for p, q in zip((10, 25, 50, 75, 90), quantiles)},
-        "rms_45deg": float(np.sqrt(np.average(tangent[near] ** 2, weights=weight[near]))),
-        "log_mean": centre,
-        "log_deviation": float(np.sqrt(np.average((logs - centre) ** 2, weights=weight))),
-    }
-    mass, _ = np.histogram(tangent, EDGES, weights=weight / forward)
-    transfer = j0(2 * np.pi * np.multiply.outer(FREQUENCIES, (EDGES[1:] + EDGES[:-1]) / 2)) @ mass
-    return Spread(lengths, absorption, direct, forward, transfer, np.cumsum(mass), figures)
 
 
 @dataclass(frozen=True)
@@ -254,10 +89,12 @@ def least_error(truths: Sequence[Spread]) -> float:
     return min(float(np.mean([_error(t, g, t.transfer) for t in truths])) for g in np.linspace(0, 0.3, 301))
 
 
+_SHIPPED = PointSpread.calibrated(1.0)
 PAPER = Law(0.2, ((1.0, 0.3 * SIZE / PAPER_SIZE / FOCAL, 1.0),))
-CALIBRATED = Law(0.066, ((1.0, PointSpread.calibrated(1.0).scale, PointSpread.calibrated(1.0).exponent),))  # type: ignore[arg-type]
-# g a little above that of least error, so that far scenes, shown brighter, are no worse than by the calibrated law
-PROPOSED = Law(0.05, ((1.0, 0.030, 0.62),), "exponential")
+# the refit to HG .924 and Petzold, but for a g a little above that of least error: far scenes, shown brighter, are then
+# no worse than by the former law
+CALIBRATED = Law(0.05, ((1.0, float(_SHIPPED.scale), float(_SHIPPED.exponent)),), _SHIPPED.shape)
+FORMER = Law(0.066, ((1.0, 0.080, 0.51),))
 
 
 def mean_error(law: Law, truths: Sequence[Spread], *, exposed: bool = False) -> float:
@@ -311,15 +148,6 @@ def picture_error(law: Law) -> float:
     return float(np.mean(found))
 
 
-def survey(phases: Sequence[PhaseFunction], photons: int) -> dict[str, list[Spread]]:
-    """All phase functions at all `LENGTHS` and their own a/b."""
-    result: dict[str, list[Spread]] = {}
-    for phase in phases:
-        walks = [walk(phase.sample, lengths, photons, seed) for seed, lengths in enumerate(LENGTHS)]
-        result[phase.name] = [spread(w, absorption) for absorption in phase.absorption for w in walks]
-    return result
-
-
 def rule_for_g(phases: Sequence[PhaseFunction], spreads: dict[str, list[Spread]]) -> dict[str, float]:
     """Power law g = k·(1 − ⟨cos θ⟩)^p·(a/b)^q·(b z)^r by least squares of logarithms, and its deviation as a factor."""
     rows, logs = [], []
@@ -361,7 +189,7 @@ def compare(
         "paper": PAPER,
         "paper, px of a 128 px picture": Law(PAPER.g, ((1.0, 0.3 / (0.866 * 128), 1.0),)),
         "calibrated": CALIBRATED,
-        "exponential, proposed": PROPOSED,
+        "one Gaussian, HG .924 (former)": FORMER,
         "one Gaussian, refitted": fit_law(both),
         "exponential, refitted": fit_law(both, "exponential"),
         "two Gaussians, refitted": fit_law(both, parts=2),
@@ -399,8 +227,8 @@ def draw(spreads: dict[str, list[Spread]], laws: dict[str, Law], errors: dict[st
     names = {"HG 0.85": "C0", "HG 0.924": "C1", "AUTEC 7": "C2", "HAOCE 11": "C3", "NUC 2200": "C4"}
     shown = {
         "paper": ("0.0", ":"),
-        "calibrated": ("0.0", "--"),
-        "exponential, proposed": ("0.0", "-"),
+        "one Gaussian, HG .924 (former)": ("0.0", "--"),
+        "calibrated": ("0.0", "-"),
         "two Gaussians, refitted": ("0.6", "-"),
     }
     radius = np.geomspace(3e-5, 3, 300)

@@ -112,16 +112,31 @@ def exponential(image: np.ndarray, sigma: float) -> np.ndarray:
     return idctn(dctn(image, axes=(1, 2)) * np.exp(-2 * np.pi * sigma * f), axes=(1, 2))
 
 
+def varying_exponential(image: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """(C, H·W): each pixel of an image (C, H, W) under its own e^(−2πσf), as a sum of its cosine waves."""
+    _, h, w = image.shape
+    waves = dctn(image, axes=(1, 2), norm="ortho")
+    down, across = (idctn(np.eye(n), axes=(0,), norm="ortho") for n in (h, w))
+    f = np.hypot(np.arange(h)[:, None] / (2 * h), np.arange(w)[None] / (2 * w))
+    out = np.empty((len(image), h * w))
+    for p, width in enumerate(np.broadcast_to(sigma, (h, w)).reshape(-1)):
+        out[:, p] = down[p // w] @ (waves * np.exp(-2 * np.pi * width * f)) @ across[p % w]
+    return out
+
+
 def terms(
-    J: np.ndarray, z: np.ndarray, curves: Curves, sigma: np.ndarray, order: str = "line_of_sight"
+    J: np.ndarray,
+    z: np.ndarray,
+    curves: Curves,
+    sigma: np.ndarray,
+    order: str = "line_of_sight",
+    shape: str = "gaussian",
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Direct, forward and backscatter of one image (3, H, W)."""
     share = curves.signal - curves.direct
-    if order == "source":
-        forward = varying_gaussian(share * J, sigma).reshape(J.shape)
-    else:
-        forward = share * varying_gaussian(J, sigma).reshape(J.shape)
-    return curves.direct * J, forward, curves.veil
+    blur = varying_exponential if shape == "exponential" else varying_gaussian
+    scattered = blur(share * J, sigma) if order == "source" else share * blur(J, sigma).reshape(J.shape)
+    return curves.direct * J, scattered.reshape(J.shape), curves.veil
 
 
 def picture(height: int, width: int, seed: int = 0, channels: int = 3) -> np.ndarray:

@@ -97,7 +97,7 @@ def test_demo_on_the_real_scene(run, tmp_path):
         str(out / n) for n in plots.PICTURES
     ]
     assert sum(line.startswith("    Medium(") for line in lines) == 10 + 1 + 2
-    assert "g = 0.066, μ = 0.1" in stdout
+    assert "g = 0.05, μ = 0.075" in stdout
     assert re.fullmatch(rf"5 pictures in {re.escape(str(out))}, \d+\.\d s", lines[-1])
     from PIL import Image
 

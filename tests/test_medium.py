@@ -411,6 +411,23 @@ def test_stack_rejects(coastal: Medium) -> None:
     other = Medium.from_water(Water.jerlov("II"), point_spread=PointSpread(1.0))
     with pytest.raises(ValueError, match="reference_size"):
         Medium.stack([coastal, other])
+    calibrated = Medium.from_water(Water.jerlov("II"), g=0.05, mu=0.075, point_spread=PointSpread.calibrated(400.0))
+    with pytest.raises(
+        ValueError, match=r"shape and reference_size .*exponential σ = 12·.*gaussian σ = 0\.3·.* 518 px"
+    ):
+        Medium.stack([coastal, calibrated])
+    with pytest.raises(ValueError, match=r"got \['exponential .*', 'gaussian .*'\]"):
+        Medium.stack([other, calibrated])
+
+
+def test_calibrated_media_of_several_cameras_stack() -> None:
+    laws = [PointSpread.calibrated(focal) for focal in (200.0, 400.0, 900.0)]
+    medium = Medium.stack([Medium.from_water(Water.jerlov("II"), point_spread=law) for law in laws])
+    z = torch.tensor([0.5, 3.0], dtype=torch.float64).reshape(1, 1, 1, 2)
+    for i, law in enumerate(laws):
+        expected = Medium.from_water(Water.jerlov("II"), point_spread=law).width(z, (64, 64))
+        torch.testing.assert_close(medium.width(z, (64, 64))[i : i + 1], expected)
+        assert medium[i].point_spread.shape == law.shape == "exponential"
 
 
 def test_width_laws() -> None:
@@ -418,7 +435,7 @@ def test_width_laws() -> None:
     for law, scale, exponent, size in (
         (PointSpread.paper(), 0.3 * 259 / 518, 1.0, (259, 300)),
         (PointSpread.paper(0.8), 0.8, 1.0, (800, 518)),
-        (PointSpread.calibrated(400.0), 32.0, 0.51, (64, 64)),
+        (PointSpread.calibrated(400.0), 12.0, 0.62, (64, 64)),
         (PointSpread(3.0, 2.0), 3.0, 2.0, (9, 9)),
         (PointSpread.none(), 0.0, 1.0, (9, 9)),
     ):

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,8 @@ import torch
 
 from uwaug.formation import form_image
 from uwaug.medium import Medium, PointSpread
+
+G = 0.05  # goes with the calibrated law
 
 
 def errors(law: Callable[[float], PointSpread], g: float, order: str = "line_of_sight") -> list[float]:
@@ -34,25 +37,35 @@ def errors(law: Callable[[float], PointSpread], g: float, order: str = "line_of_
 
 @pytest.mark.parametrize("order", ["line_of_sight", "source"])
 def test_the_calibrated_width_law(order: str) -> None:
-    found = errors(PointSpread.calibrated, 0.066, order)
+    found = errors(PointSpread.calibrated, G, order)
     assert len(found) == 6
-    assert np.mean(found) <= 0.015, found
+    assert np.mean(found) <= 0.0125, found
 
 
-def test_the_papers_constants_are_four_times_as_far() -> None:
-    assert np.mean(errors(lambda _: PointSpread(0.3), 0.2)) == pytest.approx(0.06, abs=0.01)
+def test_the_papers_constants_are_five_times_as_far() -> None:
+    paper = np.mean(errors(lambda _: PointSpread(0.3), 0.2))
+    assert paper == pytest.approx(0.067, abs=0.002)
+    assert paper > 5 * np.mean(errors(PointSpread.calibrated, G))
+
+
+def test_the_gaussian_fitted_to_henyey_greenstein_alone_is_no_nearer() -> None:
+    gaussian = np.mean(errors(lambda focal_px: PointSpread(0.08 * focal_px, 0.51), 0.066))
+    assert gaussian == pytest.approx(0.0146, abs=2e-4)
+    assert gaussian > 1.15 * np.mean(errors(PointSpread.calibrated, G))
 
 
 def test_what_the_blur_brings() -> None:
     direct_only = np.mean(errors(lambda _: PointSpread.none(), 1.0))
-    unblurred = np.mean(errors(lambda _: PointSpread.none(), 0.066))
-    assert direct_only > unblurred > 4 * np.mean(errors(PointSpread.calibrated, 0.066))
+    unblurred = np.mean(errors(lambda _: PointSpread.none(), G))
+    assert direct_only > unblurred > 4 * np.mean(errors(PointSpread.calibrated, G))
 
 
-@pytest.mark.parametrize("factor", [0.7, 1.4])
+# These pictures alone ask for 1.5 times the width (.0074): the law serves Petzold's waters as well, which scatter into
+# smaller angles. tests/test_physics.py holds it against both.
+@pytest.mark.parametrize("factor", [0.7, 2.5])
 def test_a_wider_or_narrower_law_is_worse(factor: float) -> None:
     def changed(focal_px: float) -> PointSpread:
         law = PointSpread.calibrated(focal_px)
-        return PointSpread(law.scale * factor, law.exponent)
+        return replace(law, scale=law.scale * factor)
 
-    assert np.mean(errors(changed, 0.066)) > np.mean(errors(PointSpread.calibrated, 0.066))
+    assert np.mean(errors(changed, G)) > 1.05 * np.mean(errors(PointSpread.calibrated, G))

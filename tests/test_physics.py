@@ -11,22 +11,27 @@ sys.path.append(str(Path(__file__).parents[1]))  # for `import benchmarks`: impo
 
 from benchmarks.physics import (
     CALIBRATED,
+    FORMER,
+    PAPER,
+    STATIONS,
+    Law,
+    fit_law,
+    mean_error,
+    picture_error,
+)
+from benchmarks.transport import (
+    ABSORPTION,
     EDGES,
     FREQUENCIES,
     LENGTHS,
-    PAPER,
-    PROPOSED,
-    STATIONS,
-    Law,
     Spread,
-    fit_law,
     henyey_greenstein,
-    mean_error,
     petzold,
-    picture_error,
     spread,
+    survey,
     walk,
 )
+from uwaug.medium import PointSpread
 
 PHOTONS = 100_000
 # Henyey–Greenstein mean cosine, a/b, b·z: forward share, effective g, quantiles 25, 50, 75, 90 % of the tangent
@@ -117,5 +122,40 @@ def test_half_of_the_light_is_within(shape: str, half: float) -> None:
 
 
 def test_heavy_tails_are_nearer_to_the_pictures_than_one_gaussian() -> None:
-    assert picture_error(PROPOSED) < 0.9 * picture_error(CALIBRATED)
-    assert picture_error(CALIBRATED) < 0.25 * picture_error(PAPER)
+    assert picture_error(CALIBRATED) < 0.9 * picture_error(FORMER)
+    assert picture_error(FORMER) < 0.25 * picture_error(PAPER)
+
+
+@pytest.fixture(scope="module")
+def truths() -> dict[str, list[Spread]]:
+    """What the calibrated law is fitted to, from fewer photons."""
+    names = [name for group in STATIONS.values() for name in group]
+    spreads = survey([henyey_greenstein(0.924), *map(petzold, names)], 5_000)
+    own = [s for name in names for s in spreads[name] if s.absorption not in ABSORPTION]
+    return {"HG 0.924": spreads["HG 0.924"], "Petzold": own, "both": [*spreads["HG 0.924"], *own]}
+
+
+def test_the_calibrated_law_is_the_one_that_ships() -> None:
+    law = PointSpread.calibrated(1000.0)
+    assert CALIBRATED.shape == law.shape
+    assert CALIBRATED.widths == ((1.0, pytest.approx(law.scale / 1000), law.exponent),)
+
+
+@pytest.mark.parametrize("truth, share", [("HG 0.924", 0.75), ("Petzold", 0.62), ("both", 0.65)])
+def test_the_calibrated_law_is_nearer_than_one_gaussian(
+    truth: str, share: float, truths: dict[str, list[Spread]]
+) -> None:
+    found, former, paper = (mean_error(law, truths[truth]) for law in (CALIBRATED, FORMER, PAPER))
+    assert found < share * former
+    assert former < 0.4 * paper
+
+
+@pytest.mark.parametrize(
+    "width, exponent, g", [(0.7, 1.0, 1.0), (1.4, 1.0, 1.0), (1.0, 0.5, 1.0), (1.0, 1.4, 1.0), (1, 1, 0.6), (1, 1, 1.4)]
+)
+def test_another_width_exponent_or_g_is_worse(
+    width: float, exponent: float, g: float, truths: dict[str, list[Spread]]
+) -> None:
+    ((share, scale, power),) = CALIBRATED.widths
+    changed = Law(CALIBRATED.g * g, ((share, scale * width, power * exponent),), CALIBRATED.shape)
+    assert mean_error(changed, truths["both"]) > 1.05 * mean_error(CALIBRATED, truths["both"])

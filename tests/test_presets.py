@@ -102,8 +102,15 @@ def test_calibrated_is_the_width_law_for_60_degrees_across():
     expected = PointSpread.calibrated(691 / 2 / torch.tensor(30.0).deg2rad().tan().item())
     z = torch.tensor([0.5, 1.0, 4.0]).reshape(1, 1, 1, 3)
     torch.testing.assert_close(law.variance(z, size), expected.variance(z, size), rtol=2e-3, atol=0)
-    assert "g = 0.066" in repr(preset.medium)
+    assert (law.shape, law.exponent) == (expected.shape, expected.exponent)
+    assert "g = 0.05, μ = 0.075" in repr(preset.medium)
     assert preset.color_space == "srgb"
+
+
+def test_shape_of_the_point_spread(tmp_path):
+    assert load_preset("survey").medium.point_spread.shape == "gaussian"  # if the file does not say
+    heavy = edited(tmp_path, SPECTRAL, r"^exponent = .*", 'exponent = 1.0\nshape = "exponential"')
+    assert load_preset(heavy).medium.point_spread == PointSpread(0.3, 1.0, "exponential", 518)
 
 
 @pytest.mark.parametrize("type", JERLOV_TYPES)
@@ -210,6 +217,11 @@ def edited(tmp_path: Path, source: Path, pattern: str, replacement: str) -> Path
         (r"^scale_px = .*", "scale_px = -1", "point_spread.scale_px must be finite and ≥ 0, got -1"),
         (r"^exponent = .*", "exponent = 0", "point_spread.exponent must be finite and ≥ 0.001, got 0"),
         (r"^short_side_px = .*", "short_side_px = 0", "point_spread.short_side_px must be finite and > 0, got 0"),
+        (
+            r"^short_side_px = .*",
+            'short_side_px = 518.0\nshape = "lorentzian"',
+            "point_spread.shape: Input should be 'gaussian' or 'exponential', got 'lorentzian'",
+        ),
         (r"^color_space = .*", 'color_space = "sRGB"', "color_space: Input should be 'srgb' or 'linear', got 'sRGB'"),
         (r"^type = .*", 'type = "11C"', "water.type must be one of I, IA"),
         (r"^\[field\].*", "field = 3\n[f]", "distance.field is no key"),

@@ -43,7 +43,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "weights": {"waters": {"II": 3.0, "9C": 0, TANK: 1.5}},
     "everything random": EVERYTHING,
     "cameras": {"cameras": ["sigma sdmerill (npl)", LASERS]},
-    "calibrated": {"point_spread": PointSpread.calibrated(28.6), "g": 0.066, "mu": 0.1},
+    "calibrated": {"point_spread": PointSpread.calibrated(28.6), "g": 0.05, "mu": 0.075},
     "heavy tails": {"point_spread": PointSpread(1.0, 0.6, "exponential")},
     "no blur": {"point_spread": PointSpread.none(), "tolerance": 0.01},
     "no field": {"field_probability": 0.0},

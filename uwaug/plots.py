@@ -1,5 +1,6 @@
 """The pictures of the demo: what the model does to a real scene. Each function draws one and says what it modelled."""
 
+import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,6 +27,7 @@ _INK, _GREY = "#1a1a1a", "#5a5a5a"
 _RGB = ("#c0392b", "#2e8b57", "#2a5caa")
 _COAST = "1C"
 _SETTING = "Scene 1 m deep, g = 0.2, μ = 0.3"  # the defaults of Medium.from_water
+_HALF = {"gaussian": math.sqrt(2 * math.log(2)), "exponential": math.sqrt(3)}  # σ that hold half of the light
 
 
 @dataclass(frozen=True)
@@ -173,16 +175,16 @@ def draw_width_laws(scene: Scene) -> Drawing:
     from matplotlib.patches import Rectangle
 
     caption = (
-        "Paper's: g = 0.2, μ = 0.3. Calibrated to Monte Carlo light transport: g = 0.066, μ = 0.1, "
-        f"focal length {scene.focal_px:.0f} px. Scene 1 m deep."
+        "Paper's: Gaussian, g = 0.2, μ = 0.3. Calibrated to Monte Carlo light transport: exponential, g = 0.05, "
+        f"μ = 0.075, focal length {scene.focal_px:.0f} px. Scene 1 m deep."
     )
     figure, axes = _sheet(3, 3, scene, f"Width laws of the forward scatter, Jerlov {_COAST}", caption)
     water = Water.jerlov(_COAST)
     paper = Medium.from_water(water)
-    # μ in the paper's ratio to g, so that the veil is about as bright
-    calibrated = Medium.from_water(water, g=0.066, mu=0.1, point_spread=PointSpread.calibrated(scene.focal_px))
+    # μ in the paper's ratio to g: the veil stays below a white plate
+    calibrated = Medium.from_water(water, g=0.05, mu=0.075, point_spread=PointSpread.calibrated(scene.focal_px))
     height, width = scene.image.shape[-2:]
-    plot = _plot(axes[6], "Width of the point spread", "distance [m]", "σ [px]")
+    plot = _plot(axes[6], "Half of the scattered light is within", "distance [m]", "radius [px]")
     z = torch.linspace(0.05, 8, 160, dtype=torch.float64)
     columns: list[tuple[str, Tensor]] = [("No water", scene.image)]
     modelled = []
@@ -194,8 +196,8 @@ def draw_width_laws(scene: Scene) -> Drawing:
         modelled += lines
         columns.append((label, linear_to_srgb(terms.image)))
         _show(axis, linear_to_srgb(terms.forward), f"{label}, forward scatter alone")
-        sigma = medium.width(z[None, None, None], (height, width)).flatten()
-        plot.plot(z.numpy(), sigma.numpy(), color=colour, label=label, linewidth=2)
+        half = _HALF[medium.point_spread.shape] * medium.width(z[None, None, None], (height, width)).flatten()
+        plot.plot(z.numpy(), half.numpy(), color=colour, label=label, linewidth=2)
     low, high = (float(v) for v in scene.distance.aminmax())
     plot.axvspan(low, high, color="black", alpha=0.07, linewidth=0, label="this scene")
     plot.set(xlim=(0, 8), yscale="log", ylim=(0.01, 500))

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Literal, get_args
 import torch
 from torch import Tensor
 
+from uwaug.blur import Shape
 from uwaug.camera import Camera, load_camera
 from uwaug.distance import from_relative
 from uwaug.field import gaussian_random_field
@@ -169,6 +170,7 @@ class _PointSpread(_Table):
     scale_px: float
     exponent: float
     short_side_px: float
+    shape: Shape = "gaussian"
 
     def __post_init__(self) -> None:
         self._require(0 <= self.scale_px < inf, "scale_px", "finite and ≥ 0")
@@ -279,7 +281,7 @@ def _medium(
     config: _Config, folder: Path, water: str | Water | None, camera: str | os.PathLike[str] | Camera | None
 ) -> Medium:
     psf, depth = config.point_spread, config.medium.vertical_depth_m
-    law = PointSpread(psf.scale_px, psf.exponent, reference_size=psf.short_side_px)
+    law = PointSpread(psf.scale_px, psf.exponent, psf.shape, psf.short_side_px)
     if (spectral := config.water) is not None:
         water = spectral.type if water is None else water
         if camera is None:
