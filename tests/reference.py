@@ -1,6 +1,7 @@
 """What the package is held against: float64 NumPy and SciPy, written straight from the equations."""
 
 import math
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -8,6 +9,7 @@ import torch
 from scipy.fft import dctn, idctn
 from scipy.ndimage import gaussian_filter
 from scipy.optimize import brentq
+from scipy.stats import halfnorm
 
 from uwaug.camera import load_camera
 from uwaug.water import Water
@@ -105,22 +107,48 @@ def gaussian(image: np.ndarray, sigma: float) -> np.ndarray:
     return idctn(dctn(image, axes=(1, 2)) * np.exp(-2 * (np.pi * sigma) ** 2 * squared), axes=(1, 2))
 
 
+@lru_cache
+def mixed_waves(h: int, w: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Widths s at steps of 2 %, and what a Gaussian of each leaves of the cosine waves of either axis."""
+    widths = np.exp(np.arange(math.log(0.04), math.log(1e5), 0.02))
+    axes = []
+    for size in (h, w):
+        f = np.arange(size) / (2 * size)
+        rows = np.exp(-2 * (np.pi * np.outer(widths, f)) ** 2)
+        for row, s in zip(rows, widths[widths < 4]):
+            n, width = np.arange(-36, 37), matched(float(s))
+            taps = np.exp(-0.5 * (n / width) ** 2) if width else 1.0 * (n == 0)
+            row[:] = taps @ np.cos(2 * np.pi * np.outer(n, f)) / taps.sum()
+        axes.append(rows)
+    return widths, axes[0], axes[1]
+
+
+def exponential_waves(sigma: float, h: int, w: int) -> np.ndarray:
+    """What the transfer function e^(−2πσf) leaves of each cosine wave; below 2 px what the mixture of sampled Gaussians
+    leaves that it stands for, of widths σ/|N(0, 1)|.
+    """
+    if sigma >= 2:
+        f = np.hypot(np.arange(h)[:, None] / (2 * h), np.arange(w)[None] / (2 * w))
+        return np.exp(-2 * np.pi * sigma * f)
+    widths, down, across = mixed_waves(h, w)
+    edges = np.sqrt(widths[1:] * widths[:-1])
+    below = np.concatenate([halfnorm.sf(sigma / edges), [1.0]])  # share of widths below the edge above each
+    return np.einsum("s,sh,sw->hw", np.diff(below, prepend=0), down, across)
+
+
 def exponential(image: np.ndarray, sigma: float) -> np.ndarray:
-    """(C, H, W) under the transfer function e^(−2πσf). Half-sample mirrors make it diagonal in the cosine transform."""
-    _, h, w = image.shape
-    f = np.hypot(np.arange(h)[:, None] / (2 * h), np.arange(w)[None] / (2 * w))
-    return idctn(dctn(image, axes=(1, 2)) * np.exp(-2 * np.pi * sigma * f), axes=(1, 2))
+    """(C, H, W) under one exponential shape. Half-sample mirrors make it diagonal in the cosine transform."""
+    return idctn(dctn(image, axes=(1, 2)) * exponential_waves(sigma, *image.shape[1:]), axes=(1, 2))
 
 
 def varying_exponential(image: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """(C, H·W): each pixel of an image (C, H, W) under its own e^(−2πσf), as a sum of its cosine waves."""
+    """(C, H·W): each pixel of an image (C, H, W) under its own exponential shape, as a sum of its cosine waves."""
     _, h, w = image.shape
     waves = dctn(image, axes=(1, 2), norm="ortho")
     down, across = (idctn(np.eye(n), axes=(0,), norm="ortho") for n in (h, w))
-    f = np.hypot(np.arange(h)[:, None] / (2 * h), np.arange(w)[None] / (2 * w))
     out = np.empty((len(image), h * w))
     for p, width in enumerate(np.broadcast_to(sigma, (h, w)).reshape(-1)):
-        out[:, p] = down[p // w] @ (waves * np.exp(-2 * np.pi * width * f)) @ across[p % w]
+        out[:, p] = down[p // w] @ (waves * exponential_waves(float(width), h, w)) @ across[p % w]
     return out
 
 

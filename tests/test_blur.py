@@ -163,7 +163,8 @@ def test_few_blurs_serve_a_wide_range() -> None:
 
 def test_wide_blurs_live_on_small_grids() -> None:
     plan = plan_blur(2.0, 60.0, 0.002)
-    assert all(0.6 < c / s <= 1 for s, c in zip(plan.sigmas, plan.cells) if s > 4)
+    # pitches are 16/m or 16·m px, which costs no time: 8 instead of 10.7 px takes 3 % more for that blur
+    assert all(0.5 < c / s <= 1 for s, c in zip(plan.sigmas, plan.cells) if s > 4)
 
 
 @pytest.mark.parametrize("dtype, tolerance", [(torch.float32, 1e-6), (torch.float64, 1e-13)])

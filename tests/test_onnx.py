@@ -105,11 +105,12 @@ def apart(got: Tensor, wanted: Tensor) -> float:
 def test_files_agree_with_float64_eager(request, name) -> None:
     path, module = request.getfixturevalue(name)
     report = check_onnx(path, module)
-    assert report.cases == 2 * 7 * 7
+    large = json.loads(read_metadata(path)["uwaug_sides_px"])[1] > 144
+    assert report.cases == 2 * (7 * 7 + large)
     assert 0 < report.worst <= (1.0 if name in ("quantised", "encoded") else 1e-5)
     assert "optimisations o" in report.where
     # the taps of blurs much wider than a picture are written out
-    assert path.stat().st_size < (500_000 if name == "calibrated" else 200_000)
+    assert path.stat().st_size < 200_000
     assert (path.stat().st_mode & 0o777) == 0o666 & ~target_umask()
 
 

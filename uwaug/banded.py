@@ -10,6 +10,7 @@ dense matrix 1.8; oneDNN strided convolutions lie between 0.3 and 3.
 """
 
 import math
+from fractions import Fraction
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -21,26 +22,28 @@ from torch import Tensor
 from uwaug.water import Array
 
 POLE = math.sqrt(3.0) - 2.0  # of the filter that turns samples into cubic B-spline coefficients
-ROWS = 16  # rows of a block where a matrix acts along rows
+PERIOD = 16  # px that hold whole cells of a grid (or a cell whole periods); strips of rows are multiples of it
+MARGIN = 2  # cells of a grid beyond either edge, as a cubic spline needs
 SPLINE_REACH = 8  # |POLE|^8 = 3e-5, at a frequency where the Gaussian has already removed all but 1e-2
 
 
-class Block(NamedTuple):
-    """Rows [row, row_end) of a matrix, restricted to the columns [col, col_end) in use."""
+class Run(NamedTuple):
+    """`repeats` equal blocks of a matrix, one below the other: each `height` rows, and `step` columns further on."""
 
     row: int
-    row_end: int
+    height: int
+    repeats: int
     col: int
-    col_end: int
-    matrix: Tensor
+    step: int
+    matrix: Tensor  # (height, columns in use)
     transposed: Tensor
 
 
 class Banded(NamedTuple):
-    """A banded matrix of `rows` rows, as row blocks."""
+    """A banded matrix of `rows` rows, as runs of row blocks."""
 
     rows: int
-    blocks: tuple[Block, ...]
+    runs: tuple[Run, ...]
 
 
 def gaussian_rows(centres: Tensor, sigma: Tensor, size: int) -> Tensor:
@@ -111,29 +114,33 @@ def blur_matrix(size: int, sigma: float, reach: float) -> Tensor:
 
 def grid_matrices(size: int, sigma: float, cell: float, reach: float) -> tuple[Tensor, Tensor]:
     """What blurs an axis on a grid of `cell` px: shrink (cells, size), enlarge (size, cells)."""
-    # rounded up, in 64ths of a px and of positive numbers: exact, and the same in ONNX, whose division truncates;
-    # one more than needed, as a graph of free size asks for two at least
-    sixty_fourths = round(64 * cell)
-    cells = 1 + (64 * size + sixty_fourths - 1) // sixty_fourths
-    return shrink_matrix(size, cells, sigma, reach), enlarge_matrix(size, cells)
+    a, q = per_cell(cell)
+    cells = -(-size * a // q) + 2 * MARGIN
+    return shrink_matrix(size, cells, a, q, sigma, reach), enlarge_matrix(size, cells, a, q)
 
 
-def shrink_matrix(size: int, cells: int, sigma: float, reach: float) -> Tensor:
-    """(cells, size) matrix: cubic B-spline coefficients, on `cells` equal cells, of the axis blurred by `sigma` px.
+def per_cell(cell: float) -> tuple[int, int]:
+    """A grid's pitch as `a` cells on `q` px."""
+    pitch = Fraction(cell).limit_denominator(PERIOD)
+    return pitch.denominator, pitch.numerator
+
+
+def shrink_matrix(size: int, cells: int, a: int, q: int, sigma: float, reach: float) -> Tensor:
+    """(cells, size) matrix: cubic B-spline coefficients, on a grid of `a` cells for every `q` px, of the axis blurred
+    by `sigma` px.
 
     Sampling a Gaussian and solving for spline coefficients (Unser 1999, eq. 11) is one kernel, Σ_k √3·pole^|k| g(x +
     k·cell): the blur itself is the anti-aliasing filter, and the spline loses less than 70 dB from cell ≤ σ/1.1 on
     (linear interpolation: 45 dB; Keys' cubic: 57). With g(x + k·cell) = g(x)·g(k·cell)·ratio^k it takes two
     exponentials and a polynomial.
     """
-    # a tensor: the quotient of two symbolic numbers would enter a graph in single precision
-    cell = torch.full((1,), size, dtype=torch.float64) / torch.full((1,), cells, dtype=torch.float64)
-    centres = (torch.arange(cells, dtype=torch.float64) + 0.5) * cell - 0.5
+    cell = q / a
+    index = torch.arange(-MARGIN, cells - MARGIN)
+    within = (torch.remainder(index, a).double() + 0.5) * cell - 0.5  # the same in every period, to the last bit
     radius = math.ceil(reach * sigma)
-    first = torch.floor(centres).long() - radius
-    x = (first[:, None] + torch.arange(2 * radius + 2)) - centres[:, None]
-    ratio = torch.exp(-x * (cell / sigma**2))
-    step = torch.exp(-0.5 * (cell / sigma) ** 2)  # g(cell)
+    first = torch.floor(within).long() - radius
+    x = (first[:, None] + torch.arange(2 * radius + 2)) - within[:, None]
+    ratio, step = torch.exp(-x * (cell / sigma**2)), math.exp(-0.5 * (cell / sigma) ** 2)  # step = g(cell)
     kernel, forth, back = torch.ones_like(x), torch.ones_like(x), torch.ones_like(x)
     for k in range(1, SPLINE_REACH + 1):
         # g(k·cell)·ratio^±k, each from the one before: g(k·cell) = g((k − 1)·cell)·g(cell)^(2k − 1)
@@ -141,29 +148,37 @@ def shrink_matrix(size: int, cells: int, sigma: float, reach: float) -> Tensor:
         kernel = kernel + POLE**k * (forth + back)
     # cut at the same distance on both sides, wherever between two pixels the centre lies
     kernel = kernel * torch.exp(-0.5 * (x / sigma) ** 2) * (x.abs() <= radius + 0.5)
-    return _fold(kernel / kernel.sum(1, keepdim=True), first, size)
+    return _fold(kernel / kernel.sum(1, keepdim=True), first + torch.div(index, a, rounding_mode="floor") * q, size)
 
 
-def enlarge_matrix(size: int, cells: int) -> Tensor:
-    """(size, cells) matrix: values at `size` samples of the cubic B-spline with coefficients on `cells` equal cells."""
-    per_px = torch.full((1,), cells, dtype=torch.float64) / torch.full((1,), size, dtype=torch.float64)
-    x = (torch.arange(size, dtype=torch.float64) + 0.5) * per_px - 0.5
-    first = torch.floor(x).long() - 1
+def enlarge_matrix(size: int, cells: int, a: int, q: int) -> Tensor:
+    """(size, cells) matrix: values at `size` samples of the cubic B-spline with coefficients on that grid."""
+    index = torch.arange(size)
+    x = (torch.remainder(index, q).double() + 0.5) * (a / q) - 0.5
+    first = torch.floor(x).long() + torch.div(index, q, rounding_mode="floor") * a - 1 + MARGIN
     t = (x - torch.floor(x))[:, None]
     kernel = torch.cat([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, 3 * (1 - t) ** 3 - 6 * (1 - t) ** 2 + 4, t**3], 1) / 6
-    return _fold(kernel, first, cells)
+    return torch.zeros(size, cells, dtype=torch.float64).scatter_(1, first[:, None] + torch.arange(4), kernel)
 
 
 def cut(dense: Tensor, height: int, dtype: torch.dtype, device: torch.device) -> Banded:
-    """Cut a dense matrix into row blocks of `height` rows, each with the columns that it uses."""
-    blocks = []
+    """Cut a dense matrix into row blocks of `height` rows, each with the columns that it uses, and join those that
+    repeat.
+    """
+    runs: list[Run] = []
     used = dense != 0
     for row in range(0, len(dense), height):
         columns = used[row : row + height].any(0).nonzero().flatten()
-        col, col_end = int(columns[0]), int(columns[-1]) + 1
+        col, col_end = (int(columns[0]), int(columns[-1]) + 1) if len(columns) else (0, 1)  # a cell that no pixel uses
         matrix = dense[row : row + height, col:col_end].to(device, dtype).contiguous()
-        blocks.append(Block(row, row + len(matrix), col, col_end, matrix, matrix.t().contiguous()))
-    return Banded(len(dense), tuple(blocks))
+        if runs and runs[-1].matrix.shape == matrix.shape and bool((runs[-1].matrix == matrix).all()):
+            last = runs[-1]
+            step = last.step if last.repeats > 1 else col - last.col
+            if col == last.col + last.repeats * step:
+                runs[-1] = last._replace(repeats=last.repeats + 1, step=step)
+                continue
+        runs.append(Run(row, len(matrix), 1, col, 0, matrix, matrix.t().contiguous()))
+    return Banded(len(dense), tuple(runs))
 
 
 @lru_cache(maxsize=1024)
@@ -174,30 +189,50 @@ def operators(
 
     One pair, a blur, on the image's own grid (`cell` = 1); two, shrink and enlarge, on a coarser one.
     """
-    wide = ROWS if axis == 0 else 32  # the fastest of 8…64 on 256 and 512 px
+    least = 8 if axis == 0 else 32  # rows of a block, the fastest of 4…64 on 256 and 512 px
     if cell == 1:
-        blur = cut(blur_matrix(size, sigma, reach), wide, dtype, device)
+        blur = cut(blur_matrix(size, sigma, reach), least, dtype, device)
         return ((blur, blur),)  # symmetric: half-sample reflection makes the cosine transform diagonalise it
     shrink, enlarge = grid_matrices(size, sigma, cell, reach)
+    a, q = per_cell(cell)
+    # whole periods of the grid repeat
+    cells, px = a * -(-least // a), max(least, min(q, PERIOD))
     return (
-        (cut(shrink, 16, dtype, device), cut(shrink.t(), wide, dtype, device)),
-        (cut(enlarge, wide, dtype, device), cut(enlarge.t(), 16, dtype, device)),
+        (cut(shrink, cells, dtype, device), cut(shrink.t(), px, dtype, device)),
+        (cut(enlarge, px, dtype, device), cut(enlarge.t(), cells, dtype, device)),
     )
 
 
 def along_rows(matrix: Banded, x: Tensor, first: int = 0, end: int | None = None) -> Tensor:
-    """`matrix @ x` for x (rows, N); only blocks `first` to `end` of the result."""
-    blocks = matrix.blocks[first:end]
-    out = x.new_empty(blocks[-1].row_end - blocks[0].row, x.shape[1])
-    for b, part in zip(blocks, torch.split(out, blocks[0].row_end - blocks[0].row)):
-        torch.mm(b.matrix, x.narrow(0, b.col, b.col_end - b.col), out=part)
+    """`matrix @ x` for x (rows, N), contiguous; only rows `first` to `end`, between blocks, of the result."""
+    n, start = x.shape[1], x.storage_offset()
+    end = matrix.rows if end is None else min(end, matrix.rows)
+    out = x.new_empty(end - first, n)
+    for row, height, repeats, col, step, block, _ in matrix.runs:
+        skip = max(0, (first - row) // height)
+        repeats = min(repeats, (end - row + height - 1) // height) - skip
+        if repeats < 1:
+            continue
+        row, col = row + skip * height - first, col + skip * step
+        part, width = out.narrow(0, row, repeats * height), block.shape[1]
+        if repeats == 1:
+            torch.mm(block, x.narrow(0, col, width), out=part)
+        else:
+            windows = x.as_strided((repeats, width, n), (step * n, n, 1), start + col * n)
+            torch.bmm(block.expand(repeats, -1, -1), windows, out=part.view(repeats, height, n))
     return out
 
 
 def along_columns(matrix: Banded, x: Tensor) -> Tensor:
-    """`x @ matrix.T` for x (N, columns)."""
-    blocks = matrix.blocks
-    out = x.new_empty(x.shape[0], matrix.rows)
-    for b, part in zip(blocks, torch.split(out, blocks[0].row_end, 1)):
-        torch.mm(x.narrow(1, b.col, b.col_end - b.col), b.transposed, out=part)
+    """`x @ matrix.T` for x (N, columns), contiguous."""
+    (n, size), start = x.shape, x.storage_offset()
+    out = x.new_empty(n, matrix.rows)
+    for row, height, repeats, col, step, block, transposed in matrix.runs:
+        width = block.shape[1]
+        if repeats == 1:
+            torch.mm(x.narrow(1, col, width), transposed, out=out.narrow(1, row, height))
+        else:
+            windows = x.as_strided((repeats, n, width), (step, size, 1), start + col)
+            part = out.as_strided((repeats, n, height), (height, matrix.rows, 1), row)
+            torch.bmm(windows, transposed.expand(repeats, -1, -1), out=part)
     return out

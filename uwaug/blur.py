@@ -2,7 +2,8 @@
 
 The image is blurred at K fixed widths and combined per pixel with weights W_k(σ), ΣW_k = 1. A plan holds the widths,
 the grid of each and the weights as polynomials of v = ½ log(σ² + ½): logarithmic for wide blurs, linear in σ² for
-narrow ones, so that σ = 0 is the image itself and every gradient is finite. The weights are the least-squares fit, over
+narrow ones, so that σ = 0 is the image itself and every gradient is finite. (An exponential shape is linear in σ there:
+v = log(σ + ½) needs 10 blurs where the other needs 16.) The weights are the least-squares fit, over
 a picture's frequencies (power ∝ 1/f²), of the K transfer functions to the wanted one; any point spread that is a
 mixture of Gaussians thus comes from the same stack.
 """
@@ -18,7 +19,7 @@ import torch
 from torch import Tensor
 
 from uwaug.banded import (
-    ROWS,
+    PERIOD,
     Banded,
     along_columns,
     along_rows,
@@ -32,9 +33,10 @@ Chain = tuple[tuple[int, Banded, Banded], ...]  # (axis, matrix, its transpose),
 Shape = Literal["gaussian", "exponential"]
 
 _CONTRAST = 0.25  # standard deviation of the picture that errors refer to, on a scale of 0…1
-_V_FLOOR = 0.5  # px²; keeps v finite at σ = 0
+_V_FLOOR = 0.5  # px² or, of an exponential shape, px: keeps v finite at σ = 0
 _MOST_NODES = 24
-_STRIP = 100_000  # samples; with K of them and a few more, about a megabyte of cache
+_WIDEST = 0.75  # longest sides: of the blurs that make up an exponential shape
+_STRIP = 200_000  # samples of a strip; 50_000 takes a fifth longer (calls), 400_000 a tenth at 1024² (caches)
 
 
 @dataclass(frozen=True)
@@ -45,9 +47,10 @@ class BlurPlan:
         sigma_min, sigma_max: widths served, px; a pixel outside is given the nearer end.
         sigmas: the K fixed widths, px; 0 is the image itself.
         cells: grid cell of each, px; 1 is the image's own grid.
-        coefficients: K polynomials in the normalised v, constant first; they sum to 1.
+        coefficients: K polynomials in v over the range, as Chebyshev series; they sum to 1.
         reach: kernels are cut at reach·σ.
         error: predicted RMSE over the range, on a picture with a standard deviation of 0.25.
+        shape: of the blur that a pixel asks for.
     """
 
     sigma_min: float
@@ -57,6 +60,7 @@ class BlurPlan:
     coefficients: tuple[tuple[float, ...], ...]
     reach: float
     error: float
+    shape: Shape = "gaussian"
 
     def __str__(self) -> str:
         if self.sigmas == (0.0,):
@@ -71,18 +75,25 @@ class BlurPlan:
 NO_BLUR = BlurPlan(0.0, 0.0, (0.0,), (1.0,), ((1.0,),), 0.0, 0.0)
 
 
-def _v(sigma: float) -> float:
-    return 0.5 * math.log(sigma * sigma + _V_FLOOR)
+def _v(sigma: float, shape: Shape = "gaussian") -> float:
+    return math.log(sigma + _V_FLOOR) if shape == "exponential" else 0.5 * math.log(sigma * sigma + _V_FLOOR)
 
 
-def _sigma(v: float) -> float:
-    return math.sqrt(max(math.exp(2 * v) - _V_FLOOR, 0.0))
+def _sigma(v: float, shape: Shape = "gaussian") -> float:
+    return max(math.exp(v) - _V_FLOOR, 0.0) if shape == "exponential" else math.sqrt(max(math.exp(2 * v) - _V_FLOOR, 0))
 
 
-@lru_cache(maxsize=1)
-def _frequencies() -> tuple[Array, Array]:
-    """Frequencies of a picture, (2, F) in cycles per px, and the amplitude (F,) each has if power falls as 1/f²."""
-    radius, angle = np.geomspace(1 / 1024, math.sqrt(0.5), 48), np.array([0.0, math.pi / 8, math.pi / 4])
+def ends(plan: BlurPlan) -> tuple[float, float]:
+    """A plan's range in v. (No method: those of a plan cannot be compiled.)"""
+    return _v(plan.sigma_min, plan.shape), _v(plan.sigma_max, plan.shape)
+
+
+@lru_cache(maxsize=8)
+def _frequencies(longest: float = 512.0) -> tuple[Array, Array]:
+    """Frequencies of a picture whose longest side is `longest` px, (2, F) in cycles per px, and the amplitude (F,)
+    each has if power falls as 1/f².
+    """
+    radius, angle = np.geomspace(0.5 / longest, math.sqrt(0.5), 48), np.array([0.0, math.pi / 8, math.pi / 4])
     f = np.stack([np.outer(radius, np.cos(angle)).ravel(), np.outer(radius, np.sin(angle)).ravel()])
     f = f[:, (f <= 0.5).all(0)]
     # rings at equal steps of log f hold equal power: area ∝ f·df, power density ∝ 1/f²
@@ -90,31 +101,44 @@ def _frequencies() -> tuple[Array, Array]:
     return f, amplitude
 
 
-@lru_cache(maxsize=1)
-def _cosines() -> Array:
+@lru_cache(maxsize=8)
+def _cosines(longest: float) -> Array:
     """cos(2πfn) at those frequencies for the taps n = 1…32 of a sampled Gaussian of up to 4 px, (2, 32, F)."""
-    f, _ = _frequencies()
+    f, _ = _frequencies(longest)
     cosines: Array = np.cos(2 * np.pi * f[:, None] * np.arange(1, 33)[:, None])
     return cosines
 
 
-def _transfer(sigmas: Array, shape: Shape) -> Array:
+@lru_cache(maxsize=8)
+def _mixture(longest: float) -> tuple[Array, Array]:
+    """Widths in equal steps of their logarithm, and transfer functions, of Gaussians to mix an exponential shape of."""
+    widths = np.geomspace(0.05, 1e5, 400)
+    return widths, _transfer(widths, "gaussian", longest)
+
+
+def _transfer(sigmas: Array, shape: Shape, longest: float = 512.0) -> Array:
     """Transfer functions (S, F), at the frequencies of a picture, that pixels of widths `sigmas` ask for."""
-    f, _ = _frequencies()
+    f, _ = _frequencies(longest)
     if shape == "exponential":
-        exponential: Array = np.exp(-2 * np.pi * sigmas[:, None] * np.hypot(*f))
+        widths, transfers = _mixture(longest)
+        x = np.maximum(sigmas, 1e-9)[:, None] / widths  # |N(0, 1)| distributed
+        shares = math.sqrt(2 / math.pi) * x * np.exp(-0.5 * x * x) * math.log(widths[1] / widths[0])
+        sharp = np.array([[math.erfc(s / widths[0] / math.sqrt(2))] for s in sigmas])
+        exponential: Array = sharp + shares @ transfers
         return exponential
     # wider than 4 px, sampling no longer shows
     transfer: Array = np.exp(-2 * (np.pi * sigmas[:, None]) ** 2 * (f**2).sum(0))
     narrow = sigmas <= 4
     weights = np.exp(-0.5 * (np.arange(1, 33) / np.maximum(sampled_parameter(sigmas[narrow]), 0.01)[:, None]) ** 2)
-    axes = (1 + 2 * weights @ _cosines()) / (1 + 2 * weights.sum(1, keepdims=True))
+    axes = (1 + 2 * weights @ _cosines(longest)) / (1 + 2 * weights.sum(1, keepdims=True))
     transfer[narrow] = axes[0] * axes[1]
     return transfer
 
 
 @lru_cache(maxsize=1024)
-def plan_blur(sigma_min: float, sigma_max: float, tolerance: float = 0.002, shape: Shape = "gaussian") -> BlurPlan:
+def plan_blur(
+    sigma_min: float, sigma_max: float, tolerance: float = 0.002, shape: Shape = "gaussian", longest: float = 512.0
+) -> BlurPlan:
     """Choose the fewest blurs that serve all widths in a range.
 
     The widths lie between equal steps of v and Chebyshev nodes (¼ : ¾), within 1 dB of the best that a search found.
@@ -125,10 +149,14 @@ def plan_blur(sigma_min: float, sigma_max: float, tolerance: float = 0.002, shap
             dB and .0005 72 dB on a picture with a standard deviation of .25.
         shape: what a pixel of width σ asks for. "gaussian": exp(−2π²σ²f²). "exponential": exp(−2πσf), the classical
             transfer function of McGlamery (1980) and Jaffe (1990), whose point spread ∝ (r² + σ²)^(−3/2) has half of
-            its energy beyond 1.7 σ and no finite variance.
+            its energy beyond 1.7 σ and no finite variance. Below 2 px both shapes are what samples can hold: a sampled
+            Gaussian, and the mixture of those, of widths σ/|N(0, 1)|, that an exponential is.
+        longest: longest side of the images, px. An exponential shape needs no blurs much wider than that, and no waves
+            longer than twice it are planned for.
 
     Raises:
-        ValueError: if the range or the tolerance is not as above, or the tolerance needs more than 24 blurs.
+        ValueError: if the range, the longest side or the tolerance is not as above, or the tolerance needs more than
+            24 blurs.
     """
     if not 0 <= sigma_min <= sigma_max < math.inf:
         raise ValueError(f"expected 0 ≤ sigma_min ≤ sigma_max, finite, in px; got {sigma_min} and {sigma_max}")
@@ -136,24 +164,28 @@ def plan_blur(sigma_min: float, sigma_max: float, tolerance: float = 0.002, shap
         raise ValueError(f"tolerance must lie in (0, 1) (image scale 0…1), got {tolerance}")
     if shape not in get_args(Shape):
         raise ValueError(f"shape must be one of {get_args(Shape)}, got {shape!r}")
-    _, amplitude = _frequencies()
+    if not 1 <= longest < math.inf:
+        raise ValueError(f"longest must be a finite number of px ≥ 1, got {longest}")
+    # fine detail alone, as of a tiny picture, would ask too much of narrow blurs; Gaussians do not depend on it
+    longest = max(float(longest), 256.0) if shape == "exponential" else 512.0
+    _, amplitude = _frequencies(longest)
     target = 0.48 * tolerance
-    constant = _v(sigma_max) - _v(sigma_min) < 1e-6
+    start, end = _v(sigma_min, shape), _v(sigma_max, shape)
+    constant = end - start < 1e-6
     # denser towards the ends of the range, where the fit is worst
     grid = np.zeros(1) if constant else -np.cos(np.linspace(0, np.pi, 33))
-    v = _v(sigma_max) + 0.5 * (_v(sigma_max) - _v(sigma_min)) * (grid - 1) if not constant else grid + _v(sigma_max)
-    wanted = _transfer(np.array([_sigma(x) for x in v]), shape) * amplitude
+    v = end + 0.5 * (end - start) * (grid if constant else grid - 1)
+    wanted = _transfer(np.array([_sigma(x, shape) for x in v]), shape, longest) * amplitude
     if np.sqrt(((wanted - amplitude) ** 2).sum(1)).max() <= target:
         return NO_BLUR
-    # the exponential shape mixes Gaussians much narrower and wider than its own width
-    first, last = (0.3 * sigma_min, 100 * sigma_max) if shape == "exponential" else (sigma_min, sigma_max)
+    first, last, narrowest = sigma_min, sigma_max, min(0.6, 0.7 * sigma_max)
+    if shape == "exponential":  # it mixes Gaussians of σ/|N(0, 1)|: beyond x·σ lies .8/x of the light
+        first, last, narrowest = 0.5 * sigma_min, min(0.4 / target * sigma_max, _WIDEST * longest), 0.3
     identity = (0.0,) if first < 0.75 else ()
-    narrowest = 0.2 if shape == "exponential" else min(0.6, 0.7 * last)
-    low, high = _v(max(first, narrowest)), _v(last)
+    low, high = _v(max(first, narrowest)), _v(max(last, narrowest))
     decibel = -20 * math.log10(target)
     # what a blur of the stack may itself be off by, through its grid and where its kernel is cut; as the strength of a
-    # ridge
-    # it also keeps the weights of blurs that hardly differ from growing against each other
+    # ridge it also keeps the weights of blurs that hardly differ from growing against each other
     noise = target / 3
     density = min(max(1.1 + (decibel - 60) / 40, 1.0), 3.0)  # grid samples per σ: 70 dB at 1.1, 84 at 1.5
     chebyshev = np.polynomial.chebyshev.chebvander
@@ -161,13 +193,13 @@ def plan_blur(sigma_min: float, sigma_max: float, tolerance: float = 0.002, shap
         steps = (np.arange(k) + 0.5) / k
         steps = (0.3 * steps + 0.35 * (1 - np.cos(np.pi * steps))) ** 1.1
         sigmas = (*identity, *(_sigma(low + (high - low) * s) for s in steps))
-        basis = _transfer(np.array(sigmas), "gaussian") * amplitude
+        basis = _transfer(np.array(sigmas), "gaussian", longest) * amplitude
         # W_last = 1 − ΣW: fit the others to differences, first over f, then along v
         change = np.concatenate([np.eye(len(sigmas) - 1), -np.ones((1, len(sigmas) - 1))])  # W = e_last + change @ free
         system = np.concatenate([basis.T @ change, noise * change])
-        start = np.zeros(len(sigmas))
-        start[-1] = 1
-        sides = np.concatenate([(wanted - basis[-1]).T, np.repeat(-noise * start[:, None], len(v), 1)])
+        alone = np.zeros((len(sigmas), len(v)))
+        alone[-1] = 1
+        sides = np.concatenate([(wanted - basis[-1]).T, -noise * alone])
         free = np.linalg.lstsq(system, sides, rcond=1e-12)[0]
         degree = 0 if constant or len(sigmas) == 1 else len(sigmas) + len(identity)
         powers = chebyshev(grid, degree)
@@ -185,11 +217,19 @@ def plan_blur(sigma_min: float, sigma_max: float, tolerance: float = 0.002, shap
         sigma_min=sigma_min,
         sigma_max=sigma_max,
         sigmas=sigmas,
-        cells=tuple(math.floor(64 * s / density) / 64 if s > 1.8 * density else 1.0 for s in sigmas),
+        cells=tuple(_cell(s / density) for s in sigmas),
         coefficients=tuple(tuple(float(c) for c in row) for row in (*fitted, last_row)),
         reach=min(max(3 + (decibel - 60) / 24, 2.5), 8.0),
         error=error,
+        shape=shape,
     )
+
+
+def _cell(widest: float) -> float:
+    """The pitch of a grid, px, at most `widest`, so that a period holds whole cells or a cell whole periods."""
+    if widest < 2:
+        return 1.0
+    return PERIOD / math.ceil(PERIOD / widest) if widest < PERIOD else float(PERIOD * (widest // PERIOD))
 
 
 def node_weights(variance: Tensor, plan: BlurPlan) -> Tensor:
@@ -205,24 +245,30 @@ def node_weights(variance: Tensor, plan: BlurPlan) -> Tensor:
     degree = len(plan.coefficients[0]) - 1
     if degree == 0:
         return variance.new_tensor(plan.coefficients)[:, :, None].expand(len(variance), -1, *variance.shape[-2:])
-    low, high = _v(plan.sigma_min), _v(plan.sigma_max)
-    slope = 1 / (high - low)
-    offset = (math.log(_V_FLOOR) - low - high) * slope
-    x = torch.log1p(variance * (1 / _V_FLOOR)).mul_(slope).add_(offset).clamp(-1, 1)  # 2v = log ½ + log1p(2σ²)
+    low, high = ends(plan)
+    slope = (2 if plan.shape == "exponential" else 1) / (high - low)
+    offset = slope * math.log(_V_FLOOR) - (low + high) / (high - low)
+    # v = log ½ + log1p(2σ), and 2v = log ½ + log1p(2σ²); the root's slope stays finite
+    x = variance.clamp(min=1e-12).sqrt() if plan.shape == "exponential" else variance
+    x = torch.log1p(x * (1 / _V_FLOOR)).mul_(slope).add_(offset).clamp(-1, 1)
     b, _, h, w = x.shape
-    terms = [torch.ones_like(x), x]
-    for _ in range(degree - 1):
-        terms.append(torch.addcmul(-terms[-2], terms[-1], x, value=2))  # Chebyshev
-    coefficients = x.new_tensor(plan.coefficients)
-    return (coefficients @ torch.cat(terms[: degree + 1], 1).reshape(b, degree + 1, h * w)).reshape(b, -1, h, w)
+    terms = [x]
+    if degree > 1:
+        terms.append(torch.addcmul(x.new_tensor(-1.0), x, x, value=2))
+    for _ in range(degree - 2):
+        terms.append(torch.mul(terms[-1], x).mul_(2).sub_(terms[-2]))  # Chebyshev
+    coefficients = x.new_tensor(plan.coefficients).expand(b, -1, -1)
+    powers = torch.cat(terms, 1).reshape(b, degree, h * w)
+    return torch.baddbmm(coefficients[..., :1], coefficients[..., 1:], powers).reshape(b, -1, h, w)
 
 
 @torch.library.custom_op("uwaug::node_blur", mutates_args=())
 def _node_blur(x: Tensor, sigma: float, cell: float, reach: float, adjoint: bool) -> Tensor:
     """One blur of a stack on x (H, N, W), or its adjoint: an operator of its own, which torch.compile keeps whole."""
     chain = _chain(sigma, cell, reach, x.shape[0], x.shape[2], x.dtype, x.device)
+    x = x.contiguous()
     if adjoint:
-        return _products(x.contiguous(), [(axis, transpose) for axis, _, transpose in reversed(chain)])
+        return _products(x, [(axis, transpose) for axis, _, transpose in reversed(chain)])
     return _products(x, [(axis, matrix) for axis, matrix, _ in chain])
 
 
@@ -285,15 +331,15 @@ def blurred_rows(image: Tensor, plan: BlurPlan) -> Iterator[tuple[slice, list[Te
     sources = [
         _products(x, [(axis, matrix) for axis, matrix, _ in chain[:-1]]) if len(chain) > 2 else x for chain in chains
     ]
-    blocks = max(1, _STRIP // (ROWS * c * w))
-    for first in range(0, math.ceil(h / ROWS), blocks):
-        rows = slice(ROWS * first, min(ROWS * (first + blocks), h))
+    height = PERIOD * max(1, _STRIP // (PERIOD * c * w))
+    for first in range(0, h, height):
+        rows = slice(first, min(first + height, h))
         strips = []
         for chain, source in zip(chains, sources):
             strip = source[rows]
             if chain:
                 along = chain[-1] if len(chain) > 2 else chain[0]
-                strip = along_rows(along[1], source.reshape(len(source), -1), first, first + blocks).reshape(-1, c, w)
+                strip = along_rows(along[1], source.reshape(len(source), -1), first, rows.stop).reshape(-1, c, w)
             if len(chain) == 2:
                 strip = _products(strip, [chain[1][:2]])
             strips.append(strip.transpose(0, 1)[None])

@@ -10,8 +10,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from uwaug.banded import POLE, SPLINE_REACH, blur_kernel, reflect
-from uwaug.blur import BlurPlan
+from uwaug.banded import MARGIN, POLE, SPLINE_REACH, blur_kernel, per_cell, reflect
+from uwaug.blur import BlurPlan, ends
 from uwaug.colour import linear_to_srgb, srgb_to_linear
 from uwaug.medium import FARTHEST, Medium
 from uwaug.module import Underwater
@@ -90,11 +90,16 @@ class Graph(nn.Module):
         if self.reference_size is not None:
             scale = scale * (torch.minimum(_number(h), _number(w)) / self.reference_size)
         lengths = (b_mean * z).clamp(1e-6, 1e4)
-        squared = lengths * lengths
-        power = squared if self.power == 1 else squared ** (exponent if self.power is None else self.power)
-        low, high = (math.log(s * s + 0.5) for s in (plan.sigma_min, plan.sigma_max))
-        x = torch.log1p((2 * scale * scale) * power)  # 2v − log ½
-        x = (x * (2 / (high - low)) + (2 * math.log(0.5) - low - high) / (high - low)).clamp(-1, 1)
+        power = exponent if self.power is None else self.power
+        low, high = ends(plan)
+        slope = (2 if plan.shape == "exponential" else 1) / (high - low)
+        if plan.shape == "exponential":
+            x = 2 * scale * lengths**power
+        else:
+            squared = lengths * lengths
+            x = (2 * scale * scale) * (squared if self.power == 1 else squared**power)
+        x = torch.log1p(x) * slope + (slope * math.log(0.5) - (low + high) / (high - low))  # v, see node_weights
+        x = x.clamp(-1, 1)
         twice = 2 * x
         terms = [torch.ones_like(x), x]
         for _ in range(degree - 1):
@@ -136,37 +141,44 @@ def _blurred(image: Tensor, sigma: float, cell: float, reach: float) -> Tensor:
         # to gather whole rows would copy them value by value
         left, right = (x.index_select(3, reflect(torch.arange(*ends), w)) for ends in ((-margin, 0), (w, w + margin)))
         return F.conv2d(torch.cat([left, x, right], 3), kernel.contiguous(), groups=3)
-    (shrink_rows, enlarge_rows), (shrink_columns, enlarge_columns) = (_grid(n, sigma, cell, reach) for n in (h, w))
+    taps = torch.arange(2 * math.ceil(reach * sigma) + 2)  # stored in the file: once for both axes
+    (shrink_rows, enlarge_rows), (shrink_columns, enlarge_columns) = (_grid(n, sigma, cell, taps) for n in (h, w))
     x = (shrink_rows @ image) @ shrink_columns.t()
     return enlarge_rows @ (x @ enlarge_columns.t())
 
 
-def _grid(size: int, sigma: float, cell: float, reach: float) -> tuple[Tensor, Tensor]:
+def _grid(size: int, sigma: float, cell: float, taps: Tensor) -> tuple[Tensor, Tensor]:
     """What blurs one axis on a grid of `cell` px: matrices (cells, size) and (size, cells).
 
     As `uwaug.banded.grid_matrices`; positions in double precision, values in single.
     """
-    sixty_fourths = round(64 * cell)
-    cells = 1 + (64 * size + sixty_fourths - 1) // sixty_fourths
-    length, count = (torch.full((1,), n, dtype=torch.float64) for n in (size, cells))
-    centres = (torch.arange(cells, dtype=torch.float64) + 0.5) * (length / count) - 0.5
-    radius = math.ceil(reach * sigma)
-    first = torch.floor(centres).long() - radius
-    columns = first[:, None] + torch.arange(2 * radius + 2)
-    x = (columns - centres[:, None]).to(torch.float32)
+    a, q = per_cell(cell)
+    cells = (size * a + q - 1) // q + 2 * MARGIN  # of positive numbers: ONNX's division truncates
+    index = torch.arange(-MARGIN, cells - MARGIN)
+    within = (torch.remainder(index, _same(a)).double() + 0.5) * (q / a) - 0.5
+    radius = taps.shape[0] // 2 - 1
+    columns = torch.floor(within).long()[:, None] - radius + taps
+    x = (columns - within[:, None]).to(torch.float32)
     steps = torch.arange(-SPLINE_REACH, SPLINE_REACH + 1)
-    shifted = x[:, :, None] + (length / count).to(torch.float32) * steps
+    shifted = x[:, :, None] + q / a * steps
     poles = torch.tensor([POLE ** abs(k) for k in range(-SPLINE_REACH, SPLINE_REACH + 1)], dtype=torch.float32)
     kernel = (torch.exp(shifted * shifted * (-0.5 / sigma**2)) * poles).sum(2) * (x.abs() <= radius + 0.5)
-    shrink = _fold(kernel / kernel.sum(1, keepdim=True), columns, size)
+    periods = torch.div(index - torch.remainder(index, _same(a)), _same(a), rounding_mode="trunc")
+    shrink = _fold(kernel / kernel.sum(1, keepdim=True), columns + (periods * q)[:, None], size)
 
-    at = (torch.arange(size, dtype=torch.float64) + 0.5) * (count / length) - 0.5
+    index = torch.arange(size)
+    at = (torch.remainder(index, _same(q)).double() + 0.5) * (a / q) - 0.5
     start = torch.floor(at)
     t = (at - start).to(torch.float32)[:, None]
     powers = torch.cat([torch.ones_like(t), t, t * t, t * t * t], 1)
     spline = torch.tensor([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]], dtype=torch.float32) / 6
-    enlarge = _fold(powers @ spline, start.long()[:, None] + torch.arange(-1, 3), cells)
-    return shrink, enlarge
+    columns = start.long() + torch.div(index, _same(q), rounding_mode="trunc") * a - 1 + MARGIN
+    enlarge = torch.zeros(size, cells, dtype=torch.float32)
+    return shrink, enlarge.scatter_add(1, columns[:, None] + torch.arange(4), powers @ spline)
+
+
+def _same(number: int) -> Tensor:
+    return torch.full((1,), number, dtype=torch.int64)
 
 
 def _fold(values: Tensor, columns: Tensor, size: int) -> Tensor:

@@ -504,6 +504,18 @@ def _cases(sides: tuple[int, int], distance_range: tuple[float, float]) -> Itera
         distances["open water behind"] = torch.where(ramp > 0.5, torch.inf, distances["ramp"])
         for name, distance in distances.items():
             yield f"{name}, {batch}×{h}×{w}", image, distance, field
+    if sides[1] > large:  # the widest blurs show in the largest pictures alone: one of them
+        h = w = sides[1]
+        image, t = (
+            torch.rand(1, 3, h, w, generator=rng, dtype=torch.float32),
+            torch.linspace(0, 1, w, dtype=torch.float32),
+        )
+        yield (
+            f"ramp, 1×{h}×{w}",
+            image,
+            (near + (far - near) * t).expand(1, 1, h, w),
+            torch.ones(1, 1, h, w, dtype=torch.float32),
+        )
 
 
 def _strangers(medium: Medium) -> list[Medium]:
