@@ -14,7 +14,7 @@ import random
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -27,8 +27,8 @@ from torch import Tensor
 import uwaug
 from benchmarks import baselines, blurs
 from benchmarks.harness import save, scene, use_threads
-from uwaug.blur import NO_BLUR, plan_blur
-from uwaug.formation import combine
+from uwaug.blur import NO_BLUR, plan_blur, row_strips
+from uwaug.formation import combine, curve_sums
 from uwaug.medium import Medium, PointSpread
 
 DISTANCES = (1.0, 5.0)  # m
@@ -200,23 +200,18 @@ def blur_panel(size: int, widest: float, rounds: int, seconds: float) -> list[di
     return entries
 
 
-def strips(size: int) -> Iterator[slice]:
-    rows = max(16, 16 * (100_000 // (16 * 3 * size)))  # as the model cuts them
-    return (slice(first, first + rows) for first in range(0, size, rows))
-
-
 def pointwise(c: Case, medium: Medium, scattered: Tensor) -> Tensor:
-    out = torch.empty_like(c.image)
-    for rows in strips(c.image.shape[-1]):
+    out, (sums,) = torch.empty_like(c.image), curve_sums(c.z, medium)
+    for rows in row_strips(*c.image.shape[1:]):
         image, z, blurred = (t[..., rows, :] for t in (c.image, c.z, scattered))
-        out[..., rows, :] = combine(image, z, medium, [blurred], NO_BLUR, (0, 0), "line_of_sight", True)[0]
+        out[..., rows, :] = combine(image, z, medium, [blurred], NO_BLUR, (0, 0), "line_of_sight", True, sums)[0]
     return out
 
 
 def table_lookup(c: Case, table: Tensor, farthest: float, scattered: Tensor) -> Tensor:
     """Direct, share and veil (3×3 curves) interpolated linearly in a table over 0…farthest."""
     out = torch.empty_like(c.image)
-    for rows in strips(c.image.shape[-1]):
+    for rows in row_strips(*c.image.shape[1:]):
         image, z, blurred = (t[0, :, rows] for t in (c.image, c.z, scattered))
         place = (z * ((table.shape[1] - 1) / farthest)).flatten().clamp(0, table.shape[1] - 1.001)
         index = place.int()

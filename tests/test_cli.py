@@ -214,7 +214,7 @@ def test_export_and_check(run, tmp_path):
 
     code, stdout, stderr = run("check", str(out))
     assert (code, stderr) == (0, "")
-    assert re.fullmatch(rf"{re.escape(str(out))}: 98 cases, largest difference [01] \(.*×.*×.*\)\n", stdout)
+    assert re.fullmatch(rf"{re.escape(str(out))}: 100 cases, largest difference [01] \(.*×.*×.*\)\n", stdout)
     import onnx
 
     model = onnx.load(out)

@@ -310,6 +310,12 @@ def _chain(
     return ((0, *rows[0]), (1, *columns[0]), (1, *columns[1]), (0, *rows[1]))
 
 
+def row_strips(channels: int, height: int, width: int) -> Iterator[slice]:
+    """Rows of an image, a strip at a time."""
+    rows = PERIOD * max(1, _STRIP // (PERIOD * channels * width))
+    return (slice(first, min(first + rows, height)) for first in range(0, height, rows))
+
+
 def blurred_rows(image: Tensor, plan: BlurPlan) -> Iterator[tuple[slice, list[Tensor]]]:
     """The plan's blurs of one image, a strip of rows at a time so that what follows stays in the cache. Not for
     gradients.
@@ -331,15 +337,13 @@ def blurred_rows(image: Tensor, plan: BlurPlan) -> Iterator[tuple[slice, list[Te
     sources = [
         _products(x, [(axis, matrix) for axis, matrix, _ in chain[:-1]]) if len(chain) > 2 else x for chain in chains
     ]
-    height = PERIOD * max(1, _STRIP // (PERIOD * c * w))
-    for first in range(0, h, height):
-        rows = slice(first, min(first + height, h))
+    for rows in row_strips(c, h, w):
         strips = []
         for chain, source in zip(chains, sources):
             strip = source[rows]
             if chain:
                 along = chain[-1] if len(chain) > 2 else chain[0]
-                strip = along_rows(along[1], source.reshape(len(source), -1), first, rows.stop).reshape(-1, c, w)
+                strip = along_rows(along[1], source.reshape(len(source), -1), rows.start, rows.stop).reshape(-1, c, w)
             if len(chain) == 2:
                 strip = _products(strip, [chain[1][:2]])
             strips.append(strip.transpose(0, 1)[None])

@@ -273,7 +273,7 @@ def form(
             source = (medium.signal(z) - medium.transmission(z)) * image
         return combine(image, z, medium, blurred(source, plan), plan, size, order, total)
     outputs = tuple(image.new_empty(b, 3, *size) for _ in range(1 if total else 3))
-    sums, rows_of = _sums(z, medium), [medium[i] for i in range(len(medium))]
+    sums, rows_of = curve_sums(z, medium), [medium[i] for i in range(len(medium))]
     for i, j in enumerate(image):
         # one picture in several waters is blurred once
         samples = range(b) if len(image) == 1 else (i,)
@@ -329,7 +329,7 @@ def _curves(z: Tensor, medium: Medium) -> tuple[Tensor, Tensor, Tensor]:
     return transmission.reshape(shape), (signal - transmission).reshape(shape), veil.reshape(shape)
 
 
-def _sums(z: Tensor, medium: Medium) -> Sequence[tuple[Tensor, Tensor, Tensor] | None]:
+def curve_sums(z: Tensor, medium: Medium) -> Sequence[tuple[Tensor, Tensor, Tensor] | None]:
     """For each sample the rates (1xRx1), weights (1x9xR) and constants (1x9x1) that give its three curves as one matrix
     product of exponentials; None if it is so near that V(0) − V would cancel.
     """
