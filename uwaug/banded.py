@@ -128,6 +128,13 @@ def per_cell(cell: float) -> tuple[int, int]:
 def shrink_matrix(size: int, cells: int, a: int, q: int, sigma: float, reach: float) -> Tensor:
     """(cells, size) matrix: cubic B-spline coefficients, on a grid of `a` cells for every `q` px, of the axis blurred
     by `sigma` px.
+    """
+    first, kernel = shrink_kernels(torch.arange(-MARGIN, cells - MARGIN), a, q, sigma, reach)
+    return _fold(kernel, first, size)
+
+
+def shrink_kernels(index: Tensor, a: int, q: int, sigma: float, reach: float) -> tuple[Tensor, Tensor]:
+    """First px (n) and weights (n, taps) of the cells `index`: the same in every period, to the last bit.
 
     Sampling a Gaussian and solving for spline coefficients (Unser 1999, eq. 11) is one kernel, Σ_k √3·pole^|k| g(x +
     k·cell): the blur itself is the anti-aliasing filter, and the spline loses less than 70 dB from cell ≤ σ/1.1 on
@@ -135,8 +142,7 @@ def shrink_matrix(size: int, cells: int, a: int, q: int, sigma: float, reach: fl
     exponentials and a polynomial.
     """
     cell = q / a
-    index = torch.arange(-MARGIN, cells - MARGIN)
-    within = (torch.remainder(index, a).double() + 0.5) * cell - 0.5  # the same in every period, to the last bit
+    within = (torch.remainder(index, a).double() + 0.5) * cell - 0.5
     radius = math.ceil(reach * sigma)
     first = torch.floor(within).long() - radius
     x = (first[:, None] + torch.arange(2 * radius + 2)) - within[:, None]
@@ -148,17 +154,24 @@ def shrink_matrix(size: int, cells: int, a: int, q: int, sigma: float, reach: fl
         kernel = kernel + POLE**k * (forth + back)
     # cut at the same distance on both sides, wherever between two pixels the centre lies
     kernel = kernel * torch.exp(-0.5 * (x / sigma) ** 2) * (x.abs() <= radius + 0.5)
-    return _fold(kernel / kernel.sum(1, keepdim=True), first + torch.div(index, a, rounding_mode="floor") * q, size)
+    return first + torch.div(index, a, rounding_mode="floor") * q, kernel / kernel.sum(1, keepdim=True)
 
 
 def enlarge_matrix(size: int, cells: int, a: int, q: int) -> Tensor:
     """(size, cells) matrix: values at `size` samples of the cubic B-spline with coefficients on that grid."""
-    index = torch.arange(size)
+    first, kernel = enlarge_kernels(torch.arange(size), a, q)
+    columns = MARGIN + first[:, None] + torch.arange(4)
+    return torch.zeros(size, cells, dtype=torch.float64).scatter_(1, columns, kernel)
+
+
+def enlarge_kernels(index: Tensor, a: int, q: int) -> tuple[Tensor, Tensor]:
+    """First cell (n) and weights (n, 4) of the px `index`."""
     x = (torch.remainder(index, q).double() + 0.5) * (a / q) - 0.5
-    first = torch.floor(x).long() + torch.div(index, q, rounding_mode="floor") * a - 1 + MARGIN
+    first = torch.floor(x).long() + torch.div(index, q, rounding_mode="floor") * a - 1
     t = (x - torch.floor(x))[:, None]
-    kernel = torch.cat([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, 3 * (1 - t) ** 3 - 6 * (1 - t) ** 2 + 4, t**3], 1) / 6
-    return torch.zeros(size, cells, dtype=torch.float64).scatter_(1, first[:, None] + torch.arange(4), kernel)
+    return first, torch.cat(
+        [(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, 3 * (1 - t) ** 3 - 6 * (1 - t) ** 2 + 4, t**3], 1
+    ) / 6
 
 
 def cut(dense: Tensor, height: int, dtype: torch.dtype, device: torch.device) -> Banded:

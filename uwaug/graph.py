@@ -10,7 +10,17 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from uwaug.banded import MARGIN, POLE, SPLINE_REACH, blur_kernel, per_cell, reflect
+from uwaug.banded import (
+    MARGIN,
+    PERIOD,
+    POLE,
+    SPLINE_REACH,
+    blur_kernel,
+    enlarge_kernels,
+    per_cell,
+    reflect,
+    shrink_kernels,
+)
 from uwaug.blur import BlurPlan, ends
 from uwaug.colour import linear_to_srgb, srgb_to_linear
 from uwaug.medium import FARTHEST, Medium
@@ -44,6 +54,7 @@ class Graph(nn.Module):
         self.reference_size = law.reference_size
         # a known exponent makes a simpler graph
         self.power = law.exponent if frozen and not isinstance(law.exponent, Tensor) else None
+        self.blurs = nn.ModuleList(_blur(s, c, plan.reach) for s, c in zip(plan.sigmas, plan.cells))
         values = parameters_of(medium)
         rates, weights = _curves(*list(values.values())[:5])
         for name, value in {**values, "rates": rates, "weights": weights}.items():
@@ -66,8 +77,7 @@ class Graph(nn.Module):
         b, h, w = z.shape[0], z.shape[2], z.shape[3]
         decay = torch.exp(-rates[:, :, None] * z.reshape(b, 1, h * w))
         transmission, share, veil = ((weights[i] @ decay).reshape(b, 3, h, w) for i in range(3))
-        plan = self.plan
-        stack = [_blurred(j, sigma, cell, plan.reach) for sigma, cell in zip(plan.sigmas, plan.cells)]
+        stack = [blur(j) for blur in self.blurs]
         scattered = stack[0]
         if len(stack) > 1:
             shares = self._shares(z, b_mean, scale, exponent)
@@ -128,23 +138,97 @@ def _number(side: int) -> Tensor:
     return torch.full((1,), side, dtype=torch.float64).to(torch.float32)
 
 
-def _blurred(image: Tensor, sigma: float, cell: float, reach: float) -> Tensor:
+def _blur(sigma: float, cell: float, reach: float) -> nn.Module:
     """One blur of the stack."""
     if sigma == 0:
-        return image
-    h, w = image.shape[-2:]
-    if cell == 1:
-        kernel = blur_kernel(sigma, reach).to(torch.float32).expand(3, 1, 1, -1)
-        margin = kernel.shape[-1] // 2
-        x = image.index_select(2, reflect(torch.arange(-margin, h + margin), h))
-        x = F.conv2d(x, kernel.transpose(2, 3).contiguous(), groups=3)
-        # to gather whole rows would copy them value by value
-        left, right = (x.index_select(3, reflect(torch.arange(*ends), w)) for ends in ((-margin, 0), (w, w + margin)))
-        return F.conv2d(torch.cat([left, x, right], 3), kernel.contiguous(), groups=3)
-    taps = torch.arange(2 * math.ceil(reach * sigma) + 2)  # stored in the file: once for both axes
-    (shrink_rows, enlarge_rows), (shrink_columns, enlarge_columns) = (_grid(n, sigma, cell, taps) for n in (h, w))
-    x = (shrink_rows @ image) @ shrink_columns.t()
-    return enlarge_rows @ (x @ enlarge_columns.t())
+        return nn.Identity()
+    return (_Fine if cell == 1 else _Coarse if cell <= PERIOD else _Wide)(sigma, cell, reach)
+
+
+class _Fine(nn.Module):
+    """On the image's own grid: one convolution along each axis."""
+
+    def __init__(self, sigma: float, cell: float, reach: float) -> None:
+        super().__init__()
+        self.register_buffer("kernel", blur_kernel(sigma, reach).to(torch.float32))
+
+    def forward(self, x: Tensor) -> Tensor:
+        margin = self.get_buffer("kernel").shape[1] // 2
+        for axis in (2, 3):
+            x = _strided(_extended(x, -margin, x.shape[axis] + margin, axis), self.get_buffer("kernel"), 1, axis)
+        return x
+
+
+class _Coarse(nn.Module):
+    """On a grid of whole cells for every `PERIOD` px: one strided convolution along each axis and back, with a channel
+    for each cell of a period, or each px.
+    """
+
+    def __init__(self, sigma: float, cell: float, reach: float) -> None:
+        super().__init__()
+        a, q = per_cell(cell)
+        self.cells = a * (PERIOD // q)
+        first, kernel = shrink_kernels(torch.arange(-MARGIN, self.cells - MARGIN), self.cells, PERIOD, sigma, reach)
+        self.first = int(first[0])
+        self.register_buffer("shrink", _windows(first, kernel))
+        self.register_buffer("enlarge", _windows(*enlarge_kernels(torch.arange(PERIOD), self.cells, PERIOD)))
+
+    def forward(self, x: Tensor) -> Tensor:
+        shrink, enlarge = self.get_buffer("shrink"), self.get_buffer("enlarge")
+        more = -(-enlarge.shape[1] // self.cells) - 1  # periods of cells that the last px need beyond their own
+        sizes = x.shape
+        for axis in (2, 3):
+            last = (sizes[axis] + PERIOD - 1) // PERIOD + more  # one period to spare: a free size is taken to be no 1
+            end = self.first + PERIOD * last + shrink.shape[1]
+            x = _strided(_extended(x, self.first, end, axis), shrink, PERIOD, axis)
+        for axis in (3, 2):
+            x = _strided(x, enlarge, self.cells, axis).narrow(axis, 0, sizes[axis])
+        return x
+
+
+class _Wide(nn.Module):
+    """On a grid with cells of several periods: dense matrices, which are small."""
+
+    def __init__(self, sigma: float, cell: float, reach: float) -> None:
+        super().__init__()
+        self.sigma, self.cell = sigma, cell
+        self.taps = 2 * math.ceil(reach * sigma) + 2
+
+    def forward(self, x: Tensor) -> Tensor:
+        taps = torch.arange(self.taps)  # stored in the file: once for both axes
+        (shrink_rows, enlarge_rows), (shrink_columns, enlarge_columns) = (
+            _grid(n, self.sigma, self.cell, taps) for n in x.shape[-2:]
+        )
+        x = (shrink_rows @ x) @ shrink_columns.t()
+        return enlarge_rows @ (x @ enlarge_columns.t())
+
+
+def _windows(first: Tensor, kernel: Tensor) -> Tensor:
+    """(n, taps) kernels that begin at `first` as rows of one window that begins at the first of them."""
+    offset = first - first[0]
+    rows = torch.zeros(len(first), int(offset[-1]) + kernel.shape[1], dtype=torch.float64)
+    return rows.scatter_(1, offset[:, None] + torch.arange(kernel.shape[1]), kernel).to(torch.float32)
+
+
+def _extended(x: Tensor, first: int, end: int, axis: int) -> Tensor:
+    """An axis from px `first` ≤ 0 to `end` ≥ its size, half-sample symmetric."""
+    size = x.shape[axis]
+    if axis == 2:
+        return x.index_select(2, reflect(torch.arange(first, end), size))
+    # to gather whole rows would copy them value by value
+    left, right = (x.index_select(3, reflect(torch.arange(*range_), size)) for range_ in ((first, 0), (size, end)))
+    return torch.cat([left, x, right], 3)
+
+
+def _strided(x: Tensor, kernels: Tensor, stride: int, axis: int) -> Tensor:
+    """The n kernels (n, taps) at every `stride` along an axis, their results in turn."""
+    n, taps = kernels.shape
+    weights = kernels.repeat(3, 1).reshape(3 * n, 1, *((taps, 1) if axis == 2 else (1, taps)))
+    y = F.conv2d(x, weights, stride=(stride, 1) if axis == 2 else (1, stride), groups=3)
+    if n == 1:
+        return y
+    y = torch.unflatten(y, 1, (3, n))
+    return y.transpose(2, 3).flatten(2, 3) if axis == 2 else y.permute(0, 1, 3, 4, 2).flatten(3, 4)
 
 
 def _grid(size: int, sigma: float, cell: float, taps: Tensor) -> tuple[Tensor, Tensor]:

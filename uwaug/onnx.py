@@ -75,7 +75,7 @@ def export_onnx(
     graph, examples, shapes, names = _example(module, parameters, field, image, sides)
     with _part_of(path) as part:
         with torch.no_grad(), _quiet():
-            program = torch.export.export(graph, examples, dynamic_shapes=shapes)
+            program = _program(graph, examples, shapes)
             exported = torch.onnx.export(
                 program, dynamo=True, input_names=names, output_names=["output"], opset_version=opset, verbose=False
             )
@@ -105,7 +105,12 @@ def export_program(
     """The same graph as a `torch.export` program, for `torch.export.save`; arguments as `export_onnx`."""
     graph, examples, shapes, _ = _example(module, parameters, field, image, sides)
     with torch.no_grad(), _quiet():
-        return torch.export.export(graph, examples, dynamic_shapes=shapes)
+        return _program(graph, examples, shapes)
+
+
+def _program(graph: Graph, examples: tuple[Tensor, ...], shapes: Any) -> torch.export.ExportedProgram:
+    # deferred: that whole periods of 16 px cover an image of any size is more than the exporter can prove
+    return torch.export.export(graph, examples, dynamic_shapes=shapes, prefer_deferred_runtime_asserts_over_guards=True)
 
 
 def _require(*packages: str) -> list[Any]:
