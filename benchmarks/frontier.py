@@ -10,9 +10,7 @@ import contextlib
 import importlib.util
 import logging
 import math
-import random
 import tempfile
-import time
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -26,7 +24,7 @@ from torch import Tensor
 
 import uwaug
 from benchmarks import baselines, blurs
-from benchmarks.harness import save, scene, use_threads
+from benchmarks.harness import race, save, scene, use_threads
 from uwaug.blur import NO_BLUR, plan_blur, row_strips
 from uwaug.formation import combine, curve_sums
 from uwaug.medium import Medium, PointSpread
@@ -108,33 +106,6 @@ def excess(points: list[tuple[float, float]], ours: int) -> tuple[float, int]:
     return (time / points[best][0] - 1, best) if points[best][0] < time else (0.0, ours)
 
 
-def timed(methods: dict[str, Method], default: str, rounds: int, seconds: float) -> dict[str, dict[str, float]]:
-    """Median and quartiles, ms, of methods raced round after round, in an order drawn anew for each.
-
-    Each is run once untimed just before, so that it finds its own data in the caches and not its predecessor's. What
-    takes ten times as long as the default is timed thrice.
-    """
-    times: dict[str, list[float]] = {name: [] for name in methods}
-    order = random.Random(0)
-    start = time.perf_counter()
-    for n in range(rounds):
-        if n >= 3 and time.perf_counter() - start > seconds:
-            break
-        running = [m for m in methods if n < 3 or np.median(times[m]) < 10 * np.median(times[default])]
-        if n == 3:
-            start = time.perf_counter()
-        for name in order.sample(running, len(running)):
-            methods[name]()
-            began = time.perf_counter()
-            methods[name]()
-            times[name].append(1e3 * (time.perf_counter() - began))
-    quartiles = {name: np.percentile(t, (25, 50, 75)) for name, t in times.items()}
-    return {
-        name: {"median_ms": float(q[1]), "q1_ms": float(q[0]), "q3_ms": float(q[2]), "rounds": len(times[name])}
-        for name, q in quartiles.items()
-    }
-
-
 def judged(entries: list[dict[str, Any]]) -> dict[str, Any]:
     """A panel's entries with its front marked, and the verdict on our default."""
     points = [(e["median_ms"], e["rmse"]) for e in entries]
@@ -185,7 +156,7 @@ def blur_panel(size: int, widest: float, rounds: int, seconds: float) -> list[di
     methods["16 hard bins, skimage"] = partial(blurs.hard_bins, planes, widths, 16, blurs.skimage_gaussian)
     methods["published, 30 bins 15×15"] = partial(blurs.published, planes, widths)
     methods["two 1-D passes"] = partial(blurs.two_passes, c.image, c.sigma)
-    times = timed(methods, "ours, default", rounds, seconds)
+    times = race(methods, rounds, seconds, "ours, default")
     entries = []
     for name, run in methods.items():
         out = blurs.planar(run()).double()
@@ -250,7 +221,7 @@ def spectra_panel(size: int, water: str, rounds: int, seconds: float) -> list[di
         direct = bands.transmission(z)[0]
         table = torch.cat([direct, bands.signal(z)[0] - direct, bands.backscatter(z)[0]]).float()
         methods[f"table of {entries}"] = partial(table_lookup, c, table, DISTANCES[1], scattered)
-    times = timed(methods, ours, rounds, seconds)
+    times = race(methods, rounds, seconds, ours)
     return [{"name": n, "default": n == ours, **times[n], **errors(run(), c.exact)} for n, run in methods.items()]
 
 
@@ -267,7 +238,7 @@ def number_panel(size: int, rounds: int, seconds: float) -> list[dict[str, Any]]
             name = f"{str(dtype).removeprefix('torch.')}, tolerance {tolerance:g}"
             methods[name] = partial(degrade, c.image.to(dtype), c.z.to(dtype))
     ours = "float32, tolerance 0.002"
-    times = timed(methods, ours, rounds, seconds)
+    times = race(methods, rounds, seconds, ours)
     return [{"name": n, "default": n == ours, **times[n], **errors(run(), c.exact)} for n, run in methods.items()]
 
 
@@ -323,7 +294,7 @@ def runtime_panel(
             return out.detach()
 
         methods: dict[str, Method] = {name: partial(once, run) for name, run in runs.items()}
-        times = timed(methods, "eager", rounds, seconds)
+        times = race(methods, rounds, seconds, "eager")
         return [
             {"name": n, "default": n == "eager", **times[n], **errors(run(), c.exact)} for n, run in methods.items()
         ]

@@ -3,10 +3,11 @@
 import json
 import os
 import platform
+import random
 import subprocess
 import time
 from collections.abc import Callable
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ import torch
 from torch import Tensor
 
 RESULTS = Path(__file__).parent / "results"
-PACKAGES = ("torch", "kornia", "numpy", "opencv-python-headless", "jerlov")
+PACKAGES = ("torch", "kornia", "numpy", "opencv-python-headless", "scipy", "jerlov", "onnxruntime")
 
 
 def use_threads(threads: int) -> None:
@@ -34,33 +35,38 @@ def use_threads(threads: int) -> None:
 
 
 def race(
-    runners: dict[str, Callable[[], object]], rounds: int = 15, seconds: float = 20.0
+    runners: dict[str, Callable[[], object]], rounds: int = 15, seconds: float = 20.0, reference: str | None = None
 ) -> dict[str, dict[str, float]]:
-    """Time the runners in turn, round after round, so that a noisy machine slows all alike.
+    """Time the runners in turn, round after round in an order drawn anew, so that a noisy machine slows all alike.
+
+    Each is run once untimed just before, as `torch.utils.benchmark` does, so that it finds its own data in the caches
+    and not its predecessor's. What takes ten times as long as `reference` is timed thrice.
 
     Returns:
         For each name: median and quartiles in milliseconds, and the number of rounds.
     """
     times: dict[str, list[float]] = {name: [] for name in runners}
+    order = random.Random(0)
     for run in runners.values():
-        run()
         run()
     start = time.perf_counter()
     for n in range(rounds):
         if n >= 3 and time.perf_counter() - start > seconds:
             break
-        for name, run in runners.items():
+        running = list(runners)
+        if reference is not None and n >= 3:
+            running = [name for name in runners if np.median(times[name]) < 10 * np.median(times[reference])]
+        if n == 3:
+            start = time.perf_counter()
+        for name in order.sample(running, len(running)):
+            runners[name]()
             began = time.perf_counter()
-            run()
+            runners[name]()
             times[name].append(1e3 * (time.perf_counter() - began))
+    quartiles = {name: np.percentile(t, (25, 50, 75)) for name, t in times.items()}
     return {
-        name: {
-            "median_ms": float(np.median(t)),
-            "q1_ms": float(np.percentile(t, 25)),
-            "q3_ms": float(np.percentile(t, 75)),
-            "rounds": len(t),
-        }
-        for name, t in times.items()
+        name: {"median_ms": float(q[1]), "q1_ms": float(q[0]), "q3_ms": float(q[2]), "rounds": len(times[name])}
+        for name, q in quartiles.items()
     }
 
 
@@ -80,9 +86,17 @@ def machine() -> dict[str, Any]:
         "processor": model,
         "cores": os.cpu_count(),
         "python": platform.python_version(),
-        "versions": {name: version(name) for name in PACKAGES},
+        "versions": {name: version(name) for name in PACKAGES if _installed(name)},
         "commit": commit,
     }
+
+
+def _installed(package: str) -> bool:
+    try:
+        version(package)
+    except PackageNotFoundError:
+        return False
+    return True
 
 
 def save(name: str, results: dict[str, Any]) -> Path:
