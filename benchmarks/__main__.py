@@ -4,7 +4,7 @@ import argparse
 import importlib
 import time
 
-PARTS = ("model", "frontier", "planner", "stability", "physics", "scaling", "runtime", "throughput")
+PARTS = ("model", "frontier", "planner", "stability", "physics", "scaling", "runtime", "throughput", "summary")
 
 
 def main() -> None:

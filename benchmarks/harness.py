@@ -29,9 +29,8 @@ def use_threads(threads: int) -> None:
     """
     torch.set_num_threads(threads)
     cv2.setNumThreads(threads)
-    del_me = torch.empty(7_000_000)
-    del_me.fill_(0)
-    del del_me
+    block = torch.zeros(7_000_000)
+    del block
 
 
 def race(
@@ -40,7 +39,8 @@ def race(
     """Time the runners in turn, round after round in an order drawn anew, so that a noisy machine slows all alike.
 
     Each is run once untimed just before, as `torch.utils.benchmark` does, so that it finds its own data in the caches
-    and not its predecessor's. What takes ten times as long as `reference` is timed thrice.
+    and not its predecessor's. `seconds` counts from the fourth round on, which what takes ten times as long as
+    `reference` does not run.
 
     Returns:
         For each name: median and quartiles in milliseconds, and the number of rounds.
@@ -51,13 +51,13 @@ def race(
         run()
     start = time.perf_counter()
     for n in range(rounds):
-        if n >= 3 and time.perf_counter() - start > seconds:
+        if n == 3:
+            start = time.perf_counter()
+        elif n > 3 and time.perf_counter() - start > seconds:
             break
         running = list(runners)
         if reference is not None and n >= 3:
             running = [name for name in runners if np.median(times[name]) < 10 * np.median(times[reference])]
-        if n == 3:
-            start = time.perf_counter()
         for name in order.sample(running, len(running)):
             runners[name]()
             began = time.perf_counter()
@@ -80,7 +80,7 @@ def machine() -> dict[str, Any]:
         ]
         model = names[0] if names else model
     commit = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False
+        ["git", "describe", "--always", "--dirty"], cwd=RESULTS.parent, capture_output=True, text=True, check=False
     ).stdout.strip()
     return {
         "processor": model,

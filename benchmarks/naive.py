@@ -1,7 +1,8 @@
 """The model with one part done the usual way, for `benchmarks.stability`, and the published recipe.
 
 All other parts of a method are done with care, so that a column of the matrix shows what that one part does: open
-water is 1e9 m away, the veil is −expm1, widths have a floor, blurs come from a planned stack, edges are mirrored.
+water is 1e9 m away (but for bins and tents, whose range ends at the farthest pixel that is not), the veil is −expm1,
+widths have a floor, blurs come from a planned stack, edges are mirrored.
 """
 
 import math
@@ -121,7 +122,7 @@ def _hard_bins(image: Tensor, sigma: Tensor, shown: Tensor) -> Tensor:
 
 def _tent(image: Tensor, sigma: Tensor, shown: Tensor) -> Tensor:
     """Linear in σ between the edges of the bins."""
-    step, out = float(sigma.max()) / BINS, torch.zeros_like(image)
+    step, out = max(float(sigma.max()) / BINS, 1e-9), torch.zeros_like(image)
     lower = (sigma.detach() / step).floor().clamp(max=BINS - 1)
     part = sigma / step - lower
     for k in range(BINS + 1):

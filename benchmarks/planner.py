@@ -43,12 +43,12 @@ def exact_exponential(image: Tensor, sigma: Tensor, at: Tensor) -> Tensor:
     return torch.from_numpy(out)
 
 
-def _fewer(plan: BlurPlan, low: float, high: float, shape: Shape) -> BlurPlan | None:
+def _fewer(plan: BlurPlan, low: float, high: float, shape: Shape, longest: int) -> BlurPlan | None:
     """The plan with one blur less; None if there is none to spare."""
     if len(plan.sigmas) == 1:
         return None
     for tolerance in np.geomspace(TOLERANCE, 0.9, 60):
-        other = plan_blur(low, high, float(tolerance), shape)
+        other = plan_blur(low, high, float(tolerance), shape, longest)
         if len(other.sigmas) < len(plan.sigmas):
             return other
     return None
@@ -84,7 +84,7 @@ def cell(name: str, distances: tuple[float, float], law: str, pixels: int, round
 
     rmse, worst = error(medium, plan)
     scale = 1.0 if demand.reference_size is None else min(h, w) / demand.reference_size
-    fewer = _fewer(plan, demand.low * scale, demand.high * scale, demand.shape) if demand.high > 0 else None
+    fewer = _fewer(plan, demand.low * scale, demand.high * scale, demand.shape, max(h, w)) if demand.high > 0 else None
     with torch.no_grad():
         cost = race({"form": lambda: uwaug.form_image(image, z, medium, plan=plan)}, rounds)["form"]["median_ms"]
     return {

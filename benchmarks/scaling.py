@@ -27,6 +27,7 @@ from torch import Tensor
 import uwaug
 from benchmarks.harness import race, save, scene, use_threads
 from uwaug.banded import blur_kernel
+from uwaug.blur import ends
 from uwaug.medium import Medium, PointSpread
 
 DISTANCES = (1.0, 5.0)  # m
@@ -137,7 +138,7 @@ class Fused:
         halves = [k[len(k) // 2 :].float() for k in halves]
         reach = torch.tensor([len(k) - 1 for k in halves], dtype=torch.int32)
         coefficients = torch.tensor(plan.coefficients).contiguous()
-        low, high = (0.5 * math.log(s * s + 0.5) for s in (plan.sigma_min, plan.sigma_max))
+        low, high = ends(plan)
         slope = 1 / (high - low)
         offset = (math.log(0.5) - low - high) * slope
         tensors = [t.detach()[0].contiguous() for t in medium.tensors()[:5]]

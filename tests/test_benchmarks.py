@@ -2,6 +2,7 @@ import contextlib
 import io
 import math
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,8 @@ sys.path.append(str(Path(__file__).parent.parent))  # the benchmarks are not ins
 for package in ("cv2", "matplotlib", "scipy"):
     pytest.importorskip(package)
 
-from benchmarks import blurs, charts, frontier, scaling  # noqa: E402
+from benchmarks import blurs, charts, frontier, scaling, summary  # noqa: E402
+from benchmarks.harness import race  # noqa: E402
 from uwaug.blur import blur_exact  # noqa: E402
 
 #            0          1          2          3          4          5
@@ -59,6 +61,11 @@ def test_verdict() -> None:
     assert verdict["slower_than_front"] == pytest.approx(0.5)
 
 
+def test_a_slow_rival_does_not_cut_the_race_short() -> None:
+    times = race({"ours": lambda: None, "slow": lambda: time.sleep(0.02)}, 9, 0.01, "ours")
+    assert times["slow"]["rounds"] == 3 < times["ours"]["rounds"] <= 9
+
+
 def test_errors_are_of_the_image() -> None:
     exact = torch.rand(1, 3, 16, 16, generator=torch.Generator().manual_seed(0)).double()
     assert frontier.errors(exact, exact) == {"max": 0.0, "rmse": 0.0, "psnr_db": None, "ssim": 1.0}
@@ -72,6 +79,14 @@ def test_tiles_are_the_exact_blur() -> None:
     image, sigma = torch.rand(1, 3, 70, 70, generator=rng), 0.5 + 3 * torch.rand(1, 1, 70, 70, generator=rng)
     whole = blur_exact(image[0], sigma[0, 0]).reshape(1, 3, 70, 70)
     torch.testing.assert_close(blurs.exact(image, sigma)[0], whole, rtol=0, atol=1e-13)
+
+
+def test_the_readme_shows_what_was_measured() -> None:
+    text = summary.README.read_text()
+    assert summary.updated(text) == text
+    for name in ("accuracy", "chart", "speed"):
+        with pytest.raises(ValueError, match=f"expected the markers of figures: {name} once, found them 0 times"):
+            summary.updated(text.replace(f"<!-- /figures: {name} -->", ""))
 
 
 def test_fit_finds_the_exponent() -> None:

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
-from uwaug.banded import sampled_parameter
+from uwaug.banded import PERIOD, along_columns, along_rows, operators, sampled_parameter
 from uwaug.blur import BlurPlan, blur_exact, plan_blur, varying_blur
 from uwaug.formation import form_image
 from uwaug.medium import Medium, PointSpread
@@ -444,3 +444,43 @@ def test_varying_blur_rejects(plan, image, sigma, error, match) -> None:
 
 def test_varying_blur_of_an_empty_batch() -> None:
     assert varying_blur(torch.rand(0, 3, 6, 8), torch.rand(0, 1, 6, 8)).shape == (0, 3, 6, 8)
+
+
+@pytest.mark.parametrize("cell", [1.0, 2.0, 16 / 7, 16 / 5, 8.0, 16.0, 48.0])
+def test_strips_are_parts_of_the_whole(cell) -> None:
+    sigma = 1.4 if cell == 1 else 1.3 * cell
+    for size in (1, 7, 15, 16, 17, 33, 70, 130):
+        for axis in (0, 1):
+            for matrix, transpose in operators(axis, size, sigma, cell, 3.0, torch.float64, torch.device("cpu")):
+                columns = transpose.rows
+                # a slice: neither the first nor all of its storage
+                x = torch.rand(columns + 5, 6, dtype=torch.float64)[3 : 3 + columns]
+                whole = along_rows(matrix, x)
+                dense = along_rows(matrix, torch.eye(columns, dtype=torch.float64))
+                torch.testing.assert_close(whole, dense @ x, rtol=0, atol=1e-12)
+                torch.testing.assert_close(along_columns(matrix, x.t().contiguous()), whole.t(), rtol=0, atol=1e-12)
+                torch.testing.assert_close(along_rows(transpose, whole), dense.t() @ whole, rtol=0, atol=1e-12)
+        if size > PERIOD:
+            (*_, (last, back)) = operators(0, size, sigma, cell, 3.0, torch.float64, torch.device("cpu"))
+            x = torch.rand(back.rows, 4, dtype=torch.float64)
+            parts = [along_rows(last, x, first, first + 2 * PERIOD) for first in range(0, size, 2 * PERIOD)]
+            torch.testing.assert_close(torch.cat(parts), along_rows(last, x), rtol=0, atol=1e-12)
+
+
+def test_plans_and_the_longest_side() -> None:
+    for longest in (0, 0.5, math.inf, math.nan):
+        with pytest.raises(ValueError, match="longest must be a finite number of px ≥ 1"):
+            plan_blur(1.0, 4.0, longest=longest)
+    assert plan_blur(1.0, 4.0, longest=100) is plan_blur(1.0, 4.0, longest=5000)
+    exponential = [plan_blur(3.0, 40.0, 0.002, "exponential", longest) for longest in (64, 300, 512, 2000)]
+    assert exponential[1] is exponential[2]
+    assert max(exponential[0].sigmas) < 256 < max(exponential[-1].sigmas) < 2000
+
+
+@pytest.mark.parametrize("height, width", [(32, 32), (40, 1500)])
+def test_exponential_plans_hold_in_small_and_in_long_pictures(height, width) -> None:
+    image = reference.picture(height, width)
+    plan = plan_blur(2.0, 20.0, 0.002, "exponential", max(height, width))
+    for sigma in (2.0, 6.0, 20.0):
+        result = constant(torch.from_numpy(image)[None].float(), sigma, plan=plan)[0].double().numpy()
+        assert np.sqrt(((result - reference.exponential(image, sigma)) ** 2).mean()) <= 0.002

@@ -16,7 +16,8 @@ from torch.utils.data import DataLoader, Dataset
 import uwaug
 from uwaug import JERLOV_TYPES, Medium, PointSpread, Underwater, Water, list_presets, load_preset
 from uwaug import onnx as target
-from uwaug.graph import parameters_of
+from uwaug.blur import BlurPlan, blurred
+from uwaug.graph import _blur, parameters_of
 from uwaug.onnx import OnnxUnderwater, check_onnx, export_onnx, export_program, read_metadata, read_module
 
 onnx = pytest.importorskip("onnx")
@@ -220,6 +221,16 @@ def test_no_blur_and_one_blur(folder) -> None:
         assert check_onnx(path, read_module(path)).worst < 1e-5
 
 
+@pytest.mark.parametrize("cell", [1.0, 16 / 9, 2.0, 16 / 7, 16 / 5, 4.0, 8.0, 16.0, 32.0, 48.0, 400.0])
+def test_blurs_of_the_graph_are_those_of_the_stack(cell) -> None:
+    sigma = 1.3 if cell == 1 else 1.2 * cell
+    plan = BlurPlan(sigma, sigma, (sigma,), (cell,), ((1.0,),), 3.0, 1e-3)
+    for h, w in [(1, 1), (2, 40), (15, 16), (17, 31), (33, 32), (64, 101), *((n, 41 - n) for n in range(3, 30, 4))]:
+        image = torch.rand(2, 3, h, w, generator=torch.Generator().manual_seed(h))
+        got = _blur(sigma, cell, 3.0)(image)
+        torch.testing.assert_close(got.double(), blurred(image.double(), plan)[0], rtol=0, atol=2e-6)
+
+
 # The check itself
 
 
@@ -290,7 +301,7 @@ def test_a_broken_graph_is_refused(frozen, tmp_path, nodes, message) -> None:
 
 def test_the_wrong_module_is_refused(frozen, waters) -> None:
     other = load_preset("survey", water="9C").module()
-    with pytest.raises(ValueError, match="differs from float64 eager"):
+    with pytest.raises(ValueError, match=r"made for 5 blurs .*, but module asks for .*: it is from another module or"):
         check_onnx(frozen[0], other)
     # at equal parameters only the curve of the encoding differs
     with pytest.raises(ValueError, match="differs from float64 eager"):

@@ -35,7 +35,7 @@ Shape = Literal["gaussian", "exponential"]
 _CONTRAST = 0.25  # standard deviation of the picture that errors refer to, on a scale of 0…1
 _V_FLOOR = 0.5  # px² or, of an exponential shape, px: keeps v finite at σ = 0
 _MOST_NODES = 24
-_WIDEST = 0.75  # longest sides: of the blurs that make up an exponential shape
+_WIDEST = 0.75  # of the picture's longest side: the widest Gaussian to make up an exponential shape
 _STRIP = 200_000  # samples of a strip; 50_000 takes a fifth longer (calls), 400_000 a tenth at 1024² (caches)
 
 
@@ -135,7 +135,6 @@ def _transfer(sigmas: Array, shape: Shape, longest: float = 512.0) -> Array:
     return transfer
 
 
-@lru_cache(maxsize=1024)
 def plan_blur(
     sigma_min: float, sigma_max: float, tolerance: float = 0.002, shape: Shape = "gaussian", longest: float = 512.0
 ) -> BlurPlan:
@@ -152,7 +151,7 @@ def plan_blur(
             its energy beyond 1.7 σ and no finite variance. Below 2 px both shapes are what samples can hold: a sampled
             Gaussian, and the mixture of those, of widths σ/|N(0, 1)|, that an exponential is.
         longest: longest side of the images, px. An exponential shape needs no blurs much wider than that, and no waves
-            longer than twice it are planned for.
+            longer than twice it are planned for. Gaussians do not depend on it.
 
     Raises:
         ValueError: if the range, the longest side or the tolerance is not as above, or the tolerance needs more than
@@ -166,8 +165,13 @@ def plan_blur(
         raise ValueError(f"shape must be one of {get_args(Shape)}, got {shape!r}")
     if not 1 <= longest < math.inf:
         raise ValueError(f"longest must be a finite number of px ≥ 1, got {longest}")
-    # fine detail alone, as of a tiny picture, would ask too much of narrow blurs; Gaussians do not depend on it
-    longest = max(float(longest), 256.0) if shape == "exponential" else 512.0
+    # in octaves, so that sizes share plans; the fine detail of a tiny picture would ask too much of narrow blurs
+    octave = max(2.0 ** math.ceil(math.log2(longest)), 256.0) if shape == "exponential" else 512.0
+    return _plan_blur(float(sigma_min), float(sigma_max), float(tolerance), shape, octave)
+
+
+@lru_cache(maxsize=1024)
+def _plan_blur(sigma_min: float, sigma_max: float, tolerance: float, shape: Shape, longest: float) -> BlurPlan:
     _, amplitude = _frequencies(longest)
     target = 0.48 * tolerance
     start, end = _v(sigma_min, shape), _v(sigma_max, shape)
@@ -384,7 +388,7 @@ def varying_blur(image: Tensor, sigma: Tensor, plan: BlurPlan | None = None, tol
     if sigma.shape[-2:] != image.shape[-2:] or (len(sigma) != len(image) and 1 not in (len(sigma), len(image))):
         raise ValueError(f"image is {tuple(image.shape)} but sigma is {tuple(sigma.shape)}: sizes must agree")
     if image.numel() == 0 or sigma.numel() == 0:
-        return image.clone()
+        return image.clone() if len(sigma) else image[:0].clone()
     compiling = torch.compiler.is_compiling()
     if not compiling and not (bool((sigma.detach() >= 0).all()) and bool(sigma.detach().isfinite().all())):
         raise ValueError("sigma must be finite and ≥ 0 px everywhere; it holds a negative, infinite or NaN value")

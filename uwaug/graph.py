@@ -13,8 +13,6 @@ from torch import Tensor, nn
 from uwaug.banded import (
     MARGIN,
     PERIOD,
-    POLE,
-    SPLINE_REACH,
     blur_kernel,
     enlarge_kernels,
     per_cell,
@@ -178,7 +176,9 @@ class _Coarse(nn.Module):
         more = -(-enlarge.shape[1] // self.cells) - 1  # periods of cells that the last px need beyond their own
         sizes = x.shape
         for axis in (2, 3):
-            last = (sizes[axis] + PERIOD - 1) // PERIOD + more  # one period to spare: a free size is taken to be no 1
+            last = (
+                sizes[axis] + PERIOD - 1
+            ) // PERIOD + more  # one to spare: torch.export assumes that a free size is not 1
             end = self.first + PERIOD * last + shrink.shape[1]
             x = _strided(_extended(x, self.first, end, axis), shrink, PERIOD, axis)
         for axis in (3, 2):
@@ -187,20 +187,36 @@ class _Coarse(nn.Module):
 
 
 class _Wide(nn.Module):
-    """On a grid with cells of several periods: dense matrices, which are small."""
+    """On a grid with cells of several periods: dense matrices, which are small; the kernel may exceed the image."""
 
     def __init__(self, sigma: float, cell: float, reach: float) -> None:
         super().__init__()
-        self.sigma, self.cell = sigma, cell
-        self.taps = 2 * math.ceil(reach * sigma) + 2
+        self.pitch = round(cell)
+        first, kernel = shrink_kernels(torch.zeros(1, dtype=torch.int64), 1, self.pitch, sigma, reach)
+        self.first = int(first[0])
+        self.register_buffer("shrink", kernel.to(torch.float32))
+        self.register_buffer("enlarge", enlarge_kernels(torch.arange(self.pitch), 1, self.pitch)[1].to(torch.float32))
+        self.starts = [int(i) for i in enlarge_kernels(torch.arange(self.pitch), 1, self.pitch)[0]]
 
     def forward(self, x: Tensor) -> Tensor:
-        taps = torch.arange(self.taps)  # stored in the file: once for both axes
-        (shrink_rows, enlarge_rows), (shrink_columns, enlarge_columns) = (
-            _grid(n, self.sigma, self.cell, taps) for n in x.shape[-2:]
-        )
+        (shrink_rows, enlarge_rows), (shrink_columns, enlarge_columns) = (self._matrices(n) for n in x.shape[-2:])
         x = (shrink_rows @ x) @ shrink_columns.t()
         return enlarge_rows @ (x @ enlarge_columns.t())
+
+    def _matrices(self, size: int) -> tuple[Tensor, Tensor]:
+        """(cells, size) and (size, cells)."""
+        kernel = self.get_buffer("shrink")
+        cells = (size + self.pitch - 1) // self.pitch + 2 * MARGIN  # of positive numbers: ONNX's division truncates
+        first = self.first + self.pitch * torch.arange(-MARGIN, cells - MARGIN)
+        taps = torch.arange(size + kernel.shape[1])[: kernel.shape[1]]  # by way of the size, lest the file hold them
+        columns = reflect(first[:, None] + taps, size)
+        shrink = torch.zeros(cells, size, dtype=torch.float32).scatter_add(1, columns, kernel.expand(cells, -1))
+        px = torch.arange(size)
+        pitch = torch.full((1,), self.pitch, dtype=torch.int64)
+        within = torch.remainder(px, pitch)
+        first = torch.tensor(self.starts)[within] + (px - within) // pitch + MARGIN
+        enlarge = torch.zeros(size, cells, dtype=torch.float32)
+        return shrink, enlarge.scatter_add(1, first[:, None] + torch.arange(4), self.get_buffer("enlarge")[within])
 
 
 def _windows(first: Tensor, kernel: Tensor) -> Tensor:
@@ -229,42 +245,3 @@ def _strided(x: Tensor, kernels: Tensor, stride: int, axis: int) -> Tensor:
         return y
     y = torch.unflatten(y, 1, (3, n))
     return y.transpose(2, 3).flatten(2, 3) if axis == 2 else y.permute(0, 1, 3, 4, 2).flatten(3, 4)
-
-
-def _grid(size: int, sigma: float, cell: float, taps: Tensor) -> tuple[Tensor, Tensor]:
-    """What blurs one axis on a grid of `cell` px: matrices (cells, size) and (size, cells).
-
-    As `uwaug.banded.grid_matrices`; positions in double precision, values in single.
-    """
-    a, q = per_cell(cell)
-    cells = (size * a + q - 1) // q + 2 * MARGIN  # of positive numbers: ONNX's division truncates
-    index = torch.arange(-MARGIN, cells - MARGIN)
-    within = (torch.remainder(index, _same(a)).double() + 0.5) * (q / a) - 0.5
-    radius = taps.shape[0] // 2 - 1
-    columns = torch.floor(within).long()[:, None] - radius + taps
-    x = (columns - within[:, None]).to(torch.float32)
-    steps = torch.arange(-SPLINE_REACH, SPLINE_REACH + 1)
-    shifted = x[:, :, None] + q / a * steps
-    poles = torch.tensor([POLE ** abs(k) for k in range(-SPLINE_REACH, SPLINE_REACH + 1)], dtype=torch.float32)
-    kernel = (torch.exp(shifted * shifted * (-0.5 / sigma**2)) * poles).sum(2) * (x.abs() <= radius + 0.5)
-    periods = torch.div(index - torch.remainder(index, _same(a)), _same(a), rounding_mode="trunc")
-    shrink = _fold(kernel / kernel.sum(1, keepdim=True), columns + (periods * q)[:, None], size)
-
-    index = torch.arange(size)
-    at = (torch.remainder(index, _same(q)).double() + 0.5) * (a / q) - 0.5
-    start = torch.floor(at)
-    t = (at - start).to(torch.float32)[:, None]
-    powers = torch.cat([torch.ones_like(t), t, t * t, t * t * t], 1)
-    spline = torch.tensor([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]], dtype=torch.float32) / 6
-    columns = start.long() + torch.div(index, _same(q), rounding_mode="trunc") * a - 1 + MARGIN
-    enlarge = torch.zeros(size, cells, dtype=torch.float32)
-    return shrink, enlarge.scatter_add(1, columns[:, None] + torch.arange(4), powers @ spline)
-
-
-def _same(number: int) -> Tensor:
-    return torch.full((1,), number, dtype=torch.int64)
-
-
-def _fold(values: Tensor, columns: Tensor, size: int) -> Tensor:
-    """Dense (n, size) matrix: row i holds `values[i]` at `columns[i]`, reflected into [0, size)."""
-    return torch.zeros(values.shape[0], size, dtype=torch.float32).scatter_add(1, reflect(columns, size), values)

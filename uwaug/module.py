@@ -163,7 +163,7 @@ class Underwater(nn.Module):
         else:
             near, far = self.distance_range
             planned = f"{near:g}…{far:g} m, {self.plan((512, 512))}"
-            if self._law.reference_size is not None:
+            if self._law.reference_size is not None or self._law.shape == "exponential":
                 planned += " at 512 px"
         return f"{self.medium!r},\n{planned},\ntolerance={self.tolerance:g}, {self.color_space}, {self.order}"
 
