@@ -79,9 +79,7 @@ def machine() -> dict[str, Any]:
             line.split(":", 1)[1].strip() for line in cpuinfo.read_text().splitlines() if line.startswith("model name")
         ]
         model = names[0] if names else model
-    commit = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], cwd=RESULTS.parent, capture_output=True, text=True, check=False
-    ).stdout.strip()
+    commit = _git("rev-parse", "--short", "HEAD") + ("-dirty" if _git("status", "--porcelain", "*.py") else "")
     return {
         "processor": model,
         "cores": os.cpu_count(),
@@ -89,6 +87,11 @@ def machine() -> dict[str, Any]:
         "versions": {name: version(name) for name in PACKAGES if _installed(name)},
         "commit": commit,
     }
+
+
+def _git(*arguments: str) -> str:
+    done = subprocess.run(["git", *arguments], cwd=RESULTS.parent.parent, capture_output=True, text=True, check=False)
+    return done.stdout.strip()
 
 
 def _installed(package: str) -> bool:

@@ -30,6 +30,9 @@ class Underwater(nn.Module):
             stay equal at z = 0.
         order: "line_of_sight", or "source" for the paper's equation, see `uwaug.formation`.
 
+    Matrix products want torch's default float32 precision: `torch.set_float32_matmul_precision("medium")` would round
+    them to bfloat16 where the processor can, which shows.
+
     Shapes:
         image (Bx3xHxW or 3xHxW), distance (Bx1xHxW or 1xHxW, m), field (as distance, or None) → image.
 
