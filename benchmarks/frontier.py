@@ -172,7 +172,7 @@ def blur_panel(size: int, widest: float, rounds: int, seconds: float) -> list[di
 
 
 def pointwise(c: Case, medium: Medium, scattered: Tensor) -> Tensor:
-    out, (sums,) = torch.empty_like(c.image), curve_sums(c.z, medium)
+    out, sums = torch.empty_like(c.image), curve_sums(medium)
     for rows in row_strips(*c.image.shape[1:]):
         image, z, blurred = (t[..., rows, :] for t in (c.image, c.z, scattered))
         out[..., rows, :] = combine(image, z, medium, [blurred], NO_BLUR, (0, 0), "line_of_sight", True, sums)[0]

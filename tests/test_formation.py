@@ -637,3 +637,20 @@ MIXED[1, 0, :3, 0] = -1
 def test_form_image_rejects(change, error, match) -> None:
     with pytest.raises(error, match=match):
         form_image(**{**GOOD, **change})
+
+
+@pytest.mark.parametrize("dtype, precision", [(torch.float32, 3e-5), (torch.float64, 1e-12)])
+def test_the_veil_is_as_precise_near_as_far(dtype, precision) -> None:
+    # either side of where 1 − e^−x begins to cancel, a near and a far sample, with one medium and with one for each
+    image = torch.rand(2, 3, 5, 7, dtype=dtype)
+    for media in (coefficients(3), Medium.stack([coefficients(3), coefficients(4)])):
+        media = media.to(dtype)
+        slowest = float(media.G.min())
+        for near in (1e-6, 0.9 / 256, 1.1 / 256, 0.3):
+            z = torch.full((2, 1, 5, 7), near / slowest, dtype=dtype)
+            z[1] = 5.0
+            veil = form_image(image, z, media).backscatter.double().numpy()
+            for n in range(2):
+                row = n % len(media)
+                wanted = reference.medium_curves(media, z[n, 0].double().numpy(), row).veil
+                np.testing.assert_allclose(veil[n], wanted, rtol=precision)

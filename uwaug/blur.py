@@ -402,9 +402,10 @@ def varying_blur(image: Tensor, sigma: Tensor, plan: BlurPlan | None = None, tol
 
 def weighted_sum(weights: Tensor, images: list[Tensor]) -> Tensor:
     """Σ_k weights[:, k]·images[k], for weights (BxKxHxW) and K images (BxCxHxW)."""
-    total = weights[:, :1] * images[0]
-    for k in range(1, len(images)):
-        total.addcmul_(weights[:, k : k + 1], images[k])
+    shares = torch.split(weights, 1, 1)  # gradients of slices would each fill all K with zeros
+    total = shares[0] * images[0]
+    for share, image in zip(shares[1:], images[1:]):
+        total.addcmul_(share, image)
     return total
 
 

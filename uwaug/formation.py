@@ -8,7 +8,6 @@ the first and .0290 from the second.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -273,14 +272,16 @@ def form(
             source = (medium.signal(z) - medium.transmission(z)) * image
         return combine(image, z, medium, blurred(source, plan), plan, size, order, total)
     outputs = tuple(image.new_empty(b, 3, *size) for _ in range(1 if total else 3))
-    sums, rows_of = curve_sums(z, medium), [medium[i] for i in range(len(medium))]
+    far, rows_of = _far(z, medium), [medium[i] for i in range(len(medium))]
+    sums_of = [curve_sums(row) for row in rows_of] if any(far) else []
     for i, j in enumerate(image):
         # one picture in several waters is blurred once
         samples = range(b) if len(image) == 1 else (i,)
         for rows, stack in blurred_rows(j, plan):
             for n in samples:
-                part, row = z[n if len(z) > 1 else 0, :, rows][None], rows_of[n if len(rows_of) > 1 else 0]
-                results = combine(j[None, :, rows], part, row, stack, plan, size, order, total, sums[n % len(sums)])
+                part, m = z[n if len(z) > 1 else 0, :, rows][None], n % len(medium)
+                sums = sums_of[m] if far[n % len(far)] else None
+                results = combine(j[None, :, rows], part, rows_of[m], stack, plan, size, order, total, sums)
                 for out, result in zip(outputs, results):
                     out[n, :, rows] = result[0]
     return outputs
@@ -329,27 +330,28 @@ def _curves(z: Tensor, medium: Medium) -> tuple[Tensor, Tensor, Tensor]:
     return transmission.reshape(shape), (signal - transmission).reshape(shape), veil.reshape(shape)
 
 
-def curve_sums(z: Tensor, medium: Medium) -> Sequence[tuple[Tensor, Tensor, Tensor] | None]:
-    """For each sample the rates (1xRx1), weights (1x9xR) and constants (1x9x1) that give its three curves as one matrix
-    product of exponentials; None if it is so near that V(0) − V would cancel.
-    """
+def _far(z: Tensor, medium: Medium) -> list[bool]:
+    """For each sample, whether V(0) − V is large enough everywhere to be had by subtraction."""
     slowest = medium.G.masked_fill(medium.G <= 0, math.inf).amin(1)
-    ample = (slowest * z.flatten(1).amin(1) > _CANCELS).tolist()
-    if not any(ample):
-        return (None,)
+    far: list[bool] = (slowest * z.flatten(1).amin(1) > _CANCELS).tolist()
+    return far
+
+
+def curve_sums(medium: Medium) -> tuple[Tensor, Tensor, Tensor]:
+    """Rates (BxRx1), weights (Bx9xR) and constants (Bx9x1) that give T_β, T_G − T_β and V(0) − V as one matrix product
+    of exponentials.
+    """
     k, n = medium.beta.shape[1], medium.G.shape[1]
     rates = torch.cat([medium.beta, medium.G], 1)[..., None] * -_LOG2E
     of_beta = F.pad(torch.cat([medium.direct_weights, -medium.direct_weights], 1), (0, n, 0, 3))
     of_G = F.pad(torch.cat([medium.signal_weights, -medium.veil_weights], 1), (k, 0, 3, 0))
-    constants = F.pad(medium.veil_weights.sum(-1, keepdim=True), (0, 0, 6, 0))
-    weights, rows = of_beta + of_G, [i % len(medium) for i in range(len(ample))]
-    return [
-        (rates[i : i + 1], weights[i : i + 1], constants[i : i + 1]) if far else None for i, far in zip(rows, ample)
-    ]
+    return rates, of_beta + of_G, F.pad(medium.veil_weights.sum(-1, keepdim=True), (0, 0, 6, 0))
 
 
 def _summed(z: Tensor, rates: Tensor, weights: Tensor, constants: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """As `_curves`, in a third of its time for clear water; the veil to 2e-5 of itself."""
-    flat = z.flatten(1)[:, None]
-    curves = torch.baddbmm(constants, weights, (rates * flat).exp2_()).reshape(1, 9, *z.shape[-2:])
-    return curves[:, :3], curves[:, 3:6], curves[:, 6:]
+    """As `_curves`, in a third of its time for clear water; the veil to 2e-5 of itself. (No faster with gradients.)"""
+    decay = (rates * z.flatten(1)[:, None]).exp2_()
+    b = len(decay)
+    curves = torch.baddbmm(constants.expand(b, -1, -1), weights.expand(b, -1, -1), decay)
+    direct, share, veil = curves.reshape(b, 3, 3, *z.shape[-2:]).unbind(1)
+    return direct, share, veil

@@ -73,7 +73,7 @@ class PointSpread:
 
         Mean RMSE of direct + forward light over b̄z = .1…5: .0066 with Petzold's, .0075 with HG .924, .0100 with HG .90,
         .0181 with HG .85. One Gaussian of .080·focal_px, exponent .51, g = .066 has .0115, .0108, .0088, .0123; the
-        paper's law .037, .053, .050, .046. The tails need more blurs: about 1.6 times the time of that Gaussian.
+        paper's law .037, .053, .050, .046. The tails need more blurs: about 1.5 times the time of that Gaussian.
 
         Args:
             focal_px: focal length, px of the image at hand; .866·width for a 60° field of view.
