@@ -5,7 +5,6 @@ keeps the others exact; errors are those of the final image (linear light, 0…1
 pixel's own Gaussian. Scene: scikit-image's motorcycle at 1…5 m in Jerlov 7C.
 """
 
-import argparse
 import contextlib
 import importlib.util
 import logging
@@ -24,9 +23,9 @@ from torch import Tensor
 
 import uwaug
 from benchmarks import baselines, blurs
-from benchmarks.harness import race, save, scene, use_threads
+from benchmarks.harness import command, race, save, scene, use_threads
 from uwaug.blur import NO_BLUR, plan_blur, row_strips
-from uwaug.formation import combine, curve_sums
+from uwaug.formation import combine, curve_sums, summed
 from uwaug.medium import Medium, PointSpread
 
 DISTANCES = (1.0, 5.0)  # m
@@ -175,7 +174,9 @@ def pointwise(c: Case, medium: Medium, scattered: Tensor) -> Tensor:
     out, sums = torch.empty_like(c.image), curve_sums(medium)
     for rows in row_strips(*c.image.shape[1:]):
         image, z, blurred = (t[..., rows, :] for t in (c.image, c.z, scattered))
-        out[..., rows, :] = combine(image, z, medium, [blurred], NO_BLUR, (0, 0), "line_of_sight", True, sums)[0]
+        out[..., rows, :] = combine(
+            image, z, medium, summed(z, *sums), [blurred], NO_BLUR, (0, 0), "line_of_sight", True
+        )[0]
     return out
 
 
@@ -350,6 +351,4 @@ def main(quick: bool = False) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="a smoke test: one small size, nothing written")
-    main(parser.parse_args().quick)
+    command(main, __doc__)

@@ -1,5 +1,6 @@
 """What every benchmark shares: fair races, a record of the machine, results written whole."""
 
+import argparse
 import json
 import os
 import platform
@@ -68,6 +69,13 @@ def race(
         name: {"median_ms": float(q[1]), "q1_ms": float(q[0]), "q3_ms": float(q[2]), "rounds": len(times[name])}
         for name, q in quartiles.items()
     }
+
+
+def command(main: Callable[[bool], object], about: str | None) -> None:
+    """Run a part of the benchmarks from the command line."""
+    parser = argparse.ArgumentParser(description=about)
+    parser.add_argument("--quick", action="store_true", help="a smoke test: little of everything, nothing written")
+    main(parser.parse_args().quick)
 
 
 def machine() -> dict[str, Any]:

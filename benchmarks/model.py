@@ -3,7 +3,6 @@
 `python -m benchmarks.model` writes results/model.json and prints the tables.
 """
 
-import argparse
 import subprocess
 import sys
 from dataclasses import replace
@@ -16,7 +15,7 @@ from torch import Tensor
 
 import uwaug
 from benchmarks import baselines
-from benchmarks.harness import motorcycle, race, save, scene, use_threads
+from benchmarks.harness import command, motorcycle, race, save, scene, use_threads
 from uwaug.blur import blur_exact, plan_blur, varying_blur
 from uwaug.medium import WAVELENGTHS
 
@@ -220,6 +219,4 @@ def main(quick: bool = False) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="a smoke test: fewer rounds and sizes, nothing written")
-    main(parser.parse_args().quick)
+    command(main, __doc__)

@@ -4,7 +4,6 @@ of the point spread.
 `python -m benchmarks.physics` writes results/physics.json and figures/physics.png and prints the tables.
 """
 
-import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ import numpy as np
 import torch
 from scipy.optimize import minimize
 
-from benchmarks.harness import save, use_threads
+from benchmarks.harness import command, save, use_threads
 from benchmarks.transport import (
     ABSORPTION,
     EDGES,
@@ -304,6 +303,4 @@ def main(quick: bool = False) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="a smoke test: few photons and waters, nothing written")
-    main(parser.parse_args().quick)
+    command(main, __doc__)

@@ -7,7 +7,6 @@ own point spread at 2000 pixels. The blur follows the law calibrated to a 60° v
 paper's law is skipped more often.
 """
 
-import argparse
 import math
 from typing import Any
 
@@ -17,7 +16,7 @@ from scipy.fft import dctn, idctn
 from torch import Tensor
 
 import uwaug
-from benchmarks.harness import motorcycle, race, save, use_threads
+from benchmarks.harness import command, motorcycle, race, save, use_threads
 from uwaug.blur import BlurPlan, Shape, blur_exact, plan_blur
 from uwaug.colour import srgb_to_linear
 from uwaug.formation import blur_demand
@@ -124,6 +123,4 @@ def main(quick: bool = False) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="two waters, one range")
-    main(parser.parse_args().quick)
+    command(main, __doc__)

@@ -4,7 +4,6 @@
 the file's covers short sides of 32 to 1024 px, so that it may hold a blur more than eager needs for one size.
 """
 
-import argparse
 import tempfile
 from importlib.metadata import version
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any
 import torch
 
 import uwaug
-from benchmarks.harness import race, save, scene, use_threads
+from benchmarks.harness import command, race, save, scene, use_threads
 from uwaug.onnx import OnnxUnderwater, _session, check_onnx, export_onnx, read_metadata
 
 OURS, WHOLE = "ONNX Runtime", "ONNX Runtime, batch at once"
@@ -81,6 +80,4 @@ def main(quick: bool = False) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="a smoke test: fewer rounds and sizes, nothing written")
-    main(parser.parse_args().quick)
+    command(main, __doc__)

@@ -5,7 +5,6 @@ Next to ours: a copy that moves as many bytes as the model must (7 floats a pixe
 C++ loop, compiled on the spot.
 """
 
-import argparse
 import ctypes
 import json
 import math
@@ -25,7 +24,7 @@ import torch
 from torch import Tensor
 
 import uwaug
-from benchmarks.harness import race, save, scene, use_threads
+from benchmarks.harness import command, race, save, scene, use_threads
 from uwaug.banded import blur_kernel
 from uwaug.blur import ends
 from uwaug.medium import Medium, PointSpread
@@ -278,6 +277,4 @@ def main(quick: bool = False) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="a smoke test: small sizes, nothing written")
-    main(parser.parse_args().quick)
+    command(main, __doc__)

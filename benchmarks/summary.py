@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from benchmarks.harness import RESULTS
+from benchmarks.harness import RESULTS, command
 
 README = Path(__file__).parent.parent / "README.md"
 PANELS = ((256, 1), (512, 1), (1024, 1), (512, 2))  # size, threads
@@ -203,4 +203,4 @@ def main(quick: bool = False) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    command(main, __doc__)

@@ -3,7 +3,6 @@
 `python -m benchmarks.throughput` writes results/throughput.json and prints the table.
 """
 
-import argparse
 import json
 import os
 import subprocess
@@ -19,7 +18,7 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 
 import uwaug
 from benchmarks import baselines
-from benchmarks.harness import race, save, scene, use_threads
+from benchmarks.harness import command, race, save, scene, use_threads
 from uwaug import transforms
 
 BATCH = 4
@@ -292,6 +291,4 @@ def main(quick: bool = False) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="a smoke test: fewer rounds and sizes, nothing written")
-    main(parser.parse_args().quick)
+    command(main, __doc__)

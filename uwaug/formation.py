@@ -267,10 +267,9 @@ def form(
         demand = blur_demand(medium, _range(z, medium), tolerance, order=order, learned=learned)
         plan = demand.plan(size, shared=True)
     if records or torch.compiler.is_compiling() or order == "source":
-        source = image
-        if order == "source":
-            source = (medium.signal(z) - medium.transmission(z)) * image
-        return combine(image, z, medium, blurred(source, plan), plan, size, order, total)
+        curves = _curves(z, medium)
+        source = curves[1] * image if order == "source" else image
+        return combine(image, z, medium, curves, blurred(source, plan), plan, size, order, total)
     outputs = tuple(image.new_empty(b, 3, *size) for _ in range(1 if total else 3))
     far, rows_of = _far(z, medium), [medium[i] for i in range(len(medium))]
     sums_of = [curve_sums(row) for row in rows_of] if any(far) else []
@@ -280,8 +279,8 @@ def form(
         for rows, stack in blurred_rows(j, plan):
             for n in samples:
                 part, m = z[n if len(z) > 1 else 0, :, rows][None], n % len(medium)
-                sums = sums_of[m] if far[n % len(far)] else None
-                results = combine(j[None, :, rows], part, rows_of[m], stack, plan, size, order, total, sums)
+                curves = summed(part, *sums_of[m]) if far[n % len(far)] else _curves(part, rows_of[m])
+                results = combine(j[None, :, rows], part, rows_of[m], curves, stack, plan, size, order, total)
                 for out, result in zip(outputs, results):
                     out[n, :, rows] = result[0]
     return outputs
@@ -295,17 +294,17 @@ def combine(
     image: Tensor,
     z: Tensor,
     medium: Medium,
+    curves: tuple[Tensor, Tensor, Tensor],
     stack: list[Tensor],
     plan: BlurPlan,
     size: tuple[int, int],
     order: Order,
     total: bool,
-    sums: tuple[Tensor, Tensor, Tensor] | None = None,
 ) -> tuple[Tensor, ...]:
-    """What each pixel does by itself: curves (by `sums`, if given), weights of the blurs, sum. `z` is rows of an image
-    of `size`.
+    """What each pixel does by itself, once its T_β, T_G − T_β and V(0) − V are known: weights of the blurs, sum. `z` is
+    rows of an image of `size`.
     """
-    transmission, share, veil = _curves(z, medium) if sums is None else _summed(z, *sums)
+    transmission, share, veil = curves
     if len(stack) > 1:
         lengths = medium.b_mean.reshape(-1, 1, 1, 1) * z
         scattered = weighted_sum(node_weights(medium.point_spread.variance(lengths, size), plan), stack)
@@ -348,7 +347,7 @@ def curve_sums(medium: Medium) -> tuple[Tensor, Tensor, Tensor]:
     return rates, of_beta + of_G, F.pad(medium.veil_weights.sum(-1, keepdim=True), (0, 0, 6, 0))
 
 
-def _summed(z: Tensor, rates: Tensor, weights: Tensor, constants: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def summed(z: Tensor, rates: Tensor, weights: Tensor, constants: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """As `_curves`, in a third of its time for clear water; the veil to 2e-5 of itself. (No faster with gradients.)"""
     decay = (rates * z.flatten(1)[:, None]).exp2_()
     b = len(decay)

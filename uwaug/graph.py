@@ -176,9 +176,8 @@ class _Coarse(nn.Module):
         more = -(-enlarge.shape[1] // self.cells) - 1  # periods of cells that the last px need beyond their own
         sizes = x.shape
         for axis in (2, 3):
-            last = (
-                sizes[axis] + PERIOD - 1
-            ) // PERIOD + more  # one to spare: torch.export assumes that a free size is not 1
+            # one to spare: torch.export assumes that a free size is not 1
+            last = (sizes[axis] + PERIOD - 1) // PERIOD + more
             end = self.first + PERIOD * last + shrink.shape[1]
             x = _strided(_extended(x, self.first, end, axis), shrink, PERIOD, axis)
         for axis in (3, 2):
@@ -195,8 +194,9 @@ class _Wide(nn.Module):
         first, kernel = shrink_kernels(torch.zeros(1, dtype=torch.int64), 1, self.pitch, sigma, reach)
         self.first = int(first[0])
         self.register_buffer("shrink", kernel.to(torch.float32))
-        self.register_buffer("enlarge", enlarge_kernels(torch.arange(self.pitch), 1, self.pitch)[1].to(torch.float32))
-        self.starts = [int(i) for i in enlarge_kernels(torch.arange(self.pitch), 1, self.pitch)[0]]
+        starts, spline = enlarge_kernels(torch.arange(self.pitch), 1, self.pitch)
+        self.starts: list[int] = starts.tolist()
+        self.register_buffer("enlarge", spline.to(torch.float32))
 
     def forward(self, x: Tensor) -> Tensor:
         (shrink_rows, enlarge_rows), (shrink_columns, enlarge_columns) = (self._matrices(n) for n in x.shape[-2:])
