@@ -70,7 +70,7 @@ def naive_kornia(
     unblurred = image * light * (torch.exp(-G * path) - direct_share)
     edges = torch.linspace(float(path.min()), float(path.max()) * (1 + 1e-6), BINS + 1)
     forward = torch.zeros_like(image)
-    for near, far in zip(edges[:-1].tolist(), edges[1:].tolist()):
+    for near, far in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         sigma = phi * 0.5 * (near + far)
         size = 2 * int(np.ceil(3 * sigma)) + 1
         inside = (path >= near) & (path < far)

@@ -15,8 +15,9 @@ import torch
 from torch import Tensor
 
 from benchmarks.baselines import BINS
+from benchmarks.exact import blur_exact
 from uwaug.banded import reflect
-from uwaug.blur import BlurPlan, blur_exact, blurred_rows, node_weights, weighted_sum
+from uwaug.blur import BlurPlan, blurred_rows, mixed, node_weights
 
 _TILE = 64  # px
 Gaussian = Callable[[np.ndarray, float], np.ndarray]
@@ -32,7 +33,7 @@ def mirrored(size: int, margin: int) -> Tensor:
 
 
 def exact(image: Tensor, sigma: Tensor, most: int | None = None) -> tuple[Tensor, float]:
-    """`blur_exact` tile by tile, each with the surroundings that it reaches; and the time of all tiles, ms.
+    """`benchmarks.exact.blur_exact` tile by tile, each with the surroundings that it reaches; and the time of all tiles, ms.
 
     With `most`, only so many tiles along the diagonal are done, and the time is scaled up.
     """
@@ -57,7 +58,7 @@ def stack(image: Tensor, sigma: Tensor, plan: BlurPlan) -> Tensor:
     """Our stack, a strip of rows at a time, as `form_image` uses it."""
     out = torch.empty_like(image)
     for rows, blurs in blurred_rows(image[0], plan):
-        out[..., rows, :] = weighted_sum(node_weights(sigma[..., rows, :] ** 2, plan), blurs)
+        out[..., rows, :] = mixed(blurs, node_weights(sigma[..., rows, :], plan))
     return out
 
 
@@ -71,7 +72,7 @@ def stack_opencv(image: Tensor, sigma: Tensor, plan: BlurPlan) -> Tensor:
             for c in image[0]
         ]
         blurs.append(torch.from_numpy(np.stack(channels))[None])
-    return weighted_sum(node_weights(sigma**2, plan), blurs)
+    return mixed(blurs, node_weights(sigma, plan))
 
 
 def opencv_gaussian(image: np.ndarray, sigma: float) -> np.ndarray:

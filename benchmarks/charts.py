@@ -61,7 +61,7 @@ def frontier_figure(results: dict[str, Any], shown: tuple[int, int] = SHOWN) -> 
         figure = Figure((13, 12.5), layout="constrained")
         grid = figure.add_gridspec(3, 6, height_ratios=(1.25, 1, 1))
         places = [grid[0, 0:3], grid[0, 3:6], grid[1, 0:3], grid[1, 3:6], grid[2, 0:2], grid[2, 2:4], grid[2, 4:6]]
-        drawn = [(figure.add_subplot(place), panel) for place, panel in zip(places, [*wide, *narrow])]
+        drawn = [(figure.add_subplot(place), panel) for place, panel in zip(places, [*wide, *narrow], strict=False)]
         size, threads = shown
         figure.suptitle(
             f"Error of the final image against time, {size}² px, {threads} thread{'s' * (threads > 1)}; "
@@ -94,7 +94,9 @@ def _panel(axes: Axes, panel: dict[str, Any]) -> list[tuple[float, float, str, s
     top += 0.12 * (top - min(e["psnr_db"] for e in entries if e["psnr_db"] is not None))
     place = {e["name"]: (e["median_ms"], top if e["psnr_db"] is None else e["psnr_db"]) for e in entries}
     front = [place[e["name"]] for e in entries if e["front"]]
-    axes.step(*zip(*front), where="post", color=FRONT, linewidth=4, alpha=0.5, solid_capstyle="round", zorder=1)
+    axes.step(
+        *zip(*front, strict=True), where="post", color=FRONT, linewidth=4, alpha=0.5, solid_capstyle="round", zorder=1
+    )
     series: dict[str, list[str]] = {}
     for e in panel["entries"]:
         series.setdefault(e["name"] if e["default"] else _NUMBER.sub("#", e["name"], count=1), []).append(e["name"])
@@ -104,7 +106,14 @@ def _panel(axes: Axes, panel: dict[str, Any]) -> list[tuple[float, float, str, s
         colour = DEFAULT if default else OURS if _is_ours(names[0]) else RIVAL
         xy = [place[name] for name in names]
         size, marker = (15, "*") if default else (5, "o" if _is_ours(names[0]) else "s")
-        axes.plot(*zip(*xy), color=colour, marker=marker, markersize=size, linewidth=0.8, zorder=4 if default else 3)
+        axes.plot(
+            *zip(*xy, strict=True),
+            color=colour,
+            marker=marker,
+            markersize=size,
+            linewidth=0.8,
+            zorder=4 if default else 3,
+        )
         label = names[0]
         if len(names) > 1:
             first, last = (found.group() for found in (_NUMBER.search(names[0]), _NUMBER.search(names[-1])) if found)
@@ -131,7 +140,7 @@ def _label(figure: Figure, axes: Axes, points: list[tuple[float, float, str, str
     at = [axes.transData.transform((x, y)) for x, y, *_ in points]
     taken = [
         Bbox.from_bounds(px - r, py - r, 2 * r, 2 * r)
-        for (px, py), (*_, colour) in zip(at, points)
+        for (px, py), (*_, colour) in zip(at, points, strict=True)
         for r in [scale * (8 if colour == DEFAULT else 4)]
     ]
     for line in axes.lines:
@@ -143,7 +152,9 @@ def _label(figure: Figure, axes: Axes, points: list[tuple[float, float, str, str
     frame = axes.get_window_extent()
     compass = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1))
     steps = [(r * dx, r * dy) for r in (8, 12, 17, 24, 32, 42, 56, 72) for dx, dy in compass]
-    for (x, y, label, colour), (px, py) in sorted(zip(points, at), key=lambda p: (p[0][3] != DEFAULT, p[0][0])):
+    for (x, y, label, colour), (px, py) in sorted(
+        zip(points, at, strict=True), key=lambda p: (p[0][3] != DEFAULT, p[0][0])
+    ):
         if not label:
             continue
         text = axes.annotate(label, (x, y), (0, 0), textcoords="offset points", va="center", fontsize=7.5, color=colour)

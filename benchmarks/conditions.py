@@ -109,7 +109,7 @@ def own_gaussians(image: Tensor, sigma: Tensor) -> Tensor:
     """`image` (B, C, H, W) with every pixel blurred by a Gaussian of its own `sigma` (B, 1, H, W), edges mirrored."""
     h, w = image.shape[-2:]
     out = []
-    for picture, widths in zip(image, sigma.expand(len(image), -1, -1, -1)):
+    for picture, widths in zip(image, sigma.expand(len(image), -1, -1, -1), strict=True):
         flat = widths.detach().flatten()
         at = torch.arange(h * w)
         rows, columns = _gaussian_rows(at // w, flat, h), _gaussian_rows(at % w, flat, w)

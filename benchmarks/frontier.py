@@ -24,9 +24,9 @@ from torch import Tensor
 import uwaug
 from benchmarks import baselines, blurs
 from benchmarks.harness import command, race, save, scene, use_threads
-from uwaug.blur import NO_BLUR, plan_blur, row_strips
-from uwaug.formation import combine, curve_sums, summed
-from uwaug.medium import Medium, PointSpread
+from uwaug.blur import plan_blur, row_strips
+from uwaug.formation import together
+from uwaug.medium import Medium, PointSpread, curves
 
 DISTANCES = (1.0, 5.0)  # m
 NEAR_TIE = 1.01  # a rival 1 % (.09 dB) less accurate still counts as equally accurate, against us
@@ -130,7 +130,7 @@ def blur_panel(size: int, widest: float, rounds: int, seconds: float) -> list[di
     """Time of the blur alone; error of the final image, and of the blur itself."""
     c = case(size, widest)
     low, high = (float(v) for v in c.sigma.aminmax())
-    demand = uwaug.formation.blur_demand(c.medium, DISTANCES)
+    demand = uwaug.blur_demand(c.medium, DISTANCES)
     default = demand.plan((size, size))
     plans = {f"ours, tolerance {t:g}": plan_blur(low, high, t) for t in (0.01, 0.002, 0.0005, 0.0001)}
     # the one that is the default, which the strength of forward scatter in this water relaxes, would race itself
@@ -171,12 +171,10 @@ def blur_panel(size: int, widest: float, rounds: int, seconds: float) -> list[di
 
 
 def pointwise(c: Case, medium: Medium, scattered: Tensor) -> Tensor:
-    out, sums = torch.empty_like(c.image), curve_sums(medium)
+    out, sums = torch.empty_like(c.image), medium.sums(near=False)
     for rows in row_strips(*c.image.shape[1:]):
         image, z, blurred = (t[..., rows, :] for t in (c.image, c.z, scattered))
-        out[..., rows, :] = combine(
-            image, z, medium, summed(z, *sums), [blurred], NO_BLUR, (0, 0), "line_of_sight", True
-        )[0]
+        (out[..., rows, :],) = together(image, curves(sums, z), blurred)
     return out
 
 

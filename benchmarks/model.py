@@ -15,8 +15,9 @@ from torch import Tensor
 
 import uwaug
 from benchmarks import baselines
+from benchmarks.exact import blur_exact
 from benchmarks.harness import command, motorcycle, race, save, scene, use_threads
-from uwaug.blur import blur_exact, plan_blur, varying_blur
+from uwaug.blur import plan_blur, varying_blur
 from uwaug.medium import WAVELENGTHS
 
 WIDEST = 4.5  # px, at 5 m; .9 at 1 m
@@ -187,7 +188,7 @@ def curve_accuracy(tolerance: float = 0.002) -> list[dict[str, Any]]:
                     (response * light * 0.3 * water.b / G) @ (1 - decay),
                 )
                 curves = (medium.transmission(z), medium.signal(z), medium.backscatter(z))
-                error = max(float(np.abs(c[0].numpy() - e).max()) for c, e in zip(curves, exact))
+                error = max(float(np.abs(c[0].numpy() - e).max()) for c, e in zip(curves, exact, strict=True))
                 rows.append(
                     {
                         "type": name,

@@ -17,7 +17,7 @@ from torch import Tensor
 from benchmarks import baselines
 from benchmarks.baselines import BINS
 from benchmarks.conditions import FARTHEST, Case, Method, sampled_parameter, spread
-from uwaug.blur import node_weights, plan_blur, weighted_sum
+from uwaug.blur import mixed, node_weights, plan_blur
 
 Gaussian = Callable[[Tensor, float], Tensor]
 
@@ -109,7 +109,7 @@ def _stack(image: Tensor, sigma: Tensor, shown: Tensor, gaussian: Gaussian = _ga
     low, high = (float(v) for v in widths.aminmax()) if widths.numel() else (1.0, 1.0)
     plan = plan_blur(0.9 * low, 1.1 * high, 0.0005)
     blurs = [gaussian(image, s) if s > 0 else image for s in plan.sigmas]
-    return weighted_sum(node_weights(sigma**2, plan).to(image.dtype), blurs)
+    return mixed(blurs, node_weights(sigma, plan).to(image.dtype))
 
 
 def _hard_bins(image: Tensor, sigma: Tensor, shown: Tensor) -> Tensor:
@@ -150,7 +150,7 @@ def published(case: Case) -> Tensor:
         picture, z, field = (v[i].detach().float().numpy() for v in (case.image, case.distance, case.field))
         beta, G, veil, light, b_mean = (
             (v[i] if v.ndim == n else v).detach().float().numpy()
-            for v, n in zip(_coefficients(case, 0.0), (2, 2, 2, 2, 1))
+            for v, n in zip(_coefficients(case, 0.0), (2, 2, 2, 2, 1), strict=True)
         )
         scale = float(case.scale.reshape(-1)[i % case.scale.numel()])
         result = baselines.published(

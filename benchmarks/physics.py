@@ -133,7 +133,7 @@ def picture_error(law: Law) -> float:
     """Mean RMSE of direct + forward light over the Monte Carlo pictures (HG .924), their noise taken out."""
     texture, observed, cases = _pictures()
     offset, found = torch.arange(128).double() - 63.5, []
-    for light, case in zip(observed, cases):
+    for light, case in zip(observed, cases, strict=True):
         a, b, f = case["a"], case["b"], case["focal_px"]
         z = case["z"] * torch.sqrt(1 + (offset[:, None] / f) ** 2 + (offset / f) ** 2)[None]
         total = torch.zeros(128, 128, dtype=torch.float64)

@@ -16,10 +16,12 @@ from scipy.fft import dctn, idctn
 from torch import Tensor
 
 import uwaug
+from benchmarks.exact import blur_exact
 from benchmarks.harness import command, motorcycle, race, save, use_threads
-from uwaug.blur import BlurPlan, Shape, blur_exact, plan_blur
+from uwaug.blur import BlurPlan, plan_blur
 from uwaug.colour import srgb_to_linear
-from uwaug.formation import blur_demand
+from uwaug.demand import blur_demand
+from uwaug.medium import Shape
 
 RANGES = ((0.05, 1.0), (1.0, 5.0), (1.0, 20.0))
 TOLERANCE = 0.002
@@ -27,7 +29,7 @@ LAWS = {"paper": lambda w: uwaug.PointSpread.paper(), "calibrated": lambda w: uw
 
 
 def exact_exponential(image: Tensor, sigma: Tensor, at: Tensor) -> Tensor:
-    """As `uwaug.blur.blur_exact`, under each pixel's own e^(−2πσf): a sum of the picture's cosine waves."""
+    """As `benchmarks.exact.blur_exact`, under each pixel's own e^(−2πσf): a sum of the picture's cosine waves."""
     _, h, w = image.shape
     waves = dctn(image.double().numpy(), axes=(1, 2), norm="ortho")
     down, across = (idctn(np.eye(n), axes=(0,), norm="ortho") for n in (h, w))

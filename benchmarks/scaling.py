@@ -26,7 +26,7 @@ from torch import Tensor
 import uwaug
 from benchmarks.harness import command, race, save, scene, use_threads
 from uwaug.banded import blur_kernel
-from uwaug.blur import ends
+from uwaug.blur import range_in_v
 from uwaug.medium import Medium, PointSpread
 
 DISTANCES = (1.0, 5.0)  # m
@@ -137,10 +137,11 @@ class Fused:
         halves = [k[len(k) // 2 :].float() for k in halves]
         reach = torch.tensor([len(k) - 1 for k in halves], dtype=torch.int32)
         coefficients = torch.tensor(plan.coefficients).contiguous()
-        low, high = ends(plan)
+        low, high = range_in_v(plan)
         slope = 1 / (high - low)
         offset = (math.log(0.5) - low - high) * slope
-        tensors = [t.detach()[0].contiguous() for t in medium.tensors()[:5]]
+        names = ("beta", "direct_weights", "G", "signal_weights", "veil_weights")
+        tensors = [getattr(medium, name).detach()[0].contiguous() for name in names]
         keep = (image, distance, out, reach, torch.cat(halves), coefficients, *tensors)
         real, pointer = ctypes.c_float, lambda t: ctypes.c_void_p(t.data_ptr())
         spread = float(medium.b_mean) * float(medium.point_spread.scale)

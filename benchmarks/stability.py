@@ -174,7 +174,7 @@ def _gradients(out: Tensor, leaves: dict[str, Tensor], weights: Tensor) -> dict[
     if not out.requires_grad:
         return {n: torch.zeros_like(v) for n, v in leaves.items()} if len(leaves) == 1 else {}
     grads = torch.autograd.grad((out.double() * weights).sum(), list(leaves.values()), allow_unused=True)
-    return {n: torch.zeros_like(v) if g is None else g for (n, v), g in zip(leaves.items(), grads)}
+    return {n: torch.zeros_like(v) if g is None else g for (n, v), g in zip(leaves.items(), grads, strict=True)}
 
 
 def _worst(verdicts: list[str]) -> str:

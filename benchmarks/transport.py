@@ -93,7 +93,7 @@ def walk(sample: Sampler, lengths: float, photons: int = 100_000, seed: int = 0)
     """Send photons, each made to scatter before the plane (what does not is e^(−cz) exactly)."""
     rng = np.random.default_rng(seed)
     parts = [_walk(sample, lengths, min(20_000, photons - n), rng) for n in range(0, photons, 20_000)]
-    tangent, path, weight = (np.concatenate(column) for column in zip(*parts))
+    tangent, path, weight = (np.concatenate(column) for column in zip(*parts, strict=True))
     return Landings(lengths, tangent, path, weight * -np.expm1(-lengths) / photons)
 
 
@@ -121,7 +121,7 @@ def _walk(sample: Sampler, lengths: float, n: int, rng: np.random.Generator) -> 
         weight = np.where(path < 20, weight, weight / 0.9)[stays]
         at, to, path = (at + step * to)[:, stays], to[:, stays], (path + step)[stays]
         angle = rng.random(path.size)
-    tangent, total, weights = (np.concatenate(column) for column in zip(*landed))
+    tangent, total, weights = (np.concatenate(column) for column in zip(*landed, strict=True))
     return tangent, total, weights
 
 
@@ -178,7 +178,7 @@ def spread(landings: Landings, absorption: float) -> Spread:
         "F": forward,
         "g": g(direct + forward),
         **{f"g_{r}deg": g(direct + weight[tangent < np.tan(np.radians(r))].sum()) for r in (10, 3)},
-        **{f"q{p}": float(q) for p, q in zip((10, 25, 50, 75, 90), quantiles)},
+        **{f"q{p}": float(q) for p, q in zip((10, 25, 50, 75, 90), quantiles, strict=True)},
         "rms_45deg": float(np.sqrt(np.average(tangent[near] ** 2, weights=weight[near]))),
         "log_mean": centre,
         "log_deviation": float(np.sqrt(np.average((logs - centre) ** 2, weights=weight))),

@@ -1,13 +1,9 @@
-import sys
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
-
-sys.path.append(str(Path(__file__).parent))  # for `import reference`: importlib mode adds no path
 
 
 class Scene(NamedTuple):

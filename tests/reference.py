@@ -93,7 +93,7 @@ def varying_gaussian(image: np.ndarray, sigma: np.ndarray, at: np.ndarray | None
     for chunk in np.array_split(np.argsort(wide), math.ceil(len(at) / 1024)):
         rows = gaussian_rows(at[chunk] // w, wide[chunk], h)
         columns = gaussian_rows(at[chunk] % w, wide[chunk], w)
-        for channel, plane in zip(out, image):
+        for channel, plane in zip(out, image, strict=True):
             channel[chunk] = ((rows @ plane) * columns).sum(1)
     return out
 
@@ -115,7 +115,7 @@ def mixed_waves(h: int, w: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     for size in (h, w):
         f = np.arange(size) / (2 * size)
         rows = np.exp(-2 * (np.pi * np.outer(widths, f)) ** 2)
-        for row, s in zip(rows, widths[widths < 4]):
+        for row, s in zip(rows, widths[widths < 4], strict=False):
             n, width = np.arange(-36, 37), matched(float(s))
             taps = np.exp(-0.5 * (n / width) ** 2) if width else 1.0 * (n == 0)
             row[:] = taps @ np.cos(2 * np.pi * np.outer(n, f)) / taps.sum()

@@ -1,7 +1,6 @@
 import contextlib
 import io
 import math
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -9,14 +8,12 @@ from typing import Any
 import pytest
 import torch
 
-sys.path.append(str(Path(__file__).parent.parent))  # the benchmarks are not installed
-
 for package in ("cv2", "matplotlib", "scipy"):
     pytest.importorskip(package)
 
 from benchmarks import blurs, charts, frontier, scaling, summary  # noqa: E402
+from benchmarks.exact import blur_exact  # noqa: E402
 from benchmarks.harness import race  # noqa: E402
-from uwaug.blur import blur_exact  # noqa: E402
 
 #            0          1          2          3          4          5
 POINTS = [(1.0, 0.5), (2.0, 0.1), (3.0, 0.2), (4.0, 0.01), (4.0, 0.02), (9.0, 0.0)]

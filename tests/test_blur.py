@@ -9,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
+from benchmarks.exact import blur_exact
 from uwaug.banded import PERIOD, along_columns, along_rows, operators, sampled_parameter
-from uwaug.blur import BlurPlan, blur_exact, plan_blur, varying_blur
+from uwaug.blur import BlurPlan, plan_blur, varying_blur
 from uwaug.formation import form_image
 from uwaug.medium import Medium, PointSpread
 
@@ -42,7 +43,7 @@ def random_pixels(size: int) -> torch.Tensor:
 def nodes() -> list[tuple[float, float, float]]:
     """Every (width, cell, reach) that a range of plans uses, thinned out."""
     plans = [plan_blur(low, high, tolerance) for low, high in [*RANGES, (0.0, 8.0)] for tolerance in (0.002, 0.0005)]
-    used = sorted({(s, c, p.reach) for p in plans for s, c in zip(p.sigmas, p.cells) if s > 0})
+    used = sorted({(s, c, p.reach) for p in plans for s, c in zip(p.sigmas, p.cells, strict=True) if s > 0})
     return used[::6]
 
 
@@ -164,7 +165,7 @@ def test_few_blurs_serve_a_wide_range() -> None:
 def test_wide_blurs_live_on_small_grids() -> None:
     plan = plan_blur(2.0, 60.0, 0.002)
     # pitches are 16/m or 16·m px, which costs no time: 8 instead of 10.7 px takes 3 % more for that blur
-    assert all(0.5 < c / s <= 1 for s, c in zip(plan.sigmas, plan.cells) if s > 4)
+    assert all(0.5 < c / s <= 1 for s, c in zip(plan.sigmas, plan.cells, strict=True) if s > 4)
 
 
 @pytest.mark.parametrize("dtype, tolerance", [(torch.float32, 1e-6), (torch.float64, 1e-13)])
@@ -267,7 +268,7 @@ def test_each_image_of_a_batch_is_blurred_by_itself() -> None:
     images, sigma = rand(3, 2, 30, 41), 4 * rand(3, 1, 30, 41)
     plan = plan_blur(0.0, 4.0)
     together = varying_blur(images, sigma, plan)
-    for image, s, result in zip(images, sigma, together):
+    for image, s, result in zip(images, sigma, together, strict=True):
         torch.testing.assert_close(varying_blur(image[None], s[None], plan)[0], result, rtol=0, atol=1e-13)
 
 
@@ -469,7 +470,7 @@ def test_strips_are_parts_of_the_whole(cell) -> None:
 
 def test_plans_and_the_longest_side() -> None:
     for longest in (0, 0.5, math.inf, math.nan):
-        with pytest.raises(ValueError, match="longest must be a finite number of px ≥ 1"):
+        with pytest.raises(ValueError, match="longest must be finite and ≥ 1"):
             plan_blur(1.0, 4.0, longest=longest)
     assert plan_blur(1.0, 4.0, longest=100) is plan_blur(1.0, 4.0, longest=5000)
     exponential = [plan_blur(3.0, 40.0, 0.002, "exponential", longest) for longest in (64, 300, 512, 2000)]

@@ -209,7 +209,7 @@ def test_export_and_check(run, tmp_path):
     assert stderr == f"Error: {out} exists: choose another file, or --force to write over it\n"
     code, stdout, stderr = run(*arguments, "--field", "maybe", "--force")
     assert (code, stdout) == (2, "")
-    assert stderr.startswith("Error: field must be one of ('none', 'input'), got 'maybe'")
+    assert stderr.startswith("Error: field must be one of none, input, got 'maybe'")
     assert out.read_bytes() == before
 
     code, stdout, stderr = run("check", str(out))

@@ -176,5 +176,5 @@ def test_traces_whole(function) -> None:
 def test_rejects_what_it_cannot_mean(function) -> None:
     with pytest.raises(TypeError, match=r"x must be a floating-point tensor.*torch\.uint8.*divide by 255"):
         function(torch.zeros(3, dtype=torch.uint8))
-    with pytest.raises(TypeError, match="x must be a torch tensor, got ndarray"):
+    with pytest.raises(TypeError, match="x must be a floating-point tensor, got ndarray"):
         function(np.zeros(3))

@@ -215,7 +215,7 @@ def test_rejects_shapes(shape, message) -> None:
         ({"low": -0.1}, "low and high must satisfy.*got -0.1 and 1.3: the field multiplies distance"),
         ({"high": math.inf}, "low and high must satisfy"),
         ({"low": math.nan}, "low and high must satisfy"),
-        ({"exponent": -1.0}, "exponent must be finite and at least 0, got -1.0"),
+        ({"exponent": -1.0}, "exponent must be finite and ≥ 0, got -1.0"),
         ({"exponent": math.nan}, "exponent must be finite"),
         ({"exponent": math.inf}, "exponent must be finite"),
     ],
@@ -236,7 +236,7 @@ def test_rejects_noise_of_another_shape(shape) -> None:
 def test_rejects_noise_of_another_kind() -> None:
     with pytest.raises(TypeError, match=r"noise must be a floating-point tensor, got torch\.int64"):
         field_from_noise(torch.zeros(1, 5, 5, dtype=torch.int64), (8, 8))
-    with pytest.raises(TypeError, match="noise must be a floating-point tensor, got float64"):
+    with pytest.raises(TypeError, match="noise must be a floating-point tensor, got ndarray"):
         field_from_noise(np.zeros((1, 5, 5)), (8, 8))
     with pytest.raises(ValueError, match="at least one pixel per side"):
         field_from_noise(torch.zeros(1, 5, 5), (0, 8))

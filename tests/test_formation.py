@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from uwaug.blur import varying_blur
-from uwaug.formation import Terms, blur_demand, form_image
+from uwaug.demand import blur_demand
+from uwaug.formation import Terms, form_image
 from uwaug.medium import Medium, PointSpread
 from uwaug.water import Water
 
@@ -63,7 +64,7 @@ def check(
     In source order the width of open water is infinite where the model wants none of its scattered light: left out.
     """
     rounding = 1e-12 if terms.direct.dtype == torch.float64 else 3e-6
-    for i, parts in enumerate(zip(terms.direct, terms.forward, terms.backscatter)):
+    for i, parts in enumerate(zip(terms.direct, terms.forward, terms.backscatter, strict=True)):
         j, distance = (v[i if len(v) > 1 else 0] for v in (image, z))
         direct, forward, veil = expected(j, distance[0], medium, i if len(medium) > 1 else 0, order)
         peak = max(1.0, float(j.abs().max()))
@@ -419,7 +420,7 @@ def test_singular_points(name, dtype, order) -> None:
         "exponent",
         "field",
     )
-    for leaf_name, leaf in zip(names, [*leaves, scale, exponent, field]):
+    for leaf_name, leaf in zip(names, [*leaves, scale, exponent, field], strict=True):
         if leaf is not None and leaf.grad is not None:
             assert leaf.grad.isfinite().all(), leaf_name
     assert all(leaf.grad is not None for leaf in leaves[:2])
@@ -510,7 +511,7 @@ def test_inputs_are_left_alone() -> None:
     z[0, 0, 0, 0] = math.inf
     copies = [t.clone() for t in (image, z, field, *medium.tensors())]
     form_image(image, z, medium, field)
-    assert all(torch.equal(a, b) for a, b in zip(copies, (image, z, field, *medium.tensors())))
+    assert all(torch.equal(a, b) for a, b in zip(copies, (image, z, field, *medium.tensors()), strict=True))
 
 
 @pytest.fixture
@@ -528,7 +529,7 @@ def test_deterministic_algorithms() -> None:
         form_image(image, z, tracked(coefficients(law=PointSpread(4.0, 0.5)))).image.square().sum().backward()
         form_image(image.detach(), z.detach(), coefficients())
         grads.append((image.grad, z.grad))
-    assert all(torch.equal(a, b) for a, b in zip(*grads))
+    assert all(torch.equal(a, b) for a, b in zip(*grads, strict=True))
 
 
 @pytest.mark.parametrize("order", ["line_of_sight", "source"])

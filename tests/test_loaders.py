@@ -45,7 +45,7 @@ def test_classification(start: str, crops: Crops) -> None:
             loss.backward()
             optimizer.step()
             seen.append((images, labels, loss.item()))
-        pictures, truth, values = zip(*seen)
+        pictures, truth, values = zip(*seen, strict=True)
         epochs.append(torch.cat(pictures))
         losses.append(sum(values))
         assert torch.cat(truth).tolist() == [label for *_, label in crops]
@@ -87,7 +87,7 @@ def test_paired_restoration(start: str, crops: Crops) -> None:
 
 
 def run(data: "DataLoader[Any]") -> dict[int, Tensor]:
-    return {int(i): image for indices, images in data for i, image in zip(indices, images)}
+    return {int(i): image for indices, images in data for i, image in zip(indices, images, strict=True)}
 
 
 def test_keys_do_not_depend_on_workers(crops: Crops) -> None:
@@ -116,8 +116,8 @@ def test_whole_batches_in_collate_fn(workers: int, crops: Crops) -> None:
         data = loader(crops, "fork", workers, collate_fn=DegradeBatch(augment))
         batches = list(data)
         assert all(type(batch) is list and len(batch) == 3 for batch in batches)
-        images, distances, labels = (torch.cat(parts) for parts in zip(*batches))
-        clean, given, wanted = zip(*crops)
+        images, distances, labels = (torch.cat(parts) for parts in zip(*batches, strict=True))
+        clean, given, wanted = zip(*crops, strict=True)
         assert torch.equal(distances, torch.stack(given))
         assert labels.tolist() == list(wanted)
         assert images.shape == (len(crops), 3, SIZE, SIZE)

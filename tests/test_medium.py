@@ -21,7 +21,10 @@ DEPTHS, SHARES = (0.0, 1.0, 10.0), (0.0, 0.2, 1.0)
 def errors(medium: Medium, water: Water, z: np.ndarray = Z, **kwargs: float) -> list[float]:
     exact = reference.spectral_curves(water, z, **kwargs)
     at = torch.from_numpy(z)
-    return [float(np.abs(getattr(medium, name)(at)[0].numpy() - curve).max()) for name, curve in zip(CURVES, exact)]
+    return [
+        float(np.abs(getattr(medium, name)(at)[0].numpy() - curve).max())
+        for name, curve in zip(CURVES, exact, strict=True)
+    ]
 
 
 @pytest.fixture
@@ -152,7 +155,7 @@ def test_the_camera_and_its_bands_count() -> None:
     bands = np.arange(400.0, 701.0, 50.0)
     coarse = Medium.from_water(water, wavelengths=bands, tolerance=0)
     exact = reference.spectral_curves(water, Z, depth=1.0, g=0.2, mu=0.3, bands=bands)
-    for name, curve in zip(CURVES, exact):
+    for name, curve in zip(CURVES, exact, strict=True):
         np.testing.assert_allclose(getattr(coarse, name)(torch.from_numpy(Z))[0].numpy(), curve, rtol=0, atol=1e-14)
 
 
@@ -225,14 +228,14 @@ def test_autocast_changes_nothing(coastal: Medium) -> None:
     z = 10 * torch.rand(1, 1, 6, 7)
     with torch.autocast("cpu", torch.bfloat16):
         results = [getattr(coastal, name)(z) for name in CURVES]
-    for name, result in zip(CURVES, results):
+    for name, result in zip(CURVES, results, strict=True):
         torch.testing.assert_close(result, getattr(coastal, name)(z), rtol=0, atol=1e-6)
 
 
 def test_a_stack_equals_its_members() -> None:
     waters = ("I", "II", "9C")
     laws = (PointSpread(1.0, 0.5), PointSpread(2.0, 0.7), PointSpread(torch.tensor([3.0]), torch.tensor([0.9])))
-    media = [Medium.from_water(Water.jerlov(t), point_spread=law) for t, law in zip(waters, laws)]
+    media = [Medium.from_water(Water.jerlov(t), point_spread=law) for t, law in zip(waters, laws, strict=True)]
     assert len({m.beta.shape for m in media}) > 1, "sizes should differ, or padding is not tested"
     batch = Medium.stack([*media, Medium.stack(media[:2])])
     assert len(batch) == 5
@@ -317,7 +320,7 @@ def test_gradients_are_finite_at_the_ends(z: float, rate: float, dtype: torch.dt
 
 def test_copies_survive(coastal: Medium) -> None:
     for twin in (pickle.loads(pickle.dumps(coastal)), copy.deepcopy(coastal)):
-        assert all(torch.equal(a, b) for a, b in zip(twin.tensors(), coastal.tensors()))
+        assert all(torch.equal(a, b) for a, b in zip(twin.tensors(), coastal.tensors(), strict=True))
         assert (twin.point_spread, twin.notes) == (coastal.point_spread, coastal.notes)
 
 
@@ -400,7 +403,9 @@ def test_from_coefficients_rejects(change: dict[str, object], match: str) -> Non
 
 @pytest.mark.parametrize("name", ["beta", "direct_weights", "G", "signal_weights", "veil_weights", "b_mean"])
 def test_medium_rejects_shapes_that_disagree(name: str, coastal: Medium) -> None:
-    fields = dict(zip(("beta", "direct_weights", "G", "signal_weights", "veil_weights", "b_mean"), coastal.tensors()))
+    fields = dict(
+        zip(("beta", "direct_weights", "G", "signal_weights", "veil_weights", "b_mean"), coastal.tensors(), strict=True)
+    )
     with pytest.raises(ValueError, match=r"Medium\.\w+ must have shape .* got"):
         Medium(**{**fields, name: torch.rand(2, 5, 7)}, point_spread=PointSpread.none())
 
@@ -440,7 +445,7 @@ def test_width_laws() -> None:
         (PointSpread.none(), 0.0, 1.0, (9, 9)),
     ):
         expected = scale * lengths**exponent
-        width = law.variance(lengths, size).sqrt()
+        width = law.sigma(lengths, size)
         assert width[..., 0] < 0.05  # px; where the law has an infinite slope it may start above 0
         torch.testing.assert_close(width[..., 1:], expected[..., 1:], rtol=1e-12, atol=0)
 
@@ -449,11 +454,11 @@ def test_width_laws() -> None:
 @given(st.floats(0, 100), st.floats(0.05, 3), st.floats(0, 1e9))
 def test_width_grows_with_distance_and_is_finite(scale: float, exponent: float, z: float) -> None:
     lengths = torch.tensor([z, 2 * z + 1e-3], dtype=torch.float64).reshape(1, 1, 1, 2).requires_grad_()
-    variance = PointSpread(scale, exponent).variance(lengths, (100, 100))
-    variance.sum().backward()
-    assert variance.isfinite().all()
+    width = PointSpread(scale, exponent).sigma(lengths, (100, 100))
+    width.sum().backward()
+    assert width.isfinite().all()
     assert lengths.grad.isfinite().all()
-    assert (variance.diff() >= 0).all()
+    assert (width.diff() >= 0).all()
 
 
 @pytest.mark.parametrize(

@@ -173,7 +173,7 @@ def test_learning_starts_at_the_medium(medium: Medium) -> None:
     assert reference.psnr(learnable(image, z).detach(), fixed(image, z)) >= 54  # their plans differ
     start = learnable.medium
     for name, value, given in zip(
-        ("beta", "direct", "G", "signal", "veil", "b_mean"), start.tensors(), medium.tensors()
+        ("beta", "direct", "G", "signal", "veil", "b_mean"), start.tensors(), medium.tensors(), strict=True
     ):
         torch.testing.assert_close(value.detach().to(given.dtype), given, rtol=1e-5, atol=2e-6, msg=name)
     for name in ("scale", "exponent"):
@@ -199,7 +199,7 @@ def test_every_parameter_learns_and_stays_positive(medium: Medium) -> None:
         optimiser.zero_grad()
         degrade(image, z).square().sum().backward()
         for name, parameter in degrade.named_parameters():
-            if name == "raw_scale" and degrade.plan((image.shape[-2], image.shape[-1])).sigmas == (0.0,):
+            if name == "source.raw_scale" and degrade.plan((image.shape[-2], image.shape[-1])).sigmas == (0.0,):
                 continue  # no blur is planned, as none would show
             assert parameter.grad is not None, name
             assert parameter.grad.isfinite().all(), name
@@ -308,7 +308,7 @@ def test_compiles_whole() -> None:
     weight = torch.rand(1, 3, 32, 40)
     parameters = list(degrade.parameters())
     gradients = [torch.autograd.grad((r * weight).sum(), parameters) for r in (expected, result)]
-    for a, b in zip(*gradients):
+    for a, b in zip(*gradients, strict=True):
         torch.testing.assert_close(a, b, rtol=1e-3, atol=1e-3)
     with torch.no_grad():
         torch.testing.assert_close(compiled(image, z, field), expected, rtol=0, atol=2e-5)

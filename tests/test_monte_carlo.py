@@ -25,7 +25,7 @@ def errors(law: Callable[[float], PointSpread], g: float, order: str = "line_of_
         )
     offset = torch.arange(128).double() - 63.5
     found = []
-    for light, case in zip(observed, json.loads(cases)):
+    for light, case in zip(observed, json.loads(cases), strict=True):
         a, b, f = case["a"], case["b"], case["focal_px"]
         distance = case["z"] * torch.sqrt(1 + (offset[:, None] / f) ** 2 + (offset / f) ** 2)[None]
         medium = Medium.from_coefficients((a + b,) * 3, (a + g * b,) * 3, (0,) * 3, b_mean=b, point_spread=law(f))

@@ -53,7 +53,7 @@ def test_agrees_with_an_independent_walk(
     found = spread(walk(henyey_greenstein(asymmetry).sample, lengths, PHOTONS), absorption)
     assert found.forward == pytest.approx(forward, rel=0.005)
     assert found.figures["g"] == pytest.approx(g, rel=0.03, abs=5e-4)
-    for name, value in zip(("q25", "q50", "q75", "q90"), quantiles):
+    for name, value in zip(("q25", "q50", "q75", "q90"), quantiles, strict=True):
         assert found.figures[name] == pytest.approx(value, rel=0.02), name
 
 

@@ -16,6 +16,7 @@ import pytest
 import torch
 from torch import Tensor
 
+import uwaug.degrade
 import uwaug.transforms
 from uwaug import JERLOV_TYPES, Camera, Medium, PointSpread, RandomUnderwater, Water, form_image, load_preset
 from uwaug.colour import linear_to_srgb, srgb_to_linear
@@ -220,14 +221,14 @@ def test_structure_identity_and_no_mutation(options: dict[str, Any], batch: int 
         out = aug(sample)
         assert type(out) is type(sample)
         assert len(out) == len(sample)
-        assert all(a is b for a, b in zip(sample, before))
-        assert all(a is b for a, b in zip(out[1:], sample[1:]))
+        assert all(a is b for a, b in zip(sample, before, strict=True))
+        assert all(a is b for a, b in zip(out[1:], sample[1:], strict=True))
         assert not torch.equal(out[0], image)
     out = aug(image, distance, label)
     assert type(out) is tuple
     assert out[1] is distance
     assert out[2] is label
-    assert all(torch.equal(a, b) for a, b in zip((image, distance), kept))
+    assert all(torch.equal(a, b) for a, b in zip((image, distance), kept, strict=True))
 
 
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.float16, torch.bfloat16, torch.float32, torch.float64])
@@ -316,7 +317,7 @@ def test_torch_compile_whole_batches() -> None:
     record = aug.make_params(image)
     for _ in range(12):  # more than the graphs that PyTorch would make
         fresh = aug.make_params(image)
-        for old, new in zip(record["samples"], fresh["samples"]):
+        for old, new in zip(record["samples"], fresh["samples"], strict=True):
             new["applied"] = old["applied"]
         assert same(compiled(image, distance, fresh), aug.transform(image, distance, fresh))
     with pytest.raises(ValueError, match="NaN"):
@@ -667,8 +668,8 @@ def test_probabilities(drawn: list[dict[str, Any]]) -> None:
 @pytest.mark.parametrize("bounds", [(0.7, 1.3), (0.0, 2.5), (1.2, 1.2)])
 def test_field_spans_what_was_asked(bounds: tuple[float, float], monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[Tensor] = []
-    check = uwaug.transforms.check
-    monkeypatch.setattr(uwaug.transforms, "check", lambda *a: seen.append(a[3]) or check(*a))
+    prepare = uwaug.degrade.prepare
+    monkeypatch.setattr(uwaug.degrade, "prepare", lambda *a: seen.append(a[3]) or prepare(*a))
     RandomUnderwater(field_range=bounds)(picture(5), distances(5) + 1)
     assert len(seen) == 5
     for field in seen:
@@ -741,7 +742,7 @@ def test_severity_takes_options() -> None:
         ({"p": 1.1}, "p must be a probability.*1.1"),
         ({"p": math.nan}, "p must be a probability.*nan"),
         ({"field_probability": -0.5}, "field_probability must be.*-0.5"),
-        ({"distance_kind": "disparity"}, r"distance_kind must be one of \('metric', .*'disparity'"),
+        ({"distance_kind": "disparity"}, r"distance_kind must be one of metric, .*'disparity'"),
         ({"unknown": "ignore"}, "unknown must be one of.*'ignore'"),
         ({"color_space": "rgb"}, "color_space must be one of.*'rgb'"),
         ({"order": "backwards"}, "order must be one of.*'backwards'"),
@@ -873,11 +874,11 @@ def test_record_is_plain() -> None:
 
 def test_media_are_shared() -> None:
     # a transform with few waters and fixed numbers builds few media, however many pictures
-    uwaug.transforms._medium.cache_clear()
+    uwaug.degrade._medium.cache_clear()
     aug = RandomUnderwater(["7C", "1C"])
     for i in range(20):
         aug.at(0, 0, i)(picture(), distances() + 1)
-    assert uwaug.transforms._medium.cache_info().misses == 2
+    assert uwaug.degrade._medium.cache_info().misses == 2
 
 
 # torchvision, where it is installed; what it does with tensors is tested with subclasses of our own above

@@ -1,8 +1,9 @@
 """Underwater pictures that do not exist: a differentiable, batched, spectral model of how water degrades an image."""
 
 from uwaug import distance
-from uwaug.blur import varying_blur
+from uwaug.blur import BlurPlan, plan_blur, varying_blur
 from uwaug.camera import Camera, load_camera
+from uwaug.demand import blur_demand
 from uwaug.field import gaussian_random_field
 from uwaug.formation import Terms, form_image
 from uwaug.medium import Medium, PointSpread
@@ -16,6 +17,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "JERLOV_TYPES",
+    "BlurPlan",
     "Camera",
     "Medium",
     "OnnxUnderwater",
@@ -25,6 +27,7 @@ __all__ = [
     "Terms",
     "Underwater",
     "Water",
+    "blur_demand",
     "check_onnx",
     "distance",
     "export_onnx",
@@ -33,5 +36,6 @@ __all__ = [
     "list_presets",
     "load_camera",
     "load_preset",
+    "plan_blur",
     "varying_blur",
 ]

@@ -17,9 +17,10 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from kornia.filters import get_gaussian_kernel1d
+from numpy.typing import NDArray
 from torch import Tensor
 
-from uwaug.water import Array
+Array = NDArray[np.float64]
 
 POLE = math.sqrt(3.0) - 2.0  # of the filter that turns samples into cubic B-spline coefficients
 PERIOD = 16  # px that hold whole cells of a grid (or a cell whole periods); strips of rows are multiples of it
@@ -44,27 +45,6 @@ class Banded(NamedTuple):
 
     rows: int
     runs: tuple[Run, ...]
-
-
-def gaussian_rows(centres: Tensor, sigma: Tensor, size: int) -> Tensor:
-    """Rows of sampled, normalised Gaussians of variance sigma² on a half-sample symmetric axis: the exact reference.
-
-    Args:
-        centres (P float64 tensor): sample positions.
-        sigma (P float64 tensor): widths in px, ≥ 0; 0 gives the unit impulse.
-        size (int): samples of the axis.
-
-    Returns:
-        (P, size) float64 tensor whose rows sum to 1.
-    """
-    reach = int(torch.ceil(8 * sigma.max()).item()) if sigma.numel() else 0
-    offsets = torch.arange(-reach, reach + 1, dtype=torch.float64)
-    parameter = torch.from_numpy(sampled_parameter(sigma.numpy()))
-    taps = torch.exp(-0.5 * (offsets / parameter[:, None]) ** 2)
-    folded = (centres[:, None].long() + offsets.long()) % (2 * size)
-    folded = torch.where(folded < size, folded, 2 * size - 1 - folded)
-    rows = torch.zeros(len(centres), size, dtype=torch.float64).scatter_add_(1, folded, taps)
-    return rows / rows.sum(1, keepdim=True)
 
 
 def sampled_parameter(sigma: Array) -> Array:

@@ -2,12 +2,20 @@
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
-__all__ = ["linear_to_srgb", "srgb_to_linear"]
+from uwaug import checks
+
+__all__ = ["ColorSpace", "from_light", "linear_to_srgb", "srgb_to_linear", "to_light"]
+
+ColorSpace = Literal["srgb", "linear"]
+"""What the values of a picture are: sRGB, or linear light as they stand."""
+
+_BRIGHTEST = 16.0
+"""sRGB values above are taken for a scale of 0…255."""
 
 # Where the curve's two pieces meet. The standard prints 0.04045 and 0.0031308, rounded, which leaves a step of 3e-8
 # and makes the two functions inverse to each other only to that.
@@ -15,6 +23,36 @@ _SRGB_KNEE = 0.0404482362771076
 _LINEAR_KNEE = _SRGB_KNEE / 12.92
 _LARGEST = 1e30  # finite, so that infinity / m stays infinity
 _LN2 = math.log(2)
+
+
+def to_light(image: Tensor, color_space: ColorSpace) -> Tensor:
+    """Linear light in float32 or float64 from a picture as callers give it.
+
+    Args:
+        image: uint8 (0…255), or floating point (nominally 0…1); half precision is taken up to float32.
+        color_space: "srgb" decodes; "linear" takes the values for light, of any brightness.
+
+    Raises:
+        ValueError: if sRGB values exceed 16, which are taken for a scale of 0…255.
+    """
+    if image.dtype == torch.uint8:
+        unit = image.to(torch.float32) / 255
+    else:
+        unit = image.to(torch.promote_types(image.dtype, torch.float32))
+    if color_space == "linear":
+        return unit
+    if not torch.compiler.is_compiling() and unit.numel() and unit.detach().amax() > _BRIGHTEST:
+        top = float(unit.detach().amax())
+        raise ValueError(f"image reaches {top:g}: expected 0…1; divide a 0…255 image by 255")
+    return srgb_to_linear(unit)
+
+
+def from_light(light: Tensor, color_space: ColorSpace, dtype: torch.dtype) -> Tensor:
+    """The inverse of `to_light`: a picture of `dtype`; uint8 is rounded and clipped."""
+    values = linear_to_srgb(light) if color_space == "srgb" else light
+    if dtype == torch.uint8:
+        return (values * 255).round().clamp(0, 255).to(torch.uint8)
+    return values.to(dtype)
 
 
 def srgb_to_linear(x: Tensor) -> Tensor:
@@ -152,10 +190,7 @@ class _Encode(_Pointwise):
 
 
 def _apply(x: Tensor, eager: type[_Pointwise], traced: Callable[[Tensor], Tensor]) -> Tensor:
-    if not isinstance(x, Tensor):
-        raise TypeError(f"x must be a torch tensor, got {type(x).__name__}")
-    if not x.is_floating_point():
-        raise TypeError(f"x must be a floating-point tensor, nominally in [0, 1], got {x.dtype}: divide by 255 first?")
+    checks.floating("x", x, ", nominally in [0, 1]: divide by 255 first?")
     v = x.float() if x.dtype.itemsize < 4 else x
     # a compiler fuses and differentiates the plain formula; tracing an autograd function makes torch warn
     y: Tensor = traced(v) if torch.compiler.is_compiling() else eager.apply(v)  # type: ignore[no-untyped-call]

@@ -5,15 +5,11 @@ unknown distance and stays NaN until `check_distance` or `fill_unknown`; +inf st
 (i, j) has its centre at (i + 0.5, j + 0.5).
 """
 
-import math
-import os
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
-
 import torch
 from torch import Tensor
-from torch.nn.functional import interpolate
+
+from uwaug import checks
+from uwaug.depth import DepthNetwork
 
 __all__ = [
     "DepthNetwork",
@@ -48,10 +44,12 @@ def from_relative(t: Tensor, near: float | Tensor, far: float | Tensor, gamma: f
         >>> from_relative(torch.tensor([[0.0, 0.5, 1.0]]), near=1.0, far=5.0, gamma=2.0)
         tensor([[1., 2., 5.]])
     """
-    t = _metric(t, "t")
+    t = _maps("t", t)
     if bool(((t < 0) | (t > 1)).any()):
-        raise ValueError(f"t must lie in [0, 1], got {_span(t)}: normalise first, (t - t.min()) / (t.max() - t.min())")
-    _check_range(near, far, inverse=False)
+        raise ValueError(
+            f"t must lie in [0, 1], got {checks.span(t)}: normalise first, (t - t.min()) / (t.max() - t.min())"
+        )
+    _require_range(near, far, inverse=False)
     power = torch.as_tensor(gamma)
     if not bool(((power > 0) & power.isfinite()).all()):
         raise ValueError(f"gamma must be positive and finite, got {gamma}")
@@ -84,8 +82,8 @@ def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> 
         >>> from_inverse(torch.tensor([[0.0, 30.0, 90.0]]), near=1.0, far=4.0)
         tensor([[4., 2., 1.]])
     """
-    inverse = _metric(inverse, "inverse")
-    _check_range(near, far, inverse=True)
+    inverse = _maps("inverse", inverse)
+    _require_range(near, far, inverse=True)
     known = inverse.isfinite()
     least = torch.where(known, inverse, torch.inf).amin((-2, -1), keepdim=True)
     largest = torch.where(known, inverse, -torch.inf).amax((-2, -1), keepdim=True)
@@ -118,11 +116,10 @@ def from_disparity(disparity: Tensor, focal_px: float, baseline_m: float, offset
         >>> from_disparity(torch.tensor([[10.0, 20.0, 0.0]]), focal_px=1000.0, baseline_m=0.1)
         tensor([[10.,  5., nan]])
     """
-    disparity = _metric(disparity, "disparity")
-    _check_positive(focal_px, "focal_px")
-    _check_positive(baseline_m, "baseline_m")
-    if not math.isfinite(offset_px):
-        raise ValueError(f"offset_px must be finite, got {offset_px}")
+    disparity = _maps("disparity", disparity)
+    checks.positive("focal_px", focal_px)
+    checks.positive("baseline_m", baseline_m)
+    checks.finite("offset_px", offset_px)
     shifted = disparity + offset_px
     known = shifted.isfinite() & (shifted > 0)
     return torch.where(known, focal_px * baseline_m / torch.where(known, shifted, 1.0), torch.nan)
@@ -152,14 +149,14 @@ def along_ray(
         >>> along_ray(torch.full((1, 3), 2.0), focal_px=1.0)
         tensor([[2.8284, 2.0000, 2.8284]])
     """
-    depth = _metric(depth, "depth")
+    depth = _maps("depth", depth)
     fx, fy = focal_px if isinstance(focal_px, tuple) else (focal_px, focal_px)
-    _check_positive(fx, "focal_px")
-    _check_positive(fy, "focal_px")
+    checks.positive("focal_px", fx)
+    checks.positive("focal_px", fy)
     height, width = depth.shape[-2:]
     cx, cy = (width / 2, height / 2) if centre is None else centre
-    if not (math.isfinite(cx) and math.isfinite(cy)):
-        raise ValueError(f"centre must be finite (cx, cy) in pixels, got {centre}")
+    checks.finite("centre", cx)
+    checks.finite("centre", cy)
     x = (torch.arange(width, dtype=depth.dtype, device=depth.device) + (0.5 - cx)) / fx
     y = (torch.arange(height, dtype=depth.dtype, device=depth.device) + (0.5 - cy)) / fy
     return depth * (1 + x**2 + y[:, None] ** 2).sqrt()
@@ -180,7 +177,7 @@ def check_distance(distance: Tensor, strict: bool = True) -> Tensor:
             pixel.
         TypeError: `distance` is no floating-point tensor.
     """
-    distance = _metric(distance, "distance")
+    distance = _maps("distance", distance)
     if not strict:
         return fill_unknown(distance)
     if not bool((distance > 0).all()):
@@ -213,7 +210,7 @@ def fill_unknown(distance: Tensor) -> Tensor:
         >>> fill_unknown(torch.tensor([[2.0, 0.0, float("nan"), 3.0]]))
         tensor([[2., 2., 3., 3.]])
     """
-    distance = _metric(distance, "distance")
+    distance = _maps("distance", distance)
     unknown = ~(distance > 0)
     if not bool(unknown.any()):
         return distance
@@ -232,135 +229,17 @@ def _nearest_known(unknown: Tensor) -> Tensor:
     return torch.from_numpy(rows).long() * unknown.shape[-1] + torch.from_numpy(columns)
 
 
-class DepthNetwork:
-    """A monocular depth network in an ONNX file, run by onnxruntime: image in, inverse relative depth out.
-
-    The file must take one (1, 3, h, w) float32 input and give (1, h', w') or (1, 1, h', w') first, as exports of MiDaS,
-    DPT and Depth Anything do. A fixed h and w is used as it is, otherwise the image's short side becomes `short_side`.
-    The session is made at the first call and not pickled, so that DataLoader workers each make their own; it uses as
-    many threads as torch does there.
-
-    Args:
-        path: the ONNX file.
-        short_side: of the network's input, pixels, where the file leaves it free.
-        multiple: what the input's sides are rounded to: the patch size, 14 for Depth Anything, 32 for MiDaS.
-        mean: of each channel, taken from the image in [0, 1] before the network sees it.
-        std: of each channel, that the difference is divided by. Both default to ImageNet's.
-        providers: onnxruntime's execution providers.
-
-    Raises:
-        FileNotFoundError: there is no file at `path`.
-        ValueError: `short_side` or `multiple` is not positive.
-
-    Examples:
-        >>> network = DepthNetwork("depth_anything_v2_vits.onnx")  # doctest: +SKIP
-        >>> distance = from_inverse(network(image), near=0.5, far=10.0)  # doctest: +SKIP
-    """
-
-    def __init__(
-        self,
-        path: str | os.PathLike[str],
-        *,
-        short_side: int = 518,
-        multiple: int = 14,
-        mean: Sequence[float] = (0.485, 0.456, 0.406),
-        std: Sequence[float] = (0.229, 0.224, 0.225),
-        providers: Sequence[str] = ("CPUExecutionProvider",),
-    ) -> None:
-        self.path = Path(path)
-        if not self.path.is_file():
-            raise FileNotFoundError(f"path must be an ONNX file, got {self.path}: no such file")
-        if short_side < 1 or multiple < 1:
-            raise ValueError(f"short_side and multiple must be at least 1, got {short_side} and {multiple}")
-        self.short_side, self.multiple = short_side, multiple
-        self.mean, self.std = tuple(mean), tuple(std)
-        self.providers = tuple(providers)
-        self._session: Any = None
-
-    def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_session": None}
-
-    @torch.no_grad()
-    def __call__(self, image: Tensor) -> Tensor:
-        """Predict inverse relative depth.
-
-        Args:
-            image: (B, 3, H, W) or (3, H, W), sRGB in [0, 1].
-
-        Returns:
-            (B, 1, H, W) or (1, H, W), near = large, arbitrary scale and shift: for `from_inverse`. Device of `image`.
-
-        Raises:
-            ImportError: onnxruntime is not installed.
-            TypeError: `image` is no floating-point tensor.
-            ValueError: `image` has another shape or leaves [0, 1], or the network gives something else than a map.
-        """
-        image = _metric(image, "image")
-        if image.ndim not in (3, 4) or image.shape[-3] != 3:
-            raise ValueError(f"image must have shape (B, 3, H, W) or (3, H, W), got {tuple(image.shape)}")
-        if not bool(((image >= 0) & (image <= 1)).all()):
-            raise ValueError(f"image must lie in [0, 1], got {_span(image)}: divide by 255?")
-        maps = [self._predict(one) for one in image.reshape(-1, 1, *image.shape[-3:])]
-        depth = torch.cat(maps) if maps else image.new_empty(0, 1, *image.shape[-2:])
-        return depth.view(*image.shape[:-3], 1, *image.shape[-2:])
-
-    def _predict(self, image: Tensor) -> Tensor:
-        session = self._open()
-        entry = session.get_inputs()[0]
-        shape = entry.shape
-        if len(shape) != 4 or not (shape[1] == 3 or (not isinstance(shape[1], int) and shape[3] != 3)):
-            raise ValueError(f"{self.path} must take (1, 3, h, w), got {shape}: channels last?")
-        size = self._input_size(shape, *image.shape[-2:])
-        x = interpolate(image.float().cpu(), size, mode="bicubic", align_corners=False, antialias=True).clamp(0, 1)
-        x = (x - x.new_tensor(self.mean).view(3, 1, 1)) / x.new_tensor(self.std).view(3, 1, 1)
-        depth = torch.from_numpy(session.run(None, {entry.name: x.numpy()})[0])
-        if depth.ndim not in (3, 4) or depth.shape[:-2].numel() != 1:
-            raise ValueError(f"{self.path} must give (1, h, w) or (1, 1, h, w), got {tuple(depth.shape)}")
-        depth = depth.reshape(1, 1, *depth.shape[-2:]).float()
-        return interpolate(depth, image.shape[-2:], mode="bilinear", align_corners=False).to(image)
-
-    def _input_size(self, declared: Sequence[int | str | None], height: int, width: int) -> tuple[int, int]:
-        scale = self.short_side / min(height, width)
-        free = [max(1, round(side * scale / self.multiple)) * self.multiple for side in (height, width)]
-        h, w = (have if isinstance(have, int) else want for have, want in zip(declared[-2:], free, strict=True))
-        return h, w
-
-    def _open(self) -> Any:
-        if self._session is None:
-            try:
-                import onnxruntime
-            except ImportError as error:
-                raise ImportError('a depth network needs onnxruntime: pip install "uwaug[onnx]"') from error
-            options = onnxruntime.SessionOptions()
-            options.intra_op_num_threads = torch.get_num_threads()
-            self._session = onnxruntime.InferenceSession(str(self.path), options, providers=list(self.providers))
-        return self._session
-
-
-def _metric(x: Tensor, name: str) -> Tensor:
-    if not isinstance(x, Tensor) or not x.is_floating_point():
-        got = x.dtype if isinstance(x, Tensor) else type(x).__name__
-        raise TypeError(
-            f"{name} must be a floating-point tensor, got {got}: 8-bit values need / 255, millimetres / 1000"
-        )
+def _maps(name: str, x: Tensor) -> Tensor:
+    """Check a tensor of maps; half precision is taken up to float32."""
+    checks.floating(name, x, ": 8-bit values need / 255, millimetres / 1000")
     if x.ndim < 2:
         raise ValueError(f"{name} must have shape (..., H, W), got {tuple(x.shape)}")
     return x.float() if x.dtype.itemsize < 4 else x
 
 
-def _check_range(near: float | Tensor, far: float | Tensor, *, inverse: bool) -> None:
+def _require_range(near: float | Tensor, far: float | Tensor, *, inverse: bool) -> None:
     n, f = torch.as_tensor(near), torch.as_tensor(far)
     if inverse and not bool(((n > 0) & (f >= n) & n.isfinite()).all()):
         raise ValueError(f"near and far must satisfy 0 < near <= far, near finite, got near={near}, far={far}")
     if not inverse and not bool(((n >= 0) & (f >= n) & f.isfinite()).all()):
         raise ValueError(f"near and far must satisfy 0 <= near <= far < inf, got near={near}, far={far}")
-
-
-def _check_positive(value: float, name: str) -> None:
-    if not 0 < value < math.inf:
-        raise ValueError(f"{name} must be positive and finite, got {value}")
-
-
-def _span(x: Tensor) -> str:
-    known = x[~x.isnan()]
-    return f"{known.min():.4g} to {known.max():.4g}" if known.numel() else "NaN only"

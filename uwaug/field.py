@@ -6,6 +6,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from uwaug import checks
+
 __all__ = ["field_from_noise", "gaussian_random_field"]
 
 
@@ -92,8 +94,7 @@ def field_from_noise(
     Source: the published pipeline draws a periodic field on the image's own grid and divides by its mean.
     """
     _check(exponent, low, high)
-    if not isinstance(noise, Tensor) or not noise.is_floating_point():
-        raise TypeError(f"noise must be a floating-point tensor, got {getattr(noise, 'dtype', type(noise).__name__)}")
+    checks.floating("noise", noise)
     if noise.ndim != 3 or noise.shape[1] != noise.shape[2] or noise.shape[1] < 3 or noise.shape[1] % 2 == 0:
         raise ValueError(f"noise must have shape (B, n, n) with odd n >= 3, got {tuple(noise.shape)}")
     _, height, width = _parse(tuple(size))
@@ -149,8 +150,7 @@ def _parse(shape: Sequence[int]) -> tuple[int, int, int]:
 
 
 def _check(exponent: float, low: float, high: float) -> None:
-    if not exponent >= 0 or math.isinf(exponent):
-        raise ValueError(f"exponent must be finite and at least 0, got {exponent}: it is α of the spectrum |k|^−α")
+    checks.within("exponent", exponent)  # α of the spectrum |k|^−α
     if not 0 <= low <= high or math.isinf(high):
         raise ValueError(
             f"low and high must satisfy 0 <= low <= high < inf, got {low} and {high}: the field multiplies distance"

@@ -2,18 +2,118 @@
 
 from dataclasses import replace
 from operator import index
-from typing import Literal
+from typing import get_args
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from uwaug import checks
 from uwaug.blur import BlurPlan
-from uwaug.colour import linear_to_srgb, srgb_to_linear
-from uwaug.formation import BlurDemand, Order, blur_demand, check, form, unbatched
-from uwaug.medium import Medium, assemble
+from uwaug.colour import ColorSpace, from_light, to_light
+from uwaug.demand import BlurDemand, blur_demand
+from uwaug.formation import Order, form, plan_at_hand, prepare, together, unbatched, validate
+from uwaug.medium import Medium
 
-_HDR_LIMIT = 16.0  # sRGB values above this are taken for 0…255
+__all__ = ["FixedMedium", "LearnableMedium", "Underwater"]
+
+
+class FixedMedium(nn.Module):
+    """A medium whose tensors are buffers: it moves and is saved with a module.
+
+    Args:
+        medium: any batch.
+    """
+
+    def __init__(self, medium: Medium) -> None:
+        super().__init__()
+        self.start = _detached(medium)
+        for name, value in self.start.parameters().items():
+            self.register_buffer(name, value.clone())
+
+    def forward(self) -> Medium:
+        """The medium at hand."""
+        law = self.start.point_spread
+        medium = Medium.of(dict(self.named_buffers()), self.start)
+        # what is one number for the whole batch stays a number: x is faster than a power
+        if not isinstance(law.scale, Tensor):
+            medium = replace(medium, point_spread=replace(medium.point_spread, scale=law.scale))
+        if not isinstance(law.exponent, Tensor):
+            medium = replace(medium, point_spread=replace(medium.point_spread, exponent=law.exponent))
+        return medium
+
+
+class LearnableMedium(nn.Module):
+    """A medium made of unconstrained parameters: whatever they are, rates, light, veil and width scale are positive,
+    and direct and signal light are equal at z = 0.
+
+    Args:
+        medium: where learning starts.
+        width: learn the scale of the width law too.
+
+    Raises:
+        ValueError: if the light at z = 0 is one in `direct_weights` and another in `signal_weights`.
+    """
+
+    b_mean: Tensor
+    exponent: Tensor
+    veil_weights_used: Tensor
+
+    def __init__(self, medium: Medium, width: bool = True) -> None:
+        super().__init__()
+        self.start = _detached(medium)
+        values = self.start.parameters()
+        light = values["direct_weights"].sum(-1)
+        apart = float((light - values["signal_weights"].sum(-1)).abs().max())
+        if apart > 1e-5:
+            raise ValueError(
+                "a learnable medium needs direct_weights and signal_weights of one sum, the light at z = 0; "
+                f"they differ by {apart:.2g}"
+            )
+        self.register_buffer("b_mean", values["b_mean"].clone())
+        self.register_buffer("exponent", values["exponent"].clone())
+        self.register_buffer("veil_weights_used", values["veil_weights"] > 0)
+        self.raw_beta = nn.Parameter(_inverse_softplus(values["beta"]))
+        self.raw_G = nn.Parameter(_inverse_softplus(values["G"]))
+        self.raw_veil_weights = nn.Parameter(_inverse_softplus(values["veil_weights"]))
+        self.raw_light = nn.Parameter(_inverse_softplus(light))
+        self.raw_scale = nn.Parameter(_inverse_softplus(values["scale"])) if width else None
+        for name in ("direct_weights", "signal_weights"):
+            self.register_buffer(f"{name}_used", values[name] > 0)
+            self.register_parameter(f"raw_{name}", nn.Parameter(torch.log(values[name].clamp(min=1e-30))))
+
+    def forward(self) -> Medium:
+        """The medium at hand, of tensors that carry gradients to the parameters."""
+        law = self.start.point_spread
+        if self.raw_scale is not None:
+            law = replace(law, scale=F.softplus(self.raw_scale))
+        if isinstance(law.exponent, Tensor):
+            law = replace(law, exponent=self.exponent)
+        light = F.softplus(self.raw_light)[..., None]
+        return Medium(
+            beta=F.softplus(self.raw_beta),
+            direct_weights=light * self._shares("direct_weights"),
+            G=F.softplus(self.raw_G),
+            signal_weights=light * self._shares("signal_weights"),
+            veil_weights=F.softplus(self.raw_veil_weights) * self.veil_weights_used,
+            b_mean=self.b_mean,
+            point_spread=law,
+            notes=self.start.notes,
+        )
+
+    def _shares(self, name: str) -> Tensor:
+        """Weights that sum to 1; what was no weight at the start stays none."""
+        raw = getattr(self, f"raw_{name}")
+        return torch.softmax(raw.masked_fill(~getattr(self, f"{name}_used"), -1e30), -1)
+
+
+def _detached(medium: Medium) -> Medium:
+    return medium.map(lambda t: t.detach().clone())
+
+
+def _inverse_softplus(y: Tensor) -> Tensor:
+    y = y.clamp(min=1e-6)
+    return y + torch.log(-torch.expm1(-y))
 
 
 class Underwater(nn.Module):
@@ -28,10 +128,11 @@ class Underwater(nn.Module):
         color_space: "srgb" decodes, works in linear light, and encodes again; "linear" takes values as they are.
         learnable: make rates, light, veil and width scale parameters; they stay positive, and direct and signal light
             stay equal at z = 0.
-        order: "line_of_sight", or "source" for the paper's equation, see `uwaug.formation`.
+        order: "line_of_sight", or "source" for the paper's equation, see `uwaug.form_image`.
+        demand: what the plan has to serve, by default what `medium` asks for over `distance_range`.
 
-    Matrix products want torch's default float32 precision: `torch.set_float32_matmul_precision("medium")` would round
-    them to bfloat16 where the processor can, which shows.
+    Keep torch's default matmul precision. With `torch.set_float32_matmul_precision("medium")`, CPUs that support it
+    multiply in bfloat16, and the error is visible.
 
     Shapes:
         image (Bx3xHxW or 3xHxW), distance (Bx1xHxW or 1xHxW, m), field (as distance, or None) → image.
@@ -52,21 +153,17 @@ class Underwater(nn.Module):
         medium: Medium,
         distance_range: tuple[float, float] | None = (0.1, 20.0),
         tolerance: float = 0.002,
-        color_space: Literal["srgb", "linear"] = "srgb",
+        color_space: ColorSpace = "srgb",
         learnable: bool = False,
         order: Order = "line_of_sight",
+        demand: BlurDemand | None = None,
     ) -> None:
         super().__init__()
         if not isinstance(medium, Medium):
             raise TypeError(f"medium must be a uwaug.Medium, got {type(medium).__name__}; see Medium.from_water")
-        for name, choice, allowed in (
-            ("color_space", color_space, ("srgb", "linear")),
-            ("order", order, ("line_of_sight", "source")),
-        ):
-            if choice not in allowed:
-                raise ValueError(f"{name} must be one of {allowed}, got {choice!r}")
-        if not 0 < tolerance < 1:
-            raise ValueError(f"tolerance must lie in (0, 1) (image scale 0…1), got {tolerance}")
+        checks.one_of("color_space", color_space, get_args(ColorSpace))
+        checks.one_of("order", order, get_args(Order))
+        checks.tolerance(tolerance)
         if distance_range is not None and not 0 <= distance_range[0] < distance_range[1]:
             raise ValueError(f"distance_range must be 0 ≤ nearest < farthest in metres, got {distance_range}")
         self.distance_range = distance_range
@@ -74,65 +171,20 @@ class Underwater(nn.Module):
         self.color_space = color_space
         self.order: Order = order
         self.learnable = learnable
-        self._law, self._notes = medium.point_spread.map(lambda v: v.detach().clone()), medium.notes
-        self.demand: BlurDemand | None = None
-        if distance_range is not None:
+        self.demand = demand
+        if demand is None and distance_range is not None:
             margin = 2.0 if learnable else 1.0
             self.demand = blur_demand(medium, distance_range, tolerance, order=order, learned=learnable, margin=margin)
-        scale, exponent = (
-            torch.as_tensor(v, dtype=medium.beta.dtype).detach().expand(len(medium)).clone()
-            for v in (self._law.scale, self._law.exponent)
-        )
-        detached = {name: value.detach().clone() for name, value in zip(_NAMES, medium.tensors())}
-        if not learnable:
-            for name, value in {**detached, "scale": scale, "exponent": exponent}.items():
-                self.register_buffer(name, value)
-            return
-        light = detached["direct_weights"].sum(-1)
-        apart = float((light - detached["signal_weights"].sum(-1)).abs().max())
-        if apart > 1e-5:
-            raise ValueError(
-                f"a learnable medium needs direct_weights and signal_weights of one sum, the light at z = 0; "
-                f"they differ by {apart:.2g}"
-            )
-        for name in ("direct_weights", "signal_weights", "veil_weights"):
-            self.register_buffer(f"{name}_used", detached[name] > 0)
-        self.register_buffer("b_mean", detached["b_mean"])
-        self.register_buffer("exponent", exponent)
-        for name, value in {
-            "beta": detached["beta"],
-            "G": detached["G"],
-            "veil_weights": detached["veil_weights"],
-            "light": light,
-            **({} if self.demand is not None and self.demand.high == 0 else {"scale": scale}),
-        }.items():
-            self.register_parameter(f"raw_{name}", nn.Parameter(_inverse_softplus(value)))
-        for name in ("direct_weights", "signal_weights"):
-            self.register_parameter(f"raw_{name}", nn.Parameter(torch.log(detached[name].clamp(min=1e-30))))
+        self.source: FixedMedium | LearnableMedium = FixedMedium(medium)
+        if learnable:
+            # without a blur, its width does nothing
+            self.source = LearnableMedium(medium, width=self.demand is None or self.demand.high > 0)
 
     @property
     def medium(self) -> Medium:
         """The medium at hand; for a learnable module, of tensors that carry gradients to its parameters."""
-        law = self._law
-        if not self.learnable:
-            if isinstance(law.scale, Tensor):
-                law = replace(law, scale=self.get_buffer("scale"))
-            if isinstance(law.exponent, Tensor):
-                law = replace(law, exponent=self.get_buffer("exponent"))
-            return assemble([self.get_buffer(name) for name in _NAMES], law, self._notes)
-        light = F.softplus(self.get_parameter("raw_light"))[..., None]
-        shares = {}
-        for name in ("direct_weights", "signal_weights"):
-            logits = self.get_parameter(f"raw_{name}").masked_fill(~self.get_buffer(f"{name}_used"), -1e30)
-            shares[name] = light * torch.softmax(logits, -1)
-        veil = F.softplus(self.get_parameter("raw_veil_weights")) * self.get_buffer("veil_weights_used")
-        if isinstance(law.exponent, Tensor):
-            law = replace(law, exponent=self.get_buffer("exponent"))
-        if "raw_scale" in self._parameters:
-            law = replace(law, scale=F.softplus(self.get_parameter("raw_scale")))
-        beta, G = (F.softplus(self.get_parameter(f"raw_{name}")) for name in ("beta", "G"))
-        b_mean = self.get_buffer("b_mean")
-        return Medium(beta, shares["direct_weights"], G, shares["signal_weights"], veil, b_mean, law, self._notes)
+        medium: Medium = self.source()
+        return medium
 
     def plan(self, size: tuple[int, int]) -> BlurPlan | None:
         """The blur plan for images of (height, width) `size`; None without a `distance_range`."""
@@ -145,19 +197,20 @@ class Underwater(nn.Module):
     def forward(self, image: Tensor, distance: Tensor, field: Tensor | None = None) -> Tensor:
         """Degrade an image; see the class."""
         medium = self.medium
-        picture, z, medium = check(image, distance, medium, field, self.order)
-        if self.color_space == "srgb":
-            if not torch.compiler.is_compiling() and picture.numel() and picture.detach().max() > _HDR_LIMIT:
-                top = float(picture.detach().max())
-                raise ValueError(f"image reaches {top:g}: expected sRGB of about 0…1; divide a 0…255 image by 255")
-            picture = srgb_to_linear(picture)
-        plan = self.plan((image.shape[-2], image.shape[-1]))
-        with torch.autocast(image.device.type, enabled=False):
-            (result,) = form(picture, z, medium, self.order, self.tolerance, plan, total=True)
-            if self.color_space == "srgb":
-                result = linear_to_srgb(result)
-        result = result.to(image.dtype)
+        validate(image, distance, medium, field)
+        result = self.formed(image, distance, field, medium, self.plan((image.shape[-2], image.shape[-1])))
         return result[0] if unbatched(image, distance, medium) else result
+
+    def formed(
+        self, image: Tensor, distance: Tensor, field: Tensor | None, medium: Medium, plan: BlurPlan | None
+    ) -> Tensor:
+        """A batch of results, of input that is known to be valid."""
+        with torch.autocast(image.device.type, enabled=False):
+            light, z, medium = prepare(to_light(image, self.color_space), distance, medium, field)
+            if plan is None:
+                plan = plan_at_hand(z, medium, (image.shape[-2], image.shape[-1]), self.tolerance, self.order)
+            (result,) = form(light, z, medium, plan, self.order, together)
+            return from_light(result, self.color_space, image.dtype)
 
     def extra_repr(self) -> str:
         """What is modelled, and what is skipped."""
@@ -166,12 +219,10 @@ class Underwater(nn.Module):
         else:
             near, far = self.distance_range
             planned = f"{near:g}…{far:g} m, {self.plan((512, 512))}"
-            if self._law.reference_size is not None or self._law.shape == "exponential":
+            law = self.source.start.point_spread
+            if law.reference_size is not None or law.shape == "exponential":
                 planned += " at 512 px"
         return f"{self.medium!r},\n{planned},\ntolerance={self.tolerance:g}, {self.color_space}, {self.order}"
-
-
-_NAMES = ("beta", "direct_weights", "G", "signal_weights", "veil_weights", "b_mean")
 
 
 def _plan(demand: BlurDemand, height: int, width: int) -> BlurPlan:
@@ -180,8 +231,3 @@ def _plan(demand: BlurDemand, height: int, width: int) -> BlurPlan:
 
 # what torch.compiler.assume_constant_result does, without its import of torch._dynamo, which takes .7 s
 _plan._dynamo_marked_constant = True  # type: ignore[attr-defined]
-
-
-def _inverse_softplus(y: Tensor) -> Tensor:
-    y = y.clamp(min=1e-6)
-    return y + torch.log(-torch.expm1(-y))

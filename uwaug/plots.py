@@ -11,9 +11,10 @@ import torch
 from torch import Tensor
 
 from uwaug.colour import linear_to_srgb, srgb_to_linear
+from uwaug.demand import blur_demand
 from uwaug.distance import along_ray, fill_unknown, from_disparity, from_relative
 from uwaug.field import gaussian_random_field
-from uwaug.formation import Terms, blur_demand, form_image
+from uwaug.formation import Terms, form_image
 from uwaug.medium import Medium, PointSpread
 from uwaug.water import JERLOV_TYPES, Water
 

@@ -5,18 +5,20 @@ import json
 import os
 import tomllib
 from dataclasses import dataclass, fields, is_dataclass
-from math import inf
 from pathlib import Path
-from typing import Any, ClassVar, Literal, get_args
+from typing import Any, ClassVar, get_args
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from uwaug.blur import Shape
+from uwaug import checks
 from uwaug.camera import Camera, load_camera
+from uwaug.checks import DOMAIN
+from uwaug.colour import ColorSpace
 from uwaug.distance import from_relative
 from uwaug.field import gaussian_random_field
-from uwaug.medium import Medium, PointSpread
+from uwaug.medium import Medium, PointSpread, Shape, inherent
 from uwaug.module import Underwater
 from uwaug.water import JERLOV_TYPES, Water
 
@@ -48,7 +50,7 @@ class Preset:
     far: float
     gamma: float
     field_range: tuple[float, float]
-    color_space: Literal["srgb", "linear"]
+    color_space: ColorSpace
 
     def distance(self, t: Tensor) -> Tensor:
         """Metres from relative distance t in [0, 1], 0 = near; shape (…, H, W). See `uwaug.distance.from_relative`."""
@@ -117,15 +119,17 @@ def load_preset(
     )
 
 
-# The schema: pydantic checks types and keys, each table its own ranges.
+# The schema: pydantic checks types and keys, `DOMAIN` the range of what it knows by name, each table what is left.
 
 
 class _Table:
     __pydantic_config__: ClassVar[dict[str, Any]] = {"strict": True, "extra": "forbid"}
 
-    def _require(self, ok: bool, key: str, wanted: str) -> None:
-        if not ok:
-            raise ValueError(f"{key} must be {wanted}, got {getattr(self, key)!r}")
+    def __post_init__(self) -> None:
+        for key, value in vars(self).items():
+            quantity = key.removesuffix("_px").removesuffix("_m")
+            if quantity in DOMAIN:
+                checks.within(key, value, *DOMAIN[quantity])
 
 
 _RGB = tuple[float, float, float]
@@ -137,7 +141,7 @@ class _Spectral(_Table):
     camera: str
 
     def __post_init__(self) -> None:
-        self._require(self.type in JERLOV_TYPES, "type", f"one of {', '.join(JERLOV_TYPES)}")
+        checks.one_of("type", self.type, JERLOV_TYPES)
 
 
 @dataclass(frozen=True)
@@ -149,8 +153,10 @@ class _Coefficients(_Table):
 
     def __post_init__(self) -> None:
         for key, values in vars(self).items():
-            self._require(all(0 <= v < inf for v in values), key, "finite and ≥ 0")
-        self._require(min(self.G_per_m) > 0, "G_per_m", "> 0")
+            for value in values:
+                checks.within(key, value)
+        if min(self.G_per_m) == 0:
+            raise ValueError(f"G_per_m must be > 0, got {self.G_per_m}")
 
 
 @dataclass(frozen=True)
@@ -158,11 +164,6 @@ class _Medium(_Table):
     vertical_depth_m: float
     g: float
     mu: float
-
-    def __post_init__(self) -> None:
-        self._require(0 <= self.vertical_depth_m < inf, "vertical_depth_m", "finite and ≥ 0")
-        self._require(0 <= self.g <= 1, "g", "a share, 0…1")
-        self._require(0 <= self.mu <= 1, "mu", "a share, 0…1")
 
 
 @dataclass(frozen=True)
@@ -173,9 +174,8 @@ class _PointSpread(_Table):
     shape: Shape = "gaussian"
 
     def __post_init__(self) -> None:
-        self._require(0 <= self.scale_px < inf, "scale_px", "finite and ≥ 0")
-        self._require(1e-3 <= self.exponent < inf, "exponent", "finite and ≥ 0.001")
-        self._require(0 < self.short_side_px < inf, "short_side_px", "finite and > 0")
+        super().__post_init__()
+        checks.positive("short_side_px", self.short_side_px)
 
 
 @dataclass(frozen=True)
@@ -185,9 +185,9 @@ class _Distance(_Table):
     gamma: float
 
     def __post_init__(self) -> None:
-        self._require(0 <= self.near_m < inf, "near_m", "finite and ≥ 0")
-        self._require(self.near_m < self.far_m < inf, "far_m", f"finite and > near_m = {self.near_m}")
-        self._require(0 < self.gamma < inf, "gamma", "finite and > 0")
+        super().__post_init__()
+        if not self.near_m < self.far_m:
+            raise ValueError(f"far_m must be > near_m = {self.near_m}, got {self.far_m}")
 
 
 @dataclass(frozen=True)
@@ -196,14 +196,16 @@ class _Field(_Table):
     high: float
 
     def __post_init__(self) -> None:
-        self._require(0 < self.low < inf, "low", "finite and > 0")
-        self._require(self.low <= self.high < inf, "high", f"finite and ≥ low = {self.low}")
+        checks.positive("low", self.low)
+        checks.within("high", self.high)
+        if not self.low <= self.high:
+            raise ValueError(f"high must be ≥ low = {self.low}, got {self.high}")
 
 
 @dataclass(frozen=True)
 class _Config(_Table):
     source: str
-    color_space: Literal["srgb", "linear"]
+    color_space: ColorSpace
     medium: _Medium
     point_spread: _PointSpread
     distance: _Distance
@@ -280,7 +282,7 @@ def _keys(tables: list[str]) -> list[str]:
 def _medium(
     config: _Config, folder: Path, water: str | Water | None, camera: str | os.PathLike[str] | Camera | None
 ) -> Medium:
-    psf, depth = config.point_spread, config.medium.vertical_depth_m
+    psf, given = config.point_spread, config.medium
     law = PointSpread(psf.scale_px, psf.exponent, psf.shape, psf.short_side_px)
     if (spectral := config.water) is not None:
         water = spectral.type if water is None else water
@@ -289,15 +291,18 @@ def _medium(
         return Medium.from_water(
             water if isinstance(water, Water) else Water.jerlov(water),
             load_camera(camera),
-            vertical_depth=depth,
-            g=config.medium.g,
-            mu=config.medium.mu,
+            vertical_depth=given.vertical_depth_m,
+            g=given.g,
+            mu=given.mu,
             point_spread=law,
             distance_range=(0.0, config.distance.far_m * config.field.high),
         )
     if water is not None or camera is not None:
         raise ValueError("holds coefficients for red, green and blue, which no water or camera replaces")
-    a, b, G, kd = (torch.tensor(v, dtype=torch.float64) for v in vars(config.coefficients).values())
-    light = torch.exp(-kd * depth)
-    veil = config.medium.mu * b * light / G
-    return Medium.from_coefficients(a + b, G, veil, b_mean=float(b.mean()), point_spread=law, light=light)
+    a, b, G, kd = (np.array(values) for values in vars(config.coefficients).values())
+    # the g of each channel that gives G as printed, which is rounded
+    g = np.divide(G - a, b, out=np.zeros(3), where=b > 0)
+    beta, G, light, veil = inherent(a, b, kd, vertical_depth=given.vertical_depth_m, g=g, mu=given.mu)
+    return Medium.from_coefficients(
+        beta.tolist(), G.tolist(), veil.tolist(), b_mean=float(b.mean()), point_spread=law, light=light.tolist()
+    )

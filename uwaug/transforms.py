@@ -7,38 +7,35 @@ import math
 import os
 from bisect import bisect
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from functools import lru_cache, partial
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from itertools import accumulate
 from numbers import Real
-from typing import Any, Literal
+from typing import Any, get_args
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
+from uwaug import checks
 from uwaug.camera import Camera, load_camera
-from uwaug.colour import linear_to_srgb, srgb_to_linear
-from uwaug.distance import check_distance, from_inverse, from_relative
-from uwaug.field import gaussian_random_field
-from uwaug.formation import Order, check, form
-from uwaug.medium import WAVELENGTHS, Medium, PointSpread
-from uwaug.water import JERLOV_TYPES, Array, Water
+from uwaug.checks import DOMAIN
+from uwaug.colour import ColorSpace
+from uwaug.degrade import DistanceKind, Draw, Settings, Unknown, degrade, degrade_opaque, spectra_table
+from uwaug.formation import Order
+from uwaug.medium import PointSpread, default_bands
+from uwaug.water import JERLOV_TYPES, Water
+
+__all__ = ["RandomUnderwater"]
 
 Range = float | tuple[float, float]
 Record = dict[str, Any]
 
-_SHARE, _AMOUNT, _POSITIVE = (0.0, 1.0), (0.0, math.inf), (1e-3, math.inf)
-_BOUNDS = {
-    "mixing": _SHARE, "visibility": _POSITIVE, "vertical_depth": _AMOUNT, "g": _SHARE, "mu": _SHARE,
-    "blur_factor": _AMOUNT, "near": _AMOUNT, "far": _AMOUNT, "gamma": _POSITIVE, "distance": _AMOUNT,
-}  # fmt: skip
+_RANGES = (
+    "mixing", "visibility", "vertical_depth", "g", "mu", "blur_factor", "near", "far", "gamma", "distance",
+)  # fmt: skip
 # What each picture draws a uniform number for. A new one goes to the end, so that keys of `at` keep their pictures.
-_DRAWS = ("applied", "first", "second", "camera", "field", *_BOUNDS)
+_DRAWS = ("applied", "first", "second", "camera", "field", *_RANGES)
 _SCALING = {"metric": (), "relative": ("near", "far", "gamma"), "inverse": ("near", "far")}
-_TOUCHING = 1e-6  # m, for relative distance 0 with near = 0: in a map of metres 0 means unknown
-_HDR_LIMIT = 16.0
 _PAPER = PointSpread.paper()
 
 
@@ -47,8 +44,8 @@ class RandomUnderwater(nn.Module):
 
     A range is a number or (low, high), drawn uniformly; visibility is drawn uniformly in its logarithm. The defaults
     are the figures of the paper's survey (its nine waters, g, mu, vertical depth, width law, field, and near, far and
-    gamma for relative distance), but for its camera, a Nikon D90, and for its use of sRGB values as light, which
-    `color_space="linear"` repeats.
+    gamma for relative distance). Two defaults differ from the survey: the camera (the paper used a Nikon D90) and the
+    colour space (the paper treats sRGB values as linear light; `color_space="linear"` does the same).
 
     Args:
         waters: Jerlov types or `Water` objects, drawn with equal weight (one that is given twice counts twice); or a
@@ -68,12 +65,12 @@ class RandomUnderwater(nn.Module):
             drawn. "inverse": what monocular networks give, large = near, of unknown scale and shift: every map is
             stretched to reach from near to far, even that of a flat scene.
         near, far, gamma: m, m and exponent for "relative" and "inverse" (gamma for "relative" alone).
-        distance: where no map is given. None: that is an error. A number or a range: a plane at that distance, m. All
-            of the picture gets one veil, one cast and one blur, but for the field: right for a flat scene that faces
-            the camera; anywhere else the mark of water, that what is far fades first, is missing, and a network may
-            learn a tint. A callable, such as a depth network: takes the image (3xHxW or Bx3xHxW, 0…1) and returns a
-            map of `distance_kind`; it takes its own time for every picture, and its errors become wrong colours. With
-            any of these a tuple holds no map: all that follows its image is left alone.
+        distance: where no map is given. None: that is an error. A number or a range: a plane at that distance, m. The
+            whole picture gets one veil, cast and blur. That suits a flat scene facing the camera. Elsewhere the depth
+            cue is lost (far objects should fade first), and a network may learn only the tint. A callable, such as a
+            depth network: takes the image (3xHxW or Bx3xHxW, 0…1) and returns a map of `distance_kind`; it takes its
+            own time for every picture, and its errors become wrong colours. With any of these a tuple holds no map:
+            all that follows its image is left alone.
         p: probability that a picture is degraded at all.
         same_on_batch: draw once for a batch.
         unknown: what NaN, 0 or negative metres get (NaN, in relative and inverse maps). "error": an error. "fill": the
@@ -121,77 +118,96 @@ class RandomUnderwater(nn.Module):
         blur_factor: Range = 1.0,
         field_range: tuple[float, float] = (0.7, 1.3),
         field_probability: float = 1.0,
-        distance_kind: Literal["metric", "relative", "inverse"] = "metric",
+        distance_kind: DistanceKind = "metric",
         near: Range = 1.0,
         far: Range = 5.0,
         gamma: Range = 1.0,
         distance: Range | Callable[[Tensor], Tensor] | None = None,
         p: float = 1.0,
         same_on_batch: bool = False,
-        unknown: Literal["error", "fill"] = "error",
+        unknown: Unknown = "error",
         image_key: str = "image",
         distance_key: str = "distance",
         tolerance: float = 0.002,
-        color_space: Literal["srgb", "linear"] = "srgb",
+        color_space: ColorSpace = "srgb",
         order: Order = "line_of_sight",
     ) -> None:
         super().__init__()
         self.waters = _weigh(waters)
-        self.spectra = {w if isinstance(w, str) else w.name: _resample(w) for w in self.waters}
         one = isinstance(cameras, (str, os.PathLike, Camera))
-        self.cameras: list[str | os.PathLike[str] | Camera] = [cameras] if one else list(cameras)  # type: ignore[arg-type, list-item]
+        self.cameras: list[Any] = [cameras] if one else list(cameras)  # type: ignore[arg-type]
+        self.mixing = mixing
+        self.visibility = visibility
+        self.vertical_depth = vertical_depth
+        self.g = g
+        self.mu = mu
+        self.point_spread = point_spread
+        self.blur_factor = blur_factor
+        self.field_range = field_range
+        self.field_probability = field_probability
+        self.distance_kind = distance_kind
+        self.near = near
+        self.far = far
+        self.gamma = gamma
+        self.distance = distance
+        self.p = p
+        self.same_on_batch = same_on_batch
+        self.unknown = unknown
+        self.image_key = image_key
+        self.distance_key = distance_key
+        self.tolerance = tolerance
+        self.color_space = color_space
+        self.order = order
+        self._settle()
+
+    def _settle(self) -> None:
+        """Check the options, and prepare what all pictures share."""
+        for name, kind in (("distance_kind", DistanceKind), ("unknown", Unknown), ("color_space", ColorSpace)):
+            checks.one_of(name, getattr(self, name), get_args(kind))
+        checks.one_of("order", self.order, get_args(Order))
+        for name in ("p", "field_probability"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name} must be a probability in [0, 1], got {getattr(self, name)}")
+        checks.tolerance(self.tolerance)
+        if not isinstance(self.point_spread, PointSpread):
+            raise TypeError(f"point_spread must be a PointSpread, got {type(self.point_spread).__name__}")
+        self._settings = Settings(
+            self.distance_kind, self.unknown, self.color_space, self.order, self.point_spread, self.tolerance
+        )
+        self._opaque_settings = self._settings.to_json()
+        self.spectra = {w if isinstance(w, str) else w.name: _resample(w) for w in self.waters}
         loaded = [load_camera(camera) for camera in self.cameras]
         self.responses = {camera.name: camera for camera in loaded}
-        for name, given, kept in (("waters", self.waters, self.spectra), ("cameras", loaded, self.responses)):
+        for name, given, kept in (("waters", list(self.waters), self.spectra), ("cameras", loaded, self.responses)):
             if not given or len(kept) < len(given):
-                raise ValueError(f"{name}: expected at least one, each with a name of its own, got {list(given)}")
-        self._water_tables = {n: _table(w.wavelengths, w.a, w.b, w.kd) for n, w in self.spectra.items()}
-        self._camera_tables = {n: _table(c.wavelengths, *c.response.T) for n, c in self.responses.items()}
-        for name, value, allowed in (
-            ("distance_kind", distance_kind, tuple(_SCALING)),
-            ("unknown", unknown, ("error", "fill")),
-            ("color_space", color_space, ("srgb", "linear")),
-            ("order", order, ("line_of_sight", "source")),
-        ):
-            if value not in allowed:
-                raise ValueError(f"{name} must be one of {allowed}, got {value!r}")
-        for name, share in (("p", p), ("field_probability", field_probability)):
-            if not 0 <= share <= 1:
-                raise ValueError(f"{name} must be a probability in [0, 1], got {share}")
-        if not 0 < tolerance < 1:
-            raise ValueError(f"tolerance must lie in (0, 1) (image scale 0…1), got {tolerance}")
-        if not isinstance(point_spread, PointSpread):
-            raise TypeError(f"point_spread must be a PointSpread, got {type(point_spread).__name__}")
+                raise ValueError(f"{name}: expected at least one, each with a name of its own, got {given}")
+        self._water_tables = {n: spectra_table(w.wavelengths, w.a, w.b, w.kd) for n, w in self.spectra.items()}
+        self._camera_tables = {n: spectra_table(c.wavelengths, *c.response.T) for n, c in self.responses.items()}
+        self._field = _range("field_range", self.field_range)
+        self._ranges = self._settled_ranges()
 
-        self.mixing, self.visibility, self.vertical_depth, self.g, self.mu = mixing, visibility, vertical_depth, g, mu
-        self.point_spread, self.blur_factor = point_spread, blur_factor
-        self.field_range, self.field_probability = field_range, field_probability
-        self.distance_kind, self.near, self.far, self.gamma, self.distance = distance_kind, near, far, gamma, distance
-        self.p, self.same_on_batch, self.unknown = p, same_on_batch, unknown
-        self.image_key, self.distance_key = image_key, distance_key
-        self.tolerance, self.color_space, self.order = tolerance, color_space, order
-
-        self._field = _range("field_range", field_range, *_AMOUNT)
-        left_out = {"visibility"} if visibility is None else set()
-        left_out |= {"distance"} if distance is None or callable(distance) else set()
-        for name, usual in (("near", 1.0), ("far", 5.0), ("gamma", 1.0)):
-            if name not in _SCALING[distance_kind]:
-                if (value := getattr(self, name)) != usual:
-                    raise ValueError(f"{name} would do nothing: distance_kind is {distance_kind!r}, got {value}")
-                left_out.add(name)
-        self._ranges = {
-            name: _range(name, getattr(self, name), *bounds) for name, bounds in _BOUNDS.items() if name not in left_out
-        }
-        if distance_kind != "metric" and self._ranges["near"][1] >= self._ranges["far"][0]:
-            raise ValueError(f"near must lie below far, got near = {near} and far = {far} in metres")
-        if distance_kind == "inverse" and self._ranges["near"][0] == 0:
-            raise ValueError(f"near must lie above 0 m where distance_kind is 'inverse', got {near}")
+    def _settled_ranges(self) -> dict[str, tuple[float, float]]:
+        """The ranges that are drawn from, (low, high) each."""
+        left_out = {"visibility"} if self.visibility is None else set()
+        if self.distance is None or callable(self.distance):
+            left_out.add("distance")
+        defaults = inspect.signature(type(self)).parameters
+        for name in ("near", "far", "gamma"):
+            if name in _SCALING[self.distance_kind]:
+                continue
+            value = getattr(self, name)
+            if value != defaults[name].default:
+                raise ValueError(f"{name} would do nothing: distance_kind is {self.distance_kind!r}, got {value}")
+            left_out.add(name)
+        ranges = {name: _range(name, getattr(self, name)) for name in _RANGES if name not in left_out}
+        if self.distance_kind != "metric" and ranges["near"][1] >= ranges["far"][0]:
+            raise ValueError(f"near must lie below far, got near = {self.near} and far = {self.far} in metres")
+        if self.distance_kind == "inverse" and ranges["near"][0] == 0:
+            raise ValueError(f"near must lie above 0 m where distance_kind is 'inverse', got {self.near}")
         for water in self.spectra.values():
-            for metres in self._ranges.get("visibility", ()):
-                try:
-                    water.with_visibility(metres)
-                except ValueError as error:
-                    raise ValueError(f"visibility={visibility} does not suit water {water.name!r}: {error}") from None
+            for metres in ranges.get("visibility", ()):
+                _require_visibility(water, metres, self.visibility)
+        return ranges
 
     @classmethod
     def severity(cls, level: int, **options: Any) -> "RandomUnderwater":
@@ -221,9 +237,12 @@ class RandomUnderwater(nn.Module):
         # 32 bits: all that a generator of torch takes from a seed
         seeds = torch.randint(2**32, (batch,), generator=generator).tolist()
         uniform = torch.rand(len(_DRAWS), batch, generator=generator, dtype=torch.float64).T.tolist()
-        return {"samples": [self._sample(dict(zip(_DRAWS, u)), seed) for u, seed in zip(uniform, seeds)]}
+        samples = []
+        for numbers, seed in zip(uniform, seeds, strict=True):
+            samples.append(self._sample(dict(zip(_DRAWS, numbers, strict=False)), seed))
+        return {"samples": samples}
 
-    def _sample(self, u: dict[str, float], seed: int) -> Record:
+    def _sample(self, u: Mapping[str, float], seed: int) -> Record:
         names, weights = list(self.spectra), list(accumulate(self.waters.values()))
         two = ("first", "second") if self._ranges["mixing"][1] > 0 else ("first",)
         record: Record = {
@@ -260,24 +279,38 @@ class RandomUnderwater(nn.Module):
         images = plain if plain.ndim == 4 else plain[None]
         samples = self._samples(params, len(images))
         chosen = [i for i, sample in enumerate(samples) if sample["applied"]]
-        maps: Sequence[Tensor | None] = [None] * len(chosen)
-        if distance is not None:
-            given = _maps(distance, images)
-            maps = [given[i] for i in chosen]
-        elif self.distance is None:
-            raise ValueError(
-                "distance is missing: give a map, or RandomUnderwater(distance=…) a constant, a range or a callable"
-            )
-        elif callable(self.distance) and chosen:
-            seen = images[chosen]
-            with torch.no_grad():
-                maps = list(_maps(self.distance(_unit(plain if plain.ndim == 3 else seen)), seen))
+        maps = self._maps(plain, distance, chosen)
         if not chosen:
             return image
         parts = list(images)
-        for i, z in zip(chosen, maps):
-            parts[i] = self._degrade(parts[i], z, samples[i])
+        for i, z in zip(chosen, maps, strict=True):
+            sample = samples[i]
+            names, camera, draw = sample["waters"], sample["camera"], Draw.of(sample)
+            if torch.compiler.is_compiling():
+                tables = [self._water_tables[name] for name in names]
+                lens = self._camera_tables[camera]
+                parts[i] = degrade_opaque(parts[i], z, tables, lens, draw.to_tensor(), self._opaque_settings)
+            else:
+                waters = [self.spectra[name] for name in names]
+                parts[i] = degrade(parts[i], z, waters, self.responses[camera], draw, self._settings)
         return _typed(parts[0] if plain.ndim == 3 else torch.stack(parts), type(image))
+
+    def _maps(self, image: Tensor, distance: Tensor | None, chosen: list[int]) -> Sequence[Tensor | None]:
+        """A map for each picture that is to be degraded; None where a plane is."""
+        batch = image if image.ndim == 4 else image[None]
+        if distance is not None:
+            maps = _require_maps(distance, batch)
+            return [maps[i] for i in chosen]
+        if self.distance is None:
+            raise ValueError(
+                "distance is missing: give a map, or RandomUnderwater(distance=…) a constant, a range or a callable"
+            )
+        if not callable(self.distance) or not chosen:
+            return [None] * len(chosen)
+        seen = batch[chosen]
+        unit = image if image.ndim == 3 else seen
+        with torch.no_grad():
+            return list(_require_maps(self.distance(unit / 255 if unit.dtype == torch.uint8 else unit), seen))
 
     def _samples(self, params: Any, batch: int) -> list[Record]:
         """A record's sample for each picture, if they suit this transform."""
@@ -289,29 +322,11 @@ class RandomUnderwater(nn.Module):
         wanted = {"applied", "waters", "camera", "field_seed", "field_range", *self._ranges}
         for sample in samples:
             if odd := wanted ^ set(sample):
-                raise ValueError(
-                    f"params is of a transform with other options: they differ in {', '.join(sorted(odd))}"
-                )
-            for name, known in [(w, self.spectra) for w in sample["waters"]] + [(sample["camera"], self.responses)]:
-                if name not in known:
-                    raise ValueError(f"params asks for {name!r}, but this transform has {', '.join(known)}")
+                names = ", ".join(sorted(odd))
+                raise ValueError(f"params is of a transform with other options: they differ in {names}")
+            _require_known(sample["waters"], self.spectra)
+            _require_known([sample["camera"]], self.responses)
         return samples * batch if len(samples) < batch else samples
-
-    def _degrade(self, image: Tensor, distance: Tensor | None, sample: Record) -> Tensor:
-        law, (low, high) = self.point_spread, sample["field_range"]
-        numbers = {name: sample[name] for name in ("field_seed", *self._ranges) if sample[name] is not None}
-        numbers |= {"low": low, "high": high, "tolerance": self.tolerance, "scale": law.scale, "exponent": law.exponent}
-        if law.reference_size is not None:
-            numbers["reference_size"] = law.reference_size
-        modes = (self.distance_kind, self.unknown, self.color_space, self.order, law.shape)
-        if not torch.compiler.is_compiling():
-            waters = [self.spectra[name] for name in sample["waters"]]
-            return _degrade(image, distance, waters, self.responses[sample["camera"]], numbers, modes)
-        one = torch.ones((), dtype=torch.float64)
-        values = torch.stack([one * value for value in numbers.values()])  # torch.tensor(…) would fix them in the graph
-        tables = [*(self._water_tables[name] for name in sample["waters"]), self._camera_tables[sample["camera"]]]
-        result: Tensor = _degrade_opaque(image, distance, tables, " ".join(numbers), values, " ".join(modes))
-        return result
 
     def at(self, seed: int, epoch: int, index: int) -> Callable[..., Any]:
         """The transform with randomness from a key: the same result in any worker, in any order.
@@ -323,34 +338,33 @@ class RandomUnderwater(nn.Module):
             A function of the same inputs as the transform, which draws the same at every call.
         """
         key = hashlib.blake2b(f"{int(seed)}/{int(epoch)}/{int(index)}".encode(), digest_size=4).digest()
-        return partial(self._run, int.from_bytes(key))
+        return partial(self._apply_to, int.from_bytes(key))
 
     def forward(self, *inputs: Any) -> Any:
         """Draw and degrade; see the class."""
-        return self._run(None, *inputs)
+        image, distance, rebuild = self._taken_apart(inputs)
+        return rebuild(self.transform(image, distance, self.make_params(_picture(image))))
 
-    def _run(self, key: int | None, *inputs: Any) -> Any:
-        generator = None if key is None else torch.Generator().manual_seed(key)
-        if len(inputs) == 1 and isinstance(inputs[0], Mapping):
-            result: Any = copy.copy(inputs[0])
+    def _apply_to(self, key: int, *inputs: Any) -> Any:
+        generator = torch.Generator().manual_seed(key)
+        image, distance, rebuild = self._taken_apart(inputs)
+        return rebuild(self.transform(image, distance, self.make_params(_picture(image), generator)))
+
+    def _taken_apart(self, inputs: tuple[Any, ...]) -> tuple[Any, Any, Callable[[Tensor], Any]]:
+        """The image, the map if there is one, and what puts a new image in the image's place."""
+        sample = inputs[0] if len(inputs) == 1 else inputs
+        if isinstance(sample, Mapping):
             for name in (self.image_key, self.distance_key):
-                if name not in result and (name == self.image_key or self.distance is None):
-                    there = ", ".join(map(repr, result))
+                if name not in sample and (name == self.image_key or self.distance is None):
+                    there = ", ".join(map(repr, sample))
                     raise ValueError(f"sample has no {name!r}, only {there}: see image_key, distance_key and distance")
-            result[self.image_key] = self._draw(result[self.image_key], result.get(self.distance_key), generator)
-            return result
-        if len(inputs) == 1 and not isinstance(inputs[0], (tuple, list)):
-            return self._draw(inputs[0], None, generator)
-        leaves = inputs[0] if len(inputs) == 1 else inputs
-        if not leaves:
+            return sample[self.image_key], sample.get(self.distance_key), partial(_with_key, sample, self.image_key)
+        if not isinstance(sample, (tuple, list)):
+            return sample, None, lambda result: result
+        if not sample:
             raise ValueError("sample is empty: expected (image, distance, …)")
-        distance = leaves[1] if len(leaves) > 1 and self.distance is None else None
-        values = (self._draw(leaves[0], distance, generator), *leaves[1:])
-        return type(leaves)(*values) if hasattr(leaves, "_fields") else type(leaves)(values)
-
-    def _draw(self, image: Any, distance: Any, generator: torch.Generator | None) -> Tensor:
-        _picture(image)
-        return self.transform(image, distance, self.make_params(image, generator))
+        distance = sample[1] if len(sample) > 1 and self.distance is None else None
+        return sample[0], distance, partial(_with_first, sample)
 
     def __repr__(self) -> str:
         waters = list(self.waters) if set(self.waters.values()) == {1} else self.waters
@@ -374,15 +388,12 @@ def _weigh(waters: Any) -> dict[str | Water, float]:
 def _resample(water: str | Water) -> Water:
     """The water at the bands that media are made from, so that mixing and scaling need no interpolation."""
     water = Water.jerlov(water) if isinstance(water, str) else water
-    low, high = water.wavelengths[[0, -1]]
-    return water.at(WAVELENGTHS[(low <= WAVELENGTHS) & (high >= WAVELENGTHS)])
+    return water.at(default_bands(water))
 
 
-def _table(*columns: Array) -> Tensor:
-    return torch.from_numpy(np.array(columns))
-
-
-def _range(name: str, value: Any, least: float, most: float) -> tuple[float, float]:
+def _range(name: str, value: Any) -> tuple[float, float]:
+    """A number or (low, high) as (low, high), inside the domain of that name."""
+    least, most = DOMAIN[name]
     try:
         low, high = map(float, (value, value) if isinstance(value, Real) else value)
         if least <= low <= high <= most and high < math.inf:
@@ -393,12 +404,34 @@ def _range(name: str, value: Any, least: float, most: float) -> tuple[float, flo
     raise ValueError(f"{name} must be a number or a range (low, high) with low ≤ high, {bounds}; got {value!r}")
 
 
+def _require_visibility(water: Water, metres: float, given: Any) -> None:
+    try:
+        water.with_visibility(metres)
+    except ValueError as error:
+        raise ValueError(f"visibility={given} does not suit water {water.name!r}: {error}") from None
+
+
+def _require_known(names: Iterable[str], known: Iterable[str]) -> None:
+    for name in names:
+        if name not in known:
+            raise ValueError(f"params asks for {name!r}, but this transform has {', '.join(known)}")
+
+
+def _with_key(sample: Any, key: str, result: Tensor) -> Any:
+    """A copy of a dict with another image."""
+    changed = copy.copy(sample)
+    changed[key] = result
+    return changed
+
+
+def _with_first(sample: Any, result: Tensor) -> Any:
+    """The same tuple, named tuple or list with another first leaf."""
+    leaves = (result, *sample[1:])
+    return type(sample)(*leaves) if hasattr(sample, "_fields") else type(sample)(leaves)
+
+
 def _typed(x: Tensor, wanted: type[Tensor]) -> Tensor:
     return x if type(x) is wanted else x.as_subclass(wanted)
-
-
-def _unit(image: Tensor) -> Tensor:
-    return image / 255 if image.dtype == torch.uint8 else image
 
 
 def _picture(image: Any) -> Tensor:
@@ -408,115 +441,17 @@ def _picture(image: Any) -> Tensor:
         raise TypeError(
             f"image must be a uint8 or floating-point tensor, got {got}; convert PIL images and arrays first"
         )
-    if image.ndim not in (3, 4) or image.shape[-3] != 3:
-        raise ValueError(f"image must have shape (3, H, W) or (B, 3, H, W), got {tuple(image.shape)}")
+    checks.picture("image", image, 3)
     return _typed(image, Tensor)
 
 
-def _maps(distance: Any, images: Tensor) -> Tensor:
+def _require_maps(distance: Any, images: Tensor) -> Tensor:
     """Check a map of distances; return one for each image (Bx1xHxW), as a plain tensor."""
-    if not isinstance(distance, Tensor) or not distance.is_floating_point():
-        got = distance.dtype if isinstance(distance, Tensor) else type(distance).__name__
-        raise TypeError(f"distance must be a floating-point tensor, got {got}; divide a map in millimetres by 1000")
-    maps, batch, size = _typed(distance, Tensor), len(images), images.shape[-2:]
-    if maps.ndim not in (3, 4) or maps.shape[-3] != 1:
-        raise ValueError(f"distance must have shape (1, H, W) or (B, 1, H, W), got {tuple(maps.shape)}")
-    if maps.shape[-2:] != size:
-        raise ValueError(
-            f"distance is {tuple(maps.shape[-2:])} but image is {tuple(size)}: height and width must agree"
-        )
+    checks.floating("distance", distance, "; divide a map in millimetres by 1000")
+    checks.picture("distance", distance, 1)
+    checks.same_size("distance", distance, images)
+    maps, batch = _typed(distance, Tensor), len(images)
     maps = maps if maps.ndim == 4 else maps[None]
     if len(maps) not in (1, batch):
         raise ValueError(f"distance is a batch of {len(maps)} but image is one of {batch}")
     return maps.expand(batch, -1, -1, -1)
-
-
-def _metres(distance: Tensor, kind: str, unknown: str, numbers: Mapping[str, Any]) -> Tensor:
-    if kind == "relative":
-        distance = from_relative(distance, max(numbers["near"], _TOUCHING), numbers["far"], numbers["gamma"])
-    elif kind == "inverse":
-        distance = from_inverse(distance, numbers["near"], numbers["far"])
-    try:
-        return check_distance(distance, strict=unknown == "error")
-    except ValueError as error:
-        hint = "; or use RandomUnderwater(unknown='fill')" if unknown == "error" else ""
-        raise ValueError(f"{error}{hint}") from None
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """As in a DataLoader worker. Where threads divide an array decides which elements are not computed as vectors,
-    and those of exp2 and pow differ in the last bit: more threads would not replay what a worker has drawn.
-    """
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
-
-
-def _degrade(
-    image: Tensor,
-    distance: Tensor | None,
-    waters: Sequence[Water],
-    camera: Camera,
-    numbers: Mapping[str, Any],
-    modes: Sequence[Any],
-) -> Tensor:
-    """The whole transform of one picture (3xHxW), from what was drawn and what the transform is set to."""
-    kind, unknown, color_space, order, shape = modes
-    with _one_thread(), torch.no_grad(), torch.autocast(image.device.type, enabled=False):
-        unit = _unit(image)
-        if unit.numel() and unit.amax() > _HDR_LIMIT:
-            raise ValueError(f"image reaches {float(unit.amax()):g}: expected 0…1; divide a 0…255 image by 255")
-        if distance is None:
-            z = torch.full_like(unit[:1], numbers["distance"], dtype=torch.promote_types(unit.dtype, torch.float32))
-        else:
-            z = _metres(distance, kind, unknown, numbers)
-        field = None
-        if "field_seed" in numbers:
-            generator = torch.Generator().manual_seed(int(numbers["field_seed"]))
-            field = gaussian_random_field(z.shape[-2:], low=numbers["low"], high=numbers["high"], generator=generator)
-            field = field.to(z.device)
-        scale = numbers["scale"] * numbers["blur_factor"]
-        law = PointSpread(scale, numbers["exponent"], shape, numbers.get("reference_size"))
-        drawn = (numbers.get(name) for name in ("mixing", "visibility", "vertical_depth", "g", "mu", "tolerance"))
-        medium = _medium(tuple(waters), camera, law, *drawn)
-        picture, z, medium = check(unit, z, medium, field, order)
-        picture = srgb_to_linear(picture) if color_space == "srgb" else picture
-        (result,) = form(picture, z, medium, order, numbers["tolerance"], None, total=True)
-        result = linear_to_srgb(result)[0] if color_space == "srgb" else result[0]
-        if image.dtype == torch.uint8:
-            return (result * 255).round_().clamp_(0, 255).to(torch.uint8)
-        return result.to(image.dtype)
-
-
-@lru_cache(maxsize=256)
-def _medium(waters: tuple[Water, ...], camera: Camera, law: PointSpread, *drawn: Any) -> Medium:
-    mixing, visibility, vertical_depth, g, mu, tolerance = drawn
-    water = waters[0].mix(waters[1], mixing) if len(waters) > 1 else waters[0]
-    water = water if visibility is None else water.with_visibility(visibility)
-    return Medium.from_water(
-        water, camera, vertical_depth=vertical_depth, g=g, mu=mu, point_spread=law, tolerance=tolerance
-    )
-
-
-@torch.library.custom_op(
-    "uwaug::random_underwater",
-    mutates_args=(),
-    schema="(Tensor image, Tensor? distance, Tensor[] tables, str names, Tensor values, str modes) -> Tensor",
-)
-def _degrade_opaque(
-    image: Tensor, distance: Tensor | None, tables: list[Tensor], names: str, values: Tensor, modes: str
-) -> Tensor:
-    """`_degrade` for compiled code. What is drawn comes as tensors, or a graph would hold for one record alone."""
-    *waters, (wavelengths, *response) = (table.numpy() for table in tables)
-    camera = Camera(wavelengths, np.array(response).T)
-    numbers = dict(zip(names.split(), values.tolist()))
-    return _degrade(image, distance, [Water(*table) for table in waters], camera, numbers, modes.split())
-
-
-@_degrade_opaque.register_fake
-def _(image: Tensor, *_: Any) -> Tensor:
-    return torch.empty_like(image, memory_format=torch.contiguous_format)

@@ -1,41 +1,26 @@
-"""The model written for a graph: plain tensor operations, few and large, for any batch, height and width.
+"""The model as one graph for any batch, height and width: what `uwaug.onnx` exports.
 
-Same equations, plan and matrices as `uwaug.formation`, `uwaug.blur` and `uwaug.banded`, which work in strips, blocks
-and caches that a graph has no room for. `uwaug.onnx.check_onnx` holds what is exported against them.
+Curves, width law, weights and sum are the package's own functions. Of its own a graph has the blurs: `uwaug.blur` works
+in strips, blocks and caches that a graph has no room for. `uwaug.onnx.check_onnx` holds what is exported against them.
 """
-
-import math
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from uwaug.banded import (
-    MARGIN,
-    PERIOD,
-    blur_kernel,
-    enlarge_kernels,
-    per_cell,
-    reflect,
-    shrink_kernels,
-)
-from uwaug.blur import BlurPlan, ends
-from uwaug.colour import linear_to_srgb, srgb_to_linear
-from uwaug.medium import FARTHEST, Medium
+from uwaug.banded import MARGIN, PERIOD, blur_kernel, enlarge_kernels, per_cell, reflect, shrink_kernels
+from uwaug.blur import BlurPlan
+from uwaug.colour import from_light, to_light
+from uwaug.formation import scattered, together
+from uwaug.medium import FARTHEST, Medium, Sums, curves
 from uwaug.module import Underwater
 
-PARAMETERS = ("beta", "direct_weights", "G", "signal_weights", "veil_weights", "b_mean", "scale", "exponent")
+__all__ = ["Graph", "parameters_of"]
 
 
 def parameters_of(medium: Medium) -> dict[str, Tensor]:
-    """What a file exported with `parameters="inputs"` takes, by name; each with a row for every medium.
-
-    Shapes: beta (B, K), direct_weights (B, 3, K), G (B, L), signal_weights and veil_weights (B, 3, L), b_mean, scale
-    and exponent (B,); all float32.
-    """
-    law = medium.point_spread
-    rows = [torch.as_tensor(v).expand(len(medium)) for v in (law.scale, law.exponent)]
-    return {n: v.detach().to("cpu", torch.float32).contiguous() for n, v in zip(PARAMETERS, (*medium.tensors(), *rows))}
+    """What a file exported with `parameters="inputs"` takes, by name: `Medium.parameters` in float32."""
+    return {name: value.detach().to("cpu", torch.float32).contiguous() for name, value in medium.parameters().items()}
 
 
 class Graph(nn.Module):
@@ -43,20 +28,24 @@ class Graph(nn.Module):
     those are inputs.
     """
 
+    rates: Tensor
+    weights: Tensor
+
     def __init__(self, module: Underwater, plan: BlurPlan, *, frozen: bool, field: bool, quantised: bool) -> None:
         super().__init__()
-        self.plan, self.frozen, self.field, self.quantised = plan, frozen, field, quantised
-        self.srgb = module.color_space == "srgb"
-        medium = module.medium.to(torch.float64)
-        law = medium.point_spread
-        self.reference_size = law.reference_size
-        # a known exponent makes a simpler graph
-        self.power = law.exponent if frozen and not isinstance(law.exponent, Tensor) else None
-        self.blurs = nn.ModuleList(_blur(s, c, plan.reach) for s, c in zip(plan.sigmas, plan.cells))
-        values = parameters_of(medium)
-        rates, weights = _curves(*list(values.values())[:5])
-        for name, value in {**values, "rates": rates, "weights": weights}.items():
-            self.register_buffer(name, value)
+        self.plan = plan
+        self.frozen = frozen
+        self.field = field
+        self.quantised = quantised
+        self.color_space = module.color_space
+        self.medium = module.medium.map(lambda t: t.detach().to("cpu", torch.float32))
+        self.blurs = nn.ModuleList(
+            _blur(sigma, cell, plan.reach) for sigma, cell in zip(plan.sigmas, plan.cells, strict=True)
+        )
+        # near=False: ONNX has no e^x − 1
+        rates, weights, _ = self.medium.sums(near=False)
+        self.register_buffer("rates", rates)
+        self.register_buffer("weights", weights)
 
     def forward(self, image: Tensor, distance: Tensor, *rest: Tensor) -> Tensor:
         """Image (Bx3xHxW) and distance (Bx1xHxW) → image."""
@@ -65,75 +54,15 @@ class Graph(nn.Module):
         if self.field:
             z = z * inputs.pop(0)
         if self.frozen:
-            rates, weights = self.get_buffer("rates"), self.get_buffer("weights")
-            b_mean, scale, exponent = (self.get_buffer(name) for name in PARAMETERS[5:])
+            medium, sums = self.medium, Sums(self.rates, self.weights, None)
         else:
-            rates, weights = _curves(*inputs[:5])
-            b_mean, scale, exponent = inputs[5:]
-        j = image.to(torch.float32) / 255 if self.quantised else image
-        j = srgb_to_linear(j) if self.srgb else j
-        b, h, w = z.shape[0], z.shape[2], z.shape[3]
-        decay = torch.exp(-rates[:, :, None] * z.reshape(b, 1, h * w))
-        transmission, share, veil = ((weights[i] @ decay).reshape(b, 3, h, w) for i in range(3))
-        stack = [blur(j) for blur in self.blurs]
-        scattered = stack[0]
-        if len(stack) > 1:
-            shares = self._shares(z, b_mean, scale, exponent)
-            scattered = shares[:, :1] * stack[0]
-            for k in range(1, len(stack)):
-                scattered = scattered + shares[:, k : k + 1] * stack[k]
-        result = transmission * j + share * scattered + veil
-        result = linear_to_srgb(result) if self.srgb else result
-        return torch.round(result * 255).clamp(0.0, 255.0).to(torch.uint8) if self.quantised else result
-
-    def _shares(self, z: Tensor, b_mean: Tensor, scale: Tensor, exponent: Tensor) -> Tensor:
-        """Weights of the plan's blurs, BxKxHxW: see `uwaug.blur.node_weights`."""
-        plan = self.plan
-        b, h, w = z.shape[0], z.shape[2], z.shape[3]
-        degree = len(plan.coefficients[0]) - 1
-        coefficients = torch.tensor(plan.coefficients, dtype=torch.float32)
-        if degree == 0:
-            return coefficients[None, :, :, None]
-        b_mean, scale, exponent = (v.reshape(-1, 1, 1, 1) for v in (b_mean, scale, exponent))
-        if self.reference_size is not None:
-            scale = scale * (torch.minimum(_number(h), _number(w)) / self.reference_size)
-        lengths = (b_mean * z).clamp(1e-6, 1e4)
-        power = exponent if self.power is None else self.power
-        low, high = ends(plan)
-        slope = (2 if plan.shape == "exponential" else 1) / (high - low)
-        if plan.shape == "exponential":
-            x = 2 * scale * lengths**power
-        else:
-            squared = lengths * lengths
-            x = (2 * scale * scale) * (squared if self.power == 1 else squared**power)
-        x = torch.log1p(x) * slope + (slope * math.log(0.5) - (low + high) / (high - low))  # v, see node_weights
-        x = x.clamp(-1, 1)
-        twice = 2 * x
-        terms = [torch.ones_like(x), x]
-        for _ in range(degree - 1):
-            terms.append(twice * terms[-1] - terms[-2])  # Chebyshev
-        return (coefficients @ torch.cat(terms, 1).reshape(b, degree + 1, h * w)).reshape(b, len(coefficients), h, w)
-
-
-def _curves(beta: Tensor, direct: Tensor, G: Tensor, signal: Tensor, veil: Tensor) -> tuple[Tensor, Tensor]:
-    """Rates (B, K + L + 1), and weights (3, B, 3, K + L + 1) that make T_β, T_G − T_β and V(0) − V of e^(−rate·z).
-
-    The last rate is 0 and carries V(0).
-    """
-    none, nothing = torch.zeros_like(direct), torch.zeros_like(signal)
-    total = veil.sum(-1, keepdim=True)
-    rates = torch.cat([beta, G, torch.zeros_like(beta[:, :1])], 1)
-    rows = (
-        torch.cat([direct, nothing, torch.zeros_like(total)], 2),
-        torch.cat([-direct, signal, torch.zeros_like(total)], 2),
-        torch.cat([none, -veil, total], 2),
-    )
-    return rates, torch.stack(rows)
-
-
-def _number(side: int) -> Tensor:
-    """A size as a tensor: the quotient of two symbolic numbers would enter a graph in single precision."""
-    return torch.full((1,), side, dtype=torch.float64).to(torch.float32)
+            medium = Medium.of(dict(zip(self.medium.parameters(), inputs, strict=True)), self.medium)
+            sums = medium.sums(near=False)
+        light = to_light(image, self.color_space)
+        found = curves(sums, z)
+        stack = [blur(light) for blur in self.blurs]
+        (result,) = together(light, found, scattered(stack, z, medium, self.plan, (z.shape[2], z.shape[3])))
+        return from_light(result, self.color_space, torch.uint8 if self.quantised else torch.float32)
 
 
 def _blur(sigma: float, cell: float, reach: float) -> nn.Module:
@@ -208,7 +137,8 @@ class _Wide(nn.Module):
         kernel = self.get_buffer("shrink")
         cells = (size + self.pitch - 1) // self.pitch + 2 * MARGIN  # of positive numbers: ONNX's division truncates
         first = self.first + self.pitch * torch.arange(-MARGIN, cells - MARGIN)
-        taps = torch.arange(size + kernel.shape[1])[: kernel.shape[1]]  # by way of the size, lest the file hold them
+        # derived from `size`, so that the exporter computes the indices at run time instead of storing them
+        taps = torch.arange(size + kernel.shape[1])[: kernel.shape[1]]
         columns = reflect(first[:, None] + taps, size)
         shrink = torch.zeros(cells, size, dtype=torch.float32).scatter_add(1, columns, kernel.expand(cells, -1))
         px = torch.arange(size)

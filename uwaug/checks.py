@@ -1,0 +1,107 @@
+"""Every refusal, worded once: which argument, what was expected, what came."""
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+__all__ = [
+    "DOMAIN",
+    "batches",
+    "finite",
+    "floating",
+    "one_of",
+    "picture",
+    "positive",
+    "same_size",
+    "span",
+    "tolerance",
+    "within",
+]
+
+DOMAIN = {
+    "mixing": (0.0, 1.0),
+    "visibility": (1e-3, math.inf),
+    "vertical_depth": (0.0, math.inf),
+    "g": (0.0, 1.0),
+    "mu": (0.0, 1.0),
+    "scale": (0.0, math.inf),
+    "exponent": (1e-3, math.inf),
+    "blur_factor": (0.0, math.inf),
+    "near": (0.0, math.inf),
+    "far": (0.0, math.inf),
+    "gamma": (1e-3, math.inf),
+    "distance": (0.0, math.inf),
+    "field_range": (0.0, math.inf),
+}
+"""Least and largest value of every quantity that a user sets; what may be infinite is finite."""
+
+
+def one_of(name: str, value: object, allowed: Iterable[str]) -> None:
+    """Refuse what is no member of `allowed`."""
+    choices = tuple(allowed)
+    if value not in choices:
+        raise ValueError(f"{name} must be one of {', '.join(choices)}, got {value!r}")
+
+
+def within(name: str, value: Any, low: float = 0.0, high: float = math.inf) -> None:
+    """Refuse a number outside [low, high], or an infinite one."""
+    number = isinstance(value, (int, float, np.number))
+    if not number or not (low <= value <= high and value < math.inf):
+        bounds = f"in [{low:g}, {high:g}]" if high < math.inf else f"finite and ≥ {low:g}"
+        raise ValueError(f"{name} must be {bounds}, got {value!r}")
+
+
+def positive(name: str, value: float, unit: str = "") -> None:
+    """Refuse a number that is 0, negative, infinite or NaN."""
+    if not 0 < value < math.inf:
+        raise ValueError(f"{name} must be finite and > 0{unit and f' {unit}'}, got {value!r}")
+
+
+def finite(name: str, value: float) -> None:
+    """Refuse infinity and NaN."""
+    if not math.isfinite(value):
+        raise ValueError(f"{name} must be finite, got {value!r}")
+
+
+def tolerance(value: float) -> None:
+    """Refuse a tolerance outside (0, 1)."""
+    if not 0 < value < 1:
+        raise ValueError(f"tolerance must lie in (0, 1) (image scale 0…1), got {value}")
+
+
+def floating(name: str, value: object, hint: str = "") -> None:
+    """Refuse what is no floating-point tensor; `hint` says what to do about it."""
+    if not isinstance(value, Tensor) or not value.is_floating_point():
+        got = value.dtype if isinstance(value, Tensor) else type(value).__name__
+        cure = "; scale 0…255 to 0…1 first" if got == torch.uint8 and not hint else hint
+        raise TypeError(f"{name} must be a floating-point tensor, got {got}{cure}")
+
+
+def picture(name: str, value: Tensor, channels: int) -> None:
+    """Refuse a tensor that is neither (B, channels, H, W) nor (channels, H, W)."""
+    if value.ndim not in (3, 4) or value.shape[-3] != channels:
+        shapes = f"({channels}, H, W) or (B, {channels}, H, W)"
+        raise ValueError(f"{name} must have shape {shapes}, got {tuple(value.shape)}")
+
+
+def same_size(name: str, value: Tensor, image: Tensor) -> None:
+    """Refuse a map of another height or width than the image."""
+    if value.shape[-2:] != image.shape[-2:]:
+        mine, wanted = tuple(value.shape[-2:]), tuple(image.shape[-2:])
+        raise ValueError(f"{name} is {mine} but image is {wanted}: height and width must agree")
+
+
+def span(x: Tensor) -> str:
+    """The values of a tensor, in words."""
+    known = x[~x.isnan()]
+    return f"{float(known.min()):.4g} to {float(known.max()):.4g}" if known.numel() else "NaN only"
+
+
+def batches(sizes: Mapping[str, int]) -> None:
+    """Refuse batches of different sizes; a batch of 1 serves any other."""
+    if len({size for size in sizes.values() if size != 1}) > 1:
+        raise ValueError(f"batch sizes must agree or be 1, got {dict(sizes)}")

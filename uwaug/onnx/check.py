@@ -1,0 +1,200 @@
+"""An exported file against the module it came from."""
+
+import json
+import math
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from uwaug.blur import BlurPlan
+from uwaug.medium import Medium, PointSpread
+from uwaug.module import Underwater
+from uwaug.onnx.graph import parameters_of
+from uwaug.onnx.metadata import Options, plan_of, read_metadata
+from uwaug.session import Session, require
+
+__all__ = ["Report", "check_onnx"]
+
+_MOST_CHECKED = 1024  # px: the one large picture of a check is no larger, so that it is quickly run
+
+
+@dataclass(frozen=True)
+class Report:
+    """What `check_onnx` found: cases run, the largest difference, and where it was."""
+
+    cases: int
+    worst: float
+    where: str
+
+
+class _Case(NamedTuple):
+    """A batch to check a file on, in the types that it takes."""
+
+    name: str
+    image: Tensor
+    distance: Tensor
+    field: Tensor
+
+
+def check_onnx(path: str | os.PathLike[str], module: Underwater, *, tolerance: float = 1e-5) -> Report:
+    """Check an exported file against the module it came from.
+
+    `onnx.checker`, then ONNX Runtime with optimisations off and on against float64 eager with the same plan, over
+    batches 1, 2, 5, odd, even, non-square, smallest and largest sizes, and constant, ramp, step, random, zero, far and
+    infinite distances. A file that takes its parameters as inputs is given media of other numbers of rates, and one per
+    image.
+
+    Args:
+        path: the file.
+        module: what it was exported from.
+        tolerance: largest difference of a float image (0…1); uint8 images may differ by one level.
+
+    Raises:
+        ImportError: if the onnx extra is not installed.
+        OSError: if the file cannot be read.
+        ValueError: naming the worst case, if it exceeds the tolerance; or if the module itself hardly changes a
+            picture, so that a graph that returns its input would pass.
+    """
+    (onnx,) = require("onnx")
+    metadata = read_metadata(path)
+    try:
+        onnx.checker.check_model(os.fspath(path), full_check=True)
+    except onnx.checker.ValidationError as error:
+        raise ValueError(f"{path}: onnx.checker refuses it: {str(error).splitlines()[0]}") from error
+    options = Options.of(metadata)
+    plan = plan_of(module, options)
+    stored = json.loads(metadata["uwaug_module"])["plan"]
+    if not _same_plan(plan, stored):
+        raise ValueError(
+            f"{path}: made for {metadata['uwaug_plan']}, but module asks for {plan} here: it is from another module or "
+            "version; export it again"
+        )
+    media = [module.medium[i] for i in range(len(module.medium))]
+    if options.parameters == "inputs":
+        media += _unrelated_media(module.medium)
+    quantised = options.image == "uint8"
+    limit = 1.0 if quantised else tolerance
+    sessions = {"off": Session(path, 1, optimise=False), "on": Session(path, 1)}
+    found: list[tuple[float, str]] = []
+    moved = 0.0
+    for number, case in enumerate(_cases(options, json.loads(metadata["uwaug_distance_range_m"]))):
+        medium = _for_batch(media, number, len(case.image))
+        rows = {"image": case.image, "distance": case.distance}
+        if options.field == "input":
+            rows["field"] = case.field
+        field = rows["field"].double() if "field" in rows else None
+        # uint8 stays uint8, so that its result is rounded and clipped
+        image = case.image if quantised else case.image.double()
+        with torch.no_grad():
+            wanted = module.formed(image, case.distance.double(), field, medium.to(torch.float64), plan)
+        moved = max(moved, float((wanted.double() - case.image).abs().max()))
+        if options.parameters == "inputs":
+            for name, value in parameters_of(medium).items():
+                rows[name] = value.expand(len(image), *value.shape[1:])
+        for state, session in sessions.items():
+            where = f"{case.name}, optimisations {state}"
+            found.append((_apart(path, session, rows, wanted, where), where))
+    worst, where = max(found)
+    if worst > limit:
+        raise ValueError(f"{path}: differs from float64 eager by {worst:.3g} (limit {limit:g}) at {where}")
+    if moved <= 2 * limit:
+        raise ValueError(f"module changes a picture by {moved:.2g} at most: a graph that returns its input would pass")
+    return Report(len(found), worst, where)
+
+
+def _apart(
+    path: str | os.PathLike[str], session: Session, rows: dict[str, Tensor], wanted: Tensor, where: str
+) -> float:
+    """The largest difference of the file's result from the one wanted; inf if there is NaN in it."""
+    try:
+        out = session(rows)
+    except Exception as error:  # of ONNX Runtime, see Session
+        raise ValueError(f"{path}: fails at {where}: {str(error).splitlines()[0]}") from error
+    if out.shape != wanted.shape:
+        raise ValueError(f"{path}: gives {tuple(out.shape)}, not {tuple(wanted.shape)}, at {where}")
+    apart = float((out.double() - wanted.double()).abs().max())
+    return math.inf if math.isnan(apart) else apart
+
+
+def _same_plan(plan: BlurPlan, stored: dict[str, object]) -> bool:
+    """Equal to 1e-6: the last digits depend on the processor."""
+    for field in fields(plan):
+        mine, theirs = getattr(plan, field.name), stored[field.name]
+        if field.name == "shape":
+            if mine != theirs:
+                return False
+            continue
+        a, b = (torch.tensor(value, dtype=torch.float64) for value in (mine, theirs))
+        if a.shape != b.shape or not torch.allclose(a, b, rtol=1e-6, atol=1e-6):
+            return False
+    return True
+
+
+def _cases(options: Options, distance_range: tuple[float, float]) -> Iterator[_Case]:
+    """Batches, sizes and distances on which a file is checked."""
+    rng = torch.Generator().manual_seed(0)
+    near, far = distance_range[0], min(distance_range[1], 100.0)
+
+    def case(name: str, image: Tensor, distance: Tensor, field: Tensor) -> _Case:
+        if options.image == "uint8":
+            image = (image * 255).round().to(torch.uint8)
+        batch, _, h, w = image.shape
+        return _Case(f"{name}, {batch}×{h}×{w}", image, distance, field)
+
+    # the ends of what the plan serves, as far as they are quickly run
+    small, large = (min(max(side, 8), 144) for side in options.sides)
+    sizes = (
+        (1, 1, 1),
+        (2, 1, 9),
+        (5, 7, 5),
+        (1, small, small + 16),
+        (5, small + 1, small),
+        (2, 65, 33),
+        (1, large, large + 1),
+    )
+    for batch, h, w in sizes:
+        shape = (batch, 1, h, w)
+        image = (1.2 * torch.rand(batch, 3, h, w, generator=rng, dtype=torch.float32) - 0.1).clamp(0, 1)
+        field = 0.7 + 0.6 * torch.rand(shape, generator=rng, dtype=torch.float32)
+        ramp = torch.linspace(0, 1, w, dtype=torch.float32).expand(shape)
+        within = {
+            "constant": torch.full_like(field, 0.3),
+            "ramp": ramp,
+            "step": torch.where(ramp > 0.5, 1.0, 0.0),
+            "random": torch.rand(shape, generator=rng, dtype=torch.float32),
+        }
+        distances = {name: near + (far - near) * t for name, t in within.items()}
+        distances["at the lens"] = torch.zeros_like(field)
+        distances["beyond the range"] = torch.full_like(field, 3 * far)
+        distances["open water behind"] = torch.where(ramp > 0.5, torch.inf, distances["ramp"])
+        for name, distance in distances.items():
+            yield case(name, image, distance, field)
+    if options.sides[1] > large:
+        # the widest blurs show in the largest pictures alone
+        side = min(options.sides[1], _MOST_CHECKED)
+        image = torch.rand(1, 3, side, side, generator=rng, dtype=torch.float32)
+        ramp = torch.linspace(0, 1, side, dtype=torch.float32).expand(1, 1, side, side)
+        yield case("ramp", image, near + (far - near) * ramp, torch.ones_like(ramp))
+
+
+def _unrelated_media(medium: Medium) -> list[Medium]:
+    """Media of one and of five rates, with other width laws, all of the kind that a file with `medium` takes."""
+
+    def unrelated(k: int, scale: float, exponent: float) -> Medium:
+        rates = torch.linspace(0.1, 1.0, k, dtype=torch.float64)[None]
+        weights = torch.linspace(0.6, 1.0, 3, dtype=torch.float64)[None, :, None].expand(1, 3, k) / k
+        law = PointSpread(scale, exponent, medium.point_spread.shape, medium.point_spread.reference_size)
+        return Medium(rates, weights, 0.4 * rates, weights, 0.3 * weights, rates.new_tensor([0.7]), law, ("check",))
+
+    return [unrelated(1, 1.5, 1.0), unrelated(5, 2.5, 0.6)]
+
+
+def _for_batch(media: list[Medium], number: int, batch: int) -> Medium:
+    """The medium of a case: all media in turn, one for each image of a batch."""
+    if len(media) == 1:
+        return media[0]
+    return Medium.stack([media[(number + i) % len(media)] for i in range(batch)])

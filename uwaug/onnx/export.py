@@ -1,0 +1,208 @@
+"""From module to file."""
+
+import logging
+import os
+import tempfile
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+from uwaug.module import Underwater
+from uwaug.onnx.check import check_onnx
+from uwaug.onnx.graph import Graph, parameters_of
+from uwaug.onnx.metadata import SIDES, Options, plan_of, written
+from uwaug.session import require
+
+__all__ = ["export_onnx", "export_program"]
+
+
+def export_onnx(
+    module: Underwater,
+    path: str | os.PathLike[str],
+    *,
+    parameters: Literal["frozen", "inputs"] = "frozen",
+    field: Literal["none", "input"] = "none",
+    image: Literal["float32", "uint8"] = "float32",
+    sides: tuple[int, int] = SIDES,
+    opset: int = 18,
+    verify: bool = True,
+) -> Path:
+    """Write a module as an ONNX file that needs no uwaug to run.
+
+    Inputs: image (Bx3xHxW), distance (Bx1xHxW float32, m), then those asked for below. Output: as the image.
+
+    Args:
+        module: with a `distance_range`, which fixes the plan of the blur.
+        path: of the file; written whole, after it has passed its check, or not at all.
+        parameters: "frozen", or "inputs": rates, weights and width law become inputs of the graph, with a row for each
+            image (see `uwaug.Medium.parameters`), so that one file serves every water whose widths lie in the plan:
+            export a module of all of them, `Underwater(Medium.stack(…))`.
+        field: "input" adds the medium field, Bx1xHxW, as an input.
+        image: "float32" (0…1, not clipped), or "uint8" in and out (0…255, rounded and clipped).
+        sides: smallest and largest short side, px, that the plan serves; matters only for a width law with a reference
+            size. Images outside get the nearest width of the plan.
+        opset: ≥ 18.
+        verify: run `check_onnx` before the file is put in place.
+
+    Returns:
+        The path.
+
+    Raises:
+        ImportError: if the onnx extra is not installed.
+        OSError: if the folder is missing or cannot be written to.
+        TypeError, ValueError: if an argument is not as above, or the file fails its check.
+    """
+    path = Path(path)
+    if opset < 18:
+        raise ValueError(f"opset must be ≥ 18 (scatter with addition), got {opset}")
+    onnx, *_ = require("onnx", "onnxscript", *(["onnxruntime"] if verify else []))
+    options = Options(parameters, field, image, sides)
+    traced = _trace(module, options)
+    with _part_of(path) as part:
+        with torch.no_grad(), _quiet():
+            exported = torch.onnx.export(
+                _program(traced),
+                dynamo=True,
+                input_names=list(traced.inputs),
+                output_names=["output"],
+                opset_version=opset,
+                verbose=False,
+            )
+        assert exported is not None
+        model = exported.model_proto
+        _strip_traces(model)
+        _name_sizes(model, traced)
+        for key, value in written(module, traced.graph.plan, options).items():
+            model.metadata_props.add(key=key, value=value)
+        onnx.save(model, part)
+        if verify:
+            check_onnx(part, module)
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(part, 0o666 & ~mask)
+        os.replace(part, path)
+    return path
+
+
+def export_program(
+    module: Underwater,
+    *,
+    parameters: Literal["frozen", "inputs"] = "frozen",
+    field: Literal["none", "input"] = "none",
+    image: Literal["float32", "uint8"] = "float32",
+    sides: tuple[int, int] = SIDES,
+) -> torch.export.ExportedProgram:
+    """The same graph as a `torch.export` program, for `torch.export.save`; arguments as `export_onnx`."""
+    with torch.no_grad(), _quiet():
+        return _program(_trace(module, Options(parameters, field, image, sides)))
+
+
+class _Traced(NamedTuple):
+    """What torch.export wants: the graph; an example of each input, by name, and its free sizes, by axis."""
+
+    graph: Graph
+    inputs: dict[str, Tensor]
+    free: dict[str, dict[int, Any]]
+
+
+def _trace(module: Underwater, options: Options) -> _Traced:
+    if not isinstance(module, Underwater):
+        raise TypeError(f"module must be a uwaug.Underwater, got {type(module).__name__}")
+    frozen, field, quantised = options.parameters == "frozen", options.field == "input", options.image == "uint8"
+    if frozen and len(module.medium) != 1:
+        raise ValueError(
+            f"module holds {len(module.medium)} media, of which only one can be frozen: use parameters='inputs'"
+        )
+    plan = plan_of(module, options)
+    names = ("batch", "height", "width", "rates", "scatter_rates")
+    batch, height, width, rates, scatter_rates = (torch.export.Dim(name, min=1) for name in names)
+    picture = torch.rand(2, 3, 48, 56, dtype=torch.float32)
+    inputs = {
+        "image": (picture * 255).to(torch.uint8) if quantised else picture,
+        "distance": torch.ones(2, 1, 48, 56, dtype=torch.float32),
+    }
+    if field:
+        inputs["field"] = torch.ones(2, 1, 48, 56, dtype=torch.float32)
+    free = {name: {0: batch, 2: height, 3: width} for name in inputs}
+    for name, row in parameters_of(module.medium[0]).items() if not frozen else ():
+        # two more rates of no weight, as an example of one rate would fix that number
+        example = pad(row, (0, 2)) if row.ndim > 1 else row
+        inputs[name] = example.expand(2, *example.shape[1:]).contiguous()
+        free[name] = {0: batch}
+        if row.ndim > 1:
+            free[name][row.ndim - 1] = rates if name in ("beta", "direct_weights") else scatter_rates
+    graph = Graph(module, plan, frozen=frozen, field=field, quantised=quantised).eval()
+    return _Traced(graph, inputs, free)
+
+
+def _program(traced: _Traced) -> torch.export.ExportedProgram:
+    image, distance, *rest = traced.free.values()
+    shapes = (image, distance, tuple(rest)) if rest else (image, distance)
+    return torch.export.export(
+        traced.graph,
+        tuple(traced.inputs.values()),
+        dynamic_shapes=shapes,
+        strict=False,
+        # that whole periods of 16 px cover an image of any size is more than the exporter can prove
+        prefer_deferred_runtime_asserts_over_guards=True,
+    )
+
+
+@contextmanager
+def _part_of(path: Path) -> Iterator[str]:
+    """A file beside `path`, to be moved there when it is whole."""
+    if path.is_dir():
+        raise IsADirectoryError(f"path must be a file, but {path} is a folder")
+    if not path.parent.is_dir():
+        raise FileNotFoundError(f"path: there is no folder {path.parent}")
+    try:
+        handle, part = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    except OSError as error:
+        raise type(error)(f"path: cannot write to the folder {path.parent}: {error.strerror}") from error
+    os.close(handle)
+    try:
+        yield part
+    finally:
+        Path(part).unlink(missing_ok=True)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Silence two messages of the exporter that do not concern the user: a deprecation inside torch, and operators of a
+    torchvision that is not used.
+    """
+    log = logging.getLogger("torch.onnx._internal.exporter._registration")
+
+    def mute(record: logging.LogRecord) -> bool:
+        return "torchvision is not installed" not in record.getMessage()
+
+    log.addFilter(mute)
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message=".*LeafSpec", category=FutureWarning)
+            yield
+    finally:
+        log.removeFilter(mute)
+
+
+def _strip_traces(model: Any) -> None:
+    """Drop stack traces, which name files of this machine."""
+    for part in (*model.graph.node, *model.graph.input, *model.graph.output, *model.graph.initializer):
+        part.ClearField("metadata_props")
+        part.ClearField("doc_string")
+    del model.graph.value_info[:]
+    model.graph.ClearField("metadata_props")
+
+
+def _name_sizes(model: Any, traced: _Traced) -> None:
+    """Give the free sizes of inputs and output their names; the output has those of the image."""
+    free = (*traced.free.values(), traced.free["image"])
+    for value, dims in zip((*model.graph.input, *model.graph.output), free, strict=True):
+        for axis, dim in dims.items():
+            value.type.tensor_type.shape.dim[axis].dim_param = dim.__name__

@@ -1,0 +1,105 @@
+"""Run an exported file like the module that it came from."""
+
+import json
+import os
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from uwaug import checks
+from uwaug.medium import Medium
+from uwaug.onnx.graph import parameters_of
+from uwaug.onnx.metadata import read_metadata
+from uwaug.session import Session
+
+__all__ = ["OnnxUnderwater"]
+
+
+class OnnxUnderwater:
+    """Run an exported file like the module that it came from.
+
+    The session is opened at the first call and not pickled, so that the object can live in DataLoader workers.
+
+    Args:
+        path: of the file.
+        threads: of ONNX Runtime; 0 lets it choose. In DataLoader workers, 1.
+
+    Attributes:
+        metadata: what the file says of itself, see `read_metadata`.
+
+    Raises:
+        ImportError, OSError, ValueError: as `read_metadata`; and if onnxruntime is not installed.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], threads: int = 0) -> None:
+        self.metadata = read_metadata(path)
+        self.session = Session(path, threads)
+
+    def __repr__(self) -> str:
+        return f"OnnxUnderwater({str(self.session.path)!r}: {self.metadata['uwaug_medium']})"
+
+    def __call__(
+        self, image: Tensor, distance: Tensor, field: Tensor | None = None, medium: Medium | None = None
+    ) -> Tensor:
+        """Degrade an image.
+
+        Args:
+            image (Bx3xHxW or 3xHxW tensor): float32 or uint8, as the file was exported.
+            distance (Bx1xHxW or 1xHxW tensor): metres, ≥ 0; +inf is open water.
+            field (as distance): if the file has it as an input.
+            medium: if the file has its parameters as inputs; one, or one for each image.
+
+        Raises:
+            TypeError, ValueError: if an argument is not as above, lacking, or more than the file takes.
+        """
+        self._require("field", field, wanted="input")
+        self._require("parameters", medium, wanted="inputs", name="medium")
+        if medium is not None:
+            self._require_law(medium)
+        rows = self._rows(image, distance, field)
+        if medium is not None:
+            rows |= parameters_of(medium)
+        sizes = {name: len(value) for name, value in rows.items()}
+        checks.batches(sizes)
+        batch = next((n for n in sizes.values() if n != 1), 1)
+        if image.numel() == 0 or batch == 0:
+            return image.new_zeros(batch, 3, *image.shape[-2:])
+        # one by one: what a batch holds between two operations leaves the cache, and takes up to 1.5 times as long
+        results = []
+        for i in range(batch):
+            one = {name: value[i : i + 1] if len(value) > 1 else value for name, value in rows.items()}
+            results.append(self.session(one))
+        result = torch.cat(results)
+        return result[0] if image.ndim == 3 and batch == 1 else result
+
+    def _require(self, key: str, value: Any, *, wanted: str, name: str = "") -> None:
+        """Refuse an input that the file does not take, or the lack of one that it does."""
+        exported = self.metadata[f"uwaug_{key}"]
+        if (value is not None) != (exported == wanted):
+            verb = "needs one" if value is None else "takes none"
+            raise ValueError(f"{name or key}: the file {verb}, as it was exported with {key}={exported!r}")
+
+    def _require_law(self, medium: Medium) -> None:
+        law, stored = medium.point_spread, json.loads(self.metadata["uwaug_module"])["law"]
+        if (law.shape, law.reference_size) != (stored["shape"], stored["reference_size"]):
+            raise ValueError(
+                f"medium: its point spread is {law}, but the file is for shape {stored['shape']!r} and "
+                f"reference_size {stored['reference_size']}"
+            )
+
+    def _rows(self, image: Tensor, distance: Tensor, field: Tensor | None) -> dict[str, Tensor]:
+        """The pictures as the file takes them, with a batch dimension."""
+        dtype = torch.uint8 if self.metadata["uwaug_image"] == "uint8" else torch.float32
+        if image.dtype != dtype:
+            raise TypeError(f"image must be {dtype} for this file, got {image.dtype}")
+        maps = {"distance": distance} if field is None else {"distance": distance, "field": field}
+        rows = {}
+        for name, value in {"image": image, **maps}.items():
+            checks.picture(name, value, 3 if name == "image" else 1)
+            checks.same_size(name, value, image)
+            row = value if name == "image" else value.to(torch.float32)
+            rows[name] = row if row.ndim == 4 else row[None]
+        if not bool((distance >= 0).all()):
+            raise ValueError("distance is NaN or negative somewhere: expected metres ≥ 0 (+inf for open water)")
+        return rows
