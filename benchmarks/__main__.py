@@ -4,13 +4,25 @@ import argparse
 import importlib
 import time
 
-PARTS = ("model", "frontier", "planner", "stability", "physics", "scaling", "runtime", "throughput", "summary")
+PARTS = (
+    "model",
+    "frontier",
+    "planner",
+    "stability",
+    "physics",
+    "scaling",
+    "runtime",
+    "throughput",
+    "summary",
+)
 
 
 def main() -> None:
     """Run the parts in turn; a part whose optional library is missing is skipped by name."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="a smoke test of every part, nothing written")
+    parser.add_argument(
+        "--quick", action="store_true", help="a smoke test of every part, nothing written"
+    )
     parser.add_argument("parts", nargs="*", help=f"some of {', '.join(PARTS)}; all by default")
     arguments = parser.parse_args()
     unknown = sorted(set(arguments.parts) - set(PARTS))

@@ -57,7 +57,15 @@ def published(
 
 
 def naive_kornia(
-    image: Tensor, distance: Tensor, field: Tensor, *, beta: Tensor, G: Tensor, light: Tensor, veil: Tensor, phi: float
+    image: Tensor,
+    distance: Tensor,
+    field: Tensor,
+    *,
+    beta: Tensor,
+    G: Tensor,
+    light: Tensor,
+    veil: Tensor,
+    phi: float,
 ) -> Tensor:
     """The recipe as one writes it with kornia: one exponential per channel, 30 `gaussian_blur2d`, masks.
 
@@ -74,5 +82,8 @@ def naive_kornia(
         sigma = phi * 0.5 * (near + far)
         size = 2 * int(np.ceil(3 * sigma)) + 1
         inside = (path >= near) & (path < far)
-        forward = forward + kornia.filters.gaussian_blur2d(unblurred, (size, size), (sigma, sigma)) * inside
+        forward = (
+            forward
+            + kornia.filters.gaussian_blur2d(unblurred, (size, size), (sigma, sigma)) * inside
+        )
     return image * light * direct_share + forward + veil * (1 - torch.exp(-G * path))

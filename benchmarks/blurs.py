@@ -16,8 +16,9 @@ from torch import Tensor
 
 from benchmarks.baselines import BINS
 from benchmarks.exact import blur_exact
-from uwaug.banded import reflect
-from uwaug.blur import BlurPlan, blurred_rows, mixed, node_weights
+from uwaug.blur.banded import reflect
+from uwaug.blur.plan import BlurPlan
+from uwaug.blur.stack import blurred_rows, mixed, node_weights
 
 _TILE = 64  # px
 Gaussian = Callable[[np.ndarray, float], np.ndarray]
@@ -49,7 +50,9 @@ def exact(image: Tensor, sigma: Tensor, most: int | None = None) -> tuple[Tensor
         tile = out[0, :, y : y + _TILE, x : x + _TILE]
         _, th, tw = tile.shape
         window = (slice(y, y + th + 2 * reach), slice(x, x + tw + 2 * reach))
-        at = ((reach + torch.arange(th))[:, None] * (tw + 2 * reach) + reach + torch.arange(tw)).flatten()
+        at = (
+            (reach + torch.arange(th))[:, None] * (tw + 2 * reach) + reach + torch.arange(tw)
+        ).flatten()
         tile.copy_(blur_exact(padded[:, *window], widths[0][window], at).reshape(tile.shape))
     return out, 1e3 * (time.perf_counter() - began) * len(corners) / len(used)
 
@@ -68,7 +71,9 @@ def stack_opencv(image: Tensor, sigma: Tensor, plan: BlurPlan) -> Tensor:
     for s in plan.sigmas:
         size = 2 * math.ceil(plan.reach * s) + 1
         channels = [
-            cv2.GaussianBlur(c.numpy(), (size, size), s, borderType=cv2.BORDER_REFLECT) if s > 0 else c.numpy()
+            cv2.GaussianBlur(c.numpy(), (size, size), s, borderType=cv2.BORDER_REFLECT)
+            if s > 0
+            else c.numpy()
             for c in image[0]
         ]
         blurs.append(torch.from_numpy(np.stack(channels))[None])
@@ -119,7 +124,9 @@ def hard_bins_kornia(image: Tensor, sigma: Tensor, bins: int) -> Tensor:
         s = low + (k + 0.5) * step
         size = 2 * math.ceil(3 * s) + 1
         size = min(size, 2 * min(padded.shape[-2:]) - 1)
-        out += gaussian_blur2d(padded, (size, size), (s, s), border_type="replicate")[inner] * (number == k)
+        out += gaussian_blur2d(padded, (size, size), (s, s), border_type="replicate")[inner] * (
+            number == k
+        )
     return out
 
 

@@ -21,7 +21,12 @@ from benchmarks.harness import RESULTS
 
 FIGURES = Path(__file__).parent / "figures"
 DEFAULT, OURS, RIVAL, FRONT = "#c1272d", "#0b6e99", "#7a7a7a", "#e8a33d"
-STYLES = {"uwaug": (OURS, "o"), "fused C++": ("#8a5a9e", "s"), "copy bound": (RIVAL, "^"), "memory": ("#2a7f4f", "D")}
+STYLES = {
+    "uwaug": (OURS, "o"),
+    "fused C++": ("#8a5a9e", "s"),
+    "copy bound": (RIVAL, "^"),
+    "memory": ("#2a7f4f", "D"),
+}
 SHOWN = (512, 1)  # size and threads of the panels drawn; all others are in the JSON
 _NUMBER = re.compile(r"\b\d[\de.-]*(?: \+ \d+)?\b")
 _STYLE = {
@@ -60,8 +65,19 @@ def frontier_figure(results: dict[str, Any], shown: tuple[int, int] = SHOWN) -> 
         narrow = [p for p in panels if not p["part"].startswith("blur")]
         figure = Figure((13, 12.5), layout="constrained")
         grid = figure.add_gridspec(3, 6, height_ratios=(1.25, 1, 1))
-        places = [grid[0, 0:3], grid[0, 3:6], grid[1, 0:3], grid[1, 3:6], grid[2, 0:2], grid[2, 2:4], grid[2, 4:6]]
-        drawn = [(figure.add_subplot(place), panel) for place, panel in zip(places, [*wide, *narrow], strict=False)]
+        places = [
+            grid[0, 0:3],
+            grid[0, 3:6],
+            grid[1, 0:3],
+            grid[1, 3:6],
+            grid[2, 0:2],
+            grid[2, 2:4],
+            grid[2, 4:6],
+        ]
+        drawn = [
+            (figure.add_subplot(place), panel)
+            for place, panel in zip(places, [*wide, *narrow], strict=False)
+        ]
         size, threads = shown
         figure.suptitle(
             f"Error of the final image against time, {size}² px, {threads} thread{'s' * (threads > 1)}; "
@@ -69,12 +85,16 @@ def frontier_figure(results: dict[str, Any], shown: tuple[int, int] = SHOWN) -> 
             fontsize=11,
         )
         handles = [
-            Line2D([], [], color=DEFAULT, marker="*", markersize=12, linestyle="", label="our default"),
+            Line2D(
+                [], [], color=DEFAULT, marker="*", markersize=12, linestyle="", label="our default"
+            ),
             Line2D([], [], color=OURS, marker="o", linestyle="", label="ours"),
             Line2D([], [], color=RIVAL, marker="s", linestyle="", label="others"),
             Line2D([], [], color=FRONT, linewidth=4, alpha=0.5, label="Pareto front"),
         ]
-        figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
+        figure.legend(
+            handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=9
+        )
         marked = [(axes, _panel(axes, panel)) for axes, panel in drawn]
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # labels must not move what they were placed against
@@ -84,7 +104,9 @@ def frontier_figure(results: dict[str, Any], shown: tuple[int, int] = SHOWN) -> 
 
 
 def _is_ours(name: str) -> bool:
-    return name.startswith(("ours", "eager", "torch.compile", "ONNX", "float", "bfloat")) or name.endswith("rates")
+    return name.startswith(
+        ("ours", "eager", "torch.compile", "ONNX", "float", "bfloat")
+    ) or name.endswith("rates")
 
 
 def _panel(axes: Axes, panel: dict[str, Any]) -> list[tuple[float, float, str, str]]:
@@ -92,14 +114,24 @@ def _panel(axes: Axes, panel: dict[str, Any]) -> list[tuple[float, float, str, s
     entries = sorted(panel["entries"], key=lambda e: e["median_ms"])
     top = max(e["psnr_db"] for e in entries if e["psnr_db"] is not None)
     top += 0.12 * (top - min(e["psnr_db"] for e in entries if e["psnr_db"] is not None))
-    place = {e["name"]: (e["median_ms"], top if e["psnr_db"] is None else e["psnr_db"]) for e in entries}
+    place = {
+        e["name"]: (e["median_ms"], top if e["psnr_db"] is None else e["psnr_db"]) for e in entries
+    }
     front = [place[e["name"]] for e in entries if e["front"]]
     axes.step(
-        *zip(*front, strict=True), where="post", color=FRONT, linewidth=4, alpha=0.5, solid_capstyle="round", zorder=1
+        *zip(*front, strict=True),
+        where="post",
+        color=FRONT,
+        linewidth=4,
+        alpha=0.5,
+        solid_capstyle="round",
+        zorder=1,
     )
     series: dict[str, list[str]] = {}
     for e in panel["entries"]:
-        series.setdefault(e["name"] if e["default"] else _NUMBER.sub("#", e["name"], count=1), []).append(e["name"])
+        series.setdefault(
+            e["name"] if e["default"] else _NUMBER.sub("#", e["name"], count=1), []
+        ).append(e["name"])
     points = []
     for names in series.values():
         default = any(e["default"] for e in entries if e["name"] == names[0])
@@ -116,7 +148,11 @@ def _panel(axes: Axes, panel: dict[str, Any]) -> list[tuple[float, float, str, s
         )
         label = names[0]
         if len(names) > 1:
-            first, last = (found.group() for found in (_NUMBER.search(names[0]), _NUMBER.search(names[-1])) if found)
+            first, last = (
+                found.group()
+                for found in (_NUMBER.search(names[0]), _NUMBER.search(names[-1]))
+                if found
+            )
             label = _NUMBER.sub(f"{first} … {last}", names[0], count=1)
         if any(e["psnr_db"] is None for e in entries if e["name"] in names):
             label += " (no error)"
@@ -128,7 +164,11 @@ def _panel(axes: Axes, panel: dict[str, Any]) -> list[tuple[float, float, str, s
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set(xlabel="time, ms (log)", ylabel="PSNR, dB")
     v = panel["verdict"]
-    stands = "on the front" if v["on_front"] else f"{100 * v['slower_than_front']:.0f} % slower than “{v['beaten_by']}”"
+    stands = (
+        "on the front"
+        if v["on_front"]
+        else f"{100 * v['slower_than_front']:.0f} % slower than “{v['beaten_by']}”"
+    )
     axes.set_title(f"{panel['part']}\ndefault: {v['psnr_db']:.1f} dB, {stands}", loc="left")
     axes.grid(alpha=0.2)
     return points
@@ -157,9 +197,20 @@ def _label(figure: Figure, axes: Axes, points: list[tuple[float, float, str, str
     ):
         if not label:
             continue
-        text = axes.annotate(label, (x, y), (0, 0), textcoords="offset points", va="center", fontsize=7.5, color=colour)
+        text = axes.annotate(
+            label,
+            (x, y),
+            (0, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=7.5,
+            color=colour,
+        )
         extent = text.get_window_extent()
-        width, height = 1.05 * extent.width + 4, extent.height + 2  # outlines are wider than hinted text
+        width, height = (
+            1.05 * extent.width + 4,
+            extent.height + 2,
+        )  # outlines are wider than hinted text
 
         def box(dx: float, dy: float) -> Bbox:
             left = px + dx * scale - (0 if dx > 0 else width if dx < 0 else width / 2)
@@ -170,7 +221,9 @@ def _label(figure: Figure, axes: Axes, points: list[tuple[float, float, str, str
             outside = width * height - _overlap(place, frame)
             covered = sum(_overlap(place, other) for other in taken)
             leader = [(px + t * scale * step[0], py + t * scale * step[1]) for t in (0.5, 0.7, 0.9)]
-            crossed = sum(other.contains(*p) for other in taken if not other.contains(px, py) for p in leader)
+            crossed = sum(
+                other.contains(*p) for other in taken if not other.contains(px, py) for p in leader
+            )
             return covered + 3 * outside + scale * (abs(step[0]) + abs(step[1])) + 10 * crossed
 
         dx, dy = min(steps, key=cost)
@@ -207,12 +260,17 @@ def scaling_figure(results: dict[str, Any]) -> Figure:
             x = [p["x"] for p in sweep["points"]]
             for method, fit in sweep["fits"].items():
                 ours_memory = method not in sweep["points"][0]["ms"]
-                y = [p["peak_mib"] if ours_memory else p["ms"][method]["median_ms"] for p in sweep["points"]]
+                y = [
+                    p["peak_mib"] if ours_memory else p["ms"][method]["median_ms"]
+                    for p in sweep["points"]
+                ]
                 colour, marker = STYLES["memory" if ours_memory else method]
                 said = "" if ours_memory else f"{method} "
                 label = f"{said}∝ $x^{{{fit['exponent']:.2f}}}$ (×/÷ {fit['residual_factor']:.2f})"
                 panel = memory if ours_memory else time
-                panel.plot(x, y, color=colour, marker=marker, markersize=4, linewidth=1, label=label)
+                panel.plot(
+                    x, y, color=colour, marker=marker, markersize=4, linewidth=1, label=label
+                )
             memory.set_xlabel(title)
             time.set_title(f"against {title.split(',')[0]}", loc="left")
             for panel in (time, memory):

@@ -47,7 +47,9 @@ class Case:
     scale: Tensor  # σ = scale·(b_mean·z)^exponent, px
     exponent: Tensor
     source: Tensor | None = None  # μ·b·E = veil·G, where G may be 0
-    spectra: Spectra | None = None  # if the water is given so; `beta` to `b_mean` then hold what it should come to
+    spectra: Spectra | None = (
+        None  # if the water is given so; `beta` to `b_mean` then hold what it should come to
+    )
     srgb: bool = False
     dtype: torch.dtype = torch.float32
     layout: Literal["", "channels last", "sliced"] = ""
@@ -59,7 +61,9 @@ class Case:
     @property
     def leaves(self) -> tuple[str, ...]:
         """Inputs that have gradients: not those that are computed from spectra."""
-        return LEAVES if self.spectra is None else ("image", "distance", "field", "scale", "exponent")
+        return (
+            LEAVES if self.spectra is None else ("image", "distance", "field", "scale", "exponent")
+        )
 
     @property
     def peak(self) -> float:
@@ -90,7 +94,9 @@ def exact(case: Case, published: bool = False) -> Tensor:
     direct, signal = (torch.exp(-spread(rate) * z) for rate in (case.beta, case.G))
     share = spread(case.light) * (signal - direct)
     sigma = spread(case.scale) * (spread(case.b_mean) * z) ** spread(case.exponent)
-    blurred = own_gaussians(share * image, sigma) if published else share * own_gaussians(image, sigma)
+    blurred = (
+        own_gaussians(share * image, sigma) if published else share * own_gaussians(image, sigma)
+    )
     source = case.veil * case.G if case.source is None else case.source
     z = _smooth(case.distance) * case.field if published else z
     depth = spread(case.G) * z
@@ -101,7 +107,9 @@ def exact(case: Case, published: bool = False) -> Tensor:
 
 
 def _smooth(distance: Tensor) -> Tensor:
-    planes = [cv2.GaussianBlur(plane[0].clamp(max=FARTHEST).numpy(), (21, 21), 60) for plane in distance]
+    planes = [
+        cv2.GaussianBlur(plane[0].clamp(max=FARTHEST).numpy(), (21, 21), 60) for plane in distance
+    ]
     return torch.from_numpy(np.stack(planes))[:, None]
 
 
@@ -157,11 +165,17 @@ def _scene(height: int = 24, width: int = 24, batch: int = 1) -> dict[str, Tenso
     rng = torch.Generator().manual_seed(0)
     image = torch.zeros(batch, 3, height, width, dtype=torch.float64)
     for cells in (2, 4, 8, 16):
-        grid = torch.rand(batch, 3, min(cells, height), min(cells, width), generator=rng, dtype=torch.float64)
+        grid = torch.rand(
+            batch, 3, min(cells, height), min(cells, width), generator=rng, dtype=torch.float64
+        )
         image += 0.25 * torch.nn.functional.interpolate(grid, (height, width), mode="nearest")
     y, x = torch.linspace(0, 1, height)[:, None], torch.linspace(0, 1, width)
     ground = 5 - 3 * y - x
-    z = torch.where((x - 0.5).abs() + (y - 0.6).abs() < 0.3, 1.5, ground).double().expand(batch, 1, -1, -1)
+    z = (
+        torch.where((x - 0.5).abs() + (y - 0.6).abs() < 0.3, 1.5, ground)
+        .double()
+        .expand(batch, 1, -1, -1)
+    )
     return {"image": image, "distance": z.clone(), "field": torch.ones_like(z)}
 
 
@@ -187,7 +201,14 @@ def _spectral(spectra: Spectra, repaired: Spectra | None = None, **changes: Any)
     a, b, kd = (torch.tensor(v, dtype=torch.float64) for v in (right.a, right.b, right.kd))
     light, G = torch.exp(-kd * right.depth), a + right.g * b
     source = right.mu * b * light
-    coefficients = {"beta": a + b, "G": G, "veil": source / G, "light": light, "source": source, "b_mean": b.mean()}
+    coefficients = {
+        "beta": a + b,
+        "G": G,
+        "veil": source / G,
+        "light": light,
+        "source": source,
+        "b_mean": b.mean(),
+    }
     return _case(**coefficients, spectra=spectra, **changes)
 
 
@@ -197,7 +218,10 @@ def _jerlov_5c() -> tuple[Spectra, Spectra]:
     def read(quantity: str, source: str = "solonenko2015") -> list[float]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return [float(v) for v in getattr(jerlov.water("5C", source=source), quantity)(np.array(WAVELENGTHS))]
+            return [
+                float(v)
+                for v in getattr(jerlov.water("5C", source=source), quantity)(np.array(WAVELENGTHS))
+            ]
 
     b, others = tuple(read("b")), {"a": "williamson2022", "kd": "jerlov1976"}
     raw = {q: tuple(read(q)) for q in others}
@@ -210,7 +234,9 @@ def _distances(usual: Case) -> dict[str, Case]:
     half = torch.arange(z.shape[-1]).expand_as(z) < z.shape[-1] // 2
 
     def where(inside: Any, **changes: Any) -> Case:
-        return replace(usual, distance=torch.where(half, torch.as_tensor(inside, dtype=z.dtype), z), **changes)
+        return replace(
+            usual, distance=torch.where(half, torch.as_tensor(inside, dtype=z.dtype), z), **changes
+        )
 
     return {
         "usual": usual,
@@ -242,7 +268,9 @@ def _waters(usual: Case) -> dict[str, Case]:
         "optical depth 1e4": _case(beta=(1e4, 9e3, 8e3), G=(3e3, 2e3, 1e3)),
         "K_d·d = 500": _spectral(Spectra(a, b, (0.5,) * 3, 1000.0)),
         "table with NaN cells": _spectral(*_jerlov_5c()),
-        "own spectra with NaN": _spectral(Spectra((nan, *a[1:]), b, kd), Spectra(a, b, kd), error="a has 1 NaN"),
+        "own spectra with NaN": _spectral(
+            Spectra((nan, *a[1:]), b, kd), Spectra(a, b, kd), error="a has 1 NaN"
+        ),
     }
 
 

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from uwaug.banded import sampled_parameter
+from uwaug.blur.banded import sampled_parameter
 
 
 def blur_exact(image: Tensor, sigma: Tensor, at: Tensor | None = None) -> Tensor:

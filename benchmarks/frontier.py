@@ -24,9 +24,12 @@ from torch import Tensor
 import uwaug
 from benchmarks import baselines, blurs
 from benchmarks.harness import command, race, save, scene, use_threads
-from uwaug.blur import plan_blur, row_strips
+from uwaug.blur.plan import plan_blur
+from uwaug.blur.stack import row_strips
 from uwaug.formation import together
-from uwaug.medium import Medium, PointSpread, curves
+from uwaug.optics.curves import curves
+from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread
 
 DISTANCES = (1.0, 5.0)  # m
 NEAR_TIE = 1.01  # a rival 1 % (.09 dB) less accurate still counts as equally accurate, against us
@@ -70,7 +73,9 @@ def case(size: int, widest: float, water: str = "7C") -> Case:
     scattered, _ = blurs.exact(image, sigma)
     direct, signal = bands.transmission(z.double()), bands.signal(z.double())
     exact = direct * image + (signal - direct) * scattered + bands.backscatter(z.double())
-    return Case(image, z, sigma.float(), medium.to(torch.float32), scattered, signal - direct, exact)
+    return Case(
+        image, z, sigma.float(), medium.to(torch.float32), scattered, signal - direct, exact
+    )
 
 
 def errors(result: Tensor, exact: Tensor) -> dict[str, float | None]:
@@ -132,9 +137,15 @@ def blur_panel(size: int, widest: float, rounds: int, seconds: float) -> list[di
     low, high = (float(v) for v in c.sigma.aminmax())
     demand = uwaug.blur_demand(c.medium, DISTANCES)
     default = demand.plan((size, size))
-    plans = {f"ours, tolerance {t:g}": plan_blur(low, high, t) for t in (0.01, 0.002, 0.0005, 0.0001)}
+    plans = {
+        f"ours, tolerance {t:g}": plan_blur(low, high, t) for t in (0.01, 0.002, 0.0005, 0.0001)
+    }
     # the one that is the default, which the strength of forward scatter in this water relaxes, would race itself
-    plans = {n: p for n, p in plans.items() if len(p.sigmas) != len(default.sigmas) or p.reach > 1.01 * default.reach}
+    plans = {
+        n: p
+        for n, p in plans.items()
+        if len(p.sigmas) != len(default.sigmas) or p.reach > 1.01 * default.reach
+    }
     plans["ours, default"] = default
     methods: dict[str, Callable[[], Tensor | np.ndarray]] = {
         name: partial(blurs.stack, c.image, c.sigma, plan) for name, plan in plans.items()
@@ -143,16 +154,24 @@ def blur_panel(size: int, widest: float, rounds: int, seconds: float) -> list[di
         if max(plan.cells) > 1:
             full = replace(plan, cells=(1.0,) * len(plan.cells))
             methods[f"{name}, no coarse grids"] = partial(blurs.stack, c.image, c.sigma, full)
-    methods["ours, whole image (varying_blur)"] = partial(uwaug.blur.varying_blur, c.image, c.sigma, default)
+    methods["ours, whole image (varying_blur)"] = partial(
+        uwaug.varying_blur, c.image, c.sigma, default
+    )
     methods["our plan, OpenCV blurs"] = partial(blurs.stack_opencv, c.image, c.sigma, default)
     planes, widths = c.image[0].permute(1, 2, 0).contiguous().numpy(), c.sigma[0, 0].numpy()
     for n in (8, 16, 32, 64):
         methods[f"{n} hard bins, kornia"] = partial(blurs.hard_bins_kornia, c.image, c.sigma, n)
-        methods[f"{n} hard bins, OpenCV"] = partial(blurs.hard_bins, planes, widths, n, blurs.opencv_gaussian)
+        methods[f"{n} hard bins, OpenCV"] = partial(
+            blurs.hard_bins, planes, widths, n, blurs.opencv_gaussian
+        )
     for n in (4, 8, 16):
         methods[f"{n} linear bins, OpenCV"] = partial(blurs.linear_bins, planes, widths, n)
-    methods["16 hard bins, scipy"] = partial(blurs.hard_bins, planes, widths, 16, blurs.scipy_gaussian)
-    methods["16 hard bins, skimage"] = partial(blurs.hard_bins, planes, widths, 16, blurs.skimage_gaussian)
+    methods["16 hard bins, scipy"] = partial(
+        blurs.hard_bins, planes, widths, 16, blurs.scipy_gaussian
+    )
+    methods["16 hard bins, skimage"] = partial(
+        blurs.hard_bins, planes, widths, 16, blurs.skimage_gaussian
+    )
     methods["published, 30 bins 15×15"] = partial(blurs.published, planes, widths)
     methods["two 1-D passes"] = partial(blurs.two_passes, c.image, c.sigma)
     times = race(methods, rounds, seconds, "ours, default")
@@ -161,7 +180,15 @@ def blur_panel(size: int, widest: float, rounds: int, seconds: float) -> list[di
         out = blurs.planar(run()).double()
         wrong = errors(out, c.scattered)
         final = errors(c.exact + c.share * (out - c.scattered), c.exact)
-        entries.append({"name": name, "default": name == "ours, default", **times[name], **final, "blur_alone": wrong})
+        entries.append(
+            {
+                "name": name,
+                "default": name == "ours, default",
+                **times[name],
+                **final,
+                "blur_alone": wrong,
+            }
+        )
     _, took = blurs.exact(c.image, c.sigma, most=4)
     entries.append(
         {"name": "exact, per pixel", "default": False, "median_ms": took, "estimated": True,
@@ -211,17 +238,24 @@ def spectra_panel(size: int, water: str, rounds: int, seconds: float) -> list[di
     ours = f"ours, default ({default})"
     media[ours] = c.medium
     del media[default]  # the first tolerance that gave as many
-    media["7 bands"] = water_medium(water, 4.5, tolerance=0.0, wavelengths=np.arange(400.0, 701.0, 50.0))
+    media["7 bands"] = water_medium(
+        water, 4.5, tolerance=0.0, wavelengths=np.arange(400.0, 701.0, 50.0)
+    )
     media["61 bands"] = bands = water_medium(water, 4.5, tolerance=0.0)
     media["3 wavelengths"] = Medium.from_coefficients(**three_wavelengths(water))
-    methods: dict[str, Method] = {n: partial(pointwise, c, m.to(torch.float32), scattered) for n, m in media.items()}
+    methods: dict[str, Method] = {
+        n: partial(pointwise, c, m.to(torch.float32), scattered) for n, m in media.items()
+    }
     for entries in (32, 256, 2048):
         z = torch.linspace(0, DISTANCES[1], entries, dtype=torch.float64)
         direct = bands.transmission(z)[0]
         table = torch.cat([direct, bands.signal(z)[0] - direct, bands.backscatter(z)[0]]).float()
         methods[f"table of {entries}"] = partial(table_lookup, c, table, DISTANCES[1], scattered)
     times = race(methods, rounds, seconds, ours)
-    return [{"name": n, "default": n == ours, **times[n], **errors(run(), c.exact)} for n, run in methods.items()]
+    return [
+        {"name": n, "default": n == ours, **times[n], **errors(run(), c.exact)}
+        for n, run in methods.items()
+    ]
 
 
 def number_panel(size: int, rounds: int, seconds: float) -> list[dict[str, Any]]:
@@ -238,18 +272,27 @@ def number_panel(size: int, rounds: int, seconds: float) -> list[dict[str, Any]]
             methods[name] = partial(degrade, c.image.to(dtype), c.z.to(dtype))
     ours = "float32, tolerance 0.002"
     times = race(methods, rounds, seconds, ours)
-    return [{"name": n, "default": n == ours, **times[n], **errors(run(), c.exact)} for n, run in methods.items()]
+    return [
+        {"name": n, "default": n == ours, **times[n], **errors(run(), c.exact)}
+        for n, run in methods.items()
+    ]
 
 
 def naive(c: Case, image: Tensor, z: Tensor) -> Tensor:
     """The recipe as one writes it with kornia: three wavelengths, 30 hard bins, source order."""
     channels = {k: v.float() for k, v in three_wavelengths("7C").items()}
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # it reads the ends of its bins from tensors that record gradients
-        return baselines.naive_kornia(image, z, torch.ones_like(z), **channels, phi=4.5 / DISTANCES[1])
+        warnings.simplefilter(
+            "ignore"
+        )  # it reads the ends of its bins from tensors that record gradients
+        return baselines.naive_kornia(
+            image, z, torch.ones_like(z), **channels, phi=4.5 / DISTANCES[1]
+        )
 
 
-def exported(degrade: uwaug.Underwater, threads: int, folder: str) -> Callable[[Tensor, Tensor], Tensor]:
+def exported(
+    degrade: uwaug.Underwater, threads: int, folder: str
+) -> Callable[[Tensor, Tensor], Tensor]:
     """The module as ONNX Runtime runs it."""
     from uwaug.onnx import OnnxUnderwater, export_onnx
 
@@ -261,7 +304,13 @@ def exported(degrade: uwaug.Underwater, threads: int, folder: str) -> Callable[[
 
 
 def runtime_panel(
-    size: int, backward: bool, threads: int, rounds: int, seconds: float, compiled: bool, skipped: list[str]
+    size: int,
+    backward: bool,
+    threads: int,
+    rounds: int,
+    seconds: float,
+    compiled: bool,
+    skipped: list[str],
 ) -> list[dict[str, Any]]:
     """The whole model, forward or forward and backward (to image and distance), as each runtime runs it."""
     c = case(size, 4.5)
@@ -277,11 +326,17 @@ def runtime_panel(
     else:
         skipped.append("torch.compile (takes too long for --quick)")
     with contextlib.ExitStack() as stack:
-        missing = [p for p in ("onnx", "onnxscript", "onnxruntime") if importlib.util.find_spec(p) is None]
+        missing = [
+            p for p in ("onnx", "onnxscript", "onnxruntime") if importlib.util.find_spec(p) is None
+        ]
         if missing or not compiled:
-            skipped.append(f"ONNX Runtime ({', '.join(missing) + ' missing' if missing else 'too long for --quick'})")
+            skipped.append(
+                f"ONNX Runtime ({', '.join(missing) + ' missing' if missing else 'too long for --quick'})"
+            )
         elif not backward:
-            runs["ONNX Runtime"] = exported(degrade, threads, stack.enter_context(tempfile.TemporaryDirectory()))
+            runs["ONNX Runtime"] = exported(
+                degrade, threads, stack.enter_context(tempfile.TemporaryDirectory())
+            )
 
         def once(run: Callable[[Tensor, Tensor], Tensor]) -> Tensor:
             if not backward:
@@ -295,7 +350,8 @@ def runtime_panel(
         methods: dict[str, Method] = {name: partial(once, run) for name, run in runs.items()}
         times = race(methods, rounds, seconds, "eager")
         return [
-            {"name": n, "default": n == "eager", **times[n], **errors(run(), c.exact)} for n, run in methods.items()
+            {"name": n, "default": n == "eager", **times[n], **errors(run(), c.exact)}
+            for n, run in methods.items()
         ]
 
 
@@ -304,7 +360,11 @@ def report(panels: dict[str, dict[str, Any]]) -> None:
     print(f"\n{'panel':<52} default")
     for name, panel in panels.items():
         v = panel["verdict"]
-        stands = "on front" if v["on_front"] else f"{100 * v['slower_than_front']:.0f} % off: {v['beaten_by']}"
+        stands = (
+            "on front"
+            if v["on_front"]
+            else f"{100 * v['slower_than_front']:.0f} % off: {v['beaten_by']}"
+        )
         print(f"{name:<52} {v['psnr_db']:5.1f} dB  {stands}")
 
 
@@ -321,8 +381,12 @@ def main(quick: bool = False) -> dict[str, Any]:
             "spectra 7C": partial(spectra_panel, size, "7C", rounds, seconds),
             "spectra I": partial(spectra_panel, size, "I", rounds, seconds),
             "number format": partial(number_panel, size, rounds, seconds),
-            "forward": partial(runtime_panel, size, False, threads, rounds, seconds, not quick, skipped),
-            "forward + backward": partial(runtime_panel, size, True, threads, rounds, seconds, not quick, skipped),
+            "forward": partial(
+                runtime_panel, size, False, threads, rounds, seconds, not quick, skipped
+            ),
+            "forward + backward": partial(
+                runtime_panel, size, True, threads, rounds, seconds, not quick, skipped
+            ),
         }
         if 64 < size <= 512:
             parts["blur 6…30 px"] = partial(blur_panel, size, 30.0, rounds, seconds)
@@ -334,7 +398,10 @@ def main(quick: bool = False) -> dict[str, Any]:
             for e in panel["entries"]:
                 psnr = "     ∞" if e["psnr_db"] is None else f"{e['psnr_db']:6.1f}"
                 mark = "●" if e["default"] else "·" if e["front"] else " "
-                print(f"{name:<46} {mark} {e['name']:<34} {e['median_ms']:9.2f} ms {psnr} dB", flush=True)
+                print(
+                    f"{name:<46} {mark} {e['name']:<34} {e['median_ms']:9.2f} ms {psnr} dB",
+                    flush=True,
+                )
     report(panels)
     results = {
         "scene": "motorcycle, 1…5 m, Jerlov 7C (spectra also I), d = 1 m, g = .2, μ = .3, linear light",

@@ -35,7 +35,10 @@ def use_threads(threads: int) -> None:
 
 
 def race(
-    runners: dict[str, Callable[[], object]], rounds: int = 15, seconds: float = 20.0, reference: str | None = None
+    runners: dict[str, Callable[[], object]],
+    rounds: int = 15,
+    seconds: float = 20.0,
+    reference: str | None = None,
 ) -> dict[str, dict[str, float]]:
     """Time the runners in turn, round after round in an order drawn anew, so that a noisy machine slows all alike.
 
@@ -58,7 +61,11 @@ def race(
             break
         running = list(runners)
         if reference is not None and n >= 3:
-            running = [name for name in runners if np.median(times[name]) < 10 * np.median(times[reference])]
+            running = [
+                name
+                for name in runners
+                if np.median(times[name]) < 10 * np.median(times[reference])
+            ]
         for name in order.sample(running, len(running)):
             runners[name]()
             began = time.perf_counter()
@@ -66,7 +73,12 @@ def race(
             times[name].append(1e3 * (time.perf_counter() - began))
     quartiles = {name: np.percentile(t, (25, 50, 75)) for name, t in times.items()}
     return {
-        name: {"median_ms": float(q[1]), "q1_ms": float(q[0]), "q3_ms": float(q[2]), "rounds": len(times[name])}
+        name: {
+            "median_ms": float(q[1]),
+            "q1_ms": float(q[0]),
+            "q3_ms": float(q[2]),
+            "rounds": len(times[name]),
+        }
         for name, q in quartiles.items()
     }
 
@@ -74,7 +86,9 @@ def race(
 def command(main: Callable[[bool], object], about: str | None) -> None:
     """Run a part of the benchmarks from the command line."""
     parser = argparse.ArgumentParser(description=about)
-    parser.add_argument("--quick", action="store_true", help="a smoke test: little of everything, nothing written")
+    parser.add_argument(
+        "--quick", action="store_true", help="a smoke test: little of everything, nothing written"
+    )
     main(parser.parse_args().quick)
 
 
@@ -84,10 +98,14 @@ def machine() -> dict[str, Any]:
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
         names = [
-            line.split(":", 1)[1].strip() for line in cpuinfo.read_text().splitlines() if line.startswith("model name")
+            line.split(":", 1)[1].strip()
+            for line in cpuinfo.read_text().splitlines()
+            if line.startswith("model name")
         ]
         model = names[0] if names else model
-    commit = _git("rev-parse", "--short", "HEAD") + ("-dirty" if _git("status", "--porcelain", "*.py") else "")
+    commit = _git("rev-parse", "--short", "HEAD") + (
+        "-dirty" if _git("status", "--porcelain", "*.py") else ""
+    )
     return {
         "processor": model,
         "cores": os.cpu_count(),
@@ -98,7 +116,9 @@ def machine() -> dict[str, Any]:
 
 
 def _git(*arguments: str) -> str:
-    done = subprocess.run(["git", *arguments], cwd=RESULTS.parent.parent, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        ["git", *arguments], cwd=RESULTS.parent.parent, capture_output=True, text=True, check=False
+    )
     return done.stdout.strip()
 
 
@@ -126,7 +146,9 @@ def motorcycle() -> tuple[Tensor, Tensor]:
 
     left, _, disparity = skimage.data.stereo_motorcycle()
     image = torch.from_numpy(left).permute(2, 0, 1)[None].float() / 255
-    depth = from_disparity(torch.from_numpy(disparity.astype(np.float32))[None, None], 994.978, 0.193001, 31.086)
+    depth = from_disparity(
+        torch.from_numpy(disparity.astype(np.float32))[None, None], 994.978, 0.193001, 31.086
+    )
     return image, fill_unknown(depth)
 
 
@@ -139,7 +161,13 @@ def scene(size: int, batch: int = 1) -> tuple[Tensor, Tensor]:
     distance = 1 + 4 * (depth - near) / (far - near)
     reps = -(-size // 500)
     image, distance = (
-        torch.cat([torch.cat([t, t.flip(-1)] * reps, -1), torch.cat([t, t.flip(-1)] * reps, -1).flip(-2)] * reps, -2)
+        torch.cat(
+            [torch.cat([t, t.flip(-1)] * reps, -1), torch.cat([t, t.flip(-1)] * reps, -1).flip(-2)]
+            * reps,
+            -2,
+        )
         for t in (image, distance)
     )
-    return tuple(t[..., :size, :size].repeat(batch, 1, 1, 1).contiguous() for t in (image, distance))  # type: ignore[return-value]
+    return tuple(
+        t[..., :size, :size].repeat(batch, 1, 1, 1).contiguous() for t in (image, distance)
+    )  # type: ignore[return-value]

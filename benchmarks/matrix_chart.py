@@ -23,7 +23,9 @@ def kind(verdict: str) -> str:
 
 
 def _mark(verdict: str) -> str:
-    text = {"right": "", "none": "–", "NaN": "NaN", "silent": "??", "exception": "err"}.get(kind(verdict))
+    text = {"right": "", "none": "–", "NaN": "NaN", "silent": "??", "exception": "err"}.get(
+        kind(verdict)
+    )
     if text is not None:
         return text
     number = float(verdict.rpartition(" ")[2])
@@ -82,7 +84,9 @@ def svg(groups: dict[str, list[str]], result: dict[str, dict[str, dict[str, str]
         texts.append(f'<text x="{x + 42:g}" y="{y + 12}" class="l">{meaning}</text>')
         x += 64 + 6.2 * len(meaning)
     height = y + 28
-    paths = "".join(f'<path fill="{_FILLS[look]}" d="{"".join(d)}"/>' for look, d in boxes.items() if d)
+    paths = "".join(
+        f'<path fill="{_FILLS[look]}" d="{"".join(d)}"/>' for look, d in boxes.items() if d
+    )
     style = (
         "text{font:10px sans-serif;text-anchor:middle;fill:#222}text[fill]{fill:#fff}.h{font-size:12px}"
         ".s{font-size:9px;fill:#666}.c,.l{font-size:12px}.c{text-anchor:end}.l{text-anchor:start}"

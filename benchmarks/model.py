@@ -17,8 +17,9 @@ import uwaug
 from benchmarks import baselines
 from benchmarks.exact import blur_exact
 from benchmarks.harness import command, motorcycle, race, save, scene, use_threads
-from uwaug.blur import plan_blur, varying_blur
-from uwaug.medium import WAVELENGTHS
+from uwaug.blur.plan import plan_blur
+from uwaug.blur.stack import varying_blur
+from uwaug.optics.bands import WAVELENGTHS
 
 WIDEST = 4.5  # px, at 5 m; .9 at 1 m
 
@@ -30,7 +31,10 @@ def _medium(water: str) -> uwaug.Medium:
 
 
 def speed(
-    water: str = "7C", sizes: tuple[int, ...] = (256, 512), batches: tuple[int, ...] = (1, 8), rounds: int = 15
+    water: str = "7C",
+    sizes: tuple[int, ...] = (256, 512),
+    batches: tuple[int, ...] = (1, 8),
+    rounds: int = 15,
 ) -> list[dict[str, Any]]:
     """Whole model, field given, one thread, against the published recipe and the naive kornia recipe."""
     use_threads(1)
@@ -40,9 +44,18 @@ def speed(
     light, G = np.exp(-kd), a + np.float32(0.2) * b
     rgb = [4, 3, 1]  # 600, 550, 450 nm
     veil = np.float32(0.3) * b * light / G
-    bands = {"response": response, "beta": a + b, "G": G, "light": light, "light_rgb": light[rgb], "veil": veil}
+    bands = {
+        "response": response,
+        "beta": a + b,
+        "G": G,
+        "light": light,
+        "light_rgb": light[rgb],
+        "veil": veil,
+    }
     per_channel = {k: torch.from_numpy(bands[k][rgb]) for k in ("beta", "G", "light", "veil")}
-    default, degrade = (uwaug.Underwater(_medium(water), (1.0, 5.0), color_space="linear") for _ in range(2))
+    default, degrade = (
+        uwaug.Underwater(_medium(water), (1.0, 5.0), color_space="linear") for _ in range(2)
+    )
     # ≥ 60 dB of the blur itself: do not let the strength of the forward term relax it
     degrade.demand = replace(degrade.demand, tolerance=0.002)
     rows = []
@@ -51,22 +64,34 @@ def speed(
             image, distance = scene(size, batch)
             field = torch.ones_like(distance)
             arrays = [
-                [t[i].permute(1, 2, 0).squeeze(-1).contiguous().numpy() for t in (image, distance, field)]
+                [
+                    t[i].permute(1, 2, 0).squeeze(-1).contiguous().numpy()
+                    for t in (image, distance, field)
+                ]
                 for i in range(batch)
             ]
             runners = {
                 "uwaug": lambda: degrade(image, distance, field),
                 "uwaug, default": lambda: default(image, distance, field),
-                "published, OpenCV": lambda: [baselines.published(*x, **bands, phi=WIDEST / 5) for x in arrays],
-                "naive kornia": lambda: baselines.naive_kornia(image, distance, field, **per_channel, phi=WIDEST / 5),
+                "published, OpenCV": lambda: [
+                    baselines.published(*x, **bands, phi=WIDEST / 5) for x in arrays
+                ],
+                "naive kornia": lambda: baselines.naive_kornia(
+                    image, distance, field, **per_channel, phi=WIDEST / 5
+                ),
             }
             with torch.no_grad():
                 result = race(runners, rounds)
             ours = result["uwaug"]["median_ms"]
-            ratios = {k: v["median_ms"] / ours for k, v in result.items() if not k.startswith("uwaug")}
-            rows.append({"water": water, "size": size, "batch": batch, "ms": result, "times_faster": ratios})
+            ratios = {
+                k: v["median_ms"] / ours for k, v in result.items() if not k.startswith("uwaug")
+            }
+            rows.append(
+                {"water": water, "size": size, "batch": batch, "ms": result, "times_faster": ratios}
+            )
             print(
-                f"{water} {size}² × {batch}: {ours:7.2f} ms; " + ", ".join(f"{r:.1f} × {k}" for k, r in ratios.items()),
+                f"{water} {size}² × {batch}: {ours:7.2f} ms; "
+                + ", ".join(f"{r:.1f} × {k}" for k, r in ratios.items()),
                 flush=True,
             )
     return rows
@@ -85,11 +110,15 @@ def scaling(rounds: int = 15) -> dict[str, float]:
 
     def module(widest: float, **options: Any) -> uwaug.Underwater:
         law = uwaug.PointSpread(widest / 5 / float(medium.b_mean))
-        return uwaug.Underwater(replace(medium, point_spread=law), (1.0, 5.0), color_space="linear", **options)
+        return uwaug.Underwater(
+            replace(medium, point_spread=law), (1.0, 5.0), color_space="linear", **options
+        )
 
     small, large = module(4.0), module(60.0)
     with torch.no_grad():
-        wide = race({"4": lambda: small(image, distance), "60": lambda: large(image, distance)}, rounds)
+        wide = race(
+            {"4": lambda: small(image, distance), "60": lambda: large(image, distance)}, rounds
+        )
         near, far = scene(256), scene(1024)
         tiles = race({"256": lambda: small(*near), "1024": lambda: small(*far)}, rounds)
     learned = module(4.5, learnable=True)
@@ -119,7 +148,11 @@ def scaling(rounds: int = 15) -> dict[str, float]:
 def memory() -> float:
     """Peak memory of one 1024² image, in multiples of its input's bytes, in a process of its own."""
     code = "from benchmarks.model import _peak; print(_peak())"
-    peak = float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
+    peak = float(
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        ).stdout
+    )
     print(f"memory at 1024²: {peak:.1f} × the input", flush=True)
     return peak
 
@@ -138,14 +171,20 @@ def _peak() -> float:
 
 def _peak_bytes() -> int:
     status = Path("/proc/self/status").read_text()
-    return 1024 * int(next(line.split()[1] for line in status.splitlines() if line.startswith("VmHWM")))
+    return 1024 * int(
+        next(line.split()[1] for line in status.splitlines() if line.startswith("VmHWM"))
+    )
 
 
 def import_time(rounds: int = 7) -> float:
     """Seconds that `import uwaug` adds to `import torch, kornia`, in fresh processes."""
     code = "import time, torch, kornia; t = time.perf_counter(); import uwaug; print(time.perf_counter() - t)"
     times = [
-        float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
+        float(
+            subprocess.run(
+                [sys.executable, "-c", code], capture_output=True, text=True, check=True
+            ).stdout
+        )
         for _ in range(rounds)
     ]
     print(f"import uwaug: {np.median(times):.3f} s", flush=True)
@@ -165,8 +204,18 @@ def blur_accuracy(pixels: int = 3000) -> list[dict[str, Any]]:
             plan = plan_blur(low, high, tolerance)
             error = varying_blur(image, sigma, plan)[0].flatten(1)[:, at] - exact
             psnr = -10 * float(torch.log10((error**2).mean()))
-            rows.append({"sigma_px": [low, high], "tolerance": tolerance, "blurs": len(plan.sigmas), "psnr_db": psnr})
-            print(f"σ {low}…{high} px, tolerance {tolerance}: {len(plan.sigmas)} blurs, {psnr:.1f} dB", flush=True)
+            rows.append(
+                {
+                    "sigma_px": [low, high],
+                    "tolerance": tolerance,
+                    "blurs": len(plan.sigmas),
+                    "psnr_db": psnr,
+                }
+            )
+            print(
+                f"σ {low}…{high} px, tolerance {tolerance}: {len(plan.sigmas)} blurs, {psnr:.1f} dB",
+                flush=True,
+            )
     return rows
 
 
@@ -179,7 +228,9 @@ def curve_accuracy(tolerance: float = 0.002) -> list[dict[str, Any]]:
         water = uwaug.Water.jerlov(name).at(WAVELENGTHS)
         for depth in (0.0, 1.0, 10.0):
             for g in (0.0, 0.2, 1.0):
-                medium = uwaug.Medium.from_water(water, vertical_depth=depth, g=g, tolerance=tolerance)
+                medium = uwaug.Medium.from_water(
+                    water, vertical_depth=depth, g=g, tolerance=tolerance
+                )
                 light, G = np.exp(-water.kd * depth), water.a + g * water.b
                 decay = np.exp(-np.multiply.outer(G, z.numpy()))
                 exact = (
@@ -188,7 +239,10 @@ def curve_accuracy(tolerance: float = 0.002) -> list[dict[str, Any]]:
                     (response * light * 0.3 * water.b / G) @ (1 - decay),
                 )
                 curves = (medium.transmission(z), medium.signal(z), medium.backscatter(z))
-                error = max(float(np.abs(c[0].numpy() - e).max()) for c, e in zip(curves, exact, strict=True))
+                error = max(
+                    float(np.abs(c[0].numpy() - e).max())
+                    for c, e in zip(curves, exact, strict=True)
+                )
                 rows.append(
                     {
                         "type": name,
@@ -199,14 +253,19 @@ def curve_accuracy(tolerance: float = 0.002) -> list[dict[str, Any]]:
                     }
                 )
         worst = max(r["error"] for r in rows if r["type"] == name)
-        print(f"{name}: rates {[r['rates'] for r in rows if r['type'] == name]}, worst {worst:.5f}", flush=True)
+        print(
+            f"{name}: rates {[r['rates'] for r in rows if r['type'] == name]}, worst {worst:.5f}",
+            flush=True,
+        )
     return rows
 
 
 def main(quick: bool = False) -> None:
     """Run all parts and save the figures."""
     rounds = 3 if quick else 15
-    sizes, batches, waters = ((256,), (1,), ("7C",)) if quick else ((256, 512), (1, 8), ("7C", "1C", "I"))
+    sizes, batches, waters = (
+        ((256,), (1,), ("7C",)) if quick else ((256, 512), (1, 8), ("7C", "1C", "I"))
+    )
     results = {
         "speed": [row for water in waters for row in speed(water, sizes, batches, rounds)],
         "scaling": scaling(rounds),

@@ -17,7 +17,8 @@ from torch import Tensor
 from benchmarks import baselines
 from benchmarks.baselines import BINS
 from benchmarks.conditions import FARTHEST, Case, Method, sampled_parameter, spread
-from uwaug.blur import mixed, node_weights, plan_blur
+from uwaug.blur.plan import plan_blur
+from uwaug.blur.stack import mixed, node_weights
 
 Gaussian = Callable[[Tensor, float], Tensor]
 
@@ -37,7 +38,9 @@ def _model(
 ) -> Tensor:
     raw, farthest = case.distance, min(FARTHEST, torch.finfo(case.distance.dtype).max)
     z = (raw if mean_attenuation else raw.clamp(max=farthest)) * case.field
-    beta, G, veil, light, b_mean = (spread(v) for v in _coefficients(case, 0.0 if plain_veil else 1e-6))
+    beta, G, veil, light, b_mean = (
+        spread(v) for v in _coefficients(case, 0.0 if plain_veil else 1e-6)
+    )
     image = case.image
     if case.srgb:
         image = _decode(image) if plain_powers else kornia.color.rgb_to_linear_rgb(image)
@@ -80,7 +83,11 @@ def _encode(x: Tensor) -> Tensor:
 
 
 def _gaussian(
-    image: Tensor, sigma: float, border: str = "symmetric", radius: int | None = None, corrected: bool = True
+    image: Tensor,
+    sigma: float,
+    border: str = "symmetric",
+    radius: int | None = None,
+    corrected: bool = True,
 ) -> Tensor:
     """One blur, separable; `corrected`: of the width `sigma`, not merely with that parameter."""
     if border == "symmetric":
@@ -96,7 +103,9 @@ def _gaussian(
             padded = image[..., torch.minimum(index, 2 * w - 1 - index)]
         else:
             padded = F.pad(image, (radius, radius, 0, 0), mode=border)
-        image = F.conv1d(padded.reshape(b * c * h, 1, -1), kernel.view(1, 1, -1)).reshape(b, c, h, w).mT
+        image = (
+            F.conv1d(padded.reshape(b * c * h, 1, -1), kernel.view(1, 1, -1)).reshape(b, c, h, w).mT
+        )
     return image
 
 
@@ -142,12 +151,16 @@ def _sampled(image: Tensor, sigma: Tensor, shown: Tensor) -> Tensor:
 
 def published(case: Case) -> Tensor:
     """The recipe takes one float32 picture at a time, as an array, and σ ∝ z: no gradients, formats, layouts."""
-    no_array = case.autocast or case.layout or case.repeat or case.alone or case.image.dtype.itemsize < 4
+    no_array = (
+        case.autocast or case.layout or case.repeat or case.alone or case.image.dtype.itemsize < 4
+    )
     if no_array or case.srgb or not len(case.image) or bool((case.exponent != 1).any()):
         raise NotApplicableError
     out = []
     for i in range(len(case.image)):
-        picture, z, field = (v[i].detach().float().numpy() for v in (case.image, case.distance, case.field))
+        picture, z, field = (
+            v[i].detach().float().numpy() for v in (case.image, case.distance, case.field)
+        )
         beta, G, veil, light, b_mean = (
             (v[i] if v.ndim == n else v).detach().float().numpy()
             for v, n in zip(_coefficients(case, 0.0), (2, 2, 2, 2, 1), strict=True)

@@ -30,7 +30,8 @@ from benchmarks.transport import (
     survey,
 )
 from uwaug.formation import form_image
-from uwaug.medium import PAPER_SIZE, Medium, PointSpread
+from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PAPER_SIZE, PointSpread
 
 HERE = Path(__file__).parent
 STATIONS = {
@@ -61,7 +62,9 @@ class Law:
         transfer = np.zeros_like(FREQUENCIES)
         for share, scale, exponent in self.widths:
             radians = 2 * np.pi * scale * x**exponent * FREQUENCIES
-            transfer += share * np.exp(-radians if self.shape == "exponential" else -0.5 * radians**2)
+            transfer += share * np.exp(
+                -radians if self.shape == "exponential" else -0.5 * radians**2
+            )
         return _error(truth, self.g, transfer)
 
     def encircled(self, lengths: float, tangent: Array) -> Array:
@@ -69,7 +72,9 @@ class Law:
         total = np.zeros_like(tangent)
         for share, scale, exponent in self.widths:
             r = tangent / (scale * lengths**exponent)
-            total += share * (1 - (1 / np.hypot(r, 1) if self.shape == "exponential" else np.exp(-0.5 * r * r)))
+            total += share * (
+                1 - (1 / np.hypot(r, 1) if self.shape == "exponential" else np.exp(-0.5 * r * r))
+            )
         return total
 
     def __str__(self) -> str:
@@ -85,7 +90,9 @@ def _error(truth: Spread, g: float, transfer: Array) -> float:
 
 def least_error(truths: Sequence[Spread]) -> float:
     """Mean error of the exact point spread with the best constant g: what no shape or width can repair."""
-    return min(float(np.mean([_error(t, g, t.transfer) for t in truths])) for g in np.linspace(0, 0.3, 301))
+    return min(
+        float(np.mean([_error(t, g, t.transfer) for t in truths])) for g in np.linspace(0, 0.3, 301)
+    )
 
 
 _SHIPPED = PointSpread.calibrated(1.0)
@@ -114,7 +121,11 @@ def fit_law(truths: Sequence[Spread], shape: str = "gaussian", parts: int = 1) -
             shape,
         )
 
-    start = [0.06, np.log(0.06), 0.5] if parts == 1 else [0.05, np.log(0.01), 0.9, -0.5, np.log(0.11), 0.45]
+    start = (
+        [0.06, np.log(0.06), 0.5]
+        if parts == 1
+        else [0.05, np.log(0.01), 0.9, -0.5, np.log(0.11), 0.45]
+    )
 
     def loss(p: Array) -> float:
         return 1e4 * float(np.mean([law(p).error(truth) ** 2 for truth in truths]))
@@ -126,7 +137,11 @@ def fit_law(truths: Sequence[Spread], shape: str = "gaussian", parts: int = 1) -
 @lru_cache(maxsize=1)
 def _pictures() -> tuple[torch.Tensor, Array, list[dict[str, float]]]:
     with np.load(HERE.parent / "tests" / "data" / "monte_carlo.npz") as data:
-        return torch.from_numpy(data["J"].astype(float)), data["DF"].astype(float), json.loads(str(data["params"]))
+        return (
+            torch.from_numpy(data["J"].astype(float)),
+            data["DF"].astype(float),
+            json.loads(str(data["params"])),
+        )
 
 
 def picture_error(law: Law) -> float:
@@ -140,14 +155,18 @@ def picture_error(law: Law) -> float:
         for share, scale, exponent in law.widths:
             blur = PointSpread(scale * f, exponent, law.shape)  # type: ignore[arg-type]
             G = a + law.g * b
-            medium = Medium.from_coefficients((a + b,) * 3, (G,) * 3, (0,) * 3, b_mean=b, point_spread=blur)
+            medium = Medium.from_coefficients(
+                (a + b,) * 3, (G,) * 3, (0,) * 3, b_mean=b, point_spread=blur
+            )
             terms = form_image(texture.expand(3, -1, -1), z, medium)
             total += share * (terms.direct + terms.forward)[0]
         found.append(float(np.sqrt(((total.numpy() - light) ** 2).mean() - case["noise"] ** 2)))
     return float(np.mean(found))
 
 
-def rule_for_g(phases: Sequence[PhaseFunction], spreads: dict[str, list[Spread]]) -> dict[str, float]:
+def rule_for_g(
+    phases: Sequence[PhaseFunction], spreads: dict[str, list[Spread]]
+) -> dict[str, float]:
     """Power law g = k·(1 − ⟨cos θ⟩)^p·(a/b)^q·(b z)^r by least squares of logarithms, and its deviation as a factor."""
     rows, logs = [], []
     for phase in phases:
@@ -166,7 +185,11 @@ def rule_for_g(phases: Sequence[PhaseFunction], spreads: dict[str, list[Spread]]
 
 
 def _rounded(s: Spread) -> dict[str, float]:
-    return {"bz": s.lengths, "a/b": s.absorption, **{k: float(f"{v:.5g}") for k, v in s.figures.items()}}
+    return {
+        "bz": s.lengths,
+        "a/b": s.absorption,
+        **{k: float(f"{v:.5g}") for k, v in s.figures.items()},
+    }
 
 
 def _at(spreads: Sequence[Spread], lengths: float, absorption: float) -> Spread:
@@ -181,7 +204,11 @@ def compare(
     The refits serve HG .924 and Petzold's stations, in their own waters, alike.
     """
     petzolds = [s for name in own for s in own[name]]
-    sets = {**{name: row for name, row in spreads.items() if name.startswith("HG")}, **own, "Petzold": petzolds}
+    sets = {
+        **{name: row for name, row in spreads.items() if name.startswith("HG")},
+        **own,
+        "Petzold": petzolds,
+    }
     both = [*spreads["HG 0.924"], *petzolds]
     laws = {
         "direct only": Law(1.0, ((1.0, 0.0, 1.0),)),
@@ -205,24 +232,33 @@ def compare(
         }
         for name, law in laws.items()
     }
-    errors["exact shape, best constant g"] = {key: least_error(truths) for key, truths in sets.items()}
+    errors["exact shape, best constant g"] = {
+        key: least_error(truths) for key, truths in sets.items()
+    }
     columns = (key.replace("HG 0", "HG ").replace("exposed", "ex.") for key in errors["paper"])
     print("mean RMSE of D + F".ljust(30), *(column.rjust(13) for column in columns))
     for name, row in errors.items():
         print(
-            name.ljust(30), *(f"{v:13.4f}" for v in row.values()), f"  {laws[name]}" if name in laws else "", flush=True
+            name.ljust(30),
+            *(f"{v:13.4f}" for v in row.values()),
+            f"  {laws[name]}" if name in laws else "",
+            flush=True,
         )
     return laws, errors
 
 
-def draw(spreads: dict[str, list[Spread]], laws: dict[str, Law], errors: dict[str, dict[str, float]]) -> Path:
+def draw(
+    spreads: dict[str, list[Spread]], laws: dict[str, Law], errors: dict[str, dict[str, float]]
+) -> Path:
     """Four panels: g, width, shape, error."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
-    figure, ((left, right), (shape, bars)) = plt.subplots(2, 2, figsize=(11, 7.6), layout="constrained")
+    figure, ((left, right), (shape, bars)) = plt.subplots(
+        2, 2, figsize=(11, 7.6), layout="constrained"
+    )
     names = {"HG 0.85": "C0", "HG 0.924": "C1", "AUTEC 7": "C2", "HAOCE 11": "C3", "NUC 2200": "C4"}
     shown = {
         "paper": ("0.0", ":"),
@@ -240,17 +276,35 @@ def draw(spreads: dict[str, list[Spread]], laws: dict[str, Law], errors: dict[st
         law = laws[name]
         left.axhline(law.g, color=colour, ls=style, lw=1.2)
         within = np.array([law.encircled(x, radius) for x in LENGTHS])
-        right.plot(LENGTHS, [np.interp(0.5, w, radius) for w in within], color=colour, ls=style, lw=1.2, label=name)
+        right.plot(
+            LENGTHS,
+            [np.interp(0.5, w, radius) for w in within],
+            color=colour,
+            ls=style,
+            lw=1.2,
+            label=name,
+        )
         shape.plot(radius, within[3], color=colour, ls=style, lw=1.2)
-    left.set(xlabel="b·z", ylabel="effective g", title="Share of scattered light that is lost (a/b = 0.4)")
+    left.set(
+        xlabel="b·z",
+        ylabel="effective g",
+        title="Share of scattered light that is lost (a/b = 0.4)",
+    )
     right.set(xlabel="b·z", ylabel="median tangent of scattered light", title="Width")
     shape.set(xlabel="tangent", ylabel="share of scattered light within", title="Shape at b·z = 1")
-    left.legend(frameon=False, fontsize=8, title="Monte Carlo", bbox_to_anchor=(0, 0.94), loc="upper left")
+    left.legend(
+        frameon=False, fontsize=8, title="Monte Carlo", bbox_to_anchor=(0, 0.94), loc="upper left"
+    )
     right.legend(frameon=False, fontsize=8, title="laws")
     columns = ("HG 0.924", "Petzold", "pictures")
     for n, name in enumerate(shown):
         values = [errors[name][c] for c in columns]
-        bar = bars.bar(np.arange(3) + 0.2 * n - 0.3, values, 0.18, color=("0.75", "0.5", "#1f6fb4", "#8fbbe0")[n])
+        bar = bars.bar(
+            np.arange(3) + 0.2 * n - 0.3,
+            values,
+            0.18,
+            color=("0.75", "0.5", "#1f6fb4", "#8fbbe0")[n],
+        )
         bars.bar_label(bar, [f"{v:.3f}"[1:] for v in values], fontsize=7)
         bar.set_label(name)
     bars.set_xticks(range(3), ("HG .924", "Petzold's stations", "pictures (HG .924)"))
@@ -271,12 +325,19 @@ def main(quick: bool = False) -> None:
     phases = [henyey_greenstein(g) for g in ((0.924,) if quick else (0.85, 0.9, 0.924, 0.95))]
     phases += [petzold(name) for group in stations.values() for name in group]
     spreads = survey(phases, 10_000 if quick else 400_000)
-    print("phase function   ⟨cos⟩    a/b=.4: g at b·z = .1     1     5; seen on a disc of 10°, 3°; median tangent")
+    print(
+        "phase function   ⟨cos⟩    a/b=.4: g at b·z = .1     1     5; seen on a disc of 10°, 3°; median tangent"
+    )
     for phase in phases:
         row = [_at(spreads[phase.name], x, 0.4).figures for x in (0.1, 1.0, 5.0)]
         g, q = [f["g"] for f in row], [f["q50"] for f in row]
         disc = f"{row[1]['g_10deg']:.3f}, {row[1]['g_3deg']:.3f}"
-        print(f"{phase.name:14s} {phase.mean_cosine:8.4f} ", *(f"{v:.4f}" for v in g), disc, *(f"{v:.4f}" for v in q))
+        print(
+            f"{phase.name:14s} {phase.mean_cosine:8.4f} ",
+            *(f"{v:.4f}" for v in g),
+            disc,
+            *(f"{v:.4f}" for v in q),
+        )
     rule = rule_for_g(phases, spreads)
     print("g = {k:.3f} (1 − ⟨cos⟩)^{p_cosine:.2f} (a/b)^{q_absorption:.2f} (bz)^{r_lengths:.2f}, within a factor "
           "{deviation_factor:.2f}".format(**rule))  # fmt: skip
@@ -285,7 +346,10 @@ def main(quick: bool = False) -> None:
         for group, names in stations.items()
     }
     laws, errors = compare(spreads, own)
-    each = {n: {k: fit_law(spreads[n], k) for k in ("gaussian", "exponential")} for n in ([] if quick else spreads)}
+    each = {
+        n: {k: fit_law(spreads[n], k) for k in ("gaussian", "exponential")}
+        for n in ([] if quick else spreads)
+    }
     for name, fits in each.items():
         print(name, *fits.values(), sep="; ", flush=True)
     if quick:
@@ -295,8 +359,14 @@ def main(quick: bool = False) -> None:
         "mean_cosine": {phase.name: phase.mean_cosine for phase in phases},
         "walks": {name: [_rounded(s) for s in row] for name, row in spreads.items()},
         "rule_for_g": rule,
-        "laws": {n: {"g": law.g, "shape": law.shape, "share_scale_exponent": law.widths} for n, law in laws.items()},
-        "each": {n: {k: [law.g, *law.widths[0][1:]] for k, law in fits.items()} for n, fits in each.items()},
+        "laws": {
+            n: {"g": law.g, "shape": law.shape, "share_scale_exponent": law.widths}
+            for n, law in laws.items()
+        },
+        "each": {
+            n: {k: [law.g, *law.widths[0][1:]] for k, law in fits.items()}
+            for n, fits in each.items()
+        },
         "errors": errors,
     }
     print(save("physics", results), draw(spreads, laws, errors))

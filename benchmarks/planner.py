@@ -18,14 +18,17 @@ from torch import Tensor
 import uwaug
 from benchmarks.exact import blur_exact
 from benchmarks.harness import command, motorcycle, race, save, use_threads
-from uwaug.blur import BlurPlan, plan_blur
+from uwaug.blur.demand import blur_demand
+from uwaug.blur.plan import BlurPlan, plan_blur
 from uwaug.colour import srgb_to_linear
-from uwaug.demand import blur_demand
-from uwaug.medium import Shape
+from uwaug.optics.point_spread import Shape
 
 RANGES = ((0.05, 1.0), (1.0, 5.0), (1.0, 20.0))
 TOLERANCE = 0.002
-LAWS = {"paper": lambda w: uwaug.PointSpread.paper(), "calibrated": lambda w: uwaug.PointSpread.calibrated(0.866 * w)}
+LAWS = {
+    "paper": lambda w: uwaug.PointSpread.paper(),
+    "calibrated": lambda w: uwaug.PointSpread.calibrated(0.866 * w),
+}
 
 
 def exact_exponential(image: Tensor, sigma: Tensor, at: Tensor) -> Tensor:
@@ -55,7 +58,9 @@ def _fewer(plan: BlurPlan, low: float, high: float, shape: Shape, longest: int) 
     return None
 
 
-def cell(name: str, distances: tuple[float, float], law: str, pixels: int, rounds: int) -> dict[str, Any]:
+def cell(
+    name: str, distances: tuple[float, float], law: str, pixels: int, rounds: int
+) -> dict[str, Any]:
     """One cell of the table."""
     picture, depth = motorcycle()
     image = srgb_to_linear(picture)
@@ -63,7 +68,12 @@ def cell(name: str, distances: tuple[float, float], law: str, pixels: int, round
     share = (depth - depth.min()) / (depth.max() - depth.min())
     z = distances[0] + (distances[1] - distances[0]) * share
     g = 0.2 if law == "paper" else 0.05
-    options = {"g": g, "mu": 0.3 * g / 0.2, "point_spread": LAWS[law](w), "distance_range": distances}
+    options = {
+        "g": g,
+        "mu": 0.3 * g / 0.2,
+        "point_spread": LAWS[law](w),
+        "distance_range": distances,
+    }
     water = uwaug.Water.jerlov(name)
     medium = uwaug.Medium.from_water(water, tolerance=TOLERANCE, **options)
     every = uwaug.Medium.from_water(water, tolerance=0, **options)
@@ -85,9 +95,15 @@ def cell(name: str, distances: tuple[float, float], law: str, pixels: int, round
 
     rmse, worst = error(medium, plan)
     scale = 1.0 if demand.reference_size is None else min(h, w) / demand.reference_size
-    fewer = _fewer(plan, demand.low * scale, demand.high * scale, demand.shape, max(h, w)) if demand.high > 0 else None
+    fewer = (
+        _fewer(plan, demand.low * scale, demand.high * scale, demand.shape, max(h, w))
+        if demand.high > 0
+        else None
+    )
     with torch.no_grad():
-        cost = race({"form": lambda: uwaug.form_image(image, z, medium, plan=plan)}, rounds)["form"]["median_ms"]
+        cost = race({"form": lambda: uwaug.form_image(image, z, medium, plan=plan)}, rounds)[
+            "form"
+        ]["median_ms"]
     return {
         "type": name, "distance_m": distances, "law": law, "rates": [medium.beta.shape[1], medium.G.shape[1]],
         "widths_px": [round(s, 2) for s in plan.sigmas], "cells_px": [round(c, 1) for c in plan.cells],
@@ -107,7 +123,9 @@ def main(quick: bool = False) -> None:
             for distances in RANGES[1:2] if quick else RANGES:
                 row = cell(name, distances, law, 200 if quick else 2000, 2 if quick else 5)
                 rows.append(row)
-                less = "–" if row["rmse_one_blur_less"] is None else f"{row['rmse_one_blur_less']:.5f}"
+                less = (
+                    "–" if row["rmse_one_blur_less"] is None else f"{row['rmse_one_blur_less']:.5f}"
+                )
                 print(
                     f"{law:10} {name:3} {distances[0]:g}–{distances[1]:g} m: rates {row['rates']}, "
                     f"blurs {len(row['widths_px']) if row['blurred'] else 'none'}, {row['ms']:.0f} ms, "
@@ -121,7 +139,12 @@ def main(quick: bool = False) -> None:
         f"{held} of {len(rows)} cells within {TOLERANCE}; one blur less breaks half of it in {broken} of {len(spare)}"
     )
     if not quick:
-        print(save("planner", {"rows": rows, "within": held, "one_less_breaks": broken, "with_blurs": len(spare)}))
+        print(
+            save(
+                "planner",
+                {"rows": rows, "within": held, "one_less_breaks": broken, "with_blurs": len(spare)},
+            )
+        )
 
 
 if __name__ == "__main__":

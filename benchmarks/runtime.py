@@ -47,7 +47,9 @@ def speed(
             with torch.no_grad():
                 result = race(runners, rounds)
             ratio = result[OURS]["median_ms"] / result["eager"]["median_ms"]
-            rows.append({"threads": threads, "size": size, "batch": batch, "ms": result, "of_eager": ratio})
+            rows.append(
+                {"threads": threads, "size": size, "batch": batch, "ms": result, "of_eager": ratio}
+            )
             print(
                 f"{threads} thread(s) {size}² × {batch}: {ratio:.2f} of eager; "
                 + ", ".join(f"{name} {r['median_ms']:.2f} ms" for name, r in result.items()),
@@ -63,10 +65,16 @@ def main(quick: bool = False) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = export_onnx(degrade, Path(folder) / "7C.onnx")
         report = check_onnx(path, degrade)
-        print(f"{path.stat().st_size} bytes, {report.cases} cases, largest difference {report.worst:.2g}", flush=True)
+        print(
+            f"{path.stat().st_size} bytes, {report.cases} cases, largest difference {report.worst:.2g}",
+            flush=True,
+        )
         results = {
             "onnxruntime": version("onnxruntime"),
-            "plan": {"file": read_metadata(path)["uwaug_plan"], "eager, 512 px": str(degrade.plan((512, 512)))},
+            "plan": {
+                "file": read_metadata(path)["uwaug_plan"],
+                "eager, 512 px": str(degrade.plan((512, 512))),
+            },
             "bytes": path.stat().st_size,
             "difference": {"cases": report.cases, "worst": report.worst, "where": report.where},
             "speed": [

@@ -25,9 +25,10 @@ from torch import Tensor
 
 import uwaug
 from benchmarks.harness import command, race, save, scene, use_threads
-from uwaug.banded import blur_kernel
-from uwaug.blur import range_in_v
-from uwaug.medium import Medium, PointSpread
+from uwaug.blur.banded import blur_kernel
+from uwaug.blur.plan import range_in_v
+from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread
 
 DISTANCES = (1.0, 5.0)  # m
 FUSED = r"""
@@ -106,7 +107,9 @@ extern "C" void form(const float* image, const float* z, float* out, int h, int 
 
 def module(widest: float = 4.5, rates_tolerance: float = 0.002) -> uwaug.Underwater:
     """Jerlov 7C with widths of widest/5…widest px over 1…5 m."""
-    medium = Medium.from_water(uwaug.Water.jerlov("7C"), tolerance=rates_tolerance).to(torch.float32)
+    medium = Medium.from_water(uwaug.Water.jerlov("7C"), tolerance=rates_tolerance).to(
+        torch.float32
+    )
     law = PointSpread(widest / DISTANCES[1] / float(medium.b_mean))
     return uwaug.Underwater(replace(medium, point_spread=law), DISTANCES, color_space="linear")
 
@@ -124,10 +127,14 @@ class Fused:
         gxx, flags = compiler() or "g++", ["-O3", "-march=native", "-ffast-math", "-fPIC"]
         subprocess.run([gxx, *flags, "-c", str(source), "-o", str(compiled)], check=True)
         # linked with -ffast-math too, g++ before 13 would have the library flush subnormals in all of this process
-        subprocess.run([gxx, "-shared", str(compiled), "-o", str(library), "-lmvec", "-lm"], check=True)
+        subprocess.run(
+            [gxx, "-shared", str(compiled), "-o", str(library), "-lmvec", "-lm"], check=True
+        )
         self._form = ctypes.CDLL(str(library)).form
 
-    def bind(self, degrade: uwaug.Underwater, image: Tensor, distance: Tensor) -> Callable[[], Tensor]:
+    def bind(
+        self, degrade: uwaug.Underwater, image: Tensor, distance: Tensor
+    ) -> Callable[[], Tensor]:
         """What runs the module's model on this input."""
         b, _, h, w = image.shape
         plan = degrade.plan((h, w))
@@ -180,7 +187,9 @@ def peak_memory(**options: float) -> dict[str, float]:
     code = "import json, sys; from benchmarks.scaling import _peak; print(json.dumps(_peak(**json.loads(sys.argv[1]))))"
     run = [sys.executable, "-c", code, json.dumps(options)]
     root, environment = Path(__file__).parent.parent, {**os.environ, "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(run, capture_output=True, text=True, check=True, cwd=root, env=environment)
+    done = subprocess.run(
+        run, capture_output=True, text=True, check=True, cwd=root, env=environment
+    )
     return dict(json.loads(done.stdout))
 
 
@@ -194,12 +203,17 @@ def _peak(side: int, batch: int, widest: float, rates_tolerance: float) -> dict[
         before = _peak_bytes()
         degrade(image, distance)
     peak = _peak_bytes() - before
-    return {"peak_mib": peak / 2**20, "peak_per_input": peak / (4 * (image.numel() + distance.numel()))}
+    return {
+        "peak_mib": peak / 2**20,
+        "peak_per_input": peak / (4 * (image.numel() + distance.numel())),
+    }
 
 
 def _peak_bytes() -> int:
     status = Path("/proc/self/status").read_text()
-    return 1024 * int(next(line.split()[1] for line in status.splitlines() if line.startswith("VmHWM")))
+    return 1024 * int(
+        next(line.split()[1] for line in status.splitlines() if line.startswith("VmHWM"))
+    )
 
 
 def sweep(
@@ -214,7 +228,13 @@ def sweep(
     """Time and memory of one axis; exponents fitted over x ≥ fit_from."""
     points = []
     for value in values:
-        chosen = {"side": 512, "batch": 1, "widest": 4.5, "rates_tolerance": 0.002, **options(value)}
+        chosen = {
+            "side": 512,
+            "batch": 1,
+            "widest": 4.5,
+            "rates_tolerance": 0.002,
+            **options(value),
+        }
         degrade = module(chosen["widest"], chosen["rates_tolerance"])
         image, distance = scene(chosen["side"], chosen["batch"])
         runners: dict[str, Callable[[], object]] = {
@@ -235,7 +255,10 @@ def sweep(
     fits = {name: fit(x, [p["ms"][name]["median_ms"] for p in fitted]) for name in points[0]["ms"]}
     fits["uwaug, peak memory"] = fit(x, [p["peak_mib"] for p in fitted])
     for name, f in fits.items():
-        print(f"{axis}: {name} ∝ x^{f['exponent']:.2f} (residual ×{f['residual_factor']:.2f})", flush=True)
+        print(
+            f"{axis}: {name} ∝ x^{f['exponent']:.2f} (residual ×{f['residual_factor']:.2f})",
+            flush=True,
+        )
     return {"axis": axis, "fit_from": fit_from, "points": points, "fits": fits}
 
 

@@ -58,7 +58,9 @@ def ours(case: Case) -> Tensor:
             point_spread=uwaug.PointSpread(case.scale, case.exponent),
         )  # fmt: skip
     if not torch.is_grad_enabled():
-        degrade = uwaug.Underwater(medium, (0.0, math.inf), color_space="srgb" if case.srgb else "linear")
+        degrade = uwaug.Underwater(
+            medium, (0.0, math.inf), color_space="srgb" if case.srgb else "linear"
+        )
         return degrade(case.image, case.distance, case.field)
     image = srgb_to_linear(case.image) if case.srgb else case.image
     result = uwaug.form_image(image, case.distance, medium, case.field).image
@@ -82,7 +84,9 @@ def right(case: Case, published: bool = False) -> Right | None:
     if case.error:
         return None
     case = case.to(case.dtype).to(torch.float64)
-    weights = torch.rand(case.image.shape, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    weights = torch.rand(
+        case.image.shape, generator=torch.Generator().manual_seed(1), dtype=torch.float64
+    )
     if not case.image.numel():
         return Right(case.image, weights, {}, {})
     # a sum with random weights hardly changes if the picture is blurred; weights like the picture measure its contrast
@@ -104,7 +108,12 @@ def right(case: Case, published: bool = False) -> Right | None:
         moved = replace(case, **{name: torch.where(leaf.isfinite(), leaf + step, leaf)})
         slope = (exact(moved) - value) / step * weights
         gradients[name] = slope.sum_to_size(shape).reshape(leaf.shape)
-        floors[name] = TOLERANCE * case.peak / UNITS.get(name, 1.0) * float(weights.abs().sum_to_size(shape).norm())
+        floors[name] = (
+            TOLERANCE
+            * case.peak
+            / UNITS.get(name, 1.0)
+            * float(weights.abs().sum_to_size(shape).norm())
+        )
     return Right(value, weights, gradients, floors)
 
 
@@ -124,7 +133,9 @@ def judge(method: Method, case: Case, truth: Right | None) -> Verdicts:
             if plain.shape != truth.value.shape:
                 return {"value": "wrong shape", "gradient": "wrong shape"}
             values, gradients = [plain], []
-            for names in ((n,) for n in case.leaves) if case.alone else (case.leaves,) * (1 + case.repeat):
+            for names in (
+                ((n,) for n in case.leaves) if case.alone else (case.leaves,) * (1 + case.repeat)
+            ):
                 leaves = _leaves(case, names)
                 out = _run(method, case, leaves)
                 values.append(out.detach())
@@ -132,7 +143,9 @@ def judge(method: Method, case: Case, truth: Right | None) -> Verdicts:
     except naive.NotApplicableError:
         return {"value": "n/a", "gradient": "n/a"}
     except Exception as error:
-        named = isinstance(error, (ValueError, TypeError)) and case.error and case.error in str(error)
+        named = (
+            isinstance(error, (ValueError, TypeError)) and case.error and case.error in str(error)
+        )
         verdict = "right" if named else type(error).__name__
         return {"value": verdict, "gradient": verdict}
     value = _worst([_value(v, truth.value, case) for v in values])
@@ -164,7 +177,10 @@ def _run(method: Method, case: Case, leaves: dict[str, Tensor]) -> Tensor:
         inputs = replace(inputs, image=inputs.image.to(memory_format=torch.channels_last))
     elif case.layout == "sliced":
         pad = torch.nn.functional.pad
-        laid = {n: pad(getattr(inputs, n), (3, 2, 1, 2))[..., 1:-2, 3:-2] for n in ("image", "distance", "field")}
+        laid = {
+            n: pad(getattr(inputs, n), (3, 2, 1, 2))[..., 1:-2, 3:-2]
+            for n in ("image", "distance", "field")
+        }
         inputs = replace(inputs, **laid)
     with torch.autocast("cpu", enabled=case.autocast):
         return method(inputs)
@@ -173,15 +189,22 @@ def _run(method: Method, case: Case, leaves: dict[str, Tensor]) -> Tensor:
 def _gradients(out: Tensor, leaves: dict[str, Tensor], weights: Tensor) -> dict[str, Tensor]:
     if not out.requires_grad:
         return {n: torch.zeros_like(v) for n, v in leaves.items()} if len(leaves) == 1 else {}
-    grads = torch.autograd.grad((out.double() * weights).sum(), list(leaves.values()), allow_unused=True)
-    return {n: torch.zeros_like(v) if g is None else g for (n, v), g in zip(leaves.items(), grads, strict=True)}
+    grads = torch.autograd.grad(
+        (out.double() * weights).sum(), list(leaves.values()), allow_unused=True
+    )
+    return {
+        n: torch.zeros_like(v) if g is None else g
+        for (n, v), g in zip(leaves.items(), grads, strict=True)
+    }
 
 
 def _worst(verdicts: list[str]) -> str:
     bad = [v for v in verdicts if v != "right"]
     if not bad or "NaN" in bad:
         return "NaN" if bad else "right"
-    return max(bad, key=lambda v: float(v.removeprefix("off by ")) if v.startswith("off by ") else 0.0)
+    return max(
+        bad, key=lambda v: float(v.removeprefix("off by ")) if v.startswith("off by ") else 0.0
+    )
 
 
 def _value(out: Tensor, truth: Tensor, case: Case) -> str:
@@ -227,7 +250,10 @@ def matrix() -> dict[str, dict[str, Verdicts]]:
 def counted(result: dict[str, dict[str, Verdicts]]) -> dict[str, dict[str, dict[str, int]]]:
     """{method: {"value" or "gradient": {kind of verdict: conditions}}}."""
     return {
-        m: {k: dict(Counter(matrix_chart.kind(row[m][k]) for row in result.values())) for k in ("value", "gradient")}
+        m: {
+            k: dict(Counter(matrix_chart.kind(row[m][k]) for row in result.values()))
+            for k in ("value", "gradient")
+        }
         for m in next(iter(result.values()))
     }
 
@@ -236,10 +262,16 @@ def main(quick: bool = False) -> None:
     """Print, draw and save the matrix."""
     result = matrix()
     for condition, row in result.items():
-        print(f"{condition:24}" + " ".join(f"{m}: {v['value']} / {v['gradient']};" for m, v in row.items()))
+        print(
+            f"{condition:24}"
+            + " ".join(f"{m}: {v['value']} / {v['gradient']};" for m, v in row.items())
+        )
     counts = counted(result)
     for method, of in counts.items():
-        print(f"{method:16}", "; ".join(f"{k}: {', '.join(f'{n} {v}' for v, n in of[k].items())}" for k in of))
+        print(
+            f"{method:16}",
+            "; ".join(f"{k}: {', '.join(f'{n} {v}' for v, n in of[k].items())}" for k in of),
+        )
     if not quick:
         FIGURE.write_text(matrix_chart.svg({g: list(c) for g, c in conditions().items()}, result))
         print(FIGURE)

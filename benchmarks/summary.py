@@ -22,11 +22,15 @@ def table(head: list[str], rows: list[list[str]]) -> str:
 
 
 def accuracy() -> str:
-    model, planner, stability, physics = (load(name) for name in ("model", "planner", "stability", "physics"))
+    model, planner, stability, physics = (
+        load(name) for name in ("model", "planner", "stability", "physics")
+    )
     ranges: dict[str, list[str]] = {}
     for row in model["blur"]:
         low, high = (f"{v:g}".removeprefix("0") for v in row["sigma_px"])
-        ranges.setdefault(f"{low}–{high} px", []).append(f"{row['psnr_db']:.0f} dB, {row['blurs']} blurs")
+        ranges.setdefault(f"{low}–{high} px", []).append(
+            f"{row['psnr_db']:.0f} dB, {row['blurs']} blurs"
+        )
     curves: dict[str, list[str]] = {}
     for row in model["curves"]:
         worst = max(r["error"] for r in model["curves"] if r["type"] == row["type"])
@@ -35,23 +39,35 @@ def accuracy() -> str:
     rows, errors = planner["rows"], physics["errors"]
     ours = stability["counts"]["uwaug"]
     right = min(ours["value"]["right"], ours["gradient"]["right"])
-    calibrated, former, paper = (errors[n] for n in ("calibrated", "one Gaussian, HG .924 (former)", "paper"))
+    calibrated, former, paper = (
+        errors[n] for n in ("calibrated", "one Gaussian, HG .924 (former)", "paper")
+    )
     head = model["machine"]
     return f"""\
-Measured by `python -m benchmarks` ({head["processor"]}, torch {head["versions"]["torch"]}, one thread); the files in \
+Measured by `python -m benchmarks` ({head["processor"]}, torch {
+        head["versions"]["torch"]
+    }, one thread); the files in \
 `benchmarks/results` hold all figures, and `python -m benchmarks.summary` writes them here.
 
 **Blur**, against each pixel's own Gaussian, on the scene above (sRGB values, 3000 pixels):
 
-{table(["widths", "tolerance .01", ".002 (default)", ".0005"], [[k, *v] for k, v in ranges.items()])}
+{
+        table(
+            ["widths", "tolerance .01", ".002 (default)", ".0005"],
+            [[k, *v] for k, v in ranges.items()],
+        )
+    }
 
 **Curves**, at a tolerance of .002, against 61 bands over 0–20 m (vertical depth 0, 1, 10 m; g 0, .2, 1). Rates are \
 those of the direct term + those that signal and veil share; all three channels use them:
 
 {table(["type", "rates at 1 m, g = .2", "largest error"], [[k, *v] for k, v in curves.items()])}
 
-**Image**, in ten waters, three ranges of distance and two width laws: {planner["within"]} of {len(rows)} pictures \
-within the tolerance of .002, the largest RMSE {max(r["rmse"] for r in rows):.4f}; one blur less would take \
+**Image**, in ten waters, three ranges of distance and two width laws: {planner["within"]} of {
+        len(rows)
+    } pictures \
+within the tolerance of .002, the largest RMSE {
+        max(r["rmse"] for r in rows):.4f}; one blur less would take \
 {planner["one_less_breaks"]} of {planner["with_blurs"]} beyond half of it. \
 {sum(not r["blurred"] for r in rows)} need no blur at all.
 
@@ -84,7 +100,9 @@ scattering lengths, and in six Monte Carlo pictures (`python -m benchmarks.physi
 
 def chart() -> str:
     frontier, scaling = load("frontier"), load("scaling")
-    panels = {(p["part"], p["size"], p["threads"]): p["verdict"] for p in frontier["panels"].values()}
+    panels = {
+        (p["part"], p["size"], p["threads"]): p["verdict"] for p in frontier["panels"].values()
+    }
 
     def cell(part: str, size: int, threads: int) -> str:
         verdict = panels.get((part, size, threads))
@@ -100,7 +118,10 @@ def chart() -> str:
     front = sum(v["within_10_percent"] for v in panels.values())
     fits = {name: sweep["fits"] for name, sweep in scaling["sweeps"].items()}
     wide = scaling["sweeps"]["widest"]["points"]
-    fused = {f"{p['x']:g}": p["ms"]["uwaug"]["median_ms"] / p["ms"]["fused C++"]["median_ms"] for p in wide}
+    fused = {
+        f"{p['x']:g}": p["ms"]["uwaug"]["median_ms"] / p["ms"]["fused C++"]["median_ms"]
+        for p in wide
+    }
     return f"""\
 Every way that we know to compute each part, error of the final image against time, 512², one thread \
 (`python -m benchmarks.frontier`). Red is our default, the line the Pareto front:
@@ -125,14 +146,19 @@ def speed() -> str:
     rows = []
     for r in model["speed"]:
         ms, times = {k: v["median_ms"] for k, v in r["ms"].items()}, r["times_faster"]
-        cells = [f"{ms[name]:.0f} ({times[name]:.1f}×)" for name in ("published, OpenCV", "naive kornia")]
+        cells = [
+            f"{ms[name]:.0f} ({times[name]:.1f}×)" for name in ("published, OpenCV", "naive kornia")
+        ]
         ours = [f"{ms[name]:.1f}" for name in ("uwaug", "uwaug, default")]
         rows.append([f"{r['water']}, {r['size']}² × {r['batch']}", *ours, *cells])
     scale = model["scaling"]
     loader = next(t for t in throughput["throughput"] if (t["size"], t["workers"]) == (256, 1))
     rate = {name: f"{r['median']:.0f}" for name, r in loader["pictures_per_s"].items()}
     parts = next(p for p in throughput["parts"] if p["size"] == 256)["ms_per_picture"]
-    share = [100 * parts[n]["draw and medium, share of all"] for n in ("uwaug, survey", "uwaug, everything random")]
+    share = [
+        100 * parts[n]["draw and medium, share of all"]
+        for n in ("uwaug, survey", "uwaug, everything random")
+    ]
     onnx = table(
         ["threads, size × batch", "ONNX Runtime", "eager", "torch.compile"],
         [
@@ -146,7 +172,9 @@ def speed() -> str:
     )
     torchvision = ""
     if "torchvision blur + jitter" in rate:
-        torchvision = f"; torchvision's GaussianBlur and ColorJitter make {rate['torchvision blur + jitter']}"
+        torchvision = (
+            f"; torchvision's GaussianBlur and ColorJitter make {rate['torchvision blur + jitter']}"
+        )
     return f"""\
 Milliseconds for the whole model, field given, widths .9–4.5 px, one thread, each row a race in one process \
 (`python -m benchmarks.model`; medians on a shared machine, so read the ratios). The factors are for a blur that keeps \
@@ -154,21 +182,36 @@ Milliseconds for the whole model, field given, widths .9–4.5 px, one thread, e
 
 {
         table(
-            ["water, size × batch", "uwaug, blur ≥ 60 dB", "uwaug, default", "published, OpenCV", "naive kornia"],
+            [
+                "water, size × batch",
+                "uwaug, blur ≥ 60 dB",
+                "uwaug, default",
+                "published, OpenCV",
+                "naive kornia",
+            ],
             rows,
         )
     }
 
-A blur of up to 60 px takes {scale["60 px / 4 px"]:.2f} times as long as one of up to 4 px. 1024² takes \
+A blur of up to 60 px takes {
+        scale["60 px / 4 px"]:.2f} times as long as one of up to 4 px. 1024² takes \
 {scale["1024² / 256²"]:.1f} times as long as 256². Forward and backward together take \
-{scale["forward + backward / forward"]:.1f} times forward alone; to fit, `torch.compile(degrade)` is faster still. At \
+{
+        scale[
+            "forward + backward / forward"
+        ]:.1f} times forward alone; to fit, `torch.compile(degrade)` is faster still. At \
 1024² the peak of memory is {model["memory_times_input"]:.1f} times the input. `import uwaug` adds \
 {model["import_s"]:.2f} s to torch and kornia.
 
 `RandomUnderwater` at 256 px, field and random water included, one worker (`python -m benchmarks.throughput`): \
-{rate["uwaug, survey"]} pictures per second, {rate["uwaug, survey in linear light"]} with `color_space="linear"` as \
-the published recipe works, which makes {rate["published, OpenCV"]}{torchvision}. Drawing and making the medium are \
-{share[0]:.0f} % of the time for discrete waters, {share[1]:.0f} % if everything is drawn from ranges.
+{rate["uwaug, survey"]} pictures per second, {
+        rate["uwaug, survey in linear light"]
+    } with `color_space="linear"` as \
+the published recipe works, which makes {rate["published, OpenCV"]}{
+        torchvision
+    }. Drawing and making the medium are \
+{share[0]:.0f} % of the time for discrete waters, {
+        share[1]:.0f} % if everything is drawn from ranges.
 
 The exported file (`python -m benchmarks.runtime`), milliseconds:
 
@@ -187,9 +230,13 @@ def updated(text: str) -> str:
     """The README with the figures of the results."""
     for name, body in sections().items():
         pattern = rf"(<!-- figures: {name} -->\n).*?(<!-- /figures: {name} -->)"
-        text, count = re.subn(pattern, lambda m, body=body: f"{m[1]}{body}\n{m[2]}", text, flags=re.DOTALL)
+        text, count = re.subn(
+            pattern, lambda m, body=body: f"{m[1]}{body}\n{m[2]}", text, flags=re.DOTALL
+        )
         if count != 1:
-            raise ValueError(f"{README.name}: expected the markers of figures: {name} once, found them {count} times")
+            raise ValueError(
+                f"{README.name}: expected the markers of figures: {name} once, found them {count} times"
+            )
     return text
 
 

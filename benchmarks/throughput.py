@@ -67,7 +67,9 @@ class Published:
             k[0, 0] = np.inf
             self.amplitudes[height, width] = (k**-2).astype(np.float32)
         noise = rng.standard_normal((height, width), dtype=np.float32)
-        field = np.fft.irfft2(np.fft.rfft2(noise) * self.amplitudes[height, width], s=(height, width))
+        field = np.fft.irfft2(
+            np.fft.rfft2(noise) * self.amplitudes[height, width], s=(height, width)
+        )
         field = 0.7 + 0.6 * (field - field.min()) / (field.max() - field.min())
         return (field / field.mean()).astype(np.float32, copy=False)
 
@@ -96,11 +98,13 @@ def _torchvision() -> Augment | None:
         from torchvision.transforms import v2
     except ImportError:
         return None
-    except (
-        RuntimeError
-    ):  # built for another torch: its Python part misses two operators, which augmentation does not use
-        torch.library.define("torchvision::nms", "(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
-        torch.library.define("torchvision::qnms", "(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
+    except RuntimeError:  # built for another torch: its Python part misses two operators, which augmentation does not use
+        torch.library.define(
+            "torchvision::nms", "(Tensor dets, Tensor scores, float iou_threshold) -> Tensor"
+        )
+        torch.library.define(
+            "torchvision::qnms", "(Tensor dets, Tensor scores, float iou_threshold) -> Tensor"
+        )
         from torchvision.transforms import v2
     # as in contrastive learning
     both = v2.Compose([v2.GaussianBlur(23, (0.1, 2.0)), v2.ColorJitter(0.4, 0.4, 0.4, 0.1)])
@@ -212,7 +216,9 @@ def shares(size: int, pictures: int) -> dict[str, Any]:
         augment = uwaug.RandomUnderwater(**options)
         spent: dict[str, float] = {}
 
-        def timed(part: str, function: Callable[..., Any], spent: dict[str, float] = spent) -> Callable[..., Any]:
+        def timed(
+            part: str, function: Callable[..., Any], spent: dict[str, float] = spent
+        ) -> Callable[..., Any]:
             def call(*args: Any, **kwargs: Any) -> Any:
                 began = time.perf_counter()
                 result = function(*args, **kwargs)
@@ -221,7 +227,12 @@ def shares(size: int, pictures: int) -> dict[str, Any]:
 
             return call
 
-        parts = {"medium": "_medium", "field": "gaussian_random_field", "distance": "_metres", "image": "form"}
+        parts = {
+            "medium": "_medium",
+            "field": "gaussian_random_field",
+            "distance": "_metres",
+            "image": "form",
+        }
         parts |= {"decode": "srgb_to_linear", "encode": "linear_to_srgb", "checks": "check"}
         originals = {attribute: getattr(transforms, attribute) for attribute in parts.values()}
         for _ in range(40):
@@ -236,7 +247,9 @@ def shares(size: int, pictures: int) -> dict[str, Any]:
         finally:
             for attribute, original in originals.items():
                 setattr(transforms, attribute, original)
-        row: dict[str, Any] = {part: 1e3 * value / pictures for part, value in sorted(spent.items())}
+        row: dict[str, Any] = {
+            part: 1e3 * value / pictures for part, value in sorted(spent.items())
+        }
         row["draw and medium, share of all"] = (row["draw"] + row["medium"]) / row["all"]
         rows[name] = row
         print(
@@ -253,7 +266,9 @@ def first_pictures(size: int, count: int = 20) -> dict[str, Any]:
     rows = {}
     for name in OURS:
         code = f"from benchmarks.throughput import _first; _first({size}, {name!r}, {count})"
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        done = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        )
         rows[name] = json.loads(done.stdout)
         print(
             f"{size}², {name}: first picture {rows[name]['first']:.0f} ms, first {count} {rows[name]['sum']:.0f} ms, "
@@ -282,7 +297,9 @@ def main(quick: bool = False) -> None:
     sizes, rounds, seconds = ((256,), 2, 0.2) if quick else ((224, 256, 512), 7, 0.4)
     os.environ["OMP_NUM_THREADS"] = "1"  # of the processes that are started here
     results = {
-        "throughput": [rates(size, workers, rounds, seconds) for size in sizes for workers in (1, 2)],
+        "throughput": [
+            rates(size, workers, rounds, seconds) for size in sizes for workers in (1, 2)
+        ],
         "parts": [shares(size, 20 if quick else 200) for size in sizes],
         "first": [first_pictures(size) for size in sizes],
     }

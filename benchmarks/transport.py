@@ -16,7 +16,9 @@ from scipy.special import j0
 LENGTHS = (0.1, 0.2, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0)  # b·z
 ABSORPTION = (1.0, 0.4, 0.1)  # a/b: clear, coastal, turbid
 SIZE, FOCAL = 512, 0.866 * 512  # px: a square picture of 60°
-FREQUENCIES = np.geomspace(FOCAL / SIZE, FOCAL / 2, 64)  # cycles per unit tangent; equal steps of log f: equal power
+FREQUENCIES = np.geomspace(
+    FOCAL / SIZE, FOCAL / 2, 64
+)  # cycles per unit tangent; equal steps of log f: equal power
 EDGES = np.concatenate([[0.0], np.geomspace(1e-5, 1e3, 641)])  # of the histogram of tangents
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
@@ -63,11 +65,15 @@ def petzold(station: str) -> PhaseFunction:
     grid = np.linspace(np.log(1e-10), np.log(np.pi), 20_001)
     logs = np.log(measured.vsf)
     slope = (logs[1] - logs[0]) / (known[1] - known[0])
-    vsf = np.exp(np.where(grid < known[0], logs[0] + slope * (grid - known[0]), np.interp(grid, known, logs)))
+    vsf = np.exp(
+        np.where(grid < known[0], logs[0] + slope * (grid - known[0]), np.interp(grid, known, logs))
+    )
     ring = 2 * np.pi * vsf * np.sin(np.exp(grid)) * np.exp(grid)  # per unit of log θ
     share = np.concatenate([[0.0], np.cumsum((ring[1:] + ring[:-1]) / 2 * np.diff(grid))])
     if abs(share[-1] / measured.b - 1) > 0.03:
-        raise ValueError(f"the angles of {station} hold {share[-1]:.4f}/m of b = {measured.b:.4f}/m")
+        raise ValueError(
+            f"the angles of {station} hold {share[-1]:.4f}/m of b = {measured.b:.4f}/m"
+        )
     share /= share[-1]
 
     def sample(u: Array) -> tuple[Array, Array]:
@@ -92,12 +98,16 @@ class Landings:
 def walk(sample: Sampler, lengths: float, photons: int = 100_000, seed: int = 0) -> Landings:
     """Send photons, each made to scatter before the plane (what does not is e^(−cz) exactly)."""
     rng = np.random.default_rng(seed)
-    parts = [_walk(sample, lengths, min(20_000, photons - n), rng) for n in range(0, photons, 20_000)]
+    parts = [
+        _walk(sample, lengths, min(20_000, photons - n), rng) for n in range(0, photons, 20_000)
+    ]
     tangent, path, weight = (np.concatenate(column) for column in zip(*parts, strict=True))
     return Landings(lengths, tangent, path, weight * -np.expm1(-lengths) / photons)
 
 
-def _walk(sample: Sampler, lengths: float, n: int, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+def _walk(
+    sample: Sampler, lengths: float, n: int, rng: np.random.Generator
+) -> tuple[Array, Array, Array]:
     def strata() -> Array:
         numbers: Array = (rng.permutation(n) + rng.random(n)) / n
         return numbers
@@ -193,5 +203,7 @@ def survey(phases: Sequence[PhaseFunction], photons: int) -> dict[str, list[Spre
     result: dict[str, list[Spread]] = {}
     for phase in phases:
         walks = [walk(phase.sample, lengths, photons, seed) for seed, lengths in enumerate(LENGTHS)]
-        result[phase.name] = [spread(w, absorption) for absorption in phase.absorption for w in walks]
+        result[phase.name] = [
+            spread(w, absorption) for absorption in phase.absorption for w in walks
+        ]
     return result

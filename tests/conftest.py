@@ -20,7 +20,11 @@ def motorcycle() -> Scene:
 
     left, _, disparity = stereo_motorcycle()
     known = np.isfinite(disparity)
-    depth = 994.978 * 0.193001 / (np.where(known, disparity, disparity[known].min()).astype(np.float64) + 31.086)
+    depth = (
+        994.978
+        * 0.193001
+        / (np.where(known, disparity, disparity[known].min()).astype(np.float64) + 31.086)
+    )
     srgb = left.transpose(2, 0, 1) / 255
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     return Scene(*map(torch.from_numpy, (srgb, linear, depth[None])))

@@ -17,13 +17,18 @@ class Crops(Dataset[tuple[Tensor, Tensor, int]]):
 
     def __init__(self, image: Tensor, distance: Tensor, count: int = 16) -> None:
         generator = torch.Generator().manual_seed(0)
-        corners = [torch.randint(side - SIZE, (count,), generator=generator).tolist() for side in image.shape[-2:]]
+        corners = [
+            torch.randint(side - SIZE, (count,), generator=generator).tolist()
+            for side in image.shape[-2:]
+        ]
         pairs = [
             tuple(t[:, y : y + SIZE, x : x + SIZE].clone() for t in (image, distance))
             for y, x in zip(*corners, strict=True)
         ]
         brightness = torch.stack([picture.mean() for picture, _ in pairs])
-        self.items = [(*pair, int(b > brightness.median())) for pair, b in zip(pairs, brightness, strict=True)]
+        self.items = [
+            (*pair, int(b > brightness.median())) for pair, b in zip(pairs, brightness, strict=True)
+        ]
 
     def __len__(self) -> int:
         return len(self.items)

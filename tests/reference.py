@@ -11,8 +11,8 @@ from scipy.ndimage import gaussian_filter
 from scipy.optimize import brentq
 from scipy.stats import halfnorm
 
-from uwaug.camera import load_camera
-from uwaug.water import Water
+from uwaug.optics.camera import load_camera
+from uwaug.optics.water import Water
 
 BANDS = np.arange(400.0, 701.0, 5.0)  # nm; 61 of them
 NIKON = "Nikon 5100 (NPL)"
@@ -45,7 +45,8 @@ def medium_curves(medium: Any, z: np.ndarray, row: int = 0) -> Curves:
     """The curves of one row of a `Medium`, from its rates and weights; z = inf is the limit."""
     rates, scatter = (r[row].detach().double().numpy() for r in (medium.beta, medium.G))
     direct, signal, veil = (
-        w[row].detach().double().numpy() for w in (medium.direct_weights, medium.signal_weights, medium.veil_weights)
+        w[row].detach().double().numpy()
+        for w in (medium.direct_weights, medium.signal_weights, medium.veil_weights)
     )
 
     def depth(r: np.ndarray) -> np.ndarray:
@@ -53,7 +54,11 @@ def medium_curves(medium: Any, z: np.ndarray, row: int = 0) -> Curves:
             product = np.asarray(z, dtype=np.float64)[..., None] * r
         return np.where(r == 0, 0, product)
 
-    parts = (np.exp(-depth(rates)) @ direct.T, np.exp(-depth(scatter)) @ signal.T, -np.expm1(-depth(scatter)) @ veil.T)
+    parts = (
+        np.exp(-depth(rates)) @ direct.T,
+        np.exp(-depth(scatter)) @ signal.T,
+        -np.expm1(-depth(scatter)) @ veil.T,
+    )
     return Curves(*(np.moveaxis(p, -1, 0) for p in parts))
 
 
@@ -72,7 +77,9 @@ def matched(sigma: float) -> float:
 
 def gaussian_rows(centres: np.ndarray, sigma: np.ndarray, size: int) -> np.ndarray:
     """(P, size): sampled, normalised Gaussians on an axis continued by half-sample mirror images."""
-    sigma = np.minimum(sigma, 3.0 * size)  # the mean by then: the lowest frequency is down to e^(−44)
+    sigma = np.minimum(
+        sigma, 3.0 * size
+    )  # the mean by then: the lowest frequency is down to e^(−44)
     reach = 9.0 * float(sigma.max(initial=0)) + 1
     turns = math.ceil(reach / (2 * size)) + 1
     sample = np.arange(size)
@@ -82,7 +89,9 @@ def gaussian_rows(centres: np.ndarray, sigma: np.ndarray, size: int) -> np.ndarr
     return rows / rows.sum(1, keepdims=True)
 
 
-def varying_gaussian(image: np.ndarray, sigma: np.ndarray, at: np.ndarray | None = None) -> np.ndarray:
+def varying_gaussian(
+    image: np.ndarray, sigma: np.ndarray, at: np.ndarray | None = None
+) -> np.ndarray:
     """(C, P): pixels `at` (flat indices; all by default) of an image (C, H, W), each under its own Gaussian."""
     c, h, w = image.shape
     at = np.arange(h * w) if at is None else at
@@ -101,10 +110,14 @@ def varying_gaussian(image: np.ndarray, sigma: np.ndarray, at: np.ndarray | None
 def gaussian(image: np.ndarray, sigma: float) -> np.ndarray:
     """(C, H, W) under one Gaussian, by SciPy; by its transfer function where sampling no longer shows."""
     if sigma < 4:
-        return gaussian_filter(image, (0, matched(sigma), matched(sigma)), mode="reflect", truncate=9)
+        return gaussian_filter(
+            image, (0, matched(sigma), matched(sigma)), mode="reflect", truncate=9
+        )
     _, h, w = image.shape
     squared = np.add.outer((np.arange(h) / (2 * h)) ** 2, (np.arange(w) / (2 * w)) ** 2)
-    return idctn(dctn(image, axes=(1, 2)) * np.exp(-2 * (np.pi * sigma) ** 2 * squared), axes=(1, 2))
+    return idctn(
+        dctn(image, axes=(1, 2)) * np.exp(-2 * (np.pi * sigma) ** 2 * squared), axes=(1, 2)
+    )
 
 
 @lru_cache
@@ -132,7 +145,9 @@ def exponential_waves(sigma: float, h: int, w: int) -> np.ndarray:
         return np.exp(-2 * np.pi * sigma * f)
     widths, down, across = mixed_waves(h, w)
     edges = np.sqrt(widths[1:] * widths[:-1])
-    below = np.concatenate([halfnorm.sf(sigma / edges), [1.0]])  # share of widths below the edge above each
+    below = np.concatenate(
+        [halfnorm.sf(sigma / edges), [1.0]]
+    )  # share of widths below the edge above each
     return np.einsum("s,sh,sw->hw", np.diff(below, prepend=0), down, across)
 
 
@@ -163,7 +178,9 @@ def terms(
     """Direct, forward and backscatter of one image (3, H, W)."""
     share = curves.signal - curves.direct
     blur = varying_exponential if shape == "exponential" else varying_gaussian
-    scattered = blur(share * J, sigma) if order == "source" else share * blur(J, sigma).reshape(J.shape)
+    scattered = (
+        blur(share * J, sigma) if order == "source" else share * blur(J, sigma).reshape(J.shape)
+    )
     return curves.direct * J, scattered.reshape(J.shape), curves.veil
 
 

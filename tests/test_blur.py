@@ -10,10 +10,12 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
 from benchmarks.exact import blur_exact
-from uwaug.banded import PERIOD, along_columns, along_rows, operators, sampled_parameter
-from uwaug.blur import BlurPlan, plan_blur, varying_blur
+from uwaug.blur.banded import PERIOD, along_columns, along_rows, operators, sampled_parameter
+from uwaug.blur.plan import BlurPlan, plan_blur
+from uwaug.blur.stack import varying_blur
 from uwaug.formation import form_image
-from uwaug.medium import Medium, PointSpread
+from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread
 
 RANGES = [(0.9, 4.5), (0.75, 15.0), (2.0, 60.0)]
 SIZES = [(1, 1), (1, 9), (9, 1), (2, 3), (7, 5), (33, 31), (64, 48)]
@@ -42,8 +44,14 @@ def random_pixels(size: int) -> torch.Tensor:
 
 def nodes() -> list[tuple[float, float, float]]:
     """Every (width, cell, reach) that a range of plans uses, thinned out."""
-    plans = [plan_blur(low, high, tolerance) for low, high in [*RANGES, (0.0, 8.0)] for tolerance in (0.002, 0.0005)]
-    used = sorted({(s, c, p.reach) for p in plans for s, c in zip(p.sigmas, p.cells, strict=True) if s > 0})
+    plans = [
+        plan_blur(low, high, tolerance)
+        for low, high in [*RANGES, (0.0, 8.0)]
+        for tolerance in (0.002, 0.0005)
+    ]
+    used = sorted(
+        {(s, c, p.reach) for p in plans for s, c in zip(p.sigmas, p.cells, strict=True) if s > 0}
+    )
     return used[::6]
 
 
@@ -51,8 +59,12 @@ def nodes() -> list[tuple[float, float, float]]:
 @pytest.mark.parametrize("sigma", [0.6, 1.0, 3.3, 25.0])
 def test_exact_blur_is_scipys_at_constant_width(size, sigma) -> None:
     image = rand(2, *size)
-    parameter = float(sampled_parameter(np.array(sigma)))  # of variance sigma²; sigma itself from 1 px on
-    expected = gaussian_filter(image.numpy(), (0, parameter, parameter), mode="reflect", truncate=14)
+    parameter = float(
+        sampled_parameter(np.array(sigma))
+    )  # of variance sigma²; sigma itself from 1 px on
+    expected = gaussian_filter(
+        image.numpy(), (0, parameter, parameter), mode="reflect", truncate=14
+    )
     result = blur_exact(image, torch.full(size, sigma, dtype=torch.float64)).reshape(2, *size)
     np.testing.assert_allclose(result.numpy(), expected, rtol=0, atol=1e-12)
 
@@ -79,7 +91,9 @@ def test_decibels_on_a_real_scene(motorcycle, light, low, high) -> None:
     exact = reference.varying_gaussian(image.numpy(), sigma.numpy(), at.numpy())
     for tolerance, decibel in ((0.002, 60), (0.0005, 70)):
         plan = plan_blur(low, high, tolerance)
-        result = varying_blur(image[None].float(), sigma[None, None].float(), plan)[0].flatten(1)[:, at]
+        result = varying_blur(image[None].float(), sigma[None, None].float(), plan)[0].flatten(1)[
+            :, at
+        ]
         assert reference.psnr(result, exact) >= decibel, f"tolerance {tolerance}: {plan}"
 
 
@@ -91,7 +105,9 @@ def test_decibels_of_an_image_that_is_all_forward_scatter(motorcycle, low, high)
     law = PointSpread(low / float(z.min()) ** exponent, exponent)
     medium = Medium.from_coefficients((1e3,) * 3, (0,) * 3, (0,) * 3, b_mean=1.0, point_spread=law)
     at = random_pixels(z.numel())
-    exact = reference.varying_gaussian(image.numpy(), law.scale * z[0].numpy() ** exponent, at.numpy())
+    exact = reference.varying_gaussian(
+        image.numpy(), law.scale * z[0].numpy() ** exponent, at.numpy()
+    )
     for tolerance, decibel in ((0.002, 60), (0.0005, 70)):
         result = form_image(image.float(), z.float(), medium, tolerance=tolerance).forward
         assert reference.psnr(result.flatten(1)[:, at], exact) >= decibel
@@ -100,7 +116,17 @@ def test_decibels_of_an_image_that_is_all_forward_scatter(motorcycle, low, high)
 @pytest.mark.parametrize("shape", ["gaussian", "exponential"])
 @pytest.mark.parametrize(
     "low, high",
-    [(0.0, 0.5), (0.0, 1.0), (0.0, 4.0), (0.6, 1.0), (2.0, 4.0), (0.9, 4.5), (0.75, 15.0), (2.0, 60.0), (0.0, 200.0)],
+    [
+        (0.0, 0.5),
+        (0.0, 1.0),
+        (0.0, 4.0),
+        (0.6, 1.0),
+        (2.0, 4.0),
+        (0.9, 4.5),
+        (0.75, 15.0),
+        (2.0, 60.0),
+        (0.0, 200.0),
+    ],
 )
 def test_error_on_a_picture_is_the_predicted_one(shape, low, high) -> None:
     image = reference.picture(160, 200)
@@ -139,7 +165,9 @@ def test_a_narrow_blur_has_the_variance_asked_for(sigma) -> None:
     offsets = torch.arange(-20.0, 21.0, dtype=torch.float64)
     assert float(spread.sum()) == pytest.approx(1, abs=1e-3)
     for axis in (0, 1):
-        assert float((spread.sum(axis) * offsets**2).sum()) == pytest.approx(sigma**2, rel=0.06, abs=0.02)
+        assert float((spread.sum(axis) * offsets**2).sum()) == pytest.approx(
+            sigma**2, rel=0.06, abs=0.02
+        )
 
 
 @pytest.mark.parametrize("shape", ["gaussian", "exponential"])
@@ -174,9 +202,13 @@ def test_wide_blurs_live_on_small_grids() -> None:
 def test_a_full_resolution_blur_is_kornias(dtype, tolerance, sigma, size) -> None:
     image = rand(2, 3, *size, dtype=dtype)
     radius = math.ceil(4.0 * sigma)
-    kernel = kornia.filters.get_gaussian_kernel1d(2 * radius + 1, sigma, dtype=torch.float64).to(dtype)
+    kernel = kornia.filters.get_gaussian_kernel1d(2 * radius + 1, sigma, dtype=torch.float64).to(
+        dtype
+    )
     padded = torch.from_numpy(
-        np.pad(image.numpy(), ((0, 0), (0, 0), (radius, radius), (radius, radius)), mode="symmetric")
+        np.pad(
+            image.numpy(), ((0, 0), (0, 0), (radius, radius), (radius, radius)), mode="symmetric"
+        )
     )
     twin = kornia.filters.filter2d_separable(padded, kernel, kernel, padding="valid")
     torch.testing.assert_close(blur(image, node(sigma)), twin, rtol=0, atol=tolerance)
@@ -226,7 +258,10 @@ def test_linear_in_the_image(height, width, low, more, factor) -> None:
     sigma, plan = low + (more - 1) * rand(1, 1, height, width), plan_blur(low, low + more)
     both = varying_blur(x + factor * y, sigma, plan)
     torch.testing.assert_close(
-        both, varying_blur(x, sigma, plan) + factor * varying_blur(y, sigma, plan), rtol=0, atol=1e-11
+        both,
+        varying_blur(x, sigma, plan) + factor * varying_blur(y, sigma, plan),
+        rtol=0,
+        atol=1e-11,
     )
 
 
@@ -238,10 +273,14 @@ def test_turning_and_mirroring_the_image_turns_and_mirrors_the_blur(height, widt
     result = blur(image, plan, sigma)
     # not exactly: where a kernel of a coarse grid is cut depends on how its centre rounds
     torch.testing.assert_close(blur(image.mT, plan, sigma), result.mT, rtol=0, atol=1e-3)
-    torch.testing.assert_close(blur(image.flip(2, 3), plan, sigma), result.flip(2, 3), rtol=0, atol=1e-3)
+    torch.testing.assert_close(
+        blur(image.flip(2, 3), plan, sigma), result.flip(2, 3), rtol=0, atol=1e-3
+    )
 
 
-@pytest.mark.parametrize("plan", [None, *(plan_blur(0.0, high) for high in (0.3, 1.0, 4.0, 60.0))], ids=str)
+@pytest.mark.parametrize(
+    "plan", [None, *(plan_blur(0.0, high) for high in (0.3, 1.0, 4.0, 60.0))], ids=str
+)
 def test_no_width_gives_the_image(plan) -> None:
     image = torch.from_numpy(reference.picture(40, 50))[None]
     assert reference.psnr(varying_blur(image, torch.zeros(1, 1, 40, 50), plan), image) >= 60
@@ -252,7 +291,9 @@ def test_no_width_gives_the_image(plan) -> None:
 def test_a_huge_width_gives_the_mean(size, sigma) -> None:
     image = rand(1, 3, *size)
     result = constant(image, sigma, tolerance=0.0005)
-    torch.testing.assert_close(result, image.mean((2, 3), keepdim=True).expand_as(image), rtol=0, atol=1e-3)
+    torch.testing.assert_close(
+        result, image.mean((2, 3), keepdim=True).expand_as(image), rtol=0, atol=1e-3
+    )
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -269,16 +310,25 @@ def test_each_image_of_a_batch_is_blurred_by_itself() -> None:
     plan = plan_blur(0.0, 4.0)
     together = varying_blur(images, sigma, plan)
     for image, s, result in zip(images, sigma, together, strict=True):
-        torch.testing.assert_close(varying_blur(image[None], s[None], plan)[0], result, rtol=0, atol=1e-13)
+        torch.testing.assert_close(
+            varying_blur(image[None], s[None], plan)[0], result, rtol=0, atol=1e-13
+        )
 
 
 def test_layout_does_not_matter() -> None:
     image, sigma = rand(2, 3, 24, 36), 5 * rand(2, 1, 24, 36)
     expected = varying_blur(image, sigma)
-    for x in (image.contiguous(memory_format=torch.channels_last), image.mT.contiguous().mT, image.flip(3).flip(3)):
+    for x in (
+        image.contiguous(memory_format=torch.channels_last),
+        image.mT.contiguous().mT,
+        image.flip(3).flip(3),
+    ):
         torch.testing.assert_close(varying_blur(x, sigma), expected, rtol=0, atol=1e-13)
     torch.testing.assert_close(
-        varying_blur(image[:, :1].expand(-1, 3, -1, -1), sigma)[:, 2:], expected[:, :1], rtol=0, atol=1e-13
+        varying_blur(image[:, :1].expand(-1, 3, -1, -1), sigma)[:, 2:],
+        expected[:, :1],
+        rtol=0,
+        atol=1e-13,
     )
 
 
@@ -287,7 +337,10 @@ def test_layout_does_not_matter() -> None:
 def test_float32_is_close_to_float64(low, high, tolerance) -> None:
     image, sigma = rand(1, 3, 90, 70), low + (high - low) * rand(1, 1, 90, 70, seed=1)
     plan = plan_blur(low, high, tolerance)
-    double, single = varying_blur(image, sigma, plan), varying_blur(image.float(), sigma.float(), plan)
+    double, single = (
+        varying_blur(image, sigma, plan),
+        varying_blur(image.float(), sigma.float(), plan),
+    )
     assert single.dtype == torch.float32
     assert (single.double() - double).abs().max() < 2e-5
 
@@ -315,7 +368,9 @@ def test_gradient_of_the_width_is_that_of_the_exact_blur() -> None:
         wide, narrow = (reference.gaussian(image, math.sqrt(sigma**2 + s * at)) for s in (1, -1))
         slope = (wide - narrow) / (2 * at) * 2 * sigma  # dσ² = 2σ dσ
         width = torch.full((1, 1, 48, 48), sigma, dtype=torch.float64, requires_grad=True)
-        varying_blur(torch.from_numpy(image)[None], width, plan_blur(0.0, 5.0, 0.0005)).sum().backward()
+        varying_blur(
+            torch.from_numpy(image)[None], width, plan_blur(0.0, 5.0, 0.0005)
+        ).sum().backward()
         error = width.grad[0, 0].numpy() - slope.sum(0)
         assert np.sqrt((error**2).mean()) < 0.1 * np.sqrt((slope.sum(0) ** 2).mean())
 
@@ -345,7 +400,9 @@ def test_works_after_inference_mode() -> None:
 def test_widths_outside_the_plan_get_the_nearer_end() -> None:
     image, plan = rand(1, 3, 40, 40), plan_blur(1.0, 4.0)
     for outside, end in ((0.0, 1.0), (9.0, 4.0)):
-        torch.testing.assert_close(blur(image, plan, outside), blur(image, plan, end), rtol=0, atol=1e-12)
+        torch.testing.assert_close(
+            blur(image, plan, outside), blur(image, plan, end), rtol=0, atol=1e-12
+        )
 
 
 def test_no_blur_where_it_would_not_show() -> None:
@@ -372,7 +429,14 @@ def test_the_plan_says_what_it_achieves() -> None:
         for sigma in np.geomspace(low, high, 5):
             exact = reference.gaussian(image, sigma)
             worst = max(
-                worst, 10 ** (-reference.psnr(constant(torch.from_numpy(image)[None], sigma, plan=plan)[0], exact) / 20)
+                worst,
+                10
+                ** (
+                    -reference.psnr(
+                        constant(torch.from_numpy(image)[None], sigma, plan=plan)[0], exact
+                    )
+                    / 20
+                ),
             )
         assert worst <= 3 * plan.error, str(plan)  # the plan's error is the RMS over the range
 
@@ -417,7 +481,9 @@ IMAGE, SIGMA = torch.rand(2, 3, 6, 8), torch.rand(2, 1, 6, 8)
 def test_half_precision_is_computed_in_single() -> None:
     result = varying_blur(IMAGE.half(), SIGMA)
     assert result.dtype == torch.float16
-    torch.testing.assert_close(result.float(), varying_blur(IMAGE.half().float(), SIGMA), rtol=0, atol=5e-4)
+    torch.testing.assert_close(
+        result.float(), varying_blur(IMAGE.half().float(), SIGMA), rtol=0, atol=5e-4
+    )
 
 
 @pytest.mark.parametrize("plan", [None, plan_blur(0.0, 2.0)], ids=["planned", "given"])
@@ -436,7 +502,19 @@ def test_half_precision_is_computed_in_single() -> None:
         (IMAGE.numpy(), SIGMA, TypeError, "image"),
         (IMAGE, 2.0, TypeError, "sigma"),
     ],
-    ids=["nan", "negative", "infinite", "size", "2-D", "channels", "batch", "3-D", "bytes", "array", "number"],
+    ids=[
+        "nan",
+        "negative",
+        "infinite",
+        "size",
+        "2-D",
+        "channels",
+        "batch",
+        "3-D",
+        "bytes",
+        "array",
+        "number",
+    ],
 )
 def test_varying_blur_rejects(plan, image, sigma, error, match) -> None:
     with pytest.raises(error, match=match):
@@ -452,19 +530,30 @@ def test_strips_are_parts_of_the_whole(cell) -> None:
     sigma = 1.4 if cell == 1 else 1.3 * cell
     for size in (1, 7, 15, 16, 17, 33, 70, 130):
         for axis in (0, 1):
-            for matrix, transpose in operators(axis, size, sigma, cell, 3.0, torch.float64, torch.device("cpu")):
+            for matrix, transpose in operators(
+                axis, size, sigma, cell, 3.0, torch.float64, torch.device("cpu")
+            ):
                 columns = transpose.rows
                 # a slice: neither the first nor all of its storage
                 x = torch.rand(columns + 5, 6, dtype=torch.float64)[3 : 3 + columns]
                 whole = along_rows(matrix, x)
                 dense = along_rows(matrix, torch.eye(columns, dtype=torch.float64))
                 torch.testing.assert_close(whole, dense @ x, rtol=0, atol=1e-12)
-                torch.testing.assert_close(along_columns(matrix, x.t().contiguous()), whole.t(), rtol=0, atol=1e-12)
-                torch.testing.assert_close(along_rows(transpose, whole), dense.t() @ whole, rtol=0, atol=1e-12)
+                torch.testing.assert_close(
+                    along_columns(matrix, x.t().contiguous()), whole.t(), rtol=0, atol=1e-12
+                )
+                torch.testing.assert_close(
+                    along_rows(transpose, whole), dense.t() @ whole, rtol=0, atol=1e-12
+                )
         if size > PERIOD:
-            (*_, (last, back)) = operators(0, size, sigma, cell, 3.0, torch.float64, torch.device("cpu"))
+            (*_, (last, back)) = operators(
+                0, size, sigma, cell, 3.0, torch.float64, torch.device("cpu")
+            )
             x = torch.rand(back.rows, 4, dtype=torch.float64)
-            parts = [along_rows(last, x, first, first + 2 * PERIOD) for first in range(0, size, 2 * PERIOD)]
+            parts = [
+                along_rows(last, x, first, first + 2 * PERIOD)
+                for first in range(0, size, 2 * PERIOD)
+            ]
             torch.testing.assert_close(torch.cat(parts), along_rows(last, x), rtol=0, atol=1e-12)
 
 
@@ -473,7 +562,9 @@ def test_plans_and_the_longest_side() -> None:
         with pytest.raises(ValueError, match="longest must be finite and ≥ 1"):
             plan_blur(1.0, 4.0, longest=longest)
     assert plan_blur(1.0, 4.0, longest=100) is plan_blur(1.0, 4.0, longest=5000)
-    exponential = [plan_blur(3.0, 40.0, 0.002, "exponential", longest) for longest in (64, 300, 512, 2000)]
+    exponential = [
+        plan_blur(3.0, 40.0, 0.002, "exponential", longest) for longest in (64, 300, 512, 2000)
+    ]
     assert exponential[1] is exponential[2]
     assert max(exponential[0].sigmas) < 256 < max(exponential[-1].sigmas) < 2000
 
@@ -483,5 +574,7 @@ def test_exponential_plans_hold_in_small_and_in_long_pictures(height, width) -> 
     image = reference.picture(height, width)
     plan = plan_blur(2.0, 20.0, 0.002, "exponential", max(height, width))
     for sigma in (2.0, 6.0, 20.0):
-        result = constant(torch.from_numpy(image)[None].float(), sigma, plan=plan)[0].double().numpy()
+        result = (
+            constant(torch.from_numpy(image)[None].float(), sigma, plan=plan)[0].double().numpy()
+        )
         assert np.sqrt(((result - reference.exponential(image, sigma)) ** 2).mean()) <= 0.002

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uwaug.camera import Camera, load_camera
+from uwaug.optics.camera import Camera, load_camera
 
 NIKON = "Nikon 5100 (NPL)"
 SIGMA = "Sigma SDMerill (NPL)"
@@ -17,7 +17,11 @@ GRID = np.arange(400, 701, 5)
 
 
 def toy(**changes):
-    values = {"wavelengths": [400, 500, 700], "response": [[0, 1, 2], [0, 3, 0], [4, 1, 0]], "name": "toy"}
+    values = {
+        "wavelengths": [400, 500, 700],
+        "response": [[0, 1, 2], [0, 3, 0], [4, 1, 0]],
+        "name": "toy",
+    }
     return Camera(**values | changes)
 
 
@@ -43,7 +47,9 @@ def test_immutable_and_independent_of_its_input():
         camera.response = response
 
 
-@pytest.mark.parametrize("clone", [copy.copy, copy.deepcopy, lambda c: pickle.loads(pickle.dumps(c))])
+@pytest.mark.parametrize(
+    "clone", [copy.copy, copy.deepcopy, lambda c: pickle.loads(pickle.dumps(c))]
+)
 def test_copies_are_equal_and_still_read_only(clone):
     camera = load_camera(NIKON)
     twin = clone(camera)
@@ -63,13 +69,37 @@ def test_equality_sees_every_field():
     "changes, error, message",
     [
         ({"wavelengths": [0.4, 0.5, 0.7]}, ValueError, "they look like micrometres"),
-        ({"wavelengths": [400, 700, 500]}, ValueError, "strictly ascending, but 700 is followed by 500"),
-        ({"response": np.ones((3, 4))}, ValueError, r"one row per wavelength, shape \(3, 3\), got \(3, 4\)"),
-        ({"response": np.ones((2, 3))}, ValueError, r"one row per wavelength, shape \(3, 3\), got \(2, 3\)"),
+        (
+            {"wavelengths": [400, 700, 500]},
+            ValueError,
+            "strictly ascending, but 700 is followed by 500",
+        ),
+        (
+            {"response": np.ones((3, 4))},
+            ValueError,
+            r"one row per wavelength, shape \(3, 3\), got \(3, 4\)",
+        ),
+        (
+            {"response": np.ones((2, 3))},
+            ValueError,
+            r"one row per wavelength, shape \(3, 3\), got \(2, 3\)",
+        ),
         ({"response": "raw"}, TypeError, "response must be an array of numbers, got 'raw'"),
-        ({"response": [[1, 1, 1], [np.nan, 1, np.inf], [1, 1, 1]]}, ValueError, "2 NaN or infinite of 9 .* at 500 nm"),
-        ({"response": [[1, 1, 1], [1, 1, 1], [1, 1, -1e-6]]}, ValueError, "1 negative of 9 .* at 700 nm: set measure"),
-        ({"response": [[0, 1, 0], [0, 1, 0], [0, 1, 0]]}, ValueError, "'toy' has no response in red and blue"),
+        (
+            {"response": [[1, 1, 1], [np.nan, 1, np.inf], [1, 1, 1]]},
+            ValueError,
+            "2 NaN or infinite of 9 .* at 500 nm",
+        ),
+        (
+            {"response": [[1, 1, 1], [1, 1, 1], [1, 1, -1e-6]]},
+            ValueError,
+            "1 negative of 9 .* at 700 nm: set measure",
+        ),
+        (
+            {"response": [[0, 1, 0], [0, 1, 0], [0, 1, 0]]},
+            ValueError,
+            "'toy' has no response in red and blue",
+        ),
     ],
 )
 def test_bad_input(changes, error, message):
@@ -102,7 +132,9 @@ def test_weights_on_a_grid_of_varying_step_are_rectangles():
 
 
 def test_weights_at_one_wavelength():
-    np.testing.assert_array_equal(Camera([500, 600], [[1, 2, 3], [3, 2, 1]]).weights([550]), [[1, 1, 1]])
+    np.testing.assert_array_equal(
+        Camera([500, 600], [[1, 2, 3], [3, 2, 1]]).weights([550]), [[1, 1, 1]]
+    )
 
 
 @given(st.lists(st.floats(380, 780), min_size=2, max_size=40, unique=True))
@@ -112,7 +144,9 @@ def test_weights_sum_to_one_and_do_not_depend_on_the_scale_of_the_response(grid)
     weights = camera.weights(grid)
     np.testing.assert_allclose(weights.sum(axis=0), 1, rtol=1e-14)
     assert weights.min() >= 0
-    np.testing.assert_allclose(Camera([380, 800], camera.response * 1e3).weights(grid), weights, rtol=1e-12)
+    np.testing.assert_allclose(
+        Camera([380, 800], camera.response * 1e3).weights(grid), weights, rtol=1e-12
+    )
 
 
 def test_weights_integrate():
@@ -163,7 +197,9 @@ def test_named_camera(name, nm, expected):
     np.testing.assert_allclose(camera.at(nm), expected, atol=3e-7)
 
 
-@pytest.mark.parametrize("name", ["nikon 5100 (npl)", "NIKON 5100 NPL", "Nikon5100(NPL)", "Níkon 5100 (NPL)"])
+@pytest.mark.parametrize(
+    "name", ["nikon 5100 (npl)", "NIKON 5100 NPL", "Nikon5100(NPL)", "Níkon 5100 (NPL)"]
+)
 def test_names_are_matched_by_letters_and_digits(name):
     assert load_camera(name) is load_camera(NIKON)
 
@@ -175,25 +211,30 @@ def test_a_camera_passes_through():
 
 @pytest.mark.parametrize("name", ["Nikon D90", "", "camera.txt"])
 def test_unknown_name(name):
-    with pytest.raises(ValueError, match=rf"no camera is called '{name}'; there are '.*', '.*', or .* path of a \.csv"):
+    with pytest.raises(
+        ValueError,
+        match=rf"no camera is called '{name}'; there are '.*', '.*', or .* path of a \.csv",
+    ):
         load_camera(name)
 
 
 @pytest.mark.parametrize("camera", [None, 5100, ["a.csv"]])
 def test_wrong_type(camera):
-    with pytest.raises(TypeError, match=r"camera must be a name, the path of a CSV file or a Camera, got"):
+    with pytest.raises(
+        TypeError, match=r"camera must be a name, the path of a CSV file or a Camera, got"
+    ):
         load_camera(camera)
 
 
 COMPARE = """
 import sys
 import numpy as np
-import uwaug.camera
+import uwaug.optics.camera
 from pathlib import Path
 
 if sys.argv[1] == "moved":
-    uwaug.camera._DATASET = Path("elsewhere.py")
-cameras = uwaug.camera._colour_science_cameras()
+    uwaug.optics.camera._DATASET = Path("elsewhere.py")
+cameras = uwaug.optics.camera._colour_science_cameras()
 assert ("colour" in sys.modules) == (sys.argv[1] == "moved")
 assert not np.get_printoptions()["legacy"]
 
@@ -211,7 +252,9 @@ for name, camera in cameras.items():
 @pytest.mark.parametrize("layout", ["as known", "moved"])
 def test_names_and_values_are_those_of_colour_science(layout):
     # in a process of its own: importing colour changes NumPy's print options
-    done = subprocess.run([sys.executable, "-c", COMPARE, layout], check=False, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", COMPARE, layout], check=False, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr
 
 
@@ -259,10 +302,19 @@ def test_csv_is_read_anew(tmp_path):
     [
         ("", "no rows of wavelength, R, G, B"),
         ("wavelength,R,G,B\n", "no rows of wavelength, R, G, B"),
-        (ROWS.replace(",", ";"), r"line 1: expected wavelength, R, G, B separated by commas, got \['400;0;1;2'\]"),
-        (ROWS + "\n710,1,2\n", r"line 5: expected wavelength, R, G, B separated by commas, got \['710', '1', '2'\]"),
+        (
+            ROWS.replace(",", ";"),
+            r"line 1: expected wavelength, R, G, B separated by commas, got \['400;0;1;2'\]",
+        ),
+        (
+            ROWS + "\n710,1,2\n",
+            r"line 5: expected wavelength, R, G, B separated by commas, got \['710', '1', '2'\]",
+        ),
         (ROWS + "800,0,0,x\n", r"line 4: expected four numbers, got \['800', '0', '0', 'x'\]"),
-        ("wavelength,B,G,R\n" + ROWS, r"line 1: columns must be wavelength, R, G, B, not \['wavelength', 'B'"),
+        (
+            "wavelength,B,G,R\n" + ROWS,
+            r"line 1: columns must be wavelength, R, G, B, not \['wavelength', 'B'",
+        ),
         (ROWS.replace("700", "450"), "strictly ascending, but 500 is followed by 450"),
         (ROWS.replace("700,4", "700,nan"), "response has 1 NaN or infinite of 9 values, at 700 nm"),
         (ROWS.replace("700,4", "700,0"), "camera 'toy' has no response in red"),

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from uwaug import JERLOV_TYPES, Water, __version__, cli, load_camera, plots
+import uwaug.scene
+from uwaug import JERLOV_TYPES, Water, __version__, cli, load_camera, plots, sheets
 from uwaug.presets import list_presets
+from uwaug.scene import Scene, motorcycle
 
 
 @pytest.fixture
@@ -29,10 +31,12 @@ def run(monkeypatch, capsys):
 def small(monkeypatch):
     """A scene of a few pixels in place of the motorcycle."""
     generator = torch.Generator().manual_seed(0)
-    scene = plots.Scene(
-        torch.rand(3, 20, 30, generator=generator), torch.linspace(1, 4, 600).reshape(1, 20, 30), focal_px=40.0
+    scene = Scene(
+        torch.rand(3, 20, 30, generator=generator),
+        torch.linspace(1, 4, 600).reshape(1, 20, 30),
+        focal_px=40.0,
     )
-    monkeypatch.setattr(plots, "motorcycle", lambda: scene)
+    monkeypatch.setattr(uwaug.scene, "motorcycle", lambda: scene)
     return scene
 
 
@@ -43,7 +47,9 @@ def test_version(run):
 def test_help_names_every_command(run):
     code, out, _ = run("--help")
     assert code == 0
-    assert all(f"\n  {command} " in out for command in ("demo", "waters", "presets", "export", "check"))
+    assert all(
+        f"\n  {command} " in out for command in ("demo", "waters", "presets", "export", "check")
+    )
 
 
 @pytest.mark.parametrize("command", ["demo", "waters", "presets", "export", "check"])
@@ -84,7 +90,9 @@ def test_presets(run):
     code, out, err = run("presets")
     assert (code, err) == (0, "")
     assert [line.split()[0] for line in out.splitlines()[1:]] == list_presets()
-    assert re.search(r"^examples-4 +0.25–2 +2.5 +0.3–1.7 +arXiv:2509.15011, figure 7, row 4", out, re.MULTILINE)
+    assert re.search(
+        r"^examples-4 +0.25–2 +2.5 +0.3–1.7 +arXiv:2509.15011, figure 7, row 4", out, re.MULTILINE
+    )
 
 
 def test_demo_on_the_real_scene(run, tmp_path):
@@ -147,7 +155,7 @@ def test_a_picture_is_written_whole_or_not_at_all(small, tmp_path, monkeypatch):
 
     monkeypatch.setattr(figure, "savefig", fail)
     with pytest.raises(OSError, match="disk full"):
-        plots.save(figure, path)
+        sheets.save(figure, path)
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
 
@@ -158,11 +166,17 @@ def test_no_text_overlaps_or_leaves_the_picture(small, name, monkeypatch):
     from matplotlib.text import Text
 
     drawn, draw = [], Text.draw
-    monkeypatch.setattr(Text, "draw", lambda text, renderer: (drawn.append(text), draw(text, renderer)))
+    monkeypatch.setattr(
+        Text, "draw", lambda text, renderer: (drawn.append(text), draw(text, renderer))
+    )
     figure = plots.PICTURES[name](small).figure
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
-    boxes = {(t.get_text(), i): t.get_window_extent() for i, t in enumerate(drawn) if t.get_text() and t.get_visible()}
+    boxes = {
+        (t.get_text(), i): t.get_window_extent()
+        for i, t in enumerate(drawn)
+        if t.get_text() and t.get_visible()
+    }
     assert len(boxes) > 10
     for (label, _), box in boxes.items():
         assert box.x0 >= 0, label
@@ -174,7 +188,7 @@ def test_no_text_overlaps_or_leaves_the_picture(small, name, monkeypatch):
 
 
 def test_the_motorcycle_is_where_it_was_measured():
-    scene = plots.motorcycle()
+    scene = motorcycle()
     assert scene.image.shape == (3, 500, 741)
     assert 0 <= scene.image.min() < scene.image.max() <= 1
     assert scene.distance.shape == (1, 500, 741)
@@ -185,23 +199,40 @@ def test_the_motorcycle_is_where_it_was_measured():
     from skimage.data import stereo_motorcycle
 
     disparity = float(stereo_motorcycle()[2][row, column])
-    assert float(scene.distance[0, row, column]) == pytest.approx(994.978 * 0.193001 / (disparity + 31.086), rel=1e-3)
+    assert float(scene.distance[0, row, column]) == pytest.approx(
+        994.978 * 0.193001 / (disparity + 31.086), rel=1e-3
+    )
 
 
 def test_the_package_imports_neither_the_command_line_nor_what_it_needs():
-    code = (
-        "import sys, uwaug.presets; print(*{'typer', 'rich', 'pydantic', 'matplotlib', 'skimage'} & set(sys.modules))"
+    code = "import sys, uwaug.presets; print(*{'typer', 'rich', 'pydantic', 'matplotlib', 'skimage'} & set(sys.modules))"
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        ).stdout
+        == "\n"
     )
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "\n"
 
 
 def test_export_and_check(run, tmp_path):
     pytest.importorskip("onnxruntime")
     out = tmp_path / "7C.onnx"
-    arguments = ("export", "--preset", "survey", "--water", "7C", "--image", "uint8", "--out", str(out))
+    arguments = (
+        "export",
+        "--preset",
+        "survey",
+        "--water",
+        "7C",
+        "--image",
+        "uint8",
+        "--out",
+        str(out),
+    )
     code, stdout, stderr = run(*arguments)
     assert (code, stderr) == (0, "")
-    assert re.match(rf"{re.escape(str(out))}  \(\d+ KiB\)\n    Medium\(7C: .*\n    \d blurs for σ ", stdout)
+    assert re.match(
+        rf"{re.escape(str(out))}  \(\d+ KiB\)\n    Medium\(7C: .*\n    \d blurs for σ ", stdout
+    )
     assert [path.name for path in tmp_path.iterdir()] == ["7C.onnx"]
     before = out.read_bytes()
     code, stdout, stderr = run(*arguments)
@@ -214,12 +245,18 @@ def test_export_and_check(run, tmp_path):
 
     code, stdout, stderr = run("check", str(out))
     assert (code, stderr) == (0, "")
-    assert re.fullmatch(rf"{re.escape(str(out))}: 100 cases, largest difference [01] \(.*×.*×.*\)\n", stdout)
+    assert re.fullmatch(
+        rf"{re.escape(str(out))}: 100 cases, largest difference [01] \(.*×.*×.*\)\n", stdout
+    )
     import onnx
 
     model = onnx.load(out)
     wrong = next(tensor for tensor in model.graph.initializer if tuple(tensor.dims) == (1, 3, 7))
-    wrong.CopyFrom(onnx.numpy_helper.from_array(onnx.numpy_helper.to_array(wrong) * np.float32(1.05), wrong.name))
+    wrong.CopyFrom(
+        onnx.numpy_helper.from_array(
+            onnx.numpy_helper.to_array(wrong) * np.float32(1.05), wrong.name
+        )
+    )
     onnx.save(model, out)
     code, stdout, stderr = run("check", str(out))
     assert (code, stdout) == (2, "")

@@ -28,7 +28,9 @@ def random(*shape: int, seed: int = 0) -> torch.Tensor:
 
 
 class TestFromRelative:
-    @pytest.mark.parametrize("near, far, gamma", [(0.5, 10, 5), (0.3, 0.7, 1), (0, 20, 0.5), (3, 3, 2)])
+    @pytest.mark.parametrize(
+        "near, far, gamma", [(0.5, 10, 5), (0.3, 0.7, 1), (0, 20, 0.5), (3, 3, 2)]
+    )
     def test_is_the_formula(self, near, far, gamma) -> None:
         t = random(2, 1, 5, 7)
         z = from_relative(t, near, far, gamma)
@@ -37,13 +39,22 @@ class TestFromRelative:
     def test_ends_are_exact_and_unknown_stays_unknown(self) -> None:
         for gamma in (0.3, 1.0, 6.0):
             z = from_relative(torch.tensor([[0.0, 1.0, NAN]]), 0.25, 2.0, gamma)
-            torch.testing.assert_close(z, torch.tensor([[0.25, 2.0, NAN]]), rtol=0, atol=0, equal_nan=True)
+            torch.testing.assert_close(
+                z, torch.tensor([[0.25, 2.0, NAN]]), rtol=0, atol=0, equal_nan=True
+            )
 
     def test_limits_may_differ_within_the_batch(self) -> None:
-        t, near, far, gamma = random(3, 1, 4, 4), random(3, 1, 1, 1), 1 + random(3, 1, 1, 1), 1 + random(3, 1, 1, 1)
+        t, near, far, gamma = (
+            random(3, 1, 4, 4),
+            random(3, 1, 1, 1),
+            1 + random(3, 1, 1, 1),
+            1 + random(3, 1, 1, 1),
+        )
         z = from_relative(t, near, far, gamma)
         for b in range(3):
-            torch.testing.assert_close(z[b], from_relative(t[b], near[b].item(), far[b].item(), gamma[b].item()))
+            torch.testing.assert_close(
+                z[b], from_relative(t[b], near[b].item(), far[b].item(), gamma[b].item())
+            )
 
     @pytest.mark.parametrize("gamma", [0.25, 1.0, 3.0])
     def test_gradient_is_finite_at_zero_and_right_elsewhere(self, gamma) -> None:
@@ -53,7 +64,9 @@ class TestFromRelative:
         expected = 2 * gamma * np.array([0.3, 1.0]) ** (gamma - 1)
         np.testing.assert_allclose(slope[0, 2:].numpy(), expected, rtol=1e-12)
         interior = torch.tensor([[0.2, 0.7]], dtype=torch.float64, requires_grad=True)
-        others = [torch.tensor(v, dtype=torch.float64, requires_grad=True) for v in (0.5, 4.0, gamma)]
+        others = [
+            torch.tensor(v, dtype=torch.float64, requires_grad=True) for v in (0.5, 4.0, gamma)
+        ]
         assert torch.autograd.gradcheck(from_relative, (interior, *others))
 
     def test_half_precision_is_taken_up(self) -> None:
@@ -62,15 +75,22 @@ class TestFromRelative:
 
     @pytest.mark.parametrize(
         "t, message",
-        [([[0.0, 1.5]], r"t must lie in \[0, 1\], got 0 to 1.5: normalise first"), ([[-0.1, NAN]], "got -0.1 to -0.1")],
+        [
+            ([[0.0, 1.5]], r"t must lie in \[0, 1\], got 0 to 1.5: normalise first"),
+            ([[-0.1, NAN]], "got -0.1 to -0.1"),
+        ],
     )
     def test_rejects_what_is_not_normalised(self, t, message) -> None:
         with pytest.raises(ValueError, match=message):
             from_relative(torch.tensor(t), 1.0, 2.0)
 
-    @pytest.mark.parametrize("near, far", [(-1.0, 2.0), (2.0, 1.0), (1.0, INF), (NAN, 1.0), (1.0, NAN)])
+    @pytest.mark.parametrize(
+        "near, far", [(-1.0, 2.0), (2.0, 1.0), (1.0, INF), (NAN, 1.0), (1.0, NAN)]
+    )
     def test_rejects_limits(self, near, far) -> None:
-        with pytest.raises(ValueError, match=f"near and far must satisfy 0 <= near <= far < inf, got near={near}"):
+        with pytest.raises(
+            ValueError, match=f"near and far must satisfy 0 <= near <= far < inf, got near={near}"
+        ):
             from_relative(torch.zeros(1, 1), near, far)
         with pytest.raises(ValueError, match="near and far must satisfy"):
             from_relative(torch.zeros(2, 1, 1), torch.tensor([1.0, near]).view(2, 1, 1), far)
@@ -91,17 +111,24 @@ class TestFromInverse:
 
     def test_each_map_has_its_own_scale_and_limits(self) -> None:
         maps = torch.stack([random(1, 4, 4), 50 * random(1, 4, 4, seed=1) - 7])
-        near, far = torch.tensor([1.0, 2.0]).view(2, 1, 1, 1), torch.tensor([5.0, 9.0]).view(2, 1, 1, 1)
+        near, far = (
+            torch.tensor([1.0, 2.0]).view(2, 1, 1, 1),
+            torch.tensor([5.0, 9.0]).view(2, 1, 1, 1),
+        )
         z = from_inverse(maps, near, far)
         for b in range(2):
-            torch.testing.assert_close(z[b], from_inverse(maps[b], near[b].item(), far[b].item()), check_dtype=False)
+            torch.testing.assert_close(
+                z[b], from_inverse(maps[b], near[b].item(), far[b].item()), check_dtype=False
+            )
             assert z[b].min() == pytest.approx(near[b].item())
             assert z[b].max() == pytest.approx(far[b].item())
             assert z[b].argmin() == maps[b].argmax()
 
     def test_unknown_pixels_stay_out(self) -> None:
         z = from_inverse(torch.tensor([[NAN, 0.0, INF, 3.0, -INF, 1.0]]), 1.0, 4.0)
-        torch.testing.assert_close(z, torch.tensor([[NAN, 4.0, NAN, 1.0, NAN, 2.0]]), equal_nan=True)
+        torch.testing.assert_close(
+            z, torch.tensor([[NAN, 4.0, NAN, 1.0, NAN, 2.0]]), equal_nan=True
+        )
 
     def test_far_may_be_open_water(self) -> None:
         z = from_inverse(torch.tensor([[0.0, 1.0, 2.0]]), 1.5, INF)
@@ -119,7 +146,9 @@ class TestFromInverse:
         with pytest.raises(ValueError, match="inverse must vary within each map"):
             from_inverse(torch.cat([torch.rand(1, 3, 3), inverse]), 1.0, 2.0)
 
-    @pytest.mark.parametrize("near, far", [(0.0, 2.0), (-1.0, 2.0), (2.0, 1.0), (INF, INF), (NAN, 1.0)])
+    @pytest.mark.parametrize(
+        "near, far", [(0.0, 2.0), (-1.0, 2.0), (2.0, 1.0), (INF, INF), (NAN, 1.0)]
+    )
     def test_rejects_limits(self, near, far) -> None:
         with pytest.raises(ValueError, match="near and far must satisfy 0 < near <= far"):
             from_inverse(torch.eye(2), near, far)
@@ -133,7 +162,9 @@ class TestFromDisparity:
 
     def test_unknown(self) -> None:
         z = from_disparity(torch.tensor([[NAN, INF, -INF, 0.0, -3.0, -2.0, 8.0]]), 100.0, 0.5, 2.0)
-        torch.testing.assert_close(z, torch.tensor([[NAN, NAN, NAN, 25.0, NAN, NAN, 5.0]]), equal_nan=True)
+        torch.testing.assert_close(
+            z, torch.tensor([[NAN, NAN, NAN, 25.0, NAN, NAN, 5.0]]), equal_nan=True
+        )
 
     def test_gradient_is_finite_where_unknown(self) -> None:
         d = torch.tensor([[0.0, NAN, 2.0]], requires_grad=True)
@@ -157,7 +188,9 @@ class TestFromDisparity:
 
 
 class TestAlongRay:
-    @pytest.mark.parametrize("focal, centre", [(50.0, None), ((40.0, 60.0), None), (50.0, (3.5, 2.25))])
+    @pytest.mark.parametrize(
+        "focal, centre", [(50.0, None), ((40.0, 60.0), None), (50.0, (3.5, 2.25))]
+    )
     def test_is_the_length_of_the_ray(self, focal, centre) -> None:
         depth = 1 + random(2, 1, 6, 9)
         z = along_ray(depth, focal, centre)
@@ -165,7 +198,9 @@ class TestAlongRay:
         cx, cy = centre or (4.5, 3.0)
         for i, j in np.ndindex(6, 9):
             point = np.array([(j + 0.5 - cx) / fx, (i + 0.5 - cy) / fy, 1.0])
-            np.testing.assert_allclose(z[:, 0, i, j], depth[:, 0, i, j] * np.linalg.norm(point), rtol=1e-14)
+            np.testing.assert_allclose(
+                z[:, 0, i, j], depth[:, 0, i, j] * np.linalg.norm(point), rtol=1e-14
+            )
 
     def test_symmetric_about_the_image_centre(self) -> None:
         z = along_ray(torch.ones(5, 8), 4.0)
@@ -203,7 +238,10 @@ class TestPolicy:
 
     def test_strict_counts_what_is_unknown(self) -> None:
         z = torch.tensor([[NAN, NAN, -1.0, -INF, -2.0, 0.0, 1.0, INF]])
-        with pytest.raises(ValueError, match=r"distance must be above 0 m.* 2 NaN, 3 negative and 1 zero of 8 pixels"):
+        with pytest.raises(
+            ValueError,
+            match=r"distance must be above 0 m.* NaN at 2, negative at 3 and zero at 1 of 8 pixels",
+        ):
             check_distance(z)
         assert torch.equal(check_distance(z, strict=False), fill_unknown(z))
 
@@ -221,7 +259,9 @@ class TestPolicy:
 
     def test_gradient_goes_to_the_known_pixel(self) -> None:
         z = torch.tensor([[2.0, NAN, 0.0, -1.0, 5.0]], requires_grad=True)
-        (slope,) = torch.autograd.grad((fill_unknown(z) * torch.tensor([[1.0, 10, 100, 1000, 10000]])).sum(), z)
+        (slope,) = torch.autograd.grad(
+            (fill_unknown(z) * torch.tensor([[1.0, 10, 100, 1000, 10000]])).sum(), z
+        )
         assert slope[0, 1:4].tolist() == [0, 0, 0]
         assert slope.sum() == 11111
 
@@ -244,7 +284,9 @@ FUNCTIONS = {
 
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_rejects_what_is_not_a_floating_point_map(name) -> None:
-    with pytest.raises(TypeError, match=rf"{name} must be a floating-point tensor, got torch\.int32.*millimetres"):
+    with pytest.raises(
+        TypeError, match=rf"{name} must be a floating-point tensor, got torch\.int32.*millimetres"
+    ):
         FUNCTIONS[name](torch.ones(2, 2, dtype=torch.int32))
     with pytest.raises(TypeError, match=f"{name} must be a floating-point tensor, got ndarray"):
         FUNCTIONS[name](np.ones((2, 2)))
@@ -271,7 +313,12 @@ def save(path, nodes, shape, output_rank=3) -> str:
 
 
 def mean_of_channels(path, shape=(1, 3, "h", "w"), keepdims=0) -> str:
-    return save(path, [helper.make_node("ReduceMean", ["x", "axis"], ["y"], keepdims=keepdims)], shape, 3 + keepdims)
+    return save(
+        path,
+        [helper.make_node("ReduceMean", ["x", "axis"], ["y"], keepdims=keepdims)],
+        shape,
+        3 + keepdims,
+    )
 
 
 def side_lengths(path, shape) -> str:
@@ -294,9 +341,13 @@ class TestDepthNetwork:
     @pytest.mark.parametrize("keepdims", [0, 1])
     def test_normalises_and_keeps_pixels_in_place(self, tmp_path, keepdims) -> None:
         image = random(2, 3, 5, 7).float()
-        network = DepthNetwork(mean_of_channels(tmp_path / "n.onnx", keepdims=keepdims), short_side=5, multiple=1)
+        network = DepthNetwork(
+            mean_of_channels(tmp_path / "n.onnx", keepdims=keepdims), short_side=5, multiple=1
+        )
         mean, std = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
-        expected = ((image.numpy() - mean[:, None, None]) / std[:, None, None]).mean(1, keepdims=True)
+        expected = ((image.numpy() - mean[:, None, None]) / std[:, None, None]).mean(
+            1, keepdims=True
+        )
         depth = network(image)
         assert depth.shape == (2, 1, 5, 7)
         np.testing.assert_allclose(depth.numpy(), expected, atol=1e-5)
@@ -313,8 +364,12 @@ class TestDepthNetwork:
             (("b", 3, 21, "w"), (20, 40), {"short_side": 20, "multiple": 5}, (21, 40)),
         ],
     )
-    def test_gives_the_network_the_size_it_needs(self, tmp_path, shape, size, options, seen) -> None:
-        depth = DepthNetwork(side_lengths(tmp_path / "n.onnx", shape), **options)(torch.rand(3, *size))
+    def test_gives_the_network_the_size_it_needs(
+        self, tmp_path, shape, size, options, seen
+    ) -> None:
+        depth = DepthNetwork(side_lengths(tmp_path / "n.onnx", shape), **options)(
+            torch.rand(3, *size)
+        )
         assert depth.shape == (1, *size)
         assert torch.equal(depth.round(), torch.full((1, *size), 1000.0 * seen[0] + seen[1]))
 
@@ -348,14 +403,20 @@ class TestDepthNetwork:
 
     def test_rejects_images(self, tmp_path) -> None:
         network = DepthNetwork(mean_of_channels(tmp_path / "n.onnx"))
-        with pytest.raises(ValueError, match=r"image must lie in \[0, 1\], got 0 to 255: divide by 255"):
+        with pytest.raises(
+            ValueError, match=r"image must lie in \[0, 1\], got 0 to 255: divide by 255"
+        ):
             network(torch.arange(256.0).expand(3, 2, 256))
         with pytest.raises(ValueError, match=r"image must lie in \[0, 1\], got NaN only"):
             network(torch.full((3, 2, 2), NAN))
-        with pytest.raises(TypeError, match=r"image must be a floating-point tensor, got torch\.uint8"):
+        with pytest.raises(
+            TypeError, match=r"image must be a floating-point tensor, got torch\.uint8"
+        ):
             network(torch.zeros(3, 8, 8, dtype=torch.uint8))
         for shape in ((1, 8, 8), (8, 8, 3), (8, 8), (1, 1, 3, 8, 8)):
-            with pytest.raises(ValueError, match=r"image must have shape \(3, H, W\) or \(B, 3, H, W\), got"):
+            with pytest.raises(
+                ValueError, match=r"image must have shape \(3, H, W\) or \(B, 3, H, W\), got"
+            ):
                 network(torch.zeros(shape))
 
     def test_rejects_networks(self, tmp_path) -> None:
@@ -368,7 +429,16 @@ class TestDepthNetwork:
         for shape in ((1, 8, 8, 3), (1, "h", "w", 3), (3, 8, 8)):
             with pytest.raises(ValueError, match=r"must take \(1, 3, h, w\), got .*channels last"):
                 DepthNetwork(mean_of_channels(path, shape))(torch.rand(3, 8, 8))
-        assert DepthNetwork(mean_of_channels(path, ("b", "c", "h", "w")))(torch.rand(3, 8, 8)).shape == (1, 8, 8)
-        colours = save(tmp_path / "colours.onnx", [helper.make_node("Identity", ["x"], ["y"])], (1, 3, "h", "w"), 4)
-        with pytest.raises(ValueError, match=r"must give \(1, h, w\) or \(1, 1, h, w\), got \(1, 3, 8, 8\)"):
+        assert DepthNetwork(mean_of_channels(path, ("b", "c", "h", "w")))(
+            torch.rand(3, 8, 8)
+        ).shape == (1, 8, 8)
+        colours = save(
+            tmp_path / "colours.onnx",
+            [helper.make_node("Identity", ["x"], ["y"])],
+            (1, 3, "h", "w"),
+            4,
+        )
+        with pytest.raises(
+            ValueError, match=r"must give \(1, h, w\) or \(1, 1, h, w\), got \(1, 3, 8, 8\)"
+        ):
             DepthNetwork(colours, short_side=8, multiple=8)(torch.rand(3, 8, 8))

@@ -11,10 +11,14 @@ from torch.utils.data import DataLoader
 from uwaug import RandomUnderwater
 
 pytestmark = [
-    pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning"),  # Python ≥ 3.12 warns of every fork with threads
+    pytest.mark.filterwarnings(
+        "ignore:.*fork:DeprecationWarning"
+    ),  # Python ≥ 3.12 warns of every fork with threads
     pytest.mark.filterwarnings("ignore:This DataLoader will create"),  # on machines of one core
 ]
-START = pytest.mark.parametrize("start", [m for m in ("fork", "spawn") if m in multiprocessing.get_all_start_methods()])
+START = pytest.mark.parametrize(
+    "start", [m for m in ("fork", "spawn") if m in multiprocessing.get_all_start_methods()]
+)
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +26,9 @@ def crops(motorcycle: Any) -> Crops:
     return Crops(motorcycle.srgb.float(), motorcycle.distance.float())
 
 
-def loader(dataset: Any, start: str | None = None, workers: int = 2, **options: Any) -> "DataLoader[Any]":
+def loader(
+    dataset: Any, start: str | None = None, workers: int = 2, **options: Any
+) -> "DataLoader[Any]":
     context = {"multiprocessing_context": start, "timeout": 60} if workers else {}
     return DataLoader(dataset, **{"batch_size": 4, "num_workers": workers, **context, **options})
 
@@ -31,7 +37,9 @@ def loader(dataset: Any, start: str | None = None, workers: int = 2, **options: 
 def test_classification(start: str, crops: Crops) -> None:
     torch.manual_seed(0)
     augment = RandomUnderwater(["II", "1C"], mixing=(0, 1), p=0.9)
-    model = nn.Sequential(nn.BatchNorm2d(3), nn.Conv2d(3, 8, 5, 4), nn.ReLU(), nn.Flatten(), nn.LazyLinear(2))
+    model = nn.Sequential(
+        nn.BatchNorm2d(3), nn.Conv2d(3, 8, 5, 4), nn.ReLU(), nn.Flatten(), nn.LazyLinear(2)
+    )
     model(torch.zeros(2, 3, SIZE, SIZE))  # makes the lazy layer
     optimizer = torch.optim.Adam(model.parameters(), 0.01)
     # workers that persist go on with their random numbers: other waters in the next epoch
@@ -87,7 +95,9 @@ def test_paired_restoration(start: str, crops: Crops) -> None:
 
 
 def run(data: "DataLoader[Any]") -> dict[int, Tensor]:
-    return {int(i): image for indices, images in data for i, image in zip(indices, images, strict=True)}
+    return {
+        int(i): image for indices, images in data for i, image in zip(indices, images, strict=True)
+    }
 
 
 def test_keys_do_not_depend_on_workers(crops: Crops) -> None:

@@ -10,10 +10,13 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from uwaug.medium import Medium, PointSpread
-from uwaug.water import JERLOV_TYPES, Water
+from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.water import JERLOV_TYPES, Water
 
-Z = np.concatenate([[0.0], np.geomspace(1e-4, 1, 200), np.linspace(1, 20, 200)[1:]])  # finer near 0, where curves bend
+Z = np.concatenate(
+    [[0.0], np.geomspace(1e-4, 1, 200), np.linspace(1, 20, 200)[1:]]
+)  # finer near 0, where curves bend
 CURVES = ("transmission", "signal", "backscatter")
 DEPTHS, SHARES = (0.0, 1.0, 10.0), (0.0, 0.2, 1.0)
 
@@ -44,7 +47,9 @@ def test_curves_keep_the_tolerance(type: str, tolerance: float) -> None:
 
 
 @pytest.mark.parametrize("type", ["I", "II", "9C"])
-@pytest.mark.parametrize("span", [(0.0, 0.5), (0.0, 200.0), (0.0, 1000.0), (5.0, 6.0), (3.0, 80.0)], ids=str)
+@pytest.mark.parametrize(
+    "span", [(0.0, 0.5), (0.0, 200.0), (0.0, 1000.0), (5.0, 6.0), (3.0, 80.0)], ids=str
+)
 def test_curves_keep_the_tolerance_over_any_range(type: str, span: tuple[float, float]) -> None:
     water = Water.jerlov(type)
     medium = Medium.from_water(water, vertical_depth=0.0, distance_range=span)
@@ -63,11 +68,19 @@ def test_no_tolerance_keeps_all_bands(type: str) -> None:
 @pytest.mark.parametrize("type", JERLOV_TYPES)
 def test_no_more_rates_than_needed(type: str) -> None:
     water = Water.jerlov(type)
-    media = [Medium.from_water(water, vertical_depth=0.0, tolerance=t) for t in np.geomspace(0.3, 0.0004, 60)]
+    media = [
+        Medium.from_water(water, vertical_depth=0.0, tolerance=t)
+        for t in np.geomspace(0.3, 0.0004, 60)
+    ]
     for curves, rates in ((slice(0, 1), "beta"), (slice(1, 3), "G")):
-        found = {getattr(m, rates).shape[1]: max(errors(m, water, depth=0.0, g=0.2, mu=0.3)[curves]) for m in media}
+        found = {
+            getattr(m, rates).shape[1]: max(errors(m, water, depth=0.0, g=0.2, mu=0.3)[curves])
+            for m in media
+        }
         for tolerance in (0.002, 0.0005):
-            needed = getattr(Medium.from_water(water, vertical_depth=0.0, tolerance=tolerance), rates).shape[1]
+            needed = getattr(
+                Medium.from_water(water, vertical_depth=0.0, tolerance=tolerance), rates
+            ).shape[1]
             fewer = [error for k, error in found.items() if k < needed]
             assert fewer, f"no medium with fewer than {needed} rates to compare with"
             assert min(fewer) > tolerance
@@ -85,7 +98,9 @@ def test_exact_at_zero(type: str) -> None:
     medium = Medium.from_water(water, vertical_depth=1.0)
     light = reference.spectral_curves(water, np.zeros(()), depth=1.0, g=0.2, mu=0.3).direct
     zero = torch.zeros((), dtype=torch.float64)
-    torch.testing.assert_close(medium.transmission(zero)[0], torch.from_numpy(light), rtol=0, atol=1e-13)
+    torch.testing.assert_close(
+        medium.transmission(zero)[0], torch.from_numpy(light), rtol=0, atol=1e-13
+    )
     torch.testing.assert_close(medium.signal(zero)[0], torch.from_numpy(light), rtol=0, atol=1e-13)
     assert (medium.backscatter(zero) == 0).all()
 
@@ -108,7 +123,9 @@ def test_a_thin_layer_of_water_has_a_veil_in_float32() -> None:
     medium = Medium.from_water(Water.jerlov("3C"), vertical_depth=0.0)
     z = torch.logspace(-9, -3, 13)
     expected = reference.medium_curves(medium, z.double().numpy()).veil
-    torch.testing.assert_close(medium.backscatter(z)[0].double(), torch.from_numpy(expected), rtol=1e-5, atol=0)
+    torch.testing.assert_close(
+        medium.backscatter(z)[0].double(), torch.from_numpy(expected), rtol=1e-5, atol=0
+    )
 
 
 @pytest.mark.parametrize("b", [0.0, 0.3])
@@ -117,14 +134,24 @@ def test_a_water_that_absorbs_nothing(b: float) -> None:
     water = Water([400, 700], a=[0, 0], b=[b, b], kd=[0, 0])
     medium = Medium.from_water(water, g=0.0, mu=0.3)
     z = torch.tensor([0.0, 1e-3, 1.0, 20.0], dtype=torch.float64)
-    torch.testing.assert_close(medium.backscatter(z)[0], (0.3 * b * z).expand(3, -1), rtol=1e-4, atol=1e-12)
-    torch.testing.assert_close(medium.signal(z)[0], torch.ones(3, 4, dtype=torch.float64), rtol=0, atol=1e-4)
-    torch.testing.assert_close(medium.transmission(z)[0], torch.exp(-b * z).expand(3, -1), rtol=0, atol=1e-12)
-    assert all(c.isfinite().all() for c in (medium.backscatter(torch.tensor(math.inf)), medium.signal(z)))
+    torch.testing.assert_close(
+        medium.backscatter(z)[0], (0.3 * b * z).expand(3, -1), rtol=1e-4, atol=1e-12
+    )
+    torch.testing.assert_close(
+        medium.signal(z)[0], torch.ones(3, 4, dtype=torch.float64), rtol=0, atol=1e-4
+    )
+    torch.testing.assert_close(
+        medium.transmission(z)[0], torch.exp(-b * z).expand(3, -1), rtol=0, atol=1e-12
+    )
+    assert all(
+        c.isfinite().all() for c in (medium.backscatter(torch.tensor(math.inf)), medium.signal(z))
+    )
 
 
 def test_a_water_that_absorbs_in_part_of_the_spectrum_only() -> None:
-    water = Water([400, 500, 600, 700], a=[0, 0, 0.1, 0.3], b=[0.3, 0.2, 0.2, 0.2], kd=[0.1, 0.1, 0.2, 0.3])
+    water = Water(
+        [400, 500, 600, 700], a=[0, 0, 0.1, 0.3], b=[0.3, 0.2, 0.2, 0.2], kd=[0.1, 0.1, 0.2, 0.3]
+    )
     medium = Medium.from_water(water, g=0.0)
     assert max(errors(medium, water, depth=1.0, g=0.0, mu=0.3)) <= 0.002
 
@@ -137,7 +164,9 @@ def test_clear_water_scatters_nothing() -> None:
 
 
 def test_no_light_towards_the_camera() -> None:
-    assert (Medium.from_water(Water.jerlov("II"), mu=0.0).backscatter(torch.tensor([1.0, 20.0])) == 0).all()
+    assert (
+        Medium.from_water(Water.jerlov("II"), mu=0.0).backscatter(torch.tensor([1.0, 20.0])) == 0
+    ).all()
 
 
 @pytest.mark.parametrize("depth", [300.0, 1e4, 5e4, 1e6])
@@ -149,19 +178,23 @@ def test_no_light_down_there(depth: float) -> None:
 
 def test_the_camera_and_its_bands_count() -> None:
     water = Water.jerlov("II")
-    nikon, sigma = (Medium.from_water(water, camera=c) for c in (reference.NIKON, "Sigma SDMerill (NPL)"))
+    nikon, sigma = (
+        Medium.from_water(water, camera=c) for c in (reference.NIKON, "Sigma SDMerill (NPL)")
+    )
     z = torch.tensor(5.0)
     assert (nikon.transmission(z) - sigma.transmission(z)).abs().max() > 0.01
     bands = np.arange(400.0, 701.0, 50.0)
     coarse = Medium.from_water(water, wavelengths=bands, tolerance=0)
     exact = reference.spectral_curves(water, Z, depth=1.0, g=0.2, mu=0.3, bands=bands)
     for name, curve in zip(CURVES, exact, strict=True):
-        np.testing.assert_allclose(getattr(coarse, name)(torch.from_numpy(Z))[0].numpy(), curve, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(
+            getattr(coarse, name)(torch.from_numpy(Z))[0].numpy(), curve, rtol=0, atol=1e-14
+        )
 
 
 def test_mean_scattering_is_the_mean_over_the_channels() -> None:
     water = Water.jerlov("7C")
-    from uwaug.camera import load_camera
+    from uwaug.optics.camera import load_camera
 
     b = water.at(reference.BANDS).b @ load_camera(reference.NIKON).weights(reference.BANDS)
     assert float(Medium.from_water(water).b_mean) == pytest.approx(b.mean(), rel=1e-12)
@@ -174,12 +207,19 @@ def test_a_water_with_a_short_spectrum_uses_what_it_has() -> None:
     assert medium.beta.shape == (1, 31)
 
 
-COEFFICIENTS = {"beta": (0.6, 0.3, 0.25), "G": (0.4, 0.1, 0.08), "veil": (0.1, 0.3, 0.4), "light": (0.7, 0.9, 1.0)}
+COEFFICIENTS = {
+    "beta": (0.6, 0.3, 0.25),
+    "G": (0.4, 0.1, 0.08),
+    "veil": (0.1, 0.3, 0.4),
+    "light": (0.7, 0.9, 1.0),
+}
 
 
 def test_coefficients_are_one_exponential_per_channel() -> None:
     medium = Medium.from_coefficients(**COEFFICIENTS, b_mean=0.3, point_spread=PointSpread.paper())
-    beta, G, veil, light = (torch.tensor(v, dtype=torch.float64)[:, None] for v in COEFFICIENTS.values())
+    beta, G, veil, light = (
+        torch.tensor(v, dtype=torch.float64)[:, None] for v in COEFFICIENTS.values()
+    )
     z = torch.from_numpy(Z)
     torch.testing.assert_close(medium.transmission(z)[0], light * torch.exp(-beta * z))
     torch.testing.assert_close(medium.signal(z)[0], light * torch.exp(-G * z))
@@ -196,11 +236,15 @@ def test_coefficients_may_be_batches_and_tensors() -> None:
 
 
 @pytest.mark.parametrize(
-    "numbers", [torch.tensor([1, 2, 3]), np.array([1, 2, 3]), [1, 2, 3]], ids=["tensor", "array", "list"]
+    "numbers",
+    [torch.tensor([1, 2, 3]), np.array([1, 2, 3]), [1, 2, 3]],
+    ids=["tensor", "array", "list"],
 )
 def test_whole_numbers_are_numbers(numbers: object) -> None:
     medium = Medium.from_coefficients(numbers, (0.1, 0.2, 0.3), (0.4, 0.5, 0.6))
-    torch.testing.assert_close(medium.G.double(), torch.tensor([[0.1, 0.2, 0.3]], dtype=torch.float64))
+    torch.testing.assert_close(
+        medium.G.double(), torch.tensor([[0.1, 0.2, 0.3]], dtype=torch.float64)
+    )
     torch.testing.assert_close(
         medium.veil_weights.sum(-1).double(), torch.tensor([[0.4, 0.5, 0.6]], dtype=torch.float64)
     )
@@ -234,8 +278,15 @@ def test_autocast_changes_nothing(coastal: Medium) -> None:
 
 def test_a_stack_equals_its_members() -> None:
     waters = ("I", "II", "9C")
-    laws = (PointSpread(1.0, 0.5), PointSpread(2.0, 0.7), PointSpread(torch.tensor([3.0]), torch.tensor([0.9])))
-    media = [Medium.from_water(Water.jerlov(t), point_spread=law) for t, law in zip(waters, laws, strict=True)]
+    laws = (
+        PointSpread(1.0, 0.5),
+        PointSpread(2.0, 0.7),
+        PointSpread(torch.tensor([3.0]), torch.tensor([0.9])),
+    )
+    media = [
+        Medium.from_water(Water.jerlov(t), point_spread=law)
+        for t, law in zip(waters, laws, strict=True)
+    ]
     assert len({m.beta.shape for m in media}) > 1, "sizes should differ, or padding is not tested"
     batch = Medium.stack([*media, Medium.stack(media[:2])])
     assert len(batch) == 5
@@ -272,11 +323,14 @@ def test_iteration_ends(coastal: Medium) -> None:
 def test_to_casts_every_tensor_and_keeps_gradients() -> None:
     scale = torch.tensor([0.5], dtype=torch.float64, requires_grad=True)
     beta = torch.tensor([0.6, 0.3, 0.2], dtype=torch.float64, requires_grad=True)
-    medium = Medium.from_coefficients(beta, (0.1,) * 3, (0.2,) * 3, b_mean=0.3, point_spread=PointSpread(scale)).to(
-        torch.float32
-    )
+    medium = Medium.from_coefficients(
+        beta, (0.1,) * 3, (0.2,) * 3, b_mean=0.3, point_spread=PointSpread(scale)
+    ).to(torch.float32)
     assert {t.dtype for t in (*medium.tensors(), medium.point_spread.scale)} == {torch.float32}
-    (medium.transmission(torch.tensor(1.0)).sum() + medium.width(torch.ones(1, 1, 1, 1), (9, 9)).sum()).backward()
+    (
+        medium.transmission(torch.tensor(1.0)).sum()
+        + medium.width(torch.ones(1, 1, 1, 1), (9, 9)).sum()
+    ).backward()
     assert beta.grad is not None
     assert scale.grad is not None
 
@@ -285,7 +339,14 @@ def test_gradients_of_every_tensor() -> None:
     def evaluate(*tensors: torch.Tensor) -> torch.Tensor:
         *medium, scale, exponent, z = tensors
         m = Medium(*medium, PointSpread(scale, exponent))
-        return torch.cat([m.transmission(z), m.signal(z), m.backscatter(z), m.width(z, (3, 4)).expand(2, 3, 3, 4)])
+        return torch.cat(
+            [
+                m.transmission(z),
+                m.signal(z),
+                m.backscatter(z),
+                m.width(z, (3, 4)).expand(2, 3, 3, 4),
+            ]
+        )
 
     rand = lambda *shape: torch.rand(*shape, dtype=torch.float64, requires_grad=True)  # noqa: E731
     inputs = (
@@ -309,8 +370,12 @@ def test_gradients_are_finite_at_the_ends(z: float, rate: float, dtype: torch.dt
     rates = torch.full((3,), rate, dtype=dtype, requires_grad=True)
     veil = torch.full((3,), 0.3, dtype=dtype, requires_grad=True)
     distance = torch.full((1, 1, 2, 2), z, dtype=dtype, requires_grad=True)
-    b_mean, scale, exponent = (torch.full((1,), v, dtype=dtype, requires_grad=True) for v in (rate, 2.0, 0.5))
-    medium = Medium.from_coefficients(rates, rates, veil, b_mean=b_mean, point_spread=PointSpread(scale, exponent))
+    b_mean, scale, exponent = (
+        torch.full((1,), v, dtype=dtype, requires_grad=True) for v in (rate, 2.0, 0.5)
+    )
+    medium = Medium.from_coefficients(
+        rates, rates, veil, b_mean=b_mean, point_spread=PointSpread(scale, exponent)
+    )
     total = sum(getattr(medium, name)(distance).sum() for name in CURVES)
     total.backward()
     tensors = (rates, veil, distance)
@@ -320,7 +385,9 @@ def test_gradients_are_finite_at_the_ends(z: float, rate: float, dtype: torch.dt
 
 def test_copies_survive(coastal: Medium) -> None:
     for twin in (pickle.loads(pickle.dumps(coastal)), copy.deepcopy(coastal)):
-        assert all(torch.equal(a, b) for a, b in zip(twin.tensors(), coastal.tensors(), strict=True))
+        assert all(
+            torch.equal(a, b) for a, b in zip(twin.tensors(), coastal.tensors(), strict=True)
+        )
         assert (twin.point_spread, twin.notes) == (coastal.point_spread, coastal.notes)
 
 
@@ -331,7 +398,9 @@ def test_repr_says_what_it_models(coastal: Medium) -> None:
     assert "2 more" in repr(Medium.stack([coastal] * 3))
     assert "no blur" in repr(Medium.from_coefficients((1,) * 3, (1,) * 3, (0,) * 3))
     law = PointSpread(torch.tensor([1.0], requires_grad=True))
-    assert "learned" in repr(Medium.from_coefficients((1,) * 3, (1,) * 3, (0,) * 3, point_spread=law))
+    assert "learned" in repr(
+        Medium.from_coefficients((1,) * 3, (1,) * 3, (0,) * 3, point_spread=law)
+    )
     exact = Medium.from_water(Water.jerlov("3C"), tolerance=0)
     assert "61 + 61 rates" in repr(exact)
 
@@ -401,10 +470,16 @@ def test_from_coefficients_rejects(change: dict[str, object], match: str) -> Non
         Medium.from_coefficients(**{**COEFFICIENTS, **change})
 
 
-@pytest.mark.parametrize("name", ["beta", "direct_weights", "G", "signal_weights", "veil_weights", "b_mean"])
+@pytest.mark.parametrize(
+    "name", ["beta", "direct_weights", "G", "signal_weights", "veil_weights", "b_mean"]
+)
 def test_medium_rejects_shapes_that_disagree(name: str, coastal: Medium) -> None:
     fields = dict(
-        zip(("beta", "direct_weights", "G", "signal_weights", "veil_weights", "b_mean"), coastal.tensors(), strict=True)
+        zip(
+            ("beta", "direct_weights", "G", "signal_weights", "veil_weights", "b_mean"),
+            coastal.tensors(),
+            strict=True,
+        )
     )
     with pytest.raises(ValueError, match=r"Medium\.\w+ must have shape .* got"):
         Medium(**{**fields, name: torch.rand(2, 5, 7)}, point_spread=PointSpread.none())
@@ -416,9 +491,12 @@ def test_stack_rejects(coastal: Medium) -> None:
     other = Medium.from_water(Water.jerlov("II"), point_spread=PointSpread(1.0))
     with pytest.raises(ValueError, match="reference_size"):
         Medium.stack([coastal, other])
-    calibrated = Medium.from_water(Water.jerlov("II"), g=0.05, mu=0.075, point_spread=PointSpread.calibrated(400.0))
+    calibrated = Medium.from_water(
+        Water.jerlov("II"), g=0.05, mu=0.075, point_spread=PointSpread.calibrated(400.0)
+    )
     with pytest.raises(
-        ValueError, match=r"shape and reference_size .*exponential σ = 12·.*gaussian σ = 0\.3·.* 518 px"
+        ValueError,
+        match=r"shape and reference_size .*exponential σ = 12·.*gaussian σ = 0\.3·.* 518 px",
     ):
         Medium.stack([coastal, calibrated])
     with pytest.raises(ValueError, match=r"got \['exponential .*', 'gaussian .*'\]"):
@@ -453,7 +531,9 @@ def test_width_laws() -> None:
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(st.floats(0, 100), st.floats(0.05, 3), st.floats(0, 1e9))
 def test_width_grows_with_distance_and_is_finite(scale: float, exponent: float, z: float) -> None:
-    lengths = torch.tensor([z, 2 * z + 1e-3], dtype=torch.float64).reshape(1, 1, 1, 2).requires_grad_()
+    lengths = (
+        torch.tensor([z, 2 * z + 1e-3], dtype=torch.float64).reshape(1, 1, 1, 2).requires_grad_()
+    )
     width = PointSpread(scale, exponent).sigma(lengths, (100, 100))
     width.sum().backward()
     assert width.isfinite().all()

@@ -11,16 +11,19 @@ from torch import Tensor
 
 from uwaug.colour import linear_to_srgb, srgb_to_linear
 from uwaug.formation import form_image
-from uwaug.medium import Medium, PointSpread
 from uwaug.module import Underwater
-from uwaug.water import JERLOV_TYPES, Water
+from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.water import JERLOV_TYPES, Water
 
 LAW = PointSpread(1.2, 0.8)
 
 
 def picture(height: int = 32, width: int = 40, batch: int = 1) -> Tensor:
     return (
-        torch.from_numpy(np.stack([reference.picture(height, width, seed) for seed in range(batch)]))
+        torch.from_numpy(
+            np.stack([reference.picture(height, width, seed) for seed in range(batch)])
+        )
         .clamp(0, 1)
         .float()
     )
@@ -38,7 +41,9 @@ MEDIA = {
     "water": coastal,
     "clear": lambda: Medium.from_water(Water.jerlov("I")),
     "no blur": lambda: coastal(point_spread=PointSpread.none()),
-    "exponent per image": lambda: coastal(point_spread=PointSpread(torch.tensor([1.5]), torch.tensor([0.6]))),
+    "exponent per image": lambda: coastal(
+        point_spread=PointSpread(torch.tensor([1.5]), torch.tensor([0.6]))
+    ),
     "g = 1": lambda: coastal(g=1.0),
     "no veil": lambda: coastal(mu=0.0),
     "all bands": lambda: coastal(tolerance=0),
@@ -46,9 +51,15 @@ MEDIA = {
         (0.6, 0.3, 0.25), (0.4, 0.1, 0.0), (0.1, 0.3, 0.4), b_mean=0.3, point_spread=LAW
     ),
     "float32": lambda: Medium.from_coefficients(
-        torch.tensor([0.6, 0.3, 0.2]), (0.4, 0.1, 0.1), (0.1, 0.3, 0.4), b_mean=0.3, point_spread=LAW
+        torch.tensor([0.6, 0.3, 0.2]),
+        (0.4, 0.1, 0.1),
+        (0.1, 0.3, 0.4),
+        b_mean=0.3,
+        point_spread=LAW,
     ),
-    "batch": lambda: Medium.stack([Medium.from_water(Water.jerlov(t), point_spread=LAW) for t in ("I", "9C")]),
+    "batch": lambda: Medium.stack(
+        [Medium.from_water(Water.jerlov(t), point_spread=LAW) for t in ("I", "9C")]
+    ),
 }
 
 
@@ -69,7 +80,9 @@ def test_linear_light_is_form_image(medium: Medium) -> None:
 def test_srgb_is_decoded_and_encoded() -> None:
     image, z = picture(), distances()
     linear, srgb = (Underwater(coastal(), color_space=c) for c in ("linear", "srgb"))
-    torch.testing.assert_close(srgb(image, z), linear_to_srgb(linear(srgb_to_linear(image), z)), rtol=0, atol=1e-6)
+    torch.testing.assert_close(
+        srgb(image, z), linear_to_srgb(linear(srgb_to_linear(image), z)), rtol=0, atol=1e-6
+    )
     assert (srgb(image, z) - linear(image, z)).abs().max() > 0.05
     assert Underwater(coastal()).color_space == "srgb"
 
@@ -92,14 +105,18 @@ def test_open_water_is_the_veil() -> None:
 def test_no_water_in_between() -> None:
     surface = coastal(vertical_depth=0.0)
     image = picture()
-    torch.testing.assert_close(Underwater(surface)(image, torch.zeros(1, 1, 32, 40)), image, rtol=0, atol=2e-6)
+    torch.testing.assert_close(
+        Underwater(surface)(image, torch.zeros(1, 1, 32, 40)), image, rtol=0, atol=2e-6
+    )
 
 
 def test_planned_at_each_call() -> None:
     medium, image, z = coastal(), picture(), distances()
     free = Underwater(medium, distance_range=None, color_space="linear")
     assert free.plan((32, 40)) is None
-    torch.testing.assert_close(free(image, z), form_image(image, z, medium).image, rtol=0, atol=1e-6)
+    torch.testing.assert_close(
+        free(image, z), form_image(image, z, medium).image, rtol=0, atol=1e-6
+    )
     assert "planned at each call" in repr(free)
 
 
@@ -155,9 +172,14 @@ def test_autocast_changes_nothing(learnable: bool) -> None:
 def test_the_module_can_be_cast() -> None:
     degrade, image, z = Underwater(coastal()), picture(), distances()
     expected = degrade(image, z)
-    torch.testing.assert_close(copy.deepcopy(degrade).float()(image, z), expected, rtol=0, atol=1e-5)
     torch.testing.assert_close(
-        copy.deepcopy(degrade).double()(image.double(), z.double()).float(), expected, rtol=0, atol=1e-5
+        copy.deepcopy(degrade).float()(image, z), expected, rtol=0, atol=1e-5
+    )
+    torch.testing.assert_close(
+        copy.deepcopy(degrade).double()(image.double(), z.double()).float(),
+        expected,
+        rtol=0,
+        atol=1e-5,
     )
 
 
@@ -173,12 +195,18 @@ def test_learning_starts_at_the_medium(medium: Medium) -> None:
     assert reference.psnr(learnable(image, z).detach(), fixed(image, z)) >= 54  # their plans differ
     start = learnable.medium
     for name, value, given in zip(
-        ("beta", "direct", "G", "signal", "veil", "b_mean"), start.tensors(), medium.tensors(), strict=True
+        ("beta", "direct", "G", "signal", "veil", "b_mean"),
+        start.tensors(),
+        medium.tensors(),
+        strict=True,
     ):
-        torch.testing.assert_close(value.detach().to(given.dtype), given, rtol=1e-5, atol=2e-6, msg=name)
+        torch.testing.assert_close(
+            value.detach().to(given.dtype), given, rtol=1e-5, atol=2e-6, msg=name
+        )
     for name in ("scale", "exponent"):
         value, given = (
-            torch.as_tensor(getattr(m.point_spread, name)).double().expand(len(medium)) for m in (start, medium)
+            torch.as_tensor(getattr(m.point_spread, name)).double().expand(len(medium))
+            for m in (start, medium)
         )
         torch.testing.assert_close(value.detach(), given, rtol=1e-5, atol=2e-6)
 
@@ -199,7 +227,9 @@ def test_every_parameter_learns_and_stays_positive(medium: Medium) -> None:
         optimiser.zero_grad()
         degrade(image, z).square().sum().backward()
         for name, parameter in degrade.named_parameters():
-            if name == "source.raw_scale" and degrade.plan((image.shape[-2], image.shape[-1])).sigmas == (0.0,):
+            if name == "source.raw_scale" and degrade.plan(
+                (image.shape[-2], image.shape[-1])
+            ).sigmas == (0.0,):
                 continue  # no blur is planned, as none would show
             assert parameter.grad is not None, name
             assert parameter.grad.isfinite().all(), name
@@ -215,7 +245,8 @@ def test_every_parameter_learns_and_stays_positive(medium: Medium) -> None:
 def test_learning_finds_another_water() -> None:
     image, z = picture(24, 24, 2), distances(24, 24, 2)
     observed = Underwater(
-        Medium.from_coefficients((0.5, 0.2, 0.3), (0.2, 0.1, 0.12), (0.1, 0.3, 0.4)), color_space="linear"
+        Medium.from_coefficients((0.5, 0.2, 0.3), (0.2, 0.1, 0.12), (0.1, 0.3, 0.4)),
+        color_space="linear",
     )(image, z)
     start = Medium.from_coefficients((0.3,) * 3, (0.15,) * 3, (0.2,) * 3)
     degrade = Underwater(start, color_space="linear", learnable=True)
@@ -296,7 +327,9 @@ def test_tensors_move_with_the_module() -> None:
         assert {t.device.type for t in tensors if isinstance(t, Tensor)} == {"meta"}
 
 
-@pytest.mark.filterwarnings("ignore:.*torch.jit.script:DeprecationWarning")  # PyTorch's own compiler calls it
+@pytest.mark.filterwarnings(
+    "ignore:.*torch.jit.script:DeprecationWarning"
+)  # PyTorch's own compiler calls it
 @pytest.mark.filterwarnings("ignore:.*script_method:DeprecationWarning")
 def test_compiles_whole() -> None:
     torch._dynamo.reset()
@@ -326,7 +359,16 @@ def test_compiles_for_every_size() -> None:
 
 def test_repr_says_what_is_modelled_and_what_is_skipped() -> None:
     text = repr(Underwater(coastal()))
-    for part in ("3C", "rates", "0.1…20 m", "blurs for σ", "dB", "tolerance=0.002", "srgb", "line_of_sight"):
+    for part in (
+        "3C",
+        "rates",
+        "0.1…20 m",
+        "blurs for σ",
+        "dB",
+        "tolerance=0.002",
+        "srgb",
+        "line_of_sight",
+    ):
         assert part in text
     assert "at 512 px" in repr(Underwater(coastal(point_spread=PointSpread.paper(0.8))))
     assert "no blur" in repr(Underwater(coastal(g=1.0, tolerance=0.0005)))
@@ -337,7 +379,9 @@ def test_repr_says_what_is_modelled_and_what_is_skipped() -> None:
 
 def test_the_plan_depends_on_size_and_range() -> None:
     degrade = Underwater(coastal(point_spread=PointSpread.paper(0.8)))
-    assert degrade.plan((1036, 2000)).sigma_max == pytest.approx(2 * degrade.plan((518, 700)).sigma_max)
+    assert degrade.plan((1036, 2000)).sigma_max == pytest.approx(
+        2 * degrade.plan((518, 700)).sigma_max
+    )
     near = Underwater(coastal(), distance_range=(0.1, 1.0)).plan((100, 100))
     assert near.sigma_max < Underwater(coastal()).plan((100, 100)).sigma_max
 
@@ -376,6 +420,8 @@ def test_construction_wants_a_medium() -> None:
     ],
     ids=["0…255", "bytes", "nan", "negative", "size"],
 )
-def test_forward_rejects(image: Tensor, distance: Tensor, error: type[Exception], match: str) -> None:
+def test_forward_rejects(
+    image: Tensor, distance: Tensor, error: type[Exception], match: str
+) -> None:
     with pytest.raises(error, match=match):
         Underwater(coastal())(image, distance)

@@ -10,12 +10,15 @@ import pytest
 import torch
 
 from uwaug.formation import form_image
-from uwaug.medium import Medium, PointSpread
+from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread
 
 G = 0.05  # goes with the calibrated law
 
 
-def errors(law: Callable[[float], PointSpread], g: float, order: str = "line_of_sight") -> list[float]:
+def errors(
+    law: Callable[[float], PointSpread], g: float, order: str = "line_of_sight"
+) -> list[float]:
     """RMSE of direct + forward light in six waters, the noise of the reference taken out."""
     with np.load(Path(__file__).parent / "data" / "monte_carlo.npz") as data:
         texture, observed, cases = (
@@ -28,7 +31,9 @@ def errors(law: Callable[[float], PointSpread], g: float, order: str = "line_of_
     for light, case in zip(observed, json.loads(cases), strict=True):
         a, b, f = case["a"], case["b"], case["focal_px"]
         distance = case["z"] * torch.sqrt(1 + (offset[:, None] / f) ** 2 + (offset / f) ** 2)[None]
-        medium = Medium.from_coefficients((a + b,) * 3, (a + g * b,) * 3, (0,) * 3, b_mean=b, point_spread=law(f))
+        medium = Medium.from_coefficients(
+            (a + b,) * 3, (a + g * b,) * 3, (0,) * 3, b_mean=b, point_spread=law(f)
+        )
         terms = form_image(texture.expand(3, -1, -1), distance, medium, order=order)
         error = (terms.direct + terms.forward)[0].numpy() - light
         found.append(float(np.sqrt((error**2).mean() - case["noise"] ** 2)))

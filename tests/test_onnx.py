@@ -16,7 +16,8 @@ from torch.utils.data import DataLoader, Dataset
 
 import uwaug
 from uwaug import JERLOV_TYPES, Medium, PointSpread, Underwater, Water, list_presets, load_preset
-from uwaug.blur import BlurPlan, blurred
+from uwaug.blur.plan import BlurPlan
+from uwaug.blur.stack import blurred
 from uwaug.onnx import (
     OnnxUnderwater,
     check_onnx,
@@ -36,7 +37,9 @@ NEAR, FAR = 0.25, 10.0
 PAPERS = [name for name in list_presets() if name != "calibrated"]  # whose law has another shape
 
 
-def scene(batch: int = 2, height: int = 45, width: int = 62, seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:
+def scene(
+    batch: int = 2, height: int = 45, width: int = 62, seed: int = 0
+) -> tuple[Tensor, Tensor, Tensor]:
     rng = torch.Generator().manual_seed(seed)
     image = torch.rand(batch, 3, height, width, generator=rng)
     distance = NEAR + (FAR - NEAR) * torch.rand(batch, 1, height, width, generator=rng) ** 2
@@ -59,7 +62,9 @@ def frozen(folder) -> tuple[Path, Underwater]:
 def quantised(folder) -> tuple[Path, Underwater]:
     """uint8 in and out, sRGB, with a field; wide blurs of a known exponent below one half."""
     law = PointSpread(9.0, 0.45, reference_size=None)
-    module = Underwater(Medium.from_water(Water.jerlov("II"), g=0.066, mu=0.1, point_spread=law), (0.5, 12.0))
+    module = Underwater(
+        Medium.from_water(Water.jerlov("II"), g=0.066, mu=0.1, point_spread=law), (0.5, 12.0)
+    )
     return export_onnx(module, folder / "uint8.onnx", field="input", image="uint8"), module
 
 
@@ -87,7 +92,9 @@ def encoded(folder) -> tuple[Path, Underwater]:
     return export_onnx(module, folder / "encoded.onnx", parameters="inputs", image="uint8"), module
 
 
-def reference(path: Path, module: Underwater, image: Tensor, distance: Tensor, **given: object) -> Tensor:
+def reference(
+    path: Path, module: Underwater, image: Tensor, distance: Tensor, **given: object
+) -> Tensor:
     """Float64 eager through the public model, with the file's plan."""
     sides = json.loads(read_metadata(path)["uwaug_sides_px"])
     plan = module.demand.plan_all(tuple(sides))
@@ -97,10 +104,14 @@ def reference(path: Path, module: Underwater, image: Tensor, distance: Tensor, *
         j = j / 255
     if module.color_space == "srgb":
         j = torch.where(j <= 0.04045, j / 12.92, ((j + 0.055) / 1.055) ** 2.4)
-    terms = uwaug.form_image(j, distance.double(), medium, None if field is None else field.double(), plan=plan)
+    terms = uwaug.form_image(
+        j, distance.double(), medium, None if field is None else field.double(), plan=plan
+    )
     out = terms.image
     if module.color_space == "srgb":
-        out = torch.where(out <= 0.0031308, out * 12.92, 1.055 * out.clamp(min=1e-9) ** (1 / 2.4) - 0.055)
+        out = torch.where(
+            out <= 0.0031308, out * 12.92, 1.055 * out.clamp(min=1e-9) ** (1 / 2.4) - 0.055
+        )
     return (255 * out).round().clamp(0, 255) if image.dtype == torch.uint8 else out
 
 
@@ -147,7 +158,10 @@ def test_one_file_serves_every_preset(waters, name) -> None:
     image, _, field = scene(1, 40, 53)
     distance = preset.distance(torch.rand(1, 1, 40, 53, generator=torch.Generator().manual_seed(1)))
     got = OnnxUnderwater(path, threads=1)(image, distance, field, preset.medium)
-    assert apart(got, reference(path, module, image, distance, field=field, medium=preset.medium)) <= 1e-5
+    assert (
+        apart(got, reference(path, module, image, distance, field=field, medium=preset.medium))
+        <= 1e-5
+    )
 
 
 def test_the_calibrated_law_comes_back_from_its_file(calibrated) -> None:
@@ -166,7 +180,13 @@ def test_a_medium_for_each_image(waters) -> None:
     got = run(image, distance, field, media)
     assert apart(got, reference(path, module, image, distance, field=field, medium=media)) <= 1e-5
     for i in range(3):
-        assert apart(got[i : i + 1], run(image[i : i + 1], distance[i : i + 1], field[i : i + 1], media[i])) == 0
+        assert (
+            apart(
+                got[i : i + 1],
+                run(image[i : i + 1], distance[i : i + 1], field[i : i + 1], media[i]),
+            )
+            == 0
+        )
     one = run(image[0], distance[0], field[0], media)
     assert one.shape == image.shape
     assert run(image[0], distance[0], field[0], media[0]).shape == image[0].shape
@@ -204,7 +224,10 @@ def test_singular_distances(frozen) -> None:
     far = torch.full_like(distance, torch.inf)
     open_water = module.medium.veil_weights.sum(-1).float()[..., None, None].expand_as(image)
     assert apart(run(image, far), open_water) < 1e-6
-    assert apart(run(image, torch.zeros_like(distance)), reference(path, module, image, 0 * distance)) < 1e-6
+    assert (
+        apart(run(image, torch.zeros_like(distance)), reference(path, module, image, 0 * distance))
+        < 1e-6
+    )
     # beyond the planned range widths stop growing, curves stay exact: the same in both
     for z in (1e-3, 0.1, 20.0, 1e4):
         z = torch.full_like(distance, z)
@@ -220,24 +243,43 @@ def test_singular_distances(frozen) -> None:
 
 
 def test_no_blur_and_one_blur(folder) -> None:
-    coefficients = {"beta": (1.0, 0.8, 0.9), "G": (0.4, 0.3, 0.5), "veil": (0.1, 0.3, 0.4), "b_mean": 0.5}
+    coefficients = {
+        "beta": (1.0, 0.8, 0.9),
+        "G": (0.4, 0.3, 0.5),
+        "veil": (0.1, 0.3, 0.4),
+        "b_mean": 0.5,
+    }
     for law, sigmas in ((PointSpread.none(), (0.0,)), (PointSpread(4.0, 1e-3), None)):
         module = Underwater(Medium.from_coefficients(**coefficients, point_spread=law), (1.0, 4.0))
         plan = module.plan((512, 512))
-        assert (plan.sigmas == sigmas) if sigmas else (min(plan.sigmas) > 1 and len(plan.sigmas) <= 2)
+        assert (
+            (plan.sigmas == sigmas) if sigmas else (min(plan.sigmas) > 1 and len(plan.sigmas) <= 2)
+        )
         path = export_onnx(module, folder / "few.onnx")
         assert read_metadata(path)["uwaug_plan"] == str(plan)
         assert check_onnx(path, read_module(path)).worst < 1e-5
 
 
-@pytest.mark.parametrize("cell", [1.0, 16 / 9, 2.0, 16 / 7, 16 / 5, 4.0, 8.0, 16.0, 32.0, 48.0, 400.0])
+@pytest.mark.parametrize(
+    "cell", [1.0, 16 / 9, 2.0, 16 / 7, 16 / 5, 4.0, 8.0, 16.0, 32.0, 48.0, 400.0]
+)
 def test_blurs_of_the_graph_are_those_of_the_stack(cell) -> None:
     sigma = 1.3 if cell == 1 else 1.2 * cell
     plan = BlurPlan(sigma, sigma, (sigma,), (cell,), ((1.0,),), 3.0, 1e-3)
-    for h, w in [(1, 1), (2, 40), (15, 16), (17, 31), (33, 32), (64, 101), *((n, 41 - n) for n in range(3, 30, 4))]:
+    for h, w in [
+        (1, 1),
+        (2, 40),
+        (15, 16),
+        (17, 31),
+        (33, 32),
+        (64, 101),
+        *((n, 41 - n) for n in range(3, 30, 4)),
+    ]:
         image = torch.rand(2, 3, h, w, generator=torch.Generator().manual_seed(h))
         got = _blur(sigma, cell, 3.0)(image)
-        torch.testing.assert_close(got.double(), blurred(image.double(), plan)[0], rtol=0, atol=2e-6)
+        torch.testing.assert_close(
+            got.double(), blurred(image.double(), plan)[0], rtol=0, atol=2e-6
+        )
 
 
 # The check itself
@@ -257,7 +299,11 @@ def altered(frozen, tmp_path):
 
 
 def weights(model) -> list:
-    return [t for t in model.graph.initializer if t.data_type == onnx.TensorProto.FLOAT and np.prod(t.dims) >= 3]
+    return [
+        t
+        for t in model.graph.initializer
+        if t.data_type == onnx.TensorProto.FLOAT and np.prod(t.dims) >= 3
+    ]
 
 
 def test_any_altered_weight_is_refused(frozen, tmp_path) -> None:
@@ -268,10 +314,14 @@ def test_any_altered_weight_is_refused(frozen, tmp_path) -> None:
         model = onnx.load(path)
         tensor = weights(model)[i]
         values = onnx.numpy_helper.to_array(tensor).copy()
-        values.flat[values.size // 2] += 0.1  # the first and last of a kernel or a series may not show
+        values.flat[values.size // 2] += (
+            0.1  # the first and last of a kernel or a series may not show
+        )
         tensor.CopyFrom(onnx.numpy_helper.from_array(values, tensor.name))
         onnx.save(model, tmp_path / "altered.onnx")
-        with pytest.raises(ValueError, match=r"differs from float64 eager by .* \(limit 1e-05\) at .*×.*×"):
+        with pytest.raises(
+            ValueError, match=r"differs from float64 eager by .* \(limit 1e-05\) at .*×.*×"
+        ):
             check_onnx(tmp_path / "altered.onnx", module)
 
 
@@ -289,8 +339,14 @@ def test_a_graph_that_passes_the_image_through_is_refused(request, name, tmp_pat
 @pytest.mark.parametrize(
     ("nodes", "message"),
     [
-        ([("Sub", ["x", "x"], "zero"), ("Div", ["zero", "zero"], "output")], r"differs .* by inf .* at .*×.*×"),
-        ([("Transpose", ["x"], "output")], r"gives \(1, 1, 3, 1\), not \(1, 3, 1, 1\), at constant, 1×1×1"),
+        (
+            [("Sub", ["x", "x"], "zero"), ("Div", ["zero", "zero"], "output")],
+            r"differs .* by inf .* at .*×.*×",
+        ),
+        (
+            [("Transpose", ["x"], "output")],
+            r"gives \(1, 1, 3, 1\), not \(1, 3, 1, 1\), at constant, 1×1×1",
+        ),
         ([("Reshape", ["x", "distance"], "output")], r"onnx\.checker refuses it|cannot load it"),
     ],
     ids=["nan", "shape", "invalid"],
@@ -310,11 +366,16 @@ def test_a_broken_graph_is_refused(frozen, tmp_path, nodes, message) -> None:
 
 def test_the_wrong_module_is_refused(frozen, waters) -> None:
     other = load_preset("survey", water="9C").module()
-    with pytest.raises(ValueError, match=r"made for 5 blurs .*, but module asks for .*: it is from another module or"):
+    with pytest.raises(
+        ValueError,
+        match=r"made for 5 blurs .*, but module asks for .*: it is from another module or",
+    ):
         check_onnx(frozen[0], other)
     # at equal parameters only the curve of the encoding differs
     with pytest.raises(ValueError, match="differs from float64 eager"):
-        check_onnx(frozen[0], Underwater(frozen[1].medium, frozen[1].distance_range, color_space="srgb"))
+        check_onnx(
+            frozen[0], Underwater(frozen[1].medium, frozen[1].distance_range, color_space="srgb")
+        )
 
 
 def test_a_module_that_changes_nothing_cannot_be_checked(folder) -> None:
@@ -353,7 +414,11 @@ def test_metadata(frozen) -> None:
     assert json.loads(found["uwaug_sides_px"]) == [32, 1024]
     assert float(found["uwaug_tolerance"]) == 0.002
     assert (found["uwaug_color_space"], found["uwaug_parameters"]) == ("linear", "frozen")
-    assert (found["uwaug_field"], found["uwaug_image"], found["uwaug_minimum_size"]) == ("none", "float32", "1x1")
+    assert (found["uwaug_field"], found["uwaug_image"], found["uwaug_minimum_size"]) == (
+        "none",
+        "float32",
+        "1x1",
+    )
     assert "blurs for σ" in found["uwaug_plan"]
     assert "metres" in found["uwaug_units"]
 
@@ -362,7 +427,10 @@ def test_the_module_comes_back_from_the_file(frozen, waters) -> None:
     for path, module in (frozen, waters):
         again = read_module(path)
         assert again.demand == module.demand
-        assert all(torch.equal(a, b) for a, b in zip(again.medium.tensors(), module.medium.tensors(), strict=True))
+        assert all(
+            torch.equal(a, b)
+            for a, b in zip(again.medium.tensors(), module.medium.tensors(), strict=True)
+        )
         assert again.medium.notes == module.medium.notes
         assert str(again.medium.point_spread) == str(module.medium.point_spread)
         assert again.color_space == module.color_space
@@ -370,7 +438,9 @@ def test_the_module_comes_back_from_the_file(frozen, waters) -> None:
 
 def test_a_learned_module_comes_back_from_the_file(folder) -> None:
     law = PointSpread(torch.tensor([1.5]), torch.tensor([0.8]))
-    medium = Medium.from_coefficients((1.0, 0.8, 0.9), (0.4, 0.3, 0.5), (0.1, 0.3, 0.4), b_mean=0.5, point_spread=law)
+    medium = Medium.from_coefficients(
+        (1.0, 0.8, 0.9), (0.4, 0.3, 0.5), (0.1, 0.3, 0.4), b_mean=0.5, point_spread=law
+    )
     module = Underwater(medium, (1.0, 4.0), learnable=True)
     path = export_onnx(module, folder / "learned.onnx")
     assert check_onnx(path, read_module(path)).worst < 1e-5
@@ -410,7 +480,9 @@ def test_a_file_of_another_format_is_refused(altered, tmp_path) -> None:
             entry.value = {"uwaug_format": "99", "uwaug_version": "7.1"}.get(entry.key, entry.value)
 
     for call in (read_metadata, OnnxUnderwater, read_module, lambda p: check_onnx(p, uwaug)):
-        with pytest.raises(ValueError, match=r"format 99 from uwaug 7\.1, but this version reads format 2"):
+        with pytest.raises(
+            ValueError, match=r"format 99 from uwaug 7\.1, but this version reads format 2"
+        ):
             call(altered(other))
         with pytest.raises(ValueError, match="no metadata"):
             call(altered(lambda model: model.ClearField("metadata_props")))
@@ -432,7 +504,9 @@ def test_where_it_cannot_write(frozen, tmp_path, monkeypatch) -> None:
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(tempfile, "mkstemp", denied)
-    with pytest.raises(PermissionError, match=f"cannot write to the folder {tmp_path}: Permission denied"):
+    with pytest.raises(
+        PermissionError, match=f"cannot write to the folder {tmp_path}: Permission denied"
+    ):
         export_onnx(module, tmp_path / "a.onnx")
     assert list(tmp_path.iterdir()) == []
 
@@ -473,20 +547,30 @@ def test_runner_refuses_what_the_file_does_not_take(frozen, waters) -> None:
     image, distance, field = scene(2)
     run, serve = OnnxUnderwater(frozen[0]), OnnxUnderwater(waters[0])
     medium = load_preset("survey").medium
-    with pytest.raises(ValueError, match="field: the file takes none, as it was exported with field='none'"):
+    with pytest.raises(
+        ValueError, match="field: the file takes none, as it was exported with field='none'"
+    ):
         run(image, distance, field)
     with pytest.raises(ValueError, match="medium: the file takes none"):
         run(image, distance, medium=medium)
     with pytest.raises(ValueError, match="field: the file needs one"):
         serve(image, distance, medium=medium)
-    with pytest.raises(ValueError, match="medium: the file needs one, as it was exported with parameters='inputs'"):
+    with pytest.raises(
+        ValueError, match="medium: the file needs one, as it was exported with parameters='inputs'"
+    ):
         serve(image, distance, field)
     law = replace(medium.point_spread, reference_size=None)
-    with pytest.raises(ValueError, match=r"medium: its point spread is .* but the file is for shape"):
+    with pytest.raises(
+        ValueError, match=r"medium: its point spread is .* but the file is for shape"
+    ):
         serve(image, distance, field, replace(medium, point_spread=law))
-    with pytest.raises(ValueError, match=r"its point spread is exponential .* but the file is for shape 'gaussian'"):
+    with pytest.raises(
+        ValueError, match=r"its point spread is exponential .* but the file is for shape 'gaussian'"
+    ):
         serve(image, distance, field, load_preset("calibrated").medium)
-    with pytest.raises(TypeError, match=r"image must be torch\.float32 for this file, got torch\.uint8"):
+    with pytest.raises(
+        TypeError, match=r"image must be torch\.float32 for this file, got torch\.uint8"
+    ):
         run(image.to(torch.uint8), distance)
     with pytest.raises(ValueError, match=r"distance is \(45, 61\) but image is \(45, 62\)"):
         run(image, distance[..., 1:])
@@ -516,7 +600,9 @@ def test_runner_has_the_shapes_of_the_module(frozen) -> None:
     assert "7C" in repr(run)
 
 
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda r: pickle.loads(pickle.dumps(r))], ids=["deepcopy", "pickle"])
+@pytest.mark.parametrize(
+    "copied", [copy.deepcopy, lambda r: pickle.loads(pickle.dumps(r))], ids=["deepcopy", "pickle"]
+)
 def test_runner_copies_after_use(frozen, copied) -> None:
     image, distance, _ = scene(1)
     run = OnnxUnderwater(frozen[0], threads=1)
@@ -539,7 +625,9 @@ class _Pictures(Dataset):
 
 def test_runner_in_a_worker(frozen) -> None:
     run = OnnxUnderwater(frozen[0], threads=1)
-    loader = DataLoader(_Pictures(run), batch_size=2, num_workers=1, multiprocessing_context="spawn")
+    loader = DataLoader(
+        _Pictures(run), batch_size=2, num_workers=1, multiprocessing_context="spawn"
+    )
     image, distance, _ = scene(4)
     assert apart(torch.cat(list(loader)), run(image, distance)) == 0
 
@@ -554,10 +642,14 @@ def test_program_saved_and_loaded(waters, tmp_path) -> None:
     loaded = torch.export.load(tmp_path / "a.pt2").module()
     for batch, height, width in ((1, 1, 1), (1, 33, 64), (3, 40, 35)):
         image, distance, field = scene(batch, height, width)
-        media = Medium.stack([load_preset("survey", water=t).medium for t in ("I", "3C", "9C")[:batch]])
+        media = Medium.stack(
+            [load_preset("survey", water=t).medium for t in ("I", "3C", "9C")[:batch]]
+        )
         with torch.no_grad():
             got = loaded(image, distance, field, *parameters_of(media).values())
-        assert apart(got, reference(path, module, image, distance, field=field, medium=media)) <= 1e-5
+        assert (
+            apart(got, reference(path, module, image, distance, field=field, medium=media)) <= 1e-5
+        )
 
 
 def test_plain_runtime_without_uwaug_and_torch(frozen, tmp_path) -> None:
@@ -604,8 +696,13 @@ def test_without_any_of_the_extra_the_rest_works(tmp_path) -> None:
         "except ImportError as error:\n"
         "    print(error)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert (done.stdout, done.stderr) == ('onnx is missing: ONNX needs pip install "uwaug[onnx]"\n', "")
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert (done.stdout, done.stderr) == (
+        'onnx is missing: ONNX needs pip install "uwaug[onnx]"\n',
+        "",
+    )
 
 
 def test_exporting_is_silent_and_imports_are_lazy(tmp_path) -> None:
@@ -615,6 +712,8 @@ def test_exporting_is_silent_and_imports_are_lazy(tmp_path) -> None:
         "medium = uwaug.Medium.from_coefficients((1.0, 1.0, 1.0), (0.5, 0.5, 0.5), (0.2, 0.2, 0.2))\n"
         "uwaug.onnx.export_onnx(uwaug.Underwater(medium, (1.0, 5.0)), 'a.onnx')\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
     assert done.stdout + done.stderr == ""
     assert [p.name for p in tmp_path.iterdir()] == ["a.onnx"]

@@ -14,7 +14,12 @@ import uwaug
 
 ROOT = Path(__file__).parent.parent
 MODULES = sorted(
-    {"uwaug"} | {m.name for m in pkgutil.walk_packages(uwaug.__path__, "uwaug.") if not m.name.endswith("__main__")}
+    {"uwaug"}
+    | {
+        m.name
+        for m in pkgutil.walk_packages(uwaug.__path__, "uwaug.")
+        if not m.name.endswith("__main__")
+    }
 )
 HEAVY = (
     "colour", "cv2", "jerlov", "matplotlib", "onnx", "onnxruntime", "onnxscript", "pydantic", "rich", "scipy",
@@ -23,10 +28,10 @@ HEAVY = (
 
 
 def test_import_is_light() -> None:
-    code = (
-        "import sys, torch, kornia; before = set(sys.modules); import uwaug; print(*sorted(set(sys.modules) - before))"
-    )
-    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    code = "import sys, torch, kornia; before = set(sys.modules); import uwaug; print(*sorted(set(sys.modules) - before))"
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.split()
     assert "uwaug" in loaded
     assert {name.split(".")[0] for name in loaded}.isdisjoint(HEAVY)
 
@@ -38,7 +43,10 @@ def test_heavy_packages_are_heavy() -> None:
 
 def test_import_is_silent() -> None:
     done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", "import uwaug"], capture_output=True, text=True, check=True
+        [sys.executable, "-W", "error", "-c", "import uwaug"],
+        capture_output=True,
+        text=True,
+        check=True,
     )
     assert done.stdout + done.stderr == ""
 
@@ -84,27 +92,36 @@ def test_typed() -> None:
 
 
 @pytest.mark.parametrize("name", MODULES)
-def test_examples_in_docstrings_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_examples_in_docstrings_run(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert doctest.testmod(importlib.import_module(name)).failed == 0
 
 
 def test_there_are_examples_in_docstrings() -> None:
     finder = doctest.DocTestFinder()
-    examples = {name: sum(len(t.examples) for t in finder.find(importlib.import_module(name))) for name in MODULES}
+    examples = {
+        name: sum(len(t.examples) for t in finder.find(importlib.import_module(name)))
+        for name in MODULES
+    }
     assert sum(examples.values()) >= 20
 
 
 def test_every_public_function_says_what_it_does() -> None:
     undocumented = [
-        n for n in uwaug.__all__ if callable(value := getattr(uwaug, n)) and not (value.__doc__ or "").strip()
+        n
+        for n in uwaug.__all__
+        if callable(value := getattr(uwaug, n)) and not (value.__doc__ or "").strip()
     ]
     assert undocumented == []
 
 
 def test_readme_blocks_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     blocks = re.findall(
-        r"^```python\n(.*?)^```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
+        r"^```python\n(.*?)^```",
+        (ROOT / "README.md").read_text(encoding="utf-8"),
+        re.DOTALL | re.MULTILINE,
     )
     assert blocks, "the README shows no Python"
     monkeypatch.chdir(tmp_path)

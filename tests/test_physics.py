@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 pytest.importorskip("cv2")
-sys.path.append(str(Path(__file__).parents[1]))  # for `import benchmarks`: importlib mode adds no path
+sys.path.append(
+    str(Path(__file__).parents[1])
+)  # for `import benchmarks`: importlib mode adds no path
 
 from benchmarks.physics import (
     CALIBRATED,
@@ -31,7 +33,7 @@ from benchmarks.transport import (
     survey,
     walk,
 )
-from uwaug.medium import PointSpread
+from uwaug.optics.point_spread import PointSpread
 
 PHOTONS = 100_000
 # Henyey–Greenstein mean cosine, a/b, b·z: forward share, effective g, quantiles 25, 50, 75, 90 % of the tangent
@@ -48,7 +50,12 @@ TABLE = [
 
 @pytest.mark.parametrize("asymmetry, absorption, lengths, forward, g, quantiles", TABLE)
 def test_agrees_with_an_independent_walk(
-    asymmetry: float, absorption: float, lengths: float, forward: float, g: float, quantiles: tuple[float, ...]
+    asymmetry: float,
+    absorption: float,
+    lengths: float,
+    forward: float,
+    g: float,
+    quantiles: tuple[float, ...],
 ) -> None:
     found = spread(walk(henyey_greenstein(asymmetry).sample, lengths, PHOTONS), absorption)
     assert found.forward == pytest.approx(forward, rel=0.005)
@@ -100,7 +107,9 @@ def test_a_walk_repeats_with_its_seed_only() -> None:
 
 def synthetic(law: Law, lengths: float) -> Spread:
     """What a law says, as if a walk had found it."""
-    transfer = sum(s * np.exp(-2 * (np.pi * w * lengths**p * FREQUENCIES) ** 2) for s, w, p in law.widths)
+    transfer = sum(
+        s * np.exp(-2 * (np.pi * w * lengths**p * FREQUENCIES) ** 2) for s, w, p in law.widths
+    )
     direct = np.exp(-1.4 * lengths)
     forward = np.exp(-(0.4 + law.g) * lengths) - direct
     return Spread(lengths, 0.4, direct, forward, transfer, law.encircled(lengths, EDGES[1:]), {})
@@ -115,7 +124,9 @@ def test_a_fit_finds_the_law_behind_the_data() -> None:
     assert found.widths[0][1:] == pytest.approx((0.05, 0.7), rel=0.02)
 
 
-@pytest.mark.parametrize("shape, half", [("gaussian", np.sqrt(2 * np.log(2))), ("exponential", np.sqrt(3))])
+@pytest.mark.parametrize(
+    "shape, half", [("gaussian", np.sqrt(2 * np.log(2))), ("exponential", np.sqrt(3))]
+)
 def test_half_of_the_light_is_within(shape: str, half: float) -> None:
     law = Law(0.0, ((1.0, 0.1, 0.5),), shape)
     assert law.encircled(4.0, np.array([0.2 * half])) == pytest.approx(0.5)
@@ -151,7 +162,8 @@ def test_the_calibrated_law_is_nearer_than_one_gaussian(
 
 
 @pytest.mark.parametrize(
-    "width, exponent, g", [(0.7, 1.0, 1.0), (1.4, 1.0, 1.0), (1.0, 0.5, 1.0), (1.0, 1.4, 1.0), (1, 1, 0.6), (1, 1, 1.4)]
+    "width, exponent, g",
+    [(0.7, 1.0, 1.0), (1.4, 1.0, 1.0), (1.0, 0.5, 1.0), (1.0, 1.4, 1.0), (1, 1, 0.6), (1, 1, 1.4)],
 )
 def test_another_width_exponent_or_g_is_worse(
     width: float, exponent: float, g: float, truths: dict[str, list[Spread]]

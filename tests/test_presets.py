@@ -17,7 +17,11 @@ TANK = [
     ("1.56 1.69 2.18", "24.70 26.65 34.45", "26.26 28.34 36.63", "6.50 7.02 9.07"),
 ]
 # model: g, μ, φ/b̄, and which of the two G
-TANK_MODELS = {"proposed": (0.2, 0.3, 0.3, 3), "adjusted": (0.2, 0.2, 0.0, 3), "reference": (1.0, 1.0, 0.0, 2)}
+TANK_MODELS = {
+    "proposed": (0.2, 0.3, 0.3, 3),
+    "adjusted": (0.2, 0.2, 0.0, 3),
+    "reference": (1.0, 1.0, 0.0, 2),
+}
 
 # g, μ, φ/b̄, d, near, far, γ, field
 PRINTED = {
@@ -26,7 +30,10 @@ PRINTED = {
     "examples-2": (0.3, 0.3, 0.8, 1.0, 0.5, 7.0, 4.0, (0.3, 1.7)),
     "examples-3": (0.3, 0.3, 0.8, 1.0, 0.5, 10.0, 4.0, (0.3, 1.7)),
     "examples-4": (0.3, 0.3, 0.8, 1.0, 0.25, 2.0, 2.5, (0.3, 1.7)),
-    **{f"depth-scaling-{gamma}": (0.2, 0.3, 0.3, 1.0, 0.0, 20.0, gamma, (0.7, 1.3)) for gamma in (1, 3, 6)},
+    **{
+        f"depth-scaling-{gamma}": (0.2, 0.3, 0.3, 1.0, 0.0, 20.0, gamma, (0.7, 1.3))
+        for gamma in (1, 3, 6)
+    },
 }
 
 SPECTRAL = Path(__file__).parent.parent / "configs" / "survey.toml"
@@ -51,7 +58,9 @@ def test_there_is_a_preset_for_every_printed_row_and_no_other_but_the_librarys_o
 def test_tank_rows(model, turbidity):
     g, mu, scale, column = TANK_MODELS[model]
     row = TANK[turbidity - 1]
-    a, b = (torch.tensor([float(v) for v in cells.split()], dtype=torch.float64) for cells in row[:2])
+    a, b = (
+        torch.tensor([float(v) for v in cells.split()], dtype=torch.float64) for cells in row[:2]
+    )
     preset = load_preset(f"tank-{model}-{turbidity}")
     medium = preset.medium
     assert [f"{v:.2f}" for v in medium.G[0].tolist()] == row[column].split()
@@ -145,7 +154,10 @@ def test_field_takes_a_generator():
 
 @pytest.mark.parametrize("name", ["Survey", "tank", "configs/survey"])
 def test_unknown_name_lists_the_known(name):
-    with pytest.raises(ValueError, match=rf"no preset is called '{name}'; there are calibrated, .*, tank-reference-4"):
+    with pytest.raises(
+        ValueError,
+        match=rf"no preset is called '{name}'; there are calibrated, .*, tank-reference-4",
+    ):
         load_preset(name)
 
 
@@ -158,7 +170,9 @@ def test_water_and_camera_take_the_place_of_spectra_only(tmp_path):
     camera = Camera([400, 500, 600, 700], [[0, 0, 1], [0, 1, 1], [1, 1, 0], [1, 0, 0]], "box")
     assert not same(load_preset("survey", camera=camera).medium, load_preset("survey").medium)
     for override in ({"water": "II"}, {"camera": camera}):
-        with pytest.raises(ValueError, match=r"tank-adjusted-2.toml: holds coefficients for red, green and blue"):
+        with pytest.raises(
+            ValueError, match=r"tank-adjusted-2.toml: holds coefficients for red, green and blue"
+        ):
             load_preset("tank-adjusted-2", **override)
     with pytest.raises(ValueError, match=r"survey.toml: type must be one of I, .*, got '11C'"):
         load_preset("survey", water="11C")
@@ -194,15 +208,27 @@ def edited(tmp_path: Path, source: Path, pattern: str, replacement: str) -> Path
         ),
         (r"^mu =", "haze =", "medium.haze is no key; there are vertical_depth_m, g, mu"),
         (r"^source", "sauce", "sauce is no key; did you mean source?"),
-        (r"^\[field\]", "[noise]", "noise is no key; there are source, color_space, medium, point_spread, distance"),
+        (
+            r"^\[field\]",
+            "[noise]",
+            "noise is no key; there are source, color_space, medium, point_spread, distance",
+        ),
         (r"^far_m = .*", "", "distance.far_m is missing"),
         (r"^source = .*", "", "source is missing"),
         (r"^g = .*", 'g = "0.2"', "medium.g: Input should be a valid number, got '0.2'"),
         (r"^g = .*", "g = true", "medium.g: Input should be a valid number, got True"),
-        (r"^g = .*", "g = 1979-05-27", "medium.g: Input should be a valid number, got '1979-05-27'"),
+        (
+            r"^g = .*",
+            "g = 1979-05-27",
+            "medium.g: Input should be a valid number, got '1979-05-27'",
+        ),
         (r"^g = .*", "g = 20", "medium.g must be in [0, 1], got 20"),
         (r"^mu = .*", "mu = -0.1", "medium.mu must be in [0, 1], got -0.1"),
-        (r"^vertical_depth_m = .*", "vertical_depth_m = -1", "medium.vertical_depth_m must be finite and ≥ 0, got -1"),
+        (
+            r"^vertical_depth_m = .*",
+            "vertical_depth_m = -1",
+            "medium.vertical_depth_m must be finite and ≥ 0, got -1",
+        ),
         (
             r"^vertical_depth_m = .*",
             "vertical_depth_m = inf",
@@ -214,15 +240,31 @@ def edited(tmp_path: Path, source: Path, pattern: str, replacement: str) -> Path
         (r"^gamma = .*", "gamma = 0", "distance.gamma must be finite and ≥ 0.001, got 0"),
         (r"^low = .*", "low = 0", "field.low must be finite and > 0, got 0"),
         (r"^high = .*", "high = 0.5", "field.high must be ≥ low = 0.7, got 0.5"),
-        (r"^scale_px = .*", "scale_px = -1", "point_spread.scale_px must be finite and ≥ 0, got -1"),
-        (r"^exponent = .*", "exponent = 0", "point_spread.exponent must be finite and ≥ 0.001, got 0"),
-        (r"^short_side_px = .*", "short_side_px = 0", "point_spread.short_side_px must be finite and > 0, got 0"),
+        (
+            r"^scale_px = .*",
+            "scale_px = -1",
+            "point_spread.scale_px must be finite and ≥ 0, got -1",
+        ),
+        (
+            r"^exponent = .*",
+            "exponent = 0",
+            "point_spread.exponent must be finite and ≥ 0.001, got 0",
+        ),
+        (
+            r"^short_side_px = .*",
+            "short_side_px = 0",
+            "point_spread.short_side_px must be finite and > 0, got 0",
+        ),
         (
             r"^short_side_px = .*",
             'short_side_px = 518.0\nshape = "lorentzian"',
             "point_spread.shape: Input should be 'gaussian' or 'exponential', got 'lorentzian'",
         ),
-        (r"^color_space = .*", 'color_space = "sRGB"', "color_space: Input should be 'srgb' or 'linear', got 'sRGB'"),
+        (
+            r"^color_space = .*",
+            'color_space = "sRGB"',
+            "color_space: Input should be 'srgb' or 'linear', got 'sRGB'",
+        ),
         (r"^type = .*", 'type = "11C"', "water.type must be one of I, IA"),
         (r"^\[field\].*", "field = 3\n[f]", "distance.field is no key"),
         (r"^\[water\]", "[coefficients]", "coefficients.a_per_m is missing"),
@@ -258,7 +300,9 @@ def test_error_in_coefficients(tmp_path, pattern, replacement, message):
 
 def test_all_errors_are_told_at_once(tmp_path):
     path = tmp_path / "mine.toml"
-    path.write_text(SPECTRAL.read_text().replace("mu = 0.3", 'mu = "x"').replace("far_m = 5.0", "far = 5.0"))
+    path.write_text(
+        SPECTRAL.read_text().replace("mu = 0.3", 'mu = "x"').replace("far_m = 5.0", "far = 5.0")
+    )
     with pytest.raises(
         ValueError, match=r"medium\.mu: .*; distance\.far_m is missing; distance\.far is no key"
     ) as error:
@@ -271,4 +315,6 @@ def test_light_falls_with_depth_in_a_preset_with_coefficients(tmp_path):
     medium = load_preset(path).medium
     light = torch.exp(torch.tensor([[-0.5, -1.0, 0.0]], dtype=torch.float64))
     torch.testing.assert_close(medium.signal(torch.tensor(0.0, dtype=torch.float64)), light)
-    torch.testing.assert_close(medium.veil_weights.sum(-1), load_preset(TANK_FILE).medium.veil_weights.sum(-1) * light)
+    torch.testing.assert_close(
+        medium.veil_weights.sum(-1), load_preset(TANK_FILE).medium.veil_weights.sum(-1) * light
+    )

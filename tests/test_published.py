@@ -14,10 +14,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from uwaug.camera import load_camera
 from uwaug.formation import form_image
-from uwaug.medium import Medium, PointSpread
-from uwaug.water import Water
+from uwaug.optics.camera import load_camera
+from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.water import Water
 
 CASES = ("survey_II", "survey_3C", "survey_9C", "reference_1C", "rgbcoeff_II")
 SPECTRAL = CASES[:4]
@@ -40,7 +41,10 @@ class Published(NamedTuple):
 
 def load(name: str) -> Published:
     with np.load(Path(__file__).parent / "data" / "published.npz") as data:
-        table, p = torch.from_numpy(data[name].astype(np.float64)), json.loads(str(data[f"{name}_params"]))
+        table, p = (
+            torch.from_numpy(data[name].astype(np.float64)),
+            json.loads(str(data[f"{name}_params"])),
+        )
     columns = [part.T[:, None] for part in table.split((3, 1, 1, 1, 3, 3, 3, 3, 3), 1)]
     a, b, kd, G = (np.array(p[key]) for key in ("a", "b", "Kd", "G"))
     response = load_camera(p["camera"]).weights(WAVELENGTHS).T if p["camera"] else np.eye(3)
@@ -48,8 +52,12 @@ def load(name: str) -> Published:
     light = ambient[[4, 3, 1]] if p["camera"] else ambient
     weights = response * light[:, None]
     veil = response * (p["mu"] * b * ambient / G)
-    tensors = (torch.from_numpy(x)[None] for x in (a + b, weights, G, weights, veil, np.array(b.mean())))
-    return Published(*columns, parameters=p, medium=Medium(*tensors, point_spread=PointSpread.none()))
+    tensors = (
+        torch.from_numpy(x)[None] for x in (a + b, weights, G, weights, veil, np.array(b.mean()))
+    )
+    return Published(
+        *columns, parameters=p, medium=Medium(*tensors, point_spread=PointSpread.none())
+    )
 
 
 def light(case: Published) -> Tensor:
@@ -86,7 +94,9 @@ def test_terms(name: str) -> None:
 @pytest.mark.parametrize("name", CASES)
 def test_veil(name: str) -> None:
     case = load(name)
-    assert_close(form_image(case.image, case.veil_distance, case.medium).backscatter, case.backscatter)
+    assert_close(
+        form_image(case.image, case.veil_distance, case.medium).backscatter, case.backscatter
+    )
 
 
 @pytest.mark.parametrize("name", SPECTRAL)
@@ -106,7 +116,10 @@ def test_veil_and_coefficients_from_water(name: str, tolerance: float) -> None:
     veil = form_image(case.image, case.veil_distance, medium).backscatter
     surface = Medium.from_water(water, p["camera"], vertical_depth=0.0, **kwargs)
     transmission = torch.exp(-case.beta * case.distance)
-    for ours, theirs in ((veil, case.backscatter), (surface.transmission(case.distance)[0], transmission)):
+    for ours, theirs in (
+        (veil, case.backscatter),
+        (surface.transmission(case.distance)[0], transmission),
+    ):
         torch.testing.assert_close(ours, theirs, rtol=0, atol=max(1e-5, tolerance))
 
 

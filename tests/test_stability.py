@@ -77,17 +77,57 @@ WRONG = {
     "1 % too bright": (lambda c: 1.01 * stability.ours(c), "usual", r"off by 0.00\d+", "right"),
     "one NaN": (with_nan, "usual", "NaN", "right"),
     "exception": (fails, "usual", "RuntimeError", "RuntimeError"),
-    "another shape": (lambda c: stability.ours(c)[..., 1:, :], "usual", "wrong shape", "wrong shape"),
+    "another shape": (
+        lambda c: stability.ours(c)[..., 1:, :],
+        "usual",
+        "wrong shape",
+        "wrong shape",
+    ),
     "no gradients": (lambda c: stability.ours(c).detach(), "usual", "right", "none"),
-    "no gradient of the width": (lambda c: spoilt(c, scale=c.scale.detach()), "usual", "right", r"off by (0\.9.*|1)"),
-    "no gradient of the field": (lambda c: spoilt(c, field=c.field.detach()), "usual", "right", r"off by (0\.9.*|1)"),
-    "NaN gradient": (lambda c: spoilt(c, image=Clipped.apply(c.image)), "J = 0 and 1", "right", "NaN"),
-    "picture from NaN": (lambda c: spoilt(c, distance=c.distance.nan_to_num(1.0)), "z NaN in part", "silent", "silent"),
+    "no gradient of the width": (
+        lambda c: spoilt(c, scale=c.scale.detach()),
+        "usual",
+        "right",
+        r"off by (0\.9.*|1)",
+    ),
+    "no gradient of the field": (
+        lambda c: spoilt(c, field=c.field.detach()),
+        "usual",
+        "right",
+        r"off by (0\.9.*|1)",
+    ),
+    "NaN gradient": (
+        lambda c: spoilt(c, image=Clipped.apply(c.image)),
+        "J = 0 and 1",
+        "right",
+        "NaN",
+    ),
+    "picture from NaN": (
+        lambda c: spoilt(c, distance=c.distance.nan_to_num(1.0)),
+        "z NaN in part",
+        "silent",
+        "silent",
+    ),
     "NaN from NaN": (lambda c: c.image * c.distance, "z NaN in part", "NaN", "NaN"),
     "an error that says nothing": (complains, "z NaN in part", "ValueError", "ValueError"),
-    "a faint veil": (lambda c: 1.1 * stability.ours(c), "z = 1 µm, J = 0", r"off by 0\.0\d+", "right"),
-    "dice": (lambda c: stability.ours(c) + 1e-6 * torch.rand(()), "deterministic, twice", "not repeatable", "right"),
-    "contiguous only": (lambda c: stability.ours(c) * c.image.is_contiguous(), "channels last", "off.*", "off.*"),
+    "a faint veil": (
+        lambda c: 1.1 * stability.ours(c),
+        "z = 1 µm, J = 0",
+        r"off by 0\.0\d+",
+        "right",
+    ),
+    "dice": (
+        lambda c: stability.ours(c) + 1e-6 * torch.rand(()),
+        "deterministic, twice",
+        "not repeatable",
+        "right",
+    ),
+    "contiguous only": (
+        lambda c: stability.ours(c) * c.image.is_contiguous(),
+        "channels last",
+        "off.*",
+        "off.*",
+    ),
 }
 
 
@@ -113,8 +153,21 @@ def test_naive_methods_are_the_model_but_for_one_part(name: str) -> None:
 
 
 def test_the_chart_is_small_and_marks_every_cell() -> None:
-    verdicts = ["right", "off by 0.06", "off by 3e+15", "NaN", "silent", "ValueError", "none", "n/a", "not repeatable"]
-    rows = {v: {"a method": {"value": v, "gradient": v}, "uwaug": {"value": "right", "gradient": v}} for v in verdicts}
+    verdicts = [
+        "right",
+        "off by 0.06",
+        "off by 3e+15",
+        "NaN",
+        "silent",
+        "ValueError",
+        "none",
+        "n/a",
+        "not repeatable",
+    ]
+    rows = {
+        v: {"a method": {"value": v, "gradient": v}, "uwaug": {"value": "right", "gradient": v}}
+        for v in verdicts
+    }
     picture = matrix_chart.svg({"all": list(rows)}, rows)
     root = ElementTree.fromstring(picture)
     marks = [t.text for t in root.iter("{http://www.w3.org/2000/svg}text")]

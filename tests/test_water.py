@@ -12,13 +12,18 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from uwaug.water import JERLOV_TYPES, Water
+from uwaug.optics.water import JERLOV_TYPES, Water
 
 NM = [400.0, 500.0, 600.0, 700.0]
 
 
 def toy(**changes):
-    values = {"wavelengths": NM, "a": [0.1, 0.2, 0.3, 0.7], "b": [0.4, 0.3, 0.2, 0.1], "kd": [0.3, 0.3, 0.4, 0.8]}
+    values = {
+        "wavelengths": NM,
+        "a": [0.1, 0.2, 0.3, 0.7],
+        "b": [0.4, 0.3, 0.2, 0.1],
+        "kd": [0.3, 0.3, 0.4, 0.8],
+    }
     return Water(**values | changes)
 
 
@@ -53,7 +58,9 @@ def test_immutable_and_independent_of_its_input():
         water.extra = 1
 
 
-@pytest.mark.parametrize("clone", [copy.copy, copy.deepcopy, lambda w: pickle.loads(pickle.dumps(w))])
+@pytest.mark.parametrize(
+    "clone", [copy.copy, copy.deepcopy, lambda w: pickle.loads(pickle.dumps(w))]
+)
 def test_copies_are_equal_and_still_read_only(clone):
     water = Water.jerlov("5C")
     twin = clone(water)
@@ -64,7 +71,8 @@ def test_copies_are_equal_and_still_read_only(clone):
 
 
 @pytest.mark.parametrize(
-    "changes", [{"a": [0.1, 0.2, 0.3, 0.6]}, {"kd": [0, 0, 0, 0]}, {"name": "x"}, {"provenance": ("x",)}]
+    "changes",
+    [{"a": [0.1, 0.2, 0.3, 0.6]}, {"kd": [0, 0, 0, 0]}, {"name": "x"}, {"provenance": ("x",)}],
 )
 def test_equality_sees_every_field(changes):
     assert toy() == toy()
@@ -81,24 +89,60 @@ def test_one_wavelength_is_enough():
 @pytest.mark.parametrize(
     "changes, error, message",
     [
-        ({"wavelengths": [[400, 500], [600, 700]]}, ValueError, r"1-D with at least one sample, got shape \(2, 2\)"),
+        (
+            {"wavelengths": [[400, 500], [600, 700]]},
+            ValueError,
+            r"1-D with at least one sample, got shape \(2, 2\)",
+        ),
         ({"wavelengths": []}, ValueError, r"at least one sample, got shape \(0,\)"),
         ({"wavelengths": 550.0}, ValueError, r"1-D .* got shape \(\)"),
-        ({"wavelengths": [400, 600, 500, 700]}, ValueError, "strictly ascending, but 600 is followed by 500"),
-        ({"wavelengths": [400, 500, 500, 700]}, ValueError, "strictly ascending, but 500 is followed by 500"),
+        (
+            {"wavelengths": [400, 600, 500, 700]},
+            ValueError,
+            "strictly ascending, but 600 is followed by 500",
+        ),
+        (
+            {"wavelengths": [400, 500, 500, 700]},
+            ValueError,
+            "strictly ascending, but 500 is followed by 500",
+        ),
         ({"wavelengths": [400, np.nan, 600, 700]}, ValueError, "finite, got 1 NaN"),
-        ({"wavelengths": [0.4, 0.5, 0.6, 0.7]}, ValueError, r"in nm.* got 0.4…0.7; they look like micrometres"),
-        ({"wavelengths": [4e-7, 5e-7, 6e-7, 7e-7]}, ValueError, "they look like metres: multiply by 1e"),
-        ({"wavelengths": [4000, 5000, 6000, 7000]}, ValueError, "they look like ångströms: multiply by 0.1"),
+        (
+            {"wavelengths": [0.4, 0.5, 0.6, 0.7]},
+            ValueError,
+            r"in nm.* got 0.4…0.7; they look like micrometres",
+        ),
+        (
+            {"wavelengths": [4e-7, 5e-7, 6e-7, 7e-7]},
+            ValueError,
+            "they look like metres: multiply by 1e",
+        ),
+        (
+            {"wavelengths": [4000, 5000, 6000, 7000]},
+            ValueError,
+            "they look like ångströms: multiply by 0.1",
+        ),
         ({"wavelengths": [0, 500, 600, 700]}, ValueError, "between 100 and 3000, got 0…700$"),
         ({"wavelengths": "blue"}, TypeError, "wavelengths must be an array of numbers, got 'blue'"),
-        ({"a": [0.1, 0.2]}, ValueError, r"a must have one row per wavelength, shape \(4,\), got \(2,\)"),
+        (
+            {"a": [0.1, 0.2]},
+            ValueError,
+            r"a must have one row per wavelength, shape \(4,\), got \(2,\)",
+        ),
         ({"b": 0.3}, ValueError, r"b must have one row per wavelength, shape \(4,\), got \(\)"),
         ({"kd": ["?"] * 4}, TypeError, "kd must be an array of numbers"),
-        ({"a": [0.1, np.nan, 0.3, np.nan]}, ValueError, "a has 2 NaN or infinite of 4 values, at 500, 700 nm: fill"),
+        (
+            {"a": [0.1, np.nan, 0.3, np.nan]},
+            ValueError,
+            "a has 2 NaN or infinite of 4 values, at 500, 700 nm: fill",
+        ),
         ({"b": [np.inf, 1, 1, 1]}, ValueError, "b has 1 NaN or infinite of 4 values, at 400 nm"),
         ({"kd": [0.1, 0.2, -0.3, 0.4]}, ValueError, "kd has 1 negative of 4 values, at 600 nm"),
-        ({"provenance": "a note"}, TypeError, "provenance must be a sequence of strings, got the string 'a note'"),
+        (
+            {"provenance": "a note"},
+            TypeError,
+            "provenance must be a sequence of strings, got the string 'a note'",
+        ),
     ],
 )
 def test_bad_input(changes, error, message):
@@ -108,7 +152,9 @@ def test_bad_input(changes, error, message):
 
 def test_long_lists_of_bad_values_are_cut():
     nm = np.arange(400.0, 500.0)
-    with pytest.raises(ValueError, match=r"a has 100 NaN or infinite of 100 values, at 400, .*, 407, … nm"):
+    with pytest.raises(
+        ValueError, match=r"a has 100 NaN or infinite of 100 values, at 400, .*, 407, … nm"
+    ):
         Water(nm, nm * np.nan, nm, nm)
 
 
@@ -137,7 +183,13 @@ REPAIRED = {
 # an independent repair: a between the neighbouring types, K_d from Eq. (3) of that a and b
 INDEPENDENT = {
     "3C": [(675, 0.477, 0.6374), (700, 0.592, 0.7692)],
-    "5C": [(600, 0.259, 0.4085), (625, 0.327, 0.485), (650, 0.367, 0.5273), (675, 0.499, 0.6793), (700, 0.598, 0.7916)],
+    "5C": [
+        (600, 0.259, 0.4085),
+        (625, 0.327, 0.485),
+        (650, 0.367, 0.5273),
+        (675, 0.499, 0.6793),
+        (700, 0.598, 0.7916),
+    ],
 }
 
 
@@ -177,7 +229,10 @@ def test_provenance_names_what_was_repaired():
         assert f"Jerlov {type}: b: Solonenko & Mobley 2015, doi:10.1364/AO.54.005392" in provenance
         assert f"Jerlov {type}: a at {where} nm: Williamson & Hollins 2022 ({note}" in provenance
         assert f"Jerlov {type}: K_d at {where} nm: Jerlov 1976, Table XXVII ({note}" in provenance
-        assert any(s.startswith(f"Jerlov {type}: b at {where} nm: reconstructed from Eq. (8)") for s in provenance)
+        assert any(
+            s.startswith(f"Jerlov {type}: b at {where} nm: reconstructed from Eq. (8)")
+            for s in provenance
+        )
     assert len(Water.jerlov("II").provenance) == 3
     assert any("b at 300–700 nm: suspect" in s for s in Water.jerlov("I").provenance)
 
@@ -195,10 +250,14 @@ def test_measured_source(type):
     np.testing.assert_array_equal(water.wavelengths, np.arange(310, 701))
     for nm, a, b, kd in MEASURED.get(type, []):
         assert values(water, nm) == pytest.approx((a, b, kd), rel=1e-12)
-    assert f"Jerlov {type}: a at 310–411 nm: extrapolated by the paper's model (measured at 412–715 nm)" in (
-        water.provenance
+    assert (
+        f"Jerlov {type}: a at 310–411 nm: extrapolated by the paper's model (measured at 412–715 nm)"
+        in (water.provenance)
     )
-    assert f"Jerlov {type}: K_d at 310–700 nm: Jerlov 1976, Table XXVII (not in this source)" in water.provenance
+    assert (
+        f"Jerlov {type}: K_d at 310–700 nm: Jerlov 1976, Table XXVII (not in this source)"
+        in water.provenance
+    )
     assert len(water.provenance) == 5
 
 
@@ -221,7 +280,10 @@ def test_warnings_of_the_package_stay_inside_and_come_back_on():
             ("9C", "williamson2022"),
             "type must be one of IB, II, III, 1C, 3C, 5C with source 'williamson2022', got '9C'",
         ),
-        (("II", "jerlov1976"), "source must be one of solonenko2015, williamson2022, got 'jerlov1976'"),
+        (
+            ("II", "jerlov1976"),
+            "source must be one of solonenko2015, williamson2022, got 'jerlov1976'",
+        ),
     ],
 )
 def test_unknown_type_or_source(arguments, message):
@@ -242,9 +304,13 @@ def test_at_is_linear_interpolation():
     assert water.at(water.wavelengths) == water
 
 
-@pytest.mark.parametrize("nm, asked", [([399, 500], "399–500"), ([500, 701], "500–701"), ([720], "720")])
+@pytest.mark.parametrize(
+    "nm, asked", [([399, 500], "399–500"), ([500, 701], "500–701"), ([720], "720")]
+)
 def test_at_never_extrapolates(nm, asked):
-    with pytest.raises(ValueError, match=rf"^{asked} nm is outside the data of 'custom', 400–700 nm"):
+    with pytest.raises(
+        ValueError, match=rf"^{asked} nm is outside the data of 'custom', 400–700 nm"
+    ):
         toy().at(nm)
 
 
@@ -289,7 +355,7 @@ def test_mix_share(t):
 
 
 def test_mix_needs_a_water_and_a_common_range():
-    with pytest.raises(TypeError, match=r"other must be a Water.*got '7C'"):
+    with pytest.raises(TypeError, match=r"other must be a uwaug.Water, got str"):
         toy().mix("7C", 0.5)
     infrared = Water([800, 900], [1, 1], [1, 1], [1, 1])
     with pytest.raises(ValueError, match="no common wavelength"):
@@ -312,9 +378,14 @@ def test_visibility_is_where_luminance_contrast_falls_to_2_percent(type):
     water = Water.jerlov(type)
     nm = np.linspace(400, 700, 2401)
     observer, xyz = jerlov.cie_1931_cmf()
-    eye, beta = np.interp(nm, observer, xyz[:, 1]), np.interp(nm, water.wavelengths, water.a + water.b)
+    eye, beta = (
+        np.interp(nm, observer, xyz[:, 1]),
+        np.interp(nm, water.wavelengths, water.a + water.b),
+    )
     total = np.trapezoid(eye, nm)
-    reference = brentq(lambda z: np.trapezoid(eye * np.exp(-beta * z), nm) / total - 0.02, 1e-3, 1e3)
+    reference = brentq(
+        lambda z: np.trapezoid(eye * np.exp(-beta * z), nm) / total - 0.02, 1e-3, 1e3
+    )
     assert water.visibility() == pytest.approx(reference, rel=1e-4)
 
 
@@ -381,7 +452,10 @@ def test_clearer_water_has_less_of_everything(v1, v2):
 
 def test_only_the_contents_are_scaled():
     water = Water.jerlov("1C")  # nowhere below pure water
-    a_w, b_w = jerlov.pure_water_absorption(water.wavelengths), jerlov.pure_water_scattering(water.wavelengths)
+    a_w, b_w = (
+        jerlov.pure_water_absorption(water.wavelengths),
+        jerlov.pure_water_scattering(water.wavelengths),
+    )
     scaled = water.with_visibility(3)
     factor = (scaled.b - b_w) / (water.b - b_w)
     np.testing.assert_allclose(factor, factor[0], rtol=1e-10)
@@ -393,19 +467,25 @@ def test_only_the_contents_are_scaled():
 
 def test_turbid_water_cleared_absorbs_red_like_a_clear_type():
     a650 = values(Water.jerlov("9C").with_visibility(Water.jerlov("1C").visibility()), 650)[0]
-    assert a650 == pytest.approx(values(Water.jerlov("1C"), 650)[0], rel=0.02)  # .344; one factor for all gives .064
+    assert a650 == pytest.approx(
+        values(Water.jerlov("1C"), 650)[0], rel=0.02
+    )  # .344; one factor for all gives .064
 
 
 def test_with_visibility_is_named():
     water = Water.jerlov("II").with_visibility(5)
     assert water.name == "II at 5 m visibility"
     assert water.provenance[:-1] == Water.jerlov("II").provenance
-    assert water.provenance[-1].startswith("II at 5 m visibility: all but pure water scaled by 1.917")
+    assert water.provenance[-1].startswith(
+        "II at 5 m visibility: all but pure water scaled by 1.917"
+    )
     assert water.mix(Water.jerlov("I"), 0.5).name == "0.5·(II at 5 m visibility) + 0.5·I"
 
 
 def test_clearest_is_pure_water():
-    with pytest.raises(ValueError, match=r"metres=200 is more than the pure water in 'II' allows, 87\.5\d m"):
+    with pytest.raises(
+        ValueError, match=r"metres=200 is more than the pure water in 'II' allows, 87\.5\d m"
+    ):
         Water.jerlov("II").with_visibility(200)
     water = Water.jerlov("II").with_visibility(87.5)
     pure = jerlov.pure_water_absorption(water.wavelengths)
@@ -414,7 +494,7 @@ def test_clearest_is_pure_water():
 
 @pytest.mark.parametrize("metres", [0, -3, math.nan, math.inf])
 def test_visibility_asked_for_must_be_a_length(metres):
-    with pytest.raises(ValueError, match="metres must be a positive, finite visibility, got"):
+    with pytest.raises(ValueError, match="metres must be finite and > 0, got"):
         Water.jerlov("II").with_visibility(metres)
 
 
@@ -427,12 +507,16 @@ def test_nothing_to_scale():
 
 def test_pure_water_is_not_known_everywhere():
     wide = Water([250, 850], [1, 2], [1, 1], [1, 2])
-    with pytest.raises(ValueError, match=r"tabulated at 300–800 nm, but .*250–850 nm\) leaves it: resample"):
+    with pytest.raises(
+        ValueError, match=r"tabulated at 300–800 nm, but .*250–850 nm\) leaves it: resample"
+    ):
         wide.with_visibility(1)
     assert wide.at([300, 800]).with_visibility(1).visibility() == pytest.approx(1, rel=1e-12)
 
 
 def test_import_is_light():
-    code = "import sys, uwaug.water, uwaug.camera; print({'colour', 'jerlov'} & set(sys.modules))"
-    out = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
+    code = "import sys, uwaug.optics.water, uwaug.optics.camera; print({'colour', 'jerlov'} & set(sys.modules))"
+    out = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True
+    ).stdout
     assert out == "set()\n"

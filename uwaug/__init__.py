@@ -1,17 +1,21 @@
-"""Underwater pictures that do not exist: a differentiable, batched, spectral model of how water degrades an image."""
+"""Underwater pictures that do not exist: a differentiable, batched, spectral model of how water
+degrades an image.
+"""
 
 from uwaug import distance
-from uwaug.blur import BlurPlan, plan_blur, varying_blur
-from uwaug.camera import Camera, load_camera
-from uwaug.demand import blur_demand
+from uwaug.blur.demand import blur_demand
+from uwaug.blur.plan import BlurPlan, plan_blur
+from uwaug.blur.stack import varying_blur
 from uwaug.field import gaussian_random_field
 from uwaug.formation import Terms, form_image
-from uwaug.medium import Medium, PointSpread
 from uwaug.module import Underwater
 from uwaug.onnx import OnnxUnderwater, check_onnx, export_onnx
+from uwaug.optics.camera import Camera, load_camera
+from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.water import JERLOV_TYPES, Water
 from uwaug.presets import Preset, list_presets, load_preset
 from uwaug.transforms import RandomUnderwater
-from uwaug.water import JERLOV_TYPES, Water
 
 __version__ = "0.1.0"
 

@@ -11,11 +11,14 @@ from torch import Tensor
 __all__ = [
     "DOMAIN",
     "batches",
-    "finite",
+    "bounds",
+    "counted",
     "floating",
+    "instance",
     "one_of",
     "picture",
     "positive",
+    "same_device",
     "same_size",
     "span",
     "tolerance",
@@ -37,7 +40,7 @@ DOMAIN = {
     "distance": (0.0, math.inf),
     "field_range": (0.0, math.inf),
 }
-"""Least and largest value of every quantity that a user sets; what may be infinite is finite."""
+"""Least and largest value of every quantity that a user sets. Infinity itself is never allowed."""
 
 
 def one_of(name: str, value: object, allowed: Iterable[str]) -> None:
@@ -47,12 +50,17 @@ def one_of(name: str, value: object, allowed: Iterable[str]) -> None:
         raise ValueError(f"{name} must be one of {', '.join(choices)}, got {value!r}")
 
 
-def within(name: str, value: Any, low: float = 0.0, high: float = math.inf) -> None:
-    """Refuse a number outside [low, high], or an infinite one."""
+def bounds(low: float, high: float) -> str:
+    """A domain in words."""
+    return f"in [{low:g}, {high:g}]" if high < math.inf else f"finite and ≥ {low:g}"
+
+
+def within(name: str, value: Any, low: float = -math.inf, high: float = math.inf) -> None:
+    """Refuse a number outside [low, high], an infinite one, and what is no number."""
     number = isinstance(value, (int, float, np.number))
-    if not number or not (low <= value <= high and value < math.inf):
-        bounds = f"in [{low:g}, {high:g}]" if high < math.inf else f"finite and ≥ {low:g}"
-        raise ValueError(f"{name} must be {bounds}, got {value!r}")
+    if not number or not (low <= value <= high and math.isfinite(value)):
+        wanted = "finite" if low == -math.inf else bounds(low, high)
+        raise ValueError(f"{name} must be {wanted}, got {value!r}")
 
 
 def positive(name: str, value: float, unit: str = "") -> None:
@@ -61,16 +69,17 @@ def positive(name: str, value: float, unit: str = "") -> None:
         raise ValueError(f"{name} must be finite and > 0{unit and f' {unit}'}, got {value!r}")
 
 
-def finite(name: str, value: float) -> None:
-    """Refuse infinity and NaN."""
-    if not math.isfinite(value):
-        raise ValueError(f"{name} must be finite, got {value!r}")
-
-
 def tolerance(value: float) -> None:
     """Refuse a tolerance outside (0, 1)."""
     if not 0 < value < 1:
         raise ValueError(f"tolerance must lie in (0, 1) (image scale 0…1), got {value}")
+
+
+def instance(name: str, value: object, kind: type, hint: str = "") -> None:
+    """Refuse what is no object of one of the package's classes."""
+    if not isinstance(value, kind):
+        got = type(value).__name__
+        raise TypeError(f"{name} must be a uwaug.{kind.__name__}, got {got}{hint}")
 
 
 def floating(name: str, value: object, hint: str = "") -> None:
@@ -95,13 +104,30 @@ def same_size(name: str, value: Tensor, image: Tensor) -> None:
         raise ValueError(f"{name} is {mine} but image is {wanted}: height and width must agree")
 
 
-def span(x: Tensor) -> str:
-    """The values of a tensor, in words."""
-    known = x[~x.isnan()]
-    return f"{float(known.min()):.4g} to {float(known.max()):.4g}" if known.numel() else "NaN only"
+def same_device(name: str, value: Tensor, image: Tensor) -> None:
+    """Refuse a tensor on another device than the image."""
+    if value.device != image.device:
+        where = f"on {value.device} but image is on {image.device}"
+        raise ValueError(f"{name} is {where}: move it with .to(…)")
 
 
 def batches(sizes: Mapping[str, int]) -> None:
     """Refuse batches of different sizes; a batch of 1 serves any other."""
     if len({size for size in sizes.values() if size != 1}) > 1:
         raise ValueError(f"batch sizes must agree or be 1, got {dict(sizes)}")
+
+
+def counted(x: Tensor, *kinds: str) -> str:
+    """How many values of a tensor are "NaN", "negative", "zero" or "infinite", in words."""
+    found = {"NaN": x.isnan(), "negative": x < 0, "zero": x == 0, "infinite": x.isinf()}
+    parts = [f"{kind} at {int(found[kind].sum())}" for kind in kinds]
+    *first, last = parts
+    return f"{', '.join(first)} and {last} of {x.numel()} pixels"
+
+
+def span(x: Tensor) -> str:
+    """The values of a tensor, in words."""
+    known = x[~x.isnan()]
+    if not known.numel():
+        return "NaN only"
+    return f"{float(known.min()):.4g} to {float(known.max()):.4g}"

@@ -4,7 +4,7 @@ import importlib.util
 import sys
 import time
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
@@ -12,10 +12,10 @@ from rich.progress import Progress
 from rich.table import Table
 
 from uwaug import __version__
-from uwaug.camera import load_camera
-from uwaug.medium import WAVELENGTHS
+from uwaug.optics.bands import WAVELENGTHS
+from uwaug.optics.camera import load_camera
+from uwaug.optics.water import JERLOV_TYPES, Water
 from uwaug.presets import list_presets, load_preset
-from uwaug.water import JERLOV_TYPES, Water
 
 app = typer.Typer(
     help="A differentiable, batched, spectrally honest model of how water degrades an image.",
@@ -53,38 +53,52 @@ def _options(
 
 @app.command()
 def demo(
-    out: Annotated[Path, typer.Option(help="Folder for the pictures; made if need be.")] = Path("uwaug-demo"),
-    force: Annotated[bool, typer.Option("--force", help="Write even if the folder holds other files.")] = False,
+    out: Annotated[Path, typer.Option(help="Folder for the pictures; made if need be.")] = Path(
+        "uwaug-demo"
+    ),
+    force: Annotated[
+        bool, typer.Option("--force", help="Write even if the folder holds other files.")
+    ] = False,
 ) -> None:
     """Draw a real scene in ten waters, term by term."""
     if importlib.util.find_spec("matplotlib") is None:
-        _refuse('the demo draws with matplotlib, which is not installed: pip install "uwaug[plot]"')
-    from uwaug import plots
+        cure = 'pip install "uwaug[plot]"'
+        _refuse(f"the demo draws with matplotlib, which is not installed: {cure}")
+    from uwaug.plots import PICTURES
 
     start = time.perf_counter()
-    report = []
-    errors = Console(stderr=True)
     try:
-        others = sorted({path.name for path in out.iterdir()} - set(plots.PICTURES)) if out.exists() else []
-        if others and not force:
-            _refuse(
-                f"{out} holds other files, such as {others[0]}: choose an empty folder, or --force to write into it"
-            )
-        out.mkdir(parents=True, exist_ok=True)
-        scene = plots.motorcycle()
-        with Progress(console=errors, transient=True, disable=not errors.is_terminal) as progress:
-            for name, draw in progress.track(plots.PICTURES.items(), description="Drawing"):
-                before = time.perf_counter()
-                figure, modelled = draw(scene)
-                plots.save(figure, out / name)
-                report += [
-                    f"{out / name}  ({time.perf_counter() - before:.1f} s)",
-                    *(f"    {line}" for line in modelled),
-                ]
+        others = sorted({path.name for path in out.iterdir()} - set(PICTURES))
+    except FileNotFoundError:
+        others = []
     except OSError as error:
         _refuse(f"cannot write to {out}: {error.strerror or error}")
+    if others and not force:
+        cure = "choose an empty folder, or --force to write into it"
+        _refuse(f"{out} holds other files, such as {others[0]}: {cure}")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        _draw_all(out)
+    except OSError as error:
+        _refuse(f"cannot write to {out}: {error.strerror or error}")
+    took = time.perf_counter() - start
+    print(f"{len(PICTURES)} pictures in {out.resolve()}, {took:.1f} s")
+
+
+def _draw_all(out: Path) -> None:
+    """Draw the demo's pictures and report each."""
+    from uwaug import plots, scene, sheets
+
+    motorcycle = scene.motorcycle()
+    errors, report = Console(stderr=True), []
+    with Progress(console=errors, transient=True, disable=not errors.is_terminal) as progress:
+        for name, draw in progress.track(plots.PICTURES.items(), description="Drawing"):
+            before = time.perf_counter()
+            figure, modelled = draw(motorcycle)
+            sheets.save(figure, out / name)
+            report.append(f"{out / name}  ({time.perf_counter() - before:.1f} s)")
+            report += [f"    {line}" for line in modelled]
     print("\n".join(report))
-    print(f"{len(plots.PICTURES)} pictures in {out.resolve()}, {time.perf_counter() - start:.1f} s")
 
 
 @app.command()
@@ -92,19 +106,24 @@ def waters() -> None:
     """List the water types: visibility, attenuation, doubts."""
     camera = load_camera("Nikon 5100 (NPL)")
     weights = camera.weights(WAVELENGTHS)
-    table = Table(caption=f"β, K_d: means over the {camera.name}'s red, green, blue", caption_justify="left")
-    for heading in ("type", "visibility (m)", "β (1/m)", "K_d (1/m)"):
-        table.add_column(heading, justify="left" if heading == "type" else "right", no_wrap=True)
+    means = f"β, K_d: means over the {camera.name}'s red, green, blue"
+    table = Table(caption=means, caption_justify="left")
+    table.add_column("type", no_wrap=True)
+    for heading in ("visibility (m)", "β (1/m)", "K_d (1/m)"):
+        table.add_column(heading, justify="right", no_wrap=True)
     types = [Water.jerlov(name) for name in JERLOV_TYPES]
     for water in types:
-        bands = water.at(WAVELENGTHS)
-        means = ("  ".join(f"{v:.3f}" for v in values @ weights) for values in (bands.beta, bands.kd))
-        table.add_row(water.name, f"{water.visibility():.1f}", *means)
+        bands, cells = water.at(WAVELENGTHS), []
+        for values in (bands.beta, bands.kd):
+            cells.append("  ".join(f"{mean:.3f}" for mean in values @ weights))
+        table.add_row(water.name, f"{water.visibility():.1f}", *cells)
     Console().print(table)
     print("\nNot as printed in Solonenko & Mobley 2015, or doubtful:")
     for water in types:
-        # what is taken whole from the table has a citation without wavelengths
-        print(*(f"  {note}\n" for note in water.provenance if " nm: " in note), sep="", end="")
+        for note in water.provenance:
+            # what is taken whole from the table has a citation without wavelengths
+            if " nm: " in note:
+                print(f"  {note}")
 
 
 @app.command()
@@ -122,9 +141,15 @@ def presets() -> None:
 def export(
     preset: Annotated[str, typer.Option(help="Name of a preset, or path of its TOML file.")],
     out: Annotated[Path, typer.Option(help="The file to write.")],
-    water: Annotated[str | None, typer.Option(help="Jerlov type that takes the place of the preset's.")] = None,
-    parameters: Annotated[str, typer.Option(help="frozen, or inputs: one file for many waters.")] = "frozen",
-    field: Annotated[str, typer.Option(help="none, or input: the medium field as an input.")] = "none",
+    water: Annotated[
+        str | None, typer.Option(help="Jerlov type that takes the place of the preset's.")
+    ] = None,
+    parameters: Annotated[
+        str, typer.Option(help="frozen, or inputs: one file for many waters.")
+    ] = "frozen",
+    field: Annotated[
+        str, typer.Option(help="none, or input: the medium field as an input.")
+    ] = "none",
     image: Annotated[str, typer.Option(help="float32 (0…1) or uint8 (0…255).")] = "float32",
     force: Annotated[bool, typer.Option("--force", help="Write over an existing file.")] = False,
 ) -> None:
@@ -136,11 +161,13 @@ def export(
     try:
         module = load_preset(preset, water=water).module()
         # export_onnx itself refuses other words
-        export_onnx(module, out, parameters=parameters, field=field, image=image)  # type: ignore[arg-type]
+        options: dict[str, Any] = {"parameters": parameters, "field": field, "image": image}
+        export_onnx(module, out, **options)
         metadata = read_metadata(out)
     except (ImportError, OSError, ValueError) as error:
         _refuse(str(error))
-    print(f"{out}  ({out.stat().st_size / 1024:.0f} KiB)\n    {metadata['uwaug_medium']}\n    {metadata['uwaug_plan']}")
+    print(f"{out}  ({out.stat().st_size / 1024:.0f} KiB)")
+    print(f"    {metadata['uwaug_medium']}\n    {metadata['uwaug_plan']}")
 
 
 @app.command()

@@ -17,19 +17,25 @@ ColorSpace = Literal["srgb", "linear"]
 _BRIGHTEST = 16.0
 """sRGB values above are taken for a scale of 0…255."""
 
-# Where the curve's two pieces meet. The standard prints 0.04045 and 0.0031308, rounded, which leaves a step of 3e-8
-# and makes the two functions inverse to each other only to that.
+# Where the curve's two pieces meet. The standard prints 0.04045 and 0.0031308, rounded, which
+# leaves a step of 3e-8 and makes the two functions inverse to each other only to that.
 _SRGB_KNEE = 0.0404482362771076
 _LINEAR_KNEE = _SRGB_KNEE / 12.92
 _LARGEST = 1e30  # finite, so that infinity / m stays infinity
 _LN2 = math.log(2)
+
+_PIECE = 1 << 16
+"""Values, 256 KiB in float32; larger temporaries may go back to the system after each call, which
+takes 3 to 5 times as long.
+"""
 
 
 def to_light(image: Tensor, color_space: ColorSpace) -> Tensor:
     """Linear light in float32 or float64 from a picture as callers give it.
 
     Args:
-        image: uint8 (0…255), or floating point (nominally 0…1); half precision is taken up to float32.
+        image: uint8 (0…255), or floating point (nominally 0…1); half precision is taken up to
+            float32.
         color_space: "srgb" decodes; "linear" takes the values for light, of any brightness.
 
     Raises:
@@ -58,14 +64,16 @@ def from_light(light: Tensor, color_space: ColorSpace, dtype: torch.dtype) -> Te
 def srgb_to_linear(x: Tensor) -> Tensor:
     """Decode sRGB values to linear light: x/12.92 up to 0.04045, ((x + 0.055)/1.055)^2.4 above.
 
-    Convention: elementwise on any shape; odd, f(−x) = −f(x), so negative values and values above 1 keep their meaning;
-    0 and 1 map to exactly 0 and 1. float16 and bfloat16 are computed in float32 and returned in their own type.
+    Convention: elementwise on any shape; odd, f(−x) = −f(x), so negative values and values above 1
+    keep their meaning; 0 and 1 map to exactly 0 and 1. float16 and bfloat16 are computed in float32
+    and returned in their own type.
 
     Args:
         x: sRGB values, nominally in [0, 1].
 
     Returns:
-        Linear light, shape and dtype of `x`, within 1e-6 of the formula in float32. Its gradient is finite everywhere.
+        Linear light, shape and dtype of `x`, within 1e-6 of the formula in float32. Its gradient is
+        finite everywhere.
 
     Raises:
         TypeError: `x` is no floating-point tensor.
@@ -83,14 +91,16 @@ def srgb_to_linear(x: Tensor) -> Tensor:
 def linear_to_srgb(x: Tensor) -> Tensor:
     """Encode linear light as sRGB values: 12.92·x up to 0.0031308, 1.055·x^(1/2.4) − 0.055 above.
 
-    Convention: elementwise on any shape; odd, f(−x) = −f(x), so negative values and values above 1 keep their meaning;
-    0 and 1 map to exactly 0 and 1. float16 and bfloat16 are computed in float32 and returned in their own type.
+    Convention: elementwise on any shape; odd, f(−x) = −f(x), so negative values and values above 1
+    keep their meaning; 0 and 1 map to exactly 0 and 1. float16 and bfloat16 are computed in float32
+    and returned in their own type.
 
     Args:
         x: linear light, nominally in [0, 1].
 
     Returns:
-        sRGB values, shape and dtype of `x`, within 1e-6 of the formula in float32. Its gradient is finite everywhere.
+        sRGB values, shape and dtype of `x`, within 1e-6 of the formula in float32. Its gradient is
+        finite everywhere.
 
     Raises:
         TypeError: `x` is no floating-point tensor.
@@ -105,9 +115,10 @@ def linear_to_srgb(x: Tensor) -> Tensor:
     return _apply(x, _Encode, _encode)
 
 
-# The curves are (x/m)·curve(m) with m = max(|x|, knee): the straight piece is a constant curve(m)/m, the odd extension
-# is free, and no branch left out can spoil a gradient. exp and log1p are exact where a power is 1, at white. As ONNX,
-# 3×256², one thread: .44 ms; with pow .67; kornia's formula .74.
+# The curves are (x/m)·curve(m) with m = max(|x|, knee): the straight piece is a constant
+# curve(m)/m, the odd extension is free, and no branch left out can spoil a gradient. exp and log1p
+# are exact where a power is 1, at white. As ONNX, 3×256², one thread: .44 ms; with pow .67;
+# kornia's .74.
 def _decode(x: Tensor) -> Tensor:
     m = x.abs().clamp(_SRGB_KNEE, _LARGEST)
     return x / m * torch.exp(torch.log1p((m - 1) * (1 / 1.055)) * 2.4)
@@ -118,10 +129,11 @@ def _encode(x: Tensor) -> Tensor:
     return x / m * (1.055 * (torch.exp(torch.log1p(m - 1) * (1 / 2.4)) - 1) + 1)
 
 
-# The same for eager mode: in place on pieces that stay in the cache, keeping only x for the backward pass. There, the
-# straight piece's slope is the power piece's at another place. One thread, decode / encode, forward (and backward), ms:
-# 3×256² .26 / .28 (.6), 3×1024² 4.2 / 4.3 (9). Losers: kornia .55 / .53 (1.5), 10 / 9 (27); where + pow .74, 16; pow in
-# the formula above .41; log2 for log1p or exp for exp2 + .06 and + .08; all left to autograd .25 (1.5), 5 … 30 (33).
+# The same for eager mode: in place on pieces that stay in the cache, keeping only x for the
+# backward pass. There, the straight piece's slope is the power piece's at another place. One
+# thread, decode / encode, forward (and backward), ms: 3×256² .26 / .28 (.6), 3×1024² 4.2 / 4.3 (9).
+# Losers: kornia .55 / .53 (1.5), 10 / 9 (27); where + pow .74, 16; pow in the formula above .41;
+# log2 for log1p or exp for exp2 + .06 and + .08; all left to autograd .25 (1.5), 5 … 30 (33).
 _DECODE_STRAIGHT = 1.055 * (1.055 / (2.4 * 12.92)) ** (1 / 1.4) - 0.055
 _ENCODE_STRAIGHT = (2.4 * 12.92 / 1.055) ** (-2.4 / 1.4)
 
@@ -140,23 +152,25 @@ def _encode_(x: Tensor) -> Tensor:
 
 def _decode_grad(x: Tensor, grad: Tensor) -> Tensor:
     m = torch.threshold(x.abs(), _SRGB_KNEE, _DECODE_STRAIGHT)
-    return m.sub_(1).mul_(1 / 1.055).log1p_().mul_(1.4 / _LN2).add_(math.log2(2.4 / 1.055)).exp2_() * grad
+    power = m.sub_(1).mul_(1 / 1.055).log1p_().mul_(1.4 / _LN2)
+    return power.add_(math.log2(2.4 / 1.055)).exp2_() * grad
 
 
 def _encode_grad(x: Tensor, grad: Tensor) -> Tensor:
     m = torch.threshold(x.abs(), _LINEAR_KNEE, _ENCODE_STRAIGHT)
-    return m.sub_(1).log1p_().mul_(-1.4 / 2.4 / _LN2).add_(math.log2(1.055 / 2.4)).exp2_() * grad
+    power = m.sub_(1).log1p_().mul_(-1.4 / 2.4 / _LN2)
+    return power.add_(math.log2(1.055 / 2.4)).exp2_() * grad
 
 
 def _piecewise(kernel: Callable[..., Tensor], x: Tensor, *others: Tensor) -> Tensor:
-    size = 1 << 16  # 256 KiB in float32; larger temporaries may go back to the system after each call: 3-5 times slower
     inputs = (x, *others)
     dense = x.device.type == "cpu" and all(v.is_contiguous() for v in inputs)
-    if not dense or x.numel() <= size or torch.is_grad_enabled():
+    if not dense or x.numel() <= _PIECE or torch.is_grad_enabled():
         return kernel(*inputs)
     result = torch.empty_like(x)
-    count = -(-x.numel() // size)
-    for piece, *parts in zip(*(v.view(-1).chunk(count) for v in (result, *inputs)), strict=True):
+    count = -(-x.numel() // _PIECE)
+    flat = (v.view(-1).chunk(count) for v in (result, *inputs))
+    for piece, *parts in zip(*flat, strict=True):
         piece.copy_(kernel(*parts))
     return result
 
@@ -192,6 +206,8 @@ class _Encode(_Pointwise):
 def _apply(x: Tensor, eager: type[_Pointwise], traced: Callable[[Tensor], Tensor]) -> Tensor:
     checks.floating("x", x, ", nominally in [0, 1]: divide by 255 first?")
     v = x.float() if x.dtype.itemsize < 4 else x
-    # a compiler fuses and differentiates the plain formula; tracing an autograd function makes torch warn
-    y: Tensor = traced(v) if torch.compiler.is_compiling() else eager.apply(v)  # type: ignore[no-untyped-call]
+    if torch.compiler.is_compiling():
+        # a compiler fuses and differentiates the plain formula; autograd functions make it warn
+        return traced(v).to(x.dtype)
+    y: Tensor = eager.apply(v)  # type: ignore[no-untyped-call]
     return y.to(x.dtype)

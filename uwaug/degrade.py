@@ -12,15 +12,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uwaug.camera import Camera
 from uwaug.colour import ColorSpace, from_light, to_light
 from uwaug.distance import check_distance, from_inverse, from_relative
 from uwaug.field import gaussian_random_field
 from uwaug.formation import Order, form, plan_at_hand, prepare, together
-from uwaug.medium import Medium, PointSpread
-from uwaug.water import Water
+from uwaug.optics.camera import Camera
+from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.water import Water
 
-__all__ = ["Draw", "Settings", "degrade"]
+__all__ = ["DistanceKind", "Draw", "Settings", "Unknown", "degrade", "degrade_opaque"]
 
 DistanceKind = Literal["metric", "relative", "inverse"]
 Unknown = Literal["error", "fill"]
@@ -32,11 +33,11 @@ _TOUCHING = 1e-6
 class Draw(NamedTuple):
     """What is drawn for a picture, beside its waters and its camera; see `RandomUnderwater`.
 
-    None: this picture's water is not scaled to a visibility, or is even. NaN: nothing asks for it.
+    NaN: not drawn, as nothing asks for it.
     """
 
     mixing: float
-    visibility: float | None
+    visibility: float
     vertical_depth: float
     g: float
     mu: float
@@ -45,7 +46,7 @@ class Draw(NamedTuple):
     far: float
     gamma: float
     distance: float
-    field_seed: float | None
+    field_seed: float
     field_low: float
     field_high: float
 
@@ -53,22 +54,14 @@ class Draw(NamedTuple):
     def of(sample: Mapping[str, Any]) -> "Draw":
         """From a sample of a record."""
         low, high = sample["field_range"]
-        drawn = {name: sample.get(name, math.nan) for name in Draw._fields[:10]}
-        drawn["visibility"] = sample.get("visibility")
-        return Draw(**drawn, field_seed=sample["field_seed"], field_low=low, field_high=high)
+        drawn = {**sample, "field_low": low, "field_high": high}
+        values = (drawn.get(name) for name in Draw._fields)
+        return Draw(*(math.nan if value is None else value for value in values))
 
     def to_tensor(self) -> Tensor:
-        """As numbers, for an operator that takes no objects; NaN stands for None."""
+        """As numbers; torch.tensor(…) would fix them in a graph."""
         one = torch.ones((), dtype=torch.float64)
-        # torch.tensor(…) would fix them in a graph
-        return torch.stack([one * (math.nan if value is None else value) for value in self])
-
-    @staticmethod
-    def from_tensor(values: Tensor) -> "Draw":
-        """The inverse of `to_tensor`."""
-        draw = Draw(*values.tolist())
-        visibility, seed = (None if math.isnan(v) else v for v in (values[1].item(), values[10].item()))
-        return draw._replace(visibility=visibility, field_seed=seed)
+        return torch.stack([one * value for value in self])
 
 
 @dataclass(frozen=True)
@@ -120,12 +113,10 @@ def degrade(
             z = torch.full_like(light[:1], draw.distance)
         else:
             z = _metres(distance, draw, settings)
-        law = settings.point_spread
-        law = PointSpread(law.scale * draw.blur_factor, law.exponent, law.shape, law.reference_size)
-        medium = _medium(tuple(waters), camera, draw[:5], law, settings.tolerance)
+        numbers = (None if math.isnan(value) else value for value in draw[:6])
+        medium = _medium(tuple(waters), camera, tuple(numbers), settings)
         light, z, medium = prepare(light, z, medium, _field(draw, z))
-        size = (image.shape[-2], image.shape[-1])
-        plan = plan_at_hand(z, medium, size, settings.tolerance, settings.order)
+        plan = plan_at_hand(z, medium, settings.tolerance, settings.order)
         (result,) = form(light, z, medium, plan, settings.order, together)
         return from_light(result[0], settings.color_space, image.dtype)
 
@@ -144,30 +135,40 @@ def _metres(distance: Tensor, draw: Draw, settings: Settings) -> Tensor:
 
 
 def _field(draw: Draw, z: Tensor) -> Tensor | None:
-    if draw.field_seed is None:
+    if math.isnan(draw.field_seed):
         return None
     generator = torch.Generator().manual_seed(int(draw.field_seed))
-    field = gaussian_random_field(z.shape[-2:], low=draw.field_low, high=draw.field_high, generator=generator)
-    return field.to(z.device)
+    size, low, high = z.shape[-2:], draw.field_low, draw.field_high
+    return gaussian_random_field(size, low=low, high=high, generator=generator).to(z.device)
 
 
 @lru_cache(maxsize=256)
 def _medium(
-    waters: tuple[Water, ...], camera: Camera, drawn: tuple[Any, ...], law: PointSpread, tolerance: float
+    waters: tuple[Water, ...], camera: Camera, drawn: tuple[Any, ...], settings: Settings
 ) -> Medium:
-    mixing, visibility, vertical_depth, g, mu = drawn
+    mixing, visibility, vertical_depth, g, mu, blur_factor = drawn
     water = waters[0].mix(waters[1], mixing) if len(waters) > 1 else waters[0]
     if visibility is not None:
         water = water.with_visibility(visibility)
+    law = settings.point_spread
     return Medium.from_water(
-        water, camera, vertical_depth=vertical_depth, g=g, mu=mu, point_spread=law, tolerance=tolerance
+        water,
+        camera,
+        vertical_depth=vertical_depth,
+        g=g,
+        mu=mu,
+        point_spread=PointSpread(
+            law.scale * blur_factor, law.exponent, law.shape, law.reference_size
+        ),
+        tolerance=settings.tolerance,
     )
 
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """Run on one thread, as a DataLoader worker does, so that records replay bit for bit: the split between threads
-    decides which elements take the scalar path, where exp2 and pow differ in the last bit.
+    """Run on one thread, as a DataLoader worker does, so that records replay bit for bit: the split
+    between threads decides which elements take the scalar path, where exp2 and pow differ in the
+    last bit.
     """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -177,26 +178,37 @@ def _one_thread() -> Iterator[None]:
         torch.set_num_threads(threads)
 
 
-def spectra_table(*columns: Any) -> Tensor:
-    """Wavelengths and what belongs to them, for `degrade_opaque`."""
-    return torch.from_numpy(np.array(columns))
-
-
 @torch.library.custom_op(
     "uwaug::random_underwater",
     mutates_args=(),
-    schema="(Tensor image, Tensor? distance, Tensor[] waters, Tensor camera, Tensor draw, str settings) -> Tensor",
+    schema="(Tensor image, Tensor? distance, Tensor[] waters, Tensor camera, Tensor draw, "
+    "str settings) -> Tensor",
 )
 def degrade_opaque(
-    image: Tensor, distance: Tensor | None, waters: list[Tensor], camera: Tensor, draw: Tensor, settings: str
+    image: Tensor,
+    distance: Tensor | None,
+    waters: list[Tensor],
+    camera: Tensor,
+    draw: Tensor,
+    settings: str,
 ) -> Tensor:
-    """`degrade` for compiled code. What is drawn comes as a tensor, or a graph would hold for one record alone."""
-    spectra = [Water(*table.numpy()) for table in waters]
+    """`degrade` for compiled code. What is drawn comes as a tensor, or a graph would hold for one
+    record alone; waters and camera come as tables, see `table`.
+    """
+    spectra = [Water(*rows.numpy()) for rows in waters]
     wavelengths, *response = camera.numpy()
     lens = Camera(wavelengths, np.array(response).T)
-    return degrade(image, distance, spectra, lens, Draw.from_tensor(draw), Settings.from_json(settings))
+    drawn = Draw(*draw.tolist())
+    return degrade(image, distance, spectra, lens, drawn, Settings.from_json(settings))
 
 
 @degrade_opaque.register_fake
 def _(image: Tensor, *_: Any) -> Tensor:
     return torch.empty_like(image, memory_format=torch.contiguous_format)
+
+
+def table(spectra: Water | Camera) -> Tensor:
+    """Wavelengths, and below them the values at each."""
+    if isinstance(spectra, Camera):
+        return torch.from_numpy(np.array([spectra.wavelengths, *spectra.response.T]))
+    return torch.from_numpy(np.array([spectra.wavelengths, spectra.a, spectra.b, spectra.kd]))

@@ -15,17 +15,19 @@ __all__ = ["DepthNetwork"]
 
 
 class DepthNetwork:
-    """A monocular depth network in an ONNX file, run by onnxruntime: image in, inverse relative depth out.
+    """A monocular depth network in an ONNX file, run by onnxruntime: image in, inverse relative
+    depth out.
 
-    The file must take one (1, 3, h, w) float32 input and give (1, h', w') or (1, 1, h', w') first, as exports of MiDaS,
-    DPT and Depth Anything do. A fixed h and w is used as it is, otherwise the image's short side becomes `short_side`.
-    The session is made at the first call and not pickled, so that DataLoader workers each make their own; it uses as
-    many threads as torch does there.
+    The file must take one (1, 3, h, w) float32 input and give (1, h', w') or (1, 1, h', w') first,
+    as exports of MiDaS, DPT and Depth Anything do. A fixed h and w is used as it is, otherwise the
+    image's short side becomes `short_side`. The session is made at the first call and not pickled,
+    so that DataLoader workers each make their own; it uses as many threads as torch does there.
 
     Args:
         path: the ONNX file.
         short_side: of the network's input, pixels, where the file leaves it free.
-        multiple: what the input's sides are rounded to: the patch size, 14 for Depth Anything, 32 for MiDaS.
+        multiple: what the input's sides are rounded to: the patch size, 14 for Depth Anything, 32
+            for MiDaS.
         mean: of each channel, taken from the image in [0, 1] before the network sees it.
         std: of each channel, that the difference is divided by. Both default to ImageNet's.
         providers: onnxruntime's execution providers.
@@ -53,7 +55,9 @@ class DepthNetwork:
         if not self.path.is_file():
             raise FileNotFoundError(f"path must be an ONNX file, got {self.path}: no such file")
         if short_side < 1 or multiple < 1:
-            raise ValueError(f"short_side and multiple must be at least 1, got {short_side} and {multiple}")
+            raise ValueError(
+                f"short_side and multiple must be at least 1, got {short_side} and {multiple}"
+            )
         self.short_side, self.multiple = short_side, multiple
         self.mean, self.std = tuple(mean), tuple(std)
         self.session = Session(self.path, threads=None, providers=providers)
@@ -66,12 +70,14 @@ class DepthNetwork:
             image: (B, 3, H, W) or (3, H, W), sRGB in [0, 1].
 
         Returns:
-            (B, 1, H, W) or (1, H, W), near = large, arbitrary scale and shift: for `from_inverse`. Device of `image`.
+            (B, 1, H, W) or (1, H, W), near = large, arbitrary scale and shift: for `from_inverse`.
+            Device of `image`.
 
         Raises:
             ImportError: onnxruntime is not installed.
             TypeError: `image` is no floating-point tensor.
-            ValueError: `image` has another shape or leaves [0, 1], or the network gives something else than a map.
+            ValueError: `image` has another shape or leaves [0, 1], or the network gives something
+                else than a map.
         """
         checks.floating("image", image)
         checks.picture("image", image, 3)
@@ -88,15 +94,21 @@ class DepthNetwork:
         if len(shape) != 4 or last or (isinstance(shape[1], int) and shape[1] != 3):
             raise ValueError(f"{self.path} must take (1, 3, h, w), got {shape}: channels last?")
         size = self._input_size(shape, *image.shape[-2:])
-        x = interpolate(image.float().cpu(), size, mode="bicubic", align_corners=False, antialias=True).clamp(0, 1)
+        x = interpolate(
+            image.float().cpu(), size, mode="bicubic", align_corners=False, antialias=True
+        ).clamp(0, 1)
         x = (x - x.new_tensor(self.mean).view(3, 1, 1)) / x.new_tensor(self.std).view(3, 1, 1)
         depth = self.session({entry.name: x})
         if depth.ndim not in (3, 4) or depth.shape[:-2].numel() != 1:
-            raise ValueError(f"{self.path} must give (1, h, w) or (1, 1, h, w), got {tuple(depth.shape)}")
+            raise ValueError(
+                f"{self.path} must give (1, h, w) or (1, 1, h, w), got {tuple(depth.shape)}"
+            )
         depth = depth.reshape(1, 1, *depth.shape[-2:]).float()
         return interpolate(depth, image.shape[-2:], mode="bilinear", align_corners=False).to(image)
 
-    def _input_size(self, declared: Sequence[int | str | None], height: int, width: int) -> tuple[int, int]:
+    def _input_size(
+        self, declared: Sequence[int | str | None], height: int, width: int
+    ) -> tuple[int, int]:
         """What the file fixes; else the image's size, scaled and rounded."""
         scale = self.short_side / min(height, width)
         size = []

@@ -1,8 +1,9 @@
-"""Metres along the ray, from what people have: metric depth, disparity, relative or inverse depth, a depth network.
+"""Metres along the ray, from what people have: metric depth, disparity, relative or inverse depth,
+a depth network.
 
-Convention: maps are (..., H, W) tensors, float32 or float64 (half precision is taken up to float32). NaN stands for an
-unknown distance and stays NaN until `check_distance` or `fill_unknown`; +inf stands for open water. A pixel's index
-(i, j) has its centre at (i + 0.5, j + 0.5).
+Convention: maps are (..., H, W) tensors, float32 or float64 (half precision is taken up to
+float32). NaN stands for an unknown distance and stays NaN until `check_distance` or `fill_unknown`;
++inf stands for open water. A pixel's index (i, j) has its centre at (i + 0.5, j + 0.5).
 """
 
 import torch
@@ -22,19 +23,22 @@ __all__ = [
 ]
 
 
-def from_relative(t: Tensor, near: float | Tensor, far: float | Tensor, gamma: float | Tensor = 1.0) -> Tensor:
+def from_relative(
+    t: Tensor, near: float | Tensor, far: float | Tensor, gamma: float | Tensor = 1.0
+) -> Tensor:
     """Scale normalised relative distance to metres: z = near + (far − near)·t^gamma.
 
     Args:
-        t: (..., H, W), relative distance in [0, 1], 0 = near; NaN = unknown. Networks give *inverse* depth instead:
-            see `from_inverse`.
-        near: metres at t = 0, ≥ 0; a number, or a tensor that broadcasts against `t`, such as (B, 1, 1, 1).
+        t: (..., H, W), relative distance in [0, 1], 0 = near; NaN = unknown. Networks give
+            *inverse* depth instead: see `from_inverse`.
+        near: metres at t = 0, ≥ 0; a number, or a tensor that broadcasts against `t`, such as (B,
+            1, 1, 1).
         far: metres at t = 1, ≥ `near` and finite; likewise.
         gamma: > 0; above 1 moves the middle distance nearer; likewise.
 
     Returns:
-        Distance in metres, shape of `t` (broadcast). t^gamma is continued as a straight line below t = 1e-6, so that
-        the gradient is finite at 0 for gamma < 1 too.
+        Distance in metres, shape of `t` (broadcast). t^gamma is continued as a straight line below
+        t = 1e-6, so that the gradient is finite at 0 for gamma < 1 too.
 
     Raises:
         ValueError: `t` leaves [0, 1], or `near`, `far`, `gamma` are out of range.
@@ -46,9 +50,8 @@ def from_relative(t: Tensor, near: float | Tensor, far: float | Tensor, gamma: f
     """
     t = _maps("t", t)
     if bool(((t < 0) | (t > 1)).any()):
-        raise ValueError(
-            f"t must lie in [0, 1], got {checks.span(t)}: normalise first, (t - t.min()) / (t.max() - t.min())"
-        )
+        cure = "normalise first, (t - t.min()) / (t.max() - t.min())"
+        raise ValueError(f"t must lie in [0, 1], got {checks.span(t)}: {cure}")
     _require_range(near, far, inverse=False)
     power = torch.as_tensor(gamma)
     if not bool(((power > 0) & power.isfinite()).all()):
@@ -60,13 +63,15 @@ def from_relative(t: Tensor, near: float | Tensor, far: float | Tensor, gamma: f
 def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> Tensor:
     """Scale inverse relative depth, as monocular networks give it (near = large), to metres.
 
-    MiDaS, DPT and Depth Anything predict 1/z up to an unknown scale *and* shift, so neither 1/value nor 1 − value is a
-    distance. Each map is therefore normalised by its own least and largest value to s in [0, 1], and s is mapped
-    affinely in 1/z, where it is affine: 1/z = 1/far + (1/near − 1/far)·s.
+    MiDaS, DPT and Depth Anything predict 1/z up to an unknown scale *and* shift, so neither 1/value
+    nor 1 − value is a distance. Each map is therefore normalised by its own least and largest value
+    to s in [0, 1], and s is mapped affinely in 1/z, where it is affine: 1/z = 1/far + (1/near −
+    1/far)·s.
 
     Args:
         inverse: (..., H, W), any scale and shift; NaN or infinite = unknown.
-        near: metres at the map's largest value, > 0; a number, or a tensor that broadcasts against `inverse`.
+        near: metres at the map's largest value, > 0; a number, or a tensor that broadcasts against
+            `inverse`.
         far: metres at its least value, ≥ `near`; inf for open water or sky; likewise.
 
     Returns:
@@ -76,7 +81,8 @@ def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> 
         ValueError: a map is constant or has no finite value, or `near`, `far` are out of range.
         TypeError: `inverse` is no floating-point tensor.
 
-    Source: Ranftl et al. 2022, Towards robust monocular depth estimation: scale- and shift-invariant losses.
+    Source: Ranftl et al. 2022, Towards robust monocular depth estimation: scale- and
+    shift-invariant losses.
 
     Examples:
         >>> from_inverse(torch.tensor([[0.0, 30.0, 90.0]]), near=1.0, far=4.0)
@@ -88,25 +94,31 @@ def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> 
     least = torch.where(known, inverse, torch.inf).amin((-2, -1), keepdim=True)
     largest = torch.where(known, inverse, -torch.inf).amax((-2, -1), keepdim=True)
     if not bool((largest > least).all()):
-        raise ValueError("inverse must vary within each map, got a map that is constant or has no finite value")
+        got = "a map that is constant or has no finite value"
+        raise ValueError(f"inverse must vary within each map, got {got}")
     s = (torch.where(known, inverse, least) - least) / (largest - least)
     return torch.where(known, 1 / (1 / far + (1 / near - 1 / far) * s), torch.nan)
 
 
-def from_disparity(disparity: Tensor, focal_px: float, baseline_m: float, offset_px: float = 0.0) -> Tensor:
-    """Turn the disparity of a rectified stereo pair into planar metric depth: focal·baseline / (disparity + offset).
+def from_disparity(
+    disparity: Tensor, focal_px: float, baseline_m: float, offset_px: float = 0.0
+) -> Tensor:
+    """Turn the disparity of a rectified stereo pair into planar metric depth: focal·baseline /
+    (disparity + offset).
 
     The result is depth along the optical axis; pass it through `along_ray` for distance.
 
     Args:
-        disparity: (..., H, W), pixels. NaN or infinite = unknown. If your files mark unknown pixels with 0 and
-            `offset_px` is not 0, set them to NaN first.
+        disparity: (..., H, W), pixels. NaN or infinite = unknown. If your files mark unknown pixels
+            with 0 and `offset_px` is not 0, set them to NaN first.
         focal_px: focal length, pixels.
         baseline_m: distance between the cameras, metres.
-        offset_px: difference of the principal points' columns ("doffs" of the Middlebury data sets), pixels.
+        offset_px: difference of the principal points' columns ("doffs" of the Middlebury data
+            sets), pixels.
 
     Returns:
-        Depth in metres, shape of `disparity`; NaN where the disparity is unknown or disparity + offset ≤ 0.
+        Depth in metres, shape of `disparity`; NaN where the disparity is unknown or disparity +
+        offset ≤ 0.
 
     Raises:
         ValueError: `focal_px` or `baseline_m` is not positive, or `offset_px` not finite.
@@ -119,7 +131,7 @@ def from_disparity(disparity: Tensor, focal_px: float, baseline_m: float, offset
     disparity = _maps("disparity", disparity)
     checks.positive("focal_px", focal_px)
     checks.positive("baseline_m", baseline_m)
-    checks.finite("offset_px", offset_px)
+    checks.within("offset_px", offset_px)
     shifted = disparity + offset_px
     known = shifted.isfinite() & (shifted > 0)
     return torch.where(known, focal_px * baseline_m / torch.where(known, shifted, 1.0), torch.nan)
@@ -128,15 +140,17 @@ def from_disparity(disparity: Tensor, focal_px: float, baseline_m: float, offset
 def along_ray(
     depth: Tensor, focal_px: float | tuple[float, float], centre: tuple[float, float] | None = None
 ) -> Tensor:
-    """Turn planar depth (along the optical axis, as depth maps hold it) into distance along each pixel's ray.
+    """Turn planar depth (along the optical axis, as depth maps hold it) into distance along each
+    pixel's ray.
 
-    Pixel (i, j) looks along ((j + 0.5 − cx)/fx, (i + 0.5 − cy)/fy, 1), so z = depth·√(1 + x² + y²). OpenCV counts from
-    the centre of the first pixel: add 0.5 to its principal point.
+    Pixel (i, j) looks along ((j + 0.5 − cx)/fx, (i + 0.5 − cy)/fy, 1), so z = depth·√(1 + x² + y²).
+    OpenCV counts from the centre of the first pixel: add 0.5 to its principal point.
 
     Args:
         depth: (..., H, W), metres.
         focal_px: focal length in pixels of this image, or (fx, fy).
-        centre: principal point (cx, cy) in pixels from the image's top left corner; (W/2, H/2) if None.
+        centre: principal point (cx, cy) in pixels from the image's top left corner; (W/2, H/2) if
+            None.
 
     Returns:
         Distance along the ray in metres, shape of `depth`.
@@ -151,14 +165,13 @@ def along_ray(
     """
     depth = _maps("depth", depth)
     fx, fy = focal_px if isinstance(focal_px, tuple) else (focal_px, focal_px)
-    checks.positive("focal_px", fx)
-    checks.positive("focal_px", fy)
     height, width = depth.shape[-2:]
     cx, cy = (width / 2, height / 2) if centre is None else centre
-    checks.finite("centre", cx)
-    checks.finite("centre", cy)
-    x = (torch.arange(width, dtype=depth.dtype, device=depth.device) + (0.5 - cx)) / fx
-    y = (torch.arange(height, dtype=depth.dtype, device=depth.device) + (0.5 - cy)) / fy
+    for focal, middle in ((fx, cx), (fy, cy)):
+        checks.positive("focal_px", focal)
+        checks.within("centre", middle)
+    x = (torch.arange(width).to(depth) + (0.5 - cx)) / fx
+    y = (torch.arange(height).to(depth) + (0.5 - cy)) / fy
     return depth * (1 + x**2 + y[:, None] ** 2).sqrt()
 
 
@@ -173,34 +186,34 @@ def check_distance(distance: Tensor, strict: bool = True) -> Tensor:
         `distance`, filled if need be.
 
     Raises:
-        ValueError: pixels are NaN, negative or zero (says how many of each); or not `strict`, and a map has no known
-            pixel.
+        ValueError: pixels are NaN, negative or zero (says how many of each); or not `strict`, and a
+            map has no known pixel.
         TypeError: `distance` is no floating-point tensor.
     """
     distance = _maps("distance", distance)
     if not strict:
         return fill_unknown(distance)
     if not bool((distance > 0).all()):
-        nan, negative, zero = (int(bad.sum()) for bad in (distance.isnan(), distance < 0, distance == 0))
-        raise ValueError(
-            f"distance must be above 0 m (inf = open water), got {nan} NaN, {negative} negative and {zero} zero "
-            f"of {distance.numel()} pixels: mask them, or fill them with uwaug.distance.fill_unknown"
-        )
+        counts = checks.counted(distance, "NaN", "negative", "zero")
+        cure = "mask them, or fill them with uwaug.distance.fill_unknown"
+        raise ValueError(f"distance must be above 0 m (inf = open water), but is {counts}: {cure}")
     return distance
 
 
 def fill_unknown(distance: Tensor) -> Tensor:
-    """Give each unknown pixel (NaN, negative or zero) the distance of the nearest known pixel of its map.
+    """Give each unknown pixel (NaN, negative or zero) the distance of the nearest known pixel of
+    its map.
 
-    Holes of real maps are mostly thin: occlusions beside edges, reflections, the rim that rectification leaves. There
-    the nearest value keeps edges sharp and invents no distance in between, which smooth inpainting does.
+    Holes of real maps are mostly thin: occlusions beside edges, reflections, the rim that
+    rectification leaves. There the nearest value keeps edges sharp and invents no distance in
+    between, which smooth inpainting does.
 
     Args:
         distance: (..., H, W), metres. +inf is known: open water.
 
     Returns:
-        Shape of `distance`, every pixel above 0; differentiable in the known pixels. `distance` itself if none is
-        unknown.
+        Shape of `distance`, every pixel above 0; differentiable in the known pixels. `distance`
+        itself if none is unknown.
 
     Raises:
         ValueError: a map has no known pixel.
@@ -215,7 +228,8 @@ def fill_unknown(distance: Tensor) -> Tensor:
     if not bool(unknown.any()):
         return distance
     if bool(unknown.flatten(-2).all(-1).any()):
-        raise ValueError("distance must have at least one known pixel (above 0 m) in each map, got a map without any")
+        wanted = "at least one known pixel (above 0 m) in each map"
+        raise ValueError(f"distance must have {wanted}, got a map without any")
     height, width = distance.shape[-2:]
     nearest = [_nearest_known(holes) for holes in unknown.reshape(-1, height, width)]
     index = torch.stack(nearest).view(distance.shape).flatten(-2)
@@ -223,9 +237,11 @@ def fill_unknown(distance: Tensor) -> Tensor:
 
 
 def _nearest_known(unknown: Tensor) -> Tensor:
+    """The flat index of the nearest known pixel of each pixel (HxW)."""
     from scipy.ndimage import distance_transform_edt
 
-    rows, columns = distance_transform_edt(unknown.cpu().numpy(), return_distances=False, return_indices=True)
+    holes = unknown.cpu().numpy()
+    rows, columns = distance_transform_edt(holes, return_distances=False, return_indices=True)
     return torch.from_numpy(rows).long() * unknown.shape[-1] + torch.from_numpy(columns)
 
 
@@ -238,8 +254,11 @@ def _maps(name: str, x: Tensor) -> Tensor:
 
 
 def _require_range(near: float | Tensor, far: float | Tensor, *, inverse: bool) -> None:
+    """Refuse distances that no map can be scaled to."""
     n, f = torch.as_tensor(near), torch.as_tensor(far)
-    if inverse and not bool(((n > 0) & (f >= n) & n.isfinite()).all()):
-        raise ValueError(f"near and far must satisfy 0 < near <= far, near finite, got near={near}, far={far}")
-    if not inverse and not bool(((n >= 0) & (f >= n) & f.isfinite()).all()):
-        raise ValueError(f"near and far must satisfy 0 <= near <= far < inf, got near={near}, far={far}")
+    if inverse:
+        wanted, good = "0 < near <= far, near finite", (n > 0) & (f >= n) & n.isfinite()
+    else:
+        wanted, good = "0 <= near <= far < inf", (n >= 0) & (f >= n) & f.isfinite()
+    if not bool(good.all()):
+        raise ValueError(f"near and far must satisfy {wanted}, got near={near}, far={far}")

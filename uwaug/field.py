@@ -1,4 +1,6 @@
-"""The medium field m(x): how much more or less water-like the water is along each ray. It multiplies the distance."""
+"""The medium field m(x): how much more or less water-like the water is along each ray. It
+multiplies the distance.
+"""
 
 import math
 from collections.abc import Sequence
@@ -23,17 +25,17 @@ def gaussian_random_field(
 ) -> Tensor:
     """Draw scale-free Gaussian random fields, one per image.
 
-    The draws are independent. A seed gives the same field, sampled more or less finely, at every size whose longest
-    side is 32 px or more (at the default exponent; below it, and at smaller exponents, the size limits the detail).
-    See `field_from_noise` for the field itself.
+    The draws are independent. A seed gives the same field, sampled more or less finely, at every
+    size whose longest side is 32 px or more (at the default exponent; below it, and at smaller
+    exponents, the size limits the detail). See `field_from_noise` for the field itself.
 
     Args:
         shape: (B, 1, H, W) as a distance map has it, (B, H, W), or (H, W) for one field; pixels.
         exponent: α ≥ 0 of the power spectrum |k|^−α; more is smoother.
         low: the least value, ≥ 0.
         high: the largest value, ≥ `low`.
-        generator: source of randomness; the global generator of the device if None. In a DataLoader leave it None: a
-            generator of one's own repeats the same numbers in every worker.
+        generator: source of randomness; the global generator of the device if None. In a DataLoader
+            leave it None: a generator of one's own repeats the same numbers in every worker.
         dtype: of the result; torch's default if None. The draws do not depend on it.
         device: of the result; torch's default if None.
 
@@ -41,7 +43,8 @@ def gaussian_random_field(
         (B, 1, H, W), each field reaching exactly from `low` to `high`.
 
     Raises:
-        ValueError: `shape` is none of the three, a side is empty, or `exponent`, `low`, `high` are out of range.
+        ValueError: `shape` is none of the three, a side is empty, or `exponent`, `low`, `high` are
+            out of range.
 
     Examples:
         >>> m = gaussian_random_field((2, 1, 48, 64), generator=torch.Generator().manual_seed(0))
@@ -57,82 +60,106 @@ def gaussian_random_field(
 
 
 def field_from_noise(
-    noise: Tensor, size: tuple[int, int], *, exponent: float = 4.0, low: float = 0.7, high: float = 1.3
+    noise: Tensor,
+    size: tuple[int, int],
+    *,
+    exponent: float = 4.0,
+    low: float = 0.7,
+    high: float = 1.3,
 ) -> Tensor:
-    """Shape white noise into scale-free Gaussian random fields: a pure function, for when the noise is an input.
+    """Shape white noise into scale-free Gaussian random fields: a pure function, for when the noise
+    is an input.
 
-    The noise holds the coefficients of cosines and sines on a square torus of twice the image's longest side, of
-    spectral density |k|^−α with k in cycles per pixel or per image (a power law does not care). The field is their sum
-    at the pixel centres: isotropic in pixels, the same at any resolution, and, as the image covers at most half the
-    torus each way, not periodic at the image's borders.
+    The noise holds the coefficients of cosines and sines on a square torus of twice the image's
+    longest side, of spectral density |k|^−α with k in cycles per pixel or per image (a power law
+    does not care). The field is their sum at the pixel centres: isotropic in pixels, the same at
+    any resolution, and, as the image covers at most half the torus each way, not periodic at the
+    image's borders.
 
-    Each field is mapped affinely so that its least and largest value are `low` and `high`. This bounds the distance
-    strictly, where a fixed multiple of the standard deviation would have to be clipped. The price: one field's values
-    are not Gaussian, and its mean varies from draw to draw (at α = 4 by .08 of the range, one standard deviation).
-    Noise and its negative are equally likely, so the mean over draws is exactly (low + high)/2.
+    Each field is mapped affinely so that its least and largest value are `low` and `high`. This
+    bounds the distance strictly, where a fixed multiple of the standard deviation would have to be
+    clipped. The price: one field's values are not Gaussian, and its mean varies from draw to draw
+    (at α = 4 by .08 of the range, one standard deviation). Noise and its negative are equally
+    likely, so the mean over draws is exactly (low + high)/2.
 
-    Convention: linear in the noise up to the affine map; differentiable; traces and exports. float16 and bfloat16 are
-    computed in float32.
+    Convention: linear in the noise up to the affine map; differentiable; traces and exports.
+    float16 and bfloat16 are computed in float32.
 
     Args:
-        noise: (B, n, n), independent standard normal; n odd. Index i of the last two axes stands for (i + 1)//2 cycles
-            per torus (half as many per longest side), as a sine if i is odd, else a cosine. n = 65 suffices at α = 4:
-            what it omits has an rms of .8 % of the range.
+        noise: (B, n, n), independent standard normal; n odd. Index i of the last two axes stands
+            for (i + 1)//2 cycles per torus (half as many per longest side), as a sine if i is odd,
+            else a cosine. n = 65 suffices at α = 4: what it omits has an rms of .8 % of the range.
         size: height and width in pixels.
         exponent: α ≥ 0 of the power spectrum; more is smoother.
         low: the least value, ≥ 0.
         high: the largest value, ≥ `low`.
 
     Returns:
-        (B, 1, H, W), dtype and device of `noise`. An image of one pixel has no range and gets (low + high)/2.
+        (B, 1, H, W), dtype and device of `noise`. An image of one pixel has no range and gets (low
+        + high)/2.
 
     Raises:
-        ValueError: `noise` is not (B, n, n) with odd n ≥ 3, a side of `size` is empty, or `exponent`, `low`, `high` are
-            out of range.
+        ValueError: `noise` is not (B, n, n) with odd n ≥ 3, a side of `size` is empty, or
+            `exponent`, `low`, `high` are out of range.
         TypeError: `noise` is no floating-point tensor.
 
-    Source: the published pipeline draws a periodic field on the image's own grid and divides by its mean.
+    Source: the published pipeline draws a periodic field on the image's own grid and divides by its
+    mean.
     """
     _check(exponent, low, high)
     checks.floating("noise", noise)
-    if noise.ndim != 3 or noise.shape[1] != noise.shape[2] or noise.shape[1] < 3 or noise.shape[1] % 2 == 0:
-        raise ValueError(f"noise must have shape (B, n, n) with odd n >= 3, got {tuple(noise.shape)}")
+    if (
+        noise.ndim != 3
+        or noise.shape[1] != noise.shape[2]
+        or noise.shape[1] < 3
+        or noise.shape[1] % 2 == 0
+    ):
+        raise ValueError(
+            f"noise must have shape (B, n, n) with odd n >= 3, got {tuple(noise.shape)}"
+        )
     _, height, width = _parse(tuple(size))
     with torch.autocast(noise.device.type, enabled=False):
         coefficients = noise.float() if noise.dtype.itemsize < 4 else noise
         return _synthesise(coefficients, height, width, exponent, low, high).to(noise.dtype)
 
 
-# One thread, 256² / 1024², a draw included: this .27 / 2.2 ms; 64² by FFT + bicubic interpolation .51 / 6.5;
-# FFT at full size 1.3 / 48. A 64² grid and cubic upsampling as two matrix products cost as much as this does.
-def _synthesise(noise: Tensor, height: int, width: int, exponent: float, low: float, high: float) -> Tensor:
-    index = torch.arange(noise.shape[-1], dtype=noise.dtype, device=noise.device)
+# One thread, 256² / 1024², a draw included: this takes .27 / 2.2 ms; 64² by FFT and bicubic
+# interpolation .51 / 6.5; FFT at full size 1.3 / 48. A 64² grid and cubic upsampling as two matrix
+# products cost as much as this does.
+def _synthesise(
+    noise: Tensor, height: int, width: int, exponent: float, low: float, high: float
+) -> Tensor:
+    index = torch.arange(noise.shape[-1]).to(noise)
     cycles, phase = ((index + 1) / 2).floor(), index % 2 * (math.pi / 2)
     square = cycles**2 + cycles[:, None] ** 2
     square[0, 0] = math.inf  # no constant term: the affine map would take it out again
-    # the constant in x or y stands for one wave, every other pair of cosine and sine for two, k and −k
+    # the constant in x or y stands for one wave, all others for two: k and −k
     twofold = (1 + cycles.clamp(max=1)).sqrt()
     amplitude = square ** (-exponent / 4) * twofold * twofold[:, None]
 
     step = math.pi / max(height, width)
-    y, x = (torch.cos(_centred(side, noise) * cycles * step - phase) for side in (height, width))
+    y = torch.cos(_centred(height, noise) * cycles * step - phase)
+    x = torch.cos(_centred(width, noise) * cycles * step - phase)
     field = (y @ (noise * amplitude) @ x.mT)[:, None]
 
     least, largest = field.amin((-2, -1), keepdim=True), field.amax((-2, -1), keepdim=True)
     flat = largest == least
     scale = (high - low) / torch.where(flat, 1.0, largest - least)
-    field = field - least
-    return field.mul_(scale).add_(torch.where(flat, (low + high) / 2, torch.full_like(least, low))).clamp_(low, high)
+    start = torch.where(flat, (low + high) / 2, torch.full_like(least, low))
+    return (field - least).mul_(scale).add_(start).clamp_(low, high)
 
 
 def _centred(side: int, like: Tensor) -> Tensor:
-    return (torch.arange(side, dtype=like.dtype, device=like.device) - (side - 1) / 2)[:, None]
+    """Pixel centres (side, 1), 0 in the middle."""
+    return (torch.arange(side).to(like) - (side - 1) / 2)[:, None]
 
 
 def _cutoff(exponent: float, longest: int) -> int:
-    """How many cycles per torus to model: until what is left has 2.2 % of the rms, or the pixels cannot show more.
+    """How many cycles per torus to model: until what is left has 2.2 % of the rms, or the pixels
+    cannot show more.
 
-    The share of the variance beyond K is (K/0.7)^(2−α): the integral of |k|^−α outside K over its sum on the lattice.
+    The share of the variance beyond K is (K/0.7)^(2−α): the integral of |k|^−α outside K over its
+    sum on the lattice.
     """
     if exponent <= 2:
         return longest
@@ -143,15 +170,16 @@ def _cutoff(exponent: float, longest: int) -> int:
 def _parse(shape: Sequence[int]) -> tuple[int, int, int]:
     sides = tuple(shape)
     if len(sides) not in (2, 3, 4) or (len(sides) == 4 and sides[1] != 1):
-        raise ValueError(f"shape must be (B, 1, H, W), (B, H, W) or (H, W), got {sides}: pass distance.shape?")
+        raise ValueError(
+            f"shape must be (B, 1, H, W), (B, H, W) or (H, W), got {sides}: pass distance.shape?"
+        )
     if min(sides[-2:]) < 1 or sides[0] < 0:
         raise ValueError(f"shape must have at least one pixel per side, got {sides}")
     return (sides[0] if len(sides) > 2 else 1), sides[-2], sides[-1]
 
 
 def _check(exponent: float, low: float, high: float) -> None:
-    checks.within("exponent", exponent)  # α of the spectrum |k|^−α
-    if not 0 <= low <= high or math.isinf(high):
-        raise ValueError(
-            f"low and high must satisfy 0 <= low <= high < inf, got {low} and {high}: the field multiplies distance"
-        )
+    checks.within("exponent", exponent, 0.0)
+    if not 0 <= low <= high < math.inf:
+        got = f"{low} and {high}: the field multiplies distance"
+        raise ValueError(f"low and high must satisfy 0 <= low <= high < inf, got {got}")

@@ -1,15 +1,16 @@
-"""Image formation: direct, forward-scattered and backscattered light, from a medium. Linear light in and out.
+"""Image formation: direct, forward-scattered and backscattered light. Linear light in and out.
 
     I = D + F + B                             z := m·z
     D = T_β(z)·J                              direct
     F = (T_G(z) − T_β(z))·blur_σ(z){J}        forward scatter
     B = V(0) − V(z)                           backscatter, the veil
 
-The curves T_β, T_G and V and the width σ are the medium's (`uwaug.medium`); m is the medium field.
+The curves T_β, T_G and V and the width σ are the medium's, see `uwaug.optics.medium`. J is the
+scene without water, z the distance along the ray [m], m the medium field.
 
-Order "line_of_sight" blurs J and weights it with the curves of the pixel that looks; order "source", the paper's
-equation, weights first and blurs the product. Monte Carlo light transport (two planes, edge region) stands .0268 from
-the first and .0290 from the second.
+Order "line_of_sight" blurs J and weights it with the curves of the pixel that looks; order
+"source", the paper's equation, weights first and blurs the product. Monte Carlo light transport
+(two planes, edge region) stands .0268 from the first and .0290 from the second.
 """
 
 import math
@@ -21,19 +22,21 @@ import torch
 from torch import Tensor
 
 from uwaug import checks
-from uwaug.blur import BlurPlan, blurred, blurred_rows, mixed, node_weights
-from uwaug.demand import blur_demand
-from uwaug.medium import FARTHEST, Curves, Medium, curves
+from uwaug.blur.demand import blur_demand
+from uwaug.blur.plan import BlurPlan
+from uwaug.blur.stack import blurred, blurred_rows, mixed, node_weights
+from uwaug.optics.curves import FARTHEST, Curves, curves
+from uwaug.optics.medium import Medium
 
 __all__ = ["Order", "Terms", "form_image"]
 
 Order = Literal["line_of_sight", "source"]
 
+Combine = Callable[[Tensor, Curves, Tensor], tuple[Tensor, ...]]
+"""What makes the result of image, curves and blurred image: `separately` or `together`."""
+
 _CANCELS = 1 / 256
 """Optical depth; nearer, 1 − e^−x keeps less than 16 of the 24 bits of single precision."""
-
-Combine = Callable[[Tensor, Curves, Tensor], tuple[Tensor, ...]]
-"""What makes the result of the image, its curves and the blurred image: `separately` or `together`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,15 +66,16 @@ def form_image(
     """Form an underwater image.
 
     Args:
-        image (Bx3xHxW or 3xHxW tensor): J, linear light, 1 = white plate at the surface; may exceed [0, 1]. Half
-            precision is computed in float32.
-        distance (Bx1xHxW or 1xHxW tensor): z, metres along the ray, ≥ 0; +inf is open water. A batch of 1 serves all
-            images.
+        image (Bx3xHxW or 3xHxW tensor): J, linear light, 1 = white plate at the surface; may exceed
+            [0, 1]. Half precision is computed in float32.
+        distance (Bx1xHxW or 1xHxW tensor): z, metres along the ray, ≥ 0; +inf is open water. A
+            batch of 1 serves all images.
         medium: one row, or as many as images. One image and B media give B images.
         field (Bx1xHxW or 1xHxW tensor): m, multiplies z; None for homogeneous water.
         order: "line_of_sight" or "source" (see the module).
         tolerance: largest error of the blur in the image, on a scale of 0…1.
-        plan: from `blur_demand(…).plan(size)`; by default one for the distances at hand, which costs a look at them.
+        plan: from `blur_demand(…).plan(size)`; by default one for the distances at hand, which
+            costs a look at them.
 
     Returns:
         The terms, of the image's dtype, with its batch dimension or without.
@@ -80,17 +84,20 @@ def form_image(
         TypeError: if an argument is not a floating-point tensor.
         ValueError: if shapes disagree, a distance is NaN or negative, or the order is unknown.
 
-    Source: "Sea-ing Through Scattered Rays" (2025), equations for the three terms, with the sign in the exponent of
-    the forward term corrected.
+    Source: "Sea-ing Through Scattered Rays" (2025), equations for the three terms, with the sign in
+    the exponent of the forward term corrected.
     """
     checks.one_of("order", order, get_args(Order))
     validate(image, distance, medium, field)
     with torch.autocast(image.device.type, enabled=False):
-        j, z, m = prepare(image, distance, medium, field)
+        light, z, prepared = prepare(image, distance, medium, field)
         if plan is None:
-            plan = plan_at_hand(z, m, (image.shape[-2], image.shape[-1]), tolerance, order)
-        parts = [part.to(image.dtype) for part in form(j, z, m, plan, order, separately)]
-    return Terms(*(part[0] for part in parts) if unbatched(image, distance, medium) else parts)
+            plan = plan_at_hand(z, prepared, tolerance, order)
+        parts = form(light, z, prepared, plan, order, separately)
+        parts = tuple(part.to(image.dtype) for part in parts)
+    if unbatched(image, distance, medium):
+        parts = tuple(part[0] for part in parts)
+    return Terms(*parts)
 
 
 def unbatched(image: Tensor, distance: Tensor, medium: Medium) -> bool:
@@ -99,44 +106,37 @@ def unbatched(image: Tensor, distance: Tensor, medium: Medium) -> bool:
 
 
 def validate(image: Tensor, distance: Tensor, medium: Medium, field: Tensor | None) -> None:
-    """Refuse what `form_image` cannot take: types, shapes, batches, devices, and distances that are none."""
-    if not isinstance(medium, Medium):
-        raise TypeError(f"medium must be a uwaug.Medium, got {type(medium).__name__}; see Medium.from_water")
+    """Refuse what `form_image` cannot take: types, shapes, batches, devices, wrong distances."""
+    checks.instance("medium", medium, Medium, "; see Medium.from_water")
     maps = {"distance": distance} if field is None else {"distance": distance, "field": field}
     sizes = {"medium": len(medium)}
     for name, value in {"image": image, **maps}.items():
         checks.floating(name, value)
         checks.picture(name, value, 3 if name == "image" else 1)
         checks.same_size(name, value, image)
-        if value.device != image.device:
-            raise ValueError(f"{name} is on {value.device} but image is on {image.device}: move it with .to(…)")
+        checks.same_device(name, value, image)
         sizes[name] = len(value) if value.ndim == 4 else 1
     checks.batches(sizes)
-    if not torch.compiler.is_compiling():
-        _require_distances(distance, field)
-
-
-def _require_distances(distance: Tensor, field: Tensor | None) -> None:
-    # one look at each map; what is wrong with it is counted only if something is. The least of a map is NaN if any is.
-    if distance.numel() and not distance.detach().min() >= 0:
-        unknown, negative = int(distance.isnan().sum()), int((distance < 0).sum())
-        raise ValueError(
-            f"distance is NaN at {unknown} and negative at {negative} of {distance.numel()} pixels: expected metres ≥ 0 "
-            "(+inf for open water); fill unknown pixels first, see uwaug.distance.fill_unknown"
-        )
-    if field is None or not field.numel():
+    if torch.compiler.is_compiling():
         return
-    low, high = field.detach().aminmax()
-    if not (low >= 0 and high < math.inf):
-        unknown, negative, infinite = (int(bad.sum()) for bad in (field.isnan(), field < 0, field.isinf()))
-        raise ValueError(
-            f"field is NaN at {unknown}, negative at {negative} and infinite at {infinite} of {field.numel()} pixels: "
-            "expected finite values ≥ 0"
-        )
+    # the least value of a map is NaN if any is; what is wrong is counted only if something is
+    if distance.numel() and not distance.detach().min() >= 0:
+        cure = "fill unknown pixels first, see uwaug.distance.fill_unknown"
+        counts = checks.counted(distance, "NaN", "negative")
+        raise ValueError(f"distance is {counts}: expected metres ≥ 0 (+inf for open water); {cure}")
+    if field is not None and field.numel():
+        low, high = field.detach().aminmax()
+        if not (low >= 0 and high < math.inf):
+            counts = checks.counted(field, "NaN", "negative", "infinite")
+            raise ValueError(f"field is {counts}: expected finite values ≥ 0")
 
 
-def prepare(image: Tensor, distance: Tensor, medium: Medium, field: Tensor | None) -> tuple[Tensor, Tensor, Medium]:
-    """Image (BxCxHxW), effective distance m·z (Bx1xHxW) and medium, all in float32 or all in float64."""
+def prepare(
+    image: Tensor, distance: Tensor, medium: Medium, field: Tensor | None
+) -> tuple[Tensor, Tensor, Medium]:
+    """Image (BxCxHxW), effective distance m·z (Bx1xHxW) and medium, all in one type of float32 and
+    float64.
+    """
     dtype = torch.promote_types(image.dtype, torch.float32)
 
     def batch(value: Tensor) -> Tensor:
@@ -148,7 +148,7 @@ def prepare(image: Tensor, distance: Tensor, medium: Medium, field: Tensor | Non
     return batch(image), z, medium.to(dtype=dtype, device=image.device)
 
 
-def plan_at_hand(z: Tensor, medium: Medium, size: tuple[int, int], tolerance: float, order: Order) -> BlurPlan:
+def plan_at_hand(z: Tensor, medium: Medium, tolerance: float, order: Order) -> BlurPlan:
     """The plan for these very distances, rounded so that similar ones share it."""
     low, high = (float(v) for v in z.detach().aminmax()) if z.numel() else (0.0, 0.0)
     # open water scatters no light, unless a channel never fades
@@ -158,7 +158,7 @@ def plan_at_hand(z: Tensor, medium: Medium, size: tuple[int, int], tolerance: fl
         high = float(finite.max()) if finite.numel() else low
     learned = torch.is_grad_enabled() and medium.requires_grad
     demand = blur_demand(medium, (low, high), tolerance, order=order, learned=learned)
-    return demand.plan(size, shared=True)
+    return demand.plan((z.shape[-2], z.shape[-1]), shared=True)
 
 
 def form(
@@ -170,31 +170,32 @@ def form(
     if b == 0 or 0 in size:
         none = image[:b].expand(b, -1, -1, -1)
         return combine(none, Curves(none, none, none), none)
-    records = torch.is_grad_enabled() and (image.requires_grad or z.requires_grad or medium.requires_grad)
+    recorded = image.requires_grad or z.requires_grad or medium.requires_grad
+    records = torch.is_grad_enabled() and recorded
     if records or torch.compiler.is_compiling() or order == "source":
         return _form_at_once(image, z, medium, plan, order, combine)
     media = [medium[i] for i in range(len(medium))] if len(medium) > 1 else [medium]
     near = near_lens(z, medium)
     sums = [one.sums(near=near) for one in media]
     outputs: list[Tensor] = []
-    for i, j in enumerate(image):
+    for i, picture in enumerate(image):
         # one picture in several waters is blurred once
         samples = range(b) if len(image) == 1 else (i,)
-        for rows, stack in blurred_rows(j, plan):
+        for rows, stack in blurred_rows(picture, plan):
             for n in samples:
                 m, part = n % len(media), z[n % len(z), :, rows][None]
-                found = curves(sums[m], part)
-                results = combine(j[None, :, rows], found, scattered(stack, part, media[m], plan, size))
+                blur = scattered(stack, part, media[m], plan, size)
+                results = combine(picture[None, :, rows], curves(sums[m], part), blur)
                 outputs = outputs or [result.new_empty(b, 3, *size) for result in results]
-                for out, result in zip(outputs, results, strict=True):
-                    out[n, :, rows] = result[0]
+                for output, result in zip(outputs, results, strict=True):
+                    output[n, :, rows] = result[0]
     return tuple(outputs)
 
 
 def _form_at_once(
     image: Tensor, z: Tensor, medium: Medium, plan: BlurPlan, order: Order, combine: Combine
 ) -> tuple[Tensor, ...]:
-    """`form` without strips: for gradients, for a compiler, and where the curves are needed before the blur."""
+    """`form` without strips: for gradients, for compilers, for curves that precede the blur."""
     # a compiler cannot look at the distances
     near = torch.compiler.is_compiling() or near_lens(z, medium)
     found = curves(medium.sums(near=near), z)
@@ -202,7 +203,8 @@ def _form_at_once(
     if order == "source":
         source, found = found.scatter * image, found._replace(scatter=image.new_ones(()))
     stack = blurred(source, plan)
-    return combine(image, found, scattered(stack, z, medium, plan, (image.shape[-2], image.shape[-1])))
+    blur = scattered(stack, z, medium, plan, (image.shape[-2], image.shape[-1]))
+    return combine(image, found, blur)
 
 
 def near_lens(z: Tensor, medium: Medium) -> bool:
@@ -211,20 +213,25 @@ def near_lens(z: Tensor, medium: Medium) -> bool:
     return bool((slowest * z.flatten(1).amin(1) <= _CANCELS).any())
 
 
-def scattered(stack: list[Tensor], z: Tensor, medium: Medium, plan: BlurPlan, size: tuple[int, int]) -> Tensor:
-    """The blurred image: each pixel's own mixture of the plan's blurs. `z` may be rows of an image of `size`."""
+def scattered(
+    stack: list[Tensor], z: Tensor, medium: Medium, plan: BlurPlan, size: tuple[int, int]
+) -> Tensor:
+    """The blurred image: each pixel's own mixture of the plan's blurs.
+
+    z (Bx1xRxW tensor): effective distances of rows of an image of (height, width) `size`.
+    """
     if len(stack) == 1:
         return stack[0]
     sigma = medium.point_spread.sigma(medium.lengths(z), size)
     return mixed(stack, node_weights(sigma, plan))
 
 
-def separately(image: Tensor, found: Curves, blurred_image: Tensor) -> tuple[Tensor, ...]:
+def separately(image: Tensor, found: Curves, blur: Tensor) -> tuple[Tensor, ...]:
     """D, F and B."""
     direct = found.direct * image
-    return direct, found.scatter * blurred_image, found.veil.expand_as(direct)
+    return direct, found.scatter * blur, found.veil.expand_as(direct)
 
 
-def together(image: Tensor, found: Curves, blurred_image: Tensor) -> tuple[Tensor, ...]:
+def together(image: Tensor, found: Curves, blur: Tensor) -> tuple[Tensor, ...]:
     """D + F + B."""
-    return (found.veil.addcmul(found.direct, image).addcmul_(found.scatter, blurred_image),)
+    return (found.veil.addcmul(found.direct, image).addcmul_(found.scatter, blur),)

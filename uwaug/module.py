@@ -9,11 +9,11 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from uwaug import checks
-from uwaug.blur import BlurPlan
+from uwaug.blur.demand import BlurDemand, blur_demand
+from uwaug.blur.plan import BlurPlan
 from uwaug.colour import ColorSpace, from_light, to_light
-from uwaug.demand import BlurDemand, blur_demand
 from uwaug.formation import Order, form, plan_at_hand, prepare, together, unbatched, validate
-from uwaug.medium import Medium
+from uwaug.optics.medium import Medium
 
 __all__ = ["FixedMedium", "LearnableMedium", "Underwater"]
 
@@ -33,54 +33,55 @@ class FixedMedium(nn.Module):
 
     def forward(self) -> Medium:
         """The medium at hand."""
-        law = self.start.point_spread
         medium = Medium.of(dict(self.named_buffers()), self.start)
-        # what is one number for the whole batch stays a number: x is faster than a power
-        if not isinstance(law.scale, Tensor):
-            medium = replace(medium, point_spread=replace(medium.point_spread, scale=law.scale))
-        if not isinstance(law.exponent, Tensor):
-            medium = replace(medium, point_spread=replace(medium.point_spread, exponent=law.exponent))
-        return medium
+        law, start = medium.point_spread, self.start.point_spread
+        # what is one number for the whole batch stays a number: x² is faster than a power
+        if not isinstance(start.scale, Tensor):
+            law = replace(law, scale=start.scale)
+        if not isinstance(start.exponent, Tensor):
+            law = replace(law, exponent=start.exponent)
+        return replace(medium, point_spread=law)
 
 
 class LearnableMedium(nn.Module):
-    """A medium made of unconstrained parameters: whatever they are, rates, light, veil and width scale are positive,
-    and direct and signal light are equal at z = 0.
+    """A medium made of unconstrained parameters: whatever they are, rates, light, veil and width
+    scale are positive, and direct and signal light are equal at z = 0.
 
     Args:
         medium: where learning starts.
         width: learn the scale of the width law too.
 
     Raises:
-        ValueError: if the light at z = 0 is one in `direct_weights` and another in `signal_weights`.
+        ValueError: if the light at z = 0 is one in `direct_weights`, another in `signal_weights`.
     """
 
     b_mean: Tensor
     exponent: Tensor
-    veil_weights_used: Tensor
+    veil_used: Tensor
 
     def __init__(self, medium: Medium, width: bool = True) -> None:
         super().__init__()
         self.start = _detached(medium)
         values = self.start.parameters()
-        light = values["direct_weights"].sum(-1)
-        apart = float((light - values["signal_weights"].sum(-1)).abs().max())
+        light, signal_light = (
+            values[name].sum(-1) for name in ("direct_weights", "signal_weights")
+        )
+        apart = float((light - signal_light).abs().max())
         if apart > 1e-5:
             raise ValueError(
-                "a learnable medium needs direct_weights and signal_weights of one sum, the light at z = 0; "
-                f"they differ by {apart:.2g}"
+                "a learnable medium needs direct_weights and signal_weights of one sum, "
+                f"the light at z = 0; they differ by {apart:.2g}"
             )
         self.register_buffer("b_mean", values["b_mean"].clone())
         self.register_buffer("exponent", values["exponent"].clone())
-        self.register_buffer("veil_weights_used", values["veil_weights"] > 0)
-        self.raw_beta = nn.Parameter(_inverse_softplus(values["beta"]))
-        self.raw_G = nn.Parameter(_inverse_softplus(values["G"]))
-        self.raw_veil_weights = nn.Parameter(_inverse_softplus(values["veil_weights"]))
-        self.raw_light = nn.Parameter(_inverse_softplus(light))
-        self.raw_scale = nn.Parameter(_inverse_softplus(values["scale"])) if width else None
-        for name in ("direct_weights", "signal_weights"):
-            self.register_buffer(f"{name}_used", values[name] > 0)
-            self.register_parameter(f"raw_{name}", nn.Parameter(torch.log(values[name].clamp(min=1e-30))))
+        self.register_buffer("veil_used", values["veil_weights"] > 0)
+        self.raw_beta = _positive(values["beta"])
+        self.raw_G = _positive(values["G"])
+        self.raw_veil_weights = _positive(values["veil_weights"])
+        self.raw_light = _positive(light)
+        self.raw_scale = _positive(values["scale"]) if width else None
+        self.direct = _Shares(values["direct_weights"])
+        self.signal = _Shares(values["signal_weights"])
 
     def forward(self) -> Medium:
         """The medium at hand, of tensors that carry gradients to the parameters."""
@@ -92,28 +93,38 @@ class LearnableMedium(nn.Module):
         light = F.softplus(self.raw_light)[..., None]
         return Medium(
             beta=F.softplus(self.raw_beta),
-            direct_weights=light * self._shares("direct_weights"),
+            direct_weights=light * self.direct(),
             G=F.softplus(self.raw_G),
-            signal_weights=light * self._shares("signal_weights"),
-            veil_weights=F.softplus(self.raw_veil_weights) * self.veil_weights_used,
+            signal_weights=light * self.signal(),
+            veil_weights=F.softplus(self.raw_veil_weights) * self.veil_used,
             b_mean=self.b_mean,
             point_spread=law,
             notes=self.start.notes,
         )
 
-    def _shares(self, name: str) -> Tensor:
-        """Weights that sum to 1; what was no weight at the start stays none."""
-        raw = getattr(self, f"raw_{name}")
-        return torch.softmax(raw.masked_fill(~getattr(self, f"{name}_used"), -1e30), -1)
+
+class _Shares(nn.Module):
+    """Weights that sum to 1; what is no weight at the start stays none."""
+
+    used: Tensor
+
+    def __init__(self, weights: Tensor) -> None:
+        super().__init__()
+        self.register_buffer("used", weights > 0)
+        self.raw = nn.Parameter(torch.log(weights.clamp(min=1e-30)))
+
+    def forward(self) -> Tensor:
+        return torch.softmax(self.raw.masked_fill(~self.used, -1e30), -1)
 
 
 def _detached(medium: Medium) -> Medium:
     return medium.map(lambda t: t.detach().clone())
 
 
-def _inverse_softplus(y: Tensor) -> Tensor:
-    y = y.clamp(min=1e-6)
-    return y + torch.log(-torch.expm1(-y))
+def _positive(value: Tensor) -> nn.Parameter:
+    """A parameter whose softplus is `value`."""
+    y = value.clamp(min=1e-6)
+    return nn.Parameter(y + torch.log(-torch.expm1(-y)))
 
 
 class Underwater(nn.Module):
@@ -121,25 +132,27 @@ class Underwater(nn.Module):
 
     Args:
         medium: one medium, or one for each image of a batch.
-        distance_range: (nearest, farthest) effective distance m·z, m, for which the blur is planned once; beyond it
-            widths stop changing, curves stay exact. None plans for each call's own distances, which cannot be compiled
-            or exported.
+        distance_range: (nearest, farthest) effective distance m·z, m, for which the blur is planned
+            once; beyond it widths stop changing, curves stay exact. None plans for each call's own
+            distances, which cannot be compiled or exported.
         tolerance: largest error of the blur in the image, on a scale of 0…1.
-        color_space: "srgb" decodes, works in linear light, and encodes again; "linear" takes values as they are.
-        learnable: make rates, light, veil and width scale parameters; they stay positive, and direct and signal light
-            stay equal at z = 0.
+        color_space: "srgb" decodes, works in linear light, and encodes again; "linear" takes values
+            as they are.
+        learnable: make rates, light, veil and width scale parameters; they stay positive, and
+            direct and signal light stay equal at z = 0.
         order: "line_of_sight", or "source" for the paper's equation, see `uwaug.form_image`.
         demand: what the plan has to serve, by default what `medium` asks for over `distance_range`.
 
-    Keep torch's default matmul precision. With `torch.set_float32_matmul_precision("medium")`, CPUs that support it
-    multiply in bfloat16, and the error is visible.
+    Keep torch's default matmul precision. With `torch.set_float32_matmul_precision("medium")`, CPUs
+    that support it multiply in bfloat16, and the error is visible.
 
     Shapes:
-        image (Bx3xHxW or 3xHxW), distance (Bx1xHxW or 1xHxW, m), field (as distance, or None) → image.
+        image (Bx3xHxW or 3xHxW), distance (Bx1xHxW or 1xHxW, m), field (as distance, or None) →
+            image.
 
     Raises:
-        TypeError, ValueError: as `uwaug.form_image`; and if an sRGB image exceeds 16, which is taken for a scale of
-            0…255.
+        TypeError, ValueError: as `uwaug.form_image`; and if an sRGB image exceeds 16, which is
+            taken for a scale of 0…255.
 
     Examples:
         >>> import torch, uwaug
@@ -159,13 +172,13 @@ class Underwater(nn.Module):
         demand: BlurDemand | None = None,
     ) -> None:
         super().__init__()
-        if not isinstance(medium, Medium):
-            raise TypeError(f"medium must be a uwaug.Medium, got {type(medium).__name__}; see Medium.from_water")
+        checks.instance("medium", medium, Medium, "; see Medium.from_water")
         checks.one_of("color_space", color_space, get_args(ColorSpace))
         checks.one_of("order", order, get_args(Order))
         checks.tolerance(tolerance)
         if distance_range is not None and not 0 <= distance_range[0] < distance_range[1]:
-            raise ValueError(f"distance_range must be 0 ≤ nearest < farthest in metres, got {distance_range}")
+            expected = "0 ≤ nearest < farthest in metres"
+            raise ValueError(f"distance_range must be {expected}, got {distance_range}")
         self.distance_range = distance_range
         self.tolerance = tolerance
         self.color_space = color_space
@@ -174,15 +187,18 @@ class Underwater(nn.Module):
         self.demand = demand
         if demand is None and distance_range is not None:
             margin = 2.0 if learnable else 1.0
-            self.demand = blur_demand(medium, distance_range, tolerance, order=order, learned=learnable, margin=margin)
+            self.demand = blur_demand(
+                medium, distance_range, tolerance, order=order, learned=learnable, margin=margin
+            )
         self.source: FixedMedium | LearnableMedium = FixedMedium(medium)
         if learnable:
             # without a blur, its width does nothing
-            self.source = LearnableMedium(medium, width=self.demand is None or self.demand.high > 0)
+            width = self.demand is None or self.demand.high > 0
+            self.source = LearnableMedium(medium, width)
 
     @property
     def medium(self) -> Medium:
-        """The medium at hand; for a learnable module, of tensors that carry gradients to its parameters."""
+        """The medium at hand; if learnable, of tensors that carry gradients to the parameters."""
         medium: Medium = self.source()
         return medium
 
@@ -190,44 +206,50 @@ class Underwater(nn.Module):
         """The blur plan for images of (height, width) `size`; None without a `distance_range`."""
         if self.demand is None:
             return None
-        height, width = size
         # index(): a compiled module is compiled again for another size, which has another plan
-        return _plan(self.demand, index(height), index(width))
+        return _plan(self.demand, index(size[0]), index(size[1]))
 
     def forward(self, image: Tensor, distance: Tensor, field: Tensor | None = None) -> Tensor:
         """Degrade an image; see the class."""
         medium = self.medium
         validate(image, distance, medium, field)
-        result = self.formed(image, distance, field, medium, self.plan((image.shape[-2], image.shape[-1])))
+        plan = self.plan((image.shape[-2], image.shape[-1]))
+        result = self.formed(image, distance, field, medium, plan)
         return result[0] if unbatched(image, distance, medium) else result
 
     def formed(
-        self, image: Tensor, distance: Tensor, field: Tensor | None, medium: Medium, plan: BlurPlan | None
+        self,
+        image: Tensor,
+        distance: Tensor,
+        field: Tensor | None,
+        medium: Medium,
+        plan: BlurPlan | None,
     ) -> Tensor:
         """A batch of results, of input that is known to be valid."""
         with torch.autocast(image.device.type, enabled=False):
-            light, z, medium = prepare(to_light(image, self.color_space), distance, medium, field)
+            light = to_light(image, self.color_space)
+            light, z, medium = prepare(light, distance, medium, field)
             if plan is None:
-                plan = plan_at_hand(z, medium, (image.shape[-2], image.shape[-1]), self.tolerance, self.order)
+                plan = plan_at_hand(z, medium, self.tolerance, self.order)
             (result,) = form(light, z, medium, plan, self.order, together)
             return from_light(result, self.color_space, image.dtype)
 
     def extra_repr(self) -> str:
         """What is modelled, and what is skipped."""
-        if self.distance_range is None:
-            planned = "planned at each call"
-        else:
+        planned = "planned at each call"
+        if self.distance_range is not None:
             near, far = self.distance_range
-            planned = f"{near:g}…{far:g} m, {self.plan((512, 512))}"
             law = self.source.start.point_spread
-            if law.reference_size is not None or law.shape == "exponential":
-                planned += " at 512 px"
-        return f"{self.medium!r},\n{planned},\ntolerance={self.tolerance:g}, {self.color_space}, {self.order}"
+            scaled = law.reference_size is not None or law.shape == "exponential"
+            at = " at 512 px" if scaled else ""
+            planned = f"{near:g}…{far:g} m, {self.plan((512, 512))}{at}"
+        settings = f"tolerance={self.tolerance:g}, {self.color_space}, {self.order}"
+        return f"{self.medium!r},\n{planned},\n{settings}"
 
 
 def _plan(demand: BlurDemand, height: int, width: int) -> BlurPlan:
     return demand.plan((height, width))
 
 
-# what torch.compiler.assume_constant_result does, without its import of torch._dynamo, which takes .7 s
+# what torch.compiler.assume_constant_result does, without its import of torch._dynamo (.7 s)
 _plan._dynamo_marked_constant = True  # type: ignore[attr-defined]

@@ -13,14 +13,16 @@ import torch
 from torch import Tensor
 
 from uwaug import checks
-from uwaug.camera import Camera, load_camera
 from uwaug.checks import DOMAIN
 from uwaug.colour import ColorSpace
 from uwaug.distance import from_relative
 from uwaug.field import gaussian_random_field
-from uwaug.medium import Medium, PointSpread, Shape, inherent
 from uwaug.module import Underwater
-from uwaug.water import JERLOV_TYPES, Water
+from uwaug.optics.bands import inherent
+from uwaug.optics.camera import Camera, load_camera
+from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread, Shape
+from uwaug.optics.water import JERLOV_TYPES, Water
 
 __all__ = ["Preset", "list_presets", "load_preset"]
 
@@ -29,7 +31,8 @@ _ROUNDING = 0.005  # 1/m: half of the last digit that the paper prints
 
 @dataclass(frozen=True)
 class Preset:
-    """A medium with the distances, the field and the colour space it is meant for; made by `load_preset`.
+    """A medium with the distances, the field and the colour space it is meant for; made by
+    `load_preset`.
 
     Attributes:
         name: of the file, without its ending.
@@ -39,7 +42,8 @@ class Preset:
         near, far: range of distances, m.
         gamma: exponent of the distance scaling, z = near + (far − near)·t^gamma.
         field_range: least and largest value of the medium field.
-        color_space: "linear" if sRGB values are taken for light, as the paper does; "srgb" if they are decoded first.
+        color_space: "linear" if sRGB values are taken for light, as the paper does; "srgb" if they
+            are decoded first.
     """
 
     name: str
@@ -53,18 +57,24 @@ class Preset:
     color_space: ColorSpace
 
     def distance(self, t: Tensor) -> Tensor:
-        """Metres from relative distance t in [0, 1], 0 = near; shape (…, H, W). See `uwaug.distance.from_relative`."""
+        """Metres from relative distance t in [0, 1], 0 = near; shape (…, H, W). See
+        `uwaug.distance.from_relative`.
+        """
         return from_relative(t, self.near, self.far, self.gamma)
 
     def field(self, shape: tuple[int, ...], generator: torch.Generator | None = None) -> Tensor:
-        """A random medium field for distances of `shape`, (B, 1, H, W). See `uwaug.gaussian_random_field`."""
+        """A random medium field for distances of `shape`, (B, 1, H, W). See
+        `uwaug.gaussian_random_field`.
+        """
         low, high = self.field_range
         return gaussian_random_field(shape, low=low, high=high, generator=generator)
 
     def module(self) -> Underwater:
         """The preset as an `uwaug.Underwater`, planned for its distances times its field."""
         low, high = self.field_range
-        return Underwater(self.medium, (self.near * low, self.far * high), color_space=self.color_space)
+        return Underwater(
+            self.medium, (self.near * low, self.far * high), color_space=self.color_space
+        )
 
 
 def list_presets() -> list[str]:
@@ -81,15 +91,16 @@ def load_preset(
     """Load a preset.
 
     Args:
-        name_or_path: a name, see `list_presets`; or the path of a TOML file (a string that ends in ``.toml``, or any
-            path object). Copy a file of the package's ``configs`` folder to make your own.
+        name_or_path: a name, see `list_presets`; or the path of a TOML file (a string that ends in
+            ``.toml``, or any path object). Copy a file of the package's ``configs`` folder to make
+            your own.
         water: a Jerlov type ("I" … "9C") or a `Water` that takes the place of the preset's.
         camera: a camera that takes the place of the preset's, see `load_camera`.
 
     Raises:
-        ValueError: the name is unknown (lists the known); the file is no TOML, or a key is unknown, missing, of the
-            wrong type or out of range (names file and key); or water or camera is given where the preset has
-            coefficients.
+        ValueError: the name is unknown (lists the known); the file is no TOML, or a key is unknown,
+            missing, of the wrong type or out of range (names file and key); or water or camera is
+            given where the preset has coefficients.
         OSError: the file cannot be read.
 
     Examples:
@@ -119,7 +130,8 @@ def load_preset(
     )
 
 
-# The schema: pydantic checks types and keys, `DOMAIN` the range of what it knows by name, each table what is left.
+# The schema. Pydantic checks types and keys, `DOMAIN` the range of what it knows by name, and each
+# table what is left.
 
 
 class _Table:
@@ -154,7 +166,7 @@ class _Coefficients(_Table):
     def __post_init__(self) -> None:
         for key, values in vars(self).items():
             for value in values:
-                checks.within(key, value)
+                checks.within(key, value, 0.0)
         if min(self.G_per_m) == 0:
             raise ValueError(f"G_per_m must be > 0, got {self.G_per_m}")
 
@@ -197,7 +209,7 @@ class _Field(_Table):
 
     def __post_init__(self) -> None:
         checks.positive("low", self.low)
-        checks.within("high", self.high)
+        checks.within("high", self.high, 0.0)
         if not self.low <= self.high:
             raise ValueError(f"high must be ≥ low = {self.low}, got {self.high}")
 
@@ -216,16 +228,20 @@ class _Config(_Table):
     def __post_init__(self) -> None:
         if (self.water is None) == (self.coefficients is None):
             raise ValueError("water, coefficients: give one of these two tables")
-        if (c := self.coefficients) is None:
-            return
-        g = self.medium.g
-        for colour, a, b, printed in zip(("red", "green", "blue"), c.a_per_m, c.b_per_m, c.G_per_m, strict=True):
-            # a, b and G are each rounded in print
-            if abs(a + g * b - printed) > _ROUNDING * (2 + g) + 1e-9:
-                raise ValueError(
-                    f"coefficients.G_per_m is {printed} in {colour}, but a + g·b = {a} + {g}·{b} = {a + g * b:.4g}: "
-                    "more than rounding to two decimals explains"
-                )
+        if self.coefficients is not None:
+            _require_printed(self.coefficients, self.medium.g)
+
+
+def _require_printed(c: _Coefficients, g: float) -> None:
+    """Refuse a G that is not a + g·b; each of the three is rounded in print."""
+    colours = ("red", "green", "blue")
+    for colour, a, b, printed in zip(colours, c.a_per_m, c.b_per_m, c.G_per_m, strict=True):
+        G = a + g * b
+        if abs(G - printed) > _ROUNDING * (2 + g) + 1e-9:
+            raise ValueError(
+                f"coefficients.G_per_m is {printed} in {colour}, but a + g·b = {a} + {g}·{b} = "
+                f"{G:.4g}: more than rounding to two decimals explains"
+            )
 
 
 def _folder() -> Path:
@@ -237,9 +253,10 @@ def _folder() -> Path:
 def _find(name_or_path: str | os.PathLike[str]) -> Path:
     if not isinstance(name_or_path, str) or name_or_path.endswith(".toml"):
         return Path(name_or_path)
-    if name_or_path not in (names := list_presets()):
-        known = ", ".join(names)
-        raise ValueError(f"no preset is called {name_or_path!r}; there are {known}; or give the path of a .toml file")
+    names = list_presets()
+    if name_or_path not in names:
+        known = f"there are {', '.join(names)}; or give the path of a .toml file"
+        raise ValueError(f"no preset is called {name_or_path!r}; {known}")
     return _folder() / f"{name_or_path}.toml"
 
 
@@ -254,7 +271,8 @@ def _read(path: Path) -> _Config:
         # as JSON, because there strict types allow an array for a tuple
         return TypeAdapter(_Config).validate_json(json.dumps(table, default=str))
     except ValidationError as error:
-        raise ValueError(f"{path}: {'; '.join(_explain(dict(e)) for e in error.errors())}") from None
+        found = "; ".join(_explain(dict(one)) for one in error.errors())
+        raise ValueError(f"{path}: {found}") from None
 
 
 def _explain(error: dict[str, Any]) -> str:
@@ -267,42 +285,60 @@ def _explain(error: dict[str, Any]) -> str:
     if error["type"] == "unexpected_keyword_argument":
         known = _keys(where[:-1])
         close = difflib.get_close_matches(where[-1], known, n=1)
-        return f"{key} is no key; " + (f"did you mean {close[0]}?" if close else f"there are {', '.join(known)}")
+        hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(known)}"
+        return f"{key} is no key; {hint}"
     return f"{key}: {error['msg']}, got {error['input']!r}"
 
 
 def _keys(tables: list[str]) -> list[str]:
+    """The keys of a table, given the way to it."""
     table: Any = _Config
     for name in tables:
-        kind = next(f.type for f in fields(table) if f.name == name)
+        kind = next(field.type for field in fields(table) if field.name == name)
         table = next(t for t in (kind, *get_args(kind)) if is_dataclass(t))
-    return [f.name for f in fields(table)]
+    return [field.name for field in fields(table)]
 
 
 def _medium(
-    config: _Config, folder: Path, water: str | Water | None, camera: str | os.PathLike[str] | Camera | None
+    config: _Config,
+    folder: Path,
+    water: str | Water | None,
+    camera: str | os.PathLike[str] | Camera | None,
 ) -> Medium:
-    psf, given = config.point_spread, config.medium
+    psf = config.point_spread
     law = PointSpread(psf.scale_px, psf.exponent, psf.shape, psf.short_side_px)
-    if (spectral := config.water) is not None:
-        water = spectral.type if water is None else water
+    if config.water is not None:
+        water = config.water.type if water is None else water
         if camera is None:
-            camera = folder / spectral.camera if spectral.camera.lower().endswith(".csv") else spectral.camera
+            name = config.water.camera
+            camera = folder / name if name.lower().endswith(".csv") else name
         return Medium.from_water(
             water if isinstance(water, Water) else Water.jerlov(water),
             load_camera(camera),
-            vertical_depth=given.vertical_depth_m,
-            g=given.g,
-            mu=given.mu,
+            vertical_depth=config.medium.vertical_depth_m,
+            g=config.medium.g,
+            mu=config.medium.mu,
             point_spread=law,
             distance_range=(0.0, config.distance.far_m * config.field.high),
         )
     if water is not None or camera is not None:
-        raise ValueError("holds coefficients for red, green and blue, which no water or camera replaces")
-    a, b, G, kd = (np.array(values) for values in vars(config.coefficients).values())
+        raise ValueError(
+            "holds coefficients for red, green and blue, which no water or camera replaces"
+        )
+    return _medium_from_coefficients(config, law)
+
+
+def _medium_from_coefficients(config: _Config, law: PointSpread) -> Medium:
+    a, b, printed, kd = (np.array(values) for values in vars(config.coefficients).values())
     # the g of each channel that gives G as printed, which is rounded
-    g = np.divide(G - a, b, out=np.zeros(3), where=b > 0)
-    beta, G, light, veil = inherent(a, b, kd, vertical_depth=given.vertical_depth_m, g=g, mu=given.mu)
+    g = np.divide(printed - a, b, out=np.zeros(3), where=b > 0)
+    depth, mu = config.medium.vertical_depth_m, config.medium.mu
+    beta, G, light, veil = inherent(a, b, kd, vertical_depth=depth, g=g, mu=mu)
     return Medium.from_coefficients(
-        beta.tolist(), G.tolist(), veil.tolist(), b_mean=float(b.mean()), point_spread=law, light=light.tolist()
+        beta.tolist(),
+        G.tolist(),
+        veil.tolist(),
+        b_mean=float(b.mean()),
+        point_spread=law,
+        light=light.tolist(),
     )

@@ -1,4 +1,6 @@
-"""An ONNX Runtime session that opens at first use and is not pickled, so that each DataLoader worker makes its own."""
+"""An ONNX Runtime session that opens at first use and is not pickled, so that each DataLoader
+worker makes its own.
+"""
 
 import importlib
 import os
@@ -17,7 +19,9 @@ def require(*packages: str) -> list[Any]:
     try:
         return [importlib.import_module(name) for name in packages]
     except ImportError as error:
-        raise ImportError(f'{error.name} is missing: ONNX needs pip install "uwaug[onnx]"') from error
+        raise ImportError(
+            f'{error.name} is missing: ONNX needs pip install "uwaug[onnx]"'
+        ) from error
 
 
 class Session:
@@ -25,7 +29,8 @@ class Session:
 
     Args:
         path: of the file.
-        threads: of ONNX Runtime; 0 lets it choose, None takes as many as torch has where the session opens.
+        threads: of ONNX Runtime; 0 lets it choose, None takes as many as torch has where the
+            session opens.
         optimise: let it rewrite the graph.
         providers: its execution providers.
     """
@@ -65,13 +70,21 @@ class Session:
         self.path.open("rb").close()  # for Python's own error if there is none
         options = ort.SessionOptions()
         options.log_severity_level = 3
-        options.intra_op_num_threads = torch.get_num_threads() if self.threads is None else self.threads
+        options.intra_op_num_threads = (
+            torch.get_num_threads() if self.threads is None else self.threads
+        )
         level = ort.GraphOptimizationLevel
-        options.graph_optimization_level = level.ORT_ENABLE_ALL if self.optimise else level.ORT_DISABLE_ALL
+        options.graph_optimization_level = (
+            level.ORT_ENABLE_ALL if self.optimise else level.ORT_DISABLE_ALL
+        )
         try:
             return ort.InferenceSession(str(self.path), options, providers=list(self.providers))
-        except Exception as error:  # its exceptions have no common base, and no place in the public interface
-            raise ValueError(f"{self.path}: ONNX Runtime cannot load it: {str(error).splitlines()[0]}") from error
+        except (
+            Exception
+        ) as error:  # its exceptions have no common base, and no place in the public interface
+            raise ValueError(
+                f"{self.path}: ONNX Runtime cannot load it: {str(error).splitlines()[0]}"
+            ) from error
 
     def __call__(self, inputs: Mapping[str, Tensor]) -> Tensor:
         """The first output."""

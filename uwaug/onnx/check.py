@@ -10,11 +10,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from uwaug.blur import BlurPlan
-from uwaug.medium import Medium, PointSpread
+from uwaug.blur.plan import BlurPlan
 from uwaug.module import Underwater
 from uwaug.onnx.graph import parameters_of
 from uwaug.onnx.metadata import Options, plan_of, read_metadata
+from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread
 from uwaug.session import Session, require
 
 __all__ = ["Report", "check_onnx"]
@@ -40,13 +41,15 @@ class _Case(NamedTuple):
     field: Tensor
 
 
-def check_onnx(path: str | os.PathLike[str], module: Underwater, *, tolerance: float = 1e-5) -> Report:
+def check_onnx(
+    path: str | os.PathLike[str], module: Underwater, *, tolerance: float = 1e-5
+) -> Report:
     """Check an exported file against the module it came from.
 
-    `onnx.checker`, then ONNX Runtime with optimisations off and on against float64 eager with the same plan, over
-    batches 1, 2, 5, odd, even, non-square, smallest and largest sizes, and constant, ramp, step, random, zero, far and
-    infinite distances. A file that takes its parameters as inputs is given media of other numbers of rates, and one per
-    image.
+    `onnx.checker`, then ONNX Runtime with optimisations off and on against float64 eager with the
+    same plan, over batches 1, 2, 5, odd, even, non-square, smallest and largest sizes, and
+    constant, ramp, step, random, zero, far and infinite distances. A file that takes its parameters
+    as inputs is given media of other numbers of rates, and one per image.
 
     Args:
         path: the file.
@@ -56,22 +59,24 @@ def check_onnx(path: str | os.PathLike[str], module: Underwater, *, tolerance: f
     Raises:
         ImportError: if the onnx extra is not installed.
         OSError: if the file cannot be read.
-        ValueError: naming the worst case, if it exceeds the tolerance; or if the module itself hardly changes a
-            picture, so that a graph that returns its input would pass.
+        ValueError: naming the worst case, if it exceeds the tolerance; or if the module itself
+            hardly changes a picture, so that a graph that returns its input would pass.
     """
     (onnx,) = require("onnx")
     metadata = read_metadata(path)
     try:
         onnx.checker.check_model(os.fspath(path), full_check=True)
     except onnx.checker.ValidationError as error:
-        raise ValueError(f"{path}: onnx.checker refuses it: {str(error).splitlines()[0]}") from error
+        raise ValueError(
+            f"{path}: onnx.checker refuses it: {str(error).splitlines()[0]}"
+        ) from error
     options = Options.of(metadata)
     plan = plan_of(module, options)
     stored = json.loads(metadata["uwaug_module"])["plan"]
     if not _same_plan(plan, stored):
         raise ValueError(
-            f"{path}: made for {metadata['uwaug_plan']}, but module asks for {plan} here: it is from another module or "
-            "version; export it again"
+            f"{path}: made for {metadata['uwaug_plan']}, but module asks for {plan} here: "
+            "it is from another module or version; export it again"
         )
     media = [module.medium[i] for i in range(len(module.medium))]
     if options.parameters == "inputs":
@@ -90,7 +95,9 @@ def check_onnx(path: str | os.PathLike[str], module: Underwater, *, tolerance: f
         # uint8 stays uint8, so that its result is rounded and clipped
         image = case.image if quantised else case.image.double()
         with torch.no_grad():
-            wanted = module.formed(image, case.distance.double(), field, medium.to(torch.float64), plan)
+            wanted = module.formed(
+                image, case.distance.double(), field, medium.to(torch.float64), plan
+            )
         moved = max(moved, float((wanted.double() - case.image).abs().max()))
         if options.parameters == "inputs":
             for name, value in parameters_of(medium).items():
@@ -100,16 +107,23 @@ def check_onnx(path: str | os.PathLike[str], module: Underwater, *, tolerance: f
             found.append((_apart(path, session, rows, wanted, where), where))
     worst, where = max(found)
     if worst > limit:
-        raise ValueError(f"{path}: differs from float64 eager by {worst:.3g} (limit {limit:g}) at {where}")
+        raise ValueError(
+            f"{path}: differs from float64 eager by {worst:.3g} (limit {limit:g}) at {where}"
+        )
     if moved <= 2 * limit:
-        raise ValueError(f"module changes a picture by {moved:.2g} at most: a graph that returns its input would pass")
+        danger = "a graph that returns its input would pass"
+        raise ValueError(f"module changes a picture by {moved:.2g} at most: {danger}")
     return Report(len(found), worst, where)
 
 
 def _apart(
-    path: str | os.PathLike[str], session: Session, rows: dict[str, Tensor], wanted: Tensor, where: str
+    path: str | os.PathLike[str],
+    session: Session,
+    rows: dict[str, Tensor],
+    wanted: Tensor,
+    where: str,
 ) -> float:
-    """The largest difference of the file's result from the one wanted; inf if there is NaN in it."""
+    """The largest difference of the file's result from the one wanted; inf if it holds NaN."""
     try:
         out = session(rows)
     except Exception as error:  # of ONNX Runtime, see Session
@@ -158,7 +172,9 @@ def _cases(options: Options, distance_range: tuple[float, float]) -> Iterator[_C
     )
     for batch, h, w in sizes:
         shape = (batch, 1, h, w)
-        image = (1.2 * torch.rand(batch, 3, h, w, generator=rng, dtype=torch.float32) - 0.1).clamp(0, 1)
+        image = (1.2 * torch.rand(batch, 3, h, w, generator=rng, dtype=torch.float32) - 0.1).clamp(
+            0, 1
+        )
         field = 0.7 + 0.6 * torch.rand(shape, generator=rng, dtype=torch.float32)
         ramp = torch.linspace(0, 1, w, dtype=torch.float32).expand(shape)
         within = {
@@ -182,13 +198,28 @@ def _cases(options: Options, distance_range: tuple[float, float]) -> Iterator[_C
 
 
 def _unrelated_media(medium: Medium) -> list[Medium]:
-    """Media of one and of five rates, with other width laws, all of the kind that a file with `medium` takes."""
+    """Media of one and of five rates, with other width laws, all of the kind that a file with
+    `medium` takes.
+    """
 
     def unrelated(k: int, scale: float, exponent: float) -> Medium:
         rates = torch.linspace(0.1, 1.0, k, dtype=torch.float64)[None]
-        weights = torch.linspace(0.6, 1.0, 3, dtype=torch.float64)[None, :, None].expand(1, 3, k) / k
-        law = PointSpread(scale, exponent, medium.point_spread.shape, medium.point_spread.reference_size)
-        return Medium(rates, weights, 0.4 * rates, weights, 0.3 * weights, rates.new_tensor([0.7]), law, ("check",))
+        weights = (
+            torch.linspace(0.6, 1.0, 3, dtype=torch.float64)[None, :, None].expand(1, 3, k) / k
+        )
+        law = PointSpread(
+            scale, exponent, medium.point_spread.shape, medium.point_spread.reference_size
+        )
+        return Medium(
+            rates,
+            weights,
+            0.4 * rates,
+            weights,
+            0.3 * weights,
+            rates.new_tensor([0.7]),
+            law,
+            ("check",),
+        )
 
     return [unrelated(1, 1.5, 1.0), unrelated(5, 2.5, 0.6)]
 

@@ -2,7 +2,6 @@
 
 import logging
 import os
-import tempfile
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,6 +12,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
+from uwaug import checks
+from uwaug.files import written_whole
 from uwaug.module import Underwater
 from uwaug.onnx.check import check_onnx
 from uwaug.onnx.graph import Graph, parameters_of
@@ -35,18 +36,20 @@ def export_onnx(
 ) -> Path:
     """Write a module as an ONNX file that needs no uwaug to run.
 
-    Inputs: image (Bx3xHxW), distance (Bx1xHxW float32, m), then those asked for below. Output: as the image.
+    Inputs: image (Bx3xHxW), distance (Bx1xHxW float32, m), then those asked for below. Output: as
+    the image.
 
     Args:
         module: with a `distance_range`, which fixes the plan of the blur.
         path: of the file; written whole, after it has passed its check, or not at all.
-        parameters: "frozen", or "inputs": rates, weights and width law become inputs of the graph, with a row for each
-            image (see `uwaug.Medium.parameters`), so that one file serves every water whose widths lie in the plan:
-            export a module of all of them, `Underwater(Medium.stack(…))`.
+        parameters: "frozen", or "inputs": rates, weights and width law become inputs of the graph,
+            with a row for each image (see `uwaug.Medium.parameters`), so that one file serves every
+            water whose widths lie in the plan: export a module of all of them,
+            `Underwater(Medium.stack(…))`.
         field: "input" adds the medium field, Bx1xHxW, as an input.
         image: "float32" (0…1, not clipped), or "uint8" in and out (0…255, rounded and clipped).
-        sides: smallest and largest short side, px, that the plan serves; matters only for a width law with a reference
-            size. Images outside get the nearest width of the plan.
+        sides: smallest and largest short side, px, that the plan serves; matters only for a width
+            law with a reference size. Images outside get the nearest width of the plan.
         opset: ≥ 18.
         verify: run `check_onnx` before the file is put in place.
 
@@ -64,7 +67,7 @@ def export_onnx(
     onnx, *_ = require("onnx", "onnxscript", *(["onnxruntime"] if verify else []))
     options = Options(parameters, field, image, sides)
     traced = _trace(module, options)
-    with _part_of(path) as part:
+    with written_whole(path) as part:
         with torch.no_grad(), _quiet():
             exported = torch.onnx.export(
                 _program(traced),
@@ -83,10 +86,6 @@ def export_onnx(
         onnx.save(model, part)
         if verify:
             check_onnx(part, module)
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(part, 0o666 & ~mask)
-        os.replace(part, path)
     return path
 
 
@@ -98,13 +97,17 @@ def export_program(
     image: Literal["float32", "uint8"] = "float32",
     sides: tuple[int, int] = SIDES,
 ) -> torch.export.ExportedProgram:
-    """The same graph as a `torch.export` program, for `torch.export.save`; arguments as `export_onnx`."""
+    """The same graph as a `torch.export` program, for `torch.export.save`; arguments as
+    `export_onnx`.
+    """
     with torch.no_grad(), _quiet():
         return _program(_trace(module, Options(parameters, field, image, sides)))
 
 
 class _Traced(NamedTuple):
-    """What torch.export wants: the graph; an example of each input, by name, and its free sizes, by axis."""
+    """What torch.export wants: the graph; an example of each input, by name, and its free sizes, by
+    axis.
+    """
 
     graph: Graph
     inputs: dict[str, Tensor]
@@ -112,13 +115,15 @@ class _Traced(NamedTuple):
 
 
 def _trace(module: Underwater, options: Options) -> _Traced:
-    if not isinstance(module, Underwater):
-        raise TypeError(f"module must be a uwaug.Underwater, got {type(module).__name__}")
-    frozen, field, quantised = options.parameters == "frozen", options.field == "input", options.image == "uint8"
+    checks.instance("module", module, Underwater)
+    frozen, field, quantised = (
+        options.parameters == "frozen",
+        options.field == "input",
+        options.image == "uint8",
+    )
     if frozen and len(module.medium) != 1:
-        raise ValueError(
-            f"module holds {len(module.medium)} media, of which only one can be frozen: use parameters='inputs'"
-        )
+        held = f"{len(module.medium)} media, of which only one can be frozen"
+        raise ValueError(f"module holds {held}: use parameters='inputs'")
     plan = plan_of(module, options)
     names = ("batch", "height", "width", "rates", "scatter_rates")
     batch, height, width, rates, scatter_rates = (torch.export.Dim(name, min=1) for name in names)
@@ -136,7 +141,9 @@ def _trace(module: Underwater, options: Options) -> _Traced:
         inputs[name] = example.expand(2, *example.shape[1:]).contiguous()
         free[name] = {0: batch}
         if row.ndim > 1:
-            free[name][row.ndim - 1] = rates if name in ("beta", "direct_weights") else scatter_rates
+            free[name][row.ndim - 1] = (
+                rates if name in ("beta", "direct_weights") else scatter_rates
+            )
     graph = Graph(module, plan, frozen=frozen, field=field, quantised=quantised).eval()
     return _Traced(graph, inputs, free)
 
@@ -155,27 +162,9 @@ def _program(traced: _Traced) -> torch.export.ExportedProgram:
 
 
 @contextmanager
-def _part_of(path: Path) -> Iterator[str]:
-    """A file beside `path`, to be moved there when it is whole."""
-    if path.is_dir():
-        raise IsADirectoryError(f"path must be a file, but {path} is a folder")
-    if not path.parent.is_dir():
-        raise FileNotFoundError(f"path: there is no folder {path.parent}")
-    try:
-        handle, part = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    except OSError as error:
-        raise type(error)(f"path: cannot write to the folder {path.parent}: {error.strerror}") from error
-    os.close(handle)
-    try:
-        yield part
-    finally:
-        Path(part).unlink(missing_ok=True)
-
-
-@contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence two messages of the exporter that do not concern the user: a deprecation inside torch, and operators of a
-    torchvision that is not used.
+    """Silence two messages of the exporter that do not concern the user: a deprecation inside
+    torch, and operators of a torchvision that is not used.
     """
     log = logging.getLogger("torch.onnx._internal.exporter._registration")
 
@@ -193,7 +182,12 @@ def _quiet() -> Iterator[None]:
 
 def _strip_traces(model: Any) -> None:
     """Drop stack traces, which name files of this machine."""
-    for part in (*model.graph.node, *model.graph.input, *model.graph.output, *model.graph.initializer):
+    for part in (
+        *model.graph.node,
+        *model.graph.input,
+        *model.graph.output,
+        *model.graph.initializer,
+    ):
         part.ClearField("metadata_props")
         part.ClearField("doc_string")
     del model.graph.value_info[:]

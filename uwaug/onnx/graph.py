@@ -1,37 +1,54 @@
 """The model as one graph for any batch, height and width: what `uwaug.onnx` exports.
 
-Curves, width law, weights and sum are the package's own functions. Of its own a graph has the blurs: `uwaug.blur` works
-in strips, blocks and caches that a graph has no room for. `uwaug.onnx.check_onnx` holds what is exported against them.
+Curves, width law, weights and sum are the package's own functions. Of its own a graph has the
+blurs: `uwaug.blur` works in strips, blocks and caches that a graph has no room for.
+`uwaug.onnx.check_onnx` holds what is exported against them.
 """
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from uwaug.banded import MARGIN, PERIOD, blur_kernel, enlarge_kernels, per_cell, reflect, shrink_kernels
-from uwaug.blur import BlurPlan
+from uwaug.blur.banded import (
+    MARGIN,
+    PERIOD,
+    blur_kernel,
+    enlarge_kernels,
+    per_cell,
+    reflect,
+    shrink_kernels,
+)
+from uwaug.blur.plan import BlurPlan
 from uwaug.colour import from_light, to_light
 from uwaug.formation import scattered, together
-from uwaug.medium import FARTHEST, Medium, Sums, curves
 from uwaug.module import Underwater
+from uwaug.optics.curves import FARTHEST, Sums, curves
+from uwaug.optics.medium import Medium
 
 __all__ = ["Graph", "parameters_of"]
 
 
 def parameters_of(medium: Medium) -> dict[str, Tensor]:
-    """What a file exported with `parameters="inputs"` takes, by name: `Medium.parameters` in float32."""
-    return {name: value.detach().to("cpu", torch.float32).contiguous() for name, value in medium.parameters().items()}
+    """What a file exported with `parameters="inputs"` takes, by name: `Medium.parameters` in
+    float32.
+    """
+    return {
+        name: value.detach().to("cpu", torch.float32).contiguous()
+        for name, value in medium.parameters().items()
+    }
 
 
 class Graph(nn.Module):
-    """An `Underwater` module as a function of tensors alone: image, distance, then the field and the parameters if
-    those are inputs.
+    """An `Underwater` module as a function of tensors alone: image, distance, then the field and
+    the parameters if those are inputs.
     """
 
     rates: Tensor
     weights: Tensor
 
-    def __init__(self, module: Underwater, plan: BlurPlan, *, frozen: bool, field: bool, quantised: bool) -> None:
+    def __init__(
+        self, module: Underwater, plan: BlurPlan, *, frozen: bool, field: bool, quantised: bool
+    ) -> None:
         super().__init__()
         self.plan = plan
         self.frozen = frozen
@@ -40,7 +57,8 @@ class Graph(nn.Module):
         self.color_space = module.color_space
         self.medium = module.medium.map(lambda t: t.detach().to("cpu", torch.float32))
         self.blurs = nn.ModuleList(
-            _blur(sigma, cell, plan.reach) for sigma, cell in zip(plan.sigmas, plan.cells, strict=True)
+            _blur(sigma, cell, plan.reach)
+            for sigma, cell in zip(plan.sigmas, plan.cells, strict=True)
         )
         # near=False: ONNX has no e^x − 1
         rates, weights, _ = self.medium.sums(near=False)
@@ -56,13 +74,19 @@ class Graph(nn.Module):
         if self.frozen:
             medium, sums = self.medium, Sums(self.rates, self.weights, None)
         else:
-            medium = Medium.of(dict(zip(self.medium.parameters(), inputs, strict=True)), self.medium)
+            medium = Medium.of(
+                dict(zip(self.medium.parameters(), inputs, strict=True)), self.medium
+            )
             sums = medium.sums(near=False)
         light = to_light(image, self.color_space)
         found = curves(sums, z)
         stack = [blur(light) for blur in self.blurs]
-        (result,) = together(light, found, scattered(stack, z, medium, self.plan, (z.shape[2], z.shape[3])))
-        return from_light(result, self.color_space, torch.uint8 if self.quantised else torch.float32)
+        (result,) = together(
+            light, found, scattered(stack, z, medium, self.plan, (z.shape[2], z.shape[3]))
+        )
+        return from_light(
+            result, self.color_space, torch.uint8 if self.quantised else torch.float32
+        )
 
 
 def _blur(sigma: float, cell: float, reach: float) -> nn.Module:
@@ -82,27 +106,38 @@ class _Fine(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         margin = self.get_buffer("kernel").shape[1] // 2
         for axis in (2, 3):
-            x = _strided(_extended(x, -margin, x.shape[axis] + margin, axis), self.get_buffer("kernel"), 1, axis)
+            x = _strided(
+                _extended(x, -margin, x.shape[axis] + margin, axis),
+                self.get_buffer("kernel"),
+                1,
+                axis,
+            )
         return x
 
 
 class _Coarse(nn.Module):
-    """On a grid of whole cells for every `PERIOD` px: one strided convolution along each axis and back, with a channel
-    for each cell of a period, or each px.
+    """On a grid of whole cells for every `PERIOD` px: one strided convolution along each axis and
+    back, with a channel for each cell of a period, or each px.
     """
 
     def __init__(self, sigma: float, cell: float, reach: float) -> None:
         super().__init__()
         a, q = per_cell(cell)
         self.cells = a * (PERIOD // q)
-        first, kernel = shrink_kernels(torch.arange(-MARGIN, self.cells - MARGIN), self.cells, PERIOD, sigma, reach)
+        first, kernel = shrink_kernels(
+            torch.arange(-MARGIN, self.cells - MARGIN), self.cells, PERIOD, sigma, reach
+        )
         self.first = int(first[0])
         self.register_buffer("shrink", _windows(first, kernel))
-        self.register_buffer("enlarge", _windows(*enlarge_kernels(torch.arange(PERIOD), self.cells, PERIOD)))
+        self.register_buffer(
+            "enlarge", _windows(*enlarge_kernels(torch.arange(PERIOD), self.cells, PERIOD))
+        )
 
     def forward(self, x: Tensor) -> Tensor:
         shrink, enlarge = self.get_buffer("shrink"), self.get_buffer("enlarge")
-        more = -(-enlarge.shape[1] // self.cells) - 1  # periods of cells that the last px need beyond their own
+        more = (
+            -(-enlarge.shape[1] // self.cells) - 1
+        )  # periods of cells that the last px need beyond their own
         sizes = x.shape
         for axis in (2, 3):
             # one to spare: torch.export assumes that a free size is not 1
@@ -115,12 +150,16 @@ class _Coarse(nn.Module):
 
 
 class _Wide(nn.Module):
-    """On a grid with cells of several periods: dense matrices, which are small; the kernel may exceed the image."""
+    """On a grid with cells of several periods: dense matrices, which are small; the kernel may
+    exceed the image.
+    """
 
     def __init__(self, sigma: float, cell: float, reach: float) -> None:
         super().__init__()
         self.pitch = round(cell)
-        first, kernel = shrink_kernels(torch.zeros(1, dtype=torch.int64), 1, self.pitch, sigma, reach)
+        first, kernel = shrink_kernels(
+            torch.zeros(1, dtype=torch.int64), 1, self.pitch, sigma, reach
+        )
         self.first = int(first[0])
         self.register_buffer("shrink", kernel.to(torch.float32))
         starts, spline = enlarge_kernels(torch.arange(self.pitch), 1, self.pitch)
@@ -128,32 +167,45 @@ class _Wide(nn.Module):
         self.register_buffer("enlarge", spline.to(torch.float32))
 
     def forward(self, x: Tensor) -> Tensor:
-        (shrink_rows, enlarge_rows), (shrink_columns, enlarge_columns) = (self._matrices(n) for n in x.shape[-2:])
+        (shrink_rows, enlarge_rows), (shrink_columns, enlarge_columns) = (
+            self._matrices(n) for n in x.shape[-2:]
+        )
         x = (shrink_rows @ x) @ shrink_columns.t()
         return enlarge_rows @ (x @ enlarge_columns.t())
 
     def _matrices(self, size: int) -> tuple[Tensor, Tensor]:
         """(cells, size) and (size, cells)."""
         kernel = self.get_buffer("shrink")
-        cells = (size + self.pitch - 1) // self.pitch + 2 * MARGIN  # of positive numbers: ONNX's division truncates
+        cells = (
+            size + self.pitch - 1
+        ) // self.pitch + 2 * MARGIN  # of positive numbers: ONNX's division truncates
         first = self.first + self.pitch * torch.arange(-MARGIN, cells - MARGIN)
-        # derived from `size`, so that the exporter computes the indices at run time instead of storing them
+        # derived from `size`, so that the exporter computes the indices at run time instead of
+        # storing them
         taps = torch.arange(size + kernel.shape[1])[: kernel.shape[1]]
         columns = reflect(first[:, None] + taps, size)
-        shrink = torch.zeros(cells, size, dtype=torch.float32).scatter_add(1, columns, kernel.expand(cells, -1))
+        shrink = torch.zeros(cells, size, dtype=torch.float32).scatter_add(
+            1, columns, kernel.expand(cells, -1)
+        )
         px = torch.arange(size)
         pitch = torch.full((1,), self.pitch, dtype=torch.int64)
         within = torch.remainder(px, pitch)
         first = torch.tensor(self.starts)[within] + (px - within) // pitch + MARGIN
         enlarge = torch.zeros(size, cells, dtype=torch.float32)
-        return shrink, enlarge.scatter_add(1, first[:, None] + torch.arange(4), self.get_buffer("enlarge")[within])
+        return shrink, enlarge.scatter_add(
+            1, first[:, None] + torch.arange(4), self.get_buffer("enlarge")[within]
+        )
 
 
 def _windows(first: Tensor, kernel: Tensor) -> Tensor:
-    """(n, taps) kernels that begin at `first` as rows of one window that begins at the first of them."""
+    """(n, taps) kernels that begin at `first` as rows of one window that begins at the first of
+    them.
+    """
     offset = first - first[0]
     rows = torch.zeros(len(first), int(offset[-1]) + kernel.shape[1], dtype=torch.float64)
-    return rows.scatter_(1, offset[:, None] + torch.arange(kernel.shape[1]), kernel).to(torch.float32)
+    return rows.scatter_(1, offset[:, None] + torch.arange(kernel.shape[1]), kernel).to(
+        torch.float32
+    )
 
 
 def _extended(x: Tensor, first: int, end: int, axis: int) -> Tensor:
@@ -162,7 +214,10 @@ def _extended(x: Tensor, first: int, end: int, axis: int) -> Tensor:
     if axis == 2:
         return x.index_select(2, reflect(torch.arange(first, end), size))
     # to gather whole rows would copy them value by value
-    left, right = (x.index_select(3, reflect(torch.arange(*range_), size)) for range_ in ((first, 0), (size, end)))
+    left, right = (
+        x.index_select(3, reflect(torch.arange(*range_), size))
+        for range_ in ((first, 0), (size, end))
+    )
     return torch.cat([left, x, right], 3)
 
 

@@ -10,10 +10,11 @@ import torch
 from torch import Tensor
 
 from uwaug import checks
-from uwaug.blur import BlurPlan
-from uwaug.demand import BlurDemand
-from uwaug.medium import Medium, PointSpread
+from uwaug.blur.demand import BlurDemand
+from uwaug.blur.plan import BlurPlan
 from uwaug.module import Underwater
+from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread
 from uwaug.session import Session
 
 __all__ = ["FORMAT", "Options", "plan_of", "read_metadata", "read_module"]
@@ -23,6 +24,9 @@ FORMAT = 2
 
 SIDES = (32, 1024)
 """px: short sides that one file serves, where the width law scales with the image."""
+
+
+_UNITS = "image 0…1 (float32) or 0…255 (uint8); distance in metres along the ray, +inf = open water"
 
 
 @dataclass(frozen=True)
@@ -39,24 +43,29 @@ class Options:
         checks.one_of("field", self.field, ("none", "input"))
         checks.one_of("image", self.image, ("float32", "uint8"))
         if not 1 <= self.sides[0] <= self.sides[1]:
-            raise ValueError(f"sides must be 1 ≤ smallest ≤ largest short side in px, got {self.sides}")
+            raise ValueError(
+                f"sides must be 1 ≤ smallest ≤ largest short side in px, got {self.sides}"
+            )
 
     @staticmethod
     def of(metadata: dict[str, str]) -> "Options":
         """Those of a file."""
         smallest, largest = json.loads(metadata["uwaug_sides_px"])
-        parameters, field, image = (metadata[f"uwaug_{name}"] for name in ("parameters", "field", "image"))
+        parameters, field, image = (
+            metadata[f"uwaug_{name}"] for name in ("parameters", "field", "image")
+        )
         return Options(parameters, field, image, (smallest, largest))  # type: ignore[arg-type]
 
 
 def plan_of(module: Underwater, options: Options) -> BlurPlan:
     """The plan of a module's file: one for all sizes."""
     if module.demand is None:
-        raise ValueError(
-            "module has no distance_range: give Underwater(…, distance_range=(near, far)), which fixes the plan"
-        )
+        cure = "give Underwater(…, distance_range=(near, far)), which fixes the plan"
+        raise ValueError(f"module has no distance_range: {cure}")
     if module.order != "line_of_sight":
-        raise ValueError(f"module.order must be 'line_of_sight' to be exported, got {module.order!r}")
+        raise ValueError(
+            f"module.order must be 'line_of_sight' to be exported, got {module.order!r}"
+        )
     return module.demand.plan_all(options.sides)
 
 
@@ -64,7 +73,9 @@ def written(module: Underwater, plan: BlurPlan, options: Options) -> dict[str, s
     """The metadata of a module's file."""
     medium, law, demand = module.medium, module.medium.point_spread, module.demand
     assert demand is not None
-    tensors: dict[str, Any] = {name: value.detach().tolist() for name, value in medium.parameters().items()}
+    tensors: dict[str, Any] = {
+        name: value.detach().tolist() for name, value in medium.parameters().items()
+    }
     for name, value in (("scale", law.scale), ("exponent", law.exponent)):
         if not isinstance(value, Tensor):
             tensors[name] = value
@@ -88,7 +99,7 @@ def written(module: Underwater, plan: BlurPlan, options: Options) -> dict[str, s
         "uwaug_image": options.image,
         "uwaug_sides_px": json.dumps(options.sides),
         "uwaug_distance_range_m": json.dumps(module.distance_range),
-        "uwaug_units": "image 0…1 (float32) or 0…255 (uint8); distance in metres along the ray, +inf = open water",
+        "uwaug_units": _UNITS,
         "uwaug_minimum_size": "1x1",
         "uwaug_module": json.dumps(rebuild),
     }
@@ -102,7 +113,9 @@ def read_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
         OSError: if the file cannot be read.
         ValueError: if it is not from uwaug, or of another format.
     """
-    found: dict[str, str] = Session(path, 1, optimise=False).opened.get_modelmeta().custom_metadata_map
+    found: dict[str, str] = (
+        Session(path, 1, optimise=False).opened.get_modelmeta().custom_metadata_map
+    )
     if "uwaug_format" not in found:
         raise ValueError(f"{path}: not a file of uwaug.export_onnx, as it has no metadata of it")
     if found["uwaug_format"] != str(FORMAT):
@@ -114,7 +127,9 @@ def read_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
 
 
 def read_module(path: str | os.PathLike[str]) -> Underwater:
-    """The module that a file was exported from, rebuilt from its metadata; errors as `read_metadata`."""
+    """The module that a file was exported from, rebuilt from its metadata; errors as
+    `read_metadata`.
+    """
     metadata = read_metadata(path)
     stored = json.loads(metadata["uwaug_module"])
     values: dict[str, Any] = {

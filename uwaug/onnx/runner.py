@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from uwaug import checks
-from uwaug.medium import Medium
 from uwaug.onnx.graph import parameters_of
 from uwaug.onnx.metadata import read_metadata
+from uwaug.optics.medium import Medium
 from uwaug.session import Session
 
 __all__ = ["OnnxUnderwater"]
@@ -19,7 +19,8 @@ __all__ = ["OnnxUnderwater"]
 class OnnxUnderwater:
     """Run an exported file like the module that it came from.
 
-    The session is opened at the first call and not pickled, so that the object can live in DataLoader workers.
+    The session is opened at the first call and not pickled, so that the object can live in
+    DataLoader workers.
 
     Args:
         path: of the file.
@@ -40,7 +41,11 @@ class OnnxUnderwater:
         return f"OnnxUnderwater({str(self.session.path)!r}: {self.metadata['uwaug_medium']})"
 
     def __call__(
-        self, image: Tensor, distance: Tensor, field: Tensor | None = None, medium: Medium | None = None
+        self,
+        image: Tensor,
+        distance: Tensor,
+        field: Tensor | None = None,
+        medium: Medium | None = None,
     ) -> Tensor:
         """Degrade an image.
 
@@ -51,7 +56,8 @@ class OnnxUnderwater:
             medium: if the file has its parameters as inputs; one, or one for each image.
 
         Raises:
-            TypeError, ValueError: if an argument is not as above, lacking, or more than the file takes.
+            TypeError, ValueError: if an argument is not as above, lacking, or more than the file
+                takes.
         """
         self._require("field", field, wanted="input")
         self._require("parameters", medium, wanted="inputs", name="medium")
@@ -65,10 +71,13 @@ class OnnxUnderwater:
         batch = next((n for n in sizes.values() if n != 1), 1)
         if image.numel() == 0 or batch == 0:
             return image.new_zeros(batch, 3, *image.shape[-2:])
-        # one by one: what a batch holds between two operations leaves the cache, and takes up to 1.5 times as long
+        # one by one: what a batch holds between two operations leaves the cache, and takes up to
+        # 1.5 times as long
         results = []
         for i in range(batch):
-            one = {name: value[i : i + 1] if len(value) > 1 else value for name, value in rows.items()}
+            one = {
+                name: value[i : i + 1] if len(value) > 1 else value for name, value in rows.items()
+            }
             results.append(self.session(one))
         result = torch.cat(results)
         return result[0] if image.ndim == 3 and batch == 1 else result
@@ -78,15 +87,15 @@ class OnnxUnderwater:
         exported = self.metadata[f"uwaug_{key}"]
         if (value is not None) != (exported == wanted):
             verb = "needs one" if value is None else "takes none"
-            raise ValueError(f"{name or key}: the file {verb}, as it was exported with {key}={exported!r}")
+            raise ValueError(
+                f"{name or key}: the file {verb}, as it was exported with {key}={exported!r}"
+            )
 
     def _require_law(self, medium: Medium) -> None:
         law, stored = medium.point_spread, json.loads(self.metadata["uwaug_module"])["law"]
         if (law.shape, law.reference_size) != (stored["shape"], stored["reference_size"]):
-            raise ValueError(
-                f"medium: its point spread is {law}, but the file is for shape {stored['shape']!r} and "
-                f"reference_size {stored['reference_size']}"
-            )
+            wanted = f"shape {stored['shape']!r} and reference_size {stored['reference_size']}"
+            raise ValueError(f"medium: its point spread is {law}, but the file is for {wanted}")
 
     def _rows(self, image: Tensor, distance: Tensor, field: Tensor | None) -> dict[str, Tensor]:
         """The pictures as the file takes them, with a batch dimension."""
@@ -101,5 +110,7 @@ class OnnxUnderwater:
             row = value if name == "image" else value.to(torch.float32)
             rows[name] = row if row.ndim == 4 else row[None]
         if not bool((distance >= 0).all()):
-            raise ValueError("distance is NaN or negative somewhere: expected metres ≥ 0 (+inf for open water)")
+            raise ValueError(
+                "distance is NaN or negative somewhere: expected metres ≥ 0 (+inf for open water)"
+            )
         return rows

@@ -1,12 +1,14 @@
 """Banded matrices that blur, shrink and enlarge one axis of an image, applied block by block.
 
-A Gaussian blur with half-sample symmetric edges is a banded matrix per axis; so is "blur, then keep every m-th sample",
-and so is spline interpolation back. Written as matrices the reflection at the edges is folded into the entries, grids
-need not divide the image size, a 1×1 image is nothing special, and the adjoint that gradients need is the transpose.
-Each matrix is cut into row blocks that hold only the columns in use. Blocks that repeat are one batched matrix product
-on overlapping windows, which on a CPU is about as fast as one scaled addition per tap for the narrowest kernels and
-faster for all others: 3×256², one thread, σ 1.0 / 1.5 / 4 px: blocks 0.28 / 0.31 / 0.28 ms, scaled additions 0.25 /
-0.40 / 1.0, kornia's convolution 1.1 / 1.4 / 2.7, a dense matrix 1.8; oneDNN strided convolutions lie between 0.3 and 3.
+A Gaussian blur with half-sample symmetric edges is a banded matrix per axis; so is "blur, then keep
+every m-th sample", and so is spline interpolation back. Written as matrices the reflection at the
+edges is folded into the entries, grids need not divide the image size, a 1×1 image is nothing
+special, and the adjoint that gradients need is the transpose. Each matrix is cut into row blocks
+that hold only the columns in use. Blocks that repeat are one batched matrix product on overlapping
+windows, which on a CPU is about as fast as one scaled addition per tap for the narrowest kernels
+and faster for all others: 3×256², one thread, σ 1.0 / 1.5 / 4 px: blocks 0.28 / 0.31 / 0.28 ms,
+scaled additions 0.25 / 0.40 / 1.0, kornia's convolution 1.1 / 1.4 / 2.7, a dense matrix 1.8; oneDNN
+strided convolutions lie between 0.3 and 3.
 """
 
 import math
@@ -22,14 +24,23 @@ from torch import Tensor
 
 Array = NDArray[np.float64]
 
-POLE = math.sqrt(3.0) - 2.0  # of the filter that turns samples into cubic B-spline coefficients
-PERIOD = 16  # px that hold whole cells of a grid (or a cell whole periods); strips of rows are multiples of it
-MARGIN = 2  # cells of a grid beyond either edge, as a cubic spline needs
-SPLINE_REACH = 8  # |POLE|^8 = 3e-5, at a frequency where the Gaussian has already removed all but 1e-2
+POLE = math.sqrt(3.0) - 2.0
+"""Of the filter that turns samples into cubic B-spline coefficients."""
+
+PERIOD = 16
+"""px that hold whole cells of a grid, or a cell whole periods; strips of rows are multiples."""
+
+MARGIN = 2
+"""Cells of a grid beyond either edge, as a cubic spline needs."""
+
+SPLINE_REACH = 8
+"""|POLE|^8 = 3e-5, at a frequency where the Gaussian has already removed all but 1e-2."""
 
 
 class Run(NamedTuple):
-    """`repeats` equal blocks of a matrix, one below the other: each `height` rows, and `step` columns further on."""
+    """`repeats` equal blocks of a matrix, one below the other: each `height` rows, and `step`
+    columns further on.
+    """
 
     row: int
     height: int
@@ -50,7 +61,8 @@ class Banded(NamedTuple):
 def sampled_parameter(sigma: Array) -> Array:
     """Parameter of the sampled Gaussian whose variance is sigma²: sigma itself from 1 px on.
 
-    A sampled Gaussian of σ = 0.5 px has a variance of 0.215 instead of 0.25 and one of 0.3 px hardly reacts to σ.
+    A sampled Gaussian of σ = 0.5 px has a variance of 0.215 instead of 0.25 and one of 0.3 px
+    hardly reacts to σ.
     """
     parameters, variances = _sampled_variances()
     return np.where(sigma < 1, np.interp(sigma**2, variances, parameters), sigma)
@@ -67,13 +79,17 @@ def _sampled_variances() -> tuple[Array, Array]:
 
 def reflect(index: Tensor, size: int) -> Tensor:
     """Fold indices into [0, size), half-sample symmetric."""
-    period = torch.full((1,), 2 * size, dtype=torch.int64)  # a tensor, as ONNX has no remainder by a symbolic number
+    period = torch.full(
+        (1,), 2 * size, dtype=torch.int64
+    )  # a tensor, as ONNX has no remainder by a symbolic number
     index = torch.remainder(index, period)
     return torch.minimum(index, period - 1 - index)
 
 
 def _fold(kernel: Tensor, first: Tensor, size: int) -> Tensor:
-    """Dense (n, size) matrix: row i holds `kernel[i]` from column first[i] on, reflected into [0, size)."""
+    """Dense (n, size) matrix: row i holds `kernel[i]` from column first[i] on, reflected into [0,
+    size).
+    """
     columns = reflect(first[:, None] + torch.arange(kernel.shape[1]), size)
     return torch.zeros(kernel.shape[0], size, dtype=torch.float64).scatter_add(1, columns, kernel)
 
@@ -106,27 +122,33 @@ def per_cell(cell: float) -> tuple[int, int]:
 
 
 def shrink_matrix(size: int, cells: int, a: int, q: int, sigma: float, reach: float) -> Tensor:
-    """(cells, size) matrix: cubic B-spline coefficients, on a grid of `a` cells for every `q` px, of the axis blurred
-    by `sigma` px.
+    """(cells, size) matrix: cubic B-spline coefficients, on a grid of `a` cells for every `q` px,
+    of the axis blurred by `sigma` px.
     """
     first, kernel = shrink_kernels(torch.arange(-MARGIN, cells - MARGIN), a, q, sigma, reach)
     return _fold(kernel, first, size)
 
 
-def shrink_kernels(index: Tensor, a: int, q: int, sigma: float, reach: float) -> tuple[Tensor, Tensor]:
-    """First px (n) and weights (n, taps) of the cells `index`: the same in every period, to the last bit.
+def shrink_kernels(
+    index: Tensor, a: int, q: int, sigma: float, reach: float
+) -> tuple[Tensor, Tensor]:
+    """First px (n) and weights (n, taps) of the cells `index`: the same in every period, to the
+    last bit.
 
-    Sampling a Gaussian and solving for spline coefficients (Unser 1999, eq. 11) is one kernel, Σ_k √3·pole^|k| g(x +
-    k·cell): the blur itself is the anti-aliasing filter, and the spline loses less than 70 dB from cell ≤ σ/1.1 on
-    (linear interpolation: 45 dB; Keys' cubic: 57). With g(x + k·cell) = g(x)·g(k·cell)·ratio^k it takes two
-    exponentials and a polynomial.
+    Sampling a Gaussian and solving for spline coefficients (Unser 1999, eq. 11) is one kernel, Σ_k
+    √3·pole^|k| g(x + k·cell): the blur itself is the anti-aliasing filter, and the spline loses
+    less than 70 dB from cell ≤ σ/1.1 on (linear interpolation: 45 dB; Keys' cubic: 57). With g(x +
+    k·cell) = g(x)·g(k·cell)·ratio^k it takes two exponentials and a polynomial.
     """
     cell = q / a
     within = (torch.remainder(index, a).double() + 0.5) * cell - 0.5
     radius = math.ceil(reach * sigma)
     first = torch.floor(within).long() - radius
     x = (first[:, None] + torch.arange(2 * radius + 2)) - within[:, None]
-    ratio, step = torch.exp(-x * (cell / sigma**2)), math.exp(-0.5 * (cell / sigma) ** 2)  # step = g(cell)
+    ratio, step = (
+        torch.exp(-x * (cell / sigma**2)),
+        math.exp(-0.5 * (cell / sigma) ** 2),
+    )  # step = g(cell)
     kernel, forth, back = torch.ones_like(x), torch.ones_like(x), torch.ones_like(x)
     for k in range(1, SPLINE_REACH + 1):
         # g(k·cell)·ratio^±k, each from the one before: g(k·cell) = g((k − 1)·cell)·g(cell)^(2k − 1)
@@ -134,11 +156,15 @@ def shrink_kernels(index: Tensor, a: int, q: int, sigma: float, reach: float) ->
         kernel = kernel + POLE**k * (forth + back)
     # cut at the same distance on both sides, wherever between two pixels the centre lies
     kernel = kernel * torch.exp(-0.5 * (x / sigma) ** 2) * (x.abs() <= radius + 0.5)
-    return first + torch.div(index, a, rounding_mode="floor") * q, kernel / kernel.sum(1, keepdim=True)
+    return first + torch.div(index, a, rounding_mode="floor") * q, kernel / kernel.sum(
+        1, keepdim=True
+    )
 
 
 def enlarge_matrix(size: int, cells: int, a: int, q: int) -> Tensor:
-    """(size, cells) matrix: values at `size` samples of the cubic B-spline with coefficients on that grid."""
+    """(size, cells) matrix: values at `size` samples of the cubic B-spline with coefficients on
+    that grid.
+    """
     first, kernel = enlarge_kernels(torch.arange(size), a, q)
     columns = MARGIN + first[:, None] + torch.arange(4)
     return torch.zeros(size, cells, dtype=torch.float64).scatter_(1, columns, kernel)
@@ -155,16 +181,22 @@ def enlarge_kernels(index: Tensor, a: int, q: int) -> tuple[Tensor, Tensor]:
 
 
 def cut(dense: Tensor, height: int, dtype: torch.dtype, device: torch.device) -> Banded:
-    """Cut a dense matrix into row blocks of `height` rows, each with the columns that it uses, and join those that
-    repeat.
+    """Cut a dense matrix into row blocks of `height` rows, each with the columns that it uses, and
+    join those that repeat.
     """
     runs: list[Run] = []
     used = dense != 0
     for row in range(0, len(dense), height):
         columns = used[row : row + height].any(0).nonzero().flatten()
-        col, col_end = (int(columns[0]), int(columns[-1]) + 1) if len(columns) else (0, 1)  # a cell that no pixel uses
+        col, col_end = (
+            (int(columns[0]), int(columns[-1]) + 1) if len(columns) else (0, 1)
+        )  # a cell that no pixel uses
         matrix = dense[row : row + height, col:col_end].to(device, dtype).contiguous()
-        if runs and runs[-1].matrix.shape == matrix.shape and bool((runs[-1].matrix == matrix).all()):
+        if (
+            runs
+            and runs[-1].matrix.shape == matrix.shape
+            and bool((runs[-1].matrix == matrix).all())
+        ):
             last = runs[-1]
             step = last.step if last.repeats > 1 else col - last.col
             if col == last.col + last.repeats * step:
@@ -176,16 +208,26 @@ def cut(dense: Tensor, height: int, dtype: torch.dtype, device: torch.device) ->
 
 @lru_cache(maxsize=1024)
 def operators(
-    axis: int, size: int, sigma: float, cell: float, reach: float, dtype: torch.dtype, device: torch.device
+    axis: int,
+    size: int,
+    sigma: float,
+    cell: float,
+    reach: float,
+    dtype: torch.dtype,
+    device: torch.device,
 ) -> tuple[tuple[Banded, Banded], ...]:
-    """What blurs one axis (0: along rows, 1: along columns), as (matrix, transpose) pairs in the order of use.
+    """What blurs one axis (0: along rows, 1: along columns), as (matrix, transpose) pairs in the
+    order of use.
 
-    One pair, a blur, on the image's own grid (`cell` = 1); two, shrink and enlarge, on a coarser one.
+    One pair, a blur, on the image's own grid (`cell` = 1); two, shrink and enlarge, on a coarser
+    one.
     """
     least = 8 if axis == 0 else 32  # rows of a block, the fastest of 4…64 on 256 and 512 px
     if cell == 1:
         blur = cut(blur_matrix(size, sigma, reach), least, dtype, device)
-        return ((blur, blur),)  # symmetric: half-sample reflection makes the cosine transform diagonalise it
+        return (
+            (blur, blur),
+        )  # symmetric: half-sample reflection makes the cosine transform diagonalise it
     shrink, enlarge = grid_matrices(size, sigma, cell, reach)
     a, q = per_cell(cell)
     # whole periods of the grid repeat
@@ -197,7 +239,9 @@ def operators(
 
 
 def along_rows(matrix: Banded, x: Tensor, first: int = 0, end: int | None = None) -> Tensor:
-    """`matrix @ x` for x (rows, N), contiguous; only rows `first` to `end`, between blocks, of the result."""
+    """`matrix @ x` for x (rows, N), contiguous; only rows `first` to `end`, between blocks, of the
+    result.
+    """
     n, start = x.shape[1], x.storage_offset()
     end = matrix.rows if end is None else min(end, matrix.rows)
     out = x.new_empty(end - first, n)

@@ -8,16 +8,27 @@ import numpy as np
 import torch
 
 from uwaug import checks
-from uwaug.blur import NO_BLUR, BlurPlan, octave_steps, plan_blur
-from uwaug.medium import FARTHEST, Medium, Shape, curves
+from uwaug.blur.plan import NO_BLUR, BlurPlan, octave_steps, plan_blur
+from uwaug.optics.curves import FARTHEST, curves
+from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import Shape
 
 __all__ = ["BlurDemand", "blur_demand"]
 
-_LONGEST = 4  # sides: no picture is longer than 4 of the largest short side that a plan for all sizes serves
-_SLACK = 1.4  # times what the strongest pixel allows: few are as strong, and linear light has less contrast than the
-# plan assumes. At 1.75 a picture of nothing but forward scatter fell below 60 dB at a tolerance of .002.
-_WIDEST = 8  # longest sides: wider blurs all give the mean
-_STEPS = np.linspace(0, 1, 65)  # of the logarithm of distance, where forward scatter is looked at
+_LONGEST = 4
+"""Sides: no picture is longer than 4 of the largest short side that a plan for all sizes serves."""
+
+_SLACK = 1.4
+"""Times what the strongest pixel allows: few are as strong, and linear light has less contrast than
+the plan assumes. At 1.75 a picture of nothing but forward scatter fell below 60 dB at a tolerance
+of .002.
+"""
+
+_WIDEST = 8
+"""Longest sides: wider blurs all give the mean."""
+
+_STEPS = np.linspace(0, 1, 65)
+"""Of the logarithm of distance, where forward scatter is looked at."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +36,8 @@ class BlurDemand:
     """What a medium asks of the blur over a range of distances, before the image size is known.
 
     Attributes:
-        low, high: range of widths that show, px of the point spread's own scale; both 0 if none does.
+        low, high: range of widths that show, px of the point spread's own scale; both 0 if none
+            does.
         tolerance: largest error of the blurred picture, on a scale of 0…1.
         shape, reference_size: of the point spread.
     """
@@ -39,19 +51,24 @@ class BlurDemand:
     def plan(self, size: tuple[int, int], *, shared: bool = False) -> BlurPlan:
         """The plan for an image of (height, width) `size`.
 
-        `shared` rounds the ends of the range outwards to half octaves, so that similar demands share a plan and its
-        matrices: for media that change from call to call.
+        `shared` rounds the ends of the range outwards to half octaves, so that similar demands
+        share a plan and its matrices: for media that change from call to call.
         """
         return self._plan(min(size), min(size), max(size), shared)
 
     def plan_all(self, sides: tuple[int, int]) -> BlurPlan:
-        """One plan for all images whose short side lies in `sides`, px, and no side beyond 4 times the larger."""
+        """One plan for all images whose short side lies in `sides`, px, and no side beyond 4 times
+        the larger.
+        """
         return self._plan(*sides, _LONGEST * sides[1], shared=False)
 
     def _plan(self, smallest: int, largest: int, longest: int, shared: bool) -> BlurPlan:
         reference = self.reference_size
         low = self.low * (1.0 if reference is None else smallest / reference)
-        high = min(self.high * (1.0 if reference is None else largest / reference), float(_WIDEST * longest))
+        high = min(
+            self.high * (1.0 if reference is None else largest / reference),
+            float(_WIDEST * longest),
+        )
         if high < 1e-6:
             return NO_BLUR
         if shared:
@@ -71,16 +88,19 @@ def blur_demand(
 ) -> BlurDemand:
     """What a medium needs of the blur over a range of effective distances, and no more.
 
-    Ignores distances at which forward scatter is below the tolerance (except in source order, where light weighted at
-    any distance can reach a pixel). The weaker the scatter, the larger the blur error allowed.
+    Ignores distances at which forward scatter is below the tolerance (except in source order, where
+    light weighted at any distance can reach a pixel). The weaker the scatter, the larger the blur
+    error allowed.
 
     Args:
         medium: any batch; the demand covers all rows.
         distance_range: (nearest, farthest) of m·z, m; 0 ≤ nearest ≤ farthest, inf allowed.
         tolerance: largest error in the image, on a scale of 0…1.
         order: as for `form_image`.
-        learned: plan a blur even if forward scatter is invisible now (g = 1); its gradient is not negligible.
-        margin: widen the range of widths by this factor either way, for parameters that will be learned.
+        learned: plan a blur even if forward scatter is invisible now (g = 1); its gradient is not
+            negligible.
+        margin: widen the range of widths by this factor either way, for parameters that will be
+            learned.
     """
     checks.tolerance(tolerance)
     law = medium.point_spread
@@ -90,7 +110,9 @@ def blur_demand(
     least = max(near, 1e-3)
     z = least * (max(far, least) / least) ** _STEPS
     with torch.no_grad(), torch.autocast(medium.beta.device.type, enabled=False):
-        found = curves(medium.sums(near=False), torch.from_numpy(z).to(medium.beta)[None, None, None])
+        found = curves(
+            medium.sums(near=False), torch.from_numpy(z).to(medium.beta)[None, None, None]
+        )
         strength = found.scatter.abs().amax((0, 1, 2)).cpu().numpy()
         if learned and strength.max() <= tolerance:
             strength = np.maximum(strength, found.direct.amax((0, 1, 2)).cpu().numpy())
@@ -105,11 +127,15 @@ def blur_demand(
         low, high = (float(v) for v in widths.aminmax())
     # in half octaves, so that similar media may share a plan
     slack = _SLACK * octave_steps(1 / float(strength.max()), 2, math.floor)
-    return BlurDemand(low / margin, high * margin, min(tolerance * slack, 0.5), law.shape, law.reference_size)
+    return BlurDemand(
+        low / margin, high * margin, min(tolerance * slack, 0.5), law.shape, law.reference_size
+    )
 
 
 def _spent(medium: Medium) -> float:
-    """The distance at which the signal has faded below any tolerance; `FARTHEST` if some of it does not fade."""
+    """The distance at which the signal has faded below any tolerance; `FARTHEST` if some of it does
+    not fade.
+    """
     dark = (medium.signal_weights.detach() <= 0).all(1)
     slowest = float(medium.G.detach().masked_fill(dark, math.inf).min())
     return min(40 / slowest, FARTHEST) if slowest > 0 else FARTHEST

@@ -1,0 +1,300 @@
+"""How many blurs, which, and with what weights: chosen once for a range of widths.
+
+An image is blurred at K fixed widths and combined per pixel with weights W_k(σ), ΣW_k = 1. A plan
+holds the widths, the grid of each and the weights as polynomials of v = ½ log(σ² + ½): logarithmic
+for wide blurs, linear in σ² for narrow ones, so that σ = 0 is the image itself and every gradient
+is finite. (An exponential shape is linear in σ there: v = log(σ + ½) needs 10 blurs where the other
+needs 16.) The weights are the least-squares fit, over a picture's frequencies (power ∝ 1/f²), of
+the K transfer functions to the wanted one; any point spread that is a mixture of Gaussians thus
+comes from the same stack.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import get_args
+
+import numpy as np
+
+from uwaug import checks
+from uwaug.blur.banded import PERIOD, Array, sampled_parameter
+from uwaug.optics.point_spread import Shape
+
+__all__ = ["NO_BLUR", "V_FLOOR", "BlurPlan", "octave_steps", "plan_blur", "range_in_v"]
+
+V_FLOOR = 0.5
+"""px² or, of an exponential shape, px: keeps v finite at σ = 0."""
+
+_CONTRAST = 0.25
+"""Standard deviation of the picture that errors refer to, on a scale of 0…1."""
+
+# How a plan is chosen. In brackets: what other values make of the number of blurs in 30 Gaussian +
+# 30 exponential plans (ten ranges of σ from 0…0.5 to 0…200 px, tolerances .01, .002, .0005), which
+# is 182 + 244.
+_PLANNED = 0.48  # of the tolerance is the planned RMSE: .002 gives 60 dB and .0005 72 dB
+_PLANNED_AT_MOST = 0.6  # if _MOST_NODES are not enough, as for sharp tails of an exponential shape
+_MOST_NODES = 24
+_PLACES = 33  # in the range, at which the weights are fitted (17: 180 + 245; 65: 182 + 244)
+_NOISE = 3  # errors of a single blur make up the planned RMSE (1: 263 + 257; 10: 178 + 244)
+_IDENTITY_BELOW = 0.75  # px; a range from below has σ = 0 among its blurs (never: 393 + 337)
+_NARROWEST = 0.6  # px, the least width beside σ = 0 (.75: 240 Gaussian; 1: 314)
+_NARROWEST_SHARE = 0.7  # of the widest σ, if that is less (1: 203 Gaussian)
+# An exponential shape of σ mixes Gaussians of widths σ/|N(0, 1)|; beyond x·σ lies .8/x of its light
+_TAIL = 0.4  # the widest blur is _TAIL/target·σ (.2: 241 exponential; .8: 246)
+_WIDEST = 0.75  # longest sides, the widest blur; wider ones all give the mean (.375: 300; 1.5: 257)
+_CORE = 0.5  # the narrowest blur, in narrowest σ (.25: 257; 1: 349)
+_NARROWEST_EXPONENTIAL = 0.3  # px (.2 and .5: 247)
+
+
+@dataclass(frozen=True)
+class BlurPlan:
+    """How a spatially varying blur is computed: a value, made by `plan_blur`.
+
+    Attributes:
+        sigma_min, sigma_max: widths served, px; a pixel outside is given the nearer end.
+        sigmas: the K fixed widths, px; 0 is the image itself.
+        cells: grid cell of each, px; 1 is the image's own grid.
+        coefficients: K polynomials in v over the range, as Chebyshev series; they sum to 1.
+        reach: kernels are cut at reach·σ.
+        error: predicted RMSE over the range, on a picture with a standard deviation of 0.25.
+        shape: of the blur that a pixel asks for.
+    """
+
+    sigma_min: float
+    sigma_max: float
+    sigmas: tuple[float, ...]
+    cells: tuple[float, ...]
+    coefficients: tuple[tuple[float, ...], ...]
+    reach: float
+    error: float
+    shape: Shape = "gaussian"
+
+    def __str__(self) -> str:
+        if self.sigmas == (0.0,):
+            return "no blur (it would not show)"
+        widths = []
+        for sigma, cell in zip(self.sigmas, self.cells, strict=True):
+            widths.append(f"{sigma:.3g}" if cell == 1 else f"{sigma:.3g}/{cell:.2g}")
+        span = f"{self.sigma_min:.3g}…{self.sigma_max:.3g} px"
+        decibel = -20 * math.log10(self.error)
+        return f"{len(self.sigmas)} blurs for σ {span} ({', '.join(widths)}), {decibel:.0f} dB"
+
+
+NO_BLUR = BlurPlan(0.0, 0.0, (0.0,), (1.0,), ((1.0,),), 0.0, 0.0)
+
+
+def plan_blur(
+    sigma_min: float,
+    sigma_max: float,
+    tolerance: float = 0.002,
+    shape: Shape = "gaussian",
+    longest: float = 512.0,
+) -> BlurPlan:
+    """Choose the fewest blurs that serve all widths in a range.
+
+    Args:
+        sigma_min, sigma_max: range of widths, px, 0 ≤ sigma_min ≤ sigma_max.
+        tolerance: largest error that may pass, on a scale of 0…1; the planned RMSE is half of it,
+            so that .002 gives 60 dB and .0005 72 dB on a picture with a standard deviation of .25.
+        shape: what a pixel of width σ asks for. "gaussian": exp(−2π²σ²f²). "exponential":
+            exp(−2πσf), the classical transfer function of McGlamery (1980) and Jaffe (1990), whose
+            point spread ∝ (r² + σ²)^(−3/2) has half of its energy beyond 1.7 σ and no finite
+            variance. Below 2 px both shapes are what samples can hold: a sampled Gaussian, and the
+            mixture of those, of widths σ/|N(0, 1)|, that an exponential is.
+        longest: longest side of the images, px. An exponential shape needs no blurs much wider than
+            that, and no waves longer than twice it are planned for. Gaussians do not depend on it.
+
+    Raises:
+        ValueError: if the range, the longest side or the tolerance is not as above, or the
+            tolerance needs more than 24 blurs.
+    """
+    if not 0 <= sigma_min <= sigma_max < math.inf:
+        expected = "0 ≤ sigma_min ≤ sigma_max, finite, in px"
+        raise ValueError(f"expected {expected}; got {sigma_min} and {sigma_max}")
+    checks.tolerance(tolerance)
+    checks.one_of("shape", shape, get_args(Shape))
+    checks.within("longest", longest, 1)
+    octave = 512.0
+    if shape == "exponential":
+        # in octaves, so that sizes share plans; a tiny picture would ask too much of narrow blurs
+        octave = max(octave_steps(longest, 1, math.ceil), 256.0)
+    return _plan_blur(float(sigma_min), float(sigma_max), float(tolerance), shape, octave)
+
+
+@lru_cache(maxsize=1024)
+def _plan_blur(low: float, high: float, tolerance: float, shape: Shape, longest: float) -> BlurPlan:
+    target = _PLANNED * tolerance
+    places, wanted = _wanted(low, high, shape, longest)
+    if np.sqrt(((wanted - _amplitude(longest)) ** 2).sum(1)).max() <= target:
+        return NO_BLUR
+    for count in range(1, _MOST_NODES + 1):
+        sigmas = _nodes(count, low, high, target, shape, longest)
+        coefficients, error = _fit(sigmas, places, wanted, target / _NOISE, longest)
+        last_resort = count == _MOST_NODES and error <= _PLANNED_AT_MOST * tolerance
+        if error <= target or last_resort:
+            break
+    else:
+        most = f"more than {_MOST_NODES} blurs for σ {low}…{high} px"
+        raise ValueError(f"tolerance {tolerance} needs {most}")
+    decibel = -20 * math.log10(target)
+    # grid samples per σ: 70 dB at 1.1, 84 at 1.5
+    density = min(max(1.1 + (decibel - 60) / 40, 1.0), 3.0)
+    return BlurPlan(
+        sigma_min=low,
+        sigma_max=high,
+        sigmas=sigmas,
+        cells=tuple(_cell(sigma / density) for sigma in sigmas),
+        coefficients=tuple(map(tuple, coefficients.tolist())),
+        # 60 dB at 3, 84 at 4
+        reach=min(max(3 + (decibel - 60) / 24, 2.5), 8.0),
+        error=error,
+        shape=shape,
+    )
+
+
+def _wanted(low: float, high: float, shape: Shape, longest: float) -> tuple[Array, Array]:
+    """Places in the range, −1…1, and the picture (P, F) that is wanted at each.
+
+    They lie denser towards the ends, where the fit is worst. A single width has a single place.
+    """
+    start, end = _v(low, shape), _v(high, shape)
+    places = np.ones(1) if end - start < 1e-6 else -np.cos(np.linspace(0, np.pi, _PLACES))
+    v = end + 0.5 * (end - start) * (places - 1)
+    sigmas = np.array([_sigma(x, shape) for x in v])
+    transfer = _exponential_transfer if shape == "exponential" else _gaussian_transfer
+    return places, transfer(sigmas, longest) * _amplitude(longest)
+
+
+def _nodes(
+    count: int, low: float, high: float, target: float, shape: Shape, longest: float
+) -> tuple[float, ...]:
+    """The widths of a stack: `count` of them, and 0 if that is wanted."""
+    if shape == "exponential":
+        first, last = _CORE * low, min(_TAIL / target * high, _WIDEST * longest)
+        narrowest = _NARROWEST_EXPONENTIAL
+    else:
+        first, last, narrowest = low, high, min(_NARROWEST, _NARROWEST_SHARE * high)
+    start, end = _v(max(first, narrowest), "gaussian"), _v(max(last, narrowest), "gaussian")
+    # .3 equal steps of v : .7 Chebyshev nodes, to the power 1.1 (equal steps: 241 + 305; Chebyshev
+    # nodes: 182 + 263; power 1: 188 + 246)
+    steps = (np.arange(count) + 0.5) / count
+    steps = (0.3 * steps + 0.35 * (1 - np.cos(np.pi * steps))) ** 1.1
+    identity = (0.0,) if first < _IDENTITY_BELOW else ()
+    return (*identity, *(_sigma(start + (end - start) * step, "gaussian") for step in steps))
+
+
+def _fit(
+    sigmas: tuple[float, ...], places: Array, wanted: Array, noise: float, longest: float
+) -> tuple[Array, float]:
+    """Weights of the blurs as Chebyshev series over the range, (K, degree + 1); RMSE that is left.
+
+    noise: error budget of a single blur (coarse grid, truncated kernel). Also the ridge strength,
+    which stops similar blurs from getting large opposite weights.
+    """
+    k = len(sigmas)
+    basis = _gaussian_transfer(np.array(sigmas), longest) * _amplitude(longest)
+    # ΣW = 1 leaves k − 1 of the weights free: W = (0, …, 0, 1) + change @ free
+    change = np.concatenate([np.eye(k - 1), -np.ones((1, k - 1))])
+    alone = np.zeros((k, len(places)))
+    alone[-1] = 1
+    system = np.concatenate([basis.T @ change, noise * change])
+    sides = np.concatenate([(wanted - basis[-1]).T, -noise * alone])
+    # first over the frequencies, at each place; then along the range
+    free = np.linalg.lstsq(system, sides, rcond=1e-12)[0]
+    # one degree less: 189 + 246 blurs; two more: 178 + 244
+    degree = 0 if len(places) == 1 or k == 1 else k + (sigmas[0] == 0)
+    powers = np.polynomial.chebyshev.chebvander(places, degree)
+    fitted = np.linalg.lstsq(powers, free.T, rcond=None)[0].T
+    residual = system @ (fitted @ powers.T) - sides
+    last = -fitted.sum(0, keepdims=True)
+    last[0, 0] += 1
+    return np.concatenate([fitted, last]), float(np.sqrt((residual**2).sum(0).mean()))
+
+
+def _cell(widest: float) -> float:
+    """The pitch of a grid, px, at most `widest`, so that a period holds whole cells or a cell whole
+    periods.
+    """
+    if widest < 2:
+        return 1.0
+    if widest < PERIOD:
+        return PERIOD / math.ceil(PERIOD / widest)
+    return float(PERIOD * (widest // PERIOD))
+
+
+def octave_steps(value: float, per_octave: int, rounding: Callable[[float], int]) -> float:
+    """`value` rounded to a power of 2^(1/per_octave), so that similar values share a plan."""
+    return float(2.0 ** (rounding(per_octave * math.log2(value)) / per_octave))
+
+
+def range_in_v(plan: BlurPlan) -> tuple[float, float]:
+    """A plan's range of widths, in v. (No method: those of a plan cannot be compiled.)"""
+    return _v(plan.sigma_min, plan.shape), _v(plan.sigma_max, plan.shape)
+
+
+def _v(sigma: float, shape: Shape) -> float:
+    if shape == "exponential":
+        return math.log(sigma + V_FLOOR)
+    return 0.5 * math.log(sigma * sigma + V_FLOOR)
+
+
+def _sigma(v: float, shape: Shape) -> float:
+    if shape == "exponential":
+        return max(math.exp(v) - V_FLOOR, 0.0)
+    return math.sqrt(max(math.exp(2 * v) - V_FLOOR, 0.0))
+
+
+def _amplitude(longest: float) -> float:
+    """Of each frequency of the picture that errors refer to."""
+    return _CONTRAST / math.sqrt(_frequencies(longest).shape[1])
+
+
+@lru_cache(maxsize=8)
+def _frequencies(longest: float) -> Array:
+    """Frequencies of a picture whose longest side is `longest` px, (2, F), in cycles per px.
+
+    Rings at equal steps of log f hold equal power: area ∝ f·df, power density ∝ 1/f².
+    """
+    radius = np.geomspace(0.5 / longest, math.sqrt(0.5), 48)
+    angle = np.array([0.0, math.pi / 8, math.pi / 4])
+    f = np.stack([np.outer(radius, np.cos(angle)), np.outer(radius, np.sin(angle))])
+    f = f.reshape(2, -1)
+    return np.asarray(f[:, (f <= 0.5).all(0)])
+
+
+@lru_cache(maxsize=8)
+def _cosines(longest: float) -> Array:
+    """cos(2πfn) at those frequencies, for the taps n = 1…32 of a Gaussian of up to 4 px."""
+    taps = np.arange(1, 33)[:, None]
+    return np.asarray(np.cos(2 * np.pi * _frequencies(longest)[:, None] * taps))  # (2, 32, F)
+
+
+def _gaussian_transfer(sigmas: Array, longest: float) -> Array:
+    """Transfer functions (S, F) of sampled Gaussians, at the frequencies of a picture."""
+    squares = (_frequencies(longest) ** 2).sum(0)
+    # wider than 4 px, sampling no longer shows
+    transfer = np.exp(-2 * (np.pi * sigmas[:, None]) ** 2 * squares)
+    narrow = sigmas <= 4
+    parameter = np.maximum(sampled_parameter(sigmas[narrow]), 0.01)[:, None]
+    weights = np.exp(-0.5 * (np.arange(1, 33) / parameter) ** 2)
+    axes = (1 + 2 * weights @ _cosines(longest)) / (1 + 2 * weights.sum(1, keepdims=True))
+    transfer[narrow] = axes[0] * axes[1]
+    return np.asarray(transfer)
+
+
+@lru_cache(maxsize=8)
+def _mixture(longest: float) -> tuple[Array, Array]:
+    """Widths in equal steps of their logarithm, and transfer functions, of Gaussians to mix."""
+    widths = np.geomspace(0.05, 1e5, 400)
+    return widths, _gaussian_transfer(widths, longest)
+
+
+def _exponential_transfer(sigmas: Array, longest: float) -> Array:
+    """Transfer functions (S, F) of exponentials: mixtures of Gaussians of widths σ/|N(0, 1)|."""
+    widths, transfers = _mixture(longest)
+    x = np.maximum(sigmas, 1e-9)[:, None] / widths  # |N(0, 1)| distributed
+    step = math.log(widths[1] / widths[0])
+    shares = math.sqrt(2 / math.pi) * x * np.exp(-0.5 * x * x) * step
+    sharp = np.array([[math.erfc(sigma / widths[0] / math.sqrt(2))] for sigma in sigmas])
+    return np.asarray(sharp + shares @ transfers)

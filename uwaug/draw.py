@@ -1,0 +1,159 @@
+"""What a random water is drawn from, and the records of what was drawn."""
+
+import math
+from bisect import bisect
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import Any
+
+import torch
+
+from uwaug import checks
+from uwaug.checks import DOMAIN
+from uwaug.optics.bands import default_bands
+from uwaug.optics.camera import Camera, load_camera
+from uwaug.optics.water import Water
+
+__all__ = ["RANGES", "Range", "Record", "Source", "as_range", "cameras_of", "spectra_of", "weighed"]
+
+Range = float | tuple[float, float]
+Record = dict[str, Any]
+
+# in the order in which they are drawn
+RANGES = (
+    "mixing",
+    "visibility",
+    "vertical_depth",
+    "g",
+    "mu",
+    "blur_factor",
+    "near",
+    "far",
+    "gamma",
+    "distance",
+)
+# What each picture draws a uniform number for. A new one goes to the end, so that keys of
+# `RandomUnderwater.at` keep their pictures.
+_DRAWS = ("applied", "first", "second", "camera", "field", *RANGES)
+
+
+@dataclass(frozen=True)
+class Source:
+    """All that is random, see `RandomUnderwater`.
+
+    Attributes:
+        waters: the weight of each, by name.
+        cameras: names, of equal weight.
+        ranges: (low, high) of each number that is drawn.
+        field_range: (low, high) of the medium field.
+        p, field_probability: of degrading a picture at all, and of an uneven water.
+    """
+
+    waters: Mapping[str, float]
+    cameras: tuple[str, ...]
+    ranges: Mapping[str, tuple[float, float]]
+    field_range: tuple[float, float]
+    p: float
+    field_probability: float
+
+    def draw(self, batch: int, generator: torch.Generator | None) -> Record:
+        """A record of a sample for each of `batch` pictures."""
+        # 32 bits: all that a generator of torch takes from a seed
+        seeds = torch.randint(2**32, (batch,), generator=generator).tolist()
+        uniform = torch.rand(len(_DRAWS), batch, generator=generator, dtype=torch.float64)
+        samples = []
+        for numbers, seed in zip(uniform.T.tolist(), seeds, strict=True):
+            samples.append(self._sample(dict(zip(_DRAWS, numbers, strict=True)), seed))
+        return {"samples": samples}
+
+    def _sample(self, u: Mapping[str, float], seed: int) -> Record:
+        """A picture's sample from its uniform numbers."""
+        names, weights = list(self.waters), list(accumulate(self.waters.values()))
+        two = ("first", "second") if self.ranges["mixing"][1] > 0 else ("first",)
+        sample: Record = {
+            "applied": u["applied"] < self.p,
+            "waters": [names[bisect(weights, u[which] * weights[-1])] for which in two],
+            "camera": self.cameras[int(u["camera"] * len(self.cameras))],
+            "field_seed": seed if u["field"] < self.field_probability else None,
+            "field_range": list(self.field_range),
+        }
+        for name, (low, high) in self.ranges.items():
+            if name == "visibility":
+                sample[name] = low * (high / low) ** u[name]
+            else:
+                sample[name] = low + (high - low) * u[name]
+        return sample
+
+    def samples(self, params: Any, batch: int) -> list[Record]:
+        """A record's sample for each of `batch` pictures, if the record suits this source."""
+        if not isinstance(params, Mapping) or "samples" not in params:
+            expected = "a record from make_params, {'samples': […]}"
+            raise TypeError(f"params must be {expected}, got {params!r:.80}")
+        samples: list[Record] = params["samples"]
+        count = len(samples)
+        if count not in (1, batch):
+            raise ValueError(f"params has {count} samples but image is a batch of {batch}")
+        wanted = {"applied", "waters", "camera", "field_seed", "field_range", *self.ranges}
+        for sample in samples:
+            odd = ", ".join(sorted(wanted ^ set(sample)))
+            if odd:
+                raise ValueError(
+                    f"params is of a transform with other options: they differ in {odd}"
+                )
+            _require_known(sample["waters"], self.waters)
+            _require_known([sample["camera"]], self.cameras)
+        return samples * batch if count < batch else samples
+
+
+def _require_known(names: Iterable[str], known: Iterable[str]) -> None:
+    for name in names:
+        if name not in known:
+            has = ", ".join(known)
+            raise ValueError(f"params asks for {name!r}, but this transform has {has}")
+
+
+def weighed(waters: Any) -> dict[str | Water, float]:
+    """Each water's weight."""
+    if not isinstance(waters, Mapping):
+        waters = Counter([waters] if isinstance(waters, (str, Water)) else waters)
+    weights = list(waters.values())
+    if weights and not (min(weights) >= 0 and 0 < sum(weights) < math.inf):
+        raise ValueError(f"waters: expected weights ≥ 0 with a positive sum, got {weights}")
+    return dict(waters)
+
+
+def spectra_of(waters: Iterable[str | Water]) -> dict[str, Water]:
+    """The waters by name, at the bands that media are made from: mixing needs no interpolation."""
+    found = []
+    for given in waters:
+        water = Water.jerlov(given) if isinstance(given, str) else given
+        found.append(water.at(default_bands(water)))
+    return _by_name("waters", found)
+
+
+def cameras_of(cameras: Iterable[Any]) -> dict[str, Camera]:
+    """The cameras by name."""
+    return _by_name("cameras", [load_camera(camera) for camera in cameras])
+
+
+def _by_name(name: str, things: list[Any]) -> dict[str, Any]:
+    named = {thing.name: thing for thing in things}
+    if not things or len(named) < len(things):
+        got = [thing.name for thing in things]
+        raise ValueError(f"{name}: expected at least one, each with a name of its own, got {got}")
+    return named
+
+
+def as_range(name: str, value: Any) -> tuple[float, float]:
+    """A number or (low, high) as (low, high), inside the domain of that name."""
+    least, most = DOMAIN[name]
+    try:
+        low, high = (value, value) if isinstance(value, (int, float)) else map(float, value)
+    except (TypeError, ValueError):
+        low = high = math.nan
+    if not (least <= low <= high <= most and high < math.inf):
+        wanted = f"a number or a range (low, high) with low ≤ high, {checks.bounds(least, most)}"
+        raise ValueError(f"{name} must be {wanted}; got {value!r}")
+    return float(low), float(high)

@@ -1,0 +1,352 @@
+"""The medium: all that the image needs to know about water, camera and depth, as curves of
+distance.
+
+| symbol | meaning | unit |
+|---|---|---|
+| a, b, K_d | absorption, scattering, diffuse attenuation of the water at each wavelength | 1/m |
+| β = a + b | beam attenuation | 1/m |
+| g | share of the scattered light that leaves the line of sight | 1 |
+| G = a + g·b | attenuation of what still carries the picture | 1/m |
+| d | depth of the scene below the surface | m |
+| E = e^(−K_d d) | light that is left at that depth | 1 |
+| μ | share of the scattered light that is sent towards the camera | 1 |
+| V(0) = μ·b·E/G | veil of endless water | 1 |
+| S_c | response of the camera's channel c, ∫S_c dλ = 1 | 1/nm |
+| z | distance along the ray; a medium field m multiplies it before it comes here | m |
+| b̄ | mean of b over the channels | 1/m |
+
+    T_β,c(z) = ∫ S_c·E·e^(−β z) dλ  ≈ Σ_k w_ck e^(−β_k z)    what arrives unscattered
+    T_G,c(z) = ∫ S_c·E·e^(−G z) dλ  ≈ Σ_l s_cl e^(−G_l z)    what arrives at all (direct + forward)
+    V_c(z) = ∫ S_c·V(0)·e^(−G z) dλ ≈ Σ_l v_cl e^(−G_l z)    so that the veil is V(0) − V(z)
+    σ(z) = scale·(b̄ z)^exponent                              width of the forward scatter, px
+
+Each integral becomes a sum of a few exponentials with positive weights: exact at z = 0, monotone,
+and never divided by z. The rates belong to the water and serve all three channels, and signal and
+veil alike; only the weights belong to the camera. (One Gauss quadrature per curve and channel needs
+15 to 24 exponentials for a tolerance of .002; shared rates need 5 to 12.)
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from uwaug import checks
+from uwaug.checks import DOMAIN
+from uwaug.optics.bands import default_bands, inherent
+from uwaug.optics.camera import Camera, load_camera
+from uwaug.optics.curves import FARTHEST, Curves, Sums, curves
+from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.quadrature import reduce_rates
+from uwaug.optics.spectra import Array
+from uwaug.optics.water import Water
+
+__all__ = ["Medium"]
+
+_TENSORS = ("beta", "direct_weights", "G", "signal_weights", "veil_weights", "b_mean")
+
+
+@dataclass(frozen=True, eq=False)
+class Medium:
+    """A batch of B media: rates, weights and a width law. Every tensor may require gradients.
+
+    Attributes:
+        beta (BxK tensor): rates of the direct term, 1/m, ≥ 0.
+        direct_weights (Bx3xK tensor): weights of T_β.
+        G (BxL tensor): rates of signal and veil, 1/m, ≥ 0.
+        signal_weights (Bx3xL tensor): weights of T_G.
+        veil_weights (Bx3xL tensor): weights of V; their sum is the veil at infinite distance.
+        b_mean (B tensor): b̄, scattering coefficient for the width law, 1/m.
+        point_spread: the width law.
+        notes: one line per medium on what it models.
+    """
+
+    beta: Tensor
+    direct_weights: Tensor
+    G: Tensor
+    signal_weights: Tensor
+    veil_weights: Tensor
+    b_mean: Tensor
+    point_spread: PointSpread
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        b, k, n = self.beta.shape[0], self.beta.shape[-1], self.G.shape[-1]
+        shapes = ((b, k), (b, 3, k), (b, n), (b, 3, n), (b, 3, n), (b,))
+        for name, shape in zip(_TENSORS, shapes, strict=True):
+            got = tuple(getattr(self, name).shape)
+            if got != shape:
+                raise ValueError(f"Medium.{name} must have shape {shape}, got {got}")
+
+    @staticmethod
+    def from_water(
+        water: Water,
+        camera: str | Camera = "Nikon 5100 (NPL)",
+        *,
+        vertical_depth: float = 1.0,
+        g: float = 0.2,
+        mu: float = 0.3,
+        point_spread: PointSpread | None = None,
+        tolerance: float = 0.002,
+        distance_range: tuple[float, float] = (0.0, 20.0),
+        wavelengths: Array | None = None,
+    ) -> "Medium":
+        """Reduce spectra to as few exponentials as the tolerance allows.
+
+        Args:
+            water: spectra a, b, K_d.
+            camera: name of a colour-science response, path of a CSV file, or a `Camera`.
+            vertical_depth: d, depth of the scene below the surface, m, ≥ 0.
+            g: share of the scattered light that leaves the line of sight, 0…1. Not the asymmetry of
+                a phase function: .2 (the paper) for a subject that fills part of the view, .05 for
+                one that fills it.
+            mu: share of the scattered light that is sent towards the camera, 0…1, where 1 in the
+                image means a white vertical plate.
+            point_spread: width law, by default `PointSpread.paper()`.
+            tolerance: largest error of each curve over `distance_range`; 0 keeps every band.
+            distance_range: (nearest, farthest) effective distance m·z, m. Beyond it the curves stay
+                monotone and bounded.
+            wavelengths: bands, nm, by default 400…700 in steps of 5 as far as the water reaches.
+
+        Raises:
+            TypeError: if `water` is no `Water`.
+            ValueError: if an argument is outside its domain.
+        """
+        checks.instance("water", water, Water, "; see Water.jerlov")
+        drawn = {"vertical_depth": vertical_depth, "g": g, "mu": mu}
+        for name, value in drawn.items():
+            checks.within(name, value, *DOMAIN[name])
+        near, far = distance_range
+        if not 0 <= near < far < math.inf:
+            expected = "0 ≤ near < far < inf in metres"
+            raise ValueError(f"distance_range must be {expected}, got {distance_range}")
+        if tolerance != 0:
+            checks.tolerance(tolerance)
+        if wavelengths is None:
+            wavelengths = default_bands(water)
+        bands = water.at(wavelengths)
+        response = load_camera(camera).weights(wavelengths).T  # (3, bands), rows sum to 1
+        beta, G, light, veil = inherent(bands.a, bands.b, bands.kd, **drawn)
+        # logarithmic steps for the fast rates, linear ones for the slow
+        fast = np.geomspace(max(near, 1e-4 * far), far, 65)
+        z = np.concatenate([[0.0], fast, np.linspace(near, far, 33)[1:-1]])
+        lit = response * light
+        rates, (direct,), error = reduce_rates(beta, (lit,), z, tolerance)
+        scatter, both, error_scatter = reduce_rates(G, (lit, response * veil), z, tolerance)
+        note = (
+            f"{water.name}: {len(rates)} + {len(scatter)} rates, "
+            f"curves within {max(error, error_scatter):.1g} over {near:g}…{far:g} m, "
+            f"{vertical_depth:g} m deep, g = {g:g}, μ = {mu:g}"
+        )
+        b_mean = (response @ bands.b).mean()
+        arrays = (rates, direct, scatter, *both, b_mean)
+        tensors = [torch.from_numpy(np.asarray(array))[None] for array in arrays]
+        law = PointSpread.paper() if point_spread is None else point_spread
+        return Medium(**dict(zip(_TENSORS, tensors, strict=True)), point_spread=law, notes=(note,))
+
+    @staticmethod
+    def from_coefficients(
+        beta: Tensor | Sequence[float],
+        G: Tensor | Sequence[float],
+        veil: Tensor | Sequence[float],
+        *,
+        b_mean: Tensor | float = 0.0,
+        point_spread: PointSpread | None = None,
+        light: Tensor | Sequence[float] = (1.0, 1.0, 1.0),
+    ) -> "Medium":
+        """The classical model, one exponential per channel.
+
+        Args:
+            beta (3 or Bx3): beam attenuation per channel, 1/m, ≥ 0.
+            G (3 or Bx3): effective attenuation of signal and veil, 1/m, ≥ 0. With G = beta there is
+                no forward scatter.
+            veil (3 or Bx3): veil at infinite distance, V(0).
+            b_mean (number or B): scattering coefficient of the width law, 1/m.
+            point_spread: width law, by default no blur.
+            light (3 or Bx3): ambient light at the scene, e^(−K_d d).
+
+        Tensors keep their gradients; all are float64 inside unless given as tensors of another
+        type.
+
+        Raises:
+            ValueError: if a shape is another, batches differ, or a value is negative or infinite.
+        """
+        given = {"beta": beta, "G": G, "veil": veil, "light": light, "b_mean": b_mean}
+        dtype = torch.float64
+        for value in reversed(list(given.values())):
+            if isinstance(value, Tensor) and value.is_floating_point():
+                dtype = value.dtype
+        rows = {}
+        for name, value in given.items():
+            rows[name] = _rows(name, value, () if name == "b_mean" else (3,), dtype)
+        batches = {name: len(row) for name, row in rows.items()}
+        checks.batches(batches)
+        b = max(batches.values())
+        beta, G, veil, light, b_mean = (row.expand(b, *row.shape[1:]) for row in rows.values())
+        diagonal = torch.diag_embed(light)
+        return Medium(
+            beta=beta,
+            direct_weights=diagonal,
+            G=G,
+            signal_weights=diagonal,
+            veil_weights=torch.diag_embed(veil),
+            b_mean=b_mean,
+            point_spread=PointSpread.none() if point_spread is None else point_spread,
+            notes=("coefficients: 3 + 3 rates, one per channel",) * b,
+        )
+
+    @staticmethod
+    def stack(media: "Sequence[Medium]") -> "Medium":
+        """One batch of several media; their width laws must share shape and reference size."""
+        if not media:
+            raise ValueError("media is empty: stack needs at least one Medium")
+        rows, dtype = [len(medium) for medium in media], media[0].beta.dtype
+        law = PointSpread.stack([medium.point_spread for medium in media], rows, dtype)
+
+        def join(name: str) -> Tensor:
+            parts = [getattr(medium, name) for medium in media]
+            if parts[0].ndim == 1:
+                return torch.cat(parts)
+            width = max(part.shape[-1] for part in parts)
+            return torch.cat([F.pad(part, (0, width - part.shape[-1])) for part in parts])
+
+        notes = sum((medium.notes for medium in media), ())
+        return Medium(**{name: join(name) for name in _TENSORS}, point_spread=law, notes=notes)
+
+    def __len__(self) -> int:
+        return len(self.beta)
+
+    def __getitem__(self, i: int) -> "Medium":
+        """The i-th medium, as a batch of one."""
+        if not -len(self) <= i < len(self):
+            raise IndexError(f"medium {i} of {len(self)}")
+        part = slice(i, i + 1 or None)
+        return replace(self.map(lambda t: t[part] if t.ndim else t), notes=self.notes[part])
+
+    def map(self, function: Callable[[Tensor], Tensor]) -> "Medium":
+        """The same medium with `function` applied to each tensor, the width law's included."""
+        tensors = {name: function(getattr(self, name)) for name in _TENSORS}
+        return Medium(**tensors, point_spread=self.point_spread.map(function), notes=self.notes)
+
+    def to(self, *args: Any, **kwargs: Any) -> "Medium":
+        """Move or cast, as `torch.Tensor.to`."""
+        if all(t.to(*args, **kwargs) is t for t in self.tensors()):
+            return self
+        return self.map(lambda t: t.to(*args, **kwargs))
+
+    def tensors(self) -> tuple[Tensor, ...]:
+        """Rates, weights and b̄, in the order of the attributes."""
+        return tuple(getattr(self, name) for name in _TENSORS)
+
+    def parameters(self) -> dict[str, Tensor]:
+        """All that is continuous in a medium, by name, each with a row for every medium.
+
+        Shapes: beta (B, K), direct_weights (B, 3, K), G (B, L), signal_weights and veil_weights
+        (B, 3, L), b_mean, scale and exponent (B,).
+        """
+        tensors = dict(zip(_TENSORS, self.tensors(), strict=True))
+        return tensors | self.point_spread.rows(len(self), self.beta)
+
+    @staticmethod
+    def of(parameters: Mapping[str, Tensor], like: "Medium") -> "Medium":
+        """The inverse of `parameters`.
+
+        Shape and reference size of the width law, and the notes, are those of `like`.
+        """
+        tensors = dict(parameters)
+        scale, exponent = tensors.pop("scale"), tensors.pop("exponent")
+        law = replace(like.point_spread, scale=scale, exponent=exponent)
+        return Medium(**tensors, point_spread=law, notes=like.notes)
+
+    @property
+    def requires_grad(self) -> bool:
+        """Whether any tensor, the width law's included, records gradients."""
+        return any(t.requires_grad for t in self.parameters().values())
+
+    def sums(self, *, near: bool) -> Sums:
+        """What `curves` takes.
+
+        near: keep the veil's relative precision at the lens: a veil of a millimetre of water is
+        small, not zero. Otherwise V(0) − V(z) is subtracted, which is right to 2e-5 of itself from
+        an optical depth of 1/256 on, and takes half the time.
+        """
+        direct, signal, veil = self.direct_weights, self.signal_weights, self.veil_weights
+        rates = torch.cat([torch.zeros_like(self.beta[:, :1]), self.beta, self.G], 1)[..., None]
+        no_direct, no_signal = torch.zeros_like(direct), torch.zeros_like(signal)
+        nothing = torch.zeros_like(direct[..., :1])
+        # if the exponentials of G stand for e^−x − 1, T_G(z) is T_G(0) + Σ s(e^−Gz − 1), and the
+        # veil is −Σ v(e^−Gz − 1)
+        signal_at_0 = signal.sum(-1, keepdim=True) if near else nothing
+        veil_at_0 = nothing if near else veil.sum(-1, keepdim=True)
+        weights = [
+            torch.cat([nothing, direct, no_signal], 2),
+            torch.cat([signal_at_0, -direct, signal], 2),
+            torch.cat([veil_at_0, no_direct, -veil], 2),
+        ]
+        return Sums(rates, torch.cat(weights, 1), 1 + self.beta.shape[1] if near else None)
+
+    def _at(self, z: Tensor, *, near: bool = False) -> Curves:
+        """The curves at distances in any of the shapes that `transmission` takes."""
+        with torch.autocast(z.device.type, enabled=False):
+            x = z.to(torch.promote_types(z.dtype, torch.float32)).clamp(max=FARTHEST)
+            plane = x if z.ndim > 2 else x.reshape(1, 1, -1)
+            batch = plane if plane.ndim == 4 else plane[None]
+            found = curves(self.to(x).sums(near=near), batch)
+        if z.ndim > 2:
+            return found
+        return Curves(*(curve.reshape(len(curve), 3, *z.shape) for curve in found))
+
+    def transmission(self, z: Tensor) -> Tensor:
+        """T_β(z): share of the light at the surface that arrives unscattered.
+
+        Args:
+            z: distance, m; (B or 1, 1, H, W), (1, H, W), or any number of values (N,) or ().
+
+        Returns:
+            (B, 3, H, W), or (B, 3, N), or (B, 3).
+        """
+        return self._at(z).direct
+
+    def signal(self, z: Tensor) -> Tensor:
+        """T_G(z): share of the light at the surface that arrives at all; as `transmission`."""
+        found = self._at(z)
+        return found.direct + found.scatter
+
+    def backscatter(self, z: Tensor) -> Tensor:
+        """V(0) − V(z), the veil in front of a point at distance z; as `transmission`."""
+        return self._at(z, near=True).veil
+
+    def lengths(self, z: Tensor) -> Tensor:
+        """Scattering lengths b̄·z of finite distances (B or 1, 1, H, W)."""
+        return self.b_mean.reshape(-1, 1, 1, 1).to(z) * z
+
+    def width(self, z: Tensor, size: tuple[int, int] | None) -> Tensor:
+        """σ(z), px, for distances (B or 1, 1, H, W) in an image of (height, width) `size`; None for
+        px of the law's reference size.
+        """
+        return self.point_spread.sigma(self.lengths(z.clamp(max=FARTHEST)), size)
+
+    def __repr__(self) -> str:
+        more = f", and {len(self) - 1} more" if len(self) > 1 else ""
+        b_mean = ", ".join(f"{float(b):.3g}" for b in self.b_mean.detach()[:3])
+        cut = ", …" if len(self) > 3 else ""
+        note = self.notes[0] if self.notes else ""
+        return f"Medium({note}{more}; {self.point_spread}, b̄ = {b_mean}{cut}/m)"
+
+
+def _rows(name: str, value: Any, shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
+    """A coefficient of `shape`, or a batch of them, as (B, *shape); finite and ≥ 0."""
+    row = torch.as_tensor(value, dtype=None if isinstance(value, Tensor) else dtype).to(dtype)
+    batched = row.ndim == len(shape) + 1
+    if row.shape[batched:] != shape:
+        wanted = "a number or (B,)" if shape == () else "(3,) or (B, 3)"
+        raise ValueError(f"{name} must have shape {wanted}, got {tuple(row.shape)}")
+    known = row.detach()
+    if not bool(((known >= 0) & known.isfinite()).all()):
+        raise ValueError(f"{name} must be finite and ≥ 0, got {known.tolist()}")
+    return row if batched else row[None]

@@ -1,0 +1,146 @@
+"""Width law of the forward scatter."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import torch
+from torch import Tensor
+
+from uwaug import checks
+from uwaug.checks import DOMAIN
+
+__all__ = ["PAPER_SIZE", "PointSpread", "Shape"]
+
+Shape = Literal["gaussian", "exponential"]
+
+PAPER_SIZE = 518
+"""px, short side of the paper's pictures."""
+
+
+@dataclass(frozen=True)
+class PointSpread:
+    """Width law of the forward scatter, σ(z) = scale·(b̄ z)^exponent, in px.
+
+    Attributes:
+        scale: width at one scattering length, px ≥ 0; a float, or a tensor (B,) that can be
+            learned.
+        exponent: > 0; a float, or a tensor (B,).
+        shape: "gaussian", or "exponential" for the classical transfer function e^(−2πσf), see
+            `uwaug.plan_blur`.
+        reference_size: None if px are px of the image at hand; else the short side, px, of the
+            image that `scale` refers to, so that the picture does not depend on its resolution.
+    """
+
+    scale: float | Tensor
+    exponent: float | Tensor = 1.0
+    shape: Shape = "gaussian"
+    reference_size: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in (("scale", self.scale), ("exponent", self.exponent)):
+            if not isinstance(value, Tensor):
+                checks.within(f"PointSpread.{name}", value, *DOMAIN[name])
+        checks.one_of("PointSpread.shape", self.shape, get_args(Shape))
+        if self.reference_size is not None:
+            checks.positive("PointSpread.reference_size", self.reference_size, "px")
+
+    @staticmethod
+    def paper(coefficient: float = 0.3) -> "PointSpread":
+        """The paper's law φ = coefficient·b̄ (table 2: .3, figure 7: .8), in px of its pictures,
+        whose short side is 518 px.
+        """
+        return PointSpread(coefficient, 1.0, reference_size=PAPER_SIZE)
+
+    @staticmethod
+    def calibrated(focal_px: float) -> "PointSpread":
+        """Fitted to Monte Carlo light transport with Petzold's measured phase functions and the
+        Henyey–Greenstein function (HG) of mean cosine .924. Use with g = .05, and with μ = .075,
+        which keeps the paper's μ/g.
+
+        Mean RMSE of direct + forward light over b̄z = .1…5, from `benchmarks/physics.py`:
+
+            |                                          | Petzold's | HG .924 | .90   | .85   |
+            | this law                                 | .0066     | .0075   | .0100 | .0181 |
+            | one Gaussian, .080·focal_px, .51, g .066 | .0115     | .0108   | .0088 | .0123 |
+            | the paper's                              | .037      | .053    | .050  | .046  |
+
+        Its tails need more blurs: about 1.5 times the time of that Gaussian.
+
+        Args:
+            focal_px: focal length, px of the image at hand; .866·width for a 60° field of view.
+        """
+        checks.positive("focal_px", focal_px, "px")
+        return PointSpread(0.030 * focal_px, 0.62, "exponential")
+
+    @staticmethod
+    def none() -> "PointSpread":
+        """No blur: forward scatter adds light but moves none."""
+        return PointSpread(0.0)
+
+    @staticmethod
+    def stack(
+        laws: "Sequence[PointSpread]", rows: Sequence[int], dtype: torch.dtype
+    ) -> "PointSpread":
+        """One law for several media of `rows` rows each; tensors only where the laws differ."""
+        if len({(law.shape, law.reference_size) for law in laws}) > 1:
+            got = sorted({str(law) for law in laws})
+            raise ValueError(
+                f"media must share the shape and reference_size of their point spreads, got {got}"
+            )
+
+        def join(values: list[float | Tensor]) -> float | Tensor:
+            if not any(isinstance(value, Tensor) or value != values[0] for value in values):
+                return values[0]
+            parts = []
+            for value, count in zip(values, rows, strict=True):
+                parts.append(torch.as_tensor(value, dtype=dtype).expand(count))
+            return torch.cat(parts)
+
+        scale = join([law.scale for law in laws])
+        return replace(laws[0], scale=scale, exponent=join([law.exponent for law in laws]))
+
+    def rows(self, count: int, like: Tensor) -> dict[str, Tensor]:
+        """Scale and exponent as tensors of `count` rows."""
+        law = {"scale": self.scale, "exponent": self.exponent}
+        return {name: torch.as_tensor(value).to(like).expand(count) for name, value in law.items()}
+
+    def map(self, function: Callable[[Tensor], Tensor]) -> "PointSpread":
+        """The same law with `function` applied to what it holds as tensors."""
+        scale = function(self.scale) if isinstance(self.scale, Tensor) else self.scale
+        exponent = function(self.exponent) if isinstance(self.exponent, Tensor) else self.exponent
+        return replace(self, scale=scale, exponent=exponent)
+
+    def sigma(self, lengths: Tensor, size: tuple[int, int] | None) -> Tensor:
+        """σ, px.
+
+        Args:
+            lengths (BxC'xHxW tensor): scattering lengths b̄·z, ≥ 0.
+            size: (height, width) of the image, px; None for px of `reference_size`.
+        """
+        law = self.map(lambda value: value.reshape(-1, 1, 1, 1).to(lengths))
+        # x^exponent below 1 has an infinite slope at 0; at 1e4 scattering lengths all light is gone
+        x = lengths.clamp(1e-6, 1e4)
+        if isinstance(law.exponent, Tensor) or law.exponent != 1:
+            x = x**law.exponent  # ONNX Runtime would compute x^1
+        return law.scale * _pixel_scale(self.reference_size, size) * x
+
+    def __str__(self) -> str:
+        if not isinstance(self.scale, Tensor) and self.scale == 0:
+            return "no blur"
+        shown = []
+        for value in (self.scale, self.exponent):
+            shown.append("learned" if isinstance(value, Tensor) else f"{value:.3g}")
+        at = "" if self.reference_size is None else f" at {self.reference_size:g} px short side"
+        return f"{self.shape} σ = {shown[0]}·(b̄ z)^{shown[1]} px{at}"
+
+
+def _pixel_scale(reference_size: float | None, size: tuple[int, int] | None) -> float | Tensor:
+    """Px of an image of (height, width) `size` per px of one whose short side is the reference."""
+    if reference_size is None or size is None:
+        return 1.0
+    if isinstance(size[0], torch.SymInt):  # type: ignore[unreachable]
+        # in a graph for any size; a quotient of symbolic numbers would enter it in single precision
+        sides = [torch.full((), side, dtype=torch.float64) for side in size]  # type: ignore[unreachable]
+        return torch.minimum(*sides) / reference_size
+    return min(size) / reference_size

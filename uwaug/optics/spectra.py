@@ -1,0 +1,111 @@
+"""Arrays over wavelength, checked, with value semantics."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["Array", "Spectra", "spectrum", "wavelength_axis"]
+
+Array = NDArray[np.float64]
+
+
+class Spectra:
+    """Value semantics for a frozen dataclass of arrays: compared, hashed, copied by content."""
+
+    name: str
+    wavelengths: Array
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return all(np.array_equal(mine, theirs) for mine, theirs in pairs)
+
+    def __hash__(self) -> int:
+        return hash((self.name, *self.wavelengths.tolist()))
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+        # rebuilt by the constructor, because unpickled arrays are writable
+        return partial(type(self), **vars(self)), ()
+
+    def __repr__(self) -> str:
+        low, high = self.wavelengths[[0, -1]]
+        count = self.wavelengths.size
+        return f"{type(self).__name__}({self.name!r}, {count} wavelengths, {low:g}–{high:g} nm)"
+
+
+def _frozen_array(name: str, values: ArrayLike) -> Array:
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"{name} must be an array of numbers, got {values!r:.80}") from error
+    array.flags.writeable = False
+    return array
+
+
+def wavelength_axis(values: ArrayLike) -> Array:
+    """A read-only, strictly ascending wavelength axis in nm.
+
+    Raises:
+        TypeError: if the values are no numbers.
+        ValueError: if the axis is empty, not 1-D, not strictly ascending or not in nm (100…3000).
+    """
+    axis = _frozen_array("wavelengths", values)
+    if axis.ndim != 1 or axis.size == 0:
+        raise ValueError(
+            f"wavelengths must be 1-D with at least one sample, got shape {axis.shape}"
+        )
+    bad = np.count_nonzero(~np.isfinite(axis))
+    if bad:
+        raise ValueError(f"wavelengths must be finite, got {bad} NaN or infinite values")
+    drops = np.flatnonzero(np.diff(axis) <= 0)
+    if drops.size:
+        left, right = axis[drops[0] : drops[0] + 2]
+        raise ValueError(
+            f"wavelengths must be strictly ascending, but {left:g} is followed by {right:g}: "
+            "sort them"
+        )
+    low, high = axis[[0, -1]]
+    if not (low >= 100 and high <= 3000):
+        hint = _unit_hint(low, high)
+        raise ValueError(
+            f"wavelengths must be in nm, between 100 and 3000, got {low:g}…{high:g}{hint}"
+        )
+    return axis
+
+
+def _unit_hint(low: float, high: float) -> str:
+    for unit, factor in (("micrometres", 1e3), ("metres", 1e9), ("ångströms", 0.1)):
+        if low * factor >= 100 and high * factor <= 3000:
+            return f"; they look like {unit}: multiply by {factor:g}"
+    return ""
+
+
+def spectrum(name: str, values: ArrayLike, axis: Array, channels: tuple[int, ...] = ()) -> Array:
+    """A read-only spectrum ≥ 0 on a wavelength axis (N), of shape (N, *channels).
+
+    Raises:
+        TypeError: if the values are no numbers.
+        ValueError: if the shape is another, or a value is NaN, infinite or negative.
+    """
+    array = _frozen_array(name, values)
+    expected = (*axis.shape, *channels)
+    if array.shape != expected:
+        raise ValueError(
+            f"{name} must have one row per wavelength, shape {expected}, got {array.shape}"
+        )
+    unknown = ~np.isfinite(array)
+    _refuse(name, unknown, axis, "NaN or infinite", "fill them or leave these wavelengths out")
+    _refuse(name, array < 0, axis, "negative", "set measurement noise to 0")
+    return array
+
+
+def _refuse(name: str, bad: NDArray[np.bool_], axis: Array, what: str, cure: str) -> None:
+    if not bad.any():
+        return
+    nm = axis[bad.reshape(axis.size, -1).any(axis=1)]
+    where = ", ".join(f"{at:g}" for at in nm[:8]) + (", …" if nm.size > 8 else "")
+    raise ValueError(f"{name} has {bad.sum()} {what} of {bad.size} values, at {where} nm: {cure}")

@@ -1,0 +1,88 @@
+"""Samples as loaders give them: an image and a map inside a tuple, a list or a dict."""
+
+import copy
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from uwaug import checks
+
+__all__ = ["Parts", "plain_image", "plain_maps", "take_apart", "typed"]
+
+
+class Parts(NamedTuple):
+    """Image, map if there is one, and what puts a new image in the image's place."""
+
+    image: Tensor
+    distance: Any
+    rebuild: Callable[[Tensor], Any]
+
+
+def take_apart(inputs: tuple[Any, ...], image_key: str, distance_key: str, mapped: bool) -> Parts:
+    """Find image and map in what a transform was called with.
+
+    Args:
+        inputs: (image, distance, …), or one tuple, list or dict that holds them, or an image.
+        image_key, distance_key: of a dict.
+        mapped: whether there has to be a map; if not, a tuple holds none.
+    """
+    sample = inputs[0] if len(inputs) == 1 else inputs
+    if isinstance(sample, Mapping):
+        for name in (image_key, distance_key) if mapped else (image_key,):
+            if name not in sample:
+                there = ", ".join(map(repr, sample))
+                cure = "see image_key, distance_key and distance"
+                raise ValueError(f"sample has no {name!r}, only {there}: {cure}")
+        rebuild: Callable[[Tensor], Any] = partial(_with_image, sample, image_key)
+        return Parts(sample[image_key], sample.get(distance_key), rebuild)
+    if not isinstance(sample, (tuple, list)):
+        return Parts(sample, None, _alone)
+    if not sample:
+        raise ValueError("sample is empty: expected (image, distance, …)")
+    distance = sample[1] if len(sample) > 1 and mapped else None
+    return Parts(sample[0], distance, partial(_with_first, sample))
+
+
+def _alone(result: Tensor) -> Tensor:
+    return result
+
+
+def _with_image(sample: Any, key: str, result: Tensor) -> Any:
+    """A copy of a dict with another image."""
+    changed = copy.copy(sample)
+    changed[key] = result
+    return changed
+
+
+def _with_first(sample: Any, result: Tensor) -> Any:
+    """The same tuple, named tuple or list with another first leaf."""
+    leaves = (result, *sample[1:])
+    return type(sample)(*leaves) if hasattr(sample, "_fields") else type(sample)(leaves)
+
+
+def typed(x: Tensor, wanted: type[Tensor]) -> Tensor:
+    """A tensor as another class of tensors."""
+    return x if type(x) is wanted else x.as_subclass(wanted)
+
+
+def plain_image(image: Any) -> Tensor:
+    """Check an image's type and shape; return it as a plain tensor."""
+    if not isinstance(image, Tensor) or image.dtype != torch.uint8:
+        checks.floating("image", image, "; or uint8. Convert PIL images and arrays first")
+    checks.picture("image", image, 3)
+    return typed(image, Tensor)
+
+
+def plain_maps(distance: Any, images: Tensor) -> Tensor:
+    """Check a map of distances; return one for each image (Bx1xHxW), as a plain tensor."""
+    checks.floating("distance", distance, "; divide a map in millimetres by 1000")
+    checks.picture("distance", distance, 1)
+    checks.same_size("distance", distance, images)
+    maps, batch = typed(distance, Tensor), len(images)
+    maps = maps if maps.ndim == 4 else maps[None]
+    if len(maps) not in (1, batch):
+        raise ValueError(f"distance is a batch of {len(maps)} but image is one of {batch}")
+    return maps.expand(batch, -1, -1, -1)
