@@ -1,4 +1,6 @@
-"""All benchmarks: `python -m benchmarks [--quick]`. Each part also runs alone, as `python -m benchmarks.NAME`."""
+"""All benchmarks: `python -m benchmarks [--quick]`. Each part also runs alone, as
+`python -m benchmarks.NAME`.
+"""
 
 import argparse
 import importlib
@@ -20,9 +22,8 @@ PARTS = (
 def main() -> None:
     """Run the parts in turn; a part whose optional library is missing is skipped by name."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "--quick", action="store_true", help="a smoke test of every part, nothing written"
-    )
+    quick = "a smoke test of every part, nothing written"
+    parser.add_argument("--quick", action="store_true", help=quick)
     parser.add_argument("parts", nargs="*", help=f"some of {', '.join(PARTS)}; all by default")
     arguments = parser.parse_args()
     unknown = sorted(set(arguments.parts) - set(PARTS))

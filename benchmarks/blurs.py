@@ -1,40 +1,44 @@
-"""Ways to blur every pixel with a width of its own, for the frontier; all but `published` mirror the image at its
-edges.
+"""Ways to blur every pixel with a width of its own, for the frontier.
 
-Tensors are planar, (1, C, H, W); arrays are (H, W, C), as OpenCV, SciPy and scikit-image take them.
+All but `published.binned_blur` mirror the image at its edges. Tensors are planar, (1, C, H, W);
+arrays are (H, W, C), as OpenCV, SciPy and scikit-image take them.
 """
 
 import math
 import time
 from collections.abc import Callable
-from itertools import pairwise
+from typing import Any
 
 import cv2
 import numpy as np
 import torch
 from torch import Tensor
 
-from benchmarks.baselines import BINS
 from benchmarks.exact import blur_exact
-from uwaug.blur.banded import reflect
+from uwaug.blur.kernels import reflect
 from uwaug.blur.plan import BlurPlan
 from uwaug.blur.stack import blurred_rows, mixed, node_weights
 
+Array = np.ndarray[Any, Any]
+Gaussian = Callable[[Array, float], Array]
+
 _TILE = 64  # px
-Gaussian = Callable[[np.ndarray, float], np.ndarray]
 
 
-def planar(out: Tensor | np.ndarray) -> Tensor:
+def planar(out: Tensor | Array) -> Tensor:
     return out if isinstance(out, Tensor) else torch.from_numpy(out).permute(2, 0, 1)[None]
 
 
 def mirrored(size: int, margin: int) -> Tensor:
-    """Indices into an axis of `size` samples that extend it by `margin` on both sides, half-sample symmetric."""
+    """Indices into an axis of `size` samples that extend it by `margin` on both sides, half-sample
+    symmetric.
+    """
     return reflect(torch.arange(-margin, size + margin), size)
 
 
 def exact(image: Tensor, sigma: Tensor, most: int | None = None) -> tuple[Tensor, float]:
-    """`benchmarks.exact.blur_exact` tile by tile, each with the surroundings that it reaches; and the time of all tiles, ms.
+    """`blur_exact` tile by tile, each with the surroundings that it reaches; and the time of all
+    tiles, ms.
 
     With `most`, only so many tiles along the diagonal are done, and the time is scaled up.
     """
@@ -50,9 +54,8 @@ def exact(image: Tensor, sigma: Tensor, most: int | None = None) -> tuple[Tensor
         tile = out[0, :, y : y + _TILE, x : x + _TILE]
         _, th, tw = tile.shape
         window = (slice(y, y + th + 2 * reach), slice(x, x + tw + 2 * reach))
-        at = (
-            (reach + torch.arange(th))[:, None] * (tw + 2 * reach) + reach + torch.arange(tw)
-        ).flatten()
+        down, across = reach + torch.arange(th)[:, None], reach + torch.arange(tw)
+        at = (down * (tw + 2 * reach) + across).flatten()
         tile.copy_(blur_exact(padded[:, *window], widths[0][window], at).reshape(tile.shape))
     return out, 1e3 * (time.perf_counter() - began) * len(corners) / len(used)
 
@@ -67,36 +70,36 @@ def stack(image: Tensor, sigma: Tensor, plan: BlurPlan) -> Tensor:
 
 def stack_opencv(image: Tensor, sigma: Tensor, plan: BlurPlan) -> Tensor:
     """Our widths and weights, but every blur by OpenCV at full size."""
+    planes = image[0].numpy()
     blurs = []
     for s in plan.sigmas:
         size = 2 * math.ceil(plan.reach * s) + 1
-        channels = [
-            cv2.GaussianBlur(c.numpy(), (size, size), s, borderType=cv2.BORDER_REFLECT)
-            if s > 0
-            else c.numpy()
-            for c in image[0]
-        ]
-        blurs.append(torch.from_numpy(np.stack(channels))[None])
+        blur = planes
+        if s > 0:
+            border = cv2.BORDER_REFLECT
+            done = [cv2.GaussianBlur(c, (size, size), s, borderType=border) for c in planes]
+            blur = np.stack(done)
+        blurs.append(torch.from_numpy(blur)[None])
     return mixed(blurs, node_weights(sigma, plan))
 
 
-def opencv_gaussian(image: np.ndarray, sigma: float) -> np.ndarray:
+def opencv_gaussian(image: Array, sigma: float) -> Array:
     return cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
 
 
-def scipy_gaussian(image: np.ndarray, sigma: float) -> np.ndarray:
+def scipy_gaussian(image: Array, sigma: float) -> Array:
     from scipy.ndimage import gaussian_filter
 
     return gaussian_filter(image, (sigma, sigma, 0), mode="reflect")
 
 
-def skimage_gaussian(image: np.ndarray, sigma: float) -> np.ndarray:
+def skimage_gaussian(image: Array, sigma: float) -> Array:
     from skimage.filters import gaussian
 
     return gaussian(image, sigma, mode="reflect", channel_axis=-1)
 
 
-def hard_bins(image: np.ndarray, sigma: np.ndarray, bins: int, gaussian: Gaussian) -> np.ndarray:
+def hard_bins(image: Array, sigma: Array, bins: int, gaussian: Gaussian) -> Array:
     """Each pixel from the blur of the nearest of `bins` widths, the middles of equal intervals."""
     low, high = float(sigma.min()), float(sigma.max())
     step = (high - low) / bins
@@ -124,13 +127,12 @@ def hard_bins_kornia(image: Tensor, sigma: Tensor, bins: int) -> Tensor:
         s = low + (k + 0.5) * step
         size = 2 * math.ceil(3 * s) + 1
         size = min(size, 2 * min(padded.shape[-2:]) - 1)
-        out += gaussian_blur2d(padded, (size, size), (s, s), border_type="replicate")[inner] * (
-            number == k
-        )
+        blur = gaussian_blur2d(padded, (size, size), (s, s), border_type="replicate")
+        out += blur[inner] * (number == k)
     return out
 
 
-def linear_bins(image: np.ndarray, sigma: np.ndarray, nodes: int) -> np.ndarray:
+def linear_bins(image: Array, sigma: Array, nodes: int) -> Array:
     """Each pixel interpolated linearly in σ between the two nearest of `nodes` blurs, by OpenCV."""
     low, high = float(sigma.min()), float(sigma.max())
     place = (sigma - low) * ((nodes - 1) / (high - low))
@@ -142,19 +144,9 @@ def linear_bins(image: np.ndarray, sigma: np.ndarray, nodes: int) -> np.ndarray:
     return out
 
 
-def published(image: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """30 bins from 0 to the widest, 15×15 kernels; the widest pixels fall out of the last bin, as published."""
-    edges = np.linspace(0, sigma.max(), BINS + 1)
-    out = np.zeros_like(image)
-    for low, high in pairwise(edges):
-        inside = (sigma >= low) & (sigma < high)
-        out[inside] = cv2.GaussianBlur(image, (15, 15), 0.5 * (low + high))[inside]
-    return out
-
-
 def two_passes(image: Tensor, sigma: Tensor) -> Tensor:
-    """Along rows, then along columns, each with the pixel's own width: inexact, as the second pass reads pixels that
-    the first blurred with other widths.
+    """Along rows, then along columns, each with the pixel's own width: inexact, as the second pass
+    reads pixels that the first blurred with other widths.
     """
     reach = math.ceil(3 * float(sigma.max()))
     rate = -0.5 * math.log2(math.e) / sigma**2

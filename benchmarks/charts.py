@@ -1,10 +1,12 @@
-"""Draw the frontier and the scaling from their results: `python -m benchmarks.charts`."""
+"""All charts of the benchmarks: error against time, scaling, light transport.
+
+`python -m benchmarks.charts` draws the first two from their results.
+"""
 
 import json
 import re
-from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
@@ -12,12 +14,16 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-from matplotlib.transforms import Bbox
 from PIL import Image
 
 from benchmarks.harness import RESULTS
+from benchmarks.labels import Point, write_labels
+from benchmarks.transport import EDGES, LENGTHS, Spread, chosen
+from uwaug.files import written_whole
+
+if TYPE_CHECKING:
+    from benchmarks.physics import Errors, Law, Spreads
 
 FIGURES = Path(__file__).parent / "figures"
 DEFAULT, OURS, RIVAL, FRONT = "#c1272d", "#0b6e99", "#7a7a7a", "#e8a33d"
@@ -28,6 +34,7 @@ STYLES = {
     "memory": ("#2a7f4f", "D"),
 }
 SHOWN = (512, 1)  # size and threads of the panels drawn; all others are in the JSON
+_OUR_NAMES = ("ours", "eager", "torch.compile", "ONNX", "float", "bfloat")
 _NUMBER = re.compile(r"\b\d[\de.-]*(?: \+ \d+)?\b")
 _STYLE = {
     "font.size": 8,
@@ -35,254 +42,179 @@ _STYLE = {
     "axes.spines.right": False,
     "axes.titlesize": 9,
 }
+_SWEEPS = {
+    "pixels": "pixels",
+    "batch": "batch, images",
+    "widest": "widest σ, px",
+    "rates": "rates, direct + scatter",
+}
+_WALKS = {"HG 0.85": "C0", "HG 0.924": "C1", "AUTEC 7": "C2", "HAOCE 11": "C3", "NUC 2200": "C4"}
+# colour and dashes of its line, colour of its bars
+_LAWS = {
+    "paper": ("0.0", ":", "0.75"),
+    "one Gaussian, HG .924 (former)": ("0.0", "--", "0.5"),
+    "calibrated": ("0.0", "-", "#1f6fb4"),
+    "two Gaussians, refitted": ("0.6", "-", "#8fbbe0"),
+}
+_TRUTHS = {
+    "HG 0.924": "HG .924",
+    "Petzold": "Petzold's stations",
+    "pictures": "pictures (HG .924)",
+}
 
 
-def save(figure: Figure, name: str) -> Path:
+def draw_frontier(results: dict[str, Any]) -> Path:
+    return _save_small(frontier_figure(results), "frontier")
+
+
+def draw_scaling(results: dict[str, Any]) -> Path:
+    return _save_small(scaling_figure(results), "scaling")
+
+
+def draw_physics(spreads: "Spreads", laws: "dict[str, Law]", errors: "Errors") -> Path:
+    path = FIGURES / "physics.png"
+    with written_whole(path) as part:
+        physics_figure(spreads, laws, errors).savefig(part, format="png", dpi=85)
+    return path
+
+
+def _save_small(figure: Figure, name: str) -> Path:
     """Write figures/NAME.png, in 96 colours: a third of the bytes."""
-    FIGURES.mkdir(exist_ok=True)
-    path = FIGURES / f"{name}.png"
     canvas = FigureCanvasAgg(figure)
     with matplotlib.rc_context(_STYLE):
         canvas.draw()
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
-    picture.quantize(96, dither=Image.Dither.NONE).save(path, optimize=True)
+    path = FIGURES / f"{name}.png"
+    with written_whole(path) as part:
+        few = picture.quantize(96, dither=Image.Dither.NONE)
+        few.save(part, format="png", optimize=True)
     return path
-
-
-def draw_frontier(results: dict[str, Any]) -> Path:
-    return save(frontier_figure(results), "frontier")
-
-
-def draw_scaling(results: dict[str, Any]) -> Path:
-    return save(scaling_figure(results), "scaling")
 
 
 def frontier_figure(results: dict[str, Any], shown: tuple[int, int] = SHOWN) -> Figure:
     """Time against PSNR of every method, a panel for each part of the model."""
+    size, threads = shown
     panels = [p for p in results["panels"].values() if (p["size"], p["threads"]) == shown]
+    panels.sort(key=lambda panel: not panel["part"].startswith("blur"))
     with matplotlib.rc_context(_STYLE):
-        wide = [p for p in panels if p["part"].startswith("blur")]
-        narrow = [p for p in panels if not p["part"].startswith("blur")]
         figure = Figure((13, 12.5), layout="constrained")
         grid = figure.add_gridspec(3, 6, height_ratios=(1.25, 1, 1))
-        places = [
-            grid[0, 0:3],
-            grid[0, 3:6],
-            grid[1, 0:3],
-            grid[1, 3:6],
-            grid[2, 0:2],
-            grid[2, 2:4],
-            grid[2, 4:6],
-        ]
-        drawn = [
-            (figure.add_subplot(place), panel)
-            for place, panel in zip(places, [*wide, *narrow], strict=False)
-        ]
-        size, threads = shown
-        figure.suptitle(
-            f"Error of the final image against time, {size}² px, {threads} thread{'s' * (threads > 1)}; "
-            "up and to the left is better",
-            fontsize=11,
-        )
-        handles = [
-            Line2D(
-                [], [], color=DEFAULT, marker="*", markersize=12, linestyle="", label="our default"
-            ),
-            Line2D([], [], color=OURS, marker="o", linestyle="", label="ours"),
-            Line2D([], [], color=RIVAL, marker="s", linestyle="", label="others"),
-            Line2D([], [], color=FRONT, linewidth=4, alpha=0.5, label="Pareto front"),
-        ]
-        figure.legend(
-            handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=9
-        )
-        marked = [(axes, _panel(axes, panel)) for axes, panel in drawn]
+        places = [grid[0, 0:3], grid[0, 3:6], grid[1, 0:3], grid[1, 3:6]]
+        places += [grid[2, 0:2], grid[2, 2:4], grid[2, 4:6]]
+        drawn = []
+        for place, panel in zip(places, panels, strict=False):
+            drawn.append((figure.add_subplot(place), panel))
+        setting = f"{size}² px, {threads} thread{'s' * (threads > 1)}"
+        better = "up and to the left is better"
+        title = f"Error of the final image against time, {setting}; {better}"
+        figure.suptitle(title, fontsize=11)
+        below = {"loc": "outside lower center", "ncols": 4, "frameon": False, "fontsize": 9}
+        figure.legend(handles=_frontier_legend(), **below)
+        marked = [(axes, _frontier_panel(axes, panel)) for axes, panel in drawn]
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # labels must not move what they were placed against
         for axes, points in marked:
-            _label(figure, axes, points)
+            write_labels(figure, axes, points, DEFAULT)
     return figure
 
 
-def _is_ours(name: str) -> bool:
-    return name.startswith(
-        ("ours", "eager", "torch.compile", "ONNX", "float", "bfloat")
-    ) or name.endswith("rates")
+def _frontier_legend() -> list[Line2D]:
+    star = {"marker": "*", "markersize": 12, "linestyle": ""}
+    return [
+        Line2D([], [], color=DEFAULT, label="our default", **star),
+        Line2D([], [], color=OURS, marker="o", linestyle="", label="ours"),
+        Line2D([], [], color=RIVAL, marker="s", linestyle="", label="others"),
+        Line2D([], [], color=FRONT, linewidth=4, alpha=0.5, label="Pareto front"),
+    ]
 
 
-def _panel(axes: Axes, panel: dict[str, Any]) -> list[tuple[float, float, str, str]]:
-    """Draw one panel; return (x, y, label, colour) of what is to be labelled, and unlabelled points with ""."""
-    entries = sorted(panel["entries"], key=lambda e: e["median_ms"])
-    top = max(e["psnr_db"] for e in entries if e["psnr_db"] is not None)
-    top += 0.12 * (top - min(e["psnr_db"] for e in entries if e["psnr_db"] is not None))
-    place = {
-        e["name"]: (e["median_ms"], top if e["psnr_db"] is None else e["psnr_db"]) for e in entries
-    }
-    front = [place[e["name"]] for e in entries if e["front"]]
-    axes.step(
-        *zip(*front, strict=True),
-        where="post",
-        color=FRONT,
-        linewidth=4,
-        alpha=0.5,
-        solid_capstyle="round",
-        zorder=1,
-    )
-    series: dict[str, list[str]] = {}
-    for e in panel["entries"]:
-        series.setdefault(
-            e["name"] if e["default"] else _NUMBER.sub("#", e["name"], count=1), []
-        ).append(e["name"])
+def _frontier_panel(axes: Axes, panel: dict[str, Any]) -> list[Point]:
+    """Draw one panel; return its points, which are to be labelled."""
+    entries = sorted(panel["entries"], key=lambda entry: entry["median_ms"])
+    finite = [entry["psnr_db"] for entry in entries if entry["psnr_db"] is not None]
+    top = max(finite) + 0.12 * (max(finite) - min(finite))
+    place = {}
+    for entry in entries:
+        psnr = entry["psnr_db"]
+        place[entry["name"]] = (entry["median_ms"], top if psnr is None else psnr)
+    front = [place[entry["name"]] for entry in entries if entry["front"]]
+    thick = {"color": FRONT, "linewidth": 4, "alpha": 0.5, "solid_capstyle": "round"}
+    axes.step(*zip(*front, strict=True), where="post", zorder=1, **thick)
     points = []
-    for names in series.values():
-        default = any(e["default"] for e in entries if e["name"] == names[0])
-        colour = DEFAULT if default else OURS if _is_ours(names[0]) else RIVAL
+    for series in _series(panel["entries"]):
+        names = [entry["name"] for entry in series]
+        label, colour = _label(series), RIVAL
+        size, marker, order = 5, "o" if _is_ours(names[0]) else "s", 3
+        if series[0]["default"]:
+            colour, size, marker, order = DEFAULT, 15, "*", 4
+        elif _is_ours(names[0]):
+            colour = OURS
         xy = [place[name] for name in names]
-        size, marker = (15, "*") if default else (5, "o" if _is_ours(names[0]) else "s")
-        axes.plot(
-            *zip(*xy, strict=True),
-            color=colour,
-            marker=marker,
-            markersize=size,
-            linewidth=0.8,
-            zorder=4 if default else 3,
-        )
-        label = names[0]
-        if len(names) > 1:
-            first, last = (
-                found.group()
-                for found in (_NUMBER.search(names[0]), _NUMBER.search(names[-1]))
-                if found
-            )
-            label = _NUMBER.sub(f"{first} … {last}", names[0], count=1)
-        if any(e["psnr_db"] is None for e in entries if e["name"] in names):
-            label += " (no error)"
-        points += [(*p, "", colour) for p in xy[:-1]] + [(*xy[-1], label, colour)]
-    axes.set_xscale("log")
-    axes.margins(0.16, 0.16)
-    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.set(xlabel="time, ms (log)", ylabel="PSNR, dB")
-    v = panel["verdict"]
-    stands = (
-        "on the front"
-        if v["on_front"]
-        else f"{100 * v['slower_than_front']:.0f} % slower than “{v['beaten_by']}”"
-    )
-    axes.set_title(f"{panel['part']}\ndefault: {v['psnr_db']:.1f} dB, {stands}", loc="left")
-    axes.grid(alpha=0.2)
+        look = {"color": colour, "marker": marker, "markersize": size, "linewidth": 0.8}
+        axes.plot(*zip(*xy, strict=True), zorder=order, **look)
+        points += [Point(*at, "", colour) for at in xy[:-1]]
+        points.append(Point(*xy[-1], label, colour))
+    _finish_frontier(axes, panel)
     return points
 
 
-def _label(figure: Figure, axes: Axes, points: list[tuple[float, float, str, str]]) -> None:
-    """Write each label beside its point, where it covers the least of points, labels and axes already there."""
-    scale = figure.dpi / 72
-    at = [axes.transData.transform((x, y)) for x, y, *_ in points]
-    taken = [
-        Bbox.from_bounds(px - r, py - r, 2 * r, 2 * r)
-        for (px, py), (*_, colour) in zip(at, points, strict=True)
-        for r in [scale * (8 if colour == DEFAULT else 4)]
-    ]
-    for line in axes.lines:
-        path = axes.transData.transform(line.get_path().vertices)
-        for start, end in pairwise(path):
-            for share in np.linspace(0, 1, 2 + int(np.hypot(*(end - start)) / (6 * scale))):
-                px, py = start + share * (end - start)
-                taken.append(Bbox.from_bounds(px - scale, py - scale, 2 * scale, 2 * scale))
-    frame = axes.get_window_extent()
-    compass = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1))
-    steps = [(r * dx, r * dy) for r in (8, 12, 17, 24, 32, 42, 56, 72) for dx, dy in compass]
-    for (x, y, label, colour), (px, py) in sorted(
-        zip(points, at, strict=True), key=lambda p: (p[0][3] != DEFAULT, p[0][0])
-    ):
-        if not label:
-            continue
-        text = axes.annotate(
-            label,
-            (x, y),
-            (0, 0),
-            textcoords="offset points",
-            va="center",
-            fontsize=7.5,
-            color=colour,
-        )
-        extent = text.get_window_extent()
-        width, height = (
-            1.05 * extent.width + 4,
-            extent.height + 2,
-        )  # outlines are wider than hinted text
-
-        def box(dx: float, dy: float) -> Bbox:
-            left = px + dx * scale - (0 if dx > 0 else width if dx < 0 else width / 2)
-            return Bbox.from_bounds(left, py + dy * scale - height / 2, width, height)
-
-        def cost(step: tuple[float, float]) -> float:
-            place = box(*step)
-            outside = width * height - _overlap(place, frame)
-            covered = sum(_overlap(place, other) for other in taken)
-            leader = [(px + t * scale * step[0], py + t * scale * step[1]) for t in (0.5, 0.7, 0.9)]
-            crossed = sum(
-                other.contains(*p) for other in taken if not other.contains(px, py) for p in leader
-            )
-            return covered + 3 * outside + scale * (abs(step[0]) + abs(step[1])) + 10 * crossed
-
-        dx, dy = min(steps, key=cost)
-        taken.append(box(dx, dy))
-        text.remove()
-        across = "left" if dx > 0 else "right" if dx < 0 else "center"
-        place = (dx - (0.04 * width / scale if dx < 0 else 0), dy)
-        axes.annotate(
-            label, (x, y), place, textcoords="offset points", ha=across, va="center", fontsize=7.5, color=colour,
-            path_effects=[withStroke(linewidth=2, foreground="white")], zorder=5,
-            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.4} if abs(dx) + abs(dy) > 14 else None,
-        )  # fmt: skip
+def _is_ours(name: str) -> bool:
+    return name.startswith(_OUR_NAMES) or name.endswith("rates")
 
 
-def _overlap(a: Bbox, b: Bbox) -> float:
-    width, height = min(a.x1, b.x1) - max(a.x0, b.x0), min(a.y1, b.y1) - max(a.y0, b.y0)
-    return float(max(width, 0) * max(height, 0))
+def _series(entries: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
+    """Entries whose names differ by one number belong together; the default stands alone."""
+    series: dict[str, list[dict[str, Any]]] = {}
+    for entry in entries:
+        name = entry["name"]
+        key = name if entry["default"] else _NUMBER.sub("#", name, count=1)
+        series.setdefault(key, []).append(entry)
+    return list(series.values())
+
+
+def _label(series: list[dict[str, Any]]) -> str:
+    label: str = series[0]["name"]
+    if len(series) > 1:
+        numbers = [_NUMBER.search(entry["name"]) for entry in (series[0], series[-1])]
+        span = " … ".join(number.group() for number in numbers if number)
+        label = _NUMBER.sub(span, label, count=1)
+    exact = any(entry["psnr_db"] is None for entry in series)
+    return f"{label} (no error)" if exact else label
+
+
+def _finish_frontier(axes: Axes, panel: dict[str, Any]) -> None:
+    axes.set_xscale("log")
+    axes.margins(0.16, 0.16)
+    _plain_numbers(axes)
+    axes.set(xlabel="time, ms (log)", ylabel="PSNR, dB")
+    verdict = panel["verdict"]
+    slower = f"{100 * verdict['slower_than_front']:.0f} % slower than “{verdict['beaten_by']}”"
+    stands = "on the front" if verdict["on_front"] else slower
+    title = f"{panel['part']}\ndefault: {verdict['psnr_db']:.1f} dB, {stands}"
+    axes.set_title(title, loc="left")
+    axes.grid(alpha=0.2)
+
+
+def _plain_numbers(axes: Axes) -> None:
+    """1, 2, 5 along x instead of powers of ten."""
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def scaling_figure(results: dict[str, Any]) -> Figure:
     """Time and peak memory on log–log axes, with the fitted exponents in the labels."""
-    sweeps = results["sweeps"]
-    titles = {
-        "pixels": "pixels",
-        "batch": "batch, images",
-        "widest": "widest σ, px",
-        "rates": "rates, direct + scatter",
-    }
     with matplotlib.rc_context(_STYLE):
         figure = Figure((13, 6.4), layout="constrained")
         axes = figure.subplots(2, 4, sharex="col", sharey="row", height_ratios=(1.5, 1))
-        for column, (name, title) in enumerate(titles.items()):
-            sweep, (time, memory) = sweeps[name], axes[:, column]
-            x = [p["x"] for p in sweep["points"]]
-            for method, fit in sweep["fits"].items():
-                ours_memory = method not in sweep["points"][0]["ms"]
-                y = [
-                    p["peak_mib"] if ours_memory else p["ms"][method]["median_ms"]
-                    for p in sweep["points"]
-                ]
-                colour, marker = STYLES["memory" if ours_memory else method]
-                said = "" if ours_memory else f"{method} "
-                label = f"{said}∝ $x^{{{fit['exponent']:.2f}}}$ (×/÷ {fit['residual_factor']:.2f})"
-                panel = memory if ours_memory else time
-                panel.plot(
-                    x, y, color=colour, marker=marker, markersize=4, linewidth=1, label=label
-                )
+        for (name, title), (time, memory) in zip(_SWEEPS.items(), axes.T, strict=True):
+            _scaling_column(time, memory, results["sweeps"][name])
             memory.set_xlabel(title)
             time.set_title(f"against {title.split(',')[0]}", loc="left")
-            for panel in (time, memory):
-                panel.set(xscale="log", yscale="log")
-                panel.grid(alpha=0.2)
-                panel.legend(frameon=False, fontsize=7.5, loc="upper left", handlelength=1.2)
         for panel in axes.flat:
             panel.yaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
         for panel in axes[1, 1:]:
-            panel.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-            panel.xaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
-            panel.xaxis.set_minor_formatter(NullFormatter())
+            _plain_numbers(panel)
         for row in axes:
             low, high = row[0].get_ylim()
             row[0].set_ylim(low, high * (high / low) ** 0.25)  # room for the legends
@@ -290,6 +222,68 @@ def scaling_figure(results: dict[str, Any]) -> Figure:
         axes[1, 0].set_ylabel("peak memory of uwaug, MiB")
         figure.suptitle(f"Scaling; {results['setting']}", fontsize=10)
     return figure
+
+
+def _scaling_column(time: Axes, memory: Axes, sweep: dict[str, Any]) -> None:
+    points = sweep["points"]
+    x = [point["x"] for point in points]
+    for method, fit in sweep["fits"].items():
+        law = f"∝ $x^{{{fit['exponent']:.2f}}}$ (×/÷ {fit['residual_factor']:.2f})"
+        if method in points[0]["ms"]:
+            panel, (colour, marker), label = time, STYLES[method], f"{method} {law}"
+            y = [point["ms"][method]["median_ms"] for point in points]
+        else:
+            panel, (colour, marker), label = memory, STYLES["memory"], law
+            y = [point["peak_mib"] for point in points]
+        panel.plot(x, y, color=colour, marker=marker, markersize=4, linewidth=1, label=label)
+    for panel in (time, memory):
+        panel.set(xscale="log", yscale="log")
+        panel.grid(alpha=0.2)
+        panel.legend(frameon=False, fontsize=7.5, loc="upper left", handlelength=1.2)
+
+
+def physics_figure(spreads: "Spreads", laws: "dict[str, Law]", errors: "Errors") -> Figure:
+    """Walks against laws: g, width, shape, and the error of the laws."""
+    figure = Figure((11, 7.6), layout="constrained")
+    axes = figure.subplots(2, 2)
+    (left, right), (shape, bars) = axes
+    radius = np.geomspace(3e-5, 3, 300)
+    for name, colour in _WALKS.items():
+        row: list[Spread] = [chosen(spreads[name], x, 0.4) for x in LENGTHS]
+        dots = {"ms": 4, "color": colour}
+        left.plot(LENGTHS, [s.figures["g"] for s in row], "o-", label=name, **dots)
+        right.loglog(LENGTHS, [s.figures["q50"] for s in row], "o-", **dots)
+        shape.semilogx(radius, np.interp(radius, EDGES[1:], row[3].encircled), color=colour, lw=2)
+    for name, (colour, dashes, _) in _LAWS.items():
+        law, line = laws[name], {"color": colour, "ls": dashes, "lw": 1.2}
+        within = [law.encircled(x, radius) for x in LENGTHS]
+        medians = [np.interp(0.5, share, radius) for share in within]
+        left.axhline(law.g, **line)
+        right.plot(LENGTHS, medians, label=name, **line)
+        shape.plot(radius, within[3], **line)
+    seen = "share of scattered light within"
+    left.set(xlabel="b·z", ylabel="effective g")
+    left.set_title("Share of scattered light that is lost (a/b = 0.4)")
+    right.set(xlabel="b·z", ylabel="median tangent of scattered light", title="Width")
+    shape.set(xlabel="tangent", ylabel=seen, title="Shape at b·z = 1")
+    corner = {"bbox_to_anchor": (0, 0.94), "loc": "upper left"}
+    left.legend(frameon=False, fontsize=8, title="Monte Carlo", **corner)
+    right.legend(frameon=False, fontsize=8, title="laws")
+    _physics_bars(bars, errors)
+    for panel in axes.flat:
+        panel.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def _physics_bars(axes: Axes, errors: "Errors") -> None:
+    for n, (name, (_, _, colour)) in enumerate(_LAWS.items()):
+        values = [errors[name][truth] for truth in _TRUTHS]
+        bar = axes.bar(np.arange(3) + 0.2 * n - 0.3, values, 0.18, color=colour)
+        axes.bar_label(bar, [f"{value:.3f}"[1:] for value in values], fontsize=7)
+        bar.set_label(name)
+    axes.set_xticks(range(3), tuple(_TRUTHS.values()))
+    axes.set(ylabel="mean RMSE of D + F", title="Error of the laws, b·z = 0.1 … 5")
+    axes.legend(frameon=False, fontsize=8)
 
 
 if __name__ == "__main__":

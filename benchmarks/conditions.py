@@ -1,4 +1,5 @@
-"""The hard conditions for `benchmarks.stability`, and what is right in each: the model in float64, pixel by pixel.
+"""The hard conditions for `benchmarks.stability`, and what is right in each: the model in float64,
+pixel by pixel.
 
 Nothing here comes from uwaug, so that nothing is measured against itself.
 """
@@ -34,7 +35,9 @@ class Spectra(NamedTuple):
 
 @dataclass(frozen=True)
 class Case:
-    """One condition. Tensors are in float64; rates, veil and light are (3) or (B, 3), the width law's () or (B)."""
+    """One condition. Tensors are in float64; rates, veil and light are (3) or (B, 3), the width
+    law's () or (B).
+    """
 
     image: Tensor
     distance: Tensor
@@ -47,9 +50,8 @@ class Case:
     scale: Tensor  # σ = scale·(b_mean·z)^exponent, px
     exponent: Tensor
     source: Tensor | None = None  # μ·b·E = veil·G, where G may be 0
-    spectra: Spectra | None = (
-        None  # if the water is given so; `beta` to `b_mean` then hold what it should come to
-    )
+    # if the water is given so; `beta` to `b_mean` then hold what it should come to
+    spectra: Spectra | None = None
     srgb: bool = False
     dtype: torch.dtype = torch.float32
     layout: Literal["", "channels last", "sliced"] = ""
@@ -61,9 +63,7 @@ class Case:
     @property
     def leaves(self) -> tuple[str, ...]:
         """Inputs that have gradients: not those that are computed from spectra."""
-        return (
-            LEAVES if self.spectra is None else ("image", "distance", "field", "scale", "exponent")
-        )
+        return LEAVES if self.spectra is None else OF_SPECTRA
 
     @property
     def peak(self) -> float:
@@ -77,10 +77,13 @@ class Case:
 
 Method = Callable[[Case], Tensor]
 LEAVES = ("image", "distance", "field", "beta", "G", "veil", "light", "b_mean", "scale", "exponent")
+OF_SPECTRA = ("image", "distance", "field", "scale", "exponent")
 
 
 def spread(value: Tensor) -> Tensor:
-    """A parameter in the shape that multiplies pictures: (3) → (1, 3, 1, 1), (B) → (B, 1, 1, 1), () → (1, 1, 1, 1)."""
+    """A parameter in the shape that multiplies pictures: (3) → (1, 3, 1, 1), (B) → (B, 1, 1, 1),
+    () → (1, 1, 1, 1).
+    """
     return value.reshape(-1, 3 if value.shape[-1:] == (3,) else 1, 1, 1)
 
 
@@ -94,11 +97,12 @@ def exact(case: Case, published: bool = False) -> Tensor:
     direct, signal = (torch.exp(-spread(rate) * z) for rate in (case.beta, case.G))
     share = spread(case.light) * (signal - direct)
     sigma = spread(case.scale) * (spread(case.b_mean) * z) ** spread(case.exponent)
-    blurred = (
-        own_gaussians(share * image, sigma) if published else share * own_gaussians(image, sigma)
-    )
+    if published:
+        blurred = own_gaussians(share * image, sigma)
+        z = _smooth(case.distance) * case.field
+    else:
+        blurred = share * own_gaussians(image, sigma)
     source = case.veil * case.G if case.source is None else case.source
-    z = _smooth(case.distance) * case.field if published else z
     depth = spread(case.G) * z
     # (1 − e^−x)/x, 1 at 0
     fraction = torch.where(depth > 0, -torch.expm1(-depth) / torch.where(depth > 0, depth, 1), 1)
@@ -107,19 +111,20 @@ def exact(case: Case, published: bool = False) -> Tensor:
 
 
 def _smooth(distance: Tensor) -> Tensor:
-    planes = [
-        cv2.GaussianBlur(plane[0].clamp(max=FARTHEST).numpy(), (21, 21), 60) for plane in distance
-    ]
-    return torch.from_numpy(np.stack(planes))[:, None]
+    planes = distance[:, 0].clamp(max=FARTHEST).numpy()
+    smooth = [cv2.GaussianBlur(plane, (21, 21), 60) for plane in planes]
+    return torch.from_numpy(np.stack(smooth))[:, None]
 
 
 def own_gaussians(image: Tensor, sigma: Tensor) -> Tensor:
-    """`image` (B, C, H, W) with every pixel blurred by a Gaussian of its own `sigma` (B, 1, H, W), edges mirrored."""
+    """`image` (B, C, H, W) with every pixel blurred by a Gaussian of its own `sigma` (B, 1, H, W),
+    edges mirrored.
+    """
     h, w = image.shape[-2:]
+    at = torch.arange(h * w)
     out = []
     for picture, widths in zip(image, sigma.expand(len(image), -1, -1, -1), strict=True):
         flat = widths.detach().flatten()
-        at = torch.arange(h * w)
         rows, columns = _gaussian_rows(at // w, flat, h), _gaussian_rows(at % w, flat, w)
         blurred = torch.stack([((rows @ channel) * columns).sum(1) for channel in picture])
         out.append(blurred.reshape(-1, h, w))
@@ -139,7 +144,9 @@ def _gaussian_rows(centres: Tensor, sigma: Tensor, size: int) -> Tensor:
 
 
 def sampled_parameter(sigma: np.ndarray) -> np.ndarray:
-    """Parameter of the sampled Gaussian whose width is `sigma`: they differ below 1 px, .5 px is .46 px wide."""
+    """Parameter of the sampled Gaussian whose width is `sigma`: they differ below 1 px, .5 px is
+    .46 px wide.
+    """
     parameters, variances = _variances()
     narrow = np.interp(np.square(np.minimum(sigma, 2.0)), variances, parameters)
     return np.where(sigma < 1.2, narrow, sigma)
@@ -165,17 +172,12 @@ def _scene(height: int = 24, width: int = 24, batch: int = 1) -> dict[str, Tenso
     rng = torch.Generator().manual_seed(0)
     image = torch.zeros(batch, 3, height, width, dtype=torch.float64)
     for cells in (2, 4, 8, 16):
-        grid = torch.rand(
-            batch, 3, min(cells, height), min(cells, width), generator=rng, dtype=torch.float64
-        )
+        size = (min(cells, height), min(cells, width))
+        grid = torch.rand(batch, 3, *size, generator=rng, dtype=torch.float64)
         image += 0.25 * torch.nn.functional.interpolate(grid, (height, width), mode="nearest")
     y, x = torch.linspace(0, 1, height)[:, None], torch.linspace(0, 1, width)
-    ground = 5 - 3 * y - x
-    z = (
-        torch.where((x - 0.5).abs() + (y - 0.6).abs() < 0.3, 1.5, ground)
-        .double()
-        .expand(batch, 1, -1, -1)
-    )
+    on_box = (x - 0.5).abs() + (y - 0.6).abs() < 0.3
+    z = torch.where(on_box, 1.5, 5 - 3 * y - x).double().expand(batch, 1, -1, -1)
     return {"image": image, "distance": z.clone(), "field": torch.ones_like(z)}
 
 
@@ -196,7 +198,9 @@ def _case(*size: int, **changes: Any) -> Case:
 
 
 def _spectral(spectra: Spectra, repaired: Spectra | None = None, **changes: Any) -> Case:
-    """A case whose water is given by spectra; `repaired` are those that it should be computed with."""
+    """A case whose water is given by spectra; `repaired` are those that it should be computed
+    with.
+    """
     right = repaired or spectra
     a, b, kd = (torch.tensor(v, dtype=torch.float64) for v in (right.a, right.b, right.kd))
     light, G = torch.exp(-kd * right.depth), a + right.g * b
@@ -213,20 +217,20 @@ def _spectral(spectra: Spectra, repaired: Spectra | None = None, **changes: Any)
 
 
 def _jerlov_5c() -> tuple[Spectra, Spectra]:
-    """Type 5C as the package `jerlov` has it, NaN at 600 nm, and with that cell from other tables."""
+    """Type 5C as the package `jerlov` has it, NaN at 600 nm, and with that cell from other
+    tables.
+    """
 
-    def read(quantity: str, source: str = "solonenko2015") -> list[float]:
+    def read(quantity: str, source: str = "solonenko2015") -> tuple[float, ...]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return [
-                float(v)
-                for v in getattr(jerlov.water("5C", source=source), quantity)(np.array(WAVELENGTHS))
-            ]
+            spectrum = getattr(jerlov.water("5C", source=source), quantity)
+            return tuple(map(float, spectrum(np.array(WAVELENGTHS))))
 
-    b, others = tuple(read("b")), {"a": "williamson2022", "kd": "jerlov1976"}
-    raw = {q: tuple(read(q)) for q in others}
-    repaired = {q: (read(q, source)[0], *raw[q][1:]) for q, source in others.items()}
-    return tuple(Spectra(q["a"], b, q["kd"], depth=1.0, jerlov="5C") for q in (raw, repaired))  # type: ignore[return-value]
+    a, b, kd = read("a"), read("b"), read("kd")
+    raw = Spectra(a, b, kd, depth=1.0, jerlov="5C")
+    a, kd = (read("a", "williamson2022")[0], *a[1:]), (read("kd", "jerlov1976")[0], *kd[1:])
+    return raw, raw._replace(a=a, kd=kd)
 
 
 def _distances(usual: Case) -> dict[str, Case]:
@@ -234,9 +238,8 @@ def _distances(usual: Case) -> dict[str, Case]:
     half = torch.arange(z.shape[-1]).expand_as(z) < z.shape[-1] // 2
 
     def where(inside: Any, **changes: Any) -> Case:
-        return replace(
-            usual, distance=torch.where(half, torch.as_tensor(inside, dtype=z.dtype), z), **changes
-        )
+        given = torch.as_tensor(inside, dtype=z.dtype)
+        return replace(usual, distance=torch.where(half, given, z), **changes)
 
     return {
         "usual": usual,
@@ -256,6 +259,7 @@ def _distances(usual: Case) -> dict[str, Case]:
 def _waters(usual: Case) -> dict[str, Case]:
     inf, zero, nan = torch.full_like(usual.distance, math.inf), (0.0,) * 3, math.nan
     a, b, kd = (0.3, 0.1, 0.2), (0.5, 0.5, 0.6), (0.35, 0.15, 0.25)
+    holed, whole = Spectra((nan, *a[1:]), b, kd), Spectra(a, b, kd)
     return {
         "β = G = 0": _case(beta=zero, G=zero),
         "G = 0": _case(G=zero),
@@ -268,9 +272,7 @@ def _waters(usual: Case) -> dict[str, Case]:
         "optical depth 1e4": _case(beta=(1e4, 9e3, 8e3), G=(3e3, 2e3, 1e3)),
         "K_d·d = 500": _spectral(Spectra(a, b, (0.5,) * 3, 1000.0)),
         "table with NaN cells": _spectral(*_jerlov_5c()),
-        "own spectra with NaN": _spectral(
-            Spectra((nan, *a[1:]), b, kd), Spectra(a, b, kd), error="a has 1 NaN"
-        ),
+        "own spectra with NaN": _spectral(holed, whole, error="a has 1 NaN"),
     }
 
 

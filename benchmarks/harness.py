@@ -6,27 +6,39 @@ import os
 import platform
 import random
 import subprocess
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-import skimage.data
 import torch
 from torch import Tensor
 
+from uwaug.files import written_whole
+from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.water import Water
+from uwaug.scene import motorcycle_depth
+
+ROOT = Path(__file__).parent.parent
 RESULTS = Path(__file__).parent / "results"
+DISTANCES = (1.0, 5.0)  # m, of `scene`
+WIDEST = 4.5  # px, at the farthest of them; .9 at the nearest
 PACKAGES = ("torch", "kornia", "numpy", "opencv-python-headless", "scipy", "jerlov", "onnxruntime")
 
 
 def use_threads(threads: int) -> None:
-    """Give torch and OpenCV so many threads, and the allocator the state of a process that has handled a batch.
+    """Give torch and OpenCV so many threads, and the allocator the state of a process that has
+    handled a batch.
 
-    glibc hands freed memory back to the system until a large block has been freed once; until then every call pays for
-    page faults, ours and the baselines' alike, by chance of the heap's layout.
+    glibc hands freed memory back to the system until a large block has been freed once; until then
+    every call pays for page faults, ours and the baselines' alike, by chance of the heap's layout.
     """
     torch.set_num_threads(threads)
     cv2.setNumThreads(threads)
@@ -35,16 +47,17 @@ def use_threads(threads: int) -> None:
 
 
 def race(
-    runners: dict[str, Callable[[], object]],
+    runners: Mapping[str, Callable[[], object]],
     rounds: int = 15,
     seconds: float = 20.0,
     reference: str | None = None,
 ) -> dict[str, dict[str, float]]:
-    """Time the runners in turn, round after round in an order drawn anew, so that a noisy machine slows all alike.
+    """Time the runners in turn, round after round in an order drawn anew, so that a noisy machine
+    slows all alike.
 
-    Each is run once untimed just before, as `torch.utils.benchmark` does, so that it finds its own data in the caches
-    and not its predecessor's. `seconds` counts from the fourth round on, which what takes ten times as long as
-    `reference` does not run.
+    Each is run once untimed just before, as `torch.utils.benchmark` does, so that it finds its own
+    data in the caches and not its predecessor's. `seconds` counts from the fourth round on, which
+    what takes ten times as long as `reference` does not run.
 
     Returns:
         For each name: median and quartiles in milliseconds, and the number of rounds.
@@ -54,70 +67,92 @@ def race(
     for run in runners.values():
         run()
     start = time.perf_counter()
+    running = list(runners)
     for n in range(rounds):
         if n == 3:
             start = time.perf_counter()
         elif n > 3 and time.perf_counter() - start > seconds:
             break
-        running = list(runners)
-        if reference is not None and n >= 3:
-            running = [
-                name
-                for name in runners
-                if np.median(times[name]) < 10 * np.median(times[reference])
-            ]
+        if n >= 3 and reference is not None:
+            medians = {name: np.median(taken) for name, taken in times.items()}
+            running = [name for name in runners if medians[name] < 10 * medians[reference]]
         for name in order.sample(running, len(running)):
             runners[name]()
-            began = time.perf_counter()
-            runners[name]()
-            times[name].append(1e3 * (time.perf_counter() - began))
-    quartiles = {name: np.percentile(t, (25, 50, 75)) for name, t in times.items()}
-    return {
-        name: {
-            "median_ms": float(q[1]),
-            "q1_ms": float(q[0]),
-            "q3_ms": float(q[2]),
-            "rounds": len(times[name]),
-        }
-        for name, q in quartiles.items()
-    }
+            times[name].append(_milliseconds(runners[name]))
+    return {name: _quartiles(taken) for name, taken in times.items()}
+
+
+def _milliseconds(run: Callable[[], object]) -> float:
+    began = time.perf_counter()
+    run()
+    return 1e3 * (time.perf_counter() - began)
+
+
+def _quartiles(times: list[float]) -> dict[str, float]:
+    first, median, third = (float(q) for q in np.percentile(times, (25, 50, 75)))
+    return {"median_ms": median, "q1_ms": first, "q3_ms": third, "rounds": len(times)}
+
+
+def peak_of(run: Callable[[], object]) -> int:
+    """Bytes that a call takes at most, above what the process holds before it. Linux."""
+    Path("/proc/self/clear_refs").write_text("5")  # let the peak begin here
+    before = _peak_bytes()
+    run()
+    return _peak_bytes() - before
+
+
+def _peak_bytes() -> int:
+    status = Path("/proc/self/status").read_text()
+    (line,) = (line for line in status.splitlines() if line.startswith("VmHWM"))
+    return 1024 * int(line.split()[1])
+
+
+def printed(code: str, *arguments: str, **environment: str) -> str:
+    """What Python code prints in a process of its own."""
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=ROOT,
+        env={**os.environ, **environment},
+    )
+    return done.stdout
 
 
 def command(main: Callable[[bool], object], about: str | None) -> None:
     """Run a part of the benchmarks from the command line."""
     parser = argparse.ArgumentParser(description=about)
-    parser.add_argument(
-        "--quick", action="store_true", help="a smoke test: little of everything, nothing written"
-    )
+    quick = "a smoke test: little of everything, nothing written"
+    parser.add_argument("--quick", action="store_true", help=quick)
     main(parser.parse_args().quick)
 
 
 def machine() -> dict[str, Any]:
     """Processor, threads, versions and commit."""
-    model = platform.processor()
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        names = [
-            line.split(":", 1)[1].strip()
-            for line in cpuinfo.read_text().splitlines()
-            if line.startswith("model name")
-        ]
-        model = names[0] if names else model
-    commit = _git("rev-parse", "--short", "HEAD") + (
-        "-dirty" if _git("status", "--porcelain", "*.py") else ""
-    )
+    commit = _git("rev-parse", "--short", "HEAD")
+    changed = _git("status", "--porcelain", "*.py")
     return {
-        "processor": model,
+        "processor": _processor(),
         "cores": os.cpu_count(),
         "python": platform.python_version(),
         "versions": {name: version(name) for name in PACKAGES if _installed(name)},
-        "commit": commit,
+        "commit": f"{commit}-dirty" if changed else commit,
     }
+
+
+def _processor() -> str:
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
+    for line in lines:
+        if line.startswith("model name"):
+            return line.split(":", 1)[1].strip()
+    return platform.processor()
 
 
 def _git(*arguments: str) -> str:
     done = subprocess.run(
-        ["git", *arguments], cwd=RESULTS.parent.parent, capture_output=True, text=True, check=False
+        ["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=False
     )
     return done.stdout.strip()
 
@@ -130,44 +165,49 @@ def _installed(package: str) -> bool:
     return True
 
 
-def save(name: str, results: dict[str, Any]) -> Path:
+def save(name: str, results: Mapping[str, Any]) -> Path:
     """Write results, with the machine, to results/NAME.json: whole or not at all."""
     RESULTS.mkdir(exist_ok=True)
     path = RESULTS / f"{name}.json"
-    part = path.with_suffix(".part")
-    part.write_text(json.dumps({"machine": machine(), **results}, indent=1) + "\n")
-    part.replace(path)
+    with written_whole(path) as part:
+        part.write_text(json.dumps({"machine": machine(), **results}, indent=1) + "\n")
     return path
 
 
+@lru_cache(maxsize=1)
 def motorcycle() -> tuple[Tensor, Tensor]:
-    """scikit-image's motorcycle scene: sRGB (1x3x500x741) and depth in metres (1x1x500x741), unknown pixels filled."""
-    from uwaug.distance import fill_unknown, from_disparity
+    """scikit-image's motorcycle: sRGB (1x3x500x741) and depth in metres (1x1x500x741), unknown
+    pixels filled.
 
-    left, _, disparity = skimage.data.stereo_motorcycle()
-    image = torch.from_numpy(left).permute(2, 0, 1)[None].float() / 255
-    depth = from_disparity(
-        torch.from_numpy(disparity.astype(np.float32))[None, None], 994.978, 0.193001, 31.086
-    )
-    return image, fill_unknown(depth)
+    The depth is planar, as in all results so far; `uwaug.scene` has distances along the ray.
+    """
+    image, depth = motorcycle_depth()
+    return image[None], depth[None]
+
+
+def water_medium(water: str, widest: float = WIDEST, **options: Any) -> Medium:
+    """A Jerlov type whose widths are proportional to distance, up to `widest` px at the farthest.
+
+    The default is the range that the issue names.
+    """
+    medium = Medium.from_water(Water.jerlov(water), **options)
+    law = PointSpread(widest / DISTANCES[1] / float(medium.b_mean))
+    return replace(medium, point_spread=law)
 
 
 def scene(size: int, batch: int = 1) -> tuple[Tensor, Tensor]:
-    """Picture and distance (1…5 m) of a square `size`, cut or tiled from the motorcycle scene, repeated `batch`
-    times.
+    """Picture and distance (1…5 m) of a square `size`, cut or tiled from the motorcycle scene,
+    repeated `batch` times.
     """
     image, depth = motorcycle()
-    near, far = depth.aminmax()
-    distance = 1 + 4 * (depth - near) / (far - near)
-    reps = -(-size // 500)
-    image, distance = (
-        torch.cat(
-            [torch.cat([t, t.flip(-1)] * reps, -1), torch.cat([t, t.flip(-1)] * reps, -1).flip(-2)]
-            * reps,
-            -2,
-        )
-        for t in (image, distance)
-    )
-    return tuple(
-        t[..., :size, :size].repeat(batch, 1, 1, 1).contiguous() for t in (image, distance)
-    )  # type: ignore[return-value]
+    (near, far), (low, high) = DISTANCES, depth.aminmax()
+    distance = near + (far - near) * (depth - low) / (high - low)
+    return _square(image, size, batch), _square(distance, size, batch)
+
+
+def _square(picture: Tensor, size: int, batch: int) -> Tensor:
+    """Tiled with its mirror images, so that no tile ends in an edge."""
+    tiles = -(-size // 500)
+    row = torch.cat([picture, picture.flip(-1)] * tiles, -1)
+    sheet = torch.cat([row, row.flip(-2)] * tiles, -2)
+    return sheet[..., :size, :size].repeat(batch, 1, 1, 1).contiguous()

@@ -1,8 +1,9 @@
 """The model with one part done the usual way, for `benchmarks.stability`, and the published recipe.
 
-All other parts of a method are done with care, so that a column of the matrix shows what that one part does: open
-water is 1e9 m away (but for bins and tents, whose range ends at the farthest pixel that is not), the veil is −expm1,
-widths have a floor, blurs come from a planned stack, edges are mirrored.
+All other parts of a method are done with care, so that a column of the matrix shows what that one
+part does: open water is 1e9 m away (but for bins and tents, whose range ends at the farthest pixel
+that is not), the veil is −expm1, widths have a floor, blurs come from a planned stack, edges are
+mirrored.
 """
 
 import math
@@ -14,8 +15,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from benchmarks import baselines
-from benchmarks.baselines import BINS
+from benchmarks import published as recipe
 from benchmarks.conditions import FARTHEST, Case, Method, sampled_parameter, spread
 from uwaug.blur.plan import plan_blur
 from uwaug.blur.stack import mixed, node_weights
@@ -38,9 +38,8 @@ def _model(
 ) -> Tensor:
     raw, farthest = case.distance, min(FARTHEST, torch.finfo(case.distance.dtype).max)
     z = (raw if mean_attenuation else raw.clamp(max=farthest)) * case.field
-    beta, G, veil, light, b_mean = (
-        spread(v) for v in _coefficients(case, 0.0 if plain_veil else 1e-6)
-    )
+    least = 0.0 if plain_veil else 1e-6
+    beta, G, veil, light, b_mean = map(spread, _coefficients(case, least))
     image = case.image
     if case.srgb:
         image = _decode(image) if plain_powers else kornia.color.rgb_to_linear_rgb(image)
@@ -58,8 +57,8 @@ def _model(
     sigma = spread(case.scale) * length ** spread(case.exponent)
     shown = (light * signal.detach() > 1e-4).any(1, keepdim=True)
     scattered = (blur or _stack)(image, sigma, shown)
-    backscatter = veil * (1 - torch.exp(-G * z) if plain_veil else -torch.expm1(-G * z))
-    total = light * direct * image + light * share * scattered + backscatter
+    risen = 1 - torch.exp(-G * z) if plain_veil else -torch.expm1(-G * z)
+    total = light * direct * image + light * share * scattered + veil * risen
     if case.srgb:
         total = _encode(total) if plain_powers else kornia.color.linear_rgb_to_rgb(total)
     return total
@@ -103,14 +102,15 @@ def _gaussian(
             padded = image[..., torch.minimum(index, 2 * w - 1 - index)]
         else:
             padded = F.pad(image, (radius, radius, 0, 0), mode=border)
-        image = (
-            F.conv1d(padded.reshape(b * c * h, 1, -1), kernel.view(1, 1, -1)).reshape(b, c, h, w).mT
-        )
+        lines = F.conv1d(padded.reshape(b * c * h, 1, -1), kernel.view(1, 1, -1))
+        image = lines.reshape(b, c, h, w).mT
     return image
 
 
 def _stack(image: Tensor, sigma: Tensor, shown: Tensor, gaussian: Gaussian = _gaussian) -> Tensor:
-    """As uwaug does it, but the blurs themselves; planned for the widths of pixels whose light arrives."""
+    """As uwaug does it, but the blurs themselves; planned for the widths of pixels whose light
+    arrives.
+    """
     if not image.numel():
         return image
     sigma = sigma.float().abs().nan_to_num(0.0).clamp(max=1e6)
@@ -122,19 +122,24 @@ def _stack(image: Tensor, sigma: Tensor, shown: Tensor, gaussian: Gaussian = _ga
 
 
 def _hard_bins(image: Tensor, sigma: Tensor, shown: Tensor) -> Tensor:
-    edges, out = torch.linspace(0, float(sigma.max()), BINS + 1).tolist(), torch.zeros_like(image)
-    for k in range(BINS):
-        inside = (sigma >= edges[k]) & ((sigma < edges[k + 1]) if k < BINS - 1 else True)
+    edges, out = (
+        torch.linspace(0, float(sigma.max()), recipe.BINS + 1).tolist(),
+        torch.zeros_like(image),
+    )
+    for k in range(recipe.BINS):
+        inside = sigma >= edges[k]
+        if k < recipe.BINS - 1:
+            inside &= sigma < edges[k + 1]
         out = out + _gaussian(image, (edges[k] + edges[k + 1]) / 2) * inside
     return out
 
 
 def _tent(image: Tensor, sigma: Tensor, shown: Tensor) -> Tensor:
     """Linear in σ between the edges of the bins."""
-    step, out = max(float(sigma.max()) / BINS, 1e-9), torch.zeros_like(image)
-    lower = (sigma.detach() / step).floor().clamp(max=BINS - 1)
+    step, out = max(float(sigma.max()) / recipe.BINS, 1e-9), torch.zeros_like(image)
+    lower = (sigma.detach() / step).floor().clamp(max=recipe.BINS - 1)
     part = sigma / step - lower
-    for k in range(BINS + 1):
+    for k in range(recipe.BINS + 1):
         weight = (1 - part) * (lower == k) + part * (lower == k - 1)
         out = out + weight * (_gaussian(image, k * step) if k else image)
     return out
@@ -150,28 +155,32 @@ def _sampled(image: Tensor, sigma: Tensor, shown: Tensor) -> Tensor:
 
 
 def published(case: Case) -> Tensor:
-    """The recipe takes one float32 picture at a time, as an array, and σ ∝ z: no gradients, formats, layouts."""
-    no_array = (
-        case.autocast or case.layout or case.repeat or case.alone or case.image.dtype.itemsize < 4
-    )
+    """The recipe takes one float32 picture at a time, as an array, and σ ∝ z: no gradients,
+    formats, layouts.
+    """
+    small = case.image.dtype.itemsize < 4
+    no_array = case.autocast or case.layout or case.repeat or case.alone or small
     if no_array or case.srgb or not len(case.image) or bool((case.exponent != 1).any()):
         raise NotApplicableError
     out = []
-    for i in range(len(case.image)):
-        picture, z, field = (
-            v[i].detach().float().numpy() for v in (case.image, case.distance, case.field)
-        )
-        beta, G, veil, light, b_mean = (
-            (v[i] if v.ndim == n else v).detach().float().numpy()
-            for v, n in zip(_coefficients(case, 0.0), (2, 2, 2, 2, 1), strict=True)
-        )
-        scale = float(case.scale.reshape(-1)[i % case.scale.numel()])
-        result = baselines.published(
-            np.ascontiguousarray(picture.transpose(1, 2, 0)), z[0], field[0], response=np.eye(3, dtype=np.float32),
-            beta=beta, G=G, light=light, light_rgb=light, veil=veil, phi=scale * float(b_mean),
-        )  # fmt: skip
+    for i, picture in enumerate(case.image):
+        bands, (z, field) = _bands(case, i), (_array(v[i, 0]) for v in (case.distance, case.field))
+        result = recipe.published(_array(picture.permute(1, 2, 0)), z, field, bands)
         out.append(torch.from_numpy(result).permute(2, 0, 1))
     return torch.stack(out)
+
+
+def _bands(case: Case, i: int) -> recipe.Bands:
+    """Three bands, each seen by one channel: those of picture `i`."""
+    *rates, b_mean = _coefficients(case, 0.0)
+    beta, G, veil, light = (_array(v[i] if v.ndim == 2 else v) for v in rates)
+    scale = float(case.scale.reshape(-1)[i % case.scale.numel()])
+    phi = scale * float(b_mean[i] if b_mean.ndim == 1 else b_mean)
+    return recipe.Bands(beta, G, veil, light, np.eye(3, dtype=np.float32), phi)
+
+
+def _array(x: Tensor) -> recipe.Array:
+    return np.ascontiguousarray(x.detach().float().numpy())
 
 
 METHODS: dict[str, Method] = {

@@ -1,10 +1,13 @@
-"""ONNX Runtime against eager and compiled eager: one and two threads, 256² and 512², one image and eight.
+"""ONNX Runtime against eager and compiled eager: one and two threads, 256² and 512², one image and
+eight.
 
-`python -m benchmarks.runtime` writes results/runtime.json and prints the table. All have the plan of the same module;
-the file's covers short sides of 32 to 1024 px, so that it may hold a blur more than eager needs for one size.
+`python -m benchmarks.runtime` writes results/runtime.json and prints the table. All have the plan
+of the same module; the file's covers short sides of 32 to 1024 px, so that it may hold a blur more
+than eager needs for one size.
 """
 
 import tempfile
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -13,76 +16,58 @@ import torch
 
 import uwaug
 from benchmarks.harness import command, race, save, scene, use_threads
-from uwaug.onnx import OnnxUnderwater, _session, check_onnx, export_onnx, read_metadata
+from uwaug.onnx import OnnxUnderwater, check_onnx, export_onnx, read_metadata
 
 OURS, WHOLE = "ONNX Runtime", "ONNX Runtime, batch at once"
 
 
 def speed(
-    degrade: uwaug.Underwater,
-    path: Path,
-    threads: int,
-    sizes: tuple[int, ...],
-    batches: tuple[int, ...],
-    rounds: int,
-    compiled: bool,
-) -> list[dict[str, Any]]:
+    degrade: uwaug.Underwater, path: Path, threads: int, size: int, batch: int, quick: bool
+) -> dict[str, Any]:
     """Whole model in milliseconds per call, float32, without field."""
     use_threads(threads)
-    run, session = OnnxUnderwater(path, threads), _session(path, threads)
-    rows = []
-    for size in sizes:
-        for batch in batches:
-            image, distance = scene(size, batch)
-            feed = {"image": image.numpy(), "distance": distance.numpy()}
-            runners = {
-                OURS: lambda: run(image, distance),
-                **({WHOLE: lambda: session.run(None, feed)} if batch > 1 else {}),
-                "eager": lambda: degrade(image, distance),
-            }
-            if compiled:
-                torch.compiler.reset()
-                fast = torch.compile(degrade, fullgraph=True, dynamic=False)
-                runners["compiled"] = lambda: fast(image, distance)
-            with torch.no_grad():
-                result = race(runners, rounds)
-            ratio = result[OURS]["median_ms"] / result["eager"]["median_ms"]
-            rows.append(
-                {"threads": threads, "size": size, "batch": batch, "ms": result, "of_eager": ratio}
-            )
-            print(
-                f"{threads} thread(s) {size}² × {batch}: {ratio:.2f} of eager; "
-                + ", ".join(f"{name} {r['median_ms']:.2f} ms" for name, r in result.items()),
-                flush=True,
-            )
-    return rows
+    image, distance = scene(size, batch)
+    run = OnnxUnderwater(path, threads)
+    runners: dict[str, Callable[[], object]] = {OURS: lambda: run(image, distance)}
+    if batch > 1:
+        inputs = {"image": image, "distance": distance}
+        runners[WHOLE] = lambda: run.session(inputs)
+    runners["eager"] = lambda: degrade(image, distance)
+    if not quick:
+        torch.compiler.reset()
+        fast = torch.compile(degrade, fullgraph=True, dynamic=False)
+        runners["compiled"] = lambda: fast(image, distance)
+    with torch.no_grad():
+        times = race(runners, 3 if quick else 15)
+    ratio = times[OURS]["median_ms"] / times["eager"]["median_ms"]
+    said = ", ".join(f"{name} {taken['median_ms']:.2f} ms" for name, taken in times.items())
+    print(f"{threads} thread(s) {size}² × {batch}: {ratio:.2f} of eager; {said}", flush=True)
+    return {"threads": threads, "size": size, "batch": batch, "ms": times, "of_eager": ratio}
 
 
 def main(quick: bool = False) -> None:
     """Export the survey preset, check the file, race it; save the figures."""
     degrade = uwaug.load_preset("survey", water="7C").module()
-    sizes, batches, rounds = ((256,), (1,), 3) if quick else ((256, 512), (1, 8), 15)
+    sizes, batches = ((256,), (1,)) if quick else ((256, 512), (1, 8))
     with tempfile.TemporaryDirectory() as folder:
         path = export_onnx(degrade, Path(folder) / "7C.onnx")
+        size = path.stat().st_size
         report = check_onnx(path, degrade)
-        print(
-            f"{path.stat().st_size} bytes, {report.cases} cases, largest difference {report.worst:.2g}",
-            flush=True,
-        )
-        results = {
-            "onnxruntime": version("onnxruntime"),
-            "plan": {
-                "file": read_metadata(path)["uwaug_plan"],
-                "eager, 512 px": str(degrade.plan((512, 512))),
-            },
-            "bytes": path.stat().st_size,
-            "difference": {"cases": report.cases, "worst": report.worst, "where": report.where},
-            "speed": [
-                row
-                for threads in (1, 2)
-                for row in speed(degrade, path, threads, sizes, batches, rounds, compiled=not quick)
-            ],
-        }
+        found = f"{report.cases} cases, largest difference {report.worst:.2g}"
+        print(f"{size} bytes, {found}", flush=True)
+        plan = read_metadata(path)["uwaug_plan"]
+        rows = []
+        for threads in (1, 2):
+            for side in sizes:
+                for batch in batches:
+                    rows.append(speed(degrade, path, threads, side, batch, quick))
+    results = {
+        "onnxruntime": version("onnxruntime"),
+        "plan": {"file": plan, "eager, 512 px": str(degrade.plan((512, 512)))},
+        "bytes": size,
+        "difference": {"cases": report.cases, "worst": report.worst, "where": report.where},
+        "speed": rows,
+    }
     if not quick:
         print(save("runtime", results))
 

@@ -1,15 +1,16 @@
-"""Pictures per second from DataLoaders: `RandomUnderwater` against nothing, torchvision and the published recipe.
+"""Pictures per second from DataLoaders: `RandomUnderwater` against nothing, torchvision and the
+published recipe.
 
 `python -m benchmarks.throughput` writes results/throughput.json and prints the table.
 """
 
+import contextlib
 import json
 import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import torch
@@ -17,22 +18,43 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, Sampler
 
 import uwaug
-from benchmarks import baselines
-from benchmarks.harness import command, race, save, scene, use_threads
-from uwaug import transforms
+from benchmarks import published
+from benchmarks.harness import command, printed, race, save, scene, use_threads
+from uwaug import degrade, transforms
 
 BATCH = 4
 EVERYTHING = {
-    "mixing": (0.0, 1.0), "visibility": (2.0, 10.0), "vertical_depth": (0.5, 5.0), "g": (0.1, 0.3), "mu": (0.2, 0.4),
+    "mixing": (0.0, 1.0),
+    "visibility": (2.0, 10.0),
+    "vertical_depth": (0.5, 5.0),
+    "g": (0.1, 0.3),
+    "mu": (0.2, 0.4),
     "blur_factor": (0.5, 2.0),
-}  # fmt: skip
+}
 OURS: dict[str, dict[str, Any]] = {
     "uwaug, survey": {},
-    "uwaug, survey in linear light": {"color_space": "linear"},  # as the published recipe has it
+    # as the published recipe has it
+    "uwaug, survey in linear light": {"color_space": "linear"},
     "uwaug, everything random": EVERYTHING,
 }
 PUBLISHED = "published, OpenCV"
 TORCHVISION = "torchvision blur + jitter"
+# the parts of a picture's time, and what is timed for each
+PARTS: dict[str, tuple[tuple[Any, str], ...]] = {
+    "all": ((transforms.RandomUnderwater, "forward"),),
+    "draw": ((transforms.RandomUnderwater, "make_params"),),
+    "checks": (
+        (transforms, "plain_image"),
+        (transforms, "maps_for"),
+        (degrade, "prepare"),
+    ),
+    "decode": ((degrade, "to_light"),),
+    "distance": ((degrade, "_metres"),),
+    "medium": ((degrade, "_medium"),),
+    "field": ((degrade, "gaussian_random_field"),),
+    "image": ((degrade, "plan_at_hand"), (degrade, "form")),
+    "encode": ((degrade, "from_light"),),
+}
 Augment = Callable[[Tensor, Tensor], Tensor]
 
 
@@ -40,45 +62,14 @@ class Published:
     """The published recipe with a water and a field of its own for each picture."""
 
     def __init__(self) -> None:
-        response = uwaug.load_camera("Nikon 5100 (NPL)")
-        rgb = [4, 3, 1]  # 600, 550, 450 nm
-        self.bands = []
-        for name in uwaug.JERLOV_TYPES[1:]:
-            water = uwaug.Water.jerlov(name).at(np.arange(400, 701, 50))
-            a, b, kd = (v.astype(np.float32) for v in (water.a, water.b, water.kd))
-            light, G = np.exp(-kd), a + np.float32(0.2) * b
-            self.bands.append(
-                {
-                    "response": response.weights(water.wavelengths).astype(np.float32),
-                    "beta": a + b,
-                    "G": G,
-                    "light": light,
-                    "light_rgb": light[rgb],
-                    "veil": np.float32(0.3) * b * light / G,
-                    "phi": 0.3 * float(b.mean()),
-                }
-            )
-        self.amplitudes: dict[tuple[int, int], np.ndarray] = {}
-
-    def field(self, height: int, width: int, rng: np.random.Generator) -> np.ndarray:
-        """Periodic Gaussian random field of the picture's size, scaled to 0.7…1.3 and divided by its mean."""
-        if (height, width) not in self.amplitudes:
-            k = np.hypot(np.fft.fftfreq(height)[:, None], np.fft.rfftfreq(width))
-            k[0, 0] = np.inf
-            self.amplitudes[height, width] = (k**-2).astype(np.float32)
-        noise = rng.standard_normal((height, width), dtype=np.float32)
-        field = np.fft.irfft2(
-            np.fft.rfft2(noise) * self.amplitudes[height, width], s=(height, width)
-        )
-        field = 0.7 + 0.6 * (field - field.min()) / (field.max() - field.min())
-        return (field / field.mean()).astype(np.float32, copy=False)
+        self.bands = [published.bands(name) for name in uwaug.JERLOV_TYPES[1:]]
 
     def __call__(self, image: Tensor, distance: Tensor) -> Tensor:
         """Degrade a picture; sRGB values are taken for light."""
         rng = np.random.default_rng(int(torch.randint(2**32, ())))
         bands = self.bands[rng.integers(len(self.bands))]
         picture, z = image.permute(1, 2, 0).contiguous().numpy(), distance[0].numpy()
-        result = baselines.published(picture, z, self.field(*z.shape, rng), **bands)
+        result = published.published(picture, z, published.field(*z.shape, rng), bands)
         return torch.from_numpy(result).permute(2, 0, 1).contiguous()
 
 
@@ -98,13 +89,12 @@ def _torchvision() -> Augment | None:
         from torchvision.transforms import v2
     except ImportError:
         return None
-    except RuntimeError:  # built for another torch: its Python part misses two operators, which augmentation does not use
-        torch.library.define(
-            "torchvision::nms", "(Tensor dets, Tensor scores, float iou_threshold) -> Tensor"
-        )
-        torch.library.define(
-            "torchvision::qnms", "(Tensor dets, Tensor scores, float iou_threshold) -> Tensor"
-        )
+    except RuntimeError:
+        # built for another torch: its Python part misses two operators, which augmentation does
+        # not use
+        boxes = "(Tensor dets, Tensor scores, float iou_threshold) -> Tensor"
+        torch.library.define("torchvision::nms", boxes)
+        torch.library.define("torchvision::qnms", boxes)
         from torchvision.transforms import v2
     # as in contrastive learning
     both = v2.Compose([v2.GaussianBlur(23, (0.1, 2.0)), v2.ColorJitter(0.4, 0.4, 0.4, 0.1)])
@@ -115,10 +105,11 @@ class Pictures(Dataset[Tensor]):
     """A picture in memory, a distance map, and what is done to them."""
 
     def __init__(self, size: int, augment: Augment) -> None:
-        self.pair, self.augment = tuple(t[0] for t in scene(size)), augment
+        image, distance = scene(size)
+        self.image, self.distance, self.augment = image[0], distance[0], augment
 
     def __getitem__(self, index: int) -> Tensor:
-        return self.augment(*self.pair)
+        return self.augment(self.image, self.distance)
 
 
 class First(Sampler[int]):
@@ -136,75 +127,108 @@ class First(Sampler[int]):
         return iter(range(self.count))
 
 
-def _start(worker: int) -> None:
-    use_threads(1)
+class Contestant:
+    """An augmentation in a loader with workers of its own that live through the whole race."""
 
-
-def rates(size: int, workers: int, rounds: int, seconds: float) -> dict[str, Any]:
-    """Pictures per second of every contestant, each with workers of its own that live through the whole race."""
-    contestants: dict[str, Augment | None] = {
-        "none": lambda image, distance: image,
-        **{name: Ours(**options) for name, options in OURS.items()},
-        TORCHVISION: _torchvision(),
-        PUBLISHED: Published(),
-    }
-    runners, counts = {}, {}
-    for name, augment in contestants.items():
-        if augment is None:
-            continue
-        sampler = First()
-        loader = DataLoader(
+    def __init__(self, augment: Augment, size: int, workers: int) -> None:
+        self.sampler = First()
+        self.share = workers * BATCH
+        self.loader = DataLoader(
             Pictures(size, augment),
             BATCH,
-            sampler=sampler,
+            sampler=self.sampler,
             num_workers=workers,
             persistent_workers=True,
             worker_init_fn=_start,
             multiprocessing_context="fork",
         )
 
-        def run(loader: DataLoader[Tensor] = loader) -> None:
-            for _ in loader:
-                pass
+    def run(self) -> None:
+        """One epoch."""
+        for _ in self.loader:
+            pass
 
-        # the steady state: plans, matrices and media that each worker makes at its first pictures are not in the race
-        sampler.count = workers * (16 if name == PUBLISHED else 80)
-        run()
+    def settle(self, pictures: int, seconds: float) -> None:
+        """Run to the steady state, and choose epochs of so many seconds.
+
+        Plans, matrices and media that each worker makes at its first pictures are not in the race.
+        """
+        self.sampler.count = pictures
+        self.run()
         began = time.perf_counter()
-        sampler.count = 2 * workers * BATCH
-        run()
-        rate = sampler.count / (time.perf_counter() - began)
-        share = workers * BATCH
-        sampler.count = counts[name] = share * min(max(round(seconds * rate / share), 2), 64)
-        runners[name] = run
-    result = race(runners, rounds, seconds=120)
-    per_second = {
-        name: {
-            "median": 1e3 * counts[name] / t["median_ms"],
-            "q1": 1e3 * counts[name] / t["q3_ms"],
-            "q3": 1e3 * counts[name] / t["q1_ms"],
-            "rounds": t["rounds"],
-            "pictures_per_round": counts[name],
+        self.sampler.count = 2 * self.share
+        self.run()
+        rate = self.sampler.count / (time.perf_counter() - began)
+        self.sampler.count = self.share * min(max(round(seconds * rate / self.share), 2), 64)
+
+    def rates(self, times: dict[str, float]) -> dict[str, float]:
+        """Pictures per second."""
+        count = self.sampler.count
+        return {
+            "median": 1e3 * count / times["median_ms"],
+            "q1": 1e3 * count / times["q3_ms"],
+            "q3": 1e3 * count / times["q1_ms"],
+            "rounds": times["rounds"],
+            "pictures_per_round": count,
         }
-        for name, t in result.items()
+
+
+def _start(worker: int) -> None:
+    use_threads(1)
+
+
+def rates(size: int, workers: int, rounds: int, seconds: float) -> dict[str, Any]:
+    """Pictures per second of every contestant."""
+    augments: dict[str, Augment | None] = {
+        "none": lambda image, distance: image,
+        **{name: Ours(**options) for name, options in OURS.items()},
+        TORCHVISION: _torchvision(),
+        PUBLISHED: Published(),
     }
-    ratios = {name: per_second[name]["median"] / per_second[PUBLISHED]["median"] for name in OURS}
-    skipped = [name for name, augment in contestants.items() if augment is None]
-    print(
-        f"{size}², {workers} worker{'s'[: workers - 1]}: "
-        + ", ".join(f"{name} {v['median']:.0f}/s" for name, v in per_second.items())
-        + "; "
-        + ", ".join(f"{name} {ratio:.1f} × published" for name, ratio in ratios.items())
-        + (f"; skipped: {', '.join(skipped)} (not installed)" if skipped else ""),
-        flush=True,
-    )
+    skipped = [name for name, augment in augments.items() if augment is None]
+    contestants: dict[str, Contestant] = {}
+    for name, augment in augments.items():
+        if augment is not None:
+            contestant = contestants[name] = Contestant(augment, size, workers)
+            contestant.settle(workers * (16 if name == PUBLISHED else 80), seconds)
+    runners = {name: contestant.run for name, contestant in contestants.items()}
+    times = race(runners, rounds, seconds=120)
+    found = {name: contestants[name].rates(taken) for name, taken in times.items()}
+    ratios = {name: found[name]["median"] / found[PUBLISHED]["median"] for name in OURS}
+    said = [f"{name} {values['median']:.0f}/s" for name, values in found.items()]
+    against = [f"{name} {ratio:.1f} × published" for name, ratio in ratios.items()]
+    left_out = f"; skipped: {', '.join(skipped)} (not installed)" if skipped else ""
+    which = f"{size}², {workers} worker{'s' * (workers > 1)}"
+    print(f"{which}: {', '.join(said)}; {', '.join(against)}{left_out}", flush=True)
     return {
         "size": size,
         "workers": workers,
-        "pictures_per_s": per_second,
+        "pictures_per_s": found,
         "times_published": ratios,
         "skipped": skipped,
     }
+
+
+@contextlib.contextmanager
+def timed() -> Iterator[dict[str, float]]:
+    """Seconds that each of `PARTS` takes meanwhile; a part that is not called is not in it."""
+    spent: dict[str, float] = {}
+
+    def watched(part: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*args: Any, **kwargs: Any) -> Any:
+            began = time.perf_counter()
+            result = function(*args, **kwargs)
+            spent[part] = spent.get(part, 0.0) + time.perf_counter() - began
+            return result
+
+        return call
+
+    with contextlib.ExitStack() as patches:
+        for part, places in PARTS.items():
+            for owner, name in places:
+                function = watched(part, getattr(owner, name))
+                patches.enter_context(mock.patch.object(owner, name, function))
+        yield spent
 
 
 def shares(size: int, pictures: int) -> dict[str, Any]:
@@ -214,67 +238,31 @@ def shares(size: int, pictures: int) -> dict[str, Any]:
     rows = {}
     for name, options in OURS.items():
         augment = uwaug.RandomUnderwater(**options)
-        spent: dict[str, float] = {}
-
-        def timed(
-            part: str, function: Callable[..., Any], spent: dict[str, float] = spent
-        ) -> Callable[..., Any]:
-            def call(*args: Any, **kwargs: Any) -> Any:
-                began = time.perf_counter()
-                result = function(*args, **kwargs)
-                spent[part] = spent.get(part, 0.0) + time.perf_counter() - began
-                return result
-
-            return call
-
-        parts = {
-            "medium": "_medium",
-            "field": "gaussian_random_field",
-            "distance": "_metres",
-            "image": "form",
-        }
-        parts |= {"decode": "srgb_to_linear", "encode": "linear_to_srgb", "checks": "check"}
-        originals = {attribute: getattr(transforms, attribute) for attribute in parts.values()}
         for _ in range(40):
             augment(image, distance)
-        try:
-            for part, attribute in parts.items():
-                setattr(transforms, attribute, timed(part, originals[attribute]))
-            augment.make_params = timed("draw", augment.make_params)  # type: ignore[method-assign]
-            whole = timed("all", augment)
+        with timed() as spent:
             for _ in range(pictures):
-                whole(image, distance)
-        finally:
-            for attribute, original in originals.items():
-                setattr(transforms, attribute, original)
-        row: dict[str, Any] = {
-            part: 1e3 * value / pictures for part, value in sorted(spent.items())
-        }
-        row["draw and medium, share of all"] = (row["draw"] + row["medium"]) / row["all"]
-        rows[name] = row
-        print(
-            f"{size}², {name}: "
-            + ", ".join(f"{k} {v:.2f}" for k, v in row.items() if k in ("all", "draw", *parts))
-            + f" ms; draw and medium are {100 * row['draw and medium, share of all']:.0f} %",
-            flush=True,
-        )
+                augment(image, distance)
+        row = {part: 1e3 * seconds / pictures for part, seconds in sorted(spent.items())}
+        said = ", ".join(f"{part} {value:.2f}" for part, value in row.items())
+        share = (row["draw"] + row["medium"]) / row["all"]
+        rows[name] = {**row, "draw and medium, share of all": share}
+        print(f"{size}², {name}: {said} ms; draw and medium are {100 * share:.0f} %", flush=True)
     return {"size": size, "ms_per_picture": rows}
 
 
 def first_pictures(size: int, count: int = 20) -> dict[str, Any]:
-    """What a fresh worker's first pictures cost, before plans, matrices and media are there to be shared."""
+    """What a fresh worker's first pictures cost, before plans, matrices and media are there to be
+    shared.
+    """
     rows = {}
     for name in OURS:
-        code = f"from benchmarks.throughput import _first; _first({size}, {name!r}, {count})"
-        done = subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, check=True
-        )
-        rows[name] = json.loads(done.stdout)
-        print(
-            f"{size}², {name}: first picture {rows[name]['first']:.0f} ms, first {count} {rows[name]['sum']:.0f} ms, "
-            f"any later {count} {rows[name]['later']:.0f} ms",
-            flush=True,
-        )
+        call = f"_first({size}, {name!r}, {count})"
+        row = json.loads(printed(f"from benchmarks.throughput import _first; {call}"))
+        first, later = f"first {count} {row['sum']:.0f} ms", f"any later {count}"
+        one = f"first picture {row['first']:.0f} ms"
+        print(f"{size}², {name}: {one}, {first}, {later} {row['later']:.0f} ms", flush=True)
+        rows[name] = row
     return {"size": size, "count": count, "ms": rows}
 
 
@@ -296,10 +284,12 @@ def main(quick: bool = False) -> None:
     """Run all parts and save the figures."""
     sizes, rounds, seconds = ((256,), 2, 0.2) if quick else ((224, 256, 512), 7, 0.4)
     os.environ["OMP_NUM_THREADS"] = "1"  # of the processes that are started here
+    throughput = []
+    for size in sizes:
+        for workers in (1, 2):
+            throughput.append(rates(size, workers, rounds, seconds))
     results = {
-        "throughput": [
-            rates(size, workers, rounds, seconds) for size in sizes for workers in (1, 2)
-        ],
+        "throughput": throughput,
         "parts": [shares(size, 20 if quick else 200) for size in sizes],
         "first": [first_pictures(size) for size in sizes],
     }

@@ -1,8 +1,9 @@
 """A Monte Carlo random walk of light through water, and what it says of direct and scattered light.
 
-Light is traced backwards: a photon leaves the camera along z through endless homogeneous water, is scattered by the
-phase function, and ends where it first meets the endless plane at b·z scattering lengths, which emits the same
-radiance in all directions. Absorption is a weight e^(−aL) of the path L, so one walk serves every a/b.
+Light is traced backwards: a photon leaves the camera along z through endless homogeneous water, is
+scattered by the phase function, and ends where it first meets the endless plane at b·z scattering
+lengths, which emits the same radiance in all directions. Absorption is a weight e^(−aL) of the path
+L, so one walk serves every a/b.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,10 +17,10 @@ from scipy.special import j0
 LENGTHS = (0.1, 0.2, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0)  # b·z
 ABSORPTION = (1.0, 0.4, 0.1)  # a/b: clear, coastal, turbid
 SIZE, FOCAL = 512, 0.866 * 512  # px: a square picture of 60°
-FREQUENCIES = np.geomspace(
-    FOCAL / SIZE, FOCAL / 2, 64
-)  # cycles per unit tangent; equal steps of log f: equal power
+# cycles per unit tangent; equal steps of log f: equal power
+FREQUENCIES = np.geomspace(FOCAL / SIZE, FOCAL / 2, 64)
 EDGES = np.concatenate([[0.0], np.geomspace(1e-5, 1e3, 641)])  # of the histogram of tangents
+TOGETHER = 20_000  # photons that walk at once
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 Sampler = Callable[[Array], tuple[Array, Array]]
@@ -57,24 +58,22 @@ def henyey_greenstein(asymmetry: float) -> PhaseFunction:
 
 
 def petzold(station: str) -> PhaseFunction:
-    """Petzold (1972) as measured, log-log between angles; below 0.1° the power law of the first two angles, on which
-    the report's own share of the light there rests.
+    """Petzold (1972) as measured, log-log between angles; below 0.1° the power law of the first two
+    angles, on which the report's own share of the light there rests.
     """
     measured = jerlov.petzold_scattering(station)
     known = np.log(np.radians(measured.angles_deg))
     grid = np.linspace(np.log(1e-10), np.log(np.pi), 20_001)
     logs = np.log(measured.vsf)
     slope = (logs[1] - logs[0]) / (known[1] - known[0])
-    vsf = np.exp(
-        np.where(grid < known[0], logs[0] + slope * (grid - known[0]), np.interp(grid, known, logs))
-    )
+    below = logs[0] + slope * (grid - known[0])
+    vsf = np.exp(np.where(grid < known[0], below, np.interp(grid, known, logs)))
     ring = 2 * np.pi * vsf * np.sin(np.exp(grid)) * np.exp(grid)  # per unit of log θ
     share = np.concatenate([[0.0], np.cumsum((ring[1:] + ring[:-1]) / 2 * np.diff(grid))])
-    if abs(share[-1] / measured.b - 1) > 0.03:
-        raise ValueError(
-            f"the angles of {station} hold {share[-1]:.4f}/m of b = {measured.b:.4f}/m"
-        )
-    share /= share[-1]
+    held = share[-1]
+    if abs(held / measured.b - 1) > 0.03:
+        raise ValueError(f"the angles of {station} hold {held:.4f}/m of b = {measured.b:.4f}/m")
+    share /= held
 
     def sample(u: Array) -> tuple[Array, Array]:
         angle = np.exp(np.interp(u, share, grid))
@@ -85,8 +84,12 @@ def petzold(station: str) -> PhaseFunction:
 
 @dataclass(frozen=True)
 class Landings:
-    """Scattered light that reached the plane at `lengths` = b·z: tangent of the angle under which the camera would see
-    each landing point, path in scattering lengths, and weight; the weights of all photons sent sum to 1 − e^(−b·z).
+    """Scattered light that reached the plane at `lengths` = b·z.
+
+    Attributes:
+        tangent: of the angle under which the camera would see each landing point.
+        path: in scattering lengths.
+        weight: those of all photons sent sum to 1 − e^(−b·z).
     """
 
     lengths: float
@@ -98,9 +101,9 @@ class Landings:
 def walk(sample: Sampler, lengths: float, photons: int = 100_000, seed: int = 0) -> Landings:
     """Send photons, each made to scatter before the plane (what does not is e^(−cz) exactly)."""
     rng = np.random.default_rng(seed)
-    parts = [
-        _walk(sample, lengths, min(20_000, photons - n), rng) for n in range(0, photons, 20_000)
-    ]
+    parts = []
+    for sent in range(0, photons, TOGETHER):
+        parts.append(_walk(sample, lengths, min(TOGETHER, photons - sent), rng))
     tangent, path, weight = (np.concatenate(column) for column in zip(*parts, strict=True))
     return Landings(lengths, tangent, path, weight * -np.expm1(-lengths) / photons)
 
@@ -108,6 +111,8 @@ def walk(sample: Sampler, lengths: float, photons: int = 100_000, seed: int = 0)
 def _walk(
     sample: Sampler, lengths: float, n: int, rng: np.random.Generator
 ) -> tuple[Array, Array, Array]:
+    """Tangent, path and weight of every landing."""
+
     def strata() -> Array:
         numbers: Array = (rng.permutation(n) + rng.random(n)) / n
         return numbers
@@ -136,7 +141,9 @@ def _walk(
 
 
 def _turn(to: Array, cosine: Array, sine: Array, azimuth: Array) -> Array:
-    """Unit vectors (3, N) turned by an angle; the basis of Duff et al. (2017) is smooth about the z axis."""
+    """Unit vectors (3, N) turned by an angle; the basis of Duff et al. (2017) is smooth about the z
+    axis.
+    """
     x, y, z = to
     sign = np.copysign(1.0, z)
     q = -1 / (sign + z)
@@ -151,8 +158,14 @@ def _turn(to: Array, cosine: Array, sine: Array, azimuth: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """Light from the plane in a water of absorption a/b: direct and forward share, transfer function of the scattered
-    light at `FREQUENCIES`, its share within each of `EDGES`[1:], and figures to print.
+    """Light from the plane in a water of absorption a/b.
+
+    Attributes:
+        lengths, absorption: b·z, a/b.
+        direct, forward: shares of the light.
+        transfer: function of the scattered light at `FREQUENCIES`.
+        encircled: share of the scattered light within each of `EDGES`[1:].
+        figures: to print.
     """
 
     lengths: float
@@ -167,32 +180,31 @@ class Spread:
 def spread(landings: Landings, absorption: float) -> Spread:
     """Weigh a walk with absorption a/b.
 
-    Figures: shares D, F; g from D + F = e^(−(a + g b) z), of an endless plane and of a disc of 10° and 3° radius;
-    quantiles of the tangent; root mean square tangent within 45°; mean and deviation of its logarithm.
+    Figures: shares D, F; g from D + F = e^(−(a + g b) z), of an endless plane and of a disc of 10°
+    and 3° radius; quantiles of the tangent; root mean square tangent within 45°; mean and deviation
+    of its logarithm.
     """
     lengths, tangent = landings.lengths, landings.tangent
     weight = landings.weight * np.exp(-absorption * landings.path)
     direct, forward = float(np.exp(-(1 + absorption) * lengths)), float(weight.sum())
-    order = np.argsort(tangent)
-    share = np.cumsum(weight[order]) / forward
-    quantiles = np.interp((0.1, 0.25, 0.5, 0.75, 0.9), share, tangent[order])
-    near = tangent < 1
-    logs = np.log(np.maximum(tangent, 1e-9))
-    centre = float(np.average(logs, weights=weight))
 
     def g(arrived: float) -> float:
         return float(-np.log(arrived) / lengths - absorption)
 
-    figures = {
-        "D": direct,
-        "F": forward,
-        "g": g(direct + forward),
-        **{f"g_{r}deg": g(direct + weight[tangent < np.tan(np.radians(r))].sum()) for r in (10, 3)},
-        **{f"q{p}": float(q) for p, q in zip((10, 25, 50, 75, 90), quantiles, strict=True)},
-        "rms_45deg": float(np.sqrt(np.average(tangent[near] ** 2, weights=weight[near]))),
-        "log_mean": centre,
-        "log_deviation": float(np.sqrt(np.average((logs - centre) ** 2, weights=weight))),
-    }
+    figures = {"D": direct, "F": forward, "g": g(direct + forward)}
+    for degrees in (10, 3):
+        on_disc = tangent < np.tan(np.radians(degrees))
+        figures[f"g_{degrees}deg"] = g(direct + weight[on_disc].sum())
+    order = np.argsort(tangent)
+    share = np.cumsum(weight[order]) / forward
+    for percent in (10, 25, 50, 75, 90):
+        figures[f"q{percent}"] = float(np.interp(percent / 100, share, tangent[order]))
+    near = tangent < 1
+    logs = np.log(np.maximum(tangent, 1e-9))
+    centre = float(np.average(logs, weights=weight))
+    figures["rms_45deg"] = float(np.sqrt(np.average(tangent[near] ** 2, weights=weight[near])))
+    figures["log_mean"] = centre
+    figures["log_deviation"] = float(np.sqrt(np.average((logs - centre) ** 2, weights=weight)))
     mass, _ = np.histogram(tangent, EDGES, weights=weight / forward)
     transfer = j0(2 * np.pi * np.multiply.outer(FREQUENCIES, (EDGES[1:] + EDGES[:-1]) / 2)) @ mass
     return Spread(lengths, absorption, direct, forward, transfer, np.cumsum(mass), figures)
@@ -203,7 +215,12 @@ def survey(phases: Sequence[PhaseFunction], photons: int) -> dict[str, list[Spre
     result: dict[str, list[Spread]] = {}
     for phase in phases:
         walks = [walk(phase.sample, lengths, photons, seed) for seed, lengths in enumerate(LENGTHS)]
-        result[phase.name] = [
-            spread(w, absorption) for absorption in phase.absorption for w in walks
-        ]
+        found = result[phase.name] = []
+        for absorption in phase.absorption:
+            found += [spread(landings, absorption) for landings in walks]
     return result
+
+
+def chosen(spreads: Sequence[Spread], lengths: float, absorption: float) -> Spread:
+    """The one of these b·z and a/b."""
+    return next(s for s in spreads if s.lengths == lengths and s.absorption == absorption)

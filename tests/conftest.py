@@ -1,13 +1,20 @@
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 import torch
+from augmenting import OPTIONS
 from torch import Tensor
+
+import uwaug.scene
+
+pytest.register_assert_rewrite("forming")  # before a test imports it
 
 
 class Scene(NamedTuple):
-    """Middlebury's motorcycle, 500×741, with the 7 % of unknown pixels set to the farthest distance."""
+    """Middlebury's motorcycle, 500×741, with the 7 % of unknown pixels set to the farthest
+    distance.
+    """
 
     srgb: Tensor  # 3×H×W, float64
     linear: Tensor  # 3×H×W
@@ -20,11 +27,27 @@ def motorcycle() -> Scene:
 
     left, _, disparity = stereo_motorcycle()
     known = np.isfinite(disparity)
-    depth = (
-        994.978
-        * 0.193001
-        / (np.where(known, disparity, disparity[known].min()).astype(np.float64) + 31.086)
-    )
+    filled = np.where(known, disparity, disparity[known].min()).astype(np.float64)
+    depth = 994.978 * 0.193001 / (filled + 31.086)
     srgb = left.transpose(2, 0, 1) / 255
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     return Scene(*map(torch.from_numpy, (srgb, linear, depth[None])))
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> uwaug.scene.Scene:
+    """A scene of a few pixels in place of the motorcycle."""
+    generator = torch.Generator().manual_seed(0)
+    scene = uwaug.scene.Scene(
+        torch.rand(3, 20, 30, generator=generator),
+        torch.linspace(1, 4, 600).reshape(1, 20, 30),
+        focal_px=40.0,
+    )
+    monkeypatch.setattr(uwaug.scene, "motorcycle", lambda: scene)
+    return scene
+
+
+@pytest.fixture(scope="module", params=OPTIONS)
+def options(request: pytest.FixtureRequest) -> dict[str, Any]:
+    """Options of RandomUnderwater, for what has to hold with all of them."""
+    return OPTIONS[request.param]

@@ -1,4 +1,6 @@
-"""Datasets for the DataLoader tests, in a module of their own: a spawned worker imports what it is sent by name."""
+"""Datasets for the DataLoader tests, in a module of their own: a spawned worker imports what it is
+sent by name.
+"""
 
 import json
 from typing import Any
@@ -13,22 +15,22 @@ SIZE = 48
 
 
 class Crops(Dataset[tuple[Tensor, Tensor, int]]):
-    """Crops of a scene: picture (3xSxS, 0…1), distance (1xSxS, m), and whether the crop is bright."""
+    """Crops of a scene: picture (3xSxS, 0…1), distance (1xSxS, m), and whether the crop is
+    bright.
+    """
 
     def __init__(self, image: Tensor, distance: Tensor, count: int = 16) -> None:
         generator = torch.Generator().manual_seed(0)
-        corners = [
-            torch.randint(side - SIZE, (count,), generator=generator).tolist()
-            for side in image.shape[-2:]
-        ]
-        pairs = [
-            tuple(t[:, y : y + SIZE, x : x + SIZE].clone() for t in (image, distance))
-            for y, x in zip(*corners, strict=True)
-        ]
+        height, width = image.shape[-2:]
+        rows = torch.randint(height - SIZE, (count,), generator=generator).tolist()
+        columns = torch.randint(width - SIZE, (count,), generator=generator).tolist()
+        pairs = []
+        for y, x in zip(rows, columns, strict=True):
+            window = (slice(None), slice(y, y + SIZE), slice(x, x + SIZE))
+            pairs.append((image[window].clone(), distance[window].clone()))
         brightness = torch.stack([picture.mean() for picture, _ in pairs])
-        self.items = [
-            (*pair, int(b > brightness.median())) for pair, b in zip(pairs, brightness, strict=True)
-        ]
+        bright = (brightness > brightness.median()).tolist()
+        self.items = [(*pair, int(b)) for pair, b in zip(pairs, bright, strict=True)]
 
     def __len__(self) -> int:
         return len(self.items)

@@ -1,4 +1,6 @@
-"""What the package is held against: float64 NumPy and SciPy, written straight from the equations."""
+"""What the package is held against: float64 NumPy and SciPy, written straight from the
+equations.
+"""
 
 import math
 from functools import lru_cache
@@ -43,11 +45,13 @@ def spectral_curves(
 
 def medium_curves(medium: Any, z: np.ndarray, row: int = 0) -> Curves:
     """The curves of one row of a `Medium`, from its rates and weights; z = inf is the limit."""
-    rates, scatter = (r[row].detach().double().numpy() for r in (medium.beta, medium.G))
-    direct, signal, veil = (
-        w[row].detach().double().numpy()
-        for w in (medium.direct_weights, medium.signal_weights, medium.veil_weights)
-    )
+
+    def array(tensor: torch.Tensor) -> np.ndarray:
+        return tensor[row].detach().double().numpy()
+
+    rates, scatter = array(medium.beta), array(medium.G)
+    direct, signal = array(medium.direct_weights), array(medium.signal_weights)
+    veil = array(medium.veil_weights)
 
     def depth(r: np.ndarray) -> np.ndarray:
         with np.errstate(invalid="ignore"):
@@ -63,7 +67,9 @@ def medium_curves(medium: Any, z: np.ndarray, row: int = 0) -> Curves:
 
 
 def matched(sigma: float) -> float:
-    """The parameter of the sampled Gaussian whose variance is sigma²; sigma itself from .75 px on, to 1e-3."""
+    """The parameter of the sampled Gaussian whose variance is sigma²; sigma itself from .75 px on,
+    to 1e-3.
+    """
     if sigma >= 0.75 or sigma == 0:
         return sigma
     n = np.arange(-12, 13)
@@ -76,10 +82,11 @@ def matched(sigma: float) -> float:
 
 
 def gaussian_rows(centres: np.ndarray, sigma: np.ndarray, size: int) -> np.ndarray:
-    """(P, size): sampled, normalised Gaussians on an axis continued by half-sample mirror images."""
-    sigma = np.minimum(
-        sigma, 3.0 * size
-    )  # the mean by then: the lowest frequency is down to e^(−44)
+    """(P, size): sampled, normalised Gaussians on an axis continued by half-sample mirror
+    images.
+    """
+    # the mean by then: the lowest frequency is down to e^(−44)
+    sigma = np.minimum(sigma, 3.0 * size)
     reach = 9.0 * float(sigma.max(initial=0)) + 1
     turns = math.ceil(reach / (2 * size)) + 1
     sample = np.arange(size)
@@ -92,7 +99,9 @@ def gaussian_rows(centres: np.ndarray, sigma: np.ndarray, size: int) -> np.ndarr
 def varying_gaussian(
     image: np.ndarray, sigma: np.ndarray, at: np.ndarray | None = None
 ) -> np.ndarray:
-    """(C, P): pixels `at` (flat indices; all by default) of an image (C, H, W), each under its own Gaussian."""
+    """(C, P): pixels `at` (flat indices; all by default) of an image (C, H, W), each under its own
+    Gaussian.
+    """
     c, h, w = image.shape
     at = np.arange(h * w) if at is None else at
     wide = np.broadcast_to(sigma, (h, w)).reshape(-1)[at]
@@ -108,21 +117,23 @@ def varying_gaussian(
 
 
 def gaussian(image: np.ndarray, sigma: float) -> np.ndarray:
-    """(C, H, W) under one Gaussian, by SciPy; by its transfer function where sampling no longer shows."""
+    """(C, H, W) under one Gaussian, by SciPy; by its transfer function where sampling no longer
+    shows.
+    """
     if sigma < 4:
-        return gaussian_filter(
-            image, (0, matched(sigma), matched(sigma)), mode="reflect", truncate=9
-        )
+        widths = (0, matched(sigma), matched(sigma))
+        return gaussian_filter(image, widths, mode="reflect", truncate=9)
     _, h, w = image.shape
     squared = np.add.outer((np.arange(h) / (2 * h)) ** 2, (np.arange(w) / (2 * w)) ** 2)
-    return idctn(
-        dctn(image, axes=(1, 2)) * np.exp(-2 * (np.pi * sigma) ** 2 * squared), axes=(1, 2)
-    )
+    transfer = np.exp(-2 * (np.pi * sigma) ** 2 * squared)
+    return idctn(dctn(image, axes=(1, 2)) * transfer, axes=(1, 2))
 
 
 @lru_cache
 def mixed_waves(h: int, w: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Widths s at steps of 2 %, and what a Gaussian of each leaves of the cosine waves of either axis."""
+    """Widths s at steps of 2 %, and what a Gaussian of each leaves of the cosine waves of either
+    axis.
+    """
     widths = np.exp(np.arange(math.log(0.04), math.log(1e5), 0.02))
     axes = []
     for size in (h, w):
@@ -137,33 +148,38 @@ def mixed_waves(h: int, w: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def exponential_waves(sigma: float, h: int, w: int) -> np.ndarray:
-    """What the transfer function e^(−2πσf) leaves of each cosine wave; below 2 px what the mixture of sampled Gaussians
-    leaves that it stands for, of widths σ/|N(0, 1)|.
+    """What the transfer function e^(−2πσf) leaves of each cosine wave; below 2 px what the mixture
+    of sampled Gaussians leaves that it stands for, of widths σ/|N(0, 1)|.
     """
     if sigma >= 2:
         f = np.hypot(np.arange(h)[:, None] / (2 * h), np.arange(w)[None] / (2 * w))
         return np.exp(-2 * np.pi * sigma * f)
     widths, down, across = mixed_waves(h, w)
     edges = np.sqrt(widths[1:] * widths[:-1])
-    below = np.concatenate(
-        [halfnorm.sf(sigma / edges), [1.0]]
-    )  # share of widths below the edge above each
+    # share of widths below the edge above each
+    below = np.concatenate([halfnorm.sf(sigma / edges), [1.0]])
     return np.einsum("s,sh,sw->hw", np.diff(below, prepend=0), down, across)
 
 
 def exponential(image: np.ndarray, sigma: float) -> np.ndarray:
-    """(C, H, W) under one exponential shape. Half-sample mirrors make it diagonal in the cosine transform."""
-    return idctn(dctn(image, axes=(1, 2)) * exponential_waves(sigma, *image.shape[1:]), axes=(1, 2))
+    """(C, H, W) under one exponential shape. Half-sample mirrors make it diagonal in the cosine
+    transform.
+    """
+    waves = exponential_waves(sigma, *image.shape[1:])
+    return idctn(dctn(image, axes=(1, 2)) * waves, axes=(1, 2))
 
 
 def varying_exponential(image: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """(C, H·W): each pixel of an image (C, H, W) under its own exponential shape, as a sum of its cosine waves."""
+    """(C, H·W): each pixel of an image (C, H, W) under its own exponential shape, as a sum of its
+    cosine waves.
+    """
     _, h, w = image.shape
     waves = dctn(image, axes=(1, 2), norm="ortho")
     down, across = (idctn(np.eye(n), axes=(0,), norm="ortho") for n in (h, w))
     out = np.empty((len(image), h * w))
     for p, width in enumerate(np.broadcast_to(sigma, (h, w)).reshape(-1)):
-        out[:, p] = down[p // w] @ (waves * exponential_waves(float(width), h, w)) @ across[p % w]
+        kept = waves * exponential_waves(float(width), h, w)
+        out[:, p] = down[p // w] @ kept @ across[p % w]
     return out
 
 
@@ -178,14 +194,17 @@ def terms(
     """Direct, forward and backscatter of one image (3, H, W)."""
     share = curves.signal - curves.direct
     blur = varying_exponential if shape == "exponential" else varying_gaussian
-    scattered = (
-        blur(share * J, sigma) if order == "source" else share * blur(J, sigma).reshape(J.shape)
-    )
-    return curves.direct * J, scattered.reshape(J.shape), curves.veil
+    if order == "source":
+        scattered = blur(share * J, sigma).reshape(J.shape)
+    else:
+        scattered = share * blur(J, sigma).reshape(J.shape)
+    return curves.direct * J, scattered, curves.veil
 
 
 def picture(height: int, width: int, seed: int = 0, channels: int = 3) -> np.ndarray:
-    """A picture (C, H, W) as pictures are: power ∝ 1/f², mean ½, standard deviation ¼ (a single pixel: 0)."""
+    """A picture (C, H, W) as pictures are: power ∝ 1/f², mean ½, standard deviation ¼ (a single
+    pixel: 0).
+    """
     noise = np.random.default_rng(seed).standard_normal((channels, height, width))
     f = np.hypot(np.arange(height)[:, None] / height, np.arange(width)[None] / width)
     f[0, 0] = math.inf

@@ -8,12 +8,13 @@ from typing import Any
 import pytest
 import torch
 
-for package in ("cv2", "matplotlib", "scipy"):
-    pytest.importorskip(package)
+pytest.importorskip("cv2")
+pytest.importorskip("matplotlib")
+pytest.importorskip("scipy")
 
-from benchmarks import blurs, charts, frontier, scaling, summary  # noqa: E402
-from benchmarks.exact import blur_exact  # noqa: E402
-from benchmarks.harness import race  # noqa: E402
+from benchmarks import blurs, charts, frontier, scaling, summary
+from benchmarks.exact import blur_exact
+from benchmarks.harness import race
 
 #            0          1          2          3          4          5
 POINTS = [(1.0, 0.5), (2.0, 0.1), (3.0, 0.2), (4.0, 0.01), (4.0, 0.02), (9.0, 0.0)]
@@ -28,10 +29,8 @@ def test_front_of_equal_points_holds_them_all() -> None:
 
 
 def test_front_agrees_with_its_definition() -> None:
-    points = [
-        tuple(p)
-        for p in torch.randint(0, 12, (60, 2), generator=torch.Generator().manual_seed(0)).tolist()
-    ]
+    generator = torch.Generator().manual_seed(0)
+    points = [tuple(p) for p in torch.randint(0, 12, (60, 2), generator=generator).tolist()]
 
     def beaten(p: tuple[float, ...]) -> bool:
         return any(q != p and q[0] <= p[0] and q[1] <= p[1] for q in points)
@@ -54,18 +53,15 @@ def test_a_near_tie_in_accuracy_counts_against_us() -> None:
 
 
 def test_verdict() -> None:
-    entries = [
-        {"name": str(i), "default": i == 2, "median_ms": t, "rmse": e, "psnr_db": None}
-        for i, (t, e) in enumerate(POINTS)
-    ]
+    entries = []
+    for i, (time_ms, rmse) in enumerate(POINTS):
+        entry = {"name": str(i), "default": i == 2, "psnr_db": None}
+        entries.append({**entry, "median_ms": time_ms, "rmse": rmse})
     panel = frontier.judged(entries)
     assert [e["front"] for e in panel["entries"]] == [True, True, False, True, False, True]
     verdict = panel["verdict"]
-    assert (verdict["on_front"], verdict["within_10_percent"], verdict["beaten_by"]) == (
-        False,
-        False,
-        "1",
-    )
+    assert (verdict["on_front"], verdict["within_10_percent"]) == (False, False)
+    assert verdict["beaten_by"] == "1"
     assert verdict["slower_than_front"] == pytest.approx(0.5)
 
 
@@ -84,10 +80,8 @@ def test_errors_are_of_the_image() -> None:
 
 def test_tiles_are_the_exact_blur() -> None:
     rng = torch.Generator().manual_seed(0)
-    image, sigma = (
-        torch.rand(1, 3, 70, 70, generator=rng),
-        0.5 + 3 * torch.rand(1, 1, 70, 70, generator=rng),
-    )
+    image = torch.rand(1, 3, 70, 70, generator=rng)
+    sigma = 0.5 + 3 * torch.rand(1, 1, 70, 70, generator=rng)
     whole = blur_exact(image[0], sigma[0, 0]).reshape(1, 3, 70, 70)
     torch.testing.assert_close(blurs.exact(image, sigma)[0], whole, rtol=0, atol=1e-13)
 
@@ -96,17 +90,15 @@ def test_the_readme_shows_what_was_measured() -> None:
     text = summary.README.read_text()
     assert summary.updated(text) == text
     for name in ("accuracy", "chart", "speed"):
-        with pytest.raises(
-            ValueError, match=f"expected the markers of figures: {name} once, found them 0 times"
-        ):
+        message = f"expected the markers of figures: {name} once, found them 0 times"
+        with pytest.raises(ValueError, match=message):
             summary.updated(text.replace(f"<!-- /figures: {name} -->", ""))
 
 
 def test_fit_finds_the_exponent() -> None:
     x = [1.0, 2.0, 4.0, 8.0]
-    assert scaling.fit(x, [3 * v**1.5 for v in x]) == pytest.approx(
-        {"exponent": 1.5, "residual_factor": 1.0}
-    )
+    wanted = {"exponent": 1.5, "residual_factor": 1.0}
+    assert scaling.fit(x, [3 * v**1.5 for v in x]) == pytest.approx(wanted)
     assert scaling.fit(x, [1, 2, 1, 2])["residual_factor"] > math.exp(0.2)
 
 
@@ -133,12 +125,8 @@ def quick() -> dict[str, Any]:
 
 def test_every_panel_has_one_default_and_a_front(quick: dict[str, Any]) -> None:
     panels = quick["frontier"]["panels"]
-    assert {p["part"].split()[0] for p in panels.values()} == {
-        "blur",
-        "spectra",
-        "number",
-        "forward",
-    }
+    parts = {p["part"].split()[0] for p in panels.values()}
+    assert parts == {"blur", "spectra", "number", "forward"}
     for panel in panels.values():
         assert sum(e["default"] for e in panel["entries"]) == 1
         assert any(e["front"] for e in panel["entries"])
@@ -154,10 +142,8 @@ def test_every_sweep_is_fitted(quick: dict[str, Any]) -> None:
 def test_charts_are_drawn(quick: dict[str, Any], tmp_path: Path) -> None:
     panels = quick["frontier"]["panels"].values()
     shown = next((p["size"], p["threads"]) for p in panels)
-    figures = (
-        charts.frontier_figure(quick["frontier"], shown),
-        charts.scaling_figure(quick["scaling"]),
-    )
+    frontiers = charts.frontier_figure(quick["frontier"], shown)
+    figures = (frontiers, charts.scaling_figure(quick["scaling"]))
     for number, figure in enumerate(figures):
         path = tmp_path / f"{number}.png"
         figure.savefig(path, dpi=30)

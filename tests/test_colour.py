@@ -24,44 +24,32 @@ def encode(x: np.ndarray) -> np.ndarray:
 
 REFERENCE = {srgb_to_linear: decode, linear_to_srgb: encode}
 # every 8-bit and 16-bit value, negatives, values above 1, and both printed thresholds
-GRID = np.concatenate(
-    [
-        np.linspace(-1, 1, 200_003),
-        np.arange(256) / 255,
-        np.arange(65536) / 65535,
-        [0.04045, 0.0031308],
-    ]
-)
+VALUES = (np.linspace(-1, 1, 200_003), np.arange(256) / 255, np.arange(65536) / 65535)
+GRID = np.concatenate([*VALUES, [0.04045, 0.0031308]])
 
 
 @BOTH
 def test_float64_is_the_standard_up_to_its_rounded_constants(function) -> None:
     for x in (GRID, np.geomspace(1, 1e6, 1001)):
-        np.testing.assert_allclose(
-            function(torch.from_numpy(x)).numpy(), REFERENCE[function](x), rtol=1e-12, atol=4e-8
-        )
+        ours = function(torch.from_numpy(x)).numpy()
+        np.testing.assert_allclose(ours, REFERENCE[function](x), rtol=1e-12, atol=4e-8)
 
 
 @BOTH
 def test_float32_is_within_1e_6(function) -> None:
     x = torch.from_numpy(GRID).float()
-    assert (
-        np.abs(function(x).double().numpy() - REFERENCE[function](x.double().numpy())).max() <= 1e-6
-    )
+    ours, exact = function(x).double().numpy(), REFERENCE[function](x.double().numpy())
+    assert np.abs(ours - exact).max() <= 1e-6
     hdr = torch.logspace(0, 6, 1001)
-    np.testing.assert_allclose(
-        function(hdr).double().numpy(), REFERENCE[function](hdr.double().numpy()), rtol=5e-6
-    )
+    ours, exact = function(hdr).double().numpy(), REFERENCE[function](hdr.double().numpy())
+    np.testing.assert_allclose(ours, exact, rtol=5e-6)
 
 
 def test_agrees_with_kornia() -> None:
     x = torch.linspace(0, 1, 3 * 64 * 64).view(1, 3, 64, 64)
-    torch.testing.assert_close(
-        srgb_to_linear(x), kornia.color.rgb_to_linear_rgb(x), rtol=0, atol=1e-6
-    )
-    torch.testing.assert_close(
-        linear_to_srgb(x), kornia.color.linear_rgb_to_rgb(x), rtol=0, atol=1e-6
-    )
+    decoded, encoded = kornia.color.rgb_to_linear_rgb(x), kornia.color.linear_rgb_to_rgb(x)
+    torch.testing.assert_close(srgb_to_linear(x), decoded, rtol=0, atol=1e-6)
+    torch.testing.assert_close(linear_to_srgb(x), encoded, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("dtype, tolerance", [(torch.float32, 2e-6), (torch.float64, 1e-14)])
@@ -118,11 +106,8 @@ def test_gradient_is_the_slope_of_the_curve_also_at_the_singular_points(function
 
 @BOTH
 def test_gradcheck(function) -> None:
-    x = torch.tensor(
-        [-1.5, -0.5, -0.01, -0.001, 0.0, 0.001, 0.01, 0.5, 1.0, 1.5],
-        dtype=torch.float64,
-        requires_grad=True,
-    )
+    values = [-1.5, -0.5, -0.01, -0.001, 0.0, 0.001, 0.01, 0.5, 1.0, 1.5]
+    x = torch.tensor(values, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(function, x)
     assert torch.autograd.gradgradcheck(function, x)
 
@@ -136,10 +121,9 @@ def test_batched_jacobian(function) -> None:
     torch.testing.assert_close(jacobian, torch.diag(slope))
 
 
+# torch has no batching rule for some in-place methods
 @BOTH
-@pytest.mark.filterwarnings(
-    "ignore:There is a performance drop"
-)  # torch has no batching rule for some in-place methods
+@pytest.mark.filterwarnings("ignore:There is a performance drop")
 def test_vmap(function) -> None:
     x = torch.linspace(-0.5, 1.5, 11, dtype=torch.float64)
     torch.testing.assert_close(torch.vmap(function)(x[:, None]), function(x)[:, None])
@@ -163,12 +147,8 @@ def test_input_is_left_alone_and_any_layout_will_do(function) -> None:
     kept = x.clone()
     function(x)
     assert torch.equal(x, kept)
-    for view in (
-        x.transpose(-1, -2),
-        x.to(memory_format=torch.channels_last),
-        x[..., ::2],
-        x[:1].expand(4, 3, 5, 7),
-    ):
+    turned, last = x.transpose(-1, -2), x.to(memory_format=torch.channels_last)
+    for view in (turned, last, x[..., ::2], x[:1].expand(4, 3, 5, 7)):
         torch.testing.assert_close(function(view), function(view.contiguous()), rtol=0, atol=1e-6)
     assert function(x[:0]).shape == (0, 3, 5, 7)
     assert function(x[0, 0, 0, 0]).shape == ()
@@ -196,9 +176,8 @@ def test_traces_whole(function) -> None:
 
 @BOTH
 def test_rejects_what_it_cannot_mean(function) -> None:
-    with pytest.raises(
-        TypeError, match=r"x must be a floating-point tensor.*torch\.uint8.*divide by 255"
-    ):
+    message = r"x must be a floating-point tensor.*torch\.uint8.*divide by 255"
+    with pytest.raises(TypeError, match=message):
         function(torch.zeros(3, dtype=torch.uint8))
     with pytest.raises(TypeError, match="x must be a floating-point tensor, got ndarray"):
         function(np.zeros(3))

@@ -1,17 +1,13 @@
 import math
-import pickle
-import sys
 
 import numpy as np
-import onnx
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from onnx import TensorProto, helper
+from inputs import rand
 
 from uwaug.distance import (
-    DepthNetwork,
     along_ray,
     check_distance,
     fill_unknown,
@@ -23,38 +19,30 @@ from uwaug.distance import (
 NAN, INF = math.nan, math.inf
 
 
-def random(*shape: int, seed: int = 0) -> torch.Tensor:
-    return torch.rand(shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
-
-
 class TestFromRelative:
     @pytest.mark.parametrize(
         "near, far, gamma", [(0.5, 10, 5), (0.3, 0.7, 1), (0, 20, 0.5), (3, 3, 2)]
     )
     def test_is_the_formula(self, near, far, gamma) -> None:
-        t = random(2, 1, 5, 7)
+        t = rand(2, 1, 5, 7)
         z = from_relative(t, near, far, gamma)
         np.testing.assert_allclose(z.numpy(), near + (far - near) * t.numpy() ** gamma, rtol=1e-13)
 
     def test_ends_are_exact_and_unknown_stays_unknown(self) -> None:
         for gamma in (0.3, 1.0, 6.0):
             z = from_relative(torch.tensor([[0.0, 1.0, NAN]]), 0.25, 2.0, gamma)
-            torch.testing.assert_close(
-                z, torch.tensor([[0.25, 2.0, NAN]]), rtol=0, atol=0, equal_nan=True
-            )
+            expected = torch.tensor([[0.25, 2.0, NAN]])
+            torch.testing.assert_close(z, expected, rtol=0, atol=0, equal_nan=True)
 
     def test_limits_may_differ_within_the_batch(self) -> None:
-        t, near, far, gamma = (
-            random(3, 1, 4, 4),
-            random(3, 1, 1, 1),
-            1 + random(3, 1, 1, 1),
-            1 + random(3, 1, 1, 1),
-        )
+        t = rand(3, 1, 4, 4)
+        near = rand(3, 1, 1, 1)
+        far = 1 + rand(3, 1, 1, 1)
+        gamma = 1 + rand(3, 1, 1, 1)
         z = from_relative(t, near, far, gamma)
         for b in range(3):
-            torch.testing.assert_close(
-                z[b], from_relative(t[b], near[b].item(), far[b].item(), gamma[b].item())
-            )
+            alone = from_relative(t[b], near[b].item(), far[b].item(), gamma[b].item())
+            torch.testing.assert_close(z[b], alone)
 
     @pytest.mark.parametrize("gamma", [0.25, 1.0, 3.0])
     def test_gradient_is_finite_at_zero_and_right_elsewhere(self, gamma) -> None:
@@ -64,9 +52,8 @@ class TestFromRelative:
         expected = 2 * gamma * np.array([0.3, 1.0]) ** (gamma - 1)
         np.testing.assert_allclose(slope[0, 2:].numpy(), expected, rtol=1e-12)
         interior = torch.tensor([[0.2, 0.7]], dtype=torch.float64, requires_grad=True)
-        others = [
-            torch.tensor(v, dtype=torch.float64, requires_grad=True) for v in (0.5, 4.0, gamma)
-        ]
+        options = {"dtype": torch.float64, "requires_grad": True}
+        others = [torch.tensor(value, **options) for value in (0.5, 4.0, gamma)]
         assert torch.autograd.gradcheck(from_relative, (interior, *others))
 
     def test_half_precision_is_taken_up(self) -> None:
@@ -88,9 +75,8 @@ class TestFromRelative:
         "near, far", [(-1.0, 2.0), (2.0, 1.0), (1.0, INF), (NAN, 1.0), (1.0, NAN)]
     )
     def test_rejects_limits(self, near, far) -> None:
-        with pytest.raises(
-            ValueError, match=f"near and far must satisfy 0 <= near <= far < inf, got near={near}"
-        ):
+        message = f"near and far must satisfy 0 <= near <= far < inf, got near={near}"
+        with pytest.raises(ValueError, match=message):
             from_relative(torch.zeros(1, 1), near, far)
         with pytest.raises(ValueError, match="near and far must satisfy"):
             from_relative(torch.zeros(2, 1, 1), torch.tensor([1.0, near]).view(2, 1, 1), far)
@@ -105,37 +91,33 @@ class TestFromInverse:
     @given(st.floats(0.1, 1e3), st.floats(-1e3, 1e3))
     @settings(deadline=None)
     def test_undoes_any_scale_and_shift_of_the_inverse_depth(self, scale, shift) -> None:
-        z = 1 + 9 * random(2, 6, 5)
+        z = 1 + 9 * rand(2, 6, 5)
         z[:, 0, 0], z[:, 3, 2] = 1.0, 10.0
         torch.testing.assert_close(from_inverse(scale / z + shift, 1.0, 10.0), z, rtol=1e-6, atol=0)
 
     def test_each_map_has_its_own_scale_and_limits(self) -> None:
-        maps = torch.stack([random(1, 4, 4), 50 * random(1, 4, 4, seed=1) - 7])
-        near, far = (
-            torch.tensor([1.0, 2.0]).view(2, 1, 1, 1),
-            torch.tensor([5.0, 9.0]).view(2, 1, 1, 1),
-        )
+        maps = torch.stack([rand(1, 4, 4), 50 * rand(1, 4, 4, seed=1) - 7])
+        near = torch.tensor([1.0, 2.0]).view(2, 1, 1, 1)
+        far = torch.tensor([5.0, 9.0]).view(2, 1, 1, 1)
         z = from_inverse(maps, near, far)
         for b in range(2):
-            torch.testing.assert_close(
-                z[b], from_inverse(maps[b], near[b].item(), far[b].item()), check_dtype=False
-            )
+            alone = from_inverse(maps[b], near[b].item(), far[b].item())
+            torch.testing.assert_close(z[b], alone, check_dtype=False)
             assert z[b].min() == pytest.approx(near[b].item())
             assert z[b].max() == pytest.approx(far[b].item())
             assert z[b].argmin() == maps[b].argmax()
 
     def test_unknown_pixels_stay_out(self) -> None:
         z = from_inverse(torch.tensor([[NAN, 0.0, INF, 3.0, -INF, 1.0]]), 1.0, 4.0)
-        torch.testing.assert_close(
-            z, torch.tensor([[NAN, 4.0, NAN, 1.0, NAN, 2.0]]), equal_nan=True
-        )
+        expected = torch.tensor([[NAN, 4.0, NAN, 1.0, NAN, 2.0]])
+        torch.testing.assert_close(z, expected, equal_nan=True)
 
     def test_far_may_be_open_water(self) -> None:
         z = from_inverse(torch.tensor([[0.0, 1.0, 2.0]]), 1.5, INF)
         assert torch.equal(z, torch.tensor([[INF, 3.0, 1.5]]))
 
     def test_gradients(self) -> None:
-        inverse = random(2, 3, 3).requires_grad_()
+        inverse = rand(2, 3, 3).requires_grad_()
         assert torch.autograd.gradcheck(lambda v: from_inverse(v, 1.0, 4.0), inverse)
         holed = torch.tensor([[NAN, 0.0, 1.0, 3.0]], requires_grad=True)
         (slope,) = torch.autograd.grad(from_inverse(holed, 1.0, 4.0).nan_to_num().sum(), holed)
@@ -156,15 +138,14 @@ class TestFromInverse:
 
 class TestFromDisparity:
     def test_is_the_formula(self) -> None:
-        d = 100 * random(1, 4, 5)
+        d = 100 * rand(1, 4, 5)
         z = from_disparity(d, 994.978, 0.193001, 31.086)
         np.testing.assert_allclose(z.numpy(), 994.978 * 0.193001 / (d.numpy() + 31.086), rtol=1e-14)
 
     def test_unknown(self) -> None:
         z = from_disparity(torch.tensor([[NAN, INF, -INF, 0.0, -3.0, -2.0, 8.0]]), 100.0, 0.5, 2.0)
-        torch.testing.assert_close(
-            z, torch.tensor([[NAN, NAN, NAN, 25.0, NAN, NAN, 5.0]]), equal_nan=True
-        )
+        expected = torch.tensor([[NAN, NAN, NAN, 25.0, NAN, NAN, 5.0]])
+        torch.testing.assert_close(z, expected, equal_nan=True)
 
     def test_gradient_is_finite_where_unknown(self) -> None:
         d = torch.tensor([[0.0, NAN, 2.0]], requires_grad=True)
@@ -192,15 +173,14 @@ class TestAlongRay:
         "focal, centre", [(50.0, None), ((40.0, 60.0), None), (50.0, (3.5, 2.25))]
     )
     def test_is_the_length_of_the_ray(self, focal, centre) -> None:
-        depth = 1 + random(2, 1, 6, 9)
+        depth = 1 + rand(2, 1, 6, 9)
         z = along_ray(depth, focal, centre)
         fx, fy = focal if isinstance(focal, tuple) else (focal, focal)
         cx, cy = centre or (4.5, 3.0)
         for i, j in np.ndindex(6, 9):
             point = np.array([(j + 0.5 - cx) / fx, (i + 0.5 - cy) / fy, 1.0])
-            np.testing.assert_allclose(
-                z[:, 0, i, j], depth[:, 0, i, j] * np.linalg.norm(point), rtol=1e-14
-            )
+            expected = depth[:, 0, i, j] * np.linalg.norm(point)
+            np.testing.assert_allclose(z[:, 0, i, j], expected, rtol=1e-14)
 
     def test_symmetric_about_the_image_centre(self) -> None:
         z = along_ray(torch.ones(5, 8), 4.0)
@@ -238,16 +218,14 @@ class TestPolicy:
 
     def test_strict_counts_what_is_unknown(self) -> None:
         z = torch.tensor([[NAN, NAN, -1.0, -INF, -2.0, 0.0, 1.0, INF]])
-        with pytest.raises(
-            ValueError,
-            match=r"distance must be above 0 m.* NaN at 2, negative at 3 and zero at 1 of 8 pixels",
-        ):
+        message = r"distance must be above 0 m.* NaN at 2, negative at 3 and zero at 1 of 8 pixels"
+        with pytest.raises(ValueError, match=message):
             check_distance(z)
         assert torch.equal(check_distance(z, strict=False), fill_unknown(z))
 
     def test_fills_with_the_nearest_known_pixel_of_the_same_map(self) -> None:
-        z = 1 + random(2, 3, 1, 9, 11)
-        z[random(2, 3, 1, 9, 11, seed=1) < 0.7] = NAN
+        z = 1 + rand(2, 3, 1, 9, 11)
+        z[rand(2, 3, 1, 9, 11, seed=1) < 0.7] = NAN
         z[0, 0, 0, 4], z[1, 1, 0, 0, 0] = 0.0, INF
         filled = fill_unknown(z)
         for *where, i, j in np.ndindex(*z.shape):
@@ -259,9 +237,8 @@ class TestPolicy:
 
     def test_gradient_goes_to_the_known_pixel(self) -> None:
         z = torch.tensor([[2.0, NAN, 0.0, -1.0, 5.0]], requires_grad=True)
-        (slope,) = torch.autograd.grad(
-            (fill_unknown(z) * torch.tensor([[1.0, 10, 100, 1000, 10000]])).sum(), z
-        )
+        weighted = fill_unknown(z) * torch.tensor([[1.0, 10, 100, 1000, 10000]])
+        (slope,) = torch.autograd.grad(weighted.sum(), z)
         assert slope[0, 1:4].tolist() == [0, 0, 0]
         assert slope.sum() == 11111
 
@@ -284,161 +261,10 @@ FUNCTIONS = {
 
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_rejects_what_is_not_a_floating_point_map(name) -> None:
-    with pytest.raises(
-        TypeError, match=rf"{name} must be a floating-point tensor, got torch\.int32.*millimetres"
-    ):
+    message = rf"{name} must be a floating-point tensor, got torch\.int32.*millimetres"
+    with pytest.raises(TypeError, match=message):
         FUNCTIONS[name](torch.ones(2, 2, dtype=torch.int32))
     with pytest.raises(TypeError, match=f"{name} must be a floating-point tensor, got ndarray"):
         FUNCTIONS[name](np.ones((2, 2)))
     with pytest.raises(ValueError, match=rf"{name} must have shape \(\.\.\., H, W\), got \(2,\)"):
         FUNCTIONS[name](torch.ones(2))
-
-
-def save(path, nodes, shape, output_rank=3) -> str:
-    """Save a network that maps input "x" of the given shape to output "y"."""
-    graph = helper.make_graph(
-        nodes,
-        "network",
-        [helper.make_tensor_value_info("x", TensorProto.FLOAT, shape)],
-        [helper.make_tensor_value_info("y", TensorProto.FLOAT, [None] * output_rank)],
-        [
-            helper.make_tensor("zero", TensorProto.FLOAT, [], [0.0]),
-            helper.make_tensor("axis", TensorProto.INT64, [1], [1]),
-        ],
-    )
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9)
-    onnx.checker.check_model(model)
-    onnx.save(model, path)
-    return str(path)
-
-
-def mean_of_channels(path, shape=(1, 3, "h", "w"), keepdims=0) -> str:
-    return save(
-        path,
-        [helper.make_node("ReduceMean", ["x", "axis"], ["y"], keepdims=keepdims)],
-        shape,
-        3 + keepdims,
-    )
-
-
-def side_lengths(path, shape) -> str:
-    """1000·height + width of the input, at every pixel."""
-    nodes = [
-        helper.make_node("Shape", ["x"], ["h"], start=2, end=3),
-        helper.make_node("Shape", ["x"], ["w"], start=3, end=4),
-        helper.make_node("Constant", [], ["thousand"], value_ints=[1000]),
-        helper.make_node("Mul", ["h", "thousand"], ["rows"]),
-        helper.make_node("Add", ["rows", "w"], ["sides"]),
-        helper.make_node("Cast", ["sides"], ["number"], to=TensorProto.FLOAT),
-        helper.make_node("ReduceMean", ["x", "axis"], ["mean"], keepdims=0),
-        helper.make_node("Mul", ["mean", "zero"], ["nothing"]),
-        helper.make_node("Add", ["nothing", "number"], ["y"]),
-    ]
-    return save(path, nodes, shape)
-
-
-class TestDepthNetwork:
-    @pytest.mark.parametrize("keepdims", [0, 1])
-    def test_normalises_and_keeps_pixels_in_place(self, tmp_path, keepdims) -> None:
-        image = random(2, 3, 5, 7).float()
-        network = DepthNetwork(
-            mean_of_channels(tmp_path / "n.onnx", keepdims=keepdims), short_side=5, multiple=1
-        )
-        mean, std = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
-        expected = ((image.numpy() - mean[:, None, None]) / std[:, None, None]).mean(
-            1, keepdims=True
-        )
-        depth = network(image)
-        assert depth.shape == (2, 1, 5, 7)
-        np.testing.assert_allclose(depth.numpy(), expected, atol=1e-5)
-        np.testing.assert_allclose(network(image[1]).numpy(), expected[1], atol=1e-5)
-        assert network(image[:0]).shape == (0, 1, 5, 7)
-
-    @pytest.mark.parametrize(
-        "shape, size, options, seen",
-        [
-            ((1, 3, "h", "w"), (100, 150), {}, (518, 784)),
-            ((1, 3, "h", "w"), (60, 40), {"short_side": 64, "multiple": 32}, (96, 64)),
-            ((1, 3, "h", "w"), (10, 400), {"short_side": 4, "multiple": 14}, (14, 154)),
-            ((1, 3, 21, 33), (60, 40), {}, (21, 33)),
-            (("b", 3, 21, "w"), (20, 40), {"short_side": 20, "multiple": 5}, (21, 40)),
-        ],
-    )
-    def test_gives_the_network_the_size_it_needs(
-        self, tmp_path, shape, size, options, seen
-    ) -> None:
-        depth = DepthNetwork(side_lengths(tmp_path / "n.onnx", shape), **options)(
-            torch.rand(3, *size)
-        )
-        assert depth.shape == (1, *size)
-        assert torch.equal(depth.round(), torch.full((1, *size), 1000.0 * seen[0] + seen[1]))
-
-    def test_resizing_keeps_the_orientation(self, tmp_path) -> None:
-        path = mean_of_channels(tmp_path / "n.onnx", shape=(1, 3, 32, 48))
-        rows, columns = torch.linspace(0.2, 0.6, 64)[:, None], torch.linspace(0, 0.3, 80)
-        image = (rows + columns).expand(3, 64, 80).clone()
-        depth = DepthNetwork(path, mean=(0, 0, 0), std=(1, 1, 1))(image)
-        assert (depth[0] - image[0])[2:-2, 2:-2].abs().max() < 2e-3
-        assert from_inverse(depth, 1.0, 5.0)[0, -1, -1].item() == pytest.approx(1.0)
-
-    def test_dtype_follows_the_image(self, tmp_path) -> None:
-        network = DepthNetwork(mean_of_channels(tmp_path / "n.onnx"), short_side=5, multiple=1)
-        assert network(random(3, 5, 5)).dtype == torch.float64
-        assert not network(random(3, 5, 5).requires_grad_()).requires_grad
-
-    def test_pickles_with_and_without_a_session(self, tmp_path) -> None:
-        network = DepthNetwork(mean_of_channels(tmp_path / "n.onnx"), short_side=6, multiple=3)
-        image = random(3, 6, 9)
-        before = pickle.loads(pickle.dumps(network))
-        expected = network(image)
-        after = pickle.loads(pickle.dumps(network))
-        assert torch.equal(before(image), expected)
-        assert torch.equal(after(image), expected)
-
-    def test_says_what_to_install(self, tmp_path, monkeypatch) -> None:
-        network = DepthNetwork(mean_of_channels(tmp_path / "n.onnx"))
-        monkeypatch.setitem(sys.modules, "onnxruntime", None)
-        with pytest.raises(ImportError, match=r'pip install "uwaug\[onnx\]"'):
-            network(torch.rand(3, 8, 8))
-
-    def test_rejects_images(self, tmp_path) -> None:
-        network = DepthNetwork(mean_of_channels(tmp_path / "n.onnx"))
-        with pytest.raises(
-            ValueError, match=r"image must lie in \[0, 1\], got 0 to 255: divide by 255"
-        ):
-            network(torch.arange(256.0).expand(3, 2, 256))
-        with pytest.raises(ValueError, match=r"image must lie in \[0, 1\], got NaN only"):
-            network(torch.full((3, 2, 2), NAN))
-        with pytest.raises(
-            TypeError, match=r"image must be a floating-point tensor, got torch\.uint8"
-        ):
-            network(torch.zeros(3, 8, 8, dtype=torch.uint8))
-        for shape in ((1, 8, 8), (8, 8, 3), (8, 8), (1, 1, 3, 8, 8)):
-            with pytest.raises(
-                ValueError, match=r"image must have shape \(3, H, W\) or \(B, 3, H, W\), got"
-            ):
-                network(torch.zeros(shape))
-
-    def test_rejects_networks(self, tmp_path) -> None:
-        with pytest.raises(FileNotFoundError, match=r"path must be an ONNX file, got .*missing"):
-            DepthNetwork(tmp_path / "missing.onnx")
-        path = mean_of_channels(tmp_path / "n.onnx")
-        for options in ({"short_side": 0}, {"multiple": 0}):
-            with pytest.raises(ValueError, match="short_side and multiple must be at least 1, got"):
-                DepthNetwork(path, **options)
-        for shape in ((1, 8, 8, 3), (1, "h", "w", 3), (3, 8, 8)):
-            with pytest.raises(ValueError, match=r"must take \(1, 3, h, w\), got .*channels last"):
-                DepthNetwork(mean_of_channels(path, shape))(torch.rand(3, 8, 8))
-        assert DepthNetwork(mean_of_channels(path, ("b", "c", "h", "w")))(
-            torch.rand(3, 8, 8)
-        ).shape == (1, 8, 8)
-        colours = save(
-            tmp_path / "colours.onnx",
-            [helper.make_node("Identity", ["x"], ["y"])],
-            (1, 3, "h", "w"),
-            4,
-        )
-        with pytest.raises(
-            ValueError, match=r"must give \(1, h, w\) or \(1, 1, h, w\), got \(1, 3, 8, 8\)"
-        ):
-            DepthNetwork(colours, short_side=8, multiple=8)(torch.rand(3, 8, 8))

@@ -45,12 +45,13 @@ def test_is_the_sum_of_waves(size, exponent) -> None:
 
 
 def spectrum(fields: torch.Tensor) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean periodogram under a Hann window (the fields are not periodic), and its frequencies in cycles per pixel."""
+    """Mean periodogram under a Hann window (the fields are not periodic), and its frequencies in
+    cycles per pixel.
+    """
     height, width = fields.shape[-2:]
     window = torch.outer(torch.hann_window(height).double(), torch.hann_window(width).double())
-    power = (
-        torch.fft.fft2((fields - fields.mean((-2, -1), keepdim=True))[:, 0] * window).abs().square()
-    )
+    centred = (fields - fields.mean((-2, -1), keepdim=True))[:, 0]
+    power = torch.fft.fft2(centred * window).abs().square()
     power /= power.sum((-2, -1), keepdim=True)  # each field has a range of its own
     fy, fx = np.meshgrid(np.fft.fftfreq(height), np.fft.fftfreq(width), indexing="ij")
     return power.mean(0).numpy(), fy, fx
@@ -102,30 +103,25 @@ def test_the_same_seed_gives_the_same_field_at_any_resolution(sizes) -> None:
 
 @pytest.mark.parametrize("exponent", [3.5, 4.0, 5.0])
 def test_omitted_detail_is_below_the_stated_tolerance(exponent) -> None:
-    drawn = gaussian_random_field(
-        (8, 128, 128), exponent=exponent, low=0.0, high=1.0, generator=seeded()
-    )
+    options = {"exponent": exponent, "low": 0.0, "high": 1.0}
+    drawn = gaussian_random_field((8, 128, 128), **options, generator=seeded())
     longest = {3.5: 114, 4.0: 32, 5.0: 9}[exponent]
     noise = torch.randn(8, 2 * longest + 1, 2 * longest + 1, generator=seeded())
-    torch.testing.assert_close(
-        field_from_noise(noise, (128, 128), exponent=exponent, low=0.0, high=1.0), drawn
-    )
+    torch.testing.assert_close(field_from_noise(noise, (128, 128), **options), drawn)
     full = torch.randn(8, 257, 257, generator=seeded(1))
     full[:, : 2 * longest + 1, : 2 * longest + 1] = noise
-    exact = field_from_noise(full, (128, 128), exponent=exponent, low=0.0, high=1.0)
+    exact = field_from_noise(full, (128, 128), **options)
     assert (drawn - exact).square().mean().sqrt() < 0.012
 
 
 def test_mean_over_draws_is_the_middle() -> None:
-    means = gaussian_random_field((2000, 16, 16), low=0.0, high=1.0, generator=seeded()).mean(
-        (1, 2, 3)
-    )
+    fields = gaussian_random_field((2000, 16, 16), low=0.0, high=1.0, generator=seeded())
+    means = fields.mean((1, 2, 3))
     assert means.mean() == pytest.approx(0.5, abs=4 * means.std().item() / math.sqrt(2000))
     noise = torch.randn(3, 65, 65, generator=seeded())
+    field = field_from_noise(noise, (20, 30), low=0.0, high=1.0)
     mirrored = field_from_noise(-noise, (20, 30), low=0.0, high=1.0)
-    torch.testing.assert_close(
-        mirrored, 1 - field_from_noise(noise, (20, 30), low=0.0, high=1.0), rtol=0, atol=1e-5
-    )
+    torch.testing.assert_close(mirrored, 1 - field, rtol=0, atol=1e-5)
 
 
 def test_randomness_comes_from_the_generator_or_the_global_one() -> None:
@@ -150,12 +146,11 @@ def test_shapes() -> None:
     assert gaussian_random_field((0, 1, 20, 30)).shape == (0, 1, 20, 30)
 
 
-@given(
-    st.integers(1, 40),
-    st.integers(1, 40),
-    st.sampled_from([0.0, 1.5, 2.001, 4.0, 30.0]),
-    st.integers(0, 99),
-)
+SIDES = st.integers(1, 40)
+EXPONENTS = st.sampled_from([0.0, 1.5, 2.001, 4.0, 30.0])
+
+
+@given(SIDES, SIDES, EXPONENTS, st.integers(0, 99))
 @settings(max_examples=60, deadline=None)
 def test_reaches_and_never_leaves_its_range(height, width, exponent, seed) -> None:
     field = gaussian_random_field(
@@ -170,19 +165,19 @@ def test_reaches_and_never_leaves_its_range(height, width, exponent, seed) -> No
 
 
 def test_degenerate_fields() -> None:
-    assert torch.equal(gaussian_random_field((3, 1, 1), low=0.5, high=1.5), torch.ones(3, 1, 1, 1))
-    assert torch.equal(
-        gaussian_random_field((8, 9), low=1.25, high=1.25), torch.full((1, 1, 8, 9), 1.25)
-    )
-    assert torch.equal(gaussian_random_field((8, 9), low=0.0, high=0.0), torch.zeros(1, 1, 8, 9))
+    pixels = gaussian_random_field((3, 1, 1), low=0.5, high=1.5)
+    constant = gaussian_random_field((8, 9), low=1.25, high=1.25)
+    zero = gaussian_random_field((8, 9), low=0.0, high=0.0)
+    assert torch.equal(pixels, torch.ones(3, 1, 1, 1))
+    assert torch.equal(constant, torch.full((1, 1, 8, 9), 1.25))
+    assert torch.equal(zero, torch.zeros(1, 1, 8, 9))
 
 
 def test_dtypes() -> None:
     a = gaussian_random_field((24, 24), generator=seeded(), dtype=torch.float64)
     assert a.dtype == torch.float64
-    torch.testing.assert_close(
-        gaussian_random_field((24, 24), generator=seeded()).double(), a, rtol=0, atol=1e-5
-    )
+    single = gaussian_random_field((24, 24), generator=seeded())
+    torch.testing.assert_close(single.double(), a, rtol=0, atol=1e-5)
     for dtype in (torch.float16, torch.bfloat16):
         noise = torch.randn(1, 33, 33, generator=seeded()).to(dtype)
         half = field_from_noise(noise, (24, 24))
@@ -211,16 +206,13 @@ def test_traces_whole_with_the_noise_as_input() -> None:
 
     noise = torch.randn(2, 65, 65, generator=seeded())
     compiled = torch.compile(Graph(), fullgraph=True, backend="aot_eager")
-    torch.testing.assert_close(
-        compiled(noise), field_from_noise(noise, (20, 30)), rtol=0, atol=1e-6
-    )
-    exported = torch.export.export(
-        Graph(), (noise,), dynamic_shapes={"noise": {0: torch.export.Dim("b")}}
-    ).module()
+    expected = field_from_noise(noise, (20, 30))
+    torch.testing.assert_close(compiled(noise), expected, rtol=0, atol=1e-6)
+    shapes = {"noise": {0: torch.export.Dim("b")}}
+    exported = torch.export.export(Graph(), (noise,), dynamic_shapes=shapes).module()
     other = torch.randn(5, 65, 65, generator=seeded(1))
-    torch.testing.assert_close(
-        exported(other), field_from_noise(other, (20, 30)), rtol=0, atol=1e-6
-    )
+    expected = field_from_noise(other, (20, 30))
+    torch.testing.assert_close(exported(other), expected, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -11,14 +11,13 @@ from torch.utils.data import DataLoader
 from uwaug import RandomUnderwater
 
 pytestmark = [
-    pytest.mark.filterwarnings(
-        "ignore:.*fork:DeprecationWarning"
-    ),  # Python ≥ 3.12 warns of every fork with threads
-    pytest.mark.filterwarnings("ignore:This DataLoader will create"),  # on machines of one core
+    # Python ≥ 3.12 warns of every fork with threads
+    pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning"),
+    # on machines of one core
+    pytest.mark.filterwarnings("ignore:This DataLoader will create"),
 ]
-START = pytest.mark.parametrize(
-    "start", [m for m in ("fork", "spawn") if m in multiprocessing.get_all_start_methods()]
-)
+AVAILABLE = multiprocessing.get_all_start_methods()
+START = pytest.mark.parametrize("start", [m for m in ("fork", "spawn") if m in AVAILABLE])
 
 
 @pytest.fixture(scope="module")
@@ -95,9 +94,10 @@ def test_paired_restoration(start: str, crops: Crops) -> None:
 
 
 def run(data: "DataLoader[Any]") -> dict[int, Tensor]:
-    return {
-        int(i): image for indices, images in data for i, image in zip(indices, images, strict=True)
-    }
+    found = {}
+    for indices, images in data:
+        found |= dict(zip(indices.tolist(), images, strict=True))
+    return found
 
 
 def test_keys_do_not_depend_on_workers(crops: Crops) -> None:
@@ -106,11 +106,9 @@ def test_keys_do_not_depend_on_workers(crops: Crops) -> None:
     torch.set_num_threads(2)  # the main process has more than a worker
     expected = run(loader(dataset, workers=0))
     torch.set_num_threads(before)
-    for data in (
-        loader(dataset, "fork", 1),
-        loader(dataset, "fork", 2, shuffle=True),
-        loader(dataset, "spawn", 2, batch_size=3),
-    ):
+    one, two = loader(dataset, "fork", 1), loader(dataset, "fork", 2, shuffle=True)
+    spawned = loader(dataset, "spawn", 2, batch_size=3)
+    for data in (one, two, spawned):
         found = run(data)
         assert found.keys() == expected.keys()
         assert all(torch.equal(found[i], expected[i]) for i in expected)

@@ -1,4 +1,6 @@
-"""The model against Monte Carlo radiative transfer of a plane in water (Henyey–Greenstein, mean cosine .924)."""
+"""The model against Monte Carlo radiative transfer of a plane in water (Henyey–Greenstein, mean
+cosine .924).
+"""
 
 import json
 from collections.abc import Callable
@@ -21,19 +23,16 @@ def errors(
 ) -> list[float]:
     """RMSE of direct + forward light in six waters, the noise of the reference taken out."""
     with np.load(Path(__file__).parent / "data" / "monte_carlo.npz") as data:
-        texture, observed, cases = (
-            torch.from_numpy(data["J"].astype(np.float64)),
-            data["DF"].astype(np.float64),
-            str(data["params"]),
-        )
+        texture = torch.from_numpy(data["J"].astype(np.float64))
+        observed = data["DF"].astype(np.float64)
+        cases = str(data["params"])
     offset = torch.arange(128).double() - 63.5
     found = []
     for light, case in zip(observed, json.loads(cases), strict=True):
         a, b, f = case["a"], case["b"], case["focal_px"]
         distance = case["z"] * torch.sqrt(1 + (offset[:, None] / f) ** 2 + (offset / f) ** 2)[None]
-        medium = Medium.from_coefficients(
-            (a + b,) * 3, (a + g * b,) * 3, (0,) * 3, b_mean=b, point_spread=law(f)
-        )
+        beta, scatter = (a + b,) * 3, (a + g * b,) * 3
+        medium = Medium.from_coefficients(beta, scatter, (0,) * 3, b_mean=b, point_spread=law(f))
         terms = form_image(texture.expand(3, -1, -1), distance, medium, order=order)
         error = (terms.direct + terms.forward)[0].numpy() - light
         found.append(float(np.sqrt((error**2).mean() - case["noise"] ** 2)))
@@ -65,8 +64,8 @@ def test_what_the_blur_brings() -> None:
     assert direct_only > unblurred > 4 * np.mean(errors(PointSpread.calibrated, G))
 
 
-# These pictures alone ask for 1.5 times the width (.0074): the law serves Petzold's waters as well, which scatter into
-# smaller angles. tests/test_physics.py holds it against both.
+# These pictures alone ask for 1.5 times the width (.0074): the law serves Petzold's waters as well,
+# which scatter into smaller angles. tests/test_physics.py holds it against both.
 @pytest.mark.parametrize("factor", [0.7, 2.5])
 def test_a_wider_or_narrower_law_is_worse(factor: float) -> None:
     def changed(focal_px: float) -> PointSpread:

@@ -13,25 +13,36 @@ import pytest
 import uwaug
 
 ROOT = Path(__file__).parent.parent
-MODULES = sorted(
-    {"uwaug"}
-    | {
-        m.name
-        for m in pkgutil.walk_packages(uwaug.__path__, "uwaug.")
-        if not m.name.endswith("__main__")
-    }
-)
+FOUND = {module.name for module in pkgutil.walk_packages(uwaug.__path__, "uwaug.")}
+MODULES = sorted({"uwaug"} | {name for name in FOUND if not name.endswith("__main__")})
 HEAVY = (
-    "colour", "cv2", "jerlov", "matplotlib", "onnx", "onnxruntime", "onnxscript", "pydantic", "rich", "scipy",
-    "skimage", "torchvision", "typer",
-)  # fmt: skip
+    "colour",
+    "cv2",
+    "jerlov",
+    "matplotlib",
+    "onnx",
+    "onnxruntime",
+    "onnxscript",
+    "pydantic",
+    "rich",
+    "scipy",
+    "skimage",
+    "torchvision",
+    "typer",
+)
+
+
+def output(*arguments: str) -> str:
+    """What Python writes to stdout and stderr in a process of its own."""
+    command = [sys.executable, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    return done.stdout + done.stderr
 
 
 def test_import_is_light() -> None:
-    code = "import sys, torch, kornia; before = set(sys.modules); import uwaug; print(*sorted(set(sys.modules) - before))"
-    loaded = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    ).stdout.split()
+    code = "import sys, torch, kornia; before = set(sys.modules); import uwaug\n"
+    code += "print(*sorted(set(sys.modules) - before))"
+    loaded = output("-c", code).split()
     assert "uwaug" in loaded
     assert {name.split(".")[0] for name in loaded}.isdisjoint(HEAVY)
 
@@ -42,26 +53,25 @@ def test_heavy_packages_are_heavy() -> None:
 
 
 def test_import_is_silent() -> None:
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", "import uwaug"],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert done.stdout + done.stderr == ""
+    assert output("-W", "error", "-c", "import uwaug") == ""
+
+
+def test_the_package_imports_neither_the_command_line_nor_what_it_needs():
+    code = "import sys, uwaug.presets\n"
+    code += "print(*{'typer', 'rich', 'pydantic', 'matplotlib', 'skimage'} & set(sys.modules))"
+    assert output("-c", code) == "\n"
 
 
 def test_all_is_sorted_and_complete() -> None:
     names = uwaug.__all__
-    assert names == sorted(
-        names, key=lambda n: (not n.isupper(), n[0].islower(), n)
-    )  # as ruff sorts: constants, classes, the rest
+    # as ruff sorts: constants, classes, the rest
+    assert names == sorted(names, key=lambda n: (not n.isupper(), n[0].islower(), n))
     assert len(set(names)) == len(names)
-    public = {
-        n
-        for n, value in vars(uwaug).items()
-        if not n.startswith("_") and (not isinstance(value, types.ModuleType) or n in names)
-    }
+    public = set()
+    for name, value in vars(uwaug).items():
+        module = isinstance(value, types.ModuleType)
+        if not name.startswith("_") and (not module or name in names):
+            public.add(name)
     assert set(names) == public
 
 
@@ -100,29 +110,21 @@ def test_examples_in_docstrings_run(
 
 
 def test_there_are_examples_in_docstrings() -> None:
-    finder = doctest.DocTestFinder()
-    examples = {
-        name: sum(len(t.examples) for t in finder.find(importlib.import_module(name)))
-        for name in MODULES
-    }
-    assert sum(examples.values()) >= 20
+    finder, count = doctest.DocTestFinder(), 0
+    for name in MODULES:
+        for found in finder.find(importlib.import_module(name)):
+            count += len(found.examples)
+    assert count >= 20
 
 
 def test_every_public_function_says_what_it_does() -> None:
-    undocumented = [
-        n
-        for n in uwaug.__all__
-        if callable(value := getattr(uwaug, n)) and not (value.__doc__ or "").strip()
-    ]
-    assert undocumented == []
+    functions = [n for n in uwaug.__all__ if callable(getattr(uwaug, n))]
+    assert [n for n in functions if not (getattr(uwaug, n).__doc__ or "").strip()] == []
 
 
 def test_readme_blocks_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    blocks = re.findall(
-        r"^```python\n(.*?)^```",
-        (ROOT / "README.md").read_text(encoding="utf-8"),
-        re.DOTALL | re.MULTILINE,
-    )
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
     assert blocks, "the README shows no Python"
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {"__name__": "readme"}

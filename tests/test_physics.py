@@ -1,15 +1,13 @@
-"""Our random walk against an independent one (tabulated figures), and against what is known in closed form."""
+"""Our random walk against an independent one (tabulated figures), and against what is known in
+closed form.
+"""
 
-import sys
-from pathlib import Path
+import itertools
 
 import numpy as np
 import pytest
 
 pytest.importorskip("cv2")
-sys.path.append(
-    str(Path(__file__).parents[1])
-)  # for `import benchmarks`: importlib mode adds no path
 
 from benchmarks.physics import (
     CALIBRATED,
@@ -36,7 +34,9 @@ from benchmarks.transport import (
 from uwaug.optics.point_spread import PointSpread
 
 PHOTONS = 100_000
-# Henyey–Greenstein mean cosine, a/b, b·z: forward share, effective g, quantiles 25, 50, 75, 90 % of the tangent
+MEASURED = list(itertools.chain(*STATIONS.values()))
+# Henyey–Greenstein mean cosine, a/b, b·z: forward share, effective g, quantiles 25, 50, 75, 90 % of
+# the tangent
 TABLE = [
     (0.85, 1.0, 0.5, 0.21444, 0.08147, (0.048503, 0.117656, 0.256422, 0.506241)),
     (0.85, 0.4, 2.0, 0.304873, 0.10299, (0.07828, 0.17503, 0.353784, 0.636074)),
@@ -73,7 +73,7 @@ def test_henyey_greenstein_samples_its_moments(asymmetry: float) -> None:
     assert (1.5 * cosine**2 - 0.5).mean() == pytest.approx(asymmetry**2, abs=1e-4)
 
 
-@pytest.mark.parametrize("station", [name for group in STATIONS.values() for name in group])
+@pytest.mark.parametrize("station", MEASURED)
 def test_petzold_samples_what_was_measured(station: str) -> None:
     import jerlov
 
@@ -86,7 +86,9 @@ def test_petzold_samples_what_was_measured(station: str) -> None:
 
 
 def test_single_scattering_in_a_thin_layer() -> None:
-    """At b·z = .001 light is scattered once: two integrals over the depth and the angle, with a/b = 1."""
+    """At b·z = .001 light is scattered once: two integrals over the depth and the angle, with
+    a/b = 1.
+    """
     lengths, asymmetry, absorption = 1e-3, 0.85, 1.0
     mu = (np.arange(20_000) + 0.5) / 20_000
     phase = 0.5 * (1 - asymmetry**2) / (1 + asymmetry**2 - 2 * asymmetry * mu) ** 1.5
@@ -107,9 +109,10 @@ def test_a_walk_repeats_with_its_seed_only() -> None:
 
 def synthetic(law: Law, lengths: float) -> Spread:
     """What a law says, as if a walk had found it."""
-    transfer = sum(
-        s * np.exp(-2 * (np.pi * w * lengths**p * FREQUENCIES) ** 2) for s, w, p in law.widths
-    )
+    transfer = 0.0
+    for share, width, power in law.widths:
+        sigma = width * lengths**power
+        transfer = transfer + share * np.exp(-2 * (np.pi * sigma * FREQUENCIES) ** 2)
     direct = np.exp(-1.4 * lengths)
     forward = np.exp(-(0.4 + law.g) * lengths) - direct
     return Spread(lengths, 0.4, direct, forward, transfer, law.encircled(lengths, EDGES[1:]), {})
@@ -140,9 +143,9 @@ def test_heavy_tails_are_nearer_to_the_pictures_than_one_gaussian() -> None:
 @pytest.fixture(scope="module")
 def truths() -> dict[str, list[Spread]]:
     """What the calibrated law is fitted to, from fewer photons."""
-    names = [name for group in STATIONS.values() for name in group]
-    spreads = survey([henyey_greenstein(0.924), *map(petzold, names)], 5_000)
-    own = [s for name in names for s in spreads[name] if s.absorption not in ABSORPTION]
+    spreads = survey([henyey_greenstein(0.924), *map(petzold, MEASURED)], 5_000)
+    walks = itertools.chain(*(spreads[name] for name in MEASURED))
+    own = [s for s in walks if s.absorption not in ABSORPTION]
     return {"HG 0.924": spreads["HG 0.924"], "Petzold": own, "both": [*spreads["HG 0.924"], *own]}
 
 

@@ -13,6 +13,7 @@ __all__ = [
     "batches",
     "bounds",
     "counted",
+    "extent",
     "floating",
     "instance",
     "one_of",
@@ -123,6 +124,12 @@ def counted(x: Tensor, *kinds: str) -> str:
     parts = [f"{kind} at {int(found[kind].sum())}" for kind in kinds]
     *first, last = parts
     return f"{', '.join(first)} and {last} of {x.numel()} pixels"
+
+
+def extent(x: Tensor) -> tuple[float, float]:
+    """The least and the largest value of a tensor; NaN if it holds any."""
+    low, high = x.detach().aminmax()
+    return float(low), float(high)
 
 
 def span(x: Tensor) -> str:

@@ -1,6 +1,7 @@
 """The command line, `uwaug …`. Exit codes: 0 done, 2 used wrongly, or a file fails its check."""
 
 import importlib.util
+import os
 import sys
 import time
 from pathlib import Path
@@ -68,7 +69,7 @@ def demo(
 
     start = time.perf_counter()
     try:
-        others = sorted({path.name for path in out.iterdir()} - set(PICTURES))
+        others = sorted(set(os.listdir(out)) - set(PICTURES))
     except FileNotFoundError:
         others = []
     except OSError as error:

@@ -55,8 +55,11 @@ class Draw(NamedTuple):
         """From a sample of a record."""
         low, high = sample["field_range"]
         drawn = {**sample, "field_low": low, "field_high": high}
-        values = (drawn.get(name) for name in Draw._fields)
-        return Draw(*(math.nan if value is None else value for value in values))
+        values = []
+        for name in Draw._fields:
+            value = drawn.get(name)
+            values.append(math.nan if value is None else value)
+        return Draw(*values)
 
     def to_tensor(self) -> Tensor:
         """As numbers; torch.tensor(…) would fix them in a graph."""

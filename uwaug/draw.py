@@ -16,7 +16,18 @@ from uwaug.optics.bands import default_bands
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.water import Water
 
-__all__ = ["RANGES", "Range", "Record", "Source", "as_range", "cameras_of", "spectra_of", "weighed"]
+__all__ = [
+    "RANGES",
+    "Range",
+    "Record",
+    "Source",
+    "as_range",
+    "cameras_of",
+    "require_scaling",
+    "require_visibility",
+    "spectra_of",
+    "weighed",
+]
 
 Range = float | tuple[float, float]
 Record = dict[str, Any]
@@ -157,3 +168,23 @@ def as_range(name: str, value: Any) -> tuple[float, float]:
         wanted = f"a number or a range (low, high) with low ≤ high, {checks.bounds(least, most)}"
         raise ValueError(f"{name} must be {wanted}; got {value!r}")
     return float(low), float(high)
+
+
+def require_scaling(ranges: Mapping[str, tuple[float, float]], kind: str) -> None:
+    """Refuse a near that may lie beyond far, or at 0 m where an inverse is scaled."""
+    near, far = ranges["near"], ranges["far"]
+    if near[1] >= far[0]:
+        raise ValueError(f"near must lie below far, got near = {near} and far = {far} in metres")
+    if kind == "inverse" and near[0] == 0:
+        where = "above 0 m where distance_kind is 'inverse'"
+        raise ValueError(f"near must lie {where}, got {near}")
+
+
+def require_visibility(water: Water, ranges: Mapping[str, tuple[float, float]]) -> None:
+    """Refuse a visibility that this water cannot have."""
+    for metres in ranges.get("visibility", ()):
+        try:
+            water.with_visibility(metres)
+        except ValueError as error:
+            unsuited = f"visibility={metres:g} does not suit water {water.name!r}"
+            raise ValueError(f"{unsuited}: {error}") from None

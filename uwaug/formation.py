@@ -125,7 +125,7 @@ def validate(image: Tensor, distance: Tensor, medium: Medium, field: Tensor | No
         counts = checks.counted(distance, "NaN", "negative")
         raise ValueError(f"distance is {counts}: expected metres ≥ 0 (+inf for open water); {cure}")
     if field is not None and field.numel():
-        low, high = field.detach().aminmax()
+        low, high = checks.extent(field)
         if not (low >= 0 and high < math.inf):
             counts = checks.counted(field, "NaN", "negative", "infinite")
             raise ValueError(f"field is {counts}: expected finite values ≥ 0")
@@ -150,7 +150,7 @@ def prepare(
 
 def plan_at_hand(z: Tensor, medium: Medium, tolerance: float, order: Order) -> BlurPlan:
     """The plan for these very distances, rounded so that similar ones share it."""
-    low, high = (float(v) for v in z.detach().aminmax()) if z.numel() else (0.0, 0.0)
+    low, high = checks.extent(z) if z.numel() else (0.0, 0.0)
     # open water scatters no light, unless a channel never fades
     fades = (medium.G > 0) | (medium.signal_weights == 0).all(1)
     if high >= FARTHEST and bool(fades.all()):

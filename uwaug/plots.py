@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from uwaug.blur.demand import blur_demand
+from uwaug.checks import extent
 from uwaug.colour import linear_to_srgb, srgb_to_linear
 from uwaug.distance import from_relative
 from uwaug.field import gaussian_random_field
@@ -185,7 +186,7 @@ def draw_width_laws(scene: Scene) -> Drawing:
         sigma = medium.width(z[None, None, None], (height, width)).flatten()
         half = _HALF[medium.point_spread.shape] * sigma
         radius.plot(z.numpy(), half.numpy(), color=colour, label=label, linewidth=2)
-    low, high = (float(v) for v in scene.distance.aminmax())
+    low, high = extent(scene.distance)
     radius.axvspan(low, high, color="black", alpha=0.07, linewidth=0, label="this scene")
     radius.set(xlim=(0, 8), yscale="log", ylim=(0.01, 500))
     radius.legend(frameon=False, fontsize=10.5, loc="lower right", reverse=True)
@@ -216,13 +217,12 @@ def _form(
 ) -> tuple[Terms, list[str]]:
     """The terms of a scene in a medium, and what was modelled."""
     z = scene.distance if distance is None else distance
-    low, high = (float(v) for v in (z if field is None else z * field).aminmax())
-    plan = blur_demand(medium, (low, high)).plan(_shape(scene))
+    plan = blur_demand(medium, extent(z if field is None else z * field)).plan(_shape(scene))
     terms = form_image(srgb_to_linear(scene.image), z, medium, field, plan=plan)
     return terms, [*(repr(medium[i]) for i in range(len(medium))), str(plan)]
 
 
 def _show_distance(axis: "Axes", z: Tensor) -> None:
-    low, high = (float(v) for v in z.aminmax())
+    low, high = extent(z)
     ticks = (f"{low:.1f} m", f"{(low + high) / 2:.1f} m", f"{high:.1f} m")
     show_map(axis, z, "z   distance", "viridis_r", ticks)

@@ -7,7 +7,9 @@ from torch import Tensor
 
 from uwaug.distance import along_ray, fill_unknown, from_disparity
 
-__all__ = ["Scene", "motorcycle"]
+__all__ = ["Scene", "motorcycle", "motorcycle_depth"]
+
+_FOCAL_PX = 994.978
 
 
 @dataclass(frozen=True)
@@ -31,11 +33,17 @@ def motorcycle() -> Scene:
 
     The 7 % of its pixels without disparity take the distance of the nearest pixel that has one.
     """
+    image, depth = motorcycle_depth()
+    # the benchmark counts pixels from the centre of the first
+    distance = along_ray(depth, _FOCAL_PX, centre=(311.193 + 0.5, 254.877 + 0.5))
+    return Scene(image, distance, _FOCAL_PX)
+
+
+def motorcycle_depth() -> tuple[Tensor, Tensor]:
+    """The picture of that scene (3xHxW, sRGB), and its depth along the optical axis (1xHxW, m)."""
     from skimage.data import stereo_motorcycle
 
     left, _, disparity = stereo_motorcycle()
-    focal_px, offset_px = 994.978, 31.086
-    depth = from_disparity(torch.from_numpy(disparity)[None], focal_px, 0.193001, offset_px)
-    # the benchmark counts pixels from the centre of the first
-    distance = along_ray(fill_unknown(depth), focal_px, centre=(311.193 + 0.5, 254.877 + 0.5))
-    return Scene(torch.from_numpy(left).permute(2, 0, 1) / 255, distance, focal_px)
+    pixels = torch.from_numpy(disparity)[None]
+    depth = from_disparity(pixels, _FOCAL_PX, baseline_m=0.193001, offset_px=31.086)
+    return torch.from_numpy(left).permute(2, 0, 1) / 255, fill_unknown(depth)

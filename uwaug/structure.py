@@ -1,7 +1,7 @@
 """Samples as loaders give them: an image and a map inside a tuple, a list or a dict."""
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -10,7 +10,7 @@ from torch import Tensor
 
 from uwaug import checks
 
-__all__ = ["Parts", "plain_image", "plain_maps", "take_apart", "typed"]
+__all__ = ["Parts", "maps_for", "plain_image", "take_apart", "typed"]
 
 
 class Parts(NamedTuple):
@@ -76,7 +76,34 @@ def plain_image(image: Any) -> Tensor:
     return typed(image, Tensor)
 
 
-def plain_maps(distance: Any, images: Tensor) -> Tensor:
+def maps_for(
+    image: Tensor, distance: Any, chosen: list[int], instead: Any
+) -> Sequence[Tensor | None]:
+    """A map for each of the chosen pictures of a batch; None where a plane is.
+
+    Args:
+        image (3xHxW or Bx3xHxW tensor): plain.
+        distance: the map that was given, or None.
+        chosen: indices of pictures.
+        instead: what there is instead of a map: None, numbers, or a callable that guesses maps.
+    """
+    batch = image if image.ndim == 4 else image[None]
+    if distance is not None:
+        maps = _plain_maps(distance, batch)
+        return [maps[i] for i in chosen]
+    if instead is None:
+        cure = "RandomUnderwater(distance=…) a constant, a range or a callable"
+        raise ValueError(f"distance is missing: give a map, or {cure}")
+    if not callable(instead) or not chosen:
+        return [None] * len(chosen)
+    seen = batch[chosen]
+    shown = image if image.ndim == 3 else seen
+    with torch.no_grad():
+        guess = instead(shown / 255 if shown.dtype == torch.uint8 else shown)
+    return list(_plain_maps(guess, seen))
+
+
+def _plain_maps(distance: Any, images: Tensor) -> Tensor:
     """Check a map of distances; return one for each image (Bx1xHxW), as a plain tensor."""
     checks.floating("distance", distance, "; divide a map in millimetres by 1000")
     checks.picture("distance", distance, 1)

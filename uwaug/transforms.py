@@ -3,7 +3,7 @@
 import hashlib
 import inspect
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import Any, get_args
 
@@ -13,13 +13,24 @@ from torch import Tensor, nn
 from uwaug import checks
 from uwaug.colour import ColorSpace
 from uwaug.degrade import DistanceKind, Draw, Settings, Unknown, degrade, degrade_opaque, table
-from uwaug.draw import RANGES, Range, Record, Source, as_range, cameras_of, spectra_of, weighed
+from uwaug.draw import (
+    RANGES,
+    Range,
+    Record,
+    Source,
+    as_range,
+    cameras_of,
+    require_scaling,
+    require_visibility,
+    spectra_of,
+    weighed,
+)
 from uwaug.formation import Order
 from uwaug.optics.camera import Camera
 from uwaug.optics.jerlov_tables import JERLOV_TYPES
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
-from uwaug.structure import plain_image, plain_maps, take_apart, typed
+from uwaug.structure import maps_for, plain_image, take_apart, typed
 
 __all__ = ["RandomUnderwater"]
 
@@ -104,8 +115,8 @@ class RandomUnderwater(nn.Module):
         >>> image, distance = torch.rand(3, 32, 48), torch.full((1, 32, 48), 3.0)
         >>> degraded, _ = aug(image, distance)
         >>> record = aug.make_params(image)
-        >>> again = aug.transform(image, distance, record)
-        >>> torch.equal(aug.transform(image, distance, record), again)
+        >>> again, once_more = (aug.transform(image, distance, record) for _ in range(2))
+        >>> torch.equal(again, once_more)
         True
     """
 
@@ -175,9 +186,7 @@ class RandomUnderwater(nn.Module):
         for name, allowed in _CHOICES.items():
             checks.one_of(name, getattr(self, name), allowed)
         for name in ("p", "field_probability"):
-            share = getattr(self, name)
-            if not 0 <= share <= 1:
-                raise ValueError(f"{name} must be a probability in [0, 1], got {share}")
+            checks.within(name, getattr(self, name), 0.0, 1.0)
         checks.tolerance(self.tolerance)
         checks.instance("point_spread", self.point_spread, PointSpread)
         defaults = inspect.signature(type(self)).parameters
@@ -200,9 +209,13 @@ class RandomUnderwater(nn.Module):
             p=self.p,
             field_probability=self.field_probability,
         )
-        choices = {name: getattr(self, name) for name in _CHOICES}
         self._settings = Settings(
-            **choices, point_spread=self.point_spread, tolerance=self.tolerance
+            distance_kind=self.distance_kind,
+            unknown=self.unknown,
+            color_space=self.color_space,
+            order=self.order,
+            point_spread=self.point_spread,
+            tolerance=self.tolerance,
         )
         # for compiled code, which takes no objects
         self._opaque_settings = self._settings.to_json()
@@ -216,17 +229,14 @@ class RandomUnderwater(nn.Module):
             left_out.add("visibility")
         if self.distance is None or callable(self.distance):
             left_out.add("distance")
-        drawn = [name for name in RANGES if name not in left_out]
-        ranges = {name: as_range(name, getattr(self, name)) for name in drawn}
-        if self.distance_kind != "metric" and ranges["near"][1] >= ranges["far"][0]:
-            got = f"near = {self.near} and far = {self.far} in metres"
-            raise ValueError(f"near must lie below far, got {got}")
-        if self.distance_kind == "inverse" and ranges["near"][0] == 0:
-            where = "above 0 m where distance_kind is 'inverse'"
-            raise ValueError(f"near must lie {where}, got {self.near}")
+        ranges = {}
+        for name in RANGES:
+            if name not in left_out:
+                ranges[name] = as_range(name, getattr(self, name))
+        if self.distance_kind != "metric":
+            require_scaling(ranges, self.distance_kind)
         for water in self.spectra.values():
-            for metres in ranges.get("visibility", ()):
-                _require_visibility(water, metres, self.visibility)
+            require_visibility(water, ranges)
         return ranges
 
     @classmethod
@@ -285,7 +295,7 @@ class RandomUnderwater(nn.Module):
         images = plain if plain.ndim == 4 else plain[None]
         samples = self._source.samples(params, len(images))
         chosen = [i for i, sample in enumerate(samples) if sample["applied"]]
-        maps = self._maps(plain, distance, chosen)
+        maps = maps_for(plain, distance, chosen, self.distance)
         if not chosen:
             return image
         parts = list(images)
@@ -299,25 +309,6 @@ class RandomUnderwater(nn.Module):
                 waters, response = [self.spectra[name] for name in names], self.responses[camera]
                 parts[i] = degrade(parts[i], z, waters, response, draw, self._settings)
         return typed(parts[0] if plain.ndim == 3 else torch.stack(parts), type(image))
-
-    def _maps(
-        self, image: Tensor, distance: Tensor | None, chosen: list[int]
-    ) -> Sequence[Tensor | None]:
-        """A map for each picture that is to be degraded; None where a plane is."""
-        batch = image if image.ndim == 4 else image[None]
-        if distance is not None:
-            maps = plain_maps(distance, batch)
-            return [maps[i] for i in chosen]
-        if self.distance is None:
-            cure = "RandomUnderwater(distance=…) a constant, a range or a callable"
-            raise ValueError(f"distance is missing: give a map, or {cure}")
-        if not callable(self.distance) or not chosen:
-            return [None] * len(chosen)
-        seen = batch[chosen]
-        shown = image if image.ndim == 3 else seen
-        with torch.no_grad():
-            guess = self.distance(shown / 255 if shown.dtype == torch.uint8 else shown)
-        return list(plain_maps(guess, seen))
 
     def at(self, seed: int, epoch: int, index: int) -> Callable[..., Any]:
         """The transform with randomness from a key: the same result in any worker, in any order.
@@ -356,11 +347,3 @@ class RandomUnderwater(nn.Module):
             if value not in (parameter.default, [parameter.default]):
                 shown.append(f"{name}={value!r}")
         return f"{type(self).__name__}({', '.join(shown)})"
-
-
-def _require_visibility(water: Water, metres: float, given: Any) -> None:
-    try:
-        water.with_visibility(metres)
-    except ValueError as error:
-        unsuited = f"visibility={given} does not suit water {water.name!r}"
-        raise ValueError(f"{unsuited}: {error}") from None

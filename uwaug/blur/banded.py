@@ -3,38 +3,46 @@
 A Gaussian blur with half-sample symmetric edges is a banded matrix per axis; so is "blur, then keep
 every m-th sample", and so is spline interpolation back. Written as matrices the reflection at the
 edges is folded into the entries, grids need not divide the image size, a 1×1 image is nothing
-special, and the adjoint that gradients need is the transpose. Each matrix is cut into row blocks
-that hold only the columns in use. Blocks that repeat are one batched matrix product on overlapping
-windows, which on a CPU is about as fast as one scaled addition per tap for the narrowest kernels
-and faster for all others: 3×256², one thread, σ 1.0 / 1.5 / 4 px: blocks 0.28 / 0.31 / 0.28 ms,
-scaled additions 0.25 / 0.40 / 1.0, kornia's convolution 1.1 / 1.4 / 2.7, a dense matrix 1.8; oneDNN
-strided convolutions lie between 0.3 and 3.
+special, and the adjoint that gradients need is the transpose.
+
+Each matrix is cut into row blocks that hold only the columns in use. Blocks that repeat are one
+batched matrix product on overlapping windows, which on a CPU is about as fast as one scaled
+addition per tap for the narrowest kernels and faster for all others: 3×256², one thread, σ 1.0 /
+1.5 / 4 px: blocks 0.28 / 0.31 / 0.28 ms, scaled additions 0.25 / 0.40 / 1.0, kornia's convolution
+1.1 / 1.4 / 2.7, a dense matrix 1.8; oneDNN strided convolutions lie between 0.3 and 3.
+
+Away from the edges the blocks repeat, so that only a period of them is made, and the edges: nothing
+grows with the square of the image's side.
 """
 
 import math
-from fractions import Fraction
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
-import numpy as np
 import torch
-from kornia.filters import get_gaussian_kernel1d
-from numpy.typing import NDArray
 from torch import Tensor
 
-Array = NDArray[np.float64]
+from uwaug.blur.kernels import (
+    MARGIN,
+    PERIOD,
+    blur_kernel,
+    enlarge_kernels,
+    per_cell,
+    reflect,
+    shrink_kernels,
+)
 
-POLE = math.sqrt(3.0) - 2.0
-"""Of the filter that turns samples into cubic B-spline coefficients."""
+__all__ = ["Banded", "Node", "along_columns", "along_rows", "operator"]
 
-PERIOD = 16
-"""px that hold whole cells of a grid, or a cell whole periods; strips of rows are multiples."""
+Kind = Literal["blur", "shrink", "enlarge"]
 
-MARGIN = 2
-"""Cells of a grid beyond either edge, as a cubic spline needs."""
 
-SPLINE_REACH = 8
-"""|POLE|^8 = 3e-5, at a frequency where the Gaussian has already removed all but 1e-2."""
+class Node(NamedTuple):
+    """One blur of a stack: its width, px; the cell of its grid, px; kernels are cut at reach·σ."""
+
+    sigma: float
+    cell: float
+    reach: float
 
 
 class Run(NamedTuple):
@@ -58,189 +66,187 @@ class Banded(NamedTuple):
     runs: tuple[Run, ...]
 
 
-def sampled_parameter(sigma: Array) -> Array:
-    """Parameter of the sampled Gaussian whose variance is sigma²: sigma itself from 1 px on.
+class Kernels(NamedTuple):
+    """A banded matrix A for an axis of any length: a kernel for each row, repeated with a period.
 
-    A sampled Gaussian of σ = 0.5 px has a variance of 0.215 instead of 0.25 and one of 0.3 px
-    hardly reacts to σ.
+    Attributes:
+        first (p): first column of the first p rows.
+        weights (p, taps): weights of the columns from there on.
+        step: columns from one period to the next.
+        shift: row that begins a period.
+        reflects: whether columns beyond the edges are folded back.
     """
-    parameters, variances = _sampled_variances()
-    return np.where(sigma < 1, np.interp(sigma**2, variances, parameters), sigma)
+
+    first: Tensor
+    weights: Tensor
+    step: int
+    shift: int
+    reflects: bool
+
+    @property
+    def taps(self) -> int:
+        """Columns that a row uses."""
+        return self.weights.shape[1]
+
+    def starts(self, start: int, stop: int) -> Tensor:
+        """The first columns of rows `start` to `stop`, before reflection."""
+        index, period = torch.arange(start, stop) - self.shift, len(self.first)
+        turn = torch.div(index, period, rounding_mode="floor")
+        return self.first[index % period] + turn * self.step
+
+    def slab(self, start: int, stop: int, cols: int) -> tuple[int, Tensor]:
+        """Rows `start` to `stop` of A: the first column in use, and the weights from there on."""
+        columns = self.starts(start, stop)[:, None] + torch.arange(self.taps)
+        if self.reflects:
+            columns = reflect(columns, cols)
+        low, high = (int(column) for column in columns.aminmax())
+        weights = self.weights[(torch.arange(start, stop) - self.shift) % len(self.first)]
+        dense = torch.zeros(stop - start, high + 1 - low, dtype=torch.float64)
+        return low, dense.scatter_add_(1, columns - low, weights)
 
 
-@lru_cache(maxsize=1)
-def _sampled_variances() -> tuple[Array, Array]:
-    """Parameters of sampled Gaussians, and the variances that they have."""
-    parameters = np.linspace(0.08, 1.05, 4096)
-    squares = np.arange(1, 9) ** 2
-    weights = np.exp(-0.5 * squares / parameters[:, None] ** 2)
-    return parameters, 2 * (weights @ squares) / (1 + 2 * weights.sum(1))
+class Matrix(NamedTuple):
+    """A, or its transpose, for an axis of a given length.
 
-
-def reflect(index: Tensor, size: int) -> Tensor:
-    """Fold indices into [0, size), half-sample symmetric."""
-    period = torch.full(
-        (1,), 2 * size, dtype=torch.int64
-    )  # a tensor, as ONNX has no remainder by a symbolic number
-    index = torch.remainder(index, period)
-    return torch.minimum(index, period - 1 - index)
-
-
-def _fold(kernel: Tensor, first: Tensor, size: int) -> Tensor:
-    """Dense (n, size) matrix: row i holds `kernel[i]` from column first[i] on, reflected into [0,
-    size).
+    Attributes:
+        kernels: of the rows of A.
+        rows, cols: of A.
+        transposed: whether this is Aᵀ.
     """
-    columns = reflect(first[:, None] + torch.arange(kernel.shape[1]), size)
-    return torch.zeros(kernel.shape[0], size, dtype=torch.float64).scatter_add(1, columns, kernel)
+
+    kernels: Kernels
+    rows: int
+    cols: int
+    transposed: bool
+
+    def slab(self, start: int, stop: int) -> tuple[int, Tensor]:
+        """Rows `start` to `stop`: the first column in use, and the weights from there on."""
+        kernels, cols = self.kernels, self.cols
+        if not self.transposed:
+            return kernels.slab(start, stop, cols)
+        # the rows of A that reach one of these columns, directly or folded back at an edge
+        first = kernels.starts(0, self.rows)
+        end = first + kernels.taps
+        reaches = (first < stop) & (end > start)
+        if kernels.reflects:
+            reaches |= (first < -start) | (end > 2 * cols - stop) | (kernels.taps > cols)
+        used = reaches.nonzero().flatten()
+        if not len(used):
+            return 0, torch.zeros(stop - start, 1, dtype=torch.float64)
+        low, high = int(used[0]), int(used[-1]) + 1
+        col, dense = kernels.slab(low, high, cols)
+        whole = torch.zeros(high - low, max(stop, col + dense.shape[1]), dtype=torch.float64)
+        whole[:, col : col + dense.shape[1]] = dense
+        return low, whole[:, start:stop].t()
+
+    def edge(self) -> int:
+        """How many rows at either end differ from what the period says."""
+        kernels, rows, cols = self.kernels, self.rows, self.cols
+        first = kernels.starts(0, rows)
+        if not self.transposed:
+            return int(max((first < 0).sum(), (first + kernels.taps > cols).sum()))
+        before, after = (int(kernels.starts(row, row + 1)) for row in (-1, rows))
+        folded = int(max(-first.min(), first.max() + kernels.taps - cols))
+        return max(before + kernels.taps, cols - after, folded)
 
 
-def blur_kernel(sigma: float, reach: float) -> Tensor:
-    """(1, 2r + 1) sampled Gaussian of variance sigma² px², cut at `reach`·sigma."""
-    radius = math.ceil(reach * sigma)
-    parameter = float(sampled_parameter(np.array(sigma)))
-    kernel: Tensor = get_gaussian_kernel1d(2 * radius + 1, parameter, dtype=torch.float64)
-    return kernel
+def _banded(
+    matrix: Matrix, height: int, period: int, dtype: torch.dtype, device: torch.device
+) -> Banded:
+    """A matrix in blocks of `height` rows; it repeats every `period` rows, whole blocks."""
+    count = matrix.cols if matrix.transposed else matrix.rows
+    edge = matrix.edge()
+    left, right = -(-edge // period) * period, (count - edge) // period * period
+    if right - left <= period:
+        left = right = count
+    runs = _blocks(matrix, 0, left, height, dtype, device)
+    if right > left:
+        repeats = (right - left) // period
+        step = matrix.kernels.step * period // len(matrix.kernels.first)
+        if matrix.transposed:
+            step = len(matrix.kernels.first) * period // matrix.kernels.step
+        blocks = _blocks(matrix, left, left + period, height, dtype, device)
+        if len(blocks) == 1:
+            runs.append(blocks[0]._replace(repeats=repeats, step=step))
+        else:
+            for n in range(repeats):
+                runs += [b._replace(row=b.row + n * period, col=b.col + n * step) for b in blocks]
+        runs += _blocks(matrix, right, count, height, dtype, device)
+    return Banded(count, tuple(runs))
 
 
-def blur_matrix(size: int, sigma: float, reach: float) -> Tensor:
-    """(size, size) matrix of that kernel on a half-sample symmetric axis."""
-    kernel = blur_kernel(sigma, reach)
-    return _fold(kernel.expand(size, -1), torch.arange(size) - kernel.shape[1] // 2, size)
+def _blocks(
+    matrix: Matrix, start: int, stop: int, height: int, dtype: torch.dtype, device: torch.device
+) -> list[Run]:
+    """Rows `start` to `stop` as blocks, each with the columns that it uses."""
+    if start == stop:
+        return []
+    first, slab = matrix.slab(start, stop)
+    runs = []
+    for row in range(0, stop - start, height):
+        rows = slab[row : row + height]
+        used = (rows != 0).any(0).nonzero().flatten()
+        # a cell that no pixel uses has no column
+        low, high = (int(used[0]), int(used[-1]) + 1) if len(used) else (0, 1)
+        block = rows[:, low:high].to(device, dtype).contiguous()
+        transposed = block.t().contiguous()
+        runs.append(Run(start + row, len(block), 1, first + low, 0, block, transposed))
+    return runs
 
 
-def grid_matrices(size: int, sigma: float, cell: float, reach: float) -> tuple[Tensor, Tensor]:
-    """What blurs an axis on a grid of `cell` px: shrink (cells, size), enlarge (size, cells)."""
-    a, q = per_cell(cell)
-    cells = -(-size * a // q) + 2 * MARGIN
-    return shrink_matrix(size, cells, a, q, sigma, reach), enlarge_matrix(size, cells, a, q)
+@lru_cache(maxsize=256)
+def _kernels(kind: Kind, node: Node) -> Kernels:
+    a, q = per_cell(node.cell)
+    if kind == "blur":
+        kernel = blur_kernel(node.sigma, node.reach)
+        first = torch.tensor([-(kernel.shape[1] // 2)])
+        return Kernels(first, kernel, step=1, shift=0, reflects=True)
+    if kind == "shrink":
+        found = shrink_kernels(torch.arange(a), a, q, node.sigma, node.reach)
+        return Kernels(*found, step=q, shift=MARGIN, reflects=True)
+    first, weights = enlarge_kernels(torch.arange(q), a, q)
+    return Kernels(first + MARGIN, weights, step=a, shift=0, reflects=False)
 
 
-def per_cell(cell: float) -> tuple[int, int]:
-    """A grid's pitch as `a` cells on `q` px."""
-    pitch = Fraction(cell).limit_denominator(PERIOD)
-    return pitch.denominator, pitch.numerator
-
-
-def shrink_matrix(size: int, cells: int, a: int, q: int, sigma: float, reach: float) -> Tensor:
-    """(cells, size) matrix: cubic B-spline coefficients, on a grid of `a` cells for every `q` px,
-    of the axis blurred by `sigma` px.
-    """
-    first, kernel = shrink_kernels(torch.arange(-MARGIN, cells - MARGIN), a, q, sigma, reach)
-    return _fold(kernel, first, size)
-
-
-def shrink_kernels(
-    index: Tensor, a: int, q: int, sigma: float, reach: float
-) -> tuple[Tensor, Tensor]:
-    """First px (n) and weights (n, taps) of the cells `index`: the same in every period, to the
-    last bit.
-
-    Sampling a Gaussian and solving for spline coefficients (Unser 1999, eq. 11) is one kernel, Σ_k
-    √3·pole^|k| g(x + k·cell): the blur itself is the anti-aliasing filter, and the spline loses
-    less than 70 dB from cell ≤ σ/1.1 on (linear interpolation: 45 dB; Keys' cubic: 57). With g(x +
-    k·cell) = g(x)·g(k·cell)·ratio^k it takes two exponentials and a polynomial.
-    """
-    cell = q / a
-    within = (torch.remainder(index, a).double() + 0.5) * cell - 0.5
-    radius = math.ceil(reach * sigma)
-    first = torch.floor(within).long() - radius
-    x = (first[:, None] + torch.arange(2 * radius + 2)) - within[:, None]
-    ratio, step = (
-        torch.exp(-x * (cell / sigma**2)),
-        math.exp(-0.5 * (cell / sigma) ** 2),
-    )  # step = g(cell)
-    kernel, forth, back = torch.ones_like(x), torch.ones_like(x), torch.ones_like(x)
-    for k in range(1, SPLINE_REACH + 1):
-        # g(k·cell)·ratio^±k, each from the one before: g(k·cell) = g((k − 1)·cell)·g(cell)^(2k − 1)
-        forth, back = forth * (ratio * step ** (2 * k - 1)), back / ratio * step ** (2 * k - 1)
-        kernel = kernel + POLE**k * (forth + back)
-    # cut at the same distance on both sides, wherever between two pixels the centre lies
-    kernel = kernel * torch.exp(-0.5 * (x / sigma) ** 2) * (x.abs() <= radius + 0.5)
-    return first + torch.div(index, a, rounding_mode="floor") * q, kernel / kernel.sum(
-        1, keepdim=True
-    )
-
-
-def enlarge_matrix(size: int, cells: int, a: int, q: int) -> Tensor:
-    """(size, cells) matrix: values at `size` samples of the cubic B-spline with coefficients on
-    that grid.
-    """
-    first, kernel = enlarge_kernels(torch.arange(size), a, q)
-    columns = MARGIN + first[:, None] + torch.arange(4)
-    return torch.zeros(size, cells, dtype=torch.float64).scatter_(1, columns, kernel)
-
-
-def enlarge_kernels(index: Tensor, a: int, q: int) -> tuple[Tensor, Tensor]:
-    """First cell (n) and weights (n, 4) of the px `index`."""
-    x = (torch.remainder(index, q).double() + 0.5) * (a / q) - 0.5
-    first = torch.floor(x).long() + torch.div(index, q, rounding_mode="floor") * a - 1
-    t = (x - torch.floor(x))[:, None]
-    return first, torch.cat(
-        [(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, 3 * (1 - t) ** 3 - 6 * (1 - t) ** 2 + 4, t**3], 1
-    ) / 6
-
-
-def cut(dense: Tensor, height: int, dtype: torch.dtype, device: torch.device) -> Banded:
-    """Cut a dense matrix into row blocks of `height` rows, each with the columns that it uses, and
-    join those that repeat.
-    """
-    runs: list[Run] = []
-    used = dense != 0
-    for row in range(0, len(dense), height):
-        columns = used[row : row + height].any(0).nonzero().flatten()
-        col, col_end = (
-            (int(columns[0]), int(columns[-1]) + 1) if len(columns) else (0, 1)
-        )  # a cell that no pixel uses
-        matrix = dense[row : row + height, col:col_end].to(device, dtype).contiguous()
-        if (
-            runs
-            and runs[-1].matrix.shape == matrix.shape
-            and bool((runs[-1].matrix == matrix).all())
-        ):
-            last = runs[-1]
-            step = last.step if last.repeats > 1 else col - last.col
-            if col == last.col + last.repeats * step:
-                runs[-1] = last._replace(repeats=last.repeats + 1, step=step)
-                continue
-        runs.append(Run(row, len(matrix), 1, col, 0, matrix, matrix.t().contiguous()))
-    return Banded(len(dense), tuple(runs))
-
-
-@lru_cache(maxsize=1024)
-def operators(
+@lru_cache(maxsize=128)
+def operator(
+    kind: Kind,
     axis: int,
     size: int,
-    sigma: float,
-    cell: float,
-    reach: float,
+    node: Node,
     dtype: torch.dtype,
     device: torch.device,
-) -> tuple[tuple[Banded, Banded], ...]:
-    """What blurs one axis (0: along rows, 1: along columns), as (matrix, transpose) pairs in the
-    order of use.
+    adjoint: bool = False,
+) -> Banded:
+    """A matrix of a node for an axis of `size` px, or its transpose.
 
-    One pair, a blur, on the image's own grid (`cell` = 1); two, shrink and enlarge, on a coarser
-    one.
+    Args:
+        kind: "blur" on the image's own grid; "shrink" to a coarser one, "enlarge" back.
+        axis: 0: along rows, 1: along columns.
+        size: of the image along that axis, px.
+        node: which blur.
+        adjoint: the transpose. That of a blur is itself: half-sample reflection makes the cosine
+            transform diagonalise it.
     """
     least = 8 if axis == 0 else 32  # rows of a block, the fastest of 4…64 on 256 and 512 px
-    if cell == 1:
-        blur = cut(blur_matrix(size, sigma, reach), least, dtype, device)
-        return (
-            (blur, blur),
-        )  # symmetric: half-sample reflection makes the cosine transform diagonalise it
-    shrink, enlarge = grid_matrices(size, sigma, cell, reach)
-    a, q = per_cell(cell)
-    # whole periods of the grid repeat
-    cells, px = a * -(-least // a), max(least, min(q, PERIOD))
-    return (
-        (cut(shrink, cells, dtype, device), cut(shrink.t(), px, dtype, device)),
-        (cut(enlarge, px, dtype, device), cut(enlarge.t(), cells, dtype, device)),
-    )
+    a, q = per_cell(node.cell)
+    cells = -(-size * a // q) + 2 * MARGIN
+    kernels = _kernels(kind, node)
+    if kind == "blur":
+        return _banded(Matrix(kernels, size, size, False), least, least, dtype, device)
+    shape = (cells, size) if kind == "shrink" else (size, cells)
+    # whole periods of the grid repeat; a strip of rows of the image ends between two blocks
+    height, period = max(least, min(q, PERIOD)), q
+    if (kind == "shrink") != adjoint:
+        height, period = a * -(-least // a), a
+    whole = math.lcm(height, period)
+    return _banded(Matrix(kernels, *shape, adjoint), height, whole, dtype, device)
 
 
 def along_rows(matrix: Banded, x: Tensor, first: int = 0, end: int | None = None) -> Tensor:
-    """`matrix @ x` for x (rows, N), contiguous; only rows `first` to `end`, between blocks, of the
-    result.
+    """`matrix @ x` for x (rows, N), contiguous.
+
+    Only rows `first` to `end` of the result, which lie between blocks.
     """
     n, start = x.shape[1], x.storage_offset()
     end = matrix.rows if end is None else min(end, matrix.rows)

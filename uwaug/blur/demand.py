@@ -105,8 +105,8 @@ def blur_demand(
     checks.tolerance(tolerance)
     law = medium.point_spread
     medium = medium.to(torch.promote_types(medium.beta.dtype, torch.float32))
-    near, far = (min(max(d, 0.0), FARTHEST) for d in distance_range)
-    far = min(far, _spent(medium))
+    near = min(max(distance_range[0], 0.0), FARTHEST)
+    far = min(max(distance_range[1], 0.0), FARTHEST, _spent(medium))
     least = max(near, 1e-3)
     z = least * (max(far, least) / least) ** _STEPS
     with torch.no_grad(), torch.autocast(medium.beta.device.type, enabled=False):
@@ -124,7 +124,7 @@ def blur_demand(
         if order == "source":
             ends = (near, float(z[-1]))
         widths = medium.width(medium.beta.new_tensor(ends)[None, None, None], None)
-        low, high = (float(v) for v in widths.aminmax())
+        low, high = checks.extent(widths)
     # in half octaves, so that similar media may share a plan
     slack = _SLACK * octave_steps(1 / float(strength.max()), 2, math.floor)
     return BlurDemand(

@@ -18,7 +18,7 @@ from typing import get_args
 import numpy as np
 
 from uwaug import checks
-from uwaug.blur.banded import PERIOD, Array, sampled_parameter
+from uwaug.blur.kernels import PERIOD, Array, sampled_parameter
 from uwaug.optics.point_spread import Shape
 
 __all__ = ["NO_BLUR", "V_FLOOR", "BlurPlan", "octave_steps", "plan_blur", "range_in_v"]

@@ -9,7 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from uwaug.blur.banded import (
+from uwaug.blur.kernels import (
     MARGIN,
     PERIOD,
     blur_kernel,

@@ -66,9 +66,10 @@ class OnnxUnderwater:
         rows = self._rows(image, distance, field)
         if medium is not None:
             rows |= parameters_of(medium)
-        sizes = {name: len(value) for name, value in rows.items()}
+        sizes = dict(zip(rows, map(len, rows.values()), strict=True))
         checks.batches(sizes)
-        batch = next((n for n in sizes.values() if n != 1), 1)
+        # that of all that is not 1; there is none but 0 beside it
+        batch = min(sizes.values()) if 0 in sizes.values() else max(sizes.values())
         if image.numel() == 0 or batch == 0:
             return image.new_zeros(batch, 3, *image.shape[-2:])
         # one by one: what a batch holds between two operations leaves the cache, and takes up to

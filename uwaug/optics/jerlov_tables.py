@@ -66,16 +66,17 @@ def repaired_table(type: str, source: str) -> Table:
         values, flags = _tabulated(type, source, key, grid)
         gaps = np.isnan(values)
         if not gaps.all():
-            notes.append(f"{label}: {SOURCES[source]}")
+            notes.append(f"Jerlov {type}: {label}: {SOURCES[source]}")
         if gaps.any():
             repair, cited = _REPAIRS[key]
             values[gaps], _ = _tabulated(type, repair, key, grid[gaps])
             reason = "not in this source" if gaps.all() else _MISPRINT
             flags[f"{cited} ({reason})"] = grid[gaps].tolist()
         for flag, nm in flags.items():
-            notes.append(f"{label} at {min(nm):g}–{max(nm):g} nm: {_FLAGS.get(flag, flag)}")
+            where = f"{label} at {min(nm):g}–{max(nm):g} nm"
+            notes.append(f"Jerlov {type}: {where}: {_FLAGS.get(flag, flag)}")
         spectra[key] = values
-    return Table(grid, spectra, [f"Jerlov {type}: {note}" for note in notes])
+    return Table(grid, spectra, notes)
 
 
 def _tabulated(

@@ -181,10 +181,10 @@ class Medium:
         for value in reversed(list(given.values())):
             if isinstance(value, Tensor) and value.is_floating_point():
                 dtype = value.dtype
-        rows = {}
+        rows, batches = {}, {}
         for name, value in given.items():
             rows[name] = _rows(name, value, () if name == "b_mean" else (3,), dtype)
-        batches = {name: len(row) for name, row in rows.items()}
+            batches[name] = len(rows[name])
         checks.batches(batches)
         b = max(batches.values())
         beta, G, veil, light, b_mean = (row.expand(b, *row.shape[1:]) for row in rows.values())
@@ -229,8 +229,8 @@ class Medium:
         return replace(self.map(lambda t: t[part] if t.ndim else t), notes=self.notes[part])
 
     def map(self, function: Callable[[Tensor], Tensor]) -> "Medium":
-        """The same medium with `function` applied to each tensor, the width law's included."""
-        tensors = {name: function(getattr(self, name)) for name in _TENSORS}
+        """`function` applied to each tensor, the width law's included."""
+        tensors = dict(zip(_TENSORS, map(function, self.tensors()), strict=True))
         return Medium(**tensors, point_spread=self.point_spread.map(function), notes=self.notes)
 
     def to(self, *args: Any, **kwargs: Any) -> "Medium":
@@ -254,10 +254,7 @@ class Medium:
 
     @staticmethod
     def of(parameters: Mapping[str, Tensor], like: "Medium") -> "Medium":
-        """The inverse of `parameters`.
-
-        Shape and reference size of the width law, and the notes, are those of `like`.
-        """
+        """The inverse of `parameters`; kind of width law and notes are those of `like`."""
         tensors = dict(parameters)
         scale, exponent = tensors.pop("scale"), tensors.pop("exponent")
         law = replace(like.point_spread, scale=scale, exponent=exponent)
@@ -271,7 +268,7 @@ class Medium:
     def sums(self, *, near: bool) -> Sums:
         """What `curves` takes.
 
-        near: keep the veil's relative precision at the lens: a veil of a millimetre of water is
+        near: keep the veil's relative precision at the lens: that of a millimetre of water is
         small, not zero. Otherwise V(0) − V(z) is subtracted, which is right to 2e-5 of itself from
         an optical depth of 1/256 on, and takes half the time.
         """
@@ -326,9 +323,7 @@ class Medium:
         return self.b_mean.reshape(-1, 1, 1, 1).to(z) * z
 
     def width(self, z: Tensor, size: tuple[int, int] | None) -> Tensor:
-        """σ(z), px, for distances (B or 1, 1, H, W) in an image of (height, width) `size`; None for
-        px of the law's reference size.
-        """
+        """σ(z), px, of distances (B or 1, 1, H, W) in an image of `size`; None: in the law's px."""
         return self.point_spread.sigma(self.lengths(z.clamp(max=FARTHEST)), size)
 
     def __repr__(self) -> str:

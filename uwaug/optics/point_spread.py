@@ -84,7 +84,7 @@ class PointSpread:
     ) -> "PointSpread":
         """One law for several media of `rows` rows each; tensors only where the laws differ."""
         if len({(law.shape, law.reference_size) for law in laws}) > 1:
-            got = sorted({str(law) for law in laws})
+            got = sorted(set(map(str, laws)))
             raise ValueError(
                 f"media must share the shape and reference_size of their point spreads, got {got}"
             )

@@ -165,8 +165,7 @@ class Water(Spectra):
             raise ValueError(f"{self} and {other} have no common wavelength to mix at")
         mine, theirs = self._on(grid), other._on(grid)
         spectra = {key: (1 - t) * mine[key] + t * theirs[key] for key in _SPECTRA}
-        first, second = (f"({name})" if " " in name else name for name in (self.name, other.name))
-        name = f"{1 - t:g}·{first} + {t:g}·{second}"
+        name = f"{1 - t:g}·{_bracketed(self.name)} + {t:g}·{_bracketed(other.name)}"
         provenance = tuple(dict.fromkeys(self.provenance + other.provenance))
         return type(self)(grid, **spectra, name=name, provenance=provenance)
 
@@ -290,6 +289,10 @@ class Water(Spectra):
         absorption, scattering = _pure_water(tuple(nm.tolist()))
         a, b = np.minimum(self.a, absorption), np.minimum(self.b, scattering)
         return Water(nm, a, b, np.minimum(self.kd, a + b / 2))
+
+
+def _bracketed(name: str) -> str:
+    return f"({name})" if " " in name else name
 
 
 @cache

@@ -211,18 +211,15 @@ def test_a_camera_passes_through():
 
 @pytest.mark.parametrize("name", ["Nikon D90", "", "camera.txt"])
 def test_unknown_name(name):
-    with pytest.raises(
-        ValueError,
-        match=rf"no camera is called '{name}'; there are '.*', '.*', or .* path of a \.csv",
-    ):
+    message = rf"no camera is called '{name}'; there are '.*', '.*', or .* path of a \.csv"
+    with pytest.raises(ValueError, match=message):
         load_camera(name)
 
 
 @pytest.mark.parametrize("camera", [None, 5100, ["a.csv"]])
 def test_wrong_type(camera):
-    with pytest.raises(
-        TypeError, match=r"camera must be a name, the path of a CSV file or a Camera, got"
-    ):
+    message = r"camera must be a name, the path of a CSV file or a Camera, got"
+    with pytest.raises(TypeError, match=message):
         load_camera(camera)
 
 

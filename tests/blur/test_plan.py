@@ -1,0 +1,140 @@
+import math
+
+import numpy as np
+import pytest
+import reference
+import torch
+from blurring import RANGES, constant
+from inputs import rand
+
+from uwaug.blur.plan import plan_blur
+from uwaug.blur.stack import varying_blur
+
+
+@pytest.mark.parametrize("shape", ["gaussian", "exponential"])
+@pytest.mark.parametrize(
+    "low, high",
+    [
+        (0.0, 0.5),
+        (0.0, 1.0),
+        (0.0, 4.0),
+        (0.6, 1.0),
+        (2.0, 4.0),
+        (0.9, 4.5),
+        (0.75, 15.0),
+        (2.0, 60.0),
+        (0.0, 200.0),
+    ],
+)
+def test_error_on_a_picture_is_the_predicted_one(shape, low, high) -> None:
+    image = reference.picture(160, 200)
+    single = torch.from_numpy(image)[None].float()
+    for tolerance in (0.01, 0.002):
+        plan = plan_blur(low, high, tolerance, shape)
+        assert plan.error <= 0.6 * tolerance
+        squares = []
+        for sigma in np.geomspace(max(low, 0.2), high, 7):
+            exact = getattr(reference, shape)(image, sigma)
+            result = constant(single, float(sigma), plan=plan)[0]
+            squares.append(float(((result.double().numpy() - exact) ** 2).mean()))
+        assert math.sqrt(np.mean(squares)) <= tolerance, f"{plan}: {np.sqrt(squares)}"
+        assert math.sqrt(max(squares)) <= 2.5 * tolerance
+
+
+def test_the_plan_says_what_it_achieves() -> None:
+    # cutting the kernels and coarse grids count too
+    image = reference.picture(128, 128)
+    for low, high in [(2.0, 2.0), (5.0, 5.0), *RANGES]:
+        plan = plan_blur(low, high)
+        worst = 0.0
+        for sigma in np.geomspace(low, high, 5):
+            exact = reference.gaussian(image, sigma)
+            result = constant(torch.from_numpy(image)[None], sigma, plan=plan)[0]
+            worst = max(worst, 10 ** (-reference.psnr(result, exact) / 20))
+        assert worst <= 3 * plan.error, str(plan)  # the plan's error is the RMS over the range
+
+
+@pytest.mark.parametrize("shape", ["gaussian", "exponential"])
+@pytest.mark.parametrize("low, high", [(0.0, 3.0), (0.9, 4.5), (0.75, 15.0), (2.0, 60.0)])
+def test_one_blur_fewer_would_miss_the_tolerance(shape, low, high) -> None:
+    # the error of a number of blurs does not depend on the tolerance it was planned for
+    error = {}
+    for tolerance in np.geomspace(0.5, 0.002, 70):
+        plan = plan_blur(low, high, float(tolerance), shape)
+        error[len(plan.sigmas)] = plan.error
+    for tolerance in (0.01, 0.002):
+        plan = plan_blur(low, high, tolerance, shape)
+        fewer = [e for k, e in error.items() if 1 < k < len(plan.sigmas)]
+        assert fewer
+        assert min(fewer) > 0.48 * tolerance
+
+
+def test_few_blurs_serve_a_wide_range() -> None:
+    # Lagrange weights at Chebyshev nodes need 4, 7 and 9 for 60 dB; a linear interpolation in σ 8,
+    # and more than 16
+    assert [len(plan_blur(low, high, 0.002).sigmas) for low, high in RANGES] == [4, 7, 8]
+
+
+def test_wide_blurs_live_on_small_grids() -> None:
+    plan = plan_blur(2.0, 60.0, 0.002)
+    # pitches are 16/m or 16·m px, which costs no time: 8 instead of 10.7 px takes 3 % more for that
+    # blur
+    assert all(0.5 < c / s <= 1 for s, c in zip(plan.sigmas, plan.cells, strict=True) if s > 4)
+
+
+def test_no_blur_where_it_would_not_show() -> None:
+    plan = plan_blur(0.0, 0.02)
+    assert plan.sigmas == (0.0,)
+    image = rand(1, 3, 8, 8)
+    assert torch.equal(varying_blur(image, torch.full((1, 1, 8, 8), 0.02), plan), image)
+    assert "no blur" in str(plan)
+
+
+def test_plans_are_values() -> None:
+    plan = plan_blur(0.9, 4.5, 0.002)
+    assert plan == plan_blur(0.9, 4.5, 0.002)
+    assert hash(plan) == hash(plan_blur(0.9, 4.5, 0.002))
+    assert "4 blurs for σ 0.9…4.5 px" in str(plan)
+
+
+def test_plans_and_the_longest_side() -> None:
+    for longest in (0, 0.5, math.inf, math.nan):
+        with pytest.raises(ValueError, match="longest must be finite and ≥ 1"):
+            plan_blur(1.0, 4.0, longest=longest)
+    assert plan_blur(1.0, 4.0, longest=100) is plan_blur(1.0, 4.0, longest=5000)
+    sides = (64, 300, 512, 2000)
+    plans = [plan_blur(3.0, 40.0, 0.002, "exponential", longest) for longest in sides]
+    assert plans[1] is plans[2]
+    assert max(plans[0].sigmas) < 256 < max(plans[-1].sigmas) < 2000
+
+
+@pytest.mark.parametrize("height, width", [(32, 32), (40, 1500)])
+def test_exponential_plans_hold_in_small_and_in_long_pictures(height, width) -> None:
+    image = reference.picture(height, width)
+    single = torch.from_numpy(image)[None].float()
+    plan = plan_blur(2.0, 20.0, 0.002, "exponential", max(height, width))
+    for sigma in (2.0, 6.0, 20.0):
+        result = constant(single, sigma, plan=plan)[0].double().numpy()
+        error = result - reference.exponential(image, sigma)
+        assert np.sqrt((error**2).mean()) <= 0.002
+
+
+@pytest.mark.parametrize(
+    "arguments, match",
+    [
+        ((-1.0, 2.0), "sigma_min.*-1"),
+        ((3.0, 2.0), "sigma_min.*3.0 and 2.0"),
+        ((0.0, math.inf), "sigma_max.*inf"),
+        ((math.nan, 2.0), "sigma_min.*nan"),
+        ((0.0, math.nan), "sigma_max.*nan"),
+        ((0.0, 2.0, 0.0), r"tolerance.*\(0, 1\).*0"),
+        ((0.0, 2.0, 1.0), "tolerance.*1"),
+        ((0.0, 2.0, -0.1), "tolerance.*-0.1"),
+        ((0.0, 2.0, math.nan), "tolerance.*nan"),
+        ((0.0, 2.0, 0.002, "box"), "shape.*box"),
+        ((1.0, 4.0, 1e-12), "tolerance 1e-12"),
+    ],
+)
+def test_plan_rejects(arguments, match) -> None:
+    with pytest.raises(ValueError, match=match):
+        plan_blur(*arguments)

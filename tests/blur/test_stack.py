@@ -1,0 +1,324 @@
+import itertools
+import math
+
+import kornia
+import numpy as np
+import pytest
+import reference
+import torch
+from blurring import RANGES, SIZES, blur, constant, node
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from inputs import rand
+
+from uwaug.blur.plan import plan_blur
+from uwaug.blur.stack import varying_blur
+from uwaug.formation import form_image
+from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread
+
+
+def random_pixels(size: int) -> torch.Tensor:
+    return torch.randperm(size, generator=torch.Generator().manual_seed(1))[:4000]
+
+
+def nodes() -> list[tuple[float, float, float]]:
+    """Every (width, cell, reach) that a range of plans uses, thinned out."""
+    used = set()
+    for (low, high), tolerance in itertools.product([*RANGES, (0.0, 8.0)], (0.002, 0.0005)):
+        plan = plan_blur(low, high, tolerance)
+        for sigma, cell in zip(plan.sigmas, plan.cells, strict=True):
+            if sigma > 0:
+                used.add((sigma, cell, plan.reach))
+    return sorted(used)[::6]
+
+
+@pytest.mark.parametrize("light", ["srgb", "linear"])
+@pytest.mark.parametrize("low, high", RANGES)
+def test_decibels_on_a_real_scene(motorcycle, light, low, high) -> None:
+    image, z = getattr(motorcycle, light), motorcycle.distance[0]
+    sigma = low + (high - low) * (z - z.min()) / (z.max() - z.min())
+    at = random_pixels(z.numel())
+    exact = reference.varying_gaussian(image.numpy(), sigma.numpy(), at.numpy())
+    for tolerance, decibel in ((0.002, 60), (0.0005, 70)):
+        plan = plan_blur(low, high, tolerance)
+        result = varying_blur(image[None].float(), sigma[None, None].float(), plan)
+        found = result[0].flatten(1)[:, at]
+        assert reference.psnr(found, exact) >= decibel, f"tolerance {tolerance}: {plan}"
+
+
+@pytest.mark.parametrize("low, high", RANGES)
+def test_decibels_of_an_image_that_is_all_forward_scatter(motorcycle, low, high) -> None:
+    # T_β = 0 and T_G = 1 leave nothing but the blur, by the path that form_image takes without
+    # gradients
+    image, z = motorcycle.linear, motorcycle.distance
+    exponent = math.log(high / low) / math.log(float(z.max() / z.min()))
+    law = PointSpread(low / float(z.min()) ** exponent, exponent)
+    medium = Medium.from_coefficients((1e3,) * 3, (0,) * 3, (0,) * 3, b_mean=1.0, point_spread=law)
+    at = random_pixels(z.numel())
+    sigma = law.scale * z[0].numpy() ** exponent
+    exact = reference.varying_gaussian(image.numpy(), sigma, at.numpy())
+    for tolerance, decibel in ((0.002, 60), (0.0005, 70)):
+        result = form_image(image.float(), z.float(), medium, tolerance=tolerance).forward
+        assert reference.psnr(result.flatten(1)[:, at], exact) >= decibel
+
+
+@pytest.mark.parametrize("sigma", [0.2, 0.5, 0.7, 1.0, 2.0, 16.0])
+@pytest.mark.parametrize("shape", ["gaussian", "exponential"])
+def test_one_width_for_the_whole_image(shape, sigma) -> None:
+    image = reference.picture(60, 80)
+    exact = getattr(reference, shape)(image, sigma)
+    x = torch.from_numpy(image)[None]
+    result = constant(x, sigma, plan=plan_blur(sigma, sigma, 0.002, shape))
+    assert reference.psnr(result[0], exact) >= 54
+    # the same through a medium, whose widths happen to be a single number
+    law = PointSpread(sigma, 1.0, shape)
+    medium = Medium.from_coefficients((1e4,) * 3, (0,) * 3, (0,) * 3, b_mean=1.0, point_spread=law)
+    assert reference.psnr(form_image(x, torch.ones(1, 1, 60, 80), medium).forward[0], exact) >= 54
+
+
+@pytest.mark.parametrize("sigma", [0.1, 0.3, 0.5, 0.7, 1.0, 2.0])
+def test_a_narrow_blur_has_the_variance_asked_for(sigma) -> None:
+    # a sampled Gaussian of σ = .5 px has a variance of .215, one of .3 px hardly any
+    impulse = torch.zeros(1, 1, 41, 41, dtype=torch.float64)
+    impulse[..., 20, 20] = 1
+    spread = constant(impulse, sigma, plan=plan_blur(0.0, 2.0, 0.0005))[0, 0]
+    offsets = torch.arange(-20.0, 21.0, dtype=torch.float64)
+    assert float(spread.sum()) == pytest.approx(1, abs=1e-3)
+    for axis in (0, 1):
+        variance = float((spread.sum(axis) * offsets**2).sum())
+        assert variance == pytest.approx(sigma**2, rel=0.06, abs=0.02)
+
+
+@pytest.mark.parametrize("dtype, tolerance", [(torch.float32, 1e-6), (torch.float64, 1e-13)])
+@pytest.mark.parametrize("sigma", [1.0, 1.5, 4.1])
+@pytest.mark.parametrize("size", [(7, 5), (20, 1), (64, 93)])
+def test_a_full_resolution_blur_is_kornias(dtype, tolerance, sigma, size) -> None:
+    image = rand(2, 3, *size, dtype=dtype)
+    radius = math.ceil(4.0 * sigma)
+    kernel = kornia.filters.get_gaussian_kernel1d(2 * radius + 1, sigma, dtype=torch.float64)
+    kernel = kernel.to(dtype)
+    margins = ((0, 0), (0, 0), (radius, radius), (radius, radius))
+    padded = torch.from_numpy(np.pad(image.numpy(), margins, mode="symmetric"))
+    twin = kornia.filters.filter2d_separable(padded, kernel, kernel, padding="valid")
+    torch.testing.assert_close(blur(image, node(sigma)), twin, rtol=0, atol=tolerance)
+
+
+@pytest.mark.parametrize("sigma, cell, reach", nodes())
+def test_adjoint_of_every_node(sigma, cell, reach) -> None:
+    plan = node(sigma, cell, reach)
+    for size in [*SIZES, (130, 97)]:
+        x, y = rand(1, 2, *size).requires_grad_(), rand(1, 2, *size, seed=1)
+        blurred = blur(x, plan)
+        (adjoint,) = torch.autograd.grad((blurred * y).sum(), x)
+        torch.testing.assert_close((blurred * y).sum(), (x * adjoint).sum(), rtol=1e-12, atol=0)
+        if cell == 1:
+            torch.testing.assert_close(adjoint, blur(y, plan), rtol=0, atol=1e-13)
+
+
+def test_adjoint_on_a_photograph() -> None:
+    plan = plan_blur(0.75, 15.0)
+    x, y = rand(1, 3, 500, 741).requires_grad_(), rand(1, 3, 500, 741, seed=1)
+    sigma = 0.75 + 14.25 * rand(1, 1, 500, 741, seed=2)
+    blurred = varying_blur(x, sigma, plan)
+    (adjoint,) = torch.autograd.grad((blurred * y).sum(), x)
+    torch.testing.assert_close((blurred * y).sum(), (x * adjoint).sum(), rtol=1e-12, atol=0)
+
+
+@pytest.mark.parametrize("size", [*SIZES, (500, 741)])
+@pytest.mark.parametrize("low, high", [*RANGES, (0.0, 3.0), (100.0, 3000.0)])
+def test_a_constant_image_stays_constant(size, low, high) -> None:
+    sigma = (low + (high - low) * rand(1, 1, *size)).float()
+    result = varying_blur(torch.full((1, 3, *size), 0.7), sigma, plan_blur(low, high))
+    assert (result - 0.7).abs().max() < 1e-5
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("sigma", [0.7, 2.0, 9.0, 40.0])
+def test_light_is_neither_made_nor_lost(size, sigma) -> None:
+    image = rand(1, 3, *size)
+    before, after = image.mean((2, 3)), constant(image, sigma, tolerance=0.0005).mean((2, 3))
+    torch.testing.assert_close(after, before, rtol=0, atol=1e-3)
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(st.integers(1, 40), st.integers(1, 40), st.floats(0, 30), st.floats(1, 40), st.floats(-3, 3))
+def test_linear_in_the_image(height, width, low, more, factor) -> None:
+    x, y = rand(2, 1, 1, height, width)
+    sigma, plan = low + (more - 1) * rand(1, 1, height, width), plan_blur(low, low + more)
+    both = varying_blur(x + factor * y, sigma, plan)
+    parts = varying_blur(x, sigma, plan) + factor * varying_blur(y, sigma, plan)
+    torch.testing.assert_close(both, parts, rtol=0, atol=1e-11)
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(st.integers(1, 30), st.integers(1, 30), st.floats(0.7, 50))
+def test_turning_and_mirroring_the_image_turns_and_mirrors_the_blur(height, width, sigma) -> None:
+    image = rand(1, 1, height, width)
+    plan = plan_blur(sigma, sigma + 1)
+    result = blur(image, plan, sigma)
+    # not exactly: where a kernel of a coarse grid is cut depends on how its centre rounds
+    turned, mirrored = blur(image.mT, plan, sigma), blur(image.flip(2, 3), plan, sigma)
+    torch.testing.assert_close(turned, result.mT, rtol=0, atol=1e-3)
+    torch.testing.assert_close(mirrored, result.flip(2, 3), rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    "plan", [None, *(plan_blur(0.0, high) for high in (0.3, 1.0, 4.0, 60.0))], ids=str
+)
+def test_no_width_gives_the_image(plan) -> None:
+    image = torch.from_numpy(reference.picture(40, 50))[None]
+    assert reference.psnr(varying_blur(image, torch.zeros(1, 1, 40, 50), plan), image) >= 60
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("sigma", [300.0, 5000.0])
+def test_a_huge_width_gives_the_mean(size, sigma) -> None:
+    image = rand(1, 3, *size)
+    result = constant(image, sigma, tolerance=0.0005)
+    mean = image.mean((2, 3), keepdim=True).expand_as(image)
+    torch.testing.assert_close(result, mean, rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("sigma", [0.8, 2.5, 7.0, 60.0])
+def test_small_and_odd_sizes(size, sigma) -> None:
+    image = reference.picture(*size)
+    exact = reference.gaussian(image, sigma)
+    result = constant(torch.from_numpy(image)[None], sigma, tolerance=0.0005)[0]
+    assert np.abs(result.numpy() - exact).max() < 0.004
+
+
+def test_each_image_of_a_batch_is_blurred_by_itself() -> None:
+    images, sigma = rand(3, 2, 30, 41), 4 * rand(3, 1, 30, 41)
+    plan = plan_blur(0.0, 4.0)
+    together = varying_blur(images, sigma, plan)
+    for image, s, result in zip(images, sigma, together, strict=True):
+        alone = varying_blur(image[None], s[None], plan)[0]
+        torch.testing.assert_close(alone, result, rtol=0, atol=1e-13)
+
+
+def test_layout_does_not_matter() -> None:
+    image, sigma = rand(2, 3, 24, 36), 5 * rand(2, 1, 24, 36)
+    expected = varying_blur(image, sigma)
+    last = image.contiguous(memory_format=torch.channels_last)
+    for x in (last, image.mT.contiguous().mT, image.flip(3).flip(3)):
+        torch.testing.assert_close(varying_blur(x, sigma), expected, rtol=0, atol=1e-13)
+    grey = varying_blur(image[:, :1].expand(-1, 3, -1, -1), sigma)
+    torch.testing.assert_close(grey[:, 2:], expected[:, :1], rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("low, high", [*RANGES, (0.0, 3.0)])
+@pytest.mark.parametrize("tolerance", [0.002, 0.0005])
+def test_float32_is_close_to_float64(low, high, tolerance) -> None:
+    image, sigma = rand(1, 3, 90, 70), low + (high - low) * rand(1, 1, 90, 70, seed=1)
+    plan = plan_blur(low, high, tolerance)
+    double = varying_blur(image, sigma, plan)
+    single = varying_blur(image.float(), sigma.float(), plan)
+    assert single.dtype == torch.float32
+    assert (single.double() - double).abs().max() < 2e-5
+
+
+def test_autocast_changes_nothing() -> None:
+    image, sigma = rand(1, 3, 40, 40).float(), 4 * rand(1, 1, 40, 40).float()
+    expected = varying_blur(image, sigma)
+    with torch.autocast("cpu", torch.bfloat16):
+        result = varying_blur(image, sigma)
+    torch.testing.assert_close(result, expected, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("low, high", [(0.2, 1.4), (1.0, 9.0), (0.1, 30.0)])
+def test_gradcheck(low, high) -> None:
+    image = rand(2, 1, 5, 6).requires_grad_()
+    sigma = (low + (high - low) * (0.1 + 0.8 * rand(2, 1, 5, 6, seed=1))).requires_grad_()
+    plan = plan_blur(low, high, 0.01)
+    assert torch.autograd.gradcheck(lambda x, s: varying_blur(x, s, plan), (image, sigma))
+    assert torch.autograd.gradgradcheck(lambda x, s: varying_blur(x, s, plan), (image, sigma))
+
+
+def test_gradient_of_the_width_is_that_of_the_exact_blur() -> None:
+    image, at = reference.picture(48, 48), 1e-3
+    plan = plan_blur(0.0, 5.0, 0.0005)
+    for sigma in (0.3, 0.6, 1.0, 2.0, 4.0):
+        wide, narrow = (reference.gaussian(image, math.sqrt(sigma**2 + s * at)) for s in (1, -1))
+        slope = (wide - narrow) / (2 * at) * 2 * sigma  # dσ² = 2σ dσ
+        width = torch.full((1, 1, 48, 48), sigma, dtype=torch.float64, requires_grad=True)
+        varying_blur(torch.from_numpy(image)[None], width, plan).sum().backward()
+        error = width.grad[0, 0].numpy() - slope.sum(0)
+        assert np.sqrt((error**2).mean()) < 0.1 * np.sqrt((slope.sum(0) ** 2).mean())
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_gradients_are_finite_at_the_ends(dtype) -> None:
+    plan = plan_blur(0.0, 8.0)
+    sigma = torch.tensor([0.0, 1e-30, 8.0, 1e6], dtype=dtype).reshape(1, 1, 2, 2).requires_grad_()
+    image = torch.rand(1, 3, 2, 2, dtype=dtype, requires_grad=True)
+    varying_blur(image, sigma, plan).sum().backward()
+    assert sigma.grad.isfinite().all()
+    assert image.grad.isfinite().all()
+
+
+def test_works_after_inference_mode() -> None:
+    # matrices made and remembered in inference mode must serve training later
+    image, plan = rand(1, 3, 19, 23).float(), plan_blur(0.7, 9.0, 0.0123)
+    with torch.inference_mode():
+        expected = blur(image, plan, 3.0)
+    x = image.clone().requires_grad_()
+    result = blur(x, plan, 3.0)
+    result.sum().backward()
+    assert torch.equal(result, expected)
+    assert x.grad.isfinite().all()
+
+
+def test_widths_outside_the_plan_get_the_nearer_end() -> None:
+    image, plan = rand(1, 3, 40, 40), plan_blur(1.0, 4.0)
+    for outside, end in ((0.0, 1.0), (9.0, 4.0)):
+        ours, nearer = blur(image, plan, outside), blur(image, plan, end)
+        torch.testing.assert_close(ours, nearer, rtol=0, atol=1e-12)
+
+
+def test_widths_of_the_exponential_vary_too() -> None:
+    image = reference.picture(60, 60)
+    levels = np.array([1.0, 2.0, 4.0, 8.0])
+    index = np.random.default_rng(0).integers(0, 4, (60, 60))
+    exact = np.choose(index, [reference.exponential(image, s) for s in levels])
+    sigma = torch.from_numpy(levels[index])[None, None]
+    plan = plan_blur(1.0, 8.0, 0.002, "exponential")
+    result = varying_blur(torch.from_numpy(image)[None], sigma, plan)
+    assert reference.psnr(result[0], exact) >= 57
+
+
+IMAGE, SIGMA = torch.rand(2, 3, 6, 8), torch.rand(2, 1, 6, 8)
+
+
+def test_half_precision_is_computed_in_single() -> None:
+    result = varying_blur(IMAGE.half(), SIGMA)
+    single = varying_blur(IMAGE.half().float(), SIGMA)
+    assert result.dtype == torch.float16
+    torch.testing.assert_close(result.float(), single, rtol=0, atol=5e-4)
+
+
+WRONG = {
+    "nan": (IMAGE, SIGMA * math.nan, ValueError, "sigma"),
+    "negative": (IMAGE, -SIGMA, ValueError, "sigma"),
+    "infinite": (IMAGE, SIGMA + math.inf, ValueError, "sigma"),
+    "size": (IMAGE, SIGMA[..., :4], ValueError, "sigma"),
+    "2-D": (IMAGE, SIGMA[0, 0], ValueError, "sigma"),
+    "channels": (IMAGE, SIGMA.expand(-1, 3, -1, -1), ValueError, "sigma"),
+    "batch": (IMAGE, SIGMA.repeat(2, 1, 1, 1)[:3], ValueError, "sigma"),
+    "3-D": (IMAGE[0], SIGMA, ValueError, "image"),
+    "bytes": ((IMAGE * 255).byte(), SIGMA, TypeError, "image"),
+    "array": (IMAGE.numpy(), SIGMA, TypeError, "image"),
+    "number": (IMAGE, 2.0, TypeError, "sigma"),
+}
+
+
+@pytest.mark.parametrize("plan", [None, plan_blur(0.0, 2.0)], ids=["planned", "given"])
+@pytest.mark.parametrize("image, sigma, error, match", WRONG.values(), ids=WRONG)
+def test_varying_blur_rejects(plan, image, sigma, error, match) -> None:
+    with pytest.raises(error, match=match):
+        varying_blur(image, sigma, plan)
+
+
+def test_varying_blur_of_an_empty_batch() -> None:
+    assert varying_blur(torch.rand(0, 3, 6, 8), torch.rand(0, 1, 6, 8)).shape == (0, 3, 6, 8)

@@ -1,0 +1,100 @@
+"""What the tests of form_image share."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import reference
+import torch
+from inputs import rand
+from torch import Tensor
+
+from uwaug.formation import Terms
+from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread
+
+TERMS = ("direct", "forward", "backscatter")
+LAW = PointSpread(1.2, 0.8)
+
+
+def distances(*shape: int, far: float = 6.0, seed: int = 1) -> Tensor:
+    """Distances with steps, as a scene has them."""
+    coarse = rand(shape[0], 1, 3, 4, seed=seed)
+    steps = torch.nn.functional.interpolate(coarse, shape[-2:], mode="nearest")
+    return 0.3 + (far - 0.5) * steps + 0.2 * rand(*shape, seed=seed)
+
+
+def coefficients(seed: int = 3, law: PointSpread = LAW) -> Medium:
+    """A medium of random coefficients."""
+    beta, share, veil, light = rand(4, 3, seed=seed)
+    beta = 0.3 + beta
+    G = beta * (0.1 + 0.4 * share)
+    return Medium.from_coefficients(beta, G, veil, b_mean=0.7, light=light, point_spread=law)
+
+
+def uniform(
+    beta: float, G: float, veil: float = 0.3, b_mean: float = 0.7, law: PointSpread = LAW
+) -> Callable[[], Medium]:
+    """What makes a medium that is the same in all channels."""
+    return lambda: Medium.from_coefficients(
+        (beta,) * 3, (G,) * 3, (veil,) * 3, b_mean=b_mean, point_spread=law
+    )
+
+
+def tracked(medium: Medium) -> Medium:
+    """The medium, with gradients."""
+    leaves = [t.clone().requires_grad_() for t in medium.tensors()]
+    return Medium(*leaves, medium.point_spread, medium.notes)
+
+
+def expected(
+    image: Tensor, z: Tensor, medium: Medium, row: int = 0, order: str = "line_of_sight"
+) -> tuple[np.ndarray, ...]:
+    """The terms of one image (3, H, W) at effective distances (H, W), by a blur that is exact at
+    every pixel.
+    """
+    z = z.double().numpy()
+    law = medium.point_spread
+    scale, exponent = _of_row(law.scale, row), _of_row(law.exponent, row)
+    if law.reference_size is not None:
+        scale *= min(z.shape) / law.reference_size
+    sigma = scale * np.minimum(float(medium.b_mean[row]) * z, 1e6) ** exponent
+    curves = reference.medium_curves(medium, z, row)
+    return reference.terms(
+        image.double().numpy(), z, curves, np.minimum(sigma, 1e4), order, law.shape
+    )
+
+
+def _of_row(value: float | Tensor, row: int) -> float:
+    if not isinstance(value, Tensor):
+        return value
+    return float(value.reshape(-1)[row if value.numel() > 1 else 0])
+
+
+def check(
+    terms: Terms,
+    image: Tensor,
+    z: Tensor,
+    medium: Medium,
+    order: str = "line_of_sight",
+    tolerance: float = 0.002,
+):
+    """Every term of every image of a batch against the reference: forward to the tolerance, the
+    others to rounding.
+
+    In source order the width of open water is infinite where the model wants none of its scattered
+    light: left out.
+    """
+    rounding = 1e-12 if terms.direct.dtype == torch.float64 else 3e-6
+    for i, parts in enumerate(zip(terms.direct, terms.forward, terms.backscatter, strict=True)):
+        j, distance = (v[i if len(v) > 1 else 0] for v in (image, z))
+        row = i if len(medium) > 1 else 0
+        direct, forward, veil = expected(j, distance[0], medium, row, order)
+        peak = max(1.0, float(j.abs().max()))
+        for part, exact in ((parts[0], direct), (parts[2], veil)):
+            ours = part.double().numpy()
+            np.testing.assert_allclose(ours, exact, rtol=rounding, atol=rounding * peak)
+        squares = (parts[1].double().numpy() - forward) ** 2
+        if order == "source":
+            squares = squares[:, distance[0].isfinite().numpy()]
+        assert math.sqrt(squares.mean() if squares.size else 0.0) <= tolerance * peak

@@ -1,0 +1,56 @@
+"""Files that all these tests share, with the modules they were exported from."""
+
+from pathlib import Path
+
+import pytest
+from exporting import FAR, NEAR, PAPERS
+
+from uwaug import JERLOV_TYPES, Medium, PointSpread, Underwater, Water, load_preset
+from uwaug.onnx import export_onnx
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("onnx")
+
+
+@pytest.fixture(scope="session")
+def frozen(folder) -> tuple[Path, Underwater]:
+    """The survey preset as it comes: linear values, no field."""
+    module = load_preset("survey", water="7C").module()
+    return export_onnx(module, folder / "frozen.onnx"), module
+
+
+@pytest.fixture(scope="session")
+def quantised(folder) -> tuple[Path, Underwater]:
+    """uint8 in and out, sRGB, with a field; wide blurs of a known exponent below one half."""
+    law = PointSpread(9.0, 0.45, reference_size=None)
+    medium = Medium.from_water(Water.jerlov("II"), g=0.066, mu=0.1, point_spread=law)
+    module = Underwater(medium, (0.5, 12.0))
+    return export_onnx(module, folder / "uint8.onnx", field="input", image="uint8"), module
+
+
+@pytest.fixture(scope="session")
+def waters(folder) -> tuple[Path, Underwater]:
+    """One file for the ten types and the paper's presets: parameters and field as inputs, linear
+    values.
+    """
+    media = [load_preset("survey", water=name).medium for name in JERLOV_TYPES]
+    media += [load_preset(name).medium for name in PAPERS]
+    module = Underwater(Medium.stack(media), (NEAR, FAR), color_space="linear")
+    return export_onnx(module, folder / "waters.onnx", parameters="inputs", field="input"), module
+
+
+@pytest.fixture(scope="session")
+def calibrated(folder) -> tuple[Path, Underwater]:
+    """Heavy tails, sRGB: the calibrated preset, for small pictures."""
+    module = load_preset("calibrated").module()
+    return export_onnx(module, folder / "calibrated.onnx", sides=(32, 144)), module
+
+
+@pytest.fixture(scope="session")
+def encoded(folder) -> tuple[Path, Underwater]:
+    """Parameters as inputs, sRGB, uint8, no field, px of the image at hand."""
+    law = PointSpread(2.0, 1.0)
+    module = Underwater(Medium.from_water(Water.jerlov("3C"), point_spread=law), (NEAR, FAR))
+    return export_onnx(module, folder / "encoded.onnx", parameters="inputs", image="uint8"), module

@@ -1,0 +1,87 @@
+import copy
+import pickle
+from dataclasses import replace
+
+import pytest
+import torch
+from exporting import Pictures, apart, scene
+from torch.utils.data import DataLoader
+
+from uwaug import load_preset
+from uwaug.onnx import OnnxUnderwater
+
+# by its version: without the package, "onnx" would be the folder of these tests
+pytest.importorskip("onnx", minversion="1.17")
+pytest.importorskip("onnxruntime")
+
+
+def test_runner_refuses_what_the_file_does_not_take(frozen, waters) -> None:
+    image, distance, field = scene(2)
+    run, serve = OnnxUnderwater(frozen[0]), OnnxUnderwater(waters[0])
+    medium = load_preset("survey").medium
+    message = "field: the file takes none, as it was exported with field='none'"
+    with pytest.raises(ValueError, match=message):
+        run(image, distance, field)
+    with pytest.raises(ValueError, match="medium: the file takes none"):
+        run(image, distance, medium=medium)
+    with pytest.raises(ValueError, match="field: the file needs one"):
+        serve(image, distance, medium=medium)
+    message = "medium: the file needs one, as it was exported with parameters='inputs'"
+    with pytest.raises(ValueError, match=message):
+        serve(image, distance, field)
+    law = replace(medium.point_spread, reference_size=None)
+    message = r"medium: its point spread is .* but the file is for shape"
+    with pytest.raises(ValueError, match=message):
+        serve(image, distance, field, replace(medium, point_spread=law))
+    message = r"its point spread is exponential .* but the file is for shape 'gaussian'"
+    with pytest.raises(ValueError, match=message):
+        serve(image, distance, field, load_preset("calibrated").medium)
+    message = r"image must be torch\.float32 for this file, got torch\.uint8"
+    with pytest.raises(TypeError, match=message):
+        run(image.to(torch.uint8), distance)
+    with pytest.raises(ValueError, match=r"distance is \(45, 61\) but image is \(45, 62\)"):
+        run(image, distance[..., 1:])
+    with pytest.raises(ValueError, match="image must have shape"):
+        run(image[:, :2], distance)
+    with pytest.raises(ValueError, match="NaN or negative"):
+        run(image, distance * torch.nan)
+    with pytest.raises(ValueError, match="batch sizes must agree or be 1"):
+        run(torch.cat([image, image[:1]]), distance)
+
+
+def test_runner_has_the_shapes_of_the_module(frozen) -> None:
+    path, module = frozen
+    run = OnnxUnderwater(path)
+    image, distance, _ = scene(2)
+    for i, d in (
+        (image, distance),
+        (image[:1], distance),
+        (image, distance[0]),
+        (image[0], distance[0]),
+        (image[0], distance),
+        (image[0], distance[:1]),
+        (image[:0], distance[:0]),
+        (image[..., :0], distance[..., :0]),
+    ):
+        assert run(i, d).shape == module(i, d).shape
+    assert "7C" in repr(run)
+
+
+@pytest.mark.parametrize(
+    "copied", [copy.deepcopy, lambda r: pickle.loads(pickle.dumps(r))], ids=["deepcopy", "pickle"]
+)
+def test_runner_copies_after_use(frozen, copied) -> None:
+    image, distance, _ = scene(1)
+    run = OnnxUnderwater(frozen[0], threads=1)
+    before = run(image, distance)
+    again = copied(run)
+    assert again.session._opened is None
+    assert torch.equal(again(image, distance), before)
+
+
+def test_runner_in_a_worker(frozen) -> None:
+    run = OnnxUnderwater(frozen[0], threads=1)
+    options = {"batch_size": 2, "num_workers": 1, "multiprocessing_context": "spawn"}
+    loader = DataLoader(Pictures(run), **options)
+    image, distance, _ = scene(4)
+    assert apart(torch.cat(list(loader)), run(image, distance)) == 0

@@ -1,0 +1,199 @@
+import itertools
+import math
+import pickle
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from augmenting import EVERYTHING, LASERS, TANK, distances, picture, same
+
+import uwaug.draw
+from uwaug import JERLOV_TYPES, RandomUnderwater
+
+# Keys
+
+
+def test_at_depends_on_its_key_alone() -> None:
+    aug = RandomUnderwater(**EVERYTHING)
+    keys = list(itertools.product(range(2), range(2), range(3)))  # seed, epoch, index
+    draw = {key: aug.at(*key) for key in keys}
+    state = torch.get_rng_state()
+    first = {key: draw[key](picture(), distances() + 1)[0] for key in keys}
+    assert torch.equal(torch.get_rng_state(), state)
+    torch.manual_seed(99)
+    again = {key: draw[key](picture(), distances() + 1)[0] for key in reversed(keys)}
+    assert all(same(first[key], again[key]) for key in keys)
+    assert len({t.sum().item() for t in first.values()}) == len(keys)
+    one = first[1, 0, 2]
+    assert same(one, aug.at(np.int64(1), torch.tensor(0), 2)(picture(), distances() + 1)[0])
+    assert not torch.equal(one, aug.at(10, 2, 0)(picture(), distances() + 1)[0])
+    pickle.loads(pickle.dumps(draw[keys[0]]))
+
+
+def test_the_global_generator_decides_otherwise() -> None:
+    aug = RandomUnderwater(**EVERYTHING)
+    torch.manual_seed(5)
+    a, b = (aug(picture(), distances() + 1)[0] for _ in range(2))
+    torch.manual_seed(5)
+    assert same(a, aug(picture(), distances() + 1)[0])
+    assert not torch.equal(a, b)
+
+
+def test_new_draws_go_to_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    aug = RandomUnderwater(**EVERYTHING)
+
+    def records() -> list[Any]:
+        return [aug.make_params(picture(b), torch.Generator().manual_seed(3)) for b in (None, 4)]
+
+    before = records()
+    monkeypatch.setattr(uwaug.draw, "_DRAWS", (*uwaug.draw._DRAWS, "new"))
+    assert records() == before
+
+
+# Distributions: 4000 draws from a fixed seed. A test at the 1 % level each; they either pass for
+# good or never.
+
+DRAWN = {
+    **EVERYTHING,
+    "distance_kind": "relative",
+    "near": (0.5, 2.0),
+    "far": (3.0, 9.0),
+    "gamma": (1.0, 4.0),
+    "distance": (0.5, 7.0),
+}
+RANGES = [name for name, value in DRAWN.items() if isinstance(value, tuple)]
+
+
+WEIGHTS = {"II": 3.0, "1C": 1.0, "5C": 0.0, "9C": 2.0, TANK: 0.5}
+
+
+@pytest.fixture(scope="module")
+def drawn() -> list[dict[str, Any]]:
+    cameras = [LASERS, "Nikon 5100 (NPL)"]
+    aug = RandomUnderwater(WEIGHTS, p=0.3, field_probability=0.8, cameras=cameras, **DRAWN)
+    generator = torch.Generator().manual_seed(20)
+    one = [aug.make_params(picture(), generator)["samples"][0] for _ in range(1000)]
+    return one + aug.make_params(torch.empty(3000, 3, 1, 1), generator)["samples"]
+
+
+@pytest.mark.parametrize("name", RANGES)
+def test_ranges_are_drawn_uniformly(name: str, drawn: list[dict[str, Any]]) -> None:
+    from scipy.stats import kstest, loguniform, uniform
+
+    low, high = DRAWN[name]
+    law = loguniform(low, high) if name == "visibility" else uniform(low, high - low)
+    values = [s[name] for s in drawn]
+    assert low <= min(values)
+    assert max(values) <= high
+    assert kstest(values, law.cdf).pvalue > 0.01
+
+
+def test_parameters_are_independent(drawn: list[dict[str, Any]]) -> None:
+    rows = []
+    for sample in drawn:
+        first, second = sample["waters"]
+        numbers = [sample[name] for name in RANGES]
+        rows.append([*numbers, first == "II", second == "II", sample["applied"]])
+    values = np.array(rows)
+    correlation = np.corrcoef(values.T) - np.eye(values.shape[1])
+    assert np.abs(correlation).max() < 4 / math.sqrt(len(drawn))
+
+
+@pytest.mark.parametrize("which", [0, 1], ids=["first", "second"])
+def test_waters_are_drawn_by_weight(which: int, drawn: list[dict[str, Any]]) -> None:
+    from scipy.stats import chisquare
+
+    names = [s["waters"][which] for s in drawn]
+    counts = [names.count(name) for name in ("II", "1C", "9C", "tank")]
+    assert sum(counts) == len(drawn)  # 5C has no weight
+    expected = np.array([3.0, 1.0, 2.0, 0.5]) / 6.5 * len(drawn)
+    assert chisquare(counts, expected).pvalue > 0.01
+
+
+def test_all_types_occur() -> None:
+    from scipy.stats import chisquare
+
+    generator = torch.Generator().manual_seed(1)
+    record = RandomUnderwater(JERLOV_TYPES).make_params(torch.empty(3000, 3, 1, 1), generator)
+    waters = [s["waters"] for s in record["samples"]]
+    counts = [waters.count([type]) for type in JERLOV_TYPES]
+    assert sum(counts) == 3000
+    assert chisquare(counts).pvalue > 0.01
+
+
+def test_probabilities(drawn: list[dict[str, Any]]) -> None:
+    from scipy.stats import binomtest
+
+    applied = sum(s["applied"] for s in drawn)
+    seeds = [s["field_seed"] for s in drawn if s["field_seed"] is not None]
+    lasers = sum(s["camera"] == "lasers" for s in drawn)
+    for count, share in ((applied, 0.3), (len(seeds), 0.8), (lasers, 0.5)):
+        assert binomtest(count, len(drawn), share).pvalue > 0.01
+    assert len(set(seeds)) == len(seeds)
+
+
+# Records
+
+
+def changed(**values: Any) -> Callable[[dict[str, Any]], Any]:
+    return lambda record: {"samples": [{**record["samples"][0], **values}]}
+
+
+@pytest.mark.parametrize(
+    "change, error, match",
+    [
+        (
+            lambda r: {"samples": r["samples"] * 2},
+            ValueError,
+            "params has 2 samples but image is a batch of 3",
+        ),
+        (lambda r: {"samples": []}, ValueError, "params has 0 samples but image is a batch of 3"),
+        (lambda r: r["samples"], TypeError, "params must be a record from make_params"),
+        (lambda r: None, TypeError, "params must be a record.*None"),
+        (changed(waters=["II"]), ValueError, "params asks for 'II', but this transform has 7C, 9C"),
+        (
+            changed(camera="Kodak"),
+            ValueError,
+            "params asks for 'Kodak', but this transform has Nikon",
+        ),
+        (
+            lambda r: {"samples": [{"applied": True}]},
+            ValueError,
+            "params is of a transform with other options.*camera",
+        ),
+    ],
+)
+def test_records_are_checked(
+    change: Callable[[Any], Any], error: type[Exception], match: str
+) -> None:
+    aug = RandomUnderwater(["7C", "9C"])
+    with pytest.raises(error, match=match):
+        aug.transform(picture(3), distances(3), change(aug.make_params(picture())))
+
+
+def test_records_of_other_transforms() -> None:
+    plain, scaled = RandomUnderwater(), RandomUnderwater(distance_kind="relative")
+    for one, other in ((plain, scaled), (scaled, plain)):
+        message = r"params is of a transform with other options.* far, gamma, near"
+        with pytest.raises(ValueError, match=message):
+            one.transform(picture(), distances(), other.make_params(picture()))
+    record = RandomUnderwater(visibility=3.0).make_params(picture())
+    with pytest.raises(ValueError, match=r"other options.* visibility"):
+        plain.transform(picture(), distances(), record)
+
+
+def test_record_is_plain() -> None:
+    aug = RandomUnderwater([TANK, "7C"], cameras=[LASERS], distance=(1.0, 2.0), **EVERYTHING)
+
+    def walk(value: Any) -> Iterator[Any]:
+        yield value
+        parts = value.values() if isinstance(value, dict) else value
+        if isinstance(value, (dict, list)):
+            for part in parts:
+                yield from walk(part)
+
+    record = aug.make_params(picture(4))
+    assert {type(v) for v in walk(record)} <= {dict, list, str, bool, int, float}
+    assert list(record) == ["samples"]

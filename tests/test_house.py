@@ -1,0 +1,91 @@
+"""The house itself: how large its rooms are, and that each equation stands once."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+import uwaug
+import uwaug.formation
+import uwaug.optics.curves
+from benchmarks import house
+from uwaug.onnx.graph import Graph
+from uwaug.onnx.metadata import Options, plan_of
+from uwaug.optics.point_spread import PointSpread
+
+ROOT = Path(__file__).parent.parent
+
+
+def test_rooms_are_small() -> None:
+    found = house.figures(ROOT / "uwaug")
+    assert found.file.lines <= 350, found.file
+    assert found.function.lines <= 60, found.function
+    assert found.per_hundred <= 2.5
+    assert found.wide <= 0.02 * found.lines
+
+
+@pytest.mark.parametrize("folder, lines", [("tests", 500), ("benchmarks", 350)])
+def test_tests_and_benchmarks_are_small(folder: str, lines: int) -> None:
+    found = house.figures(ROOT / folder)
+    assert found.file.lines <= lines, found.file
+    assert found.wide <= 0.02 * found.lines
+
+
+def test_the_first_matrix_product_is_near() -> None:
+    """From `RandomUnderwater` to what multiplies: at most six functions of the package deep."""
+    aug = uwaug.RandomUnderwater("7C", field_probability=0.0)
+    image, distance = torch.rand(3, 64, 80), torch.linspace(1, 5, 64 * 80).reshape(1, 64, 80)
+    aug(image, distance)  # plans and matrices are made at the first call
+    deepest = []
+    products = (torch.mm, torch.bmm)
+
+    def watch(frame: Any, event: str, called: Any) -> None:
+        if event == "c_call" and called in products and not deepest:
+            while frame is not None:
+                if frame.f_code.co_filename.startswith(str(ROOT / "uwaug")):
+                    deepest.append(frame.f_code.co_name)
+                frame = frame.f_back
+
+    sys.setprofile(watch)
+    try:
+        aug(image, distance)
+    finally:
+        sys.setprofile(None)
+    assert deepest[-1] == "forward"
+    assert len(deepest) <= 6, deepest
+
+
+def doubled(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
+    return lambda *arguments: 2 * function(*arguments)
+
+
+@pytest.mark.parametrize(
+    "owner, name",
+    [
+        (uwaug.optics.curves, "_decay"),  # e^(−rate·z), of all three curves
+        (PointSpread, "sigma"),  # the width law
+        (uwaug.formation, "node_weights"),  # the weights of the blurs
+    ],
+)
+def test_eager_and_graph_share_each_equation(
+    owner: Any, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = uwaug.load_preset("survey", water="7C").module()
+    plan = plan_of(module, Options())
+    image, distance = torch.rand(1, 3, 40, 56), torch.linspace(1, 5, 40 * 56).reshape(1, 1, 40, 56)
+
+    def eager_and_graph() -> tuple[Tensor, Tensor]:
+        graph = Graph(module, plan, frozen=True, field=False, quantised=False)
+        with torch.no_grad():
+            eager = module.formed(image, distance, None, module.medium, plan)
+            return eager, graph(image, distance)
+
+    before, _ = eager_and_graph()
+    monkeypatch.setattr(owner, name, doubled(getattr(owner, name)))
+    eager, graph = eager_and_graph()
+    assert (eager - before).abs().max() > 0.01
+    torch.testing.assert_close(graph, eager, rtol=0, atol=2e-6)

@@ -1,0 +1,274 @@
+import math
+from collections import OrderedDict, defaultdict
+from importlib.util import find_spec
+from typing import Any, NamedTuple
+
+import kornia
+import pytest
+import torch
+from augmenting import EVERYTHING, H, W, distances, picture, same
+from torch import Tensor
+
+from uwaug import RandomUnderwater
+
+
+class Sample(NamedTuple):
+    image: Tensor
+    distance: Tensor
+    label: int
+
+
+@pytest.mark.parametrize("batch", [None, 2], ids=["single", "batch"])
+def test_structure_identity_and_no_mutation(options: dict[str, Any], batch: int | None) -> None:
+    aug = RandomUnderwater(**{**options, "p": 1.0})
+    image, distance = picture(batch), distances(batch)
+    kept = image.clone(), distance.clone()
+    label, boxes = object(), [torch.zeros(2, 4)]
+    keys = aug.image_key, aug.distance_key
+    named = {keys[0]: image, "label": label, keys[1]: distance, "boxes": boxes}
+    default: defaultdict[str, Any] = defaultdict(list, named)
+    for sample in (named, OrderedDict(named), default):
+        before = dict(sample)
+        out = aug(sample)
+        assert type(out) is type(sample)
+        assert out is not sample
+        assert list(out) == list(sample)
+        assert all(sample[k] is before[k] for k in before)
+        assert all(out[k] is sample[k] for k in sample if k != keys[0])
+        assert out[keys[0]].shape == image.shape
+        assert not torch.equal(out[keys[0]], image)
+    leaves = (image, distance, label, boxes)
+    for sample in (leaves, list(leaves), Sample(image, distance, 3)):
+        before = list(sample)
+        out = aug(sample)
+        assert type(out) is type(sample)
+        assert len(out) == len(sample)
+        assert all(a is b for a, b in zip(sample, before, strict=True))
+        assert all(a is b for a, b in zip(out[1:], sample[1:], strict=True))
+        assert not torch.equal(out[0], image)
+    out = aug(image, distance, label)
+    assert type(out) is tuple
+    assert out[1] is distance
+    assert out[2] is label
+    assert all(torch.equal(a, b) for a, b in zip((image, distance), kept, strict=True))
+
+
+class Photo(Tensor):
+    """Wrapped and unwrapped as torchvision's tv_tensors are."""
+
+
+class Map(Tensor):
+    pass
+
+
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.float32])
+@pytest.mark.parametrize("batch", [None, 2], ids=["single", "batch"])
+def test_subclasses_come_back(batch: int | None, dtype: torch.dtype) -> None:
+    aug = RandomUnderwater()
+    image = picture(batch, dtype).as_subclass(Photo)
+    distance = (distances(batch) + 1).as_subclass(Map)
+    out, same_map = aug.at(0, 0, 0)(image, distance)
+    assert type(out) is Photo
+    assert same_map is distance
+    assert type(distance) is Map
+    plain, _ = aug.at(0, 0, 0)(picture(batch, dtype), distances(batch) + 1)
+    assert type(plain) is Tensor
+    assert same(plain, out.as_subclass(Tensor))
+    assert type(aug({"image": image, "distance": distance})["image"]) is Photo
+
+
+def test_mask_after_kornia() -> None:
+    mirror = kornia.augmentation.RandomHorizontalFlip(p=1.0)
+    flip = kornia.augmentation.AugmentationSequential(mirror, data_keys=["input", "mask"])
+    image, distance, aug = picture(2), distances(2) + 1, RandomUnderwater()
+    moved = flip(image, distance)
+    assert isinstance(moved, list)
+    out, z = aug.at(0, 0, 0)(moved)
+    assert z is moved[1]
+    assert torch.equal(z, distance.flip(-1))
+    assert same(out, aug.at(0, 0, 0)(image.flip(-1), distance.flip(-1))[0])
+
+
+@pytest.mark.parametrize(
+    "image, distance, error, match",
+    [
+        (
+            picture(),
+            distances()[:, :20],
+            ValueError,
+            rf"distance is \(20, {W}\) but image is \({H}, {W}\)",
+        ),
+        (picture(3), distances(2), ValueError, "distance is a batch of 2 but image is one of 3"),
+        (picture(), distances(2), ValueError, "distance is a batch of 2 but image is one of 1"),
+        (
+            picture(),
+            distances()[0],
+            ValueError,
+            rf"distance must have shape \(1, H, W\).*\({H}, {W}\)",
+        ),
+        (
+            picture(),
+            distances().expand(3, H, W),
+            ValueError,
+            rf"distance must have shape.*\(3, {H}, {W}\)",
+        ),
+        (
+            255 * picture(),
+            distances(),
+            ValueError,
+            r"image reaches 2\d\d.*: expected 0…1; divide a 0…255 image by 255",
+        ),
+        (
+            picture()[:1],
+            distances(),
+            ValueError,
+            rf"image must have shape \(3, H, W\).*\(1, {H}, {W}\)",
+        ),
+        (
+            picture(4).transpose(0, 1),
+            distances(3),
+            ValueError,
+            rf"image must have.*\(3, 4, {H}, {W}\)",
+        ),
+        (picture()[0], distances(), ValueError, rf"image must have shape.*\({H}, {W}\)"),
+        (
+            picture().long(),
+            distances(),
+            TypeError,
+            "image must be a floating-point tensor, got torch.int64; or uint8",
+        ),
+        (picture().numpy(), distances(), TypeError, "image must be.*ndarray.*Convert"),
+        (
+            picture(),
+            distances() - 0.5,
+            ValueError,
+            r"distance must be above 0 m.* negative at [1-9]\d*.*unknown='fill'",
+        ),
+        (
+            picture(),
+            distances() * math.nan,
+            ValueError,
+            rf"distance must be above 0 m.*NaN at {H * W}",
+        ),
+        (
+            picture(),
+            (1000 * distances()).int(),
+            TypeError,
+            "distance must be a floating.*int32.*millimetres by 1000",
+        ),
+        (
+            picture(),
+            distances().numpy(),
+            TypeError,
+            "distance must be a floating-point tensor, got ndarray",
+        ),
+        (picture(), None, ValueError, "distance is missing"),
+    ],
+)
+def test_inputs_are_checked(image: Any, distance: Any, error: type[Exception], match: str) -> None:
+    for aug in (RandomUnderwater(), RandomUnderwater(same_on_batch=True)):
+        with pytest.raises(error, match=match):
+            aug(image, distance)
+
+
+def test_shapes_are_checked_whatever_is_drawn() -> None:
+    with pytest.raises(ValueError, match="height and width must agree"):
+        RandomUnderwater(p=0.0)(picture(), distances()[:, 1:])
+
+
+@pytest.mark.parametrize(
+    "options, sample, match",
+    [
+        (
+            {},
+            {"image": picture(), "depth": distances()},
+            "no 'distance', only 'image', 'depth'.*distance_key",
+        ),
+        (
+            {},
+            {"rgb": picture(), "distance": distances()},
+            "no 'image', only 'rgb', 'distance'.*image_key",
+        ),
+        ({"distance": 2.0}, {"rgb": picture()}, "no 'image', only 'rgb'"),
+        ({}, (), "sample is empty"),
+        ({}, picture(), "distance is missing"),
+        ({}, [picture()], "distance is missing"),
+        ({"unknown": "fill"}, (picture(), distances() * math.nan), "at least one known pixel"),
+        ({"distance_kind": "relative"}, (picture(), distances() + 1), r"t must lie in \[0, 1\]"),
+        ({"distance_kind": "inverse"}, (picture(), 0 * distances()), "inverse must vary"),
+        ({"distance": lambda x: x}, picture(), r"distance must have shape.*\(3, "),
+    ],
+)
+def test_samples_are_checked(options: dict[str, Any], sample: Any, match: str) -> None:
+    with pytest.raises(ValueError, match=match):
+        RandomUnderwater(**options)(sample)
+
+
+def test_nothing_at_all() -> None:
+    with pytest.raises(ValueError, match="sample is empty"):
+        RandomUnderwater()()
+
+
+# torchvision, where it is installed; what it does with tensors is tested with subclasses of our own
+# above
+
+
+@pytest.fixture(scope="module")
+def torchvision() -> Any:
+    if find_spec("torchvision") is None:
+        pytest.skip("torchvision is not installed")
+    try:
+        import torchvision
+    except RuntimeError:
+        # built for another torch: without its compiled part, its Python part misses two operators
+        signature = "(Tensor dets, Tensor scores, float iou_threshold) -> Tensor"
+        torch.library.define("torchvision::nms", signature)
+        torch.library.define("torchvision::qnms", signature)
+        import torchvision
+    import torchvision.transforms.v2
+
+    return torchvision
+
+
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.float32])
+def test_in_a_torchvision_pipeline(torchvision: Any, dtype: torch.dtype) -> None:
+    v2, tv = torchvision.transforms.v2, torchvision.tv_tensors
+    pipeline = v2.Compose(
+        [
+            v2.RandomResizedCrop((20, 28), antialias=True),
+            v2.RandomHorizontalFlip(p=1.0),
+            v2.ColorJitter(0.2, 0.2),
+            RandomUnderwater(**EVERYTHING),
+            v2.ToDtype(torch.float32, scale=True),
+            v2.Normalize([0.5] * 3, [0.25] * 3),
+        ]
+    )
+    image, distance, label = tv.Image(picture(dtype=dtype)), tv.Mask(distances() + 1), object()
+    values = set(distance.flatten().tolist())
+    named = {"image": image, "distance": distance, "label": label}
+    for sample in ((image, distance, label), named):
+        out = pipeline(sample)
+        seen, z, same_label = out.values() if isinstance(out, dict) else out
+        assert type(out) is type(sample)
+        assert same_label is label
+        assert type(seen) is tv.Image
+        assert type(z) is tv.Mask
+        assert seen.shape == (3, 20, 28)
+        assert seen.isfinite().all()
+        assert set(z.flatten().tolist()) <= values  # moved, not jittered
+    seen, z, _ = pipeline(image, distance, label)
+    assert type(seen) is tv.Image
+    assert type(z) is tv.Mask
+
+
+def test_torchvision_padding(torchvision: Any) -> None:
+    v2, tv = torchvision.transforms.v2, torchvision.tv_tensors
+    image, distance = tv.Image(picture()), tv.Mask(distances() + 1)
+    padded = v2.Pad(4)(image, distance)
+    with pytest.raises(ValueError, match="zero"):
+        RandomUnderwater()(padded)
+    out, _ = RandomUnderwater(unknown="fill")(padded)
+    assert out.isfinite().all()
+    relative = v2.Pad(4, fill={tv.Image: 0, tv.Mask: math.nan})(image, tv.Mask(distances()))
+    out, _ = RandomUnderwater(distance_kind="relative", unknown="fill")(relative)
+    assert out.isfinite().all()
