@@ -134,7 +134,7 @@ def _blur_plans(c: Case, size: int) -> dict[str, BlurPlan]:
 
 def pointwise(c: Case, medium: Medium, scattered: Tensor) -> Tensor:
     """Curves, veil and sum as `form_image` computes them."""
-    out, sums = torch.empty_like(c.image), medium.sums(near=False)
+    out, sums = torch.empty_like(c.image), medium.sums(exact_at_lens=False)
     for rows in row_strips(*c.image.shape[1:]):
         image, z, blurred = (t[..., rows, :] for t in (c.image, c.z, scattered))
         (out[..., rows, :],) = together(image, curves(sums, z), blurred)

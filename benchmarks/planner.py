@@ -125,7 +125,7 @@ def cell(
         "rmse": rmse,
         "max": worst,
         "rmse_one_blur_less": scene.error(medium, fewer)[0] if fewer else None,
-        "blur_tolerance": demand.tolerance,
+        "blur_tolerance": demand.blur_tolerance,
     }
 
 

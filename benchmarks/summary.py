@@ -56,8 +56,8 @@ def accuracy() -> str:
         _curve_table(model),
         "**Image**, in ten waters, three ranges of distance and two width laws: "
         f"{planner['within']} of {len(rows)} pictures within the tolerance of .002, the largest "
-        f"RMSE {largest:.4f}; one blur less would take {planner['one_less_breaks']} of "
-        f"{planner['with_blurs']} beyond half of it. {unblurred} need no blur at all.",
+        f"RMSE {largest:.4f}; with one blur less, {planner['one_less_breaks']} of "
+        f"{planner['with_blurs']} would be beyond half of it. {unblurred} need no blur at all.",
         "**Published implementation**: direct, forward (before its blur) and veil agree to 1e-5 "
         "where conventions agree.",
         "**Light transport**, mean RMSE of direct and forward-scattered light against our own "

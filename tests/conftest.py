@@ -1,3 +1,5 @@
+import sys
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,6 +11,8 @@ from torch import Tensor
 import uwaug.scene
 
 pytest.register_assert_rewrite("forming")  # before a test imports it
+# at the end, so that `benchmarks` is found but an installed uwaug is tested, not the checkout's
+sys.path.append(str(Path(__file__).parent.parent))
 
 
 class Scene(NamedTuple):

@@ -46,7 +46,7 @@ def test_the_first_matrix_product_is_near() -> None:
     def watch(frame: Any, event: str, called: Any) -> None:
         if event == "c_call" and called in products and not deepest:
             while frame is not None:
-                if frame.f_code.co_filename.startswith(str(ROOT / "uwaug")):
+                if frame.f_code.co_filename.startswith(str(Path(uwaug.__file__).parent)):
                     deepest.append(frame.f_code.co_name)
                 frame = frame.f_back
 

@@ -59,7 +59,7 @@ def test_every_parameter_learns_and_stays_positive(medium: Medium) -> None:
         optimiser.zero_grad()
         degrade(image, z).square().sum().backward()
         for name, parameter in degrade.named_parameters():
-            if name == "source.raw_scale" and degrade.plan(size).sigmas == (0.0,):
+            if name == "coefficients.raw_scale" and degrade.plan(size).sigmas == (0.0,):
                 continue  # no blur is planned, as none would show
             assert parameter.grad is not None, name
             assert parameter.grad.isfinite().all(), name

@@ -1,4 +1,6 @@
-"""Every refusal, worded once: which argument, what was expected, what came."""
+"""Refusals that several modules share, worded once: which argument, what was expected, what came.
+And the domain of each quantity.
+"""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -41,7 +43,9 @@ DOMAIN = {
     "distance": (0.0, math.inf),
     "field_range": (0.0, math.inf),
 }
-"""Least and largest value of every quantity that a user sets. Infinity itself is never allowed."""
+"""Least and largest value of every quantity that may be drawn or read from a preset. Infinity
+itself is never allowed.
+"""
 
 
 def one_of(name: str, value: object, allowed: Iterable[str]) -> None:

@@ -31,7 +31,7 @@ _TOUCHING = 1e-6
 
 
 class Draw(NamedTuple):
-    """What is drawn for a picture, beside its waters and its camera; see `RandomUnderwater`.
+    """What is drawn for a picture, besides its waters and its camera; see `RandomUnderwater`.
 
     NaN: not drawn, as nothing asks for it.
     """
@@ -160,9 +160,7 @@ def _medium(
         vertical_depth=vertical_depth,
         g=g,
         mu=mu,
-        point_spread=PointSpread(
-            law.scale * blur_factor, law.exponent, law.shape, law.reference_size
-        ),
+        point_spread=law.widened(blur_factor),
         tolerance=settings.tolerance,
     )
 
@@ -195,8 +193,8 @@ def degrade_opaque(
     draw: Tensor,
     settings: str,
 ) -> Tensor:
-    """`degrade` for compiled code. What is drawn comes as a tensor, or a graph would hold for one
-    record alone; waters and camera come as tables, see `table`.
+    """`degrade` for compiled code. The draw comes as a tensor; as Python numbers it would be
+    baked into the graph. Waters and camera come as tables, see `table`.
     """
     spectra = [Water(*rows.numpy()) for rows in waters]
     wavelengths, *response = camera.numpy()

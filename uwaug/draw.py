@@ -18,9 +18,9 @@ from uwaug.optics.water import Water
 
 __all__ = [
     "RANGES",
+    "Distribution",
     "Range",
     "Record",
-    "Source",
     "as_range",
     "cameras_of",
     "require_scaling",
@@ -51,7 +51,7 @@ _DRAWS = ("applied", "first", "second", "camera", "field", *RANGES)
 
 
 @dataclass(frozen=True)
-class Source:
+class Distribution:
     """All that is random, see `RandomUnderwater`.
 
     Attributes:

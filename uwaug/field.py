@@ -1,5 +1,5 @@
-"""The medium field m(x): how much more or less water-like the water is along each ray. It
-multiplies the distance.
+"""The medium field m(x): how much denser or thinner the water is along each ray. It multiplies the
+distance.
 """
 
 import math

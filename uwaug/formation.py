@@ -10,7 +10,7 @@ scene without water, z the distance along the ray [m], m the medium field.
 
 Order "line_of_sight" blurs J and weights it with the curves of the pixel that looks; order
 "source", the paper's equation, weights first and blurs the product. Monte Carlo light transport
-(two planes, edge region) stands .0268 from the first and .0290 from the second.
+(two planes, edge region) has an RMSE of .0268 to the first and of .0290 to the second.
 """
 
 import math
@@ -36,7 +36,9 @@ Combine = Callable[[Tensor, Curves, Tensor], tuple[Tensor, ...]]
 """What makes the result of image, curves and blurred image: `separately` or `together`."""
 
 _CANCELS = 1 / 256
-"""Optical depth; nearer, 1 − e^−x keeps less than 16 of the 24 bits of single precision."""
+"""Optical depth; nearer, 1 − e^−x keeps less than 16 of the 24 bits of single precision, and the
+veil less than 2e-5 of itself.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,8 +177,8 @@ def form(
     if records or torch.compiler.is_compiling() or order == "source":
         return _form_at_once(image, z, medium, plan, order, combine)
     media = [medium[i] for i in range(len(medium))] if len(medium) > 1 else [medium]
-    near = near_lens(z, medium)
-    sums = [one.sums(near=near) for one in media]
+    exact = any_at_lens(z, medium)
+    sums = [one.sums(exact_at_lens=exact) for one in media]
     outputs: list[Tensor] = []
     for i, picture in enumerate(image):
         # one picture in several waters is blurred once
@@ -197,8 +199,8 @@ def _form_at_once(
 ) -> tuple[Tensor, ...]:
     """`form` without strips: for gradients, for compilers, for curves that precede the blur."""
     # a compiler cannot look at the distances
-    near = torch.compiler.is_compiling() or near_lens(z, medium)
-    found = curves(medium.sums(near=near), z)
+    exact = torch.compiler.is_compiling() or any_at_lens(z, medium)
+    found = curves(medium.sums(exact_at_lens=exact), z)
     source = image
     if order == "source":
         source, found = found.scatter * image, found._replace(scatter=image.new_ones(()))
@@ -207,7 +209,7 @@ def _form_at_once(
     return combine(image, found, blur)
 
 
-def near_lens(z: Tensor, medium: Medium) -> bool:
+def any_at_lens(z: Tensor, medium: Medium) -> bool:
     """Whether a pixel is so near that V(0) − V(z) cannot be subtracted without cancellation."""
     slowest = medium.G.masked_fill(medium.G <= 0, math.inf).amin(1)
     return bool((slowest * z.flatten(1).amin(1) <= _CANCELS).any())

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from operator import index
-from typing import get_args
+from typing import Any, get_args
 
 import torch
 import torch.nn.functional as F
@@ -36,11 +36,11 @@ class FixedMedium(nn.Module):
         medium = Medium.of(dict(self.named_buffers()), self.start)
         law, start = medium.point_spread, self.start.point_spread
         # what is one number for the whole batch stays a number: x² is faster than a power
-        if not isinstance(start.scale, Tensor):
-            law = replace(law, scale=start.scale)
-        if not isinstance(start.exponent, Tensor):
-            law = replace(law, exponent=start.exponent)
-        return replace(medium, point_spread=law)
+        fixed: dict[str, Any] = {}
+        for name, value in start.numbers().items():
+            if not isinstance(value, Tensor):
+                fixed[name] = value
+        return replace(medium, point_spread=replace(law, **fixed))
 
 
 class LearnableMedium(nn.Module):
@@ -133,8 +133,8 @@ class Underwater(nn.Module):
     Args:
         medium: one medium, or one for each image of a batch.
         distance_range: (nearest, farthest) effective distance m·z, m, for which the blur is planned
-            once; beyond it widths stop changing, curves stay exact. None plans for each call's own
-            distances, which cannot be compiled or exported.
+            once; beyond it widths stop changing. None plans for each call's own distances, which
+            cannot be compiled or exported.
         tolerance: largest error of the blur in the image, on a scale of 0…1.
         color_space: "srgb" decodes, works in linear light, and encodes again; "linear" takes values
             as they are.
@@ -185,21 +185,24 @@ class Underwater(nn.Module):
         self.order: Order = order
         self.learnable = learnable
         self.demand = demand
+        if demand is not None and distance_range is None:
+            raise ValueError("demand needs the distance_range that it is for, got None")
         if demand is None and distance_range is not None:
+            # an octave either way, for the width that is learned
             margin = 2.0 if learnable else 1.0
             self.demand = blur_demand(
                 medium, distance_range, tolerance, order=order, learned=learnable, margin=margin
             )
-        self.source: FixedMedium | LearnableMedium = FixedMedium(medium)
+        self.coefficients: FixedMedium | LearnableMedium = FixedMedium(medium)
         if learnable:
             # without a blur, its width does nothing
             width = self.demand is None or self.demand.high > 0
-            self.source = LearnableMedium(medium, width)
+            self.coefficients = LearnableMedium(medium, width)
 
     @property
     def medium(self) -> Medium:
         """The medium at hand; if learnable, of tensors that carry gradients to the parameters."""
-        medium: Medium = self.source()
+        medium: Medium = self.coefficients()
         return medium
 
     def plan(self, size: tuple[int, int]) -> BlurPlan | None:
@@ -239,7 +242,7 @@ class Underwater(nn.Module):
         planned = "planned at each call"
         if self.distance_range is not None:
             near, far = self.distance_range
-            law = self.source.start.point_spread
+            law = self.coefficients.start.point_spread
             scaled = law.reference_size is not None or law.shape == "exponential"
             at = " at 512 px" if scaled else ""
             planned = f"{near:g}…{far:g} m, {self.plan((512, 512))}{at}"

@@ -18,7 +18,7 @@ from uwaug.colour import ColorSpace
 from uwaug.distance import from_relative
 from uwaug.field import gaussian_random_field
 from uwaug.module import Underwater
-from uwaug.optics.bands import inherent
+from uwaug.optics.bands import band_coefficients
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread, Shape
@@ -333,7 +333,7 @@ def _medium_from_coefficients(config: _Config, law: PointSpread) -> Medium:
     # the g of each channel that gives G as printed, which is rounded
     g = np.divide(printed - a, b, out=np.zeros(3), where=b > 0)
     depth, mu = config.medium.vertical_depth_m, config.medium.mu
-    beta, G, light, veil = inherent(a, b, kd, vertical_depth=depth, g=g, mu=mu)
+    beta, G, light, veil = band_coefficients(a, b, kd, vertical_depth=depth, g=g, mu=mu)
     return Medium.from_coefficients(
         beta.tolist(),
         G.tolist(),

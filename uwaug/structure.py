@@ -79,7 +79,7 @@ def plain_image(image: Any) -> Tensor:
 def maps_for(
     image: Tensor, distance: Any, chosen: list[int], instead: Any
 ) -> Sequence[Tensor | None]:
-    """A map for each of the chosen pictures of a batch; None where a plane is.
+    """A map for each of the chosen pictures of a batch; None where the picture is put on a plane.
 
     Args:
         image (3xHxW or Bx3xHxW tensor): plain.

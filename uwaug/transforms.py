@@ -15,9 +15,9 @@ from uwaug.colour import ColorSpace
 from uwaug.degrade import DistanceKind, Draw, Settings, Unknown, degrade, degrade_opaque, table
 from uwaug.draw import (
     RANGES,
+    Distribution,
     Range,
     Record,
-    Source,
     as_range,
     cameras_of,
     require_scaling,
@@ -76,9 +76,9 @@ class RandomUnderwater(nn.Module):
             from near to far, even that of a flat scene.
         near, far, gamma: m, m and exponent for "relative" and "inverse" (gamma for "relative"
             alone).
-        distance: where no map is given. None: that is an error. A number or a range: a plane at
-            that distance, m. The whole picture gets one veil, cast and blur. That suits a flat
-            scene facing the camera. Elsewhere the depth cue is lost (far objects should fade
+        distance: used when a call brings no map; None makes that an error. A number or a range: a
+            plane at that distance, m. The whole picture gets one veil, cast and blur. That suits a
+            flat scene facing the camera. Elsewhere the depth cue is lost (far objects should fade
             first), and a network may learn only the tint. A callable, such as a depth network:
             takes the image (3xHxW or Bx3xHxW, 0…1) and returns a map of `distance_kind`; it takes
             its own time for every picture, and its errors become wrong colours. With any of these a
@@ -201,7 +201,7 @@ class RandomUnderwater(nn.Module):
         """What all pictures share: spectra, what is drawn from, settings."""
         self.spectra = spectra_of(self.waters)
         self.responses = cameras_of(self.cameras)
-        self._source = Source(
+        self._distribution = Distribution(
             waters=dict(zip(self.spectra, self.waters.values(), strict=True)),
             cameras=tuple(self.responses),
             ranges=self._ranges(),
@@ -268,13 +268,13 @@ class RandomUnderwater(nn.Module):
             written as JSON.
         """
         batch = 1 if image.ndim == 3 or self.same_on_batch else len(image)
-        return self._source.draw(batch, generator)
+        return self._distribution.draw(batch, generator)
 
     def transform(self, image: Tensor, distance: Tensor | None, params: Record) -> Tensor:
         """Degrade a picture or a batch as a record says: deterministic, bit for bit.
 
-        To `torch.compile` it is one opaque operator, bit for bit as well and no faster. A graph is
-        for one choice of waters and camera, and PyTorch makes eight at most
+        To `torch.compile` it is one opaque operator, bit for bit as well and no faster. Each
+        choice of waters and camera compiles a graph of its own; PyTorch keeps at most eight
         (`torch._dynamo.config.recompile_limit`).
 
         Args:
@@ -293,7 +293,7 @@ class RandomUnderwater(nn.Module):
         """
         plain = plain_image(image)
         images = plain if plain.ndim == 4 else plain[None]
-        samples = self._source.samples(params, len(images))
+        samples = self._distribution.samples(params, len(images))
         chosen = [i for i, sample in enumerate(samples) if sample["applied"]]
         maps = maps_for(plain, distance, chosen, self.distance)
         if not chosen:

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from forming import coefficients, uniform
 
-from uwaug.blur.demand import blur_demand
+from uwaug.blur.demand import BlurDemand, blur_demand
+from uwaug.blur.plan import plan_blur
 from uwaug.optics.point_spread import PointSpread
 
 
@@ -15,6 +16,12 @@ def test_demand_leaves_out_what_cannot_show() -> None:
     assert blur_demand(uniform(1e4, 1e4 - 1)(), (1.0, 20.0)).high == 0
     widened = blur_demand(medium, (0.1, 3.0), margin=2.0)
     assert (widened.low, widened.high) == pytest.approx((near.low / 2, near.high * 2))
+
+
+def test_a_plan_for_all_sizes_serves_pictures_four_times_as_long() -> None:
+    demand = BlurDemand(2.0, 3.0, 0.01, "exponential", 96.0)
+    expected = plan_blur(2.0 * 32 / 96, 3.0 * 144 / 96, 0.01, "exponential", 4 * 144)
+    assert demand.plan_all((32, 144)) == expected
 
 
 def test_similar_media_share_a_plan() -> None:

@@ -38,13 +38,14 @@ class BlurDemand:
     Attributes:
         low, high: range of widths that show, px of the point spread's own scale; both 0 if none
             does.
-        tolerance: largest error of the blurred picture, on a scale of 0…1.
+        blur_tolerance: of the blurred picture before it is weighted with forward scatter; the
+            weaker the scatter, the larger.
         shape, reference_size: of the point spread.
     """
 
     low: float
     high: float
-    tolerance: float
+    blur_tolerance: float
     shape: Shape
     reference_size: float | None
 
@@ -74,7 +75,7 @@ class BlurDemand:
         if shared:
             high = octave_steps(high, 2, math.ceil)
             low = octave_steps(low, 2, math.floor) if low > 0.2 else 0.0
-        return plan_blur(min(low, high), high, self.tolerance, self.shape, longest)
+        return plan_blur(min(low, high), high, self.blur_tolerance, self.shape, longest)
 
 
 def blur_demand(
@@ -111,7 +112,7 @@ def blur_demand(
     z = least * (max(far, least) / least) ** _STEPS
     with torch.no_grad(), torch.autocast(medium.beta.device.type, enabled=False):
         found = curves(
-            medium.sums(near=False), torch.from_numpy(z).to(medium.beta)[None, None, None]
+            medium.sums(exact_at_lens=False), torch.from_numpy(z).to(medium.beta)[None, None, None]
         )
         strength = found.scatter.abs().amax((0, 1, 2)).cpu().numpy()
         if learned and strength.max() <= tolerance:

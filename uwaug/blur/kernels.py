@@ -25,7 +25,9 @@ __all__ = [
 Array = NDArray[np.float64]
 
 PERIOD = 16
-"""px that hold whole cells of a grid, or a cell whole periods; strips of rows are multiples."""
+"""px. The cells of a grid divide it evenly, or a cell is a whole multiple of it. Strips of rows are
+multiples of it.
+"""
 
 MARGIN = 2
 """Cells of a grid beyond either edge, as a cubic spline needs."""

@@ -32,19 +32,31 @@ _CONTRAST = 0.25
 # How a plan is chosen. In brackets: what other values make of the number of blurs in 30 Gaussian +
 # 30 exponential plans (ten ranges of σ from 0…0.5 to 0…200 px, tolerances .01, .002, .0005), which
 # is 182 + 244.
-_PLANNED = 0.48  # of the tolerance is the planned RMSE: .002 gives 60 dB and .0005 72 dB
-_PLANNED_AT_MOST = 0.6  # if _MOST_NODES are not enough, as for sharp tails of an exponential shape
+# Planned RMSE as a share of the tolerance: .002 gives 60 dB and .0005 72 dB.
+_PLANNED = 0.48
+# The same if _MOST_NODES are not enough, as for the sharp tails of an exponential shape.
+_PLANNED_AT_MOST = 0.6
+# Most blurs of a stack, beside σ = 0.
 _MOST_NODES = 24
-_PLACES = 33  # in the range, at which the weights are fitted (17: 180 + 245; 65: 182 + 244)
-_NOISE = 3  # errors of a single blur make up the planned RMSE (1: 263 + 257; 10: 178 + 244)
-_IDENTITY_BELOW = 0.75  # px; a range from below has σ = 0 among its blurs (never: 393 + 337)
-_NARROWEST = 0.6  # px, the least width beside σ = 0 (.75: 240 Gaussian; 1: 314)
-_NARROWEST_SHARE = 0.7  # of the widest σ, if that is less (1: 203 Gaussian)
+# Places in the range at which the weights are fitted (17: 180 + 245; 65: 182 + 244).
+_PLACES = 33
+# So many errors of a single blur make up the planned RMSE (1: 263 + 257; 10: 178 + 244).
+_NOISE = 3
+# px. A range from below this has σ = 0 among its blurs (never: 393 + 337).
+_IDENTITY_BELOW = 0.75
+# px, the least width beside σ = 0 (.75: 240 Gaussian; 1: 314).
+_NARROWEST = 0.6
+# Share of the widest σ, if that is less (1: 203 Gaussian).
+_NARROWEST_SHARE = 0.7
 # An exponential shape of σ mixes Gaussians of widths σ/|N(0, 1)|; beyond x·σ lies .8/x of its light
-_TAIL = 0.4  # the widest blur is _TAIL/target·σ (.2: 241 exponential; .8: 246)
-_WIDEST = 0.75  # longest sides, the widest blur; wider ones all give the mean (.375: 300; 1.5: 257)
-_CORE = 0.5  # the narrowest blur, in narrowest σ (.25: 257; 1: 349)
-_NARROWEST_EXPONENTIAL = 0.3  # px (.2 and .5: 247)
+# The widest blur is _TAIL/target·σ (.2: 241 exponential; .8: 246).
+_TAIL = 0.4
+# The widest blur in longest sides; wider ones all give the mean (.375: 300; 1.5: 257).
+_WIDEST = 0.75
+# The narrowest blur as a share of the narrowest σ (.25: 257; 1: 349).
+_CORE = 0.5
+# px, the narrowest blur that is not σ = 0 (.2 and .5: 247).
+_NARROWEST_EXPONENTIAL = 0.3
 
 
 @dataclass(frozen=True)
@@ -138,7 +150,9 @@ def _plan_blur(low: float, high: float, tolerance: float, shape: Shape, longest:
         most = f"more than {_MOST_NODES} blurs for σ {low}…{high} px"
         raise ValueError(f"tolerance {tolerance} needs {most}")
     decibel = -20 * math.log10(target)
-    # grid samples per σ: 70 dB at 1.1, 84 at 1.5
+    # Grid samples per σ, and σ at which kernels are cut, so that either errs by a _NOISE-th of the
+    # plan, 9.5 dB less: a grid of 1.1 samples by 70 dB and one of 1.5 by 84; a kernel of 3 σ by 70
+    # and one of 3.5 σ by 85.
     density = min(max(1.1 + (decibel - 60) / 40, 1.0), 3.0)
     return BlurPlan(
         sigma_min=low,
@@ -146,7 +160,6 @@ def _plan_blur(low: float, high: float, tolerance: float, shape: Shape, longest:
         sigmas=sigmas,
         cells=tuple(_cell(sigma / density) for sigma in sigmas),
         coefficients=tuple(map(tuple, coefficients.tolist())),
-        # 60 dB at 3, 84 at 4
         reach=min(max(3 + (decibel - 60) / 24, 2.5), 8.0),
         error=error,
         shape=shape,

@@ -4,7 +4,7 @@ import json
 import math
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import torch
@@ -15,7 +15,6 @@ from uwaug.module import Underwater
 from uwaug.onnx.graph import parameters_of
 from uwaug.onnx.metadata import Options, plan_of, read_metadata
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread
 from uwaug.session import Session, require
 
 __all__ = ["Report", "check_onnx"]
@@ -207,9 +206,7 @@ def _unrelated_media(medium: Medium) -> list[Medium]:
         weights = (
             torch.linspace(0.6, 1.0, 3, dtype=torch.float64)[None, :, None].expand(1, 3, k) / k
         )
-        law = PointSpread(
-            scale, exponent, medium.point_spread.shape, medium.point_spread.reference_size
-        )
+        law = replace(medium.point_spread, scale=scale, exponent=exponent)
         return Medium(
             rates,
             weights,

@@ -60,8 +60,8 @@ class Graph(nn.Module):
             _blur(sigma, cell, plan.reach)
             for sigma, cell in zip(plan.sigmas, plan.cells, strict=True)
         )
-        # near=False: ONNX has no e^x − 1
-        rates, weights, _ = self.medium.sums(near=False)
+        # exact_at_lens=False: ONNX has no e^x − 1
+        rates, weights, _ = self.medium.sums(exact_at_lens=False)
         self.register_buffer("rates", rates)
         self.register_buffer("weights", weights)
 
@@ -77,7 +77,7 @@ class Graph(nn.Module):
             medium = Medium.of(
                 dict(zip(self.medium.parameters(), inputs, strict=True)), self.medium
             )
-            sums = medium.sums(near=False)
+            sums = medium.sums(exact_at_lens=False)
         light = to_light(image, self.color_space)
         found = curves(sums, z)
         stack = [blur(light) for blur in self.blurs]

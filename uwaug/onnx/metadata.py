@@ -76,7 +76,7 @@ def written(module: Underwater, plan: BlurPlan, options: Options) -> dict[str, s
     tensors: dict[str, Any] = {
         name: value.detach().tolist() for name, value in medium.parameters().items()
     }
-    for name, value in (("scale", law.scale), ("exponent", law.exponent)):
+    for name, value in law.numbers().items():
         if not isinstance(value, Tensor):
             tensors[name] = value
     rebuild = {
@@ -136,7 +136,8 @@ def read_module(path: str | os.PathLike[str]) -> Underwater:
         name: value if isinstance(value, float) else torch.tensor(value, dtype=torch.float64)
         for name, value in stored["medium"].items()
     }
-    law = PointSpread(values.pop("scale"), values.pop("exponent"), **stored["law"])
+    numbers = {name: values.pop(name) for name in PointSpread.NUMBERS}
+    law = PointSpread(**numbers, **stored["law"])
     near, far = json.loads(metadata["uwaug_distance_range_m"])
     return Underwater(
         Medium(**values, point_spread=law, notes=tuple(stored["notes"])),

@@ -68,7 +68,7 @@ class OnnxUnderwater:
             rows |= parameters_of(medium)
         sizes = dict(zip(rows, map(len, rows.values()), strict=True))
         checks.batches(sizes)
-        # that of all that is not 1; there is none but 0 beside it
+        # all batches are 1 or one common size; if that is 0, the result is empty
         batch = min(sizes.values()) if 0 in sizes.values() else max(sizes.values())
         if image.numel() == 0 or batch == 0:
             return image.new_zeros(batch, 3, *image.shape[-2:])

@@ -1,1 +1,3 @@
-"""What knows a wavelength: waters, cameras, and the medium that comes of them."""
+"""Waters and cameras, which know wavelengths, and the medium that comes of them, which is curves of
+distance and a width law.
+"""

@@ -1,4 +1,6 @@
-"""The three curves of distance at every pixel: the one place where exponentials are summed."""
+"""The three curves of distance at every pixel: the one place where the image's exponentials are
+summed.
+"""
 
 import math
 from typing import NamedTuple
@@ -26,8 +28,8 @@ class Sums(NamedTuple):
     """A medium's curves as one matrix product of exponentials; made by `Medium.sums`.
 
     Attributes:
-        rates (BxRx1): 0, whose exponential carries the constants; those of the direct term; those
-            of signal and veil.
+        rates (BxRx1): first 0 (its exponential is 1 and carries the constants), then the rates of
+            the direct term, then those that signal and veil share.
         weights (Bx9xR): the three curves, of three channels each.
         shifted: the first of the rates whose exponentials stand for e^−x − 1; None if all stand
             for e^−x.

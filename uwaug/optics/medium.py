@@ -38,7 +38,7 @@ from torch import Tensor
 
 from uwaug import checks
 from uwaug.checks import DOMAIN
-from uwaug.optics.bands import default_bands, inherent
+from uwaug.optics.bands import band_coefficients, default_bands
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.curves import FARTHEST, Curves, Sums, curves
 from uwaug.optics.point_spread import PointSpread
@@ -131,7 +131,7 @@ class Medium:
             wavelengths = default_bands(water)
         bands = water.at(wavelengths)
         response = load_camera(camera).weights(wavelengths).T  # (3, bands), rows sum to 1
-        beta, G, light, veil = inherent(bands.a, bands.b, bands.kd, **drawn)
+        beta, G, light, veil = band_coefficients(bands.a, bands.b, bands.kd, **drawn)
         # logarithmic steps for the fast rates, linear ones for the slow
         fast = np.geomspace(max(near, 1e-4 * far), far, 65)
         z = np.concatenate([[0.0], fast, np.linspace(near, far, 33)[1:-1]])
@@ -255,9 +255,9 @@ class Medium:
     @staticmethod
     def of(parameters: Mapping[str, Tensor], like: "Medium") -> "Medium":
         """The inverse of `parameters`; kind of width law and notes are those of `like`."""
-        tensors = dict(parameters)
-        scale, exponent = tensors.pop("scale"), tensors.pop("exponent")
-        law = replace(like.point_spread, scale=scale, exponent=exponent)
+        tensors = {name: parameters[name] for name in _TENSORS}
+        numbers: dict[str, Any] = {name: parameters[name] for name in PointSpread.NUMBERS}
+        law = replace(like.point_spread, **numbers)
         return Medium(**tensors, point_spread=law, notes=like.notes)
 
     @property
@@ -265,12 +265,12 @@ class Medium:
         """Whether any tensor, the width law's included, records gradients."""
         return any(t.requires_grad for t in self.parameters().values())
 
-    def sums(self, *, near: bool) -> Sums:
+    def sums(self, *, exact_at_lens: bool) -> Sums:
         """What `curves` takes.
 
-        near: keep the veil's relative precision at the lens: that of a millimetre of water is
-        small, not zero. Otherwise V(0) − V(z) is subtracted, which is right to 2e-5 of itself from
-        an optical depth of 1/256 on, and takes half the time.
+        exact_at_lens: compute the veil without cancellation, so that a millimetre of water gives a
+        small veil, not 0. Otherwise V(0) − V(z) is subtracted, which takes half the time; see
+        `uwaug.formation.any_at_lens` for where that is right.
         """
         direct, signal, veil = self.direct_weights, self.signal_weights, self.veil_weights
         rates = torch.cat([torch.zeros_like(self.beta[:, :1]), self.beta, self.G], 1)[..., None]
@@ -278,22 +278,23 @@ class Medium:
         nothing = torch.zeros_like(direct[..., :1])
         # if the exponentials of G stand for e^−x − 1, T_G(z) is T_G(0) + Σ s(e^−Gz − 1), and the
         # veil is −Σ v(e^−Gz − 1)
-        signal_at_0 = signal.sum(-1, keepdim=True) if near else nothing
-        veil_at_0 = nothing if near else veil.sum(-1, keepdim=True)
+        signal_at_0 = signal.sum(-1, keepdim=True) if exact_at_lens else nothing
+        veil_at_0 = nothing if exact_at_lens else veil.sum(-1, keepdim=True)
         weights = [
             torch.cat([nothing, direct, no_signal], 2),
             torch.cat([signal_at_0, -direct, signal], 2),
             torch.cat([veil_at_0, no_direct, -veil], 2),
         ]
-        return Sums(rates, torch.cat(weights, 1), 1 + self.beta.shape[1] if near else None)
+        split = 1 + self.beta.shape[1] if exact_at_lens else None
+        return Sums(rates, torch.cat(weights, 1), split)
 
-    def _at(self, z: Tensor, *, near: bool = False) -> Curves:
+    def _at(self, z: Tensor, *, exact_at_lens: bool = False) -> Curves:
         """The curves at distances in any of the shapes that `transmission` takes."""
         with torch.autocast(z.device.type, enabled=False):
             x = z.to(torch.promote_types(z.dtype, torch.float32)).clamp(max=FARTHEST)
             plane = x if z.ndim > 2 else x.reshape(1, 1, -1)
             batch = plane if plane.ndim == 4 else plane[None]
-            found = curves(self.to(x).sums(near=near), batch)
+            found = curves(self.to(x).sums(exact_at_lens=exact_at_lens), batch)
         if z.ndim > 2:
             return found
         return Curves(*(curve.reshape(len(curve), 3, *z.shape) for curve in found))
@@ -316,7 +317,7 @@ class Medium:
 
     def backscatter(self, z: Tensor) -> Tensor:
         """V(0) − V(z), the veil in front of a point at distance z; as `transmission`."""
-        return self._at(z, near=True).veil
+        return self._at(z, exact_at_lens=True).veil
 
     def lengths(self, z: Tensor) -> Tensor:
         """Scattering lengths b̄·z of finite distances (B or 1, 1, H, W)."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 import torch
 from torch import Tensor
@@ -30,7 +30,12 @@ class PointSpread:
             `uwaug.plan_blur`.
         reference_size: None if px are px of the image at hand; else the short side, px, of the
             image that `scale` refers to, so that the picture does not depend on its resolution.
+
+    σ never falls with distance; planning looks at the two ends of a range only.
     """
+
+    NUMBERS: ClassVar = ("scale", "exponent")
+    """The attributes that are continuous. Stacks, batches, graphs and files treat all alike."""
 
     scale: float | Tensor
     exponent: float | Tensor = 1.0
@@ -38,7 +43,7 @@ class PointSpread:
     reference_size: float | None = None
 
     def __post_init__(self) -> None:
-        for name, value in (("scale", self.scale), ("exponent", self.exponent)):
+        for name, value in self.numbers().items():
             if not isinstance(value, Tensor):
                 checks.within(f"PointSpread.{name}", value, *DOMAIN[name])
         checks.one_of("PointSpread.shape", self.shape, get_args(Shape))
@@ -97,19 +102,33 @@ class PointSpread:
                 parts.append(torch.as_tensor(value, dtype=dtype).expand(count))
             return torch.cat(parts)
 
-        scale = join([law.scale for law in laws])
-        return replace(laws[0], scale=scale, exponent=join([law.exponent for law in laws]))
+        each = [law.numbers() for law in laws]
+        joined: dict[str, Any] = {}
+        for name in PointSpread.NUMBERS:
+            joined[name] = join([law[name] for law in each])
+        return replace(laws[0], **joined)
+
+    def numbers(self) -> dict[str, Any]:
+        """What is continuous in the law, by name."""
+        return {name: getattr(self, name) for name in self.NUMBERS}
 
     def rows(self, count: int, like: Tensor) -> dict[str, Tensor]:
-        """Scale and exponent as tensors of `count` rows."""
-        law = {"scale": self.scale, "exponent": self.exponent}
-        return {name: torch.as_tensor(value).to(like).expand(count) for name, value in law.items()}
+        """The same as tensors of `count` rows."""
+        rows: dict[str, Tensor] = {}
+        for name, value in self.numbers().items():
+            rows[name] = torch.as_tensor(value).to(like).expand(count)
+        return rows
+
+    def widened(self, factor: float) -> "PointSpread":
+        """The law with all widths `factor` times as large."""
+        return replace(self, scale=self.scale * factor)
 
     def map(self, function: Callable[[Tensor], Tensor]) -> "PointSpread":
         """The same law with `function` applied to what it holds as tensors."""
-        scale = function(self.scale) if isinstance(self.scale, Tensor) else self.scale
-        exponent = function(self.exponent) if isinstance(self.exponent, Tensor) else self.exponent
-        return replace(self, scale=scale, exponent=exponent)
+        changed: dict[str, Any] = {}
+        for name, value in self.numbers().items():
+            changed[name] = function(value) if isinstance(value, Tensor) else value
+        return replace(self, **changed)
 
     def sigma(self, lengths: Tensor, size: tuple[int, int] | None) -> Tensor:
         """σ, px.
@@ -119,7 +138,8 @@ class PointSpread:
             size: (height, width) of the image, px; None for px of `reference_size`.
         """
         law = self.map(lambda value: value.reshape(-1, 1, 1, 1).to(lengths))
-        # x^exponent below 1 has an infinite slope at 0; at 1e4 scattering lengths all light is gone
+        # x^exponent below 1 has an infinite slope at 0, so that σ(0) is tiny instead of 0; at 1e4
+        # scattering lengths all light is gone
         x = lengths.clamp(1e-6, 1e4)
         if isinstance(law.exponent, Tensor) or law.exponent != 1:
             x = x**law.exponent  # ONNX Runtime would compute x^1
