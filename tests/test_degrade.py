@@ -1,3 +1,4 @@
+import json
 import math
 from typing import Any
 
@@ -23,7 +24,7 @@ def test_transform_is_form_image(kind: str, color_space: str) -> None:
         options |= {"distance_kind": kind, "near": (0.5, 1.0), "far": (3.0, 6.0)}
     elif kind != "metric":
         options |= {"distance": (1.0, 4.0)} if kind == "plane" else {"unknown": "fill"}
-    aug = RandomUnderwater(["II", "7C", TANK], **options)
+    aug = RandomUnderwater.survey(waters=["II", "7C", TANK], **options)
     image, given = picture(2), distances(2) * (1 if "distance_kind" in options else 5)
     if kind == "fill":
         given[:, :, 3:5, 4:9] = torch.tensor([math.nan, 0, -1, 0, 0])
@@ -53,8 +54,60 @@ def test_transform_is_form_image(kind: str, color_space: str) -> None:
             z = fill_unknown(z)
         light = srgb_to_linear(image[i]) if color_space == "srgb" else image[i]
         expected = form_image(light, z, medium, field).image
-        expected = linear_to_srgb(expected) if color_space == "srgb" else expected
+        if color_space == "srgb":
+            expected = linear_to_srgb(expected).clamp(0, 1)
         torch.testing.assert_close(out[i], expected, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("focal_px", [None, 40.0])
+def test_default_is_the_calibrated_model_exposed(focal_px: float | None) -> None:
+    aug = RandomUnderwater(["II", "7C"], focal_px=focal_px, field_probability=0.0, tolerance=1e-4)
+    image, distance = picture(2), 1 + 4 * distances(2)
+    record = aug.resolve(image, distance, aug.make_params(image))
+    out = aug.transform(image, distance, record)
+    for i, s in enumerate(record["samples"]):
+        used, z = s["used"], distance[i]
+        water = Water.jerlov(s["waters"][0]).at(np.arange(400, 701, 5))
+        middle = z[..., ::4, ::4].median()
+        # the share of luminance contrast that is left at the middle distance, as drawn
+        scaled = water.with_visibility(used["visibility"])
+        nm, eye = scaled._eye()
+        beta = np.interp(nm, scaled.wavelengths, scaled.beta)
+        assert eye @ np.exp(-beta * float(middle)) == pytest.approx(s["contrast"], rel=1e-4)
+        law = PointSpread.calibrated(focal_px or W / 2 / math.tan(math.radians(30)))
+        numbers = {name: s[name] for name in ("vertical_depth", "g", "mu")}
+        medium = Medium.from_water(scaled, **numbers, point_spread=law, tolerance=1e-4)
+        light = srgb_to_linear(image[i])
+        expected = used["gain"] * form_image(light, z, medium, tolerance=1e-4).image
+        expected = linear_to_srgb(expected).clamp(0, 1)
+        torch.testing.assert_close(out[i], expected, rtol=0, atol=2e-3)
+
+
+def test_contrast_stops_at_pure_water() -> None:
+    aug = RandomUnderwater("1C", contrast=0.9, field_probability=0.0)
+    image, distance = picture(), torch.full((1, H, W), 30.0)
+    used = aug.resolve(image, distance, aug.make_params(image))["samples"][0]["used"]
+    assert used["contents"] == 0
+    assert used["visibility"] == pytest.approx(88.3, abs=0.1)
+    # and open water alone has no middle distance
+    distance.fill_(math.inf)
+    used = aug.resolve(image, distance, aug.make_params(image))["samples"][0]["used"]
+    assert used["contents"] == 1
+
+
+def test_resolved_records_replay_and_may_be_edited() -> None:
+    aug = RandomUnderwater()
+    image, distance = picture(2), 1 + 4 * distances(2)
+    record = aug.make_params(image)
+    out = aug.transform(image, distance, record)
+    resolved = json.loads(json.dumps(aug.resolve(image, distance, record)))
+    assert same(aug.transform(image, distance, resolved), out)
+    assert "used" not in record["samples"][0]
+    # what was used serves another picture: the gain is kept
+    resolved["samples"][0]["used"]["gain"] /= 4
+    dark = aug.transform(image, distance, resolved)
+    assert dark[0].mean() < 0.7 * out[0].mean()
+    assert same(dark[1], out[1])
 
 
 # the curve from light to sRGB is steep at black
@@ -139,7 +192,7 @@ def test_open_water_is_the_veil() -> None:
 
 def test_relative_distance_0_is_near() -> None:
     t = torch.zeros(1, H, W)
-    aug = RandomUnderwater(distance_kind="relative", near=0.0, vertical_depth=0.0)
+    aug = RandomUnderwater.survey(distance_kind="relative", near=0.0, vertical_depth=0.0)
     torch.testing.assert_close(aug(picture(), t)[0], picture(), rtol=0, atol=1e-4)
 
 

@@ -42,6 +42,8 @@ DOMAIN = {
     "gamma": (1e-3, math.inf),
     "distance": (0.0, math.inf),
     "field_range": (0.0, math.inf),
+    "contrast": (1e-3, 1.0),
+    "exposure": (-10.0, 10.0),
 }
 """Least and largest value of every quantity that may be drawn or read from a preset. Infinity
 itself is never allowed.

@@ -9,7 +9,14 @@ from torch import Tensor
 
 from uwaug import checks
 
-__all__ = ["ColorSpace", "from_light", "linear_to_srgb", "srgb_to_linear", "to_light"]
+__all__ = [
+    "ColorSpace",
+    "from_light",
+    "headroom",
+    "linear_to_srgb",
+    "srgb_to_linear",
+    "to_light",
+]
 
 ColorSpace = Literal["srgb", "linear"]
 """What the values of a picture are: sRGB, or linear light as they stand."""
@@ -53,9 +60,31 @@ def to_light(image: Tensor, color_space: ColorSpace) -> Tensor:
     return srgb_to_linear(unit)
 
 
-def from_light(light: Tensor, color_space: ColorSpace, dtype: torch.dtype) -> Tensor:
-    """The inverse of `to_light`: a picture of `dtype`; uint8 is rounded and clipped."""
-    values = linear_to_srgb(light) if color_space == "srgb" else light
+def headroom(image: Tensor) -> float | Tensor:
+    """The largest sRGB value that a result may have: 1, as files hold no more; if the picture that
+    was given is brighter (HDR), its own largest value, (B, 1, 1, 1).
+    """
+    if image.dtype == torch.uint8 or not image.numel():
+        return 1.0
+    if not torch.compiler.is_compiling() and image.detach().amax() <= 1:
+        return 1.0
+    return image.detach().amax((-3, -2, -1), keepdim=True).clamp(min=1)
+
+
+def from_light(
+    light: Tensor, color_space: ColorSpace, dtype: torch.dtype, most: float | Tensor = math.inf
+) -> Tensor:
+    """The inverse of `to_light`: a picture of `dtype`; uint8 is rounded and clipped.
+
+    sRGB values are clipped to 0…`most`, see `headroom`; linear light never is.
+    """
+    values = light
+    if color_space == "srgb":
+        values = linear_to_srgb(light)
+        if isinstance(most, Tensor):
+            values = torch.minimum(values.clamp(min=0), most)
+        else:
+            values = values.clamp(0, most)
     if dtype == torch.uint8:
         return (values * 255).round().clamp(0, 255).to(torch.uint8)
     return values.to(dtype)

@@ -44,7 +44,10 @@ RANGES = (
     "far",
     "gamma",
     "distance",
+    "contrast",
+    "exposure",
 )
+_LOGARITHMIC = ("visibility", "contrast")
 # What each picture draws a uniform number for. A new one goes to the end, so that keys of
 # `RandomUnderwater.at` keep their pictures.
 _DRAWS = ("applied", "first", "second", "camera", "field", *RANGES)
@@ -91,7 +94,7 @@ class Distribution:
             "field_range": list(self.field_range),
         }
         for name, (low, high) in self.ranges.items():
-            if name == "visibility":
+            if name in _LOGARITHMIC:
                 sample[name] = low * (high / low) ** u[name]
             else:
                 sample[name] = low + (high - low) * u[name]
@@ -108,7 +111,7 @@ class Distribution:
             raise ValueError(f"params has {count} samples but image is a batch of {batch}")
         wanted = {"applied", "waters", "camera", "field_seed", "field_range", *self.ranges}
         for sample in samples:
-            odd = ", ".join(sorted(wanted ^ set(sample)))
+            odd = ", ".join(sorted(wanted ^ (set(sample) - {"used"})))
             if odd:
                 raise ValueError(
                     f"params is of a transform with other options: they differ in {odd}"

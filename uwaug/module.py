@@ -11,7 +11,8 @@ from torch import Tensor, nn
 from uwaug import checks
 from uwaug.blur.demand import BlurDemand, blur_demand
 from uwaug.blur.plan import BlurPlan
-from uwaug.colour import ColorSpace, from_light, to_light
+from uwaug.colour import ColorSpace, from_light, headroom, to_light
+from uwaug.exposure import Exposure, brightest, exposed, require_exposure
 from uwaug.formation import Order, form, plan_at_hand, prepare, together, unbatched, validate
 from uwaug.optics.medium import Medium
 
@@ -136,11 +137,15 @@ class Underwater(nn.Module):
             once; beyond it widths stop changing. None plans for each call's own distances, which
             cannot be compiled or exported.
         tolerance: largest error of the blur in the image, on a scale of 0…1.
-        color_space: "srgb" decodes, works in linear light, and encodes again; "linear" takes values
-            as they are.
+        color_space: "srgb" decodes, works in linear light, encodes again and clips to 0…1 (to the
+            picture's own largest value if that is above 1); "linear" takes values as they are and
+            never clips.
         learnable: make rates, light, veil and width scale parameters; they stay positive, and
             direct and signal light stay equal at z = 0.
         order: "line_of_sight", or "source" for the paper's equation, see `uwaug.form_image`.
+        exposure: "none": light is lost as it is in the water. "auto": as a camera does, one gain
+            for each picture keeps the mean luminance of the scene, from 1/8 to 64. A number: a gain
+            in stops.
         demand: what the plan has to serve, by default what `medium` asks for over `distance_range`.
 
     Keep torch's default matmul precision. With `torch.set_float32_matmul_precision("medium")`, CPUs
@@ -169,6 +174,7 @@ class Underwater(nn.Module):
         color_space: ColorSpace = "srgb",
         learnable: bool = False,
         order: Order = "line_of_sight",
+        exposure: Exposure = "none",
         demand: BlurDemand | None = None,
     ) -> None:
         super().__init__()
@@ -176,6 +182,7 @@ class Underwater(nn.Module):
         checks.one_of("color_space", color_space, get_args(ColorSpace))
         checks.one_of("order", order, get_args(Order))
         checks.tolerance(tolerance)
+        require_exposure(exposure)
         if distance_range is not None and not 0 <= distance_range[0] < distance_range[1]:
             expected = "0 ≤ nearest < farthest in metres"
             raise ValueError(f"distance_range must be {expected}, got {distance_range}")
@@ -183,6 +190,7 @@ class Underwater(nn.Module):
         self.tolerance = tolerance
         self.color_space = color_space
         self.order: Order = order
+        self.exposure: Exposure = exposure
         self.learnable = learnable
         self.demand = demand
         if demand is not None and distance_range is None:
@@ -191,7 +199,12 @@ class Underwater(nn.Module):
             # an octave either way, for the width that is learned
             margin = 2.0 if learnable else 1.0
             self.demand = blur_demand(
-                medium, distance_range, tolerance, order=order, learned=learnable, margin=margin
+                brightest(medium, exposure),
+                distance_range,
+                tolerance,
+                order=order,
+                learned=learnable,
+                margin=margin,
             )
         self.coefficients: FixedMedium | LearnableMedium = FixedMedium(medium)
         if learnable:
@@ -232,10 +245,11 @@ class Underwater(nn.Module):
         with torch.autocast(image.device.type, enabled=False):
             light = to_light(image, self.color_space)
             light, z, medium = prepare(light, distance, medium, field)
+            medium = exposed(light, z, medium, self.exposure)
             if plan is None:
                 plan = plan_at_hand(z, medium, self.tolerance, self.order)
             (result,) = form(light, z, medium, plan, self.order, together)
-            return from_light(result, self.color_space, image.dtype)
+            return from_light(result, self.color_space, image.dtype, headroom(image))
 
     def extra_repr(self) -> str:
         """What is modelled, and what is skipped."""
@@ -247,6 +261,8 @@ class Underwater(nn.Module):
             at = " at 512 px" if scaled else ""
             planned = f"{near:g}…{far:g} m, {self.plan((512, 512))}{at}"
         settings = f"tolerance={self.tolerance:g}, {self.color_space}, {self.order}"
+        if self.exposure != "none":
+            settings += f", exposure={self.exposure!r}"
         return f"{self.medium!r},\n{planned},\n{settings}"
 
 
