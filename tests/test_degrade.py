@@ -1,5 +1,6 @@
 import json
 import math
+import threading
 from typing import Any
 
 import kornia
@@ -14,6 +15,7 @@ from uwaug import Medium, PointSpread, RandomUnderwater, Water, form_image
 from uwaug.colour import linear_to_srgb, srgb_to_linear
 from uwaug.distance import fill_unknown, from_inverse, from_relative
 from uwaug.field import gaussian_random_field
+from uwaug.replay import reproducible
 
 
 @pytest.mark.parametrize("kind", ["metric", "relative", "inverse", "plane", "fill"])
@@ -177,8 +179,80 @@ def test_layouts() -> None:
     last = image.to(memory_format=torch.channels_last)
     turned = image.transpose(2, 3).contiguous().transpose(2, 3)
     for other in (last, turned):
-        out = aug.transform(other, distance, record)
-        torch.testing.assert_close(out, expected, rtol=0, atol=1e-6)
+        assert same(aug.transform(other, distance, record), expected)
+
+
+def test_arrays_as_files_give_them_replay() -> None:
+    # views with height, width and channels in this order, at a size where kernels' paths differ
+    aug = RandomUnderwater("7C")
+    generator = torch.Generator().manual_seed(3)
+    image = torch.rand(500, 741, 3, generator=generator).permute(2, 0, 1)
+    distance = (1 + 4 * torch.rand(741, 500, generator=generator)).T[None]
+    record = aug.make_params(image)
+    expected = aug.transform(image.contiguous(), distance.contiguous(), record)
+    assert same(aug.transform(image, distance, record), expected)
+
+
+@pytest.mark.parametrize("precision", ["high", "medium"])
+def test_matmul_precision_does_not_show(precision: str) -> None:
+    aug, image, distance = RandomUnderwater("9C"), picture(), distances() + 1
+    record = aug.make_params(image)
+    expected = aug.transform(image, distance, record)
+    before = torch.get_float32_matmul_precision()
+    try:
+        torch.set_float32_matmul_precision(precision)
+        assert same(aug.transform(image, distance, record), expected)
+        assert torch.get_float32_matmul_precision() == precision
+    finally:
+        torch.set_float32_matmul_precision(before)
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float16, torch.bfloat16])
+def test_default_dtype_does_not_show(dtype: torch.dtype) -> None:
+    aug, image, distance = RandomUnderwater(), picture(), distances() + 1
+    record = aug.make_params(image)
+    expected = aug.transform(image, distance, record)
+    before = torch.get_default_dtype()
+    try:
+        torch.set_default_dtype(dtype)
+        assert same(aug.transform(image, distance, record), expected)
+    finally:
+        torch.set_default_dtype(before)
+
+
+def test_threads_are_given_back_to_all() -> None:
+    """Threads that enter while another is inside get back what there was before the first."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    first_in, may_leave, seen = threading.Event(), threading.Event(), []
+
+    def hold() -> None:
+        with reproducible():
+            first_in.set()
+            may_leave.wait(10)
+        seen.append(torch.get_num_threads())
+
+    def pass_through() -> None:
+        first_in.wait(10)
+        with reproducible():
+            seen.append(-torch.get_num_threads())
+        seen.append(torch.get_num_threads())
+        may_leave.set()
+
+    try:
+        workers = [threading.Thread(target=hold), threading.Thread(target=pass_through)]
+        for worker in workers:
+            worker.start()
+        for worker in workers:
+            worker.join()
+        later: list[int] = []
+        fresh = threading.Thread(target=lambda: later.append(torch.get_num_threads()))
+        fresh.start()
+        fresh.join()
+    finally:
+        torch.set_num_threads(before)
+    assert seen == [-1, 2, 2]
+    assert later == [2]
 
 
 def test_open_water_is_the_veil() -> None:

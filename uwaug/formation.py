@@ -107,13 +107,24 @@ def unbatched(image: Tensor, distance: Tensor, medium: Medium) -> bool:
     return image.ndim == 3 and len(medium) == 1 and (distance.ndim == 3 or len(distance) == 1)
 
 
-def validate(image: Tensor, distance: Tensor, medium: Medium, field: Tensor | None) -> None:
-    """Refuse what `form_image` cannot take: types, shapes, batches, devices, wrong distances."""
+def validate(
+    image: Tensor,
+    distance: Tensor,
+    medium: Medium,
+    field: Tensor | None,
+    *,
+    also_bytes: bool = False,
+) -> None:
+    """Refuse what `form_image` cannot take: types, shapes, batches, devices, wrong distances.
+
+    also_bytes: take a uint8 picture, as files hold it.
+    """
     checks.instance("medium", medium, Medium, "; see Medium.from_water")
     maps = {"distance": distance} if field is None else {"distance": distance, "field": field}
     sizes = {"medium": len(medium)}
     for name, value in {"image": image, **maps}.items():
-        checks.floating(name, value)
+        if not (name == "image" and also_bytes and _holds_bytes(image)):
+            checks.floating(name, value)
         checks.picture(name, value, 3 if name == "image" else 1)
         checks.same_size(name, value, image)
         checks.same_device(name, value, image)
@@ -133,6 +144,10 @@ def validate(image: Tensor, distance: Tensor, medium: Medium, field: Tensor | No
             raise ValueError(f"field is {counts}: expected finite values ≥ 0")
 
 
+def _holds_bytes(image: object) -> bool:
+    return isinstance(image, Tensor) and image.dtype == torch.uint8
+
+
 def prepare(
     image: Tensor, distance: Tensor, medium: Medium, field: Tensor | None
 ) -> tuple[Tensor, Tensor, Medium]:
@@ -144,7 +159,8 @@ def prepare(
     def batch(value: Tensor) -> Tensor:
         return (value if value.ndim == 4 else value[None]).to(dtype)
 
-    z = batch(distance).clamp(max=FARTHEST)
+    # compiled code does not look at its input: at least no distance is negative there
+    z = batch(distance).clamp(0.0, FARTHEST)
     if field is not None:
         z = z * batch(field)
     return batch(image), z, medium.to(dtype=dtype, device=image.device)

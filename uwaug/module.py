@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from operator import index
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import torch
 import torch.nn.functional as F
@@ -152,8 +152,8 @@ class Underwater(nn.Module):
     that support it multiply in bfloat16, and the error is visible.
 
     Shapes:
-        image (Bx3xHxW or 3xHxW), distance (Bx1xHxW or 1xHxW, m), field (as distance, or None) →
-            image.
+        image (Bx3xHxW or 3xHxW; uint8 0…255, or floating point 0…1), distance (Bx1xHxW or 1xHxW,
+            m), field (as distance, or None) → image, of the same type.
 
     Raises:
         TypeError, ValueError: as `uwaug.form_image`; and if an sRGB image exceeds 16, which is
@@ -225,10 +225,16 @@ class Underwater(nn.Module):
         # index(): a compiled module is compiled again for another size, which has another plan
         return _plan(self.demand, index(size[0]), index(size[1]))
 
+    if TYPE_CHECKING:  # nn.Module's own returns Any
+
+        def __call__(self, image: Tensor, distance: Tensor, field: Tensor | None = None) -> Tensor:
+            """As `forward`."""
+            ...
+
     def forward(self, image: Tensor, distance: Tensor, field: Tensor | None = None) -> Tensor:
         """Degrade an image; see the class."""
         medium = self.medium
-        validate(image, distance, medium, field)
+        validate(image, distance, medium, field, also_bytes=True)
         plan = self.plan((image.shape[-2], image.shape[-1]))
         result = self.formed(image, distance, field, medium, plan)
         return result[0] if unbatched(image, distance, medium) else result
