@@ -51,6 +51,12 @@ def small(monkeypatch: pytest.MonkeyPatch) -> uwaug.scene.Scene:
     return scene
 
 
+@pytest.fixture(autouse=True)
+def warnings_are_fresh(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let every test be the first that fills a map: it warns once in a process."""
+    monkeypatch.setattr(uwaug.distance, "_warned", [])
+
+
 @pytest.fixture(scope="module", params=OPTIONS)
 def options(request: pytest.FixtureRequest) -> dict[str, Any]:
     """Options of RandomUnderwater, for what has to hold with all of them."""

@@ -6,25 +6,39 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from uwaug import checks
 from uwaug.colour import ColorSpace, from_light, to_light
 from uwaug.distance import check_distance, from_inverse, from_relative
+from uwaug.draw import Record
 from uwaug.field import gaussian_random_field
 from uwaug.formation import Order, form, plan_at_hand, prepare, together
 from uwaug.optics.camera import Camera
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
+from uwaug.structure import maps_for, plain_image
 
-__all__ = ["DistanceKind", "Draw", "Settings", "Unknown", "degrade", "degrade_opaque"]
+__all__ = [
+    "DistanceKind",
+    "Draw",
+    "Settings",
+    "Unknown",
+    "as_unknown",
+    "degrade",
+    "degrade_opaque",
+    "skipping",
+]
 
 DistanceKind = Literal["metric", "relative", "inverse"]
-Unknown = Literal["error", "fill"]
+_Policy = Literal["error", "fill", "skip", "far"]
+Unknown = _Policy | float
+"""What unknown pixels get; a number is metres."""
 
 _TOUCHING = 1e-6
 """m, for relative distance 0 with near = 0: in a map of metres 0 means unknown."""
@@ -108,8 +122,10 @@ def degrade(
         settings: what is set.
 
     Returns:
-        The picture, like `image`.
+        The picture, like `image`; `image` itself if its map tells nothing and is to be skipped.
     """
+    if distance is not None and _skipped(distance, settings):
+        return image
     with _one_thread(), torch.no_grad(), torch.autocast(image.device.type, enabled=False):
         light = to_light(image, settings.color_space)
         if distance is None:
@@ -124,17 +140,73 @@ def degrade(
         return from_light(result[0], settings.color_space, image.dtype)
 
 
-def _metres(distance: Tensor, draw: Draw, settings: Settings) -> Tensor:
+def as_unknown(value: Any) -> Unknown:
+    """Check what unknown pixels are to get."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
+        checks.one_of("unknown", value, (*get_args(_Policy), "a number of metres"))
+        return value
+    checks.positive("unknown", float(value), "m")
+    return float(value)
+
+
+def skipping(record: Record, image: Tensor, distance: Tensor, settings: Settings) -> Record:
+    """The record, with "applied": False for what is left alone on account of its map."""
+    if settings.unknown != "skip":
+        return record
+    plain = plain_image(image)
+    whole = list(range(len(plain) if plain.ndim == 4 else 1))
+    maps = maps_for(plain, distance, whole, None)
+    samples = record["samples"]
+    if len(samples) == 1:
+        samples = samples * len(maps)
+    changed = []
+    for sample, z in zip(samples, maps, strict=True):
+        left = z is not None and _skipped(z, settings)
+        changed.append({**sample, "applied": sample["applied"] and not left})
+    return {"samples": changed}
+
+
+def _skipped(distance: Tensor, settings: Settings) -> bool:
+    """Whether a picture is left alone, as its map has no known pixel or, of inverse depth, no two
+    that differ.
+    """
+    if settings.unknown != "skip":
+        return False
+    if settings.distance_kind == "metric":
+        return not bool((distance > 0).any())
     if settings.distance_kind == "relative":
-        distance = from_relative(distance, max(draw.near, _TOUCHING), draw.far, draw.gamma)
-    elif settings.distance_kind == "inverse":
-        distance = from_inverse(distance, draw.near, draw.far)
-    strict = settings.unknown == "error"
+        return bool(distance.isnan().all())
+    known = distance[distance.isfinite()]
+    return not known.numel() or bool((known == known[0]).all())
+
+
+def _metres(distance: Tensor, draw: Draw, settings: Settings) -> Tensor:
+    z, instead = _scaled(distance, draw, settings.distance_kind), settings.unknown
+    if instead == "far":
+        instead = math.inf
+    if not isinstance(instead, str):
+        return torch.where(z > 0, z, instead)
+    strict = instead == "error"
+    cure = "unknown='fill'), or 'skip', 'far' or metres" if strict else "unknown='skip')"
     try:
-        return check_distance(distance, strict=strict)
+        return check_distance(z, strict=strict)
     except ValueError as error:
-        hint = "; or use RandomUnderwater(unknown='fill')" if strict else ""
-        raise ValueError(f"{error}{hint}") from None
+        raise ValueError(f"{error}; or use RandomUnderwater({cure}") from None
+
+
+def _scaled(distance: Tensor, draw: Draw, kind: DistanceKind) -> Tensor:
+    """In metres, unknown pixels left."""
+    if kind == "metric":
+        checks.metres("distance", distance)
+        return distance
+    if kind == "relative":
+        return from_relative(distance, max(draw.near, _TOUCHING), draw.far, draw.gamma)
+    if not bool(distance.isfinite().any()):
+        return torch.full_like(distance, math.nan)
+    try:
+        return from_inverse(distance, draw.near, draw.far)
+    except ValueError as error:
+        raise ValueError(f"{error}; or use RandomUnderwater(unknown='skip')") from None
 
 
 def _field(draw: Draw, z: Tensor) -> Tensor | None:
@@ -200,7 +272,9 @@ def degrade_opaque(
     wavelengths, *response = camera.numpy()
     lens = Camera(wavelengths, np.array(response).T)
     drawn = Draw(*draw.tolist())
-    return degrade(image, distance, spectra, lens, drawn, Settings.from_json(settings))
+    result = degrade(image, distance, spectra, lens, drawn, Settings.from_json(settings))
+    # an operator must not return what it was given
+    return result.clone() if result is image else result
 
 
 @degrade_opaque.register_fake

@@ -12,7 +12,17 @@ from torch import Tensor, nn
 
 from uwaug import checks
 from uwaug.colour import ColorSpace
-from uwaug.degrade import DistanceKind, Draw, Settings, Unknown, degrade, degrade_opaque, table
+from uwaug.degrade import (
+    DistanceKind,
+    Draw,
+    Settings,
+    Unknown,
+    as_unknown,
+    degrade,
+    degrade_opaque,
+    skipping,
+    table,
+)
 from uwaug.draw import (
     RANGES,
     Distribution,
@@ -30,14 +40,13 @@ from uwaug.optics.camera import Camera
 from uwaug.optics.jerlov_tables import JERLOV_TYPES
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
-from uwaug.structure import maps_for, plain_image, take_apart, typed
+from uwaug.structure import maps_for, naming, plain_image, take_apart, typed
 
 __all__ = ["RandomUnderwater"]
 
 _SCALING = {"metric": (), "relative": ("near", "far", "gamma"), "inverse": ("near", "far")}
 _CHOICES = {
     "distance_kind": get_args(DistanceKind),
-    "unknown": get_args(Unknown),
     "color_space": get_args(ColorSpace),
     "order": get_args(Order),
 }
@@ -86,8 +95,11 @@ class RandomUnderwater(nn.Module):
         p: probability that a picture is degraded at all.
         same_on_batch: draw once for a batch.
         unknown: what NaN, 0 or negative metres get (NaN, in relative and inverse maps). "error": an
-            error. "fill": the nearest known distance (12 ms at 500×741). Geometric transforms pad
-            with 0: in maps that are not metric, where 0 is a distance, let them pad with NaN.
+            error. "fill": a distance from the known ones, see `distance.fill_unknown`. "skip": the
+            same, and a picture whose map tells nothing (no known pixel, or a flat map of inverse
+            depth), as crops have it, stays as it is. "far": open water, for what lies beyond a
+            sensor's range. A number: as many metres. Geometric transforms pad with 0: in maps that
+            are not metric, where 0 is a distance, let them pad with NaN.
         image_key, distance_key: where to find the two in a dict.
         tolerance, color_space, order: as for `uwaug.Underwater`.
 
@@ -211,7 +223,7 @@ class RandomUnderwater(nn.Module):
         )
         self._settings = Settings(
             distance_kind=self.distance_kind,
-            unknown=self.unknown,
+            unknown=as_unknown(self.unknown),
             color_space=self.color_space,
             order=self.order,
             point_spread=self.point_spread,
@@ -256,19 +268,28 @@ class RandomUnderwater(nn.Module):
             **{"waters": ("II", "1C", "3C", "5C", "7C", "9C"), "visibility": visibility, **options}
         )
 
-    def make_params(self, image: Tensor, generator: torch.Generator | None = None) -> Record:
+    def make_params(
+        self,
+        image: Tensor,
+        generator: torch.Generator | None = None,
+        *,
+        distance: Tensor | None = None,
+    ) -> Record:
         """Draw everything that is random, for a picture or a batch of this shape.
 
         Args:
             image (3xHxW or Bx3xHxW tensor): only its shape is read.
             generator: source of randomness; torch's global generator if None.
+            distance: the map or maps. With unknown="skip", a picture that `transform` will leave
+                alone then has "applied": False in the record, whatever was drawn.
 
         Returns:
             A plain record, {"samples": [one dict for each picture]}, that can be pickled and
             written as JSON.
         """
         batch = 1 if image.ndim == 3 or self.same_on_batch else len(image)
-        return self._distribution.draw(batch, generator)
+        record = self._distribution.draw(batch, generator)
+        return record if distance is None else skipping(record, image, distance, self._settings)
 
     def transform(self, image: Tensor, distance: Tensor | None, params: Record) -> Tensor:
         """Degrade a picture or a batch as a record says: deterministic, bit for bit.
@@ -286,6 +307,8 @@ class RandomUnderwater(nn.Module):
 
         Returns:
             The degraded image, like `image`; `image` itself if the record leaves all of it alone.
+            With unknown="skip", pictures whose maps tell nothing stay as they are, whatever the
+            record says.
 
         Raises:
             TypeError, ValueError: if an input does not suit, naming what came and what was
@@ -305,23 +328,24 @@ class RandomUnderwater(nn.Module):
                 tables, lens = [self._tables[name] for name in names], self._camera_tables[camera]
                 drawn, settings = draw.to_tensor(), self._opaque_settings
                 parts[i] = degrade_opaque(parts[i], z, tables, lens, drawn, settings)
-            else:
-                waters, response = [self.spectra[name] for name in names], self.responses[camera]
+                continue
+            waters, response = [self.spectra[name] for name in names], self.responses[camera]
+            with naming(i, len(parts)):
                 parts[i] = degrade(parts[i], z, waters, response, draw, self._settings)
         return typed(parts[0] if plain.ndim == 3 else torch.stack(parts), type(image))
 
-    def at(self, seed: int, epoch: int, index: int) -> Callable[..., Any]:
+    def at(self, seed: int, epoch: int, index: int | str) -> Callable[..., Any]:
         """The transform with randomness from a key: the same result in any worker, in any order.
 
         Args:
-            seed, epoch, index: of the run, of the pass through the data, of the picture (or batch).
+            seed, epoch: of the run, of the pass through the data.
+            index: of the picture (or batch); a number, or a name such as a path. "7" is 7.
 
         Returns:
             A function of the same inputs as the transform, which draws the same at every call.
         """
-        key = hashlib.blake2b(
-            f"{int(seed)}/{int(epoch)}/{int(index)}".encode(), digest_size=4
-        ).digest()
+        which = index if isinstance(index, str) else int(index)
+        key = hashlib.blake2b(f"{int(seed)}/{int(epoch)}/{which}".encode(), digest_size=4).digest()
         return partial(self._apply_with, int.from_bytes(key))
 
     def _apply_with(self, key: int, *inputs: Any) -> Any:
