@@ -298,5 +298,5 @@ def test_what_no_picture_and_no_map_of_metres_holds(color_space: Any) -> None:
     for value in (math.nan, math.inf, -math.inf):
         image = picture()
         image[2, 3, 4] = value
-        with pytest.raises(ValueError, match="image is NaN at . and infinite at . of .* values"):
+        with pytest.raises(ValueError, match=r"image is NaN at . and infinite at . of .* values"):
             aug(image, distances() + 1)

@@ -56,8 +56,7 @@ def to_light(image: Tensor, color_space: ColorSpace) -> Tensor:
         if color_space == "srgb" and high > _BRIGHTEST:
             raise ValueError(f"image reaches {high:g}: expected 0…1; divide a 0…255 image by 255")
         if color_space == "srgb" and low < _DARKEST:
-            cure = "place it before Normalize, or take color_space='linear'"
-            raise ValueError(f"image falls to {low:g}: expected sRGB in 0…1; {cure}")
+            raise ValueError(f"image falls to {low:g}: expected 0…1; place it before Normalize")
     return unit if color_space == "linear" else srgb_to_linear(unit)
 
 

@@ -239,8 +239,8 @@ def fill_unknown(distance: Tensor) -> Tensor:
         UserWarning: once in a process, if more than 20 % of a map is unknown.
 
     Examples:
-        >>> fill_unknown(torch.tensor([[2.0, 0.0, float("nan"), 3.0]]))
-        tensor([[2., 2., 3., 3.]])
+        >>> fill_unknown(torch.tensor([[2.0, 2.0, 2.0, 2.0, 0.0, 0.0, 3.0, 3.0, 3.0, 3.0]]))
+        tensor([[2., 2., 2., 2., 2., 3., 3., 3., 3., 3.]])
     """
     distance = _maps("distance", distance)
     unknown = ~(distance > 0)

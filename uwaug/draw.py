@@ -138,17 +138,30 @@ def collate_records(records: Iterable[Mapping[str, Any] | str]) -> Record:
         >>> aug.transform(image, None, uwaug.collate_records(records)).shape
         torch.Size([2, 3, 20, 30])
     """
+    if isinstance(records, (str, Mapping)):
+        got = f"got a {type(records).__name__}"
+        raise TypeError(f"records must be a list of records, one of each picture, {got}")
     samples = []
     for i, given in enumerate(records):
-        record = json.loads(given) if isinstance(given, str) else given
-        if not isinstance(record, Mapping) or not isinstance(record.get("samples"), list):
+        found = _samples_of(given)
+        if found is None:
             expected = "records from make_params, {'samples': […]}, or their JSON"
-            raise TypeError(f"records must be {expected}, got {record!r:.80} at {i}")
-        if len(record["samples"]) != 1:
-            count = len(record["samples"])
-            raise ValueError(f"records must be of one picture each, got one of {count} at {i}")
-        samples += record["samples"]
+            raise TypeError(f"records must be {expected}, got {given!r:.80} at {i}")
+        if len(found) != 1:
+            raise ValueError(f"records must be of one picture each, got one of {len(found)} at {i}")
+        samples += found
     return {"samples": samples}
+
+
+def _samples_of(record: Any) -> list[Record] | None:
+    """A record's samples; None if it is no record."""
+    if isinstance(record, str):
+        try:
+            record = json.loads(record)
+        except json.JSONDecodeError:
+            return None
+    found = record.get("samples") if isinstance(record, Mapping) else None
+    return found if isinstance(found, list) else None
 
 
 def _require_known(names: Iterable[str], known: Iterable[str]) -> None:

@@ -104,7 +104,8 @@ class RandomUnderwater(nn.Module):
         tolerance, color_space, order: as for `uwaug.Underwater`.
 
     Inputs:
-        (image, distance, …), a tuple or list of them, or a dict. One picture (3xHxW, distance
+        (image, distance, …), a tuple or list of them, (image, target) with the map in a dict in
+        second place, or a dict. One picture (3xHxW, distance
         1xHxW) or a batch, whose pictures may share one map; uint8 (0…255) or floating point (0…1);
         plain tensors or torchvision's tv_tensors (a distance map is best a `Mask`). The same
         structure comes back with a new image of the same type; every other leaf is returned as it
