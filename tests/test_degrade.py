@@ -314,3 +314,118 @@ def test_media_are_shared() -> None:
     for i in range(20):
         aug.at(0, 0, i)(picture(), distances() + 1)
     assert uwaug.degrade._medium.cache_info().misses == 2
+
+
+# What unknown pixels get
+
+
+@pytest.mark.parametrize("instead", ["far", 7.5, np.float32(2.0), 3])
+@pytest.mark.parametrize("kind", ["metric", "relative", "inverse"])
+def test_unknown_pixels_get_what_was_asked(instead: Any, kind: str) -> None:
+    options: dict[str, Any] = {} if kind == "metric" else {"near": 1.0, "far": 4.0}
+    aug = RandomUnderwater("7C", unknown=instead, distance_kind=kind, **options)
+    given = distances(2) + (1 if kind == "metric" else 0)
+    given[0, :, 3:9, 5:20] = math.nan
+    given[1] = math.nan
+    z = {
+        "metric": lambda: given,
+        "relative": lambda: from_relative(given, 1.0, 4.0),
+        "inverse": lambda: torch.stack([from_inverse(given[0], 1.0, 4.0), given[1]]),
+    }[kind]()
+    known = torch.where(z > 0, z, math.inf if instead == "far" else float(instead))
+    record = aug.make_params(picture(2))
+    metric = RandomUnderwater("7C")
+    bare = {"near", "far", "gamma"}
+    samples = [{k: v for k, v in s.items() if k not in bare} for s in record["samples"]]
+    expected = metric.transform(picture(2), known, {"samples": samples})
+    assert same(aug.transform(picture(2), given, record), expected)
+
+
+def silent_maps(kind: str) -> Tensor:
+    """Three maps; the middle one tells nothing."""
+    maps = distances(3) + (1 if kind == "metric" else 0)
+    maps[0, :, 2:4, 5:9] = math.nan
+    maps[1] = 0.5 if kind == "inverse" else math.nan
+    if kind == "metric":
+        maps[1, :, ::2] = 0.0
+        maps[1, :, ::3] = -1.0
+    return maps
+
+
+@pytest.mark.parametrize("same_on_batch", [False, True])
+@pytest.mark.parametrize("kind", ["metric", "relative", "inverse"])
+def test_a_picture_whose_map_tells_nothing_is_skipped(kind: str, same_on_batch: bool) -> None:
+    options = {"distance_kind": kind, "same_on_batch": same_on_batch}
+    aug, fill = (RandomUnderwater(unknown=u, **options) for u in ("skip", "fill"))
+    image, maps = picture(3), silent_maps(kind)
+    drawn = aug.make_params(image, torch.Generator().manual_seed(1))
+    told = aug.resolve(image, maps, drawn)
+    assert [s["applied"] for s in told["samples"]] == [True, False, True]
+    out = aug.transform(image, maps, drawn)
+    assert same(out, aug.transform(image, maps, told))
+    assert same(out[1], image[1])
+    others = {"samples": [told["samples"][i] for i in (0, 2)]}
+    assert same(out[[0, 2]], fill.transform(image[[0, 2]], maps[[0, 2]], others))
+    with pytest.raises(ValueError, match=r"^picture 1 of 3, counted from 0: .*unknown='skip'"):
+        fill.transform(image, maps, drawn)
+    levels = picture(3, torch.uint8)
+    assert same(aug.transform(levels, maps, drawn)[1], levels[1])
+    assert same(aug(image[1], maps[1])[0], image[1])
+    torch.compiler.reset()
+    compiled = torch.compile(aug.transform, fullgraph=True, backend="eager")
+    assert same(compiled(image, maps, drawn), out)
+    alone = {"samples": drawn["samples"][:1]}
+    assert same(compiled(image[1], maps[1], alone), image[1])
+
+
+def applied(image: Tensor, maps: Tensor, **options: Any) -> list[bool]:
+    aug = RandomUnderwater(**options)
+    samples = aug.resolve(image, maps, aug.make_params(image))["samples"]
+    return [sample["applied"] for sample in samples]
+
+
+def test_records_say_what_is_skipped_only_where_it_is() -> None:
+    image, maps = picture(3), silent_maps("metric")
+    for unknown in ("far", 3.0):
+        assert applied(image, maps, unknown=unknown) == [True] * 3
+    assert applied(image, maps, unknown="skip", p=0.0) == [False] * 3
+    assert applied(image[1], maps[1], unknown="skip") == [False]
+    assert applied(image, maps[1], unknown="skip") == [False] * 3
+    with pytest.raises(ValueError, match="height and width must agree"):
+        applied(image, maps[..., 1:], unknown="skip")
+
+
+def test_refusals_name_the_picture() -> None:
+    maps = distances(3) + 1
+    maps[2, 0, 4, 5] = math.nan
+    with pytest.raises(ValueError, match=r"^picture 2 of 3, counted from 0: distance must be ab"):
+        RandomUnderwater()(picture(3), maps)
+    with pytest.raises(ValueError, match=r"^distance must be above 0 m"):
+        RandomUnderwater()(picture(), maps[2])
+    image = picture(3)
+    image[1, 0, 0, 0] = math.nan
+    with pytest.raises(ValueError, match=r"^picture 1 of 3, counted from 0: image is NaN at 1 and"):
+        RandomUnderwater()(image, distances(3) + 1)
+
+
+@pytest.mark.parametrize("unknown", [0, -1.0, math.nan, math.inf, True, None, "ignore", [3.0]])
+def test_what_unknown_may_be(unknown: Any) -> None:
+    with pytest.raises(ValueError, match="unknown must be"):
+        RandomUnderwater(unknown=unknown)
+
+
+@pytest.mark.parametrize("color_space", ["srgb", "linear"])
+def test_what_no_picture_and_no_map_of_metres_holds(color_space: Any) -> None:
+    aug = RandomUnderwater(color_space=color_space)
+    with pytest.raises(ValueError, match=r"distance must be in metres.*divide by 1000"):
+        aug(picture(), 1000 * (distances() + 2))
+    holed = 1000 * (distances() + 2)
+    holed[:, :8] = 0.0
+    for unknown in ("fill", "far", 4.0, "skip"):
+        with pytest.raises(ValueError, match=r"distance must be in metres.*divide by 1000"):
+            RandomUnderwater(color_space=color_space, unknown=unknown)(picture(), holed)
+    for value in (math.nan, math.inf, -math.inf):
+        image = picture()
+        image[2, 3, 4] = value
+        with pytest.raises(ValueError, match=r"image is NaN at . and infinite at . of .* values"):
+            aug(image, distances() + 1)

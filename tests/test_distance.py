@@ -208,6 +208,7 @@ class TestAlongRay:
             along_ray(torch.ones(2, 2), 1.0, (NAN, 0.0))
 
 
+@pytest.mark.filterwarnings("ignore:distance is unknown")
 class TestPolicy:
     def test_known_distance_is_returned_as_it_is(self) -> None:
         z = torch.tensor([[0.5, INF, 3.0]])

@@ -24,6 +24,11 @@ ColorSpace = Literal["srgb", "linear"]
 _BRIGHTEST = 16.0
 """sRGB values above are taken for a scale of 0…255."""
 
+_DARKEST = -0.1
+"""sRGB values below are taken for normalised ones; ImageNet's reach −2.1. Resampling and another
+gamut leave less.
+"""
+
 # Where the curve's two pieces meet. The standard prints 0.04045 and 0.0031308, rounded, which
 # leaves a step of 3e-8 and makes the two functions inverse to each other only to that.
 _SRGB_KNEE = 0.0404482362771076
@@ -46,18 +51,20 @@ def to_light(image: Tensor, color_space: ColorSpace) -> Tensor:
         color_space: "srgb" decodes; "linear" takes the values for light, of any brightness.
 
     Raises:
-        ValueError: if sRGB values exceed 16, which are taken for a scale of 0…255.
+        ValueError: if values are NaN or infinite; if sRGB values exceed 16, which are taken for a
+            scale of 0…255, or fall below −0.1, which are taken for normalised ones.
     """
     if image.dtype == torch.uint8:
         unit = image.to(torch.float32) / 255
     else:
         unit = image.to(torch.promote_types(image.dtype, torch.float32))
-    if color_space == "linear":
-        return unit
-    if not torch.compiler.is_compiling() and unit.numel() and unit.detach().amax() > _BRIGHTEST:
-        top = float(unit.detach().amax())
-        raise ValueError(f"image reaches {top:g}: expected 0…1; divide a 0…255 image by 255")
-    return srgb_to_linear(unit)
+    if image.is_floating_point() and image.numel() and not torch.compiler.is_compiling():
+        low, high = checks.finite("image", unit)
+        if color_space == "srgb" and high > _BRIGHTEST:
+            raise ValueError(f"image reaches {high:g}: expected 0…1; divide a 0…255 image by 255")
+        if color_space == "srgb" and low < _DARKEST:
+            raise ValueError(f"image falls to {low:g}: expected 0…1; place it before Normalize")
+    return unit if color_space == "linear" else srgb_to_linear(unit)
 
 
 def headroom(image: Tensor) -> float | Tensor:

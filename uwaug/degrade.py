@@ -11,10 +11,10 @@ import torch
 from torch import Tensor
 
 from uwaug.colour import ColorSpace, from_light, headroom, to_light
-from uwaug.distance import check_distance, from_inverse, from_relative
 from uwaug.exposure import auto_gain
 from uwaug.field import gaussian_random_field
 from uwaug.formation import Order, form, plan_at_hand, prepare, together
+from uwaug.metres import DistanceKind, Scaling, Unknown, skipped, to_metres
 from uwaug.optics.camera import Camera
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
@@ -22,20 +22,15 @@ from uwaug.optics.water import CONTRAST_THRESHOLD, Water
 from uwaug.replay import reproducible
 
 __all__ = [
-    "DistanceKind",
     "Draw",
     "InWater",
     "Opaque",
     "Settings",
-    "Unknown",
     "degrade",
     "degrade_opaque",
     "in_water",
     "used",
 ]
-
-DistanceKind = Literal["metric", "relative", "inverse"]
-Unknown = Literal["error", "fill"]
 
 _FOCAL = 0.5 / math.tan(math.radians(30))
 """Focal length of a view 60° wide, as a share of the picture's width."""
@@ -44,9 +39,6 @@ _MEASURED_EVERY = 4
 """px along each axis, at which the median of distance is taken: .03 ms instead of .5 at 256 px, and
 within 1 % of that of all pixels.
 """
-
-_TOUCHING = 1e-6
-"""m, for relative distance 0 with near = 0: in a map of metres 0 means unknown."""
 
 
 class Draw(NamedTuple):
@@ -72,6 +64,11 @@ class Draw(NamedTuple):
     field_seed: float
     field_low: float
     field_high: float
+
+    @property
+    def scaling(self) -> Scaling:
+        """What scales a relative map."""
+        return Scaling(self.near, self.far, self.gamma)
 
     @staticmethod
     def of(sample: Mapping[str, Any]) -> "Draw":
@@ -199,25 +196,12 @@ def in_water(
     if distance is None:
         z = torch.full_like(light[:1], draw.distance)
     else:
-        z = _metres(distance.contiguous(), draw, settings)
+        z = to_metres(distance.contiguous(), draw.scaling, settings.distance_kind, settings.unknown)
     water, contents = _water(waters, draw, z)
     medium = _medium(water, camera, draw, settings.law(image.shape[-1]), settings.tolerance)
     light, z, medium = prepare(light, z, medium, _field(draw, z))
     gain = _gain(light, z, medium, draw, settings)
     return InWater(light, z, medium.brightened(gain), water, contents, gain)
-
-
-def _metres(distance: Tensor, draw: Draw, settings: Settings) -> Tensor:
-    if settings.distance_kind == "relative":
-        distance = from_relative(distance, max(draw.near, _TOUCHING), draw.far, draw.gamma)
-    elif settings.distance_kind == "inverse":
-        distance = from_inverse(distance, draw.near, draw.far)
-    strict = settings.unknown == "error"
-    try:
-        return check_distance(distance, strict=strict)
-    except ValueError as error:
-        hint = "; or use RandomUnderwater(unknown='fill')" if strict else ""
-        raise ValueError(f"{error}{hint}") from None
 
 
 def _field(draw: Draw, z: Tensor) -> Tensor | None:
@@ -295,7 +279,10 @@ def degrade_opaque(
     wavelengths, *response = camera.numpy()
     lens = Camera(wavelengths, np.array(response).T)
     drawn = Draw(*draw.tolist())
-    return degrade(image, distance, spectra, lens, drawn, Settings.from_json(settings))
+    options = Settings.from_json(settings)
+    if distance is not None and skipped(distance, options.distance_kind, options.unknown):
+        return image.clone()  # an operator must not return what it was given
+    return degrade(image, distance, spectra, lens, drawn, options)
 
 
 @degrade_opaque.register_fake

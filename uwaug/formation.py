@@ -84,13 +84,16 @@ def form_image(
 
     Raises:
         TypeError: if an argument is not a floating-point tensor.
-        ValueError: if shapes disagree, a distance is NaN or negative, or the order is unknown.
+        ValueError: if shapes disagree, a value of the image is NaN or infinite, a distance NaN or
+            negative, most distances lie beyond 1000 m, or the order is unknown.
 
     Source: "Sea-ing Through Scattered Rays" (2025), equations for the three terms, with the sign in
     the exponent of the forward term corrected.
     """
     checks.one_of("order", order, get_args(Order))
     validate(image, distance, medium, field)
+    if image.numel() and not torch.compiler.is_compiling():
+        checks.finite("image", image)
     with torch.autocast(image.device.type, enabled=False):
         light, z, prepared = prepare(image, distance, medium, field)
         if plan is None:
@@ -137,6 +140,7 @@ def validate(
         cure = "fill unknown pixels first, see uwaug.distance.fill_unknown"
         counts = checks.counted(distance, "NaN", "negative")
         raise ValueError(f"distance is {counts}: expected metres ≥ 0 (+inf for open water); {cure}")
+    checks.metres("distance", distance)
     if field is not None and field.numel():
         low, high = checks.extent(field)
         if not (low >= 0 and high < math.inf):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from uwaug import checks
 from uwaug.colour import ColorSpace
-from uwaug.degrade import DistanceKind, Settings, Unknown
+from uwaug.degrade import Settings
 from uwaug.draw import (
     RANGES,
     Distribution,
@@ -17,6 +17,7 @@ from uwaug.draw import (
     require_visibility,
 )
 from uwaug.formation import Order
+from uwaug.metres import DistanceKind, as_unknown
 from uwaug.optics.jerlov_tables import JERLOV_TYPES
 from uwaug.optics.point_spread import PointSpread
 
@@ -37,7 +38,6 @@ __all__ = [
 _SCALING = {"metric": (), "relative": ("near", "far", "gamma"), "inverse": ("near", "far")}
 _CHOICES = {
     "distance_kind": get_args(DistanceKind),
-    "unknown": get_args(Unknown),
     "color_space": get_args(ColorSpace),
     "order": get_args(Order),
 }
@@ -127,7 +127,7 @@ def settings_of(aug: RandomUnderwater) -> Settings:
         exposure = aug.exposure
     return Settings(
         distance_kind=aug.distance_kind,
-        unknown=aug.unknown,
+        unknown=as_unknown(aug.unknown),
         color_space=aug.color_space,
         order=aug.order,
         point_spread=aug.point_spread,

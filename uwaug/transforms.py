@@ -11,9 +11,10 @@ import torch
 from torch import Tensor, nn
 
 from uwaug.colour import ColorSpace
-from uwaug.degrade import DistanceKind, Draw, Opaque, Settings, Unknown, degrade, used
+from uwaug.degrade import Draw, Opaque, Settings, degrade, used
 from uwaug.draw import Range, Record, cameras_of, spectra_of, weighed
 from uwaug.formation import Order
+from uwaug.metres import DistanceKind, Unknown, skipped
 from uwaug.optics.camera import Camera
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
@@ -28,7 +29,7 @@ from uwaug.options import (
     settings_of,
 )
 from uwaug.presets import load_preset
-from uwaug.structure import maps_for, plain_image, take_apart, typed
+from uwaug.structure import maps_for, naming, plain_image, take_apart, typed
 
 __all__ = ["RandomUnderwater"]
 
@@ -86,13 +87,17 @@ class RandomUnderwater(nn.Module):
         p: probability that a picture is degraded at all.
         same_on_batch: draw once for a batch.
         unknown: what NaN, 0 or negative metres get (NaN, in relative and inverse maps). "error": an
-            error. "fill": the nearest known distance (12 ms at 500×741). Geometric transforms pad
-            with 0: in maps that are not metric, where 0 is a distance, let them pad with NaN.
+            error. "fill": a distance from the known ones, see `distance.fill_unknown`. "skip": the
+            same, and a picture whose map tells nothing (no known pixel, or a flat map of inverse
+            depth), as crops have it, stays as it is. "far": open water, for what lies beyond a
+            sensor's range. A number: as many metres. Geometric transforms pad with 0: in maps that
+            are not metric, where 0 is a distance, let them pad with NaN.
         image_key, distance_key: where to find the two in a dict.
         tolerance, color_space, order: as for `uwaug.Underwater`.
 
     Inputs:
-        (image, distance, …), a tuple or list of them, or a dict. One picture (3xHxW, distance
+        (image, distance, …), a tuple or list of them, (image, target) with the map in a dict in
+        second place, or a dict. One picture (3xHxW, distance
         1xHxW) or a batch, whose pictures may share one map; uint8 (0…255) or floating point (0…1);
         plain tensors or torchvision's tv_tensors (a distance map is best a `Mask`). The same
         structure comes back with a new image of the same type; every other leaf is returned as it
@@ -276,6 +281,8 @@ class RandomUnderwater(nn.Module):
 
         Returns:
             The degraded image, like `image`; `image` itself if the record leaves all of it alone.
+            With unknown="skip", pictures whose maps tell nothing stay as they are, whatever the
+            record says.
 
         Raises:
             TypeError, ValueError: if an input does not suit, naming what came and what was
@@ -290,7 +297,8 @@ class RandomUnderwater(nn.Module):
             if torch.compiler.is_compiling():
                 parts[i] = self._opaque(parts[i], z, sample)
             else:
-                parts[i] = degrade(parts[i], z, *self._drawn(sample))
+                with naming(i, len(parts)):
+                    parts[i] = degrade(parts[i], z, *self._drawn(sample))
         return typed(parts[0] if plain.ndim == 3 else torch.stack(parts), type(image))
 
     def resolve(self, image: Tensor, distance: Tensor | None, params: Record) -> Record:
@@ -298,16 +306,20 @@ class RandomUnderwater(nn.Module):
 
         Each sample that is applied gains "used": "contents", the factor on all that is in the water
         besides pure water; its "visibility", m; and the "gain" of the exposure. `transform` takes
-        contents and gain from there, for this or another picture.
+        contents and gain from there, for this or another picture. A sample whose picture is skipped
+        (see `unknown`) is no longer "applied".
 
         Args:
             image, distance, params: as for `transform`.
         """
         plain = plain_image(image)
         images = plain if plain.ndim == 4 else plain[None]
-        samples = [dict(sample) for sample in self._distribution.samples(params, len(images))]
+        samples = []
+        for sample in self._distribution.samples(params, len(images)):
+            samples.append({**sample, "applied": False})
         for i, z, sample in self._jobs(plain, distance, params):
-            samples[i]["used"] = used(images[i], z, *self._drawn(sample))
+            found = used(images[i], z, *self._drawn(sample))
+            samples[i] = {**sample, "used": found}
         return {"samples": samples}
 
     def _drawn(self, sample: Record) -> tuple[list[Water], Camera, Draw, Settings]:
@@ -320,20 +332,30 @@ class RandomUnderwater(nn.Module):
         samples = self._distribution.samples(params, batch)
         chosen = [i for i, sample in enumerate(samples) if sample["applied"]]
         maps = maps_for(plain, distance, chosen, self.distance)
-        return [(i, z, samples[i]) for i, z in zip(chosen, maps, strict=True)]
+        jobs = []
+        for i, z in zip(chosen, maps, strict=True):
+            if not self._skips(z):
+                jobs.append((i, z, samples[i]))
+        return jobs
 
-    def at(self, seed: int, epoch: int, index: int) -> Callable[..., Any]:
+    def _skips(self, distance: Tensor | None) -> bool:
+        # compiled code cannot look: the operator does
+        if distance is None or torch.compiler.is_compiling():
+            return False
+        return skipped(distance, self._settings.distance_kind, self._settings.unknown)
+
+    def at(self, seed: int, epoch: int, index: int | str) -> Callable[..., Any]:
         """The transform with randomness from a key: the same result in any worker, in any order.
 
         Args:
-            seed, epoch, index: of the run, of the pass through the data, of the picture (or batch).
+            seed, epoch: of the run, of the pass through the data.
+            index: of the picture (or batch); a number, or a name such as a path. "7" is 7.
 
         Returns:
             A function of the same inputs as the transform, which draws the same at every call.
         """
-        key = hashlib.blake2b(
-            f"{int(seed)}/{int(epoch)}/{int(index)}".encode(), digest_size=4
-        ).digest()
+        which = index if isinstance(index, str) else int(index)
+        key = hashlib.blake2b(f"{int(seed)}/{int(epoch)}/{which}".encode(), digest_size=4).digest()
         return partial(self._apply_with, int.from_bytes(key))
 
     def _apply_with(self, key: int, *inputs: Any) -> Any:
