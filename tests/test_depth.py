@@ -105,7 +105,7 @@ class TestDepthNetwork:
     def test_says_what_to_install(self, tmp_path, monkeypatch) -> None:
         network = DepthNetwork(mean_of_channels(tmp_path / "n.onnx"))
         monkeypatch.setitem(sys.modules, "onnxruntime", None)
-        with pytest.raises(ImportError, match=r'pip install "uwaug\[onnx\]"'):
+        with pytest.raises(ImportError, match=r'pip install "\.\[onnx\]"'):
             network(torch.rand(3, 8, 8))
 
     def test_rejects_images(self, tmp_path) -> None:

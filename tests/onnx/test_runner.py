@@ -43,7 +43,7 @@ def test_runner_refuses_what_the_file_does_not_take(frozen, waters) -> None:
         run(image, distance[..., 1:])
     with pytest.raises(ValueError, match="image must have shape"):
         run(image[:, :2], distance)
-    with pytest.raises(ValueError, match="NaN or negative"):
+    with pytest.raises(ValueError, match="distance is NaN at 5580 and negative at 0 of 5580"):
         run(image, distance * torch.nan)
     with pytest.raises(ValueError, match="batch sizes must agree or be 1"):
         run(torch.cat([image, image[:1]]), distance)
