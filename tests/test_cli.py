@@ -3,6 +3,8 @@ import re
 import signal
 import subprocess
 import sys
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -201,24 +203,24 @@ def test_export_without_the_extra(run, tmp_path, monkeypatch):
     assert (code, stderr) == (1, f"Error: onnx is missing: ONNX needs {cure}\n")
 
 
-def module(*arguments: str, **options: object) -> subprocess.CompletedProcess[bytes]:
+def module(folder: Path, *arguments: str, **options: Any) -> subprocess.CompletedProcess[bytes]:
     """Run `python -m uwaug` in a process of its own."""
     command = [sys.executable, "-m", "uwaug", *arguments]
-    return subprocess.run(command, stderr=subprocess.PIPE, check=False, **options)
+    return subprocess.run(command, cwd=folder, stderr=subprocess.PIPE, check=False, **options)
 
 
 @pytest.mark.parametrize("encoding", ["cp1252", "ascii"])
-def test_a_console_of_another_encoding(encoding):
+def test_a_console_of_another_encoding(encoding, tmp_path):
     environment = {**os.environ, "PYTHONIOENCODING": encoding}
-    done = module("waters", env=environment, stdout=subprocess.PIPE)
+    done = module(tmp_path, "waters", env=environment, stdout=subprocess.PIPE)
     assert (done.returncode, done.stderr) == (0, b"")
     assert "Jerlov I" in done.stdout.decode(encoding)
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="a device of Linux")
-def test_a_console_that_takes_nothing():
+def test_a_console_that_takes_nothing(tmp_path):
     with open("/dev/full", "wb") as full:
-        done = module("presets", stdout=full)
+        done = module(tmp_path, "presets", stdout=full)
     assert done.returncode == 1
     assert done.stderr == b"Error: cannot write to the console: No space left on device\n"
 

@@ -134,10 +134,15 @@ def test_nobody_can_plant_a_link_in_place_of_the_part(tmp_path, monkeypatch):
 def test_nothing_is_left_after_an_exception(tmp_path, error):
     path = tmp_path / "a.txt"
     path.write_text("old")
-    with pytest.raises(error), written_whole(path) as part:
-        part.write_text("half")
-        assert is_part(part.name)
-        raise error
+
+    def interrupted() -> None:
+        with written_whole(path) as part:
+            part.write_text("half")
+            assert is_part(part.name)
+            raise error
+
+    with pytest.raises(error):
+        interrupted()
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
     assert not is_part(path.name)
@@ -162,11 +167,12 @@ def test_sigterm_leaves_nothing(tmp_path):
         "        print('drawing', flush=True)\n"
         "        time.sleep(60)\n"
         "uwaug.cli._draw_all = draw\n"
-        f"sys.argv = ['uwaug', 'demo', '--out', {str(tmp_path)!r}]\n"
+        "sys.argv = ['uwaug', 'demo', '--out', '.']\n"
         "uwaug.cli.main()\n"
     )
     command = [sys.executable, "-c", code]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    options = {"cwd": tmp_path, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, **options) as process:
         assert process.stdout.readline() == "drawing\n"
         assert len(list(tmp_path.iterdir())) == 1
         process.send_signal(signal.SIGTERM)

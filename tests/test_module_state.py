@@ -59,7 +59,7 @@ def test_the_state_of_another_water_is_refused_if_its_plan_is_another():
     assert {k: v.shape for k, v in theirs.state_dict().items() if k != "_extra_state"} == {
         k: v.shape for k, v in mine.state_dict().items() if k != "_extra_state"
     }
-    with pytest.raises(ValueError, match="widths is .* there and .* here"):
+    with pytest.raises(ValueError, match=r"widths is .* there and .* here"):
         mine.load_state_dict(theirs.state_dict())
 
 
