@@ -14,7 +14,7 @@ import uwaug.formation
 import uwaug.optics.curves
 from benchmarks import house
 from uwaug.onnx.graph import Graph
-from uwaug.onnx.metadata import Options, plan_of
+from uwaug.onnx.metadata import plan_of
 from uwaug.optics.point_spread import PointSpread
 
 ROOT = Path(__file__).parent.parent
@@ -74,8 +74,8 @@ def doubled(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
 def test_eager_and_graph_share_each_equation(
     owner: Any, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    module = uwaug.load_preset("survey", water="7C").module()
-    plan = plan_of(module, Options())
+    module = uwaug.load_preset("survey", water="7C").module(sides=(32, 1024))
+    plan = plan_of(module)
     image, distance = torch.rand(1, 3, 40, 56), torch.linspace(1, 5, 40 * 56).reshape(1, 1, 40, 56)
 
     def eager_and_graph() -> tuple[Tensor, Tensor]:

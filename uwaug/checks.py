@@ -21,6 +21,7 @@ __all__ = [
     "instance",
     "metres",
     "one_of",
+    "pair",
     "picture",
     "positive",
     "same_device",
@@ -86,6 +87,15 @@ def within(name: str, value: Any, low: float = -math.inf, high: float = math.inf
     if not number or not (low <= value <= high and math.isfinite(value)):
         wanted = "finite" if low == -math.inf else bounds(low, high)
         raise ValueError(f"{name} must be {wanted}, got {value!r}")
+
+
+def pair(name: str, value: Any, wanted: str) -> tuple[float, float]:
+    """The two numbers of a range; refuse what is no pair of numbers."""
+    try:
+        low, high = map(float, value)
+    except (TypeError, ValueError):
+        raise TypeError(f"{name} must be {wanted}, got {value!r}") from None
+    return low, high
 
 
 def positive(name: str, value: float, unit: str = "") -> None:

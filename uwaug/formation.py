@@ -100,31 +100,35 @@ def form_image(
             plan = plan_at_hand(z, prepared, tolerance, order)
         parts = form(light, z, prepared, plan, order, separately)
         parts = tuple(part.to(image.dtype) for part in parts)
-    if unbatched(image, distance, medium):
+    if unbatched(image, distance, medium, field):
         parts = tuple(part[0] for part in parts)
     return Terms(*parts)
 
 
-def unbatched(image: Tensor, distance: Tensor, medium: Medium) -> bool:
+def unbatched(image: Tensor, distance: Tensor, medium: Medium, field: Tensor | None) -> bool:
     """Whether the caller gave one image without a batch dimension, and gets one back."""
-    return image.ndim == 3 and len(medium) == 1 and (distance.ndim == 3 or len(distance) == 1)
+    maps = (distance,) if field is None else (distance, field)
+    alone = len(medium) == 1 and all(one.ndim == 3 or len(one) == 1 for one in maps)
+    return image.ndim == 3 and alone
 
 
 def validate(
     image: Tensor,
     distance: Tensor,
-    medium: Medium,
+    medium: Medium | None,
     field: Tensor | None,
     *,
     also_bytes: bool = False,
 ) -> None:
     """Refuse what `form_image` cannot take: types, shapes, batches, devices, wrong distances.
 
+    medium: None if it is none of the caller's, as that of a file.
     also_bytes: take a uint8 picture, as files hold it.
     """
-    checks.instance("medium", medium, Medium, "; see Medium.from_water")
+    if medium is not None:
+        checks.instance("medium", medium, Medium, "; see Medium.from_water")
     maps = {"distance": distance} if field is None else {"distance": distance, "field": field}
-    sizes = {"medium": len(medium)}
+    sizes = {"medium": 1 if medium is None else len(medium)}
     for name, value in {"image": image, **maps}.items():
         if not (name == "image" and also_bytes and _holds_bytes(image)):
             checks.floating(name, value)

@@ -1,14 +1,16 @@
 """`Underwater`: a medium and a plan as an `nn.Module`."""
 
+import json
+from collections.abc import Callable
 from dataclasses import replace
 from operator import index
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, Self, get_args
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from uwaug import checks
+from uwaug import checks, planned
 from uwaug.blur.demand import BlurDemand, blur_demand
 from uwaug.blur.plan import BlurPlan
 from uwaug.colour import ColorSpace, from_light, headroom, to_light
@@ -19,8 +21,26 @@ from uwaug.optics.medium import Medium
 __all__ = ["FixedMedium", "LearnableMedium", "Underwater"]
 
 
-class FixedMedium(nn.Module):
+class _InFullPrecision(nn.Module):
+    """A module whose tensors never get less precise than float32: `half()` of a network must not
+    round a water. The result has the image's type all the same.
+    """
+
+    def _apply(self, function: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
+        def kept(value: Tensor) -> Tensor:
+            changed = function(value)
+            narrow = changed.is_floating_point() and changed.dtype.itemsize < 4
+            return value.to(changed.device) if narrow else changed
+
+        super()._apply(kept, recurse)  # type: ignore[no-untyped-call]
+        return self
+
+
+class FixedMedium(_InFullPrecision):
     """A medium whose tensors are buffers: it moves and is saved with a module.
+
+    What is one number for the whole batch in its width law stays a number, of the module and not
+    of its state: x² is faster than a power.
 
     Args:
         medium: any batch.
@@ -29,22 +49,20 @@ class FixedMedium(nn.Module):
     def __init__(self, medium: Medium) -> None:
         super().__init__()
         self.start = _detached(medium)
+        numbers = self.start.point_spread.numbers()
         for name, value in self.start.parameters().items():
-            self.register_buffer(name, value.clone())
+            if isinstance(numbers.get(name, value), Tensor):
+                self.register_buffer(name, value.clone())
 
     def forward(self) -> Medium:
         """The medium at hand."""
-        medium = Medium.of(dict(self.named_buffers()), self.start)
-        law, start = medium.point_spread, self.start.point_spread
-        # what is one number for the whole batch stays a number: x² is faster than a power
-        fixed: dict[str, Any] = {}
-        for name, value in start.numbers().items():
-            if not isinstance(value, Tensor):
-                fixed[name] = value
-        return replace(medium, point_spread=replace(law, **fixed))
+        held: dict[str, Any] = dict(self.named_buffers())
+        law = self.start.point_spread
+        numbers = {name: held.pop(name) for name in law.NUMBERS if name in held}
+        return replace(self.start, **held, point_spread=replace(law, **numbers))
 
 
-class LearnableMedium(nn.Module):
+class LearnableMedium(_InFullPrecision):
     """A medium made of unconstrained parameters: whatever they are, rates, light, veil and width
     scale are positive, and direct and signal light are equal at z = 0.
 
@@ -57,7 +75,6 @@ class LearnableMedium(nn.Module):
     """
 
     b_mean: Tensor
-    exponent: Tensor
     veil_used: Tensor
 
     def __init__(self, medium: Medium, width: bool = True) -> None:
@@ -74,7 +91,8 @@ class LearnableMedium(nn.Module):
                 f"the light at z = 0; they differ by {apart:.2g}"
             )
         self.register_buffer("b_mean", values["b_mean"].clone())
-        self.register_buffer("exponent", values["exponent"].clone())
+        if isinstance(self.start.point_spread.exponent, Tensor):
+            self.register_buffer("exponent", values["exponent"].clone())
         self.register_buffer("veil_used", values["veil_weights"] > 0)
         self.raw_beta = _positive(values["beta"])
         self.raw_G = _positive(values["G"])
@@ -90,7 +108,7 @@ class LearnableMedium(nn.Module):
         if self.raw_scale is not None:
             law = replace(law, scale=F.softplus(self.raw_scale))
         if isinstance(law.exponent, Tensor):
-            law = replace(law, exponent=self.exponent)
+            law = replace(law, exponent=self.get_buffer("exponent"))
         light = F.softplus(self.raw_light)[..., None]
         return Medium(
             beta=F.softplus(self.raw_beta),
@@ -146,10 +164,17 @@ class Underwater(nn.Module):
         exposure: "none": light is lost as it is in the water. "auto": as a camera does, one gain
             for each picture keeps the mean luminance of the scene, from 1/8 to 64. A number: a gain
             in stops.
-        demand: what the plan has to serve, by default what `medium` asks for over `distance_range`.
+        sides: (smallest, largest) short side, px, of the pictures: one plan of the blur then serves
+            them all, and a file exported from the module (`uwaug.export_onnx`) computes the same.
+            Other pictures get the nearest width of that plan. None plans for each size, which is
+            faster: one plan for (32, 2160) takes 15 to 70 % more time. A width law that knows no
+            size, such as `PointSpread(2.0)`, has one plan in any case.
 
     Keep torch's default matmul precision. With `torch.set_float32_matmul_precision("medium")`, CPUs
     that support it multiply in bfloat16, and the error is visible.
+
+    A state dict carries the colour space, the order, the width law and what the blur is planned
+    for. `load_state_dict` refuses that of a module in which they differ.
 
     Shapes:
         image (Bx3xHxW or 3xHxW; uint8 0…255, or floating point 0…1), distance (Bx1xHxW or 1xHxW,
@@ -175,7 +200,7 @@ class Underwater(nn.Module):
         learnable: bool = False,
         order: Order = "line_of_sight",
         exposure: Exposure = "none",
-        demand: BlurDemand | None = None,
+        sides: tuple[int, int] | None = None,
     ) -> None:
         super().__init__()
         checks.instance("medium", medium, Medium, "; see Medium.from_water")
@@ -183,29 +208,31 @@ class Underwater(nn.Module):
         checks.one_of("order", order, get_args(Order))
         checks.tolerance(tolerance)
         require_exposure(exposure)
-        if distance_range is not None and not 0 <= distance_range[0] < distance_range[1]:
-            expected = "0 ≤ nearest < farthest in metres"
-            raise ValueError(f"distance_range must be {expected}, got {distance_range}")
-        self.distance_range = distance_range
+        self.distance_range = None if distance_range is None else planned.distances(distance_range)
         self.tolerance = tolerance
         self.color_space = color_space
         self.order: Order = order
         self.exposure: Exposure = exposure
         self.learnable = learnable
-        self.demand = demand
-        if demand is not None and distance_range is None:
-            raise ValueError("demand needs the distance_range that it is for, got None")
-        if demand is None and distance_range is not None:
+        self.sides = None if sides is None else planned.sides_of(sides)
+        self.demand: BlurDemand | None = None
+        # of a file that the module was read from, which another version may have written
+        self.stored_plan: BlurPlan | None = None
+        if self.distance_range is not None:
             # an octave either way, for the width that is learned
             margin = 2.0 if learnable else 1.0
             self.demand = blur_demand(
                 brightest(medium, exposure),
-                distance_range,
+                self.distance_range,
                 tolerance,
                 order=order,
                 learned=learnable,
                 margin=margin,
             )
+            if self.sides is None and planned.serves_every_size(self.demand):
+                self.sides = planned.EVERY_SIDE
+        elif sides is not None:
+            raise ValueError(f"sides need a distance_range to plan for, got sides={sides} alone")
         self.coefficients: FixedMedium | LearnableMedium = FixedMedium(medium)
         if learnable:
             # without a blur, its width does nothing
@@ -220,10 +247,14 @@ class Underwater(nn.Module):
 
     def plan(self, size: tuple[int, int]) -> BlurPlan | None:
         """The blur plan for images of (height, width) `size`; None without a `distance_range`."""
+        if self.stored_plan is not None:
+            return planned.same_plan(self.stored_plan)
         if self.demand is None:
             return None
+        if self.sides is not None:
+            return planned.plan_all(self.demand, self.sides)
         # index(): a compiled module is compiled again for another size, which has another plan
-        return _plan(self.demand, index(size[0]), index(size[1]))
+        return planned.plan_one(self.demand, index(size[0]), index(size[1]))
 
     if TYPE_CHECKING:  # nn.Module's own returns Any
 
@@ -237,7 +268,7 @@ class Underwater(nn.Module):
         validate(image, distance, medium, field, also_bytes=True)
         plan = self.plan((image.shape[-2], image.shape[-1]))
         result = self.formed(image, distance, field, medium, plan)
-        return result[0] if unbatched(image, distance, medium) else result
+        return result[0] if unbatched(image, distance, medium, field) else result
 
     def formed(
         self,
@@ -257,24 +288,52 @@ class Underwater(nn.Module):
             (result,) = form(light, z, medium, plan, self.order, together)
             return from_light(result, self.color_space, image.dtype, headroom(image))
 
+    def get_extra_state(self) -> Tensor:
+        """What a state dict says of the module besides its tensors, as text in a tensor: file
+        formats for state dicts take nothing else.
+        """
+        text = json.dumps(self._settings()).encode()
+        return torch.frombuffer(bytearray(text), dtype=torch.uint8)
+
+    def set_extra_state(self, state: Tensor) -> None:
+        """Refuse the state of a module that is set up differently: its tensors would be used with
+        this module's plan.
+        """
+        theirs = json.loads(state.cpu().numpy().tobytes())
+        apart = []
+        for name, mine in self._settings().items():
+            if not planned.alike(mine, theirs.get(name)):
+                apart.append(f"{name} is {theirs.get(name)} there and {mine} here")
+        if apart:
+            raise ValueError(f"state_dict is of an Underwater of another kind: {'; '.join(apart)}")
+
+    def _settings(self) -> dict[str, Any]:
+        """What `load_state_dict` compares."""
+        law = self.coefficients.start.point_spread
+        settings: dict[str, Any] = {"color_space": self.color_space, "order": self.order}
+        settings["exposure"] = self.exposure
+        settings |= {"shape": law.shape, "reference_size": law.reference_size}
+        held = self.coefficients.state_dict()
+        for name, value in law.numbers().items():
+            if name not in held and not (self.learnable and name == "scale"):
+                settings[name] = float(value)
+        settings |= {"sides": self.sides, "tolerance": self.tolerance, "widths": None}
+        if self.demand is not None:
+            settings["widths"] = [self.demand.low, self.demand.high]
+            settings["tolerance"] = self.demand.blur_tolerance
+        return settings
+
     def extra_repr(self) -> str:
         """What is modelled, and what is skipped."""
-        planned = "planned at each call"
+        said = "planned at each call"
         if self.distance_range is not None:
             near, far = self.distance_range
-            law = self.coefficients.start.point_spread
-            scaled = law.reference_size is not None or law.shape == "exponential"
-            at = " at 512 px" if scaled else ""
-            planned = f"{near:g}…{far:g} m, {self.plan((512, 512))}{at}"
+            at = " at 512 px"
+            if self.sides is not None:
+                every = self.sides == planned.EVERY_SIDE
+                at = "" if every else " for short sides of {}…{} px".format(*self.sides)
+            said = f"{near:g}…{far:g} m, {self.plan((512, 512))}{at}"
         settings = f"tolerance={self.tolerance:g}, {self.color_space}, {self.order}"
         if self.exposure != "none":
             settings += f", exposure={self.exposure!r}"
-        return f"{self.medium!r},\n{planned},\n{settings}"
-
-
-def _plan(demand: BlurDemand, height: int, width: int) -> BlurPlan:
-    return demand.plan((height, width))
-
-
-# what torch.compiler.assume_constant_result does, without its import of torch._dynamo (.7 s)
-_plan._dynamo_marked_constant = True  # type: ignore[attr-defined]
+        return f"{self.medium!r},\n{said},\n{settings}"

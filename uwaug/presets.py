@@ -18,6 +18,7 @@ from uwaug.colour import ColorSpace
 from uwaug.distance import from_relative
 from uwaug.exposure import Exposure, require_exposure
 from uwaug.field import gaussian_random_field
+from uwaug.files import require_regular
 from uwaug.module import Underwater
 from uwaug.optics.bands import band_coefficients
 from uwaug.optics.camera import Camera, load_camera
@@ -94,15 +95,14 @@ class Preset:
         low, high = self.field_range
         return gaussian_random_field(shape, low=low, high=high, generator=generator)
 
-    def module(self) -> Underwater:
-        """The preset as an `uwaug.Underwater`, planned for its distances times its field."""
+    def module(self, sides: tuple[int, int] | None = None) -> Underwater:
+        """The preset as an `uwaug.Underwater`, planned for its distances times its field; `sides`
+        as there.
+        """
         low, high = self.field_range
-        return Underwater(
-            self.medium,
-            (self.near * low, self.far * high),
-            color_space=self.color_space,
-            exposure=self.exposure,
-        )
+        distances = (self.near * low, self.far * high)
+        options: dict[str, Any] = {"color_space": self.color_space, "exposure": self.exposure}
+        return Underwater(self.medium, distances, sides=sides, **options)
 
 
 def list_presets() -> list[str]:
@@ -296,13 +296,16 @@ def _find(name_or_path: str | os.PathLike[str]) -> Path:
 def _read(path: Path) -> _Config:
     from pydantic import TypeAdapter, ValidationError
 
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: not a TOML file: {error}") from error
+    require_regular(path)
     try:
         # as JSON, because there strict types allow an array for a tuple
-        return TypeAdapter(_Config).validate_json(json.dumps(table, default=str))
+        table = json.dumps(tomllib.loads(path.read_text(encoding="utf-8")), default=str)
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: not a TOML file: {error}") from error
+    except RecursionError:
+        raise ValueError(f"{path}: not a preset: its brackets or keys nest too deeply") from None
+    try:
+        return TypeAdapter(_Config).validate_json(table)
     except ValidationError as error:
         found = "; ".join(_explain(dict(one)) for one in error.errors())
         raise ValueError(f"{path}: {found}") from None

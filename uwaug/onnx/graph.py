@@ -72,7 +72,8 @@ class Graph(nn.Module):
         inputs = list(rest)
         z = distance.clamp(0.0, FARTHEST)
         if self.field:
-            z = z * inputs.pop(0)
+            # either is limited first: a graph cannot refuse, and 0·inf is NaN
+            z = z * inputs.pop(0).clamp(0.0, FARTHEST)
         if self.frozen:
             medium, sums = self.medium, Sums(self.rates, self.weights, None)
         else:
