@@ -309,5 +309,7 @@ def _exponential_transfer(sigmas: Array, longest: float) -> Array:
     x = np.maximum(sigmas, 1e-9)[:, None] / widths  # |N(0, 1)| distributed
     step = math.log(widths[1] / widths[0])
     shares = math.sqrt(2 / math.pi) * x * np.exp(-0.5 * x * x) * step
+    # all below the first width counts as sharp: of its own step, half is left
+    shares[:, 0] *= 0.5
     sharp = np.array([[math.erfc(sigma / widths[0] / math.sqrt(2))] for sigma in sigmas])
     return np.asarray(sharp + shares @ transfers)
