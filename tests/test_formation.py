@@ -241,6 +241,20 @@ def test_open_water_does_not_hide_where_light_scatters(tolerance) -> None:
         z[..., :16, :] = math.inf
 
 
+@pytest.mark.parametrize("factor", [None, 0.7, 1.3])
+def test_open_water_is_as_wide_as_very_far_water_in_source_order(factor) -> None:
+    # light that is scattered elsewhere reaches it
+    image, far = torch.from_numpy(reference.picture(48, 48))[None], distances(1, 1, 48, 48)
+    far[..., 24:] = 1e8
+    open_water = torch.where(far == 1e8, math.inf, far)
+    medium = coefficients(law=PointSpread(4.0, 1.0))
+    field = None if factor is None else torch.full_like(far, factor)
+    finite, endless = (
+        form_image(image, z, medium, field, order="source").image for z in (far, open_water)
+    )
+    assert (finite - endless).abs().max() <= 0.002
+
+
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(st.data())
 def test_forward_scatter_keeps_the_tolerance(data) -> None:

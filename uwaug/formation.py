@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from uwaug import checks
-from uwaug.blur.demand import blur_demand
+from uwaug.blur.demand import blur_demand, spent
 from uwaug.blur.plan import BlurPlan
 from uwaug.blur.stack import blurred, blurred_rows, mixed, node_weights
 from uwaug.optics.curves import FARTHEST, Curves, curves
@@ -153,11 +153,11 @@ def prepare(
 def plan_at_hand(z: Tensor, medium: Medium, tolerance: float, order: Order) -> BlurPlan:
     """The plan for these very distances, rounded so that similar ones share it."""
     low, high = checks.extent(z) if z.numel() else (0.0, 0.0)
-    # open water scatters no light, unless a channel never fades
-    fades = (medium.G > 0) | (medium.signal_weights == 0).all(1)
-    if high >= FARTHEST and bool(fades.all()):
-        finite = z.detach()[z < FARTHEST]
-        high = float(finite.max()) if finite.numel() else low
+    # no light is scattered from beyond where all is spent, and in the line of sight none passes
+    end = spent(medium)
+    if order == "line_of_sight" and high >= end < FARTHEST:
+        shows = z.detach()[z < end]
+        high = float(shows.max()) if shows.numel() else low
     learned = torch.is_grad_enabled() and medium.requires_grad
     demand = blur_demand(medium, (low, high), tolerance, order=order, learned=learned)
     return demand.plan((z.shape[-2], z.shape[-1]), shared=True)

@@ -13,7 +13,7 @@ from uwaug.optics.curves import FARTHEST, curves
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import Shape
 
-__all__ = ["BlurDemand", "blur_demand"]
+__all__ = ["BlurDemand", "blur_demand", "spent"]
 
 _LONGEST = 4
 """Sides: no picture is longer than 4 of the largest short side that a plan for all sizes serves."""
@@ -107,7 +107,9 @@ def blur_demand(
     law = medium.point_spread
     medium = medium.to(torch.promote_types(medium.beta.dtype, torch.float32))
     near = min(max(distance_range[0], 0.0), FARTHEST)
-    far = min(max(distance_range[1], 0.0), FARTHEST, _spent(medium))
+    far = min(max(distance_range[1], 0.0), FARTHEST)
+    if order == "line_of_sight":
+        far = min(far, spent(medium))
     least = max(near, 1e-3)
     z = least * (max(far, least) / least) ** _STEPS
     with torch.no_grad(), torch.autocast(medium.beta.device.type, enabled=False):
@@ -133,7 +135,7 @@ def blur_demand(
     )
 
 
-def _spent(medium: Medium) -> float:
+def spent(medium: Medium) -> float:
     """The distance at which the signal has faded below any tolerance; `FARTHEST` if some of it does
     not fade.
     """
