@@ -40,6 +40,11 @@ _CANCELS = 1 / 256
 veil less than 2e-5 of itself.
 """
 
+_ROOM = 1.1
+"""By which a plan for gradients goes beyond the widths at hand. With 1.4 gradients are no better,
+with 1 the slope of the picture is 4 % off instead of 2 % (7C, 9C).
+"""
+
 
 @dataclass(frozen=True, eq=False)
 class Terms:
@@ -159,7 +164,11 @@ def plan_at_hand(z: Tensor, medium: Medium, tolerance: float, order: Order) -> B
         shows = z.detach()[z < end]
         high = float(shows.max()) if shows.numel() else low
     learned = torch.is_grad_enabled() and medium.requires_grad
-    demand = blur_demand(medium, (low, high), tolerance, order=order, learned=learned)
+    # at the very end of a plan half of the slope is missing
+    margin = _ROOM if learned else 1.0
+    demand = blur_demand(
+        medium, (low, high), tolerance, order=order, learned=learned, margin=margin
+    )
     return demand.plan((z.shape[-2], z.shape[-1]), shared=True)
 
 
@@ -222,9 +231,11 @@ def scattered(
 
     z (Bx1xRxW tensor): effective distances of rows of an image of (height, width) `size`.
     """
-    if len(stack) == 1:
+    if len(stack) == 1 and not (torch.is_grad_enabled() and medium.requires_grad):
         return stack[0]
     sigma = medium.point_spread.sigma(medium.lengths(z), size)
+    if len(stack) == 1:  # the width does nothing: its gradient is 0, not missing
+        return stack[0] + 0 * sigma
     return mixed(stack, node_weights(sigma, plan))
 
 

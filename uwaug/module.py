@@ -127,6 +127,10 @@ def _positive(value: Tensor) -> nn.Parameter:
     return nn.Parameter(y + torch.log(-torch.expm1(-y)))
 
 
+_ROOM = 2.0
+"""Either way, for the width that is learned, until it is planned anew."""
+
+
 class Underwater(nn.Module):
     """Degrade pictures as a given water would.
 
@@ -139,7 +143,8 @@ class Underwater(nn.Module):
         color_space: "srgb" decodes, works in linear light, and encodes again; "linear" takes values
             as they are.
         learnable: make rates, light, veil and width scale parameters; they stay positive, and
-            direct and signal light stay equal at z = 0.
+            direct and signal light stay equal at z = 0. A width that leaves the plan is planned for
+            anew, except in a compiled module.
         order: "line_of_sight", or "source" for the paper's equation, see `uwaug.form_image`.
         demand: what the plan has to serve, by default what `medium` asks for over `distance_range`.
 
@@ -188,8 +193,7 @@ class Underwater(nn.Module):
         if demand is not None and distance_range is None:
             raise ValueError("demand needs the distance_range that it is for, got None")
         if demand is None and distance_range is not None:
-            # an octave either way, for the width that is learned
-            margin = 2.0 if learnable else 1.0
+            margin = _ROOM if learnable else 1.0
             self.demand = blur_demand(
                 medium, distance_range, tolerance, order=order, learned=learnable, margin=margin
             )
@@ -216,9 +220,23 @@ class Underwater(nn.Module):
         """Degrade an image; see the class."""
         medium = self.medium
         validate(image, distance, medium, field)
+        self._keep_up(medium)
         plan = self.plan((image.shape[-2], image.shape[-1]))
         result = self.formed(image, distance, field, medium, plan)
         return result[0] if unbatched(image, distance, medium) else result
+
+    def _keep_up(self, medium: Medium) -> None:
+        """Plan anew if what was learned has left the plan, at whose ends widths would stop changing
+        and learning would stick. A compiled module keeps the plan that it was compiled with.
+        """
+        if not self.learnable or self.demand is None or torch.compiler.is_compiling():
+            return
+        assert self.distance_range is not None
+        wanted = blur_demand(
+            medium, self.distance_range, self.tolerance, order=self.order, learned=True
+        )
+        if not self.demand.covers(wanted):
+            self.demand = wanted.widened(_ROOM)
 
     def formed(
         self,
