@@ -69,7 +69,7 @@ class BlurDemand:
         return wide_enough and self.blur_tolerance <= other.blur_tolerance
 
     def widened(self, factor: float) -> "BlurDemand":
-        """With a range of widths larger by this factor either way, for those still to be learned."""
+        """With a range of widths larger by this factor either way."""
         return replace(self, low=self.low / factor, high=self.high * factor)
 
     def plan(self, size: tuple[int, int], *, shared: bool = False) -> BlurPlan:
