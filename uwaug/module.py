@@ -1,5 +1,6 @@
 """`Underwater`: a medium and a plan as an `nn.Module`."""
 
+import warnings
 from dataclasses import replace
 from operator import index
 from typing import Any, get_args
@@ -9,10 +10,12 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from uwaug import checks
+from uwaug.blur.beyond import beyond_plan
 from uwaug.blur.demand import BlurDemand, blur_demand
 from uwaug.blur.plan import BlurPlan
 from uwaug.colour import ColorSpace, from_light, to_light
 from uwaug.formation import Order, form, plan_at_hand, prepare, together, unbatched, validate
+from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 
 __all__ = ["FixedMedium", "LearnableMedium", "Underwater"]
@@ -190,6 +193,7 @@ class Underwater(nn.Module):
         self.order: Order = order
         self.learnable = learnable
         self.demand = demand
+        self._warned = False
         if demand is not None and distance_range is None:
             raise ValueError("demand needs the distance_range that it is for, got None")
         if demand is None and distance_range is not None:
@@ -222,8 +226,22 @@ class Underwater(nn.Module):
         validate(image, distance, medium, field)
         self._keep_up(medium)
         plan = self.plan((image.shape[-2], image.shape[-1]))
+        self._look_beyond(distance, field, medium)
         result = self.formed(image, distance, field, medium, plan)
         return result[0] if unbatched(image, distance, medium) else result
+
+    def _look_beyond(self, distance: Tensor, field: Tensor | None, medium: Medium) -> None:
+        """Warn, once, if distances lie beyond the plan and it shows."""
+        if self._warned or self.demand is None or torch.compiler.is_compiling():
+            return
+        assert self.distance_range is not None
+        z = distance.detach()
+        if field is not None:
+            z = z.clamp(max=FARTHEST) * field.detach()
+        said = beyond_plan(z, medium, self.distance_range, self.demand, self.tolerance)
+        if said:
+            self._warned = True
+            warnings.warn(said, stacklevel=3)
 
     def _keep_up(self, medium: Medium) -> None:
         """Plan anew if what was learned has left the plan, at whose ends widths would stop changing

@@ -21,7 +21,15 @@ from uwaug import checks
 from uwaug.blur.kernels import PERIOD, Array, sampled_parameter
 from uwaug.optics.point_spread import Shape
 
-__all__ = ["NO_BLUR", "V_FLOOR", "BlurPlan", "octave_steps", "plan_blur", "range_in_v"]
+__all__ = [
+    "NO_BLUR",
+    "V_FLOOR",
+    "BlurPlan",
+    "difference",
+    "octave_steps",
+    "plan_blur",
+    "range_in_v",
+]
 
 V_FLOOR = 0.5
 """px² or, of an exponential shape, px: keeps v finite at σ = 0."""
@@ -127,10 +135,7 @@ def plan_blur(
     checks.tolerance(tolerance)
     checks.one_of("shape", shape, get_args(Shape))
     checks.within("longest", longest, 1)
-    octave = 512.0
-    if shape == "exponential":
-        # in octaves, so that sizes share plans; a tiny picture would ask too much of narrow blurs
-        octave = max(octave_steps(longest, 1, math.ceil), 256.0)
+    octave = _octave(shape, longest)
     return _plan_blur(float(sigma_min), float(sigma_max), float(tolerance), shape, octave)
 
 
@@ -164,6 +169,22 @@ def _plan_blur(low: float, high: float, tolerance: float, shape: Shape, longest:
         error=error,
         shape=shape,
     )
+
+
+def difference(sigma: float, other: float, shape: Shape, longest: float) -> float:
+    """RMSE of one width taken for another, on the picture that plans are made for."""
+    octave = _octave(shape, longest)
+    transfer = _exponential_transfer if shape == "exponential" else _gaussian_transfer
+    ours, theirs = transfer(np.array([sigma, other]), octave) * _amplitude(octave)
+    return float(np.sqrt(((ours - theirs) ** 2).sum()))
+
+
+def _octave(shape: Shape, longest: float) -> float:
+    """The longest side that plans are made for, px: in octaves, so that sizes share plans."""
+    if shape == "gaussian":
+        return 512.0
+    # a tiny picture would ask too much of narrow blurs
+    return max(octave_steps(longest, 1, math.ceil), 256.0)
 
 
 def _wanted(low: float, high: float, shape: Shape, longest: float) -> tuple[Array, Array]:
