@@ -80,7 +80,8 @@ def form_image(
         medium: one row, or as many as images. One image and B media give B images.
         field (Bx1xHxW or 1xHxW tensor): m, multiplies z; None for homogeneous water.
         order: "line_of_sight" or "source" (see the module).
-        tolerance: largest error of the blur in the image, on a scale of 0…1.
+        tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f²;
+            single pixels may be off by 3 to 5 times as much.
         plan: from `blur_demand(…).plan(size)`; by default one for the distances at hand, which
             costs a look at them.
 

@@ -142,7 +142,8 @@ class Underwater(nn.Module):
         distance_range: (nearest, farthest) effective distance m·z, m, for which the blur is planned
             once; beyond it widths stop changing. None plans for each call's own distances, which
             cannot be compiled or exported.
-        tolerance: largest error of the blur in the image, on a scale of 0…1.
+        tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f²;
+            single pixels may be off by 3 to 5 times as much.
         color_space: "srgb" decodes, works in linear light, and encodes again; "linear" takes values
             as they are.
         learnable: make rates, light, veil and width scale parameters; they stay positive, and

@@ -121,7 +121,8 @@ def blur_demand(
     Args:
         medium: any batch; the demand covers all rows.
         distance_range: (nearest, farthest) of m·z, m; 0 ≤ nearest ≤ farthest, inf allowed.
-        tolerance: largest error in the image, on a scale of 0…1.
+        tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f²;
+            single pixels may be off by 3 to 5 times as much.
         order: as for `form_image`.
         learned: plan for gradients to the medium: finer, as slopes are wanted too, and even if
             forward scatter or its width is invisible now; its gradient is not negligible.

@@ -39,16 +39,17 @@ _CONTRAST = 0.25
 
 # How a plan is chosen. In brackets: what other values make of the number of blurs in 30 Gaussian +
 # 30 exponential plans (ten ranges of σ from 0…0.5 to 0…200 px, tolerances .01, .002, .0005), which
-# is 182 + 244.
+# is 182 + 241. With a bound on each wave as well, of 8 tolerances at full contrast (without it: 12
+# at most), a tenth more Gaussian ones would be needed, and pictures would gain little.
 # Planned RMSE as a share of the tolerance: .002 gives 60 dB and .0005 72 dB.
 _PLANNED = 0.48
 # The same if _MOST_NODES are not enough, as for the sharp tails of an exponential shape.
 _PLANNED_AT_MOST = 0.6
 # Most blurs of a stack, beside σ = 0.
 _MOST_NODES = 24
-# Places in the range at which the weights are fitted (17: 180 + 245; 65: 182 + 244).
+# Places in the range at which the weights are fitted (17: 180 + 242; 65: 182 + 241).
 _PLACES = 33
-# So many errors of a single blur make up the planned RMSE (1: 263 + 257; 10: 178 + 244).
+# So many errors of a single blur make up the planned RMSE (1: 263 + 255; 10: 178 + 241).
 _NOISE = 3
 # px. A range from below this has σ = 0 among its blurs (never: 393 + 337).
 _IDENTITY_BELOW = 0.75
@@ -57,13 +58,13 @@ _NARROWEST = 0.6
 # Share of the widest σ, if that is less (1: 203 Gaussian).
 _NARROWEST_SHARE = 0.7
 # An exponential shape of σ mixes Gaussians of widths σ/|N(0, 1)|; beyond x·σ lies .8/x of its light
-# The widest blur is _TAIL/target·σ (.2: 241 exponential; .8: 246).
+# The widest blur is _TAIL/target·σ (.2: 238 exponential; .8: 243).
 _TAIL = 0.4
-# The widest blur in longest sides; wider ones all give the mean (.375: 300; 1.5: 257).
+# The widest blur in longest sides; wider ones all give the mean (.375: 304; 1.5: 257).
 _WIDEST = 0.75
-# The narrowest blur as a share of the narrowest σ (.25: 257; 1: 349).
+# The narrowest blur as a share of the narrowest σ (.25: 254; 1: 352).
 _CORE = 0.5
-# px, the narrowest blur that is not σ = 0 (.2 and .5: 247).
+# px, the narrowest blur that is not σ = 0 (.2 and .5: 246).
 _NARROWEST_EXPONENTIAL = 0.3
 
 
@@ -115,8 +116,9 @@ def plan_blur(
 
     Args:
         sigma_min, sigma_max: range of widths, px, 0 ≤ sigma_min ≤ sigma_max.
-        tolerance: largest error that may pass, on a scale of 0…1; the planned RMSE is half of it,
-            so that .002 gives 60 dB and .0005 72 dB on a picture with a standard deviation of .25.
+        tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f²;
+            single pixels may be off by 3 to 5 times as much. Half of it is planned, so that .002
+            gives 60 dB and .0005 72 dB on a picture with a standard deviation of .25.
         shape: what a pixel of width σ asks for. "gaussian": exp(−2π²σ²f²). "exponential":
             exp(−2πσf), the classical transfer function of McGlamery (1980) and Jaffe (1990), whose
             point spread ∝ (r² + σ²)^(−3/2) has half of its energy beyond 1.7 σ and no finite
@@ -210,8 +212,8 @@ def _nodes(
     else:
         first, last, narrowest = low, high, min(_NARROWEST, _NARROWEST_SHARE * high)
     start, end = _v(max(first, narrowest), "gaussian"), _v(max(last, narrowest), "gaussian")
-    # .3 equal steps of v : .7 Chebyshev nodes, to the power 1.1 (equal steps: 241 + 305; Chebyshev
-    # nodes: 182 + 263; power 1: 188 + 246)
+    # .3 equal steps of v : .7 Chebyshev nodes, to the power 1.1 (equal steps: 241 + 304; Chebyshev
+    # nodes: 182 + 263; power 1: 188 + 244)
     steps = (np.arange(count) + 0.5) / count
     steps = (0.3 * steps + 0.35 * (1 - np.cos(np.pi * steps))) ** 1.1
     identity = (0.0,) if first < _IDENTITY_BELOW else ()
@@ -236,7 +238,7 @@ def _fit(
     sides = np.concatenate([(wanted - basis[-1]).T, -noise * alone])
     # first over the frequencies, at each place; then along the range
     free = np.linalg.lstsq(system, sides, rcond=1e-12)[0]
-    # one degree less: 189 + 246 blurs; two more: 178 + 244
+    # one degree less: 189 + 242 blurs; two more: 178 + 241
     degree = 0 if len(places) == 1 or k == 1 else k + (sigmas[0] == 0)
     powers = np.polynomial.chebyshev.chebvander(places, degree)
     fitted = np.linalg.lstsq(powers, free.T, rcond=None)[0].T
