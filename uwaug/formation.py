@@ -25,6 +25,7 @@ from uwaug import checks
 from uwaug.blur.demand import blur_demand, spent
 from uwaug.blur.plan import BlurPlan
 from uwaug.blur.stack import blurred, blurred_rows, mixed, node_weights
+from uwaug.functional import refuse_mapped, transformed
 from uwaug.optics.curves import FARTHEST, Curves, curves
 from uwaug.optics.medium import Medium
 
@@ -123,6 +124,8 @@ def validate(image: Tensor, distance: Tensor, medium: Medium, field: Tensor | No
         checks.picture(name, value, 3 if name == "image" else 1)
         checks.same_size(name, value, image)
         checks.same_device(name, value, image)
+        if name != "image":
+            refuse_mapped(name, value)
         sizes[name] = len(value) if value.ndim == 4 else 1
     checks.batches(sizes)
     if torch.compiler.is_compiling():
@@ -158,13 +161,14 @@ def prepare(
 
 def plan_at_hand(z: Tensor, medium: Medium, tolerance: float, order: Order) -> BlurPlan:
     """The plan for these very distances, rounded so that similar ones share it."""
+    learned = torch.is_grad_enabled() and medium.requires_grad
+    learned = learned or transformed()
     low, high = checks.extent(z) if z.numel() else (0.0, 0.0)
     # no light is scattered from beyond where all is spent, and in the line of sight none passes
     end = spent(medium)
     if order == "line_of_sight" and high >= end < FARTHEST:
         shows = z.detach()[z < end]
         high = float(shows.max()) if shows.numel() else low
-    learned = torch.is_grad_enabled() and medium.requires_grad
     # at the very end of a plan half of the slope is missing
     margin = _ROOM if learned else 1.0
     demand = blur_demand(
@@ -184,7 +188,7 @@ def form(
         return combine(none, Curves(none, none, none), none)
     recorded = image.requires_grad or z.requires_grad or medium.requires_grad
     records = torch.is_grad_enabled() and recorded
-    if records or torch.compiler.is_compiling() or order == "source":
+    if records or transformed() or torch.compiler.is_compiling() or order == "source":
         return _form_at_once(image, z, medium, plan, order, combine)
     media = [medium[i] for i in range(len(medium))] if len(medium) > 1 else [medium]
     exact = any_at_lens(z, medium)
@@ -232,7 +236,8 @@ def scattered(
 
     z (Bx1xRxW tensor): effective distances of rows of an image of (height, width) `size`.
     """
-    if len(stack) == 1 and not (torch.is_grad_enabled() and medium.requires_grad):
+    records = torch.is_grad_enabled() and medium.requires_grad
+    if len(stack) == 1 and not (records or transformed()):
         return stack[0]
     sigma = medium.point_spread.sigma(medium.lengths(z), size)
     if len(stack) == 1:  # the width does nothing: its gradient is 0, not missing

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from uwaug import checks
 from uwaug.blur.plan import NO_BLUR, BlurPlan, octave_steps, plan_blur
+from uwaug.functional import refuse_mapped, values
 from uwaug.optics.curves import FARTHEST, curves
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import Shape
@@ -130,6 +131,8 @@ def blur_demand(
             learned.
     """
     checks.tolerance(tolerance)
+    for name, value in medium.parameters().items():
+        refuse_mapped(f"medium's {name}", value)
     law = medium.point_spread
     medium = medium.to(torch.promote_types(medium.beta.dtype, torch.float32))
     near = min(max(distance_range[0], 0.0), FARTHEST)
@@ -142,9 +145,9 @@ def blur_demand(
         found = curves(
             medium.sums(exact_at_lens=False), torch.from_numpy(z).to(medium.beta)[None, None, None]
         )
-        strength = found.scatter.abs().amax((0, 1, 2)).cpu().numpy()
+        strength = values(found.scatter.abs().amax((0, 1, 2)))
         if learned and strength.max() <= tolerance:
-            strength = np.maximum(strength, found.direct.amax((0, 1, 2)).cpu().numpy())
+            strength = np.maximum(strength, values(found.direct.amax((0, 1, 2))))
         visible = np.flatnonzero(strength > tolerance)
         traced = any(isinstance(v, Tensor) and v.requires_grad for v in law.numbers().values())
         if len(visible) == 0:
