@@ -91,7 +91,8 @@ def form_image(
 
     Raises:
         TypeError: if an argument is not a floating-point tensor.
-        ValueError: if shapes disagree, a distance is NaN or negative, or the order is unknown.
+        ValueError: if shapes disagree, a distance is NaN or negative, the order is unknown, or the
+            tolerance needs too many blurs.
 
     Source: "Sea-ing Through Scattered Rays" (2025), equations for the three terms, with the sign in
     the exponent of the forward term corrected.

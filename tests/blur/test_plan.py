@@ -90,6 +90,10 @@ def test_no_blur_where_it_would_not_show() -> None:
     assert "no blur" in str(plan)
 
 
+def test_a_wide_range_may_ask_for_a_fine_tolerance() -> None:
+    assert len(plan_blur(0.1, 2000.0, 0.0002).sigmas) <= 33
+
+
 def test_plans_are_values() -> None:
     plan = plan_blur(0.9, 4.5, 0.002)
     assert plan == plan_blur(0.9, 4.5, 0.002)
@@ -132,7 +136,7 @@ def test_exponential_plans_hold_in_small_and_in_long_pictures(height, width) -> 
         ((0.0, 2.0, -0.1), "tolerance.*-0.1"),
         ((0.0, 2.0, math.nan), "tolerance.*nan"),
         ((0.0, 2.0, 0.002, "box"), "shape.*box"),
-        ((1.0, 4.0, 1e-12), "tolerance 1e-12"),
+        ((0.0, 900.0, 1e-12), "0…900 px need more than 32 blurs.*1e-12.*larger tolerance"),
     ],
 )
 def test_plan_rejects(arguments, match) -> None:
