@@ -1,6 +1,7 @@
 """`Underwater`: a medium and a plan as an `nn.Module`."""
 
 import json
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from operator import index
@@ -11,11 +12,13 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from uwaug import checks, planned
+from uwaug.blur.beyond import beyond_plan
 from uwaug.blur.demand import BlurDemand, blur_demand
 from uwaug.blur.plan import BlurPlan
 from uwaug.colour import ColorSpace, from_light, headroom, to_light
 from uwaug.exposure import Exposure, brightest, exposed, require_exposure
 from uwaug.formation import Order, form, plan_at_hand, prepare, together, unbatched, validate
+from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 
 __all__ = ["FixedMedium", "LearnableMedium", "Underwater"]
@@ -146,6 +149,10 @@ def _positive(value: Tensor) -> nn.Parameter:
     return nn.Parameter(y + torch.log(-torch.expm1(-y)))
 
 
+_ROOM = 2.0
+"""Either way, for the width that is learned, until it is planned anew."""
+
+
 class Underwater(nn.Module):
     """Degrade pictures as a given water would.
 
@@ -154,12 +161,14 @@ class Underwater(nn.Module):
         distance_range: (nearest, farthest) effective distance m·z, m, for which the blur is planned
             once; beyond it widths stop changing. None plans for each call's own distances, which
             cannot be compiled or exported.
-        tolerance: largest error of the blur in the image, on a scale of 0…1.
+        tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f²;
+            single pixels may be off by 3 to 5 times as much.
         color_space: "srgb" decodes, works in linear light, encodes again and clips to 0…1 (to the
             picture's own largest value if that is above 1); "linear" takes values as they are and
             never clips.
         learnable: make rates, light, veil and width scale parameters; they stay positive, and
-            direct and signal light stay equal at z = 0.
+            direct and signal light stay equal at z = 0. A width that leaves the plan is planned for
+            anew, except in a compiled module.
         order: "line_of_sight", or "source" for the paper's equation, see `uwaug.form_image`.
         exposure: "none": light is lost as it is in the water. "auto": as a camera does, one gain
             for each picture keeps the mean luminance of the scene, from 1/8 to 64. A number: a gain
@@ -216,11 +225,11 @@ class Underwater(nn.Module):
         self.learnable = learnable
         self.sides = None if sides is None else planned.sides_of(sides)
         self.demand: BlurDemand | None = None
+        self._warned = False
         # of a file that the module was read from, which another version may have written
         self.stored_plan: BlurPlan | None = None
         if self.distance_range is not None:
-            # an octave either way, for the width that is learned
-            margin = 2.0 if learnable else 1.0
+            margin = _ROOM if learnable else 1.0
             self.demand = blur_demand(
                 brightest(medium, exposure),
                 self.distance_range,
@@ -266,9 +275,41 @@ class Underwater(nn.Module):
         """Degrade an image; see the class."""
         medium = self.medium
         validate(image, distance, medium, field, also_bytes=True)
+        self._keep_up(medium)
         plan = self.plan((image.shape[-2], image.shape[-1]))
+        self._look_beyond(distance, field, medium)
         result = self.formed(image, distance, field, medium, plan)
         return result[0] if unbatched(image, distance, medium, field) else result
+
+    def _look_beyond(self, distance: Tensor, field: Tensor | None, medium: Medium) -> None:
+        """Warn, once, if distances lie beyond the plan and it shows."""
+        if self._warned or self.demand is None or torch.compiler.is_compiling():
+            return
+        assert self.distance_range is not None
+        z = distance.detach()
+        if field is not None:
+            z = z.clamp(max=FARTHEST) * field.detach()
+        said = beyond_plan(z, medium, self.distance_range, self.demand, self.tolerance)
+        if said:
+            self._warned = True
+            warnings.warn(said, stacklevel=3)
+
+    def _keep_up(self, medium: Medium) -> None:
+        """Plan anew if what was learned has left the plan, at whose ends widths would stop changing
+        and learning would stick. A compiled module keeps the plan that it was compiled with.
+        """
+        if not self.learnable or self.demand is None or torch.compiler.is_compiling():
+            return
+        assert self.distance_range is not None
+        wanted = blur_demand(
+            brightest(medium, self.exposure),
+            self.distance_range,
+            self.tolerance,
+            order=self.order,
+            learned=True,
+        )
+        if not self.demand.covers(wanted):
+            self.demand = wanted.widened(_ROOM)
 
     def formed(
         self,
