@@ -21,7 +21,7 @@ from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
 
-__all__ = ["DistanceKind", "Draw", "Settings", "Unknown", "degrade", "degrade_opaque"]
+__all__ = ["OF_MEDIUM", "DistanceKind", "Draw", "Settings", "Unknown", "degrade", "degrade_opaque"]
 
 DistanceKind = Literal["metric", "relative", "inverse"]
 Unknown = Literal["error", "fill"]
@@ -67,6 +67,10 @@ class Draw(NamedTuple):
         return torch.stack([one * value for value in self])
 
 
+OF_MEDIUM = Draw._fields[:6]
+"""What makes a medium of waters and a camera."""
+
+
 @dataclass(frozen=True)
 class Settings:
     """What is the same for all pictures. See `RandomUnderwater`."""
@@ -77,6 +81,8 @@ class Settings:
     order: Order
     point_spread: PointSpread
     tolerance: float
+    varied: bool
+    """Whether media are drawn from ranges, so that none comes twice and none need be kept."""
 
     def to_json(self) -> str:
         """As text, for an operator that takes no objects."""
@@ -116,7 +122,7 @@ def degrade(
             z = torch.full_like(light[:1], draw.distance)
         else:
             z = _metres(distance, draw, settings)
-        numbers = (None if math.isnan(value) else value for value in draw[:6])
+        numbers = (None if math.isnan(value) else value for value in draw[: len(OF_MEDIUM)])
         medium = _medium(tuple(waters), camera, tuple(numbers), settings)
         light, z, medium = prepare(light, z, medium, _field(draw, z))
         plan = plan_at_hand(z, medium, settings.tolerance, settings.order)
@@ -145,8 +151,16 @@ def _field(draw: Draw, z: Tensor) -> Tensor | None:
     return gaussian_random_field(size, low=low, high=high, generator=generator).to(z.device)
 
 
-@lru_cache(maxsize=256)
 def _medium(
+    waters: tuple[Water, ...], camera: Camera, drawn: tuple[Any, ...], settings: Settings
+) -> Medium:
+    # media that are kept for nothing would lie between the pictures in memory, so that the heap
+    # could not shrink
+    make = _new_medium if settings.varied else _kept_medium
+    return make(waters, camera, drawn, settings)
+
+
+def _new_medium(
     waters: tuple[Water, ...], camera: Camera, drawn: tuple[Any, ...], settings: Settings
 ) -> Medium:
     mixing, visibility, vertical_depth, g, mu, blur_factor = drawn
@@ -163,6 +177,10 @@ def _medium(
         point_spread=law.widened(blur_factor),
         tolerance=settings.tolerance,
     )
+
+
+_kept_medium = lru_cache(maxsize=64)(_new_medium)
+"""Nine waters, or pairs of them, seen by a few cameras."""
 
 
 @contextmanager

@@ -319,7 +319,6 @@ def _medium(
             g=config.medium.g,
             mu=config.medium.mu,
             point_spread=law,
-            distance_range=(0.0, config.distance.far_m * config.field.high),
         )
     if water is not None or camera is not None:
         raise ValueError(

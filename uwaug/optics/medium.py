@@ -26,14 +26,16 @@ veil alike; only the weights belong to the camera. (One Gauss quadrature per cur
 15 to 24 exponentials for a tolerance of .002; shared rates need 5 to 12.)
 """
 
-import math
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import torch
 import torch.nn.functional as F
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from uwaug import checks
@@ -85,21 +87,20 @@ class Medium:
 
     @staticmethod
     def from_water(
-        water: Water,
-        camera: str | Camera = "Nikon 5100 (NPL)",
+        water: str | Water,
+        camera: str | os.PathLike[str] | Camera = "Nikon 5100 (NPL)",
         *,
         vertical_depth: float = 1.0,
         g: float = 0.2,
         mu: float = 0.3,
         point_spread: PointSpread | None = None,
         tolerance: float = 0.002,
-        distance_range: tuple[float, float] = (0.0, 20.0),
-        wavelengths: Array | None = None,
+        wavelengths: ArrayLike | None = None,
     ) -> "Medium":
         """Reduce spectra to as few exponentials as the tolerance allows.
 
         Args:
-            water: spectra a, b, K_d.
+            water: spectra a, b, K_d; or the name of a Jerlov type.
             camera: name of a colour-science response, path of a CSV file, or a `Camera`.
             vertical_depth: d, depth of the scene below the surface, m, ≥ 0.
             g: share of the scattered light that leaves the line of sight, 0…1. Not the asymmetry of
@@ -108,44 +109,35 @@ class Medium:
             mu: share of the scattered light that is sent towards the camera, 0…1, where 1 in the
                 image means a white vertical plate.
             point_spread: width law, by default `PointSpread.paper()`.
-            tolerance: largest error of each curve over `distance_range`; 0 keeps every band.
-            distance_range: (nearest, farthest) effective distance m·z, m. Beyond it the curves stay
-                monotone and bounded.
+            tolerance: largest error of each curve, at any distance; 0 keeps every band.
             wavelengths: bands, nm, by default 400…700 in steps of 5 as far as the water reaches.
 
         Raises:
-            TypeError: if `water` is no `Water`.
-            ValueError: if an argument is outside its domain.
+            TypeError: if `water` is no `Water`, or a number is a tensor.
+            ValueError: if an argument is outside its domain, or no Jerlov type has that name.
         """
+        if isinstance(water, str):
+            water = Water.jerlov(water)
         checks.instance("water", water, Water, "; see Water.jerlov")
         drawn = {"vertical_depth": vertical_depth, "g": g, "mu": mu}
         for name, value in drawn.items():
             checks.within(name, value, *DOMAIN[name])
-        near, far = distance_range
-        if not 0 <= near < far < math.inf:
-            expected = "0 ≤ near < far < inf in metres"
-            raise ValueError(f"distance_range must be {expected}, got {distance_range}")
         if tolerance != 0:
             checks.tolerance(tolerance)
-        if wavelengths is None:
-            wavelengths = default_bands(water)
-        bands = water.at(wavelengths)
-        response = load_camera(camera).weights(wavelengths).T  # (3, bands), rows sum to 1
+        bands = water.at(default_bands(water) if wavelengths is None else wavelengths)
+        response = _response(load_camera(camera), bands.wavelengths.tobytes())
         beta, G, light, veil = band_coefficients(bands.a, bands.b, bands.kd, **drawn)
-        # logarithmic steps for the fast rates, linear ones for the slow
-        fast = np.geomspace(max(near, 1e-4 * far), far, 65)
-        z = np.concatenate([[0.0], fast, np.linspace(near, far, 33)[1:-1]])
         lit = response * light
-        rates, (direct,), error = reduce_rates(beta, (lit,), z, tolerance)
-        scatter, both, error_scatter = reduce_rates(G, (lit, response * veil), z, tolerance)
+        rates, (direct,), error = reduce_rates(beta, (lit,), tolerance)
+        scatter, both, error_scatter = reduce_rates(G, (lit, response * veil), tolerance)
         note = (
             f"{water.name}: {len(rates)} + {len(scatter)} rates, "
-            f"curves within {max(error, error_scatter):.1g} over {near:g}…{far:g} m, "
+            f"curves within {max(error, error_scatter):.1g} at any distance, "
             f"{vertical_depth:g} m deep, g = {g:g}, μ = {mu:g}"
         )
-        b_mean = (response @ bands.b).mean()
+        b_mean = np.asarray((response @ bands.b).mean())
         arrays = (rates, direct, scatter, *both, b_mean)
-        tensors = [torch.from_numpy(np.asarray(array))[None] for array in arrays]
+        tensors = [torch.from_numpy(array[None]) for array in arrays]
         law = PointSpread.paper() if point_spread is None else point_spread
         return Medium(**dict(zip(_TENSORS, tensors, strict=True)), point_spread=law, notes=(note,))
 
@@ -333,6 +325,12 @@ class Medium:
         cut = ", …" if len(self) > 3 else ""
         note = self.notes[0] if self.notes else ""
         return f"Medium({note}{more}; {self.point_spread}, b̄ = {b_mean}{cut}/m)"
+
+
+@lru_cache(maxsize=16)
+def _response(camera: Camera, axis: bytes) -> Array:
+    """The camera's weights (3, N) at wavelengths; rows sum to 1."""
+    return camera.weights(np.frombuffer(axis)).T
 
 
 def _rows(name: str, value: Any, shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
