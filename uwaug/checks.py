@@ -18,6 +18,7 @@ __all__ = [
     "extent",
     "floating",
     "instance",
+    "number_only",
     "one_of",
     "picture",
     "positive",
@@ -62,10 +63,18 @@ def bounds(low: float, high: float) -> str:
 
 def within(name: str, value: Any, low: float = -math.inf, high: float = math.inf) -> None:
     """Refuse a number outside [low, high], an infinite one, and what is no number."""
+    number_only(name, value)
     number = isinstance(value, (int, float, np.number))
     if not number or not (low <= value <= high and math.isfinite(value)):
         wanted = "finite" if low == -math.inf else bounds(low, high)
         raise ValueError(f"{name} must be {wanted}, got {value!r}")
+
+
+def number_only(name: str, value: object) -> None:
+    """Refuse a tensor where a number is asked for, which would get no gradient."""
+    if isinstance(value, Tensor):
+        cure = "to learn what water does, use Underwater(…, learnable=True)"
+        raise TypeError(f"{name} must be a number, got a tensor; {cure}")
 
 
 def positive(name: str, value: float, unit: str = "") -> None:

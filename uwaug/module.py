@@ -5,7 +5,6 @@ from operator import index
 from typing import Any, get_args
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
 
 from uwaug import checks
@@ -14,8 +13,9 @@ from uwaug.blur.plan import BlurPlan
 from uwaug.colour import ColorSpace, from_light, to_light
 from uwaug.formation import Order, form, plan_at_hand, prepare, together, unbatched, validate
 from uwaug.optics.medium import Medium
+from uwaug.parameters import LearnableMedium
 
-__all__ = ["FixedMedium", "LearnableMedium", "Underwater"]
+__all__ = ["FixedMedium", "Underwater"]
 
 
 class FixedMedium(nn.Module):
@@ -43,88 +43,8 @@ class FixedMedium(nn.Module):
         return replace(medium, point_spread=replace(law, **fixed))
 
 
-class LearnableMedium(nn.Module):
-    """A medium made of unconstrained parameters: whatever they are, rates, light, veil and width
-    scale are positive, and direct and signal light are equal at z = 0.
-
-    Args:
-        medium: where learning starts.
-        width: learn the scale of the width law too.
-
-    Raises:
-        ValueError: if the light at z = 0 is one in `direct_weights`, another in `signal_weights`.
-    """
-
-    b_mean: Tensor
-    exponent: Tensor
-    veil_used: Tensor
-
-    def __init__(self, medium: Medium, width: bool = True) -> None:
-        super().__init__()
-        self.start = _detached(medium)
-        values = self.start.parameters()
-        light, signal_light = (
-            values[name].sum(-1) for name in ("direct_weights", "signal_weights")
-        )
-        apart = float((light - signal_light).abs().max())
-        if apart > 1e-5:
-            raise ValueError(
-                "a learnable medium needs direct_weights and signal_weights of one sum, "
-                f"the light at z = 0; they differ by {apart:.2g}"
-            )
-        self.register_buffer("b_mean", values["b_mean"].clone())
-        self.register_buffer("exponent", values["exponent"].clone())
-        self.register_buffer("veil_used", values["veil_weights"] > 0)
-        self.raw_beta = _positive(values["beta"])
-        self.raw_G = _positive(values["G"])
-        self.raw_veil_weights = _positive(values["veil_weights"])
-        self.raw_light = _positive(light)
-        self.raw_scale = _positive(values["scale"]) if width else None
-        self.direct = _Shares(values["direct_weights"])
-        self.signal = _Shares(values["signal_weights"])
-
-    def forward(self) -> Medium:
-        """The medium at hand, of tensors that carry gradients to the parameters."""
-        law = self.start.point_spread
-        if self.raw_scale is not None:
-            law = replace(law, scale=F.softplus(self.raw_scale))
-        if isinstance(law.exponent, Tensor):
-            law = replace(law, exponent=self.exponent)
-        light = F.softplus(self.raw_light)[..., None]
-        return Medium(
-            beta=F.softplus(self.raw_beta),
-            direct_weights=light * self.direct(),
-            G=F.softplus(self.raw_G),
-            signal_weights=light * self.signal(),
-            veil_weights=F.softplus(self.raw_veil_weights) * self.veil_used,
-            b_mean=self.b_mean,
-            point_spread=law,
-            notes=self.start.notes,
-        )
-
-
-class _Shares(nn.Module):
-    """Weights that sum to 1; what is no weight at the start stays none."""
-
-    used: Tensor
-
-    def __init__(self, weights: Tensor) -> None:
-        super().__init__()
-        self.register_buffer("used", weights > 0)
-        self.raw = nn.Parameter(torch.log(weights.clamp(min=1e-30)))
-
-    def forward(self) -> Tensor:
-        return torch.softmax(self.raw.masked_fill(~self.used, -1e30), -1)
-
-
 def _detached(medium: Medium) -> Medium:
     return medium.map(lambda t: t.detach().clone())
-
-
-def _positive(value: Tensor) -> nn.Parameter:
-    """A parameter whose softplus is `value`."""
-    y = value.clamp(min=1e-6)
-    return nn.Parameter(y + torch.log(-torch.expm1(-y)))
 
 
 class Underwater(nn.Module):
@@ -138,8 +58,8 @@ class Underwater(nn.Module):
         tolerance: largest error of the blur in the image, on a scale of 0…1.
         color_space: "srgb" decodes, works in linear light, and encodes again; "linear" takes values
             as they are.
-        learnable: make rates, light, veil and width scale parameters; they stay positive, and
-            direct and signal light stay equal at z = 0.
+        learnable: make rates, light, veil and width scale parameters, see
+            `uwaug.parameters.LearnableMedium` for what stays true of them.
         order: "line_of_sight", or "source" for the paper's equation, see `uwaug.form_image`.
         demand: what the plan has to serve, by default what `medium` asks for over `distance_range`.
 

@@ -27,9 +27,10 @@ veil alike; only the weights belong to the camera. (One Gauss quadrature per cur
 """
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from operator import index
 from typing import Any
 
 import numpy as np
@@ -84,6 +85,7 @@ class Medium:
             got = tuple(getattr(self, name).shape)
             if got != shape:
                 raise ValueError(f"Medium.{name} must have shape {shape}, got {got}")
+        self.point_spread.require_rows(b)
 
     @staticmethod
     def from_water(
@@ -193,10 +195,13 @@ class Medium:
         )
 
     @staticmethod
-    def stack(media: "Sequence[Medium]") -> "Medium":
+    def stack(media: "Iterable[Medium]") -> "Medium":
         """One batch of several media; their width laws must share shape and reference size."""
+        media = list(media)
         if not media:
             raise ValueError("media is empty: stack needs at least one Medium")
+        for medium in media:
+            checks.instance("media", medium, Medium, "; see Medium.from_water")
         rows, dtype = [len(medium) for medium in media], media[0].beta.dtype
         law = PointSpread.stack([medium.point_spread for medium in media], rows, dtype)
 
@@ -213,11 +218,11 @@ class Medium:
     def __len__(self) -> int:
         return len(self.beta)
 
-    def __getitem__(self, i: int) -> "Medium":
-        """The i-th medium, as a batch of one."""
-        if not -len(self) <= i < len(self):
-            raise IndexError(f"medium {i} of {len(self)}")
-        part = slice(i, i + 1 or None)
+    def __getitem__(self, i: int | slice) -> "Medium":
+        """The i-th medium, as a batch of one; or those of a slice."""
+        part = i if isinstance(i, slice) else slice(index(i), index(i) + 1 or None)
+        if not range(len(self))[part]:
+            raise IndexError(f"medium {i!r} of {len(self)}")
         return replace(self.map(lambda t: t[part] if t.ndim else t), notes=self.notes[part])
 
     def map(self, function: Callable[[Tensor], Tensor]) -> "Medium":

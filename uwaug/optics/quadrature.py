@@ -25,6 +25,9 @@ _BEGUN, _ENDED = 0.01, 10.0
 nearer, all curves are straight, and farther, they have ended.
 """
 
+_NEAREST = 1e-12
+"""m."""
+
 _LEAST = 1e-300
 """Stands for 0 under a logarithm and a fraction."""
 
@@ -49,21 +52,23 @@ def reduce_rates(rates: Array, measures: tuple[Array, ...], tolerance: float) ->
     totals = wanted.sum(1, keepdims=True)
     if totals.max() < _LEAST:  # no light so deep
         return rates[:1], [measure[:, :1] for measure in measures], 0.0
-    z = _distances(rates)
-    exact = wanted @ np.exp(np.multiply.outer(-rates, z))  # (C, N)
-    shares = (wanted / np.maximum(totals, _LEAST)).sum(0)
-    logs = np.log(np.maximum(rates, _LEAST))
-    for most in (_FIRST_RATES, _MOST_RATES):
-        found = _fewest(_jacobi(logs, shares, most), z, exact, tolerance)
-        if found is not None:
-            nodes, weights, error = found
-            return nodes, [weights[row : row + 3] for row in range(0, len(weights), 3)], error
+    # rates of any size: what overflows has decayed, and what is invalid keeps no tolerance
+    with np.errstate(over="ignore", invalid="ignore"):
+        z = _distances(rates)
+        exact = wanted @ np.exp(np.multiply.outer(-rates, z))  # (C, N)
+        shares = (wanted / np.maximum(totals, _LEAST)).sum(0)
+        logs = np.log(np.maximum(rates, _LEAST))
+        for most in (_FIRST_RATES, _MOST_RATES):
+            found = _fewest(_jacobi(logs, shares, most), z, exact, tolerance)
+            if found is not None:
+                nodes, weights, error = found
+                return nodes, [weights[row : row + 3] for row in range(0, len(weights), 3)], error
     return rates, list(measures), 0.0  # every band is a rate: slow, and exact
 
 
 def _distances(rates: Array) -> Array:
     """0, then logarithmic steps in which the curves of these rates bend."""
-    near = min(_BEGUN / max(float(rates.max()), _LEAST), FARTHEST)
+    near = min(max(_BEGUN / max(float(rates.max()), _LEAST), _NEAREST), FARTHEST)
     far = min(_ENDED / max(float(rates.min()), _LEAST), FARTHEST)
     return np.concatenate([[0.0], near * (far / near) ** _STEPS])
 
@@ -135,7 +140,10 @@ def _fit(jacobi: Array, count: int, z: Array, exact: Array, tolerance: float) ->
     right = np.empty((count + 1, len(exact)))
     right[:count] = basis @ exact.T
     right[count] = exact[:, 0]
-    weights = np.linalg.solve(system, right)[:count].T.astype(np.float64, copy=False)
+    try:
+        weights = np.linalg.solve(system, right)[:count].T.astype(np.float64, copy=False)
+    except np.linalg.LinAlgError:  # two rates that no distance tells apart
+        return None
     error = float(np.abs(weights @ basis - exact).max())
     if error <= tolerance and weights.min() < 0:
         weights = _positive(system, right.T, weights)

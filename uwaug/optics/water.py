@@ -253,6 +253,7 @@ class Water(Spectra):
             >>> round(Water.jerlov("1C").with_visibility(3).visibility(), 9)
             3.0
         """
+        checks.number_only("metres", metres)
         checks.positive("metres", metres)
         pure = pure_inside(self)
         s = contents_for(self, pure, CONTRAST_THRESHOLD, metres)
@@ -299,8 +300,9 @@ class Water(Spectra):
             >>> hazy, round(hazy.contrast(3), 9)
             (Water('1C with 0.5 of the contrast at 3 m', 17 wavelengths, 300–700 nm), 0.5)
         """
-        checks.positive("metres", metres)
-        checks.positive("contrast", contrast)
+        for name, value in {"metres": metres, "contrast": contrast}.items():
+            checks.number_only(name, value)
+            checks.positive(name, value)
         pure = pure_inside(self)
         s = contents_for(self, pure, contrast, metres)
         if s is None:
