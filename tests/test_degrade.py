@@ -182,8 +182,18 @@ def test_field_spans_what_was_asked(
 
 def test_media_are_shared() -> None:
     # a transform with few waters and fixed numbers builds few media, however many pictures
-    uwaug.degrade._medium.cache_clear()
+    uwaug.degrade._kept_medium.cache_clear()
     aug = RandomUnderwater(["7C", "1C"])
     for i in range(20):
         aug.at(0, 0, i)(picture(), distances() + 1)
-    assert uwaug.degrade._medium.cache_info().misses == 2
+    assert uwaug.degrade._kept_medium.cache_info().misses == 2
+
+
+@pytest.mark.parametrize("name", ["mixing", "visibility", "vertical_depth", "g", "mu"])
+def test_media_that_come_once_are_not_kept(name: str) -> None:
+    # they would pin the heap between the pictures of a loader
+    uwaug.degrade._kept_medium.cache_clear()
+    aug = RandomUnderwater(["7C", "1C"], **{name: (0.5, 0.9)})
+    for i in range(3):
+        aug.at(0, 0, i)(picture(), distances() + 1)
+    assert uwaug.degrade._kept_medium.cache_info().currsize == 0

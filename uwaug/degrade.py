@@ -21,10 +21,13 @@ from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
 
-__all__ = ["OF_MEDIUM", "DistanceKind", "Draw", "Settings", "Unknown", "degrade", "degrade_opaque"]
+__all__ = ["DistanceKind", "Draw", "Settings", "Unknown", "degrade", "degrade_opaque"]
 
 DistanceKind = Literal["metric", "relative", "inverse"]
 Unknown = Literal["error", "fill"]
+
+_OF_MEDIUM = 6
+"""The first so many numbers of a draw make a medium of waters and a camera."""
 
 _TOUCHING = 1e-6
 """m, for relative distance 0 with near = 0: in a map of metres 0 means unknown."""
@@ -61,14 +64,16 @@ class Draw(NamedTuple):
             values.append(math.nan if value is None else value)
         return Draw(*values)
 
+    @staticmethod
+    def varies(ranges: Mapping[str, tuple[float, float]]) -> bool:
+        """Whether draws from these ranges make a new medium each time."""
+        of_medium = [ranges[name] for name in Draw._fields[:_OF_MEDIUM] if name in ranges]
+        return any(low < high for low, high in of_medium)
+
     def to_tensor(self) -> Tensor:
         """As numbers; torch.tensor(…) would fix them in a graph."""
         one = torch.ones((), dtype=torch.float64)
         return torch.stack([one * value for value in self])
-
-
-OF_MEDIUM = Draw._fields[:6]
-"""What makes a medium of waters and a camera."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +127,7 @@ def degrade(
             z = torch.full_like(light[:1], draw.distance)
         else:
             z = _metres(distance, draw, settings)
-        numbers = (None if math.isnan(value) else value for value in draw[: len(OF_MEDIUM)])
+        numbers = (None if math.isnan(value) else value for value in draw[:_OF_MEDIUM])
         medium = _medium(tuple(waters), camera, tuple(numbers), settings)
         light, z, medium = prepare(light, z, medium, _field(draw, z))
         plan = plan_at_hand(z, medium, settings.tolerance, settings.order)

@@ -12,16 +12,7 @@ from torch import Tensor, nn
 
 from uwaug import checks
 from uwaug.colour import ColorSpace
-from uwaug.degrade import (
-    OF_MEDIUM,
-    DistanceKind,
-    Draw,
-    Settings,
-    Unknown,
-    degrade,
-    degrade_opaque,
-    table,
-)
+from uwaug.degrade import DistanceKind, Draw, Settings, Unknown, degrade, degrade_opaque, table
 from uwaug.draw import (
     RANGES,
     Distribution,
@@ -210,11 +201,10 @@ class RandomUnderwater(nn.Module):
         """What all pictures share: spectra, what is drawn from, settings."""
         self.spectra = spectra_of(self.waters)
         self.responses = cameras_of(self.cameras)
-        ranges = self._ranges()
         self._distribution = Distribution(
             waters=dict(zip(self.spectra, self.waters.values(), strict=True)),
             cameras=tuple(self.responses),
-            ranges=ranges,
+            ranges=self._ranges(),
             field_range=as_range("field_range", self.field_range),
             p=self.p,
             field_probability=self.field_probability,
@@ -226,7 +216,7 @@ class RandomUnderwater(nn.Module):
             order=self.order,
             point_spread=self.point_spread,
             tolerance=self.tolerance,
-            varied=any(ranges[name][0] < ranges[name][1] for name in OF_MEDIUM if name in ranges),
+            varied=Draw.varies(self._distribution.ranges),
         )
         # for compiled code, which takes no objects
         self._opaque_settings = self._settings.to_json()

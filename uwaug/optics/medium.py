@@ -21,9 +21,9 @@ distance.
     σ(z) = scale·(b̄ z)^exponent                              width of the forward scatter, px
 
 Each integral becomes a sum of a few exponentials with positive weights: exact at z = 0, monotone,
-and never divided by z. The rates belong to the water and serve all three channels, and signal and
-veil alike; only the weights belong to the camera. (One Gauss quadrature per curve and channel needs
-15 to 24 exponentials for a tolerance of .002; shared rates need 5 to 12.)
+right at any distance. The rates belong to the water and serve all three channels, and signal and
+veil alike; only the weights belong to the camera. (For a tolerance of .002, one Gauss quadrature
+per curve and channel needs 15 to 24 exponentials, shared rates need 4 to 8.)
 """
 
 import os
@@ -115,8 +115,7 @@ class Medium:
             wavelengths: bands, nm, by default 400…700 in steps of 5 as far as the water reaches.
 
         Raises:
-            TypeError: if `water` is no `Water`, or a number is a tensor.
-            ValueError: if an argument is outside its domain, or no Jerlov type has that name.
+            TypeError, ValueError: if an argument is no water, no number, or outside its domain.
         """
         if isinstance(water, str):
             water = Water.jerlov(water)

@@ -221,7 +221,7 @@ class Water(Spectra):
 
         Examples:
             >>> round(Water.jerlov("II").contrast(3), 3)
-            0.196
+            0.252
         """
         checks.within("metres", metres, *checks.DOMAIN["distance"])
         return contrast_at(self, self.beta, metres)
