@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from operator import index
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import torch
 from torch import Tensor, nn
@@ -10,7 +10,8 @@ from torch import Tensor, nn
 from uwaug import checks
 from uwaug.blur.demand import BlurDemand, blur_demand
 from uwaug.blur.plan import BlurPlan
-from uwaug.colour import ColorSpace, from_light, to_light
+from uwaug.colour import ColorSpace, from_light, headroom, to_light
+from uwaug.exposure import Exposure, brightest, exposed, require_exposure
 from uwaug.formation import Order, form, plan_at_hand, prepare, together, unbatched, validate
 from uwaug.optics.medium import Medium
 from uwaug.parameters import LearnableMedium
@@ -56,19 +57,23 @@ class Underwater(nn.Module):
             once; beyond it widths stop changing. None plans for each call's own distances, which
             cannot be compiled or exported.
         tolerance: largest error of the blur in the image, on a scale of 0…1.
-        color_space: "srgb" decodes, works in linear light, and encodes again; "linear" takes values
-            as they are.
+        color_space: "srgb" decodes, works in linear light, encodes again and clips to 0…1 (to the
+            picture's own largest value if that is above 1); "linear" takes values as they are and
+            never clips.
         learnable: make rates, light, veil and width scale parameters, see
             `uwaug.parameters.LearnableMedium` for what stays true of them.
         order: "line_of_sight", or "source" for the paper's equation, see `uwaug.form_image`.
+        exposure: "none": light is lost as it is in the water. "auto": as a camera does, one gain
+            for each picture keeps the mean luminance of the scene, from 1/8 to 64. A number: a gain
+            in stops.
         demand: what the plan has to serve, by default what `medium` asks for over `distance_range`.
 
     Keep torch's default matmul precision. With `torch.set_float32_matmul_precision("medium")`, CPUs
     that support it multiply in bfloat16, and the error is visible.
 
     Shapes:
-        image (Bx3xHxW or 3xHxW), distance (Bx1xHxW or 1xHxW, m), field (as distance, or None) →
-            image.
+        image (Bx3xHxW or 3xHxW; uint8 0…255, or floating point 0…1), distance (Bx1xHxW or 1xHxW,
+            m), field (as distance, or None) → image, of the same type.
 
     Raises:
         TypeError, ValueError: as `uwaug.form_image`; and if an sRGB image exceeds 16, which is
@@ -89,6 +94,7 @@ class Underwater(nn.Module):
         color_space: ColorSpace = "srgb",
         learnable: bool = False,
         order: Order = "line_of_sight",
+        exposure: Exposure = "none",
         demand: BlurDemand | None = None,
     ) -> None:
         super().__init__()
@@ -96,6 +102,7 @@ class Underwater(nn.Module):
         checks.one_of("color_space", color_space, get_args(ColorSpace))
         checks.one_of("order", order, get_args(Order))
         checks.tolerance(tolerance)
+        require_exposure(exposure)
         if distance_range is not None and not 0 <= distance_range[0] < distance_range[1]:
             expected = "0 ≤ nearest < farthest in metres"
             raise ValueError(f"distance_range must be {expected}, got {distance_range}")
@@ -103,6 +110,7 @@ class Underwater(nn.Module):
         self.tolerance = tolerance
         self.color_space = color_space
         self.order: Order = order
+        self.exposure: Exposure = exposure
         self.learnable = learnable
         self.demand = demand
         if demand is not None and distance_range is None:
@@ -111,7 +119,12 @@ class Underwater(nn.Module):
             # an octave either way, for the width that is learned
             margin = 2.0 if learnable else 1.0
             self.demand = blur_demand(
-                medium, distance_range, tolerance, order=order, learned=learnable, margin=margin
+                brightest(medium, exposure),
+                distance_range,
+                tolerance,
+                order=order,
+                learned=learnable,
+                margin=margin,
             )
         self.coefficients: FixedMedium | LearnableMedium = FixedMedium(medium)
         if learnable:
@@ -132,10 +145,16 @@ class Underwater(nn.Module):
         # index(): a compiled module is compiled again for another size, which has another plan
         return _plan(self.demand, index(size[0]), index(size[1]))
 
+    if TYPE_CHECKING:  # nn.Module's own returns Any
+
+        def __call__(self, image: Tensor, distance: Tensor, field: Tensor | None = None) -> Tensor:
+            """As `forward`."""
+            ...
+
     def forward(self, image: Tensor, distance: Tensor, field: Tensor | None = None) -> Tensor:
         """Degrade an image; see the class."""
         medium = self.medium
-        validate(image, distance, medium, field)
+        validate(image, distance, medium, field, also_bytes=True)
         plan = self.plan((image.shape[-2], image.shape[-1]))
         result = self.formed(image, distance, field, medium, plan)
         return result[0] if unbatched(image, distance, medium) else result
@@ -152,10 +171,11 @@ class Underwater(nn.Module):
         with torch.autocast(image.device.type, enabled=False):
             light = to_light(image, self.color_space)
             light, z, medium = prepare(light, distance, medium, field)
+            medium = exposed(light, z, medium, self.exposure)
             if plan is None:
                 plan = plan_at_hand(z, medium, self.tolerance, self.order)
             (result,) = form(light, z, medium, plan, self.order, together)
-            return from_light(result, self.color_space, image.dtype)
+            return from_light(result, self.color_space, image.dtype, headroom(image))
 
     def extra_repr(self) -> str:
         """What is modelled, and what is skipped."""
@@ -167,6 +187,8 @@ class Underwater(nn.Module):
             at = " at 512 px" if scaled else ""
             planned = f"{near:g}…{far:g} m, {self.plan((512, 512))}{at}"
         settings = f"tolerance={self.tolerance:g}, {self.color_space}, {self.order}"
+        if self.exposure != "none":
+            settings += f", exposure={self.exposure!r}"
         return f"{self.medium!r},\n{planned},\n{settings}"
 
 

@@ -6,7 +6,7 @@ import os
 import tomllib
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Any, ClassVar, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 import torch
@@ -16,6 +16,7 @@ from uwaug import checks
 from uwaug.checks import DOMAIN
 from uwaug.colour import ColorSpace
 from uwaug.distance import from_relative
+from uwaug.exposure import Exposure, require_exposure
 from uwaug.field import gaussian_random_field
 from uwaug.module import Underwater
 from uwaug.optics.bands import band_coefficients
@@ -44,6 +45,8 @@ class Preset:
         field_range: least and largest value of the medium field.
         color_space: "linear" if sRGB values are taken for light, as the paper does; "srgb" if they
             are decoded first.
+        exposure: "none", "auto", or a gain in stops, see `uwaug.Underwater`.
+        spectral: water, camera, g and mu; None where the file has coefficients of three channels.
     """
 
     name: str
@@ -55,6 +58,28 @@ class Preset:
     gamma: float
     field_range: tuple[float, float]
     color_space: ColorSpace
+    exposure: Exposure
+    spectral: dict[str, Any] | None
+
+    def options(self, distance_kind: str = "metric") -> dict[str, Any]:
+        """The preset as options of `RandomUnderwater`, see `RandomUnderwater.from_preset`."""
+        if self.spectral is None:
+            cure = "use load_preset(…).module()"
+            raise ValueError(f"preset {self.name!r} has coefficients but no spectra: {cure}")
+        options = {
+            **self.spectral,
+            "contrast": None,
+            "vertical_depth": self.vertical_depth,
+            "exposure": self.exposure,
+            "point_spread": self.medium.point_spread,
+            "field_range": self.field_range,
+            "color_space": self.color_space,
+        }
+        if distance_kind != "metric":
+            options |= {"near": self.near, "far": self.far}
+        if distance_kind == "relative":
+            options["gamma"] = self.gamma
+        return options
 
     def distance(self, t: Tensor) -> Tensor:
         """Metres from relative distance t in [0, 1], 0 = near; shape (…, H, W). See
@@ -73,7 +98,10 @@ class Preset:
         """The preset as an `uwaug.Underwater`, planned for its distances times its field."""
         low, high = self.field_range
         return Underwater(
-            self.medium, (self.near * low, self.far * high), color_space=self.color_space
+            self.medium,
+            (self.near * low, self.far * high),
+            color_space=self.color_space,
+            exposure=self.exposure,
         )
 
 
@@ -113,7 +141,8 @@ def load_preset(
     path = _find(name_or_path)
     config = _read(path)
     try:
-        medium = _medium(config, path.parent, water, camera)
+        spectral = _spectral(config, path.parent, water, camera)
+        medium = _medium(config, spectral)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
     z = config.distance
@@ -127,6 +156,8 @@ def load_preset(
         gamma=z.gamma,
         field_range=(config.field.low, config.field.high),
         color_space=config.color_space,
+        exposure=config.exposure,
+        spectral=spectral,
     )
 
 
@@ -224,8 +255,10 @@ class _Config(_Table):
     field: _Field
     water: _Spectral | None = None
     coefficients: _Coefficients | None = None
+    exposure: Literal["none", "auto"] | float = "none"
 
     def __post_init__(self) -> None:
+        require_exposure(self.exposure)
         if (self.water is None) == (self.coefficients is None):
             raise ValueError("water, coefficients: give one of these two tables")
         if self.coefficients is not None:
@@ -299,32 +332,44 @@ def _keys(tables: list[str]) -> list[str]:
     return [field.name for field in fields(table)]
 
 
-def _medium(
+def _spectral(
     config: _Config,
     folder: Path,
     water: str | Water | None,
     camera: str | os.PathLike[str] | Camera | None,
-) -> Medium:
+) -> dict[str, Any] | None:
+    """Water, camera, g and mu, as `RandomUnderwater` names them; None if there are no spectra."""
+    if config.water is None:
+        if water is not None or camera is not None:
+            raise ValueError(
+                "holds coefficients for red, green and blue, which no water or camera replaces"
+            )
+        return None
+    water = config.water.type if water is None else water
+    if camera is None:
+        name = config.water.camera
+        camera = folder / name if name.lower().endswith(".csv") else name
+    return {
+        "waters": water if isinstance(water, Water) else Water.jerlov(water),
+        "cameras": load_camera(camera),
+        "g": config.medium.g,
+        "mu": config.medium.mu,
+    }
+
+
+def _medium(config: _Config, spectral: dict[str, Any] | None) -> Medium:
     psf = config.point_spread
     law = PointSpread(psf.scale_px, psf.exponent, psf.shape, psf.short_side_px)
-    if config.water is not None:
-        water = config.water.type if water is None else water
-        if camera is None:
-            name = config.water.camera
-            camera = folder / name if name.lower().endswith(".csv") else name
-        return Medium.from_water(
-            water if isinstance(water, Water) else Water.jerlov(water),
-            load_camera(camera),
-            vertical_depth=config.medium.vertical_depth_m,
-            g=config.medium.g,
-            mu=config.medium.mu,
-            point_spread=law,
-        )
-    if water is not None or camera is not None:
-        raise ValueError(
-            "holds coefficients for red, green and blue, which no water or camera replaces"
-        )
-    return _medium_from_coefficients(config, law)
+    if spectral is None:
+        return _medium_from_coefficients(config, law)
+    return Medium.from_water(
+        spectral["waters"],
+        spectral["cameras"],
+        vertical_depth=config.medium.vertical_depth_m,
+        g=spectral["g"],
+        mu=spectral["mu"],
+        point_spread=law,
+    )
 
 
 def _medium_from_coefficients(config: _Config, law: PointSpread) -> Medium:

@@ -68,13 +68,13 @@ def test_pure_water_keeps_its_contrast() -> None:
     assert most == water.contrast(5)
     same = water.with_contrast(most, 5)
     np.testing.assert_array_equal(same.beta, water.beta)
-    with pytest.raises(ValueError, match=r"'pure' is nothing but pure water: there is nothing"):
+    with pytest.raises(ValueError, match="'pure' is nothing but pure water to the eye: there is"):
         water.with_contrast(0.5 * most, 5)
 
 
 def test_water_that_is_pure_where_it_matters_says_so() -> None:
     # type I lies below the table of pure water at most wavelengths
-    message = "'I' is nothing but pure water where the eye sees best"
+    message = "'I' is nothing but pure water to the eye"
     with pytest.raises(ValueError, match=message):
         Water.jerlov("I").at(WAVELENGTHS).with_visibility(4)
 

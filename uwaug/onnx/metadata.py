@@ -94,6 +94,7 @@ def written(module: Underwater, plan: BlurPlan, options: Options) -> dict[str, s
         "uwaug_plan": str(plan),
         "uwaug_tolerance": repr(module.tolerance),
         "uwaug_color_space": module.color_space,
+        "uwaug_exposure": json.dumps(module.exposure),
         "uwaug_parameters": options.parameters,
         "uwaug_field": options.field,
         "uwaug_image": options.image,
@@ -144,5 +145,6 @@ def read_module(path: str | os.PathLike[str]) -> Underwater:
         (near, far),
         float(metadata["uwaug_tolerance"]),
         metadata["uwaug_color_space"],  # type: ignore[arg-type]
+        exposure=json.loads(metadata["uwaug_exposure"]),
         demand=BlurDemand(**stored["demand"]),
     )

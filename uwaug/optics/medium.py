@@ -41,7 +41,7 @@ from torch import Tensor
 
 from uwaug import checks
 from uwaug.checks import DOMAIN
-from uwaug.optics.bands import band_coefficients, default_bands
+from uwaug.optics.bands import band_coefficients, default_bands, given_rows
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.curves import FARTHEST, Curves, Sums, curves
 from uwaug.optics.point_spread import PointSpread
@@ -176,7 +176,7 @@ class Medium:
                 dtype = value.dtype
         rows, batches = {}, {}
         for name, value in given.items():
-            rows[name] = _rows(name, value, () if name == "b_mean" else (3,), dtype)
+            rows[name] = given_rows(name, value, () if name == "b_mean" else (3,), dtype)
             batches[name] = len(rows[name])
         checks.batches(batches)
         b = max(batches.values())
@@ -315,6 +315,19 @@ class Medium:
         """V(0) − V(z), the veil in front of a point at distance z; as `transmission`."""
         return self._at(z, exact_at_lens=True).veil
 
+    def brightened(self, gain: Tensor) -> "Medium":
+        """The medium as seen by a camera that multiplies all light by `gain` (B or 1)."""
+        rows = max(len(self), len(gain))
+        medium = self.map(lambda t: t.expand(rows, *t.shape[1:]))
+        factor = gain.reshape(-1, 1, 1).to(self.beta)
+        return replace(
+            medium,
+            direct_weights=factor * self.direct_weights,
+            signal_weights=factor * self.signal_weights,
+            veil_weights=factor * self.veil_weights,
+            notes=self.notes if len(self) == rows else self.notes * rows,
+        )
+
     def lengths(self, z: Tensor) -> Tensor:
         """Scattering lengths b̄·z of finite distances (B or 1, 1, H, W)."""
         return self.b_mean.reshape(-1, 1, 1, 1).to(z) * z
@@ -335,16 +348,3 @@ class Medium:
 def _response(camera: Camera, axis: bytes) -> Array:
     """The camera's weights (3, N) at wavelengths; rows sum to 1."""
     return camera.weights(np.frombuffer(axis)).T
-
-
-def _rows(name: str, value: Any, shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
-    """A coefficient of `shape`, or a batch of them, as (B, *shape); finite and ≥ 0."""
-    row = torch.as_tensor(value, dtype=None if isinstance(value, Tensor) else dtype).to(dtype)
-    batched = row.ndim == len(shape) + 1
-    if row.shape[batched:] != shape:
-        wanted = "a number or (B,)" if shape == () else "(3,) or (B, 3)"
-        raise ValueError(f"{name} must have shape {wanted}, got {tuple(row.shape)}")
-    known = row.detach()
-    if not bool(((known >= 0) & known.isfinite()).all()):
-        raise ValueError(f"{name} must be finite and ≥ 0, got {known.tolist()}")
-    return row if batched else row[None]

@@ -42,30 +42,18 @@ def pure_inside(water: "Water") -> Array:
     return np.array([a, b, np.minimum(water.kd, a + b / 2)])
 
 
-def contents_for(water: "Water", pure: Array, contrast: float, metres: float) -> float | None:
-    """The factor s of `Water.with_contrast`; None if pure water allows less.
-
-    Args:
-        water: any.
-        pure: what `pure_inside` says of it.
-        contrast, metres: what is wanted.
-
-    Raises:
-        ValueError: if no factor will do.
+def contents_for(water: "Water", contrast: float, metres: float) -> float:
+    """The factor s of `Water.with_contrast`; 0 if pure water leaves no more, infinity if no factor
+    will do.
     """
     nodes, weights = eye_on(water)
-    still = pure[0] + pure[1]
-    contents = np.interp(nodes, water.wavelengths, water.a + water.b - still)
-    seen = weights * np.exp(np.interp(nodes, water.wavelengths, still) * -metres)
-    most = float(seen.sum())
-    if most <= contrast:
-        return 0.0 if most == contrast else None
-    s = distance_to(contrast, seen, contents * metres)
-    if math.isinf(s):
-        where = " where the eye sees best" if contents.any() else ""
-        nothing = f"there is nothing to scale to a contrast of {contrast:g} at {metres:g} m"
-        raise ValueError(f"{water.name!r} is nothing but pure water{where}: {nothing}")
-    return s
+    a, b, _ = pure_inside(water)
+    still = np.interp(nodes, water.wavelengths, a + b)
+    seen = weights * np.exp(still * -metres)
+    if float(seen.sum()) <= contrast:
+        return 0.0
+    contents = np.interp(nodes, water.wavelengths, water.a + water.b - (a + b))
+    return distance_to(contrast, seen, contents * metres)
 
 
 def contrast_at(water: "Water", beta: Array, metres: float) -> float:

@@ -9,14 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from uwaug import checks
+from uwaug.optics import sight
 from uwaug.optics.jerlov_tables import JERLOV_TYPES, repaired_table
-from uwaug.optics.sight import (
-    contents_for,
-    contrast_at,
-    distance_to,
-    eye_on,
-    pure_inside,
-)
 from uwaug.optics.spectra import Array, Spectra, common_axis, spectrum, wavelength_axis
 
 __all__ = ["CONTRAST_THRESHOLD", "JERLOV_TYPES", "Water"]
@@ -202,52 +196,34 @@ class Water(Spectra):
             {'I': 78.5, 'IB': 32.6, 'II': 8.7, '3C': 3.3, '9C': 1.2}
         """
         if wavelength is None:
-            nodes, weights = eye_on(self)
+            nodes, weights = sight.eye_on(self)
             rates = np.interp(nodes, self.wavelengths, self.beta)
-            return distance_to(CONTRAST_THRESHOLD, weights, rates)
+            return sight.distance_to(CONTRAST_THRESHOLD, weights, rates)
         self._require_inside(wavelength, wavelength)
         beta = float(np.interp(wavelength, self.wavelengths, self.beta))
         return -math.log(CONTRAST_THRESHOLD) / beta if beta > 0 else math.inf
 
     def contrast(self, metres: float) -> float:
-        """The share of its luminance contrast that an object at this distance keeps, 0…1: the
-        ∫ ȳ e^(−β z) dλ of `visibility`, which is the distance where it is 2 %.
-
-        Args:
-            metres: distance [m], ≥ 0.
-
-        Raises:
-            ValueError: if ``metres`` is negative or infinite; or as ``visibility()``.
+        """The share of its luminance contrast that an object at this distance [m] keeps, 0…1: the
+        ∫ ȳ e^(−β z) dλ of ``visibility()``, which is the distance where it is 2 %.
 
         Examples:
             >>> round(Water.jerlov("II").contrast(3), 3)
             0.252
         """
         checks.within("metres", metres, *checks.DOMAIN["distance"])
-        return contrast_at(self, self.beta, metres)
+        return sight.contrast_at(self, self.beta, metres)
 
     def most_contrast(self, metres: float) -> float:
-        """The `contrast` at this distance in the pure water inside this one: the most that
-        `with_contrast` can give.
-
-        Args:
-            metres: distance [m], ≥ 0.
-
-        Raises:
-            ValueError: as ``contrast()`` and ``with_contrast()``.
+        """The ``contrast()`` at this distance [m] in the pure water inside this one: the most that
+        ``with_contrast`` can give.
         """
         checks.within("metres", metres, *checks.DOMAIN["distance"])
-        return contrast_at(self, pure_inside(self)[:2].sum(0), metres)
+        return sight.contrast_at(self, sight.pure_inside(self)[:2].sum(0), metres)
 
     def with_visibility(self, metres: float) -> Self:
-        """The same kind of water with more or less in it, so that ``visibility()`` is ``metres``: a
-        turbidity knob. As `with_contrast` of 2 %.
-
-        Args:
-            metres: the visibility wanted [m], up to that of the pure water inside.
-
-        Raises:
-            ValueError: if ``metres`` is more than pure water allows; or as ``with_contrast()``.
+        """The same kind of water with more or less in it, so that ``visibility()`` is ``metres``,
+        up to that of pure water: a turbidity knob. As ``with_contrast`` of 2 %.
 
         Examples:
             >>> round(Water.jerlov("1C").with_visibility(3).visibility(), 9)
@@ -255,13 +231,12 @@ class Water(Spectra):
         """
         checks.number_only("metres", metres)
         checks.positive("metres", metres)
-        pure = pure_inside(self)
-        s = contents_for(self, pure, CONTRAST_THRESHOLD, metres)
-        if s is None:
-            most = Water(self.wavelengths, *pure).visibility()
+        if self.most_contrast(metres) < CONTRAST_THRESHOLD:
+            most = Water(self.wavelengths, *sight.pure_inside(self)).visibility()
             allowed = f"the pure water in {self.name!r} allows, {most:.4g} m"
             raise ValueError(f"metres={metres:g} is more than {allowed}")
-        return self._scaled(s, pure, f"{self.name} at {metres:g} m visibility")
+        name = f"{self.name} at {metres:g} m visibility"
+        return self._scaled(CONTRAST_THRESHOLD, metres, name)
 
     def with_contrast(self, contrast: float, metres: float) -> Self:
         """The same kind of water with more or less in it, so that an object at a distance of
@@ -303,21 +278,45 @@ class Water(Spectra):
         for name, value in {"metres": metres, "contrast": contrast}.items():
             checks.number_only(name, value)
             checks.positive(name, value)
-        pure = pure_inside(self)
-        s = contents_for(self, pure, contrast, metres)
-        if s is None:
-            allowed = f"the pure water in {self.name!r} allows, {self.most_contrast(metres):.4g}"
+        most = self.most_contrast(metres)
+        if contrast > most:
+            allowed = f"the pure water in {self.name!r} allows, {most:.4g}"
             raise ValueError(f"contrast={contrast:g} at {metres:g} m is more than {allowed}")
         name = f"{self.name} with {contrast:g} of the contrast at {metres:g} m"
-        return self._scaled(s, pure, name)
+        return self._scaled(contrast, metres, name)
 
-    def _scaled(self, s: float, pure: Array, name: str) -> Self:
-        """This water with s times what is not pure water."""
+    def contents_for(self, contrast: float, metres: float) -> float:
+        """The factor s of ``with_contrast``, on what is in the water besides pure water: 0 where
+        pure water alone leaves no more, infinity where nothing but pure water is there to be
+        scaled, 1 at an infinite distance.
+        """
+        checks.within("contrast", contrast, *checks.DOMAIN["contrast"])
+        if math.isinf(metres):
+            return 1.0
+        return sight.contents_for(self, contrast, metres)
+
+    def with_contents(self, factor: float) -> Self:
+        """This water with `factor` times what is in it besides pure water, see `with_contrast`."""
+        checks.within("factor", factor, 0.0)
+        name = f"{factor:.3g}·contents of {self.name}"
+        return self._with(factor, name, self.provenance)
+
+    def _scaled(self, contrast: float, metres: float, name: str) -> Self:
+        """This water with a contrast that pure water allows."""
+        factor = sight.contents_for(self, contrast, metres)
+        if math.isinf(factor):
+            nothing = f"there is nothing to scale to a contrast of {contrast:g} at {metres:g} m"
+            raise ValueError(f"{self.name!r} is nothing but pure water to the eye: {nothing}")
+        provenance = (*self.provenance, f"{name}: all but pure water scaled by {factor:.4g}")
+        return self._with(factor, name, provenance)
+
+    def _with(self, factor: float, name: str, provenance: tuple[str, ...]) -> Self:
+        pure = sight.pure_inside(self)
         with np.errstate(over="ignore"):
-            table = pure + s * (self._table(self.wavelengths) - pure)
+            table = pure + factor * (self._table(self.wavelengths) - pure)
         if not np.isfinite(table).all():
-            raise ValueError(f"{name} is out of reach: its contents would be {s:.4g} times as much")
-        provenance = (*self.provenance, f"{name}: all but pure water scaled by {s:.4g}")
+            times = f"its contents would be {factor:.4g} times as much"
+            raise ValueError(f"{name} is out of reach: {times}")
         return self._derived(self.wavelengths, table, name, provenance)
 
     def _derived(self, axis: Array, table: Array, name: str, provenance: tuple[str, ...]) -> Self:
