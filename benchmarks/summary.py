@@ -53,9 +53,9 @@ def accuracy() -> str:
         "**Blur**, against each pixel's own Gaussian, on the scene above (sRGB values, 3000 "
         "pixels):",
         _blur_table(model),
-        "**Curves**, at a tolerance of .002, against 61 bands over 0–20 m (vertical depth 0, 1, "
-        "10 m; g 0, .2, 1). Rates are those of the direct term + those that signal and veil share; "
-        "all three channels use them:",
+        "**Curves**, at a tolerance of .002, against 61 bands at any distance (vertical depth 0, "
+        "1, 10 m; g 0, .2, 1). Rates are those of the direct term + those that signal and veil "
+        "share; all three channels use them:",
         _curve_table(model),
         "**Image**, in ten waters, three ranges of distance and two width laws: "
         f"{planner['within']} of {len(rows)} pictures within an RMSE of .002, the tolerance, "

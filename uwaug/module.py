@@ -2,13 +2,10 @@
 
 import json
 import warnings
-from collections.abc import Callable
-from dataclasses import replace
 from operator import index
-from typing import TYPE_CHECKING, Any, Self, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
 
 from uwaug import checks, planned
@@ -20,133 +17,9 @@ from uwaug.exposure import Exposure, brightest, exposed, require_exposure
 from uwaug.formation import Order, form, plan_at_hand, prepare, together, unbatched, validate
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
+from uwaug.parameters import FixedMedium, LearnableMedium
 
-__all__ = ["FixedMedium", "LearnableMedium", "Underwater"]
-
-
-class _InFullPrecision(nn.Module):
-    """A module whose tensors never get less precise than float32: `half()` of a network must not
-    round a water. The result has the image's type all the same.
-    """
-
-    def _apply(self, function: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
-        def kept(value: Tensor) -> Tensor:
-            changed = function(value)
-            narrow = changed.is_floating_point() and changed.dtype.itemsize < 4
-            return value.to(changed.device) if narrow else changed
-
-        super()._apply(kept, recurse)  # type: ignore[no-untyped-call]
-        return self
-
-
-class FixedMedium(_InFullPrecision):
-    """A medium whose tensors are buffers: it moves and is saved with a module.
-
-    What is one number for the whole batch in its width law stays a number, of the module and not
-    of its state: x² is faster than a power.
-
-    Args:
-        medium: any batch.
-    """
-
-    def __init__(self, medium: Medium) -> None:
-        super().__init__()
-        self.start = _detached(medium)
-        numbers = self.start.point_spread.numbers()
-        for name, value in self.start.parameters().items():
-            if isinstance(numbers.get(name, value), Tensor):
-                self.register_buffer(name, value.clone())
-
-    def forward(self) -> Medium:
-        """The medium at hand."""
-        held: dict[str, Any] = dict(self.named_buffers())
-        law = self.start.point_spread
-        numbers = {name: held.pop(name) for name in law.NUMBERS if name in held}
-        return replace(self.start, **held, point_spread=replace(law, **numbers))
-
-
-class LearnableMedium(_InFullPrecision):
-    """A medium made of unconstrained parameters: whatever they are, rates, light, veil and width
-    scale are positive, and direct and signal light are equal at z = 0.
-
-    Args:
-        medium: where learning starts.
-        width: learn the scale of the width law too.
-
-    Raises:
-        ValueError: if the light at z = 0 is one in `direct_weights`, another in `signal_weights`.
-    """
-
-    b_mean: Tensor
-    veil_used: Tensor
-
-    def __init__(self, medium: Medium, width: bool = True) -> None:
-        super().__init__()
-        self.start = _detached(medium)
-        values = self.start.parameters()
-        light, signal_light = (
-            values[name].sum(-1) for name in ("direct_weights", "signal_weights")
-        )
-        apart = float((light - signal_light).abs().max())
-        if apart > 1e-5:
-            raise ValueError(
-                "a learnable medium needs direct_weights and signal_weights of one sum, "
-                f"the light at z = 0; they differ by {apart:.2g}"
-            )
-        self.register_buffer("b_mean", values["b_mean"].clone())
-        if isinstance(self.start.point_spread.exponent, Tensor):
-            self.register_buffer("exponent", values["exponent"].clone())
-        self.register_buffer("veil_used", values["veil_weights"] > 0)
-        self.raw_beta = _positive(values["beta"])
-        self.raw_G = _positive(values["G"])
-        self.raw_veil_weights = _positive(values["veil_weights"])
-        self.raw_light = _positive(light)
-        self.raw_scale = _positive(values["scale"]) if width else None
-        self.direct = _Shares(values["direct_weights"])
-        self.signal = _Shares(values["signal_weights"])
-
-    def forward(self) -> Medium:
-        """The medium at hand, of tensors that carry gradients to the parameters."""
-        law = self.start.point_spread
-        if self.raw_scale is not None:
-            law = replace(law, scale=F.softplus(self.raw_scale))
-        if isinstance(law.exponent, Tensor):
-            law = replace(law, exponent=self.get_buffer("exponent"))
-        light = F.softplus(self.raw_light)[..., None]
-        return Medium(
-            beta=F.softplus(self.raw_beta),
-            direct_weights=light * self.direct(),
-            G=F.softplus(self.raw_G),
-            signal_weights=light * self.signal(),
-            veil_weights=F.softplus(self.raw_veil_weights) * self.veil_used,
-            b_mean=self.b_mean,
-            point_spread=law,
-            notes=self.start.notes,
-        )
-
-
-class _Shares(nn.Module):
-    """Weights that sum to 1; what is no weight at the start stays none."""
-
-    used: Tensor
-
-    def __init__(self, weights: Tensor) -> None:
-        super().__init__()
-        self.register_buffer("used", weights > 0)
-        self.raw = nn.Parameter(torch.log(weights.clamp(min=1e-30)))
-
-    def forward(self) -> Tensor:
-        return torch.softmax(self.raw.masked_fill(~self.used, -1e30), -1)
-
-
-def _detached(medium: Medium) -> Medium:
-    return medium.map(lambda t: t.detach().clone())
-
-
-def _positive(value: Tensor) -> nn.Parameter:
-    """A parameter whose softplus is `value`."""
-    y = value.clamp(min=1e-6)
-    return nn.Parameter(y + torch.log(-torch.expm1(-y)))
+__all__ = ["Underwater"]
 
 
 _ROOM = 2.0
@@ -166,9 +39,9 @@ class Underwater(nn.Module):
         color_space: "srgb" decodes, works in linear light, encodes again and clips to 0…1 (to the
             picture's own largest value if that is above 1); "linear" takes values as they are and
             never clips.
-        learnable: make rates, light, veil and width scale parameters; they stay positive, and
-            direct and signal light stay equal at z = 0. A width that leaves the plan is planned for
-            anew, except in a compiled module.
+        learnable: make rates, light, veil and width scale parameters, see
+            `uwaug.parameters.LearnableMedium` for what stays true of them. A width that leaves the
+            plan is planned for anew, except in a compiled module.
         order: "line_of_sight", or "source" for the paper's equation, see `uwaug.form_image`.
         exposure: "none": light is lost as it is in the water. "auto": as a camera does, one gain
             for each picture keeps the mean luminance of the scene, from 1/8 to 64. A number: a gain

@@ -372,7 +372,6 @@ def _medium(config: _Config, spectral: dict[str, Any] | None) -> Medium:
         g=spectral["g"],
         mu=spectral["mu"],
         point_spread=law,
-        distance_range=(0.0, config.distance.far_m * config.field.high),
     )
 
 
