@@ -304,7 +304,7 @@ def degrade_opaque(
     lens = Camera(wavelengths, np.array(response).T)
     drawn = Draw(*draw.tolist())
     options = Settings.from_json(settings)
-    if distance is not None and skipped(distance, options.distance_kind, options.unknown):
+    if skipped(distance, options):
         return image.clone()  # an operator must not return what it was given
     return degrade(image, distance, spectra, lens, drawn, options)
 

@@ -1,17 +1,28 @@
-"""Samples as loaders give them: an image and a map inside a tuple, a list or a dict."""
+"""Samples as loaders give them: an image and a map inside a tuple, a list or a dict; and what
+applies a transform to them.
+"""
 
 import copy
+import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from uwaug import checks
 
-__all__ = ["Parts", "maps_for", "naming", "plain_image", "take_apart", "typed"]
+__all__ = [
+    "Parts",
+    "SampleTransform",
+    "maps_for",
+    "naming",
+    "plain_image",
+    "take_apart",
+    "typed",
+]
 
 
 class Parts(NamedTuple):
@@ -54,6 +65,53 @@ def _leaf(sample: Mapping[Any, Any], name: str, what: str) -> Any:
         cure = "see image_key, distance_key and distance"
         raise ValueError(f"{what} has no {name!r}, only {there}: {cure}")
     return sample[name]
+
+
+class SampleTransform(nn.Module):
+    """What applies a random transform to samples; a subclass has `make_params` and `transform`.
+
+    Args:
+        image_key, distance_key: where to find the two in a dict.
+        mapped: whether a sample holds a map of distances.
+    """
+
+    make_params: Callable[..., Any]
+    transform: Callable[..., Tensor]
+
+    def __init__(self, image_key: str, distance_key: str, *, mapped: bool) -> None:
+        super().__init__()
+        self.image_key = image_key
+        self.distance_key = distance_key
+        self._mapped = mapped
+
+    def at(self, seed: int, epoch: int, index: int | str) -> Callable[..., Any]:
+        """The transform with randomness from a key: the same result in any worker, in any order.
+
+        Args:
+            seed, epoch: of the run, of the pass through the data.
+            index: of the picture (or batch); a number, or a name such as a path. "7" is 7.
+
+        Returns:
+            A function of the same inputs as the transform, which draws the same at every call.
+        """
+        which = index if isinstance(index, str) else int(index)
+        key = hashlib.blake2b(f"{int(seed)}/{int(epoch)}/{which}".encode(), digest_size=4).digest()
+        return partial(self._apply_with, int.from_bytes(key))
+
+    def _apply_with(self, key: int, *inputs: Any) -> Any:
+        generator = torch.Generator().manual_seed(key)
+        image, distance, rebuild = self._taken_apart(inputs)
+        return rebuild(self.transform(image, distance, self.make_params(image, generator)))
+
+    def forward(self, *inputs: Any) -> Any:
+        """Draw and degrade; see the class."""
+        image, distance, rebuild = self._taken_apart(inputs)
+        return rebuild(self.transform(image, distance, self.make_params(image)))
+
+    def _taken_apart(self, inputs: tuple[Any, ...]) -> Parts:
+        parts = take_apart(inputs, self.image_key, self.distance_key, mapped=self._mapped)
+        plain_image(parts.image)
+        return parts
 
 
 def _alone(result: Tensor) -> Tensor:

@@ -1,14 +1,12 @@
 """`RandomUnderwater`: new water for every picture, in a DataLoader worker or on a whole batch."""
 
-import hashlib
 import inspect
 import os
 from collections.abc import Callable, Iterable, Mapping
-from functools import partial
 from typing import Any, Literal
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from uwaug.colour import ColorSpace
 from uwaug.degrade import Draw, Opaque, Settings, degrade, used
@@ -29,7 +27,7 @@ from uwaug.options import (
     settings_of,
 )
 from uwaug.presets import load_preset
-from uwaug.structure import maps_for, naming, plain_image, take_apart, typed
+from uwaug.structure import SampleTransform, maps_for, naming, plain_image, typed
 
 __all__ = ["RandomUnderwater"]
 
@@ -38,7 +36,7 @@ Job = tuple[int, Tensor | None, Record]
 """A picture that is to be degraded: its place in the batch, its map, its sample."""
 
 
-class RandomUnderwater(nn.Module):
+class RandomUnderwater(SampleTransform):
     """Degrade pictures in random waters.
 
     A range is a number or (low, high), drawn uniformly; contrast and visibility are drawn uniformly
@@ -159,7 +157,7 @@ class RandomUnderwater(nn.Module):
         color_space: ColorSpace = "srgb",
         order: Order = "line_of_sight",
     ) -> None:
-        super().__init__()
+        super().__init__(image_key, distance_key, mapped=distance is None)
         self.waters = weighed(waters)
         one = isinstance(cameras, (str, os.PathLike, Camera))
         self.cameras: list[Any] = [cameras] if one else list(cameras)  # type: ignore[arg-type]
@@ -183,8 +181,6 @@ class RandomUnderwater(nn.Module):
         self.p = p
         self.same_on_batch = same_on_batch
         self.unknown = unknown
-        self.image_key = image_key
-        self.distance_key = distance_key
         self.tolerance = tolerance
         self.color_space = color_space
         self.order = order
@@ -334,44 +330,10 @@ class RandomUnderwater(nn.Module):
         maps = maps_for(plain, distance, chosen, self.distance)
         jobs = []
         for i, z in zip(chosen, maps, strict=True):
-            if not self._skips(z):
+            # compiled code cannot look at a map: the operator does
+            if torch.compiler.is_compiling() or not skipped(z, self._settings):
                 jobs.append((i, z, samples[i]))
         return jobs
-
-    def _skips(self, distance: Tensor | None) -> bool:
-        # compiled code cannot look: the operator does
-        if distance is None or torch.compiler.is_compiling():
-            return False
-        return skipped(distance, self._settings.distance_kind, self._settings.unknown)
-
-    def at(self, seed: int, epoch: int, index: int | str) -> Callable[..., Any]:
-        """The transform with randomness from a key: the same result in any worker, in any order.
-
-        Args:
-            seed, epoch: of the run, of the pass through the data.
-            index: of the picture (or batch); a number, or a name such as a path. "7" is 7.
-
-        Returns:
-            A function of the same inputs as the transform, which draws the same at every call.
-        """
-        which = index if isinstance(index, str) else int(index)
-        key = hashlib.blake2b(f"{int(seed)}/{int(epoch)}/{which}".encode(), digest_size=4).digest()
-        return partial(self._apply_with, int.from_bytes(key))
-
-    def _apply_with(self, key: int, *inputs: Any) -> Any:
-        generator = torch.Generator().manual_seed(key)
-        image, distance, rebuild = self._taken_apart(inputs)
-        return rebuild(self.transform(image, distance, self.make_params(image, generator)))
-
-    def forward(self, *inputs: Any) -> Any:
-        """Draw and degrade; see the class."""
-        image, distance, rebuild = self._taken_apart(inputs)
-        return rebuild(self.transform(image, distance, self.make_params(image)))
-
-    def _taken_apart(self, inputs: tuple[Any, ...]) -> tuple[Tensor, Any, Callable[[Tensor], Any]]:
-        parts = take_apart(inputs, self.image_key, self.distance_key, mapped=self.distance is None)
-        plain_image(parts.image)
-        return parts
 
     def __repr__(self) -> str:
         waters = list(self.waters) if set(self.waters.values()) == {1} else self.waters
