@@ -72,7 +72,7 @@ def _contestants(water: str, size: int, batch: int) -> dict[str, Callable[[], ob
     field = torch.ones_like(distance)
     default, degrade = _module(water), _module(water)
     # ≥ 60 dB of the blur itself: do not let the strength of the forward term relax it
-    degrade.demand = replace(degrade.demand, tolerance=0.002)
+    degrade.demand = replace(degrade.demand, blur_tolerance=0.002)
     arrays = list(zip(*map(_arrays, (image, distance, field)), strict=True))
     phi = WIDEST / DISTANCES[1]
     bands = published.bands(water, phi)

@@ -37,7 +37,7 @@ def test_tests_and_benchmarks_are_small(folder: str, lines: int) -> None:
 
 def test_the_first_matrix_product_is_near() -> None:
     """From `RandomUnderwater` to what multiplies: at most six functions of the package deep."""
-    aug = uwaug.RandomUnderwater("7C", field_probability=0.0)
+    aug = uwaug.RandomUnderwater.survey(waters="7C", field_probability=0.0)
     image, distance = torch.rand(3, 64, 80), torch.linspace(1, 5, 64 * 80).reshape(1, 64, 80)
     aug(image, distance)  # plans and matrices are made at the first call
     deepest = []

@@ -4,7 +4,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from operator import index
-from typing import Any, Self, get_args
+from typing import TYPE_CHECKING, Any, Self, get_args
 
 import torch
 import torch.nn.functional as F
@@ -13,7 +13,8 @@ from torch import Tensor, nn
 from uwaug import checks, planned
 from uwaug.blur.demand import BlurDemand, blur_demand
 from uwaug.blur.plan import BlurPlan
-from uwaug.colour import ColorSpace, from_light, to_light
+from uwaug.colour import ColorSpace, from_light, headroom, to_light
+from uwaug.exposure import Exposure, brightest, exposed, require_exposure
 from uwaug.formation import Order, form, plan_at_hand, prepare, together, unbatched, validate
 from uwaug.optics.medium import Medium
 
@@ -154,11 +155,15 @@ class Underwater(nn.Module):
             once; beyond it widths stop changing. None plans for each call's own distances, which
             cannot be compiled or exported.
         tolerance: largest error of the blur in the image, on a scale of 0…1.
-        color_space: "srgb" decodes, works in linear light, and encodes again; "linear" takes values
-            as they are.
+        color_space: "srgb" decodes, works in linear light, encodes again and clips to 0…1 (to the
+            picture's own largest value if that is above 1); "linear" takes values as they are and
+            never clips.
         learnable: make rates, light, veil and width scale parameters; they stay positive, and
             direct and signal light stay equal at z = 0.
         order: "line_of_sight", or "source" for the paper's equation, see `uwaug.form_image`.
+        exposure: "none": light is lost as it is in the water. "auto": as a camera does, one gain
+            for each picture keeps the mean luminance of the scene, from 1/8 to 64. A number: a gain
+            in stops.
         sides: (smallest, largest) short side, px, of the pictures: one plan of the blur then serves
             them all, and a file exported from the module (`uwaug.export_onnx`) computes the same.
             Other pictures get the nearest width of that plan. None plans for each size, which is
@@ -172,8 +177,8 @@ class Underwater(nn.Module):
     for. `load_state_dict` refuses that of a module in which they differ.
 
     Shapes:
-        image (Bx3xHxW or 3xHxW), distance (Bx1xHxW or 1xHxW, m), field (as distance, or None) →
-            image.
+        image (Bx3xHxW or 3xHxW; uint8 0…255, or floating point 0…1), distance (Bx1xHxW or 1xHxW,
+            m), field (as distance, or None) → image, of the same type.
 
     Raises:
         TypeError, ValueError: as `uwaug.form_image`; and if an sRGB image exceeds 16, which is
@@ -194,6 +199,7 @@ class Underwater(nn.Module):
         color_space: ColorSpace = "srgb",
         learnable: bool = False,
         order: Order = "line_of_sight",
+        exposure: Exposure = "none",
         sides: tuple[int, int] | None = None,
     ) -> None:
         super().__init__()
@@ -201,10 +207,12 @@ class Underwater(nn.Module):
         checks.one_of("color_space", color_space, get_args(ColorSpace))
         checks.one_of("order", order, get_args(Order))
         checks.tolerance(tolerance)
+        require_exposure(exposure)
         self.distance_range = None if distance_range is None else planned.distances(distance_range)
         self.tolerance = tolerance
         self.color_space = color_space
         self.order: Order = order
+        self.exposure: Exposure = exposure
         self.learnable = learnable
         self.sides = None if sides is None else planned.sides_of(sides)
         self.demand: BlurDemand | None = None
@@ -214,7 +222,7 @@ class Underwater(nn.Module):
             # an octave either way, for the width that is learned
             margin = 2.0 if learnable else 1.0
             self.demand = blur_demand(
-                medium,
+                brightest(medium, exposure),
                 self.distance_range,
                 tolerance,
                 order=order,
@@ -248,10 +256,16 @@ class Underwater(nn.Module):
         # index(): a compiled module is compiled again for another size, which has another plan
         return planned.plan_one(self.demand, index(size[0]), index(size[1]))
 
+    if TYPE_CHECKING:  # nn.Module's own returns Any
+
+        def __call__(self, image: Tensor, distance: Tensor, field: Tensor | None = None) -> Tensor:
+            """As `forward`."""
+            ...
+
     def forward(self, image: Tensor, distance: Tensor, field: Tensor | None = None) -> Tensor:
         """Degrade an image; see the class."""
         medium = self.medium
-        validate(image, distance, medium, field)
+        validate(image, distance, medium, field, also_bytes=True)
         plan = self.plan((image.shape[-2], image.shape[-1]))
         result = self.formed(image, distance, field, medium, plan)
         return result[0] if unbatched(image, distance, medium, field) else result
@@ -268,10 +282,11 @@ class Underwater(nn.Module):
         with torch.autocast(image.device.type, enabled=False):
             light = to_light(image, self.color_space)
             light, z, medium = prepare(light, distance, medium, field)
+            medium = exposed(light, z, medium, self.exposure)
             if plan is None:
                 plan = plan_at_hand(z, medium, self.tolerance, self.order)
             (result,) = form(light, z, medium, plan, self.order, together)
-            return from_light(result, self.color_space, image.dtype)
+            return from_light(result, self.color_space, image.dtype, headroom(image))
 
     def get_extra_state(self) -> Tensor:
         """What a state dict says of the module besides its tensors, as text in a tensor: file
@@ -296,6 +311,7 @@ class Underwater(nn.Module):
         """What `load_state_dict` compares."""
         law = self.coefficients.start.point_spread
         settings: dict[str, Any] = {"color_space": self.color_space, "order": self.order}
+        settings["exposure"] = self.exposure
         settings |= {"shape": law.shape, "reference_size": law.reference_size}
         held = self.coefficients.state_dict()
         for name, value in law.numbers().items():
@@ -318,4 +334,6 @@ class Underwater(nn.Module):
                 at = "" if every else " for short sides of {}…{} px".format(*self.sides)
             said = f"{near:g}…{far:g} m, {self.plan((512, 512))}{at}"
         settings = f"tolerance={self.tolerance:g}, {self.color_space}, {self.order}"
+        if self.exposure != "none":
+            settings += f", exposure={self.exposure!r}"
         return f"{self.medium!r},\n{said},\n{settings}"

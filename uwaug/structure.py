@@ -1,7 +1,8 @@
 """Samples as loaders give them: an image and a map inside a tuple, a list or a dict."""
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -10,7 +11,7 @@ from torch import Tensor
 
 from uwaug import checks
 
-__all__ = ["Parts", "maps_for", "plain_image", "take_apart", "typed"]
+__all__ = ["Parts", "maps_for", "naming", "plain_image", "take_apart", "typed"]
 
 
 class Parts(NamedTuple):
@@ -25,25 +26,34 @@ def take_apart(inputs: tuple[Any, ...], image_key: str, distance_key: str, mappe
     """Find image and map in what a transform was called with.
 
     Args:
-        inputs: (image, distance, …), or one tuple, list or dict that holds them, or an image.
+        inputs: (image, distance, …), or one tuple, list or dict that holds them, or an image. In
+            second place of a tuple, a dict may hold the map.
         image_key, distance_key: of a dict.
         mapped: whether there has to be a map; if not, a tuple holds none.
     """
     sample = inputs[0] if len(inputs) == 1 else inputs
     if isinstance(sample, Mapping):
-        for name in (image_key, distance_key) if mapped else (image_key,):
-            if name not in sample:
-                there = ", ".join(map(repr, sample))
-                cure = "see image_key, distance_key and distance"
-                raise ValueError(f"sample has no {name!r}, only {there}: {cure}")
+        image = _leaf(sample, image_key, "sample")
+        distance = _leaf(sample, distance_key, "sample") if mapped else sample.get(distance_key)
         rebuild: Callable[[Tensor], Any] = partial(_with_image, sample, image_key)
-        return Parts(sample[image_key], sample.get(distance_key), rebuild)
+        return Parts(image, distance, rebuild)
     if not isinstance(sample, (tuple, list)):
         return Parts(sample, None, _alone)
     if not sample:
         raise ValueError("sample is empty: expected (image, distance, …)")
     distance = sample[1] if len(sample) > 1 and mapped else None
+    if isinstance(distance, Mapping):
+        # torchvision's (image, target)
+        distance = _leaf(distance, distance_key, "the dict in second place")
     return Parts(sample[0], distance, partial(_with_first, sample))
+
+
+def _leaf(sample: Mapping[Any, Any], name: str, what: str) -> Any:
+    if name not in sample:
+        there = ", ".join(map(repr, sample))
+        cure = "see image_key, distance_key and distance"
+        raise ValueError(f"{what} has no {name!r}, only {there}: {cure}")
+    return sample[name]
 
 
 def _alone(result: Tensor) -> Tensor:
@@ -71,7 +81,7 @@ def typed(x: Tensor, wanted: type[Tensor]) -> Tensor:
 def plain_image(image: Any) -> Tensor:
     """Check an image's type and shape; return it as a plain tensor."""
     if not isinstance(image, Tensor) or image.dtype != torch.uint8:
-        checks.floating("image", image, "; or uint8. Convert PIL images and arrays first")
+        checks.floating("image", image, "; or uint8")
     checks.picture("image", image, 3)
     return typed(image, Tensor)
 
@@ -93,7 +103,9 @@ def maps_for(
         return [maps[i] for i in chosen]
     if instead is None:
         cure = "RandomUnderwater(distance=…) a constant, a range or a callable"
-        raise ValueError(f"distance is missing: give a map, or {cure}")
+        # as it cannot be told from a call that forgot the map
+        kornia = "kornia gives its children the image alone: call RandomUnderwater after it"
+        raise ValueError(f"distance is missing: give a map, or {cure}; {kornia}")
     if not callable(instead) or not chosen:
         return [None] * len(chosen)
     seen = batch[chosen]
@@ -103,9 +115,23 @@ def maps_for(
     return list(_plain_maps(guess, seen))
 
 
+@contextmanager
+def naming(index: int, count: int) -> Iterator[None]:
+    """Say in refusals which picture of a batch it is."""
+    try:
+        yield
+    except ValueError as error:
+        if count == 1:
+            raise
+        raise ValueError(f"picture {index} of {count}, counted from 0: {error}") from None
+
+
 def _plain_maps(distance: Any, images: Tensor) -> Tensor:
     """Check a map of distances; return one for each image (Bx1xHxW), as a plain tensor."""
-    checks.floating("distance", distance, "; divide a map in millimetres by 1000")
+    hint = "; divide a map in millimetres by 1000"
+    if not isinstance(distance, Tensor):
+        hint = "; expected (image, distance, …), (image, {'distance': …}) or a dict of both"
+    checks.floating("distance", distance, hint)
     checks.picture("distance", distance, 1)
     checks.same_size("distance", distance, images)
     maps, batch = typed(distance, Tensor), len(images)

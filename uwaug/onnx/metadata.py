@@ -13,6 +13,7 @@ from uwaug import checks
 from uwaug.blur.kernels import PERIOD
 from uwaug.blur.plan import NO_BLUR, BlurPlan
 from uwaug.colour import ColorSpace
+from uwaug.exposure import Exposure, require_exposure
 from uwaug.module import Underwater
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread, Shape
@@ -31,6 +32,7 @@ _NAMES = (
     "plan",
     "tolerance",
     "color_space",
+    "exposure",
     "parameters",
     "field",
     "image",
@@ -80,6 +82,7 @@ class Stored:
     distance_range: tuple[float, float]
     tolerance: float
     color_space: ColorSpace
+    exposure: Exposure
 
 
 def plan_of(module: Underwater) -> BlurPlan:
@@ -122,6 +125,7 @@ def written(module: Underwater, plan: BlurPlan, options: Options) -> dict[str, s
         "uwaug_plan": str(plan),
         "uwaug_tolerance": repr(module.tolerance),
         "uwaug_color_space": module.color_space,
+        "uwaug_exposure": json.dumps(module.exposure),
         "uwaug_parameters": options.parameters,
         "uwaug_field": options.field,
         "uwaug_image": options.image,
@@ -181,6 +185,8 @@ def _stored(metadata: dict[str, str]) -> Stored:
     checks.one_of("color_space", metadata["uwaug_color_space"], get_args(ColorSpace))
     tolerance = float(metadata["uwaug_tolerance"])
     checks.tolerance(tolerance)
+    exposure = json.loads(metadata["uwaug_exposure"])
+    require_exposure(exposure)
     return Stored(
         options=Options.of(metadata),
         medium=medium,
@@ -189,6 +195,7 @@ def _stored(metadata: dict[str, str]) -> Stored:
         distance_range=distances(json.loads(metadata["uwaug_distance_range_m"])),
         tolerance=tolerance,
         color_space=metadata["uwaug_color_space"],  # type: ignore[arg-type]
+        exposure=exposure,
     )
 
 
@@ -251,6 +258,7 @@ def read_module(path: str | os.PathLike[str]) -> Underwater:
             stored.distance_range,
             stored.tolerance,
             stored.color_space,
+            exposure=stored.exposure,
             sides=stored.sides,
         )
     except (ArithmeticError, RuntimeError, RuntimeWarning) as error:

@@ -319,6 +319,19 @@ class Medium:
         """V(0) − V(z), the veil in front of a point at distance z; as `transmission`."""
         return self._at(z, exact_at_lens=True).veil
 
+    def brightened(self, gain: Tensor) -> "Medium":
+        """The medium as seen by a camera that multiplies all light by `gain` (B or 1)."""
+        rows = max(len(self), len(gain))
+        medium = self.map(lambda t: t.expand(rows, *t.shape[1:]))
+        factor = gain.reshape(-1, 1, 1).to(self.beta)
+        return replace(
+            medium,
+            direct_weights=factor * self.direct_weights,
+            signal_weights=factor * self.signal_weights,
+            veil_weights=factor * self.veil_weights,
+            notes=self.notes if len(self) == rows else self.notes * rows,
+        )
+
     def lengths(self, z: Tensor) -> Tensor:
         """Scattering lengths b̄·z of finite distances (B or 1, 1, H, W)."""
         return self.b_mean.reshape(-1, 1, 1, 1).to(z) * z

@@ -201,7 +201,8 @@ class Water(Spectra):
         """
         if wavelength is None:
             nodes, eye = self._eye()
-            return _distance_to_threshold(eye, np.interp(nodes, self.wavelengths, self.beta))
+            rates = np.interp(nodes, self.wavelengths, self.beta)
+            return _distance_to(CONTRAST_THRESHOLD, eye, rates)
         self._require_inside(wavelength, wavelength)
         beta = float(np.interp(wavelength, self.wavelengths, self.beta))
         return -math.log(CONTRAST_THRESHOLD) / beta if beta > 0 else math.inf
@@ -241,24 +242,55 @@ class Water(Spectra):
         """
         checks.positive("metres", metres)
         pure = self._pure()
-        nodes, eye = self._eye()
-        water = np.interp(nodes, self.wavelengths, pure.beta)
-        contents = np.interp(nodes, self.wavelengths, self.beta) - water
-        seen = eye * np.exp(-water * metres)
-        if seen.sum() < CONTRAST_THRESHOLD:
+        factor = self.contents_for(CONTRAST_THRESHOLD, metres)
+        if factor == 0:
             most = f"the pure water in {self.name!r} allows, {pure.visibility():.4g} m"
             raise ValueError(f"metres={metres:g} is more than {most}")
-        s = _distance_to_threshold(seen, contents * metres)
-        if math.isinf(s):
+        if math.isinf(factor):
             nothing = f"there is nothing to scale to {metres:g} m"
             raise ValueError(f"{self.name!r} is nothing but pure water: {nothing}")
-        spectra = {}
+        name = f"{self.name} at {metres:g} m visibility"
+        scaled = self.with_contents(factor)
+        provenance = (*self.provenance, f"{name}: all but pure water scaled by {factor:.4g}")
+        return type(self)(self.wavelengths, **scaled._spectra(), name=name, provenance=provenance)
+
+    def contents_for(self, contrast: float, metres: float) -> float:
+        """The factor on what is in the water besides pure water, with which a share `contrast` of
+        an object's contrast of luminance is left at `metres`, see `visibility`.
+
+        Args:
+            contrast: in (0, 1].
+            metres: > 0; infinity leaves the water as it is.
+
+        Returns:
+            The factor; 0 where pure water alone leaves less, infinity where nothing but pure water
+            is there to be scaled.
+        """
+        checks.within("contrast", contrast, *checks.DOMAIN["contrast"])
+        if math.isinf(metres):
+            return 1.0
+        nodes, eye = self._eye()
+        water = np.interp(nodes, self.wavelengths, self._pure().beta)
+        contents = np.interp(nodes, self.wavelengths, self.beta) - water
+        seen = eye * np.exp(-water * metres)
+        if seen.sum() < contrast:
+            return 0.0
+        return _distance_to(contrast, seen, contents * metres)
+
+    def with_contents(self, factor: float) -> Self:
+        """This water with `factor` times what is in it besides pure water, see
+        `with_visibility`.
+        """
+        checks.within("factor", factor, 0.0)
+        pure, spectra = self._pure(), {}
         for key in _SPECTRA:
             whole, still = getattr(self, key), getattr(pure, key)
-            spectra[key] = still + s * (whole - still)
-        name = f"{self.name} at {metres:g} m visibility"
-        provenance = (*self.provenance, f"{name}: all but pure water scaled by {s:.4g}")
-        return type(self)(self.wavelengths, **spectra, name=name, provenance=provenance)
+            spectra[key] = still + factor * (whole - still)
+        name = f"{factor:.3g}·contents of {self.name}"
+        return type(self)(self.wavelengths, **spectra, name=name, provenance=self.provenance)
+
+    def _spectra(self) -> dict[str, Array]:
+        return {key: getattr(self, key) for key in _SPECTRA}
 
     def _on(self, axis: Array) -> dict[str, Array]:
         return {key: np.interp(axis, self.wavelengths, getattr(self, key)) for key in _SPECTRA}
@@ -312,15 +344,15 @@ def _pure_water(nm: tuple[float, ...]) -> tuple[Array, Array]:
     return jerlov.pure_water_absorption(np.array(nm)), jerlov.pure_water_scattering(np.array(nm))
 
 
-def _distance_to_threshold(weights: Array, rates: Array) -> float:
-    """The z ≥ 0 at which Σ weights·e^(−rates·z) falls to the threshold; inf if it never does."""
-    if weights[rates == 0].sum() >= CONTRAST_THRESHOLD:
+def _distance_to(contrast: float, weights: Array, rates: Array) -> float:
+    """The z ≥ 0 at which Σ weights·e^(−rates·z) falls to `contrast`; inf if it never does."""
+    if weights[rates == 0].sum() >= contrast:
         return math.inf
     # the logarithm of the sum is convex and falls, so Newton's steps from 0 never overshoot
     z, step = 0.0, math.inf
     while step > 1e-15 * z:
         terms = weights * np.exp(-rates * z)
-        contrast = float(terms.sum())
-        step = math.log(contrast / CONTRAST_THRESHOLD) * contrast / float(terms @ rates)
+        left = float(terms.sum())
+        step = math.log(left / contrast) * left / float(terms @ rates)
         z += step
     return z
