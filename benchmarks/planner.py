@@ -158,7 +158,9 @@ def main(quick: bool = False) -> None:
     without = [row["rmse_one_blur_less"] for row in rows]
     spare = [rmse for rmse in without if rmse is not None]
     broken = sum(rmse > 0.5 * TOLERANCE for rmse in spare)
-    kept = f"{held} of {len(rows)} cells within {TOLERANCE}"
+    rmse, worst = (max(row[key] for row in rows) for key in ("rmse", "max"))
+    kept = f"RMSE within {TOLERANCE} in {held} of {len(rows)} cells, at most {rmse:.5f}"
+    kept += f"; the largest error of a single value {worst:.4f}"
     print(f"{kept}; one blur less breaks half of it in {broken} of {len(spare)}")
     if not quick:
         table = {"rows": rows, "within": held, "one_less_breaks": broken, "with_blurs": len(spare)}

@@ -73,9 +73,7 @@ def test_default_is_the_calibrated_model_exposed(focal_px: float | None) -> None
         middle = z[..., ::4, ::4].median()
         # the share of luminance contrast that is left at the middle distance, as drawn
         scaled = water.with_visibility(used["visibility"])
-        nm, eye = scaled._eye()
-        beta = np.interp(nm, scaled.wavelengths, scaled.beta)
-        assert eye @ np.exp(-beta * float(middle)) == pytest.approx(s["contrast"], rel=1e-4)
+        assert scaled.contrast(float(middle)) == pytest.approx(s["contrast"], rel=1e-4)
         law = PointSpread.calibrated(focal_px or W / 2 / math.tan(math.radians(30)))
         numbers = {name: s[name] for name in ("vertical_depth", "g", "mu")}
         medium = Medium.from_water(scaled, **numbers, point_spread=law, tolerance=1e-4)
@@ -309,11 +307,22 @@ def test_field_spans_what_was_asked(
 
 def test_media_are_shared() -> None:
     # a transform with few waters and fixed numbers builds few media, however many pictures
-    uwaug.degrade._medium.cache_clear()
-    aug = RandomUnderwater(["7C", "1C"])
+    uwaug.degrade._kept_medium.cache_clear()
+    aug = RandomUnderwater.survey(waters=["7C", "1C"])
     for i in range(20):
         aug.at(0, 0, i)(picture(), distances() + 1)
-    assert uwaug.degrade._medium.cache_info().misses == 2
+    assert uwaug.degrade._kept_medium.cache_info().misses == 2
+
+
+@pytest.mark.parametrize("name", ["mixing", "visibility", "vertical_depth", "g", "mu", "contrast"])
+def test_media_that_come_once_are_not_kept(name: str) -> None:
+    # they would pin the heap between the pictures of a loader
+    uwaug.degrade._kept_medium.cache_clear()
+    options = {"contrast": None, "vertical_depth": 1.0, "g": 0.1, "mu": 0.1, name: (0.5, 0.9)}
+    aug = RandomUnderwater(["7C", "1C"], **options)
+    for i in range(3):
+        aug.at(0, 0, i)(picture(), distances() + 1)
+    assert uwaug.degrade._kept_medium.cache_info().currsize == 0
 
 
 # What unknown pixels get

@@ -87,8 +87,10 @@ BATCHES = [
 def test_the_path_without_gradients_equals_the_one_with(size, dtype, atol) -> None:
     image, z = rand(2, 3, *size, dtype=dtype), distances(2, 1, *size).to(dtype)
     medium = Medium.stack([coefficients(), coefficients(5)])
-    with_gradients = form_image(image, z, tracked(medium), tolerance=0.001)
-    without = form_image(image, z, medium, tolerance=0.001)
+    # of one plan: by default that for gradients is finer
+    plan = blur_demand(medium, (float(z.min()), float(z.max())), 0.001).plan(size)
+    with_gradients = form_image(image, z, tracked(medium), plan=plan)
+    without = form_image(image, z, medium, plan=plan)
     for name in TERMS:
         a, b = getattr(with_gradients, name), getattr(without, name)
         assert (a.requires_grad, b.requires_grad) == (True, False)
@@ -239,6 +241,20 @@ def test_open_water_does_not_hide_where_light_scatters(tolerance) -> None:
         terms = form_image(image, z, medium, tolerance=tolerance)
         check(terms, image, z, medium, tolerance=tolerance)
         z[..., :16, :] = math.inf
+
+
+@pytest.mark.parametrize("factor", [None, 0.7, 1.3])
+def test_open_water_is_as_wide_as_very_far_water_in_source_order(factor) -> None:
+    # light that is scattered elsewhere reaches it
+    image, far = torch.from_numpy(reference.picture(48, 48))[None], distances(1, 1, 48, 48)
+    far[..., 24:] = 1e8
+    open_water = torch.where(far == 1e8, math.inf, far)
+    medium = coefficients(law=PointSpread(4.0, 1.0))
+    field = None if factor is None else torch.full_like(far, factor)
+    finite, endless = (
+        form_image(image, z, medium, field, order="source").image for z in (far, open_water)
+    )
+    assert (finite - endless).abs().max() <= 0.002
 
 
 @settings(max_examples=300, deadline=None, derandomize=True)

@@ -71,6 +71,7 @@ def test_planned_at_each_call() -> None:
     assert "planned at each call" in repr(free)
 
 
+@pytest.mark.filterwarnings("ignore:.*the blur is planned for")
 def test_beyond_its_range_only_widths_stop() -> None:
     medium = coastal()
     degrade = Underwater(medium, distance_range=(1.0, 3.0), color_space="linear")

@@ -96,7 +96,6 @@ def test_spectral_rows(name, water):
         vertical_depth=depth,
         g=g,
         mu=mu,
-        distance_range=(0.0, rest[1] * rest[3][1]),
     )
     assert same(preset.medium, expected)
     assert preset.medium.notes == expected.notes

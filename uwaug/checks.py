@@ -20,6 +20,7 @@ __all__ = [
     "floating",
     "instance",
     "metres",
+    "number_only",
     "one_of",
     "pair",
     "picture",
@@ -83,6 +84,7 @@ def bounds(low: float, high: float) -> str:
 
 def within(name: str, value: Any, low: float = -math.inf, high: float = math.inf) -> None:
     """Refuse a number outside [low, high], an infinite one, and what is no number."""
+    number_only(name, value)
     number = isinstance(value, (int, float, np.number))
     if not number or not (low <= value <= high and math.isfinite(value)):
         wanted = "finite" if low == -math.inf else bounds(low, high)
@@ -96,6 +98,13 @@ def pair(name: str, value: Any, wanted: str) -> tuple[float, float]:
     except (TypeError, ValueError):
         raise TypeError(f"{name} must be {wanted}, got {value!r}") from None
     return low, high
+
+
+def number_only(name: str, value: object) -> None:
+    """Refuse a tensor where a number is asked for, which would get no gradient."""
+    if isinstance(value, Tensor):
+        cure = "to learn what water does, use Underwater(…, learnable=True)"
+        raise TypeError(f"{name} must be a number, got a tensor; {cure}")
 
 
 def positive(name: str, value: float, unit: str = "") -> None:

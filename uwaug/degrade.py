@@ -4,6 +4,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -101,6 +102,8 @@ class Settings:
     focal_px: float | None
     exposure: Literal["none", "auto", "drawn"]
     tolerance: float
+    varied: bool
+    """Whether each picture has a medium of its own, so that none need be kept."""
 
     def law(self, width: int) -> PointSpread:
         """The width law for a picture of `width` px."""
@@ -198,7 +201,7 @@ def in_water(
     else:
         z = to_metres(distance.contiguous(), draw.scaling, settings.distance_kind, settings.unknown)
     water, contents = _water(waters, draw, z)
-    medium = _medium(water, camera, draw, settings.law(image.shape[-1]), settings.tolerance)
+    medium = _medium(water, camera, draw, settings.law(image.shape[-1]), settings)
     light, z, medium = prepare(light, z, medium, _field(draw, z))
     gain = _gain(light, z, medium, draw, settings)
     return InWater(light, z, medium.brightened(gain), water, contents, gain)
@@ -246,16 +249,37 @@ def _gain(light: Tensor, z: Tensor, medium: Medium, draw: Draw, settings: Settin
     return light.new_full((1,), 2.0**stops)
 
 
-def _medium(water: Water, camera: Camera, draw: Draw, law: PointSpread, tolerance: float) -> Medium:
+def _medium(
+    water: Water, camera: Camera, draw: Draw, law: PointSpread, settings: Settings
+) -> Medium:
+    # media that are kept for nothing would lie between the pictures in memory, so that the heap
+    # could not shrink
+    make = _new_medium if settings.varied else _kept_medium
+    numbers = (draw.vertical_depth, draw.g, draw.mu)
+    return make(water, camera, numbers, law.widened(draw.blur_factor), settings.tolerance)
+
+
+def _new_medium(
+    water: Water,
+    camera: Camera,
+    numbers: tuple[float, float, float],
+    law: PointSpread,
+    tolerance: float,
+) -> Medium:
+    depth, g, mu = numbers
     return Medium.from_water(
         water,
         camera,
-        vertical_depth=draw.vertical_depth,
-        g=draw.g,
-        mu=draw.mu,
-        point_spread=law.widened(draw.blur_factor),
+        vertical_depth=depth,
+        g=g,
+        mu=mu,
+        point_spread=law,
         tolerance=tolerance,
     )
+
+
+_kept_medium = lru_cache(maxsize=64)(_new_medium)
+"""Nine waters, or pairs of them, seen by a few cameras."""
 
 
 @torch.library.custom_op(

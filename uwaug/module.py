@@ -1,149 +1,30 @@
 """`Underwater`: a medium and a plan as an `nn.Module`."""
 
 import json
-from collections.abc import Callable
-from dataclasses import replace
+import warnings
+from dataclasses import asdict
 from operator import index
-from typing import TYPE_CHECKING, Any, Self, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
 
 from uwaug import checks, planned
+from uwaug.blur.beyond import beyond_plan
 from uwaug.blur.demand import BlurDemand, blur_demand
 from uwaug.blur.plan import BlurPlan
 from uwaug.colour import ColorSpace, from_light, headroom, to_light
 from uwaug.exposure import Exposure, brightest, exposed, require_exposure
 from uwaug.formation import Order, form, plan_at_hand, prepare, together, unbatched, validate
+from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
+from uwaug.parameters import FixedMedium, LearnableMedium
 
-__all__ = ["FixedMedium", "LearnableMedium", "Underwater"]
-
-
-class _InFullPrecision(nn.Module):
-    """A module whose tensors never get less precise than float32: `half()` of a network must not
-    round a water. The result has the image's type all the same.
-    """
-
-    def _apply(self, function: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
-        def kept(value: Tensor) -> Tensor:
-            changed = function(value)
-            narrow = changed.is_floating_point() and changed.dtype.itemsize < 4
-            return value.to(changed.device) if narrow else changed
-
-        super()._apply(kept, recurse)  # type: ignore[no-untyped-call]
-        return self
+__all__ = ["Underwater"]
 
 
-class FixedMedium(_InFullPrecision):
-    """A medium whose tensors are buffers: it moves and is saved with a module.
-
-    What is one number for the whole batch in its width law stays a number, of the module and not
-    of its state: x² is faster than a power.
-
-    Args:
-        medium: any batch.
-    """
-
-    def __init__(self, medium: Medium) -> None:
-        super().__init__()
-        self.start = _detached(medium)
-        numbers = self.start.point_spread.numbers()
-        for name, value in self.start.parameters().items():
-            if isinstance(numbers.get(name, value), Tensor):
-                self.register_buffer(name, value.clone())
-
-    def forward(self) -> Medium:
-        """The medium at hand."""
-        held: dict[str, Any] = dict(self.named_buffers())
-        law = self.start.point_spread
-        numbers = {name: held.pop(name) for name in law.NUMBERS if name in held}
-        return replace(self.start, **held, point_spread=replace(law, **numbers))
-
-
-class LearnableMedium(_InFullPrecision):
-    """A medium made of unconstrained parameters: whatever they are, rates, light, veil and width
-    scale are positive, and direct and signal light are equal at z = 0.
-
-    Args:
-        medium: where learning starts.
-        width: learn the scale of the width law too.
-
-    Raises:
-        ValueError: if the light at z = 0 is one in `direct_weights`, another in `signal_weights`.
-    """
-
-    b_mean: Tensor
-    veil_used: Tensor
-
-    def __init__(self, medium: Medium, width: bool = True) -> None:
-        super().__init__()
-        self.start = _detached(medium)
-        values = self.start.parameters()
-        light, signal_light = (
-            values[name].sum(-1) for name in ("direct_weights", "signal_weights")
-        )
-        apart = float((light - signal_light).abs().max())
-        if apart > 1e-5:
-            raise ValueError(
-                "a learnable medium needs direct_weights and signal_weights of one sum, "
-                f"the light at z = 0; they differ by {apart:.2g}"
-            )
-        self.register_buffer("b_mean", values["b_mean"].clone())
-        if isinstance(self.start.point_spread.exponent, Tensor):
-            self.register_buffer("exponent", values["exponent"].clone())
-        self.register_buffer("veil_used", values["veil_weights"] > 0)
-        self.raw_beta = _positive(values["beta"])
-        self.raw_G = _positive(values["G"])
-        self.raw_veil_weights = _positive(values["veil_weights"])
-        self.raw_light = _positive(light)
-        self.raw_scale = _positive(values["scale"]) if width else None
-        self.direct = _Shares(values["direct_weights"])
-        self.signal = _Shares(values["signal_weights"])
-
-    def forward(self) -> Medium:
-        """The medium at hand, of tensors that carry gradients to the parameters."""
-        law = self.start.point_spread
-        if self.raw_scale is not None:
-            law = replace(law, scale=F.softplus(self.raw_scale))
-        if isinstance(law.exponent, Tensor):
-            law = replace(law, exponent=self.get_buffer("exponent"))
-        light = F.softplus(self.raw_light)[..., None]
-        return Medium(
-            beta=F.softplus(self.raw_beta),
-            direct_weights=light * self.direct(),
-            G=F.softplus(self.raw_G),
-            signal_weights=light * self.signal(),
-            veil_weights=F.softplus(self.raw_veil_weights) * self.veil_used,
-            b_mean=self.b_mean,
-            point_spread=law,
-            notes=self.start.notes,
-        )
-
-
-class _Shares(nn.Module):
-    """Weights that sum to 1; what is no weight at the start stays none."""
-
-    used: Tensor
-
-    def __init__(self, weights: Tensor) -> None:
-        super().__init__()
-        self.register_buffer("used", weights > 0)
-        self.raw = nn.Parameter(torch.log(weights.clamp(min=1e-30)))
-
-    def forward(self) -> Tensor:
-        return torch.softmax(self.raw.masked_fill(~self.used, -1e30), -1)
-
-
-def _detached(medium: Medium) -> Medium:
-    return medium.map(lambda t: t.detach().clone())
-
-
-def _positive(value: Tensor) -> nn.Parameter:
-    """A parameter whose softplus is `value`."""
-    y = value.clamp(min=1e-6)
-    return nn.Parameter(y + torch.log(-torch.expm1(-y)))
+_ROOM = 2.0
+"""Either way, for the width that is learned, until it is planned anew."""
 
 
 class Underwater(nn.Module):
@@ -154,12 +35,14 @@ class Underwater(nn.Module):
         distance_range: (nearest, farthest) effective distance m·z, m, for which the blur is planned
             once; beyond it widths stop changing. None plans for each call's own distances, which
             cannot be compiled or exported.
-        tolerance: largest error of the blur in the image, on a scale of 0…1.
+        tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f²;
+            single pixels may be off by 3 to 5 times as much.
         color_space: "srgb" decodes, works in linear light, encodes again and clips to 0…1 (to the
             picture's own largest value if that is above 1); "linear" takes values as they are and
             never clips.
-        learnable: make rates, light, veil and width scale parameters; they stay positive, and
-            direct and signal light stay equal at z = 0.
+        learnable: make rates, light, veil and width scale parameters, see
+            `uwaug.parameters.LearnableMedium` for what stays true of them. A width that leaves the
+            plan is planned for anew, except in a compiled module.
         order: "line_of_sight", or "source" for the paper's equation, see `uwaug.form_image`.
         exposure: "none": light is lost as it is in the water. "auto": as a camera does, one gain
             for each picture keeps the mean luminance of the scene, from 1/8 to 64. A number: a gain
@@ -214,13 +97,13 @@ class Underwater(nn.Module):
         self.order: Order = order
         self.exposure: Exposure = exposure
         self.learnable = learnable
-        self.sides = None if sides is None else planned.sides_of(sides)
+        self._sides = None if sides is None else planned.sides_of(sides)
         self.demand: BlurDemand | None = None
+        self._warned = False
         # of a file that the module was read from, which another version may have written
         self.stored_plan: BlurPlan | None = None
         if self.distance_range is not None:
-            # an octave either way, for the width that is learned
-            margin = 2.0 if learnable else 1.0
+            margin = _ROOM if learnable else 1.0
             self.demand = blur_demand(
                 brightest(medium, exposure),
                 self.distance_range,
@@ -229,8 +112,6 @@ class Underwater(nn.Module):
                 learned=learnable,
                 margin=margin,
             )
-            if self.sides is None and planned.serves_every_size(self.demand):
-                self.sides = planned.EVERY_SIDE
         elif sides is not None:
             raise ValueError(f"sides need a distance_range to plan for, got sides={sides} alone")
         self.coefficients: FixedMedium | LearnableMedium = FixedMedium(medium)
@@ -244,6 +125,13 @@ class Underwater(nn.Module):
         """The medium at hand; if learnable, of tensors that carry gradients to the parameters."""
         medium: Medium = self.coefficients()
         return medium
+
+    @property
+    def sides(self) -> tuple[int, int] | None:
+        """Short sides, px, of pictures that share a plan; None if each size has its own."""
+        if self._sides is None and self.demand and planned.serves_every_size(self.demand):
+            return planned.EVERY_SIDE
+        return self._sides
 
     def plan(self, size: tuple[int, int]) -> BlurPlan | None:
         """The blur plan for images of (height, width) `size`; None without a `distance_range`."""
@@ -266,9 +154,41 @@ class Underwater(nn.Module):
         """Degrade an image; see the class."""
         medium = self.medium
         validate(image, distance, medium, field, also_bytes=True)
+        self.keep_up(medium)
         plan = self.plan((image.shape[-2], image.shape[-1]))
+        self._look_beyond(distance, field, medium)
         result = self.formed(image, distance, field, medium, plan)
         return result[0] if unbatched(image, distance, medium, field) else result
+
+    def _look_beyond(self, distance: Tensor, field: Tensor | None, medium: Medium) -> None:
+        """Warn, once, if distances lie beyond the plan and it shows."""
+        if self._warned or self.demand is None or torch.compiler.is_compiling():
+            return
+        assert self.distance_range is not None
+        z = distance.detach()
+        if field is not None:
+            z = z.clamp(max=FARTHEST) * field.detach()
+        said = beyond_plan(z, medium, self.distance_range, self.demand, self.tolerance)
+        if said:
+            self._warned = True
+            warnings.warn(said, stacklevel=3)
+
+    def keep_up(self, medium: Medium) -> None:
+        """Plan anew if what was learned has left the plan, at whose ends widths would stop changing
+        and learning would stick. A compiled module keeps the plan that it was compiled with.
+        """
+        if not self.learnable or self.demand is None or torch.compiler.is_compiling():
+            return
+        assert self.distance_range is not None
+        wanted = blur_demand(
+            brightest(medium, self.exposure),
+            self.distance_range,
+            self.tolerance,
+            order=self.order,
+            learned=True,
+        )
+        if not self.demand.covers(wanted):
+            self.demand = wanted.widened(_ROOM)
 
     def formed(
         self,
@@ -302,10 +222,14 @@ class Underwater(nn.Module):
         theirs = json.loads(state.cpu().numpy().tobytes())
         apart = []
         for name, mine in self._settings().items():
-            if not planned.alike(mine, theirs.get(name)):
+            adopted = name == "demand" and self.learnable and mine and theirs.get(name)
+            if not adopted and not planned.alike(mine, theirs.get(name)):
                 apart.append(f"{name} is {theirs.get(name)} there and {mine} here")
         if apart:
             raise ValueError(f"state_dict is of an Underwater of another kind: {'; '.join(apart)}")
+        if self.learnable and self.demand is not None:
+            # while it learned, that module may have planned anew
+            self.demand = BlurDemand(**theirs["demand"])
 
     def _settings(self) -> dict[str, Any]:
         """What `load_state_dict` compares."""
@@ -317,10 +241,8 @@ class Underwater(nn.Module):
         for name, value in law.numbers().items():
             if name not in held and not (self.learnable and name == "scale"):
                 settings[name] = float(value)
-        settings |= {"sides": self.sides, "tolerance": self.tolerance, "widths": None}
-        if self.demand is not None:
-            settings["widths"] = [self.demand.low, self.demand.high]
-            settings["tolerance"] = self.demand.blur_tolerance
+        settings |= {"sides": self._sides, "tolerance": self.tolerance}
+        settings["demand"] = None if self.demand is None else asdict(self.demand)
         return settings
 
     def extra_repr(self) -> str:

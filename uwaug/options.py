@@ -66,6 +66,10 @@ SURVEY: dict[str, Any] = {
 """The set of the paper's survey."""
 
 
+_OF_MEDIUM = ("mixing", "visibility", "vertical_depth", "g", "mu", "blur_factor")
+"""What makes a medium of waters and a camera."""
+
+
 def contrast_of(level: int) -> float:
     """The contrast of a grade of severity."""
     if level not in (1, 2, 3, 4, 5):
@@ -134,7 +138,15 @@ def settings_of(aug: RandomUnderwater) -> Settings:
         focal_px=aug.focal_px,
         exposure=exposure,
         tolerance=aug.tolerance,
+        varied=_varies(_ranges(aug)),
     )
+
+
+def _varies(ranges: dict[str, tuple[float, float]]) -> bool:
+    """Whether draws from these ranges make a new medium each time."""
+    if "contrast" in ranges:  # which is a matter of the picture's distances
+        return True
+    return any(ranges[name][0] < ranges[name][1] for name in _OF_MEDIUM if name in ranges)
 
 
 def _ranges(aug: RandomUnderwater) -> dict[str, tuple[float, float]]:

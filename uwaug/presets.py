@@ -93,13 +93,9 @@ class Preset:
         as there.
         """
         low, high = self.field_range
-        return Underwater(
-            self.medium,
-            (self.near * low, self.far * high),
-            color_space=self.color_space,
-            exposure=self.exposure,
-            sides=sides,
-        )
+        distances = (self.near * low, self.far * high)
+        options: dict[str, Any] = {"color_space": self.color_space, "exposure": self.exposure}
+        return Underwater(self.medium, distances, sides=sides, **options)
 
 
 def list_presets() -> list[str]:
@@ -211,7 +207,6 @@ def _medium(config: Config, spectral: dict[str, Any] | None) -> Medium:
         g=spectral["g"],
         mu=spectral["mu"],
         point_spread=law,
-        distance_range=(0.0, config.distance.far_m * config.field.high),
     )
 
 

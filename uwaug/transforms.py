@@ -377,7 +377,9 @@ class RandomUnderwater(nn.Module):
         waters = list(self.waters) if set(self.waters.values()) == {1} else self.waters
         shown = [repr(waters)] if waters != list(GOOD_WATERS) else []
         for name, parameter in list(inspect.signature(type(self)).parameters.items())[1:]:
-            value = getattr(self, name)
-            if value not in (parameter.default, [parameter.default]):
+            value, default = getattr(self, name), parameter.default
+            if name == "contrast" and self.visibility is not None:
+                continue  # visibility takes its place
+            if value not in (default, [default]):
                 shown.append(f"{name}={value!r}")
         return f"{type(self).__name__}({', '.join(shown)})"

@@ -7,7 +7,7 @@ import torch
 from blurring import RANGES, constant
 from inputs import rand
 
-from uwaug.blur.plan import plan_blur
+from uwaug.blur.plan import _exponential_transfer, _frequencies, plan_blur
 from uwaug.blur.stack import varying_blur
 
 
@@ -90,6 +90,10 @@ def test_no_blur_where_it_would_not_show() -> None:
     assert "no blur" in str(plan)
 
 
+def test_a_wide_range_may_ask_for_a_fine_tolerance() -> None:
+    assert len(plan_blur(0.1, 2000.0, 0.0002).sigmas) <= 33
+
+
 def test_plans_are_values() -> None:
     plan = plan_blur(0.9, 4.5, 0.002)
     assert plan == plan_blur(0.9, 4.5, 0.002)
@@ -132,9 +136,28 @@ def test_exponential_plans_hold_in_small_and_in_long_pictures(height, width) -> 
         ((0.0, 2.0, -0.1), "tolerance.*-0.1"),
         ((0.0, 2.0, math.nan), "tolerance.*nan"),
         ((0.0, 2.0, 0.002, "box"), "shape.*box"),
-        ((1.0, 4.0, 1e-12), "tolerance 1e-12"),
+        ((0.0, 900.0, 1e-12), "0…900 px need more than 32 blurs.*1e-12.*larger tolerance"),
     ],
 )
 def test_plan_rejects(arguments, match) -> None:
     with pytest.raises(ValueError, match=match):
         plan_blur(*arguments)
+
+
+@pytest.mark.parametrize("sigma", [0.02, 0.03, 0.05, 0.1, 0.15, 0.3, 1.0, 3.0])
+def test_no_light_is_added_by_an_exponential_shape(sigma) -> None:
+    # the mixture that stands for it adds up to 1, so that low frequencies see e^(−2πσf)
+    (transfer,) = _exponential_transfer(np.array([sigma]), 512.0)
+    f = np.hypot(*_frequencies(512.0))
+    assert transfer.max() <= 1
+    low = f < 0.02
+    np.testing.assert_allclose(transfer[low], np.exp(-2 * np.pi * sigma * f[low]), atol=2e-4)
+
+
+def test_a_narrow_exponential_keeps_a_fine_tolerance() -> None:
+    image = reference.picture(160, 200)
+    for sigma in (0.06, 0.1, 0.14):
+        plan = plan_blur(sigma, sigma, 0.0001, "exponential")
+        result = constant(torch.from_numpy(image)[None], sigma, plan=plan)[0].numpy()
+        error = result - reference.exponential(image, sigma)
+        assert math.sqrt((error**2).mean()) <= 0.0001

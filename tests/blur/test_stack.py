@@ -155,12 +155,13 @@ def test_linear_in_the_image(height, width, low, more, factor) -> None:
 @given(st.integers(1, 30), st.integers(1, 30), st.floats(0.7, 50))
 def test_turning_and_mirroring_the_image_turns_and_mirrors_the_blur(height, width, sigma) -> None:
     image = rand(1, 1, height, width)
-    plan = plan_blur(sigma, sigma + 1)
+    plan = plan_blur(sigma, sigma + 1, 0.0005)
     result = blur(image, plan, sigma)
-    # not exactly: where a kernel of a coarse grid is cut depends on how its centre rounds
+    # to the tolerance only: a coarse grid lies differently, and where a kernel is cut depends on
+    # how its centre rounds
     turned, mirrored = blur(image.mT, plan, sigma), blur(image.flip(2, 3), plan, sigma)
-    torch.testing.assert_close(turned, result.mT, rtol=0, atol=1e-3)
-    torch.testing.assert_close(mirrored, result.flip(2, 3), rtol=0, atol=1e-3)
+    torch.testing.assert_close(turned, result.mT, rtol=0, atol=5e-4)
+    torch.testing.assert_close(mirrored, result.flip(2, 3), rtol=0, atol=5e-4)
 
 
 @pytest.mark.parametrize(

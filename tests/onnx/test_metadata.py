@@ -24,7 +24,7 @@ def test_metadata(frozen) -> None:
     path, module = frozen
     found = read_metadata(path)
     assert found["uwaug_version"] == uwaug.__version__
-    assert found["uwaug_water"].startswith("7C: 3 + 3 rates")
+    assert found["uwaug_water"].startswith("7C: 3 + 2 rates")
     assert json.loads(found["uwaug_distance_range_m"]) == list(module.distance_range)
     assert json.loads(found["uwaug_sides_px"]) == [32, 1024]
     assert float(found["uwaug_tolerance"]) == 0.002

@@ -21,7 +21,15 @@ from uwaug import checks
 from uwaug.blur.kernels import PERIOD, Array, sampled_parameter
 from uwaug.optics.point_spread import Shape
 
-__all__ = ["NO_BLUR", "V_FLOOR", "BlurPlan", "octave_steps", "plan_blur", "range_in_v"]
+__all__ = [
+    "NO_BLUR",
+    "V_FLOOR",
+    "BlurPlan",
+    "difference",
+    "octave_steps",
+    "plan_blur",
+    "range_in_v",
+]
 
 V_FLOOR = 0.5
 """px² or, of an exponential shape, px: keeps v finite at σ = 0."""
@@ -31,16 +39,17 @@ _CONTRAST = 0.25
 
 # How a plan is chosen. In brackets: what other values make of the number of blurs in 30 Gaussian +
 # 30 exponential plans (ten ranges of σ from 0…0.5 to 0…200 px, tolerances .01, .002, .0005), which
-# is 182 + 244.
+# is 182 + 241. With a bound on each wave as well, of 8 tolerances at full contrast (without it: 12
+# at most), a tenth more Gaussian ones would be needed, and pictures would gain little.
 # Planned RMSE as a share of the tolerance: .002 gives 60 dB and .0005 72 dB.
 _PLANNED = 0.48
 # The same if _MOST_NODES are not enough, as for the sharp tails of an exponential shape.
 _PLANNED_AT_MOST = 0.6
-# Most blurs of a stack, beside σ = 0.
-_MOST_NODES = 24
-# Places in the range at which the weights are fitted (17: 180 + 245; 65: 182 + 244).
+# Most blurs of a stack, beside σ = 0. (24: refused a tolerance of .0002 for widths of .1…2000 px.)
+_MOST_NODES = 32
+# Places in the range at which the weights are fitted (17: 180 + 242; 65: 182 + 241).
 _PLACES = 33
-# So many errors of a single blur make up the planned RMSE (1: 263 + 257; 10: 178 + 244).
+# So many errors of a single blur make up the planned RMSE (1: 263 + 255; 10: 178 + 241).
 _NOISE = 3
 # px. A range from below this has σ = 0 among its blurs (never: 393 + 337).
 _IDENTITY_BELOW = 0.75
@@ -49,13 +58,13 @@ _NARROWEST = 0.6
 # Share of the widest σ, if that is less (1: 203 Gaussian).
 _NARROWEST_SHARE = 0.7
 # An exponential shape of σ mixes Gaussians of widths σ/|N(0, 1)|; beyond x·σ lies .8/x of its light
-# The widest blur is _TAIL/target·σ (.2: 241 exponential; .8: 246).
+# The widest blur is _TAIL/target·σ (.2: 238 exponential; .8: 243).
 _TAIL = 0.4
-# The widest blur in longest sides; wider ones all give the mean (.375: 300; 1.5: 257).
+# The widest blur in longest sides; wider ones all give the mean (.375: 304; 1.5: 257).
 _WIDEST = 0.75
-# The narrowest blur as a share of the narrowest σ (.25: 257; 1: 349).
+# The narrowest blur as a share of the narrowest σ (.25: 254; 1: 352).
 _CORE = 0.5
-# px, the narrowest blur that is not σ = 0 (.2 and .5: 247).
+# px, the narrowest blur that is not σ = 0 (.2 and .5: 246).
 _NARROWEST_EXPONENTIAL = 0.3
 
 
@@ -107,8 +116,9 @@ def plan_blur(
 
     Args:
         sigma_min, sigma_max: range of widths, px, 0 ≤ sigma_min ≤ sigma_max.
-        tolerance: largest error that may pass, on a scale of 0…1; the planned RMSE is half of it,
-            so that .002 gives 60 dB and .0005 72 dB on a picture with a standard deviation of .25.
+        tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f²;
+            single pixels may be off by 3 to 5 times as much. Half of it is planned, so that .002
+            gives 60 dB and .0005 72 dB on a picture with a standard deviation of .25.
         shape: what a pixel of width σ asks for. "gaussian": exp(−2π²σ²f²). "exponential":
             exp(−2πσf), the classical transfer function of McGlamery (1980) and Jaffe (1990), whose
             point spread ∝ (r² + σ²)^(−3/2) has half of its energy beyond 1.7 σ and no finite
@@ -119,7 +129,7 @@ def plan_blur(
 
     Raises:
         ValueError: if the range, the longest side or the tolerance is not as above, or the
-            tolerance needs more than 24 blurs.
+            tolerance needs more than 32 blurs.
     """
     if not 0 <= sigma_min <= sigma_max < math.inf:
         expected = "0 ≤ sigma_min ≤ sigma_max, finite, in px"
@@ -127,10 +137,7 @@ def plan_blur(
     checks.tolerance(tolerance)
     checks.one_of("shape", shape, get_args(Shape))
     checks.within("longest", longest, 1)
-    octave = 512.0
-    if shape == "exponential":
-        # in octaves, so that sizes share plans; a tiny picture would ask too much of narrow blurs
-        octave = max(octave_steps(longest, 1, math.ceil), 256.0)
+    octave = _octave(shape, longest)
     return _plan_blur(float(sigma_min), float(sigma_max), float(tolerance), shape, octave)
 
 
@@ -147,8 +154,9 @@ def _plan_blur(low: float, high: float, tolerance: float, shape: Shape, longest:
         if error <= target or last_resort:
             break
     else:
-        most = f"more than {_MOST_NODES} blurs for σ {low}…{high} px"
-        raise ValueError(f"tolerance {tolerance} needs {most}")
+        widths = f"widths of {low:.3g}…{high:.3g} px need more than {_MOST_NODES} blurs"
+        cure = "ask for a larger tolerance, or for a smaller range of distances or widths"
+        raise ValueError(f"{widths} for an RMSE of {tolerance:.3g} of the blurred picture: {cure}")
     decibel = -20 * math.log10(target)
     # Grid samples per σ, and σ at which kernels are cut, so that either errs by a _NOISE-th of the
     # plan, 9.5 dB less: a grid of 1.1 samples by 70 dB and one of 1.5 by 84; a kernel of 3 σ by 70
@@ -164,6 +172,22 @@ def _plan_blur(low: float, high: float, tolerance: float, shape: Shape, longest:
         error=error,
         shape=shape,
     )
+
+
+def difference(sigma: float, other: float, shape: Shape, longest: float) -> float:
+    """RMSE of one width taken for another, on the picture that plans are made for."""
+    octave = _octave(shape, longest)
+    transfer = _exponential_transfer if shape == "exponential" else _gaussian_transfer
+    ours, theirs = transfer(np.array([sigma, other]), octave) * _amplitude(octave)
+    return float(np.sqrt(((ours - theirs) ** 2).sum()))
+
+
+def _octave(shape: Shape, longest: float) -> float:
+    """The longest side that plans are made for, px: in octaves, so that sizes share plans."""
+    if shape == "gaussian":
+        return 512.0
+    # a tiny picture would ask too much of narrow blurs
+    return max(octave_steps(longest, 1, math.ceil), 256.0)
 
 
 def _wanted(low: float, high: float, shape: Shape, longest: float) -> tuple[Array, Array]:
@@ -189,8 +213,8 @@ def _nodes(
     else:
         first, last, narrowest = low, high, min(_NARROWEST, _NARROWEST_SHARE * high)
     start, end = _v(max(first, narrowest), "gaussian"), _v(max(last, narrowest), "gaussian")
-    # .3 equal steps of v : .7 Chebyshev nodes, to the power 1.1 (equal steps: 241 + 305; Chebyshev
-    # nodes: 182 + 263; power 1: 188 + 246)
+    # .3 equal steps of v : .7 Chebyshev nodes, to the power 1.1 (equal steps: 241 + 304; Chebyshev
+    # nodes: 182 + 263; power 1: 188 + 244)
     steps = (np.arange(count) + 0.5) / count
     steps = (0.3 * steps + 0.35 * (1 - np.cos(np.pi * steps))) ** 1.1
     identity = (0.0,) if first < _IDENTITY_BELOW else ()
@@ -215,7 +239,7 @@ def _fit(
     sides = np.concatenate([(wanted - basis[-1]).T, -noise * alone])
     # first over the frequencies, at each place; then along the range
     free = np.linalg.lstsq(system, sides, rcond=1e-12)[0]
-    # one degree less: 189 + 246 blurs; two more: 178 + 244
+    # one degree less: 189 + 242 blurs; two more: 178 + 241
     degree = 0 if len(places) == 1 or k == 1 else k + (sigmas[0] == 0)
     powers = np.polynomial.chebyshev.chebvander(places, degree)
     fitted = np.linalg.lstsq(powers, free.T, rcond=None)[0].T
@@ -309,5 +333,7 @@ def _exponential_transfer(sigmas: Array, longest: float) -> Array:
     x = np.maximum(sigmas, 1e-9)[:, None] / widths  # |N(0, 1)| distributed
     step = math.log(widths[1] / widths[0])
     shares = math.sqrt(2 / math.pi) * x * np.exp(-0.5 * x * x) * step
+    # all below the first width counts as sharp: of its own step, half is left
+    shares[:, 0] *= 0.5
     sharp = np.array([[math.erfc(sigma / widths[0] / math.sqrt(2))] for sigma in sigmas])
     return np.asarray(sharp + shares @ transfers)

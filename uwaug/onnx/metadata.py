@@ -97,6 +97,8 @@ def plan_of(module: Underwater) -> BlurPlan:
     if module.sides is None:
         cure = f"give Underwater(…, sides={SIDES}), so that module and file share one plan"
         raise ValueError(f"module has no sides and plans its blur for each picture's size: {cure}")
+    # as it would be at the next picture, after parameters have changed
+    module.keep_up(module.medium)
     plan = module.plan(module.sides)
     assert plan is not None
     return plan
@@ -183,10 +185,10 @@ def _stored(metadata: dict[str, str]) -> Stored:
     if plan != NO_BLUR:
         checks.one_of("plan.shape", plan.shape, (medium.point_spread.shape,))
     checks.one_of("color_space", metadata["uwaug_color_space"], get_args(ColorSpace))
-    tolerance = float(metadata["uwaug_tolerance"])
-    checks.tolerance(tolerance)
     exposure = json.loads(metadata["uwaug_exposure"])
     require_exposure(exposure)
+    tolerance = float(metadata["uwaug_tolerance"])
+    checks.tolerance(tolerance)
     return Stored(
         options=Options.of(metadata),
         medium=medium,

@@ -1,0 +1,95 @@
+"""Pictures, media and ranges at random, against a referee that shares nothing with the package."""
+
+import numpy as np
+import pytest
+import referee
+import torch
+
+from uwaug.formation import form_image
+from uwaug.optics.camera import Camera
+from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.water import Water
+
+BANDS = np.arange(400.0, 701.0, 5.0)
+TOLERANCES = (0.01, 0.002, 0.0005, 0.0001)
+
+
+def photograph(generator: np.random.Generator, h: int, w: int) -> np.ndarray:
+    """Power ∝ 1/f², 0…1."""
+    f = np.hypot(np.fft.fftfreq(h)[:, None], np.fft.fftfreq(w))
+    f[0, 0] = np.inf
+    spectrum = np.fft.fft2(generator.standard_normal((3, h, w)), axes=(1, 2)) / f
+    picture = np.fft.ifft2(spectrum, axes=(1, 2)).real
+    return np.clip(0.5 + 0.25 * picture / picture.std((1, 2), keepdims=True), 0, 1)
+
+
+def scene(generator: np.random.Generator, h: int, w: int) -> np.ndarray:
+    """Distances, m: a slope and steps, of a range that is drawn."""
+    near = 10 ** generator.uniform(-1, 0.5)
+    far = near * 10 ** generator.uniform(0.1, 1.2)
+    steps = np.kron(generator.random((3, 3)), np.ones((-(-h // 3), -(-w // 3))))[:h, :w]
+    slope = np.linspace(0, 1, h * w).reshape(h, w)
+    return near + (far - near) * (0.7 * steps + 0.3 * slope)
+
+
+def spectrum(generator: np.random.Generator, low: float, high: float) -> np.ndarray:
+    """A smooth spectrum between two values."""
+    places = np.linspace(400, 700, 5)
+    return np.interp(BANDS, places, generator.uniform(low, high, 5))
+
+
+def water(generator: np.random.Generator) -> referee.Water:
+    """Spectra that no table holds."""
+    dirt = 10 ** generator.uniform(-1.5, 0.2)
+    peaks = generator.uniform((570, 510, 430), (630, 560, 480))
+    widths = generator.uniform(20, 50, 3)
+    response = np.exp(-0.5 * ((BANDS - peaks[:, None]) / widths[:, None]) ** 2)
+    return referee.Water(
+        a=spectrum(generator, 0.02, 0.02 + 0.4 * dirt),
+        b=spectrum(generator, 0.7 * dirt, dirt),
+        kd=spectrum(generator, 0.02, 0.02 + dirt),
+        response=response / response.sum(1, keepdims=True),
+        depth=generator.uniform(0, 3),
+        g=generator.uniform(0, 0.5),
+        mu=generator.uniform(0, 0.5),
+    )
+
+
+def ours(given: referee.Water, law: referee.Law, far: float, tolerance: float) -> Medium:
+    """The same as a medium of the package."""
+    spectra = Water(BANDS, given.a, given.b, given.kd)
+    return Medium.from_water(
+        spectra,
+        Camera(BANDS, given.response.T),
+        vertical_depth=given.depth,
+        g=given.g,
+        mu=given.mu,
+        point_spread=PointSpread(law.scale, law.exponent, law.shape),
+        tolerance=tolerance,
+        distance_range=(0.0, far),
+    )
+
+
+@pytest.mark.parametrize("order", ["line_of_sight", "source"])
+@pytest.mark.parametrize("shape", ["gaussian", "exponential"])
+@pytest.mark.parametrize("seed", range(8))
+def test_every_picture_is_right_within_its_tolerance(seed: int, shape: str, order: str) -> None:
+    generator = np.random.default_rng((seed, shape == "gaussian", order == "source"))
+    h, w = (int(size) for size in generator.integers(8, 28, 2))
+    J, z = photograph(generator, h, w), scene(generator, h, w)
+    given = water(generator)
+    # widths from a fiftieth of a pixel to the whole picture at the farthest distance
+    exponent, widest = generator.uniform(0.5, 1.2), 10 ** generator.uniform(-1.7, 1.5)
+    scale = widest / given.lengths(z.max()) ** exponent
+    law = referee.Law(float(scale), exponent, shape)
+    exact = referee.terms(J, z, given, law, order)
+    image, distance = torch.from_numpy(J), torch.from_numpy(z)[None]
+    for tolerance in TOLERANCES:
+        medium = ours(given, law, 1.01 * float(z.max()), tolerance / 10)
+        found = form_image(image, distance, medium, order=order, tolerance=tolerance)
+        parts = (found.direct, found.forward, found.backscatter)
+        names = ("direct", "forward", "backscatter")
+        for name, part, wanted in zip(names, parts, exact, strict=True):
+            error = np.sqrt(np.square(part.numpy() - wanted).mean())
+            assert error <= tolerance, f"{name} at {tolerance}: {medium}"

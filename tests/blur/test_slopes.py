@@ -1,0 +1,168 @@
+"""Gradients to the width, against autograd through the exact model."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import reference
+import torch
+from scipy.fft import dctn, idct
+from torch import Tensor
+
+from uwaug.blur.demand import blur_demand
+from uwaug.blur.plan import NO_BLUR
+from uwaug.formation import form_image
+from uwaug.module import Underwater
+from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread, Shape
+from uwaug.optics.water import Water
+
+SIDE, NEAR, FAR = 48, 1.0, 5.5  # px, m
+Model = Callable[[Medium], Tensor]
+
+
+def exact_blur(image: Tensor, sigma: Tensor, shape: Shape) -> Tensor:
+    """An image (3, S, S), each pixel under its own width ≥ 2 px: a sum of its cosine waves."""
+    waves = torch.from_numpy(dctn(image.numpy(), axes=(1, 2), norm="ortho"))
+    cosines = torch.from_numpy(idct(np.eye(SIDE), axis=0, norm="ortho"))
+    f = torch.arange(SIDE, dtype=torch.float64) / (2 * SIDE)
+    if shape == "gaussian":
+        left = torch.exp(-2 * (math.pi * sigma[..., None] * f) ** 2)
+        return torch.einsum("yk,yxk,ckl,yxl,xl->cyx", cosines, left, waves, left, cosines)
+    radius = torch.hypot(f[:, None], f)
+    rows = []
+    for y, widths in enumerate(sigma):
+        left = torch.exp(-2 * math.pi * widths[:, None, None] * radius)
+        rows.append(torch.einsum("k,ckl,xkl,xl->cx", cosines[y], waves, left, cosines))
+    return torch.stack(rows, 1)
+
+
+def exact(image: Tensor, z: Tensor, medium: Medium) -> Tensor:
+    """The model with that blur."""
+    direct, signal = medium.transmission(z), medium.signal(z)
+    sigma = medium.width(z, (SIDE, SIDE))[0, 0]
+    scattered = exact_blur(image[0], sigma, medium.point_spread.shape)
+    return direct * image + (signal - direct) * scattered + medium.backscatter(z)
+
+
+def scene() -> tuple[Tensor, Tensor]:
+    """A picture at 1…5.5 m."""
+    image = torch.from_numpy(reference.picture(SIDE, SIDE))[None].clamp(0, 1)
+    steps = np.kron(np.random.default_rng(0).random((4, 4)), np.ones((SIDE // 4, SIDE // 4)))
+    share = 0.6 * steps + 0.4 * np.linspace(0, 1, SIDE**2).reshape(SIDE, SIDE)
+    share = (share - share.min()) / (share.max() - share.min())
+    return image, torch.from_numpy(NEAR + (FAR - NEAR) * share)[None, None]
+
+
+def with_scale(medium: Medium, scale: float | Tensor) -> Medium:
+    return replace(medium, point_spread=replace(medium.point_spread, scale=scale))
+
+
+def slope(model: Model, medium: Medium, target: Tensor) -> float:
+    """d/d scale of the mean squared distance of a model's picture to a target."""
+    scale = torch.tensor([medium.point_spread.scale], dtype=torch.float64, requires_grad=True)
+    loss = (model(with_scale(medium, scale)) - target).square().mean()
+    return float(torch.autograd.grad(loss, scale)[0])
+
+
+@pytest.mark.parametrize("shape", ["gaussian", "exponential"])
+@pytest.mark.parametrize("name", ["7C", "9C", "1C", "II", "III"])
+def test_the_slope_in_the_width_is_that_of_the_exact_model(name: str, shape: Shape) -> None:
+    image, z = scene()
+    medium = Medium.from_water(Water.jerlov(name), tolerance=1e-4)
+    # widths of 2…11 px
+    exponent = math.log(11 / 2) / math.log(FAR / NEAR)
+    law = PointSpread(2 / (float(medium.b_mean) * NEAR) ** exponent, exponent, shape)
+    medium = replace(medium, point_spread=law)
+    with torch.no_grad():
+        wider = exact(image, z, with_scale(medium, 1.3 * law.scale))
+        other = Medium.from_water(Water.jerlov("5C"), point_spread=law)
+        targets = {"clean": image, "wider": wider, "another water": exact(image, z, other)}
+    for target in targets.values():
+        right = slope(lambda m: exact(image, z, m), medium, target)
+        ours = slope(lambda m: form_image(image, z, m).image, medium, target)
+        assert ours == pytest.approx(right, rel=0.03)
+    # and pixel by pixel, by central differences
+    step = 1e-4 * law.scale
+    plan = blur_demand(medium, (NEAR, FAR), learned=True, margin=1.1).plan((SIDE, SIDE))
+
+    def per_pixel(model: Model) -> Tensor:
+        up, down = (model(with_scale(medium, law.scale + s)) for s in (step, -step))
+        return (up - down) / (2 * step)
+
+    right = per_pixel(lambda m: exact(image, z, m))
+    ours = per_pixel(lambda m: form_image(image, z, m, plan=plan).image)
+    assert (ours - right).norm() <= 0.03 * right.norm()
+
+
+NARROW = [0.0, 1e-3, 0.01, 0.1]
+
+
+@pytest.mark.parametrize("shape", ["gaussian", "exponential"])
+@pytest.mark.parametrize("scale", NARROW)
+@pytest.mark.parametrize("name", ["7C", "I"])
+def test_a_narrow_width_can_be_learned(name: str, scale: float, shape: Shape) -> None:
+    # no blur would show, but its slope does
+    image, z = scene()
+    width = torch.tensor([scale], dtype=torch.float64, requires_grad=True)
+    exponent = torch.tensor([1.0], dtype=torch.float64, requires_grad=True)
+    law = PointSpread(width, exponent, shape)
+    medium = Medium.from_water(Water.jerlov(name), point_spread=law)
+    form_image(image, z, medium).image.square().sum().backward()
+    assert width.grad is not None
+    assert exponent.grad is not None
+    assert bool(width.grad.isfinite().all())
+    if scale >= 0.01:
+        assert float(width.grad.abs()) > 0
+
+
+def test_a_plan_of_one_blur_leaves_the_width_without_effect_but_in_the_graph() -> None:
+    image, z = scene()
+    width = torch.tensor([0.1], dtype=torch.float64, requires_grad=True)
+    medium = Medium.from_water(Water.jerlov("7C"), point_spread=PointSpread(width))
+    form_image(image, z, medium, plan=NO_BLUR).image.sum().backward()
+    assert float(width.grad) == 0
+
+
+@pytest.mark.parametrize("name, scale", [("7C", 0.01), ("I", 4.0), ("II", 0.05)])
+def test_every_parameter_of_a_module_gets_a_gradient(name: str, scale: float) -> None:
+    image, z = scene()
+    medium = Medium.from_water(Water.jerlov(name), point_spread=PointSpread(scale))
+    degrade = Underwater(medium, learnable=True)
+    degrade(image, z).square().sum().backward()
+    for parameter, value in degrade.named_parameters():
+        assert value.grad is not None, parameter
+        assert bool(value.grad.isfinite().all()), parameter
+
+
+@pytest.mark.parametrize("start", [0.05, 0.1, 0.5, 2.5])
+def test_a_width_is_learned_from_far_away(start: float) -> None:
+    # ends of the plan, an octave from the start, are no ends for what is learned
+    image, z = scene()
+    truth = Medium.from_coefficients(
+        (0.62, 0.41, 0.48),
+        (0.30, 0.15, 0.20),
+        (0.10, 0.28, 0.33),
+        b_mean=0.3,
+        point_spread=PointSpread(4.0),
+    )
+    with torch.no_grad():
+        observed = form_image(image, z, truth, tolerance=1e-4).image
+    begun = with_scale(truth, 4.0 * start)
+    degrade = Underwater(begun, (0.5, 6.0), color_space="linear", learnable=True)
+    (scale,) = (p for name, p in degrade.named_parameters() if name.endswith("raw_scale"))
+    optimiser = torch.optim.LBFGS([scale], max_iter=60, line_search_fn="strong_wolfe")
+
+    def loss() -> Tensor:
+        optimiser.zero_grad()
+        value = (degrade(image, z) - observed).square().mean()
+        value.backward()
+        return value.detach()
+
+    optimiser.step(loss)
+    learned = degrade.medium.point_spread.scale.detach()
+    assert float(learned) == pytest.approx(4.0, rel=0.02)
+    # the module that is exported plans for what was learned
+    assert degrade.demand.high >= float(learned) * 0.3 * 6.0
