@@ -12,6 +12,7 @@ PARTS = (
     "planner",
     "stability",
     "physics",
+    "draws",
     "scaling",
     "runtime",
     "throughput",

@@ -72,7 +72,7 @@ def _contestants(water: str, size: int, batch: int) -> dict[str, Callable[[], ob
     field = torch.ones_like(distance)
     default, degrade = _module(water), _module(water)
     # ≥ 60 dB of the blur itself: do not let the strength of the forward term relax it
-    degrade.demand = replace(degrade.demand, tolerance=0.002)
+    degrade.demand = replace(degrade.demand, blur_tolerance=0.002)
     arrays = list(zip(*map(_arrays, (image, distance, field)), strict=True))
     phi = WIDEST / DISTANCES[1]
     bands = published.bands(water, phi)
@@ -186,8 +186,8 @@ def blur_accuracy(pixels: int = 3000) -> list[dict[str, Any]]:
 
 
 def curve_accuracy(tolerance: float = 0.002) -> list[dict[str, Any]]:
-    """Rates chosen for each type and the largest error against the 61-band sums, over depths and
-    g.
+    """Rates chosen for each type and the largest error against the 61-band sums, over depths, g and
+    any distance.
     """
     rows = []
     for name in uwaug.JERLOV_TYPES:
@@ -202,7 +202,8 @@ def curve_accuracy(tolerance: float = 0.002) -> list[dict[str, Any]]:
 
 
 def _curve_error(name: str, depth: float, g: float, tolerance: float) -> dict[str, Any]:
-    z = torch.linspace(0, 20, 2001, dtype=torch.float64)
+    near = torch.linspace(0, 20, 2001, dtype=torch.float64)
+    z = torch.cat([near, torch.logspace(-6, 5, 1001, dtype=torch.float64)])
     water = uwaug.Water.jerlov(name).at(WAVELENGTHS)
     medium = uwaug.Medium.from_water(water, vertical_depth=depth, g=g, tolerance=tolerance)
     response = uwaug.load_camera("Nikon 5100 (NPL)").weights(WAVELENGTHS).T

@@ -2,8 +2,8 @@
 eight.
 
 `python -m benchmarks.runtime` writes results/runtime.json and prints the table. All have the plan
-of the same module; the file's covers short sides of 32 to 1024 px, so that it may hold a blur more
-than eager needs for one size.
+of the same module, for short sides of 32 to 1024 px: it may hold a blur more than eager needs for
+one size.
 """
 
 import tempfile
@@ -47,7 +47,7 @@ def speed(
 
 def main(quick: bool = False) -> None:
     """Export the survey preset, check the file, race it; save the figures."""
-    degrade = uwaug.load_preset("survey", water="7C").module()
+    degrade = uwaug.load_preset("survey", water="7C").module(sides=(32, 1024))
     sizes, batches = ((256,), (1,)) if quick else ((256, 512), (1, 8))
     with tempfile.TemporaryDirectory() as folder:
         path = export_onnx(degrade, Path(folder) / "7C.onnx")

@@ -51,6 +51,28 @@ def small(monkeypatch: pytest.MonkeyPatch) -> uwaug.scene.Scene:
     return scene
 
 
+@pytest.fixture(scope="session")
+def torchvision() -> Any:
+    try:
+        import torchvision
+    except RuntimeError:
+        # Built for a torch with CUDA, beside one without: its compiled part does not load, and its
+        # Python part misses two operators.
+        signature = "(Tensor dets, Tensor scores, float iou_threshold) -> Tensor"
+        torch.library.define("torchvision::nms", signature)
+        torch.library.define("torchvision::qnms", signature)
+        import torchvision
+    import torchvision.transforms.v2
+
+    return torchvision
+
+
+@pytest.fixture(autouse=True)
+def warnings_are_fresh(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let every test be the first that fills a map: it warns once in a process."""
+    monkeypatch.setattr(uwaug.distance, "_warned", [])
+
+
 @pytest.fixture(scope="module", params=OPTIONS)
 def options(request: pytest.FixtureRequest) -> dict[str, Any]:
     """Options of RandomUnderwater, for what has to hold with all of them."""

@@ -1,6 +1,5 @@
 """What the tests of uwaug.onnx share, in a module that a spawned worker can import by name."""
 
-import json
 from pathlib import Path
 
 import torch
@@ -10,6 +9,7 @@ from torch.utils.data import Dataset
 import uwaug
 from uwaug import Underwater, list_presets
 from uwaug.onnx import OnnxUnderwater, read_metadata
+from uwaug.onnx.metadata import stored_in
 
 NEAR, FAR = 0.25, 10.0
 PAPERS = [name for name in list_presets() if name != "calibrated"]  # whose law has another shape
@@ -29,8 +29,9 @@ def eager(
     path: Path, module: Underwater, image: Tensor, distance: Tensor, **given: object
 ) -> Tensor:
     """Float64 eager through the public model, with the file's plan."""
-    sides = json.loads(read_metadata(path)["uwaug_sides_px"])
-    plan = module.demand.plan_all(tuple(sides))
+    stored = stored_in(path, read_metadata(path))
+    assert stored.sides == module.sides
+    plan = module.plan((image.shape[-2], image.shape[-1]))
     field, medium = given.get("field"), given.get("medium", module.medium)
     field = None if field is None else field.double()
     j = image.double()

@@ -3,11 +3,12 @@ sent by name.
 """
 
 import json
+from collections.abc import Iterator
 from typing import Any
 
 import torch
 from torch import Tensor
-from torch.utils.data import Dataset, default_collate
+from torch.utils.data import Dataset, Sampler, default_collate
 
 from uwaug import RandomUnderwater
 
@@ -79,6 +80,36 @@ class Keyed(Dataset[tuple[int, Tensor]]):
 
     def __getitem__(self, index: int) -> tuple[int, Tensor]:
         image, *_ = self.augment.at(0, self.epoch, index)(self.crops[index])
+        return index, image
+
+
+class Epochs(Sampler[tuple[int, int]]):
+    """Shuffled (epoch, index): what reaches workers that persist, which keep the dataset that they
+    were started with.
+    """
+
+    def __init__(self, count: int) -> None:
+        self.count, self.epoch = count, 0
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        order = torch.randperm(self.count).tolist()
+        pairs = [(self.epoch, index) for index in order]
+        self.epoch += 1
+        return iter(pairs)
+
+
+class KeyedByEpoch(Dataset[tuple[int, Tensor]]):
+    """Water from (seed, epoch, name), the epoch from the sampler."""
+
+    def __init__(self, crops: Crops, augment: RandomUnderwater) -> None:
+        self.crops, self.augment = crops, augment
+
+    def __getitem__(self, key: tuple[int, int]) -> tuple[int, Tensor]:
+        epoch, index = key
+        image, *_ = self.augment.at(0, epoch, f"crops/{index}.png")(self.crops[index])
         return index, image
 
 

@@ -1,5 +1,10 @@
+import os
 import re
+import signal
+import subprocess
 import sys
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +25,9 @@ def run(monkeypatch, capsys):
             cli.main()
         return (end.value.code or 0, *capsys.readouterr())
 
-    return call
+    before = signal.getsignal(signal.SIGTERM)
+    yield call
+    signal.signal(signal.SIGTERM, before)
 
 
 def test_version(run):
@@ -97,6 +104,8 @@ def test_demo_on_the_real_scene(run, tmp_path):
 
 def test_demo_draws_over_its_own_files_only(run, small, tmp_path):
     (tmp_path / "2-terms.jpg").write_text("old")
+    # what a demo left that was killed
+    (tmp_path / f".uwaug-{'0a' * 8}.part").write_text("half")
     assert run("demo", "--out", str(tmp_path))[0] == 0
     assert (tmp_path / "2-terms.jpg").stat().st_size > 1000
     (tmp_path / "thesis.tex").write_text("mine")
@@ -112,21 +121,21 @@ def test_demo_cannot_write(run, small, tmp_path):
     path = tmp_path / "file"
     path.write_text("")
     code, out, err = run("demo", "--out", str(path))
-    assert (code, out, err) == (2, "", f"Error: cannot write to {path}: Not a directory\n")
+    assert (code, out, err) == (1, "", f"Error: cannot write to {path}: Not a directory\n")
 
 
 def test_demo_without_matplotlib(run, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     code, _, err = run("demo")
-    assert code == 2
-    assert err.endswith('pip install "uwaug[plot]"\n')
+    assert code == 1
+    assert err.endswith('pip install ".[plot]" in a checkout of uwaug\n')
     assert err.count("\n") == 1
 
 
 def test_export_and_check(run, tmp_path):
     pytest.importorskip("onnxruntime")
     out = tmp_path / "7C.onnx"
-    options = ("--preset", "survey", "--water", "7C", "--image", "uint8")
+    options = ("--preset", "survey", "--water", "7C", "--image", "uint8", "--sides", "32", "700")
     arguments = ("export", *options, "--out", str(out))
     code, stdout, stderr = run(*arguments)
     assert (code, stderr) == (0, "")
@@ -144,36 +153,43 @@ def test_export_and_check(run, tmp_path):
 
     code, stdout, stderr = run("check", str(out))
     assert (code, stderr) == (0, "")
-    said = rf"{re.escape(str(out))}: 100 cases, largest difference [01] \(.*×.*×.*\)\n"
+    said = rf"{re.escape(str(out))}: 100 cases, largest difference [01] of 255 \(.*×.*×.*\)\n"
     assert re.fullmatch(said, stdout)
+    from uwaug.onnx import read_module
+
+    assert read_module(out).sides == (32, 700)
     import onnx
 
     model = onnx.load(out)
-    wrong = next(tensor for tensor in model.graph.initializer if tuple(tensor.dims) == (1, 3, 7))
+    wrong = next(tensor for tensor in model.graph.initializer if tuple(tensor.dims) == (1, 3, 6))
     values = onnx.numpy_helper.to_array(wrong) * np.float32(1.05)
     wrong.CopyFrom(onnx.numpy_helper.from_array(values, wrong.name))
     onnx.save(model, out)
     code, stdout, stderr = run("check", str(out))
-    assert (code, stdout) == (2, "")
+    assert (code, stdout) == (1, "")
     assert re.fullmatch(r"Error: .*differs from float64 eager by \d+ \(limit 1\) at .*\n", stderr)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("code", "arguments", "message"),
     [
-        (("export", "--preset", "no", "--out", "a.onnx"), "no preset is called 'no'"),
-        (("export", "--preset", "survey", "--water", "10C", "--out", "a.onnx"), "10C"),
-        (("export", "--preset", "survey", "--out", "missing/a.onnx"), "there is no folder missing"),
-        (("check", "a.onnx"), "No such file"),
-        (("check", "b.onnx"), "b.onnx: ONNX Runtime cannot load it"),
+        (2, "export --preset no --out a.onnx", "no preset is called 'no'"),
+        (2, "export --preset survey --water 10C --out a.onnx", "10C"),
+        (2, "export --preset survey --sides 64 32 --out a.onnx", "sides must be whole numbers"),
+        (1, "export --preset no.toml --out a.onnx", "No such file"),
+        (1, "export --preset tank-adjusted-1 --out missing/a.onnx", "there is no folder"),
+        (1, "export --preset tank-adjusted-1 --out . --force", "is a folder"),
+        (1, "check a.onnx", "No such file"),
+        (1, "check b.onnx", "b.onnx: ONNX Runtime cannot load it"),
+        (1, "check .", "is a folder"),
     ],
 )
-def test_wrong_export_and_check(run, tmp_path, monkeypatch, arguments, message):
+def test_wrong_export_and_check(run, tmp_path, monkeypatch, code, arguments, message):
     pytest.importorskip("onnxruntime")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "b.onnx").write_text("no model")
-    code, stdout, stderr = run(*arguments)
-    assert (code, stdout) == (2, "")
+    got, stdout, stderr = run(*arguments.split())
+    assert (got, stdout) == (code, "")
     assert stderr.startswith("Error: ")
     assert message in stderr
     assert stderr.count("\n") == 1
@@ -183,4 +199,42 @@ def test_wrong_export_and_check(run, tmp_path, monkeypatch, arguments, message):
 def test_export_without_the_extra(run, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnx", None)
     code, _, stderr = run("export", "--preset", "survey", "--out", str(tmp_path / "a.onnx"))
-    assert (code, stderr) == (2, 'Error: onnx is missing: ONNX needs pip install "uwaug[onnx]"\n')
+    cure = 'pip install ".[onnx]" in a checkout of uwaug'
+    assert (code, stderr) == (1, f"Error: onnx is missing: ONNX needs {cure}\n")
+
+
+def module(folder: Path, *arguments: str, **options: Any) -> subprocess.CompletedProcess[bytes]:
+    """Run `python -m uwaug` in a process of its own."""
+    command = [sys.executable, "-m", "uwaug", *arguments]
+    return subprocess.run(command, cwd=folder, stderr=subprocess.PIPE, check=False, **options)
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "ascii"])
+def test_a_console_of_another_encoding(encoding, tmp_path):
+    environment = {**os.environ, "PYTHONIOENCODING": encoding}
+    done = module(tmp_path, "waters", env=environment, stdout=subprocess.PIPE)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert "Jerlov I" in done.stdout.decode(encoding)
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="a device of Linux")
+def test_a_console_that_takes_nothing(tmp_path):
+    with open("/dev/full", "wb") as full:
+        done = module(tmp_path, "presets", stdout=full)
+    assert done.returncode == 1
+    assert done.stderr == b"Error: cannot write to the console: No space left on device\n"
+
+
+def test_progress_is_said_on_a_terminal_alone(monkeypatch):
+    from rich.console import Console
+
+    seen = []
+    monkeypatch.setattr(Console, "is_terminal", property(lambda _: True))
+    monkeypatch.setattr("rich.status.Status.update", lambda _, step: seen.append(step))
+    with cli._said() as say:
+        say("tracing")
+    assert seen == ["tracing"]
+    monkeypatch.setattr(Console, "is_terminal", property(lambda _: False))
+    with cli._said() as say:
+        say("checking")
+    assert seen == ["tracing"]

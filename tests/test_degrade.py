@@ -1,4 +1,6 @@
+import json
 import math
+import threading
 from typing import Any
 
 import kornia
@@ -13,6 +15,7 @@ from uwaug import Medium, PointSpread, RandomUnderwater, Water, form_image
 from uwaug.colour import linear_to_srgb, srgb_to_linear
 from uwaug.distance import fill_unknown, from_inverse, from_relative
 from uwaug.field import gaussian_random_field
+from uwaug.replay import reproducible
 
 
 @pytest.mark.parametrize("kind", ["metric", "relative", "inverse", "plane", "fill"])
@@ -23,7 +26,7 @@ def test_transform_is_form_image(kind: str, color_space: str) -> None:
         options |= {"distance_kind": kind, "near": (0.5, 1.0), "far": (3.0, 6.0)}
     elif kind != "metric":
         options |= {"distance": (1.0, 4.0)} if kind == "plane" else {"unknown": "fill"}
-    aug = RandomUnderwater(["II", "7C", TANK], **options)
+    aug = RandomUnderwater.survey(waters=["II", "7C", TANK], **options)
     image, given = picture(2), distances(2) * (1 if "distance_kind" in options else 5)
     if kind == "fill":
         given[:, :, 3:5, 4:9] = torch.tensor([math.nan, 0, -1, 0, 0])
@@ -53,8 +56,58 @@ def test_transform_is_form_image(kind: str, color_space: str) -> None:
             z = fill_unknown(z)
         light = srgb_to_linear(image[i]) if color_space == "srgb" else image[i]
         expected = form_image(light, z, medium, field).image
-        expected = linear_to_srgb(expected) if color_space == "srgb" else expected
+        if color_space == "srgb":
+            expected = linear_to_srgb(expected).clamp(0, 1)
         torch.testing.assert_close(out[i], expected, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("focal_px", [None, 40.0])
+def test_default_is_the_calibrated_model_exposed(focal_px: float | None) -> None:
+    aug = RandomUnderwater(["II", "7C"], focal_px=focal_px, field_probability=0.0, tolerance=1e-4)
+    image, distance = picture(2), 1 + 4 * distances(2)
+    record = aug.resolve(image, distance, aug.make_params(image))
+    out = aug.transform(image, distance, record)
+    for i, s in enumerate(record["samples"]):
+        used, z = s["used"], distance[i]
+        water = Water.jerlov(s["waters"][0]).at(np.arange(400, 701, 5))
+        middle = z[..., ::4, ::4].median()
+        # the share of luminance contrast that is left at the middle distance, as drawn
+        scaled = water.with_visibility(used["visibility"])
+        assert scaled.contrast(float(middle)) == pytest.approx(s["contrast"], rel=1e-4)
+        law = PointSpread.calibrated(focal_px or W / 2 / math.tan(math.radians(30)))
+        numbers = {name: s[name] for name in ("vertical_depth", "g", "mu")}
+        medium = Medium.from_water(scaled, **numbers, point_spread=law, tolerance=1e-4)
+        light = srgb_to_linear(image[i])
+        expected = used["gain"] * form_image(light, z, medium, tolerance=1e-4).image
+        expected = linear_to_srgb(expected).clamp(0, 1)
+        torch.testing.assert_close(out[i], expected, rtol=0, atol=2e-3)
+
+
+def test_contrast_stops_at_pure_water() -> None:
+    aug = RandomUnderwater("1C", contrast=0.9, field_probability=0.0)
+    image, distance = picture(), torch.full((1, H, W), 30.0)
+    used = aug.resolve(image, distance, aug.make_params(image))["samples"][0]["used"]
+    assert used["contents"] == 0
+    assert used["visibility"] == pytest.approx(88.3, abs=0.1)
+    # and open water alone has no middle distance
+    distance.fill_(math.inf)
+    used = aug.resolve(image, distance, aug.make_params(image))["samples"][0]["used"]
+    assert used["contents"] == 1
+
+
+def test_resolved_records_replay_and_may_be_edited() -> None:
+    aug = RandomUnderwater()
+    image, distance = picture(2), 1 + 4 * distances(2)
+    record = aug.make_params(image)
+    out = aug.transform(image, distance, record)
+    resolved = json.loads(json.dumps(aug.resolve(image, distance, record)))
+    assert same(aug.transform(image, distance, resolved), out)
+    assert "used" not in record["samples"][0]
+    # what was used serves another picture: the gain is kept
+    resolved["samples"][0]["used"]["gain"] /= 4
+    dark = aug.transform(image, distance, resolved)
+    assert dark[0].mean() < 0.7 * out[0].mean()
+    assert same(dark[1], out[1])
 
 
 # the curve from light to sRGB is steep at black
@@ -124,8 +177,80 @@ def test_layouts() -> None:
     last = image.to(memory_format=torch.channels_last)
     turned = image.transpose(2, 3).contiguous().transpose(2, 3)
     for other in (last, turned):
-        out = aug.transform(other, distance, record)
-        torch.testing.assert_close(out, expected, rtol=0, atol=1e-6)
+        assert same(aug.transform(other, distance, record), expected)
+
+
+def test_arrays_as_files_give_them_replay() -> None:
+    # views with height, width and channels in this order, at a size where kernels' paths differ
+    aug = RandomUnderwater("7C")
+    generator = torch.Generator().manual_seed(3)
+    image = torch.rand(500, 741, 3, generator=generator).permute(2, 0, 1)
+    distance = (1 + 4 * torch.rand(741, 500, generator=generator)).T[None]
+    record = aug.make_params(image)
+    expected = aug.transform(image.contiguous(), distance.contiguous(), record)
+    assert same(aug.transform(image, distance, record), expected)
+
+
+@pytest.mark.parametrize("precision", ["high", "medium"])
+def test_matmul_precision_does_not_show(precision: str) -> None:
+    aug, image, distance = RandomUnderwater("9C"), picture(), distances() + 1
+    record = aug.make_params(image)
+    expected = aug.transform(image, distance, record)
+    before = torch.get_float32_matmul_precision()
+    try:
+        torch.set_float32_matmul_precision(precision)
+        assert same(aug.transform(image, distance, record), expected)
+        assert torch.get_float32_matmul_precision() == precision
+    finally:
+        torch.set_float32_matmul_precision(before)
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float16, torch.bfloat16])
+def test_default_dtype_does_not_show(dtype: torch.dtype) -> None:
+    aug, image, distance = RandomUnderwater(), picture(), distances() + 1
+    record = aug.make_params(image)
+    expected = aug.transform(image, distance, record)
+    before = torch.get_default_dtype()
+    try:
+        torch.set_default_dtype(dtype)
+        assert same(aug.transform(image, distance, record), expected)
+    finally:
+        torch.set_default_dtype(before)
+
+
+def test_threads_are_given_back_to_all() -> None:
+    """Threads that enter while another is inside get back what there was before the first."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    first_in, may_leave, seen = threading.Event(), threading.Event(), []
+
+    def hold() -> None:
+        with reproducible():
+            first_in.set()
+            may_leave.wait(10)
+        seen.append(torch.get_num_threads())
+
+    def pass_through() -> None:
+        first_in.wait(10)
+        with reproducible():
+            seen.append(-torch.get_num_threads())
+        seen.append(torch.get_num_threads())
+        may_leave.set()
+
+    try:
+        workers = [threading.Thread(target=hold), threading.Thread(target=pass_through)]
+        for worker in workers:
+            worker.start()
+        for worker in workers:
+            worker.join()
+        later: list[int] = []
+        fresh = threading.Thread(target=lambda: later.append(torch.get_num_threads()))
+        fresh.start()
+        fresh.join()
+    finally:
+        torch.set_num_threads(before)
+    assert seen == [-1, 2, 2]
+    assert later == [2]
 
 
 def test_open_water_is_the_veil() -> None:
@@ -139,7 +264,7 @@ def test_open_water_is_the_veil() -> None:
 
 def test_relative_distance_0_is_near() -> None:
     t = torch.zeros(1, H, W)
-    aug = RandomUnderwater(distance_kind="relative", near=0.0, vertical_depth=0.0)
+    aug = RandomUnderwater.survey(distance_kind="relative", near=0.0, vertical_depth=0.0)
     torch.testing.assert_close(aug(picture(), t)[0], picture(), rtol=0, atol=1e-4)
 
 
@@ -182,8 +307,134 @@ def test_field_spans_what_was_asked(
 
 def test_media_are_shared() -> None:
     # a transform with few waters and fixed numbers builds few media, however many pictures
-    uwaug.degrade._medium.cache_clear()
-    aug = RandomUnderwater(["7C", "1C"])
+    uwaug.degrade._kept_medium.cache_clear()
+    aug = RandomUnderwater.survey(waters=["7C", "1C"])
     for i in range(20):
         aug.at(0, 0, i)(picture(), distances() + 1)
-    assert uwaug.degrade._medium.cache_info().misses == 2
+    assert uwaug.degrade._kept_medium.cache_info().misses == 2
+
+
+@pytest.mark.parametrize("name", ["mixing", "visibility", "vertical_depth", "g", "mu", "contrast"])
+def test_media_that_come_once_are_not_kept(name: str) -> None:
+    # they would pin the heap between the pictures of a loader
+    uwaug.degrade._kept_medium.cache_clear()
+    options = {"contrast": None, "vertical_depth": 1.0, "g": 0.1, "mu": 0.1, name: (0.5, 0.9)}
+    aug = RandomUnderwater(["7C", "1C"], **options)
+    for i in range(3):
+        aug.at(0, 0, i)(picture(), distances() + 1)
+    assert uwaug.degrade._kept_medium.cache_info().currsize == 0
+
+
+# What unknown pixels get
+
+
+@pytest.mark.parametrize("instead", ["far", 7.5, np.float32(2.0), 3])
+@pytest.mark.parametrize("kind", ["metric", "relative", "inverse"])
+def test_unknown_pixels_get_what_was_asked(instead: Any, kind: str) -> None:
+    options: dict[str, Any] = {} if kind == "metric" else {"near": 1.0, "far": 4.0}
+    aug = RandomUnderwater("7C", unknown=instead, distance_kind=kind, **options)
+    given = distances(2) + (1 if kind == "metric" else 0)
+    given[0, :, 3:9, 5:20] = math.nan
+    given[1] = math.nan
+    z = {
+        "metric": lambda: given,
+        "relative": lambda: from_relative(given, 1.0, 4.0),
+        "inverse": lambda: torch.stack([from_inverse(given[0], 1.0, 4.0), given[1]]),
+    }[kind]()
+    known = torch.where(z > 0, z, math.inf if instead == "far" else float(instead))
+    record = aug.make_params(picture(2))
+    metric = RandomUnderwater("7C")
+    bare = {"near", "far", "gamma"}
+    samples = [{k: v for k, v in s.items() if k not in bare} for s in record["samples"]]
+    expected = metric.transform(picture(2), known, {"samples": samples})
+    assert same(aug.transform(picture(2), given, record), expected)
+
+
+def silent_maps(kind: str) -> Tensor:
+    """Three maps; the middle one tells nothing."""
+    maps = distances(3) + (1 if kind == "metric" else 0)
+    maps[0, :, 2:4, 5:9] = math.nan
+    maps[1] = 0.5 if kind == "inverse" else math.nan
+    if kind == "metric":
+        maps[1, :, ::2] = 0.0
+        maps[1, :, ::3] = -1.0
+    return maps
+
+
+@pytest.mark.parametrize("same_on_batch", [False, True])
+@pytest.mark.parametrize("kind", ["metric", "relative", "inverse"])
+def test_a_picture_whose_map_tells_nothing_is_skipped(kind: str, same_on_batch: bool) -> None:
+    options = {"distance_kind": kind, "same_on_batch": same_on_batch}
+    aug, fill = (RandomUnderwater(unknown=u, **options) for u in ("skip", "fill"))
+    image, maps = picture(3), silent_maps(kind)
+    drawn = aug.make_params(image, torch.Generator().manual_seed(1))
+    told = aug.resolve(image, maps, drawn)
+    assert [s["applied"] for s in told["samples"]] == [True, False, True]
+    out = aug.transform(image, maps, drawn)
+    assert same(out, aug.transform(image, maps, told))
+    assert same(out[1], image[1])
+    others = {"samples": [told["samples"][i] for i in (0, 2)]}
+    assert same(out[[0, 2]], fill.transform(image[[0, 2]], maps[[0, 2]], others))
+    with pytest.raises(ValueError, match=r"^picture 1 of 3, counted from 0: .*unknown='skip'"):
+        fill.transform(image, maps, drawn)
+    levels = picture(3, torch.uint8)
+    assert same(aug.transform(levels, maps, drawn)[1], levels[1])
+    assert same(aug(image[1], maps[1])[0], image[1])
+    torch.compiler.reset()
+    compiled = torch.compile(aug.transform, fullgraph=True, backend="eager")
+    assert same(compiled(image, maps, drawn), out)
+    alone = {"samples": drawn["samples"][:1]}
+    assert same(compiled(image[1], maps[1], alone), image[1])
+
+
+def applied(image: Tensor, maps: Tensor, **options: Any) -> list[bool]:
+    aug = RandomUnderwater(**options)
+    samples = aug.resolve(image, maps, aug.make_params(image))["samples"]
+    return [sample["applied"] for sample in samples]
+
+
+def test_records_say_what_is_skipped_only_where_it_is() -> None:
+    image, maps = picture(3), silent_maps("metric")
+    for unknown in ("far", 3.0):
+        assert applied(image, maps, unknown=unknown) == [True] * 3
+    assert applied(image, maps, unknown="skip", p=0.0) == [False] * 3
+    assert applied(image[1], maps[1], unknown="skip") == [False]
+    assert applied(image, maps[1], unknown="skip") == [False] * 3
+    with pytest.raises(ValueError, match="height and width must agree"):
+        applied(image, maps[..., 1:], unknown="skip")
+
+
+def test_refusals_name_the_picture() -> None:
+    maps = distances(3) + 1
+    maps[2, 0, 4, 5] = math.nan
+    with pytest.raises(ValueError, match=r"^picture 2 of 3, counted from 0: distance must be ab"):
+        RandomUnderwater()(picture(3), maps)
+    with pytest.raises(ValueError, match=r"^distance must be above 0 m"):
+        RandomUnderwater()(picture(), maps[2])
+    image = picture(3)
+    image[1, 0, 0, 0] = math.nan
+    with pytest.raises(ValueError, match=r"^picture 1 of 3, counted from 0: image is NaN at 1 and"):
+        RandomUnderwater()(image, distances(3) + 1)
+
+
+@pytest.mark.parametrize("unknown", [0, -1.0, math.nan, math.inf, True, None, "ignore", [3.0]])
+def test_what_unknown_may_be(unknown: Any) -> None:
+    with pytest.raises(ValueError, match="unknown must be"):
+        RandomUnderwater(unknown=unknown)
+
+
+@pytest.mark.parametrize("color_space", ["srgb", "linear"])
+def test_what_no_picture_and_no_map_of_metres_holds(color_space: Any) -> None:
+    aug = RandomUnderwater(color_space=color_space)
+    with pytest.raises(ValueError, match=r"distance must be in metres.*divide by 1000"):
+        aug(picture(), 1000 * (distances() + 2))
+    holed = 1000 * (distances() + 2)
+    holed[:, :8] = 0.0
+    for unknown in ("fill", "far", 4.0, "skip"):
+        with pytest.raises(ValueError, match=r"distance must be in metres.*divide by 1000"):
+            RandomUnderwater(color_space=color_space, unknown=unknown)(picture(), holed)
+    for value in (math.nan, math.inf, -math.inf):
+        image = picture()
+        image[2, 3, 4] = value
+        with pytest.raises(ValueError, match=r"image is NaN at . and infinite at . of .* values"):
+            aug(image, distances() + 1)

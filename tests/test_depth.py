@@ -102,10 +102,16 @@ class TestDepthNetwork:
         assert torch.equal(before(image), expected)
         assert torch.equal(after(image), expected)
 
+    def test_what_is_no_model_is_named(self, tmp_path) -> None:
+        path = tmp_path / "passwd"
+        path.write_text("root:x:0:0:root:/root:/bin/bash\n")
+        with pytest.raises(ValueError, match=f"{path}: ONNX Runtime cannot load it"):
+            DepthNetwork(path)(torch.rand(3, 28, 28))
+
     def test_says_what_to_install(self, tmp_path, monkeypatch) -> None:
         network = DepthNetwork(mean_of_channels(tmp_path / "n.onnx"))
         monkeypatch.setitem(sys.modules, "onnxruntime", None)
-        with pytest.raises(ImportError, match=r'pip install "uwaug\[onnx\]"'):
+        with pytest.raises(ImportError, match=r'pip install "\.\[onnx\]"'):
             network(torch.rand(3, 8, 8))
 
     def test_rejects_images(self, tmp_path) -> None:

@@ -208,6 +208,7 @@ class TestAlongRay:
             along_ray(torch.ones(2, 2), 1.0, (NAN, 0.0))
 
 
+@pytest.mark.filterwarnings("ignore:distance is unknown")
 class TestPolicy:
     def test_known_distance_is_returned_as_it_is(self) -> None:
         z = torch.tensor([[0.5, INF, 3.0]])
@@ -248,6 +249,31 @@ class TestPolicy:
         for function in (fill_unknown, lambda z: check_distance(z, strict=False)):
             with pytest.raises(ValueError, match="distance must have at least one known pixel"):
                 function(z)
+
+
+def test_refusals_name_the_map() -> None:
+    z = torch.ones(3, 1, 4, 5)
+    z[2] = NAN
+    with pytest.raises(
+        ValueError, match=r"got map 2 of 3, counted from 0, without any: fill whole"
+    ):
+        fill_unknown(z)
+    inverse = torch.arange(60.0).reshape(3, 1, 4, 5)
+    inverse[1] = 7.0
+    with pytest.raises(ValueError, match=r"got map 1 of 3, counted from 0, that is constant.*crop"):
+        from_inverse(inverse, 1.0, 2.0)
+
+
+def test_warns_once_where_much_is_guessed() -> None:
+    z = torch.ones(2, 1, 10, 10)
+    z[1, :, :2] = 0.0
+    fill_unknown(z)  # 20 % is not yet much
+    z[1, :, 2] = 0.0
+    with pytest.warns(UserWarning, match="distance is unknown at 30 % of a map's pixels") as seen:
+        fill_unknown(z)
+    fill_unknown(z)  # silent: a warning would be an error
+    assert len(seen) == 1
+    assert seen[0].filename == __file__
 
 
 FUNCTIONS = {

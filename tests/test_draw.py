@@ -1,4 +1,5 @@
 import itertools
+import json
 import math
 import pickle
 from collections.abc import Callable, Iterator
@@ -7,12 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from augmenting import EVERYTHING, LASERS, TANK, distances, picture, same
+from augmenting import EVERYTHING, LASERS, TANK, distances, leaves, picture, same
 
 import uwaug.draw
 from uwaug import JERLOV_TYPES, RandomUnderwater
 
 # Keys
+
+SEEDS = [303972234, 4106102862, 3316718778]
 
 
 def test_at_depends_on_its_key_alone() -> None:
@@ -30,6 +33,24 @@ def test_at_depends_on_its_key_alone() -> None:
     assert same(one, aug.at(np.int64(1), torch.tensor(0), 2)(picture(), distances() + 1)[0])
     assert not torch.equal(one, aug.at(10, 2, 0)(picture(), distances() + 1)[0])
     pickle.loads(pickle.dumps(draw[keys[0]]))
+
+
+def test_a_key_may_be_a_name() -> None:
+    aug, inputs = RandomUnderwater(**EVERYTHING), (picture(), distances() + 1)
+    names = ["scene_04/img_0012.png", "scene_04/img_0013.png", "scene_04/1/2", "", "é"]
+    drawn = [aug.at(0, 3, name)(*inputs)[0] for name in names]
+    assert len({image.sum().item() for image in drawn}) == len(names)
+    assert all(same(a, aug.at(0, 3, n)(*inputs)[0]) for a, n in zip(drawn, names, strict=True))
+    assert not same(drawn[0], aug.at(0, 4, names[0])(*inputs)[0])
+    # a number that a file holds as text
+    assert same(aug.at(0, 3, "41")(*inputs)[0], aug.at(0, 3, 41)(*inputs)[0])
+
+
+def test_numbers_keep_their_pictures() -> None:
+    # these seeds have been handed out since the first release
+    aug = RandomUnderwater(JERLOV_TYPES)
+    keys = [aug.at(0, 0, 0), aug.at(1, 2, 3), aug.at(5, 0, 123456)]
+    assert [key.args[0] for key in keys] == SEEDS
 
 
 def test_the_global_generator_decides_otherwise() -> None:
@@ -182,6 +203,42 @@ def test_records_of_other_transforms() -> None:
     record = RandomUnderwater(visibility=3.0).make_params(picture())
     with pytest.raises(ValueError, match=r"other options.* visibility"):
         plain.transform(picture(), distances(), record)
+
+
+@pytest.mark.parametrize("written", [False, True], ids=["dicts", "JSON"])
+def test_records_of_single_pictures_make_one_of_a_batch(
+    options: dict[str, Any], written: bool
+) -> None:
+    aug = RandomUnderwater(**{**options, "same_on_batch": False})
+    image, *rest = leaves(aug, 4)
+    maps = rest[0] if rest else [None] * 4
+    torch.manual_seed(3)
+    records = [aug.make_params(one) for one in image]
+    parts = []
+    for one, z, record in zip(image, maps, records, strict=True):
+        parts.append(aug.transform(one, z, record))
+    given = map(json.dumps, records) if written else records
+    whole = uwaug.collate_records(given)
+    assert json.loads(json.dumps(whole)) == whole
+    assert same(aug.transform(image, rest[0] if rest else None, whole), torch.stack(parts))
+
+
+@pytest.mark.parametrize(
+    "records, error, match",
+    [
+        ([{"samples": []}], ValueError, "of one picture each, got one of 0 at 0"),
+        (['{"samples": [{}]}', {"samples": [{}, {}]}], ValueError, "got one of 2 at 1"),
+        ([{"samples": {}}], TypeError, "records must be records from make_params.* at 0"),
+        ([{"applied": True}], TypeError, "records must be records from make_params"),
+        (["[1]"], TypeError, r"got '\[1\]' at 0"),
+        ({"samples": [{}]}, TypeError, "records must be a list of records.*got a dict"),
+        ('{"samples": [{}]}', TypeError, "records must be a list of records.*got a str"),
+        (["samples"], TypeError, "records must be.* or their JSON, got 'samples' at 0"),
+    ],
+)
+def test_what_records_are_collated(records: Any, error: type[Exception], match: str) -> None:
+    with pytest.raises(error, match=match):
+        uwaug.collate_records(records)
 
 
 def test_record_is_plain() -> None:

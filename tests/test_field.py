@@ -264,3 +264,8 @@ def test_rejects_noise_of_another_kind() -> None:
         field_from_noise(np.zeros((1, 5, 5)), (8, 8))
     with pytest.raises(ValueError, match="at least one pixel per side"):
         field_from_noise(torch.zeros(1, 5, 5), (0, 8))
+
+
+def test_sides_are_whole_numbers() -> None:
+    with pytest.raises(ValueError, match=r"shape must hold whole numbers.*32\.5"):
+        gaussian_random_field((1, 1, 32.5, 32))  # type: ignore[arg-type]

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from uwaug.blur.demand import blur_demand
 from uwaug.formation import form_image
+from uwaug.module import Underwater
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
@@ -86,6 +87,52 @@ def test_inputs_are_left_alone() -> None:
     copies = [t.clone() for t in inputs]
     form_image(image, z, medium, field)
     assert all(torch.equal(a, b) for a, b in zip(copies, inputs, strict=True))
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_values_that_would_spread_are_refused(value: float) -> None:
+    image = rand(1, 3, 8, 9)
+    image[0, 1, 2, 3] = value
+    counts = "NaN at 1 and infinite at 0" if math.isnan(value) else "NaN at 0 and infinite at 1"
+    with pytest.raises(ValueError, match=f"image is {counts} of 216 values: expected finite"):
+        form_image(image, distances(1, 1, 8, 9), coefficients())
+    for color_space in ("srgb", "linear"):
+        degrade = Underwater(coefficients(), color_space=color_space)
+        with pytest.raises(ValueError, match=f"image is {counts} of 216 values"):
+            degrade(image.float(), distances(1, 1, 8, 9).float())
+
+
+@pytest.mark.parametrize("size", [(1, 1), (8, 9), (200, 3), (130, 170)])
+def test_millimetres_are_refused(size: tuple[int, int]) -> None:
+    image, z = rand(1, 3, *size), 1.2 + distances(1, 1, *size)
+    open_water = (1000 * z).masked_fill(rand(1, 1, *size, seed=2) < 0.4, math.inf)
+    open_water[..., 0, 0] = 2000.0
+    for wrong in (1000 * z, open_water):
+        with pytest.raises(ValueError, match=r"distance must be in metres.*divide by 1000"):
+            form_image(image, wrong, coefficients())
+    with pytest.raises(ValueError, match=r"distance must be in metres.*divide by 1000"):
+        Underwater(coefficients())(image.float(), 1000 * z.float())
+
+
+def test_far_distances_are_no_millimetres() -> None:
+    image = rand(1, 3, 40, 50)
+    for far in (1000.0, 1e7, 1e9, math.inf):
+        form_image(image, torch.full((1, 1, 40, 50), far), coefficients())
+    # mountains behind a near scene, and unknown pixels at the lens
+    z = torch.full((1, 1, 40, 50), 3.0)
+    z[..., :8, :], z[..., 30:, :] = 5000.0, 0.0
+    z[..., 8:14, :] = math.inf
+    form_image(image, z, coefficients())
+
+
+def test_normalised_pictures_are_refused() -> None:
+    image, z = rand(1, 3, 8, 9, dtype=torch.float32), distances(1, 1, 8, 9).float()
+    mean, std = torch.tensor([0.485, 0.456, 0.406]), torch.tensor([0.229, 0.224, 0.225])
+    normalised = (image - mean.view(3, 1, 1)) / std.view(3, 1, 1)
+    with pytest.raises(ValueError, match=r"image falls to -.*; place it before Normalize"):
+        Underwater(coefficients())(normalised, z)
+    Underwater(coefficients())(image - 0.1, z)  # as resampling overshoots
+    Underwater(coefficients(), color_space="linear")(normalised, z)
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ import uwaug.formation
 import uwaug.optics.curves
 from benchmarks import house
 from uwaug.onnx.graph import Graph
-from uwaug.onnx.metadata import Options, plan_of
+from uwaug.onnx.metadata import plan_of
 from uwaug.optics.point_spread import PointSpread
 
 ROOT = Path(__file__).parent.parent
@@ -37,7 +37,7 @@ def test_tests_and_benchmarks_are_small(folder: str, lines: int) -> None:
 
 def test_the_first_matrix_product_is_near() -> None:
     """From `RandomUnderwater` to what multiplies: at most six functions of the package deep."""
-    aug = uwaug.RandomUnderwater("7C", field_probability=0.0)
+    aug = uwaug.RandomUnderwater.survey(waters="7C", field_probability=0.0)
     image, distance = torch.rand(3, 64, 80), torch.linspace(1, 5, 64 * 80).reshape(1, 64, 80)
     aug(image, distance)  # plans and matrices are made at the first call
     deepest = []
@@ -74,8 +74,8 @@ def doubled(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
 def test_eager_and_graph_share_each_equation(
     owner: Any, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    module = uwaug.load_preset("survey", water="7C").module()
-    plan = plan_of(module, Options())
+    module = uwaug.load_preset("survey", water="7C").module(sides=(32, 1024))
+    plan = plan_of(module)
     image, distance = torch.rand(1, 3, 40, 56), torch.linspace(1, 5, 40 * 56).reshape(1, 1, 40, 56)
 
     def eager_and_graph() -> tuple[Tensor, Tensor]:

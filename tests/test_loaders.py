@@ -1,10 +1,20 @@
 import json
 import multiprocessing
+import warnings
 from typing import Any
 
 import pytest
 import torch
-from loading import SIZE, Crops, DegradeBatch, Degraded, Keyed, Pairs
+from loading import (
+    SIZE,
+    Crops,
+    DegradeBatch,
+    Degraded,
+    Epochs,
+    Keyed,
+    KeyedByEpoch,
+    Pairs,
+)
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
@@ -115,6 +125,37 @@ def test_keys_do_not_depend_on_workers(crops: Crops) -> None:
     dataset.epoch = 1
     later = run(loader(dataset, "fork", 2))
     assert not any(torch.equal(later[i], expected[i]) for i in expected)
+
+
+@START
+def test_a_sampler_brings_the_epoch_to_workers_that_persist(start: str, crops: Crops) -> None:
+    dataset = KeyedByEpoch(crops, RandomUnderwater(visibility=(2.0, 8.0)))
+    data = loader(dataset, start, sampler=Epochs(len(crops)), persistent_workers=True)
+    epochs = [run(data) for _ in range(3)]
+    here = loader(dataset, workers=0, sampler=Epochs(len(crops)))
+    for found in epochs:
+        expected = run(here)
+        assert found.keys() == expected.keys() == set(range(len(crops)))
+        assert all(torch.equal(found[i], expected[i]) for i in expected)
+    assert not any(torch.equal(epochs[0][i], epochs[1][i]) for i in epochs[0])
+
+
+def test_crops_without_any_known_distance(motorcycle: Any) -> None:
+    distance = motorcycle.distance.float().clone()
+    distance[:, :, 150:700] = 0.0
+    crops = Crops(motorcycle.srgb.float(), distance, count=32)
+    silent = [not bool((z > 0).any()) for _, z, _ in crops]
+    assert 4 < sum(silent) < 30
+    data = loader(Pairs(crops, RandomUnderwater(unknown="skip")), "fork", worker_init_fn=quiet)
+    pairs = [(clean, out) for batch in data for clean, out in zip(*batch[:2], strict=True)]
+    assert [torch.equal(clean, out) for clean, out in pairs] == silent
+    with pytest.raises(ValueError, match="unknown='skip'"):
+        list(loader(Pairs(crops, RandomUnderwater(unknown="fill")), "fork", worker_init_fn=quiet))
+
+
+def quiet(worker: int) -> None:
+    """Fill maps of which much is unknown."""
+    warnings.simplefilter("ignore")
 
 
 @pytest.mark.parametrize("workers", [0, 2])

@@ -241,15 +241,29 @@ def test_construction_wants_a_medium() -> None:
     "image, distance, error, match",
     [
         (255 * picture(), distances(), ValueError, r"image reaches 2\d\d.*255"),
-        ((255 * picture()).byte(), distances(), TypeError, "image.*uint8"),
+        ((255 * picture()).int(), distances(), TypeError, "image.*int32"),
         (picture(), distances() * math.nan, ValueError, "distance.*NaN"),
         (picture(), -distances(), ValueError, "distance.*negative"),
         (picture(), distances(16, 40), ValueError, r"distance.*\(16, 40\)"),
     ],
-    ids=["0…255", "bytes", "nan", "negative", "size"],
+    ids=["0…255", "integers", "nan", "negative", "size"],
 )
 def test_forward_rejects(
     image: Tensor, distance: Tensor, error: type[Exception], match: str
 ) -> None:
     with pytest.raises(error, match=match):
         Underwater(coastal())(image, distance)
+
+
+@pytest.mark.parametrize("exposure", ["none", "auto"])
+def test_bytes_in_bytes_out(exposure: str) -> None:
+    image, z = picture(), distances()
+    pixels = (255 * image).round().byte()
+    degrade = Underwater(coastal(), exposure=exposure)
+    out = degrade(pixels, z)
+    assert out.dtype == torch.uint8
+    exact = degrade(pixels / 255, z)
+    torch.testing.assert_close(out, (255 * exact).round().byte(), rtol=0, atol=0)
+    assert degrade(pixels[0], z[0]).shape == pixels[0].shape
+    with pytest.raises(TypeError, match="image must be a floating-point tensor, got"):
+        form_image(pixels, z, coastal())

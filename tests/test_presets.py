@@ -1,3 +1,4 @@
+import os
 import re
 from pathlib import Path
 
@@ -95,7 +96,6 @@ def test_spectral_rows(name, water):
         vertical_depth=depth,
         g=g,
         mu=mu,
-        distance_range=(0.0, rest[1] * rest[3][1]),
     )
     assert same(preset.medium, expected)
     assert preset.medium.notes == expected.notes
@@ -333,3 +333,26 @@ def test_light_falls_with_depth_in_a_preset_with_coefficients(tmp_path):
     torch.testing.assert_close(medium.signal(torch.tensor(0.0, dtype=torch.float64)), light)
     full = load_preset(TANK_FILE).medium.veil_weights.sum(-1)
     torch.testing.assert_close(medium.veil_weights.sum(-1), full * light)
+
+
+@pytest.mark.parametrize(
+    "text", ["a = " + "[" * 5000, ".".join("a" * 5000) + " = 1"], ids=["brackets", "keys"]
+)
+def test_deep_nesting_is_an_error_of_value(tmp_path, text):
+    path = tmp_path / "deep.toml"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=r"deep\.toml: not a"):
+        load_preset(path)
+
+
+def test_a_pipe_is_refused_before_it_is_opened(tmp_path):
+    os.mkfifo(tmp_path / "pipe.toml")
+    with pytest.raises(OSError, match=r"path must be a file, but .* is a pipe"):
+        load_preset(tmp_path / "pipe.toml")
+
+
+def test_sides_are_passed_on():
+    module = load_preset("survey").module(sides=(32, 700))
+    assert module.sides == (32, 700)
+    assert module.plan((33, 40)) == module.plan((700, 900))
+    assert load_preset("survey").module().sides is None

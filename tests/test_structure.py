@@ -1,9 +1,9 @@
 import math
 from collections import OrderedDict, defaultdict
-from importlib.util import find_spec
 from typing import Any, NamedTuple
 
 import kornia
+import PIL.Image
 import pytest
 import torch
 from augmenting import EVERYTHING, H, W, distances, picture, same
@@ -77,6 +77,33 @@ def test_subclasses_come_back(batch: int | None, dtype: torch.dtype) -> None:
     assert type(aug({"image": image, "distance": distance})["image"]) is Photo
 
 
+def test_a_map_in_the_dict_in_second_place(options: dict[str, Any]) -> None:
+    aug = RandomUnderwater(**{**options, "p": 1.0})
+    image, boxes = picture(), torch.zeros(2, 4)
+    target = OrderedDict({"boxes": boxes, aug.distance_key: distances(), "labels": [1, 2]})
+    kept = dict(target)
+    expected = aug.at(0, 0, 0)((image, target[aug.distance_key]))[0]
+    for sample in ((image, target, "more"), [image, target]):
+        out = aug.at(0, 0, 0)(sample)
+        assert type(out) is type(sample)
+        assert same(out[0], expected)
+        assert out[1] is target
+        assert all(a is b for a, b in zip(out[1:], sample[1:], strict=True))
+    assert same(aug.at(0, 0, 0)(image, target)[0], expected)
+    assert list(target) == list(kept)
+    assert all(target[key] is kept[key] for key in kept)
+
+
+def test_inside_kornia() -> None:
+    mirror = kornia.augmentation.RandomHorizontalFlip(p=1.0)
+    for keys in (["input"], ["input", "mask"]):
+        chain = kornia.augmentation.AugmentationSequential(
+            mirror, RandomUnderwater(), data_keys=keys
+        )
+        with pytest.raises(ValueError, match=r"kornia gives its children the image alone: call"):
+            chain(picture(2), distances(2) + 1) if len(keys) > 1 else chain(picture(2))
+
+
 def test_mask_after_kornia() -> None:
     mirror = kornia.augmentation.RandomHorizontalFlip(p=1.0)
     flip = kornia.augmentation.AugmentationSequential(mirror, data_keys=["input", "mask"])
@@ -104,7 +131,7 @@ def test_mask_after_kornia() -> None:
             picture(),
             distances()[0],
             ValueError,
-            rf"distance must have shape \(1, H, W\).*\({H}, {W}\)",
+            rf"distance must have shape \(1, H, W\).*\({H}, {W}\): give distance\[None\]",
         ),
         (
             picture(),
@@ -122,7 +149,7 @@ def test_mask_after_kornia() -> None:
             picture()[:1],
             distances(),
             ValueError,
-            rf"image must have shape \(3, H, W\).*\(1, {H}, {W}\)",
+            rf"image must have shape \(3, H, W\).*\(1, {H}, {W}\).*expand\(3, -1, -1\)",
         ),
         (
             picture(4).transpose(0, 1),
@@ -130,7 +157,48 @@ def test_mask_after_kornia() -> None:
             ValueError,
             rf"image must have.*\(3, 4, {H}, {W}\)",
         ),
-        (picture()[0], distances(), ValueError, rf"image must have shape.*\({H}, {W}\)"),
+        (
+            picture()[0],
+            distances(),
+            ValueError,
+            rf"image must have shape.*\({H}, {W}\): repeat grey with image.expand\(3, -1, -1\)",
+        ),
+        (
+            picture(2)[:, :1],
+            distances(),
+            ValueError,
+            r"repeat grey with image.expand\(-1, 3, -1, -1\)",
+        ),
+        (
+            picture()[[0, 1, 2, 2]],
+            distances(),
+            ValueError,
+            r"drop alpha with image\[:3\]",
+        ),
+        (
+            picture(2)[:, [0, 1, 2, 2]],
+            distances(2),
+            ValueError,
+            r"drop alpha with image\[:, :3\]",
+        ),
+        (
+            picture().permute(1, 2, 0),
+            distances(),
+            ValueError,
+            r"put channels first with image.permute\(2, 0, 1\)",
+        ),
+        (
+            picture(2).permute(0, 2, 3, 1),
+            distances(2),
+            ValueError,
+            r"put channels first with image.permute\(0, 3, 1, 2\)",
+        ),
+        (
+            picture(),
+            distances().permute(1, 2, 0),
+            ValueError,
+            r"put channels first with distance.permute\(2, 0, 1\)",
+        ),
         (
             picture().long(),
             distances(),
@@ -138,6 +206,19 @@ def test_mask_after_kornia() -> None:
             "image must be a floating-point tensor, got torch.int64; or uint8",
         ),
         (picture().numpy(), distances(), TypeError, "image must be.*ndarray.*Convert"),
+        (
+            PIL.Image.new("RGB", (W, H)),
+            distances(),
+            TypeError,
+            r"got Image. Convert a PIL image with torchvision.*\.pil_to_tensor",
+        ),
+        (
+            4 * picture() - 2,
+            distances() + 1,
+            ValueError,
+            r"image falls to -1\.\d+: expected 0…1; place it before Normalize",
+        ),
+        (picture(), 3, TypeError, r"got int; expected \(image, distance, …\)"),
         (
             picture(),
             distances() - 0.5,
@@ -190,6 +271,11 @@ def test_shapes_are_checked_whatever_is_drawn() -> None:
             "no 'image', only 'rgb', 'distance'.*image_key",
         ),
         ({"distance": 2.0}, {"rgb": picture()}, "no 'image', only 'rgb'"),
+        (
+            {},
+            (picture(), {"boxes": 0, "depth": 1}),
+            "the dict in second place has no 'distance', only 'boxes', 'depth'",
+        ),
         ({}, (), "sample is empty"),
         ({}, picture(), "distance is missing"),
         ({}, [picture()], "distance is missing"),
@@ -209,25 +295,7 @@ def test_nothing_at_all() -> None:
         RandomUnderwater()()
 
 
-# torchvision, where it is installed; what it does with tensors is tested with subclasses of our own
-# above
-
-
-@pytest.fixture(scope="module")
-def torchvision() -> Any:
-    if find_spec("torchvision") is None:
-        pytest.skip("torchvision is not installed")
-    try:
-        import torchvision
-    except RuntimeError:
-        # built for another torch: without its compiled part, its Python part misses two operators
-        signature = "(Tensor dets, Tensor scores, float iou_threshold) -> Tensor"
-        torch.library.define("torchvision::nms", signature)
-        torch.library.define("torchvision::qnms", signature)
-        import torchvision
-    import torchvision.transforms.v2
-
-    return torchvision
+# torchvision
 
 
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.float32])
@@ -261,6 +329,34 @@ def test_in_a_torchvision_pipeline(torchvision: Any, dtype: torch.dtype) -> None
     assert type(z) is tv.Mask
 
 
+def test_torchvision_detection(torchvision: Any) -> None:
+    v2, tv = torchvision.transforms.v2, torchvision.tv_tensors
+    pipeline = v2.Compose(
+        [
+            v2.RandomHorizontalFlip(p=1.0),
+            RandomUnderwater(**EVERYTHING),
+            v2.ToDtype(torch.float32, scale=True),
+        ]
+    )
+    image, label = tv.Image(picture(dtype=torch.uint8)), object()
+    boxes = tv.BoundingBoxes([[1, 2, 9, 12]], format="XYXY", canvas_size=(H, W))
+    target = {"boxes": boxes, "distance": tv.Mask(distances() + 1), "label": label}
+    for sample in ((image, target), [image, target]):
+        seen, moved = pipeline(sample)
+        assert type(seen) is tv.Image
+        assert not torch.equal(seen, image.flip(-1) / 255)
+        assert type(moved) is dict
+        assert list(moved) == list(target)
+        assert type(moved["boxes"]) is tv.BoundingBoxes
+        assert moved["boxes"].tolist() == [[W - 9, 2, W - 1, 12]]
+        assert type(moved["distance"]) is tv.Mask
+        assert torch.equal(moved["distance"], target["distance"].flip(-1))
+        assert moved["label"] is label
+    seen, moved = pipeline(image, target)
+    assert type(seen) is tv.Image
+
+
+@pytest.mark.filterwarnings("ignore:distance is unknown")
 def test_torchvision_padding(torchvision: Any) -> None:
     v2, tv = torchvision.transforms.v2, torchvision.tv_tensors
     image, distance = tv.Image(picture()), tv.Mask(distances() + 1)

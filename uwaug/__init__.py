@@ -6,6 +6,7 @@ from uwaug import distance
 from uwaug.blur.demand import blur_demand
 from uwaug.blur.plan import BlurPlan, plan_blur
 from uwaug.blur.stack import varying_blur
+from uwaug.draw import collate_records
 from uwaug.field import gaussian_random_field
 from uwaug.formation import Terms, form_image
 from uwaug.module import Underwater
@@ -33,6 +34,7 @@ __all__ = [
     "Water",
     "blur_demand",
     "check_onnx",
+    "collate_records",
     "distance",
     "export_onnx",
     "form_image",

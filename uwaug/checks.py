@@ -16,9 +16,13 @@ __all__ = [
     "bounds",
     "counted",
     "extent",
+    "finite",
     "floating",
     "instance",
+    "metres",
+    "number_only",
     "one_of",
+    "pair",
     "picture",
     "positive",
     "same_device",
@@ -42,10 +46,28 @@ DOMAIN = {
     "gamma": (1e-3, math.inf),
     "distance": (0.0, math.inf),
     "field_range": (0.0, math.inf),
+    "contrast": (1e-3, 1.0),
+    "exposure": (-10.0, 10.0),
 }
 """Least and largest value of every quantity that may be drawn or read from a preset. Infinity
 itself is never allowed.
 """
+
+_FARTHEST = 1000.0
+"""m: what a map of metres has at most for its median. No water lets one see farther than 100 m."""
+
+_OPEN = 1e7
+"""m: beyond, a number stands for open water (some write 1e9 for infinity); no millimetres are so
+many.
+"""
+
+_LOOKS = 16
+"""Rows and columns of a map, about, at which it is looked for millimetres."""
+
+_CONVERT = (
+    ". Convert a PIL image with torchvision.transforms.v2.functional.pil_to_tensor, an array with "
+    "torch.from_numpy(…), and (H, W, 3) with .permute(2, 0, 1)"
+)
 
 
 def one_of(name: str, value: object, allowed: Iterable[str]) -> None:
@@ -62,10 +84,27 @@ def bounds(low: float, high: float) -> str:
 
 def within(name: str, value: Any, low: float = -math.inf, high: float = math.inf) -> None:
     """Refuse a number outside [low, high], an infinite one, and what is no number."""
+    number_only(name, value)
     number = isinstance(value, (int, float, np.number))
     if not number or not (low <= value <= high and math.isfinite(value)):
         wanted = "finite" if low == -math.inf else bounds(low, high)
         raise ValueError(f"{name} must be {wanted}, got {value!r}")
+
+
+def pair(name: str, value: Any, wanted: str) -> tuple[float, float]:
+    """The two numbers of a range; refuse what is no pair of numbers."""
+    try:
+        low, high = map(float, value)
+    except (TypeError, ValueError):
+        raise TypeError(f"{name} must be {wanted}, got {value!r}") from None
+    return low, high
+
+
+def number_only(name: str, value: object) -> None:
+    """Refuse a tensor where a number is asked for, which would get no gradient."""
+    if isinstance(value, Tensor):
+        cure = "to learn what water does, use Underwater(…, learnable=True)"
+        raise TypeError(f"{name} must be a number, got a tensor; {cure}")
 
 
 def positive(name: str, value: float, unit: str = "") -> None:
@@ -92,14 +131,61 @@ def floating(name: str, value: object, hint: str = "") -> None:
     if not isinstance(value, Tensor) or not value.is_floating_point():
         got = value.dtype if isinstance(value, Tensor) else type(value).__name__
         cure = "; scale 0…255 to 0…1 first" if got == torch.uint8 and not hint else hint
+        # NumPy's arrays and PIL's images
+        cure = _CONVERT if hasattr(value, "__array_interface__") else cure
         raise TypeError(f"{name} must be a floating-point tensor, got {got}{cure}")
+
+
+def finite(name: str, value: Tensor) -> tuple[float, float]:
+    """Refuse NaN and infinite values, one of which would spread with the blur over rows and
+    columns; return the least and the largest.
+    """
+    low, high = extent(value)
+    if not (math.isfinite(low) and math.isfinite(high)):
+        counts = counted(value, "NaN", "infinite", of="values")
+        raise ValueError(f"{name} is {counts}: expected finite values, see torch.nan_to_num")
+    return low, high
+
+
+def metres(name: str, value: Tensor) -> None:
+    """Refuse a map whose median lies beyond 1000 m: it holds millimetres.
+
+    Unknown pixels and open water do not count. All pixels are looked at only if one of a few
+    hundred holds such a distance.
+    """
+    rows, columns = (max(1, side // _LOOKS) for side in value.shape[-2:])
+    seen = value.detach()[..., ::rows, ::columns]
+    if not bool(((seen > _FARTHEST) & (seen < _OPEN)).any()):
+        return
+    known = value.detach()[(value > 0) & (value < _OPEN)]
+    median = float(known.median())
+    if median > _FARTHEST:
+        got = f"a map whose median is {median:.4g}"
+        raise ValueError(f"{name} must be in metres, got {got}: divide by 1000: millimetres?")
 
 
 def picture(name: str, value: Tensor, channels: int) -> None:
     """Refuse a tensor that is neither (B, channels, H, W) nor (channels, H, W)."""
     if value.ndim not in (3, 4) or value.shape[-3] != channels:
         shapes = f"({channels}, H, W) or (B, {channels}, H, W)"
-        raise ValueError(f"{name} must have shape {shapes}, got {tuple(value.shape)}")
+        got = f"{tuple(value.shape)}{_reshaped(name, value.shape, channels)}"
+        raise ValueError(f"{name} must have shape {shapes}, got {got}")
+
+
+def _reshaped(name: str, shape: tuple[int, ...], channels: int) -> str:
+    """What to do about a picture's shape, where that can be told."""
+    colour, batch = channels == 3, len(shape) == 4
+    if len(shape) == 2:
+        return f": repeat grey with {name}.expand(3, -1, -1)" if colour else f": give {name}[None]"
+    if len(shape) not in (3, 4):
+        return ""
+    if colour and shape[-3] == 4:
+        return f": drop alpha with {name}[{':, :3' if batch else ':3'}]"
+    if colour and shape[-3] == 1:
+        return f": repeat grey with {name}.expand({'-1, 3, -1, -1' if batch else '3, -1, -1'})"
+    if shape[-1] == channels:
+        return f": put channels first with {name}.permute({'0, 3, 1, 2' if batch else '2, 0, 1'})"
+    return ""
 
 
 def same_size(name: str, value: Tensor, image: Tensor) -> None:
@@ -122,12 +208,12 @@ def batches(sizes: Mapping[str, int]) -> None:
         raise ValueError(f"batch sizes must agree or be 1, got {dict(sizes)}")
 
 
-def counted(x: Tensor, *kinds: str) -> str:
+def counted(x: Tensor, *kinds: str, of: str = "pixels") -> str:
     """How many values of a tensor are "NaN", "negative", "zero" or "infinite", in words."""
     found = {"NaN": x.isnan(), "negative": x < 0, "zero": x == 0, "infinite": x.isinf()}
     parts = [f"{kind} at {int(found[kind].sum())}" for kind in kinds]
     *first, last = parts
-    return f"{', '.join(first)} and {last} of {x.numel()} pixels"
+    return f"{', '.join(first)} and {last} of {x.numel()} {of}"
 
 
 def extent(x: Tensor) -> tuple[float, float]:

@@ -1,9 +1,15 @@
-"""The command line, `uwaug …`. Exit codes: 0 done, 2 used wrongly, or a file fails its check."""
+"""The command line, `uwaug …`. Exit codes: 0 done, 1 failed (a file that cannot be read or written,
+or that fails its check; a package that is missing), 2 used wrongly.
+"""
 
 import importlib.util
+import io
 import os
+import signal
 import sys
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
@@ -13,9 +19,11 @@ from rich.progress import Progress
 from rich.table import Table
 
 from uwaug import __version__
+from uwaug.files import is_part
 from uwaug.optics.bands import WAVELENGTHS
 from uwaug.optics.camera import load_camera
 from uwaug.optics.water import JERLOV_TYPES, Water
+from uwaug.planned import SIDES
 from uwaug.presets import list_presets, load_preset
 
 app = typer.Typer(
@@ -29,12 +37,38 @@ app = typer.Typer(
 
 def main() -> None:
     """Run the command line."""
-    app()
+    # ended by a signal, Python would not remove the file that it is writing
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            # a console of another encoding than UTF-8 shows ? for β
+            stream.reconfigure(errors="replace")
+    try:
+        try:
+            app()
+        finally:
+            sys.stdout.flush()
+    except OSError as error:
+        # of the console alone, as commands report those of their files: else Python would try to
+        # write again when it ends, and fail again
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        print(f"Error: cannot write to the console: {error.strerror or error}", file=sys.stderr)
+        sys.exit(1)
 
 
-def _refuse(message: str) -> NoReturn:
+def _end(code: int, message: object) -> NoReturn:
     print(f"Error: {message}", file=sys.stderr)
-    raise typer.Exit(2)
+    raise typer.Exit(code)
+
+
+def _refuse(message: object) -> NoReturn:
+    """For what was asked for wrongly."""
+    _end(2, message)
+
+
+def _fail(message: object) -> NoReturn:
+    """For what was asked for rightly and cannot be done."""
+    _end(1, message)
 
 
 def _version(wanted: bool) -> None:
@@ -63,17 +97,19 @@ def demo(
 ) -> None:
     """Draw a real scene in ten waters, term by term."""
     if importlib.util.find_spec("matplotlib") is None:
-        cure = 'pip install "uwaug[plot]"'
-        _refuse(f"the demo draws with matplotlib, which is not installed: {cure}")
+        cure = 'pip install ".[plot]" in a checkout of uwaug'
+        _fail(f"the demo draws with matplotlib, which is not installed: {cure}")
     from uwaug.plots import PICTURES
 
     start = time.perf_counter()
     try:
-        others = sorted(set(os.listdir(out)) - set(PICTURES))
+        found = os.listdir(out)
     except FileNotFoundError:
-        others = []
+        found = []
     except OSError as error:
-        _refuse(f"cannot write to {out}: {error.strerror or error}")
+        _fail(f"cannot write to {out}: {error.strerror or error}")
+    # what a killed demo has left does not count
+    others = sorted(name for name in found if name not in PICTURES and not is_part(name))
     if others and not force:
         cure = "choose an empty folder, or --force to write into it"
         _refuse(f"{out} holds other files, such as {others[0]}: {cure}")
@@ -81,7 +117,7 @@ def demo(
         out.mkdir(parents=True, exist_ok=True)
         _draw_all(out)
     except OSError as error:
-        _refuse(f"cannot write to {out}: {error.strerror or error}")
+        _fail(f"cannot write to {out}: {error.strerror or error}")
     took = time.perf_counter() - start
     print(f"{len(PICTURES)} pictures in {out.resolve()}, {took:.1f} s")
 
@@ -152,21 +188,31 @@ def export(
         str, typer.Option(help="none, or input: the medium field as an input.")
     ] = "none",
     image: Annotated[str, typer.Option(help="float32 (0…1) or uint8 (0…255).")] = "float32",
+    sides: Annotated[
+        tuple[int, int], typer.Option(help="Smallest and largest short side that it serves, px.")
+    ] = SIDES,
     force: Annotated[bool, typer.Option("--force", help="Write over an existing file.")] = False,
 ) -> None:
     """Write a preset as an ONNX file, and check it."""
     from uwaug.onnx import export_onnx, read_metadata
+    from uwaug.onnx.metadata import Options
 
     if out.exists() and not force:
         _refuse(f"{out} exists: choose another file, or --force to write over it")
+    options: dict[str, Any] = {"parameters": parameters, "field": field, "image": image}
     try:
-        module = load_preset(preset, water=water).module()
-        # export_onnx itself refuses other words
-        options: dict[str, Any] = {"parameters": parameters, "field": field, "image": image}
-        export_onnx(module, out, **options)
+        Options(**options)
+        module = load_preset(preset, water=water).module(sides)
+    except ValueError as error:
+        _refuse(error)
+    except OSError as error:
+        _fail(error)
+    try:
+        with _said() as say:
+            export_onnx(module, out, **options, progress=say)
         metadata = read_metadata(out)
     except (ImportError, OSError, ValueError) as error:
-        _refuse(str(error))
+        _fail(error)
     print(f"{out}  ({out.stat().st_size / 1024:.0f} KiB)")
     print(f"    {metadata['uwaug_medium']}\n    {metadata['uwaug_plan']}")
 
@@ -174,10 +220,24 @@ def export(
 @app.command()
 def check(path: Annotated[Path, typer.Argument(help="A file that uwaug has exported.")]) -> None:
     """Check an ONNX file against the module it came from."""
-    from uwaug.onnx import check_onnx, read_module
+    from uwaug.onnx import check_onnx, read_metadata, read_module
 
     try:
-        report = check_onnx(path, read_module(path))
+        with _said() as say:
+            report = check_onnx(path, read_module(path), progress=say)
+        unit = " of 255" if read_metadata(path)["uwaug_image"] == "uint8" else ""
     except (ImportError, OSError, ValueError) as error:
-        _refuse(str(error))
-    print(f"{path}: {report.cases} cases, largest difference {report.worst:.2g} ({report.where})")
+        _fail(error)
+    worst = f"largest difference {report.worst:.2g}{unit}"
+    print(f"{path}: {report.cases} cases, {worst} ({report.where})")
+
+
+@contextmanager
+def _said() -> Iterator[Callable[[str], None]]:
+    """Says on a terminal what is being done, for as long as it is."""
+    errors = Console(stderr=True)
+    if not errors.is_terminal:
+        yield lambda _: None
+        return
+    with errors.status("starting") as status:
+        yield status.update

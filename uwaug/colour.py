@@ -9,13 +9,25 @@ from torch import Tensor
 
 from uwaug import checks
 
-__all__ = ["ColorSpace", "from_light", "linear_to_srgb", "srgb_to_linear", "to_light"]
+__all__ = [
+    "ColorSpace",
+    "from_light",
+    "headroom",
+    "linear_to_srgb",
+    "srgb_to_linear",
+    "to_light",
+]
 
 ColorSpace = Literal["srgb", "linear"]
 """What the values of a picture are: sRGB, or linear light as they stand."""
 
 _BRIGHTEST = 16.0
 """sRGB values above are taken for a scale of 0…255."""
+
+_DARKEST = -0.1
+"""sRGB values below are taken for normalised ones; ImageNet's reach −2.1. Resampling and another
+gamut leave less.
+"""
 
 # Where the curve's two pieces meet. The standard prints 0.04045 and 0.0031308, rounded, which
 # leaves a step of 3e-8 and makes the two functions inverse to each other only to that.
@@ -39,23 +51,47 @@ def to_light(image: Tensor, color_space: ColorSpace) -> Tensor:
         color_space: "srgb" decodes; "linear" takes the values for light, of any brightness.
 
     Raises:
-        ValueError: if sRGB values exceed 16, which are taken for a scale of 0…255.
+        ValueError: if values are NaN or infinite; if sRGB values exceed 16, which are taken for a
+            scale of 0…255, or fall below −0.1, which are taken for normalised ones.
     """
     if image.dtype == torch.uint8:
         unit = image.to(torch.float32) / 255
     else:
         unit = image.to(torch.promote_types(image.dtype, torch.float32))
-    if color_space == "linear":
-        return unit
-    if not torch.compiler.is_compiling() and unit.numel() and unit.detach().amax() > _BRIGHTEST:
-        top = float(unit.detach().amax())
-        raise ValueError(f"image reaches {top:g}: expected 0…1; divide a 0…255 image by 255")
-    return srgb_to_linear(unit)
+    if image.is_floating_point() and image.numel() and not torch.compiler.is_compiling():
+        low, high = checks.finite("image", unit)
+        if color_space == "srgb" and high > _BRIGHTEST:
+            raise ValueError(f"image reaches {high:g}: expected 0…1; divide a 0…255 image by 255")
+        if color_space == "srgb" and low < _DARKEST:
+            raise ValueError(f"image falls to {low:g}: expected 0…1; place it before Normalize")
+    return unit if color_space == "linear" else srgb_to_linear(unit)
 
 
-def from_light(light: Tensor, color_space: ColorSpace, dtype: torch.dtype) -> Tensor:
-    """The inverse of `to_light`: a picture of `dtype`; uint8 is rounded and clipped."""
-    values = linear_to_srgb(light) if color_space == "srgb" else light
+def headroom(image: Tensor) -> float | Tensor:
+    """The largest sRGB value that a result may have: 1, as files hold no more; if the picture that
+    was given is brighter (HDR), its own largest value, (B, 1, 1, 1).
+    """
+    if image.dtype == torch.uint8 or not image.numel():
+        return 1.0
+    if not torch.compiler.is_compiling() and image.detach().amax() <= 1:
+        return 1.0
+    return image.detach().amax((-3, -2, -1), keepdim=True).clamp(min=1)
+
+
+def from_light(
+    light: Tensor, color_space: ColorSpace, dtype: torch.dtype, most: float | Tensor = math.inf
+) -> Tensor:
+    """The inverse of `to_light`: a picture of `dtype`; uint8 is rounded and clipped.
+
+    sRGB values are clipped to 0…`most`, see `headroom`; linear light never is.
+    """
+    values = light
+    if color_space == "srgb":
+        values = linear_to_srgb(light)
+        if isinstance(most, Tensor):
+            values = torch.minimum(values.clamp(min=0), most)
+        else:
+            values = values.clamp(0.0, most)
     if dtype == torch.uint8:
         return (values * 255).round().clamp(0, 255).to(torch.uint8)
     return values.to(dtype)

@@ -2,8 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import Any, Literal, NamedTuple
@@ -12,22 +11,35 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uwaug.colour import ColorSpace, from_light, to_light
-from uwaug.distance import check_distance, from_inverse, from_relative
+from uwaug.colour import ColorSpace, from_light, headroom, to_light
+from uwaug.exposure import auto_gain
 from uwaug.field import gaussian_random_field
 from uwaug.formation import Order, form, plan_at_hand, prepare, together
+from uwaug.metres import DistanceKind, Scaling, Unknown, skipped, to_metres
 from uwaug.optics.camera import Camera
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
-from uwaug.optics.water import Water
+from uwaug.optics.water import CONTRAST_THRESHOLD, Water
+from uwaug.replay import reproducible
 
-__all__ = ["DistanceKind", "Draw", "Settings", "Unknown", "degrade", "degrade_opaque"]
+__all__ = [
+    "Draw",
+    "InWater",
+    "Opaque",
+    "Settings",
+    "degrade",
+    "degrade_opaque",
+    "in_water",
+    "used",
+]
 
-DistanceKind = Literal["metric", "relative", "inverse"]
-Unknown = Literal["error", "fill"]
+_FOCAL = 0.5 / math.tan(math.radians(30))
+"""Focal length of a view 60° wide, as a share of the picture's width."""
 
-_TOUCHING = 1e-6
-"""m, for relative distance 0 with near = 0: in a map of metres 0 means unknown."""
+_MEASURED_EVERY = 4
+"""px along each axis, at which the median of distance is taken: .03 ms instead of .5 at 256 px, and
+within 1 % of that of all pixels.
+"""
 
 
 class Draw(NamedTuple):
@@ -46,15 +58,26 @@ class Draw(NamedTuple):
     far: float
     gamma: float
     distance: float
+    contrast: float
+    exposure: float
+    contents: float
+    gain: float
     field_seed: float
     field_low: float
     field_high: float
+
+    @property
+    def scaling(self) -> Scaling:
+        """What scales a relative map."""
+        return Scaling(self.near, self.far, self.gamma)
 
     @staticmethod
     def of(sample: Mapping[str, Any]) -> "Draw":
         """From a sample of a record."""
         low, high = sample["field_range"]
         drawn = {**sample, "field_low": low, "field_high": high}
+        for name in ("contents", "gain"):
+            drawn[name] = sample.get("used", {}).get(name)
         values = []
         for name in Draw._fields:
             value = drawn.get(name)
@@ -75,8 +98,18 @@ class Settings:
     unknown: Unknown
     color_space: ColorSpace
     order: Order
-    point_spread: PointSpread
+    point_spread: PointSpread | None
+    focal_px: float | None
+    exposure: Literal["none", "auto", "drawn"]
     tolerance: float
+    varied: bool
+    """Whether each picture has a medium of its own, so that none need be kept."""
+
+    def law(self, width: int) -> PointSpread:
+        """The width law for a picture of `width` px."""
+        if self.point_spread is not None:
+            return self.point_spread
+        return PointSpread.calibrated(self.focal_px or _FOCAL * width)
 
     def to_json(self) -> str:
         """As text, for an operator that takes no objects."""
@@ -86,7 +119,9 @@ class Settings:
     def from_json(text: str) -> "Settings":
         """The inverse of `to_json`."""
         values = json.loads(text)
-        return Settings(**{**values, "point_spread": PointSpread(**values["point_spread"])})
+        if values["point_spread"] is not None:
+            values["point_spread"] = PointSpread(**values["point_spread"])
+        return Settings(**values)
 
 
 def degrade(
@@ -110,31 +145,66 @@ def degrade(
     Returns:
         The picture, like `image`.
     """
-    with _one_thread(), torch.no_grad(), torch.autocast(image.device.type, enabled=False):
-        light = to_light(image, settings.color_space)
-        if distance is None:
-            z = torch.full_like(light[:1], draw.distance)
-        else:
-            z = _metres(distance, draw, settings)
-        numbers = (None if math.isnan(value) else value for value in draw[:6])
-        medium = _medium(tuple(waters), camera, tuple(numbers), settings)
-        light, z, medium = prepare(light, z, medium, _field(draw, z))
+    with reproducible(), torch.no_grad(), torch.autocast(image.device.type, enabled=False):
+        found = in_water(image, distance, waters, camera, draw, settings)
+        light, z, medium = found.light, found.z, found.medium
         plan = plan_at_hand(z, medium, settings.tolerance, settings.order)
         (result,) = form(light, z, medium, plan, settings.order, together)
-        return from_light(result[0], settings.color_space, image.dtype)
+        return from_light(result[0], settings.color_space, image.dtype, headroom(image))
 
 
-def _metres(distance: Tensor, draw: Draw, settings: Settings) -> Tensor:
-    if settings.distance_kind == "relative":
-        distance = from_relative(distance, max(draw.near, _TOUCHING), draw.far, draw.gamma)
-    elif settings.distance_kind == "inverse":
-        distance = from_inverse(distance, draw.near, draw.far)
-    strict = settings.unknown == "error"
-    try:
-        return check_distance(distance, strict=strict)
-    except ValueError as error:
-        hint = "; or use RandomUnderwater(unknown='fill')" if strict else ""
-        raise ValueError(f"{error}{hint}") from None
+def used(
+    image: Tensor,
+    distance: Tensor | None,
+    waters: Sequence[Water],
+    camera: Camera,
+    draw: Draw,
+    settings: Settings,
+) -> dict[str, float]:
+    """What the draw comes to on a picture; arguments as for `degrade`.
+
+    Returns:
+        contents: factor on all that is in the water besides pure water.
+        visibility: of that water, m.
+        gain: of the exposure.
+    """
+    with reproducible(), torch.no_grad(), torch.autocast(image.device.type, enabled=False):
+        found = in_water(image, distance, waters, camera, draw, settings)
+        visibility = found.water.visibility()
+        return {"contents": found.contents, "visibility": visibility, "gain": float(found.gain)}
+
+
+class InWater(NamedTuple):
+    """Light, distance and medium as `form` takes them; what water, contents and gain came to."""
+
+    light: Tensor
+    z: Tensor
+    medium: Medium
+    water: Water
+    contents: float
+    gain: Tensor
+
+
+def in_water(
+    image: Tensor,
+    distance: Tensor | None,
+    waters: Sequence[Water],
+    camera: Camera,
+    draw: Draw,
+    settings: Settings,
+) -> InWater:
+    """A picture in its water, before it is formed; arguments as for `degrade`."""
+    # a view with other strides takes other paths through the kernels, which round differently
+    light = to_light(image.contiguous(), settings.color_space)
+    if distance is None:
+        z = torch.full_like(light[:1], draw.distance)
+    else:
+        z = to_metres(distance.contiguous(), draw.scaling, settings.distance_kind, settings.unknown)
+    water, contents = _water(waters, draw, z)
+    medium = _medium(water, camera, draw, settings.law(image.shape[-1]), settings)
+    light, z, medium = prepare(light, z, medium, _field(draw, z))
+    gain = _gain(light, z, medium, draw, settings)
+    return InWater(light, z, medium.brightened(gain), water, contents, gain)
 
 
 def _field(draw: Draw, z: Tensor) -> Tensor | None:
@@ -142,41 +212,74 @@ def _field(draw: Draw, z: Tensor) -> Tensor | None:
         return None
     generator = torch.Generator().manual_seed(int(draw.field_seed))
     size, low, high = z.shape[-2:], draw.field_low, draw.field_high
-    return gaussian_random_field(size, low=low, high=high, generator=generator).to(z.device)
+    field = gaussian_random_field(
+        size, low=low, high=high, generator=generator, dtype=torch.float32, device="cpu"
+    )
+    return field.to(z.device)
 
 
-@lru_cache(maxsize=256)
+def _water(waters: Sequence[Water], draw: Draw, z: Tensor) -> tuple[Water, float]:
+    """The water of a picture, and the factor on what is in it."""
+    water = waters[0].mix(waters[1], draw.mixing) if len(waters) > 1 else waters[0]
+    if not math.isnan(draw.contents):
+        contents = draw.contents
+    elif not math.isnan(draw.visibility):
+        contents = water.contents_for(CONTRAST_THRESHOLD, draw.visibility)
+    elif not math.isnan(draw.contrast):
+        contents = water.contents_for(draw.contrast, _middle(z))
+    else:
+        return water, 1.0
+    return water.with_contents(contents), contents
+
+
+def _middle(z: Tensor) -> float:
+    """The median of all distances that are not open water, m."""
+    some = z[..., ::_MEASURED_EVERY, ::_MEASURED_EVERY]
+    near = some[some.isfinite()]
+    return float(near.median()) if near.numel() else math.inf
+
+
+def _gain(light: Tensor, z: Tensor, medium: Medium, draw: Draw, settings: Settings) -> Tensor:
+    """The exposure of a picture, (1,)."""
+    if not math.isnan(draw.gain):
+        return light.new_full((1,), draw.gain)
+    if settings.exposure == "auto":
+        return auto_gain(light, z, medium.sums(exact_at_lens=False))
+    stops = draw.exposure if settings.exposure == "drawn" else 0.0
+    return light.new_full((1,), 2.0**stops)
+
+
 def _medium(
-    waters: tuple[Water, ...], camera: Camera, drawn: tuple[Any, ...], settings: Settings
+    water: Water, camera: Camera, draw: Draw, law: PointSpread, settings: Settings
 ) -> Medium:
-    mixing, visibility, vertical_depth, g, mu, blur_factor = drawn
-    water = waters[0].mix(waters[1], mixing) if len(waters) > 1 else waters[0]
-    if visibility is not None:
-        water = water.with_visibility(visibility)
-    law = settings.point_spread
+    # media that are kept for nothing would lie between the pictures in memory, so that the heap
+    # could not shrink
+    make = _new_medium if settings.varied else _kept_medium
+    numbers = (draw.vertical_depth, draw.g, draw.mu)
+    return make(water, camera, numbers, law.widened(draw.blur_factor), settings.tolerance)
+
+
+def _new_medium(
+    water: Water,
+    camera: Camera,
+    numbers: tuple[float, float, float],
+    law: PointSpread,
+    tolerance: float,
+) -> Medium:
+    depth, g, mu = numbers
     return Medium.from_water(
         water,
         camera,
-        vertical_depth=vertical_depth,
+        vertical_depth=depth,
         g=g,
         mu=mu,
-        point_spread=law.widened(blur_factor),
-        tolerance=settings.tolerance,
+        point_spread=law,
+        tolerance=tolerance,
     )
 
 
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Run on one thread, as a DataLoader worker does, so that records replay bit for bit: the split
-    between threads decides which elements take the scalar path, where exp2 and pow differ in the
-    last bit.
-    """
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
+_kept_medium = lru_cache(maxsize=64)(_new_medium)
+"""Nine waters, or pairs of them, seen by a few cameras."""
 
 
 @torch.library.custom_op(
@@ -194,13 +297,16 @@ def degrade_opaque(
     settings: str,
 ) -> Tensor:
     """`degrade` for compiled code. The draw comes as a tensor; as Python numbers it would be
-    baked into the graph. Waters and camera come as tables, see `table`.
+    baked into the graph. Waters and camera come as tables, see `_table`.
     """
     spectra = [Water(*rows.numpy()) for rows in waters]
     wavelengths, *response = camera.numpy()
     lens = Camera(wavelengths, np.array(response).T)
     drawn = Draw(*draw.tolist())
-    return degrade(image, distance, spectra, lens, drawn, Settings.from_json(settings))
+    options = Settings.from_json(settings)
+    if skipped(distance, options):
+        return image.clone()  # an operator must not return what it was given
+    return degrade(image, distance, spectra, lens, drawn, options)
 
 
 @degrade_opaque.register_fake
@@ -208,7 +314,30 @@ def _(image: Tensor, *_: Any) -> Tensor:
     return torch.empty_like(image, memory_format=torch.contiguous_format)
 
 
-def table(spectra: Water | Camera) -> Tensor:
+class Opaque:
+    """`degrade` as one opaque operator, for compiled code, which takes no objects.
+
+    Args:
+        spectra, cameras: by the names that samples have for them.
+        settings: what is set.
+    """
+
+    def __init__(
+        self, spectra: Mapping[str, Water], cameras: Mapping[str, Camera], settings: Settings
+    ) -> None:
+        self._text = settings.to_json()
+        self._waters = {name: _table(water) for name, water in spectra.items()}
+        self._cameras = {name: _table(camera) for name, camera in cameras.items()}
+
+    def __call__(self, image: Tensor, distance: Tensor | None, sample: Mapping[str, Any]) -> Tensor:
+        """A picture (3xHxW) as a sample of a record says."""
+        waters = [self._waters[name] for name in sample["waters"]]
+        camera, draw = self._cameras[sample["camera"]], Draw.of(sample).to_tensor()
+        result: Tensor = degrade_opaque(image, distance, waters, camera, draw, self._text)
+        return result
+
+
+def _table(spectra: Water | Camera) -> Tensor:
     """Wavelengths, and below them the values at each."""
     if isinstance(spectra, Camera):
         return torch.from_numpy(np.array([spectra.wavelengths, *spectra.response.T]))

@@ -76,8 +76,8 @@ class DepthNetwork:
         Raises:
             ImportError: onnxruntime is not installed.
             TypeError: `image` is no floating-point tensor.
-            ValueError: `image` has another shape or leaves [0, 1], or the network gives something
-                else than a map.
+            ValueError: `image` has another shape or leaves [0, 1], the file is no model, or the
+                network gives something else than a map.
         """
         checks.floating("image", image)
         checks.picture("image", image, 3)

@@ -6,11 +6,14 @@ float32). NaN stands for an unknown distance and stays NaN until `check_distance
 +inf stands for open water. A pixel's index (i, j) has its centre at (i + 0.5, j + 0.5).
 """
 
+import warnings
+
 import torch
 from torch import Tensor
 
 from uwaug import checks
 from uwaug.depth import DepthNetwork
+from uwaug.holes import filled
 
 __all__ = [
     "DepthNetwork",
@@ -21,6 +24,12 @@ __all__ = [
     "from_inverse",
     "from_relative",
 ]
+
+_MANY = 0.2
+"""Share of unknown pixels above which filling is guessing."""
+
+_warned: list[int] = []
+"""Percentages that were warned of, one at most."""
 
 
 def from_relative(
@@ -93,9 +102,11 @@ def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> 
     known = inverse.isfinite()
     least = torch.where(known, inverse, torch.inf).amin((-2, -1), keepdim=True)
     largest = torch.where(known, inverse, -torch.inf).amax((-2, -1), keepdim=True)
-    if not bool((largest > least).all()):
-        got = "a map that is constant or has no finite value"
-        raise ValueError(f"inverse must vary within each map, got {got}")
+    flat = ~(largest > least)
+    if bool(flat.any()):
+        got = f"{_which(flat)} that is constant or has no finite value"
+        cure = "scale whole maps before they are cropped"
+        raise ValueError(f"inverse must vary within each map, got {got}: {cure}")
     s = (torch.where(known, inverse, least) - least) / (largest - least)
     return torch.where(known, 1 / (1 / far + (1 / near - 1 / far) * s), torch.nan)
 
@@ -193,7 +204,8 @@ def check_distance(distance: Tensor, strict: bool = True) -> Tensor:
     distance = _maps("distance", distance)
     if not strict:
         return fill_unknown(distance)
-    if not bool((distance > 0).all()):
+    # NaN if any is; a mask of all pixels takes several times as long
+    if distance.numel() and not distance.detach().amin() > 0:
         counts = checks.counted(distance, "NaN", "negative", "zero")
         cure = "mask them, or fill them with uwaug.distance.fill_unknown"
         raise ValueError(f"distance must be above 0 m (inf = open water), but is {counts}: {cure}")
@@ -201,48 +213,66 @@ def check_distance(distance: Tensor, strict: bool = True) -> Tensor:
 
 
 def fill_unknown(distance: Tensor) -> Tensor:
-    """Give each unknown pixel (NaN, negative or zero) the distance of the nearest known pixel of
-    its map.
+    """Give each unknown pixel (NaN, negative or zero) a distance from the known ones of its map.
 
     Holes of real maps are mostly thin: occlusions beside edges, reflections, the rim that
-    rectification leaves. There the nearest value keeps edges sharp and invents no distance in
-    between, which smooth inpainting does.
+    rectification leaves. Within 4 pixels of what is known the nearest value keeps edges sharp and
+    invents no distance in between. Farther inside, a membrane over 1/z spans the hole smoothly.
+    Neither is right where a sensor has reached its range: there, set what lies beyond yourself,
+    such as `torch.where(distance > 0, distance, torch.inf)` for open water.
+
+    Fill a whole map before it is cropped: a crop may hold no known pixel.
 
     Args:
         distance: (..., H, W), metres. +inf is known: open water.
 
     Returns:
-        Shape of `distance`, every pixel above 0; differentiable in the known pixels. `distance`
+        Shape of `distance`, every pixel above 0 and between the least and the largest known value;
+        differentiable in the known pixels (which of them is the nearest is held fixed). `distance`
         itself if none is unknown.
 
     Raises:
         ValueError: a map has no known pixel.
         TypeError: `distance` is no floating-point tensor.
 
+    Warns:
+        UserWarning: once in a process, if more than 20 % of a map is unknown.
+
     Examples:
-        >>> fill_unknown(torch.tensor([[2.0, 0.0, float("nan"), 3.0]]))
-        tensor([[2., 2., 3., 3.]])
+        >>> fill_unknown(torch.tensor([[2.0, 2.0, 2.0, 2.0, 0.0, 0.0, 3.0, 3.0, 3.0, 3.0]]))
+        tensor([[2., 2., 2., 2., 2., 3., 3., 3., 3., 3.]])
     """
     distance = _maps("distance", distance)
     unknown = ~(distance > 0)
     if not bool(unknown.any()):
         return distance
-    if bool(unknown.flatten(-2).all(-1).any()):
+    holes = unknown.flatten(-2)
+    empty = holes.all(-1)
+    if bool(empty.any()):
         wanted = "at least one known pixel (above 0 m) in each map"
-        raise ValueError(f"distance must have {wanted}, got a map without any")
-    height, width = distance.shape[-2:]
-    nearest = [_nearest_known(holes) for holes in unknown.reshape(-1, height, width)]
-    index = torch.stack(nearest).view(distance.shape).flatten(-2)
-    return distance.flatten(-2).gather(-1, index.to(distance.device)).view(distance.shape)
+        cure = "fill whole maps before they are cropped"
+        raise ValueError(f"distance must have {wanted}, got {_which(empty)} without any: {cure}")
+    share = float(holes.double().mean(-1).max())
+    if share > _MANY:
+        _warn_of_many(round(100 * share))
+    size = distance.shape[-2:]
+    return filled(distance.reshape(-1, *size), unknown.reshape(-1, *size)).view(distance.shape)
 
 
-def _nearest_known(unknown: Tensor) -> Tensor:
-    """The flat index of the nearest known pixel of each pixel (HxW)."""
-    from scipy.ndimage import distance_transform_edt
+def _warn_of_many(percent: int) -> None:
+    """Warn once in a process: a loader fills thousands of maps."""
+    if not _warned:
+        guess = f"distance is unknown at {percent} % of a map's pixels, and is guessed there"
+        cure = "beyond a sensor's range, set metres or inf (RandomUnderwater(unknown='far'))"
+        warnings.warn(f"{guess}: {cure}", UserWarning, stacklevel=3)
+        _warned.append(percent)
 
-    holes = unknown.cpu().numpy()
-    rows, columns = distance_transform_edt(holes, return_distances=False, return_indices=True)
-    return torch.from_numpy(rows).long() * unknown.shape[-1] + torch.from_numpy(columns)
+
+def _which(bad: Tensor) -> str:
+    """The first map that is bad, in words."""
+    if bad.numel() == 1:
+        return "a map"
+    return f"map {int(bad.flatten().nonzero()[0])} of {bad.numel()}, counted from 0,"
 
 
 def _maps(name: str, x: Tensor) -> Tensor:

@@ -1,5 +1,6 @@
 """What a random water is drawn from, and the records of what was drawn."""
 
+import json
 import math
 from bisect import bisect
 from collections import Counter
@@ -23,6 +24,7 @@ __all__ = [
     "Record",
     "as_range",
     "cameras_of",
+    "collate_records",
     "require_scaling",
     "require_visibility",
     "spectra_of",
@@ -44,7 +46,10 @@ RANGES = (
     "far",
     "gamma",
     "distance",
+    "contrast",
+    "exposure",
 )
+_LOGARITHMIC = ("visibility", "contrast")
 # What each picture draws a uniform number for. A new one goes to the end, so that keys of
 # `RandomUnderwater.at` keep their pictures.
 _DRAWS = ("applied", "first", "second", "camera", "field", *RANGES)
@@ -91,7 +96,7 @@ class Distribution:
             "field_range": list(self.field_range),
         }
         for name, (low, high) in self.ranges.items():
-            if name == "visibility":
+            if name in _LOGARITHMIC:
                 sample[name] = low * (high / low) ** u[name]
             else:
                 sample[name] = low + (high - low) * u[name]
@@ -108,7 +113,7 @@ class Distribution:
             raise ValueError(f"params has {count} samples but image is a batch of {batch}")
         wanted = {"applied", "waters", "camera", "field_seed", "field_range", *self.ranges}
         for sample in samples:
-            odd = ", ".join(sorted(wanted ^ set(sample)))
+            odd = ", ".join(sorted(wanted ^ (set(sample) - {"used"})))
             if odd:
                 raise ValueError(
                     f"params is of a transform with other options: they differ in {odd}"
@@ -116,6 +121,50 @@ class Distribution:
             _require_known(sample["waters"], self.waters)
             _require_known([sample["camera"]], self.cameras)
         return samples * batch if count < batch else samples
+
+
+def collate_records(records: Iterable[Mapping[str, Any] | str]) -> Record:
+    """Make the record of a batch from those of its pictures, for `RandomUnderwater.transform`.
+
+    Args:
+        records: from `RandomUnderwater.make_params`, each of one picture, in the order of the
+            batch; or their JSON.
+
+    Raises:
+        TypeError: if one is no record.
+        ValueError: if one is of several pictures.
+
+    Examples:
+        >>> import json, torch, uwaug
+        >>> aug, image = uwaug.RandomUnderwater(distance=3.0), torch.rand(2, 3, 20, 30)
+        >>> records = [json.dumps(aug.make_params(one)) for one in image]
+        >>> aug.transform(image, None, uwaug.collate_records(records)).shape
+        torch.Size([2, 3, 20, 30])
+    """
+    if isinstance(records, (str, Mapping)):
+        got = f"got a {type(records).__name__}"
+        raise TypeError(f"records must be a list of records, one of each picture, {got}")
+    samples = []
+    for i, given in enumerate(records):
+        found = _samples_of(given)
+        if found is None:
+            expected = "records from make_params, {'samples': […]}, or their JSON"
+            raise TypeError(f"records must be {expected}, got {given!r:.80} at {i}")
+        if len(found) != 1:
+            raise ValueError(f"records must be of one picture each, got one of {len(found)} at {i}")
+        samples += found
+    return {"samples": samples}
+
+
+def _samples_of(record: Any) -> list[Record] | None:
+    """A record's samples; None if it is no record."""
+    if isinstance(record, str):
+        try:
+            record = json.loads(record)
+        except json.JSONDecodeError:
+            return None
+    found = record.get("samples") if isinstance(record, Mapping) else None
+    return found if isinstance(found, list) else None
 
 
 def _require_known(names: Iterable[str], known: Iterable[str]) -> None:

@@ -40,7 +40,7 @@ def gaussian_random_field(
         device: of the result; torch's default if None.
 
     Returns:
-        (B, 1, H, W), each field reaching exactly from `low` to `high`.
+        (B, 1, H, W), each field reaching from `low` to `high` (to rounding).
 
     Raises:
         ValueError: `shape` is none of the three, a side is empty, or `exponent`, `low`, `high` are
@@ -169,6 +169,9 @@ def _cutoff(exponent: float, longest: int) -> int:
 
 def _parse(shape: Sequence[int]) -> tuple[int, int, int]:
     sides = tuple(shape)
+    for side in sides:
+        if not hasattr(side, "__index__"):
+            raise ValueError(f"shape must hold whole numbers, got {sides}")
     if len(sides) not in (2, 3, 4) or (len(sides) == 4 and sides[1] != 1):
         raise ValueError(
             f"shape must be (B, 1, H, W), (B, H, W) or (H, W), got {sides}: pass distance.shape?"

@@ -91,37 +91,55 @@ def form_image(
 
     Raises:
         TypeError: if an argument is not a floating-point tensor.
-        ValueError: if shapes disagree, a distance is NaN or negative, the order is unknown, or the
-            tolerance needs too many blurs.
+        ValueError: if shapes disagree, a value of the image is NaN or infinite, a distance NaN or
+            negative, most distances lie beyond 1000 m, the order is unknown, or the tolerance needs
+            too many blurs.
 
     Source: "Sea-ing Through Scattered Rays" (2025), equations for the three terms, with the sign in
     the exponent of the forward term corrected.
     """
     checks.one_of("order", order, get_args(Order))
     validate(image, distance, medium, field)
+    if image.numel() and not torch.compiler.is_compiling():
+        checks.finite("image", image)
     with torch.autocast(image.device.type, enabled=False):
         light, z, prepared = prepare(image, distance, medium, field)
         if plan is None:
             plan = plan_at_hand(z, prepared, tolerance, order)
         parts = form(light, z, prepared, plan, order, separately)
         parts = tuple(part.to(image.dtype) for part in parts)
-    if unbatched(image, distance, medium):
+    if unbatched(image, distance, medium, field):
         parts = tuple(part[0] for part in parts)
     return Terms(*parts)
 
 
-def unbatched(image: Tensor, distance: Tensor, medium: Medium) -> bool:
+def unbatched(image: Tensor, distance: Tensor, medium: Medium, field: Tensor | None) -> bool:
     """Whether the caller gave one image without a batch dimension, and gets one back."""
-    return image.ndim == 3 and len(medium) == 1 and (distance.ndim == 3 or len(distance) == 1)
+    maps = (distance,) if field is None else (distance, field)
+    alone = len(medium) == 1 and all(one.ndim == 3 or len(one) == 1 for one in maps)
+    return image.ndim == 3 and alone
 
 
-def validate(image: Tensor, distance: Tensor, medium: Medium, field: Tensor | None) -> None:
-    """Refuse what `form_image` cannot take: types, shapes, batches, devices, wrong distances."""
-    checks.instance("medium", medium, Medium, "; see Medium.from_water")
+def validate(
+    image: Tensor,
+    distance: Tensor,
+    medium: Medium | None,
+    field: Tensor | None,
+    *,
+    also_bytes: bool = False,
+) -> None:
+    """Refuse what `form_image` cannot take: types, shapes, batches, devices, wrong distances.
+
+    medium: None if it is none of the caller's, as that of a file.
+    also_bytes: take a uint8 picture, as files hold it.
+    """
+    if medium is not None:
+        checks.instance("medium", medium, Medium, "; see Medium.from_water")
     maps = {"distance": distance} if field is None else {"distance": distance, "field": field}
-    sizes = {"medium": len(medium)}
+    sizes = {"medium": 1 if medium is None else len(medium)}
     for name, value in {"image": image, **maps}.items():
-        checks.floating(name, value)
+        if not (name == "image" and also_bytes and _holds_bytes(image)):
+            checks.floating(name, value)
         checks.picture(name, value, 3 if name == "image" else 1)
         checks.same_size(name, value, image)
         checks.same_device(name, value, image)
@@ -136,11 +154,16 @@ def validate(image: Tensor, distance: Tensor, medium: Medium, field: Tensor | No
         cure = "fill unknown pixels first, see uwaug.distance.fill_unknown"
         counts = checks.counted(distance, "NaN", "negative")
         raise ValueError(f"distance is {counts}: expected metres ≥ 0 (+inf for open water); {cure}")
+    checks.metres("distance", distance)
     if field is not None and field.numel():
         low, high = checks.extent(field)
         if not (low >= 0 and high < math.inf):
             counts = checks.counted(field, "NaN", "negative", "infinite")
             raise ValueError(f"field is {counts}: expected finite values ≥ 0")
+
+
+def _holds_bytes(image: object) -> bool:
+    return isinstance(image, Tensor) and image.dtype == torch.uint8
 
 
 def prepare(
@@ -154,7 +177,8 @@ def prepare(
     def batch(value: Tensor) -> Tensor:
         return (value if value.ndim == 4 else value[None]).to(dtype)
 
-    z = batch(distance).clamp(max=FARTHEST)
+    # compiled code does not look at its input: at least no distance is negative there
+    z = batch(distance).clamp(0.0, FARTHEST)
     if field is not None:
         z = z * batch(field)
     return batch(image), z, medium.to(dtype=dtype, device=image.device)

@@ -1,133 +1,25 @@
 """`Underwater`: a medium and a plan as an `nn.Module`."""
 
+import json
 import warnings
-from dataclasses import replace
 from operator import index
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
 
-from uwaug import checks
+from uwaug import checks, planned
 from uwaug.blur.beyond import beyond_plan
 from uwaug.blur.demand import BlurDemand, blur_demand
 from uwaug.blur.plan import BlurPlan
-from uwaug.colour import ColorSpace, from_light, to_light
+from uwaug.colour import ColorSpace, from_light, headroom, to_light
+from uwaug.exposure import Exposure, brightest, exposed, require_exposure
 from uwaug.formation import Order, form, plan_at_hand, prepare, together, unbatched, validate
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
+from uwaug.parameters import FixedMedium, LearnableMedium
 
-__all__ = ["FixedMedium", "LearnableMedium", "Underwater"]
-
-
-class FixedMedium(nn.Module):
-    """A medium whose tensors are buffers: it moves and is saved with a module.
-
-    Args:
-        medium: any batch.
-    """
-
-    def __init__(self, medium: Medium) -> None:
-        super().__init__()
-        self.start = _detached(medium)
-        for name, value in self.start.parameters().items():
-            self.register_buffer(name, value.clone())
-
-    def forward(self) -> Medium:
-        """The medium at hand."""
-        medium = Medium.of(dict(self.named_buffers()), self.start)
-        law, start = medium.point_spread, self.start.point_spread
-        # what is one number for the whole batch stays a number: x² is faster than a power
-        fixed: dict[str, Any] = {}
-        for name, value in start.numbers().items():
-            if not isinstance(value, Tensor):
-                fixed[name] = value
-        return replace(medium, point_spread=replace(law, **fixed))
-
-
-class LearnableMedium(nn.Module):
-    """A medium made of unconstrained parameters: whatever they are, rates, light, veil and width
-    scale are positive, and direct and signal light are equal at z = 0.
-
-    Args:
-        medium: where learning starts.
-        width: learn the scale of the width law too.
-
-    Raises:
-        ValueError: if the light at z = 0 is one in `direct_weights`, another in `signal_weights`.
-    """
-
-    b_mean: Tensor
-    exponent: Tensor
-    veil_used: Tensor
-
-    def __init__(self, medium: Medium, width: bool = True) -> None:
-        super().__init__()
-        self.start = _detached(medium)
-        values = self.start.parameters()
-        light, signal_light = (
-            values[name].sum(-1) for name in ("direct_weights", "signal_weights")
-        )
-        apart = float((light - signal_light).abs().max())
-        if apart > 1e-5:
-            raise ValueError(
-                "a learnable medium needs direct_weights and signal_weights of one sum, "
-                f"the light at z = 0; they differ by {apart:.2g}"
-            )
-        self.register_buffer("b_mean", values["b_mean"].clone())
-        self.register_buffer("exponent", values["exponent"].clone())
-        self.register_buffer("veil_used", values["veil_weights"] > 0)
-        self.raw_beta = _positive(values["beta"])
-        self.raw_G = _positive(values["G"])
-        self.raw_veil_weights = _positive(values["veil_weights"])
-        self.raw_light = _positive(light)
-        self.raw_scale = _positive(values["scale"]) if width else None
-        self.direct = _Shares(values["direct_weights"])
-        self.signal = _Shares(values["signal_weights"])
-
-    def forward(self) -> Medium:
-        """The medium at hand, of tensors that carry gradients to the parameters."""
-        law = self.start.point_spread
-        if self.raw_scale is not None:
-            law = replace(law, scale=F.softplus(self.raw_scale))
-        if isinstance(law.exponent, Tensor):
-            law = replace(law, exponent=self.exponent)
-        light = F.softplus(self.raw_light)[..., None]
-        return Medium(
-            beta=F.softplus(self.raw_beta),
-            direct_weights=light * self.direct(),
-            G=F.softplus(self.raw_G),
-            signal_weights=light * self.signal(),
-            veil_weights=F.softplus(self.raw_veil_weights) * self.veil_used,
-            b_mean=self.b_mean,
-            point_spread=law,
-            notes=self.start.notes,
-        )
-
-
-class _Shares(nn.Module):
-    """Weights that sum to 1; what is no weight at the start stays none."""
-
-    used: Tensor
-
-    def __init__(self, weights: Tensor) -> None:
-        super().__init__()
-        self.register_buffer("used", weights > 0)
-        self.raw = nn.Parameter(torch.log(weights.clamp(min=1e-30)))
-
-    def forward(self) -> Tensor:
-        return torch.softmax(self.raw.masked_fill(~self.used, -1e30), -1)
-
-
-def _detached(medium: Medium) -> Medium:
-    return medium.map(lambda t: t.detach().clone())
-
-
-def _positive(value: Tensor) -> nn.Parameter:
-    """A parameter whose softplus is `value`."""
-    y = value.clamp(min=1e-6)
-    return nn.Parameter(y + torch.log(-torch.expm1(-y)))
+__all__ = ["Underwater"]
 
 
 _ROOM = 2.0
@@ -144,20 +36,31 @@ class Underwater(nn.Module):
             cannot be compiled or exported.
         tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f²;
             single pixels may be off by 3 to 5 times as much.
-        color_space: "srgb" decodes, works in linear light, and encodes again; "linear" takes values
-            as they are.
-        learnable: make rates, light, veil and width scale parameters; they stay positive, and
-            direct and signal light stay equal at z = 0. A width that leaves the plan is planned for
-            anew, except in a compiled module.
+        color_space: "srgb" decodes, works in linear light, encodes again and clips to 0…1 (to the
+            picture's own largest value if that is above 1); "linear" takes values as they are and
+            never clips.
+        learnable: make rates, light, veil and width scale parameters, see
+            `uwaug.parameters.LearnableMedium` for what stays true of them. A width that leaves the
+            plan is planned for anew, except in a compiled module.
         order: "line_of_sight", or "source" for the paper's equation, see `uwaug.form_image`.
-        demand: what the plan has to serve, by default what `medium` asks for over `distance_range`.
+        exposure: "none": light is lost as it is in the water. "auto": as a camera does, one gain
+            for each picture keeps the mean luminance of the scene, from 1/8 to 64. A number: a gain
+            in stops.
+        sides: (smallest, largest) short side, px, of the pictures: one plan of the blur then serves
+            them all, and a file exported from the module (`uwaug.export_onnx`) computes the same.
+            Other pictures get the nearest width of that plan. None plans for each size, which is
+            faster: one plan for (32, 2160) takes 15 to 70 % more time. A width law that knows no
+            size, such as `PointSpread(2.0)`, has one plan in any case.
 
     Keep torch's default matmul precision. With `torch.set_float32_matmul_precision("medium")`, CPUs
     that support it multiply in bfloat16, and the error is visible.
 
+    A state dict carries the colour space, the order, the width law and what the blur is planned
+    for. `load_state_dict` refuses that of a module in which they differ.
+
     Shapes:
-        image (Bx3xHxW or 3xHxW), distance (Bx1xHxW or 1xHxW, m), field (as distance, or None) →
-            image.
+        image (Bx3xHxW or 3xHxW; uint8 0…255, or floating point 0…1), distance (Bx1xHxW or 1xHxW,
+            m), field (as distance, or None) → image, of the same type.
 
     Raises:
         TypeError, ValueError: as `uwaug.form_image`; and if an sRGB image exceeds 16, which is
@@ -178,30 +81,40 @@ class Underwater(nn.Module):
         color_space: ColorSpace = "srgb",
         learnable: bool = False,
         order: Order = "line_of_sight",
-        demand: BlurDemand | None = None,
+        exposure: Exposure = "none",
+        sides: tuple[int, int] | None = None,
     ) -> None:
         super().__init__()
         checks.instance("medium", medium, Medium, "; see Medium.from_water")
         checks.one_of("color_space", color_space, get_args(ColorSpace))
         checks.one_of("order", order, get_args(Order))
         checks.tolerance(tolerance)
-        if distance_range is not None and not 0 <= distance_range[0] < distance_range[1]:
-            expected = "0 ≤ nearest < farthest in metres"
-            raise ValueError(f"distance_range must be {expected}, got {distance_range}")
-        self.distance_range = distance_range
+        require_exposure(exposure)
+        self.distance_range = None if distance_range is None else planned.distances(distance_range)
         self.tolerance = tolerance
         self.color_space = color_space
         self.order: Order = order
+        self.exposure: Exposure = exposure
         self.learnable = learnable
-        self.demand = demand
+        self.sides = None if sides is None else planned.sides_of(sides)
+        self.demand: BlurDemand | None = None
         self._warned = False
-        if demand is not None and distance_range is None:
-            raise ValueError("demand needs the distance_range that it is for, got None")
-        if demand is None and distance_range is not None:
+        # of a file that the module was read from, which another version may have written
+        self.stored_plan: BlurPlan | None = None
+        if self.distance_range is not None:
             margin = _ROOM if learnable else 1.0
             self.demand = blur_demand(
-                medium, distance_range, tolerance, order=order, learned=learnable, margin=margin
+                brightest(medium, exposure),
+                self.distance_range,
+                tolerance,
+                order=order,
+                learned=learnable,
+                margin=margin,
             )
+            if self.sides is None and planned.serves_every_size(self.demand):
+                self.sides = planned.EVERY_SIDE
+        elif sides is not None:
+            raise ValueError(f"sides need a distance_range to plan for, got sides={sides} alone")
         self.coefficients: FixedMedium | LearnableMedium = FixedMedium(medium)
         if learnable:
             # without a blur, its width does nothing
@@ -216,20 +129,30 @@ class Underwater(nn.Module):
 
     def plan(self, size: tuple[int, int]) -> BlurPlan | None:
         """The blur plan for images of (height, width) `size`; None without a `distance_range`."""
+        if self.stored_plan is not None:
+            return planned.same_plan(self.stored_plan)
         if self.demand is None:
             return None
+        if self.sides is not None:
+            return planned.plan_all(self.demand, self.sides)
         # index(): a compiled module is compiled again for another size, which has another plan
-        return _plan(self.demand, index(size[0]), index(size[1]))
+        return planned.plan_one(self.demand, index(size[0]), index(size[1]))
+
+    if TYPE_CHECKING:  # nn.Module's own returns Any
+
+        def __call__(self, image: Tensor, distance: Tensor, field: Tensor | None = None) -> Tensor:
+            """As `forward`."""
+            ...
 
     def forward(self, image: Tensor, distance: Tensor, field: Tensor | None = None) -> Tensor:
         """Degrade an image; see the class."""
         medium = self.medium
-        validate(image, distance, medium, field)
+        validate(image, distance, medium, field, also_bytes=True)
         self._keep_up(medium)
         plan = self.plan((image.shape[-2], image.shape[-1]))
         self._look_beyond(distance, field, medium)
         result = self.formed(image, distance, field, medium, plan)
-        return result[0] if unbatched(image, distance, medium) else result
+        return result[0] if unbatched(image, distance, medium, field) else result
 
     def _look_beyond(self, distance: Tensor, field: Tensor | None, medium: Medium) -> None:
         """Warn, once, if distances lie beyond the plan and it shows."""
@@ -252,7 +175,11 @@ class Underwater(nn.Module):
             return
         assert self.distance_range is not None
         wanted = blur_demand(
-            medium, self.distance_range, self.tolerance, order=self.order, learned=True
+            brightest(medium, self.exposure),
+            self.distance_range,
+            self.tolerance,
+            order=self.order,
+            learned=True,
         )
         if not self.demand.covers(wanted):
             self.demand = wanted.widened(_ROOM)
@@ -269,27 +196,58 @@ class Underwater(nn.Module):
         with torch.autocast(image.device.type, enabled=False):
             light = to_light(image, self.color_space)
             light, z, medium = prepare(light, distance, medium, field)
+            medium = exposed(light, z, medium, self.exposure)
             if plan is None:
                 plan = plan_at_hand(z, medium, self.tolerance, self.order)
             (result,) = form(light, z, medium, plan, self.order, together)
-            return from_light(result, self.color_space, image.dtype)
+            return from_light(result, self.color_space, image.dtype, headroom(image))
+
+    def get_extra_state(self) -> Tensor:
+        """What a state dict says of the module besides its tensors, as text in a tensor: file
+        formats for state dicts take nothing else.
+        """
+        text = json.dumps(self._settings()).encode()
+        return torch.frombuffer(bytearray(text), dtype=torch.uint8)
+
+    def set_extra_state(self, state: Tensor) -> None:
+        """Refuse the state of a module that is set up differently: its tensors would be used with
+        this module's plan.
+        """
+        theirs = json.loads(state.cpu().numpy().tobytes())
+        apart = []
+        for name, mine in self._settings().items():
+            if not planned.alike(mine, theirs.get(name)):
+                apart.append(f"{name} is {theirs.get(name)} there and {mine} here")
+        if apart:
+            raise ValueError(f"state_dict is of an Underwater of another kind: {'; '.join(apart)}")
+
+    def _settings(self) -> dict[str, Any]:
+        """What `load_state_dict` compares."""
+        law = self.coefficients.start.point_spread
+        settings: dict[str, Any] = {"color_space": self.color_space, "order": self.order}
+        settings["exposure"] = self.exposure
+        settings |= {"shape": law.shape, "reference_size": law.reference_size}
+        held = self.coefficients.state_dict()
+        for name, value in law.numbers().items():
+            if name not in held and not (self.learnable and name == "scale"):
+                settings[name] = float(value)
+        settings |= {"sides": self.sides, "tolerance": self.tolerance, "widths": None}
+        if self.demand is not None:
+            settings["widths"] = [self.demand.low, self.demand.high]
+            settings["tolerance"] = self.demand.blur_tolerance
+        return settings
 
     def extra_repr(self) -> str:
         """What is modelled, and what is skipped."""
-        planned = "planned at each call"
+        said = "planned at each call"
         if self.distance_range is not None:
             near, far = self.distance_range
-            law = self.coefficients.start.point_spread
-            scaled = law.reference_size is not None or law.shape == "exponential"
-            at = " at 512 px" if scaled else ""
-            planned = f"{near:g}…{far:g} m, {self.plan((512, 512))}{at}"
+            at = " at 512 px"
+            if self.sides is not None:
+                every = self.sides == planned.EVERY_SIDE
+                at = "" if every else " for short sides of {}…{} px".format(*self.sides)
+            said = f"{near:g}…{far:g} m, {self.plan((512, 512))}{at}"
         settings = f"tolerance={self.tolerance:g}, {self.color_space}, {self.order}"
-        return f"{self.medium!r},\n{planned},\n{settings}"
-
-
-def _plan(demand: BlurDemand, height: int, width: int) -> BlurPlan:
-    return demand.plan((height, width))
-
-
-# what torch.compiler.assume_constant_result does, without its import of torch._dynamo (.7 s)
-_plan._dynamo_marked_constant = True  # type: ignore[attr-defined]
+        if self.exposure != "none":
+            settings += f", exposure={self.exposure!r}"
+        return f"{self.medium!r},\n{said},\n{settings}"

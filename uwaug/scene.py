@@ -31,7 +31,7 @@ def motorcycle() -> Scene:
     """The motorcycle of the Middlebury 2014 stereo benchmark (Scharstein et al.), as scikit-image's
     wheel holds it: 500×741 px, 2 to 5 m.
 
-    The 7 % of its pixels without disparity take the distance of the nearest pixel that has one.
+    The 7 % of its pixels without disparity are filled by `uwaug.distance.fill_unknown`.
     """
     image, depth = motorcycle_depth()
     # the benchmark counts pixels from the centre of the first

@@ -11,6 +11,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from uwaug.files import require_regular
+
 __all__ = ["Session", "require"]
 
 
@@ -20,7 +22,7 @@ def require(*packages: str) -> list[Any]:
         return [importlib.import_module(name) for name in packages]
     except ImportError as error:
         raise ImportError(
-            f'{error.name} is missing: ONNX needs pip install "uwaug[onnx]"'
+            f'{error.name} is missing: ONNX needs pip install ".[onnx]" in a checkout of uwaug'
         ) from error
 
 
@@ -58,7 +60,7 @@ class Session:
 
         Raises:
             ImportError: if onnxruntime is not installed.
-            OSError: if the file cannot be read.
+            OSError: if the file cannot be read, or is none.
             ValueError: if it is no model that ONNX Runtime can load.
         """
         if self._opened is None:
@@ -67,7 +69,8 @@ class Session:
 
     def _open(self) -> Any:
         (ort,) = require("onnxruntime")
-        self.path.open("rb").close()  # for Python's own error if there is none
+        require_regular(self.path)
+        self.path.open("rb").close()  # for Python's own error if it may not be read
         options = ort.SessionOptions()
         options.log_severity_level = 3
         options.intra_op_num_threads = (

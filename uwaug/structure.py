@@ -1,16 +1,28 @@
-"""Samples as loaders give them: an image and a map inside a tuple, a list or a dict."""
+"""Samples as loaders give them: an image and a map inside a tuple, a list or a dict; and what
+applies a transform to them.
+"""
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from uwaug import checks
 
-__all__ = ["Parts", "maps_for", "plain_image", "take_apart", "typed"]
+__all__ = [
+    "Parts",
+    "SampleTransform",
+    "maps_for",
+    "naming",
+    "plain_image",
+    "take_apart",
+    "typed",
+]
 
 
 class Parts(NamedTuple):
@@ -25,25 +37,81 @@ def take_apart(inputs: tuple[Any, ...], image_key: str, distance_key: str, mappe
     """Find image and map in what a transform was called with.
 
     Args:
-        inputs: (image, distance, …), or one tuple, list or dict that holds them, or an image.
+        inputs: (image, distance, …), or one tuple, list or dict that holds them, or an image. In
+            second place of a tuple, a dict may hold the map.
         image_key, distance_key: of a dict.
         mapped: whether there has to be a map; if not, a tuple holds none.
     """
     sample = inputs[0] if len(inputs) == 1 else inputs
     if isinstance(sample, Mapping):
-        for name in (image_key, distance_key) if mapped else (image_key,):
-            if name not in sample:
-                there = ", ".join(map(repr, sample))
-                cure = "see image_key, distance_key and distance"
-                raise ValueError(f"sample has no {name!r}, only {there}: {cure}")
+        image = _leaf(sample, image_key, "sample")
+        distance = _leaf(sample, distance_key, "sample") if mapped else sample.get(distance_key)
         rebuild: Callable[[Tensor], Any] = partial(_with_image, sample, image_key)
-        return Parts(sample[image_key], sample.get(distance_key), rebuild)
+        return Parts(image, distance, rebuild)
     if not isinstance(sample, (tuple, list)):
         return Parts(sample, None, _alone)
     if not sample:
         raise ValueError("sample is empty: expected (image, distance, …)")
     distance = sample[1] if len(sample) > 1 and mapped else None
+    if isinstance(distance, Mapping):
+        # torchvision's (image, target)
+        distance = _leaf(distance, distance_key, "the dict in second place")
     return Parts(sample[0], distance, partial(_with_first, sample))
+
+
+def _leaf(sample: Mapping[Any, Any], name: str, what: str) -> Any:
+    if name not in sample:
+        there = ", ".join(map(repr, sample))
+        cure = "see image_key, distance_key and distance"
+        raise ValueError(f"{what} has no {name!r}, only {there}: {cure}")
+    return sample[name]
+
+
+class SampleTransform(nn.Module):
+    """What applies a random transform to samples; a subclass has `make_params` and `transform`.
+
+    Args:
+        image_key, distance_key: where to find the two in a dict.
+        mapped: whether a sample holds a map of distances.
+    """
+
+    make_params: Callable[..., Any]
+    transform: Callable[..., Tensor]
+
+    def __init__(self, image_key: str, distance_key: str, *, mapped: bool) -> None:
+        super().__init__()
+        self.image_key = image_key
+        self.distance_key = distance_key
+        self._mapped = mapped
+
+    def at(self, seed: int, epoch: int, index: int | str) -> Callable[..., Any]:
+        """The transform with randomness from a key: the same result in any worker, in any order.
+
+        Args:
+            seed, epoch: of the run, of the pass through the data.
+            index: of the picture (or batch); a number, or a name such as a path. "7" is 7.
+
+        Returns:
+            A function of the same inputs as the transform, which draws the same at every call.
+        """
+        which = index if isinstance(index, str) else int(index)
+        key = hashlib.blake2b(f"{int(seed)}/{int(epoch)}/{which}".encode(), digest_size=4).digest()
+        return partial(self._apply_with, int.from_bytes(key))
+
+    def _apply_with(self, key: int, *inputs: Any) -> Any:
+        generator = torch.Generator().manual_seed(key)
+        image, distance, rebuild = self._taken_apart(inputs)
+        return rebuild(self.transform(image, distance, self.make_params(image, generator)))
+
+    def forward(self, *inputs: Any) -> Any:
+        """Draw and degrade; see the class."""
+        image, distance, rebuild = self._taken_apart(inputs)
+        return rebuild(self.transform(image, distance, self.make_params(image)))
+
+    def _taken_apart(self, inputs: tuple[Any, ...]) -> Parts:
+        parts = take_apart(inputs, self.image_key, self.distance_key, mapped=self._mapped)
+        plain_image(parts.image)
+        return parts
 
 
 def _alone(result: Tensor) -> Tensor:
@@ -71,7 +139,7 @@ def typed(x: Tensor, wanted: type[Tensor]) -> Tensor:
 def plain_image(image: Any) -> Tensor:
     """Check an image's type and shape; return it as a plain tensor."""
     if not isinstance(image, Tensor) or image.dtype != torch.uint8:
-        checks.floating("image", image, "; or uint8. Convert PIL images and arrays first")
+        checks.floating("image", image, "; or uint8")
     checks.picture("image", image, 3)
     return typed(image, Tensor)
 
@@ -93,7 +161,9 @@ def maps_for(
         return [maps[i] for i in chosen]
     if instead is None:
         cure = "RandomUnderwater(distance=…) a constant, a range or a callable"
-        raise ValueError(f"distance is missing: give a map, or {cure}")
+        # as it cannot be told from a call that forgot the map
+        kornia = "kornia gives its children the image alone: call RandomUnderwater after it"
+        raise ValueError(f"distance is missing: give a map, or {cure}; {kornia}")
     if not callable(instead) or not chosen:
         return [None] * len(chosen)
     seen = batch[chosen]
@@ -103,9 +173,23 @@ def maps_for(
     return list(_plain_maps(guess, seen))
 
 
+@contextmanager
+def naming(index: int, count: int) -> Iterator[None]:
+    """Say in refusals which picture of a batch it is."""
+    try:
+        yield
+    except ValueError as error:
+        if count == 1:
+            raise
+        raise ValueError(f"picture {index} of {count}, counted from 0: {error}") from None
+
+
 def _plain_maps(distance: Any, images: Tensor) -> Tensor:
     """Check a map of distances; return one for each image (Bx1xHxW), as a plain tensor."""
-    checks.floating("distance", distance, "; divide a map in millimetres by 1000")
+    hint = "; divide a map in millimetres by 1000"
+    if not isinstance(distance, Tensor):
+        hint = "; expected (image, distance, …), (image, {'distance': …}) or a dict of both"
+    checks.floating("distance", distance, hint)
     checks.picture("distance", distance, 1)
     checks.same_size("distance", distance, images)
     maps, batch = typed(distance, Tensor), len(images)

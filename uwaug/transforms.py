@@ -1,70 +1,69 @@
 """`RandomUnderwater`: new water for every picture, in a DataLoader worker or on a whole batch."""
 
-import hashlib
 import inspect
 import os
 from collections.abc import Callable, Iterable, Mapping
-from functools import partial
-from typing import Any, get_args
+from typing import Any, Literal
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from uwaug import checks
 from uwaug.colour import ColorSpace
-from uwaug.degrade import DistanceKind, Draw, Settings, Unknown, degrade, degrade_opaque, table
-from uwaug.draw import (
-    RANGES,
-    Distribution,
-    Range,
-    Record,
-    as_range,
-    cameras_of,
-    require_scaling,
-    require_visibility,
-    spectra_of,
-    weighed,
-)
+from uwaug.degrade import Draw, Opaque, Settings, degrade, used
+from uwaug.draw import Range, Record, cameras_of, spectra_of, weighed
 from uwaug.formation import Order
+from uwaug.metres import DistanceKind, Unknown, skipped
 from uwaug.optics.camera import Camera
-from uwaug.optics.jerlov_tables import JERLOV_TYPES
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
-from uwaug.structure import maps_for, plain_image, take_apart, typed
+from uwaug.options import (
+    CONTRAST,
+    GOOD_WATERS,
+    SURVEY,
+    check_options,
+    contrast_beside,
+    contrast_of,
+    distribution_of,
+    settings_of,
+)
+from uwaug.presets import load_preset
+from uwaug.structure import SampleTransform, maps_for, naming, plain_image, typed
 
 __all__ = ["RandomUnderwater"]
 
-_SCALING = {"metric": (), "relative": ("near", "far", "gamma"), "inverse": ("near", "far")}
-_CHOICES = {
-    "distance_kind": get_args(DistanceKind),
-    "unknown": get_args(Unknown),
-    "color_space": get_args(ColorSpace),
-    "order": get_args(Order),
-}
-_PAPER = PointSpread.paper()
+
+Job = tuple[int, Tensor | None, Record]
+"""A picture that is to be degraded: its place in the batch, its map, its sample."""
 
 
-class RandomUnderwater(nn.Module):
+class RandomUnderwater(SampleTransform):
     """Degrade pictures in random waters.
 
-    A range is a number or (low, high), drawn uniformly; visibility is drawn uniformly in its
-    logarithm. The defaults are the figures of the paper's survey (its nine waters, g, mu, vertical
-    depth, width law, field, and near, far and gamma for relative distance). Two defaults differ
-    from the survey: the camera (the paper used a Nikon D90) and the colour space (the paper treats
-    sRGB values as linear light; `color_space="linear"` does the same).
+    A range is a number or (low, high), drawn uniformly; contrast and visibility are drawn uniformly
+    in their logarithm. The defaults give pictures as an underwater camera takes them: constants
+    calibrated to light transport (see `PointSpread.calibrated`), waters as turbid as the scene
+    bears, an exposure. `survey` has the paper's set, `severity` five grades, `from_preset` a
+    preset's figures.
 
     Args:
         waters: Jerlov types or `Water` objects, drawn with equal weight (one that is given twice
             counts twice); or a mapping to weights.
         mixing: share of a second water, drawn like the first; 0 for none, (0, 1) for a continuous
             slider between types.
-        visibility: m; scale the water to this visibility, or None to leave it. See
-            `Water.with_visibility`.
+        contrast: share of an object's contrast of luminance that is left at the scene's median
+            distance, ignoring scattered light; the contents of the water are scaled to it, as far
+            as pure water allows. None leaves the water as it is, and `visibility` takes its place.
+        visibility: m; scale the water to this visibility. See `Water.with_visibility`.
         cameras: names, CSV files or `Camera` objects, drawn with equal weight.
         vertical_depth: m below the surface.
+        exposure: "auto": one gain for each picture, in linear light, keeps the mean luminance of
+            the scene, as a camera does; from 1/8 to 64. "none": the picture gets as dark as it is
+            down there. Or a gain in stops.
         g: share of the scattered light that leaves the line of sight, 0…1.
         mu: share of the scattered light sent towards the camera, 0…1.
-        point_spread: width law of the forward scatter.
+        point_spread: width law of the forward scatter; None for `PointSpread.calibrated`.
+        focal_px: focal length in px of the picture, for the calibrated law; None for a view 60°
+            wide, .866·width. Give it where pictures are crops of a view.
         blur_factor: multiplies the scale of the width law.
         field_range: least and largest value of the medium field, which is drawn anew for each
             picture.
@@ -86,13 +85,17 @@ class RandomUnderwater(nn.Module):
         p: probability that a picture is degraded at all.
         same_on_batch: draw once for a batch.
         unknown: what NaN, 0 or negative metres get (NaN, in relative and inverse maps). "error": an
-            error. "fill": the nearest known distance (12 ms at 500×741). Geometric transforms pad
-            with 0: in maps that are not metric, where 0 is a distance, let them pad with NaN.
+            error. "fill": a distance from the known ones, see `distance.fill_unknown`. "skip": the
+            same, and a picture whose map tells nothing (no known pixel, or a flat map of inverse
+            depth), as crops have it, stays as it is. "far": open water, for what lies beyond a
+            sensor's range. A number: as many metres. Geometric transforms pad with 0: in maps that
+            are not metric, where 0 is a distance, let them pad with NaN.
         image_key, distance_key: where to find the two in a dict.
         tolerance, color_space, order: as for `uwaug.Underwater`.
 
     Inputs:
-        (image, distance, …), a tuple or list of them, or a dict. One picture (3xHxW, distance
+        (image, distance, …), a tuple or list of them, (image, target) with the map in a dict in
+        second place, or a dict. One picture (3xHxW, distance
         1xHxW) or a batch, whose pictures may share one map; uint8 (0…255) or floating point (0…1);
         plain tensors or torchvision's tv_tensors (a distance map is best a `Mask`). The same
         structure comes back with a new image of the same type; every other leaf is returned as it
@@ -122,20 +125,21 @@ class RandomUnderwater(nn.Module):
 
     def __init__(
         self,
-        waters: str | Water | Mapping[str | Water, float] | Iterable[str | Water] = JERLOV_TYPES[
-            1:
-        ],
+        waters: str | Water | Mapping[str | Water, float] | Iterable[str | Water] = GOOD_WATERS,
         *,
         mixing: Range = 0.0,
+        contrast: Range | None = CONTRAST,
         visibility: Range | None = None,
         cameras: str
         | os.PathLike[str]
         | Camera
         | Iterable[str | os.PathLike[str] | Camera] = "Nikon 5100 (NPL)",
-        vertical_depth: Range = 1.0,
-        g: Range = 0.2,
-        mu: Range = 0.3,
-        point_spread: PointSpread = _PAPER,
+        vertical_depth: Range = (0.0, 10.0),
+        exposure: Literal["none", "auto"] | Range = "auto",
+        g: Range = 0.05,
+        mu: Range = 0.075,
+        point_spread: PointSpread | None = None,
+        focal_px: float | None = None,
         blur_factor: Range = 1.0,
         field_range: tuple[float, float] = (0.7, 1.3),
         field_probability: float = 1.0,
@@ -153,16 +157,19 @@ class RandomUnderwater(nn.Module):
         color_space: ColorSpace = "srgb",
         order: Order = "line_of_sight",
     ) -> None:
-        super().__init__()
+        super().__init__(image_key, distance_key, mapped=distance is None)
         self.waters = weighed(waters)
         one = isinstance(cameras, (str, os.PathLike, Camera))
         self.cameras: list[Any] = [cameras] if one else list(cameras)  # type: ignore[arg-type]
         self.mixing = mixing
+        self.contrast = contrast_beside(visibility, contrast)
         self.visibility = visibility
         self.vertical_depth = vertical_depth
+        self.exposure = exposure
         self.g = g
         self.mu = mu
         self.point_spread = point_spread
+        self.focal_px = focal_px
         self.blur_factor = blur_factor
         self.field_range = field_range
         self.field_probability = field_probability
@@ -174,87 +181,71 @@ class RandomUnderwater(nn.Module):
         self.p = p
         self.same_on_batch = same_on_batch
         self.unknown = unknown
-        self.image_key = image_key
-        self.distance_key = distance_key
         self.tolerance = tolerance
         self.color_space = color_space
         self.order = order
-        self._check_options()
-        self._prepare()
-
-    def _check_options(self) -> None:
-        for name, allowed in _CHOICES.items():
-            checks.one_of(name, getattr(self, name), allowed)
-        for name in ("p", "field_probability"):
-            checks.within(name, getattr(self, name), 0.0, 1.0)
-        checks.tolerance(self.tolerance)
-        checks.instance("point_spread", self.point_spread, PointSpread)
-        defaults = inspect.signature(type(self)).parameters
-        for name in ("near", "far", "gamma"):
-            value = getattr(self, name)
-            used = name in _SCALING[self.distance_kind]
-            if not used and value != defaults[name].default:
-                kind = f"distance_kind is {self.distance_kind!r}"
-                raise ValueError(f"{name} would do nothing: {kind}, got {value}")
-
-    def _prepare(self) -> None:
-        """What all pictures share: spectra, what is drawn from, settings."""
+        check_options(self)
+        # what all pictures share: spectra, what is drawn from, settings
         self.spectra = spectra_of(self.waters)
         self.responses = cameras_of(self.cameras)
-        self._distribution = Distribution(
-            waters=dict(zip(self.spectra, self.waters.values(), strict=True)),
-            cameras=tuple(self.responses),
-            ranges=self._ranges(),
-            field_range=as_range("field_range", self.field_range),
-            p=self.p,
-            field_probability=self.field_probability,
-        )
-        self._settings = Settings(
-            distance_kind=self.distance_kind,
-            unknown=self.unknown,
-            color_space=self.color_space,
-            order=self.order,
-            point_spread=self.point_spread,
-            tolerance=self.tolerance,
-        )
-        # for compiled code, which takes no objects
-        self._opaque_settings = self._settings.to_json()
-        self._tables = {name: table(water) for name, water in self.spectra.items()}
-        self._camera_tables = {name: table(camera) for name, camera in self.responses.items()}
+        self._distribution = distribution_of(self)
+        self._settings = settings_of(self)
+        self._opaque = Opaque(self.spectra, self.responses, self._settings)
 
-    def _ranges(self) -> dict[str, tuple[float, float]]:
-        """The ranges that are drawn from."""
-        left_out = {"near", "far", "gamma"} - set(_SCALING[self.distance_kind])
-        if self.visibility is None:
-            left_out.add("visibility")
-        if self.distance is None or callable(self.distance):
-            left_out.add("distance")
-        ranges = {}
-        for name in RANGES:
-            if name not in left_out:
-                ranges[name] = as_range(name, getattr(self, name))
-        if self.distance_kind != "metric":
-            require_scaling(ranges, self.distance_kind)
-        for water in self.spectra.values():
-            require_visibility(water, ranges)
-        return ranges
+    @classmethod
+    def survey(cls, **options: Any) -> "RandomUnderwater":
+        """The set of the paper's survey: its nine waters, g, mu, depth and width law, no exposure.
+
+        Two things differ: the camera (the paper used a Nikon D90) and the colour space (the paper
+        treats sRGB values as linear light; `color_space="linear"` does the same).
+
+        Args:
+            options: any other argument of the class.
+        """
+        return cls(**{**SURVEY, **options})
 
     @classmethod
     def severity(cls, level: int, **options: Any) -> "RandomUnderwater":
-        """One of five grades, for robustness studies: visibility 20, 10, 5, 2.5, 1.25 m, in any of
-        the coastal types and II. They take 46, 62, 75, 84, 93 % of the contrast from a scene at 2
-        to 5 m.
+        """One of five grades, for robustness studies: the default at a fixed contrast.
+
+        | level | contrast left at the median distance | loss of the picture's contrast |
+        |---|---|---|
+        | 1 | .65 | 16 % |
+        | 2 | .50 | 36 % |
+        | 3 | .35 | 52 % |
+        | 4 | .20 | 67 % |
+        | 5 | .08 | 79 % |
+
+        The loss is that of the standard deviation of luminance in sRGB, at the bundled scene.
 
         Args:
             level: 1 (mild) … 5 (severe).
             options: any other argument of the class.
         """
-        if level not in (1, 2, 3, 4, 5):
-            raise ValueError(f"level must be a whole number from 1 to 5, got {level!r}")
-        visibility = 20.0 * 0.5 ** (level - 1)
-        return cls(
-            **{"waters": ("II", "1C", "3C", "5C", "7C", "9C"), "visibility": visibility, **options}
-        )
+        return cls(**{"contrast": contrast_of(level), **options})
+
+    @classmethod
+    def from_preset(
+        cls,
+        name_or_path: str | os.PathLike[str],
+        *,
+        water: str | Water | None = None,
+        camera: str | os.PathLike[str] | Camera | None = None,
+        **options: Any,
+    ) -> "RandomUnderwater":
+        """A preset's water, camera, constants, width law, field, exposure and colour space; and its
+        near, far and gamma where distances are relative. See `uwaug.load_preset`.
+
+        Args:
+            name_or_path, water, camera: as for `uwaug.load_preset`.
+            options: any argument of the class, in place of the preset's.
+
+        Raises:
+            ValueError: as `uwaug.load_preset`; and if the preset has coefficients of three channels
+                instead of spectra.
+        """
+        preset = load_preset(name_or_path, water=water, camera=camera)
+        return cls(**{**preset.options(options.get("distance_kind", "metric")), **options})
 
     def make_params(self, image: Tensor, generator: torch.Generator | None = None) -> Record:
         """Draw everything that is random, for a picture or a batch of this shape.
@@ -286,64 +277,71 @@ class RandomUnderwater(nn.Module):
 
         Returns:
             The degraded image, like `image`; `image` itself if the record leaves all of it alone.
+            With unknown="skip", pictures whose maps tell nothing stay as they are, whatever the
+            record says.
 
         Raises:
             TypeError, ValueError: if an input does not suit, naming what came and what was
                 expected.
         """
         plain = plain_image(image)
-        images = plain if plain.ndim == 4 else plain[None]
-        samples = self._distribution.samples(params, len(images))
-        chosen = [i for i, sample in enumerate(samples) if sample["applied"]]
-        maps = maps_for(plain, distance, chosen, self.distance)
-        if not chosen:
+        parts = list(plain if plain.ndim == 4 else plain[None])
+        jobs = self._jobs(plain, distance, params)
+        if not jobs:
             return image
-        parts = list(images)
-        for i, z in zip(chosen, maps, strict=True):
-            names, camera, draw = samples[i]["waters"], samples[i]["camera"], Draw.of(samples[i])
+        for i, z, sample in jobs:
             if torch.compiler.is_compiling():
-                tables, lens = [self._tables[name] for name in names], self._camera_tables[camera]
-                drawn, settings = draw.to_tensor(), self._opaque_settings
-                parts[i] = degrade_opaque(parts[i], z, tables, lens, drawn, settings)
+                parts[i] = self._opaque(parts[i], z, sample)
             else:
-                waters, response = [self.spectra[name] for name in names], self.responses[camera]
-                parts[i] = degrade(parts[i], z, waters, response, draw, self._settings)
+                with naming(i, len(parts)):
+                    parts[i] = degrade(parts[i], z, *self._drawn(sample))
         return typed(parts[0] if plain.ndim == 3 else torch.stack(parts), type(image))
 
-    def at(self, seed: int, epoch: int, index: int) -> Callable[..., Any]:
-        """The transform with randomness from a key: the same result in any worker, in any order.
+    def resolve(self, image: Tensor, distance: Tensor | None, params: Record) -> Record:
+        """The record with what its samples come to on these pictures.
+
+        Each sample that is applied gains "used": "contents", the factor on all that is in the water
+        besides pure water; its "visibility", m; and the "gain" of the exposure. `transform` takes
+        contents and gain from there, for this or another picture. A sample whose picture is skipped
+        (see `unknown`) is no longer "applied".
 
         Args:
-            seed, epoch, index: of the run, of the pass through the data, of the picture (or batch).
-
-        Returns:
-            A function of the same inputs as the transform, which draws the same at every call.
+            image, distance, params: as for `transform`.
         """
-        key = hashlib.blake2b(
-            f"{int(seed)}/{int(epoch)}/{int(index)}".encode(), digest_size=4
-        ).digest()
-        return partial(self._apply_with, int.from_bytes(key))
+        plain = plain_image(image)
+        images = plain if plain.ndim == 4 else plain[None]
+        samples = []
+        for sample in self._distribution.samples(params, len(images)):
+            samples.append({**sample, "applied": False})
+        for i, z, sample in self._jobs(plain, distance, params):
+            found = used(images[i], z, *self._drawn(sample))
+            samples[i] = {**sample, "used": found}
+        return {"samples": samples}
 
-    def _apply_with(self, key: int, *inputs: Any) -> Any:
-        generator = torch.Generator().manual_seed(key)
-        image, distance, rebuild = self._taken_apart(inputs)
-        return rebuild(self.transform(image, distance, self.make_params(image, generator)))
+    def _drawn(self, sample: Record) -> tuple[list[Water], Camera, Draw, Settings]:
+        waters = [self.spectra[name] for name in sample["waters"]]
+        return waters, self.responses[sample["camera"]], Draw.of(sample), self._settings
 
-    def forward(self, *inputs: Any) -> Any:
-        """Draw and degrade; see the class."""
-        image, distance, rebuild = self._taken_apart(inputs)
-        return rebuild(self.transform(image, distance, self.make_params(image)))
-
-    def _taken_apart(self, inputs: tuple[Any, ...]) -> tuple[Tensor, Any, Callable[[Tensor], Any]]:
-        parts = take_apart(inputs, self.image_key, self.distance_key, mapped=self.distance is None)
-        plain_image(parts.image)
-        return parts
+    def _jobs(self, plain: Tensor, distance: Any, params: Record) -> list[Job]:
+        """The pictures of a batch that are to be degraded."""
+        batch = len(plain) if plain.ndim == 4 else 1
+        samples = self._distribution.samples(params, batch)
+        chosen = [i for i, sample in enumerate(samples) if sample["applied"]]
+        maps = maps_for(plain, distance, chosen, self.distance)
+        jobs = []
+        for i, z in zip(chosen, maps, strict=True):
+            # compiled code cannot look at a map: the operator does
+            if torch.compiler.is_compiling() or not skipped(z, self._settings):
+                jobs.append((i, z, samples[i]))
+        return jobs
 
     def __repr__(self) -> str:
         waters = list(self.waters) if set(self.waters.values()) == {1} else self.waters
-        shown = [repr(waters)] if waters != list(JERLOV_TYPES[1:]) else []
+        shown = [repr(waters)] if waters != list(GOOD_WATERS) else []
         for name, parameter in list(inspect.signature(type(self)).parameters.items())[1:]:
-            value = getattr(self, name)
-            if value not in (parameter.default, [parameter.default]):
+            value, default = getattr(self, name), parameter.default
+            if name == "contrast" and self.visibility is not None:
+                continue  # visibility takes its place
+            if value not in (default, [default]):
                 shown.append(f"{name}={value!r}")
         return f"{type(self).__name__}({', '.join(shown)})"

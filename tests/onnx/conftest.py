@@ -17,7 +17,7 @@ def folder(tmp_path_factory) -> Path:
 @pytest.fixture(scope="session")
 def frozen(folder) -> tuple[Path, Underwater]:
     """The survey preset as it comes: linear values, no field."""
-    module = load_preset("survey", water="7C").module()
+    module = load_preset("survey", water="7C").module(sides=(32, 1024))
     return export_onnx(module, folder / "frozen.onnx"), module
 
 
@@ -37,15 +37,15 @@ def waters(folder) -> tuple[Path, Underwater]:
     """
     media = [load_preset("survey", water=name).medium for name in JERLOV_TYPES]
     media += [load_preset(name).medium for name in PAPERS]
-    module = Underwater(Medium.stack(media), (NEAR, FAR), color_space="linear")
+    module = Underwater(Medium.stack(media), (NEAR, FAR), color_space="linear", sides=(32, 1024))
     return export_onnx(module, folder / "waters.onnx", parameters="inputs", field="input"), module
 
 
 @pytest.fixture(scope="session")
 def calibrated(folder) -> tuple[Path, Underwater]:
     """Heavy tails, sRGB: the calibrated preset, for small pictures."""
-    module = load_preset("calibrated").module()
-    return export_onnx(module, folder / "calibrated.onnx", sides=(32, 144)), module
+    module = load_preset("calibrated").module(sides=(32, 144))
+    return export_onnx(module, folder / "calibrated.onnx"), module
 
 
 @pytest.fixture(scope="session")

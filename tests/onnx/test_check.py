@@ -93,13 +93,14 @@ def test_a_broken_graph_is_refused(frozen, tmp_path, nodes, message) -> None:
 
 
 def test_the_wrong_module_is_refused(frozen, waters) -> None:
-    other = load_preset("survey", water="9C").module()
+    other = load_preset("survey", water="9C").module(sides=(32, 1024))
     message = r"made for 5 blurs .*, but module asks for .*: it is from another module or"
     with pytest.raises(ValueError, match=message):
         check_onnx(frozen[0], other)
     # at equal parameters only the curve of the encoding differs
     path, module = frozen
-    encoded = Underwater(module.medium, module.distance_range, color_space="srgb")
+    options = {"color_space": "srgb", "sides": module.sides}
+    encoded = Underwater(module.medium, module.distance_range, **options)
     with pytest.raises(ValueError, match="differs from float64 eager"):
         check_onnx(path, encoded)
 

@@ -1,6 +1,7 @@
+import os
+import re
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -28,8 +29,10 @@ def test_verify_refuses_a_wrong_graph_and_leaves_nothing(frozen, tmp_path, monke
         self.weights *= 1.001
 
     monkeypatch.setattr(Graph, "__init__", wrong)
-    with pytest.raises(ValueError, match="differs from float64 eager"):
+    message = f"{re.escape(str(path))}: differs from float64 eager"
+    with pytest.raises(ValueError, match=message) as info:
         export_onnx(frozen[1], path)
+    assert ".part" not in str(info.value)
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
 
@@ -69,10 +72,10 @@ def test_where_it_cannot_write(frozen, tmp_path, monkeypatch) -> None:
     with pytest.raises(IsADirectoryError, match="is a folder"):
         export_onnx(module, tmp_path)
 
-    def denied(**_: object) -> None:
+    def denied(*_: object) -> None:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(tempfile, "mkstemp", denied)
+    monkeypatch.setattr(os, "open", denied)
     message = f"cannot write to the folder {tmp_path}: Permission denied"
     with pytest.raises(PermissionError, match=message):
         export_onnx(module, tmp_path / "a.onnx")
@@ -85,14 +88,58 @@ def test_where_it_cannot_write(frozen, tmp_path, monkeypatch) -> None:
         ({"parameters": "free"}, "parameters must be one of"),
         ({"field": True}, "field must be one of"),
         ({"image": "float64"}, "image must be one of"),
-        ({"sides": (64, 32)}, "sides must be 1 ≤ smallest"),
-        ({"sides": (0, 32)}, "sides must be 1 ≤ smallest"),
         ({"opset": 17}, "opset must be ≥ 18"),
+        ({"opset": 99}, "opset must be ≤ "),
     ],
 )
 def test_wrong_options(frozen, tmp_path, options, message) -> None:
     with pytest.raises(ValueError, match=message):
         export_onnx(frozen[1], tmp_path / "a.onnx", **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_module_that_plans_for_each_size_is_refused(tmp_path) -> None:
+    message = r"module has no sides and .*: give Underwater\(…, sides=\(32, 2160\)\), so that"
+    for name in ("survey", "calibrated"):
+        with pytest.raises(ValueError, match=message):
+            export_onnx(load_preset(name).module(), tmp_path / "a.onnx")
+        with pytest.raises(ValueError, match=message):
+            export_program(load_preset(name).module())
+
+
+def test_progress_and_a_link(frozen, tmp_path) -> None:
+    said: list[str] = []
+    link, target = tmp_path / "link.onnx", tmp_path / "target.onnx"
+    link.symlink_to(target)
+    export_onnx(load_preset("tank-adjusted-1").module(), link, progress=said.append)
+    assert said[:2] == ["tracing", "translating and optimising"]
+    cases = said[2:]
+    assert cases == [f"checking, case {i + 1} of {len(cases)}" for i in range(len(cases))]
+    assert len(cases) == 50
+    assert link.is_symlink()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["link.onnx", "target.onnx"]
+    assert OnnxUnderwater(link).metadata == OnnxUnderwater(target).metadata
+
+
+def test_an_opset_that_the_exporter_cannot_write_is_refused(tmp_path, monkeypatch) -> None:
+    # the exporter writes 18 then, and says so in its log alone
+    monkeypatch.setattr(onnx.defs, "onnx_opset_version", lambda: 1000)
+    module = load_preset("tank-adjusted-1").module()
+    with pytest.raises(ValueError, match="opset 99: the installed exporter can write up to 18"):
+        export_onnx(module, tmp_path / "a.onnx", opset=99)
+    assert list(tmp_path.iterdir()) == []
+    path = export_onnx(module, tmp_path / "a.onnx", opset=19, verify=False)
+    assert {entry.domain: entry.version for entry in onnx.load(path).opset_import}[""] == 19
+
+
+def test_a_full_disk_is_named_with_the_path(frozen, tmp_path, monkeypatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(onnx, "save", full)
+    path = tmp_path / "a.onnx"
+    with pytest.raises(OSError, match=f"No space left on device: '{re.escape(str(path))}'"):
+        export_onnx(load_preset("tank-adjusted-1").module(), path)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -102,8 +149,9 @@ def test_modules_that_cannot_be_exported(frozen, tmp_path) -> None:
         export_onnx(Underwater(medium, None), tmp_path / "a.onnx")
     with pytest.raises(ValueError, match="must be 'line_of_sight'"):
         export_onnx(Underwater(medium, (1.0, 5.0), order="source"), tmp_path / "a.onnx")
+    two = Underwater(Medium.stack([medium] * 2), (1.0, 5.0))
     with pytest.raises(ValueError, match="module holds 2 media"):
-        export_onnx(Underwater(Medium.stack([medium] * 2), (1.0, 5.0)), tmp_path / "a.onnx")
+        export_onnx(two, tmp_path / "a.onnx")
     with pytest.raises(TypeError, match=r"module must be a uwaug\.Underwater, got Medium"):
         export_onnx(medium, tmp_path / "a.onnx")
 
@@ -147,7 +195,7 @@ def test_plain_runtime_without_uwaug_and_torch(frozen, tmp_path) -> None:
 @pytest.mark.parametrize("missing", ["onnx", "onnxscript", "onnxruntime"])
 def test_a_missing_package_is_named(missing, frozen, tmp_path, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, missing, None)
-    message = rf'{missing} is missing: ONNX needs pip install "uwaug\[onnx\]"'
+    message = rf'{missing} is missing: ONNX needs pip install "\.\[onnx\]"'
     with pytest.raises(ImportError, match=message):
         export_onnx(frozen[1], tmp_path / "a.onnx")
     assert list(tmp_path.iterdir()) == []
@@ -180,7 +228,8 @@ def test_without_any_of_the_extra_the_rest_works(tmp_path) -> None:
         "    print(error)\n"
     )
     done = run(code, tmp_path)
-    assert done.stdout == 'onnx is missing: ONNX needs pip install "uwaug[onnx]"\n'
+    cure = 'pip install ".[onnx]" in a checkout of uwaug'
+    assert done.stdout == f"onnx is missing: ONNX needs {cure}\n"
     assert done.stderr == ""
 
 

@@ -7,7 +7,7 @@ import torch
 from exporting import Pictures, apart, scene
 from torch.utils.data import DataLoader
 
-from uwaug import load_preset
+from uwaug import Underwater, load_preset
 from uwaug.onnx import OnnxUnderwater
 
 # by its version: without the package, "onnx" would be the folder of these tests
@@ -43,10 +43,55 @@ def test_runner_refuses_what_the_file_does_not_take(frozen, waters) -> None:
         run(image, distance[..., 1:])
     with pytest.raises(ValueError, match="image must have shape"):
         run(image[:, :2], distance)
-    with pytest.raises(ValueError, match="NaN or negative"):
+    with pytest.raises(ValueError, match="distance is NaN at 5580 and negative at 0 of 5580"):
         run(image, distance * torch.nan)
     with pytest.raises(ValueError, match="batch sizes must agree or be 1"):
         run(torch.cat([image, image[:1]]), distance)
+
+
+def test_runner_refuses_what_the_module_refuses(waters, encoded) -> None:
+    path, module = waters
+    image, distance, field = scene(1)
+    bad = {"NaN": torch.nan, "negative": -1.0, "infinite": torch.inf}
+    cases = []
+    for value in bad.values():
+        for name in ("distance", "field"):
+            given = {"image": image, "distance": distance, "field": field}
+            given[name] = given[name].clone()
+            given[name][..., 3, 4] = value
+            cases.append(given)
+    cases.append({"image": image, "distance": distance.int(), "field": field})
+    cases.append({"image": image, "distance": distance, "field": field.long()})
+    cases.append({"image": image, "distance": 0 * distance, "field": field})
+    cases.append({"image": image, "distance": distance, "field": torch.cat([field] * 2)})
+    run, alone = OnnxUnderwater(path), module.medium[0]
+    eager = Underwater(alone, module.distance_range, color_space="linear", sides=module.sides)
+    refused = 0
+    for given in cases:
+        said = []
+        for call in (eager, lambda **kw: run(**kw, medium=alone)):
+            try:
+                call(**given)
+                said.append(None)
+            except (TypeError, ValueError) as error:
+                said.append((type(error), str(error)))
+        assert said[0] == said[1]
+        refused += said[0] is not None
+    # open water and the lens itself are no mistakes, nor is a field for each image of a batch
+    assert refused == len(cases) - 3
+    # values of a file's own type, but of another scale
+    path = encoded[0]
+    message = r"image must be torch\.uint8 for this file, got torch\.float32"
+    with pytest.raises(TypeError, match=message):
+        OnnxUnderwater(path)(image, distance, medium=alone)
+    with pytest.raises(TypeError, match=r"image must be .* for this file, got ndarray"):
+        OnnxUnderwater(path)(image.numpy(), distance, medium=alone)
+
+
+def test_a_picture_of_0_to_255_is_refused(calibrated) -> None:
+    image, distance, _ = scene(1)
+    with pytest.raises(ValueError, match=r"image reaches 2.*divide a 0…255 image by 255"):
+        OnnxUnderwater(calibrated[0])(255 * image, distance)
 
 
 def test_runner_has_the_shapes_of_the_module(frozen) -> None:

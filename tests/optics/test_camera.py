@@ -1,4 +1,5 @@
 import copy
+import os
 import pickle
 import subprocess
 import sys
@@ -323,6 +324,38 @@ def test_bad_csv(tmp_path, text, message):
     with pytest.raises(ValueError, match=message) as info:
         load_camera(path)
     assert str(info.value).startswith(str(path))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "root:*:20228:0:99999:7:::\ndaemon:*:20228:0:99999:7:::\n",
+        "password=hunter2\n",
+        "hunter\n",
+        "user,name,pass-word-of-mine,hunter2hunter2\n",
+        ROWS + "AKIA6ODU5DHT7EXAMPLE,1,2,3\n",
+    ],
+)
+def test_a_file_that_is_no_table_is_not_quoted(tmp_path, text):
+    # its path may come from a preset of somebody else
+    with pytest.raises(ValueError, match="a line that is not a table of numbers") as info:
+        load_camera(write(tmp_path, text))
+    said = str(info.value).removeprefix(str(tmp_path))
+    assert not [secret for secret in ("root", "hunter", "AKIA") if secret in said]
+
+
+def test_a_huge_cell_is_an_error_of_value(tmp_path):
+    path = write(tmp_path, "9" * 200_000 + ",1,2,3\n")
+    with pytest.raises(
+        ValueError, match=r"toy\.csv, line \d: not a table of numbers: field larger"
+    ):
+        load_camera(path)
+
+
+def test_a_pipe_is_refused_before_it_is_opened(tmp_path):
+    os.mkfifo(tmp_path / "pipe.csv")
+    with pytest.raises(OSError, match=r"path must be a file, but .* is a pipe"):
+        load_camera(tmp_path / "pipe.csv")
 
 
 def test_missing_csv():

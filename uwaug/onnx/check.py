@@ -1,20 +1,19 @@
 """An exported file against the module it came from."""
 
-import json
 import math
 import os
-from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from uwaug.blur.plan import BlurPlan
 from uwaug.module import Underwater
 from uwaug.onnx.graph import parameters_of
-from uwaug.onnx.metadata import Options, plan_of, read_metadata
+from uwaug.onnx.metadata import Stored, plan_of, read_metadata, stored_in
 from uwaug.optics.medium import Medium
+from uwaug.planned import alike
 from uwaug.session import Session, require
 
 __all__ = ["Report", "check_onnx"]
@@ -41,7 +40,11 @@ class _Case(NamedTuple):
 
 
 def check_onnx(
-    path: str | os.PathLike[str], module: Underwater, *, tolerance: float = 1e-5
+    path: str | os.PathLike[str],
+    module: Underwater,
+    *,
+    tolerance: float = 1e-5,
+    progress: Callable[[str], None] | None = None,
 ) -> Report:
     """Check an exported file against the module it came from.
 
@@ -54,6 +57,7 @@ def check_onnx(
         path: the file.
         module: what it was exported from.
         tolerance: largest difference of a float image (0…1); uint8 images may differ by one level.
+        progress: is told what is being done.
 
     Raises:
         ImportError: if the onnx extra is not installed.
@@ -65,14 +69,13 @@ def check_onnx(
     metadata = read_metadata(path)
     try:
         onnx.checker.check_model(os.fspath(path), full_check=True)
-    except onnx.checker.ValidationError as error:
+    except (onnx.checker.ValidationError, onnx.shape_inference.InferenceError) as error:
         raise ValueError(
             f"{path}: onnx.checker refuses it: {str(error).splitlines()[0]}"
         ) from error
-    options = Options.of(metadata)
-    plan = plan_of(module, options)
-    stored = json.loads(metadata["uwaug_module"])["plan"]
-    if not _same_plan(plan, stored):
+    stored = stored_in(path, metadata)
+    options, plan = stored.options, plan_of(module)
+    if not alike(asdict(plan), asdict(stored.plan)):
         raise ValueError(
             f"{path}: made for {metadata['uwaug_plan']}, but module asks for {plan} here: "
             "it is from another module or version; export it again"
@@ -85,7 +88,10 @@ def check_onnx(
     sessions = {"off": Session(path, 1, optimise=False), "on": Session(path, 1)}
     found: list[tuple[float, str]] = []
     moved = 0.0
-    for number, case in enumerate(_cases(options, json.loads(metadata["uwaug_distance_range_m"]))):
+    cases = list(_cases(stored))
+    for number, case in enumerate(cases):
+        if progress is not None:
+            progress(f"checking, case {number + 1} of {len(cases)}")
         medium = _for_batch(media, number, len(case.image))
         rows = {"image": case.image, "distance": case.distance}
         if options.field == "input":
@@ -133,33 +139,19 @@ def _apart(
     return math.inf if math.isnan(apart) else apart
 
 
-def _same_plan(plan: BlurPlan, stored: dict[str, object]) -> bool:
-    """Equal to 1e-6: the last digits depend on the processor."""
-    for field in fields(plan):
-        mine, theirs = getattr(plan, field.name), stored[field.name]
-        if field.name == "shape":
-            if mine != theirs:
-                return False
-            continue
-        a, b = (torch.tensor(value, dtype=torch.float64) for value in (mine, theirs))
-        if a.shape != b.shape or not torch.allclose(a, b, rtol=1e-6, atol=1e-6):
-            return False
-    return True
-
-
-def _cases(options: Options, distance_range: tuple[float, float]) -> Iterator[_Case]:
+def _cases(stored: Stored) -> Iterator[_Case]:
     """Batches, sizes and distances on which a file is checked."""
     rng = torch.Generator().manual_seed(0)
-    near, far = distance_range[0], min(distance_range[1], 100.0)
+    near, far = stored.distance_range[0], min(stored.distance_range[1], 100.0)
 
     def case(name: str, image: Tensor, distance: Tensor, field: Tensor) -> _Case:
-        if options.image == "uint8":
+        if stored.options.image == "uint8":
             image = (image * 255).round().to(torch.uint8)
         batch, _, h, w = image.shape
         return _Case(f"{name}, {batch}×{h}×{w}", image, distance, field)
 
     # the ends of what the plan serves, as far as they are quickly run
-    small, large = (min(max(side, 8), 144) for side in options.sides)
+    small, large = (min(max(side, 8), 144) for side in stored.sides)
     sizes = (
         (1, 1, 1),
         (2, 1, 9),
@@ -188,9 +180,9 @@ def _cases(options: Options, distance_range: tuple[float, float]) -> Iterator[_C
         distances["open water behind"] = torch.where(ramp > 0.5, torch.inf, distances["ramp"])
         for name, distance in distances.items():
             yield case(name, image, distance, field)
-    if options.sides[1] > large:
+    if stored.sides[1] > large:
         # the widest blurs show in the largest pictures alone
-        side = min(options.sides[1], _MOST_CHECKED)
+        side = min(stored.sides[1], _MOST_CHECKED)
         image = torch.rand(1, 3, side, side, generator=rng, dtype=torch.float32)
         ramp = torch.linspace(0, 1, side, dtype=torch.float32).expand(1, 1, side, side)
         yield case("ramp", image, near + (far - near) * ramp, torch.ones_like(ramp))

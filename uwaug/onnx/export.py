@@ -3,7 +3,7 @@
 import logging
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -17,7 +17,7 @@ from uwaug.files import written_whole
 from uwaug.module import Underwater
 from uwaug.onnx.check import check_onnx
 from uwaug.onnx.graph import Graph, parameters_of
-from uwaug.onnx.metadata import SIDES, Options, plan_of, written
+from uwaug.onnx.metadata import Options, plan_of, written
 from uwaug.session import require
 
 __all__ = ["export_onnx", "export_program"]
@@ -30,9 +30,9 @@ def export_onnx(
     parameters: Literal["frozen", "inputs"] = "frozen",
     field: Literal["none", "input"] = "none",
     image: Literal["float32", "uint8"] = "float32",
-    sides: tuple[int, int] = SIDES,
     opset: int = 18,
     verify: bool = True,
+    progress: Callable[[str], None] | None = None,
 ) -> Path:
     """Write a module as an ONNX file that needs no uwaug to run.
 
@@ -40,53 +40,80 @@ def export_onnx(
     the image.
 
     Args:
-        module: with a `distance_range`, which fixes the plan of the blur.
-        path: of the file; written whole, after it has passed its check, or not at all.
+        module: with a `distance_range` and `sides`, which fix the plan of the blur; the file has
+            the same plan. What is learnable is written as it stands.
+        path: of the file; written whole, after it has passed its check, or not at all. A symbolic
+            link stays, and what it points to is replaced.
         parameters: "frozen", or "inputs": rates, weights and width law become inputs of the graph,
             with a row for each image (see `uwaug.Medium.parameters`), so that one file serves every
             water whose widths lie in the plan: export a module of all of them,
             `Underwater(Medium.stack(…))`.
         field: "input" adds the medium field, Bx1xHxW, as an input.
         image: "float32" (0…1, not clipped), or "uint8" in and out (0…255, rounded and clipped).
-        sides: smallest and largest short side, px, that the plan serves; matters only for a width
-            law with a reference size. Images outside get the nearest width of the plan.
-        opset: ≥ 18.
+        opset: ≥ 18, as high as the installed exporter can write.
         verify: run `check_onnx` before the file is put in place.
+        progress: is told what is being done, a few words at each step.
 
     Returns:
         The path.
 
     Raises:
         ImportError: if the onnx extra is not installed.
-        OSError: if the folder is missing or cannot be written to.
+        OSError: if the folder is missing or cannot be written to, or `path` is no regular file.
         TypeError, ValueError: if an argument is not as above, or the file fails its check.
     """
     path = Path(path)
     if opset < 18:
         raise ValueError(f"opset must be ≥ 18 (scatter with addition), got {opset}")
     onnx, *_ = require("onnx", "onnxscript", *(["onnxruntime"] if verify else []))
-    options = Options(parameters, field, image, sides)
+    newest = onnx.defs.onnx_opset_version()
+    if opset > newest:
+        raise ValueError(f"opset must be ≤ {newest}, as onnx {onnx.__version__} is, got {opset}")
+    options, tell = Options(parameters, field, image), progress or _silent
+    tell("tracing")
     traced = _trace(module, options)
     with written_whole(path) as part:
-        with torch.no_grad(), _quiet():
-            exported = torch.onnx.export(
-                _program(traced),
-                dynamo=True,
-                input_names=list(traced.inputs),
-                output_names=["output"],
-                opset_version=opset,
-                verbose=False,
-            )
-        assert exported is not None
-        model = exported.model_proto
-        _strip_traces(model)
-        _name_sizes(model, traced)
+        model = _translated(traced, opset, tell)
         for key, value in written(module, traced.graph.plan, options).items():
             model.metadata_props.add(key=key, value=value)
         onnx.save(model, part)
         if verify:
-            check_onnx(part, module)
+            try:
+                check_onnx(part, module, progress=tell)
+            except ValueError as error:
+                # nobody will ever see the part
+                raise ValueError(str(error).replace(str(part), str(path))) from error
     return path
+
+
+def _silent(_: str) -> None:
+    pass
+
+
+def _translated(traced: "_Traced", opset: int, tell: Callable[[str], None]) -> Any:
+    """The graph as an ONNX model."""
+    with torch.no_grad(), _quiet():
+        program = _program(traced)
+        tell("translating and optimising")
+        exported = torch.onnx.export(
+            program,
+            dynamo=True,
+            input_names=list(traced.inputs),
+            output_names=["output"],
+            opset_version=opset,
+            verbose=False,
+        )
+    assert exported is not None
+    model = exported.model_proto
+    got = {entry.domain: entry.version for entry in model.opset_import}
+    if got.get("") != opset:
+        # it says so in its log alone
+        raise ValueError(
+            f"opset {opset}: the installed exporter can write up to {got.get('')} here"
+        )
+    _strip_traces(model)
+    _name_sizes(model, traced)
+    return model
 
 
 def export_program(
@@ -95,13 +122,12 @@ def export_program(
     parameters: Literal["frozen", "inputs"] = "frozen",
     field: Literal["none", "input"] = "none",
     image: Literal["float32", "uint8"] = "float32",
-    sides: tuple[int, int] = SIDES,
 ) -> torch.export.ExportedProgram:
     """The same graph as a `torch.export` program, for `torch.export.save`; arguments as
     `export_onnx`.
     """
     with torch.no_grad(), _quiet():
-        return _program(_trace(module, Options(parameters, field, image, sides)))
+        return _program(_trace(module, Options(parameters, field, image)))
 
 
 class _Traced(NamedTuple):
@@ -124,7 +150,7 @@ def _trace(module: Underwater, options: Options) -> _Traced:
     if frozen and len(module.medium) != 1:
         held = f"{len(module.medium)} media, of which only one can be frozen"
         raise ValueError(f"module holds {held}: use parameters='inputs'")
-    plan = plan_of(module, options)
+    plan = plan_of(module)
     names = ("batch", "height", "width", "rates", "scatter_rates")
     batch, height, width, rates, scatter_rates = (torch.export.Dim(name, min=1) for name in names)
     picture = torch.rand(2, 3, 48, 56, dtype=torch.float32)

@@ -19,7 +19,8 @@ from uwaug.blur.kernels import (
     shrink_kernels,
 )
 from uwaug.blur.plan import BlurPlan
-from uwaug.colour import from_light, to_light
+from uwaug.colour import from_light, headroom, to_light
+from uwaug.exposure import exposed_sums
 from uwaug.formation import scattered, together
 from uwaug.module import Underwater
 from uwaug.optics.curves import FARTHEST, Sums, curves
@@ -55,6 +56,7 @@ class Graph(nn.Module):
         self.field = field
         self.quantised = quantised
         self.color_space = module.color_space
+        self.exposure = module.exposure
         self.medium = module.medium.map(lambda t: t.detach().to("cpu", torch.float32))
         self.blurs = nn.ModuleList(
             _blur(sigma, cell, plan.reach)
@@ -70,7 +72,8 @@ class Graph(nn.Module):
         inputs = list(rest)
         z = distance.clamp(0.0, FARTHEST)
         if self.field:
-            z = z * inputs.pop(0)
+            # either is limited first: a graph cannot refuse, and 0·inf is NaN
+            z = z * inputs.pop(0).clamp(0.0, FARTHEST)
         if self.frozen:
             medium, sums = self.medium, Sums(self.rates, self.weights, None)
         else:
@@ -79,13 +82,16 @@ class Graph(nn.Module):
             )
             sums = medium.sums(exact_at_lens=False)
         light = to_light(image, self.color_space)
-        found = curves(sums, z)
+        found = curves(exposed_sums(light, z, sums, self.exposure), z)
         stack = [blur(light) for blur in self.blurs]
         (result,) = together(
             light, found, scattered(stack, z, medium, self.plan, (z.shape[2], z.shape[3]))
         )
         return from_light(
-            result, self.color_space, torch.uint8 if self.quantised else torch.float32
+            result,
+            self.color_space,
+            torch.uint8 if self.quantised else torch.float32,
+            headroom(image),
         )
 
 

@@ -4,27 +4,48 @@ import json
 import os
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import torch
 from torch import Tensor
 
 from uwaug import checks
-from uwaug.blur.demand import BlurDemand
-from uwaug.blur.plan import BlurPlan
+from uwaug.blur.kernels import PERIOD
+from uwaug.blur.plan import NO_BLUR, BlurPlan
+from uwaug.colour import ColorSpace
+from uwaug.exposure import Exposure, require_exposure
 from uwaug.module import Underwater
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.point_spread import PointSpread, Shape
+from uwaug.planned import SIDES, distances, sides_of
 from uwaug.session import Session
 
-__all__ = ["FORMAT", "Options", "plan_of", "read_metadata", "read_module"]
+__all__ = ["FORMAT", "Options", "Stored", "plan_of", "read_metadata", "read_module", "stored_in"]
 
 FORMAT = 2
 """Of the metadata; files of another are refused."""
 
-SIDES = (32, 1024)
-"""px: short sides that one file serves, where the width law scales with the image."""
+_NAMES = (
+    "version",
+    "water",
+    "medium",
+    "plan",
+    "tolerance",
+    "color_space",
+    "parameters",
+    "field",
+    "image",
+    "sides_px",
+    "distance_range_m",
+    "module",
+)
+"""Of what every file says of itself."""
 
+_MOST = 64
+"""Blurs of a plan, and terms of their weights: more than any plan has."""
+
+_WIDEST = 32
+"""Shorter sides: no plan asks for a wider blur."""
 
 _UNITS = "image 0…1 (float32) or 0…255 (uint8); distance in metres along the ray, +inf = open water"
 
@@ -36,43 +57,53 @@ class Options:
     parameters: Literal["frozen", "inputs"] = "frozen"
     field: Literal["none", "input"] = "none"
     image: Literal["float32", "uint8"] = "float32"
-    sides: tuple[int, int] = SIDES
 
     def __post_init__(self) -> None:
         checks.one_of("parameters", self.parameters, ("frozen", "inputs"))
         checks.one_of("field", self.field, ("none", "input"))
         checks.one_of("image", self.image, ("float32", "uint8"))
-        if not 1 <= self.sides[0] <= self.sides[1]:
-            raise ValueError(
-                f"sides must be 1 ≤ smallest ≤ largest short side in px, got {self.sides}"
-            )
 
     @staticmethod
     def of(metadata: dict[str, str]) -> "Options":
         """Those of a file."""
-        smallest, largest = json.loads(metadata["uwaug_sides_px"])
-        parameters, field, image = (
-            metadata[f"uwaug_{name}"] for name in ("parameters", "field", "image")
-        )
-        return Options(parameters, field, image, (smallest, largest))  # type: ignore[arg-type]
+        given = (metadata[f"uwaug_{name}"] for name in ("parameters", "field", "image"))
+        return Options(*given)  # type: ignore[arg-type]
 
 
-def plan_of(module: Underwater, options: Options) -> BlurPlan:
-    """The plan of a module's file: one for all sizes."""
-    if module.demand is None:
+@dataclass(frozen=True)
+class Stored:
+    """What a file holds of the module that it came from."""
+
+    options: Options
+    medium: Medium
+    plan: BlurPlan
+    sides: tuple[int, int]
+    distance_range: tuple[float, float]
+    tolerance: float
+    color_space: ColorSpace
+    exposure: Exposure
+
+
+def plan_of(module: Underwater) -> BlurPlan:
+    """The plan of a module's file, which is the module's own for pictures of any size."""
+    if module.distance_range is None:
         cure = "give Underwater(…, distance_range=(near, far)), which fixes the plan"
         raise ValueError(f"module has no distance_range: {cure}")
     if module.order != "line_of_sight":
         raise ValueError(
             f"module.order must be 'line_of_sight' to be exported, got {module.order!r}"
         )
-    return module.demand.plan_all(options.sides)
+    if module.sides is None:
+        cure = f"give Underwater(…, sides={SIDES}), so that module and file share one plan"
+        raise ValueError(f"module has no sides and plans its blur for each picture's size: {cure}")
+    plan = module.plan(module.sides)
+    assert plan is not None
+    return plan
 
 
 def written(module: Underwater, plan: BlurPlan, options: Options) -> dict[str, str]:
     """The metadata of a module's file."""
-    medium, law, demand = module.medium, module.medium.point_spread, module.demand
-    assert demand is not None
+    medium, law = module.medium, module.medium.point_spread
     tensors: dict[str, Any] = {
         name: value.detach().tolist() for name, value in medium.parameters().items()
     }
@@ -83,7 +114,6 @@ def written(module: Underwater, plan: BlurPlan, options: Options) -> dict[str, s
         "medium": tensors,
         "law": {"shape": law.shape, "reference_size": law.reference_size},
         "notes": medium.notes,
-        "demand": asdict(demand),
         "plan": asdict(plan),
     }
     return {
@@ -94,10 +124,11 @@ def written(module: Underwater, plan: BlurPlan, options: Options) -> dict[str, s
         "uwaug_plan": str(plan),
         "uwaug_tolerance": repr(module.tolerance),
         "uwaug_color_space": module.color_space,
+        "uwaug_exposure": json.dumps(module.exposure),
         "uwaug_parameters": options.parameters,
         "uwaug_field": options.field,
         "uwaug_image": options.image,
-        "uwaug_sides_px": json.dumps(options.sides),
+        "uwaug_sides_px": json.dumps(module.sides),
         "uwaug_distance_range_m": json.dumps(module.distance_range),
         "uwaug_units": _UNITS,
         "uwaug_minimum_size": "1x1",
@@ -111,7 +142,7 @@ def read_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
     Raises:
         ImportError: if onnxruntime is not installed.
         OSError: if the file cannot be read.
-        ValueError: if it is not from uwaug, or of another format.
+        ValueError: if it is not from uwaug, or of another format, or lacks what every file has.
     """
     found: dict[str, str] = (
         Session(path, 1, optimise=False).opened.get_modelmeta().custom_metadata_map
@@ -123,26 +154,114 @@ def read_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
             f"{path}: format {found['uwaug_format']} from uwaug {found.get('uwaug_version', '?')}, "
             f"but this version reads format {FORMAT}: export it again"
         )
+    missing = [name for name in _NAMES if f"uwaug_{name}" not in found]
+    if missing:
+        raise ValueError(f"{path}: its metadata lack uwaug_{missing[0]}: export it again")
     return found
 
 
+def stored_in(path: str | os.PathLike[str], metadata: dict[str, str]) -> Stored:
+    """What the metadata of the file at `path` say of its module.
+
+    Raises:
+        ValueError: if they have been altered into what `export_onnx` cannot have written.
+    """
+    try:
+        return _stored(metadata)
+    except Exception as error:  # whatever a wrong figure, kind or depth of nesting leads to
+        raise ValueError(
+            f"{path}: its metadata are damaged ({type(error).__name__}: {error!s:.200}): "
+            "export it again"
+        ) from error
+
+
+def _stored(metadata: dict[str, str]) -> Stored:
+    rebuild = json.loads(metadata["uwaug_module"])
+    medium, sides = _medium(rebuild), sides_of(json.loads(metadata["uwaug_sides_px"]))
+    plan = _plan(rebuild["plan"], sides)
+    if plan != NO_BLUR:
+        checks.one_of("plan.shape", plan.shape, (medium.point_spread.shape,))
+    checks.one_of("color_space", metadata["uwaug_color_space"], get_args(ColorSpace))
+    exposure = json.loads(metadata["uwaug_exposure"])
+    require_exposure(exposure)
+    tolerance = float(metadata["uwaug_tolerance"])
+    checks.tolerance(tolerance)
+    return Stored(
+        options=Options.of(metadata),
+        medium=medium,
+        plan=plan,
+        sides=sides,
+        distance_range=distances(json.loads(metadata["uwaug_distance_range_m"])),
+        tolerance=tolerance,
+        color_space=metadata["uwaug_color_space"],  # type: ignore[arg-type]
+        exposure=exposure,
+    )
+
+
+def _medium(rebuild: dict[str, Any]) -> Medium:
+    values: dict[str, Any] = {}
+    for name, value in rebuild["medium"].items():
+        tensor = torch.tensor(value, dtype=torch.float64)
+        if not tensor.numel() or not (tensor.isfinite() & (tensor >= 0)).all():
+            raise ValueError(f"{name} must hold finite numbers ≥ 0")
+        values[name] = float(tensor) if tensor.ndim == 0 else tensor
+    numbers = {name: values.pop(name) for name in PointSpread.NUMBERS}
+    law = rebuild["law"]
+    if law["reference_size"] is not None:
+        checks.positive("reference_size", law["reference_size"], "px")
+    notes = tuple(map(str, rebuild["notes"]))
+    spread = PointSpread(**numbers, shape=law["shape"], reference_size=law["reference_size"])
+    medium = Medium(**values, point_spread=spread, notes=notes)
+    medium.parameters()  # has a row of each number for every medium, or raises
+    return medium
+
+
+def _plan(stored: dict[str, Any], sides: tuple[int, int]) -> BlurPlan:
+    """A plan that `plan_blur` may have made: one of other figures could ask for endless kernels."""
+    values = {**stored, "coefficients": tuple(map(tuple, stored["coefficients"]))}
+    plan = BlurPlan(
+        **{**values, "sigmas": tuple(stored["sigmas"]), "cells": tuple(stored["cells"])}
+    )
+    checks.one_of("plan.shape", plan.shape, get_args(Shape))
+    widest, degree = float(_WIDEST * sides[1]), len(plan.coefficients[0])
+    for name in ("sigma_min", "sigma_max", "error"):
+        checks.within(f"plan.{name}", getattr(plan, name), 0.0, widest)
+    checks.within("plan.sigma_max", plan.sigma_max, plan.sigma_min)
+    checks.within("plan.reach", plan.reach, 0.0, 8.0)
+    checks.within("plan.degree", degree, 1, _MOST)
+    checks.within("plan.sigmas", len(plan.sigmas), 1, _MOST)
+    for sigma, cell, row in zip(plan.sigmas, plan.cells, plan.coefficients, strict=True):
+        checks.within("plan.sigmas", sigma, 0.0, widest)
+        # a cell is never wider than σ, and σ at most a few cells
+        checks.within("plan.cells", cell, max(1.0, sigma / 8), max(1.0, sigma))
+        ratio = PERIOD / cell if cell < PERIOD else cell / PERIOD
+        checks.within("plan.cells", abs(ratio - round(ratio)), 0.0, 1e-9)
+        for weight in row:
+            checks.within("plan.coefficients", weight)
+        checks.within("plan.coefficients", len(row), degree, degree)
+    return plan
+
+
 def read_module(path: str | os.PathLike[str]) -> Underwater:
-    """The module that a file was exported from, rebuilt from its metadata; errors as
+    """The module that a file was exported from, rebuilt from its metadata, with the very plan that
+    the file has: for pictures of any size it computes what the file does. Errors as
     `read_metadata`.
+
+    What was learned is there; the module itself learns nothing.
     """
     metadata = read_metadata(path)
-    stored = json.loads(metadata["uwaug_module"])
-    values: dict[str, Any] = {
-        name: value if isinstance(value, float) else torch.tensor(value, dtype=torch.float64)
-        for name, value in stored["medium"].items()
-    }
-    numbers = {name: values.pop(name) for name in PointSpread.NUMBERS}
-    law = PointSpread(**numbers, **stored["law"])
-    near, far = json.loads(metadata["uwaug_distance_range_m"])
-    return Underwater(
-        Medium(**values, point_spread=law, notes=tuple(stored["notes"])),
-        (near, far),
-        float(metadata["uwaug_tolerance"]),
-        metadata["uwaug_color_space"],  # type: ignore[arg-type]
-        demand=BlurDemand(**stored["demand"]),
-    )
+    stored = stored_in(path, metadata)
+    try:
+        module = Underwater(
+            stored.medium,
+            stored.distance_range,
+            stored.tolerance,
+            stored.color_space,
+            sides=stored.sides,
+            exposure=stored.exposure,
+        )
+    except (ArithmeticError, RuntimeError, RuntimeWarning) as error:
+        # finite figures, but beyond what can be computed with
+        raise ValueError(f"{path}: its metadata are damaged ({error}): export it again") from error
+    module.stored_plan = stored.plan
+    return module

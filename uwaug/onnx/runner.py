@@ -1,15 +1,15 @@
 """Run an exported file like the module that it came from."""
 
-import json
 import os
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from uwaug import checks
+from uwaug.colour import to_light
+from uwaug.formation import validate
 from uwaug.onnx.graph import parameters_of
-from uwaug.onnx.metadata import read_metadata
+from uwaug.onnx.metadata import read_metadata, stored_in
 from uwaug.optics.medium import Medium
 from uwaug.session import Session
 
@@ -35,6 +35,7 @@ class OnnxUnderwater:
 
     def __init__(self, path: str | os.PathLike[str], threads: int = 0) -> None:
         self.metadata = read_metadata(path)
+        self.stored = stored_in(path, self.metadata)
         self.session = Session(path, threads)
 
     def __repr__(self) -> str:
@@ -56,20 +57,18 @@ class OnnxUnderwater:
             medium: if the file has its parameters as inputs; one, or one for each image.
 
         Raises:
-            TypeError, ValueError: if an argument is not as above, lacking, or more than the file
-                takes.
+            TypeError, ValueError: as `Underwater` would; and if an argument is lacking, or more
+                than the file takes.
         """
         self._require("field", field, wanted="input")
         self._require("parameters", medium, wanted="inputs", name="medium")
+        rows = self._rows(image, distance, field, medium)
         if medium is not None:
             self._require_law(medium)
-        rows = self._rows(image, distance, field)
-        if medium is not None:
             rows |= parameters_of(medium)
-        sizes = dict(zip(rows, map(len, rows.values()), strict=True))
-        checks.batches(sizes)
+        sizes = [len(row) for row in rows.values()]
         # all batches are 1 or one common size; if that is 0, the result is empty
-        batch = min(sizes.values()) if 0 in sizes.values() else max(sizes.values())
+        batch = min(sizes) if 0 in sizes else max(sizes)
         if image.numel() == 0 or batch == 0:
             return image.new_zeros(batch, 3, *image.shape[-2:])
         # one by one: what a batch holds between two operations leaves the cache, and takes up to
@@ -93,25 +92,26 @@ class OnnxUnderwater:
             )
 
     def _require_law(self, medium: Medium) -> None:
-        law, stored = medium.point_spread, json.loads(self.metadata["uwaug_module"])["law"]
-        if (law.shape, law.reference_size) != (stored["shape"], stored["reference_size"]):
-            wanted = f"shape {stored['shape']!r} and reference_size {stored['reference_size']}"
+        law, stored = medium.point_spread, self.stored.medium.point_spread
+        if (law.shape, law.reference_size) != (stored.shape, stored.reference_size):
+            wanted = f"shape {stored.shape!r} and reference_size {stored.reference_size}"
             raise ValueError(f"medium: its point spread is {law}, but the file is for {wanted}")
 
-    def _rows(self, image: Tensor, distance: Tensor, field: Tensor | None) -> dict[str, Tensor]:
+    def _rows(
+        self, image: Tensor, distance: Tensor, field: Tensor | None, medium: Medium | None
+    ) -> dict[str, Tensor]:
         """The pictures as the file takes them, with a batch dimension."""
-        dtype = torch.uint8 if self.metadata["uwaug_image"] == "uint8" else torch.float32
-        if image.dtype != dtype:
-            raise TypeError(f"image must be {dtype} for this file, got {image.dtype}")
-        maps = {"distance": distance} if field is None else {"distance": distance, "field": field}
-        rows = {}
-        for name, value in {"image": image, **maps}.items():
-            checks.picture(name, value, 3 if name == "image" else 1)
-            checks.same_size(name, value, image)
-            row = value if name == "image" else value.to(torch.float32)
-            rows[name] = row if row.ndim == 4 else row[None]
-        if not bool((distance >= 0).all()):
-            raise ValueError(
-                "distance is NaN or negative somewhere: expected metres ≥ 0 (+inf for open water)"
-            )
-        return rows
+        dtype = torch.uint8 if self.stored.options.image == "uint8" else torch.float32
+        got = image.dtype if isinstance(image, Tensor) else type(image).__name__
+        if got != dtype:
+            raise TypeError(f"image must be {dtype} for this file, got {got}")
+        # the module's own refusals, which look at an image's type, shape and device alone
+        shown = image if dtype == torch.float32 else image.new_zeros((), dtype=torch.float32)
+        validate(shown.expand(image.shape), distance, medium, field)
+        if image.numel():
+            # and those of the values, which hold for all if they hold for the ends
+            to_light(torch.stack(image.aminmax()), self.stored.color_space)
+        rows = {"image": image, "distance": distance.to(torch.float32)}
+        if field is not None:
+            rows["field"] = field.to(torch.float32)
+        return {name: row if row.ndim == 4 else row[None] for name, row in rows.items()}

@@ -1,13 +1,15 @@
-"""Coefficients of the medium, band by band."""
+"""Coefficients of the medium, band by band, or as they are given for three channels."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from uwaug.optics.spectra import Array
 from uwaug.optics.water import Water
 
-__all__ = ["WAVELENGTHS", "BandCoefficients", "band_coefficients", "default_bands"]
+__all__ = ["WAVELENGTHS", "BandCoefficients", "band_coefficients", "default_bands", "given_rows"]
 
 WAVELENGTHS = np.arange(400.0, 701.0, 5.0)
 """nm, the 61 bands that stand for the integral."""
@@ -44,3 +46,16 @@ def default_bands(water: Water) -> Array:
         cure = "give wavelengths in its range"
         raise ValueError(f"water covers {low:g}–{high:g} nm: no band of 400–700 nm; {cure}")
     return bands
+
+
+def given_rows(name: str, value: Any, shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
+    """A coefficient of `shape`, or a batch of them, as (B, *shape); finite and ≥ 0."""
+    row = torch.as_tensor(value, dtype=None if isinstance(value, Tensor) else dtype).to(dtype)
+    batched = row.ndim == len(shape) + 1
+    if row.shape[batched:] != shape:
+        wanted = "a number or (B,)" if shape == () else "(3,) or (B, 3)"
+        raise ValueError(f"{name} must have shape {wanted}, got {tuple(row.shape)}")
+    known = row.detach()
+    if not bool(((known >= 0) & known.isfinite()).all()):
+        raise ValueError(f"{name} must be finite and ≥ 0, got {known.tolist()}")
+    return row if batched else row[None]

@@ -4,6 +4,7 @@ import ast
 import csv
 import importlib.util
 import os
+import re
 import unicodedata
 from dataclasses import dataclass
 from functools import cache
@@ -13,12 +14,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from uwaug.files import require_regular
 from uwaug.optics.spectra import Array, Spectra, spectrum, wavelength_axis
 
 __all__ = ["Camera", "load_camera"]
 
 _CHANNELS = ("red", "green", "blue")
 _DATASET = Path("characterisation", "datasets", "cameras", "dslr", "sensitivities.py")
+_NO_TABLE = "not a table of numbers"
+_FIGURES = re.compile(r"[-+.,;:eE\d\s]{0,80}")
+_HEADING = re.compile(r"[-+.\d\s]*|[^\W\d]{1,12}([ _][\w().%/]{1,8})?")
 _TABLE = "DATA_CAMERA_SENSITIVITIES_DSLR"
 
 
@@ -177,16 +182,13 @@ def _literal(source: Path, name: str) -> Any:
 
 
 def _read_csv(path: Path) -> Camera:
-    table: list[list[float]] = []
-    first = True
+    require_regular(path)
     with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
         reader = csv.reader(file)
-        for row in reader:
-            if not any(cell.strip() for cell in row):
-                continue
-            numbers = _numbers(row, f"{path}, line {reader.line_num}", header=first)
-            table += [numbers] if numbers else []
-            first = False
+        try:
+            table = _table(reader, path)
+        except csv.Error as error:
+            raise ValueError(f"{path}, line {reader.line_num}: {_NO_TABLE}: {error}") from None
     if not table:
         raise ValueError(f"{path}: no rows of wavelength, R, G, B")
     values = np.array(table)
@@ -196,16 +198,37 @@ def _read_csv(path: Path) -> Camera:
         raise ValueError(f"{path}: {error}") from error
 
 
+def _table(reader: Any, path: Path) -> list[list[float]]:
+    table: list[list[float]] = []
+    first = True
+    for row in reader:
+        if not any(cell.strip() for cell in row):
+            continue
+        numbers = _numbers(row, f"{path}, line {reader.line_num}", header=first)
+        table += [numbers] if numbers else []
+        first = False
+    return table
+
+
 def _numbers(row: list[str], where: str, *, header: bool) -> list[float]:
     """The four numbers of a row; none if it is the header, where there may be one."""
     if len(row) != 4:
         expected = "wavelength, R, G, B separated by commas"
-        raise ValueError(f"{where}: expected {expected}, got {row!r:.80}")
+        raise ValueError(f"{where}: expected {expected}, got {_quoted(row)}")
     try:
         return [float(cell) for cell in row]
     except ValueError:
         if not header:
-            raise ValueError(f"{where}: expected four numbers, got {row!r:.80}") from None
+            raise ValueError(f"{where}: expected four numbers, got {_quoted(row)}") from None
     if [cell.strip()[:1].lower() for cell in row[1:]] != ["r", "g", "b"]:
-        raise ValueError(f"{where}: columns must be wavelength, R, G, B, not {row!r:.80}")
+        raise ValueError(f"{where}: columns must be wavelength, R, G, B, not {_quoted(row)}")
     return []
+
+
+def _quoted(row: list[str]) -> str:
+    """A row as a message may show it. What is neither numbers nor a header is not shown: the path
+    may come from a preset of somebody else, and name a file that is none of theirs.
+    """
+    figures = all(_FIGURES.fullmatch(cell) for cell in row)
+    header = len(row) == 4 and all(_HEADING.fullmatch(cell) for cell in row)
+    return f"{row!r:.80}" if figures or header else f"a line that is {_NO_TABLE}"

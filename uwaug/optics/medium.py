@@ -21,24 +21,27 @@ distance.
     σ(z) = scale·(b̄ z)^exponent                              width of the forward scatter, px
 
 Each integral becomes a sum of a few exponentials with positive weights: exact at z = 0, monotone,
-and never divided by z. The rates belong to the water and serve all three channels, and signal and
-veil alike; only the weights belong to the camera. (One Gauss quadrature per curve and channel needs
-15 to 24 exponentials for a tolerance of .002; shared rates need 5 to 12.)
+right at any distance. The rates belong to the water and serve all three channels, and signal and
+veil alike; only the weights belong to the camera. (For a tolerance of .002, one Gauss quadrature
+per curve and channel needs 15 to 24 exponentials, shared rates need 4 to 8.)
 """
 
-import math
-from collections.abc import Callable, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from operator import index
 from typing import Any
 
 import numpy as np
 import torch
 import torch.nn.functional as F
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from uwaug import checks
 from uwaug.checks import DOMAIN
-from uwaug.optics.bands import band_coefficients, default_bands
+from uwaug.optics.bands import band_coefficients, default_bands, given_rows
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.curves import FARTHEST, Curves, Sums, curves
 from uwaug.optics.point_spread import PointSpread
@@ -82,24 +85,24 @@ class Medium:
             got = tuple(getattr(self, name).shape)
             if got != shape:
                 raise ValueError(f"Medium.{name} must have shape {shape}, got {got}")
+        self.point_spread.require_rows(b)
 
     @staticmethod
     def from_water(
-        water: Water,
-        camera: str | Camera = "Nikon 5100 (NPL)",
+        water: str | Water,
+        camera: str | os.PathLike[str] | Camera = "Nikon 5100 (NPL)",
         *,
         vertical_depth: float = 1.0,
         g: float = 0.2,
         mu: float = 0.3,
         point_spread: PointSpread | None = None,
         tolerance: float = 0.002,
-        distance_range: tuple[float, float] = (0.0, 20.0),
-        wavelengths: Array | None = None,
+        wavelengths: ArrayLike | None = None,
     ) -> "Medium":
         """Reduce spectra to as few exponentials as the tolerance allows.
 
         Args:
-            water: spectra a, b, K_d.
+            water: spectra a, b, K_d; or the name of a Jerlov type.
             camera: name of a colour-science response, path of a CSV file, or a `Camera`.
             vertical_depth: d, depth of the scene below the surface, m, ≥ 0.
             g: share of the scattered light that leaves the line of sight, 0…1. Not the asymmetry of
@@ -108,44 +111,34 @@ class Medium:
             mu: share of the scattered light that is sent towards the camera, 0…1, where 1 in the
                 image means a white vertical plate.
             point_spread: width law, by default `PointSpread.paper()`.
-            tolerance: largest error of each curve over `distance_range`; 0 keeps every band.
-            distance_range: (nearest, farthest) effective distance m·z, m. Beyond it the curves stay
-                monotone and bounded.
+            tolerance: largest error of each curve, at any distance; 0 keeps every band.
             wavelengths: bands, nm, by default 400…700 in steps of 5 as far as the water reaches.
 
         Raises:
-            TypeError: if `water` is no `Water`.
-            ValueError: if an argument is outside its domain.
+            TypeError, ValueError: if an argument is no water, no number, or outside its domain.
         """
+        if isinstance(water, str):
+            water = Water.jerlov(water)
         checks.instance("water", water, Water, "; see Water.jerlov")
         drawn = {"vertical_depth": vertical_depth, "g": g, "mu": mu}
         for name, value in drawn.items():
             checks.within(name, value, *DOMAIN[name])
-        near, far = distance_range
-        if not 0 <= near < far < math.inf:
-            expected = "0 ≤ near < far < inf in metres"
-            raise ValueError(f"distance_range must be {expected}, got {distance_range}")
         if tolerance != 0:
             checks.tolerance(tolerance)
-        if wavelengths is None:
-            wavelengths = default_bands(water)
-        bands = water.at(wavelengths)
-        response = load_camera(camera).weights(wavelengths).T  # (3, bands), rows sum to 1
+        bands = water.at(default_bands(water) if wavelengths is None else wavelengths)
+        response = _response(load_camera(camera), bands.wavelengths.tobytes())
         beta, G, light, veil = band_coefficients(bands.a, bands.b, bands.kd, **drawn)
-        # logarithmic steps for the fast rates, linear ones for the slow
-        fast = np.geomspace(max(near, 1e-4 * far), far, 65)
-        z = np.concatenate([[0.0], fast, np.linspace(near, far, 33)[1:-1]])
         lit = response * light
-        rates, (direct,), error = reduce_rates(beta, (lit,), z, tolerance)
-        scatter, both, error_scatter = reduce_rates(G, (lit, response * veil), z, tolerance)
+        rates, (direct,), error = reduce_rates(beta, (lit,), tolerance)
+        scatter, both, error_scatter = reduce_rates(G, (lit, response * veil), tolerance)
         note = (
             f"{water.name}: {len(rates)} + {len(scatter)} rates, "
-            f"curves within {max(error, error_scatter):.1g} over {near:g}…{far:g} m, "
+            f"curves within {max(error, error_scatter):.1g} at any distance, "
             f"{vertical_depth:g} m deep, g = {g:g}, μ = {mu:g}"
         )
-        b_mean = (response @ bands.b).mean()
+        b_mean = np.asarray((response @ bands.b).mean())
         arrays = (rates, direct, scatter, *both, b_mean)
-        tensors = [torch.from_numpy(np.asarray(array))[None] for array in arrays]
+        tensors = [torch.from_numpy(array[None]) for array in arrays]
         law = PointSpread.paper() if point_spread is None else point_spread
         return Medium(**dict(zip(_TENSORS, tensors, strict=True)), point_spread=law, notes=(note,))
 
@@ -183,7 +176,7 @@ class Medium:
                 dtype = value.dtype
         rows, batches = {}, {}
         for name, value in given.items():
-            rows[name] = _rows(name, value, () if name == "b_mean" else (3,), dtype)
+            rows[name] = given_rows(name, value, () if name == "b_mean" else (3,), dtype)
             batches[name] = len(rows[name])
         checks.batches(batches)
         b = max(batches.values())
@@ -201,10 +194,13 @@ class Medium:
         )
 
     @staticmethod
-    def stack(media: "Sequence[Medium]") -> "Medium":
+    def stack(media: "Iterable[Medium]") -> "Medium":
         """One batch of several media; their width laws must share shape and reference size."""
+        media = list(media)
         if not media:
             raise ValueError("media is empty: stack needs at least one Medium")
+        for medium in media:
+            checks.instance("media", medium, Medium, "; see Medium.from_water")
         rows, dtype = [len(medium) for medium in media], media[0].beta.dtype
         law = PointSpread.stack([medium.point_spread for medium in media], rows, dtype)
 
@@ -221,11 +217,11 @@ class Medium:
     def __len__(self) -> int:
         return len(self.beta)
 
-    def __getitem__(self, i: int) -> "Medium":
-        """The i-th medium, as a batch of one."""
-        if not -len(self) <= i < len(self):
-            raise IndexError(f"medium {i} of {len(self)}")
-        part = slice(i, i + 1 or None)
+    def __getitem__(self, i: int | slice) -> "Medium":
+        """The i-th medium, as a batch of one; or those of a slice."""
+        part = i if isinstance(i, slice) else slice(index(i), index(i) + 1 or None)
+        if not range(len(self))[part]:
+            raise IndexError(f"medium {i!r} of {len(self)}")
         return replace(self.map(lambda t: t[part] if t.ndim else t), notes=self.notes[part])
 
     def map(self, function: Callable[[Tensor], Tensor]) -> "Medium":
@@ -319,6 +315,19 @@ class Medium:
         """V(0) − V(z), the veil in front of a point at distance z; as `transmission`."""
         return self._at(z, exact_at_lens=True).veil
 
+    def brightened(self, gain: Tensor) -> "Medium":
+        """The medium as seen by a camera that multiplies all light by `gain` (B or 1)."""
+        rows = max(len(self), len(gain))
+        medium = self.map(lambda t: t.expand(rows, *t.shape[1:]))
+        factor = gain.reshape(-1, 1, 1).to(self.beta)
+        return replace(
+            medium,
+            direct_weights=factor * self.direct_weights,
+            signal_weights=factor * self.signal_weights,
+            veil_weights=factor * self.veil_weights,
+            notes=self.notes if len(self) == rows else self.notes * rows,
+        )
+
     def lengths(self, z: Tensor) -> Tensor:
         """Scattering lengths b̄·z of finite distances (B or 1, 1, H, W)."""
         return self.b_mean.reshape(-1, 1, 1, 1).to(z) * z
@@ -335,14 +344,7 @@ class Medium:
         return f"Medium({note}{more}; {self.point_spread}, b̄ = {b_mean}{cut}/m)"
 
 
-def _rows(name: str, value: Any, shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
-    """A coefficient of `shape`, or a batch of them, as (B, *shape); finite and ≥ 0."""
-    row = torch.as_tensor(value, dtype=None if isinstance(value, Tensor) else dtype).to(dtype)
-    batched = row.ndim == len(shape) + 1
-    if row.shape[batched:] != shape:
-        wanted = "a number or (B,)" if shape == () else "(3,) or (B, 3)"
-        raise ValueError(f"{name} must have shape {wanted}, got {tuple(row.shape)}")
-    known = row.detach()
-    if not bool(((known >= 0) & known.isfinite()).all()):
-        raise ValueError(f"{name} must be finite and ≥ 0, got {known.tolist()}")
-    return row if batched else row[None]
+@lru_cache(maxsize=16)
+def _response(camera: Camera, axis: bytes) -> Array:
+    """The camera's weights (3, N) at wavelengths; rows sum to 1."""
+    return camera.weights(np.frombuffer(axis)).T

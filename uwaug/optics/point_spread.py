@@ -44,7 +44,9 @@ class PointSpread:
 
     def __post_init__(self) -> None:
         for name, value in self.numbers().items():
-            if not isinstance(value, Tensor):
+            if isinstance(value, Tensor):
+                _require_values(f"PointSpread.{name}", value, *DOMAIN[name])
+            else:
                 checks.within(f"PointSpread.{name}", value, *DOMAIN[name])
         checks.one_of("PointSpread.shape", self.shape, get_args(Shape))
         if self.reference_size is not None:
@@ -119,6 +121,14 @@ class PointSpread:
             rows[name] = torch.as_tensor(value).to(like).expand(count)
         return rows
 
+    def require_rows(self, count: int) -> None:
+        """Refuse tensors that are neither one number for all media nor one for each of `count`."""
+        for name, value in self.numbers().items():
+            if isinstance(value, Tensor) and value.shape not in ((), (count,)):
+                wanted = f"() or ({count},), a number for each medium"
+                got = tuple(value.shape)
+                raise ValueError(f"PointSpread.{name} must have shape {wanted}, got {got}")
+
     def widened(self, factor: float) -> "PointSpread":
         """The law with all widths `factor` times as large."""
         return replace(self, scale=self.scale * factor)
@@ -137,13 +147,14 @@ class PointSpread:
             lengths (BxC'xHxW tensor): scattering lengths b̄·z, ≥ 0.
             size: (height, width) of the image, px; None for px of `reference_size`.
         """
-        law = self.map(lambda value: value.reshape(-1, 1, 1, 1).to(lengths))
+        scale, exponent = (_over_pixels(value, lengths) for value in self.numbers().values())
         # x^exponent below 1 has an infinite slope at 0, so that σ(0) is tiny instead of 0; at 1e4
         # scattering lengths all light is gone
         x = lengths.clamp(1e-6, 1e4)
-        if isinstance(law.exponent, Tensor) or law.exponent != 1:
-            x = x**law.exponent  # ONNX Runtime would compute x^1
-        return law.scale * _pixel_scale(self.reference_size, size) * x
+        if isinstance(exponent, Tensor) or exponent != 1:
+            x = x**exponent  # ONNX Runtime would compute x^1
+        width: Tensor = scale * _pixel_scale(self.reference_size, size) * x
+        return width
 
     def __str__(self) -> str:
         if not isinstance(self.scale, Tensor) and self.scale == 0:
@@ -153,6 +164,26 @@ class PointSpread:
             shown.append("learned" if isinstance(value, Tensor) else f"{value:.3g}")
         at = "" if self.reference_size is None else f" at {self.reference_size:g} px short side"
         return f"{self.shape} σ = {shown[0]}·(b̄ z)^{shown[1]} px{at}"
+
+
+def _over_pixels(value: float | Tensor, like: Tensor) -> Any:
+    """A number of the law in the shape of images."""
+    return value.reshape(-1, 1, 1, 1).to(like) if isinstance(value, Tensor) else value
+
+
+def _require_values(name: str, value: Tensor, low: float, high: float) -> None:
+    """Refuse a tensor of another shape than () or (B,), and one with values outside [low, high],
+    NaN or infinite.
+    """
+    if value.ndim > 1 or not value.is_floating_point():
+        got = f"{value.dtype} of shape {tuple(value.shape)}"
+        raise ValueError(f"{name} must be a number or a floating-point tensor (B,), got {got}")
+    tracing = torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
+    if not value.is_leaf or value.is_meta or torch.compiler.is_compiling() or tracing:
+        return  # computed from parameters; or values are not known yet
+    known = value.detach()
+    if not bool(((known >= low) & (known <= high) & known.isfinite()).all()):
+        raise ValueError(f"{name} must be {checks.bounds(low, high)}, got {known.tolist()}")
 
 
 def _pixel_scale(reference_size: float | None, size: tuple[int, int] | None) -> float | Tensor:

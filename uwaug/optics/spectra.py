@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Array", "Spectra", "spectrum", "wavelength_axis"]
+__all__ = ["Array", "Spectra", "common_axis", "spectrum", "wavelength_axis"]
 
 Array = NDArray[np.float64]
 
@@ -75,6 +75,17 @@ def wavelength_axis(values: ArrayLike) -> Array:
             f"wavelengths must be in nm, between 100 and 3000, got {low:g}…{high:g}{hint}"
         )
     return axis
+
+
+def common_axis(one: Spectra, other: Spectra) -> Array | None:
+    """The wavelengths of both, in the range that both cover; None if there is none."""
+    mine, theirs = one.wavelengths, other.wavelengths
+    if np.array_equal(mine, theirs):
+        return mine
+    both = np.union1d(mine, theirs)
+    low, high = max(mine[0], theirs[0]), min(mine[-1], theirs[-1])
+    shared = both[(both >= low) & (both <= high)]
+    return wavelength_axis(shared) if shared.size else None
 
 
 def _unit_hint(low: float, high: float) -> str:

@@ -3,22 +3,20 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from uwaug import checks
+from uwaug.optics import sight
 from uwaug.optics.jerlov_tables import JERLOV_TYPES, repaired_table
-from uwaug.optics.spectra import Array, Spectra, spectrum, wavelength_axis
+from uwaug.optics.spectra import Array, Spectra, common_axis, spectrum, wavelength_axis
 
 __all__ = ["CONTRAST_THRESHOLD", "JERLOV_TYPES", "Water"]
 
 CONTRAST_THRESHOLD = 0.02
 """The contrast at which an object is no longer seen (Koschmieder 1924)."""
-
-_SPECTRA = ("a", "b", "kd")
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -132,9 +130,11 @@ class Water(Spectra):
             ValueError: if they are no such axis, or reach outside the range of the data: nothing is
                 extrapolated.
         """
+        if np.array_equal(wavelengths, self.wavelengths):
+            return self
         axis = wavelength_axis(wavelengths)
         self._require_inside(axis[0], axis[-1])
-        return type(self)(axis, **self._on(axis), name=self.name, provenance=self.provenance)
+        return self._derived(axis, self._table(axis), self.name, self.provenance)
 
     def mix(self, other: "Water", t: float) -> Self:
         """The mixture (1 − t)·self + t·other, linear in a, b and K_d: a continuous slider between
@@ -157,17 +157,13 @@ class Water(Spectra):
         """
         checks.instance("other", other, Water, "; see Water.jerlov")
         checks.within("t", t, *checks.DOMAIN["mixing"])
-        both = np.union1d(self.wavelengths, other.wavelengths)
-        low = max(self.wavelengths[0], other.wavelengths[0])
-        high = min(self.wavelengths[-1], other.wavelengths[-1])
-        grid = both[(both >= low) & (both <= high)]
-        if grid.size == 0:
+        grid = common_axis(self, other)
+        if grid is None:
             raise ValueError(f"{self} and {other} have no common wavelength to mix at")
-        mine, theirs = self._on(grid), other._on(grid)
-        spectra = {key: (1 - t) * mine[key] + t * theirs[key] for key in _SPECTRA}
+        mixture = (1 - t) * self._table(grid) + t * other._table(grid)
         name = f"{1 - t:g}·{_bracketed(self.name)} + {t:g}·{_bracketed(other.name)}"
         provenance = tuple(dict.fromkeys(self.provenance + other.provenance))
-        return type(self)(grid, **spectra, name=name, provenance=provenance)
+        return self._derived(grid, mixture, name, provenance)
 
     def visibility(self, wavelength: float | None = None) -> float:
         """Horizontal visibility V [m]: the distance at which contrast falls to 2 %.
@@ -200,15 +196,51 @@ class Water(Spectra):
             {'I': 78.5, 'IB': 32.6, 'II': 8.7, '3C': 3.3, '9C': 1.2}
         """
         if wavelength is None:
-            nodes, eye = self._eye()
-            return _distance_to_threshold(eye, np.interp(nodes, self.wavelengths, self.beta))
+            nodes, weights = sight.eye_on(self)
+            rates = np.interp(nodes, self.wavelengths, self.beta)
+            return sight.distance_to(CONTRAST_THRESHOLD, weights, rates)
         self._require_inside(wavelength, wavelength)
         beta = float(np.interp(wavelength, self.wavelengths, self.beta))
         return -math.log(CONTRAST_THRESHOLD) / beta if beta > 0 else math.inf
 
+    def contrast(self, metres: float) -> float:
+        """The share of its luminance contrast that an object at this distance [m] keeps, 0…1: the
+        ∫ ȳ e^(−β z) dλ of ``visibility()``, which is the distance where it is 2 %.
+
+        Examples:
+            >>> round(Water.jerlov("II").contrast(3), 3)
+            0.252
+        """
+        checks.within("metres", metres, *checks.DOMAIN["distance"])
+        return sight.contrast_at(self, self.beta, metres)
+
+    def most_contrast(self, metres: float) -> float:
+        """The ``contrast()`` at this distance [m] in the pure water inside this one: the most that
+        ``with_contrast`` can give.
+        """
+        checks.within("metres", metres, *checks.DOMAIN["distance"])
+        return sight.contrast_at(self, sight.pure_inside(self)[:2].sum(0), metres)
+
     def with_visibility(self, metres: float) -> Self:
-        """The same kind of water with more or less in it, so that ``visibility()`` is ``metres``: a
-        turbidity knob.
+        """The same kind of water with more or less in it, so that ``visibility()`` is ``metres``,
+        up to that of pure water: a turbidity knob. As ``with_contrast`` of 2 %.
+
+        Examples:
+            >>> round(Water.jerlov("1C").with_visibility(3).visibility(), 9)
+            3.0
+        """
+        checks.number_only("metres", metres)
+        checks.positive("metres", metres)
+        if self.most_contrast(metres) < CONTRAST_THRESHOLD:
+            most = Water(self.wavelengths, *sight.pure_inside(self)).visibility()
+            allowed = f"the pure water in {self.name!r} allows, {most:.4g} m"
+            raise ValueError(f"metres={metres:g} is more than {allowed}")
+        name = f"{self.name} at {metres:g} m visibility"
+        return self._scaled(CONTRAST_THRESHOLD, metres, name)
+
+    def with_contrast(self, contrast: float, metres: float) -> Self:
+        """The same kind of water with more or less in it, so that an object at a distance of
+        ``metres`` keeps this share of its luminance contrast: ``contrast(metres)``.
 
         What is dissolved and suspended is scaled by one factor s; pure sea water stays:
 
@@ -222,12 +254,15 @@ class Water(Spectra):
         the contents stays: to change that, ``mix``.
 
         Args:
-            metres: the visibility wanted [m], up to that of the pure water inside.
+            contrast: the share wanted, above 0, up to ``most_contrast(metres)``, that of pure
+                water. (To clamp it there, take the smaller of the two.)
+            metres: distance [m], > 0.
 
         Raises:
-            ValueError: if ``metres`` is no positive number, is more than pure water allows, or
-                cannot be reached because nothing but water is there to be scaled; if the spectra
-                leave 300–800 nm, where the absorption of pure water is tabulated; or as
+            TypeError: if an argument is no number.
+            ValueError: if ``contrast`` is more than pure water allows, or cannot be reached because
+                nothing but water is there to be scaled; if ``metres`` is no positive number; if the
+                spectra leave 300–800 nm, where the absorption of pure water is tabulated; or as
                 ``visibility()``.
 
         References:
@@ -236,32 +271,70 @@ class Water(Spectra):
                 clearest natural waters*, 1981.
 
         Examples:
-            >>> round(Water.jerlov("1C").with_visibility(3).visibility(), 9)
-            3.0
+            >>> hazy = Water.jerlov("1C").with_contrast(0.5, metres=3)
+            >>> hazy, round(hazy.contrast(3), 9)
+            (Water('1C with 0.5 of the contrast at 3 m', 17 wavelengths, 300–700 nm), 0.5)
         """
-        checks.positive("metres", metres)
-        pure = self._pure()
-        nodes, eye = self._eye()
-        water = np.interp(nodes, self.wavelengths, pure.beta)
-        contents = np.interp(nodes, self.wavelengths, self.beta) - water
-        seen = eye * np.exp(-water * metres)
-        if seen.sum() < CONTRAST_THRESHOLD:
-            most = f"the pure water in {self.name!r} allows, {pure.visibility():.4g} m"
-            raise ValueError(f"metres={metres:g} is more than {most}")
-        s = _distance_to_threshold(seen, contents * metres)
-        if math.isinf(s):
-            nothing = f"there is nothing to scale to {metres:g} m"
-            raise ValueError(f"{self.name!r} is nothing but pure water: {nothing}")
-        spectra = {}
-        for key in _SPECTRA:
-            whole, still = getattr(self, key), getattr(pure, key)
-            spectra[key] = still + s * (whole - still)
-        name = f"{self.name} at {metres:g} m visibility"
-        provenance = (*self.provenance, f"{name}: all but pure water scaled by {s:.4g}")
-        return type(self)(self.wavelengths, **spectra, name=name, provenance=provenance)
+        for name, value in {"metres": metres, "contrast": contrast}.items():
+            checks.number_only(name, value)
+            checks.positive(name, value)
+        most = self.most_contrast(metres)
+        if contrast > most:
+            allowed = f"the pure water in {self.name!r} allows, {most:.4g}"
+            raise ValueError(f"contrast={contrast:g} at {metres:g} m is more than {allowed}")
+        name = f"{self.name} with {contrast:g} of the contrast at {metres:g} m"
+        return self._scaled(contrast, metres, name)
 
-    def _on(self, axis: Array) -> dict[str, Array]:
-        return {key: np.interp(axis, self.wavelengths, getattr(self, key)) for key in _SPECTRA}
+    def contents_for(self, contrast: float, metres: float) -> float:
+        """The factor s of ``with_contrast``, on what is in the water besides pure water: 0 where
+        pure water alone leaves no more, infinity where nothing but pure water is there to be
+        scaled, 1 at an infinite distance.
+        """
+        checks.within("contrast", contrast, *checks.DOMAIN["contrast"])
+        if math.isinf(metres):
+            return 1.0
+        return sight.contents_for(self, contrast, metres)
+
+    def with_contents(self, factor: float) -> Self:
+        """This water with `factor` times what is in it besides pure water, see `with_contrast`."""
+        checks.within("factor", factor, 0.0)
+        name = f"{factor:.3g}·contents of {self.name}"
+        return self._with(factor, name, self.provenance)
+
+    def _scaled(self, contrast: float, metres: float, name: str) -> Self:
+        """This water with a contrast that pure water allows."""
+        factor = sight.contents_for(self, contrast, metres)
+        if math.isinf(factor):
+            nothing = f"there is nothing to scale to a contrast of {contrast:g} at {metres:g} m"
+            raise ValueError(f"{self.name!r} is nothing but pure water to the eye: {nothing}")
+        provenance = (*self.provenance, f"{name}: all but pure water scaled by {factor:.4g}")
+        return self._with(factor, name, provenance)
+
+    def _with(self, factor: float, name: str, provenance: tuple[str, ...]) -> Self:
+        pure = sight.pure_inside(self)
+        with np.errstate(over="ignore"):
+            table = pure + factor * (self._table(self.wavelengths) - pure)
+        if not np.isfinite(table).all():
+            times = f"its contents would be {factor:.4g} times as much"
+            raise ValueError(f"{name} is out of reach: {times}")
+        return self._derived(self.wavelengths, table, name, provenance)
+
+    def _derived(self, axis: Array, table: Array, name: str, provenance: tuple[str, ...]) -> Self:
+        """A water of spectra that are known to be valid: checking them takes longer than all
+        else that a transform asks of a water at every picture.
+        """
+        water = object.__new__(type(self))
+        table.flags.writeable = False
+        a, b, kd = table
+        vars(water).update(wavelengths=axis, a=a, b=b, kd=kd, name=name, provenance=provenance)
+        return water
+
+    def _table(self, axis: Array) -> Array:
+        """a, b and K_d (3, N) on an axis inside the range."""
+        rows = [self.a, self.b, self.kd]
+        if not np.array_equal(axis, self.wavelengths):
+            rows = [np.interp(axis, self.wavelengths, row) for row in rows]
+        return np.array(rows)
 
     def _require_inside(self, low: float, high: float) -> None:
         first, last = self.wavelengths[[0, -1]]
@@ -270,57 +343,6 @@ class Water(Spectra):
             data = f"the data of {self.name!r}, {first:g}–{last:g} nm"
             raise ValueError(f"{asked} is outside {data}: nothing is extrapolated")
 
-    def _eye(self) -> tuple[Array, Array]:
-        """301 wavelengths (1 nm apart on a full range) and the eye's weights, whose sum is 1."""
-        low, high = max(self.wavelengths[0], 400.0), min(self.wavelengths[-1], 700.0)
-        if low > high:
-            cure = "give visibility() a wavelength"
-            raise ValueError(f"{self} has no wavelength in 400–700 nm: {cure}")
-        nodes = np.linspace(low, high, 301)
-        weights = np.interp(nodes, *_observer())
-        return nodes, weights / weights.sum()
-
-    def _pure(self) -> "Water":
-        """The pure sea water in this water."""
-        nm = self.wavelengths
-        if nm[0] < 300 or nm[-1] > 800:
-            cure = "resample with .at() first"
-            raise ValueError(f"pure water is tabulated at 300–800 nm, but {self} leaves it: {cure}")
-        absorption, scattering = _pure_water(tuple(nm.tolist()))
-        a, b = np.minimum(self.a, absorption), np.minimum(self.b, scattering)
-        return Water(nm, a, b, np.minimum(self.kd, a + b / 2))
-
 
 def _bracketed(name: str) -> str:
     return f"({name})" if " " in name else name
-
-
-@cache
-def _observer() -> tuple[Array, Array]:
-    """The CIE 1931 observer: wavelengths and ȳ. A transform asks for it at every picture."""
-    import jerlov
-
-    wavelengths, xyz = jerlov.cie_1931_cmf()
-    return wavelengths, xyz[:, 1]
-
-
-@lru_cache(maxsize=16)
-def _pure_water(nm: tuple[float, ...]) -> tuple[Array, Array]:
-    """Absorption and scattering of pure sea water at these wavelengths."""
-    import jerlov
-
-    return jerlov.pure_water_absorption(np.array(nm)), jerlov.pure_water_scattering(np.array(nm))
-
-
-def _distance_to_threshold(weights: Array, rates: Array) -> float:
-    """The z ≥ 0 at which Σ weights·e^(−rates·z) falls to the threshold; inf if it never does."""
-    if weights[rates == 0].sum() >= CONTRAST_THRESHOLD:
-        return math.inf
-    # the logarithm of the sum is convex and falls, so Newton's steps from 0 never overshoot
-    z, step = 0.0, math.inf
-    while step > 1e-15 * z:
-        terms = weights * np.exp(-rates * z)
-        contrast = float(terms.sum())
-        step = math.log(contrast / CONTRAST_THRESHOLD) * contrast / float(terms @ rates)
-        z += step
-    return z

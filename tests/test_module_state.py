@@ -1,0 +1,115 @@
+"""What a module's state dict holds and refuses, and how the module is cast."""
+
+import copy
+import io
+
+import pytest
+import torch
+from degrading import coastal, distances, picture
+from torch import nn
+
+from uwaug import Medium, PointSpread, Underwater, Water, form_image
+
+
+def start(**options: object) -> Underwater:
+    return Underwater(coastal(), **options)
+
+
+@pytest.mark.parametrize(
+    ("there", "here", "message"),
+    [
+        ({}, {"color_space": "linear"}, "color_space is srgb there and linear here"),
+        ({"order": "source"}, {}, "order is source there and line_of_sight here"),
+        ({"sides": (32, 64)}, {"sides": (32, 96)}, r"sides is \[32, 64\] there and \(32, 96\)"),
+        ({}, {"distance_range": (0.1, 2.0)}, "widths is .* there and .* here"),
+        ({"distance_range": None}, {}, "widths is None there"),
+        ({}, {"tolerance": 0.001}, "tolerance is .* there"),
+    ],
+)
+@pytest.mark.parametrize("learnable", [False, True])
+def test_the_state_of_another_kind_of_module_is_refused(there, here, message, learnable):
+    theirs = start(learnable=learnable, **there)
+    mine = start(learnable=learnable, **here)
+    before = mine(picture(), distances()).detach()
+    with pytest.raises(ValueError, match=f"state_dict is of an Underwater .*: .*{message}"):
+        mine.load_state_dict(theirs.state_dict())
+    assert torch.equal(mine(picture(), distances()), before)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        PointSpread(3.0, 0.8),
+        PointSpread(1.2, 0.6),
+        PointSpread(1.2, 0.8, "exponential"),
+        PointSpread(1.2, 0.8, reference_size=512.0),
+    ],
+)
+def test_the_state_of_another_width_law_is_refused(law):
+    theirs = Underwater(coastal(point_spread=law)).state_dict()
+    with pytest.raises(ValueError, match="state_dict is of an Underwater of another kind"):
+        start().load_state_dict(theirs)
+
+
+def test_the_state_of_another_water_is_refused_if_its_plan_is_another():
+    def module(name: str) -> Underwater:
+        return Underwater(Medium.from_water(Water.jerlov(name)), sides=(32, 512))
+
+    theirs, mine = module("9C"), module("7C")
+    assert {k: v.shape for k, v in theirs.state_dict().items() if k != "_extra_state"} == {
+        k: v.shape for k, v in mine.state_dict().items() if k != "_extra_state"
+    }
+    with pytest.raises(ValueError, match=r"widths is .* there and .* here"):
+        mine.load_state_dict(theirs.state_dict())
+
+
+def test_a_state_is_refused_inside_a_network_too():
+    theirs = nn.Sequential(nn.Conv2d(3, 3, 1), start())
+    mine = nn.Sequential(nn.Conv2d(3, 3, 1), start(color_space="linear"))
+    with pytest.raises(ValueError, match="color_space"):
+        mine.load_state_dict(theirs.state_dict())
+
+
+def test_what_a_state_holds_is_used():
+    # one number for all media is of the module; one for each is of its state
+    law = PointSpread(torch.tensor([1.5]), torch.tensor([0.7]))
+    module = Underwater(coastal(point_spread=law), color_space="linear")
+    assert {"coefficients.scale", "coefficients.exponent"} <= set(module.state_dict())
+    assert not [name for name in start().state_dict() if "scale" in name or "exponent" in name]
+    state = module.state_dict()
+    state["coefficients.scale"] = torch.tensor([1.0])
+    state["coefficients.exponent"] = torch.tensor([0.9])
+    buffer = io.BytesIO()
+    torch.save(state, buffer)
+    buffer.seek(0)
+    module.load_state_dict(torch.load(buffer))
+    law = PointSpread(torch.tensor([1.0]), torch.tensor([0.9]))
+    expected = form_image(picture(), distances(), coastal(point_spread=law)).image
+    torch.testing.assert_close(module(picture(), distances()), expected, rtol=0, atol=2e-3)
+    assert module.medium.point_spread.scale == 1.0
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+@pytest.mark.parametrize("learnable", [False, True])
+def test_half_precision_is_of_the_picture_alone(dtype, learnable):
+    module = start(learnable=learnable)
+    image, z = picture(), distances()
+    expected = module(image, z)
+    narrow = nn.Sequential(copy.deepcopy(module)).to(dtype)[0]
+    assert torch.equal(narrow(image, z), expected)
+    result = narrow(image.to(dtype), z)
+    assert result.dtype == dtype
+    torch.testing.assert_close(result.float(), expected, rtol=0, atol=0.005)
+    if learnable:
+        result.sum().backward()
+        assert all(parameter.grad.isfinite().all() for parameter in narrow.parameters())
+
+
+def test_one_picture_with_several_fields_gives_as_many():
+    module, image, z = start(color_space="linear"), picture()[0], distances()[0]
+    field = 0.7 + 0.6 * torch.rand(3, 1, 32, 40)
+    result = module(image, z, field)
+    assert result.shape == (3, 3, 32, 40)
+    assert torch.equal(result, module(image[None], z[None], field))
+    assert form_image(image, z, coastal(), field).image.shape == (3, 3, 32, 40)
+    assert module(image, z, field[:1]).shape == (3, 32, 40)

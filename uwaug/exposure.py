@@ -1,0 +1,109 @@
+"""Exposure: what a camera does when the water takes the light.
+
+One gain for a whole picture, in linear light, so that the picture is as bright as the scene was in
+air. It multiplies what arrives, picture and veil alike: the medium's weights.
+"""
+
+from typing import Any, Literal
+
+import torch
+from torch import Tensor
+
+from uwaug import checks
+from uwaug.optics.curves import Sums, curves
+from uwaug.optics.medium import Medium
+
+__all__ = [
+    "GAINS",
+    "Exposure",
+    "auto_gain",
+    "brightest",
+    "exposed",
+    "exposed_sums",
+    "require_exposure",
+]
+
+Exposure = Literal["none", "auto"] | float
+"""What a camera does about dim light: nothing; one gain that keeps the mean luminance; or a gain in
+stops, which doubles the light with each.
+"""
+
+GAINS = (1 / 8, 64.0)
+"""Of an automatic exposure, −3 to +6 stops: 6 is what a camera has between ISO 100 and 6400."""
+
+_LUMINANCE = (0.2126, 0.7152, 0.0722)
+"""Of linear sRGB (IEC 61966-2-1)."""
+
+_EVERY = 4
+"""px along each axis, at which the light is measured. The mean over 1/16 of the pixels differs from
+the mean over all by 0.3 % on the bundled scene at 256 px, and takes 1/16 of the time.
+"""
+
+
+def require_exposure(exposure: Any) -> None:
+    """Refuse what is neither "none", "auto" nor a number of stops."""
+    if isinstance(exposure, str):
+        checks.one_of("exposure", exposure, ("none", "auto"))
+    else:
+        checks.within("exposure", exposure, *checks.DOMAIN["exposure"])
+
+
+def auto_gain(image: Tensor, z: Tensor, sums: Sums) -> Tensor:
+    """The gain with which a degraded picture has the mean luminance of the scene.
+
+    The blur moves light but adds none, so that it is left out: measured is T_G·J + B.
+
+    Args:
+        image (Bx3xHxW tensor): linear light.
+        z (Bx1xHxW tensor): effective distance, m.
+        sums: of the medium, see `uwaug.Medium.sums`.
+
+    Returns:
+        (B,) within `GAINS`, and such that the veil of the farthest pixel stays at or below 1; 1
+        where no light is.
+    """
+    light, far = image[..., ::_EVERY, ::_EVERY], z[..., ::_EVERY, ::_EVERY]
+    found = curves(sums, far)
+    arrives = (found.direct + found.scatter) * light + found.veil
+    before, after = _luminance(light), _luminance(arrives)
+    black = (before <= 0) | (after <= 0)
+    gain = torch.where(black, 1.0, before / torch.where(black, 1.0, after))
+    # the far water is the highlight that a camera protects
+    veil = curves(sums, z.amax((-3, -2, -1), keepdim=True)).veil.amax((-3, -2, -1))
+    return gain.clamp(*GAINS).minimum(1 / veil.clamp(min=1 / GAINS[1]))
+
+
+def exposed(image: Tensor, z: Tensor, medium: Medium, exposure: Exposure) -> Medium:
+    """The medium as a camera of this exposure sees it; arguments as for `auto_gain`."""
+    if exposure == "auto":
+        return medium.brightened(auto_gain(image, z, medium.sums(exact_at_lens=False)))
+    return brightest(medium, exposure)
+
+
+def exposed_sums(image: Tensor, z: Tensor, sums: Sums, exposure: Exposure) -> Sums:
+    """The same for a graph, in which the number of rows is not known."""
+    if exposure == "none":
+        return sums
+    if exposure == "auto":
+        gain = auto_gain(image, z, sums)[:, None, None]
+        return sums._replace(weights=gain * sums.weights)
+    return sums._replace(weights=2.0**exposure * sums.weights)
+
+
+def brightest(medium: Medium, exposure: Exposure) -> Medium:
+    """The medium for which a blur is planned before a picture is seen: an automatic exposure is
+    taken to make up for the light that is lost on the way down.
+    """
+    if exposure == "none":
+        return medium
+    if exposure == "auto":
+        left = medium.signal_weights.detach().sum(-1)
+        luminance = (left * left.new_tensor(_LUMINANCE)).sum(-1)
+        return medium.brightened((1 / luminance.clamp(min=1e-30)).clamp(*GAINS))
+    return medium.brightened(medium.beta.new_full((1,), 2.0**exposure))
+
+
+def _luminance(light: Tensor) -> Tensor:
+    """Mean luminance of each picture, (B,)."""
+    means = light.mean((-2, -1))
+    return (means * means.new_tensor(_LUMINANCE)).sum(-1)

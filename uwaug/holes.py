@@ -1,0 +1,99 @@
+"""Distances for pixels that have none."""
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+__all__ = ["filled"]
+
+# Artificial holes in five RGB-D pairs and the bundled scene (occlusions, rims, edges, specks,
+# blobs of 5 to 30 %, all beyond a range): error of log z in blobs of 5, 15, 30 %; of e^(−z/2) at
+# edges; ms at 500×741. This: .041, .069, .112; .0116; 35. Losers:
+# * nearest .054, .092, .175; .0116; 18, and its seams are as sharp as knives;
+# * a membrane everywhere .040, .068, .109; .0203; 250 to 1000 (sparse solve): softens thin holes;
+# * one in log z .042, .072, .111, without an answer for open water; one in z .040, .079, .121;
+# * biharmonic, as skimage has it: better in blobs of the smooth rooms (.105 for .133), 10 times the
+#   time, and it overshoots beyond what is known;
+# * OpenCV's Telea and Navier–Stokes .051, .087, .169, up to 300, no dependency of ours;
+# * nearest, then blurred by the depth of the hole .041, .071, .117; .0139; 300 to 3700;
+# * the farthest value around, for thin holes: .137 for .276 in occlusions, but twice the error at
+#   all other edges and four times that in specks.
+
+_THIN = 4.0
+"""Pixels from what is known, up to which the nearest value is taken; from twice as many on the
+membrane counts alone. 2 to 16 differ little.
+"""
+
+_SWEEPS = 4
+"""Of relaxation on each level; the error is .114 with 2, .110 with 8, .109 once all has settled."""
+
+_OPEN_WATER = 1e-9
+"""1/m; anything farther is open water."""
+
+
+def filled(distance: Tensor, unknown: Tensor) -> Tensor:
+    """Maps without holes: thin ones take the nearest value, wide ones are spanned by a membrane.
+
+    The membrane is stretched over 1/z, in which a plane of the scene is a plane, whatever its
+    slope, and open water is 0.
+
+    Args:
+        distance (NxHxW tensor): m.
+        unknown (NxHxW tensor): boolean; each map has a pixel that is known.
+    """
+    found = [_nearest_known(holes) for holes in unknown.cpu()]
+    away, index = (torch.stack(parts).to(distance.device) for parts in zip(*found, strict=True))
+    nearest = distance.flatten(1).gather(1, index.flatten(1)).view_as(distance)
+    weight = (away / _THIN - 1).clamp(0, 1).to(distance.dtype)
+    wide = weight > 0
+    if not bool(wide.any()):
+        return nearest
+    # what `where` leaves out must be harmless too, or it spoils the gradient
+    inverse = torch.where(unknown, 0, 1 / torch.where(unknown, 1, distance).clamp(min=_OPEN_WATER))
+    smooth = _membrane(inverse[:, None], ~unknown[:, None])[:, 0]
+    mixed = torch.lerp(1 / nearest.clamp(min=_OPEN_WATER), smooth, weight)
+    spanned = torch.where(mixed > _OPEN_WATER, 1 / mixed.clamp(min=_OPEN_WATER), torch.inf)
+    return torch.where(wide, spanned, nearest)
+
+
+def _nearest_known(unknown: Tensor) -> tuple[Tensor, Tensor]:
+    """How far the nearest known pixel of each pixel (HxW) is, and its flat index."""
+    from scipy.ndimage import distance_transform_edt
+
+    away, (rows, columns) = distance_transform_edt(unknown.numpy(), return_indices=True)
+    index = torch.from_numpy(rows).long() * unknown.shape[-1] + torch.from_numpy(columns)
+    return torch.from_numpy(away), index
+
+
+def _membrane(values: Tensor, known: Tensor) -> Tensor:
+    """Solve Laplace's equation where values (Nx1xHxW) are unknown: from coarse grids to fine ones,
+    each a few sweeps better. The picture's border is free.
+    """
+    levels = []
+    while not bool(known.all()):
+        levels.append((values, known))
+        values, known = _halved(values, known)
+    guess = values
+    for values, known in reversed(levels):
+        height, width = values.shape[-2:]
+        guess = F.interpolate(guess, scale_factor=2, mode="bilinear", align_corners=False)
+        guess = torch.where(known, values, guess[..., :height, :width])
+        for _ in range(_SWEEPS):
+            guess = torch.where(known, values, _mean_of_neighbours(guess))
+    return guess
+
+
+def _halved(values: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
+    """Half as many rows and columns: means of what is known; unknown values must be 0."""
+    height, width = values.shape[-2:]
+    rim = (0, width % 2, 0, height % 2)
+    share = F.avg_pool2d(F.pad(known.to(values.dtype), rim), 2)
+    total = F.avg_pool2d(F.pad(values, rim), 2)
+    return total / share.clamp(min=0.25), share > 0
+
+
+def _mean_of_neighbours(values: Tensor) -> Tensor:
+    padded = F.pad(values, (1, 1, 1, 1), mode="replicate")
+    above, below = padded[..., :-2, 1:-1], padded[..., 2:, 1:-1]
+    left, right = padded[..., 1:-1, :-2], padded[..., 1:-1, 2:]
+    return (above + below + left + right) / 4

@@ -1,0 +1,181 @@
+"""The TOML file of a preset: its tables, checked key by key."""
+
+import difflib
+import json
+import tomllib
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Literal, get_args
+
+from uwaug import checks
+from uwaug.checks import DOMAIN
+from uwaug.colour import ColorSpace
+from uwaug.exposure import require_exposure
+from uwaug.files import require_regular
+from uwaug.optics.jerlov_tables import JERLOV_TYPES
+from uwaug.optics.point_spread import Shape
+
+__all__ = ["Config", "read_config"]
+
+_ROUNDING = 0.005  # 1/m: half of the last digit that the paper prints
+
+
+# The schema. Pydantic checks types and keys, `DOMAIN` the range of what it knows by name, and each
+# table what is left.
+
+
+class _Table:
+    __pydantic_config__: ClassVar[dict[str, Any]] = {"strict": True, "extra": "forbid"}
+
+    def __post_init__(self) -> None:
+        for key, value in vars(self).items():
+            quantity = key.removesuffix("_px").removesuffix("_m")
+            if quantity in DOMAIN:
+                checks.within(key, value, *DOMAIN[quantity])
+
+
+_RGB = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class _Spectral(_Table):
+    type: str
+    camera: str
+
+    def __post_init__(self) -> None:
+        checks.one_of("type", self.type, JERLOV_TYPES)
+
+
+@dataclass(frozen=True)
+class _Coefficients(_Table):
+    a_per_m: _RGB
+    b_per_m: _RGB
+    G_per_m: _RGB
+    kd_per_m: _RGB
+
+    def __post_init__(self) -> None:
+        for key, values in vars(self).items():
+            for value in values:
+                checks.within(key, value, 0.0)
+        if min(self.G_per_m) == 0:
+            raise ValueError(f"G_per_m must be > 0, got {self.G_per_m}")
+
+
+@dataclass(frozen=True)
+class _Medium(_Table):
+    vertical_depth_m: float
+    g: float
+    mu: float
+
+
+@dataclass(frozen=True)
+class _PointSpread(_Table):
+    scale_px: float
+    exponent: float
+    short_side_px: float
+    shape: Shape = "gaussian"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        checks.positive("short_side_px", self.short_side_px)
+
+
+@dataclass(frozen=True)
+class _Distance(_Table):
+    near_m: float
+    far_m: float
+    gamma: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.near_m < self.far_m:
+            raise ValueError(f"far_m must be > near_m = {self.near_m}, got {self.far_m}")
+
+
+@dataclass(frozen=True)
+class _Field(_Table):
+    low: float
+    high: float
+
+    def __post_init__(self) -> None:
+        checks.positive("low", self.low)
+        checks.within("high", self.high, 0.0)
+        if not self.low <= self.high:
+            raise ValueError(f"high must be ≥ low = {self.low}, got {self.high}")
+
+
+@dataclass(frozen=True)
+class Config(_Table):
+    """A whole file."""
+
+    source: str
+    color_space: ColorSpace
+    medium: _Medium
+    point_spread: _PointSpread
+    distance: _Distance
+    field: _Field
+    water: _Spectral | None = None
+    coefficients: _Coefficients | None = None
+    exposure: Literal["none", "auto"] | float = "none"
+
+    def __post_init__(self) -> None:
+        require_exposure(self.exposure)
+        if (self.water is None) == (self.coefficients is None):
+            raise ValueError("water, coefficients: give one of these two tables")
+        if self.coefficients is not None:
+            _require_printed(self.coefficients, self.medium.g)
+
+
+def _require_printed(c: _Coefficients, g: float) -> None:
+    """Refuse a G that is not a + g·b; each of the three is rounded in print."""
+    colours = ("red", "green", "blue")
+    for colour, a, b, printed in zip(colours, c.a_per_m, c.b_per_m, c.G_per_m, strict=True):
+        G = a + g * b
+        if abs(G - printed) > _ROUNDING * (2 + g) + 1e-9:
+            raise ValueError(
+                f"coefficients.G_per_m is {printed} in {colour}, but a + g·b = {a} + {g}·{b} = "
+                f"{G:.4g}: more than rounding to two decimals explains"
+            )
+
+
+def read_config(path: Path) -> Config:
+    """Read a file; a ValueError names file and key of what is wrong."""
+    from pydantic import TypeAdapter, ValidationError
+
+    require_regular(path)
+    try:
+        # as JSON, because there strict types allow an array for a tuple
+        table = json.dumps(tomllib.loads(path.read_text(encoding="utf-8")), default=str)
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: not a TOML file: {error}") from error
+    except RecursionError:
+        raise ValueError(f"{path}: not a preset: its brackets or keys nest too deeply") from None
+    try:
+        return TypeAdapter(Config).validate_json(table)
+    except ValidationError as error:
+        found = "; ".join(_explain(dict(one)) for one in error.errors())
+        raise ValueError(f"{path}: {found}") from None
+
+
+def _explain(error: dict[str, Any]) -> str:
+    where = [str(part) for part in error["loc"]]
+    key = ".".join(where)
+    if error["type"] == "value_error":  # our own, which begins with the key
+        return ".".join([*where, str(error["ctx"]["error"])])
+    if error["type"] == "missing":
+        return f"{key} is missing"
+    if error["type"] == "unexpected_keyword_argument":
+        known = _keys(where[:-1])
+        close = difflib.get_close_matches(where[-1], known, n=1)
+        hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(known)}"
+        return f"{key} is no key; {hint}"
+    return f"{key}: {error['msg']}, got {error['input']!r}"
+
+
+def _keys(tables: list[str]) -> list[str]:
+    """The keys of a table, given the way to it."""
+    table: Any = Config
+    for name in tables:
+        kind = next(field.type for field in fields(table) if field.name == name)
+        table = next(t for t in (kind, *get_args(kind)) if is_dataclass(t))
+    return [field.name for field in fields(table)]
