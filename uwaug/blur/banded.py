@@ -15,34 +15,19 @@ Away from the edges the blocks repeat, so that only a period of them is made, an
 grows with the square of the image's side.
 """
 
-import math
-from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from uwaug.blur.kernels import (
-    MARGIN,
-    PERIOD,
-    blur_kernel,
-    enlarge_kernels,
-    per_cell,
-    reflect,
-    shrink_kernels,
-)
+from uwaug.blur.kernels import Array
 
-__all__ = ["Banded", "Node", "along_columns", "along_rows", "operator"]
-
-Kind = Literal["blur", "shrink", "enlarge"]
+__all__ = ["Banded", "Kernels", "Matrix", "along_columns", "along_rows"]
 
 
-class Node(NamedTuple):
-    """One blur of a stack: its width, px; the cell of its grid, px; kernels are cut at reach·σ."""
-
-    sigma: float
-    cell: float
-    reach: float
+Index = NDArray[np.int64]
 
 
 class Run(NamedTuple):
@@ -65,6 +50,12 @@ class Banded(NamedTuple):
     rows: int
     runs: tuple[Run, ...]
 
+    @property
+    def bytes(self) -> int:
+        """Memory of its blocks, of which several runs may share one."""
+        blocks = {id(run.matrix): run.matrix for run in self.runs}
+        return sum(block.numel() * block.element_size() for block in blocks.values())
+
 
 class Kernels(NamedTuple):
     """A banded matrix A for an axis of any length: a kernel for each row, repeated with a period.
@@ -77,8 +68,8 @@ class Kernels(NamedTuple):
         reflects: whether columns beyond the edges are folded back.
     """
 
-    first: Tensor
-    weights: Tensor
+    first: Index
+    weights: Array
     step: int
     shift: int
     reflects: bool
@@ -86,23 +77,27 @@ class Kernels(NamedTuple):
     @property
     def taps(self) -> int:
         """Columns that a row uses."""
-        return self.weights.shape[1]
+        return int(self.weights.shape[1])
 
-    def starts(self, start: int, stop: int) -> Tensor:
+    def starts(self, start: int, stop: int) -> Index:
         """The first columns of rows `start` to `stop`, before reflection."""
-        index, period = torch.arange(start, stop) - self.shift, len(self.first)
-        turn = torch.div(index, period, rounding_mode="floor")
-        return self.first[index % period] + turn * self.step
+        turn, place = np.divmod(np.arange(start, stop) - self.shift, len(self.first))
+        return np.asarray(self.first[place] + turn * self.step)
 
-    def slab(self, start: int, stop: int, cols: int) -> tuple[int, Tensor]:
+    def slab(self, start: int, stop: int, cols: int) -> tuple[int, Array]:
         """Rows `start` to `stop` of A: the first column in use, and the weights from there on."""
-        columns = self.starts(start, stop)[:, None] + torch.arange(self.taps)
+        columns = self.starts(start, stop)[:, None] + np.arange(self.taps)
         if self.reflects:
-            columns = reflect(columns, cols)
-        low, high = (int(column) for column in columns.aminmax())
-        weights = self.weights[(torch.arange(start, stop) - self.shift) % len(self.first)]
-        dense = torch.zeros(stop - start, high + 1 - low, dtype=torch.float64)
-        return low, dense.scatter_add_(1, columns - low, weights)
+            # half-sample symmetric
+            columns = columns % (2 * cols)
+            columns = np.minimum(columns, 2 * cols - 1 - columns)
+        low, high = int(columns.min()), int(columns.max())
+        rows, width = stop - start, high + 1 - low
+        weights = self.weights[(np.arange(start, stop) - self.shift) % len(self.first)]
+        place = columns - low + np.arange(rows)[:, None] * width
+        # what is folded onto one column adds up
+        dense: NDArray[Any] = np.bincount(place.ravel(), weights.ravel(), rows * width)
+        return low, dense.reshape(rows, width)
 
 
 class Matrix(NamedTuple):
@@ -119,7 +114,7 @@ class Matrix(NamedTuple):
     cols: int
     transposed: bool
 
-    def slab(self, start: int, stop: int) -> tuple[int, Tensor]:
+    def slab(self, start: int, stop: int) -> tuple[int, Array]:
         """Rows `start` to `stop`: the first column in use, and the weights from there on."""
         kernels, cols = self.kernels, self.cols
         if not self.transposed:
@@ -130,14 +125,14 @@ class Matrix(NamedTuple):
         reaches = (first < stop) & (end > start)
         if kernels.reflects:
             reaches |= (first < -start) | (end > 2 * cols - stop) | (kernels.taps > cols)
-        used = reaches.nonzero().flatten()
+        used = np.flatnonzero(reaches)
         if not len(used):
-            return 0, torch.zeros(stop - start, 1, dtype=torch.float64)
+            return 0, np.zeros((stop - start, 1))
         low, high = int(used[0]), int(used[-1]) + 1
         col, dense = kernels.slab(low, high, cols)
-        whole = torch.zeros(high - low, max(stop, col + dense.shape[1]), dtype=torch.float64)
+        whole = np.zeros((high - low, max(stop, col + dense.shape[1])))
         whole[:, col : col + dense.shape[1]] = dense
-        return low, whole[:, start:stop].t()
+        return low, whole[:, start:stop].T
 
     def edge(self) -> int:
         """How many rows at either end differ from what the period says."""
@@ -145,102 +140,67 @@ class Matrix(NamedTuple):
         first = kernels.starts(0, rows)
         if not self.transposed:
             return int(max((first < 0).sum(), (first + kernels.taps > cols).sum()))
-        before, after = (int(kernels.starts(row, row + 1)) for row in (-1, rows))
+        before, after = (int(kernels.starts(row, row + 1)[0]) for row in (-1, rows))
         folded = int(max(-first.min(), first.max() + kernels.taps - cols))
         return max(before + kernels.taps, cols - after, folded)
 
+    def banded(
+        self, axis: int, height: int, period: int, dtype: torch.dtype, device: torch.device
+    ) -> Banded:
+        """The matrix in blocks of `height` rows; it repeats every `period` rows, whole blocks.
 
-def _banded(
-    matrix: Matrix, height: int, period: int, dtype: torch.dtype, device: torch.device
-) -> Banded:
-    """A matrix in blocks of `height` rows; it repeats every `period` rows, whole blocks."""
-    count = matrix.cols if matrix.transposed else matrix.rows
-    edge = matrix.edge()
-    left, right = -(-edge // period) * period, (count - edge) // period * period
-    if right - left <= period:
-        left = right = count
-    runs = _blocks(matrix, 0, left, height, dtype, device)
-    if right > left:
-        repeats = (right - left) // period
-        step = matrix.kernels.step * period // len(matrix.kernels.first)
-        if matrix.transposed:
-            step = len(matrix.kernels.first) * period // matrix.kernels.step
-        blocks = _blocks(matrix, left, left + period, height, dtype, device)
-        if len(blocks) == 1:
-            runs.append(blocks[0]._replace(repeats=repeats, step=step))
+        axis: that it will be applied along; its blocks lie in memory as that product wants them.
+        """
+
+        def blocks(start: int, stop: int) -> list[Run]:
+            return self._blocks(start, stop, axis, height, dtype, device)
+
+        count = self.cols if self.transposed else self.rows
+        edge = self.edge()
+        left, right = -(-edge // period) * period, (count - edge) // period * period
+        if right - left <= period:
+            return Banded(count, tuple(blocks(0, count)))
+        repeats, step = (
+            (right - left) // period,
+            self.kernels.step * period // len(self.kernels.first),
+        )
+        if self.transposed:
+            step = len(self.kernels.first) * period // self.kernels.step
+        middle = blocks(left, left + period)
+        runs = blocks(0, left)
+        if len(middle) == 1:
+            runs.append(middle[0]._replace(repeats=repeats, step=step))
         else:
             for n in range(repeats):
-                runs += [b._replace(row=b.row + n * period, col=b.col + n * step) for b in blocks]
-        runs += _blocks(matrix, right, count, height, dtype, device)
-    return Banded(count, tuple(runs))
+                for run in middle:
+                    runs.append(run._replace(row=run.row + n * period, col=run.col + n * step))
+        return Banded(count, (*runs, *blocks(right, count)))
 
-
-def _blocks(
-    matrix: Matrix, start: int, stop: int, height: int, dtype: torch.dtype, device: torch.device
-) -> list[Run]:
-    """Rows `start` to `stop` as blocks, each with the columns that it uses."""
-    if start == stop:
-        return []
-    first, slab = matrix.slab(start, stop)
-    runs = []
-    for row in range(0, stop - start, height):
-        rows = slab[row : row + height]
-        used = (rows != 0).any(0).nonzero().flatten()
-        # a cell that no pixel uses has no column
-        low, high = (int(used[0]), int(used[-1]) + 1) if len(used) else (0, 1)
-        block = rows[:, low:high].to(device, dtype).contiguous()
-        transposed = block.t().contiguous()
-        runs.append(Run(start + row, len(block), 1, first + low, 0, block, transposed))
-    return runs
-
-
-@lru_cache(maxsize=256)
-def _kernels(kind: Kind, node: Node) -> Kernels:
-    a, q = per_cell(node.cell)
-    if kind == "blur":
-        kernel = blur_kernel(node.sigma, node.reach)
-        first = torch.tensor([-(kernel.shape[1] // 2)])
-        return Kernels(first, kernel, step=1, shift=0, reflects=True)
-    if kind == "shrink":
-        found = shrink_kernels(torch.arange(a), a, q, node.sigma, node.reach)
-        return Kernels(*found, step=q, shift=MARGIN, reflects=True)
-    first, weights = enlarge_kernels(torch.arange(q), a, q)
-    return Kernels(first + MARGIN, weights, step=a, shift=0, reflects=False)
-
-
-@lru_cache(maxsize=128)
-def operator(
-    kind: Kind,
-    axis: int,
-    size: int,
-    node: Node,
-    dtype: torch.dtype,
-    device: torch.device,
-    adjoint: bool = False,
-) -> Banded:
-    """A matrix of a node for an axis of `size` px, or its transpose.
-
-    Args:
-        kind: "blur" on the image's own grid; "shrink" to a coarser one, "enlarge" back.
-        axis: 0: along rows, 1: along columns.
-        size: of the image along that axis, px.
-        node: which blur.
-        adjoint: the transpose. That of a blur is itself: half-sample reflection makes the cosine
-            transform diagonalise it.
-    """
-    least = 8 if axis == 0 else 32  # rows of a block, the fastest of 4…64 on 256 and 512 px
-    a, q = per_cell(node.cell)
-    cells = -(-size * a // q) + 2 * MARGIN
-    kernels = _kernels(kind, node)
-    if kind == "blur":
-        return _banded(Matrix(kernels, size, size, False), least, least, dtype, device)
-    shape = (cells, size) if kind == "shrink" else (size, cells)
-    # whole periods of the grid repeat; a strip of rows of the image ends between two blocks
-    height, period = max(least, min(q, PERIOD)), q
-    if (kind == "shrink") != adjoint:
-        height, period = a * -(-least // a), a
-    whole = math.lcm(height, period)
-    return _banded(Matrix(kernels, *shape, adjoint), height, whole, dtype, device)
+    def _blocks(
+        self,
+        start: int,
+        stop: int,
+        axis: int,
+        height: int,
+        dtype: torch.dtype,
+        device: torch.device,
+    ) -> list[Run]:
+        """Rows `start` to `stop` as blocks, each with the columns that it uses."""
+        if start == stop:
+            return []
+        first, slab = self.slab(start, stop)
+        runs = []
+        for row in range(0, stop - start, height):
+            rows = slab[row : row + height]
+            used = np.flatnonzero(rows.any(0))
+            # a cell that no pixel uses has no column
+            low, high = (int(used[0]), int(used[-1]) + 1) if len(used) else (0, 1)
+            part = rows[:, low:high]
+            block = torch.from_numpy(np.ascontiguousarray(part if axis == 0 else part.T))
+            block = block.to(device, dtype)
+            matrix = block if axis == 0 else block.t()
+            runs.append(Run(start + row, len(part), 1, first + low, 0, matrix, matrix.t()))
+        return runs
 
 
 def along_rows(matrix: Banded, x: Tensor, first: int = 0, end: int | None = None) -> Tensor:

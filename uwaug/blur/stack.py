@@ -8,8 +8,9 @@ import torch
 from torch import Tensor
 
 from uwaug import checks
-from uwaug.blur.banded import Banded, Kind, Node, along_columns, along_rows, operator
+from uwaug.blur.banded import Banded, along_columns, along_rows
 from uwaug.blur.kernels import PERIOD
+from uwaug.blur.operators import Kind, Node, operator
 from uwaug.blur.plan import V_FLOOR, BlurPlan, plan_blur, range_in_v
 from uwaug.functional import transformed
 

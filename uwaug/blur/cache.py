@@ -1,0 +1,50 @@
+"""A cache that is bounded by memory: what it holds differs in size a thousandfold."""
+
+from collections import OrderedDict
+from collections.abc import Hashable
+from threading import Lock
+from typing import Generic, TypeVar
+
+__all__ = ["Cache"]
+
+Value = TypeVar("Value")
+
+
+class Cache(Generic[Value]):
+    """Values by key, as many of those used last as fit into a budget of bytes. Safe with threads.
+
+    Args:
+        budget: bytes. The value put last is kept even if it alone is larger.
+    """
+
+    def __init__(self, budget: int) -> None:
+        self.budget = budget
+        self.held = 0
+        self._values: OrderedDict[Hashable, tuple[Value, int]] = OrderedDict()
+        self._lock = Lock()
+
+    def get(self, key: Hashable) -> Value | None:
+        """The value, or None."""
+        with self._lock:
+            found = self._values.get(key)
+            if found is None:
+                return None
+            self._values.move_to_end(key)
+            return found[0]
+
+    def put(self, key: Hashable, value: Value, size: int) -> None:
+        """Keep a value of `size` bytes."""
+        with self._lock:
+            if key in self._values:
+                self.held -= self._values.pop(key)[1]
+            self._values[key] = (value, size)
+            self.held += size
+            while self.held > self.budget and len(self._values) > 1:
+                _, (_, freed) = self._values.popitem(last=False)
+                self.held -= freed
+
+    def clear(self) -> None:
+        """Forget all."""
+        with self._lock:
+            self._values.clear()
+            self.held = 0
