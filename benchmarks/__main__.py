@@ -16,6 +16,7 @@ PARTS = (
     "scaling",
     "runtime",
     "throughput",
+    "soak",
     "summary",
 )
 

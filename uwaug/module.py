@@ -232,7 +232,8 @@ class Underwater(nn.Module):
             if name not in held and not (self.learnable and name == "scale"):
                 settings[name] = float(value)
         settings |= {"sides": self.sides, "tolerance": self.tolerance, "widths": None}
-        if self.demand is not None:
+        # a learnable module plans anew for what it has learned or loaded
+        if self.demand is not None and not self.learnable:
             settings["widths"] = [self.demand.low, self.demand.high]
             settings["tolerance"] = self.demand.blur_tolerance
         return settings
