@@ -17,7 +17,7 @@ from torch import Tensor
 from benchmarks.exact import blur_exact
 from uwaug.blur.kernels import reflect
 from uwaug.blur.plan import BlurPlan
-from uwaug.blur.stack import blurred_rows, mixed, node_weights
+from uwaug.blur.stack import blurred_pieces, mixed, node_weights
 
 Array = np.ndarray[Any, Any]
 Gaussian = Callable[[Array, float], Array]
@@ -63,8 +63,9 @@ def exact(image: Tensor, sigma: Tensor, most: int | None = None) -> tuple[Tensor
 def stack(image: Tensor, sigma: Tensor, plan: BlurPlan) -> Tensor:
     """Our stack, a strip of rows at a time, as `form_image` uses it."""
     out = torch.empty_like(image)
-    for rows, blurs in blurred_rows(image[0], plan):
-        out[..., rows, :] = mixed(blurs, node_weights(sigma[..., rows, :], plan))
+    for rows, columns, blurs in blurred_pieces(image[0], plan):
+        weights = node_weights(sigma[..., rows, columns], plan)
+        out[..., rows, columns] = mixed(blurs, weights)
     return out
 
 

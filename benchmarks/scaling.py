@@ -40,6 +40,7 @@ from uwaug.blur.plan import range_in_v
 
 SOURCE = Path(__file__).parent / "fused.cpp"
 USUAL = {"side": 512, "batch": 1, "widest": WIDEST, "rates_tolerance": 0.002}
+LONG = ((1024, 1024), (512, 8192), (64, 20000), (20000, 64), (1, 30000))  # px
 SETTING = (
     "one thread, float32, no gradients, Jerlov 7C, 1…5 m; where not swept: 512² (batch: 256²), "
     "batch 1, σ .9…4.5 px, default rates"
@@ -134,15 +135,29 @@ def peak_memory(**options: float) -> dict[str, float]:
     return dict(json.loads(printed(code, json.dumps(options), OMP_NUM_THREADS="1")))
 
 
-def _peak(side: int, batch: int, widest: float, rates_tolerance: float) -> dict[str, float]:
+def _peak(
+    side: int, batch: int, widest: float, rates_tolerance: float, width: int = 0
+) -> dict[str, float]:
     torch.set_num_threads(1)
     degrade = module(widest, rates_tolerance)
-    image, distance = torch.rand(batch, 3, side, side), 1 + 4 * torch.rand(batch, 1, side, side)
+    size = (side, width or side)
+    image, distance = torch.rand(batch, 3, *size), 1 + 4 * torch.rand(batch, 1, *size)
     with torch.no_grad():
         degrade(image[..., :48, :48], distance[..., :48, :48])
         peak = peak_of(lambda: degrade(image, distance))
     held = 4 * (image.numel() + distance.numel())
     return {"peak_mib": peak / 2**20, "peak_per_input": peak / held}
+
+
+def long_shapes(shapes: Sequence[tuple[int, int]] = LONG) -> list[dict[str, float]]:
+    """Peak memory of the first picture of its size, of long pictures next to a square one."""
+    found = []
+    for height, width in shapes:
+        peak = peak_memory(**{**USUAL, "side": height, "width": width})
+        of_input = f"{peak['peak_per_input']:.1f} × the input"
+        print(f"{height}×{width}: peak {peak['peak_mib']:.1f} MiB, {of_input}", flush=True)
+        found.append({"height": height, "width": width, **peak})
+    return found
 
 
 @dataclass(frozen=True)
@@ -238,7 +253,8 @@ def main(quick: bool = False) -> dict[str, Any]:
         fused = Fused(folder) if compiler() else None
         found = {name: one.run(fused, 3 if quick else 15) for name, one in sweeps(quick).items()}
     skipped = [] if fused is not None else ["fused C++ (no g++)"]
-    results = {"setting": SETTING, "skipped": skipped, "sweeps": found}
+    shapes = long_shapes(((32, 48), (1, 500)) if quick else LONG)
+    results = {"setting": SETTING, "skipped": skipped, "sweeps": found, "first_calls": shapes}
     if not quick:
         from benchmarks.charts import draw_scaling
 

@@ -119,17 +119,12 @@ def test_tangents_of_image_and_distance(order, plain) -> None:
     torch.testing.assert_close(tangent, (up - down) / (2 * step), rtol=0, atol=1e-8)
 
 
-@pytest.mark.filterwarnings("ignore:There is a performance drop")
-def test_mapping_over_images() -> None:
-    images, degrade = rand(3, 3, 20, 24, seed=3), Underwater(medium(), color_space="linear")
-    mapped = vmap(lambda image: degrade(image, Z[0]))(images)
-    torch.testing.assert_close(mapped, degrade(images, Z), rtol=0, atol=1e-12)
-
-
-def test_mapping_over_what_the_blur_is_planned_for_is_refused(parameters, picture) -> None:
+def test_mapping_is_refused(parameters, picture) -> None:
     degrade = Underwater(medium())
     with pytest.raises(NotImplementedError, match=r"distance is mapped over.*give a batch"):
         vmap(lambda z: degrade(IMAGE, z))(Z.expand(2, 1, 1, 20, 24))
+    with pytest.raises(NotImplementedError, match=r"image is mapped over.*give a batch"):
+        vmap(lambda image: degrade(image, Z))(IMAGE.expand(2, 1, 3, 20, 24))
     doubled = {name: torch.stack([value, value]) for name, value in parameters.items()}
     with pytest.raises(NotImplementedError, match=r"medium's beta is mapped.*Medium\.stack"):
         vmap(picture)(doubled)

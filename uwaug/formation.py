@@ -24,7 +24,7 @@ from torch import Tensor
 from uwaug import checks
 from uwaug.blur.demand import blur_demand, spent
 from uwaug.blur.plan import BlurPlan
-from uwaug.blur.stack import blurred, blurred_rows, mixed, node_weights
+from uwaug.blur.stack import blurred, blurred_pieces, mixed, node_weights
 from uwaug.functional import refuse_mapped, transformed
 from uwaug.optics.curves import FARTHEST, Curves, curves
 from uwaug.optics.medium import Medium
@@ -143,8 +143,7 @@ def validate(
         checks.picture(name, value, 3 if name == "image" else 1)
         checks.same_size(name, value, image)
         checks.same_device(name, value, image)
-        if name != "image":
-            refuse_mapped(name, value)
+        refuse_mapped(name, value)
         sizes[name] = len(value) if value.ndim == 4 else 1
     checks.batches(sizes)
     if torch.compiler.is_compiling():
@@ -222,14 +221,14 @@ def form(
     for i, picture in enumerate(image):
         # one picture in several waters is blurred once
         samples = range(b) if len(image) == 1 else (i,)
-        for rows, stack in blurred_rows(picture, plan):
+        for rows, columns, stack in blurred_pieces(picture, plan):
             for n in samples:
-                m, part = n % len(media), z[n % len(z), :, rows][None]
+                m, part = n % len(media), z[n % len(z), :, rows, columns][None]
                 blur = scattered(stack, part, media[m], plan, size)
-                results = combine(picture[None, :, rows], curves(sums[m], part), blur)
+                results = combine(picture[None, :, rows, columns], curves(sums[m], part), blur)
                 outputs = outputs or [result.new_empty(b, 3, *size) for result in results]
                 for output, result in zip(outputs, results, strict=True):
-                    output[n, :, rows] = result[0]
+                    output[n, :, rows, columns] = result[0]
     return tuple(outputs)
 
 

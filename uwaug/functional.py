@@ -29,6 +29,6 @@ def refuse_mapped(name: str, x: Tensor) -> None:
     """Refuse a tensor that `torch.func.vmap` runs over."""
     if transformed() and torch._C._functorch.is_batchedtensor(x):
         raise NotImplementedError(
-            f"{name} is mapped over by torch.func.vmap, and the blur has to be planned for its "
-            "values: give a batch instead, (B, …) tensors and Medium.stack"
+            f"{name} is mapped over by torch.func.vmap, and its values have to be looked at: give "
+            "a batch instead, (B, …) tensors and Medium.stack"
         )

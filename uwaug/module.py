@@ -165,7 +165,8 @@ class Underwater(nn.Module):
         if self._warned or self.demand is None or torch.compiler.is_compiling():
             return
         assert self.distance_range is not None
-        z = distance.detach()
+        # half precision does not reach as far as open water
+        z = distance.detach().to(torch.promote_types(distance.dtype, torch.float32))
         if field is not None:
             z = z.clamp(max=FARTHEST) * field.detach()
         said = beyond_plan(z, medium, self.distance_range, self.demand, self.tolerance)

@@ -164,5 +164,9 @@ def test_a_width_is_learned_from_far_away(start: float) -> None:
     optimiser.step(loss)
     learned = degrade.medium.point_spread.scale.detach()
     assert float(learned) == pytest.approx(4.0, rel=0.02)
-    # the module that is exported plans for what was learned
+    # the module that is exported plans for what was learned, and so does one that loads its state
     assert degrade.demand.high >= float(learned) * 0.3 * 6.0
+    loaded = Underwater(begun, (0.5, 6.0), color_space="linear", learnable=True)
+    loaded.load_state_dict(degrade.state_dict())
+    with torch.no_grad():
+        assert (loaded(image, z) - degrade(image, z)).square().mean().sqrt() <= 0.0005

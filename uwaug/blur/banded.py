@@ -137,11 +137,14 @@ class Matrix(NamedTuple):
     def edge(self) -> int:
         """How many rows at either end differ from what the period says."""
         kernels, rows, cols = self.kernels, self.rows, self.cols
-        first = kernels.starts(0, rows)
+        # a kernel that leaves the axis is at most so many rows from its end
+        near = (kernels.taps // kernels.step + 2) * len(kernels.first) + kernels.shift
+        near = min(near, rows)
+        head, tail = kernels.starts(0, near), kernels.starts(rows - near, rows)
         if not self.transposed:
-            return int(max((first < 0).sum(), (first + kernels.taps > cols).sum()))
+            return int(max((head < 0).sum(), (tail + kernels.taps > cols).sum()))
         before, after = (int(kernels.starts(row, row + 1)[0]) for row in (-1, rows))
-        folded = int(max(-first.min(), first.max() + kernels.taps - cols))
+        folded = int(max(-head.min(), tail.max() + kernels.taps - cols))
         return max(before + kernels.taps, cols - after, folded)
 
     def banded(

@@ -14,13 +14,23 @@ from uwaug.blur.operators import Kind, Node, operator
 from uwaug.blur.plan import V_FLOOR, BlurPlan, plan_blur, range_in_v
 from uwaug.functional import transformed
 
-__all__ = ["blurred", "blurred_rows", "mixed", "node_weights", "row_strips", "varying_blur"]
+__all__ = [
+    "blurred",
+    "blurred_pieces",
+    "mixed",
+    "node_weights",
+    "row_strips",
+    "varying_blur",
+]
 
 Chain = tuple[tuple[int, Banded], ...]
 """Axis and matrix of each product, in the order of use."""
 
 _STRIP = 200_000
 """Samples of a strip; 50_000 takes a fifth longer (calls), 400_000 a tenth at 1024² (caches)."""
+
+_PIECE = 2 * _STRIP
+"""Samples of a piece: a strip, unless the image is wider than 8000 px."""
 
 
 def varying_blur(
@@ -221,16 +231,16 @@ def row_strips(channels: int, height: int, width: int) -> Iterator[slice]:
     return (slice(first, min(first + rows, height)) for first in range(0, height, rows))
 
 
-def blurred_rows(image: Tensor, plan: BlurPlan) -> Iterator[tuple[slice, list[Tensor]]]:
-    """The plan's blurs of one image, a strip of rows at a time so that what follows stays in the
-    cache. Not for gradients.
+def blurred_pieces(image: Tensor, plan: BlurPlan) -> Iterator[tuple[slice, slice, list[Tensor]]]:
+    """The plan's blurs of one image, a piece at a time so that what follows stays in the cache: a
+    strip of rows, or a part of one if the image is very wide. Not for gradients.
 
     Args:
         image (CxHxW tensor): float32 or float64.
         plan: from `plan_blur`.
 
     Yields:
-        the rows, and K tensors (1xCxRxW): `image` blurred by each of `plan.sigmas`.
+        the rows, the columns, and K tensors (1xCxRxS): `image` blurred by each of `plan.sigmas`.
     """
     c, h, w = image.shape
     x = image.transpose(0, 1).contiguous()
@@ -247,7 +257,10 @@ def blurred_rows(image: Tensor, plan: BlurPlan) -> Iterator[tuple[slice, list[Te
                 flat = along_rows(along, source.reshape(len(source), -1), rows.start, rows.stop)
                 strip = _products(flat.reshape(-1, c, w), after)
             strips.append(strip.transpose(0, 1)[None])
-        yield rows, strips
+        across = max(1, _PIECE // (c * (rows.stop - rows.start)))
+        for left in range(0, w, across):
+            columns = slice(left, min(left + across, w))
+            yield rows, columns, [strip[..., columns] for strip in strips]
 
 
 def blurred(image: Tensor, plan: BlurPlan) -> list[Tensor]:

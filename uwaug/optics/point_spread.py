@@ -9,6 +9,7 @@ from torch import Tensor
 
 from uwaug import checks
 from uwaug.checks import DOMAIN
+from uwaug.functional import transformed
 
 __all__ = ["PAPER_SIZE", "PointSpread", "Shape"]
 
@@ -179,7 +180,8 @@ def _require_values(name: str, value: Tensor, low: float, high: float) -> None:
         got = f"{value.dtype} of shape {tuple(value.shape)}"
         raise ValueError(f"{name} must be a number or a floating-point tensor (B,), got {got}")
     tracing = torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
-    if not value.is_leaf or value.is_meta or torch.compiler.is_compiling() or tracing:
+    unknown = value.is_meta or torch.compiler.is_compiling() or tracing or transformed()
+    if not value.is_leaf or unknown:
         return  # computed from parameters; or values are not known yet
     known = value.detach()
     if not bool(((known >= low) & (known <= high) & known.isfinite()).all()):

@@ -1,0 +1,62 @@
+from concurrent.futures import ThreadPoolExecutor
+
+import torch
+
+from uwaug.blur import operators
+from uwaug.blur.cache import Cache
+from uwaug.blur.operators import Node, operator
+
+
+def test_what_was_used_last_stays() -> None:
+    cache: Cache[str] = Cache(100)
+    for name in "abc":
+        cache.put(name, name.upper(), 33)
+    assert cache.get("a") == "A"
+    cache.put("d", "D", 33)
+    assert [cache.get(name) for name in "abcd"] == ["A", None, "C", "D"]
+    assert cache.held == 99
+
+
+def test_a_value_put_again_counts_once_and_a_large_one_alone() -> None:
+    cache: Cache[int] = Cache(100)
+    for size in (60, 80, 20):
+        cache.put("a", size, size)
+    assert (cache.get("a"), cache.held) == (20, 20)
+    cache.put("b", 0, 500)
+    assert (cache.get("a"), cache.get("b"), cache.held) == (None, 0, 500)
+    cache.put("c", 1, 1)
+    assert (cache.get("b"), cache.held) == (None, 1)
+    cache.clear()
+    assert (cache.get("c"), cache.held) == (None, 0)
+
+
+def test_threads_may_share_it() -> None:
+    cache: Cache[int] = Cache(50)
+
+    def work(seed: int) -> None:
+        for n in range(2000):
+            key = (seed * 7 + n) % 23
+            found = cache.get(key)
+            assert found in (None, key)
+            cache.put(key, key, 5)
+
+    with ThreadPoolExecutor(8) as threads:
+        list(threads.map(work, range(8)))
+    assert cache.held <= 50
+
+
+def test_operators_of_random_sizes_take_no_more_than_their_budget() -> None:
+    remembered = operators._REMEMBERED
+    most = 0
+    for size in range(100, 1100, 7):
+        for cell in (1.0, 16 / 5, 16.0):
+            node = Node(1.3 * cell, cell, 3.0)
+            for kind in ("blur",) if cell == 1 else ("shrink", "enlarge"):
+                operator(kind, 1, size, node, torch.float64, torch.device("cpu"))
+                most = max(most, remembered.held)
+    assert most <= remembered.budget
+
+
+def test_an_operator_is_made_once() -> None:
+    arguments = ("blur", 0, 77, Node(1.5, 1.0, 3.0), torch.float32, torch.device("cpu"))
+    assert operator(*arguments) is operator(*arguments)
