@@ -294,3 +294,8 @@ def test_rejects_what_is_not_a_floating_point_map(name) -> None:
         FUNCTIONS[name](np.ones((2, 2)))
     with pytest.raises(ValueError, match=rf"{name} must have shape \(\.\.\., H, W\), got \(2,\)"):
         FUNCTIONS[name](torch.ones(2))
+
+
+def test_inverse_depth_of_any_size() -> None:
+    z = from_inverse(torch.tensor([[-3e38, 0.0, 3e38]]), near=1.0, far=4.0)
+    torch.testing.assert_close(z, torch.tensor([[4.0, 1.6, 1.0]]))

@@ -23,9 +23,10 @@ def write(path: Path, text: str = "new") -> Path:
 @pytest.fixture
 def umask():
     """A mask of files that a group may read, and no others."""
-    before = os.umask(0o027)
-    yield 0o027
-    os.umask(before)
+    change = os.umask
+    before = change(0o027)
+    yield
+    change(before)
 
 
 def mode(path: Path) -> int:

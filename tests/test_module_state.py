@@ -21,8 +21,8 @@ def start(**options: object) -> Underwater:
         ({}, {"color_space": "linear"}, "color_space is srgb there and linear here"),
         ({"order": "source"}, {}, "order is source there and line_of_sight here"),
         ({"sides": (32, 64)}, {"sides": (32, 96)}, r"sides is \[32, 64\] there and \(32, 96\)"),
-        ({}, {"distance_range": (0.1, 2.0)}, "widths is .* there and .* here"),
-        ({"distance_range": None}, {}, "widths is None there"),
+        ({"exposure": "auto"}, {}, "exposure is auto there and none here"),
+        ({"distance_range": None}, {}, "demand is None there"),
         ({}, {"tolerance": 0.001}, "tolerance is .* there"),
     ],
 )
@@ -55,12 +55,29 @@ def test_the_state_of_another_water_is_refused_if_its_plan_is_another():
     def module(name: str) -> Underwater:
         return Underwater(Medium.from_water(Water.jerlov(name)), sides=(32, 512))
 
-    theirs, mine = module("9C"), module("7C")
+    theirs, mine = module("5C"), module("3C")
     assert {k: v.shape for k, v in theirs.state_dict().items() if k != "_extra_state"} == {
         k: v.shape for k, v in mine.state_dict().items() if k != "_extra_state"
     }
-    with pytest.raises(ValueError, match=r"widths is .* there and .* here"):
+    with pytest.raises(ValueError, match=r"demand is .* there and .* here"):
         mine.load_state_dict(theirs.state_dict())
+
+
+def test_the_state_for_another_range_is_refused():
+    theirs = start(distance_range=(0.1, 2.0)).state_dict()
+    with pytest.raises(ValueError, match=r"demand is .* there and .* here"):
+        start().load_state_dict(theirs)
+
+
+def test_a_plan_made_anew_while_learning_comes_with_the_state():
+    first, second = start(learnable=True), start(learnable=True)
+    with torch.no_grad():
+        first.coefficients.raw_scale += 20.0
+    expected = first(picture(), distances())
+    assert first.demand != second.demand
+    second.load_state_dict(first.state_dict())
+    assert first.demand == second.demand
+    assert torch.equal(second(picture(), distances()), expected)
 
 
 def test_a_state_is_refused_inside_a_network_too():

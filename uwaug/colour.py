@@ -91,7 +91,7 @@ def from_light(
         if isinstance(most, Tensor):
             values = torch.minimum(values.clamp(min=0), most)
         else:
-            values = values.clamp(0.0, most)
+            values = values.clamp(0.0, most)  # an integer beside a float cannot be exported
     if dtype == torch.uint8:
         return (values * 255).round().clamp(0, 255).to(torch.uint8)
     return values.to(dtype)

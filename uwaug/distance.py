@@ -107,7 +107,9 @@ def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> 
         got = f"{_which(flat)} that is constant or has no finite value"
         cure = "scale whole maps before they are cropped"
         raise ValueError(f"inverse must vary within each map, got {got}: {cure}")
-    s = (torch.where(known, inverse, least) - least) / (largest - least)
+    # halves, whose difference no pair of finite values can make infinite
+    low = least / 2
+    s = (torch.where(known, inverse / 2, low) - low) / (largest / 2 - low)
     return torch.where(known, 1 / (1 / far + (1 / near - 1 / far) * s), torch.nan)
 
 

@@ -66,7 +66,7 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
         part.replace(target)
         _flush_folder(target.parent)
     except OSError as error:
-        if error.filename in (None, part, str(part)):
+        if error.errno is not None and error.filename in (None, part, str(part)):
             error.filename = os.fspath(path)
         raise
     finally:

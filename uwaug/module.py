@@ -2,6 +2,7 @@
 
 import json
 import warnings
+from dataclasses import asdict
 from operator import index
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -96,7 +97,7 @@ class Underwater(nn.Module):
         self.order: Order = order
         self.exposure: Exposure = exposure
         self.learnable = learnable
-        self.sides = None if sides is None else planned.sides_of(sides)
+        self._sides = None if sides is None else planned.sides_of(sides)
         self.demand: BlurDemand | None = None
         self._warned = False
         # of a file that the module was read from, which another version may have written
@@ -111,8 +112,6 @@ class Underwater(nn.Module):
                 learned=learnable,
                 margin=margin,
             )
-            if self.sides is None and planned.serves_every_size(self.demand):
-                self.sides = planned.EVERY_SIDE
         elif sides is not None:
             raise ValueError(f"sides need a distance_range to plan for, got sides={sides} alone")
         self.coefficients: FixedMedium | LearnableMedium = FixedMedium(medium)
@@ -126,6 +125,13 @@ class Underwater(nn.Module):
         """The medium at hand; if learnable, of tensors that carry gradients to the parameters."""
         medium: Medium = self.coefficients()
         return medium
+
+    @property
+    def sides(self) -> tuple[int, int] | None:
+        """Short sides, px, of pictures that share a plan; None if each size has its own."""
+        if self._sides is None and self.demand and planned.serves_every_size(self.demand):
+            return planned.EVERY_SIDE
+        return self._sides
 
     def plan(self, size: tuple[int, int]) -> BlurPlan | None:
         """The blur plan for images of (height, width) `size`; None without a `distance_range`."""
@@ -148,7 +154,7 @@ class Underwater(nn.Module):
         """Degrade an image; see the class."""
         medium = self.medium
         validate(image, distance, medium, field, also_bytes=True)
-        self._keep_up(medium)
+        self.keep_up(medium)
         plan = self.plan((image.shape[-2], image.shape[-1]))
         self._look_beyond(distance, field, medium)
         result = self.formed(image, distance, field, medium, plan)
@@ -167,7 +173,7 @@ class Underwater(nn.Module):
             self._warned = True
             warnings.warn(said, stacklevel=3)
 
-    def _keep_up(self, medium: Medium) -> None:
+    def keep_up(self, medium: Medium) -> None:
         """Plan anew if what was learned has left the plan, at whose ends widths would stop changing
         and learning would stick. A compiled module keeps the plan that it was compiled with.
         """
@@ -216,10 +222,14 @@ class Underwater(nn.Module):
         theirs = json.loads(state.cpu().numpy().tobytes())
         apart = []
         for name, mine in self._settings().items():
-            if not planned.alike(mine, theirs.get(name)):
+            adopted = name == "demand" and self.learnable and mine and theirs.get(name)
+            if not adopted and not planned.alike(mine, theirs.get(name)):
                 apart.append(f"{name} is {theirs.get(name)} there and {mine} here")
         if apart:
             raise ValueError(f"state_dict is of an Underwater of another kind: {'; '.join(apart)}")
+        if self.learnable and self.demand is not None:
+            # while it learned, that module may have planned anew
+            self.demand = BlurDemand(**theirs["demand"])
 
     def _settings(self) -> dict[str, Any]:
         """What `load_state_dict` compares."""
@@ -231,11 +241,10 @@ class Underwater(nn.Module):
         for name, value in law.numbers().items():
             if name not in held and not (self.learnable and name == "scale"):
                 settings[name] = float(value)
-        settings |= {"sides": self.sides, "tolerance": self.tolerance, "widths": None}
+        settings |= {"sides": self._sides, "tolerance": self.tolerance, "demand": None}
         # a learnable module plans anew for what it has learned or loaded
         if self.demand is not None and not self.learnable:
-            settings["widths"] = [self.demand.low, self.demand.high]
-            settings["tolerance"] = self.demand.blur_tolerance
+            settings["demand"] = asdict(self.demand)
         return settings
 
     def extra_repr(self) -> str:

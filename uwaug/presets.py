@@ -19,7 +19,7 @@ from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
-from uwaug.preset_file import Config, read_config
+from uwaug.schema import Config, read_config
 
 __all__ = ["Preset", "list_presets", "load_preset"]
 

@@ -70,23 +70,31 @@ def test_module_and_graph_are_one_function(name) -> None:
             assert apart(graph(image, distance), module(image, distance)) <= 2e-5
 
 
+# beyond the planned distances too
+@pytest.mark.filterwarnings("ignore:.* that the blur is planned for")
 @pytest.mark.parametrize("name", ["frozen", "calibrated", "quantised"])
 def test_module_and_file_are_one_function(request, name) -> None:
     path, module = request.getfixturevalue(name)
     run, again = OnnxUnderwater(path), read_module(path)
     for size in SIDES:
         image, distance, field = scene(1, *size)
+        maps: tuple[torch.Tensor, ...] = (distance,)
         if name == "quantised":
-            image = (image * 255).round().to(torch.uint8)
-            # a module takes and gives floats
-            expected = (255 * module(image / 255, distance, field)).clamp(0, 255).round()
-            got, stored = run(image, distance, field), again(image / 255, distance, field)
-            assert apart(got, expected) <= 1
-            assert apart(255 * stored, expected) <= 1
-        else:
-            expected = module(image, distance)
-            assert apart(run(image, distance), expected) <= 2e-5
-            assert torch.equal(again(image, distance), expected)
+            image, maps = (image * 255).round().to(torch.uint8), (distance, field)
+        expected = module(image, *maps)
+        assert apart(run(image, *maps), expected) <= (1 if name == "quantised" else 2e-5)
+        assert torch.equal(again(image, *maps), expected)
+
+
+@pytest.mark.parametrize("exposure", ["auto", 1.5])
+def test_an_exposure_is_one_function_with_its_graph(exposure) -> None:
+    medium = Medium.from_water(Water.jerlov("1C"), vertical_depth=10.0)
+    module = Underwater(medium, (NEAR, FAR), exposure=exposure, sides=(32, 2160))
+    graph = Graph(module, plan_of(module), frozen=True, field=False, quantised=False)
+    for size in SIDES:
+        image, distance, _ = scene(2, *size)
+        with torch.no_grad():
+            assert apart(graph(image, distance), module(image, distance)) <= 2e-5
 
 
 def test_what_is_learned_is_one_function_with_its_file(folder) -> None:
@@ -95,6 +103,8 @@ def test_what_is_learned_is_one_function_with_its_file(folder) -> None:
     with torch.no_grad():
         for parameter in module.parameters():
             parameter += 0.1
+        # beyond what was planned at the start
+        module.coefficients.raw_scale += 8.0
     path = export_onnx(module, folder / "learned-graph.onnx", verify=False)
     image, distance, _ = scene(1, 150, 131)
     expected = module(image, distance).detach()
@@ -114,8 +124,7 @@ def test_a_field_of_any_numbers_gives_a_picture(quantised) -> None:
     given = {"image": levels.numpy(), "distance": distance.numpy(), "field": field.numpy()}
     (got,) = session.run(None, given)
     z = distance.clamp(max=1e9) * field.clamp(0, 1e9)
-    expected = 255 * module(levels / 255, z)
-    assert apart(torch.from_numpy(got), expected.round().clamp(0, 255)) <= 1
+    assert apart(torch.from_numpy(got), module(levels, z)) <= 1
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 7), (200, 3), (64, 64), (99, 131)])

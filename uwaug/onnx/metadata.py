@@ -32,6 +32,7 @@ _NAMES = (
     "plan",
     "tolerance",
     "color_space",
+    "exposure",
     "parameters",
     "field",
     "image",
@@ -96,6 +97,8 @@ def plan_of(module: Underwater) -> BlurPlan:
     if module.sides is None:
         cure = f"give Underwater(…, sides={SIDES}), so that module and file share one plan"
         raise ValueError(f"module has no sides and plans its blur for each picture's size: {cure}")
+    # as it would be at the next picture, after parameters have changed
+    module.keep_up(module.medium)
     plan = module.plan(module.sides)
     assert plan is not None
     return plan
@@ -257,8 +260,8 @@ def read_module(path: str | os.PathLike[str]) -> Underwater:
             stored.distance_range,
             stored.tolerance,
             stored.color_space,
-            sides=stored.sides,
             exposure=stored.exposure,
+            sides=stored.sides,
         )
     except (ArithmeticError, RuntimeError, RuntimeWarning) as error:
         # finite figures, but beyond what can be computed with

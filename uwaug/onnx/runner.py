@@ -105,11 +105,10 @@ class OnnxUnderwater:
         got = image.dtype if isinstance(image, Tensor) else type(image).__name__
         if got != dtype:
             raise TypeError(f"image must be {dtype} for this file, got {got}")
-        # the module's own refusals, which look at an image's type, shape and device alone
-        shown = image if dtype == torch.float32 else image.new_zeros((), dtype=torch.float32)
-        validate(shown.expand(image.shape), distance, medium, field)
+        # the module's own refusals
+        validate(image, distance, medium, field, also_bytes=True)
         if image.numel():
-            # and those of the values, which hold for all if they hold for the ends
+            # and those of values, which hold for all if they hold for the ends
             to_light(torch.stack(image.aminmax()), self.stored.color_space)
         rows = {"image": image, "distance": distance.to(torch.float32)}
         if field is not None:

@@ -1,4 +1,4 @@
-"""The TOML file of a preset: its tables, checked key by key."""
+"""What a preset's file may hold, and what is said of one that holds something else."""
 
 import difflib
 import json
@@ -12,15 +12,14 @@ from uwaug.checks import DOMAIN
 from uwaug.colour import ColorSpace
 from uwaug.exposure import require_exposure
 from uwaug.files import require_regular
-from uwaug.optics.jerlov_tables import JERLOV_TYPES
 from uwaug.optics.point_spread import Shape
+from uwaug.optics.water import JERLOV_TYPES
 
 __all__ = ["Config", "read_config"]
 
 _ROUNDING = 0.005  # 1/m: half of the last digit that the paper prints
 
-
-# The schema. Pydantic checks types and keys, `DOMAIN` the range of what it knows by name, and each
+# Pydantic checks types and keys, `DOMAIN` the range of what it knows by name, and each
 # table what is left.
 
 
@@ -106,7 +105,7 @@ class _Field(_Table):
 
 @dataclass(frozen=True)
 class Config(_Table):
-    """A whole file."""
+    """All of a preset's file; the tables are named as there."""
 
     source: str
     color_space: ColorSpace
@@ -139,7 +138,13 @@ def _require_printed(c: _Coefficients, g: float) -> None:
 
 
 def read_config(path: Path) -> Config:
-    """Read a file; a ValueError names file and key of what is wrong."""
+    """What a preset's file holds.
+
+    Raises:
+        ValueError: if it is no TOML, or a key is unknown, missing, of the wrong type or out of
+            range; names file and key.
+        OSError: if the file cannot be read, or is none.
+    """
     from pydantic import TypeAdapter, ValidationError
 
     require_regular(path)
