@@ -165,7 +165,8 @@ class Underwater(nn.Module):
         if self._warned or self.demand is None or torch.compiler.is_compiling():
             return
         assert self.distance_range is not None
-        z = distance.detach()
+        # half precision does not reach as far as open water
+        z = distance.detach().to(torch.promote_types(distance.dtype, torch.float32))
         if field is not None:
             z = z.clamp(max=FARTHEST) * field.detach()
         said = beyond_plan(z, medium, self.distance_range, self.demand, self.tolerance)
@@ -241,10 +242,8 @@ class Underwater(nn.Module):
         for name, value in law.numbers().items():
             if name not in held and not (self.learnable and name == "scale"):
                 settings[name] = float(value)
-        settings |= {"sides": self._sides, "tolerance": self.tolerance, "demand": None}
-        # a learnable module plans anew for what it has learned or loaded
-        if self.demand is not None and not self.learnable:
-            settings["demand"] = asdict(self.demand)
+        settings |= {"sides": self._sides, "tolerance": self.tolerance}
+        settings["demand"] = None if self.demand is None else asdict(self.demand)
         return settings
 
     def extra_repr(self) -> str:
