@@ -8,8 +8,6 @@ sizes and with one size. One thread.
 
 import json
 import time
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -77,10 +75,9 @@ def _per_pixel(shapes: list[tuple[int, int]]) -> float:
     augment = augmentation()
     for height, width in shapes[:10]:
         degrade(augment, height, width)
-    run: Callable[[int, int], None] = partial(degrade, augment)
     began = time.perf_counter()
     for height, width in shapes:
-        run(height, width)
+        degrade(augment, height, width)
     pixels = sum(height * width for height, width in shapes)
     return 1e9 * (time.perf_counter() - began) / pixels
 
@@ -89,6 +86,8 @@ def pace(low: int, high: int, count: int, rounds: int) -> dict[str, Any]:
     """Time with random sizes and with one of as many pixels, in turn; medians."""
     torch.set_num_threads(1)
     side = round((low + high) / 2)
+    # a loader that has run for a while knows its plans
+    _per_pixel(sizes(low, high, 5 * count, 0))
     times: dict[str, list[float]] = {"random sizes": [], "one size": []}
     for n in range(rounds):
         times["random sizes"].append(_per_pixel(sizes(low, high, count, n + 1)))
