@@ -62,10 +62,13 @@ def auto_gain(image: Tensor, z: Tensor, sums: Sums) -> Tensor:
         (B,) within `GAINS`, and such that the veil of the farthest pixel stays at or below 1; 1
         where no light is.
     """
-    light, far = image[..., ::_EVERY, ::_EVERY], z[..., ::_EVERY, ::_EVERY]
-    found = curves(sums, far)
+    rows, counted_rows = _looks(z.shape[-2], z)
+    columns, counted_columns = _looks(z.shape[-1], z)
+    light = image.index_select(-2, rows).index_select(-1, columns)
+    found = curves(sums, z.index_select(-2, rows).index_select(-1, columns))
     arrives = (found.direct + found.scatter) * light + found.veil
-    before, after = _luminance(light), _luminance(arrives)
+    weights = counted_rows[:, None] * counted_columns
+    before, after = _luminance(light, weights), _luminance(arrives, weights)
     black = (before <= 0) | (after <= 0)
     gain = torch.where(black, 1.0, before / torch.where(black, 1.0, after))
     # the far water is the highlight that a camera protects
@@ -103,7 +106,19 @@ def brightest(medium: Medium, exposure: Exposure) -> Medium:
     return medium.brightened(medium.beta.new_full((1,), 2.0**exposure))
 
 
-def _luminance(light: Tensor) -> Tensor:
+def _looks(side: int, like: Tensor) -> tuple[Tensor, Tensor]:
+    """Which rows or columns are looked at, and the weight of each.
+
+    One or two more than there are, of weight 0: torch.export assumes that a number that follows
+    from the size is not 1.
+    """
+    index = _EVERY * torch.arange(side // _EVERY + 2, device=like.device)
+    end = torch.full((1,), side, dtype=torch.int64, device=like.device)
+    inside = (index < end).to(like.dtype)
+    return torch.minimum(index, end - 1), inside / inside.sum()
+
+
+def _luminance(light: Tensor, weights: Tensor) -> Tensor:
     """Mean luminance of each picture, (B,)."""
-    means = light.mean((-2, -1))
+    means = (light * weights).sum((-2, -1))
     return (means * means.new_tensor(_LUMINANCE)).sum(-1)

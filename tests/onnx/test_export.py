@@ -10,8 +10,14 @@ import torch
 from exporting import apart, eager, scene
 
 import uwaug
-from uwaug import Medium, Underwater, load_preset
-from uwaug.onnx import OnnxUnderwater, export_onnx, export_program, parameters_of
+from uwaug import Medium, PointSpread, Underwater, load_preset
+from uwaug.onnx import (
+    OnnxUnderwater,
+    export_onnx,
+    export_program,
+    parameters_of,
+    read_module,
+)
 from uwaug.onnx.export import Graph
 
 # by its version: without the package, "onnx" would be the folder of these tests
@@ -243,3 +249,16 @@ def test_exporting_is_silent_and_imports_are_lazy(tmp_path) -> None:
     done = run(code, tmp_path)
     assert done.stdout + done.stderr == ""
     assert [p.name for p in tmp_path.iterdir()] == ["a.onnx"]
+
+
+@pytest.mark.parametrize("parameters", ["frozen", "inputs"])
+def test_an_automatic_exposure_is_exported(parameters, tmp_path) -> None:
+    medium = Medium.from_water("7C", vertical_depth=5.0, point_spread=PointSpread(0.8))
+    module = Underwater(medium, (0.3, 6.0), exposure="auto")
+    path = export_onnx(module, tmp_path / "auto.onnx", parameters=parameters)
+    assert read_module(path).exposure == "auto"
+    given = {} if parameters == "frozen" else {"medium": medium}
+    for size in ((33, 45), (1, 1), (3, 70)):
+        image, distance, _ = scene(2, *size)
+        got = OnnxUnderwater(path)(image, distance, **given)
+        assert apart(got, module(image, distance)) <= 2e-5

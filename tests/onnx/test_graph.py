@@ -99,7 +99,7 @@ def test_an_exposure_is_one_function_with_its_graph(exposure) -> None:
 
 def test_what_is_learned_is_one_function_with_its_file(folder) -> None:
     medium = Medium.from_water(Water.jerlov("3C"), point_spread=PointSpread.paper())
-    module = Underwater(medium, (NEAR, FAR), learnable=True, sides=(32, 700))
+    module = Underwater(medium, (NEAR, FAR), learnable=True, sides=(32, 160))
     with torch.no_grad():
         for parameter in module.parameters():
             parameter += 0.1

@@ -53,7 +53,7 @@ def test_a_learned_module_comes_back_from_the_file(folder) -> None:
         (1.0, 0.8, 0.9), (0.4, 0.3, 0.5), (0.1, 0.3, 0.4), b_mean=0.5, point_spread=law
     )
     module = Underwater(medium, (1.0, 4.0), learnable=True)
-    path = export_onnx(module, folder / "learned.onnx")
+    path = export_onnx(module, folder / "learned.onnx", verify=False)
     assert check_onnx(path, read_module(path)).worst < 1e-5
 
 
