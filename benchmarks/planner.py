@@ -98,7 +98,6 @@ def cell(
         "g": g,
         "mu": 0.3 * g / 0.2,
         "point_spread": point_spread,
-        "distance_range": distances,
     }
     water = uwaug.Water.jerlov(name)
     medium = uwaug.Medium.from_water(water, tolerance=TOLERANCE, **options)

@@ -14,6 +14,7 @@ import uwaug.degrade
 from uwaug import Medium, PointSpread, RandomUnderwater, Water, form_image
 from uwaug.colour import linear_to_srgb, srgb_to_linear
 from uwaug.distance import fill_unknown, from_inverse, from_relative
+from uwaug.exposure import looks
 from uwaug.field import gaussian_random_field
 from uwaug.replay import reproducible
 
@@ -70,12 +71,13 @@ def test_default_is_the_calibrated_model_exposed(focal_px: float | None) -> None
     for i, s in enumerate(record["samples"]):
         used, z = s["used"], distance[i]
         water = Water.jerlov(s["waters"][0]).at(np.arange(400, 701, 5))
-        middle = z[..., ::4, ::4].median()
+        middle = z.flatten()[looks(H, W, z.device)].median()
         # the share of luminance contrast that is left at the middle distance, as drawn
         scaled = water.with_visibility(used["visibility"])
         assert scaled.contrast(float(middle)) == pytest.approx(s["contrast"], rel=1e-4)
         law = PointSpread.calibrated(focal_px or W / 2 / math.tan(math.radians(30)))
-        numbers = {name: s[name] for name in ("vertical_depth", "g", "mu")}
+        numbers = {"vertical_depth": used["vertical_depth"], "g": s["g"], "mu": s["mu"]}
+        assert numbers["vertical_depth"] <= s["vertical_depth"]
         medium = Medium.from_water(scaled, **numbers, point_spread=law, tolerance=1e-4)
         light = srgb_to_linear(image[i])
         expected = used["gain"] * form_image(light, z, medium, tolerance=1e-4).image

@@ -254,3 +254,36 @@ def test_record_is_plain() -> None:
     record = aug.make_params(picture(4))
     assert {type(v) for v in walk(record)} <= {dict, list, str, bool, int, float}
     assert list(record) == ["samples"]
+
+
+@pytest.mark.parametrize(
+    "change, match",
+    [
+        ({"contrast": math.nan}, "params: contrast must be"),
+        ({"contrast": None}, "params: contrast must be"),
+        ({"mixing": 7}, "params: mixing must be"),
+        ({"applied": "no"}, "params: applied must be"),
+        ({"waters": []}, "params: waters must be a list"),
+        ({"waters": [("II", "II")]}, "collate_records"),
+        ({"field_range": None}, "field_range must be"),
+        ({"used": None}, "params: used must hold"),
+        ({"used": {"contents": 1.0, "gain": math.inf}}, "params: used.gain must be"),
+        ({"used": {"contents": 1e9, "gain": 1.0}}, "params: used.contents must be"),
+    ],
+)
+def test_altered_records_are_refused(change: dict[str, Any], match: str) -> None:
+    aug = RandomUnderwater()
+    record = aug.make_params(picture())
+    record["samples"][0] |= change
+    with pytest.raises(ValueError, match=match):
+        aug.transform(picture(), distances() + 1, record)
+
+
+def test_sets_have_no_order() -> None:
+    with pytest.raises(TypeError, match="waters must have an order"):
+        RandomUnderwater({"II", "7C"})
+    with pytest.raises(ValueError, match=r"vertical_depth must be.*'12'"):
+        RandomUnderwater(vertical_depth="12")
+    assert RandomUnderwater(contrast=np.float32(0.5)).contrast == 0.5
+    with pytest.raises(TypeError, match="integer"):
+        RandomUnderwater().at(0.5, 1, 1)

@@ -30,7 +30,7 @@ def test_the_gain_is_bounded() -> None:
         gain = auto_gain(image.double(), z.double(), sums)
         assert GAINS[0] <= gain <= GAINS[1]
     black = auto_gain(torch.zeros_like(image).double(), z.double(), sums)
-    assert black == 1, "there is no brightness to be kept"
+    assert black == GAINS[0], "as of a picture that is almost black"
 
 
 def test_the_veil_is_never_brighter_than_white() -> None:
@@ -99,3 +99,55 @@ def test_pictures_above_1_keep_their_headroom() -> None:
     out = Underwater(medium)(images, z)
     assert out[0].max() <= 1
     assert out[1].max() == pytest.approx(3.0, abs=0.02)
+
+
+@pytest.mark.parametrize("side", [3, 16, 32, 64])
+def test_small_and_striped_pictures_keep_their_luminance(side: int) -> None:
+    generator = torch.Generator().manual_seed(side)
+    image = torch.rand(1, 3, side, side, generator=generator) ** 2
+    degrade = Underwater(deep(10.0, tolerance=1e-5), color_space="linear", exposure="auto")
+    for period in (0, 2, 4):
+        striped = image.clone()
+        if period:
+            striped[..., ::period] = 0.0
+        z = torch.full((1, 1, side, side), 3.0)
+        before, after = (
+            float((LUMINANCE * x).sum(1).mean()) for x in (striped, degrade(striped, z))
+        )
+        assert after == pytest.approx(before, rel=0.03)
+
+
+def test_black_is_no_exception() -> None:
+    degrade = Underwater(Medium.from_water("3C", vertical_depth=2.0), exposure="auto")
+    z = torch.full((1, 1, 16, 16), 3.0)
+    black, almost = (degrade(torch.full((1, 3, 16, 16), v), z).mean() for v in (0.0, 1e-6))
+    assert black == pytest.approx(float(almost), rel=1e-3)
+
+
+def test_empty_pictures() -> None:
+    degrade = Underwater(deep(2.0), exposure="auto")
+    for shape in ((0, 8, 8), (2, 0, 8)):
+        empty = torch.zeros(shape[0], 3, *shape[1:])
+        assert degrade(empty, torch.zeros(shape[0], 1, *shape[1:])).shape == empty.shape
+
+
+@pytest.mark.parametrize("metres", [0.05, 0.2, 3.0])
+def test_close_scenes_are_not_black(metres: float) -> None:
+    """Waters that are turbid enough for a scene at arm's length let no light down to 10 m."""
+    image, distance = picture()[0], metres * (0.7 + 0.1 * distances()[0])
+    aug = RandomUnderwater()
+    for key in range(20):
+        out, _ = aug.at(0, 0, key)(image, distance)
+        assert out.mean((1, 2)).min() > 0.02
+
+
+def test_maps_of_every_fourth_row_are_looked_at() -> None:
+    """As a lidar gives them."""
+    aug, image, gains = RandomUnderwater(unknown="far"), picture(64, 96)[0], []
+    record = aug.make_params(image, torch.Generator().manual_seed(1))
+    for first in range(4):
+        distance = torch.zeros(1, 64, 96)
+        distance[:, first::4] = 4.0
+        used = aug.resolve(image, distance, record)["samples"][0]["used"]
+        gains.append(used["contents"])
+    assert max(gains) == pytest.approx(min(gains), rel=1e-6)

@@ -103,11 +103,12 @@ def test_hessian_of_a_width() -> None:
 
 
 @pytest.mark.parametrize("plain", [False, True], ids=["jvp", "dual_level"])
+@pytest.mark.parametrize("color_space", ["linear", "srgb"])
 @pytest.mark.parametrize("order", ["line_of_sight", "source"])
-def test_tangents_of_image_and_distance(order, plain) -> None:
+def test_tangents_of_image_and_distance(order, color_space, plain) -> None:
     # without gradients, in strips that know no tangents, they would be lost
     along, forth = rand(*IMAGE.shape, seed=5), 0.1 * rand(*Z.shape, seed=6)
-    degrade = Underwater(medium(), color_space="linear", order=order)
+    degrade = Underwater(medium(), color_space=color_space, order=order)
     step = 1e-5
     up, down = (degrade(IMAGE + by * along, Z + by * forth) for by in (step, -step))
     if plain:
@@ -116,7 +117,19 @@ def test_tangents_of_image_and_distance(order, plain) -> None:
             tangent = forward_ad.unpack_dual(dual).tangent
     else:
         _, tangent = jvp(degrade, (IMAGE, Z), (along, forth))
-    torch.testing.assert_close(tangent, (up - down) / (2 * step), rtol=0, atol=1e-8)
+    torch.testing.assert_close(tangent, (up - down) / (2 * step), rtol=0, atol=1e-7)
+
+
+def test_curvature_in_srgb() -> None:
+    degrade = Underwater(medium())
+
+    def loss(shift: Tensor) -> Tensor:
+        return degrade(IMAGE, Z + shift).square().mean()
+
+    shift, step = torch.zeros((), dtype=Z.dtype), 1e-5
+    slopes = [grad(loss)(shift + by) for by in (step, -step)]
+    expected = float(slopes[0] - slopes[1]) / (2 * step)
+    assert float(hessian(loss)(shift)) == pytest.approx(expected, rel=1e-3)
 
 
 def test_mapping_is_refused(parameters, picture) -> None:

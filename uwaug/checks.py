@@ -109,14 +109,15 @@ def number_only(name: str, value: object) -> None:
 
 def positive(name: str, value: float, unit: str = "") -> None:
     """Refuse a number that is 0, negative, infinite or NaN."""
-    if not 0 < value < math.inf:
+    number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+    if not number or not 0 < value < math.inf:
         raise ValueError(f"{name} must be finite and > 0{unit and f' {unit}'}, got {value!r}")
 
 
 def tolerance(value: float) -> None:
     """Refuse a tolerance outside (0, 1)."""
-    if not 0 < value < 1:
-        raise ValueError(f"tolerance must lie in (0, 1) (image scale 0…1), got {value}")
+    if not isinstance(value, (int, float, np.number)) or not 0 < value < 1:
+        raise ValueError(f"tolerance must lie in (0, 1) (image scale 0…1), got {value!r}")
 
 
 def instance(name: str, value: object, kind: type, hint: str = "") -> None:

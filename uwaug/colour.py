@@ -217,6 +217,7 @@ class _Pointwise(torch.autograd.Function):
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Tensor], output: Tensor) -> None:
         ctx.save_for_backward(*inputs)
+        ctx.save_for_forward(*inputs)
 
 
 class _Decode(_Pointwise):
@@ -228,6 +229,11 @@ class _Decode(_Pointwise):
     def backward(ctx: Any, grad: Tensor) -> Tensor:
         return _piecewise(_decode_grad, *ctx.saved_tensors, grad)
 
+    @staticmethod
+    def jvp(ctx: Any, tangent: Tensor) -> Tensor:
+        (x,) = ctx.saved_tensors
+        return _decode_grad(x, tangent)
+
 
 class _Encode(_Pointwise):
     @staticmethod
@@ -237,6 +243,11 @@ class _Encode(_Pointwise):
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> Tensor:
         return _piecewise(_encode_grad, *ctx.saved_tensors, grad)
+
+    @staticmethod
+    def jvp(ctx: Any, tangent: Tensor) -> Tensor:
+        (x,) = ctx.saved_tensors
+        return _encode_grad(x, tangent)
 
 
 def _apply(x: Tensor, eager: type[_Pointwise], traced: Callable[[Tensor], Tensor]) -> Tensor:

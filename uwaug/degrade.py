@@ -7,15 +7,15 @@ from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import Any, Literal, NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from uwaug.colour import ColorSpace, from_light, headroom, to_light
-from uwaug.exposure import auto_gain
+from uwaug.exposure import GAINS, auto_gain, looks
 from uwaug.field import gaussian_random_field
 from uwaug.formation import Order, form, plan_at_hand, prepare, together
-from uwaug.metres import DistanceKind, Scaling, Unknown, skipped, to_metres
+from uwaug.metres import DistanceKind, Scaling, Unknown, to_metres
+from uwaug.optics import sight
 from uwaug.optics.camera import Camera
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
@@ -25,10 +25,8 @@ from uwaug.replay import reproducible
 __all__ = [
     "Draw",
     "InWater",
-    "Opaque",
     "Settings",
     "degrade",
-    "degrade_opaque",
     "in_water",
     "used",
 ]
@@ -36,9 +34,10 @@ __all__ = [
 _FOCAL = 0.5 / math.tan(math.radians(30))
 """Focal length of a view 60° wide, as a share of the picture's width."""
 
-_MEASURED_EVERY = 4
-"""px along each axis, at which the median of distance is taken: .03 ms instead of .5 at 256 px, and
-within 1 % of that of all pixels.
+_DIMMEST = 2 / GAINS[1]
+"""Share of the surface's light that a scene has at least, where an exposure is automatic: what the
+largest gain makes up for, and an octave for what is lost on the way to the camera. Waters that are
+turbid enough for a scene at arm's length are black at 10 m.
 """
 
 
@@ -166,12 +165,17 @@ def used(
     Returns:
         contents: factor on all that is in the water besides pure water.
         visibility: of that water, m.
+        vertical_depth: m, where it was limited to what an automatic exposure makes up for.
         gain: of the exposure.
     """
     with reproducible(), torch.no_grad(), torch.autocast(image.device.type, enabled=False):
         found = in_water(image, distance, waters, camera, draw, settings)
-        visibility = found.water.visibility()
-        return {"contents": found.contents, "visibility": visibility, "gain": float(found.gain)}
+        return {
+            "contents": found.contents,
+            "visibility": found.water.visibility(),
+            "vertical_depth": found.vertical_depth,
+            "gain": float(found.gain),
+        }
 
 
 class InWater(NamedTuple):
@@ -183,6 +187,7 @@ class InWater(NamedTuple):
     water: Water
     contents: float
     gain: Tensor
+    vertical_depth: float
 
 
 def in_water(
@@ -201,10 +206,13 @@ def in_water(
     else:
         z = to_metres(distance.contiguous(), draw.scaling, settings.distance_kind, settings.unknown)
     water, contents = _water(waters, draw, z)
+    if settings.exposure == "auto":
+        depth = sight.depth_of_light(water, _DIMMEST)
+        draw = draw._replace(vertical_depth=min(draw.vertical_depth, depth))
     medium = _medium(water, camera, draw, settings.law(image.shape[-1]), settings)
     light, z, medium = prepare(light, z, medium, _field(draw, z))
     gain = _gain(light, z, medium, draw, settings)
-    return InWater(light, z, medium.brightened(gain), water, contents, gain)
+    return InWater(light, z, medium.brightened(gain), water, contents, gain, draw.vertical_depth)
 
 
 def _field(draw: Draw, z: Tensor) -> Tensor | None:
@@ -234,9 +242,11 @@ def _water(waters: Sequence[Water], draw: Draw, z: Tensor) -> tuple[Water, float
 
 def _middle(z: Tensor) -> float:
     """The median of all distances that are not open water, m."""
-    some = z[..., ::_MEASURED_EVERY, ::_MEASURED_EVERY]
-    near = some[some.isfinite()]
-    return float(near.median()) if near.numel() else math.inf
+    for some in (z.flatten()[looks(z.shape[-2], z.shape[-1], z.device)], z):
+        near = some[some.isfinite()]
+        if near.numel():
+            return float(near.median())
+    return math.inf
 
 
 def _gain(light: Tensor, z: Tensor, medium: Medium, draw: Draw, settings: Settings) -> Tensor:
@@ -280,65 +290,3 @@ def _new_medium(
 
 _kept_medium = lru_cache(maxsize=64)(_new_medium)
 """Nine waters, or pairs of them, seen by a few cameras."""
-
-
-@torch.library.custom_op(
-    "uwaug::random_underwater",
-    mutates_args=(),
-    schema="(Tensor image, Tensor? distance, Tensor[] waters, Tensor camera, Tensor draw, "
-    "str settings) -> Tensor",
-)
-def degrade_opaque(
-    image: Tensor,
-    distance: Tensor | None,
-    waters: list[Tensor],
-    camera: Tensor,
-    draw: Tensor,
-    settings: str,
-) -> Tensor:
-    """`degrade` for compiled code. The draw comes as a tensor; as Python numbers it would be
-    baked into the graph. Waters and camera come as tables, see `_table`.
-    """
-    spectra = [Water(*rows.numpy()) for rows in waters]
-    wavelengths, *response = camera.numpy()
-    lens = Camera(wavelengths, np.array(response).T)
-    drawn = Draw(*draw.tolist())
-    options = Settings.from_json(settings)
-    if skipped(distance, options):
-        return image.clone()  # an operator must not return what it was given
-    return degrade(image, distance, spectra, lens, drawn, options)
-
-
-@degrade_opaque.register_fake
-def _(image: Tensor, *_: Any) -> Tensor:
-    return torch.empty_like(image, memory_format=torch.contiguous_format)
-
-
-class Opaque:
-    """`degrade` as one opaque operator, for compiled code, which takes no objects.
-
-    Args:
-        spectra, cameras: by the names that samples have for them.
-        settings: what is set.
-    """
-
-    def __init__(
-        self, spectra: Mapping[str, Water], cameras: Mapping[str, Camera], settings: Settings
-    ) -> None:
-        self._text = settings.to_json()
-        self._waters = {name: _table(water) for name, water in spectra.items()}
-        self._cameras = {name: _table(camera) for name, camera in cameras.items()}
-
-    def __call__(self, image: Tensor, distance: Tensor | None, sample: Mapping[str, Any]) -> Tensor:
-        """A picture (3xHxW) as a sample of a record says."""
-        waters = [self._waters[name] for name in sample["waters"]]
-        camera, draw = self._cameras[sample["camera"]], Draw.of(sample).to_tensor()
-        result: Tensor = degrade_opaque(image, distance, waters, camera, draw, self._text)
-        return result
-
-
-def _table(spectra: Water | Camera) -> Tensor:
-    """Wavelengths, and below them the values at each."""
-    if isinstance(spectra, Camera):
-        return torch.from_numpy(np.array([spectra.wavelengths, *spectra.response.T]))
-    return torch.from_numpy(np.array([spectra.wavelengths, spectra.a, spectra.b, spectra.kd]))

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from itertools import accumulate
 from typing import Any
 
+import numpy as np
 import torch
 
 from uwaug import checks
@@ -50,6 +51,9 @@ RANGES = (
     "exposure",
 )
 _LOGARITHMIC = ("visibility", "contrast")
+_LARGEST = 1e4
+"""Of contents and gain in a record: far beyond any that was used."""
+
 # What each picture draws a uniform number for. A new one goes to the end, so that keys of
 # `RandomUnderwater.at` keep their pictures.
 _DRAWS = ("applied", "first", "second", "camera", "field", *RANGES)
@@ -108,6 +112,8 @@ class Distribution:
             expected = "a record from make_params, {'samples': […]}"
             raise TypeError(f"params must be {expected}, got {params!r:.80}")
         samples: list[Record] = params["samples"]
+        if not isinstance(samples, list) or not all(isinstance(one, Mapping) for one in samples):
+            raise TypeError(f"params['samples'] must be a list of dicts, got {samples!r:.80}")
         count = len(samples)
         if count not in (1, batch):
             raise ValueError(f"params has {count} samples but image is a batch of {batch}")
@@ -118,6 +124,8 @@ class Distribution:
                 raise ValueError(
                     f"params is of a transform with other options: they differ in {odd}"
                 )
+            if not torch.compiler.is_compiling():  # numbers are symbols there
+                _require_values(sample, self.ranges)
             _require_known(sample["waters"], self.waters)
             _require_known([sample["camera"]], self.cameras)
         return samples * batch if count < batch else samples
@@ -167,6 +175,26 @@ def _samples_of(record: Any) -> list[Record] | None:
     return found if isinstance(found, list) else None
 
 
+def _require_values(sample: Mapping[str, Any], ranges: Iterable[str]) -> None:
+    """Refuse a sample that no draw can have given."""
+    names = sample["waters"]
+    if not isinstance(names, list) or len(names) not in (1, 2) or isinstance(names[0], tuple):
+        cure = "make a batch of records with uwaug.collate_records"
+        raise ValueError(f"params: waters must be a list of 1 or 2 names, got {names!r}; {cure}")
+    if not isinstance(sample["applied"], bool):
+        raise ValueError(f"params: applied must be true or false, got {sample['applied']!r}")
+    for name in ranges:
+        checks.within(f"params: {name}", sample[name], *DOMAIN[name])
+    as_range("field_range", sample["field_range"])
+    if "used" not in sample:
+        return
+    found = sample["used"]
+    if not isinstance(found, Mapping) or not {"contents", "gain"} <= set(found):
+        raise ValueError(f"params: used must hold contents and gain, got {found!r:.80}")
+    for name in ("contents", "gain"):
+        checks.within(f"params: used.{name}", found[name], 0.0, _LARGEST)
+
+
 def _require_known(names: Iterable[str], known: Iterable[str]) -> None:
     for name in names:
         if name not in known:
@@ -176,6 +204,8 @@ def _require_known(names: Iterable[str], known: Iterable[str]) -> None:
 
 def weighed(waters: Any) -> dict[str | Water, float]:
     """Each water's weight."""
+    if isinstance(waters, (set, frozenset)):
+        raise TypeError("waters must have an order, as draws follow it; got a set")
     if not isinstance(waters, Mapping):
         waters = Counter([waters] if isinstance(waters, (str, Water)) else waters)
     weights = list(waters.values())
@@ -206,11 +236,16 @@ def _by_name(name: str, things: list[Any]) -> dict[str, Any]:
     return named
 
 
+_NUMBER = (int, float, np.number)
+
+
 def as_range(name: str, value: Any) -> tuple[float, float]:
     """A number or (low, high) as (low, high), inside the domain of that name."""
     least, most = DOMAIN[name]
     try:
-        low, high = (value, value) if isinstance(value, (int, float)) else map(float, value)
+        if isinstance(value, (str, bool)):
+            raise TypeError
+        low, high = (value, value) if isinstance(value, _NUMBER) else map(float, value)
     except (TypeError, ValueError):
         low = high = math.nan
     if not (least <= low <= high <= most and high < math.inf):

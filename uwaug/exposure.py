@@ -20,6 +20,7 @@ __all__ = [
     "brightest",
     "exposed",
     "exposed_sums",
+    "looks",
     "require_exposure",
 ]
 
@@ -34,16 +35,22 @@ GAINS = (1 / 8, 64.0)
 _LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Of linear sRGB (IEC 61966-2-1)."""
 
-_EVERY = 4
-"""px along each axis, at which the light is measured. The mean over 1/16 of the pixels differs from
-the mean over all by 0.3 % on the bundled scene at 256 px, and takes 1/16 of the time.
+_LOOKS = 8192
+"""Pixels at which the light is measured. Spread by a quasi-random sequence, they see stripes and
+rows of any period, and pictures of any size; the mean luminance of noise is right within 1 %. A
+grid of every fourth pixel is off by 10 % at 16 px and blind to stripes of its own period.
+"""
+
+_STEPS = (0.7548776662466927, 0.5698402909980532)
+"""Of the sequence along rows and columns, as shares of a side: 1/x and 1/x² with x³ = x + 1
+(Roberts 2018, the R₂ sequence).
 """
 
 
 def require_exposure(exposure: Any) -> None:
     """Refuse what is neither "none", "auto" nor a number of stops."""
-    if isinstance(exposure, str):
-        checks.one_of("exposure", exposure, ("none", "auto"))
+    if isinstance(exposure, bool) or not isinstance(exposure, (int, float)):
+        checks.one_of("exposure", exposure, ("none", "auto", "a number of stops"))
     else:
         checks.within("exposure", exposure, *checks.DOMAIN["exposure"])
 
@@ -60,17 +67,15 @@ def auto_gain(image: Tensor, z: Tensor, sums: Sums) -> Tensor:
 
     Returns:
         (B,) within `GAINS`, and such that the veil of the farthest pixel stays at or below 1; 1
-        where no light is.
+        where no light arrives.
     """
-    rows, counted_rows = _looks(z.shape[-2], z)
-    columns, counted_columns = _looks(z.shape[-1], z)
-    light = image.index_select(-2, rows).index_select(-1, columns)
-    found = curves(sums, z.index_select(-2, rows).index_select(-1, columns))
+    some = looks(z.shape[-2], z.shape[-1], z.device)
+    light = image.flatten(-2).index_select(-1, some)[:, :, None]
+    found = curves(sums, z.flatten(-2).index_select(-1, some)[:, :, None])
     arrives = (found.direct + found.scatter) * light + found.veil
-    weights = counted_rows[:, None] * counted_columns
-    before, after = _luminance(light, weights), _luminance(arrives, weights)
-    black = (before <= 0) | (after <= 0)
-    gain = torch.where(black, 1.0, before / torch.where(black, 1.0, after))
+    before, after = _luminance(light), _luminance(arrives)
+    dark = after <= 0
+    gain = torch.where(dark, 1.0, before / torch.where(dark, 1.0, after))
     # the far water is the highlight that a camera protects
     veil = curves(sums, z.amax((-3, -2, -1), keepdim=True)).veil.amax((-3, -2, -1))
     return gain.clamp(*GAINS).minimum(1 / veil.clamp(min=1 / GAINS[1]))
@@ -78,7 +83,7 @@ def auto_gain(image: Tensor, z: Tensor, sums: Sums) -> Tensor:
 
 def exposed(image: Tensor, z: Tensor, medium: Medium, exposure: Exposure) -> Medium:
     """The medium as a camera of this exposure sees it; arguments as for `auto_gain`."""
-    if exposure == "auto":
+    if exposure == "auto" and image.numel() and z.numel():
         return medium.brightened(auto_gain(image, z, medium.sums(exact_at_lens=False)))
     return brightest(medium, exposure)
 
@@ -106,19 +111,16 @@ def brightest(medium: Medium, exposure: Exposure) -> Medium:
     return medium.brightened(medium.beta.new_full((1,), 2.0**exposure))
 
 
-def _looks(side: int, like: Tensor) -> tuple[Tensor, Tensor]:
-    """Which rows or columns are looked at, and the weight of each.
-
-    One or two more than there are, of weight 0: torch.export assumes that a number that follows
-    from the size is not 1.
-    """
-    index = _EVERY * torch.arange(side // _EVERY + 2, device=like.device)
-    end = torch.full((1,), side, dtype=torch.int64, device=like.device)
-    inside = (index < end).to(like.dtype)
-    return torch.minimum(index, end - 1), inside / inside.sum()
+def looks(height: int, width: int, device: torch.device) -> Tensor:
+    """The flat indices of some pixels, spread evenly over a picture."""
+    count = torch.arange(_LOOKS, dtype=torch.float64, device=device) + 0.5
+    shares = [count * step - torch.floor(count * step) for step in _STEPS]
+    sides = [torch.full((), side, dtype=torch.float64, device=device) for side in (height, width)]
+    row, column = (torch.floor(u * side) for u, side in zip(shares, sides, strict=True))
+    return (row * sides[1] + column).to(torch.int64)
 
 
-def _luminance(light: Tensor, weights: Tensor) -> Tensor:
+def _luminance(light: Tensor) -> Tensor:
     """Mean luminance of each picture, (B,)."""
-    means = (light * weights).sum((-2, -1))
+    means = light.mean((-2, -1))
     return (means * means.new_tensor(_LUMINANCE)).sum(-1)

@@ -72,7 +72,7 @@ _OF_MEDIUM = ("mixing", "visibility", "vertical_depth", "g", "mu", "blur_factor"
 
 def contrast_of(level: int) -> float:
     """The contrast of a grade of severity."""
-    if level not in (1, 2, 3, 4, 5):
+    if not isinstance(level, int) or level not in (1, 2, 3, 4, 5):
         raise ValueError(f"level must be a whole number from 1 to 5, got {level!r}")
     return _GRADES[level - 1]
 

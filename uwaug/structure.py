@@ -7,6 +7,7 @@ import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
+from operator import index as whole
 from typing import Any, NamedTuple
 
 import torch
@@ -94,8 +95,10 @@ class SampleTransform(nn.Module):
         Returns:
             A function of the same inputs as the transform, which draws the same at every call.
         """
-        which = index if isinstance(index, str) else int(index)
-        key = hashlib.blake2b(f"{int(seed)}/{int(epoch)}/{which}".encode(), digest_size=4).digest()
+        which = index if isinstance(index, str) else whole(index)
+        key = hashlib.blake2b(
+            f"{whole(seed)}/{whole(epoch)}/{which}".encode(), digest_size=4
+        ).digest()
         return partial(self._apply_with, int.from_bytes(key))
 
     def _apply_with(self, key: int, *inputs: Any) -> Any:

@@ -9,10 +9,11 @@ import torch
 from torch import Tensor
 
 from uwaug.colour import ColorSpace
-from uwaug.degrade import Draw, Opaque, Settings, degrade, used
+from uwaug.degrade import Draw, Settings, degrade, used
 from uwaug.draw import Range, Record, cameras_of, spectra_of, weighed
 from uwaug.formation import Order
 from uwaug.metres import DistanceKind, Unknown, skipped
+from uwaug.opaque import Opaque
 from uwaug.optics.camera import Camera
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
@@ -55,7 +56,8 @@ class RandomUnderwater(SampleTransform):
             as pure water allows. None leaves the water as it is, and `visibility` takes its place.
         visibility: m; scale the water to this visibility. See `Water.with_visibility`.
         cameras: names, CSV files or `Camera` objects, drawn with equal weight.
-        vertical_depth: m below the surface.
+        vertical_depth: m below the surface; with an automatic exposure no deeper than where 1/32 of
+            the light is left, which it can make up for.
         exposure: "auto": one gain for each picture, in linear light, keeps the mean luminance of
             the scene, as a camera does; from 1/8 to 64. "none": the picture gets as dark as it is
             down there. Or a gain in stops.

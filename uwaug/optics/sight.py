@@ -11,7 +11,7 @@ from uwaug.optics.spectra import Array
 if TYPE_CHECKING:
     from uwaug.optics.water import Water
 
-__all__ = ["contents_for", "contrast_at", "distance_to", "eye_on", "pure_inside"]
+__all__ = ["contents_for", "contrast_at", "depth_of_light", "distance_to", "eye_on", "pure_inside"]
 
 _VISIBLE = (400.0, 700.0)
 """nm."""
@@ -60,6 +60,12 @@ def contrast_at(water: "Water", beta: Array, metres: float) -> float:
     """The luminance contrast that is left at a distance in a water of this β."""
     nodes, weights = eye_on(water)
     return float((weights * np.exp(np.interp(nodes, water.wavelengths, beta) * -metres)).sum())
+
+
+def depth_of_light(water: "Water", share: float) -> float:
+    """The vertical depth at which this share of the surface's luminance is left."""
+    nodes, weights = eye_on(water)
+    return distance_to(share, weights, np.interp(nodes, water.wavelengths, water.kd))
 
 
 def distance_to(contrast: float, weights: Array, rates: Array) -> float:
