@@ -70,9 +70,9 @@ def accuracy() -> str:
         _transport_table(load("physics")),
         f"**Default pictures**: {draws['draws']} draws of `RandomUnderwater()` on each of "
         f"{len(scenes)} scenes (the one above and {len(scenes) - 1} public RGB-D pairs). In the "
-        f"worst scene {100 * good:.0f} % of them are good: 10 to 95 % of the contrast is left at the median distance (as standard "
-        "deviation of sRGB luminance), no veil is brighter than white, and no channel's mean is "
-        "below .02 (`python -m benchmarks.draws`).",
+        f"worst scene {100 * good:.0f} % of them are good: 10 to 95 % of the contrast is left at "
+        "the median distance (as standard deviation of sRGB luminance), no veil is brighter than "
+        "white, and no channel's mean is below .02 (`python -m benchmarks.draws`).",
         f"**Stability**: {right} of {conditions} hard conditions right in value and gradient.",
         "![Methods against hard conditions: value and gradient of each]"
         "(benchmarks/figures/stability.svg)",
