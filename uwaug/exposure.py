@@ -41,9 +41,10 @@ rows of any period, and pictures of any size; the mean luminance of noise is rig
 grid of every fourth pixel is off by 10 % at 16 px and blind to stripes of its own period.
 """
 
-_STEPS = (0.7548776662466927, 0.5698402909980532)
-"""Of the sequence along rows and columns, as shares of a side: 1/x and 1/x² with x³ = x + 1
-(Roberts 2018, the R₂ sequence).
+_TURN = 1 << 20
+_STEPS = (791_547, 597_521)
+"""Of the sequence along rows and columns, of `_TURN` for a whole side: 1/x and 1/x² with x³ = x + 1
+(Roberts 2018, the R₂ sequence), as odd whole numbers, which ONNX Runtime multiplies exactly.
 """
 
 
@@ -113,11 +114,14 @@ def brightest(medium: Medium, exposure: Exposure) -> Medium:
 
 def looks(height: int, width: int, device: torch.device) -> Tensor:
     """The flat indices of some pixels, spread evenly over a picture."""
-    count = torch.arange(_LOOKS, dtype=torch.float64, device=device) + 0.5
-    shares = [count * step - torch.floor(count * step) for step in _STEPS]
-    sides = [torch.full((), side, dtype=torch.float64, device=device) for side in (height, width)]
-    row, column = (torch.floor(u * side) for u, side in zip(shares, sides, strict=True))
-    return (row * sides[1] + column).to(torch.int64)
+    count = torch.arange(_LOOKS, dtype=torch.int64, device=device)
+    places = []
+    for step, side in zip(_STEPS, (height, width), strict=True):
+        share = torch.remainder(count * step + _TURN // 2, _TURN)
+        pixels = torch.full((1,), side, dtype=torch.int64, device=device)
+        places.append(torch.div(share * pixels, _TURN, rounding_mode="floor"))
+    row, column = places
+    return row * torch.full((1,), width, dtype=torch.int64, device=device) + column
 
 
 def _luminance(light: Tensor) -> Tensor:
