@@ -255,10 +255,11 @@ def test_exporting_is_silent_and_imports_are_lazy(tmp_path) -> None:
 def test_an_automatic_exposure_is_exported(parameters, tmp_path) -> None:
     medium = Medium.from_water("7C", vertical_depth=5.0, point_spread=PointSpread(0.8))
     module = Underwater(medium, (0.3, 6.0), exposure="auto")
-    path = export_onnx(module, tmp_path / "auto.onnx", parameters=parameters)
+    path = export_onnx(module, tmp_path / "auto.onnx", parameters=parameters, verify=False)
     assert read_module(path).exposure == "auto"
     given = {} if parameters == "frozen" else {"medium": medium}
-    for size in ((33, 45), (1, 1), (3, 70)):
+    # single precision would look at other pixels of the largest
+    for size in ((144, 145), (33, 45), (1, 1), (3, 70)):
         image, distance, _ = scene(2, *size)
         got = OnnxUnderwater(path)(image, distance, **given)
         assert apart(got, module(image, distance)) <= 2e-5
