@@ -54,6 +54,7 @@ PARTS: dict[str, tuple[tuple[Any, str], ...]] = {
     "distance": ((degrade, "to_metres"),),
     "medium": ((degrade, "_water"), (degrade, "_medium")),
     "field": ((degrade, "gaussian_random_field"),),
+    "exposure": ((degrade, "_gain"),),
     "image": ((degrade, "plan_at_hand"), (degrade, "form")),
     "encode": ((degrade, "from_light"),),
 }

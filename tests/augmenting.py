@@ -5,7 +5,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from uwaug import JERLOV_TYPES, Camera, PointSpread, RandomUnderwater, Water
+from uwaug import Camera, PointSpread, RandomUnderwater, Water
+from uwaug.options import SURVEY
 
 H, W = 24, 33
 TANK = Water([400, 550, 700], [0.5, 0.2, 0.7], [1.3, 1.1, 1.0], [0.7, 0.3, 0.8], name="tank")
@@ -28,15 +29,7 @@ def brightness(image: Tensor) -> Tensor:
 # in a plane, in relative and in inverse distance, 0…1 is a map as good as any
 OPTIONS: dict[str, dict[str, Any]] = {
     "default": {},
-    "survey": {
-        "waters": JERLOV_TYPES[1:],
-        "contrast": None,
-        "vertical_depth": 1.0,
-        "exposure": "none",
-        "g": 0.2,
-        "mu": 0.3,
-        "point_spread": PointSpread.paper(),
-    },
+    "survey": SURVEY,
     "exposures": {"exposure": (-1.0, 2.0), "contrast": 0.3, "focal_px": 30.0},
     "one water": {"waters": "7C"},
     "weights": {"waters": {"II": 3.0, "9C": 0, TANK: 1.5}},

@@ -12,7 +12,6 @@ from uwaug import checks
 __all__ = [
     "ColorSpace",
     "from_light",
-    "headroom",
     "linear_to_srgb",
     "srgb_to_linear",
     "to_light",
@@ -67,7 +66,7 @@ def to_light(image: Tensor, color_space: ColorSpace) -> Tensor:
     return unit if color_space == "linear" else srgb_to_linear(unit)
 
 
-def headroom(image: Tensor) -> float | Tensor:
+def _headroom(image: Tensor) -> float | Tensor:
     """The largest sRGB value that a result may have: 1, as files hold no more; if the picture that
     was given is brighter (HDR), its own largest value, (B, 1, 1, 1).
     """
@@ -78,23 +77,23 @@ def headroom(image: Tensor) -> float | Tensor:
     return image.detach().amax((-3, -2, -1), keepdim=True).clamp(min=1)
 
 
-def from_light(
-    light: Tensor, color_space: ColorSpace, dtype: torch.dtype, most: float | Tensor = math.inf
-) -> Tensor:
-    """The inverse of `to_light`: a picture of `dtype`; uint8 is rounded and clipped.
+def from_light(light: Tensor, color_space: ColorSpace, like: Tensor) -> Tensor:
+    """The inverse of `to_light`: a picture of the type of `like`, which was given to that; uint8 is
+    rounded and clipped.
 
-    sRGB values are clipped to 0…`most`, see `headroom`; linear light never is.
+    sRGB values are clipped to 0…1, or to the largest value of `like` if that is more; linear light
+    never is.
     """
     values = light
     if color_space == "srgb":
-        values = linear_to_srgb(light)
+        values, most = linear_to_srgb(light), _headroom(like)
         if isinstance(most, Tensor):
             values = torch.minimum(values.clamp(min=0), most)
         else:
             values = values.clamp(0.0, most)  # an integer beside a float cannot be exported
-    if dtype == torch.uint8:
+    if like.dtype == torch.uint8:
         return (values * 255).round().clamp(0, 255).to(torch.uint8)
-    return values.to(dtype)
+    return values.to(like.dtype)
 
 
 def srgb_to_linear(x: Tensor) -> Tensor:

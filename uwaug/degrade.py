@@ -10,8 +10,8 @@ from typing import Any, Literal, NamedTuple
 import torch
 from torch import Tensor
 
-from uwaug.colour import ColorSpace, from_light, headroom, to_light
-from uwaug.exposure import GAINS, auto_gain, looks
+from uwaug.colour import ColorSpace, from_light, to_light
+from uwaug.exposure import GAINS, gain_of, looks
 from uwaug.field import gaussian_random_field
 from uwaug.formation import Order, form, plan_at_hand, prepare, together
 from uwaug.metres import DistanceKind, Scaling, Unknown, to_metres
@@ -23,6 +23,7 @@ from uwaug.optics.water import CONTRAST_THRESHOLD, Water
 from uwaug.replay import reproducible
 
 __all__ = [
+    "Choice",
     "Draw",
     "InWater",
     "Settings",
@@ -123,43 +124,42 @@ class Settings:
         return Settings(**values)
 
 
-def degrade(
-    image: Tensor,
-    distance: Tensor | None,
-    waters: Sequence[Water],
-    camera: Camera,
-    draw: Draw,
-    settings: Settings,
-) -> Tensor:
-    """Degrade a picture.
+class Choice(NamedTuple):
+    """What a picture is degraded with.
 
-    Args:
-        image (3xHxW tensor): uint8 or floating point.
-        distance (1xHxW tensor): of `settings.distance_kind`; None for a plane at `draw.distance`.
+    Attributes:
         waters: one, or two to be mixed.
         camera: response of the three channels.
         draw: what was drawn.
         settings: what is set.
+    """
+
+    waters: Sequence[Water]
+    camera: Camera
+    draw: Draw
+    settings: Settings
+
+
+def degrade(image: Tensor, distance: Tensor | None, choice: Choice) -> Tensor:
+    """Degrade a picture.
+
+    Args:
+        image (3xHxW tensor): uint8 or floating point.
+        distance (1xHxW tensor): of the kind that is set; None for a plane at the distance drawn.
+        choice: what it is degraded with.
 
     Returns:
         The picture, like `image`.
     """
     with reproducible(), torch.no_grad(), torch.autocast(image.device.type, enabled=False):
-        found = in_water(image, distance, waters, camera, draw, settings)
+        found, settings = in_water(image, distance, choice), choice.settings
         light, z, medium = found.light, found.z, found.medium
         plan = plan_at_hand(z, medium, settings.tolerance, settings.order)
         (result,) = form(light, z, medium, plan, settings.order, together)
-        return from_light(result[0], settings.color_space, image.dtype, headroom(image))
+        return from_light(result[0], settings.color_space, image)
 
 
-def used(
-    image: Tensor,
-    distance: Tensor | None,
-    waters: Sequence[Water],
-    camera: Camera,
-    draw: Draw,
-    settings: Settings,
-) -> dict[str, float]:
+def used(image: Tensor, distance: Tensor | None, choice: Choice) -> dict[str, float]:
     """What the draw comes to on a picture; arguments as for `degrade`.
 
     Returns:
@@ -169,7 +169,7 @@ def used(
         gain: of the exposure.
     """
     with reproducible(), torch.no_grad(), torch.autocast(image.device.type, enabled=False):
-        found = in_water(image, distance, waters, camera, draw, settings)
+        found = in_water(image, distance, choice)
         return {
             "contents": found.contents,
             "visibility": found.water.visibility(),
@@ -190,15 +190,9 @@ class InWater(NamedTuple):
     vertical_depth: float
 
 
-def in_water(
-    image: Tensor,
-    distance: Tensor | None,
-    waters: Sequence[Water],
-    camera: Camera,
-    draw: Draw,
-    settings: Settings,
-) -> InWater:
+def in_water(image: Tensor, distance: Tensor | None, choice: Choice) -> InWater:
     """A picture in its water, before it is formed; arguments as for `degrade`."""
+    waters, camera, draw, settings = choice
     # a view with other strides takes other paths through the kernels, which round differently
     light = to_light(image.contiguous(), settings.color_space)
     if distance is None:
@@ -207,8 +201,7 @@ def in_water(
         z = to_metres(distance.contiguous(), draw.scaling, settings.distance_kind, settings.unknown)
     water, contents = _water(waters, draw, z)
     if settings.exposure == "auto":
-        depth = sight.depth_of_light(water, _DIMMEST)
-        draw = draw._replace(vertical_depth=min(draw.vertical_depth, depth))
+        draw = draw._replace(vertical_depth=_lit_depth(water, draw.vertical_depth))
     medium = _medium(water, camera, draw, settings.law(image.shape[-1]), settings)
     light, z, medium = prepare(light, z, medium, _field(draw, z))
     gain = _gain(light, z, medium, draw, settings)
@@ -249,14 +242,19 @@ def _middle(z: Tensor) -> float:
     return math.inf
 
 
+def _lit_depth(water: Water, metres: float) -> float:
+    """A vertical depth, or that where the light is dimmest if it is deeper."""
+    if sight.contrast_at(water, water.kd, metres) >= _DIMMEST:
+        return metres
+    return min(metres, sight.depth_of_light(water, _DIMMEST))
+
+
 def _gain(light: Tensor, z: Tensor, medium: Medium, draw: Draw, settings: Settings) -> Tensor:
     """The exposure of a picture, (1,)."""
     if not math.isnan(draw.gain):
         return light.new_full((1,), draw.gain)
-    if settings.exposure == "auto":
-        return auto_gain(light, z, medium.sums(exact_at_lens=False))
-    stops = draw.exposure if settings.exposure == "drawn" else 0.0
-    return light.new_full((1,), 2.0**stops)
+    exposure = draw.exposure if settings.exposure == "drawn" else settings.exposure
+    return gain_of(light, z, medium, exposure)
 
 
 def _medium(

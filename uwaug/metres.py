@@ -1,7 +1,7 @@
 """A map as a sample holds it, in metres, with something at every unknown pixel."""
 
 import math
-from typing import Any, Literal, NamedTuple, Protocol, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import torch
@@ -39,25 +39,12 @@ def as_unknown(value: Any) -> Unknown:
     return float(value)
 
 
-class HasPolicy(Protocol):
-    """What says how maps are read."""
-
-    @property
-    def distance_kind(self) -> DistanceKind:
-        """What a map holds."""
-
-    @property
-    def unknown(self) -> Unknown:
-        """What unknown pixels get."""
-
-
-def skipped(distance: Tensor | None, settings: HasPolicy) -> bool:
+def skipped(distance: Tensor | None, kind: DistanceKind, unknown: Unknown) -> bool:
     """Whether a picture is left alone, as its map has no known pixel or, of inverse depth, no two
     that differ.
     """
-    if distance is None or settings.unknown != "skip":
+    if distance is None or unknown != "skip":
         return False
-    kind = settings.distance_kind
     if kind == "metric":
         return not bool((distance > 0).any())
     if kind == "relative":

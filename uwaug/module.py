@@ -13,7 +13,7 @@ from uwaug import checks, planned
 from uwaug.blur.beyond import beyond_plan
 from uwaug.blur.demand import BlurDemand, blur_demand
 from uwaug.blur.plan import BlurPlan
-from uwaug.colour import ColorSpace, from_light, headroom, to_light
+from uwaug.colour import ColorSpace, from_light, to_light
 from uwaug.exposure import Exposure, brightest, exposed, require_exposure
 from uwaug.formation import Order, form, plan_at_hand, prepare, together, unbatched, validate
 from uwaug.optics.curves import FARTHEST
@@ -207,7 +207,7 @@ class Underwater(nn.Module):
             if plan is None:
                 plan = plan_at_hand(z, medium, self.tolerance, self.order)
             (result,) = form(light, z, medium, plan, self.order, together)
-            return from_light(result, self.color_space, image.dtype, headroom(image))
+            return from_light(result, self.color_space, image)
 
     def get_extra_state(self) -> Tensor:
         """What a state dict says of the module besides its tensors, as text in a tensor: file

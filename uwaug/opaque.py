@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uwaug.degrade import Draw, Settings, degrade
+from uwaug.degrade import Choice, Draw, Settings, degrade
 from uwaug.metres import skipped
 from uwaug.optics.camera import Camera
 from uwaug.optics.water import Water
@@ -37,9 +37,9 @@ def degrade_opaque(
     lens = Camera(wavelengths, np.array(response).T)
     drawn = Draw(*draw.tolist())
     options = Settings.from_json(settings)
-    if skipped(distance, options):
+    if skipped(distance, options.distance_kind, options.unknown):
         return image.clone()  # an operator must not return what it was given
-    return degrade(image, distance, spectra, lens, drawn, options)
+    return degrade(image, distance, Choice(spectra, lens, drawn, options))
 
 
 @degrade_opaque.register_fake

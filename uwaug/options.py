@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from uwaug import checks
@@ -124,8 +125,8 @@ def distribution_of(aug: RandomUnderwater) -> Distribution:
     )
 
 
-def settings_of(aug: RandomUnderwater) -> Settings:
-    """What is set."""
+def settings_of(aug: RandomUnderwater, ranges: Mapping[str, tuple[float, float]]) -> Settings:
+    """What is set, beside what is drawn from `ranges`."""
     exposure: Literal["none", "auto", "drawn"] = "drawn"
     if isinstance(aug.exposure, str):
         exposure = aug.exposure
@@ -138,11 +139,11 @@ def settings_of(aug: RandomUnderwater) -> Settings:
         focal_px=aug.focal_px,
         exposure=exposure,
         tolerance=aug.tolerance,
-        varied=_varies(_ranges(aug)),
+        varied=_varies(ranges),
     )
 
 
-def _varies(ranges: dict[str, tuple[float, float]]) -> bool:
+def _varies(ranges: Mapping[str, tuple[float, float]]) -> bool:
     """Whether draws from these ranges make a new medium each time."""
     if "contrast" in ranges:  # which is a matter of the picture's distances
         return True

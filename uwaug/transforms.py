@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from uwaug.colour import ColorSpace
-from uwaug.degrade import Draw, Settings, degrade, used
+from uwaug.degrade import Choice, Draw, degrade, used
 from uwaug.draw import Range, Record, cameras_of, spectra_of, weighed
 from uwaug.formation import Order
 from uwaug.metres import DistanceKind, Unknown, skipped
@@ -191,7 +191,7 @@ class RandomUnderwater(SampleTransform):
         self.spectra = spectra_of(self.waters)
         self.responses = cameras_of(self.cameras)
         self._distribution = distribution_of(self)
-        self._settings = settings_of(self)
+        self._settings = settings_of(self, self._distribution.ranges)
         self._opaque = Opaque(self.spectra, self.responses, self._settings)
 
     @classmethod
@@ -288,7 +288,7 @@ class RandomUnderwater(SampleTransform):
         """
         plain = plain_image(image)
         parts = list(plain if plain.ndim == 4 else plain[None])
-        jobs = self._jobs(plain, distance, params)
+        jobs = self._jobs(plain, distance, self._distribution.samples(params, len(parts)))
         if not jobs:
             return image
         for i, z, sample in jobs:
@@ -296,7 +296,7 @@ class RandomUnderwater(SampleTransform):
                 parts[i] = self._opaque(parts[i], z, sample)
             else:
                 with naming(i, len(parts)):
-                    parts[i] = degrade(parts[i], z, *self._drawn(sample))
+                    parts[i] = degrade(parts[i], z, self._chosen(sample))
         return typed(parts[0] if plain.ndim == 3 else torch.stack(parts), type(image))
 
     def resolve(self, image: Tensor, distance: Tensor | None, params: Record) -> Record:
@@ -312,28 +312,27 @@ class RandomUnderwater(SampleTransform):
         """
         plain = plain_image(image)
         images = plain if plain.ndim == 4 else plain[None]
-        samples = []
-        for sample in self._distribution.samples(params, len(images)):
-            samples.append({**sample, "applied": False})
-        for i, z, sample in self._jobs(plain, distance, params):
-            found = used(images[i], z, *self._drawn(sample))
-            samples[i] = {**sample, "used": found}
-        return {"samples": samples}
+        samples = self._distribution.samples(params, len(images))
+        resolved = [{**sample, "applied": False} for sample in samples]
+        for i, z, sample in self._jobs(plain, distance, samples):
+            found = used(images[i], z, self._chosen(sample))
+            resolved[i] = {**sample, "used": found}
+        return {"samples": resolved}
 
-    def _drawn(self, sample: Record) -> tuple[list[Water], Camera, Draw, Settings]:
+    def _chosen(self, sample: Record) -> Choice:
         waters = [self.spectra[name] for name in sample["waters"]]
-        return waters, self.responses[sample["camera"]], Draw.of(sample), self._settings
+        camera = self.responses[sample["camera"]]
+        return Choice(waters, camera, Draw.of(sample), self._settings)
 
-    def _jobs(self, plain: Tensor, distance: Any, params: Record) -> list[Job]:
+    def _jobs(self, plain: Tensor, distance: Any, samples: list[Record]) -> list[Job]:
         """The pictures of a batch that are to be degraded."""
-        batch = len(plain) if plain.ndim == 4 else 1
-        samples = self._distribution.samples(params, batch)
         chosen = [i for i, sample in enumerate(samples) if sample["applied"]]
         maps = maps_for(plain, distance, chosen, self.distance)
         jobs = []
         for i, z in zip(chosen, maps, strict=True):
             # compiled code cannot look at a map: the operator does
-            if torch.compiler.is_compiling() or not skipped(z, self._settings):
+            kind, unknown = self._settings.distance_kind, self._settings.unknown
+            if torch.compiler.is_compiling() or not skipped(z, kind, unknown):
                 jobs.append((i, z, samples[i]))
         return jobs
 

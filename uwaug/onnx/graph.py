@@ -19,7 +19,7 @@ from uwaug.blur.kernels import (
     shrink_kernels,
 )
 from uwaug.blur.plan import BlurPlan
-from uwaug.colour import from_light, headroom, to_light
+from uwaug.colour import from_light, to_light
 from uwaug.exposure import exposed_sums
 from uwaug.formation import scattered, together
 from uwaug.module import Underwater
@@ -87,12 +87,7 @@ class Graph(nn.Module):
         (result,) = together(
             light, found, scattered(stack, z, medium, self.plan, (z.shape[2], z.shape[3]))
         )
-        return from_light(
-            result,
-            self.color_space,
-            torch.uint8 if self.quantised else torch.float32,
-            headroom(image),
-        )
+        return from_light(result, self.color_space, image)
 
 
 def _blur(sigma: float, cell: float, reach: float) -> nn.Module:
