@@ -8,6 +8,7 @@ from uwaug.blur.plan import BlurPlan, plan_blur
 from uwaug.blur.stack import varying_blur
 from uwaug.draw import collate_records
 from uwaug.field import gaussian_random_field
+from uwaug.fitting import Fit, Noise, fit
 from uwaug.formation import Terms, form_image
 from uwaug.module import Underwater
 from uwaug.onnx import OnnxUnderwater, check_onnx, export_onnx
@@ -24,7 +25,9 @@ __all__ = [
     "JERLOV_TYPES",
     "BlurPlan",
     "Camera",
+    "Fit",
     "Medium",
+    "Noise",
     "OnnxUnderwater",
     "PointSpread",
     "Preset",
@@ -37,6 +40,7 @@ __all__ = [
     "collate_records",
     "distance",
     "export_onnx",
+    "fit",
     "form_image",
     "gaussian_random_field",
     "list_presets",

@@ -1,0 +1,141 @@
+"""Pictures and distances as callers give them, checked, as pairs that can be fitted."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from uwaug import checks
+from uwaug.colour import ColorSpace, to_light
+from uwaug.fitting.pixels import Pair, reference_distance
+from uwaug.optics.curves import FARTHEST
+
+__all__ = ["distances_apart", "pairs_of", "require_pixels"]
+
+_FEWEST = 500
+"""Usable pixels, of all pairs together, that a fit needs."""
+
+_FLAT = 0.03
+"""Span of the distances as a share of their median, below which they are one distance."""
+
+_SAME = 1e-3
+"""Mean difference of two pictures, in linear light, that are one."""
+
+_WHITE = 0.98
+"""Linear light, 253 of 255 in sRGB: the clean picture may be brighter than it says."""
+
+Pictures = Tensor | Sequence[Tensor]
+
+
+def pairs_of(
+    clean: Pictures,
+    observed: Pictures,
+    distance: Pictures,
+    field: Pictures | None,
+    mask: Pictures | None,
+    color_space: ColorSpace,
+) -> list[Pair]:
+    """One pair for each observed picture; what is given once serves all of them."""
+    given = {"clean": clean, "observed": observed, "distance": distance}
+    if field is not None:
+        given["field"] = field
+    if mask is not None:
+        given["mask"] = mask
+    columns = {name: _listed(name, value) for name, value in given.items()}
+    count = max(len(one) for one in columns.values())
+    for name, one in columns.items():
+        if len(one) not in (1, count):
+            got = {name: len(one) for name, one in columns.items()}
+            raise ValueError(f"{name}: expected one or as many as the others, got {got}")
+    light: dict[int, Tensor] = {}
+    pairs = []
+    for i in range(count):
+        row = {name: one[i % len(one)] for name, one in columns.items()}
+        pairs.append(_pair(row, color_space, light))
+    _require_water(pairs)
+    return pairs
+
+
+def _listed(name: str, value: Any) -> list[Tensor]:
+    """Pictures one by one, from a picture, a batch or a sequence."""
+    if isinstance(value, Tensor):
+        return list(value) if value.ndim == 4 else [value]
+    if not isinstance(value, Sequence) or isinstance(value, str):
+        checks.floating(name, value)
+    found = list(value)
+    if not found:
+        raise ValueError(f"{name} is empty: a fit needs at least one")
+    return found
+
+
+def _pair(row: dict[str, Tensor], color_space: ColorSpace, light: dict[int, Tensor]) -> Pair:
+    """A checked pair; `light` keeps what was decoded, so that one clean picture stays one."""
+    for name, value in row.items():
+        if name == "mask" and isinstance(value, Tensor) and value.dtype == torch.bool:
+            pass
+        elif not (name in ("clean", "observed") and _bytes(value)):
+            checks.floating(name, value)
+        checks.picture(name, value, 3 if name in ("clean", "observed") else 1)
+        checks.same_size(name, value, row["clean"])
+    for name in ("clean", "observed"):
+        if id(row[name]) not in light:
+            light[id(row[name])] = _light(name, row[name], color_space)
+    clean, observed = light[id(row["clean"])], light[id(row["observed"])]
+    checks.metres("distance", row["distance"])
+    z = row["distance"].detach().cpu().double()
+    usable = z > 0
+    z = torch.where(usable, z, 1.0).clamp(max=FARTHEST)
+    if "field" in row:
+        z = z * row["field"].detach().cpu().double()
+    if "mask" in row:
+        usable = usable & (row["mask"].detach().cpu() > 0)
+    if color_space == "srgb":
+        inside = (observed > 0).any(0) & (observed < 1).all(0) & (clean < _WHITE).all(0)
+        usable = usable & inside[None]
+    return Pair(clean, observed, z, usable)
+
+
+def _bytes(value: object) -> bool:
+    return isinstance(value, Tensor) and value.dtype == torch.uint8
+
+
+def _light(name: str, value: Tensor, color_space: ColorSpace) -> Tensor:
+    try:
+        return to_light(value.detach().cpu(), color_space).double()
+    except ValueError as error:
+        raise ValueError(str(error).replace("image", name, 1)) from None
+
+
+def _require_water(pairs: Sequence[Pair]) -> None:
+    """Refuse pairs that are one picture."""
+    for i, pair in enumerate(pairs):
+        if float((pair.clean - pair.observed).abs().mean()) < _SAME:
+            which = f" of pair {i + 1}" if len(pairs) > 1 else ""
+            cure = "give the same scene without water and in it"
+            raise ValueError(f"clean and observed{which} are the same picture: {cure}")
+
+
+def require_pixels(pairs: Sequence[Pair]) -> None:
+    """Refuse pictures of which too little can be used, saying what it is lost to."""
+    usable = sum(int(pair.usable.sum()) for pair in pairs)
+    if usable >= _FEWEST:
+        return
+    known = sum(int((pair.z < FARTHEST).sum()) for pair in pairs)
+    clipped = sum(int(((pair.observed >= 1).any(0)).sum()) for pair in pairs)
+    dark = sum(int((pair.observed <= 0).all(0).sum()) for pair in pairs)
+    total = sum(pair.z.numel() for pair in pairs)
+    reasons = f"of {total} pixels {total - known} lie in open water, {clipped} are saturated"
+    reasons += f" and {dark} black in observed"
+    cure = "clean, observed, distance and mask must overlap, and exposure leave pixels unclipped"
+    raise ValueError(f"only {usable} pixels can be used, expected {_FEWEST}: {reasons}; {cure}")
+
+
+def distances_apart(pairs: Sequence[Pair]) -> None:
+    """Refuse distances that are all alike: attenuation is seen by what it does to distances."""
+    known = torch.cat([pair.z[pair.usable] for pair in pairs])
+    low, high = (float(torch.quantile(known[:1_000_000], q)) for q in (0.02, 0.98))
+    middle = reference_distance(pairs)
+    if high - low < _FLAT * middle:
+        cure = "β, G and veil need a scene with depth, or pictures at several distances"
+        raise ValueError(f"distance is flat: all pixels lie at {low:.4g}–{high:.4g} m; {cure}")

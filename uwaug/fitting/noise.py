@@ -1,0 +1,119 @@
+"""How far a pixel may be off by chance, and which pixels are too dark or too bright to count."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from uwaug import checks
+from uwaug.colour import ColorSpace, linear_to_srgb
+
+__all__ = ["Noise", "counted", "estimated"]
+
+_LEAST = 1e-4
+"""Of linear light; no camera is better."""
+
+_BINS = 16
+"""Of brightness, in each of which the spread of the residuals is looked at."""
+
+_INSIDE = 3.0
+"""Standard deviations of noise, by which a value lies above black and below white."""
+
+_MAD = 1.4826
+"""Standard deviations in a median absolute deviation of Gaussian noise."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of the observed picture, in linear light on a scale of 0…1.
+
+    The variance of a value I is read² + shot·I, and that of rounding to `bits`.
+
+    Attributes:
+        read: standard deviation in the dark, ≥ 0.
+        shot: variance for each unit of light, ≥ 0.
+        bits: of the values in the file, whose rounding counts too; None if they are not rounded.
+    """
+
+    read: float = 0.005
+    shot: float = 0.0
+    bits: int | None = 8
+
+    def __post_init__(self) -> None:
+        checks.within("Noise.read", self.read, 0.0, 1.0)
+        checks.within("Noise.shot", self.shot, 0.0, 1.0)
+        if self.bits is not None:
+            checks.within("Noise.bits", self.bits, 1, 32)
+
+    def deviation(self, light: Tensor, color_space: ColorSpace) -> Tensor:
+        """The standard deviation of values that are `light` on average."""
+        variance = (
+            self.read**2 + self.shot * light.clamp(min=0.0) + self._rounding(light, color_space)
+        )
+        return variance.clamp(min=_LEAST**2).sqrt()
+
+    def _rounding(self, light: Tensor, color_space: ColorSpace) -> Tensor:
+        if self.bits is None:
+            return torch.zeros_like(light)
+        step = torch.full_like(light, 1 / (2**self.bits - 1))
+        if color_space == "srgb":
+            step = step / _slope(light)
+        return step**2 / 12
+
+
+def _slope(light: Tensor) -> Tensor:
+    """Of the sRGB values, by light."""
+    inside = light.clamp(0.0, 1.0)
+    one = torch.ones_like(inside)
+    slope: Tensor = torch.func.jvp(linear_to_srgb, (inside,), (one,))[1]
+    return slope
+
+
+def estimated(
+    residual: Tensor, light: Tensor, used: Tensor, bits: int | None, color_space: ColorSpace
+) -> Noise:
+    """The noise that the residuals of a fit speak of.
+
+    Args:
+        residual: model − observation, in linear light.
+        light: the model's values, of the same shape.
+        used: which of them count, of the same shape.
+        bits, color_space: of the file.
+    """
+    error, level = residual[used].numpy(), light[used].numpy()
+    rounding = Noise(0.0, 0.0, bits)._rounding(light[used], color_space).numpy()
+    order = np.argsort(level)
+    levels, variances = [], []
+    for part in np.array_split(order, _BINS):
+        if len(part) < 2:
+            continue
+        spread = _MAD * float(np.median(np.abs(error[part] - np.median(error[part]))))
+        levels.append(float(level[part].mean()))
+        variances.append(max(spread**2 - float(rounding[part].mean()), 0.0))
+    read, shot = _line(np.array(levels), np.array(variances))
+    return Noise(math.sqrt(read), shot, bits)
+
+
+def _line(x: Any, variance: Any) -> tuple[float, float]:
+    """The line read² + shot·x through variances, both ≥ 0; each counts by its own size."""
+    from scipy.optimize import nnls
+
+    scale = 1 / np.maximum(variance, _LEAST**2)
+    system = np.stack([np.ones_like(x), np.maximum(x, 0.0)], 1) * scale[:, None]
+    (read, shot), _ = nnls(system, variance * scale)
+    return float(read), float(shot)
+
+
+def counted(light: Tensor, deviation: Tensor, color_space: ColorSpace) -> Tensor:
+    """Which values are far enough from black and white for the noise not to be clipped.
+
+    By what the model says, not by what was observed: leaving out dark observations alone would
+    keep the noise that brightens.
+    """
+    if color_space == "linear":  # is never clipped
+        return torch.ones_like(light, dtype=torch.bool)
+    margin = _INSIDE * deviation
+    return (light > margin) & (light < 1 - margin)

@@ -1,0 +1,317 @@
+"""`Fit`: a water that was recovered from pictures."""
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from uwaug.files import require_regular, written_whole
+from uwaug.fitting.noise import Noise
+from uwaug.fitting.pixels import Pair
+from uwaug.fitting.report import Parameter, table
+from uwaug.fitting.structure import MODELS, Geometry, OneWater
+from uwaug.formation import form_image
+from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.spectra import Array
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Candidate", "Correlation", "Fit"]
+
+_FORMAT = 1
+_LEAST_SCATTERING = 1e-6
+"""1/m, stands for none in a width law."""
+
+
+class Candidate(NamedTuple):
+    """A model that was tried.
+
+    Attributes:
+        name: of the model.
+        numbers: how many were fitted.
+        error: root of the mean held-out loss, in standard deviations of the noise.
+        behind: how far the summed held-out loss lies behind the best.
+        behind_error: standard error of that.
+    """
+
+    name: str
+    numbers: int
+    error: float
+    behind: float
+    behind_error: float
+
+
+class Correlation(NamedTuple):
+    """Of the parameters that have a standard error.
+
+    Attributes:
+        names: of rows and columns.
+        matrix: −1…1.
+    """
+
+    names: list[str]
+    matrix: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A water that was recovered from pictures; made by `uwaug.fit`, or read by `Fit.load`.
+
+    Attributes:
+        model: the name of the model that was chosen.
+        parameters: each number by name: value, standard error, 95 % interval, unit, state. beta, G,
+            a and b of each colour [1/m]; veil, V(0); source, the growth of the veil at the lens,
+            G·V(0) [1/m]; width, σ at the median distance [px], and exponent of the width law; gain.
+        correlation: of the parameters.
+        candidates: the models that were tried.
+        message: in words: which model, how well it explains the pictures, what they cannot tell.
+        noise: of the observed pictures.
+        rms: of the residual, in linear light.
+        history: the cost after each evaluation of the model that was chosen.
+        structure, theta, covariance: the numbers as they were fitted.
+    """
+
+    model: str
+    parameters: dict[str, Parameter]
+    correlation: Correlation
+    candidates: tuple[Candidate, ...]
+    message: str
+    noise: Noise
+    rms: float
+    history: list[float]
+    structure: OneWater
+    theta: Array
+    covariance: Array
+    pairs: tuple[Pair, ...] = field(default=(), repr=False)
+
+    @property
+    def medium(self) -> Medium:
+        """The water, as `uwaug.Underwater` and `uwaug.form_image` take it: a batch of one."""
+        return _medium(self.structure, torch.from_numpy(self.theta)[None])
+
+    @property
+    def gains(self) -> Tensor:
+        """The exposure of each observed picture (Px3)."""
+        return self.structure.natural(torch.from_numpy(self.theta)).gain
+
+    def sample(self, count: int, generator: torch.Generator | None = None) -> Medium:
+        """A batch of waters that the pictures allow: drawn from the fit's normal distribution,
+        within the bounds.
+
+        Args:
+            count: how many.
+            generator: source of randomness; torch's global generator if None.
+        """
+        if not isinstance(count, int) or count < 1:
+            raise ValueError(f"count must be a whole number ≥ 1, got {count!r}")
+        values, vectors = np.linalg.eigh(self.covariance)
+        root = torch.from_numpy(vectors * np.sqrt(np.maximum(values, 0.0)))
+        normal = torch.randn(count, len(self.theta), generator=generator, dtype=torch.float64)
+        drawn = torch.from_numpy(self.theta) + normal @ root.T
+        bounds = list(self.structure.bounds.values())
+        low = torch.tensor([one.low for one in bounds], dtype=torch.float64)
+        high = torch.tensor([one.high for one in bounds], dtype=torch.float64)
+        return _medium(self.structure, drawn.clamp(low, high))
+
+    @property
+    def rendered(self) -> list[Tensor]:
+        """Each observed picture (3xHxW, linear light) as the fitted water makes it."""
+        pictures = []
+        for pair, gain in zip(self._pairs(), self.gains, strict=True):
+            light = form_image(pair.clean.float(), pair.z.float(), self.medium).image
+            pictures.append(gain.reshape(3, 1, 1).float() * light)
+        return pictures
+
+    @property
+    def residual(self) -> list[Tensor]:
+        """Rendered − observed (3xHxW, linear light) of each picture; NaN where the distance is not
+        known or a value was clipped.
+        """
+        found = []
+        for pair, picture in zip(self._pairs(), self.rendered, strict=True):
+            difference = picture - pair.observed.float()
+            found.append(torch.where(pair.usable, difference, torch.nan))
+        return found
+
+    def _pairs(self) -> tuple[Pair, ...]:
+        if not self.pairs:
+            raise ValueError("a fit read from a file has no pictures: fit them again to see these")
+        return self.pairs
+
+    def summary(self) -> str:
+        """The fit as text: verdict, parameters, candidates, strong correlations."""
+        parts = [self.message, "", table(self.parameters)]
+        if len(self.candidates) > 1:
+            parts += ["", "  model            numbers  held-out error   behind the best"]
+            for one in self.candidates:
+                mark = "*" if one.name == self.model else " "
+                behind = (
+                    f"{one.behind:10.4g} ± {one.behind_error:.2g}" if one.behind else "      best"
+                )
+                parts.append(f"{mark} {one.name:16}{one.numbers:8}{one.error:16.4f}   {behind}")
+        strong = self._strong()
+        if strong:
+            parts += ["", "  correlations above .9: " + ", ".join(strong)]
+        return "\n".join(parts)
+
+    def _strong(self) -> list[str]:
+        names, matrix = self.correlation
+        found = []
+        for i, j in zip(*np.triu_indices(len(names), 1), strict=True):
+            if abs(matrix[i, j]) > 0.9 and _kin(names[i], names[j]):
+                found.append(f"{names[i]}–{names[j]} {matrix[i, j]:+.2f}")
+        return found
+
+    def plot(self) -> "Figure":
+        """Observed, rendered and residual pictures at one scale, and the curves with their bands."""
+        from uwaug.fitting.drawing import draw
+
+        return draw(self)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the fit as JSON, whole or not at all. Pictures are not part of it."""
+        with written_whole(path) as part:
+            part.write_text(json.dumps(self._as_json(), indent=1) + "\n", encoding="utf-8")
+
+    def _as_json(self) -> dict[str, Any]:
+        from uwaug import __version__
+
+        structure = self.structure
+        return {
+            "uwaug_fit": _FORMAT,
+            "uwaug": __version__,
+            "model": self.model,
+            "message": self.message,
+            "parameters": {name: asdict(one) for name, one in self.parameters.items()},
+            "correlation": {
+                "names": self.correlation.names,
+                "matrix": self.correlation.matrix.tolist(),
+            },
+            "candidates": [one._asdict() for one in self.candidates],
+            "noise": asdict(self.noise),
+            "rms": self.rms,
+            "history": self.history,
+            "structure": {
+                "geometry": structure.geometry._asdict(),
+                "gain": structure.gain,
+                "g": structure.g,
+                "fixed": dict(structure.fixed),
+            },
+            "theta": self.theta.tolist(),
+            "covariance": self.covariance.tolist(),
+        }
+
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> "Fit":
+        """Read a fit that `save` wrote.
+
+        Raises:
+            ValueError: if the file is no fit, or one of a newer version; names it.
+            OSError: if it cannot be read.
+        """
+        require_regular(path)
+        try:
+            values = json.loads(Path(path).read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise ValueError(f"{path}: not a fit: {error}") from None
+        if not isinstance(values, dict) or "uwaug_fit" not in values:
+            raise ValueError(f"{path}: not a fit: expected a file written by Fit.save")
+        if values["uwaug_fit"] != _FORMAT:
+            got = f"format {values['uwaug_fit']!r}, written by uwaug {values.get('uwaug')}"
+            raise ValueError(f"{path}: expected a fit of format {_FORMAT}, got {got}")
+        try:
+            return _from_json(values)
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{path}: not a fit: {type(error).__name__}: {error}") from None
+
+    def __str__(self) -> str:
+        return self.summary()
+
+    def __repr__(self) -> str:
+        shown = []
+        for name in ("beta_red", "beta_green", "beta_blue"):
+            value = self.parameters[name].value
+            shown.append("?" if value is None else f"{value:.3g}")
+        return f"Fit({self.model!r}, β = {', '.join(shown)} /{self.structure.geometry.unit})"
+
+
+def _from_json(values: Mapping[str, Any]) -> Fit:
+    made = values["structure"]
+    structure = OneWater(
+        model=MODELS[values["model"]],
+        geometry=Geometry(**made["geometry"]),
+        gain=made["gain"],
+        g=made["g"],
+        fixed=made["fixed"],
+    )
+    theta, covariance = np.array(values["theta"]), np.array(values["covariance"])
+    n = len(structure.bounds)
+    if theta.shape != (n,) or covariance.shape != (n, n) or not np.isfinite(theta).all():
+        raise ValueError(f"theta and covariance must hold {n} numbers, got {theta.shape}")
+    correlation = values["correlation"]
+    return Fit(
+        model=values["model"],
+        parameters={name: Parameter(**one) for name, one in values["parameters"].items()},
+        correlation=Correlation(correlation["names"], np.array(correlation["matrix"])),
+        candidates=tuple(Candidate(**one) for one in values["candidates"]),
+        message=values["message"],
+        noise=Noise(**values["noise"]),
+        rms=values["rms"],
+        history=values["history"],
+        structure=structure,
+        theta=theta,
+        covariance=covariance,
+    )
+
+
+def _medium(structure: OneWater, theta: Tensor) -> Medium:
+    """Media of rows of numbers."""
+    rows = [structure.natural(row) for row in theta]
+
+    def stacked(name: str) -> Tensor:
+        return torch.stack([getattr(row, name)[0] for row in rows])
+
+    beta, G, source = stacked("beta"), stacked("G"), stacked("source")
+    veil = source / G.clamp(min=1e-9)
+    if structure.model.law is None:
+        return _without_scatter(beta, G, veil)
+    b_mean = ((beta - G) / (1 - structure.g)).mean(1).clamp(min=_LEAST_SCATTERING)
+    exponent = stacked("exponent")
+    # σ = width·(z/reference)^exponent
+    scale = stacked("width") / (b_mean * structure.geometry.reference) ** exponent
+    law = PointSpread(scale, exponent, structure.shape or "gaussian", structure.geometry.short_side)
+    if len(theta) == 1:
+        law = replace(law, scale=float(scale), exponent=float(exponent))
+    return Medium.from_coefficients(beta, G, veil, b_mean=b_mean, point_spread=law)
+
+
+def _without_scatter(beta: Tensor, G: Tensor, veil: Tensor) -> Medium:
+    """Media in which all light that leaves the line of sight is lost: T_G = T_β, and a veil that
+    has rates of its own.
+    """
+    one = torch.diag_embed(torch.ones_like(beta))
+    none = torch.zeros_like(one)
+    return Medium(
+        beta=beta,
+        direct_weights=one,
+        G=torch.cat([beta, G], 1),
+        signal_weights=torch.cat([one, none], 2),
+        veil_weights=torch.cat([none, torch.diag_embed(veil)], 2),
+        b_mean=beta.new_zeros(len(beta)),
+        point_spread=PointSpread.none(),
+        notes=("fitted: direct light and veil, no forward scatter",) * len(beta),
+    )
+
+
+def _kin(one: str, other: str) -> bool:
+    """Whether a correlation tells something: not that of numbers which follow from each other."""
+    derived = ("a_", "b_", "source_")
+    return not one.startswith(derived) and not other.startswith(derived)

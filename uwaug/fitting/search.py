@@ -1,0 +1,105 @@
+"""Fits of one structure after the other to the same pixels."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from uwaug.colour import ColorSpace
+from uwaug.fitting.choice import Tried, held_out
+from uwaug.fitting.noise import Noise, counted, estimated
+from uwaug.fitting.pixels import Pixels, thinned
+from uwaug.fitting.solve import Problem, Solution, solve
+from uwaug.fitting.start import best_of_starts, guess
+from uwaug.fitting.structure import OneWater
+from uwaug.optics.spectra import Array
+
+__all__ = ["Search"]
+
+_ROUGH = Noise(0.01)
+"""For a first fit, where the noise is not known."""
+
+_SCOUTS = 4000
+"""Pixels of the fits that noise is first learnt from."""
+
+_ROUNDS = 2
+"""Of learning the noise: a third changes no number by a tenth of its error."""
+
+
+class Search(NamedTuple):
+    """What all fits have in common.
+
+    Attributes:
+        color_space: of the files.
+        robust: as of `Problem`.
+        seed: of random starts and folds.
+        start: where to begin, by name.
+        say: is told what is being tried.
+    """
+
+    color_space: ColorSpace
+    robust: bool
+    seed: int
+    start: Mapping[str, float]
+    say: Callable[[str], None]
+
+    def weighed(
+        self, structures: Sequence[OneWater], drawn: Pixels, noise: Noise | None
+    ) -> tuple[Pixels, Noise]:
+        """The pixels with weights by the noise: that which is known, or what the residuals of the
+        richest structure look like. All candidates are compared with these weights.
+        """
+        self.say("learning the noise")
+        found = noise or _ROUGH
+        pixels = drawn.weighed(drawn.weights / found.deviation(drawn.observed, self.color_space))
+        structure, theta = self._richest(structures, pixels)
+        for _ in range(_ROUNDS):
+            problem = Problem(structure, pixels, self.robust)
+            theta = solve(problem, theta).theta
+            light = problem.model(theta)
+            if noise is None:
+                used = pixels.weights > 0
+                error = light - drawn.observed
+                found = estimated(error, light, used, _ROUGH.bits, self.color_space)
+            deviation = found.deviation(light, self.color_space)
+            inside = counted(light, deviation, self.color_space)
+            pixels = drawn.weighed(drawn.weights * inside / deviation)
+        return pixels, found
+
+    def _richest(self, structures: Sequence[OneWater], pixels: Pixels) -> tuple[OneWater, Array]:
+        """The structure of the most numbers, that of two which fits better, and its numbers."""
+        few = thinned(pixels, _SCOUTS, np.random.default_rng(self.seed))
+        most = max(len(one.bounds) for one in structures)
+        rich = [one for one in structures if len(one.bounds) == most]
+        ends = [self._begun(Problem(one, few, self.robust), []) for one in rich]
+        best = int(np.argmin([end.cost for end in ends]))
+        return rich[best], ends[best].theta
+
+    def _begun(self, problem: Problem, near: Sequence[Mapping[str, float]]) -> Solution:
+        """The best from the guess, from random places around it, and from `near`."""
+        structure = problem.structure
+        assert isinstance(structure, OneWater)
+        first = guess(structure, problem.pixels)
+        numbers = [first, *({**first, **other} for other in near)]
+        starts = [structure.begun(one, self.start) for one in numbers]
+        return best_of_starts(problem, starts, self.seed)
+
+    def each(self, structures: Sequence[OneWater], pixels: Pixels) -> list[Tried]:
+        """Every structure, fitted, and how well it foretells pixels that were left out."""
+        tried: list[Tried] = []
+        near: list[dict[str, float]] = []
+        for i, structure in enumerate(structures):
+            name = structure.model.name
+            self.say(f"fitting {name!r}, {i + 1} of {len(structures)}")
+            problem = Problem(structure, pixels, self.robust)
+            solution = self._begun(problem, near[-1:])
+            near.append(dict(zip(structure.bounds, solution.theta.tolist(), strict=True)))
+            tried.append(self._judged(name, problem, solution, alone=len(structures) == 1))
+        return tried
+
+    def _judged(self, name: str, problem: Problem, solution: Solution, *, alone: bool) -> Tried:
+        weights = problem.pixels.weights
+        losses = np.zeros(int(problem.pixels.blocks.max()) + 1)
+        if not alone:
+            losses = held_out(problem, solution, self.seed)
+        return Tried(name, problem, solution, losses, int((weights > 0).sum()))

@@ -1,0 +1,109 @@
+"""What a fit has found, in words: which model, how well it explains the pictures, what they cannot
+tell and why.
+"""
+
+import numpy as np
+
+from uwaug.fitting.choice import Tried
+from uwaug.fitting.report import Parameter
+from uwaug.fitting.structure import COLOURS, MODELS, OneWater
+from uwaug.fitting.uncertainty import Spread
+
+__all__ = ["verdict"]
+
+_DEPENDENT = 1.5
+"""Ratio of standard errors over blocks to those of independent residuals, above which the model
+misses something.
+"""
+
+_POOR = 0.8
+"""Share of the observed variance, below which a model does not explain a picture."""
+
+_THIN = 0.3
+"""Optical depth G·z at the far end, where a veil is still a straight line."""
+
+_ALIKE = 0.03
+"""Smallest singular value of the scaled Jacobian where two numbers do nearly the same."""
+
+
+def verdict(
+    chosen: Tried,
+    tried: list[Tried],
+    parameters: dict[str, Parameter],
+    spread: Spread,
+    explained: float,
+    rms: float,
+) -> str:
+    """A few sentences."""
+    structure = chosen.problem.structure
+    assert isinstance(structure, OneWater)
+    lines = [_choice(chosen, tried)]
+    lines.append(f"The residual is {rms:.2g} RMS of linear light; {_percent(explained)} of the")
+    lines[-1] += " variance of the observed pixels is explained."
+    if explained < _POOR:
+        lines.append(
+            "That is little: are the pictures aligned, of one exposure (gain), and in metres?"
+        )
+    if spread.widened > _DEPENDENT:
+        lines.append(
+            f"Residuals of neighbouring pixels depend on each other: errors are "
+            f"{spread.widened:.1f} times those of independent noise. The model misses something, "
+            "such as wrong distances, uneven water or light, or spectra that three rates do not hold."
+        )
+    lines += _unknown(parameters, structure, spread)
+    lines += _at_bounds(parameters)
+    if structure.geometry.unit != "m":
+        lines.append(
+            "The scale of the distances is unknown, and so is that of the rates: β times the scale "
+            "is what a picture shows."
+        )
+    if not chosen.solution.converged:
+        lines.append("The fit stopped before it settled: give a start, or fewer free numbers.")
+    return "\n".join(lines)
+
+
+def _choice(chosen: Tried, tried: list[Tried]) -> str:
+    words = MODELS[chosen.name].words
+    if len(tried) == 1:
+        return f"Model {chosen.name!r}: {words}."
+    best = min(tried, key=lambda one: float(one.losses.sum()))
+    if best is chosen:
+        return f"Model {chosen.name!r}: {words}. It foretells left-out pixels best."
+    return (
+        f"Model {chosen.name!r}: {words}. The fewest numbers within one standard error of the "
+        f"best, {best.name!r}."
+    )
+
+
+def _percent(share: float) -> str:
+    return f"{100 * np.floor(1e4 * share) / 1e4:.4g} %"
+
+
+def _unknown(parameters: dict[str, Parameter], structure: OneWater, spread: Spread) -> list[str]:
+    names = [name for name, one in parameters.items() if one.state == "not identified"]
+    if not names:
+        return []
+    lines = [f"Not identified: {', '.join(names)}."]
+    far = structure.geometry.farthest
+    for colour in COLOURS:
+        beta = parameters.get(f"beta_{colour}")
+        G = parameters.get(f"G_{colour}", beta)
+        if f"veil_{colour}" not in names or G is None:
+            continue
+        depth = 0.0 if G.value is None else G.value * far
+        if depth < _THIN:
+            lines.append(
+                f"In {colour} the veil still grows as a straight line at {far:.3g} "
+                f"{structure.geometry.unit}: its growth (source) is seen, where it ends is not."
+            )
+    if spread.singular[-1] < _ALIKE:
+        lines.append("Some numbers do nearly the same to these pictures: see the correlation.")
+    return lines
+
+
+def _at_bounds(parameters: dict[str, Parameter]) -> list[str]:
+    names = [name for name, one in parameters.items() if one.state == "at bound"]
+    if not names:
+        return []
+    cure = "the interval has one open side"
+    return [f"At the end of what they may be: {', '.join(names)}; {cure}."]
