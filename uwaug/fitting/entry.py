@@ -1,6 +1,7 @@
 """`fit`: which water lies between a clean and a degraded picture."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import get_args
 
 import numpy as np
@@ -19,7 +20,7 @@ from uwaug.fitting.structure import MODELS, Gain, Geometry, OneWater
 from uwaug.optics.curves import FARTHEST
 from uwaug.replay import reproducible
 
-__all__ = ["fit"]
+__all__ = ["fit", "geometry_of"]
 
 Progress = Callable[[str], None]
 
@@ -93,7 +94,8 @@ def fit(
     Examples:
         >>> import torch, uwaug
         >>> clean, z = torch.rand(3, 60, 80), torch.linspace(1, 6, 4800).reshape(1, 60, 80)
-        >>> water = uwaug.Medium.from_coefficients((0.5, 0.2, 0.3), (0.5, 0.2, 0.3), (0.1, 0.3, 0.4))
+        >>> beta, veil = (0.5, 0.2, 0.3), (0.1, 0.3, 0.4)
+        >>> water = uwaug.Medium.from_coefficients(beta, beta, veil)
         >>> observed = uwaug.Underwater(water)(clean, z)
         >>> found = uwaug.fit(clean, observed, z, model="haze")
         >>> round(found.parameters["beta_red"].value, 2)
@@ -115,7 +117,7 @@ def fit(
     pairs = pairs_of(clean, observed, distance, field, mask, color_space)
     require_pixels(pairs)
     distances_apart(pairs)
-    structures = _structures(model, _geometry(pairs, focal_px, relative), gain, g, fixed or {})
+    structures = _structures(model, geometry_of(pairs, focal_px, relative), gain, g, fixed or {})
     search = Search(color_space, robust, seed, dict(start or {}), progress or (lambda _: None))
     # many small steps, which several threads would slow down
     with reproducible():
@@ -124,7 +126,12 @@ def fit(
         drawn = gather(pairs, shapes, int(pixels), np.random.default_rng(seed))
         weighed, found = search.weighed(structures, drawn, noise)
         tried = search.each(structures, weighed)
-        return finished(choose(tried), tried, found, pairs)
+        chosen = choose(tried)
+        if gain != "fixed" and model == "auto":
+            search.say("fitting without a gain")
+            tried += search.each([replace(chosen.structure, gain="fixed")], weighed)
+            chosen = choose([chosen, tried[-1]])
+        return finished(chosen, tried, found, pairs)
 
 
 def _structures(
@@ -145,7 +152,8 @@ def _structures(
     return fixable
 
 
-def _geometry(pairs: Sequence[Pair], focal_px: float | None, relative: bool) -> Geometry:
+def geometry_of(pairs: Sequence[Pair], focal_px: float | None, relative: bool) -> Geometry:
+    """What is known of pictures before anything is fitted."""
     known = torch.cat([pair.z[pair.usable & (pair.z < FARTHEST)] for pair in pairs])
     return Geometry(
         pairs=len(pairs),

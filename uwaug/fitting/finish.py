@@ -1,6 +1,7 @@
 """From the model that was chosen to what is reported."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 
@@ -13,28 +14,24 @@ from uwaug.fitting.structure import OneWater
 from uwaug.fitting.uncertainty import spread
 from uwaug.fitting.verdict import verdict
 
-__all__ = ["finished"]
+__all__ = ["candidates_of", "explained", "finished"]
 
 
-def finished(chosen: Tried, tried: list[Tried], noise: Noise, pairs: Sequence[Pair]) -> Fit:
+def finished(
+    chosen: Tried[OneWater], tried: list[Tried[OneWater]], noise: Noise, pairs: Sequence[Pair]
+) -> Fit:
     """The fit of `chosen`, one of `tried`."""
     problem, solution = chosen.problem, chosen.solution
-    structure = problem.structure
-    assert isinstance(structure, OneWater)
+    structure = chosen.structure
     found = spread(problem, solution)
     parameters = parameters_of(problem, solution, found)
-    explained, rms = _explained(chosen)
-    best = min(tried, key=lambda one: float(one.losses.sum()))
-    candidates = []
-    for one in tried:
-        behind = one.behind(best)
-        candidates.append(Candidate(one.name, len(one.solution.theta), one.error, *behind))
+    share, rms = explained(chosen)
     return Fit(
-        model=chosen.name,
+        model=structure.model.name,
         parameters=parameters,
         correlation=Correlation(*correlation(structure, solution, found)),
-        candidates=tuple(candidates),
-        message=verdict(chosen, tried, parameters, found, explained, rms),
+        candidates=candidates_of(tried),
+        message=verdict(chosen, tried, parameters, found, share, rms),
         noise=noise,
         rms=rms,
         history=solution.history,
@@ -45,7 +42,17 @@ def finished(chosen: Tried, tried: list[Tried], noise: Noise, pairs: Sequence[Pa
     )
 
 
-def _explained(chosen: Tried) -> tuple[float, float]:
+def candidates_of(tried: Sequence[Tried[Any]]) -> tuple[Candidate, ...]:
+    """What is reported of each."""
+    best = min(tried, key=lambda one: float(one.losses.sum()))
+    found = []
+    for one in tried:
+        behind = one.behind(best)
+        found.append(Candidate(one.name, len(one.solution.theta), one.error, *behind))
+    return tuple(found)
+
+
+def explained(chosen: Tried[Any]) -> tuple[float, float]:
     """The share of the observed variance that the model explains, and the RMS of the residual."""
     pixels = chosen.problem.pixels
     used = pixels.weights > 0

@@ -1,5 +1,5 @@
-"""The picture as a function of a few numbers for each pair, and its slopes: what a fit compares with
-what was observed. The image is formed by the same functions as any other.
+"""The picture as a function of a few numbers for each pair, and its slopes: what a fit compares
+with what was observed. The image is formed by the same functions as any other.
 """
 
 from typing import NamedTuple

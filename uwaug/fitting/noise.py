@@ -66,9 +66,9 @@ class Noise:
 
 def _slope(light: Tensor) -> Tensor:
     """Of the sRGB values, by light."""
-    inside = light.clamp(0.0, 1.0)
-    one = torch.ones_like(inside)
-    slope: Tensor = torch.func.jvp(linear_to_srgb, (inside,), (one,))[1]
+    inside = light.detach().clamp(0.0, 1.0).requires_grad_()
+    with torch.enable_grad():
+        (slope,) = torch.autograd.grad(linear_to_srgb(inside).sum(), inside)
     return slope
 
 

@@ -1,5 +1,6 @@
-"""What a fit looks at: pixels of one or several pairs, with the blurs of the clean picture that any
-width law mixes. In line-of-sight order these do not depend on the water, so that they are made once.
+"""What a fit looks at: pixels of one or several pairs, with the blurs of the clean picture that
+any width law mixes. In line-of-sight order these do not depend on the water, so that they are made
+once.
 """
 
 from collections.abc import Sequence
@@ -8,15 +9,17 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from uwaug.blur.plan import BlurPlan, plan_blur
 from uwaug.blur.stack import blurred
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.point_spread import Shape
-from uwaug.optics.spectra import Array
 
 __all__ = ["Pair", "Pixels", "Stack", "gather", "reference_distance", "thinned", "widest_blur"]
+
+Places = NDArray[np.int64]
 
 _TOLERANCE = 5e-4
 """Of the blurs: what they are wrong by is the least that a residual can be."""
@@ -81,7 +84,7 @@ class Pixels:
     observed: Tensor
     z: Tensor
     weights: Tensor
-    blocks: Array
+    blocks: Places
     stacks: dict[Shape, Stack]
     reference: float
 
@@ -90,10 +93,25 @@ class Pixels:
         return len(self.clean)
 
     @property
-    def block_of_value(self) -> Array:
+    def block_of_value(self) -> Places:
         """The block of each value, P·3·N of them."""
         pairs, n = self.blocks.shape
         return np.asarray(np.broadcast_to(self.blocks[:, None], (pairs, 3, n)).reshape(-1))
+
+    def pairs(self, rows: Sequence[int]) -> "Pixels":
+        """Those of some of the pairs."""
+        stacks = {}
+        for shape, (plan, blurs) in self.stacks.items():
+            stacks[shape] = Stack(plan, [blur[rows] for blur in blurs])
+        return replace(
+            self,
+            clean=self.clean[rows],
+            observed=self.observed[rows],
+            z=self.z[rows],
+            weights=self.weights[rows],
+            blocks=self.blocks[rows],
+            stacks=stacks,
+        )
 
     def weighed(self, weights: Tensor) -> "Pixels":
         """The same pixels with other weights."""
@@ -162,7 +180,7 @@ def thinned(pixels: Pixels, count: int, rng: np.random.Generator) -> Pixels:
     )
 
 
-def _spread(pair: Pair, count: int, rng: np.random.Generator) -> Array:
+def _spread(pair: Pair, count: int, rng: np.random.Generator) -> Places:
     """The places of `count` usable pixels: as many from each of equal steps of distance, as far as
     there are.
     """
@@ -180,7 +198,7 @@ def _spread(pair: Pair, count: int, rng: np.random.Generator) -> Array:
     return places[np.argsort(turn, kind="stable")[:count]]
 
 
-def _tiles(places: Array, size: tuple[int, int]) -> tuple[Array, int]:
+def _tiles(places: Places, size: tuple[int, int]) -> tuple[Places, int]:
     """The block of each pixel, and how many there are."""
     side = max(1, min(size) // _TILES)
     down, across = places // size[1] // side, places % size[1] // side
@@ -188,7 +206,7 @@ def _tiles(places: Array, size: tuple[int, int]) -> tuple[Array, int]:
     return down * columns + across, rows * columns
 
 
-def _stack(pairs: Sequence[Pair], chosen: Sequence[Array], width: int, shape: Shape) -> Stack:
+def _stack(pairs: Sequence[Pair], chosen: Sequence[Places], width: int, shape: Shape) -> Stack:
     """The blurs at the chosen pixels."""
     widest = max(widest_blur(pair.size) for pair in pairs)
     longest = max(max(pair.size) for pair in pairs)

@@ -1,8 +1,7 @@
 """What a fit says: numbers with their errors, and in words what the pictures cannot tell."""
 
-import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -17,8 +16,8 @@ __all__ = ["Parameter", "State", "correlation", "parameters_of", "table"]
 State = Literal["free", "at bound", "not identified", "fixed"]
 
 _VAGUE = 0.5
-"""Standard errors of a number that is not identified are larger than this share of it, and than
-what would show.
+"""Standard errors of a number that is not identified are larger than what would show, and than this
+share of the least that the number may be.
 """
 
 _NORMAL = 1.96
@@ -49,7 +48,9 @@ class Parameter:
     state: State
 
 
-def parameters_of(problem: Problem, solution: Solution, spread: Spread) -> dict[str, Parameter]:
+def parameters_of(
+    problem: Problem[Any], solution: Solution, spread: Spread
+) -> dict[str, Parameter]:
     """Every quantity that is reported."""
     structure = problem.structure
     values = _reported(structure, solution.theta)
@@ -59,8 +60,9 @@ def parameters_of(problem: Problem, solution: Solution, spread: Spread) -> dict[
     found = {}
     for q, quantity in enumerate(structure.quantities):
         rows = [ends[i] for i in ends if slopes[q, i] != 0]
+        numbers = float(values[q]), float(errors[q])
         found[quantity.name] = _parameter(
-            quantity, values[q], errors[q], slopes[q], solution, structure, rows, q
+            quantity, *numbers, slopes[q], solution, structure, rows, q
         )
     return found
 
@@ -83,7 +85,8 @@ def _parameter(
         reached = [float(_reported(structure, end.theta)[place]) for end in pair]
         low, high = min(low, *reached), max(high, *reached)
     half = (high - low) / (2 * _NORMAL)
-    if not math.isfinite(value) or not half <= max(quantity.shows, _VAGUE * abs(value)):
+    least = min(abs(value), abs(low), abs(high))
+    if not half <= max(quantity.shows, _VAGUE * least):
         return Parameter(None, None, None, None, unit, "not identified")
     if (solution.at_bound[slope != 0] != 0).any():
         return Parameter(value, None, low, high, unit, "at bound")
@@ -91,7 +94,7 @@ def _parameter(
 
 
 def _profiles(
-    problem: Problem, solution: Solution, spread: Spread
+    problem: Problem[Any], solution: Solution, spread: Spread
 ) -> dict[int, tuple[Limit, Limit]]:
     """The intervals of numbers at a bound or near one, by place."""
     low, high = problem.limits
@@ -110,8 +113,8 @@ def _reported(structure: Structure, theta: Array) -> Array:
 
 def _slopes(structure: Structure, theta: Array) -> Array:
     """Derivatives of the quantities by the numbers that are fitted."""
-    found = torch.func.jacfwd(structure.reported)(torch.from_numpy(theta))
-    return found.nan_to_num(0.0, 0.0, 0.0).numpy()
+    found = torch.func.jacrev(structure.reported)(torch.from_numpy(theta))
+    return np.asarray(found.nan_to_num(0.0, 0.0, 0.0))
 
 
 def correlation(

@@ -3,7 +3,7 @@
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -12,13 +12,14 @@ import torch
 from torch import Tensor
 
 from uwaug.files import require_regular, written_whole
+from uwaug.fitting.media import media_of
+from uwaug.fitting.model import Natural
 from uwaug.fitting.noise import Noise
 from uwaug.fitting.pixels import Pair
 from uwaug.fitting.report import Parameter, table
 from uwaug.fitting.structure import MODELS, Geometry, OneWater
 from uwaug.formation import form_image
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.spectra import Array
 
 if TYPE_CHECKING:
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
 __all__ = ["Candidate", "Correlation", "Fit"]
 
 _FORMAT = 1
-_LEAST_SCATTERING = 1e-6
-"""1/m, stands for none in a width law."""
 
 
 class Candidate(NamedTuple):
@@ -150,13 +149,16 @@ class Fit:
         """The fit as text: verdict, parameters, candidates, strong correlations."""
         parts = [self.message, "", table(self.parameters)]
         if len(self.candidates) > 1:
-            parts += ["", "  model            numbers  held-out error   behind the best"]
+            parts += [
+                "",
+                f"  {'model':22}{'numbers':>8}{'held-out error':>16}{'behind the best':>18}",
+            ]
             for one in self.candidates:
-                mark = "*" if one.name == self.model else " "
+                mark = "*" if one.name == self.structure.name else " "
                 behind = (
                     f"{one.behind:10.4g} ± {one.behind_error:.2g}" if one.behind else "      best"
                 )
-                parts.append(f"{mark} {one.name:16}{one.numbers:8}{one.error:16.4f}   {behind}")
+                parts.append(f"{mark} {one.name:22}{one.numbers:8}{one.error:16.4f}   {behind}")
         strong = self._strong()
         if strong:
             parts += ["", "  correlations above .9: " + ", ".join(strong)]
@@ -171,7 +173,7 @@ class Fit:
         return found
 
     def plot(self) -> "Figure":
-        """Observed, rendered and residual pictures at one scale, and the curves with their bands."""
+        """Observed, rendered and residual pictures, and the curves with their bands."""
         from uwaug.fitting.drawing import draw
 
         return draw(self)
@@ -229,7 +231,7 @@ class Fit:
             raise ValueError(f"{path}: expected a fit of format {_FORMAT}, got {got}")
         try:
             return _from_json(values)
-        except (KeyError, TypeError, ValueError) as error:
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{path}: not a fit: {type(error).__name__}: {error}") from None
 
     def __str__(self) -> str:
@@ -274,41 +276,15 @@ def _from_json(values: Mapping[str, Any]) -> Fit:
 
 def _medium(structure: OneWater, theta: Tensor) -> Medium:
     """Media of rows of numbers."""
+    # any pair, as all are of one water
     rows = [structure.natural(row) for row in theta]
-
-    def stacked(name: str) -> Tensor:
-        return torch.stack([getattr(row, name)[0] for row in rows])
-
-    beta, G, source = stacked("beta"), stacked("G"), stacked("source")
-    veil = source / G.clamp(min=1e-9)
-    if structure.model.law is None:
-        return _without_scatter(beta, G, veil)
-    b_mean = ((beta - G) / (1 - structure.g)).mean(1).clamp(min=_LEAST_SCATTERING)
-    exponent = stacked("exponent")
-    # σ = width·(z/reference)^exponent
-    scale = stacked("width") / (b_mean * structure.geometry.reference) ** exponent
-    law = PointSpread(scale, exponent, structure.shape or "gaussian", structure.geometry.short_side)
-    if len(theta) == 1:
-        law = replace(law, scale=float(scale), exponent=float(exponent))
-    return Medium.from_coefficients(beta, G, veil, b_mean=b_mean, point_spread=law)
-
-
-def _without_scatter(beta: Tensor, G: Tensor, veil: Tensor) -> Medium:
-    """Media in which all light that leaves the line of sight is lost: T_G = T_β, and a veil that
-    has rates of its own.
-    """
-    one = torch.diag_embed(torch.ones_like(beta))
-    none = torch.zeros_like(one)
-    return Medium(
-        beta=beta,
-        direct_weights=one,
-        G=torch.cat([beta, G], 1),
-        signal_weights=torch.cat([one, none], 2),
-        veil_weights=torch.cat([none, torch.diag_embed(veil)], 2),
-        b_mean=beta.new_zeros(len(beta)),
-        point_spread=PointSpread.none(),
-        notes=("fitted: direct light and veil, no forward scatter",) * len(beta),
-    )
+    joined: dict[str, Any] = {}
+    for name in Natural._fields:
+        column = [getattr(row, name) for row in rows]
+        joined[name] = None if column[0] is None else torch.stack([one[0] for one in column])
+    natural = Natural(**joined)
+    b = (natural.beta - natural.G) / (1 - structure.g)
+    return media_of(natural, b.mean(1), structure.shape, structure.geometry)
 
 
 def _kin(one: str, other: str) -> bool:

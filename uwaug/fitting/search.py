@@ -6,12 +6,12 @@ from typing import NamedTuple
 import numpy as np
 
 from uwaug.colour import ColorSpace
-from uwaug.fitting.choice import Tried, held_out
+from uwaug.fitting.choice import Tried, tried_of
 from uwaug.fitting.noise import Noise, counted, estimated
 from uwaug.fitting.pixels import Pixels, thinned
 from uwaug.fitting.solve import Problem, Solution, solve
 from uwaug.fitting.start import best_of_starts, guess
-from uwaug.fitting.structure import OneWater
+from uwaug.fitting.structure import OneWater, Structure
 from uwaug.optics.spectra import Array
 
 __all__ = ["Search"]
@@ -50,9 +50,23 @@ class Search(NamedTuple):
         richest structure look like. All candidates are compared with these weights.
         """
         self.say("learning the noise")
+        structure, theta = self._richest(structures, self.rough(drawn, noise))
+        return self.learnt(structure, theta, drawn, noise)
+
+    def rough(self, drawn: Pixels, noise: Noise | None) -> Pixels:
+        """The pixels with weights for a first fit."""
         found = noise or _ROUGH
-        pixels = drawn.weighed(drawn.weights / found.deviation(drawn.observed, self.color_space))
-        structure, theta = self._richest(structures, pixels)
+        return drawn.weighed(drawn.weights / found.deviation(drawn.observed, self.color_space))
+
+    def learnt(
+        self,
+        structure: Structure,
+        theta: Array,
+        drawn: Pixels,
+        noise: Noise | None,
+    ) -> tuple[Pixels, Noise]:
+        """The pixels with weights by what a structure, begun at θ, says of them."""
+        pixels, found = self.rough(drawn, noise), noise or _ROUGH
         for _ in range(_ROUNDS):
             problem = Problem(structure, pixels, self.robust)
             theta = solve(problem, theta).theta
@@ -71,35 +85,30 @@ class Search(NamedTuple):
         few = thinned(pixels, _SCOUTS, np.random.default_rng(self.seed))
         most = max(len(one.bounds) for one in structures)
         rich = [one for one in structures if len(one.bounds) == most]
-        ends = [self._begun(Problem(one, few, self.robust), []) for one in rich]
+        ends = [self.begun(Problem(one, few, self.robust)) for one in rich]
         best = int(np.argmin([end.cost for end in ends]))
         return rich[best], ends[best].theta
 
-    def _begun(self, problem: Problem, near: Sequence[Mapping[str, float]]) -> Solution:
+    def begun(
+        self, problem: Problem[OneWater], near: Sequence[Mapping[str, float]] = ()
+    ) -> Solution:
         """The best from the guess, from random places around it, and from `near`."""
         structure = problem.structure
-        assert isinstance(structure, OneWater)
         first = guess(structure, problem.pixels)
         numbers = [first, *({**first, **other} for other in near)]
-        starts = [structure.begun(one, self.start) for one in numbers]
+        starts = [structure.begun(one, {}) for one in numbers]
+        if self.start:
+            starts.insert(0, structure.begun(first, self.start))
         return best_of_starts(problem, starts, self.seed)
 
-    def each(self, structures: Sequence[OneWater], pixels: Pixels) -> list[Tried]:
+    def each(self, structures: Sequence[OneWater], pixels: Pixels) -> list[Tried[OneWater]]:
         """Every structure, fitted, and how well it foretells pixels that were left out."""
-        tried: list[Tried] = []
+        tried: list[Tried[OneWater]] = []
         near: list[dict[str, float]] = []
         for i, structure in enumerate(structures):
-            name = structure.model.name
-            self.say(f"fitting {name!r}, {i + 1} of {len(structures)}")
+            self.say(f"fitting {structure.name!r}, {i + 1} of {len(structures)}")
             problem = Problem(structure, pixels, self.robust)
-            solution = self._begun(problem, near[-1:])
+            solution = self.begun(problem, near[-1:])
             near.append(dict(zip(structure.bounds, solution.theta.tolist(), strict=True)))
-            tried.append(self._judged(name, problem, solution, alone=len(structures) == 1))
+            tried.append(tried_of(problem, solution, self.seed))
         return tried
-
-    def _judged(self, name: str, problem: Problem, solution: Solution, *, alone: bool) -> Tried:
-        weights = problem.pixels.weights
-        losses = np.zeros(int(problem.pixels.blocks.max()) + 1)
-        if not alone:
-            losses = held_out(problem, solution, self.seed)
-        return Tried(name, problem, solution, losses, int((weights > 0).sum()))

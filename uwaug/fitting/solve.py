@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import torch
@@ -12,7 +13,9 @@ from uwaug.fitting.pixels import Pixels
 from uwaug.fitting.structure import Structure
 from uwaug.optics.spectra import Array
 
-__all__ = ["ROBUST", "Problem", "Solution", "influence", "loss", "solve"]
+__all__ = ["ROBUST", "Problem", "S", "Solution", "influence", "loss", "solve"]
+
+S = TypeVar("S", bound=Structure)
 
 ROBUST = 2.0
 """Standard deviations of noise, from where on a residual counts less than its square."""
@@ -20,12 +23,15 @@ ROBUST = 2.0
 _INSIDE = 1e-4
 """Of a number's range: a fit begins at least so far from its bounds."""
 
+_AT = 1e-6
+"""Of a number's range: nearer to its end, it is there."""
+
 _ENOUGH = 1e-7
 """Relative change of cost or numbers at which a fit ends."""
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class Problem(Generic[S]):
     """A structure and the pixels that it is to explain.
 
     Attributes:
@@ -35,7 +41,7 @@ class Problem:
         held: the value of each number that stays as it is, by its place.
     """
 
-    structure: Structure
+    structure: S
     pixels: Pixels
     robust: bool = True
     held: Mapping[int, float] = field(default_factory=dict)
@@ -68,7 +74,7 @@ class Problem:
         numbers = torch.from_numpy(theta)
         structure, pixels = self.structure, self.pixels
         model, by_kind = slopes(structure.natural(numbers), pixels, structure.shape)
-        kinds: Tensor = torch.func.jacfwd(self._kinds)(numbers)  # 6xPx3xn
+        kinds: Tensor = torch.func.jacrev(self._kinds)(numbers)  # 6xPx3xn
         by_kind = by_kind * pixels.weights
         jacobian = torch.einsum("kpciN,kpcn->pciNn", by_kind, kinds)
         return self._weighed(model).numpy(), jacobian.reshape(-1, len(theta)).numpy()
@@ -111,7 +117,7 @@ class Solution:
     converged: bool = True
 
 
-def solve(problem: Problem, start: Array, most: int = 60) -> Solution:
+def solve(problem: Problem[Any], start: Array, most: int = 60) -> Solution:
     """The least cost that can be reached from `start`, inside the bounds."""
     from scipy.optimize import least_squares
 
@@ -152,14 +158,19 @@ def solve(problem: Problem, start: Array, most: int = 60) -> Solution:
         xtol=_ENOUGH,
         gtol=_ENOUGH,
     )
-    if found.x.tobytes() not in kept:
-        jacobian(found.x)
-    values, derivative = kept[found.x.tobytes()]
+    # the method stays inside, if only just
+    reached = found.active_mask
+    reached = np.where(found.x - low < _AT * (high - low), -1, reached)
+    reached = np.where(high - found.x < _AT * (high - low), 1, reached)
+    numbers = np.select([reached < 0, reached > 0], [low, high], found.x)
+    if numbers.tobytes() not in kept:
+        jacobian(numbers)
+    values, derivative = kept[numbers.tobytes()]
     at_bound = np.zeros(len(whole), dtype=int)
-    at_bound[free] = found.active_mask
+    at_bound[free] = reached
     return Solution(
-        theta=at(found.x),
-        cost=float(found.cost),
+        theta=at(numbers),
+        cost=float(loss(values, problem.robust).sum() / 2),
         at_bound=at_bound,
         residual=values,
         jacobian=derivative,

@@ -1,6 +1,7 @@
 """Where a fit begins: from the best of a coarse grid, and from places near it."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -27,7 +28,9 @@ _APART = 0.5
 """Of random starts: each number is multiplied by up to e^±_APART."""
 
 
-def best_of_starts(problem: Problem, starts: list[Array], seed: int, more: int = 2) -> Solution:
+def best_of_starts(
+    problem: Problem[Any], starts: list[Array], seed: int, more: int = 2
+) -> Solution:
     """The least cost from any of `starts` and from `more` places around the first of them.
 
     Few pixels decide which, all of them where it ends.

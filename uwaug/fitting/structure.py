@@ -2,7 +2,6 @@
 that pictures depend on.
 """
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol
@@ -36,6 +35,9 @@ Gain = Literal["fixed", "free", "channels"]
 
 _THICKEST = 40.0
 """Optical depths to the reference distance: more than any picture survives."""
+
+_SLOWEST = 1e-9
+"""1/m, stands for G = 0, where the veil has no end."""
 
 _LARGEST_SHARE = 4.0
 """Of G in β, where no light is scattered forward and nothing ties the two together."""
@@ -134,6 +136,10 @@ class Structure(Protocol):
     """What a fit needs to know of its numbers."""
 
     @property
+    def name(self) -> str:
+        """Of the candidate."""
+
+    @property
     def bounds(self) -> Mapping[str, Bounds]:
         """Of each number that is fitted, by name."""
 
@@ -178,6 +184,11 @@ class OneWater:
         return self.model.shape
 
     @property
+    def name(self) -> str:
+        """Of the candidate."""
+        return self.model.name if self.gain == "fixed" else f"{self.model.name} + gain"
+
+    @property
     def fixable(self) -> tuple[str, ...]:
         """The names of numbers that may be given instead of fitted."""
         kinds = ["beta"]
@@ -189,7 +200,7 @@ class OneWater:
         return (*names, *(("width", "exponent") if self.model.own_law else ()))
 
     def begun(self, numbers: Mapping[str, float], given: Mapping[str, float]) -> Array:
-        """Where a fit begins: what is `given` by the names of `fixable`, and `numbers` elsewhere."""
+        """Where a fit begins: what is `given`, by the names of `fixable`, else `numbers`."""
         begin = {**numbers, **{name: given[name] for name in given if name in self.bounds}}
         for colour in COLOURS:
             beta = begin.get(f"beta_{colour}", self.fixed.get(f"beta_{colour}", 1.0))
@@ -337,8 +348,7 @@ class OneWater:
         if self.model.veil == "own":
             parts.append(G)
         if self.model.veil != "none":
-            # where G is 0 the veil has no end
-            parts += [torch.where(G > 0, source / G.clamp(min=1e-9), math.inf), source]
+            parts += [source / (G + _SLOWEST), source]
         if self.model.law is not None:
             parts += [beta - b, b]
         if self.model.own_law:

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,10 +14,13 @@ __all__ = ["Limit", "Spread", "limits", "spread"]
 _CHI = 3.841
 """χ² of one degree of freedom that 95 % stay below."""
 
-_TRIES = 8
+_TRIES = 6
 """Fits in search of one end of an interval."""
 
-_NEAR_ENOUGH = 0.05
+_STEPS = 8
+"""Evaluations of each, which begins where the last one ended."""
+
+_NEAR_ENOUGH = 0.1
 """Of an interval's half width."""
 
 
@@ -48,7 +51,7 @@ class Spread:
         return float(np.sqrt(np.median(ratio)))
 
 
-def spread(problem: Problem, solution: Solution, free: Array | None = None) -> Spread:
+def spread(problem: Problem[Any], solution: Solution, free: Array | None = None) -> Spread:
     """The sandwich H⁻¹·S·H⁻¹: H from the slopes, S from the scores of blocks of the picture, whose
     residuals may depend on each other, as a wrong model's do.
 
@@ -86,7 +89,7 @@ class Limit(NamedTuple):
     at_bound: bool
 
 
-def limits(problem: Problem, solution: Solution, place: int) -> tuple[Limit, Limit]:
+def limits(problem: Problem[Any], solution: Solution, place: int) -> tuple[Limit, Limit]:
     """Both ends of the interval of a number, by its profile: where the cost, with all others fitted
     anew, has risen by as much as 95 % of repetitions stay below. Near a bound, where errors are not
     symmetric, this holds and the standard error does not.
@@ -104,7 +107,7 @@ def limits(problem: Problem, solution: Solution, place: int) -> tuple[Limit, Lim
     )
 
 
-def _curvature(problem: Problem, solution: Solution, place: int) -> float:
+def _curvature(problem: Problem[Any], solution: Solution, place: int) -> float:
     """The variance of a number if the cost were a logarithm of likelihood."""
     _, curvature = influence(solution.residual, problem.robust)
     jacobian = solution.jacobian[:, problem.free]
@@ -116,7 +119,7 @@ def _curvature(problem: Problem, solution: Solution, place: int) -> float:
 
 
 def _limit(
-    problem: Problem, solution: Solution, place: int, step: float, bound: float, rise: float
+    problem: Problem[Any], solution: Solution, place: int, step: float, bound: float, rise: float
 ) -> Limit:
     """Search from the solution outwards: the root of the risen cost is nearly a straight line."""
     here, start = float(solution.theta[place]), solution.theta
@@ -128,7 +131,7 @@ def _limit(
     for _ in range(_TRIES):
         reach = step if abs(step) < abs(furthest) else furthest
         held = replace(problem, held={**problem.held, place: here + reach})
-        found = solve(held, start, most=20)
+        found = solve(held, start, most=_STEPS)
         start = theta = found.theta
         root = math.sqrt(max(found.cost - solution.cost, 0.0) / rise)
         if reach == furthest and root <= 1:

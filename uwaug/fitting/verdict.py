@@ -6,7 +6,7 @@ import numpy as np
 
 from uwaug.fitting.choice import Tried
 from uwaug.fitting.report import Parameter
-from uwaug.fitting.structure import COLOURS, MODELS, OneWater
+from uwaug.fitting.structure import COLOURS, OneWater
 from uwaug.fitting.uncertainty import Spread
 
 __all__ = ["verdict"]
@@ -27,16 +27,15 @@ _ALIKE = 0.03
 
 
 def verdict(
-    chosen: Tried,
-    tried: list[Tried],
+    chosen: Tried[OneWater],
+    tried: list[Tried[OneWater]],
     parameters: dict[str, Parameter],
     spread: Spread,
     explained: float,
     rms: float,
 ) -> str:
     """A few sentences."""
-    structure = chosen.problem.structure
-    assert isinstance(structure, OneWater)
+    structure = chosen.structure
     lines = [_choice(chosen, tried)]
     lines.append(f"The residual is {rms:.2g} RMS of linear light; {_percent(explained)} of the")
     lines[-1] += " variance of the observed pixels is explained."
@@ -48,10 +47,11 @@ def verdict(
         lines.append(
             f"Residuals of neighbouring pixels depend on each other: errors are "
             f"{spread.widened:.1f} times those of independent noise. The model misses something, "
-            "such as wrong distances, uneven water or light, or spectra that three rates do not hold."
+            "such as wrong distances, uneven water or light, or more than one rate for a colour."
         )
     lines += _unknown(parameters, structure, spread)
     lines += _at_bounds(parameters)
+    lines += _absorption(parameters, structure)
     if structure.geometry.unit != "m":
         lines.append(
             "The scale of the distances is unknown, and so is that of the rates: β times the scale "
@@ -62,8 +62,8 @@ def verdict(
     return "\n".join(lines)
 
 
-def _choice(chosen: Tried, tried: list[Tried]) -> str:
-    words = MODELS[chosen.name].words
+def _choice(chosen: Tried[OneWater], tried: list[Tried[OneWater]]) -> str:
+    words = chosen.structure.model.words
     if len(tried) == 1:
         return f"Model {chosen.name!r}: {words}."
     best = min(tried, key=lambda one: float(one.losses.sum()))
@@ -107,3 +107,18 @@ def _at_bounds(parameters: dict[str, Parameter]) -> list[str]:
         return []
     cure = "the interval has one open side"
     return [f"At the end of what they may be: {', '.join(names)}; {cure}."]
+
+
+def _absorption(parameters: dict[str, Parameter], structure: OneWater) -> list[str]:
+    """Whether a share g that was taken for known makes absorption negative."""
+    negative = []
+    for colour in COLOURS:
+        a = parameters.get(f"a_{colour}")
+        if a is not None and a.value is not None and a.value < 0:
+            negative.append(colour)
+    if not negative:
+        return []
+    return [
+        f"Absorption is negative in {', '.join(negative)}: g = {structure.g:g} is more than these "
+        "pictures allow, or the model does not suit them."
+    ]
