@@ -8,7 +8,7 @@ from uwaug.blur.plan import BlurPlan, plan_blur
 from uwaug.blur.stack import varying_blur
 from uwaug.draw import collate_records
 from uwaug.field import gaussian_random_field
-from uwaug.fitting import Fit, Noise, fit
+from uwaug.fitting import Fit, Noise, SeriesFit, fit, fit_series
 from uwaug.formation import Terms, form_image
 from uwaug.module import Underwater
 from uwaug.onnx import OnnxUnderwater, check_onnx, export_onnx
@@ -32,6 +32,7 @@ __all__ = [
     "PointSpread",
     "Preset",
     "RandomUnderwater",
+    "SeriesFit",
     "Terms",
     "Underwater",
     "Water",
@@ -41,6 +42,7 @@ __all__ = [
     "distance",
     "export_onnx",
     "fit",
+    "fit_series",
     "form_image",
     "gaussian_random_field",
     "list_presets",

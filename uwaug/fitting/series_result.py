@@ -42,6 +42,7 @@ class Line(NamedTuple):
     Attributes:
         b0, b0_error: scattering at turbidity 0 and its standard error, 1/m.
         k, k_error: its growth with turbidity, 1/m for each unit.
+        correlation: of the two.
         probability: of a misfit at least as large if b lay on a line; None with two levels.
     """
 
@@ -49,7 +50,13 @@ class Line(NamedTuple):
     b0_error: float
     k: float
     k_error: float
+    correlation: float
     probability: float | None
+
+    def error_at(self, turbidity: Array) -> Array:
+        """The standard error of the line, 1/m."""
+        both = 2 * self.correlation * self.b0_error * self.k_error * turbidity
+        return np.asarray(np.sqrt(self.b0_error**2 + both + (self.k_error * turbidity) ** 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,7 +244,8 @@ def _line(turbidity: Array, b: Array, covariance: Array) -> Line:
     free = len(b) - 2
     odds = float(chi2.sf(left @ inverse @ left, free)) if free > 0 else None
     (b0, k), (b0_error, k_error) = values.tolist(), errors.tolist()
-    return Line(b0, b0_error, k, k_error, odds)
+    correlation = float(spread_of_line[0, 1]) / max(b0_error * k_error, 1e-300)
+    return Line(b0, b0_error, k, k_error, correlation, odds)
 
 
 def _message(
