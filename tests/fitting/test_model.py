@@ -6,7 +6,7 @@ from fitted import medium, pixels, seen, structure
 import uwaug
 from uwaug.blur.plan import plan_blur
 from uwaug.blur.stack import node_slopes, node_weights
-from uwaug.fitting.model import rendered, slopes
+from uwaug.fitting.model import rendered
 from uwaug.fitting.solve import Problem
 from uwaug.fitting.structure import MODELS
 
