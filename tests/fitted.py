@@ -8,8 +8,9 @@ from torch import Tensor
 
 import uwaug
 from uwaug.colour import linear_to_srgb, srgb_to_linear
+from uwaug.fitting.one_water import OneWater
 from uwaug.fitting.pixels import Pair, gather
-from uwaug.fitting.structure import MODELS, Geometry, OneWater
+from uwaug.fitting.structure import MODELS, Geometry
 from uwaug.scene import motorcycle
 
 COLOURS = ("red", "green", "blue")

@@ -2,16 +2,13 @@
 or that fails its check; a package that is missing), 2 used wrongly.
 """
 
-import importlib.util
 import io
 import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -19,11 +16,16 @@ from rich.progress import Progress
 from rich.table import Table
 
 from uwaug import __version__
+from uwaug.commands.console import fail as _fail
+from uwaug.commands.console import refuse as _refuse
+from uwaug.commands.console import require_matplotlib
+from uwaug.commands.console import said as _said
+from uwaug.commands.export import export
+from uwaug.commands.fit import fit
 from uwaug.files import is_part
 from uwaug.optics.bands import WAVELENGTHS
 from uwaug.optics.camera import load_camera
 from uwaug.optics.water import JERLOV_TYPES, Water
-from uwaug.planned import SIDES
 from uwaug.presets import list_presets, load_preset
 
 app = typer.Typer(
@@ -56,21 +58,6 @@ def main() -> None:
         sys.exit(1)
 
 
-def _end(code: int, message: object) -> NoReturn:
-    print(f"Error: {message}", file=sys.stderr)
-    raise typer.Exit(code)
-
-
-def _refuse(message: object) -> NoReturn:
-    """For what was asked for wrongly."""
-    _end(2, message)
-
-
-def _fail(message: object) -> NoReturn:
-    """For what was asked for rightly and cannot be done."""
-    _end(1, message)
-
-
 def _version(wanted: bool) -> None:
     if wanted:
         print(f"uwaug {__version__}")
@@ -96,9 +83,7 @@ def demo(
     ] = False,
 ) -> None:
     """Draw a real scene in ten waters, term by term."""
-    if importlib.util.find_spec("matplotlib") is None:
-        cure = 'pip install ".[plot]" in a checkout of uwaug'
-        _fail(f"the demo draws with matplotlib, which is not installed: {cure}")
+    require_matplotlib("the demo draws")
     from uwaug.plots import PICTURES
 
     start = time.perf_counter()
@@ -174,47 +159,8 @@ def presets() -> None:
     Console().print(table)
 
 
-@app.command()
-def export(
-    preset: Annotated[str, typer.Option(help="Name of a preset, or path of its TOML file.")],
-    out: Annotated[Path, typer.Option(help="The file to write.")],
-    water: Annotated[
-        str | None, typer.Option(help="Jerlov type that takes the place of the preset's.")
-    ] = None,
-    parameters: Annotated[
-        str, typer.Option(help="frozen, or inputs: one file for many waters.")
-    ] = "frozen",
-    field: Annotated[
-        str, typer.Option(help="none, or input: the medium field as an input.")
-    ] = "none",
-    image: Annotated[str, typer.Option(help="float32 (0…1) or uint8 (0…255).")] = "float32",
-    sides: Annotated[
-        tuple[int, int], typer.Option(help="Smallest and largest short side that it serves, px.")
-    ] = SIDES,
-    force: Annotated[bool, typer.Option("--force", help="Write over an existing file.")] = False,
-) -> None:
-    """Write a preset as an ONNX file, and check it."""
-    from uwaug.onnx import export_onnx, read_metadata
-    from uwaug.onnx.metadata import Options
-
-    if out.exists() and not force:
-        _refuse(f"{out} exists: choose another file, or --force to write over it")
-    options: dict[str, Any] = {"parameters": parameters, "field": field, "image": image}
-    try:
-        Options(**options)
-        module = load_preset(preset, water=water).module(sides)
-    except ValueError as error:
-        _refuse(error)
-    except OSError as error:
-        _fail(error)
-    try:
-        with _said() as say:
-            export_onnx(module, out, **options, progress=say)
-        metadata = read_metadata(out)
-    except (ImportError, OSError, ValueError) as error:
-        _fail(error)
-    print(f"{out}  ({out.stat().st_size / 1024:.0f} KiB)")
-    print(f"    {metadata['uwaug_medium']}\n    {metadata['uwaug_plan']}")
+app.command()(fit)
+app.command()(export)
 
 
 @app.command()
@@ -230,14 +176,3 @@ def check(path: Annotated[Path, typer.Argument(help="A file that uwaug has expor
         _fail(error)
     worst = f"largest difference {report.worst:.2g}{unit}"
     print(f"{path}: {report.cases} cases, {worst} ({report.where})")
-
-
-@contextmanager
-def _said() -> Iterator[Callable[[str], None]]:
-    """Says on a terminal what is being done, for as long as it is."""
-    errors = Console(stderr=True)
-    if not errors.is_terminal:
-        yield lambda _: None
-        return
-    with errors.status("starting") as status:
-        yield status.update

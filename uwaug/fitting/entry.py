@@ -13,10 +13,11 @@ from uwaug.fitting.choice import choose
 from uwaug.fitting.finish import finished
 from uwaug.fitting.inputs import Pictures, distances_apart, pairs_of, require_pixels
 from uwaug.fitting.noise import Noise
+from uwaug.fitting.one_water import OneWater
 from uwaug.fitting.pixels import Pair, gather, widest_blur
 from uwaug.fitting.result import Fit
 from uwaug.fitting.search import Search
-from uwaug.fitting.structure import MODELS, Gain, Geometry, OneWater
+from uwaug.fitting.structure import MODELS, Gain, Geometry
 from uwaug.optics.curves import FARTHEST
 from uwaug.replay import reproducible
 

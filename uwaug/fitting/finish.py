@@ -7,10 +7,10 @@ import torch
 
 from uwaug.fitting.choice import Tried
 from uwaug.fitting.noise import Noise
+from uwaug.fitting.one_water import OneWater
 from uwaug.fitting.pixels import Pair
 from uwaug.fitting.report import correlation, parameters_of
 from uwaug.fitting.result import Candidate, Correlation, Fit
-from uwaug.fitting.structure import OneWater
 from uwaug.fitting.uncertainty import spread
 from uwaug.fitting.verdict import verdict
 

@@ -13,11 +13,13 @@ from torch import Tensor
 
 from uwaug.files import require_regular, written_whole
 from uwaug.fitting.media import media_of
-from uwaug.fitting.model import Natural
+from uwaug.fitting.model import KINDS, Natural
 from uwaug.fitting.noise import Noise
+from uwaug.fitting.one_water import OneWater
 from uwaug.fitting.pixels import Pair
 from uwaug.fitting.report import Parameter, table
-from uwaug.fitting.structure import MODELS, Geometry, OneWater
+from uwaug.fitting.solve import stacked
+from uwaug.fitting.structure import MODELS, Geometry
 from uwaug.formation import form_image
 from uwaug.optics.medium import Medium
 from uwaug.optics.spectra import Array
@@ -28,6 +30,9 @@ if TYPE_CHECKING:
 __all__ = ["Candidate", "Correlation", "Fit"]
 
 _FORMAT = 1
+
+_FLATTEST = 0.2
+"""Exponent of a width law, at least."""
 
 
 class Candidate(NamedTuple):
@@ -94,7 +99,7 @@ class Fit:
     @property
     def medium(self) -> Medium:
         """The water, as `uwaug.Underwater` and `uwaug.form_image` take it: a batch of one."""
-        return _medium(self.structure, torch.from_numpy(self.theta)[None])
+        return _medium(self.structure, torch.from_numpy(self.theta))
 
     @property
     def gains(self) -> Tensor:
@@ -102,8 +107,8 @@ class Fit:
         return self.structure.natural(torch.from_numpy(self.theta)).gain
 
     def sample(self, count: int, generator: torch.Generator | None = None) -> Medium:
-        """A batch of waters that the pictures allow: drawn from the fit's normal distribution,
-        within the bounds.
+        """A batch of waters that the pictures allow: drawn from the normal distribution of what
+        pictures depend on, as far as a water can be so.
 
         Args:
             count: how many.
@@ -111,14 +116,38 @@ class Fit:
         """
         if not isinstance(count, int) or count < 1:
             raise ValueError(f"count must be a whole number ≥ 1, got {count!r}")
-        values, vectors = np.linalg.eigh(self.covariance)
-        root = torch.from_numpy(vectors * np.sqrt(np.maximum(values, 0.0)))
-        normal = torch.randn(count, len(self.theta), generator=generator, dtype=torch.float64)
-        drawn = torch.from_numpy(self.theta) + normal @ root.T
-        bounds = list(self.structure.bounds.values())
-        low = torch.tensor([one.low for one in bounds], dtype=torch.float64)
-        high = torch.tensor([one.high for one in bounds], dtype=torch.float64)
-        return _medium(self.structure, drawn.clamp(low, high))
+        middle, root = self._natural_spread()
+        normal = torch.randn(count, root.shape[1], generator=generator, dtype=torch.float64)
+        drawn = (middle + normal @ root.T).clamp(min=0.0).reshape(count, len(KINDS), 3)
+        beta, G, source, width, exponent, _ = drawn.unbind(1)
+        shape, forward = self.structure.shape, self.structure.shape is not None
+        if forward or self.structure.model.veil == "shared":
+            G = G.minimum(beta)
+        natural = Natural(
+            beta=beta,
+            G=G,
+            source=source,
+            width=width[:, 0] if forward else None,
+            exponent=exponent[:, 0].clamp(min=_FLATTEST) if forward else None,
+            gain=torch.ones_like(beta),
+        )
+        b = (beta - G) / (1 - self.structure.g)
+        return media_of(natural, b.mean(1), shape, self.structure.geometry)
+
+    def _natural_spread(self) -> tuple[Tensor, Tensor]:
+        """What pictures depend on (18), and a root of its covariance. (Of θ a sample would be
+        none of the fit's: where β is hardly known and G well, G/β and β make up for each other,
+        and no longer do where one of them meets its bound.)
+        """
+        theta = torch.from_numpy(self.theta)
+
+        def natural(numbers: Tensor) -> Tensor:
+            return stacked(self.structure.natural(numbers))[:, 0].flatten()
+
+        slopes = torch.func.jacrev(natural)(theta)
+        covariance = slopes @ torch.from_numpy(self.covariance) @ slopes.T
+        values, vectors = torch.linalg.eigh(covariance)
+        return natural(theta), vectors * values.clamp(min=0.0).sqrt()
 
     @property
     def rendered(self) -> list[Tensor]:
@@ -275,16 +304,11 @@ def _from_json(values: Mapping[str, Any]) -> Fit:
 
 
 def _medium(structure: OneWater, theta: Tensor) -> Medium:
-    """Media of rows of numbers."""
+    natural = structure.natural(theta)
     # any pair, as all are of one water
-    rows = [structure.natural(row) for row in theta]
-    joined: dict[str, Any] = {}
-    for name in Natural._fields:
-        column = [getattr(row, name) for row in rows]
-        joined[name] = None if column[0] is None else torch.stack([one[0] for one in column])
-    natural = Natural(**joined)
-    b = (natural.beta - natural.G) / (1 - structure.g)
-    return media_of(natural, b.mean(1), structure.shape, structure.geometry)
+    one = [None if value is None else value[:1] for value in natural]
+    b = (natural.beta[:1] - natural.G[:1]) / (1 - structure.g)
+    return media_of(Natural(*one), b.mean(1), structure.shape, structure.geometry)  # type: ignore[arg-type]
 
 
 def _kin(one: str, other: str) -> bool:

@@ -8,10 +8,11 @@ import numpy as np
 from uwaug.colour import ColorSpace
 from uwaug.fitting.choice import Tried, tried_of
 from uwaug.fitting.noise import Noise, counted, estimated
+from uwaug.fitting.one_water import OneWater
 from uwaug.fitting.pixels import Pixels, thinned
 from uwaug.fitting.solve import Problem, Solution, solve
 from uwaug.fitting.start import best_of_starts, guess
-from uwaug.fitting.structure import OneWater, Structure
+from uwaug.fitting.structure import Structure
 from uwaug.optics.spectra import Array
 
 __all__ = ["Search"]

@@ -13,12 +13,13 @@ from uwaug.fitting.choice import choose, tried_of
 from uwaug.fitting.entry import geometry_of
 from uwaug.fitting.inputs import distances_apart, pairs_of, require_pixels
 from uwaug.fitting.noise import Noise
+from uwaug.fitting.one_water import OneWater
 from uwaug.fitting.pixels import Pixels, gather, thinned
 from uwaug.fitting.search import Search
 from uwaug.fitting.series_model import SeriesWater
 from uwaug.fitting.series_result import SeriesFit, finished_series
 from uwaug.fitting.solve import Problem, solve
-from uwaug.fitting.structure import MODELS, OneWater
+from uwaug.fitting.structure import MODELS
 from uwaug.optics.spectra import Array
 from uwaug.replay import reproducible
 

@@ -13,7 +13,7 @@ from uwaug.fitting.pixels import Pixels
 from uwaug.fitting.structure import Structure
 from uwaug.optics.spectra import Array
 
-__all__ = ["ROBUST", "Problem", "S", "Solution", "influence", "loss", "solve"]
+__all__ = ["ROBUST", "Problem", "S", "Solution", "influence", "loss", "solve", "stacked"]
 
 S = TypeVar("S", bound=Structure)
 

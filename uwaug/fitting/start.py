@@ -8,9 +8,10 @@ import torch
 from torch import Tensor
 
 from uwaug.fitting.model import Natural, rendered
+from uwaug.fitting.one_water import OneWater
 from uwaug.fitting.pixels import Pixels, thinned
 from uwaug.fitting.solve import Problem, Solution, solve
-from uwaug.fitting.structure import COLOURS, OneWater
+from uwaug.fitting.structure import COLOURS
 from uwaug.optics.spectra import Array
 
 __all__ = ["best_of_starts", "guess"]

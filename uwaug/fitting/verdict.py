@@ -5,8 +5,9 @@ tell and why.
 import numpy as np
 
 from uwaug.fitting.choice import Tried
+from uwaug.fitting.one_water import OneWater
 from uwaug.fitting.report import Parameter
-from uwaug.fitting.structure import COLOURS, OneWater
+from uwaug.fitting.structure import COLOURS
 from uwaug.fitting.uncertainty import Spread
 
 __all__ = ["verdict"]

@@ -1,0 +1,268 @@
+"""Pictures, distances and masks from files."""
+
+import os
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import tifffile
+import torch
+from numpy.typing import NDArray
+from PIL import Image
+from torch import Tensor
+
+from uwaug import checks
+from uwaug.files import require_regular
+
+__all__ = ["UNITS", "read_distance", "read_mask", "read_picture"]
+
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-6}
+"""What distances may be written in, m."""
+
+_FARTHEST = 1000.0
+"""m: no map of metres has a median beyond; no water lets one see farther than 100 m."""
+
+_OPEN = 1e7
+"""Beyond, a number stands for open water."""
+
+_ORIENTATION = 0x0112
+"""EXIF's tag, and TIFF's."""
+
+_COLOUR = "colour"
+
+_INKS = ("CMYK", "LAB", "HSV")
+"""Pillow's names of channels that are neither light nor alpha."""
+
+_CURES = {
+    "grey": "the model needs colours; if it may have none, save it as RGB",
+    "a palette of greys": "the model needs colours; if it may have none, save it as RGB",
+    "CMYK": "save it as RGB from a picture editor, which knows the inks",
+}
+
+Values = NDArray[Any]
+
+
+class _Raster(NamedTuple):
+    """What a file holds.
+
+    Attributes:
+        values: HxW in grey, HxWx3 in colour.
+        kind: "colour", "grey", or in words what cannot be used.
+    """
+
+    values: Values
+    kind: str
+
+
+def read_picture(path: str | os.PathLike[str]) -> Tensor:
+    """Read a picture in colour.
+
+    Args:
+        path: PNG, JPEG, WebP, TIFF (its first page) or whatever else Pillow reads; 8 or 16 bit, or
+            floating point. Or .npy of HxWx3 or 3xHxW.
+
+    Returns:
+        3xHxW: uint8 (0…255) of 8-bit files, float32 of others: 0…1 of 16-bit files, as they are of
+        floating point. Upright, as EXIF says that the camera was held; without alpha. A colour
+        profile is not applied.
+
+    Raises:
+        ValueError: if it is grey, CMYK, of another type, or cannot be decoded; names the file.
+        OSError: if there is no such file, or it cannot be read.
+    """
+    raster = _read(path)
+    if raster.kind != _COLOUR:
+        cure = _CURES.get(raster.kind, "save it as RGB")
+        raise ValueError(f"{path}: expected a picture in colour, got {raster.kind}: {cure}")
+    values = raster.values.transpose(2, 0, 1)
+    if values.dtype == np.uint8:
+        return torch.from_numpy(values.copy())
+    if values.dtype == np.uint16:
+        return torch.from_numpy(values.astype(np.float32) / np.float32(65535))
+    if values.dtype.kind != "f":
+        expected = "expected 8 or 16 bit, or floating point"
+        raise ValueError(f"{path}: {expected}, got {values.dtype}: save it as 16 bit")
+    picture = torch.from_numpy(values.astype(np.float32))
+    try:
+        checks.finite("picture", picture)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+    return picture
+
+
+def read_distance(path: str | os.PathLike[str], unit: str = "m") -> Tensor:
+    """Read a map of distances.
+
+    Args:
+        path: .npy, or .npz of one array (HxW, 1xHxW or HxWx1); TIFF (its first page) or PNG of one
+            channel, 16 bit or floating point; PFM; or OpenEXR of one channel, or with one called Z.
+        unit: of the numbers in the file: "m", "cm", "mm" or "um".
+
+    Returns:
+        1xHxW, float32, m. 0 and NaN, which stand for unknown, and +inf stay.
+
+    Raises:
+        ValueError: if it holds colours or 8 bits, which are no distances; if no pixel's is known;
+            if its median lies beyond 1000 m; or if it cannot be decoded. Names the file.
+        OSError: if there is no such file, or it cannot be read.
+    """
+    checks.one_of("unit", unit, UNITS)
+    values = _one_channel(path, "distances")
+    if values.dtype.itemsize == 1:
+        cure = "relative depth? Make metres of it with uwaug.distance and save them as .npy"
+        raise ValueError(f"{path}: expected 16 bit or floating point, got {values.dtype}: {cure}")
+    z = values.astype(np.float64) * UNITS[unit]
+    known = z[(z > 0) & (z < _OPEN)]
+    if not known.size and not (z > 0).any():
+        raise ValueError(f"{path}: no pixel has a distance > 0: expected metres, 0 where unknown")
+    if known.size and (median := float(np.median(known))) > _FARTHEST:
+        finer = "mm" if unit in ("m", "cm") else "um"
+        got = f"its median is {median:.5g} m if it is in {unit}"
+        raise ValueError(f"{path}: {got}, farther than one sees: try --distance-unit {finer}")
+    return torch.from_numpy(z.astype(np.float32))[None]
+
+
+def read_mask(path: str | os.PathLike[str]) -> Tensor:
+    """Read a mask, from files of one channel as `read_distance`, of 8 bits or 1 bit too.
+
+    Returns:
+        1xHxW, bool: true where the file is > 0.
+
+    Raises:
+        ValueError: if it holds colours, or cannot be decoded; names the file.
+        OSError: if there is no such file, or it cannot be read.
+    """
+    return torch.from_numpy(_one_channel(path, "a mask") > 0)[None]
+
+
+def _one_channel(path: str | os.PathLike[str], wanted: str) -> Values:
+    """The HxW numbers of a file."""
+    raster = _read(path)
+    if raster.kind != "grey" or raster.values.dtype.kind not in "biuf":
+        got = raster.kind if raster.kind != "grey" else f"numbers of type {raster.values.dtype}"
+        cure = "save one channel of plain numbers"
+        raise ValueError(f"{path}: expected {wanted} in one channel, got {got}: {cure}")
+    return raster.values
+
+
+def _read(path: str | os.PathLike[str]) -> _Raster:
+    require_regular(path)
+    try:
+        raster = _decoded(Path(path))
+    except MemoryError:
+        raise
+    except Exception as error:
+        # decoders raise whatever they like over a damaged file
+        if isinstance(error, OSError) and error.errno is not None:
+            raise
+        raise ValueError(f"{path}: {error}") from error
+    if not raster.values.size:
+        raise ValueError(f"{path}: holds no pixels, got shape {raster.values.shape}")
+    return raster
+
+
+def _decoded(path: Path) -> _Raster:
+    """By what a file begins with, as names may lie."""
+    with path.open("rb") as file:
+        head = file.read(26)
+    if head.startswith((b"\x93NUMPY", b"PK\x03\x04")):
+        return _numpy(path)
+    if head.startswith((b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")):
+        return _tiff(path)
+    if head.startswith(b"\x76\x2f\x31\x01"):
+        return _exr(path)
+    # the bits of a PNG's channels, of which Pillow would drop half
+    if head.startswith(b"\x89PNG") and head[24] == 16:
+        return _png_of_16_bits(path)
+    return _pillow(path)
+
+
+def _numpy(path: Path) -> _Raster:
+    found = np.load(path, allow_pickle=False)
+    if isinstance(found, np.lib.npyio.NpzFile):
+        with found:
+            if len(found.files) != 1:
+                raise ValueError(f"expected one array, got {', '.join(found.files) or 'none'}")
+            found = found[found.files[0]]
+    if found.ndim == 3 and found.shape[-1] not in (1, 3, 4) and found.shape[0] in (1, 3, 4):
+        found = np.moveaxis(found, 0, -1)
+    return _channels(found)
+
+
+def _channels(values: Values) -> _Raster:
+    """Of HxW or HxWxC: grey or colour, without alpha."""
+    if values.ndim == 2:
+        return _Raster(values, "grey")
+    if values.ndim == 3 and values.shape[-1] in (1, 2):
+        return _Raster(values[..., 0], "grey")
+    if values.ndim == 3 and values.shape[-1] in (3, 4):
+        return _Raster(values[..., :3], _COLOUR)
+    raise ValueError(f"expected (H, W) or (H, W, 3), got {values.shape}: save one picture")
+
+
+def _tiff(path: Path) -> _Raster:
+    with tifffile.TiffFile(path) as file:
+        page = file.pages.first
+        # palettes, inks and YCbCr are Pillow's
+        if page.photometric not in (tifffile.PHOTOMETRIC.RGB, tifffile.PHOTOMETRIC.MINISBLACK):
+            return _pillow(path)
+        if page.bitspersample not in (1, 8, 16, 32, 64):
+            got = f"got {page.bitspersample} bits in a channel"
+            raise ValueError(f"expected 8 or 16 bits, or floating point, {got}: save it as 16")
+        values = page.asarray()
+        if "S" in page.axes:
+            values = np.moveaxis(values, page.axes.index("S"), -1)
+        tag = page.tags.get(_ORIENTATION)
+    raster = _channels(values)
+    return raster._replace(values=_upright(raster.values, 1 if tag is None else int(tag.value)))
+
+
+def _png_of_16_bits(path: Path) -> _Raster:
+    from imagecodecs import png_decode
+
+    with Image.open(path) as image:
+        orientation = image.getexif().get(_ORIENTATION, 1)
+    return _channels(_upright(png_decode(path.read_bytes()), orientation))
+
+
+def _pillow(path: Path) -> _Raster:
+    with Image.open(path) as image:
+        image.load()
+        orientation = image.getexif().get(_ORIENTATION, 1)
+        mode = image.mode
+        if mode in ("P", "PA", "YCbCr"):
+            # by way of alpha, else Pillow warns of a transparent entry of a palette
+            values = np.asarray(image.convert("RGBA"))
+        else:
+            values = np.asarray(image)
+    values = _upright(values, orientation)
+    if mode in ("P", "PA") and bool((values[..., 1:3] == values[..., :1]).all()):
+        return _Raster(values, "a palette of greys")
+    if mode in _INKS:
+        return _Raster(values, mode)
+    return _channels(values)
+
+
+def _exr(path: Path) -> _Raster:
+    try:
+        import OpenEXR
+    except ImportError:
+        cure = 'pip install ".[exr]" in a checkout of uwaug, or save it as .npy'
+        raise ValueError(f"OpenEXR is missing, which reads it: {cure}") from None
+    channels = OpenEXR.File(str(path), separate_channels=True).channels()
+    names = list(channels)
+    if len(names) > 1 and "Z" not in names:
+        cure = "save one channel, or call it Z"
+        raise ValueError(f"holds the channels {', '.join(names)}, none of them Z: {cure}")
+    return _channels(channels["Z" if "Z" in names else names[0]].pixels)
+
+
+def _upright(values: Values, orientation: int) -> Values:
+    """As EXIF says that the camera was held: where the first row and the first column belong."""
+    if orientation in (5, 6, 7, 8):
+        values = values.swapaxes(0, 1)
+    if orientation in (2, 3, 6, 7):
+        values = values[:, ::-1]
+    if orientation in (3, 4, 7, 8):
+        values = values[::-1]
+    return values
