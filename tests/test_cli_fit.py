@@ -136,6 +136,15 @@ def test_options_arrive(run, scene, monkeypatch):
     assert (seen["focal_px"], seen["seed"]) == (70.0, 3)
 
 
+def test_what_jpeg_does_is_said(run, scene):
+    assert "JPEG" not in run("fit", *PAIR, *FAST, "--out", "fit.json")[1]
+    Image.open("observed.png").save("observed.JPG", quality=95)
+    lossy = [word.replace("observed.png", "observed.JPG") for word in PAIR]
+    code, out, _ = run("fit", *lossy, *FAST, "--out", "lossy.json")
+    assert code == 0
+    assert "Note: observed.JPG: JPEG blurs colours" in out
+
+
 def test_one_clean_picture_serves_two(run, scene):
     two = ["--observed", "observed-2.png", "--distance", "z-2.png"]
     code, out, err = run("fit", *PAIR, *two, *FAST, "--gain", "free", "--out", "fit.json")

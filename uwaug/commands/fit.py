@@ -101,8 +101,17 @@ def fit(
         print(found.summary())
         fail(error)
     print(f"{found.summary()}\n")
+    _say_lossy([*given["clean"], *given["observed"]])
     for path in filter(None, (out, report)):
         print(f"{path}  ({path.stat().st_size / 1024:.0f} KiB)")
+
+
+def _say_lossy(pictures: list[Path]) -> None:
+    """JPEG stores colours at half the resolution, which a fit takes for scattering."""
+    lossy = sorted({path.name for path in pictures if path.suffix.lower() in (".jpg", ".jpeg")})
+    if lossy:
+        moves = "which can move coefficients by more than their errors"
+        print(f"Note: {', '.join(lossy)}: JPEG blurs colours, {moves}; prefer PNG or TIFF.\n")
 
 
 def _write(found: uwaug.Fit | uwaug.SeriesFit, out: Path, report: Path | None) -> None:

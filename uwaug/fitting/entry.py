@@ -18,8 +18,8 @@ from uwaug.fitting.pixels import Pair, gather, widest_blur
 from uwaug.fitting.result import Fit
 from uwaug.fitting.search import Search
 from uwaug.fitting.structure import MODELS, Gain, Geometry
+from uwaug.fitting.threads import one_thread
 from uwaug.optics.curves import FARTHEST
-from uwaug.replay import reproducible
 
 __all__ = ["fit", "geometry_of"]
 
@@ -120,8 +120,7 @@ def fit(
     distances_apart(pairs)
     structures = _structures(model, geometry_of(pairs, focal_px, relative), gain, g, fixed or {})
     search = Search(color_space, robust, seed, dict(start or {}), progress or (lambda _: None))
-    # many small steps, which several threads would slow down
-    with reproducible():
+    with one_thread():
         search.say("blurring the clean picture")
         shapes = sorted({one.shape for one in structures if one.shape is not None})
         drawn = gather(pairs, shapes, int(pixels), np.random.default_rng(seed))

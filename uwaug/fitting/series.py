@@ -20,8 +20,8 @@ from uwaug.fitting.series_model import SeriesWater
 from uwaug.fitting.series_result import SeriesFit, finished_series
 from uwaug.fitting.solve import Problem, solve
 from uwaug.fitting.structure import MODELS
+from uwaug.fitting.threads import one_thread
 from uwaug.optics.spectra import Array
-from uwaug.replay import reproducible
 
 __all__ = ["fit_series"]
 
@@ -80,7 +80,7 @@ def fit_series(
             shape = MODELS[name].shape
             structures.append(SeriesWater(name, shape, geometry, level, len(levels)))
     search = Search(color_space, robust, seed, {}, progress or (lambda _: None))
-    with reproducible():
+    with one_thread():
         search.say("blurring the clean pictures")
         shapes = sorted({one.shape for one in structures if one.shape is not None})
         drawn = gather(checked, shapes, int(pixels), np.random.default_rng(seed))
