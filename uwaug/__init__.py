@@ -8,7 +8,17 @@ from uwaug.blur.plan import BlurPlan, plan_blur
 from uwaug.blur.stack import varying_blur
 from uwaug.draw import collate_records
 from uwaug.field import gaussian_random_field
-from uwaug.fitting import Fit, Noise, SeriesFit, fit, fit_series
+from uwaug.fitting import (
+    Fit,
+    Noise,
+    SeriesFit,
+    VeilFit,
+    WaterFit,
+    fit,
+    fit_series,
+    fit_veil,
+    fit_water,
+)
 from uwaug.formation import Terms, form_image
 from uwaug.module import Underwater
 from uwaug.onnx import OnnxUnderwater, check_onnx, export_onnx
@@ -35,7 +45,9 @@ __all__ = [
     "SeriesFit",
     "Terms",
     "Underwater",
+    "VeilFit",
     "Water",
+    "WaterFit",
     "blur_demand",
     "check_onnx",
     "collate_records",
@@ -43,6 +55,8 @@ __all__ = [
     "export_onnx",
     "fit",
     "fit_series",
+    "fit_veil",
+    "fit_water",
     "form_image",
     "gaussian_random_field",
     "list_presets",

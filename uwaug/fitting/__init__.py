@@ -8,5 +8,23 @@ from uwaug.fitting.report import Parameter
 from uwaug.fitting.result import Candidate, Fit
 from uwaug.fitting.series import fit_series
 from uwaug.fitting.series_result import Line, SeriesFit
+from uwaug.fitting.veil import fit_veil
+from uwaug.fitting.veil_result import VeilFit
+from uwaug.fitting.water import fit_water
+from uwaug.fitting.water_result import JerlovType, WaterFit
 
-__all__ = ["Candidate", "Fit", "Line", "Noise", "Parameter", "SeriesFit", "fit", "fit_series"]
+__all__ = [
+    "Candidate",
+    "Fit",
+    "JerlovType",
+    "Line",
+    "Noise",
+    "Parameter",
+    "SeriesFit",
+    "VeilFit",
+    "WaterFit",
+    "fit",
+    "fit_series",
+    "fit_veil",
+    "fit_water",
+]

@@ -24,7 +24,7 @@ Places = NDArray[np.int64]
 _TOLERANCE = 5e-4
 """Of the blurs: what they are wrong by is the least that a residual can be."""
 
-_WIDEST = 1 / 8
+_WIDEST = 1 / 5
 """Of the picture's short side: the widest blur that a law may ask for. The calibrated law reaches
 that of a 60° view after ten scattering lengths, where no light is left.
 """
