@@ -12,6 +12,7 @@ PARTS = (
     "planner",
     "stability",
     "physics",
+    "fitting",
     "draws",
     "scaling",
     "runtime",

@@ -178,7 +178,7 @@ def test_one_clean_picture_serves_two(run, scene):
         (1, [*PAIR[:-1], "no.png"], "No such file or directory: 'no.png'"),
         (1, [*PAIR[:3], "clean.png", *PAIR[4:], *FAST], "are the same picture"),
         (1, [*PAIR[:-1], "flat.npy", *FAST[2:]], "distance is flat"),
-        (1, [*PAIR[:-1], "small.npy", *FAST[2:]], "height and width must agree"),
+        (1, [*PAIR[:-1], "small.npy", *FAST[2:]], "they must be aligned"),
     ],
 )
 def test_wrong_fits(run, scene, code, arguments, message):

@@ -95,11 +95,7 @@ class SampleTransform(nn.Module):
         Returns:
             A function of the same inputs as the transform, which draws the same at every call.
         """
-        which = index if isinstance(index, str) else whole(index)
-        key = hashlib.blake2b(
-            f"{whole(seed)}/{whole(epoch)}/{which}".encode(), digest_size=4
-        ).digest()
-        return partial(self._apply_with, int.from_bytes(key))
+        return partial(self._apply_with, key_of(seed, epoch, index))
 
     def _apply_with(self, key: int, *inputs: Any) -> Any:
         generator = torch.Generator().manual_seed(key)
@@ -115,6 +111,13 @@ class SampleTransform(nn.Module):
         parts = take_apart(inputs, self.image_key, self.distance_key, mapped=self._mapped)
         plain_image(parts.image)
         return parts
+
+
+def key_of(seed: int, epoch: int, index: int | str) -> int:
+    """A seed of 32 bits, all that a generator of torch takes, from a key; see `at`."""
+    which = index if isinstance(index, str) else whole(index)
+    text = f"{whole(seed)}/{whole(epoch)}/{which}"
+    return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=4).digest())
 
 
 def _alone(result: Tensor) -> Tensor:

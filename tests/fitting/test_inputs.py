@@ -30,8 +30,8 @@ def test_millimetres(known):
 
 def test_sizes(known):
     clean, observed, z = known
-    refused("observed is .* but image is", clean, observed[:, 1:], z)
-    refused("distance is .* but image is", clean, observed, z[:, 1:])
+    refused("observed is .* but clean is", clean, observed[:, 1:], z)
+    refused("distance is .* but clean is", clean, observed, z[:, 1:])
 
 
 def test_saturated_and_black(known):
@@ -75,8 +75,8 @@ def test_types_and_options(known):
     refused("focal_px must be finite and > 0 px", *known, focal_px=0)
     refused(r"g must be in \[0, 0\.99\]", *known, g=1.0)
     refused(r"pixels must be in \[500, 100000\]", *known, pixels=10)
-    refused(r"fixed\['beta_red'\] must be finite and ≥ 0", *known, fixed={"beta_red": -1})
-    refused("observed: expected one or as many", clean, [observed] * 2, [z] * 3)
+    refused(r"fixed\['beta_red'\] must be in \[0, 1e\+06\], got -1", *known, fixed={"beta_red": -1})
+    refused("distance: expected one or as many as observed", clean, [observed] * 2, [z] * 3)
     refused("clean is empty", [], observed, z)
     refused("observed reaches [0-9]+", clean, observed.float(), z)
 

@@ -123,17 +123,20 @@ class Numbers:
 
 
 def test_one_standard_error():
-    simple = Tried(None, Numbers(3), np.array([1.0, 1.2, 0.8, 1.1]), 40)
+    simple = Tried(None, Numbers(3), 10 * np.array([1.0, 1.2, 0.8, 1.1]), 40)
     # better by less than its error
-    middle = Tried(None, Numbers(5), np.array([1.1, 1.0, 0.8, 1.0]), 40)
+    middle = Tried(None, Numbers(5), 10 * np.array([1.1, 1.0, 0.8, 1.0]), 40)
     # better by far, in every block
-    rich = Tried(None, Numbers(9), np.array([0.5, 0.7, 0.3, 0.6]), 40)
+    rich = Tried(None, Numbers(9), 10 * np.array([0.5, 0.7, 0.3, 0.6]), 40)
     assert choose([simple, middle]) is simple
     assert choose([middle, simple]) is simple
     assert choose([simple, middle, rich]) is rich
     excess, error = simple.behind(middle)
-    assert excess == pytest.approx(0.2)
-    assert error == pytest.approx(np.sqrt(4 * np.var([-0.1, 0.2, 0.0, 0.1])))
+    assert excess == pytest.approx(2)
+    assert error == pytest.approx(np.sqrt(4 * np.var([-1, 2, 0, 1])))
+    # a loss of less than 2 is that of chance, however sure it is
+    little = Tried(None, Numbers(9), simple.losses - 0.3, 40)
+    assert choose([simple, little]) is simple
     assert rich.behind(rich) == (0.0, 0.0)
 
 

@@ -1,6 +1,7 @@
 """`uwaug fit`."""
 
 from collections.abc import Callable
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
@@ -80,6 +81,7 @@ def fit(
         names = "--clean, --observed, --distance, --gain or --focal-px"
         refuse(f"--series takes the place of pairs of one water: expected no {names} beside it")
     _require_files(out, report, force)
+    _require_inputs_kept([out, report], [*chain(*given.values()), *(mask or [])])
     try:
         with said() as say:
             say("reading the pictures")
@@ -168,6 +170,13 @@ def _require_files(out: Path, report: Path | None, force: bool) -> None:
         refuse(f"--report and --out are one file, {out}: name two")
     require_room(report, force)
     require_matplotlib("a report is drawn")
+
+
+def _require_inputs_kept(written: list[Path | None], read: list[Path]) -> None:
+    """Refuse to write over what is read, --force or not."""
+    for path in filter(None, written):
+        if path.resolve() in {one.resolve() for one in read}:
+            refuse(f"{path} is one of the pictures: choose another file to write")
 
 
 def _fit_series(path: Path, unit: str, options: dict[str, Any]) -> uwaug.SeriesFit:

@@ -14,6 +14,9 @@ __all__ = ["Tried", "choose", "held_out", "tried_of"]
 
 _FOLDS = 5
 
+_CHANCE = 2.0
+"""Of summed loss: what a number gains by chance."""
+
 _STEPS = 6
 """Of a fit without a fold."""
 
@@ -67,7 +70,7 @@ def choose(tried: Sequence[Tried[S]]) -> Tried[S]:
     near = []
     for one in tried:
         excess, error = one.behind(best)
-        if excess <= error:
+        if excess <= max(error, _CHANCE):
             near.append(one)
     return min(near, key=lambda one: (len(one.solution.theta), float(one.losses.sum())))
 

@@ -11,13 +11,13 @@ from uwaug import checks
 from uwaug.colour import ColorSpace
 from uwaug.fitting.choice import choose
 from uwaug.fitting.finish import finished
-from uwaug.fitting.inputs import Pictures, distances_apart, pairs_of, require_pixels
+from uwaug.fitting.inputs import Pictures, bits_of, distances_apart, pairs_of, require_pixels
 from uwaug.fitting.noise import Noise
 from uwaug.fitting.one_water import OneWater
 from uwaug.fitting.pixels import Pair, gather, widest_blur
 from uwaug.fitting.result import Fit
 from uwaug.fitting.search import Search
-from uwaug.fitting.structure import MODELS, Gain, Geometry
+from uwaug.fitting.structure import COLOURS, MODELS, Gain, Geometry
 from uwaug.fitting.threads import one_thread
 from uwaug.optics.curves import FARTHEST
 
@@ -115,11 +115,14 @@ def fit(
     if g is not None:
         checks.within("g", g, 0.0, 0.99)
     checks.within("pixels", pixels, 500, 100_000)
-    pairs = pairs_of(clean, observed, distance, field, mask, color_space)
+    checks.within("seed", seed, 0)
+    pairs = pairs_of(clean, observed, distance, field, mask, color_space, relative=relative)
     require_pixels(pairs)
     distances_apart(pairs)
     structures = _structures(model, geometry_of(pairs, focal_px, relative), gain, g, fixed or {})
-    search = Search(color_space, robust, seed, dict(start or {}), progress or (lambda _: None))
+    begin = _checked("start", start or {}, structures)
+    say = progress or (lambda _: None)
+    search = Search(color_space, bool(robust), int(seed), begin, say, bits_of(observed))
     with one_thread():
         search.say("blurring the clean picture")
         shapes = sorted({one.shape for one in structures if one.shape is not None})
@@ -131,7 +134,7 @@ def fit(
             search.say("fitting without a gain")
             tried += search.each([replace(chosen.structure, gain="fixed")], weighed)
             chosen = choose([chosen, tried[-1]])
-        return finished(chosen, tried, found, pairs)
+        return finished(chosen, tried, found, pairs, search.gain_of(chosen))
 
 
 def _structures(
@@ -142,14 +145,37 @@ def _structures(
     for one in MODELS.values():
         if model in ("auto", one.name) and (one.law != "calibrated" or geometry.focal_px):
             share = _SHARES.get(one.law or "", _SHARE) if g is None else g
-            found.append(OneWater(one, geometry, gain, share, dict(fixed)))
-    for name, value in fixed.items():
-        checks.within(f"fixed[{name!r}]", value, 0.0)
-    fixable = [one for one in found if set(fixed) <= set(one.fixable)]
+            found.append(OneWater(one, geometry, gain, float(share), {}))
+    known = _checked("fixed", fixed, found)
+    fixable = []
+    for structure in found:
+        candidate = replace(structure, fixed=known)
+        if set(known) <= set(structure.fixable) and candidate.bounds:
+            fixable.append(candidate)
     if not fixable:
-        names = ", ".join(found[-1].fixable)
-        raise ValueError(f"fixed: expected some of {names}, got {', '.join(fixed)}")
+        raise ValueError(f"fixed: nothing is left to be fitted, got {', '.join(known)}")
     return fixable
+
+
+def _checked(
+    name: str, given: Mapping[str, float], structures: Sequence[OneWater]
+) -> dict[str, float]:
+    """Numbers by name, as a candidate knows them."""
+    if not isinstance(given, Mapping):
+        raise TypeError(f"{name} must be a dict of numbers, got {type(given).__name__}")
+    names = [set(one.fixable) for one in structures]
+    if not any(set(given) <= known for known in names):
+        wanted = ", ".join(structures[-1].fixable)
+        raise ValueError(f"{name}: expected some of {wanted}, got {', '.join(map(str, given))}")
+    for key, value in given.items():
+        least = 0.2 if key == "exponent" else 0.0
+        most = structures[-1].geometry.widest if key == "width" else 1e6
+        checks.within(f"{name}[{key!r}]", value, least, most)
+    for colour in COLOURS:
+        beta, G = given.get(f"beta_{colour}"), given.get(f"G_{colour}")
+        if beta is not None and G is not None and beta < G and structures[-1].model.law:
+            raise ValueError(f"{name}: expected G_{colour} ≤ beta_{colour}, got {G} and {beta}")
+    return {key: float(value) for key, value in given.items()}
 
 
 def geometry_of(pairs: Sequence[Pair], focal_px: float | None, relative: bool) -> Geometry:
@@ -161,6 +187,6 @@ def geometry_of(pairs: Sequence[Pair], focal_px: float | None, relative: bool) -
         reference=float(known.median()),
         farthest=float(np.quantile(known.numpy(), 0.95)),
         widest=min(widest_blur(pair.size) for pair in pairs),
-        focal_px=focal_px,
+        focal_px=None if focal_px is None else float(focal_px),
         unit="unit" if relative else "m",
     )

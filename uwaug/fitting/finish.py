@@ -18,9 +18,13 @@ __all__ = ["candidates_of", "explained", "finished"]
 
 
 def finished(
-    chosen: Tried[OneWater], tried: list[Tried[OneWater]], noise: Noise, pairs: Sequence[Pair]
+    chosen: Tried[OneWater],
+    tried: list[Tried[OneWater]],
+    noise: Noise,
+    pairs: Sequence[Pair],
+    gain: float | None,
 ) -> Fit:
-    """The fit of `chosen`, one of `tried`."""
+    """The fit of `chosen`, one of `tried`; gain: that would explain the pictures better."""
     problem, solution = chosen.problem, chosen.solution
     structure = chosen.structure
     found = spread(problem, solution)
@@ -31,7 +35,7 @@ def finished(
         parameters=parameters,
         correlation=Correlation(*correlation(structure, solution, found)),
         candidates=candidates_of(tried),
-        message=verdict(chosen, tried, parameters, found, share, rms),
+        message=verdict(chosen, tried, parameters, found, share, rms, gain),
         noise=noise,
         rms=rms,
         history=solution.history,

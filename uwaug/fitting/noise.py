@@ -22,6 +22,9 @@ _BINS = 16
 _INSIDE = 3.0
 """Standard deviations of noise, by which a value lies above black and below white."""
 
+_MOST = 0.1
+"""Of linear light: a very noisy picture would have no pixels left."""
+
 _MAD = 1.4826
 """Standard deviations in a median absolute deviation of Gaussian noise."""
 
@@ -115,5 +118,5 @@ def counted(light: Tensor, deviation: Tensor, color_space: ColorSpace) -> Tensor
     """
     if color_space == "linear":  # is never clipped
         return torch.ones_like(light, dtype=torch.bool)
-    margin = _INSIDE * deviation
+    margin = (_INSIDE * deviation).clamp(max=_MOST)
     return (light > margin) & (light < 1 - margin)

@@ -21,7 +21,7 @@ __all__ = ["Pair", "Pixels", "Stack", "gather", "reference_distance", "thinned",
 
 Places = NDArray[np.int64]
 
-_TOLERANCE = 5e-4
+_TOLERANCE = 2e-4
 """Of the blurs: what they are wrong by is the least that a residual can be."""
 
 _WIDEST = 1 / 5
@@ -32,8 +32,11 @@ that of a 60° view after ten scattering lengths, where no light is left.
 _BINS = 20
 """Of the distances, from each of which as many pixels are taken."""
 
-_TILES = 10
+_TILES = (10, 5, 3)
 """Blocks along the picture's short side; the residuals of one may depend on each other."""
+
+_MANY = 1_000_000
+"""More than the blocks of any picture."""
 
 _NEAR, _FAR = 0.05, 0.95
 """Quantiles of the finite distances that the range of distances goes by."""
@@ -76,6 +79,7 @@ class Pixels:
         weights (Px3x1xN tensor): one over the standard deviation of the noise; 0 leaves out.
         blocks (PxN array): the part of the picture that a pixel is from, a number of its own in
             each pair.
+        coarser: the same for larger parts.
         stacks: by shape, as far as they were asked for.
         reference: distance that width laws refer to, m.
     """
@@ -85,6 +89,7 @@ class Pixels:
     z: Tensor
     weights: Tensor
     blocks: Places
+    coarser: tuple[Places, ...]
     stacks: dict[Shape, Stack]
     reference: float
 
@@ -95,8 +100,12 @@ class Pixels:
     @property
     def block_of_value(self) -> Places:
         """The block of each value, P·3·N of them."""
-        pairs, n = self.blocks.shape
-        return np.asarray(np.broadcast_to(self.blocks[:, None], (pairs, 3, n)).reshape(-1))
+        return self.of_values(self.blocks)
+
+    def of_values(self, blocks: Places) -> Places:
+        """What holds for pixels (PxN), for each of their values."""
+        pairs, n = blocks.shape
+        return np.asarray(np.broadcast_to(blocks[:, None], (pairs, 3, n)).reshape(-1))
 
     def pairs(self, rows: Sequence[int]) -> "Pixels":
         """Those of some of the pairs."""
@@ -110,6 +119,7 @@ class Pixels:
             z=self.z[rows],
             weights=self.weights[rows],
             blocks=self.blocks[rows],
+            coarser=tuple(one[rows] for one in self.coarser),
             stacks=stacks,
         )
 
@@ -139,8 +149,7 @@ def gather(
     chosen = [_spread(pair, each, rng) for pair in pairs]
     width = max(len(one) for one in chosen)
     rows: dict[str, list[Tensor]] = {name: [] for name in ("clean", "observed", "z", "weights")}
-    blocks = np.zeros((len(pairs), width), dtype=np.int64)
-    before = 0
+    blocks = np.zeros((len(_TILES), len(pairs), width), dtype=np.int64)
     for i, (pair, pixels) in enumerate(zip(pairs, chosen, strict=True)):
         padded = torch.from_numpy(np.resize(pixels, width))
         usable = torch.arange(width) < len(pixels)
@@ -148,14 +157,20 @@ def gather(
         rows["observed"].append(pair.observed.flatten(1)[:, padded])
         rows["z"].append(pair.z.flatten(1)[:, padded])
         rows["weights"].append(usable.double().expand(3, -1))
-        found, tiles = _tiles(padded.numpy(), pair.size)
-        blocks[i] = before + found
-        before += tiles
+        for k, tiles in enumerate(_TILES):
+            blocks[k, i] = _MANY * i + _tiles(padded.numpy(), pair.size, tiles)
     tensors = {name: torch.stack(values)[:, :, None] for name, values in rows.items()}
     stacks = {}
     for shape in shapes:
         stacks[shape] = _stack(pairs, chosen, width, shape)
-    return Pixels(**tensors, blocks=blocks, stacks=stacks, reference=reference_distance(pairs))
+    numbered = [np.unique(one, return_inverse=True)[1].reshape(one.shape) for one in blocks]
+    return Pixels(
+        **tensors,
+        blocks=numbered[0],
+        coarser=tuple(numbered[1:]),
+        stacks=stacks,
+        reference=reference_distance(pairs),
+    )
 
 
 def thinned(pixels: Pixels, count: int, rng: np.random.Generator) -> Pixels:
@@ -175,6 +190,7 @@ def thinned(pixels: Pixels, count: int, rng: np.random.Generator) -> Pixels:
         z=pixels.z[..., places],
         weights=pixels.weights[..., places],
         blocks=pixels.blocks[:, places.numpy()],
+        coarser=tuple(one[:, places.numpy()] for one in pixels.coarser),
         stacks=stacks,
         reference=pixels.reference,
     )
@@ -198,12 +214,11 @@ def _spread(pair: Pair, count: int, rng: np.random.Generator) -> Places:
     return places[np.argsort(turn, kind="stable")[:count]]
 
 
-def _tiles(places: Places, size: tuple[int, int]) -> tuple[Places, int]:
-    """The block of each pixel, and how many there are."""
-    side = max(1, min(size) // _TILES)
+def _tiles(places: Places, size: tuple[int, int], tiles: int) -> Places:
+    """The block of each pixel, of `tiles` along the short side."""
+    side = max(1, min(size) // tiles)
     down, across = places // size[1] // side, places % size[1] // side
-    columns, rows = -(-size[1] // side), -(-size[0] // side)
-    return down * columns + across, rows * columns
+    return down * -(-size[1] // side) + across
 
 
 def _stack(pairs: Sequence[Pair], chosen: Sequence[Places], width: int, shape: Shape) -> Stack:

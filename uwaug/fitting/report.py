@@ -1,14 +1,15 @@
 """What a fit says: numbers with their errors, and in words what the pictures cannot tell."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 import torch
 
-from uwaug.fitting.solve import Problem, Solution
+from uwaug.fitting.pixels import thinned
+from uwaug.fitting.solve import Problem, Solution, solve
 from uwaug.fitting.structure import Quantity, Structure
-from uwaug.fitting.uncertainty import Limit, Spread, limits
+from uwaug.fitting.uncertainty import Spread, limits
 from uwaug.optics.spectra import Array
 
 __all__ = ["Parameter", "State", "correlation", "parameters_of", "table"]
@@ -22,6 +23,12 @@ share of the least that the number may be.
 
 _NORMAL = 1.96
 """Standard errors to either end of a 95 % interval."""
+
+_PROFILED = 5000
+"""Pixels that profiles are made with; all of them would take most of a fit's time."""
+
+_LARGE = 0.08
+"""Standard errors as a share of a number, from which its interval is taken from the profile."""
 
 _NEAR_BOUND = 3.0
 """Standard errors from a bound, within which an interval is taken from the profile."""
@@ -57,53 +64,79 @@ def parameters_of(
     slopes = _slopes(structure, solution.theta)
     errors = np.sqrt(np.maximum(np.einsum("qi,ij,qj->q", slopes, spread.covariance, slopes), 0.0))
     ends = _profiles(problem, solution, spread)
+    names = list(structure.bounds)
     found = {}
     for q, quantity in enumerate(structure.quantities):
-        rows = [ends[i] for i in ends if slopes[q, i] != 0]
-        numbers = float(values[q]), float(errors[q])
-        found[quantity.name] = _parameter(
-            quantity, *numbers, slopes[q], solution, structure, rows, q
-        )
+        value, error, slope = float(values[q]), float(errors[q]), slopes[q]
+        if not slope.any():
+            found[quantity.name] = Parameter(value, None, None, None, quantity.unit, "fixed")
+            continue
+        if not spread.sees(slope):
+            found[quantity.name] = _unknown(quantity)
+            continue
+        reached = []
+        for i in ends:
+            if slope[i] != 0:
+                for end in ends[i]:
+                    reached.append(float(_reported(structure, end)[q]))
+        bounded = [names[i] for i in np.flatnonzero(solution.at_bound)]
+        at_end = any(quantity.name in _ends_with(name) for name in bounded)
+        found[quantity.name] = _parameter(quantity, value, error, reached, at_end=at_end)
     return found
 
 
+def _ends_with(name: str) -> tuple[str, ...]:
+    """The quantities that are at the end of what they may be where a number is."""
+    kind, _, colour = name.partition("_")
+    kinds = {"share": ("G", "b"), "source": ("source", "veil")}.get(kind)
+    return (name,) if kinds is None else tuple(f"{one}_{colour}" for one in kinds)
+
+
+def _unknown(quantity: Quantity) -> Parameter:
+    return Parameter(None, None, None, None, quantity.unit, "not identified")
+
+
 def _parameter(
-    quantity: Quantity,
-    value: float,
-    error: float,
-    slope: Array,
-    solution: Solution,
-    structure: Structure,
-    ends: list[tuple[Limit, Limit]],
-    place: int,
+    quantity: Quantity, value: float, error: float, reached: list[float], *, at_end: bool
 ) -> Parameter:
-    unit = quantity.unit
-    if not slope.any():
-        return Parameter(value, None, None, None, unit, "fixed")
+    """reached: its values at the ends of profiles, which take the place of the normal interval."""
     low, high = value - _NORMAL * error, value + _NORMAL * error
-    for pair in ends:
-        reached = [float(_reported(structure, end.theta)[place]) for end in pair]
-        low, high = min(low, *reached), max(high, *reached)
+    if reached:
+        low, high = min(value, *reached), max(value, *reached)
+    low = max(low, min(value, 0.0))  # no quantity is negative
     half = (high - low) / (2 * _NORMAL)
     least = min(abs(value), abs(low), abs(high))
     if not half <= max(quantity.shows, _VAGUE * least):
-        return Parameter(None, None, None, None, unit, "not identified")
-    if (solution.at_bound[slope != 0] != 0).any():
-        return Parameter(value, None, low, high, unit, "at bound")
-    return Parameter(value, error, low, high, unit, "free")
+        return _unknown(quantity)
+    if at_end:
+        return Parameter(value, None, low, high, quantity.unit, "at bound")
+    return Parameter(
+        value, max(error, half) if reached else error, low, high, quantity.unit, "free"
+    )
 
 
 def _profiles(
     problem: Problem[Any], solution: Solution, spread: Spread
-) -> dict[int, tuple[Limit, Limit]]:
+) -> dict[int, tuple[Array, Array]]:
     """The intervals of numbers at a bound or near one, by place."""
     low, high = problem.limits
     error = np.sqrt(np.diag(spread.covariance))
+    few = replace(problem, pixels=thinned(problem.pixels, _PROFILED, np.random.default_rng(0)))
+    share = few.pixels.z.numel() / problem.pixels.z.numel()
+    nearby = solve(few, solution.theta) if share < 1 else solution
     found = {}
     for i in range(len(low)):
         away = min(solution.theta[i] - low[i], high[i] - solution.theta[i])
-        if problem.free[i] and (solution.at_bound[i] != 0 or away < _NEAR_BOUND * error[i]):
-            found[i] = limits(problem, solution, i)
+        # where errors are large, they are not symmetric either
+        near = solution.at_bound[i] != 0 or away < _NEAR_BOUND * error[i]
+        near = near or error[i] > _LARGE * abs(solution.theta[i])
+        if problem.free[i] and near and spread.sees(np.eye(len(low))[i]):
+            moved = solution.theta - nearby.theta
+            ends = limits(few, nearby, i, share)
+            found[i] = (
+                np.clip(ends[0].theta + moved, low, high),
+                np.clip(ends[1].theta + moved, low, high),
+            )
     return found
 
 

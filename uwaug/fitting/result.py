@@ -5,12 +5,13 @@ import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from uwaug import checks
 from uwaug.files import require_regular, written_whole
 from uwaug.fitting.media import media_of
 from uwaug.fitting.model import KINDS, Natural
@@ -19,7 +20,7 @@ from uwaug.fitting.one_water import OneWater
 from uwaug.fitting.pixels import Pair
 from uwaug.fitting.report import Parameter, table
 from uwaug.fitting.solve import stacked
-from uwaug.fitting.structure import MODELS, Geometry
+from uwaug.fitting.structure import MODELS, Gain, Geometry
 from uwaug.formation import form_image
 from uwaug.optics.medium import Medium
 from uwaug.optics.spectra import Array
@@ -114,10 +115,10 @@ class Fit:
             count: how many.
             generator: source of randomness; torch's global generator if None.
         """
-        if not isinstance(count, int) or count < 1:
+        if not isinstance(count, (int, np.integer)) or isinstance(count, bool) or count < 1:
             raise ValueError(f"count must be a whole number ≥ 1, got {count!r}")
         middle, root = self._natural_spread()
-        normal = torch.randn(count, root.shape[1], generator=generator, dtype=torch.float64)
+        normal = torch.randn(int(count), root.shape[1], generator=generator, dtype=torch.float64)
         drawn = (middle + normal @ root.T).clamp(min=0.0).reshape(count, len(KINDS), 3)
         beta, G, source, width, exponent, _ = drawn.unbind(1)
         shape, forward = self.structure.shape, self.structure.shape is not None
@@ -251,8 +252,10 @@ class Fit:
         require_regular(path)
         try:
             values = json.loads(Path(path).read_text(encoding="utf-8"))
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise ValueError(f"{path}: not a fit: {error}") from None
+        if isinstance(values, dict) and "uwaug_series" in values:
+            raise ValueError(f"{path}: a series of turbidities, see SeriesFit.load")
         if not isinstance(values, dict) or "uwaug_fit" not in values:
             raise ValueError(f"{path}: not a fit: expected a file written by Fit.save")
         if values["uwaug_fit"] != _FORMAT:
@@ -260,7 +263,7 @@ class Fit:
             raise ValueError(f"{path}: expected a fit of format {_FORMAT}, got {got}")
         try:
             return _from_json(values)
-        except (AttributeError, KeyError, TypeError, ValueError) as error:
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
             raise ValueError(f"{path}: not a fit: {type(error).__name__}: {error}") from None
 
     def __str__(self) -> str:
@@ -280,13 +283,18 @@ def _from_json(values: Mapping[str, Any]) -> Fit:
         model=MODELS[values["model"]],
         geometry=Geometry(**made["geometry"]),
         gain=made["gain"],
-        g=made["g"],
+        g=float(made["g"]),
         fixed=made["fixed"],
     )
+    checks.one_of("gain", structure.gain, get_args(Gain))
     theta, covariance = np.array(values["theta"]), np.array(values["covariance"])
     n = len(structure.bounds)
-    if theta.shape != (n,) or covariance.shape != (n, n) or not np.isfinite(theta).all():
+    if theta.shape != (n,) or covariance.shape != (n, n):
         raise ValueError(f"theta and covariance must hold {n} numbers, got {theta.shape}")
+    low = np.array([one.low for one in structure.bounds.values()])
+    high = np.array([one.high for one in structure.bounds.values()])
+    if not ((theta >= low) & (theta <= high)).all() or not np.isfinite(covariance).all():
+        raise ValueError("theta must lie within its bounds, and covariance be finite")
     correlation = values["correlation"]
     return Fit(
         model=values["model"],

@@ -1,6 +1,7 @@
 """Fits of one structure after the other to the same pixels."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,15 @@ _ROUGH = Noise(0.01)
 _SCOUTS = 4000
 """Pixels of the fits that noise is first learnt from."""
 
+_MUCH = 0.01
+"""Of the cost, that a gain must save before it is spoken of."""
+
+_GAIN = 0.02
+"""By which it must differ from 1."""
+
+_OUTLYING = 6.0
+"""Standard deviations of noise, from where on a residual does not count at all."""
+
 _ROUNDS = 2
 """Of learning the noise: a third changes no number by a tenth of its error."""
 
@@ -36,6 +46,7 @@ class Search(NamedTuple):
         seed: of random starts and folds.
         start: where to begin, by name.
         say: is told what is being tried.
+        bits: of the observed files; None if they are not rounded.
     """
 
     color_space: ColorSpace
@@ -43,6 +54,7 @@ class Search(NamedTuple):
     seed: int
     start: Mapping[str, float]
     say: Callable[[str], None]
+    bits: int | None = 8
 
     def weighed(
         self, structures: Sequence[OneWater], drawn: Pixels, noise: Noise | None
@@ -75,9 +87,12 @@ class Search(NamedTuple):
             if noise is None:
                 used = pixels.weights > 0
                 error = light - drawn.observed
-                found = estimated(error, light, used, _ROUGH.bits, self.color_space)
+                found = estimated(error, light, used, self.bits, self.color_space)
             deviation = found.deviation(light, self.color_space)
             inside = counted(light, deviation, self.color_space)
+            if self.robust:
+                # one-sided ones, such as particles, would pull the veil up for ever
+                inside = inside & ((light - drawn.observed).abs() < _OUTLYING * deviation)
             pixels = drawn.weighed(drawn.weights * inside / deviation)
         return pixels, found
 
@@ -113,3 +128,17 @@ class Search(NamedTuple):
             near.append(dict(zip(structure.bounds, solution.theta.tolist(), strict=True)))
             tried.append(tried_of(problem, solution, self.seed))
         return tried
+
+    def gain_of(self, chosen: Tried[OneWater]) -> float | None:
+        """The mean gain that would explain the pictures much better, where none was asked for."""
+        structure = chosen.structure
+        if structure.gain != "fixed":
+            return None
+        freed = replace(structure, gain="free")
+        numbers = dict(zip(structure.bounds, chosen.solution.theta.tolist(), strict=True))
+        begin = freed.begun({name: numbers.get(name, 1.0) for name in freed.bounds}, {})
+        found = solve(replace(chosen.problem, structure=freed), begin, most=20)
+        gains = found.theta[[name.startswith("gain") for name in freed.bounds]]
+        better = chosen.solution.cost - found.cost > _MUCH * chosen.solution.cost
+        apart = float(np.abs(gains - 1).max()) > _GAIN
+        return float(gains.mean()) if better and apart else None

@@ -32,8 +32,8 @@ __all__ = ["Line", "SeriesFit", "finished_series"]
 
 _FORMAT = 1
 
-_UNLIKELY = 0.05
-"""Probability, below which scattering does not follow turbidity."""
+_UNLIKELY = 0.05 / 3
+"""Probability, below which scattering does not follow turbidity; there are three colours."""
 
 
 class Line(NamedTuple):
@@ -171,7 +171,14 @@ class SeriesFit:
                 got = f"{values['uwaug_series']!r}, written by uwaug {values.get('uwaug')}"
                 raise ValueError(f"expected format {_FORMAT}, got {got}")
             return _from_json(values)
-        except (AttributeError, KeyError, TypeError, ValueError) as error:
+        except (
+            ArithmeticError,
+            AttributeError,
+            LookupError,
+            RecursionError,
+            TypeError,
+            ValueError,
+        ) as error:
             raise ValueError(f"{path}: not a series: {type(error).__name__}: {error}") from None
 
     def __repr__(self) -> str:
@@ -182,6 +189,11 @@ def _from_json(values: Mapping[str, Any]) -> SeriesFit:
     made = dict(values["structure"])
     made["geometry"] = Geometry(**made["geometry"])
     made["level"] = tuple(made["level"])
+    structure = SeriesWater(**made)
+    theta, covariance = np.array(values["theta"]), np.array(values["covariance"])
+    n = len(structure.bounds)
+    if theta.shape != (n,) or covariance.shape != (n, n) or not np.isfinite(theta).all():
+        raise ValueError(f"theta and covariance must hold {n} numbers, got {theta.shape}")
     return SeriesFit(
         model=values["model"],
         levels=tuple(values["levels"]),
@@ -192,9 +204,9 @@ def _from_json(values: Mapping[str, Any]) -> SeriesFit:
         message=values["message"],
         noise=Noise(**values["noise"]),
         rms=values["rms"],
-        structure=SeriesWater(**made),
-        theta=np.array(values["theta"]),
-        covariance=np.array(values["covariance"]),
+        structure=structure,
+        theta=theta,
+        covariance=covariance,
     )
 
 
@@ -234,8 +246,10 @@ def _line(turbidity: Array, b: Array, covariance: Array) -> Line:
     """Generalised least squares, and the χ² test of what is left."""
     from scipy.stats import chi2
 
+    # what is at a bound has no error, and says nothing
+    known = np.diag(covariance) > 0
+    turbidity, b, covariance = turbidity[known], b[known], covariance[np.ix_(known, known)]
     system = np.stack([np.ones_like(turbidity), turbidity], 1)
-    # numbers at a bound have no error
     inverse = np.linalg.pinv(covariance, hermitian=True)
     spread_of_line = np.linalg.pinv(system.T @ inverse @ system, hermitian=True)
     values = spread_of_line @ system.T @ inverse @ b
@@ -264,11 +278,13 @@ def _message(
     for colour, line in lines.items():
         if line.probability is not None and line.probability < _UNLIKELY:
             off.append(colour)
-    if lines["red"].probability is None:
-        sentences.append("Two turbidities lie on any line: a third would test it.")
-    elif off:
+    untested = [colour for colour, line in lines.items() if line.probability is None]
+    if untested:
+        known = f"In {', '.join(untested)} two turbidities or fewer have a known b"
+        sentences.append(f"{known}, which lie on any line: a third would test it.")
+    if off:
         sentences.append(f"Scattering does not follow turbidity on a line in {', '.join(off)}.")
-    else:
+    elif len(untested) < len(lines):
         sentences.append("Scattering follows turbidity on a line, within its errors.")
     if widened > 1.5:
         sentences.append(

@@ -13,7 +13,7 @@ from uwaug.fitting.pixels import Pixels
 from uwaug.fitting.structure import Structure
 from uwaug.optics.spectra import Array
 
-__all__ = ["ROBUST", "Problem", "S", "Solution", "influence", "loss", "solve", "stacked"]
+__all__ = ["ROBUST", "Problem", "S", "Solution", "influence", "loss", "scouted", "solve", "stacked"]
 
 S = TypeVar("S", bound=Structure)
 
@@ -22,6 +22,9 @@ ROBUST = 2.0
 
 _INSIDE = 1e-4
 """Of a number's range: a fit begins at least so far from its bounds."""
+
+_FURTHEST = 16.0
+"""Logarithm of the odds; e^−16 of a number's range is its end."""
 
 _AT = 1e-6
 """Of a number's range: nearer to its end, it is there."""
@@ -117,8 +120,46 @@ class Solution:
     converged: bool = True
 
 
+def scouted(problem: Problem[Any], start: Array, most: int = 40) -> Array:
+    """Numbers near the least cost, from a start that may be far.
+
+    Each number goes by the logarithm of its distances from its bounds, so that steps are shares of
+    it. (Without, one start in twelve lets a rate overshoot to where its light is gone, and nothing
+    calls it back: 22 of 276 starts up to e^±1 away, against none of 35 in seven such waters.)
+    """
+    from scipy.optimize import least_squares
+
+    low, high = problem.limits
+    span = high - low
+    # at an end itself, its slope would be lost
+    inside = np.clip((start - low) / span, _INSIDE, 0.9)
+
+    def numbers(u: Array) -> Array:
+        return np.asarray(low + span / (1 + np.exp(-u)))
+
+    def jacobian(u: Array) -> Array:
+        share = 1 / (1 + np.exp(-u))
+        return problem.linearised(numbers(u))[1] * (span * share * (1 - share))
+
+    found = least_squares(
+        lambda u: problem.residual(numbers(u)),
+        np.clip(np.log(inside / (1 - inside)), -_FURTHEST, _FURTHEST),
+        jacobian,
+        bounds=(-_FURTHEST - 1, _FURTHEST + 1),
+        loss="soft_l1" if problem.robust else "linear",
+        f_scale=ROBUST,
+        max_nfev=most,
+        ftol=1e-5,
+        xtol=1e-5,
+        gtol=1e-5,
+    )
+    return numbers(found.x)
+
+
 def solve(problem: Problem[Any], start: Array, most: int = 60) -> Solution:
-    """The least cost that can be reached from `start`, inside the bounds."""
+    """The least cost that can be reached from `start`, inside the bounds. Plain bounds, not
+    logarithms: a number at its bound is seen to be there.
+    """
     from scipy.optimize import least_squares
 
     free = problem.free

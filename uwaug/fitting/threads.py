@@ -3,6 +3,8 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+import torch
+
 from uwaug.replay import reproducible
 
 __all__ = ["one_thread"]
@@ -16,5 +18,12 @@ def one_thread() -> Iterator[None]:
     """
     from threadpoolctl import threadpool_limits
 
-    with reproducible(), threadpool_limits(1, user_api="blas"):
+    # slopes need what inference mode leaves out
+    with (
+        reproducible(),
+        threadpool_limits(1, user_api="blas"),
+        torch.inference_mode(False),
+        torch.enable_grad(),
+        torch.device("cpu"),
+    ):
         yield

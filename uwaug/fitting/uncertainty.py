@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uwaug.fitting.solve import Problem, Solution, influence, solve
 from uwaug.optics.spectra import Array
@@ -17,8 +18,17 @@ _CHI = 3.841
 _TRIES = 6
 """Fits in search of one end of an interval."""
 
-_STEPS = 8
+_STEPS = 15
 """Evaluations of each, which begins where the last one ended."""
+
+_FLAT = 1e-9
+"""Of the largest eigenvalue of a matrix of unit scale: what is less is not seen."""
+
+_UNMOVED = 1e-4
+"""Of what a quantity could move along a direction that is not seen."""
+
+_COARSE = 1.5
+"""Ratio of variances, from which larger blocks take the place of smaller ones."""
 
 _NEAR_ENOUGH = 0.1
 """Of an interval's half width."""
@@ -31,24 +41,31 @@ class Spread:
     Attributes:
         covariance: over spatial blocks; rows and columns of numbers at a bound are 0.
         independent: the same if all residuals were independent.
-        blocks: how many there are.
+        length: of the Jacobian's columns; 0 if a number does nothing, or is not free.
+        idle: which numbers do nothing at all.
+        unseen (numbers x directions): changes of numbers times length that do not show at all.
         singular: singular values of the Jacobian, whose columns are scaled to one length: the
             smallest says how nearly two numbers do the same.
     """
 
     covariance: Array
     independent: Array
-    blocks: int
+    length: Array
+    idle: NDArray[np.bool_]
+    unseen: Array
     singular: Array
+
+    def sees(self, slope: Array) -> bool:
+        """Whether the pictures show a quantity of these slopes."""
+        scaled = np.divide(slope, self.length, out=np.zeros_like(slope), where=self.length > 0)
+        moved = np.abs(scaled @ self.unseen)
+        still = bool((moved <= _UNMOVED * np.linalg.norm(scaled)).all())
+        return still and not self.idle[slope != 0].any()
 
     @property
     def widened(self) -> float:
         """By how much errors are larger than if residuals were independent."""
-        known = np.diag(self.independent) > 0
-        if not known.any():
-            return 1.0
-        ratio = np.diag(self.covariance)[known] / np.diag(self.independent)[known]
-        return float(np.sqrt(np.median(ratio)))
+        return math.sqrt(_ratio(self.covariance, self.independent))
 
 
 def spread(problem: Problem[Any], solution: Solution, free: Array | None = None) -> Spread:
@@ -58,28 +75,52 @@ def spread(problem: Problem[Any], solution: Solution, free: Array | None = None)
     free: the numbers that are not taken for known; by default those inside their bounds.
     """
     free = problem.free & (solution.at_bound == 0) if free is None else free
-    n = len(free)
-    jacobian = solution.jacobian[:, free]
     score, curvature = influence(solution.residual, problem.robust)
-    length = np.sqrt((jacobian**2).sum(0))
-    scaled = jacobian / np.maximum(length, 1e-300)
-    hessian = scaled.T @ (curvature[:, None] * scaled)
-    inverse = np.linalg.pinv(hessian, rcond=1e-12, hermitian=True)
+    length = np.sqrt((solution.jacobian**2).sum(0))
+    used = free & (length > 0)
+    scaled = solution.jacobian[:, used] / length[used]
+    inverse, null = _inverse(scaled.T @ (curvature[:, None] * scaled))
     scores = scaled * score[:, None]
-    blocks = problem.pixels.block_of_value
-    count = int(blocks.max()) + 1
-    summed = np.zeros((count, scaled.shape[1]))
-    np.add.at(summed, blocks, scores)
-    used = int(np.unique(blocks[solution.residual != 0]).size)
-    correction = used / max(used - 1, 1)
-    covariance = np.zeros((n, n))
-    independent = np.zeros((n, n))
-    scale = np.outer(length, length)
-    inside = np.ix_(free, free)
-    covariance[inside] = correction * inverse @ (summed.T @ summed) @ inverse / scale
+    counted = solution.residual != 0
+    pixels = problem.pixels
+    middle = _over_blocks(scores, pixels.block_of_value, counted)
+    for coarser in pixels.coarser:
+        wider = _over_blocks(scores, pixels.of_values(coarser), counted)
+        # few blocks make a rough estimate: it counts where it says something else
+        if _ratio(inverse @ wider @ inverse, inverse @ middle @ inverse) > _COARSE:
+            middle = wider
+    n = len(free)
+    covariance, independent = np.zeros((n, n)), np.zeros((n, n))
+    scale, inside = np.outer(length[used], length[used]), np.ix_(used, used)
+    covariance[inside] = inverse @ middle @ inverse / scale
     independent[inside] = inverse @ (scores.T @ scores) @ inverse / scale
+    unseen = np.zeros((n, null.shape[1]))
+    unseen[used] = null
     singular = np.linalg.svd(scaled.T @ scaled, compute_uv=False) ** 0.5
-    return Spread(covariance, independent, used, singular)
+    idle = free & (length == 0)
+    return Spread(covariance, independent, np.where(used, length, 0.0), idle, unseen, singular)
+
+
+def _inverse(hessian: Array) -> tuple[Array, Array]:
+    """The inverse of a matrix of unit scale where it has one, and the directions without."""
+    values, vectors = np.linalg.eigh(hessian)
+    seen = values > _FLAT * max(values.max(initial=0.0), 1e-300)
+    inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
+    return inverse, vectors[:, ~seen]
+
+
+def _over_blocks(scores: Array, blocks: NDArray[np.int64], counted: NDArray[np.bool_]) -> Array:
+    """The covariance of the summed scores, if blocks are independent of each other."""
+    summed = np.zeros((int(blocks.max()) + 1, scores.shape[1]))
+    np.add.at(summed, blocks, scores)
+    used = int(np.unique(blocks[counted]).size)
+    return np.asarray(used / max(used - 1, 1) * summed.T @ summed)
+
+
+def _ratio(one: Array, other: Array) -> float:
+    """The median ratio of two covariances' variances."""
+    known = np.diag(other) > 0
+    return float(np.median(np.diag(one)[known] / np.diag(other)[known])) if known.any() else 1.0
 
 
 class Limit(NamedTuple):
@@ -89,17 +130,21 @@ class Limit(NamedTuple):
     at_bound: bool
 
 
-def limits(problem: Problem[Any], solution: Solution, place: int) -> tuple[Limit, Limit]:
+def limits(
+    problem: Problem[Any], solution: Solution, place: int, share: float = 1.0
+) -> tuple[Limit, Limit]:
     """Both ends of the interval of a number, by its profile: where the cost, with all others fitted
     anew, has risen by as much as 95 % of repetitions stay below. Near a bound, where errors are not
     symmetric, this holds and the standard error does not.
+
+    share: of the pixels that the interval is wanted for, if these are fewer.
     """
     everything = spread(problem, solution, free=problem.free)
     variance = float(everything.covariance[place, place])
     # residuals that depend on each other make the cost rise too steeply
     plain = _curvature(problem, solution, place)
-    rise = 0.5 * _CHI * max(variance / plain, 1e-12)
-    step = math.sqrt(_CHI * variance)
+    rise = 0.5 * _CHI * share * max(variance / plain, 1e-12)
+    step = math.sqrt(_CHI * share * variance)
     low, high = (limit[place] for limit in problem.limits)
     return (
         _limit(problem, solution, place, -step, low, rise),
@@ -110,12 +155,12 @@ def limits(problem: Problem[Any], solution: Solution, place: int) -> tuple[Limit
 def _curvature(problem: Problem[Any], solution: Solution, place: int) -> float:
     """The variance of a number if the cost were a logarithm of likelihood."""
     _, curvature = influence(solution.residual, problem.robust)
-    jacobian = solution.jacobian[:, problem.free]
-    length = np.maximum(np.sqrt((jacobian**2).sum(0)), 1e-300)
-    scaled = jacobian / length
-    inverse = np.linalg.pinv(scaled.T @ (curvature[:, None] * scaled), rcond=1e-12, hermitian=True)
-    i = int(problem.free[:place].sum())
-    return float(inverse[i, i] / length[i] ** 2)
+    length = np.sqrt((solution.jacobian**2).sum(0))
+    used = problem.free & (length > 0)
+    scaled = solution.jacobian[:, used] / length[used]
+    inverse, _ = _inverse(scaled.T @ (curvature[:, None] * scaled))
+    i = int(used[:place].sum())
+    return float(inverse[i, i] / length[place] ** 2)
 
 
 def _limit(

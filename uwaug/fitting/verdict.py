@@ -3,6 +3,7 @@ tell and why.
 """
 
 import numpy as np
+import torch
 
 from uwaug.fitting.choice import Tried
 from uwaug.fitting.one_water import OneWater
@@ -23,6 +24,15 @@ _POOR = 0.8
 _THIN = 0.3
 """Optical depth G·z at the far end, where a veil is still a straight line."""
 
+_NEAREST = 0.05
+"""m, median distance; nearer scenes are rare."""
+
+_FASTEST = 30.0
+"""1/m; no natural water attenuates more."""
+
+_ALMOST = 0.95
+"""Of the widest blur."""
+
 _ALIKE = 0.03
 """Smallest singular value of the scaled Jacobian where two numbers do nearly the same."""
 
@@ -34,13 +44,14 @@ def verdict(
     spread: Spread,
     explained: float,
     rms: float,
+    gain: float | None,
 ) -> str:
-    """A few sentences."""
+    """A few sentences. gain: of the observed pictures, if one explains them much better."""
     structure = chosen.structure
     lines = [_choice(chosen, tried)]
     lines.append(f"The residual is {rms:.2g} RMS of linear light; {_percent(explained)} of the")
     lines[-1] += " variance of the observed pixels is explained."
-    if explained < _POOR:
+    if explained < _POOR and spread.widened > _DEPENDENT:
         lines.append(
             "That is little: are the pictures aligned, of one exposure (gain), and in metres?"
         )
@@ -48,8 +59,16 @@ def verdict(
         lines.append(
             f"Residuals of neighbouring pixels depend on each other: errors are "
             f"{spread.widened:.1f} times those of independent noise. The model misses something, "
-            "such as wrong distances, uneven water or light, or more than one rate for a colour."
+            "such as wrong distances, another exposure, uneven water or light, or more than one "
+            "rate for a colour."
         )
+    if gain is not None:
+        lines.append(
+            f"A gain of {gain:.3g} explains the pictures much better: were both taken with one "
+            "exposure? If not, see the argument gain."
+        )
+    lines += _odd_units(parameters, structure)
+    lines += _wide(chosen)
     lines += _unknown(parameters, structure, spread)
     lines += _at_bounds(parameters)
     lines += _absorption(parameters, structure)
@@ -81,15 +100,23 @@ def _percent(share: float) -> str:
 
 
 def _unknown(parameters: dict[str, Parameter], structure: OneWater, spread: Spread) -> list[str]:
+    lines = []
+    if (
+        spread.unseen.size
+        or spread.idle.any()
+        or (spread.singular.size and spread.singular[-1] < _ALIKE)
+    ):
+        lines.append("Some numbers do nearly the same to these pictures: see the correlation.")
     names = [name for name, one in parameters.items() if one.state == "not identified"]
     if not names:
-        return []
-    lines = [f"Not identified: {', '.join(names)}."]
+        return lines
+    lines.insert(0, f"Not identified: {', '.join(names)}.")
     far = structure.geometry.farthest
     for colour in COLOURS:
         beta = parameters.get(f"beta_{colour}")
         G = parameters.get(f"G_{colour}", beta)
-        if f"veil_{colour}" not in names or G is None:
+        source = parameters.get(f"source_{colour}")
+        if f"veil_{colour}" not in names or G is None or source is None or source.value is None:
             continue
         depth = 0.0 if G.value is None else G.value * far
         if depth < _THIN:
@@ -97,8 +124,6 @@ def _unknown(parameters: dict[str, Parameter], structure: OneWater, spread: Spre
                 f"In {colour} the veil still grows as a straight line at {far:.3g} "
                 f"{structure.geometry.unit}: its growth (source) is seen, where it ends is not."
             )
-    if spread.singular[-1] < _ALIKE:
-        lines.append("Some numbers do nearly the same to these pictures: see the correlation.")
     return lines
 
 
@@ -122,4 +147,32 @@ def _absorption(parameters: dict[str, Parameter], structure: OneWater) -> list[s
     return [
         f"Absorption is negative in {', '.join(negative)}: g = {structure.g:g} is more than these "
         "pictures allow, or the model does not suit them."
+    ]
+
+
+def _odd_units(parameters: dict[str, Parameter], structure: OneWater) -> list[str]:
+    """Whether the distances seem to be in something else than metres."""
+    rates = [parameters[f"beta_{colour}"].value or 0.0 for colour in COLOURS]
+    near = structure.geometry.reference < _NEAREST
+    if structure.geometry.unit != "m" or not (near or max(rates) > _FASTEST):
+        return []
+    return [
+        f"The median distance is {structure.geometry.reference:.3g} m and the largest β "
+        f"{max(rates):.3g}/m: are the distances in metres?"
+    ]
+
+
+def _wide(chosen: Tried[OneWater]) -> list[str]:
+    """Whether the blur reaches the widest that a fit holds."""
+    structure = chosen.structure
+    natural = structure.natural(torch.from_numpy(chosen.solution.theta))
+    if natural.width is None or natural.exponent is None:
+        return []
+    geometry = structure.geometry
+    far = (geometry.farthest / geometry.reference) ** float(natural.exponent[0])
+    if float(natural.width[0]) * far < _ALMOST * geometry.widest:
+        return []
+    return [
+        f"The blur reaches the widest that a fit holds, {geometry.widest:.3g} px: width law, β and "
+        "G may be off by more than their errors."
     ]

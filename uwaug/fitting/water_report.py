@@ -104,7 +104,8 @@ def _parameters(chosen: Tried[Any]) -> dict[str, Parameter]:
     """Numbers by name, with errors by the delta method."""
     structure: OneType = chosen.structure
     solution, theta = chosen.solution, chosen.solution.theta
-    covariance = spread(chosen.problem, solution).covariance
+    known = spread(chosen.problem, solution)
+    covariance = known.covariance
     values = structure.reported(theta)
     slopes = _slopes(structure, theta, chosen.problem.limits)
     ends = _profiles(chosen, np.sqrt(np.diag(covariance)))
@@ -112,6 +113,9 @@ def _parameters(chosen: Tried[Any]) -> dict[str, Parameter]:
     for i, (name, value) in enumerate(values.items()):
         if not slopes[i].any():
             found[name] = Parameter(value, None, None, None, _unit(name), "fixed")
+            continue
+        if not known.sees(slopes[i]):
+            found[name] = Parameter(None, None, None, None, _unit(name), "not identified")
             continue
         error = float(np.sqrt(max(slopes[i] @ covariance @ slopes[i], 0.0)))
         reached = [value - _NORMAL * error, value + _NORMAL * error]
