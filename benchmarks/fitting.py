@@ -13,6 +13,7 @@ from typing import Any
 
 from benchmarks.fitting_bias import errors_on_purpose, without_forward_scatter
 from benchmarks.fitting_choice import choice
+from benchmarks.fitting_picture import picture
 from benchmarks.fitting_recovery import recovery
 from benchmarks.fitting_speed import speed
 from benchmarks.fitting_transport import transport
@@ -23,6 +24,7 @@ PARTS: dict[str, Callable[[bool], dict[str, Any]]] = {
     "bias": without_forward_scatter,
     "errors": errors_on_purpose,
     "speed": speed,
+    "picture": picture,
 }
 LONG: dict[str, Callable[[bool, Path | None], dict[str, Any]]] = {
     "choice": choice,

@@ -7,6 +7,7 @@ import re
 from typing import Any
 
 from benchmarks.harness import RESULTS, ROOT, command
+from benchmarks.summary_fits import fits
 from uwaug.files import written_whole
 
 README = ROOT / "README.md"
@@ -238,7 +239,8 @@ def _runtime_table(runtime: Results) -> str:
 
 def sections() -> dict[str, str]:
     """What belongs between the markers of each name."""
-    return {"accuracy": accuracy(), "chart": chart(), "speed": speed()}
+    found = "\n\n".join(fits(load("fitting")))
+    return {"accuracy": accuracy(), "fits": found, "chart": chart(), "speed": speed()}
 
 
 def updated(text: str) -> str:

@@ -30,7 +30,7 @@ _APART = 0.5
 
 
 def best_of_starts(
-    problem: Problem[OneWater], starts: list[Array], seed: int, more: int = 2
+    problem: Problem[OneWater], starts: list[Array], seed: int, more: int = 1
 ) -> Solution:
     """The least cost from any of `starts` and from `more` places around the first of them.
 
