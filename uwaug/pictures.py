@@ -14,7 +14,7 @@ from torch import Tensor
 from uwaug import checks
 from uwaug.files import require_regular
 
-__all__ = ["UNITS", "read_distance", "read_mask", "read_picture"]
+__all__ = ["UNITS", "Source", "read_distance", "read_mask", "read_picture", "read_source"]
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-6}
 """What distances may be written in, m."""
@@ -27,6 +27,9 @@ _OPEN = 1e7
 
 _ORIENTATION = 0x0112
 """EXIF's tag, and TIFF's."""
+
+_PROFILE = 0x8773
+"""TIFF's tag of a colour profile."""
 
 _COLOUR = "colour"
 
@@ -48,10 +51,33 @@ class _Raster(NamedTuple):
     Attributes:
         values: HxW in grey, HxWx3 in colour.
         kind: "colour", "grey", or in words what cannot be used.
+        alpha: HxW; None if there is none.
+        exif, profile: as they are in the file; None if there are none.
     """
 
     values: Values
     kind: str
+    alpha: Values | None = None
+    exif: bytes | None = None
+    profile: bytes | None = None
+
+
+class Source(NamedTuple):
+    """A picture, and what a copy of its file should keep.
+
+    Attributes:
+        picture (3xHxW tensor): uint8 (0…255), or float32.
+        bits: 8, 16, or 32 for floating point.
+        alpha: HxW, in the numbers of the file; None if there is none.
+        exif: without orientation, as the picture stands upright; None if there is none.
+        profile: of its colours (ICC); None if there is none.
+    """
+
+    picture: Tensor
+    bits: int
+    alpha: Values | None
+    exif: bytes | None
+    profile: bytes | None
 
 
 def read_picture(path: str | os.PathLike[str]) -> Tensor:
@@ -70,15 +96,25 @@ def read_picture(path: str | os.PathLike[str]) -> Tensor:
         ValueError: if it is grey, CMYK, of another type, or cannot be decoded; names the file.
         OSError: if there is no such file, or it cannot be read.
     """
+    return read_source(path).picture
+
+
+def read_source(path: str | os.PathLike[str]) -> Source:
+    """Read a picture in colour, with what a copy of its file should keep; as `read_picture`."""
     raster = _read(path)
     if raster.kind != _COLOUR:
         cure = _CURES.get(raster.kind, "save it as RGB")
         raise ValueError(f"{path}: expected a picture in colour, got {raster.kind}: {cure}")
-    values = raster.values.transpose(2, 0, 1)
+    picture, bits = _in_colour(path, raster.values.transpose(2, 0, 1))
+    return Source(picture, bits, raster.alpha, raster.exif, raster.profile)
+
+
+def _in_colour(path: str | os.PathLike[str], values: Values) -> tuple[Tensor, int]:
+    """The picture and the bits of its file."""
     if values.dtype == np.uint8:
-        return torch.from_numpy(values.copy())
+        return torch.from_numpy(values.copy()), 8
     if values.dtype == np.uint16:
-        return torch.from_numpy(values.astype(np.float32) / np.float32(65535))
+        return torch.from_numpy(values.astype(np.float32) / np.float32(65535)), 16
     if values.dtype.kind != "f":
         expected = "expected 8 or 16 bit, or floating point"
         raise ValueError(f"{path}: {expected}, got {values.dtype}: save it as 16 bit")
@@ -87,7 +123,7 @@ def read_picture(path: str | os.PathLike[str]) -> Tensor:
         checks.finite("picture", picture)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
-    return picture
+    return picture, 32
 
 
 def read_distance(path: str | os.PathLike[str], unit: str = "m") -> Tensor:
@@ -196,7 +232,8 @@ def _channels(values: Values) -> _Raster:
     if values.ndim == 3 and values.shape[-1] in (1, 2):
         return _Raster(values[..., 0], "grey")
     if values.ndim == 3 and values.shape[-1] in (3, 4):
-        return _Raster(values[..., :3], _COLOUR)
+        alpha = values[..., 3] if values.shape[-1] == 4 else None
+        return _Raster(values[..., :3], _COLOUR, alpha)
     raise ValueError(f"expected (H, W) or (H, W, 3), got {values.shape}: save one picture")
 
 
@@ -212,23 +249,33 @@ def _tiff(path: Path) -> _Raster:
         values = page.asarray()
         if "S" in page.axes:
             values = np.moveaxis(values, page.axes.index("S"), -1)
-        tag = page.tags.get(_ORIENTATION)
-    raster = _channels(values)
-    return raster._replace(values=_upright(raster.values, 1 if tag is None else int(tag.value)))
+        orientation, profile = page.tags.valueof(_ORIENTATION), page.tags.valueof(_PROFILE)
+    raster = _channels(_upright(values, int(orientation or 1)))
+    return raster._replace(profile=None if profile is None else bytes(profile))
 
 
 def _png_of_16_bits(path: Path) -> _Raster:
     from imagecodecs import png_decode
 
     with Image.open(path) as image:
-        orientation = image.getexif().get(_ORIENTATION, 1)
-    return _channels(_upright(png_decode(path.read_bytes()), orientation))
+        orientation, exif, profile = _metadata(image)
+    raster = _channels(_upright(png_decode(path.read_bytes()), orientation))
+    return raster._replace(exif=exif, profile=profile)
+
+
+def _metadata(image: Image.Image) -> tuple[int, bytes | None, bytes | None]:
+    """Orientation; EXIF without it; colour profile."""
+    found = image.getexif()
+    orientation = found.get(_ORIENTATION, 1)
+    if _ORIENTATION in found:
+        del found[_ORIENTATION]
+    return orientation, found.tobytes() if len(found) else None, image.info.get("icc_profile")
 
 
 def _pillow(path: Path) -> _Raster:
     with Image.open(path) as image:
         image.load()
-        orientation = image.getexif().get(_ORIENTATION, 1)
+        orientation, exif, profile = _metadata(image)
         mode = image.mode
         if mode in ("P", "PA", "YCbCr"):
             # by way of alpha, else Pillow warns of a transparent entry of a palette
@@ -240,7 +287,10 @@ def _pillow(path: Path) -> _Raster:
         return _Raster(values, "a palette of greys")
     if mode in _INKS:
         return _Raster(values, mode)
-    return _channels(values)
+    raster = _channels(values)
+    opaque = mode == "YCbCr" or (mode == "P" and bool((values[..., 3] == 255).all()))
+    alpha = None if opaque else raster.alpha
+    return raster._replace(alpha=alpha, exif=exif, profile=profile)
 
 
 def _exr(path: Path) -> _Raster:
