@@ -92,10 +92,8 @@ def _columns(
     1 per metre (ratesxPx3x1xN).
     """
     pairs = len(pixels)
-    width = numbers.get("width", structure.geometry.widest / 10)
-    exponent = numbers.get("exponent", 1.0)
     like = torch.tensor([numbers[name] for name in structure.bounds], dtype=torch.float64)
-    gain = structure.natural(like).gain
+    around = structure.natural(like)
     scenes, veils = [], []
     for rate in beta:
         b = rate.expand(pairs, 3)
@@ -103,9 +101,9 @@ def _columns(
             beta=b,
             G=share * b,
             source=torch.zeros_like(b),
-            width=None if structure.shape is None else b.new_full((pairs,), width),
-            exponent=None if structure.shape is None else b.new_full((pairs,), exponent),
-            gain=gain,
+            width=around.width,
+            exponent=around.exponent,
+            gain=around.gain,
         )
         scene = rendered(natural, pixels, structure.shape)
         both = rendered(natural._replace(source=torch.ones_like(b)), pixels, structure.shape)

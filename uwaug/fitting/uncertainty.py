@@ -114,7 +114,9 @@ def _over_blocks(scores: Array, blocks: NDArray[np.int64], counted: NDArray[np.b
     summed = np.zeros((int(blocks.max()) + 1, scores.shape[1]))
     np.add.at(summed, blocks, scores)
     used = int(np.unique(blocks[counted]).size)
-    return np.asarray(used / max(used - 1, 1) * summed.T @ summed)
+    # the fit has made the sums of scores smaller than they are elsewhere; few blocks bear no more
+    left = max(used - scores.shape[1], used / 2, 1)
+    return np.asarray(used / left * summed.T @ summed)
 
 
 def _ratio(one: Array, other: Array) -> float:
