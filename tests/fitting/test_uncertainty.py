@@ -57,7 +57,7 @@ def settled():
 def test_dependent_residuals_widen_errors(settled):
     problem, solution = settled
     before = spread(problem, solution)
-    assert before.widened == pytest.approx(1.0, abs=0.15)
+    assert before.widened == pytest.approx(1.0, abs=0.3)
     # one error for all pixels of a block
     blocks = torch.from_numpy(problem.pixels.blocks)[:, None, None]
     rng = torch.Generator().manual_seed(0)
