@@ -2,7 +2,8 @@
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import Any, Literal, NamedTuple
@@ -28,6 +29,8 @@ __all__ = [
     "InWater",
     "Settings",
     "degrade",
+    "exactly",
+    "formed",
     "in_water",
     "used",
 ]
@@ -151,12 +154,23 @@ def degrade(image: Tensor, distance: Tensor | None, choice: Choice) -> Tensor:
     Returns:
         The picture, like `image`.
     """
+    with exactly(image):
+        return formed(in_water(image, distance, choice), image, choice.settings)
+
+
+@contextmanager
+def exactly(image: Tensor) -> Iterator[None]:
+    """Where a picture is degraded: without gradients, and bit for bit the same each time."""
     with reproducible(), torch.no_grad(), torch.autocast(image.device.type, enabled=False):
-        found, settings = in_water(image, distance, choice), choice.settings
-        light, z, medium = found.light, found.z, found.medium
-        plan = plan_at_hand(z, medium, settings.tolerance, settings.order)
-        (result,) = form(light, z, medium, plan, settings.order, together)
-        return from_light(result[0], settings.color_space, image)
+        yield
+
+
+def formed(found: "InWater", image: Tensor, settings: Settings) -> Tensor:
+    """The degraded picture, like `image`, from which `found` is."""
+    light, z, medium = found.light, found.z, found.medium
+    plan = plan_at_hand(z, medium, settings.tolerance, settings.order)
+    (result,) = form(light, z, medium, plan, settings.order, together)
+    return from_light(result[0], settings.color_space, image)
 
 
 def used(image: Tensor, distance: Tensor | None, choice: Choice) -> dict[str, float]:
@@ -168,14 +182,8 @@ def used(image: Tensor, distance: Tensor | None, choice: Choice) -> dict[str, fl
         vertical_depth: m, where it was limited to what an automatic exposure makes up for.
         gain: of the exposure.
     """
-    with reproducible(), torch.no_grad(), torch.autocast(image.device.type, enabled=False):
-        found = in_water(image, distance, choice)
-        return {
-            "contents": found.contents,
-            "visibility": found.water.visibility(),
-            "vertical_depth": found.vertical_depth,
-            "gain": float(found.gain),
-        }
+    with exactly(image):
+        return in_water(image, distance, choice).used()
 
 
 class InWater(NamedTuple):
@@ -188,6 +196,15 @@ class InWater(NamedTuple):
     contents: float
     gain: Tensor
     vertical_depth: float
+
+    def used(self) -> dict[str, float]:
+        """What a record says of it."""
+        return {
+            "contents": self.contents,
+            "visibility": self.water.visibility(),
+            "vertical_depth": self.vertical_depth,
+            "gain": float(self.gain),
+        }
 
 
 def in_water(image: Tensor, distance: Tensor | None, choice: Choice) -> InWater:
