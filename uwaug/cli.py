@@ -20,6 +20,7 @@ from uwaug.commands.console import fail as _fail
 from uwaug.commands.console import refuse as _refuse
 from uwaug.commands.console import require_matplotlib
 from uwaug.commands.console import said as _said
+from uwaug.commands.degrade import degrade
 from uwaug.commands.export import export
 from uwaug.commands.fit import fit
 from uwaug.files import is_part
@@ -159,6 +160,7 @@ def presets() -> None:
     Console().print(table)
 
 
+app.command()(degrade)
 app.command()(fit)
 app.command()(export)
 

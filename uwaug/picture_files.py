@@ -12,7 +12,7 @@ from torch import Tensor
 from uwaug.files import written_whole
 from uwaug.pictures import Source
 
-__all__ = ["FORMATS", "require_format", "write_picture"]
+__all__ = ["FORMATS", "fill", "require_format", "write_picture"]
 
 FORMATS = {
     ".png": "PNG",
@@ -59,12 +59,18 @@ def write_picture(path: str | os.PathLike[str], picture: Tensor, like: Source) -
         OSError: if it cannot be written.
     """
     kind = require_format(path)
+    with written_whole(path) as part:
+        fill(part, kind, picture, like)
+
+
+def fill(part: Path, kind: str, picture: Tensor, like: Source) -> None:
+    """Write a picture into a file that is there, in a format of `FORMATS`; as `write_picture`."""
     bits = max(bits for bits in _DEPTHS[kind] if bits <= like.bits)
     values = _in_bits(picture, bits)
     if like.alpha is not None and kind != "JPEG":
         alpha = _alpha_in_bits(like.alpha, values.dtype)
         values = np.concatenate([values, alpha[..., None]], 2)
-    with written_whole(path) as part, part.open("wb") as file:
+    with part.open("wb") as file:
         if kind == "NPY":
             np.save(file, values.transpose(2, 0, 1))
         elif kind == "TIFF":

@@ -14,7 +14,15 @@ from torch import Tensor
 from uwaug import checks
 from uwaug.files import require_regular
 
-__all__ = ["UNITS", "Source", "read_distance", "read_mask", "read_picture", "read_source"]
+__all__ = [
+    "UNITS",
+    "Source",
+    "read_distance",
+    "read_mask",
+    "read_numbers",
+    "read_picture",
+    "read_source",
+]
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-6}
 """What distances may be written in, m."""
@@ -126,13 +134,13 @@ def _in_colour(path: str | os.PathLike[str], values: Values) -> tuple[Tensor, in
     return picture, 32
 
 
-def read_distance(path: str | os.PathLike[str], unit: str = "m") -> Tensor:
+def read_distance(path: str | os.PathLike[str], unit: str | float = "m") -> Tensor:
     """Read a map of distances.
 
     Args:
         path: .npy, or .npz of one array (HxW, 1xHxW or HxWx1); TIFF (its first page) or PNG of one
             channel, 16 bit or floating point; PFM; or OpenEXR of one channel, or with one called Z.
-        unit: of the numbers in the file: "m", "cm", "mm" or "um".
+        unit: of the numbers in the file: "m", "cm", "mm" or "um"; or how many metres 1 stands for.
 
     Returns:
         1xHxW, float32, m. 0 and NaN, which stand for unknown, and +inf stay.
@@ -142,12 +150,16 @@ def read_distance(path: str | os.PathLike[str], unit: str = "m") -> Tensor:
             if its median lies beyond 1000 m; or if it cannot be decoded. Names the file.
         OSError: if there is no such file, or it cannot be read.
     """
-    checks.one_of("unit", unit, UNITS)
+    if isinstance(unit, str):
+        checks.one_of("unit", unit, UNITS)
+    else:
+        checks.positive("unit", unit, "m")
+    metres = UNITS[unit] if isinstance(unit, str) else unit
     values = _one_channel(path, "distances")
     if values.dtype.itemsize == 1:
         cure = "relative depth? Make metres of it with uwaug.distance and save them as .npy"
         raise ValueError(f"{path}: expected 16 bit or floating point, got {values.dtype}: {cure}")
-    z = values.astype(np.float64) * UNITS[unit]
+    z = values.astype(np.float64) * metres
     known = z[(z > 0) & (z < _OPEN)]
     if not known.size and not (z > 0).any():
         raise ValueError(f"{path}: no pixel has a distance > 0: expected metres, 0 where unknown")
@@ -156,6 +168,16 @@ def read_distance(path: str | os.PathLike[str], unit: str = "m") -> Tensor:
         got = f"its median is {median:.5g} m if it is in {unit}"
         raise ValueError(f"{path}: {got}, farther than one sees: try --distance-unit {finer}")
     return torch.from_numpy(z.astype(np.float32))[None]
+
+
+def read_numbers(path: str | os.PathLike[str]) -> Values:
+    """Read the numbers (HxW) of a file of one channel, as they are; files as for `read_distance`.
+
+    Raises:
+        ValueError: if it holds colours, or cannot be decoded; names the file.
+        OSError: if there is no such file, or it cannot be read.
+    """
+    return _one_channel(path, "distances")
 
 
 def read_mask(path: str | os.PathLike[str]) -> Tensor:

@@ -319,6 +319,10 @@ class RandomUnderwater(SampleTransform):
             resolved[i] = {**sample, "used": found}
         return {"samples": resolved}
 
+    def choices(self, params: Record, batch: int) -> list[Choice]:
+        """What each of `batch` pictures is degraded with, by a record."""
+        return [self._chosen(sample) for sample in self._distribution.samples(params, batch)]
+
     def _chosen(self, sample: Record) -> Choice:
         waters = [self.spectra[name] for name in sample["waters"]]
         camera = self.responses[sample["camera"]]

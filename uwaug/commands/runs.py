@@ -1,0 +1,159 @@
+"""What `uwaug degrade` does once it knows what is wanted: a run, a rehearsal, one picture again."""
+
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from itertools import islice
+from pathlib import Path
+from typing import NamedTuple
+
+import typer
+
+from uwaug.commands.console import fail, refuse
+from uwaug.commands.progress import counted
+from uwaug.files import is_part
+from uwaug.jobs.one import Outcome, degrade_file, reason_of, repeated
+from uwaug.jobs.recipe import Recipe
+from uwaug.jobs.record import read_record
+from uwaug.jobs.report import index_of
+from uwaug.jobs.rows import Rows
+from uwaug.jobs.run import run
+from uwaug.jobs.sheet import SHOWN, draw_sheet
+from uwaug.picture_files import FORMATS
+
+__all__ = ["Manner", "carry_out", "rehearse", "repeat"]
+
+_LISTED = 20
+"""Reasons, or pictures of a rehearsal, at most."""
+
+_INTERRUPTED = 130
+"""Exit code of what Ctrl-C has ended."""
+
+
+Taker = Callable[[Outcome], None]
+
+
+class Manner(NamedTuple):
+    """How a run is done, see `uwaug.jobs.run`."""
+
+    workers: int
+    resume: bool
+    force: bool
+    sheet: bool
+
+
+def carry_out(rows: Rows, recipe: Recipe, count: int, manner: Manner) -> None:
+    """Degrade all pictures; write an index if they go to a folder; end with 1 if any failed."""
+    start = time.perf_counter()
+    summary = _Summary(max(1, count // SHOWN))
+    try:
+        rows.out.mkdir(parents=True, exist_ok=True)
+        if manner.resume:
+            _remove_parts(rows.out)
+        if rows.name is not None:
+            _go(rows, recipe, count, manner, [summary.add])
+        else:
+            with index_of(rows.out) as index:
+                _go(rows, recipe, count, manner, [summary.add, index.add])
+        if manner.sheet and summary.shown:
+            draw_sheet(summary.shown, rows.out / "sheet.jpg")
+    except KeyboardInterrupt:
+        print(f"Stopped: {summary.said(count)}; --resume goes on.", file=sys.stderr)
+        raise typer.Exit(_INTERRUPTED) from None
+    except (OSError, ValueError) as error:
+        fail(error)
+    for line in summary.notes:
+        print(f"Note: {line}")
+    print(f"{summary.said(count)} in {rows.out}, {time.perf_counter() - start:.1f} s")
+    if summary.failed:
+        more = summary.failed - len(summary.reasons)
+        lines = [*summary.reasons, *([f"and {more} more, see index.csv"] if more else [])]
+        fail(f"{summary.failed} of {count} pictures failed:\n  " + "\n  ".join(lines))
+
+
+def _go(rows: Rows, recipe: Recipe, count: int, manner: Manner, takers: list[Taker]) -> None:
+    options = manner._asdict()
+    del options["sheet"]
+    with counted(count) as counter:
+        for outcome in run(rows, recipe, **options):
+            for take in takers:
+                take(outcome)
+            counter.advance()
+
+
+class _Summary:
+    """What is said of a run when it ends; it does not grow with the number of pictures."""
+
+    def __init__(self, step: int) -> None:
+        self._step = step
+        self.seen = self.failed = self.kept = 0
+        self.reasons: list[str] = []
+        self.notes: list[str] = []
+        self.shown: list[Outcome] = []
+
+    def add(self, outcome: Outcome) -> None:
+        """One more picture."""
+        if outcome.status == "failed":
+            self.failed += 1
+            if len(self.reasons) < _LISTED:
+                self.reasons.append(_named(outcome, str(outcome.reason)))
+        elif self.seen % self._step == 0:
+            self.shown.append(outcome)
+        self.kept += outcome.status == "kept"
+        self.seen += 1
+        for note in outcome.record.notes if outcome.record else ():
+            if len(self.notes) < _LISTED:
+                self.notes.append(_named(outcome, note))
+
+    def said(self, count: int) -> str:
+        """How many."""
+        done = self.seen - self.failed - self.kept
+        kept = f", {self.kept} were there" if self.kept else ""
+        return f"{done} of {count} pictures{kept}"
+
+
+def _named(outcome: Outcome, text: str) -> str:
+    name = str(outcome.row.input)
+    return text if name in text else f"{name}: {text}"
+
+
+def _remove_parts(out: Path) -> None:
+    """What a killed run was writing."""
+    for path in out.rglob(".uwaug-*.part"):
+        if is_part(path.name):
+            path.unlink(missing_ok=True)
+
+
+def rehearse(rows: Rows, recipe: Recipe, count: int, manner: Manner) -> None:
+    """Say what a run would read and write, and how long it would take by its first picture."""
+    for row in islice(rows, _LISTED):
+        print(f"{row.input} + {row.problem or row.distance} → {row.output}")
+    if count > _LISTED:
+        print(f"… and {count - _LISTED} more")
+    with tempfile.TemporaryDirectory() as folder:
+        for row in islice(rows, 1):
+            moved = row._replace(output=Path(folder) / row.output.name)
+            outcomes = [degrade_file(moved, recipe, force=True) for _ in range(2)]
+    if outcomes[1].status == "failed":
+        fail(_named(outcomes[1], str(outcomes[1].reason)))
+    seconds = outcomes[1].seconds * count / manner.workers
+    workers = f"{manner.workers} worker{'s' if manner.workers > 1 else ''}"
+    print(f"{count} pictures, about {seconds:.3g} s with {workers}. Nothing was written.")
+
+
+def repeat(path: Path, out: Path, force: bool) -> None:
+    """Make the picture of a record again."""
+    try:
+        record = read_record(path)
+        alone = out.suffix.lower() in FORMATS and not out.is_dir()
+        output = out if alone else out / record.output
+        if output.resolve() == (path.parent / record.output).resolve():
+            refuse(f"--out: {output} is the first one: choose another folder")
+        made = repeated(record, output, force=force)
+    except Exception as error:
+        if isinstance(error, typer.Exit):
+            raise
+        fail(reason_of(error))
+    same = "the same bytes" if made.sha256 == record.sha256 else "in another format"
+    print(f"{output}: {same}")

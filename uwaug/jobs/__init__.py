@@ -1,0 +1,8 @@
+"""Pictures in files, one by one: read, degraded, written, recorded."""
+
+from uwaug.jobs.depth import Depth
+from uwaug.jobs.one import Outcome, degrade_file
+from uwaug.jobs.recipe import Recipe
+from uwaug.jobs.rows import Row, Rows
+
+__all__ = ["Depth", "Outcome", "Recipe", "Row", "Rows", "degrade_file"]

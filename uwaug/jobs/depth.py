@@ -1,0 +1,181 @@
+"""From the numbers of a distance file to the map that a picture is degraded with."""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import interpolate
+
+from uwaug import checks
+from uwaug.depth import DepthNetwork
+from uwaug.distance import along_ray, from_disparity
+from uwaug.metres import DistanceKind, as_unknown
+from uwaug.pictures import UNITS, read_distance, read_numbers
+
+__all__ = ["Depth", "Kind", "Mapped"]
+
+Kind = Literal["metric", "relative", "inverse", "disparity"]
+
+_FAR = 200.0
+"""m: a median beyond is more likely in other units than in metres."""
+
+_ASKEW = 0.02
+"""Difference of two pictures' proportions, above which they are not of one view."""
+
+_MANY = 0.2
+"""Share of unknown pixels that is worth a note."""
+
+
+class Mapped(NamedTuple):
+    """A map of a picture.
+
+    Attributes:
+        values (1xHxW tensor): of the picture's size, of kind `Depth.map_kind`.
+        notes: what is worth knowing of it.
+    """
+
+    values: Tensor
+    notes: list[str]
+
+
+@dataclass(frozen=True)
+class Depth:
+    """What distance files hold.
+
+    Attributes:
+        kind: "metric"; "relative" (0…1, 0 = near; whole numbers are taken as shares of the largest
+            that their type holds); "inverse" (near = large, of any scale, as depth networks give
+            it); "disparity" (px, of a rectified stereo pair).
+        unit: of metric files: "m", "cm", "mm", "um", or metres for each count. Of disparities: px
+            for each count.
+        focal_px: focal length of the picture, px, for disparity and planar depth.
+        baseline_m: between the two cameras, m, for disparity.
+        offset_px: difference of their principal points, px, see `uwaug.distance.from_disparity`.
+        planar: whether metric files hold depth along the optical axis. Disparity always does.
+        unknown: what NaN and 0 get, see `RandomUnderwater`.
+        network: path of a depth network, in place of files. See `uwaug.distance.DepthNetwork`.
+    """
+
+    kind: Kind = "metric"
+    unit: str | float = "m"
+    focal_px: float | None = None
+    baseline_m: float | None = None
+    offset_px: float = 0.0
+    planar: bool = False
+    unknown: Any = "error"
+    network: str | None = None
+
+    def __post_init__(self) -> None:
+        checks.one_of("distance_kind", self.kind, get_args(Kind))
+        as_unknown(self.unknown)
+        if isinstance(self.unit, str):
+            checks.one_of("distance_unit", self.unit, (*UNITS, "a number of metres"))
+        else:
+            checks.positive("distance_unit", self.unit)
+        for name in ("focal_px", "baseline_m"):
+            value = getattr(self, name)
+            if value is not None:
+                checks.positive(name, value)
+        if self._along_axis and self.focal_px is None:
+            raise ValueError("focal_px is missing: disparity and planar depth need it, in px")
+        if self.kind == "disparity" and self.baseline_m is None:
+            raise ValueError("baseline_m is missing: disparity needs the cameras' distance, in m")
+        if self.planar and self.kind in ("relative", "inverse"):
+            raise ValueError(f"planar would do nothing: distance_kind is {self.kind!r}, not metric")
+        if self.network is not None and self.kind != "inverse":
+            raise ValueError(f"a depth network gives inverse depth, got kind {self.kind!r}")
+
+    @property
+    def _along_axis(self) -> bool:
+        return self.planar or self.kind == "disparity"
+
+    @property
+    def map_kind(self) -> DistanceKind:
+        """Of the maps that `read` gives."""
+        return "metric" if self.kind == "disparity" else self.kind
+
+    def read(self, where: Path | float | None, image: Tensor) -> Mapped:
+        """The map of a picture.
+
+        Args:
+            where: its file; or metres, the same everywhere; or None, for the network.
+            image (3xHxW tensor): uint8 or floating point.
+
+        Raises:
+            ValueError: if the file does not suit; names it.
+            OSError: if it cannot be read.
+        """
+        size = (image.shape[-2], image.shape[-1])
+        if where is None:
+            if self.network is None:
+                raise ValueError("no distances: give a file, metres, or a depth network")
+            shown = image / 255 if image.dtype == torch.uint8 else image
+            return Mapped(_network(self.network)(shown), [])
+        if not isinstance(where, Path):
+            return Mapped(torch.full((1, *size), float(where)), [])
+        values, notes = self._numbers(where), []
+        if tuple(values.shape[-2:]) != size:
+            notes.append(f"distances of {_px(values)} px, resampled to {_px(image)}")
+            values = _resized(where, values, size)
+        values = self._along_rays(values)
+        if self.kind in ("metric", "disparity"):
+            notes += _doubts(values)
+        return Mapped(values, notes)
+
+    def _numbers(self, path: Path) -> Tensor:
+        """What a file holds: metres of metric files, px of disparities, else numbers."""
+        if self.kind == "metric":
+            return read_distance(path, self.unit)
+        numbers = read_numbers(path)
+        scale = 1.0
+        if self.kind == "disparity" and not isinstance(self.unit, str):
+            scale = self.unit
+        if self.kind == "relative" and numbers.dtype.kind in "bu":
+            scale = 1.0 if numbers.dtype.kind == "b" else 1 / np.iinfo(numbers.dtype).max
+        return torch.from_numpy(numbers.astype(np.float32) * np.float32(scale))[None]
+
+    def _along_rays(self, values: Tensor) -> Tensor:
+        if not self._along_axis:
+            return values
+        assert self.focal_px is not None
+        if self.kind == "disparity":
+            assert self.baseline_m is not None
+            values = from_disparity(values, self.focal_px, self.baseline_m, self.offset_px)
+        return along_ray(values, self.focal_px)
+
+
+def _resized(path: Path, values: Tensor, size: tuple[int, int]) -> Tensor:
+    """Of another size, by the nearest pixel: the mean of two distances is that of no thing."""
+    height, width = values.shape[-2:]
+    if abs(math.log(width / height * size[0] / size[1])) > _ASKEW:
+        cure = "they must be of one view; is one of them turned or cropped?"
+        raise ValueError(f"{path}: is {width}×{height} but the picture {size[1]}×{size[0]}: {cure}")
+    return interpolate(values[None], size, mode="nearest-exact")[0]
+
+
+def _px(picture: Tensor) -> str:
+    return f"{picture.shape[-1]}×{picture.shape[-2]}"
+
+
+def _doubts(z: Tensor) -> list[str]:
+    """Of metres."""
+    notes = []
+    known = z > 0
+    share = 1 - float(known.double().mean())
+    if share > _MANY:
+        notes.append(f"distance is unknown at {100 * share:.0f} % of the pixels")
+    near = z[known & z.isfinite()]
+    if near.numel() and (middle := float(near.median())) > _FAR:
+        notes.append(f"median distance {middle:.0f} m: is the file in mm? See --distance-unit")
+    return notes
+
+
+@lru_cache(maxsize=1)
+def _network(path: str) -> DepthNetwork:
+    """Once in a process."""
+    return DepthNetwork(path)

@@ -1,0 +1,195 @@
+"""One picture of a run: read, degraded, written whole or not at all, with its record."""
+
+import time
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+
+from uwaug.contrast import contrast
+from uwaug.exposure import looks
+from uwaug.files import written_whole
+from uwaug.jobs.model import TERMS, Degraded, Seen, terms_of
+from uwaug.jobs.recipe import Recipe, sha256_of
+from uwaug.jobs.record import Record, Source, read_record, record_path, versions, write_record
+from uwaug.jobs.rows import Row
+from uwaug.picture_files import fill, require_format, write_picture
+from uwaug.pictures import read_source
+from uwaug.structure import key_of
+
+__all__ = ["Outcome", "Status", "degrade_file", "repeated", "terms_path"]
+
+Status = Literal["done", "kept", "failed"]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a picture.
+
+    Attributes:
+        row: which picture.
+        status: "done"; "kept", as it was there already; "failed".
+        reason: why it failed; None if it did not.
+        record: what stands beside the picture; None if it failed.
+        seconds: that it took.
+    """
+
+    row: Row
+    status: Status
+    reason: str | None
+    record: Record | None
+    seconds: float
+
+
+def degrade_file(row: Row, recipe: Recipe, *, resume: bool = False, force: bool = False) -> Outcome:
+    """Degrade a picture in a file. The same row and recipe give the same files, in any process.
+
+    Args:
+        row: which picture, and where to.
+        recipe: what is done to it.
+        resume: keep what this recipe has made of these files before.
+        force: write over what is there.
+
+    Returns:
+        What became of it: what is wrong with a file is a reason, and not raised.
+    """
+    start = time.perf_counter()
+    try:
+        known = _known(row, recipe) if resume else None
+        if known is not None:
+            return Outcome(row, "kept", None, known, time.perf_counter() - start)
+        with warnings.catch_warnings():
+            # what is worth knowing stands in the record
+            warnings.simplefilter("ignore")
+            record = _degrade_file(row, recipe, None, force=force)
+    except Exception as error:
+        return Outcome(row, "failed", reason_of(error), None, time.perf_counter() - start)
+    return Outcome(row, "done", None, record, time.perf_counter() - start)
+
+
+def repeated(record: Record, output: Path, *, force: bool = False) -> Record:
+    """Make a picture again from its record.
+
+    Args:
+        record: of the picture.
+        output: the file to write.
+        force: write over what is there.
+
+    Raises:
+        ValueError: if a file that it was made of has changed, or, with the picture written, if it
+            has come out differently: another version of uwaug or PyTorch, another kind of CPU.
+        OSError: if a file cannot be read or written.
+    """
+    for one in (record.input, record.distance):
+        if isinstance(one, Source) and sha256_of(one.path) != one.sha256:
+            raise ValueError(f"{one.path} has changed since the record was written")
+    recipe = Recipe.from_json(record.recipe)
+    recipe.require_content()
+    made = _degrade_file(record.row(output), recipe, record.drawn, force=force)
+    if made.sha256 != record.sha256 and output.suffix == Path(record.output).suffix:
+        theirs = f"uwaug {record.uwaug} and torch {record.torch}"
+        mine = f"here are {made.uwaug} and {made.torch}"
+        raise ValueError(f"{output} differs from the first one, by {theirs}: {mine}")
+    return made
+
+
+def _known(row: Row, recipe: Recipe) -> Record | None:
+    """The record of a picture that is finished."""
+    try:
+        record = read_record(record_path(row.output))
+    except (OSError, ValueError):
+        return None
+    return record if record.is_of(row, recipe) else None
+
+
+def _degrade_file(
+    row: Row, recipe: Recipe, drawn: Mapping[str, Any] | None, *, force: bool
+) -> Record:
+    if row.problem is not None:
+        raise ValueError(row.problem)
+    kind = require_format(row.output)
+    if not force:
+        _require_free(row.output, terms=recipe.keep_terms)
+    source = read_source(row.input)
+    mapped = recipe.depth.read(row.distance, source.picture)
+    model = recipe.model()
+    if drawn is None:
+        generator = torch.Generator().manual_seed(key_of(recipe.seed, row.variant, row.id))
+        drawn = model.draw(source.picture, generator)
+    made = model.degrade(source.picture, mapped.values, drawn)
+    row.output.parent.mkdir(parents=True, exist_ok=True)
+    with written_whole(row.output) as part:
+        fill(part, kind, made.image, source)
+        record = _record_of(row, recipe, made, part, mapped.notes)
+        write_record(record, record_path(row.output))
+        if recipe.keep_terms and made.seen is not None:
+            terms = terms_of(made.seen, source.picture, model.color_space)
+            for name, term in terms.items():
+                write_picture(terms_path(row.output, name), term, source)
+    return record
+
+
+def _require_free(output: Path, *, terms: bool) -> None:
+    """Refuse to write over files, but for what a run has left that was stopped."""
+    cure = "choose another folder, or --force to write over it"
+    beside = record_path(output)
+    if output.exists():
+        raise FileExistsError(f"{output} exists: {cure}")
+    if beside.exists():
+        try:
+            read_record(beside)
+        except ValueError:
+            raise FileExistsError(f"{beside} exists, and is no record of uwaug: {cure}") from None
+        return
+    for name in TERMS if terms else ():
+        path = terms_path(output, name)
+        if path.exists():
+            raise FileExistsError(f"{path} exists: {cure}")
+
+
+def terms_path(output: Path, term: str) -> Path:
+    """The file of one of a picture's terms."""
+    return output.with_name(f"{output.stem}_{term}{output.suffix}")
+
+
+def _record_of(row: Row, recipe: Recipe, made: Degraded, part: Path, notes: list[str]) -> Record:
+    uwaug, pytorch = versions()
+    where = row.distance
+    return Record(
+        uwaug=uwaug,
+        torch=pytorch,
+        id=row.id,
+        variant=row.variant,
+        input=_source(row.input),
+        distance=_source(where) if isinstance(where, Path) else where,
+        output=row.output.name,
+        sha256=sha256_of(part),
+        bytes=part.stat().st_size,
+        recipe=recipe.to_json(),
+        drawn=made.record,
+        water=made.water,
+        visibility=made.visibility,
+        contrast=1.0 if made.seen is None else _mean_contrast(made.seen),
+        notes=notes,
+    )
+
+
+def _source(path: Path) -> Source:
+    whole = path.absolute()
+    return Source(str(whole), sha256_of(whole), whole.stat().st_size)
+
+
+def _mean_contrast(seen: Seen) -> float:
+    """Of some pixels, spread over the picture: all of them would take a tenth of its time."""
+    z = seen.z[0].flatten()[looks(seen.z.shape[-2], seen.z.shape[-1], seen.z.device)]
+    return float(contrast(seen.medium, z.reshape(1, 1, -1)).mean())
+
+
+def reason_of(error: Exception) -> str:
+    """An error in words; those that no check of ours has raised with their kind."""
+    if isinstance(error, (ValueError, OSError, ImportError)) and str(error):
+        return str(error)
+    return f"{type(error).__name__}: {error}"
