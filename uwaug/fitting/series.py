@@ -10,7 +10,7 @@ from torch import Tensor
 from uwaug import checks
 from uwaug.colour import ColorSpace
 from uwaug.fitting.choice import choose, tried_of
-from uwaug.fitting.inputs import distances_apart, geometry_of, pairs_of, require_pixels
+from uwaug.fitting.inputs import bits_of, distances_apart, geometry_of, pairs_of, require_pixels
 from uwaug.fitting.noise import Noise
 from uwaug.fitting.one_water import OneWater
 from uwaug.fitting.pixels import Pixels, gather, thinned
@@ -79,7 +79,7 @@ def fit_series(
             shape = MODELS[name].shape
             structures.append(SeriesWater(name, shape, geometry, level, len(levels)))
     say = progress or (lambda _: None)
-    search = Search(color_space, robust, seed, {}, say)
+    search = Search(color_space, robust, seed, {}, say, bits_of(observed))
     with one_thread():
         search.say("blurring the clean pictures")
         shapes = sorted({one.shape for one in structures if one.shape is not None})

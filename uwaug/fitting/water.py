@@ -13,6 +13,7 @@ from uwaug.colour import ColorSpace
 from uwaug.fitting.choice import Tried, choose, tried_of
 from uwaug.fitting.inputs import (
     Pictures,
+    bits_of,
     distances_apart,
     geometry_of,
     pairs_of,
@@ -159,7 +160,7 @@ def fit_water(
     require_pixels(pairs)
     distances_apart(pairs)
     say = progress or (lambda _: None)
-    search = Search(color_space, True, seed, {}, say)
+    search = Search(color_space, True, seed, {}, say, bits_of(observed))
     with one_thread():
         search.say("blurring the clean picture")
         drawn = gather(pairs, [optics.law.shape], int(pixels), np.random.default_rng(seed))
