@@ -18,6 +18,7 @@ from torch.nn.functional import interpolate
 
 import uwaug
 from benchmarks.harness import RESULTS, machine, save
+from uwaug.colour import LUMINANCE
 from uwaug.degrade import in_water
 from uwaug.distance import fill_unknown
 from uwaug.scene import motorcycle
@@ -100,7 +101,7 @@ def judged(aug: uwaug.RandomUnderwater, pair: Pair, index: int) -> tuple[Tensor,
 
 
 def _deviation(picture: Tensor, where: Tensor) -> float:
-    weights = torch.tensor([0.2126, 0.7152, 0.0722]).view(3, 1, 1)
+    weights = torch.tensor(LUMINANCE).view(3, 1, 1)
     return float((picture * weights).sum(0)[where].std())
 
 

@@ -1,6 +1,5 @@
 import os
 import re
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -13,21 +12,6 @@ from uwaug import JERLOV_TYPES, Water, __version__, cli, load_camera, plots
 from uwaug.presets import list_presets
 
 COMMANDS = ("demo", "waters", "presets", "export", "check")
-
-
-@pytest.fixture
-def run(monkeypatch, capsys):
-    """Run a command line; return exit code, stdout, stderr."""
-
-    def call(*arguments: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["uwaug", *arguments])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        return (end.value.code or 0, *capsys.readouterr())
-
-    before = signal.getsignal(signal.SIGTERM)
-    yield call
-    signal.signal(signal.SIGTERM, before)
 
 
 def test_version(run):

@@ -1,7 +1,6 @@
 """`uwaug fit`, and `uwaug export` of a fit."""
 
 import json
-import signal
 import sys
 from pathlib import Path
 
@@ -11,27 +10,11 @@ import torch
 from PIL import Image
 
 import uwaug
-from uwaug import cli
 from uwaug.commands.series import read_series
 from uwaug.pictures import read_distance, read_picture
 
 PAIR = ["--clean", "clean.png", "--observed", "observed.png", "--distance", "z.png"]
 FAST = ["--distance-unit", "mm", "--model", "haze"]
-
-
-@pytest.fixture
-def run(monkeypatch, capsys):
-    """Run a command line; return exit code, stdout, stderr."""
-
-    def call(*arguments: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["uwaug", *arguments])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        return (end.value.code or 0, *capsys.readouterr())
-
-    before = signal.getsignal(signal.SIGTERM)
-    yield call
-    signal.signal(signal.SIGTERM, before)
 
 
 def save(path: str, image: torch.Tensor) -> None:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from uwaug import checks
+from uwaug.colour import LUMINANCE
 from uwaug.optics.curves import Sums, curves
 from uwaug.optics.medium import Medium
 
@@ -32,9 +33,6 @@ stops, which doubles the light with each.
 
 GAINS = (1 / 8, 64.0)
 """Of an automatic exposure, −3 to +6 stops: 6 is what a camera has between ISO 100 and 6400."""
-
-_LUMINANCE = (0.2126, 0.7152, 0.0722)
-"""Of linear sRGB (IEC 61966-2-1)."""
 
 _LOOKS = 8192
 """Pixels at which the light is measured. Spread by a quasi-random sequence, they see stripes and
@@ -117,7 +115,7 @@ def brightest(medium: Medium, exposure: Exposure) -> Medium:
         return medium
     if exposure == "auto":
         left = medium.signal_weights.detach().sum(-1)
-        luminance = (left * left.new_tensor(_LUMINANCE)).sum(-1)
+        luminance = (left * left.new_tensor(LUMINANCE)).sum(-1)
         return medium.brightened((1 / luminance.clamp(min=1e-30)).clamp(*GAINS))
     return medium.brightened(medium.beta.new_full((1,), 2.0**exposure))
 
@@ -140,4 +138,4 @@ def _at(values: Tensor, pixels: Tensor) -> Tensor:
 def _luminance(light: Tensor) -> Tensor:
     """Mean luminance of each picture, (B,)."""
     means = light.mean((-2, -1))
-    return (means * means.new_tensor(_LUMINANCE)).sum(-1)
+    return (means * means.new_tensor(LUMINANCE)).sum(-1)

@@ -16,8 +16,8 @@ from matplotlib.text import Text
 import uwaug
 from uwaug.colour import linear_to_srgb
 from uwaug.fitting.drawing import _scale, _told
-from uwaug.fitting.report import Parameter
-from uwaug.fitting.result import Candidate, Fit
+from uwaug.fitting.report import Candidate, Parameter
+from uwaug.fitting.result import Fit
 
 WATER = uwaug.Medium.from_coefficients((0.5, 0.2, 0.3), (0.5, 0.2, 0.3), (0.1, 0.3, 0.4))
 
@@ -104,6 +104,26 @@ def test_pictures_are_those_of_the_fit(one: Fit) -> None:
     for axis, wanted in zip(residuals, one.residual[0], strict=True):
         shown = np.ma.filled(axis.images[0].get_array(), np.nan)
         np.testing.assert_array_equal(shown, wanted.numpy())
+
+
+def test_the_candidate_that_was_chosen_is_bold(many: Fit) -> None:
+    tried = tuple(Candidate(name, 9, 1.1, 0.0, 0.0) for name in ("veil", "veil + gain"))
+    texts = replace(many, candidates=tried).plot().texts
+    bold = {text.get_text() for text in texts if text.get_fontweight() == "bold"}
+    assert many.model == "veil"
+    assert bold & {"veil", "veil + gain"} == {"veil + gain"}
+
+
+def test_what_is_not_shown_is_not_rendered(many: Fit, monkeypatch: pytest.MonkeyPatch) -> None:
+    formed, form_image = [], uwaug.form_image
+
+    def counted(*arguments: object) -> object:
+        formed.append(arguments)
+        return form_image(*arguments)
+
+    monkeypatch.setattr("uwaug.fitting.result.form_image", counted)
+    many.plot()
+    assert len(formed) == 3
 
 
 def test_what_does_not_count_is_grey(one: Fit) -> None:

@@ -10,8 +10,10 @@ from uwaug.fitting.choice import Tried, choose, held_out
 from uwaug.fitting.noise import estimated
 from uwaug.fitting.pixels import Pair, gather, thinned
 from uwaug.fitting.report import parameters_of
+from uwaug.fitting.search import Search
 from uwaug.fitting.solve import Problem, influence, loss, solve
 from uwaug.fitting.start import best_of_starts, guess
+from uwaug.fitting.threads import one_thread
 from uwaug.fitting.uncertainty import limits, spread
 
 HAZE = {"G": TRUTH["beta"]}
@@ -157,6 +159,19 @@ def test_noise_is_that_of_the_residuals():
     found = estimated(residual, light, light > -1, None, "linear")
     assert found.read == pytest.approx(0.01, rel=0.1)
     assert found.shot == pytest.approx(4e-4, rel=0.1)
+
+
+@pytest.mark.parametrize("robust", [True, False])
+def test_what_lies_far_off_has_no_weight_in_robust_fits(robust):
+    problem = problem_of(seen(medium(uwaug.PointSpread.none(), **HAZE), step=4), count=500)
+    observed = problem.pixels.observed.clone()
+    observed[..., ::20] += 0.3  # particles
+    spoilt = replace(problem.pixels, observed=observed)
+    search = Search("srgb", robust, 0, {}, lambda _: None, 8)
+    with one_thread():
+        weights = search.weighed([problem.structure], spoilt, None)[0].weights
+    assert bool((weights[..., ::20] > 0).any()) is not robust
+    assert (weights > 0).double().mean() > 0.8
 
 
 def test_pixels_are_spread_over_the_distances():

@@ -4,8 +4,8 @@ pictures support.
 
 from uwaug.fitting.entry import fit
 from uwaug.fitting.noise import Noise
-from uwaug.fitting.report import Parameter
-from uwaug.fitting.result import Candidate, Fit
+from uwaug.fitting.report import Candidate, Parameter
+from uwaug.fitting.result import Fit
 from uwaug.fitting.series import fit_series
 from uwaug.fitting.series_result import Line, SeriesFit
 from uwaug.fitting.veil import fit_veil

@@ -10,7 +10,7 @@ import torch
 from uwaug.fitting.solve import Problem, S, Solution, loss, solve
 from uwaug.optics.spectra import Array
 
-__all__ = ["Tried", "choose", "held_out", "tried_of"]
+__all__ = ["Tried", "best_of", "choose", "held_out", "tried_of"]
 
 _FOLDS = 5
 
@@ -47,6 +47,11 @@ class Tried(Generic[S]):
         return self.structure.name
 
     @property
+    def loss(self) -> float:
+        """The summed held-out loss."""
+        return float(self.losses.sum())
+
+    @property
     def error(self) -> float:
         """Root of the mean held-out loss, in standard deviations of the noise."""
         return float(np.sqrt(self.losses.sum() / self.pixels))
@@ -61,18 +66,23 @@ class Tried(Generic[S]):
         return float(used.sum()), float(np.sqrt(used.size * used.var()))
 
 
+def best_of(tried: Sequence[Tried[S]]) -> Tried[S]:
+    """That of the least held-out loss."""
+    return min(tried, key=lambda one: one.loss)
+
+
 def choose(tried: Sequence[Tried[S]]) -> Tried[S]:
     """The one-standard-error rule: of all candidates whose held-out loss is within one standard
     error of the least, that of the fewest numbers. The error is that of the difference: what makes
     a block hard for all says nothing.
     """
-    best = min(tried, key=lambda one: float(one.losses.sum()))
+    best = best_of(tried)
     near = []
     for one in tried:
         excess, error = one.behind(best)
         if excess <= max(error, _CHANCE):
             near.append(one)
-    return min(near, key=lambda one: (len(one.solution.theta), float(one.losses.sum())))
+    return min(near, key=lambda one: (len(one.solution.theta), one.loss))
 
 
 def tried_of(problem: Problem[S], solution: Solution, seed: int) -> Tried[S]:

@@ -14,7 +14,6 @@ from uwaug.colour import linear_to_srgb
 from uwaug.fitting.pixels import Pair
 from uwaug.fitting.report import Parameter
 from uwaug.fitting.structure import COLOURS
-from uwaug.optics.curves import FARTHEST
 from uwaug.sheets import GAP, GREY, HEADER, INK, MARGIN, RGB, Canvas, plot, show, show_map
 
 if TYPE_CHECKING:
@@ -54,8 +53,8 @@ def draw(fit: "Fit") -> "Figure":
         fit: as `uwaug.fit` returns it. One that was read from a file has no pictures.
     """
     pairs = fit.pairs[:_PAIRS]
-    residual = fit.residual[:_PAIRS] if pairs else []
-    scale = _scale(residual)
+    formed = fit._formed(_PAIRS) if pairs else []
+    scale = _scale([difference for _, difference in formed])
     table, words, tried = _table(fit), _words(fit.message), _candidates(fit)
     lines = max(len(table) + 1, len(words) + len(tried))
     height = HEADER + sum(2 * _pitch(pair) for pair in pairs)
@@ -64,13 +63,13 @@ def draw(fit: "Fit") -> "Figure":
     canvas = Canvas(round(height), heading, _caption(fit, scale))
     y = float(HEADER)
     if pairs:
-        y = _draw_pairs(canvas, y, fit, residual, scale)
+        y = _draw_pairs(canvas, y, fit, formed, scale)
     _draw_curves(canvas, y + _LABEL, fit)
     y += _LABEL + _CURVES + GAP + _PITCH / 2
     _write_table(canvas, y, table)
     for i, line in enumerate(words):
         canvas.write(_MIDDLE, y + i * _PITCH, line, 10.5)
-    _write_candidates(canvas, y + len(words) * _PITCH, tried, fit.model)
+    _write_candidates(canvas, y + len(words) * _PITCH, tried, fit.structure.name)
     return canvas.figure
 
 
@@ -92,17 +91,16 @@ def _tall(pair: Pair) -> float:
 
 
 def _draw_pairs(
-    canvas: Canvas, y: float, fit: "Fit", residual: list[Tensor], scale: float
+    canvas: Canvas, y: float, fit: "Fit", formed: list[tuple[Tensor, Tensor]], scale: float
 ) -> float:
     """Pictures, distances and residuals; returns where they end."""
     ticks = (f"-{scale:g}", "0", f"+{scale:g}")
-    rendered = fit.rendered
-    for i, difference in enumerate(residual):
+    for i, (rendered, difference) in enumerate(formed):
         pair = fit.pairs[i]
         first, second = _row(canvas, y, pair), _row(canvas, y + _pitch(pair), pair)
         which = f"{i + 1}: " if len(fit.pairs) > 1 else ""
         show(first[0], linear_to_srgb(pair.observed.clamp(0, 1)), f"{which}Observed")
-        picture = linear_to_srgb(rendered[i].clamp(0, 1))
+        picture = linear_to_srgb(rendered.clamp(0, 1))
         # as an image of four channels, whose last lets grey through
         seen = torch.cat([picture, pair.usable.to(picture)])
         show(first[1], seen, f"{which}Rendered by the fit")
@@ -151,7 +149,7 @@ def _scale(residual: list[Tensor]) -> float:
 
 def _show_distance(axis: "Axes", pair: Pair, label: str, unit: str) -> None:
     """Of the pixels that count."""
-    known = pair.usable & (pair.z < FARTHEST)
+    known = pair.known
     if not bool(known.any()):
         axis.set_title(f"{label}: open water", loc="left", fontsize=12.5)
         return

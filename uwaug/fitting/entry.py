@@ -5,23 +5,28 @@ from dataclasses import replace
 from typing import get_args
 
 import numpy as np
-import torch
 
 from uwaug import checks
 from uwaug.colour import ColorSpace
 from uwaug.fitting.choice import choose
 from uwaug.fitting.finish import finished
-from uwaug.fitting.inputs import Pictures, bits_of, distances_apart, pairs_of, require_pixels
+from uwaug.fitting.inputs import (
+    Pictures,
+    bits_of,
+    distances_apart,
+    geometry_of,
+    pairs_of,
+    require_pixels,
+)
 from uwaug.fitting.noise import Noise
 from uwaug.fitting.one_water import OneWater
-from uwaug.fitting.pixels import Pair, gather, widest_blur
+from uwaug.fitting.pixels import gather
 from uwaug.fitting.result import Fit
 from uwaug.fitting.search import Search
 from uwaug.fitting.structure import COLOURS, MODELS, Gain, Geometry
 from uwaug.fitting.threads import one_thread
-from uwaug.optics.curves import FARTHEST
 
-__all__ = ["fit", "geometry_of"]
+__all__ = ["fit"]
 
 Progress = Callable[[str], None]
 
@@ -119,7 +124,8 @@ def fit(
     pairs = pairs_of(clean, observed, distance, field, mask, color_space, relative=relative)
     require_pixels(pairs)
     distances_apart(pairs)
-    structures = _structures(model, geometry_of(pairs, focal_px, relative), gain, g, fixed or {})
+    geometry = geometry_of(pairs, focal_px, relative=relative)
+    structures = _structures(model, geometry, gain, g, fixed or {})
     begin = _checked("start", start or {}, structures)
     say = progress or (lambda _: None)
     search = Search(color_space, bool(robust), int(seed), begin, say, bits_of(observed))
@@ -176,17 +182,3 @@ def _checked(
         if beta is not None and G is not None and beta < G and structures[-1].model.law:
             raise ValueError(f"{name}: expected G_{colour} ≤ beta_{colour}, got {G} and {beta}")
     return {key: float(value) for key, value in given.items()}
-
-
-def geometry_of(pairs: Sequence[Pair], focal_px: float | None, relative: bool) -> Geometry:
-    """What is known of pictures before anything is fitted."""
-    known = torch.cat([pair.z[pair.usable & (pair.z < FARTHEST)] for pair in pairs])
-    return Geometry(
-        pairs=len(pairs),
-        short_side=min(min(pair.size) for pair in pairs),
-        reference=float(known.median()),
-        farthest=float(np.quantile(known.numpy(), 0.95)),
-        widest=min(widest_blur(pair.size) for pair in pairs),
-        focal_px=None if focal_px is None else float(focal_px),
-        unit="unit" if relative else "m",
-    )

@@ -5,12 +5,12 @@ from typing import Any
 
 import torch
 
-from uwaug.fitting.choice import Tried
+from uwaug.fitting.choice import Tried, best_of
 from uwaug.fitting.noise import Noise
 from uwaug.fitting.one_water import OneWater
 from uwaug.fitting.pixels import Pair
-from uwaug.fitting.report import correlation, parameters_of
-from uwaug.fitting.result import Candidate, Correlation, Fit
+from uwaug.fitting.report import Candidate, correlation, parameters_of
+from uwaug.fitting.result import Fit
 from uwaug.fitting.uncertainty import spread
 from uwaug.fitting.verdict import verdict
 
@@ -33,7 +33,7 @@ def finished(
     return Fit(
         model=structure.model.name,
         parameters=parameters,
-        correlation=Correlation(*correlation(structure, solution, found)),
+        correlation=correlation(structure, solution, found),
         candidates=candidates_of(tried),
         message=verdict(chosen, tried, parameters, found, share, rms, gain),
         noise=noise,
@@ -48,7 +48,7 @@ def finished(
 
 def candidates_of(tried: Sequence[Tried[Any]]) -> tuple[Candidate, ...]:
     """What is reported of each."""
-    best = min(tried, key=lambda one: float(one.losses.sum()))
+    best = best_of(tried)
     found = []
     for one in tried:
         behind = one.behind(best)

@@ -9,10 +9,11 @@ from torch import Tensor
 
 from uwaug import checks
 from uwaug.colour import ColorSpace, to_light
-from uwaug.fitting.pixels import Pair, reference_distance
+from uwaug.fitting.pixels import Pair, known_distances, reference_distance, widest_blur
+from uwaug.fitting.structure import Geometry
 from uwaug.optics.curves import FARTHEST
 
-__all__ = ["bits_of", "distances_apart", "pairs_of", "require_pixels"]
+__all__ = ["bits_of", "distances_apart", "geometry_of", "pairs_of", "require_pixels"]
 
 _FEWEST = 500
 """Usable pixels, of all pairs together, that a fit needs."""
@@ -145,7 +146,7 @@ def _require_water(pairs: Sequence[Pair]) -> None:
 
 def require_pixels(pairs: Sequence[Pair]) -> None:
     """Refuse pictures of which too little can be used, saying what it is lost to."""
-    each = [int((pair.usable & (pair.z < FARTHEST)).sum()) for pair in pairs]
+    each = [int(pair.known.sum()) for pair in pairs]
     usable = sum(each)
     if usable >= _FEWEST:
         _require_each(each)
@@ -185,3 +186,16 @@ def distances_apart(pairs: Sequence[Pair]) -> None:
     if high - low < _FLAT * middle:
         cure = "β, G and veil need a scene with depth, or pictures at several distances"
         raise ValueError(f"distance is flat: all pixels lie at {low:.4g}–{high:.4g} m; {cure}")
+
+
+def geometry_of(pairs: Sequence[Pair], focal_px: float | None, *, relative: bool) -> Geometry:
+    """What is known of pictures before anything is fitted."""
+    return Geometry(
+        pairs=len(pairs),
+        short_side=min(min(pair.size) for pair in pairs),
+        reference=reference_distance(pairs),
+        farthest=float(np.quantile(known_distances(pairs).numpy(), 0.95)),
+        widest=min(widest_blur(pair.size) for pair in pairs),
+        focal_px=None if focal_px is None else float(focal_px),
+        unit="unit" if relative else "m",
+    )

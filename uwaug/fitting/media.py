@@ -15,9 +15,6 @@ __all__ = ["media_of"]
 _LEAST_SCATTERING = 1e-6
 """1/m, stands for none in a width law."""
 
-_SLOWEST = 1e-9
-"""1/m, stands for G = 0."""
-
 
 def media_of(natural: Natural, b_mean: Tensor, shape: Shape | None, geometry: Geometry) -> Medium:
     """A batch of media.
@@ -28,8 +25,7 @@ def media_of(natural: Natural, b_mean: Tensor, shape: Shape | None, geometry: Ge
         shape: of the point spread; None if no light is scattered forward.
         geometry: of the pictures that were fitted.
     """
-    beta, G, source = natural.beta, natural.G, natural.source
-    veil = source / G.clamp(min=_SLOWEST)
+    beta, G, veil = natural.beta, natural.G, natural.veil
     if shape is None or natural.width is None or natural.exponent is None:
         return _without_scatter(beta, G, veil)
     b, exponent = b_mean.clamp(min=_LEAST_SCATTERING), natural.exponent

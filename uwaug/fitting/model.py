@@ -13,13 +13,13 @@ from uwaug.optics.curves import curves
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread, Shape
 
-__all__ = ["KINDS", "Natural", "medium_of", "rendered", "slopes"]
+__all__ = ["KINDS", "SLOWEST", "Natural", "medium_of", "rendered", "slopes"]
 
 KINDS = ("beta", "G", "source", "width", "exponent", "gain")
 """The numbers of a pair, in the order of `slopes`."""
 
-_SLOWEST = 1e-9
-"""1/m, stands for less: veil = source/G."""
+SLOWEST = 1e-9
+"""1/m, stands for smaller G, where the veil has no end."""
 
 _NARROWEST = 1e-9
 """px, stands for less: widths are proportional to it."""
@@ -45,17 +45,21 @@ class Natural(NamedTuple):
     exponent: Tensor | None
     gain: Tensor
 
+    @property
+    def veil(self) -> Tensor:
+        """V(0) of each pair (Px3)."""
+        return self.source / self.G.clamp(min=SLOWEST)
+
 
 def medium_of(natural: Natural, shape: Shape | None, reference: float) -> Medium:
     """The media, one row for each pair; their width law counts in multiples of the reference."""
     law = PointSpread.none()
     if natural.width is not None and natural.exponent is not None and shape is not None:
         law = PointSpread(natural.width, natural.exponent, shape)
-    veil = natural.source / natural.G.clamp(min=_SLOWEST)
     return Medium.from_coefficients(
         natural.beta,
-        natural.G.clamp(min=_SLOWEST),
-        veil,
+        natural.G.clamp(min=SLOWEST),
+        natural.veil,
         b_mean=1 / reference,
         point_spread=law,
     )

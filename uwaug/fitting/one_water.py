@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uwaug.fitting.model import Natural
+from uwaug.fitting.model import SLOWEST, Natural
 from uwaug.fitting.structure import COLOURS, Bounds, Gain, Geometry, Model, Quantity
 from uwaug.optics.point_spread import PAPER_SIZE, PointSpread, Shape
 from uwaug.optics.spectra import Array
@@ -16,9 +16,6 @@ __all__ = ["OneWater"]
 
 _THICKEST = 40.0
 """Optical depths to the reference distance: more than any picture survives."""
-
-_SLOWEST = 1e-9
-"""1/m, stands for G = 0, where the veil has no end."""
 
 _LARGEST_SHARE = 4.0
 """Of G in β, where no light is scattered forward and nothing ties the two together."""
@@ -218,7 +215,7 @@ class OneWater:
         if self.model.veil == "own":
             parts.append(G)
         if self.model.veil != "none":
-            parts += [source / (G + _SLOWEST), source]
+            parts += [source / (G + SLOWEST), source]
         if self.model.law is not None:
             parts += [beta - b, b]
         if self.model.own_law:

@@ -5,7 +5,7 @@ once.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -17,7 +17,17 @@ from uwaug.blur.stack import blurred
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.point_spread import Shape
 
-__all__ = ["Pair", "Pixels", "Stack", "gather", "reference_distance", "thinned", "widest_blur"]
+__all__ = [
+    "Pair",
+    "Pixels",
+    "Stack",
+    "gather",
+    "known_distances",
+    "reference_distance",
+    "thinned",
+    "tiles",
+    "widest_blur",
+]
 
 Places = NDArray[np.int64]
 
@@ -60,6 +70,11 @@ class Pair(NamedTuple):
     def size(self) -> tuple[int, int]:
         """Height and width, px."""
         return self.clean.shape[-2], self.clean.shape[-1]
+
+    @property
+    def known(self) -> Tensor:
+        """Which pixels (1xHxW) are usable and not open water."""
+        return self.usable & (self.z < FARTHEST)
 
 
 class Stack(NamedTuple):
@@ -107,19 +122,19 @@ class Pixels:
         pairs, n = blocks.shape
         return np.asarray(np.broadcast_to(blocks[:, None], (pairs, 3, n)).reshape(-1))
 
-    def pairs(self, rows: Sequence[int]) -> "Pixels":
-        """Those of some of the pairs."""
+    def at(self, index: Any) -> "Pixels":
+        """Those at an index: of pairs, or behind an ellipsis, of the pixels of each."""
         stacks = {}
         for shape, (plan, blurs) in self.stacks.items():
-            stacks[shape] = Stack(plan, [blur[rows] for blur in blurs])
+            stacks[shape] = Stack(plan, [blur[index] for blur in blurs])
         return replace(
             self,
-            clean=self.clean[rows],
-            observed=self.observed[rows],
-            z=self.z[rows],
-            weights=self.weights[rows],
-            blocks=self.blocks[rows],
-            coarser=tuple(one[rows] for one in self.coarser),
+            clean=self.clean[index],
+            observed=self.observed[index],
+            z=self.z[index],
+            weights=self.weights[index],
+            blocks=self.blocks[index],
+            coarser=tuple(one[index] for one in self.coarser),
             stacks=stacks,
         )
 
@@ -128,10 +143,14 @@ class Pixels:
         return replace(self, weights=weights)
 
 
+def known_distances(pairs: Sequence[Pair]) -> Tensor:
+    """The distances (N) of the usable pixels that are not open water, m."""
+    return torch.cat([pair.z[pair.known] for pair in pairs])
+
+
 def reference_distance(pairs: Sequence[Pair]) -> float:
     """The median of the known distances, m."""
-    known = torch.cat([pair.z[pair.usable & (pair.z < FARTHEST)] for pair in pairs])
-    return float(known.median())
+    return float(known_distances(pairs).median())
 
 
 def widest_blur(size: tuple[int, int]) -> float:
@@ -157,8 +176,8 @@ def gather(
         rows["observed"].append(pair.observed.flatten(1)[:, padded])
         rows["z"].append(pair.z.flatten(1)[:, padded])
         rows["weights"].append(usable.double().expand(3, -1))
-        for k, tiles in enumerate(_TILES):
-            blocks[k, i] = _MANY * i + _tiles(padded.numpy(), pair.size, tiles)
+        for k, along in enumerate(_TILES):
+            blocks[k, i] = tiles(padded.numpy(), i, pair.size, along)
     tensors = {name: torch.stack(values)[:, :, None] for name, values in rows.items()}
     stacks = {}
     for shape in shapes:
@@ -179,21 +198,16 @@ def thinned(pixels: Pixels, count: int, rng: np.random.Generator) -> Pixels:
     keep = max(1, count // len(pixels))
     if keep >= n:
         return pixels
-    # those that only fill up a row have the last places
-    places = torch.from_numpy(rng.choice(n, keep, replace=False))
-    stacks = {}
-    for shape, (plan, blurs) in pixels.stacks.items():
-        stacks[shape] = Stack(plan, [blur[..., places] for blur in blurs])
-    return Pixels(
-        clean=pixels.clean[..., places],
-        observed=pixels.observed[..., places],
-        z=pixels.z[..., places],
-        weights=pixels.weights[..., places],
-        blocks=pixels.blocks[:, places.numpy()],
-        coarser=tuple(one[:, places.numpy()] for one in pixels.coarser),
-        stacks=stacks,
-        reference=pixels.reference,
-    )
+    return pixels.at((..., rng.choice(n, keep, replace=False)))
+
+
+def tiles(places: Places, pair: int, size: tuple[int, int], along: int) -> Places:
+    """The block of each place in a picture of `size`, of `along` blocks on its short side: a number
+    that no block of another pair has.
+    """
+    side = max(1, min(size) // along)
+    down, across = places // size[1] // side, places % size[1] // side
+    return _MANY * pair + down * -(-size[1] // side) + across
 
 
 def _spread(pair: Pair, count: int, rng: np.random.Generator) -> Places:
@@ -212,13 +226,6 @@ def _spread(pair: Pair, count: int, rng: np.random.Generator) -> Places:
     turn = np.empty(len(places), dtype=np.int64)
     turn[order] = np.arange(len(places)) - first[step[order]]
     return places[np.argsort(turn, kind="stable")[:count]]
-
-
-def _tiles(places: Places, size: tuple[int, int], tiles: int) -> Places:
-    """The block of each pixel, of `tiles` along the short side."""
-    side = max(1, min(size) // tiles)
-    down, across = places // size[1] // side, places % size[1] // side
-    return down * -(-size[1] // side) + across
 
 
 def _stack(pairs: Sequence[Pair], chosen: Sequence[Places], width: int, shape: Shape) -> Stack:

@@ -1,7 +1,7 @@
 """What a fit says: numbers with their errors, and in words what the pictures cannot tell."""
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -12,17 +12,39 @@ from uwaug.fitting.structure import Quantity, Structure
 from uwaug.fitting.uncertainty import Spread, limits
 from uwaug.optics.spectra import Array
 
-__all__ = ["Parameter", "State", "correlation", "parameters_of", "table"]
+__all__ = [
+    "NEAR_BOUND",
+    "NORMAL",
+    "THIN",
+    "VAGUE",
+    "Candidate",
+    "Correlation",
+    "Parameter",
+    "State",
+    "correlation",
+    "dependent",
+    "errors_of",
+    "explains",
+    "not_identified",
+    "parameters_of",
+    "table",
+]
 
 State = Literal["free", "at bound", "not identified", "fixed"]
 
-_VAGUE = 0.5
-"""Standard errors of a number that is not identified are larger than what would show, and than this
-share of the least that the number may be.
+NORMAL = 1.96
+"""Standard errors to either end of a 95 % interval."""
+
+VAGUE = 0.5
+"""Of a number: where its standard error is larger, and larger than what shows in a picture, the
+number is not identified.
 """
 
-_NORMAL = 1.96
-"""Standard errors to either end of a 95 % interval."""
+NEAR_BOUND = 3.0
+"""Standard errors from a bound, within which an interval is taken from the profile."""
+
+THIN = 0.3
+"""Optical depth G·z at the far end, below which a veil is still a straight line."""
 
 _PROFILED = 5000
 """Pixels that profiles are made with; all of them would take most of a fit's time."""
@@ -30,8 +52,10 @@ _PROFILED = 5000
 _LARGE = 0.08
 """Standard errors as a share of a number, from which its interval is taken from the profile."""
 
-_NEAR_BOUND = 3.0
-"""Standard errors from a bound, within which an interval is taken from the profile."""
+_DEPENDENT = 1.5
+"""Ratio of standard errors over blocks to those of independent residuals, above which the model
+misses something.
+"""
 
 
 @dataclass(frozen=True)
@@ -55,6 +79,41 @@ class Parameter:
     state: State
 
 
+def not_identified(unit: str) -> Parameter:
+    """A number that the pictures do not tell."""
+    return Parameter(None, None, None, None, unit, "not identified")
+
+
+class Candidate(NamedTuple):
+    """A model that was tried.
+
+    Attributes:
+        name: of the model.
+        numbers: how many were fitted.
+        error: root of the mean held-out loss, in standard deviations of the noise.
+        behind: how far the summed held-out loss lies behind the best.
+        behind_error: standard error of that.
+    """
+
+    name: str
+    numbers: int
+    error: float
+    behind: float
+    behind_error: float
+
+
+class Correlation(NamedTuple):
+    """Of the parameters that have a standard error.
+
+    Attributes:
+        names: of rows and columns.
+        matrix: −1…1.
+    """
+
+    names: list[str]
+    matrix: Array
+
+
 def parameters_of(
     problem: Problem[Any], solution: Solution, spread: Spread
 ) -> dict[str, Parameter]:
@@ -72,7 +131,7 @@ def parameters_of(
             found[quantity.name] = Parameter(value, None, None, None, quantity.unit, "fixed")
             continue
         if not spread.sees(slope):
-            found[quantity.name] = _unknown(quantity)
+            found[quantity.name] = not_identified(quantity.unit)
             continue
         reached = []
         for i in ends:
@@ -92,22 +151,18 @@ def _ends_with(name: str) -> tuple[str, ...]:
     return (name,) if kinds is None else tuple(f"{one}_{colour}" for one in kinds)
 
 
-def _unknown(quantity: Quantity) -> Parameter:
-    return Parameter(None, None, None, None, quantity.unit, "not identified")
-
-
 def _parameter(
     quantity: Quantity, value: float, error: float, reached: list[float], *, at_end: bool
 ) -> Parameter:
     """reached: its values at the ends of profiles, which take the place of the normal interval."""
-    low, high = value - _NORMAL * error, value + _NORMAL * error
+    low, high = value - NORMAL * error, value + NORMAL * error
     if reached:
         low, high = min(value, *reached), max(value, *reached)
     low = max(low, min(value, 0.0))  # no quantity is negative
-    half = (high - low) / (2 * _NORMAL)
+    half = (high - low) / (2 * NORMAL)
     least = min(abs(value), abs(low), abs(high))
-    if not half <= max(quantity.shows, _VAGUE * least):
-        return _unknown(quantity)
+    if not half <= max(quantity.shows, VAGUE * least):
+        return not_identified(quantity.unit)
     if at_end:
         return Parameter(value, None, low, high, quantity.unit, "at bound")
     return Parameter(
@@ -128,7 +183,7 @@ def _profiles(
     for i in range(len(low)):
         away = min(solution.theta[i] - low[i], high[i] - solution.theta[i])
         # where errors are large, they are not symmetric either
-        near = solution.at_bound[i] != 0 or away < _NEAR_BOUND * error[i]
+        near = solution.at_bound[i] != 0 or away < NEAR_BOUND * error[i]
         near = near or error[i] > _LARGE * abs(solution.theta[i])
         if problem.free[i] and near and spread.sees(np.eye(len(low))[i]):
             moved = solution.theta - nearby.theta
@@ -150,16 +205,39 @@ def _slopes(structure: Structure, theta: Array) -> Array:
     return np.asarray(found.nan_to_num(0.0, 0.0, 0.0))
 
 
-def correlation(
-    structure: Structure, solution: Solution, spread: Spread
-) -> tuple[list[str], Array]:
-    """Names of the quantities that have an error, and their correlation matrix."""
+def errors_of(parameters: dict[str, Parameter]) -> dict[str, float]:
+    """The standard errors that are known, by name."""
+    found = {}
+    for name, one in parameters.items():
+        if one.error is not None:
+            found[name] = one.error
+    return found
+
+
+def correlation(structure: Structure, solution: Solution, spread: Spread) -> Correlation:
+    """The correlations of the quantities that have an error."""
     slopes = _slopes(structure, solution.theta)
     covariance = slopes @ spread.covariance @ slopes.T
     error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     known = np.flatnonzero(error > 0)
     matrix = covariance[np.ix_(known, known)] / np.outer(error[known], error[known])
-    return [structure.quantities[i].name for i in known], matrix
+    return Correlation([structure.quantities[i].name for i in known], matrix)
+
+
+def explains(rms: float, share: float, variance: str) -> str:
+    """The sentence on what a model leaves, and what it explains of a variance (0…1), in words."""
+    percent = f"{100 * np.floor(1e4 * share) / 1e4:.4g} %"
+    return f"The residual is {rms:.2g} RMS of linear light; {percent} of {variance} is explained."
+
+
+def dependent(spread: Spread, end: str) -> list[str]:
+    """The sentence on residuals that depend on each other, if they do, and how it ends."""
+    if spread.widened <= _DEPENDENT:
+        return []
+    return [
+        f"Residuals of neighbouring pixels depend on each other: errors are {spread.widened:.1f} "
+        f"times those of independent noise{end}."
+    ]
 
 
 def table(parameters: dict[str, Parameter]) -> str:

@@ -1,24 +1,22 @@
 """`Fit`: a water that was recovered from pictures."""
 
-import json
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, get_args
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from uwaug import checks
-from uwaug.files import require_regular, written_whole
+from uwaug.fitting import saved
 from uwaug.fitting.media import media_of
 from uwaug.fitting.model import KINDS, Natural
 from uwaug.fitting.noise import Noise
 from uwaug.fitting.one_water import OneWater
 from uwaug.fitting.pixels import Pair
-from uwaug.fitting.report import Parameter, table
+from uwaug.fitting.report import Candidate, Correlation, Parameter, table
 from uwaug.fitting.solve import stacked
 from uwaug.fitting.structure import MODELS, Gain, Geometry
 from uwaug.formation import form_image
@@ -28,42 +26,10 @@ from uwaug.optics.spectra import Array
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Candidate", "Correlation", "Fit"]
-
-_FORMAT = 1
+__all__ = ["Fit"]
 
 _FLATTEST = 0.2
 """Exponent of a width law, at least."""
-
-
-class Candidate(NamedTuple):
-    """A model that was tried.
-
-    Attributes:
-        name: of the model.
-        numbers: how many were fitted.
-        error: root of the mean held-out loss, in standard deviations of the noise.
-        behind: how far the summed held-out loss lies behind the best.
-        behind_error: standard error of that.
-    """
-
-    name: str
-    numbers: int
-    error: float
-    behind: float
-    behind_error: float
-
-
-class Correlation(NamedTuple):
-    """Of the parameters that have a standard error.
-
-    Attributes:
-        names: of rows and columns.
-        matrix: −1…1.
-    """
-
-    names: list[str]
-    matrix: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,27 +119,26 @@ class Fit:
     @property
     def rendered(self) -> list[Tensor]:
         """Each observed picture (3xHxW, linear light) as the fitted water makes it."""
-        pictures = []
-        for pair, gain in zip(self._pairs(), self.gains, strict=True):
-            light = form_image(pair.clean.float(), pair.z.float(), self.medium).image
-            pictures.append(gain.reshape(3, 1, 1).float() * light)
-        return pictures
+        return [picture for picture, _ in self._formed()]
 
     @property
     def residual(self) -> list[Tensor]:
         """Rendered − observed (3xHxW, linear light) of each picture; NaN where the distance is not
         known or a value was clipped.
         """
-        found = []
-        for pair, picture in zip(self._pairs(), self.rendered, strict=True):
-            difference = picture - pair.observed.float()
-            found.append(torch.where(pair.usable, difference, torch.nan))
-        return found
+        return [difference for _, difference in self._formed()]
 
-    def _pairs(self) -> tuple[Pair, ...]:
+    def _formed(self, most: int | None = None) -> list[tuple[Tensor, Tensor]]:
+        """Rendered picture and residual of at most so many pairs."""
         if not self.pairs:
             raise ValueError("a fit read from a file has no pictures: fit them again to see these")
-        return self.pairs
+        medium, found = self.medium, []
+        for pair, gain in zip(self.pairs[:most], self.gains[:most], strict=True):
+            light = form_image(pair.clean.float(), pair.z.float(), medium).image
+            picture = gain.reshape(3, 1, 1).float() * light
+            difference = picture - pair.observed.float()
+            found.append((picture, torch.where(pair.usable, difference, torch.nan)))
+        return found
 
     def summary(self) -> str:
         """The fit as text: verdict, parameters, candidates, strong correlations."""
@@ -210,26 +175,12 @@ class Fit:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the fit as JSON, whole or not at all. Pictures are not part of it."""
-        with written_whole(path) as part:
-            part.write_text(json.dumps(self._as_json(), indent=1) + "\n", encoding="utf-8")
-
-    def _as_json(self) -> dict[str, Any]:
-        from uwaug import __version__
-
         structure = self.structure
-        return {
-            "uwaug_fit": _FORMAT,
-            "uwaug": __version__,
-            "model": self.model,
-            "message": self.message,
-            "parameters": {name: asdict(one) for name, one in self.parameters.items()},
+        own = {
             "correlation": {
                 "names": self.correlation.names,
                 "matrix": self.correlation.matrix.tolist(),
             },
-            "candidates": [one._asdict() for one in self.candidates],
-            "noise": asdict(self.noise),
-            "rms": self.rms,
             "history": self.history,
             "structure": {
                 "geometry": structure.geometry._asdict(),
@@ -237,9 +188,8 @@ class Fit:
                 "g": structure.g,
                 "fixed": dict(structure.fixed),
             },
-            "theta": self.theta.tolist(),
-            "covariance": self.covariance.tolist(),
         }
+        saved.write(path, saved.FIT, {**saved.packed(self), **own})
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> "Fit":
@@ -249,22 +199,7 @@ class Fit:
             ValueError: if the file is no fit, or one of a newer version; names it.
             OSError: if it cannot be read.
         """
-        require_regular(path)
-        try:
-            values = json.loads(Path(path).read_text(encoding="utf-8"))
-        except (ValueError, RecursionError) as error:
-            raise ValueError(f"{path}: not a fit: {error}") from None
-        if isinstance(values, dict) and "uwaug_series" in values:
-            raise ValueError(f"{path}: a series of turbidities, see SeriesFit.load")
-        if not isinstance(values, dict) or "uwaug_fit" not in values:
-            raise ValueError(f"{path}: not a fit: expected a file written by Fit.save")
-        if values["uwaug_fit"] != _FORMAT:
-            got = f"format {values['uwaug_fit']!r}, written by uwaug {values.get('uwaug')}"
-            raise ValueError(f"{path}: expected a fit of format {_FORMAT}, got {got}")
-        try:
-            return _from_json(values)
-        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-            raise ValueError(f"{path}: not a fit: {type(error).__name__}: {error}") from None
+        return saved.read(path, saved.FIT, _from_json)
 
     def __str__(self) -> str:
         return self.summary()
@@ -287,27 +222,11 @@ def _from_json(values: Mapping[str, Any]) -> Fit:
         fixed=made["fixed"],
     )
     checks.one_of("gain", structure.gain, get_args(Gain))
-    theta, covariance = np.array(values["theta"]), np.array(values["covariance"])
-    n = len(structure.bounds)
-    if theta.shape != (n,) or covariance.shape != (n, n):
-        raise ValueError(f"theta and covariance must hold {n} numbers, got {theta.shape}")
-    low = np.array([one.low for one in structure.bounds.values()])
-    high = np.array([one.high for one in structure.bounds.values()])
-    if not ((theta >= low) & (theta <= high)).all() or not np.isfinite(covariance).all():
-        raise ValueError("theta must lie within its bounds, and covariance be finite")
     correlation = values["correlation"]
     return Fit(
-        model=values["model"],
-        parameters={name: Parameter(**one) for name, one in values["parameters"].items()},
+        **saved.unpacked(values, structure),
         correlation=Correlation(correlation["names"], np.array(correlation["matrix"])),
-        candidates=tuple(Candidate(**one) for one in values["candidates"]),
-        message=values["message"],
-        noise=Noise(**values["noise"]),
-        rms=values["rms"],
         history=values["history"],
-        structure=structure,
-        theta=theta,
-        covariance=covariance,
     )
 
 

@@ -54,7 +54,7 @@ class Search(NamedTuple):
     seed: int
     start: Mapping[str, float]
     say: Callable[[str], None]
-    bits: int | None = 8
+    bits: int | None
 
     def weighed(
         self, structures: Sequence[OneWater], drawn: Pixels, noise: Noise | None

@@ -10,8 +10,7 @@ from torch import Tensor
 from uwaug import checks
 from uwaug.colour import ColorSpace
 from uwaug.fitting.choice import choose, tried_of
-from uwaug.fitting.entry import geometry_of
-from uwaug.fitting.inputs import distances_apart, pairs_of, require_pixels
+from uwaug.fitting.inputs import bits_of, distances_apart, geometry_of, pairs_of, require_pixels
 from uwaug.fitting.noise import Noise
 from uwaug.fitting.one_water import OneWater
 from uwaug.fitting.pixels import Pixels, gather, thinned
@@ -79,7 +78,8 @@ def fit_series(
         if model in ("auto", name):
             shape = MODELS[name].shape
             structures.append(SeriesWater(name, shape, geometry, level, len(levels)))
-    search = Search(color_space, robust, seed, {}, progress or (lambda _: None))
+    say = progress or (lambda _: None)
+    search = Search(color_space, robust, seed, {}, say, bits_of(observed))
     with one_thread():
         search.say("blurring the clean pictures")
         shapes = sorted({one.shape for one in structures if one.shape is not None})
@@ -123,7 +123,7 @@ def _start(search: Search, structure: SeriesWater, pixels: Pixels) -> Array:
         rows = [i for i, one in enumerate(structure.level) if one == level]
         geometry = structure.geometry._replace(pairs=len(rows))
         alone = OneWater(MODELS[structure.name], geometry, "fixed", 0.0, {})
-        few = thinned(pixels.pairs(rows), _FEW, np.random.default_rng(search.seed))
+        few = thinned(pixels.at(rows), _FEW, np.random.default_rng(search.seed))
         solution = search.begun(Problem(alone, few, search.robust))
         found.append(alone.natural(torch.from_numpy(solution.theta)))
     return structure.begun(found)

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from uwaug.fitting.report import NORMAL
 from uwaug.fitting.structure import COLOURS
 from uwaug.sheets import GREY, HEADER, INK, MARGIN, RGB, Canvas
 
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
 __all__ = ["draw_series"]
 
 _TALL = 420  # px, of the axes
-_NORMAL = 1.96
 
 
 def draw_series(fit: "SeriesFit") -> "Figure":
@@ -58,10 +58,10 @@ def _draw_lines(axis: "Axes", fit: "SeriesFit") -> None:
         b, error = _scattering(fit, c)
         line = fit.lines[colour]
         middle = line.b0 + line.k * x
-        half = _NORMAL * line.error_at(x)
+        half = NORMAL * line.error_at(x)
         axis.fill_between(x, middle - half, middle + half, color=RGB[c], alpha=0.2, linewidth=0)
         axis.plot(x, middle, color=RGB[c], linewidth=1.4, label=colour)
-        axis.errorbar(levels, b, _NORMAL * error, fmt="o", color=RGB[c], markersize=4, capsize=3)
+        axis.errorbar(levels, b, NORMAL * error, fmt="o", color=RGB[c], markersize=4, capsize=3)
     axis.set(xlim=(0, x[-1]), ylim=(0, None))
     axis.legend(frameon=False, fontsize=10)
     _styled(axis, "b, and b₀ + k·turbidity", f"turbidity [{fit.unit}]", "b [1/m]")
@@ -78,7 +78,7 @@ def _draw_residuals(axis: "Axes", fit: "SeriesFit") -> None:
         at = levels + (c - 1) * step
         odds = "" if line.probability is None else f"p = {line.probability:.2g}"
         axis.errorbar(
-            at, left, _NORMAL * error, fmt="o", color=RGB[c], markersize=4, capsize=3, label=odds
+            at, left, NORMAL * error, fmt="o", color=RGB[c], markersize=4, capsize=3, label=odds
         )
     axis.set_xlim(0, 1.05 * levels[-1])
     if fit.lines["red"].probability is not None:

@@ -81,7 +81,7 @@ class SeriesWater:
         return 1 * theta
 
     def scattering(self, theta: Tensor) -> Tensor:
-        """B of each level (levelsx3)."""
+        """The b of each level (levelsx3)."""
         return theta[3 : 3 + 3 * self.levels].reshape(self.levels, 3)
 
     def natural(self, theta: Tensor) -> Natural:

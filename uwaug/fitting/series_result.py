@@ -1,10 +1,8 @@
 """`SeriesFit`: the waters of a series of turbidities, and whether scattering follows turbidity."""
 
-import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -12,16 +10,15 @@ import torch
 from torch import Tensor
 
 from uwaug import checks
-from uwaug.files import require_regular, written_whole
+from uwaug.fitting import saved
 from uwaug.fitting.choice import Tried
 from uwaug.fitting.finish import candidates_of, explained
 from uwaug.fitting.media import media_of
 from uwaug.fitting.noise import Noise
-from uwaug.fitting.report import Parameter, parameters_of, table
-from uwaug.fitting.result import Candidate
+from uwaug.fitting.report import Candidate, Parameter, dependent, explains, parameters_of, table
 from uwaug.fitting.series_model import SeriesWater
 from uwaug.fitting.structure import COLOURS, Geometry
-from uwaug.fitting.uncertainty import spread
+from uwaug.fitting.uncertainty import Spread, spread
 from uwaug.optics.medium import Medium
 from uwaug.optics.spectra import Array
 
@@ -29,8 +26,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["Line", "SeriesFit", "finished_series"]
-
-_FORMAT = 1
 
 _UNLIKELY = 0.05 / 3
 """Probability, below which scattering does not follow turbidity; there are three colours."""
@@ -121,28 +116,18 @@ class SeriesFit:
         return "\n".join([*parts, "", table(self.parameters)])
 
     def plot(self) -> "Figure":
-        """A and b against turbidity, with 95 % intervals, and the lines."""
+        """Draw a and b against turbidity, with 95 % intervals, and the lines."""
         from uwaug.fitting.series_drawing import draw_series
 
         return draw_series(self)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the series as JSON, whole or not at all. Pictures are not part of it."""
-        from uwaug import __version__
-
         structure = self.structure
-        values = {
-            "uwaug_series": _FORMAT,
-            "uwaug": __version__,
-            "model": self.model,
+        own = {
             "levels": self.levels,
             "unit": self.unit,
-            "message": self.message,
-            "parameters": {name: asdict(one) for name, one in self.parameters.items()},
             "lines": {colour: line._asdict() for colour, line in self.lines.items()},
-            "candidates": [one._asdict() for one in self.candidates],
-            "noise": asdict(self.noise),
-            "rms": self.rms,
             "structure": {
                 "name": structure.name,
                 "shape": structure.shape,
@@ -150,11 +135,8 @@ class SeriesFit:
                 "level": structure.level,
                 "levels": structure.levels,
             },
-            "theta": self.theta.tolist(),
-            "covariance": self.covariance.tolist(),
         }
-        with written_whole(path) as part:
-            part.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
+        saved.write(path, saved.SERIES, {**saved.packed(self), **own})
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> "SeriesFit":
@@ -164,22 +146,7 @@ class SeriesFit:
             ValueError: if the file is none, or one of a newer version; names it.
             OSError: if it cannot be read.
         """
-        require_regular(path)
-        try:
-            values = json.loads(Path(path).read_text(encoding="utf-8"))
-            if values["uwaug_series"] != _FORMAT:
-                got = f"{values['uwaug_series']!r}, written by uwaug {values.get('uwaug')}"
-                raise ValueError(f"expected format {_FORMAT}, got {got}")
-            return _from_json(values)
-        except (
-            ArithmeticError,
-            AttributeError,
-            LookupError,
-            RecursionError,
-            TypeError,
-            ValueError,
-        ) as error:
-            raise ValueError(f"{path}: not a series: {type(error).__name__}: {error}") from None
+        return saved.read(path, saved.SERIES, _from_json)
 
     def __repr__(self) -> str:
         return f"SeriesFit({self.model!r}, {len(self.levels)} turbidities, {self.unit})"
@@ -189,24 +156,11 @@ def _from_json(values: Mapping[str, Any]) -> SeriesFit:
     made = dict(values["structure"])
     made["geometry"] = Geometry(**made["geometry"])
     made["level"] = tuple(made["level"])
-    structure = SeriesWater(**made)
-    theta, covariance = np.array(values["theta"]), np.array(values["covariance"])
-    n = len(structure.bounds)
-    if theta.shape != (n,) or covariance.shape != (n, n) or not np.isfinite(theta).all():
-        raise ValueError(f"theta and covariance must hold {n} numbers, got {theta.shape}")
     return SeriesFit(
-        model=values["model"],
+        **saved.unpacked(values, SeriesWater(**made)),
         levels=tuple(values["levels"]),
         unit=values["unit"],
-        parameters={name: Parameter(**one) for name, one in values["parameters"].items()},
         lines={colour: Line(**line) for colour, line in values["lines"].items()},
-        candidates=tuple(Candidate(**one) for one in values["candidates"]),
-        message=values["message"],
-        noise=Noise(**values["noise"]),
-        rms=values["rms"],
-        structure=structure,
-        theta=theta,
-        covariance=covariance,
     )
 
 
@@ -233,7 +187,7 @@ def finished_series(
         parameters=parameters_of(problem, solution, found),
         lines=lines,
         candidates=candidates_of(tried),
-        message=_message(chosen, lines, share, rms, found.widened),
+        message=_message(chosen, lines, share, rms, found),
         noise=noise,
         rms=rms,
         structure=chosen.structure,
@@ -267,13 +221,10 @@ def _message(
     lines: Mapping[str, Line],
     share: float,
     rms: float,
-    widened: float,
+    spread: Spread,
 ) -> str:
     """A few sentences."""
-    sentences = [
-        f"Model {chosen.name!r}. The residual is {rms:.2g} RMS of linear light; "
-        f"{100 * np.floor(1e4 * share) / 1e4:.4g} % of the variance is explained."
-    ]
+    sentences = [f"Model {chosen.name!r}. {explains(rms, share, 'the variance')}"]
     off = []
     for colour, line in lines.items():
         if line.probability is not None and line.probability < _UNLIKELY:
@@ -286,9 +237,5 @@ def _message(
         sentences.append(f"Scattering does not follow turbidity on a line in {', '.join(off)}.")
     elif len(untested) < len(lines):
         sentences.append("Scattering follows turbidity on a line, within its errors.")
-    if widened > 1.5:
-        sentences.append(
-            f"Residuals of neighbouring pixels depend on each other: errors are {widened:.1f} "
-            "times those of independent noise, as the model misses something."
-        )
+    sentences += dependent(spread, ", as the model misses something")
     return "\n".join(sentences)

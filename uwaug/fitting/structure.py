@@ -81,8 +81,11 @@ class Bounds(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """What is reported: its name, its unit, and the least change of it that shows in the picture;
-    infinity if only its size against its own value counts.
+    """What is reported.
+
+    Attributes:
+        name, unit: of the quantity.
+        shows: the least change of it that shows in the picture.
     """
 
     name: str

@@ -41,6 +41,8 @@ class Spread:
     Attributes:
         covariance: over spatial blocks; rows and columns of numbers at a bound are 0.
         independent: the same if all residuals were independent.
+        by_curvature: variances if the cost were a logarithm of likelihood, the diagonal of
+            H⁻¹; infinite of numbers that do nothing, or are not free.
         length: of the Jacobian's columns; 0 if a number does nothing, or is not free.
         idle: which numbers do nothing at all.
         unseen (numbers x directions): changes of numbers times length that do not show at all.
@@ -50,6 +52,7 @@ class Spread:
 
     covariance: Array
     independent: Array
+    by_curvature: Array
     length: Array
     idle: NDArray[np.bool_]
     unseen: Array
@@ -94,11 +97,21 @@ def spread(problem: Problem[Any], solution: Solution, free: Array | None = None)
     scale, inside = np.outer(length[used], length[used]), np.ix_(used, used)
     covariance[inside] = inverse @ middle @ inverse / scale
     independent[inside] = inverse @ (scores.T @ scores) @ inverse / scale
+    by_curvature = np.full(n, np.inf)
+    by_curvature[used] = np.diag(inverse) / length[used] ** 2
     unseen = np.zeros((n, null.shape[1]))
     unseen[used] = null
     singular = np.linalg.svd(scaled.T @ scaled, compute_uv=False) ** 0.5
     idle = free & (length == 0)
-    return Spread(covariance, independent, np.where(used, length, 0.0), idle, unseen, singular)
+    return Spread(
+        covariance=covariance,
+        independent=independent,
+        by_curvature=by_curvature,
+        length=np.where(used, length, 0.0),
+        idle=idle,
+        unseen=unseen,
+        singular=singular,
+    )
 
 
 def _inverse(hessian: Array) -> tuple[Array, Array]:
@@ -144,25 +157,14 @@ def limits(
     everything = spread(problem, solution, free=problem.free)
     variance = float(everything.covariance[place, place])
     # residuals that depend on each other make the cost rise too steeply
-    plain = _curvature(problem, solution, place)
-    rise = 0.5 * _CHI * share * max(variance / plain, 1e-12)
+    ratio = variance / float(everything.by_curvature[place])
+    rise = 0.5 * _CHI * share * max(ratio, 1e-12)
     step = math.sqrt(_CHI * share * variance)
     low, high = (limit[place] for limit in problem.limits)
     return (
         _limit(problem, solution, place, -step, low, rise),
         _limit(problem, solution, place, step, high, rise),
     )
-
-
-def _curvature(problem: Problem[Any], solution: Solution, place: int) -> float:
-    """The variance of a number if the cost were a logarithm of likelihood."""
-    _, curvature = influence(solution.residual, problem.robust)
-    length = np.sqrt((solution.jacobian**2).sum(0))
-    used = problem.free & (length > 0)
-    scaled = solution.jacobian[:, used] / length[used]
-    inverse, _ = _inverse(scaled.T @ (curvature[:, None] * scaled))
-    i = int(used[:place].sum())
-    return float(inverse[i, i] / length[place] ** 2)
 
 
 def _limit(

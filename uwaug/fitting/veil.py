@@ -10,18 +10,15 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from uwaug import checks
-from uwaug.colour import ColorSpace
+from uwaug.colour import LUMINANCE, ColorSpace
 from uwaug.fitting.inputs import Pictures, distances_apart, pairs_of, require_pixels
-from uwaug.fitting.pixels import Pair, reference_distance
+from uwaug.fitting.pixels import Pair, reference_distance, tiles
 from uwaug.fitting.threads import one_thread
 from uwaug.fitting.veil_result import VeilFit, veil_found
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.spectra import Array
 
 __all__ = ["fit_veil"]
-
-_LUMINANCE = (0.2126, 0.7152, 0.0722)
-"""Of linear light (IEC 61966-2-1)."""
 
 _STAND_IN = 0.9
 """For the clean picture, which is not looked at."""
@@ -144,7 +141,6 @@ def fit_veil(
     dark = _darkest(pairs, int(bins), share, rng)
     reference = reference_distance(pairs)
     everything = np.ones(len(dark.z))
-    # many small steps, which several threads would slow down
     with one_thread():
         numbers = _channels(dark, reference, everything)
         repeats = [_channels(dark, reference, one, near=numbers) for one in _draws(dark, rng)]
@@ -218,19 +214,15 @@ def _flattened(pairs: Sequence[Pair]) -> Dark:
         usable = pair.usable[0]
         z.append(pair.z[0][usable])
         light.append(pair.observed[:, usable].T)
-        side = max(1, min(pair.size) // _TILES)
-        down, across = torch.meshgrid(*map(torch.arange, pair.size), indexing="ij")
-        tiles = (down // side) * max(pair.size) + across // side
-        # a number of its own in each picture
-        block.append((tiles + i * max(pair.size) ** 2)[usable])
-    return Dark(torch.cat(z).numpy(), torch.cat(light).numpy(), torch.cat(block).numpy())
+        block.append(tiles(np.flatnonzero(usable.numpy()), i, pair.size, _TILES))
+    return Dark(torch.cat(z).numpy(), torch.cat(light).numpy(), np.concatenate(block))
 
 
 def _luminance(pairs: Sequence[Pair]) -> Array:
     """Of the usable pixels, over 3×3 neighbours."""
     found = []
     for pair in pairs:
-        weights = torch.tensor(_LUMINANCE, dtype=torch.float64)
+        weights = torch.tensor(LUMINANCE, dtype=torch.float64)
         picture = torch.einsum("c,chw->hw", weights, pair.observed)[None, None]
         smooth = F.avg_pool2d(F.pad(picture, (1, 1, 1, 1), mode="replicate"), 3, 1)
         found.append(smooth[0, 0][pair.usable[0]])

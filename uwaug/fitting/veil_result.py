@@ -6,24 +6,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uwaug.fitting.report import Parameter, table
+from uwaug.fitting.report import NORMAL, THIN, VAGUE, Parameter, errors_of, not_identified, table
 from uwaug.fitting.structure import COLOURS
 from uwaug.optics.medium import Medium
 from uwaug.optics.spectra import Array
 
 __all__ = ["VeilFit", "veil_found"]
 
-_NORMAL = 1.96
-"""Standard errors to either end of a 95 % interval."""
-
-_VAGUE = 0.5
-"""Of a number: a larger standard error says nothing of it."""
-
-_THIN = 0.3
-"""Optical depth G·z at the far end, below which a veil is still a straight line."""
-
 _CLEAR = 1.0
-"""The same, below which surfaces that are not quite black bend it as much as its end does."""
+"""Optical depth G·z at the far end, below which surfaces that are not quite black bend a veil as
+much as its end does.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,11 +55,7 @@ class VeilFit:
     @property
     def errors(self) -> dict[str, float]:
         """The standard errors that are known, by name."""
-        found = {}
-        for name, one in self.parameters.items():
-            if one.error is not None:
-                found[name] = one.error
-        return found
+        return errors_of(self.parameters)
 
     def _values(self, kind: str) -> Tensor:
         known = []
@@ -109,7 +98,7 @@ def veil_found(numbers: Array, repeats: Array, ways: Array, farthest: float) -> 
     for kind, value in values.items():
         error = np.hypot(drawn[kind].std(0), 0.5 * np.ptp(others[kind], 0))
         for c, colour in enumerate(COLOURS):
-            straight = kind != "source" and G[c] * farthest < _THIN
+            straight = kind != "source" and G[c] * farthest < THIN
             parameter = _parameter(kind, float(value[c]), float(error[c]), straight=straight)
             parameters[f"{kind}_{colour}"] = parameter
     return VeilFit(
@@ -128,9 +117,9 @@ def _kinds(numbers: Array) -> dict[str, Array]:
 
 def _parameter(kind: str, value: float, error: float, *, straight: bool) -> Parameter:
     unit = "1" if kind == "veil" else "1/m"
-    if straight or not error <= max(_VAGUE * value, 1e-6):
-        return Parameter(None, None, None, None, unit, "not identified")
-    low, high = max(value - _NORMAL * error, 0.0), value + _NORMAL * error
+    if straight or not error <= max(VAGUE * value, 1e-6):
+        return not_identified(unit)
+    low, high = max(value - NORMAL * error, 0.0), value + NORMAL * error
     return Parameter(value, error, low, high, unit, "free")
 
 
@@ -144,7 +133,7 @@ def _message(parameters: dict[str, Parameter], G: Array, farthest: float) -> str
         if parameters[f"veil_{colour}"].state != "not identified":
             if G[c] * farthest < _CLEAR:
                 clear.append(colour)
-        elif G[c] * farthest < _THIN:
+        elif G[c] * farthest < THIN:
             lines.append(
                 f"Not identified: veil and G of {colour}. The veil still grows as a straight line "
                 f"at {farthest:.3g} m: its growth (source) is seen, where it ends is not."

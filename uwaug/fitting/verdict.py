@@ -2,27 +2,18 @@
 tell and why.
 """
 
-import numpy as np
 import torch
 
-from uwaug.fitting.choice import Tried
+from uwaug.fitting.choice import Tried, best_of
 from uwaug.fitting.one_water import OneWater
-from uwaug.fitting.report import Parameter
+from uwaug.fitting.report import THIN, Parameter, dependent, explains
 from uwaug.fitting.structure import COLOURS
 from uwaug.fitting.uncertainty import Spread
 
 __all__ = ["verdict"]
 
-_DEPENDENT = 1.5
-"""Ratio of standard errors over blocks to those of independent residuals, above which the model
-misses something.
-"""
-
 _POOR = 0.8
 """Share of the observed variance, below which a model does not explain a picture."""
-
-_THIN = 0.3
-"""Optical depth G·z at the far end, where a veil is still a straight line."""
 
 _NEAREST = 0.05
 """m, median distance; nearer scenes are rare."""
@@ -35,6 +26,12 @@ _ALMOST = 0.95
 
 _ALIKE = 0.03
 """Smallest singular value of the scaled Jacobian where two numbers do nearly the same."""
+
+_CAUSES = (
+    ". The model misses something, such as wrong distances, another exposure, uneven water or "
+    "light, or more than one rate for a colour"
+)
+"""Of residuals that depend on each other."""
 
 
 def verdict(
@@ -49,19 +46,13 @@ def verdict(
     """A few sentences. gain: of the observed pictures, if one explains them much better."""
     structure = chosen.structure
     lines = [_choice(chosen, tried)]
-    lines.append(f"The residual is {rms:.2g} RMS of linear light; {_percent(explained)} of the")
-    lines[-1] += " variance of the observed pixels is explained."
-    if explained < _POOR and spread.widened > _DEPENDENT:
+    lines.append(explains(rms, explained, "the variance of the observed pixels"))
+    doubt = dependent(spread, _CAUSES)
+    if explained < _POOR and doubt:
         lines.append(
             "That is little: are the pictures aligned, of one exposure (gain), and in metres?"
         )
-    if spread.widened > _DEPENDENT:
-        lines.append(
-            f"Residuals of neighbouring pixels depend on each other: errors are "
-            f"{spread.widened:.1f} times those of independent noise. The model misses something, "
-            "such as wrong distances, another exposure, uneven water or light, or more than one "
-            "rate for a colour."
-        )
+    lines += doubt
     if gain is not None:
         lines.append(
             f"A gain of {gain:.3g} explains the pictures much better: were both taken with one "
@@ -86,17 +77,13 @@ def _choice(chosen: Tried[OneWater], tried: list[Tried[OneWater]]) -> str:
     words = chosen.structure.model.words
     if len(tried) == 1:
         return f"Model {chosen.name!r}: {words}."
-    best = min(tried, key=lambda one: float(one.losses.sum()))
+    best = best_of(tried)
     if best is chosen:
         return f"Model {chosen.name!r}: {words}. It foretells left-out pixels best."
     return (
         f"Model {chosen.name!r}: {words}. The fewest numbers within one standard error of the "
         f"best, {best.name!r}."
     )
-
-
-def _percent(share: float) -> str:
-    return f"{100 * np.floor(1e4 * share) / 1e4:.4g} %"
 
 
 def _unknown(parameters: dict[str, Parameter], structure: OneWater, spread: Spread) -> list[str]:
@@ -119,7 +106,7 @@ def _unknown(parameters: dict[str, Parameter], structure: OneWater, spread: Spre
         if f"veil_{colour}" not in names or G is None or source is None or source.value is None:
             continue
         depth = 0.0 if G.value is None else G.value * far
-        if depth < _THIN:
+        if depth < THIN:
             lines.append(
                 f"In {colour} the veil still grows as a straight line at {far:.3g} "
                 f"{structure.geometry.unit}: its growth (source) is seen, where it ends is not."

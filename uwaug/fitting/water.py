@@ -7,25 +7,30 @@ from itertools import pairwise
 from typing import Any, Literal, get_args
 
 import numpy as np
-import torch
 
 from uwaug import checks
 from uwaug.colour import ColorSpace
 from uwaug.fitting.choice import Tried, choose, tried_of
-from uwaug.fitting.inputs import Pictures, distances_apart, pairs_of, require_pixels
+from uwaug.fitting.inputs import (
+    Pictures,
+    bits_of,
+    distances_apart,
+    geometry_of,
+    pairs_of,
+    require_pixels,
+)
 from uwaug.fitting.noise import Noise
 from uwaug.fitting.one_water import OneWater
-from uwaug.fitting.pixels import Pair, Pixels, gather, reference_distance, thinned, widest_blur
+from uwaug.fitting.pixels import Pair, Pixels, gather, thinned
 from uwaug.fitting.search import Search
 from uwaug.fitting.solve import Problem, loss, solve
 from uwaug.fitting.spectral import OneType, Optics, SpectralProblem
-from uwaug.fitting.structure import MODELS, Geometry
+from uwaug.fitting.structure import MODELS
 from uwaug.fitting.threads import one_thread
 from uwaug.fitting.uncertainty import spread
 from uwaug.fitting.water_report import Found, reported
 from uwaug.fitting.water_result import WaterFit
 from uwaug.optics.camera import Camera, load_camera
-from uwaug.optics.curves import FARTHEST
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.spectra import Array
 from uwaug.optics.water import JERLOV_TYPES, Water
@@ -154,8 +159,8 @@ def fit_water(
     pairs = pairs_of(clean, observed, distance, field, mask, color_space)
     require_pixels(pairs)
     distances_apart(pairs)
-    search = Search(color_space, True, seed, {}, progress or (lambda _: None))
-    # many small steps, which several threads would slow down
+    say = progress or (lambda _: None)
+    search = Search(color_space, True, seed, {}, say, bits_of(observed))
     with one_thread():
         search.say("blurring the clean picture")
         drawn = gather(pairs, [optics.law.shape], int(pixels), np.random.default_rng(seed))
@@ -248,15 +253,7 @@ def _optics(
 
 def _rival(pairs: Sequence[Pair], optics: Optics) -> OneWater:
     """A model that is free in every channel."""
-    known = torch.cat([pair.z[pair.usable & (pair.z < FARTHEST)] for pair in pairs])
-    geometry = Geometry(
-        pairs=len(pairs),
-        short_side=min(min(pair.size) for pair in pairs),
-        reference=reference_distance(pairs),
-        farthest=float(np.quantile(known.numpy(), 0.95)),
-        widest=min(widest_blur(pair.size) for pair in pairs),
-        focal_px=None,
-    )
+    geometry = geometry_of(pairs, None, relative=False)
     return OneWater(MODELS[optics.law.shape], geometry, "channels", optics.g, {})
 
 

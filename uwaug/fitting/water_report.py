@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from uwaug.fitting.choice import Tried
+from uwaug.fitting.choice import Tried, best_of
 from uwaug.fitting.noise import Noise
 from uwaug.fitting.pixels import Pixels, widest_blur
-from uwaug.fitting.report import Parameter
+from uwaug.fitting.report import NEAR_BOUND, NORMAL, VAGUE, Parameter, not_identified
 from uwaug.fitting.spectral import OneType
 from uwaug.fitting.uncertainty import limits, spread
 from uwaug.fitting.water_result import JerlovType, WaterFit
@@ -17,15 +17,6 @@ from uwaug.optics.medium import Medium
 from uwaug.optics.spectra import Array
 
 __all__ = ["Found", "reported"]
-
-_NORMAL = 1.96
-"""Standard errors to either end of a 95 % interval."""
-
-_NEAR_BOUND = 3.0
-"""Standard errors from a bound, within which an interval is taken from the profile."""
-
-_VAGUE = 0.5
-"""Of a number: a larger standard error says nothing of it."""
 
 _SHOWS = {"visibility": 0.0, "vertical_depth": 0.5}
 """Of these numbers, m, the least change that shows in a picture."""
@@ -115,10 +106,10 @@ def _parameters(chosen: Tried[Any]) -> dict[str, Parameter]:
             found[name] = Parameter(value, None, None, None, _unit(name), "fixed")
             continue
         if not known.sees(slopes[i]):
-            found[name] = Parameter(None, None, None, None, _unit(name), "not identified")
+            found[name] = not_identified(_unit(name))
             continue
         error = float(np.sqrt(max(slopes[i] @ covariance @ slopes[i], 0.0)))
-        reached = [value - _NORMAL * error, value + _NORMAL * error]
+        reached = [value - NORMAL * error, value + NORMAL * error]
         for place, thetas in ends.items():
             if slopes[i, place] != 0:
                 reached += [structure.reported(end)[name] for end in thetas]
@@ -131,10 +122,10 @@ def _parameters(chosen: Tried[Any]) -> dict[str, Parameter]:
 def _parameter(
     name: str, value: float, error: float, low: float, high: float, *, at_bound: bool
 ) -> Parameter:
-    half, unit = (high - low) / (2 * _NORMAL), _unit(name)
+    half, unit = (high - low) / (2 * NORMAL), _unit(name)
     shows = _SHOWS.get(name, 0.05)
-    if not half <= max(shows, _VAGUE * abs(value)):
-        return Parameter(None, None, None, None, unit, "not identified")
+    if not half <= max(shows, VAGUE * abs(value)):
+        return not_identified(unit)
     if at_bound:
         return Parameter(value, None, low, high, unit, "at bound")
     return Parameter(value, error, low, high, unit, "free")
@@ -165,13 +156,13 @@ def _profiles(chosen: Tried[Any], error: Array) -> dict[int, list[Array]]:
     found = {}
     for i in range(len(low)):
         away = min(solution.theta[i] - low[i], high[i] - solution.theta[i])
-        if solution.at_bound[i] != 0 or away < _NEAR_BOUND * error[i]:
+        if solution.at_bound[i] != 0 or away < NEAR_BOUND * error[i]:
             found[i] = [end.theta for end in limits(problem, solution, i)]
     return found
 
 
 def _types(tried: Sequence[Tried[Any]]) -> tuple[JerlovType, ...]:
-    order = sorted(tried, key=lambda one: float(one.losses.sum()))
+    order = sorted(tried, key=lambda one: one.loss)
     rows = []
     for one in order:
         behind, error = one.behind(order[0])
@@ -222,7 +213,7 @@ def _identity(chosen: Tried[Any], parameters: dict[str, Parameter]) -> str:
 
 def _verdict(found: Found) -> list[str]:
     """Whether any water explains the pictures."""
-    best = min(found.tried, key=lambda one: float(one.losses.sum()))
+    best = best_of(found.tried)
     ratio = best.error / max(found.rival.error, 1e-9)
     behind, error = best.behind(found.rival)
     missed = max(_rms(best) ** 2 - _rms(found.rival) ** 2, 0.0) ** 0.5

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from uwaug.fitting.noise import Noise
-from uwaug.fitting.report import Parameter, table
+from uwaug.fitting.report import Parameter, errors_of, table
 from uwaug.optics.medium import Medium
 from uwaug.optics.water import Water
 
@@ -90,11 +90,7 @@ class WaterFit:
     @property
     def errors(self) -> dict[str, float]:
         """The standard errors that are known, by name."""
-        found = {}
-        for name, one in self.parameters.items():
-            if one.error is not None:
-                found[name] = one.error
-        return found
+        return errors_of(self.parameters)
 
     def summary(self) -> str:
         """The fit as text: verdict, numbers, types."""
