@@ -167,7 +167,7 @@ class OneWater:
             return value("width"), value("exponent")
         known = self.known_law()
         lengths = ((beta - G) / (1 - self.g)).mean() * self.geometry.reference
-        exponent = torch.as_tensor(known.exponent).to(beta)
+        exponent = torch.as_tensor(known.exponent, dtype=beta.dtype)
         return known.scale * lengths.clamp(min=1e-6) ** exponent, exponent
 
     def known_law(self) -> PointSpread:
