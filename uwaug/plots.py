@@ -86,7 +86,9 @@ def draw_contact_sheet(scene: Scene) -> Drawing:
 
 def draw_terms(scene: Scene, case: Case) -> Drawing:
     """Every term of the model, in an inhomogeneous medium."""
-    light = "added in linear light" if case.color_space == "srgb" else "sRGB values taken for light"
+    light = (
+        "added in linear light" if case.color_space == "srgb" else "of sRGB values taken for light"
+    )
     exposure = "" if case.exposure == "none" else f" ({case.exposure})"
     caption = f"I = D + F + B, {light}. All pictures at one exposure{exposure}."
     columns = columns_for(_shape(scene))
@@ -126,13 +128,13 @@ def draw_terms(scene: Scene, case: Case) -> Drawing:
             axis.plot(z.numpy(), values.numpy(), style, color=colour, linewidth=1.6)
         axis.plot([], [], style, color=INK, label=label)
     axis.set(xlim=(0, reach), ylim=(0, 1))
-    style: dict[str, Any] = {
+    box: dict[str, Any] = {
         "framealpha": 0.85,
         "edgecolor": "none",
         "handlelength": 2.2,
         "borderpad": 0,
     }
-    axis.legend(fontsize=9.5, loc="upper right", **style)
+    axis.legend(fontsize=9.5, loc="upper right", **box)
     return Drawing(figure, modelled)
 
 
