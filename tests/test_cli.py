@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from uwaug import JERLOV_TYPES, Water, __version__, cli, load_camera, plots
-from uwaug.presets import list_presets
 
-COMMANDS = ("demo", "waters", "presets", "export", "check")
+COMMANDS = ("demo", "plot", "degrade", "waters", "preset", "export", "check")
 
 
 def test_version(run):
@@ -56,14 +55,6 @@ def test_waters(run):
     assert "5C: a at 600–700 nm: Williamson & Hollins 2022 (misprinted" in doubts
     assert "Jerlov I: b at 300–700 nm: suspect" in doubts
     assert "9C" not in doubts
-
-
-def test_presets(run):
-    code, out, err = run("presets")
-    assert (code, err) == (0, "")
-    assert [line.split()[0] for line in out.splitlines()[1:]] == list_presets()
-    row = r"^examples-4 +0.25–2 +2.5 +0.3–1.7 +arXiv:2509.15011, figure 7, row 4"
-    assert re.search(row, out, re.MULTILINE)
 
 
 def test_demo_on_the_real_scene(run, tmp_path):
@@ -193,6 +184,41 @@ def module(folder: Path, *arguments: str, **options: Any) -> subprocess.Complete
     return subprocess.run(command, cwd=folder, stderr=subprocess.PIPE, check=False, **options)
 
 
+def test_as_a_module_it_has_its_own_name(tmp_path):
+    done = module(tmp_path, "--version", stdout=subprocess.PIPE)
+    assert (done.returncode, done.stdout.decode()) == (0, f"uwaug {__version__}\n")
+    done = module(tmp_path, "demi")
+    assert done.returncode == 2
+    assert done.stderr.startswith(b"Usage: uwaug [OPTIONS]")
+
+
+def test_a_shell_asks_for_completions(tmp_path):
+    asked = {"_UWAUG_COMPLETE": "complete_bash", "COMP_WORDS": "uwaug plot --water 7"}
+    environment = {**os.environ, **asked, "COMP_CWORD": "3"}
+    done = module(tmp_path, env=environment, stdout=subprocess.PIPE)
+    assert (done.stdout, done.stderr) == (b"7C\n", b"")
+
+
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [
+        ("uwaug pr", ["preset"]),
+        ("uwaug preset ", ["list", "show", "copy"]),
+        ("uwaug preset copy tank-adjusted-", [f"tank-adjusted-{i}" for i in range(1, 5)]),
+        ("uwaug preset show sur", ["survey"]),
+        ("uwaug export --preset sur", ["survey"]),
+        ("uwaug export --water I", ["I", "IA", "IB", "II", "III"]),
+        ("uwaug plot --preset cal", ["calibrated"]),
+        ("uwaug plot --preset own.to", []),  # the shell goes on with files
+    ],
+)
+def test_completions(run, monkeypatch, words, wanted):
+    monkeypatch.setenv("_UWAUG_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", words)
+    monkeypatch.setenv("COMP_CWORD", str(words.count(" ")))
+    assert run()[1].split() == wanted
+
+
 @pytest.mark.parametrize("encoding", ["cp1252", "ascii"])
 def test_a_console_of_another_encoding(encoding, tmp_path):
     environment = {**os.environ, "PYTHONIOENCODING": encoding}
@@ -204,7 +230,7 @@ def test_a_console_of_another_encoding(encoding, tmp_path):
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="a device of Linux")
 def test_a_console_that_takes_nothing(tmp_path):
     with open("/dev/full", "wb") as full:
-        done = module(tmp_path, "presets", stdout=full)
+        done = module(tmp_path, "preset", "list", stdout=full)
     assert done.returncode == 1
     assert done.stderr == b"Error: cannot write to the console: No space left on device\n"
 

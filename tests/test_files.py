@@ -160,14 +160,14 @@ def test_a_full_disk_is_named_with_the_path(tmp_path):
 
 def test_sigterm_leaves_nothing(tmp_path):
     code = (
-        "import sys, time, uwaug.cli\n"
+        "import sys, time, uwaug.cli, uwaug.commands.drawing\n"
         "from uwaug.files import written_whole\n"
-        "def draw(out):\n"
+        "def draw(out, *_):\n"
         "    with written_whole(out / '2-terms.jpg') as part:\n"
         "        part.write_text('half')\n"
         "        print('drawing', flush=True)\n"
         "        time.sleep(60)\n"
-        "uwaug.cli._draw_all = draw\n"
+        "uwaug.commands.drawing._draw_all = draw\n"
         "sys.argv = ['uwaug', 'demo', '--out', '.']\n"
         "uwaug.cli.main()\n"
     )

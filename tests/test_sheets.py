@@ -6,7 +6,7 @@ from uwaug import plots, sheets
 
 
 def test_a_picture_is_written_whole_or_not_at_all(small, tmp_path, monkeypatch):
-    figure = plots.draw_terms(small).figure
+    figure = plots.draw_contact_sheet(small).figure
     path = tmp_path / "2-terms.jpg"
     path.write_text("old")
 

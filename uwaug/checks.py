@@ -57,7 +57,7 @@ itself is never allowed.
 _FARTHEST = 1000.0
 """m: what a map of metres has at most for its median. No water lets one see farther than 100 m."""
 
-_OPEN = 1e7
+OPEN = 1e7
 """m: beyond, a number stands for open water (some write 1e9 for infinity); no millimetres are so
 many.
 """
@@ -157,9 +157,9 @@ def metres(name: str, value: Tensor) -> None:
     """
     rows, columns = (max(1, side // _LOOKS) for side in value.shape[-2:])
     seen = value.detach()[..., ::rows, ::columns]
-    if not bool(((seen > _FARTHEST) & (seen < _OPEN)).any()):
+    if not bool(((seen > _FARTHEST) & (seen < OPEN)).any()):
         return
-    known = value.detach()[(value > 0) & (value < _OPEN)]
+    known = value.detach()[(value > 0) & (value < OPEN)]
     median = float(known.median())
     if median > _FARTHEST:
         got = f"a map whose median is {median:.4g}"

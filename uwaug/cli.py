@@ -6,33 +6,29 @@ import io
 import os
 import signal
 import sys
-import time
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from uwaug import __version__
 from uwaug.commands.console import fail as _fail
-from uwaug.commands.console import refuse as _refuse
-from uwaug.commands.console import require_matplotlib
 from uwaug.commands.console import said as _said
 from uwaug.commands.degrade import degrade
+from uwaug.commands.demo import demo
 from uwaug.commands.export import export
 from uwaug.commands.fit import fit
-from uwaug.files import is_part
+from uwaug.commands.plot import plot
+from uwaug.commands.preset import preset
 from uwaug.optics.bands import WAVELENGTHS
 from uwaug.optics.camera import load_camera
 from uwaug.optics.water import JERLOV_TYPES, Water
-from uwaug.presets import list_presets, load_preset
 
 app = typer.Typer(
     help="A differentiable, batched, spectrally honest model of how water degrades an image.",
     no_args_is_help=True,
-    add_completion=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -48,7 +44,8 @@ def main() -> None:
             stream.reconfigure(errors="replace")
     try:
         try:
-            app()
+            # the name of the variable through which shells ask is made of it
+            app(prog_name="uwaug")
         finally:
             sys.stdout.flush()
     except OSError as error:
@@ -74,54 +71,8 @@ def _options(
     pass
 
 
-@app.command()
-def demo(
-    out: Annotated[Path, typer.Option(help="Folder for the pictures; made if need be.")] = Path(
-        "uwaug-demo"
-    ),
-    force: Annotated[
-        bool, typer.Option("--force", help="Write even if the folder holds other files.")
-    ] = False,
-) -> None:
-    """Draw a real scene in ten waters, term by term."""
-    require_matplotlib("the demo draws")
-    from uwaug.plots import PICTURES
-
-    start = time.perf_counter()
-    try:
-        found = os.listdir(out)
-    except FileNotFoundError:
-        found = []
-    except OSError as error:
-        _fail(f"cannot write to {out}: {error.strerror or error}")
-    # what a killed demo has left does not count
-    others = sorted(name for name in found if name not in PICTURES and not is_part(name))
-    if others and not force:
-        cure = "choose an empty folder, or --force to write into it"
-        _refuse(f"{out} holds other files, such as {others[0]}: {cure}")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        _draw_all(out)
-    except OSError as error:
-        _fail(f"cannot write to {out}: {error.strerror or error}")
-    took = time.perf_counter() - start
-    print(f"{len(PICTURES)} pictures in {out.resolve()}, {took:.1f} s")
-
-
-def _draw_all(out: Path) -> None:
-    """Draw the demo's pictures and report each."""
-    from uwaug import plots, scene, sheets
-
-    motorcycle = scene.motorcycle()
-    errors, report = Console(stderr=True), []
-    with Progress(console=errors, transient=True, disable=not errors.is_terminal) as progress:
-        for name, draw in progress.track(plots.PICTURES.items(), description="Drawing"):
-            before = time.perf_counter()
-            figure, modelled = draw(motorcycle)
-            sheets.save(figure, out / name)
-            report.append(f"{out / name}  ({time.perf_counter() - before:.1f} s)")
-            report += [f"    {line}" for line in modelled]
-    print("\n".join(report))
+app.command()(demo)
+app.command()(plot)
 
 
 @app.command()
@@ -149,17 +100,7 @@ def waters() -> None:
                 print(f"  {note}")
 
 
-@app.command()
-def presets() -> None:
-    """List the presets and where their figures come from."""
-    table = Table("name", "distance (m)", "γ", "field", "source", box=None, pad_edge=False)
-    for name in list_presets():
-        p = load_preset(name)
-        low, high = p.field_range
-        table.add_row(name, f"{p.near:g}–{p.far:g}", f"{p.gamma:g}", f"{low:g}–{high:g}", p.source)
-    Console().print(table)
-
-
+app.add_typer(preset, name="preset")
 app.command()(degrade)
 app.command()(fit)
 app.command()(export)

@@ -1,35 +1,54 @@
-"""The pictures of the demo: what the model does to a real scene. Each function draws one and says
+"""What the model does to a scene, the demo's or one's own. Each function draws a sheet and says
 what it modelled.
 """
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from uwaug.blur.demand import blur_demand
+from uwaug.cases import SETTING, Case, water_case
 from uwaug.checks import extent
-from uwaug.colour import linear_to_srgb, srgb_to_linear
+from uwaug.colour import ColorSpace, from_light, linear_to_srgb, to_light
 from uwaug.distance import from_relative
+from uwaug.exposure import exposed
 from uwaug.field import gaussian_random_field
 from uwaug.formation import Terms, form_image
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import JERLOV_TYPES, Water
 from uwaug.scene import Scene
-from uwaug.sheets import GREY, HEADER, INK, MARGIN, RGB, Canvas, plot, sheet, show, show_map
+from uwaug.sheets import (
+    GREY,
+    HEADER,
+    INK,
+    MARGIN,
+    RGB,
+    Canvas,
+    columns_for,
+    plot,
+    round_up,
+    seen,
+    sheet,
+    show,
+    show_distance,
+    show_field,
+    show_map,
+    ticks_of,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["PICTURES", "Drawing"]
+__all__ = ["PICTURES", "Drawing", "own_pictures"]
 
 _COAST = "1C"
-_SETTING = "Scene 1 m deep, g = 0.2, μ = 0.3"  # the defaults of Medium.from_water
-_EVEN = f"{_SETTING}, homogeneous, one exposure"
+_EVEN = f"{SETTING}, homogeneous, one exposure"
 
 _HALF = {"gaussian": math.sqrt(2 * math.log(2)), "exponential": math.sqrt(3)}
 """Radius that holds half of the light, in σ."""
@@ -45,37 +64,61 @@ class Drawing(NamedTuple):
 def draw_contact_sheet(scene: Scene) -> Drawing:
     """The ten Jerlov types over the scene's own distances."""
     waters = [Water.jerlov(name) for name in JERLOV_TYPES]
-    low, high = scene.distance.aminmax()
-    caption = f"Jerlov types over the measured distances, {low:.1f}–{high:.1f} m. {_EVEN}."
-    figure, axes = sheet(3, 4, _shape(scene), "One scene in ten waters", caption)
+    low, _, high = ticks_of(scene.distance)
+    metres = (
+        f"{seen(scene.distance)[1]:.3g} m" if low == high else f"{low.removesuffix(' m')}–{high}"
+    )
+    beyond = "" if bool(scene.distance.isfinite().all()) else " and open water"
+    caption = f"Jerlov types over the scene's distances, {metres}{beyond}. {_EVEN}."
+    columns = columns_for(_shape(scene))
+    figure, axes = sheet(
+        12 // columns, columns, _shape(scene), "One scene in ten waters", _noted(caption, scene)
+    )
     media = Medium.stack([Medium.from_water(water) for water in waters])
     terms, modelled = _form(scene, media)
     show(axes[0], scene.image, "No water")
-    _show_distance(axes[1], scene.distance)
+    show_distance(axes[1], scene.distance)
     for axis, water, picture in zip(axes[2:], waters, terms.image, strict=True):
         label = f"{water.name}   (visibility {water.visibility():.2g} m)"
         show(axis, linear_to_srgb(picture), label)
     return Drawing(figure, modelled)
 
 
-def draw_terms(scene: Scene) -> Drawing:
-    """Every term of the model for a coastal type, in an inhomogeneous medium."""
-    caption = f"I = D + F + B, added in linear light. All pictures at one exposure. {_SETTING}."
-    heading = f"The terms of the image, Jerlov {_COAST}"
-    figure, axes = sheet(2, 4, _shape(scene), heading, caption)
-    medium = Medium.from_water(Water.jerlov(_COAST))
-    rng = torch.Generator().manual_seed(4)
-    field = gaussian_random_field(_shape(scene), low=0.3, high=1.7, generator=rng)[0]
-    terms, modelled = _form(scene, medium, field=field)
+def draw_terms(scene: Scene, case: Case) -> Drawing:
+    """Every term of the model, in an inhomogeneous medium."""
+    light = (
+        "added in linear light" if case.color_space == "srgb" else "of sRGB values taken for light"
+    )
+    exposure = "" if case.exposure == "none" else f" ({case.exposure})"
+    caption = f"I = D + F + B, {light}. All pictures at one exposure{exposure}."
+    columns = columns_for(_shape(scene))
+    figure, axes = sheet(
+        8 // columns,
+        columns,
+        _shape(scene),
+        f"The terms of the image, {case.name}",
+        _noted(f"{caption} {case.setting}.", scene),
+    )
+    rng, (low, high) = torch.Generator().manual_seed(4), case.field_range
+    field = gaussian_random_field(_shape(scene), low=low, high=high, generator=rng)[0]
+    before = to_light(scene.image, case.color_space)
+    z = (scene.distance * field)[None]
+    medium = exposed(before[None], z, case.medium, case.exposure)
+    terms, modelled = _form(scene, medium, field=field, color_space=case.color_space)
+
+    def display(term: Tensor, cell: int, label: str) -> None:
+        show(axes[cell], from_light(term, case.color_space, scene.image), label)
+
     show(axes[0], scene.image, "J   scene without water")
-    _show_distance(axes[1], scene.distance)
-    show_map(axes[2], field, "m   medium field (multiplies z)", "RdBu_r", ("0.3", "1.0", "1.7"))
-    show(axes[4], linear_to_srgb(terms.direct), "D   direct")
-    show(axes[5], linear_to_srgb(terms.forward), "F   forward scatter")
-    show(axes[6], linear_to_srgb(terms.backscatter), "B   backscatter")
-    show(axes[7], linear_to_srgb(terms.image), "I   image")
+    show_distance(axes[1], scene.distance)
+    show_field(axes[2], field, case.field_range)
+    display(terms.direct, 4, "D   direct")
+    display(terms.forward, 5, "F   forward scatter")
+    display(terms.backscatter, 6, "B   backscatter")
+    display(terms.image, 7, "I   image")
     axis = plot(axes[3], "Curves of distance, red, green, blue", "z [m]", "")
-    z = torch.linspace(0, 10, 201, dtype=torch.float64)
+    reach = round_up(1.5 * seen(scene.distance)[1])
+    z = torch.linspace(0, reach, 201, dtype=torch.float64)
     for label, curve, style in (
         ("$T_β$  direct", medium.transmission(z), "-"),
         ("$T_G$  direct + forward", medium.signal(z), "--"),
@@ -84,8 +127,14 @@ def draw_terms(scene: Scene) -> Drawing:
         for values, colour in zip(curve[0], RGB, strict=True):
             axis.plot(z.numpy(), values.numpy(), style, color=colour, linewidth=1.6)
         axis.plot([], [], style, color=INK, label=label)
-    axis.set(xlim=(0, 10), ylim=(0, 1))
-    axis.legend(frameon=False, fontsize=9.5, loc="upper right", handlelength=2.2, borderpad=0)
+    axis.set(xlim=(0, reach), ylim=(0, 1))
+    box: dict[str, Any] = {
+        "framealpha": 0.85,
+        "edgecolor": "none",
+        "handlelength": 2.2,
+        "borderpad": 0,
+    }
+    axis.legend(fontsize=9.5, loc="upper right", **box)
     return Drawing(figure, modelled)
 
 
@@ -102,7 +151,7 @@ def draw_white_plate() -> Drawing:
     canvas = Canvas(
         height=top + pitch * len(JERLOV_TYPES) + 64,
         heading="A white plate in ten waters",
-        caption=f"{seen}. {_SETTING}. The tick is the visibility.",
+        caption=f"{seen}. {SETTING}. The tick is the visibility.",
     )
     canvas.write(MARGIN, top - 19, "type", 10.5, GREY)
     canvas.write(second, top - 19, "visibility", 10.5, GREY)
@@ -160,6 +209,8 @@ def draw_width_laws(scene: Scene) -> Drawing:
     """
     from matplotlib.patches import Rectangle
 
+    if scene.focal_px is None:
+        raise ValueError("scene.focal_px is None: expected the focal length in px, for its law")
     caption = (
         "Paper's: Gaussian, g = 0.2, μ = 0.3. Calibrated to Monte Carlo light transport: "
         f"exponential, g = 0.05, μ = 0.075, focal length {scene.focal_px:.0f} px. Scene 1 m deep."
@@ -200,7 +251,7 @@ def draw_width_laws(scene: Scene) -> Drawing:
 
 PICTURES: dict[str, Callable[[Scene], Drawing]] = {
     "1-waters.jpg": draw_contact_sheet,
-    "2-terms.jpg": draw_terms,
+    "2-terms.jpg": lambda scene: draw_terms(scene, water_case(_COAST)),
     "3-white-plate.png": lambda _: draw_white_plate(),
     "4-depth-scaling.jpg": draw_depth_scaling,
     "5-width-laws.jpg": draw_width_laws,
@@ -208,21 +259,36 @@ PICTURES: dict[str, Callable[[Scene], Drawing]] = {
 """The demo's files and who draws them."""
 
 
+def own_pictures(case: Case | None = None) -> dict[str, Callable[[Scene], Drawing]]:
+    """The files that show a scene of one's own, and who draws them; the terms in the demo's water
+    if there is no `case`.
+
+    The white plate is the same for every scene; the other sheets of the demo need distances that
+    are relative, or a focal length.
+    """
+    return {
+        "1-waters.jpg": draw_contact_sheet,
+        "2-terms.jpg": partial(draw_terms, case=case or water_case(_COAST)),
+    }
+
+
 def _shape(scene: Scene) -> tuple[int, int]:
     return scene.image.shape[-2], scene.image.shape[-1]
 
 
 def _form(
-    scene: Scene, medium: Medium, distance: Tensor | None = None, field: Tensor | None = None
+    scene: Scene,
+    medium: Medium,
+    distance: Tensor | None = None,
+    field: Tensor | None = None,
+    color_space: ColorSpace = "srgb",
 ) -> tuple[Terms, list[str]]:
     """The terms of a scene in a medium, and what was modelled."""
     z = scene.distance if distance is None else distance
     plan = blur_demand(medium, extent(z if field is None else z * field)).plan(_shape(scene))
-    terms = form_image(srgb_to_linear(scene.image), z, medium, field, plan=plan)
+    terms = form_image(to_light(scene.image, color_space), z, medium, field, plan=plan)
     return terms, [*(repr(medium[i]) for i in range(len(medium))), str(plan)]
 
 
-def _show_distance(axis: "Axes", z: Tensor) -> None:
-    low, high = extent(z)
-    ticks = (f"{low:.1f} m", f"{(low + high) / 2:.1f} m", f"{high:.1f} m")
-    show_map(axis, z, "z   distance", "viridis_r", ticks)
+def _noted(caption: str, scene: Scene) -> str:
+    return f"{caption}\n{scene.note}" if scene.note else caption

@@ -21,7 +21,7 @@ from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
 from uwaug.schema import Config, read_config
 
-__all__ = ["Preset", "list_presets", "load_preset"]
+__all__ = ["Preset", "bundled_preset", "list_presets", "load_preset", "preset_path"]
 
 
 @dataclass(frozen=True)
@@ -103,6 +103,32 @@ def list_presets() -> list[str]:
     return sorted(path.stem for path in _folder().glob("*.toml"))
 
 
+def bundled_preset(name: str) -> Path:
+    """The file of a preset that comes with the package.
+
+    Raises:
+        ValueError: the name is unknown; lists the known.
+    """
+    names = list_presets()
+    if name not in names:
+        raise ValueError(f"no preset is called {name!r}; there are {', '.join(names)}")
+    return _folder() / f"{name}.toml"
+
+
+def preset_path(name_or_path: str | os.PathLike[str]) -> Path:
+    """The file of a preset, from what `load_preset` takes.
+
+    Raises:
+        ValueError: it is a name, and unknown; lists the known.
+    """
+    if not isinstance(name_or_path, str) or name_or_path.endswith(".toml"):
+        return Path(name_or_path)
+    try:
+        return bundled_preset(name_or_path)
+    except ValueError as error:
+        raise ValueError(f"{error}; or give the path of a .toml file") from None
+
+
 def load_preset(
     name_or_path: str | os.PathLike[str],
     *,
@@ -113,8 +139,7 @@ def load_preset(
 
     Args:
         name_or_path: a name, see `list_presets`; or the path of a TOML file (a string that ends in
-            ``.toml``, or any path object). Copy a file of the package's ``configs`` folder to make
-            your own.
+            ``.toml``, or any path object). `uwaug preset copy` copies one to make your own.
         water: a Jerlov type ("I" … "9C") or a `Water` that takes the place of the preset's.
         camera: a camera that takes the place of the preset's, see `load_camera`.
 
@@ -131,7 +156,7 @@ def load_preset(
         >>> preset.distance(torch.tensor([[0.0, 0.5, 1.0]]))
         tensor([[1., 3., 5.]])
     """
-    path = _find(name_or_path)
+    path = preset_path(name_or_path)
     config = read_config(path)
     try:
         spectral = _spectral(config, path.parent, water, camera)
@@ -158,16 +183,6 @@ def _folder() -> Path:
     here = Path(__file__).parent
     installed = here / "configs"
     return installed if installed.is_dir() else here.parent / "configs"
-
-
-def _find(name_or_path: str | os.PathLike[str]) -> Path:
-    if not isinstance(name_or_path, str) or name_or_path.endswith(".toml"):
-        return Path(name_or_path)
-    names = list_presets()
-    if name_or_path not in names:
-        known = f"there are {', '.join(names)}; or give the path of a .toml file"
-        raise ValueError(f"no preset is called {name_or_path!r}; {known}")
-    return _folder() / f"{name_or_path}.toml"
 
 
 def _spectral(

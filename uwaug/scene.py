@@ -1,13 +1,23 @@
-"""A picture with distances, for demos and tests."""
+"""A picture with distances: the bundled one, or one's own."""
 
+import warnings
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+from torch.nn.functional import interpolate
 
+from uwaug import checks
+from uwaug.colour import linear_to_srgb, to_light
 from uwaug.distance import along_ray, fill_unknown, from_disparity
 
-__all__ = ["Scene", "motorcycle", "motorcycle_depth"]
+__all__ = ["Scene", "motorcycle", "motorcycle_depth", "own_scene"]
+
+_PIXELS = 500_000
+"""What a sheet shows of a picture: twice as wide as its cells, and enough for one across all."""
+
+_LONGEST = 10
+"""Sides: a longer picture leaves no room in its cell."""
 
 _FOCAL_PX = 994.978
 
@@ -19,12 +29,14 @@ class Scene:
     Attributes:
         image (3xHxW tensor): sRGB, 0…1.
         distance (1xHxW tensor): along the ray, m.
-        focal_px: focal length, px.
+        focal_px: focal length, px; None if it is not known.
+        note: what was done to the files to get here, for captions.
     """
 
     image: Tensor
     distance: Tensor
-    focal_px: float
+    focal_px: float | None
+    note: str = ""
 
 
 def motorcycle() -> Scene:
@@ -37,6 +49,47 @@ def motorcycle() -> Scene:
     # the benchmark counts pixels from the centre of the first
     distance = along_ray(depth, _FOCAL_PX, centre=(311.193 + 0.5, 254.877 + 0.5))
     return Scene(image, distance, _FOCAL_PX)
+
+
+def own_scene(image: Tensor, distance: Tensor) -> Scene:
+    """A picture with its distances, as large as a sheet shows it and without holes.
+
+    The picture is reduced in linear light. Of the distances each keeps one of its own pixels, as a
+    mean across an edge would be the distance of nothing.
+
+    Args:
+        image (3xHxW tensor): sRGB; uint8, or floating point.
+        distance (1xHxW tensor): along the ray, m. NaN, zero and negative are unknown, and filled by
+            `uwaug.distance.fill_unknown`; +inf, or beyond 1e7, is open water.
+
+    Raises:
+        ValueError: if the sizes differ, the picture is more than ten times as long as wide, none of
+            its pixels has a distance, or the image is none of 0…1.
+    """
+    checks.same_size("distance", distance, image)
+    height, width = image.shape[-2:]
+    if max(height, width) > _LONGEST * min(height, width):
+        expected = f"at most {_LONGEST} times as long as wide"
+        raise ValueError(f"image must be {expected}, got {width}×{height} px: crop it")
+    notes, light = [], to_light(image, "srgb")
+    unknown = float((~(distance > 0)).double().mean())
+    shrink = (_PIXELS / (height * width)) ** 0.5
+    if shrink < 1:
+        size = (max(1, round(height * shrink)), max(1, round(width * shrink)))
+        light = interpolate(light[None], size, mode="area")[0]
+        distance = interpolate(distance[None], size, mode="nearest-exact")[0]
+        notes.append(f"Drawn at {size[1]}×{size[0]} of {width}×{height} px.")
+    distance = torch.where(distance > checks.OPEN, torch.inf, distance)
+    if not bool(((distance > 0) & distance.isfinite()).any()):
+        expected = "some pixel above 0 m that is not open water"
+        raise ValueError(f"distance must have {expected}, got {checks.span(distance)}")
+    if unknown:
+        notes.append(f"{100 * unknown:.2g} % of the distances were unknown and are filled.")
+    with warnings.catch_warnings():
+        # of many unknown pixels: the note says how many
+        warnings.simplefilter("ignore", UserWarning)
+        distance = fill_unknown(distance)
+    return Scene(linear_to_srgb(light), distance, None, " ".join(notes))
 
 
 def motorcycle_depth() -> tuple[Tensor, Tensor]:

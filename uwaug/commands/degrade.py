@@ -9,6 +9,7 @@ import typer
 
 from uwaug import checks
 from uwaug.commands.console import refuse, require_matplotlib
+from uwaug.commands.names import complete_preset, complete_water
 from uwaug.commands.runs import Manner, carry_out, rehearse, repeat
 from uwaug.jobs.depth import Depth
 from uwaug.jobs.index import INDICES
@@ -52,9 +53,15 @@ Distance = Annotated[
     ),
 ]
 WaterType = Annotated[
-    str | None, typer.Option(help="Jerlov type: I, IA, IB, II, III, 1C, 3C, 5C, 7C, 9C.")
+    str | None,
+    typer.Option(
+        help="Jerlov type: I, IA, IB, II, III, 1C, 3C, 5C, 7C, 9C.", autocompletion=complete_water
+    ),
 ]
-PresetName = Annotated[str | None, typer.Option(help="A preset, or the path of a TOML file.")]
+PresetName = Annotated[
+    str | None,
+    typer.Option(help="A preset, or the path of a TOML file.", autocompletion=complete_preset),
+]
 FitFile = Annotated[Path | None, typer.Option(help="What uwaug fit has written.")]
 Random = Annotated[bool, typer.Option("--random", help="A water of its own for each picture.")]
 Options = Annotated[

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from uwaug.commands.console import fail, refuse, require_room, said
+from uwaug.commands.names import complete_preset, complete_water
 from uwaug.module import Underwater
 from uwaug.planned import SIDES, sides_of
 from uwaug.presets import load_preset
@@ -19,13 +20,19 @@ _NEAREST, _FARTHEST = 0.2, 1.5
 def export(
     out: Annotated[Path, typer.Option(help="The file to write.")],
     preset: Annotated[
-        str | None, typer.Option(help="Name of a preset, or path of its TOML file.")
+        str | None,
+        typer.Option(
+            help="Name of a preset, or path of its TOML file.", autocompletion=complete_preset
+        ),
     ] = None,
     fit: Annotated[
         Path | None, typer.Option(help="In place of a preset: what uwaug fit has written.")
     ] = None,
     water: Annotated[
-        str | None, typer.Option(help="Jerlov type that takes the place of the preset's.")
+        str | None,
+        typer.Option(
+            help="Jerlov type that takes the place of the preset's.", autocompletion=complete_water
+        ),
     ] = None,
     parameters: Annotated[
         str, typer.Option(help="frozen, or inputs: one file for many waters.")
