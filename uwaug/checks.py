@@ -15,6 +15,7 @@ __all__ = [
     "batches",
     "bounds",
     "counted",
+    "distances",
     "extent",
     "finite",
     "floating",
@@ -163,6 +164,16 @@ def metres(name: str, value: Tensor) -> None:
     if median > _FARTHEST:
         got = f"a map whose median is {median:.4g}"
         raise ValueError(f"{name} must be in metres, got {got}: divide by 1000: millimetres?")
+
+
+def distances(name: str, value: Tensor) -> None:
+    """Refuse NaN and negative distances, and millimetres."""
+    # the least value of a map is NaN if any is; what is wrong is counted only if something is
+    if value.numel() and not value.detach().min() >= 0:
+        cure = "fill unknown pixels first, see uwaug.distance.fill_unknown"
+        counts = counted(value, "NaN", "negative")
+        raise ValueError(f"{name} is {counts}: expected metres ≥ 0 (+inf for open water); {cure}")
+    metres(name, value)
 
 
 def picture(name: str, value: Tensor, channels: int) -> None:

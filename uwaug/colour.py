@@ -10,6 +10,7 @@ from torch import Tensor
 from uwaug import checks
 
 __all__ = [
+    "LUMINANCE",
     "ColorSpace",
     "from_light",
     "linear_to_srgb",
@@ -19,6 +20,9 @@ __all__ = [
 
 ColorSpace = Literal["srgb", "linear"]
 """What the values of a picture are: sRGB, or linear light as they stand."""
+
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+"""Weights of the channels of linear sRGB (IEC 61966-2-1)."""
 
 _BRIGHTEST = 16.0
 """sRGB values above are taken for a scale of 0…255."""

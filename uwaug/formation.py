@@ -148,12 +148,7 @@ def validate(
     checks.batches(sizes)
     if torch.compiler.is_compiling():
         return
-    # the least value of a map is NaN if any is; what is wrong is counted only if something is
-    if distance.numel() and not distance.detach().min() >= 0:
-        cure = "fill unknown pixels first, see uwaug.distance.fill_unknown"
-        counts = checks.counted(distance, "NaN", "negative")
-        raise ValueError(f"distance is {counts}: expected metres ≥ 0 (+inf for open water); {cure}")
-    checks.metres("distance", distance)
+    checks.distances("distance", distance)
     if field is not None and field.numel():
         low, high = checks.extent(field)
         if not (low >= 0 and high < math.inf):
