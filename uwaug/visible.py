@@ -37,7 +37,7 @@ class KeepVisible(nn.Module):
 
     It degrades as `augment` alone does, with the same draws, and finds for each object the mean of
     `uwaug.contrast` over its mask, or over its box if it has no mask. Put it in the place of
-    `augment` in a pipeline.
+    `augment` in a pipeline, after `SanitizeBoundingBoxes`, which does not know "contrast".
 
     Args:
         augment: what degrades.

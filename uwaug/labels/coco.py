@@ -28,15 +28,14 @@ class CocoLabels:
         content: all that is in it.
         images: by file name as the file has it.
         annotations: by image id.
-        names: file names as the file has them, by all that a picture may be called: that name, its
-            last part, its stem.
+        stems: file names as the file has them, by their stem.
     """
 
     path: Path
     content: Entry
     images: Mapping[str, Entry]
     annotations: Mapping[Any, list[Entry]]
-    names: Mapping[str, set[str]]
+    stems: Mapping[str, list[str]]
 
     @staticmethod
     def read(path: str | os.PathLike[str]) -> "CocoLabels":
@@ -60,19 +59,19 @@ class CocoLabels:
                 raise ValueError(f"{path}, annotation {entry['id']}: {got}")
             by_image[entry["image_id"]].append(entry)
         by_name: dict[str, Entry] = {}
-        names: dict[str, set[str]] = {}
+        stems: dict[str, list[str]] = {}
         for entry in images:
             name = _name_of(entry, path)
             if name in by_name:
                 raise ValueError(f"{path}: two images have the file_name {name!r}")
             by_name[name] = entry
-            parts = PurePosixPath(name)
-            for called in {name, parts.name, parts.stem}:
-                names.setdefault(called, set()).add(name)
-        return CocoLabels(Path(path), content, by_name, by_image, names)
+            stems.setdefault(PurePosixPath(name).stem, []).append(name)
+        return CocoLabels(Path(path), content, by_name, by_image, stems)
 
     def labels_of(self, picture: str | os.PathLike[str], size: tuple[int, int]) -> Labels:
-        """See `LabelSource`. A picture is found by its path, else its name, else its stem."""
+        """See `LabelSource`. A picture is found by its path, or by the end of it where one of the
+        two paths begins in another folder; another suffix does no harm.
+        """
         name = self._called(plain_name(picture))
         image = self.images[name]
         stated = (image.get("height", size[0]), image.get("width", size[1]))
@@ -90,14 +89,16 @@ class CocoLabels:
         """The file name, as the file has it, of a picture."""
         if picture in self.images:
             return picture
-        path = PurePosixPath(picture)
-        for called in (path.name, path.stem):
-            found = sorted(self.names.get(called, ()))
-            if len(found) > 1:
-                several = ", ".join(found[:3])
-                raise ValueError(f"{self.path}: {picture!r} may be any of {several}: use its path")
-            if found:
-                return found[0]
+        near = [
+            name for name in self.stems.get(PurePosixPath(picture).stem, ()) if _meet(name, picture)
+        ]
+        alike = [name for name in near if PurePosixPath(name).name == PurePosixPath(picture).name]
+        found = alike or near
+        if len(found) > 1:
+            several = ", ".join(found[:3])
+            raise ValueError(f"{self.path}: {picture!r} may be any of {several}: use its path")
+        if found:
+            return found[0]
         some = ", ".join(sorted(self.images)[:3])
         cure = "take the picture out, or give it an image entry without annotations"
         raise ValueError(f"{self.path}: no image {picture!r} (there are {some}, …): {cure}")
@@ -149,6 +150,13 @@ class CocoLabels:
             got = f"a record of {record['picture']!r}"
             raise ValueError(f"{self.path}: {got}, which is no image of it: run anew")
         return self.images[record["picture"]]
+
+
+def _meet(one: str, other: str) -> bool:
+    """Whether one path, without suffix, is the end of the other."""
+    parts = [PurePosixPath(path).with_suffix("").parts for path in (one, other)]
+    shorter, longer = sorted(parts, key=len)
+    return longer[-len(shorter) :] == shorter
 
 
 def _judged(one: Record) -> Entry:

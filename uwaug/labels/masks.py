@@ -98,6 +98,7 @@ def _write(path: Path, values: NDArray[Any], palette: list[int] | None) -> None:
 
     image = Image.fromarray(values)
     if palette is not None:
-        image.putpalette(palette)
+        # Pillow writes fewer bits for a short palette, and cuts the values
+        image.putpalette(palette + [0] * (3 * 256 - len(palette)))
     with written_whole(path) as part, part.open("wb") as file:
         image.save(file, "PNG")
