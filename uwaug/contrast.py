@@ -12,8 +12,8 @@ That holds for patterns finer than the blur, such as the texture and the edges o
 ones keep more, up to T_G·ρ/(T_G·ρ + B): this is a lower bound. Against Monte Carlo light transport
 without veil (`python -m benchmarks.contrast`), patterns of a period of 1° (2 px of the pictures)
 keep up to .011 more in six pictures and up to .019 more in walks of the same phase function
-(Henyey–Greenstein, mean cosine .924). Petzold's measured ones scatter into smaller angles: there .5°
-keep .02 to .05 more in the mean, and up to .10.
+(Henyey–Greenstein, mean cosine .924). Petzold's measured ones scatter into smaller angles: with
+those, patterns of .5° keep .02 to .05 more in the mean, and up to .10.
 """
 
 import numpy as np
@@ -22,6 +22,7 @@ from torch import Tensor
 
 from uwaug import checks
 from uwaug.colour import LUMINANCE
+from uwaug.formation import any_at_lens
 from uwaug.functional import refuse_mapped
 from uwaug.optics.curves import FARTHEST, curves
 from uwaug.optics.medium import Medium
@@ -64,7 +65,9 @@ def contrast(medium: Medium, distance: Tensor, *, reflectance: float | Tensor = 
         z = distance.to(torch.promote_types(distance.dtype, torch.float32))
         z = (z if z.ndim == 4 else z[None]).clamp(0.0, FARTHEST)
         light = _light(reflectance, z)
-        found = curves(medium.to(z).sums(exact_at_lens=True), z)
+        water = medium.to(z)
+        exact = torch.compiler.is_compiling() or any_at_lens(z, water)
+        found = curves(water.sums(exact_at_lens=exact), z)
         detail = _luminance(found.direct * light)
         whole = _luminance((found.direct + found.scatter) * light + found.veil)
         # where no light arrives the slope of a quotient would be NaN
