@@ -12,6 +12,7 @@ PARTS = (
     "planner",
     "stability",
     "physics",
+    "contrast",
     "fitting",
     "draws",
     "scaling",

@@ -81,7 +81,7 @@ def judged(aug: uwaug.RandomUnderwater, pair: Pair, index: int) -> tuple[Tensor,
     middle = (pair.distance[0] >= low) & (pair.distance[0] <= high)
     share = _deviation(picture, middle) / _deviation(pair.image, middle)
     with torch.no_grad():
-        found = in_water(pair.image, pair.distance, aug._chosen(sample))
+        found = in_water(pair.image, pair.distance, aug.chosen(sample))
     veil = float(found.medium.backscatter(found.z).max())
     judgement = {
         "water": sample["waters"][0],

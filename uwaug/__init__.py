@@ -6,6 +6,7 @@ from uwaug import distance
 from uwaug.blur.demand import blur_demand
 from uwaug.blur.plan import BlurPlan, plan_blur
 from uwaug.blur.stack import varying_blur
+from uwaug.contrast import contrast
 from uwaug.draw import collate_records
 from uwaug.field import gaussian_random_field
 from uwaug.fitting import (
@@ -28,6 +29,7 @@ from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import JERLOV_TYPES, Water
 from uwaug.presets import Preset, list_presets, load_preset
 from uwaug.transforms import RandomUnderwater
+from uwaug.visible import KeepVisible
 
 __version__ = "0.1.0"
 
@@ -36,6 +38,7 @@ __all__ = [
     "BlurPlan",
     "Camera",
     "Fit",
+    "KeepVisible",
     "Medium",
     "Noise",
     "OnnxUnderwater",
@@ -51,6 +54,7 @@ __all__ = [
     "blur_demand",
     "check_onnx",
     "collate_records",
+    "contrast",
     "distance",
     "export_onnx",
     "fit",

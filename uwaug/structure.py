@@ -99,15 +99,16 @@ class SampleTransform(nn.Module):
 
     def _apply_with(self, key: int, *inputs: Any) -> Any:
         generator = torch.Generator().manual_seed(key)
-        image, distance, rebuild = self._taken_apart(inputs)
+        image, distance, rebuild = self.taken_apart(inputs)
         return rebuild(self.transform(image, distance, self.make_params(image, generator)))
 
     def forward(self, *inputs: Any) -> Any:
         """Draw and degrade; see the class."""
-        image, distance, rebuild = self._taken_apart(inputs)
+        image, distance, rebuild = self.taken_apart(inputs)
         return rebuild(self.transform(image, distance, self.make_params(image)))
 
-    def _taken_apart(self, inputs: tuple[Any, ...]) -> Parts:
+    def taken_apart(self, inputs: tuple[Any, ...]) -> Parts:
+        """Image, map and the way back, of what the transform was called with."""
         parts = take_apart(inputs, self.image_key, self.distance_key, mapped=self._mapped)
         plain_image(parts.image)
         return parts

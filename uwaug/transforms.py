@@ -288,7 +288,7 @@ class RandomUnderwater(SampleTransform):
         """
         plain = plain_image(image)
         parts = list(plain if plain.ndim == 4 else plain[None])
-        jobs = self._jobs(plain, distance, self._distribution.samples(params, len(parts)))
+        jobs = self.jobs(plain, distance, params)
         if not jobs:
             return image
         for i, z, sample in jobs:
@@ -296,7 +296,7 @@ class RandomUnderwater(SampleTransform):
                 parts[i] = self._opaque(parts[i], z, sample)
             else:
                 with naming(i, len(parts)):
-                    parts[i] = degrade(parts[i], z, self._chosen(sample))
+                    parts[i] = degrade(parts[i], z, self.chosen(sample))
         return typed(parts[0] if plain.ndim == 3 else torch.stack(parts), type(image))
 
     def resolve(self, image: Tensor, distance: Tensor | None, params: Record) -> Record:
@@ -314,22 +314,20 @@ class RandomUnderwater(SampleTransform):
         images = plain if plain.ndim == 4 else plain[None]
         samples = self._distribution.samples(params, len(images))
         resolved = [{**sample, "applied": False} for sample in samples]
-        for i, z, sample in self._jobs(plain, distance, samples):
-            found = used(images[i], z, self._chosen(sample))
+        for i, z, sample in self.jobs(plain, distance, params):
+            found = used(images[i], z, self.chosen(sample))
             resolved[i] = {**sample, "used": found}
         return {"samples": resolved}
 
-    def choices(self, params: Record, batch: int) -> list[Choice]:
-        """What each of `batch` pictures is degraded with, by a record."""
-        return [self._chosen(sample) for sample in self._distribution.samples(params, batch)]
-
-    def _chosen(self, sample: Record) -> Choice:
+    def chosen(self, sample: Record) -> Choice:
+        """What a sample of a record degrades its picture with."""
         waters = [self.spectra[name] for name in sample["waters"]]
         camera = self.responses[sample["camera"]]
         return Choice(waters, camera, Draw.of(sample), self._settings)
 
-    def _jobs(self, plain: Tensor, distance: Any, samples: list[Record]) -> list[Job]:
+    def jobs(self, plain: Tensor, distance: Any, params: Record) -> list[Job]:
         """The pictures of a batch that are to be degraded."""
+        samples = self._distribution.samples(params, len(plain) if plain.ndim == 4 else 1)
         chosen = [i for i, sample in enumerate(samples) if sample["applied"]]
         maps = maps_for(plain, distance, chosen, self.distance)
         jobs = []

@@ -90,14 +90,15 @@ class RandomWater:
 
     def degrade(self, image: Tensor, distance: Tensor, record: Mapping[str, Any]) -> Degraded:
         """As `Model.degrade`, bit for bit what the transform makes of the same record."""
-        (choice,) = self.transform.choices(dict(record), 1)
         (sample,) = record["samples"]
+        jobs = self.transform.jobs(image, distance, dict(record))
+        if not jobs:
+            return Degraded(image, {"samples": [{**sample, "applied": False}]}, None, "none", None)
+        ((_, z, _),) = jobs
+        choice = self.transform.chosen(sample)
         settings = choice.settings
-        if not sample["applied"] or skipped(distance, settings.distance_kind, settings.unknown):
-            record = {"samples": [{**sample, "applied": False}]}
-            return Degraded(image, record, None, "none", None)
         with exactly(image):
-            found = in_water(image, distance, choice)
+            found = in_water(image, z, choice)
             picture = formed(found, image, settings)
         used = found.used()
         seen = Seen(found.light, found.z, found.medium, settings.order, settings.tolerance)

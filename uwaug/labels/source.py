@@ -1,0 +1,186 @@
+"""What all formats of labels share: labels, their contrast, and what a source of them can do."""
+
+import json
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any, Protocol
+
+from numpy.typing import NDArray
+from torch import Tensor
+
+from uwaug import checks
+from uwaug.files import require_regular, written_whole
+from uwaug.regions import Region, box_region, mask_region, mean_over, polygon_region, runs_region
+
+__all__ = ["LabelSource", "Labels", "Object", "Record", "with_contrast"]
+
+Record = dict[str, Any]
+"""What `with_contrast` returns, see there."""
+
+_DIGITS = 4
+"""Of a contrast in files; a `min_contrast` is compared with the number that the file shows."""
+
+
+@dataclass(frozen=True)
+class Object:
+    """One object of a picture.
+
+    Attributes:
+        key: the id of a COCO annotation, a line of a YOLO file counted from 1, a value of a mask.
+        where: file and key in words, for errors.
+        shape: "box" (x1, y1, x2, y2), "polygons" (Nx2 each), "runs" (COCO's run lengths) or
+            "mask" (HxW); x to the right and y down, px.
+        values: of that shape.
+    """
+
+    key: int | str
+    where: str
+    shape: str
+    values: Any
+
+    def region(self, size: tuple[int, int]) -> Region:
+        """Its pixels in a picture of (height, width).
+
+        Raises:
+            ValueError: if there are none.
+        """
+        find: Any = {
+            "box": box_region,
+            "polygons": polygon_region,
+            "runs": runs_region,
+            "mask": lambda mask, _: mask_region(mask),
+        }[self.shape]
+        found: Region | None = find(self.values, size)
+        if found is None:
+            height, width = size
+            what = f"no pixel of it is in the picture ({height}x{width} px, height x width)"
+            raise ValueError(f"{self.where}: {what}: mend or remove it")
+        return found
+
+
+@dataclass(frozen=True)
+class Labels:
+    """The labels of one picture.
+
+    Attributes:
+        picture: its name in the source.
+        size: height and width, px.
+        file: the label file; None if the picture has none, which says that it shows no object.
+        objects: in the file's order.
+    """
+
+    picture: str
+    size: tuple[int, int]
+    file: str | None
+    objects: tuple[Object, ...]
+
+
+class LabelSource(Protocol):
+    """Where labels come from, and go to. See `uwaug.labels`."""
+
+    def labels_of(self, picture: str | os.PathLike[str], size: tuple[int, int]) -> Labels:
+        """The labels of a picture.
+
+        Args:
+            picture: its path below the folder of pictures.
+            size: its height and width, px.
+
+        Raises:
+            ValueError: if they are malformed or of a picture of another size, or (COCO) there is no
+                such picture; names file and line, annotation or value.
+            OSError: if a file cannot be read.
+        """
+
+    def write_picture(
+        self, labels: Labels, record: Record, path: str | os.PathLike[str]
+    ) -> list[Path]:
+        """Write the labels of one picture, each file whole.
+
+        Args:
+            labels: from `labels_of`.
+            record: from `with_contrast`.
+            path: of the picture that was written, as it would be in a folder for labels alone;
+                its end is replaced. (A mask beside its picture may have the same name.)
+
+        Returns:
+            The files; none if the format has one for the whole run.
+
+        Raises:
+            ValueError: if it would write over the labels that it read.
+            OSError: if a file cannot be written.
+        """
+
+    def write_run(self, records: Iterable[Record], folder: str | os.PathLike[str]) -> list[Path]:
+        """Write what the format has one file of for the whole run; arguments and errors as for
+        `write_picture`.
+        """
+
+
+def with_contrast(
+    labels: Labels, contrast_map: Tensor, min_contrast: float | None = None
+) -> Record:
+    """How much contrast is left of each object, as plain values.
+
+    Args:
+        labels: of the picture.
+        contrast_map (1xHxW tensor): see `uwaug.contrast`.
+        min_contrast: objects with less are marked as ignored; None for none.
+
+    Returns:
+        {"picture": name in the source, "objects": [{"key": …, "contrast": …, "ignored": …}]}, in
+        the order of `labels.objects`.
+
+    Raises:
+        ValueError: if the map has another size than the picture, or no pixel of an object is in
+            the picture; names file and line, annotation or value.
+    """
+    if min_contrast is not None:
+        checks.within("min_contrast", min_contrast, 0.0, 1.0)
+    checks.floating("contrast_map", contrast_map)
+    if tuple(contrast_map.shape) != (1, *labels.size):
+        got, wanted = tuple(contrast_map.shape), (1, *labels.size)
+        raise ValueError(f"contrast_map is {got}, but {labels.picture} needs {wanted}")
+    values: NDArray[Any] = contrast_map[0].detach().cpu().float().numpy()
+    objects = []
+    for one in labels.objects:
+        left = round(mean_over(values, one.region(labels.size)), _DIGITS)
+        ignored = min_contrast is not None and left < min_contrast
+        objects.append({"key": one.key, "contrast": left, "ignored": ignored})
+    return {"picture": labels.picture, "objects": objects}
+
+
+def plain_name(picture: str | os.PathLike[str]) -> str:
+    """A path with forward slashes, as label files have it."""
+    return PurePosixPath(*Path(picture).parts).as_posix()
+
+
+def file_of(folder: Path, picture: str, end: str) -> Path | None:
+    """The label file of a picture: beside it in a folder of the same layout, or in a flat one."""
+    for name in (Path(picture).with_suffix(end), Path(Path(picture).stem + end)):
+        if (folder / name).exists():
+            require_regular(folder / name)
+            return folder / name
+    return None
+
+
+def beside(path: str | os.PathLike[str], end: str, source: str | None) -> Path:
+    """A file beside a picture, of the same stem; refused if it is the labels' own."""
+    found = Path(path)
+    target = found.with_name(found.stem + end)
+    refuse_source(target, source)
+    return target
+
+
+def refuse_source(target: Path, source: str | None) -> None:
+    """Refuse to write over what was read."""
+    if source is not None and target.exists() and target.samefile(source):
+        raise ValueError(f"{target} is the labels' own file: choose another output folder")
+
+
+def write_json(path: Path, values: Mapping[str, Any] | Sequence[Any]) -> Path:
+    """Write JSON, whole."""
+    with written_whole(path) as part:
+        part.write_text(json.dumps(values, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    return path
