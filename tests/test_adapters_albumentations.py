@@ -10,6 +10,7 @@ import torch
 import yaml
 from adapting import array, metres
 from augmenting import LASERS, TANK, brightness
+from torch.utils.data import DataLoader, Dataset, get_worker_info
 
 from uwaug import RandomUnderwater
 from uwaug.adapters.albumentations import AlbumentationsUnderwater
@@ -173,6 +174,41 @@ def test_ultralytics_passes_a_picture_alone_in_the_order_of_opencv() -> None:
     rgb = A.Compose([water(augment)], seed=0)(image=image)["image"]
     bgr = A.Compose([water(augment, channels="bgr")], seed=0)(image=image[..., ::-1])["image"]
     assert np.array_equal(bgr[..., ::-1], rgb)
+
+
+class Reefs(Dataset[bytes]):
+    """Four times the same picture, in a water of its own each time that it is read."""
+
+    def __init__(self) -> None:
+        self.pipeline = pipeline(water(), seed=None)
+
+    def __len__(self) -> int:
+        return 4
+
+    def __getitem__(self, index: int) -> bytes:
+        made: bytes = self.pipeline(image=array(), distance=metres())["image"].tobytes()
+        return made
+
+
+def seed_worker(number: int) -> None:
+    """As the README has it."""
+    dataset = get_worker_info().dataset
+    dataset.pipeline.set_random_seed(torch.initial_seed())
+
+
+# Python ≥ 3.12 warns of every fork with threads
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+@pytest.mark.filterwarnings("ignore:This DataLoader will create")
+def test_each_worker_and_epoch_has_waters_of_its_own() -> None:
+    def passes(seed: int) -> list[bytes]:
+        torch.manual_seed(seed)
+        options = {"batch_size": None, "multiprocessing_context": "fork"}
+        loader = DataLoader(Reefs(), num_workers=2, worker_init_fn=seed_worker, **options)
+        return [*loader, *loader]
+
+    first = passes(0)
+    assert len(set(first)) == 8
+    assert first == passes(0) != passes(1)
 
 
 @pytest.mark.parametrize(

@@ -50,11 +50,14 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
     Image types:
         uint8 (0…255), float32 (0…1); HxWx3.
 
-    Randomness comes from the pipeline: `A.Compose(…, seed=…)`. What was drawn is a record, under
-    "record" in `A.ReplayCompose`'s "replay" and in "applied_transforms": replays are bit for bit
-    the same, and take the map that they are given. `A.to_dict` writes options that JSON can hold,
-    and own waters, cameras, width laws and `DepthNetwork`s besides; no other functions. Reading
-    them needs this module imported.
+    Randomness comes from the pipeline: `A.Compose(…, seed=…)`. Albumentations 2.0 draws the same in
+    all workers of a DataLoader and in all epochs, whatever the transforms: call
+    `pipeline.set_random_seed(torch.initial_seed())` in a `worker_init_fn`.
+
+    What was drawn is a record, under "record" in the "replay" of `A.ReplayCompose` and in
+    "applied_transforms". A replay is the same bit for bit, and takes the map that it is given.
+    `A.to_dict` writes options that JSON can hold, and own waters, cameras, width laws and
+    `DepthNetwork`s besides; no other functions. Reading them needs this module imported.
 
     Raises:
         TypeError, ValueError: if an option, a picture or a map does not suit, or a map is missing;
