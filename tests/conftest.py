@@ -16,6 +16,8 @@ import uwaug.scene
 pytest.register_assert_rewrite("forming")  # before a test imports it
 # at the end, so that `benchmarks` is found but an installed uwaug is tested, not the checkout's
 sys.path.append(str(Path(__file__).parent.parent))
+# no test asks the network
+os.environ |= {"NO_ALBUMENTATIONS_UPDATE": "1", "HF_HUB_OFFLINE": "1"}
 if "PYTEST_XDIST_WORKER" in os.environ:
     torch.set_num_threads(1)  # workers share the machine
 

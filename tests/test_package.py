@@ -16,8 +16,10 @@ ROOT = Path(__file__).parent.parent
 FOUND = {module.name for module in pkgutil.walk_packages(uwaug.__path__, "uwaug.")}
 MODULES = sorted({"uwaug"} | {name for name in FOUND if not name.endswith("__main__")})
 HEAVY = (
+    "albumentations",
     "colour",
     "cv2",
+    "datasets",
     "jerlov",
     "matplotlib",
     "onnx",
@@ -29,6 +31,7 @@ HEAVY = (
     "skimage",
     "torchvision",
     "typer",
+    "webdataset",
 )
 
 

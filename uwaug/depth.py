@@ -60,7 +60,8 @@ class DepthNetwork:
             )
         self.short_side, self.multiple = short_side, multiple
         self.mean, self.std = tuple(mean), tuple(std)
-        self.session = Session(self.path, threads=None, providers=providers)
+        self.providers = tuple(providers)
+        self.session = Session(self.path, threads=None, providers=self.providers)
 
     @torch.no_grad()
     def __call__(self, image: Tensor) -> Tensor:

@@ -17,6 +17,7 @@ from uwaug.files import require_regular
 __all__ = [
     "UNITS",
     "Source",
+    "colours_of",
     "read_distance",
     "read_mask",
     "read_numbers",
@@ -110,11 +111,28 @@ def read_picture(path: str | os.PathLike[str]) -> Tensor:
 def read_source(path: str | os.PathLike[str]) -> Source:
     """Read a picture in colour, with what a copy of its file should keep; as `read_picture`."""
     raster = _read(path)
-    if raster.kind != _COLOUR:
-        cure = _CURES.get(raster.kind, "save it as RGB")
-        raise ValueError(f"{path}: expected a picture in colour, got {raster.kind}: {cure}")
+    _require_colour(path, raster)
     picture, bits = _in_colour(path, raster.values.transpose(2, 0, 1))
     return Source(picture, bits, raster.alpha, raster.exif, raster.profile)
+
+
+def colours_of(image: Image.Image) -> tuple[Values, Values | None]:
+    """The colours of a picture in Pillow's hands (HxWx3, uint8), and its alpha if there is one.
+
+    As it lies there, whatever EXIF says; by the same rules as `read_picture`.
+
+    Raises:
+        ValueError: if it is grey, or of inks.
+    """
+    raster = _of_mode(image)
+    _require_colour("image", raster)
+    return raster.values, raster.alpha
+
+
+def _require_colour(name: str | os.PathLike[str], raster: _Raster) -> None:
+    if raster.kind != _COLOUR:
+        cure = _CURES.get(raster.kind, "save it as RGB")
+        raise ValueError(f"{name}: expected a picture in colour, got {raster.kind}: {cure}")
 
 
 def _in_colour(path: str | os.PathLike[str], values: Values) -> tuple[Tensor, int]:
@@ -298,13 +316,16 @@ def _pillow(path: Path) -> _Raster:
     with Image.open(path) as image:
         image.load()
         orientation, exif, profile = _metadata(image)
-        mode = image.mode
-        if mode in ("P", "PA", "YCbCr"):
-            # by way of alpha, else Pillow warns of a transparent entry of a palette
-            values = np.asarray(image.convert("RGBA"))
-        else:
-            values = np.asarray(image)
-    values = _upright(values, orientation)
+        return _of_mode(image, orientation)._replace(exif=exif, profile=profile)
+
+
+def _of_mode(image: Image.Image, orientation: int = 1) -> _Raster:
+    """By what Pillow calls its channels."""
+    mode = image.mode
+    if mode in ("P", "PA", "YCbCr"):
+        # by way of alpha, else Pillow warns of a transparent entry of a palette
+        image = image.convert("RGBA")
+    values = _upright(np.asarray(image), orientation)
     if mode in ("P", "PA") and bool((values[..., 1:3] == values[..., :1]).all()):
         return _Raster(values, "a palette of greys")
     if mode in _INKS:
@@ -312,7 +333,7 @@ def _pillow(path: Path) -> _Raster:
     raster = _channels(values)
     opaque = mode == "YCbCr" or (mode == "P" and bool((values[..., 3] == 255).all()))
     alpha = None if opaque else raster.alpha
-    return raster._replace(alpha=alpha, exif=exif, profile=profile)
+    return raster._replace(alpha=alpha)
 
 
 def _exr(path: Path) -> _Raster:

@@ -1,6 +1,5 @@
 """`RandomUnderwater`: new water for every picture, in a DataLoader worker or on a whole batch."""
 
-import inspect
 import os
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Literal
@@ -25,6 +24,7 @@ from uwaug.options import (
     contrast_beside,
     contrast_of,
     distribution_of,
+    given,
     settings_of,
 )
 from uwaug.presets import load_preset
@@ -339,12 +339,8 @@ class RandomUnderwater(SampleTransform):
         return jobs
 
     def __repr__(self) -> str:
-        waters = list(self.waters) if set(self.waters.values()) == {1} else self.waters
-        shown = [repr(waters)] if waters != list(GOOD_WATERS) else []
-        for name, parameter in list(inspect.signature(type(self)).parameters.items())[1:]:
-            value, default = getattr(self, name), parameter.default
-            if name == "contrast" and self.visibility is not None:
-                continue  # visibility takes its place
-            if value not in (default, [default]):
-                shown.append(f"{name}={value!r}")
+        options = given(self)
+        shown = [repr(options.pop("waters"))] if "waters" in options else []
+        for name, value in options.items():
+            shown.append(f"{name}={value!r}")
         return f"{type(self).__name__}({', '.join(shown)})"

@@ -1,0 +1,130 @@
+"""Pictures and maps as other libraries hold them: as tensors, and back."""
+
+import io
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from PIL import Image
+from torch import Tensor
+
+from uwaug import checks
+from uwaug.pictures import UNITS, colours_of
+
+__all__ = ["Unit", "map_of", "metres_of", "picture_of"]
+
+Unit = str | float
+"""What 1 in a map stands for: "m", "cm", "mm", "um", or a number of metres."""
+
+Values = NDArray[Any]
+
+
+class Taken(NamedTuple):
+    """A picture as a tensor (3xHxW), and what makes of a result what the picture was."""
+
+    picture: Tensor
+    back: Callable[[Tensor], Any]
+
+
+def picture_of(image: Any) -> Taken:
+    """A picture as a tensor.
+
+    Args:
+        image: an array (HxWx3), a tensor (3xHxW), both uint8 (0…255) or floating point (0…1); or a
+            Pillow picture, by the rules of `uwaug.pictures.read_picture`: palettes become RGB, and
+            alpha stays as it is.
+
+    Raises:
+        TypeError: if it is something else.
+        ValueError: if it has no three colours.
+    """
+    if isinstance(image, Tensor):
+        return Taken(image, _as_tensor)
+    if isinstance(image, np.ndarray):
+        if image.ndim != 3 or image.shape[2] != 3:
+            cure = "the model needs colours, without alpha: see PIL.Image.convert('RGB')"
+            raise ValueError(f"image must be an array (H, W, 3), got {image.shape}: {cure}")
+        return Taken(_channels_first(image), _as_array)
+    if isinstance(image, Image.Image):
+        values, alpha = colours_of(image)
+        return Taken(_channels_first(values), partial(_as_pillow, alpha, dict(image.info)))
+    got = "bytes, so decode it first" if isinstance(image, bytes) else type(image).__name__
+    raise TypeError(f"image must be an array, a tensor or a Pillow picture, got {got}")
+
+
+def map_of(distance: Any, unit: Unit = "m") -> Tensor:
+    """A map of distances as a tensor.
+
+    Args:
+        distance: an array, a tensor, a Pillow picture or nested lists, of HxW, HxWx1 or 1xHxW
+            numbers; or the bytes of a PNG or TIFF file.
+        unit: of its numbers.
+
+    Returns:
+        1xHxW, float32.
+
+    Raises:
+        TypeError: if it holds no numbers.
+        ValueError: if it has another shape; or if it has 8 bits, which hold no distances, and
+            `unit` does not say as a number what a step is.
+    """
+    values = np.asarray(_opened(distance) if isinstance(distance, bytes) else distance)
+    if values.dtype.kind not in "iuf":
+        got = f"{type(distance).__name__} of {values.dtype}"
+        raise TypeError(f"distance must be a map of numbers, got {got}")
+    if values.dtype.itemsize == 1 and isinstance(unit, str):
+        cure = "if it does hold distances, say what a step is: unit=0.04, in metres"
+        raise ValueError(f"distance must have more than 8 bits, got {values.dtype}: {cure}")
+    if values.ndim == 3 and 1 in (values.shape[0], values.shape[2]):
+        values = values[0] if values.shape[0] == 1 else values[..., 0]
+    if values.ndim != 2:
+        cure = "was it decoded as a picture in colour?"
+        raise ValueError(f"distance must be a map (H, W), got {values.shape}: {cure}")
+    scale = metres_of(unit)
+    z = values if scale == 1.0 else values.astype(np.float64) * scale
+    return torch.from_numpy(z.astype(np.float32))[None]
+
+
+def metres_of(unit: Unit) -> float:
+    """Metres of a unit, checked."""
+    if isinstance(unit, str):
+        checks.one_of("unit", unit, UNITS)
+        return UNITS[unit]
+    checks.positive("unit", unit, "m")
+    return float(unit)
+
+
+def _opened(data: bytes) -> Image.Image:
+    try:
+        return Image.open(io.BytesIO(data))
+    except OSError:
+        cure = "decode it first, or give the bytes of a PNG or TIFF file"
+        raise ValueError(
+            f"distance has {len(data)} bytes that Pillow cannot read: {cure}"
+        ) from None
+
+
+def _channels_first(values: Values) -> Tensor:
+    # a copy, as the array may not be writable, or run backwards
+    return torch.from_numpy(values.transpose(2, 0, 1).copy())
+
+
+def _as_tensor(result: Tensor) -> Tensor:
+    return result
+
+
+def _as_array(result: Tensor) -> Values:
+    values: Values = result.permute(1, 2, 0).contiguous().numpy()
+    return values
+
+
+def _as_pillow(alpha: Values | None, info: dict[Any, Any], result: Tensor) -> Image.Image:
+    values = _as_array(result)
+    if alpha is not None:
+        values = np.concatenate([values, alpha[..., None]], 2)
+    image = Image.fromarray(values)
+    image.info = info  # EXIF and the profile of its colours
+    return image
