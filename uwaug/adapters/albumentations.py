@@ -126,7 +126,7 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
             cure = "pass it, or give lookup=… or RandomUnderwater(distance=…)"
             raise ValueError(f"there is no {self.distance_key!r}, only {got}: {cure}")
         if isinstance(distance, (str, os.PathLike)):
-            return read_distance(distance, self.unit)  # type: ignore[arg-type]  # it refuses numbers
+            return read_distance(distance, self.unit)
         return map_of(distance, self.unit)
 
     def apply(
