@@ -9,10 +9,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from uwaug import checks
 from uwaug.files import require_regular
 from uwaug.fitting.result import Fit
 from uwaug.jobs.depth import Depth
 from uwaug.jobs.model import Model, OneMedium, RandomWater
+from uwaug.labels import LabelSource, open_labels
 from uwaug.metres import Scaling
 from uwaug.optics.point_spread import PointSpread
 from uwaug.presets import Preset, load_preset
@@ -44,6 +46,9 @@ class Recipe:
             as a table. Of a fit, and of a preset without spectra, near, far and gamma alone.
         depth: what distance files hold.
         seed: of all that is random.
+        labels: COCO file, or folder of YOLO's files or of masks, see `uwaug.labels`.
+        min_contrast: labels with less are marked as ignored; None for none.
+        void: value of masks that means "ignored" already.
         keep_terms: whether direct, forward-scattered and backscattered light are written too.
         content: by path, the SHA-256 of each file that the recipe names.
     """
@@ -55,6 +60,9 @@ class Recipe:
     options: Mapping[str, Any] = field(default_factory=dict)
     depth: Depth = field(default_factory=Depth)
     seed: int = 0
+    labels: str | None = None
+    min_contrast: float | None = None
+    void: int | None = None
     keep_terms: bool = False
     content: Mapping[str, str] = field(default_factory=dict)
 
@@ -66,6 +74,11 @@ class Recipe:
             got = " and ".join(chosen) or "none"
             raise ValueError(f"expected one of water, preset, fit and random, got {got}")
 
+        if self.min_contrast is not None:
+            checks.within("min_contrast", self.min_contrast, 0.0, 1.0)
+        if self.labels is None and (self.min_contrast, self.void) != (None, None):
+            raise ValueError("min_contrast and void would do nothing: there are no labels")
+
     def sealed(self) -> "Recipe":
         """The recipe with the content of its files, so that a record knows when they change.
 
@@ -73,9 +86,11 @@ class Recipe:
             TypeError, ValueError, OSError: if no picture could be degraded with it.
         """
         self.model()
+        self.label_source()
         preset = self.preset if self.preset and self.preset.endswith(".toml") else None
         content = {}
-        for path in (preset, self.fit, self.depth.network, *self._cameras()):
+        coco = self.labels if self.labels and Path(self.labels).is_file() else None
+        for path in (preset, self.fit, coco, self.depth.network, *self._cameras()):
             if path is not None:
                 content[path] = sha256_of(path)
         return replace(self, content=content)
@@ -119,6 +134,14 @@ class Recipe:
         text = json.dumps(self.to_json(), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
+    def label_source(self) -> LabelSource | None:
+        """Where labels come from: opened once in a process.
+
+        Raises:
+            ValueError, OSError: as `uwaug.labels.open_labels`.
+        """
+        return None if self.labels is None else _labels(self.labels, self.void)
+
     def model(self) -> Model:
         """What degrades pictures: made once in a process.
 
@@ -126,6 +149,11 @@ class Recipe:
             TypeError, ValueError, OSError: as the transform, the preset or the fit.
         """
         return _made(json.dumps(self.to_json(), sort_keys=True))
+
+
+@lru_cache(maxsize=1)
+def _labels(path: str, void: int | None) -> LabelSource:
+    return open_labels(path, void=void)
 
 
 @lru_cache(maxsize=4)

@@ -31,6 +31,8 @@ class Row(NamedTuple):
         output: the file to write.
         variant: which of several of one picture, from 0.
         problem: why it cannot be done; None if nothing is known against it.
+        name: path of the picture from the folder that was given, which labels know it by.
+        place: path of the output from the folder that is written to.
     """
 
     id: str
@@ -39,15 +41,30 @@ class Row(NamedTuple):
     output: Path
     variant: int = 0
     problem: str | None = None
+    name: str = ""
+    place: str = ""
+
+    @property
+    def labels(self) -> Path:
+        """Where labels of the output would be, were they a picture."""
+        place = Path(self.place or self.output.name)
+        return self.output.parents[len(place.parts) - 1] / "labels" / place
 
 
 class _Found(NamedTuple):
-    """A picture before its distance is known; `name` is its path in the folder to write to."""
+    """A picture before its distance is known.
+
+    Attributes:
+        id, input, distance: as of `Row`.
+        name: path of the picture from the folder that was given.
+        place: path of the output from the folder that is written to.
+    """
 
     id: str
     input: Path
     distance: Path | float | None
     name: Path
+    place: Path
 
 
 @dataclass(frozen=True)
@@ -90,8 +107,11 @@ class Rows:
                 if not self.network:
                     where, problem = self._distance_of(one)
                 for variant in range(self.variants):
-                    output = self.out / self._named(one, variant)
-                    yield Row(one.id, one.input, where, output, variant, problem)
+                    place = self._place(one, variant)
+                    output, name = self.out / place, one.name.as_posix()
+                    yield Row(
+                        one.id, one.input, where, output, variant, problem, name, place.as_posix()
+                    )
 
     def check(self) -> int:
         """Look all of them through before anything is done, and count them.
@@ -130,36 +150,37 @@ class Rows:
                     got = row.id if what == "id" else row.output
                     raise ValueError(f"{before} and {row.input} have one {what}, {got}: {cure}")
 
-    def _named(self, one: _Found, variant: int) -> Path:
-        name = one.name if self.name is None else Path(self.name)
+    def _place(self, one: _Found, variant: int) -> Path:
+        place = one.place if self.name is None else Path(self.name)
         if self.ending is not None:
-            name = name.with_suffix(self.ending)
+            place = place.with_suffix(self.ending)
         if self.variants == 1:
-            return name
-        return name.with_name(f"{name.stem}_{variant + 1}{name.suffix}")
+            return place
+        return place.with_name(f"{place.stem}_{variant + 1}{place.suffix}")
 
     def _expanded(self, given: Path) -> Iterator[_Found]:
         """The pictures of an input."""
         if given.is_dir():
             for path in self._inside(given):
                 name = path.relative_to(given)
-                yield _Found(name.as_posix(), path, None, name)
+                yield _Found(name.as_posix(), path, None, name, name)
         elif given.suffix.lower() in INDICES:
             for line in read_index(given):
                 picture = Path(line.input)
                 # what lies elsewhere keeps its name alone
                 inside = not picture.is_absolute() and ".." not in picture.parts
                 name = picture if inside else Path(picture.name)
-                name = Path(line.output) if line.output else name
-                if name.is_absolute() or ".." in name.parts:
+                place = Path(line.output) if line.output else name
+                if place.is_absolute() or ".." in place.parts:
                     raise ValueError(
                         f"{given}: output must lie in the folder of the run, got {name}"
                     )
                 where = line.distance_from(given.parent)
-                yield _Found(line.id or picture.as_posix(), given.parent / picture, where, name)
+                own = line.id or picture.as_posix()
+                yield _Found(own, given.parent / picture, where, name, place)
         else:
             require_regular(given)
-            yield _Found(given.name, given, None, Path(given.name))
+            yield _Found(given.name, given, None, Path(given.name), Path(given.name))
 
     def _inside(self, folder: Path) -> Iterator[Path]:
         """The pictures in a folder and in those inside it; links to folders are not followed, as
