@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import lru_cache
@@ -11,23 +11,26 @@ from typing import Any, Literal, NamedTuple
 import torch
 from torch import Tensor
 
+from uwaug import strips
 from uwaug.colour import ColorSpace, from_light, to_light
-from uwaug.exposure import GAINS, gain_of, looks
-from uwaug.field import gaussian_random_field
+from uwaug.exposure import GAINS, fixed_gain, gain_of, looks
+from uwaug.field import gaussian_random_field, gaussian_random_rows
 from uwaug.formation import Order, form, plan_at_hand, prepare, together
-from uwaug.metres import DistanceKind, Scaling, Unknown, to_metres
+from uwaug.metres import DistanceKind, Scaling, Unknown, metres_by_rows, to_metres
 from uwaug.optics import sight
 from uwaug.optics.camera import Camera
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import CONTRAST_THRESHOLD, Water
 from uwaug.replay import reproducible
+from uwaug.strips import Strips, Survey
 
 __all__ = [
     "Choice",
     "Draw",
     "InWater",
     "Settings",
+    "Settled",
     "degrade",
     "exactly",
     "formed",
@@ -144,7 +147,7 @@ class Choice(NamedTuple):
 
 
 def degrade(image: Tensor, distance: Tensor | None, choice: Choice) -> Tensor:
-    """Degrade a picture.
+    """Degrade a picture; a large one in strips, which is the same to rounding.
 
     Args:
         image (3xHxW tensor): uint8 or floating point.
@@ -155,6 +158,9 @@ def degrade(image: Tensor, distance: Tensor | None, choice: Choice) -> Tensor:
         The picture, like `image`.
     """
     with exactly(image):
+        if strips.is_large(image):
+            found, survey, _, _ = _in_strips(image, distance, choice)
+            return found.formed(survey, choice.settings.tolerance)
         return formed(in_water(image, distance, choice), image, choice.settings)
 
 
@@ -183,60 +189,118 @@ def used(image: Tensor, distance: Tensor | None, choice: Choice) -> dict[str, fl
         gain: of the exposure.
     """
     with exactly(image):
+        if strips.is_large(image):
+            _, _, settled, gain = _in_strips(image, distance, choice)
+            return settled.used(gain)
         return in_water(image, distance, choice).used()
 
 
-class InWater(NamedTuple):
-    """Light, distance and medium as `form` takes them; what water, contents and gain came to."""
+class Settled(NamedTuple):
+    """What a draw comes to on a picture, but for the gain.
 
-    light: Tensor
-    z: Tensor
-    medium: Medium
+    Attributes:
+        water: with its contents.
+        contents: factor on all that is in it besides pure water.
+        vertical_depth: m, no deeper than an automatic exposure can make up for.
+        medium: before exposure.
+    """
+
     water: Water
     contents: float
-    gain: Tensor
     vertical_depth: float
+    medium: Medium
 
-    def used(self) -> dict[str, float]:
+    def used(self, gain: Tensor) -> dict[str, float]:
         """What a record says of it."""
         return {
             "contents": self.contents,
             "visibility": self.water.visibility(),
             "vertical_depth": self.vertical_depth,
-            "gain": float(self.gain),
+            "gain": float(gain),
         }
+
+
+class InWater(NamedTuple):
+    """Light, distance and medium as `form` takes them; what the draw and the gain came to."""
+
+    light: Tensor
+    z: Tensor
+    medium: Medium
+    settled: Settled
+    gain: Tensor
+
+    def used(self) -> dict[str, float]:
+        """What a record says of it."""
+        return self.settled.used(self.gain)
 
 
 def in_water(image: Tensor, distance: Tensor | None, choice: Choice) -> InWater:
     """A picture in its water, before it is formed; arguments as for `degrade`."""
-    waters, camera, draw, settings = choice
+    draw, settings = choice.draw, choice.settings
     # a view with other strides takes other paths through the kernels, which round differently
     light = to_light(image.contiguous(), settings.color_space)
     if distance is None:
         z = torch.full_like(light[:1], draw.distance)
     else:
         z = to_metres(distance.contiguous(), draw.scaling, settings.distance_kind, settings.unknown)
-    water, contents = _water(waters, draw, z)
+    some = z.flatten()[looks(z.shape[-2], z.shape[-1], z.device)]
+    settled = _settled(choice, (some, z), image.shape[-1])
+    light, z, medium = prepare(light, z, settled.medium, _field(draw, z))
+    gain = _gain(lambda: gain_of(light, z, medium, "auto"), medium, draw, settings)
+    return InWater(light, z, medium.brightened(gain), settled, gain)
+
+
+def _in_strips(
+    image: Tensor, distance: Tensor | None, choice: Choice
+) -> tuple[Strips, Survey, Settled, Tensor]:
+    """A large picture in its water, what there is of distances, and the gain."""
+    draw, settings, size = choice.draw, choice.settings, (image.shape[-2], image.shape[-1])
+    image = image.contiguous()
+    light = strips.light_of(image, settings.color_space)
+    if distance is None:
+        z = strips.plane(draw.distance, size, image)
+    else:
+        given = distance.contiguous()
+        z = metres_by_rows(given, draw.scaling, settings.distance_kind, settings.unknown)
+    settled = _settled(choice, strips.some_of(z, size, image.device), size[1])
+    dtype = torch.promote_types(image.dtype, torch.float32)
+    medium = settled.medium.to(dtype=dtype, device=image.device)
+    field = None
+    if not math.isnan(draw.field_seed):
+        field = gaussian_random_rows(size, **_field_of(draw))
+    z = strips.effective(z, field, dtype)
+    found = Strips(image, light, z, medium, settings.order, settings.color_space)
+    survey = found.survey()
+    gain = _gain(lambda: found.auto_gain(survey.high), medium, draw, settings)
+    return found._replace(medium=medium.brightened(gain)), survey, settled, gain
+
+
+def _settled(choice: Choice, some: Iterable[Tensor], width: int) -> Settled:
+    """The water and the medium of a picture of `width` px; `some` of its distances, then all."""
+    waters, camera, draw, settings = choice
+    water, contents = _water(waters, draw, some)
     if settings.exposure == "auto":
         draw = draw._replace(vertical_depth=_lit_depth(water, draw.vertical_depth))
-    medium = _medium(water, camera, draw, settings.law(image.shape[-1]), settings)
-    light, z, medium = prepare(light, z, medium, _field(draw, z))
-    gain = _gain(light, z, medium, draw, settings)
-    return InWater(light, z, medium.brightened(gain), water, contents, gain, draw.vertical_depth)
+    medium = _medium(water, camera, draw, settings.law(width), settings)
+    return Settled(water, contents, draw.vertical_depth, medium)
 
 
 def _field(draw: Draw, z: Tensor) -> Tensor | None:
     if math.isnan(draw.field_seed):
         return None
-    generator = torch.Generator().manual_seed(int(draw.field_seed))
-    size, low, high = z.shape[-2:], draw.field_low, draw.field_high
     field = gaussian_random_field(
-        size, low=low, high=high, generator=generator, dtype=torch.float32, device="cpu"
+        z.shape[-2:], **_field_of(draw), dtype=torch.float32, device="cpu"
     )
     return field.to(z.device)
 
 
-def _water(waters: Sequence[Water], draw: Draw, z: Tensor) -> tuple[Water, float]:
+def _field_of(draw: Draw) -> dict[str, Any]:
+    """Which field is drawn."""
+    generator = torch.Generator().manual_seed(int(draw.field_seed))
+    return {"low": draw.field_low, "high": draw.field_high, "generator": generator}
+
+
+def _water(waters: Sequence[Water], draw: Draw, some: Iterable[Tensor]) -> tuple[Water, float]:
     """The water of a picture, and the factor on what is in it."""
     water = waters[0].mix(waters[1], draw.mixing) if len(waters) > 1 else waters[0]
     if not math.isnan(draw.contents):
@@ -244,16 +308,16 @@ def _water(waters: Sequence[Water], draw: Draw, z: Tensor) -> tuple[Water, float
     elif not math.isnan(draw.visibility):
         contents = water.contents_for(CONTRAST_THRESHOLD, draw.visibility)
     elif not math.isnan(draw.contrast):
-        contents = water.contents_for(draw.contrast, _middle(z))
+        contents = water.contents_for(draw.contrast, _middle(some))
     else:
         return water, 1.0
     return water.with_contents(contents), contents
 
 
-def _middle(z: Tensor) -> float:
-    """The median of all distances that are not open water, m."""
-    for some in (z.flatten()[looks(z.shape[-2], z.shape[-1], z.device)], z):
-        near = some[some.isfinite()]
+def _middle(some: Iterable[Tensor]) -> float:
+    """The median of the first distances that are not all open water, m."""
+    for z in some:
+        near = z[z.isfinite()]
         if near.numel():
             return float(near.median())
     return math.inf
@@ -266,12 +330,13 @@ def _lit_depth(water: Water, metres: float) -> float:
     return min(metres, sight.depth_of_light(water, _DIMMEST))
 
 
-def _gain(light: Tensor, z: Tensor, medium: Medium, draw: Draw, settings: Settings) -> Tensor:
-    """The exposure of a picture, (1,)."""
+def _gain(balanced: Callable[[], Tensor], medium: Medium, draw: Draw, settings: Settings) -> Tensor:
+    """The exposure of a picture, (1,); `balanced` gives an automatic one."""
     if not math.isnan(draw.gain):
-        return light.new_full((1,), draw.gain)
-    exposure = draw.exposure if settings.exposure == "drawn" else settings.exposure
-    return gain_of(light, z, medium, exposure)
+        return medium.beta.new_full((1,), draw.gain)
+    if settings.exposure == "auto":
+        return balanced()
+    return fixed_gain(medium, draw.exposure if settings.exposure == "drawn" else settings.exposure)
 
 
 def _medium(
