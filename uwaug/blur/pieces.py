@@ -44,14 +44,6 @@ class _Source(NamedTuple):
     along: Banded | None
     after: Chain
 
-    def strip(self, start: int, stop: int) -> Tensor:
-        """Rows `start` to `stop` of the blurred picture (RxCxW)."""
-        if self.along is None:
-            return self.rows[start - self.top : stop - self.top]
-        _, c, w = self.rows.shape
-        flat = along_rows(self.along, self.rows.reshape(-1, c * w), start, stop, self.top)
-        return products(flat.reshape(-1, c, w), self.after)
-
 
 class _Blur:
     """One blur of a stack, of a picture that comes in bands.
@@ -146,7 +138,12 @@ def blurred_pieces(
             part = slice(first, min(first + strip, h))
             strips = []
             for source in sources:
-                strips.append(source.strip(part.start, part.stop).transpose(0, 1)[None])
+                lines = source.rows[part.start - source.top : part.stop - source.top]
+                if source.along is not None:
+                    flat = source.rows.reshape(len(source.rows), -1)
+                    flat = along_rows(source.along, flat, part.start, part.stop, source.top)
+                    lines = products(flat.reshape(-1, c, w), source.after)
+                strips.append(lines.transpose(0, 1)[None])
             across = max(1, _PIECE // (c * (part.stop - part.start)))
             for left in range(0, w, across):
                 columns = slice(left, min(left + across, w))
