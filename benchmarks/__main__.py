@@ -18,6 +18,7 @@ PARTS = (
     "runtime",
     "throughput",
     "soak",
+    "large",
     "summary",
 )
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from uwaug import strips
 from uwaug.choice import Choice, Draw, Settings
-from uwaug.colour import from_light, to_light
+from uwaug.colour import from_light, require_values, to_light
 from uwaug.exposure import GAINS, fixed_gain, gain_of, looks
 from uwaug.field import gaussian_random_field, gaussian_random_rows
 from uwaug.formation import form, plan_at_hand, prepare, together
@@ -22,7 +22,7 @@ from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import CONTRAST_THRESHOLD, Water
 from uwaug.replay import reproducible
-from uwaug.strips import Strips, Survey
+from uwaug.strips import Strips
 
 __all__ = [
     "Choice",
@@ -33,6 +33,7 @@ __all__ = [
     "degrade",
     "exactly",
     "formed",
+    "in_strips",
     "in_water",
     "used",
 ]
@@ -57,8 +58,9 @@ def degrade(image: Tensor, distance: Tensor | None, choice: Choice) -> Tensor:
     """
     with exactly(image):
         if strips.is_large(image):
-            found, survey, _, _ = _in_strips(image, distance, choice)
-            return found.formed(survey, choice.settings.tolerance)
+            found, _, _ = in_strips(image, distance, choice)
+            (picture,) = found.pictures(together)
+            return picture
         return formed(in_water(image, distance, choice), image, choice.settings)
 
 
@@ -88,7 +90,7 @@ def used(image: Tensor, distance: Tensor | None, choice: Choice) -> dict[str, fl
     """
     with exactly(image):
         if strips.is_large(image):
-            _, _, settled, gain = _in_strips(image, distance, choice)
+            _, settled, gain = in_strips(image, distance, choice)
             return settled.used(gain)
         return in_water(image, distance, choice).used()
 
@@ -148,29 +150,25 @@ def in_water(image: Tensor, distance: Tensor | None, choice: Choice) -> InWater:
     return InWater(light, z, medium.brightened(gain), settled, gain)
 
 
-def _in_strips(
+def in_strips(
     image: Tensor, distance: Tensor | None, choice: Choice
-) -> tuple[Strips, Survey, Settled, Tensor]:
-    """A large picture in its water, what there is of distances, and the gain."""
+) -> tuple[Strips, Settled, Tensor]:
+    """A large picture in its water; what its draw came to, but for the gain; the gain."""
     draw, settings, size = choice.draw, choice.settings, (image.shape[-2], image.shape[-1])
-    image = image.contiguous()
-    light = strips.light_of(image, settings.color_space)
+    require_values(image, settings.color_space)
     if distance is None:
         z = strips.plane(draw.distance, size, image)
     else:
         given = distance.contiguous()
         z = metres_by_rows(given, draw.scaling, settings.distance_kind, settings.unknown)
     settled = _settled(choice, strips.some_of(z, size, image.device), size[1])
-    dtype = torch.promote_types(image.dtype, torch.float32)
-    medium = settled.medium.to(dtype=dtype, device=image.device)
     field = None
     if not math.isnan(draw.field_seed):
         field = gaussian_random_rows(size, **_field_of(draw))
-    z = strips.effective(z, field, dtype)
-    found = Strips(image, light, z, medium, settings.order, settings.color_space)
-    survey = found.survey()
-    gain = _gain(lambda: found.auto_gain(survey.high), medium, draw, settings)
-    return found._replace(medium=medium.brightened(gain)), survey, settled, gain
+    kept = settings.color_space, settings.order, settings.tolerance
+    found = strips.in_rows(image, z, settled.medium, field, *kept)
+    gain = _gain(lambda: found.gain_of("auto"), found.medium, draw, settings)
+    return found.brightened(gain), settled, gain
 
 
 def _settled(choice: Choice, some: Iterable[Tensor], width: int) -> Settled:

@@ -8,17 +8,17 @@ import torch
 from torch import Tensor
 
 from uwaug.blur.pieces import blurred_pieces
-from uwaug.colour import ColorSpace, decoded, encoded, headroom, require_values
-from uwaug.exposure import balanced, looks
+from uwaug.colour import ColorSpace, decoded, encoded, headroom
+from uwaug.exposure import Exposure, balanced, fixed_gain, looks
 from uwaug.formation import (
+    Combine,
     Order,
     at_lens,
     farthest_seen,
     plan_between,
     scattered,
-    together,
 )
-from uwaug.optics.curves import FARTHEST, curves
+from uwaug.optics.curves import FARTHEST, Sums, curves
 from uwaug.optics.medium import Medium
 from uwaug.rows import Rows, at_pixels, bands
 
@@ -26,12 +26,10 @@ __all__ = [
     "LARGE",
     "Strips",
     "Survey",
-    "effective",
+    "in_rows",
     "is_large",
-    "light_of",
     "plane",
     "some_of",
-    "surveyed",
 ]
 
 LARGE = 24_000_000
@@ -45,12 +43,6 @@ def is_large(image: Tensor) -> bool:
     return image.shape[-2] * image.shape[-1] >= LARGE
 
 
-def light_of(image: Tensor, color_space: ColorSpace) -> Rows:
-    """`uwaug.colour.to_light`, a few rows at a time."""
-    require_values(image, color_space)
-    return lambda start, stop: decoded(image[:, start:stop].contiguous(), color_space)
-
-
 def plane(distance: float, size: tuple[int, int], image: Tensor) -> Rows:
     """A map of one distance, m."""
     dtype = torch.promote_types(image.dtype, torch.float32)
@@ -58,7 +50,7 @@ def plane(distance: float, size: tuple[int, int], image: Tensor) -> Rows:
     return lambda start, stop: row.expand(-1, stop - start, -1).contiguous()
 
 
-def effective(z: Rows, field: Rows | None, dtype: torch.dtype) -> Rows:
+def _effective(z: Rows, field: Rows | None, dtype: torch.dtype) -> Rows:
     """The distance that water counts, m·z, as `uwaug.formation.prepare` has it."""
 
     def rows(start: int, stop: int) -> Tensor:
@@ -86,7 +78,7 @@ class Survey(NamedTuple):
     shown: float
 
 
-def surveyed(z: Rows, size: tuple[int, int], end: float) -> Survey:
+def _surveyed(z: Rows, size: tuple[int, int], end: float) -> Survey:
     """Look at all distances once; from `end` on they ask for no blur."""
     low, high, shown = math.inf, 0.0, -math.inf
     for start, stop in bands(*size):
@@ -101,65 +93,114 @@ def surveyed(z: Rows, size: tuple[int, int], end: float) -> Survey:
 
 
 class Strips(NamedTuple):
-    """A picture in its water, as `form` takes it, in rows.
+    """A picture in its water, as `form` takes it, in rows; made by `in_rows`.
 
     Attributes:
         image (3xHxW tensor): as it was given.
+        color_space: of its values.
         light: of the scene.
         z: effective distance, m.
         medium: one row, of the type of the light.
-        order: as for `form_image`.
+        survey: of all distances.
+        order, tolerance: as for `uwaug.form_image`.
     """
 
     image: Tensor
+    color_space: ColorSpace
     light: Rows
     z: Rows
     medium: Medium
+    survey: Survey
     order: Order
-    color_space: ColorSpace
+    tolerance: float
 
     @property
     def size(self) -> tuple[int, int]:
         """Height and width, px."""
         return self.image.shape[-2], self.image.shape[-1]
 
-    def survey(self) -> Survey:
-        """All distances, looked at once."""
-        return surveyed(self.z, self.size, farthest_seen(self.medium, self.order))
+    def some(self) -> Tensor:
+        """Effective distances of some pixels, spread over the picture (N)."""
+        return at_pixels(self.z, self.size, looks(*self.size, self.image.device))[0]
 
-    def auto_gain(self, farthest: float) -> Tensor:
-        """`uwaug.exposure.auto_gain`, given the largest effective distance, m."""
-        some = looks(*self.size, self.image.device)
-        seen = self.image.flatten(1)[:, some]
+    def gain_of(self, exposure: Exposure) -> Tensor:
+        """The gain of an exposure (1,), see `uwaug.exposure.gain_of`."""
+        if exposure != "auto":
+            return fixed_gain(self.medium, exposure)
+        seen = self.image.flatten(1)[:, looks(*self.size, self.image.device)]
         light = decoded(seen, self.color_space)[None, :, None]
-        z = at_pixels(self.z, self.size, some)[None, :, None]
-        sums = self.medium.sums(exact_at_lens=False)
-        return balanced(light, z, z.new_full((1, 1, 1, 1), farthest), sums)
+        z = self.some()[None, None, None]
+        farthest = z.new_full((1, 1, 1, 1), self.survey.high)
+        return balanced(light, z, farthest, self.medium.sums(exact_at_lens=False))
 
-    def formed(self, survey: Survey, tolerance: float) -> Tensor:
-        """The degraded picture, like the image."""
-        size, medium, order = self.size, self.medium, self.order
-        plan = plan_between((survey.low, survey.shown), size, medium, tolerance, order)
+    def brightened(self, gain: Tensor) -> "Strips":
+        """The same as a camera of this gain sees it."""
+        return self._replace(medium=self.medium.brightened(gain))
+
+    def pictures(self, combine: Combine) -> tuple[Tensor, ...]:
+        """What `combine` makes, `together` or `separately`, as pictures like the image."""
+        size, medium, survey = self.size, self.medium, self.survey
+        ends = survey.low, survey.shown
+        plan = plan_between(ends, size, medium, self.tolerance, self.order)
         nearest = medium.beta.new_full((1,), survey.low)
         sums = medium.sums(exact_at_lens=at_lens(nearest, medium))
-
-        def weighed(start: int, stop: int) -> Tensor:
-            found = curves(sums, self.z(start, stop)[None])
-            return found.scatter[0] * self.light(start, stop)
-
-        source = self.light if order == "line_of_sight" else weighed
-        most = headroom(self.image)
-        out, last = torch.empty_like(self.image), slice(0, 0)
+        most, dtype = headroom(self.image), self.image.dtype
         (_, band), *_ = bands(*size)
-        pieces = blurred_pieces(source, (3, *size), medium.beta, plan, band)
+        pieces = blurred_pieces(self.blurred_light(sums), (3, *size), medium.beta, plan, band)
+        pictures: list[Tensor] = []
+        last = slice(0, 0)
         for rows, columns, stack in pieces:
             if rows != last:
                 last = rows
                 light, z = self.light(rows.start, rows.stop), self.z(rows.start, rows.stop)
             part, far = light[None, ..., columns], z[None, ..., columns]
             found = curves(sums, far)
-            if order == "source":
+            if self.order == "source":
                 found = found._replace(scatter=light.new_ones(()))
-            (result,) = together(part, found, scattered(stack, far, medium, plan, size))
-            out[:, rows, columns] = encoded(result[0], self.color_space, self.image.dtype, most)
-        return out
+            results = combine(part, found, scattered(stack, far, medium, plan, size))
+            pictures = pictures or [torch.empty_like(self.image) for _ in results]
+            for picture, result in zip(pictures, results, strict=True):
+                picture[:, rows, columns] = encoded(result[0], self.color_space, dtype, most)
+        return tuple(pictures)
+
+    def blurred_light(self, sums: Sums) -> Rows:
+        """What is blurred."""
+        if self.order == "line_of_sight":
+            return self.light
+
+        def weighed(start: int, stop: int) -> Tensor:
+            found = curves(sums, self.z(start, stop)[None])
+            return found.scatter[0] * self.light(start, stop)
+
+        return weighed
+
+
+def in_rows(
+    image: Tensor,
+    z: Rows,
+    medium: Medium,
+    field: Rows | None,
+    color_space: ColorSpace,
+    order: Order = "line_of_sight",
+    tolerance: float = 0.002,
+) -> Strips:
+    """A picture in its water, all of its distances looked at.
+
+    Args:
+        image (3xHxW tensor): uint8 or floating point; checked, see `uwaug.colour.require_values`.
+        z: distances, m, every pixel known.
+        medium: one row.
+        field: multiplies z; None for homogeneous water.
+        color_space: of the image.
+        order, tolerance: as for `uwaug.form_image`.
+    """
+    image = image.contiguous()
+    dtype = torch.promote_types(image.dtype, torch.float32)
+    far = _effective(z, field, dtype)
+
+    def light(start: int, stop: int) -> Tensor:
+        return decoded(image[:, start:stop].contiguous(), color_space)
+
+    size, medium = (image.shape[-2], image.shape[-1]), medium.to(dtype=dtype, device=image.device)
+    survey = _surveyed(far, size, farthest_seen(medium, order))
+    return Strips(image, color_space, light, far, medium, survey, order, tolerance)
