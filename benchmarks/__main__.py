@@ -19,6 +19,7 @@ PARTS = (
     "runtime",
     "throughput",
     "soak",
+    "large",
     "summary",
 )
 

@@ -16,8 +16,10 @@ from torch import Tensor
 
 from benchmarks.exact import blur_exact
 from uwaug.blur.kernels import reflect
+from uwaug.blur.pieces import blurred_pieces
 from uwaug.blur.plan import BlurPlan
-from uwaug.blur.stack import blurred_pieces, mixed, node_weights
+from uwaug.blur.stack import mixed, node_weights
+from uwaug.rows import held
 
 Array = np.ndarray[Any, Any]
 Gaussian = Callable[[Array, float], Array]
@@ -63,7 +65,8 @@ def exact(image: Tensor, sigma: Tensor, most: int | None = None) -> tuple[Tensor
 def stack(image: Tensor, sigma: Tensor, plan: BlurPlan) -> Tensor:
     """Our stack, a strip of rows at a time, as `form_image` uses it."""
     out = torch.empty_like(image)
-    for rows, columns, blurs in blurred_pieces(image[0], plan):
+    shape = (image.shape[-3], image.shape[-2], image.shape[-1])
+    for rows, columns, blurs in blurred_pieces(held(image[0]), shape, image, plan):
         weights = node_weights(sigma[..., rows, columns], plan)
         out[..., rows, columns] = mixed(blurs, weights)
     return out

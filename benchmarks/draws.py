@@ -86,7 +86,7 @@ def judged(aug: uwaug.RandomUnderwater, pair: Pair, index: int) -> tuple[Tensor,
     judgement = {
         "water": sample["waters"][0],
         "contrast": sample.get("contrast"),
-        "contents": found.contents,
+        "contents": found.settled.contents,
         "gain": float(found.gain),
         "share": share,
         "veil": veil,

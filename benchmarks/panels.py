@@ -20,8 +20,8 @@ from torch import Tensor
 import uwaug
 from benchmarks import blurs, published
 from benchmarks.harness import DISTANCES, WIDEST, scene, water_medium
+from uwaug.blur.pieces import row_strips
 from uwaug.blur.plan import BlurPlan, plan_blur
-from uwaug.blur.stack import row_strips
 from uwaug.formation import together
 from uwaug.onnx import OnnxUnderwater, export_onnx
 from uwaug.optics.curves import curves

@@ -12,8 +12,12 @@ from uwaug import checks
 __all__ = [
     "LUMINANCE",
     "ColorSpace",
+    "decoded",
+    "encoded",
     "from_light",
+    "headroom",
     "linear_to_srgb",
+    "require_values",
     "srgb_to_linear",
     "to_light",
 ]
@@ -57,20 +61,31 @@ def to_light(image: Tensor, color_space: ColorSpace) -> Tensor:
         ValueError: if values are NaN or infinite; if sRGB values exceed 16, which are taken for a
             scale of 0…255, or fall below −0.1, which are taken for normalised ones.
     """
+    require_values(image, color_space)
+    return decoded(image, color_space)
+
+
+def require_values(image: Tensor, color_space: ColorSpace) -> None:
+    """Refuse what `to_light` cannot take."""
+    if not image.is_floating_point() or not image.numel() or torch.compiler.is_compiling():
+        return
+    low, high = checks.finite("image", image)
+    if color_space == "srgb" and high > _BRIGHTEST:
+        raise ValueError(f"image reaches {high:g}: expected 0…1; divide a 0…255 image by 255")
+    if color_space == "srgb" and low < _DARKEST:
+        raise ValueError(f"image falls to {low:g}: expected 0…1; place it before Normalize")
+
+
+def decoded(image: Tensor, color_space: ColorSpace) -> Tensor:
+    """`to_light` of values that are known to be good."""
     if image.dtype == torch.uint8:
         unit = image.to(torch.float32) / 255
     else:
         unit = image.to(torch.promote_types(image.dtype, torch.float32))
-    if image.is_floating_point() and image.numel() and not torch.compiler.is_compiling():
-        low, high = checks.finite("image", unit)
-        if color_space == "srgb" and high > _BRIGHTEST:
-            raise ValueError(f"image reaches {high:g}: expected 0…1; divide a 0…255 image by 255")
-        if color_space == "srgb" and low < _DARKEST:
-            raise ValueError(f"image falls to {low:g}: expected 0…1; place it before Normalize")
     return unit if color_space == "linear" else srgb_to_linear(unit)
 
 
-def _headroom(image: Tensor) -> float | Tensor:
+def headroom(image: Tensor) -> float | Tensor:
     """The largest sRGB value that a result may have: 1, as files hold no more; if the picture that
     was given is brighter (HDR), its own largest value, (B, 1, 1, 1).
     """
@@ -88,16 +103,24 @@ def from_light(light: Tensor, color_space: ColorSpace, like: Tensor) -> Tensor:
     sRGB values are clipped to 0…1, or to the largest value of `like` if that is more; linear light
     never is.
     """
+    most = headroom(like) if color_space == "srgb" else 1.0
+    return encoded(light, color_space, like.dtype, most)
+
+
+def encoded(
+    light: Tensor, color_space: ColorSpace, dtype: torch.dtype, most: float | Tensor
+) -> Tensor:
+    """`from_light`, given the type of the result and the largest sRGB value that it may have."""
     values = light
     if color_space == "srgb":
-        values, most = linear_to_srgb(light), _headroom(like)
+        values = linear_to_srgb(light)
         if isinstance(most, Tensor):
             values = torch.minimum(values.clamp(min=0), most)
         else:
             values = values.clamp(0.0, most)  # an integer beside a float cannot be exported
-    if like.dtype == torch.uint8:
+    if dtype == torch.uint8:
         return (values * 255).round().clamp(0, 255).to(torch.uint8)
-    return values.to(like.dtype)
+    return values.to(dtype)
 
 
 def srgb_to_linear(x: Tensor) -> Tensor:

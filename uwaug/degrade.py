@@ -1,42 +1,42 @@
 """One picture in one random water: what `RandomUnderwater` does once it has drawn."""
 
-import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from uwaug.colour import ColorSpace, from_light, to_light
-from uwaug.exposure import GAINS, gain_of, looks
-from uwaug.field import gaussian_random_field
-from uwaug.formation import Order, form, plan_at_hand, prepare, together
-from uwaug.metres import DistanceKind, Scaling, Unknown, to_metres
+from uwaug import strips
+from uwaug.choice import Choice, Draw, Settings
+from uwaug.colour import from_light, require_values, to_light
+from uwaug.exposure import GAINS, fixed_gain, gain_of, looks
+from uwaug.field import gaussian_random_field, gaussian_random_rows
+from uwaug.formation import form, plan_at_hand, prepare, together
+from uwaug.metres import metres_by_rows, to_metres
 from uwaug.optics import sight
 from uwaug.optics.camera import Camera
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import CONTRAST_THRESHOLD, Water
 from uwaug.replay import reproducible
+from uwaug.strips import Strips
 
 __all__ = [
     "Choice",
     "Draw",
     "InWater",
     "Settings",
+    "Settled",
     "degrade",
     "exactly",
     "formed",
+    "in_strips",
     "in_water",
     "used",
 ]
-
-_FOCAL = 0.5 / math.tan(math.radians(30))
-"""Focal length of a view 60° wide, as a share of the picture's width."""
 
 _DIMMEST = 2 / GAINS[1]
 """Share of the surface's light that a scene has at least, where an exposure is automatic: what the
@@ -45,106 +45,8 @@ turbid enough for a scene at arm's length are black at 10 m.
 """
 
 
-class Draw(NamedTuple):
-    """What is drawn for a picture, besides its waters and its camera; see `RandomUnderwater`.
-
-    NaN: not drawn, as nothing asks for it.
-    """
-
-    mixing: float
-    visibility: float
-    vertical_depth: float
-    g: float
-    mu: float
-    blur_factor: float
-    near: float
-    far: float
-    gamma: float
-    distance: float
-    contrast: float
-    exposure: float
-    contents: float
-    gain: float
-    field_seed: float
-    field_low: float
-    field_high: float
-
-    @property
-    def scaling(self) -> Scaling:
-        """What scales a relative map."""
-        return Scaling(self.near, self.far, self.gamma)
-
-    @staticmethod
-    def of(sample: Mapping[str, Any]) -> "Draw":
-        """From a sample of a record."""
-        low, high = sample["field_range"]
-        drawn = {**sample, "field_low": low, "field_high": high}
-        for name in ("contents", "gain"):
-            drawn[name] = sample.get("used", {}).get(name)
-        values = []
-        for name in Draw._fields:
-            value = drawn.get(name)
-            values.append(math.nan if value is None else value)
-        return Draw(*values)
-
-    def to_tensor(self) -> Tensor:
-        """As numbers; torch.tensor(…) would fix them in a graph."""
-        one = torch.ones((), dtype=torch.float64)
-        return torch.stack([one * value for value in self])
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What is the same for all pictures. See `RandomUnderwater`."""
-
-    distance_kind: DistanceKind
-    unknown: Unknown
-    color_space: ColorSpace
-    order: Order
-    point_spread: PointSpread | None
-    focal_px: float | None
-    exposure: Literal["none", "auto", "drawn"]
-    tolerance: float
-    varied: bool
-    """Whether each picture has a medium of its own, so that none need be kept."""
-
-    def law(self, width: int) -> PointSpread:
-        """The width law for a picture of `width` px."""
-        if self.point_spread is not None:
-            return self.point_spread
-        return PointSpread.calibrated(self.focal_px or _FOCAL * width)
-
-    def to_json(self) -> str:
-        """As text, for an operator that takes no objects."""
-        return json.dumps(asdict(self))
-
-    @staticmethod
-    def from_json(text: str) -> "Settings":
-        """The inverse of `to_json`."""
-        values = json.loads(text)
-        if values["point_spread"] is not None:
-            values["point_spread"] = PointSpread(**values["point_spread"])
-        return Settings(**values)
-
-
-class Choice(NamedTuple):
-    """What a picture is degraded with.
-
-    Attributes:
-        waters: one, or two to be mixed.
-        camera: response of the three channels.
-        draw: what was drawn.
-        settings: what is set.
-    """
-
-    waters: Sequence[Water]
-    camera: Camera
-    draw: Draw
-    settings: Settings
-
-
 def degrade(image: Tensor, distance: Tensor | None, choice: Choice) -> Tensor:
-    """Degrade a picture.
+    """Degrade a picture; a large one in strips, which is the same to rounding.
 
     Args:
         image (3xHxW tensor): uint8 or floating point.
@@ -155,6 +57,10 @@ def degrade(image: Tensor, distance: Tensor | None, choice: Choice) -> Tensor:
         The picture, like `image`.
     """
     with exactly(image):
+        if strips.is_large(image):
+            found, _, _ = in_strips(image, distance, choice)
+            (picture,) = found.pictures(together)
+            return picture
         return formed(in_water(image, distance, choice), image, choice.settings)
 
 
@@ -183,60 +89,114 @@ def used(image: Tensor, distance: Tensor | None, choice: Choice) -> dict[str, fl
         gain: of the exposure.
     """
     with exactly(image):
+        if strips.is_large(image):
+            _, settled, gain = in_strips(image, distance, choice)
+            return settled.used(gain)
         return in_water(image, distance, choice).used()
 
 
-class InWater(NamedTuple):
-    """Light, distance and medium as `form` takes them; what water, contents and gain came to."""
+class Settled(NamedTuple):
+    """What a draw comes to on a picture, but for the gain.
 
-    light: Tensor
-    z: Tensor
-    medium: Medium
+    Attributes:
+        water: with its contents.
+        contents: factor on all that is in it besides pure water.
+        vertical_depth: m, no deeper than an automatic exposure can make up for.
+        medium: before exposure.
+    """
+
     water: Water
     contents: float
-    gain: Tensor
     vertical_depth: float
+    medium: Medium
 
-    def used(self) -> dict[str, float]:
+    def used(self, gain: Tensor) -> dict[str, float]:
         """What a record says of it."""
         return {
             "contents": self.contents,
             "visibility": self.water.visibility(),
             "vertical_depth": self.vertical_depth,
-            "gain": float(self.gain),
+            "gain": float(gain),
         }
+
+
+class InWater(NamedTuple):
+    """Light, distance and medium as `form` takes them; what the draw and the gain came to."""
+
+    light: Tensor
+    z: Tensor
+    medium: Medium
+    settled: Settled
+    gain: Tensor
+
+    def used(self) -> dict[str, float]:
+        """What a record says of it."""
+        return self.settled.used(self.gain)
 
 
 def in_water(image: Tensor, distance: Tensor | None, choice: Choice) -> InWater:
     """A picture in its water, before it is formed; arguments as for `degrade`."""
-    waters, camera, draw, settings = choice
+    draw, settings = choice.draw, choice.settings
     # a view with other strides takes other paths through the kernels, which round differently
     light = to_light(image.contiguous(), settings.color_space)
     if distance is None:
         z = torch.full_like(light[:1], draw.distance)
     else:
         z = to_metres(distance.contiguous(), draw.scaling, settings.distance_kind, settings.unknown)
-    water, contents = _water(waters, draw, z)
+    some = z.flatten()[looks(z.shape[-2], z.shape[-1], z.device)]
+    settled = _settled(choice, (some, z), image.shape[-1])
+    light, z, medium = prepare(light, z, settled.medium, _field(draw, z))
+    gain = _gain(lambda: gain_of(light, z, medium, "auto"), medium, draw, settings)
+    return InWater(light, z, medium.brightened(gain), settled, gain)
+
+
+def in_strips(
+    image: Tensor, distance: Tensor | None, choice: Choice
+) -> tuple[Strips, Settled, Tensor]:
+    """A large picture in its water; what its draw came to, but for the gain; the gain."""
+    draw, settings, size = choice.draw, choice.settings, (image.shape[-2], image.shape[-1])
+    require_values(image, settings.color_space)
+    if distance is None:
+        z = strips.plane(draw.distance, size, image)
+    else:
+        given = distance.contiguous()
+        z = metres_by_rows(given, draw.scaling, settings.distance_kind, settings.unknown)
+    settled = _settled(choice, strips.some_of(z, size, image.device), size[1])
+    field = None
+    if not math.isnan(draw.field_seed):
+        field = gaussian_random_rows(size, **_field_of(draw))
+    kept = settings.color_space, settings.order, settings.tolerance
+    found = strips.in_rows(image, z, settled.medium, field, *kept)
+    gain = _gain(lambda: found.gain_of("auto"), found.medium, draw, settings)
+    return found.brightened(gain), settled, gain
+
+
+def _settled(choice: Choice, some: Iterable[Tensor], width: int) -> Settled:
+    """The water and the medium of a picture of `width` px; `some` of its distances, then all."""
+    waters, camera, draw, settings = choice
+    water, contents = _water(waters, draw, some)
     if settings.exposure == "auto":
         draw = draw._replace(vertical_depth=_lit_depth(water, draw.vertical_depth))
-    medium = _medium(water, camera, draw, settings.law(image.shape[-1]), settings)
-    light, z, medium = prepare(light, z, medium, _field(draw, z))
-    gain = _gain(light, z, medium, draw, settings)
-    return InWater(light, z, medium.brightened(gain), water, contents, gain, draw.vertical_depth)
+    medium = _medium(water, camera, draw, settings.law(width), settings)
+    return Settled(water, contents, draw.vertical_depth, medium)
 
 
 def _field(draw: Draw, z: Tensor) -> Tensor | None:
     if math.isnan(draw.field_seed):
         return None
-    generator = torch.Generator().manual_seed(int(draw.field_seed))
-    size, low, high = z.shape[-2:], draw.field_low, draw.field_high
     field = gaussian_random_field(
-        size, low=low, high=high, generator=generator, dtype=torch.float32, device="cpu"
+        z.shape[-2:], **_field_of(draw), dtype=torch.float32, device="cpu"
     )
     return field.to(z.device)
 
 
-def _water(waters: Sequence[Water], draw: Draw, z: Tensor) -> tuple[Water, float]:
+def _field_of(draw: Draw) -> dict[str, Any]:
+    """Which field is drawn."""
+    generator = torch.Generator().manual_seed(int(draw.field_seed))
+    return {"low": draw.field_low, "high": draw.field_high, "generator": generator}
+
+
+def _water(waters: Sequence[Water], draw: Draw, some: Iterable[Tensor]) -> tuple[Water, float]:
     """The water of a picture, and the factor on what is in it."""
     water = waters[0].mix(waters[1], draw.mixing) if len(waters) > 1 else waters[0]
     if not math.isnan(draw.contents):
@@ -244,16 +204,16 @@ def _water(waters: Sequence[Water], draw: Draw, z: Tensor) -> tuple[Water, float
     elif not math.isnan(draw.visibility):
         contents = water.contents_for(CONTRAST_THRESHOLD, draw.visibility)
     elif not math.isnan(draw.contrast):
-        contents = water.contents_for(draw.contrast, _middle(z))
+        contents = water.contents_for(draw.contrast, _middle(some))
     else:
         return water, 1.0
     return water.with_contents(contents), contents
 
 
-def _middle(z: Tensor) -> float:
-    """The median of all distances that are not open water, m."""
-    for some in (z.flatten()[looks(z.shape[-2], z.shape[-1], z.device)], z):
-        near = some[some.isfinite()]
+def _middle(some: Iterable[Tensor]) -> float:
+    """The median of the first distances that are not all open water, m."""
+    for z in some:
+        near = z[z.isfinite()]
         if near.numel():
             return float(near.median())
     return math.inf
@@ -266,12 +226,13 @@ def _lit_depth(water: Water, metres: float) -> float:
     return min(metres, sight.depth_of_light(water, _DIMMEST))
 
 
-def _gain(light: Tensor, z: Tensor, medium: Medium, draw: Draw, settings: Settings) -> Tensor:
-    """The exposure of a picture, (1,)."""
+def _gain(balanced: Callable[[], Tensor], medium: Medium, draw: Draw, settings: Settings) -> Tensor:
+    """The exposure of a picture, (1,); `balanced` gives an automatic one."""
     if not math.isnan(draw.gain):
-        return light.new_full((1,), draw.gain)
-    exposure = draw.exposure if settings.exposure == "drawn" else settings.exposure
-    return gain_of(light, z, medium, exposure)
+        return medium.beta.new_full((1,), draw.gain)
+    if settings.exposure == "auto":
+        return balanced()
+    return fixed_gain(medium, draw.exposure if settings.exposure == "drawn" else settings.exposure)
 
 
 def _medium(

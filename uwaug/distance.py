@@ -19,10 +19,16 @@ __all__ = [
     "DepthNetwork",
     "along_ray",
     "check_distance",
+    "ends_of_inverse",
     "fill_unknown",
     "from_disparity",
     "from_inverse",
     "from_relative",
+    "require_range",
+    "require_relative",
+    "scaled_inverse",
+    "scaled_relative",
+    "single",
 ]
 
 _MANY = 0.2
@@ -58,13 +64,27 @@ def from_relative(
         tensor([[1., 2., 5.]])
     """
     t = _maps("t", t)
+    require_relative(t, near, far, gamma)
+    return scaled_relative(t, near, far, gamma)
+
+
+def require_relative(
+    t: Tensor, near: float | Tensor, far: float | Tensor, gamma: float | Tensor
+) -> None:
+    """Refuse what `from_relative` cannot take."""
     if bool(((t < 0) | (t > 1)).any()):
         cure = "normalise first, (t - t.min()) / (t.max() - t.min())"
         raise ValueError(f"t must lie in [0, 1], got {checks.span(t)}: {cure}")
-    _require_range(near, far, inverse=False)
+    require_range(near, far, inverse=False)
     power = torch.as_tensor(gamma)
     if not bool(((power > 0) & power.isfinite()).all()):
         raise ValueError(f"gamma must be positive and finite, got {gamma}")
+
+
+def scaled_relative(
+    t: Tensor, near: float | Tensor, far: float | Tensor, gamma: float | Tensor
+) -> Tensor:
+    """`from_relative` at each pixel, of maps that are known to be good."""
     safe = t.clamp(min=1e-6)
     return near + (far - near) * (t / safe * safe**gamma)
 
@@ -98,7 +118,12 @@ def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> 
         tensor([[4., 2., 1.]])
     """
     inverse = _maps("inverse", inverse)
-    _require_range(near, far, inverse=True)
+    require_range(near, far, inverse=True)
+    return scaled_inverse(inverse, ends_of_inverse(inverse), near, far)
+
+
+def ends_of_inverse(inverse: Tensor) -> tuple[Tensor, Tensor]:
+    """The least and the largest value of each map; refuses maps without."""
     known = inverse.isfinite()
     least = torch.where(known, inverse, torch.inf).amin((-2, -1), keepdim=True)
     largest = torch.where(known, inverse, -torch.inf).amax((-2, -1), keepdim=True)
@@ -107,6 +132,14 @@ def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> 
         got = f"{_which(flat)} that is constant or has no finite value"
         cure = "scale whole maps before they are cropped"
         raise ValueError(f"inverse must vary within each map, got {got}: {cure}")
+    return least, largest
+
+
+def scaled_inverse(
+    inverse: Tensor, ends: tuple[Tensor, Tensor], near: float | Tensor, far: float | Tensor
+) -> Tensor:
+    """`from_inverse` at each pixel, of maps that are known to be good."""
+    known, (least, largest) = inverse.isfinite(), ends
     # halves, whose difference no pair of finite values can make infinite
     low = least / 2
     s = (torch.where(known, inverse / 2, low) - low) / (largest / 2 - low)
@@ -282,10 +315,15 @@ def _maps(name: str, x: Tensor) -> Tensor:
     checks.floating(name, x, ": 8-bit values need / 255, millimetres / 1000")
     if x.ndim < 2:
         raise ValueError(f"{name} must have shape (..., H, W), got {tuple(x.shape)}")
+    return single(x)
+
+
+def single(x: Tensor) -> Tensor:
+    """Half precision taken up to float32; all else as it is."""
     return x.float() if x.dtype.itemsize < 4 else x
 
 
-def _require_range(near: float | Tensor, far: float | Tensor, *, inverse: bool) -> None:
+def require_range(near: float | Tensor, far: float | Tensor, *, inverse: bool) -> None:
     """Refuse distances that no map can be scaled to."""
     n, f = torch.as_tensor(near), torch.as_tensor(far)
     if inverse:

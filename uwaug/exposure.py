@@ -18,9 +18,11 @@ __all__ = [
     "GAINS",
     "Exposure",
     "auto_gain",
+    "balanced",
     "brightest",
     "exposed",
     "exposed_sums",
+    "fixed_gain",
     "gain_of",
     "looks",
     "require_exposure",
@@ -71,14 +73,25 @@ def auto_gain(image: Tensor, z: Tensor, sums: Sums) -> Tensor:
         where no light arrives.
     """
     some = looks(z.shape[-2], z.shape[-1], z.device)
-    light, far = _at(image, some), _at(z, some)
-    found = curves(sums, far)
+    return balanced(_at(image, some), _at(z, some), z.amax((-3, -2, -1), keepdim=True), sums)
+
+
+def balanced(light: Tensor, z: Tensor, farthest: Tensor, sums: Sums) -> Tensor:
+    """The same from what some pixels show.
+
+    Args:
+        light (Bx3x1xN tensor): linear light of these pixels.
+        z (Bx1x1xN tensor): their effective distances, m.
+        farthest (Bx1x1x1 tensor): the largest of all effective distances, m.
+        sums: as for `auto_gain`.
+    """
+    found = curves(sums, z)
     arrives = (found.direct + found.scatter) * light + found.veil
     before, after = _luminance(light), _luminance(arrives)
     dark = after <= 0
     gain = torch.where(dark, 1.0, before / torch.where(dark, 1.0, after))
     # the far water is the highlight that a camera protects
-    veil = curves(sums, z.amax((-3, -2, -1), keepdim=True)).veil.amax((-3, -2, -1))
+    veil = curves(sums, farthest).veil.amax((-3, -2, -1))
     return gain.clamp(*GAINS).minimum(1 / veil.clamp(min=1 / GAINS[1]))
 
 
@@ -86,6 +99,11 @@ def gain_of(image: Tensor, z: Tensor, medium: Medium, exposure: Exposure) -> Ten
     """The gain of an exposure: (B,), or (1,) if it is the same for all pictures."""
     if exposure == "auto" and image.numel() and z.numel():
         return auto_gain(image, z, medium.sums(exact_at_lens=False))
+    return fixed_gain(medium, exposure)
+
+
+def fixed_gain(medium: Medium, exposure: Exposure) -> Tensor:
+    """The gain (1,) of an exposure that does not look at the picture."""
     stops = 0.0 if isinstance(exposure, str) else exposure
     return medium.beta.new_full((1,), 2.0**stops)
 

@@ -4,13 +4,15 @@ distance.
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from uwaug import checks
+from uwaug.rows import Rows, extremes
 
-__all__ = ["field_from_noise", "gaussian_random_field"]
+__all__ = ["field_from_noise", "gaussian_random_field", "gaussian_random_rows"]
 
 
 def gaussian_random_field(
@@ -53,10 +55,41 @@ def gaussian_random_field(
     """
     batch, height, width = _parse(shape)
     _check(exponent, low, high)
-    n = 2 * _cutoff(exponent, max(height, width)) + 1
-    noise = torch.randn(batch, n, n, generator=generator, device=device, dtype=torch.float32)
+    noise = _drawn((batch, height, width), exponent, generator, device)
     dtype = dtype or torch.get_default_dtype()
     return field_from_noise(noise.to(dtype), (height, width), exponent=exponent, low=low, high=high)
+
+
+def gaussian_random_rows(
+    size: tuple[int, int],
+    *,
+    low: float,
+    high: float,
+    generator: torch.Generator,
+    exponent: float = 4.0,
+) -> Rows:
+    """The field of one image as `gaussian_random_field` draws it, in float32, a few rows (1xRxW) at
+    a time.
+
+    Args:
+        size: height and width in pixels; the other arguments as there.
+    """
+    _check(exponent, low, high)
+    waves = _waves(_drawn((1, *size), exponent, generator, torch.device("cpu")), *size, exponent)
+    least, largest = extremes(waves.rows, size)
+    ends = torch.tensor(least), torch.tensor(largest)
+    return lambda start, stop: _between(waves.rows(start, stop), *ends, low, high)
+
+
+def _drawn(
+    shape: tuple[int, int, int],
+    exponent: float,
+    generator: torch.Generator | None,
+    device: torch.device | str | None,
+) -> Tensor:
+    batch, height, width = shape
+    n = 2 * _cutoff(exponent, max(height, width)) + 1
+    return torch.randn(batch, n, n, generator=generator, device=device, dtype=torch.float32)
 
 
 def field_from_noise(
@@ -129,6 +162,24 @@ def field_from_noise(
 def _synthesise(
     noise: Tensor, height: int, width: int, exponent: float, low: float, high: float
 ) -> Tensor:
+    field = _waves(noise, height, width, exponent).rows(0, height)[:, None]
+    least, largest = field.amin((-2, -1), keepdim=True), field.amax((-2, -1), keepdim=True)
+    return _between(field, least, largest, low, high)
+
+
+class _Waves(NamedTuple):
+    """Cosines along the rows (HxN) and columns (NxW), and their amplitudes (BxNxN)."""
+
+    down: Tensor
+    amplitude: Tensor
+    across: Tensor
+
+    def rows(self, start: int, stop: int) -> Tensor:
+        """Some rows of their sum (BxRxW)."""
+        return self.down[start:stop] @ self.amplitude @ self.across
+
+
+def _waves(noise: Tensor, height: int, width: int, exponent: float) -> _Waves:
     index = torch.arange(noise.shape[-1]).to(noise)
     cycles, phase = ((index + 1) / 2).floor(), index % 2 * (math.pi / 2)
     square = cycles**2 + cycles[:, None] ** 2
@@ -140,9 +191,11 @@ def _synthesise(
     step = math.pi / max(height, width)
     y = torch.cos(_centred(height, noise) * cycles * step - phase)
     x = torch.cos(_centred(width, noise) * cycles * step - phase)
-    field = (y @ (noise * amplitude) @ x.mT)[:, None]
+    return _Waves(y, noise * amplitude, x.mT)
 
-    least, largest = field.amin((-2, -1), keepdim=True), field.amax((-2, -1), keepdim=True)
+
+def _between(field: Tensor, least: Tensor, largest: Tensor, low: float, high: float) -> Tensor:
+    """The field mapped affinely from its least and largest value to `low` and `high`."""
     flat = largest == least
     scale = (high - low) / torch.where(flat, 1.0, largest - least)
     start = torch.where(flat, (low + high) / 2, torch.full_like(least, low))

@@ -23,11 +23,13 @@ from torch import Tensor
 
 from uwaug import checks
 from uwaug.blur.demand import blur_demand, spent
+from uwaug.blur.pieces import blurred_pieces
 from uwaug.blur.plan import BlurPlan
-from uwaug.blur.stack import blurred, blurred_pieces, mixed, node_weights
+from uwaug.blur.stack import blurred, mixed, node_weights
 from uwaug.functional import refuse_mapped, transformed
 from uwaug.optics.curves import FARTHEST, Curves, curves
 from uwaug.optics.medium import Medium
+from uwaug.rows import held
 
 __all__ = ["Order", "Terms", "form_image"]
 
@@ -180,20 +182,34 @@ def prepare(
 
 def plan_at_hand(z: Tensor, medium: Medium, tolerance: float, order: Order) -> BlurPlan:
     """The plan for these very distances, rounded so that similar ones share it."""
-    learned = torch.is_grad_enabled() and medium.requires_grad
-    learned = learned or transformed()
     low, high = checks.extent(z) if z.numel() else (0.0, 0.0)
-    # no light is scattered from beyond where all is spent, and in the line of sight none passes
-    end = spent(medium)
-    if order == "line_of_sight" and high >= end < FARTHEST:
+    end = farthest_seen(medium, order)
+    if high >= end < FARTHEST:
         shows = z.detach()[z < end]
         high = float(shows.max()) if shows.numel() else low
+    return plan_between((low, high), (z.shape[-2], z.shape[-1]), medium, tolerance, order)
+
+
+def farthest_seen(medium: Medium, order: Order) -> float:
+    """The distance from which on a pixel asks nothing of the blur; `FARTHEST` if there is none."""
+    # no light is scattered from beyond where all is spent, and in the line of sight none passes
+    return spent(medium) if order == "line_of_sight" else FARTHEST
+
+
+def plan_between(
+    distances: tuple[float, float],
+    size: tuple[int, int],
+    medium: Medium,
+    tolerance: float,
+    order: Order,
+) -> BlurPlan:
+    """The plan for these effective distances, m, in a picture of (height, width) `size`."""
+    learned = torch.is_grad_enabled() and medium.requires_grad
+    learned = learned or transformed()
     # at the very end of a plan half of the slope is missing
     margin = _ROOM if learned else 1.0
-    demand = blur_demand(
-        medium, (low, high), tolerance, order=order, learned=learned, margin=margin
-    )
-    return demand.plan((z.shape[-2], z.shape[-1]), shared=True)
+    demand = blur_demand(medium, distances, tolerance, order=order, learned=learned, margin=margin)
+    return demand.plan(size, shared=True)
 
 
 def form(
@@ -216,7 +232,7 @@ def form(
     for i, picture in enumerate(image):
         # one picture in several waters is blurred once
         samples = range(b) if len(image) == 1 else (i,)
-        for rows, columns, stack in blurred_pieces(picture, plan):
+        for rows, columns, stack in blurred_pieces(held(picture), (3, *size), picture, plan):
             for n in samples:
                 m, part = n % len(media), z[n % len(z), :, rows, columns][None]
                 blur = scattered(stack, part, media[m], plan, size)
@@ -244,8 +260,13 @@ def _form_at_once(
 
 def any_at_lens(z: Tensor, medium: Medium) -> bool:
     """Whether a pixel is so near that V(0) − V(z) cannot be subtracted without cancellation."""
+    return at_lens(z.flatten(1).amin(1), medium)
+
+
+def at_lens(nearest: Tensor, medium: Medium) -> bool:
+    """The same from the nearest distance of each picture (B)."""
     slowest = medium.G.masked_fill(medium.G <= 0, math.inf).amin(1)
-    return bool((slowest * z.flatten(1).amin(1) <= _CANCELS).any())
+    return bool((slowest * nearest <= _CANCELS).any())
 
 
 def scattered(

@@ -1,6 +1,7 @@
 """A map as a sample holds it, in metres, with something at every unknown pixel."""
 
 import math
+from collections.abc import Callable
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -8,9 +9,26 @@ import torch
 from torch import Tensor
 
 from uwaug import checks
-from uwaug.distance import check_distance, from_inverse, from_relative
+from uwaug.distance import (
+    check_distance,
+    ends_of_inverse,
+    require_range,
+    require_relative,
+    scaled_inverse,
+    scaled_relative,
+    single,
+)
+from uwaug.rows import Rows, extremes, held
 
-__all__ = ["DistanceKind", "Scaling", "Unknown", "as_unknown", "skipped", "to_metres"]
+__all__ = [
+    "DistanceKind",
+    "Scaling",
+    "Unknown",
+    "as_unknown",
+    "metres_by_rows",
+    "skipped",
+    "to_metres",
+]
 
 DistanceKind = Literal["metric", "relative", "inverse"]
 _Policy = Literal["error", "fill", "skip", "far"]
@@ -59,9 +77,31 @@ def to_metres(distance: Tensor, scaling: Scaling, kind: DistanceKind, unknown: U
     Raises:
         ValueError: if the map does not suit, saying which option would help.
     """
-    z, instead = _scaled(distance, scaling, kind), unknown
-    if instead == "far":
-        instead = math.inf
+    instead = math.inf if unknown == "far" else unknown
+    return _known(_scale(distance, scaling, kind)(distance), instead)
+
+
+def metres_by_rows(
+    distance: Tensor, scaling: Scaling, kind: DistanceKind, unknown: Unknown
+) -> Rows:
+    """`to_metres`, a few rows at a time."""
+    instead = math.inf if unknown == "far" else unknown
+    scale = _scale(distance, scaling, kind)
+
+    def scaled(start: int, stop: int) -> Tensor:
+        return scale(distance[:, start:stop])
+
+    if not isinstance(instead, str):
+        return lambda start, stop: _known(scaled(start, stop), instead)
+    least, _ = extremes(scaled, (distance.shape[-2], distance.shape[-1]))
+    if least > 0:
+        return scaled
+    # holes are filled from afar
+    return held(_known(scale(distance), instead))
+
+
+def _known(z: Tensor, instead: Unknown) -> Tensor:
+    """A map in metres with something at every unknown pixel."""
     if not isinstance(instead, str):
         return torch.where(z > 0, z, instead)
     strict = instead == "error"
@@ -72,17 +112,21 @@ def to_metres(distance: Tensor, scaling: Scaling, kind: DistanceKind, unknown: U
         raise ValueError(f"{error}; or use RandomUnderwater({cure}") from None
 
 
-def _scaled(distance: Tensor, scaling: Scaling, kind: DistanceKind) -> Tensor:
-    """In metres, unknown pixels left."""
+def _scale(distance: Tensor, scaling: Scaling, kind: DistanceKind) -> Callable[[Tensor], Tensor]:
+    """What takes a part of a map to metres, unknown pixels left; refuses what does not suit."""
     if kind == "metric":
         checks.metres("distance", distance)
-        return distance
+        return single
     near, far, gamma = scaling
     if kind == "relative":
-        return from_relative(distance, max(near, _TOUCHING), far, gamma)
+        near = max(near, _TOUCHING)
+        require_relative(distance, near, far, gamma)
+        return lambda part: scaled_relative(single(part), near, far, gamma)
     if not bool(distance.isfinite().any()):
-        return torch.full_like(distance, math.nan)
+        return lambda part: torch.full_like(part, math.nan)
     try:
-        return from_inverse(distance, near, far)
+        require_range(near, far, inverse=True)
+        ends = ends_of_inverse(single(distance))
     except ValueError as error:
         raise ValueError(f"{error}; or use RandomUnderwater(unknown='skip')") from None
+    return lambda part: scaled_inverse(single(part), ends, near, far)

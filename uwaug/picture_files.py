@@ -11,6 +11,7 @@ from torch import Tensor
 
 from uwaug.files import written_whole
 from uwaug.pictures import Source
+from uwaug.rows import bands
 
 __all__ = ["FORMATS", "fill", "require_format", "write_picture"]
 
@@ -87,8 +88,11 @@ def _in_bits(picture: Tensor, bits: int) -> Any:
     if values.dtype == np.uint8 or bits == 32:
         return values
     most = 2**bits - 1
-    scaled = np.rint(np.clip(values.astype(np.float64), 0, 1) * most)
-    return scaled.astype(np.uint8 if bits == 8 else np.uint16)
+    scaled = np.empty(values.shape, np.uint8 if bits == 8 else np.uint16)
+    for start, stop in bands(*values.shape[:2]):
+        band = values[start:stop].astype(np.float64)
+        scaled[start:stop] = np.rint(np.clip(band, 0, 1) * most)
+    return scaled
 
 
 def _alpha_in_bits(alpha: Any, dtype: Any) -> Any:
@@ -129,4 +133,9 @@ def _write_pillow(file: Any, values: Any, kind: str, like: Source) -> None:
         options["quality"] = _QUALITY
     if kind == "JPEG":
         options["subsampling"] = "4:4:4"  # colour is what water changes
-    Image.fromarray(np.ascontiguousarray(values)).save(file, kind, **options)
+    height, width, channels = values.shape
+    image = Image.new("RGB" if channels == 3 else "RGBA", (width, height))
+    # Pillow's copy has four bytes a pixel: one of ours beside it would double the memory
+    for start, stop in bands(height, width):
+        image.paste(Image.fromarray(np.ascontiguousarray(values[start:stop])), (0, start))
+    image.save(file, kind, **options)

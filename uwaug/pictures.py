@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from threading import Lock
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from torch import Tensor
 
 from uwaug import checks
 from uwaug.files import require_regular
+from uwaug.rows import bands
 
 __all__ = [
     "UNITS",
@@ -39,6 +41,13 @@ _ORIENTATION = 0x0112
 
 _PROFILE = 0x8773
 """TIFF's tag of a colour profile."""
+
+_MOST = 1_000_000_000
+"""Pixels of a compressed picture. Pillow's own limit, 89 megapixels, is for files from strangers: a
+small one may hold a picture that fills the memory. A person's own are larger.
+"""
+
+_opening = Lock()
 
 _COLOUR = "colour"
 
@@ -140,7 +149,8 @@ def _in_colour(path: str | os.PathLike[str], values: Values) -> tuple[Tensor, in
     if values.dtype == np.uint8:
         return torch.from_numpy(values.copy()), 8
     if values.dtype == np.uint16:
-        return torch.from_numpy(values.astype(np.float32) / np.float32(65535)), 16
+        picture = torch.from_numpy(values.astype(np.float32))
+        return picture.div_(65535), 16
     if values.dtype.kind != "f":
         expected = "expected 8 or 16 bit, or floating point"
         raise ValueError(f"{path}: {expected}, got {values.dtype}: save it as 16 bit")
@@ -177,15 +187,39 @@ def read_distance(path: str | os.PathLike[str], unit: str | float = "m") -> Tens
     if values.dtype.itemsize == 1:
         cure = "relative depth? Make metres of it with uwaug.distance and save them as .npy"
         raise ValueError(f"{path}: expected 16 bit or floating point, got {values.dtype}: {cure}")
-    z = values.astype(np.float64) * metres
-    known = z[(z > 0) & (z < _OPEN)]
-    if not known.size and not (z > 0).any():
+    z = _in_metres(values, metres)
+    positive, known, beyond = _counted(z)
+    if not positive:
         raise ValueError(f"{path}: no pixel has a distance > 0: expected metres, 0 where unknown")
-    if known.size and (median := float(np.median(known))) > _FARTHEST:
-        finer = "mm" if unit in ("m", "cm") else "um"
-        got = f"its median is {median:.5g} m if it is in {unit}"
-        raise ValueError(f"{path}: {got}, farther than one sees: try --distance-unit {finer}")
-    return torch.from_numpy(z.astype(np.float32))[None]
+    if beyond and 2 * beyond >= known:
+        median = float(np.median(z[(z > 0) & (z < _OPEN)]))
+        if median > _FARTHEST:
+            finer = "mm" if unit in ("m", "cm") else "um"
+            got = f"its median is {median:.5g} m if it is in {unit}"
+            raise ValueError(f"{path}: {got}, farther than one sees: try --distance-unit {finer}")
+    return torch.from_numpy(z)[None]
+
+
+def _in_metres(values: Values, metres: float) -> NDArray[np.float32]:
+    """Float32, rounded once; a large map is never held in double precision."""
+    if values.dtype == np.float32 and metres == 1 and values.dtype.isnative:
+        return np.array(values, order="C", copy=None)
+    z = np.empty(values.shape, np.float32)
+    for start, stop in bands(*values.shape):
+        z[start:stop] = values[start:stop].astype(np.float64) * metres
+    return z
+
+
+def _counted(z: NDArray[np.float32]) -> tuple[int, int, int]:
+    """How many distances are > 0; which of them are none of open water; which of those lie beyond
+    what anybody sees.
+    """
+    counts = np.zeros(3, np.int64)
+    for start, stop in bands(*z.shape):
+        band = z[start:stop]
+        positive, known = band > 0, (band > 0) & (band < _OPEN)
+        counts += [positive.sum(), known.sum(), (known & (band > _FARTHEST)).sum()]
+    return int(counts[0]), int(counts[1]), int(counts[2])
 
 
 def read_numbers(path: str | os.PathLike[str]) -> Values:
@@ -297,10 +331,26 @@ def _tiff(path: Path) -> _Raster:
 def _png_of_16_bits(path: Path) -> _Raster:
     from imagecodecs import png_decode
 
-    with Image.open(path) as image:
+    with _opened(path) as image:
         orientation, exif, profile = _metadata(image)
     raster = _channels(_upright(png_decode(path.read_bytes()), orientation))
     return raster._replace(exif=exif, profile=profile)
+
+
+def _opened(path: Path) -> Image.Image:
+    """A file opened by Pillow, which has no limit of its own meanwhile."""
+    with _opening:
+        limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
+        try:
+            image = Image.open(path)
+        finally:
+            Image.MAX_IMAGE_PIXELS = limit
+    width, height = image.size
+    if width * height > _MOST:
+        image.close()
+        got = f"{width} × {height} px, which is more than {_MOST // 10**6} megapixels"
+        raise ValueError(f"holds {got}: cut it into parts")
+    return image
 
 
 def _metadata(image: Image.Image) -> tuple[int, bytes | None, bytes | None]:
@@ -313,7 +363,7 @@ def _metadata(image: Image.Image) -> tuple[int, bytes | None, bytes | None]:
 
 
 def _pillow(path: Path) -> _Raster:
-    with Image.open(path) as image:
+    with _opened(path) as image:
         image.load()
         orientation, exif, profile = _metadata(image)
         return _of_mode(image, orientation)._replace(exif=exif, profile=profile)

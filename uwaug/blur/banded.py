@@ -15,6 +15,7 @@ Away from the edges the blocks repeat, so that only a period of them is made, an
 grows with the square of the image's side.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,7 +25,7 @@ from torch import Tensor
 
 from uwaug.blur.kernels import Array
 
-__all__ = ["Banded", "Kernels", "Matrix", "along_columns", "along_rows"]
+__all__ = ["Banded", "Kernels", "Matrix", "Span", "along_columns", "along_rows"]
 
 
 Index = NDArray[np.int64]
@@ -44,11 +45,33 @@ class Run(NamedTuple):
     transposed: Tensor
 
 
+class Span(NamedTuple):
+    """Rows `first` to `end` of a matrix, whole blocks, and the columns that they use."""
+
+    first: int
+    end: int
+    low: int
+    high: int
+
+
 class Banded(NamedTuple):
     """A banded matrix of `rows` rows, as runs of row blocks."""
 
     rows: int
     runs: tuple[Run, ...]
+
+    def span(self, first: int, end: int) -> Span:
+        """The blocks that hold rows `first` to `end`."""
+        top, bottom, low, high = end, first, math.inf, 0
+        for row, height, repeats, col, step, block, _ in self.runs:
+            begin = max(0, (first - row) // height)
+            stop = min(repeats, -((row - end) // height))
+            if stop <= begin:
+                continue
+            top, bottom = min(top, row + begin * height), max(bottom, row + stop * height)
+            low = min(low, col + begin * step)
+            high = max(high, col + (stop - 1) * step + block.shape[1])
+        return Span(top, min(bottom, self.rows), int(low), high)
 
     @property
     def bytes(self) -> int:
@@ -206,10 +229,13 @@ class Matrix(NamedTuple):
         return runs
 
 
-def along_rows(matrix: Banded, x: Tensor, first: int = 0, end: int | None = None) -> Tensor:
+def along_rows(
+    matrix: Banded, x: Tensor, first: int = 0, end: int | None = None, top: int = 0
+) -> Tensor:
     """`matrix @ x` for x (rows, N), contiguous.
 
-    Only rows `first` to `end` of the result, which lie between blocks.
+    Only rows `first` to `end` of the result, which lie between blocks. Of x, all above row `top`
+    may be missing, and what these do not use.
     """
     n, start = x.shape[1], x.storage_offset()
     end = matrix.rows if end is None else min(end, matrix.rows)
@@ -219,7 +245,7 @@ def along_rows(matrix: Banded, x: Tensor, first: int = 0, end: int | None = None
         repeats = min(repeats, (end - row + height - 1) // height) - skip
         if repeats < 1:
             continue
-        row, col = row + skip * height - first, col + skip * step
+        row, col = row + skip * height - first, col + skip * step - top
         part, width = out.narrow(0, row, repeats * height), block.shape[1]
         if repeats == 1:
             torch.mm(block, x.narrow(0, col, width), out=part)

@@ -17,7 +17,7 @@ from uwaug.blur.kernels import (
     shrink_kernels,
 )
 
-__all__ = ["Kind", "Node", "operator"]
+__all__ = ["Kind", "Node", "operator", "whole"]
 
 Kind = Literal["blur", "shrink", "enlarge"]
 
@@ -52,6 +52,14 @@ def _kernels(kind: Kind, node: Node) -> Kernels:
     return Kernels((first + MARGIN).numpy(), weights.numpy(), step=a, shift=0, reflects=False)
 
 
+def whole(kind: Kind, size: int, node: Node, adjoint: bool = False) -> Matrix:
+    """A matrix of a node for an axis of `size` px, or its transpose, before it is cut."""
+    a, q = per_cell(node.cell)
+    cells = -(-size * a // q) + 2 * MARGIN
+    shape = {"blur": (size, size), "shrink": (cells, size), "enlarge": (size, cells)}[kind]
+    return Matrix(_kernels(kind, node), *shape, adjoint and kind != "blur")
+
+
 def operator(
     kind: Kind,
     axis: int,
@@ -77,8 +85,6 @@ def operator(
         return found
     least = 8 if axis == 0 else 32  # rows of a block, the fastest of 4…64 on 256 and 512 px
     a, q = per_cell(node.cell)
-    cells = -(-size * a // q) + 2 * MARGIN
-    shape = {"blur": (size, size), "shrink": (cells, size), "enlarge": (size, cells)}[kind]
     # whole periods of the grid repeat; a strip of rows of the image ends between two blocks
     height = period = least
     if kind != "blur":
@@ -86,7 +92,7 @@ def operator(
     if (kind == "enlarge" and adjoint) or (kind == "shrink" and not adjoint):
         # rows are cells
         height, period = a * -(-least // a), a
-    matrix = Matrix(_kernels(kind, node), *shape, adjoint and kind != "blur")
+    matrix = whole(kind, size, node, adjoint)
     made = matrix.banded(axis, height, math.lcm(height, period), dtype, device)
     _REMEMBERED.put(key, made, made.bytes)
     return made

@@ -1,7 +1,6 @@
 """A plan carried out: the stack of fixed blurs, and each pixel's own mixture of them."""
 
 import math
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -10,29 +9,23 @@ from torch import Tensor
 
 from uwaug import checks
 from uwaug.blur.banded import Banded, along_columns, along_rows
-from uwaug.blur.kernels import PERIOD
 from uwaug.blur.operators import Kind, Node, operator
 from uwaug.blur.plan import V_FLOOR, BlurPlan, plan_blur, range_in_v
 from uwaug.functional import transformed
 
 __all__ = [
+    "Chain",
     "blurred",
-    "blurred_pieces",
+    "chain_of",
     "mixed",
     "node_slopes",
     "node_weights",
-    "row_strips",
+    "products",
     "varying_blur",
 ]
 
 Chain = tuple[tuple[int, Banded], ...]
 """Axis and matrix of each product, in the order of use."""
-
-_STRIP = 200_000
-"""Samples of a strip; 50_000 takes a fifth longer (calls), 400_000 a tenth at 1024² (caches)."""
-
-_PIECE = 2 * _STRIP
-"""Samples of a piece: a strip, unless the image is wider than 8000 px."""
 
 
 def varying_blur(
@@ -212,10 +205,10 @@ def _mapped(x: Tensor, *arguments: Any) -> Tensor:
 
 def _blurred_once(x: Tensor, sigma: float, cell: float, reach: float, adjoint: bool) -> Tensor:
     size = (x.shape[0], x.shape[2])
-    return _products(x.contiguous(), _chain(Node(sigma, cell, reach), size, x, adjoint))
+    return products(x.contiguous(), chain_of(Node(sigma, cell, reach), size, x, adjoint))
 
 
-def _products(x: Tensor, chain: Chain) -> Tensor:
+def products(x: Tensor, chain: Chain) -> Tensor:
     """Apply the matrices of a chain in turn to x (H, N, W)."""
     for axis, matrix in chain:
         h, n, w = x.shape
@@ -226,7 +219,7 @@ def _products(x: Tensor, chain: Chain) -> Tensor:
     return x
 
 
-def _chain(node: Node, size: tuple[int, int], like: Tensor, adjoint: bool = False) -> Chain:
+def chain_of(node: Node, size: tuple[int, int], like: Tensor, adjoint: bool = False) -> Chain:
     """Products of one blur of a stack, in the order of fewest operations; none for σ = 0."""
     if node.sigma == 0:
         return ()
@@ -238,56 +231,6 @@ def _chain(node: Node, size: tuple[int, int], like: Tensor, adjoint: bool = Fals
         matrix = operator(kind, axis, size[axis], node, like.dtype, like.device, adjoint)
         chain.append((axis, matrix))
     return tuple(chain)
-
-
-def _stages(chain: Chain) -> tuple[Chain, Banded | None, Chain]:
-    """A chain in three: what is done up front, the product that gives a few rows at a time, what
-    these rows still need.
-
-    On a coarse grid all but the last product is done up front: those intermediates live on coarse
-    grids and are small.
-    """
-    if not chain:
-        return (), None, ()
-    return (chain[:-1], chain[-1][1], ()) if len(chain) > 2 else ((), chain[0][1], chain[1:])
-
-
-def row_strips(channels: int, height: int, width: int) -> Iterator[slice]:
-    """Rows of an image, a strip at a time."""
-    rows = PERIOD * max(1, _STRIP // (PERIOD * channels * width))
-    return (slice(first, min(first + rows, height)) for first in range(0, height, rows))
-
-
-def blurred_pieces(image: Tensor, plan: BlurPlan) -> Iterator[tuple[slice, slice, list[Tensor]]]:
-    """The plan's blurs of one image, a piece at a time so that what follows stays in the cache: a
-    strip of rows, or a part of one if the image is very wide. Not for gradients.
-
-    Args:
-        image (CxHxW tensor): float32 or float64.
-        plan: from `plan_blur`.
-
-    Yields:
-        the rows, the columns, and K tensors (1xCxRxS): `image` blurred by each of `plan.sigmas`.
-    """
-    c, h, w = image.shape
-    x = image.transpose(0, 1).contiguous()
-    sources, last = [], []
-    for sigma, cell in zip(plan.sigmas, plan.cells, strict=True):
-        before, along, after = _stages(_chain(Node(sigma, cell, plan.reach), (h, w), x))
-        sources.append(_products(x, before))
-        last.append((along, after))
-    for rows in row_strips(c, h, w):
-        strips = []
-        for source, (along, after) in zip(sources, last, strict=True):
-            strip = source[rows]
-            if along is not None:
-                flat = along_rows(along, source.reshape(len(source), -1), rows.start, rows.stop)
-                strip = _products(flat.reshape(-1, c, w), after)
-            strips.append(strip.transpose(0, 1)[None])
-        across = max(1, _PIECE // (c * (rows.stop - rows.start)))
-        for left in range(0, w, across):
-            columns = slice(left, min(left + across, w))
-            yield rows, columns, [strip[..., columns] for strip in strips]
 
 
 def blurred(image: Tensor, plan: BlurPlan) -> list[Tensor]:

@@ -7,13 +7,14 @@ from typing import Any, NamedTuple, Protocol
 import torch
 from torch import Tensor
 
-from uwaug.colour import ColorSpace, from_light, to_light
-from uwaug.degrade import exactly, formed, in_water
-from uwaug.exposure import Exposure, exposed
-from uwaug.field import gaussian_random_field
-from uwaug.formation import Order, form, plan_at_hand, prepare, separately, together
-from uwaug.metres import DistanceKind, Scaling, skipped, to_metres
+from uwaug.colour import ColorSpace, from_light, require_values, to_light
+from uwaug.degrade import exactly, in_strips, in_water
+from uwaug.exposure import Exposure, exposed, looks
+from uwaug.field import gaussian_random_field, gaussian_random_rows
+from uwaug.formation import Combine, Order, form, plan_at_hand, prepare, separately, together
+from uwaug.metres import DistanceKind, Scaling, metres_by_rows, skipped, to_metres
 from uwaug.optics.medium import Medium
+from uwaug.strips import Strips, in_rows, is_large
 from uwaug.transforms import RandomUnderwater
 
 __all__ = ["TERMS", "Degraded", "Model", "OneMedium", "RandomWater", "Seen", "terms_of"]
@@ -28,14 +29,29 @@ class Seen(NamedTuple):
         light (1x3xHxW tensor): of the scene.
         z (1x1xHxW tensor): effective distance, m.
         medium: as the camera's exposure sees it.
+        image (3xHxW tensor): as it was given.
+        color_space: of its values.
         order, tolerance: as for `uwaug.form_image`.
     """
 
     light: Tensor
     z: Tensor
     medium: Medium
+    image: Tensor
+    color_space: ColorSpace
     order: Order = "line_of_sight"
     tolerance: float = 0.002
+
+    def pictures(self, combine: Combine) -> tuple[Tensor, ...]:
+        """What `combine` makes, `together` or `separately`, as pictures like the image."""
+        plan = plan_at_hand(self.z, self.medium, self.tolerance, self.order)
+        parts = form(self.light, self.z, self.medium, plan, self.order, combine)
+        return tuple(from_light(part[0], self.color_space, self.image) for part in parts)
+
+    def some(self) -> Tensor:
+        """Effective distances of some pixels, spread over the picture (N)."""
+        z = self.z[0, 0]
+        return z.flatten()[looks(z.shape[0], z.shape[1], z.device)]
 
 
 class Degraded(NamedTuple):
@@ -51,7 +67,7 @@ class Degraded(NamedTuple):
 
     image: Tensor
     record: dict[str, Any]
-    seen: Seen | None
+    seen: Seen | Strips | None
     water: str
     visibility: float | None
 
@@ -94,16 +110,21 @@ class RandomWater:
         jobs = self.transform.jobs(image, distance, dict(record))
         if not jobs:
             return Degraded(image, {"samples": [{**sample, "applied": False}]}, None, "none", None)
-        ((_, z, _),) = jobs
+        ((_, mapped, _),) = jobs
         choice = self.transform.chosen(sample)
         settings = choice.settings
         with exactly(image):
-            found = in_water(image, z, choice)
-            picture = formed(found, image, settings)
-        used = found.used()
-        seen = Seen(found.light, found.z, found.medium, settings.order, settings.tolerance)
+            seen: Seen | Strips
+            if is_large(image):
+                seen, settled, gain = in_strips(image, mapped, choice)
+            else:
+                light, z, medium, settled, gain = in_water(image, mapped, choice)
+                kept = settings.color_space, settings.order, settings.tolerance
+                seen = Seen(light, z, medium, image, *kept)
+            (picture,) = seen.pictures(together)
+        used = settled.used(gain)
         record = {"samples": [{**sample, "used": used}]}
-        return Degraded(picture, record, seen, found.water.name, used["visibility"])
+        return Degraded(picture, record, seen, settled.water.name, used["visibility"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,33 +159,43 @@ class OneMedium:
         if skipped(distance, self.kind, self.unknown):
             return Degraded(image, dict(record), None, "none", None)
         with exactly(image):
-            light = to_light(image.contiguous(), self.color_space)
-            z = to_metres(distance.contiguous(), self.scaling, self.kind, self.unknown)
-            light, z, medium = prepare(light, z, self.medium, self._field(z, record))
-            medium = exposed(light, z, medium, self.exposure)
-            seen = Seen(light, z, medium)
-            plan = plan_at_hand(z, medium, seen.tolerance, seen.order)
-            (result,) = form(light, z, medium, plan, seen.order, together)
-            picture = from_light(result[0], self.color_space, image)
+            make = self._large if is_large(image) else self._whole
+            seen = make(image, distance, record)
+            (picture,) = seen.pictures(together)
         return Degraded(picture, dict(record), seen, self.name, None)
 
-    def _field(self, z: Tensor, record: Mapping[str, Any]) -> Tensor | None:
-        if self.field_range is None:
-            return None
+    def _whole(self, image: Tensor, distance: Tensor, record: Mapping[str, Any]) -> Seen:
+        light = to_light(image.contiguous(), self.color_space)
+        z = to_metres(distance.contiguous(), self.scaling, self.kind, self.unknown)
+        field = None
+        if self.field_range is not None:
+            size = z.shape[-2:]
+            field = gaussian_random_field(size, **self._field(record), dtype=z.dtype)
+        light, z, medium = prepare(light, z, self.medium, field)
+        medium = exposed(light, z, medium, self.exposure)
+        return Seen(light, z, medium, image, self.color_space)
+
+    def _large(self, image: Tensor, distance: Tensor, record: Mapping[str, Any]) -> Strips:
+        require_values(image, self.color_space)
+        z = metres_by_rows(distance.contiguous(), self.scaling, self.kind, self.unknown)
+        field = None
+        if self.field_range is not None:
+            size = (image.shape[-2], image.shape[-1])
+            field = gaussian_random_rows(size, **self._field(record))
+        found = in_rows(image, z, self.medium, field, self.color_space)
+        return found.brightened(found.gain_of(self.exposure))
+
+    def _field(self, record: Mapping[str, Any]) -> dict[str, Any]:
+        """Which field is drawn."""
+        assert self.field_range is not None
         low, high = self.field_range
         generator = torch.Generator().manual_seed(record["field_seed"])
-        size = z.shape[-2:]
-        return gaussian_random_field(size, low=low, high=high, generator=generator, dtype=z.dtype)
+        return {"low": low, "high": high, "generator": generator}
 
 
-def terms_of(seen: Seen, image: Tensor, color_space: ColorSpace) -> dict[str, Tensor]:
-    """Direct, forward-scattered and backscattered light, each as a picture like `image`. In linear
-    light they add up to the degraded picture.
+def terms_of(seen: Seen | Strips) -> dict[str, Tensor]:
+    """Direct, forward-scattered and backscattered light, each as a picture like the image. In
+    linear light they add up to the degraded picture.
     """
-    with exactly(image):
-        plan = plan_at_hand(seen.z, seen.medium, seen.tolerance, seen.order)
-        parts = form(seen.light, seen.z, seen.medium, plan, seen.order, separately)
-        found = {}
-        for name, part in zip(TERMS, parts, strict=True):
-            found[name] = from_light(part[0], color_space, image)
-        return found
+    with exactly(seen.image):
+        return dict(zip(TERMS, seen.pictures(separately), strict=True))

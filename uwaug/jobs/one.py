@@ -10,7 +10,6 @@ from typing import Any, Literal
 import torch
 
 from uwaug.contrast import contrast
-from uwaug.exposure import looks
 from uwaug.files import written_whole
 from uwaug.jobs.model import TERMS, Degraded, Seen, terms_of
 from uwaug.jobs.recipe import Recipe, sha256_of
@@ -18,6 +17,7 @@ from uwaug.jobs.record import Record, Source, read_record, record_path, versions
 from uwaug.jobs.rows import Row
 from uwaug.picture_files import fill, require_format, write_picture
 from uwaug.pictures import read_source
+from uwaug.strips import Strips
 from uwaug.structure import key_of
 
 __all__ = ["Outcome", "Status", "degrade_file", "repeated", "terms_path"]
@@ -126,7 +126,7 @@ def _degrade_file(
         record = _record_of(row, recipe, made, part, mapped.notes)
         write_record(record, record_path(row.output))
         if recipe.keep_terms and made.seen is not None:
-            terms = terms_of(made.seen, source.picture, model.color_space)
+            terms = terms_of(made.seen)
             for name, term in terms.items():
                 write_picture(terms_path(row.output, name), term, source)
     return record
@@ -182,10 +182,9 @@ def _source(path: Path) -> Source:
     return Source(str(whole), sha256_of(whole), whole.stat().st_size)
 
 
-def _mean_contrast(seen: Seen) -> float:
+def _mean_contrast(seen: Seen | Strips) -> float:
     """Of some pixels, spread over the picture: all of them would take a tenth of its time."""
-    z = seen.z[0].flatten()[looks(seen.z.shape[-2], seen.z.shape[-1], seen.z.device)]
-    return float(contrast(seen.medium, z.reshape(1, 1, -1)).mean())
+    return float(contrast(seen.medium, seen.some().reshape(1, 1, -1)).mean())
 
 
 def reason_of(error: Exception) -> str:
