@@ -105,6 +105,14 @@ Format = Annotated[
 Workers = Annotated[int | None, typer.Option(help="Processes; by default one for each core.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on where the same command was stopped.")]
 Force = Annotated[bool, typer.Option("--force", help="Write over what is there.")]
+LabelFiles = Annotated[
+    Path | None,
+    typer.Option("--labels", help="COCO file, or folder of YOLO's .txt or of .png masks."),
+]
+MinContrast = Annotated[
+    float | None, typer.Option(help="Labels of what keeps less, 0…1, are marked as ignored.")
+]
+Void = Annotated[int | None, typer.Option(help='Value of masks that means "ignored" already.')]
 Terms = Annotated[
     bool,
     typer.Option("--keep-terms", help="Write the direct, forward and backscattered light too."),
@@ -149,6 +157,9 @@ def degrade(
     workers: Workers = None,
     resume: Resume = False,
     force: Force = False,
+    labels: LabelFiles = None,
+    min_contrast: MinContrast = None,
+    void: Void = None,
     keep_terms: Terms = False,
     sheet: Sheet = False,
     dry_run: DryRun = False,
@@ -194,6 +205,9 @@ def degrade(
             options=drawn,
             depth=Depth(**_inverse_of_network(depth_options)),
             seed=seed,
+            labels=None if labels is None else str(labels),
+            min_contrast=min_contrast,
+            void=void,
             keep_terms=keep_terms,
         ).sealed()
         rows = _rows(inputs, out, distance, variants, output_format, depth_network is not None)
@@ -201,7 +215,7 @@ def degrade(
     except (TypeError, ValueError, OSError, ImportError) as error:
         refuse(error)
     if not (resume or force):
-        _require_free(rows)
+        _require_free(rows, labels)
     manner = Manner(_workers(workers, count), resume, force, sheet)
     if dry_run:
         rehearse(rows, recipe, count, manner)
@@ -290,9 +304,11 @@ def _workers(wanted: int | None, count: int) -> int:
     return 1 if count < _FEW else min(cores(), count)
 
 
-def _require_free(rows: Rows) -> None:
+def _require_free(rows: Rows, labels: Path | None) -> None:
     """Refuse a run that would write over files, before it begins."""
     for row in rows:
         if row.output.exists():
             cure = "--resume to go on, --force to write over it, or another folder"
             refuse(f"{row.output} exists: {cure}")
+    if labels is not None and labels.is_file() and (rows.out / labels.name).exists():
+        refuse(f"{rows.out / labels.name} exists: --force to write over it, or another folder")

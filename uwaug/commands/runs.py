@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import typer
 
@@ -20,6 +20,7 @@ from uwaug.jobs.report import index_of
 from uwaug.jobs.rows import Rows
 from uwaug.jobs.run import run
 from uwaug.jobs.sheet import SHOWN, draw_sheet
+from uwaug.labels import LabelSource
 from uwaug.picture_files import FORMATS
 
 __all__ = ["Manner", "carry_out", "rehearse", "repeat"]
@@ -46,16 +47,17 @@ class Manner(NamedTuple):
 def carry_out(rows: Rows, recipe: Recipe, count: int, manner: Manner) -> None:
     """Degrade all pictures; write an index if they go to a folder; end with 1 if any failed."""
     start = time.perf_counter()
-    summary = _Summary(max(1, count // SHOWN))
+    summary, labels = _Summary(max(1, count // SHOWN)), _Labels(recipe.label_source())
     try:
         rows.out.mkdir(parents=True, exist_ok=True)
         if manner.resume:
             _remove_parts(rows.out)
         if rows.name is not None:
-            _go(rows, recipe, count, manner, [summary.add])
+            _go(rows, recipe, count, manner, [summary.add, labels.add])
         else:
             with index_of(rows.out) as index:
-                _go(rows, recipe, count, manner, [summary.add, index.add])
+                _go(rows, recipe, count, manner, [summary.add, index.add, labels.add])
+        labels.write(rows.out)
         if manner.sheet and summary.shown:
             draw_sheet(summary.shown, rows.out / "sheet.jpg")
     except KeyboardInterrupt:
@@ -111,6 +113,24 @@ class _Summary:
         done = self.seen - self.failed - self.kept
         kept = f", {self.kept} were there" if self.kept else ""
         return f"{done} of {count} pictures{kept}"
+
+
+class _Labels:
+    """Collects labels that have one file for the whole run."""
+
+    def __init__(self, source: LabelSource | None) -> None:
+        self._source = source
+        self._records: list[Any] = []
+
+    def add(self, outcome: Outcome) -> None:
+        """Those of one more picture."""
+        if outcome.record is not None and outcome.record.labels is not None:
+            self._records.append(outcome.record.labels)
+
+    def write(self, out: Path) -> None:
+        """Write the file."""
+        if self._source is not None and self._records:
+            self._source.write_run(self._records, out)
 
 
 def _named(outcome: Outcome, text: str) -> str:

@@ -8,16 +8,27 @@ import torch
 from torch import Tensor
 
 from uwaug.colour import ColorSpace, from_light, require_values, to_light
+from uwaug.contrast import contrast
 from uwaug.degrade import exactly, in_strips, in_water
 from uwaug.exposure import Exposure, exposed, looks
 from uwaug.field import gaussian_random_field, gaussian_random_rows
 from uwaug.formation import Combine, Order, form, plan_at_hand, prepare, separately, together
 from uwaug.metres import DistanceKind, Scaling, metres_by_rows, skipped, to_metres
 from uwaug.optics.medium import Medium
+from uwaug.rows import bands
 from uwaug.strips import Strips, in_rows, is_large
 from uwaug.transforms import RandomUnderwater
 
-__all__ = ["TERMS", "Degraded", "Model", "OneMedium", "RandomWater", "Seen", "terms_of"]
+__all__ = [
+    "TERMS",
+    "Degraded",
+    "Model",
+    "OneMedium",
+    "RandomWater",
+    "Seen",
+    "contrast_of",
+    "terms_of",
+]
 
 TERMS = ("direct", "forward", "backscatter")
 
@@ -191,6 +202,17 @@ class OneMedium:
         low, high = self.field_range
         generator = torch.Generator().manual_seed(record["field_seed"])
         return {"low": low, "high": high, "generator": generator}
+
+
+def contrast_of(seen: Seen | Strips) -> Tensor:
+    """The share of contrast that is left at each pixel (1xHxW), see `uwaug.contrast`."""
+    with exactly(seen.image):
+        if isinstance(seen, Seen):
+            return contrast(seen.medium, seen.z)[0]
+        parts = []
+        for start, stop in bands(*seen.size):
+            parts.append(contrast(seen.medium, seen.z(start, stop)[None])[0])
+        return torch.cat(parts, 1)
 
 
 def terms_of(seen: Seen | Strips) -> dict[str, Tensor]:

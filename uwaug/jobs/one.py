@@ -1,9 +1,10 @@
 """One picture of a run: read, degraded, written whole or not at all, with its record."""
 
+import glob
 import time
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,10 +12,11 @@ import torch
 
 from uwaug.contrast import contrast
 from uwaug.files import written_whole
-from uwaug.jobs.model import TERMS, Degraded, Seen, terms_of
+from uwaug.jobs.model import TERMS, Degraded, Seen, contrast_of, terms_of
 from uwaug.jobs.recipe import Recipe, sha256_of
 from uwaug.jobs.record import Record, Source, read_record, record_path, versions, write_record
 from uwaug.jobs.rows import Row
+from uwaug.labels import Labels, with_contrast
 from uwaug.picture_files import fill, require_format, write_picture
 from uwaug.pictures import read_source
 from uwaug.strips import Strips
@@ -112,7 +114,7 @@ def _degrade_file(
         raise ValueError(row.problem)
     kind = require_format(row.output)
     if not force:
-        _require_free(row.output, terms=recipe.keep_terms)
+        _require_free(row, recipe)
     source = read_source(row.input)
     mapped = recipe.depth.read(row.distance, source.picture)
     model = recipe.model()
@@ -123,29 +125,50 @@ def _degrade_file(
     row.output.parent.mkdir(parents=True, exist_ok=True)
     with written_whole(row.output) as part:
         fill(part, kind, made.image, source)
-        record = _record_of(row, recipe, made, part, mapped.notes)
+        judged = _judged(row, recipe, made)
+        record = _record_of(row, recipe, made, part)
+        record = replace(record, notes=mapped.notes, labels=judged[1] if judged else None)
         write_record(record, record_path(row.output))
         if recipe.keep_terms and made.seen is not None:
             terms = terms_of(made.seen)
             for name, term in terms.items():
                 write_picture(terms_path(row.output, name), term, source)
+        label_source = recipe.label_source()
+        if judged is not None and label_source is not None:
+            label_source.write_picture(*judged, row.labels)
     return record
 
 
-def _require_free(output: Path, *, terms: bool) -> None:
+def _judged(row: Row, recipe: Recipe, made: Degraded) -> tuple[Labels, dict[str, Any]] | None:
+    """The labels of a picture, and how much contrast is left of each; None if there are none."""
+    source = recipe.label_source()
+    if source is None:
+        return None
+    size = (made.image.shape[-2], made.image.shape[-1])
+    labels = source.labels_of(row.name or row.input.name, size)
+    left = torch.ones(1, *size) if made.seen is None else contrast_of(made.seen)
+    judged = with_contrast(labels, left, recipe.min_contrast)
+    return labels, {**judged, "output": row.place or row.output.name}
+
+
+def _require_free(row: Row, recipe: Recipe) -> None:
     """Refuse to write over files, but for what a run has left that was stopped."""
     cure = "choose another folder, or --force to write over it"
-    beside = record_path(output)
-    if output.exists():
-        raise FileExistsError(f"{output} exists: {cure}")
+    beside = record_path(row.output)
+    if row.output.exists():
+        raise FileExistsError(f"{row.output} exists: {cure}")
     if beside.exists():
         try:
             read_record(beside)
         except ValueError:
             raise FileExistsError(f"{beside} exists, and is no record of uwaug: {cure}") from None
         return
-    for name in TERMS if terms else ():
-        path = terms_path(output, name)
+    others: list[Path] = []
+    if recipe.keep_terms:
+        others += [terms_path(row.output, name) for name in TERMS]
+    if recipe.labels is not None:
+        others += row.labels.parent.glob(f"{glob.escape(row.labels.stem)}.*")
+    for path in others:
         if path.exists():
             raise FileExistsError(f"{path} exists: {cure}")
 
@@ -155,7 +178,7 @@ def terms_path(output: Path, term: str) -> Path:
     return output.with_name(f"{output.stem}_{term}{output.suffix}")
 
 
-def _record_of(row: Row, recipe: Recipe, made: Degraded, part: Path, notes: list[str]) -> Record:
+def _record_of(row: Row, recipe: Recipe, made: Degraded, part: Path) -> Record:
     uwaug, pytorch = versions()
     where = row.distance
     return Record(
@@ -173,7 +196,7 @@ def _record_of(row: Row, recipe: Recipe, made: Degraded, part: Path, notes: list
         water=made.water,
         visibility=made.visibility,
         contrast=1.0 if made.seen is None else _mean_contrast(made.seen),
-        notes=notes,
+        notes=[],
     )
 
 

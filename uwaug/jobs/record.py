@@ -70,7 +70,8 @@ class Record:
         """The row that makes the picture again, into another file."""
         where = self.distance
         distance = Path(where.path) if isinstance(where, Source) else where
-        return Row(self.id, Path(self.input.path), distance, output, self.variant)
+        name = self.labels["picture"] if self.labels else ""
+        return Row(self.id, Path(self.input.path), distance, output, self.variant, name=name)
 
     def is_of(self, row: Row, recipe: Recipe) -> bool:
         """Whether this recipe made this picture of these files, and it is there still."""

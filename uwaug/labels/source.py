@@ -166,8 +166,11 @@ def file_of(folder: Path, picture: str, end: str) -> Path | None:
 
 
 def beside(path: str | os.PathLike[str], end: str, source: str | None) -> Path:
-    """A file beside a picture, of the same stem; refused if it is the labels' own."""
+    """A file beside a picture, of the same stem, in a folder that is made if need be; refused if it
+    is the labels' own.
+    """
     found = Path(path)
+    found.parent.mkdir(parents=True, exist_ok=True)
     target = found.with_name(found.stem + end)
     refuse_source(target, source)
     return target
