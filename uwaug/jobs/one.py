@@ -1,5 +1,6 @@
 """One picture of a run: read, degraded, written whole or not at all, with its record."""
 
+import os
 import time
 import warnings
 from collections.abc import Mapping
@@ -15,7 +16,7 @@ from uwaug.files import written_whole
 from uwaug.jobs.model import TERMS, Degraded, Seen, terms_of
 from uwaug.jobs.recipe import Recipe, sha256_of
 from uwaug.jobs.record import Record, Source, read_record, record_path, versions, write_record
-from uwaug.jobs.rows import Row
+from uwaug.jobs.rows import Row, terms_path
 from uwaug.picture_files import fill, require_format, write_picture
 from uwaug.pictures import read_source
 from uwaug.structure import key_of
@@ -119,17 +120,27 @@ def _degrade_file(
     if drawn is None:
         generator = torch.Generator().manual_seed(key_of(recipe.seed, row.variant, row.id))
         drawn = model.draw(source.picture, generator)
-    made = model.degrade(source.picture, mapped.values, drawn)
+    try:
+        made = model.degrade(source.picture, mapped.values, drawn)
+    except ValueError as error:
+        raise ValueError(f"{_names(row)}: {error}") from error
     row.output.parent.mkdir(parents=True, exist_ok=True)
     with written_whole(row.output) as part:
         fill(part, kind, made.image, source)
         record = _record_of(row, recipe, made, part, mapped.notes)
+        if force:
+            # stopped here, the new record would else stand beside the old picture
+            Path(os.path.realpath(row.output)).unlink(missing_ok=True)
         write_record(record, record_path(row.output))
         if recipe.keep_terms and made.seen is not None:
             terms = terms_of(made.seen, source.picture, model.color_space)
             for name, term in terms.items():
                 write_picture(terms_path(row.output, name), term, source)
     return record
+
+
+def _names(row: Row) -> str:
+    return f"{row.input} with {row.distance}" if isinstance(row.distance, Path) else str(row.input)
 
 
 def _require_free(output: Path, *, terms: bool) -> None:
@@ -148,11 +159,6 @@ def _require_free(output: Path, *, terms: bool) -> None:
         path = terms_path(output, name)
         if path.exists():
             raise FileExistsError(f"{path} exists: {cure}")
-
-
-def terms_path(output: Path, term: str) -> Path:
-    """The file of one of a picture's terms."""
-    return output.with_name(f"{output.stem}_{term}{output.suffix}")
 
 
 def _record_of(row: Row, recipe: Recipe, made: Degraded, part: Path, notes: list[str]) -> Record:
@@ -190,6 +196,10 @@ def _mean_contrast(seen: Seen) -> float:
 
 def reason_of(error: Exception) -> str:
     """An error in words; those that no check of ours has raised with their kind."""
+    if isinstance(error, OSError) and error.strerror and error.filename:
+        return f"{error.filename}: {error.strerror}"
+    if isinstance(error, MemoryError):
+        return f"out of memory: {error}" if str(error) else "out of memory"
     if isinstance(error, (ValueError, OSError, ImportError)) and str(error):
         return str(error)
     return f"{type(error).__name__}: {error}"
