@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from uwaug.files import is_part, require_regular, written_whole
+from uwaug.files import is_part, remove_left, require_regular, written_whole
 
 
 def write(path: Path, text: str = "new") -> Path:
@@ -179,3 +179,15 @@ def test_sigterm_leaves_nothing(tmp_path):
         process.send_signal(signal.SIGTERM)
         assert process.wait(30) == 128 + signal.SIGTERM
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_killed_processes_have_left_is_removed_and_what_living_ones_write_stays(tmp_path):
+    left = tmp_path / f".uwaug-{secrets.token_hex(8)}.part"
+    left.touch()
+    (tmp_path / ".uwaug-mine.part").touch()
+    with written_whole(tmp_path / "a.txt") as part:
+        part.write_text("new")
+        remove_left(tmp_path)
+        assert part.exists()
+        assert not left.exists()
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".uwaug-mine.part", "a.txt"]

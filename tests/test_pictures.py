@@ -144,8 +144,8 @@ WRONG_PICTURES: dict[str, tuple[str, Write, str]] = {
     "a batch": ("a.npy", npy(LIGHT[None]), r"got \(1, 6, 9, 3\): save one picture"),
     "empty": ("a.npy", npy(LIGHT[:0]), "holds no pixels"),
     "pickled": ("a.npy", npy(np.array([{}])), "allow_pickle"),
-    "text": ("a.png", lambda path: path.write_text("no picture"), "cannot identify"),
-    "nothing": ("a.png", lambda path: path.write_text(""), "cannot identify"),
+    "text": ("a.png", lambda path: path.write_text("no picture"), "is no picture and no map"),
+    "nothing": ("a.png", lambda path: path.write_text(""), "is empty"),
 }
 
 

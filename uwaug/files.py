@@ -4,11 +4,12 @@ import os
 import re
 import secrets
 import stat
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-__all__ = ["is_part", "require_regular", "written_whole"]
+__all__ = ["is_part", "remove_left", "require_regular", "written_whole"]
 
 _PART = re.compile(r"\.uwaug-[0-9a-f]{16}\.part")
 """Names of files that are being written."""
@@ -28,6 +29,37 @@ def is_part(name: str) -> bool:
     while it wrote.
     """
     return _PART.fullmatch(name) is not None
+
+
+def remove_left(folder: Path) -> None:
+    """Remove from a folder the files that were being written by processes that were killed. What
+    living ones are writing stays, on systems that have locks.
+    """
+    for path in folder.glob(".uwaug-*.part"):
+        if not is_part(path.name):
+            continue
+        with suppress(OSError):
+            handle = os.open(path, os.O_RDWR)
+            try:
+                if _locked(handle):
+                    path.unlink()
+            finally:
+                os.close(handle)
+
+
+def _locked(handle: int) -> bool:
+    """Lock a file for as long as it is open here; whether nobody else has done so."""
+    if sys.platform == "win32":
+        return True
+    import fcntl
+
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # a file system without locks
+        return True
+    return True
 
 
 def require_regular(path: str | os.PathLike[str]) -> None:
@@ -57,7 +89,7 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     # the target of a link that points nowhere is made
     target = Path(os.path.realpath(path))
     mode = _mode_of(target)
-    part = _new_part(target.parent, private=mode is not None)
+    part, handle = _new_part(target.parent, private=mode is not None)
     try:
         yield part
         if mode is not None:
@@ -70,6 +102,8 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
             error.filename = os.fspath(path)
         raise
     finally:
+        if handle is not None:
+            os.close(handle)
         part.unlink(missing_ok=True)
 
 
@@ -91,8 +125,9 @@ def _refuse_irregular(path: Path, status: os.stat_result) -> None:
     raise refusal(f"path must be a file, but {path} is {_KINDS.get(kind, 'no regular file')}")
 
 
-def _new_part(folder: Path, *, private: bool) -> Path:
-    """A new, empty file. O_EXCL: whatever already has that name, a link above all, is not opened.
+def _new_part(folder: Path, *, private: bool) -> tuple[Path, int | None]:
+    """A new, empty file, and a handle that locks it (see `remove_left`). O_EXCL: whatever has
+    that name, a link above all, is not opened.
 
     `private` until it takes the place of a file that may be; otherwise the process's own umask
     applies to it, as to any new file.
@@ -105,8 +140,12 @@ def _new_part(folder: Path, *, private: bool) -> Path:
     except OSError as error:
         reason = f"cannot write to the folder {folder}: {error.strerror}"
         raise type(error)(f"path: {reason}") from error
-    os.close(handle)
-    return part
+    if sys.platform == "win32":
+        # which gives no open file another name
+        os.close(handle)
+        return part, None
+    _locked(handle)
+    return part, handle
 
 
 def _flush(part: Path) -> None:

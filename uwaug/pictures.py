@@ -1,6 +1,8 @@
 """Pictures, distances and masks from files."""
 
+import logging
 import os
+import re
 from pathlib import Path
 from threading import Lock
 from typing import Any, NamedTuple
@@ -9,7 +11,7 @@ import numpy as np
 import tifffile
 import torch
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 from torch import Tensor
 
 from uwaug import checks
@@ -60,7 +62,20 @@ _CURES = {
     "CMYK": "save it as RGB from a picture editor, which knows the inks",
 }
 
+_DENSEST = 10_000
+"""Pixels in a byte of a file, of one bit each, as dense as any compression makes them."""
+
+_CODE = re.compile(r"[A-Z]\w*Error|<\w|b['\"]|\n")
+"""Stands in what decoders say to programmers."""
+
+# it tells of damaged files on standard error, besides what it raises
+logging.getLogger("tifffile").addHandler(logging.NullHandler())
+
 Values = NDArray[Any]
+
+
+class _UnfitError(ValueError):
+    """A file that is whole, and not what is needed; says so in a sentence."""
 
 
 class _Raster(NamedTuple):
@@ -162,13 +177,16 @@ def _in_colour(path: str | os.PathLike[str], values: Values) -> tuple[Tensor, in
     return picture, 32
 
 
-def read_distance(path: str | os.PathLike[str], unit: str | float = "m") -> Tensor:
+def read_distance(
+    path: str | os.PathLike[str], unit: str | float = "m", *, some_known: bool = True
+) -> Tensor:
     """Read a map of distances.
 
     Args:
         path: .npy, or .npz of one array (HxW, 1xHxW or HxWx1); TIFF (its first page) or PNG of one
             channel, 16 bit or floating point; PFM; or OpenEXR of one channel, or with one called Z.
         unit: of the numbers in the file: "m", "cm", "mm" or "um"; or how many metres 1 stands for.
+        some_known: whether to refuse a map that tells nothing.
 
     Returns:
         1xHxW, float32, m. 0 and NaN, which stand for unknown, and +inf stay.
@@ -189,7 +207,7 @@ def read_distance(path: str | os.PathLike[str], unit: str | float = "m") -> Tens
         raise ValueError(f"{path}: expected 16 bit or floating point, got {values.dtype}: {cure}")
     z = _in_metres(values, metres)
     positive, known, beyond = _counted(z)
-    if not positive:
+    if some_known and not positive:
         raise ValueError(f"{path}: no pixel has a distance > 0: expected metres, 0 where unknown")
     if beyond and 2 * beyond >= known:
         median = float(np.median(z[(z > 0) & (z < _OPEN)]))
@@ -265,16 +283,28 @@ def _read(path: str | os.PathLike[str]) -> _Raster:
         # decoders raise whatever they like over a damaged file
         if isinstance(error, OSError) and error.errno is not None:
             raise
-        raise ValueError(f"{path}: {error}") from error
+        raise ValueError(f"{path}: {_in_words(error)}") from error
     if not raster.values.size:
         raise ValueError(f"{path}: holds no pixels, got shape {raster.values.shape}")
     return raster
+
+
+def _in_words(error: Exception) -> str:
+    if isinstance(error, _UnfitError):
+        return str(error)
+    if isinstance(error, UnidentifiedImageError):
+        return "is no picture and no map that can be read: damaged, or of another kind?"
+    said = str(error)
+    clear = said and not isinstance(error, (LookupError, TypeError)) and not _CODE.search(said)
+    return f"cannot be decoded, it seems to be damaged{f' ({said})' if clear else ''}"
 
 
 def _decoded(path: Path) -> _Raster:
     """By what a file begins with, as names may lie."""
     with path.open("rb") as file:
         head = file.read(26)
+    if not head:
+        raise _UnfitError("is empty")
     if head.startswith((b"\x93NUMPY", b"PK\x03\x04")):
         return _numpy(path)
     if head.startswith((b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")):
@@ -292,7 +322,7 @@ def _numpy(path: Path) -> _Raster:
     if isinstance(found, np.lib.npyio.NpzFile):
         with found:
             if len(found.files) != 1:
-                raise ValueError(f"expected one array, got {', '.join(found.files) or 'none'}")
+                raise _UnfitError(f"expected one array, got {', '.join(found.files) or 'none'}")
             found = found[found.files[0]]
     if found.ndim == 3 and found.shape[-1] not in (1, 3, 4) and found.shape[0] in (1, 3, 4):
         found = np.moveaxis(found, 0, -1)
@@ -308,7 +338,7 @@ def _channels(values: Values) -> _Raster:
     if values.ndim == 3 and values.shape[-1] in (3, 4):
         alpha = values[..., 3] if values.shape[-1] == 4 else None
         return _Raster(values[..., :3], _COLOUR, alpha)
-    raise ValueError(f"expected (H, W) or (H, W, 3), got {values.shape}: save one picture")
+    raise _UnfitError(f"expected (H, W) or (H, W, 3), got {values.shape}: save one picture")
 
 
 def _tiff(path: Path) -> _Raster:
@@ -317,9 +347,10 @@ def _tiff(path: Path) -> _Raster:
         # palettes, inks and YCbCr are Pillow's
         if page.photometric not in (tifffile.PHOTOMETRIC.RGB, tifffile.PHOTOMETRIC.MINISBLACK):
             return _pillow(path)
+        _require_held(path, page.imagewidth, page.imagelength)
         if page.bitspersample not in (1, 8, 16, 32, 64):
             got = f"got {page.bitspersample} bits in a channel"
-            raise ValueError(f"expected 8 or 16 bits, or floating point, {got}: save it as 16")
+            raise _UnfitError(f"expected 8 or 16 bits, or floating point, {got}: save it as 16")
         values = page.asarray()
         if "S" in page.axes:
             values = np.moveaxis(values, page.axes.index("S"), -1)
@@ -332,6 +363,7 @@ def _png_of_16_bits(path: Path) -> _Raster:
     from imagecodecs import png_decode
 
     with _opened(path) as image:
+        _require_held(path, *image.size)
         orientation, exif, profile = _metadata(image)
     raster = _channels(_upright(png_decode(path.read_bytes()), orientation))
     return raster._replace(exif=exif, profile=profile)
@@ -353,6 +385,16 @@ def _opened(path: Path) -> Image.Image:
     return image
 
 
+def _require_held(path: Path, width: int, height: int) -> None:
+    """Refuse a size that the file is too small for, before memory is taken for it: one damaged bit
+    can make 40 px of 32 808.
+    """
+    size = path.stat().st_size
+    if width * height > _DENSEST * size:
+        got = f"{width} × {height} px cannot be held in {size} bytes"
+        raise _UnfitError(f"{got}: the file seems to be damaged")
+
+
 def _metadata(image: Image.Image) -> tuple[int, bytes | None, bytes | None]:
     """Orientation; EXIF without it; colour profile."""
     found = image.getexif()
@@ -364,6 +406,7 @@ def _metadata(image: Image.Image) -> tuple[int, bytes | None, bytes | None]:
 
 def _pillow(path: Path) -> _Raster:
     with _opened(path) as image:
+        _require_held(path, *image.size)
         image.load()
         orientation, exif, profile = _metadata(image)
         return _of_mode(image, orientation)._replace(exif=exif, profile=profile)
@@ -391,12 +434,12 @@ def _exr(path: Path) -> _Raster:
         import OpenEXR
     except ImportError:
         cure = 'pip install ".[exr]" in a checkout of uwaug, or save it as .npy'
-        raise ValueError(f"OpenEXR is missing, which reads it: {cure}") from None
+        raise _UnfitError(f"OpenEXR is missing, which reads it: {cure}") from None
     channels = OpenEXR.File(str(path), separate_channels=True).channels()
     names = list(channels)
     if len(names) > 1 and "Z" not in names:
         cure = "save one channel, or call it Z"
-        raise ValueError(f"holds the channels {', '.join(names)}, none of them Z: {cure}")
+        raise _UnfitError(f"holds the channels {', '.join(names)}, none of them Z: {cure}")
     return _channels(channels["Z" if "Z" in names else names[0]].pixels)
 
 

@@ -13,6 +13,7 @@ from uwaug.commands.names import complete_preset, complete_water
 from uwaug.commands.runs import Manner, carry_out, rehearse, repeat
 from uwaug.jobs.depth import Depth
 from uwaug.jobs.index import INDICES
+from uwaug.jobs.model import TERMS
 from uwaug.jobs.recipe import Recipe
 from uwaug.jobs.rows import Rows
 from uwaug.jobs.run import cores
@@ -211,7 +212,7 @@ def degrade(
             keep_terms=keep_terms,
         ).sealed()
         rows = _rows(inputs, out, distance, variants, output_format, depth_network is not None)
-        count = rows.check()
+        count = rows.check(TERMS if keep_terms else ())
     except (TypeError, ValueError, OSError, ImportError) as error:
         refuse(error)
     if not (resume or force):
@@ -244,6 +245,7 @@ def _options(path: Path | None, flags: dict[str, str | None], severity: int | No
     if severity is not None:
         if "contrast" in found:
             raise ValueError("severity and contrast: give one of them")
+        checks.within("severity", severity, 1, 5)
         found["contrast"] = contrast_of(severity)
     return found
 

@@ -1,5 +1,6 @@
 """What `uwaug degrade` does once it knows what is wanted: a run, a rehearsal, one picture again."""
 
+import os
 import sys
 import tempfile
 import time
@@ -12,7 +13,7 @@ import typer
 
 from uwaug.commands.console import fail, refuse
 from uwaug.commands.progress import counted
-from uwaug.files import is_part
+from uwaug.files import remove_left
 from uwaug.jobs.one import Outcome, degrade_file, reason_of, repeated
 from uwaug.jobs.recipe import Recipe
 from uwaug.jobs.record import read_record
@@ -48,10 +49,11 @@ def carry_out(rows: Rows, recipe: Recipe, count: int, manner: Manner) -> None:
     """Degrade all pictures; write an index if they go to a folder; end with 1 if any failed."""
     start = time.perf_counter()
     summary, labels = _Summary(max(1, count // SHOWN)), _Labels(recipe.label_source())
+    problems = []
     try:
         rows.out.mkdir(parents=True, exist_ok=True)
         if manner.resume:
-            _remove_parts(rows.out)
+            _clean(rows.out)
         if rows.name is not None:
             _go(rows, recipe, count, manner, [summary.add, labels.add])
         else:
@@ -60,18 +62,21 @@ def carry_out(rows: Rows, recipe: Recipe, count: int, manner: Manner) -> None:
         labels.write(rows.out)
         if manner.sheet and summary.shown:
             draw_sheet(summary.shown, rows.out / "sheet.jpg")
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemExit) as stop:
         print(f"Stopped: {summary.said(count)}; --resume goes on.", file=sys.stderr)
-        raise typer.Exit(_INTERRUPTED) from None
+        code = stop.code if isinstance(stop, SystemExit) else _INTERRUPTED
+        raise typer.Exit(int(code or 0)) from None
     except (OSError, ValueError) as error:
-        fail(error)
+        problems.append(reason_of(error))
     for line in summary.notes:
         print(f"Note: {line}")
     print(f"{summary.said(count)} in {rows.out}, {time.perf_counter() - start:.1f} s")
     if summary.failed:
         more = summary.failed - len(summary.reasons)
         lines = [*summary.reasons, *([f"and {more} more, see index.csv"] if more else [])]
-        fail(f"{summary.failed} of {count} pictures failed:\n  " + "\n  ".join(lines))
+        problems.append("\n  ".join([f"{summary.failed} of {count} pictures failed:", *lines]))
+    if problems:
+        fail("\n".join(problems))
 
 
 def _go(rows: Rows, recipe: Recipe, count: int, manner: Manner, takers: list[Taker]) -> None:
@@ -138,11 +143,10 @@ def _named(outcome: Outcome, text: str) -> str:
     return text if name in text else f"{name}: {text}"
 
 
-def _remove_parts(out: Path) -> None:
-    """What a killed run was writing."""
-    for path in out.rglob(".uwaug-*.part"):
-        if is_part(path.name):
-            path.unlink(missing_ok=True)
+def _clean(out: Path) -> None:
+    """Remove what a killed run was writing."""
+    for folder, _, _ in os.walk(out):
+        remove_left(Path(folder))
 
 
 def rehearse(rows: Rows, recipe: Recipe, count: int, manner: Manner) -> None:

@@ -123,6 +123,7 @@ class Depth:
             notes.append(f"distances of {_px(values)} px, resampled to {_px(image)}")
             values = _resized(where, values, size)
         values = self._along_rays(values)
+        self._require_known(where, values)
         if self.kind in ("metric", "disparity"):
             notes += _doubts(values)
         return Mapped(values, notes)
@@ -130,7 +131,8 @@ class Depth:
     def _numbers(self, path: Path) -> Tensor:
         """What a file holds: metres of metric files, px of disparities, else numbers."""
         if self.kind == "metric":
-            return read_distance(path, self.unit)
+            # what else may be done with unknown pixels needs no known ones
+            return read_distance(path, self.unit, some_known=self.unknown in ("error", "fill"))
         numbers = read_numbers(path)
         scale = 1.0
         if self.kind == "disparity" and not isinstance(self.unit, str):
@@ -138,6 +140,17 @@ class Depth:
         if self.kind == "relative" and numbers.dtype.kind in "bu":
             scale = 1.0 if numbers.dtype.kind == "b" else 1 / np.iinfo(numbers.dtype).max
         return torch.from_numpy(numbers.astype(np.float32) * np.float32(scale))[None]
+
+    def _require_known(self, path: Path, values: Tensor) -> None:
+        if self.unknown != "error":
+            return
+        known = values > 0 if self.map_kind == "metric" else ~values.isnan()
+        if bool(known.all()):
+            return
+        what = "0, NaN or negative" if self.map_kind == "metric" else "NaN"
+        got = f"{what} at {int((~known).sum())} of {known.numel()} pixels"
+        cure = "say what they get by --unknown fill, skip, far or metres"
+        raise ValueError(f"{path}: distances must be known, but are {got}: {cure}")
 
     def _along_rays(self, values: Tensor) -> Tensor:
         if not self._along_axis:

@@ -62,6 +62,8 @@ def read_index(path: Path) -> Iterator[Line]:
     rows = _parquet(path) if path.suffix.lower() == ".parquet" else _csv(path)
     for place, row in rows:
         values = {name: _text(row.get(name)) for name in _COLUMNS}
+        if any("\0" in (text or "") for text in values.values()):
+            raise ValueError(f"{path}: {place} is no text")
         picture = values["input"]
         if picture is None:
             raise ValueError(f"{path}: {place} has no input")
@@ -94,18 +96,17 @@ def _parquet(path: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    count = 0
     try:
-        file = pq.ParquetFile(path)
-    except pa.ArrowInvalid as error:
-        raise ValueError(f"{path}: is no Parquet file: {error}") from None
-    with file:
-        names = file.schema_arrow.names
-        _require_input(path, names)
-        count = 0
-        for batch in file.iter_batches(columns=[name for name in _COLUMNS if name in names]):
-            for row in batch.to_pylist():
-                count += 1
-                yield f"row {count}", row
+        with pq.ParquetFile(path) as file:
+            names = file.schema_arrow.names
+            _require_input(path, names)
+            for batch in file.iter_batches(columns=[name for name in _COLUMNS if name in names]):
+                for row in batch.to_pylist():
+                    count += 1
+                    yield f"row {count}", row
+    except (pa.ArrowException, OSError) as error:
+        raise ValueError(f"{path}: is no Parquet file, or damaged: {error}") from None
 
 
 def require_pyarrow(what: str) -> None:

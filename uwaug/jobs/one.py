@@ -1,6 +1,7 @@
 """One picture of a run: read, degraded, written whole or not at all, with its record."""
 
 import glob
+import os
 import time
 import warnings
 from collections.abc import Mapping
@@ -15,7 +16,7 @@ from uwaug.files import written_whole
 from uwaug.jobs.model import TERMS, Degraded, Seen, contrast_of, terms_of
 from uwaug.jobs.recipe import Recipe, sha256_of
 from uwaug.jobs.record import Record, Source, read_record, record_path, versions, write_record
-from uwaug.jobs.rows import Row
+from uwaug.jobs.rows import Row, terms_path
 from uwaug.labels import Labels, with_contrast
 from uwaug.picture_files import fill, require_format, write_picture
 from uwaug.pictures import read_source
@@ -121,13 +122,19 @@ def _degrade_file(
     if drawn is None:
         generator = torch.Generator().manual_seed(key_of(recipe.seed, row.variant, row.id))
         drawn = model.draw(source.picture, generator)
-    made = model.degrade(source.picture, mapped.values, drawn)
+    try:
+        made = model.degrade(source.picture, mapped.values, drawn)
+    except ValueError as error:
+        raise ValueError(f"{_names(row)}: {error}") from error
     row.output.parent.mkdir(parents=True, exist_ok=True)
     with written_whole(row.output) as part:
         fill(part, kind, made.image, source)
         judged = _judged(row, recipe, made)
         record = _record_of(row, recipe, made, part)
         record = replace(record, notes=mapped.notes, labels=judged[1] if judged else None)
+        if force:
+            # stopped here, the new record would else stand beside the old picture
+            Path(os.path.realpath(row.output)).unlink(missing_ok=True)
         write_record(record, record_path(row.output))
         if recipe.keep_terms and made.seen is not None:
             terms = terms_of(made.seen)
@@ -151,6 +158,10 @@ def _judged(row: Row, recipe: Recipe, made: Degraded) -> tuple[Labels, dict[str,
     return labels, {**judged, "output": row.place or row.output.name}
 
 
+def _names(row: Row) -> str:
+    return f"{row.input} with {row.distance}" if isinstance(row.distance, Path) else str(row.input)
+
+
 def _require_free(row: Row, recipe: Recipe) -> None:
     """Refuse to write over files, but for what a run has left that was stopped."""
     cure = "choose another folder, or --force to write over it"
@@ -171,11 +182,6 @@ def _require_free(row: Row, recipe: Recipe) -> None:
     for path in others:
         if path.exists():
             raise FileExistsError(f"{path} exists: {cure}")
-
-
-def terms_path(output: Path, term: str) -> Path:
-    """The file of one of a picture's terms."""
-    return output.with_name(f"{output.stem}_{term}{output.suffix}")
 
 
 def _record_of(row: Row, recipe: Recipe, made: Degraded, part: Path) -> Record:
@@ -212,6 +218,10 @@ def _mean_contrast(seen: Seen | Strips) -> float:
 
 def reason_of(error: Exception) -> str:
     """An error in words; those that no check of ours has raised with their kind."""
+    if isinstance(error, OSError) and error.strerror and error.filename:
+        return f"{error.filename}: {error.strerror}"
+    if isinstance(error, MemoryError):
+        return f"out of memory: {error}" if str(error) else "out of memory"
     if isinstance(error, (ValueError, OSError, ImportError)) and str(error):
         return str(error)
     return f"{type(error).__name__}: {error}"

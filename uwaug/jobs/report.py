@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from uwaug.files import written_whole
+from uwaug.files import require_regular, written_whole
 from uwaug.jobs.one import Outcome
 from uwaug.jobs.rows import hash_of
 
@@ -72,8 +72,6 @@ class Index:
         mine = np.sort(np.frombuffer(self._outputs, dtype=np.int64))
         with path.open(encoding="utf-8", newline="") as file:
             reader = csv.DictReader(file)
-            if list(reader.fieldnames or []) != list(COLUMNS):
-                raise ValueError(f"{path} is no index of uwaug: choose another folder, or move it")
             for line in reader:
                 value = hash_of(line["output"])
                 place = int(np.searchsorted(mine, value))
@@ -91,6 +89,7 @@ def index_of(out: Path) -> Iterator[Index]:
         OSError: if it cannot be written.
     """
     path = out / "index.csv"
+    _require_index(path)
     with written_whole(path) as part:
         with part.open("w", encoding="utf-8", newline="") as file:
             index = Index(out, file)
@@ -99,6 +98,16 @@ def index_of(out: Path) -> Iterator[Index]:
         if importlib.util.find_spec("pyarrow") is not None:
             with written_whole(path.with_suffix(".parquet")) as other:
                 _write_parquet(part, other)
+
+
+def _require_index(path: Path) -> None:
+    """Refuse to write over what is no index, before the work begins."""
+    if not path.exists():
+        return
+    require_regular(path)
+    with path.open(encoding="utf-8", errors="replace", newline="") as file:
+        if file.readline().rstrip("\r\n") != ",".join(COLUMNS):
+            raise ValueError(f"{path} is no index of uwaug: choose another folder, or move it")
 
 
 def _write_parquet(source: Path, path: Path) -> None:

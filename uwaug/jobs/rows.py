@@ -14,7 +14,7 @@ from uwaug.files import is_part, require_regular
 from uwaug.jobs.index import INDICES, number_of, read_index
 from uwaug.picture_files import FORMATS
 
-__all__ = ["Row", "Rows", "hash_of"]
+__all__ = ["Row", "Rows", "hash_of", "terms_path"]
 
 _MAPS = (".npy", ".npz", ".png", ".tif", ".tiff", ".exr", ".pfm")
 """Ends of the names of distance files, in a folder of them."""
@@ -113,14 +113,18 @@ class Rows:
                         one.id, one.input, where, output, variant, problem, name, place.as_posix()
                     )
 
-    def check(self) -> int:
+    def check(self, terms: Sequence[str] = ()) -> int:
         """Look all of them through before anything is done, and count them.
+
+        Args:
+            terms: that are written beside each picture, see `terms_path`.
 
         Raises:
             ValueError: if there are none, a picture has no distance, two have one id or would be
                 written to one file, or one would be written over itself; names them.
             OSError: if an input does not exist.
         """
+        self._require_own_folder()
         count = 0
         ids, outputs = array("q"), array("q")
         for row in self:
@@ -128,26 +132,34 @@ class Rows:
             if os.path.realpath(row.output) == os.path.realpath(row.input):
                 raise ValueError(f"{row.input} would be written over: choose another folder")
             ids.append(hash_of(f"{row.id}/{row.variant}"))
-            # some file systems know no difference between A and a
-            outputs.append(hash_of(str(row.output).casefold()))
+            outputs.extend(hash_of(name) for name in _written(row, terms))
         if not count:
             known = ", ".join(FORMATS)
             raise ValueError(f"no pictures in {', '.join(map(str, self.inputs))}: expected {known}")
-        self._require_apart(ids, lambda row: f"{row.id}/{row.variant}", "id", _Cure.ID)
-        self._require_apart(outputs, lambda row: str(row.output).casefold(), "output", _Cure.OUTPUT)
+        self._require_apart(ids, lambda row: [f"{row.id}/{row.variant}"], "id", _Cure.ID)
+        self._require_apart(outputs, lambda row: _written(row, terms), "output", _Cure.OUTPUT)
         return count
 
+    def _require_own_folder(self) -> None:
+        """Else the next run would take what this one has written for pictures."""
+        for given in self.inputs:
+            if given.is_dir() and os.path.realpath(given) == os.path.realpath(self.out):
+                cure = "expected a folder of its own to write to"
+                raise ValueError(f"{given} would be written into: {cure}")
+
     def _require_apart(
-        self, hashes: "array[int]", key: Callable[[Row], str], what: str, cure: str
+        self, hashes: "array[int]", keys: Callable[[Row], list[str]], what: str, cure: str
     ) -> None:
         values, counts = np.unique(np.frombuffer(hashes, dtype=np.int64), return_counts=True)
         twice = set(values[counts > 1].tolist())
         seen: dict[str, Path] = {}
         for row in self if twice else ():
-            if hash_of(key(row)) in twice:
-                before = seen.setdefault(key(row), row.input)
+            for key in keys(row):
+                if hash_of(key) not in twice:
+                    continue
+                before = seen.setdefault(key, row.input)
                 if before is not row.input:
-                    got = row.id if what == "id" else row.output
+                    got = row.id if what == "id" else key
                     raise ValueError(f"{before} and {row.input} have one {what}, {got}: {cure}")
 
     def _place(self, one: _Found, variant: int) -> Path:
@@ -233,6 +245,17 @@ class Rows:
             raise ValueError(f"distance: expected {{stem}} or {{name}}, got {pattern!r}") from None
         beside = found.parent == Path() and "{name}" not in pattern
         return one.input.parent / found if beside else found
+
+
+def terms_path(output: Path, term: str) -> Path:
+    """The file of one of a picture's terms."""
+    return output.with_name(f"{output.stem}_{term}{output.suffix}")
+
+
+def _written(row: Row, terms: Sequence[str]) -> list[str]:
+    """The pictures that a row makes; some file systems know no difference between A and a."""
+    paths = [row.output, *(terms_path(row.output, term) for term in terms)]
+    return [str(path).casefold() for path in paths]
 
 
 class _Cure:

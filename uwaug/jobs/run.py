@@ -14,6 +14,7 @@ from functools import partial
 from multiprocessing.connection import wait
 from multiprocessing.context import BaseContext
 
+from uwaug.files import remove_left
 from uwaug.jobs.one import Outcome, degrade_file
 from uwaug.jobs.recipe import Recipe
 from uwaug.jobs.rows import Row
@@ -64,7 +65,9 @@ def run(
             waiting: Waiting = deque()
             try:
                 for row in remaining:
-                    waiting.append((row, pool.submit(job, row)))
+                    left = [row]
+                    waiting.append((row, pool.submit(_in_worker, job, row)))
+                    left = []
                     if len(waiting) >= _AHEAD * workers:
                         yield waiting[0][1].result()
                         waiting.popleft()
@@ -72,9 +75,12 @@ def run(
                     yield waiting[0][1].result()
                     waiting.popleft()
             except BrokenProcessPool:
-                left = [row for row, _ in waiting]
+                # a pool that breaks between two pictures does not take the next one
+                left = [*(row for row, _ in waiting), *left]
             else:
                 return
+        for folder in {row.output.parent for row in left}:
+            remove_left(folder)
         for row in left:
             yield _alone(job, row)
 
@@ -83,10 +89,18 @@ def _alone(job: "partial[Outcome]", row: Row) -> Outcome:
     """A picture in a process of its own."""
     try:
         with _pool(1) as pool:
-            return pool.submit(job, row).result()
+            return pool.submit(_in_worker, job, row).result()
     except BrokenProcessPool:
         reason = f"{row.input}: the process died over it: out of memory, or a damaged file"
         return Outcome(row, "failed", reason, None, 0.0)
+
+
+def _in_worker(job: "partial[Outcome]", row: Row) -> Outcome:
+    try:
+        return job(row)
+    except SystemExit:
+        # a signal; the pool would take it for the picture's fault, and this process would go on
+        os._exit(128 + signal.SIGTERM)
 
 
 @contextmanager
@@ -112,6 +126,8 @@ def _begin() -> None:
     """What each worker does first."""
     # Ctrl-C is for the process that started it, which lets the pictures under way be finished
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # ended by a signal, Python would not remove the file that it is writing
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

@@ -298,6 +298,8 @@ class Water(Spectra):
     def with_contents(self, factor: float) -> Self:
         """This water with `factor` times what is in it besides pure water, see `with_contrast`."""
         checks.within("factor", factor, 0.0)
+        if factor == 1:
+            return self
         name = f"{factor:.3g}·contents of {self.name}"
         return self._with(factor, name, self.provenance)
 
