@@ -2,9 +2,9 @@
 
 `python -m benchmarks.large` writes results/large.json: for each size, in a process of its own, peak
 resident memory (all of it: Python, PyTorch, picture and map too) and processor seconds of reading,
-degrading and writing a PNG of 8 bits with a map of distances in a PNG of 16 bits; and how much longer a pixel
-takes than one of the smallest picture. `RandomUnderwater("7C")` as it comes: a field, automatic
-exposure, the calibrated width law. One thread.
+degrading and writing a PNG of 8 bits with a map of distances in a PNG of 16 bits; and how much
+longer a pixel takes than one of the smallest picture. `RandomUnderwater("7C")` as it comes: a
+field, automatic exposure, the calibrated width law. One thread.
 """
 
 import json
