@@ -14,6 +14,7 @@ import torch
 from imagecodecs import png_encode
 from PIL import Image
 
+import uwaug.pictures
 from uwaug.pictures import read_distance, read_mask, read_picture
 
 RNG = np.random.default_rng(0)
@@ -263,3 +264,17 @@ def test_masks(tmp_path: Path) -> None:
     Image.fromarray(BYTES).save(tmp_path / "c.png")
     with pytest.raises(ValueError, match="a mask in one channel, got colour"):
         read_mask(tmp_path / "c.png")
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.tif"])
+def test_pictures_may_be_larger_than_pillow_likes(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = tiff(BYTES, photometric="rgb") if name == "a.tif" else pillow(BYTES)
+    write(tmp_path / name)
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 10)
+    assert read_picture(tmp_path / name).shape == (3, 6, 9)
+    assert Image.MAX_IMAGE_PIXELS == 10  # of others
+    monkeypatch.setattr(uwaug.pictures, "_MOST", 50)
+    with pytest.raises(ValueError, match=rf"{name}: holds 9 × 6 px, which is more than .* megapix"):
+        read_picture(tmp_path / name)

@@ -29,6 +29,7 @@ __all__ = [
     "scaled_inverse",
     "scaled_relative",
     "single",
+    "warn_of_unknown",
 ]
 
 _MANY = 0.2
@@ -287,16 +288,15 @@ def fill_unknown(distance: Tensor) -> Tensor:
         wanted = "at least one known pixel (above 0 m) in each map"
         cure = "fill whole maps before they are cropped"
         raise ValueError(f"distance must have {wanted}, got {_which(empty)} without any: {cure}")
-    share = float(holes.double().mean(-1).max())
-    if share > _MANY:
-        _warn_of_many(round(100 * share))
+    warn_of_unknown(float(holes.double().mean(-1).max()))
     size = distance.shape[-2:]
     return filled(distance.reshape(-1, *size), unknown.reshape(-1, *size)).view(distance.shape)
 
 
-def _warn_of_many(percent: int) -> None:
-    """Warn once in a process: a loader fills thousands of maps."""
-    if not _warned:
+def warn_of_unknown(share: float) -> None:
+    """Warn if so large a share of a map is guessed; once in a process: a loader fills thousands."""
+    if share > _MANY and not _warned:
+        percent = round(100 * share)
         guess = f"distance is unknown at {percent} % of a map's pixels, and is guessed there"
         cure = "beyond a sensor's range, set metres or inf (RandomUnderwater(unknown='far'))"
         warnings.warn(f"{guess}: {cure}", UserWarning, stacklevel=3)

@@ -17,8 +17,10 @@ from uwaug.distance import (
     scaled_inverse,
     scaled_relative,
     single,
+    warn_of_unknown,
 )
-from uwaug.rows import Rows, extremes, held
+from uwaug.holes import filled_rows
+from uwaug.rows import Rows, bands, held
 
 __all__ = [
     "DistanceKind",
@@ -93,11 +95,17 @@ def metres_by_rows(
 
     if not isinstance(instead, str):
         return lambda start, stop: _known(scaled(start, stop), instead)
-    least, _ = extremes(scaled, (distance.shape[-2], distance.shape[-1]))
-    if least > 0:
+    size = (distance.shape[-2], distance.shape[-1])
+    known = 0
+    for start, stop in bands(*size):
+        known += int((scaled(start, stop) > 0).sum())
+    if known == distance.numel():
         return scaled
-    # holes are filled from afar
-    return held(_known(scale(distance), instead))
+    if instead == "error" or not known:
+        # refused
+        return held(_known(scale(distance), instead))
+    warn_of_unknown(1 - known / distance.numel())
+    return filled_rows(scaled, size)
 
 
 def _known(z: Tensor, instead: Unknown) -> Tensor:

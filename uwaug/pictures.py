@@ -220,8 +220,9 @@ def read_distance(
 
 def _in_metres(values: Values, metres: float) -> NDArray[np.float32]:
     """Float32, rounded once; a large map is never held in double precision."""
-    if values.dtype == np.float32 and metres == 1 and values.dtype.isnative:
-        return np.array(values, order="C", copy=None)
+    plain = values.dtype == np.float32 and values.dtype.isnative
+    if plain and metres == 1 and values.flags.writeable:
+        return np.ascontiguousarray(values)
     z = np.empty(values.shape, np.float32)
     for start, stop in bands(*values.shape):
         z[start:stop] = values[start:stop].astype(np.float64) * metres
@@ -374,21 +375,18 @@ def _opened(path: Path) -> Image.Image:
     with _opening:
         limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
         try:
-            image = Image.open(path)
+            return Image.open(path)
         finally:
             Image.MAX_IMAGE_PIXELS = limit
-    width, height = image.size
-    if width * height > _MOST:
-        image.close()
-        got = f"{width} × {height} px, which is more than {_MOST // 10**6} megapixels"
-        raise ValueError(f"holds {got}: cut it into parts")
-    return image
 
 
 def _require_held(path: Path, width: int, height: int) -> None:
-    """Refuse a size that the file is too small for, before memory is taken for it: one damaged bit
-    can make 40 px of 32 808.
+    """Refuse a size that is too large, or that the file is too small for, before memory is taken
+    for it: one damaged bit can make 40 px of 32 808.
     """
+    if width * height > _MOST:
+        got = f"{width} × {height} px, which is more than {_MOST // 10**6} megapixels"
+        raise _UnfitError(f"holds {got}: cut it into parts")
     size = path.stat().st_size
     if width * height > _DENSEST * size:
         got = f"{width} × {height} px cannot be held in {size} bytes"

@@ -34,7 +34,7 @@ __all__ = [
 
 LARGE = 24_000_000
 """Pixels from which a picture is formed in strips. To hold its light whole would take 40 bytes a
-pixel, 1 GB here; in strips a picture takes a tenth longer.
+pixel, 1 GB here; strips take as long.
 """
 
 
