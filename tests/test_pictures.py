@@ -14,7 +14,7 @@ import torch
 from imagecodecs import png_encode
 from PIL import Image
 
-import uwaug.pictures
+import uwaug.decoding
 from uwaug.pictures import read_distance, read_mask, read_picture
 
 RNG = np.random.default_rng(0)
@@ -275,6 +275,6 @@ def test_pictures_may_be_larger_than_pillow_likes(
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 10)
     assert read_picture(tmp_path / name).shape == (3, 6, 9)
     assert Image.MAX_IMAGE_PIXELS == 10  # of others
-    monkeypatch.setattr(uwaug.pictures, "_MOST", 50)
+    monkeypatch.setattr(uwaug.decoding, "_MOST", 50)
     with pytest.raises(ValueError, match=rf"{name}: holds 9 × 6 px, which is more than .* megapix"):
         read_picture(tmp_path / name)

@@ -11,10 +11,11 @@ from torch import Tensor
 
 from uwaug import strips
 from uwaug.choice import Choice, Draw, Settings
-from uwaug.colour import from_light, require_values, to_light
+from uwaug.colour import ColorSpace, from_light, require_values, to_light
+from uwaug.contrast import contrast
 from uwaug.exposure import GAINS, fixed_gain, gain_of, looks
 from uwaug.field import gaussian_random_field, gaussian_random_rows
-from uwaug.formation import form, plan_at_hand, prepare, together
+from uwaug.formation import Combine, Order, form, plan_at_hand, prepare, together
 from uwaug.metres import metres_by_rows, to_metres
 from uwaug.optics import sight
 from uwaug.optics.camera import Camera
@@ -30,10 +31,9 @@ __all__ = [
     "InWater",
     "Settings",
     "Settled",
+    "Whole",
     "degrade",
     "exactly",
-    "formed",
-    "in_strips",
     "in_water",
     "used",
 ]
@@ -57,11 +57,8 @@ def degrade(image: Tensor, distance: Tensor | None, choice: Choice) -> Tensor:
         The picture, like `image`.
     """
     with exactly(image):
-        if strips.is_large(image):
-            found, _, _ = in_strips(image, distance, choice)
-            (picture,) = found.pictures(together)
-            return picture
-        return formed(in_water(image, distance, choice), image, choice.settings)
+        (picture,) = in_water(image, distance, choice).seen.pictures(together)
+        return picture
 
 
 @contextmanager
@@ -69,14 +66,6 @@ def exactly(image: Tensor) -> Iterator[None]:
     """Where a picture is degraded: without gradients, and bit for bit the same each time."""
     with reproducible(), torch.no_grad(), torch.autocast(image.device.type, enabled=False):
         yield
-
-
-def formed(found: "InWater", image: Tensor, settings: Settings) -> Tensor:
-    """The degraded picture, like `image`, from which `found` is."""
-    light, z, medium = found.light, found.z, found.medium
-    plan = plan_at_hand(z, medium, settings.tolerance, settings.order)
-    (result,) = form(light, z, medium, plan, settings.order, together)
-    return from_light(result[0], settings.color_space, image)
 
 
 def used(image: Tensor, distance: Tensor | None, choice: Choice) -> dict[str, float]:
@@ -89,9 +78,6 @@ def used(image: Tensor, distance: Tensor | None, choice: Choice) -> dict[str, fl
         gain: of the exposure.
     """
     with exactly(image):
-        if strips.is_large(image):
-            _, settled, gain = in_strips(image, distance, choice)
-            return settled.used(gain)
         return in_water(image, distance, choice).used()
 
 
@@ -120,12 +106,46 @@ class Settled(NamedTuple):
         }
 
 
-class InWater(NamedTuple):
-    """Light, distance and medium as `form` takes them; what the draw and the gain came to."""
+class Whole(NamedTuple):
+    """A picture in its water, as `form` takes it; `Strips` is the same of a large one.
 
+    Attributes:
+        image (3xHxW tensor): as it was given.
+        color_space: of its values.
+        light (1x3xHxW tensor): of the scene.
+        z (1x1xHxW tensor): effective distance, m.
+        medium: as the camera's exposure sees it.
+        order, tolerance: as for `uwaug.form_image`.
+    """
+
+    image: Tensor
+    color_space: ColorSpace
     light: Tensor
     z: Tensor
     medium: Medium
+    order: Order = "line_of_sight"
+    tolerance: float = 0.002
+
+    def pictures(self, combine: Combine) -> tuple[Tensor, ...]:
+        """What `combine` makes, `together` or `separately`, as pictures like the image."""
+        plan = plan_at_hand(self.z, self.medium, self.tolerance, self.order)
+        parts = form(self.light, self.z, self.medium, plan, self.order, combine)
+        return tuple(from_light(part[0], self.color_space, self.image) for part in parts)
+
+    def some(self) -> Tensor:
+        """Effective distances of some pixels, spread over the picture (N)."""
+        z = self.z[0, 0]
+        return z.flatten()[looks(z.shape[0], z.shape[1], z.device)]
+
+    def contrast(self) -> Tensor:
+        """The share of contrast that is left at each pixel (1xHxW), see `uwaug.contrast`."""
+        return contrast(self.medium, self.z)[0]
+
+
+class InWater(NamedTuple):
+    """A picture in its water, before it is formed; what the draw and the gain came to."""
+
+    seen: Whole | Strips
     settled: Settled
     gain: Tensor
 
@@ -136,6 +156,11 @@ class InWater(NamedTuple):
 
 def in_water(image: Tensor, distance: Tensor | None, choice: Choice) -> InWater:
     """A picture in its water, before it is formed; arguments as for `degrade`."""
+    make = _in_strips if strips.is_large(image) else _as_a_whole
+    return make(image, distance, choice)
+
+
+def _as_a_whole(image: Tensor, distance: Tensor | None, choice: Choice) -> InWater:
     draw, settings = choice.draw, choice.settings
     # a view with other strides takes other paths through the kernels, which round differently
     light = to_light(image.contiguous(), settings.color_space)
@@ -147,13 +172,12 @@ def in_water(image: Tensor, distance: Tensor | None, choice: Choice) -> InWater:
     settled = _settled(choice, (some, z), image.shape[-1])
     light, z, medium = prepare(light, z, settled.medium, _field(draw, z))
     gain = _gain(lambda: gain_of(light, z, medium, "auto"), medium, draw, settings)
-    return InWater(light, z, medium.brightened(gain), settled, gain)
+    kept = settings.order, settings.tolerance
+    seen = Whole(image, settings.color_space, light, z, medium.brightened(gain), *kept)
+    return InWater(seen, settled, gain)
 
 
-def in_strips(
-    image: Tensor, distance: Tensor | None, choice: Choice
-) -> tuple[Strips, Settled, Tensor]:
-    """A large picture in its water; what its draw came to, but for the gain; the gain."""
+def _in_strips(image: Tensor, distance: Tensor | None, choice: Choice) -> InWater:
     draw, settings, size = choice.draw, choice.settings, (image.shape[-2], image.shape[-1])
     require_values(image, settings.color_space)
     if distance is None:
@@ -168,7 +192,7 @@ def in_strips(
     kept = settings.color_space, settings.order, settings.tolerance
     found = strips.in_rows(image, z, settled.medium, field, *kept)
     gain = _gain(lambda: found.gain_of("auto"), found.medium, draw, settings)
-    return found.brightened(gain), settled, gain
+    return InWater(found.brightened(gain), settled, gain)
 
 
 def _settled(choice: Choice, some: Iterable[Tensor], width: int) -> Settled:

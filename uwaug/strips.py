@@ -9,6 +9,7 @@ from torch import Tensor
 
 from uwaug.blur.pieces import blurred_pieces
 from uwaug.colour import ColorSpace, decoded, encoded, headroom
+from uwaug.contrast import contrast
 from uwaug.exposure import Exposure, balanced, fixed_gain, looks
 from uwaug.formation import (
     Combine,
@@ -162,6 +163,13 @@ class Strips(NamedTuple):
             for picture, result in zip(pictures, results, strict=True):
                 picture[:, rows, columns] = encoded(result[0], self.color_space, dtype, most)
         return tuple(pictures)
+
+    def contrast(self) -> Tensor:
+        """The share of contrast that is left at each pixel (1xHxW), see `uwaug.contrast`."""
+        parts = []
+        for start, stop in bands(*self.size):
+            parts.append(contrast(self.medium, self.z(start, stop)[None])[0])
+        return torch.cat(parts, 1)
 
     def blurred_light(self, sums: Sums) -> Rows:
         """What is blurred."""

@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from uwaug.colour import ColorSpace
-from uwaug.degrade import Choice, Draw, degrade, used
+from uwaug.degrade import Choice, Draw, exactly, in_water, used
 from uwaug.draw import Range, Record, cameras_of, spectra_of, weighed
-from uwaug.formation import Order
+from uwaug.formation import Order, together
 from uwaug.metres import DistanceKind, Unknown, skipped
 from uwaug.opaque import Opaque
 from uwaug.optics.camera import Camera
@@ -295,8 +295,9 @@ class RandomUnderwater(SampleTransform):
             if torch.compiler.is_compiling():
                 parts[i] = self._opaque(parts[i], z, sample)
             else:
-                with naming(i, len(parts)):
-                    parts[i] = degrade(parts[i], z, self.chosen(sample))
+                with naming(i, len(parts)), exactly(parts[i]):
+                    found = in_water(parts[i], z, self.chosen(sample))
+                    (parts[i],) = found.seen.pictures(together)
         return typed(parts[0] if plain.ndim == 3 else torch.stack(parts), type(image))
 
     def resolve(self, image: Tensor, distance: Tensor | None, params: Record) -> Record:

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from uwaug import checks
-from uwaug.contrast import contrast
-from uwaug.degrade import exactly, formed, in_water
+from uwaug.degrade import exactly, in_water
 from uwaug.draw import Record
+from uwaug.formation import together
 from uwaug.regions import box_region, mask_region, mean_over
 from uwaug.structure import key_of, naming, plain_image, typed
 from uwaug.transforms import RandomUnderwater
@@ -151,8 +151,8 @@ def transform_with_contrast(
         choice = augment.chosen(sample)
         with naming(i, len(parts)), exactly(parts[i]):
             found = in_water(parts[i], z, choice)
-            maps[i] = contrast(found.medium, found.z)[0].float()
-            parts[i] = formed(found, parts[i], choice.settings)
+            maps[i] = found.seen.contrast().float()
+            (parts[i],) = found.seen.pictures(together)
     if plain.ndim == 3:
         return typed(parts[0], type(image)) if jobs else image, maps[0]
     return typed(torch.stack(parts), type(image)) if jobs else image, torch.stack(maps)

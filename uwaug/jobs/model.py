@@ -7,15 +7,13 @@ from typing import Any, NamedTuple, Protocol
 import torch
 from torch import Tensor
 
-from uwaug.colour import ColorSpace, from_light, require_values, to_light
-from uwaug.contrast import contrast
-from uwaug.degrade import exactly, in_strips, in_water
-from uwaug.exposure import Exposure, exposed, looks
+from uwaug.colour import ColorSpace, require_values, to_light
+from uwaug.degrade import Whole, exactly, in_water
+from uwaug.exposure import Exposure, exposed
 from uwaug.field import gaussian_random_field, gaussian_random_rows
-from uwaug.formation import Combine, Order, form, plan_at_hand, prepare, separately, together
+from uwaug.formation import prepare, separately, together
 from uwaug.metres import DistanceKind, Scaling, metres_by_rows, skipped, to_metres
 from uwaug.optics.medium import Medium
-from uwaug.rows import bands
 from uwaug.strips import Strips, in_rows, is_large
 from uwaug.transforms import RandomUnderwater
 
@@ -25,44 +23,10 @@ __all__ = [
     "Model",
     "OneMedium",
     "RandomWater",
-    "Seen",
-    "contrast_of",
     "terms_of",
 ]
 
 TERMS = ("direct", "forward", "backscatter")
-
-
-class Seen(NamedTuple):
-    """What a picture was formed of, see `uwaug.formation.prepare`.
-
-    Attributes:
-        light (1x3xHxW tensor): of the scene.
-        z (1x1xHxW tensor): effective distance, m.
-        medium: as the camera's exposure sees it.
-        image (3xHxW tensor): as it was given.
-        color_space: of its values.
-        order, tolerance: as for `uwaug.form_image`.
-    """
-
-    light: Tensor
-    z: Tensor
-    medium: Medium
-    image: Tensor
-    color_space: ColorSpace
-    order: Order = "line_of_sight"
-    tolerance: float = 0.002
-
-    def pictures(self, combine: Combine) -> tuple[Tensor, ...]:
-        """What `combine` makes, `together` or `separately`, as pictures like the image."""
-        plan = plan_at_hand(self.z, self.medium, self.tolerance, self.order)
-        parts = form(self.light, self.z, self.medium, plan, self.order, combine)
-        return tuple(from_light(part[0], self.color_space, self.image) for part in parts)
-
-    def some(self) -> Tensor:
-        """Effective distances of some pixels, spread over the picture (N)."""
-        z = self.z[0, 0]
-        return z.flatten()[looks(z.shape[0], z.shape[1], z.device)]
 
 
 class Degraded(NamedTuple):
@@ -78,7 +42,7 @@ class Degraded(NamedTuple):
 
     image: Tensor
     record: dict[str, Any]
-    seen: Seen | Strips | None
+    seen: Whole | Strips | None
     water: str
     visibility: float | None
 
@@ -123,19 +87,12 @@ class RandomWater:
             return Degraded(image, {"samples": [{**sample, "applied": False}]}, None, "none", None)
         ((_, mapped, _),) = jobs
         choice = self.transform.chosen(sample)
-        settings = choice.settings
         with exactly(image):
-            seen: Seen | Strips
-            if is_large(image):
-                seen, settled, gain = in_strips(image, mapped, choice)
-            else:
-                light, z, medium, settled, gain = in_water(image, mapped, choice)
-                kept = settings.color_space, settings.order, settings.tolerance
-                seen = Seen(light, z, medium, image, *kept)
-            (picture,) = seen.pictures(together)
-        used = settled.used(gain)
+            found = in_water(image, mapped, choice)
+            (picture,) = found.seen.pictures(together)
+        used = found.used()
         record = {"samples": [{**sample, "used": used}]}
-        return Degraded(picture, record, seen, settled.water.name, used["visibility"])
+        return Degraded(picture, record, found.seen, found.settled.water.name, used["visibility"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +132,7 @@ class OneMedium:
             (picture,) = seen.pictures(together)
         return Degraded(picture, dict(record), seen, self.name, None)
 
-    def _whole(self, image: Tensor, distance: Tensor, record: Mapping[str, Any]) -> Seen:
+    def _whole(self, image: Tensor, distance: Tensor, record: Mapping[str, Any]) -> Whole:
         light = to_light(image.contiguous(), self.color_space)
         z = to_metres(distance.contiguous(), self.scaling, self.kind, self.unknown)
         field = None
@@ -184,7 +141,7 @@ class OneMedium:
             field = gaussian_random_field(size, **self._field(record), dtype=z.dtype)
         light, z, medium = prepare(light, z, self.medium, field)
         medium = exposed(light, z, medium, self.exposure)
-        return Seen(light, z, medium, image, self.color_space)
+        return Whole(image, self.color_space, light, z, medium)
 
     def _large(self, image: Tensor, distance: Tensor, record: Mapping[str, Any]) -> Strips:
         require_values(image, self.color_space)
@@ -204,18 +161,7 @@ class OneMedium:
         return {"low": low, "high": high, "generator": generator}
 
 
-def contrast_of(seen: Seen | Strips) -> Tensor:
-    """The share of contrast that is left at each pixel (1xHxW), see `uwaug.contrast`."""
-    with exactly(seen.image):
-        if isinstance(seen, Seen):
-            return contrast(seen.medium, seen.z)[0]
-        parts = []
-        for start, stop in bands(*seen.size):
-            parts.append(contrast(seen.medium, seen.z(start, stop)[None])[0])
-        return torch.cat(parts, 1)
-
-
-def terms_of(seen: Seen | Strips) -> dict[str, Tensor]:
+def terms_of(seen: Whole | Strips) -> dict[str, Tensor]:
     """Direct, forward-scattered and backscattered light, each as a picture like the image. In
     linear light they add up to the degraded picture.
     """

@@ -12,8 +12,9 @@ from typing import Any, Literal
 import torch
 
 from uwaug.contrast import contrast
+from uwaug.degrade import Whole
 from uwaug.files import written_whole
-from uwaug.jobs.model import TERMS, Degraded, Seen, contrast_of, terms_of
+from uwaug.jobs.model import TERMS, Degraded, terms_of
 from uwaug.jobs.recipe import Recipe, sha256_of
 from uwaug.jobs.record import Record, Source, read_record, record_path, versions, write_record
 from uwaug.jobs.rows import Row, terms_path
@@ -153,7 +154,7 @@ def _judged(row: Row, recipe: Recipe, made: Degraded) -> tuple[Labels, dict[str,
         return None
     size = (made.image.shape[-2], made.image.shape[-1])
     labels = source.labels_of(row.name or row.input.name, size)
-    left = torch.ones(1, *size) if made.seen is None else contrast_of(made.seen)
+    left = torch.ones(1, *size) if made.seen is None else made.seen.contrast()
     judged = with_contrast(labels, left, recipe.min_contrast)
     return labels, {**judged, "output": row.place or row.output.name}
 
@@ -211,7 +212,7 @@ def _source(path: Path) -> Source:
     return Source(str(whole), sha256_of(whole), whole.stat().st_size)
 
 
-def _mean_contrast(seen: Seen | Strips) -> float:
+def _mean_contrast(seen: Whole | Strips) -> float:
     """Of some pixels, spread over the picture: all of them would take a tenth of its time."""
     return float(contrast(seen.medium, seen.some().reshape(1, 1, -1)).mean())
 
