@@ -177,7 +177,7 @@ def _px(picture: Tensor) -> str:
 
 
 def _doubts(z: Tensor) -> list[str]:
-    """Of metres, by some pixels, spread over the map: all would take a tenth of a picture's time."""
+    """Of metres, by some pixels, spread over the map: all would take long."""
     notes = []
     z = z.flatten()[looks(z.shape[-2], z.shape[-1], z.device)]
     known = z > 0
