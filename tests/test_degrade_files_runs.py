@@ -190,17 +190,20 @@ def test_a_picture_that_kills_its_worker_fails_alone(folder, monkeypatch):
     assert "all/01.png: the process died over it" in str(outcomes[1].reason)
 
 
-def test_no_picture_is_lost_when_a_pool_breaks_between_two(folder, monkeypatch):
-    """Broken before a picture is handed over."""
+@pytest.mark.parametrize("force", [False, True])
+def test_no_picture_is_lost_when_a_pool_breaks_between_two(folder, monkeypatch, force):
+    """Broken before a picture is handed over, when others are written and not told of yet."""
     scene(6)
     submit, calls = jobs.ProcessPoolExecutor.submit, []
 
     def broken(self, *arguments):
         calls.append(1)
-        if len(calls) == 3:
+        if len(calls) == 4:
+            wait_for(lambda: pictures("out") == 3)
             raise jobs.BrokenProcessPool
         return submit(self, *arguments)
 
     monkeypatch.setattr(jobs.ProcessPoolExecutor, "submit", broken)
-    outcomes = list(run(rows("all", "out"), Recipe(water="II"), workers=2))
+    outcomes = list(run(rows("all", "out"), Recipe(water="II"), workers=2, force=force))
     assert [one.row.id for one in outcomes] == [f"{n:02}.png" for n in range(6)]
+    assert {one.status for one in outcomes} == {"done"}

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from multiprocessing.connection import wait
 from multiprocessing.context import BaseContext
@@ -82,7 +83,16 @@ def run(
         for folder in {row.output.parent for row in left}:
             remove_left(folder)
         for row in left:
-            yield _alone(job, row)
+            yield _again(job, row)
+
+
+def _again(job: "partial[Outcome]", row: Row) -> Outcome:
+    """A picture whose worker has died: it may have been written, and its outcome been lost."""
+    given = job.keywords
+    outcome = _alone(partial(job, resume=given["resume"] or not given["force"]), row)
+    if outcome.status == "kept" and not given["resume"]:
+        return replace(outcome, status="done")
+    return outcome
 
 
 def _alone(job: "partial[Outcome]", row: Row) -> Outcome:
