@@ -18,6 +18,9 @@ PARTS = (
     "runtime",
     "throughput",
     "soak",
+    "jobs",
+    "jobs_kill",
+    "jobs_fuzz",
     "summary",
 )
 
