@@ -269,9 +269,10 @@ def _decoded(path: Path) -> _Raster:
 
 
 def _numpy(path: Path) -> _Raster:
-    found = np.load(path, allow_pickle=False)
-    if isinstance(found, np.lib.npyio.NpzFile):
-        with found:
+    # NumPy leaves a damaged file open that it has opened itself
+    with path.open("rb") as file:
+        found = np.load(file, allow_pickle=False)
+        if isinstance(found, np.lib.npyio.NpzFile):
             if len(found.files) != 1:
                 raise _UnfitError(f"expected one array, got {', '.join(found.files) or 'none'}")
             found = found[found.files[0]]
