@@ -20,6 +20,9 @@ PARTS = (
     "throughput",
     "soak",
     "large",
+    "jobs",
+    "jobs_kill",
+    "jobs_fuzz",
     "summary",
 )
 

@@ -3,9 +3,10 @@
 `python -m benchmarks.jobs` writes results/jobs.json: 200 files of 500×741 px with two workers,
 against reading, degrading and encoding one picture, each timed by itself (their sum for all
 pictures, divided by two). The parts are timed in two processes at once, before and after the run,
-as a machine with others on it is not the same from minute to minute. Beside it: what one picture
-costs in `degrade_file`, which hashes, writes a record and flushes to the disk too, and how long
-the workers take to begin.
+as a machine with others on it is not the same from minute to minute. What does not depend on that:
+how much more one picture takes in `degrade_file`, which hashes, writes a record and flushes to the
+disk too, than its parts do just before; and the share of the run that workers spend in
+`degrade_file`, and not in beginning and waiting. The one divided by the other is the ratio too.
 """
 
 import json
@@ -83,15 +84,17 @@ def apart(folder: Path, end: str, count: int) -> dict[str, float]:
 
 
 def together(folder: Path, count: int) -> dict[str, float]:
-    """Seconds of a run, and until its first picture was there."""
-    rows, first = Rows([folder / "all"], str(folder / "z.npy"), folder / "out"), 0.0
+    """Seconds of a run, until its first picture was there, and that pictures took."""
+    rows = Rows([folder / "all"], str(folder / "z.npy"), folder / "out")
+    first = inside = 0.0
     began = time.perf_counter()
     for number, outcome in enumerate(run(rows, Recipe(random=True), workers=WORKERS)):
         if outcome.status != "done":
             raise RuntimeError(outcome.reason)
+        inside += outcome.seconds
         if number == 0:
             first = time.perf_counter() - began
-    return {"seconds": time.perf_counter() - began, "first": first}
+    return {"seconds": time.perf_counter() - began, "first": first, "inside": inside}
 
 
 def measured(end: str, count: int, sample: int) -> dict[str, Any]:
@@ -105,6 +108,7 @@ def measured(end: str, count: int, sample: int) -> dict[str, Any]:
     parts = {key: (before[key] + after[key]) / 2 for key in before}
     whole = parts.pop("degrade_file")
     expected = sum(parts.values()) * count / 1e3 / WORKERS
+    busy = taken["inside"] / taken["seconds"] / WORKERS
     found = {
         "files": count,
         "workers": WORKERS,
@@ -115,13 +119,16 @@ def measured(end: str, count: int, sample: int) -> dict[str, Any]:
         "expected_s": expected,
         "ratio": taken["seconds"] / expected,
         "degrade_file_ratio": whole / sum(parts.values()),
+        "busy": busy,
+        "ratio_by_shares": whole / sum(parts.values()) / busy,
     }
     told = ", ".join(f"{key} {ms:.0f}" for key, ms in parts.items())
     print(f"{end}: {told} ms; degrade_file {whole:.0f} ms (× {found['degrade_file_ratio']:.2f})")
     print(
         f"   {count} files {taken['seconds']:.1f} s, first after {taken['first']:.1f} s: ", end=""
     )
-    print(f"× {found['ratio']:.2f}", flush=True)
+    by_shares = found["ratio_by_shares"]
+    print(f"× {found['ratio']:.2f}, by shares × {by_shares:.2f}", flush=True)
     return found
 
 

@@ -28,7 +28,7 @@ from PIL import Image
 
 from benchmarks.harness import ROOT, peak_of, save
 from uwaug.files import is_part
-from uwaug.jobs import Recipe, Row, degrade_file
+from uwaug.jobs import Depth, Recipe, Row, degrade_file
 from uwaug.jobs.record import read_record, record_path
 from uwaug.pictures import read_source
 
@@ -40,7 +40,7 @@ HANG = 20
 MOST = 400 * 2**20
 """Bytes, above which a file of 40×60 px counts as one that swells."""
 
-_UNCLEAR = re.compile(
+UNCLEAR = re.compile(
     r"\b[A-Z]\w*(Error|Exception|Warning)\b|PosixPath|\b0x[0-9a-f]{6,}|<_?\w+[. ]|\bb'|\n"
 )
 """What stands in a traceback or a repr, and in no sentence."""
@@ -62,7 +62,7 @@ class Sample(NamedTuple):
     distances: bool = False
 
 
-def _smooth(channels: int, top: float, dtype: Any) -> Any:
+def smooth(channels: int, top: float, dtype: Any) -> Any:
     """HxWxC: a slope and some noise, as pictures are."""
     rng = np.random.default_rng(0)
     rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
@@ -71,11 +71,16 @@ def _smooth(channels: int, top: float, dtype: Any) -> Any:
     return (noisy * top).astype(dtype)
 
 
-def _exr(path: Path, metres: Any) -> None:
+def metres() -> Any:
+    """HxW, 1…5 m."""
+    return 1 + 4 * smooth(1, 1, np.float32)[..., 0]
+
+
+def _exr(path: Path, z: Any) -> None:
     import OpenEXR
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    OpenEXR.File(header, {"Z": metres}).write(str(path))
+    OpenEXR.File(header, {"Z": z}).write(str(path))
 
 
 def _png16(path: Path, values: Any) -> None:
@@ -84,17 +89,17 @@ def _png16(path: Path, values: Any) -> None:
     path.write_bytes(png_encode(values))
 
 
-def _pfm(path: Path, metres: Any) -> None:
-    head = f"Pf\n{metres.shape[1]} {metres.shape[0]}\n-1.0\n"
-    path.write_bytes(head.encode() + metres[::-1].tobytes())
+def _pfm(path: Path, z: Any) -> None:
+    head = f"Pf\n{z.shape[1]} {z.shape[0]}\n-1.0\n"
+    path.write_bytes(head.encode() + z[::-1].tobytes())
 
 
 def samples() -> dict[str, Sample]:
     """One of each format."""
-    bits8, bits16 = _smooth(3, 255, np.uint8), _smooth(3, 65535, np.uint16)
-    light, alpha = _smooth(3, 1, np.float32), _smooth(4, 255, np.uint8)
-    metres = (1 + 4 * _smooth(1, 1, np.float32))[..., 0]
-    mm = (metres * 1000).astype(np.uint16)
+    bits8, bits16 = smooth(3, 255, np.uint8), smooth(3, 65535, np.uint16)
+    light, alpha = smooth(3, 1, np.float32), smooth(4, 255, np.uint8)
+    z = metres()
+    mm = (z * 1000).astype(np.uint16)
     shown = Image.fromarray(bits8)
     exif = Image.Exif()
     exif[0x010F] = "maker"
@@ -117,17 +122,17 @@ def samples() -> dict[str, Sample]:
         ),
         "TIFF of floats": Sample("a.tif", lambda path: tifffile.imwrite(path, light, **rgb)),
         ".npy": Sample("a.npy", lambda path: np.save(path, light)),
-        "distances in .npy": Sample("z.npy", lambda path: np.save(path, metres), True),
-        "distances in .npz": Sample("z.npz", lambda path: np.savez(path, z=metres), True),
+        "distances in .npy": Sample("z.npy", lambda path: np.save(path, z), True),
+        "distances in .npz": Sample("z.npz", lambda path: np.savez(path, z=z), True),
         "distances in .npz, packed": Sample(
-            "z.npz", lambda path: np.savez_compressed(path, z=metres), True
+            "z.npz", lambda path: np.savez_compressed(path, z=z), True
         ),
         "distances in PNG": Sample("z.png", Image.fromarray(mm).save, True),
         "distances in TIFF": Sample(
-            "z.tif", lambda path: tifffile.imwrite(path, metres, compression="zlib"), True
+            "z.tif", lambda path: tifffile.imwrite(path, z, compression="zlib"), True
         ),
-        "distances in PFM": Sample("z.pfm", lambda path: _pfm(path, metres), True),
-        "distances in EXR": Sample("z.exr", lambda path: _exr(path, metres), True),
+        "distances in PFM": Sample("z.pfm", lambda path: _pfm(path, z), True),
+        "distances in EXR": Sample("z.exr", lambda path: _exr(path, z), True),
     }
 
 
@@ -159,7 +164,7 @@ def attempt(sample: Sample, content: bytes, folder: Path) -> dict[str, Any]:
         picture, distance = folder / "good.png", folder / sample.name
     output = folder / "out" / f"result{picture.suffix}"
     unit = "mm" if sample.name == "z.png" else "m"
-    recipe = Recipe(water="3C", depth=_depth(unit))
+    recipe = Recipe(water="3C", depth=Depth(unit=unit, unknown="fill"))
     found: list[Any] = []
     began = time.perf_counter()
     row = Row("a", picture, distance, output)
@@ -181,15 +186,9 @@ def attempt(sample: Sample, content: bytes, folder: Path) -> dict[str, Any]:
     }
 
 
-def _depth(unit: str) -> Any:
-    from uwaug.jobs import Depth
-
-    return Depth(unit=unit, unknown="fill")
-
-
 def _wrong_refusal(outcome: Any, folder: Path) -> str | None:
     said = outcome.reason.replace(str(folder), "")
-    if _UNCLEAR.search(said):
+    if UNCLEAR.search(said):
         return "no sentence"
     if str(folder) not in outcome.reason:
         return "names no file"
@@ -221,8 +220,8 @@ def _child(kind: str, first: int, count: int) -> None:
         folder = Path(name)
         sample.save(folder / sample.name)
         content = (folder / sample.name).read_bytes()
-        Image.fromarray(_smooth(3, 255, np.uint8)).save(folder / "good.png")
-        np.save(folder / "good.npy", 1 + 4 * _smooth(1, 1, np.float32)[..., 0])
+        Image.fromarray(smooth(3, 255, np.uint8)).save(folder / "good.png")
+        np.save(folder / "good.npy", metres())
         whole = attempt(sample, content, folder)
         if whole["status"] != "done":
             raise ValueError(f"{kind}: the whole file is refused: {whole['reason']}")

@@ -309,6 +309,15 @@ def test_terms_that_would_be_written_over_another_picture(run):
     assert "a_direct.png" in err
 
 
+def test_a_sheet_that_would_be_written_over_a_picture(run):
+    save("all/sheet.jpg", pixels())
+    code, err = degraded(run, "all", "--sheet", "--force")
+    assert (code, "all/sheet.jpg would be written to out/sheet.jpg" in err) == (2, True)
+    save("out/sheet.jpg", pixels())
+    code, err = degraded(run, "good.png", "--sheet")
+    assert (code, "out/sheet.jpg exists: --force" in err) == (2, True)
+
+
 def test_pictures_are_not_written_over_themselves(run):
     save("all/a.png", pixels())
     before = content(".")

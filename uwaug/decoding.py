@@ -3,6 +3,7 @@
 import logging
 import os
 import re
+from errno import EINVAL
 from pathlib import Path
 from threading import Lock
 from typing import Any, NamedTuple
@@ -81,7 +82,9 @@ def decoded(path: str | os.PathLike[str]) -> Raster:
         raise
     except Exception as error:
         # decoders raise whatever they like over a damaged file
-        if isinstance(error, OSError) and error.errno is not None:
+        # and seek where a damaged one sends them: an invalid argument
+        if isinstance(error, OSError) and error.errno not in (None, EINVAL):
+            error.filename = error.filename or os.fspath(path)
             raise
         raise ValueError(f"{path}: {_in_words(error)}") from error
     if not raster.values.size:
@@ -118,9 +121,10 @@ def _by_content(path: Path) -> Raster:
 
 
 def _numpy(path: Path) -> Raster:
-    found = np.load(path, allow_pickle=False)
-    if isinstance(found, np.lib.npyio.NpzFile):
-        with found:
+    # NumPy leaves a damaged file open that it has opened itself
+    with path.open("rb") as file:
+        found = np.load(file, allow_pickle=False)
+        if isinstance(found, np.lib.npyio.NpzFile):
             if len(found.files) != 1:
                 raise UnfitError(f"expected one array, got {', '.join(found.files) or 'none'}")
             found = found[found.files[0]]
@@ -149,7 +153,9 @@ def _tiff(path: Path) -> Raster:
             return _pillow(path)
         _require_held(path, page.imagewidth, page.imagelength)
         if page.bitspersample not in (1, 8, 16, 32, 64):
-            got = f"got {page.bitspersample} bits in a channel"
+            # of a damaged file, it may be anything
+            bits = page.bitspersample if isinstance(page.bitspersample, int) else "an odd number of"
+            got = f"got {bits} bits in a channel"
             raise UnfitError(f"expected 8 or 16 bits, or floating point, {got}: save it as 16")
         values = page.asarray()
         if "S" in page.axes:

@@ -10,7 +10,7 @@ import typer
 from uwaug import checks
 from uwaug.commands.console import refuse, require_matplotlib
 from uwaug.commands.names import complete_preset, complete_water
-from uwaug.commands.runs import Manner, carry_out, rehearse, repeat
+from uwaug.commands.runs import Manner, carry_out, rehearse, repeat, require_free
 from uwaug.jobs.depth import Depth
 from uwaug.jobs.index import INDICES
 from uwaug.jobs.model import TERMS
@@ -215,9 +215,8 @@ def degrade(
         count = rows.check(TERMS if keep_terms else ())
     except (TypeError, ValueError, OSError, ImportError) as error:
         refuse(error)
-    if not (resume or force):
-        _require_free(rows, labels)
     manner = Manner(_workers(workers, count), resume, force, sheet)
+    require_free(rows, recipe, manner)
     if dry_run:
         rehearse(rows, recipe, count, manner)
         return
@@ -304,13 +303,3 @@ def _workers(wanted: int | None, count: int) -> int:
         return wanted
     # a worker takes three seconds to begin
     return 1 if count < _FEW else min(cores(), count)
-
-
-def _require_free(rows: Rows, labels: Path | None) -> None:
-    """Refuse a run that would write over files, before it begins."""
-    for row in rows:
-        if row.output.exists():
-            cure = "--resume to go on, --force to write over it, or another folder"
-            refuse(f"{row.output} exists: {cure}")
-    if labels is not None and labels.is_file() and (rows.out / labels.name).exists():
-        refuse(f"{rows.out / labels.name} exists: --force to write over it, or another folder")

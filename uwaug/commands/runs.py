@@ -24,7 +24,7 @@ from uwaug.jobs.sheet import SHOWN, draw_sheet
 from uwaug.labels import LabelSource
 from uwaug.picture_files import FORMATS
 
-__all__ = ["Manner", "carry_out", "rehearse", "repeat"]
+__all__ = ["Manner", "carry_out", "rehearse", "repeat", "require_free"]
 
 _LISTED = 20
 """Reasons, or pictures of a rehearsal, at most."""
@@ -45,6 +45,31 @@ class Manner(NamedTuple):
     sheet: bool
 
 
+def require_free(rows: Rows, recipe: Recipe, manner: Manner) -> None:
+    """Refuse a run that would write over files, before it begins; or its sheet over a picture."""
+    if not (manner.resume or manner.force):
+        for path in (row.output for row in rows):
+            _require_none(path, "--resume to go on, --force to write over it, or another folder")
+        labels = recipe.labels
+        if labels is not None and Path(labels).is_file():
+            _require_none(
+                rows.out / Path(labels).name, "--force to write over it, or another folder"
+            )
+    if not manner.sheet:
+        return
+    sheet = _sheet(rows.out)
+    if not (manner.resume or manner.force):
+        _require_none(sheet, "--force to write over it, or another folder")
+    for row in rows:
+        if row.output == sheet:
+            refuse(f"{row.input} would be written to {sheet}, as the sheet: leave out --sheet")
+
+
+def _require_none(path: Path, cure: str) -> None:
+    if path.exists():
+        refuse(f"{path} exists: {cure}")
+
+
 def carry_out(rows: Rows, recipe: Recipe, count: int, manner: Manner) -> None:
     """Degrade all pictures; write an index if they go to a folder; end with 1 if any failed."""
     start = time.perf_counter()
@@ -61,7 +86,7 @@ def carry_out(rows: Rows, recipe: Recipe, count: int, manner: Manner) -> None:
                 _go(rows, recipe, count, manner, [summary.add, index.add, labels.add])
         labels.write(rows.out)
         if manner.sheet and summary.shown:
-            draw_sheet(summary.shown, rows.out / "sheet.jpg")
+            draw_sheet(summary.shown, _sheet(rows.out))
     except (KeyboardInterrupt, SystemExit) as stop:
         print(f"Stopped: {summary.said(count)}; --resume goes on.", file=sys.stderr)
         code = stop.code if isinstance(stop, SystemExit) else _INTERRUPTED
@@ -77,6 +102,11 @@ def carry_out(rows: Rows, recipe: Recipe, count: int, manner: Manner) -> None:
         problems.append("\n  ".join([f"{summary.failed} of {count} pictures failed:", *lines]))
     if problems:
         fail("\n".join(problems))
+
+
+def _sheet(out: Path) -> Path:
+    """The sheet of a run."""
+    return out / "sheet.jpg"
 
 
 def _go(rows: Rows, recipe: Recipe, count: int, manner: Manner, takers: list[Taker]) -> None:
