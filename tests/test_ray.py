@@ -246,7 +246,7 @@ def test_bad_pictures_are_named_at_the_end(cluster: None, pictures: Path, tmp_pa
     for place in (("--out", tmp_path / "out"), ("--shards", tmp_path / "shards")):
         result = degrade(tmp_path / "in", *place)
         assert result.exit_code == 1
-        assert "bad.png: cannot identify" in result.output.replace("\n", " ")
+        assert "bad.png: is no picture" in result.output.replace("\n", " ")
 
 
 def test_what_does_not_go_together(pictures: Path, tmp_path: Path) -> None:
