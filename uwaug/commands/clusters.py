@@ -2,24 +2,37 @@
 
 import sys
 import time
+from pathlib import Path
 
 import typer
 from rich.console import Console
 
-from uwaug.commands.console import fail, refuse
+from uwaug.commands.console import fail, refuse, require_matplotlib
 from uwaug.commands.runs import INTERRUPTED, LISTED, Manner
 from uwaug.jobs.cluster import LOCAL, connected, require_ray
 from uwaug.jobs.recipe import Recipe
 from uwaug.jobs.rows import Rows
 from uwaug.jobs.shards import Shards
 
-__all__ = ["carry_out_in_shards", "require_manner"]
+__all__ = ["carry_out_in_shards", "place_of", "require_manner"]
+
+
+def place_of(out: Path | None, shards: str | None, *, alone: bool) -> Path:
+    """Where a run writes to: files, or shards; `alone`: it writes one file."""
+    if (out is None) == (shards is None):
+        got = "neither" if out is None else "both"
+        refuse(f"expected --out, or --shards in its place, got {got}")
+    if out is None and alone:
+        refuse("--from writes a file: give --out")
+    return Path(str(shards)) if out is None else out
 
 
 def require_manner(
     manner: Manner, shards: str | None, workers: int | None, *, keep_terms: bool
 ) -> None:
-    """Refuse options that do not go together, before anything is done."""
+    """Refuse options that do not go together, or need what is not there, before the run."""
+    if manner.sheet:
+        require_matplotlib("the sheet is drawn")
     if manner.ray is None:
         if shards is not None:
             refuse(f"--shards is written by Ray: give --ray {LOCAL}, or an address")

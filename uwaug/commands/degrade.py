@@ -8,8 +8,8 @@ from typing import Annotated, Any
 import typer
 
 from uwaug import checks
-from uwaug.commands.clusters import carry_out_in_shards, require_manner
-from uwaug.commands.console import refuse, require_matplotlib
+from uwaug.commands.clusters import carry_out_in_shards, place_of, require_manner
+from uwaug.commands.console import refuse
 from uwaug.commands.names import complete_preset, complete_water
 from uwaug.commands.runs import Manner, carry_out, rehearse, repeat
 from uwaug.jobs.depth import Depth
@@ -206,15 +206,11 @@ def degrade(
         "far": far,
         "gamma": gamma,
     }
-    if (out is None) == (shards is None):
-        got = "neither" if out is None else "both"
-        refuse(f"expected --out, or --shards in its place, got {got}")
+    place = place_of(out, shards, alone=again is not None)
     if again is not None:
-        if out is None:
-            refuse("--from writes a file: give --out")
         if inputs:
             refuse(f"--from makes the picture of a record: expected no other, got {inputs[0]}")
-        repeat(again, out, force)
+        repeat(again, place, force)
         return
     if not inputs:
         refuse("expected a picture, a folder of pictures, a list of them, or --from")
@@ -235,8 +231,7 @@ def degrade(
             void=void,
             keep_terms=keep_terms,
         ).sealed()
-        place, network = out or Path(str(shards)), depth_network is not None
-        rows = _rows(inputs, place, distance, variants, output_format, network)
+        rows = _rows(inputs, place, distance, variants, output_format, depth_network is not None)
         count = rows.check(TERMS if keep_terms else ())
     except (TypeError, ValueError, OSError, ImportError) as error:
         refuse(error)
@@ -247,12 +242,10 @@ def degrade(
     if dry_run:
         rehearse(rows, recipe, count, manner)
         return
-    if sheet:
-        require_matplotlib("the sheet is drawn")
-    if shards is not None:
+    if shards is None:
+        carry_out(rows, recipe, count, manner)
+    else:
         carry_out_in_shards(rows, recipe, count, manner, shards)
-        return
-    carry_out(rows, recipe, count, manner)
 
 
 def _options(path: Path | None, flags: dict[str, str | None], severity: int | None) -> Any:
