@@ -8,7 +8,8 @@ from typing import Annotated, Any
 import typer
 
 from uwaug import checks
-from uwaug.commands.console import refuse, require_matplotlib
+from uwaug.commands.clusters import carry_out_in_shards, place_of, require_manner
+from uwaug.commands.console import refuse
 from uwaug.commands.names import complete_preset, complete_water
 from uwaug.commands.runs import Manner, carry_out, rehearse, repeat, require_free
 from uwaug.jobs.depth import Depth
@@ -44,7 +45,8 @@ Inputs = Annotated[
     ),
 ]
 Out = Annotated[
-    Path, typer.Option(help="Folder to write to, made if need be; or, of one picture, a file.")
+    Path | None,
+    typer.Option(help="Folder to write to, made if need be; or, of one picture, a file."),
 ]
 Distance = Annotated[
     str | None,
@@ -121,6 +123,21 @@ Terms = Annotated[
 DryRun = Annotated[
     bool, typer.Option("--dry-run", help="Say what would be read and written, and how long.")
 ]
+Ray = Annotated[
+    str | None,
+    typer.Option(
+        help="In place of processes: local (Ray is started on this machine), auto (its cluster), "
+        "or host:port of a cluster."
+    ),
+]
+InShards = Annotated[
+    str | None,
+    typer.Option(
+        "--shards",
+        help="In place of --out, with --ray: Parquet files with the pictures inside, in a folder, "
+        "s3://…, gs://… or fsspec+NAME://…",
+    ),
+]
 Sheet = Annotated[bool, typer.Option("--sheet", help="Draw some of the results on one sheet.")]
 From = Annotated[
     Path | None, typer.Option("--from", help="A record: make its picture again, the same bytes.")
@@ -128,8 +145,8 @@ From = Annotated[
 
 
 def degrade(
-    out: Out,
     inputs: Inputs = None,
+    out: Out = None,
     distance: Distance = None,
     water: WaterType = None,
     preset: PresetName = None,
@@ -156,6 +173,8 @@ def degrade(
     variants: Variants = 1,
     output_format: Format = None,
     workers: Workers = None,
+    ray: Ray = None,
+    shards: InShards = None,
     resume: Resume = False,
     force: Force = False,
     labels: LabelFiles = None,
@@ -187,10 +206,11 @@ def degrade(
         "far": far,
         "gamma": gamma,
     }
+    place = place_of(out, shards, alone=again is not None)
     if again is not None:
         if inputs:
             refuse(f"--from makes the picture of a record: expected no other, got {inputs[0]}")
-        repeat(again, out, force)
+        repeat(again, place, force)
         return
     if not inputs:
         refuse("expected a picture, a folder of pictures, a list of them, or --from")
@@ -211,18 +231,21 @@ def degrade(
             void=void,
             keep_terms=keep_terms,
         ).sealed()
-        rows = _rows(inputs, out, distance, variants, output_format, depth_network is not None)
+        rows = _rows(inputs, place, distance, variants, output_format, depth_network is not None)
         count = rows.check(TERMS if keep_terms else ())
     except (TypeError, ValueError, OSError, ImportError) as error:
         refuse(error)
-    manner = Manner(_workers(workers, count), resume, force, sheet)
-    require_free(rows, recipe, manner)
+    manner = Manner(_workers(workers, count, ray), resume, force, sheet, ray)
+    require_manner(manner, shards, workers, keep_terms=keep_terms)
+    if shards is None:
+        require_free(rows, recipe, manner)
     if dry_run:
         rehearse(rows, recipe, count, manner)
         return
-    if sheet:
-        require_matplotlib("the sheet is drawn")
-    carry_out(rows, recipe, count, manner)
+    if shards is None:
+        carry_out(rows, recipe, count, manner)
+    else:
+        carry_out_in_shards(rows, recipe, count, manner, shards)
 
 
 def _options(path: Path | None, flags: dict[str, str | None], severity: int | None) -> Any:
@@ -296,10 +319,10 @@ def _rows(
     return Rows(inputs, distance, out, variants, ending, network)
 
 
-def _workers(wanted: int | None, count: int) -> int:
+def _workers(wanted: int | None, count: int, ray: str | None) -> int:
     if wanted is not None:
         if wanted < 1:
             refuse(f"--workers must be at least 1, got {wanted}")
         return wanted
     # a worker takes three seconds to begin
-    return 1 if count < _FEW else min(cores(), count)
+    return 1 if count < _FEW and ray is None else min(cores(), count)

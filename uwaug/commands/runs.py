@@ -4,7 +4,9 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,6 +16,7 @@ import typer
 from uwaug.commands.console import fail, refuse
 from uwaug.commands.progress import counted
 from uwaug.files import remove_left
+from uwaug.jobs.cluster import connected, run_on_ray
 from uwaug.jobs.one import Outcome, degrade_file, reason_of, repeated
 from uwaug.jobs.recipe import Recipe
 from uwaug.jobs.record import read_record
@@ -24,12 +27,12 @@ from uwaug.jobs.sheet import SHOWN, draw_sheet
 from uwaug.labels import LabelSource
 from uwaug.picture_files import FORMATS
 
-__all__ = ["Manner", "carry_out", "rehearse", "repeat", "require_free"]
+__all__ = ["INTERRUPTED", "LISTED", "Manner", "carry_out", "rehearse", "repeat", "require_free"]
 
-_LISTED = 20
+LISTED = 20
 """Reasons, or pictures of a rehearsal, at most."""
 
-_INTERRUPTED = 130
+INTERRUPTED = 130
 """Exit code of what Ctrl-C has ended."""
 
 
@@ -37,12 +40,13 @@ Taker = Callable[[Outcome], None]
 
 
 class Manner(NamedTuple):
-    """How a run is done, see `uwaug.jobs.run`."""
+    """How a run is done, see `uwaug.jobs.run`; `ray`: by Ray at this address, if not None."""
 
     workers: int
     resume: bool
     force: bool
-    sheet: bool
+    sheet: bool = False
+    ray: str | None = None
 
 
 def require_free(rows: Rows, recipe: Recipe, manner: Manner) -> None:
@@ -89,7 +93,7 @@ def carry_out(rows: Rows, recipe: Recipe, count: int, manner: Manner) -> None:
             draw_sheet(summary.shown, _sheet(rows.out))
     except (KeyboardInterrupt, SystemExit) as stop:
         print(f"Stopped: {summary.said(count)}; --resume goes on.", file=sys.stderr)
-        code = stop.code if isinstance(stop, SystemExit) else _INTERRUPTED
+        code = stop.code if isinstance(stop, SystemExit) else INTERRUPTED
         raise typer.Exit(int(code or 0)) from None
     except (OSError, ValueError) as error:
         problems.append(reason_of(error))
@@ -110,13 +114,21 @@ def _sheet(out: Path) -> Path:
 
 
 def _go(rows: Rows, recipe: Recipe, count: int, manner: Manner, takers: list[Taker]) -> None:
-    options = manner._asdict()
-    del options["sheet"]
-    with counted(count) as counter:
-        for outcome in run(rows, recipe, **options):
+    with _engine(manner) as go, counted(count) as counter:
+        for outcome in go(rows, recipe, resume=manner.resume, force=manner.force):
             for take in takers:
                 take(outcome)
             counter.advance()
+
+
+@contextmanager
+def _engine(manner: Manner) -> Iterator[Callable[..., Iterator[Outcome]]]:
+    """What carries a run out: processes of this machine, or Ray."""
+    if manner.ray is None:
+        yield partial(run, workers=manner.workers)
+        return
+    with connected(manner.ray, manner.workers):
+        yield run_on_ray
 
 
 class _Summary:
@@ -133,14 +145,14 @@ class _Summary:
         """One more picture."""
         if outcome.status == "failed":
             self.failed += 1
-            if len(self.reasons) < _LISTED:
+            if len(self.reasons) < LISTED:
                 self.reasons.append(_named(outcome, str(outcome.reason)))
         elif self.seen % self._step == 0:
             self.shown.append(outcome)
         self.kept += outcome.status == "kept"
         self.seen += 1
         for note in outcome.record.notes if outcome.record else ():
-            if len(self.notes) < _LISTED:
+            if len(self.notes) < LISTED:
                 self.notes.append(_named(outcome, note))
 
     def said(self, count: int) -> str:
@@ -181,10 +193,10 @@ def _clean(out: Path) -> None:
 
 def rehearse(rows: Rows, recipe: Recipe, count: int, manner: Manner) -> None:
     """Say what a run would read and write, and how long it would take by its first picture."""
-    for row in islice(rows, _LISTED):
+    for row in islice(rows, LISTED):
         print(f"{row.input} + {row.problem or row.distance} → {row.output}")
-    if count > _LISTED:
-        print(f"… and {count - _LISTED} more")
+    if count > LISTED:
+        print(f"… and {count - LISTED} more")
     with tempfile.TemporaryDirectory() as folder:
         for row in islice(rows, 1):
             moved = row._replace(output=Path(folder) / row.output.name)

@@ -21,6 +21,7 @@ from uwaug.jobs.rows import Row, terms_path
 from uwaug.labels import Labels, with_contrast
 from uwaug.picture_files import fill, require_format, write_picture
 from uwaug.pictures import read_source
+from uwaug.replay import reproducible
 from uwaug.strips import Strips
 from uwaug.structure import key_of
 
@@ -214,7 +215,8 @@ def _source(path: Path) -> Source:
 
 def _mean_contrast(seen: Whole | Strips) -> float:
     """Of some pixels, spread over the picture: all of them would take a tenth of its time."""
-    return float(contrast(seen.medium, seen.some().reshape(1, 1, -1)).mean())
+    with reproducible():  # a record is the same on any number of threads
+        return float(contrast(seen.medium, seen.some().reshape(1, 1, -1)).mean())
 
 
 def reason_of(error: Exception) -> str:

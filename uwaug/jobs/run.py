@@ -15,12 +15,15 @@ from functools import partial
 from multiprocessing.connection import wait
 from multiprocessing.context import BaseContext
 
+import torch
+from threadpoolctl import threadpool_limits
+
 from uwaug.files import remove_left
 from uwaug.jobs.one import Outcome, degrade_file
 from uwaug.jobs.recipe import Recipe
 from uwaug.jobs.rows import Row
 
-__all__ = ["cores", "run"]
+__all__ = ["alone", "cores", "died", "run", "use_one_thread"]
 
 _AHEAD = 4
 """Pictures for each worker that are handed out before the first of them is done."""
@@ -89,20 +92,25 @@ def run(
 def _again(job: "partial[Outcome]", row: Row) -> Outcome:
     """A picture whose worker has died: it may have been written, and its outcome been lost."""
     given = job.keywords
-    outcome = _alone(partial(job, resume=given["resume"] or not given["force"]), row)
+    outcome = alone(partial(job, resume=given["resume"] or not given["force"]), row)
     if outcome.status == "kept" and not given["resume"]:
         return replace(outcome, status="done")
     return outcome
 
 
-def _alone(job: "partial[Outcome]", row: Row) -> Outcome:
+def alone(job: "partial[Outcome]", row: Row) -> Outcome:
     """A picture in a process of its own."""
     try:
         with _pool(1) as pool:
             return pool.submit(_in_worker, job, row).result()
     except BrokenProcessPool:
-        reason = f"{row.input}: the process died over it: out of memory, or a damaged file"
-        return Outcome(row, "failed", reason, None, 0.0)
+        return died(row)
+
+
+def died(row: Row) -> Outcome:
+    """Of a picture that takes its process with it."""
+    reason = f"{row.input}: the process died over it: out of memory, or a damaged file"
+    return Outcome(row, "failed", reason, None, 0.0)
 
 
 def _in_worker(job: "partial[Outcome]", row: Row) -> Outcome:
@@ -134,11 +142,18 @@ def _context() -> BaseContext:
 
 def _begin() -> None:
     """What each worker does first."""
+    use_one_thread()
     # Ctrl-C is for the process that started it, which lets the pictures under way be finished
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # ended by a signal, Python would not remove the file that it is writing
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def use_one_thread() -> None:
+    """In this process: threads of several workers would wait for each other's cores."""
+    torch.set_num_threads(1)
+    threadpool_limits(1)
 
 
 def _end_with_parent() -> None:
