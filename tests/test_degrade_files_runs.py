@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import torch
 from filing import content, metres, pixels, save
 
 from uwaug.files import is_part
@@ -188,6 +189,19 @@ def test_a_picture_that_kills_its_worker_fails_alone(folder, monkeypatch):
     outcomes = list(run(rows("all", "out"), Recipe(water="II"), workers=2))
     assert [one.status for one in outcomes] == ["done", "failed", "done", "done"]
     assert "all/01.png: the process died over it" in str(outcomes[1].reason)
+
+
+def test_bytes_do_not_depend_on_threads(folder):
+    """Nor on where in memory things lie, which changes from picture to picture."""
+    scene(3, 120, 160)
+    before = torch.get_num_threads()
+    try:
+        for threads in (1, 2, 5):
+            torch.set_num_threads(threads)
+            list(run(rows("all", f"by {threads}"), Recipe(random=True)))
+    finally:
+        torch.set_num_threads(before)
+    assert content("by 1") == content("by 2") == content("by 5")
 
 
 @pytest.mark.parametrize("force", [False, True])

@@ -216,7 +216,9 @@ def _source(path: Path) -> Source:
 def _mean_contrast(seen: Whole | Strips) -> float:
     """Of some pixels, spread over the picture: all of them would take a tenth of its time."""
     with reproducible():  # a record is the same on any number of threads
-        return float(contrast(seen.medium, seen.some().reshape(1, 1, -1)).mean())
+        left = contrast(seen.medium, seen.some().reshape(1, 1, -1))
+    # and wherever in memory it lies, which its last bits follow from
+    return round(float(left.double().mean()), 6)
 
 
 def reason_of(error: Exception) -> str:
