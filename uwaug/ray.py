@@ -16,7 +16,7 @@ from uwaug.jobs.index import number_of
 from uwaug.jobs.one import Outcome, degrade_file, reason_of
 from uwaug.jobs.recipe import Recipe
 from uwaug.jobs.record import Source
-from uwaug.jobs.rows import Row
+from uwaug.jobs.row import Row
 from uwaug.jobs.run import alone
 from uwaug.picture_files import FORMATS, require_format
 

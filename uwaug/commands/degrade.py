@@ -10,6 +10,7 @@ from uwaug.commands import degrade_options as given
 from uwaug.commands.clusters import carry_out_in_shards, place_of, require_manner
 from uwaug.commands.console import refuse
 from uwaug.commands.runs import Manner, carry_out, rehearse, repeat, require_free
+from uwaug.jobs.clashes import counted_rows
 from uwaug.jobs.depth import Depth
 from uwaug.jobs.index import INDICES
 from uwaug.jobs.model import TERMS
@@ -99,9 +100,11 @@ def degrade(
     }
     place = place_of(out, shards, alone=again is not None)
     if again is not None:
-        if inputs:
-            refuse(f"--from makes the picture of a record: expected no other, got {inputs[0]}")
-        repeat(again, place, force)
+        if len(inputs or []) > 1 or any((water, preset, fit, random, options, seed, keep_terms)):
+            refuse("--from takes all from the record: give nothing but --out and files that moved")
+        if any(value is not None for value in flags.values()) or labels is not None:
+            refuse("--from takes all from the record: give nothing but --out and files that moved")
+        repeat(again, place, force, inputs or [], distance)
         return
     if not inputs:
         refuse("expected a picture, a folder of pictures, a list of them, or --from")
@@ -123,7 +126,7 @@ def degrade(
             keep_terms=keep_terms,
         ).sealed()
         rows = _rows(inputs, place, distance, variants, output_format, depth_network is not None)
-        count = rows.check(TERMS if keep_terms else ())
+        count = counted_rows(rows, TERMS if keep_terms else ())
     except (TypeError, ValueError, OSError, ImportError) as error:
         refuse(error)
     manner = Manner(_workers(workers, count, ray), resume, force, sheet, ray)

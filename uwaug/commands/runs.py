@@ -6,10 +6,11 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import typer
 
@@ -19,12 +20,12 @@ from uwaug.files import remove_left
 from uwaug.jobs.cluster import connected, run_on_ray
 from uwaug.jobs.one import Outcome, degrade_file, reason_of, repeated
 from uwaug.jobs.recipe import Recipe
-from uwaug.jobs.record import read_record
-from uwaug.jobs.report import index_of
+from uwaug.jobs.record import Record, Source, read_record
+from uwaug.jobs.report import index_of, written_outputs
+from uwaug.jobs.row import record_path
 from uwaug.jobs.rows import Rows
 from uwaug.jobs.run import run
 from uwaug.jobs.sheet import SHOWN, draw_sheet
-from uwaug.labels import LabelSource
 from uwaug.picture_files import FORMATS
 
 __all__ = ["INTERRUPTED", "LISTED", "Manner", "carry_out", "rehearse", "repeat", "require_free"]
@@ -50,15 +51,11 @@ class Manner(NamedTuple):
 
 
 def require_free(rows: Rows, recipe: Recipe, manner: Manner) -> None:
-    """Refuse a run that would write over files, before it begins; or its sheet over a picture."""
-    if not (manner.resume or manner.force):
-        for path in (row.output for row in rows):
-            _require_none(path, "--resume to go on, --force to write over it, or another folder")
-        labels = recipe.labels
-        if labels is not None and Path(labels).is_file():
-            _require_none(
-                rows.out / Path(labels).name, "--force to write over it, or another folder"
-            )
+    """Refuse a run that would write over files, or go on with what was made otherwise, before it
+    begins; or its sheet over a picture.
+    """
+    if not manner.force:
+        _require_none_there(rows, recipe, manner)
     if not manner.sheet:
         return
     sheet = _sheet(rows.out)
@@ -69,6 +66,33 @@ def require_free(rows: Rows, recipe: Recipe, manner: Manner) -> None:
             refuse(f"{row.input} would be written to {sheet}, as the sheet: leave out --sheet")
 
 
+def _require_none_there(rows: Rows, recipe: Recipe, manner: Manner) -> None:
+    labels = recipe.labels
+    if labels is not None and Path(labels).is_file() and not (rows.out / "index.csv").exists():
+        _require_none(rows.out / Path(labels).name, "--force to write over it, or another folder")
+    for row in rows:
+        if not row.output.exists():
+            continue
+        if not manner.resume:
+            cure = "--resume to go on, --force to write over it, or another folder"
+            refuse(f"{row.output} exists: {cure}")
+        apart = _apart(row.output, recipe)
+        if apart:
+            cure = "give the same ones, --force, or another folder"
+            refuse(f"{row.output} was made with other options ({', '.join(apart)}): {cure}")
+        return
+
+
+def _apart(output: Path, recipe: Recipe) -> list[str]:
+    """The options in which a picture's record differs from a recipe."""
+    try:
+        theirs = read_record(record_path(output)).recipe
+    except (OSError, ValueError):
+        return []
+    mine = recipe.to_json()
+    return [name for name in mine if mine[name] != theirs.get(name) and name != "content"]
+
+
 def _require_none(path: Path, cure: str) -> None:
     if path.exists():
         refuse(f"{path} exists: {cure}")
@@ -77,18 +101,18 @@ def _require_none(path: Path, cure: str) -> None:
 def carry_out(rows: Rows, recipe: Recipe, count: int, manner: Manner) -> None:
     """Degrade all pictures; write an index if they go to a folder; end with 1 if any failed."""
     start = time.perf_counter()
-    summary, labels = _Summary(max(1, count // SHOWN)), _Labels(recipe.label_source())
+    summary = _Summary(max(1, count // SHOWN))
     problems = []
     try:
         rows.out.mkdir(parents=True, exist_ok=True)
         if manner.resume:
             _clean(rows.out)
         if rows.name is not None:
-            _go(rows, recipe, count, manner, [summary.add, labels.add])
+            _go(rows, recipe, count, manner, [summary.add])
         else:
             with index_of(rows.out) as index:
-                _go(rows, recipe, count, manner, [summary.add, index.add, labels.add])
-        labels.write(rows.out)
+                _go(rows, recipe, count, manner, [summary.add, index.add])
+        _write_labels(rows, recipe)
         if manner.sheet and summary.shown:
             draw_sheet(summary.shown, _sheet(rows.out))
     except (KeyboardInterrupt, SystemExit) as stop:
@@ -162,22 +186,29 @@ class _Summary:
         return f"{done} of {count} pictures{kept}"
 
 
-class _Labels:
-    """Collects labels that have one file for the whole run."""
+def _write_labels(rows: Rows, recipe: Recipe) -> None:
+    """Write what labels have one file of for all pictures in the folder: this run's, and those of
+    earlier ones with the same labels.
+    """
+    source = recipe.label_source()
+    if source is None:
+        return
+    found = []
+    for record in _records(rows):
+        if record.labels is not None and record.recipe["labels"] == recipe.labels:
+            found.append(record.labels)
+    if found:
+        source.write_run(found, rows.out)
 
-    def __init__(self, source: LabelSource | None) -> None:
-        self._source = source
-        self._records: list[Any] = []
 
-    def add(self, outcome: Outcome) -> None:
-        """Those of one more picture."""
-        if outcome.record is not None and outcome.record.labels is not None:
-            self._records.append(outcome.record.labels)
-
-    def write(self, out: Path) -> None:
-        """Write the file."""
-        if self._source is not None and self._records:
-            self._source.write_run(self._records, out)
+def _records(rows: Rows) -> Iterator[Record]:
+    """Of the pictures in the folder that a run writes to."""
+    outputs = written_outputs(rows.out) if rows.name is None else [rows.out / rows.name]
+    for output in outputs:
+        try:
+            yield read_record(record_path(output))
+        except (OSError, ValueError):
+            continue
 
 
 def _named(outcome: Outcome, text: str) -> str:
@@ -199,7 +230,7 @@ def rehearse(rows: Rows, recipe: Recipe, count: int, manner: Manner) -> None:
         print(f"… and {count - LISTED} more")
     with tempfile.TemporaryDirectory() as folder:
         for row in islice(rows, 1):
-            moved = row._replace(output=Path(folder) / row.output.name)
+            moved = row.moved(Path(folder))
             outcomes = [degrade_file(moved, recipe, force=True) for _ in range(2)]
     if outcomes[1].status == "failed":
         fail(_named(outcomes[1], str(outcomes[1].reason)))
@@ -208,15 +239,31 @@ def rehearse(rows: Rows, recipe: Recipe, count: int, manner: Manner) -> None:
     print(f"{count} pictures, about {seconds:.3g} s with {workers}. Nothing was written.")
 
 
-def repeat(path: Path, out: Path, force: bool) -> None:
-    """Make the picture of a record again."""
+def repeat(path: Path, out: Path, force: bool, moved: list[Path], distance: str | None) -> None:
+    """Make the picture of a record again.
+
+    Args:
+        path: of the record.
+        out: folder, or file.
+        force: write over what is there.
+        moved: the picture that it was made of, if it has another place now; or nothing.
+        distance: the same of its distances.
+    """
     try:
         record = read_record(path)
+        if moved:
+            record = replace(record, input=replace(record.input, path=str(moved[0].absolute())))
+        if distance is not None and isinstance(record.distance, Source):
+            where = replace(record.distance, path=str(Path(distance).absolute()))
+            record = replace(record, distance=where)
         alone = out.suffix.lower() in FORMATS and not out.is_dir()
         output = out if alone else out / record.output
         if output.resolve() == (path.parent / record.output).resolve():
             refuse(f"--out: {output} is the first one: choose another folder")
         made = repeated(record, output, force=force)
+    except FileNotFoundError as error:
+        cure = "if it was moved, name it: uwaug degrade PICTURE --distance MAP --from RECORD"
+        fail(f"{reason_of(error)}: {cure}")
     except Exception as error:
         if isinstance(error, typer.Exit):
             raise

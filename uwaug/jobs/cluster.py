@@ -12,7 +12,7 @@ from typing import Any
 
 from uwaug.jobs.one import Outcome, degrade_file
 from uwaug.jobs.recipe import Recipe
-from uwaug.jobs.rows import Row
+from uwaug.jobs.row import Row
 from uwaug.jobs.run import cores, died, use_one_thread
 
 __all__ = ["LOCAL", "begin_on", "connected", "require_ray", "run_on_ray"]

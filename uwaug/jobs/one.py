@@ -16,10 +16,19 @@ from uwaug.degrade import Whole
 from uwaug.files import written_whole
 from uwaug.jobs.model import TERMS, Degraded, terms_of
 from uwaug.jobs.recipe import Recipe, sha256_of
-from uwaug.jobs.record import Record, Source, read_record, record_path, versions, write_record
-from uwaug.jobs.rows import Row, terms_path
+from uwaug.jobs.record import (
+    Record,
+    Source,
+    is_recorded,
+    read_record,
+    source_of,
+    versions,
+    write_record,
+)
+from uwaug.jobs.row import Row, record_path, terms_path
 from uwaug.labels import Labels, with_contrast
 from uwaug.picture_files import fill, require_format, write_picture
+from uwaug.pictures import Source as Picture
 from uwaug.pictures import read_source
 from uwaug.replay import reproducible
 from uwaug.strips import Strips
@@ -133,23 +142,57 @@ def _degrade_file(
         fill(part, kind, made.image, source)
         judged = _judged(row, recipe, made)
         record = _record_of(row, recipe, made, part)
-        record = replace(record, notes=mapped.notes, labels=judged[1] if judged else None)
+        record = replace(record, notes=mapped.notes)
+        if judged is not None:
+            record = replace(record, labels=judged[1], label_file=_label_file(judged[0]))
         if force:
-            # stopped here, the new record would else stand beside the old picture
+            # what was there goes when all else is written; a new record beside an old picture
+            # would pass for its own
+            _remove_beside(row)
+            _write_beside(row, recipe, made, source, judged)
             Path(os.path.realpath(row.output)).unlink(missing_ok=True)
-        write_record(record, record_path(row.output))
-        if recipe.keep_terms and made.seen is not None:
-            terms = terms_of(made.seen)
-            for name, term in terms.items():
-                write_picture(terms_path(row.output, name), term, source)
-        label_source = recipe.label_source()
-        if judged is not None and label_source is not None:
-            label_source.write_picture(*judged, row.labels)
+            write_record(record, record_path(row.output))
+        else:
+            write_record(record, record_path(row.output))
+            _write_beside(row, recipe, made, source, judged)
     return record
 
 
-def _judged(row: Row, recipe: Recipe, made: Degraded) -> tuple[Labels, dict[str, Any]] | None:
-    """The labels of a picture, and how much contrast is left of each; None if there are none."""
+Judged = tuple[Labels, dict[str, Any]]
+"""Labels, and how much contrast is left of each."""
+
+
+def _write_beside(
+    row: Row, recipe: Recipe, made: Degraded, source: Picture, judged: Judged | None
+) -> None:
+    """Terms and labels."""
+    if recipe.keep_terms and made.seen is not None:
+        for name, term in terms_of(made.seen).items():
+            write_picture(terms_path(row.output, name), term, source)
+    label_source = recipe.label_source()
+    if judged is not None and label_source is not None:
+        label_source.write_picture(*judged, row.labels)
+
+
+def _remove_beside(row: Row) -> None:
+    """Terms and labels of an earlier run, which are not those of the new picture."""
+    if not is_recorded(row.output):
+        return
+    for path in _beside(row):
+        path.unlink(missing_ok=True)
+
+
+def _beside(row: Row) -> list[Path]:
+    labels = row.labels.parent.glob(f"{glob.escape(row.labels.stem)}.*")
+    return [*(terms_path(row.output, name) for name in TERMS), *labels]
+
+
+def _label_file(labels: Labels) -> Source | None:
+    return None if labels.file is None else source_of(Path(labels.file))
+
+
+def _judged(row: Row, recipe: Recipe, made: Degraded) -> Judged | None:
+    """The labels of a picture; None if none are wanted."""
     source = recipe.label_source()
     if source is None:
         return None
@@ -157,7 +200,7 @@ def _judged(row: Row, recipe: Recipe, made: Degraded) -> tuple[Labels, dict[str,
     labels = source.labels_of(row.name or row.input.name, size)
     left = torch.ones(1, *size) if made.seen is None else made.seen.contrast()
     judged = with_contrast(labels, left, recipe.min_contrast)
-    return labels, {**judged, "output": row.place or row.output.name}
+    return labels, {**judged, "output": row.place.as_posix()}
 
 
 def _names(row: Row) -> str:
@@ -194,8 +237,8 @@ def _record_of(row: Row, recipe: Recipe, made: Degraded, part: Path) -> Record:
         torch=pytorch,
         id=row.id,
         variant=row.variant,
-        input=_source(row.input),
-        distance=_source(where) if isinstance(where, Path) else where,
+        input=source_of(row.input),
+        distance=source_of(where) if isinstance(where, Path) else where,
         output=row.output.name,
         sha256=sha256_of(part),
         bytes=part.stat().st_size,
@@ -206,11 +249,6 @@ def _record_of(row: Row, recipe: Recipe, made: Degraded, part: Path) -> Record:
         contrast=1.0 if made.seen is None else _mean_contrast(made.seen),
         notes=[],
     )
-
-
-def _source(path: Path) -> Source:
-    whole = path.absolute()
-    return Source(str(whole), sha256_of(whole), whole.stat().st_size)
 
 
 def _mean_contrast(seen: Whole | Strips) -> float:

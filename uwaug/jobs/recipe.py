@@ -80,25 +80,33 @@ class Recipe:
             raise ValueError("min_contrast and void would do nothing: there are no labels")
 
     def sealed(self) -> "Recipe":
-        """The recipe with the content of its files, so that a record knows when they change.
+        """The recipe with whole paths and the content of its files, so that a record holds from any
+        folder, and knows when they change.
 
         Raises:
             TypeError, ValueError, OSError: if no picture could be degraded with it.
         """
-        self.model()
-        self.label_source()
-        preset = self.preset if self.preset and self.preset.endswith(".toml") else None
+        options = dict(self.options)
+        if "cameras" in options:
+            given = options["cameras"]
+            names = [given] if isinstance(given, str) else list(given)
+            options["cameras"] = [_whole(name, ".csv") for name in names]
+        whole = replace(
+            self,
+            preset=_whole(self.preset, ".toml"),
+            fit=_whole(self.fit),
+            labels=_whole(self.labels),
+            options=options,
+            depth=replace(self.depth, network=_whole(self.depth.network)),
+        )
+        whole.model()
+        whole.label_source()
+        named = [whole.preset, whole.fit, whole.labels, whole.depth.network]
         content = {}
-        coco = self.labels if self.labels and Path(self.labels).is_file() else None
-        for path in (preset, self.fit, coco, self.depth.network, *self._cameras()):
-            if path is not None:
+        for path in (*named, *options.get("cameras", ())):
+            if path is not None and os.path.isabs(path) and not os.path.isdir(path):
                 content[path] = sha256_of(path)
-        return replace(self, content=content)
-
-    def _cameras(self) -> list[str]:
-        given = self.options.get("cameras", ())
-        names = [given] if isinstance(given, str) else list(given)
-        return [name for name in names if name.lower().endswith(".csv")]
+        return replace(whole, content=content)
 
     def require_content(self) -> None:
         """Refuse a recipe whose files have changed.
@@ -211,6 +219,12 @@ def _from_json(name: str, value: Any) -> Any:
     if numbers and all(isinstance(one, (int, float)) for one in value):
         return tuple(value)
     return value
+
+
+def _whole(path: Any, ending: str = "") -> Any:
+    """The whole path of a file; what has another end is a name."""
+    named = isinstance(path, str) and path.lower().endswith(ending)
+    return os.path.abspath(path) if named else path
 
 
 def sha256_of(path: str | os.PathLike[str]) -> str:

@@ -14,10 +14,18 @@ from typing import Any
 import torch
 
 from uwaug.files import require_regular, written_whole
-from uwaug.jobs.recipe import Recipe
-from uwaug.jobs.rows import Row
+from uwaug.jobs.recipe import Recipe, sha256_of
+from uwaug.jobs.row import Row, record_path
 
-__all__ = ["Record", "Source", "read_record", "record_path", "write_record"]
+__all__ = [
+    "Record",
+    "Source",
+    "is_recorded",
+    "read_record",
+    "source_of",
+    "versions",
+    "write_record",
+]
 
 _FORMAT = 1
 
@@ -29,6 +37,21 @@ class Source:
     path: str
     sha256: str
     bytes: int
+
+    @property
+    def is_there(self) -> bool:
+        """Whether the file is as it was."""
+        return source_of(Path(self.path)) == self
+
+
+def source_of(path: Path) -> Source:
+    """A file as it is now.
+
+    Raises:
+        OSError: if it cannot be read.
+    """
+    whole = path.absolute()
+    return Source(str(whole), sha256_of(whole), whole.stat().st_size)
 
 
 @dataclass(frozen=True)
@@ -47,6 +70,7 @@ class Record:
         water, visibility, contrast: name; m; mean share of contrast that is left. None if unknown.
         notes: what is worth knowing.
         labels: what became of the picture's labels; None if it has none.
+        label_file: that they are from.
     """
 
     uwaug: str
@@ -65,6 +89,7 @@ class Record:
     contrast: float | None
     notes: list[str]
     labels: Any = None
+    label_file: Source | None = None
 
     def row(self, output: Path) -> Row:
         """The row that makes the picture again, into another file."""
@@ -75,17 +100,17 @@ class Record:
 
     def is_of(self, row: Row, recipe: Recipe) -> bool:
         """Whether this recipe made this picture of these files, and it is there still."""
+        if (self.id, self.variant) != (row.id, row.variant) or self.recipe != recipe.to_json():
+            return False
+        distance = row.distance
         try:
             written = os.stat(row.output).st_size
-            read = os.stat(row.input).st_size
-            mapped = os.stat(row.distance).st_size if isinstance(row.distance, Path) else None
+            mapped = source_of(distance) if isinstance(distance, Path) else distance
+            read = source_of(row.input)
+            unchanged = self.label_file is None or self.label_file.is_there
         except OSError:
             return False
-        where = self.distance
-        distance = where.bytes if isinstance(where, Source) else None
-        same = (self.id, self.variant) == (row.id, row.variant)
-        same = same and (written, read, mapped) == (self.bytes, self.input.bytes, distance)
-        return same and self.recipe == recipe.to_json()
+        return (written, read, mapped) == (self.bytes, self.input, self.distance) and unchanged
 
 
 def versions() -> tuple[str, str]:
@@ -95,9 +120,16 @@ def versions() -> tuple[str, str]:
     return __version__, str(torch.__version__)
 
 
-def record_path(output: Path) -> Path:
-    """The record of a picture that is written to `output`."""
-    return output.with_name(output.name + ".json")
+def is_recorded(picture: Path) -> bool:
+    """Whether a run has written a picture: its record stands beside it."""
+    beside = record_path(picture)
+    if not beside.is_file():
+        return False
+    try:
+        read_record(beside)
+    except (OSError, ValueError):
+        return False
+    return True
 
 
 def write_record(record: Record, path: Path) -> None:
@@ -132,8 +164,9 @@ def read_record(path: Path) -> Record:
     given = {name: values[name] for name in known}
     try:
         given["input"] = Source(**given["input"])
-        if isinstance(given["distance"], Mapping):
-            given["distance"] = Source(**given["distance"])
+        for name in ("distance", "label_file"):
+            if isinstance(given[name], Mapping):
+                given[name] = Source(**given[name])
     except TypeError:
         raise ValueError(f"{path}: is no record of a picture that uwaug has written") from None
     return Record(**given)

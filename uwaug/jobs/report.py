@@ -2,6 +2,7 @@
 
 import csv
 import importlib.util
+import os
 from array import array
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,7 +16,7 @@ from uwaug.files import require_regular, written_whole
 from uwaug.jobs.one import Outcome
 from uwaug.jobs.rows import hash_of
 
-__all__ = ["COLUMNS", "Index", "index_of"]
+__all__ = ["COLUMNS", "Index", "index_of", "written_outputs"]
 
 COLUMNS = {
     "id": str,
@@ -51,8 +52,8 @@ class Index:
         line: dict[str, Any] = {
             "id": row.id,
             "variant": row.variant,
-            "input": row.input,
-            "distance": row.distance,
+            "input": self._path(row.input),
+            "distance": self._path(row.distance),
             "output": row.output.relative_to(self._out).as_posix(),
             "seconds": f"{outcome.seconds:.3f}",
             "status": outcome.status,
@@ -64,6 +65,15 @@ class Index:
                 line[name] = None if value is None else f"{value:.4g}"
         self._outputs.append(hash_of(line["output"]))
         self._writer.writerow(line)
+
+    def _path(self, path: Path | float | None) -> Path | float | str | None:
+        """From the folder of the index, as lists are read."""
+        if not isinstance(path, Path):
+            return path
+        try:
+            return os.path.relpath(path, self._out)
+        except ValueError:  # of another drive
+            return path.absolute()
 
     def keep_others(self, path: Path) -> None:
         """Take over the lines of an earlier index, of pictures that were not in this run."""
@@ -79,6 +89,14 @@ class Index:
                     self._writer.writerow(line)
 
 
+def written_outputs(out: Path) -> Iterator[Path]:
+    """The pictures that the index of a folder knows of."""
+    with (out / "index.csv").open(encoding="utf-8", newline="") as file:
+        for line in csv.DictReader(file):
+            if line["status"] != "failed":
+                yield out / line["output"]
+
+
 @contextmanager
 def index_of(out: Path) -> Iterator[Index]:
     """An index in a folder, which is there once all went well: index.csv, and index.parquet where
@@ -91,7 +109,7 @@ def index_of(out: Path) -> Iterator[Index]:
     path = out / "index.csv"
     _require_index(path)
     with written_whole(path) as part:
-        with part.open("w", encoding="utf-8", newline="") as file:
+        with part.open("w", encoding="utf-8", errors="backslashreplace", newline="") as file:
             index = Index(out, file)
             yield index
             index.keep_others(path)

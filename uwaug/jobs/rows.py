@@ -1,54 +1,22 @@
 """Which pictures a run degrades, where their distances are, and what it writes."""
 
 import os
-from array import array
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from uwaug.files import is_part, require_regular
 from uwaug.jobs.index import INDICES, number_of, read_index
+from uwaug.jobs.record import is_recorded
+from uwaug.jobs.row import Row
 from uwaug.picture_files import FORMATS
 
-__all__ = ["Row", "Rows", "hash_of", "terms_path"]
+__all__ = ["Rows", "hash_of"]
 
 _MAPS = (".npy", ".npz", ".png", ".tif", ".tiff", ".exr", ".pfm")
 """Ends of the names of distance files, in a folder of them."""
-
-
-class Row(NamedTuple):
-    """A picture of a run.
-
-    Attributes:
-        id: what its randomness follows from: its path from the folder that was given, or the id of
-            an index.
-        input: its file.
-        distance: the file of its distances; metres; or None, for a depth network.
-        output: the file to write.
-        variant: which of several of one picture, from 0.
-        problem: why it cannot be done; None if nothing is known against it.
-        name: path of the picture from the folder that was given, which labels know it by.
-        place: path of the output from the folder that is written to.
-    """
-
-    id: str
-    input: Path
-    distance: Path | float | None
-    output: Path
-    variant: int = 0
-    problem: str | None = None
-    name: str = ""
-    place: str = ""
-
-    @property
-    def labels(self) -> Path:
-        """Where labels of the output would be, were they a picture."""
-        place = Path(self.place or self.output.name)
-        return self.output.parents[len(place.parts) - 1] / "labels" / place
 
 
 class _Found(NamedTuple):
@@ -103,64 +71,12 @@ class Rows:
         """
         for given in self.inputs:
             for one in self._expanded(given):
-                where, problem = None, None
-                if not self.network:
+                where, problem = None, _unnamed(one)
+                if not (self.network or problem):
                     where, problem = self._distance_of(one)
                 for variant in range(self.variants):
-                    place = self._place(one, variant)
-                    output, name = self.out / place, one.name.as_posix()
-                    yield Row(
-                        one.id, one.input, where, output, variant, problem, name, place.as_posix()
-                    )
-
-    def check(self, terms: Sequence[str] = ()) -> int:
-        """Look all of them through before anything is done, and count them.
-
-        Args:
-            terms: that are written beside each picture, see `terms_path`.
-
-        Raises:
-            ValueError: if there are none, a picture has no distance, two have one id or would be
-                written to one file, or one would be written over itself; names them.
-            OSError: if an input does not exist.
-        """
-        self._require_own_folder()
-        count = 0
-        ids, outputs = array("q"), array("q")
-        for row in self:
-            count += 1
-            if os.path.realpath(row.output) == os.path.realpath(row.input):
-                raise ValueError(f"{row.input} would be written over: choose another folder")
-            ids.append(hash_of(f"{row.id}/{row.variant}"))
-            outputs.extend(hash_of(name) for name in _written(row, terms))
-        if not count:
-            known = ", ".join(FORMATS)
-            raise ValueError(f"no pictures in {', '.join(map(str, self.inputs))}: expected {known}")
-        self._require_apart(ids, lambda row: [f"{row.id}/{row.variant}"], "id", _Cure.ID)
-        self._require_apart(outputs, lambda row: _written(row, terms), "output", _Cure.OUTPUT)
-        return count
-
-    def _require_own_folder(self) -> None:
-        """Else the next run would take what this one has written for pictures."""
-        for given in self.inputs:
-            if given.is_dir() and os.path.realpath(given) == os.path.realpath(self.out):
-                cure = "expected a folder of its own to write to"
-                raise ValueError(f"{given} would be written into: {cure}")
-
-    def _require_apart(
-        self, hashes: "array[int]", keys: Callable[[Row], list[str]], what: str, cure: str
-    ) -> None:
-        values, counts = np.unique(np.frombuffer(hashes, dtype=np.int64), return_counts=True)
-        twice = set(values[counts > 1].tolist())
-        seen: dict[str, Path] = {}
-        for row in self if twice else ():
-            for key in keys(row):
-                if hash_of(key) not in twice:
-                    continue
-                before = seen.setdefault(key, row.input)
-                if before is not row.input:
-                    got = row.id if what == "id" else key
-                    raise ValueError(f"{before} and {row.input} have one {what}, {got}: {cure}")
+                    output, name = self.out / self._place(one, variant), one.name.as_posix()
+                    yield Row(one.id, one.input, where, output, variant, problem, name, self.out)
 
     def _place(self, one: _Found, variant: int) -> Path:
         place = one.place if self.name is None else Path(self.name)
@@ -195,20 +111,33 @@ class Rows:
             yield _Found(given.name, given, None, Path(given.name), Path(given.name))
 
     def _inside(self, folder: Path) -> Iterator[Path]:
-        """The pictures in a folder and in those inside it; links to folders are not followed, as
-        they may lead back, and what an earlier run has written is no input.
+        """The pictures in a folder and in those inside it, but for maps of distances and for what a
+        run has written. Links to folders are not followed, as they may lead back.
         """
-        out = os.path.realpath(self.out)
+        others = {os.path.realpath(self.out)}
+        if self.distance is not None and os.path.isdir(self.distance):
+            others.add(os.path.realpath(self.distance))
         for here, folders, files in os.walk(folder):
             kept = []
             for name in sorted(folders):
-                if os.path.realpath(os.path.join(here, name)) != out:
+                if os.path.realpath(os.path.join(here, name)) not in others:
                     kept.append(name)
             folders[:] = kept
             for name in sorted(files):
-                suffix = Path(name).suffix.lower()
-                if suffix in FORMATS and suffix != ".npy" and not is_part(name):
-                    yield Path(here, name)
+                path = Path(here, name)
+                suffix = path.suffix.lower()
+                if suffix not in FORMATS or suffix == ".npy" or is_part(name):
+                    continue
+                if not (self._is_map(name) or is_recorded(path)):
+                    yield path
+
+    def _is_map(self, name: str) -> bool:
+        """Whether a file beside the pictures is one of the maps that a pattern asks for."""
+        pattern = self.distance
+        if pattern is None or "{stem}" not in pattern or Path(pattern).parent != Path():
+            return False
+        before, _, after = pattern.partition("{stem}")
+        return name.startswith(before) and name.endswith(after) and name != before + after
 
     def _distance_of(self, one: _Found) -> tuple[Path | float | None, str | None]:
         """The distances of a picture, and what is wrong with them."""
@@ -247,20 +176,14 @@ class Rows:
         return one.input.parent / found if beside else found
 
 
-def terms_path(output: Path, term: str) -> Path:
-    """The file of one of a picture's terms."""
-    return output.with_name(f"{output.stem}_{term}{output.suffix}")
-
-
-def _written(row: Row, terms: Sequence[str]) -> list[str]:
-    """The pictures that a row makes; some file systems know no difference between A and a."""
-    paths = [row.output, *(terms_path(row.output, term) for term in terms)]
-    return [str(path).casefold() for path in paths]
-
-
-class _Cure:
-    ID = "give an index with a column id"
-    OUTPUT = "give an index with a column output"
+def _unnamed(one: _Found) -> str | None:
+    """What is wrong with a picture's name: text files could not hold it."""
+    try:
+        f"{one.input}{one.place}".encode()
+    except UnicodeEncodeError:
+        shown = str(one.input).encode("utf-8", "backslashreplace").decode()
+        return f"{shown}: its name is not UTF-8: rename it"
+    return None
 
 
 def hash_of(text: str) -> int:

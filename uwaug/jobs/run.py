@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 from uwaug.files import remove_left
 from uwaug.jobs.one import Outcome, degrade_file
 from uwaug.jobs.recipe import Recipe
-from uwaug.jobs.rows import Row
+from uwaug.jobs.row import Row
 
 __all__ = ["alone", "cores", "died", "run", "use_one_thread"]
 

@@ -18,7 +18,8 @@ import numpy as np
 
 from uwaug.jobs.cluster import require_ray
 from uwaug.jobs.recipe import Recipe
-from uwaug.jobs.rows import Row, Rows, hash_of
+from uwaug.jobs.row import Row
+from uwaug.jobs.rows import Rows, hash_of
 
 __all__ = ["SIZE", "Shards", "Tally"]
 
