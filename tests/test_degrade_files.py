@@ -450,7 +450,7 @@ def test_resume_of_another_recipe_writes_nothing_over(made, run):
     before = content("out")["a.png"]
     arguments = ("--distance", "z.npy", "--out", "out", "--resume", "--water")
     code, _, err = run("degrade", "a.png", *arguments, "7C")
-    assert (code, "out/a.png exists" in err) == (1, True)
+    assert (code, "out/a.png was made with other options (water)" in err) == (2, True)
     assert content("out")["a.png"] == before
 
 

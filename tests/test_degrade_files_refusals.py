@@ -204,7 +204,8 @@ COMMANDS = {
         ["good.png", *WATER, "--depth-network", "no.onnx"],
         "no.onnx",
     ),
-    "record and picture": (["good.png", "--from", "a.json"], "expected no other"),
+    "record and pictures": (["good.png", "good.png", "--from", "a.json"], "all from the record"),
+    "record and water": ([*WATER, "--from", "a.json"], "all from the record"),
 }
 
 
@@ -298,7 +299,7 @@ def test_two_pictures_with_one_output(run):
 
 def test_the_same_picture_twice(run):
     code, err = degraded(run, "good.png", "good.png")
-    assert (code, "have one" in err) == (2, True)
+    assert (code, "good.png was given twice" in err) == (2, True)
 
 
 def test_terms_that_would_be_written_over_another_picture(run):
