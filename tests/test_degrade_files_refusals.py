@@ -196,6 +196,12 @@ COMMANDS = {
         ["good.png", *WATER, "--planar", "--distance-kind", "relative", "--focal-px", "9"],
         "planar would do nothing",
     ),
+    "baseline of metres": (["good.png", *WATER, "--baseline", ".1"], "baseline_m would do nothing"),
+    "offset of metres": (["good.png", *WATER, "--offset-px", "3"], "offset_px would do nothing"),
+    "unit of relative distances": (
+        ["good.png", *WATER, "--distance-kind", "relative", "--distance-unit", "mm"],
+        "distance_unit would do nothing",
+    ),
     "near of a fit of metres": (["good.png", *WATER, "--depth", "1:2:3"], "depth must be"),
     "format": (["good.png", *WATER, "--format", "bmp"], ".png, .jpg"),
     "variants": (["good.png", *WATER, "--variants", "0"], "variants"),
@@ -222,8 +228,19 @@ def test_commands_that_are_refused(run, name):
 def test_an_unknown_water_lists_the_ten(run):
     code, out, err = run("degrade", "good.png", "--distance", "3", "--out", "out", "--water", "4C")
     assert (code, out) == (2, "")
-    assert "4C" in err
+    assert "water must be one of" in err
+    assert "got '4C'" in err
     assert all(water in err for water in JERLOV_TYPES)
+
+
+@pytest.mark.parametrize("out", [["v.heic"], ["v.jpg", "--variants", "2"], ["run.v2"]])
+def test_a_file_that_cannot_be_the_output_is_no_folder(run, out):
+    arguments = ("degrade", "good.png", "--distance", "3", *WATER, "--out", *out)
+    code, _, err = run(*arguments)
+    assert (code, f"--out {out[0]}: expected the file of one picture" in err) == (2, True)
+    assert not Path(out[0]).exists()
+    Path(out[0]).mkdir()
+    assert run(*arguments)[0] == 0
 
 
 @pytest.mark.parametrize(
@@ -233,6 +250,9 @@ def test_an_unknown_water_lists_the_ten(run):
         ("unknown = 'fill'", "unknown key unknown"),
         ("waters = ", "is no TOML"),
         ("waters = '12C'", "12C"),
+        ("point_spread = { width = 2 }", "point_spread: unknown key width: expected a table with"),
+        ("point_spread = { exponent = 2 }", "scale is missing"),
+        ("point_spread = 3", "point_spread: expected a table with scale"),
     ],
 )
 def test_options_that_are_refused(run, text, words):
@@ -242,6 +262,22 @@ def test_options_that_are_refused(run, text, words):
     )
     assert code == 2
     assert words in err
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--planar", "--focal-px", "9"],
+        ["--distance-unit", "mm"],
+        ["--distance-kind", "inverse"],
+        ["--distance-kind", "disparity", "--focal-px", "9", "--baseline", ".1"],
+    ],
+)
+def test_what_says_something_of_maps_needs_maps(run, options):
+    code, err = degraded(run, "good.png", *options, distance="3")
+    name = options[0].removeprefix("--").replace("-", "_")
+    assert (code, f"{name} would do nothing: the distance is a number" in err) == (2, True)
+    assert nothing_was_made()
 
 
 @pytest.mark.parametrize("distance", ["nan", "inf", "-1", "0"])

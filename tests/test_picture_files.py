@@ -9,7 +9,7 @@ import torch
 from imagecodecs import png_encode
 from PIL import Image
 
-from uwaug.picture_files import FORMATS, require_format, write_picture
+from uwaug.picture_files import FORMATS, lost, require_format, write_picture
 from uwaug.pictures import Source, read_source
 
 RNG = np.random.default_rng(0)
@@ -89,9 +89,10 @@ def test_more_bits_than_a_format_holds_are_rounded(tmp_path):
     assert (again.picture - one.picture).abs().max() <= 0.5 / 65535 + 1e-7
 
 
+@pytest.mark.parametrize("values", [BYTES, WORDS])
 @pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.webp", "a.tif"])
-def test_profiles_are_kept(tmp_path, name):
-    one = source(BYTES, profile=PROFILE)
+def test_profiles_are_kept(tmp_path, name, values):
+    one = source(values, profile=PROFILE)
     write_picture(tmp_path / name, one.picture, one)
     assert read_source(tmp_path / name).profile == PROFILE
 
@@ -107,8 +108,50 @@ def test_exif_is_kept_but_for_orientation(tmp_path, name):
     write_picture(tmp_path / name, one.picture, one)
     again = read_source(tmp_path / name)
     assert again.picture.shape == (3, 9, 6)
+    assert (one.turned, again.turned) == (True, False)
     with Image.open(tmp_path / name) as image:
         assert dict(image.getexif()) == {0x010F: "Camera"}
+
+
+def test_a_png_of_16_bits_keeps_all_of_it(tmp_path):
+    exif = Image.Exif()
+    exif[0x010F] = "Camera"
+    one = source(WORDS, exif=exif.tobytes(), profile=PROFILE, dpi=(300.0, 150.0))
+    write_picture(tmp_path / "a.png", one.picture, one)
+    again = read_source(tmp_path / "a.png")
+    assert torch.equal(again.picture, one.picture)
+    assert (again.bits, again.profile) == (16, PROFILE)
+    assert again.dpi == pytest.approx((300, 150), abs=0.02)
+    with Image.open(tmp_path / "a.png") as image:
+        image.load()  # checks the sums
+        assert dict(image.getexif()) == {0x010F: "Camera"}
+
+
+@pytest.mark.parametrize("values", [BYTES, WORDS])
+@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif"])
+def test_dpi_is_kept(tmp_path, name, values):
+    one = source(values, dpi=(300.0, 150.0))
+    write_picture(tmp_path / name, one.picture, one)
+    assert read_source(tmp_path / name).dpi == pytest.approx((300, 150), abs=0.02)
+
+
+def test_dpi_is_turned_with_the_picture(tmp_path):
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    Image.fromarray(BYTES).save(tmp_path / "a.jpg", exif=exif, dpi=(300, 150))
+    assert read_source(tmp_path / "a.jpg").dpi == (150, 300)
+    Image.fromarray(BYTES).save(tmp_path / "a.png")
+    assert read_source(tmp_path / "a.png").dpi is None
+
+
+def test_what_is_lost_is_said():
+    one = source(WORDS, alpha=ALPHA[..., 0], exif=b"II", profile=PROFILE)
+    assert lost(one, "JPEG") == ["16 bits (it has 8)", "alpha"]
+    assert lost(one, "WEBP") == ["16 bits (it has 8)"]
+    assert lost(one, "PNG") == []
+    assert lost(one, "TIFF") == ["EXIF"]
+    assert lost(one, "NPY") == ["EXIF", "colour profile"]
+    assert lost(source(LIGHT), "PNG") == ["32 bits (it has 16)"]
 
 
 def test_the_same_bytes_each_time(tmp_path):

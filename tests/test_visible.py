@@ -52,7 +52,7 @@ def test_what_is_far_is_taken_out() -> None:
     assert found["labels"].tolist() == [10, 12]
     assert found["boxes"].tolist() == [NEAR, BOTH]
     assert found["area"].tolist() == [1, 1]
-    assert found["names"] is given["names"]
+    assert found["names"] == ["near", "both"]
     assert found["image_id"] is given["image_id"]
     assert (found["contrast"] >= 0.05).all()
     assert given.keys() == before.keys()
@@ -143,6 +143,27 @@ def test_lists_and_arrays_keep_their_kind() -> None:
     found = KEEP(image(), distance(), given)[2]
     assert found["labels"] == ["a", "c"]
     assert found["iscrowd"].tolist() == [0, 1]
+
+
+def test_entries_that_go_with_objects_and_those_of_the_picture() -> None:
+    more = {
+        "track_ids": np.array([5, 6]),
+        "scores": torch.tensor([0.1, 0.2]),
+        "amodal_masks": torch.ones(2, H, W),
+        "orig_size": torch.tensor([H, W]),
+        "frames": [8, 9],
+        "depths": torch.ones(2, H, W),
+        "split": (1, 2),
+    }
+    given = target([FAR, NEAR]) | more | {"names": ["far", "near"]}
+    found = KeepVisible(AUGMENT, 0.05, whole=["frames"])(image(), distance(), given)[2]
+    assert found["names"] == ["near"]
+    assert found["track_ids"].tolist() == [6]
+    assert len(found["scores"]) == len(found["amodal_masks"]) == 1
+    for name in ("orig_size", "frames", "depths", "split", "image_id"):
+        assert found[name] is given[name]
+    one = KEEP(image(), distance(), target([FAR]) | {"names": ["far"]})[2]
+    assert (one["names"], one["image_id"].tolist()) == ([], [3])
 
 
 def test_flags_in_place_of_removal() -> None:
@@ -238,6 +259,8 @@ def test_other_refusals(torchvision: Any) -> None:
         KeepVisible(0.05)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"min_contrast must be in \[0, 1\]"):
         KeepVisible(AUGMENT, 5)
+    with pytest.raises(TypeError, match=r"whole must be names, such as \('id',\)"):
+        KeepVisible(AUGMENT, whole="id")
     tv = torchvision.tv_tensors
     small = tv.BoundingBoxes([NEAR], format="XYXY", canvas_size=(9, 9))
     with pytest.raises(ValueError, match=r"boxes are of a picture of \(9, 9\)"):

@@ -23,6 +23,15 @@ _ORIENTATION = 0x0112
 _PROFILE = 0x8773
 """TIFF's tag of a colour profile."""
 
+_ASIDE = (5, 6, 7, 8)
+"""Orientations in which width and height change places."""
+
+_PER_INCH = {2: 1.0, 3: 2.54}
+"""By TIFF's number of a unit of resolution."""
+
+_FINEST = 65535
+"""dpi: the most that JPEG holds."""
+
 _MOST = 1_000_000_000
 """Pixels of a compressed picture. Pillow's own limit, 89 megapixels, is for files from strangers: a
 small one may hold a picture that fills the memory. A person's own are larger.
@@ -59,6 +68,8 @@ class Raster(NamedTuple):
         kind: "colour", "grey", or in words what cannot be used.
         alpha: HxW; None if there is none.
         exif, profile: as they are in the file; None if there are none.
+        dpi: across and down; None if the file does not say.
+        turned: whether it stood otherwise in the file, see `_upright`.
     """
 
     values: Values
@@ -66,6 +77,8 @@ class Raster(NamedTuple):
     alpha: Values | None = None
     exif: bytes | None = None
     profile: bytes | None = None
+    dpi: tuple[float, float] | None = None
+    turned: bool = False
 
 
 def decoded(path: str | os.PathLike[str]) -> Raster:
@@ -161,8 +174,17 @@ def _tiff(path: Path) -> Raster:
         if "S" in page.axes:
             values = np.moveaxis(values, page.axes.index("S"), -1)
         orientation, profile = page.tags.valueof(_ORIENTATION), page.tags.valueof(_PROFILE)
-    raster = _channels(_upright(values, int(orientation or 1)))
-    return raster._replace(profile=None if profile is None else bytes(profile))
+        dpi = _tiff_dpi(page.tags)
+    kept = _Kept(int(orientation or 1), None, None if profile is None else bytes(profile), dpi)
+    return kept.beside(_channels(_upright(values, kept.orientation)))
+
+
+def _tiff_dpi(tags: tifffile.TiffTags) -> Any:
+    scale = _PER_INCH.get(tags.valueof("ResolutionUnit", 1))
+    sides = [tags.valueof(name) for name in ("XResolution", "YResolution")]
+    if scale is None or not all(isinstance(side, tuple) and all(side) for side in sides):
+        return None
+    return tuple(scale * side[0] / side[1] for side in sides)
 
 
 def _png_of_16_bits(path: Path) -> Raster:
@@ -170,9 +192,8 @@ def _png_of_16_bits(path: Path) -> Raster:
 
     with _opened(path) as image:
         _require_held(path, *image.size)
-        orientation, exif, profile = _metadata(image)
-    raster = _channels(_upright(png_decode(path.read_bytes()), orientation))
-    return raster._replace(exif=exif, profile=profile)
+        kept = _metadata(image)
+    return kept.beside(_channels(_upright(png_decode(path.read_bytes()), kept.orientation)))
 
 
 def _opened(path: Path) -> Image.Image:
@@ -198,21 +219,40 @@ def _require_held(path: Path, width: int, height: int) -> None:
         raise UnfitError(f"{got}: the file seems to be damaged")
 
 
-def _metadata(image: Image.Image) -> tuple[int, bytes | None, bytes | None]:
-    """Orientation; EXIF without it; colour profile."""
+class _Kept(NamedTuple):
+    """What stands beside the pixels: EXIF without orientation, and as of `Raster`."""
+
+    orientation: int
+    exif: bytes | None
+    profile: bytes | None
+    dpi: Any
+
+    def beside(self, raster: Raster) -> Raster:
+        """A picture that is upright, with all of it."""
+        dpi = None
+        # of a damaged file, it may be anything
+        if self.dpi is not None and all(0 < side < _FINEST for side in self.dpi):
+            x, y = map(float, self.dpi)
+            dpi = (y, x) if self.orientation in _ASIDE else (x, y)
+        turned = self.orientation in range(2, 9)
+        return raster._replace(exif=self.exif, profile=self.profile, dpi=dpi, turned=turned)
+
+
+def _metadata(image: Image.Image) -> _Kept:
     found = image.getexif()
     orientation = found.get(_ORIENTATION, 1)
     if _ORIENTATION in found:
         del found[_ORIENTATION]
-    return orientation, found.tobytes() if len(found) else None, image.info.get("icc_profile")
+    exif = found.tobytes() if len(found) else None
+    return _Kept(orientation, exif, image.info.get("icc_profile"), image.info.get("dpi"))
 
 
 def _pillow(path: Path) -> Raster:
     with _opened(path) as image:
         _require_held(path, *image.size)
         image.load()
-        orientation, exif, profile = _metadata(image)
-        return of_mode(image, orientation)._replace(exif=exif, profile=profile)
+        kept = _metadata(image)
+        return kept.beside(of_mode(image, kept.orientation))
 
 
 def of_mode(image: Image.Image, orientation: int = 1) -> Raster:
@@ -248,7 +288,7 @@ def _exr(path: Path) -> Raster:
 
 def _upright(values: Values, orientation: int) -> Values:
     """As EXIF says that the camera was held: where the first row and the first column belong."""
-    if orientation in (5, 6, 7, 8):
+    if orientation in _ASIDE:
         values = values.swapaxes(0, 1)
     if orientation in (2, 3, 6, 7):
         values = values[:, ::-1]

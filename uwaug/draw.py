@@ -232,7 +232,8 @@ def _by_name(name: str, things: list[Any]) -> dict[str, Any]:
     named = {thing.name: thing for thing in things}
     if not things or len(named) < len(things):
         got = [thing.name for thing in things]
-        raise ValueError(f"{name}: expected at least one, each with a name of its own, got {got}")
+        wanted = "expected at least one, each with a name of its own (name=… gives one)"
+        raise ValueError(f"{name}: {wanted}, got {got}")
     return named
 
 

@@ -41,6 +41,10 @@ _TOUCHING = 1e-6
 """m, for relative distance 0 with near = 0: in a map of metres 0 means unknown."""
 
 
+_SKIP = "unknown='skip' (--unknown skip)"
+"""In Python, and on the command line."""
+
+
 class Scaling(NamedTuple):
     """What scales a map that does not hold metres, see `uwaug.distance.from_relative`."""
 
@@ -113,11 +117,12 @@ def _known(z: Tensor, instead: Unknown) -> Tensor:
     if not isinstance(instead, str):
         return torch.where(z > 0, z, instead)
     strict = instead == "error"
-    cure = "unknown='fill'), or 'skip', 'far' or metres" if strict else "unknown='skip')"
+    others = "fill, skip, far or metres"
+    cure = f"unknown='fill' (--unknown {others})" if strict else _SKIP
     try:
         return check_distance(z, strict=strict)
     except ValueError as error:
-        raise ValueError(f"{error}; or use RandomUnderwater({cure}") from None
+        raise ValueError(f"{error}; or use {cure}") from None
 
 
 def _scale(distance: Tensor, scaling: Scaling, kind: DistanceKind) -> Callable[[Tensor], Tensor]:
@@ -136,5 +141,5 @@ def _scale(distance: Tensor, scaling: Scaling, kind: DistanceKind) -> Callable[[
         require_range(near, far, inverse=True)
         ends = ends_of_inverse(single(distance))
     except ValueError as error:
-        raise ValueError(f"{error}; or use RandomUnderwater(unknown='skip')") from None
+        raise ValueError(f"{error}; or use {_SKIP}") from None
     return lambda part: scaled_inverse(single(part), ends, near, far)

@@ -1,6 +1,8 @@
 """Pictures into files, whole or not at all."""
 
 import os
+import struct
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,7 @@ from uwaug.files import written_whole
 from uwaug.pictures import Source
 from uwaug.rows import bands
 
-__all__ = ["FORMATS", "fill", "require_format", "write_picture"]
+__all__ = ["FORMATS", "fill", "lost", "require_format", "write_picture"]
 
 FORMATS = {
     ".png": "PNG",
@@ -32,6 +34,9 @@ _QUALITY = 95
 _DEPTHS = {"PNG": (8, 16), "JPEG": (8,), "WEBP": (8,), "TIFF": (8, 16, 32), "NPY": (8, 16, 32)}
 """Bits that a format holds."""
 
+_HEAD = 33
+"""Bytes of a PNG before what may stand beside its pixels."""
+
 
 def require_format(path: str | os.PathLike[str]) -> str:
     """The format that a file's name asks for.
@@ -48,7 +53,7 @@ def require_format(path: str | os.PathLike[str]) -> str:
 
 def write_picture(path: str | os.PathLike[str], picture: Tensor, like: Source) -> None:
     """Write a picture as its source was: as many bits where the format holds them, with its alpha,
-    EXIF and colour profile where the format can.
+    EXIF, colour profile and dpi where the format can; see `lost`.
 
     Args:
         path: its end is the format; a file that exists is replaced.
@@ -64,6 +69,18 @@ def write_picture(path: str | os.PathLike[str], picture: Tensor, like: Source) -
         fill(part, kind, picture, like)
 
 
+def lost(like: Source, kind: str) -> list[str]:
+    """What a format of `FORMATS` does not keep of a source, such as "alpha". (dpi is not told.)"""
+    most = max(_DEPTHS[kind])
+    gone = {
+        f"{like.bits} bits (it has {most})": like.bits > most,
+        "alpha": like.alpha is not None and kind == "JPEG",
+        "EXIF": like.exif is not None and kind in ("TIFF", "NPY"),
+        "colour profile": like.profile is not None and kind == "NPY",
+    }
+    return [what for what, is_lost in gone.items() if is_lost]
+
+
 def fill(part: Path, kind: str, picture: Tensor, like: Source) -> None:
     """Write a picture into a file that is there, in a format of `FORMATS`; as `write_picture`."""
     bits = max(bits for bits in _DEPTHS[kind] if bits <= like.bits)
@@ -77,7 +94,7 @@ def fill(part: Path, kind: str, picture: Tensor, like: Source) -> None:
         elif kind == "TIFF":
             _write_tiff(file, values, like)
         elif bits == 16:
-            _write_png16(file, values)
+            _write_png16(file, values, like)
         else:
             _write_pillow(file, values, kind, like)
 
@@ -113,14 +130,31 @@ def _write_tiff(file: Any, values: Any, like: Source) -> None:
         options["iccprofile"] = like.profile
     if values.shape[2] == 4:
         options["extrasamples"] = ["unassalpha"]
+    if like.dpi is not None:
+        options |= {"resolution": like.dpi, "resolutionunit": "INCH"}
     # else the time of writing would be part of the file
     tifffile.imwrite(file, values, datetime=None, software="uwaug", **options)
 
 
-def _write_png16(file: Any, values: Any) -> None:
+def _write_png16(file: Any, values: Any, like: Source) -> None:
     from imagecodecs import png_encode
 
-    file.write(png_encode(np.ascontiguousarray(values)))
+    data = png_encode(np.ascontiguousarray(values))
+    file.write(data[:_HEAD])
+    if like.profile is not None:
+        _write_chunk(file, b"iCCP", b"ICC Profile\0\0" + zlib.compress(like.profile))
+    if like.dpi is not None:
+        x, y = (round(side / 0.0254) for side in like.dpi)  # px per metre
+        _write_chunk(file, b"pHYs", struct.pack(">IIB", x, y, 1))
+    if like.exif is not None:
+        _write_chunk(file, b"eXIf", like.exif.removeprefix(b"Exif\0\0"))
+    file.write(data[_HEAD:])
+
+
+def _write_chunk(file: Any, name: bytes, data: bytes) -> None:
+    """A part of a PNG, as its specification has it."""
+    file.write(struct.pack(">I", len(data)) + name + data)
+    file.write(struct.pack(">I", zlib.crc32(name + data)))
 
 
 def _write_pillow(file: Any, values: Any, kind: str, like: Source) -> None:
@@ -129,6 +163,8 @@ def _write_pillow(file: Any, values: Any, kind: str, like: Source) -> None:
         options["exif"] = like.exif
     if like.profile is not None:
         options["icc_profile"] = like.profile
+    if like.dpi is not None:
+        options["dpi"] = like.dpi
     if kind in ("JPEG", "WEBP"):
         options["quality"] = _QUALITY
     if kind == "JPEG":

@@ -49,6 +49,8 @@ class Source(NamedTuple):
         alpha: HxW, in the numbers of the file; None if there is none.
         exif: without orientation, as the picture stands upright; None if there is none.
         profile: of its colours (ICC); None if there is none.
+        dpi: across and down; None if the file does not say.
+        turned: whether it was turned or mirrored, as EXIF says that the camera was held.
     """
 
     picture: Tensor
@@ -56,6 +58,8 @@ class Source(NamedTuple):
     alpha: Values | None
     exif: bytes | None
     profile: bytes | None
+    dpi: tuple[float, float] | None = None
+    turned: bool = False
 
 
 def read_picture(path: str | os.PathLike[str]) -> Tensor:
@@ -82,7 +86,8 @@ def read_source(path: str | os.PathLike[str]) -> Source:
     raster = decoded(path)
     _require_colour(path, raster)
     picture, bits = _in_colour(path, raster.values.transpose(2, 0, 1))
-    return Source(picture, bits, raster.alpha, raster.exif, raster.profile)
+    kept = (raster.alpha, raster.exif, raster.profile, raster.dpi, raster.turned)
+    return Source(picture, bits, *kept)
 
 
 def colours_of(image: Image.Image) -> tuple[Values, Values | None]:

@@ -187,7 +187,7 @@ def _draw_strip(axis: "Axes", colours: Tensor, visibility: float) -> None:
 def draw_depth_scaling(scene: Scene) -> Drawing:
     """The paper's depth-scaling study: z from 0 to 20 m, γ = 1, 3, 6, in types II and 7C."""
     law = "$z$ = 20 m · $t^γ$, where $t$ = 0…1 is the relative distance"
-    figure, axes = sheet(3, 3, _shape(scene), "Depth scaling", f"{law}. {_EVEN}.")
+    figure, axes = sheet(3, 3, _shape(scene), "Depth scaling", f"{law}. {_EVEN}.", math=True)
     low, high = scene.distance.aminmax()
     t = (scene.distance - low) / (high - low)
     modelled = []

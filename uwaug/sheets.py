@@ -44,25 +44,30 @@ _LOW = 130
 
 _TITLE: dict[str, Any] = {"loc": "left", "fontsize": 12.5, "color": INK}
 
+_PLAIN: dict[str, Any] = {"parse_math": False}
+"""Of a text that may be a user's, such as a file's name: a $ in it is a $."""
+
 
 class Canvas:
-    """A figure that is drawn on in px from its top left corner, with a heading."""
+    """A figure that is drawn on in px from its top left corner, with a heading. `math` says that
+    the caption has mathematics between $.
+    """
 
     width = _WIDTH
 
-    def __init__(self, height: float, heading: str, caption: str) -> None:
+    def __init__(self, height: float, heading: str, caption: str, *, math: bool = False) -> None:
         from matplotlib.figure import Figure
 
         self.height = height
         self.figure: Figure = Figure(figsize=(_WIDTH / _DPI, height / _DPI), dpi=_DPI)
         self.write(MARGIN, 26, heading, 18, va="top", fontweight="bold")
-        self.write(MARGIN, 62, caption, 11.5, GREY, va="top")
+        self.write(MARGIN, 62, caption, 11.5, GREY, va="top", parse_math=math)
 
     def write(
         self, x: float, y: float, text: str, size: float, colour: str = INK, **style: Any
     ) -> None:
         """Write a text; y is its middle."""
-        style = {"va": "center", **style}
+        style = {"va": "center", **_PLAIN, **style}
         at = (x / _WIDTH, 1 - y / self.height)
         self.figure.text(*at, text, fontsize=size, color=colour, **style)
 
@@ -86,16 +91,22 @@ def _cell_width(columns: int) -> float:
 
 
 def sheet(
-    rows: int, columns: int, shape: tuple[int, int], heading: str, caption: str
+    rows: int,
+    columns: int,
+    shape: tuple[int, int],
+    heading: str,
+    caption: str,
+    *,
+    math: bool = False,
 ) -> tuple["Figure", list["Axes"]]:
     """A grid of cells, row by row, each of the shape of a picture of (height, width). The caption
-    may have several lines.
+    may have several lines; for `math` see `Canvas`.
     """
     width = _cell_width(columns)
     tall = width * shape[0] / shape[1]
     pitch = _LABEL + tall + GAP
     top = HEADER + _LINE * caption.count("\n")
-    canvas = Canvas(round(top + rows * pitch + MARGIN - GAP), heading, caption)
+    canvas = Canvas(round(top + rows * pitch + MARGIN - GAP), heading, caption, math=math)
     axes = []
     for i in range(rows * columns):
         x, y = MARGIN + i % columns * (width + GAP), top + _LABEL + i // columns * pitch
@@ -107,7 +118,7 @@ def sheet(
 def show(axis: "Axes", picture: Tensor, label: str) -> None:
     """A picture (3xHxW, sRGB)."""
     axis.imshow(picture.clamp(0, 1).permute(1, 2, 0).numpy(), aspect="auto")
-    axis.set_title(label, **_TITLE)
+    axis.set_title(label, **_TITLE, **_PLAIN)
 
 
 def show_map(
@@ -121,7 +132,7 @@ def show_map(
     """A map (1xHxW), with a colour bar inside: labels for its low end, middle and high end."""
     low, high = (float(tick.split()[0]) for tick in (ticks[0], ticks[2]))
     picture = axis.imshow(values[0].numpy(), cmap=colours, vmin=low, vmax=high, aspect="auto")
-    axis.set_title(label, **_TITLE)
+    axis.set_title(label, **_TITLE, **_PLAIN)
     if not bar:
         return
     # what is written beneath a bar is as high in a low cell, and in a high one
@@ -190,7 +201,9 @@ def show_field(axis: "Axes", field: Tensor, span: tuple[float, float]) -> None:
 
 
 def plot(cell: "Axes", label: str, xlabel: str, ylabel: str) -> "Axes":
-    """Axes for curves inside a cell of a sheet, with room for what is written on them."""
+    """Axes for curves inside a cell of a sheet, with room for what is written on them. The label
+    is ours, and may have mathematics between $.
+    """
     cell.set_title(label, **_TITLE)
     bottom = max(0.17, 36 / cell.get_window_extent().height)
     axis = cell.inset_axes((0.14, bottom, 0.84, 0.97 - bottom))

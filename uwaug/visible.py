@@ -1,7 +1,7 @@
 """`KeepVisible`: targets of a detector that name only what can still be seen."""
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from itertools import compress
 from typing import Any
@@ -22,7 +22,10 @@ from uwaug.transforms import RandomUnderwater
 __all__ = ["KeepVisible", "transform_with_contrast"]
 
 _ALONG = ("boxes", "masks", "labels", "area", "iscrowd", "keypoints")
-"""Entries of a target with a row for each object."""
+"""Entries of a target that must have a row for each object."""
+
+_WHOLE = ("image_id", "size", "orig_size", "image_size")
+"""Entries that are of the picture, however many objects there are."""
 
 _CORNERS: dict[str, Callable[..., tuple[float, ...]]] = {
     "XYXY": lambda x1, y1, x2, y2: (x1, y1, x2, y2),
@@ -43,6 +46,7 @@ class KeepVisible(nn.Module):
         augment: what degrades.
         min_contrast: objects with less are taken out, 0…1.
         flag: keep them, and set their "iscrowd" to 1: losses and scores leave those out.
+        whole: names of entries that stay as they are, see below.
 
     Inputs:
         As for `augment`, one picture at a time. One dict holds the objects: the sample itself, or a
@@ -50,10 +54,13 @@ class KeepVisible(nn.Module):
         or both. Plain boxes are corners (x1, y1, x2, y2) in px; torchvision's `BoundingBoxes` say
         what they are.
 
-    The same structure comes back. In a copy of that dict "boxes", "masks", "labels", "area",
-    "iscrowd" and "keypoints" (those that are there) have the rows of the objects that are left, and
-    "contrast" (N, float32) is new. All else stays as it is. Objects with no pixel in the picture
-    have contrast 0.
+    The same structure comes back. In a copy of that dict every tensor, array and list of length N
+    has the rows of the objects that are left, so that no entry goes with another's object. "boxes",
+    "masks", "labels", "area", "iscrowd" and "keypoints" must have that length. "contrast" (N,
+    float32) is new; it is 0 of objects with no pixel in the picture. What is of the whole picture
+    stays: "image_id", "size", "orig_size", "image_size", the picture and its distances, other maps
+    of its height and width (unless "masks" is in their name), and what `whole` names. Name there
+    what may have length N by chance.
 
     Raises:
         TypeError, ValueError: as `augment`; if there is no such dict, or more than one; if an entry
@@ -73,7 +80,12 @@ class KeepVisible(nn.Module):
     """
 
     def __init__(
-        self, augment: RandomUnderwater, min_contrast: float = 0.05, *, flag: bool = False
+        self,
+        augment: RandomUnderwater,
+        min_contrast: float = 0.05,
+        *,
+        flag: bool = False,
+        whole: Collection[str] = (),
     ) -> None:
         super().__init__()
         checks.instance("augment", augment, RandomUnderwater)
@@ -81,6 +93,9 @@ class KeepVisible(nn.Module):
         self.augment = augment
         self.min_contrast = min_contrast
         self.flag = flag
+        if isinstance(whole, str):
+            raise TypeError(f"whole must be names, such as ({whole!r},), got a string")
+        self.whole = tuple(whole)
 
     def at(self, seed: int, epoch: int, index: int | str) -> Callable[..., Any]:
         """The transform with randomness from a key; see `RandomUnderwater.at`."""
@@ -120,14 +135,27 @@ class KeepVisible(nn.Module):
             )
             changed["iscrowd"] = torch.where(keep.to(crowd.device), crowd, 1)
             return changed
-        for name in (*_ALONG, "contrast"):
-            if name in changed:
-                changed[name] = _rows(changed[name], keep)
+        for name, value in changed.items():
+            if name in _ALONG or self._has_rows(name, value, len(seen), left.shape):
+                changed[name] = _rows(value, keep)
         return changed
+
+    def _has_rows(self, name: Any, value: Any, count: int, size: tuple[int, ...]) -> bool:
+        """Whether an entry of a target has a row for each of `count` objects."""
+        of_picture = (*_WHOLE, *self.whole, self.augment.image_key, self.augment.distance_key)
+        if name in of_picture or not isinstance(value, (Tensor, np.ndarray, list)):
+            return False
+        if isinstance(value, list):
+            return len(value) == count
+        is_map = size in (tuple(value.shape[-2:]), tuple(value.shape[:2]))
+        if is_map and "masks" not in str(name):
+            return False
+        return value.ndim > 0 and len(value) == count
 
     def extra_repr(self) -> str:
         """What `repr` shows besides `augment`."""
-        return f"min_contrast={self.min_contrast}" + ", flag=True" * self.flag
+        whole = f", whole={self.whole}" if self.whole else ""
+        return f"min_contrast={self.min_contrast}" + ", flag=True" * self.flag + whole
 
 
 def transform_with_contrast(

@@ -197,6 +197,9 @@ def test_mix_names_and_provenance():
     again = mixed.mix(clear, 0.5)
     assert again.name == "0.5·(0.7·II + 0.3·7C) + 0.5·II"
     assert again.provenance == mixed.provenance
+    assert clear.mix(turbid, 0.388214).name == "0.61·II + 0.39·7C"
+    assert clear.with_contents(0.025843).name == "0.026·contents of II"
+    assert clear.mix(Water.jerlov("ii"), 0.4) is clear
 
 
 @pytest.mark.parametrize("t, same", [(0, "II"), (1, "7C")])

@@ -12,11 +12,13 @@ from uwaug.commands.console import refuse
 from uwaug.commands.runs import Manner, carry_out, rehearse, repeat, require_free
 from uwaug.jobs.clashes import counted_rows
 from uwaug.jobs.depth import Depth
-from uwaug.jobs.index import INDICES
+from uwaug.jobs.index import INDICES, number_of
 from uwaug.jobs.model import TERMS
 from uwaug.jobs.recipe import Recipe
 from uwaug.jobs.rows import Rows
 from uwaug.jobs.run import cores
+from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.water import JERLOV_TYPES
 from uwaug.options import contrast_of
 from uwaug.picture_files import FORMATS, require_format
 from uwaug.transforms import RandomUnderwater
@@ -113,12 +115,12 @@ def degrade(
         if focal_px is not None and preset is None and fit is None:
             drawn.setdefault("focal_px", focal_px)
         recipe = Recipe(
-            water=water,
+            water=_jerlov(water),
             preset=preset,
             fit=None if fit is None else str(fit),
             random=random,
             options=drawn,
-            depth=Depth(**_inverse_of_network(depth_options)),
+            depth=_depth(depth_options, distance),
             seed=seed,
             labels=None if labels is None else str(labels),
             min_contrast=min_contrast,
@@ -126,6 +128,8 @@ def degrade(
             keep_terms=keep_terms,
         ).sealed()
         rows = _rows(inputs, place, distance, variants, output_format, depth_network is not None)
+        if shards is None:
+            _require_folder(rows)
         count = counted_rows(rows, TERMS if keep_terms else ())
     except (TypeError, ValueError, OSError, ImportError) as error:
         refuse(error)
@@ -155,6 +159,7 @@ def _options(path: Path | None, flags: dict[str, str | None], severity: int | No
             if name not in known or name in _NOT_OPTIONS:
                 wanted = ", ".join(name for name in known if name not in _NOT_OPTIONS)
                 raise ValueError(f"{path}: unknown key {name}; there are {wanted}")
+        _require_point_spread(path, found.get("point_spread"))
     for name, text in flags.items():
         if text is not None:
             found[name] = text if text in ("auto", "none") else _range(name, text)
@@ -164,6 +169,29 @@ def _options(path: Path | None, flags: dict[str, str | None], severity: int | No
         checks.within("severity", severity, 1, 5)
         found["contrast"] = contrast_of(severity)
     return found
+
+
+def _require_point_spread(path: Path, table: Any) -> None:
+    """Refuse a table that is no `PointSpread`."""
+    known = inspect.signature(PointSpread).parameters
+    wanted = f"expected a table with scale and, if you like, {', '.join(list(known)[1:])}"
+    if table is None:
+        return
+    if not isinstance(table, dict):
+        raise ValueError(f"{path}: point_spread: {wanted}, got {table!r}")
+    for name in table:
+        if name not in known:
+            raise ValueError(f"{path}: point_spread: unknown key {name}: {wanted}")
+    if "scale" not in table:
+        raise ValueError(f"{path}: point_spread: scale is missing: {wanted}")
+
+
+def _jerlov(water: str | None) -> str | None:
+    """A Jerlov type, which may be given in small letters."""
+    if water is None:
+        return None
+    checks.one_of("water", water.upper(), JERLOV_TYPES)
+    return water.upper()
 
 
 def _range(name: str, text: str) -> float | list[float]:
@@ -183,6 +211,14 @@ def _number(text: str) -> str | float:
         return float(text)
     except ValueError:
         return text
+
+
+def _depth(options: dict[str, Any], distance: str | None) -> Depth:
+    """What the distance files of a run hold."""
+    depth = Depth(**_inverse_of_network(options))
+    if depth.network is None and distance is not None and number_of(distance) is not None:
+        depth.require_constant()
+    return depth
 
 
 def _inverse_of_network(options: dict[str, Any]) -> dict[str, Any]:
@@ -211,6 +247,15 @@ def _rows(
     if alone and variants == 1 and out.suffix.lower() in FORMATS and not out.is_dir():
         return Rows(inputs, distance, out.parent, network=network, name=out.name)
     return Rows(inputs, distance, out, variants, ending, network)
+
+
+def _require_folder(rows: Rows) -> None:
+    """Refuse a folder that looks like a file that cannot be written."""
+    if rows.name is None and rows.out.suffix and not rows.out.is_dir():
+        ends = ", ".join(FORMATS)
+        wanted = f"the file of one picture, which ends in {ends}, or a folder"
+        cure = "make the folder first if it is to be called so"
+        raise ValueError(f"--out {rows.out}: expected {wanted}: {cure}")
 
 
 def _workers(wanted: int | None, count: int, ray: str | None) -> int:

@@ -8,7 +8,7 @@ __all__ = ["complete_preset", "complete_water"]
 
 def complete_water(incomplete: str) -> list[str]:
     """The Jerlov types that begin so."""
-    return [name for name in JERLOV_TYPES if name.startswith(incomplete)]
+    return [name for name in JERLOV_TYPES if name.startswith(incomplete.upper())]
 
 
 def complete_preset(incomplete: str) -> list[str]:

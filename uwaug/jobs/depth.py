@@ -31,6 +31,8 @@ _ASKEW = 0.02
 _MANY = 0.2
 """Share of unknown pixels that is worth a note."""
 
+_TURNED = "the picture was turned as its EXIF says; its map is taken as turned already"
+
 
 class Mapped(NamedTuple):
     """A map of a picture.
@@ -56,7 +58,8 @@ class Depth:
             for each count.
         focal_px: focal length of the picture, px, for disparity and planar depth.
         baseline_m: between the two cameras, m, for disparity.
-        offset_px: difference of their principal points, px, see `uwaug.distance.from_disparity`.
+        offset_px: difference of their principal points, px of the picture, see
+            `uwaug.distance.from_disparity`. A disparity of 0 or less is unknown all the same.
         planar: whether metric files hold depth along the optical axis. Disparity always does.
         unknown: what NaN and 0 get, see `RandomUnderwater`.
         network: path of a depth network, in place of files. See `uwaug.distance.DepthNetwork`.
@@ -86,10 +89,40 @@ class Depth:
             raise ValueError("focal_px is missing: disparity and planar depth need it, in px")
         if self.kind == "disparity" and self.baseline_m is None:
             raise ValueError("baseline_m is missing: disparity needs the cameras' distance, in m")
-        if self.planar and self.kind in ("relative", "inverse"):
-            raise ValueError(f"planar would do nothing: distance_kind is {self.kind!r}, not metric")
+        self._require_use()
         if self.network is not None and self.kind != "inverse":
             raise ValueError(f"a depth network gives inverse depth, got kind {self.kind!r}")
+
+    def _require_use(self) -> None:
+        """Refuse options that would do nothing."""
+        scaled, stereo = self.kind in ("relative", "inverse"), self.kind == "disparity"
+        named = isinstance(self.unit, str) and self.unit != "m"
+        idle = {
+            "planar": (scaled and self.planar, "metric"),
+            "baseline_m": (not stereo and self.baseline_m is not None, "disparity"),
+            "offset_px": (not stereo and self.offset_px != 0, "disparity"),
+            "distance_unit": ((scaled and self.unit != "m") or (stereo and named), "metric"),
+        }
+        for name, (wrong, wanted) in idle.items():
+            if wrong:
+                got = f"distance_kind is {self.kind!r}, not {wanted}"
+                raise ValueError(f"{name} would do nothing: {got}")
+
+    def require_constant(self) -> None:
+        """Refuse options that say what files hold, where one number is the distance of all.
+
+        Raises:
+            ValueError: names the option.
+        """
+        told = {
+            "distance_kind": self.kind != "metric",
+            "distance_unit": self.unit != "m",
+            "planar": self.planar,
+        }
+        for name, given in told.items():
+            if given:
+                got = "the distance is a number, which is metres along every ray"
+                raise ValueError(f"{name} would do nothing: {got}")
 
     @property
     def _along_axis(self) -> bool:
@@ -100,12 +133,13 @@ class Depth:
         """Of the maps that `read` gives."""
         return "metric" if self.kind == "disparity" else self.kind
 
-    def read(self, where: Path | float | None, image: Tensor) -> Mapped:
+    def read(self, where: Path | float | None, image: Tensor, *, turned: bool = False) -> Mapped:
         """The map of a picture.
 
         Args:
-            where: its file; or metres, the same everywhere; or None, for the network.
+            where: its file; or metres along the ray, the same everywhere; or None, for the network.
             image (3xHxW tensor): uint8 or floating point.
+            turned: whether it was turned as its EXIF says, see `uwaug.pictures.Source`.
 
         Raises:
             ValueError: if the file does not suit; names it.
@@ -118,11 +152,20 @@ class Depth:
             shown = image / 255 if image.dtype == torch.uint8 else image
             return Mapped(_network(self.network)(shown), [])
         if not isinstance(where, Path):
+            if self.map_kind != "metric":
+                cure = "give a file of that kind, or metres without distance_kind"
+                raise ValueError(
+                    f"distance={where:g} is metres, but distance_kind is {self.kind!r}: {cure}"
+                )
             return Mapped(torch.full((1, *size), float(where)), [])
-        values, notes = self._numbers(where), []
+        values, notes = self._numbers(where), [_TURNED] * turned
         if tuple(values.shape[-2:]) != size:
             notes.append(f"distances of {_px(values)} px, resampled to {_px(image)}")
+            wider = size[1] / values.shape[-1]
             values = _resized(where, values, size)
+            if self.kind == "disparity":
+                # they are px of the picture, as is the focal length
+                values = values * wider
         values = self._along_rays(values)
         self._require_known(where, values)
         if self.kind in ("metric", "disparity"):
@@ -140,7 +183,11 @@ class Depth:
             scale = self.unit
         if self.kind == "relative" and numbers.dtype.kind in "bu":
             scale = 1.0 if numbers.dtype.kind == "b" else 1 / np.iinfo(numbers.dtype).max
-        return torch.from_numpy(numbers.astype(np.float32) * np.float32(scale))[None]
+        values = torch.from_numpy(numbers.astype(np.float32) * np.float32(scale))[None]
+        if self.kind == "disparity":
+            # with an offset, 0 would stand for a distance
+            values = torch.where(values > 0, values, torch.nan)
+        return values
 
     def _require_known(self, path: Path, values: Tensor) -> None:
         if self.unknown != "error":
@@ -167,7 +214,7 @@ def _resized(path: Path, values: Tensor, size: tuple[int, int]) -> Tensor:
     """Of another size, by the nearest pixel: the mean of two distances is that of no thing."""
     height, width = values.shape[-2:]
     if abs(math.log(width / height * size[0] / size[1])) > _ASKEW:
-        cure = "they must be of one view; is one of them turned or cropped?"
+        cure = "they must be of one view; is one of them cropped, or turned as EXIF says?"
         raise ValueError(f"{path}: is {width}×{height} but the picture {size[1]}×{size[0]}: {cure}")
     return interpolate(values[None], size, mode="nearest-exact")[0]
 

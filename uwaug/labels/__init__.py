@@ -9,7 +9,11 @@
 
 `contrast_map` is what `uwaug.contrast` or `uwaug.visible.transform_with_contrast` returns for the
 picture. An object's contrast is the mean of it over the object's pixels: its mask or polygon, or
-all that its box touches.
+all that its box touches. It is 0 where no pixel of an object is in the picture.
+
+The label file of reef/1.jpg is reef/1.txt (or .png) in the folder of labels; of images/train/1.jpg
+it may be train/1.txt too, or labels/train/1.txt; and 1.txt where the folder of labels has none in
+folders.
 
 Call all of them for every format: what a format has no use for returns no files. Labels pickle, and
 a record is as JSON reads it back. So workers may degrade while one process holds the source (a COCO

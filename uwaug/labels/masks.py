@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uwaug.files import require_regular, written_whole
-from uwaug.labels.source import Labels, Object, Record, beside, file_of, plain_name, write_json
+from uwaug.labels.source import (
+    Labels,
+    Object,
+    Record,
+    beside,
+    file_of,
+    is_flat,
+    plain_name,
+    write_json,
+)
 
 __all__ = ["MaskLabels"]
 
@@ -20,7 +30,7 @@ _MODES = ("L", "P", "1", "I;16", "I")
 
 @dataclass(frozen=True)
 class MaskLabels:
-    """A folder of masks, laid out as the pictures are, or flat.
+    """A folder of masks, laid out as the pictures are, or flat; see `uwaug.labels`.
 
     Attributes:
         folder: where they are.
@@ -30,10 +40,14 @@ class MaskLabels:
     folder: Path
     void: int | None = None
 
+    @cached_property
+    def _flat(self) -> bool:
+        return is_flat(self.folder, ".png")
+
     def labels_of(self, picture: str | os.PathLike[str], size: tuple[int, int]) -> Labels:
         """See `LabelSource`. A picture without a mask shows no object."""
         name = plain_name(picture)
-        path = file_of(self.folder, name, ".png")
+        path = file_of(self.folder, name, ".png", flat=self._flat)
         if path is None:
             return Labels(name, size, None, ())
         values, _ = _read(path)

@@ -40,11 +40,9 @@ class Object:
     shape: str
     values: Any
 
-    def region(self, size: tuple[int, int]) -> Region:
-        """Its pixels in a picture of (height, width).
-
-        Raises:
-            ValueError: if there are none.
+    def region(self, size: tuple[int, int]) -> Region | None:
+        """Its pixels in a picture of (height, width); None if there are none, as of an object that
+        a crop has cut off.
         """
         find: Any = {
             "box": box_region,
@@ -53,10 +51,6 @@ class Object:
             "mask": lambda mask, _: mask_region(mask),
         }[self.shape]
         found: Region | None = find(self.values, size)
-        if found is None:
-            height, width = size
-            what = f"no pixel of it is in the picture ({height}x{width} px, height x width)"
-            raise ValueError(f"{self.where}: {what}: mend or remove it")
         return found
 
 
@@ -130,11 +124,11 @@ def with_contrast(
 
     Returns:
         {"picture": name in the source, "objects": [{"key": …, "contrast": …, "ignored": …}]}, in
-        the order of `labels.objects`.
+        the order of `labels.objects`. The contrast of an object without a pixel in the picture is
+        0.
 
     Raises:
-        ValueError: if the map has another size than the picture, or no pixel of an object is in
-            the picture; names file and line, annotation or value.
+        ValueError: if the map has another size than the picture.
     """
     if min_contrast is not None:
         checks.within("min_contrast", min_contrast, 0.0, 1.0)
@@ -156,13 +150,37 @@ def plain_name(picture: str | os.PathLike[str]) -> str:
     return PurePosixPath(*Path(picture).parts).as_posix()
 
 
-def file_of(folder: Path, picture: str, end: str) -> Path | None:
-    """The label file of a picture: beside it in a folder of the same layout, or in a flat one."""
-    for name in (Path(picture).with_suffix(end), Path(Path(picture).stem + end)):
-        if (folder / name).exists():
-            require_regular(folder / name)
-            return folder / name
+def is_flat(folder: Path, end: str) -> bool:
+    """Whether no label file lies in a folder inside this one."""
+    return next(folder.rglob(f"*/*{end}"), None) is None
+
+
+def file_of(folder: Path, picture: str, end: str, *, flat: bool) -> Path | None:
+    """The label file of a picture: in a folder of the same layout; in one where "images" is
+    missing, or "labels" stands in its place; or, of a flat folder, the one of its name.
+    """
+    name = Path(picture).with_suffix(end)
+    names = [name, *_without_images(name)]
+    if flat:
+        # elsewhere b/1.txt may be missing, and 1.txt be that of another picture
+        names.append(Path(name.name))
+    for candidate in names:
+        if (folder / candidate).exists():
+            require_regular(folder / candidate)
+            return folder / candidate
     return None
+
+
+def _without_images(name: Path) -> list[Path]:
+    """Where the labels of images/train/1.png are: train/1.txt or labels/train/1.txt. As for
+    Ultralytics, the last folder called "images" counts.
+    """
+    folders = name.parts[:-1]
+    if "images" not in folders:
+        return []
+    last = len(folders) - 1 - folders[::-1].index("images")
+    before, after = name.parts[:last], name.parts[last + 1 :]
+    return [Path(*before, *after), Path(*before, "labels", *after)]
 
 
 def beside(path: str | os.PathLike[str], end: str, source: str | None) -> Path:

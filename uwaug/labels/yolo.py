@@ -8,12 +8,22 @@ a file shows no object.
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from uwaug.files import written_whole
-from uwaug.labels.source import Labels, Object, Record, beside, file_of, plain_name, write_json
+from uwaug.labels.source import (
+    Labels,
+    Object,
+    Record,
+    beside,
+    file_of,
+    is_flat,
+    plain_name,
+    write_json,
+)
 
 __all__ = ["YoloLabels"]
 
@@ -24,14 +34,18 @@ _TRIANGLE = 7
 
 @dataclass(frozen=True)
 class YoloLabels:
-    """A folder of label files, laid out as the pictures are, or flat."""
+    """A folder of label files, laid out as the pictures are, or flat; see `uwaug.labels`."""
 
     folder: Path
+
+    @cached_property
+    def _flat(self) -> bool:
+        return is_flat(self.folder, ".txt")
 
     def labels_of(self, picture: str | os.PathLike[str], size: tuple[int, int]) -> Labels:
         """See `LabelSource`."""
         name = plain_name(picture)
-        path = file_of(self.folder, name, ".txt")
+        path = file_of(self.folder, name, ".txt", flat=self._flat)
         if path is None:
             return Labels(name, size, None, ())
         objects = []

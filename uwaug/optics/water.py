@@ -88,7 +88,7 @@ class Water(Spectra):
         """One of the ten Jerlov water types.
 
         Args:
-            type: one of ``JERLOV_TYPES``; their order is Jerlov's; visibility does not fall at
+            type: one of ``JERLOV_TYPES``, in any case; their order is Jerlov's; visibility does not fall at
                 every step.
             source: ``"solonenko2015"``, a, b and K_d of all ten types at 300–700 nm; its misprinted
                 rows (3C at 675 and 700 nm, 5C at 600–700 nm) take a from Williamson & Hollins 2022,
@@ -116,6 +116,8 @@ class Water(Spectra):
             >>> water.provenance[1][:53]
             'Jerlov 5C: a at 600–700 nm: Williamson & Hollins 2022'
         """
+        if isinstance(type, str):
+            type = type.upper()
         table = repaired_table(type, source)
         return cls(table.wavelengths, **table.spectra, name=type, provenance=table.provenance)
 
@@ -141,7 +143,7 @@ class Water(Spectra):
         two waters.
 
         The mixture lives on the wavelengths of both, in the range that both cover, and carries both
-        provenances.
+        provenances. Its name has two digits of the shares. A water mixed with itself is itself.
 
         Args:
             other: the water to mix in.
@@ -157,11 +159,13 @@ class Water(Spectra):
         """
         checks.instance("other", other, Water, "; see Water.jerlov")
         checks.within("t", t, *checks.DOMAIN["mixing"])
+        if self == other:
+            return self
         grid = common_axis(self, other)
         if grid is None:
             raise ValueError(f"{self} and {other} have no common wavelength to mix at")
         mixture = (1 - t) * self._table(grid) + t * other._table(grid)
-        name = f"{1 - t:g}·{_bracketed(self.name)} + {t:g}·{_bracketed(other.name)}"
+        name = f"{1 - t:.2g}·{_bracketed(self.name)} + {t:.2g}·{_bracketed(other.name)}"
         provenance = tuple(dict.fromkeys(self.provenance + other.provenance))
         return self._derived(grid, mixture, name, provenance)
 
@@ -300,7 +304,7 @@ class Water(Spectra):
         checks.within("factor", factor, 0.0)
         if factor == 1:
             return self
-        name = f"{factor:.3g}·contents of {self.name}"
+        name = f"{factor:.2g}·contents of {self.name}"
         return self._with(factor, name, self.provenance)
 
     def _scaled(self, contrast: float, metres: float, name: str) -> Self:
