@@ -97,11 +97,12 @@ class Depth:
         """Refuse options that would do nothing."""
         scaled, stereo = self.kind in ("relative", "inverse"), self.kind == "disparity"
         named = isinstance(self.unit, str) and self.unit != "m"
+        no_unit = (scaled and self.unit != "m") or (stereo and named)
         idle = {
             "planar": (scaled and self.planar, "metric"),
             "baseline_m": (not stereo and self.baseline_m is not None, "disparity"),
             "offset_px": (not stereo and self.offset_px != 0, "disparity"),
-            "distance_unit": ((scaled and self.unit != "m") or (stereo and named), "metric"),
+            "distance_unit": (no_unit, "metric"),
         }
         for name, (wrong, wanted) in idle.items():
             if wrong:

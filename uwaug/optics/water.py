@@ -88,8 +88,8 @@ class Water(Spectra):
         """One of the ten Jerlov water types.
 
         Args:
-            type: one of ``JERLOV_TYPES``, in any case; their order is Jerlov's; visibility does not fall at
-                every step.
+            type: one of ``JERLOV_TYPES``, in any case; their order is Jerlov's; visibility does not
+                fall at every step.
             source: ``"solonenko2015"``, a, b and K_d of all ten types at 300–700 nm; its misprinted
                 rows (3C at 675 and 700 nm, 5C at 600–700 nm) take a from Williamson & Hollins 2022,
                 b from the paper's own scattering model and K_d from Jerlov 1976.
