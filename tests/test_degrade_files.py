@@ -15,9 +15,13 @@ from test_depth import mean_of_channels
 import uwaug
 from uwaug.distance import along_ray, from_disparity, from_inverse, from_relative
 from uwaug.jobs import Recipe, Row, degrade_file
+<<<<<<< HEAD
 from uwaug.jobs.depth import Depth
 from uwaug.jobs.record import read_record
 from uwaug.jobs.row import record_path
+=======
+from uwaug.jobs.record import read_record, record_path
+>>>>>>> mendb
 from uwaug.pictures import read_picture, read_source
 
 ORIENTATION, MAKER = 0x0112, 0x010F
@@ -273,30 +277,6 @@ def test_disparities(made):
     )
     expected, _ = transform.at(0, 0, "a.png")(read_picture("a.png"), z)
     from_(expected)
-
-
-def test_disparities_of_another_size_are_px_of_the_picture(folder):
-    depth = Depth("disparity", focal_px=20, baseline_m=0.4, offset_px=1.5, unknown="fill")
-    image = read_picture("a.png")
-    save("z.npy", np.full((H // 2, W // 2), 5.0, np.float32))
-    found, (note,) = depth.read(Path("z.npy"), image)
-    assert "resampled" in note
-    everywhere = from_disparity(torch.full((1, H, W), 10.0), 20, 0.4, 1.5)
-    torch.testing.assert_close(found, along_ray(everywhere, 20))
-    holed = metres()
-    holed[0, :2] = 0, -1
-    save("z.npy", holed)
-    values = depth.read(Path("z.npy"), image).values
-    assert values.isnan().sum() == values[0, 0, :2].isnan().sum() == 2
-
-
-def test_a_map_of_a_turned_picture_is_noted(folder):
-    image = read_picture("a.png")
-    (note,) = Depth().read(Path("z.npy"), image, turned=True).notes
-    assert "turned as its EXIF says" in note
-    assert Depth().read(3.0, image, turned=True).notes == []
-    with pytest.raises(ValueError, match=r"distance=3 is metres, but distance_kind is 'inverse'"):
-        Depth("inverse").read(3.0, image)
 
 
 def test_planar_depth_in_millimetres(made):

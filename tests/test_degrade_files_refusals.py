@@ -233,16 +233,6 @@ def test_an_unknown_water_lists_the_ten(run):
     assert all(water in err for water in JERLOV_TYPES)
 
 
-@pytest.mark.parametrize("out", [["v.heic"], ["v.jpg", "--variants", "2"], ["run.v2"]])
-def test_a_file_that_cannot_be_the_output_is_no_folder(run, out):
-    arguments = ("degrade", "good.png", "--distance", "3", *WATER, "--out", *out)
-    code, _, err = run(*arguments)
-    assert (code, f"--out {out[0]}: expected the file of one picture" in err) == (2, True)
-    assert not Path(out[0]).exists()
-    Path(out[0]).mkdir()
-    assert run(*arguments)[0] == 0
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -262,22 +252,6 @@ def test_options_that_are_refused(run, text, words):
     )
     assert code == 2
     assert words in err
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        ["--planar", "--focal-px", "9"],
-        ["--distance-unit", "mm"],
-        ["--distance-kind", "inverse"],
-        ["--distance-kind", "disparity", "--focal-px", "9", "--baseline", ".1"],
-    ],
-)
-def test_what_says_something_of_maps_needs_maps(run, options):
-    code, err = degraded(run, "good.png", *options, distance="3")
-    name = options[0].removeprefix("--").replace("-", "_")
-    assert (code, f"{name} would do nothing: the distance is a number" in err) == (2, True)
-    assert nothing_was_made()
 
 
 @pytest.mark.parametrize("distance", ["nan", "inf", "-1", "0"])

@@ -128,9 +128,14 @@ def degrade(
             keep_terms=keep_terms,
         ).sealed()
         rows = _rows(inputs, place, distance, variants, output_format, depth_network is not None)
+<<<<<<< HEAD
         if shards is None:
             _require_folder(rows)
         count = counted_rows(rows, TERMS if keep_terms else ())
+=======
+        _require_folder(rows, shards)
+        count = rows.check(TERMS if keep_terms else ())
+>>>>>>> mendb
     except (TypeError, ValueError, OSError, ImportError) as error:
         refuse(error)
     manner = Manner(_workers(workers, count, ray), resume, force, sheet, ray)
@@ -249,9 +254,10 @@ def _rows(
     return Rows(inputs, distance, out, variants, ending, network)
 
 
-def _require_folder(rows: Rows) -> None:
+def _require_folder(rows: Rows, shards: str | None) -> None:
     """Refuse a folder that looks like a file that cannot be written."""
-    if rows.name is None and rows.out.suffix and not rows.out.is_dir():
+    alone = rows.name is not None or shards is not None
+    if not alone and rows.out.suffix and not rows.out.is_dir():
         ends = ", ".join(FORMATS)
         wanted = f"the file of one picture, which ends in {ends}, or a folder"
         cure = "make the folder first if it is to be called so"

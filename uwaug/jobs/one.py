@@ -27,7 +27,7 @@ from uwaug.jobs.record import (
 )
 from uwaug.jobs.row import Row, record_path, terms_path
 from uwaug.labels import Labels, with_contrast
-from uwaug.picture_files import fill, require_format, write_picture
+from uwaug.picture_files import fill, lost, require_format, write_picture
 from uwaug.pictures import Source as Picture
 from uwaug.pictures import read_source
 from uwaug.replay import reproducible
@@ -128,7 +128,7 @@ def _degrade_file(
     if not force:
         _require_free(row, recipe)
     source = read_source(row.input)
-    mapped = recipe.depth.read(row.distance, source.picture)
+    mapped = recipe.depth.read(row.distance, source.picture, turned=source.turned)
     model = recipe.model()
     if drawn is None:
         generator = torch.Generator().manual_seed(key_of(recipe.seed, row.variant, row.id))
@@ -142,7 +142,8 @@ def _degrade_file(
         fill(part, kind, made.image, source)
         judged = _judged(row, recipe, made)
         record = _record_of(row, recipe, made, part)
-        record = replace(record, notes=mapped.notes)
+        losses = [f"{kind} does not keep: {what}" for what in lost(source, kind)]
+        record = replace(record, notes=[*mapped.notes, *losses])
         if judged is not None:
             record = replace(record, labels=judged[1], label_file=_label_file(judged[0]))
         if force:

@@ -88,8 +88,7 @@ class Water(Spectra):
         """One of the ten Jerlov water types.
 
         Args:
-            type: one of ``JERLOV_TYPES``, in any case; their order is Jerlov's; visibility does not
-                fall at every step.
+            type: one of ``JERLOV_TYPES``, in any case, in Jerlov's order, which visibility is not.
             source: ``"solonenko2015"``, a, b and K_d of all ten types at 300–700 nm; its misprinted
                 rows (3C at 675 and 700 nm, 5C at 600–700 nm) take a from Williamson & Hollins 2022,
                 b from the paper's own scattering model and K_d from Jerlov 1976.
@@ -116,8 +115,7 @@ class Water(Spectra):
             >>> water.provenance[1][:53]
             'Jerlov 5C: a at 600–700 nm: Williamson & Hollins 2022'
         """
-        if isinstance(type, str):
-            type = type.upper()
+        type = type.upper() if isinstance(type, str) else type
         table = repaired_table(type, source)
         return cls(table.wavelengths, **table.spectra, name=type, provenance=table.provenance)
 
@@ -142,8 +140,8 @@ class Water(Spectra):
         """The mixture (1 − t)·self + t·other, linear in a, b and K_d: a continuous slider between
         two waters.
 
-        The mixture lives on the wavelengths of both, in the range that both cover, and carries both
-        provenances. Its name has two digits of the shares. A water mixed with itself is itself.
+        It lives on the wavelengths of both, in the range that both cover, with both provenances. A
+        water mixed with itself is itself.
 
         Args:
             other: the water to mix in.
@@ -302,10 +300,8 @@ class Water(Spectra):
     def with_contents(self, factor: float) -> Self:
         """This water with `factor` times what is in it besides pure water, see `with_contrast`."""
         checks.within("factor", factor, 0.0)
-        if factor == 1:
-            return self
         name = f"{factor:.2g}·contents of {self.name}"
-        return self._with(factor, name, self.provenance)
+        return self if factor == 1 else self._with(factor, name, self.provenance)
 
     def _scaled(self, contrast: float, metres: float, name: str) -> Self:
         """This water with a contrast that pure water allows."""
