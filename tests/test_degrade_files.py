@@ -15,13 +15,8 @@ from test_depth import mean_of_channels
 import uwaug
 from uwaug.distance import along_ray, from_disparity, from_inverse, from_relative
 from uwaug.jobs import Recipe, Row, degrade_file
-<<<<<<< HEAD
-from uwaug.jobs.depth import Depth
 from uwaug.jobs.record import read_record
 from uwaug.jobs.row import record_path
-=======
-from uwaug.jobs.record import read_record, record_path
->>>>>>> mendb
 from uwaug.pictures import read_picture, read_source
 
 ORIENTATION, MAKER = 0x0112, 0x010F

@@ -102,9 +102,8 @@ def degrade(
     }
     place = place_of(out, shards, alone=again is not None)
     if again is not None:
-        if len(inputs or []) > 1 or any((water, preset, fit, random, options, seed, keep_terms)):
-            refuse("--from takes all from the record: give nothing but --out and files that moved")
-        if any(value is not None for value in flags.values()) or labels is not None:
+        others = (water, preset, fit, random, options, seed, keep_terms, labels, *flags.values())
+        if len(inputs or []) > 1 or any(others):
             refuse("--from takes all from the record: give nothing but --out and files that moved")
         repeat(again, place, force, inputs or [], distance)
         return
@@ -128,14 +127,8 @@ def degrade(
             keep_terms=keep_terms,
         ).sealed()
         rows = _rows(inputs, place, distance, variants, output_format, depth_network is not None)
-<<<<<<< HEAD
-        if shards is None:
-            _require_folder(rows)
-        count = counted_rows(rows, TERMS if keep_terms else ())
-=======
         _require_folder(rows, shards)
-        count = rows.check(TERMS if keep_terms else ())
->>>>>>> mendb
+        count = counted_rows(rows, TERMS if keep_terms else ())
     except (TypeError, ValueError, OSError, ImportError) as error:
         refuse(error)
     manner = Manner(_workers(workers, count, ray), resume, force, sheet, ray)
