@@ -137,8 +137,7 @@ def degrade(
         require_free(rows, recipe, manner)
     if dry_run:
         rehearse(rows, recipe, count, manner)
-        return
-    if shards is None:
+    elif shards is None:
         carry_out(rows, recipe, count, manner)
     else:
         carry_out_in_shards(rows, recipe, count, manner, shards)
