@@ -115,7 +115,7 @@ class Water(Spectra):
             >>> water.provenance[1][:53]
             'Jerlov 5C: a at 600–700 nm: Williamson & Hollins 2022'
         """
-        type = type.upper() if isinstance(type, str) else type
+        type = type.upper() if str(type).upper() in JERLOV_TYPES else type
         table = repaired_table(type, source)
         return cls(table.wavelengths, **table.spectra, name=type, provenance=table.provenance)
 
