@@ -96,6 +96,13 @@ def test_a_file_of_labels_of_somebody_else_is_kept(run):
     assert Path("out/marks.json").read_text() == "mine"
 
 
+def test_labels_that_are_nowhere_are_missed(run):
+    save("marks/other.png", np.ones((H, W), np.uint8))
+    given = ("all", "--distance", "3", *WATER, "--labels", "marks", "--out", "out")
+    code, _, err = run("degrade", *given)
+    assert (code, "none of the pictures has labels in" in err) == (1, True)
+
+
 def test_what_is_read_is_not_written_over(run):
     np.save("maps/a", metres())
     save("maps/a.png", (1000 * metres()).astype(np.uint16))

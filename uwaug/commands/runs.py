@@ -128,6 +128,8 @@ def carry_out(rows: Rows, recipe: Recipe, count: int, manner: Manner) -> None:
         more = summary.failed - len(summary.reasons)
         lines = [*summary.reasons, *([f"and {more} more, see index.csv"] if more else [])]
         problems.append("\n  ".join([f"{summary.failed} of {count} pictures failed:", *lines]))
+    if recipe.labels is not None and summary.seen > summary.failed and not summary.labelled:
+        problems.append(f"none of the pictures has labels in {recipe.labels}: the right folder?")
     if problems:
         fail("\n".join(problems))
 
@@ -160,7 +162,7 @@ class _Summary:
 
     def __init__(self, step: int) -> None:
         self._step = step
-        self.seen = self.failed = self.kept = 0
+        self.seen = self.failed = self.kept = self.labelled = 0
         self.reasons: list[str] = []
         self.notes: list[str] = []
         self.shown: list[Outcome] = []
@@ -175,6 +177,7 @@ class _Summary:
             self.shown.append(outcome)
         self.kept += outcome.status == "kept"
         self.seen += 1
+        self.labelled += outcome.record is not None and outcome.record.label_file is not None
         for note in outcome.record.notes if outcome.record else ():
             if len(self.notes) < LISTED:
                 self.notes.append(_named(outcome, note))

@@ -88,7 +88,7 @@ class Water(Spectra):
         """One of the ten Jerlov water types.
 
         Args:
-            type: one of ``JERLOV_TYPES``, in any case, in Jerlov's order, which visibility is not.
+            type: one of ``JERLOV_TYPES``, in any case; in Jerlov's order, not that of visibility.
             source: ``"solonenko2015"``, a, b and K_d of all ten types at 300–700 nm; its misprinted
                 rows (3C at 675 and 700 nm, 5C at 600–700 nm) take a from Williamson & Hollins 2022,
                 b from the paper's own scattering model and K_d from Jerlov 1976.
