@@ -82,7 +82,7 @@ def judged(aug: uwaug.RandomUnderwater, pair: Pair, index: int) -> tuple[Tensor,
     share = _deviation(picture, middle) / _deviation(pair.image, middle)
     with torch.no_grad():
         found = in_water(pair.image, pair.distance, aug.chosen(sample))
-    veil = float(found.medium.backscatter(found.z).max())
+    veil = float(found.seen.medium.backscatter(found.seen.z).max())
     judgement = {
         "water": sample["waters"][0],
         "contrast": sample.get("contrast"),

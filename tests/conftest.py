@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from augmenting import OPTIONS
+from threadpoolctl import threadpool_limits
 from torch import Tensor
 
 import uwaug.scene
@@ -19,7 +20,10 @@ sys.path.append(str(Path(__file__).parent.parent))
 # no test asks the network
 os.environ |= {"NO_ALBUMENTATIONS_UPDATE": "1", "HF_HUB_OFFLINE": "1"}
 if "PYTEST_XDIST_WORKER" in os.environ:
-    torch.set_num_threads(1)  # workers share the machine
+    # workers share the machine; what they start does, too
+    torch.set_num_threads(1)
+    threadpool_limits(1)
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 
 class Scene(NamedTuple):
