@@ -163,6 +163,17 @@ def test_a_record_holds_from_any_folder(run, monkeypatch, tmp_path):
     assert "the same bytes" in went_well(run, "../moved/a.png", *record)
 
 
+def test_force_leaves_labels_that_no_run_has_written(run):
+    given = ("all/a.png", "--distance", "3", *WATER, "--out", "out")
+    went_well(run, *given)
+    save("out/labels/a.png", np.ones((H, W), np.uint8))
+    before = content("out/labels")
+    went_well(run, *given, "--force")
+    code, _, err = run("degrade", *given, "--labels", "out/labels", "--force")
+    assert (code, "the labels' own file" in err) == (1, True)
+    assert content("out/labels") == before
+
+
 def test_force_leaves_nothing_of_the_picture_before(run):
     save("marks/a.png", np.ones((H, W), np.uint8))
     given = ("all/a.png", "--distance", "3", *WATER, "--out", "out")

@@ -19,8 +19,7 @@ from uwaug.jobs.recipe import Recipe, sha256_of
 from uwaug.jobs.record import (
     Record,
     Source,
-    is_recorded,
-    read_record,
+    record_of,
     source_of,
     versions,
     write_record,
@@ -112,11 +111,8 @@ def repeated(record: Record, output: Path, *, force: bool = False) -> Record:
 
 def _known(row: Row, recipe: Recipe) -> Record | None:
     """The record of a picture that is finished."""
-    try:
-        record = read_record(record_path(row.output))
-    except (OSError, ValueError):
-        return None
-    return record if record.is_of(row, recipe) else None
+    record = record_of(row.output)
+    return record if record is not None and record.is_of(row, recipe) else None
 
 
 def _degrade_file(
@@ -149,7 +145,7 @@ def _degrade_file(
         if force:
             # what was there goes when all else is written; a new record beside an old picture
             # would pass for its own
-            _remove_beside(row)
+            _remove_beside(row, judged)
             _write_beside(row, recipe, made, source, judged)
             Path(os.path.realpath(row.output)).unlink(missing_ok=True)
             write_record(record, record_path(row.output))
@@ -175,17 +171,28 @@ def _write_beside(
         label_source.write_picture(*judged, row.labels)
 
 
-def _remove_beside(row: Row) -> None:
-    """Terms and labels of an earlier run, which are not those of the new picture."""
-    if not is_recorded(row.output):
+def _remove_beside(row: Row, judged: Judged | None) -> None:
+    """Terms and labels that an earlier run has written, which are not those of the new picture."""
+    before = record_of(row.output)
+    if before is None:
         return
-    for path in _beside(row):
-        path.unlink(missing_ok=True)
+    written = _terms(row) if before.recipe["keep_terms"] else []
+    if before.labels is not None:
+        written += _labels(row)
+    read = None if judged is None else judged[0].file
+    for path in written:
+        if read is None or path.resolve() != Path(read).resolve():
+            path.unlink(missing_ok=True)
 
 
-def _beside(row: Row) -> list[Path]:
-    labels = row.labels.parent.glob(f"{glob.escape(row.labels.stem)}.*")
-    return [*(terms_path(row.output, name) for name in TERMS), *labels]
+def _terms(row: Row) -> list[Path]:
+    """Where its terms are."""
+    return [terms_path(row.output, name) for name in TERMS]
+
+
+def _labels(row: Row) -> list[Path]:
+    """The files in the folder of labels that have its name."""
+    return list(row.labels.parent.glob(f"{glob.escape(row.labels.stem)}.*"))
 
 
 def _label_file(labels: Labels) -> Source | None:
@@ -214,17 +221,13 @@ def _require_free(row: Row, recipe: Recipe) -> None:
     beside = record_path(row.output)
     if row.output.exists():
         raise FileExistsError(f"{row.output} exists: {cure}")
-    if beside.exists():
-        try:
-            read_record(beside)
-        except ValueError:
-            raise FileExistsError(f"{beside} exists, and is no record of uwaug: {cure}") from None
+    if record_of(row.output) is not None:
         return
-    others: list[Path] = []
-    if recipe.keep_terms:
-        others += [terms_path(row.output, name) for name in TERMS]
+    if beside.exists():
+        raise FileExistsError(f"{beside} exists, and is no record of uwaug: {cure}")
+    others = _terms(row) if recipe.keep_terms else []
     if recipe.labels is not None:
-        others += row.labels.parent.glob(f"{glob.escape(row.labels.stem)}.*")
+        others += _labels(row)
     for path in others:
         if path.exists():
             raise FileExistsError(f"{path} exists: {cure}")

@@ -20,8 +20,8 @@ from uwaug.jobs.row import Row, record_path
 __all__ = [
     "Record",
     "Source",
-    "is_recorded",
     "read_record",
+    "record_of",
     "source_of",
     "versions",
     "write_record",
@@ -120,16 +120,15 @@ def versions() -> tuple[str, str]:
     return __version__, str(torch.__version__)
 
 
-def is_recorded(picture: Path) -> bool:
-    """Whether a run has written a picture: its record stands beside it."""
+def record_of(picture: Path) -> Record | None:
+    """The record that stands beside a picture; None if no run has written it."""
     beside = record_path(picture)
     if not beside.is_file():
-        return False
+        return None
     try:
-        read_record(beside)
+        return read_record(beside)
     except (OSError, ValueError):
-        return False
-    return True
+        return None
 
 
 def write_record(record: Record, path: Path) -> None:

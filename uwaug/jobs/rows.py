@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from uwaug.files import is_part, require_regular
 from uwaug.jobs.index import INDICES, number_of, read_index
-from uwaug.jobs.record import is_recorded
+from uwaug.jobs.record import record_of
 from uwaug.jobs.row import Row
 from uwaug.picture_files import FORMATS
 
@@ -128,7 +128,7 @@ class Rows:
                 suffix = path.suffix.lower()
                 if suffix not in FORMATS or suffix == ".npy" or is_part(name):
                     continue
-                if not (self._is_map(name) or is_recorded(path)):
+                if not (self._is_map(name) or record_of(path)):
                     yield path
 
     def _is_map(self, name: str) -> bool:
