@@ -8,7 +8,7 @@ import typer
 from rich.console import Console
 
 from uwaug.commands.console import fail, refuse, require_matplotlib
-from uwaug.commands.runs import INTERRUPTED, LISTED, Manner
+from uwaug.commands.runs import INTERRUPTED, LISTED, Manner, failures
 from uwaug.jobs.cluster import LOCAL, connected, require_ray
 from uwaug.jobs.recipe import Recipe
 from uwaug.jobs.rows import Rows
@@ -71,9 +71,5 @@ def carry_out_in_shards(rows: Rows, recipe: Recipe, count: int, manner: Manner, 
     took = time.perf_counter() - start
     print(f"{tally.rows - tally.failed} of {count} pictures in {place}, {took:.1f} s")
     if tally.failed:
-        more = tally.failed - len(tally.reasons)
-        lines = [
-            *tally.reasons,
-            *([f"and {more} more: rows whose status is failed"] if more else []),
-        ]
-        fail(f"{tally.failed} of {tally.rows} pictures failed:\n  " + "\n  ".join(lines))
+        failed, rest = (tally.failed, tally.rows, tally.reasons), ": rows whose status is failed"
+        fail(failures(*failed, rest))

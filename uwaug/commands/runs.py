@@ -18,17 +18,25 @@ from uwaug.commands.console import fail, refuse
 from uwaug.commands.progress import counted
 from uwaug.files import remove_left
 from uwaug.jobs.cluster import connected, run_on_ray
-from uwaug.jobs.one import Outcome, degrade_file, reason_of, repeated
+from uwaug.jobs.one import Outcome, degrade_file, named, reason_of, repeated
 from uwaug.jobs.recipe import Recipe
-from uwaug.jobs.record import Record, Source, read_record
+from uwaug.jobs.record import Record, Source, read_record, record_of
 from uwaug.jobs.report import index_of, written_outputs
-from uwaug.jobs.row import record_path
 from uwaug.jobs.rows import Rows
 from uwaug.jobs.run import run
 from uwaug.jobs.sheet import SHOWN, draw_sheet
 from uwaug.picture_files import FORMATS
 
-__all__ = ["INTERRUPTED", "LISTED", "Manner", "carry_out", "rehearse", "repeat", "require_free"]
+__all__ = [
+    "INTERRUPTED",
+    "LISTED",
+    "Manner",
+    "carry_out",
+    "failures",
+    "rehearse",
+    "repeat",
+    "require_free",
+]
 
 LISTED = 20
 """Reasons, or pictures of a rehearsal, at most."""
@@ -85,12 +93,10 @@ def _require_none_there(rows: Rows, recipe: Recipe, manner: Manner) -> None:
 
 def _apart(output: Path, recipe: Recipe) -> list[str]:
     """The options in which a picture's record differs from a recipe."""
-    try:
-        theirs = read_record(record_path(output)).recipe
-    except (OSError, ValueError):
+    record, mine = record_of(output), recipe.to_json()
+    if record is None:
         return []
-    mine = recipe.to_json()
-    return [name for name in mine if mine[name] != theirs.get(name) and name != "content"]
+    return [name for name in mine if mine[name] != record.recipe.get(name) and name != "content"]
 
 
 def _require_none(path: Path, cure: str) -> None:
@@ -125,9 +131,8 @@ def carry_out(rows: Rows, recipe: Recipe, count: int, manner: Manner) -> None:
         print(f"Note: {line}")
     print(f"{summary.said(count)} in {rows.out}, {time.perf_counter() - start:.1f} s")
     if summary.failed:
-        more = summary.failed - len(summary.reasons)
-        lines = [*summary.reasons, *([f"and {more} more, see index.csv"] if more else [])]
-        problems.append("\n  ".join([f"{summary.failed} of {count} pictures failed:", *lines]))
+        failed, rest = (summary.failed, count, summary.reasons), ", see index.csv"
+        problems.append(failures(*failed, rest))
     if recipe.labels is not None and summary.seen > summary.failed and not summary.labelled:
         problems.append(f"none of the pictures has labels in {recipe.labels}: the right folder?")
     if problems:
@@ -172,7 +177,7 @@ class _Summary:
         if outcome.status == "failed":
             self.failed += 1
             if len(self.reasons) < LISTED:
-                self.reasons.append(_named(outcome, str(outcome.reason)))
+                self.reasons.append(outcome.named_reason)
         elif self.seen % self._step == 0:
             self.shown.append(outcome)
         self.kept += outcome.status == "kept"
@@ -180,7 +185,7 @@ class _Summary:
         self.labelled += outcome.record is not None and outcome.record.label_file is not None
         for note in outcome.record.notes if outcome.record else ():
             if len(self.notes) < LISTED:
-                self.notes.append(_named(outcome, note))
+                self.notes.append(named(str(outcome.row.input), note))
 
     def said(self, count: int) -> str:
         """How many."""
@@ -208,15 +213,16 @@ def _records(rows: Rows) -> Iterator[Record]:
     """Of the pictures in the folder that a run writes to."""
     outputs = written_outputs(rows.out) if rows.name is None else [rows.out / rows.name]
     for output in outputs:
-        try:
-            yield read_record(record_path(output))
-        except (OSError, ValueError):
-            continue
+        record = record_of(output)
+        if record is not None:
+            yield record
 
 
-def _named(outcome: Outcome, text: str) -> str:
-    name = str(outcome.row.input)
-    return text if name in text else f"{name}: {text}"
+def failures(failed: int, count: int, reasons: list[str], rest: str) -> str:
+    """How many pictures failed, and why; `rest`: where the reasons stand that are not named."""
+    more = failed - len(reasons)
+    lines = [*reasons, *([f"and {more} more{rest}"] if more else [])]
+    return "\n  ".join([f"{failed} of {count} pictures failed:", *lines])
 
 
 def _clean(out: Path) -> None:
@@ -236,7 +242,7 @@ def rehearse(rows: Rows, recipe: Recipe, count: int, manner: Manner) -> None:
             moved = row.moved(Path(folder))
             outcomes = [degrade_file(moved, recipe, force=True) for _ in range(2)]
     if outcomes[1].status == "failed":
-        fail(_named(outcomes[1], str(outcomes[1].reason)))
+        fail(outcomes[1].named_reason)
     seconds = outcomes[1].seconds * count / manner.workers
     workers = f"{manner.workers} worker{'s' if manner.workers > 1 else ''}"
     print(f"{count} pictures, about {seconds:.3g} s with {workers}. Nothing was written.")

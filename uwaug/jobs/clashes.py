@@ -28,20 +28,22 @@ def counted_rows(rows: Rows, terms: Sequence[str] = ()) -> int:
         OSError: if an input does not exist.
     """
     _require_own_folder(rows)
+    # a map that is found by the name of its picture may be that of another too
+    by_name = rows.distance is not None and ("{" in rows.distance or Path(rows.distance).is_dir())
     count = 0
     ids, outputs, inputs, maps = array("q"), array("q"), array("q"), array("q")
     for row in rows:
         count += 1
-        ids.append(hash_of(_id(row)[0]))
+        ids.append(hash_of(row.key))
         outputs.extend(hash_of(path) for path in _written(row, terms))
         inputs.extend(hash_of(path) for path in _read(row))
-        if row.variant == 0 and _matched(rows, row):
+        if by_name and row.variant == 0 and isinstance(row.distance, Path):
             maps.append(hash_of(str(row.distance)))
     if not count:
         known = ", ".join(name for name in FORMATS if name != ".npy")
         raise ValueError(f"no pictures in {', '.join(map(str, rows.inputs))}: expected {known}")
     _require_read(rows, outputs, inputs, terms)
-    _require_apart(rows, ids, _id, "one id", "give an index with a column id")
+    _require_apart(rows, ids, lambda row: [row.key], "one id", "give an index with a column id")
     cure = "give an index with a column output"
     _require_apart(rows, outputs, lambda row: _written(row, terms), "one output", cure)
     cure = "give an index with a column distance"
@@ -57,10 +59,6 @@ def _require_own_folder(rows: Rows) -> None:
             raise ValueError(f"{given} would be written into: {cure}")
 
 
-def _id(row: Row) -> list[str]:
-    return [f"{row.id}/{row.variant}"]
-
-
 def _written(row: Row, terms: Sequence[str]) -> list[str]:
     """The pictures that a row makes; some file systems know no difference between A and a."""
     paths = [row.output, *(terms_path(row.output, term) for term in terms)]
@@ -73,12 +71,6 @@ def _read(row: Row) -> list[str]:
     if isinstance(row.distance, Path):
         paths.append(row.distance)
     return [os.path.realpath(path).casefold() for path in paths]
-
-
-def _matched(rows: Rows, row: Row) -> bool:
-    """Whether a map was found by the name of its picture, which may be that of another too."""
-    by_name = rows.distance is not None and ("{" in rows.distance or Path(rows.distance).is_dir())
-    return by_name and isinstance(row.distance, Path)
 
 
 def _require_read(

@@ -6,22 +6,18 @@ import os
 from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
-from uwaug.jobs.one import Outcome, degrade_file
+from uwaug.jobs.one import Outcome, begun_again, degrade_file
 from uwaug.jobs.recipe import Recipe
 from uwaug.jobs.row import Row
-from uwaug.jobs.run import cores, died, use_one_thread
+from uwaug.jobs.run import AHEAD, cores, died, use_one_thread
 
 __all__ = ["LOCAL", "begin_on", "connected", "require_ray", "run_on_ray"]
 
 LOCAL = "local"
 """In place of an address: Ray is started on this machine, and ended with the run."""
-
-_AHEAD = 4
-"""Pictures for each core that are handed out before the first of them is done."""
 
 _RETRIES = 3
 """Times that a picture is begun again whose process, or machine, has died."""
@@ -99,7 +95,7 @@ def run_on_ray(
     """
     import ray
 
-    ahead = _AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))
+    ahead = AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))
     task = ray.remote(_degrade).options(max_retries=_RETRIES, num_cpus=1)
     # what is begun again may have been written by then, but not reported
     keep = resume or not force
@@ -141,6 +137,4 @@ def _outcome(row: Row, answer: Any, resume: bool) -> Outcome:
         return died(row)
     except ray.exceptions.RayError as error:
         raise OSError(f"Ray: {error}") from None
-    if outcome.status == "kept" and not resume:
-        return replace(outcome, status="done")
-    return outcome
+    return begun_again(outcome, resume)

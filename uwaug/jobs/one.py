@@ -33,9 +33,7 @@ from uwaug.replay import reproducible
 from uwaug.strips import Strips
 from uwaug.structure import key_of
 
-__all__ = ["Outcome", "Status", "degrade_file", "repeated", "terms_path"]
-
-Status = Literal["done", "kept", "failed"]
+__all__ = ["Outcome", "begun_again", "degrade_file", "named", "reason_of", "repeated"]
 
 
 @dataclass(frozen=True)
@@ -51,10 +49,27 @@ class Outcome:
     """
 
     row: Row
-    status: Status
+    status: Literal["done", "kept", "failed"]
     reason: str | None
     record: Record | None
     seconds: float
+
+    @property
+    def named_reason(self) -> str:
+        """The reason, with the picture's name."""
+        return named(str(self.row.input), str(self.reason))
+
+
+def named(name: str, text: str) -> str:
+    """A text with the name of what it is about."""
+    return text if name in text else f"{name}: {text}"
+
+
+def begun_again(outcome: Outcome, resume: bool) -> Outcome:
+    """Of a picture that may have been written before its process died, and not reported: it was
+    kept then, and is done.
+    """
+    return replace(outcome, status="done") if outcome.status == "kept" and not resume else outcome
 
 
 def degrade_file(row: Row, recipe: Recipe, *, resume: bool = False, force: bool = False) -> Outcome:

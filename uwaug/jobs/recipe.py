@@ -73,7 +73,6 @@ class Recipe:
         if len(chosen) != 1 and chosen != ["water", "preset"]:
             got = " and ".join(chosen) or "none"
             raise ValueError(f"expected one of water, preset, fit and random, got {got}")
-
         if self.min_contrast is not None:
             checks.within("min_contrast", self.min_contrast, 0.0, 1.0)
         if self.labels is None and (self.min_contrast, self.void) != (None, None):
@@ -137,11 +136,6 @@ class Recipe:
             )
         return Recipe(**{**values, "depth": Depth(**values["depth"])})
 
-    def digest(self) -> str:
-        """A name of all that it says."""
-        text = json.dumps(self.to_json(), sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()
-
     def label_source(self) -> LabelSource | None:
         """Where labels come from: opened once in a process.
 
@@ -156,7 +150,8 @@ class Recipe:
         Raises:
             TypeError, ValueError, OSError: as the transform, the preset or the fit.
         """
-        return _made(json.dumps(self.to_json(), sort_keys=True))
+        # files were looked at when it was sealed
+        return _made(json.dumps({**self.to_json(), "content": {}}, sort_keys=True))
 
 
 @lru_cache(maxsize=1)

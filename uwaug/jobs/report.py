@@ -54,7 +54,7 @@ class Index:
             "variant": row.variant,
             "input": self._path(row.input),
             "distance": self._path(row.distance),
-            "output": row.output.relative_to(self._out).as_posix(),
+            "output": row.place.as_posix(),
             "seconds": f"{outcome.seconds:.3f}",
             "status": outcome.status,
             "reason": outcome.reason,

@@ -31,6 +31,11 @@ class Row(NamedTuple):
     out: Path | None = None
 
     @property
+    def key(self) -> str:
+        """Tells it apart from all others of a run."""
+        return f"{self.id}/{self.variant}"
+
+    @property
     def place(self) -> Path:
         """Path of the output from the folder that is written to."""
         return self.output.relative_to(self.out or self.output.parent)

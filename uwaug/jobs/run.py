@@ -10,7 +10,6 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import partial
 from multiprocessing.connection import wait
 from multiprocessing.context import BaseContext
@@ -19,13 +18,13 @@ import torch
 from threadpoolctl import threadpool_limits
 
 from uwaug.files import remove_left
-from uwaug.jobs.one import Outcome, degrade_file
+from uwaug.jobs.one import Outcome, begun_again, degrade_file
 from uwaug.jobs.recipe import Recipe
 from uwaug.jobs.row import Row
 
-__all__ = ["alone", "cores", "died", "run", "use_one_thread"]
+__all__ = ["AHEAD", "alone", "cores", "died", "run", "use_one_thread"]
 
-_AHEAD = 4
+AHEAD = 4
 """Pictures for each worker that are handed out before the first of them is done."""
 
 Waiting = deque[tuple[Row, "Future[Outcome]"]]
@@ -72,7 +71,7 @@ def run(
                     left = [row]
                     waiting.append((row, pool.submit(_in_worker, job, row)))
                     left = []
-                    if len(waiting) >= _AHEAD * workers:
+                    if len(waiting) >= AHEAD * workers:
                         yield waiting[0][1].result()
                         waiting.popleft()
                 while waiting:
@@ -93,9 +92,7 @@ def _again(job: "partial[Outcome]", row: Row) -> Outcome:
     """A picture whose worker has died: it may have been written, and its outcome been lost."""
     given = job.keywords
     outcome = alone(partial(job, resume=given["resume"] or not given["force"]), row)
-    if outcome.status == "kept" and not given["resume"]:
-        return replace(outcome, status="done")
-    return outcome
+    return begun_again(outcome, given["resume"])
 
 
 def alone(job: "partial[Outcome]", row: Row) -> Outcome:

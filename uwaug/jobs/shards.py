@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from uwaug.jobs.cluster import require_ray
+from uwaug.jobs.one import named
 from uwaug.jobs.recipe import Recipe
-from uwaug.jobs.row import Row
 from uwaug.jobs.rows import Rows, hash_of
 
 __all__ = ["SIZE", "Shards", "Tally"]
@@ -212,7 +212,7 @@ class Shards:
                 if row["status"] == "failed":
                     found.failed += 1
                     if len(found.reasons) < most:
-                        found.reasons.append(_named(row["input"], row["reason"]))
+                        found.reasons.append(named(row["input"], row["reason"]))
         return found
 
 
@@ -221,27 +221,18 @@ def _among(keys: Any, key: int) -> bool:
     return place < len(keys) and int(keys[place]) == key
 
 
-def _named(name: str, reason: str) -> str:
-    return reason if name in reason else f"{name}: {reason}"
-
-
 def _lines(rows: Rows) -> Iterator[dict[str, Any]]:
     for row in rows:
         yield {
-            "key": _key_of(row),
+            "key": hash_of(row.key),
             "id": row.id,
             "variant": row.variant,
             "input": str(row.input),
             "distance": None if row.distance is None else str(row.distance),
-            "output": row.output.relative_to(rows.out).as_posix(),
+            "output": row.place.as_posix(),
             "problem": row.problem,
             "name": row.name,
         }
-
-
-def _key_of(row: Row) -> int:
-    """Tells the rows of a run apart."""
-    return hash_of(f"{row.id}/{row.variant}")
 
 
 def _schema() -> Any:
