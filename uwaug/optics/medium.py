@@ -35,7 +35,6 @@ from typing import Any
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from numpy.typing import ArrayLike
 from torch import Tensor
 
@@ -43,7 +42,8 @@ from uwaug import checks
 from uwaug.checks import DOMAIN
 from uwaug.optics.bands import band_coefficients, default_bands, given_rows
 from uwaug.optics.camera import Camera, load_camera
-from uwaug.optics.curves import FARTHEST, Curves, Sums, curves
+from uwaug.optics.curves import FARTHEST, Sums
+from uwaug.optics.derived import brightened, curves_at, stacked
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.quadrature import reduce_rates
 from uwaug.optics.spectra import Array
@@ -140,7 +140,7 @@ class Medium:
         arrays = (rates, direct, scatter, *both, b_mean)
         tensors = [torch.from_numpy(array[None]) for array in arrays]
         law = PointSpread.paper() if point_spread is None else point_spread
-        return Medium(**dict(zip(_TENSORS, tensors, strict=True)), point_spread=law, notes=(note,))
+        return Medium.of_tensors(tensors, law, (note,))
 
     @staticmethod
     def from_coefficients(
@@ -197,22 +197,9 @@ class Medium:
     def stack(media: "Iterable[Medium]") -> "Medium":
         """One batch of several media; their width laws must share shape and reference size."""
         media = list(media)
-        if not media:
-            raise ValueError("media is empty: stack needs at least one Medium")
         for medium in media:
             checks.instance("media", medium, Medium, "; see Medium.from_water")
-        rows, dtype = [len(medium) for medium in media], media[0].beta.dtype
-        law = PointSpread.stack([medium.point_spread for medium in media], rows, dtype)
-
-        def join(name: str) -> Tensor:
-            parts = [getattr(medium, name) for medium in media]
-            if parts[0].ndim == 1:
-                return torch.cat(parts)
-            width = max(part.shape[-1] for part in parts)
-            return torch.cat([F.pad(part, (0, width - part.shape[-1])) for part in parts])
-
-        notes = sum((medium.notes for medium in media), ())
-        return Medium(**{name: join(name) for name in _TENSORS}, point_spread=law, notes=notes)
+        return stacked(media)
 
     def __len__(self) -> int:
         return len(self.beta)
@@ -226,8 +213,16 @@ class Medium:
 
     def map(self, function: Callable[[Tensor], Tensor]) -> "Medium":
         """`function` applied to each tensor, the width law's included."""
-        tensors = dict(zip(_TENSORS, map(function, self.tensors()), strict=True))
-        return Medium(**tensors, point_spread=self.point_spread.map(function), notes=self.notes)
+        law = self.point_spread.map(function)
+        return self.of_tensors(list(map(function, self.tensors())), law, self.notes)
+
+    @staticmethod
+    def of_tensors(
+        tensors: Sequence[Tensor], point_spread: PointSpread, notes: tuple[str, ...]
+    ) -> "Medium":
+        """The inverse of `tensors`."""
+        named = dict(zip(_TENSORS, tensors, strict=True))
+        return Medium(**named, point_spread=point_spread, notes=notes)
 
     def to(self, *args: Any, **kwargs: Any) -> "Medium":
         """Move or cast, as `torch.Tensor.to`."""
@@ -284,17 +279,6 @@ class Medium:
         split = 1 + self.beta.shape[1] if exact_at_lens else None
         return Sums(rates, torch.cat(weights, 1), split)
 
-    def _at(self, z: Tensor, *, exact_at_lens: bool = False) -> Curves:
-        """The curves at distances in any of the shapes that `transmission` takes."""
-        with torch.autocast(z.device.type, enabled=False):
-            x = z.to(torch.promote_types(z.dtype, torch.float32)).clamp(max=FARTHEST)
-            plane = x if z.ndim > 2 else x.reshape(1, 1, -1)
-            batch = plane if plane.ndim == 4 else plane[None]
-            found = curves(self.to(x).sums(exact_at_lens=exact_at_lens), batch)
-        if z.ndim > 2:
-            return found
-        return Curves(*(curve.reshape(len(curve), 3, *z.shape) for curve in found))
-
     def transmission(self, z: Tensor) -> Tensor:
         """T_β(z): share of the light at the surface that arrives unscattered.
 
@@ -304,29 +288,20 @@ class Medium:
         Returns:
             (B, 3, H, W), or (B, 3, N), or (B, 3).
         """
-        return self._at(z).direct
+        return curves_at(self, z).direct
 
     def signal(self, z: Tensor) -> Tensor:
         """T_G(z): share of the light at the surface that arrives at all; as `transmission`."""
-        found = self._at(z)
+        found = curves_at(self, z)
         return found.direct + found.scatter
 
     def backscatter(self, z: Tensor) -> Tensor:
         """V(0) − V(z), the veil in front of a point at distance z; as `transmission`."""
-        return self._at(z, exact_at_lens=True).veil
+        return curves_at(self, z, exact_at_lens=True).veil
 
     def brightened(self, gain: Tensor) -> "Medium":
         """The medium as seen by a camera that multiplies all light by `gain` (B or 1)."""
-        rows = max(len(self), len(gain))
-        medium = self.map(lambda t: t.expand(rows, *t.shape[1:]))
-        factor = gain.reshape(-1, 1, 1).to(self.beta)
-        return replace(
-            medium,
-            direct_weights=factor * self.direct_weights,
-            signal_weights=factor * self.signal_weights,
-            veil_weights=factor * self.veil_weights,
-            notes=self.notes if len(self) == rows else self.notes * rows,
-        )
+        return brightened(self, gain)
 
     def lengths(self, z: Tensor) -> Tensor:
         """Scattering lengths b̄·z of finite distances (B or 1, 1, H, W)."""
