@@ -99,7 +99,7 @@ def torchvision() -> Any:
 @pytest.fixture(autouse=True)
 def warnings_are_fresh(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let every test be the first that fills a map: it warns once in a process."""
-    monkeypatch.setattr(uwaug.distance, "_warned", [])
+    monkeypatch.setattr(uwaug.holes, "_warned", [])
 
 
 @pytest.fixture(scope="module", params=OPTIONS)

@@ -147,7 +147,7 @@ def test_no_map_and_a_stream() -> None:
     "options, changes, message",
     [
         ({"seed": 1}, {}, "seed and id_key go together, got seed=1 and id_key=None"),
-        ({"unit": "inch"}, {}, "unit must be one of m, cm, mm, um, got 'inch'"),
+        ({"unit": "inch"}, {}, "unit must be one of m, cm, mm, um, a number of metres, got 'inch'"),
         ({"image_key": "picture"}, {}, "the batch has no 'picture', only 'image', 'depth_map'"),
         ({"distance_key": "depth"}, {}, "the batch has no 'depth', only"),
         ({}, {"image": Image.new("L", (W, H))}, "expected a picture in colour, got grey"),

@@ -6,37 +6,31 @@ float32). NaN stands for an unknown distance and stays NaN until `check_distance
 +inf stands for open water. A pixel's index (i, j) has its centre at (i + 0.5, j + 0.5).
 """
 
-import warnings
-
 import torch
 from torch import Tensor
 
 from uwaug import checks
 from uwaug.depth import DepthNetwork
-from uwaug.holes import filled
+from uwaug.holes import filled, warn_of_unknown
+from uwaug.scaling import (
+    ends_of_inverse,
+    require_range,
+    require_relative,
+    scaled_inverse,
+    scaled_relative,
+    single,
+    which_of,
+)
 
 __all__ = [
     "DepthNetwork",
     "along_ray",
     "check_distance",
-    "ends_of_inverse",
     "fill_unknown",
     "from_disparity",
     "from_inverse",
     "from_relative",
-    "require_range",
-    "require_relative",
-    "scaled_inverse",
-    "scaled_relative",
-    "single",
-    "warn_of_unknown",
 ]
-
-_MANY = 0.2
-"""Share of unknown pixels above which filling is guessing."""
-
-_warned: list[int] = []
-"""Percentages that were warned of, one at most."""
 
 
 def from_relative(
@@ -67,27 +61,6 @@ def from_relative(
     t = _maps("t", t)
     require_relative(t, near, far, gamma)
     return scaled_relative(t, near, far, gamma)
-
-
-def require_relative(
-    t: Tensor, near: float | Tensor, far: float | Tensor, gamma: float | Tensor
-) -> None:
-    """Refuse what `from_relative` cannot take."""
-    if bool(((t < 0) | (t > 1)).any()):
-        cure = "normalise first, (t - t.min()) / (t.max() - t.min())"
-        raise ValueError(f"t must lie in [0, 1], got {checks.span(t)}: {cure}")
-    require_range(near, far, inverse=False)
-    power = torch.as_tensor(gamma)
-    if not bool(((power > 0) & power.isfinite()).all()):
-        raise ValueError(f"gamma must be positive and finite, got {gamma}")
-
-
-def scaled_relative(
-    t: Tensor, near: float | Tensor, far: float | Tensor, gamma: float | Tensor
-) -> Tensor:
-    """`from_relative` at each pixel, of maps that are known to be good."""
-    safe = t.clamp(min=1e-6)
-    return near + (far - near) * (t / safe * safe**gamma)
 
 
 def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> Tensor:
@@ -121,30 +94,6 @@ def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> 
     inverse = _maps("inverse", inverse)
     require_range(near, far, inverse=True)
     return scaled_inverse(inverse, ends_of_inverse(inverse), near, far)
-
-
-def ends_of_inverse(inverse: Tensor) -> tuple[Tensor, Tensor]:
-    """The least and the largest value of each map; refuses maps without."""
-    known = inverse.isfinite()
-    least = torch.where(known, inverse, torch.inf).amin((-2, -1), keepdim=True)
-    largest = torch.where(known, inverse, -torch.inf).amax((-2, -1), keepdim=True)
-    flat = ~(largest > least)
-    if bool(flat.any()):
-        got = f"{_which(flat)} that is constant or has no finite value"
-        cure = "scale whole maps before they are cropped"
-        raise ValueError(f"inverse must vary within each map, got {got}: {cure}")
-    return least, largest
-
-
-def scaled_inverse(
-    inverse: Tensor, ends: tuple[Tensor, Tensor], near: float | Tensor, far: float | Tensor
-) -> Tensor:
-    """`from_inverse` at each pixel, of maps that are known to be good."""
-    known, (least, largest) = inverse.isfinite(), ends
-    # halves, whose difference no pair of finite values can make infinite
-    low = least / 2
-    s = (torch.where(known, inverse / 2, low) - low) / (largest / 2 - low)
-    return torch.where(known, 1 / (1 / far + (1 / near - 1 / far) * s), torch.nan)
 
 
 def from_disparity(
@@ -287,27 +236,10 @@ def fill_unknown(distance: Tensor) -> Tensor:
     if bool(empty.any()):
         wanted = "at least one known pixel (above 0 m) in each map"
         cure = "fill whole maps before they are cropped"
-        raise ValueError(f"distance must have {wanted}, got {_which(empty)} without any: {cure}")
+        raise ValueError(f"distance must have {wanted}, got {which_of(empty)} without any: {cure}")
     warn_of_unknown(float(holes.double().mean(-1).max()))
     size = distance.shape[-2:]
     return filled(distance.reshape(-1, *size), unknown.reshape(-1, *size)).view(distance.shape)
-
-
-def warn_of_unknown(share: float) -> None:
-    """Warn if so large a share of a map is guessed; once in a process: a loader fills thousands."""
-    if share > _MANY and not _warned:
-        percent = round(100 * share)
-        guess = f"distance is unknown at {percent} % of a map's pixels, and is guessed there"
-        cure = "beyond a sensor's range, set metres or inf (unknown='far', --unknown far)"
-        warnings.warn(f"{guess}: {cure}", UserWarning, stacklevel=3)
-        _warned.append(percent)
-
-
-def _which(bad: Tensor) -> str:
-    """The first map that is bad, in words."""
-    if bad.numel() == 1:
-        return "a map"
-    return f"map {int(bad.flatten().nonzero()[0])} of {bad.numel()}, counted from 0,"
 
 
 def _maps(name: str, x: Tensor) -> Tensor:
@@ -316,19 +248,3 @@ def _maps(name: str, x: Tensor) -> Tensor:
     if x.ndim < 2:
         raise ValueError(f"{name} must have shape (..., H, W), got {tuple(x.shape)}")
     return single(x)
-
-
-def single(x: Tensor) -> Tensor:
-    """Half precision taken up to float32; all else as it is."""
-    return x.float() if x.dtype.itemsize < 4 else x
-
-
-def require_range(near: float | Tensor, far: float | Tensor, *, inverse: bool) -> None:
-    """Refuse distances that no map can be scaled to."""
-    n, f = torch.as_tensor(near), torch.as_tensor(far)
-    if inverse:
-        wanted, good = "0 < near <= far, near finite", (n > 0) & (f >= n) & n.isfinite()
-    else:
-        wanted, good = "0 <= near <= far < inf", (n >= 0) & (f >= n) & f.isfinite()
-    if not bool(good.all()):
-        raise ValueError(f"near and far must satisfy {wanted}, got near={near}, far={far}")

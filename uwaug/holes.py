@@ -1,12 +1,14 @@
 """Distances for pixels that have none."""
 
+import warnings
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from uwaug.rows import Rows, bands
 
-__all__ = ["filled", "filled_rows"]
+__all__ = ["filled", "filled_rows", "warn_of_unknown"]
 
 # Artificial holes in five RGB-D pairs and the bundled scene (occlusions, rims, edges, specks,
 # blobs of 5 to 30 %, all beyond a range): error of log z in blobs of 5, 15, 30 %; of e^(−z/2) at
@@ -34,6 +36,12 @@ _BEYOND = 16
 
 _OPEN_WATER = 1e-9
 """1/m; anything farther is open water."""
+
+_MANY = 0.2
+"""Share of unknown pixels above which filling is guessing."""
+
+_warned: list[int] = []
+"""Percentages that were warned of, one at most."""
 
 
 def filled(distance: Tensor, unknown: Tensor) -> Tensor:
@@ -172,3 +180,13 @@ def _mean_of_neighbours(values: Tensor) -> Tensor:
     above, below = padded[..., :-2, 1:-1], padded[..., 2:, 1:-1]
     left, right = padded[..., 1:-1, :-2], padded[..., 1:-1, 2:]
     return (above + below + left + right) / 4
+
+
+def warn_of_unknown(share: float) -> None:
+    """Warn if so large a share of a map is guessed; once in a process: a loader fills thousands."""
+    if share > _MANY and not _warned:
+        percent = round(100 * share)
+        guess = f"distance is unknown at {percent} % of a map's pixels, and is guessed there"
+        cure = "beyond a sensor's range, set metres or inf (unknown='far', --unknown far)"
+        warnings.warn(f"{guess}: {cure}", UserWarning, stacklevel=3)
+        _warned.append(percent)

@@ -9,18 +9,17 @@ import torch
 from torch import Tensor
 
 from uwaug import checks
-from uwaug.distance import (
-    check_distance,
+from uwaug.distance import check_distance
+from uwaug.holes import filled_rows, warn_of_unknown
+from uwaug.rows import Rows, bands, held
+from uwaug.scaling import (
     ends_of_inverse,
     require_range,
     require_relative,
     scaled_inverse,
     scaled_relative,
     single,
-    warn_of_unknown,
 )
-from uwaug.holes import filled_rows
-from uwaug.rows import Rows, bands, held
 
 __all__ = [
     "DistanceKind",

@@ -16,7 +16,9 @@ from uwaug.rows import bands
 __all__ = [
     "UNITS",
     "Source",
+    "Unit",
     "colours_of",
+    "metres_of",
     "read_distance",
     "read_mask",
     "read_numbers",
@@ -26,6 +28,9 @@ __all__ = [
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-6}
 """What distances may be written in, m."""
+
+Unit = str | float
+"""Of distances: "m", "cm", "mm", "um", or how many metres 1 stands for."""
 
 _FARTHEST = 1000.0
 """m: no map of metres has a median beyond; no water lets one see farther than 100 m."""
@@ -127,8 +132,17 @@ def _in_colour(path: str | os.PathLike[str], values: Values) -> tuple[Tensor, in
     return picture, 32
 
 
+def metres_of(unit: Unit, name: str = "unit") -> float:
+    """Metres of a unit; `name` is what it is called where it is wrong."""
+    if isinstance(unit, str):
+        checks.one_of(name, unit, (*UNITS, "a number of metres"))
+        return UNITS[unit]
+    checks.positive(name, unit, "m")
+    return float(unit)
+
+
 def read_distance(
-    path: str | os.PathLike[str], unit: str | float = "m", *, some_known: bool = True
+    path: str | os.PathLike[str], unit: Unit = "m", *, some_known: bool = True
 ) -> Tensor:
     """Read a map of distances.
 
@@ -146,11 +160,7 @@ def read_distance(
             if its median lies beyond 1000 m; or if it cannot be decoded. Names the file.
         OSError: if there is no such file, or it cannot be read.
     """
-    if isinstance(unit, str):
-        checks.one_of("unit", unit, UNITS)
-    else:
-        checks.positive("unit", unit, "m")
-    metres = UNITS[unit] if isinstance(unit, str) else unit
+    metres = metres_of(unit)
     values = _one_channel(path, "distances")
     if values.dtype.itemsize == 1:
         cure = "relative depth? Make metres of it with uwaug.distance and save them as .npy"

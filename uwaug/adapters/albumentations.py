@@ -9,11 +9,11 @@ import torch
 from torch import Tensor
 
 from uwaug import checks
-from uwaug.adapters.conversion import Unit, map_of, metres_of, picture_of
+from uwaug.adapters.conversion import map_of, picture_of
 from uwaug.adapters.plain import from_plain, to_plain
 from uwaug.draw import Record
 from uwaug.options import given
-from uwaug.pictures import read_distance
+from uwaug.pictures import Unit, metres_of, read_distance
 from uwaug.transforms import RandomUnderwater
 
 try:

@@ -11,13 +11,9 @@ from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 
-from uwaug import checks
-from uwaug.pictures import UNITS, colours_of
+from uwaug.pictures import Unit, colours_of, metres_of
 
-__all__ = ["Unit", "map_of", "metres_of", "picture_of"]
-
-Unit = str | float
-"""What 1 in a map stands for: "m", "cm", "mm", "um", or a number of metres."""
+__all__ = ["map_of", "picture_of"]
 
 Values = NDArray[Any]
 
@@ -86,15 +82,6 @@ def map_of(distance: Any, unit: Unit = "m") -> Tensor:
     scale = metres_of(unit)
     z = values if scale == 1.0 else values.astype(np.float64) * scale
     return torch.from_numpy(z.astype(np.float32))[None]
-
-
-def metres_of(unit: Unit) -> float:
-    """Metres of a unit, checked."""
-    if isinstance(unit, str):
-        checks.one_of("unit", unit, UNITS)
-        return UNITS[unit]
-    checks.positive("unit", unit, "m")
-    return float(unit)
 
 
 def _opened(data: bytes) -> Image.Image:

@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from uwaug import checks
-from uwaug.adapters.conversion import Unit, map_of, metres_of, picture_of
+from uwaug.adapters.conversion import map_of, picture_of
+from uwaug.pictures import Unit, metres_of
 from uwaug.structure import key_of
 from uwaug.transforms import RandomUnderwater
 

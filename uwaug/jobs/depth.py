@@ -16,7 +16,7 @@ from uwaug.depth import DepthNetwork
 from uwaug.distance import along_ray, from_disparity
 from uwaug.exposure import looks
 from uwaug.metres import DistanceKind, as_unknown
-from uwaug.pictures import UNITS, read_distance, read_numbers
+from uwaug.pictures import Unit, metres_of, read_distance, read_numbers
 
 __all__ = ["Depth", "Kind", "Mapped"]
 
@@ -66,7 +66,7 @@ class Depth:
     """
 
     kind: Kind = "metric"
-    unit: str | float = "m"
+    unit: Unit = "m"
     focal_px: float | None = None
     baseline_m: float | None = None
     offset_px: float = 0.0
@@ -77,10 +77,7 @@ class Depth:
     def __post_init__(self) -> None:
         checks.one_of("distance_kind", self.kind, get_args(Kind))
         as_unknown(self.unknown)
-        if isinstance(self.unit, str):
-            checks.one_of("distance_unit", self.unit, (*UNITS, "a number of metres"))
-        else:
-            checks.positive("distance_unit", self.unit)
+        metres_of(self.unit, "distance_unit")
         for name in ("focal_px", "baseline_m"):
             value = getattr(self, name)
             if value is not None:
