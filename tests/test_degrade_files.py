@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import tifffile
 import torch
-from filing import H, W, content, metres, pixels, save, words
+from filing import H, W, content, metres, pixels, save, save_pair, words
 from PIL import Image
 from test_depth import mean_of_channels
 
@@ -27,8 +27,7 @@ PROFILE = b"\0" * 36 + b"acsp" + b"\0" * 88
 def folder(tmp_path, monkeypatch):
     """Where each test works: a picture, and its distances."""
     monkeypatch.chdir(tmp_path)
-    save("a.png", pixels())
-    save("z.npy", metres())
+    save_pair("a.png")
     return tmp_path
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from filing import H, W, metres, pixels, save
+from filing import H, W, metres, save, save_pair
 
 from uwaug.distance import along_ray, from_disparity
 from uwaug.jobs.depth import Depth
@@ -18,8 +18,7 @@ WATER = ("--water", "3C")
 def folder(tmp_path, monkeypatch):
     """Where each test works: a picture, and its distances."""
     monkeypatch.chdir(tmp_path)
-    save("a.png", pixels())
-    save("z.npy", metres())
+    save_pair("a.png")
     return tmp_path
 
 

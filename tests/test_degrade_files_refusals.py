@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from filing import H, W, content, metres, pixels, save, words
+from filing import H, W, content, metres, pixels, save, save_pair, words
 from PIL import Image
 
 from uwaug.optics.water import JERLOV_TYPES
@@ -23,8 +23,7 @@ WATER = ("--water", "3C")
 def folder(tmp_path, monkeypatch):
     """Where each test works: a good picture, and its distances."""
     monkeypatch.chdir(tmp_path)
-    save("good.png", pixels())
-    save("z.npy", metres())
+    save_pair("good.png")
     return tmp_path
 
 

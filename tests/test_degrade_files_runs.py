@@ -13,6 +13,7 @@ import pytest
 import torch
 from filing import content, metres, pixels, save
 
+from benchmarks.jobs_kill import living
 from uwaug.files import is_part
 from uwaug.jobs import Recipe, Rows
 from uwaug.jobs import run as jobs
@@ -68,21 +69,6 @@ def start(out: str, *more: str) -> "subprocess.Popen[str]":
     )
 
 
-def group(leader: int) -> list[int]:
-    """The living processes of a group."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        if not entry.name.isdigit():
-            continue
-        try:
-            state, _, of = (entry / "stat").read_text().rsplit(")", 1)[1].split()[:3]
-        except OSError:
-            continue
-        if int(of) == leader and state != "Z":
-            found.append(int(entry.name))
-    return found
-
-
 def wait_for(what: Callable[[], bool], seconds: float = 60) -> None:
     end = time.monotonic() + seconds
     while not what():
@@ -109,7 +95,7 @@ def test_killed_and_resumed(folder):
         wait_for(lambda done=done: pictures("out") >= done)
         process.kill()
         process.communicate()
-        wait_for(lambda process=process: not group(process.pid), 10)
+        wait_for(lambda process=process: not living(process.pid), 10)
     assert 9 <= pictures("out") < 16
     process = start("out", "--resume")
     process.communicate()
@@ -138,7 +124,7 @@ def test_stopped_by_a_signal(folder, number, all_of_them, code):
     assert "Traceback" not in err
     assert "Stopped: " in err
     assert "--resume goes on" in err
-    wait_for(lambda: not group(process.pid), 10)
+    wait_for(lambda: not living(process.pid), 10)
     assert parts("out") == []
     assert pictures("out") < 40
     assert not Path("out/index.csv").exists()
@@ -161,7 +147,7 @@ def test_a_worker_that_is_killed_stops_nothing(folder):
 
 
 def workers(leader: int) -> list[int]:
-    return [pid for pid in group(leader) if _is_worker(pid)]
+    return [pid for pid in living(leader) if _is_worker(pid)]
 
 
 def _is_worker(pid: int) -> bool:

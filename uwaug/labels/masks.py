@@ -1,23 +1,20 @@
 """Labels as pictures: one channel, a value above 0 for each object or class."""
 
 import os
-from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uwaug.files import require_regular, written_whole
 from uwaug.labels.source import (
+    LabelFolder,
     Labels,
     Object,
     Record,
     beside,
-    file_of,
-    is_flat,
     plain_name,
     write_json,
 )
@@ -29,7 +26,7 @@ _MODES = ("L", "P", "1", "I;16", "I")
 
 
 @dataclass(frozen=True)
-class MaskLabels:
+class MaskLabels(LabelFolder):
     """A folder of masks, laid out as the pictures are, or flat; see `uwaug.labels`.
 
     Attributes:
@@ -40,14 +37,12 @@ class MaskLabels:
     folder: Path
     void: int | None = None
 
-    @cached_property
-    def _flat(self) -> bool:
-        return is_flat(self.folder, ".png")
+    end: ClassVar[str] = ".png"
 
     def labels_of(self, picture: str | os.PathLike[str], size: tuple[int, int]) -> Labels:
         """See `LabelSource`. A picture without a mask shows no object."""
         name = plain_name(picture)
-        path = file_of(self.folder, name, ".png", flat=self._flat)
+        path = self.file_of(name)
         if path is None:
             return Labels(name, size, None, ())
         values, _ = _read(path)
@@ -79,10 +74,6 @@ class MaskLabels:
         target = beside(path, ".png", labels.file)
         _write(target, written, palette)
         return [target, write_json(beside(path, ".contrast.json", labels.file), rows)]
-
-    def write_run(self, records: Iterable[Record], folder: str | os.PathLike[str]) -> list[Path]:
-        """None: see `LabelSource`."""
-        return []
 
 
 def _refuse_taken(record: Record, gone: int, file: str) -> None:

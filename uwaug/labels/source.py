@@ -4,8 +4,9 @@ import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path, PurePosixPath
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 from numpy.typing import NDArray
 from torch import Tensor
@@ -150,25 +151,35 @@ def plain_name(picture: str | os.PathLike[str]) -> str:
     return PurePosixPath(*Path(picture).parts).as_posix()
 
 
-def is_flat(folder: Path, end: str) -> bool:
-    """Whether no label file lies in a folder inside this one."""
-    return next(folder.rglob(f"*/*{end}"), None) is None
+class LabelFolder:
+    """A folder with a file for each picture, laid out as the pictures are, or flat."""
 
+    folder: Path
+    end: ClassVar[str]
 
-def file_of(folder: Path, picture: str, end: str, *, flat: bool) -> Path | None:
-    """The label file of a picture: in a folder of the same layout; in one where "images" is
-    missing, or "labels" stands in its place; or, of a flat folder, the one of its name.
-    """
-    name = Path(picture).with_suffix(end)
-    names = [name, *_without_images(name)]
-    if flat:
-        # elsewhere b/1.txt may be missing, and 1.txt be that of another picture
-        names.append(Path(name.name))
-    for candidate in names:
-        if (folder / candidate).exists():
-            require_regular(folder / candidate)
-            return folder / candidate
-    return None
+    @cached_property
+    def _flat(self) -> bool:
+        """Whether no label file lies in a folder inside this one."""
+        return next(self.folder.rglob(f"*/*{self.end}"), None) is None
+
+    def file_of(self, picture: str) -> Path | None:
+        """The label file of a picture: in a folder of the same layout; in one where "images" is
+        missing, or "labels" stands in its place; or, of a flat folder, the one of its name.
+        """
+        name = Path(picture).with_suffix(self.end)
+        names = [name, *_without_images(name)]
+        if self._flat:
+            # elsewhere b/1.txt may be missing, and 1.txt be that of another picture
+            names.append(Path(name.name))
+        for candidate in names:
+            if (self.folder / candidate).exists():
+                require_regular(self.folder / candidate)
+                return self.folder / candidate
+        return None
+
+    def write_run(self, records: Iterable[Record], folder: str | os.PathLike[str]) -> list[Path]:
+        """None: see `LabelSource`."""
+        return []
 
 
 def _without_images(name: Path) -> list[Path]:

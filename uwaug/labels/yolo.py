@@ -6,21 +6,19 @@ a file shows no object.
 """
 
 import os
-from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
 from uwaug.files import written_whole
 from uwaug.labels.source import (
+    LabelFolder,
     Labels,
     Object,
     Record,
     beside,
-    file_of,
-    is_flat,
     plain_name,
     write_json,
 )
@@ -33,19 +31,17 @@ _TRIANGLE = 7
 
 
 @dataclass(frozen=True)
-class YoloLabels:
+class YoloLabels(LabelFolder):
     """A folder of label files, laid out as the pictures are, or flat; see `uwaug.labels`."""
 
     folder: Path
 
-    @cached_property
-    def _flat(self) -> bool:
-        return is_flat(self.folder, ".txt")
+    end: ClassVar[str] = ".txt"
 
     def labels_of(self, picture: str | os.PathLike[str], size: tuple[int, int]) -> Labels:
         """See `LabelSource`."""
         name = plain_name(picture)
-        path = file_of(self.folder, name, ".txt", flat=self._flat)
+        path = self.file_of(name)
         if path is None:
             return Labels(name, size, None, ())
         objects = []
@@ -73,10 +69,6 @@ class YoloLabels:
         with written_whole(target) as part:
             part.write_text("".join(kept), encoding="utf-8")
         return [target, write_json(beside(path, ".contrast.json", labels.file), rows)]
-
-    def write_run(self, records: Iterable[Record], folder: str | os.PathLike[str]) -> list[Path]:
-        """None: see `LabelSource`."""
-        return []
 
 
 def _without_key(one: Record) -> Record:
