@@ -26,23 +26,6 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 
-_TOGETHER = (
-    "tests/onnx/",
-    "tests/fitting/test_fit.py",
-    "tests/fitting/test_series.py",
-    "tests/test_benchmarks.py",
-)
-"""Tests that share what takes long to make: one worker runs them, and it is made once."""
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    for item in items:
-        for name in _TOGETHER:
-            if item.nodeid.startswith(name):
-                item.add_marker(pytest.mark.xdist_group(name))
-
-
 class Scene(NamedTuple):
     """Middlebury's motorcycle, 500×741, with the 7 % of unknown pixels set to the farthest
     distance.
