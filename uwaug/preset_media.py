@@ -12,9 +12,6 @@ from uwaug.schema import Config
 
 __all__ = ["medium_of"]
 
-_AT_ONCE = 1e6
-"""1/m, of a veil that is all there at any distance: at .1 mm, e^−100 of it is missing."""
-
 
 def medium_of(
     config: Config,
@@ -70,12 +67,7 @@ def _of_channels(
     channels, veil = config.channels, np.array(_veil(config, generator))
     assert channels is not None
     if channels.left is not None:
-        left = np.array(channels.left)
-        none, at_once = (0.0,) * 3, (_AT_ONCE,) * 3
-        # at no distance does this water do anything else
-        return Medium.from_coefficients(
-            none, none, (veil * (1 - left)).tolist(), light=left.tolist(), veil_rate=at_once
-        )
+        return Medium.from_transmission(channels.left, veil.tolist())
     kind = channels.type if water is None else water
     if channels.beta_per_m is not None:
         beta = np.array(channels.beta_per_m[kind])
