@@ -33,7 +33,7 @@ def list_() -> None:
         low, high = p.field_range
         table.add_row(name, f"{p.near:g}–{p.far:g}", f"{p.gamma:g}", f"{low:g}–{high:g}", p.source)
     # a line for each, that a script can read, however narrow the terminal
-    Console().print(table, width=_WIDE, crop=False)
+    Console(width=_WIDE).print(table)
 
 
 @preset.command()
