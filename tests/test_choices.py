@@ -9,7 +9,16 @@ import pytest
 import torch
 from PIL import Image
 
-from uwaug import Medium, PointSpread, Underwater, Water, form_image, load_preset
+from uwaug import (
+    Medium,
+    OnnxUnderwater,
+    PointSpread,
+    Underwater,
+    Water,
+    export_onnx,
+    form_image,
+    load_preset,
+)
 from uwaug.presets import bundled_preset
 
 THREE = (0.5, 0.4, 0.3)
@@ -189,8 +198,15 @@ def edited(tmp_path: Path, name: str, pattern: str, replacement: str) -> Path:
         ("li-2020", r"^\[veil\]", "[viel]", "viel is no key; did you mean veil?"),
         ("slurpp-2025", "^II = .0", "II = [-1", "channels.beta_per_m.II must be finite and ≥ 0"),
         ("hou-2020", "^left = .0.35", "left = [1.35", "channels.left must be in (0, 1], got 1.35"),
+        ("hou-2020", "^left = ", 'type = "II"\nleft = ', "channels.left is all: type and surface"),
+        ("hou-2020", "^downwelling = .*", 'downwelling = "beam"', "downwelling must be none here"),
         ("hou-2020", "^left = .*", "", "left_per_m, left: give one of these three"),
-        ("hou-2020", r"^\[veil\].*\nlow.*\nhigh.*\n", "", "veil is missing: channels have no scattering"),
+        (
+            "hou-2020",
+            r"^\[veil\].*\nlow.*\nhigh.*\n",
+            "",
+            "veil is missing: channels have no scattering",
+        ),
         (
             "tank-reference-1",
             "^mu = (.*)",
@@ -251,3 +267,13 @@ def test_degrade_refuses_a_water_where_there_is_none_to_take(run, tmp_path):
     code, _, err = run("degrade", *arguments, "--water", "II", "--out", str(tmp_path / "b.png"))
     assert code != 0
     assert "holds one transmission, which no water replaces" in err
+
+
+@pytest.mark.parametrize("name", ["jaffe-1990", "hou-2020"])
+def test_systems_as_onnx_files(tmp_path, name):
+    preset = load_preset(name)
+    module = preset.module(sides=(16, 64))
+    export_onnx(module, tmp_path / "a.onnx")
+    image, z = torch.rand(1, 3, 32, 40), torch.linspace(1, 5, 1280).reshape(1, 1, 32, 40)
+    ours = OnnxUnderwater(tmp_path / "a.onnx")(image, z)
+    torch.testing.assert_close(torch.as_tensor(ours), module(image, z), rtol=0, atol=2e-5)

@@ -300,7 +300,7 @@ def test_what_random_underwater_can_draw():
     assert drawable == expected
     for name in drawable:
         uwaug.RandomUnderwater.from_preset(name, water="3C")
-    message = r"'jaffe-1990' has veil_rate = beta, forward = direct, which nothing draws: use load_"
+    message = r"'jaffe-1990' has veil_rate = beta, forward = direct, which RandomUnderwater"
     with pytest.raises(ValueError, match=message):
         uwaug.RandomUnderwater.from_preset("jaffe-1990")
     with pytest.raises(ValueError, match="'ueda-2019' has downwelling = beam, veil = given"):

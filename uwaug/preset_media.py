@@ -38,7 +38,7 @@ def medium_of(
     if config.channels is not None:
         return _of_channels(config, water, depth, generator), depth
     if spectral is None:
-        return _of_coefficients(config, law), depth
+        return _of_coefficients(config, law, depth), depth
     medium = Medium.from_water(
         spectral["waters"],
         spectral["cameras"],
@@ -82,12 +82,11 @@ def _of_channels(
     return Medium.from_coefficients(rates, rates, (veil * ambient).tolist(), light=light.tolist())
 
 
-def _of_coefficients(config: Config, law: PointSpread) -> Medium:
+def _of_coefficients(config: Config, law: PointSpread, depth: float) -> Medium:
     a, b, printed, kd = (np.array(values) for values in vars(config.coefficients).values())
     # the g of each channel that gives G as printed, which is rounded
     g = np.divide(printed - a, b, out=np.zeros(3), where=b > 0)
-    depth, mu = config.medium.vertical_depth_m, config.medium.mu
-    found = band_coefficients(a, b, kd, vertical_depth=depth, g=g, mu=mu)
+    found = band_coefficients(a, b, kd, vertical_depth=depth, g=g, mu=config.medium.mu)
     return Medium.from_coefficients(
         found.beta.tolist(),
         found.G.tolist(),

@@ -82,6 +82,8 @@ class _Channels(_Table):
             raise ValueError("beta_per_m, left_per_m, left: give one of these three")
         if self.left is not None:
             _require_shares("left", self.left)
+            if self.type or self.surface_light != 1:
+                raise ValueError("left is all: type and surface_light would do nothing")
             return
         checks.one_of("type", self.type, self.beta_per_m or self.left_per_m or ())
         for name, beta in (self.beta_per_m or {}).items():
@@ -196,7 +198,9 @@ class Config(_Table):
         """Refuse what one rate for each channel leaves without meaning."""
         if self.veil is None:
             raise ValueError("veil is missing: channels have no scattering that it would come from")
-        allowed = {"downwelling": ("beam", "none"), "veil_rate": ("G",), "forward": ("image",)}
+        assert self.channels is not None
+        down = ("beam", "none") if self.channels.left is None else ("none",)
+        allowed = {"downwelling": down, "veil_rate": ("G",), "forward": ("image",)}
         for key, values in allowed.items():
             if getattr(self.medium, key) not in values:
                 got = f"{getattr(self.medium, key)!r}"

@@ -47,7 +47,7 @@ def reduced(
     """
     require_forward(forward)
     lit, haze = response * bands.light, response * bands.veil
-    together = forward == "image" and bands.veil_rate is bands.G
+    together = forward == "image" and np.array_equal(bands.veil_rate, bands.G)
     if together and np.array_equal(bands.beta, bands.G):
         # nothing is scattered forward: of two reductions, the difference would be left
         rates, (direct, veil), error = reduce_rates(bands.beta, (lit, haze), tolerance)
@@ -63,8 +63,6 @@ def reduced(
     if forward == "direct":
         sums, (weights,), more = reduce_rates(bands.beta + bands.G, (lit,), share)
         arriving, error = forward_from_direct(first, _part(sums, weights)), 2 * error + more
-    elif np.array_equal(bands.beta, bands.G):
-        arriving = [first]
     else:
         G, (signal,), more = reduce_rates(bands.G, (lit,), tolerance)
         arriving, error = [_part(G, signal)], max(error, more)
