@@ -7,12 +7,13 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 import uwaug
-from uwaug import Underwater, list_presets
+from uwaug import Underwater, list_presets, published_systems
 from uwaug.onnx import OnnxUnderwater, read_metadata
 from uwaug.onnx.metadata import stored_in
 
 NEAR, FAR = 0.25, 10.0
-PAPERS = [name for name in list_presets() if name != "calibrated"]  # whose law has another shape
+# of one shape of law
+PAPERS = [name for name in list_presets() if name not in ("calibrated", *published_systems())]
 
 
 def scene(

@@ -172,13 +172,13 @@ def _made(text: str) -> Model:
         )
     if recipe.preset is not None:
         preset = load_preset(recipe.preset, water=recipe.water)
-        if preset.spectral is None:
+        if not preset.drawable:
             return OneMedium(
                 preset.name,
                 preset.medium,
                 preset.color_space,
                 preset.exposure,
-                preset.field_range,
+                preset.uneven,
                 **_of_maps(f"preset {preset.name}", options, preset),
             )
         made = RandomUnderwater.from_preset(recipe.preset, water=recipe.water, **options)
