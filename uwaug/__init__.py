@@ -28,6 +28,7 @@ from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import JERLOV_TYPES, Water
 from uwaug.presets import Preset, list_presets, load_preset
+from uwaug.prior import WaterEstimate, red_channel_prior
 from uwaug.transforms import RandomUnderwater
 from uwaug.visible import KeepVisible
 
@@ -50,6 +51,7 @@ __all__ = [
     "Underwater",
     "VeilFit",
     "Water",
+    "WaterEstimate",
     "WaterFit",
     "blur_demand",
     "check_onnx",
@@ -67,5 +69,6 @@ __all__ = [
     "load_camera",
     "load_preset",
     "plan_blur",
+    "red_channel_prior",
     "varying_blur",
 ]

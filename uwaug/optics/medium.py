@@ -40,6 +40,7 @@ from torch import Tensor
 
 from uwaug import checks
 from uwaug.checks import DOMAIN
+from uwaug.colour import ColorSpace
 from uwaug.optics.bands import band_coefficients, default_bands, given_rows
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.curves import FARTHEST, Sums
@@ -192,6 +193,17 @@ class Medium:
             point_spread=PointSpread.none() if point_spread is None else point_spread,
             notes=("coefficients: 3 + 3 rates, one per channel",) * b,
         )
+
+    @staticmethod
+    def from_picture(
+        picture: Tensor, distance: Tensor | None = None, *, color_space: ColorSpace = "srgb"
+    ) -> "Medium":
+        """An estimate of a real picture's water, see `uwaug.red_channel_prior`. Without metres its
+        rates are for distances of 0…1, where 1 is the farthest surface of that picture.
+        """
+        from uwaug.prior import red_channel_prior
+
+        return red_channel_prior(picture, distance, color_space=color_space).medium
 
     @staticmethod
     def stack(media: "Iterable[Medium]") -> "Medium":
