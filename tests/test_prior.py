@@ -152,7 +152,7 @@ def test_large_pictures_are_looked_at_small() -> None:
 
 
 def test_says_where_nothing_is_dark() -> None:
-    water, (scene, z) = WATERS["turbid"], seafloor(black=0.0)
+    water, (scene, z) = WATERS["blue"], seafloor(black=0.0)
     with pytest.warns(UserWarning, match="nothing dark"):
         found = red_channel_prior(seen(scene, z, water))
     assert any("nothing dark" in doubt for doubt in found.doubts)

@@ -27,7 +27,7 @@ from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import JERLOV_TYPES, Water
-from uwaug.presets import Preset, list_presets, load_preset
+from uwaug.presets import Preset, list_presets, load_preset, published_systems
 from uwaug.prior import WaterEstimate, red_channel_prior
 from uwaug.transforms import RandomUnderwater
 from uwaug.visible import KeepVisible
@@ -69,6 +69,7 @@ __all__ = [
     "load_camera",
     "load_preset",
     "plan_blur",
+    "published_systems",
     "red_channel_prior",
     "varying_blur",
 ]

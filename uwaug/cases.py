@@ -49,6 +49,8 @@ def preset_case(preset: Preset) -> Case:
     else:
         name += f", {preset.spectral['waters'].name}"
         setting += f", g = {preset.spectral['g']:g}, μ = {preset.spectral['mu']:g}"
+    for key, value in preset.choices.items():
+        setting += f", {key} = {value}"
     return Case(
         name, setting, preset.medium, preset.field_range, preset.color_space, preset.exposure
     )

@@ -90,7 +90,8 @@ class LearnableMedium(_InFullPrecision):
             light at z = 0.
 
     Raises:
-        ValueError: if the light at z = 0 is one in `direct_weights`, another in `signal_weights`.
+        ValueError: if the light at z = 0 is one in `direct_weights`, another in `signal_weights`,
+            or a weight is negative, as of forward scatter from the direct light.
     """
 
     b_mean: Tensor
@@ -105,6 +106,10 @@ class LearnableMedium(_InFullPrecision):
         self.start = medium.map(lambda t: t.detach().clone())
         values = self.start.parameters()
         direct, signal = values["direct_weights"], values["signal_weights"]
+        if bool((signal < 0).any()):
+            raise ValueError(
+                'a learnable medium needs signal_weights ≥ 0: forward="direct" cannot be learned'
+            )
         light = direct.sum(-1)
         apart = float((light - signal.sum(-1)).abs().max())
         if apart > 1e-5:

@@ -1,11 +1,11 @@
 """Presets: settings with a name, read from TOML files and checked before anything is computed."""
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -14,14 +14,20 @@ from uwaug.distance import from_relative
 from uwaug.exposure import Exposure
 from uwaug.field import gaussian_random_field
 from uwaug.module import Underwater
-from uwaug.optics.bands import band_coefficients
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
+from uwaug.preset_media import medium_of
 from uwaug.schema import Config, read_config
 
-__all__ = ["Preset", "bundled_preset", "list_presets", "load_preset", "preset_path"]
+__all__ = [
+    "Preset",
+    "bundled_preset",
+    "list_presets",
+    "load_preset",
+    "preset_path",
+    "published_systems",
+]
 
 
 @dataclass(frozen=True)
@@ -41,6 +47,8 @@ class Preset:
             are decoded first.
         exposure: "none", "auto", or a gain in stops, see `uwaug.Underwater`.
         spectral: water, camera, g and mu; None where the file has coefficients of three channels.
+        equation: what it computes, in one line; may be empty.
+        choices: how its medium differs from what `uwaug.RandomUnderwater` draws.
     """
 
     name: str
@@ -54,12 +62,22 @@ class Preset:
     color_space: ColorSpace
     exposure: Exposure
     spectral: dict[str, Any] | None
+    equation: str
+    choices: Mapping[str, str]
+
+    @property
+    def drawable(self) -> bool:
+        """Whether `uwaug.RandomUnderwater` can draw from it: it knows spectra, and no choices."""
+        return self.spectral is not None and not self.choices
 
     def options(self, distance_kind: str = "metric") -> dict[str, Any]:
         """The preset as options of `RandomUnderwater`, see `RandomUnderwater.from_preset`."""
+        cure = "use load_preset(…).module()"
         if self.spectral is None:
-            cure = "use load_preset(…).module()"
             raise ValueError(f"preset {self.name!r} has coefficients but no spectra: {cure}")
+        if self.choices:
+            made = ", ".join(f"{key} = {value}" for key, value in self.choices.items())
+            raise ValueError(f"preset {self.name!r} has {made}, which nothing draws: {cure}")
         options = {
             **self.spectral,
             "contrast": None,
@@ -99,8 +117,17 @@ class Preset:
 
 
 def list_presets() -> list[str]:
-    """Names of the presets that come with the package, sorted."""
-    return sorted(path.stem for path in _folder().glob("*.toml"))
+    """Names of the presets that come with the package, sorted: the paper's, the library's own, and
+    the `published_systems`.
+    """
+    return sorted(_files())
+
+
+def published_systems() -> list[str]:
+    """Names of the presets that compute what others have published, oldest first."""
+    named = [name for name, path in _files().items() if path.parent.name == "published"]
+    # each ends with its year
+    return sorted(named, key=lambda name: (name.rpartition("-")[2], name))
 
 
 def bundled_preset(name: str) -> Path:
@@ -109,10 +136,11 @@ def bundled_preset(name: str) -> Path:
     Raises:
         ValueError: the name is unknown; lists the known.
     """
-    names = list_presets()
-    if name not in names:
-        raise ValueError(f"no preset is called {name!r}; there are {', '.join(names)}")
-    return _folder() / f"{name}.toml"
+    files = _files()
+    if name not in files:
+        known = ", ".join(sorted(files))
+        raise ValueError(f"no preset is called {name!r}; there are {known}")
+    return files[name]
 
 
 def preset_path(name_or_path: str | os.PathLike[str]) -> Path:
@@ -134,6 +162,8 @@ def load_preset(
     *,
     water: str | Water | None = None,
     camera: str | os.PathLike[str] | Camera | None = None,
+    tolerance: float = 0.002,
+    generator: torch.Generator | None = None,
 ) -> Preset:
     """Load a preset.
 
@@ -142,6 +172,8 @@ def load_preset(
             ``.toml``, or any path object). `uwaug preset copy` copies one to make your own.
         water: a Jerlov type ("I" … "9C") or a `Water` that takes the place of the preset's.
         camera: a camera that takes the place of the preset's, see `load_camera`.
+        tolerance: largest error of a curve that was a spectrum; 0 keeps every band.
+        generator: draws what the file holds as a range, a veil or a depth; None takes the middle.
 
     Raises:
         ValueError: the name is unknown (lists the known); the file is no TOML, or a key is unknown,
@@ -160,7 +192,8 @@ def load_preset(
     config = read_config(path)
     try:
         spectral = _spectral(config, path.parent, water, camera)
-        medium = _medium(config, spectral)
+        kind = _type_of_channels(config, water)
+        medium, depth = medium_of(config, spectral, kind, tolerance, generator)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
     z = config.distance
@@ -168,7 +201,7 @@ def load_preset(
         name=path.stem,
         source=config.source,
         medium=medium,
-        vertical_depth=config.medium.vertical_depth_m,
+        vertical_depth=depth,
         near=z.near_m,
         far=z.far_m,
         gamma=z.gamma,
@@ -176,7 +209,16 @@ def load_preset(
         color_space=config.color_space,
         exposure=config.exposure,
         spectral=spectral,
+        equation=config.equation,
+        choices=config.choices(),
     )
+
+
+def _files() -> dict[str, Path]:
+    """The file of each preset that comes with the package."""
+    folder = _folder()
+    paths = [*folder.glob("*.toml"), *folder.glob("published/*.toml")]
+    return {path.stem: path for path in paths}
 
 
 def _folder() -> Path:
@@ -193,7 +235,7 @@ def _spectral(
 ) -> dict[str, Any] | None:
     """Water, camera, g and mu, as `RandomUnderwater` names them; None if there are no spectra."""
     if config.water is None:
-        if water is not None or camera is not None:
+        if camera is not None or (water is not None and config.channels is None):
             raise ValueError(
                 "holds coefficients for red, green and blue, which no water or camera replaces"
             )
@@ -210,32 +252,14 @@ def _spectral(
     }
 
 
-def _medium(config: Config, spectral: dict[str, Any] | None) -> Medium:
-    psf = config.point_spread
-    law = PointSpread(psf.scale_px, psf.exponent, psf.shape, psf.short_side_px)
-    if spectral is None:
-        return _medium_from_coefficients(config, law)
-    return Medium.from_water(
-        spectral["waters"],
-        spectral["cameras"],
-        vertical_depth=config.medium.vertical_depth_m,
-        g=spectral["g"],
-        mu=spectral["mu"],
-        point_spread=law,
-    )
-
-
-def _medium_from_coefficients(config: Config, law: PointSpread) -> Medium:
-    a, b, printed, kd = (np.array(values) for values in vars(config.coefficients).values())
-    # the g of each channel that gives G as printed, which is rounded
-    g = np.divide(printed - a, b, out=np.zeros(3), where=b > 0)
-    depth, mu = config.medium.vertical_depth_m, config.medium.mu
-    beta, G, light, veil = band_coefficients(a, b, kd, vertical_depth=depth, g=g, mu=mu)
-    return Medium.from_coefficients(
-        beta.tolist(),
-        G.tolist(),
-        veil.tolist(),
-        b_mean=float(b.mean()),
-        point_spread=law,
-        light=light.tolist(),
-    )
+def _type_of_channels(config: Config, water: str | Water | None) -> str | None:
+    """The water among those that a file has rates of three channels for; None for its own."""
+    if config.channels is None or water is None:
+        return None
+    table = config.channels.beta_per_m or config.channels.left_per_m
+    if table is None:
+        raise ValueError("holds one transmission, which no water replaces")
+    if water not in table:
+        known = ", ".join(table)
+        raise ValueError(f"has no spectra: water must be one of {known}, got {water!r}")
+    return str(water)

@@ -2,6 +2,7 @@
 
 import difflib
 import json
+import math
 import tomllib
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
@@ -12,7 +13,9 @@ from uwaug.checks import DOMAIN
 from uwaug.colour import ColorSpace
 from uwaug.exposure import require_exposure
 from uwaug.files import require_regular
+from uwaug.optics.bands import Dims, Downwelling, VeilRate
 from uwaug.optics.point_spread import Shape
+from uwaug.optics.reduction import Forward
 from uwaug.optics.water import JERLOV_TYPES
 
 __all__ = ["Config", "read_config"]
@@ -61,10 +64,67 @@ class _Coefficients(_Table):
 
 
 @dataclass(frozen=True)
+class _Channels(_Table):
+    """One rate for each channel, which picture and veil share: of water types, or `left`, a
+    transmission that is the same at any distance.
+    """
+
+    type: str = ""
+    beta_per_m: dict[str, _RGB] | None = None
+    left_per_m: dict[str, _RGB] | None = None
+    left: _RGB | None = None
+    surface_light: float = 1.0
+
+    def __post_init__(self) -> None:
+        checks.within("surface_light", self.surface_light, 0.0)
+        given = {"beta_per_m": self.beta_per_m, "left_per_m": self.left_per_m, "left": self.left}
+        named = [name for name, value in given.items() if value is not None]
+        if len(named) != 1:
+            got = ", ".join(named) or "none"
+            raise ValueError(f"beta_per_m, left_per_m, left: give one of these, got {got}")
+        if self.left is not None:
+            _require_shares("left", self.left)
+            return
+        checks.one_of("type", self.type, given[named[0]] or {})
+        for name, beta in (self.beta_per_m or {}).items():
+            _require_each(f"beta_per_m.{name}", beta)
+        for name, left in (self.left_per_m or {}).items():
+            _require_shares(f"left_per_m.{name}", left)
+
+
+@dataclass(frozen=True)
+class _Veil(_Table):
+    """V(0) between two ends, before it is dimmed; it comes in as the picture goes."""
+
+    low: _RGB
+    high: _RGB
+
+    def __post_init__(self) -> None:
+        _require_each("low", self.low)
+        _require_each("high", self.high)
+        if any(low > high for low, high in zip(self.low, self.high, strict=True)):
+            raise ValueError(f"high must be ≥ low = {self.low}, got {self.high}")
+
+
+@dataclass(frozen=True)
 class _Medium(_Table):
     vertical_depth_m: float
     g: float
     mu: float
+    depth_range_m: tuple[float, float] | None = None
+    downwelling: Downwelling = "kd"
+    dims: Dims = "both"
+    veil_rate: VeilRate = "G"
+    forward: Forward = "image"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.depth_range_m is not None:
+            low, high = self.depth_range_m
+            checks.within("depth_range_m", low, 0.0)
+            if not low <= self.vertical_depth_m <= high < math.inf:
+                wanted = f"hold vertical_depth_m = {self.vertical_depth_m}"
+                raise ValueError(f"depth_range_m must {wanted}, got {self.depth_range_m}")
 
 
 @dataclass(frozen=True)
@@ -116,13 +176,56 @@ class Config(_Table):
     water: _Spectral | None = None
     coefficients: _Coefficients | None = None
     exposure: Literal["none", "auto"] | float = "none"
+    channels: _Channels | None = None
+    veil: _Veil | None = None
+    equation: str = ""
 
     def __post_init__(self) -> None:
         require_exposure(self.exposure)
-        if (self.water is None) == (self.coefficients is None):
-            raise ValueError("water, coefficients: give one of these two tables")
+        tables = (self.water, self.coefficients, self.channels)
+        if sum(table is not None for table in tables) != 1:
+            raise ValueError("water, coefficients, channels: give one of these three tables")
+        if self.channels is not None:
+            self._require_channels()
+        if self.coefficients is not None and self.choices():
+            raise ValueError(f"medium: {', '.join(self.choices())} is for the table water alone")
         if self.coefficients is not None:
             _require_printed(self.coefficients, self.medium.g)
+
+    def _require_channels(self) -> None:
+        """Refuse what one rate for each channel leaves without meaning."""
+        if self.veil is None:
+            raise ValueError("veil is missing: channels have no scattering that it would come from")
+        allowed = {"downwelling": ("beam", "none"), "veil_rate": ("G",), "forward": ("image",)}
+        for key, values in allowed.items():
+            if getattr(self.medium, key) not in values:
+                got = f"{getattr(self.medium, key)!r}"
+                raise ValueError(f"medium.{key} must be {' or '.join(values)} here, got {got}")
+
+    def choices(self) -> dict[str, str]:
+        """How the medium differs from what `RandomUnderwater` draws."""
+        named = {}
+        for key, usual in _USUAL.items():
+            if getattr(self.medium, key) != usual:
+                named[key] = getattr(self.medium, key)
+        if self.veil is not None:
+            named["veil"] = "given"
+        return named
+
+
+_USUAL = {"downwelling": "kd", "dims": "both", "veil_rate": "G", "forward": "image"}
+
+
+def _require_each(key: str, values: _RGB) -> None:
+    for value in values:
+        checks.within(key, value, 0.0)
+
+
+def _require_shares(key: str, values: _RGB) -> None:
+    """Refuse what is no share of the light that is left."""
+    for value in values:
+        if not 0 < value <= 1:
+            raise ValueError(f"{key} must be in (0, 1], got {value}")
 
 
 def _require_printed(c: _Coefficients, g: float) -> None:

@@ -172,7 +172,7 @@ def _made(text: str) -> Model:
         )
     if recipe.preset is not None:
         preset = load_preset(recipe.preset, water=recipe.water)
-        if preset.spectral is None:
+        if not preset.drawable:
             return OneMedium(
                 preset.name,
                 preset.medium,

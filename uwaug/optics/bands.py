@@ -1,15 +1,34 @@
 """Coefficients of the medium, band by band, or as they are given for three channels."""
 
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from uwaug import checks
 from uwaug.optics.spectra import Array
 from uwaug.optics.water import Water
 
-__all__ = ["WAVELENGTHS", "BandCoefficients", "band_coefficients", "default_bands", "given_rows"]
+__all__ = [
+    "WAVELENGTHS",
+    "BandCoefficients",
+    "Dims",
+    "Downwelling",
+    "VeilRate",
+    "band_coefficients",
+    "default_bands",
+    "given_rows",
+]
+
+Downwelling = Literal["kd", "beam", "none"]
+"""What dims light on its way down: K_d, beam attenuation β, or nothing."""
+
+Dims = Literal["both", "direct", "veil"]
+"""What that light is lost to: the picture and the veil, the picture alone, or the veil alone."""
+
+VeilRate = Literal["G", "beta"]
+"""At which the veil of each wavelength comes in."""
 
 WAVELENGTHS = np.arange(400.0, 701.0, 5.0)
 """nm, the 61 bands that stand for the integral."""
@@ -21,21 +40,41 @@ that; a smaller one loses digits in V(0) − V(z), two large numbers.
 
 
 class BandCoefficients(NamedTuple):
-    """β [1/m], G [1/m], E and V(0) at each band."""
+    """β [1/m], G [1/m], rate of the veil [1/m], light of the picture and V(0) at each band."""
 
     beta: Array
     G: Array
+    veil_rate: Array
     light: Array
     veil: Array
 
 
 def band_coefficients(
-    a: Array, b: Array, kd: Array, *, vertical_depth: float, g: float | Array, mu: float
+    a: Array,
+    b: Array,
+    kd: Array,
+    *,
+    vertical_depth: float,
+    g: float | Array,
+    mu: float,
+    downwelling: Downwelling = "kd",
+    dims: Dims = "both",
+    veil_rate: VeilRate = "G",
 ) -> BandCoefficients:
-    """β = a + b, G = a + g·b, E = e^(−K_d d), V(0) = μ·b·E/G; see `uwaug.optics.medium`."""
-    G = np.maximum(a + g * b, _LOSSLESS)
-    light = np.exp(-kd * vertical_depth)
-    return BandCoefficients(beta=a + b, G=G, light=light, veil=mu * b * light / G)
+    """β = a + b, G = a + g·b, E = e^(−K_d d), V(0) = μ·b·E/G; see `uwaug.optics.medium` and, for
+    what else K_d, E and G may be in V(0), `uwaug.Medium.from_water`.
+    """
+    checks.one_of("downwelling", downwelling, get_args(Downwelling))
+    checks.one_of("dims", dims, get_args(Dims))
+    checks.one_of("veil_rate", veil_rate, get_args(VeilRate))
+    beta, G = a + b, np.maximum(a + g * b, _LOSSLESS)
+    loss = {"kd": kd, "beam": beta, "none": np.zeros_like(beta)}[downwelling]
+    left = np.exp(-loss * vertical_depth)
+    full = np.ones_like(left)
+    light = full if dims == "veil" else left
+    ambient = full if dims == "direct" else left
+    rate = G if veil_rate == "G" else np.maximum(beta, _LOSSLESS)
+    return BandCoefficients(beta, G, rate, light, veil=mu * b * ambient / rate)
 
 
 def default_bands(water: Water) -> Array:

@@ -41,12 +41,18 @@ from torch import Tensor
 from uwaug import checks
 from uwaug.checks import DOMAIN
 from uwaug.colour import ColorSpace
-from uwaug.optics.bands import band_coefficients, default_bands, given_rows
+from uwaug.optics.bands import (
+    Dims,
+    Downwelling,
+    VeilRate,
+    band_coefficients,
+    default_bands,
+)
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.curves import FARTHEST, Sums
-from uwaug.optics.derived import brightened, curves_at, stacked
+from uwaug.optics.derived import Veil, brightened, curves_at, of_channels, stacked, with_veil
 from uwaug.optics.point_spread import PointSpread
-from uwaug.optics.quadrature import reduce_rates
+from uwaug.optics.reduction import Forward, reduced
 from uwaug.optics.spectra import Array
 from uwaug.optics.water import Water
 
@@ -99,6 +105,10 @@ class Medium:
         point_spread: PointSpread | None = None,
         tolerance: float = 0.002,
         wavelengths: ArrayLike | None = None,
+        downwelling: Downwelling = "kd",
+        dims: Dims = "both",
+        veil_rate: VeilRate = "G",
+        forward: Forward = "image",
     ) -> "Medium":
         """Reduce spectra to as few exponentials as the tolerance allows.
 
@@ -115,6 +125,15 @@ class Medium:
             tolerance: largest error of each curve, at any distance; 0 keeps every band.
             wavelengths: bands, nm, by default 400…700 in steps of 5 as far as the water reaches.
 
+        Other models of water (see `uwaug.published_systems`) differ in:
+            downwelling: what dims light on its way down: "kd"; "beam", β; or "none".
+            dims: what that light is lost to: "both"; "direct", the picture (direct and forward); or
+                "veil".
+            veil_rate: "G", or "beta": V(0) = μ·b·E/β, and e^(−βz) for the veil.
+            forward: what forward scatter blurs: "image", J; or "direct", D, so that F has
+                e^(−βz)·(e^(−Gz) − e^(−βz)) for a weight, which is e^(−βz) times that of J: the
+                nearer the scene, the more equal the two.
+
         Raises:
             TypeError, ValueError: if an argument is no water, no number, or outside its domain.
         """
@@ -128,20 +147,24 @@ class Medium:
             checks.tolerance(tolerance)
         bands = water.at(default_bands(water) if wavelengths is None else wavelengths)
         response = _response(load_camera(camera), bands.wavelengths.tobytes())
-        beta, G, light, veil = band_coefficients(bands.a, bands.b, bands.kd, **drawn)
-        lit = response * light
-        rates, (direct,), error = reduce_rates(beta, (lit,), tolerance)
-        scatter, both, error_scatter = reduce_rates(G, (lit, response * veil), tolerance)
+        found = band_coefficients(
+            bands.a,
+            bands.b,
+            bands.kd,
+            **drawn,
+            downwelling=downwelling,
+            dims=dims,
+            veil_rate=veil_rate,
+        )
+        tensors, error = reduced(found, response, forward, tolerance)
         note = (
-            f"{water.name}: {len(rates)} + {len(scatter)} rates, "
-            f"curves within {max(error, error_scatter):.1g} at any distance, "
+            f"{water.name}: {tensors[0].shape[1]} + {tensors[2].shape[1]} rates, "
+            f"curves within {error:.1g} at any distance, "
             f"{vertical_depth:g} m deep, g = {g:g}, μ = {mu:g}"
         )
-        b_mean = np.asarray((response @ bands.b).mean())
-        arrays = (rates, direct, scatter, *both, b_mean)
-        tensors = [torch.from_numpy(array[None]) for array in arrays]
+        b_mean = torch.as_tensor([(response @ bands.b).mean()])
         law = PointSpread.paper() if point_spread is None else point_spread
-        return Medium.of_tensors(tensors, law, (note,))
+        return Medium.of_tensors([*tensors, b_mean], law, (note,))
 
     @staticmethod
     def from_coefficients(
@@ -152,6 +175,8 @@ class Medium:
         b_mean: Tensor | float = 0.0,
         point_spread: PointSpread | None = None,
         light: Tensor | Sequence[float] = (1.0, 1.0, 1.0),
+        veil_rate: Tensor | Sequence[float] | None = None,
+        forward: Forward = "image",
     ) -> "Medium":
         """The classical model, one exponential per channel.
 
@@ -163,6 +188,8 @@ class Medium:
             b_mean (number or B): scattering coefficient of the width law, 1/m.
             point_spread: width law, by default no blur.
             light (3 or Bx3): ambient light at the scene, e^(−K_d d).
+            veil_rate (3 or Bx3): attenuation of the veil, 1/m, ≥ 0, if it is another than G.
+            forward: as for `from_water`.
 
         Tensors keep their gradients; all are float64 inside unless given as tensors of another
         type.
@@ -171,36 +198,19 @@ class Medium:
             ValueError: if a shape is another, batches differ, or a value is negative or infinite.
         """
         given = {"beta": beta, "G": G, "veil": veil, "light": light, "b_mean": b_mean}
-        dtype = torch.float64
-        for value in reversed(list(given.values())):
-            if isinstance(value, Tensor) and value.is_floating_point():
-                dtype = value.dtype
-        rows, batches = {}, {}
-        for name, value in given.items():
-            rows[name] = given_rows(name, value, () if name == "b_mean" else (3,), dtype)
-            batches[name] = len(rows[name])
-        checks.batches(batches)
-        b = max(batches.values())
-        beta, G, veil, light, b_mean = (row.expand(b, *row.shape[1:]) for row in rows.values())
-        diagonal = torch.diag_embed(light)
-        return Medium(
-            beta=beta,
-            direct_weights=diagonal,
-            G=G,
-            signal_weights=diagonal,
-            veil_weights=torch.diag_embed(veil),
-            b_mean=b_mean,
-            point_spread=PointSpread.none() if point_spread is None else point_spread,
-            notes=("coefficients: 3 + 3 rates, one per channel",) * b,
-        )
+        if veil_rate is not None:
+            given["veil_rate"] = veil_rate
+        law = PointSpread.none() if point_spread is None else point_spread
+        tensors = of_channels(given, forward)
+        counts = f"{tensors[0].shape[1]} + {tensors[2].shape[1]}"
+        notes = (f"coefficients: {counts} rates, one per channel",) * len(tensors[0])
+        return Medium.of_tensors(tensors, law, notes)
 
     @staticmethod
     def from_picture(
         picture: Tensor, distance: Tensor | None = None, *, color_space: ColorSpace = "srgb"
     ) -> "Medium":
-        """An estimate of a real picture's water, see `uwaug.red_channel_prior`. Without metres its
-        rates are for distances of 0…1, where 1 is the farthest surface of that picture.
-        """
+        """An estimate of a real picture's water, see `uwaug.red_channel_prior`."""
         from uwaug.prior import red_channel_prior
 
         return red_channel_prior(picture, distance, color_space=color_space).medium
@@ -314,6 +324,20 @@ class Medium:
     def brightened(self, gain: Tensor) -> "Medium":
         """The medium as seen by a camera that multiplies all light by `gain` (B or 1)."""
         return brightened(self, gain)
+
+    def with_veil(self, veil: Tensor | Sequence[float], curve: Veil = "veil") -> "Medium":
+        """The same water with a given veil at infinite distance.
+
+        Args:
+            veil (3 or Bx3): per channel, ≥ 0; one for all media, or one for each.
+            curve: how it comes in with distance: as the medium's own "veil", or as the "signal"
+                goes, V(0)·(1 − T_G(z)/T_G(0)).
+
+        Raises:
+            ValueError: if a shape is another, batches differ, a value is negative or infinite, or a
+                channel has no curve of its own to follow.
+        """
+        return with_veil(self, veil, curve)
 
     def lengths(self, z: Tensor) -> Tensor:
         """Scattering lengths b̄·z of finite distances (B or 1, 1, H, W)."""
