@@ -6,6 +6,7 @@ from uwaug import distance
 from uwaug.blur.demand import blur_demand
 from uwaug.blur.plan import BlurPlan, plan_blur
 from uwaug.blur.stack import varying_blur
+from uwaug.comparing import Comparison, compare
 from uwaug.contrast import contrast
 from uwaug.draw import collate_records
 from uwaug.field import gaussian_random_field
@@ -38,6 +39,7 @@ __all__ = [
     "JERLOV_TYPES",
     "BlurPlan",
     "Camera",
+    "Comparison",
     "Fit",
     "KeepVisible",
     "Medium",
@@ -56,6 +58,7 @@ __all__ = [
     "blur_demand",
     "check_onnx",
     "collate_records",
+    "compare",
     "contrast",
     "distance",
     "export_onnx",
