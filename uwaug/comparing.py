@@ -7,7 +7,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
@@ -20,6 +20,7 @@ from uwaug.files import written_whole
 from uwaug.formation import validate
 from uwaug.module import Underwater
 from uwaug.optics.medium import Medium
+from uwaug.optics.spectra import Array
 from uwaug.optics.water import JERLOV_TYPES
 from uwaug.presets import Preset, load_preset, published_systems
 
@@ -106,7 +107,7 @@ class Comparison:
 
     def summary(self) -> str:
         """The table as text."""
-        lines = [HEADINGS]
+        lines: list[tuple[str, ...]] = [HEADINGS]
         for row in self.rows:
             lines.append(cells_of(row))
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
@@ -186,8 +187,8 @@ def compare(
         raise ValueError(f"systems: expected at least one, each once, got {names}")
     _phase_congruency()  # before any work
     scene = linear_to_srgb(to_light(image, "srgb")).detach()
-    size = (scene.shape[-2], scene.shape[-1])
     fullest = _picture(load_preset(FULLEST, water=water), scene, distance)
+    known = _Known(_congruency(scene), _lab(fullest))
     rows, pictures, fixed = [], {}, []
     for name in names:
         preset = _preset(name, water)
@@ -195,7 +196,7 @@ def compare(
             preset = load_preset(name)
             fixed.append(name)
         pictures[name] = _picture(preset, scene, distance)
-        rows.append(_row(name, preset.medium, pictures[name], scene, fullest, size))
+        rows.append(_row(name, preset.medium, pictures[name], known))
     return Comparison(water, tuple(rows), pictures, scene, tuple(fixed))
 
 
@@ -219,17 +220,20 @@ def phase_congruency_difference(before: Tensor, after: Tensor) -> float:
     Source: "Beyond Aesthetics: Quantifying Information Loss in Turbid Scenes", arXiv:2606.26295;
     P. Kovesi, *Image features from phase congruency*, Videre 1, 1999.
     """
-    known, found = _congruency(before), _congruency(after)
+    return _lost(_congruency(before), _congruency(after))
+
+
+def _lost(known: Array, found: Array) -> float:
     return float(np.abs(known - found).mean() / max(float(known.mean()), 1e-12))
 
 
-def _congruency(picture: Tensor) -> Any:
+def _congruency(picture: Tensor) -> Array:
     weights = torch.tensor(LUMINANCE, dtype=torch.float64)
     grey = torch.einsum("c,chw->hw", weights, picture.double().clamp(0, 1))
     levels = (255 * grey).round()
     if levels.min() == levels.max():
         return np.zeros(tuple(levels.shape))
-    return _phase_congruency()(levels.numpy())[0]
+    return np.asarray(_phase_congruency()(levels.numpy())[0])
 
 
 def _phase_congruency() -> Any:
@@ -257,16 +261,19 @@ def _picture(preset: Preset, scene: Tensor, distance: Tensor) -> Tensor:
         return Underwater(preset.medium, **options)(scene, distance).clamp(0, 1)
 
 
-def _row(
-    name: str,
-    medium: Medium,
-    picture: Tensor,
-    scene: Tensor,
-    fullest: Tensor,
-    size: tuple[int, int],
-) -> SystemRow:
+class _Known(NamedTuple):
+    """What all systems are compared with: phase congruency of the scene, and the fullest picture
+    (Nx3, Lab).
+    """
+
+    structure: Array
+    fullest: Array
+
+
+def _row(name: str, medium: Medium, picture: Tensor, known: _Known) -> SystemRow:
     z = torch.tensor(METRES, dtype=torch.float64).reshape(1, 1, -1)
     left = contrast(medium, z).flatten().tolist()
+    size = (picture.shape[-2], picture.shape[-1])
     width = medium.width(z[None], size).flatten().tolist()
     red, green, blue = picture.double().mean((1, 2)).tolist()
     return SystemRow(
@@ -278,21 +285,28 @@ def _row(
         contrast_5m=left[1],
         blur_2m=width[0],
         blur_5m=width[1],
-        delta_e=_colour_difference(picture, fullest),
-        information_lost=phase_congruency_difference(scene, picture),
+        delta_e=_colour_difference(_lab(picture), known.fullest),
+        information_lost=_lost(known.structure, _congruency(picture)),
     )
 
 
-def _colour_difference(picture: Tensor, other: Tensor) -> float:
-    """Mean CIEDE2000 of two pictures (3xHxW, sRGB)."""
+def _lab(picture: Tensor) -> Array:
+    """CIE Lab (Nx3) of a picture (3xHxW, sRGB)."""
+    colour = _colour_science()
+    pixels = picture.double().flatten(1).T.numpy()
+    return np.asarray(colour.XYZ_to_Lab(colour.sRGB_to_XYZ(pixels)))
+
+
+def _colour_difference(lab: Array, other: Array) -> float:
+    """Mean CIEDE2000."""
+    return float(_colour_science().delta_E(lab, other, method="CIE 2000").mean())
+
+
+def _colour_science() -> Any:
     with np.printoptions():  # which it sets for the whole process
         import colour
 
-    labs = []
-    for one in (picture, other):
-        pixels = one.double().flatten(1).T.numpy()
-        labs.append(colour.XYZ_to_Lab(colour.sRGB_to_XYZ(pixels)))
-    return float(colour.delta_E(*labs, method="CIE 2000").mean())
+    return colour
 
 
 def cells_of(row: SystemRow) -> tuple[str, ...]:
