@@ -50,7 +50,7 @@ def test_rows_are_what_their_presets_say(found: uwaug.Comparison) -> None:
         wide = preset.medium.width(z[None], (64, 80)).flatten().tolist()
         assert [row.blur_2m, row.blur_5m] == pytest.approx(wide, rel=1e-4)
         lost = phase_congruency_difference(image, picture)
-        assert row.information_lost == pytest.approx(lost, rel=1e-6)
+        assert row.phase_congruency == pytest.approx(lost, rel=1e-6)
     assert found.fixed == ("hou-2020",)
     assert (found.rows[2].delta_e, found.rows[0].blur_2m) == (0, 0)
     assert found.rows[2].blur_5m > found.rows[2].blur_2m > 0

@@ -56,7 +56,7 @@ HEADINGS = (
     "blur 2 m",
     "5 m",
     "ΔE",
-    "information lost",
+    "PC difference",
 )
 
 
@@ -72,7 +72,7 @@ class SystemRow:
         blur_2m, blur_5m: width σ of the forward scatter at these distances, px of this picture; 0
             where a system has none.
         delta_e: mean colour difference to the fullest system, CIEDE2000.
-        information_lost: see `phase_congruency_difference`.
+        phase_congruency: difference of it to the scene, see `phase_congruency_difference`.
     """
 
     system: str
@@ -84,7 +84,7 @@ class SystemRow:
     blur_2m: float
     blur_5m: float
     delta_e: float
-    information_lost: float
+    phase_congruency: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +212,8 @@ def phase_congruency_difference(before: Tensor, after: Tensor) -> float:
         before, after (3xHxW tensors): sRGB, 0…1.
 
     Returns:
-        0 if nothing is lost, about 1 if everything is; more where noise shows edges that are none.
+        0 if nothing is lost, 1 if everything is; more where rounding to 8 bits shows edges that
+        are none.
 
     Raises:
         ImportError: if the package phasecongruency is missing.
@@ -286,7 +287,7 @@ def _row(name: str, medium: Medium, picture: Tensor, known: _Known) -> SystemRow
         blur_2m=width[0],
         blur_5m=width[1],
         delta_e=_colour_difference(_lab(picture), known.fullest),
-        information_lost=_lost(known.structure, _congruency(picture)),
+        phase_congruency=_lost(known.structure, _congruency(picture)),
     )
 
 
@@ -314,4 +315,4 @@ def cells_of(row: SystemRow) -> tuple[str, ...]:
     mean = f"{row.red:.2f} {row.green:.2f} {row.blue:.2f}"
     contrasts = f"{row.contrast_2m:.3f}", f"{row.contrast_5m:.3f}"
     blurs = f"{row.blur_2m:.2f} px", f"{row.blur_5m:.2f} px"
-    return row.system, mean, *contrasts, *blurs, f"{row.delta_e:.1f}", f"{row.information_lost:.2f}"
+    return row.system, mean, *contrasts, *blurs, f"{row.delta_e:.1f}", f"{row.phase_congruency:.2f}"

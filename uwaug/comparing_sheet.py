@@ -41,8 +41,9 @@ def _write_table(figure: "Figure", found: "Comparison") -> None:
     width, height = figure.get_size_inches() * figure.dpi
     lines = [HEADINGS, *map(cells_of, found.rows)]
     note = (
-        f"ΔE: mean CIEDE2000 to {FULLEST}. Information lost: phase-congruency difference. "
-        "Contrast: of fine detail on grey, left at that distance."
+        "Contrast: of fine detail on grey, left at that distance. "
+        f"ΔE: mean CIEDE2000 to {FULLEST}. "
+        "PC difference: of phase congruency, 0 = all structure is left."
     )
     for n, line in enumerate(lines):
         y = (_LINE * (len(lines) - n) + MARGIN) / height
