@@ -61,9 +61,8 @@ def systems(scene: Scene) -> Figure:
     for name in names:
         for water, factor in WATERS.items():
             z = factor * scene.distance
-            near = "" if factor == 1 else f", {float(z.min()):.1f}–{float(z.max()):.1f} m"
             picture = _by(load_preset(name, water=water), scene.image, z)
-            grid.show(place, picture, f"{name}, {water}{near}")
+            grid.show(place, picture, f"{name}, {water}")
             place += 1
     return grid.figure
 

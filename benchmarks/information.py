@@ -116,7 +116,8 @@ def chart(
     for name, one in natural.items():
         at = (one.visibility, one.phase_congruency)
         axis.plot(*at, "o", color="none", markeredgecolor=INK, markersize=6)
-        axis.annotate(name, at, xytext=(5, 4), textcoords="offset points", fontsize=9)
+        offset = (-16, -12) if name == "1C" else (5, 4)  # II is beside it
+        axis.annotate(name, at, xytext=offset, textcoords="offset points", fontsize=9)
     ticks = (1, 2, 5, 10, 20, 50)
     axis.set(xscale="log", ylim=(0, None), xlabel="visibility [m]")
     axis.set_xticks(ticks, [str(tick) for tick in ticks])
