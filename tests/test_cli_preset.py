@@ -45,8 +45,8 @@ def test_copy_never_writes_over_a_file_unasked(run, tmp_path):
 @pytest.mark.parametrize(
     ("code", "arguments", "message"),
     [
-        (2, "show no", "no preset is called 'no'; there are calibrated, depth-scaling-1"),
-        (2, "copy no a.toml", "no preset is called 'no'; there are calibrated, depth-scaling-1"),
+        (2, "show no", "no preset is called 'no'; there are akkaynak-2018, calibrated"),
+        (2, "copy no a.toml", "no preset is called 'no'; there are akkaynak-2018, calibrated"),
         (2, "copy bad.toml a.toml", "no preset is called 'bad.toml'"),
         (2, "copy survey a.txt", "expected a name that ends in .toml"),
         (1, "copy survey missing/a.toml", "there is no folder missing"),

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from uwaug import JERLOV_TYPES, Camera, Medium, PointSpread, Underwater, Water
-from uwaug.presets import Preset, list_presets, load_preset
+from uwaug.presets import Preset, list_presets, load_preset, published_systems
 
 NAMES = list_presets()
 
@@ -52,9 +52,9 @@ def same(first: Medium, second: Medium) -> bool:
     return all(torch.equal(x, y) for x, y in zip(first.tensors(), second.tensors(), strict=True))
 
 
-def test_there_is_a_preset_for_every_printed_row_and_no_other_but_the_librarys_own():
+def test_every_printed_row_has_a_preset_beside_the_librarys_own_and_others_systems():
     tank = [f"tank-{model}-{i}" for model in TANK_MODELS for i in (1, 2, 3, 4)]
-    assert sorted([*tank, *PRINTED, "calibrated"]) == NAMES
+    assert sorted([*tank, *PRINTED, "calibrated", *published_systems()]) == NAMES
 
 
 @pytest.mark.parametrize("turbidity", [1, 2, 3, 4])
@@ -155,7 +155,7 @@ def test_field_takes_a_generator():
 
 @pytest.mark.parametrize("name", ["Survey", "tank", "configs/survey"])
 def test_unknown_name_lists_the_known(name):
-    message = rf"no preset is called '{name}'; there are calibrated, .*, tank-reference-4"
+    message = rf"no preset is called '{name}'; there are akkaynak-2018, .*, tank-reference-4"
     with pytest.raises(ValueError, match=message):
         load_preset(name)
 
@@ -305,7 +305,7 @@ def test_error_names_file_and_key(tmp_path, pattern, replacement, message):
         (
             r"^\[medium\]",
             '[water]\ntype = "II"\ncamera = "x"\n[medium]',
-            "water, coefficients: give one of these",
+            "water, coefficients, channels: give one of these",
         ),
     ],
 )

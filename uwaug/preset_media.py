@@ -12,9 +12,6 @@ from uwaug.schema import Config
 
 __all__ = ["medium_of"]
 
-_AT_ONCE = 1e6
-"""1/m, of a veil that is all there at any distance: at .1 mm, e^−100 of it is missing."""
-
 
 def medium_of(
     config: Config,
@@ -41,7 +38,7 @@ def medium_of(
     if config.channels is not None:
         return _of_channels(config, water, depth, generator), depth
     if spectral is None:
-        return _of_coefficients(config, law), depth
+        return _of_coefficients(config, law, depth), depth
     medium = Medium.from_water(
         spectral["waters"],
         spectral["cameras"],
@@ -70,12 +67,7 @@ def _of_channels(
     channels, veil = config.channels, np.array(_veil(config, generator))
     assert channels is not None
     if channels.left is not None:
-        left = np.array(channels.left)
-        none, at_once = (0.0,) * 3, (_AT_ONCE,) * 3
-        # at no distance does this water do anything else
-        return Medium.from_coefficients(
-            none, none, (veil * (1 - left)).tolist(), light=left.tolist(), veil_rate=at_once
-        )
+        return Medium.from_transmission(channels.left, veil.tolist())
     kind = channels.type if water is None else water
     if channels.beta_per_m is not None:
         beta = np.array(channels.beta_per_m[kind])
@@ -90,12 +82,11 @@ def _of_channels(
     return Medium.from_coefficients(rates, rates, (veil * ambient).tolist(), light=light.tolist())
 
 
-def _of_coefficients(config: Config, law: PointSpread) -> Medium:
+def _of_coefficients(config: Config, law: PointSpread, depth: float) -> Medium:
     a, b, printed, kd = (np.array(values) for values in vars(config.coefficients).values())
     # the g of each channel that gives G as printed, which is rounded
     g = np.divide(printed - a, b, out=np.zeros(3), where=b > 0)
-    depth, mu = config.medium.vertical_depth_m, config.medium.mu
-    found = band_coefficients(a, b, kd, vertical_depth=depth, g=g, mu=mu)
+    found = band_coefficients(a, b, kd, vertical_depth=depth, g=g, mu=config.medium.mu)
     return Medium.from_coefficients(
         found.beta.tolist(),
         found.G.tolist(),

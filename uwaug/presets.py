@@ -29,6 +29,9 @@ __all__ = [
     "published_systems",
 ]
 
+_HOMOGENEOUS = (1.0, 1.0)
+"""The range of a field that does nothing."""
+
 
 @dataclass(frozen=True)
 class Preset:
@@ -70,6 +73,11 @@ class Preset:
         """Whether `uwaug.RandomUnderwater` can draw from it: it knows spectra, and no choices."""
         return self.spectral is not None and not self.choices
 
+    @property
+    def uneven(self) -> tuple[float, float] | None:
+        """The range of the field; None where the water is homogeneous."""
+        return None if self.field_range == _HOMOGENEOUS else self.field_range
+
     def options(self, distance_kind: str = "metric") -> dict[str, Any]:
         """The preset as options of `RandomUnderwater`, see `RandomUnderwater.from_preset`."""
         cure = "use load_preset(…).module()"
@@ -77,7 +85,9 @@ class Preset:
             raise ValueError(f"preset {self.name!r} has coefficients but no spectra: {cure}")
         if self.choices:
             made = ", ".join(f"{key} = {value}" for key, value in self.choices.items())
-            raise ValueError(f"preset {self.name!r} has {made}, which nothing draws: {cure}")
+            raise ValueError(
+                f"preset {self.name!r} has {made}, which RandomUnderwater does not draw: {cure}"
+            )
         options = {
             **self.spectral,
             "contrast": None,
@@ -87,6 +97,8 @@ class Preset:
             "field_range": self.field_range,
             "color_space": self.color_space,
         }
+        if self.uneven is None:
+            options["field_probability"] = 0.0
         if distance_kind != "metric":
             options |= {"near": self.near, "far": self.far}
         if distance_kind == "relative":
@@ -170,7 +182,8 @@ def load_preset(
     Args:
         name_or_path: a name, see `list_presets`; or the path of a TOML file (a string that ends in
             ``.toml``, or any path object). `uwaug preset copy` copies one to make your own.
-        water: a Jerlov type ("I" … "9C") or a `Water` that takes the place of the preset's.
+        water: a Jerlov type ("I" … "9C") or a `Water` that takes the place of the preset's. Where
+            there are no spectra, one of the types that the file has figures for.
         camera: a camera that takes the place of the preset's, see `load_camera`.
         tolerance: largest error of a curve that was a spectrum; 0 keeps every band.
         generator: draws what the file holds as a range, a veil or a depth; None takes the middle.
@@ -178,7 +191,7 @@ def load_preset(
     Raises:
         ValueError: the name is unknown (lists the known); the file is no TOML, or a key is unknown,
             missing, of the wrong type or out of range (names file and key); or water or camera is
-            given where the preset has coefficients.
+            given where the preset has coefficients that none replaces.
         OSError: the file cannot be read.
 
     Examples:

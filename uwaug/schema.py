@@ -15,7 +15,7 @@ from uwaug.exposure import require_exposure
 from uwaug.files import require_regular
 from uwaug.optics.bands import Dims, Downwelling, VeilRate
 from uwaug.optics.point_spread import Shape
-from uwaug.optics.reduction import Forward
+from uwaug.optics.reduction import USUAL, Forward
 from uwaug.optics.water import JERLOV_TYPES
 
 __all__ = ["Config", "read_config"]
@@ -77,15 +77,15 @@ class _Channels(_Table):
 
     def __post_init__(self) -> None:
         checks.within("surface_light", self.surface_light, 0.0)
-        given = {"beta_per_m": self.beta_per_m, "left_per_m": self.left_per_m, "left": self.left}
-        named = [name for name, value in given.items() if value is not None]
-        if len(named) != 1:
-            got = ", ".join(named) or "none"
-            raise ValueError(f"beta_per_m, left_per_m, left: give one of these, got {got}")
+        tables = (self.beta_per_m, self.left_per_m, self.left)
+        if sum(table is not None for table in tables) != 1:
+            raise ValueError("beta_per_m, left_per_m, left: give one of these three")
         if self.left is not None:
             _require_shares("left", self.left)
+            if self.type or self.surface_light != 1:
+                raise ValueError("left is all: type and surface_light would do nothing")
             return
-        checks.one_of("type", self.type, given[named[0]] or {})
+        checks.one_of("type", self.type, self.beta_per_m or self.left_per_m or ())
         for name, beta in (self.beta_per_m or {}).items():
             _require_each(f"beta_per_m.{name}", beta)
         for name, left in (self.left_per_m or {}).items():
@@ -189,6 +189,8 @@ class Config(_Table):
             self._require_channels()
         if self.coefficients is not None and self.choices():
             raise ValueError(f"medium: {', '.join(self.choices())} is for the table water alone")
+        if self.water is not None and self.veil is not None and self.medium.dims == "veil":
+            raise ValueError("medium.dims must be both or direct where a veil is given, got 'veil'")
         if self.coefficients is not None:
             _require_printed(self.coefficients, self.medium.g)
 
@@ -196,7 +198,9 @@ class Config(_Table):
         """Refuse what one rate for each channel leaves without meaning."""
         if self.veil is None:
             raise ValueError("veil is missing: channels have no scattering that it would come from")
-        allowed = {"downwelling": ("beam", "none"), "veil_rate": ("G",), "forward": ("image",)}
+        assert self.channels is not None
+        down = ("beam", "none") if self.channels.left is None else ("none",)
+        allowed = {"downwelling": down, "veil_rate": ("G",), "forward": ("image",)}
         for key, values in allowed.items():
             if getattr(self.medium, key) not in values:
                 got = f"{getattr(self.medium, key)!r}"
@@ -205,15 +209,12 @@ class Config(_Table):
     def choices(self) -> dict[str, str]:
         """How the medium differs from what `RandomUnderwater` draws."""
         named = {}
-        for key, usual in _USUAL.items():
+        for key, usual in USUAL.items():
             if getattr(self.medium, key) != usual:
                 named[key] = getattr(self.medium, key)
         if self.veil is not None:
             named["veil"] = "given"
         return named
-
-
-_USUAL = {"downwelling": "kd", "dims": "both", "veil_rate": "G", "forward": "image"}
 
 
 def _require_each(key: str, values: _RGB) -> None:

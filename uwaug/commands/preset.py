@@ -14,6 +14,9 @@ from uwaug.presets import bundled_preset, list_presets, load_preset, preset_path
 
 __all__ = ["preset"]
 
+_WIDE = 250
+"""Columns: more than any row has."""
+
 preset = typer.Typer(
     help="List presets, show one, or copy one to edit it.",
     no_args_is_help=True,
@@ -29,7 +32,8 @@ def list_() -> None:
         p = load_preset(name)
         low, high = p.field_range
         table.add_row(name, f"{p.near:g}–{p.far:g}", f"{p.gamma:g}", f"{low:g}–{high:g}", p.source)
-    Console().print(table)
+    # a line for each, that a script can read, however narrow the terminal
+    Console(width=_WIDE).print(table)
 
 
 @preset.command()

@@ -178,7 +178,7 @@ def _made(text: str) -> Model:
                 preset.medium,
                 preset.color_space,
                 preset.exposure,
-                preset.field_range,
+                preset.uneven,
                 **_of_maps(f"preset {preset.name}", options, preset),
             )
         made = RandomUnderwater.from_preset(recipe.preset, water=recipe.water, **options)

@@ -1,6 +1,7 @@
 """What an exported file says of itself, and the module that it came from."""
 
 import json
+import math
 import os
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
@@ -205,8 +206,10 @@ def _medium(rebuild: dict[str, Any]) -> Medium:
     values: dict[str, Any] = {}
     for name, value in rebuild["medium"].items():
         tensor = torch.tensor(value, dtype=torch.float64)
-        if not tensor.numel() or not (tensor.isfinite() & (tensor >= 0)).all():
-            raise ValueError(f"{name} must hold finite numbers ≥ 0")
+        # forward scatter from the direct light is a difference of curves
+        least, bound = (-math.inf, "") if name == "signal_weights" else (0.0, " ≥ 0")
+        if not tensor.numel() or not (tensor.isfinite() & (tensor >= least)).all():
+            raise ValueError(f"{name} must hold finite numbers{bound}")
         values[name] = float(tensor) if tensor.ndim == 0 else tensor
     numbers = {name: values.pop(name) for name in PointSpread.NUMBERS}
     law = rebuild["law"]

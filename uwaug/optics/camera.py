@@ -7,7 +7,7 @@ import os
 import re
 import unicodedata
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from uwaug.files import require_regular
 from uwaug.optics.spectra import Array, Spectra, spectrum, wavelength_axis
 
-__all__ = ["Camera", "load_camera"]
+__all__ = ["Camera", "load_camera", "response_at"]
 
 _CHANNELS = ("red", "green", "blue")
 _DATASET = Path("characterisation", "datasets", "cameras", "dslr", "sensitivities.py")
@@ -140,6 +140,14 @@ def load_camera(camera: "str | os.PathLike[str] | Camera") -> Camera:
     raise ValueError(
         f"no camera is called {camera!r}; there are {names}, or give the path of a .csv file"
     )
+
+
+@lru_cache(maxsize=16)
+def response_at(camera: Camera, axis: bytes) -> Array:
+    """The camera's weights (3, N) at wavelengths, given as the bytes of their array; rows sum to
+    1.
+    """
+    return camera.weights(np.frombuffer(axis)).T
 
 
 def _require_response(values: Array, whose: str) -> None:

@@ -12,22 +12,38 @@ from torch import Tensor
 
 from uwaug import checks
 from uwaug.optics.bands import given_rows
-from uwaug.optics.curves import FARTHEST, Curves, curves
+from uwaug.optics.curves import FARTHEST, Curves, Sums, curves
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.reduction import Forward, forward_from_direct, joined, require_forward
 
 if TYPE_CHECKING:
     from uwaug.optics.medium import Medium
 
-__all__ = ["Veil", "brightened", "curves_at", "of_channels", "stacked", "with_veil"]
+__all__ = [
+    "Veil",
+    "brightened",
+    "channel_notes",
+    "channel_rows",
+    "channel_tensors",
+    "curves_at",
+    "stacked",
+    "sums_of",
+    "with_veil",
+    "without_distance",
+]
 
 Veil = Literal["veil", "signal"]
 """The curve that a given veil follows."""
 
+_AT_ONCE = 1e6
+"""1/m, of a veil that is all there at any distance: at .1 mm, e^−100 of it is missing."""
 
-def of_channels(given: Mapping[str, Any], forward: Forward) -> list[Tensor]:
-    """Rates, weights and b̄ of `Medium.from_coefficients`, from its arguments by name."""
-    require_forward(forward)
+
+def channel_rows(given: Mapping[str, Any]) -> dict[str, Tensor]:
+    """The arguments of `Medium.from_coefficients` that are given, by name, as tensors of one type
+    and batch.
+    """
+    given = {name: value for name, value in given.items() if value is not None}
     dtype = torch.float64
     for value in reversed(list(given.values())):
         if isinstance(value, Tensor) and value.is_floating_point():
@@ -38,8 +54,12 @@ def of_channels(given: Mapping[str, Any], forward: Forward) -> list[Tensor]:
         batches[name] = len(rows[name])
     checks.batches(batches)
     b = max(batches.values())
-    for name, row in rows.items():
-        rows[name] = row.expand(b, *row.shape[1:])
+    return {name: row.expand(b, *row.shape[1:]) for name, row in rows.items()}
+
+
+def channel_tensors(rows: Mapping[str, Tensor], forward: Forward) -> list[Tensor]:
+    """Rates, weights and b̄ of a medium, in the order of its attributes."""
+    require_forward(forward)
     beta, G, b_mean = rows["beta"], rows["G"], rows["b_mean"]
     light, veil = torch.diag_embed(rows["light"]), torch.diag_embed(rows["veil"])
     if "veil_rate" not in rows and forward == "image":
@@ -48,6 +68,23 @@ def of_channels(given: Mapping[str, Any], forward: Forward) -> list[Tensor]:
     if forward == "direct":
         signal = forward_from_direct((beta, light), (beta + G, light))
     return [*joined((beta, light), signal, (rows.get("veil_rate", G), veil)), b_mean]
+
+
+def channel_notes(tensors: Sequence[Tensor]) -> tuple[str, ...]:
+    """One line for each medium."""
+    counts = f"{tensors[0].shape[1]} + {tensors[2].shape[1]}"
+    return (f"coefficients: {counts} rates, one per channel",) * len(tensors[0])
+
+
+def without_distance(transmission: Any, veil: Any) -> dict[str, Any]:
+    """The arguments of `Medium.from_coefficients` for `Medium.from_transmission`."""
+    rows = channel_rows({"transmission": transmission, "veil": veil})
+    t, zeros = rows["transmission"], torch.zeros_like(rows["veil"])
+    if not bool((t.detach() <= 1).all()):
+        raise ValueError(f"transmission must be in [0, 1], got {t.detach().tolist()}")
+    at_once = torch.full_like(zeros, _AT_ONCE)
+    haze = (1 - t) * rows["veil"]
+    return {"beta": zeros, "G": zeros, "veil": haze, "light": t, "veil_rate": at_once}
 
 
 def stacked(media: "Sequence[Medium]") -> "Medium":
@@ -111,3 +148,22 @@ def curves_at(medium: "Medium", z: Tensor, *, exact_at_lens: bool = False) -> Cu
     if z.ndim > 2:
         return found
     return Curves(*(curve.reshape(len(curve), 3, *z.shape) for curve in found))
+
+
+def sums_of(medium: "Medium", exact_at_lens: bool) -> Sums:
+    """See `Medium.sums`."""
+    direct, signal, veil = medium.direct_weights, medium.signal_weights, medium.veil_weights
+    rates = torch.cat([torch.zeros_like(medium.beta[:, :1]), medium.beta, medium.G], 1)[..., None]
+    no_direct, no_signal = torch.zeros_like(direct), torch.zeros_like(signal)
+    nothing = torch.zeros_like(direct[..., :1])
+    # if the exponentials of G stand for e^−x − 1, T_G(z) is T_G(0) + Σ s(e^−Gz − 1), and the
+    # veil is −Σ v(e^−Gz − 1)
+    signal_at_0 = signal.sum(-1, keepdim=True) if exact_at_lens else nothing
+    veil_at_0 = nothing if exact_at_lens else veil.sum(-1, keepdim=True)
+    weights = [
+        torch.cat([nothing, direct, no_signal], 2),
+        torch.cat([signal_at_0, -direct, signal], 2),
+        torch.cat([veil_at_0, no_direct, -veil], 2),
+    ]
+    split = 1 + medium.beta.shape[1] if exact_at_lens else None
+    return Sums(rates, torch.cat(weights, 1), split)

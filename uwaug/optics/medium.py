@@ -29,11 +29,9 @@ per curve and channel needs 15 to 24 exponentials, shared rates need 4 to 8.)
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from operator import index
 from typing import Any
 
-import numpy as np
 import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
@@ -41,6 +39,7 @@ from torch import Tensor
 from uwaug import checks
 from uwaug.checks import DOMAIN
 from uwaug.colour import ColorSpace
+from uwaug.optics import derived
 from uwaug.optics.bands import (
     Dims,
     Downwelling,
@@ -48,12 +47,10 @@ from uwaug.optics.bands import (
     band_coefficients,
     default_bands,
 )
-from uwaug.optics.camera import Camera, load_camera
+from uwaug.optics.camera import Camera, load_camera, response_at
 from uwaug.optics.curves import FARTHEST, Sums
-from uwaug.optics.derived import Veil, brightened, curves_at, of_channels, stacked, with_veil
 from uwaug.optics.point_spread import PointSpread
-from uwaug.optics.reduction import Forward, reduced
-from uwaug.optics.spectra import Array
+from uwaug.optics.reduction import Forward, reduced, spectral_note
 from uwaug.optics.water import Water
 
 __all__ = ["Medium"]
@@ -140,28 +137,17 @@ class Medium:
         if isinstance(water, str):
             water = Water.jerlov(water)
         checks.instance("water", water, Water, "; see Water.jerlov")
-        drawn = {"vertical_depth": vertical_depth, "g": g, "mu": mu}
+        drawn: dict[str, Any] = {"vertical_depth": vertical_depth, "g": g, "mu": mu}
         for name, value in drawn.items():
             checks.within(name, value, *DOMAIN[name])
         if tolerance != 0:
             checks.tolerance(tolerance)
         bands = water.at(default_bands(water) if wavelengths is None else wavelengths)
-        response = _response(load_camera(camera), bands.wavelengths.tobytes())
-        found = band_coefficients(
-            bands.a,
-            bands.b,
-            bands.kd,
-            **drawn,
-            downwelling=downwelling,
-            dims=dims,
-            veil_rate=veil_rate,
-        )
+        response = response_at(load_camera(camera), bands.wavelengths.tobytes())
+        choices: dict[str, Any] = {"downwelling": downwelling, "dims": dims, "veil_rate": veil_rate}
+        found = band_coefficients(bands.a, bands.b, bands.kd, **drawn, **choices)
         tensors, error = reduced(found, response, forward, tolerance)
-        note = (
-            f"{water.name}: {tensors[0].shape[1]} + {tensors[2].shape[1]} rates, "
-            f"curves within {error:.1g} at any distance, "
-            f"{vertical_depth:g} m deep, g = {g:g}, μ = {mu:g}"
-        )
+        note = spectral_note(water.name, tensors, error, drawn, {**choices, "forward": forward})
         b_mean = torch.as_tensor([(response @ bands.b).mean()])
         law = PointSpread.paper() if point_spread is None else point_spread
         return Medium.of_tensors([*tensors, b_mean], law, (note,))
@@ -198,13 +184,25 @@ class Medium:
             ValueError: if a shape is another, batches differ, or a value is negative or infinite.
         """
         given = {"beta": beta, "G": G, "veil": veil, "light": light, "b_mean": b_mean}
-        if veil_rate is not None:
-            given["veil_rate"] = veil_rate
+        rows = derived.channel_rows({**given, "veil_rate": veil_rate})
+        tensors = derived.channel_tensors(rows, forward)
         law = PointSpread.none() if point_spread is None else point_spread
-        tensors = of_channels(given, forward)
-        counts = f"{tensors[0].shape[1]} + {tensors[2].shape[1]}"
-        notes = (f"coefficients: {counts} rates, one per channel",) * len(tensors[0])
-        return Medium.of_tensors(tensors, law, notes)
+        return Medium.of_tensors(tensors, law, derived.channel_notes(tensors))
+
+    @staticmethod
+    def from_transmission(
+        transmission: Tensor | Sequence[float], veil: Tensor | Sequence[float]
+    ) -> "Medium":
+        """Water of one transmission, whatever the distance (.1 mm or more): I = t·J + (1 − t)·B.
+
+        Args:
+            transmission (3 or Bx3): t per channel, 0…1.
+            veil (3 or Bx3): B, ≥ 0.
+
+        Raises:
+            ValueError: if a shape is another, batches differ, or a value is out of range.
+        """
+        return Medium.from_coefficients(**derived.without_distance(transmission, veil))
 
     @staticmethod
     def from_picture(
@@ -221,7 +219,7 @@ class Medium:
         media = list(media)
         for medium in media:
             checks.instance("media", medium, Medium, "; see Medium.from_water")
-        return stacked(media)
+        return derived.stacked(media)
 
     def __len__(self) -> int:
         return len(self.beta)
@@ -285,21 +283,7 @@ class Medium:
         small veil, not 0. Otherwise V(0) − V(z) is subtracted, which takes half the time; see
         `uwaug.formation.any_at_lens` for where that is right.
         """
-        direct, signal, veil = self.direct_weights, self.signal_weights, self.veil_weights
-        rates = torch.cat([torch.zeros_like(self.beta[:, :1]), self.beta, self.G], 1)[..., None]
-        no_direct, no_signal = torch.zeros_like(direct), torch.zeros_like(signal)
-        nothing = torch.zeros_like(direct[..., :1])
-        # if the exponentials of G stand for e^−x − 1, T_G(z) is T_G(0) + Σ s(e^−Gz − 1), and the
-        # veil is −Σ v(e^−Gz − 1)
-        signal_at_0 = signal.sum(-1, keepdim=True) if exact_at_lens else nothing
-        veil_at_0 = nothing if exact_at_lens else veil.sum(-1, keepdim=True)
-        weights = [
-            torch.cat([nothing, direct, no_signal], 2),
-            torch.cat([signal_at_0, -direct, signal], 2),
-            torch.cat([veil_at_0, no_direct, -veil], 2),
-        ]
-        split = 1 + self.beta.shape[1] if exact_at_lens else None
-        return Sums(rates, torch.cat(weights, 1), split)
+        return derived.sums_of(self, exact_at_lens)
 
     def transmission(self, z: Tensor) -> Tensor:
         """T_β(z): share of the light at the surface that arrives unscattered.
@@ -310,22 +294,22 @@ class Medium:
         Returns:
             (B, 3, H, W), or (B, 3, N), or (B, 3).
         """
-        return curves_at(self, z).direct
+        return derived.curves_at(self, z).direct
 
     def signal(self, z: Tensor) -> Tensor:
         """T_G(z): share of the light at the surface that arrives at all; as `transmission`."""
-        found = curves_at(self, z)
+        found = derived.curves_at(self, z)
         return found.direct + found.scatter
 
     def backscatter(self, z: Tensor) -> Tensor:
         """V(0) − V(z), the veil in front of a point at distance z; as `transmission`."""
-        return curves_at(self, z, exact_at_lens=True).veil
+        return derived.curves_at(self, z, exact_at_lens=True).veil
 
     def brightened(self, gain: Tensor) -> "Medium":
         """The medium as seen by a camera that multiplies all light by `gain` (B or 1)."""
-        return brightened(self, gain)
+        return derived.brightened(self, gain)
 
-    def with_veil(self, veil: Tensor | Sequence[float], curve: Veil = "veil") -> "Medium":
+    def with_veil(self, veil: Tensor | Sequence[float], curve: derived.Veil = "veil") -> "Medium":
         """The same water with a given veil at infinite distance.
 
         Args:
@@ -337,7 +321,7 @@ class Medium:
             ValueError: if a shape is another, batches differ, a value is negative or infinite, or a
                 channel has no curve of its own to follow.
         """
-        return with_veil(self, veil, curve)
+        return derived.with_veil(self, veil, curve)
 
     def lengths(self, z: Tensor) -> Tensor:
         """Scattering lengths b̄·z of finite distances (B or 1, 1, H, W)."""
@@ -353,9 +337,3 @@ class Medium:
         cut = ", …" if len(self) > 3 else ""
         note = self.notes[0] if self.notes else ""
         return f"Medium({note}{more}; {self.point_spread}, b̄ = {b_mean}{cut}/m)"
-
-
-@lru_cache(maxsize=16)
-def _response(camera: Camera, axis: bytes) -> Array:
-    """The camera's weights (3, N) at wavelengths; rows sum to 1."""
-    return camera.weights(np.frombuffer(axis)).T

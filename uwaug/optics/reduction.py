@@ -1,5 +1,6 @@
 """From coefficients band by band to the rates and weights of a medium."""
 
+from collections.abc import Mapping
 from typing import Literal, get_args
 
 import numpy as np
@@ -11,10 +12,22 @@ from uwaug.optics.bands import BandCoefficients
 from uwaug.optics.quadrature import reduce_rates
 from uwaug.optics.spectra import Array
 
-__all__ = ["Forward", "Part", "forward_from_direct", "joined", "reduced", "require_forward"]
+__all__ = [
+    "USUAL",
+    "Forward",
+    "Part",
+    "forward_from_direct",
+    "joined",
+    "reduced",
+    "require_forward",
+    "spectral_note",
+]
 
 Forward = Literal["image", "direct"]
 """What forward scatter is a blur of: the scene J, or the direct light D."""
+
+USUAL = {"downwelling": "kd", "dims": "both", "veil_rate": "G", "forward": "image"}
+"""The choices of the paper, and of `uwaug.RandomUnderwater`."""
 
 Part = tuple[Tensor, Tensor]
 """Rates (B, K) and weights (B, 3, K) of a curve, or of a part of one."""
@@ -34,7 +47,7 @@ def reduced(
     """
     require_forward(forward)
     lit, haze = response * bands.light, response * bands.veil
-    together = forward == "image" and bands.veil_rate is bands.G
+    together = forward == "image" and np.array_equal(bands.veil_rate, bands.G)
     if together and np.array_equal(bands.beta, bands.G):
         # nothing is scattered forward: of two reductions, the difference would be left
         rates, (direct, veil), error = reduce_rates(bands.beta, (lit, haze), tolerance)
@@ -50,8 +63,6 @@ def reduced(
     if forward == "direct":
         sums, (weights,), more = reduce_rates(bands.beta + bands.G, (lit,), share)
         arriving, error = forward_from_direct(first, _part(sums, weights)), 2 * error + more
-    elif np.array_equal(bands.beta, bands.G):
-        arriving = [first]
     else:
         G, (signal,), more = reduce_rates(bands.G, (lit,), tolerance)
         arriving, error = [_part(G, signal)], max(error, more)
@@ -86,6 +97,25 @@ def joined(direct: Part, signal: list[Part], veil: Part) -> list[Tensor]:
 def require_forward(forward: str) -> None:
     """Refuse what forward scatter is no blur of."""
     checks.one_of("forward", forward, get_args(Forward))
+
+
+def spectral_note(
+    water: str,
+    tensors: list[Tensor],
+    error: float,
+    numbers: Mapping[str, float],
+    choices: Mapping[str, str],
+) -> str:
+    """One line on a medium from spectra, with those of its choices that are not the usual."""
+    said = (
+        f"{water}: {tensors[0].shape[1]} + {tensors[2].shape[1]} rates, "
+        f"curves within {error:.1g} at any distance, "
+        f"{numbers['vertical_depth']:g} m deep, g = {numbers['g']:g}, μ = {numbers['mu']:g}"
+    )
+    for name, value in choices.items():
+        if value != USUAL[name]:
+            said += f", {name} = {value}"
+    return said
 
 
 def _part(rates: Array, weights: Array) -> Part:
