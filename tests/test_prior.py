@@ -166,6 +166,16 @@ def test_says_where_dark_and_alike_disagree() -> None:
         red_channel_prior(seen(0.2 + 0.8 * scene, z, water), z)
 
 
+@pytest.mark.parametrize(
+    "rate, said", [(8.0, "hardly any of it is left"), (0.001, "it hardly fades")]
+)
+def test_says_where_red_is_gone_or_does_not_fade(rate: float, said: str) -> None:
+    scene, z = seafloor()
+    water = Known((rate, 0.2, 0.25), (0.08, 0.3, 0.35))
+    with pytest.warns(UserWarning, match=rf"the rate of red \([^)]*{said}"):
+        red_channel_prior(seen(scene, z, water), z)
+
+
 def test_the_bundled_scene_is_doubted(motorcycle: Scene) -> None:
     z = motorcycle.distance.float()
     z = 1 + 7 * (z - z.min()) / (z.max() - z.min())

@@ -164,7 +164,7 @@ def _reduced(
     """Linear light (3xhxw) as large as it is looked at, float64, and distances (hxw, NaN where
     unknown).
     """
-    light = to_light(picture.detach(), color_space).double()
+    light = to_light(picture.detach().cpu(), color_space).double()
     height, width = picture.shape[-2:]
     block = max(1, min(height, width) // SIDE)
     rows, columns = height // block, width // block
@@ -173,7 +173,7 @@ def _reduced(
         return light, None
     middle = block // 2
     # a mean over an edge would be the distance of nothing
-    z = distance.detach()[0, middle::block, middle::block][:rows, :columns].double()
+    z = distance.detach().cpu()[0, middle::block, middle::block][:rows, :columns].double()
     z = torch.where(z > checks.OPEN, torch.inf, z)
     return light, torch.where(z > 0, z, torch.nan)
 
@@ -181,4 +181,4 @@ def _reduced(
 def _enlarged(values: Tensor, picture: Tensor) -> Tensor:
     """Back to the size of the picture (CxHxW)."""
     size = (picture.shape[-2], picture.shape[-1])
-    return F.interpolate(values[None], size, mode="nearest-exact")[0]
+    return F.interpolate(values[None], size, mode="nearest-exact")[0].to(picture.device)

@@ -35,6 +35,9 @@ _READINGS = ((1.0, 0.05), (100.0, 0.0))
 _APART = 0.1
 """In transmission, from where on they differ."""
 
+_GONE = 0.05
+"""Transmission at the nearest surfaces, or loss at the farthest, below which a rate is a guess."""
+
 _BINS = 12
 """Steps of distance."""
 
@@ -77,9 +80,14 @@ def metric_rates(light: Tensor, veil: Tensor, water: Tensor, z: Tensor) -> Rates
         readings.append(torch.exp(-rate[:, None] * metres))
     differ = (readings[0] - readings[1]).abs().amax(1)
     doubts = []
-    for colour, gap in zip(_COLOURS, differ.tolist(), strict=True):
-        if gap > _APART:
-            why = f"what is dark and what is alike tell transmissions {gap:.2f} apart"
+    for c, colour in enumerate(_COLOURS):
+        left = torch.exp(-beta[c] * metres)
+        if float(left.max()) < _GONE:
+            doubts.append(f"the rate of {colour} (hardly any of it is left at any distance)")
+        elif float(left.min()) > 1 - _GONE:
+            doubts.append(f"the rate of {colour} (it hardly fades)")
+        elif float(differ[c]) > _APART:
+            why = f"what is dark and what is alike tell transmissions {float(differ[c]):.2f} apart"
             doubts.append(f"the rate of {colour} ({why})")
     return Rates(beta, torch.where(water, torch.inf, z), doubts)
 
