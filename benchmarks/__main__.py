@@ -15,6 +15,8 @@ PARTS = (
     "contrast",
     "fitting",
     "draws",
+    "information",
+    "gallery",
     "scaling",
     "runtime",
     "throughput",

@@ -12,7 +12,8 @@ pytest.importorskip("cv2")
 pytest.importorskip("matplotlib")
 pytest.importorskip("scipy")
 
-from benchmarks import blurs, charts, frontier, scaling, summary
+import uwaug
+from benchmarks import blurs, charts, frontier, gallery, information, scaling, summary
 from benchmarks.exact import blur_exact
 from benchmarks.harness import race
 
@@ -148,3 +149,26 @@ def test_charts_are_drawn(quick: dict[str, Any], tmp_path: Path) -> None:
         path = tmp_path / f"{number}.png"
         figure.savefig(path, dpi=30)
         assert path.stat().st_size > 5000
+
+
+def test_information_falls_with_visibility(tmp_path: Path) -> None:
+    pytest.importorskip("phasecongruency")
+    with contextlib.redirect_stdout(io.StringIO()):
+        found = information.main(quick=True)
+    for steps in found["scaled"].values():
+        visible = [one.visibility for one in steps]
+        lost = [one.phase_congruency for one in steps]
+        assert visible == sorted(visible)
+        assert lost == sorted(lost, reverse=True)
+        assert [one.contrast_5m for one in steps] == sorted(one.contrast_5m for one in steps)
+    medians = [draws[0].visibility for draws in found["severity"].values()]
+    assert medians == sorted(medians, reverse=True)
+    found["figure"].savefig(tmp_path / "a.png", dpi=30)
+    assert (tmp_path / "a.png").stat().st_size > 4000
+
+
+def test_galleries_hold_a_picture_for_each() -> None:
+    found = gallery.main(quick=True)
+    systems, waters = len(uwaug.published_systems()) - 1, len(uwaug.JERLOV_TYPES)
+    assert len(found["systems"].axes) == 2 + 2 * systems
+    assert len(found["visibilities"].axes) == 3 * waters

@@ -25,6 +25,7 @@ HEAVY = (
     "onnx",
     "onnxruntime",
     "onnxscript",
+    "phasecongruency",
     "pydantic",
     "rich",
     "scipy",

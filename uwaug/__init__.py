@@ -6,6 +6,7 @@ from uwaug import distance
 from uwaug.blur.demand import blur_demand
 from uwaug.blur.plan import BlurPlan, plan_blur
 from uwaug.blur.stack import varying_blur
+from uwaug.comparing import Comparison, compare
 from uwaug.contrast import contrast
 from uwaug.draw import collate_records
 from uwaug.field import gaussian_random_field
@@ -28,6 +29,7 @@ from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import JERLOV_TYPES, Water
 from uwaug.presets import Preset, list_presets, load_preset, published_systems
+from uwaug.prior import WaterEstimate, red_channel_prior
 from uwaug.transforms import RandomUnderwater
 from uwaug.visible import KeepVisible
 
@@ -37,6 +39,7 @@ __all__ = [
     "JERLOV_TYPES",
     "BlurPlan",
     "Camera",
+    "Comparison",
     "Fit",
     "KeepVisible",
     "Medium",
@@ -50,10 +53,12 @@ __all__ = [
     "Underwater",
     "VeilFit",
     "Water",
+    "WaterEstimate",
     "WaterFit",
     "blur_demand",
     "check_onnx",
     "collate_records",
+    "compare",
     "contrast",
     "distance",
     "export_onnx",
@@ -68,5 +73,6 @@ __all__ = [
     "load_preset",
     "plan_blur",
     "published_systems",
+    "red_channel_prior",
     "varying_blur",
 ]

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from uwaug import __version__
+from uwaug.commands.compare import compare
 from uwaug.commands.console import fail as _fail
 from uwaug.commands.console import said as _said
 from uwaug.commands.degrade import degrade
@@ -73,6 +74,7 @@ def _options(
 
 app.command()(demo)
 app.command()(plot)
+app.command()(compare)
 
 
 @app.command()

@@ -202,12 +202,22 @@ def _require_known(names: Iterable[str], known: Iterable[str]) -> None:
             raise ValueError(f"params asks for {name!r}, but this transform has {has}")
 
 
+_NO_SPECTRUM = (
+    " or the name of a Jerlov type. A picture, a fit or a medium has three coefficients and no "
+    "spectrum: give it to uwaug.Underwater, such as uwaug.Underwater(uwaug.Medium.from_picture(…))"
+)
+
+
 def weighed(waters: Any) -> dict[str | Water, float]:
     """Each water's weight."""
     if isinstance(waters, (set, frozenset)):
         raise TypeError("waters must have an order, as draws follow it; got a set")
+    listed = [waters] if isinstance(waters, (str, Water)) else list(waters)
+    for water in listed:
+        if not isinstance(water, str):
+            checks.instance("waters", water, Water, _NO_SPECTRUM)
     if not isinstance(waters, Mapping):
-        waters = Counter([waters] if isinstance(waters, (str, Water)) else waters)
+        waters = Counter(listed)
     weights = list(waters.values())
     if weights and not (min(weights) >= 0 and 0 < sum(weights) < math.inf):
         raise ValueError(f"waters: expected weights ≥ 0 with a positive sum, got {weights}")

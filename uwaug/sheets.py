@@ -98,15 +98,16 @@ def sheet(
     caption: str,
     *,
     math: bool = False,
+    below: float = 0,
 ) -> tuple["Figure", list["Axes"]]:
     """A grid of cells, row by row, each of the shape of a picture of (height, width). The caption
-    may have several lines; for `math` see `Canvas`.
+    may have several lines; for `math` see `Canvas`; `below` is room under the cells, px.
     """
     width = _cell_width(columns)
     tall = width * shape[0] / shape[1]
     pitch = _LABEL + tall + GAP
     top = HEADER + _LINE * caption.count("\n")
-    canvas = Canvas(round(top + rows * pitch + MARGIN - GAP), heading, caption, math=math)
+    canvas = Canvas(round(top + rows * pitch + MARGIN - GAP + below), heading, caption, math=math)
     axes = []
     for i in range(rows * columns):
         x, y = MARGIN + i % columns * (width + GAP), top + _LABEL + i // columns * pitch

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from uwaug.cases import Case
     from uwaug.scene import Scene
 
-__all__ = ["plot"]
+__all__ = ["plot", "read_scene"]
 
 
 def plot(
@@ -62,7 +62,7 @@ def plot(
             refuse(f"{out / name} is read, and would be written over: choose another --out")
     with said() as say:
         say("reading the picture")
-        scene = _read(image, distance, distance_unit)
+        scene = read_scene(image, distance, distance_unit)
     draw_into(out, scene, pictures)
     if scene.note:
         print(scene.note)
@@ -83,7 +83,8 @@ def _case(water: str | None, preset: str | None) -> "Case | None":
         fail(error)
 
 
-def _read(image: Path, distance: Path, unit: str) -> "Scene":
+def read_scene(image: Path, distance: Path, unit: str) -> "Scene":
+    """A picture and its distances as a sheet shows them; fails where they cannot be read."""
     from uwaug.pictures import read_distance, read_picture
     from uwaug.scene import own_scene
 

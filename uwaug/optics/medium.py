@@ -38,6 +38,7 @@ from torch import Tensor
 
 from uwaug import checks
 from uwaug.checks import DOMAIN
+from uwaug.colour import ColorSpace
 from uwaug.optics import derived
 from uwaug.optics.bands import (
     Dims,
@@ -202,6 +203,15 @@ class Medium:
             ValueError: if a shape is another, batches differ, or a value is out of range.
         """
         return Medium.from_coefficients(**derived.without_distance(transmission, veil))
+
+    @staticmethod
+    def from_picture(
+        picture: Tensor, distance: Tensor | None = None, *, color_space: ColorSpace = "srgb"
+    ) -> "Medium":
+        """An estimate of a real picture's water, see `uwaug.red_channel_prior`."""
+        from uwaug.prior import red_channel_prior
+
+        return red_channel_prior(picture, distance, color_space=color_space).medium
 
     @staticmethod
     def stack(media: "Iterable[Medium]") -> "Medium":
