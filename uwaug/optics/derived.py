@@ -10,6 +10,7 @@ from torch import Tensor
 
 from uwaug.optics.curves import FARTHEST, Curves, curves
 from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.unlit import joined
 
 if TYPE_CHECKING:
     from uwaug.optics.medium import Medium
@@ -26,7 +27,8 @@ def stacked(media: "Sequence[Medium]") -> "Medium":
     law = PointSpread.stack([medium.point_spread for medium in media], rows, first.beta.dtype)
     columns = zip(*(medium.tensors() for medium in media), strict=True)
     notes = sum((medium.notes for medium in media), ())
-    return first.of_tensors([_joined(parts) for parts in columns], law, notes)
+    unlit = joined([medium.unlit for medium in media])
+    return first.of_tensors([_joined(parts) for parts in columns], law, notes, unlit)
 
 
 def _joined(parts: Sequence[Tensor]) -> Tensor:

@@ -47,6 +47,7 @@ from uwaug.optics.derived import brightened, curves_at, stacked
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.quadrature import reduce_rates
 from uwaug.optics.spectra import Array
+from uwaug.optics.unlit import Unlit, of_channels, unlit_bands
 from uwaug.optics.water import Water
 
 __all__ = ["Medium"]
@@ -67,6 +68,7 @@ class Medium:
         b_mean (B tensor): b̄, scattering coefficient for the width law, 1/m.
         point_spread: the width law.
         notes: one line per medium on what it models.
+        unlit: the water band by band, for lamps; None if only the sums are known.
     """
 
     beta: Tensor
@@ -77,6 +79,7 @@ class Medium:
     b_mean: Tensor
     point_spread: PointSpread
     notes: tuple[str, ...] = ()
+    unlit: Unlit | None = None
 
     def __post_init__(self) -> None:
         b, k, n = self.beta.shape[0], self.beta.shape[-1], self.G.shape[-1]
@@ -140,7 +143,8 @@ class Medium:
         arrays = (rates, direct, scatter, *both, b_mean)
         tensors = [torch.from_numpy(array[None]) for array in arrays]
         law = PointSpread.paper() if point_spread is None else point_spread
-        return Medium.of_tensors(tensors, law, (note,))
+        unlit = unlit_bands(bands.wavelengths, beta, G, bands.b, response, tolerance)
+        return Medium.of_tensors(tensors, law, (note,), unlit)
 
     @staticmethod
     def from_coefficients(
@@ -191,6 +195,7 @@ class Medium:
             b_mean=b_mean,
             point_spread=PointSpread.none() if point_spread is None else point_spread,
             notes=("coefficients: 3 + 3 rates, one per channel",) * b,
+            unlit=of_channels(beta, G, b_mean),
         )
 
     @staticmethod
@@ -213,16 +218,19 @@ class Medium:
 
     def map(self, function: Callable[[Tensor], Tensor]) -> "Medium":
         """`function` applied to each tensor, the width law's included."""
-        law = self.point_spread.map(function)
-        return self.of_tensors(list(map(function, self.tensors())), law, self.notes)
+        law, unlit = self.point_spread.map(function), self.unlit and self.unlit.map(function)
+        return self.of_tensors(list(map(function, self.tensors())), law, self.notes, unlit)
 
     @staticmethod
     def of_tensors(
-        tensors: Sequence[Tensor], point_spread: PointSpread, notes: tuple[str, ...]
+        tensors: Sequence[Tensor],
+        point_spread: PointSpread,
+        notes: tuple[str, ...],
+        unlit: Unlit | None = None,
     ) -> "Medium":
         """The inverse of `tensors`."""
-        named = dict(zip(_TENSORS, tensors, strict=True))
-        return Medium(**named, point_spread=point_spread, notes=notes)
+        named: dict[str, Any] = dict(zip(_TENSORS, tensors, strict=True))
+        return Medium(**named, point_spread=point_spread, notes=notes, unlit=unlit)
 
     def to(self, *args: Any, **kwargs: Any) -> "Medium":
         """Move or cast, as `torch.Tensor.to`."""
