@@ -259,6 +259,7 @@ def form(
     media = [medium[i] for i in range(len(medium))] if len(medium) > 1 else [medium]
     exact = any_at_lens(z, medium)
     sums = [one.sums(exact_at_lens=exact) for one in media]
+    lights = None if lit is None else [lit.row(n) for n in range(b)]
     outputs: list[Tensor] = []
     for i, picture in enumerate(image):
         # one picture in several waters is blurred once
@@ -267,7 +268,7 @@ def form(
             for n in samples:
                 m, part = n % len(media), z[n % len(z), :, rows, columns][None]
                 blur = scattered(stack, part, media[m], plan, size)
-                here = None if lit is None else lit.part(n, rows, columns)
+                here = None if lights is None else lights[n].part(rows, columns)
                 found = seen(sums[m], part, here)
                 results = combine(picture[None, :, rows, columns], found, blur)
                 outputs = outputs or [result.new_empty(b, 3, *size) for result in results]
@@ -288,7 +289,8 @@ def _form_at_once(
     """`form` without strips: for gradients, for compilers, for curves that precede the blur."""
     # a compiler cannot look at the distances
     exact = torch.compiler.is_compiling() or any_at_lens(z, medium)
-    found = seen(medium.sums(exact_at_lens=exact), z, lit)
+    here = None if lit is None else lit.whole()
+    found = seen(medium.sums(exact_at_lens=exact), z, here)
     source = image
     if order == "source":
         source, found = found.scatter * image, found._replace(scatter=image.new_ones(()))

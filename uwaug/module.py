@@ -16,12 +16,12 @@ from uwaug.blur.plan import BlurPlan
 from uwaug.colour import ColorSpace, from_light, to_light
 from uwaug.exposure import Exposure, brightest, exposed_under, require_exposure
 from uwaug.formation import Order, form, plan_at_hand, prepare, together, unbatched, validate
-from uwaug.light.lit import light_of, lit_of
+from uwaug.light.lit import lamp_legs, light_of, lit_of
 from uwaug.light.lit import planned as planned_under
 from uwaug.light.value import Light
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
-from uwaug.parameters import FixedMedium, LearnableMedium
+from uwaug.parameters import FixedLegs, FixedMedium, LearnableMedium
 
 __all__ = ["Underwater"]
 
@@ -130,6 +130,9 @@ class Underwater(nn.Module):
             # without a blur, its width does nothing
             width = self.demand is None or self.demand.high > 0
             self.coefficients = LearnableMedium(medium, width)
+        # what is learned changes what lamps give
+        fixed = None if light is None or learnable else lamp_legs(light, medium)
+        self.legs = FixedLegs(fixed) if fixed else None
 
     @property
     def medium(self) -> Medium:
@@ -214,7 +217,8 @@ class Underwater(nn.Module):
         with torch.autocast(image.device.type, enabled=False):
             light = to_light(image, self.color_space)
             light, z, medium = prepare(light, distance, medium, field)
-            lit = lit_of(self.light, distance, field, medium, *self.camera)
+            legs = None if self.legs is None else self.legs()
+            lit = lit_of(self.light, distance, field, medium, *self.camera, legs)
             medium, lit = exposed_under(light, z, medium, self.exposure, lit)
             if plan is None:
                 shown = planned_under(medium, self.light)

@@ -1,7 +1,7 @@
 """From a lamp to the surfaces of the scene.
 
-A surface at r metres from the lamp gets power·cone(ψ)·cos(ι)/r² of its light, where ψ is the angle
-to the lamp's axis and ι the angle of incidence; 1 is a white plate in daylight at the surface. The
+A surface at r metres from the lamp gets cone(ψ)·cos(ι)/r² of its light, where ψ is the angle
+to the lamp's axis and ι the angle of incidence. The
 lamp is no point but as wide as its radius R: r² is the squared distance and R².
 """
 
@@ -13,7 +13,7 @@ from torch import Tensor
 from uwaug.light.rays import View
 from uwaug.light.source import Lamp
 
-__all__ = ["Beam", "Ray", "beam_of", "column", "facing", "ray_of"]
+__all__ = ["Beam", "Ray", "along", "beam_of", "before_camera", "column", "facing", "ray_of"]
 
 
 class Ray(NamedTuple):
@@ -26,7 +26,9 @@ class Ray(NamedTuple):
 
 
 class Beam(NamedTuple):
-    """What a lamp sends to each pixel's surface (Bx1xHxW): a share of its light, over metres."""
+    """What a lamp sends to each pixel's surface (Bx1xHxW): the share of its light, and
+    after how many metres.
+    """
 
     share: Tensor
     metres: Tensor
@@ -39,34 +41,34 @@ def column(value: Tensor) -> Tensor:
 
 def ray_of(lamp: Lamp, view: View) -> Ray:
     """The rays of a view as the lamp sees them."""
-    x0, y0, z0 = (column(value) for value in lamp.position.unbind(-1))
-    short = view.shortening()
-    middle = (view.x * x0 + view.y * y0 + z0) * short
-    # |L × ray|, as |L|² − s₀² would cancel
-    across = (y0 - z0 * view.y).square() + (z0 * view.x - x0).square()
-    across = across + (x0 * view.y - y0 * view.x).square()
-    height = torch.sqrt(across * short.square() + column(lamp.radius).square())
-    return Ray(middle, height)
+    middle = along(lamp.position, view)
+    # of a lamp in view at 100 m this loses the last millimetres, of which nothing is seen
+    squared = column((lamp.position.square()).sum(-1)) - middle.square()
+    return Ray(middle, torch.sqrt(squared.clamp(min=0.0) + column(lamp.radius.square())))
 
 
-def along_axis(lamp: Lamp, view: View) -> tuple[Tensor, Tensor]:
-    """Cosines of the angles between rays and the lamp's axis; how far the lamp lies along it, m."""
-    dx, dy, dz = (column(value) for value in lamp.direction.unbind(-1))
-    cosine = (view.x * dx + view.y * dy + dz) * view.shortening()
-    return cosine, column((lamp.position * lamp.direction).sum(-1))
+def along(vector: Tensor, view: View) -> Tensor:
+    """The part of a vector (B, 3) along each ray (Bx1xHxW)."""
+    x, y, z = (column(value) for value in vector.unbind(-1))
+    return (view.x * x + (view.y * y + z)) * view.shortening()
 
 
 def beam_of(lamp: Lamp, view: View, ray: Ray, z: Tensor, normals: Tensor) -> Beam:
     """The light of a lamp on points at distance z (Bx1xHxW) whose `normals` are N with N·P = 1."""
     squared = (z - ray.middle).square() + ray.height.square()
     one_over = squared.rsqrt()
-    cosine, onto = along_axis(lamp, view)
-    cone = lamp.cone_at((z * cosine - onto) * one_over)
+    before = z * along(lamp.direction, view) - before_camera(lamp)
+    cone = lamp.cone_at(before * one_over)
     # N points away from the camera: (P − L)·N = 1 − L·N
-    before = 1 - _dot(normals, lamp.position)
-    incident = before.clamp(min=0.0) * _one_over_length(normals) * one_over
-    share = cone * incident.clamp(max=1.0) * one_over.square() * column(lamp.power)
+    above = (1 - _dot(normals, lamp.position)).clamp(min=0.0)
+    incident = above * _one_over_length(normals) * one_over
+    share = cone * incident.clamp(max=1.0) * one_over.square()
     return Beam(share, squared * one_over)
+
+
+def before_camera(lamp: Lamp) -> Tensor:
+    """How far the lamp lies along its own axis from the camera, m."""
+    return column((lamp.position * lamp.direction).sum(-1))
 
 
 def facing(normals: Tensor, direction: Tensor) -> Tensor:

@@ -11,6 +11,7 @@ straight from the surface to the camera. In the water's own field m, both legs a
 pixel get that pixel's m.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -19,14 +20,14 @@ from torch import Tensor
 from uwaug import checks
 from uwaug.light.beam import Ray, beam_of, column, facing, ray_of
 from uwaug.light.fog import Fog, fog_at, fog_of, fog_within
-from uwaug.light.rays import View, normals, require_centre, view_of
+from uwaug.light.rays import View, beyond, normals, require_centre, view_of
 from uwaug.light.source import Daylight, Lamp
 from uwaug.light.value import Light
 from uwaug.optics.curves import FARTHEST, Curves, Sums, curves, decay
 from uwaug.optics.medium import Medium
 from uwaug.optics.unlit import Legs, legs_of
 
-__all__ = ["Lit", "light_of", "lit_of", "planned", "seen"]
+__all__ = ["Lit", "lamp_legs", "light_of", "lit_of", "planned", "seen"]
 
 _ALL = slice(None)
 
@@ -45,7 +46,7 @@ class Lit(NamedTuple):
         view: the rays; None if no source differs from ray to ray.
         z (Bx1xHxW tensor): distance, m, without the field.
         field (Bx1xHxW tensor): m, or None.
-        normals (Bx3xHxW tensor): see `uwaug.light.rays`, or None.
+        normals (Bx3xHxW tensor): see `uwaug.light.rays`; None for a whole scene, see `part`.
         columns: of the picture, which this part has.
         gain (B tensor): by which an exposure brightens lamps, or None; daylight's is in the medium.
     """
@@ -56,39 +57,66 @@ class Lit(NamedTuple):
     view: View | None
     z: Tensor
     field: Tensor | None
-    normals: Tensor | None
+    normals: Tensor | None = None
     columns: slice = _ALL
     gain: Tensor | None = None
 
-    def part(self, n: int, rows: slice, columns: slice) -> "Lit":
-        """The light on some rows and columns of the n-th picture."""
-        view = None if self.view is None else self.view.part(rows, columns)
+    def row(self, n: int) -> "Lit":
+        """The light of the n-th picture."""
+
+        def one(value: Tensor) -> Tensor:
+            return value[n % len(value)][None]
+
+        return self._replace(
+            light=self.light.row(n),
+            legs=tuple(legs and legs.map(one) for legs in self.legs),
+            fogs=tuple(fog and fog._replace(planes=one(fog.planes)) for fog in self.fogs),
+            z=one(self.z),
+            field=None if self.field is None else one(self.field),
+            gain=None if self.gain is None else one(self.gain),
+        )
+
+    def part(self, rows: slice, columns: slice) -> "Lit":
+        """The light on some rows and columns."""
 
         def cut(value: Tensor) -> Tensor:
-            return _row(value, n)[..., rows, columns]
+            return value[..., rows, columns]
 
-        legs = tuple(legs and Legs(*(_row(t, n) for t in legs)) for legs in self.legs)
-        fogs = tuple(fog and fog._replace(planes=_row(fog.planes, n)) for fog in self.fogs)
-        gain = None if self.gain is None else _row(self.gain, n)
-        field = None if self.field is None else cut(self.field)
-        slopes = None if self.normals is None else cut(self.normals)
-        return Lit(self.light.row(n), legs, fogs, view, cut(self.z), field, slopes, columns, gain)
+        return self._replace(
+            view=None if self.view is None else self.view.part(rows, columns),
+            z=cut(self.z),
+            field=None if self.field is None else cut(self.field),
+            normals=self._normals(rows, columns),
+            columns=columns,
+        )
+
+    def whole(self) -> "Lit":
+        """The light on the whole picture, where it is not formed in parts."""
+        return self.part(slice(0, self.z.shape[-2]), slice(0, self.z.shape[-1]))
+
+    def _normals(self, rows: slice, columns: slice) -> Tensor | None:
+        """Those of a part: made with it, as long as it lies in the cache."""
+        if self.view is None:
+            return None
+        (tall, top), (wide, left) = beyond(rows), beyond(columns)
+        found = normals(self.z[..., tall, wide], self.view.part(tall, wide))
+        return found[..., top, left]
 
     def at(self, pixels: Tensor) -> "Lit":
         """The light on some pixels, given by their flat indices (N), as one row of them."""
-        width = self.z.shape[-1]
-        view = self.view
-        if view is not None:
-            x, y = view.x.flatten()[pixels % width], view.y.flatten()[pixels // width]
-            view = View(x.reshape(1, 1, 1, -1), y.reshape(1, 1, 1, -1))
+        width, view = self.z.shape[-1], self.view
 
         def pick(value: Tensor) -> Tensor:
             return value.flatten(-2)[..., pixels][:, :, None]
 
+        slopes = None
+        if view is not None:
+            slopes = pick(normals(self.z, view))
+            x, y = view.x.flatten()[pixels % width], view.y.flatten()[pixels // width]
+            view = View(x.reshape(1, 1, 1, -1), y.reshape(1, 1, 1, -1))
         field = None if self.field is None else pick(self.field)
-        slopes = None if self.normals is None else pick(self.normals)
-        fogs = (None,) * len(self.fogs)
-        return Lit(self.light, self.legs, fogs, view, pick(self.z), field, slopes)
+        nothing = (None,) * len(self.fogs)
+        return Lit(self.light, self.legs, nothing, view, pick(self.z), field, slopes)
 
     def brightened(self, gain: Tensor) -> "Lit":
         """The same as a camera of this gain (B or 1) sees it, with the medium brightened alike."""
@@ -143,7 +171,7 @@ class Lit(NamedTuple):
         ray = ray_of(lamp, self.view)
         beam = beam_of(lamp, self.view, ray, self.z, self.normals)
         path = beam.metres if self.field is None else beam.metres * self.field
-        share, veil = beam.share * _colour(lamp), self._fogged(lamp, legs, fog, ray)
+        share, veil = beam.share, self._fogged(lamp, legs, fog, ray)
         if self.gain is not None:
             share, veil = share * column(self.gain), veil * column(self.gain)
         if self.field is not None:
@@ -166,6 +194,7 @@ def lit_of(
     medium: Medium,
     focal_px: float | None,
     centre: tuple[float, float] | None,
+    held: Sequence[Legs] | None = None,
 ) -> Lit | None:
     """A light on a scene; None if it is daylight as the medium has it.
 
@@ -174,6 +203,7 @@ def lit_of(
         distance, field: as for `uwaug.form_image`, valid.
         medium: of the type to compute in.
         focal_px, centre: as for `uwaug.form_image`.
+        held: from `lamp_legs`, of the same light and medium; by default they are made.
     """
     if light is None or light.plain:
         return None
@@ -182,21 +212,29 @@ def lit_of(
     field = None if field is None else _batch(field, medium)
     if not light.has_view:
         nothing = (None,) * len(light.sources)
-        return Lit(light, nothing, nothing, None, z, field, None)
+        return Lit(light, nothing, nothing, None, z, field)
     assert focal_px is not None
     view = view_of((z.shape[-2], z.shape[-1]), focal_px, centre, z)
     legs: list[Legs | None] = []
     fogs: list[Fog | None] = []
+    rest = iter(lamp_legs(light, medium) if held is None else held)
     for source in light.sources:
         if isinstance(source, Daylight):
             legs.append(None)
             fogs.append(None)
             continue
-        own = legs_of(medium, source.spectrum)
+        white = next(rest).map(lambda t: t.to(medium.beta))
+        own = white.tinted(source.power[:, None] * source.colour)
         legs.append(own)
         # near a lamp in view, the veil is too steep for a grid
         fogs.append(None if source.ahead else fog_of(source, own, view))
-    return Lit(light, tuple(legs), tuple(fogs), view, z, field, normals(z, view))
+    return Lit(light, tuple(legs), tuple(fogs), view, z, field)
+
+
+def lamp_legs(light: Light, medium: Medium) -> list[Legs]:
+    """The sums of each lamp's light in a medium."""
+    lamps = [source for source in light.sources if isinstance(source, Lamp)]
+    return [legs_of(medium, lamp.spectrum) for lamp in lamps]
 
 
 def _batch(value: Tensor, medium: Medium) -> Tensor:
@@ -220,14 +258,6 @@ def seen(sums: Sums, z: Tensor, lit: Lit | None) -> Curves:
     return curves(sums, z) if lit is None else lit.curves(sums, z)
 
 
-def _row(value: Tensor, n: int) -> Tensor:
-    return value[n % len(value)][None]
-
-
-def _colour(lamp: Lamp) -> Tensor:
-    return lamp.colour[:, :, None, None]
-
-
 def _summed(rates: Tensor, weights: Tensor, z: Tensor) -> Tensor:
     """Σ weight·e^(−rate·z) for three channels (Bx3xHxW)."""
     left = decay(rates[..., None], z.flatten(1)[:, None])
@@ -236,8 +266,8 @@ def _summed(rates: Tensor, weights: Tensor, z: Tensor) -> Tensor:
 
 def _unscattered(legs: Legs, z: Tensor) -> Tensor:
     """T_β/T_G, the share of what arrives that was not scattered on the way."""
-    direct, all_of_it = _summed(legs.beta, legs.direct, z), _summed(legs.G, legs.signal, z)
-    return (direct / all_of_it.clamp(min=_SPENT)).clamp(max=1.0)
+    found = _summed(legs.both, legs.parts, z)
+    return (found[:, :3] / found[:, 3:].clamp(min=_SPENT)).clamp(max=1.0)
 
 
 def planned(medium: Medium, light: Light | None) -> Medium:
@@ -248,9 +278,10 @@ def planned(medium: Medium, light: Light | None) -> Medium:
     if not lamps:
         return medium
     legs = legs_of(medium)
+    k = legs.both.shape[1] - legs.G.shape[1]
     near = Medium(
-        beta=legs.beta,
-        direct_weights=legs.direct,
+        beta=legs.both[:, :k],
+        direct_weights=legs.parts[:, :3, :k],
         G=legs.G,
         signal_weights=legs.signal,
         veil_weights=torch.zeros_like(legs.signal),

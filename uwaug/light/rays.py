@@ -12,7 +12,7 @@ from torch import Tensor
 
 from uwaug import checks
 
-__all__ = ["NEAREST", "View", "normals", "require_centre", "view_of"]
+__all__ = ["NEAREST", "View", "beyond", "normals", "require_centre", "view_of"]
 
 NEAREST = 1e-3
 """m: what lies nearer counts as so far, where a direction is asked for."""
@@ -24,6 +24,10 @@ _BESIDE = 2
 """px to either side, over which a surface's slope is taken: over 1 px, the steps of a map of 8 bits
 are walls.
 """
+
+
+_WALL = 1e30
+"""1/m: steeper than any surface."""
 
 
 class View(NamedTuple):
@@ -77,6 +81,13 @@ def view_of(
     return View(x.reshape(1, 1, 1, -1), y.reshape(1, 1, -1, 1))
 
 
+def beyond(part: slice) -> tuple[slice, slice]:
+    """The rows or columns on which the normals of a part rest; and where it lies among them."""
+    first = max(part.start - _BESIDE, 0)
+    inner = slice(part.start - first, part.stop - first)
+    return slice(first, part.stop + _BESIDE), inner
+
+
 def normals(z: Tensor, view: View) -> Tensor:
     """The normal N of the surface at each pixel (Bx3xHxW), away from the camera, of such a length
     that N·P = 1 for the point P that is seen.
@@ -98,19 +109,15 @@ def normals(z: Tensor, view: View) -> Tensor:
 def _slope(values: Tensor, along: Tensor, axis: int) -> Tensor:
     """The slope of a map along an axis, of the side where it is smaller."""
     size = values.shape[axis]
-    step = along.new_ones(())
-    if not torch.compiler.is_compiling() and size == 1:
-        return torch.zeros_like(values)
     pads = (_BESIDE, _BESIDE, 0, 0) if axis == 3 else (0, 0, _BESIDE, _BESIDE)
-    wide = F.pad(values, pads, mode="replicate")
-    before = values - wide.narrow(axis, 0, size)
-    after = wide.narrow(axis, 2 * _BESIDE, size) - values
-    far = F.pad(along, pads, mode="replicate")
-    gone = along - far.narrow(axis, 0, size)
-    come = far.narrow(axis, 2 * _BESIDE, size) - along
+    wide, far = (F.pad(one, pads, mode="replicate") for one in (values, along))
+    more = size + _BESIDE
+    gap = far.narrow(axis, _BESIDE, more) - far.narrow(axis, 0, more)
     # at the border one side is missing
-    left, right = gone > 0, come > 0
-    before = before / torch.where(left, gone, step)
-    after = after / torch.where(right, come, step)
-    nearer = (before.abs() <= after.abs()) & left | ~right
+    missing = gap <= 0
+    steep = wide.narrow(axis, _BESIDE, more) - wide.narrow(axis, 0, more)
+    steep = steep * (1 / torch.where(missing, torch.inf, gap))
+    size_of = steep.abs() + torch.where(missing, _WALL, 0.0)
+    before, after = (steep.narrow(axis, start, size) for start in (0, _BESIDE))
+    nearer = size_of.narrow(axis, 0, size) <= size_of.narrow(axis, _BESIDE, size)
     return torch.where(nearer, before, after)

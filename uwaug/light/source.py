@@ -79,6 +79,8 @@ class _Source:
 
     def row(self, n: int) -> Any:
         """The source of the n-th picture, as a batch of one."""
+        if all(len(t) == 1 for t in self.tensors().values()):
+            return self
         return self.map(lambda t: t[n % len(t)][None])
 
 
@@ -144,10 +146,19 @@ class Lamp(_Source):
         outer = torch.cos(torch.deg2rad(self.cone))
         return inner, torch.minimum(outer, inner - _SHARPEST)
 
+    @property
+    def ramp(self) -> tuple[Tensor, Tensor]:
+        """What makes of the cosine of an angle to the axis 0 beyond the edge and 1 before it: a
+        factor and a summand (Bx1x1x1).
+        """
+        inner, outer = (edge.reshape(-1, 1, 1, 1) for edge in self.edges())
+        factor = 1 / (inner - outer)
+        return factor, -outer * factor
+
     def cone_at(self, cosine: Tensor) -> Tensor:
         """The share of the light (BxCxHxW) at angles to the axis that have this cosine."""
-        inner, outer = (edge.reshape(-1, 1, 1, 1) for edge in self.edges())
-        t = ((cosine - outer) / (inner - outer)).clamp(0.0, 1.0)
+        factor, summand = self.ramp
+        t = (cosine * factor + summand).clamp(0.0, 1.0)
         return t * t * (3 - 2 * t)
 
 
@@ -178,7 +189,8 @@ def unit_vector(name: str, value: Any) -> Tensor:
     length = vector.norm(dim=-1, keepdim=True)
     if not torch.compiler.is_compiling() and not bool((length > 0).all()):
         raise ValueError(f"{name} must point somewhere, got {vector.detach().tolist()!r:.120}")
-    return vector / length
+    unit: Tensor = vector / length
+    return unit
 
 
 def at_most(numbers: Mapping[str, Tensor], most: Mapping[str, float], unit: str) -> None:

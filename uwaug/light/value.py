@@ -184,7 +184,7 @@ class Light:
             for name, value in source.tensors().items():
                 sizes[f"light {number} {name}"] = len(value)
         checks.batches(sizes)
-        return max(sizes.values(), default=1)
+        return max([1, *sizes.values()])
 
     def map(self, function: Callable[[Tensor], Tensor]) -> "Light":
         """`function` applied to each number."""

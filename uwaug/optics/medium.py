@@ -254,10 +254,10 @@ class Medium:
     @staticmethod
     def of(parameters: Mapping[str, Tensor], like: "Medium") -> "Medium":
         """The inverse of `parameters`; kind of width law and notes are those of `like`."""
-        tensors = {name: parameters[name] for name in _TENSORS}
+        tensors = [parameters[name] for name in _TENSORS]
         numbers: dict[str, Any] = {name: parameters[name] for name in PointSpread.NUMBERS}
         law = replace(like.point_spread, **numbers)
-        return Medium(**tensors, point_spread=law, notes=like.notes)
+        return Medium.of_tensors(tensors, law, like.notes)
 
     @property
     def requires_grad(self) -> bool:

@@ -65,17 +65,33 @@ class Legs(NamedTuple):
     """Sums of exponentials for a lamp's light, each with a row per medium.
 
     Attributes:
-        beta (BxK tensor): rates of T_β, 1/m.
-        direct (Bx3xK tensor): weights of T_β.
-        G (BxL tensor): rates of T_G and b.
+        G (BxL tensor): rates of T_G and b, 1/m.
         signal, scatter (Bx3xL tensors): weights of T_G and of b.
+        both (Bx(K+L) tensor): rates of T_β, then of T_G.
+        parts (Bx6x(K+L) tensor): weights of T_β and, in the last three rows, of T_G.
     """
 
-    beta: Tensor
-    direct: Tensor
     G: Tensor
     signal: Tensor
     scatter: Tensor
+    both: Tensor
+    parts: Tensor
+
+    @staticmethod
+    def of(beta: Tensor, direct: Tensor, G: Tensor, signal: Tensor, scatter: Tensor) -> "Legs":
+        """From rates and weights of T_β, rates of T_G and b, and their weights."""
+        upper = torch.cat([direct, torch.zeros_like(signal)], 2)
+        lower = torch.cat([torch.zeros_like(direct), signal], 2)
+        return Legs(G, signal, scatter, torch.cat([beta, G], 1), torch.cat([upper, lower], 1))
+
+    def map(self, function: Callable[[Tensor], Tensor]) -> "Legs":
+        """`function` applied to each tensor."""
+        return Legs(*map(function, self))
+
+    def tinted(self, colour: Tensor) -> "Legs":
+        """Those of a lamp of this light (B or 1, 3)."""
+        factor = colour[..., None]
+        return self._replace(signal=self.signal * factor, scatter=self.scatter * factor)
 
 
 def unlit_bands(
@@ -118,7 +134,7 @@ def legs_of(medium: "Medium", spectrum: "Callable[[Array], Array] | None" = None
         return _from_sums(medium)
     if spectrum is None and unlit.tolerance == 0:
         response = unlit.response
-        return Legs(unlit.beta, response, unlit.G, response, response * unlit.b[:, None])
+        return Legs.of(unlit.beta, response, unlit.G, response, response * unlit.b[:, None])
     rows = []
     for n in range(len(unlit.beta)):
         bands = [np.ascontiguousarray(t[n].detach().double().cpu()) for t in unlit.tensors()]
@@ -130,7 +146,7 @@ def legs_of(medium: "Medium", spectrum: "Callable[[Array], Array] | None" = None
         width = max(array.shape[-1] for array in arrays)
         parts = [F.pad(torch.from_numpy(array), (0, width - array.shape[-1])) for array in arrays]
         columns.append(torch.stack(parts).to(medium.beta))
-    return Legs(*columns)
+    return Legs.of(*columns)
 
 
 def _in_light(response: Array, wavelengths: Array, spectrum: Callable[[Array], Array]) -> Array:
@@ -151,12 +167,12 @@ def _from_sums(medium: "Medium") -> Legs:
     for weights in (medium.direct_weights, medium.signal_weights):
         shares.append(weights / weights.sum(-1, keepdim=True).clamp(min=_LEAST))
     scatter = shares[1] * medium.b_mean[:, None, None]
-    return Legs(medium.beta, shares[0], medium.G, shares[1], scatter)
+    return Legs.of(medium.beta, shares[0], medium.G, shares[1], scatter)
 
 
 @lru_cache(maxsize=64)
 def _reduced(tolerance: float, *held: bytes) -> tuple[Array, ...]:
-    """`Legs` of one medium, from the bytes of its bands."""
+    """What `Legs.of` takes of one medium, from the bytes of its bands."""
     _, beta, G, b, response = (np.frombuffer(part) for part in held)
     response = response.reshape(3, -1)
     # b spans some tenths about its mean: as a measure of the scale of the light it keeps the
