@@ -16,7 +16,7 @@ from uwaug.blur.plan import BlurPlan
 from uwaug.colour import ColorSpace, from_light, to_light
 from uwaug.exposure import Exposure, brightest, exposed_under, require_exposure
 from uwaug.formation import Order, form, plan_at_hand, prepare, together, unbatched, validate
-from uwaug.light.lit import lamp_legs, light_of, lit_of
+from uwaug.light.lit import lamp_legs, light_of, lit_of, settled
 from uwaug.light.lit import planned as planned_under
 from uwaug.light.value import Light
 from uwaug.optics.curves import FARTHEST
@@ -133,6 +133,8 @@ class Underwater(nn.Module):
         # what is learned changes what lamps give
         fixed = None if light is None or learnable else lamp_legs(light, medium)
         self.legs = FixedLegs(fixed) if fixed else None
+        if light is not None and not learnable:
+            self.light = settled(light, medium)
 
     @property
     def medium(self) -> Medium:

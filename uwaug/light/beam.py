@@ -42,9 +42,14 @@ def column(value: Tensor) -> Tensor:
 def ray_of(lamp: Lamp, view: View) -> Ray:
     """The rays of a view as the lamp sees them."""
     middle = along(lamp.position, view)
-    # of a lamp in view at 100 m this loses the last millimetres, of which nothing is seen
-    squared = column((lamp.position.square()).sum(-1)) - middle.square()
-    return Ray(middle, torch.sqrt(squared.clamp(min=0.0) + column(lamp.radius.square())))
+    if lamp.ahead:  # |L|² − s₀² would lose the digits of a lamp in view
+        x, y, z = (column(value) for value in lamp.position.unbind(-1))
+        squared = (y - z * view.y).square() + (z * view.x - x).square()
+        squared = squared + (x * view.y - y * view.x).square()
+        squared = squared * view.shortening().square()
+    else:
+        squared = (column(lamp.position.square().sum(-1)) - middle.square()).clamp(min=0.0)
+    return Ray(middle, torch.sqrt(squared + column(lamp.radius.square())))
 
 
 def along(vector: Tensor, view: View) -> Tensor:

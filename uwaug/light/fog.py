@@ -33,7 +33,7 @@ from uwaug.optics.curves import decay
 from uwaug.optics.spectra import Array
 from uwaug.optics.unlit import Legs
 
-__all__ = ["Fog", "fog_at", "fog_of", "fog_within"]
+__all__ = ["Fog", "fog_at", "fog_of", "fog_within", "terms_of"]
 
 _NODES = 16
 """Of the quadrature over the lit part of a ray."""
@@ -48,6 +48,9 @@ _GRID = 65
 
 _SHOWS = 5e-4
 """Of the veil: less is left out."""
+
+_WIDEST, _FEW = 1.2, 25
+"""The tangent of 50°, and rays on which is looked for what shows."""
 
 _LEAST = 1e-6
 """Stands for the cosine at the far end of a ray."""
@@ -128,39 +131,34 @@ def _source(lamp: Lamp, legs: Legs, ray: Ray, lit: _Lit, theta: Tensor) -> Tenso
     """H times what reaches the camera from each angle, per unit of it (Bx3xHxW…), at `theta`
     (BxMxHxW).
     """
-    sine, cosine = torch.sin(theta), torch.cos(theta)
+    # half angles: near the lamp 1 + sin θ would cancel
+    up, level = torch.sin(math.pi / 4 + theta / 2), torch.cos(math.pi / 4 + theta / 2)
+    raised, cosine = 2 * up.square(), 2 * up * level
     g = column(lamp.asymmetry)
     # cos α = −sin θ; the 4π of the phase function and the π of a white plate leave 1/4
-    root = ((1 + g * g) + 2 * g * sine).rsqrt()
+    root = ((1 - g).square() + 2 * g * raised).rsqrt()
     phase = root * root.square() * (0.25 * (1 - g * g))
-    seen = lamp.cone_at(lit.across * cosine + lit.along * sine) * phase
-    # the tangent of π/4 + θ/2
-    path = ray.middle + ray.height * (1 + sine) / cosine.clamp(min=_LEAST)
+    seen = lamp.cone_at(lit.across * cosine + lit.along * (raised - 1)) * phase
+    path = ray.middle + ray.height * up / level.clamp(min=_LEAST)
     b, m, height, width = path.shape
     flat = path.clamp(min=0.0).reshape(b, 1, -1)
     arrives = legs.scatter @ decay(legs.G[..., None], flat)
     return arrives.reshape(-1, 3, m, height, width) * seen[:, None]
 
 
-def fog_of(lamp: Lamp, legs: Legs, view: View) -> Fog:
+def fog_of(lamp: Lamp, legs: Legs, view: View, terms: int) -> Fog:
     """The veil of a lamp as polynomials along the rays of a picture.
 
     Args:
         lamp: of B or 1 rows.
         legs: of the medium, for this lamp's spectrum.
         view: of the whole picture.
+        terms: of the polynomials, see `terms_of`.
     """
     x, y = _spread(view.x, 3), _spread(view.y, 2)
-    coarse = View(x, y)
-    ray = ray_of(lamp, coarse)
-    lit = _lit(lamp, coarse, ray, None)
-    nodes, _, project, powers = [rule.to(x) for rule in _RULES]
-    theta = lit.low + lit.span * nodes.reshape(1, -1, 1, 1)
-    values = _source(lamp, legs, ray, lit, theta) * lit.span[:, None]
-    series = torch.einsum("km,bcmhw->bkchw", project, values)
-    terms = _terms(series, ray)
-    coefficients = torch.einsum("jk,bkchw->bjchw", powers[:terms, :terms], series[:, :terms])
-    coefficients = coefficients.flatten(1, 2)
+    _, lit, series = _series(lamp, legs, View(x, y))
+    powers = _RULES[3].to(x)[:terms, :terms]
+    coefficients = torch.einsum("jk,bkchw->bjchw", powers, series[:, :terms]).flatten(1, 2)
     low = lit.low.expand(len(coefficients), -1, -1, -1)
     steep = 1 / lit.span.clamp(min=_EPS).expand_as(low)
     planes = torch.cat([low, steep, coefficients], 1)
@@ -169,11 +167,30 @@ def fog_of(lamp: Lamp, legs: Legs, view: View) -> Fog:
     return Fog(planes.transpose(1, 2).contiguous(), y.flatten())
 
 
-def _terms(series: Tensor, ray: Ray) -> int:
-    """How many of the polynomials show anywhere; all of them where that cannot be looked at."""
-    if torch.compiler.is_compiling() or transformed():
+def _series(lamp: Lamp, legs: Legs, view: View) -> tuple[Ray, _Lit, Tensor]:
+    """The veil along each ray, times h, as a series (BxKx3xHxW) of integrals of Legendre
+    polynomials.
+    """
+    ray = ray_of(lamp, view)
+    lit = _lit(lamp, view, ray, None)
+    nodes, _, project, _ = [rule.to(view.x) for rule in _RULES]
+    theta = lit.low + lit.span * nodes.reshape(1, -1, 1, 1)
+    values = _source(lamp, legs, ray, lit, theta) * lit.span[:, None]
+    return ray, lit, torch.einsum("km,bcmhw->bkchw", project, values)
+
+
+def terms_of(lamp: Lamp, legs: Legs) -> int:
+    """How many polynomials show in any view of up to 100° across; all of them where numbers may
+    change or cannot be looked at.
+    """
+    if torch.compiler.is_compiling() or transformed() or legs.scatter.requires_grad:
         return _TERMS
-    size = (series.detach().abs().amax(2) / ray.height.detach()).amax((0, 2, 3))
+    if any(value.requires_grad for value in lamp.tensors().values()):
+        return _TERMS
+    tangents = torch.linspace(-_WIDEST, _WIDEST, _FEW).to(legs.G)
+    view = View(tangents.reshape(1, 1, 1, -1), tangents.reshape(1, 1, -1, 1))
+    ray, _, series = _series(lamp, legs, view)
+    size = (series.abs().amax(2) / ray.height).amax((0, 2, 3))
     left = size.flip(0).cumsum(0).flip(0)  # of what comes from each of them on
     return max(1, int((left > _SHOWS).sum()))
 

@@ -12,6 +12,7 @@ pixel get that pixel's m.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -19,7 +20,7 @@ from torch import Tensor
 
 from uwaug import checks
 from uwaug.light.beam import Ray, beam_of, column, facing, ray_of
-from uwaug.light.fog import Fog, fog_at, fog_of, fog_within
+from uwaug.light.fog import Fog, fog_at, fog_of, fog_within, terms_of
 from uwaug.light.rays import View, beyond, normals, require_centre, view_of
 from uwaug.light.source import Daylight, Lamp
 from uwaug.light.value import Light
@@ -27,7 +28,7 @@ from uwaug.optics.curves import FARTHEST, Curves, Sums, curves, decay
 from uwaug.optics.medium import Medium
 from uwaug.optics.unlit import Legs, legs_of
 
-__all__ = ["Lit", "lamp_legs", "light_of", "lit_of", "planned", "seen"]
+__all__ = ["Lit", "lamp_legs", "light_of", "lit_of", "planned", "seen", "settled"]
 
 _ALL = slice(None)
 
@@ -227,7 +228,8 @@ def lit_of(
         own = white.tinted(source.power[:, None] * source.colour)
         legs.append(own)
         # near a lamp in view, the veil is too steep for a grid
-        fogs.append(None if source.ahead else fog_of(source, own, view))
+        terms = source.terms or terms_of(source, own)
+        fogs.append(None if source.ahead else fog_of(source, own, view, terms))
     return Lit(light, tuple(legs), tuple(fogs), view, z, field)
 
 
@@ -235,6 +237,18 @@ def lamp_legs(light: Light, medium: Medium) -> list[Legs]:
     """The sums of each lamp's light in a medium."""
     lamps = [source for source in light.sources if isinstance(source, Lamp)]
     return [legs_of(medium, lamp.spectrum) for lamp in lamps]
+
+
+def settled(light: Light, medium: Medium) -> Light:
+    """A light that holds what else would be looked for in each picture."""
+    legs = iter(lamp_legs(light, medium))
+    sources: list[Daylight | Lamp] = []
+    for source, alike in zip(light.sources, light.to(medium.beta).sources, strict=True):
+        if isinstance(source, Lamp) and isinstance(alike, Lamp):
+            own = next(legs).tinted(alike.power[:, None] * alike.colour)
+            source = replace(source, terms=terms_of(alike, own))
+        sources.append(source)
+    return Light(tuple(sources))
 
 
 def _batch(value: Tensor, medium: Medium) -> Tensor:

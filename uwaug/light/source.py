@@ -125,6 +125,7 @@ class Lamp(_Source):
         colour (Bx3 tensor): of its light; white where a spectrum is given.
         spectrum: its light over wavelengths, or None.
         ahead: whether it may be in view, less than 60° off the camera's axis.
+        terms: of its veil's polynomials; 0 if it has not been looked for.
     """
 
     position: Tensor
@@ -137,6 +138,7 @@ class Lamp(_Source):
     colour: Tensor
     spectrum: Spectrum | None = None
     ahead: bool = True
+    terms: int = 0
 
     has_view = True
 

@@ -130,7 +130,7 @@ class Light:
         """
         if rgb is not None and spectrum is not None:
             raise ValueError("rgb and spectrum: give one of them, got both")
-        numbers = {
+        numbers: dict[str, Any] = {
             "power": batch_of("power", power, (), "of a white plate at 1 m", 0.0),
             "cone": batch_of("cone", cone, (), "in degrees from the axis", 0.0),
             "falloff": batch_of("falloff", falloff, (), "a share of the cone", 0.0),

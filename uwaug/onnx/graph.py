@@ -73,10 +73,11 @@ class Graph(nn.Module):
     def forward(self, image: Tensor, distance: Tensor, *rest: Tensor) -> Tensor:
         """Image (Bx3xHxW) and distance (Bx1xHxW) → image."""
         inputs = list(rest)
-        z = distance.clamp(0.0, FARTHEST)
+        z, field = distance.clamp(0.0, FARTHEST), None
         if self.field:
             # either is limited first: a graph cannot refuse, and 0·inf is NaN
-            z = z * inputs.pop(0).clamp(0.0, FARTHEST)
+            field = inputs.pop(0).clamp(0.0, FARTHEST)
+            z = z * field
         if self.frozen:
             medium, sums = self.medium, Sums(self.rates, self.weights, None)
         else:
@@ -86,17 +87,17 @@ class Graph(nn.Module):
             sums = medium.sums(exact_at_lens=False)
         light = to_light(image, self.color_space)
         sums = exposed_sums(light, z, sums, self.exposure)
-        found = seen(sums, z, self._lit(distance, medium))
+        found = seen(sums, z, self._lit(distance, field, medium))
         stack = [blur(light) for blur in self.blurs]
         (result,) = together(
             light, found, scattered(stack, z, medium, self.plan, (z.shape[2], z.shape[3]))
         )
         return from_light(result, self.color_space, image)
 
-    def _lit(self, distance: Tensor, medium: Medium) -> Lit | None:
+    def _lit(self, distance: Tensor, field: Tensor | None, medium: Medium) -> Lit | None:
         """The light on the scene; None for daylight as the medium has it."""
         legs = None if self.legs is None else self.legs()
-        lit = lit_of(self.light, distance, None, medium, *self.camera, legs)
+        lit = lit_of(self.light, distance, field, medium, *self.camera, legs)
         if lit is None or isinstance(self.exposure, str):
             return lit and lit.whole()
         return lit.whole().brightened(medium.beta.new_full((1,), 2.0**self.exposure))
