@@ -261,8 +261,7 @@ class Underwater(nn.Module):
         for name, value in law.numbers().items():
             if name not in held and not (self.learnable and name == "scale"):
                 settings[name] = float(value)
-        if self.light is not None:
-            settings["light"] = repr(self.light)
+        settings["light"] = None if self.light is None else repr(self.light)
         settings |= {"sides": self._sides, "tolerance": self.tolerance}
         settings["demand"] = None if self.demand is None else asdict(self.demand)
         return settings

@@ -5,10 +5,11 @@ from typing import Any
 
 import torch
 
+from uwaug import checks
 from uwaug.light.source import Lamp
 from uwaug.light.value import Light
 
-__all__ = ["light_from", "plain_numbers"]
+__all__ = ["light_from", "light_of_tables", "plain_numbers"]
 
 _OF_LAMP = ("position", "direction", "power", "cone", "falloff", "radius", "asymmetry")
 _OF_DAYLIGHT = ("gain", "gradient", "diffuse")
@@ -65,3 +66,25 @@ def _source_from(one: Mapping[str, Any]) -> Light:
     azimuth = torch.rad2deg(torch.atan2(x, z))
     diffuse = tensor("diffuse")
     return Light.parallel(elevation, azimuth, diffuse=diffuse, gain=gain, gradient=gradient)
+
+
+def light_of_tables(tables: Any) -> Light:
+    """The sum of lights that a TOML file gives as tables: a kind, "ambient", "parallel" or "lamp",
+    and the arguments of that constructor of `Light`.
+
+    Raises:
+        ValueError: naming the key, if it is no such table.
+    """
+    wanted = 'tables, each with kind = "ambient", "parallel" or "lamp" and its arguments'
+    if not isinstance(tables, list) or not all(isinstance(one, Mapping) for one in tables):
+        raise ValueError(f"light: expected {wanted}, got {tables!r:.80}")
+    light = Light.none()
+    for table in tables:
+        rest = dict(table)
+        kind = rest.pop("kind", None)
+        checks.one_of("light.kind", kind, ("ambient", "parallel", "lamp"))
+        try:
+            light = light + getattr(Light, kind)(**rest)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"light of kind {kind!r}: {error}") from None
+    return light
