@@ -5,7 +5,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from uwaug import Camera, PointSpread, RandomUnderwater, Water
+from uwaug import Camera, Light, PointSpread, RandomUnderwater, Water
 from uwaug.options import SURVEY
 
 H, W = 24, 33
@@ -25,6 +25,11 @@ def brightness(image: Tensor) -> Tensor:
     """Stands for a depth network."""
     return image.mean(-3, keepdim=True)
 
+
+LIGHTS = [
+    Light.ambient() + Light.lamp((0.4, -0.2, 0.0), (-0.1, 0.0, 1.0), 4.0, 40.0),
+    Light.parallel(50.0, 120.0, gradient=0.3),
+]
 
 # in a plane, in relative and in inverse distance, 0…1 is a map as good as any
 OPTIONS: dict[str, dict[str, Any]] = {
@@ -55,6 +60,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "fill": {"unknown": "fill"},
     "keys": {"image_key": "rgb", "distance_key": "range"},
     "light": {"color_space": "linear", "order": "source"},
+    "lamps": {"light": LIGHTS, "vertical_depth": (5.0, 30.0), "focal_px": 40.0},
 }
 
 

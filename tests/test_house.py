@@ -66,7 +66,7 @@ def doubled(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
 @pytest.mark.parametrize(
     "owner, name",
     [
-        (uwaug.optics.curves, "_decay"),  # e^(−rate·z), of all three curves
+        (uwaug.optics.curves, "decay"),  # e^(−rate·z), of all three curves
         (PointSpread, "sigma"),  # the width law
         (uwaug.formation, "node_weights"),  # the weights of the blurs
     ],

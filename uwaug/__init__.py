@@ -22,6 +22,7 @@ from uwaug.fitting import (
     fit_water,
 )
 from uwaug.formation import Terms, form_image
+from uwaug.light import Light
 from uwaug.module import Underwater
 from uwaug.onnx import OnnxUnderwater, check_onnx, export_onnx
 from uwaug.optics.camera import Camera, load_camera
@@ -42,6 +43,7 @@ __all__ = [
     "Comparison",
     "Fit",
     "KeepVisible",
+    "Light",
     "Medium",
     "Noise",
     "OnnxUnderwater",

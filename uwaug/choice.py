@@ -4,6 +4,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from typing import Any, Literal, NamedTuple
 
 import torch
@@ -11,6 +12,8 @@ from torch import Tensor
 
 from uwaug.colour import ColorSpace
 from uwaug.formation import Order
+from uwaug.light import Light
+from uwaug.light.text import light_from
 from uwaug.metres import DistanceKind, Scaling, Unknown
 from uwaug.optics.camera import Camera
 from uwaug.optics.point_spread import PointSpread
@@ -45,6 +48,7 @@ class Draw(NamedTuple):
     field_seed: float
     field_low: float
     field_high: float
+    light: float
 
     @property
     def scaling(self) -> Scaling:
@@ -84,12 +88,22 @@ class Settings:
     tolerance: float
     varied: bool
     """Whether each picture has a medium of its own, so that none need be kept."""
+    lights: str = ""
+    """JSON of the lights that are drawn from, see `uwaug.light.text`; none for daylight alone."""
 
     def law(self, width: int) -> PointSpread:
         """The width law for a picture of `width` px."""
         if self.point_spread is not None:
             return self.point_spread
-        return PointSpread.calibrated(self.focal_px or _FOCAL * width)
+        return PointSpread.calibrated(self.focal(width))
+
+    def focal(self, width: int) -> float:
+        """Focal length for a picture of `width` px, px."""
+        return self.focal_px or _FOCAL * width
+
+    def light(self, draw: Draw) -> Light | None:
+        """The light of a draw; None for daylight alone."""
+        return None if math.isnan(draw.light) else lights_of(self.lights)[int(draw.light)]
 
     def to_json(self) -> str:
         """As text, for an operator that takes no objects."""
@@ -102,6 +116,12 @@ class Settings:
         if values["point_spread"] is not None:
             values["point_spread"] = PointSpread(**values["point_spread"])
         return Settings(**values)
+
+
+@lru_cache(maxsize=16)
+def lights_of(text: str) -> tuple[Light, ...]:
+    """The lights of `Settings.lights`."""
+    return tuple(light_from(numbers) for numbers in json.loads(text))
 
 
 class Choice(NamedTuple):

@@ -16,6 +16,7 @@ from uwaug.contrast import contrast
 from uwaug.exposure import GAINS, fixed_gain, gain_of, looks
 from uwaug.field import gaussian_random_field, gaussian_random_rows
 from uwaug.formation import Combine, Order, form, plan_at_hand, prepare, together
+from uwaug.light.lit import Lit, lit_of, planned
 from uwaug.metres import metres_by_rows, to_metres
 from uwaug.optics import sight
 from uwaug.optics.camera import Camera
@@ -116,6 +117,7 @@ class Whole(NamedTuple):
         z (1x1xHxW tensor): effective distance, m.
         medium: as the camera's exposure sees it.
         order, tolerance: as for `uwaug.form_image`.
+        lit: the light, if it is not the default, as the exposure sees it.
     """
 
     image: Tensor
@@ -125,11 +127,13 @@ class Whole(NamedTuple):
     medium: Medium
     order: Order = "line_of_sight"
     tolerance: float = 0.002
+    lit: Lit | None = None
 
     def pictures(self, combine: Combine) -> tuple[Tensor, ...]:
         """What `combine` makes, `together` or `separately`, as pictures like the image."""
-        plan = plan_at_hand(self.z, self.medium, self.tolerance, self.order)
-        parts = form(self.light, self.z, self.medium, plan, self.order, combine)
+        shown = self.medium if self.lit is None else planned(self.medium, self.lit.light)
+        plan = plan_at_hand(self.z, shown, self.tolerance, self.order)
+        parts = form(self.light, self.z, self.medium, plan, self.order, combine, self.lit)
         return tuple(from_light(part[0], self.color_space, self.image) for part in parts)
 
     def some(self) -> Tensor:
@@ -170,9 +174,12 @@ def _as_a_whole(image: Tensor, distance: Tensor | None, choice: Choice) -> InWat
         z = to_metres(distance.contiguous(), draw.scaling, settings.distance_kind, settings.unknown)
     some = z.flatten()[looks(z.shape[-2], z.shape[-1], z.device)]
     settled = _settled(choice, (some, z), image.shape[-1])
-    light, z, medium = prepare(light, z, settled.medium, _field(draw, z))
-    gain = _gain(lambda: gain_of(light, z, medium, "auto"), medium, draw, settings)
-    kept = settings.order, settings.tolerance
+    field, metres = _field(draw, z), z
+    light, z, medium = prepare(light, z, settled.medium, field)
+    focal_px = settings.focal(image.shape[-1])
+    lit = lit_of(settings.light(draw), metres, field, medium, focal_px, None)
+    gain = _gain(lambda: gain_of(light, z, medium, "auto", lit), medium, draw, settings)
+    kept = settings.order, settings.tolerance, None if lit is None else lit.brightened(gain)
     seen = Whole(image, settings.color_space, light, z, medium.brightened(gain), *kept)
     return InWater(seen, settled, gain)
 
@@ -180,6 +187,9 @@ def _as_a_whole(image: Tensor, distance: Tensor | None, choice: Choice) -> InWat
 def _in_strips(image: Tensor, distance: Tensor | None, choice: Choice) -> InWater:
     draw, settings, size = choice.draw, choice.settings, (image.shape[-2], image.shape[-1])
     require_values(image, settings.color_space)
+    if not math.isnan(draw.light):
+        what = f"a picture of {strips.LARGE / 1e6:g} megapixels or more is formed in strips"
+        raise ValueError(f"light: {what}, which know daylight alone; make it smaller")
     if distance is None:
         z = strips.plane(draw.distance, size, image)
     else:
@@ -199,7 +209,7 @@ def _settled(choice: Choice, some: Iterable[Tensor], width: int) -> Settled:
     """The water and the medium of a picture of `width` px; `some` of its distances, then all."""
     waters, camera, draw, settings = choice
     water, contents = _water(waters, draw, some)
-    if settings.exposure == "auto":
+    if settings.exposure == "auto" and math.isnan(draw.light):  # a lamp shines at any depth
         draw = draw._replace(vertical_depth=_lit_depth(water, draw.vertical_depth))
     medium = _medium(water, camera, draw, settings.law(width), settings)
     return Settled(water, contents, draw.vertical_depth, medium)

@@ -56,7 +56,7 @@ _LARGEST = 1e4
 
 # What each picture draws a uniform number for. A new one goes to the end, so that keys of
 # `RandomUnderwater.at` keep their pictures.
-_DRAWS = ("applied", "first", "second", "camera", "field", *RANGES)
+_DRAWS = ("applied", "first", "second", "camera", "field", *RANGES, "light")
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,7 @@ class Distribution:
         ranges: (low, high) of each number that is drawn.
         field_range: (low, high) of the medium field.
         p, field_probability: of degrading a picture at all, and of an uneven water.
+        lights: how many there are, of equal weight; 0 for daylight alone.
     """
 
     waters: Mapping[str, float]
@@ -77,6 +78,7 @@ class Distribution:
     field_range: tuple[float, float]
     p: float
     field_probability: float
+    lights: int = 0
 
     def draw(self, batch: int, generator: torch.Generator | None) -> Record:
         """A record of a sample for each of `batch` pictures."""
@@ -99,6 +101,8 @@ class Distribution:
             "field_seed": seed if u["field"] < self.field_probability else None,
             "field_range": list(self.field_range),
         }
+        if self.lights:
+            sample["light"] = int(u["light"] * self.lights)
         for name, (low, high) in self.ranges.items():
             if name in _LOGARITHMIC:
                 sample[name] = low * (high / low) ** u[name]
@@ -118,6 +122,8 @@ class Distribution:
         if count not in (1, batch):
             raise ValueError(f"params has {count} samples but image is a batch of {batch}")
         wanted = {"applied", "waters", "camera", "field_seed", "field_range", *self.ranges}
+        if self.lights:
+            wanted.add("light")
         for sample in samples:
             odd = ", ".join(sorted(wanted ^ (set(sample) - {"used"})))
             if odd:
@@ -126,6 +132,7 @@ class Distribution:
                 )
             if not torch.compiler.is_compiling():  # numbers are symbols there
                 _require_values(sample, self.ranges)
+                _require_light(sample, self.lights)
             _require_known(sample["waters"], self.waters)
             _require_known([sample["camera"]], self.cameras)
         return samples * batch if count < batch else samples
@@ -193,6 +200,12 @@ def _require_values(sample: Mapping[str, Any], ranges: Iterable[str]) -> None:
         raise ValueError(f"params: used must hold contents and gain, got {found!r:.80}")
     for name in ("contents", "gain"):
         checks.within(f"params: used.{name}", found[name], 0.0, _LARGEST)
+
+
+def _require_light(sample: Mapping[str, Any], lights: int) -> None:
+    if "light" in sample and sample["light"] not in range(lights):
+        got = sample["light"]
+        raise ValueError(f"params: light must be a whole number below {lights}, got {got!r:.40}")
 
 
 def _require_known(names: Iterable[str], known: Iterable[str]) -> None:

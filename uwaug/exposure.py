@@ -11,6 +11,7 @@ from torch import Tensor
 
 from uwaug import checks
 from uwaug.colour import LUMINANCE
+from uwaug.light.lit import Lit, seen
 from uwaug.optics.curves import Sums, curves
 from uwaug.optics.medium import Medium
 
@@ -22,6 +23,7 @@ __all__ = [
     "brightest",
     "exposed",
     "exposed_sums",
+    "exposed_under",
     "fixed_gain",
     "gain_of",
     "looks",
@@ -58,7 +60,7 @@ def require_exposure(exposure: Any) -> None:
         checks.within("exposure", exposure, *checks.DOMAIN["exposure"])
 
 
-def auto_gain(image: Tensor, z: Tensor, sums: Sums) -> Tensor:
+def auto_gain(image: Tensor, z: Tensor, sums: Sums, lit: Lit | None = None) -> Tensor:
     """The gain with which a degraded picture has the mean luminance of the scene.
 
     The blur moves light but adds none, so that it is left out: measured is T_G·J + B.
@@ -67,16 +69,21 @@ def auto_gain(image: Tensor, z: Tensor, sums: Sums) -> Tensor:
         image (Bx3xHxW tensor): linear light.
         z (Bx1xHxW tensor): effective distance, m.
         sums: of the medium, see `uwaug.Medium.sums`.
+        lit: the light, if it is not the default.
 
     Returns:
         (B,) within `GAINS`, and such that the veil of the farthest pixel stays at or below 1; 1
         where no light arrives.
     """
     some = looks(z.shape[-2], z.shape[-1], z.device)
-    return balanced(_at(image, some), _at(z, some), z.amax((-3, -2, -1), keepdim=True), sums)
+    here = None if lit is None else lit.at(some)
+    farthest = z.amax((-3, -2, -1), keepdim=True)
+    return balanced(_at(image, some), _at(z, some), farthest, sums, here)
 
 
-def balanced(light: Tensor, z: Tensor, farthest: Tensor, sums: Sums) -> Tensor:
+def balanced(
+    light: Tensor, z: Tensor, farthest: Tensor, sums: Sums, lit: Lit | None = None
+) -> Tensor:
     """The same from what some pixels show.
 
     Args:
@@ -84,21 +91,26 @@ def balanced(light: Tensor, z: Tensor, farthest: Tensor, sums: Sums) -> Tensor:
         z (Bx1x1xN tensor): their effective distances, m.
         farthest (Bx1x1x1 tensor): the largest of all effective distances, m.
         sums: as for `auto_gain`.
+        lit: the light on these pixels, if it is not the default.
     """
-    found = curves(sums, z)
+    found = seen(sums, z, lit)
     arrives = (found.direct + found.scatter) * light + found.veil
     before, after = _luminance(light), _luminance(arrives)
     dark = after <= 0
     gain = torch.where(dark, 1.0, before / torch.where(dark, 1.0, after))
+    if lit is not None:  # a lamp in view may be blown out
+        return gain.clamp(*GAINS)
     # the far water is the highlight that a camera protects
     veil = curves(sums, farthest).veil.amax((-3, -2, -1))
     return gain.clamp(*GAINS).minimum(1 / veil.clamp(min=1 / GAINS[1]))
 
 
-def gain_of(image: Tensor, z: Tensor, medium: Medium, exposure: Exposure) -> Tensor:
+def gain_of(
+    image: Tensor, z: Tensor, medium: Medium, exposure: Exposure, lit: Lit | None = None
+) -> Tensor:
     """The gain of an exposure: (B,), or (1,) if it is the same for all pictures."""
     if exposure == "auto" and image.numel() and z.numel():
-        return auto_gain(image, z, medium.sums(exact_at_lens=False))
+        return auto_gain(image, z, medium.sums(exact_at_lens=False), lit)
     return fixed_gain(medium, exposure)
 
 
@@ -110,9 +122,17 @@ def fixed_gain(medium: Medium, exposure: Exposure) -> Tensor:
 
 def exposed(image: Tensor, z: Tensor, medium: Medium, exposure: Exposure) -> Medium:
     """The medium as a camera of this exposure sees it; arguments as for `auto_gain`."""
+    return exposed_under(image, z, medium, exposure, None)[0]
+
+
+def exposed_under(
+    image: Tensor, z: Tensor, medium: Medium, exposure: Exposure, lit: Lit | None
+) -> tuple[Medium, Lit | None]:
+    """The same for a medium and the light on the scene; None if that is the default."""
     if exposure == "none":
-        return medium
-    return medium.brightened(gain_of(image, z, medium, exposure))
+        return medium, lit
+    gain = gain_of(image, z, medium, exposure, lit)
+    return medium.brightened(gain), None if lit is None else lit.brightened(gain)
 
 
 def exposed_sums(image: Tensor, z: Tensor, sums: Sums, exposure: Exposure) -> Sums:

@@ -5,6 +5,9 @@
     F = (T_G(z) − T_β(z))·blur_σ(z){J}        forward scatter
     B = V(0) − V(z)                           backscatter, the veil
 
+Light from lamps, or from a sun, changes what T_β, T_G and V(0) − V are at a pixel (see
+`uwaug.light.lit`), and nothing else.
+
 The curves T_β, T_G and V and the width σ are the medium's, see `uwaug.optics.medium`. J is the
 scene without water, z the distance along the ray [m], m the medium field.
 
@@ -27,7 +30,9 @@ from uwaug.blur.pieces import blurred_pieces
 from uwaug.blur.plan import BlurPlan
 from uwaug.blur.stack import blurred, mixed, node_weights
 from uwaug.functional import refuse_mapped, transformed
-from uwaug.optics.curves import FARTHEST, Curves, curves
+from uwaug.light.lit import Lit, lit_of, planned, seen
+from uwaug.light.value import Light
+from uwaug.optics.curves import FARTHEST, Curves
 from uwaug.optics.medium import Medium
 from uwaug.rows import held
 
@@ -72,6 +77,9 @@ def form_image(
     order: Order = "line_of_sight",
     tolerance: float = 0.002,
     plan: BlurPlan | None = None,
+    light: Light | None = None,
+    focal_px: float | None = None,
+    centre: tuple[float, float] | None = None,
 ) -> Terms:
     """Form an underwater image.
 
@@ -87,6 +95,10 @@ def form_image(
             single pixels may be off by 3 to 5 times as much.
         plan: from `blur_demand(…).plan(size)`; by default one for the distances at hand, which
             costs a look at them.
+        light: what shines, one for all images or one for each; None for daylight as the medium has
+            it.
+        focal_px: focal length, px of the image; wanted where the light differs from ray to ray.
+        centre: (column, row) of the pixel that looks along the camera's axis; None for the middle.
 
     Returns:
         The terms, of the image's dtype, with its batch dimension or without.
@@ -101,24 +113,32 @@ def form_image(
     the exponent of the forward term corrected.
     """
     checks.one_of("order", order, get_args(Order))
-    validate(image, distance, medium, field)
+    validate(image, distance, medium, field, light=light)
     if image.numel() and not torch.compiler.is_compiling():
         checks.finite("image", image)
     with torch.autocast(image.device.type, enabled=False):
-        light, z, prepared = prepare(image, distance, medium, field)
+        scene, z, prepared = prepare(image, distance, medium, field)
+        lit = lit_of(light, distance, field, prepared, focal_px, centre)
         if plan is None:
-            plan = plan_at_hand(z, prepared, tolerance, order)
-        parts = form(light, z, prepared, plan, order, separately)
+            plan = plan_at_hand(z, planned(prepared, light), tolerance, order)
+        parts = form(scene, z, prepared, plan, order, separately, lit)
         parts = tuple(part.to(image.dtype) for part in parts)
-    if unbatched(image, distance, medium, field):
+    if unbatched(image, distance, medium, field, light):
         parts = tuple(part[0] for part in parts)
     return Terms(*parts)
 
 
-def unbatched(image: Tensor, distance: Tensor, medium: Medium, field: Tensor | None) -> bool:
+def unbatched(
+    image: Tensor,
+    distance: Tensor,
+    medium: Medium,
+    field: Tensor | None,
+    light: Light | None = None,
+) -> bool:
     """Whether the caller gave one image without a batch dimension, and gets one back."""
     maps = (distance,) if field is None else (distance, field)
-    alone = len(medium) == 1 and all(one.ndim == 3 or len(one) == 1 for one in maps)
+    alone = len(medium) == 1 and (light is None or light.rows() == 1)
+    alone = alone and all(one.ndim == 3 or len(one) == 1 for one in maps)
     return image.ndim == 3 and alone
 
 
@@ -129,6 +149,7 @@ def validate(
     field: Tensor | None,
     *,
     also_bytes: bool = False,
+    light: Light | None = None,
 ) -> None:
     """Refuse what `form_image` cannot take: types, shapes, batches, devices, wrong distances.
 
@@ -139,6 +160,9 @@ def validate(
         checks.instance("medium", medium, Medium, "; see Medium.from_water")
     maps = {"distance": distance} if field is None else {"distance": distance, "field": field}
     sizes = {"medium": 1 if medium is None else len(medium)}
+    if light is not None:
+        checks.instance("light", light, Light)
+        sizes["light"] = light.rows()
     for name, value in {"image": image, **maps}.items():
         if not (name == "image" and also_bytes and _holds_bytes(image)):
             checks.floating(name, value)
@@ -213,21 +237,29 @@ def plan_between(
 
 
 def form(
-    image: Tensor, z: Tensor, medium: Medium, plan: BlurPlan, order: Order, combine: Combine
+    image: Tensor,
+    z: Tensor,
+    medium: Medium,
+    plan: BlurPlan,
+    order: Order,
+    combine: Combine,
+    lit: Lit | None = None,
 ) -> tuple[Tensor, ...]:
     """The model on prepared input (see `prepare`); `combine` is `separately` or `together`."""
-    lengths = (len(image), len(z), len(medium))
+    lengths = (len(image), len(z), len(medium), 1 if lit is None else lit.light.rows())
     b, size = max(lengths) if all(lengths) else 0, (image.shape[-2], image.shape[-1])
     if b == 0 or 0 in size:
         none = image[:b].expand(b, -1, -1, -1)
         return combine(none, Curves(none, none, none), none)
     recorded = image.requires_grad or z.requires_grad or medium.requires_grad
+    recorded = recorded or (lit is not None and lit.light.requires_grad)
     records = torch.is_grad_enabled() and recorded
     if records or transformed() or torch.compiler.is_compiling() or order == "source":
-        return _form_at_once(image, z, medium, plan, order, combine)
+        return _form_at_once(image, z, medium, plan, order, combine, lit)
     media = [medium[i] for i in range(len(medium))] if len(medium) > 1 else [medium]
     exact = any_at_lens(z, medium)
     sums = [one.sums(exact_at_lens=exact) for one in media]
+    lights = None if lit is None else [lit.row(n) for n in range(b)]
     outputs: list[Tensor] = []
     for i, picture in enumerate(image):
         # one picture in several waters is blurred once
@@ -236,7 +268,9 @@ def form(
             for n in samples:
                 m, part = n % len(media), z[n % len(z), :, rows, columns][None]
                 blur = scattered(stack, part, media[m], plan, size)
-                results = combine(picture[None, :, rows, columns], curves(sums[m], part), blur)
+                here = None if lights is None else lights[n].part(rows, columns)
+                found = seen(sums[m], part, here)
+                results = combine(picture[None, :, rows, columns], found, blur)
                 outputs = outputs or [result.new_empty(b, 3, *size) for result in results]
                 for output, result in zip(outputs, results, strict=True):
                     output[n, :, rows, columns] = result[0]
@@ -244,12 +278,19 @@ def form(
 
 
 def _form_at_once(
-    image: Tensor, z: Tensor, medium: Medium, plan: BlurPlan, order: Order, combine: Combine
+    image: Tensor,
+    z: Tensor,
+    medium: Medium,
+    plan: BlurPlan,
+    order: Order,
+    combine: Combine,
+    lit: Lit | None,
 ) -> tuple[Tensor, ...]:
     """`form` without strips: for gradients, for compilers, for curves that precede the blur."""
     # a compiler cannot look at the distances
     exact = torch.compiler.is_compiling() or any_at_lens(z, medium)
-    found = curves(medium.sums(exact_at_lens=exact), z)
+    here = None if lit is None else lit.whole()
+    found = seen(medium.sums(exact_at_lens=exact), z, here)
     source = image
     if order == "source":
         source, found = found.scatter * image, found._replace(scatter=image.new_ones(()))

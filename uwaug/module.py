@@ -14,11 +14,14 @@ from uwaug.blur.beyond import beyond_plan
 from uwaug.blur.demand import BlurDemand, blur_demand
 from uwaug.blur.plan import BlurPlan
 from uwaug.colour import ColorSpace, from_light, to_light
-from uwaug.exposure import Exposure, brightest, exposed, require_exposure
+from uwaug.exposure import Exposure, brightest, exposed_under, require_exposure
 from uwaug.formation import Order, form, plan_at_hand, prepare, together, unbatched, validate
+from uwaug.light.lit import lamp_legs, light_of, lit_of, settled
+from uwaug.light.lit import planned as planned_under
+from uwaug.light.value import Light
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
-from uwaug.parameters import FixedMedium, LearnableMedium
+from uwaug.parameters import FixedLegs, FixedMedium, LearnableMedium
 
 __all__ = ["Underwater"]
 
@@ -52,6 +55,9 @@ class Underwater(nn.Module):
             Other pictures get the nearest width of that plan. None plans for each size, which is
             faster: one plan for (32, 2160) takes 15 to 70 % more time. A width law that knows no
             size, such as `PointSpread(2.0)`, has one plan in any case.
+        light: what shines, one for all images or one for each; None for daylight as the medium has
+            it. It is no part of the state; numbers of it that require gradients are learned with.
+        focal_px, centre: as for `uwaug.form_image`; wanted where the light differs from ray to ray.
 
     Keep torch's default matmul precision. With `torch.set_float32_matmul_precision("medium")`, CPUs
     that support it multiply in bfloat16, and the error is visible.
@@ -84,6 +90,9 @@ class Underwater(nn.Module):
         order: Order = "line_of_sight",
         exposure: Exposure = "none",
         sides: tuple[int, int] | None = None,
+        light: Light | None = None,
+        focal_px: float | None = None,
+        centre: tuple[float, float] | None = None,
     ) -> None:
         super().__init__()
         checks.instance("medium", medium, Medium, "; see Medium.from_water")
@@ -91,6 +100,8 @@ class Underwater(nn.Module):
         checks.one_of("order", order, get_args(Order))
         checks.tolerance(tolerance)
         require_exposure(exposure)
+        self.light = None if light is None else light_of(light, focal_px, centre)
+        self.camera = focal_px, centre
         self.distance_range = None if distance_range is None else planned.distances(distance_range)
         self.tolerance = tolerance
         self.color_space = color_space
@@ -105,7 +116,7 @@ class Underwater(nn.Module):
         if self.distance_range is not None:
             margin = _ROOM if learnable else 1.0
             self.demand = blur_demand(
-                brightest(medium, exposure),
+                planned_under(brightest(medium, exposure), self.light),
                 self.distance_range,
                 tolerance,
                 order=order,
@@ -119,6 +130,11 @@ class Underwater(nn.Module):
             # without a blur, its width does nothing
             width = self.demand is None or self.demand.high > 0
             self.coefficients = LearnableMedium(medium, width)
+        # what is learned changes what lamps give
+        fixed = None if light is None or learnable else lamp_legs(light, medium)
+        self.legs = FixedLegs(fixed) if fixed else None
+        if light is not None and not learnable:
+            self.light = settled(light, medium)
 
     @property
     def medium(self) -> Medium:
@@ -153,12 +169,12 @@ class Underwater(nn.Module):
     def forward(self, image: Tensor, distance: Tensor, field: Tensor | None = None) -> Tensor:
         """Degrade an image; see the class."""
         medium = self.medium
-        validate(image, distance, medium, field, also_bytes=True)
+        validate(image, distance, medium, field, also_bytes=True, light=self.light)
         self.keep_up(medium)
         plan = self.plan((image.shape[-2], image.shape[-1]))
         self._look_beyond(distance, field, medium)
         result = self.formed(image, distance, field, medium, plan)
-        return result[0] if unbatched(image, distance, medium, field) else result
+        return result[0] if unbatched(image, distance, medium, field, self.light) else result
 
     def _look_beyond(self, distance: Tensor, field: Tensor | None, medium: Medium) -> None:
         """Warn, once, if distances lie beyond the plan and it shows."""
@@ -182,7 +198,7 @@ class Underwater(nn.Module):
             return
         assert self.distance_range is not None
         wanted = blur_demand(
-            brightest(medium, self.exposure),
+            planned_under(brightest(medium, self.exposure), self.light),
             self.distance_range,
             self.tolerance,
             order=self.order,
@@ -203,10 +219,13 @@ class Underwater(nn.Module):
         with torch.autocast(image.device.type, enabled=False):
             light = to_light(image, self.color_space)
             light, z, medium = prepare(light, distance, medium, field)
-            medium = exposed(light, z, medium, self.exposure)
+            legs = None if self.legs is None else self.legs()
+            lit = lit_of(self.light, distance, field, medium, *self.camera, legs)
+            medium, lit = exposed_under(light, z, medium, self.exposure, lit)
             if plan is None:
-                plan = plan_at_hand(z, medium, self.tolerance, self.order)
-            (result,) = form(light, z, medium, plan, self.order, together)
+                shown = planned_under(medium, self.light)
+                plan = plan_at_hand(z, shown, self.tolerance, self.order)
+            (result,) = form(light, z, medium, plan, self.order, together, lit)
             return from_light(result, self.color_space, image)
 
     def get_extra_state(self) -> Tensor:
@@ -242,6 +261,7 @@ class Underwater(nn.Module):
         for name, value in law.numbers().items():
             if name not in held and not (self.learnable and name == "scale"):
                 settings[name] = float(value)
+        settings["light"] = None if self.light is None else repr(self.light)
         settings |= {"sides": self._sides, "tolerance": self.tolerance}
         settings["demand"] = None if self.demand is None else asdict(self.demand)
         return settings
@@ -259,4 +279,6 @@ class Underwater(nn.Module):
         settings = f"tolerance={self.tolerance:g}, {self.color_space}, {self.order}"
         if self.exposure != "none":
             settings += f", exposure={self.exposure!r}"
+        if self.light is not None:
+            settings += f", {self.light!r}"
         return f"{self.medium!r},\n{said},\n{settings}"

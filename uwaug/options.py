@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import json
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -18,6 +19,8 @@ from uwaug.draw import (
     require_visibility,
 )
 from uwaug.formation import Order
+from uwaug.light import Light
+from uwaug.light.text import plain_numbers
 from uwaug.metres import DistanceKind, as_unknown
 from uwaug.optics.jerlov_tables import JERLOV_TYPES
 from uwaug.optics.point_spread import PointSpread
@@ -102,9 +105,10 @@ def check_options(aug: RandomUnderwater) -> None:
         checks.instance("point_spread", aug.point_spread, PointSpread)
     if aug.focal_px is not None:
         checks.positive("focal_px", aug.focal_px, "px")
-        if aug.point_spread is not None:
+        if aug.point_spread is not None and aug.light is None:
             given = "a point_spread takes the place of the calibrated law that it is for"
             raise ValueError(f"focal_px would do nothing: {given}, got {aug.focal_px}")
+    lights_in(aug)
     defaults = inspect.signature(type(aug)).parameters
     for name in ("near", "far", "gamma"):
         value = getattr(aug, name)
@@ -112,6 +116,20 @@ def check_options(aug: RandomUnderwater) -> None:
         if not used and value != defaults[name].default:
             kind = f"distance_kind is {aug.distance_kind!r}"
             raise ValueError(f"{name} would do nothing: {kind}, got {value}")
+
+
+def lights_in(aug: RandomUnderwater) -> list[Light]:
+    """The lights that are drawn from, checked."""
+    if aug.light is None:
+        return []
+    lights = [aug.light] if isinstance(aug.light, Light) else list(aug.light)
+    if not lights:
+        raise ValueError("light: expected a Light or several to draw from, got none")
+    for light in lights:
+        checks.instance("light", light, Light)
+        if light.rows() > 1:
+            raise ValueError(f"light must be for one picture, got one for {light.rows()}")
+    return lights
 
 
 def given(aug: RandomUnderwater) -> dict[str, Any]:
@@ -138,6 +156,7 @@ def distribution_of(aug: RandomUnderwater) -> Distribution:
         field_range=as_range("field_range", aug.field_range),
         p=aug.p,
         field_probability=aug.field_probability,
+        lights=len(lights_in(aug)),
     )
 
 
@@ -156,6 +175,7 @@ def settings_of(aug: RandomUnderwater, ranges: Mapping[str, tuple[float, float]]
         exposure=exposure,
         tolerance=aug.tolerance,
         varied=_varies(ranges),
+        lights=json.dumps([plain_numbers(light) for light in lights_in(aug)]),
     )
 
 

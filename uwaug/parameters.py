@@ -2,7 +2,7 @@
 whatever an optimiser does to them.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, Self
 
@@ -11,8 +11,9 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from uwaug.optics.medium import Medium
+from uwaug.optics.unlit import Legs
 
-__all__ = ["FixedMedium", "LearnableMedium"]
+__all__ = ["FixedLegs", "FixedMedium", "LearnableMedium"]
 
 _LEAST_RATE = 1e-6
 """1/m, where learning starts from a rate of 0: a smaller one would hardly learn."""
@@ -63,6 +64,28 @@ class FixedMedium(_InFullPrecision):
         law = self.start.point_spread
         numbers = {name: held.pop(name) for name in law.NUMBERS if name in held}
         return replace(self.start, **held, point_spread=replace(law, **numbers))
+
+
+class FixedLegs(_InFullPrecision):
+    """What a medium does to the light of lamps, as buffers; it moves and is saved with a module.
+
+    Args:
+        legs: of each lamp, see `uwaug.light.lit.lamp_legs`.
+    """
+
+    def __init__(self, legs: Sequence[Legs]) -> None:
+        super().__init__()
+        self.count = len(legs)
+        for number, one in enumerate(legs):
+            for name, value in one._asdict().items():
+                self.register_buffer(f"{name}_{number}", value.detach().clone())
+
+    def forward(self) -> list[Legs]:
+        """Those of each lamp."""
+        found = []
+        for number in range(self.count):
+            found.append(Legs(*(self.get_buffer(f"{name}_{number}") for name in Legs._fields)))
+        return found
 
 
 class LearnableMedium(_InFullPrecision):

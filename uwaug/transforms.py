@@ -1,7 +1,7 @@
 """`RandomUnderwater`: new water for every picture, in a DataLoader worker or on a whole batch."""
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Literal
 
 import torch
@@ -11,6 +11,7 @@ from uwaug.colour import ColorSpace
 from uwaug.degrade import Choice, Draw, exactly, in_water, used
 from uwaug.draw import Range, Record, cameras_of, spectra_of, weighed
 from uwaug.formation import Order, together
+from uwaug.light import Light
 from uwaug.metres import DistanceKind, Unknown, skipped
 from uwaug.opaque import Opaque
 from uwaug.optics.camera import Camera
@@ -64,8 +65,8 @@ class RandomUnderwater(SampleTransform):
         g: share of the scattered light that leaves the line of sight, 0…1.
         mu: share of the scattered light sent towards the camera, 0…1.
         point_spread: width law of the forward scatter; None for `PointSpread.calibrated`.
-        focal_px: focal length in px of the picture, for the calibrated law; None for a view 60°
-            wide, .866·width. Give it where pictures are crops of a view.
+        focal_px: focal length in px of the picture, for the calibrated law and for `light`; None
+            for a view 60° wide, .866·width. Give it where pictures are crops of a view.
         blur_factor: multiplies the scale of the width law.
         field_range: least and largest value of the medium field, which is drawn anew for each
             picture.
@@ -94,6 +95,7 @@ class RandomUnderwater(SampleTransform):
             are not metric, where 0 is a distance, let them pad with NaN.
         image_key, distance_key: where to find the two in a dict.
         tolerance, color_space, order: as for `uwaug.Underwater`.
+        light: a `Light`, or several, of which each picture draws one; None for daylight.
 
     Inputs:
         (image, distance, …), a tuple or list of them, (image, target) with the map in a dict in
@@ -158,6 +160,7 @@ class RandomUnderwater(SampleTransform):
         tolerance: float = 0.002,
         color_space: ColorSpace = "srgb",
         order: Order = "line_of_sight",
+        light: Light | Sequence[Light] | None = None,
     ) -> None:
         super().__init__(image_key, distance_key, mapped=distance is None)
         self.waters = weighed(waters)
@@ -186,6 +189,7 @@ class RandomUnderwater(SampleTransform):
         self.tolerance = tolerance
         self.color_space = color_space
         self.order = order
+        self.light = light
         check_options(self)
         # what all pictures share: spectra, what is drawn from, settings
         self.spectra = spectra_of(self.waters)
@@ -306,9 +310,8 @@ class RandomUnderwater(SampleTransform):
         """The record with what its samples come to on these pictures.
 
         Each sample that is applied gains "used": "contents", the factor on all that is in the water
-        besides pure water; its "visibility", m; and the "gain" of the exposure. `transform` takes
-        contents and gain from there, for this or another picture. A sample whose picture is skipped
-        (see `unknown`) is no longer "applied".
+        besides pure water; its "visibility", m; the "gain" of the exposure. `transform` takes both
+        factors from there, for any picture. A skipped one (see `unknown`) is no longer "applied".
 
         Args:
             image, distance, params: as for `transform`.

@@ -15,6 +15,7 @@ from uwaug.fitting.result import Fit
 from uwaug.jobs.depth import Depth
 from uwaug.jobs.model import Model, OneMedium, RandomWater
 from uwaug.labels import LabelSource, open_labels
+from uwaug.light.text import light_of_tables
 from uwaug.metres import Scaling
 from uwaug.optics.point_spread import PointSpread
 from uwaug.presets import Preset, load_preset
@@ -210,6 +211,8 @@ def _from_json(name: str, value: Any) -> Any:
     """An option of `RandomUnderwater`: JSON and TOML know neither tuples nor width laws."""
     if name == "point_spread":
         return PointSpread(**value)
+    if name == "light":
+        return light_of_tables(value)
     numbers = isinstance(value, (list, tuple)) and len(value) == 2
     if numbers and all(isinstance(one, (int, float)) for one in value):
         return tuple(value)

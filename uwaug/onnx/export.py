@@ -17,7 +17,7 @@ from uwaug.files import written_whole
 from uwaug.module import Underwater
 from uwaug.onnx.check import check_onnx
 from uwaug.onnx.graph import Graph, parameters_of
-from uwaug.onnx.metadata import Options, plan_of, written
+from uwaug.onnx.metadata import Options, plan_of, require_light, written
 from uwaug.session import require
 
 __all__ = ["export_onnx", "export_program"]
@@ -41,7 +41,8 @@ def export_onnx(
 
     Args:
         module: with a `distance_range` and `sides`, which fix the plan of the blur; the file has
-            the same plan. What is learnable is written as it stands.
+            the same plan. What is learnable is written as it stands. A light is written as it
+            stands too, with frozen parameters and an exposure that is not automatic.
         path: of the file; written whole, after it has passed its check, or not at all. A symbolic
             link stays, and what it points to is replaced.
         parameters: "frozen", or "inputs": rates, weights and width law become inputs of the graph,
@@ -150,6 +151,7 @@ def _trace(module: Underwater, options: Options) -> _Traced:
     if frozen and len(module.medium) != 1:
         held = f"{len(module.medium)} media, of which only one can be frozen"
         raise ValueError(f"module holds {held}: use parameters='inputs'")
+    require_light(module, options)
     plan = plan_of(module)
     names = ("batch", "height", "width", "rates", "scatter_rates")
     batch, height, width, rates, scatter_rates = (torch.export.Dim(name, min=1) for name in names)

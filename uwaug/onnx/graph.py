@@ -22,8 +22,9 @@ from uwaug.blur.plan import BlurPlan
 from uwaug.colour import from_light, to_light
 from uwaug.exposure import exposed_sums
 from uwaug.formation import scattered, together
+from uwaug.light.lit import Lit, lit_of, seen
 from uwaug.module import Underwater
-from uwaug.optics.curves import FARTHEST, Sums, curves
+from uwaug.optics.curves import FARTHEST, Sums
 from uwaug.optics.medium import Medium
 
 __all__ = ["Graph", "parameters_of"]
@@ -64,16 +65,19 @@ class Graph(nn.Module):
         )
         # exact_at_lens=False: ONNX has no e^x − 1
         rates, weights, _ = self.medium.sums(exact_at_lens=False)
+        self.light = module.light and module.light.map(lambda t: t.detach().to("cpu"))
+        self.legs, self.camera = module.legs, module.camera
         self.register_buffer("rates", rates)
         self.register_buffer("weights", weights)
 
     def forward(self, image: Tensor, distance: Tensor, *rest: Tensor) -> Tensor:
         """Image (Bx3xHxW) and distance (Bx1xHxW) → image."""
         inputs = list(rest)
-        z = distance.clamp(0.0, FARTHEST)
+        z, field = distance.clamp(0.0, FARTHEST), None
         if self.field:
             # either is limited first: a graph cannot refuse, and 0·inf is NaN
-            z = z * inputs.pop(0).clamp(0.0, FARTHEST)
+            field = inputs.pop(0).clamp(0.0, FARTHEST)
+            z = z * field
         if self.frozen:
             medium, sums = self.medium, Sums(self.rates, self.weights, None)
         else:
@@ -82,12 +86,21 @@ class Graph(nn.Module):
             )
             sums = medium.sums(exact_at_lens=False)
         light = to_light(image, self.color_space)
-        found = curves(exposed_sums(light, z, sums, self.exposure), z)
+        sums = exposed_sums(light, z, sums, self.exposure)
+        found = seen(sums, z, self._lit(distance, field, medium))
         stack = [blur(light) for blur in self.blurs]
         (result,) = together(
             light, found, scattered(stack, z, medium, self.plan, (z.shape[2], z.shape[3]))
         )
         return from_light(result, self.color_space, image)
+
+    def _lit(self, distance: Tensor, field: Tensor | None, medium: Medium) -> Lit | None:
+        """The light on the scene; None for daylight as the medium has it."""
+        legs = None if self.legs is None else self.legs()
+        lit = lit_of(self.light, distance, field, medium, *self.camera, legs)
+        if lit is None or isinstance(self.exposure, str):
+            return lit and lit.whole()
+        return lit.whole().brightened(medium.beta.new_full((1,), 2.0**self.exposure))
 
 
 def _blur(sigma: float, cell: float, reach: float) -> nn.Module:

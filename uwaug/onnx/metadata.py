@@ -15,9 +15,13 @@ from uwaug.blur.kernels import PERIOD
 from uwaug.blur.plan import NO_BLUR, BlurPlan
 from uwaug.colour import ColorSpace
 from uwaug.exposure import Exposure, require_exposure
+from uwaug.light.lit import light_of
+from uwaug.light.text import light_from, plain_numbers
+from uwaug.light.value import Light
 from uwaug.module import Underwater
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread, Shape
+from uwaug.optics.unlit import Unlit
 from uwaug.planned import SIDES, distances, sides_of
 from uwaug.session import Session
 
@@ -84,6 +88,23 @@ class Stored:
     tolerance: float
     color_space: ColorSpace
     exposure: Exposure
+    light: Light | None = None
+    camera: tuple[float | None, tuple[float, float] | None] = (None, None)
+
+
+def require_light(module: Underwater, options: Options) -> None:
+    """Refuse a light that cannot be written with these options."""
+    light = module.light
+    if light is None:
+        return
+    if light.rows() > 1:
+        raise ValueError(f"module.light is for {light.rows()} pictures, of which one can be frozen")
+    if options.parameters != "frozen":
+        what = "a light is written with its water"
+        raise ValueError(f"parameters must be 'frozen' where module.light is given: {what}")
+    if module.exposure == "auto":
+        cure = "give a number of stops"
+        raise ValueError(f"module.exposure is 'auto', which a file with a light has not: {cure}")
 
 
 def plan_of(module: Underwater) -> BlurPlan:
@@ -114,12 +135,19 @@ def written(module: Underwater, plan: BlurPlan, options: Options) -> dict[str, s
     for name, value in law.numbers().items():
         if not isinstance(value, Tensor):
             tensors[name] = value
-    rebuild = {
+    rebuild: dict[str, Any] = {
         "medium": tensors,
         "law": {"shape": law.shape, "reference_size": law.reference_size},
         "notes": medium.notes,
         "plan": asdict(plan),
     }
+    if module.light is not None:
+        rebuild["light"] = plain_numbers(module.light)
+        rebuild["camera"] = module.camera
+        unlit = medium.unlit
+        if unlit is not None:
+            bands = [tensor.detach().double().tolist() for tensor in unlit.tensors()]
+            rebuild["unlit"] = [*bands, unlit.tolerance]
     return {
         "uwaug_format": str(FORMAT),
         "uwaug_version": version("uwaug"),
@@ -190,6 +218,7 @@ def _stored(metadata: dict[str, str]) -> Stored:
     require_exposure(exposure)
     tolerance = float(metadata["uwaug_tolerance"])
     checks.tolerance(tolerance)
+    light, camera = _light(rebuild)
     return Stored(
         options=Options.of(metadata),
         medium=medium,
@@ -199,7 +228,18 @@ def _stored(metadata: dict[str, str]) -> Stored:
         tolerance=tolerance,
         color_space=metadata["uwaug_color_space"],  # type: ignore[arg-type]
         exposure=exposure,
+        light=light,
+        camera=camera,
     )
+
+
+def _light(rebuild: dict[str, Any]) -> tuple[Light | None, Any]:
+    """The light of a file, and focal length and centre of its camera."""
+    if "light" not in rebuild:
+        return None, (None, None)
+    focal_px, centre = rebuild["camera"]
+    centre = None if centre is None else tuple(centre)
+    return light_of(light_from(rebuild["light"]), focal_px, centre), (focal_px, centre)
 
 
 def _medium(rebuild: dict[str, Any]) -> Medium:
@@ -217,7 +257,11 @@ def _medium(rebuild: dict[str, Any]) -> Medium:
         checks.positive("reference_size", law["reference_size"], "px")
     notes = tuple(map(str, rebuild["notes"]))
     spread = PointSpread(**numbers, shape=law["shape"], reference_size=law["reference_size"])
-    medium = Medium(**values, point_spread=spread, notes=notes)
+    unlit = None
+    if "unlit" in rebuild:
+        *bands, tolerance = rebuild["unlit"]
+        unlit = Unlit.of([torch.tensor(band, dtype=torch.float64) for band in bands], tolerance)
+    medium = Medium(**values, point_spread=spread, notes=notes, unlit=unlit)
     medium.parameters()  # has a row of each number for every medium, or raises
     return medium
 
@@ -265,6 +309,9 @@ def read_module(path: str | os.PathLike[str]) -> Underwater:
             stored.color_space,
             exposure=stored.exposure,
             sides=stored.sides,
+            light=stored.light,
+            focal_px=stored.camera[0],
+            centre=stored.camera[1],
         )
     except (ArithmeticError, RuntimeError, RuntimeWarning) as error:
         # finite figures, but beyond what can be computed with

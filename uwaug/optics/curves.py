@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-__all__ = ["FARTHEST", "Curves", "Sums", "curves"]
+__all__ = ["FARTHEST", "Curves", "Sums", "curves", "decay"]
 
 FARTHEST = 1e9
 """m, stands for z = +inf, so that 0·inf never arises; any rate above 1e-7/m is spent by then."""
@@ -52,20 +52,21 @@ def curves(sums: Sums, z: Tensor) -> Curves:
     """
     flat, split = z.flatten(1)[:, None], sums.shifted
     if split is None:
-        decay = _decay(sums.rates, flat)
+        left = decay(sums.rates, flat)
     else:
         shifted = torch.mul(-sums.rates[:, split:], flat).expm1_()
-        decay = torch.cat([_decay(sums.rates[:, :split], flat), shifted], 1)
-    b = decay.shape[0]  # len() of it would be fixed in a graph
+        left = torch.cat([decay(sums.rates[:, :split], flat), shifted], 1)
+    b = left.shape[0]  # len() of it would be fixed in a graph
     shape = (b, 3, *z.shape[-2:])
     if torch.compiler.is_compiling():  # ONNX Runtime would copy the parts of one product
-        parts = [sums.weights[:, row : row + 3] @ decay for row in (0, 3, 6)]
+        parts = [sums.weights[:, row : row + 3] @ left for row in (0, 3, 6)]
     else:  # three products take half as long again
-        parts = list(torch.split(sums.weights.expand(b, -1, -1) @ decay, 3, 1))
+        parts = list(torch.split(sums.weights.expand(b, -1, -1) @ left, 3, 1))
     return Curves(*(part.reshape(shape) for part in parts))
 
 
-def _decay(rates: Tensor, z: Tensor) -> Tensor:
+def decay(rates: Tensor, z: Tensor) -> Tensor:
+    """e^(−rate·z), of shapes that broadcast."""
     if torch.compiler.is_compiling():
         return torch.exp(-rates * z)  # ONNX has no exp2
     return (rates * -_LOG2E * z).exp2_()  # four times as fast as exp

@@ -15,6 +15,7 @@ from uwaug.optics.bands import given_rows
 from uwaug.optics.curves import FARTHEST, Curves, Sums, curves
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.reduction import Forward, forward_from_direct, joined, require_forward
+from uwaug.optics.unlit import joined_bands
 
 if TYPE_CHECKING:
     from uwaug.optics.medium import Medium
@@ -96,7 +97,8 @@ def stacked(media: "Sequence[Medium]") -> "Medium":
     law = PointSpread.stack([medium.point_spread for medium in media], rows, first.beta.dtype)
     columns = zip(*(medium.tensors() for medium in media), strict=True)
     notes = sum((medium.notes for medium in media), ())
-    return first.of_tensors([_joined(parts) for parts in columns], law, notes)
+    unlit = joined_bands([medium.unlit for medium in media])
+    return first.of_tensors([_joined(parts) for parts in columns], law, notes, unlit)
 
 
 def _joined(parts: Sequence[Tensor]) -> Tensor:

@@ -51,6 +51,7 @@ from uwaug.optics.camera import Camera, load_camera, response_at
 from uwaug.optics.curves import FARTHEST, Sums
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.reduction import Forward, reduced, spectral_note
+from uwaug.optics.unlit import Unlit, of_channels, unlit_bands
 from uwaug.optics.water import Water
 
 __all__ = ["Medium"]
@@ -71,6 +72,7 @@ class Medium:
         b_mean (B tensor): b̄, scattering coefficient for the width law, 1/m.
         point_spread: the width law.
         notes: one line per medium on what it models.
+        unlit: the water band by band, for lamps; None if only the sums are known.
     """
 
     beta: Tensor
@@ -81,6 +83,7 @@ class Medium:
     b_mean: Tensor
     point_spread: PointSpread
     notes: tuple[str, ...] = ()
+    unlit: Unlit | None = None
 
     def __post_init__(self) -> None:
         b, k, n = self.beta.shape[0], self.beta.shape[-1], self.G.shape[-1]
@@ -150,7 +153,9 @@ class Medium:
         note = spectral_note(water.name, tensors, error, drawn, {**choices, "forward": forward})
         b_mean = torch.as_tensor([(response @ bands.b).mean()])
         law = PointSpread.paper() if point_spread is None else point_spread
-        return Medium.of_tensors([*tensors, b_mean], law, (note,))
+        axis, tensors = bands.wavelengths, [*tensors, b_mean]
+        unlit = unlit_bands(axis, found.beta, found.G, bands.b, response, tolerance)
+        return Medium.of_tensors(tensors, law, (note,), unlit)
 
     @staticmethod
     def from_coefficients(
@@ -187,7 +192,8 @@ class Medium:
         rows = derived.channel_rows({**given, "veil_rate": veil_rate})
         tensors = derived.channel_tensors(rows, forward)
         law = PointSpread.none() if point_spread is None else point_spread
-        return Medium.of_tensors(tensors, law, derived.channel_notes(tensors))
+        unlit = of_channels(rows["beta"], rows["G"], rows["b_mean"])
+        return Medium.of_tensors(tensors, law, derived.channel_notes(tensors), unlit)
 
     @staticmethod
     def from_transmission(
@@ -233,16 +239,19 @@ class Medium:
 
     def map(self, function: Callable[[Tensor], Tensor]) -> "Medium":
         """`function` applied to each tensor, the width law's included."""
-        law = self.point_spread.map(function)
-        return self.of_tensors(list(map(function, self.tensors())), law, self.notes)
+        law, unlit = self.point_spread.map(function), self.unlit and self.unlit.map(function)
+        return self.of_tensors(list(map(function, self.tensors())), law, self.notes, unlit)
 
     @staticmethod
     def of_tensors(
-        tensors: Sequence[Tensor], point_spread: PointSpread, notes: tuple[str, ...]
+        tensors: Sequence[Tensor],
+        point_spread: PointSpread,
+        notes: tuple[str, ...],
+        unlit: Unlit | None = None,
     ) -> "Medium":
         """The inverse of `tensors`."""
-        named = dict(zip(_TENSORS, tensors, strict=True))
-        return Medium(**named, point_spread=point_spread, notes=notes)
+        named: dict[str, Any] = dict(zip(_TENSORS, tensors, strict=True))
+        return Medium(**named, point_spread=point_spread, notes=notes, unlit=unlit)
 
     def to(self, *args: Any, **kwargs: Any) -> "Medium":
         """Move or cast, as `torch.Tensor.to`."""
@@ -266,10 +275,10 @@ class Medium:
     @staticmethod
     def of(parameters: Mapping[str, Tensor], like: "Medium") -> "Medium":
         """The inverse of `parameters`; kind of width law and notes are those of `like`."""
-        tensors = {name: parameters[name] for name in _TENSORS}
+        tensors = [parameters[name] for name in _TENSORS]
         numbers: dict[str, Any] = {name: parameters[name] for name in PointSpread.NUMBERS}
         law = replace(like.point_spread, **numbers)
-        return Medium(**tensors, point_spread=law, notes=like.notes)
+        return Medium.of_tensors(tensors, law, like.notes)
 
     @property
     def requires_grad(self) -> bool:
