@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 from bisect import bisect
 from collections import Counter
 from collections.abc import Iterable, Mapping
@@ -21,6 +22,7 @@ from uwaug.optics.water import Water
 __all__ = [
     "RANGES",
     "Distribution",
+    "Lens",
     "Range",
     "Record",
     "as_range",
@@ -31,6 +33,9 @@ __all__ = [
     "spectra_of",
     "weighed",
 ]
+
+Lens = str | os.PathLike[str] | Camera
+"""A camera, its name, or the path of its file."""
 
 Range = float | tuple[float, float]
 Record = dict[str, Any]

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from uwaug.colour import ColorSpace
 from uwaug.degrade import Choice, Draw, exactly, in_water, used
-from uwaug.draw import Range, Record, cameras_of, spectra_of, weighed
+from uwaug.draw import Lens, Range, Record, cameras_of, spectra_of, weighed
 from uwaug.formation import Order, together
 from uwaug.light import Light
 from uwaug.metres import DistanceKind, Unknown, skipped
@@ -99,11 +99,11 @@ class RandomUnderwater(SampleTransform):
 
     Inputs:
         (image, distance, …), a tuple or list of them, (image, target) with the map in a dict in
-        second place, or a dict. One picture (3xHxW, distance
-        1xHxW) or a batch, whose pictures may share one map; uint8 (0…255) or floating point (0…1);
-        plain tensors or torchvision's tv_tensors (a distance map is best a `Mask`). The same
-        structure comes back with a new image of the same type; every other leaf is returned as it
-        is, and no input is changed. Gradients end here; `uwaug.Underwater` passes them on.
+        second place, or a dict. One picture (3xHxW, distance 1xHxW) or a batch, whose pictures may
+        share one map; uint8 (0…255) or floating point (0…1); plain tensors or torchvision's
+        tv_tensors (a distance map is best a `Mask`). The same structure comes back with a new image
+        of the same type; every other leaf is returned as it is, and no input is changed. Gradients
+        end here; `uwaug.Underwater` passes them on.
 
     Randomness comes from torch's global generator, which a DataLoader seeds for each worker and
     epoch; `at` draws from a key instead. Place the transform before normalisation, and after
@@ -134,10 +134,7 @@ class RandomUnderwater(SampleTransform):
         mixing: Range = 0.0,
         contrast: Range | None = CONTRAST,
         visibility: Range | None = None,
-        cameras: str
-        | os.PathLike[str]
-        | Camera
-        | Iterable[str | os.PathLike[str] | Camera] = "Nikon 5100 (NPL)",
+        cameras: Lens | Iterable[Lens] = "Nikon 5100 (NPL)",
         vertical_depth: Range = (0.0, 10.0),
         exposure: Literal["none", "auto"] | Range = "auto",
         g: Range = 0.05,
