@@ -19,6 +19,7 @@ from uwaug import (
     form_image,
     load_preset,
 )
+from uwaug.choice import focal_of
 from uwaug.presets import bundled_preset
 
 THREE = (0.5, 0.4, 0.3)
@@ -255,7 +256,7 @@ def test_degrade_takes_a_system_and_a_water(run, tmp_path, name):
     made = torch.from_numpy(np.array(Image.open(tmp_path / "b.png"))).permute(2, 0, 1)
     image = torch.from_numpy(picture).permute(2, 0, 1).contiguous()
     preset = load_preset(name, water="7C")
-    expected = preset.module()(image, torch.full((1, 20, 24), 3.0))
+    expected = preset.module(focal_px=focal_of(None, 24))(image, torch.full((1, 20, 24), 3.0))
     assert (made.int() - expected.int()).abs().max() <= 1
     record = json.loads((tmp_path / "b.png.json").read_text())
     assert name in json.dumps(record)
@@ -272,7 +273,7 @@ def test_degrade_refuses_a_water_where_there_is_none_to_take(run, tmp_path):
 @pytest.mark.parametrize("name", ["jaffe-1990", "hou-2020"])
 def test_systems_as_onnx_files(tmp_path, name):
     preset = load_preset(name)
-    module = preset.module(sides=(16, 64))
+    module = preset.module(sides=(16, 64), focal_px=40.0)
     export_onnx(module, tmp_path / "a.onnx")
     image, z = torch.rand(1, 3, 32, 40), torch.linspace(1, 5, 1280).reshape(1, 1, 32, 40)
     ours = OnnxUnderwater(tmp_path / "a.onnx")(image, z)

@@ -10,8 +10,9 @@ from PIL import Image
 from torch import Tensor
 
 import uwaug
-from uwaug import Light, RandomUnderwater
+from uwaug import Light, Medium, RandomUnderwater
 from uwaug.light.text import light_of_tables
+from uwaug.optics.reduction import Forward
 
 LAMP = Light.lamp((0.4, -0.2, 0.0), (-0.1, 0.0, 1.0), 4.0, 40.0)
 
@@ -118,3 +119,56 @@ def test_degrade_takes_a_light_from_a_file(run: Any, tmp_path: Path) -> None:
     arguments = ("--distance", "2", "--random", "--options", str(options))
     code, _, said = run("degrade", str(picture), "--out", str(tmp_path / "out.png"), *arguments)
     assert code == 0, said
+
+
+LAMPS = ("mcglamery-1980", "jaffe-1990")
+
+
+@pytest.mark.parametrize("name", LAMPS)
+def test_presets_with_a_lamp(name: str) -> None:
+    preset = uwaug.load_preset(name, water="7C")
+    image, z = torch.rand(3, 24, 32), torch.linspace(1, 3, 24 * 32).reshape(1, 24, 32)
+    with pytest.raises(ValueError, match="focal_px is missing"):
+        preset.module()
+    seen = preset.module(focal_px=28.0)(image, z)
+    light = uwaug.Underwater(
+        preset.medium, (preset.near, preset.far), light=preset.light, focal_px=28.0
+    )
+    torch.testing.assert_close(seen, light(image, z), rtol=0, atol=0)
+    assert (seen - uwaug.Underwater(preset.medium)(image, z)).abs().max() > 0.05
+
+
+@pytest.mark.parametrize("forward", ["image", "direct"])
+def test_what_a_lamps_light_scatters_forward(forward: Forward) -> None:
+    beta, G = torch.tensor([0.9, 0.6, 0.5]), torch.tensor([0.5, 0.3, 0.2])
+    medium = Medium.from_coefficients(beta, G, (0.1,) * 3, b_mean=0.4, forward=forward)
+    light = uwaug.Light.lamp((0.4, -0.3, 0.0), (0.0, 0.0, 1.0), power=5.0)
+    z = torch.linspace(1, 4, 24 * 32).reshape(1, 24, 32)
+    terms = uwaug.form_image(torch.rand(3, 24, 32) + 0.1, z, medium, light=light, focal_px=28.0)
+    b, g = beta[:, None, None], G[:, None, None]
+    ratio = (torch.exp((b - g) * z) - 1) * (torch.exp(-b * z) if forward == "direct" else 1)
+    torch.testing.assert_close(terms.forward, ratio * terms.direct, rtol=1e-4, atol=1e-6)
+
+
+def test_media_of_both_kinds_are_one_batch() -> None:
+    kinds: tuple[Forward, ...] = ("image", "direct")
+    media = []
+    for forward in kinds:
+        media.append(Medium.from_coefficients((1.0,) * 3, (0.5,) * 3, (0.1,) * 3, forward=forward))
+    image, z = scene()
+    both = uwaug.form_image(image, z, Medium.stack(media), light=LAMP, focal_px=40.0).image
+    for n, medium in enumerate(media):
+        one = uwaug.form_image(image, z, medium, light=LAMP, focal_px=40.0).image
+        torch.testing.assert_close(both[n], one, rtol=0, atol=1e-6)
+    assert (both[0] - both[1]).abs().max() > 0.01
+
+
+def test_a_preset_refuses_what_is_no_light(tmp_path) -> None:
+    text = uwaug.presets.bundled_preset("jaffe-1990").read_text(encoding="utf-8")
+    path = tmp_path / "mine.toml"
+    path.write_text(text.replace('kind = "lamp"', 'kind = "torch"'), encoding="utf-8")
+    with pytest.raises(ValueError, match=r"mine.toml: .*light.kind must be one of"):
+        uwaug.load_preset(path)
+    path.write_text(text.replace("power = 10.0", "power = -1.0"), encoding="utf-8")
+    with pytest.raises(ValueError, match="power must be finite and ≥ 0"):
+        uwaug.load_preset(path)

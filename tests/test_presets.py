@@ -137,7 +137,7 @@ def test_every_preset_runs(name):
     field = preset.field(z.shape)
     low, high = preset.field_range
     torch.testing.assert_close(torch.stack([field.min(), field.max()]), torch.tensor([low, high]))
-    degrade = preset.module()
+    degrade = preset.module(focal_px=40.0)
     assert isinstance(degrade, Underwater)
     assert degrade.color_space == preset.color_space
     assert degrade.distance_range == (preset.near * low, preset.far * high)

@@ -249,7 +249,7 @@ def test_every_system_on_the_bundled_scene(name):
     scene = uwaug.scene.motorcycle()
     for water in (None,) if name == "hou-2020" else ("II", "7C"):
         preset = load_preset(name, water=water)
-        degrade = preset.module()
+        degrade = preset.module(focal_px=600.0)
         assert isinstance(degrade, Underwater)
         result = degrade(scene.image, scene.distance)
         assert result.isfinite().all()

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from augmenting import LASERS, TANK, H, W, brightness, distances, picture, result, same
+from augmenting import LASERS, LIGHTS, TANK, H, W, brightness, distances, picture, result, same
 from torch import Tensor
 
 from uwaug import JERLOV_TYPES, PointSpread, RandomUnderwater, Water, load_preset
@@ -13,6 +13,7 @@ from uwaug.distance import from_relative
 
 NAMES = {
     "LASERS": LASERS,
+    "LIGHTS": LIGHTS,
     "PointSpread": PointSpread,
     "RandomUnderwater": RandomUnderwater,
     "TANK": TANK,
@@ -23,7 +24,7 @@ NAMES = {
 def test_repr_builds_the_transform(options: dict[str, Any]) -> None:
     aug = RandomUnderwater(**options)
     text = repr(aug)
-    for name in ("TANK", "LASERS", "brightness"):
+    for name in ("TANK", "LASERS", "LIGHTS", "brightness"):
         text = text.replace(repr(NAMES[name]), name)
     twin = eval(text, NAMES.copy())
     assert repr(twin) == repr(aug)

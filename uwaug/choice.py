@@ -19,10 +19,15 @@ from uwaug.optics.camera import Camera
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
 
-__all__ = ["Choice", "Draw", "Settings"]
+__all__ = ["Choice", "Draw", "Settings", "focal_of"]
 
 _FOCAL = 0.5 / math.tan(math.radians(30))
 """Focal length of a view 60° wide, as a share of the picture's width."""
+
+
+def focal_of(focal_px: float | None, width: int) -> float:
+    """Focal length for a picture of `width` px, px; by default that of a view 60° wide."""
+    return focal_px or _FOCAL * width
 
 
 class Draw(NamedTuple):
@@ -99,7 +104,7 @@ class Settings:
 
     def focal(self, width: int) -> float:
         """Focal length for a picture of `width` px, px."""
-        return self.focal_px or _FOCAL * width
+        return focal_of(self.focal_px, width)
 
     def light(self, draw: Draw) -> Light | None:
         """The light of a draw; None for daylight alone."""

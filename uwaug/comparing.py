@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from uwaug import checks
+from uwaug.choice import focal_of
 from uwaug.colour import LUMINANCE, linear_to_srgb, to_light
 from uwaug.contrast import contrast
 from uwaug.files import written_whole
@@ -162,7 +163,8 @@ def compare(
     """One scene in one water, as each of several systems makes it.
 
     Args:
-        image (3xHxW tensor): the scene without water, sRGB; uint8, or floating point.
+        image (3xHxW tensor): the scene without water, sRGB; uint8, or floating point. Lamps take
+            its view to be 60° wide.
         distance (1xHxW tensor): metres along the ray; +inf is open water.
         water: Jerlov type. A system that has coefficients of its own keeps them.
         systems: names of presets or paths of their files; None for all `uwaug.published_systems`.
@@ -262,6 +264,7 @@ def _preset(name: str, water: str) -> Preset | None:
 
 def _picture(preset: Preset, scene: Tensor, distance: Tensor) -> Tensor:
     options: dict[str, Any] = {"color_space": preset.color_space, "exposure": preset.exposure}
+    options |= {"light": preset.light, "focal_px": focal_of(None, scene.shape[-1])}
     with torch.no_grad():
         return Underwater(preset.medium, **options)(scene, distance).clamp(0, 1)
 

@@ -187,9 +187,7 @@ def _as_a_whole(image: Tensor, distance: Tensor | None, choice: Choice) -> InWat
 def _in_strips(image: Tensor, distance: Tensor | None, choice: Choice) -> InWater:
     draw, settings, size = choice.draw, choice.settings, (image.shape[-2], image.shape[-1])
     require_values(image, settings.color_space)
-    if not math.isnan(draw.light):
-        what = f"a picture of {strips.LARGE / 1e6:g} megapixels or more is formed in strips"
-        raise ValueError(f"light: {what}, which know daylight alone; make it smaller")
+    strips.require_daylight(settings.light(draw))
     if distance is None:
         z = strips.plane(draw.distance, size, image)
     else:

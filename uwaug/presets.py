@@ -13,6 +13,8 @@ from uwaug.colour import ColorSpace
 from uwaug.distance import from_relative
 from uwaug.exposure import Exposure
 from uwaug.field import gaussian_random_field
+from uwaug.light import Light
+from uwaug.light.text import light_of_tables
 from uwaug.module import Underwater
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.medium import Medium
@@ -52,6 +54,7 @@ class Preset:
         spectral: water, camera, g and mu; None where the file has coefficients of three channels.
         equation: what it computes, in one line; may be empty.
         choices: how its medium differs from what `uwaug.RandomUnderwater` draws.
+        light: what shines; None for daylight as the medium has it.
     """
 
     name: str
@@ -67,6 +70,7 @@ class Preset:
     spectral: dict[str, Any] | None
     equation: str
     choices: Mapping[str, str]
+    light: Light | None
 
     @property
     def drawable(self) -> bool:
@@ -99,6 +103,8 @@ class Preset:
         }
         if self.uneven is None:
             options["field_probability"] = 0.0
+        if self.light is not None:
+            options["light"] = self.light
         if distance_kind != "metric":
             options |= {"near": self.near, "far": self.far}
         if distance_kind == "relative":
@@ -118,13 +124,18 @@ class Preset:
         low, high = self.field_range
         return gaussian_random_field(shape, low=low, high=high, generator=generator)
 
-    def module(self, sides: tuple[int, int] | None = None) -> Underwater:
+    def module(
+        self, sides: tuple[int, int] | None = None, focal_px: float | None = None
+    ) -> Underwater:
         """The preset as an `uwaug.Underwater`, planned for its distances times its field; `sides`
         as there.
+
+        focal_px: focal length, px of the image; wanted where the preset has a lamp or a sun.
         """
         low, high = self.field_range
         distances = (self.near * low, self.far * high)
         options: dict[str, Any] = {"color_space": self.color_space, "exposure": self.exposure}
+        options |= {"light": self.light, "focal_px": focal_px}
         return Underwater(self.medium, distances, sides=sides, **options)
 
 
@@ -224,6 +235,7 @@ def load_preset(
         spectral=spectral,
         equation=config.equation,
         choices=config.choices(),
+        light=None if config.light is None else light_of_tables(config.light),
     )
 
 

@@ -13,6 +13,7 @@ from uwaug.checks import DOMAIN
 from uwaug.colour import ColorSpace
 from uwaug.exposure import require_exposure
 from uwaug.files import require_regular
+from uwaug.light.text import light_of_tables
 from uwaug.optics.bands import Dims, Downwelling, VeilRate
 from uwaug.optics.point_spread import Shape
 from uwaug.optics.reduction import USUAL, Forward
@@ -179,9 +180,12 @@ class Config(_Table):
     channels: _Channels | None = None
     veil: _Veil | None = None
     equation: str = ""
+    light: list[dict[str, Any]] | None = None
 
     def __post_init__(self) -> None:
         require_exposure(self.exposure)
+        if self.light is not None:
+            light_of_tables(self.light)
         tables = (self.water, self.coefficients, self.channels)
         if sum(table is not None for table in tables) != 1:
             raise ValueError("water, coefficients, channels: give one of these three tables")

@@ -19,6 +19,7 @@ from uwaug.formation import (
     plan_between,
     scattered,
 )
+from uwaug.light.value import Light
 from uwaug.optics.curves import FARTHEST, Sums, curves
 from uwaug.optics.medium import Medium
 from uwaug.rows import Rows, at_pixels, bands
@@ -30,6 +31,7 @@ __all__ = [
     "in_rows",
     "is_large",
     "plane",
+    "require_daylight",
     "some_of",
 ]
 
@@ -37,6 +39,13 @@ LARGE = 24_000_000
 """Pixels from which a picture is formed in strips. To hold its light whole would take 40 bytes a
 pixel, 1 GB here; strips take as long.
 """
+
+
+def require_daylight(light: Light | None) -> None:
+    """Refuse any other light on a large picture."""
+    if light is not None and not light.plain:
+        what = f"a picture of {LARGE / 1e6:g} megapixels or more is formed in strips"
+        raise ValueError(f"light: {what}, which know daylight alone; make it smaller")
 
 
 def is_large(image: Tensor) -> bool:

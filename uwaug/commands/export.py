@@ -44,6 +44,9 @@ def export(
     sides: Annotated[
         tuple[int, int], typer.Option(help="Smallest and largest short side that it serves, px.")
     ] = SIDES,
+    focal_px: Annotated[
+        float | None, typer.Option(help="Focal length, px: of a preset with a lamp or a sun.")
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Write over an existing file.")] = False,
 ) -> None:
     """Write a preset, or a fit, as an ONNX file, and check it.
@@ -65,7 +68,10 @@ def export(
         sides_of(sides)
     except ValueError as error:
         refuse(error)
-    module = _fitted(fit, sides) if fit is not None else _preset(str(preset), water, sides)
+    if fit is not None:
+        module = _fitted(fit, sides)
+    else:
+        module = _preset(str(preset), water, sides, focal_px)
     try:
         with said() as say:
             export_onnx(module, out, **options, progress=say)
@@ -76,9 +82,11 @@ def export(
     print(f"    {metadata['uwaug_medium']}\n    {metadata['uwaug_plan']}")
 
 
-def _preset(name: str, water: str | None, sides: tuple[int, int]) -> Underwater:
+def _preset(
+    name: str, water: str | None, sides: tuple[int, int], focal_px: float | None
+) -> Underwater:
     try:
-        return load_preset(name, water=water).module(sides)
+        return load_preset(name, water=water).module(sides, focal_px)
     except ValueError as error:
         refuse(error)
     except OSError as error:

@@ -7,14 +7,17 @@ from typing import Any, NamedTuple, Protocol
 import torch
 from torch import Tensor
 
+from uwaug.choice import focal_of
 from uwaug.colour import ColorSpace, require_values, to_light
 from uwaug.degrade import Whole, exactly, in_water
-from uwaug.exposure import Exposure, exposed
+from uwaug.exposure import Exposure, exposed_under
 from uwaug.field import gaussian_random_field, gaussian_random_rows
 from uwaug.formation import prepare, separately, together
+from uwaug.light.lit import lit_of
+from uwaug.light.value import Light
 from uwaug.metres import DistanceKind, Scaling, metres_by_rows, skipped, to_metres
 from uwaug.optics.medium import Medium
-from uwaug.strips import Strips, in_rows, is_large
+from uwaug.strips import Strips, in_rows, is_large, require_daylight
 from uwaug.transforms import RandomUnderwater
 
 __all__ = [
@@ -105,6 +108,7 @@ class OneMedium:
         color_space, exposure: as of `uwaug.Underwater`.
         field_range: least and largest value of the medium field; None for water without.
         kind, unknown, scaling: of the maps, see `uwaug.metres.to_metres`.
+        light, focal_px: as of `uwaug.Underwater`; by default the view is 60° wide.
     """
 
     name: str
@@ -115,6 +119,8 @@ class OneMedium:
     kind: DistanceKind
     unknown: Any
     scaling: Scaling
+    light: Light | None = None
+    focal_px: float | None = None
 
     def draw(self, image: Tensor, generator: torch.Generator) -> dict[str, Any]:
         """As `Model.draw`."""
@@ -139,12 +145,15 @@ class OneMedium:
         if self.field_range is not None:
             size = z.shape[-2:]
             field = gaussian_random_field(size, **self._field(record), dtype=z.dtype)
+        metres, focal_px = z, focal_of(self.focal_px, image.shape[-1])
         light, z, medium = prepare(light, z, self.medium, field)
-        medium = exposed(light, z, medium, self.exposure)
-        return Whole(image, self.color_space, light, z, medium)
+        lit = lit_of(self.light, metres, field, medium, focal_px, None)
+        medium, lit = exposed_under(light, z, medium, self.exposure, lit)
+        return Whole(image, self.color_space, light, z, medium, lit=lit)
 
     def _large(self, image: Tensor, distance: Tensor, record: Mapping[str, Any]) -> Strips:
         require_values(image, self.color_space)
+        require_daylight(self.light)
         z = metres_by_rows(distance.contiguous(), self.scaling, self.kind, self.unknown)
         field = None
         if self.field_range is not None:

@@ -181,6 +181,8 @@ def _made(text: str) -> Model:
                 preset.exposure,
                 preset.uneven,
                 **_of_maps(f"preset {preset.name}", options, preset),
+                light=preset.light,
+                focal_px=recipe.depth.focal_px,
             )
         made = RandomUnderwater.from_preset(recipe.preset, water=recipe.water, **options)
         return RandomWater(made)

@@ -49,6 +49,7 @@ class Lit(NamedTuple):
         field (Bx1xHxW tensor): m, or None.
         normals (Bx3xHxW tensor): see `uwaug.light.rays`; None for a whole scene, see `part`.
         columns: of the picture, which this part has.
+        from_direct (B tensor): see `uwaug.optics.unlit.Unlit`; None where it is 0.
         gain (B tensor): by which an exposure brightens lamps, or None; daylight's is in the medium.
     """
 
@@ -60,6 +61,7 @@ class Lit(NamedTuple):
     field: Tensor | None
     normals: Tensor | None = None
     columns: slice = _ALL
+    from_direct: Tensor | None = None
     gain: Tensor | None = None
 
     def row(self, n: int) -> "Lit":
@@ -74,6 +76,7 @@ class Lit(NamedTuple):
             fogs=tuple(fog and fog._replace(planes=one(fog.planes)) for fog in self.fogs),
             z=one(self.z),
             field=None if self.field is None else one(self.field),
+            from_direct=None if self.from_direct is None else one(self.from_direct),
             gain=None if self.gain is None else one(self.gain),
         )
 
@@ -117,7 +120,8 @@ class Lit(NamedTuple):
             view = View(x.reshape(1, 1, 1, -1), y.reshape(1, 1, 1, -1))
         field = None if self.field is None else pick(self.field)
         nothing = (None,) * len(self.fogs)
-        return Lit(self.light, self.legs, nothing, view, pick(self.z), field, slopes)
+        found = Lit(self.light, self.legs, nothing, view, pick(self.z), field, slopes)
+        return found._replace(from_direct=self.from_direct)
 
     def brightened(self, gain: Tensor) -> "Lit":
         """The same as a camera of this gain (B or 1) sees it, with the medium brightened alike."""
@@ -133,7 +137,7 @@ class Lit(NamedTuple):
         found: Curves | None = None
         daylight = any(isinstance(source, Daylight) for source in self.light.sources)
         sky = curves(sums, z) if daylight else None
-        shares: dict[int, Tensor] = {}
+        shares: dict[int, tuple[Tensor, Tensor]] = {}
         for source, legs, fog in zip(self.light.sources, self.legs, self.fogs, strict=True):
             if isinstance(source, Daylight):
                 assert sky is not None
@@ -142,7 +146,7 @@ class Lit(NamedTuple):
                 assert legs is not None
                 key = id(source.spectrum)  # of the same light, the same share
                 if key not in shares:
-                    shares[key] = _unscattered(legs, z)
+                    shares[key] = self._shares(legs, z)
                 one = self._lamplit(source, legs, fog, z, shares[key])
             found = one if found is None else Curves(*map(torch.add, found, one))
         if found is None:
@@ -165,7 +169,7 @@ class Lit(NamedTuple):
         return Curves(sky.direct * shade, sky.scatter * shade, sky.veil * veil)
 
     def _lamplit(
-        self, lamp: Lamp, legs: Legs, fog: Fog | None, z: Tensor, unscattered: Tensor
+        self, lamp: Lamp, legs: Legs, fog: Fog | None, z: Tensor, shares: tuple[Tensor, Tensor]
     ) -> Curves:
         assert self.view is not None
         assert self.normals is not None
@@ -178,8 +182,20 @@ class Lit(NamedTuple):
         if self.field is not None:
             veil = veil * self.field
         arrives = _summed(legs.G, legs.signal, z + path) * share
-        direct = arrives * unscattered
-        return Curves(direct, arrives - direct, veil)
+        return Curves(arrives * shares[0], arrives * shares[1], veil)
+
+    def _shares(self, legs: Legs, z: Tensor) -> tuple[Tensor, Tensor]:
+        """Of what arrives, the shares that were not scattered on the way, and that were: T_β/T_G,
+        and the rest.
+        """
+        found = _summed(legs.both, legs.parts, z)
+        direct = (found[:, :3] / found[:, 3:].clamp(min=_SPENT)).clamp(max=1.0)
+        scattered = 1 - direct
+        if self.from_direct is not None:
+            scattered = scattered * torch.lerp(
+                torch.ones_like(direct), found[:, :3], column(self.from_direct)
+            )
+        return direct, scattered
 
     def _fogged(self, lamp: Lamp, legs: Legs, fog: Fog | None, ray: Ray) -> Tensor:
         assert self.view is not None
@@ -230,7 +246,16 @@ def lit_of(
         # near a lamp in view, the veil is too steep for a grid
         terms = source.terms or terms_of(source, own)
         fogs.append(None if source.ahead else fog_of(source, own, view, terms))
-    return Lit(light, tuple(legs), tuple(fogs), view, z, field)
+    found = Lit(light, tuple(legs), tuple(fogs), view, z, field)
+    return found._replace(from_direct=_from_direct(medium))
+
+
+def _from_direct(medium: Medium) -> Tensor | None:
+    if medium.unlit is None:
+        return None
+    found = medium.unlit.from_direct
+    # compiled code cannot look
+    return found if torch.compiler.is_compiling() or bool(found.any()) else None
 
 
 def lamp_legs(light: Light, medium: Medium) -> list[Legs]:
@@ -276,12 +301,6 @@ def _summed(rates: Tensor, weights: Tensor, z: Tensor) -> Tensor:
     """Σ weight·e^(−rate·z) for three channels (Bx3xHxW)."""
     left = decay(rates[..., None], z.flatten(1)[:, None])
     return torch.unflatten(weights @ left, -1, z.shape[-2:])
-
-
-def _unscattered(legs: Legs, z: Tensor) -> Tensor:
-    """T_β/T_G, the share of what arrives that was not scattered on the way."""
-    found = _summed(legs.both, legs.parts, z)
-    return (found[:, :3] / found[:, 3:].clamp(min=_SPENT)).clamp(max=1.0)
 
 
 def planned(medium: Medium, light: Light | None) -> Medium:

@@ -154,7 +154,7 @@ class Medium:
         b_mean = torch.as_tensor([(response @ bands.b).mean()])
         law = PointSpread.paper() if point_spread is None else point_spread
         axis, tensors = bands.wavelengths, [*tensors, b_mean]
-        unlit = unlit_bands(axis, found.beta, found.G, bands.b, response, tolerance)
+        unlit = unlit_bands(axis, found, bands.b, response, forward, tolerance)
         return Medium.of_tensors(tensors, law, (note,), unlit)
 
     @staticmethod
@@ -192,7 +192,7 @@ class Medium:
         rows = derived.channel_rows({**given, "veil_rate": veil_rate})
         tensors = derived.channel_tensors(rows, forward)
         law = PointSpread.none() if point_spread is None else point_spread
-        unlit = of_channels(rows["beta"], rows["G"], rows["b_mean"])
+        unlit = of_channels(rows["beta"], rows["G"], rows["b_mean"], forward)
         return Medium.of_tensors(tensors, law, derived.channel_notes(tensors), unlit)
 
     @staticmethod

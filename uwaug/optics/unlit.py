@@ -17,7 +17,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from uwaug.optics.bands import BandCoefficients
 from uwaug.optics.quadrature import reduce_rates
+from uwaug.optics.reduction import Forward
 from uwaug.optics.spectra import Array
 
 if TYPE_CHECKING:
@@ -36,6 +38,7 @@ class Unlit(NamedTuple):
         wavelengths (BxM tensor): nm; 0 where bands are the camera's channels.
         beta, G, b (BxM tensors): as of the water, 1/m.
         response (Bx3xM tensor): the camera's weights; each channel's sum is 1.
+        from_direct (B tensor): 1 where forward scatter is a blur of the direct light, else 0.
         tolerance: largest error of a curve; 0 where every band is a rate.
     """
 
@@ -44,21 +47,22 @@ class Unlit(NamedTuple):
     G: Tensor
     b: Tensor
     response: Tensor
+    from_direct: Tensor
     tolerance: float
 
     def map(self, function: Callable[[Tensor], Tensor]) -> "Unlit":
         """`function` applied to each tensor."""
         return Unlit.of([function(tensor) for tensor in self.tensors()], self.tolerance)
 
-    def tensors(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    def tensors(self) -> tuple[Tensor, ...]:
         """All but the tolerance."""
-        return self.wavelengths, self.beta, self.G, self.b, self.response
+        return self[:-1]
 
     @staticmethod
     def of(tensors: Sequence[Tensor], tolerance: float) -> "Unlit":
         """The inverse of `tensors`."""
-        wavelengths, beta, G, b, response = tensors
-        return Unlit(wavelengths, beta, G, b, response, tolerance)
+        wavelengths, beta, G, b, response, from_direct = tensors
+        return Unlit(wavelengths, beta, G, b, response, from_direct, tolerance)
 
 
 class Legs(NamedTuple):
@@ -95,18 +99,29 @@ class Legs(NamedTuple):
 
 
 def unlit_bands(
-    wavelengths: Array, beta: Array, G: Array, b: Array, response: Array, tolerance: float
+    wavelengths: Array,
+    bands: BandCoefficients,
+    b: Array,
+    response: Array,
+    forward: Forward,
+    tolerance: float,
 ) -> Unlit:
     """Those of one medium, from arrays (M) and (3, M)."""
-    arrays = (wavelengths, beta, G, b, response)
-    return Unlit.of([torch.tensor(array)[None] for array in arrays], tolerance)
+    arrays = (wavelengths, bands.beta, bands.G, b, response)
+    tensors = [torch.tensor(array)[None] for array in arrays]
+    return Unlit.of([*tensors, _from_direct(tensors[1], forward)], tolerance)
 
 
-def of_channels(beta: Tensor, G: Tensor, b_mean: Tensor) -> Unlit:
+def of_channels(beta: Tensor, G: Tensor, b_mean: Tensor, forward: Forward) -> Unlit:
     """Those of media given by numbers of three channels (B, 3); each scatters b̄ (B)."""
     response = torch.eye(3, dtype=beta.dtype, device=beta.device).expand(len(beta), 3, 3)
     b = b_mean[:, None].expand(-1, 3)
-    return Unlit(torch.zeros_like(beta), beta, G, b, response, tolerance=0.0)
+    tensors = (torch.zeros_like(beta), beta, G, b, response, _from_direct(beta, forward))
+    return Unlit.of(tensors, tolerance=0.0)
+
+
+def _from_direct(beta: Tensor, forward: Forward) -> Tensor:
+    return beta.new_full((len(beta),), float(forward == "direct"))
 
 
 def joined_bands(parts: "Sequence[Unlit | None]") -> Unlit | None:
@@ -117,7 +132,8 @@ def joined_bands(parts: "Sequence[Unlit | None]") -> Unlit | None:
     width = max(part.beta.shape[-1] for part in known)
     columns = []
     for tensors in zip(*(part.tensors() for part in known), strict=True):
-        columns.append(torch.cat([F.pad(t, (0, width - t.shape[-1])) for t in tensors]))
+        wide = [F.pad(t, (0, width - t.shape[-1])) if t.ndim > 1 else t for t in tensors]
+        columns.append(torch.cat(wide))
     return Unlit.of(columns, min(part.tolerance for part in known))
 
 
@@ -137,7 +153,8 @@ def legs_of(medium: "Medium", spectrum: "Callable[[Array], Array] | None" = None
         return Legs.of(unlit.beta, response, unlit.G, response, response * unlit.b[:, None])
     rows = []
     for n in range(len(unlit.beta)):
-        bands = [np.ascontiguousarray(t[n].detach().double().cpu()) for t in unlit.tensors()]
+        tensors = unlit.tensors()[:-1]
+        bands = [np.ascontiguousarray(t[n].detach().double().cpu()) for t in tensors]
         if spectrum is not None:
             bands[-1] = _in_light(bands[-1], bands[0], spectrum)
         rows.append(_reduced(unlit.tolerance, *(band.tobytes() for band in bands)))
