@@ -12,7 +12,7 @@ pytest.importorskip("cv2")
 pytest.importorskip("matplotlib")
 pytest.importorskip("scipy")
 
-from benchmarks import blurs, charts, frontier, scaling, summary
+from benchmarks import blurs, charts, frontier, lamps, scaling, summary
 from benchmarks.exact import blur_exact
 from benchmarks.harness import race
 
@@ -148,3 +148,17 @@ def test_charts_are_drawn(quick: dict[str, Any], tmp_path: Path) -> None:
         path = tmp_path / f"{number}.png"
         figure.savefig(path, dpi=30)
         assert path.stat().st_size > 5000
+
+
+def test_lamps_are_refereed() -> None:
+    threads = torch.get_num_threads()
+    with contextlib.redirect_stdout(io.StringIO()):
+        results = lamps.main(quick=True)
+    torch.set_num_threads(threads)
+    for errors in results["veil"].values():
+        assert errors["largest"] < 0.02
+        assert errors["largest of the grid"] < 0.002
+    (ratios,) = results["referee"].values()
+    assert ratios["arriving"] == pytest.approx(0.95, abs=0.1)
+    assert ratios["veil"] == pytest.approx(1.08, abs=0.2)
+    assert all(cost["median_ms"] > 0 for cost in results["costs"].values())
