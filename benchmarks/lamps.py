@@ -27,7 +27,7 @@ FIGURE = Path(__file__).parent / "figures" / "lamps.jpg"
 LENGTHS, OFFSETS, ABSORPTION = (0.5, 1.0, 2.0, 4.0), (0.1, 0.3, 1.0, 3.0), (0.1, 0.4, 1.0)
 G = 0.05  # of the calibrated law
 DEPTHS = (0.0, 10.0, 30.0)  # m, of the figure
-WATERS = ("II", "7C")
+WATERS = ("II", "3C")
 LAMP = Light.lamp((0.4, -0.3, 0.0), (-0.12, 0.1, 1.0), 2.0, cone=45.0)
 IN_VIEW = Light.lamp((0.4, -0.3, 3.0), (-0.12, 0.1, -1.0), 2.0, cone=45.0)
 

@@ -8,11 +8,12 @@ import torch
 from augmenting import LASERS, TANK, H, W, brightness, distances, picture, result, same
 from torch import Tensor
 
-from uwaug import JERLOV_TYPES, PointSpread, RandomUnderwater, Water, load_preset
+from uwaug import JERLOV_TYPES, Light, PointSpread, RandomUnderwater, Water, load_preset
 from uwaug.distance import from_relative
 
 NAMES = {
     "LASERS": LASERS,
+    "Light": Light,
     "PointSpread": PointSpread,
     "RandomUnderwater": RandomUnderwater,
     "TANK": TANK,

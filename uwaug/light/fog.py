@@ -35,16 +35,20 @@ from uwaug.optics.unlit import Legs
 
 __all__ = ["Fog", "fog_at", "fog_of", "fog_within", "terms_of"]
 
-_NODES = 16
-"""Of the quadrature over the lit part of a ray."""
+_NODES = 12
+"""Of the quadrature over the lit part of a ray: the worst of 450 random lamps is off by 3e-5, with
+10 by 2e-4.
+"""
 
 _TERMS = 6
 """Of the polynomials. With 4 the worst of the lamps beside a camera is off by .004, with 6 by .001,
 with 12 by .001.
 """
 
-_GRID = 65
-"""Rays along either side of the picture. With 33 the worst is off by .002."""
+_GRID = 49
+"""Rays along either side of the picture. With 33 the worst is off by .002, with 49 by .001, as with
+65.
+"""
 
 _SHOWS = 5e-4
 """Of the veil: less is left out."""
@@ -162,7 +166,6 @@ def fog_of(lamp: Lamp, legs: Legs, view: View, terms: int) -> Fog:
     low = lit.low.expand(len(coefficients), -1, -1, -1)
     steep = 1 / lit.span.clamp(min=_EPS).expand_as(low)
     planes = torch.cat([low, steep, coefficients], 1)
-    # a product, as picking columns takes ten times as long
     planes = planes @ _tents(x.flatten(), view.x.flatten()).T
     return Fog(planes.transpose(1, 2).contiguous(), y.flatten())
 
@@ -204,38 +207,37 @@ def _spread(tangents: Tensor, axis: int) -> Tensor:
     return first + (last - first) * t
 
 
-def _places(given: Tensor, wanted: Tensor) -> Tensor:
-    """Where tangents lie among a few that are given in even steps, counted from the first."""
-    gap = (given[-1] - given[0]).clamp(min=_EPS)
-    return ((wanted - given[0]) / gap).clamp(0.0, 1.0) * (_GRID - 1)
-
-
 def _tents(given: Tensor, wanted: Tensor) -> Tensor:
-    """What interpolates linearly (MxN) from N tangents of even steps to M others."""
-    index = torch.arange(_GRID, dtype=wanted.dtype, device=wanted.device)
-    return (1 - (_places(given, wanted)[:, None] - index).abs()).clamp(min=0.0)
+    """What interpolates linearly (MxN) from N tangents of even steps to M others.
 
-
-def _rows(fog: Fog, wanted: Tensor, columns: slice) -> Tensor:
-    """The planes at some rows, given by their tangents (BxHxNxW)."""
-    grid = fog.planes[..., columns]
-    at = _places(fog.tangents, wanted)
-    index = at.floor().clamp(max=_GRID - 2)
-    first = index.to(torch.int64)
-    before, after = grid.index_select(1, first), grid.index_select(1, first + 1)
-    return torch.lerp(before, after, (at - index)[:, None, None])
+    As a product it takes a tenth of the time of picking columns, and a third of picking rows.
+    """
+    gap = (given[-1] - given[0]).clamp(min=_EPS)
+    at = ((wanted - given[0]) / gap).clamp(0.0, 1.0) * (_GRID - 1)
+    index = torch.arange(_GRID, dtype=at.dtype, device=at.device)
+    return (1 - (at[:, None] - index).abs()).clamp(min=0.0)
 
 
 def fog_within(fog: Fog, view: View, ray: Ray, z: Tensor, columns: slice) -> Tensor:
     """The veil in front of points at distance z (Bx3xHxW); those of some `columns`."""
-    planes = _rows(fog, view.y.flatten(), columns)
+    tents, grid = _tents(fog.tangents, view.y.flatten()), fog.planes[..., columns]
+    if not torch.compiler.is_compiling():  # of a strip, few rows of the grid are needed
+        used = torch.nonzero(tents.amax(0)).flatten()
+        few = slice(int(used[0]), int(used[-1]) + 1)
+        tents, grid = tents[:, few], grid[:, few]
+
+    def plane(first: int, count: int) -> Tensor:
+        rows = tents @ grid[:, :, first : first + count].flatten(2)
+        return torch.unflatten(rows, 2, (count, grid.shape[3]))
+
     theta = torch.atan((z - ray.middle) / ray.height).transpose(1, 2)
-    low, steep = planes[:, :, :1], planes[:, :, 1:2]
-    x = ((theta - low) * steep).clamp(0.0, 1.0)
+    x = ((theta - plane(0, 1)) * plane(1, 1)).clamp(0.0, 1.0)
     u = 2 * x - 1
-    *lower, total = torch.split(planes[:, :, 2:], 3, 2)
-    for coefficient in reversed(lower):
-        total = torch.addcmul(coefficient, total, u)
+    last = fog.planes.shape[2] - 3
+    total = plane(last, 3)
+    # one by one, so that they stay in the cache
+    for first in range(last - 3, 1, -3):
+        total = torch.addcmul(plane(first, 3), total, u)
     return total.transpose(1, 2) * (x.transpose(1, 2) / ray.height)
 
 

@@ -225,7 +225,7 @@ def _shown(value: Tensor) -> str:
     """A number or a vector; of several rows, how many."""
     if len(value) > 1:
         return f"<{len(value)} rows>"
-    numbers = [f"{number:.9g}" for number in value.detach().flatten().tolist()]
+    numbers = [repr(number) for number in value.detach().flatten().tolist()]
     return numbers[0] if len(numbers) == 1 else f"({', '.join(numbers)})"
 
 
