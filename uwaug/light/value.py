@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from uwaug import checks
+from uwaug.light.rules import rules
 from uwaug.light.source import (
     AXES,
     Daylight,
@@ -148,6 +149,7 @@ class Light:
             ahead=_ahead(place),
             **numbers,
         )
+        rules()
         return Light((lamp,))
 
     def __add__(self, other: "Light") -> "Light":
