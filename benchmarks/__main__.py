@@ -13,6 +13,7 @@ PARTS = (
     "stability",
     "physics",
     "contrast",
+    "lamps",
     "fitting",
     "draws",
     "information",

@@ -123,7 +123,7 @@ def _walk(
     landed = []
     while path.size:
         cosine, sine = sample(angle)
-        to = _turn(to, cosine, sine, rng.uniform(0, 2 * np.pi, path.size))
+        to = turn(to, cosine, sine, rng.uniform(0, 2 * np.pi, path.size))
         step = rng.exponential(size=path.size)
         ends = at[2] + step * to[2] >= lengths
         x, y, z = at[:, ends]
@@ -140,7 +140,7 @@ def _walk(
     return tangent, total, weights
 
 
-def _turn(to: Array, cosine: Array, sine: Array, azimuth: Array) -> Array:
+def turn(to: Array, cosine: Array, sine: Array, azimuth: Array) -> Array:
     """Unit vectors (3, N) turned by an angle; the basis of Duff et al. (2017) is smooth about the z
     axis.
     """

@@ -13,7 +13,7 @@ pytest.importorskip("matplotlib")
 pytest.importorskip("scipy")
 
 import uwaug
-from benchmarks import blurs, charts, frontier, gallery, information, scaling, summary
+from benchmarks import blurs, charts, frontier, gallery, information, lamps, scaling, summary
 from benchmarks.exact import blur_exact
 from benchmarks.harness import race
 
@@ -172,3 +172,17 @@ def test_galleries_hold_a_picture_for_each() -> None:
     systems, waters = len(uwaug.published_systems()) - 1, len(uwaug.JERLOV_TYPES)
     assert len(found["systems"].axes) == 2 + 2 * systems
     assert len(found["visibilities"].axes) == 3 * waters
+
+
+def test_lamps_are_refereed() -> None:
+    threads = torch.get_num_threads()
+    with contextlib.redirect_stdout(io.StringIO()):
+        results = lamps.main(quick=True)
+    torch.set_num_threads(threads)
+    for errors in results["veil"].values():
+        assert errors["largest"] < 0.02
+        assert errors["largest of the grid"] < 0.002
+    (ratios,) = results["referee"].values()
+    assert ratios["arriving"] == pytest.approx(0.95, abs=0.1)
+    assert ratios["veil"] == pytest.approx(1.08, abs=0.2)
+    assert all(cost["median_ms"] > 0 for cost in results["costs"].values())

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 import torch
 from inputs import rand
-from lighting import KINDS, random_case, veil_by_definition
 from torch import Tensor
 
 import uwaug
+from benchmarks.lamps_cases import KINDS, random_case, veil_by_definition
 from uwaug import Light, Medium, Underwater, form_image
 from uwaug.formation import Terms
 from uwaug.light.beam import ray_of
@@ -301,7 +301,7 @@ def test_numbers_there_and_back() -> None:
     light = beside() + Light.parallel(35, -120, diffuse=0.3, gradient=0.1)
     light = light + Light.ambient(0.4) + beside(spectrum=spectrum)
     again = light_from(plain_numbers(light))
-    assert repr(again) == repr(light) == "Light(lamp + parallel + ambient + lamp)"
+    assert repr(again) == repr(light)
     torch.testing.assert_close(formed(again).image, formed(light).image)
 
 

@@ -8,12 +8,13 @@ import torch
 from augmenting import LASERS, LIGHTS, TANK, H, W, brightness, distances, picture, result, same
 from torch import Tensor
 
-from uwaug import JERLOV_TYPES, PointSpread, RandomUnderwater, Water, load_preset
+from uwaug import JERLOV_TYPES, Light, PointSpread, RandomUnderwater, Water, load_preset
 from uwaug.distance import from_relative
 
 NAMES = {
     "LASERS": LASERS,
     "LIGHTS": LIGHTS,
+    "Light": Light,
     "PointSpread": PointSpread,
     "RandomUnderwater": RandomUnderwater,
     "TANK": TANK,

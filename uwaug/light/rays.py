@@ -30,6 +30,12 @@ _WALL = 1e30
 """1/m: steeper than any surface."""
 
 
+_STEEPEST = 8.0
+"""The tangent of 83°: what is steeper is the gap between two surfaces, and counts as facing the
+camera. As a surface it would draw a black line round every object.
+"""
+
+
 class View(NamedTuple):
     """The rays of a picture, or of a part of it.
 
@@ -101,8 +107,7 @@ def normals(z: Tensor, view: View) -> Tensor:
         view: of the same pixels.
     """
     inverse = 1 / (z.clamp(NEAREST, _FARTHEST) * view.shortening())
-    across = _slope(inverse, view.x, 3)
-    down = _slope(inverse, view.y, 2)
+    across, down = _slope(inverse, view.x, 3), _slope(inverse, view.y, 2)
     return torch.cat([across, down, inverse - view.x * across - view.y * down], 1)
 
 
@@ -120,4 +125,5 @@ def _slope(values: Tensor, along: Tensor, axis: int) -> Tensor:
     size_of = steep.abs() + torch.where(missing, _WALL, 0.0)
     before, after = (steep.narrow(axis, start, size) for start in (0, _BESIDE))
     nearer = size_of.narrow(axis, 0, size) <= size_of.narrow(axis, _BESIDE, size)
-    return torch.where(nearer, before, after)
+    found = torch.where(nearer, before, after)
+    return torch.where(found.abs() > _STEEPEST * values, 0.0, found)

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from uwaug import checks
+from uwaug.light.rules import rules
 from uwaug.light.source import (
     AXES,
     Daylight,
@@ -41,8 +42,8 @@ class Light:
 
     Examples:
         >>> headlight = Light.lamp((0.3, -0.2, 0.0), (-0.1, 0.1, 1.0), power=4.0, cone=40.0)
-        >>> Light.ambient(0.2) + headlight
-        Light(ambient + lamp)
+        >>> len((Light.ambient(0.2) + headlight).sources)
+        2
     """
 
     sources: tuple[Daylight | Lamp, ...]
@@ -148,6 +149,7 @@ class Light:
             ahead=_ahead(place),
             **numbers,
         )
+        rules()
         return Light((lamp,))
 
     def __add__(self, other: "Light") -> "Light":
@@ -199,14 +201,34 @@ class Light:
         return Light(tuple(source.row(n) for source in self.sources))
 
     def __repr__(self) -> str:
-        names = [_name(source) for source in self.sources]
-        return f"Light({' + '.join(names) or 'none'})"
+        return " + ".join(_call(source) for source in self.sources) or "Light.none()"
 
 
-def _name(source: Daylight | Lamp) -> str:
+def _call(source: Daylight | Lamp) -> str:
+    """What makes a source; of a spectrum, or of several rows, in short."""
     if isinstance(source, Lamp):
-        return "lamp"
-    return "ambient" if source.sun is None else "parallel"
+        names = ("position", "direction", "power", "cone", "falloff", "radius", "asymmetry")
+        shown = [f"{name}={_shown(getattr(source, name))}" for name in names]
+        if source.spectrum is not None:
+            shown.append("spectrum=…")
+        elif not torch.equal(source.colour, torch.ones_like(source.colour)):
+            shown.append(f"rgb={_shown(source.colour)}")
+        return f"Light.lamp({', '.join(shown)})"
+    shown = [f"gain={_shown(source.gain)}", f"gradient={_shown(source.gradient)}"]
+    if source.sun is None:
+        return f"Light.ambient({', '.join(shown)})"
+    x, y, z = source.sun.unbind(-1)
+    angles = torch.atan2(-y, torch.hypot(x, z)), torch.atan2(x, z)
+    sun = [_shown(torch.rad2deg(angle)) for angle in angles]
+    return f"Light.parallel({', '.join([*sun, f'diffuse={_shown(source.diffuse)}', *shown])})"
+
+
+def _shown(value: Tensor) -> str:
+    """A number or a vector; of several rows, how many."""
+    if len(value) > 1:
+        return f"<{len(value)} rows>"
+    numbers = [repr(number) for number in value.detach().flatten().tolist()]
+    return numbers[0] if len(numbers) == 1 else f"({', '.join(numbers)})"
 
 
 def _daylight(
