@@ -26,6 +26,9 @@ from uwaug.blur.demand import blur_demand, spent
 from uwaug.blur.pieces import blurred_pieces
 from uwaug.blur.plan import BlurPlan
 from uwaug.blur.stack import blurred, mixed, node_weights
+from uwaug.colour import ColorSpace, from_light
+from uwaug.fused.picture import picture
+from uwaug.fused.serving import serves
 from uwaug.functional import refuse_mapped, transformed
 from uwaug.optics.curves import FARTHEST, Curves, curves
 from uwaug.optics.medium import Medium
@@ -210,6 +213,22 @@ def plan_between(
     margin = _ROOM if learned else 1.0
     demand = blur_demand(medium, distances, tolerance, order=order, learned=learned, margin=margin)
     return demand.plan(size, shared=True)
+
+
+def pictured(
+    image: Tensor,
+    light: Tensor,
+    z: Tensor,
+    medium: Medium,
+    plan: BlurPlan,
+    order: Order,
+    color_space: ColorSpace,
+) -> Tensor:
+    """A batch of pictures like `image`, of prepared input (see `prepare`), by the path at hand."""
+    if order == "line_of_sight" and serves(light, z, medium):
+        return picture(image, light, z, medium, plan, color_space)
+    (result,) = form(light, z, medium, plan, order, together)
+    return from_light(result, color_space, image)
 
 
 def form(

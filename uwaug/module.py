@@ -13,9 +13,10 @@ from uwaug import checks, planned
 from uwaug.blur.beyond import beyond_plan
 from uwaug.blur.demand import BlurDemand, blur_demand
 from uwaug.blur.plan import BlurPlan
-from uwaug.colour import ColorSpace, from_light, to_light
+from uwaug.colour import ColorSpace
 from uwaug.exposure import Exposure, brightest, exposed, require_exposure
-from uwaug.formation import Order, form, plan_at_hand, prepare, together, unbatched, validate
+from uwaug.formation import Order, pictured, plan_at_hand, prepare, unbatched, validate
+from uwaug.fused.picture import to_light
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 from uwaug.parameters import FixedMedium, LearnableMedium
@@ -206,8 +207,7 @@ class Underwater(nn.Module):
             medium = exposed(light, z, medium, self.exposure)
             if plan is None:
                 plan = plan_at_hand(z, medium, self.tolerance, self.order)
-            (result,) = form(light, z, medium, plan, self.order, together)
-            return from_light(result, self.color_space, image)
+            return pictured(image, light, z, medium, plan, self.order, self.color_space)
 
     def get_extra_state(self) -> Tensor:
         """What a state dict says of the module besides its tensors, as text in a tensor: file
