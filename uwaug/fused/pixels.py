@@ -155,10 +155,12 @@ def _blur_line(d: Any, line: Any, at: int, w: Any, pairs: int) -> None:
 
 
 @inner
-def _enlarged(d: Any, lines: Any, w: Any) -> None:
-    """d = four lines of a grid, of one channel of three, weighed."""
+def _enlarged(d: Any, grid: Any, n: int, left: int, right: int, w: Any) -> None:
+    """d = lines n, n + 3, … of a grid, those of one channel, weighed."""
     w0, w1, w2, w3 = w[0], w[1], w[2], w[3]
-    a, b, p, q = lines[0], lines[3], lines[6], lines[9]
+    # one by one: of a block of lines, numba does not know that each is dense
+    a, b = grid[n, left:right], grid[n + 3, left:right]
+    p, q = grid[n + 6, left:right], grid[n + 9, left:right]
     for x in range(a.size):
         d[x] = (w0 * a[x] + w1 * b[x]) + (w2 * p[x] + w3 * q[x])
 
@@ -324,8 +326,7 @@ def form_rows(
                 for k in range(wide):
                     d = _rows(t, blurs + sharp + narrow + k, 1)
                     first = stack.starts[k] + 3 * stack.back_first[k, y] + c
-                    part = grid[first : first + 12, left:right]
-                    _enlarged(d, part, stack.back[k, y])
+                    _enlarged(d, grid, first, left, right, stack.back[k, y])
                 total = _summed(t, curves + c, shares, blurs, count, seen)
                 bytes_row = out_bytes[c, y % out_bytes.shape[1], left:right]
                 _store(total, srgb, most, out[c, y % out.shape[1], left:right], bytes_row)
