@@ -11,11 +11,12 @@ from torch import Tensor
 
 from uwaug import strips
 from uwaug.choice import Choice, Draw, Settings
-from uwaug.colour import ColorSpace, from_light, require_values, to_light
+from uwaug.colour import ColorSpace, from_light, require_values
 from uwaug.contrast import contrast
 from uwaug.exposure import GAINS, fixed_gain, gain_of, looks
 from uwaug.field import gaussian_random_field, gaussian_random_rows
-from uwaug.formation import Combine, Order, form, plan_at_hand, prepare, together
+from uwaug.formation import Combine, Order, form, pictured, plan_at_hand, prepare, together
+from uwaug.fused.picture import to_light
 from uwaug.metres import metres_by_rows, to_metres
 from uwaug.optics import sight
 from uwaug.optics.camera import Camera
@@ -129,7 +130,10 @@ class Whole(NamedTuple):
     def pictures(self, combine: Combine) -> tuple[Tensor, ...]:
         """What `combine` makes, `together` or `separately`, as pictures like the image."""
         plan = plan_at_hand(self.z, self.medium, self.tolerance, self.order)
-        parts = form(self.light, self.z, self.medium, plan, self.order, combine)
+        given = (self.light, self.z, self.medium, plan, self.order)
+        if combine is together:
+            return (pictured(self.image, *given, self.color_space)[0],)
+        parts = form(*given, combine)
         return tuple(from_light(part[0], self.color_space, self.image) for part in parts)
 
     def some(self) -> Tensor:

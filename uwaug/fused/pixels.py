@@ -239,12 +239,16 @@ def _curves(t: Any, decays: int, to: int, water: Any) -> None:
 
 @inner
 def _summed(t: Any, curves: int, shares: int, blurs: int, count: int, light: Any) -> Any:
-    """D + F + B of one channel, into the first of its blurs."""
-    total, w = _rows(t, blurs, count), _rows(t, shares, count)
+    """D + F + B of one channel, into the row after its blurs."""
+    total, blur, share = _rows(t, blurs + count, 1), _rows(t, blurs, 1), _rows(t, shares, 1)
     for x in range(TILE):
-        total[x] *= w[x]
-    for k in range(1, count):
-        blur, share = _rows(t, blurs + k, 1), _rows(t, shares + k, 1)
+        total[x] = blur[x] * share[x]
+    for k in range(1, count - 1, 2):
+        b, w = _rows(t, blurs + k, 2), _rows(t, shares + k, 2)
+        for x in range(TILE):
+            total[x] += b[x] * w[x] + b[x + TILE] * w[x + TILE]
+    if count % 2 == 0:
+        blur, share = _rows(t, blurs + count - 1, 1), _rows(t, shares + count - 1, 1)
         for x in range(TILE):
             total[x] += blur[x] * share[x]
     direct, scatter, veil = _rows(t, curves, 1), _rows(t, curves + 3, 1), _rows(t, curves + 6, 1)
@@ -300,7 +304,7 @@ def form_rows(
     curves = decays + 2 * water.rates.size
     shares = curves + 9
     blurs = shares + count
-    t = np.zeros((blurs + count) * TILE, np.float32)
+    t = np.zeros((blurs + count + 1) * TILE, np.float32)
     sharp = count - narrow - wide
     for y in range(start, stop):
         for k in range(narrow):

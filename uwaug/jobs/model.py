@@ -7,11 +7,12 @@ from typing import Any, NamedTuple, Protocol
 import torch
 from torch import Tensor
 
-from uwaug.colour import ColorSpace, require_values, to_light
+from uwaug.colour import ColorSpace, require_values
 from uwaug.degrade import Whole, exactly, in_water
 from uwaug.exposure import Exposure, exposed
 from uwaug.field import gaussian_random_field, gaussian_random_rows
 from uwaug.formation import prepare, separately, together
+from uwaug.fused.picture import to_light
 from uwaug.metres import DistanceKind, Scaling, metres_by_rows, skipped, to_metres
 from uwaug.optics.medium import Medium
 from uwaug.strips import Strips, in_rows, is_large
