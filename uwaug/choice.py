@@ -11,6 +11,7 @@ from torch import Tensor
 
 from uwaug.colour import ColorSpace
 from uwaug.formation import Order
+from uwaug.fused.switch import Path
 from uwaug.metres import DistanceKind, Scaling, Unknown
 from uwaug.optics.camera import Camera
 from uwaug.optics.point_spread import PointSpread
@@ -45,11 +46,19 @@ class Draw(NamedTuple):
     field_seed: float
     field_low: float
     field_high: float
+    fused: float
 
     @property
     def scaling(self) -> Scaling:
         """What scales a relative map."""
         return Scaling(self.near, self.far, self.gamma)
+
+    @property
+    def path(self) -> Path | None:
+        """What has made the picture, if it is known; see `uwaug.fused`."""
+        if math.isnan(self.fused):
+            return None
+        return "fused" if self.fused else "eager"
 
     @staticmethod
     def of(sample: Mapping[str, Any]) -> "Draw":
@@ -58,6 +67,8 @@ class Draw(NamedTuple):
         drawn = {**sample, "field_low": low, "field_high": high}
         for name in ("contents", "gain"):
             drawn[name] = sample.get("used", {}).get(name)
+        if "path" in sample:
+            drawn["fused"] = float(sample["path"] == "fused")
         values = []
         for name in Draw._fields:
             value = drawn.get(name)

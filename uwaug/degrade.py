@@ -17,6 +17,7 @@ from uwaug.exposure import GAINS, fixed_gain, gain_of, looks
 from uwaug.field import gaussian_random_field, gaussian_random_rows
 from uwaug.formation import Combine, Order, form, pictured, plan_at_hand, prepare, together
 from uwaug.fused.picture import to_light
+from uwaug.fused.switch import Path
 from uwaug.metres import metres_by_rows, to_metres
 from uwaug.optics import sight
 from uwaug.optics.camera import Camera
@@ -117,6 +118,7 @@ class Whole(NamedTuple):
         z (1x1xHxW tensor): effective distance, m.
         medium: as the camera's exposure sees it.
         order, tolerance: as for `uwaug.form_image`.
+        path: that its record names, see `uwaug.fused`.
     """
 
     image: Tensor
@@ -126,13 +128,14 @@ class Whole(NamedTuple):
     medium: Medium
     order: Order = "line_of_sight"
     tolerance: float = 0.002
+    path: Path | None = None
 
     def pictures(self, combine: Combine) -> tuple[Tensor, ...]:
         """What `combine` makes, `together` or `separately`, as pictures like the image."""
         plan = plan_at_hand(self.z, self.medium, self.tolerance, self.order)
         given = (self.light, self.z, self.medium, plan, self.order)
         if combine is together:
-            return (pictured(self.image, *given, self.color_space)[0],)
+            return (pictured(self.image, *given, self.color_space, self.path)[0],)
         parts = form(*given, combine)
         return tuple(from_light(part[0], self.color_space, self.image) for part in parts)
 
@@ -167,7 +170,7 @@ def in_water(image: Tensor, distance: Tensor | None, choice: Choice) -> InWater:
 def _as_a_whole(image: Tensor, distance: Tensor | None, choice: Choice) -> InWater:
     draw, settings = choice.draw, choice.settings
     # a view with other strides takes other paths through the kernels, which round differently
-    light = to_light(image.contiguous(), settings.color_space)
+    light = to_light(image.contiguous(), settings.color_space, draw.path)
     if distance is None:
         z = torch.full_like(light[:1], draw.distance)
     else:
@@ -176,7 +179,7 @@ def _as_a_whole(image: Tensor, distance: Tensor | None, choice: Choice) -> InWat
     settled = _settled(choice, (some, z), image.shape[-1])
     light, z, medium = prepare(light, z, settled.medium, _field(draw, z))
     gain = _gain(lambda: gain_of(light, z, medium, "auto"), medium, draw, settings)
-    kept = settings.order, settings.tolerance
+    kept = settings.order, settings.tolerance, draw.path
     seen = Whole(image, settings.color_space, light, z, medium.brightened(gain), *kept)
     return InWater(seen, settled, gain)
 

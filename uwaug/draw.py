@@ -7,13 +7,14 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import torch
 
 from uwaug import checks
 from uwaug.checks import DOMAIN
+from uwaug.fused.switch import Path, path
 from uwaug.optics.bands import default_bands
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.water import Water
@@ -98,6 +99,7 @@ class Distribution:
             "camera": self.cameras[int(u["camera"] * len(self.cameras))],
             "field_seed": seed if u["field"] < self.field_probability else None,
             "field_range": list(self.field_range),
+            "path": path(),
         }
         for name, (low, high) in self.ranges.items():
             if name in _LOGARITHMIC:
@@ -119,7 +121,7 @@ class Distribution:
             raise ValueError(f"params has {count} samples but image is a batch of {batch}")
         wanted = {"applied", "waters", "camera", "field_seed", "field_range", *self.ranges}
         for sample in samples:
-            odd = ", ".join(sorted(wanted ^ (set(sample) - {"used"})))
+            odd = ", ".join(sorted(wanted ^ (set(sample) - {"used", "path"})))
             if odd:
                 raise ValueError(
                     f"params is of a transform with other options: they differ in {odd}"
@@ -186,6 +188,8 @@ def _require_values(sample: Mapping[str, Any], ranges: Iterable[str]) -> None:
     for name in ranges:
         checks.within(f"params: {name}", sample[name], *DOMAIN[name])
     as_range("field_range", sample["field_range"])
+    if "path" in sample:
+        checks.one_of("params: path", sample["path"], get_args(Path))
     if "used" not in sample:
         return
     found = sample["used"]

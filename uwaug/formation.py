@@ -27,8 +27,9 @@ from uwaug.blur.pieces import blurred_pieces
 from uwaug.blur.plan import BlurPlan
 from uwaug.blur.stack import blurred, mixed, node_weights
 from uwaug.colour import ColorSpace, from_light
-from uwaug.fused.picture import picture
+from uwaug.fused.picture import fused_picture
 from uwaug.fused.serving import serves
+from uwaug.fused.switch import Path
 from uwaug.functional import refuse_mapped, transformed
 from uwaug.optics.curves import FARTHEST, Curves, curves
 from uwaug.optics.medium import Medium
@@ -223,10 +224,13 @@ def pictured(
     plan: BlurPlan,
     order: Order,
     color_space: ColorSpace,
+    wanted: Path | None = None,
 ) -> Tensor:
-    """A batch of pictures like `image`, of prepared input (see `prepare`), by the path at hand."""
-    if order == "line_of_sight" and serves(light, z, medium):
-        return picture(image, light, z, medium, plan, color_space)
+    """A batch of pictures like `image`, of prepared input (see `prepare`), by the path at hand or
+    that which is `wanted`.
+    """
+    if order == "line_of_sight" and serves(light, z, medium, wanted):
+        return fused_picture(image, light, z, medium, plan, color_space)
     (result,) = form(light, z, medium, plan, order, together)
     return from_light(result, color_space, image)
 

@@ -17,6 +17,7 @@ from uwaug.colour import ColorSpace
 from uwaug.exposure import Exposure, brightest, exposed, require_exposure
 from uwaug.formation import Order, pictured, plan_at_hand, prepare, unbatched, validate
 from uwaug.fused.picture import to_light
+from uwaug.fused.switch import path
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 from uwaug.parameters import FixedMedium, LearnableMedium
@@ -259,4 +260,6 @@ class Underwater(nn.Module):
         settings = f"tolerance={self.tolerance:g}, {self.color_space}, {self.order}"
         if self.exposure != "none":
             settings += f", exposure={self.exposure!r}"
+        # gradients and other types of numbers are PyTorch's in any case
+        settings += f", {path()} without gradients" if path() == "fused" else ", eager"
         return f"{self.medium!r},\n{said},\n{settings}"

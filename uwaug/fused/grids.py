@@ -22,7 +22,7 @@ _NONE = np.float32(0)
 
 @inner
 def _shrink_rows(d: Any, plane: Any, fold: Any, w: Any) -> None:
-    """d = Σ w[i]·(row fold[i]); there are 4, 8, … weights."""
+    """Into d: Σ w[i]·(row fold[i]); there are 4, 8, … weights."""
     d[:] = _NONE
     for i in range(0, w.size, 4):
         w0, w1, w2, w3 = w[i], w[i + 1], w[i + 2], w[i + 3]
@@ -33,7 +33,7 @@ def _shrink_rows(d: Any, plane: Any, fold: Any, w: Any) -> None:
 
 @inner
 def _mix_columns(d: Any, s: Any, w: Any, i: int) -> None:
-    """d += Σ of four weights from w[i] on times columns of `LANES` samples."""
+    """Add to d: Σ of four weights from w[i] on times columns of `LANES` samples."""
     w0, w1, w2, w3 = w[i], w[i + 1], w[i + 2], w[i + 3]
     for j in range(LANES):
         s01 = w0 * s[j] + w1 * s[j + LANES]

@@ -33,6 +33,8 @@ _lock = Lock()
 
 def ready() -> bool:
     """Load the loops, and compile what no earlier process has left on disk; whether they work."""
+    if _loops is not None:
+        return True
     with _lock:
         if _loops is None and switch.path() == "fused":
             _load()

@@ -11,20 +11,21 @@ from uwaug.blur.plan import BlurPlan
 from uwaug.colour import ColorSpace, headroom
 from uwaug.fused import loops
 from uwaug.fused.serving import decodes
+from uwaug.fused.switch import Path
 from uwaug.fused.tables import Coarse, Floats, Plan, plan_tables, water_tables
 from uwaug.fused.threads import in_bands
 from uwaug.optics.medium import Medium
 
-__all__ = ["picture", "to_light"]
+__all__ = ["fused_picture", "to_light"]
 
 _NO_FLOATS, _NO_BYTES = np.zeros((3, 1, 0), np.float32), np.zeros((3, 1, 0), np.uint8)
 _NO_GRID = np.zeros((0, 0), np.float32)
 
 
-def to_light(image: Tensor, color_space: ColorSpace) -> Tensor:
-    """`uwaug.colour.to_light`, by the loops where they can."""
+def to_light(image: Tensor, color_space: ColorSpace, wanted: Path | None = None) -> Tensor:
+    """`uwaug.colour.to_light`, by the loops where they can; `wanted` is what a record names."""
     is_light = color_space == "linear" and image.dtype != torch.uint8
-    if is_light or not decodes(image):
+    if is_light or not decodes(image, wanted):
         return colour.to_light(image, color_space)
     colour.require_values(image, color_space)
     light = torch.empty(image.shape, dtype=torch.float32)
@@ -41,7 +42,7 @@ def to_light(image: Tensor, color_space: ColorSpace) -> Tensor:
     return light
 
 
-def picture(
+def fused_picture(
     image: Tensor,
     light: Tensor,
     z: Tensor,

@@ -124,7 +124,7 @@ def look_up(image: Bytes, table: Floats, light: Floats, start: int, stop: int) -
 
 @inner
 def _blur_rows(d: Any, plane: Any, fold: Any, middle: int, w: Any, pairs: int) -> None:
-    """d = w[0]·(row fold[middle]) + Σ w[i]·(both rows i away); there are 2, 4, … pairs."""
+    """Into d: w[0]·(row fold[middle]) + Σ w[i]·(both rows i away); there are 2, 4, … pairs."""
     m = plane[fold[middle]]
     a, b = plane[fold[middle - 1]], plane[fold[middle + 1]]
     p, q = plane[fold[middle - 2]], plane[fold[middle + 2]]
@@ -156,7 +156,7 @@ def _blur_line(d: Any, line: Any, at: int, w: Any, pairs: int) -> None:
 
 @inner
 def _enlarged(d: Any, grid: Any, n: int, left: int, right: int, w: Any) -> None:
-    """d = lines n, n + 3, … of a grid, those of one channel, weighed."""
+    """Into d: lines n, n + 3, … of a grid, those of one channel, weighed."""
     w0, w1, w2, w3 = w[0], w[1], w[2], w[3]
     # one by one: of a block of lines, numba does not know that each is dense
     a, b = grid[n, left:right], grid[n + 3, left:right]

@@ -5,29 +5,31 @@ from torch import Tensor
 
 from uwaug.functional import transformed
 from uwaug.fused.loops import ready
-from uwaug.fused.switch import path
+from uwaug.fused.switch import Path, followed
 from uwaug.optics.medium import Medium
 
 __all__ = ["decodes", "serves"]
 
 
-def serves(light: Tensor, z: Tensor, medium: Medium) -> bool:
-    """Whether the loops take this input, prepared as for `uwaug.formation.form`."""
+def serves(light: Tensor, z: Tensor, medium: Medium, wanted: Path | None) -> bool:
+    """Whether the loops take this input, prepared as for `uwaug.formation.form`; `wanted` is what
+    a record names.
+    """
     tensors = (light, z, *medium.parameters().values())
-    if not _can_run(tensors) or not all(light.shape) or not all(z.shape):
+    if not _can_run(tensors, wanted) or not all(light.shape) or not all(z.shape):
         return False
     recorded = torch.is_grad_enabled() and any(t.requires_grad for t in tensors)
     return not recorded and light.shape[1] == 3
 
 
-def decodes(image: Tensor) -> bool:
-    """Whether the loops decode this picture."""
+def decodes(image: Tensor, wanted: Path | None) -> bool:
+    """Whether the loops decode this picture; `wanted` as for `serves`."""
     recorded = torch.is_grad_enabled() and image.requires_grad
-    return not recorded and _can_run((image,)) and all(image.shape)
+    return not recorded and _can_run((image,), wanted) and all(image.shape)
 
 
-def _can_run(tensors: tuple[Tensor, ...]) -> bool:
-    if torch.compiler.is_compiling() or path() == "eager":
+def _can_run(tensors: tuple[Tensor, ...], wanted: Path | None) -> bool:
+    if torch.compiler.is_compiling() or followed(wanted) == "eager":
         return False
     tracing = torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
     taken = not (tracing or transformed()) and all(map(_is_plain, tensors))

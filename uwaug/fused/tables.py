@@ -189,7 +189,8 @@ def _rows_of(kind: Kind, node: Node, size: int) -> tuple[Indices, Floats]:
 
 def _beyond(first: Indices, weights: Floats, size: int) -> int:
     """How far the columns of a matrix reach beyond an axis."""
-    return max(0, -int(first.min()), int(first.max()) + weights.shape[1] - size)
+    end = int(first.max()) + int(weights.shape[1])
+    return max(0, -int(first.min()), end - size)
 
 
 def _mirrored(margin: int, size: int) -> Indices:

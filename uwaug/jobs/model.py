@@ -13,6 +13,7 @@ from uwaug.exposure import Exposure, exposed
 from uwaug.field import gaussian_random_field, gaussian_random_rows
 from uwaug.formation import prepare, separately, together
 from uwaug.fused.picture import to_light
+from uwaug.fused.switch import path
 from uwaug.metres import DistanceKind, Scaling, metres_by_rows, skipped, to_metres
 from uwaug.optics.medium import Medium
 from uwaug.strips import Strips, in_rows, is_large
@@ -120,8 +121,9 @@ class OneMedium:
     def draw(self, image: Tensor, generator: torch.Generator) -> dict[str, Any]:
         """As `Model.draw`."""
         if self.field_range is None:
-            return {}
-        return {"field_seed": int(torch.randint(2**32, (1,), generator=generator))}
+            return {"path": path()}
+        seed = int(torch.randint(2**32, (1,), generator=generator))
+        return {"field_seed": seed, "path": path()}
 
     def degrade(self, image: Tensor, distance: Tensor, record: Mapping[str, Any]) -> Degraded:
         """As `Model.degrade`."""
@@ -134,7 +136,8 @@ class OneMedium:
         return Degraded(picture, dict(record), seen, self.name, None)
 
     def _whole(self, image: Tensor, distance: Tensor, record: Mapping[str, Any]) -> Whole:
-        light = to_light(image.contiguous(), self.color_space)
+        wanted = record.get("path")
+        light = to_light(image.contiguous(), self.color_space, wanted)
         z = to_metres(distance.contiguous(), self.scaling, self.kind, self.unknown)
         field = None
         if self.field_range is not None:
@@ -142,7 +145,7 @@ class OneMedium:
             field = gaussian_random_field(size, **self._field(record), dtype=z.dtype)
         light, z, medium = prepare(light, z, self.medium, field)
         medium = exposed(light, z, medium, self.exposure)
-        return Whole(image, self.color_space, light, z, medium)
+        return Whole(image, self.color_space, light, z, medium, path=wanted)
 
     def _large(self, image: Tensor, distance: Tensor, record: Mapping[str, Any]) -> Strips:
         require_values(image, self.color_space)
