@@ -27,10 +27,10 @@ from uwaug.blur.pieces import blurred_pieces
 from uwaug.blur.plan import BlurPlan
 from uwaug.blur.stack import blurred, mixed, node_weights
 from uwaug.colour import ColorSpace, from_light
+from uwaug.functional import refuse_mapped, transformed
 from uwaug.fused.picture import fused_picture
 from uwaug.fused.serving import serves
 from uwaug.fused.switch import Path
-from uwaug.functional import refuse_mapped, transformed
 from uwaug.optics.curves import FARTHEST, Curves, curves
 from uwaug.optics.medium import Medium
 from uwaug.rows import held

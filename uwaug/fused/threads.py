@@ -38,7 +38,7 @@ def in_bands(run: Callable[[int, int], None], count: int, width: int, multiple: 
 
 
 def _executor(threads: int) -> ThreadPoolExecutor:
-    global _pool, _workers  # noqa: PLW0603  (they are of the process)
+    global _pool, _workers
     with _lock:
         if _pool is None or _workers < threads:
             _pool, _workers = ThreadPoolExecutor(threads, "uwaug"), threads
@@ -47,7 +47,7 @@ def _executor(threads: int) -> ThreadPoolExecutor:
 
 def _forget() -> None:
     """In a child process there are no threads but its own."""
-    global _pool, _lock  # noqa: PLW0603
+    global _pool, _lock
     _pool, _lock = None, Lock()
 
 
