@@ -15,8 +15,9 @@ from uwaug.colour import ColorSpace, from_light, require_values
 from uwaug.contrast import contrast
 from uwaug.exposure import GAINS, fixed_gain, gain_of, looks
 from uwaug.field import gaussian_random_field, gaussian_random_rows
-from uwaug.formation import Combine, Order, form, pictured, plan_at_hand, prepare, together
-from uwaug.fused.picture import to_light
+from uwaug.formation import Combine, Order, form, plan_at_hand, prepare, together
+from uwaug.fused.picture import fused_picture, to_light
+from uwaug.fused.serving import serves
 from uwaug.fused.switch import Path
 from uwaug.metres import metres_by_rows, to_metres
 from uwaug.optics import sight
@@ -133,10 +134,10 @@ class Whole(NamedTuple):
     def pictures(self, combine: Combine) -> tuple[Tensor, ...]:
         """What `combine` makes, `together` or `separately`, as pictures like the image."""
         plan = plan_at_hand(self.z, self.medium, self.tolerance, self.order)
-        given = (self.light, self.z, self.medium, plan, self.order)
-        if combine is together:
-            return (pictured(self.image, *given, self.color_space, self.path)[0],)
-        parts = form(*given, combine)
+        given = (self.light, self.z, self.medium)
+        if combine is together and serves(*given, self.order, self.path):
+            return (fused_picture(self.image, *given, plan, self.color_space)[0],)
+        parts = form(*given, plan, self.order, combine)
         return tuple(from_light(part[0], self.color_space, self.image) for part in parts)
 
     def some(self) -> Tensor:

@@ -26,11 +26,7 @@ from uwaug.blur.demand import blur_demand, spent
 from uwaug.blur.pieces import blurred_pieces
 from uwaug.blur.plan import BlurPlan
 from uwaug.blur.stack import blurred, mixed, node_weights
-from uwaug.colour import ColorSpace, from_light
 from uwaug.functional import refuse_mapped, transformed
-from uwaug.fused.picture import fused_picture
-from uwaug.fused.serving import serves
-from uwaug.fused.switch import Path
 from uwaug.optics.curves import FARTHEST, Curves, curves
 from uwaug.optics.medium import Medium
 from uwaug.rows import held
@@ -214,25 +210,6 @@ def plan_between(
     margin = _ROOM if learned else 1.0
     demand = blur_demand(medium, distances, tolerance, order=order, learned=learned, margin=margin)
     return demand.plan(size, shared=True)
-
-
-def pictured(
-    image: Tensor,
-    light: Tensor,
-    z: Tensor,
-    medium: Medium,
-    plan: BlurPlan,
-    order: Order,
-    color_space: ColorSpace,
-    wanted: Path | None = None,
-) -> Tensor:
-    """A batch of pictures like `image`, of prepared input (see `prepare`), by the path at hand or
-    that which is `wanted`.
-    """
-    if order == "line_of_sight" and serves(light, z, medium, wanted):
-        return fused_picture(image, light, z, medium, plan, color_space)
-    (result,) = form(light, z, medium, plan, order, together)
-    return from_light(result, color_space, image)
 
 
 def form(

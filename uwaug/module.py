@@ -13,10 +13,11 @@ from uwaug import checks, planned
 from uwaug.blur.beyond import beyond_plan
 from uwaug.blur.demand import BlurDemand, blur_demand
 from uwaug.blur.plan import BlurPlan
-from uwaug.colour import ColorSpace
+from uwaug.colour import ColorSpace, from_light
 from uwaug.exposure import Exposure, brightest, exposed, require_exposure
-from uwaug.formation import Order, pictured, plan_at_hand, prepare, unbatched, validate
-from uwaug.fused.picture import to_light
+from uwaug.formation import Order, form, plan_at_hand, prepare, together, unbatched, validate
+from uwaug.fused.picture import fused_picture, to_light
+from uwaug.fused.serving import serves
 from uwaug.fused.switch import path
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
@@ -208,7 +209,10 @@ class Underwater(nn.Module):
             medium = exposed(light, z, medium, self.exposure)
             if plan is None:
                 plan = plan_at_hand(z, medium, self.tolerance, self.order)
-            return pictured(image, light, z, medium, plan, self.order, self.color_space)
+            if serves(light, z, medium, self.order):
+                return fused_picture(image, light, z, medium, plan, self.color_space)
+            (result,) = form(light, z, medium, plan, self.order, together)
+            return from_light(result, self.color_space, image)
 
     def get_extra_state(self) -> Tensor:
         """What a state dict says of the module besides its tensors, as text in a tensor: file

@@ -7,6 +7,9 @@ import numba
 
 __all__ = ["inner", "kernel"]
 
+kept = True
+"""Whether what is compiled is kept on disk."""
+
 _F = TypeVar("_F", bound=Callable[..., Any])
 
 # what may be fused is fused; sums keep their order, NaN and infinity their meaning
@@ -22,7 +25,7 @@ def inner(function: _F) -> _F:
 def kernel(function: _F) -> _F:
     """Loops that Python calls: compiled once, and kept on disk where there is room."""
     try:
-        made: _F = numba.njit(cache=True, **_OPTIONS)(function)
+        made: _F = numba.njit(cache=kept, **_OPTIONS)(function)
     except RuntimeError:  # no folder can be written to
         made = numba.njit(**_OPTIONS)(function)
     return made

@@ -6,6 +6,7 @@ import time
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import reload
 from threading import Lock
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -51,10 +52,7 @@ def _load() -> None:
     global _loops  # noqa: PLW0603  (they are of the process)
     try:
         with _told():
-            from uwaug.fused import grids, pixels
-
-            found = Loops(grids, pixels)
-            _run_once(found)
+            found = _imported()
     except (ImportError, OSError, RuntimeError) as error:
         # a numba that does not suit numpy, say
         switch.disable()
@@ -62,6 +60,19 @@ def _load() -> None:
         warnings.warn(said, stacklevel=2)
         return
     _loops = found
+
+
+def _imported() -> Loops:
+    from uwaug.fused import compiling, grids, pixels
+
+    found = Loops(grids, pixels)
+    try:
+        _run_once(found)
+    except OSError:  # a full disk, or one that is not shared as it should be
+        compiling.kept = False
+        found = Loops(reload(grids), reload(pixels))
+        _run_once(found)
+    return found
 
 
 @contextmanager

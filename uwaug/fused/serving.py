@@ -11,10 +11,14 @@ from uwaug.optics.medium import Medium
 __all__ = ["decodes", "serves"]
 
 
-def serves(light: Tensor, z: Tensor, medium: Medium, wanted: Path | None) -> bool:
+def serves(
+    light: Tensor, z: Tensor, medium: Medium, order: str, wanted: Path | None = None
+) -> bool:
     """Whether the loops take this input, prepared as for `uwaug.formation.form`; `wanted` is what
     a record names.
     """
+    if order != "line_of_sight":
+        return False
     tensors = (light, z, *medium.parameters().values())
     if not _can_run(tensors, wanted) or not all(light.shape) or not all(z.shape):
         return False
