@@ -17,6 +17,7 @@ PARTS = (
     "draws",
     "scaling",
     "runtime",
+    "fused",
     "throughput",
     "soak",
     "large",
