@@ -15,7 +15,7 @@ from uwaug.fused.tables import Coarse, Floats
 __all__ = ["LANES", "coarse_lines"]
 
 LANES = 32
-"""Lines that go through a grid side by side. (16: a third longer; 64: out of the cache.)"""
+"""Lines that go through a grid side by side. (16: 10 to 80 % longer; 64: 20 to 40 %.)"""
 
 _NONE = np.float32(0)
 
@@ -61,7 +61,8 @@ def coarse_lines(light: Floats, grid: Floats, c: Coarse, start: int, stop: int) 
     """
     channels, _, width = light.shape
     cells, taps = c.across.shape
-    lines = np.zeros((LANES, width), np.float32)
+    # columns of a power of two would share few places of the cache: half as long again at 1024 px
+    lines = np.zeros((LANES, width + 24), np.float32)
     # columns of LANES samples, so that what follows needs no shuffling
     flat = np.zeros((width + 2 * c.column_margin) * LANES, np.float32)
     small = np.zeros(cells * LANES, np.float32)
@@ -70,7 +71,9 @@ def coarse_lines(light: Floats, grid: Floats, c: Coarse, start: int, stop: int) 
         for j in range(count):
             row, channel = (top + j) // channels, (top + j) % channels
             first = c.row_margin + c.down_first[row]
-            _shrink_rows(lines[j], light[channel], c.rows[first : first + taps], c.down[row])
+            _shrink_rows(
+                lines[j, :width], light[channel], c.rows[first : first + taps], c.down[row]
+            )
         inside = flat[c.column_margin * LANES :]
         for x in range(width):
             column = inside[x * LANES : (x + 1) * LANES]

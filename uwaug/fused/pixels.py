@@ -15,7 +15,7 @@ from uwaug.fused.tables import Bytes, Floats, Stack, Water
 __all__ = ["TILE", "decode_rows", "form_rows", "look_up"]
 
 TILE = 256
-"""px. (128: a tenth longer, calls; 1024: longer, out of the first-level cache.)"""
+"""px. (128: 2 to 10 % longer; 512: as fast, but half as long again at 256 px; 1024: half again.)"""
 
 f32, i32 = np.float32, np.int32
 _0, _1, _2, _255 = f32(0), f32(1), f32(2), f32(255)
