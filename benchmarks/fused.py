@@ -107,7 +107,9 @@ def whole_model(size: int, threads: int, quick: bool) -> dict[str, Any]:
         "direct + veil": partial(direct_and_veil, image, distance, field),
     }
     if threads == 1:
-        runners["authors' loops"] = partial(published.authors, *arrays, bands)
+        runners["authors' loops, float32"] = partial(published.authors, *arrays, bands)
+        doubled = [array.astype(np.float64) for array in arrays]
+        runners["authors' loops"] = partial(published.authors, *doubled, published.doubled(bands))
     return _row(_race(runners, quick), size=size, threads=threads)
 
 
