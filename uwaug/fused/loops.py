@@ -53,8 +53,8 @@ def _load() -> None:
     try:
         with _told():
             found = _imported()
-    except (ImportError, OSError, RuntimeError) as error:
-        # a numba that does not suit numpy, say
+    except Exception as error:
+        # a numba that does not suit numpy, say: whatever it is, PyTorch can do without
         switch.disable()
         said = f"numba is installed but does not work, so PyTorch computes alone: {error}"
         warnings.warn(said, stacklevel=2)

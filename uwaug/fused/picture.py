@@ -66,7 +66,8 @@ def fused_picture(
     largest = torch.as_tensor(most, dtype=torch.float32).reshape(-1).expand(batch).tolist()
     in_bytes = image.dtype == torch.uint8
     result = torch.empty(batch, 3, *size, dtype=torch.uint8 if in_bytes else torch.float32)
-    waters = [water_tables(medium[i], plan, size) for i in range(len(medium))]
+    media = [medium[i] for i in range(len(medium))] if len(medium) > 1 else [medium]
+    waters = [water_tables(one, plan, size) for one in media]
     grid = _NO_GRID
     for n, made in enumerate(result.numpy()):
         seen = light[n % len(light)].numpy()

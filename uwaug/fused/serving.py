@@ -19,7 +19,8 @@ def serves(
     """
     if order != "line_of_sight":
         return False
-    tensors = (light, z, *medium.parameters().values())
+    law = medium.point_spread.numbers().values()
+    tensors = (light, z, *medium.tensors(), *(v for v in law if isinstance(v, Tensor)))
     if not _can_run(tensors, wanted) or not all(light.shape) or not all(z.shape):
         return False
     recorded = torch.is_grad_enabled() and any(t.requires_grad for t in tensors)
