@@ -1,5 +1,6 @@
 """The compiled loops against eager PyTorch, and how they are chosen."""
 
+import json
 import logging
 import multiprocessing
 import os
@@ -11,6 +12,7 @@ from typing import Any
 
 import pytest
 import torch
+from filing import metres, pixels, save
 from forming import coefficients, distances
 from inputs import rand
 from torch import Tensor
@@ -291,3 +293,24 @@ def test_a_record_is_replayed_by_its_own_path() -> None:
     odd = {"samples": [{**record["samples"][0], "path": "fast"}]}
     with pytest.raises(ValueError, match="params: path"):
         augment.transform(image, z, odd)
+
+
+@pytest.mark.parametrize("how", [["--water", "3C"], ["--random", "--seed", "5"]])
+def test_a_file_that_another_path_would_make_is_refused(
+    how: list[str], run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    save("a.png", pixels())
+    save("z.npy", metres())
+    given = ("--distance", "z.npy", "--out", "out")
+    assert run("degrade", "a.png", *given, *how)[0] == 0
+    record = Path("out/a.png.json")
+    assert '"path": "fused"' in record.read_text()
+    made = json.loads(record.read_text())
+    record.write_text(json.dumps({**made, "sha256": "0" * 64}))
+    monkeypatch.setattr(switch, "_found", False)
+    with pytest.warns(UserWarning, match="the record is of the fused path, which needs numba"):
+        code, _, err = run("degrade", "--from", str(record), "--out", "again")
+    assert code == 1
+    assert "(fused)" in err
+    assert "(eager)" in err
