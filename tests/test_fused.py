@@ -138,6 +138,12 @@ def test_bits_are_the_same_on_any_number_of_threads(monkeypatch: pytest.MonkeyPa
     assert threads._pool is not None
 
 
+def test_bits_are_the_same_in_any_bands(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = degraded()
+    monkeypatch.setattr(pictures, "_BAND", 1)
+    assert torch.equal(degraded(), whole)
+
+
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 def test_a_child_goes_on_after_a_fork(monkeypatch: pytest.MonkeyPatch) -> None:
     before = torch.get_num_threads()

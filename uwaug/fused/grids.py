@@ -51,13 +51,16 @@ def _extend(line: Any, fold: Any, margin: int, width: int, each: int) -> None:
 
 
 @kernel
-def coarse_lines(light: Floats, grid: Floats, c: Coarse, start: int, stop: int) -> None:
+def coarse_lines(
+    light: Floats, grid: Floats, c: Coarse, origin: int, start: int, stop: int
+) -> None:
     """Lines of a coarse grid, shrunk along both axes and enlarged again along rows.
 
     Args:
-        light (3xHxW), grid (NxW): line n is of channel n % 3, row n // 3 of the grid.
+        light (3xHxW): of the scene.
+        grid (NxW): lines from `origin` on; n is of channel n % 3, of row n // 3 of the whole grid.
         c: tables of the grid.
-        start, stop: lines; `start` is a multiple of `LANES`.
+        start, stop: lines, counted from `origin`.
     """
     channels, _, width = light.shape
     cells, taps = c.across.shape
@@ -69,7 +72,7 @@ def coarse_lines(light: Floats, grid: Floats, c: Coarse, start: int, stop: int) 
     for top in range(start, stop, LANES):
         count = min(LANES, stop - top)
         for j in range(count):
-            row, channel = (top + j) // channels, (top + j) % channels
+            row, channel = (origin + top + j) // channels, (origin + top + j) % channels
             first = c.row_margin + c.down_first[row]
             _shrink_rows(
                 lines[j, :width], light[channel], c.rows[first : first + taps], c.down[row]

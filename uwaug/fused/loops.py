@@ -104,7 +104,7 @@ def _run_once(loops: Loops) -> None:
     mirrored = np.zeros(5, np.int64)
     coarse = Coarse(mirrored, 2, none, four, mirrored, 2, none, four, none, four)
     grid = np.ones((12, 1), np.float32)
-    loops.grids.coarse_lines(one, grid, coarse, 0, 3)
+    loops.grids.coarse_lines(one, grid, coarse, 0, 0, 3)
     stack = Stack(
         series=np.ones((2, 2), np.float32),
         taps=np.ones((1, 3), np.float32),

@@ -1,5 +1,7 @@
 """Pictures by the compiled loops: decoding, and all from light to the encoded picture."""
 
+from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,14 +14,16 @@ from uwaug.colour import ColorSpace, headroom
 from uwaug.fused import loops
 from uwaug.fused.serving import decodes
 from uwaug.fused.switch import Path
-from uwaug.fused.tables import Coarse, Floats, Plan, plan_tables, water_tables
+from uwaug.fused.tables import Bytes, Floats, Indices, Plan, plan_tables, water_tables
 from uwaug.fused.threads import in_bands
 from uwaug.optics.medium import Medium
 
 __all__ = ["fused_picture", "to_light"]
 
 _NO_FLOATS, _NO_BYTES = np.zeros((3, 1, 0), np.float32), np.zeros((3, 1, 0), np.uint8)
-_NO_GRID = np.zeros((0, 0), np.float32)
+
+_BAND = 1 << 21
+"""Pixels whose coarse grids are held at a time: of all together, up to 24 MiB."""
 
 
 def to_light(image: Tensor, color_space: ColorSpace, wanted: Path | None = None) -> Tensor:
@@ -68,36 +72,51 @@ def fused_picture(
     result = torch.empty(batch, 3, *size, dtype=torch.uint8 if in_bytes else torch.float32)
     media = [medium[i] for i in range(len(medium))] if len(medium) > 1 else [medium]
     waters = [water_tables(one, plan, size) for one in media]
-    grid = _NO_GRID
-    for n, made in enumerate(result.numpy()):
-        seen = light[n % len(light)].numpy()
-        if n < len(light):
-            grid = _grid(seen, tables)
-        outs = (_NO_FLOATS, made) if in_bytes else (made, _NO_BYTES)
-        water, far = waters[n % len(waters)], z[n % len(z), 0].numpy()
-        rest = (water, tables.stack, grid, srgb, np.float32(largest[n]), *outs)
-        _form(seen, far, *rest)
+    for i, seen in enumerate(light.numpy()):
+        # one picture in several waters is blurred once
+        samples = range(batch) if len(light) == 1 else (i,)
+        for rows in _bands(size):
+            grid, starts = _grid(seen, tables, rows)
+            stack = tables.stack._replace(starts=starts)
+            for n in samples:
+                outs = _outs(result[n])
+                rest = (waters[n % len(waters)], stack, grid, srgb, np.float32(largest[n]), *outs)
+                _form(seen, z[n % len(z), 0].numpy(), rows, *rest)
     return result if in_bytes else result.to(image.dtype)
 
 
-def _form(light: Floats, z: Floats, *rest: Any) -> None:
-    height, width = z.shape
-    form_rows = loops.get().pixels.form_rows
-    in_bands(lambda *rows: form_rows(light, z, *rest, *rows), height, width)
+def _bands(size: tuple[int, int]) -> Iterator[range]:
+    """Rows whose coarse grids are held at a time."""
+    height, width = size
+    step = max(_BAND // width, 64)
+    return (range(first, min(first + step, height)) for first in range(0, height, step))
 
 
-def _grid(light: Floats, tables: Plan) -> Floats:
-    """The lines of all coarse grids of a picture."""
-    loop, width = loops.get().grids, light.shape[-1]
-    counts = [3 * len(coarse.down_first) for coarse in tables.coarse]
-    grid = np.empty((sum(counts), width), np.float32)
-    first = 0
-    for coarse, count in zip(tables.coarse, counts, strict=True):
-        lines = grid[first : first + count]
+def _outs(result: Tensor) -> tuple[Floats, Bytes]:
+    """Where the loops put a picture, and nothing in place of the other kind."""
+    made = result.numpy()
+    return (_NO_FLOATS, made) if made.dtype == np.uint8 else (made, _NO_BYTES)
 
-        def run(start: int, stop: int, lines: Floats = lines, coarse: Coarse = coarse) -> None:
-            loop.coarse_lines(light, lines, coarse, start, stop)
 
-        in_bands(run, count, width, loop.LANES)
-        first += count
-    return grid
+def _form(light: Floats, z: Floats, rows: range, *rest: Any) -> None:
+    form_rows, first = loops.get().pixels.form_rows, rows.start
+    in_bands(
+        lambda start, stop: form_rows(light, z, *rest, first + start, first + stop),
+        len(rows),
+        z.shape[1],
+    )
+
+
+def _grid(light: Floats, tables: Plan, rows: range) -> tuple[Floats, Indices]:
+    """The lines of all coarse grids that some rows of a picture need, and where those of each would
+    start if they were whole.
+    """
+    loop, width, needed = loops.get().grids, light.shape[-1], tables.stack.back_first
+    low, high = 3 * needed[:, rows.start], 3 * (needed[:, rows.stop - 1] + 4)
+    counts = high - low
+    places = np.cumsum(counts) - counts
+    grid = np.empty((int(counts.sum()), width), np.float32)
+    for coarse, origin, count, place in zip(tables.coarse, low, counts, places, strict=True):
+        run = partial(loop.coarse_lines, light, grid[place : place + count], coarse, int(origin))
+        in_bands(run, int(count), width, loop.LANES)
+    return grid, places - low
