@@ -142,7 +142,8 @@ def test_the_compiled_loops_are_raced() -> None:
 @pytest.fixture(scope="module")
 def quick() -> dict[str, Any]:
     threads = torch.get_num_threads()
-    with contextlib.redirect_stdout(io.StringIO()):
+    with contextlib.redirect_stdout(io.StringIO()), pytest.MonkeyPatch.context() as patch:
+        patch.setenv("UWAUG_FUSED", "0")  # as the command line has it
         results = {"frontier": frontier.main(quick=True), "scaling": scaling.main(quick=True)}
     torch.set_num_threads(threads)
     return results
