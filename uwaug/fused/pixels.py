@@ -52,10 +52,10 @@ def _exp2_parts(x: Any) -> Any:
     """2^x as 2^n and 2^x − 2^n, so that 2^x − 1 can be had without cancellation."""
     x = min(max(x, _SPENT), _MOST)
     shifted = x + _WHOLE
-    n = f32(shifted).view(i32) - _WHOLE_BITS
+    n = i32(f32(shifted).view(i32) - _WHOLE_BITS)
     f = x - (shifted - _WHOLE)
     p = f * (_E0 + f * (_E1 + f * (_E2 + f * (_E3 + f * (_E4 + f * _E5)))))
-    power = i32((n + 127) << 23).view(f32)
+    power = i32(i32(n + 127) << 23).view(f32)
     return power, power * p
 
 
@@ -66,19 +66,28 @@ def _exp2(x: Any) -> Any:
 
 
 @inner
-def _log2(y: Any, late: Any) -> Any:
-    """log2(y + late), y > 0; `late` is what rounding has left out of y."""
-    bits = f32(y).view(i32)
-    e = (bits - _ROOT_HALF_BITS) >> 23
-    f = (i32(bits - (e << 23)).view(f32) - _1) + late * i32((127 - e) << 23).view(f32)
+def _log2_sum(e: Any, f: Any) -> Any:
+    """log2(2^e·(1 + f))."""
     p = _L4 + f * (_L5 + f * (_L6 + f * (_L7 + f * _L8)))
     return f32(e) + f * (_L0 + f * (_L1 + f * (_L2 + f * (_L3 + f * p))))
 
 
 @inner
+def _log2(y: Any) -> Any:
+    bits = f32(y).view(i32)
+    # numba's sums of 32 bits have 64, of which half as many fit into a register
+    e = i32(i32(bits - _ROOT_HALF_BITS) >> 23)
+    return _log2_sum(e, i32(bits - i32(e << 23)).view(f32) - _1)
+
+
+@inner
 def _log2_1p(x: Any) -> Any:
+    """log2(1 + x), with what rounding leaves out of the sum."""
     y = _1 + x
-    return _log2(y, x - (y - _1))
+    bits = f32(y).view(i32)
+    e = i32(i32(bits - _ROOT_HALF_BITS) >> 23)
+    late = (x - (y - _1)) * i32(i32(127 - e) << 23).view(f32)
+    return _log2_sum(e, (i32(bits - i32(e << 23)).view(f32) - _1) + late)
 
 
 _SRGB_KNEE, _LINEAR_KNEE = f32(0.0404482362771076), f32(0.0404482362771076 / 12.92)  # see colour
@@ -90,7 +99,7 @@ _GAMMA, _UNGAMMA, _LARGEST = f32(2.4), f32(1 / 2.4), f32(1e30)
 def _decode(x: Any) -> Any:
     a = abs(x)
     m = min(max(a, _SRGB_KNEE), _LARGEST)
-    power = _exp2(_GAMMA * _log2_1p((m - _1) * _SCALE))
+    power = _exp2(_GAMMA * _log2(_1 + (m - _1) * _SCALE))
     value = a * _UNSLOPE if a < _SRGB_KNEE else power
     return -value if x < _0 else value
 
@@ -99,7 +108,7 @@ def _decode(x: Any) -> Any:
 def _encode(x: Any) -> Any:
     a = abs(x)
     m = min(max(a, _LINEAR_KNEE), _LARGEST)
-    power = _exp2(_UNGAMMA * _log2(m, _0))
+    power = _exp2(_UNGAMMA * _log2(m))
     value = a * _SLOPE if a < _LINEAR_KNEE else power + _SHIFT * (power - _1)
     return -value if x < _0 else value
 
@@ -201,7 +210,7 @@ def _shares(t: Any, terms: int, to: int, water: Any, series: Any) -> None:
             v[x] = min(max(b_mean * z[x], f32(1e-6)), f32(1e4))
         if exponent != _1:
             for x in range(TILE):
-                v[x] = _exp2(exponent * _log2(v[x], _0))
+                v[x] = _exp2(exponent * _log2(v[x]))
         linear, square, slope, offset = law[3] * scale, law[4] * scale * scale, law[5], law[6]
         for x in range(TILE):
             place = slope * _log2_1p(v[x] * (linear + square * v[x])) + offset
