@@ -6,6 +6,8 @@ import argparse
 import importlib
 import time
 
+from benchmarks.harness import measure_eager
+
 PARTS = (
     "model",
     "frontier",
@@ -20,6 +22,7 @@ PARTS = (
     "gallery",
     "scaling",
     "runtime",
+    "fused",
     "throughput",
     "soak",
     "large",
@@ -40,6 +43,7 @@ def main() -> None:
     unknown = sorted(set(arguments.parts) - set(PARTS))
     if unknown:
         parser.error(f"unknown part {', '.join(unknown)}; there are {', '.join(PARTS)}")
+    measure_eager()
     for name in arguments.parts or PARTS:
         print(f"== {name}", flush=True)
         began = time.perf_counter()

@@ -125,7 +125,16 @@ def command(main: Callable[[bool], object], about: str | None) -> None:
     parser = argparse.ArgumentParser(description=about)
     quick = "a smoke test: little of everything, nothing written"
     parser.add_argument("--quick", action="store_true", help=quick)
+    measure_eager()
     main(parser.parse_args().quick)
+
+
+def measure_eager() -> None:
+    """Let "uwaug" be eager PyTorch in all figures, here and in what is started from here.
+
+    `benchmarks.fused` has those of the compiled loops; it chooses the path run by run.
+    """
+    os.environ.setdefault("UWAUG_FUSED", "0")
 
 
 def machine() -> dict[str, Any]:

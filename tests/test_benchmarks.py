@@ -5,6 +5,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
@@ -13,7 +14,18 @@ pytest.importorskip("matplotlib")
 pytest.importorskip("scipy")
 
 import uwaug
-from benchmarks import blurs, charts, frontier, gallery, information, lamps, scaling, summary
+from benchmarks import (
+    blurs,
+    charts,
+    frontier,
+    fused,
+    gallery,
+    information,
+    lamps,
+    published,
+    scaling,
+    summary,
+)
 from benchmarks.exact import blur_exact
 from benchmarks.harness import race
 
@@ -115,10 +127,35 @@ def test_the_fused_loop_computes_the_model(tmp_path: Path) -> None:
     assert math.ulp(0) * 1.0 > 0  # to load it left subnormal numbers alone
 
 
+def test_the_authors_loops_are_the_published_recipe() -> None:
+    rng = np.random.default_rng(0)
+    image, distance = rng.random((30, 40, 3)), 1 + 4 * rng.random((30, 40))
+    field, bands = 0.7 + 0.6 * rng.random((30, 40)), published.doubled(published.bands("7C"))
+    loops = published.authors(image, distance, field, bands)
+    np.testing.assert_allclose(loops, published.published(image, distance, field, bands), atol=1e-6)
+    assert np.abs(loops - image).max() > 0.1
+
+
+def test_the_compiled_loops_are_raced() -> None:
+    pytest.importorskip("numba")
+    threads = torch.get_num_threads()
+    row = fused.whole_model(64, 1, True)
+    torch.set_num_threads(threads)
+    assert {"fused", "eager", "published recipe", "authors' loops", "direct + veil"} < set(
+        row["ms"]
+    )
+    assert row["times_faster"]["fused"] == 1
+    image, distance = (t[..., :20, :30] for t in scaling.scene(64))
+    degrade = fused.module("linear")
+    by_loops, by_eager = (fused.by(on, degrade, image, distance)() for on in (True, False))
+    torch.testing.assert_close(by_loops, by_eager, rtol=0, atol=2e-6)
+
+
 @pytest.fixture(scope="module")
 def quick() -> dict[str, Any]:
     threads = torch.get_num_threads()
-    with contextlib.redirect_stdout(io.StringIO()):
+    with contextlib.redirect_stdout(io.StringIO()), pytest.MonkeyPatch.context() as patch:
+        patch.setenv("UWAUG_FUSED", "0")  # as the command line has it
         results = {"frontier": frontier.main(quick=True), "scaling": scaling.main(quick=True)}
     torch.set_num_threads(threads)
     return results

@@ -2,7 +2,7 @@
 degrades an image.
 """
 
-from uwaug import distance
+from uwaug import distance, fused
 from uwaug.blur.demand import blur_demand
 from uwaug.blur.plan import BlurPlan, plan_blur
 from uwaug.blur.stack import varying_blur
@@ -69,6 +69,7 @@ __all__ = [
     "fit_veil",
     "fit_water",
     "form_image",
+    "fused",
     "gaussian_random_field",
     "list_presets",
     "load_camera",

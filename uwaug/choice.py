@@ -12,6 +12,7 @@ from torch import Tensor
 
 from uwaug.colour import ColorSpace
 from uwaug.formation import Order
+from uwaug.fused.switch import Path
 from uwaug.light import Light
 from uwaug.light.text import light_from
 from uwaug.metres import DistanceKind, Scaling, Unknown
@@ -54,11 +55,19 @@ class Draw(NamedTuple):
     field_low: float
     field_high: float
     light: float
+    fused: float
 
     @property
     def scaling(self) -> Scaling:
         """What scales a relative map."""
         return Scaling(self.near, self.far, self.gamma)
+
+    @property
+    def path(self) -> Path | None:
+        """What has made the picture, if it is known; see `uwaug.fused`."""
+        if math.isnan(self.fused):
+            return None
+        return "fused" if self.fused else "eager"
 
     @staticmethod
     def of(sample: Mapping[str, Any]) -> "Draw":
@@ -67,6 +76,8 @@ class Draw(NamedTuple):
         drawn = {**sample, "field_low": low, "field_high": high}
         for name in ("contents", "gain"):
             drawn[name] = sample.get("used", {}).get(name)
+        if "path" in sample:
+            drawn["fused"] = float(sample["path"] == "fused")
         values = []
         for name in Draw._fields:
             value = drawn.get(name)

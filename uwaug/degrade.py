@@ -11,11 +11,14 @@ from torch import Tensor
 
 from uwaug import strips
 from uwaug.choice import Choice, Draw, Settings
-from uwaug.colour import ColorSpace, from_light, require_values, to_light
+from uwaug.colour import ColorSpace, from_light, require_values
 from uwaug.contrast import contrast
 from uwaug.exposure import GAINS, fixed_gain, gain_of, looks
 from uwaug.field import gaussian_random_field, gaussian_random_rows
 from uwaug.formation import Combine, Order, form, plan_at_hand, prepare, together
+from uwaug.fused.picture import fused_picture, to_light
+from uwaug.fused.serving import serves
+from uwaug.fused.switch import Path
 from uwaug.light.lit import Lit, lit_of, planned
 from uwaug.metres import metres_by_rows, to_metres
 from uwaug.optics import sight
@@ -118,6 +121,7 @@ class Whole(NamedTuple):
         medium: as the camera's exposure sees it.
         order, tolerance: as for `uwaug.form_image`.
         lit: the light, if it is not the default, as the exposure sees it.
+        path: that its record names, see `uwaug.fused`.
     """
 
     image: Tensor
@@ -128,12 +132,17 @@ class Whole(NamedTuple):
     order: Order = "line_of_sight"
     tolerance: float = 0.002
     lit: Lit | None = None
+    path: Path | None = None
 
     def pictures(self, combine: Combine) -> tuple[Tensor, ...]:
         """What `combine` makes, `together` or `separately`, as pictures like the image."""
         shown = self.medium if self.lit is None else planned(self.medium, self.lit.light)
         plan = plan_at_hand(self.z, shown, self.tolerance, self.order)
-        parts = form(self.light, self.z, self.medium, plan, self.order, combine, self.lit)
+        given = (self.light, self.z, self.medium)
+        daylight = self.lit is None
+        if daylight and combine is together and serves(*given, self.order, self.path):
+            return (fused_picture(self.image, *given, plan, self.color_space)[0],)
+        parts = form(*given, plan, self.order, combine, self.lit)
         return tuple(from_light(part[0], self.color_space, self.image) for part in parts)
 
     def some(self) -> Tensor:
@@ -167,7 +176,7 @@ def in_water(image: Tensor, distance: Tensor | None, choice: Choice) -> InWater:
 def _as_a_whole(image: Tensor, distance: Tensor | None, choice: Choice) -> InWater:
     draw, settings = choice.draw, choice.settings
     # a view with other strides takes other paths through the kernels, which round differently
-    light = to_light(image.contiguous(), settings.color_space)
+    light = to_light(image.contiguous(), settings.color_space, draw.path)
     if distance is None:
         z = torch.full_like(light[:1], draw.distance)
     else:
@@ -179,7 +188,8 @@ def _as_a_whole(image: Tensor, distance: Tensor | None, choice: Choice) -> InWat
     focal_px = settings.focal(image.shape[-1])
     lit = lit_of(settings.light(draw), metres, field, medium, focal_px, None)
     gain = _gain(lambda: gain_of(light, z, medium, "auto", lit), medium, draw, settings)
-    kept = settings.order, settings.tolerance, None if lit is None else lit.brightened(gain)
+    lit = None if lit is None else lit.brightened(gain)
+    kept = settings.order, settings.tolerance, lit, draw.path
     seen = Whole(image, settings.color_space, light, z, medium.brightened(gain), *kept)
     return InWater(seen, settled, gain)
 

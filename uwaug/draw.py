@@ -8,13 +8,14 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import torch
 
 from uwaug import checks
 from uwaug.checks import DOMAIN
+from uwaug.fused.switch import Path, path
 from uwaug.optics.bands import default_bands
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.water import Water
@@ -105,6 +106,7 @@ class Distribution:
             "camera": self.cameras[int(u["camera"] * len(self.cameras))],
             "field_seed": seed if u["field"] < self.field_probability else None,
             "field_range": list(self.field_range),
+            "path": path(),
         }
         if self.lights:
             sample["light"] = int(u["light"] * self.lights)
@@ -130,7 +132,7 @@ class Distribution:
         if self.lights:
             wanted.add("light")
         for sample in samples:
-            odd = ", ".join(sorted(wanted ^ (set(sample) - {"used"})))
+            odd = ", ".join(sorted(wanted ^ (set(sample) - {"used", "path"})))
             if odd:
                 raise ValueError(
                     f"params is of a transform with other options: they differ in {odd}"
@@ -198,6 +200,8 @@ def _require_values(sample: Mapping[str, Any], ranges: Iterable[str]) -> None:
     for name in ranges:
         checks.within(f"params: {name}", sample[name], *DOMAIN[name])
     as_range("field_range", sample["field_range"])
+    if "path" in sample:
+        checks.one_of("params: path", sample["path"], get_args(Path))
     if "used" not in sample:
         return
     found = sample["used"]

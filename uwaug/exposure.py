@@ -4,6 +4,7 @@ One gain for a whole picture, in linear light, so that the picture is as bright 
 air. It multiplies what arrives, picture and veil alike: the medium's weights.
 """
 
+from functools import lru_cache
 from typing import Any, Literal
 
 import torch
@@ -160,10 +161,23 @@ def brightest(medium: Medium, exposure: Exposure) -> Medium:
 
 def looks(height: int, width: int, device: torch.device) -> Tensor:
     """The flat indices of some pixels, spread evenly over a picture."""
+    if torch.compiler.is_compiling() or not isinstance(height, int):
+        return _looks(height, width, device)
+    return _kept_looks(height, width, device)
+
+
+def _looks(height: int, width: int, device: torch.device) -> Tensor:
     count = torch.arange(_LOOKS, dtype=torch.int64, device=device)
     # of a whole side, and back into pixels: a remainder and a quotient take five times as long
     row, column = (((count * step + _TURN // 2) & (_TURN - 1)) for step in _STEPS)
     return (row * height >> _BITS) * width + (column * width >> _BITS)
+
+
+@lru_cache(maxsize=8)
+def _kept_looks(height: int, width: int, device: torch.device) -> Tensor:
+    # what inference mode makes cannot be used outside
+    with torch.inference_mode(False):
+        return _looks(height, width, device)
 
 
 def _at(values: Tensor, pixels: Tensor) -> Tensor:

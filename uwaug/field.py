@@ -10,6 +10,8 @@ import torch
 from torch import Tensor
 
 from uwaug import checks
+from uwaug.blur.cache import Cache
+from uwaug.functional import transformed
 from uwaug.rows import Rows, extremes
 
 __all__ = ["field_from_noise", "gaussian_random_field", "gaussian_random_rows"]
@@ -179,7 +181,27 @@ class _Waves(NamedTuple):
         return self.down[start:stop] @ self.amplitude @ self.across
 
 
+_REMEMBERED: Cache[_Waves] = Cache(4 * 2**20)
+"""Of the sizes used last: to make one takes as long as the sum does at 256²."""
+
+
 def _waves(noise: Tensor, height: int, width: int, exponent: float) -> _Waves:
+    """The waves of some noise, which gives their amplitudes."""
+    if type(noise) is not Tensor or torch.compiler.is_compiling() or transformed():
+        made = _unit_waves(noise, height, width, exponent)
+        return made._replace(amplitude=noise * made.amplitude)
+    key = (height, width, exponent, noise.shape[-1], noise.dtype, noise.device)
+    found = _REMEMBERED.get(key)
+    if found is None:
+        # what inference mode makes cannot be used outside
+        with torch.inference_mode(False), torch.no_grad():
+            found = _unit_waves(noise.new_empty(noise.shape[-1]), height, width, exponent)
+        _REMEMBERED.put(key, found, sum(t.numel() * t.element_size() for t in found))
+    return found._replace(amplitude=noise * found.amplitude)
+
+
+def _unit_waves(noise: Tensor, height: int, width: int, exponent: float) -> _Waves:
+    """The waves of noise that is 1; of `noise` only the type and the last size are looked at."""
     index = torch.arange(noise.shape[-1]).to(noise)
     cycles, phase = ((index + 1) / 2).floor(), index % 2 * (math.pi / 2)
     square = cycles**2 + cycles[:, None] ** 2
@@ -191,7 +213,7 @@ def _waves(noise: Tensor, height: int, width: int, exponent: float) -> _Waves:
     step = math.pi / max(height, width)
     y = torch.cos(_centred(height, noise) * cycles * step - phase)
     x = torch.cos(_centred(width, noise) * cycles * step - phase)
-    return _Waves(y, noise * amplitude, x.mT)
+    return _Waves(y, amplitude, x.mT)
 
 
 def _between(field: Tensor, least: Tensor, largest: Tensor, low: float, high: float) -> Tensor:

@@ -13,9 +13,12 @@ from uwaug import checks, planned
 from uwaug.blur.beyond import beyond_plan
 from uwaug.blur.demand import BlurDemand, blur_demand
 from uwaug.blur.plan import BlurPlan
-from uwaug.colour import ColorSpace, from_light, to_light
+from uwaug.colour import ColorSpace, from_light
 from uwaug.exposure import Exposure, brightest, exposed_under, require_exposure
 from uwaug.formation import Order, form, plan_at_hand, prepare, together, unbatched, validate
+from uwaug.fused.picture import fused_picture, to_light
+from uwaug.fused.serving import serves
+from uwaug.fused.switch import path
 from uwaug.light.lit import lamp_legs, light_of, lit_of, settled
 from uwaug.light.lit import planned as planned_under
 from uwaug.light.value import Light
@@ -225,6 +228,8 @@ class Underwater(nn.Module):
             if plan is None:
                 shown = planned_under(medium, self.light)
                 plan = plan_at_hand(z, shown, self.tolerance, self.order)
+            if lit is None and serves(light, z, medium, self.order):
+                return fused_picture(image, light, z, medium, plan, self.color_space)
             (result,) = form(light, z, medium, plan, self.order, together, lit)
             return from_light(result, self.color_space, image)
 
@@ -281,4 +286,6 @@ class Underwater(nn.Module):
             settings += f", exposure={self.exposure!r}"
         if self.light is not None:
             settings += f", {self.light!r}"
+        # gradients and other types of numbers are PyTorch's in any case
+        settings += f", {path()} without gradients" if path() == "fused" else ", eager"
         return f"{self.medium!r},\n{said},\n{settings}"

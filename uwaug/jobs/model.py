@@ -8,11 +8,13 @@ import torch
 from torch import Tensor
 
 from uwaug.choice import focal_of
-from uwaug.colour import ColorSpace, require_values, to_light
+from uwaug.colour import ColorSpace, require_values
 from uwaug.degrade import Whole, exactly, in_water
 from uwaug.exposure import Exposure, exposed_under
 from uwaug.field import gaussian_random_field, gaussian_random_rows
 from uwaug.formation import prepare, separately, together
+from uwaug.fused.picture import to_light
+from uwaug.fused.switch import path
 from uwaug.light.lit import lit_of
 from uwaug.light.value import Light
 from uwaug.metres import DistanceKind, Scaling, metres_by_rows, skipped, to_metres
@@ -125,8 +127,9 @@ class OneMedium:
     def draw(self, image: Tensor, generator: torch.Generator) -> dict[str, Any]:
         """As `Model.draw`."""
         if self.field_range is None:
-            return {}
-        return {"field_seed": int(torch.randint(2**32, (1,), generator=generator))}
+            return {"path": path()}
+        seed = int(torch.randint(2**32, (1,), generator=generator))
+        return {"field_seed": seed, "path": path()}
 
     def degrade(self, image: Tensor, distance: Tensor, record: Mapping[str, Any]) -> Degraded:
         """As `Model.degrade`."""
@@ -139,7 +142,8 @@ class OneMedium:
         return Degraded(picture, dict(record), seen, self.name, None)
 
     def _whole(self, image: Tensor, distance: Tensor, record: Mapping[str, Any]) -> Whole:
-        light = to_light(image.contiguous(), self.color_space)
+        wanted = record.get("path")
+        light = to_light(image.contiguous(), self.color_space, wanted)
         z = to_metres(distance.contiguous(), self.scaling, self.kind, self.unknown)
         field = None
         if self.field_range is not None:
@@ -149,7 +153,7 @@ class OneMedium:
         light, z, medium = prepare(light, z, self.medium, field)
         lit = lit_of(self.light, metres, field, medium, focal_px, None)
         medium, lit = exposed_under(light, z, medium, self.exposure, lit)
-        return Whole(image, self.color_space, light, z, medium, lit=lit)
+        return Whole(image, self.color_space, light, z, medium, lit=lit, path=wanted)
 
     def _large(self, image: Tensor, distance: Tensor, record: Mapping[str, Any]) -> Strips:
         require_values(image, self.color_space)

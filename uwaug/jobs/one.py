@@ -14,6 +14,7 @@ import torch
 from uwaug.contrast import contrast
 from uwaug.degrade import Whole
 from uwaug.files import written_whole
+from uwaug.fused import switch
 from uwaug.jobs.model import TERMS, Degraded, terms_of
 from uwaug.jobs.recipe import Recipe, sha256_of
 from uwaug.jobs.record import (
@@ -108,7 +109,8 @@ def repeated(record: Record, output: Path, *, force: bool = False) -> Record:
 
     Raises:
         ValueError: if a file that it was made of has changed, or, with the picture written, if it
-            has come out differently: another version of uwaug or PyTorch, another kind of CPU.
+            has come out differently: another version of uwaug or PyTorch, another kind of CPU, no
+            numba where its loops made the first.
         OSError: if a file cannot be read or written.
     """
     for one in (record.input, record.distance):
@@ -118,10 +120,16 @@ def repeated(record: Record, output: Path, *, force: bool = False) -> Record:
     recipe.require_content()
     made = _degrade_file(record.row(output), recipe, record.drawn, force=force)
     if made.sha256 != record.sha256 and output.suffix == Path(record.output).suffix:
-        theirs = f"uwaug {record.uwaug} and torch {record.torch}"
-        mine = f"here are {made.uwaug} and {made.torch}"
+        theirs = f"uwaug {record.uwaug} and torch {record.torch} ({_path_of(record.drawn)})"
+        mine = f"here are {made.uwaug} and {made.torch} ({switch.path()})"
         raise ValueError(f"{output} differs from the first one, by {theirs}: {mine}")
     return made
+
+
+def _path_of(drawn: Mapping[str, Any]) -> str:
+    """What has made a picture, see `uwaug.fused`."""
+    (one,) = drawn.get("samples", [drawn])
+    return str(one.get("path", "eager"))
 
 
 def _known(row: Row, recipe: Recipe) -> Record | None:

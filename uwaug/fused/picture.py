@@ -1,0 +1,122 @@
+"""Pictures by the compiled loops: decoding, and all from light to the encoded picture."""
+
+from collections.abc import Iterator
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from uwaug import colour
+from uwaug.blur.plan import BlurPlan
+from uwaug.colour import ColorSpace, headroom
+from uwaug.fused import loops
+from uwaug.fused.serving import decodes
+from uwaug.fused.switch import Path
+from uwaug.fused.tables import Bytes, Floats, Indices, Plan, plan_tables, water_tables
+from uwaug.fused.threads import in_bands
+from uwaug.optics.medium import Medium
+
+__all__ = ["fused_picture", "to_light"]
+
+_NO_FLOATS, _NO_BYTES = np.zeros((3, 1, 0), np.float32), np.zeros((3, 1, 0), np.uint8)
+
+_BAND = 1 << 21
+"""Pixels whose coarse grids are held at a time: of all together, up to 24 MiB."""
+
+
+def to_light(image: Tensor, color_space: ColorSpace, wanted: Path | None = None) -> Tensor:
+    """`uwaug.colour.to_light`, by the loops where they can; `wanted` is what a record names."""
+    is_light = color_space == "linear" and image.dtype != torch.uint8
+    if is_light or not decodes(image, wanted):
+        return colour.to_light(image, color_space)
+    colour.require_values(image, color_space)
+    light = torch.empty(image.shape, dtype=torch.float32)
+    width = image.shape[-1]
+    given = image.detach().contiguous().numpy().reshape(-1, width)
+    made = light.numpy().reshape(-1, width)
+    pixels = loops.get().pixels
+    if image.dtype == torch.uint8:
+        every = torch.arange(256, dtype=torch.uint8)
+        table = colour.decoded(every, color_space).numpy()
+        in_bands(lambda *rows: pixels.look_up(given, table, made, *rows), len(given), width)
+    else:
+        in_bands(lambda *rows: pixels.decode_rows(given, made, *rows), len(given), width)
+    return light
+
+
+def fused_picture(
+    image: Tensor,
+    light: Tensor,
+    z: Tensor,
+    medium: Medium,
+    plan: BlurPlan,
+    color_space: ColorSpace,
+) -> Tensor:
+    """A batch of pictures like `image`, in the line of sight.
+
+    Args:
+        image (Bx3xHxW or 3xHxW tensor): as it was given.
+        light, z, medium: as for `uwaug.formation.form`, which the loops take.
+        plan: of the blur.
+        color_space: of the image.
+    """
+    size = (light.shape[-2], light.shape[-1])
+    batch = max(len(light), len(z), len(medium))
+    light, z = light.detach().contiguous(), z.detach().contiguous()
+    tables, srgb = plan_tables(plan, size), color_space == "srgb"
+    most = headroom(image) if srgb else 1.0
+    largest = torch.as_tensor(most, dtype=torch.float32).reshape(-1).expand(batch).tolist()
+    in_bytes = image.dtype == torch.uint8
+    result = torch.empty(batch, 3, *size, dtype=torch.uint8 if in_bytes else torch.float32)
+    media = [medium[i] for i in range(len(medium))] if len(medium) > 1 else [medium]
+    waters = [water_tables(one, plan, size) for one in media]
+    for i, seen in enumerate(light.numpy()):
+        # one picture in several waters is blurred once
+        samples = range(batch) if len(light) == 1 else (i,)
+        for rows in _bands(size):
+            grid, starts = _grid(seen, tables, rows)
+            stack = tables.stack._replace(starts=starts)
+            for n in samples:
+                outs = _outs(result[n])
+                rest = (waters[n % len(waters)], stack, grid, srgb, np.float32(largest[n]), *outs)
+                _form(seen, z[n % len(z), 0].numpy(), rows, *rest)
+    return result if in_bytes else result.to(image.dtype)
+
+
+def _bands(size: tuple[int, int]) -> Iterator[range]:
+    """Rows whose coarse grids are held at a time."""
+    height, width = size
+    step = max(_BAND // width, 64)
+    return (range(first, min(first + step, height)) for first in range(0, height, step))
+
+
+def _outs(result: Tensor) -> tuple[Floats, Bytes]:
+    """Where the loops put a picture, and nothing in place of the other kind."""
+    made = result.numpy()
+    return (_NO_FLOATS, made) if made.dtype == np.uint8 else (made, _NO_BYTES)
+
+
+def _form(light: Floats, z: Floats, rows: range, *rest: Any) -> None:
+    form_rows, first = loops.get().pixels.form_rows, rows.start
+    in_bands(
+        lambda start, stop: form_rows(light, z, *rest, first + start, first + stop),
+        len(rows),
+        z.shape[1],
+    )
+
+
+def _grid(light: Floats, tables: Plan, rows: range) -> tuple[Floats, Indices]:
+    """The lines of all coarse grids that some rows of a picture need, and where those of each would
+    start if they were whole.
+    """
+    loop, width, needed = loops.get().grids, light.shape[-1], tables.stack.back_first
+    low, high = 3 * needed[:, rows.start], 3 * (needed[:, rows.stop - 1] + 4)
+    counts = high - low
+    places = np.cumsum(counts) - counts
+    grid = np.empty((int(counts.sum()), width), np.float32)
+    for coarse, origin, count, place in zip(tables.coarse, low, counts, places, strict=True):
+        run = partial(loop.coarse_lines, light, grid[place : place + count], coarse, int(origin))
+        in_bands(run, int(count), width, loop.LANES)
+    return grid, places - low

@@ -1,0 +1,47 @@
+"""What the compiled loops take, and what stays with PyTorch."""
+
+import torch
+from torch import Tensor
+
+from uwaug.functional import transformed
+from uwaug.fused.loops import ready
+from uwaug.fused.switch import Path, followed
+from uwaug.optics.medium import Medium
+
+__all__ = ["decodes", "serves"]
+
+
+def serves(
+    light: Tensor, z: Tensor, medium: Medium, order: str, wanted: Path | None = None
+) -> bool:
+    """Whether the loops take this input, prepared as for `uwaug.formation.form`; `wanted` is what
+    a record names.
+    """
+    if order != "line_of_sight":
+        return False
+    law = medium.point_spread.numbers().values()
+    tensors = (light, z, *medium.tensors(), *(v for v in law if isinstance(v, Tensor)))
+    if not _can_run(tensors, wanted) or not all(light.shape) or not all(z.shape):
+        return False
+    recorded = torch.is_grad_enabled() and any(t.requires_grad for t in tensors)
+    return not recorded and light.shape[1] == 3
+
+
+def decodes(image: Tensor, wanted: Path | None) -> bool:
+    """Whether the loops decode this picture; `wanted` as for `serves`."""
+    recorded = torch.is_grad_enabled() and image.requires_grad
+    return not recorded and _can_run((image,), wanted) and all(image.shape)
+
+
+def _can_run(tensors: tuple[Tensor, ...], wanted: Path | None) -> bool:
+    if torch.compiler.is_compiling() or followed(wanted) == "eager":
+        return False
+    tracing = torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
+    taken = not (tracing or transformed()) and all(map(_is_plain, tensors))
+    return taken and ready()
+
+
+def _is_plain(value: Tensor) -> bool:
+    """Whether a tensor has memory that numba can read."""
+    known = type(value) in (Tensor, torch.nn.Parameter) and value.device.type == "cpu"
+    return known and value.dtype in (torch.float32, torch.uint8)
