@@ -38,9 +38,12 @@ def to_light(image: Tensor, color_space: ColorSpace, wanted: Path | None = None)
     made = light.numpy().reshape(-1, width)
     pixels = loops.get().pixels
     if image.dtype == torch.uint8:
-        every = torch.arange(256, dtype=torch.uint8)
-        table = colour.decoded(every, color_space).numpy()
-        in_bands(lambda *rows: pixels.look_up(given, table, made, *rows), len(given), width)
+        # by the same arithmetic as floating point, so that both give one picture
+        every = np.arange(256, dtype=np.float32)[None] / np.float32(255)
+        table = every.copy()
+        if color_space == "srgb":
+            pixels.decode_rows(every, table, 0, 1)
+        in_bands(lambda *rows: pixels.look_up(given, table[0], made, *rows), len(given), width)
     else:
         in_bands(lambda *rows: pixels.decode_rows(given, made, *rows), len(given), width)
     return light
