@@ -1,6 +1,7 @@
 """Several threads for the loops, where the caller allows them."""
 
 import os
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from threading import Lock
@@ -11,7 +12,7 @@ from torch.utils.data import get_worker_info
 __all__ = ["in_bands"]
 
 _LEAST = 1 << 15
-"""Pixels of a band: with fewer, waking a thread takes longer than it saves."""
+"""Pixels for each thread: with fewer, to wake one takes longer than it saves."""
 
 _pool: ThreadPoolExecutor | None = None
 _workers = 0
@@ -31,16 +32,29 @@ def in_bands(run: Callable[[int, int], None], count: int, width: int, multiple: 
         return
     # several for each thread: one that is held up does not hold up all
     each = multiple * -(-count // (4 * threads * multiple))
-    bands = range(0, count, each)
-    tasks = [_executor(threads).submit(run, at, min(at + each, count)) for at in bands]
-    for task in tasks:
-        task.result()
+    bands = deque(range(0, count, each))
+
+    def work() -> None:
+        while bands:
+            try:
+                at = bands.popleft()
+            except IndexError:  # another thread has taken the last
+                return
+            run(at, min(at + each, count))
+
+    pool = _executor(threads - 1)
+    helpers = [pool.submit(work) for _ in range(threads - 1)]
+    work()  # this thread need not wait for the others to wake
+    for helper in helpers:
+        if not helper.cancel():
+            helper.result()
 
 
 def _executor(threads: int) -> ThreadPoolExecutor:
     global _pool, _workers
     with _lock:
         if _pool is None or _workers < threads:
+            # the smaller one ends with its last task
             _pool, _workers = ThreadPoolExecutor(threads, "uwaug"), threads
         return _pool
 
