@@ -61,7 +61,7 @@ SIDES = [(33, 57), (150, 131), (420, 700)]
 @pytest.mark.parametrize("name", list_presets())
 def test_module_and_graph_are_one_function(name) -> None:
     preset = load_preset(name)
-    module = preset.module(sides=(32, 2160))
+    module = preset.module(sides=(32, 2160), focal_px=60.0)
     graph = Graph(module, plan_of(module), frozen=True, field=False, quantised=False)
     for size in SIDES:
         image = scene(1, *size)[0]
