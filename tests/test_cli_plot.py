@@ -2,7 +2,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
+
+import uwaug
+from uwaug.cases import preset_case
+from uwaug.plots import draw_terms
+from uwaug.scene import own_scene
 
 
 @pytest.fixture
@@ -41,6 +47,16 @@ def test_two_sheets_in_the_water_asked_for(run, files, options, waters):
     for name in names:
         with Image.open(files / "drawn" / name) as sheet:
             assert sheet.width == 1400
+
+
+def test_a_preset_shines_its_lamp(files):
+    """The terms are those of the preset's own light, and not of daylight."""
+    scene = own_scene(torch.rand(3, 20, 30), torch.full((1, 20, 30), 2.0))
+    case = preset_case(uwaug.load_preset("jaffe-1990", water="7C"))
+    lit, dark = (draw_terms(scene, one).figure for one in (case, case._replace(light=None)))
+    assert "its own light" in case.setting
+    drawn, other = (figure.axes[7].images[0].get_array() for figure in (lit, dark))
+    assert np.abs(np.subtract(drawn, other, dtype=float)).max() > 0.05 * np.max(other)
 
 
 def test_what_was_done_to_the_files_is_said(run, files):

@@ -56,6 +56,16 @@ def test_rows_are_what_their_presets_say(found: uwaug.Comparison) -> None:
     assert found.rows[2].blur_5m > found.rows[2].blur_2m > 0
 
 
+def test_contrast_is_that_under_the_lamp() -> None:
+    image, z = torch.rand(3, 40, 60), torch.full((1, 40, 60), 3.0)
+    (row,) = uwaug.compare(image, z, "7C", ["jaffe-1990"]).rows
+    preset = uwaug.load_preset("jaffe-1990", water="7C")
+    plate, focal_px = torch.full((1, 41, 61), 2.0), 60 * 3**0.5 / 2
+    left = uwaug.contrast(preset.medium, plate, light=preset.light, focal_px=focal_px)
+    assert row.contrast_2m == pytest.approx(float(left[0, 20, 30]), rel=0.03)
+    assert row.contrast_2m != pytest.approx(float(uwaug.contrast(preset.medium, plate)[0, 20, 30]))
+
+
 def test_colour_differences_agree_with_scikit_image(found: uwaug.Comparison) -> None:
     from skimage.color import deltaE_ciede2000, rgb2lab
 

@@ -8,7 +8,7 @@ import torch
 from reference import spectral_curves
 from torch import Tensor
 
-from uwaug import Medium, PointSpread, Water, contrast, form_image
+from uwaug import Light, Medium, PointSpread, Water, contrast, form_image
 from uwaug.colour import LUMINANCE, srgb_to_linear
 
 WATER = Water.jerlov("5C")
@@ -150,3 +150,35 @@ def test_against_monte_carlo_pictures() -> None:
         assert fine > row["said"] - 0.002
     # what a veil, a share or a rate that is wrong would miss by
     assert max(row["said"] for row in rows) - min(row["said"] for row in rows) > 0.4
+
+
+LAMP = Light.lamp((0.3, -0.2, 0.0), (-0.3, 0.2, 0.7), 4.0, 60.0)
+
+
+@pytest.mark.parametrize("light", [LAMP, LAMP + Light.ambient(0.5), Light.parallel(20, 150)])
+def test_a_rendered_pattern_under_a_light_has_it(light: Light) -> None:
+    """What a lamp does not reach has none; its fog takes some."""
+    medium = Medium.from_water(WATER, vertical_depth=8.0, point_spread=PointSpread(12.0, 1e-3))
+    rows, columns = torch.meshgrid(torch.arange(64), torch.arange(64), indexing="ij")
+    chequers = (1 - 2 * ((rows + columns) % 2)).double()
+    z = torch.full((1, 64, 64), 0.7).double()
+    z[..., 32:] = 0.9
+    lit = {"light": light, "focal_px": 64.0}
+    left = contrast(medium, z, **lit)
+    plates = (0.18 * (1 + sign * 0.5 * chequers).expand(3, -1, -1) for sign in (1, -1))
+    one, other = (luminance(form_image(x, z, medium, **lit).image) for x in plates)
+    measured = (one - other).abs() / (one + other) / 0.5
+    torch.testing.assert_close(measured, left, rtol=0, atol=2e-3)
+    assert (left - contrast(medium, z)).abs().max() > 0.05 or light is not LAMP
+
+
+def test_a_light_that_does_not_suit_is_named() -> None:
+    medium, z = Medium.from_water(WATER), torch.ones(2, 1, 4, 5)
+    with pytest.raises(ValueError, match="focal_px is missing"):
+        contrast(medium, z, light=LAMP)
+    with pytest.raises(TypeError, match=r"light must be a uwaug\.Light, got str"):
+        contrast(medium, z, light="lamp")  # type: ignore[arg-type]
+    three = Light.lamp((0, 0, 0), (0, 0, 1), power=torch.ones(3))
+    with pytest.raises(ValueError, match=r"batch sizes must agree.*'light': 3"):
+        contrast(medium, z, light=three, focal_px=5.0)
+    assert contrast(medium, z[0], light=three, focal_px=5.0).shape == (3, 1, 4, 5)

@@ -10,7 +10,7 @@ from PIL import Image
 from torch import Tensor
 
 import uwaug
-from uwaug import Light, Medium, RandomUnderwater
+from uwaug import KeepVisible, Light, Medium, RandomUnderwater
 from uwaug.light.text import light_of_tables
 from uwaug.optics.reduction import Forward
 
@@ -174,3 +174,46 @@ def test_a_preset_refuses_what_is_no_light(tmp_path) -> None:
     path.write_text(text.replace("power = 10.0", "power = -1.0"), encoding="utf-8")
     with pytest.raises(ValueError, match="power must be finite and ≥ 0"):
         uwaug.load_preset(path)
+
+
+def test_objects_are_judged_under_their_light() -> None:
+    """At night, what a lamp shows can be seen, and what it does not reach cannot."""
+    lamp = Light.lamp((0.3, 0.0, 0.0), (-0.5, 0.0, 1.0), 8.0, 25.0)
+    night: dict[str, Any] = {"waters": "II", "contrast": None, "vertical_depth": 30.0}
+    augment = RandomUnderwater(light=lamp, field_probability=0.0, focal_px=30.0, **night)
+    image, z = rand(3, 40, 60).float(), torch.full((1, 40, 60), 1.0)
+    boxes = torch.tensor([[2.0, 12.0, 14.0, 28.0], [50.0, 12.0, 59.0, 28.0]])
+    target = {"boxes": boxes, "labels": torch.tensor([1, 2])}
+    _, _, found = KeepVisible(augment, 0.1, flag=True)(image, z, target)
+    assert found["contrast"][0] > 0.1
+    assert found["contrast"][1] < 0.01
+    medium = Medium.from_water("II", vertical_depth=30.0, g=0.05, mu=0.075)
+    left = uwaug.contrast(medium, z, light=lamp, focal_px=30.0)[0]
+    expected = [float(left[12:28, first:last].mean()) for first, last in ((2, 14), (50, 59))]
+    torch.testing.assert_close(found["contrast"], torch.tensor(expected).float())
+
+
+@pytest.mark.parametrize("light", [Light.ambient(), Light.parallel(40.0, 0.0)])
+def test_daylight_goes_no_deeper_than_an_exposure_makes_up_for(light: Light) -> None:
+    image, z = scene()
+    depths = []
+    for one in (None, light, light + LAMP):
+        aug = RandomUnderwater("7C", light=one, vertical_depth=60.0, contrast=None)
+        resolved = aug.resolve(image, z, aug.make_params(image))
+        depths.append(resolved["samples"][0]["used"]["vertical_depth"])
+    assert depths[0] < 10
+    assert depths[1] == depths[0]
+    assert depths[2] == 60
+
+
+@pytest.mark.parametrize("light", [Light.ambient(0.5), Light.parallel(89.0, 0.0, diffuse=0.9)])
+def test_an_exposure_keeps_the_veil_of_daylight_below_white(light: Light) -> None:
+    """Also where a lamp is lit; a dark veil leaves the exposure free."""
+    image, z = torch.ones(3, 24, 32), torch.zeros(1, 24, 32)
+    z[:, :3] = torch.inf
+    medium = Medium.from_water("7C", vertical_depth=2.0, mu=0.3, g=0.05)
+    for one in (light, light + Light.lamp((0.3, 0, 0), (0, 0, 1), 1e-3)):
+        degrade = uwaug.Underwater(
+            medium, light=one, focal_px=28.0, exposure="auto", color_space="linear"
+        )
+        assert degrade(image, z)[:, :3].max() == pytest.approx(1, abs=0.01)

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 from uwaug.colour import ColorSpace
 from uwaug.exposure import Exposure
+from uwaug.light.value import Light
 from uwaug.optics.medium import Medium
 from uwaug.optics.water import Water
 from uwaug.presets import Preset
@@ -21,7 +22,7 @@ class Case(NamedTuple):
         name, setting: of the water, and how the scene lies in it, for heading and caption.
         medium: a batch of one.
         field_range: least and largest value of the medium field.
-        color_space, exposure: see `uwaug.Underwater`.
+        color_space, exposure, light: see `uwaug.Underwater`.
     """
 
     name: str
@@ -30,6 +31,7 @@ class Case(NamedTuple):
     field_range: tuple[float, float] = (0.3, 1.7)
     color_space: ColorSpace = "srgb"
     exposure: Exposure = "none"
+    light: Light | None = None
 
 
 def water_case(water: str) -> Case:
@@ -51,6 +53,7 @@ def preset_case(preset: Preset) -> Case:
         setting += f", g = {preset.spectral['g']:g}, μ = {preset.spectral['mu']:g}"
     for key, value in preset.choices.items():
         setting += f", {key} = {value}"
-    return Case(
-        name, setting, preset.medium, preset.field_range, preset.color_space, preset.exposure
-    )
+    if preset.light is not None:
+        setting += ", by its own light; the curves are those of daylight"
+    shown = preset.color_space, preset.exposure, preset.light
+    return Case(name, setting, preset.medium, preset.field_range, *shown)

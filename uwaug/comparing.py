@@ -21,7 +21,6 @@ from uwaug.contrast import contrast
 from uwaug.files import written_whole
 from uwaug.formation import validate
 from uwaug.module import Underwater
-from uwaug.optics.medium import Medium
 from uwaug.optics.spectra import Array
 from uwaug.optics.water import JERLOV_TYPES
 from uwaug.presets import Preset, load_preset, published_systems
@@ -73,7 +72,7 @@ class SystemRow:
         system: name of its preset.
         red, green, blue: mean of the picture, sRGB, 0…1.
         contrast_2m, contrast_5m: share of the contrast of a grey object's detail that is left at
-            these distances, see `uwaug.contrast`.
+            these distances in the middle of the view, see `uwaug.contrast`.
         blur_2m, blur_5m: width σ of the forward scatter at these distances, px of this picture; 0
             where a system has none.
         delta_e: mean colour difference to the fullest system, CIEDE2000.
@@ -202,7 +201,7 @@ def compare(
             preset = load_preset(name)
             fixed.append(name)
         pictures[name] = _picture(preset, scene, distance)
-        rows.append(_row(name, preset.medium, pictures[name], known))
+        rows.append(_row(name, preset, pictures[name], known))
     return Comparison(water, tuple(rows), pictures, scene, tuple(fixed))
 
 
@@ -278,11 +277,13 @@ class _Known(NamedTuple):
     fullest: Array
 
 
-def _row(name: str, medium: Medium, picture: Tensor, known: _Known) -> SystemRow:
-    z = torch.tensor(METRES, dtype=torch.float64).reshape(1, 1, -1)
-    left = contrast(medium, z).flatten().tolist()
+def _row(name: str, preset: Preset, picture: Tensor, known: _Known) -> SystemRow:
+    # a plate in the middle of the view, which faces the camera
+    z = torch.tensor(METRES, dtype=torch.float64).reshape(-1, 1, 1, 1)
     size = (picture.shape[-2], picture.shape[-1])
-    width = medium.width(z[None], size).flatten().tolist()
+    light, medium = preset.light, preset.medium
+    left = contrast(medium, z, light=light, focal_px=focal_of(None, size[1])).flatten().tolist()
+    width = medium.width(z, size).flatten().tolist()
     red, green, blue = picture.double().mean((1, 2)).tolist()
     return SystemRow(
         system=name,

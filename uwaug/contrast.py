@@ -24,13 +24,23 @@ from uwaug import checks
 from uwaug.colour import LUMINANCE
 from uwaug.formation import any_at_lens
 from uwaug.functional import refuse_mapped
-from uwaug.optics.curves import FARTHEST, curves
+from uwaug.light.lit import Lit, lit_of, seen
+from uwaug.light.value import Light
+from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 
-__all__ = ["contrast"]
+__all__ = ["contrast", "contrast_under"]
 
 
-def contrast(medium: Medium, distance: Tensor, *, reflectance: float | Tensor = 0.18) -> Tensor:
+def contrast(
+    medium: Medium,
+    distance: Tensor,
+    *,
+    reflectance: float | Tensor = 0.18,
+    light: Light | None = None,
+    focal_px: float | None = None,
+    centre: tuple[float, float] | None = None,
+) -> Tensor:
     """Share of the contrast of fine detail that water leaves at each pixel.
 
     Contrast is Michelson's, of luminance: (lightest − darkest) / (lightest + darkest).
@@ -42,11 +52,13 @@ def contrast(medium: Medium, distance: Tensor, *, reflectance: float | Tensor = 
         reflectance: mean light of the object, 1 = white plate at the surface; a darker object loses
             more behind the veil. A number, or a tensor that broadcasts with (B, 3, H, W), such as
             the scene's own linear light. The default is the grey of photography.
+        light, focal_px, centre: as for `uwaug.form_image`; by default daylight. With a lamp or a
+            sun, distance is without the field, as it says where surfaces are.
 
     Returns:
-        1xHxW if distance has no batch and medium one row, else Bx1xHxW; of distance's type. 1 at
-        the lens, 0 in open water and where the object is black. Gradients pass to distance, medium
-        and reflectance.
+        1xHxW if distance has no batch, and medium and light one row, else Bx1xHxW; of distance's
+        type. 1 at the lens, 0 in open water, and where the object is black or no light falls.
+        Gradients pass to distance, medium, reflectance and light.
 
     Raises:
         TypeError: if medium is none, or distance or reflectance no floating-point tensor.
@@ -60,28 +72,48 @@ def contrast(medium: Medium, distance: Tensor, *, reflectance: float | Tensor = 
         >>> contrast(medium, torch.tensor([[[0.0, 1.0, 3.0, torch.inf]]])).round(decimals=2)
         tensor([[[1.0000, 0.1300, 0.0100, 0.0000]]])
     """
-    _validate(medium, distance)
+    _validate(medium, distance, light)
     with torch.autocast(distance.device.type, enabled=False):
         z = distance.to(torch.promote_types(distance.dtype, torch.float32))
         z = (z if z.ndim == 4 else z[None]).clamp(0.0, FARTHEST)
-        light = _light(reflectance, z)
         water = medium.to(z)
-        exact = torch.compiler.is_compiling() or any_at_lens(z, water)
-        found = curves(water.sums(exact_at_lens=exact), z)
-        detail = _luminance(found.direct * light)
-        whole = _luminance((found.direct + found.scatter) * light + found.veil)
-        # where no light arrives the slope of a quotient would be NaN
-        dark = whole <= 0
-        left = torch.where(dark, 0.0, detail / torch.where(dark, 1.0, whole)).to(distance.dtype)
-    return left[0] if distance.ndim == 3 and len(medium) == 1 and len(left) == 1 else left
+        lit = lit_of(light, distance, None, water, focal_px, centre)
+        here = None if lit is None else lit.whole()
+        left = contrast_under(here, water, z, _light(reflectance, z)).to(distance.dtype)
+    alone = len(medium) == 1 and len(left) == 1 and (light is None or light.rows() == 1)
+    return left[0] if distance.ndim == 3 and alone else left
 
 
-def _validate(medium: Medium, distance: Tensor) -> None:
+def contrast_under(
+    lit: Lit | None, medium: Medium, z: Tensor, reflectance: float | Tensor = 0.18
+) -> Tensor:
+    """The same (Bx1xHxW) of prepared input.
+
+    Args:
+        lit: the light on these pixels; None for daylight as the medium has it.
+        medium: of the type to compute in.
+        z (Bx1xHxW tensor): effective distance, m.
+        reflectance: as for `contrast`.
+    """
+    exact = torch.compiler.is_compiling() or any_at_lens(z, medium)
+    found = seen(medium.sums(exact_at_lens=exact), z, lit)
+    detail = _luminance(found.direct * reflectance)
+    whole = _luminance((found.direct + found.scatter) * reflectance + found.veil)
+    # where no light arrives the slope of a quotient would be NaN
+    dark = whole <= 0
+    return torch.where(dark, 0.0, detail / torch.where(dark, 1.0, whole))
+
+
+def _validate(medium: Medium, distance: Tensor, light: Light | None) -> None:
     checks.instance("medium", medium, Medium, "; see Medium.from_water")
     checks.floating("distance", distance)
     checks.picture("distance", distance, 1)
     refuse_mapped("distance", distance)
-    checks.batches({"medium": len(medium), "distance": len(distance) if distance.ndim == 4 else 1})
+    sizes = {"medium": len(medium), "distance": len(distance) if distance.ndim == 4 else 1}
+    if light is not None:
+        checks.instance("light", light, Light)
+        sizes["light"] = light.rows()
+    checks.batches(sizes)
     if not torch.compiler.is_compiling():
         checks.distances("distance", distance)
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from uwaug import strips
 from uwaug.choice import Choice, Draw, Settings
 from uwaug.colour import ColorSpace, from_light, require_values
-from uwaug.contrast import contrast
+from uwaug.contrast import contrast_under
 from uwaug.exposure import GAINS, fixed_gain, gain_of, looks
 from uwaug.field import gaussian_random_field, gaussian_random_rows
 from uwaug.formation import Combine, Order, form, plan_at_hand, prepare, together
@@ -145,14 +145,17 @@ class Whole(NamedTuple):
         parts = form(*given, plan, self.order, combine, self.lit)
         return tuple(from_light(part[0], self.color_space, self.image) for part in parts)
 
-    def some(self) -> Tensor:
-        """Effective distances of some pixels, spread over the picture (N)."""
-        z = self.z[0, 0]
-        return z.flatten()[looks(z.shape[0], z.shape[1], z.device)]
-
     def contrast(self) -> Tensor:
         """The share of contrast that is left at each pixel (1xHxW), see `uwaug.contrast`."""
-        return contrast(self.medium, self.z)[0]
+        lit = None if self.lit is None else self.lit.whole()
+        return contrast_under(lit, self.medium, self.z)[0]
+
+    def some_contrast(self) -> Tensor:
+        """The same at some pixels, spread over the picture (N)."""
+        pixels = looks(self.z.shape[-2], self.z.shape[-1], self.z.device)
+        lit = None if self.lit is None else self.lit.at(pixels)
+        z = self.z.flatten()[pixels].reshape(1, 1, 1, -1)
+        return contrast_under(lit, self.medium, z).flatten()
 
 
 class InWater(NamedTuple):
@@ -217,7 +220,9 @@ def _settled(choice: Choice, some: Iterable[Tensor], width: int) -> Settled:
     """The water and the medium of a picture of `width` px; `some` of its distances, then all."""
     waters, camera, draw, settings = choice
     water, contents = _water(waters, draw, some)
-    if settings.exposure == "auto" and math.isnan(draw.light):  # a lamp shines at any depth
+    light = settings.light(draw)
+    # a lamp shines at any depth
+    if settings.exposure == "auto" and not (light is not None and light.has_lamp):
         draw = draw._replace(vertical_depth=_lit_depth(water, draw.vertical_depth))
     medium = _medium(water, camera, draw, settings.law(width), settings)
     return Settled(water, contents, draw.vertical_depth, medium)

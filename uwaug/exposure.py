@@ -22,7 +22,6 @@ __all__ = [
     "auto_gain",
     "balanced",
     "brightest",
-    "exposed",
     "exposed_sums",
     "exposed_under",
     "fixed_gain",
@@ -99,10 +98,10 @@ def balanced(
     before, after = _luminance(light), _luminance(arrives)
     dark = after <= 0
     gain = torch.where(dark, 1.0, before / torch.where(dark, 1.0, after))
-    if lit is not None:  # a lamp in view may be blown out
-        return gain.clamp(*GAINS)
-    # the far water is the highlight that a camera protects
+    # the far water is the highlight that a camera protects; a lamp in view may be blown out
     veil = curves(sums, farthest).veil.amax((-3, -2, -1))
+    if lit is not None:
+        veil = veil * lit.light.daylight()
     return gain.clamp(*GAINS).minimum(1 / veil.clamp(min=1 / GAINS[1]))
 
 
@@ -121,15 +120,12 @@ def fixed_gain(medium: Medium, exposure: Exposure) -> Tensor:
     return medium.beta.new_full((1,), 2.0**stops)
 
 
-def exposed(image: Tensor, z: Tensor, medium: Medium, exposure: Exposure) -> Medium:
-    """The medium as a camera of this exposure sees it; arguments as for `auto_gain`."""
-    return exposed_under(image, z, medium, exposure, None)[0]
-
-
 def exposed_under(
     image: Tensor, z: Tensor, medium: Medium, exposure: Exposure, lit: Lit | None
 ) -> tuple[Medium, Lit | None]:
-    """The same for a medium and the light on the scene; None if that is the default."""
+    """The medium and the light (None if it is the default) as a camera of this exposure sees them;
+    arguments as for `auto_gain`.
+    """
     if exposure == "none":
         return medium, lit
     gain = gain_of(image, z, medium, exposure, lit)
@@ -137,7 +133,7 @@ def exposed_under(
 
 
 def exposed_sums(image: Tensor, z: Tensor, sums: Sums, exposure: Exposure) -> Sums:
-    """The same for a graph, in which the number of rows is not known."""
+    """The sums of a medium so exposed, for a graph, in which the number of rows is not known."""
     if exposure == "none":
         return sums
     if exposure == "auto":

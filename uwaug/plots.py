@@ -13,11 +13,14 @@ from torch import Tensor
 from uwaug.blur.demand import blur_demand
 from uwaug.cases import SETTING, Case, water_case
 from uwaug.checks import extent
+from uwaug.choice import focal_of
 from uwaug.colour import ColorSpace, from_light, linear_to_srgb, to_light
 from uwaug.distance import from_relative
-from uwaug.exposure import exposed
+from uwaug.exposure import gain_of
 from uwaug.field import gaussian_random_field
 from uwaug.formation import Terms, form_image
+from uwaug.light.lit import lit_of, planned
+from uwaug.light.value import Light
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import JERLOV_TYPES, Water
@@ -102,9 +105,10 @@ def draw_terms(scene: Scene, case: Case) -> Drawing:
     rng, (low, high) = torch.Generator().manual_seed(4), case.field_range
     field = gaussian_random_field(_shape(scene), low=low, high=high, generator=rng)[0]
     before = to_light(scene.image, case.color_space)
-    z = (scene.distance * field)[None]
-    medium = exposed(before[None], z, case.medium, case.exposure)
-    terms, modelled = _form(scene, medium, field=field, color_space=case.color_space)
+    terms, modelled = _form(scene, case.medium, None, field, case.color_space, case.light)
+    gain = _gain(scene, before, field, case)
+    terms = Terms(*(gain * term for term in (terms.direct, terms.forward, terms.backscatter)))
+    medium = case.medium.brightened(gain)
 
     def display(term: Tensor, cell: int, label: str) -> None:
         show(axes[cell], from_light(term, case.color_space, scene.image), label)
@@ -282,12 +286,31 @@ def _form(
     distance: Tensor | None = None,
     field: Tensor | None = None,
     color_space: ColorSpace = "srgb",
+    light: Light | None = None,
 ) -> tuple[Terms, list[str]]:
-    """The terms of a scene in a medium, and what was modelled."""
+    """The terms of a scene in a medium, and what was modelled. A view with a light is 60° wide."""
     z = scene.distance if distance is None else distance
-    plan = blur_demand(medium, extent(z if field is None else z * field)).plan(_shape(scene))
-    terms = form_image(to_light(scene.image, color_space), z, medium, field, plan=plan)
+    demand = blur_demand(planned(medium, light), extent(z if field is None else z * field))
+    plan = demand.plan(_shape(scene))
+    terms = form_image(
+        to_light(scene.image, color_space),
+        z,
+        medium,
+        field,
+        plan=plan,
+        light=light,
+        focal_px=focal_of(None, _shape(scene)[1]),
+    )
     return terms, [*(repr(medium[i]) for i in range(len(medium))), str(plan)]
+
+
+def _gain(scene: Scene, before: Tensor, field: Tensor, case: Case) -> Tensor:
+    """The gain (1,) of the exposure of a case."""
+    medium = case.medium.to(before)
+    focal_px = focal_of(None, _shape(scene)[1])
+    lit = lit_of(case.light, scene.distance, field, medium, focal_px, None)
+    z = (scene.distance * field)[None].to(before)
+    return gain_of(before[None], z, medium, case.exposure, lit)
 
 
 def _noted(caption: str, scene: Scene) -> str:

@@ -129,7 +129,7 @@ class Strips(NamedTuple):
         """Height and width, px."""
         return self.image.shape[-2], self.image.shape[-1]
 
-    def some(self) -> Tensor:
+    def _some(self) -> Tensor:
         """Effective distances of some pixels, spread over the picture (N)."""
         return at_pixels(self.z, self.size, looks(*self.size, self.image.device))[0]
 
@@ -139,7 +139,7 @@ class Strips(NamedTuple):
             return fixed_gain(self.medium, exposure)
         seen = self.image.flatten(1)[:, looks(*self.size, self.image.device)]
         light = decoded(seen, self.color_space)[None, :, None]
-        z = self.some()[None, None, None]
+        z = self._some()[None, None, None]
         farthest = z.new_full((1, 1, 1, 1), self.survey.high)
         return balanced(light, z, farthest, self.medium.sums(exact_at_lens=False))
 
@@ -179,6 +179,10 @@ class Strips(NamedTuple):
         for start, stop in bands(*self.size):
             parts.append(contrast(self.medium, self.z(start, stop)[None])[0])
         return torch.cat(parts, 1)
+
+    def some_contrast(self) -> Tensor:
+        """The same at some pixels, spread over the picture (N)."""
+        return contrast(self.medium, self._some().reshape(1, 1, -1)).flatten()
 
     def blurred_light(self, sums: Sums) -> Rows:
         """What is blurred."""

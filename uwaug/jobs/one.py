@@ -11,7 +11,6 @@ from typing import Any, Literal
 
 import torch
 
-from uwaug.contrast import contrast
 from uwaug.degrade import Whole
 from uwaug.files import written_whole
 from uwaug.fused import switch
@@ -281,7 +280,7 @@ def _record_of(row: Row, recipe: Recipe, made: Degraded, part: Path) -> Record:
 def _mean_contrast(seen: Whole | Strips) -> float:
     """Of some pixels, spread over the picture: all of them would take a tenth of its time."""
     with reproducible():  # a record is the same on any number of threads
-        left = contrast(seen.medium, seen.some().reshape(1, 1, -1))
+        left = seen.some_contrast()
     # and wherever in memory it lies, which its last bits follow from
     return round(float(left.double().mean()), 6)
 

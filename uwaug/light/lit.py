@@ -121,7 +121,7 @@ class Lit(NamedTuple):
         field = None if self.field is None else pick(self.field)
         nothing = (None,) * len(self.fogs)
         found = Lit(self.light, self.legs, nothing, view, pick(self.z), field, slopes)
-        return found._replace(from_direct=self.from_direct)
+        return found._replace(from_direct=self.from_direct, gain=self.gain)
 
     def brightened(self, gain: Tensor) -> "Lit":
         """The same as a camera of this gain (B or 1) sees it, with the medium brightened alike."""
@@ -307,8 +307,7 @@ def planned(medium: Medium, light: Light | None) -> Medium:
     """The medium for which a blur is planned: a lamp may light the scene as daylight does at the
     surface, however dim daylight is at the scene.
     """
-    lamps = light is not None and any(isinstance(one, Lamp) for one in light.sources)
-    if not lamps:
+    if light is None or not light.has_lamp:
         return medium
     legs = legs_of(medium)
     k = legs.both.shape[1] - legs.G.shape[1]

@@ -175,6 +175,16 @@ class Light:
         """Whether a number of it records gradients."""
         return any(t.requires_grad for one in self.sources for t in one.tensors().values())
 
+    @property
+    def has_lamp(self) -> bool:
+        """Whether some of it does not come from the surface."""
+        return any(isinstance(source, Lamp) for source in self.sources)
+
+    def daylight(self) -> Tensor | float:
+        """How bright daylight's veil is (B) where it is level, as a multiple of the medium's."""
+        gains = [source.gain for source in self.sources if isinstance(source, Daylight)]
+        return sum(gains[1:], start=gains[0]) if gains else 0.0
+
     def rows(self) -> int:
         """Pictures that it is for: 1 serves any number.
 
