@@ -227,7 +227,7 @@ def lit_of(
     light = light_of(light, focal_px, centre).to(medium.beta)
     z = _batch(distance, medium).clamp(0.0, FARTHEST)
     field = None if field is None else _batch(field, medium)
-    if not light.has_view:
+    if not light.has_view or not z.numel():
         nothing = (None,) * len(light.sources)
         return Lit(light, nothing, nothing, None, z, field)
     assert focal_px is not None
