@@ -8,6 +8,7 @@ import torch
 from inputs import rand
 from torch import Tensor
 
+import uwaug
 from uwaug import Light, Medium, Underwater, form_image
 
 MEDIUM = Medium.from_water("5C", vertical_depth=3.0)
@@ -117,3 +118,14 @@ def test_pictures_without_pixels() -> None:
         for shape in ((0, 3, 4, 5), (1, 3, 0, 5), (1, 3, 4, 0)):
             image = torch.zeros(shape)
             assert module(image, image[:, :1]).shape == shape
+
+
+@pytest.mark.parametrize("name", ["jaffe-1990", "mcglamery-1980"])
+def test_modules_with_a_lamp_are_cast(name: str) -> None:
+    image, z = scene()
+    module = uwaug.load_preset(name).module(focal_px=28.0)
+    first = module(image, z)
+    exact = module.double()(image.double(), z.double())
+    torch.testing.assert_close(exact.float(), first, rtol=0, atol=2e-5)
+    assert torch.equal(module.float()(image, z), first)
+    assert module.half()(image.half(), z.half()).dtype == torch.float16

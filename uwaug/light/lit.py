@@ -253,7 +253,8 @@ def lit_of(
 def _from_direct(medium: Medium) -> Tensor | None:
     if medium.unlit is None:
         return None
-    found = medium.unlit.from_direct
+    # a module that was moved or cast keeps the bands where they were
+    found = medium.unlit.from_direct.to(medium.beta)
     # compiled code cannot look
     return found if torch.compiler.is_compiling() or bool(found.any()) else None
 
