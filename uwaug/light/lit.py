@@ -7,8 +7,8 @@ A light is linear: that of several sources is the sum of what each gives. With c
 
 A = beam·T_G(z + r) is what arrives of a lamp's light after both legs, r and z: on the way to the
 scene, light that is scattered forward still lights it. share = T_β(z)/T_G(z) of that has come
-straight from the surface to the camera. In the water's own field m, both legs and the veil of a
-pixel get that pixel's m.
+straight from the surface to the camera. In the water's own field m, both legs of a pixel get that
+pixel's m, and its veil is multiplied by it: right to 4 % for m of .5 to 2, and too bright beyond.
 """
 
 from collections.abc import Sequence
