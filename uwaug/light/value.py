@@ -60,7 +60,8 @@ class Light:
         Args:
             gain: multiplies it, ≥ 0.
             gradient: the veil of a ray that looks up by an angle e is e^(gradient·sin e) times that
-                of a level one: > 0 is lighter above than below. The camera is taken to be level.
+                of a level one, −10…10: > 0 is lighter above than below. The camera is taken to be
+                level.
         """
         return _checked(_daylight(gain, gradient, 1.0))
 
@@ -258,6 +259,7 @@ def _daylight(
     at_most({"diffuse": share}, {"diffuse": 1.0}, "")
     gain = batch_of("gain", gain, (), "a factor", 0.0)
     gradient = batch_of("gradient", gradient, (), "a number", -10.0)
+    at_most({"gradient": gradient}, {"gradient": 10.0}, "")
     known = {"level": _fixed(gradient, 0.0), "whole": _fixed(gain, 1.0)}
     return Daylight(gain, gradient, share, elevation, azimuth, **known)
 
