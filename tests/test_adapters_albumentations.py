@@ -12,7 +12,7 @@ from adapting import array, metres
 from augmenting import LASERS, TANK, brightness
 from torch.utils.data import DataLoader, Dataset, get_worker_info
 
-from uwaug import RandomUnderwater
+from uwaug import Light, RandomUnderwater
 from uwaug.adapters.albumentations import AlbumentationsUnderwater
 from uwaug.depth import DepthNetwork
 
@@ -114,6 +114,10 @@ def test_replay_is_bit_exact_and_takes_the_new_map() -> None:
     assert not np.array_equal(farther["image"], result["image"])
 
 
+SPECTRUM = ([400.0, 700.0], [1.0, 0.4])
+LAMP = Light.lamp((0.4, 0.0, 0.0), (-0.1, 0.0, 1.0), 3.0, spectrum=SPECTRUM)
+
+
 @pytest.mark.parametrize(
     "augment",
     [
@@ -121,8 +125,9 @@ def test_replay_is_bit_exact_and_takes_the_new_map() -> None:
         RandomUnderwater.survey(cameras=["Nikon 5100 (NPL)", LASERS], mixing=(0, 1)),
         RandomUnderwater([TANK, "7C"], visibility=(2.0, 9.0), distance=(1.0, 4.0), unknown=2.0),
         RandomUnderwater.from_preset("calibrated"),
+        RandomUnderwater("II", light=(LAMP, Light.ambient(0.2) + Light.parallel(40, -20))),
     ],
-    ids=["default", "survey", "own", "preset"],
+    ids=["default", "survey", "own", "preset", "lights"],
 )
 def test_written_and_read(augment: RandomUnderwater) -> None:
     made = pipeline(water(augment, unit="cm", channels="bgr"))

@@ -145,6 +145,8 @@ def test_wrong_arguments() -> None:
     ):
         with pytest.raises(ValueError, match=said):
             uwaug.compare(*arguments)
+    with pytest.raises(TypeError, match=r"systems must be names, such as \['jaffe-1990'\]"):
+        uwaug.compare(image, distance, "II", "jaffe-1990")
 
 
 def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

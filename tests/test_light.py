@@ -357,3 +357,5 @@ def test_wrong_lights_are_named() -> None:
         formed(beside(spectrum=([400, 700], [1, 1])), numbers)
     with pytest.raises(ValueError, match="elevation must be at most 90 degrees"):
         Light.parallel(100.0, 0.0)
+    with pytest.raises(ValueError, match="gradient must be at most 10"):
+        Light.ambient(gradient=1000.0)

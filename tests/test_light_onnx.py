@@ -5,8 +5,10 @@ import pytest
 import torch
 from inputs import rand
 
+import uwaug
 from uwaug import Light, Medium, Underwater, check_onnx, export_onnx
 from uwaug.onnx import OnnxUnderwater, read_module
+from uwaug.onnx.check import limit_of
 
 pytest.importorskip("onnxruntime")
 pytest.importorskip("onnxscript")
@@ -42,3 +44,17 @@ def test_what_a_file_with_a_light_cannot_be(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="light is for 2 pictures"):
         export_onnx(module(two), path)
     assert not path.exists()
+
+
+def test_a_check_allows_what_single_precision_costs() -> None:
+    """Of a published system's lamp: else its file would be refused for PyTorch's own rounding."""
+    ours = uwaug.load_preset("jaffe-1990").module(focal_px=1870.0)
+    image, ramp = rand(1, 3, 144, 145).float(), torch.linspace(0, 1, 145).expand(1, 1, 144, 145)
+    z = torch.where(ramp > 0.5, 5.0, 1.0)
+    plan = ours.plan((144, 145))
+    medium = ours.medium.to(torch.float64)
+    exact = ours.formed(image.double(), z.double(), None, medium, plan)
+    apart = float((ours(image, z) - exact).abs().max())
+    assert apart < limit_of(ours) == 2e-4
+    assert apart > limit_of(Underwater(MEDIUM)) == 1e-5
+    assert limit_of(Underwater(MEDIUM, light=Light.ambient(0.5))) == 1e-5

@@ -187,6 +187,8 @@ def compare(
     validate(image, distance, None, None, also_bytes=True)
     if image.ndim == 4:
         raise ValueError(f"image must be one picture, (3, H, W), got {tuple(image.shape)}")
+    if isinstance(systems, str):
+        raise TypeError(f"systems must be names, such as [{systems!r}], got a string")
     names = published_systems() if systems is None else list(systems)
     if not names or len(set(names)) < len(names):
         raise ValueError(f"systems: expected at least one, each once, got {names}")

@@ -21,6 +21,7 @@ from uwaug.fused.serving import serves
 from uwaug.fused.switch import path
 from uwaug.light.lit import lamp_legs, light_of, lit_of, settled
 from uwaug.light.lit import planned as planned_under
+from uwaug.light.text import plain_numbers
 from uwaug.light.value import Light
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
@@ -59,7 +60,8 @@ class Underwater(nn.Module):
             faster: one plan for (32, 2160) takes 15 to 70 % more time. A width law that knows no
             size, such as `PointSpread(2.0)`, has one plan in any case.
         light: what shines, one for all images or one for each; None for daylight as the medium has
-            it. It is no part of the state; numbers of it that require gradients are learned with.
+            it. Numbers of it that require gradients are learned with, and stay the caller's: they
+            are no part of the state, but must be those of the module that is loaded.
         focal_px, centre: as for `uwaug.form_image`; wanted where the light differs from ray to ray.
 
     Keep torch's default matmul precision. With `torch.set_float32_matmul_precision("medium")`, CPUs
@@ -266,7 +268,9 @@ class Underwater(nn.Module):
         for name, value in law.numbers().items():
             if name not in held and not (self.learnable and name == "scale"):
                 settings[name] = float(value)
-        settings["light"] = None if self.light is None else repr(self.light)
+        settings |= {"light": None, "camera": None}
+        if self.light is not None:
+            settings |= {"light": plain_numbers(self.light), "camera": self.camera}
         settings |= {"sides": self._sides, "tolerance": self.tolerance}
         settings["demand"] = None if self.demand is None else asdict(self.demand)
         return settings

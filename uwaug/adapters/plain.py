@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from uwaug.depth import DepthNetwork
+from uwaug.light import Light
+from uwaug.light.text import light_from, plain_numbers
 from uwaug.optics.camera import Camera
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
@@ -46,7 +48,9 @@ def to_plain(name: str, value: Any) -> Any:
         for field in inspect.signature(type(value)).parameters:
             plain[field] = to_plain(name, getattr(value, field))
         return plain
-    expected = "numbers, strings, or a Water, Camera, PointSpread or DepthNetwork"
+    if isinstance(value, Light):
+        return {_CLASS: "Light", "sources": plain_numbers(value)}
+    expected = "numbers, strings, or a Water, Camera, PointSpread, Light or DepthNetwork"
     cure = "keep the pipeline in code, or pickle it"
     raise NotImplementedError(
         f"{name} cannot be written: expected {expected}, got {value!r:.80}; {cure}"
@@ -60,5 +64,7 @@ def from_plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         items = {key: from_plain(item) for key, item in value.items()}
         name = items.pop(_CLASS, None)
+        if name == "Light":
+            return light_from(items["sources"])
         return items if name is None else _CLASSES[name](**items)
     return value

@@ -7,8 +7,8 @@ A light is linear: that of several sources is the sum of what each gives. With c
 
 A = beam·T_G(z + r) is what arrives of a lamp's light after both legs, r and z: on the way to the
 scene, light that is scattered forward still lights it. share = T_β(z)/T_G(z) of that has come
-straight from the surface to the camera. In the water's own field m, both legs and the veil of a
-pixel get that pixel's m.
+straight from the surface to the camera. In the water's own field m, both legs of a pixel get that
+pixel's m, and its veil is multiplied by it: right to 4 % for m of .5 to 2, and too bright beyond.
 """
 
 from collections.abc import Sequence
@@ -227,7 +227,7 @@ def lit_of(
     light = light_of(light, focal_px, centre).to(medium.beta)
     z = _batch(distance, medium).clamp(0.0, FARTHEST)
     field = None if field is None else _batch(field, medium)
-    if not light.has_view:
+    if not light.has_view or not z.numel():
         nothing = (None,) * len(light.sources)
         return Lit(light, nothing, nothing, None, z, field)
     assert focal_px is not None
@@ -253,7 +253,8 @@ def lit_of(
 def _from_direct(medium: Medium) -> Tensor | None:
     if medium.unlit is None:
         return None
-    found = medium.unlit.from_direct
+    # a module that was moved or cast keeps the bands where they were
+    found = medium.unlit.from_direct.to(medium.beta)
     # compiled code cannot look
     return found if torch.compiler.is_compiling() or bool(found.any()) else None
 

@@ -20,7 +20,7 @@ __all__ = [
     "Vector",
     "at_most",
     "batch_of",
-    "unit_vector",
+    "vector_of",
 ]
 
 Number = Tensor | float
@@ -92,7 +92,7 @@ class Daylight(_Source):
         gain (B tensor): of all of it.
         gradient (B tensor): how the veil grows with the height of the look.
         diffuse (B tensor): share of the light that comes from all sides.
-        sun (Bx3 tensor): unit vector to the sun; None if all of it is diffuse.
+        elevation, azimuth (B tensors): of the sun, degrees; None if all of it is diffuse.
         level: whether the gradient is 0 and gets none, known without a look.
         whole: whether the gain is 1, likewise.
     """
@@ -100,14 +100,27 @@ class Daylight(_Source):
     gain: Tensor
     gradient: Tensor
     diffuse: Tensor
-    sun: Tensor | None = None
+    elevation: Tensor | None = None
+    azimuth: Tensor | None = None
     level: bool = False
     whole: bool = False
 
     @property
     def has_view(self) -> bool:
         """Whether it differs from ray to ray."""
-        return not self.level or self.sun is not None
+        return not self.level or self.elevation is not None
+
+    @property
+    def sun(self) -> Tensor | None:
+        """Unit vector (Bx3) to the sun. Made anew each time: angles may be learned."""
+        if self.elevation is None or self.azimuth is None:
+            return None
+        up, around = torch.deg2rad(self.elevation), torch.deg2rad(self.azimuth)
+        level = torch.cos(up)
+        # y points down
+        parts = (level * torch.sin(around), -torch.sin(up), level * torch.cos(around))
+        rows = max(len(part) for part in parts)
+        return torch.stack([part.expand(rows) for part in parts], -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +129,7 @@ class Lamp(_Source):
 
     Attributes:
         position (Bx3 tensor): m, in the camera's coordinates.
-        direction (Bx3 tensor): unit vector along its axis.
+        axis (Bx3 tensor): along its axis, of any length.
         power (B tensor): of a white plate before it at 1 m.
         cone (B tensor): from the axis to the edge, degrees.
         falloff (B tensor): width of the edge as a share of the cone.
@@ -129,7 +142,7 @@ class Lamp(_Source):
     """
 
     position: Tensor
-    direction: Tensor
+    axis: Tensor
     power: Tensor
     cone: Tensor
     falloff: Tensor
@@ -141,6 +154,12 @@ class Lamp(_Source):
     terms: int = 0
 
     has_view = True
+
+    @property
+    def direction(self) -> Tensor:
+        """Unit vector (Bx3) along its axis. Made anew each time: the axis may be learned."""
+        unit: Tensor = self.axis / self.axis.norm(dim=-1, keepdim=True)
+        return unit
 
     def edges(self) -> tuple[Tensor, Tensor]:
         """Cosines (B) of the angles at which the light begins to fade, and has faded."""
@@ -185,14 +204,13 @@ def batch_of(name: str, value: Any, shape: tuple[int, ...], unit: str, least: fl
     return row if batched else row[None]
 
 
-def unit_vector(name: str, value: Any) -> Tensor:
-    """A direction (B, 3) of length 1."""
+def vector_of(name: str, value: Any) -> Tensor:
+    """A direction (B, 3) of any length but 0."""
     vector = batch_of(name, value, (3,), AXES, -math.inf)
     length = vector.norm(dim=-1, keepdim=True)
     if not torch.compiler.is_compiling() and not bool((length > 0).all()):
         raise ValueError(f"{name} must point somewhere, got {vector.detach().tolist()!r:.120}")
-    unit: Tensor = vector / length
-    return unit
+    return vector
 
 
 def at_most(numbers: Mapping[str, Tensor], most: Mapping[str, float], unit: str) -> None:

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from uwaug import checks
 from uwaug.light.source import Lamp
@@ -22,17 +23,21 @@ def plain_numbers(light: Light) -> list[dict[str, Any]]:
         names = _OF_LAMP if isinstance(source, Lamp) else _OF_DAYLIGHT
         one: dict[str, Any] = {"kind": "lamp" if isinstance(source, Lamp) else "daylight"}
         for name in names:
-            one[name] = getattr(source, name).detach().double().tolist()
+            one[name] = _plain(getattr(source, "axis" if name == "direction" else name))
         if isinstance(source, Lamp):
             if source.spectrum is None:
-                one["rgb"] = source.colour.detach().double().tolist()
+                one["rgb"] = _plain(source.colour)
             else:
                 pair = (source.spectrum.wavelengths, source.spectrum.values)
                 one["spectrum"] = [array.tolist() for array in pair]
-        elif source.sun is not None:
-            one["sun"] = source.sun.detach().double().tolist()
+        elif source.elevation is not None and source.azimuth is not None:
+            one |= {"elevation": _plain(source.elevation), "azimuth": _plain(source.azimuth)}
         found.append(one)
     return found
+
+
+def _plain(value: Tensor) -> Any:
+    return value.detach().double().tolist()
 
 
 def light_from(numbers: Sequence[Mapping[str, Any]]) -> Light:
@@ -59,13 +64,10 @@ def _source_from(one: Mapping[str, Any]) -> Light:
     if one["kind"] != "daylight":
         raise ValueError(f"kind must be 'lamp' or 'daylight', got {one['kind']!r:.40}")
     gain, gradient = tensor("gain"), tensor("gradient")
-    if "sun" not in one:
+    if "elevation" not in one:
         return Light.ambient(gain, gradient)
-    x, y, z = tensor("sun").unbind(-1)
-    elevation = torch.rad2deg(torch.atan2(-y, torch.hypot(x, z)))
-    azimuth = torch.rad2deg(torch.atan2(x, z))
-    diffuse = tensor("diffuse")
-    return Light.parallel(elevation, azimuth, diffuse=diffuse, gain=gain, gradient=gradient)
+    rest = {"diffuse": tensor("diffuse"), "gain": gain, "gradient": gradient}
+    return Light.parallel(tensor("elevation"), tensor("azimuth"), **rest)
 
 
 def light_of_tables(tables: Any) -> Light:

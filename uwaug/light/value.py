@@ -18,7 +18,7 @@ from uwaug.light.source import (
     Vector,
     at_most,
     batch_of,
-    unit_vector,
+    vector_of,
 )
 
 __all__ = ["Light"]
@@ -60,9 +60,10 @@ class Light:
         Args:
             gain: multiplies it, ≥ 0.
             gradient: the veil of a ray that looks up by an angle e is e^(gradient·sin e) times that
-                of a level one: > 0 is lighter above than below. The camera is taken to be level.
+                of a level one, −10…10: > 0 is lighter above than below. The camera is taken to be
+                level.
         """
-        return Light((_daylight(gain, gradient, 1.0),))
+        return _checked(_daylight(gain, gradient, 1.0))
 
     @staticmethod
     def parallel(
@@ -85,15 +86,9 @@ class Light:
             gain, gradient: as for `ambient`.
         """
         up = batch_of("elevation", elevation, (), "degrees", -90.0)
-        around = torch.deg2rad(batch_of("azimuth", azimuth, (), "degrees", -1e6))
+        around = batch_of("azimuth", azimuth, (), "degrees", -1e6)
         at_most({"elevation": up}, {"elevation": 90.0}, " degrees")
-        up = torch.deg2rad(up)
-        level = torch.cos(up)
-        # y points down
-        parts = (level * torch.sin(around), -torch.sin(up), level * torch.cos(around))
-        rows = max(len(part) for part in parts)
-        sun = torch.stack([part.expand(rows) for part in parts], -1)
-        return Light((_daylight(gain, gradient, diffuse, sun),))
+        return _checked(_daylight(gain, gradient, diffuse, up, around))
 
     @staticmethod
     def lamp(
@@ -143,14 +138,14 @@ class Light:
         place = batch_of("position", position, (3,), f"in metres, {AXES}", -1e5)
         lamp = Lamp(
             position=place,
-            direction=unit_vector("direction", direction),
+            axis=vector_of("direction", direction),
             colour=batch_of("rgb", _WHITE if rgb is None else rgb, (3,), "light", 0.0),
             spectrum=None if spectrum is None else Spectrum.of(spectrum),
             ahead=_ahead(place),
             **numbers,
         )
         rules()
-        return Light((lamp,))
+        return _checked(lamp)
 
     def __add__(self, other: "Light") -> "Light":
         """Both together."""
@@ -210,6 +205,10 @@ class Light:
         """The light of the n-th picture, as a batch of one."""
         return Light(tuple(source.row(n) for source in self.sources))
 
+    def __radd__(self, other: object) -> "Light":
+        """For `sum` of several, which begins with 0."""
+        return self if other == 0 else NotImplemented
+
     def __repr__(self) -> str:
         return " + ".join(_call(source) for source in self.sources) or "Light.none()"
 
@@ -217,19 +216,18 @@ class Light:
 def _call(source: Daylight | Lamp) -> str:
     """What makes a source; of a spectrum, or of several rows, in short."""
     if isinstance(source, Lamp):
-        names = ("position", "direction", "power", "cone", "falloff", "radius", "asymmetry")
-        shown = [f"{name}={_shown(getattr(source, name))}" for name in names]
+        names = ("power", "cone", "falloff", "radius", "asymmetry")
+        shown = [f"position={_shown(source.position)}", f"direction={_shown(source.axis)}"]
+        shown += [f"{name}={_shown(getattr(source, name))}" for name in names]
         if source.spectrum is not None:
             shown.append("spectrum=…")
         elif not torch.equal(source.colour, torch.ones_like(source.colour)):
             shown.append(f"rgb={_shown(source.colour)}")
         return f"Light.lamp({', '.join(shown)})"
     shown = [f"gain={_shown(source.gain)}", f"gradient={_shown(source.gradient)}"]
-    if source.sun is None:
+    if source.elevation is None or source.azimuth is None:
         return f"Light.ambient({', '.join(shown)})"
-    x, y, z = source.sun.unbind(-1)
-    angles = torch.atan2(-y, torch.hypot(x, z)), torch.atan2(x, z)
-    sun = [_shown(torch.rad2deg(angle)) for angle in angles]
+    sun = [_shown(source.elevation), _shown(source.azimuth)]
     return f"Light.parallel({', '.join([*sun, f'diffuse={_shown(source.diffuse)}', *shown])})"
 
 
@@ -241,16 +239,29 @@ def _shown(value: Tensor) -> str:
     return numbers[0] if len(numbers) == 1 else f"({', '.join(numbers)})"
 
 
+def _checked(source: Daylight | Lamp) -> Light:
+    """A light of one source, whose numbers are for one batch."""
+    sizes = {name: len(value) for name, value in source.tensors().items()}
+    if "axis" in sizes:
+        sizes["direction"] = sizes.pop("axis")
+    checks.batches(sizes)
+    return Light((source,))
+
+
 def _daylight(
-    gain: Number, gradient: Number, diffuse: Number, sun: Tensor | None = None
+    gain: Number,
+    gradient: Number,
+    diffuse: Number,
+    elevation: Tensor | None = None,
+    azimuth: Tensor | None = None,
 ) -> Daylight:
     share = batch_of("diffuse", diffuse, (), "a share of the light", 0.0)
     at_most({"diffuse": share}, {"diffuse": 1.0}, "")
     gain = batch_of("gain", gain, (), "a factor", 0.0)
     gradient = batch_of("gradient", gradient, (), "a number", -10.0)
-    return Daylight(
-        gain, gradient, share, sun, level=_fixed(gradient, 0.0), whole=_fixed(gain, 1.0)
-    )
+    at_most({"gradient": gradient}, {"gradient": 10.0}, "")
+    known = {"level": _fixed(gradient, 0.0), "whole": _fixed(gain, 1.0)}
+    return Daylight(gain, gradient, share, elevation, azimuth, **known)
 
 
 def _fixed(value: Tensor, at: float) -> bool:

@@ -17,6 +17,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from uwaug.functional import values
 from uwaug.optics.bands import BandCoefficients
 from uwaug.optics.quadrature import reduce_rates
 from uwaug.optics.reduction import Forward
@@ -154,7 +155,7 @@ def legs_of(medium: "Medium", spectrum: "Callable[[Array], Array] | None" = None
     rows = []
     for n in range(len(unlit.beta)):
         tensors = unlit.tensors()[:-1]
-        bands = [np.ascontiguousarray(t[n].detach().double().cpu()) for t in tensors]
+        bands = [_values(t[n]) for t in tensors]
         if spectrum is not None:
             bands[-1] = _in_light(bands[-1], bands[0], spectrum)
         rows.append(_reduced(unlit.tolerance, *(band.tobytes() for band in bands)))
@@ -177,6 +178,11 @@ def _in_light(response: Array, wavelengths: Array, spectrum: Callable[[Array], A
         low, high = wavelengths.min(), wavelengths.max()
         raise ValueError(f"spectrum has no light between {low:g} and {high:g} nm")
     return weighed / mean
+
+
+def _values(band: Tensor) -> Array:
+    """Of one medium (M) or (3, M)."""
+    return values(band.detach().double().flatten()).reshape(band.shape)
 
 
 def _from_sums(medium: "Medium") -> Legs:
