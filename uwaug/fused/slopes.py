@@ -31,7 +31,7 @@ def _pointer(typing: Any, address: Any) -> Any:
         kind = context.get_value_type(signature.return_type)
         return builder.inttoptr(arguments[0], kind)
 
-    return types.CPointer(types.float32)(address), made
+    return types.CPointer(types.float32)(address), made  # type: ignore[attr-defined]
 
 
 @inner
