@@ -1,5 +1,6 @@
 """Pictures with gradients: autograd has the blurs, and the compiled loops what is done at each
-pixel. Forward keeps no intermediates; backward computes them anew.
+pixel. Forward keeps no intermediates; backward computes them anew. (The same in PyTorch, in strips
+that fit the cache, took .85 to 1.35 times as long as autograd: too many small operations.)
 """
 
 from functools import lru_cache
