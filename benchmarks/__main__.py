@@ -23,6 +23,7 @@ PARTS = (
     "scaling",
     "runtime",
     "fused",
+    "backward",
     "throughput",
     "soak",
     "large",

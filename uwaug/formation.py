@@ -30,6 +30,7 @@ from uwaug.blur.pieces import blurred_pieces
 from uwaug.blur.plan import BlurPlan
 from uwaug.blur.stack import blurred, mixed, node_weights
 from uwaug.functional import refuse_mapped, transformed
+from uwaug.fused.recorded import recorded, records
 from uwaug.light.lit import Lit, lit_of, planned, seen
 from uwaug.light.value import Light
 from uwaug.optics.curves import FARTHEST, Curves
@@ -287,6 +288,10 @@ def _form_at_once(
     lit: Lit | None,
 ) -> tuple[Tensor, ...]:
     """`form` without strips: for gradients, for compilers, for curves that precede the blur."""
+    if combine is together and order == "line_of_sight" and lit is None:
+        stack = blurred(image, plan)
+        if records(image, z, medium, stack):
+            return (recorded(image, z, medium, stack, plan),)
     # a compiler cannot look at the distances
     exact = torch.compiler.is_compiling() or any_at_lens(z, medium)
     here = None if lit is None else lit.whole()

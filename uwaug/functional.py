@@ -7,7 +7,7 @@ from torch.autograd import forward_ad
 
 from uwaug.optics.spectra import Array
 
-__all__ = ["refuse_mapped", "transformed", "values"]
+__all__ = ["mapped", "refuse_mapped", "transformed", "values"]
 
 
 def transformed() -> bool:
@@ -16,6 +16,12 @@ def transformed() -> bool:
         return False
     active: bool = torch._C._are_functorch_transforms_active()
     return active or forward_ad._current_level >= 0
+
+
+def mapped(x: Tensor) -> bool:
+    """Whether a tensor is mapped over, also as `torch.autograd.grad` does with a batch of them."""
+    legacy: bool = torch._C._functorch.is_legacy_batchedtensor(x)
+    return legacy or transformed()
 
 
 def values(x: Tensor) -> Array:

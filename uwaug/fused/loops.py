@@ -26,6 +26,7 @@ class Loops(NamedTuple):
 
     grids: ModuleType
     pixels: ModuleType
+    slopes: ModuleType
 
 
 _loops: Loops | None = None
@@ -63,14 +64,14 @@ def _load() -> None:
 
 
 def _imported() -> Loops:
-    from uwaug.fused import compiling, grids, pixels
+    from uwaug.fused import compiling, grids, pixels, slopes
 
-    found = Loops(grids, pixels)
+    found = Loops(grids, pixels, slopes)
     try:
         _run_once(found)
     except OSError:  # a full disk, or one that is not shared as it should be
         compiling.kept = False
-        found = Loops(reload(grids), reload(pixels))
+        found = Loops(reload(grids), reload(pixels), reload(slopes))
         _run_once(found)
     return found
 
@@ -124,6 +125,12 @@ def _run_once(loops: Loops) -> None:
     byte = np.zeros((1, 1), np.uint8)
     loops.pixels.look_up(byte, np.ones(256, np.float32), one[0], 0, 1)
     loops.pixels.decode_rows(one[0], one[1], 0, 1)
+    blurs = np.array([one.ctypes.data] * 2, np.int64)
+    maps = (one, one[0], one[0], water, stack)
+    outs = (one.copy(), one[0].copy(), one[0].copy(), np.ones((2, 1, 3, 1), np.float32))
+    loops.slopes.recorded_rows(*maps, blurs, 3, 0, outs[0], 0, 1)
+    sums = np.zeros((1, 7 * rates.size * loops.pixels.TILE), np.float32)
+    loops.slopes.slope_rows(one, *maps, stack.series, blurs, 3, 0, (*outs, sums), 0, 1)
 
 
 def _forget() -> None:

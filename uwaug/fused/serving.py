@@ -8,7 +8,7 @@ from uwaug.fused.loops import ready
 from uwaug.fused.switch import Path, followed
 from uwaug.optics.medium import Medium
 
-__all__ = ["decodes", "serves"]
+__all__ = ["decodes", "serves", "takes"]
 
 
 def serves(
@@ -31,6 +31,11 @@ def decodes(image: Tensor, wanted: Path | None) -> bool:
     """Whether the loops decode this picture; `wanted` as for `serves`."""
     recorded = torch.is_grad_enabled() and image.requires_grad
     return not recorded and _can_run((image,), wanted) and all(image.shape)
+
+
+def takes(tensors: tuple[Tensor, ...]) -> bool:
+    """Whether the loops can read these, and may."""
+    return _can_run(tensors, None) and all(all(t.shape) for t in tensors)
 
 
 def _can_run(tensors: tuple[Tensor, ...], wanted: Path | None) -> bool:

@@ -1,0 +1,218 @@
+"""What is done at each pixel of a picture whose blurs are there, and its backward, as compiled
+loops. Autograd would write every intermediate to memory, and read it back.
+
+They call parts of `pixels`: after a change there, remove what numba has kept of this file.
+"""
+
+from typing import Any
+
+import numba
+import numpy as np
+from numba.core import types
+from numba.extending import intrinsic
+
+from uwaug.fused.compiling import inner, kernel
+from uwaug.fused.pixels import TILE, _curves, _rows, _shares, _summed, _weighed
+from uwaug.fused.tables import Floats, Indices, Stack, Water
+
+__all__ = ["ROWS", "recorded_rows", "slope_rows"]
+
+ROWS = 64
+"""Rows of a picture whose slopes are added up together, so that sums do not depend on threads."""
+
+_0, _1, _LN2 = np.float32(0), np.float32(1), np.float32(np.log(2))
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def _pointer(typing: Any, address: Any) -> Any:
+    """Where a tensor begins: arrays as arguments would need loops of their own for each number."""
+
+    def made(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kind = context.get_value_type(signature.return_type)
+        return builder.inttoptr(arguments[0], kind)
+
+    return types.CPointer(types.float32)(address), made  # type: ignore[attr-defined]
+
+
+@inner
+def _fill(t: Any, row: int, values: Any) -> None:
+    """A row of a tile, with zeros behind what there is."""
+    d = _rows(t, row, 1)
+    d[: values.size] = values
+    d[values.size :] = _0
+
+
+@inner
+def _add_product(sums: Any, row: int, t: Any, one: int, other: int) -> None:
+    d, a, b = _rows(sums, row, 1), _rows(t, one, 1), _rows(t, other, 1)
+    for x in range(TILE):
+        d[x] += a[x] * b[x]
+
+
+@kernel
+def recorded_rows(
+    light: Floats,
+    z: Floats,
+    sigma: Floats,
+    water: Water,
+    stack: Stack,
+    blurs: Indices,
+    lines: int,
+    first: int,
+    out: Floats,
+    start: int,
+    stop: int,
+) -> None:
+    """Rows of a picture.
+
+    Args:
+        light (3xHxW), z, sigma (HxW): of the scene; effective distance, m; widths, px.
+        water, stack: tables; of the stack, the series.
+        blurs (K): where blurs (H x lines x W) of a batch begin; the picture's is three lines from
+            `first` on.
+        out (3xHxW): the result.
+        start, stop: rows.
+    """
+    _, height, width = light.shape
+    count, terms = stack.series.shape
+    decays = 2 + terms
+    curves = decays + 2 * water.rates.size
+    shares = curves + 9
+    mixed = shares + count
+    t = np.zeros((mixed + count + 1) * TILE, np.float32)
+    for y in range(start, stop):
+        for left in range(0, width, TILE):
+            right = min(left + TILE, width)
+            _fill(t, 0, sigma[y, left:right])
+            _shares(t, 2, shares, water, stack.series)
+            _fill(t, 0, z[y, left:right])
+            _curves(t, decays, curves, water)
+            for c in range(3):
+                for k in range(count):
+                    blur = numba.carray(_pointer(blurs[k]), (height, lines, width))
+                    _fill(t, mixed + k, blur[y, first + c, left:right])
+                total = _summed(t, curves + c, shares, mixed, count, light[c, y, left:right])
+                out[c, y, left:right] = total[: right - left]
+
+
+@inner
+def _by_blur(t: Any, through: int, share: int, steep: int, work: int, to: Any) -> None:
+    """Slopes of a blur of one channel, and its part of the mixture and of the slope by width."""
+    mixture, by_width, blur = _rows(t, work, 1), _rows(t, work + 1, 1), _rows(t, work + 2, 1)
+    g, w, slope = _rows(t, through, 1), _rows(t, share, 1), _rows(t, steep, 1)
+    # one loop for both would need more tests of overlap than LLVM allows, and not be vectorised
+    for x in range(TILE):
+        mixture[x] += w[x] * blur[x]
+    for x in range(TILE):
+        by_width[x] += g[x] * (slope[x] * blur[x])
+    for x in range(to.size):
+        to[x] = w[x] * g[x]
+
+
+@inner
+def _by_rates(t: Any, sums: Any, decays: int, by: int, work: int, water: Water) -> None:
+    """Add up slopes of weights and rates; into row work + 1, those of distances. From `by` on,
+    slopes of the nine curves.
+    """
+    direct, rates = water.direct.shape[1], water.rates.size
+    z, g, by_z = _rows(t, 0, 1), _rows(t, work, 1), _rows(t, work + 1, 1)
+    by_z[:] = _0
+    for r in range(rates):
+        g[:] = _0
+        for c in range(3):
+            s, w = _rows(t, by + 3 + c, 1), water.scatter[c, r]
+            other, v = _rows(t, by + c, 1), water.direct[c, r] if r < direct else _0
+            if r >= direct:
+                other, v = _rows(t, by + 6 + c, 1), water.veil[c, r - direct]
+            for x in range(TILE):
+                g[x] += w * s[x] + v * other[x]
+            _add_product(sums, 7 * r + c, t, by + 3 + c, decays + r)
+            if r < direct:
+                _add_product(sums, 7 * r + 3 + c, t, by + c, decays + r)
+            else:
+                _add_product(sums, 7 * r + 3 + c, t, by + 6 + c, decays + rates + r - direct)
+        e, rate, d = _rows(t, decays + r, 1), water.rates[r] * _LN2, _rows(sums, 7 * r + 6, 1)
+        for x in range(TILE):
+            fallen = g[x] * e[x]
+            by_z[x] += rate * fallen
+            d[x] += z[x] * fallen
+
+
+@kernel
+def slope_rows(
+    gradient: Floats,
+    light: Floats,
+    z: Floats,
+    sigma: Floats,
+    water: Water,
+    stack: Stack,
+    steeper: Floats,
+    blurs: Indices,
+    lines: int,
+    first: int,
+    outs: tuple[Floats, Floats, Floats, Floats, Floats],
+    start: int,
+    stop: int,
+) -> None:
+    """Backward of `recorded_rows`.
+
+    Args:
+        gradient (3xHxW): of the result.
+        steeper (K, N): series of the slopes of the weights by ln(1 + x), x = 2σ or 2σ².
+        outs: gradients of light (3xHxW), z, sigma (HxW), blurs (K x H x lines x W); and sums
+            (H/ROWS, 7R, TILE), for each rate the products of curves' slopes with what falls: of
+            T_G − T_β, of T_β or V, and of the rate.
+    """
+    to_light, to_z, to_sigma, to_blurs, all_sums = outs
+    _, height, width = light.shape
+    count, terms = stack.series.shape
+    decays = 2 + terms
+    curves = decays + 2 * water.rates.size
+    shares = curves + 9
+    steep = shares + count
+    by = steep + count
+    work = by + 9
+    t = np.zeros((work + 3) * TILE, np.float32)
+    for y in range(start, stop):
+        sums = all_sums[y // ROWS]
+        for left in range(0, width, TILE):
+            right = min(left + TILE, width)
+            n = right - left
+            widths = sigma[y, left:right]
+            _fill(t, 0, widths)
+            _shares(t, 2, shares, water, stack.series)
+            for k in range(count):
+                _weighed(t, steep + k, 2, steeper[k])
+            place, by_width = _rows(t, 1, 1), _rows(t, work + 1, 1)
+            _fill(t, 0, z[y, left:right])
+            _curves(t, decays, curves, water)
+            by_width[:] = _0
+            for c in range(3):
+                _fill(t, by + 6 + c, gradient[c, y, left:right])
+                _fill(t, by + c, light[c, y, left:right])
+                g, seen = _rows(t, by + 6 + c, 1), _rows(t, by + c, 1)
+                through = _rows(t, by + 3 + c, 1)
+                direct, scatter = _rows(t, curves + c, 1), _rows(t, curves + 3 + c, 1)
+                for x in range(TILE):
+                    through[x] = g[x] * scatter[x]
+                    seen[x] *= g[x]
+                d = to_light[c, y, left:right]
+                for x in range(n):
+                    d[x] = g[x] * direct[x]
+                mixture = _rows(t, work, 1)
+                mixture[:] = _0
+                for k in range(count):
+                    blur = numba.carray(_pointer(blurs[k]), (height, lines, width))
+                    _fill(t, work + 2, blur[y, first + c, left:right])
+                    d = to_blurs[k, y, first + c, left:right]
+                    _by_blur(t, by + 3 + c, shares + k, steep + k, work, d)
+                for x in range(TILE):
+                    through[x] = g[x] * mixture[x]
+            linear, square = water.law[3], water.law[4]
+            d = to_sigma[y, left:right]
+            for x in range(n):
+                s = widths[x]
+                slope = (linear + (square + square) * s) / (_1 + s * (linear + square * s))
+                d[x] = by_width[x] * slope if abs(place[x]) < _1 else _0
+            _by_rates(t, sums, decays, by, work, water)
+            to_z[y, left:right] = by_width[:n]
