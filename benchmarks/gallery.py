@@ -2,18 +2,16 @@
 visibilities.
 """
 
-from typing import Any
-
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
 
-import uwaug
 from benchmarks.harness import RESULTS, command
 from benchmarks.information import pictured
+from uwaug.comparing import seen_by
 from uwaug.files import written_whole
 from uwaug.optics.water import JERLOV_TYPES, Water
-from uwaug.presets import Preset, load_preset, published_systems
+from uwaug.presets import load_preset, published_systems
 from uwaug.scene import Scene, motorcycle
 
 FIGURES = RESULTS.parent / "figures"
@@ -26,7 +24,7 @@ OWN = "hou-2020"
 VISIBILITIES = (16.0, 8.0, 4.0)  # m
 WIDTH = 188  # px of a picture
 LABEL = 22  # px
-QUALITY = 82
+QUALITY = 70
 
 
 class Grid:
@@ -56,20 +54,15 @@ def systems(scene: Scene) -> Figure:
     rows = -(-(len(names) + 1) // 2)
     grid = Grid(rows, 4, (scene.image.shape[-2], scene.image.shape[-1]))
     grid.show(0, scene.image, "no water")
-    grid.show(1, _by(load_preset(OWN), scene.image, scene.distance), f"{OWN}, its own water")
+    grid.show(1, seen_by(load_preset(OWN), scene.image, scene.distance), f"{OWN}, its own water")
     place = 2
     for name in names:
         for water, factor in WATERS.items():
             z = factor * scene.distance
-            picture = _by(load_preset(name, water=water), scene.image, z)
+            picture = seen_by(load_preset(name, water=water), scene.image, z)
             grid.show(place, picture, f"{name}, {water}")
             place += 1
     return grid.figure
-
-
-def _by(preset: Preset, image: Tensor, distance: Tensor) -> Tensor:
-    options: dict[str, Any] = {"color_space": preset.color_space, "exposure": preset.exposure}
-    return uwaug.Underwater(preset.medium, **options)(image, distance)
 
 
 def visibilities(scene: Scene) -> Figure:

@@ -36,6 +36,7 @@ __all__ = [
     "cells_of",
     "compare",
     "phase_congruency_difference",
+    "seen_by",
 ]
 
 FULLEST = "ismiroglou-2025"
@@ -194,7 +195,7 @@ def compare(
         raise ValueError(f"systems: expected at least one, each once, got {names}")
     _phase_congruency()  # before any work
     scene = linear_to_srgb(to_light(image, "srgb")).detach()
-    fullest = _picture(load_preset(FULLEST, water=water), scene, distance)
+    fullest = seen_by(load_preset(FULLEST, water=water), scene, distance)
     known = _Known(_congruency(scene), _lab(fullest))
     rows, pictures, fixed = [], {}, []
     for name in names:
@@ -202,7 +203,7 @@ def compare(
         if preset is None:
             preset = load_preset(name)
             fixed.append(name)
-        pictures[name] = _picture(preset, scene, distance)
+        pictures[name] = seen_by(preset, scene, distance)
         rows.append(_row(name, preset, pictures[name], known))
     return Comparison(water, tuple(rows), pictures, scene, tuple(fixed))
 
@@ -263,7 +264,8 @@ def _preset(name: str, water: str) -> Preset | None:
         return None
 
 
-def _picture(preset: Preset, scene: Tensor, distance: Tensor) -> Tensor:
+def seen_by(preset: Preset, scene: Tensor, distance: Tensor) -> Tensor:
+    """The scene (3xHxW, sRGB, 0…1) as a preset makes it, in a view 60° wide."""
     options: dict[str, Any] = {"color_space": preset.color_space, "exposure": preset.exposure}
     options |= {"light": preset.light, "focal_px": focal_of(None, scene.shape[-1])}
     with torch.no_grad():
