@@ -24,6 +24,7 @@ PARTS = (
     "runtime",
     "fused",
     "backward",
+    "roofline",
     "throughput",
     "soak",
     "large",

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -34,9 +35,9 @@ STYLES = {
     "memory": ("#2a7f4f", "D"),
 }
 SHOWN = (512, 1)  # size and threads of the panels drawn; all others are in the JSON
-_OUR_NAMES = ("ours", "eager", "torch.compile", "ONNX", "float", "bfloat")
+_OUR_NAMES = ("ours", "eager", "compiled loops", "torch.compile", "ONNX", "float", "bfloat")
 _NUMBER = re.compile(r"\b\d[\de.-]*(?: \+ \d+)?\b")
-_STYLE = {
+STYLE = {
     "font.size": 8,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -64,11 +65,11 @@ _TRUTHS = {
 
 
 def draw_frontier(results: dict[str, Any]) -> Path:
-    return _save_small(frontier_figure(results), "frontier")
+    return save_small(frontier_figure(results), "frontier")
 
 
 def draw_scaling(results: dict[str, Any]) -> Path:
-    return _save_small(scaling_figure(results), "scaling")
+    return save_small(scaling_figure(results), "scaling")
 
 
 def draw_physics(spreads: "Spreads", laws: "dict[str, Law]", errors: "Errors") -> Path:
@@ -78,10 +79,10 @@ def draw_physics(spreads: "Spreads", laws: "dict[str, Law]", errors: "Errors") -
     return path
 
 
-def _save_small(figure: Figure, name: str) -> Path:
+def save_small(figure: Figure, name: str) -> Path:
     """Write figures/NAME.png, in 96 colours: a third of the bytes."""
     canvas = FigureCanvasAgg(figure)
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         canvas.draw()
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
     path = FIGURES / f"{name}.png"
@@ -96,7 +97,7 @@ def frontier_figure(results: dict[str, Any], shown: tuple[int, int] = SHOWN) -> 
     size, threads = shown
     panels = [p for p in results["panels"].values() if (p["size"], p["threads"]) == shown]
     panels.sort(key=lambda panel: not panel["part"].startswith("blur"))
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure = Figure((13, 12.5), layout="constrained")
         grid = figure.add_gridspec(3, 6, height_ratios=(1.25, 1, 1))
         places = [grid[0, 0:3], grid[0, 3:6], grid[1, 0:3], grid[1, 3:6]]
@@ -185,7 +186,7 @@ def _label(series: list[dict[str, Any]]) -> str:
 def _finish_frontier(axes: Axes, panel: dict[str, Any]) -> None:
     axes.set_xscale("log")
     axes.margins(0.16, 0.16)
-    _plain_numbers(axes)
+    plain_numbers(axes.xaxis)
     axes.set(xlabel="time, ms (log)", ylabel="PSNR, dB")
     verdict = panel["verdict"]
     slower = f"{100 * verdict['slower_than_front']:.0f} % slower than “{verdict['beaten_by']}”"
@@ -195,16 +196,16 @@ def _finish_frontier(axes: Axes, panel: dict[str, Any]) -> None:
     axes.grid(alpha=0.2)
 
 
-def _plain_numbers(axes: Axes) -> None:
-    """1, 2, 5 along x instead of powers of ten."""
-    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
+def plain_numbers(axis: Axis) -> None:
+    """1, 2, 5 along an axis instead of powers of ten."""
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def scaling_figure(results: dict[str, Any]) -> Figure:
     """Time and peak memory on log–log axes, with the fitted exponents in the labels."""
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure = Figure((13, 6.4), layout="constrained")
         axes = figure.subplots(2, 4, sharex="col", sharey="row", height_ratios=(1.5, 1))
         for (name, title), (time, memory) in zip(_SWEEPS.items(), axes.T, strict=True):
@@ -214,7 +215,7 @@ def scaling_figure(results: dict[str, Any]) -> Figure:
         for panel in axes.flat:
             panel.yaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
         for panel in axes[1, 1:]:
-            _plain_numbers(panel)
+            plain_numbers(panel.xaxis)
         for row in axes:
             low, high = row[0].get_ylim()
             row[0].set_ylim(low, high * (high / low) ** 0.25)  # room for the legends

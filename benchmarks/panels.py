@@ -20,6 +20,7 @@ from torch import Tensor
 import uwaug
 from benchmarks import blurs, published
 from benchmarks.harness import DISTANCES, WIDEST, scene, water_medium
+from uwaug import fused
 from uwaug.blur.pieces import row_strips
 from uwaug.blur.plan import BlurPlan, plan_blur
 from uwaug.formation import together
@@ -29,6 +30,7 @@ from uwaug.optics.medium import Medium
 
 BLUR = "ours, default"
 ONNX = ("onnx", "onnxscript", "onnxruntime")
+LOOPS = "compiled loops"
 
 Method = Callable[[], Any]
 Model = Callable[[Tensor, Tensor], Tensor]
@@ -208,6 +210,8 @@ def number_contest(size: int) -> Contest:
 def runtime_contest(size: int, backward: bool, threads: int, quick: bool) -> Contest:
     """The whole model, forward or forward and backward (to image and distance), as each runtime
     runs it.
+
+    Eager is our default, as uwaug is without numba: `measure_eager` sees to that.
     """
     c = case(size)
     degrade = uwaug.Underwater(c.medium, DISTANCES, color_space="linear")
@@ -228,6 +232,10 @@ def runtime_contest(size: int, backward: bool, threads: int, quick: bool) -> Con
         skipped.append(f"ONNX Runtime ({reason})")
     elif not backward:
         models["ONNX Runtime"] = exported(degrade, threads)
+    if importlib.util.find_spec("numba") is None:
+        skipped.append("compiled loops (numba missing)")
+    elif not backward:  # gradients stay with PyTorch
+        models[LOOPS] = by_loops(degrade)
     once = forward_and_backward if backward else forward
     methods: dict[str, Method] = {}
     for name, model in models.items():
@@ -245,6 +253,16 @@ def forward_and_backward(model: Model, c: Case) -> Tensor:
     out = model(image, z)
     out.sum().backward()
     return out.detach()
+
+
+def by_loops(model: Model) -> Model:
+    """A model as the compiled loops run it."""
+
+    def run(image: Tensor, z: Tensor) -> Tensor:
+        with fused.use(True):
+            return model(image, z)
+
+    return run
 
 
 def naive(image: Tensor, z: Tensor) -> Tensor:

@@ -223,3 +223,19 @@ def test_lamps_are_refereed() -> None:
     assert ratios["arriving"] == pytest.approx(0.95, abs=0.1)
     assert ratios["veil"] == pytest.approx(1.08, abs=0.2)
     assert all(cost["median_ms"] > 0 for cost in results["costs"].values())
+
+
+def test_what_the_roofline_counts() -> None:
+    pytest.importorskip("numba")
+    from benchmarks import roofline
+
+    threads = torch.get_num_threads()
+    with contextlib.redirect_stdout(io.StringIO()):
+        found = roofline.main(quick=True)
+    torch.set_num_threads(threads)
+    ours, recipe = (found["paths"][name] for name in ("compiled loops", "published recipe"))
+    assert ours["parts"] == found["paths"]["eager"]["parts"]
+    assert ours["flops_per_pixel"] == pytest.approx(sum(ours["parts"].values()))
+    # 30 blurs of 15 taps along two axes, as pairs of equal ones
+    assert recipe["parts"]["30 blurs"] == 30 * 3 * 2 * (1 + 3 * 7)
+    assert all(at["times_least"] > 1 for at in found["paths"].values())
