@@ -166,14 +166,19 @@ def metres(name: str, value: Tensor) -> None:
         raise ValueError(f"{name} must be in metres, got {got}: divide by 1000: millimetres?")
 
 
-def distances(name: str, value: Tensor) -> None:
-    """Refuse NaN and negative distances, and millimetres."""
-    # the least value of a map is NaN if any is; what is wrong is counted only if something is
-    if value.numel() and not value.detach().min() >= 0:
+def distances(name: str, value: Tensor) -> tuple[float, float]:
+    """Refuse NaN and negative distances, and millimetres; return the least and the largest."""
+    if not value.numel():
+        return 0.0, 0.0
+    # the ends of a map are NaN if any value is; what is wrong is counted only if something is
+    low, high = extent(value)
+    if not low >= 0:
         cure = "fill unknown pixels first, see uwaug.distance.fill_unknown"
         counts = counted(value, "NaN", "negative")
         raise ValueError(f"{name} is {counts}: expected metres ≥ 0 (+inf for open water); {cure}")
-    metres(name, value)
+    if high > _FARTHEST:
+        metres(name, value)
+    return low, high
 
 
 def picture(name: str, value: Tensor, channels: int) -> None:

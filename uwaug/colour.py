@@ -65,15 +65,16 @@ def to_light(image: Tensor, color_space: ColorSpace) -> Tensor:
     return decoded(image, color_space)
 
 
-def require_values(image: Tensor, color_space: ColorSpace) -> None:
-    """Refuse what `to_light` cannot take."""
+def require_values(image: Tensor, color_space: ColorSpace) -> float | None:
+    """Refuse what `to_light` cannot take; return the largest value, None if none is looked at."""
     if not image.is_floating_point() or not image.numel() or torch.compiler.is_compiling():
-        return
+        return None
     low, high = checks.finite("image", image)
     if color_space == "srgb" and high > _BRIGHTEST:
         raise ValueError(f"image reaches {high:g}: expected 0…1; divide a 0…255 image by 255")
     if color_space == "srgb" and low < _DARKEST:
         raise ValueError(f"image falls to {low:g}: expected 0…1; place it before Normalize")
+    return high
 
 
 def decoded(image: Tensor, color_space: ColorSpace) -> Tensor:
@@ -85,13 +86,17 @@ def decoded(image: Tensor, color_space: ColorSpace) -> Tensor:
     return unit if color_space == "linear" else srgb_to_linear(unit)
 
 
-def headroom(image: Tensor) -> float | Tensor:
+def headroom(image: Tensor, high: float | None = None) -> float | Tensor:
     """The largest sRGB value that a result may have: 1, as files hold no more; if the picture that
     was given is brighter (HDR), its own largest value, (B, 1, 1, 1).
+
+    high: the largest value of all, where it is known.
     """
     if image.dtype == torch.uint8 or not image.numel():
         return 1.0
-    if not torch.compiler.is_compiling() and image.detach().amax() <= 1:
+    if high is None and not torch.compiler.is_compiling():
+        high = float(image.detach().amax())
+    if high is not None and high <= 1:
         return 1.0
     return image.detach().amax((-3, -2, -1), keepdim=True).clamp(min=1)
 

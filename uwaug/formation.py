@@ -19,7 +19,7 @@ Order "line_of_sight" blurs J and weights it with the curves of the pixel that l
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import torch
 from torch import Tensor
@@ -67,6 +67,19 @@ class Terms:
     def image(self) -> Tensor:
         """Direct + forward + backscatter."""
         return self.direct + self.forward + self.backscatter
+
+
+class Reach(NamedTuple):
+    """The least and the largest distance, m, and the same of the field, 1 without one."""
+
+    nearest: float
+    farthest: float
+    low: float = 1.0
+    high: float = 1.0
+
+    def lies_in(self, near: float, far: float) -> bool:
+        """Whether no effective distance can lie outside of a range, m."""
+        return near <= self.nearest * self.low and self.farthest * self.high <= far
 
 
 def form_image(
@@ -151,11 +164,14 @@ def validate(
     *,
     also_bytes: bool = False,
     light: Light | None = None,
-) -> None:
+) -> Reach | None:
     """Refuse what `form_image` cannot take: types, shapes, batches, devices, wrong distances.
 
     medium: None if it is none of the caller's, as that of a file.
     also_bytes: take a uint8 picture, as files hold it.
+
+    Returns:
+        What has been seen of the maps; None in a graph, which is for others as well.
     """
     if medium is not None:
         checks.instance("medium", medium, Medium, "; see Medium.from_water")
@@ -174,13 +190,16 @@ def validate(
         sizes[name] = len(value) if value.ndim == 4 else 1
     checks.batches(sizes)
     if torch.compiler.is_compiling():
-        return
-    checks.distances("distance", distance)
+        return None
+    nearest, farthest = checks.distances("distance", distance)
+    low = high = 1.0
     if field is not None and field.numel():
         low, high = checks.extent(field)
         if not (low >= 0 and high < math.inf):
             counts = checks.counted(field, "NaN", "negative", "infinite")
             raise ValueError(f"field is {counts}: expected finite values ≥ 0")
+    tracing = torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
+    return None if tracing else Reach(nearest, farthest, low, high)
 
 
 def _holds_bytes(image: object) -> bool:
@@ -193,16 +212,26 @@ def prepare(
     """Image (BxCxHxW), effective distance m·z (Bx1xHxW) and medium, all in one type of float32 and
     float64.
     """
+    light, z = prepared_maps(image, distance, field)
+    return light, z, medium.to(dtype=z.dtype, device=z.device)
+
+
+def prepared_maps(
+    image: Tensor, distance: Tensor, field: Tensor | None, reach: Reach | None = None
+) -> tuple[Tensor, Tensor]:
+    """The same without the medium; `reach` is what `validate` has seen of the maps."""
     dtype = torch.promote_types(image.dtype, torch.float32)
 
     def batch(value: Tensor) -> Tensor:
         return (value if value.ndim == 4 else value[None]).to(dtype)
 
-    # compiled code does not look at its input: at least no distance is negative there
-    z = batch(distance).clamp(0.0, FARTHEST)
+    z = batch(distance)
+    if reach is None or reach.farthest > FARTHEST:
+        # compiled code does not look at its input: at least no distance is negative there
+        z = z.clamp(0.0, FARTHEST)
     if field is not None:
         z = z * batch(field)
-    return batch(image), z, medium.to(dtype=dtype, device=image.device)
+    return batch(image), z
 
 
 def plan_at_hand(z: Tensor, medium: Medium, tolerance: float, order: Order) -> BlurPlan:

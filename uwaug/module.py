@@ -13,10 +13,19 @@ from uwaug import checks, planned
 from uwaug.blur.beyond import beyond_plan
 from uwaug.blur.demand import BlurDemand, blur_demand
 from uwaug.blur.plan import BlurPlan
-from uwaug.colour import ColorSpace, from_light
+from uwaug.colour import ColorSpace, from_light, require_values
 from uwaug.exposure import Exposure, brightest, exposed_under, require_exposure
-from uwaug.formation import Order, form, plan_at_hand, prepare, together, unbatched, validate
-from uwaug.fused.picture import fused_picture, to_light
+from uwaug.formation import (
+    Order,
+    Reach,
+    form,
+    plan_at_hand,
+    prepared_maps,
+    together,
+    unbatched,
+    validate,
+)
+from uwaug.fused.picture import decode, fused_picture
 from uwaug.fused.serving import serves
 from uwaug.fused.switch import path
 from uwaug.light.lit import lamp_legs, light_of, lit_of, settled
@@ -174,18 +183,21 @@ class Underwater(nn.Module):
     def forward(self, image: Tensor, distance: Tensor, field: Tensor | None = None) -> Tensor:
         """Degrade an image; see the class."""
         medium = self.medium
-        validate(image, distance, medium, field, also_bytes=True, light=self.light)
+        reach = validate(image, distance, medium, field, also_bytes=True, light=self.light)
         self.keep_up(medium)
         plan = self.plan((image.shape[-2], image.shape[-1]))
-        self._look_beyond(distance, field, medium)
-        result = self.formed(image, distance, field, medium, plan)
+        if reach is not None and not self._warned:
+            self._look_beyond(distance, field, medium, reach)
+        result = self.formed(image, distance, field, medium, plan, reach)
         return result[0] if unbatched(image, distance, medium, field, self.light) else result
 
-    def _look_beyond(self, distance: Tensor, field: Tensor | None, medium: Medium) -> None:
+    def _look_beyond(
+        self, distance: Tensor, field: Tensor | None, medium: Medium, reach: Reach
+    ) -> None:
         """Warn, once, if distances lie beyond the plan and it shows."""
-        if self._warned or self.demand is None or torch.compiler.is_compiling():
+        if self.distance_range is None or reach.lies_in(*self.distance_range):
             return
-        assert self.distance_range is not None
+        assert self.demand is not None
         # half precision does not reach as far as open water
         z = distance.detach().to(torch.promote_types(distance.dtype, torch.float32))
         if field is not None:
@@ -219,11 +231,17 @@ class Underwater(nn.Module):
         field: Tensor | None,
         medium: Medium,
         plan: BlurPlan | None,
+        reach: Reach | None = None,
     ) -> Tensor:
-        """A batch of results, of input that is known to be valid."""
+        """A batch of results, of input that is known to be valid; `reach` is from `validate`."""
         with torch.autocast(image.device.type, enabled=False):
-            light = to_light(image, self.color_space)
-            light, z, medium = prepare(light, distance, medium, field)
+            most = require_values(image, self.color_space)
+            light, z = prepared_maps(decode(image, self.color_space), distance, field, reach)
+            daylight = self.light is None and self.exposure == "none"
+            # the loops read a medium of any type
+            if daylight and plan is not None and serves(light, z, medium, self.order):
+                return fused_picture(image, light, z, medium, plan, self.color_space, most)
+            medium = medium.to(dtype=z.dtype, device=z.device)
             legs = None if self.legs is None else self.legs()
             lit = lit_of(self.light, distance, field, medium, *self.camera, legs)
             medium, lit = exposed_under(light, z, medium, self.exposure, lit)
@@ -231,7 +249,7 @@ class Underwater(nn.Module):
                 shown = planned_under(medium, self.light)
                 plan = plan_at_hand(z, shown, self.tolerance, self.order)
             if lit is None and serves(light, z, medium, self.order):
-                return fused_picture(image, light, z, medium, plan, self.color_space)
+                return fused_picture(image, light, z, medium, plan, self.color_space, most)
             (result,) = form(light, z, medium, plan, self.order, together, lit)
             return from_light(result, self.color_space, image)
 

@@ -4,13 +4,16 @@ whatever an optimiser does to them.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from operator import is_
 from typing import Any, Self
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from uwaug.functional import transformed
 from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.unlit import Legs
 
 __all__ = ["FixedLegs", "FixedMedium", "LearnableMedium"]
@@ -58,8 +61,22 @@ class FixedMedium(_InFullPrecision):
             if isinstance(numbers.get(name, value), Tensor):
                 self.register_buffer(name, value.clone())
 
+    # the medium that was made last. Its tensors are the buffers, so that it stays right where their
+    # values change; files of modules that older versions wrote have none
+    _made: Medium | None = None
+
     def forward(self) -> Medium:
         """The medium at hand."""
+        # a law looks at the values of its tensors whenever it is made
+        looks = any(name in self._buffers for name in PointSpread.NUMBERS)
+        if looks or torch.compiler.is_compiling() or transformed():
+            return self._of_buffers()
+        made = self._made
+        if made is None or not all(map(is_, made.tensors(), self._buffers.values())):
+            made = self._made = self._of_buffers()
+        return made
+
+    def _of_buffers(self) -> Medium:
         held: dict[str, Any] = dict(self.named_buffers())
         law = self.start.point_spread
         numbers = {name: held.pop(name) for name in law.NUMBERS if name in held}

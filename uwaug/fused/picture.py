@@ -18,7 +18,7 @@ from uwaug.fused.tables import Bytes, Floats, Indices, Plan, plan_tables, water_
 from uwaug.fused.threads import in_bands
 from uwaug.optics.medium import Medium
 
-__all__ = ["fused_picture", "to_light"]
+__all__ = ["decode", "fused_picture", "to_light"]
 
 _NO_FLOATS, _NO_BYTES = np.zeros((3, 1, 0), np.float32), np.zeros((3, 1, 0), np.uint8)
 
@@ -28,10 +28,15 @@ _BAND = 1 << 21
 
 def to_light(image: Tensor, color_space: ColorSpace, wanted: Path | None = None) -> Tensor:
     """`uwaug.colour.to_light`, by the loops where they can; `wanted` is what a record names."""
+    colour.require_values(image, color_space)
+    return decode(image, color_space, wanted)
+
+
+def decode(image: Tensor, color_space: ColorSpace, wanted: Path | None = None) -> Tensor:
+    """`to_light` of values that are known to be good."""
     is_light = color_space == "linear" and image.dtype != torch.uint8
     if is_light or not decodes(image, wanted):
-        return colour.to_light(image, color_space)
-    colour.require_values(image, color_space)
+        return colour.decoded(image, color_space)
     light = torch.empty(image.shape, dtype=torch.float32)
     width = image.shape[-1]
     given = image.detach().contiguous().numpy().reshape(-1, width)
@@ -56,6 +61,7 @@ def fused_picture(
     medium: Medium,
     plan: BlurPlan,
     color_space: ColorSpace,
+    highest: float | None = None,
 ) -> Tensor:
     """A batch of pictures like `image`, in the line of sight.
 
@@ -64,13 +70,16 @@ def fused_picture(
         light, z, medium: as for `uwaug.formation.form`, which the loops take.
         plan: of the blur.
         color_space: of the image.
+        highest: its largest value, where it is known.
     """
     size = (light.shape[-2], light.shape[-1])
     batch = max(len(light), len(z), len(medium))
     light, z = light.detach().contiguous(), z.detach().contiguous()
     tables, srgb = plan_tables(plan, size), color_space == "srgb"
-    most = headroom(image) if srgb else 1.0
-    largest = torch.as_tensor(most, dtype=torch.float32).reshape(-1).expand(batch).tolist()
+    most = headroom(image, highest) if srgb else 1.0
+    largest = [most] * batch
+    if isinstance(most, Tensor):
+        largest = most.to(torch.float32).reshape(-1).expand(batch).tolist()
     in_bytes = image.dtype == torch.uint8
     result = torch.empty(batch, 3, *size, dtype=torch.uint8 if in_bytes else torch.float32)
     media = [medium[i] for i in range(len(medium))] if len(medium) > 1 else [medium]

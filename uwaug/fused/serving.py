@@ -14,16 +14,16 @@ __all__ = ["decodes", "serves", "takes"]
 def serves(
     light: Tensor, z: Tensor, medium: Medium, order: str, wanted: Path | None = None
 ) -> bool:
-    """Whether the loops take this input, prepared as for `uwaug.formation.form`; `wanted` is what
-    a record names.
+    """Whether the loops take this input, prepared as for `uwaug.formation.form`, but that the
+    medium may be of float64; `wanted` is what a record names.
     """
-    if order != "line_of_sight":
+    if order != "line_of_sight" or not _can_run((light, z), wanted):
         return False
     law = medium.point_spread.numbers().values()
-    tensors = (light, z, *medium.tensors(), *(v for v in law if isinstance(v, Tensor)))
-    if not _can_run(tensors, wanted) or not all(light.shape) or not all(z.shape):
+    numbers = (*medium.tensors(), *(v for v in law if isinstance(v, Tensor)))
+    if not all(map(_is_small_table, numbers)) or not all(light.shape) or not all(z.shape):
         return False
-    recorded = torch.is_grad_enabled() and any(t.requires_grad for t in tensors)
+    recorded = torch.is_grad_enabled() and any(t.requires_grad for t in (light, z, *numbers))
     return not recorded and light.shape[1] == 3
 
 
@@ -48,5 +48,13 @@ def _can_run(tensors: tuple[Tensor, ...], wanted: Path | None) -> bool:
 
 def _is_plain(value: Tensor) -> bool:
     """Whether a tensor has memory that numba can read."""
-    known = type(value) in (Tensor, torch.nn.Parameter) and value.device.type == "cpu"
-    return known and value.dtype in (torch.float32, torch.uint8)
+    return _is_here(value) and value.dtype in (torch.float32, torch.uint8)
+
+
+def _is_small_table(value: Tensor) -> bool:
+    """Whether a tensor can be copied into a table."""
+    return _is_here(value) and value.dtype in (torch.float32, torch.float64)
+
+
+def _is_here(value: Tensor) -> bool:
+    return type(value) in (Tensor, torch.nn.Parameter) and value.device.type == "cpu"

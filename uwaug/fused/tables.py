@@ -4,6 +4,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from uwaug.blur.cache import Cache
@@ -201,7 +202,7 @@ def _mirrored(margin: int, size: int) -> Indices:
 
 def water_tables(medium: Medium, plan: BlurPlan, size: tuple[int, int]) -> Water:
     """A medium of one row."""
-    beta, direct, rates, signal, veil, b_mean = (_values(t) for t in medium.tensors())
+    beta, direct, rates, signal, veil, b_mean = map(_values, medium.tensors())
     return Water(
         rates=np.concatenate([beta, rates]) * np.float32(-math.log2(math.e)),
         direct=direct,
@@ -215,7 +216,7 @@ def _law(medium: Medium, b_mean: float, plan: BlurPlan, size: tuple[int, int]) -
     """See `uwaug.blur.stack.node_weights` for the place of a width in a plan."""
     spread = medium.point_spread
     # a law's numbers may be tensors of one value
-    scale, exponent = (float(value) for value in spread.numbers().values())
+    scale, exponent = (_in_single(value) for value in spread.numbers().values())
     if spread.reference_size is not None:
         scale *= min(size) / spread.reference_size
     low, high = range_in_v(plan)
@@ -225,6 +226,11 @@ def _law(medium: Medium, b_mean: float, plan: BlurPlan, size: tuple[int, int]) -
     powers = (1 / V_FLOOR, 0.0) if exponential else (0.0, 1 / V_FLOOR)
     law = (b_mean, scale, exponent, *powers, slope * math.log(2), offset)
     return np.array(law, np.float32)
+
+
+def _in_single(value: Any) -> float:
+    """A number of a law, as `Medium.to` leaves it: a tensor's is rounded to float32."""
+    return float(value.to(torch.float32)) if isinstance(value, torch.Tensor) else float(value)
 
 
 def _values(tensor: Any) -> Floats:
