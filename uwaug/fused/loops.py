@@ -103,7 +103,10 @@ def _run_once(loops: Loops) -> None:
     one, none = np.ones((3, 1, 1), np.float32), np.zeros(1, np.int64)
     four = np.ones((1, 4), np.float32)
     mirrored = np.zeros(5, np.int64)
-    coarse = Coarse(mirrored, 2, none, four, mirrored, 2, none, four, none, four)
+    # four cells of four taps, within the margins: no loop looks where a table ends
+    cells, padded = np.zeros(4, np.int64), np.zeros(7, np.int64)
+    weights = np.ones((4, 4), np.float32)
+    coarse = Coarse(padded, 3, cells, weights, padded, 3, cells, weights, none, four)
     grid = np.ones((12, 1), np.float32)
     loops.grids.coarse_lines(one, grid, coarse, 0, 0, 3)
     stack = Stack(
