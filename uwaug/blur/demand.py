@@ -10,10 +10,11 @@ from torch import Tensor
 
 from uwaug import checks
 from uwaug.blur.plan import NO_BLUR, BlurPlan, octave_steps, plan_blur
-from uwaug.functional import refuse_mapped, values
-from uwaug.optics.curves import FARTHEST, curves
+from uwaug.functional import refuse_mapped, transformed, values
+from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import Shape
+from uwaug.optics.spectra import Array
 
 __all__ = ["BlurDemand", "blur_demand", "spent"]
 
@@ -131,8 +132,9 @@ def blur_demand(
             learned.
     """
     checks.tolerance(tolerance)
-    for name, value in medium.parameters().items():
-        refuse_mapped(f"medium's {name}", value)
+    if transformed():
+        for name, value in medium.parameters().items():
+            refuse_mapped(f"medium's {name}", value)
     law = medium.point_spread
     medium = medium.to(torch.promote_types(medium.beta.dtype, torch.float32))
     near = min(max(distance_range[0], 0.0), FARTHEST)
@@ -141,22 +143,19 @@ def blur_demand(
         far = min(far, spent(medium))
     least = max(near, 1e-3)
     z = least * (max(far, least) / least) ** _STEPS
+    strength, direct = _strongest(medium, z)
+    if learned and strength.max() <= tolerance:
+        strength = np.maximum(strength, direct)
+    visible = np.flatnonzero(strength > tolerance)
+    traced = any(isinstance(v, Tensor) and v.requires_grad for v in law.numbers().values())
+    if len(visible) == 0:
+        kept = learned and traced
+        return BlurDemand(0.0, 0.0, tolerance, law.shape, law.reference_size, kept)
+    first, last = max(visible[0] - 1, 0), min(visible[-1] + 1, len(z) - 1)
+    ends = (near if first == 0 else float(z[first]), float(z[last]))
+    if order == "source":
+        ends = (near, float(z[-1]))
     with torch.no_grad(), torch.autocast(medium.beta.device.type, enabled=False):
-        found = curves(
-            medium.sums(exact_at_lens=False), torch.from_numpy(z).to(medium.beta)[None, None, None]
-        )
-        strength = values(found.scatter.abs().amax((0, 1, 2)))
-        if learned and strength.max() <= tolerance:
-            strength = np.maximum(strength, values(found.direct.amax((0, 1, 2))))
-        visible = np.flatnonzero(strength > tolerance)
-        traced = any(isinstance(v, Tensor) and v.requires_grad for v in law.numbers().values())
-        if len(visible) == 0:
-            kept = learned and traced
-            return BlurDemand(0.0, 0.0, tolerance, law.shape, law.reference_size, kept)
-        first, last = max(visible[0] - 1, 0), min(visible[-1] + 1, len(z) - 1)
-        ends = (near if first == 0 else float(z[first]), float(z[last]))
-        if order == "source":
-            ends = (near, float(z[-1]))
         widths = medium.width(medium.beta.new_tensor(ends)[None, None, None], None)
         low, high = checks.extent(widths)
     # in half octaves, so that similar media may share a plan
@@ -168,10 +167,25 @@ def blur_demand(
     )
 
 
+def _strongest(medium: Medium, z: Array) -> tuple[Array, Array]:
+    """Forward scatter and direct light (N) at each distance, of the medium and the channel that
+    have most of it. A tenth of the time that `curves` would take for so few distances.
+    """
+    beta, direct_weights, G, signal_weights = map(_table, medium.tensors()[:4])
+    direct = direct_weights @ np.exp(np.multiply.outer(-beta, z))
+    arriving = signal_weights @ np.exp(np.multiply.outer(-G, z))
+    return np.abs(arriving - direct).max((0, 1)), direct.max((0, 1))
+
+
+def _table(x: Tensor) -> Array:
+    """A tensor of a medium, in double precision."""
+    return np.asarray(values(x.flatten()), np.float64).reshape(x.shape)
+
+
 def spent(medium: Medium) -> float:
     """The distance at which the signal has faded below any tolerance; `FARTHEST` if some of it does
     not fade.
     """
-    dark = (medium.signal_weights.detach() <= 0).all(1)
-    slowest = float(medium.G.detach().masked_fill(dark, math.inf).min())
+    dark = (_table(medium.signal_weights) <= 0).all(1)
+    slowest = float(np.where(dark, math.inf, _table(medium.G)).min())
     return min(40 / slowest, FARTHEST) if slowest > 0 else FARTHEST

@@ -235,4 +235,4 @@ def _in_single(value: Any) -> float:
 
 def _values(tensor: Any) -> Floats:
     """The values of a medium's one row."""
-    return np.array(tensor.detach()[0].numpy(), np.float32, order="C")
+    return np.array(tensor.detach().numpy()[0], np.float32, order="C")

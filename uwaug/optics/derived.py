@@ -111,9 +111,10 @@ def _joined(parts: Sequence[Tensor]) -> Tensor:
 
 def brightened(medium: "Medium", gain: Tensor) -> "Medium":
     """See `Medium.brightened`."""
-    rows = max(len(medium), len(gain))
-    notes = medium.notes if len(medium) == rows else medium.notes * rows
-    medium = medium.map(lambda t: t.expand(rows, *t.shape[1:]))
+    rows, notes = max(len(medium), len(gain)), medium.notes
+    if len(medium) != rows:
+        notes = medium.notes * rows
+        medium = medium.map(lambda t: t.expand(rows, *t.shape[1:]))
     factor = gain.reshape(-1, 1, 1).to(medium.beta)
     return replace(
         medium,

@@ -138,8 +138,9 @@ class PointSpread:
         """The same law with `function` applied to what it holds as tensors."""
         changed: dict[str, Any] = {}
         for name, value in self.numbers().items():
-            changed[name] = function(value) if isinstance(value, Tensor) else value
-        return replace(self, **changed)
+            if isinstance(value, Tensor):
+                changed[name] = function(value)
+        return replace(self, **changed) if changed else self
 
     def sigma(self, lengths: Tensor, size: tuple[int, int] | None) -> Tensor:
         """σ, px.
