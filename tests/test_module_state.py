@@ -130,3 +130,18 @@ def test_one_picture_with_several_fields_gives_as_many():
     assert torch.equal(result, module(image[None], z[None], field))
     assert form_image(image, z, coastal(), field).image.shape == (3, 3, 32, 40)
     assert module(image, z, field[:1]).shape == (3, 32, 40)
+
+
+def test_a_medium_is_made_once_and_follows_its_buffers() -> None:
+    module = Underwater(Medium.from_water("II"), color_space="linear")
+    image, z = torch.rand(1, 3, 16, 16), torch.full((1, 1, 16, 16), 3.0)
+    first, before = module.medium, module(image, z)
+    assert module.medium is first
+    module.coefficients.beta.data.mul_(2)  # behind autograd's back
+    after = module(image, z)
+    assert not torch.equal(after, before)
+    module.load_state_dict(Underwater(Medium.from_water("II"), color_space="linear").state_dict())
+    assert torch.equal(module(image, z), before)
+    module.to(torch.float32)
+    assert module.medium is not first
+    assert module.medium.beta.dtype == torch.float32

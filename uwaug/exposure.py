@@ -12,6 +12,9 @@ from torch import Tensor
 
 from uwaug import checks
 from uwaug.colour import LUMINANCE
+from uwaug.fused.measuring import measured
+from uwaug.fused.serving import serves
+from uwaug.fused.switch import Path
 from uwaug.light.lit import Lit, seen
 from uwaug.optics.curves import Sums, curves
 from uwaug.optics.medium import Medium
@@ -106,12 +109,35 @@ def balanced(
 
 
 def gain_of(
-    image: Tensor, z: Tensor, medium: Medium, exposure: Exposure, lit: Lit | None = None
+    image: Tensor,
+    z: Tensor,
+    medium: Medium,
+    exposure: Exposure,
+    lit: Lit | None = None,
+    wanted: Path | None = None,
 ) -> Tensor:
-    """The gain of an exposure: (B,), or (1,) if it is the same for all pictures."""
-    if exposure == "auto" and image.numel() and z.numel():
-        return auto_gain(image, z, medium.sums(exact_at_lens=False), lit)
-    return fixed_gain(medium, exposure)
+    """The gain of an exposure: (B,), or (1,) if it is the same for all pictures; `wanted` is the
+    path that a record names.
+    """
+    if exposure != "auto" or not image.numel() or not z.numel():
+        return fixed_gain(medium, exposure)
+    if lit is None and serves(image, z, medium, "line_of_sight", wanted):
+        return _gain_by_loops(image, z, medium)
+    return auto_gain(image, z, medium.sums(exact_at_lens=False), lit)
+
+
+def _gain_by_loops(image: Tensor, z: Tensor, medium: Medium) -> Tensor:
+    """`auto_gain` in a fifth of the time, to rounding."""
+    pixels = looks(z.shape[-2], z.shape[-1], z.device)
+    gains = []
+    for n in range(max(len(image), len(z), len(medium))):
+        row = medium if len(medium) == 1 else medium[n]
+        found = measured(image[n % len(image)], z[n % len(z)], row, pixels)
+        before, after = (float(light @ LUMINANCE) for light in (found.before, found.after))
+        gain = before / after if after > 0 else 1.0
+        most = 1 / max(float(found.veil.max()), 1 / GAINS[1])
+        gains.append(min(max(gain, GAINS[0]), GAINS[1], most))
+    return z.new_tensor(gains)
 
 
 def fixed_gain(medium: Medium, exposure: Exposure) -> Tensor:
@@ -121,14 +147,19 @@ def fixed_gain(medium: Medium, exposure: Exposure) -> Tensor:
 
 
 def exposed_under(
-    image: Tensor, z: Tensor, medium: Medium, exposure: Exposure, lit: Lit | None
+    image: Tensor,
+    z: Tensor,
+    medium: Medium,
+    exposure: Exposure,
+    lit: Lit | None,
+    wanted: Path | None = None,
 ) -> tuple[Medium, Lit | None]:
     """The medium and the light (None if it is the default) as a camera of this exposure sees them;
-    arguments as for `auto_gain`.
+    arguments as for `gain_of`.
     """
     if exposure == "none":
         return medium, lit
-    gain = gain_of(image, z, medium, exposure, lit)
+    gain = gain_of(image, z, medium, exposure, lit, wanted)
     return medium.brightened(gain), None if lit is None else lit.brightened(gain)
 
 

@@ -27,6 +27,7 @@ class Loops(NamedTuple):
     grids: ModuleType
     pixels: ModuleType
     slopes: ModuleType
+    looks: ModuleType
 
 
 _loops: Loops | None = None
@@ -64,14 +65,14 @@ def _load() -> None:
 
 
 def _imported() -> Loops:
-    from uwaug.fused import compiling, grids, pixels, slopes
+    from uwaug.fused import compiling, grids, looks, pixels, slopes
 
-    found = Loops(grids, pixels, slopes)
+    found = Loops(grids, pixels, slopes, looks)
     try:
         _run_once(found)
     except OSError:  # a full disk, or one that is not shared as it should be
         compiling.kept = False
-        found = Loops(reload(grids), reload(pixels), reload(slopes))
+        found = Loops(reload(grids), reload(pixels), reload(slopes), reload(looks))
         _run_once(found)
     return found
 
@@ -128,6 +129,7 @@ def _run_once(loops: Loops) -> None:
     byte = np.zeros((1, 1), np.uint8)
     loops.pixels.look_up(byte, np.ones(256, np.float32), one[0], 0, 1)
     loops.pixels.decode_rows(one[0], one[1], 0, 1)
+    loops.looks.add_up(one[:, 0], one[0, 0], none, rates, np.ones((2, 4)))
     blurs = np.array([one.ctypes.data] * 2, np.int64)
     maps = (one, one[0], one[0], water, stack)
     outs = (one.copy(), one[0].copy(), one[0].copy(), np.ones((2, 1, 3, 1), np.float32))

@@ -152,7 +152,7 @@ class OneMedium:
         metres, focal_px = z, focal_of(self.focal_px, image.shape[-1])
         light, z, medium = prepare(light, z, self.medium, field)
         lit = lit_of(self.light, metres, field, medium, focal_px, None)
-        medium, lit = exposed_under(light, z, medium, self.exposure, lit)
+        medium, lit = exposed_under(light, z, medium, self.exposure, lit, wanted)
         return Whole(image, self.color_space, light, z, medium, lit=lit, path=wanted)
 
     def _large(self, image: Tensor, distance: Tensor, record: Mapping[str, Any]) -> Strips:
