@@ -102,15 +102,17 @@ def _run_once(loops: Loops) -> None:
     """A picture of one pixel, so that all types are compiled."""
     one, none = np.ones((3, 1, 1), np.float32), np.zeros(1, np.int64)
     four = np.ones((1, 4), np.float32)
-    mirrored = np.zeros(5, np.int64)
-    coarse = Coarse(mirrored, 2, none, four, mirrored, 2, none, four, none, four)
+    # its one row and column, mirrored three times on either side; a grid of four cells
+    mirrored, cells = np.zeros(7, np.int64), np.zeros(4, np.int64)
+    across = np.ones((4, 4), np.float32)
+    coarse = Coarse(mirrored, 3, none, four, mirrored, 3, cells, across, none, four)
     grid = np.ones((12, 1), np.float32)
     loops.grids.coarse_lines(one, grid, coarse, 0, 0, 3)
     stack = Stack(
         series=np.ones((2, 4), np.float32),
         taps=np.ones((1, 3), np.float32),
         pairs=np.full(1, 2),
-        margin=2,
+        margin=3,
         rows=mirrored,
         columns=mirrored,
         starts=none,

@@ -144,7 +144,7 @@ def _plan_tables(plan: BlurPlan, size: tuple[int, int]) -> Plan:
 
 def series_table(coefficients: Any) -> Floats:
     """Series as the loops take them: with 4, 6, … terms."""
-    series = np.array(coefficients, np.float32)
+    series = np.array(coefficients, np.float32, order="C")
     count = series.shape[1]
     return np.pad(series, ((0, 0), (0, max(4, count + count % 2) - count)))
 
