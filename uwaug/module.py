@@ -235,12 +235,13 @@ class Underwater(nn.Module):
     ) -> Tensor:
         """A batch of results, of input that is known to be valid; `reach` is from `validate`."""
         with torch.autocast(image.device.type, enabled=False):
-            most = require_values(image, self.color_space)
-            light, z = prepared_maps(decode(image, self.color_space), distance, field, reach)
+            ends = require_values(image, self.color_space)
+            light = decode(image, self.color_space, ends)
+            light, z = prepared_maps(light, distance, field, reach)
             daylight = self.light is None and self.exposure == "none"
             # the loops read a medium of any type
             if daylight and plan is not None and serves(light, z, medium, self.order):
-                return fused_picture(image, light, z, medium, plan, self.color_space, most)
+                return fused_picture(image, light, z, medium, plan, self.color_space, ends[1])
             medium = medium.to(dtype=z.dtype, device=z.device)
             legs = None if self.legs is None else self.legs()
             lit = lit_of(self.light, distance, field, medium, *self.camera, legs)
@@ -249,7 +250,7 @@ class Underwater(nn.Module):
                 shown = planned_under(medium, self.light)
                 plan = plan_at_hand(z, shown, self.tolerance, self.order)
             if lit is None and serves(light, z, medium, self.order):
-                return fused_picture(image, light, z, medium, plan, self.color_space, most)
+                return fused_picture(image, light, z, medium, plan, self.color_space, ends[1])
             (result,) = form(light, z, medium, plan, self.order, together, lit)
             return from_light(result, self.color_space, image)
 
