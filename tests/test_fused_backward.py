@@ -12,7 +12,6 @@ from torch import Tensor
 import uwaug
 from uwaug import Medium, PointSpread, fused
 from uwaug.blur.demand import blur_demand
-from uwaug.blur.stack import blurred
 from uwaug.fused import recorded, switch
 
 pytestmark = pytest.mark.skipif(not switch._is_found(), reason="numba is not installed")
@@ -105,21 +104,17 @@ def test_each_alone(kept: int) -> None:
 
 
 def test_threads_do_not_change_bits() -> None:
-    """With blurs given, which PyTorch makes."""
     medium = coefficients().to(torch.float32)
     image, z = rand(1, 3, 300, 260).float(), distances(1, 1, 300, 260).float()
     plan = blur_demand(medium, (0.2, 8.0), 0.01).plan((300, 260))
-    stack = [t.contiguous() for t in blurred(image, plan)]
-    given = [image, z, *stack, *medium.tensors()]
-    tracked = [t.detach().requires_grad_() for t in given]
-    (seen, far), blurs, parts = tracked[:2], tracked[2 : 2 + len(stack)], tracked[2 + len(stack) :]
-    learned = Medium.of_tensors(parts, medium.point_spread, ())
+    tracked = [t.detach().requires_grad_() for t in (image, z, *medium.tensors())]
+    learned = Medium.of_tensors(tracked[2:], medium.point_spread, ())
     threads = torch.get_num_threads()
     found = []
     try:
         for count in (1, 2, 4):
             torch.set_num_threads(count)
-            result = recorded.recorded(seen, far, learned, blurs, plan)
+            result = recorded.recorded(tracked[0], tracked[1], learned, plan)
             found.append(torch.autograd.grad(result.sum(), tracked[:-1]))
     finally:
         torch.set_num_threads(threads)

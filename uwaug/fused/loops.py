@@ -15,6 +15,7 @@ import numpy as np
 
 from uwaug.fused import switch
 from uwaug.fused.tables import Coarse, Stack, Water
+from uwaug.fused.transposed import Back, Cells
 
 __all__ = ["Loops", "get", "ready"]
 
@@ -24,6 +25,7 @@ _log = logging.getLogger(__name__)
 class Loops(NamedTuple):
     """The modules of the loops."""
 
+    blurs: ModuleType
     grids: ModuleType
     pixels: ModuleType
     slopes: ModuleType
@@ -64,14 +66,14 @@ def _load() -> None:
 
 
 def _imported() -> Loops:
-    from uwaug.fused import compiling, grids, pixels, slopes
+    from uwaug.fused import blurs, compiling, grids, pixels, slopes
 
-    found = Loops(grids, pixels, slopes)
+    found = Loops(blurs, grids, pixels, slopes)
     try:
         _run_once(found)
     except OSError:  # a full disk, or one that is not shared as it should be
         compiling.kept = False
-        found = Loops(reload(grids), reload(pixels), reload(slopes))
+        found = Loops(*map(reload, (blurs, grids, pixels, slopes)))
         _run_once(found)
     return found
 
@@ -125,6 +127,12 @@ def _run_once(loops: Loops) -> None:
     byte = np.zeros((1, 1), np.uint8)
     loops.pixels.look_up(byte, np.ones(256, np.float32), one[0], 0, 1)
     loops.pixels.decode_rows(one[0], one[1], 0, 1)
+    places = np.zeros((3, 5), np.int64)
+    cells = Cells(places[:1, :4].copy(), four, none, four, none, four)
+    back = Back(places, np.zeros((1, 1, 4), np.int64), four[None])
+    loops.blurs.blurred_rows(one, stack, grid, np.ones((2, 1, 3, 1), np.float32), 0, 1)
+    loops.blurs.cell_lines(plane, grid, cells, 0, 3)
+    loops.blurs.gathered_rows(np.ones((2, 3, 1), np.float32), stack, grid, back, one, 0, 1)
     blurs = np.array([one.ctypes.data] * 2, np.int64)
     maps = (one, one[0], one[0], water, stack)
     outs = (one.copy(), one[0].copy(), one[0].copy(), np.ones((2, 1, 3, 1), np.float32))

@@ -18,7 +18,7 @@ from uwaug.fused.tables import Bytes, Floats, Indices, Plan, plan_tables, water_
 from uwaug.fused.threads import in_bands
 from uwaug.optics.medium import Medium
 
-__all__ = ["fused_picture", "to_light"]
+__all__ = ["coarse_grids", "fused_picture", "to_light"]
 
 _NO_FLOATS, _NO_BYTES = np.zeros((3, 1, 0), np.float32), np.zeros((3, 1, 0), np.uint8)
 
@@ -79,7 +79,7 @@ def fused_picture(
         # one picture in several waters is blurred once
         samples = range(batch) if len(light) == 1 else (i,)
         for rows in _bands(size):
-            grid, starts = _grid(seen, tables, rows)
+            grid, starts = coarse_grids(seen, tables, rows)
             stack = tables.stack._replace(starts=starts)
             for n in samples:
                 outs = _outs(result[n])
@@ -110,7 +110,7 @@ def _form(light: Floats, z: Floats, rows: range, *rest: Any) -> None:
     )
 
 
-def _grid(light: Floats, tables: Plan, rows: range) -> tuple[Floats, Indices]:
+def coarse_grids(light: Floats, tables: Plan, rows: range) -> tuple[Floats, Indices]:
     """The lines of all coarse grids that some rows of a picture need, and where those of each would
     start if they were whole.
     """

@@ -1,8 +1,9 @@
-"""Pictures with gradients: autograd has the blurs, and the compiled loops what is done at each
-pixel. Forward keeps no intermediates; backward computes them anew. (The same in PyTorch, in strips
-that fit the cache, took .85 to 1.35 times as long as autograd: too many small operations.)
+"""Pictures with gradients by the compiled loops. Forward keeps the blurs and no other intermediates;
+backward computes them anew. (The same in PyTorch, in strips that fit the cache, took .85 to 1.35
+times as long as autograd: too many small operations.)
 """
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -11,11 +12,12 @@ import torch
 from torch import Tensor
 
 from uwaug.blur.plan import BlurPlan, range_in_v
-from uwaug.blur.stack import mixed, node_weights
+from uwaug.blur.stack import blurred, mixed, node_weights
 from uwaug.functional import mapped
 from uwaug.fused import loops
+from uwaug.fused.blurring import add_transposed, blur_all
 from uwaug.fused.serving import takes
-from uwaug.fused.tables import Floats, Indices, Stack, Water, plan_tables, water_tables
+from uwaug.fused.tables import Floats, Indices, Water, order_of, plan_tables, water_tables
 from uwaug.fused.threads import in_bands
 from uwaug.optics.curves import curves
 from uwaug.optics.medium import Medium
@@ -24,79 +26,87 @@ from uwaug.optics.point_spread import PointSpread
 __all__ = ["recorded", "records"]
 
 
-def records(image: Tensor, z: Tensor, medium: Medium, stack: list[Tensor]) -> bool:
+def records(image: Tensor, z: Tensor, medium: Medium, plan: BlurPlan) -> bool:
     """Whether the loops take this input, prepared as for `uwaug.formation.form`."""
-    return len(stack) > 1 and takes((image, z, *medium.tensors(), *stack))
+    return len(plan.sigmas) > 1 and takes((image, z, *medium.tensors()))
 
 
-def recorded(
-    image: Tensor, z: Tensor, medium: Medium, stack: list[Tensor], plan: BlurPlan
-) -> Tensor:
+def recorded(image: Tensor, z: Tensor, medium: Medium, plan: BlurPlan) -> Tensor:
     """D + F + B of a batch, in the line of sight. Gradients go to all tensors; gradients of
     gradients are by PyTorch alone.
 
     Args:
         image, z, medium: as for `uwaug.formation.form`.
-        stack: the plan's blurs of the image, two or more.
-        plan: of the blurs.
+        plan: of two or more blurs.
     """
     sigma = medium.point_spread.sigma(medium.lengths(z), (image.shape[-2], image.shape[-1]))
-    tensors = (image, z, sigma, *medium.tensors()[:5], *stack)
-    batch = max(len(t) for t in tensors)
+    tensors = (z, sigma, *medium.tensors()[:5])
+    batch = max(len(t) for t in (image, *tensors))
     whole = [t.expand(batch, *t.shape[1:]) for t in tensors]
-    result: Tensor = _Recorded.apply(plan, *whole)  # type: ignore[no-untyped-call]
+    result: Tensor = _Recorded.apply(plan, image, *whole)  # type: ignore[no-untyped-call]
     return result
 
 
 class _Recorded(torch.autograd.Function):
-    """Of image, z, widths, rates and weights, and blurs."""
+    """Of image, z, widths, rates and weights. One image may serve all others."""
 
     @staticmethod
     def forward(ctx: Any, plan: BlurPlan, *tensors: Tensor) -> Tensor:
-        ctx.save_for_backward(*tensors)
-        ctx.plan = plan
-        image = tensors[0]
-        result = torch.empty(image.shape, dtype=torch.float32)
-        run = loops.get().slopes.recorded_rows
-        blurs, tables = _in_lines(tensors[8:]), _stack_tables(plan)
-        places, lines = _places(blurs), blurs[0].shape[1]
+        image, z = tensors[:2]
+        _, _, height, width = image.shape
+        blurs = torch.empty(len(image), len(plan.sigmas), height, 3, width)
+        for light, out in zip(image.detach().contiguous().numpy(), blurs.numpy(), strict=True):
+            blur_all(light, plan, out)
+        ctx.save_for_backward(*tensors, blurs)
+        ctx.plan, ctx.waters = plan, [_water(tensors, n, plan) for n in range(len(z))]
+        result = torch.empty(len(z), 3, height, width)
+        run, stack = loops.get().slopes.recorded_rows, plan_tables(plan, (height, width)).stack
         for n, out in enumerate(result.numpy()):
-            given = (*_maps(tensors, n), _water(tensors, n, plan), tables, places, lines, 3 * n)
-            in_bands(lambda *rows, g=given, o=out: run(*g, o, *rows), *image.shape[2:])
+            given = (*_maps(tensors, n), ctx.waters[n], stack, _places(blurs, n), 3, 0, out)
+            in_bands(lambda *rows, g=given: run(*g, *rows), height, width)
         return result
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        tensors, plan, needed = ctx.saved_tensors, ctx.plan, ctx.needs_input_grad[1:]
+        (*tensors, blurs), plan, needed = ctx.saved_tensors, ctx.plan, ctx.needs_input_grad[1:]
         if torch.is_grad_enabled() or mapped(gradient):
             return (None, *_by_autograd(tensors, plan, gradient, needed))
-        found = _slopes(tensors, plan, gradient.contiguous().numpy())
+        found = _slopes(tensors, blurs, ctx.waters, plan, gradient.contiguous().numpy(), needed[0])
         kept = (one if wanted else None for one, wanted in zip(found, needed, strict=True))
         return (None, *kept)
 
 
-def _slopes(tensors: tuple[Tensor, ...], plan: BlurPlan, gradient: Floats) -> list[Tensor]:
-    """Gradients of all tensors."""
+def _slopes(
+    tensors: list[Tensor],
+    blurs: Tensor,
+    waters: list[Water],
+    plan: BlurPlan,
+    gradient: Floats,
+    to_image: bool,
+) -> list[Tensor]:
+    """Gradients of all tensors; of the image, what has passed the blurs if that is wanted."""
     run = loops.get().slopes.slope_rows
     rows, tile = loops.get().slopes.ROWS, loops.get().pixels.TILE
     batch, _, height, width = gradient.shape
-    blurs, tables, steeper = _in_lines(tensors[8:]), _stack_tables(plan), _steeper(plan)
-    places, lines = _places(blurs), blurs[0].shape[1]
-    maps = [torch.empty(t.shape, dtype=torch.float32) for t in tensors[:3]]
-    by_blurs = torch.empty(len(blurs), *blurs[0].shape)
+    stack, steeper = plan_tables(plan, (height, width)).stack, _steeper(plan)
+    by_image = torch.empty(gradient.shape)
+    maps = [torch.empty(t.shape) for t in tensors[1:3]]
+    by_blurs = np.empty(blurs.shape[1:], np.float32)
     rates = tensors[3].shape[1] + tensors[5].shape[1]
     by_water = []
     for n in range(batch):
         sums = np.zeros((-(-height // rows), 7 * rates * tile), np.float32)
-        given = (gradient[n], *_maps(tensors, n), _water(tensors, n, plan), tables, steeper)
-        outs = (maps[0].numpy()[n], maps[1].numpy()[n, 0], maps[2].numpy()[n, 0])
-        rest = (places, lines, 3 * n, (*outs, by_blurs.numpy(), sums))
-        in_bands(lambda *r, g=(*given, *rest): run(*g, *r), height, width, rows)
+        given = (gradient[n], *_maps(tensors, n), waters[n], stack, steeper, _places(blurs, n))
+        light = by_image[n].numpy()
+        outs = (light, maps[0].numpy()[n, 0], maps[1].numpy()[n, 0], by_blurs, sums)
+        in_bands(lambda *r, g=(*given, 3, 0, outs): run(*g, *r), height, width, rows)
+        if to_image:
+            add_transposed(by_blurs, plan, light)
         by_water.append(sums.reshape(-1, rates, 7, tile).sum((0, 3), dtype=np.float64))
-    shape = (height, batch, 3, width)
-    by_stack = [one.reshape(shape).permute(1, 2, 0, 3) for one in by_blurs]
+    if len(tensors[0]) < batch:
+        by_image = by_image.sum(0, keepdim=True)
     found = torch.from_numpy(np.array(by_water, np.float32))
-    return [*maps, *_by_medium(found, tensors[3].shape[1]), *by_stack]
+    return [by_image, *maps, *_by_medium(found, tensors[3].shape[1])]
 
 
 def _by_medium(sums: Tensor, direct: int) -> list[Tensor]:
@@ -113,43 +123,36 @@ def _by_medium(sums: Tensor, direct: int) -> list[Tensor]:
 
 
 def _by_autograd(
-    tensors: tuple[Tensor, ...], plan: BlurPlan, gradient: Tensor, needed: tuple[bool, ...]
+    tensors: list[Tensor], plan: BlurPlan, gradient: Tensor, needed: tuple[bool, ...]
 ) -> list[Tensor | None]:
     """The same by PyTorch, from which there are gradients again."""
     again = torch.is_grad_enabled()
     with torch.enable_grad():
-        # each by itself: widths may be made of distances, blurs of the image
+        # each by itself: widths may be made of distances
         apart = [t.view_as(t) for t in tensors]
-        image, z, sigma, *water = apart[:8]
+        image, z, sigma, *water = apart
         medium = Medium.of_tensors([*water, water[0][:, 0]], PointSpread.none(), ())
         found = curves(medium.sums(exact_at_lens=True), z)
-        blur = mixed(apart[8:], node_weights(sigma, plan))
+        blur = mixed(blurred(image, plan), node_weights(sigma, plan))
         result = found.veil + found.direct * image + found.scatter * blur  # `together`
         wanted = [t for t, one in zip(apart, needed, strict=True) if one]
         slopes = iter(torch.autograd.grad(result, wanted, gradient, create_graph=again))
     return [next(slopes) if one else None for one in needed]
 
 
-def _in_lines(stack: tuple[Tensor, ...]) -> list[Tensor]:
-    """Blurs as (H, 3B, W), as the blur has made them: rows of all pictures side by side."""
-    lines = []
-    for blur in stack:
-        b, c, h, w = blur.shape
-        lines.append(blur.detach().permute(2, 0, 1, 3).reshape(h, b * c, w).contiguous())
-    return lines
+def _places(blurs: Tensor, n: int) -> Indices:
+    """Where the blurs of a picture begin."""
+    its = blurs[n % len(blurs)]
+    return np.array([blur.data_ptr() for blur in its], np.int64)
 
 
-def _places(blurs: list[Tensor]) -> Indices:
-    return np.array([blur.data_ptr() for blur in blurs], np.int64)
-
-
-def _maps(tensors: tuple[Tensor, ...], n: int) -> tuple[Floats, Floats, Floats]:
+def _maps(tensors: Sequence[Tensor], n: int) -> tuple[Floats, Floats, Floats]:
     """Image, distances and widths of one picture."""
-    image, z, sigma = (t.detach()[n].contiguous().numpy() for t in tensors[:3])
+    image, z, sigma = (t.detach()[n % len(t)].contiguous().numpy() for t in tensors[:3])
     return image, z[0], sigma[0]
 
 
-def _water(tensors: tuple[Tensor, ...], n: int, plan: BlurPlan) -> Water:
+def _water(tensors: Sequence[Tensor], n: int, plan: BlurPlan) -> Water:
     """The medium of one picture, whose widths are given: a law that leaves them as they are."""
     water = [t.detach()[n : n + 1] for t in tensors[3:8]]
     given = Medium.of_tensors([*water, water[0].new_ones(1)], PointSpread(1.0), ())
@@ -157,16 +160,10 @@ def _water(tensors: tuple[Tensor, ...], n: int, plan: BlurPlan) -> Water:
 
 
 @lru_cache(maxsize=16)
-def _stack_tables(plan: BlurPlan) -> Stack:
-    """Of which the loops look at the series alone, in the order of the plan."""
-    empty = plan_tables(plan, (1, 1)).stack
-    return empty._replace(series=np.array(plan.coefficients, np.float32))
-
-
-@lru_cache(maxsize=16)
 def _steeper(plan: BlurPlan) -> Floats:
     """Series of the slopes of the weights by ln(1 + x), x the 2σ or 2σ² of `BlurPlan`'s shape."""
     low, high = range_in_v(plan)
-    by_place = np.polynomial.chebyshev.chebder(np.array(plan.coefficients), axis=1)
+    series = np.array(plan.coefficients)[order_of(plan)]
+    by_place = np.polynomial.chebyshev.chebder(series, axis=1)
     slope = (2 if plan.shape == "exponential" else 1) / (high - low) if high > low else 0.0
     return np.asarray(slope * by_place, np.float32, order="C")

@@ -20,6 +20,8 @@ __all__ = [
     "Plan",
     "Stack",
     "Water",
+    "order_of",
+    "ordered_nodes",
     "plan_tables",
     "water_tables",
 ]
@@ -116,10 +118,19 @@ def plan_tables(plan: BlurPlan, size: tuple[int, int]) -> Plan:
     return found
 
 
+def order_of(plan: BlurPlan) -> list[int]:
+    """The blurs of a plan as `Stack` has them."""
+    return sorted(range(len(plan.sigmas)), key=lambda k: (plan.cells[k] != 1, plan.sigmas[k] > 0))
+
+
+def ordered_nodes(plan: BlurPlan) -> list[Node]:
+    """The same, as nodes."""
+    return [Node(plan.sigmas[k], plan.cells[k], plan.reach) for k in order_of(plan)]
+
+
 def _plan_tables(plan: BlurPlan, size: tuple[int, int]) -> Plan:
     height, width = size
-    order = sorted(range(len(plan.sigmas)), key=lambda k: (plan.cells[k] != 1, plan.sigmas[k] > 0))
-    nodes = [Node(plan.sigmas[k], plan.cells[k], plan.reach) for k in order]
+    nodes = ordered_nodes(plan)
     narrow = [node for node in nodes if node.cell == 1 and node.sigma > 0]
     wide = [node for node in nodes if node.cell != 1]
     taps = _taps(narrow)
@@ -128,7 +139,7 @@ def _plan_tables(plan: BlurPlan, size: tuple[int, int]) -> Plan:
     lines = [3 * len(grid.down_first) for grid in coarse]
     back = [_rows_of("enlarge", node, height) for node in wide]
     stack = Stack(
-        series=np.array([plan.coefficients[k] for k in order], np.float32),
+        series=np.array([plan.coefficients[k] for k in order_of(plan)], np.float32),
         taps=taps,
         pairs=np.array([_pairs(node) for node in narrow], np.int64),
         margin=margin,
