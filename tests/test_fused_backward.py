@@ -107,6 +107,7 @@ def test_threads_do_not_change_bits() -> None:
     medium = coefficients().to(torch.float32)
     image, z = rand(1, 3, 300, 260).float(), distances(1, 1, 300, 260).float()
     plan = blur_demand(medium, (0.2, 8.0), 0.01).plan((300, 260))
+    assert recorded.records(image, z, medium, plan)
     tracked = [t.detach().requires_grad_() for t in (image, z, *medium.tensors())]
     learned = Medium.of_tensors(tracked[2:], medium.point_spread, ())
     threads = torch.get_num_threads()
@@ -115,7 +116,7 @@ def test_threads_do_not_change_bits() -> None:
         for count in (1, 2, 4):
             torch.set_num_threads(count)
             result = recorded.recorded(tracked[0], tracked[1], learned, plan)
-            found.append(torch.autograd.grad(result.sum(), tracked[:-1]))
+            found.append((result, *torch.autograd.grad(result.sum(), tracked)))
     finally:
         torch.set_num_threads(threads)
     for other in found[1:]:

@@ -1,9 +1,9 @@
-"""Pictures with gradients by the compiled loops. Forward keeps the blurs and no other intermediates;
-backward computes them anew. (The same in PyTorch, in strips that fit the cache, took .85 to 1.35
-times as long as autograd: too many small operations.)
+"""Pictures with gradients by the compiled loops. Forward keeps nothing but its input: backward
+makes the blurs anew, in memory that one picture after the other uses, and puts their gradients in
+their place. (To keep them took longer, as they are read from memory twice. The same in PyTorch, in
+strips that fit the cache, took .85 to 1.35 times as long as autograd: too many small operations.)
 """
 
-from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -16,19 +16,21 @@ from uwaug.blur.stack import blurred, mixed, node_weights
 from uwaug.functional import mapped
 from uwaug.fused import loops
 from uwaug.fused.blurring import add_transposed, blur_all
+from uwaug.fused.picture import form_light
 from uwaug.fused.serving import takes
-from uwaug.fused.tables import Floats, Indices, Water, order_of, plan_tables, water_tables
+from uwaug.fused.tables import Floats, Water, order_of, plan_tables, water_tables
 from uwaug.fused.threads import in_bands
 from uwaug.optics.curves import curves
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.point_spread import PointSpread, pixel_scale, width_at
 
 __all__ = ["recorded", "records"]
 
 
 def records(image: Tensor, z: Tensor, medium: Medium, plan: BlurPlan) -> bool:
     """Whether the loops take this input, prepared as for `uwaug.formation.form`."""
-    return len(plan.sigmas) > 1 and takes((image, z, *medium.tensors()))
+    law = (v for v in medium.point_spread.numbers().values() if isinstance(v, Tensor))
+    return len(plan.sigmas) > 1 and takes((image, z, *medium.tensors(), *law))
 
 
 def recorded(image: Tensor, z: Tensor, medium: Medium, plan: BlurPlan) -> Tensor:
@@ -39,74 +41,98 @@ def recorded(image: Tensor, z: Tensor, medium: Medium, plan: BlurPlan) -> Tensor
         image, z, medium: as for `uwaug.formation.form`.
         plan: of two or more blurs.
     """
-    sigma = medium.point_spread.sigma(medium.lengths(z), (image.shape[-2], image.shape[-1]))
-    tensors = (z, sigma, *medium.tensors()[:5])
+    size, law = (image.shape[-2], image.shape[-1]), medium.point_spread
+    media = [medium[n] for n in range(len(medium))] if len(medium) > 1 else [medium]
+    waters = [water_tables(one, plan, size) for one in media]
+    scale, exponent = law.rows(len(medium), z).values()
+    scale = scale * pixel_scale(law.reference_size, size)
+    tensors = (z, *medium.tensors(), scale, exponent)
     batch = max(len(t) for t in (image, *tensors))
     whole = [t.expand(batch, *t.shape[1:]) for t in tensors]
-    result: Tensor = _Recorded.apply(plan, image, *whole)  # type: ignore[no-untyped-call]
+    result: Tensor = _Recorded.apply(plan, waters, image, *whole)  # type: ignore[no-untyped-call]
     return result
 
 
 class _Recorded(torch.autograd.Function):
-    """Of image, z, widths, rates and weights. One image may serve all others."""
+    """Of image, z, rates and weights, b̄, and scale and exponent of the width. One image may serve
+    all others.
+    """
 
     @staticmethod
-    def forward(ctx: Any, plan: BlurPlan, *tensors: Tensor) -> Tensor:
-        image, z = tensors[:2]
-        _, _, height, width = image.shape
-        blurs = torch.empty(len(image), len(plan.sigmas), height, 3, width)
-        for light, out in zip(image.detach().contiguous().numpy(), blurs.numpy(), strict=True):
-            blur_all(light, plan, out)
-        ctx.save_for_backward(*tensors, blurs)
-        ctx.plan, ctx.waters = plan, [_water(tensors, n, plan) for n in range(len(z))]
-        result = torch.empty(len(z), 3, height, width)
-        run, stack = loops.get().slopes.recorded_rows, plan_tables(plan, (height, width)).stack
-        for n, out in enumerate(result.numpy()):
-            given = (*_maps(tensors, n), ctx.waters[n], stack, _places(blurs, n), 3, 0, out)
-            in_bands(lambda *rows, g=given: run(*g, *rows), height, width)
-        return result
+    def forward(ctx: Any, plan: BlurPlan, waters: list[Water], *tensors: Tensor) -> Tensor:
+        ctx.save_for_backward(*tensors)
+        ctx.plan, ctx.waters = plan, waters
+        image, z = (t.detach().contiguous() for t in tensors[:2])
+        return form_light(image, z, plan, waters)
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        (*tensors, blurs), plan, needed = ctx.saved_tensors, ctx.plan, ctx.needs_input_grad[1:]
+        tensors, plan, needed = ctx.saved_tensors, ctx.plan, ctx.needs_input_grad[2:]
         if torch.is_grad_enabled() or mapped(gradient):
-            return (None, *_by_autograd(tensors, plan, gradient, needed))
-        found = _slopes(tensors, blurs, ctx.waters, plan, gradient.contiguous().numpy(), needed[0])
+            return (None, None, *_by_autograd(tensors, plan, gradient, needed))
+        found = _slopes(tensors, plan, ctx.waters, gradient.contiguous(), needed[0])
         kept = (one if wanted else None for one, wanted in zip(found, needed, strict=True))
-        return (None, *kept)
+        return (None, None, *kept)
 
 
 def _slopes(
-    tensors: list[Tensor],
-    blurs: Tensor,
-    waters: list[Water],
+    tensors: tuple[Tensor, ...],
     plan: BlurPlan,
-    gradient: Floats,
+    waters: list[Water],
+    gradient: Tensor,
     to_image: bool,
 ) -> list[Tensor]:
     """Gradients of all tensors; of the image, what has passed the blurs if that is wanted."""
-    run = loops.get().slopes.slope_rows
-    rows, tile = loops.get().slopes.ROWS, loops.get().pixels.TILE
-    batch, _, height, width = gradient.shape
-    stack, steeper = plan_tables(plan, (height, width)).stack, _steeper(plan)
-    by_image = torch.empty(gradient.shape)
-    maps = [torch.empty(t.shape) for t in tensors[1:3]]
-    by_blurs = np.empty(blurs.shape[1:], np.float32)
-    rates = tensors[3].shape[1] + tensors[5].shape[1]
-    by_water = []
-    for n in range(batch):
-        sums = np.zeros((-(-height // rows), 7 * rates * tile), np.float32)
-        given = (gradient[n], *_maps(tensors, n), waters[n], stack, steeper, _places(blurs, n))
-        light = by_image[n].numpy()
-        outs = (light, maps[0].numpy()[n, 0], maps[1].numpy()[n, 0], by_blurs, sums)
-        in_bands(lambda *r, g=(*given, 3, 0, outs): run(*g, *r), height, width, rows)
+    image = tensors[0].contiguous()
+    law = [tensors[n].detach().requires_grad_() for n in (1, 7, 8, 9)]
+    with torch.enable_grad():
+        sigma = _widths(*law)
+    by_image, by_z, by_sigma = (torch.empty(t.shape) for t in (gradient, sigma, sigma))
+    blurs = np.empty((len(plan.sigmas), gradient.shape[2], 3, gradient.shape[3]), np.float32)
+    sums = []
+    for n, to_light in enumerate(by_image.numpy()):
+        light = image[n % len(image)].numpy()
+        blur_all(light, plan, blurs)
+        maps = (gradient[n].numpy(), light, law[0][n, 0].detach().contiguous().numpy())
+        rest = (sigma[n, 0].detach().numpy(), _given(waters[n % len(waters)]))
+        outs = (to_light, by_z[n, 0].numpy(), by_sigma[n, 0].numpy(), blurs)
+        sums.append(_slopes_of_one(plan, (*maps, *rest), outs))
         if to_image:
-            add_transposed(by_blurs, plan, light)
-        by_water.append(sums.reshape(-1, rates, 7, tile).sum((0, 3), dtype=np.float64))
-    if len(tensors[0]) < batch:
+            add_transposed(blurs, plan, to_light)
+    if len(image) < len(by_image):
         by_image = by_image.sum(0, keepdim=True)
-    found = torch.from_numpy(np.array(by_water, np.float32))
-    return [by_image, *maps, *_by_medium(found, tensors[3].shape[1])]
+    by_law = torch.autograd.grad(sigma, law, by_sigma)
+    by_water = _by_medium(torch.from_numpy(np.array(sums)), tensors[2].shape[1])
+    return [by_image, by_z.add_(by_law[0]), *by_water, *by_law[1:]]
+
+
+def _slopes_of_one(plan: BlurPlan, given: tuple[Any, ...], outs: tuple[Floats, ...]) -> Floats:
+    """Run the loops for one picture; of its medium, sums (R, 7). Blurs give way to their slopes."""
+    loop, (height, width) = loops.get(), given[2].shape
+    water, blurs = given[4], outs[3]
+    sums = np.zeros(
+        (-(-height // loop.slopes.ROWS), 7 * water.rates.size * loop.pixels.TILE), np.float32
+    )
+    places = np.array([blur.ctypes.data for blur in blurs], np.int64)
+    stack = plan_tables(plan, (height, width)).stack
+    rest = (stack, _steeper(plan), places, 3, 0, (*outs, sums))
+    in_bands(
+        lambda *rows: loop.slopes.slope_rows(*given, *rest, *rows), height, width, loop.slopes.ROWS
+    )
+    found = sums.reshape(-1, water.rates.size, 7, loop.pixels.TILE)
+    return found.sum((0, 3), dtype=np.float64).astype(np.float32)
+
+
+def _widths(z: Tensor, b_mean: Tensor, scale: Tensor, exponent: Tensor) -> Tensor:
+    b_mean, scale, exponent = (t[:, None, None, None] for t in (b_mean, scale, exponent))
+    return width_at(b_mean * z, scale, exponent)
+
+
+def _given(water: Water) -> Water:
+    """The same medium where widths are given: a law that leaves them as they are."""
+    law = water.law.copy()
+    law[:3] = 1
+    return water._replace(law=law)
 
 
 def _by_medium(sums: Tensor, direct: int) -> list[Tensor]:
@@ -123,40 +149,21 @@ def _by_medium(sums: Tensor, direct: int) -> list[Tensor]:
 
 
 def _by_autograd(
-    tensors: list[Tensor], plan: BlurPlan, gradient: Tensor, needed: tuple[bool, ...]
+    tensors: tuple[Tensor, ...], plan: BlurPlan, gradient: Tensor, needed: tuple[bool, ...]
 ) -> list[Tensor | None]:
     """The same by PyTorch, from which there are gradients again."""
     again = torch.is_grad_enabled()
     with torch.enable_grad():
-        # each by itself: widths may be made of distances
+        # each by itself: the caller's may be made of each other
         apart = [t.view_as(t) for t in tensors]
-        image, z, sigma, *water = apart
-        medium = Medium.of_tensors([*water, water[0][:, 0]], PointSpread.none(), ())
+        image, z, *water = apart
+        medium = Medium.of_tensors(water[:6], PointSpread.none(), ())
         found = curves(medium.sums(exact_at_lens=True), z)
-        blur = mixed(blurred(image, plan), node_weights(sigma, plan))
+        blur = mixed(blurred(image, plan), node_weights(_widths(z, *water[5:]), plan))
         result = found.veil + found.direct * image + found.scatter * blur  # `together`
         wanted = [t for t, one in zip(apart, needed, strict=True) if one]
         slopes = iter(torch.autograd.grad(result, wanted, gradient, create_graph=again))
     return [next(slopes) if one else None for one in needed]
-
-
-def _places(blurs: Tensor, n: int) -> Indices:
-    """Where the blurs of a picture begin."""
-    its = blurs[n % len(blurs)]
-    return np.array([blur.data_ptr() for blur in its], np.int64)
-
-
-def _maps(tensors: Sequence[Tensor], n: int) -> tuple[Floats, Floats, Floats]:
-    """Image, distances and widths of one picture."""
-    image, z, sigma = (t.detach()[n % len(t)].contiguous().numpy() for t in tensors[:3])
-    return image, z[0], sigma[0]
-
-
-def _water(tensors: Sequence[Tensor], n: int, plan: BlurPlan) -> Water:
-    """The medium of one picture, whose widths are given: a law that leaves them as they are."""
-    water = [t.detach()[n : n + 1] for t in tensors[3:8]]
-    given = Medium.of_tensors([*water, water[0].new_ones(1)], PointSpread(1.0), ())
-    return water_tables(given, plan, (1, 1))
 
 
 @lru_cache(maxsize=16)

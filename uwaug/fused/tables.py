@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import Tensor
 
 from uwaug.blur.cache import Cache
 from uwaug.blur.kernels import blur_kernel
@@ -226,7 +227,7 @@ def _law(medium: Medium, b_mean: float, plan: BlurPlan, size: tuple[int, int]) -
     """See `uwaug.blur.stack.node_weights` for the place of a width in a plan."""
     spread = medium.point_spread
     # a law's numbers may be tensors of one value
-    scale, exponent = (float(value) for value in spread.numbers().values())
+    scale, exponent = (_number(value) for value in spread.numbers().values())
     if spread.reference_size is not None:
         scale *= min(size) / spread.reference_size
     low, high = range_in_v(plan)
@@ -236,6 +237,10 @@ def _law(medium: Medium, b_mean: float, plan: BlurPlan, size: tuple[int, int]) -
     powers = (1 / V_FLOOR, 0.0) if exponential else (0.0, 1 / V_FLOOR)
     law = (b_mean, scale, exponent, *powers, slope * math.log(2), offset)
     return np.array(law, np.float32)
+
+
+def _number(value: Any) -> float:
+    return float(value.detach() if isinstance(value, Tensor) else value)
 
 
 def _values(tensor: Any) -> Floats:
