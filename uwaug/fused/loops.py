@@ -29,6 +29,7 @@ class Loops(NamedTuple):
     pixels: ModuleType
     blurs: ModuleType
     slopes: ModuleType
+    widths: ModuleType
     gradients: bool
 
 
@@ -71,14 +72,14 @@ def _load(gradients: bool) -> None:
 
 
 def _imported(gradients: bool) -> Loops:
-    from uwaug.fused import blurs, compiling, grids, pixels, slopes
+    from uwaug.fused import blurs, compiling, grids, pixels, slopes, widths
 
-    found = Loops(grids, pixels, blurs, slopes, gradients)
+    found = Loops(grids, pixels, blurs, slopes, widths, gradients)
     try:
         _run_once(found)
     except OSError:  # a full disk, or one that is not shared as it should be
         compiling.kept = False
-        found = Loops(*map(reload, found[:4]), gradients)
+        found = Loops(*map(reload, found[:5]), gradients)
         _run_once(found)
     return found
 
@@ -129,6 +130,9 @@ def _run_back(loops: Loops, water: Water, stack: Stack, grid: Floats) -> None:
     ends = (places[0, :1], weights)
     cells = Cells(places[:1, :4].copy(), weights, *ends, *ends)
     back = Back(places, np.zeros((1, 1, 4), np.int64), weights[None])
+    loops.widths.width_rows(one[0], water.law, one[1], 0, 1)
+    sums = np.zeros((1, 3 * loops.pixels.TILE), np.float32)
+    loops.widths.width_slope_rows(one[0], one[1], water.law, one[2], sums, 1, 0, 1)
     loops.blurs.blurred_rows(one, stack, grid, blurred, 0, 1)
     loops.blurs.cell_lines(one[0], grid, cells, 0, 1)
     loops.blurs.gathered_rows(blurred.reshape(2, 3, 1), stack, grid, back, one, 0, 1)

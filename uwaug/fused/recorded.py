@@ -4,13 +4,14 @@ their place. (To keep them took longer, as they are read from memory twice. The 
 strips that fit the cache, took .85 to 1.35 times as long as autograd: too many small operations.)
 """
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from uwaug.blur.kernels import Array
 from uwaug.blur.plan import BlurPlan, range_in_v
 from uwaug.blur.stack import blurred, mixed, node_weights
 from uwaug.functional import mapped
@@ -83,44 +84,52 @@ def _slopes(
     to_image: bool,
 ) -> list[Tensor]:
     """Gradients of all tensors; of the image, what has passed the blurs if that is wanted."""
-    image = tensors[0].contiguous()
-    law = [tensors[n].detach().requires_grad_() for n in (1, 7, 8, 9)]
-    with torch.enable_grad():
-        sigma = _widths(*law)
-    by_image, by_z, by_sigma = (torch.empty(t.shape) for t in (gradient, sigma, sigma))
-    blurs = np.empty((len(plan.sigmas), gradient.shape[2], 3, gradient.shape[3]), np.float32)
-    sums = []
-    for n, to_light in enumerate(by_image.numpy()):
-        light = image[n % len(image)].numpy()
+    image, z = (t.detach().contiguous() for t in tensors[:2])
+    batch, _, height, width = gradient.shape
+    by_image, by_z = torch.empty(gradient.shape), torch.empty(z.shape)
+    blurs = np.empty((len(plan.sigmas), height, 3, width), np.float32)
+    found = []
+    for n in range(batch):
+        light, to_light = image[n % len(image)].numpy(), by_image[n].numpy()
         blur_all(light, plan, blurs)
-        maps = (gradient[n].numpy(), light, law[0][n, 0].detach().contiguous().numpy())
-        rest = (sigma[n, 0].detach().numpy(), _given(waters[n % len(waters)]))
-        outs = (to_light, by_z[n, 0].numpy(), by_sigma[n, 0].numpy(), blurs)
-        sums.append(_slopes_of_one(plan, (*maps, *rest), outs))
+        given, outs = (gradient[n].numpy(), light, z[n, 0].numpy()), (to_light, by_z[n, 0].numpy())
+        found.append(_slopes_of_one(plan, given, waters[n % len(waters)], outs, blurs))
         if to_image:
             add_transposed(blurs, plan, to_light)
-    if len(image) < len(by_image):
+    if len(image) < batch:
         by_image = by_image.sum(0, keepdim=True)
-    by_law = torch.autograd.grad(sigma, law, by_sigma)
-    by_water = _by_medium(torch.from_numpy(np.array(sums)), tensors[2].shape[1])
-    return [by_image, by_z.add_(by_law[0]), *by_water, *by_law[1:]]
+    sums, by_law = (torch.from_numpy(np.array(one, np.float32)) for one in zip(*found, strict=True))
+    return [by_image, by_z, *_by_medium(sums, tensors[2].shape[1]), *by_law.T]
 
 
-def _slopes_of_one(plan: BlurPlan, given: tuple[Any, ...], outs: tuple[Floats, ...]) -> Floats:
-    """Run the loops for one picture; of its medium, sums (R, 7). Blurs give way to their slopes."""
-    loop, (height, width) = loops.get(), given[2].shape
-    water, blurs = given[4], outs[3]
-    sums = np.zeros(
-        (-(-height // loop.slopes.ROWS), 7 * water.rates.size * loop.pixels.TILE), np.float32
-    )
+def _slopes_of_one(
+    plan: BlurPlan,
+    given: tuple[Floats, Floats, Floats],
+    water: Water,
+    outs: tuple[Floats, Floats],
+    blurs: Floats,
+) -> tuple[Array, Array]:
+    """Run the loops for one picture: gradient, image and z; to image and z. Blurs give way to their
+    slopes.
+
+    Returns:
+        sums (R, 7) of its medium, and the gradients of b̄, scale and exponent.
+    """
+    loop, (height, width), rates = loops.get(), given[2].shape, water.rates.size
+    rows, tile = loop.slopes.ROWS, loop.pixels.TILE
+    sigma, by_sigma = np.empty((2, height, width), np.float32)
+    in_bands(partial(loop.widths.width_rows, given[2], water.law, sigma), height, width)
+    bands = -(-height // rows)
+    sums = np.zeros((bands, 7 * rates * tile), np.float32)
     places = np.array([blur.ctypes.data for blur in blurs], np.int64)
-    stack = plan_tables(plan, (height, width)).stack
-    rest = (stack, _steeper(plan), places, 3, 0, (*outs, sums))
-    in_bands(
-        lambda *rows: loop.slopes.slope_rows(*given, *rest, *rows), height, width, loop.slopes.ROWS
-    )
-    found = sums.reshape(-1, water.rates.size, 7, loop.pixels.TILE)
-    return found.sum((0, 3), dtype=np.float64).astype(np.float32)
+    tables = (_as_given(water), plan_tables(plan, (height, width)).stack, _steeper(plan))
+    rest = (sigma, *tables, places, 3, 0, (*outs, by_sigma, blurs, sums))
+    in_bands(partial(loop.slopes.slope_rows, *given, *rest), height, width, rows)
+    law_sums = np.zeros((bands, 3 * tile), np.float32)
+    rest = (by_sigma, given[2], water.law, outs[1], law_sums, rows)
+    in_bands(partial(loop.widths.width_slope_rows, *rest), height, width, rows)
+    by_water = sums.reshape(-1, rates, 7, tile).sum((0, 3), dtype=np.float64)
+    return by_water, law_sums.reshape(-1, 3, tile).sum((0, 2), dtype=np.float64)
 
 
 def _widths(z: Tensor, b_mean: Tensor, scale: Tensor, exponent: Tensor) -> Tensor:
@@ -128,7 +137,7 @@ def _widths(z: Tensor, b_mean: Tensor, scale: Tensor, exponent: Tensor) -> Tenso
     return width_at(b_mean * z, scale, exponent)
 
 
-def _given(water: Water) -> Water:
+def _as_given(water: Water) -> Water:
     """The same medium where widths are given: a law that leaves them as they are."""
     law = water.law.copy()
     law[:3] = 1
