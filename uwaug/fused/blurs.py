@@ -23,6 +23,9 @@ __all__ = ["blurred_rows", "cell_lines", "gathered_rows"]
 
 _NONE = np.float32(0)
 
+_BLOCK = 32
+"""Rows to which one transpose after the other is added."""
+
 
 @inner
 def _mirror(line: Any, inside: Any, fold: Any, margin: int, width: int) -> None:
@@ -150,23 +153,28 @@ def gathered_rows(
     padded = -(-width // TILE) * TILE
     line = np.zeros(padded + 2 * margin + 2, np.float32)
     inside = line[margin : margin + width]
-    tile, total = np.zeros(TILE, np.float32), np.zeros(padded, np.float32)
-    for y in range(start, stop):
+    tile, totals = np.zeros(TILE, np.float32), np.zeros((_BLOCK, padded), np.float32)
+    for top in range(start, stop, _BLOCK):
+        count = min(_BLOCK, stop - top)
         for c in range(3):
-            total[:] = _NONE
-            if sharp:
-                total[:width] = by[0, 3 * y + c]
-            for k in range(narrow):
-                taps, pairs = stack.taps[k], stack.pairs[k]
-                _blur_rows(inside, by[sharp + k], back.folds[c], margin + y, taps, pairs)
-                _mirror(line, inside, stack.columns, margin, width)
-                for left in range(0, width, TILE):
-                    _blur_line(tile, line, margin + left, taps, pairs)
-                    part = total[left : left + TILE]
-                    for x in range(TILE):
-                        part[x] += tile[x]
-            for k in range(wide):
-                _add_rows(total[:width], grid, back.rows[k, y], c, back.up[k, y])
-            d = out[c, y]
-            for x in range(width):
-                d[x] += total[x]
+            totals[:] = _NONE
+            for k in range(sharp + narrow):
+                for j in range(count):
+                    total, y = totals[j], top + j
+                    if k < sharp:
+                        total[:width] = by[k, 3 * y + c]
+                        continue
+                    taps, pairs = stack.taps[k - sharp], stack.pairs[k - sharp]
+                    _blur_rows(inside, by[k], back.folds[c], margin + y, taps, pairs)
+                    _mirror(line, inside, stack.columns, margin, width)
+                    for left in range(0, width, TILE):
+                        _blur_line(tile, line, margin + left, taps, pairs)
+                        part = total[left : left + TILE]
+                        for x in range(TILE):
+                            part[x] += tile[x]
+            for j in range(count):
+                d, y = out[c, top + j], top + j
+                for k in range(wide):
+                    _add_rows(totals[j, :width], grid, back.rows[k, y], c, back.up[k, y])
+                for x in range(width):
+                    d[x] += totals[j, x]
