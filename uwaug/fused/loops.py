@@ -79,7 +79,8 @@ def _imported(gradients: bool) -> Loops:
         _run_once(found)
     except OSError:  # a full disk, or one that is not shared as it should be
         compiling.kept = False
-        found = Loops(*map(reload, found[:5]), gradients)
+        for module in (grids, pixels, blurs, slopes, widths):
+            reload(module)
         _run_once(found)
     return found
 
@@ -139,7 +140,6 @@ def _run_back(loops: Loops, water: Water, stack: Stack, grid: Floats) -> None:
     blurs = np.array([blurred.ctypes.data] * 2, np.int64)
     maps = (one, one[0], one[0], water, stack)
     outs = (one.copy(), one[0].copy(), one[0].copy(), blurred.copy())
-    loops.slopes.recorded_rows(*maps, blurs, 3, 0, outs[0], 0, 1)
     sums = np.zeros((1, 7 * water.rates.size * loops.pixels.TILE), np.float32)
     loops.slopes.slope_rows(one, *maps, stack.series, blurs, 3, 0, (*outs, sums), 0, 1)
 

@@ -1,5 +1,5 @@
-"""What is done at each pixel of a picture whose blurs are there, and its backward, as compiled
-loops. Autograd would write every intermediate to memory, and read it back.
+"""The backward of what is done at each pixel of a picture whose blurs are there, as compiled loops.
+Autograd would write every intermediate to memory, and read it back.
 
 They call parts of `pixels`: after a change there, remove what numba has kept of this file.
 """
@@ -12,10 +12,10 @@ from numba.core import types
 from numba.extending import intrinsic
 
 from uwaug.fused.compiling import inner, kernel
-from uwaug.fused.pixels import TILE, _curves, _rows, _shares, _summed, _weighed
+from uwaug.fused.pixels import TILE, _curves, _rows, _shares, _weighed
 from uwaug.fused.tables import Floats, Indices, Stack, Water
 
-__all__ = ["ROWS", "recorded_rows", "slope_rows"]
+__all__ = ["ROWS", "slope_rows"]
 
 ROWS = 64
 """Rows of a picture whose slopes are added up together, so that sums do not depend on threads."""
@@ -47,52 +47,6 @@ def _add_product(sums: Any, row: int, t: Any, one: int, other: int) -> None:
     d, a, b = _rows(sums, row, 1), _rows(t, one, 1), _rows(t, other, 1)
     for x in range(TILE):
         d[x] += a[x] * b[x]
-
-
-@kernel
-def recorded_rows(
-    light: Floats,
-    z: Floats,
-    sigma: Floats,
-    water: Water,
-    stack: Stack,
-    blurs: Indices,
-    lines: int,
-    first: int,
-    out: Floats,
-    start: int,
-    stop: int,
-) -> None:
-    """Rows of a picture.
-
-    Args:
-        light (3xHxW), z, sigma (HxW): of the scene; effective distance, m; widths, px.
-        water, stack: tables; of the stack, the series.
-        blurs (K): where blurs (H x lines x W) of a batch begin; the picture's is three lines from
-            `first` on.
-        out (3xHxW): the result.
-        start, stop: rows.
-    """
-    _, height, width = light.shape
-    count, terms = stack.series.shape
-    decays = 2 + terms
-    curves = decays + 2 * water.rates.size
-    shares = curves + 9
-    mixed = shares + count
-    t = np.zeros((mixed + count + 1) * TILE, np.float32)
-    for y in range(start, stop):
-        for left in range(0, width, TILE):
-            right = min(left + TILE, width)
-            _fill(t, 0, sigma[y, left:right])
-            _shares(t, 2, shares, water, stack.series)
-            _fill(t, 0, z[y, left:right])
-            _curves(t, decays, curves, water)
-            for c in range(3):
-                for k in range(count):
-                    blur = numba.carray(_pointer(blurs[k]), (height, lines, width))
-                    _fill(t, mixed + k, blur[y, first + c, left:right])
-                total = _summed(t, curves + c, shares, mixed, count, light[c, y, left:right])
-                out[c, y, left:right] = total[: right - left]
 
 
 @inner
@@ -154,14 +108,20 @@ def slope_rows(
     start: int,
     stop: int,
 ) -> None:
-    """Backward of `recorded_rows`.
+    """Slopes of rows of a picture, D + F + B.
 
     Args:
         gradient (3xHxW): of the result.
+        light (3xHxW), z, sigma (HxW): of the scene; effective distance, m; widths, px.
+        water, stack: tables; of the stack, the series.
         steeper (K, N): series of the slopes of the weights by ln(1 + x), x = 2σ or 2σ².
-        outs: gradients of light (3xHxW), z, sigma (HxW), blurs (K x H x lines x W); and sums
+        blurs (K): where blurs (H x lines x W) of a batch begin; the picture's is three lines from
+            `first` on.
+        outs: gradients of light (3xHxW), z, sigma (HxW), blurs (K x H x lines x W), which may lie
+            where the blurs do: each is read before its slope is written; and sums
             (H/ROWS, 7R, TILE), for each rate the products of curves' slopes with what falls: of
             T_G − T_β, of T_β or V, and of the rate.
+        start, stop: rows.
     """
     to_light, to_z, to_sigma, to_blurs, all_sums = outs
     _, height, width = light.shape

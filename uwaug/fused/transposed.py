@@ -97,7 +97,7 @@ def _cells(node: Node, size: tuple[int, int]) -> Cells:
 
 def _from(first: Indices, taps: int, size: int) -> Indices:
     """Places (n, taps) from the first on. Beyond the end, where nothing has a weight, the last."""
-    return np.minimum(first[:, None] + np.arange(taps), size - 1)
+    return np.asarray(np.minimum(first[:, None] + np.arange(taps), size - 1))
 
 
 def _columns_of(kind: Kind, node: Node, size: int) -> tuple[Indices, Floats]:
