@@ -15,7 +15,7 @@ import numpy as np
 
 from uwaug.fused.compiling import inner, kernel
 from uwaug.fused.grids import LANES, _mix_columns
-from uwaug.fused.pixels import TILE, _blur_line, _blur_rows, _enlarged
+from uwaug.fused.pixels import TILE, _add_enlarged, _add_line, _blur_rows
 from uwaug.fused.tables import Floats, Stack
 from uwaug.fused.transposed import Back, Cells
 
@@ -76,7 +76,7 @@ def blurred_rows(
     sharp = stack.series.shape[0] - narrow - wide
     line = np.zeros(-(-width // TILE) * TILE + 2 * margin + 2, np.float32)
     inside = line[margin : margin + width]
-    tile = np.zeros(TILE, np.float32)
+    tile, whole = np.zeros(TILE, np.float32), np.ones(max(TILE, width), np.float32)
     for y in range(start, stop):
         for c in range(3):
             if sharp:
@@ -86,14 +86,16 @@ def blurred_rows(
                 _mirror(line, inside, stack.columns, margin, width)
                 d = out[sharp + k, y, c]
                 for left in range(0, width, TILE):
-                    _blur_line(tile, line, margin + left, stack.taps[k], stack.pairs[k])
+                    tile[:] = _NONE
+                    _add_line(tile, whole, line, margin + left, stack.taps[k], stack.pairs[k])
                     part = d[left : min(left + TILE, width)]
                     for x in range(part.size):
                         part[x] = tile[x]
             for k in range(wide):
                 first = stack.starts[k] + 3 * stack.back_first[k, y] + c
                 d = out[sharp + narrow + k, y, c]
-                _enlarged(d, grid, first, 0, width, stack.back[k, y])
+                d[:] = _NONE
+                _add_enlarged(d, whole, grid, first, 0, width, stack.back[k, y])
 
 
 @kernel
@@ -153,7 +155,7 @@ def gathered_rows(
     padded = -(-width // TILE) * TILE
     line = np.zeros(padded + 2 * margin + 2, np.float32)
     inside = line[margin : margin + width]
-    tile, totals = np.zeros(TILE, np.float32), np.zeros((_BLOCK, padded), np.float32)
+    whole, totals = np.ones(TILE, np.float32), np.zeros((_BLOCK, padded), np.float32)
     for top in range(start, stop, _BLOCK):
         count = min(_BLOCK, stop - top)
         for c in range(3):
@@ -168,10 +170,8 @@ def gathered_rows(
                     _blur_rows(inside, by[k], back.folds[c], margin + y, taps, pairs)
                     _mirror(line, inside, stack.columns, margin, width)
                     for left in range(0, width, TILE):
-                        _blur_line(tile, line, margin + left, taps, pairs)
                         part = total[left : left + TILE]
-                        for x in range(TILE):
-                            part[x] += tile[x]
+                        _add_line(part, whole, line, margin + left, taps, pairs)
             for j in range(count):
                 d, y = out[c, top + j], top + j
                 for k in range(wide):

@@ -119,7 +119,7 @@ def _run_once(loops: Loops) -> None:
     loops.pixels.form_rows(one, one[0], water, stack, grid, True, most, one, nothing, 0, 1)
     byte = np.zeros((1, 1), np.uint8)
     loops.pixels.look_up(byte, np.ones(256, np.float32), one[0], 0, 1)
-    loops.pixels.decode_rows(one[0], one[1], 0, 1)
+    loops.pixels.decode_rows(one[0], one[1], True, 0, 1)
     if loops.gradients:
         _run_back(loops, water, stack, grid)
 
@@ -127,7 +127,7 @@ def _run_once(loops: Loops) -> None:
 def _run_back(loops: Loops, water: Water, stack: Stack, grid: Floats) -> None:
     """The same with gradients."""
     one, blurred = np.ones((3, 1, 1), np.float32), np.ones((2, 1, 3, 1), np.float32)
-    places, weights = np.zeros((3, 5), np.int64), np.ones((1, 4), np.float32)
+    places, weights = np.zeros((3, 7), np.int64), np.ones((1, 4), np.float32)
     ends = (places[0, :1], weights)
     cells = Cells(places[:1, :4].copy(), weights, *ends, *ends)
     back = Back(places, np.zeros((1, 1, 4), np.int64), weights[None])
@@ -146,12 +146,12 @@ def _run_back(loops: Loops, water: Water, stack: Stack, grid: Floats) -> None:
 
 def _tables() -> tuple[Water, Stack]:
     """A narrow blur and one on a grid, and a medium of two rates."""
-    none, mirrored = np.zeros(1, np.int64), np.zeros(5, np.int64)
+    none, mirrored = np.zeros(1, np.int64), np.zeros(7, np.int64)
     stack = Stack(
-        series=np.ones((2, 2), np.float32),
+        series=np.ones((2, 4), np.float32),
         taps=np.ones((1, 3), np.float32),
         pairs=np.full(1, 2),
-        margin=2,
+        margin=3,
         rows=mirrored,
         columns=mirrored,
         starts=none,

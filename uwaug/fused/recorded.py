@@ -19,7 +19,14 @@ from uwaug.fused import loops
 from uwaug.fused.blurring import add_transposed, blur_all
 from uwaug.fused.picture import form_light
 from uwaug.fused.serving import takes
-from uwaug.fused.tables import Floats, Water, order_of, plan_tables, water_tables
+from uwaug.fused.tables import (
+    Floats,
+    Water,
+    order_of,
+    plan_tables,
+    series_table,
+    water_tables,
+)
 from uwaug.fused.threads import in_bands
 from uwaug.optics.curves import curves
 from uwaug.optics.medium import Medium
@@ -183,4 +190,4 @@ def _steeper(plan: BlurPlan) -> Floats:
     series = np.array(plan.coefficients)[order_of(plan)]
     by_place = np.polynomial.chebyshev.chebder(series, axis=1)
     slope = (2 if plan.shape == "exponential" else 1) / (high - low) if high > low else 0.0
-    return np.asarray(slope * by_place, np.float32, order="C")
+    return series_table(slope * by_place)

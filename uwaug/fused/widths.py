@@ -1,7 +1,7 @@
 """The width of the blur at each pixel and its slopes, as compiled loops. (By PyTorch, bits depend
 on the number of threads: powers at the ends of what each gets are others.)
 
-They call parts of `pixels`: after a change there, remove what numba has kept of this file.
+They call `polynomials`: after a change there, remove what numba has kept of this file.
 """
 
 from typing import Any
@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from uwaug.fused.compiling import inner, kernel
-from uwaug.fused.pixels import TILE, _exp2, _log2
+from uwaug.fused.pixels import TILE
+from uwaug.fused.polynomials import exp2, log2
 from uwaug.fused.tables import Floats
 
 __all__ = ["width_rows", "width_slope_rows"]
@@ -26,7 +27,7 @@ def _powers(d: Any, z: Any, law: Any) -> None:
         d[x] = min(max(b_mean * z[x], _LEAST), _MOST)
     if exponent != _1:
         for x in range(z.size):
-            d[x] = _exp2(exponent * _log2(d[x]))
+            d[x] = exp2(exponent * log2(d[x]))
 
 
 @kernel
@@ -84,7 +85,7 @@ def width_slope_rows(
             for x in range(metres.size):
                 length = b_mean * metres[x]
                 within = min(max(length, _LEAST), _MOST)
-                by_exponent[x] += scale * p[x] * (_LN2 * _log2(within))
+                by_exponent[x] += scale * p[x] * (_LN2 * log2(within))
                 slope = steep * p[x] / within if within == length else _0
                 d[x] += b_mean * slope
                 by_b[x] += metres[x] * slope
