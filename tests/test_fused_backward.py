@@ -12,8 +12,9 @@ from torch import Tensor
 import uwaug
 from uwaug import Medium, PointSpread, fused
 from uwaug.blur.demand import blur_demand
+from uwaug.blur.plan import plan_blur
 from uwaug.blur.stack import blurred
-from uwaug.fused import recorded, switch
+from uwaug.fused import blurring, loops, recorded, switch
 
 pytestmark = pytest.mark.skipif(not switch._is_found(), reason="numba is not installed")
 
@@ -104,23 +105,42 @@ def test_each_alone(kept: int) -> None:
     torch.testing.assert_close(found, whole[kept], rtol=1e-5, atol=1e-7)
 
 
+@pytest.mark.parametrize("widths", [(0.2, 1.2), (0.0, 9.0), (6.0, 70.0)])
+@pytest.mark.parametrize("size", [(1, 1), (5, 40), (40, 270)])
+def test_blurs_and_their_transpose(size: tuple[int, int], widths: tuple[float, float]) -> None:
+    plan = plan_blur(*widths)
+    image = rand(1, 3, *size).double().requires_grad_()
+    stack = blurred(image, plan)
+    by = rand(len(stack), size[0], 3, size[1], seed=1).float() - 0.5
+    product = sum((one * g.transpose(0, 1)).sum() for one, g in zip(stack, by, strict=True))
+    (expected,) = torch.autograd.grad(product, image)
+    light = image.detach()[0].float()
+    assert loops.ready(gradients=True)
+    blurs, back = torch.empty_like(by), torch.zeros_like(light)
+    blurring.blur_all(light.numpy(), plan, blurs.numpy())
+    blurring.add_transposed(by.numpy(), plan, back.numpy())
+    for one, other in zip(blurs, stack, strict=True):
+        assert (one.transpose(0, 1) - other[0]).abs().max() < 2e-6
+    assert (back - expected[0]).abs().max() <= 1e-6 * expected.abs().max()
+    # ⟨Bx, y⟩ = ⟨x, Bᵀy⟩
+    there, here = (blurs.double() * by).sum(), (light.double() * back).sum()
+    assert abs(there - here) <= 1e-6 * (blurs * by).abs().sum()
+
+
 def test_threads_do_not_change_bits() -> None:
-    """Of the loops; what PyTorch makes, blurs and powers of lengths, may have other bits."""
-    medium = coefficients(law=PointSpread(1.2)).to(torch.float32)
+    medium = coefficients().to(torch.float32)
     image, z = rand(1, 3, 300, 260).float(), distances(1, 1, 300, 260).float()
     plan = blur_demand(medium, (0.2, 8.0), 0.01).plan((300, 260))
-    stack = [t.contiguous() for t in blurred(image, plan)]
-    given = [image, z, *stack, *medium.tensors()]
-    tracked = [t.detach().requires_grad_() for t in given]
-    (seen, far), blurs, parts = tracked[:2], tracked[2 : 2 + len(stack)], tracked[2 + len(stack) :]
-    learned = Medium.of_tensors(parts, medium.point_spread, ())
+    assert recorded.records(image, z, medium, plan)
+    tracked = [t.detach().requires_grad_() for t in (image, z, *medium.tensors())]
+    learned = Medium.of_tensors(tracked[2:], medium.point_spread, ())
     threads = torch.get_num_threads()
     found = []
     try:
         for count in (1, 2, 4):
             torch.set_num_threads(count)
-            result = recorded.recorded(seen, far, learned, blurs, plan)
-            found.append(torch.autograd.grad(result.sum(), tracked[:-1]))
+            result = recorded.recorded(tracked[0], tracked[1], learned, plan)
+            found.append((result, *torch.autograd.grad(result.sum(), tracked)))
     finally:
         torch.set_num_threads(threads)
     for other in found[1:]:
@@ -137,6 +157,14 @@ def test_gradients_of_gradients() -> None:
         found.append(torch.autograd.grad(norm, tracked))
     for one, other in zip(*found, strict=True):
         assert (one - other).abs().max() <= 1e-4 * other.abs().max()
+
+
+def test_backward_twice() -> None:
+    given, picture = leaves((1, 2, 1), (12, 16))
+    tracked = [t.float().detach().requires_grad_() for t in given]
+    result = picture(*tracked)
+    once, again = (torch.autograd.grad(result.sum(), tracked, retain_graph=True) for _ in range(2))
+    assert all(torch.equal(a, b) for a, b in zip(once, again, strict=True))
 
 
 def test_many_gradients_at_once() -> None:

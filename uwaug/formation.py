@@ -317,10 +317,9 @@ def _form_at_once(
     lit: Lit | None,
 ) -> tuple[Tensor, ...]:
     """`form` without strips: for gradients, for compilers, for curves that precede the blur."""
-    if combine is together and order == "line_of_sight" and lit is None:
-        stack = blurred(image, plan)
-        if records(image, z, medium, stack):
-            return (recorded(image, z, medium, stack, plan),)
+    simple = combine is together and order == "line_of_sight" and lit is None
+    if simple and records(image, z, medium, plan):
+        return (recorded(image, z, medium, plan),)
     # a compiler cannot look at the distances
     exact = torch.compiler.is_compiling() or any_at_lens(z, medium)
     here = None if lit is None else lit.whole()

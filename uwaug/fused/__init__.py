@@ -1,4 +1,4 @@
-"""The model as compiled loops, for pictures without gradients on a CPU in float32.
+"""The model as compiled loops, with gradients and without, on a CPU in float32.
 
 Eager PyTorch writes every intermediate to memory; these loops keep a few rows of a picture in the
 cache and go through them once. They need numba (`pip install "uwaug[fast]"`); without it, and for

@@ -6,32 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uwaug.fused.compiling import inner, kernel
+from uwaug.fused.polynomials import exp2
 from uwaug.fused.tables import Floats, Indices
 
 __all__ = ["add_up"]
 
 _TILE = 256
 """Pixels side by side; each place of a tile has sums of its own."""
-
-f32, i32 = np.float32, np.int32
-_SPENT = f32(-100)  # of exponents
-_WHOLE = f32(1.5 * 2**23)  # added to a number, it leaves the nearest whole one in the last bits
-_WHOLE_BITS = int(np.float32(1.5 * 2**23).view(np.int32))
-# (2^f − 1)/f for |f| ≤ ½, a Chebyshev fit
-_E0, _E1, _E2 = f32(0.693147188), f32(0.240226509), f32(0.0555035710)
-_E3, _E4, _E5 = f32(9.61805667e-3), f32(1.33908674e-3), f32(1.54614475e-4)
-
-
-# as in `pixels`; it stands here too, as numba does not see when a function in another file changes
-@inner
-def _exp2(x: Any) -> Any:
-    x = max(x, _SPENT)
-    shifted = x + _WHOLE
-    n = i32(f32(shifted).view(i32) - _WHOLE_BITS)
-    f = x - (shifted - _WHOLE)
-    p = f * (_E0 + f * (_E1 + f * (_E2 + f * (_E3 + f * (_E4 + f * _E5)))))
-    power = i32(i32(n + 127) << 23).view(f32)
-    return power + power * p
 
 
 @inner
@@ -59,8 +40,12 @@ def add_up(
         rates (L): times −log2(e), ≤ 0.
         sums (Lx4): where the sums of three channels, and that of the exponentials, are put.
     """
-    parts = np.zeros((rates.size, 4, _TILE), f32)
-    tile, metres, left = np.empty((3, _TILE), f32), np.empty(_TILE, f32), np.empty(_TILE, f32)
+    parts = np.zeros((rates.size, 4, _TILE), np.float32)
+    tile, metres, left = (
+        np.empty((3, _TILE), np.float32),
+        np.empty(_TILE, np.float32),
+        np.empty(_TILE, np.float32),
+    )
     for first in range(0, pixels.size, _TILE):
         count = min(_TILE, pixels.size - first)
         for i in range(count):
@@ -70,7 +55,7 @@ def add_up(
         for k in range(rates.size):
             rate = rates[k]
             for i in range(count):
-                left[i] = _exp2(rate * metres[i])
+                left[i] = exp2(rate * metres[i])
             _add(parts[k], tile, left, count)
     for k in range(rates.size):
         for c in range(4):

@@ -14,11 +14,11 @@ from uwaug.colour import ColorSpace, headroom
 from uwaug.fused import loops
 from uwaug.fused.serving import decodes
 from uwaug.fused.switch import Path
-from uwaug.fused.tables import Bytes, Floats, Indices, Plan, plan_tables, water_tables
+from uwaug.fused.tables import Bytes, Floats, Indices, Plan, Water, plan_tables, water_tables
 from uwaug.fused.threads import in_bands
 from uwaug.optics.medium import Medium
 
-__all__ = ["decode", "fused_picture", "to_light"]
+__all__ = ["coarse_grids", "decode", "form_light", "fused_picture", "to_light"]
 
 _NO_FLOATS, _NO_BYTES = np.zeros((3, 1, 0), np.float32), np.zeros((3, 1, 0), np.uint8)
 
@@ -88,17 +88,37 @@ def fused_picture(
     result = torch.empty(batch, 3, *size, dtype=torch.uint8 if in_bytes else torch.float32)
     media = [medium[i] for i in range(len(medium))] if len(medium) > 1 else [medium]
     waters = [water_tables(one, plan, size) for one in media]
+    _form_all(light, z, tables, waters, [(srgb, np.float32(one)) for one in largest], result)
+    return result if in_bytes else result.to(image.dtype)
+
+
+def form_light(light: Tensor, z: Tensor, plan: BlurPlan, waters: list[Water]) -> Tensor:
+    """The same in linear light, of waters for this plan and size."""
+    size = (light.shape[-2], light.shape[-1])
+    result = torch.empty(max(len(light), len(z), len(waters)), 3, *size)
+    ends = [(False, np.float32(1))] * len(result)
+    _form_all(light, z, plan_tables(plan, size), waters, ends, result)
+    return result
+
+
+def _form_all(
+    light: Tensor,
+    z: Tensor,
+    tables: Plan,
+    waters: list[Water],
+    ends: list[tuple[bool, Any]],
+    result: Tensor,
+) -> None:
+    """Form a batch of pictures; `ends` says whether to encode each, and its largest value then."""
     for i, seen in enumerate(light.numpy()):
         # one picture in several waters is blurred once
-        samples = range(batch) if len(light) == 1 else (i,)
-        for rows in _bands(size):
-            grid, starts = _grid(seen, tables, rows)
+        samples = range(len(result)) if len(light) == 1 else (i,)
+        for rows in _bands((light.shape[-2], light.shape[-1])):
+            grid, starts = coarse_grids(seen, tables, rows)
             stack = tables.stack._replace(starts=starts)
             for n in samples:
-                outs = _outs(result[n])
-                rest = (waters[n % len(waters)], stack, grid, srgb, np.float32(largest[n]), *outs)
+                rest = (waters[n % len(waters)], stack, grid, *ends[n], *_outs(result[n]))
                 _form(seen, z[n % len(z), 0].numpy(), rows, *rest)
-    return result if in_bytes else result.to(image.dtype)
 
 
 def _bands(size: tuple[int, int]) -> Iterator[range]:
@@ -123,7 +143,7 @@ def _form(light: Floats, z: Floats, rows: range, *rest: Any) -> None:
     )
 
 
-def _grid(light: Floats, tables: Plan, rows: range) -> tuple[Floats, Indices]:
+def coarse_grids(light: Floats, tables: Plan, rows: range) -> tuple[Floats, Indices]:
     """The lines of all coarse grids that some rows of a picture need, and where those of each would
     start if they were whole.
     """

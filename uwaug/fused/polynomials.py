@@ -2,7 +2,7 @@
 
 In single precision 2^x is within 1e-7 of itself, log2 within 2e-7, sRGB of 0…1 within 3e-7. numba
 compiles anew when the file of a kernel changes, and does not look at the files of what it calls:
-after a change here, remove what it has kept of `pixels` and `slopes`.
+after a change here, remove what it has kept of all of them.
 """
 
 from typing import Any

@@ -1,25 +1,28 @@
-"""Pictures with gradients: autograd has the blurs, and the compiled loops what is done at each
-pixel. Forward keeps no intermediates; backward computes them anew. (The same in PyTorch, in strips
-that fit the cache, took .85 to 1.35 times as long as autograd: too many small operations.)
+"""Pictures with gradients by the compiled loops. Forward keeps nothing but its input: backward
+makes the blurs anew, in memory that one picture after the other uses, and puts their gradients in
+their place. (To keep them took longer, as they are read from memory twice. The same in PyTorch, in
+strips that fit the cache, took .85 to 1.35 times as long as autograd: too many small operations.)
 """
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from uwaug.blur.kernels import Array
 from uwaug.blur.plan import BlurPlan, range_in_v
-from uwaug.blur.stack import mixed, node_weights
+from uwaug.blur.stack import blurred, mixed, node_weights
 from uwaug.functional import mapped
 from uwaug.fused import loops
+from uwaug.fused.blurring import add_transposed, blur_all
+from uwaug.fused.picture import form_light
 from uwaug.fused.serving import takes
 from uwaug.fused.tables import (
     Floats,
-    Indices,
-    Stack,
     Water,
+    order_of,
     plan_tables,
     series_table,
     water_tables,
@@ -27,84 +30,126 @@ from uwaug.fused.tables import (
 from uwaug.fused.threads import in_bands
 from uwaug.optics.curves import curves
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.point_spread import PointSpread, pixel_scale, width_at
 
 __all__ = ["recorded", "records"]
 
 
-def records(image: Tensor, z: Tensor, medium: Medium, stack: list[Tensor]) -> bool:
+def records(image: Tensor, z: Tensor, medium: Medium, plan: BlurPlan) -> bool:
     """Whether the loops take this input, prepared as for `uwaug.formation.form`."""
-    return len(stack) > 1 and takes((image, z, *medium.tensors(), *stack))
+    law = (v for v in medium.point_spread.numbers().values() if isinstance(v, Tensor))
+    return len(plan.sigmas) > 1 and takes((image, z, *medium.tensors(), *law))
 
 
-def recorded(
-    image: Tensor, z: Tensor, medium: Medium, stack: list[Tensor], plan: BlurPlan
-) -> Tensor:
+def recorded(image: Tensor, z: Tensor, medium: Medium, plan: BlurPlan) -> Tensor:
     """D + F + B of a batch, in the line of sight. Gradients go to all tensors; gradients of
     gradients are by PyTorch alone.
 
     Args:
         image, z, medium: as for `uwaug.formation.form`.
-        stack: the plan's blurs of the image, two or more.
-        plan: of the blurs.
+        plan: of two or more blurs.
     """
-    sigma = medium.point_spread.sigma(medium.lengths(z), (image.shape[-2], image.shape[-1]))
-    tensors = (image, z, sigma, *medium.tensors()[:5], *stack)
-    batch = max(len(t) for t in tensors)
+    size, law = (image.shape[-2], image.shape[-1]), medium.point_spread
+    media = [medium[n] for n in range(len(medium))] if len(medium) > 1 else [medium]
+    waters = [water_tables(one, plan, size) for one in media]
+    scale, exponent = law.rows(len(medium), z).values()
+    scale = scale * pixel_scale(law.reference_size, size)
+    tensors = (z, *medium.tensors(), scale, exponent)
+    batch = max(len(t) for t in (image, *tensors))
     whole = [t.expand(batch, *t.shape[1:]) for t in tensors]
-    result: Tensor = _Recorded.apply(plan, *whole)  # type: ignore[no-untyped-call]
+    result: Tensor = _Recorded.apply(plan, waters, image, *whole)  # type: ignore[no-untyped-call]
     return result
 
 
 class _Recorded(torch.autograd.Function):
-    """Of image, z, widths, rates and weights, and blurs."""
+    """Of image, z, rates and weights, b̄, and scale and exponent of the width. One image may serve
+    all others.
+    """
 
     @staticmethod
-    def forward(ctx: Any, plan: BlurPlan, *tensors: Tensor) -> Tensor:
+    def forward(ctx: Any, plan: BlurPlan, waters: list[Water], *tensors: Tensor) -> Tensor:
         ctx.save_for_backward(*tensors)
-        ctx.plan = plan
-        image = tensors[0]
-        result = torch.empty(image.shape, dtype=torch.float32)
-        run = loops.get().slopes.recorded_rows
-        blurs, tables = _in_lines(tensors[8:]), _stack_tables(plan)
-        places, lines = _places(blurs), blurs[0].shape[1]
-        for n, out in enumerate(result.numpy()):
-            given = (*_maps(tensors, n), _water(tensors, n, plan), tables, places, lines, 3 * n)
-            in_bands(lambda *rows, g=given, o=out: run(*g, o, *rows), *image.shape[2:])
-        return result
+        ctx.plan, ctx.waters = plan, waters
+        image, z = (t.detach().contiguous() for t in tensors[:2])
+        return form_light(image, z, plan, waters)
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        tensors, plan, needed = ctx.saved_tensors, ctx.plan, ctx.needs_input_grad[1:]
+        tensors, plan, needed = ctx.saved_tensors, ctx.plan, ctx.needs_input_grad[2:]
         if torch.is_grad_enabled() or mapped(gradient):
-            return (None, *_by_autograd(tensors, plan, gradient, needed))
-        found = _slopes(tensors, plan, gradient.contiguous().numpy())
+            return (None, None, *_by_autograd(tensors, plan, gradient, needed))
+        found = _slopes(tensors, plan, ctx.waters, gradient.contiguous(), needed[0])
         kept = (one if wanted else None for one, wanted in zip(found, needed, strict=True))
-        return (None, *kept)
+        return (None, None, *kept)
 
 
-def _slopes(tensors: tuple[Tensor, ...], plan: BlurPlan, gradient: Floats) -> list[Tensor]:
-    """Gradients of all tensors."""
-    run = loops.get().slopes.slope_rows
-    rows, tile = loops.get().slopes.ROWS, loops.get().pixels.TILE
+def _slopes(
+    tensors: tuple[Tensor, ...],
+    plan: BlurPlan,
+    waters: list[Water],
+    gradient: Tensor,
+    to_image: bool,
+) -> list[Tensor]:
+    """Gradients of all tensors; of the image, what has passed the blurs if that is wanted."""
+    image, z = (t.detach().contiguous() for t in tensors[:2])
     batch, _, height, width = gradient.shape
-    blurs, tables, steeper = _in_lines(tensors[8:]), _stack_tables(plan), _steeper(plan)
-    places, lines = _places(blurs), blurs[0].shape[1]
-    maps = [torch.empty(t.shape, dtype=torch.float32) for t in tensors[:3]]
-    by_blurs = torch.empty(len(blurs), *blurs[0].shape)
-    rates = tensors[3].shape[1] + tensors[5].shape[1]
-    by_water = []
+    by_image, by_z = torch.empty(gradient.shape), torch.empty(z.shape)
+    blurs = np.empty((len(plan.sigmas), height, 3, width), np.float32)
+    found = []
     for n in range(batch):
-        sums = np.zeros((-(-height // rows), 7 * rates * tile), np.float32)
-        given = (gradient[n], *_maps(tensors, n), _water(tensors, n, plan), tables, steeper)
-        outs = (maps[0].numpy()[n], maps[1].numpy()[n, 0], maps[2].numpy()[n, 0])
-        rest = (places, lines, 3 * n, (*outs, by_blurs.numpy(), sums))
-        in_bands(lambda *r, g=(*given, *rest): run(*g, *r), height, width, rows)
-        by_water.append(sums.reshape(-1, rates, 7, tile).sum((0, 3), dtype=np.float64))
-    shape = (height, batch, 3, width)
-    by_stack = [one.reshape(shape).permute(1, 2, 0, 3) for one in by_blurs]
-    found = torch.from_numpy(np.array(by_water, np.float32))
-    return [*maps, *_by_medium(found, tensors[3].shape[1]), *by_stack]
+        light, to_light = image[n % len(image)].numpy(), by_image[n].numpy()
+        blur_all(light, plan, blurs)
+        given, outs = (gradient[n].numpy(), light, z[n, 0].numpy()), (to_light, by_z[n, 0].numpy())
+        found.append(_slopes_of_one(plan, given, waters[n % len(waters)], outs, blurs))
+        if to_image:
+            add_transposed(blurs, plan, to_light)
+    if len(image) < batch:
+        by_image = by_image.sum(0, keepdim=True)
+    sums, by_law = (torch.from_numpy(np.array(one, np.float32)) for one in zip(*found, strict=True))
+    return [by_image, by_z, *_by_medium(sums, tensors[2].shape[1]), *by_law.T]
+
+
+def _slopes_of_one(
+    plan: BlurPlan,
+    given: tuple[Floats, Floats, Floats],
+    water: Water,
+    outs: tuple[Floats, Floats],
+    blurs: Floats,
+) -> tuple[Array, Array]:
+    """Run the loops for one picture: gradient, image and z; to image and z. Blurs give way to their
+    slopes.
+
+    Returns:
+        sums (R, 7) of its medium, and the gradients of b̄, scale and exponent.
+    """
+    loop, (height, width), rates = loops.get(), given[2].shape, water.rates.size
+    rows, tile = loop.slopes.ROWS, loop.pixels.TILE
+    sigma, by_sigma = np.empty((2, height, width), np.float32)
+    in_bands(partial(loop.widths.width_rows, given[2], water.law, sigma), height, width)
+    bands = -(-height // rows)
+    sums = np.zeros((bands, 7 * rates * tile), np.float32)
+    places = np.array([blur.ctypes.data for blur in blurs], np.int64)
+    tables = (_as_given(water), plan_tables(plan, (height, width)).stack, _steeper(plan))
+    maps = (*outs, by_sigma, blurs, sums)
+    run = partial(loop.slopes.slope_rows, *given, sigma, *tables, places, 3, 0, maps)
+    in_bands(run, height, width, rows)
+    law_sums = np.zeros((bands, 3 * tile), np.float32)
+    law = (given[2], water.law, outs[1], law_sums, rows)
+    in_bands(partial(loop.widths.width_slope_rows, by_sigma, *law), height, width, rows)
+    by_water = sums.reshape(-1, rates, 7, tile).sum((0, 3), dtype=np.float64)
+    return by_water, law_sums.reshape(-1, 3, tile).sum((0, 2), dtype=np.float64)
+
+
+def _widths(z: Tensor, b_mean: Tensor, scale: Tensor, exponent: Tensor) -> Tensor:
+    b_mean, scale, exponent = (t[:, None, None, None] for t in (b_mean, scale, exponent))
+    return width_at(b_mean * z, scale, exponent)
+
+
+def _as_given(water: Water) -> Water:
+    """The same medium where widths are given: a law that leaves them as they are."""
+    law = water.law.copy()
+    law[:3] = 1
+    return water._replace(law=law)
 
 
 def _by_medium(sums: Tensor, direct: int) -> list[Tensor]:
@@ -126,55 +171,23 @@ def _by_autograd(
     """The same by PyTorch, from which there are gradients again."""
     again = torch.is_grad_enabled()
     with torch.enable_grad():
-        # each by itself: widths may be made of distances, blurs of the image
+        # each by itself: the caller's may be made of each other
         apart = [t.view_as(t) for t in tensors]
-        image, z, sigma, *water = apart[:8]
-        medium = Medium.of_tensors([*water, water[0][:, 0]], PointSpread.none(), ())
+        image, z, *water = apart
+        medium = Medium.of_tensors(water[:6], PointSpread.none(), ())
         found = curves(medium.sums(exact_at_lens=True), z)
-        blur = mixed(apart[8:], node_weights(sigma, plan))
+        blur = mixed(blurred(image, plan), node_weights(_widths(z, *water[5:]), plan))
         result = found.veil + found.direct * image + found.scatter * blur  # `together`
         wanted = [t for t, one in zip(apart, needed, strict=True) if one]
         slopes = iter(torch.autograd.grad(result, wanted, gradient, create_graph=again))
     return [next(slopes) if one else None for one in needed]
 
 
-def _in_lines(stack: tuple[Tensor, ...]) -> list[Tensor]:
-    """Blurs as (H, 3B, W), as the blur has made them: rows of all pictures side by side."""
-    lines = []
-    for blur in stack:
-        b, c, h, w = blur.shape
-        lines.append(blur.detach().permute(2, 0, 1, 3).reshape(h, b * c, w).contiguous())
-    return lines
-
-
-def _places(blurs: list[Tensor]) -> Indices:
-    return np.array([blur.data_ptr() for blur in blurs], np.int64)
-
-
-def _maps(tensors: tuple[Tensor, ...], n: int) -> tuple[Floats, Floats, Floats]:
-    """Image, distances and widths of one picture."""
-    image, z, sigma = (t.detach()[n].contiguous().numpy() for t in tensors[:3])
-    return image, z[0], sigma[0]
-
-
-def _water(tensors: tuple[Tensor, ...], n: int, plan: BlurPlan) -> Water:
-    """The medium of one picture, whose widths are given: a law that leaves them as they are."""
-    water = [t.detach()[n : n + 1] for t in tensors[3:8]]
-    given = Medium.of_tensors([*water, water[0].new_ones(1)], PointSpread(1.0), ())
-    return water_tables(given, plan, (1, 1))
-
-
-@lru_cache(maxsize=16)
-def _stack_tables(plan: BlurPlan) -> Stack:
-    """Of which the loops look at the series alone, in the order of the plan."""
-    empty = plan_tables(plan, (1, 1)).stack
-    return empty._replace(series=series_table(plan.coefficients))
-
-
 @lru_cache(maxsize=16)
 def _steeper(plan: BlurPlan) -> Floats:
     """Series of the slopes of the weights by ln(1 + x), x the 2σ or 2σ² of `BlurPlan`'s shape."""
     low, high = range_in_v(plan)
-    by_place = np.polynomial.chebyshev.chebder(np.array(plan.coefficients), axis=1)
+    series = np.array(plan.coefficients)[order_of(plan)]
+    by_place = np.polynomial.chebyshev.chebder(series, axis=1)
     slope = (2 if plan.shape == "exponential" else 1) / (high - low) if high > low else 0.0
     return series_table(slope * by_place)

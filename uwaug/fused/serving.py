@@ -34,8 +34,8 @@ def decodes(image: Tensor, wanted: Path | None) -> bool:
 
 
 def takes(tensors: tuple[Tensor, ...]) -> bool:
-    """Whether the loops can read these, and may."""
-    return _can_run(tensors, None) and all(all(t.shape) for t in tensors)
+    """Whether the loops for gradients can read these, and may."""
+    return _can_run(tensors, None) and all(all(t.shape) for t in tensors) and ready(gradients=True)
 
 
 def _can_run(tensors: tuple[Tensor, ...], wanted: Path | None) -> bool:

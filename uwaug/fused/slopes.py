@@ -1,5 +1,5 @@
-"""What is done at each pixel of a picture whose blurs are there, and its backward, as compiled
-loops. Autograd would write every intermediate to memory, and read it back.
+"""The backward of what is done at each pixel of a picture whose blurs are there, as compiled loops.
+Autograd would write every intermediate to memory, and read it back.
 
 They call parts of `pixels`, see `polynomials`.
 """
@@ -12,11 +12,11 @@ from numba.core import types
 from numba.extending import intrinsic
 
 from uwaug.fused.compiling import inner, kernel
-from uwaug.fused.pixels import TILE, _curves, _places, _rows, _series, _shares, _store
+from uwaug.fused.pixels import TILE, _curves, _places, _rows, _series, _shares
 from uwaug.fused.polynomials import exp2_parts
 from uwaug.fused.tables import Floats, Indices, Stack, Water
 
-__all__ = ["ROWS", "recorded_rows", "slope_rows"]
+__all__ = ["ROWS", "slope_rows"]
 
 ROWS = 64
 """Rows of a picture whose slopes are added up together, so that sums do not depend on threads."""
@@ -48,58 +48,6 @@ def _add_product(sums: Any, row: int, t: Any, one: int, other: int) -> None:
     d, a, b = _rows(sums, row, 1), _rows(t, one, 1), _rows(t, other, 1)
     for x in range(TILE):
         d[x] += a[x] * b[x]
-
-
-@kernel
-def recorded_rows(
-    light: Floats,
-    z: Floats,
-    sigma: Floats,
-    water: Water,
-    stack: Stack,
-    blurs: Indices,
-    lines: int,
-    first: int,
-    out: Floats,
-    start: int,
-    stop: int,
-) -> None:
-    """Rows of a picture.
-
-    Args:
-        light (3xHxW), z, sigma (HxW): of the scene; effective distance, m; widths, px.
-        water, stack: tables; of the stack, the series.
-        blurs (K): where blurs (H x lines x W) of a batch begin; the picture's is three lines from
-            `first` on.
-        out (3xHxW): the result.
-        start, stop: rows.
-    """
-    _, height, width = light.shape
-    count, terms = stack.series.shape
-    # rows of a tile as in `form_rows`, and a blur
-    shares = 10
-    total = shares + count
-    t = np.zeros((total + 2 + terms) * TILE, np.float32)
-    mixture, blur = _rows(t, total, 1), _rows(t, total + 1 + terms, 1)
-    nothing = np.zeros(0, np.uint8)
-    for y in range(start, stop):
-        for left in range(0, width, TILE):
-            right = min(left + TILE, width)
-            _fill(t, 0, sigma[y, left:right])
-            _places(t, 0, total + 1, water.law)
-            _shares(t, total + 1, shares, stack.series)
-            _fill(t, 0, z[y, left:right])
-            _curves(t, 0, 1, water)
-            for c in range(3):
-                mixture[:] = _0
-                for k in range(count):
-                    values = numba.carray(_pointer(blurs[k]), (height, lines, width))
-                    _fill(t, total + 1 + terms, values[y, first + c, left:right])
-                    share = _rows(t, shares + k, 1)
-                    for x in range(TILE):
-                        mixture[x] += share[x] * blur[x]
-                seen, made = light[c, y, left:right], out[c, y, left:right]
-                _store(mixture, _rows(t, 1 + 3 * c, 3), seen, False, _1, made, nothing)
 
 
 @inner
@@ -167,14 +115,20 @@ def slope_rows(
     start: int,
     stop: int,
 ) -> None:
-    """Backward of `recorded_rows`.
+    """Slopes of rows of a picture, D + F + B.
 
     Args:
         gradient (3xHxW): of the result.
+        light (3xHxW), z, sigma (HxW): of the scene; effective distance, m; widths, px.
+        water, stack: tables; of the stack, the series.
         steeper (K, N): series of the slopes of the weights by ln(1 + x), x = 2σ or 2σ².
-        outs: gradients of light (3xHxW), z, sigma (HxW), blurs (K x H x lines x W); and sums
+        blurs (K): where blurs (H x lines x W) of a batch begin; the picture's is three lines from
+            `first` on.
+        outs: gradients of light (3xHxW), z, sigma (HxW), blurs (K x H x lines x W), which may lie
+            where the blurs do: each is read before its slope is written; and sums
             (H/ROWS, 7R, TILE), for each rate the products of curves' slopes with what falls: of
             T_G − T_β, of T_β or V, and of the rate.
+        start, stop: rows.
     """
     to_light, to_z, to_sigma, to_blurs, all_sums = outs
     _, height, width = light.shape

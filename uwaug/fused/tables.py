@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from uwaug.blur.cache import Cache
 from uwaug.blur.kernels import blur_kernel
@@ -21,6 +22,8 @@ __all__ = [
     "Plan",
     "Stack",
     "Water",
+    "order_of",
+    "ordered_nodes",
     "plan_tables",
     "series_table",
     "water_tables",
@@ -118,10 +121,19 @@ def plan_tables(plan: BlurPlan, size: tuple[int, int]) -> Plan:
     return found
 
 
+def order_of(plan: BlurPlan) -> list[int]:
+    """The blurs of a plan as `Stack` has them."""
+    return sorted(range(len(plan.sigmas)), key=lambda k: (plan.cells[k] != 1, plan.sigmas[k] > 0))
+
+
+def ordered_nodes(plan: BlurPlan) -> list[Node]:
+    """The same, as nodes."""
+    return [Node(plan.sigmas[k], plan.cells[k], plan.reach) for k in order_of(plan)]
+
+
 def _plan_tables(plan: BlurPlan, size: tuple[int, int]) -> Plan:
     height, width = size
-    order = sorted(range(len(plan.sigmas)), key=lambda k: (plan.cells[k] != 1, plan.sigmas[k] > 0))
-    nodes = [Node(plan.sigmas[k], plan.cells[k], plan.reach) for k in order]
+    nodes = ordered_nodes(plan)
     narrow = [node for node in nodes if node.cell == 1 and node.sigma > 0]
     wide = [node for node in nodes if node.cell != 1]
     taps = _taps(narrow)
@@ -130,7 +142,7 @@ def _plan_tables(plan: BlurPlan, size: tuple[int, int]) -> Plan:
     lines = [3 * len(grid.down_first) for grid in coarse]
     back = [_rows_of("enlarge", node, height) for node in wide]
     stack = Stack(
-        series=series_table([plan.coefficients[k] for k in order]),
+        series=series_table([plan.coefficients[k] for k in order_of(plan)]),
         taps=taps,
         pairs=np.array([_pairs(node) for node in narrow], np.int64),
         margin=margin,
@@ -224,7 +236,7 @@ def _law(medium: Medium, b_mean: float, plan: BlurPlan, size: tuple[int, int]) -
     """See `uwaug.blur.stack.node_weights` for the place of a width in a plan."""
     spread = medium.point_spread
     # a law's numbers may be tensors of one value
-    scale, exponent = (_in_single(value) for value in spread.numbers().values())
+    scale, exponent = (_number(value) for value in spread.numbers().values())
     if spread.reference_size is not None:
         scale *= min(size) / spread.reference_size
     low, high = range_in_v(plan)
@@ -236,9 +248,9 @@ def _law(medium: Medium, b_mean: float, plan: BlurPlan, size: tuple[int, int]) -
     return np.array(law, np.float32)
 
 
-def _in_single(value: Any) -> float:
+def _number(value: Any) -> float:
     """A number of a law, as `Medium.to` leaves it: a tensor's is rounded to float32."""
-    return float(value.to(torch.float32)) if isinstance(value, torch.Tensor) else float(value)
+    return float(value.detach().to(torch.float32)) if isinstance(value, Tensor) else float(value)
 
 
 def _values(tensor: Any) -> Floats:

@@ -11,7 +11,7 @@ from uwaug import checks
 from uwaug.checks import DOMAIN
 from uwaug.functional import transformed
 
-__all__ = ["PAPER_SIZE", "PointSpread", "Shape"]
+__all__ = ["PAPER_SIZE", "PointSpread", "Shape", "pixel_scale", "width_at"]
 
 Shape = Literal["gaussian", "exponential"]
 
@@ -150,13 +150,7 @@ class PointSpread:
             size: (height, width) of the image, px; None for px of `reference_size`.
         """
         scale, exponent = (_over_pixels(value, lengths) for value in self.numbers().values())
-        # x^exponent below 1 has an infinite slope at 0, so that σ(0) is tiny instead of 0; at 1e4
-        # scattering lengths all light is gone
-        x = lengths.clamp(1e-6, 1e4)
-        if isinstance(exponent, Tensor) or exponent != 1:
-            x = x**exponent  # ONNX Runtime would compute x^1
-        width: Tensor = scale * _pixel_scale(self.reference_size, size) * x
-        return width
+        return width_at(lengths, scale * pixel_scale(self.reference_size, size), exponent)
 
     def __str__(self) -> str:
         if not isinstance(self.scale, Tensor) and self.scale == 0:
@@ -166,6 +160,16 @@ class PointSpread:
             shown.append("learned" if isinstance(value, Tensor) else f"{value:.3g}")
         at = "" if self.reference_size is None else f" at {self.reference_size:g} px short side"
         return f"{self.shape} σ = {shown[0]}·(b̄ z)^{shown[1]} px{at}"
+
+
+def width_at(lengths: Tensor, scale: float | Tensor, exponent: float | Tensor) -> Tensor:
+    """scale·lengths^exponent, of shapes that broadcast."""
+    # x^exponent below 1 has an infinite slope at 0, so that σ(0) is tiny instead of 0; at 1e4
+    # scattering lengths all light is gone
+    x = lengths.clamp(1e-6, 1e4)
+    if isinstance(exponent, Tensor) or exponent != 1:
+        x = x**exponent  # ONNX Runtime would compute x^1
+    return scale * x
 
 
 def _over_pixels(value: float | Tensor, like: Tensor) -> Any:
@@ -189,7 +193,7 @@ def _require_values(name: str, value: Tensor, low: float, high: float) -> None:
         raise ValueError(f"{name} must be {checks.bounds(low, high)}, got {known.tolist()}")
 
 
-def _pixel_scale(reference_size: float | None, size: tuple[int, int] | None) -> float | Tensor:
+def pixel_scale(reference_size: float | None, size: tuple[int, int] | None) -> float | Tensor:
     """Px of an image of (height, width) `size` per px of one whose short side is the reference."""
     if reference_size is None or size is None:
         return 1.0

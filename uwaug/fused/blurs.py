@@ -1,0 +1,180 @@
+"""All blurs of a plan for pictures with gradients, and their transpose, as compiled loops.
+
+The blurs are kept for the backward, where each has a gradient. Their transposes are added up into
+one picture: Σ_k B_kᵀ g_k. A narrow blur is its own transpose, edges and all (see
+`uwaug.blur.operators.operator`). That of one on a coarse grid goes the same way back: see
+`uwaug.fused.transposed` for its tables.
+
+They call parts of `grids` and `pixels`: after a change there, remove what numba has kept of this
+file.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from uwaug.fused.compiling import inner, kernel
+from uwaug.fused.grids import LANES, _mix_columns
+from uwaug.fused.pixels import TILE, _add_enlarged, _add_line, _blur_rows
+from uwaug.fused.tables import Floats, Stack
+from uwaug.fused.transposed import Back, Cells
+
+__all__ = ["blurred_rows", "cell_lines", "gathered_rows"]
+
+_NONE = np.float32(0)
+
+_BLOCK = 32
+"""Rows to which one transpose after the other is added."""
+
+
+@inner
+def _mirror(line: Any, inside: Any, fold: Any, margin: int, width: int) -> None:
+    """Fill both margins of a line of `width` px."""
+    for x in range(margin):
+        line[x] = inside[fold[x]]
+        line[margin + width + x] = inside[fold[margin + width + x]]
+
+
+@inner
+def _add_rows(d: Any, plane: Any, rows: Any, c: int, w: Any) -> None:
+    """Add to d: Σ w[i]·(row rows[i] + c); there are 4, 8, … weights."""
+    for i in range(0, w.size, 4):
+        w0, w1, w2, w3 = w[i], w[i + 1], w[i + 2], w[i + 3]
+        r0, r1 = plane[rows[i] + c], plane[rows[i + 1] + c]
+        r2, r3 = plane[rows[i + 2] + c], plane[rows[i + 3] + c]
+        for x in range(d.size):
+            d[x] += (w0 * r0[x] + w1 * r1[x]) + (w2 * r2[x] + w3 * r3[x])
+
+
+@inner
+def _gather(to: Any, source: Any, first: Any, weights: Any) -> None:
+    """Columns of `LANES` samples, each a weighed sum of others."""
+    to[:] = _NONE
+    count, taps = weights.shape
+    for k in range(count):
+        cell, begin = to[k * LANES : (k + 1) * LANES], first[k] * LANES
+        for i in range(0, taps, 4):
+            four = source[begin + i * LANES : begin + (i + 4) * LANES]
+            _mix_columns(cell, four, weights[k], i)
+
+
+@kernel
+def blurred_rows(
+    light: Floats, stack: Stack, grid: Floats, out: Floats, start: int, stop: int
+) -> None:
+    """Rows of all blurs of a picture.
+
+    Args:
+        light (3xHxW): of the scene.
+        stack: tables.
+        grid (NxW): the lines of all coarse grids, from `uwaug.fused.grids.coarse_lines`.
+        out (KxHx3xW): the blurs, in the order of the stack.
+        start, stop: rows.
+    """
+    _, _, width = light.shape
+    narrow, wide, margin = stack.taps.shape[0], stack.back.shape[0], stack.margin
+    sharp = stack.series.shape[0] - narrow - wide
+    line = np.zeros(-(-width // TILE) * TILE + 2 * margin + 2, np.float32)
+    inside = line[margin : margin + width]
+    tile, whole = np.zeros(TILE, np.float32), np.ones(max(TILE, width), np.float32)
+    for y in range(start, stop):
+        for c in range(3):
+            if sharp:
+                out[0, y, c, :] = light[c, y]
+            for k in range(narrow):
+                _blur_rows(inside, light[c], stack.rows, margin + y, stack.taps[k], stack.pairs[k])
+                _mirror(line, inside, stack.columns, margin, width)
+                d = out[sharp + k, y, c]
+                for left in range(0, width, TILE):
+                    tile[:] = _NONE
+                    _add_line(tile, whole, line, margin + left, stack.taps[k], stack.pairs[k])
+                    part = d[left : min(left + TILE, width)]
+                    for x in range(part.size):
+                        part[x] = tile[x]
+            for k in range(wide):
+                first = stack.starts[k] + 3 * stack.back_first[k, y] + c
+                d = out[sharp + narrow + k, y, c]
+                d[:] = _NONE
+                _add_enlarged(d, whole, grid, first, 0, width, stack.back[k, y])
+
+
+@kernel
+def cell_lines(by: Floats, grid: Floats, cells: Cells, start: int, stop: int) -> None:
+    """The transpose of one blur on a coarse grid, up to its last step, along columns.
+
+    Args:
+        by (3HxW): gradient of the blur; line 3y + c is of row y and channel c.
+        grid (3hxW): the result; line 3r + c is of row r of the grid.
+        cells: tables.
+        start, stop: lines.
+    """
+    width = by.shape[1]
+    count = cells.across.shape[0]
+    # columns of a power of two would share few places of the cache, see `grids`
+    lines = np.zeros((LANES, width + 24), np.float32)
+    # what a kernel reaches beyond the end has no weight
+    flat = np.zeros((width + cells.across.shape[1]) * LANES, np.float32)
+    small = np.zeros((count + cells.along.shape[1]) * LANES, np.float32)
+    whole, inside = flat[: width * LANES], small[: count * LANES]
+    for top in range(start, stop, LANES):
+        together = min(LANES, stop - top)
+        for j in range(together):
+            row, c = (top + j) // 3, (top + j) % 3
+            line = lines[j, :width]
+            line[:] = _NONE
+            _add_rows(line, by, cells.rows[row], c, cells.down[row])
+        for x in range(width):
+            column = whole[x * LANES : (x + 1) * LANES]
+            for j in range(LANES):
+                column[j] = lines[j, x]
+        _gather(inside, flat, cells.across_first, cells.across)
+        _gather(whole, small, cells.along_first, cells.along)
+        for j in range(together):
+            line = grid[top + j]
+            for x in range(width):
+                line[x] = whole[x * LANES + j]
+
+
+@kernel
+def gathered_rows(
+    by: Floats, stack: Stack, grid: Floats, back: Back, out: Floats, start: int, stop: int
+) -> None:
+    """Add to rows of a picture the transposes of all blurs.
+
+    Args:
+        by (Kx3HxW): gradients of the blurs, in the order of the stack; lines as for `cell_lines`.
+        stack: tables.
+        grid (NxW): the lines that `cell_lines` makes of all coarse grids.
+        back: tables.
+        out (3xHxW): gradient of the picture, to which they are added.
+        start, stop: rows.
+    """
+    _, _, width = out.shape
+    narrow, wide, margin = stack.taps.shape[0], stack.back.shape[0], stack.margin
+    sharp = stack.series.shape[0] - narrow - wide
+    padded = -(-width // TILE) * TILE
+    line = np.zeros(padded + 2 * margin + 2, np.float32)
+    inside = line[margin : margin + width]
+    whole, totals = np.ones(TILE, np.float32), np.zeros((_BLOCK, padded), np.float32)
+    for top in range(start, stop, _BLOCK):
+        count = min(_BLOCK, stop - top)
+        for c in range(3):
+            totals[:] = _NONE
+            for k in range(sharp + narrow):
+                for j in range(count):
+                    total, y = totals[j], top + j
+                    if k < sharp:
+                        total[:width] = by[k, 3 * y + c]
+                        continue
+                    taps, pairs = stack.taps[k - sharp], stack.pairs[k - sharp]
+                    _blur_rows(inside, by[k], back.folds[c], margin + y, taps, pairs)
+                    _mirror(line, inside, stack.columns, margin, width)
+                    for left in range(0, width, TILE):
+                        part = total[left : left + TILE]
+                        _add_line(part, whole, line, margin + left, taps, pairs)
+            for j in range(count):
+                d, y = out[c, top + j], top + j
+                for k in range(wide):
+                    _add_rows(totals[j, :width], grid, back.rows[k, y], c, back.up[k, y])
+                for x in range(width):
+                    d[x] += totals[j, x]
