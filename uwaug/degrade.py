@@ -10,12 +10,13 @@ import torch
 from torch import Tensor
 
 from uwaug import strips
+from uwaug.blur.at_hand import plan_at_hand
 from uwaug.choice import Choice, Draw, Settings
 from uwaug.colour import ColorSpace, from_light, require_values
 from uwaug.contrast import contrast_under
 from uwaug.exposure import GAINS, fixed_gain, gain_of, looks
 from uwaug.field import gaussian_random_field, gaussian_random_rows
-from uwaug.formation import Combine, Order, form, plan_at_hand, prepare, together
+from uwaug.formation import Combine, Order, form, prepare, together
 from uwaug.fused.picture import fused_picture, to_light
 from uwaug.fused.serving import serves
 from uwaug.fused.switch import Path

@@ -19,13 +19,14 @@ Order "line_of_sight" blurs J and weights it with the curves of the pixel that l
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple, get_args
 
 import torch
 from torch import Tensor
 
 from uwaug import checks
-from uwaug.blur.demand import blur_demand, spent
+from uwaug.blur.at_hand import plan_at_hand
+from uwaug.blur.demand import Order
 from uwaug.blur.pieces import blurred_pieces
 from uwaug.blur.plan import BlurPlan
 from uwaug.blur.stack import blurred, mixed, node_weights
@@ -39,19 +40,12 @@ from uwaug.rows import held
 
 __all__ = ["Order", "Terms", "form_image"]
 
-Order = Literal["line_of_sight", "source"]
-
 Combine = Callable[[Tensor, Curves, Tensor], tuple[Tensor, ...]]
 """What makes the result of image, curves and blurred image: `separately` or `together`."""
 
 _CANCELS = 1 / 256
 """Optical depth; nearer, 1 − e^−x keeps less than 16 of the 24 bits of single precision, and the
 veil less than 2e-5 of itself.
-"""
-
-_ROOM = 1.1
-"""By which a plan for gradients goes beyond the widths at hand. With 1.4 gradients are no better,
-with 1 the slope of the picture is 4 % off instead of 2 % (7C, 9C).
 """
 
 
@@ -232,38 +226,6 @@ def prepared_maps(
     if field is not None:
         z = z * batch(field)
     return batch(image), z
-
-
-def plan_at_hand(z: Tensor, medium: Medium, tolerance: float, order: Order) -> BlurPlan:
-    """The plan for these very distances, rounded so that similar ones share it."""
-    low, high = checks.extent(z) if z.numel() else (0.0, 0.0)
-    end = farthest_seen(medium, order)
-    if high >= end < FARTHEST:
-        shows = z.detach()[z < end]
-        high = float(shows.max()) if shows.numel() else low
-    return plan_between((low, high), (z.shape[-2], z.shape[-1]), medium, tolerance, order)
-
-
-def farthest_seen(medium: Medium, order: Order) -> float:
-    """The distance from which on a pixel asks nothing of the blur; `FARTHEST` if there is none."""
-    # no light is scattered from beyond where all is spent, and in the line of sight none passes
-    return spent(medium) if order == "line_of_sight" else FARTHEST
-
-
-def plan_between(
-    distances: tuple[float, float],
-    size: tuple[int, int],
-    medium: Medium,
-    tolerance: float,
-    order: Order,
-) -> BlurPlan:
-    """The plan for these effective distances, m, in a picture of (height, width) `size`."""
-    learned = torch.is_grad_enabled() and medium.requires_grad
-    learned = learned or transformed()
-    # at the very end of a plan half of the slope is missing
-    margin = _ROOM if learned else 1.0
-    demand = blur_demand(medium, distances, tolerance, order=order, learned=learned, margin=margin)
-    return demand.plan(size, shared=True)
 
 
 def form(

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from uwaug import checks, planned
+from uwaug.blur.at_hand import plan_at_hand
 from uwaug.blur.beyond import beyond_plan
 from uwaug.blur.demand import BlurDemand, blur_demand
 from uwaug.blur.plan import BlurPlan
@@ -19,7 +20,6 @@ from uwaug.formation import (
     Order,
     Reach,
     form,
-    plan_at_hand,
     prepared_maps,
     together,
     unbatched,

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from uwaug.blur.at_hand import farthest_seen, plan_between
 from uwaug.blur.pieces import blurred_pieces
 from uwaug.colour import ColorSpace, decoded, encoded, headroom
 from uwaug.contrast import contrast
@@ -15,8 +16,6 @@ from uwaug.formation import (
     Combine,
     Order,
     at_lens,
-    farthest_seen,
-    plan_between,
     scattered,
 )
 from uwaug.light.value import Light

@@ -16,7 +16,9 @@ from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import Shape
 from uwaug.optics.spectra import Array
 
-__all__ = ["BlurDemand", "blur_demand", "spent"]
+__all__ = ["BlurDemand", "Order", "blur_demand", "spent"]
+
+Order = Literal["line_of_sight", "source"]
 
 _LONGEST = 4
 """Sides: no picture is longer than 4 of the largest short side that a plan for all sizes serves."""
@@ -110,7 +112,7 @@ def blur_demand(
     distance_range: tuple[float, float],
     tolerance: float = 0.002,
     *,
-    order: Literal["line_of_sight", "source"] = "line_of_sight",
+    order: Order = "line_of_sight",
     learned: bool = False,
     margin: float = 1.0,
 ) -> BlurDemand:
