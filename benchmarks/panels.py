@@ -234,7 +234,7 @@ def runtime_contest(size: int, backward: bool, threads: int, quick: bool) -> Con
         models["ONNX Runtime"] = exported(degrade, threads)
     if importlib.util.find_spec("numba") is None:
         skipped.append("compiled loops (numba missing)")
-    elif not backward:  # gradients stay with PyTorch
+    else:
         models[LOOPS] = by_loops(degrade)
     once = forward_and_backward if backward else forward
     methods: dict[str, Method] = {}
