@@ -1,5 +1,6 @@
 """From module to file."""
 
+import inspect
 import logging
 import os
 import warnings
@@ -13,11 +14,13 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from uwaug import checks
+from uwaug.blur.kernels import PERIOD
 from uwaug.files import written_whole
 from uwaug.module import Underwater
 from uwaug.onnx.check import check_onnx
-from uwaug.onnx.graph import Graph, parameters_of
+from uwaug.onnx.graph import Before, Graph, Strip, parameters_of
 from uwaug.onnx.metadata import Options, plan_of, require_light, written
+from uwaug.onnx.strips import joined
 from uwaug.session import require
 
 __all__ = ["export_onnx", "export_program"]
@@ -93,6 +96,44 @@ def _silent(_: str) -> None:
 
 def _translated(traced: "_Traced", opset: int, tell: Callable[[str], None]) -> Any:
     """The graph as an ONNX model."""
+    if traced.graph.light is not None:  # which is made for the whole picture
+        model = _model(traced, opset, tell)
+    else:
+        before = traced._replace(graph=Before(traced.graph))
+        whole = _model(before, opset, tell)
+        model = joined(whole, _model(_strip_of(before), opset, tell))
+    _strip_traces(model)
+    _name_sizes(model, traced)
+    return model
+
+
+def _strip_of(before: "_Traced") -> "_Traced":
+    """A strip, to be traced with what is done before it."""
+    graph, batch = before.graph.parent, before.free["image"][0]
+    with torch.no_grad():
+        rows, _, *shared = before.graph(*before.inputs.values())
+    names = [f"shared_{i}" for i in range(len(shared))]
+    inputs = {"rows": rows[0], **dict(zip(names, shared, strict=True))}
+    free = {"rows": {0: PERIOD * torch.export.Dim("periods", min=1)}}
+    count = len(before.inputs) - 3 if graph.field else len(before.inputs) - 2
+    for i, (name, value) in enumerate(inputs.items()):
+        if i == 0:
+            continue
+        free[name] = {0: batch} if value.shape[0] == 2 else {}
+        if value.ndim == 4 and value.shape[2] > 1:
+            height = before.free["image"][2] if i < 3 else torch.export.Dim(f"rows_{i}", min=1)
+            free[name] |= {2: height, 3: before.free["image"][3]}
+    if not graph.frozen:
+        every = torch.export.Dim("every_rate", min=1)
+        free[names[-count - 2]][1] = every
+        free[names[-count - 1]][2] = every
+        for name, given in zip(names[-count:], list(before.free.values())[-count:], strict=True):
+            free[name] = given
+    return _Traced(Strip(graph), inputs, free)
+
+
+def _model(traced: "_Traced", opset: int, tell: Callable[[str], None]) -> Any:
+    """A graph, or one of its parts, as an ONNX model."""
     with torch.no_grad(), _quiet():
         program = _program(traced)
         tell("translating and optimising")
@@ -100,7 +141,6 @@ def _translated(traced: "_Traced", opset: int, tell: Callable[[str], None]) -> A
             program,
             dynamo=True,
             input_names=list(traced.inputs),
-            output_names=["output"],
             opset_version=opset,
             verbose=False,
         )
@@ -112,8 +152,6 @@ def _translated(traced: "_Traced", opset: int, tell: Callable[[str], None]) -> A
         raise ValueError(
             f"opset {opset}: the installed exporter can write up to {got.get('')} here"
         )
-    _strip_traces(model)
-    _name_sizes(model, traced)
     return model
 
 
@@ -136,7 +174,7 @@ class _Traced(NamedTuple):
     axis.
     """
 
-    graph: Graph
+    graph: Any
     inputs: dict[str, Tensor]
     free: dict[str, dict[int, Any]]
 
@@ -155,13 +193,13 @@ def _trace(module: Underwater, options: Options) -> _Traced:
     plan = plan_of(module)
     names = ("batch", "height", "width", "rates", "scatter_rates")
     batch, height, width, rates, scatter_rates = (torch.export.Dim(name, min=1) for name in names)
-    picture = torch.rand(2, 3, 48, 56, dtype=torch.float32)
+    picture = torch.rand(2, 3, 240, 560, dtype=torch.float32)
     inputs = {
         "image": (picture * 255).to(torch.uint8) if quantised else picture,
-        "distance": torch.ones(2, 1, 48, 56, dtype=torch.float32),
+        "distance": torch.ones(2, 1, 240, 560, dtype=torch.float32),
     }
     if field:
-        inputs["field"] = torch.ones(2, 1, 48, 56, dtype=torch.float32)
+        inputs["field"] = torch.ones(2, 1, 240, 560, dtype=torch.float32)
     free = {name: {0: batch, 2: height, 3: width} for name in inputs}
     for name, row in parameters_of(module.medium[0]).items() if not frozen else ():
         # two more rates of no weight, as an example of one rate would fix that number
@@ -177,8 +215,11 @@ def _trace(module: Underwater, options: Options) -> _Traced:
 
 
 def _program(traced: _Traced) -> torch.export.ExportedProgram:
-    image, distance, *rest = traced.free.values()
-    shapes = (image, distance, tuple(rest)) if rest else (image, distance)
+    names = [one for one in inspect.signature(traced.graph.forward).parameters if one != "rest"]
+    free = list(traced.free.values())
+    shapes: tuple[Any, ...] = tuple(free[: len(names)])
+    if len(free) > len(names):
+        shapes = (*shapes, tuple(free[len(names) :]))
     return torch.export.export(
         traced.graph,
         tuple(traced.inputs.values()),
@@ -210,16 +251,16 @@ def _quiet() -> Iterator[None]:
 
 def _strip_traces(model: Any) -> None:
     """Drop stack traces, which name files of this machine."""
-    for part in (
-        *model.graph.node,
-        *model.graph.input,
-        *model.graph.output,
-        *model.graph.initializer,
-    ):
-        part.ClearField("metadata_props")
-        part.ClearField("doc_string")
-    del model.graph.value_info[:]
-    model.graph.ClearField("metadata_props")
+    graphs = [model.graph]
+    for graph in graphs:
+        for part in (*graph.node, *graph.input, *graph.output, *graph.initializer):
+            part.ClearField("metadata_props")
+            part.ClearField("doc_string")
+        del graph.value_info[:]
+        graph.ClearField("metadata_props")
+        for node in graph.node:
+            # the body of a loop
+            graphs += [one.g for one in node.attribute if one.HasField("g")]
 
 
 def _name_sizes(model: Any, traced: _Traced) -> None:
