@@ -109,26 +109,23 @@ def _translated(traced: "_Traced", opset: int, tell: Callable[[str], None]) -> A
 
 def _strip_of(before: "_Traced") -> "_Traced":
     """A strip, to be traced with what is done before it."""
-    graph, batch = before.graph.parent, before.free["image"][0]
     with torch.no_grad():
         rows, _, *shared = before.graph(*before.inputs.values())
-    names = [f"shared_{i}" for i in range(len(shared))]
-    inputs = {"rows": rows[0], **dict(zip(names, shared, strict=True))}
-    free = {"rows": {0: PERIOD * torch.export.Dim("periods", min=1)}}
-    count = len(before.inputs) - 3 if graph.field else len(before.inputs) - 2
-    for i, (name, value) in enumerate(inputs.items()):
-        if i == 0:
-            continue
-        free[name] = {0: batch} if value.shape[0] == 2 else {}
-        if value.ndim == 4 and value.shape[2] > 1:
-            height = before.free["image"][2] if i < 3 else torch.export.Dim(f"rows_{i}", min=1)
-            free[name] |= {2: height, 3: before.free["image"][3]}
-    if not graph.frozen:
-        every = torch.export.Dim("every_rate", min=1)
-        free[names[-count - 2]][1] = every
-        free[names[-count - 1]][2] = every
-        for name, given in zip(names[-count:], list(before.free.values())[-count:], strict=True):
-            free[name] = given
+    graph, picture = before.graph.parent, before.free["image"]
+    every = torch.export.Dim("every_rate", min=1)
+    # whole periods of rows
+    inputs, free = {"rows": rows[0]}, {"rows": {0: PERIOD * torch.export.Dim("periods", min=1)}}
+    known = {
+        "light": picture,
+        "most": {0: picture[0]},
+        "rates": {0: picture[0], 1: every},
+        "weights": {0: picture[0]} if graph.frozen else {0: picture[0], 2: every},
+    }
+    for name, value in zip(before.graph.names(), shared, strict=True):
+        inputs[name] = value
+        free[name] = known.get(name) or before.free.get(name) or dict(picture)
+        if name.startswith("prepared"):
+            free[name][2] = torch.export.Dim(name, min=1)
     return _Traced(Strip(graph), inputs, free)
 
 
@@ -170,8 +167,8 @@ def export_program(
 
 
 class _Traced(NamedTuple):
-    """What torch.export wants: the graph; an example of each input, by name, and its free sizes, by
-    axis.
+    """What torch.export wants: the graph, or a part of it; an example of each input, by name, and
+    its free sizes, by axis.
     """
 
     graph: Any

@@ -1,8 +1,8 @@
 """The model as one graph for any batch, height and width: what `uwaug.onnx` exports.
 
 Curves, width law, weights and sum are the package's own functions. Of its own a graph has the
-blurs: `uwaug.blur` works in strips, blocks and caches that a graph has no room for.
-`uwaug.onnx.check_onnx` holds what is exported against them.
+blurs, see `uwaug.onnx.blurs`; `uwaug.onnx.check_onnx` holds what is exported against them. A file
+has the graph in two parts, `Before` and `Strip`, see `uwaug.onnx.strips`; with a light, in one.
 """
 
 from collections.abc import Sequence
@@ -53,6 +53,8 @@ class Graph(nn.Module):
         self.quantised = quantised
         self.color_space = module.color_space
         self.exposure = module.exposure
+        self.limited = module.color_space == "srgb" and not quantised  # by the picture's brightest
+        self.fixed = frozen and module.exposure != "auto"  # the curves
         self.medium = module.medium.map(lambda t: t.detach().to("cpu", torch.float32))
         self.blurs = nn.ModuleList(
             _blur(sigma, cell, plan.reach)
@@ -90,8 +92,12 @@ class Graph(nn.Module):
         light = to_light(image, self.color_space)
         return light, z, field, medium, exposed_sums(light, z, sums, self.exposure)
 
+    def stack(self) -> list[Blur]:
+        """The blurs."""
+        return list(self.blurs)  # type: ignore[arg-type]
+
     def numbers(self, rest: Sequence[Tensor]) -> Sequence[Tensor]:
-        """The parameters among the inputs that follow the distance."""
+        """The parameters (none, if frozen) among the inputs that follow the distance."""
         return rest[1:] if self.field else rest
 
     def medium_of(self, numbers: Sequence[Tensor]) -> Medium:
@@ -110,29 +116,38 @@ class Graph(nn.Module):
 
 
 class Before(nn.Module):
-    """What a graph does once, on the whole picture.
-
-    Takes what the graph takes. Gives the tensors of `strips_of`, and all that `Strip` takes but the
-    rows of one: light, distance, what the blurs have prepared, the largest sRGB value if there is
-    one, rates and weights as far as they are not fixed, and the parameters if those are inputs.
+    """What a graph does once, on the whole picture: takes what the graph takes, and gives the
+    tensors of `strips_of`, then all that `Strip` takes but the rows of one.
     """
 
     def __init__(self, graph: Graph) -> None:
         super().__init__()
         self.parent = graph
 
+    def names(self) -> list[str]:
+        """What it gives, after the tensors of `strips_of`: what is fixed, a strip has itself."""
+        graph = self.parent
+        count = sum(blur.prepared for blur in graph.stack())
+        prepared = [f"prepared_{i}" for i in range(count)]
+        most = ["most"] if graph.limited else []
+        rates = [] if graph.frozen else ["rates"]
+        weights = [] if graph.fixed else ["weights"]
+        parameters = [] if graph.frozen else list(graph.medium.parameters())
+        return ["light", "distance", *prepared, *most, *rates, *weights, *parameters]
+
     def forward(self, image: Tensor, distance: Tensor, *rest: Tensor) -> tuple[Tensor, ...]:
         """As `Graph.forward`."""
         graph = self.parent
         light, z, _, _, sums = graph.given(image, distance, *rest)
-        prepared = [blur.before(light) for blur in graph.blurs if blur.prepared]
-        most = headroom(image) if graph.color_space == "srgb" else 1.0
-        limit = [most] if isinstance(most, Tensor) else []
-        # what is fixed, a strip has itself
-        curved = [] if graph.frozen else [sums.rates]
-        curved += [] if graph.frozen and graph.exposure != "auto" else [sums.weights]
-        strips = strips_of(image.shape[0], (z.shape[2], z.shape[3]))
-        return (*strips, light, z, *prepared, *limit, *curved, *graph.numbers(rest))
+        found = [*strips_of(image.shape[0], (z.shape[2], z.shape[3])), light, z]
+        found += [blur.before(light) for blur in graph.stack() if blur.prepared]
+        if graph.limited:
+            # eager mode gives a number where no value is above 1
+            most = torch.as_tensor(headroom(image), dtype=light.dtype)
+            found.append(most.expand(image.shape[0], 1, 1, 1))
+        found += [] if graph.frozen else [sums.rates]
+        found += [] if graph.fixed else [sums.weights]
+        return (*found, *graph.numbers(rest))
 
 
 class Strip(nn.Module):
@@ -144,21 +159,20 @@ class Strip(nn.Module):
 
     def forward(self, rows: Tensor, light: Tensor, z: Tensor, *rest: Tensor) -> Tensor:
         """The numbers of its rows (R), and what `Before` gives → strip (Bx3xRxW)."""
-        graph, given = self.parent, list(rest)
+        graph, given = self.parent, iter(rest)
         stack = []
-        for blur in graph.blurs:
-            source = given.pop(0) if blur.prepared else light
+        for blur in graph.stack():
+            source = next(given) if blur.prepared else light
             stack.append(blur.within(blur.rows.of(source, rows)))
-        dtype = torch.uint8 if graph.quantised else torch.float32
-        limited = graph.color_space == "srgb" and not graph.quantised
-        most = given.pop(0) if limited else 1.0
-        sums = Sums(graph.rates if graph.frozen else given.pop(0), graph.weights, None)
-        if graph.frozen and graph.exposure != "auto":
+        most = next(given) if graph.limited else 1.0
+        sums = Sums(graph.rates if graph.frozen else next(given), graph.weights, None)
+        if graph.fixed:
             sums = exposed_sums(light, z, sums, graph.exposure)
         else:
-            sums = sums._replace(weights=given.pop(0))
+            sums = sums._replace(weights=next(given))
         size, plain = (z.shape[2], z.shape[3]), Blur.rows
         light, z = plain.of(light, rows), plain.of(z, rows)
-        blur = scattered(stack, z, graph.medium_of(given), graph.plan, size)
-        (result,) = together(light, curves(sums, z), blur)
+        blurred = scattered(stack, z, graph.medium_of(list(given)), graph.plan, size)
+        (result,) = together(light, curves(sums, z), blurred)
+        dtype = torch.uint8 if graph.quantised else torch.float32
         return encoded(result, graph.color_space, dtype, most)

@@ -2,7 +2,8 @@
 
 ONNX Runtime runs one operator after the other, each on all of its data, and a picture of 1024²
 leaves the caches between any two of them. A file therefore has two graphs: one of what is done once
-on the whole picture, and the body of a loop (Scan) over strips.
+on the whole picture, and the body of a loop (Scan) over strips. They are traced one by one: with
+torch's own `scan` to export takes three times as long.
 """
 
 from typing import Any, NamedTuple
@@ -14,8 +15,10 @@ from uwaug.blur.kernels import PERIOD, reflect
 
 __all__ = ["Rows", "joined", "strips_of"]
 
-_STRIP = 65_536
-"""Pixels of a strip, about."""
+_STRIP = 32_768
+"""Pixels of a strip, about; with twice or half as many 256² to 1024² take as long within the noise,
+and with one strip for all of 1024² twice as long.
+"""
 
 
 class Rows(NamedTuple):
@@ -68,26 +71,23 @@ def joined(whole: Any, strip: Any) -> Any:
     from onnx import compose, helper
 
     strip = compose.add_prefix(strip, "strip_")
+    body = strip.graph
     rows, places, *shared = (value.name for value in whole.graph.output)
-    body, output = strip.graph, strip.graph.output[0].name
     names = {one.name: name for one, name in zip(body.input[1:], shared, strict=True)}
     for node in body.node:
         for i, name in enumerate(node.input):
             node.input[i] = names.get(name, name)
-    del body.input[1:]
+    for node in list(whole.graph.node):
+        if list(node.input) == list(node.output):  # what is handed on as it is
+            whole.graph.node.remove(node)
     whole.graph.initializer.extend(body.initializer)
-    del body.initializer[:]
+    del body.initializer[:], body.input[1:]
+    scan = helper.make_node("Scan", [rows], ["strips"], body=body, num_scan_inputs=1)
+    flat = helper.make_node("Flatten", ["strips"], ["lines"], axis=4)
     whole.graph.node.extend(
-        [
-            helper.make_node("Scan", [rows], ["strips"], body=body, num_scan_inputs=1),
-            helper.make_node("Flatten", ["strips"], ["lines"], axis=4),
-            helper.make_node("Gather", ["lines", places], ["output"], axis=0),
-        ]
+        [scan, flat, helper.make_node("Gather", ["lines", places], ["output"], axis=0)]
     )
-    result = helper.make_tensor_value_info(
-        "output", strip.graph.output[0].type.tensor_type.elem_type, ["batch", 3, "height", "width"]
-    )
-    assert body.output[0].name == output
+    kind = body.output[0].type.tensor_type.elem_type
     del whole.graph.output[:]
-    whole.graph.output.append(result)
+    whole.graph.output.append(helper.make_tensor_value_info("output", kind, [None, 3, None, None]))
     return whole
