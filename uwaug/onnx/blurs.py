@@ -117,7 +117,7 @@ class _Coarse(Blur):
         return _strided(part, self.get_buffer("enlarge"), self.cells, 2)
 
 
-_AT_ONCE = {2: 4, 3: 1}
+_AT_ONCE = {2: 2, 3: 1}
 """Periods that one window serves along an axis; along rows, to gather what overlaps is cheaper than
 to copy it px by px.
 """
