@@ -31,7 +31,7 @@ Work = dict[str, float]
 
 CHANNELS = 3
 EXP, LOG = 16, 21
-"""Of one exponential and one logarithm, as polynomials in `uwaug.fused.pixels`."""
+"""Of one exponential and one logarithm, as in `uwaug.fused.polynomials`."""
 
 BYTES = 4 * (CHANNELS + 1 + 1 + CHANNELS)
 """For each pixel: image, distance, field; result."""
@@ -59,7 +59,7 @@ def arithmetic(plan: BlurPlan, medium: Medium, size: tuple[int, int]) -> Work:
     """Our model with field, whichever path computes it."""
     stack, coarse = plan_tables(plan, size)
     water = water_tables(medium.to(torch.float32), plan, size)
-    blurs, terms = stack.series.shape
+    blurs, terms = len(plan.coefficients), len(plan.coefficients[0])
     rates, direct = len(water.rates), water.direct.shape[1]
     falling = rates - direct
     place = (LOG + 3) + 6 if blurs > 1 else 0  # three more: log2(1 + x) keeps what rounding loses

@@ -225,6 +225,29 @@ def test_lamps_are_refereed() -> None:
     assert all(cost["median_ms"] > 0 for cost in results["costs"].values())
 
 
+def test_the_roofline_counts_coarse_blurs_as_matrices_have_it() -> None:
+    pytest.importorskip("numba")
+    from benchmarks import roofline
+    from uwaug.blur.banded import along_rows
+    from uwaug.blur.operators import Node, operator
+    from uwaug.fused.tables import _coarse
+
+    node, height, width = Node(6.0, 4.0, 3.0), 96, 130
+
+    def weights(kind: Any, size: int) -> int:
+        at = (kind, 0, size, node, torch.float64, torch.device("cpu"))
+        columns = operator(*at, adjoint=True).rows
+        dense = along_rows(operator(*at), torch.eye(columns, dtype=torch.float64))
+        return int((dense != 0).sum())
+
+    lines = len(_coarse(node, height, width).down)
+    down, back = weights("shrink", height) * width, weights("enlarge", height) * width
+    along = weights("shrink", width) + weights("enlarge", width)
+    least = 3 * 2 * (down + lines * along + back) / (height * width)
+    # rows of all matrices are filled up to 4, 8, … weights; at edges some fall on one pixel
+    assert least <= roofline.wide(_coarse(node, height, width)) <= 1.25 * least
+
+
 def test_what_the_roofline_counts() -> None:
     pytest.importorskip("numba")
     from benchmarks import roofline

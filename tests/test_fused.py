@@ -21,6 +21,7 @@ import uwaug
 from benchmarks import stability
 from benchmarks.conditions import Case, conditions
 from uwaug import fused
+from uwaug.colour import srgb_to_linear
 from uwaug.fused import compiling, loops, switch, threads
 from uwaug.fused import picture as pictures
 
@@ -113,6 +114,29 @@ def test_white_stays_white() -> None:
     white = torch.ones(3, 1, 256)
     with fused.use(True):
         assert torch.equal(pictures.to_light(white, "srgb"), white)
+
+
+def test_decoding_and_encoding_undo_each_other() -> None:
+    values = torch.linspace(0, 1, 30_000).reshape(3, 100, 100)
+    water = uwaug.Medium.from_coefficients([0.0] * 3, [0.0] * 3, [0.0] * 3)
+    with torch.no_grad(), fused.use(True):
+        light = pictures.to_light(values, "srgb")
+        again = uwaug.Underwater(water)(values, torch.zeros(1, 100, 100))
+    expected = srgb_to_linear(values.double())
+    torch.testing.assert_close(light.double(), expected, rtol=0, atol=3e-7)
+    torch.testing.assert_close(again, values, rtol=0, atol=8e-7)
+    assert again[0, 0, 0] == 0
+    assert again.max() == 1
+
+
+def test_a_pixel_beyond_white_changes_no_other() -> None:
+    image, z = rand(3, 20, 300).float(), torch.ones(1, 20, 300)
+    bright = image.clone()
+    bright[:, 3, 7] = torch.tensor([-0.05, 1.5, 3.0])
+    module = uwaug.Underwater(coefficients(law=uwaug.PointSpread.none())).float()
+    with torch.no_grad(), fused.use(True):
+        changed = (module(image, z) != module(bright, z)).nonzero()
+    assert changed.tolist() == [[c, 3, 7] for c in range(3)]
 
 
 def degraded(size: int = 400) -> Tensor:
@@ -235,6 +259,7 @@ def test_without_numba_all_is_as_before(monkeypatch: pytest.MonkeyPatch, formed:
 BROKEN = """
 import warnings, torch, uwaug
 from uwaug import fused
+from uwaug.colour import srgb_to_linear
 degrade = uwaug.load_preset("survey", water="7C").module()
 assert "numba" not in __import__("sys").modules
 with warnings.catch_warnings(record=True) as caught, torch.no_grad():

@@ -65,15 +65,16 @@ def to_light(image: Tensor, color_space: ColorSpace) -> Tensor:
     return decoded(image, color_space)
 
 
-def require_values(image: Tensor, color_space: ColorSpace) -> None:
-    """Refuse what `to_light` cannot take."""
+def require_values(image: Tensor, color_space: ColorSpace) -> tuple[float, float]:
+    """Refuse what `to_light` cannot take; between which values the others lie."""
     if not image.is_floating_point() or not image.numel() or torch.compiler.is_compiling():
-        return
+        return 0.0, 1.0
     low, high = checks.finite("image", image)
     if color_space == "srgb" and high > _BRIGHTEST:
         raise ValueError(f"image reaches {high:g}: expected 0…1; divide a 0…255 image by 255")
     if color_space == "srgb" and low < _DARKEST:
         raise ValueError(f"image falls to {low:g}: expected 0…1; place it before Normalize")
+    return low, high
 
 
 def decoded(image: Tensor, color_space: ColorSpace) -> Tensor:

@@ -102,15 +102,17 @@ def _run_once(loops: Loops) -> None:
     """A picture of one pixel, so that all types are compiled."""
     one, none = np.ones((3, 1, 1), np.float32), np.zeros(1, np.int64)
     four = np.ones((1, 4), np.float32)
-    mirrored = np.zeros(5, np.int64)
-    coarse = Coarse(mirrored, 2, none, four, mirrored, 2, none, four, none, four)
+    # its one row and column, mirrored three times on either side; a grid of four cells
+    mirrored, cells = np.zeros(7, np.int64), np.zeros(4, np.int64)
+    across = np.ones((4, 4), np.float32)
+    coarse = Coarse(mirrored, 3, none, four, mirrored, 3, cells, across, none, four)
     grid = np.ones((12, 1), np.float32)
     loops.grids.coarse_lines(one, grid, coarse, 0, 0, 3)
     stack = Stack(
-        series=np.ones((2, 2), np.float32),
+        series=np.ones((2, 4), np.float32),
         taps=np.ones((1, 3), np.float32),
         pairs=np.full(1, 2),
-        margin=2,
+        margin=3,
         rows=mirrored,
         columns=mirrored,
         starts=none,
@@ -124,7 +126,7 @@ def _run_once(loops: Loops) -> None:
     loops.pixels.form_rows(one, one[0], water, stack, grid, True, most, one, nothing, 0, 1)
     byte = np.zeros((1, 1), np.uint8)
     loops.pixels.look_up(byte, np.ones(256, np.float32), one[0], 0, 1)
-    loops.pixels.decode_rows(one[0], one[1], 0, 1)
+    loops.pixels.decode_rows(one[0], one[1], True, 0, 1)
     blurs = np.array([one.ctypes.data] * 2, np.int64)
     maps = (one, one[0], one[0], water, stack)
     outs = (one.copy(), one[0].copy(), one[0].copy(), np.ones((2, 1, 3, 1), np.float32))

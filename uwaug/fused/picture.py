@@ -31,7 +31,7 @@ def to_light(image: Tensor, color_space: ColorSpace, wanted: Path | None = None)
     is_light = color_space == "linear" and image.dtype != torch.uint8
     if is_light or not decodes(image, wanted):
         return colour.to_light(image, color_space)
-    colour.require_values(image, color_space)
+    low, high = colour.require_values(image, color_space)
     light = torch.empty(image.shape, dtype=torch.float32)
     width = image.shape[-1]
     given = image.detach().contiguous().numpy().reshape(-1, width)
@@ -42,10 +42,11 @@ def to_light(image: Tensor, color_space: ColorSpace, wanted: Path | None = None)
         every = np.arange(256, dtype=np.float32)[None] / np.float32(255)
         table = every.copy()
         if color_space == "srgb":
-            pixels.decode_rows(every, table, 0, 1)
+            pixels.decode_rows(every, table, False, 0, 1)
         in_bands(lambda *rows: pixels.look_up(given, table[0], made, *rows), len(given), width)
     else:
-        in_bands(lambda *rows: pixels.decode_rows(given, made, *rows), len(given), width)
+        beyond = low < 0 or high > 1
+        in_bands(lambda *rows: pixels.decode_rows(given, made, beyond, *rows), len(given), width)
     return light
 
 

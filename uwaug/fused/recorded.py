@@ -15,7 +15,15 @@ from uwaug.blur.stack import mixed, node_weights
 from uwaug.functional import mapped
 from uwaug.fused import loops
 from uwaug.fused.serving import takes
-from uwaug.fused.tables import Floats, Indices, Stack, Water, plan_tables, water_tables
+from uwaug.fused.tables import (
+    Floats,
+    Indices,
+    Stack,
+    Water,
+    plan_tables,
+    series_table,
+    water_tables,
+)
 from uwaug.fused.threads import in_bands
 from uwaug.optics.curves import curves
 from uwaug.optics.medium import Medium
@@ -160,7 +168,7 @@ def _water(tensors: tuple[Tensor, ...], n: int, plan: BlurPlan) -> Water:
 def _stack_tables(plan: BlurPlan) -> Stack:
     """Of which the loops look at the series alone, in the order of the plan."""
     empty = plan_tables(plan, (1, 1)).stack
-    return empty._replace(series=np.array(plan.coefficients, np.float32))
+    return empty._replace(series=series_table(plan.coefficients))
 
 
 @lru_cache(maxsize=16)
@@ -169,4 +177,4 @@ def _steeper(plan: BlurPlan) -> Floats:
     low, high = range_in_v(plan)
     by_place = np.polynomial.chebyshev.chebder(np.array(plan.coefficients), axis=1)
     slope = (2 if plan.shape == "exponential" else 1) / (high - low) if high > low else 0.0
-    return np.asarray(slope * by_place, np.float32, order="C")
+    return series_table(slope * by_place)

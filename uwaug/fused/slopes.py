@@ -1,7 +1,7 @@
 """What is done at each pixel of a picture whose blurs are there, and its backward, as compiled
 loops. Autograd would write every intermediate to memory, and read it back.
 
-They call parts of `pixels`: after a change there, remove what numba has kept of this file.
+They call parts of `pixels`, see `polynomials`.
 """
 
 from typing import Any
@@ -12,7 +12,8 @@ from numba.core import types
 from numba.extending import intrinsic
 
 from uwaug.fused.compiling import inner, kernel
-from uwaug.fused.pixels import TILE, _curves, _rows, _shares, _summed, _weighed
+from uwaug.fused.pixels import TILE, _curves, _places, _rows, _series, _shares, _store
+from uwaug.fused.polynomials import exp2_parts
 from uwaug.fused.tables import Floats, Indices, Stack, Water
 
 __all__ = ["ROWS", "recorded_rows", "slope_rows"]
@@ -75,24 +76,30 @@ def recorded_rows(
     """
     _, height, width = light.shape
     count, terms = stack.series.shape
-    decays = 2 + terms
-    curves = decays + 2 * water.rates.size
-    shares = curves + 9
-    mixed = shares + count
-    t = np.zeros((mixed + count + 1) * TILE, np.float32)
+    # rows of a tile as in `form_rows`, and a blur
+    shares = 10
+    total = shares + count
+    t = np.zeros((total + 2 + terms) * TILE, np.float32)
+    mixture, blur = _rows(t, total, 1), _rows(t, total + 1 + terms, 1)
+    nothing = np.zeros(0, np.uint8)
     for y in range(start, stop):
         for left in range(0, width, TILE):
             right = min(left + TILE, width)
             _fill(t, 0, sigma[y, left:right])
-            _shares(t, 2, shares, water, stack.series)
+            _places(t, 0, total + 1, water.law)
+            _shares(t, total + 1, shares, stack.series)
             _fill(t, 0, z[y, left:right])
-            _curves(t, decays, curves, water)
+            _curves(t, 0, 1, water)
             for c in range(3):
+                mixture[:] = _0
                 for k in range(count):
-                    blur = numba.carray(_pointer(blurs[k]), (height, lines, width))
-                    _fill(t, mixed + k, blur[y, first + c, left:right])
-                total = _summed(t, curves + c, shares, mixed, count, light[c, y, left:right])
-                out[c, y, left:right] = total[: right - left]
+                    values = numba.carray(_pointer(blurs[k]), (height, lines, width))
+                    _fill(t, total + 1 + terms, values[y, first + c, left:right])
+                    share = _rows(t, shares + k, 1)
+                    for x in range(TILE):
+                        mixture[x] += share[x] * blur[x]
+                seen, made = light[c, y, left:right], out[c, y, left:right]
+                _store(mixture, _rows(t, 1 + 3 * c, 3), seen, False, _1, made, nothing)
 
 
 @inner
@@ -110,14 +117,20 @@ def _by_blur(t: Any, through: int, share: int, steep: int, work: int, to: Any) -
 
 
 @inner
-def _by_rates(t: Any, sums: Any, decays: int, by: int, work: int, water: Water) -> None:
+def _by_rates(t: Any, sums: Any, by: int, work: int, water: Water) -> None:
     """Add up slopes of weights and rates; into row work + 1, those of distances. From `by` on,
     slopes of the nine curves.
     """
     direct, rates = water.direct.shape[1], water.rates.size
     z, g, by_z = _rows(t, 0, 1), _rows(t, work, 1), _rows(t, work + 1, 1)
+    e, less = _rows(t, work + 2, 1), _rows(t, work + 3, 1)
     by_z[:] = _0
     for r in range(rates):
+        rate = water.rates[r]
+        for x in range(TILE):
+            power, rest = exp2_parts(rate * z[x])
+            e[x] = power + rest
+            less[x] = (power - _1) + rest
         g[:] = _0
         for c in range(3):
             s, w = _rows(t, by + 3 + c, 1), water.scatter[c, r]
@@ -126,15 +139,15 @@ def _by_rates(t: Any, sums: Any, decays: int, by: int, work: int, water: Water) 
                 other, v = _rows(t, by + 6 + c, 1), water.veil[c, r - direct]
             for x in range(TILE):
                 g[x] += w * s[x] + v * other[x]
-            _add_product(sums, 7 * r + c, t, by + 3 + c, decays + r)
+            _add_product(sums, 7 * r + c, t, by + 3 + c, work + 2)
             if r < direct:
-                _add_product(sums, 7 * r + 3 + c, t, by + c, decays + r)
+                _add_product(sums, 7 * r + 3 + c, t, by + c, work + 2)
             else:
-                _add_product(sums, 7 * r + 3 + c, t, by + 6 + c, decays + rates + r - direct)
-        e, rate, d = _rows(t, decays + r, 1), water.rates[r] * _LN2, _rows(sums, 7 * r + 6, 1)
+                _add_product(sums, 7 * r + 3 + c, t, by + 6 + c, work + 3)
+        steepness, d = rate * _LN2, _rows(sums, 7 * r + 6, 1)
         for x in range(TILE):
             fallen = g[x] * e[x]
-            by_z[x] += rate * fallen
+            by_z[x] += steepness * fallen
             d[x] += z[x] * fallen
 
 
@@ -166,13 +179,13 @@ def slope_rows(
     to_light, to_z, to_sigma, to_blurs, all_sums = outs
     _, height, width = light.shape
     count, terms = stack.series.shape
-    decays = 2 + terms
-    curves = decays + 2 * water.rates.size
-    shares = curves + 9
+    # rows of a tile as in `form_rows`, slopes of weights and of curves, and room
+    shares = 10
     steep = shares + count
     by = steep + count
-    work = by + 9
-    t = np.zeros((work + 3) * TILE, np.float32)
+    place = by + 9
+    work = place + terms
+    t = np.zeros((work + 4) * TILE, np.float32)
     for y in range(start, stop):
         sums = all_sums[y // ROWS]
         for left in range(0, width, TILE):
@@ -180,19 +193,20 @@ def slope_rows(
             n = right - left
             widths = sigma[y, left:right]
             _fill(t, 0, widths)
-            _shares(t, 2, shares, water, stack.series)
+            _places(t, 0, place, water.law)
+            _shares(t, place, shares, stack.series)
             for k in range(count):
-                _weighed(t, steep + k, 2, steeper[k])
-            place, by_width = _rows(t, 1, 1), _rows(t, work + 1, 1)
+                _series(t, steep + k, place, steeper[k])
+            places, by_width = _rows(t, place, 1), _rows(t, work + 1, 1)
             _fill(t, 0, z[y, left:right])
-            _curves(t, decays, curves, water)
+            _curves(t, 0, 1, water)
             by_width[:] = _0
             for c in range(3):
                 _fill(t, by + 6 + c, gradient[c, y, left:right])
                 _fill(t, by + c, light[c, y, left:right])
                 g, seen = _rows(t, by + 6 + c, 1), _rows(t, by + c, 1)
                 through = _rows(t, by + 3 + c, 1)
-                direct, scatter = _rows(t, curves + c, 1), _rows(t, curves + 3 + c, 1)
+                direct, scatter = _rows(t, 1 + 3 * c, 1), _rows(t, 2 + 3 * c, 1)
                 for x in range(TILE):
                     through[x] = g[x] * scatter[x]
                     seen[x] *= g[x]
@@ -213,6 +227,6 @@ def slope_rows(
             for x in range(n):
                 s = widths[x]
                 slope = (linear + (square + square) * s) / (_1 + s * (linear + square * s))
-                d[x] = by_width[x] * slope if abs(place[x]) < _1 else _0
-            _by_rates(t, sums, decays, by, work, water)
+                d[x] = by_width[x] * slope if abs(places[x]) < _1 else _0
+            _by_rates(t, sums, by, work, water)
             to_z[y, left:right] = by_width[:n]

@@ -21,6 +21,7 @@ __all__ = [
     "Stack",
     "Water",
     "plan_tables",
+    "series_table",
     "water_tables",
 ]
 
@@ -128,7 +129,7 @@ def _plan_tables(plan: BlurPlan, size: tuple[int, int]) -> Plan:
     lines = [3 * len(grid.down_first) for grid in coarse]
     back = [_rows_of("enlarge", node, height) for node in wide]
     stack = Stack(
-        series=np.array([plan.coefficients[k] for k in order], np.float32),
+        series=series_table([plan.coefficients[k] for k in order]),
         taps=taps,
         pairs=np.array([_pairs(node) for node in narrow], np.int64),
         margin=margin,
@@ -139,6 +140,13 @@ def _plan_tables(plan: BlurPlan, size: tuple[int, int]) -> Plan:
         back=np.array([weights for _, weights in back], np.float32).reshape(-1, height, 4),
     )
     return Plan(stack, coarse)
+
+
+def series_table(coefficients: Any) -> Floats:
+    """Series as the loops take them: with 4, 6, … terms."""
+    series = np.array(coefficients, np.float32, order="C")
+    count = series.shape[1]
+    return np.pad(series, ((0, 0), (0, max(4, count + count % 2) - count)))
 
 
 def _pairs(node: Node) -> int:
