@@ -11,7 +11,6 @@ from benchmarks.summary_fits import fits
 from uwaug.files import written_whole
 
 README = ROOT / "README.md"
-PANELS = ((256, 1), (512, 1), (1024, 1), (512, 2))  # size, threads
 TRUTHS = {
     "Petzold's, in their waters": "Petzold",
     "Henyey–Greenstein, mean cosine .85": "HG 0.85",
@@ -136,7 +135,7 @@ def chart() -> str:
         "(benchmarks/figures/frontier.png)",
         f"The default is on the front or within 10 % of it in {near} of {len(verdicts)} panels. "
         "PSNR of the default and, where one exists, the fastest method that is at least as "
-        "accurate:",
+        "accurate (without numba; the compiled loops are the extra `fast`):",
         _verdict_table(verdicts),
         f"Time grows with pixels to the power {pixels}, with the widest blur to the power "
         f"{widest}. One fused loop in C++, compiled on the spot, without coarse grids, is "
@@ -149,13 +148,13 @@ def chart() -> str:
 
 
 def _verdict_table(verdicts: dict[tuple[str, int, int], Results]) -> str:
-    head = [""]
-    for size, threads in PANELS:
+    head, settings = [""], dict.fromkeys((size, threads) for _, size, threads in verdicts)
+    for size, threads in settings:
         head.append(f"{size}², {threads} thread{'s' * (threads > 1)}")
     rows = []
     for part in dict.fromkeys(part for part, *_ in verdicts):
         row = [part]
-        for size, threads in PANELS:
+        for size, threads in settings:
             row.append(_stands(verdicts.get((part, size, threads))))
         rows.append(row)
     return table(head, rows)
