@@ -9,13 +9,11 @@ They call parts of `grids` and `pixels`: after a change there, remove what numba
 file.
 """
 
-from typing import Any
-
 import numpy as np
 
-from uwaug.fused.compiling import inner, kernel
-from uwaug.fused.grids import LANES, _mix_columns
-from uwaug.fused.pixels import TILE, _add_enlarged, _add_line, _blur_rows
+from uwaug.fused.compiling import kernel
+from uwaug.fused.grids import LANES, _add_rows, _gather, _to_columns, _to_lines
+from uwaug.fused.pixels import TILE, _add_enlarged, _add_line, _blur_rows, _mirror
 from uwaug.fused.tables import Floats, Stack
 from uwaug.fused.transposed import Back, Cells
 
@@ -25,37 +23,6 @@ _NONE = np.float32(0)
 
 _BLOCK = 32
 """Rows to which one transpose after the other is added."""
-
-
-@inner
-def _mirror(line: Any, inside: Any, fold: Any, margin: int, width: int) -> None:
-    """Fill both margins of a line of `width` px."""
-    for x in range(margin):
-        line[x] = inside[fold[x]]
-        line[margin + width + x] = inside[fold[margin + width + x]]
-
-
-@inner
-def _add_rows(d: Any, plane: Any, rows: Any, c: int, w: Any) -> None:
-    """Add to d: Σ w[i]·(row rows[i] + c); there are 4, 8, … weights."""
-    for i in range(0, w.size, 4):
-        w0, w1, w2, w3 = w[i], w[i + 1], w[i + 2], w[i + 3]
-        r0, r1 = plane[rows[i] + c], plane[rows[i + 1] + c]
-        r2, r3 = plane[rows[i + 2] + c], plane[rows[i + 3] + c]
-        for x in range(d.size):
-            d[x] += (w0 * r0[x] + w1 * r1[x]) + (w2 * r2[x] + w3 * r3[x])
-
-
-@inner
-def _gather(to: Any, source: Any, first: Any, weights: Any) -> None:
-    """Columns of `LANES` samples, each a weighed sum of others."""
-    to[:] = _NONE
-    count, taps = weights.shape
-    for k in range(count):
-        cell, begin = to[k * LANES : (k + 1) * LANES], first[k] * LANES
-        for i in range(0, taps, 4):
-            four = source[begin + i * LANES : begin + (i + 4) * LANES]
-            _mix_columns(cell, four, weights[k], i)
 
 
 @kernel
@@ -123,16 +90,10 @@ def cell_lines(by: Floats, grid: Floats, cells: Cells, start: int, stop: int) ->
             line = lines[j, :width]
             line[:] = _NONE
             _add_rows(line, by, cells.rows[row], c, cells.down[row])
-        for x in range(width):
-            column = whole[x * LANES : (x + 1) * LANES]
-            for j in range(LANES):
-                column[j] = lines[j, x]
+        _to_columns(whole, lines, width)
         _gather(inside, flat, cells.across_first, cells.across)
         _gather(whole, small, cells.along_first, cells.along)
-        for j in range(together):
-            line = grid[top + j]
-            for x in range(width):
-                line[x] = whole[x * LANES + j]
+        _to_lines(grid, top, together, whole)
 
 
 @kernel

@@ -139,11 +139,10 @@ def _run_back(loops: Loops, water: Water, stack: Stack, grid: Floats) -> None:
     loops.blurs.blurred_rows(one, stack, grid, blurred, 0, 1)
     loops.blurs.cell_lines(one[0], grid, cells, 0, 1)
     loops.blurs.gathered_rows(blurred.reshape(2, 3, 1), stack, grid, back, one, 0, 1)
-    blurs = np.array([blurred.ctypes.data] * 2, np.int64)
-    maps = (one, one[0], one[0], water, stack)
-    outs = (one.copy(), one[0].copy(), one[0].copy(), blurred.copy())
+    outs = (one.copy(), one[0].copy(), one[0].copy())
     sums = np.zeros((1, 7 * water.rates.size * loops.pixels.TILE), np.float32)
-    loops.slopes.slope_rows(one, *maps, stack.series, blurs, 3, 0, (*outs, sums), 0, 1)
+    maps = (one, one, one[0], one[0], water, stack, stack.series)
+    loops.slopes.slope_rows(*maps, blurred, (*outs, sums), 0, 1)
 
 
 def _tables() -> tuple[Water, Stack]:

@@ -72,6 +72,14 @@ def _blur_rows(d: Any, plane: Any, fold: Any, middle: int, w: Any, pairs: int) -
 
 
 @inner
+def _mirror(line: Any, inside: Any, fold: Any, margin: int, width: int) -> None:
+    """Fill both margins of a line of `width` px."""
+    for x in range(margin):
+        line[x] = inside[fold[x]]
+        line[margin + width + x] = inside[fold[margin + width + x]]
+
+
+@inner
 def _add_line(d: Any, share: Any, line: Any, at: int, w: Any, pairs: int) -> None:
     """Add a share of the same along a line, for the tile that begins there."""
     near = line[at - 2 : at + TILE + 2]
@@ -261,9 +269,7 @@ def form_rows(
                 line = lines[k * 3 + c]
                 inside = line[margin : margin + width]
                 _blur_rows(inside, light[c], stack.rows, margin + y, stack.taps[k], stack.pairs[k])
-                for x in range(margin):
-                    line[x] = inside[stack.columns[x]]
-                    line[margin + width + x] = inside[stack.columns[margin + width + x]]
+                _mirror(line, inside, stack.columns, margin, width)
         for left in range(0, width, TILE):
             right = min(left + TILE, width)
             z_row[: right - left] = z[y, left:right]

@@ -6,15 +6,12 @@ They call parts of `pixels`, see `polynomials`.
 
 from typing import Any
 
-import numba
 import numpy as np
-from numba.core import types
-from numba.extending import intrinsic
 
 from uwaug.fused.compiling import inner, kernel
 from uwaug.fused.pixels import TILE, _curves, _places, _rows, _series, _shares
 from uwaug.fused.polynomials import exp2_parts
-from uwaug.fused.tables import Floats, Indices, Stack, Water
+from uwaug.fused.tables import Floats, Stack, Water
 
 __all__ = ["ROWS", "slope_rows"]
 
@@ -22,17 +19,6 @@ ROWS = 64
 """Rows of a picture whose slopes are added up together, so that sums do not depend on threads."""
 
 _0, _1, _LN2 = np.float32(0), np.float32(1), np.float32(np.log(2))
-
-
-@intrinsic  # type: ignore[untyped-decorator]
-def _pointer(typing: Any, address: Any) -> Any:
-    """Where a tensor begins: arrays as arguments would need loops of their own for each number."""
-
-    def made(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        kind = context.get_value_type(signature.return_type)
-        return builder.inttoptr(arguments[0], kind)
-
-    return types.CPointer(types.float32)(address), made  # type: ignore[attr-defined]
 
 
 @inner
@@ -108,10 +94,8 @@ def slope_rows(
     water: Water,
     stack: Stack,
     steeper: Floats,
-    blurs: Indices,
-    lines: int,
-    first: int,
-    outs: tuple[Floats, Floats, Floats, Floats, Floats],
+    blurs: Floats,
+    outs: tuple[Floats, Floats, Floats, Floats],
     start: int,
     stop: int,
 ) -> None:
@@ -122,16 +106,14 @@ def slope_rows(
         light (3xHxW), z, sigma (HxW): of the scene; effective distance, m; widths, px.
         water, stack: tables; of the stack, the series.
         steeper (K, N): series of the slopes of the weights by ln(1 + x), x = 2σ or 2σ².
-        blurs (K): where blurs (H x lines x W) of a batch begin; the picture's is three lines from
-            `first` on.
-        outs: gradients of light (3xHxW), z, sigma (HxW), blurs (K x H x lines x W), which may lie
-            where the blurs do: each is read before its slope is written; and sums
-            (H/ROWS, 7R, TILE), for each rate the products of curves' slopes with what falls: of
-            T_G − T_β, of T_β or V, and of the rate.
+        blurs (KxHx3xW): of the scene, in the order of the series; their gradients take their place.
+        outs: gradients of light (3xHxW), z, sigma (HxW); and sums (H/ROWS, 7R, TILE), for each rate
+            the products of curves' slopes with what falls: of T_G − T_β, of T_β or V, and of the
+            rate.
         start, stop: rows.
     """
-    to_light, to_z, to_sigma, to_blurs, all_sums = outs
-    _, height, width = light.shape
+    to_light, to_z, to_sigma, all_sums = outs
+    _, _, width = light.shape
     count, terms = stack.series.shape
     # rows of a tile as in `form_rows`, slopes of weights and of curves, and room
     shares = 10
@@ -170,10 +152,9 @@ def slope_rows(
                 mixture = _rows(t, work, 1)
                 mixture[:] = _0
                 for k in range(count):
-                    blur = numba.carray(_pointer(blurs[k]), (height, lines, width))
-                    _fill(t, work + 2, blur[y, first + c, left:right])
-                    d = to_blurs[k, y, first + c, left:right]
-                    _by_blur(t, by + 3 + c, shares + k, steep + k, work, d)
+                    blur = blurs[k, y, c, left:right]
+                    _fill(t, work + 2, blur)
+                    _by_blur(t, by + 3 + c, shares + k, steep + k, work, blur)
                 for x in range(TILE):
                     through[x] = g[x] * mixture[x]
             linear, square = water.law[3], water.law[4]

@@ -41,7 +41,7 @@ class Coarse(NamedTuple):
 
     Attributes:
         rows, row_margin: the picture's rows from `row_margin` before the first on, mirrored.
-        down_first (h), down (h, taps): the first row of each cell, and weights from there on.
+        down_first (h), down (h, taps): the first of these for each cell, and weights from there on.
         columns, column_margin, across_first (w), across (w, taps): the same along rows.
         back_first (W), back (W, 4): the first cell of each column, and weights from there on.
     """
@@ -187,11 +187,11 @@ def _coarse(node: Node, height: int, width: int) -> Coarse:
     return Coarse(
         rows=_mirrored(row_margin, height),
         row_margin=row_margin,
-        down_first=down_first,
+        down_first=down_first + row_margin,
         down=down,
         columns=_mirrored(column_margin, width),
         column_margin=column_margin,
-        across_first=across_first,
+        across_first=across_first + column_margin,
         across=across,
         back_first=back_first,
         back=back,
