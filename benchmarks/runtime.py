@@ -1,5 +1,5 @@
-"""ONNX Runtime against eager and compiled eager: one and two threads, 256² and 512², one image and
-eight.
+"""ONNX Runtime against eager and compiled eager: one and two threads, 256², 512² and 1024², one
+image and (but for 1024²) eight.
 
 `python -m benchmarks.runtime` writes results/runtime.json and prints the table. All have the plan
 of the same module, for short sides of 32 to 1024 px: it may hold a blur more than eager needs for
@@ -48,7 +48,7 @@ def speed(
 def main(quick: bool = False) -> None:
     """Export the survey preset, check the file, race it; save the figures."""
     degrade = uwaug.load_preset("survey", water="7C").module(sides=(32, 1024))
-    sizes, batches = ((256,), (1,)) if quick else ((256, 512), (1, 8))
+    sizes = {256: (1,)} if quick else {256: (1, 8), 512: (1, 8), 1024: (1,)}
     with tempfile.TemporaryDirectory() as folder:
         path = export_onnx(degrade, Path(folder) / "7C.onnx")
         size = path.stat().st_size
@@ -58,7 +58,7 @@ def main(quick: bool = False) -> None:
         plan = read_metadata(path)["uwaug_plan"]
         rows = []
         for threads in (1, 2):
-            for side in sizes:
+            for side, batches in sizes.items():
                 for batch in batches:
                     rows.append(speed(degrade, path, threads, side, batch, quick))
     results = {

@@ -7,7 +7,8 @@ from uwaug import JERLOV_TYPES, Medium, PointSpread, Underwater, Water, list_pre
 from uwaug.blur.plan import BlurPlan
 from uwaug.blur.stack import blurred
 from uwaug.onnx import OnnxUnderwater, check_onnx, export_onnx, read_metadata, read_module
-from uwaug.onnx.graph import Graph, _blur
+from uwaug.onnx.blurs import blur_of
+from uwaug.onnx.graph import Graph, parameters_of
 from uwaug.onnx.metadata import plan_of
 
 # by its version: without the package, "onnx" would be the folder of these tests
@@ -136,6 +137,20 @@ def test_frozen_file_at_other_sizes(frozen, size) -> None:
     assert apart(got, module(image, distance)) <= 2e-5
 
 
+@pytest.mark.parametrize("size", [(1, 70_001), (70_001, 1), (363, 517), (700, 300)])
+def test_strips_are_one_picture(waters, size) -> None:
+    """Two strips and more, the last of which goes beyond the end; a batch at once too."""
+    path, module = waters
+    image, distance, field = scene(2, *size)
+    media = Medium.stack([load_preset("survey", water=name).medium for name in ("II", "9C")])
+    run = OnnxUnderwater(path, threads=1)
+    wanted = eager(path, module, image, distance, field=field, medium=media)
+    got = run(image, distance, field, media)
+    assert apart(got, wanted) <= 1e-5
+    given = {"image": image, "distance": distance, "field": field, **parameters_of(media)}
+    assert apart(run.session(given), wanted) <= 1e-5
+
+
 def test_uint8(quantised, encoded) -> None:
     image, distance, field = scene(2)
     levels = (image * 255).round().to(torch.uint8)
@@ -200,6 +215,6 @@ def test_blurs_of_the_graph_are_those_of_the_stack(cell) -> None:
     plan = BlurPlan(sigma, sigma, (sigma,), (cell,), ((1.0,),), 3.0, 1e-3)
     for h, w in SIZES:
         image = torch.rand(2, 3, h, w, generator=torch.Generator().manual_seed(h))
-        got = _blur(sigma, cell, 3.0)(image).double()
+        got = blur_of(sigma, cell, 3.0)(image).double()
         (expected,) = blurred(image.double(), plan)
         torch.testing.assert_close(got, expected, rtol=0, atol=2e-6)

@@ -1,5 +1,6 @@
 """From module to file."""
 
+import inspect
 import logging
 import os
 import warnings
@@ -13,11 +14,13 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from uwaug import checks
+from uwaug.blur.kernels import PERIOD
 from uwaug.files import written_whole
 from uwaug.module import Underwater
 from uwaug.onnx.check import check_onnx
-from uwaug.onnx.graph import Graph, parameters_of
+from uwaug.onnx.graph import Before, Graph, Strip, parameters_of
 from uwaug.onnx.metadata import Options, plan_of, require_light, written
+from uwaug.onnx.strips import joined
 from uwaug.session import require
 
 __all__ = ["export_onnx", "export_program"]
@@ -93,14 +96,49 @@ def _silent(_: str) -> None:
 
 def _translated(traced: "_Traced", opset: int, tell: Callable[[str], None]) -> Any:
     """The graph as an ONNX model."""
+    if traced.graph.light is not None:  # which is made for the whole picture
+        model = _model(traced, opset, tell)
+    else:
+        before = traced._replace(graph=Before(traced.graph))
+        whole = _model(before, opset, tell)
+        model = joined(whole, _model(_strip_of(before), opset, _silent))
+    _strip_traces(model)
+    _name_sizes(model, traced)
+    return model
+
+
+def _strip_of(before: "_Traced") -> "_Traced":
+    """A strip, to be traced with what is done before it."""
+    with torch.no_grad():
+        rows, _, *shared = before.graph(*before.inputs.values())
+    graph, picture = before.graph.parent, before.free["image"]
+    every = torch.export.Dim("every_rate", min=1)
+    # whole periods of rows
+    inputs, free = {"rows": rows[0]}, {"rows": {0: PERIOD * torch.export.Dim("periods", min=1)}}
+    known = {
+        "light": picture,
+        "most": {0: picture[0]},
+        "rates": {0: picture[0], 1: every},
+        "weights": {0: picture[0]} if graph.frozen else {0: picture[0], 2: every},
+    }
+    for name, value in zip(before.graph.names(), shared, strict=True):
+        inputs[name] = value
+        free[name] = known.get(name) or before.free.get(name) or dict(picture)
+        if name.startswith("prepared"):
+            free[name][2] = torch.export.Dim(name, min=1)
+    return _Traced(Strip(graph), inputs, free)
+
+
+def _model(traced: "_Traced", opset: int, tell: Callable[[str], None]) -> Any:
+    """A graph, or one of its parts, as an ONNX model."""
     with torch.no_grad(), _quiet():
         program = _program(traced)
+        _drop_asserts(program)
         tell("translating and optimising")
         exported = torch.onnx.export(
             program,
             dynamo=True,
             input_names=list(traced.inputs),
-            output_names=["output"],
             opset_version=opset,
             verbose=False,
         )
@@ -112,9 +150,18 @@ def _translated(traced: "_Traced", opset: int, tell: Callable[[str], None]) -> A
         raise ValueError(
             f"opset {opset}: the installed exporter can write up to {got.get('')} here"
         )
-    _strip_traces(model)
-    _name_sizes(model, traced)
     return model
+
+
+def _drop_asserts(program: torch.export.ExportedProgram) -> None:
+    """Drop what it asserts of free sizes: ONNX has no place for it, and the exporter would trace
+    its arithmetic again, which takes as long as all else.
+    """
+    for node in list(program.graph.nodes):
+        if node.target is torch.ops.aten._assert_scalar.default:
+            program.graph.erase_node(node)
+    program.graph.eliminate_dead_code()
+    program.graph_module.recompile()
 
 
 def export_program(
@@ -132,11 +179,11 @@ def export_program(
 
 
 class _Traced(NamedTuple):
-    """What torch.export wants: the graph; an example of each input, by name, and its free sizes, by
-    axis.
+    """What torch.export wants: the graph, or a part of it; an example of each input, by name, and
+    its free sizes, by axis.
     """
 
-    graph: Graph
+    graph: Any
     inputs: dict[str, Tensor]
     free: dict[str, dict[int, Any]]
 
@@ -155,13 +202,13 @@ def _trace(module: Underwater, options: Options) -> _Traced:
     plan = plan_of(module)
     names = ("batch", "height", "width", "rates", "scatter_rates")
     batch, height, width, rates, scatter_rates = (torch.export.Dim(name, min=1) for name in names)
-    picture = torch.rand(2, 3, 48, 56, dtype=torch.float32)
+    picture = torch.rand(2, 3, 240, 560, dtype=torch.float32)
     inputs = {
         "image": (picture * 255).to(torch.uint8) if quantised else picture,
-        "distance": torch.ones(2, 1, 48, 56, dtype=torch.float32),
+        "distance": torch.ones(2, 1, 240, 560, dtype=torch.float32),
     }
     if field:
-        inputs["field"] = torch.ones(2, 1, 48, 56, dtype=torch.float32)
+        inputs["field"] = torch.ones(2, 1, 240, 560, dtype=torch.float32)
     free = {name: {0: batch, 2: height, 3: width} for name in inputs}
     for name, row in parameters_of(module.medium[0]).items() if not frozen else ():
         # two more rates of no weight, as an example of one rate would fix that number
@@ -177,8 +224,11 @@ def _trace(module: Underwater, options: Options) -> _Traced:
 
 
 def _program(traced: _Traced) -> torch.export.ExportedProgram:
-    image, distance, *rest = traced.free.values()
-    shapes = (image, distance, tuple(rest)) if rest else (image, distance)
+    names = [one for one in inspect.signature(traced.graph.forward).parameters if one != "rest"]
+    free = list(traced.free.values())
+    shapes: tuple[Any, ...] = tuple(free[: len(names)])
+    if len(free) > len(names):
+        shapes = (*shapes, tuple(free[len(names) :]))
     return torch.export.export(
         traced.graph,
         tuple(traced.inputs.values()),
@@ -210,16 +260,16 @@ def _quiet() -> Iterator[None]:
 
 def _strip_traces(model: Any) -> None:
     """Drop stack traces, which name files of this machine."""
-    for part in (
-        *model.graph.node,
-        *model.graph.input,
-        *model.graph.output,
-        *model.graph.initializer,
-    ):
-        part.ClearField("metadata_props")
-        part.ClearField("doc_string")
-    del model.graph.value_info[:]
-    model.graph.ClearField("metadata_props")
+    graphs = [model.graph]
+    for graph in graphs:
+        for part in (*graph.node, *graph.input, *graph.output, *graph.initializer):
+            part.ClearField("metadata_props")
+            part.ClearField("doc_string")
+        del graph.value_info[:]
+        graph.ClearField("metadata_props")
+        for node in graph.node:
+            # the body of a loop
+            graphs += [one.g for one in node.attribute if one.HasField("g")]
 
 
 def _name_sizes(model: Any, traced: _Traced) -> None:

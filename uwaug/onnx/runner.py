@@ -79,7 +79,7 @@ class OnnxUnderwater:
                 name: value[i : i + 1] if len(value) > 1 else value for name, value in rows.items()
             }
             results.append(self.session(one))
-        result = torch.cat(results)
+        result = results[0] if batch == 1 else torch.cat(results)
         return result[0] if image.ndim == 3 and batch == 1 else result
 
     def _require(self, key: str, value: Any, *, wanted: str, name: str = "") -> None:
