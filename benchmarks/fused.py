@@ -144,8 +144,7 @@ def random_water(name: str, aug: uwaug.RandomUnderwater, quick: bool) -> dict[st
     use_threads(1)
     images, distances = scene(256)
     image, distance = images[0], distances[0]
-    field = np.ones(distance.shape[1:], np.float32)
-    arrays = (np.ascontiguousarray(image.permute(1, 2, 0).numpy()), distance[0].numpy(), field)
+    arrays = (np.ascontiguousarray(image.permute(1, 2, 0).numpy()), distance[0].numpy())
     bands = published.bands(WATER)
 
     def eight() -> None:
@@ -156,7 +155,7 @@ def random_water(name: str, aug: uwaug.RandomUnderwater, quick: bool) -> dict[st
     def recipe() -> None:
         rng = np.random.default_rng(0)
         for _ in range(8):
-            published.published(*arrays[:2], published.field(256, 256, rng), bands)
+            published.published(*arrays, published.field(256, 256, rng), bands)
 
     runners: Runners = {
         "fused": by(True, eight),

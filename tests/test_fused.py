@@ -293,6 +293,19 @@ def test_loops_are_compiled_without_a_folder_to_keep_them(monkeypatch: pytest.Mo
     assert compiling.kernel(twice)(2.0) == 4.0
 
 
+def test_loops_of_another_version_are_forgotten(tmp_path: Path) -> None:
+    folder, sources = tmp_path / "kept", tmp_path / "loops"
+    folder.mkdir()
+    sources.mkdir()
+    called, kept = sources / "called.py", folder / "caller.nbi"
+    for text, stays in (("a = 1", False), ("a = 1", True), ("a = 2", False)):
+        called.write_text(text)
+        kept.touch()
+        compiling._drop_older.cache_clear()
+        compiling._drop_older(folder, sources)
+        assert kept.exists() == stays
+
+
 def test_compiling_is_logged(caplog: pytest.LogCaptureFixture) -> None:
     def thrice(x: float) -> float:
         return 3 * x

@@ -121,7 +121,7 @@ def test_progress_and_a_link(frozen, tmp_path) -> None:
     assert said[:2] == ["tracing", "translating and optimising"]
     cases = said[2:]
     assert cases == [f"checking, case {i + 1} of {len(cases)}" for i in range(len(cases))]
-    assert len(cases) == 50
+    assert len(cases) == 51
     assert link.is_symlink()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["link.onnx", "target.onnx"]
     assert OnnxUnderwater(link).metadata == OnnxUnderwater(target).metadata
@@ -251,15 +251,17 @@ def test_exporting_is_silent_and_imports_are_lazy(tmp_path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["a.onnx"]
 
 
-@pytest.mark.parametrize("parameters", ["frozen", "inputs"])
-def test_an_automatic_exposure_is_exported(parameters, tmp_path) -> None:
+@pytest.mark.parametrize(
+    ("exposure", "parameters"), [("auto", "frozen"), ("auto", "inputs"), (1.5, "frozen")]
+)
+def test_an_exposure_is_exported(exposure, parameters, tmp_path) -> None:
     medium = Medium.from_water("7C", vertical_depth=5.0, point_spread=PointSpread(0.8))
-    module = Underwater(medium, (0.3, 6.0), exposure="auto")
-    path = export_onnx(module, tmp_path / "auto.onnx", parameters=parameters, verify=False)
-    assert read_module(path).exposure == "auto"
+    module = Underwater(medium, (0.3, 6.0), exposure=exposure)
+    path = export_onnx(module, tmp_path / "exposed.onnx", parameters=parameters, verify=False)
+    assert read_module(path).exposure == exposure
     given = {} if parameters == "frozen" else {"medium": medium}
     # single precision would look at other pixels of the largest
-    for size in ((144, 145), (33, 45), (1, 1), (3, 70)):
+    for size in ((363, 517), (144, 145), (33, 45), (1, 1), (3, 70)):
         image, distance, _ = scene(2, *size)
         got = OnnxUnderwater(path)(image, distance, **given)
         assert apart(got, module(image, distance)) <= 2e-5

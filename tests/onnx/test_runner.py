@@ -1,6 +1,8 @@
 import copy
+import multiprocessing
 import pickle
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -136,3 +138,17 @@ def test_waiting_threads_do_not_spin(frozen) -> None:
     """They would take half the speed of what runs beside them."""
     options = OnnxUnderwater(frozen[0], threads=2).session.opened.get_session_options()
     assert options.get_session_config_entry("session.intra_op.allow_spinning") == "0"
+
+
+def test_a_forked_process_opens_its_own(frozen) -> None:
+    """What it inherits has no threads."""
+    run, (image, distance, _) = OnnxUnderwater(frozen[0], threads=2), scene(1)
+    wanted = run(image, distance)
+    found: Any = multiprocessing.get_context("fork").Queue()
+    work = multiprocessing.get_context("fork").Process(
+        target=lambda: found.put(run(image, distance).numpy())
+    )
+    work.start()
+    assert apart(torch.from_numpy(found.get(timeout=60)), wanted) == 0
+    work.join(60)
+    assert work.exitcode == 0

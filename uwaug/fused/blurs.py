@@ -4,9 +4,6 @@ The blurs are kept for the backward, where each has a gradient. Their transposes
 one picture: Σ_k B_kᵀ g_k. A narrow blur is its own transpose, edges and all (see
 `uwaug.blur.operators.operator`). That of one on a coarse grid goes the same way back: see
 `uwaug.fused.transposed` for its tables.
-
-They call parts of `grids` and `pixels`: after a change there, remove what numba has kept of this
-file.
 """
 
 import numpy as np

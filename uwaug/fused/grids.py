@@ -1,8 +1,7 @@
 """The blurs on coarse grids, as compiled loops: all but the last step, the enlarging along columns.
 
-numba compiles anew when the file of a function changes, and does not look at the files of what it
-calls: what belongs together stands in one file. Slices are taken before a loop, so that no index
-can be negative: numba would otherwise test each, and no loop would be vectorised.
+Slices are taken before a loop, so that no index can be negative: numba would otherwise test each,
+and no loop would be vectorised.
 """
 
 from typing import Any

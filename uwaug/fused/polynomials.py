@@ -1,8 +1,6 @@
 """2^x, log2 and sRGB for the compiled loops: numba brings no vector functions.
 
-In single precision 2^x is within 1e-7 of itself, log2 within 2e-7, sRGB of 0…1 within 3e-7. numba
-compiles anew when the file of a kernel changes, and does not look at the files of what it calls:
-after a change here, remove what it has kept of all of them.
+In single precision 2^x is within 1e-7 of itself, log2 within 2e-7, sRGB of 0…1 within 3e-7.
 """
 
 from typing import Any

@@ -1,7 +1,5 @@
 """The backward of what is done at each pixel of a picture whose blurs are there, as compiled loops.
 Autograd would write every intermediate to memory, and read it back.
-
-They call parts of `pixels`, see `polynomials`.
 """
 
 from typing import Any

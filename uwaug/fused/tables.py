@@ -41,7 +41,8 @@ class Coarse(NamedTuple):
 
     Attributes:
         rows, row_margin: the picture's rows from `row_margin` before the first on, mirrored.
-        down_first (h), down (h, taps): the first of these for each cell, and weights from there on.
+        down_first (h), down (h, taps): the first of these rows for each cell, and weights from
+            there on.
         columns, column_margin, across_first (w), across (w, taps): the same along rows.
         back_first (W), back (W, 4): the first cell of each column, and weights from there on.
     """

@@ -1,7 +1,5 @@
 """The width of the blur at each pixel and its slopes, as compiled loops. (By PyTorch, bits depend
 on the number of threads: powers at the ends of what each gets are others.)
-
-They call `polynomials`: after a change there, remove what numba has kept of this file.
 """
 
 from typing import Any

@@ -1,4 +1,4 @@
-"""ONNX: an `Underwater` module as one graph, checked against float64 eager, and a runner for it.
+"""ONNX: an `Underwater` module as a file, checked against float64 eager, and a runner for it.
 
 The graph takes any batch, height and width. It cannot raise: NaN stays NaN, a negative distance
 counts as 0, +inf is open water; distances outside the planned range keep the nearer end's blur, as

@@ -19,7 +19,7 @@ from uwaug.blur.kernels import (
     reflect,
     shrink_kernels,
 )
-from uwaug.onnx.strips import Rows
+from uwaug.onnx.strips import PICTURE, Rows
 
 __all__ = ["Blur", "blur_of"]
 
@@ -32,7 +32,7 @@ class Blur(nn.Module):
         prepared: whether there is anything to do before.
     """
 
-    rows = Rows(PERIOD, 0, 0)
+    rows = PICTURE
     prepared = False
 
     def before(self, x: Tensor) -> Tensor:

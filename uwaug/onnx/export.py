@@ -20,7 +20,7 @@ from uwaug.module import Underwater
 from uwaug.onnx.check import check_onnx
 from uwaug.onnx.graph import Before, Graph, Strip, parameters_of
 from uwaug.onnx.metadata import Options, plan_of, require_light, written
-from uwaug.onnx.strips import joined
+from uwaug.onnx.strips import joined, strips_of
 from uwaug.session import require
 
 __all__ = ["export_onnx", "export_program"]
@@ -75,10 +75,10 @@ def export_onnx(
         raise ValueError(f"opset must be ≤ {newest}, as onnx {onnx.__version__} is, got {opset}")
     options, tell = Options(parameters, field, image), progress or _silent
     tell("tracing")
-    traced = _trace(module, options)
+    subject = _subject(module, options)
     with written_whole(path) as part:
-        model = _translated(traced, opset, tell)
-        for key, value in written(module, traced.graph.plan, options).items():
+        model = _translated(subject, opset, tell)
+        for key, value in written(module, subject.graph.plan, options).items():
             model.metadata_props.add(key=key, value=value)
         onnx.save(model, part)
         if verify:
@@ -94,51 +94,56 @@ def _silent(_: str) -> None:
     pass
 
 
-def _translated(traced: "_Traced", opset: int, tell: Callable[[str], None]) -> Any:
+def _translated(subject: "_Subject", opset: int, tell: Callable[[str], None]) -> Any:
     """The graph as an ONNX model."""
-    if traced.graph.light is not None:  # which is made for the whole picture
-        model = _model(traced, opset, tell)
+    if subject.graph.light is not None:  # which is made for the whole picture
+        model = _model(subject, opset, tell)
     else:
-        before = traced._replace(graph=Before(traced.graph))
+        before = subject._replace(graph=Before(subject.graph))
         whole = _model(before, opset, tell)
         model = joined(whole, _model(_strip_of(before), opset, _silent))
-    _strip_traces(model)
-    _name_sizes(model, traced)
+    _drop_traces(model.graph)
+    _name_sizes(model, subject)
     return model
 
 
-def _strip_of(before: "_Traced") -> "_Traced":
-    """A strip, to be traced with what is done before it."""
+def _strip_of(before: "_Subject") -> "_Subject":
+    """A strip, with what `Before` makes as examples."""
+    image = before.inputs["image"]
     with torch.no_grad():
-        rows, _, *shared = before.graph(*before.inputs.values())
-    graph, picture = before.graph.parent, before.free["image"]
+        rows, _ = strips_of(len(image), (image.shape[2], image.shape[3]))
+        made = before.graph.made(*before.inputs.values())
+    assert len(rows) > 1  # torch.export takes a size of 1 for fixed
+    frozen, picture = before.graph.parent.frozen, before.free["image"]
     every = torch.export.Dim("every_rate", min=1)
-    # whole periods of rows
-    inputs, free = {"rows": rows[0]}, {"rows": {0: PERIOD * torch.export.Dim("periods", min=1)}}
     known = {
         "light": picture,
-        "most": {0: picture[0]},
+        "z": picture,
+        "brightest": {0: picture[0]},
         "rates": {0: picture[0], 1: every},
-        "weights": {0: picture[0]} if graph.frozen else {0: picture[0], 2: every},
+        "weights": {0: picture[0]} if frozen else {0: picture[0], 2: every},
     }
-    for name, value in zip(before.graph.names(), shared, strict=True):
-        inputs[name] = value
-        free[name] = known.get(name) or before.free.get(name) or dict(picture)
+    # whole periods of rows
+    free = {"rows": {0: PERIOD * torch.export.Dim("periods", min=1)}}
+    for name in made:
         if name.startswith("prepared"):
-            free[name][2] = torch.export.Dim(name, min=1)
-    return _Traced(Strip(graph), inputs, free)
+            free[name] = {**picture, 2: torch.export.Dim(name, min=1)}
+        else:
+            free[name] = known.get(name) or before.free[name]
+    strip = Strip(before.graph.parent, list(made))
+    return _Subject(strip, {"rows": rows[0], **made}, free)
 
 
-def _model(traced: "_Traced", opset: int, tell: Callable[[str], None]) -> Any:
+def _model(subject: "_Subject", opset: int, tell: Callable[[str], None]) -> Any:
     """A graph, or one of its parts, as an ONNX model."""
     with torch.no_grad(), _quiet():
-        program = _program(traced)
+        program = _program(subject)
         _drop_asserts(program)
         tell("translating and optimising")
         exported = torch.onnx.export(
             program,
             dynamo=True,
-            input_names=list(traced.inputs),
+            input_names=list(subject.inputs),
             opset_version=opset,
             verbose=False,
         )
@@ -154,8 +159,8 @@ def _model(traced: "_Traced", opset: int, tell: Callable[[str], None]) -> Any:
 
 
 def _drop_asserts(program: torch.export.ExportedProgram) -> None:
-    """Drop what it asserts of free sizes: ONNX has no place for it, and the exporter would trace
-    its arithmetic again, which takes as long as all else.
+    """Drop what it asserts of free sizes. The exporter does so too, but only after it has traced
+    their arithmetic again.
     """
     for node in list(program.graph.nodes):
         if node.target is torch.ops.aten._assert_scalar.default:
@@ -171,14 +176,14 @@ def export_program(
     field: Literal["none", "input"] = "none",
     image: Literal["float32", "uint8"] = "float32",
 ) -> torch.export.ExportedProgram:
-    """The same graph as a `torch.export` program, for `torch.export.save`; arguments as
-    `export_onnx`.
+    """The same function as a `torch.export` program, for `torch.export.save`: one graph without
+    strips, which is slower on large pictures. Arguments as for `export_onnx`.
     """
     with torch.no_grad(), _quiet():
-        return _program(_trace(module, Options(parameters, field, image)))
+        return _program(_subject(module, Options(parameters, field, image)))
 
 
-class _Traced(NamedTuple):
+class _Subject(NamedTuple):
     """What torch.export wants: the graph, or a part of it; an example of each input, by name, and
     its free sizes, by axis.
     """
@@ -188,7 +193,7 @@ class _Traced(NamedTuple):
     free: dict[str, dict[int, Any]]
 
 
-def _trace(module: Underwater, options: Options) -> _Traced:
+def _subject(module: Underwater, options: Options) -> _Subject:
     checks.instance("module", module, Underwater)
     frozen, field, quantised = (
         options.parameters == "frozen",
@@ -202,13 +207,14 @@ def _trace(module: Underwater, options: Options) -> _Traced:
     plan = plan_of(module)
     names = ("batch", "height", "width", "rates", "scatter_rates")
     batch, height, width, rates, scatter_rates = (torch.export.Dim(name, min=1) for name in names)
+    # five strips of three periods
     picture = torch.rand(2, 3, 240, 560, dtype=torch.float32)
     inputs = {
         "image": (picture * 255).to(torch.uint8) if quantised else picture,
-        "distance": torch.ones(2, 1, 240, 560, dtype=torch.float32),
+        "distance": torch.ones_like(picture[:, :1]),
     }
     if field:
-        inputs["field"] = torch.ones(2, 1, 240, 560, dtype=torch.float32)
+        inputs["field"] = torch.ones_like(picture[:, :1])
     free = {name: {0: batch, 2: height, 3: width} for name in inputs}
     for name, row in parameters_of(module.medium[0]).items() if not frozen else ():
         # two more rates of no weight, as an example of one rate would fix that number
@@ -220,18 +226,19 @@ def _trace(module: Underwater, options: Options) -> _Traced:
                 rates if name in ("beta", "direct_weights") else scatter_rates
             )
     graph = Graph(module, plan, frozen=frozen, field=field, quantised=quantised).eval()
-    return _Traced(graph, inputs, free)
+    return _Subject(graph, inputs, free)
 
 
-def _program(traced: _Traced) -> torch.export.ExportedProgram:
-    names = [one for one in inspect.signature(traced.graph.forward).parameters if one != "rest"]
-    free = list(traced.free.values())
-    shapes: tuple[Any, ...] = tuple(free[: len(names)])
-    if len(free) > len(names):
-        shapes = (*shapes, tuple(free[len(names) :]))
+def _program(subject: _Subject) -> torch.export.ExportedProgram:
+    parameters = inspect.signature(subject.graph.forward).parameters.values()
+    named = sum(one.kind is not one.VAR_POSITIONAL for one in parameters)
+    free = list(subject.free.values())
+    shapes: tuple[Any, ...] = tuple(free[:named])
+    if len(free) > named:
+        shapes = (*shapes, tuple(free[named:]))
     return torch.export.export(
-        traced.graph,
-        tuple(traced.inputs.values()),
+        subject.graph,
+        tuple(subject.inputs.values()),
         dynamic_shapes=shapes,
         strict=False,
         # that whole periods of 16 px cover an image of any size is more than the exporter can prove
@@ -258,23 +265,22 @@ def _quiet() -> Iterator[None]:
         log.removeFilter(mute)
 
 
-def _strip_traces(model: Any) -> None:
+def _drop_traces(graph: Any) -> None:
     """Drop stack traces, which name files of this machine."""
-    graphs = [model.graph]
-    for graph in graphs:
-        for part in (*graph.node, *graph.input, *graph.output, *graph.initializer):
-            part.ClearField("metadata_props")
-            part.ClearField("doc_string")
-        del graph.value_info[:]
-        graph.ClearField("metadata_props")
-        for node in graph.node:
-            # the body of a loop
-            graphs += [one.g for one in node.attribute if one.HasField("g")]
+    for part in (*graph.node, *graph.input, *graph.output, *graph.initializer):
+        part.ClearField("metadata_props")
+        part.ClearField("doc_string")
+    del graph.value_info[:]
+    graph.ClearField("metadata_props")
+    for node in graph.node:
+        for attribute in node.attribute:
+            if attribute.HasField("g"):  # the body of a loop
+                _drop_traces(attribute.g)
 
 
-def _name_sizes(model: Any, traced: _Traced) -> None:
+def _name_sizes(model: Any, subject: _Subject) -> None:
     """Give the free sizes of inputs and output their names; the output has those of the image."""
-    free = (*traced.free.values(), traced.free["image"])
+    free = (*subject.free.values(), subject.free["image"])
     for value, dims in zip((*model.graph.input, *model.graph.output), free, strict=True):
         for axis, dim in dims.items():
             value.type.tensor_type.shape.dim[axis].dim_param = dim.__name__

@@ -1,8 +1,9 @@
-"""The model as one graph for any batch, height and width: what `uwaug.onnx` exports.
+"""The model as a graph for any batch, height and width: what `uwaug.onnx` exports.
 
 Curves, width law, weights and sum are the package's own functions. Of its own a graph has the
 blurs, see `uwaug.onnx.blurs`; `uwaug.onnx.check_onnx` holds what is exported against them. A file
-has the graph in two parts, `Before` and `Strip`, see `uwaug.onnx.strips`; with a light, in one.
+has the graph in two parts, `Before` and `Strip`, see `uwaug.onnx.strips`; with a light, and as a
+program of torch.export, it is `Graph`.
 """
 
 from collections.abc import Sequence
@@ -12,12 +13,12 @@ from torch import Tensor, nn
 
 from uwaug.blur.plan import BlurPlan
 from uwaug.colour import encoded, from_light, headroom, to_light
-from uwaug.exposure import exposed_sums
+from uwaug.exposure import exposed_sums, fixed_gain
 from uwaug.formation import scattered, together
 from uwaug.light.lit import Lit, lit_of, seen
 from uwaug.module import Underwater
 from uwaug.onnx.blurs import Blur, blur_of
-from uwaug.onnx.strips import strips_of
+from uwaug.onnx.strips import PICTURE, strips_of
 from uwaug.optics.curves import FARTHEST, Sums, curves
 from uwaug.optics.medium import Medium
 
@@ -52,8 +53,8 @@ class Graph(nn.Module):
         self.quantised = quantised
         self.color_space = module.color_space
         self.exposure = module.exposure
-        self.limited = module.color_space == "srgb" and not quantised  # by the picture's brightest
-        self.fixed = frozen and module.exposure != "auto"  # the curves
+        self.keeps_brightest = module.color_space == "srgb" and not quantised
+        self.has_curves = frozen and module.exposure != "auto"  # none depends on an input
         self.medium = module.medium.map(lambda t: t.detach().to("cpu", torch.float32))
         self.blurs = nn.ModuleList(
             blur_of(sigma, cell, plan.reach)
@@ -61,6 +62,8 @@ class Graph(nn.Module):
         )
         # exact_at_lens=False: ONNX has no e^x − 1
         rates, weights, _ = self.medium.sums(exact_at_lens=False)
+        if self.has_curves:
+            weights = weights * fixed_gain(self.medium, module.exposure)
         self.light = module.light and module.light.map(lambda t: t.detach().to("cpu"))
         self.legs, self.camera = module.legs, module.camera
         self.register_buffer("rates", rates)
@@ -68,14 +71,14 @@ class Graph(nn.Module):
 
     def forward(self, image: Tensor, distance: Tensor, *rest: Tensor) -> Tensor:
         """Image (Bx3xHxW) and distance (Bx1xHxW) → image."""
-        light, z, field, medium, sums = self.given(image, distance, *rest)
+        light, z, field, medium, sums = self.scene(image, distance, *rest)
         found = seen(sums, z, self._lit(distance, field, medium))
         stack = [blur(light) for blur in self.blurs]
         size = (z.shape[2], z.shape[3])
         (result,) = together(light, found, scattered(stack, z, medium, self.plan, size))
         return from_light(result, self.color_space, image)
 
-    def given(
+    def scene(
         self, image: Tensor, distance: Tensor, *rest: Tensor
     ) -> tuple[Tensor, Tensor, Tensor | None, Medium, Sums]:
         """Linear light, effective distance, field, medium, and its sums as the camera sees them."""
@@ -89,7 +92,9 @@ class Graph(nn.Module):
         if not self.frozen:
             sums = medium.sums(exact_at_lens=False)
         light = to_light(image, self.color_space)
-        return light, z, field, medium, exposed_sums(light, z, sums, self.exposure)
+        if not self.has_curves:
+            sums = exposed_sums(light, z, sums, self.exposure)
+        return light, z, field, medium, sums
 
     def stack(self) -> list[Blur]:
         """The blurs."""
@@ -116,62 +121,60 @@ class Graph(nn.Module):
 
 class Before(nn.Module):
     """What a graph does once, on the whole picture: takes what the graph takes, and gives the
-    tensors of `strips_of`, then all that `Strip` takes but the rows of one.
+    tensors of `strips_of`, then those of `made`.
     """
 
     def __init__(self, graph: Graph) -> None:
         super().__init__()
         self.parent = graph
 
-    def names(self) -> list[str]:
-        """What it gives, after the tensors of `strips_of`: what is fixed, a strip has itself."""
-        graph = self.parent
-        count = sum(blur.prepared for blur in graph.stack())
-        prepared = [f"prepared_{i}" for i in range(count)]
-        most = ["most"] if graph.limited else []
-        rates = [] if graph.frozen else ["rates"]
-        weights = [] if graph.fixed else ["weights"]
-        parameters = [] if graph.frozen else list(graph.medium.parameters())
-        return ["light", "distance", *prepared, *most, *rates, *weights, *parameters]
-
     def forward(self, image: Tensor, distance: Tensor, *rest: Tensor) -> tuple[Tensor, ...]:
         """As `Graph.forward`."""
+        strips = strips_of(image.shape[0], (image.shape[2], image.shape[3]))
+        return (*strips, *self.made(image, distance, *rest).values())
+
+    def made(self, image: Tensor, distance: Tensor, *rest: Tensor) -> dict[str, Tensor]:
+        """What a `Strip` takes besides its rows, by name."""
         graph = self.parent
-        light, z, _, _, sums = graph.given(image, distance, *rest)
-        found = [*strips_of(image.shape[0], (z.shape[2], z.shape[3])), light, z]
-        found += [blur.before(light) for blur in graph.stack() if blur.prepared]
-        if graph.limited:
+        light, z, _, _, sums = graph.scene(image, distance, *rest)
+        found = {"light": light, "z": z}
+        for i, blur in enumerate(graph.stack()):
+            if blur.prepared:
+                found[f"prepared_{i}"] = blur.before(light)
+        if graph.keeps_brightest:
             # eager mode gives a number where no value is above 1
-            most = torch.as_tensor(headroom(image), dtype=light.dtype)
-            found.append(most.expand(image.shape[0], 1, 1, 1))
-        found += [] if graph.frozen else [sums.rates]
-        found += [] if graph.fixed else [sums.weights]
-        return (*found, *graph.numbers(rest))
+            brightest = torch.as_tensor(headroom(image), dtype=light.dtype)
+            found["brightest"] = brightest.expand(image.shape[0], 1, 1, 1)
+        if not graph.frozen:
+            found["rates"] = sums.rates
+        if not graph.has_curves:
+            found["weights"] = sums.weights
+        if not graph.frozen:
+            found |= zip(graph.medium.parameters(), graph.numbers(rest), strict=True)
+        return found
 
 
 class Strip(nn.Module):
-    """A strip of a graph's result."""
+    """A strip of a graph's result; `names` are those of what `Before` makes."""
 
-    def __init__(self, graph: Graph) -> None:
+    def __init__(self, graph: Graph, names: Sequence[str]) -> None:
         super().__init__()
         self.parent = graph
+        self.names = tuple(names)
 
-    def forward(self, rows: Tensor, light: Tensor, z: Tensor, *rest: Tensor) -> Tensor:
-        """The numbers of its rows (R), and what `Before` gives → strip (Bx3xRxW)."""
-        graph, given = self.parent, iter(rest)
+    def forward(self, rows: Tensor, *made: Tensor) -> Tensor:
+        """The numbers of its rows (R), and what `Before` makes → strip (Bx3xRxW)."""
+        graph, given = self.parent, dict(zip(self.names, made, strict=True))
+        light, z = given["light"], given["z"]
         stack = []
-        for blur in graph.stack():
-            source = next(given) if blur.prepared else light
+        for i, blur in enumerate(graph.stack()):
+            source = given[f"prepared_{i}"] if blur.prepared else light
             stack.append(blur.within(blur.rows.of(source, rows)))
-        most = next(given) if graph.limited else 1.0
-        sums = Sums(graph.rates if graph.frozen else next(given), graph.weights, None)
-        if graph.fixed:
-            sums = exposed_sums(light, z, sums, graph.exposure)
-        else:
-            sums = sums._replace(weights=next(given))
-        size, plain = (z.shape[2], z.shape[3]), Blur.rows
-        light, z = plain.of(light, rows), plain.of(z, rows)
-        blurred = scattered(stack, z, graph.medium_of(list(given)), graph.plan, size)
-        (result,) = together(light, curves(sums, z), blurred)
+        rates, weights = given.get("rates", graph.rates), given.get("weights", graph.weights)
+        numbers = [given[name] for name in graph.medium.parameters() if not graph.frozen]
+        size = (z.shape[2], z.shape[3])
+        light, z = PICTURE.of(light, rows), PICTURE.of(z, rows)
+        blurred = scattered(stack, z, graph.medium_of(numbers), graph.plan, size)
+        (result,) = together(light, curves(Sums(rates, weights, None), z), blurred)
         dtype = torch.uint8 if graph.quantised else torch.float32
-        return encoded(result, graph.color_space, dtype, most)
+        return encoded(result, graph.color_space, dtype, given.get("brightest", 1.0))

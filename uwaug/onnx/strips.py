@@ -13,11 +13,11 @@ from torch import Tensor
 
 from uwaug.blur.kernels import PERIOD, reflect
 
-__all__ = ["Rows", "joined", "strips_of"]
+__all__ = ["PICTURE", "Rows", "joined", "strips_of"]
 
 _STRIP = 65_536
-"""Pixels of a strip, about; with twice or half as many, 512² and 1024² take as long within the
-noise; with one strip for all, 1024² takes 1.5 times as long.
+"""Pixels of a strip of a whole batch, about; with twice or half as many, 512² and 1024² take as
+long within the noise, and with one strip for all, 1024² takes 1.5 times as long.
 """
 
 
@@ -44,6 +44,10 @@ class Rows(NamedTuple):
         return x.index_select(2, reflect(wanted, x.shape[2]))
 
 
+PICTURE = Rows(PERIOD, 0, 0)
+"""Those of the picture itself."""
+
+
 def strips_of(batch: int, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
     """A picture of (height, width) `size` in strips of whole periods, which may go beyond its end.
 
@@ -52,8 +56,10 @@ def strips_of(batch: int, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
         the pictures (Bx3xH) are.
     """
     h, w = size
-    count = (h * w + _STRIP - 1) // _STRIP
+    count = (batch * h * w + _STRIP - 1) // _STRIP
+    count = torch.sym_max(count, 1)  # type: ignore[no-untyped-call]
     height = (h + PERIOD * count - 1) // (PERIOD * count) * PERIOD
+    count = (h + height - 1) // height  # none lies beyond the end
     rows = torch.arange(count)[:, None] * height + torch.arange(height)
     row, tall = torch.arange(h), torch.full((1,), height, dtype=torch.int64)
     within = torch.remainder(row, tall)
@@ -62,7 +68,7 @@ def strips_of(batch: int, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
 
 
 def joined(whole: Any, strip: Any) -> Any:
-    """Two ONNX models as one.
+    """Two ONNX models as one, which is `whole`, changed.
 
     Args:
         whole: gives the two tensors of `strips_of`, then all that `strip` takes but its rows.
@@ -71,6 +77,8 @@ def joined(whole: Any, strip: Any) -> Any:
     from onnx import compose, helper
 
     strip = compose.add_prefix(strip, "strip_")
+    assert not strip.functions
+    assert list(strip.opset_import) == list(whole.opset_import)
     body = strip.graph
     rows, places, *shared = (value.name for value in whole.graph.output)
     names = {one.name: name for one, name in zip(body.input[1:], shared, strict=True)}
@@ -78,15 +86,14 @@ def joined(whole: Any, strip: Any) -> Any:
         for i, name in enumerate(node.input):
             node.input[i] = names.get(name, name)
     for node in list(whole.graph.node):
-        if list(node.input) == list(node.output):  # what is handed on as it is
+        # the exporter hands on an input as an Identity of the same name, which ONNX forbids
+        if list(node.input) == list(node.output):
             whole.graph.node.remove(node)
-    whole.graph.initializer.extend(body.initializer)
-    del body.initializer[:], body.input[1:]
+    del body.input[1:]
     scan = helper.make_node("Scan", [rows], ["strips"], body=body, num_scan_inputs=1)
     flat = helper.make_node("Flatten", ["strips"], ["lines"], axis=4)
-    whole.graph.node.extend(
-        [scan, flat, helper.make_node("Gather", ["lines", places], ["output"], axis=0)]
-    )
+    result = helper.make_node("Gather", ["lines", places], ["output"], axis=0)
+    whole.graph.node.extend([scan, flat, result])
     kind = body.output[0].type.tensor_type.elem_type
     del whole.graph.output[:]
     whole.graph.output.append(helper.make_tensor_value_info("output", kind, [None, 3, None, None]))
