@@ -1,6 +1,7 @@
 """What the tests of uwaug.onnx share, in a module that a spawned worker can import by name."""
 
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -12,6 +13,8 @@ from uwaug.onnx import OnnxUnderwater, read_metadata
 from uwaug.onnx.metadata import stored_in
 
 NEAR, FAR = 0.25, 10.0
+COARSE = 0.02
+"""A tolerance with few blurs, as to export one takes seconds: a file is what its plan is."""
 # of one shape of law
 PAPERS = [name for name in list_presets() if name not in ("calibrated", *published_systems())]
 
@@ -45,6 +48,13 @@ def eager(
         power = 1.055 * out.clamp(min=1e-9) ** (1 / 2.4) - 0.055
         out = torch.where(out <= 0.0031308, out * 12.92, power)
     return (255 * out).round().clamp(0, 255) if image.dtype == torch.uint8 else out
+
+
+def stored_tensors(model: Any) -> list[Any]:
+    """What an ONNX model holds, and the body of its loop over strips."""
+    (scan,) = (node for node in model.graph.node if node.op_type == "Scan")
+    body = next(one.g for one in scan.attribute if one.name == "body")
+    return [*model.graph.initializer, *body.initializer]
 
 
 def apart(got: Tensor, wanted: Tensor) -> float:

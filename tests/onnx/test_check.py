@@ -3,6 +3,7 @@ import os
 
 import numpy as np
 import pytest
+from exporting import stored_tensors
 
 from uwaug import Medium, Underwater, load_preset
 from uwaug.onnx import check_onnx, export_onnx, read_metadata
@@ -32,9 +33,7 @@ def target_umask() -> int:
 
 
 def weights(model) -> list:
-    (body,) = (one.g for node in model.graph.node for one in node.attribute if one.HasField("g"))
-    both = [*model.graph.initializer, *body.initializer]
-    numbers = [t for t in both if t.data_type == onnx.TensorProto.FLOAT]
+    numbers = [t for t in stored_tensors(model) if t.data_type == onnx.TensorProto.FLOAT]
     return [t for t in numbers if np.prod(t.dims) >= 3]
 
 

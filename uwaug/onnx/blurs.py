@@ -185,13 +185,11 @@ def _windows(first: Tensor, kernel: Tensor) -> Tensor:
 def _extended(x: Tensor, first: int, end: int, axis: int) -> Tensor:
     """An axis from px `first` ≤ 0 to `end` ≥ its size, half-sample symmetric."""
     size = x.shape[axis]
+    index = reflect(torch.arange(first, end), size)
     if axis == 2:
-        return x.index_select(2, reflect(torch.arange(first, end), size))
+        return x.index_select(2, index)
     # to gather whole rows would copy them value by value
-    left, right = (
-        x.index_select(3, reflect(torch.arange(*range_), size))
-        for range_ in ((first, 0), (size, end))
-    )
+    left, right = x.index_select(3, index[:-first]), x.index_select(3, index[size - first :])
     return torch.cat([left, x, right], 3)
 
 

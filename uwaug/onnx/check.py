@@ -193,8 +193,8 @@ def _cases(stored: Stored) -> Iterator[_Case]:
     if stored.light is None:
         # several strips (see `uwaug.onnx.strips`), of which the last is not full; beyond white
         top = 1.0 if stored.options.image == "uint8" else 1.8
-        image = top * torch.rand(2, 3, 363, 517, generator=rng, dtype=torch.float32)
-        parts = torch.rand(2, 2, 1, 363, 517, generator=rng, dtype=torch.float32)
+        image = top * torch.rand(2, 3, 199, 233, generator=rng, dtype=torch.float32)
+        parts = torch.rand(2, 2, 1, 199, 233, generator=rng, dtype=torch.float32)
         yield case("strips", image, near + (far - near) * parts[0], 0.7 + 0.6 * parts[1])
     if stored.sides[1] > large:
         # the widest blurs show in the largest pictures alone

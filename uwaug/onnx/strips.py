@@ -41,7 +41,10 @@ class Rows(NamedTuple):
         count = strip.shape[0] // PERIOD * self.each
         first = strip[:1] // PERIOD * self.each
         wanted = first + torch.arange(self.above, count + self.below)
-        return x.index_select(2, reflect(wanted, x.shape[2]))
+        if self.above < 0:
+            return x.index_select(2, reflect(wanted, x.shape[2]))
+        # what lies beyond the end is no pixel's
+        return x.index_select(2, wanted.clamp(max=x.shape[2] - 1))
 
 
 PICTURE = Rows(PERIOD, 0, 0)
@@ -77,8 +80,9 @@ def joined(whole: Any, strip: Any) -> Any:
     from onnx import compose, helper
 
     strip = compose.add_prefix(strip, "strip_")
-    assert not strip.functions
-    assert list(strip.opset_import) == list(whole.opset_import)
+    known = [entry.domain for entry in whole.opset_import]
+    whole.opset_import.extend(one for one in strip.opset_import if one.domain not in known)
+    whole.functions.extend(strip.functions)
     body = strip.graph
     rows, places, *shared = (value.name for value in whole.graph.output)
     names = {one.name: name for one, name in zip(body.input[1:], shared, strict=True)}
