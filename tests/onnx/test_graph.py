@@ -137,7 +137,7 @@ def test_frozen_file_at_other_sizes(frozen, size) -> None:
     assert apart(got, module(image, distance)) <= 2e-5
 
 
-@pytest.mark.parametrize("size", [(1, 70_001), (70_001, 1), (363, 517), (700, 300)])
+@pytest.mark.parametrize("size", [(1, 70_001), (363, 517)])
 def test_strips_are_one_picture(waters, size) -> None:
     """Two strips and more, the last of which goes beyond the end; a batch at once too."""
     path, module = waters
