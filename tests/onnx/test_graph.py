@@ -105,7 +105,7 @@ def test_what_is_learned_is_one_function_with_its_file(folder) -> None:
         for parameter in module.parameters():
             parameter += 0.1
         # beyond what was planned at the start
-        module.coefficients.raw_scale += 1.0
+        module.coefficients.raw_scale += 8.0
     path = export_onnx(module, folder / "learned-graph.onnx", verify=False)
     image, distance, _ = scene(1, 150, 131)
     expected = module(image, distance).detach()

@@ -9,8 +9,8 @@ one picture: Σ_k B_kᵀ g_k. A narrow blur is its own transpose, edges and all 
 import numpy as np
 
 from uwaug.fused.compiling import kernel
-from uwaug.fused.grids import LANES, _add_rows, _gather, _to_columns, _to_lines
-from uwaug.fused.pixels import TILE, _add_enlarged, _add_line, _blur_rows, _mirror
+from uwaug.fused.grids import LANES, _add_rows, _extend, _gather, _to_columns, _to_lines
+from uwaug.fused.pixels import TILE, _add_enlarged, _add_line, _blur_rows
 from uwaug.fused.tables import Floats, Stack
 from uwaug.fused.transposed import Back, Cells
 
@@ -47,7 +47,7 @@ def blurred_rows(
                 out[0, y, c, :] = light[c, y]
             for k in range(narrow):
                 _blur_rows(inside, light[c], stack.rows, margin + y, stack.taps[k], stack.pairs[k])
-                _mirror(line, inside, stack.columns, margin, width)
+                _extend(line, stack.columns, margin, width, 1)
                 d = out[sharp + k, y, c]
                 for left in range(0, width, TILE):
                     tile[:] = _NONE
@@ -126,7 +126,7 @@ def gathered_rows(
                         continue
                     taps, pairs = stack.taps[k - sharp], stack.pairs[k - sharp]
                     _blur_rows(inside, by[k], back.folds[c], margin + y, taps, pairs)
-                    _mirror(line, inside, stack.columns, margin, width)
+                    _extend(line, stack.columns, margin, width, 1)
                     for left in range(0, width, TILE):
                         part = total[left : left + TILE]
                         _add_line(part, whole, line, margin + left, taps, pairs)

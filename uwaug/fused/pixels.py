@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from uwaug.fused.compiling import inner, kernel
+from uwaug.fused.grids import _extend
 from uwaug.fused.polynomials import (
     decode,
     decode_unit,
@@ -69,14 +70,6 @@ def _blur_rows(d: Any, plane: Any, fold: Any, middle: int, w: Any, pairs: int) -
         w1, w2 = w[i], w[i + 1]
         for x in range(d.size):
             d[x] += w1 * (a[x] + b[x]) + w2 * (p[x] + q[x])
-
-
-@inner
-def _mirror(line: Any, inside: Any, fold: Any, margin: int, width: int) -> None:
-    """Fill both margins of a line of `width` px."""
-    for x in range(margin):
-        line[x] = inside[fold[x]]
-        line[margin + width + x] = inside[fold[margin + width + x]]
 
 
 @inner
@@ -269,7 +262,7 @@ def form_rows(
                 line = lines[k * 3 + c]
                 inside = line[margin : margin + width]
                 _blur_rows(inside, light[c], stack.rows, margin + y, stack.taps[k], stack.pairs[k])
-                _mirror(line, inside, stack.columns, margin, width)
+                _extend(line, stack.columns, margin, width, 1)
         for left in range(0, width, TILE):
             right = min(left + TILE, width)
             z_row[: right - left] = z[y, left:right]

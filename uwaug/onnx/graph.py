@@ -6,7 +6,7 @@ has the graph in two parts, `Before` and `Strip`, see `uwaug.onnx.strips`; with 
 program of torch.export, it is `Graph`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor, nn
@@ -54,7 +54,7 @@ class Graph(nn.Module):
         self.color_space = module.color_space
         self.exposure = module.exposure
         self.keeps_brightest = module.color_space == "srgb" and not quantised
-        self.has_curves = frozen and module.exposure != "auto"  # none depends on an input
+        self.curves_fixed = frozen and module.exposure != "auto"
         self.medium = module.medium.map(lambda t: t.detach().to("cpu", torch.float32))
         self.blurs = nn.ModuleList(
             blur_of(sigma, cell, plan.reach)
@@ -62,7 +62,7 @@ class Graph(nn.Module):
         )
         # exact_at_lens=False: ONNX has no e^x − 1
         rates, weights, _ = self.medium.sums(exact_at_lens=False)
-        if self.has_curves:
+        if self.curves_fixed:
             weights = weights * fixed_gain(self.medium, module.exposure)
         self.light = module.light and module.light.map(lambda t: t.detach().to("cpu"))
         self.legs, self.camera = module.legs, module.camera
@@ -92,7 +92,7 @@ class Graph(nn.Module):
         if not self.frozen:
             sums = medium.sums(exact_at_lens=False)
         light = to_light(image, self.color_space)
-        if not self.has_curves:
+        if not self.curves_fixed:
             sums = exposed_sums(light, z, sums, self.exposure)
         return light, z, field, medium, sums
 
@@ -100,15 +100,17 @@ class Graph(nn.Module):
         """The blurs."""
         return list(self.blurs)  # type: ignore[arg-type]
 
-    def numbers(self, rest: Sequence[Tensor]) -> Sequence[Tensor]:
-        """The parameters (none, if frozen) among the inputs that follow the distance."""
-        return rest[1:] if self.field else rest
+    def numbers(self, rest: Sequence[Tensor]) -> dict[str, Tensor]:
+        """The parameters (none, if frozen) among the inputs that follow the distance, by name."""
+        if self.frozen:
+            return {}
+        return dict(zip(self.medium.parameters(), rest[1:] if self.field else rest, strict=True))
 
-    def medium_of(self, numbers: Sequence[Tensor]) -> Medium:
-        """The medium, of its parameters if those are inputs."""
+    def medium_of(self, numbers: Mapping[str, Tensor]) -> Medium:
+        """The medium, of its parameters if those are inputs; among `numbers` may be others."""
         if self.frozen:
             return self.medium
-        return Medium.of(dict(zip(self.medium.parameters(), numbers, strict=True)), self.medium)
+        return Medium.of({name: numbers[name] for name in self.medium.parameters()}, self.medium)
 
     def _lit(self, distance: Tensor, field: Tensor | None, medium: Medium) -> Lit | None:
         """The light on the scene; None for daylight as the medium has it."""
@@ -147,11 +149,9 @@ class Before(nn.Module):
             found["brightest"] = brightest.expand(image.shape[0], 1, 1, 1)
         if not graph.frozen:
             found["rates"] = sums.rates
-        if not graph.has_curves:
+        if not graph.curves_fixed:
             found["weights"] = sums.weights
-        if not graph.frozen:
-            found |= zip(graph.medium.parameters(), graph.numbers(rest), strict=True)
-        return found
+        return found | graph.numbers(rest)
 
 
 class Strip(nn.Module):
@@ -171,10 +171,9 @@ class Strip(nn.Module):
             source = given[f"prepared_{i}"] if blur.prepared else light
             stack.append(blur.within(blur.rows.of(source, rows)))
         rates, weights = given.get("rates", graph.rates), given.get("weights", graph.weights)
-        numbers = [given[name] for name in graph.medium.parameters() if not graph.frozen]
         size = (z.shape[2], z.shape[3])
         light, z = PICTURE.of(light, rows), PICTURE.of(z, rows)
-        blurred = scattered(stack, z, graph.medium_of(numbers), graph.plan, size)
+        blurred = scattered(stack, z, graph.medium_of(given), graph.plan, size)
         (result,) = together(light, curves(Sums(rates, weights, None), z), blurred)
         dtype = torch.uint8 if graph.quantised else torch.float32
         return encoded(result, graph.color_space, dtype, given.get("brightest", 1.0))

@@ -35,8 +35,8 @@ class Rows(NamedTuple):
     below: int
 
     def of(self, x: Tensor, strip: Tensor) -> Tensor:
-        """Those of x (BxCxHxW), half-sample symmetric beyond its edges, for a strip of whole
-        periods of rows, given by their numbers (R).
+        """Those of x (BxCxHxW) for a strip of whole periods of rows, given by their numbers (R);
+        beyond its edges half-sample symmetric, where a pixel needs them.
         """
         count = strip.shape[0] // PERIOD * self.each
         first = strip[:1] // PERIOD * self.each
