@@ -15,11 +15,11 @@ import torch
 from torch import Tensor
 
 from benchmarks.exact import blur_exact
+from uwaug._support.tiles import held
 from uwaug.blur.kernels import reflect
-from uwaug.blur.pieces import blurred_pieces
 from uwaug.blur.plan import BlurPlan
 from uwaug.blur.stack import mixed, node_weights
-from uwaug.rows import held
+from uwaug.blur.tiled import blurred_pieces
 
 Array = np.ndarray[Any, Any]
 Gaussian = Callable[[Array, float], Array]

@@ -21,7 +21,7 @@ from PIL import Image
 from benchmarks.harness import RESULTS
 from benchmarks.labels import Point, write_labels
 from benchmarks.transport import EDGES, LENGTHS, Spread, chosen
-from uwaug.files import written_whole
+from uwaug._support.atomic import written_whole
 
 if TYPE_CHECKING:
     from benchmarks.physics import Errors, Law, Spreads

@@ -25,7 +25,7 @@ from benchmarks.transport import (
     petzold,
     survey,
 )
-from uwaug.contrast import contrast
+from uwaug.formation.contrast import contrast
 from uwaug.optics.medium import Medium
 
 PERIODS_PX = (2, 3, 4, 6, 8, 16)  # of the pictures: .52° a px

@@ -18,10 +18,10 @@ from torch.nn.functional import interpolate
 
 import uwaug
 from benchmarks.harness import RESULTS, machine, save
-from uwaug.colour import LUMINANCE
-from uwaug.degrade import in_water
-from uwaug.distance import fill_unknown
-from uwaug.scene import motorcycle
+from uwaug.distance.convert import fill_unknown
+from uwaug.formation.colour import LUMINANCE
+from uwaug.presets.scene import motorcycle
+from uwaug.transforms.prepare import in_water
 
 DRAWS = 200
 WIDTH = 320  # px, at which the pictures are degraded

@@ -21,7 +21,7 @@ from benchmarks.fitting_scenes import (
 from uwaug.fitting import Fit, fit
 from uwaug.fitting.solve import solve
 from uwaug.fitting.uncertainty import spread
-from uwaug.formation import form_image
+from uwaug.formation.model import form_image
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import JERLOV_TYPES, Water

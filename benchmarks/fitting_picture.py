@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmarks.fitting_scenes import Truth, formed, photographed, view
 from benchmarks.harness import ROOT
-from uwaug import sheets
+from uwaug._support import sheet as sheets
 from uwaug.fitting import fit
 from uwaug.optics.point_spread import PointSpread
 

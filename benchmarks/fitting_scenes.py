@@ -10,17 +10,17 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from uwaug.colour import linear_to_srgb, to_light
 from uwaug.fitting import Fit
 from uwaug.fitting.one_water import OneWater
 from uwaug.fitting.pixels import gather
 from uwaug.fitting.solve import Problem
 from uwaug.fitting.start import guess
 from uwaug.fitting.structure import COLOURS, MODELS
-from uwaug.formation import form_image
+from uwaug.formation.colour import linear_to_srgb, to_light
+from uwaug.formation.model import form_image
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PAPER_SIZE, PointSpread
-from uwaug.scene import motorcycle
+from uwaug.presets.scene import motorcycle
 
 NOISE = 0.01  # standard deviation, of linear light
 SHARE = 0.05  # g, as `fit` takes it

@@ -12,7 +12,7 @@ from torch import Tensor
 from benchmarks.physics import CALIBRATED, PICTURES
 from uwaug.fitting import Fit, fit
 from uwaug.fitting.structure import COLOURS
-from uwaug.formation import form_image
+from uwaug.formation.model import form_image
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 

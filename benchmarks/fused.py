@@ -19,8 +19,8 @@ import uwaug
 from benchmarks import published, scaling
 from benchmarks.harness import command, printed, race, save, scene, use_threads
 from uwaug import fused
-from uwaug.degrade import _settled
-from uwaug.exposure import looks
+from uwaug.formation.exposure import looks
+from uwaug.transforms.prepare import _settled
 
 Runners = dict[str, Callable[[], object]]
 

@@ -8,11 +8,11 @@ from torch import Tensor
 
 from benchmarks.harness import RESULTS, command
 from benchmarks.information import pictured
-from uwaug.comparing import seen_by
-from uwaug.files import written_whole
+from uwaug._support.atomic import written_whole
+from uwaug.figures.comparison import seen_by
 from uwaug.optics.water import JERLOV_TYPES, Water
-from uwaug.presets import load_preset, published_systems
-from uwaug.scene import Scene, motorcycle
+from uwaug.presets.preset import load_preset, published_systems
+from uwaug.presets.scene import Scene, motorcycle
 
 FIGURES = RESULTS.parent / "figures"
 WATERS = {"II": 1.0, "7C": 0.2}

@@ -20,11 +20,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uwaug.files import written_whole
+from uwaug._support.atomic import written_whole
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
-from uwaug.scene import motorcycle_depth
+from uwaug.presets.scene import motorcycle_depth
 
 ROOT = Path(__file__).parent.parent
 RESULTS = Path(__file__).parent / "results"
@@ -188,7 +188,8 @@ def motorcycle() -> tuple[Tensor, Tensor]:
     """scikit-image's motorcycle: sRGB (1x3x500x741) and depth in metres (1x1x500x741), unknown
     pixels filled.
 
-    The depth is planar, as in all results so far; `uwaug.scene` has distances along the ray.
+    The depth is planar, as in all results so far; `uwaug.presets.scene` has distances
+    along the ray.
     """
     image, depth = motorcycle_depth()
     return image[None], depth[None]

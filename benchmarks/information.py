@@ -12,14 +12,14 @@ from torch import Tensor
 import uwaug
 from benchmarks.harness import RESULTS, command, machine, save
 from benchmarks.summary import table
-from uwaug.comparing import METRES, phase_congruency_difference
-from uwaug.contrast import contrast
-from uwaug.degrade import in_water
+from uwaug._support.sheet import GREY, INK
+from uwaug._support.sheet import save as save_figure
+from uwaug.figures.comparison import METRES, phase_congruency_difference
+from uwaug.formation.contrast import contrast
 from uwaug.optics.medium import Medium
 from uwaug.optics.water import JERLOV_TYPES, Water
-from uwaug.scene import Scene, motorcycle
-from uwaug.sheets import GREY, INK
-from uwaug.sheets import save as save_figure
+from uwaug.presets.scene import Scene, motorcycle
+from uwaug.transforms.prepare import in_water
 
 DRAWS = 20
 SEED = 11

@@ -22,11 +22,11 @@ import torch
 from PIL import Image
 
 from benchmarks.harness import ROOT, command, save
-from uwaug import scene
+from uwaug.io.pictures import read_source
+from uwaug.io.write import FORMATS, fill
 from uwaug.jobs import Recipe, Row, Rows, degrade_file
 from uwaug.jobs.run import run
-from uwaug.picture_files import FORMATS, fill
-from uwaug.pictures import read_source
+from uwaug.presets import scene
 
 WANTED = 1.25
 """Times the sum of the parts."""

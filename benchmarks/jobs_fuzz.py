@@ -27,11 +27,11 @@ import torch
 from PIL import Image
 
 from benchmarks.harness import ROOT, peak_of, save
-from uwaug.files import is_part
+from uwaug._support.atomic import is_part
+from uwaug.io.pictures import read_source
 from uwaug.jobs import Depth, Recipe, Row, degrade_file
 from uwaug.jobs.record import read_record
 from uwaug.jobs.row import record_path
-from uwaug.pictures import read_source
 
 SEED = 11
 SIZE = (40, 60)

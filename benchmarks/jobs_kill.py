@@ -23,7 +23,7 @@ import numpy as np
 from PIL import Image
 
 from benchmarks.harness import ROOT, save
-from uwaug.files import is_part
+from uwaug._support.atomic import is_part
 
 SEED = 11
 SIZE = (120, 160)

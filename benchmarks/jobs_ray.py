@@ -21,7 +21,7 @@ from uwaug.jobs import Recipe, Rows
 from uwaug.jobs.cluster import LOCAL, connected, run_on_ray
 from uwaug.jobs.run import run
 from uwaug.jobs.shards import SIZE, Shards
-from uwaug.scene import motorcycle
+from uwaug.presets.scene import motorcycle
 
 WANTED = 1.5
 """Times the pool."""

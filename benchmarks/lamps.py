@@ -20,8 +20,8 @@ from uwaug import Light, Medium, Underwater
 from uwaug.light.beam import ray_of
 from uwaug.light.fog import fog_at, fog_of, fog_within, terms_of
 from uwaug.light.rays import view_of
-from uwaug.optics.unlit import legs_of
-from uwaug.scene import motorcycle
+from uwaug.optics.inherent import legs_of
+from uwaug.presets.scene import motorcycle
 
 FIGURE = Path(__file__).parent / "figures" / "lamps.jpg"
 LENGTHS, OFFSETS, ABSORPTION = (0.5, 1.0, 2.0, 4.0), (0.1, 0.3, 1.0, 3.0), (0.1, 0.4, 1.0)
@@ -176,13 +176,13 @@ def _cell(image: Tensor, z: Tensor, focal: float, water: str, depth: float, lit:
     )
     both = Light.ambient() + LAMP
     arrives = {}
-    linear = uwaug.colour.to_light(image, "srgb")
+    linear = uwaug.formation.colour.to_light(image, "srgb")
     for name, light in (("day", Light.ambient()), ("lamp", LAMP), ("both", both)):
         arrives[name] = uwaug.form_image(linear, z, medium, light=light, focal_px=focal).image
     share = float(arrives["lamp"].mean() / arrives["both"].mean())
     gain = min(64.0, float(linear.mean() / arrives["both"].mean()))
     seen = arrives["both"] if lit else arrives["day"]
-    picture = uwaug.colour.from_light(seen * gain, "srgb", image)[0]
+    picture = uwaug.formation.colour.from_light(seen * gain, "srgb", image)[0]
     said = f"{water}, {depth:g} m"
     said += f", with a lamp: {100 * share:.0f} % of the light" if lit else ", daylight"
     return _labelled(picture, said)

@@ -10,7 +10,7 @@ from torch import Tensor
 from uwaug import Light
 from uwaug.light.rays import View
 from uwaug.light.source import Lamp
-from uwaug.optics.unlit import Legs
+from uwaug.optics.inherent import Legs
 
 KINDS = ("behind", "beside", "in view")
 

@@ -19,9 +19,9 @@ from imagecodecs import png_encode
 
 import uwaug
 from benchmarks.harness import command, printed, save
-from uwaug.picture_files import write_picture
-from uwaug.pictures import read_distance, read_source
-from uwaug.rows import bands
+from uwaug._support.tiles import bands
+from uwaug.io.pictures import read_distance, read_source
+from uwaug.io.write import write_picture
 
 SIZES = ((1155, 1733), (4000, 6000), (8660, 11547))  # px: 2, 24 and 100 megapixels
 QUICK = ((64, 96), (96, 128))

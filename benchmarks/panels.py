@@ -21,9 +21,9 @@ import uwaug
 from benchmarks import blurs, published
 from benchmarks.harness import DISTANCES, WIDEST, scene, water_medium
 from uwaug import fused
-from uwaug.blur.pieces import row_strips
 from uwaug.blur.plan import BlurPlan, plan_blur
-from uwaug.formation import together
+from uwaug.blur.tiled import row_strips
+from uwaug.formation.model import together
 from uwaug.onnx import OnnxUnderwater, export_onnx
 from uwaug.optics.curves import curves
 from uwaug.optics.medium import Medium
@@ -103,7 +103,7 @@ def blur_contest(size: int, widest: float) -> Contest:
             full = replace(plan, cells=(1.0,) * len(plan.cells))
             methods[f"{name}, no coarse grids"] = partial(blurs.stack, c.image, c.sigma, full)
     default = plans[BLUR]
-    whole = partial(uwaug.varying_blur, c.image, c.sigma, default)
+    whole = partial(uwaug.blur.varying_blur, c.image, c.sigma, default)
     methods["ours, whole image (varying_blur)"] = whole
     methods["our plan, OpenCV blurs"] = partial(blurs.stack_opencv, c.image, c.sigma, default)
     planes, widths = c.image[0].permute(1, 2, 0).contiguous().numpy(), c.sigma[0, 0].numpy()
@@ -122,7 +122,7 @@ def blur_contest(size: int, widest: float) -> Contest:
 
 def _blur_plans(c: Case, size: int) -> dict[str, BlurPlan]:
     low, high = (float(v) for v in c.sigma.aminmax())
-    default = uwaug.blur_demand(c.medium, DISTANCES).plan((size, size))
+    default = uwaug.formation.blur_demand(c.medium, DISTANCES).plan((size, size))
     plans = {}
     for tolerance in (0.01, 0.002, 0.0005, 0.0001):
         plan = plan_blur(low, high, tolerance)

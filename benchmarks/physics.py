@@ -31,7 +31,7 @@ from benchmarks.transport import (
     petzold,
     survey,
 )
-from uwaug.formation import form_image
+from uwaug.formation.model import form_image
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PAPER_SIZE, PointSpread
 

@@ -16,9 +16,9 @@ from torch import Tensor
 import uwaug
 from benchmarks.exact import blur_exact, exact_exponential
 from benchmarks.harness import command, motorcycle, race, save, use_threads
-from uwaug.blur.demand import BlurDemand, blur_demand
 from uwaug.blur.plan import BlurPlan, plan_blur
-from uwaug.colour import srgb_to_linear
+from uwaug.formation.colour import srgb_to_linear
+from uwaug.formation.demand import BlurDemand, blur_demand
 
 RANGES = ((0.05, 1.0), (1.0, 5.0), (1.0, 20.0))
 TOLERANCE = 0.002

@@ -23,7 +23,7 @@ from benchmarks import published
 from benchmarks.fused import WATER, by, direct_and_veil, module
 from benchmarks.harness import command, race, save, scene, use_threads
 from uwaug.blur.plan import BlurPlan
-from uwaug.fused.tables import Coarse, Floats, plan_tables, water_tables
+from uwaug.formation.loops.tables import Coarse, Floats, plan_tables, water_tables
 from uwaug.optics.medium import Medium
 
 Work = dict[str, float]
@@ -31,7 +31,7 @@ Work = dict[str, float]
 
 CHANNELS = 3
 EXP, LOG = 16, 21
-"""Of one exponential and one logarithm, as in `uwaug.fused.polynomials`."""
+"""Of one exponential and one logarithm, as in `uwaug.formation.loops.polynomials`."""
 
 BYTES = 4 * (CHANNELS + 1 + 1 + CHANNELS)
 """For each pixel: image, distance, field; result."""

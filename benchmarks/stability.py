@@ -35,8 +35,8 @@ import uwaug
 from benchmarks import matrix_chart, naive
 from benchmarks.conditions import WAVELENGTHS, Case, Method, conditions, exact, spread
 from benchmarks.harness import command, save
-from uwaug.colour import linear_to_srgb, srgb_to_linear
-from uwaug.files import written_whole
+from uwaug._support.atomic import written_whole
+from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
 
 TOLERANCE = 0.002
 SLACK = 0.1  # of a gradient's norm

@@ -8,7 +8,7 @@ from typing import Any
 
 from benchmarks.harness import RESULTS, ROOT, command
 from benchmarks.summary_fits import fits
-from uwaug.files import written_whole
+from uwaug._support.atomic import written_whole
 
 README = ROOT / "README.md"
 TRUTHS = {

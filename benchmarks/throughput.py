@@ -20,8 +20,9 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 import uwaug
 from benchmarks import published
 from benchmarks.harness import command, printed, race, save, scene, use_threads
-from uwaug import degrade, transforms
-from uwaug.options import SURVEY
+from uwaug.transforms import prepare as degrade
+from uwaug.transforms import random_underwater as transforms
+from uwaug.transforms.options import SURVEY
 
 BATCH = 4
 EVERYTHING = {

@@ -12,7 +12,7 @@ from augmenting import OPTIONS
 from threadpoolctl import threadpool_limits
 from torch import Tensor
 
-import uwaug.scene
+import uwaug.presets.scene
 
 pytest.register_assert_rewrite("forming")  # before a test imports it
 # at the end, so that `benchmarks` is found but an installed uwaug is tested, not the checkout's
@@ -50,15 +50,15 @@ def motorcycle() -> Scene:
 
 
 @pytest.fixture
-def small(monkeypatch: pytest.MonkeyPatch) -> uwaug.scene.Scene:
+def small(monkeypatch: pytest.MonkeyPatch) -> uwaug.presets.scene.Scene:
     """A scene of a few pixels in place of the motorcycle."""
     generator = torch.Generator().manual_seed(0)
-    scene = uwaug.scene.Scene(
+    scene = uwaug.presets.scene.Scene(
         torch.rand(3, 20, 30, generator=generator),
         torch.linspace(1, 4, 600).reshape(1, 20, 30),
         focal_px=40.0,
     )
-    monkeypatch.setattr(uwaug.scene, "motorcycle", lambda: scene)
+    monkeypatch.setattr(uwaug.presets.scene, "motorcycle", lambda: scene)
     return scene
 
 
@@ -67,7 +67,7 @@ def run(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Iterator[Callable[..., tuple[int, str, str]]]:
     """Run a command line; return exit code, stdout, stderr."""
-    from uwaug import cli
+    from uwaug.cli import app as cli
 
     def call(*arguments: str) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["uwaug", *arguments])
@@ -99,7 +99,7 @@ def torchvision() -> Any:
 @pytest.fixture(autouse=True)
 def warnings_are_fresh(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let every test be the first that fills a map: it warns once in a process."""
-    monkeypatch.setattr(uwaug.holes, "_warned", [])
+    monkeypatch.setattr(uwaug.distance.complete, "_warned", [])
 
 
 @pytest.fixture(scope="module", params=OPTIONS)

@@ -8,9 +8,10 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 import uwaug
-from uwaug import Underwater, list_presets, published_systems
+from uwaug import Underwater, list_presets
 from uwaug.onnx import OnnxUnderwater, read_metadata
 from uwaug.onnx.metadata import stored_in
+from uwaug.presets import published_systems
 
 NEAR, FAR = 0.25, 10.0
 COARSE = 0.02

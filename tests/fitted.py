@@ -7,11 +7,11 @@ import torch
 from torch import Tensor
 
 import uwaug
-from uwaug.colour import linear_to_srgb, srgb_to_linear
 from uwaug.fitting.one_water import OneWater
 from uwaug.fitting.pixels import Pair, gather
 from uwaug.fitting.structure import MODELS, Geometry
-from uwaug.scene import motorcycle
+from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
+from uwaug.presets.scene import motorcycle
 
 COLOURS = ("red", "green", "blue")
 TRUTH = {"beta": (0.62, 0.41, 0.48), "G": (0.30, 0.15, 0.20), "veil": (0.10, 0.28, 0.33)}

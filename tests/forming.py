@@ -9,7 +9,7 @@ import torch
 from inputs import rand
 from torch import Tensor
 
-from uwaug.formation import Terms
+from uwaug.formation.model import Terms
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 

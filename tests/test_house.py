@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 import uwaug
-import uwaug.formation
+import uwaug.formation.model
 import uwaug.optics.curves
 from benchmarks import house
 from uwaug import fused
@@ -70,7 +70,7 @@ def doubled(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
     [
         (uwaug.optics.curves, "decay"),  # e^(−rate·z), of all three curves
         (PointSpread, "sigma"),  # the width law
-        (uwaug.formation, "node_weights"),  # the weights of the blurs
+        (uwaug.formation.model, "node_weights"),  # the weights of the blurs
     ],
 )
 def test_eager_and_graph_share_each_equation(

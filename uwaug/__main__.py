@@ -1,6 +1,6 @@
 """`python -m uwaug`."""
 
-from uwaug.cli import main
+from uwaug.cli.app import main
 
 if __name__ == "__main__":
     main()

@@ -6,7 +6,7 @@ import torch
 from inputs import rand
 
 import uwaug
-from uwaug.formation import form_image
+from uwaug.formation.model import form_image
 
 
 def scene(near: float, far: float) -> tuple[torch.Tensor, torch.Tensor]:

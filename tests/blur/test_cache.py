@@ -2,8 +2,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import torch
 
+from uwaug._support.cache import Cache
 from uwaug.blur import operators
-from uwaug.blur.cache import Cache
 from uwaug.blur.operators import Node, operator
 
 

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from forming import coefficients, uniform
 
-from uwaug.blur.demand import BlurDemand, blur_demand
 from uwaug.blur.plan import plan_blur
+from uwaug.formation.demand import BlurDemand, blur_demand
 from uwaug.optics.point_spread import PointSpread
 
 

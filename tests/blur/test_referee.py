@@ -5,7 +5,7 @@ import pytest
 import referee
 import torch
 
-from uwaug.formation import form_image
+from uwaug.formation.model import form_image
 from uwaug.optics.camera import Camera
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread

@@ -11,12 +11,13 @@ import torch
 from scipy.fft import dctn, idct
 from torch import Tensor
 
-from uwaug.blur.demand import blur_demand
+from uwaug._support.types import Shape
 from uwaug.blur.plan import NO_BLUR
-from uwaug.formation import form_image
-from uwaug.module import Underwater
+from uwaug.formation.demand import blur_demand
+from uwaug.formation.model import form_image
+from uwaug.formation.underwater import Underwater
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread, Shape
+from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
 
 SIDE, NEAR, FAR = 48, 1.0, 5.5  # px, m

@@ -13,7 +13,7 @@ from inputs import rand
 
 from uwaug.blur.plan import plan_blur
 from uwaug.blur.stack import varying_blur
-from uwaug.formation import form_image
+from uwaug.formation.model import form_image
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 

@@ -59,7 +59,9 @@ def test_random_starts_meet(known):
     ends = []
     for seed in range(3):
         start = {"width": (1.0, 4.0, 12.0)[seed], "beta_red": (0.2, 0.6, 1.5)[seed]}
-        one = uwaug.fit(*known, model="gaussian", pixels=4000, start=start, noise=uwaug.Noise(0.01))
+        one = uwaug.fit(
+            *known, model="gaussian", pixels=4000, start=start, noise=uwaug.fitting.Noise(0.01)
+        )
         ends.append(one.theta)
     np.testing.assert_allclose(ends[1], ends[0], rtol=2e-3)
     np.testing.assert_allclose(ends[2], ends[0], rtol=2e-3)
@@ -216,14 +218,14 @@ def test_robust_fits_bear_outliers(known):
 
 
 def test_the_noise_is_a_value():
-    noise = uwaug.Noise(read=0.01, shot=1e-4, bits=None)
+    noise = uwaug.fitting.Noise(read=0.01, shot=1e-4, bits=None)
     light = torch.tensor([0.0, 1.0])
     torch.testing.assert_close(
         noise.deviation(light, "srgb"), torch.tensor([1e-4, 2e-4]).sqrt(), rtol=1e-6, atol=0.0
     )
-    rounded = uwaug.Noise(0.0, 0.0).deviation(torch.tensor([0.5]), "linear")
+    rounded = uwaug.fitting.Noise(0.0, 0.0).deviation(torch.tensor([0.5]), "linear")
     assert float(rounded) == pytest.approx(1 / 255 / 12**0.5, rel=1e-5)
     with pytest.raises(ValueError, match=r"Noise\.read must be in \[0, 1\], got -1"):
-        uwaug.Noise(-1)
+        uwaug.fitting.Noise(-1)
     with pytest.raises(dataclasses.FrozenInstanceError):
         noise.read = 1.0

@@ -32,7 +32,7 @@ def test_what_is_black_is_not_identified(hazy):
     dark[2] = 0
     behind = hazy.observed.clone()
     light = medium(uwaug.PointSpread.none(), **HAZE).backscatter(z.double())[0, 2]
-    behind[2] = (uwaug.colour.linear_to_srgb(light) * 255).round().to(torch.uint8)
+    behind[2] = (uwaug.formation.colour.linear_to_srgb(light) * 255).round().to(torch.uint8)
     for begin in (0.3, 3.0):
         start = {"beta_blue": begin, "G_blue": 0.2}
         found = uwaug.fit(dark, behind, z, model="veil", start=start, pixels=2000)
@@ -45,10 +45,10 @@ def test_what_is_black_is_not_identified(hazy):
 def test_a_grey_wall_shows_no_scattering(hazy):
     wall = torch.full_like(hazy.clean, 128)
     light = uwaug.form_image(
-        uwaug.colour.srgb_to_linear(wall.double() / 255), hazy.distance.double(), medium()
+        uwaug.formation.colour.srgb_to_linear(wall.double() / 255), hazy.distance.double(), medium()
     ).image
     noise = 0.005 * torch.randn(light.shape, generator=torch.Generator().manual_seed(0))
-    observed = uwaug.colour.linear_to_srgb((light + noise).clamp(0, 1))
+    observed = uwaug.formation.colour.linear_to_srgb((light + noise).clamp(0, 1))
     observed = (observed * 255).round().to(torch.uint8)
     found = uwaug.fit(wall, observed, hazy.distance, model="gaussian", pixels=2000)
     for c, colour in enumerate(COLOURS):
@@ -133,7 +133,7 @@ def test_numbers_of_numpy_are_saved(hazy, tmp_path):
     numbers = {"fixed": {"veil_red": np.float32(0.1)}, "g": np.float32(0.1)}
     found = uwaug.fit(*hazy, model="haze", focal_px=np.float32(300), pixels=1000, **numbers)
     found.save(tmp_path / "fit.json")
-    assert uwaug.Fit.load(tmp_path / "fit.json").parameters == found.parameters
+    assert uwaug.fitting.Fit.load(tmp_path / "fit.json").parameters == found.parameters
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,7 @@ def test_residuals_are_pictures(found, known):
 def test_saved_and_loaded(found, tmp_path):
     path = tmp_path / "fit.json"
     found.save(path)
-    again = uwaug.Fit.load(path)
+    again = uwaug.fitting.Fit.load(path)
     assert again.parameters == found.parameters
     assert again.candidates == found.candidates
     assert (again.message, again.noise, again.model) == (found.message, found.noise, found.model)
@@ -71,13 +71,13 @@ def test_saved_and_loaded(found, tmp_path):
 def test_files_that_are_no_fits(found, tmp_path):
     path = tmp_path / "fit.json"
     with pytest.raises(FileNotFoundError):
-        uwaug.Fit.load(path)
+        uwaug.fitting.Fit.load(path)
     path.write_text("{")
     with pytest.raises(ValueError, match=r"fit\.json: not a fit"):
-        uwaug.Fit.load(path)
+        uwaug.fitting.Fit.load(path)
     path.write_text("[]")
     with pytest.raises(ValueError, match=r"not a fit: expected a file written by Fit\.save"):
-        uwaug.Fit.load(path)
+        uwaug.fitting.Fit.load(path)
     found.save(path)
     values = json.loads(path.read_text())
     for name, value, match in (
@@ -88,7 +88,7 @@ def test_files_that_are_no_fits(found, tmp_path):
     ):
         path.write_text(json.dumps({**values, name: value}))
         with pytest.raises(ValueError, match=match):
-            uwaug.Fit.load(path)
+            uwaug.fitting.Fit.load(path)
 
 
 def test_samples_spread_as_the_errors(known):
@@ -113,7 +113,7 @@ def test_a_fit_is_exported_and_learnt_on(known, tmp_path):
     degrade(known.clean.float() / 255, known.distance).mean().backward()
     assert all(one.grad.isfinite().all() for one in degrade.parameters())
     fixed = uwaug.Underwater(found.medium, (0.5, 6.0), sides=(32, 64))
-    uwaug.export_onnx(fixed, tmp_path / "fit.onnx")
+    uwaug.onnx.export_onnx(fixed, tmp_path / "fit.onnx")
 
 
 def test_repr_and_text(found):

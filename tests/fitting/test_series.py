@@ -29,7 +29,7 @@ def tank(bend=0.0, levels=LEVELS):
 
 @pytest.fixture(scope="module")
 def found():
-    return uwaug.fit_series(tank(), LEVELS, model="gaussian", pixels=12_000)
+    return uwaug.fitting.fit_series(tank(), LEVELS, model="gaussian", pixels=12_000)
 
 
 def test_what_all_turbidities_share(found):
@@ -55,7 +55,7 @@ def test_scattering_on_a_line(found):
 
 
 def test_scattering_off_a_line():
-    found = uwaug.fit_series(tank(bend=0.3), LEVELS, model="gaussian", pixels=12_000)
+    found = uwaug.fitting.fit_series(tank(bend=0.3), LEVELS, model="gaussian", pixels=12_000)
     assert all(line.probability < 1e-6 for line in found.lines.values())
     assert "does not follow turbidity on a line in red, green, blue" in found.message
 
@@ -64,7 +64,9 @@ def test_two_turbidities_are_no_test():
     pairs = tank(levels=(1.0, 3.0))
     # in another order, and one of them twice
     turbidity = [3.0, 1.0, 3.0]
-    found = uwaug.fit_series([pairs[1], pairs[0], pairs[1]], turbidity, model="veil", pixels=6000)
+    found = uwaug.fitting.fit_series(
+        [pairs[1], pairs[0], pairs[1]], turbidity, model="veil", pixels=6000
+    )
     assert found.levels == (1.0, 3.0)
     assert found.structure.level == (1, 0, 1)
     assert found.lines["red"].probability is None
@@ -74,7 +76,7 @@ def test_two_turbidities_are_no_test():
 def test_models_are_compared():
     pairs = tank(levels=(0.5, 2.0))
     said = []
-    found = uwaug.fit_series(pairs, (0.5, 2.0), pixels=4000, progress=said.append)
+    found = uwaug.fitting.fit_series(pairs, (0.5, 2.0), pixels=4000, progress=said.append)
     assert found.model == "gaussian"
     assert [one.name for one in found.candidates] == ["veil", "gaussian", "exponential"]
     assert "fitting 'gaussian' to all" in said
@@ -99,17 +101,17 @@ def test_media(found):
 def test_saved_and_loaded(found, tmp_path):
     path = tmp_path / "series.json"
     found.save(path)
-    again = uwaug.SeriesFit.load(path)
+    again = uwaug.fitting.SeriesFit.load(path)
     assert again.summary() == found.summary()
     assert again.lines == found.lines
     torch.testing.assert_close(again.media.beta, found.media.beta, rtol=0, atol=0)
     values = json.loads(path.read_text())
     path.write_text(json.dumps({**values, "uwaug_series": 7}))
     with pytest.raises(ValueError, match="expected format 1, got 7"):
-        uwaug.SeriesFit.load(path)
+        uwaug.fitting.SeriesFit.load(path)
     path.write_text("{}")
     with pytest.raises(ValueError, match="not a series"):
-        uwaug.SeriesFit.load(path)
+        uwaug.fitting.SeriesFit.load(path)
 
 
 def test_drawn(found):
@@ -122,12 +124,12 @@ def test_drawn(found):
 def test_refusals():
     pairs = tank(levels=(1.0, 3.0))
     with pytest.raises(ValueError, match="a number for each pair, got 1 for 2 pairs"):
-        uwaug.fit_series(pairs, [1.0])
+        uwaug.fitting.fit_series(pairs, [1.0])
     with pytest.raises(ValueError, match=r"at least two values, got \[1\.0\]"):
-        uwaug.fit_series(pairs, [1.0, 1.0])
+        uwaug.fitting.fit_series(pairs, [1.0, 1.0])
     with pytest.raises(ValueError, match=r"turbidity\[1\] must be finite and ≥ 0, got -1"):
-        uwaug.fit_series(pairs, [1.0, -1])
+        uwaug.fitting.fit_series(pairs, [1.0, -1])
     with pytest.raises(TypeError, match=r"pairs\[0\] must be \(clean, observed, distance\)"):
-        uwaug.fit_series([pairs[0][:2], pairs[1]], [1.0, 2.0])
+        uwaug.fitting.fit_series([pairs[0][:2], pairs[1]], [1.0, 2.0])
     with pytest.raises(ValueError, match="model must be one of auto, veil"):
-        uwaug.fit_series(pairs, [1.0, 2.0], model="haze")
+        uwaug.fitting.fit_series(pairs, [1.0, 2.0], model="haze")

@@ -5,8 +5,8 @@ import torch
 from torch import Tensor
 
 import uwaug
-from uwaug.colour import linear_to_srgb
 from uwaug.fitting.veil import fit_veil
+from uwaug.formation.colour import linear_to_srgb
 
 H, W = 90, 120
 DISTANCE = torch.linspace(0.8, 8.0, H * W).reshape(1, H, W)

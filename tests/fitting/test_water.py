@@ -7,11 +7,11 @@ from torch import Tensor
 
 import uwaug
 import uwaug.fitting.water
-from uwaug.colour import linear_to_srgb, srgb_to_linear
 from uwaug.fitting.inputs import pairs_of
 from uwaug.fitting.pixels import gather
 from uwaug.fitting.spectral import Grid, OneType, Optics, SpectralProblem
 from uwaug.fitting.water import fit_water
+from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
 from uwaug.optics.camera import load_camera
 from uwaug.optics.curves import curves
 

@@ -8,13 +8,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uwaug import checks
+from uwaug._support import checks
 from uwaug.adapters.conversion import map_of, picture_of
 from uwaug.adapters.plain import from_plain, to_plain
-from uwaug.draw import Record
-from uwaug.options import given
-from uwaug.pictures import Unit, metres_of, read_distance
-from uwaug.transforms import RandomUnderwater
+from uwaug.io.pictures import Unit, metres_of, read_distance
+from uwaug.transforms.draw import Record
+from uwaug.transforms.options import given
+from uwaug.transforms.random_underwater import RandomUnderwater
 
 try:
     from albumentations import ImageOnlyTransform
@@ -32,7 +32,7 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
     Args:
         augment: a `RandomUnderwater`; or its options, as a dict. Its own `p` has to be 1.
         distance_key: the name under which a call passes the map: an array (HxW), or the path of a
-            file that `uwaug.pictures.read_distance` reads. An array also has to be in the
+            file that `uwaug.io.pictures.read_distance` reads. An array also has to be in the
             pipeline's `additional_targets={"distance": "mask"}`, so that it moves with the
             picture. Not needed where `augment` has a `distance`.
         lookup: a function that finds the map (or its path) where a call passes none; it gets all

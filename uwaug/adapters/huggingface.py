@@ -5,7 +5,7 @@ from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 from uwaug.adapters.samples import SampleAdapter, first_of
-from uwaug.structure import naming
+from uwaug.transforms.samples import naming
 
 __all__ = ["HuggingFaceUnderwater"]
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from uwaug.depth import DepthNetwork
+from uwaug.distance.network import DepthNetwork
 from uwaug.light import Light
 from uwaug.light.text import light_from, plain_numbers
 from uwaug.optics.camera import Camera

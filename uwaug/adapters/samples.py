@@ -9,11 +9,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from uwaug import checks
+from uwaug._support import checks
 from uwaug.adapters.conversion import map_of, picture_of
-from uwaug.pictures import Unit, metres_of
-from uwaug.structure import key_of
-from uwaug.transforms import RandomUnderwater
+from uwaug.io.pictures import Unit, metres_of
+from uwaug.transforms.random_underwater import RandomUnderwater
+from uwaug.transforms.samples import key_of
 
 __all__ = ["SampleAdapter", "first_of"]
 

@@ -23,7 +23,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from uwaug.blur.kernels import Array
+from uwaug._support.types import Array
 
 __all__ = ["Banded", "Kernels", "Matrix", "Span", "along_columns", "along_rows"]
 

@@ -7,7 +7,6 @@ from functools import lru_cache
 import numpy as np
 import torch
 from kornia.filters import get_gaussian_kernel1d
-from numpy.typing import NDArray
 from torch import Tensor
 
 __all__ = [
@@ -22,7 +21,7 @@ __all__ = [
     "shrink_kernels",
 ]
 
-Array = NDArray[np.float64]
+from uwaug._support.types import Array
 
 PERIOD = 16
 """px. The cells of a grid divide it evenly, or a cell is a whole multiple of it. Strips of rows are

@@ -6,8 +6,8 @@ from typing import Literal, NamedTuple
 
 import torch
 
+from uwaug._support.cache import Cache
 from uwaug.blur.banded import Banded, Kernels, Matrix
-from uwaug.blur.cache import Cache
 from uwaug.blur.kernels import (
     MARGIN,
     PERIOD,

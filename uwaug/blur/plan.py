@@ -17,9 +17,9 @@ from typing import get_args
 
 import numpy as np
 
-from uwaug import checks
-from uwaug.blur.kernels import PERIOD, Array, sampled_parameter
-from uwaug.optics.point_spread import Shape
+from uwaug._support import checks
+from uwaug._support.types import Array, Shape
+from uwaug.blur.kernels import PERIOD, sampled_parameter
 
 __all__ = [
     "NO_BLUR",

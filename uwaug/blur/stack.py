@@ -7,11 +7,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uwaug import checks
+from uwaug._support import checks
+from uwaug._support.torch_func import transformed
 from uwaug.blur.banded import Banded, along_columns, along_rows
 from uwaug.blur.operators import Kind, Node, operator
 from uwaug.blur.plan import V_FLOOR, BlurPlan, plan_blur, range_in_v
-from uwaug.functional import transformed
 
 __all__ = [
     "Chain",

@@ -4,6 +4,7 @@ pictures support.
 
 from uwaug.fitting.entry import fit
 from uwaug.fitting.noise import Noise
+from uwaug.fitting.prior_entry import WaterEstimate, red_channel_prior
 from uwaug.fitting.report import Candidate, Parameter
 from uwaug.fitting.result import Fit
 from uwaug.fitting.series import fit_series
@@ -22,9 +23,11 @@ __all__ = [
     "Parameter",
     "SeriesFit",
     "VeilFit",
+    "WaterEstimate",
     "WaterFit",
     "fit",
     "fit_series",
     "fit_veil",
     "fit_water",
+    "red_channel_prior",
 ]

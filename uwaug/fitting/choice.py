@@ -7,8 +7,8 @@ from typing import Any, Generic
 import numpy as np
 import torch
 
+from uwaug._support.types import Array
 from uwaug.fitting.solve import Problem, S, Solution, loss, solve
-from uwaug.optics.spectra import Array
 
 __all__ = ["Tried", "best_of", "choose", "held_out", "tried_of"]
 

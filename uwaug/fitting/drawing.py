@@ -10,11 +10,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uwaug.colour import linear_to_srgb
+from uwaug._support.sheet import GAP, GREY, HEADER, INK, MARGIN, RGB, Canvas, plot, show, show_map
 from uwaug.fitting.pixels import Pair
 from uwaug.fitting.report import Parameter
 from uwaug.fitting.structure import COLOURS
-from uwaug.sheets import GAP, GREY, HEADER, INK, MARGIN, RGB, Canvas, plot, show, show_map
+from uwaug.formation.colour import linear_to_srgb
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

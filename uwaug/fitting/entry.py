@@ -6,8 +6,8 @@ from typing import get_args
 
 import numpy as np
 
-from uwaug import checks
-from uwaug.colour import ColorSpace
+from uwaug._support import checks
+from uwaug._support.types import ColorSpace
 from uwaug.fitting.choice import choose
 from uwaug.fitting.finish import finished
 from uwaug.fitting.inputs import (

@@ -7,10 +7,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uwaug import checks
-from uwaug.colour import ColorSpace, to_light
+from uwaug._support import checks
+from uwaug._support.types import ColorSpace
 from uwaug.fitting.pixels import Pair, known_distances, reference_distance, widest_blur
 from uwaug.fitting.structure import Geometry
+from uwaug.formation.colour import to_light
 from uwaug.optics.curves import FARTHEST
 
 __all__ = ["bits_of", "distances_apart", "geometry_of", "pairs_of", "require_pixels"]

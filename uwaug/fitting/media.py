@@ -5,10 +5,11 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from uwaug._support.types import Shape
 from uwaug.fitting.model import Natural
 from uwaug.fitting.structure import Geometry
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread, Shape
+from uwaug.optics.point_spread import PointSpread
 
 __all__ = ["media_of"]
 

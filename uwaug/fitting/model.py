@@ -7,11 +7,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from uwaug._support.types import Shape
 from uwaug.blur.stack import mixed, node_slopes, node_weights
 from uwaug.fitting.pixels import Pixels
 from uwaug.optics.curves import curves
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread, Shape
+from uwaug.optics.point_spread import PointSpread
 
 __all__ = ["KINDS", "SLOWEST", "Natural", "medium_of", "rendered", "slopes"]
 

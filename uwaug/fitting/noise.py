@@ -8,8 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uwaug import checks
-from uwaug.colour import ColorSpace, linear_to_srgb
+from uwaug._support import checks
+from uwaug._support.types import ColorSpace
+from uwaug.formation.colour import linear_to_srgb
 
 __all__ = ["Noise", "counted", "estimated"]
 

@@ -7,10 +7,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from uwaug._support.types import Array, Shape
 from uwaug.fitting.model import SLOWEST, Natural
 from uwaug.fitting.structure import COLOURS, Bounds, Gain, Geometry, Model, Quantity
-from uwaug.optics.point_spread import PAPER_SIZE, PointSpread, Shape
-from uwaug.optics.spectra import Array
+from uwaug.optics.point_spread import PAPER_SIZE, PointSpread
 
 __all__ = ["OneWater"]
 

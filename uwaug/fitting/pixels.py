@@ -12,10 +12,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from uwaug._support.types import Shape
 from uwaug.blur.plan import BlurPlan, plan_blur
 from uwaug.blur.stack import blurred
 from uwaug.optics.curves import FARTHEST
-from uwaug.optics.point_spread import Shape
 
 __all__ = [
     "Pair",

@@ -6,11 +6,11 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import torch
 
+from uwaug._support.types import Array
 from uwaug.fitting.pixels import thinned
 from uwaug.fitting.solve import Problem, Solution, solve
 from uwaug.fitting.structure import Quantity, Structure
 from uwaug.fitting.uncertainty import Spread, limits
-from uwaug.optics.spectra import Array
 
 __all__ = [
     "NEAR_BOUND",

@@ -9,7 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uwaug import checks
+from uwaug._support import checks
+from uwaug._support.types import Array
 from uwaug.fitting import saved
 from uwaug.fitting.media import media_of
 from uwaug.fitting.model import KINDS, Natural
@@ -19,9 +20,8 @@ from uwaug.fitting.pixels import Pair
 from uwaug.fitting.report import Candidate, Correlation, Parameter, table
 from uwaug.fitting.solve import stacked
 from uwaug.fitting.structure import MODELS, Gain, Geometry
-from uwaug.formation import form_image
+from uwaug.formation.model import form_image
 from uwaug.optics.medium import Medium
-from uwaug.optics.spectra import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

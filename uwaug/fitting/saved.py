@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from uwaug.files import require_regular, written_whole
+from uwaug._support.atomic import require_regular, written_whole
 from uwaug.fitting.noise import Noise
 from uwaug.fitting.report import Candidate, Parameter
 from uwaug.fitting.structure import Structure
@@ -43,9 +43,9 @@ SERIES = Kind("uwaug_series", "a series", "SeriesFit", "expected format {wanted}
 
 def write(path: str | os.PathLike[str], kind: Kind, values: Mapping[str, Any]) -> None:
     """Write what `read` gives back, whole or not at all."""
-    from uwaug import __version__
+    from importlib.metadata import version
 
-    text = json.dumps({kind.key: _FORMAT, "uwaug": __version__, **values}, indent=1)
+    text = json.dumps({kind.key: _FORMAT, "uwaug": version("uwaug"), **values}, indent=1)
     with written_whole(path) as part:
         part.write_text(text + "\n", encoding="utf-8")
 

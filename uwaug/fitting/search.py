@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uwaug.colour import ColorSpace
+from uwaug._support.types import Array, ColorSpace
 from uwaug.fitting.choice import Tried, tried_of
 from uwaug.fitting.noise import Noise, counted, estimated
 from uwaug.fitting.one_water import OneWater
@@ -14,7 +14,6 @@ from uwaug.fitting.pixels import Pixels, thinned
 from uwaug.fitting.solve import Problem, Solution, solve
 from uwaug.fitting.start import best_of_starts, guess
 from uwaug.fitting.structure import Structure
-from uwaug.optics.spectra import Array
 
 __all__ = ["Search"]
 

@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uwaug import checks
-from uwaug.colour import ColorSpace
+from uwaug._support import checks
+from uwaug._support.types import Array, ColorSpace
 from uwaug.fitting.choice import choose, tried_of
 from uwaug.fitting.inputs import bits_of, distances_apart, geometry_of, pairs_of, require_pixels
 from uwaug.fitting.noise import Noise
@@ -20,7 +20,6 @@ from uwaug.fitting.series_result import SeriesFit, finished_series
 from uwaug.fitting.solve import Problem, solve
 from uwaug.fitting.structure import MODELS
 from uwaug.fitting.threads import one_thread
-from uwaug.optics.spectra import Array
 
 __all__ = ["fit_series"]
 

@@ -4,9 +4,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from uwaug._support.sheet import GREY, HEADER, INK, MARGIN, RGB, Canvas
 from uwaug.fitting.report import NORMAL
 from uwaug.fitting.structure import COLOURS
-from uwaug.sheets import GREY, HEADER, INK, MARGIN, RGB, Canvas
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

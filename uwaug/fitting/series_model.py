@@ -7,10 +7,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from uwaug._support.types import Array, Shape
 from uwaug.fitting.model import Natural
 from uwaug.fitting.structure import COLOURS, Bounds, Geometry, Quantity
-from uwaug.optics.point_spread import Shape
-from uwaug.optics.spectra import Array
 
 __all__ = ["SeriesWater"]
 

@@ -9,7 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uwaug import checks
+from uwaug._support import checks
+from uwaug._support.types import Array
 from uwaug.fitting import saved
 from uwaug.fitting.choice import Tried
 from uwaug.fitting.finish import candidates_of, explained
@@ -20,7 +21,6 @@ from uwaug.fitting.series_model import SeriesWater
 from uwaug.fitting.structure import COLOURS, Geometry
 from uwaug.fitting.uncertainty import Spread, spread
 from uwaug.optics.medium import Medium
-from uwaug.optics.spectra import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -56,13 +56,13 @@ class Line(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SeriesFit:
-    """A series of turbidities; made by `uwaug.fit_series`, or read by `SeriesFit.load`.
+    """A series of turbidities; made by `uwaug.fitting.fit_series`, or read by `SeriesFit.load`.
 
     Attributes:
         model: the name of the model that was chosen.
         levels: the turbidities, ascending.
         unit: of the turbidities.
-        parameters: each number by name, as of `uwaug.Fit`: a of each colour; b of each colour and
+        parameters: each number by name, as of `uwaug.fitting.Fit`: a of each colour; b of each colour and
             level, such as b_red_1; m, veil for each unit of scattering, G·V(0)/b; g; scale and
             exponent of the width law.
         lines: b₀ + k·turbidity, by colour.

@@ -8,10 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from uwaug._support.types import Array
 from uwaug.fitting.model import KINDS, Natural, rendered, slopes
 from uwaug.fitting.pixels import Pixels
 from uwaug.fitting.structure import Structure
-from uwaug.optics.spectra import Array
 
 __all__ = ["ROBUST", "Problem", "S", "Solution", "influence", "loss", "scouted", "solve", "stacked"]
 

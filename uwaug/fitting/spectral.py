@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from uwaug._support.types import Array, Shape
 from uwaug.blur.stack import mixed, node_weights
 from uwaug.fitting.pixels import Pixels
 from uwaug.fitting.solve import Problem
@@ -18,8 +19,7 @@ from uwaug.fitting.structure import Bounds
 from uwaug.optics.camera import Camera
 from uwaug.optics.curves import curves
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread, Shape
-from uwaug.optics.spectra import Array
+from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
 
 __all__ = ["DEEPEST", "Grid", "OneType", "Optics", "SpectralProblem"]

@@ -7,12 +7,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from uwaug._support.types import Array
 from uwaug.fitting.model import Natural, rendered
 from uwaug.fitting.one_water import OneWater
 from uwaug.fitting.pixels import Pixels, thinned
 from uwaug.fitting.solve import Problem, Solution, scouted, solve
 from uwaug.fitting.structure import COLOURS
-from uwaug.optics.spectra import Array
 
 __all__ = ["best_of_starts", "guess"]
 

@@ -6,8 +6,8 @@ from typing import Literal, NamedTuple, Protocol
 
 from torch import Tensor
 
+from uwaug._support.types import Shape
 from uwaug.fitting.model import Natural
-from uwaug.optics.point_spread import Shape
 
 __all__ = [
     "COLOURS",

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 import torch
 
-from uwaug.replay import reproducible
+from uwaug._support.deterministic import reproducible
 
 __all__ = ["one_thread"]
 

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from uwaug._support.types import Array
 from uwaug.fitting.solve import Problem, Solution, influence, solve
-from uwaug.optics.spectra import Array
 
 __all__ = ["Limit", "Spread", "limits", "spread"]
 

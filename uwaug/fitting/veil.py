@@ -9,14 +9,14 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
-from uwaug import checks
-from uwaug.colour import LUMINANCE, ColorSpace
+from uwaug._support import checks
+from uwaug._support.types import Array, ColorSpace
 from uwaug.fitting.inputs import Pictures, distances_apart, pairs_of, require_pixels
 from uwaug.fitting.pixels import Pair, reference_distance, tiles
 from uwaug.fitting.threads import one_thread
 from uwaug.fitting.veil_result import VeilFit, veil_found
+from uwaug.formation.colour import LUMINANCE
 from uwaug.optics.curves import FARTHEST
-from uwaug.optics.spectra import Array
 
 __all__ = ["fit_veil"]
 
@@ -127,7 +127,7 @@ def fit_veil(
         >>> import torch, uwaug
         >>> clean, z = torch.rand(3, 60, 80) ** 4, torch.linspace(1, 9, 4800).reshape(1, 60, 80)
         >>> water = uwaug.Medium.from_coefficients((0.4,) * 3, (0.4,) * 3, (0.1, 0.3, 0.4))
-        >>> found = uwaug.fit_veil(uwaug.Underwater(water)(clean, z), z)
+        >>> found = uwaug.fitting.fit_veil(uwaug.Underwater(water)(clean, z), z)
         >>> found.veil.round(decimals=1).tolist()
         [0.1, 0.3, 0.4]
     """

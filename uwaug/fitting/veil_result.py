@@ -6,10 +6,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from uwaug._support.types import Array
 from uwaug.fitting.report import NORMAL, THIN, VAGUE, Parameter, errors_of, not_identified, table
 from uwaug.fitting.structure import COLOURS
 from uwaug.optics.medium import Medium
-from uwaug.optics.spectra import Array
 
 __all__ = ["VeilFit", "veil_found"]
 
@@ -21,7 +21,7 @@ much as its end does.
 
 @dataclass(frozen=True, eq=False)
 class VeilFit:
-    """A veil that was estimated from pictures alone; made by `uwaug.fit_veil`.
+    """A veil that was estimated from pictures alone; made by `uwaug.fitting.fit_veil`.
 
     Attributes:
         parameters: each number by name: value, standard error, 95 % interval, unit, state. veil,

@@ -8,8 +8,8 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from uwaug import checks
-from uwaug.colour import ColorSpace
+from uwaug._support import checks
+from uwaug._support.types import Array, ColorSpace
 from uwaug.fitting.choice import Tried, choose, tried_of
 from uwaug.fitting.inputs import (
     Pictures,
@@ -32,7 +32,6 @@ from uwaug.fitting.water_report import Found, reported
 from uwaug.fitting.water_result import WaterFit
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.point_spread import PointSpread
-from uwaug.optics.spectra import Array
 from uwaug.optics.water import JERLOV_TYPES, Water
 
 __all__ = ["fit_water"]
@@ -144,7 +143,7 @@ def fit_water(
         >>> import torch, uwaug
         >>> clean, z = torch.rand(3, 60, 80), torch.linspace(1, 6, 4800).reshape(1, 60, 80)
         >>> observed = uwaug.Underwater(uwaug.Medium.from_water("5C"))(clean, z)
-        >>> found = uwaug.fit_water(clean, observed, z, vertical_depth=1.0, pixels=500)
+        >>> found = uwaug.fitting.fit_water(clean, observed, z, vertical_depth=1.0, pixels=500)
         >>> found.type
         '5C'
     """

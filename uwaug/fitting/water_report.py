@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from uwaug._support.types import Array
 from uwaug.fitting.choice import Tried, best_of
 from uwaug.fitting.noise import Noise
 from uwaug.fitting.pixels import Pixels, widest_blur
@@ -14,7 +15,6 @@ from uwaug.fitting.spectral import OneType
 from uwaug.fitting.uncertainty import limits, spread
 from uwaug.fitting.water_result import JerlovType, WaterFit
 from uwaug.optics.medium import Medium
-from uwaug.optics.spectra import Array
 
 __all__ = ["Found", "reported"]
 

@@ -35,7 +35,7 @@ class JerlovType(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class WaterFit:
-    """The Jerlov water that was recovered from pictures; made by `uwaug.fit_water`.
+    """The Jerlov water that was recovered from pictures; made by `uwaug.fitting.fit_water`.
 
     Attributes:
         type: the Jerlov type, such as "3C"; a mixture of neighbours, as "II + III".

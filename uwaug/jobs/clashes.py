@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from uwaug.io.write import FORMATS
 from uwaug.jobs.row import Row, terms_path
 from uwaug.jobs.rows import Rows, hash_of
-from uwaug.picture_files import FORMATS
 
 __all__ = ["counted_rows"]
 

@@ -11,12 +11,12 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from uwaug import checks
-from uwaug.depth import DepthNetwork
-from uwaug.distance import along_ray, from_disparity
-from uwaug.exposure import looks
-from uwaug.metres import DistanceKind, as_unknown
-from uwaug.pictures import Unit, metres_of, read_distance, read_numbers
+from uwaug._support import checks
+from uwaug.distance.convert import along_ray, from_disparity
+from uwaug.distance.network import DepthNetwork
+from uwaug.distance.sample import DistanceKind, as_unknown
+from uwaug.formation.exposure import looks
+from uwaug.io.pictures import Unit, metres_of, read_distance, read_numbers
 
 __all__ = ["Depth", "Kind", "Mapped"]
 
@@ -137,7 +137,7 @@ class Depth:
         Args:
             where: its file; or metres along the ray, the same everywhere; or None, for the network.
             image (3xHxW tensor): uint8 or floating point.
-            turned: whether it was turned as its EXIF says, see `uwaug.pictures.Source`.
+            turned: whether it was turned as its EXIF says, see `uwaug.io.pictures.Source`.
 
         Raises:
             ValueError: if the file does not suit; names it.

@@ -9,8 +9,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from uwaug import checks
-from uwaug.files import require_regular
+from uwaug._support import checks
+from uwaug._support.atomic import require_regular
 
 __all__ = ["INDICES", "Line", "number_of", "read_index", "require_pyarrow"]
 

@@ -7,20 +7,21 @@ from typing import Any, NamedTuple, Protocol
 import torch
 from torch import Tensor
 
-from uwaug.choice import focal_of
-from uwaug.colour import ColorSpace, require_values
-from uwaug.degrade import Whole, exactly, in_water
-from uwaug.exposure import Exposure, exposed_under
-from uwaug.field import gaussian_random_field, gaussian_random_rows
-from uwaug.formation import prepare, separately, together
-from uwaug.fused.picture import to_light
-from uwaug.fused.switch import path
+from uwaug._support.types import ColorSpace
+from uwaug.distance.sample import DistanceKind, Scaling, metres_by_rows, skipped, to_metres
+from uwaug.formation.colour import require_values
+from uwaug.formation.exposure import Exposure, exposed_under
+from uwaug.formation.field import gaussian_random_field, gaussian_random_rows
+from uwaug.formation.loops.picture import to_light
+from uwaug.formation.loops.switch import path
+from uwaug.formation.model import prepare, separately, together
+from uwaug.formation.strips import Strips, in_rows, is_large, require_daylight
 from uwaug.light.lit import lit_of
 from uwaug.light.value import Light
-from uwaug.metres import DistanceKind, Scaling, metres_by_rows, skipped, to_metres
 from uwaug.optics.medium import Medium
-from uwaug.strips import Strips, in_rows, is_large, require_daylight
-from uwaug.transforms import RandomUnderwater
+from uwaug.transforms.choice import focal_of
+from uwaug.transforms.prepare import Whole, exactly, in_water
+from uwaug.transforms.random_underwater import RandomUnderwater
 
 __all__ = [
     "TERMS",
@@ -109,7 +110,7 @@ class OneMedium:
         medium: a batch of one.
         color_space, exposure: as of `uwaug.Underwater`.
         field_range: least and largest value of the medium field; None for water without.
-        kind, unknown, scaling: of the maps, see `uwaug.metres.to_metres`.
+        kind, unknown, scaling: of the maps, see `uwaug.distance.sample.to_metres`.
         light, focal_px: as of `uwaug.Underwater`; by default the view is 60° wide.
     """
 

@@ -11,9 +11,13 @@ from typing import Any, Literal
 
 import torch
 
-from uwaug.degrade import Whole
-from uwaug.files import written_whole
-from uwaug.fused import switch
+from uwaug._support.atomic import written_whole
+from uwaug._support.deterministic import reproducible
+from uwaug.formation.loops import switch
+from uwaug.formation.strips import Strips
+from uwaug.io.pictures import Source as Picture
+from uwaug.io.pictures import read_source
+from uwaug.io.write import fill, lost, require_format, write_picture
 from uwaug.jobs.model import TERMS, Degraded, terms_of
 from uwaug.jobs.recipe import Recipe, sha256_of
 from uwaug.jobs.record import (
@@ -26,12 +30,8 @@ from uwaug.jobs.record import (
 )
 from uwaug.jobs.row import Row, record_path, terms_path
 from uwaug.labels import Labels, with_contrast
-from uwaug.picture_files import fill, lost, require_format, write_picture
-from uwaug.pictures import Source as Picture
-from uwaug.pictures import read_source
-from uwaug.replay import reproducible
-from uwaug.strips import Strips
-from uwaug.structure import key_of
+from uwaug.transforms.prepare import Whole
+from uwaug.transforms.samples import key_of
 
 __all__ = ["Outcome", "begun_again", "degrade_file", "named", "reason_of", "repeated"]
 

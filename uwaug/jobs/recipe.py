@@ -9,17 +9,17 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from uwaug import checks
-from uwaug.files import require_regular
+from uwaug._support import checks
+from uwaug._support.atomic import require_regular
+from uwaug.distance.sample import Scaling
 from uwaug.fitting.result import Fit
 from uwaug.jobs.depth import Depth
 from uwaug.jobs.model import Model, OneMedium, RandomWater
 from uwaug.labels import LabelSource, open_labels
 from uwaug.light.text import light_of_tables
-from uwaug.metres import Scaling
 from uwaug.optics.point_spread import PointSpread
-from uwaug.presets import Preset, load_preset
-from uwaug.transforms import RandomUnderwater
+from uwaug.presets.preset import Preset, load_preset
+from uwaug.transforms.random_underwater import RandomUnderwater
 
 __all__ = ["Recipe"]
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import torch
 
-from uwaug.files import require_regular, written_whole
+from uwaug._support.atomic import require_regular, written_whole
 from uwaug.jobs.recipe import Recipe, sha256_of
 from uwaug.jobs.row import Row, record_path
 
@@ -115,9 +115,9 @@ class Record:
 
 def versions() -> tuple[str, str]:
     """Of uwaug and torch."""
-    from uwaug import __version__
+    from importlib.metadata import version
 
-    return __version__, str(torch.__version__)
+    return version("uwaug"), str(torch.__version__)
 
 
 def record_of(picture: Path) -> Record | None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from uwaug.files import require_regular, written_whole
+from uwaug._support.atomic import require_regular, written_whole
 from uwaug.jobs.one import Outcome
 from uwaug.jobs.rows import hash_of
 

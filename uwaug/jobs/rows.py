@@ -7,11 +7,11 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import NamedTuple
 
-from uwaug.files import is_part, require_regular
+from uwaug._support.atomic import is_part, require_regular
+from uwaug.io.write import FORMATS
 from uwaug.jobs.index import INDICES, number_of, read_index
 from uwaug.jobs.record import record_of
 from uwaug.jobs.row import Row
-from uwaug.picture_files import FORMATS
 
 __all__ = ["Rows", "hash_of"]
 

@@ -17,7 +17,7 @@ from multiprocessing.context import BaseContext
 import torch
 from threadpoolctl import threadpool_limits
 
-from uwaug.files import remove_left
+from uwaug._support.atomic import remove_left
 from uwaug.jobs.one import Outcome, begun_again, degrade_file
 from uwaug.jobs.recipe import Recipe
 from uwaug.jobs.row import Row

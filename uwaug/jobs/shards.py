@@ -153,7 +153,7 @@ class Shards:
         import pyarrow as pa
         import ray
 
-        from uwaug.ray import degrade
+        from uwaug.jobs.ray import degrade
 
         logging.getLogger("ray.data").setLevel(logging.ERROR)
         total = max(1, int(ray.cluster_resources().get("CPU", 1)))
@@ -239,7 +239,7 @@ def _schema() -> Any:
     """Of shards, with what Hugging Face's `datasets` need to show pictures."""
     import pyarrow as pa
 
-    from uwaug.ray import added_schema
+    from uwaug.jobs.ray import added_schema
 
     known: dict[str, Any] = {}
     schema = pa.schema([*pa.schema(list(_COLUMNS.items())), *added_schema()])

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from uwaug.files import require_regular
+from uwaug._support.atomic import require_regular
 from uwaug.labels.source import Labels, Object, Record, plain_name, refuse_source, write_json
 
 __all__ = ["CocoLabels"]

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from uwaug.files import require_regular, written_whole
+from uwaug._support.atomic import require_regular, written_whole
 from uwaug.labels.source import (
     LabelFolder,
     Labels,

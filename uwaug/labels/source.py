@@ -11,9 +11,16 @@ from typing import Any, ClassVar, Protocol
 from numpy.typing import NDArray
 from torch import Tensor
 
-from uwaug import checks
-from uwaug.files import require_regular, written_whole
-from uwaug.regions import Region, box_region, mask_region, mean_over, polygon_region, runs_region
+from uwaug._support import checks
+from uwaug._support.atomic import require_regular, written_whole
+from uwaug.labels.regions import (
+    Region,
+    box_region,
+    mask_region,
+    mean_over,
+    polygon_region,
+    runs_region,
+)
 
 __all__ = ["LabelSource", "Labels", "Object", "Record", "with_contrast"]
 

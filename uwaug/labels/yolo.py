@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from uwaug.files import written_whole
+from uwaug._support.atomic import written_whole
 from uwaug.labels.source import (
     LabelFolder,
     Labels,

@@ -23,13 +23,13 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from uwaug.functional import transformed
+from uwaug._support.torch_func import transformed
 from uwaug.light.beam import Ray, along, before_camera, column, ray_of
 from uwaug.light.rays import View
 from uwaug.light.rules import TERMS, rules
 from uwaug.light.source import Lamp
 from uwaug.optics.curves import decay
-from uwaug.optics.unlit import Legs
+from uwaug.optics.inherent import Legs
 
 __all__ = ["Fog", "fog_at", "fog_of", "fog_within", "terms_of"]
 

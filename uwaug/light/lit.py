@@ -18,15 +18,15 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from uwaug import checks
+from uwaug._support import checks
 from uwaug.light.beam import Ray, beam_of, column, facing, ray_of
 from uwaug.light.fog import Fog, fog_at, fog_of, fog_within, terms_of
 from uwaug.light.rays import View, beyond, normals, require_centre, view_of
 from uwaug.light.source import Daylight, Lamp
 from uwaug.light.value import Light
 from uwaug.optics.curves import FARTHEST, Curves, Sums, curves, decay
+from uwaug.optics.inherent import Legs, legs_of
 from uwaug.optics.medium import Medium
-from uwaug.optics.unlit import Legs, legs_of
 
 __all__ = ["Lit", "lamp_legs", "light_of", "lit_of", "planned", "seen", "settled"]
 
@@ -49,7 +49,7 @@ class Lit(NamedTuple):
         field (Bx1xHxW tensor): m, or None.
         normals (Bx3xHxW tensor): see `uwaug.light.rays`; None for a whole scene, see `part`.
         columns: of the picture, which this part has.
-        from_direct (B tensor): see `uwaug.optics.unlit.Unlit`; None where it is 0.
+        from_direct (B tensor): see `uwaug.optics.inherent.Unlit`; None where it is 0.
         gain (B tensor): by which an exposure brightens lamps, or None; daylight's is in the medium.
     """
 

@@ -10,7 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from uwaug import checks
+from uwaug._support import checks
 
 __all__ = ["NEAREST", "View", "beyond", "normals", "require_centre", "view_of"]
 

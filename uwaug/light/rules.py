@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uwaug.optics.spectra import Array
+from uwaug._support.types import Array
 
 __all__ = ["TERMS", "rules"]
 

@@ -9,7 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uwaug.optics.spectra import Array, spectrum, wavelength_axis
+from uwaug._support.types import Array
+from uwaug.optics.spectra import spectrum, wavelength_axis
 
 __all__ = [
     "AXES",

@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from uwaug import checks
+from uwaug._support import checks
 from uwaug.light.source import Lamp
 from uwaug.light.value import Light
 

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from uwaug import checks
+from uwaug._support import checks
 from uwaug.light.rules import rules
 from uwaug.light.source import (
     AXES,

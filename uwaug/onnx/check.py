@@ -9,12 +9,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from uwaug.module import Underwater
+from uwaug._support.onnx_session import Session, require
+from uwaug.formation.planned import alike
+from uwaug.formation.underwater import Underwater
 from uwaug.onnx.graph import parameters_of
 from uwaug.onnx.metadata import Stored, plan_of, read_metadata, stored_in
 from uwaug.optics.medium import Medium
-from uwaug.planned import alike
-from uwaug.session import Session, require
 
 __all__ = ["Report", "check_onnx"]
 

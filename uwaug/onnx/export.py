@@ -13,15 +13,15 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from uwaug import checks
+from uwaug._support import checks
+from uwaug._support.atomic import written_whole
+from uwaug._support.onnx_session import require
 from uwaug.blur.kernels import PERIOD
-from uwaug.files import written_whole
-from uwaug.module import Underwater
+from uwaug.formation.underwater import Underwater
 from uwaug.onnx.check import check_onnx
 from uwaug.onnx.graph import Before, Graph, Strip, parameters_of
 from uwaug.onnx.metadata import Options, plan_of, require_light, written
 from uwaug.onnx.strips import joined, strips_of
-from uwaug.session import require
 
 __all__ = ["export_onnx", "export_program"]
 

@@ -12,11 +12,11 @@ import torch
 from torch import Tensor, nn
 
 from uwaug.blur.plan import BlurPlan
-from uwaug.colour import encoded, from_light, headroom, to_light
-from uwaug.exposure import exposed_sums, fixed_gain
-from uwaug.formation import scattered, together
+from uwaug.formation.colour import encoded, from_light, headroom, to_light
+from uwaug.formation.exposure import exposed_sums, fixed_gain
+from uwaug.formation.model import scattered, together
+from uwaug.formation.underwater import Underwater
 from uwaug.light.lit import Lit, lit_of, seen
-from uwaug.module import Underwater
 from uwaug.onnx.blurs import Blur, blur_of
 from uwaug.onnx.strips import PICTURE, strips_of
 from uwaug.optics.curves import FARTHEST, Sums, curves

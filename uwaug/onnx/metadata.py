@@ -10,20 +10,20 @@ from typing import Any, Literal, get_args
 import torch
 from torch import Tensor
 
-from uwaug import checks
+from uwaug._support import checks
+from uwaug._support.onnx_session import Session
+from uwaug._support.types import ColorSpace, Shape
 from uwaug.blur.kernels import PERIOD
 from uwaug.blur.plan import NO_BLUR, BlurPlan
-from uwaug.colour import ColorSpace
-from uwaug.exposure import Exposure, require_exposure
+from uwaug.formation.exposure import Exposure, require_exposure
+from uwaug.formation.planned import SIDES, distances, sides_of
+from uwaug.formation.underwater import Underwater
 from uwaug.light.lit import light_of
 from uwaug.light.text import light_from, plain_numbers
 from uwaug.light.value import Light
-from uwaug.module import Underwater
+from uwaug.optics.inherent import Unlit
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread, Shape
-from uwaug.optics.unlit import Unlit
-from uwaug.planned import SIDES, distances, sides_of
-from uwaug.session import Session
+from uwaug.optics.point_spread import PointSpread
 
 __all__ = ["FORMAT", "Options", "Stored", "plan_of", "read_metadata", "read_module", "stored_in"]
 
@@ -58,7 +58,7 @@ _UNITS = "image 0…1 (float32) or 0…255 (uint8); distance in metres along the
 
 @dataclass(frozen=True)
 class Options:
-    """What a file is exported for; see `uwaug.export_onnx`."""
+    """What a file is exported for; see `uwaug.onnx.export_onnx`."""
 
     parameters: Literal["frozen", "inputs"] = "frozen"
     field: Literal["none", "input"] = "none"
@@ -180,7 +180,9 @@ def read_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
         Session(path, 1, optimise=False).opened.get_modelmeta().custom_metadata_map
     )
     if "uwaug_format" not in found:
-        raise ValueError(f"{path}: not a file of uwaug.export_onnx, as it has no metadata of it")
+        raise ValueError(
+            f"{path}: not a file of uwaug.onnx.export_onnx, as it has no metadata of it"
+        )
     if found["uwaug_format"] != str(FORMAT):
         raise ValueError(
             f"{path}: format {found['uwaug_format']} from uwaug {found.get('uwaug_version', '?')}, "

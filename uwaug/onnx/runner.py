@@ -6,12 +6,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from uwaug.colour import to_light
-from uwaug.formation import validate
+from uwaug._support.onnx_session import Session
+from uwaug.formation.colour import to_light
+from uwaug.formation.model import validate
 from uwaug.onnx.graph import parameters_of
 from uwaug.onnx.metadata import read_metadata, stored_in
 from uwaug.optics.medium import Medium
-from uwaug.session import Session
 
 __all__ = ["OnnxUnderwater"]
 

@@ -1,3 +1,10 @@
 """Waters and cameras, which know wavelengths, and the medium that comes of them, which is curves of
 distance and a width law.
 """
+
+from uwaug.optics.camera import Camera, load_camera
+from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.water import JERLOV_TYPES, Water
+
+__all__ = ["JERLOV_TYPES", "Camera", "Medium", "PointSpread", "Water", "load_camera"]

@@ -6,8 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uwaug import checks
-from uwaug.optics.spectra import Array
+from uwaug._support import checks
+from uwaug._support.types import Array
 from uwaug.optics.water import Water
 
 __all__ = [

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from uwaug.files import require_regular
-from uwaug.optics.spectra import Array, Spectra, spectrum, wavelength_axis
+from uwaug._support.atomic import require_regular
+from uwaug._support.types import Array
+from uwaug.optics.spectra import Spectra, spectrum, wavelength_axis
 
 __all__ = ["Camera", "load_camera", "response_at"]
 

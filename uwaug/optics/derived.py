@@ -10,12 +10,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from uwaug import checks
+from uwaug._support import checks
 from uwaug.optics.bands import given_rows
 from uwaug.optics.curves import FARTHEST, Curves, Sums, curves
+from uwaug.optics.inherent import joined_bands
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.reduction import Forward, forward_from_direct, joined, require_forward
-from uwaug.optics.unlit import joined_bands
 
 if TYPE_CHECKING:
     from uwaug.optics.medium import Medium

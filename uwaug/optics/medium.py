@@ -36,9 +36,8 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from uwaug import checks
-from uwaug.checks import DOMAIN
-from uwaug.colour import ColorSpace
+from uwaug._support import checks
+from uwaug._support.checks import DOMAIN
 from uwaug.optics import derived
 from uwaug.optics.bands import (
     Dims,
@@ -49,9 +48,9 @@ from uwaug.optics.bands import (
 )
 from uwaug.optics.camera import Camera, load_camera, response_at
 from uwaug.optics.curves import FARTHEST, Sums
+from uwaug.optics.inherent import Unlit, of_channels, unlit_bands
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.reduction import Forward, reduced, spectral_note
-from uwaug.optics.unlit import Unlit, of_channels, unlit_bands
 from uwaug.optics.water import Water
 
 __all__ = ["Medium"]
@@ -125,7 +124,7 @@ class Medium:
             tolerance: largest error of each curve, at any distance; 0 keeps every band.
             wavelengths: bands, nm, by default 400…700 in steps of 5 as far as the water reaches.
 
-        Other models of water (see `uwaug.published_systems`) differ in:
+        Other models of water (see `uwaug.presets.published_systems`) differ in:
             downwelling: what dims light on its way down: "kd"; "beam", β; or "none".
             dims: what that light is lost to: "both"; "direct", the picture (direct and forward); or
                 "veil".
@@ -209,15 +208,6 @@ class Medium:
             ValueError: if a shape is another, batches differ, or a value is out of range.
         """
         return Medium.from_coefficients(**derived.without_distance(transmission, veil))
-
-    @staticmethod
-    def from_picture(
-        picture: Tensor, distance: Tensor | None = None, *, color_space: ColorSpace = "srgb"
-    ) -> "Medium":
-        """An estimate of a real picture's water, see `uwaug.red_channel_prior`."""
-        from uwaug.prior import red_channel_prior
-
-        return red_channel_prior(picture, distance, color_space=color_space).medium
 
     @staticmethod
     def stack(media: "Iterable[Medium]") -> "Medium":

@@ -2,18 +2,18 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal, get_args
+from typing import Any, ClassVar, get_args
 
 import torch
 from torch import Tensor
 
-from uwaug import checks
-from uwaug.checks import DOMAIN
-from uwaug.functional import transformed
+from uwaug._support import checks
+from uwaug._support.checks import DOMAIN
+from uwaug._support.torch_func import transformed
 
 __all__ = ["PAPER_SIZE", "PointSpread", "Shape", "pixel_scale", "width_at"]
 
-Shape = Literal["gaussian", "exponential"]
+from uwaug._support.types import Shape
 
 PAPER_SIZE = 518
 """px, short side of the paper's pictures."""
@@ -28,7 +28,7 @@ class PointSpread:
             learned.
         exponent: > 0; a float, or a tensor (B,).
         shape: "gaussian", or "exponential" for the classical transfer function e^(−2πσf), see
-            `uwaug.plan_blur`.
+            `uwaug.blur.plan_blur`.
         reference_size: None if px are px of the image at hand; else the short side, px, of the
             image that `scale` refers to, so that the picture does not depend on its resolution.
 

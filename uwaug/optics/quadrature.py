@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
+from uwaug._support.types import Array
 from uwaug.optics.curves import FARTHEST
-from uwaug.optics.spectra import Array
 
 __all__ = ["Reduced", "reduce_rates"]
 

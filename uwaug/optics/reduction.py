@@ -7,10 +7,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uwaug import checks
+from uwaug._support import checks
+from uwaug._support.types import Array
 from uwaug.optics.bands import BandCoefficients
 from uwaug.optics.quadrature import reduce_rates
-from uwaug.optics.spectra import Array
 
 __all__ = [
     "USUAL",

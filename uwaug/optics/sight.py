@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uwaug.optics.spectra import Array
+from uwaug._support.types import Array
 
 if TYPE_CHECKING:
     from uwaug.optics.water import Water

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 __all__ = ["Array", "Spectra", "common_axis", "spectrum", "wavelength_axis"]
 
-Array = NDArray[np.float64]
+from uwaug._support.types import Array
 
 
 class Spectra:

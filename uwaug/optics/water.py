@@ -8,10 +8,11 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from uwaug import checks
+from uwaug._support import checks
+from uwaug._support.types import Array
 from uwaug.optics import sight
-from uwaug.optics.jerlov_tables import JERLOV_TYPES, repaired_table
-from uwaug.optics.spectra import Array, Spectra, common_axis, spectrum, wavelength_axis
+from uwaug.optics.jerlov import JERLOV_TYPES, repaired_table
+from uwaug.optics.spectra import Spectra, common_axis, spectrum, wavelength_axis
 
 __all__ = ["CONTRAST_THRESHOLD", "JERLOV_TYPES", "Water"]
 

@@ -1,0 +1,193 @@
+import errno
+import os
+import secrets
+import signal
+import socket
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from uwaug._support.atomic import is_part, remove_left, require_regular, written_whole
+
+
+def write(path: Path, text: str = "new") -> Path:
+    """Write a file; return the name of its part."""
+    with written_whole(path) as part:
+        part.write_text(text)
+    return part
+
+
+@pytest.fixture
+def umask():
+    """A mask of files that a group may read, and no others."""
+    change = os.umask
+    before = change(0o027)
+    yield
+    change(before)
+
+
+def mode(path: Path) -> int:
+    return stat.S_IMODE(path.stat().st_mode)
+
+
+def test_a_new_file_has_the_mode_of_any_and_an_old_one_keeps_its_own(tmp_path, umask, monkeypatch):
+    def changed(_: int) -> int:
+        raise AssertionError("other threads would see it")
+
+    monkeypatch.setattr(os, "umask", changed)
+    path = tmp_path / "a.txt"
+    write(path)
+    assert mode(path) == 0o640
+    for kept in (0o600, 0o666, 0o444):
+        path.chmod(kept)
+        write(path, f"{kept}")
+        assert (mode(path), path.read_text()) == (kept, f"{kept}")
+
+
+def test_what_takes_the_place_of_a_private_file_is_private_before(tmp_path, umask):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    path.chmod(0o600)
+    with written_whole(path) as part:
+        assert mode(part) == 0o600
+
+
+def test_a_link_stays_and_its_target_is_replaced(tmp_path):
+    folder = tmp_path / "elsewhere"
+    folder.mkdir()
+    link, target = tmp_path / "link", folder / "target"
+    for old in ("old", None):
+        target.unlink(missing_ok=True)
+        if old is not None:
+            target.write_text(old)
+        link.unlink(missing_ok=True)
+        link.symlink_to(Path("elsewhere", "target"))
+        write(link)
+        assert link.is_symlink()
+        assert target.read_text() == "new"
+        assert [path.name for path in folder.iterdir()] == ["target"]
+    circle = tmp_path / "circle"
+    circle.symlink_to(circle)
+    with pytest.raises(OSError, match="symbolic link to itself"):
+        write(circle)
+
+
+def pipe(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def listen(path: Path) -> None:
+    # a socket's name has to be short
+    before = Path.cwd()
+    os.chdir(path.parent)
+    try:
+        with socket.socket(socket.AF_UNIX) as server:
+            server.bind(path.name)
+    finally:
+        os.chdir(before)
+
+
+def device(path: Path) -> None:
+    try:
+        os.mknod(path, stat.S_IFCHR | 0o666, os.makedev(1, 3))
+    except PermissionError:
+        pytest.skip("only root makes devices")
+
+
+@pytest.mark.parametrize(
+    "make, kind",
+    [(Path.mkdir, "folder"), (pipe, "pipe"), (listen, "socket"), (device, "device")],
+    ids=["folder", "pipe", "socket", "device"],
+)
+@pytest.mark.parametrize("linked", [False, True])
+def test_what_is_no_regular_file_is_refused(tmp_path, make, kind, linked):
+    path = tmp_path / "it"
+    make(path)
+    before = path.stat()
+    if linked:
+        path = tmp_path / "link"
+        path.symlink_to("it")
+    count = len(list(tmp_path.iterdir()))
+    for refused in (write, require_regular):
+        with pytest.raises(OSError, match=rf"path must be a file, but .* is a {kind}"):
+            refused(path)
+    after = path.stat()
+    assert (after.st_ino, after.st_mode) == (before.st_ino, before.st_mode)
+    assert len(list(tmp_path.iterdir())) == count
+
+
+def test_nobody_can_plant_a_link_in_place_of_the_part(tmp_path, monkeypatch):
+    assert write(tmp_path / "a").name != write(tmp_path / "a").name
+    monkeypatch.setattr(secrets, "token_hex", lambda n: "0" * 2 * n)
+    part = write(tmp_path / "a")
+    victim = tmp_path / "victim"
+    victim.write_text("mine")
+    part.symlink_to(victim)
+    with pytest.raises(FileExistsError, match="cannot write to the folder"):
+        write(tmp_path / "a")
+    assert victim.read_text() == "mine"
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
+def test_nothing_is_left_after_an_exception(tmp_path, error):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+
+    def interrupted() -> None:
+        with written_whole(path) as part:
+            part.write_text("half")
+            assert is_part(part.name)
+            raise error
+
+    with pytest.raises(error):
+        interrupted()
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+    assert not is_part(path.name)
+
+
+def test_a_full_disk_is_named_with_the_path(tmp_path):
+    path = tmp_path / "a.txt"
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    with pytest.raises(OSError, match="No space left on device: ") as info, written_whole(path):
+        raise full
+    assert str(path) in str(info.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_sigterm_leaves_nothing(tmp_path):
+    code = (
+        "import sys, time, uwaug.cli, uwaug.cli.drawing\n"
+        "from uwaug._support.atomic import written_whole\n"
+        "def draw(out, *_):\n"
+        "    with written_whole(out / '2-terms.jpg') as part:\n"
+        "        part.write_text('half')\n"
+        "        print('drawing', flush=True)\n"
+        "        time.sleep(60)\n"
+        "uwaug.cli.drawing._draw_all = draw\n"
+        "sys.argv = ['uwaug', 'demo', '--out', '.']\n"
+        "uwaug.cli.main()\n"
+    )
+    command = [sys.executable, "-c", code]
+    options = {"cwd": tmp_path, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, **options) as process:
+        assert process.stdout.readline() == "drawing\n"
+        assert len(list(tmp_path.iterdir())) == 1
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(30) == 128 + signal.SIGTERM
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_killed_processes_have_left_is_removed_and_what_living_ones_write_stays(tmp_path):
+    left = tmp_path / f".uwaug-{secrets.token_hex(8)}.part"
+    left.touch()
+    (tmp_path / ".uwaug-mine.part").touch()
+    with written_whole(tmp_path / "a.txt") as part:
+        part.write_text("new")
+        remove_left(tmp_path)
+        assert part.exists()
+        assert not left.exists()
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".uwaug-mine.part", "a.txt"]

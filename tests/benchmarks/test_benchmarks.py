@@ -1,0 +1,269 @@
+import contextlib
+import io
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+pytest.importorskip("cv2")
+pytest.importorskip("matplotlib")
+pytest.importorskip("scipy")
+
+import uwaug
+from benchmarks import (
+    blurs,
+    charts,
+    frontier,
+    fused,
+    gallery,
+    information,
+    lamps,
+    published,
+    scaling,
+    summary,
+)
+from benchmarks.exact import blur_exact
+from benchmarks.harness import race
+
+#            0          1          2          3          4          5
+POINTS = [(1.0, 0.5), (2.0, 0.1), (3.0, 0.2), (4.0, 0.01), (4.0, 0.02), (9.0, 0.0)]
+
+
+def test_front_holds_what_nothing_beats() -> None:
+    assert frontier.pareto(POINTS) == [0, 1, 3, 5]
+
+
+def test_front_of_equal_points_holds_them_all() -> None:
+    assert sorted(frontier.pareto([(1.0, 1.0), (1.0, 1.0), (2.0, 1.0), (1.0, 2.0)])) == [0, 1]
+
+
+def test_front_agrees_with_its_definition() -> None:
+    generator = torch.Generator().manual_seed(0)
+    points = [tuple(p) for p in torch.randint(0, 12, (60, 2), generator=generator).tolist()]
+
+    def beaten(p: tuple[float, ...]) -> bool:
+        return any(q != p and q[0] <= p[0] and q[1] <= p[1] for q in points)
+
+    assert sorted(frontier.pareto(points)) == [i for i, p in enumerate(points) if not beaten(p)]
+
+
+@pytest.mark.parametrize(
+    ("ours", "slower", "best"), [(0, 0.0, 0), (2, 0.5, 1), (3, 0.0, 3), (4, 0.0, 4), (5, 0.0, 5)]
+)
+def test_excess_is_the_time_over_the_fastest_as_accurate(
+    ours: int, slower: float, best: int
+) -> None:
+    assert frontier.excess(POINTS, ours) == (pytest.approx(slower), best)
+
+
+def test_a_near_tie_in_accuracy_counts_against_us() -> None:
+    assert frontier.excess([(1.0, 0.1005), (2.0, 0.1)], 1) == (1.0, 0)
+    assert frontier.excess([(1.0, 0.102), (2.0, 0.1)], 1) == (0.0, 1)
+
+
+def test_verdict() -> None:
+    entries = []
+    for i, (time_ms, rmse) in enumerate(POINTS):
+        entry = {"name": str(i), "default": i == 2, "psnr_db": None}
+        entries.append({**entry, "median_ms": time_ms, "rmse": rmse})
+    panel = frontier.judged(entries)
+    assert [e["front"] for e in panel["entries"]] == [True, True, False, True, False, True]
+    verdict = panel["verdict"]
+    assert (verdict["on_front"], verdict["within_10_percent"]) == (False, False)
+    assert verdict["beaten_by"] == "1"
+    assert verdict["slower_than_front"] == pytest.approx(0.5)
+
+
+def test_a_slow_rival_does_not_cut_the_race_short() -> None:
+    times = race({"ours": lambda: None, "slow": lambda: time.sleep(0.02)}, 9, 0.01, "ours")
+    assert times["slow"]["rounds"] == 3 < times["ours"]["rounds"] <= 9
+
+
+def test_errors_are_of_the_image() -> None:
+    exact = torch.rand(1, 3, 16, 16, generator=torch.Generator().manual_seed(0)).double()
+    assert frontier.errors(exact, exact) == {"max": 0.0, "rmse": 0.0, "psnr_db": None, "ssim": 1.0}
+    wrong = frontier.errors(exact + 0.01, exact)
+    assert wrong["psnr_db"] == pytest.approx(40)
+    assert wrong["max"] == pytest.approx(0.01)
+
+
+def test_tiles_are_the_exact_blur() -> None:
+    rng = torch.Generator().manual_seed(0)
+    image = torch.rand(1, 3, 70, 70, generator=rng)
+    sigma = 0.5 + 3 * torch.rand(1, 1, 70, 70, generator=rng)
+    whole = blur_exact(image[0], sigma[0, 0]).reshape(1, 3, 70, 70)
+    torch.testing.assert_close(blurs.exact(image, sigma)[0], whole, rtol=0, atol=1e-13)
+
+
+def test_the_readme_shows_what_was_measured() -> None:
+    text = summary.README.read_text()
+    assert summary.updated(text) == text
+    for name in ("accuracy", "chart", "speed"):
+        message = f"expected the markers of figures: {name} once, found them 0 times"
+        with pytest.raises(ValueError, match=message):
+            summary.updated(text.replace(f"<!-- /figures: {name} -->", ""))
+
+
+def test_fit_finds_the_exponent() -> None:
+    x = [1.0, 2.0, 4.0, 8.0]
+    wanted = {"exponent": 1.5, "residual_factor": 1.0}
+    assert scaling.fit(x, [3 * v**1.5 for v in x]) == pytest.approx(wanted)
+    assert scaling.fit(x, [1, 2, 1, 2])["residual_factor"] > math.exp(0.2)
+
+
+@pytest.mark.skipif(scaling.compiler() is None, reason="no g++")
+def test_the_fused_loop_computes_the_model(tmp_path: Path) -> None:
+    degrade = scaling.module()
+    image, distance = (t[..., :40, :51].contiguous() for t in scaling.scene(64, 2))
+    with torch.no_grad():
+        ours = degrade(image, distance)
+    result = scaling.Fused(str(tmp_path)).bind(degrade, image, distance)()
+    torch.testing.assert_close(result, ours, rtol=0, atol=2e-3)  # its blurs have no coarse grids
+    assert (result - image).abs().max() > 0.05
+    assert math.ulp(0) * 1.0 > 0  # to load it left subnormal numbers alone
+
+
+def test_the_authors_loops_are_the_published_recipe() -> None:
+    rng = np.random.default_rng(0)
+    image, distance = rng.random((30, 40, 3)), 1 + 4 * rng.random((30, 40))
+    field, bands = 0.7 + 0.6 * rng.random((30, 40)), published.doubled(published.bands("7C"))
+    loops = published.authors(image, distance, field, bands)
+    np.testing.assert_allclose(loops, published.published(image, distance, field, bands), atol=1e-6)
+    assert np.abs(loops - image).max() > 0.1
+
+
+def test_the_compiled_loops_are_raced() -> None:
+    pytest.importorskip("numba")
+    threads = torch.get_num_threads()
+    row = fused.whole_model(64, 1, True)
+    torch.set_num_threads(threads)
+    assert {"fused", "eager", "published recipe", "authors' loops", "direct + veil"} < set(
+        row["ms"]
+    )
+    assert row["times_faster"]["fused"] == 1
+    image, distance = (t[..., :20, :30] for t in scaling.scene(64))
+    degrade = fused.module("linear")
+    by_loops, by_eager = (fused.by(on, degrade, image, distance)() for on in (True, False))
+    torch.testing.assert_close(by_loops, by_eager, rtol=0, atol=2e-6)
+
+
+@pytest.fixture(scope="module")
+def quick() -> dict[str, Any]:
+    threads = torch.get_num_threads()
+    with contextlib.redirect_stdout(io.StringIO()), pytest.MonkeyPatch.context() as patch:
+        patch.setenv("UWAUG_FUSED", "0")  # as the command line has it
+        results = {"frontier": frontier.main(quick=True), "scaling": scaling.main(quick=True)}
+    torch.set_num_threads(threads)
+    return results
+
+
+def test_every_panel_has_one_default_and_a_front(quick: dict[str, Any]) -> None:
+    panels = quick["frontier"]["panels"]
+    parts = {p["part"].split()[0] for p in panels.values()}
+    assert parts == {"blur", "spectra", "number", "forward"}
+    for panel in panels.values():
+        assert sum(e["default"] for e in panel["entries"]) == 1
+        assert any(e["front"] for e in panel["entries"])
+        assert panel["verdict"]["psnr_db"] > 60
+
+
+def test_every_sweep_is_fitted(quick: dict[str, Any]) -> None:
+    for sweep in quick["scaling"]["sweeps"].values():
+        assert {"uwaug", "copy bound", "uwaug, peak memory"} <= sweep["fits"].keys()
+        assert all(p["peak_mib"] > 0 for p in sweep["points"])
+
+
+def test_charts_are_drawn(quick: dict[str, Any], tmp_path: Path) -> None:
+    panels = quick["frontier"]["panels"].values()
+    shown = next((p["size"], p["threads"]) for p in panels)
+    frontiers = charts.frontier_figure(quick["frontier"], shown)
+    figures = (frontiers, charts.scaling_figure(quick["scaling"]))
+    for number, figure in enumerate(figures):
+        path = tmp_path / f"{number}.png"
+        figure.savefig(path, dpi=30)
+        assert path.stat().st_size > 5000
+
+
+def test_information_falls_with_visibility(tmp_path: Path) -> None:
+    pytest.importorskip("phasecongruency")
+    with contextlib.redirect_stdout(io.StringIO()):
+        found = information.main(quick=True)
+    for steps in found["scaled"].values():
+        visible = [one.visibility for one in steps]
+        lost = [one.phase_congruency for one in steps]
+        assert visible == sorted(visible)
+        assert lost == sorted(lost, reverse=True)
+        assert [one.contrast_5m for one in steps] == sorted(one.contrast_5m for one in steps)
+    medians = [draws[0].visibility for draws in found["severity"].values()]
+    assert medians == sorted(medians, reverse=True)
+    found["figure"].savefig(tmp_path / "a.png", dpi=30)
+    assert (tmp_path / "a.png").stat().st_size > 4000
+
+
+def test_galleries_hold_a_picture_for_each() -> None:
+    found = gallery.main(quick=True)
+    systems, waters = len(uwaug.presets.published_systems()) - 1, len(uwaug.JERLOV_TYPES)
+    assert len(found["systems"].axes) == 2 + 2 * systems
+    assert len(found["visibilities"].axes) == 3 * waters
+
+
+def test_lamps_are_refereed() -> None:
+    threads = torch.get_num_threads()
+    with contextlib.redirect_stdout(io.StringIO()):
+        results = lamps.main(quick=True)
+    torch.set_num_threads(threads)
+    for errors in results["veil"].values():
+        assert errors["largest"] < 0.02
+        assert errors["largest of the grid"] < 0.002
+    (ratios,) = results["referee"].values()
+    assert ratios["arriving"] == pytest.approx(0.95, abs=0.1)
+    assert ratios["veil"] == pytest.approx(1.08, abs=0.2)
+    assert all(cost["median_ms"] > 0 for cost in results["costs"].values())
+
+
+def test_the_roofline_counts_coarse_blurs_as_matrices_have_it() -> None:
+    pytest.importorskip("numba")
+    from benchmarks import roofline
+    from uwaug.blur.banded import along_rows
+    from uwaug.blur.operators import Node, operator
+    from uwaug.formation.loops.tables import _coarse
+
+    node, height, width = Node(6.0, 4.0, 3.0), 96, 130
+
+    def weights(kind: Any, size: int) -> int:
+        at = (kind, 0, size, node, torch.float64, torch.device("cpu"))
+        columns = operator(*at, adjoint=True).rows
+        dense = along_rows(operator(*at), torch.eye(columns, dtype=torch.float64))
+        return int((dense != 0).sum())
+
+    lines = len(_coarse(node, height, width).down)
+    down, back = weights("shrink", height) * width, weights("enlarge", height) * width
+    along = weights("shrink", width) + weights("enlarge", width)
+    least = 3 * 2 * (down + lines * along + back) / (height * width)
+    # rows of all matrices are filled up to 4, 8, … weights; at edges some fall on one pixel
+    assert least <= roofline.wide(_coarse(node, height, width)) <= 1.25 * least
+
+
+def test_what_the_roofline_counts() -> None:
+    pytest.importorskip("numba")
+    from benchmarks import roofline
+
+    threads = torch.get_num_threads()
+    with contextlib.redirect_stdout(io.StringIO()):
+        found = roofline.main(quick=True)
+    torch.set_num_threads(threads)
+    ours, recipe = (found["paths"][name] for name in ("compiled loops", "published recipe"))
+    assert ours["parts"] == found["paths"]["eager"]["parts"]
+    assert ours["flops_per_pixel"] == pytest.approx(sum(ours["parts"].values()))
+    # 30 blurs of 15 taps along two axes, as pairs of equal ones
+    assert recipe["parts"]["30 blurs"] == 30 * 3 * 2 * (1 + 3 * 7)
+    assert set(found["rates"]) == {
+        "matrix product",
+        "polynomial",
+        "copy in memory",
+        "copy in cache",
+    }

@@ -1,0 +1,301 @@
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from inputs import rand
+
+from uwaug.distance.convert import (
+    along_ray,
+    check_distance,
+    fill_unknown,
+    from_disparity,
+    from_inverse,
+    from_relative,
+)
+
+NAN, INF = math.nan, math.inf
+
+
+class TestFromRelative:
+    @pytest.mark.parametrize(
+        "near, far, gamma", [(0.5, 10, 5), (0.3, 0.7, 1), (0, 20, 0.5), (3, 3, 2)]
+    )
+    def test_is_the_formula(self, near, far, gamma) -> None:
+        t = rand(2, 1, 5, 7)
+        z = from_relative(t, near, far, gamma)
+        np.testing.assert_allclose(z.numpy(), near + (far - near) * t.numpy() ** gamma, rtol=1e-13)
+
+    def test_ends_are_exact_and_unknown_stays_unknown(self) -> None:
+        for gamma in (0.3, 1.0, 6.0):
+            z = from_relative(torch.tensor([[0.0, 1.0, NAN]]), 0.25, 2.0, gamma)
+            expected = torch.tensor([[0.25, 2.0, NAN]])
+            torch.testing.assert_close(z, expected, rtol=0, atol=0, equal_nan=True)
+
+    def test_limits_may_differ_within_the_batch(self) -> None:
+        t = rand(3, 1, 4, 4)
+        near = rand(3, 1, 1, 1)
+        far = 1 + rand(3, 1, 1, 1)
+        gamma = 1 + rand(3, 1, 1, 1)
+        z = from_relative(t, near, far, gamma)
+        for b in range(3):
+            alone = from_relative(t[b], near[b].item(), far[b].item(), gamma[b].item())
+            torch.testing.assert_close(z[b], alone)
+
+    @pytest.mark.parametrize("gamma", [0.25, 1.0, 3.0])
+    def test_gradient_is_finite_at_zero_and_right_elsewhere(self, gamma) -> None:
+        t = torch.tensor([[0.0, 1e-7, 0.3, 1.0]], dtype=torch.float64, requires_grad=True)
+        (slope,) = torch.autograd.grad(from_relative(t, 1.0, 3.0, gamma).sum(), t)
+        assert slope.isfinite().all()
+        expected = 2 * gamma * np.array([0.3, 1.0]) ** (gamma - 1)
+        np.testing.assert_allclose(slope[0, 2:].numpy(), expected, rtol=1e-12)
+        interior = torch.tensor([[0.2, 0.7]], dtype=torch.float64, requires_grad=True)
+        options = {"dtype": torch.float64, "requires_grad": True}
+        others = [torch.tensor(value, **options) for value in (0.5, 4.0, gamma)]
+        assert torch.autograd.gradcheck(from_relative, (interior, *others))
+
+    def test_half_precision_is_taken_up(self) -> None:
+        t = torch.tensor([[0.0, 0.5, 1.0]], dtype=torch.bfloat16)
+        assert torch.equal(from_relative(t, 1.0, 10.0), torch.tensor([[1.0, 5.5, 10.0]]))
+
+    @pytest.mark.parametrize(
+        "t, message",
+        [
+            ([[0.0, 1.5]], r"t must lie in \[0, 1\], got 0 to 1.5: normalise first"),
+            ([[-0.1, NAN]], "got -0.1 to -0.1"),
+        ],
+    )
+    def test_rejects_what_is_not_normalised(self, t, message) -> None:
+        with pytest.raises(ValueError, match=message):
+            from_relative(torch.tensor(t), 1.0, 2.0)
+
+    @pytest.mark.parametrize(
+        "near, far", [(-1.0, 2.0), (2.0, 1.0), (1.0, INF), (NAN, 1.0), (1.0, NAN)]
+    )
+    def test_rejects_limits(self, near, far) -> None:
+        message = f"near and far must satisfy 0 <= near <= far < inf, got near={near}"
+        with pytest.raises(ValueError, match=message):
+            from_relative(torch.zeros(1, 1), near, far)
+        with pytest.raises(ValueError, match="near and far must satisfy"):
+            from_relative(torch.zeros(2, 1, 1), torch.tensor([1.0, near]).view(2, 1, 1), far)
+
+    @pytest.mark.parametrize("gamma", [0.0, -1.0, NAN, INF])
+    def test_rejects_gamma(self, gamma) -> None:
+        with pytest.raises(ValueError, match="gamma must be positive and finite, got"):
+            from_relative(torch.zeros(1, 1), 1.0, 2.0, gamma)
+
+
+class TestFromInverse:
+    @given(st.floats(0.1, 1e3), st.floats(-1e3, 1e3))
+    @settings(deadline=None)
+    def test_undoes_any_scale_and_shift_of_the_inverse_depth(self, scale, shift) -> None:
+        z = 1 + 9 * rand(2, 6, 5)
+        z[:, 0, 0], z[:, 3, 2] = 1.0, 10.0
+        torch.testing.assert_close(from_inverse(scale / z + shift, 1.0, 10.0), z, rtol=1e-6, atol=0)
+
+    def test_each_map_has_its_own_scale_and_limits(self) -> None:
+        maps = torch.stack([rand(1, 4, 4), 50 * rand(1, 4, 4, seed=1) - 7])
+        near = torch.tensor([1.0, 2.0]).view(2, 1, 1, 1)
+        far = torch.tensor([5.0, 9.0]).view(2, 1, 1, 1)
+        z = from_inverse(maps, near, far)
+        for b in range(2):
+            alone = from_inverse(maps[b], near[b].item(), far[b].item())
+            torch.testing.assert_close(z[b], alone, check_dtype=False)
+            assert z[b].min() == pytest.approx(near[b].item())
+            assert z[b].max() == pytest.approx(far[b].item())
+            assert z[b].argmin() == maps[b].argmax()
+
+    def test_unknown_pixels_stay_out(self) -> None:
+        z = from_inverse(torch.tensor([[NAN, 0.0, INF, 3.0, -INF, 1.0]]), 1.0, 4.0)
+        expected = torch.tensor([[NAN, 4.0, NAN, 1.0, NAN, 2.0]])
+        torch.testing.assert_close(z, expected, equal_nan=True)
+
+    def test_far_may_be_open_water(self) -> None:
+        z = from_inverse(torch.tensor([[0.0, 1.0, 2.0]]), 1.5, INF)
+        assert torch.equal(z, torch.tensor([[INF, 3.0, 1.5]]))
+
+    def test_gradients(self) -> None:
+        inverse = rand(2, 3, 3).requires_grad_()
+        assert torch.autograd.gradcheck(lambda v: from_inverse(v, 1.0, 4.0), inverse)
+        holed = torch.tensor([[NAN, 0.0, 1.0, 3.0]], requires_grad=True)
+        (slope,) = torch.autograd.grad(from_inverse(holed, 1.0, 4.0).nan_to_num().sum(), holed)
+        assert slope.isfinite().all()
+
+    @pytest.mark.parametrize("inverse", [torch.ones(1, 3, 3), torch.full((1, 3, 3), NAN)])
+    def test_rejects_maps_that_say_nothing(self, inverse) -> None:
+        with pytest.raises(ValueError, match="inverse must vary within each map"):
+            from_inverse(torch.cat([torch.rand(1, 3, 3), inverse]), 1.0, 2.0)
+
+    @pytest.mark.parametrize(
+        "near, far", [(0.0, 2.0), (-1.0, 2.0), (2.0, 1.0), (INF, INF), (NAN, 1.0)]
+    )
+    def test_rejects_limits(self, near, far) -> None:
+        with pytest.raises(ValueError, match="near and far must satisfy 0 < near <= far"):
+            from_inverse(torch.eye(2), near, far)
+
+
+class TestFromDisparity:
+    def test_is_the_formula(self) -> None:
+        d = 100 * rand(1, 4, 5)
+        z = from_disparity(d, 994.978, 0.193001, 31.086)
+        np.testing.assert_allclose(z.numpy(), 994.978 * 0.193001 / (d.numpy() + 31.086), rtol=1e-14)
+
+    def test_unknown(self) -> None:
+        z = from_disparity(torch.tensor([[NAN, INF, -INF, 0.0, -3.0, -2.0, 8.0]]), 100.0, 0.5, 2.0)
+        expected = torch.tensor([[NAN, NAN, NAN, 25.0, NAN, NAN, 5.0]])
+        torch.testing.assert_close(z, expected, equal_nan=True)
+
+    def test_gradient_is_finite_where_unknown(self) -> None:
+        d = torch.tensor([[0.0, NAN, 2.0]], requires_grad=True)
+        (slope,) = torch.autograd.grad(from_disparity(d, 4.0, 1.0).nan_to_num().sum(), d)
+        assert torch.equal(slope, torch.tensor([[0.0, 0.0, -1.0]]))
+
+    @pytest.mark.parametrize(
+        "arguments, name",
+        [
+            ((0.0, 1.0), "focal_px"),
+            ((-5.0, 1.0), "focal_px"),
+            ((1.0, 0.0), "baseline_m"),
+            ((INF, 1.0), "focal_px"),
+            ((1.0, NAN), "baseline_m"),
+            ((1.0, 1.0, NAN), "offset_px"),
+        ],
+    )
+    def test_rejects_calibration(self, arguments, name) -> None:
+        with pytest.raises(ValueError, match=f"{name} must be finite.*, got"):
+            from_disparity(torch.ones(1, 1), *arguments)
+
+
+class TestAlongRay:
+    @pytest.mark.parametrize(
+        "focal, centre", [(50.0, None), ((40.0, 60.0), None), (50.0, (3.5, 2.25))]
+    )
+    def test_is_the_length_of_the_ray(self, focal, centre) -> None:
+        depth = 1 + rand(2, 1, 6, 9)
+        z = along_ray(depth, focal, centre)
+        fx, fy = focal if isinstance(focal, tuple) else (focal, focal)
+        cx, cy = centre or (4.5, 3.0)
+        for i, j in np.ndindex(6, 9):
+            point = np.array([(j + 0.5 - cx) / fx, (i + 0.5 - cy) / fy, 1.0])
+            expected = depth[:, 0, i, j] * np.linalg.norm(point)
+            np.testing.assert_allclose(z[:, 0, i, j], expected, rtol=1e-14)
+
+    def test_symmetric_about_the_image_centre(self) -> None:
+        z = along_ray(torch.ones(5, 8), 4.0)
+        assert torch.equal(z, z.flip(0))
+        assert torch.equal(z, z.flip(1))
+        assert along_ray(torch.ones(1, 1), 4.0).item() == 1
+
+    def test_open_water_and_unknown_pass(self) -> None:
+        z = along_ray(torch.tensor([[INF, NAN, 0.0]]), 4.0)
+        torch.testing.assert_close(z, torch.tensor([[INF, NAN, 0.0]]), equal_nan=True)
+
+    def test_a_wall_seen_in_stereo_is_a_sphere_section(self) -> None:
+        depth = from_disparity(torch.full((1, 101, 101), 20.0, dtype=torch.float64), 100.0, 0.4)
+        z = along_ray(depth, 100.0)
+        assert z[0, 50, 50].item() == 2
+        assert z[0, 0, 50].item() == pytest.approx(2 * math.hypot(1, 0.5))
+
+    @pytest.mark.parametrize("focal", [0.0, -1.0, NAN, (1.0, 0.0), (INF, 1.0)])
+    def test_rejects_focal_length(self, focal) -> None:
+        with pytest.raises(ValueError, match="focal_px must be finite and > 0, got"):
+            along_ray(torch.ones(2, 2), focal)
+
+    def test_rejects_centre(self) -> None:
+        with pytest.raises(ValueError, match="centre must be finite"):
+            along_ray(torch.ones(2, 2), 1.0, (NAN, 0.0))
+
+
+@pytest.mark.filterwarnings("ignore:distance is unknown")
+class TestPolicy:
+    def test_known_distance_is_returned_as_it_is(self) -> None:
+        z = torch.tensor([[0.5, INF, 3.0]])
+        for result in (check_distance(z), check_distance(z, strict=False), fill_unknown(z)):
+            assert result is z
+        assert check_distance(torch.zeros(0, 1, 4, 4)).shape == (0, 1, 4, 4)
+        assert fill_unknown(torch.zeros(0, 1, 4, 4)).shape == (0, 1, 4, 4)
+
+    def test_strict_counts_what_is_unknown(self) -> None:
+        z = torch.tensor([[NAN, NAN, -1.0, -INF, -2.0, 0.0, 1.0, INF]])
+        message = r"distance must be above 0 m.* NaN at 2, negative at 3 and zero at 1 of 8 pixels"
+        with pytest.raises(ValueError, match=message):
+            check_distance(z)
+        assert torch.equal(check_distance(z, strict=False), fill_unknown(z))
+
+    def test_fills_with_the_nearest_known_pixel_of_the_same_map(self) -> None:
+        z = 1 + rand(2, 3, 1, 9, 11)
+        z[rand(2, 3, 1, 9, 11, seed=1) < 0.7] = NAN
+        z[0, 0, 0, 4], z[1, 1, 0, 0, 0] = 0.0, INF
+        filled = fill_unknown(z)
+        for *where, i, j in np.ndindex(*z.shape):
+            one = z[tuple(where)]
+            known = torch.nonzero(one > 0)
+            away = (known - torch.tensor([i, j])).square().sum(-1)
+            nearest = [one[tuple(k)].item() for k in known[away == away.min()]]
+            assert filled[(*where, i, j)].item() in nearest
+
+    def test_gradient_goes_to_the_known_pixel(self) -> None:
+        z = torch.tensor([[2.0, NAN, 0.0, -1.0, 5.0]], requires_grad=True)
+        weighted = fill_unknown(z) * torch.tensor([[1.0, 10, 100, 1000, 10000]])
+        (slope,) = torch.autograd.grad(weighted.sum(), z)
+        assert slope[0, 1:4].tolist() == [0, 0, 0]
+        assert slope.sum() == 11111
+
+    def test_rejects_a_map_without_any_known_pixel(self) -> None:
+        z = torch.ones(2, 1, 3, 3)
+        z[1] = torch.tensor([NAN, 0.0, -1.0]).expand(3, 3)
+        for function in (fill_unknown, lambda z: check_distance(z, strict=False)):
+            with pytest.raises(ValueError, match="distance must have at least one known pixel"):
+                function(z)
+
+
+def test_refusals_name_the_map() -> None:
+    z = torch.ones(3, 1, 4, 5)
+    z[2] = NAN
+    with pytest.raises(
+        ValueError, match=r"got map 2 of 3, counted from 0, without any: fill whole"
+    ):
+        fill_unknown(z)
+    inverse = torch.arange(60.0).reshape(3, 1, 4, 5)
+    inverse[1] = 7.0
+    with pytest.raises(ValueError, match=r"got map 1 of 3, counted from 0, that is constant.*crop"):
+        from_inverse(inverse, 1.0, 2.0)
+
+
+def test_warns_once_where_much_is_guessed() -> None:
+    z = torch.ones(2, 1, 10, 10)
+    z[1, :, :2] = 0.0
+    fill_unknown(z)  # 20 % is not yet much
+    z[1, :, 2] = 0.0
+    with pytest.warns(UserWarning, match="distance is unknown at 30 % of a map's pixels") as seen:
+        fill_unknown(z)
+    fill_unknown(z)  # silent: a warning would be an error
+    assert len(seen) == 1
+    assert seen[0].filename == __file__
+
+
+FUNCTIONS = {
+    "t": lambda x: from_relative(x, 1.0, 2.0),
+    "inverse": lambda x: from_inverse(x, 1.0, 2.0),
+    "disparity": lambda x: from_disparity(x, 1.0, 1.0),
+    "depth": lambda x: along_ray(x, 1.0),
+    "distance": check_distance,
+}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_rejects_what_is_not_a_floating_point_map(name) -> None:
+    message = rf"{name} must be a floating-point tensor, got torch\.int32.*millimetres"
+    with pytest.raises(TypeError, match=message):
+        FUNCTIONS[name](torch.ones(2, 2, dtype=torch.int32))
+    with pytest.raises(TypeError, match=f"{name} must be a floating-point tensor, got ndarray"):
+        FUNCTIONS[name](np.ones((2, 2)))
+    with pytest.raises(ValueError, match=rf"{name} must have shape \(\.\.\., H, W\), got \(2,\)"):
+        FUNCTIONS[name](torch.ones(2))
+
+
+def test_inverse_depth_of_any_size() -> None:
+    z = from_inverse(torch.tensor([[-3e38, 0.0, 3e38]]), near=1.0, far=4.0)
+    torch.testing.assert_close(z, torch.tensor([[4.0, 1.6, 1.0]]))

@@ -1,0 +1,130 @@
+import math
+import pickle
+import sys
+
+import numpy as np
+import pytest
+import torch
+from inputs import rand
+from networks import mean_of_channels, save
+from onnx import TensorProto, helper
+
+from uwaug.distance.convert import from_inverse
+from uwaug.distance.network import DepthNetwork
+
+
+def side_lengths(path, shape) -> str:
+    """1000·height + width of the input, at every pixel."""
+    nodes = [
+        helper.make_node("Shape", ["x"], ["h"], start=2, end=3),
+        helper.make_node("Shape", ["x"], ["w"], start=3, end=4),
+        helper.make_node("Constant", [], ["thousand"], value_ints=[1000]),
+        helper.make_node("Mul", ["h", "thousand"], ["rows"]),
+        helper.make_node("Add", ["rows", "w"], ["sides"]),
+        helper.make_node("Cast", ["sides"], ["number"], to=TensorProto.FLOAT),
+        helper.make_node("ReduceMean", ["x", "axis"], ["mean"], keepdims=0),
+        helper.make_node("Mul", ["mean", "zero"], ["nothing"]),
+        helper.make_node("Add", ["nothing", "number"], ["y"]),
+    ]
+    return save(path, nodes, shape)
+
+
+class TestDepthNetwork:
+    @pytest.mark.parametrize("keepdims", [0, 1])
+    def test_normalises_and_keeps_pixels_in_place(self, tmp_path, keepdims) -> None:
+        image = rand(2, 3, 5, 7).float()
+        path = mean_of_channels(tmp_path / "n.onnx", keepdims=keepdims)
+        network = DepthNetwork(path, short_side=5, multiple=1)
+        mean, std = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
+        normalised = (image.numpy() - mean[:, None, None]) / std[:, None, None]
+        expected = normalised.mean(1, keepdims=True)
+        depth = network(image)
+        assert depth.shape == (2, 1, 5, 7)
+        np.testing.assert_allclose(depth.numpy(), expected, atol=1e-5)
+        np.testing.assert_allclose(network(image[1]).numpy(), expected[1], atol=1e-5)
+        assert network(image[:0]).shape == (0, 1, 5, 7)
+
+    @pytest.mark.parametrize(
+        "shape, size, options, seen",
+        [
+            ((1, 3, "h", "w"), (100, 150), {}, (518, 784)),
+            ((1, 3, "h", "w"), (60, 40), {"short_side": 64, "multiple": 32}, (96, 64)),
+            ((1, 3, "h", "w"), (10, 400), {"short_side": 4, "multiple": 14}, (14, 154)),
+            ((1, 3, 21, 33), (60, 40), {}, (21, 33)),
+            (("b", 3, 21, "w"), (20, 40), {"short_side": 20, "multiple": 5}, (21, 40)),
+        ],
+    )
+    def test_gives_the_network_the_size_it_needs(
+        self, tmp_path, shape, size, options, seen
+    ) -> None:
+        network = DepthNetwork(side_lengths(tmp_path / "n.onnx", shape), **options)
+        depth = network(torch.rand(3, *size))
+        assert depth.shape == (1, *size)
+        assert torch.equal(depth.round(), torch.full((1, *size), 1000.0 * seen[0] + seen[1]))
+
+    def test_resizing_keeps_the_orientation(self, tmp_path) -> None:
+        path = mean_of_channels(tmp_path / "n.onnx", shape=(1, 3, 32, 48))
+        rows, columns = torch.linspace(0.2, 0.6, 64)[:, None], torch.linspace(0, 0.3, 80)
+        image = (rows + columns).expand(3, 64, 80).clone()
+        depth = DepthNetwork(path, mean=(0, 0, 0), std=(1, 1, 1))(image)
+        assert (depth[0] - image[0])[2:-2, 2:-2].abs().max() < 2e-3
+        assert from_inverse(depth, 1.0, 5.0)[0, -1, -1].item() == pytest.approx(1.0)
+
+    def test_dtype_follows_the_image(self, tmp_path) -> None:
+        network = DepthNetwork(mean_of_channels(tmp_path / "n.onnx"), short_side=5, multiple=1)
+        assert network(rand(3, 5, 5)).dtype == torch.float64
+        assert not network(rand(3, 5, 5).requires_grad_()).requires_grad
+
+    def test_pickles_with_and_without_a_session(self, tmp_path) -> None:
+        network = DepthNetwork(mean_of_channels(tmp_path / "n.onnx"), short_side=6, multiple=3)
+        image = rand(3, 6, 9)
+        before = pickle.loads(pickle.dumps(network))
+        expected = network(image)
+        after = pickle.loads(pickle.dumps(network))
+        assert torch.equal(before(image), expected)
+        assert torch.equal(after(image), expected)
+
+    def test_what_is_no_model_is_named(self, tmp_path) -> None:
+        path = tmp_path / "passwd"
+        path.write_text("root:x:0:0:root:/root:/bin/bash\n")
+        with pytest.raises(ValueError, match=f"{path}: ONNX Runtime cannot load it"):
+            DepthNetwork(path)(torch.rand(3, 28, 28))
+
+    def test_says_what_to_install(self, tmp_path, monkeypatch) -> None:
+        network = DepthNetwork(mean_of_channels(tmp_path / "n.onnx"))
+        monkeypatch.setitem(sys.modules, "onnxruntime", None)
+        with pytest.raises(ImportError, match=r'pip install "\.\[onnx\]"'):
+            network(torch.rand(3, 8, 8))
+
+    def test_rejects_images(self, tmp_path) -> None:
+        network = DepthNetwork(mean_of_channels(tmp_path / "n.onnx"))
+        message = r"image must lie in \[0, 1\], got 0 to 255: divide by 255"
+        with pytest.raises(ValueError, match=message):
+            network(torch.arange(256.0).expand(3, 2, 256))
+        with pytest.raises(ValueError, match=r"image must lie in \[0, 1\], got NaN only"):
+            network(torch.full((3, 2, 2), math.nan))
+        message = r"image must be a floating-point tensor, got torch\.uint8"
+        with pytest.raises(TypeError, match=message):
+            network(torch.zeros(3, 8, 8, dtype=torch.uint8))
+        for shape in ((1, 8, 8), (8, 8, 3), (8, 8), (1, 1, 3, 8, 8)):
+            message = r"image must have shape \(3, H, W\) or \(B, 3, H, W\), got"
+            with pytest.raises(ValueError, match=message):
+                network(torch.zeros(shape))
+
+    def test_rejects_networks(self, tmp_path) -> None:
+        with pytest.raises(FileNotFoundError, match=r"path must be an ONNX file, got .*missing"):
+            DepthNetwork(tmp_path / "missing.onnx")
+        path = mean_of_channels(tmp_path / "n.onnx")
+        for options in ({"short_side": 0}, {"multiple": 0}):
+            with pytest.raises(ValueError, match="short_side and multiple must be at least 1, got"):
+                DepthNetwork(path, **options)
+        for shape in ((1, 8, 8, 3), (1, "h", "w", 3), (3, 8, 8)):
+            with pytest.raises(ValueError, match=r"must take \(1, 3, h, w\), got .*channels last"):
+                DepthNetwork(mean_of_channels(path, shape))(torch.rand(3, 8, 8))
+        network = DepthNetwork(mean_of_channels(path, ("b", "c", "h", "w")))
+        assert network(torch.rand(3, 8, 8)).shape == (1, 8, 8)
+        copied = helper.make_node("Identity", ["x"], ["y"])
+        colours = save(tmp_path / "colours.onnx", [copied], (1, 3, "h", "w"), 4)
+        message = r"must give \(1, h, w\) or \(1, 1, h, w\), got \(1, 3, 8, 8\)"
+        with pytest.raises(ValueError, match=message):
+            DepthNetwork(colours, short_side=8, multiple=8)(torch.rand(3, 8, 8))

@@ -1,0 +1,80 @@
+from itertools import combinations
+
+import pytest
+import torch
+
+from uwaug import load_preset
+from uwaug.figures import demo as plots
+from uwaug.figures.cases import preset_case
+from uwaug.presets.scene import Scene
+
+
+@pytest.mark.parametrize("name", plots.PICTURES)
+def test_no_text_overlaps_or_leaves_the_picture(small, name, monkeypatch):
+    require_room(plots.PICTURES[name], small, monkeypatch)
+
+
+@pytest.mark.parametrize("name", plots.own_pictures())
+@pytest.mark.parametrize(
+    ("shape", "nearest", "farthest", "rest"),
+    [
+        ((40, 30), 0.31, 0.38, 0.38),  # a portrait of what is near
+        ((10, 30), 3.0, 3.0, torch.inf),  # panoramas
+        ((6, 60), 12.0, 170.0, torch.inf),
+        ((60, 6), 2.0, 2.0, 2.0),
+    ],
+)
+def test_nor_in_scenes_of_other_shapes_and_distances(
+    name, shape, nearest, farthest, rest, monkeypatch
+):
+    z = torch.linspace(nearest, farthest, shape[0] * shape[1]).reshape(1, *shape)
+    z[0, 0] = rest
+    note = "Drawn at 1000×500 of 20000×10000 px. 0.0017 % of the distances were unknown."
+    scene = Scene(torch.rand(3, *shape), z, None, note)
+    case = preset_case(load_preset("tank-proposed-4"))
+    require_room(plots.own_pictures(case)[name], scene, monkeypatch)
+
+
+def require_room(draw_sheet, scene, monkeypatch):
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.text import Text
+
+    drawn, draw = [], Text.draw
+
+    def remembered(text, renderer):
+        drawn.append(text)
+        draw(text, renderer)
+
+    monkeypatch.setattr(Text, "draw", remembered)
+    figure = draw_sheet(scene).figure
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    boxes = {}
+    for i, text in enumerate(drawn):
+        if text.get_text() and text.get_visible():
+            boxes[text.get_text(), i] = text.get_window_extent()
+    assert len(boxes) > 10
+    for (label, _), box in boxes.items():
+        assert box.x0 >= 0, label
+        assert box.y0 >= 0, label
+        assert box.x1 <= figure.bbox.x1, label
+        assert box.y1 <= figure.bbox.y1, label
+    for ((first, _), a), ((second, _), b) in combinations(boxes.items(), 2):
+        assert not (a.x0 < b.x1 and b.x0 < a.x1 and a.y0 < b.y1 and b.y0 < a.y1), (first, second)
+
+
+def test_a_preset_is_drawn_as_its_module_degrades(small, monkeypatch):
+    """The sum of the terms, with the preset's own colour space, exposure and field."""
+    preset = load_preset("survey")
+    shown = {}
+    monkeypatch.setattr(plots, "show", lambda _, picture, label: shown.update({label: picture}))
+    fields = []
+    monkeypatch.setattr(plots, "show_field", lambda _, field, span: fields.append((field, span)))
+    case = preset_case(preset)._replace(exposure=1.0)
+    plots.draw_terms(small, case)
+    ((field, span),) = fields
+    assert span == preset.field_range
+    from dataclasses import replace
+
+    wanted = replace(preset, exposure=1.0).module()(small.image, small.distance, field)
+    torch.testing.assert_close(shown["I   image"], wanted, rtol=0, atol=2e-3)

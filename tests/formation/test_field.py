@@ -1,0 +1,271 @@
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from uwaug.formation.field import field_from_noise, gaussian_random_field
+
+
+def seeded(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def reference(
+    noise: np.ndarray, height: int, width: int, exponent: float, low: float, high: float
+) -> np.ndarray:
+    """One field as the plain sum over waves, from the equation."""
+    torus = 2 * max(height, width)
+    rows = (np.arange(height) + 0.5 - height / 2)[:, None]
+    columns = (np.arange(width) + 0.5 - width / 2)[None, :]
+    field = np.zeros((height, width))
+    for p, q in np.ndindex(noise.shape):
+        ky, kx = (p + 1) // 2, (q + 1) // 2
+        if kx == ky == 0:
+            continue
+        wave_y = np.sin if p % 2 else np.cos
+        wave_x = np.sin if q % 2 else np.cos
+        density = math.hypot(kx, ky) ** -exponent * (2 if ky else 1) * (2 if kx else 1)
+        waves = wave_y(2 * np.pi * ky * rows / torus) * wave_x(2 * np.pi * kx * columns / torus)
+        field += noise[p, q] * math.sqrt(density) * waves
+    return low + (high - low) * (field - field.min()) / (field.max() - field.min())
+
+
+@pytest.mark.parametrize("size", [(8, 8), (5, 9), (9, 4), (1, 6), (2, 1)])
+@pytest.mark.parametrize("exponent", [0.0, 2.0, 4.0])
+def test_is_the_sum_of_waves(size, exponent) -> None:
+    noise = torch.randn(2, 9, 9, generator=seeded(), dtype=torch.float64)
+    field = field_from_noise(noise, size, exponent=exponent, low=0.3, high=1.7)
+    assert field.shape == (2, 1, *size)
+    for b in range(2):
+        expected = reference(noise[b].numpy(), *size, exponent, 0.3, 1.7)
+        np.testing.assert_allclose(field[b, 0].numpy(), expected, rtol=0, atol=1e-12)
+
+
+def spectrum(fields: torch.Tensor) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Mean periodogram under a Hann window (the fields are not periodic), and its frequencies in
+    cycles per pixel.
+    """
+    height, width = fields.shape[-2:]
+    window = torch.outer(torch.hann_window(height).double(), torch.hann_window(width).double())
+    centred = (fields - fields.mean((-2, -1), keepdim=True))[:, 0]
+    power = torch.fft.fft2(centred * window).abs().square()
+    power /= power.sum((-2, -1), keepdim=True)  # each field has a range of its own
+    fy, fx = np.meshgrid(np.fft.fftfreq(height), np.fft.fftfreq(width), indexing="ij")
+    return power.mean(0).numpy(), fy, fx
+
+
+@pytest.mark.parametrize("exponent", [2.0, 3.0, 4.0])
+@pytest.mark.parametrize("size", [(128, 128), (64, 128)])
+def test_power_spectrum_falls_as_the_exponent_says_in_every_direction(exponent, size) -> None:
+    noise = torch.randn(60, 257, 257, generator=seeded(), dtype=torch.float64)
+    power, fy, fx = spectrum(field_from_noise(noise, size, exponent=exponent))
+    radius, angle = np.hypot(fy, fx), np.abs(np.arctan2(fy, fx))
+    band = (radius > 0.06) & (radius < 0.3)
+    slope, _ = np.polyfit(np.log(radius[band]), np.log(power[band]), 1)
+    assert slope == pytest.approx(-exponent, abs=0.15)
+    scaled = power * radius**exponent
+    directions = [
+        band & (np.minimum(angle, np.pi - angle) < np.pi / 8),
+        band & (np.abs(angle - np.pi / 2) < np.pi / 8),
+        band & (np.abs(np.abs(angle - np.pi / 2) - np.pi / 4) < np.pi / 8),
+    ]
+    levels = [scaled[d].mean() for d in directions]
+    assert max(levels) / min(levels) < 1.25
+
+
+def test_is_isotropic_in_pixels_whatever_the_aspect_ratio() -> None:
+    fields = gaussian_random_field((300, 32, 128), generator=seeded(), dtype=torch.float64)[:, 0]
+    across = (fields[:, :, 16:] - fields[:, :, :-16]).square().mean()
+    down = (fields[:, 16:] - fields[:, :-16]).square().mean()
+    assert across / down == pytest.approx(1, abs=0.15)
+
+
+def test_is_not_periodic() -> None:
+    fields = gaussian_random_field((200, 64, 64), generator=seeded())[:, 0]
+    neighbours = (fields[:, :, 1:] - fields[:, :, :-1]).square().mean().sqrt()
+    for wrap in (fields[:, :, 0] - fields[:, :, -1], fields[:, 0] - fields[:, -1]):
+        assert wrap.square().mean().sqrt() > 15 * neighbours
+    opposite = torch.corrcoef(torch.stack([fields[:, 32, 0], fields[:, 32, -1]]))[0, 1]
+    assert opposite < 0.2
+
+
+@pytest.mark.parametrize("sizes", [((128, 128), (512, 512)), ((32, 48), (128, 192))])
+def test_the_same_seed_gives_the_same_field_at_any_resolution(sizes) -> None:
+    small, large = (gaussian_random_field((2, *size), generator=seeded()) for size in sizes)
+    pooled = torch.nn.functional.avg_pool2d(large, 4)
+    for a, b in zip(small, pooled, strict=True):
+        assert torch.corrcoef(torch.stack([a.flatten(), b.flatten()]))[0, 1] > 0.999
+    assert (small - pooled).abs().max() < 0.02
+
+
+@pytest.mark.parametrize("exponent", [3.5, 4.0, 5.0])
+def test_omitted_detail_is_below_the_stated_tolerance(exponent) -> None:
+    options = {"exponent": exponent, "low": 0.0, "high": 1.0}
+    drawn = gaussian_random_field((8, 128, 128), **options, generator=seeded())
+    longest = {3.5: 114, 4.0: 32, 5.0: 9}[exponent]
+    noise = torch.randn(8, 2 * longest + 1, 2 * longest + 1, generator=seeded())
+    torch.testing.assert_close(field_from_noise(noise, (128, 128), **options), drawn)
+    full = torch.randn(8, 257, 257, generator=seeded(1))
+    full[:, : 2 * longest + 1, : 2 * longest + 1] = noise
+    exact = field_from_noise(full, (128, 128), **options)
+    assert (drawn - exact).square().mean().sqrt() < 0.012
+
+
+def test_mean_over_draws_is_the_middle() -> None:
+    fields = gaussian_random_field((2000, 16, 16), low=0.0, high=1.0, generator=seeded())
+    means = fields.mean((1, 2, 3))
+    assert means.mean() == pytest.approx(0.5, abs=4 * means.std().item() / math.sqrt(2000))
+    noise = torch.randn(3, 65, 65, generator=seeded())
+    field = field_from_noise(noise, (20, 30), low=0.0, high=1.0)
+    mirrored = field_from_noise(-noise, (20, 30), low=0.0, high=1.0)
+    torch.testing.assert_close(mirrored, 1 - field, rtol=0, atol=1e-5)
+
+
+def test_randomness_comes_from_the_generator_or_the_global_one() -> None:
+    a = gaussian_random_field((2, 1, 32, 40), generator=seeded(3))
+    assert torch.equal(a, gaussian_random_field((2, 1, 32, 40), generator=seeded(3)))
+    assert not torch.equal(a, gaussian_random_field((2, 1, 32, 40), generator=seeded(4)))
+    assert not torch.equal(a[0], a[1])
+    with torch.random.fork_rng():
+        torch.manual_seed(3)
+        b = gaussian_random_field((2, 1, 32, 40))
+        assert not torch.equal(b, gaussian_random_field((2, 1, 32, 40)))
+    assert torch.equal(a, b)
+    state = torch.random.get_rng_state()
+    gaussian_random_field((32, 40), generator=seeded(3))
+    assert torch.equal(state, torch.random.get_rng_state())
+
+
+def test_shapes() -> None:
+    expected = gaussian_random_field((1, 1, 20, 30), generator=seeded())
+    for shape in ((20, 30), (1, 20, 30), torch.Size([1, 1, 20, 30]), [20, 30]):
+        assert torch.equal(gaussian_random_field(shape, generator=seeded()), expected)
+    assert gaussian_random_field((0, 1, 20, 30)).shape == (0, 1, 20, 30)
+
+
+SIDES = st.integers(1, 40)
+EXPONENTS = st.sampled_from([0.0, 1.5, 2.001, 4.0, 30.0])
+
+
+@given(SIDES, SIDES, EXPONENTS, st.integers(0, 99))
+@settings(max_examples=60, deadline=None)
+def test_reaches_and_never_leaves_its_range(height, width, exponent, seed) -> None:
+    field = gaussian_random_field(
+        (2, height, width), exponent=exponent, low=0.3, high=1.7, generator=seeded(seed)
+    )
+    assert field.isfinite().all()
+    assert (field >= 0.3).all()
+    assert (field <= 1.7).all()
+    if height * width > 1:
+        torch.testing.assert_close(field.amin((1, 2, 3)), torch.full((2,), 0.3))
+        torch.testing.assert_close(field.amax((1, 2, 3)), torch.full((2,), 1.7))
+
+
+def test_degenerate_fields() -> None:
+    pixels = gaussian_random_field((3, 1, 1), low=0.5, high=1.5)
+    constant = gaussian_random_field((8, 9), low=1.25, high=1.25)
+    zero = gaussian_random_field((8, 9), low=0.0, high=0.0)
+    assert torch.equal(pixels, torch.ones(3, 1, 1, 1))
+    assert torch.equal(constant, torch.full((1, 1, 8, 9), 1.25))
+    assert torch.equal(zero, torch.zeros(1, 1, 8, 9))
+
+
+def test_dtypes() -> None:
+    a = gaussian_random_field((24, 24), generator=seeded(), dtype=torch.float64)
+    assert a.dtype == torch.float64
+    single = gaussian_random_field((24, 24), generator=seeded())
+    torch.testing.assert_close(single.double(), a, rtol=0, atol=1e-5)
+    for dtype in (torch.float16, torch.bfloat16):
+        noise = torch.randn(1, 33, 33, generator=seeded()).to(dtype)
+        half = field_from_noise(noise, (24, 24))
+        assert half.dtype == dtype
+        assert torch.equal(half, field_from_noise(noise.float(), (24, 24)).to(dtype))
+
+
+def test_autocast_does_not_reach_it() -> None:
+    noise = torch.randn(1, 65, 65, generator=seeded())
+    expected = field_from_noise(noise, (24, 24))
+    with torch.autocast("cpu", torch.bfloat16):
+        assert torch.equal(field_from_noise(noise, (24, 24)), expected)
+
+
+def test_gradient_in_the_noise() -> None:
+    noise = torch.randn(2, 5, 5, generator=seeded(), dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda n: field_from_noise(n, (4, 6)), noise)
+    (grad,) = torch.autograd.grad(field_from_noise(noise, (1, 1)).sum(), noise)
+    assert torch.equal(grad, torch.zeros_like(noise))
+
+
+def test_traces_whole_with_the_noise_as_input() -> None:
+    class Graph(torch.nn.Module):
+        def forward(self, noise: torch.Tensor) -> torch.Tensor:
+            return field_from_noise(noise, (20, 30))
+
+    noise = torch.randn(2, 65, 65, generator=seeded())
+    compiled = torch.compile(Graph(), fullgraph=True, backend="aot_eager")
+    expected = field_from_noise(noise, (20, 30))
+    torch.testing.assert_close(compiled(noise), expected, rtol=0, atol=1e-6)
+    shapes = {"noise": {0: torch.export.Dim("b")}}
+    exported = torch.export.export(Graph(), (noise,), dynamic_shapes=shapes).module()
+    other = torch.randn(5, 65, 65, generator=seeded(1))
+    expected = field_from_noise(other, (20, 30))
+    torch.testing.assert_close(exported(other), expected, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "shape, message",
+    [
+        ((2, 3, 8, 8), r"shape must be \(B, 1, H, W\).*got \(2, 3, 8, 8\)"),
+        ((8,), r"shape must be \(B, 1, H, W\).*got \(8,\)"),
+        ((2, 0, 8), r"at least one pixel per side, got \(2, 0, 8\)"),
+        ((-1, 8, 8), r"shape must"),
+    ],
+)
+def test_rejects_shapes(shape, message) -> None:
+    with pytest.raises(ValueError, match=message):
+        gaussian_random_field(shape)
+
+
+@pytest.mark.parametrize(
+    "options, message",
+    [
+        ({"low": 1.3, "high": 0.7}, "low and high must satisfy.*got 1.3 and 0.7"),
+        (
+            {"low": -0.1},
+            "low and high must satisfy.*got -0.1 and 1.3: the field multiplies distance",
+        ),
+        ({"high": math.inf}, "low and high must satisfy"),
+        ({"low": math.nan}, "low and high must satisfy"),
+        ({"exponent": -1.0}, "exponent must be finite and ≥ 0, got -1.0"),
+        ({"exponent": math.nan}, "exponent must be finite"),
+        ({"exponent": math.inf}, "exponent must be finite"),
+    ],
+)
+def test_rejects_options(options, message) -> None:
+    with pytest.raises(ValueError, match=message):
+        gaussian_random_field((8, 8), **options)
+    with pytest.raises(ValueError, match=message):
+        field_from_noise(torch.zeros(1, 5, 5), (8, 8), **options)
+
+
+@pytest.mark.parametrize("shape", [(5, 5), (1, 5, 7), (1, 4, 4), (1, 1, 1), (1, 1, 5, 5)])
+def test_rejects_noise_of_another_shape(shape) -> None:
+    with pytest.raises(ValueError, match=r"noise must have shape \(B, n, n\) with odd n >= 3, got"):
+        field_from_noise(torch.zeros(shape), (8, 8))
+
+
+def test_rejects_noise_of_another_kind() -> None:
+    with pytest.raises(TypeError, match=r"noise must be a floating-point tensor, got torch\.int64"):
+        field_from_noise(torch.zeros(1, 5, 5, dtype=torch.int64), (8, 8))
+    with pytest.raises(TypeError, match="noise must be a floating-point tensor, got ndarray"):
+        field_from_noise(np.zeros((1, 5, 5)), (8, 8))
+    with pytest.raises(ValueError, match="at least one pixel per side"):
+        field_from_noise(torch.zeros(1, 5, 5), (0, 8))
+
+
+def test_sides_are_whole_numbers() -> None:
+    with pytest.raises(ValueError, match=r"shape must hold whole numbers.*32\.5"):
+        gaussian_random_field((1, 1, 32.5, 32))  # type: ignore[arg-type]

@@ -1,0 +1,212 @@
+"""Large pictures, in strips, are what small ones are in one piece."""
+
+import math
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+import uwaug._support.tiles
+import uwaug.blur.tiled
+import uwaug.formation.strips
+from uwaug import PointSpread, RandomUnderwater
+from uwaug._support.tiles import held
+from uwaug.blur.plan import plan_blur
+from uwaug.blur.stack import blurred
+from uwaug.blur.tiled import blurred_pieces
+from uwaug.distance.complete import filled, filled_rows
+from uwaug.distance.sample import Scaling
+from uwaug.formation.colour import srgb_to_linear
+from uwaug.formation.field import gaussian_random_field, gaussian_random_rows
+from uwaug.jobs.model import OneMedium, RandomWater, terms_of
+from uwaug.optics.medium import Medium
+from uwaug.optics.water import Water
+
+pytestmark = pytest.mark.filterwarnings("ignore:distance is unknown")
+
+OPTIONS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "no field": {"field_probability": 0.0},
+    "gaussian": {"point_spread": PointSpread(6.0, 1.0)},
+    "narrow": {"point_spread": PointSpread(0.4, 1.0)},
+    "wide": {"blur_factor": 20.0},
+    "fine": {"tolerance": 2e-4},
+    "no blur": {"point_spread": PointSpread.none()},
+    "the paper's size": {"point_spread": PointSpread.paper(2.0)},
+    "light": {"order": "source", "color_space": "linear"},
+    "stops": {"exposure": (-1.0, 2.0)},
+    "fill": {"unknown": "fill"},
+    "far": {"unknown": "far"},
+    "relative": {"distance_kind": "relative", "far": 6.0},
+    "inverse": {"distance_kind": "inverse"},
+    "plane": {"distance": 3.0},
+}
+
+
+def picture(height: int, width: int) -> Tensor:
+    """Smooth shapes under noise, 0…1."""
+    generator = torch.Generator().manual_seed(5)
+    coarse = torch.rand(1, 3, 9, 11, generator=generator)
+    smooth = torch.nn.functional.interpolate(coarse, size=(height, width), mode="bilinear")
+    return 0.8 * smooth[0] + 0.2 * torch.rand(3, height, width, generator=generator)
+
+
+def distances(name: str, height: int, width: int) -> Tensor | None:
+    if name == "plane":
+        return None
+    down = torch.linspace(0.02, 1, height)[:, None]
+    z = (down * (1 + 0.3 * torch.linspace(-1, 1, width).cos()) / 1.3)[None]
+    if name in ("relative", "inverse"):
+        return z
+    z = 7 * z
+    if name in ("fill", "far"):
+        z[:, 20:60, 30:90] = 0
+        z[:, ::17, ::13] = math.nan
+    else:
+        z[:, -9:] = math.inf
+    return z
+
+
+@pytest.fixture
+def in_strips(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """What makes every picture a large one, in bands of some tens of rows."""
+
+    def switch() -> None:
+        monkeypatch.setattr(uwaug.formation.strips, "LARGE", 1)
+        monkeypatch.setattr(uwaug._support.tiles, "_BAND", 20_000)
+        monkeypatch.setattr(uwaug.blur.tiled, "_STRIP", 20_000)
+
+    return switch
+
+
+@pytest.mark.parametrize("name", OPTIONS)
+def test_strips_are_the_whole(name: str, in_strips: Any) -> None:
+    aug, size = RandomUnderwater(["7C", "II"], **OPTIONS[name]), (331, 257)
+    image, z = picture(*size), distances(name, *size)
+    levels = (255 * image).round().byte()
+    record = aug.make_params(image, torch.Generator().manual_seed(3))
+    whole = [aug.transform(one, z, record) for one in (image, levels)]
+    used = aug.resolve(image, z, record)["samples"][0]["used"]
+    in_strips()
+    out = [aug.transform(one, z, record) for one in (image, levels)]
+    assert aug.resolve(image, z, record)["samples"][0]["used"] == pytest.approx(used, rel=1e-5)
+    light = [one if name == "light" else srgb_to_linear(one) for one in (out[0], whole[0])]
+    torch.testing.assert_close(*light, rtol=0, atol=1e-5)
+    apart = (out[1].int() - whole[1].int()).abs()
+    assert apart.max() <= 1
+    # where rounding falls the other way
+    assert (apart > 0).float().mean() < 1e-3
+    assert out[1].dtype == torch.uint8
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float64])
+def test_types(dtype: torch.dtype, in_strips: Any) -> None:
+    aug, image, z = RandomUnderwater("7C"), 1.7 * picture(90, 70), distances("", 90, 70)
+    record = aug.make_params(image)
+    image = image.to(dtype).transpose(1, 2).contiguous().transpose(1, 2)
+    whole = aug.transform(image, z, record)
+    in_strips()
+    out = aug.transform(image, z, record)
+    assert out.dtype == dtype
+    assert out.max() > 1  # as bright as what was given
+    torch.testing.assert_close(out, whole, rtol=0, atol=2 * torch.finfo(dtype).eps + 1e-5)
+
+
+def test_refusals_are_the_same(in_strips: Any) -> None:
+    image, z = picture(90, 70), distances("fill", 90, 70)
+    bright, broken = 255 * image, image.masked_fill(image < 0.3, math.nan)
+    cases = [(image, z), (image, 3000 * z.nan_to_num(1)), (bright, z + 1), (broken, z + 1)]
+    said = []
+    for _ in range(2):
+        for one, distance in cases:
+            with pytest.raises(ValueError) as error:
+                RandomUnderwater("7C")(one, distance)
+            said.append(str(error.value))
+        in_strips()
+    assert said[:4] == said[4:]
+
+
+def test_models_of_files(in_strips: Any) -> None:
+    size = (150, 130)
+    image, z = picture(*size), distances("", *size)
+    law = PointSpread.calibrated(110.0)
+    medium = Medium.from_water(Water.jerlov("7C"), point_spread=law)
+    scaling = Scaling(1.0, 5.0, 1.0)
+    known = OneMedium("7C", medium, "srgb", "auto", (0.7, 1.3), "metric", "error", scaling)
+    for model in (known, RandomWater(RandomUnderwater("7C"))):
+        drawn = model.draw(image, torch.Generator().manual_seed(1))
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(uwaug.formation.strips, "LARGE", 10**9)
+            whole = model.degrade(image, z, drawn)
+            terms = terms_of(whole.seen)
+        in_strips()
+        out = model.degrade(image, z, drawn)
+        torch.testing.assert_close(out.image, whole.image, rtol=0, atol=2e-5)
+        assert out.visibility == whole.visibility
+        torch.testing.assert_close(out.seen.some_contrast(), whole.seen.some_contrast())
+        for name, term in terms_of(out.seen).items():
+            torch.testing.assert_close(term, terms[name], rtol=0, atol=5e-5)
+
+
+@pytest.mark.parametrize("size", [(333, 130), (97, 412), (16, 16), (1, 50), (50, 1)])
+@pytest.mark.parametrize("widths", [(1.0, 6.0, "gaussian"), (0.0, 200.0, "exponential")])
+def test_blurs_in_bands(size: tuple[int, int], widths: tuple[float, float, Any]) -> None:
+    image = picture(*size)
+    low, high, shape = widths
+    plan = plan_blur(low, high, 0.002, shape, max(size))
+    whole = blurred(image[None], plan)
+    for band in (None, 16, 112):
+        out = [torch.full_like(image, math.nan) for _ in whole]
+        for rows, columns, stack in blurred_pieces(held(image), (3, *size), image, plan, band):
+            for one, part in zip(out, stack, strict=True):
+                one[:, rows, columns] = part[0]
+        for one, other in zip(out, whole, strict=True):
+            torch.testing.assert_close(one, other[0], rtol=0, atol=2e-6)
+
+
+def test_light_is_asked_for_in_bands(in_strips: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+    decoded = uwaug.formation.strips.decoded
+    monkeypatch.setattr(
+        uwaug.formation.strips, "decoded", lambda *a: asked.append(a[0].shape[1]) or decoded(*a)
+    )
+    in_strips()
+    law = PointSpread(4.0, 0.6, "exponential")
+    RandomUnderwater("7C", point_spread=law, exposure="none")(
+        picture(900, 64), distances("", 900, 64)
+    )
+    # a band, and what blurs on the finest grids reach beyond it
+    assert max(asked) <= 20_000 // 64 + 2 * 60
+    assert sum(asked) < 4.5 * 900
+
+
+def test_fields_in_rows() -> None:
+    size = (123, 77)
+    for low, high in ((0.7, 1.3), (1.2, 1.2)):
+        options = {"low": low, "high": high}
+        generator = torch.Generator().manual_seed(2)
+        whole = gaussian_random_field(size, **options, generator=generator, dtype=torch.float32)
+        rows = gaussian_random_rows(size, **options, generator=torch.Generator().manual_seed(2))
+        parts = [rows(start, min(start + 50, 123)) for start in (0, 50, 100)]
+        torch.testing.assert_close(torch.cat(parts, 1), whole[0], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("wide", [False, True])
+def test_holes_are_filled_in_rows(wide: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    generator = torch.Generator().manual_seed(1)
+    for height, width in ((133, 61), (97, 40), (3, 5)):
+        z = 1 + torch.rand(1, height, width, generator=generator)
+        z[:, :, width // 2 :] += 4
+        z[:, height // 2, : width // 4] = math.inf
+        z[torch.rand(z.shape, generator=generator) < 0.1] = math.nan
+        if wide:
+            z[:, height // 5 : -(height // 4), 3:-4] = 0
+        whole = filled(z, ~(z > 0))
+        for rows in (10, 26):
+            monkeypatch.setattr(uwaug._support.tiles, "_BAND", rows * width)
+            found = filled_rows(held(z), (height, width))
+            torch.testing.assert_close(found(0, height), whole, rtol=1e-5, atol=0)
+            middle = slice(height // 3, height // 2)
+            part = found(middle.start, middle.stop)
+            torch.testing.assert_close(part, whole[:, middle], rtol=1e-5, atol=0)

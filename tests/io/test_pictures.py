@@ -1,0 +1,280 @@
+"""Every kind of file comes out as it went in, or is refused by name."""
+
+import io
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+import tifffile
+import torch
+from imagecodecs import png_encode
+from PIL import Image
+
+import uwaug.io.decoding
+from uwaug.io.pictures import read_distance, read_mask, read_picture
+
+RNG = np.random.default_rng(0)
+BYTES = RNG.integers(0, 256, (6, 9, 3), dtype=np.uint8)
+WORDS = RNG.integers(0, 65536, (6, 9, 3), dtype=np.uint16)
+LIGHT = RNG.random((6, 9, 3), dtype=np.float32)
+ALPHA8 = RNG.integers(0, 256, (6, 9, 1), dtype=np.uint8)
+ALPHA16 = RNG.integers(0, 65536, (6, 9, 1), dtype=np.uint16)
+METRES = np.array([[0.0, np.nan, 1.5, 2.0, 0.5], [3.25, np.inf, 4.0, 5.5, 3]], dtype=np.float32)
+MILLIMETRES = np.array(
+    [[0, 1500, 2000, 2500, 3250], [3250, 4000, 5500, 6000, 900]], dtype=np.uint16
+)
+NOTHING = np.zeros_like(METRES)
+
+Write = Callable[[Path], object]
+
+
+def png16(values: np.ndarray) -> Write:
+    return lambda path: path.write_bytes(png_encode(values.copy()))
+
+
+def tiff(values: np.ndarray, **options: object) -> Write:
+    return lambda path: tifffile.imwrite(path, values, **options)
+
+
+def pillow(values: np.ndarray, **options: object) -> Write:
+    return lambda path: Image.fromarray(values).save(path, **options)
+
+
+def npy(values: np.ndarray) -> Write:
+    return lambda path: np.save(path, values)
+
+
+PICTURES: dict[str, tuple[str, Write, np.ndarray]] = {
+    "PNG": ("a.png", pillow(BYTES), BYTES),
+    "WebP": ("a.webp", pillow(BYTES, lossless=True), BYTES),
+    "PNG with alpha": ("a.png", pillow(np.concatenate([BYTES, ALPHA8], 2)), BYTES),
+    "PNG of 16 bits": ("a.png", png16(WORDS), WORDS),
+    "its alpha too": ("a.png", png16(np.concatenate([WORDS, ALPHA16], 2)), WORDS),
+    "TIFF": ("a.tif", tiff(BYTES, photometric="rgb"), BYTES),
+    "TIFF of 16 bits": ("a.tif", tiff(WORDS, photometric="rgb", compression="lzw"), WORDS),
+    "big-endian": ("a.tif", tiff(WORDS, photometric="rgb", byteorder=">"), WORDS),
+    "TIFF of floats": ("a.tif", tiff(LIGHT, photometric="rgb"), LIGHT),
+    "planar TIFF": (
+        "a.tif",
+        tiff(WORDS.transpose(2, 0, 1), photometric="rgb", planarconfig="separate"),
+        WORDS,
+    ),
+    "TIFF with alpha": (
+        "a.tif",
+        tiff(np.concatenate([BYTES, ALPHA8], 2), photometric="rgb", extrasamples=["unassalpha"]),
+        BYTES,
+    ),
+    "npy": ("a.npy", npy(LIGHT), LIGHT),
+    "npy, channels first": ("a.npy", npy(LIGHT.transpose(2, 0, 1)), LIGHT),
+    "npy of doubles": ("a.npy", npy(LIGHT.astype(np.float64)), LIGHT),
+    "a name that lies": ("a.jpg", png16(WORDS), WORDS),
+}
+
+
+@pytest.mark.parametrize("case", PICTURES)
+def test_pictures(case: str, tmp_path: Path) -> None:
+    name, write, values = PICTURES[case]
+    write(tmp_path / name)
+    picture = read_picture(tmp_path / name)
+    if values.dtype == np.uint8:
+        wanted = torch.from_numpy(values.transpose(2, 0, 1).copy())
+    else:
+        full = 65535 if values.dtype == np.uint16 else 1
+        wanted = torch.from_numpy((values.transpose(2, 0, 1) / full).astype(np.float32))
+    torch.testing.assert_close(picture, wanted, rtol=0, atol=1e-7)
+
+
+def test_jpeg_and_a_palette_of_colours(tmp_path: Path) -> None:
+    even = np.tile(np.array([200, 60, 20], dtype=np.uint8), (16, 16, 1))
+    Image.fromarray(even).save(tmp_path / "a.jpg", quality=95)
+    mean = read_picture(tmp_path / "a.jpg").float().mean((1, 2)).numpy()
+    np.testing.assert_allclose(mean, even[0, 0], atol=4)
+    palette = Image.fromarray(even).quantize(4)
+    # a transparent entry, of which Pillow warns
+    palette.save(tmp_path / "a.png", transparency=b"\x80\xff")
+    assert read_picture(tmp_path / "a.png")[:, 0, 0].tolist() == [200, 60, 20]
+
+
+@pytest.mark.parametrize("kind", ["jpg", "png", "png of 16 bits", "tif"])
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_orientation(kind: str, orientation: int, tmp_path: Path) -> None:
+    """As Pillow turns the picture."""
+    from PIL import ImageOps
+
+    path = tmp_path / f"a.{kind[:3]}"
+    bytes = np.kron(BYTES, np.ones((8, 8, 1), dtype=np.uint8))
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    plain = io.BytesIO()
+    options = {"quality": 95} if kind == "jpg" else {}
+    form = {"jpg": "JPEG", "tif": "TIFF"}.get(kind, "PNG")
+    Image.fromarray(bytes).save(plain, form, exif=exif, **options)
+    wanted = np.asarray(ImageOps.exif_transpose(Image.open(plain)))
+    if kind == "tif":
+        tag = (274, "H", 1, orientation, False)
+        tifffile.imwrite(path, bytes * np.uint16(257), photometric="rgb", extratags=[tag])
+    elif kind == "png of 16 bits":
+        # the chunk with the orientation, between the header and the pixels
+        data = png_encode(bytes * np.uint16(257))
+        start = plain.getvalue().index(b"eXIf") - 4
+        size = int.from_bytes(plain.getvalue()[start : start + 4], "big") + 12
+        path.write_bytes(data[:33] + plain.getvalue()[start : start + size] + data[33:])
+    else:
+        path.write_bytes(plain.getvalue())
+    picture = read_picture(path)
+    found = picture if picture.dtype == torch.uint8 else picture * 255
+    assert found.shape[1:] == wanted.shape[:2]
+    np.testing.assert_allclose(found.permute(1, 2, 0).numpy(), wanted, atol=1e-3)
+
+
+GREYS = Image.fromarray(BYTES[..., 0]).convert("P")
+WRONG_PICTURES: dict[str, tuple[str, Write, str]] = {
+    "grey": ("a.png", pillow(BYTES[..., 0]), "in colour, got grey: .*save it as RGB"),
+    "grey of 16 bits": ("a.png", png16(WORDS[..., 0]), "in colour, got grey"),
+    "grey with alpha": ("a.png", pillow(BYTES[..., :2]), "in colour, got grey"),
+    "grey npy": ("a.npy", npy(LIGHT[..., 0]), "in colour, got grey"),
+    "palette": ("a.png", GREYS.save, "got a palette of greys: .*save it as RGB"),
+    "CMYK": ("a.jpg", Image.fromarray(BYTES).convert("CMYK").save, "got CMYK: save it as RGB"),
+    "CMYK TIFF": ("a.tif", Image.fromarray(BYTES).convert("CMYK").save, "got CMYK: save"),
+    "integers": ("a.npy", npy(BYTES.astype(np.int64)), "got int64: save it as 16 bit"),
+    "NaN": ("a.npy", npy(np.full((6, 9, 3), np.nan)), "NaN at 162 and infinite at 0"),
+    "a batch": ("a.npy", npy(LIGHT[None]), r"got \(1, 6, 9, 3\): save one picture"),
+    "empty": ("a.npy", npy(LIGHT[:0]), "holds no pixels"),
+    "pickled": ("a.npy", npy(np.array([{}])), "allow_pickle"),
+    "text": ("a.png", lambda path: path.write_text("no picture"), "is no picture and no map"),
+    "nothing": ("a.png", lambda path: path.write_text(""), "is empty"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_PICTURES)
+def test_wrong_pictures(case: str, tmp_path: Path) -> None:
+    name, write, message = WRONG_PICTURES[case]
+    write(tmp_path / name)
+    with pytest.raises(ValueError, match=message) as error:
+        read_picture(tmp_path / name)
+    assert str(error.value).startswith(f"{tmp_path / name}: ")
+
+
+@pytest.mark.parametrize("case", ["PNG", "PNG of 16 bits", "TIFF of 16 bits", "npy"])
+def test_half_a_file(case: str, tmp_path: Path) -> None:
+    name, write, _ = PICTURES[case]
+    path = tmp_path / name
+    write(path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(ValueError) as error:
+        read_picture(path)
+    assert str(error.value).startswith(f"{path}: ")
+
+
+def test_what_is_no_file(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        read_picture(tmp_path / "no.png")
+    with pytest.raises(IsADirectoryError):
+        read_distance(tmp_path)
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(OSError, match="a pipe"):
+        read_mask(tmp_path / "pipe")
+
+
+def pfm(path: Path) -> None:
+    """From the bottom row up, little-endian."""
+    path.write_bytes(b"Pf\n5 2\n-1.0\n" + METRES[::-1].astype("<f4").tobytes())
+
+
+def exr(**channels: np.ndarray) -> Write:
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    return lambda path: OpenEXR.File(header, channels).write(str(path))
+
+
+DISTANCES: dict[str, tuple[str, Write, str]] = {
+    "npy": ("z.npy", npy(METRES), "m"),
+    "npy of doubles": ("z.npy", npy(METRES[None].astype(np.float64)), "m"),
+    "npy, last axis": ("z.npy", npy(METRES[..., None]), "m"),
+    "npz": ("z.npz", lambda path: np.savez(path, METRES), "m"),
+    "in cm": ("z.npy", npy(METRES * 100), "cm"),
+    "in µm": ("z.npy", npy(METRES * 1e6), "um"),
+    "TIFF of floats": ("z.tif", tiff(METRES), "m"),
+    "PFM": ("z.pfm", pfm, "m"),
+    "EXR": ("z.exr", exr(depth=METRES), "m"),
+    "EXR with colours": ("z.exr", exr(R=NOTHING, G=NOTHING, B=NOTHING, Z=METRES), "m"),
+    "PNG": ("z.png", png16(MILLIMETRES), "mm"),
+    "TIFF": ("z.tif", tiff(MILLIMETRES), "mm"),
+}
+
+
+@pytest.mark.parametrize("case", DISTANCES)
+def test_distances(case: str, tmp_path: Path) -> None:
+    name, write, unit = DISTANCES[case]
+    write(tmp_path / name)
+    wanted = MILLIMETRES / 1000 if unit == "mm" else METRES
+    expected = torch.from_numpy(wanted.astype(np.float32))[None]
+    found = read_distance(tmp_path / name, unit)
+    torch.testing.assert_close(found, expected, rtol=1e-6, atol=0, equal_nan=True)
+
+
+WRONG_DISTANCES: dict[str, tuple[str, Write, str, str]] = {
+    "mm": ("z.png", png16(MILLIMETRES), "m", "is 3250 m if .*--distance-unit mm"),
+    "mm in floats": ("z.npy", npy(MILLIMETRES.astype(np.float32)), "m", "--distance-unit mm"),
+    "µm": ("z.npy", npy(METRES * 1e6), "mm", "--distance-unit um"),
+    "8 bits": ("z.png", pillow(BYTES[..., 0]), "m", "got uint8: relative depth?"),
+    "colours": ("z.png", pillow(BYTES), "m", "distances in one channel, got colour"),
+    "complex": ("z.npy", npy(NOTHING * 1j), "m", "numbers of type complex64"),
+    "unknown": ("z.npy", npy(NOTHING), "m", "no pixel has a distance > 0"),
+    "two": ("z.npz", lambda path: np.savez(path, a=METRES, b=METRES), "m", "array, got a, b"),
+    "channels": ("z.exr", exr(R=METRES, G=METRES, B=METRES), "m", "none of them Z: save one"),
+    "an unknown unit": ("z.npy", npy(METRES), "ft", "unit must be one of m, cm, mm, um"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_DISTANCES)
+def test_wrong_distances(case: str, tmp_path: Path) -> None:
+    name, write, unit, message = WRONG_DISTANCES[case]
+    write(tmp_path / name)
+    with pytest.raises(ValueError, match=message) as error:
+        read_distance(tmp_path / name, unit)
+    assert unit == "ft" or str(error.value).startswith(f"{tmp_path / name}: ")
+
+
+def test_distances_of_open_water_alone(tmp_path: Path) -> None:
+    np.save(tmp_path / "z.npy", np.full((4, 5), 1e9))
+    assert read_distance(tmp_path / "z.npy").shape == (1, 4, 5)
+
+
+def test_exr_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    exr(Z=METRES)(tmp_path / "z.exr")
+    monkeypatch.setitem(sys.modules, "OpenEXR", None)
+    with pytest.raises(ValueError, match=r'z\.exr: OpenEXR is missing.*pip install "\.\[exr\]"'):
+        read_distance(tmp_path / "z.exr")
+
+
+def test_masks(tmp_path: Path) -> None:
+    wanted = RNG.random((6, 9)) > 0.5
+    np.save(tmp_path / "a.npy", wanted)
+    Image.fromarray(wanted.astype(np.uint8) * 255).save(tmp_path / "a.png")
+    Image.fromarray(wanted).save(tmp_path / "b.png")
+    for name in ("a.npy", "a.png", "b.png"):
+        found = read_mask(tmp_path / name)
+        assert found.dtype == torch.bool
+        assert (found[0].numpy() == wanted).all(), name
+    Image.fromarray(BYTES).save(tmp_path / "c.png")
+    with pytest.raises(ValueError, match="a mask in one channel, got colour"):
+        read_mask(tmp_path / "c.png")
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.tif"])
+def test_pictures_may_be_larger_than_pillow_likes(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = tiff(BYTES, photometric="rgb") if name == "a.tif" else pillow(BYTES)
+    write(tmp_path / name)
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 10)
+    assert read_picture(tmp_path / name).shape == (3, 6, 9)
+    assert Image.MAX_IMAGE_PIXELS == 10  # of others
+    monkeypatch.setattr(uwaug.io.decoding, "_MOST", 50)
+    with pytest.raises(ValueError, match=rf"{name}: holds 9 × 6 px, which is more than .* megapix"):
+        read_picture(tmp_path / name)

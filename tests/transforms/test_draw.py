@@ -1,0 +1,289 @@
+import itertools
+import json
+import math
+import pickle
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from augmenting import EVERYTHING, LASERS, TANK, distances, leaves, picture, same
+
+import uwaug.transforms.draw
+from uwaug import JERLOV_TYPES, RandomUnderwater
+
+# Keys
+
+SEEDS = [303972234, 4106102862, 3316718778]
+
+
+def test_at_depends_on_its_key_alone() -> None:
+    aug = RandomUnderwater(**EVERYTHING)
+    keys = list(itertools.product(range(2), range(2), range(3)))  # seed, epoch, index
+    draw = {key: aug.at(*key) for key in keys}
+    state = torch.get_rng_state()
+    first = {key: draw[key](picture(), distances() + 1)[0] for key in keys}
+    assert torch.equal(torch.get_rng_state(), state)
+    torch.manual_seed(99)
+    again = {key: draw[key](picture(), distances() + 1)[0] for key in reversed(keys)}
+    assert all(same(first[key], again[key]) for key in keys)
+    assert len({t.sum().item() for t in first.values()}) == len(keys)
+    one = first[1, 0, 2]
+    assert same(one, aug.at(np.int64(1), torch.tensor(0), 2)(picture(), distances() + 1)[0])
+    assert not torch.equal(one, aug.at(10, 2, 0)(picture(), distances() + 1)[0])
+    pickle.loads(pickle.dumps(draw[keys[0]]))
+
+
+def test_a_key_may_be_a_name() -> None:
+    aug, inputs = RandomUnderwater(**EVERYTHING), (picture(), distances() + 1)
+    names = ["scene_04/img_0012.png", "scene_04/img_0013.png", "scene_04/1/2", "", "é"]
+    drawn = [aug.at(0, 3, name)(*inputs)[0] for name in names]
+    assert len({image.sum().item() for image in drawn}) == len(names)
+    assert all(same(a, aug.at(0, 3, n)(*inputs)[0]) for a, n in zip(drawn, names, strict=True))
+    assert not same(drawn[0], aug.at(0, 4, names[0])(*inputs)[0])
+    # a number that a file holds as text
+    assert same(aug.at(0, 3, "41")(*inputs)[0], aug.at(0, 3, 41)(*inputs)[0])
+
+
+def test_numbers_keep_their_pictures() -> None:
+    # these seeds have been handed out since the first release
+    aug = RandomUnderwater(JERLOV_TYPES)
+    keys = [aug.at(0, 0, 0), aug.at(1, 2, 3), aug.at(5, 0, 123456)]
+    assert [key.args[0] for key in keys] == SEEDS
+
+
+def test_the_global_generator_decides_otherwise() -> None:
+    aug = RandomUnderwater(**EVERYTHING)
+    torch.manual_seed(5)
+    a, b = (aug(picture(), distances() + 1)[0] for _ in range(2))
+    torch.manual_seed(5)
+    assert same(a, aug(picture(), distances() + 1)[0])
+    assert not torch.equal(a, b)
+
+
+def test_new_draws_go_to_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    aug = RandomUnderwater(**EVERYTHING)
+
+    def records() -> list[Any]:
+        return [aug.make_params(picture(b), torch.Generator().manual_seed(3)) for b in (None, 4)]
+
+    before = records()
+    monkeypatch.setattr(uwaug.transforms.draw, "_DRAWS", (*uwaug.transforms.draw._DRAWS, "new"))
+    assert records() == before
+
+
+# Distributions: 4000 draws from a fixed seed. A test at the 1 % level each; they either pass for
+# good or never.
+
+DRAWN = {
+    **EVERYTHING,
+    "distance_kind": "relative",
+    "near": (0.5, 2.0),
+    "far": (3.0, 9.0),
+    "gamma": (1.0, 4.0),
+    "distance": (0.5, 7.0),
+}
+RANGES = [name for name, value in DRAWN.items() if isinstance(value, tuple)]
+
+
+WEIGHTS = {"II": 3.0, "1C": 1.0, "5C": 0.0, "9C": 2.0, TANK: 0.5}
+
+
+@pytest.fixture(scope="module")
+def drawn() -> list[dict[str, Any]]:
+    cameras = [LASERS, "Nikon 5100 (NPL)"]
+    aug = RandomUnderwater(WEIGHTS, p=0.3, field_probability=0.8, cameras=cameras, **DRAWN)
+    generator = torch.Generator().manual_seed(20)
+    one = [aug.make_params(picture(), generator)["samples"][0] for _ in range(1000)]
+    return one + aug.make_params(torch.empty(3000, 3, 1, 1), generator)["samples"]
+
+
+@pytest.mark.parametrize("name", RANGES)
+def test_ranges_are_drawn_uniformly(name: str, drawn: list[dict[str, Any]]) -> None:
+    from scipy.stats import kstest, loguniform, uniform
+
+    low, high = DRAWN[name]
+    law = loguniform(low, high) if name == "visibility" else uniform(low, high - low)
+    values = [s[name] for s in drawn]
+    assert low <= min(values)
+    assert max(values) <= high
+    assert kstest(values, law.cdf).pvalue > 0.01
+
+
+def test_parameters_are_independent(drawn: list[dict[str, Any]]) -> None:
+    rows = []
+    for sample in drawn:
+        first, second = sample["waters"]
+        numbers = [sample[name] for name in RANGES]
+        rows.append([*numbers, first == "II", second == "II", sample["applied"]])
+    values = np.array(rows)
+    correlation = np.corrcoef(values.T) - np.eye(values.shape[1])
+    assert np.abs(correlation).max() < 4 / math.sqrt(len(drawn))
+
+
+@pytest.mark.parametrize("which", [0, 1], ids=["first", "second"])
+def test_waters_are_drawn_by_weight(which: int, drawn: list[dict[str, Any]]) -> None:
+    from scipy.stats import chisquare
+
+    names = [s["waters"][which] for s in drawn]
+    counts = [names.count(name) for name in ("II", "1C", "9C", "tank")]
+    assert sum(counts) == len(drawn)  # 5C has no weight
+    expected = np.array([3.0, 1.0, 2.0, 0.5]) / 6.5 * len(drawn)
+    assert chisquare(counts, expected).pvalue > 0.01
+
+
+def test_all_types_occur() -> None:
+    from scipy.stats import chisquare
+
+    generator = torch.Generator().manual_seed(1)
+    record = RandomUnderwater(JERLOV_TYPES).make_params(torch.empty(3000, 3, 1, 1), generator)
+    waters = [s["waters"] for s in record["samples"]]
+    counts = [waters.count([type]) for type in JERLOV_TYPES]
+    assert sum(counts) == 3000
+    assert chisquare(counts).pvalue > 0.01
+
+
+def test_probabilities(drawn: list[dict[str, Any]]) -> None:
+    from scipy.stats import binomtest
+
+    applied = sum(s["applied"] for s in drawn)
+    seeds = [s["field_seed"] for s in drawn if s["field_seed"] is not None]
+    lasers = sum(s["camera"] == "lasers" for s in drawn)
+    for count, share in ((applied, 0.3), (len(seeds), 0.8), (lasers, 0.5)):
+        assert binomtest(count, len(drawn), share).pvalue > 0.01
+    assert len(set(seeds)) == len(seeds)
+
+
+# Records
+
+
+def changed(**values: Any) -> Callable[[dict[str, Any]], Any]:
+    return lambda record: {"samples": [{**record["samples"][0], **values}]}
+
+
+@pytest.mark.parametrize(
+    "change, error, match",
+    [
+        (
+            lambda r: {"samples": r["samples"] * 2},
+            ValueError,
+            "params has 2 samples but image is a batch of 3",
+        ),
+        (lambda r: {"samples": []}, ValueError, "params has 0 samples but image is a batch of 3"),
+        (lambda r: r["samples"], TypeError, "params must be a record from make_params"),
+        (lambda r: None, TypeError, "params must be a record.*None"),
+        (changed(waters=["II"]), ValueError, "params asks for 'II', but this transform has 7C, 9C"),
+        (
+            changed(camera="Kodak"),
+            ValueError,
+            "params asks for 'Kodak', but this transform has Nikon",
+        ),
+        (
+            lambda r: {"samples": [{"applied": True}]},
+            ValueError,
+            "params is of a transform with other options.*camera",
+        ),
+    ],
+)
+def test_records_are_checked(
+    change: Callable[[Any], Any], error: type[Exception], match: str
+) -> None:
+    aug = RandomUnderwater(["7C", "9C"])
+    with pytest.raises(error, match=match):
+        aug.transform(picture(3), distances(3), change(aug.make_params(picture())))
+
+
+def test_records_of_other_transforms() -> None:
+    plain, scaled = RandomUnderwater(), RandomUnderwater(distance_kind="relative")
+    for one, other in ((plain, scaled), (scaled, plain)):
+        message = r"params is of a transform with other options.* far, gamma, near"
+        with pytest.raises(ValueError, match=message):
+            one.transform(picture(), distances(), other.make_params(picture()))
+    record = RandomUnderwater(visibility=3.0).make_params(picture())
+    with pytest.raises(ValueError, match=r"other options.* visibility"):
+        plain.transform(picture(), distances(), record)
+
+
+@pytest.mark.parametrize("written", [False, True], ids=["dicts", "JSON"])
+def test_records_of_single_pictures_make_one_of_a_batch(
+    options: dict[str, Any], written: bool
+) -> None:
+    aug = RandomUnderwater(**{**options, "same_on_batch": False})
+    image, *rest = leaves(aug, 4)
+    maps = rest[0] if rest else [None] * 4
+    torch.manual_seed(3)
+    records = [aug.make_params(one) for one in image]
+    parts = []
+    for one, z, record in zip(image, maps, records, strict=True):
+        parts.append(aug.transform(one, z, record))
+    given = map(json.dumps, records) if written else records
+    whole = uwaug.transforms.collate_records(given)
+    assert json.loads(json.dumps(whole)) == whole
+    assert same(aug.transform(image, rest[0] if rest else None, whole), torch.stack(parts))
+
+
+@pytest.mark.parametrize(
+    "records, error, match",
+    [
+        ([{"samples": []}], ValueError, "of one picture each, got one of 0 at 0"),
+        (['{"samples": [{}]}', {"samples": [{}, {}]}], ValueError, "got one of 2 at 1"),
+        ([{"samples": {}}], TypeError, "records must be records from make_params.* at 0"),
+        ([{"applied": True}], TypeError, "records must be records from make_params"),
+        (["[1]"], TypeError, r"got '\[1\]' at 0"),
+        ({"samples": [{}]}, TypeError, "records must be a list of records.*got a dict"),
+        ('{"samples": [{}]}', TypeError, "records must be a list of records.*got a str"),
+        (["samples"], TypeError, "records must be.* or their JSON, got 'samples' at 0"),
+    ],
+)
+def test_what_records_are_collated(records: Any, error: type[Exception], match: str) -> None:
+    with pytest.raises(error, match=match):
+        uwaug.transforms.collate_records(records)
+
+
+def test_record_is_plain() -> None:
+    aug = RandomUnderwater([TANK, "7C"], cameras=[LASERS], distance=(1.0, 2.0), **EVERYTHING)
+
+    def walk(value: Any) -> Iterator[Any]:
+        yield value
+        parts = value.values() if isinstance(value, dict) else value
+        if isinstance(value, (dict, list)):
+            for part in parts:
+                yield from walk(part)
+
+    record = aug.make_params(picture(4))
+    assert {type(v) for v in walk(record)} <= {dict, list, str, bool, int, float}
+    assert list(record) == ["samples"]
+
+
+@pytest.mark.parametrize(
+    "change, match",
+    [
+        ({"contrast": math.nan}, "params: contrast must be"),
+        ({"contrast": None}, "params: contrast must be"),
+        ({"mixing": 7}, "params: mixing must be"),
+        ({"applied": "no"}, "params: applied must be"),
+        ({"waters": []}, "params: waters must be a list"),
+        ({"waters": [("II", "II")]}, "collate_records"),
+        ({"field_range": None}, "field_range must be"),
+        ({"used": None}, "params: used must hold"),
+        ({"used": {"contents": 1.0, "gain": math.inf}}, "params: used.gain must be"),
+        ({"used": {"contents": 1e9, "gain": 1.0}}, "params: used.contents must be"),
+    ],
+)
+def test_altered_records_are_refused(change: dict[str, Any], match: str) -> None:
+    aug = RandomUnderwater()
+    record = aug.make_params(picture())
+    record["samples"][0] |= change
+    with pytest.raises(ValueError, match=match):
+        aug.transform(picture(), distances() + 1, record)
+
+
+def test_sets_have_no_order() -> None:
+    with pytest.raises(TypeError, match="waters must have an order"):
+        RandomUnderwater({"II", "7C"})
+    with pytest.raises(ValueError, match=r"vertical_depth must be.*'12'"):
+        RandomUnderwater(vertical_depth="12")
+    assert RandomUnderwater(contrast=np.float32(0.5)).contrast == 0.5
+    with pytest.raises(TypeError, match="integer"):
+        RandomUnderwater().at(0.5, 1, 1)

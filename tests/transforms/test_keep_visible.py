@@ -1,0 +1,276 @@
+"""`KeepVisible`: the objects of a sample that can still be seen."""
+
+import copy
+import pickle
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+import torch
+from augmenting import same
+from torch import Tensor
+from torch.utils.data import DataLoader, Dataset
+
+from uwaug import KeepVisible, Medium, RandomUnderwater, Water, contrast
+from uwaug.transforms.keep_visible import transform_with_contrast
+
+H, W = 40, 60
+NEAR = [4.0, 5.0, 24.0, 30.0]
+FAR = [34.0, 2.0, 58.0, 38.0]
+BOTH = [20.0, 10.0, 40.0, 30.0]
+AUGMENT = RandomUnderwater("3C", contrast=None, field_probability=0.0)
+KEEP = KeepVisible(AUGMENT, 0.05)
+
+
+def image() -> Tensor:
+    return torch.rand(3, H, W, generator=torch.Generator().manual_seed(1))
+
+
+def distance() -> Tensor:
+    """Near on the left, far on the right."""
+    z = torch.full((1, H, W), 0.8)
+    z[..., W // 2 :] = 9.0
+    return z
+
+
+def target(boxes: Any = (NEAR, FAR, BOTH)) -> dict[str, Any]:
+    rows = torch.tensor(boxes).reshape(-1, 4)
+    count = len(rows)
+    return {
+        "boxes": rows,
+        "labels": torch.arange(10, 10 + count),
+        "area": torch.ones(count),
+        "names": ["near", "far", "both"],
+        "image_id": torch.tensor([3]),
+    }
+
+
+def test_what_is_far_is_taken_out() -> None:
+    given = target()
+    before = copy.deepcopy(given)
+    degraded, z, found = KEEP(image(), distance(), given)
+    assert found["labels"].tolist() == [10, 12]
+    assert found["boxes"].tolist() == [NEAR, BOTH]
+    assert found["area"].tolist() == [1, 1]
+    assert found["names"] == ["near", "both"]
+    assert found["image_id"] is given["image_id"]
+    assert (found["contrast"] >= 0.05).all()
+    assert given.keys() == before.keys()
+    assert torch.equal(given["boxes"], before["boxes"])
+    assert degraded.shape == (3, H, W)
+    assert torch.equal(z, distance())
+
+
+def test_the_contrast_is_that_of_the_medium() -> None:
+    """Worked out anew from what the record says of the water."""
+    aug = RandomUnderwater("3C", contrast=None, field_range=(0.5, 2.0))
+    record = aug.resolve(image(), distance(), aug.make_params(image()))
+    (sample,) = record["samples"]
+    medium = Medium.from_water(
+        Water.jerlov("3C"), vertical_depth=sample["used"]["vertical_depth"], g=0.05, mu=0.075
+    )
+    from uwaug import gaussian_random_field
+
+    generator = torch.Generator().manual_seed(sample["field_seed"])
+    field = gaussian_random_field((H, W), low=0.5, high=2.0, generator=generator)[0]
+    expected = contrast(medium, distance() * field)
+    degraded, found = transform_with_contrast(aug, image(), distance(), record)
+    torch.testing.assert_close(found, expected, rtol=0, atol=1e-5)
+    assert same(degraded, aug.transform(image(), distance(), record))
+
+
+def test_each_object_has_the_mean_over_its_pixels() -> None:
+    torch.manual_seed(3)
+    _, _, found = KeepVisible(AUGMENT, 0.0)(image(), distance(), target())
+    torch.manual_seed(3)
+    _, left = transform_with_contrast(AUGMENT, image(), distance(), AUGMENT.make_params(image()))
+    for box, value in zip((NEAR, FAR, BOTH), found["contrast"].tolist(), strict=True):
+        x1, y1, x2, y2 = map(int, box)
+        assert value == pytest.approx(float(left[0, y1:y2, x1:x2].mean()), abs=1e-6)
+
+
+def test_masks_decide_where_there_are_any() -> None:
+    masks = torch.zeros(3, H, W, dtype=torch.uint8)
+    masks[0, 5:10, 50:55] = 1  # far, whatever its box says
+    masks[1, 5:10, 2:6] = 1
+    found = KEEP(image(), distance(), {**target(), "masks": masks})[2]
+    assert found["labels"].tolist() == [11]
+    assert torch.equal(found["masks"], masks[1:2])
+
+
+def test_the_draws_are_those_of_the_augmentation_alone() -> None:
+    aug = RandomUnderwater(p=0.5)
+    keep = KeepVisible(aug)
+    for seed in range(4):
+        torch.manual_seed(seed)
+        degraded, *_ = keep(image(), distance(), target())
+        torch.manual_seed(seed)
+        assert same(degraded, aug(image(), distance())[0])
+        keyed = keep.at(1, 2, f"{seed}.png")(image(), distance(), target())
+        assert same(keyed[0], aug.at(1, 2, f"{seed}.png")(image(), distance())[0])
+
+
+def test_a_picture_left_alone_keeps_everything() -> None:
+    picture = image()
+    degraded, _, found = KeepVisible(RandomUnderwater(p=0.0), 1.0)(picture, distance(), target())
+    assert degraded is picture
+    assert found["contrast"].tolist() == [1, 1, 1]
+
+
+class Sample(NamedTuple):
+    image: Tensor
+    distance: Tensor
+    target: dict[str, Any]
+
+
+def test_structures() -> None:
+    flat = KEEP({"image": image(), "distance": distance(), **target()})
+    assert flat["labels"].tolist() == [10, 12]
+    nested = KEEP({"image": image(), "distance": distance(), "objects": target(), "id": "a"})
+    assert nested["objects"]["labels"].tolist() == [10, 12]
+    assert nested["id"] == "a"
+    pair = KEEP(image(), {**target(), "distance": distance()})
+    assert pair[1]["labels"].tolist() == [10, 12]
+    named = KEEP(Sample(image(), distance(), target()))
+    assert isinstance(named, Sample)
+    assert named.target["labels"].tolist() == [10, 12]
+    listed = KEEP([image(), distance(), target()])
+    assert isinstance(listed, list)
+
+
+def test_lists_and_arrays_keep_their_kind() -> None:
+    given = target() | {"labels": ["a", "b", "c"], "iscrowd": np.array([0, 0, 1])}
+    found = KEEP(image(), distance(), given)[2]
+    assert found["labels"] == ["a", "c"]
+    assert found["iscrowd"].tolist() == [0, 1]
+
+
+def test_entries_that_go_with_objects_and_those_of_the_picture() -> None:
+    more = {
+        "track_ids": np.array([5, 6]),
+        "scores": torch.tensor([0.1, 0.2]),
+        "amodal_masks": torch.ones(2, H, W),
+        "orig_size": torch.tensor([H, W]),
+        "frames": [8, 9],
+        "depths": torch.ones(2, H, W),
+        "split": (1, 2),
+    }
+    given = target([FAR, NEAR]) | more | {"names": ["far", "near"]}
+    found = KeepVisible(AUGMENT, 0.05, whole=["frames"])(image(), distance(), given)[2]
+    assert found["names"] == ["near"]
+    assert found["track_ids"].tolist() == [6]
+    assert len(found["scores"]) == len(found["amodal_masks"]) == 1
+    for name in ("orig_size", "frames", "depths", "split", "image_id"):
+        assert found[name] is given[name]
+    one = KEEP(image(), distance(), target([FAR]) | {"names": ["far"]})[2]
+    assert (one["names"], one["image_id"].tolist()) == ([], [3])
+
+
+def test_flags_in_place_of_removal() -> None:
+    keep = KeepVisible(AUGMENT, 0.05, flag=True)
+    found = keep(image(), distance(), target())[2]
+    assert found["iscrowd"].tolist() == [0, 1, 0]
+    assert len(found["boxes"]) == 3
+    assert found["contrast"][1] < 0.05
+    crowd = torch.tensor([1, 0, 0])
+    assert keep(image(), distance(), target() | {"iscrowd": crowd})[2]["iscrowd"].tolist() == [
+        1,
+        1,
+        0,
+    ]
+
+
+def test_nothing_there_and_nothing_of_it_there() -> None:
+    found = KEEP(image(), distance(), target([]) | {"names": []})[2]
+    assert found["boxes"].shape == (0, 4)
+    assert found["contrast"].shape == (0,)
+    outside = [[-30.0, -30.0, -5.0, -5.0], [3.0, 3.0, 3.0, 9.0], [-9.0, -9.0, 6.0, 6.0]]
+    assert KEEP(image(), distance(), target(outside))[2]["labels"].tolist() == [12]
+
+
+@pytest.mark.parametrize("form", ["XYXY", "XYWH", "CXCYWH"])
+def test_tv_tensors_in_a_pipeline(torchvision: Any, form: str) -> None:
+    v2, tv = torchvision.transforms.v2, torchvision.tv_tensors
+    corners = tv.BoundingBoxes([NEAR, FAR, BOTH], format="XYXY", canvas_size=(H, W))
+    boxes = v2.functional.convert_bounding_box_format(corners, new_format=form)
+    masks = tv.Mask(torch.ones(3, H, W, dtype=torch.uint8))
+    masks[1, :, : W // 2] = 0
+    given = {"boxes": boxes, "labels": torch.tensor([1, 2, 3]), "distance": tv.Mask(distance())}
+    pipeline = v2.Compose([v2.RandomHorizontalFlip(1.0), v2.SanitizeBoundingBoxes(), KEEP])
+    picture = tv.Image(image())
+    degraded, found = pipeline(picture, given)
+    assert isinstance(degraded, tv.Image)
+    assert isinstance(found["boxes"], tv.BoundingBoxes)
+    assert found["boxes"].format.name == form
+    assert found["boxes"].canvas_size == (H, W)
+    assert found["labels"].tolist() == [1, 3]
+    back = v2.functional.convert_bounding_box_format(found["boxes"], new_format="XYXY")
+    assert back[0].tolist() == [W - NEAR[2], NEAR[1], W - NEAR[0], NEAR[3]]
+    masked = KEEP(picture, given | {"masks": masks})[1]
+    assert isinstance(masked["masks"], tv.Mask)
+    assert masked["labels"].tolist() == [1, 3]
+
+
+class Pictures(Dataset[Any]):
+    def __len__(self) -> int:
+        return 4
+
+    def __getitem__(self, index: int) -> Any:
+        degraded, _, found = KEEP.at(0, 0, index)(image(), distance(), target())
+        return degraded, found["contrast"]
+
+
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+@pytest.mark.filterwarnings("ignore:This DataLoader will create")
+def test_workers() -> None:
+    loaded = list(DataLoader(Pictures(), batch_size=None, num_workers=2))
+    for (degraded, left), (again, once_more) in zip(loaded, Pictures(), strict=False):
+        assert torch.equal(degraded, again)
+        assert torch.equal(left, once_more)
+    twin = pickle.loads(pickle.dumps(KEEP))
+    assert repr(twin) == repr(KEEP)
+    assert "min_contrast=0.05" in repr(KEEP)
+    assert KEEP.to("cpu").train() is KEEP  # as any module
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"labels": torch.arange(2)}, r"target\['labels'\] has 2 rows for 3 objects"),
+        (
+            {"masks": torch.ones(3, 4, 5)},
+            r"target\['masks'\] is \(3, 4, 5\): expected \(N, 40, 60\)",
+        ),
+    ],
+)
+def test_targets_that_do_not_fit(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        KEEP(image(), distance(), target() | change)
+
+
+def test_other_refusals(torchvision: Any) -> None:
+    with pytest.raises(ValueError, match="found 0: without any, use augment alone"):
+        KEEP(image(), distance())
+    with pytest.raises(ValueError, match="found 2"):
+        KEEP(image(), distance(), target(), target())
+    with pytest.raises(ValueError, match=r"one picture .* at a time"):
+        KEEP(image()[None], distance(), target())
+    with pytest.raises(TypeError, match=r"augment must be a uwaug\.RandomUnderwater"):
+        KeepVisible(0.05)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"min_contrast must be in \[0, 1\]"):
+        KeepVisible(AUGMENT, 5)
+    with pytest.raises(TypeError, match=r"whole must be names, such as \('id',\)"):
+        KeepVisible(AUGMENT, whole="id")
+    tv = torchvision.tv_tensors
+    small = tv.BoundingBoxes([NEAR], format="XYXY", canvas_size=(9, 9))
+    with pytest.raises(ValueError, match=r"boxes are of a picture of \(9, 9\)"):
+        KEEP(image(), distance(), {"boxes": small})
+
+
+def test_batches_of_maps() -> None:
+    both, maps = torch.stack([image()] * 2), torch.stack([distance(), distance() * 0.5])
+    record = AUGMENT.make_params(both)
+    degraded, left = transform_with_contrast(AUGMENT, both, maps, record)
+    assert same(degraded, AUGMENT.transform(both, maps, record))
+    assert left.shape == (2, 1, H, W)
+    assert (left[1] > left[0]).all()

@@ -1,0 +1,217 @@
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from augmenting import LASERS, LIGHTS, TANK, H, W, brightness, distances, picture, result, same
+from torch import Tensor
+
+from uwaug import JERLOV_TYPES, Light, PointSpread, RandomUnderwater, Water, load_preset
+from uwaug.distance.convert import from_relative
+
+NAMES = {
+    "LASERS": LASERS,
+    "LIGHTS": LIGHTS,
+    "Light": Light,
+    "PointSpread": PointSpread,
+    "RandomUnderwater": RandomUnderwater,
+    "TANK": TANK,
+    "brightness": brightness,
+}
+
+
+def test_repr_builds_the_transform(options: dict[str, Any]) -> None:
+    aug = RandomUnderwater(**options)
+    text = repr(aug)
+    for name in ("TANK", "LASERS", "LIGHTS", "brightness"):
+        text = text.replace(repr(NAMES[name]), name)
+    twin = eval(text, NAMES.copy())
+    assert repr(twin) == repr(aug)
+    assert same(result(aug, 2), result(twin, 2))
+
+
+def test_repr_shows_what_was_changed() -> None:
+    assert repr(RandomUnderwater()) == "RandomUnderwater()"
+    assert repr(RandomUnderwater(["1C", "7C"], p=0.5)) == "RandomUnderwater(['1C', '7C'], p=0.5)"
+    assert repr(RandomUnderwater({"1C": 2.0, "7C": 1})) == "RandomUnderwater({'1C': 2.0, '7C': 1})"
+    aug = RandomUnderwater(g=(0.1, 0.3), waters=["II", "III", "1C", "3C", "5C", "7C", "9C"])
+    assert repr(aug) == "RandomUnderwater(g=(0.1, 0.3))"
+
+
+def test_defaults_are_the_calibrated_model() -> None:
+    aug = RandomUnderwater()
+    preset = load_preset("calibrated", water="7C")
+    assert preset.medium.notes[0].endswith("g = 0.05, μ = 0.075")
+    assert (aug.g, aug.mu) == (0.05, 0.075)
+    assert (aug.contrast, aug.visibility, aug.exposure) == ((0.1, 0.6), None, "auto")
+    law = aug._settings.law(1000)
+    assert law == PointSpread.calibrated(1000 * 0.8660254037844387)
+    calibrated = preset.medium.point_spread
+    assert (law.exponent, law.shape) == (calibrated.exponent, calibrated.shape)
+
+
+def test_visibility_takes_the_place_of_contrast() -> None:
+    aug = RandomUnderwater(visibility=(2.0, 5.0))
+    sample = aug.make_params(picture())["samples"][0]
+    assert "contrast" not in sample
+    assert 2 <= sample["visibility"] <= 5
+    with pytest.raises(ValueError, match=r"visibility.*contrast.*one of them"):
+        RandomUnderwater(visibility=5.0, contrast=0.3)
+
+
+@pytest.mark.parametrize("name", ["survey", "calibrated"])
+def test_from_a_preset(name: str) -> None:
+    aug = RandomUnderwater.from_preset(name, water="3C", distance_kind="relative", gamma=2.0)
+    preset = load_preset(name, water="3C")
+    assert list(aug.spectra) == ["3C"]
+    assert (aug.near, aug.far, aug.gamma) == (preset.near, preset.far, 2.0)
+    assert (aug.contrast, aug.exposure, aug.color_space) == (None, "none", preset.color_space)
+    image, t = picture(), distances()
+    record = aug.make_params(image)
+    generator = torch.Generator().manual_seed(record["samples"][0]["field_seed"])
+    field = preset.field((1, 1, H, W), generator)
+    expected = preset.module()(image, from_relative(t, preset.near, preset.far, 2.0), field)
+    torch.testing.assert_close(aug.transform(image, t, record), expected, rtol=0, atol=3e-3)
+    assert repr(RandomUnderwater.from_preset(name, visibility=3.0)).count("visibility=3.0") == 1
+
+
+def test_a_preset_of_coefficients_has_no_spectra() -> None:
+    with pytest.raises(ValueError, match=r"'tank-proposed-1'.*no spectra.*module"):
+        RandomUnderwater.from_preset("tank-proposed-1")
+
+
+def test_survey_is_the_papers() -> None:
+    aug = RandomUnderwater.survey(distance_kind="relative")
+    preset = load_preset("survey", water="7C")
+    assert list(aug.waters) == [t for t in JERLOV_TYPES if t != "I"]
+    assert set(aug.waters.values()) == {1}
+    assert (aug.near, aug.far, aug.gamma) == (preset.near, preset.far, preset.gamma)
+    assert aug.field_range == preset.field_range
+    assert aug.vertical_depth == preset.vertical_depth
+    assert aug.point_spread == preset.medium.point_spread
+    assert (aug.g, aug.mu, aug.field_probability) == (0.2, 0.3, 1)
+    assert (aug.mixing, aug.visibility, aug.blur_factor) == (0, None, 1)
+    # and so the picture is the preset's
+    aug = RandomUnderwater.survey(waters="7C", distance_kind="relative", color_space="linear")
+    image, t = picture(), distances()
+    record = aug.make_params(image)
+    generator = torch.Generator().manual_seed(record["samples"][0]["field_seed"])
+    field = preset.field((1, 1, H, W), generator)
+    expected = preset.module()(image, preset.distance(t), field)
+    torch.testing.assert_close(aug.transform(image, t, record), expected, rtol=0, atol=2e-3)
+
+
+def test_listed_twice_counts_twice() -> None:
+    assert RandomUnderwater(["7C", "7C", "1C"]).waters == {"7C": 2, "1C": 1}
+
+
+def test_camera_from_a_file(tmp_path: Path) -> None:
+    table = tmp_path / "lasers.csv"
+    table.write_text("450,0,0,1\n550,0,1,0\n600,1,0,0\n")
+    aug = RandomUnderwater(cameras=table)
+    assert aug.make_params(picture())["samples"][0]["camera"] == "lasers"
+    assert same(result(aug), result(RandomUnderwater(cameras=LASERS)))
+    assert same(result(aug), result(RandomUnderwater(cameras=str(table))))
+
+
+# Severity
+
+
+def contrast(image: Tensor) -> float:
+    weights = image.new_tensor([0.2126, 0.7152, 0.0722]).view(3, 1, 1)
+    return float((image * weights).sum(-3).std())
+
+
+def test_severity_grows(motorcycle: Any) -> None:
+    image, distance = motorcycle.srgb[:, ::2, ::2].float(), motorcycle.distance[:, ::2, ::2].float()
+    losses = []
+    for level in range(1, 6):
+        aug = RandomUnderwater.severity(level)
+        results = [aug.at(0, 0, i)(image, distance)[0] for i in range(6)]
+        losses.append(1 - np.mean([contrast(r) for r in results]) / contrast(image))
+    assert np.diff(losses).min() > 0.05
+    # as the docstring says
+    np.testing.assert_allclose(losses, [0.16, 0.36, 0.52, 0.67, 0.79], atol=0.04)
+
+
+def test_severity_takes_options() -> None:
+    aug = RandomUnderwater.severity(3, waters="7C", distance=(1.0, 2.0), p=0.5)
+    assert repr(aug) == "RandomUnderwater(['7C'], contrast=0.35, distance=(1.0, 2.0), p=0.5)"
+    for level in (0, 6, 2.5, "3"):
+        with pytest.raises(ValueError, match=f"level.*1 to 5.*{level}"):
+            RandomUnderwater.severity(level)
+
+
+# Errors
+
+
+@pytest.mark.parametrize(
+    "options, match",
+    [
+        ({"waters": []}, "waters.*at least one"),
+        ({"waters": {}}, "waters.*at least one"),
+        ({"waters": ["7C", "8C"]}, "one of I, IA.*'8C'"),
+        ({"waters": {"7C": -1.0, "1C": 2.0}}, r"waters.*weights.*\[-1.0, 2.0\]"),
+        ({"waters": {"7C": 0.0}}, r"waters.*weights.*\[0.0\]"),
+        ({"waters": {"7C": math.nan}}, "waters.*weights.*nan"),
+        ({"waters": ["7C", Water.jerlov("7C")]}, "waters.*name of its own"),
+        ({"cameras": []}, "cameras.*at least one"),
+        ({"cameras": "Kodak"}, "no camera.*Kodak"),
+        ({"cameras": [LASERS, LASERS]}, "cameras.*name of its own"),
+        ({"contrast": 1.5}, "contrast must be.*1.5"),
+        ({"contrast": 0.0}, "contrast must be.*0.0"),
+        ({"exposure": "bright"}, "exposure must be one of none, auto.*'bright'"),
+        ({"exposure": (0.0, 99.0)}, r"exposure must be.*\(0.0, 99.0\)"),
+        ({"focal_px": 0.0}, "focal_px must be.*> 0 px.*0.0"),
+        ({"focal_px": 500.0, "point_spread": PointSpread.none()}, "focal_px would do nothing.*500"),
+        ({"g": ()}, r"g must be.*got \(\)"),
+        ({"g": (0.1, 0.2, 0.3)}, r"g must be.*got \(0.1, 0.2, 0.3\)"),
+        ({"g": "much"}, "g must be.*got 'much'"),
+        ({"g": (0.3, 0.2)}, r"g must be.*low ≤ high.*got \(0.3, 0.2\)"),
+        ({"mu": 1.5}, r"mu must be.*\[0, 1\].*1.5"),
+        ({"mixing": (-0.1, 1.0)}, r"mixing must be.*\(-0.1, 1.0\)"),
+        ({"vertical_depth": -1}, "vertical_depth.*≥ 0.*-1"),
+        ({"vertical_depth": math.inf}, "vertical_depth.*finite.*inf"),
+        ({"blur_factor": math.nan}, "blur_factor.*nan"),
+        ({"visibility": 0.0}, "visibility.*≥ 0.001.*0.0"),
+        (
+            {"visibility": (5.0, 500.0)},
+            "visibility=500 does not suit water 'II'.*pure water",
+        ),
+        ({"waters": "I", "visibility": 5.0}, "visibility=5 does not suit water 'I'"),
+        ({"field_range": (1.3, 0.7)}, r"field_range.*low ≤ high.*\(1.3, 0.7\)"),
+        ({"field_range": (-0.1, 1.0)}, r"field_range.*≥ 0.*\(-0.1, 1.0\)"),
+        ({"p": 1.1}, "p must be in .0, 1.*1.1"),
+        ({"p": math.nan}, "p must be in .0, 1.*nan"),
+        ({"field_probability": -0.5}, "field_probability must be.*-0.5"),
+        ({"distance_kind": "disparity"}, r"distance_kind must be one of metric, .*'disparity'"),
+        ({"unknown": "ignore"}, "unknown must be one of.*'ignore'"),
+        ({"color_space": "rgb"}, "color_space must be one of.*'rgb'"),
+        ({"order": "backwards"}, "order must be one of.*'backwards'"),
+        ({"near": 0.5}, "near would do nothing.*'metric', got 0.5"),
+        ({"distance_kind": "inverse", "gamma": 2.0}, "gamma would do nothing.*'inverse', got 2.0"),
+        ({"mu": None}, "mu must be.*None"),
+        ({"g": abs}, "g must be.*abs"),
+        (
+            {"distance_kind": "relative", "near": (1.0, 6.0)},
+            r"near must lie below far.*\(1.0, 6.0\).*5.0",
+        ),
+        ({"distance_kind": "relative", "gamma": 0.0}, "gamma must be.*0.0"),
+        ({"distance_kind": "relative", "far": math.inf}, "far must be.*inf"),
+        ({"distance_kind": "inverse", "near": 0.0}, "near must lie above 0 m.*0.0"),
+        ({"distance": (3.0, 1.0)}, r"distance must be.*\(3.0, 1.0\)"),
+        ({"distance": "far"}, "distance must be.*'far'"),
+        ({"tolerance": 0.0}, r"tolerance must lie in \(0, 1\).*0.0"),
+        ({"tolerance": math.nan}, "tolerance.*nan"),
+    ],
+)
+def test_construction_rejects(options: dict[str, Any], match: str) -> None:
+    with pytest.raises(ValueError, match=match):
+        RandomUnderwater(**options)
+
+
+def test_point_spread_must_be_one() -> None:
+    with pytest.raises(TypeError, match=r"point_spread must be a uwaug\.PointSpread, got float"):
+        RandomUnderwater(point_spread=0.3)

@@ -1,0 +1,176 @@
+"""The blurs of one picture a piece at a time, from rows that are made as they are asked for."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from uwaug._support.tiles import Rows
+from uwaug.blur.banded import Banded, along_columns, along_rows
+from uwaug.blur.kernels import PERIOD
+from uwaug.blur.operators import Node, whole
+from uwaug.blur.plan import BlurPlan
+from uwaug.blur.stack import Chain, chain_of, products
+
+__all__ = ["blurred_pieces", "row_strips"]
+
+_STRIP = 200_000
+"""Samples of a strip; 50_000 takes a fifth longer (calls), 400_000 a tenth at 1024² (caches)."""
+
+_PIECE = 2 * _STRIP
+"""Samples of a piece: a strip, unless the image is wider than 8000 px."""
+
+_KEPT = 4.0
+"""px. Of a picture in bands, blurs on grids of such cells and coarser are kept whole, a sixteenth
+of it at most: they reach far beyond a band. Finer ones are made for each band.
+"""
+
+_SLAB = 64
+"""Rows that are shrunk at a time onto grids that are kept whole."""
+
+
+class _Source(NamedTuple):
+    """What a band's rows of one blur are made of.
+
+    Attributes:
+        rows (RxCxW tensor): from row `top` of what `along` is applied to.
+        along: the product that gives a few rows at a time; None if they are these.
+        after: what those rows still need.
+    """
+
+    rows: Tensor
+    top: int
+    along: Banded | None
+    after: Chain
+
+
+class _Blur:
+    """One blur of a stack, of a picture that comes in bands.
+
+    On a coarse grid all but the last product is done up front: those intermediates live on coarse
+    grids and are small.
+    """
+
+    def __init__(self, node: Node, size: tuple[int, int], like: Tensor) -> None:
+        self.node, self.height = node, size[0]
+        self.chain = chain_of(node, size, like)
+        self.kept: Tensor | None = None
+
+    def needs(self, start: int, stop: int) -> tuple[int, int] | None:
+        """The picture's rows of which rows `start` to `stop` of the blur are made."""
+        if self.kept is not None:
+            return None
+        if not self.chain:
+            return start, stop
+        if len(self.chain) == 2:
+            span = self.chain[0][1].span(start, stop)
+        else:
+            cells = self.chain[-1][1].span(start, stop)
+            span = self.chain[0][1].span(cells.low, cells.high)
+        return span.low, span.high
+
+    def source(self, light: Tensor, top: int, start: int, stop: int) -> _Source:
+        """For rows `start` to `stop`, from the picture's rows (RxCxW) from `top` on."""
+        if not self.chain:
+            return _Source(light, top, None, ())
+        if len(self.chain) == 2:
+            return _Source(light, top, self.chain[0][1], self.chain[1:])
+        (_, shrink), *across, (_, enlarge) = self.chain
+        cells = enlarge.span(start, stop)
+        if self.kept is not None:
+            part = products(self.kept[cells.low : cells.high], tuple(across[1:]))
+            return _Source(part, cells.low, enlarge, ())
+        _, c, w = light.shape
+        first, end, _, _ = shrink.span(cells.low, cells.high)
+        part = along_rows(shrink, light.reshape(-1, c * w), first, end, top)
+        return _Source(products(part.reshape(-1, c, w), tuple(across)), first, enlarge, ())
+
+    def keep(self, light: Tensor, start: int) -> None:
+        """Add what the picture's rows (RxCxW) from `start` on give to the coarse grid."""
+        r, c, w = light.shape
+        (_, shrink), (_, across), *_ = self.chain
+        if self.kept is None:
+            self.kept = light.new_zeros(shrink.rows, c, across.rows)
+        low, slab = whole("shrink", self.height, self.node, True).slab(start, start + r)
+        cells = torch.from_numpy(slab.T).to(light) @ light.reshape(r, c * w)
+        part = along_columns(across, cells.reshape(-1, w)).reshape(-1, c, across.rows)
+        self.kept[low : low + len(part)] += part
+
+
+def row_strips(channels: int, height: int, width: int) -> Iterator[slice]:
+    """Rows of an image, a strip at a time."""
+    rows = _rows_of_strip(channels, width)
+    return (slice(first, min(first + rows, height)) for first in range(0, height, rows))
+
+
+def _rows_of_strip(channels: int, width: int) -> int:
+    return PERIOD * max(1, _STRIP // (PERIOD * channels * width))
+
+
+def blurred_pieces(
+    rows: Rows, shape: tuple[int, int, int], like: Tensor, plan: BlurPlan, band: int | None = None
+) -> Iterator[tuple[slice, slice, list[Tensor]]]:
+    """The plan's blurs of one image, a piece at a time so that what follows stays in the cache: a
+    strip of rows, or a part of one if the image is very wide. Not for gradients.
+
+    Args:
+        rows: makes rows of the image, linear light.
+        shape: channels, height and width of the image.
+        like: a tensor of the image's type, float32 or float64, and device.
+        plan: from `plan_blur`.
+        band: so many rows of the image are held at a time, about; None for all.
+
+    Yields:
+        the rows, the columns, and K tensors (1xCxRxS): the image blurred by each of `plan.sigmas`.
+    """
+    c, h, w = shape
+    blurs = []
+    for sigma, cell in zip(plan.sigmas, plan.cells, strict=True):
+        blurs.append(_Blur(Node(sigma, cell, plan.reach), (h, w), like))
+    strip = _rows_of_strip(c, w)
+    step = h if band is None else strip * max(1, band // strip)
+    if step < h:
+        _keep_coarse([blur for blur in blurs if blur.node.cell >= _KEPT], rows, h)
+    for top in range(0, h, step):
+        sources = _sources(blurs, rows, top, min(top + step, h))
+        for first in range(top, min(top + step, h), strip):
+            part = slice(first, min(first + strip, h))
+            strips = []
+            for source in sources:
+                lines = source.rows[part.start - source.top : part.stop - source.top]
+                if source.along is not None:
+                    flat = source.rows.reshape(len(source.rows), -1)
+                    flat = along_rows(source.along, flat, part.start, part.stop, source.top)
+                    lines = products(flat.reshape(-1, c, w), source.after)
+                strips.append(lines.transpose(0, 1)[None])
+            across = max(1, _PIECE // (c * (part.stop - part.start)))
+            for left in range(0, w, across):
+                columns = slice(left, min(left + across, w))
+                yield part, columns, [strip[..., columns] for strip in strips]
+
+
+def _keep_coarse(blurs: list[_Blur], rows: Rows, height: int) -> None:
+    """Make the coarse grids of blurs that are kept whole."""
+    if not blurs:
+        return
+    for start in range(0, height, _SLAB):
+        light = _upright(rows(start, min(start + _SLAB, height)))
+        for blur in blurs:
+            blur.keep(light, start)
+
+
+def _sources(blurs: list[_Blur], rows: Rows, start: int, stop: int) -> list[_Source]:
+    """Of each blur, what rows `start` to `stop` are made of."""
+    needed = [span for blur in blurs if (span := blur.needs(start, stop)) is not None]
+    low, high = start, start
+    light = torch.empty(0)
+    if needed:
+        low, high = min(span[0] for span in needed), max(span[1] for span in needed)
+        light = _upright(rows(low, high))
+    return [blur.source(light, low, start, stop) for blur in blurs]
+
+
+def _upright(light: Tensor) -> Tensor:
+    """Rows first (RxCxW), as the products want them."""
+    return light.transpose(0, 1).contiguous()

@@ -1,0 +1,5 @@
+"""Sheets of pictures: the demo, scenes of one's own, published systems side by side."""
+
+from uwaug.figures.comparison import Comparison, compare
+
+__all__ = ["Comparison", "compare"]

@@ -1,0 +1,331 @@
+"""Systems side by side: one scene in one water, as each of several presets makes it."""
+
+import csv
+import io
+import json
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from uwaug._support import checks
+from uwaug._support.atomic import written_whole
+from uwaug._support.types import Array
+from uwaug.formation.colour import LUMINANCE, linear_to_srgb, to_light
+from uwaug.formation.contrast import contrast
+from uwaug.formation.model import validate
+from uwaug.formation.underwater import Underwater
+from uwaug.optics.water import JERLOV_TYPES
+from uwaug.presets.preset import Preset, load_preset, published_systems
+from uwaug.transforms.choice import focal_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "FULLEST",
+    "HEADINGS",
+    "Comparison",
+    "SystemRow",
+    "cells_of",
+    "compare",
+    "phase_congruency_difference",
+    "seen_by",
+]
+
+FULLEST = "ismiroglou-2025"
+"""The system that the others' colours are compared with: direct light, forward scatter and veil
+from spectra.
+"""
+
+METRES = (2.0, 5.0)
+"""At which contrast and blur are told."""
+
+_TABLES = (".csv", ".json")
+
+_PIXELS = 100_000
+"""Of a picture, whose colours are compared; all of them move the mean by .01."""
+
+
+HEADINGS = (
+    "system",
+    "mean sRGB",
+    "contrast 2 m",
+    "5 m",
+    "blur 2 m",
+    "5 m",
+    "ΔE",
+    "PC difference",
+)
+
+
+@dataclass(frozen=True)
+class SystemRow:
+    """What a system makes of the scene.
+
+    Attributes:
+        system: name of its preset.
+        red, green, blue: mean of the picture, sRGB, 0…1.
+        contrast_2m, contrast_5m: share of the contrast of a grey object's detail that is left at
+            these distances in the middle of the view, see `uwaug.contrast`.
+        blur_2m, blur_5m: width σ of the forward scatter at these distances, px of this picture; 0
+            where a system has none.
+        delta_e: mean colour difference to the fullest system, CIEDE2000.
+        phase_congruency: difference of it to the scene, see `phase_congruency_difference`.
+    """
+
+    system: str
+    red: float
+    green: float
+    blue: float
+    contrast_2m: float
+    contrast_5m: float
+    blur_2m: float
+    blur_5m: float
+    delta_e: float
+    phase_congruency: float
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Systems on one scene; made by `uwaug.figures.compare`.
+
+    Attributes:
+        water: the Jerlov type.
+        rows: one for each system.
+        pictures: of each system (3xHxW, sRGB, 0…1), by name.
+        image (3xHxW tensor): the scene without water, sRGB.
+        fixed: names of the systems that know no waters, and have their own.
+    """
+
+    water: str
+    rows: tuple[SystemRow, ...]
+    pictures: dict[str, Tensor]
+    image: Tensor
+    fixed: tuple[str, ...]
+
+    def summary(self) -> str:
+        """The table as text."""
+        lines: list[tuple[str, ...]] = [HEADINGS]
+        for row in self.rows:
+            lines.append(cells_of(row))
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        text = []
+        for line in lines:
+            first, *rest = line
+            numbers = (cell.rjust(n) for cell, n in zip(rest, widths[1:], strict=True))
+            text.append("  ".join([first.ljust(widths[0]), *numbers]))
+        return "\n".join(text)
+
+    def __str__(self) -> str:
+        return self.summary()
+
+    def __repr__(self) -> str:
+        return f"Comparison({len(self.rows)} systems, {self.water})"
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the table: CSV, or JSON with the water; by the ending of `path`.
+
+        Raises:
+            ValueError: if `path` ends in neither.
+            OSError: if it cannot be written.
+        """
+        checks.one_of("path's ending", Path(path).suffix, _TABLES)
+        rows = [asdict(row) for row in self.rows]
+        if Path(path).suffix == ".json":
+            table: dict[str, Any] = {"water": self.water, "fullest": FULLEST, "systems": rows}
+            text = json.dumps(table, indent=1) + "\n"
+        else:
+            file = io.StringIO(newline="")
+            writer = csv.DictWriter(file, list(rows[0]))
+            writer.writeheader()
+            writer.writerows(rows)
+            text = file.getvalue()
+        with written_whole(path) as part:
+            part.write_text(text, encoding="utf-8", newline="")
+
+    def figure(self) -> "Figure":
+        """The pictures side by side, with the table below. Needs matplotlib."""
+        from uwaug.figures.comparison_sheet import draw_comparison
+
+        return draw_comparison(self)
+
+
+def compare(
+    image: Tensor, distance: Tensor, water: str = "II", systems: Sequence[str] | None = None
+) -> Comparison:
+    """One scene in one water, as each of several systems makes it.
+
+    Args:
+        image (3xHxW tensor): the scene without water, sRGB; uint8, or floating point. Lamps take
+            its view to be 60° wide.
+        distance (1xHxW tensor): metres along the ray; +inf is open water.
+        water: Jerlov type. A system that has coefficients of its own keeps them.
+        systems: names of presets or paths of their files; None for all `uwaug.presets.published_systems`.
+            Where a preset has a range, its middle is taken; water is homogeneous.
+
+    Raises:
+        ImportError: if the package phasecongruency is missing.
+        TypeError, ValueError, OSError: if image, distance or water do not suit, or as
+            `uwaug.load_preset`.
+
+    Examples:
+        >>> import torch, uwaug
+        >>> image, distance = torch.rand(3, 40, 60), torch.linspace(1, 5, 2400).reshape(1, 40, 60)
+        >>> found = uwaug.figures.compare(image, distance, "7C", ["jaffe-1990", "ismiroglou-2025"])
+        >>> [row.system for row in found.rows]
+        ['jaffe-1990', 'ismiroglou-2025']
+        >>> found.rows[1].delta_e
+        0.0
+    """
+    checks.one_of("water", water, JERLOV_TYPES)
+    validate(image, distance, None, None, also_bytes=True)
+    if image.ndim == 4:
+        raise ValueError(f"image must be one picture, (3, H, W), got {tuple(image.shape)}")
+    if isinstance(systems, str):
+        raise TypeError(f"systems must be names, such as [{systems!r}], got a string")
+    names = published_systems() if systems is None else list(systems)
+    if not names or len(set(names)) < len(names):
+        raise ValueError(f"systems: expected at least one, each once, got {names}")
+    _phase_congruency()  # before any work
+    scene = linear_to_srgb(to_light(image, "srgb")).detach()
+    fullest = seen_by(load_preset(FULLEST, water=water), scene, distance)
+    known = _Known(_congruency(scene), _lab(fullest))
+    rows, pictures, fixed = [], {}, []
+    for name in names:
+        preset = _preset(name, water)
+        if preset is None:
+            preset = load_preset(name)
+            fixed.append(name)
+        pictures[name] = seen_by(preset, scene, distance)
+        rows.append(_row(name, preset, pictures[name], known))
+    return Comparison(water, tuple(rows), pictures, scene, tuple(fixed))
+
+
+def phase_congruency_difference(before: Tensor, after: Tensor) -> float:
+    """How much of a picture's structure is lost: mean absolute difference of the phase congruency
+    of both pictures, as a share of the mean of the first.
+
+    Phase congruency finds edges whatever their contrast; arXiv:2606.26295 found that its
+    difference follows the quality of segmentation in turbid water. Their formula was not at hand;
+    this is ours, of luminance in 8 bits, as files hold it.
+
+    Args:
+        before, after (3xHxW tensors): sRGB, 0…1.
+
+    Returns:
+        0 if nothing is lost, 1 if everything is; more where rounding to 8 bits shows edges that
+        are none.
+
+    Raises:
+        ImportError: if the package phasecongruency is missing.
+
+    Source: "Beyond Aesthetics: Quantifying Information Loss in Turbid Scenes", arXiv:2606.26295;
+    P. Kovesi, *Image features from phase congruency*, Videre 1, 1999.
+    """
+    return _lost(_congruency(before), _congruency(after))
+
+
+def _lost(known: Array, found: Array) -> float:
+    return float(np.abs(known - found).mean() / max(float(known.mean()), 1e-12))
+
+
+def _congruency(picture: Tensor) -> Array:
+    weights = torch.tensor(LUMINANCE, dtype=torch.float64)
+    grey = torch.einsum("c,chw->hw", weights, picture.double().clamp(0, 1))
+    levels = (255 * grey).round()
+    if levels.min() == levels.max():
+        return np.zeros(tuple(levels.shape))
+    return np.asarray(_phase_congruency()(levels.numpy())[0])
+
+
+def _phase_congruency() -> Any:
+    try:
+        from phasecongruency import phasecongmono
+    except ImportError as error:
+        cure = 'pip install ".[compare]" in a checkout of uwaug'
+        raise ImportError(f"{error.name} is missing: a comparison needs {cure}") from error
+    return phasecongmono
+
+
+def _preset(name: str, water: str) -> Preset | None:
+    """None if it has a water of its own."""
+    try:
+        return load_preset(name, water=water)
+    except ValueError as error:
+        if "no water" not in str(error):
+            raise
+        return None
+
+
+def seen_by(preset: Preset, scene: Tensor, distance: Tensor) -> Tensor:
+    """The scene (3xHxW, sRGB, 0…1) as a preset makes it, in a view 60° wide."""
+    options: dict[str, Any] = {"color_space": preset.color_space, "exposure": preset.exposure}
+    options |= {"light": preset.light, "focal_px": focal_of(None, scene.shape[-1])}
+    with torch.no_grad():
+        return Underwater(preset.medium, **options)(scene, distance).clamp(0, 1)
+
+
+class _Known(NamedTuple):
+    """What all systems are compared with: phase congruency of the scene, and the fullest picture
+    (Nx3, Lab).
+    """
+
+    structure: Array
+    fullest: Array
+
+
+def _row(name: str, preset: Preset, picture: Tensor, known: _Known) -> SystemRow:
+    # a plate in the middle of the view, which faces the camera
+    z = torch.tensor(METRES, dtype=torch.float64).reshape(-1, 1, 1, 1)
+    size = (picture.shape[-2], picture.shape[-1])
+    light, medium = preset.light, preset.medium
+    left = contrast(medium, z, light=light, focal_px=focal_of(None, size[1])).flatten().tolist()
+    width = medium.width(z, size).flatten().tolist()
+    red, green, blue = picture.double().mean((1, 2)).tolist()
+    return SystemRow(
+        system=name,
+        red=red,
+        green=green,
+        blue=blue,
+        contrast_2m=left[0],
+        contrast_5m=left[1],
+        blur_2m=width[0],
+        blur_5m=width[1],
+        delta_e=_colour_difference(_lab(picture), known.fullest),
+        phase_congruency=_lost(known.structure, _congruency(picture)),
+    )
+
+
+def _lab(picture: Tensor) -> Array:
+    """CIE Lab (Nx3) of a picture (3xHxW, sRGB)."""
+    colour = _colour_science()
+    step = math.ceil(math.sqrt(picture[0].numel() / _PIXELS))
+    pixels = picture[:, ::step, ::step].double().flatten(1).T.numpy()
+    return np.asarray(colour.XYZ_to_Lab(colour.sRGB_to_XYZ(pixels)))
+
+
+def _colour_difference(lab: Array, other: Array) -> float:
+    """Mean CIEDE2000."""
+    return float(_colour_science().delta_E(lab, other, method="CIE 2000").mean())
+
+
+def _colour_science() -> Any:
+    with np.printoptions():  # which it sets for the whole process
+        import colour
+
+    return colour
+
+
+def cells_of(row: SystemRow) -> tuple[str, ...]:
+    """A row in words, under the headings of the table."""
+    mean = f"{row.red:.2f} {row.green:.2f} {row.blue:.2f}"
+    contrasts = f"{row.contrast_2m:.3f}", f"{row.contrast_5m:.3f}"
+    blurs = f"{row.blur_2m:.2f} px", f"{row.blur_5m:.2f} px"
+    return row.system, mean, *contrasts, *blurs, f"{row.delta_e:.1f}", f"{row.phase_congruency:.2f}"

@@ -1,0 +1,318 @@
+"""What the model does to a scene, the demo's or one's own. Each function draws a sheet and says
+what it modelled.
+"""
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from uwaug._support.checks import extent
+from uwaug._support.sheet import (
+    GREY,
+    HEADER,
+    INK,
+    MARGIN,
+    RGB,
+    Canvas,
+    columns_for,
+    plot,
+    round_up,
+    seen,
+    sheet,
+    show,
+    show_distance,
+    show_field,
+    show_map,
+    ticks_of,
+)
+from uwaug._support.types import ColorSpace
+from uwaug.distance.convert import from_relative
+from uwaug.figures.cases import SETTING, Case, water_case
+from uwaug.formation.colour import from_light, linear_to_srgb, to_light
+from uwaug.formation.demand import blur_demand
+from uwaug.formation.exposure import gain_of
+from uwaug.formation.field import gaussian_random_field
+from uwaug.formation.model import Terms, form_image
+from uwaug.light.lit import lit_of, planned
+from uwaug.light.value import Light
+from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.water import JERLOV_TYPES, Water
+from uwaug.presets.scene import Scene
+from uwaug.transforms.choice import focal_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["PICTURES", "Drawing", "own_pictures"]
+
+_COAST = "1C"
+_EVEN = f"{SETTING}, homogeneous, one exposure"
+
+_HALF = {"gaussian": math.sqrt(2 * math.log(2)), "exponential": math.sqrt(3)}
+"""Radius that holds half of the light, in σ."""
+
+
+class Drawing(NamedTuple):
+    """A figure, and lines that say what it models."""
+
+    figure: "Figure"
+    modelled: list[str]
+
+
+def draw_contact_sheet(scene: Scene) -> Drawing:
+    """The ten Jerlov types over the scene's own distances."""
+    waters = [Water.jerlov(name) for name in JERLOV_TYPES]
+    low, _, high = ticks_of(scene.distance)
+    metres = (
+        f"{seen(scene.distance)[1]:.3g} m" if low == high else f"{low.removesuffix(' m')}–{high}"
+    )
+    beyond = "" if bool(scene.distance.isfinite().all()) else " and open water"
+    caption = f"Jerlov types over the scene's distances, {metres}{beyond}. {_EVEN}."
+    columns = columns_for(_shape(scene))
+    figure, axes = sheet(
+        12 // columns, columns, _shape(scene), "One scene in ten waters", _noted(caption, scene)
+    )
+    media = Medium.stack([Medium.from_water(water) for water in waters])
+    terms, modelled = _form(scene, media)
+    show(axes[0], scene.image, "No water")
+    show_distance(axes[1], scene.distance)
+    for axis, water, picture in zip(axes[2:], waters, terms.image, strict=True):
+        label = f"{water.name}   (visibility {water.visibility():.2g} m)"
+        show(axis, linear_to_srgb(picture), label)
+    return Drawing(figure, modelled)
+
+
+def draw_terms(scene: Scene, case: Case) -> Drawing:
+    """Every term of the model, in an inhomogeneous medium."""
+    light = (
+        "added in linear light" if case.color_space == "srgb" else "of sRGB values taken for light"
+    )
+    exposure = "" if case.exposure == "none" else f" ({case.exposure})"
+    caption = f"I = D + F + B, {light}. All pictures at one exposure{exposure}."
+    columns = columns_for(_shape(scene))
+    figure, axes = sheet(
+        8 // columns,
+        columns,
+        _shape(scene),
+        f"The terms of the image, {case.name}",
+        _noted(f"{caption} {case.setting}.", scene),
+    )
+    rng, (low, high) = torch.Generator().manual_seed(4), case.field_range
+    field = gaussian_random_field(_shape(scene), low=low, high=high, generator=rng)[0]
+    before = to_light(scene.image, case.color_space)
+    terms, modelled = _form(scene, case.medium, None, field, case.color_space, case.light)
+    gain = _gain(scene, before, field, case)
+    terms = Terms(*(gain * term for term in (terms.direct, terms.forward, terms.backscatter)))
+    medium = case.medium.brightened(gain)
+
+    def display(term: Tensor, cell: int, label: str) -> None:
+        show(axes[cell], from_light(term, case.color_space, scene.image), label)
+
+    show(axes[0], scene.image, "J   scene without water")
+    show_distance(axes[1], scene.distance)
+    show_field(axes[2], field, case.field_range)
+    display(terms.direct, 4, "D   direct")
+    display(terms.forward, 5, "F   forward scatter")
+    display(terms.backscatter, 6, "B   backscatter")
+    display(terms.image, 7, "I   image")
+    axis = plot(axes[3], "Curves of distance, red, green, blue", "z [m]", "")
+    reach = round_up(1.5 * seen(scene.distance)[1])
+    z = torch.linspace(0, reach, 201, dtype=torch.float64)
+    for label, curve, style in (
+        ("$T_β$  direct", medium.transmission(z), "-"),
+        ("$T_G$  direct + forward", medium.signal(z), "--"),
+        ("$B$  backscatter", medium.backscatter(z), ":"),
+    ):
+        for values, colour in zip(curve[0], RGB, strict=True):
+            axis.plot(z.numpy(), values.numpy(), style, color=colour, linewidth=1.6)
+        axis.plot([], [], style, color=INK, label=label)
+    axis.set(xlim=(0, reach), ylim=(0, 1))
+    box: dict[str, Any] = {
+        "framealpha": 0.85,
+        "edgecolor": "none",
+        "handlelength": 2.2,
+        "borderpad": 0,
+    }
+    axis.legend(fontsize=9.5, loc="upper right", **box)
+    return Drawing(figure, modelled)
+
+
+def draw_white_plate() -> Drawing:
+    """Colour of a white plate against distance in all types, with the veil in front of it and
+    without.
+    """
+    z = torch.linspace(0, 20, 801, dtype=torch.float64)
+    pitch, bar, gap, top = 42, 36, 36, HEADER + 34  # px
+    second, left = MARGIN + 52, MARGIN + 140
+    width = (Canvas.width - left - gap - MARGIN) / 2
+    right = left + width + gap
+    seen = "Camera RGB (Nikon D5100) of a white vertical plate against its distance, shown as sRGB"
+    canvas = Canvas(
+        height=top + pitch * len(JERLOV_TYPES) + 64,
+        heading="A white plate in ten waters",
+        caption=f"{seen}. {SETTING}. The tick is the visibility.",
+    )
+    canvas.write(MARGIN, top - 19, "type", 10.5, GREY)
+    canvas.write(second, top - 19, "visibility", 10.5, GREY)
+    canvas.write(left, top - 19, "What the camera sees: plate and veil", 12.5)
+    canvas.write(right, top - 19, "What is left of the plate's light", 12.5)
+    for i, name in enumerate(JERLOV_TYPES):
+        water, y = Water.jerlov(name), top + pitch * i
+        medium, visibility = Medium.from_water(water), water.visibility()
+        canvas.write(MARGIN, y + bar / 2, name, 12.5)
+        canvas.write(second, y + bar / 2, f"{visibility:.2g} m", 10.5, GREY)
+        for x, veil in ((left, medium.backscatter(z)), (right, 0)):
+            axis = canvas.axes(x, y, width, bar)
+            _draw_strip(axis, linear_to_srgb(medium.signal(z) + veil), visibility)
+            if name == JERLOV_TYPES[-1]:
+                axis.set(xticks=range(0, 21, 5))
+                axis.set_xlabel("distance [m]", fontsize=11.5, color=GREY)
+    return Drawing(canvas.figure, ["the same ten media; one colour needs no blur"])
+
+
+def _draw_strip(axis: "Axes", colours: Tensor, visibility: float) -> None:
+    """Colours (1x3xN) over 0…20 m, with a tick at the visibility."""
+    strip = colours[0].clamp(0, 1).T[None].numpy()
+    axis.imshow(strip, extent=(0, 20, 0, 1), aspect="auto", interpolation="bilinear")
+    if visibility <= 20:
+        here = strip[0, round(visibility / 20 * (strip.shape[1] - 1))]
+        tick = "white" if here.mean() < 0.5 else INK
+        axis.plot([visibility, visibility], [0, 0.3], color=tick, linewidth=1.6)
+    axis.set(xlim=(0, 20), ylim=(0, 1), xticks=[], yticks=[])
+    axis.spines[:].set_visible(False)
+    axis.tick_params(labelsize=11, colors=GREY, length=3)
+
+
+def draw_depth_scaling(scene: Scene) -> Drawing:
+    """The paper's depth-scaling study: z from 0 to 20 m, γ = 1, 3, 6, in types II and 7C."""
+    law = "$z$ = 20 m · $t^γ$, where $t$ = 0…1 is the relative distance"
+    figure, axes = sheet(3, 3, _shape(scene), "Depth scaling", f"{law}. {_EVEN}.", math=True)
+    low, high = scene.distance.aminmax()
+    t = (scene.distance - low) / (high - low)
+    modelled = []
+    for column, gamma in enumerate((1.0, 3.0, 6.0)):
+        z = from_relative(t, 0.0, 20.0, gamma)
+        label, ticks = f"Distance z, γ = {gamma:g}", ("0 m", "10 m", "20 m")
+        show_map(axes[column], z, label, "viridis_r", ticks, bar=column == 0)
+        for row, name in ((1, "II"), (2, "7C")):
+            terms, lines = _form(scene, Medium.from_water(Water.jerlov(name)), z)
+            picture = linear_to_srgb(terms.image)
+            show(axes[3 * row + column], picture, f"{name}, γ = {gamma:g}")
+            modelled += [f"γ = {gamma:g}: {lines[0]}", *lines[1:]]
+    return Drawing(figure, modelled)
+
+
+def draw_width_laws(scene: Scene) -> Drawing:
+    """The paper's width law against the one calibrated to Monte Carlo light transport, with an
+    enlarged part.
+    """
+    from matplotlib.patches import Rectangle
+
+    if scene.focal_px is None:
+        raise ValueError("scene.focal_px is None: expected the focal length in px, for its law")
+    caption = (
+        "Paper's: Gaussian, g = 0.2, μ = 0.3. Calibrated to Monte Carlo light transport: "
+        f"exponential, g = 0.05, μ = 0.075, focal length {scene.focal_px:.0f} px. Scene 1 m deep."
+    )
+    heading = f"Width laws of the forward scatter, Jerlov {_COAST}"
+    figure, axes = sheet(3, 3, _shape(scene), heading, caption)
+    water, law = Water.jerlov(_COAST), PointSpread.calibrated(scene.focal_px)
+    paper = Medium.from_water(water)
+    # μ in the paper's ratio to g: the veil stays below a white plate
+    calibrated = Medium.from_water(water, g=0.05, mu=0.075, point_spread=law)
+    height, width = _shape(scene)
+    radius = plot(axes[6], "Half of the scattered light is within", "distance [m]", "radius [px]")
+    z = torch.linspace(0.05, 8, 160, dtype=torch.float64)
+    columns: list[tuple[str, Tensor]] = [("No water", scene.image)]
+    modelled = []
+    for axis, label, medium, colour in (
+        (axes[7], "Paper's law", paper, RGB[2]),
+        (axes[8], "Calibrated law", calibrated, RGB[0]),
+    ):
+        terms, lines = _form(scene, medium)
+        modelled += lines
+        columns.append((label, linear_to_srgb(terms.image)))
+        show(axis, linear_to_srgb(terms.forward), f"{label}, forward scatter alone")
+        sigma = medium.width(z[None, None, None], (height, width)).flatten()
+        half = _HALF[medium.point_spread.shape] * sigma
+        radius.plot(z.numpy(), half.numpy(), color=colour, label=label, linewidth=2)
+    low, high = extent(scene.distance)
+    radius.axvspan(low, high, color="black", alpha=0.07, linewidth=0, label="this scene")
+    radius.set(xlim=(0, 8), yscale="log", ylim=(0.01, 500))
+    radius.legend(frameon=False, fontsize=10.5, loc="lower right", reverse=True)
+    (y, x), (h, w) = (int(0.32 * height), int(0.50 * width)), (height // 4, width // 4)
+    for whole, part, (label, picture) in zip(axes[:3], axes[3:6], columns, strict=True):
+        show(whole, picture, label)
+        whole.add_patch(Rectangle((x, y), w, h, fill=False, edgecolor="white", linewidth=1.4))
+        show(part, picture[:, y : y + h, x : x + w], f"{label}, enlarged")
+    return Drawing(figure, modelled)
+
+
+PICTURES: dict[str, Callable[[Scene], Drawing]] = {
+    "1-waters.jpg": draw_contact_sheet,
+    "2-terms.jpg": lambda scene: draw_terms(scene, water_case(_COAST)),
+    "3-white-plate.png": lambda _: draw_white_plate(),
+    "4-depth-scaling.jpg": draw_depth_scaling,
+    "5-width-laws.jpg": draw_width_laws,
+}
+"""The demo's files and who draws them."""
+
+
+def own_pictures(case: Case | None = None) -> dict[str, Callable[[Scene], Drawing]]:
+    """The files that show a scene of one's own, and who draws them; the terms in the demo's water
+    if there is no `case`.
+
+    The white plate is the same for every scene; the other sheets of the demo need distances that
+    are relative, or a focal length.
+    """
+    return {
+        "1-waters.jpg": draw_contact_sheet,
+        "2-terms.jpg": partial(draw_terms, case=case or water_case(_COAST)),
+    }
+
+
+def _shape(scene: Scene) -> tuple[int, int]:
+    return scene.image.shape[-2], scene.image.shape[-1]
+
+
+def _form(
+    scene: Scene,
+    medium: Medium,
+    distance: Tensor | None = None,
+    field: Tensor | None = None,
+    color_space: ColorSpace = "srgb",
+    light: Light | None = None,
+) -> tuple[Terms, list[str]]:
+    """The terms of a scene in a medium, and what was modelled. A view with a light is 60° wide."""
+    z = scene.distance if distance is None else distance
+    demand = blur_demand(planned(medium, light), extent(z if field is None else z * field))
+    plan = demand.plan(_shape(scene))
+    terms = form_image(
+        to_light(scene.image, color_space),
+        z,
+        medium,
+        field,
+        plan=plan,
+        light=light,
+        focal_px=focal_of(None, _shape(scene)[1]),
+    )
+    return terms, [*(repr(medium[i]) for i in range(len(medium))), str(plan)]
+
+
+def _gain(scene: Scene, before: Tensor, field: Tensor, case: Case) -> Tensor:
+    """The gain (1,) of the exposure of a case."""
+    medium = case.medium.to(before)
+    focal_px = focal_of(None, _shape(scene)[1])
+    lit = lit_of(case.light, scene.distance, field, medium, focal_px, None)
+    z = (scene.distance * field)[None].to(before)
+    return gain_of(before[None], z, medium, case.exposure, lit)
+
+
+def _noted(caption: str, scene: Scene) -> str:
+    return f"{caption}\n{scene.note}" if scene.note else caption

@@ -1,0 +1,21 @@
+"""The model of image formation: direct, forward-scattered and backscattered light."""
+
+from uwaug.formation import loops as fused
+from uwaug.formation.contrast import contrast
+from uwaug.formation.demand import BlurDemand, blur_demand
+from uwaug.formation.field import gaussian_random_field
+from uwaug.formation.learnable import LearnableMedium
+from uwaug.formation.model import Terms, form_image
+from uwaug.formation.underwater import Underwater
+
+__all__ = [
+    "BlurDemand",
+    "LearnableMedium",
+    "Terms",
+    "Underwater",
+    "blur_demand",
+    "contrast",
+    "form_image",
+    "fused",
+    "gaussian_random_field",
+]

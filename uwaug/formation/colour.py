@@ -1,0 +1,292 @@
+"""Between sRGB values, which files hold, and linear light, in which water works (IEC 61966-2-1)."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from uwaug._support import checks
+
+__all__ = [
+    "LUMINANCE",
+    "ColorSpace",
+    "decoded",
+    "encoded",
+    "from_light",
+    "headroom",
+    "linear_to_srgb",
+    "require_values",
+    "srgb_to_linear",
+    "to_light",
+]
+
+from uwaug._support.types import ColorSpace
+
+"""What the values of a picture are: sRGB, or linear light as they stand."""
+
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+"""Weights of the channels of linear sRGB (IEC 61966-2-1)."""
+
+_BRIGHTEST = 16.0
+"""sRGB values above are taken for a scale of 0…255."""
+
+_DARKEST = -0.1
+"""sRGB values below are taken for normalised ones; ImageNet's reach −2.1. Resampling and another
+gamut leave less.
+"""
+
+# Where the curve's two pieces meet. The standard prints 0.04045 and 0.0031308, rounded, which
+# leaves a step of 3e-8 and makes the two functions inverse to each other only to that.
+_SRGB_KNEE = 0.0404482362771076
+_LINEAR_KNEE = _SRGB_KNEE / 12.92
+_LARGEST = 1e30  # finite, so that infinity / m stays infinity
+_LN2 = math.log(2)
+
+_PIECE = 1 << 16
+"""Values, 256 KiB in float32; larger temporaries may go back to the system after each call, which
+takes 3 to 5 times as long.
+"""
+
+
+def to_light(image: Tensor, color_space: ColorSpace) -> Tensor:
+    """Linear light in float32 or float64 from a picture as callers give it.
+
+    Args:
+        image: uint8 (0…255), or floating point (nominally 0…1); half precision is taken up to
+            float32.
+        color_space: "srgb" decodes; "linear" takes the values for light, of any brightness.
+
+    Raises:
+        ValueError: if values are NaN or infinite; if sRGB values exceed 16, which are taken for a
+            scale of 0…255, or fall below −0.1, which are taken for normalised ones.
+    """
+    require_values(image, color_space)
+    return decoded(image, color_space)
+
+
+def require_values(image: Tensor, color_space: ColorSpace) -> tuple[float, float]:
+    """Refuse what `to_light` cannot take; between which values the others lie."""
+    if not image.is_floating_point() or not image.numel() or torch.compiler.is_compiling():
+        return 0.0, 1.0
+    low, high = checks.finite("image", image)
+    if color_space == "srgb" and high > _BRIGHTEST:
+        raise ValueError(f"image reaches {high:g}: expected 0…1; divide a 0…255 image by 255")
+    if color_space == "srgb" and low < _DARKEST:
+        raise ValueError(f"image falls to {low:g}: expected 0…1; place it before Normalize")
+    return low, high
+
+
+def decoded(image: Tensor, color_space: ColorSpace) -> Tensor:
+    """`to_light` of values that are known to be good."""
+    if image.dtype == torch.uint8:
+        unit = image.to(torch.float32) / 255
+    else:
+        unit = image.to(torch.promote_types(image.dtype, torch.float32))
+    return unit if color_space == "linear" else srgb_to_linear(unit)
+
+
+def headroom(image: Tensor, high: float | None = None) -> float | Tensor:
+    """The largest sRGB value that a result may have: 1, as files hold no more; if the picture that
+    was given is brighter (HDR), its own largest value, (B, 1, 1, 1).
+
+    high: the largest value of all, where it is known.
+    """
+    if image.dtype == torch.uint8 or not image.numel():
+        return 1.0
+    if high is None and not torch.compiler.is_compiling():
+        high = float(image.detach().amax())
+    if high is not None and high <= 1:
+        return 1.0
+    return image.detach().amax((-3, -2, -1), keepdim=True).clamp(min=1)
+
+
+def from_light(light: Tensor, color_space: ColorSpace, like: Tensor) -> Tensor:
+    """The inverse of `to_light`: a picture of the type of `like`, which was given to that; uint8 is
+    rounded and clipped.
+
+    sRGB values are clipped to 0…1, or to the largest value of `like` if that is more; linear light
+    never is.
+    """
+    most = headroom(like) if color_space == "srgb" else 1.0
+    return encoded(light, color_space, like.dtype, most)
+
+
+def encoded(
+    light: Tensor, color_space: ColorSpace, dtype: torch.dtype, most: float | Tensor
+) -> Tensor:
+    """`from_light`, given the type of the result and the largest sRGB value that it may have."""
+    values = light
+    if color_space == "srgb":
+        values = linear_to_srgb(light)
+        if isinstance(most, Tensor):
+            values = torch.minimum(values.clamp(min=0), most)
+        else:
+            values = values.clamp(0.0, most)  # an integer beside a float cannot be exported
+    if dtype == torch.uint8:
+        return (values * 255).round().clamp(0, 255).to(torch.uint8)
+    return values.to(dtype)
+
+
+def srgb_to_linear(x: Tensor) -> Tensor:
+    """Decode sRGB values to linear light: x/12.92 up to 0.04045, ((x + 0.055)/1.055)^2.4 above.
+
+    Convention: elementwise on any shape; odd, f(−x) = −f(x), so negative values and values above 1
+    keep their meaning; 0 and 1 map to exactly 0 and 1. float16 and bfloat16 are computed in float32
+    and returned in their own type.
+
+    Args:
+        x: sRGB values, nominally in [0, 1].
+
+    Returns:
+        Linear light, shape and dtype of `x`, within 1e-6 of the formula in float32. Its gradient is
+        finite everywhere.
+
+    Raises:
+        TypeError: `x` is no floating-point tensor.
+
+    Source: IEC 61966-2-1:1999.
+
+    Examples:
+        >>> import torch
+        >>> srgb_to_linear(torch.tensor([0.0, 0.5, 1.0]))
+        tensor([0.0000, 0.2140, 1.0000])
+    """
+    return _apply(x, _Decode, _decode)
+
+
+def linear_to_srgb(x: Tensor) -> Tensor:
+    """Encode linear light as sRGB values: 12.92·x up to 0.0031308, 1.055·x^(1/2.4) − 0.055 above.
+
+    Convention: elementwise on any shape; odd, f(−x) = −f(x), so negative values and values above 1
+    keep their meaning; 0 and 1 map to exactly 0 and 1. float16 and bfloat16 are computed in float32
+    and returned in their own type.
+
+    Args:
+        x: linear light, nominally in [0, 1].
+
+    Returns:
+        sRGB values, shape and dtype of `x`, within 1e-6 of the formula in float32. Its gradient is
+        finite everywhere.
+
+    Raises:
+        TypeError: `x` is no floating-point tensor.
+
+    Source: IEC 61966-2-1:1999.
+
+    Examples:
+        >>> import torch
+        >>> linear_to_srgb(torch.tensor([0.0, 0.5, 1.0]))
+        tensor([0.0000, 0.7354, 1.0000])
+    """
+    return _apply(x, _Encode, _encode)
+
+
+# The curves are (x/m)·curve(m) with m = max(|x|, knee): the straight piece is a constant
+# curve(m)/m, the odd extension is free, and no branch left out can spoil a gradient. exp and log1p
+# are exact where a power is 1, at white. As ONNX, 3×256², one thread: .44 ms; with pow .67;
+# kornia's .74.
+def _decode(x: Tensor) -> Tensor:
+    m = x.abs().clamp(_SRGB_KNEE, _LARGEST)
+    return x / m * torch.exp(torch.log1p((m - 1) * (1 / 1.055)) * 2.4)
+
+
+def _encode(x: Tensor) -> Tensor:
+    m = x.abs().clamp(_LINEAR_KNEE, _LARGEST)
+    return x / m * (1.055 * (torch.exp(torch.log1p(m - 1) * (1 / 2.4)) - 1) + 1)
+
+
+# The same for eager mode: in place on pieces that stay in the cache, keeping only x for the
+# backward pass. There, the straight piece's slope is the power piece's at another place. One
+# thread, decode / encode, forward (and backward), ms: 3×256² .26 / .28 (.6), 3×1024² 4.2 / 4.3 (9).
+# Losers: kornia .55 / .53 (1.5), 10 / 9 (27); where + pow .74, 16; pow in the formula above .41;
+# log2 for log1p or exp for exp2 + .06 and + .08; all left to autograd .25 (1.5), 5 … 30 (33).
+_DECODE_STRAIGHT = 1.055 * (1.055 / (2.4 * 12.92)) ** (1 / 1.4) - 0.055
+_ENCODE_STRAIGHT = (2.4 * 12.92 / 1.055) ** (-2.4 / 1.4)
+
+
+def _decode_(x: Tensor) -> Tensor:
+    m = x.abs().clamp_(_SRGB_KNEE, _LARGEST)
+    curve = m.sub(1).mul_(1 / 1.055).log1p_().mul_(2.4 / _LN2).exp2_()
+    return m.reciprocal_().mul_(x).mul_(curve)
+
+
+def _encode_(x: Tensor) -> Tensor:
+    m = x.abs().clamp_(_LINEAR_KNEE, _LARGEST)
+    power = m.sub(1).log1p_().mul_(1 / 2.4 / _LN2).exp2_()
+    return m.reciprocal_().mul_(x).mul_(power.lerp_(power.new_ones(()), -0.055))
+
+
+def _decode_grad(x: Tensor, grad: Tensor) -> Tensor:
+    m = torch.threshold(x.abs(), _SRGB_KNEE, _DECODE_STRAIGHT)
+    power = m.sub_(1).mul_(1 / 1.055).log1p_().mul_(1.4 / _LN2)
+    return power.add_(math.log2(2.4 / 1.055)).exp2_() * grad
+
+
+def _encode_grad(x: Tensor, grad: Tensor) -> Tensor:
+    m = torch.threshold(x.abs(), _LINEAR_KNEE, _ENCODE_STRAIGHT)
+    power = m.sub_(1).log1p_().mul_(-1.4 / 2.4 / _LN2)
+    return power.add_(math.log2(1.055 / 2.4)).exp2_() * grad
+
+
+def _piecewise(kernel: Callable[..., Tensor], x: Tensor, *others: Tensor) -> Tensor:
+    inputs = (x, *others)
+    dense = x.device.type == "cpu" and all(v.is_contiguous() for v in inputs)
+    if not dense or x.numel() <= _PIECE or torch.is_grad_enabled():
+        return kernel(*inputs)
+    result = torch.empty_like(x)
+    count = -(-x.numel() // _PIECE)
+    flat = (v.view(-1).chunk(count) for v in (result, *inputs))
+    for piece, *parts in zip(*flat, strict=True):
+        piece.copy_(kernel(*parts))
+    return result
+
+
+class _Pointwise(torch.autograd.Function):
+    generate_vmap_rule = True
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Tensor], output: Tensor) -> None:
+        ctx.save_for_backward(*inputs)
+        ctx.save_for_forward(*inputs)
+
+
+class _Decode(_Pointwise):
+    @staticmethod
+    def forward(x: Tensor) -> Tensor:
+        return _piecewise(_decode_, x)
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor) -> Tensor:
+        return _piecewise(_decode_grad, *ctx.saved_tensors, grad)
+
+    @staticmethod
+    def jvp(ctx: Any, tangent: Tensor) -> Tensor:
+        (x,) = ctx.saved_tensors
+        return _decode_grad(x, tangent)
+
+
+class _Encode(_Pointwise):
+    @staticmethod
+    def forward(x: Tensor) -> Tensor:
+        return _piecewise(_encode_, x)
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor) -> Tensor:
+        return _piecewise(_encode_grad, *ctx.saved_tensors, grad)
+
+    @staticmethod
+    def jvp(ctx: Any, tangent: Tensor) -> Tensor:
+        (x,) = ctx.saved_tensors
+        return _encode_grad(x, tangent)
+
+
+def _apply(x: Tensor, eager: type[_Pointwise], traced: Callable[[Tensor], Tensor]) -> Tensor:
+    checks.floating("x", x, ", nominally in [0, 1]: divide by 255 first?")
+    v = x.float() if x.dtype.itemsize < 4 else x
+    if torch.compiler.is_compiling():
+        # a compiler fuses and differentiates the plain formula; autograd functions make it warn
+        return traced(v).to(x.dtype)
+    y: Tensor = eager.apply(v)  # type: ignore[no-untyped-call]
+    return y.to(x.dtype)

@@ -1,0 +1,263 @@
+"""The medium field m(x): how much denser or thinner the water is along each ray. It multiplies the
+distance.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from uwaug._support import checks
+from uwaug._support.cache import Cache
+from uwaug._support.tiles import Rows, extremes
+from uwaug._support.torch_func import transformed
+
+__all__ = ["field_from_noise", "gaussian_random_field", "gaussian_random_rows"]
+
+
+def gaussian_random_field(
+    shape: Sequence[int],
+    *,
+    exponent: float = 4.0,
+    low: float = 0.7,
+    high: float = 1.3,
+    generator: torch.Generator | None = None,
+    dtype: torch.dtype | None = None,
+    device: torch.device | str | None = None,
+) -> Tensor:
+    """Draw scale-free Gaussian random fields, one per image.
+
+    The draws are independent. A seed gives the same field, sampled more or less finely, at every
+    size whose longest side is 32 px or more (at the default exponent; below it, and at smaller
+    exponents, the size limits the detail). See `field_from_noise` for the field itself.
+
+    Args:
+        shape: (B, 1, H, W) as a distance map has it, (B, H, W), or (H, W) for one field; pixels.
+        exponent: α ≥ 0 of the power spectrum |k|^−α; more is smoother.
+        low: the least value, ≥ 0.
+        high: the largest value, ≥ `low`.
+        generator: source of randomness; the global generator of the device if None. In a DataLoader
+            leave it None: a generator of one's own repeats the same numbers in every worker.
+        dtype: of the result; torch's default if None. The draws do not depend on it.
+        device: of the result; torch's default if None.
+
+    Returns:
+        (B, 1, H, W), each field reaching from `low` to `high` (to rounding).
+
+    Raises:
+        ValueError: `shape` is none of the three, a side is empty, or `exponent`, `low`, `high` are
+            out of range.
+
+    Examples:
+        >>> m = gaussian_random_field((2, 1, 48, 64), generator=torch.Generator().manual_seed(0))
+        >>> m.shape, m.amin((1, 2, 3)), m.amax((1, 2, 3))
+        (torch.Size([2, 1, 48, 64]), tensor([0.7000, 0.7000]), tensor([1.3000, 1.3000]))
+    """
+    batch, height, width = _parse(shape)
+    _check(exponent, low, high)
+    noise = _drawn((batch, height, width), exponent, generator, device)
+    dtype = dtype or torch.get_default_dtype()
+    return field_from_noise(noise.to(dtype), (height, width), exponent=exponent, low=low, high=high)
+
+
+def gaussian_random_rows(
+    size: tuple[int, int],
+    *,
+    low: float,
+    high: float,
+    generator: torch.Generator,
+    exponent: float = 4.0,
+) -> Rows:
+    """The field of one image as `gaussian_random_field` draws it, in float32, a few rows (1xRxW) at
+    a time.
+
+    Args:
+        size: height and width in pixels; the other arguments as there.
+    """
+    _check(exponent, low, high)
+    waves = _waves(_drawn((1, *size), exponent, generator, torch.device("cpu")), *size, exponent)
+    least, largest = extremes(waves.rows, size)
+    ends = torch.tensor(least), torch.tensor(largest)
+    return lambda start, stop: _between(waves.rows(start, stop), *ends, low, high)
+
+
+def _drawn(
+    shape: tuple[int, int, int],
+    exponent: float,
+    generator: torch.Generator | None,
+    device: torch.device | str | None,
+) -> Tensor:
+    batch, height, width = shape
+    n = 2 * _cutoff(exponent, max(height, width)) + 1
+    return torch.randn(batch, n, n, generator=generator, device=device, dtype=torch.float32)
+
+
+def field_from_noise(
+    noise: Tensor,
+    size: tuple[int, int],
+    *,
+    exponent: float = 4.0,
+    low: float = 0.7,
+    high: float = 1.3,
+) -> Tensor:
+    """Shape white noise into scale-free Gaussian random fields: a pure function, for when the noise
+    is an input.
+
+    The noise holds the coefficients of cosines and sines on a square torus of twice the image's
+    longest side, of spectral density |k|^−α with k in cycles per pixel or per image (a power law
+    does not care). The field is their sum at the pixel centres: isotropic in pixels, the same at
+    any resolution, and, as the image covers at most half the torus each way, not periodic at the
+    image's borders.
+
+    Each field is mapped affinely so that its least and largest value are `low` and `high`. This
+    bounds the distance strictly, where a fixed multiple of the standard deviation would have to be
+    clipped. The price: one field's values are not Gaussian, and its mean varies from draw to draw
+    (at α = 4 by .08 of the range, one standard deviation). Noise and its negative are equally
+    likely, so the mean over draws is exactly (low + high)/2.
+
+    Convention: linear in the noise up to the affine map; differentiable; traces and exports.
+    float16 and bfloat16 are computed in float32.
+
+    Args:
+        noise: (B, n, n), independent standard normal; n odd. Index i of the last two axes stands
+            for (i + 1)//2 cycles per torus (half as many per longest side), as a sine if i is odd,
+            else a cosine. n = 65 suffices at α = 4: what it omits has an rms of .8 % of the range.
+        size: height and width in pixels.
+        exponent: α ≥ 0 of the power spectrum; more is smoother.
+        low: the least value, ≥ 0.
+        high: the largest value, ≥ `low`.
+
+    Returns:
+        (B, 1, H, W), dtype and device of `noise`. An image of one pixel has no range and gets (low
+        + high)/2.
+
+    Raises:
+        ValueError: `noise` is not (B, n, n) with odd n ≥ 3, a side of `size` is empty, or
+            `exponent`, `low`, `high` are out of range.
+        TypeError: `noise` is no floating-point tensor.
+
+    Source: the published pipeline draws a periodic field on the image's own grid and divides by its
+    mean.
+    """
+    _check(exponent, low, high)
+    checks.floating("noise", noise)
+    if (
+        noise.ndim != 3
+        or noise.shape[1] != noise.shape[2]
+        or noise.shape[1] < 3
+        or noise.shape[1] % 2 == 0
+    ):
+        raise ValueError(
+            f"noise must have shape (B, n, n) with odd n >= 3, got {tuple(noise.shape)}"
+        )
+    _, height, width = _parse(tuple(size))
+    with torch.autocast(noise.device.type, enabled=False):
+        coefficients = noise.float() if noise.dtype.itemsize < 4 else noise
+        return _synthesise(coefficients, height, width, exponent, low, high).to(noise.dtype)
+
+
+# One thread, 256² / 1024², a draw included: this takes .27 / 2.2 ms; 64² by FFT and bicubic
+# interpolation .51 / 6.5; FFT at full size 1.3 / 48. A 64² grid and cubic upsampling as two matrix
+# products cost as much as this does.
+def _synthesise(
+    noise: Tensor, height: int, width: int, exponent: float, low: float, high: float
+) -> Tensor:
+    field = _waves(noise, height, width, exponent).rows(0, height)[:, None]
+    least, largest = field.amin((-2, -1), keepdim=True), field.amax((-2, -1), keepdim=True)
+    return _between(field, least, largest, low, high)
+
+
+class _Waves(NamedTuple):
+    """Cosines along the rows (HxN) and columns (NxW), and their amplitudes (BxNxN)."""
+
+    down: Tensor
+    amplitude: Tensor
+    across: Tensor
+
+    def rows(self, start: int, stop: int) -> Tensor:
+        """Some rows of their sum (BxRxW)."""
+        return self.down[start:stop] @ self.amplitude @ self.across
+
+
+_REMEMBERED: Cache[_Waves] = Cache(4 * 2**20)
+"""Of the sizes used last: to make one takes as long as the sum does at 256²."""
+
+
+def _waves(noise: Tensor, height: int, width: int, exponent: float) -> _Waves:
+    """The waves of some noise, which gives their amplitudes."""
+    if type(noise) is not Tensor or torch.compiler.is_compiling() or transformed():
+        made = _unit_waves(noise, height, width, exponent)
+        return made._replace(amplitude=noise * made.amplitude)
+    key = (height, width, exponent, noise.shape[-1], noise.dtype, noise.device)
+    found = _REMEMBERED.get(key)
+    if found is None:
+        # what inference mode makes cannot be used outside
+        with torch.inference_mode(False), torch.no_grad():
+            found = _unit_waves(noise.new_empty(noise.shape[-1]), height, width, exponent)
+        _REMEMBERED.put(key, found, sum(t.numel() * t.element_size() for t in found))
+    return found._replace(amplitude=noise * found.amplitude)
+
+
+def _unit_waves(noise: Tensor, height: int, width: int, exponent: float) -> _Waves:
+    """The waves of noise that is 1; of `noise` only the type and the last size are looked at."""
+    index = torch.arange(noise.shape[-1]).to(noise)
+    cycles, phase = ((index + 1) / 2).floor(), index % 2 * (math.pi / 2)
+    square = cycles**2 + cycles[:, None] ** 2
+    square[0, 0] = math.inf  # no constant term: the affine map would take it out again
+    # the constant in x or y stands for one wave, all others for two: k and −k
+    twofold = (1 + cycles.clamp(max=1)).sqrt()
+    amplitude = square ** (-exponent / 4) * twofold * twofold[:, None]
+
+    step = math.pi / max(height, width)
+    y = torch.cos(_centred(height, noise) * cycles * step - phase)
+    x = torch.cos(_centred(width, noise) * cycles * step - phase)
+    return _Waves(y, amplitude, x.mT)
+
+
+def _between(field: Tensor, least: Tensor, largest: Tensor, low: float, high: float) -> Tensor:
+    """The field mapped affinely from its least and largest value to `low` and `high`."""
+    flat = largest == least
+    scale = (high - low) / torch.where(flat, 1.0, largest - least)
+    start = torch.where(flat, (low + high) / 2, torch.full_like(least, low))
+    return (field - least).mul_(scale).add_(start).clamp_(low, high)
+
+
+def _centred(side: int, like: Tensor) -> Tensor:
+    """Pixel centres (side, 1), 0 in the middle."""
+    return (torch.arange(side).to(like) - (side - 1) / 2)[:, None]
+
+
+def _cutoff(exponent: float, longest: int) -> int:
+    """How many cycles per torus to model: until what is left has 2.2 % of the rms, or the pixels
+    cannot show more.
+
+    The share of the variance beyond K is (K/0.7)^(2−α): the integral of |k|^−α outside K over its
+    sum on the lattice.
+    """
+    if exponent <= 2:
+        return longest
+    log_cutoff = 2 * math.log(1 / 0.022) / (exponent - 2)
+    return min(longest, math.ceil(0.7 * math.exp(min(log_cutoff, 50.0))))
+
+
+def _parse(shape: Sequence[int]) -> tuple[int, int, int]:
+    sides = tuple(shape)
+    for side in sides:
+        if not hasattr(side, "__index__"):
+            raise ValueError(f"shape must hold whole numbers, got {sides}")
+    if len(sides) not in (2, 3, 4) or (len(sides) == 4 and sides[1] != 1):
+        raise ValueError(
+            f"shape must be (B, 1, H, W), (B, H, W) or (H, W), got {sides}: pass distance.shape?"
+        )
+    if min(sides[-2:]) < 1 or sides[0] < 0:
+        raise ValueError(f"shape must have at least one pixel per side, got {sides}")
+    return (sides[0] if len(sides) > 2 else 1), sides[-2], sides[-1]
+
+
+def _check(exponent: float, low: float, high: float) -> None:
+    checks.within("exponent", exponent, 0.0)
+    if not 0 <= low <= high < math.inf:
+        got = f"{low} and {high}: the field multiplies distance"
+        raise ValueError(f"low and high must satisfy 0 <= low <= high < inf, got {got}")

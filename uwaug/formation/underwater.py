@@ -1,0 +1,308 @@
+"""`Underwater`: a medium and a plan as an `nn.Module`."""
+
+import json
+import warnings
+from dataclasses import asdict
+from operator import index
+from typing import TYPE_CHECKING, Any, get_args
+
+import torch
+from torch import Tensor, nn
+
+from uwaug._support import checks
+from uwaug._support.types import ColorSpace, Order
+from uwaug.blur.plan import BlurPlan
+from uwaug.formation import planned
+from uwaug.formation.at_hand import plan_at_hand
+from uwaug.formation.beyond import beyond_plan
+from uwaug.formation.colour import from_light, require_values
+from uwaug.formation.demand import BlurDemand, blur_demand
+from uwaug.formation.exposure import Exposure, brightest, exposed_under, require_exposure
+from uwaug.formation.learnable import FixedLegs, FixedMedium, LearnableMedium
+from uwaug.formation.loops.picture import decode, fused_picture
+from uwaug.formation.loops.serving import serves
+from uwaug.formation.loops.switch import path
+from uwaug.formation.model import Reach, form, prepared_maps, together, unbatched, validate
+from uwaug.light.lit import lamp_legs, light_of, lit_of, settled
+from uwaug.light.lit import planned as planned_under
+from uwaug.light.text import plain_numbers
+from uwaug.light.value import Light
+from uwaug.optics.curves import FARTHEST
+from uwaug.optics.medium import Medium
+
+__all__ = ["Underwater"]
+
+
+_ROOM = 2.0
+"""Either way, for the width that is learned, until it is planned anew."""
+
+
+class Underwater(nn.Module):
+    """Degrade pictures as a given water would.
+
+    Args:
+        medium: one medium, or one for each image of a batch.
+        distance_range: (nearest, farthest) effective distance m·z, m, for which the blur is planned
+            once; beyond it widths stop changing. None plans for each call's own distances, which
+            cannot be compiled or exported.
+        tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f²;
+            single pixels may be off by 3 to 5 times as much.
+        color_space: "srgb" decodes, works in linear light, encodes again and clips to 0…1 (to the
+            picture's own largest value if that is above 1); "linear" takes values as they are and
+            never clips.
+        learnable: make rates, light, veil and width scale parameters, see
+            `uwaug.formation.learnable.LearnableMedium` for what stays true of them. A width that leaves the
+            plan is planned for anew, except in a compiled module.
+        order: "line_of_sight", or "source" for the paper's equation, see `uwaug.form_image`.
+        exposure: "none": light is lost as it is in the water. "auto": as a camera does, one gain
+            for each picture keeps the mean luminance of the scene, from 1/8 to 64. A number: a gain
+            in stops.
+        sides: (smallest, largest) short side, px, of the pictures: one plan of the blur then serves
+            them all, and a file exported from the module (`uwaug.onnx.export_onnx`) computes the same.
+            Other pictures get the nearest width of that plan. None plans for each size, which is
+            faster: one plan for (32, 2160) takes 15 to 70 % more time. A width law that knows no
+            size, such as `PointSpread(2.0)`, has one plan in any case.
+        light: what shines, one for all images or one for each; None for daylight as the medium has
+            it. Numbers of it that require gradients are learned with, and stay the caller's: they
+            are no part of the state, but must be those of the module that is loaded.
+        focal_px, centre: as for `uwaug.form_image`; wanted where the light differs from ray to ray.
+
+    Keep torch's default matmul precision. With `torch.set_float32_matmul_precision("medium")`, CPUs
+    that support it multiply in bfloat16, and the error is visible.
+
+    A state dict carries the colour space, the order, the width law and what the blur is planned
+    for. `load_state_dict` refuses that of a module in which they differ.
+
+    Shapes:
+        image (Bx3xHxW or 3xHxW; uint8 0…255, or floating point 0…1), distance (Bx1xHxW or 1xHxW,
+            m), field (as distance, or None) → image, of the same type.
+
+    Raises:
+        TypeError, ValueError: as `uwaug.form_image`; and if an sRGB image exceeds 16, which is
+            taken for a scale of 0…255.
+
+    Examples:
+        >>> import torch, uwaug
+        >>> degrade = uwaug.Underwater(uwaug.Medium.from_water(uwaug.Water.jerlov("7C")))
+        >>> degrade(torch.rand(2, 3, 32, 48), torch.full((2, 1, 32, 48), 4.0)).shape
+        torch.Size([2, 3, 32, 48])
+    """
+
+    def __init__(
+        self,
+        medium: Medium,
+        distance_range: tuple[float, float] | None = (0.1, 20.0),
+        tolerance: float = 0.002,
+        color_space: ColorSpace = "srgb",
+        learnable: bool = False,
+        order: Order = "line_of_sight",
+        exposure: Exposure = "none",
+        sides: tuple[int, int] | None = None,
+        light: Light | None = None,
+        focal_px: float | None = None,
+        centre: tuple[float, float] | None = None,
+    ) -> None:
+        super().__init__()
+        checks.instance("medium", medium, Medium, "; see Medium.from_water")
+        checks.one_of("color_space", color_space, get_args(ColorSpace))
+        checks.one_of("order", order, get_args(Order))
+        checks.tolerance(tolerance)
+        require_exposure(exposure)
+        self.light = None if light is None else light_of(light, focal_px, centre)
+        self.camera = focal_px, centre
+        self.distance_range = None if distance_range is None else planned.distances(distance_range)
+        self.tolerance = tolerance
+        self.color_space = color_space
+        self.order: Order = order
+        self.exposure: Exposure = exposure
+        self.learnable = learnable
+        self._sides = None if sides is None else planned.sides_of(sides)
+        self.demand: BlurDemand | None = None
+        self._warned = False
+        # of a file that the module was read from, which another version may have written
+        self.stored_plan: BlurPlan | None = None
+        if self.distance_range is not None:
+            margin = _ROOM if learnable else 1.0
+            self.demand = blur_demand(
+                planned_under(brightest(medium, exposure), self.light),
+                self.distance_range,
+                tolerance,
+                order=order,
+                learned=learnable,
+                margin=margin,
+            )
+        elif sides is not None:
+            raise ValueError(f"sides need a distance_range to plan for, got sides={sides} alone")
+        self.coefficients: FixedMedium | LearnableMedium = FixedMedium(medium)
+        if learnable:
+            # without a blur, its width does nothing
+            width = self.demand is None or self.demand.high > 0
+            self.coefficients = LearnableMedium(medium, width)
+        # what is learned changes what lamps give
+        fixed = None if light is None or learnable else lamp_legs(light, medium)
+        self.legs = FixedLegs(fixed) if fixed else None
+        if light is not None and not learnable:
+            self.light = settled(light, medium)
+
+    @property
+    def medium(self) -> Medium:
+        """The medium at hand; if learnable, of tensors that carry gradients to the parameters."""
+        medium: Medium = self.coefficients()
+        return medium
+
+    @property
+    def sides(self) -> tuple[int, int] | None:
+        """Short sides, px, of pictures that share a plan; None if each size has its own."""
+        if self._sides is None and self.demand and planned.serves_every_size(self.demand):
+            return planned.EVERY_SIDE
+        return self._sides
+
+    def plan(self, size: tuple[int, int]) -> BlurPlan | None:
+        """The blur plan for images of (height, width) `size`; None without a `distance_range`."""
+        if self.stored_plan is not None:
+            return planned.same_plan(self.stored_plan)
+        if self.demand is None:
+            return None
+        if self.sides is not None:
+            return planned.plan_all(self.demand, self.sides)
+        # index(): a compiled module is compiled again for another size, which has another plan
+        return planned.plan_one(self.demand, index(size[0]), index(size[1]))
+
+    if TYPE_CHECKING:  # nn.Module's own returns Any
+
+        def __call__(self, image: Tensor, distance: Tensor, field: Tensor | None = None) -> Tensor:
+            """As `forward`."""
+            ...
+
+    def forward(self, image: Tensor, distance: Tensor, field: Tensor | None = None) -> Tensor:
+        """Degrade an image; see the class."""
+        medium = self.medium
+        reach = validate(image, distance, medium, field, also_bytes=True, light=self.light)
+        self.keep_up(medium)
+        plan = self.plan((image.shape[-2], image.shape[-1]))
+        if reach is not None and not self._warned:
+            self._look_beyond(distance, field, medium, reach)
+        result = self.formed(image, distance, field, medium, plan, reach)
+        return result[0] if unbatched(image, distance, medium, field, self.light) else result
+
+    def _look_beyond(
+        self, distance: Tensor, field: Tensor | None, medium: Medium, reach: Reach
+    ) -> None:
+        """Warn, once, if distances lie beyond the plan and it shows."""
+        if self.distance_range is None or reach.lies_in(*self.distance_range):
+            return
+        assert self.demand is not None
+        # half precision does not reach as far as open water
+        z = distance.detach().to(torch.promote_types(distance.dtype, torch.float32))
+        if field is not None:
+            z = z.clamp(max=FARTHEST) * field.detach()
+        said = beyond_plan(z, medium, self.distance_range, self.demand, self.tolerance)
+        if said:
+            self._warned = True
+            warnings.warn(said, stacklevel=3)
+
+    def keep_up(self, medium: Medium) -> None:
+        """Plan anew if what was learned has left the plan, at whose ends widths would stop changing
+        and learning would stick. A compiled module keeps the plan that it was compiled with.
+        """
+        if not self.learnable or self.demand is None or torch.compiler.is_compiling():
+            return
+        assert self.distance_range is not None
+        wanted = blur_demand(
+            planned_under(brightest(medium, self.exposure), self.light),
+            self.distance_range,
+            self.tolerance,
+            order=self.order,
+            learned=True,
+        )
+        if not self.demand.covers(wanted):
+            self.demand = wanted.widened(_ROOM)
+
+    def formed(
+        self,
+        image: Tensor,
+        distance: Tensor,
+        field: Tensor | None,
+        medium: Medium,
+        plan: BlurPlan | None,
+        reach: Reach | None = None,
+    ) -> Tensor:
+        """A batch of results, of input that is known to be valid; `reach` is from `validate`."""
+        with torch.autocast(image.device.type, enabled=False):
+            ends = require_values(image, self.color_space)
+            light = decode(image, self.color_space, ends)
+            light, z = prepared_maps(light, distance, field, reach)
+            daylight = self.light is None and self.exposure == "none"
+            # the loops read a medium of any type
+            if daylight and plan is not None and serves(light, z, medium, self.order):
+                return fused_picture(image, light, z, medium, plan, self.color_space, ends[1])
+            medium = medium.to(dtype=z.dtype, device=z.device)
+            legs = None if self.legs is None else self.legs()
+            lit = lit_of(self.light, distance, field, medium, *self.camera, legs)
+            medium, lit = exposed_under(light, z, medium, self.exposure, lit)
+            if plan is None:
+                shown = planned_under(medium, self.light)
+                plan = plan_at_hand(z, shown, self.tolerance, self.order)
+            if lit is None and serves(light, z, medium, self.order):
+                return fused_picture(image, light, z, medium, plan, self.color_space, ends[1])
+            (result,) = form(light, z, medium, plan, self.order, together, lit)
+            return from_light(result, self.color_space, image)
+
+    def get_extra_state(self) -> Tensor:
+        """What a state dict says of the module besides its tensors, as text in a tensor: file
+        formats for state dicts take nothing else.
+        """
+        text = json.dumps(self._settings()).encode()
+        return torch.frombuffer(bytearray(text), dtype=torch.uint8)
+
+    def set_extra_state(self, state: Tensor) -> None:
+        """Refuse the state of a module that is set up differently: its tensors would be used with
+        this module's plan.
+        """
+        theirs = json.loads(state.cpu().numpy().tobytes())
+        apart = []
+        for name, mine in self._settings().items():
+            adopted = name == "demand" and self.learnable and mine and theirs.get(name)
+            if not adopted and not planned.alike(mine, theirs.get(name)):
+                apart.append(f"{name} is {theirs.get(name)} there and {mine} here")
+        if apart:
+            raise ValueError(f"state_dict is of an Underwater of another kind: {'; '.join(apart)}")
+        if self.learnable and self.demand is not None:
+            # while it learned, that module may have planned anew
+            self.demand = BlurDemand(**theirs["demand"])
+
+    def _settings(self) -> dict[str, Any]:
+        """What `load_state_dict` compares."""
+        law = self.coefficients.start.point_spread
+        settings: dict[str, Any] = {"color_space": self.color_space, "order": self.order}
+        settings["exposure"] = self.exposure
+        settings |= {"shape": law.shape, "reference_size": law.reference_size}
+        held = self.coefficients.state_dict()
+        for name, value in law.numbers().items():
+            if name not in held and not (self.learnable and name == "scale"):
+                settings[name] = float(value)
+        settings |= {"light": None, "camera": None}
+        if self.light is not None:
+            settings |= {"light": plain_numbers(self.light), "camera": self.camera}
+        settings |= {"sides": self._sides, "tolerance": self.tolerance}
+        settings["demand"] = None if self.demand is None else asdict(self.demand)
+        return settings
+
+    def extra_repr(self) -> str:
+        """What is modelled, and what is skipped."""
+        said = "planned at each call"
+        if self.distance_range is not None:
+            near, far = self.distance_range
+            at = " at 512 px"
+            if self.sides is not None:
+                every = self.sides == planned.EVERY_SIDE
+                at = "" if every else " for short sides of {}…{} px".format(*self.sides)
+            said = f"{near:g}…{far:g} m, {self.plan((512, 512))}{at}"
+        settings = f"tolerance={self.tolerance:g}, {self.color_space}, {self.order}"
+        if self.exposure != "none":
+            settings += f", exposure={self.exposure!r}"
+        if self.light is not None:
+            settings += f", {self.light!r}"
+        # gradients and other types of numbers are PyTorch's in any case
+        settings += f", {path()} without gradients" if path() == "fused" else ", eager"
+        return f"{self.medium!r},\n{said},\n{settings}"

@@ -1,0 +1,1 @@
+"""Pictures and distance maps in files, read and written whole."""

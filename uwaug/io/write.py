@@ -1,0 +1,177 @@
+"""Pictures into files, whole or not at all."""
+
+import os
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tifffile
+from PIL import Image
+from torch import Tensor
+
+from uwaug._support.atomic import written_whole
+from uwaug._support.tiles import bands
+from uwaug.io.pictures import Source
+
+__all__ = ["FORMATS", "fill", "lost", "require_format", "write_picture"]
+
+FORMATS = {
+    ".png": "PNG",
+    ".jpg": "JPEG",
+    ".jpeg": "JPEG",
+    ".webp": "WEBP",
+    ".tif": "TIFF",
+    ".tiff": "TIFF",
+    ".npy": "NPY",
+}
+"""By the end of a file's name."""
+
+_QUALITY = 95
+"""Of lossy formats."""
+
+_DEPTHS = {"PNG": (8, 16), "JPEG": (8,), "WEBP": (8,), "TIFF": (8, 16, 32), "NPY": (8, 16, 32)}
+"""Bits that a format holds."""
+
+_HEAD = 33
+"""Bytes of a PNG before what may stand beside its pixels."""
+
+
+def require_format(path: str | os.PathLike[str]) -> str:
+    """The format that a file's name asks for.
+
+    Raises:
+        ValueError: if its end is unknown; lists the known.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in FORMATS:
+        known = ", ".join(FORMATS)
+        raise ValueError(f"{path}: expected a name that ends in {known}, got {suffix or 'none'}")
+    return FORMATS[suffix]
+
+
+def write_picture(path: str | os.PathLike[str], picture: Tensor, like: Source) -> None:
+    """Write a picture as its source was: as many bits where the format holds them, with its alpha,
+    EXIF, colour profile and dpi where the format can; see `lost`.
+
+    Args:
+        path: its end is the format; a file that exists is replaced.
+        picture (3xHxW tensor): of the type of `like.picture`.
+        like: where it comes from.
+
+    Raises:
+        ValueError: if the end of the name is unknown.
+        OSError: if it cannot be written.
+    """
+    kind = require_format(path)
+    with written_whole(path) as part:
+        fill(part, kind, picture, like)
+
+
+def lost(like: Source, kind: str) -> list[str]:
+    """What a format of `FORMATS` does not keep of a source, such as "alpha". (dpi is not told.)"""
+    most = max(_DEPTHS[kind])
+    gone = {
+        f"{like.bits} bits (it has {most})": like.bits > most,
+        "alpha": like.alpha is not None and kind == "JPEG",
+        "EXIF": like.exif is not None and kind in ("TIFF", "NPY"),
+        "colour profile": like.profile is not None and kind == "NPY",
+    }
+    return [what for what, is_lost in gone.items() if is_lost]
+
+
+def fill(part: Path, kind: str, picture: Tensor, like: Source) -> None:
+    """Write a picture into a file that is there, in a format of `FORMATS`; as `write_picture`."""
+    bits = max(bits for bits in _DEPTHS[kind] if bits <= like.bits)
+    values = _in_bits(picture, bits)
+    if like.alpha is not None and kind != "JPEG":
+        alpha = _alpha_in_bits(like.alpha, values.dtype)
+        values = np.concatenate([values, alpha[..., None]], 2)
+    with part.open("wb") as file:
+        if kind == "NPY":
+            np.save(file, values.transpose(2, 0, 1))
+        elif kind == "TIFF":
+            _write_tiff(file, values, like)
+        elif bits == 16:
+            _write_png16(file, values, like)
+        else:
+            _write_pillow(file, values, kind, like)
+
+
+def _in_bits(picture: Tensor, bits: int) -> Any:
+    """HxWx3, in the numbers of a file."""
+    values = picture.permute(1, 2, 0).numpy()
+    if values.dtype == np.uint8 or bits == 32:
+        return values
+    most = 2**bits - 1
+    scaled = np.empty(values.shape, np.uint8 if bits == 8 else np.uint16)
+    for start, stop in bands(*values.shape[:2]):
+        band = values[start:stop].astype(np.float64)
+        scaled[start:stop] = np.rint(np.clip(band, 0, 1) * most)
+    return scaled
+
+
+def _alpha_in_bits(alpha: Any, dtype: Any) -> Any:
+    """Alpha in the numbers of another type."""
+    if alpha.dtype == dtype:
+        return alpha
+    unit = alpha.astype(np.float64)
+    if alpha.dtype.kind == "u":
+        unit = unit / np.iinfo(alpha.dtype).max
+    if dtype.kind == "f":
+        return unit.astype(dtype)
+    return np.rint(np.clip(unit, 0, 1) * np.iinfo(dtype).max).astype(dtype)
+
+
+def _write_tiff(file: Any, values: Any, like: Source) -> None:
+    options: dict[str, Any] = {"photometric": "rgb", "compression": "zlib", "metadata": None}
+    if like.profile is not None:
+        options["iccprofile"] = like.profile
+    if values.shape[2] == 4:
+        options["extrasamples"] = ["unassalpha"]
+    if like.dpi is not None:
+        options |= {"resolution": like.dpi, "resolutionunit": "INCH"}
+    # else the time of writing would be part of the file
+    tifffile.imwrite(file, values, datetime=None, software="uwaug", **options)
+
+
+def _write_png16(file: Any, values: Any, like: Source) -> None:
+    from imagecodecs import png_encode
+
+    data = png_encode(np.ascontiguousarray(values))
+    file.write(data[:_HEAD])
+    if like.profile is not None:
+        _write_chunk(file, b"iCCP", b"ICC Profile\0\0" + zlib.compress(like.profile))
+    if like.dpi is not None:
+        x, y = (round(side / 0.0254) for side in like.dpi)  # px per metre
+        _write_chunk(file, b"pHYs", struct.pack(">IIB", x, y, 1))
+    if like.exif is not None:
+        _write_chunk(file, b"eXIf", like.exif.removeprefix(b"Exif\0\0"))
+    file.write(data[_HEAD:])
+
+
+def _write_chunk(file: Any, name: bytes, data: bytes) -> None:
+    """A part of a PNG, as its specification has it."""
+    file.write(struct.pack(">I", len(data)) + name + data)
+    file.write(struct.pack(">I", zlib.crc32(name + data)))
+
+
+def _write_pillow(file: Any, values: Any, kind: str, like: Source) -> None:
+    options: dict[str, Any] = {}
+    if like.exif is not None:
+        options["exif"] = like.exif
+    if like.profile is not None:
+        options["icc_profile"] = like.profile
+    if like.dpi is not None:
+        options["dpi"] = like.dpi
+    if kind in ("JPEG", "WEBP"):
+        options["quality"] = _QUALITY
+    if kind == "JPEG":
+        options["subsampling"] = "4:4:4"  # colour is what water changes
+    height, width, channels = values.shape
+    image = Image.new("RGB" if channels == 3 else "RGBA", (width, height))
+    # Pillow's copy has four bytes a pixel: one of ours beside it would double the memory
+    for start, stop in bands(height, width):
+        image.paste(Image.fromarray(np.ascontiguousarray(values[start:stop])), (0, start))
+    image.save(file, kind, **options)

@@ -1,0 +1,131 @@
+"""The tables of Jerlov's water types, as the package `jerlov` holds them, with their misprints
+repaired.
+"""
+
+import re
+import warnings
+from collections import defaultdict
+from typing import NamedTuple
+
+import numpy as np
+
+from uwaug._support import checks
+
+__all__ = ["JERLOV_TYPES", "SOURCES", "Table", "repaired_table"]
+
+from uwaug._support.types import Array
+
+JERLOV_TYPES = ("I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C")
+"""The Jerlov water types in the order of their classification: open ocean, then coast, clear to
+turbid.
+"""
+
+
+class Source(NamedTuple):
+    """A source of tables that `jerlov` holds.
+
+    Attributes:
+        cited: paper and doi.
+        low, high: nm, the range to use. All three quantities have to be known in it.
+        repairs: what fills the gaps of a quantity: a source of `jerlov`, and how it is cited. (The
+            gaps of b come reconstructed from `jerlov` itself.)
+        misprint: why a quantity has gaps beside values.
+        flags: what a flag of `jerlov` means.
+    """
+
+    cited: str
+    low: float
+    high: float
+    repairs: dict[str, tuple[str, str]]
+    misprint: str
+    flags: dict[str, str]
+
+
+class Table(NamedTuple):
+    """Wavelengths [nm], a, b and K_d [1/m] at each, and a statement of where each is from."""
+
+    wavelengths: Array
+    spectra: dict[str, Array]
+    provenance: list[str]
+
+
+_LABELS = {"a": "a", "b": "b", "kd": "K_d"}
+_MEASURED = ("williamson2022", "Williamson & Hollins 2022")
+_JERLOV = ("jerlov1976", "Jerlov 1976, Table XXVII")
+_MISPRINT = "misprinted in Solonenko & Mobley 2015, Table 7"
+
+SOURCES = {
+    "solonenko2015": Source(
+        cited="Solonenko & Mobley 2015, doi:10.1364/AO.54.005392",
+        low=300,
+        high=700,
+        repairs={"a": _MEASURED, "kd": _JERLOV},
+        misprint=_MISPRINT,
+        flags={
+            "suspect": "suspect: disagrees with the particle concentrations of the paper's own "
+            "Table 3",
+            "reconstructed": f"reconstructed from Eq. (8) and Table 3 of the paper ({_MISPRINT})",
+        },
+    ),
+    "williamson2022": Source(
+        cited="Williamson & Hollins 2022, doi:10.1364/AO.470464",
+        # K_d was printed for 310–700 nm; the package extrapolates beyond
+        low=310,
+        high=700,
+        repairs={"kd": _JERLOV},
+        misprint="not printed",
+        flags={"model_extrapolation": "extrapolated by the paper's model (measured at 412–715 nm)"},
+    ),
+}
+
+
+def repaired_table(type: str, source: str) -> Table:
+    """The table of a water type, without gaps; see `Water.jerlov`."""
+    import jerlov
+
+    checks.one_of("source", source, SOURCES)
+    types = jerlov.SOURCES[source].water_types
+    if type not in types:
+        known = ", ".join(types)
+        raise ValueError(f"type must be one of {known} with source {source!r}, got {type!r}")
+    kept = SOURCES[source]
+    grid = jerlov.water(type, source=source).wavelengths
+    grid = grid[(grid >= kept.low) & (grid <= kept.high)]
+    spectra, notes = {}, []
+    for key, label in _LABELS.items():
+        values, flags = _tabulated(type, source, key, grid)
+        gaps = np.isnan(values)
+        if not gaps.all():
+            notes.append(f"Jerlov {type}: {label}: {kept.cited}")
+        if gaps.any():
+            if key not in kept.repairs:
+                raise ValueError(f"source {source!r} has no {label} for type {type!r}")
+            repair, cited = kept.repairs[key]
+            values[gaps], _ = _tabulated(type, repair, key, grid[gaps])
+            reason = "not in this source" if gaps.all() else kept.misprint
+            flags[f"{cited} ({reason})"] = grid[gaps].tolist()
+        for flag, nm in flags.items():
+            where = f"{label} at {min(nm):g}–{max(nm):g} nm"
+            notes.append(f"Jerlov {type}: {where}: {kept.flags.get(flag, flag)}")
+        spectra[key] = values
+    return Table(grid, spectra, notes)
+
+
+def _tabulated(
+    type: str, source: str, key: str, grid: Array
+) -> tuple[Array, dict[str, list[float]]]:
+    """One quantity, NaN where `jerlov` has none, and the wavelengths of each flag it raises."""
+    import jerlov
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", jerlov.ProvenanceWarning)
+        try:
+            values = getattr(jerlov.water(type, source=source), key)(grid)
+        except jerlov.MissingQuantityError:
+            values = np.full(grid.size, np.nan)
+    flags: dict[str, list[float]] = defaultdict(list)
+    for warning in caught:
+        for flag, nm in re.findall(r"(\w+) at ([\d.]+) nm", str(warning.message)):
+            flags[flag].append(float(nm))
+    flags.pop("missing", None)
+    return values, flags
