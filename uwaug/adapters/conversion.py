@@ -30,8 +30,8 @@ def picture_of(image: Any) -> Taken:
 
     Args:
         image: an array (HxWx3), a tensor (3xHxW), both uint8 (0…255) or floating point (0…1); or a
-            Pillow picture, by the rules of `uwaug.io.pictures.read_picture`: palettes become RGB, and
-            alpha stays as it is.
+            Pillow picture, by the rules of `uwaug.io.pictures.read_picture`: palettes become RGB,
+            and alpha stays as it is.
 
     Raises:
         TypeError: if it is something else.

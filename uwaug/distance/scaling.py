@@ -1,5 +1,6 @@
 """Relative and inverse depth to metres, pixel by pixel, and what maps must be for that. See
-`uwaug.distance`, which checks whole maps with it, and `uwaug.distance.sample`, which scales parts of them.
+`uwaug.distance`, which checks whole maps with it, and `uwaug.distance.sample`, which
+scales parts of them.
 """
 
 import torch

@@ -203,7 +203,7 @@ def in_rows(
     """A picture in its water, all of its distances looked at.
 
     Args:
-        image (3xHxW tensor): uint8 or floating point; checked, see `uwaug.formation.colour.require_values`.
+        image (3xHxW tensor): uint8 or floating point; checked, see `require_values`.
         z: distances, m, every pixel known.
         medium: one row.
         field: multiplies z; None for homogeneous water.

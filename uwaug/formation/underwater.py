@@ -51,14 +51,15 @@ class Underwater(nn.Module):
             picture's own largest value if that is above 1); "linear" takes values as they are and
             never clips.
         learnable: make rates, light, veil and width scale parameters, see
-            `uwaug.formation.learnable.LearnableMedium` for what stays true of them. A width that leaves the
-            plan is planned for anew, except in a compiled module.
+            `uwaug.formation.LearnableMedium` for what stays true of them. A width that leaves
+            the plan is planned for anew, except in a compiled module.
         order: "line_of_sight", or "source" for the paper's equation, see `uwaug.form_image`.
         exposure: "none": light is lost as it is in the water. "auto": as a camera does, one gain
             for each picture keeps the mean luminance of the scene, from 1/8 to 64. A number: a gain
             in stops.
         sides: (smallest, largest) short side, px, of the pictures: one plan of the blur then serves
-            them all, and a file exported from the module (`uwaug.onnx.export_onnx`) computes the same.
+            them all, and a file exported from the module (`uwaug.onnx.export_onnx`) computes the
+            same.
             Other pictures get the nearest width of that plan. None plans for each size, which is
             faster: one plan for (32, 2160) takes 15 to 70 % more time. A width law that knows no
             size, such as `PointSpread(2.0)`, has one plan in any case.

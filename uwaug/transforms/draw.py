@@ -226,7 +226,8 @@ def _require_known(names: Iterable[str], known: Iterable[str]) -> None:
 
 _NO_SPECTRUM = (
     " or the name of a Jerlov type. A picture, a fit or a medium has three coefficients and no "
-    "spectrum: give it to uwaug.Underwater, such as uwaug.Underwater(uwaug.fitting.red_channel_prior(…).medium)"
+    "spectrum: give it to uwaug.Underwater, such as "
+    "uwaug.Underwater(uwaug.fitting.red_channel_prior(…).medium)"
 )
 
 

@@ -38,8 +38,7 @@ class Back(NamedTuple):
     """The last step of all transposes.
 
     Attributes:
-        folds (3, n): of each channel, the lines (see `uwaug.formation.loops.blurs.cell_lines`) of the rows
-            of `Stack`.
+        folds (3, n): of each channel, the lines (see `cell_lines`) of the rows of `Stack`.
         rows (m, H, taps), up (m, H, taps): the lines of all grids that a row was shrunk into, and
             weights.
     """
