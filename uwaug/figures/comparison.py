@@ -168,7 +168,8 @@ def compare(
         distance (1xHxW tensor): metres along the ray; +inf is open water.
         water: Jerlov type. A system that has coefficients of its own keeps them.
         systems: names of presets or paths of their files; None for all of
-            `uwaug.presets.published_systems`. Where a preset has a range, its middle is taken; water is homogeneous.
+            `uwaug.presets.published_systems`. Where a preset has a range, its middle is
+            taken; water is homogeneous.
 
     Raises:
         ImportError: if the package phasecongruency is missing.

@@ -63,8 +63,8 @@ class SeriesFit:
         levels: the turbidities, ascending.
         unit: of the turbidities.
         parameters: each number by name, as of `uwaug.fitting.Fit`: a of each colour; b of each
-            colour and level, such as b_red_1; m, veil for each unit of scattering, G·V(0)/b; g; scale and
-            exponent of the width law.
+            colour and level, such as b_red_1; m, veil for each unit of scattering, G·V(0)/b; g;
+            scale and exponent of the width law.
         lines: b₀ + k·turbidity, by colour.
         candidates: the models that were tried.
         message: in words, what was found.

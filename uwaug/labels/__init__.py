@@ -7,7 +7,8 @@
     record["output"] = "reef/0001_v0.png"
     source.write_run(records, out)  # COCO: one file for all
 
-`contrast_map` is what `uwaug.contrast` returns for the picture. An object's contrast is the mean of it over the object's pixels: its mask or polygon, or
+`contrast_map` is what `uwaug.contrast` returns for the picture. An
+object's contrast is the mean of it over the object's pixels: its mask or polygon, or
 all that its box touches. It is 0 where no pixel of an object is in the picture.
 
 The label file of reef/1.jpg is reef/1.txt (or .png) in the folder of labels; of images/train/1.jpg

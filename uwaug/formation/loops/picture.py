@@ -36,7 +36,7 @@ _BAND = 1 << 21
 
 
 def to_light(image: Tensor, color_space: ColorSpace, wanted: Path | None = None) -> Tensor:
-    """`uwaug.formation.colour.to_light`, by the loops if they can; `wanted`: what a record names."""
+    """`uwaug.formation.colour.to_light`, by the loops if they can; `wanted` as a record has it."""
     ends = colour.require_values(image, color_space)
     return decode(image, color_space, ends, wanted)
 
