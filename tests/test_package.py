@@ -4,7 +4,6 @@ import pkgutil
 import re
 import subprocess
 import sys
-import types
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -14,6 +13,7 @@ import uwaug
 
 ROOT = Path(__file__).parent.parent
 FOUND = {module.name for module in pkgutil.walk_packages(uwaug.__path__, "uwaug.")}
+GUIDES = [ROOT / "README.md", *sorted(ROOT.glob("[!.]*/**/README.md"))]
 MODULES = sorted({"uwaug"} | {name for name in FOUND if not name.endswith("__main__")})
 HEAVY = (
     "albumentations",
@@ -66,35 +66,46 @@ def test_the_package_imports_neither_the_command_line_nor_what_it_needs():
     assert output("-c", code) == "\n"
 
 
-def test_all_is_sorted_and_complete() -> None:
-    names = uwaug.__all__
-    # as ruff sorts: constants, classes, the rest
-    assert names == sorted(names, key=lambda n: (not n.isupper(), n[0].islower(), n))
-    assert len(set(names)) == len(names)
-    public = set()
-    for name, value in vars(uwaug).items():
-        module = isinstance(value, types.ModuleType)
-        if not name.startswith("_") and (not module or name in names):
-            public.add(name)
-    assert set(names) == public
+PUBLIC = [
+    "JERLOV_TYPES",
+    "Camera",
+    "KeepVisible",
+    "Light",
+    "Medium",
+    "PointSpread",
+    "Preset",
+    "RandomUnderwater",
+    "Terms",
+    "Underwater",
+    "Water",
+    "contrast",
+    "distance",
+    "fit",
+    "form_image",
+    "fused",
+    "gaussian_random_field",
+    "list_presets",
+    "load_camera",
+    "load_preset",
+]
+ROOMS = [
+    "adapters",
+    "blur",
+    "figures",
+    "fitting",
+    "formation",
+    "jobs",
+    "labels",
+    "onnx",
+    "presets",
+    "transforms",
+]
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "Water",
-        "Medium",
-        "PointSpread",
-        "form_image",
-        "Terms",
-        "Underwater",
-        "gaussian_random_field",
-        "distance",
-        "load_preset",
-    ],
-)
-def test_names_that_others_rely_on(name: str) -> None:
-    assert name in uwaug.__all__
+def test_the_face_has_the_public_names_and_the_rooms() -> None:
+    assert sorted(uwaug.__all__) == sorted([*PUBLIC, *ROOMS])
+    for name in uwaug.__all__:
+        assert getattr(uwaug, name) is not None
 
 
 def test_version_is_a_release() -> None:
@@ -126,11 +137,17 @@ def test_every_public_function_says_what_it_does() -> None:
     assert [n for n in functions if not (getattr(uwaug, n).__doc__ or "").strip()] == []
 
 
-def test_readme_blocks_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+@pytest.mark.parametrize("guide", GUIDES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_blocks_of_guides_run(guide: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = guide.read_text(encoding="utf-8")
     blocks = re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
-    assert blocks, "the README shows no Python"
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {"__name__": "readme"}
     for number, block in enumerate(blocks):
-        exec(compile(block, f"README.md, block {number}", "exec"), names)
+        exec(compile(block, f"{guide.name}, block {number}", "exec"), names)
+
+
+def test_links_between_guides_lead_somewhere() -> None:
+    for guide in GUIDES:
+        for link in re.findall(r"\]\(([^)#]+)[^)]*\)", guide.read_text(encoding="utf-8")):
+            assert "://" in link or (guide.parent / link).exists(), f"{guide}: {link}"
