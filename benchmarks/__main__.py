@@ -1,5 +1,5 @@
 """All benchmarks: `python -m benchmarks [--quick]`. Each part also runs alone, as
-`python -m benchmarks.NAME`.
+`python -m benchmarks.speed.model`.
 """
 
 import argparse
@@ -8,31 +8,32 @@ import time
 
 from benchmarks.harness import measure_eager
 
-PARTS = (
-    "model",
-    "frontier",
-    "planner",
-    "stability",
-    "physics",
-    "contrast",
-    "lamps",
-    "fitting",
-    "draws",
-    "information",
-    "gallery",
-    "scaling",
-    "runtime",
-    "fused",
-    "backward",
-    "roofline",
-    "throughput",
-    "soak",
-    "large",
-    "jobs",
-    "jobs_kill",
-    "jobs_fuzz",
-    "summary",
-)
+PARTS = {
+    "model": "speed",
+    "frontier": "speed",
+    "planner": "accuracy",
+    "stability": "accuracy",
+    "physics": "accuracy",
+    "contrast": "accuracy",
+    "lamps": "accuracy",
+    "fitting": "accuracy",
+    "draws": "accuracy",
+    "information": "accuracy",
+    "gallery": "figures",
+    "scaling": "speed",
+    "runtime": "speed",
+    "loops": "speed",
+    "backward": "speed",
+    "roofline": "speed",
+    "throughput": "speed",
+    "soak": "speed",
+    "large": "speed",
+    "jobs": "speed",
+    "jobs_kill": "accuracy",
+    "jobs_fuzz": "accuracy",
+    "summary": "figures",
+}
+"""Each part and its folder, in the order in which they run."""
 
 
 def main() -> None:
@@ -50,7 +51,7 @@ def main() -> None:
         print(f"== {name}", flush=True)
         began = time.perf_counter()
         try:
-            part = importlib.import_module(f"benchmarks.{name}")
+            part = importlib.import_module(f"benchmarks.{PARTS[name]}.{name}")
         except ModuleNotFoundError as error:
             print(f"skipped: {error.name} is not installed")
             continue

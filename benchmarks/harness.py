@@ -132,7 +132,7 @@ def command(main: Callable[[bool], object], about: str | None) -> None:
 def measure_eager() -> None:
     """Let "uwaug" be eager PyTorch in all figures, here and in what is started from here.
 
-    `benchmarks.fused` has those of the compiled loops; it chooses the path run by run.
+    `benchmarks.speed.loops` has those of the compiled loops; it chooses the path run by run.
     """
     os.environ.setdefault("UWAUG_FUSED", "0")
 

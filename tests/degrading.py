@@ -1,8 +1,8 @@
 """What the tests of Underwater share."""
 
 import numpy as np
-import reference
 import torch
+from referees import reference
 from torch import Tensor
 
 from uwaug.optics.medium import Medium

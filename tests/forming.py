@@ -4,9 +4,9 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-import reference
 import torch
 from inputs import rand
+from referees import reference
 from torch import Tensor
 
 from uwaug.formation.model import Terms

@@ -1,8 +1,8 @@
 """What the tests of waters and media share."""
 
 import numpy as np
-import reference
 import torch
+from referees import reference
 
 from uwaug.optics.medium import Medium
 from uwaug.optics.water import Water

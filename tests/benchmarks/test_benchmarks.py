@@ -13,21 +13,15 @@ pytest.importorskip("cv2")
 pytest.importorskip("matplotlib")
 pytest.importorskip("scipy")
 
+from referees import published
+from referees.exact import blur_exact
+
 import uwaug
-from benchmarks import (
-    blurs,
-    charts,
-    frontier,
-    fused,
-    gallery,
-    information,
-    lamps,
-    published,
-    scaling,
-    summary,
-)
-from benchmarks.exact import blur_exact
+from benchmarks.accuracy import information, lamps
+from benchmarks.figures import charts, gallery, summary
 from benchmarks.harness import race
+from benchmarks.speed import blurs, frontier, scaling
+from benchmarks.speed import loops as fused
 
 #            0          1          2          3          4          5
 POINTS = [(1.0, 0.5), (2.0, 0.1), (3.0, 0.2), (4.0, 0.01), (4.0, 0.02), (9.0, 0.0)]
@@ -227,7 +221,7 @@ def test_lamps_are_refereed() -> None:
 
 def test_the_roofline_counts_coarse_blurs_as_matrices_have_it() -> None:
     pytest.importorskip("numba")
-    from benchmarks import roofline
+    from benchmarks.speed import roofline
     from uwaug.blur.banded import along_rows
     from uwaug.blur.operators import Node, operator
     from uwaug.formation.loops.tables import _coarse
@@ -250,7 +244,7 @@ def test_the_roofline_counts_coarse_blurs_as_matrices_have_it() -> None:
 
 def test_what_the_roofline_counts() -> None:
     pytest.importorskip("numba")
-    from benchmarks import roofline
+    from benchmarks.speed import roofline
 
     threads = torch.get_num_threads()
     with contextlib.redirect_stdout(io.StringIO()):

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-import reference
 import torch
 from blurring import SIZES
 from inputs import rand
+from referees import reference
+from referees.exact import blur_exact
 from scipy.ndimage import gaussian_filter
 
-from benchmarks.exact import blur_exact
 from uwaug.blur.kernels import sampled_parameter
 
 

@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("cv2")
 pytest.importorskip("matplotlib")
 
-from benchmarks import scaling, soak
+from benchmarks.speed import scaling, soak
 
 pytestmark = pytest.mark.skipif(
     not Path("/proc/self/clear_refs").exists(), reason="/proc of Linux tells the peak"

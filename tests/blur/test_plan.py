@@ -2,10 +2,10 @@ import math
 
 import numpy as np
 import pytest
-import reference
 import torch
 from blurring import RANGES, constant
 from inputs import rand
+from referees import reference
 
 from uwaug.blur.plan import _exponential_transfer, _frequencies, plan_blur
 from uwaug.blur.stack import varying_blur

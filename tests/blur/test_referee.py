@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-import referee
 import torch
+from referees import blur as referee
 
 from uwaug.formation.model import form_image
 from uwaug.optics.camera import Camera

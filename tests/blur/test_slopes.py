@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import reference
 import torch
+from referees import reference
 from scipy.fft import dctn, idct
 from torch import Tensor
 

@@ -4,12 +4,12 @@ import math
 import kornia
 import numpy as np
 import pytest
-import reference
 import torch
 from blurring import RANGES, SIZES, blur, constant, node
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from inputs import rand
+from referees import reference
 
 from uwaug.blur.plan import plan_blur
 from uwaug.blur.stack import varying_blur

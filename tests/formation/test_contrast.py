@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from reference import spectral_curves
+from referees.reference import spectral_curves
 from torch import Tensor
 
 from uwaug import Light, Medium, PointSpread, Water, contrast, form_image
@@ -138,7 +138,7 @@ def test_a_medium_is_needed() -> None:
 def test_against_monte_carlo_pictures() -> None:
     """The share is right for detail up to 1° (2 px of these pictures), and a lower bound."""
     pytest.importorskip("cv2")
-    from benchmarks.contrast import PERIODS_PX, pictures
+    from benchmarks.accuracy.contrast import PERIODS_PX, pictures
 
     rows = pictures()
     assert len(rows) == 6

@@ -3,9 +3,9 @@ import math
 import pickle
 
 import pytest
-import reference
 import torch
 from degrading import LAW, MEDIA, coastal, distances, picture
+from referees import reference
 from torch import Tensor
 
 from uwaug.formation.underwater import Underwater

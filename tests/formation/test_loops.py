@@ -15,11 +15,11 @@ import torch
 from filing import metres, pixels, save
 from forming import coefficients, distances
 from inputs import rand
+from referees.conditions import Case, conditions
 from torch import Tensor
 
 import uwaug
-from benchmarks import stability
-from benchmarks.conditions import Case, conditions
+from benchmarks.accuracy import stability
 from uwaug import fused
 from uwaug.formation.colour import srgb_to_linear
 from uwaug.formation.loops import compiling, loops, switch, threads

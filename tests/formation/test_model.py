@@ -4,12 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-import reference
 import torch
 from forming import LAW, TERMS, check, coefficients, distances, expected, tracked
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from inputs import rand
+from referees import reference
 
 from uwaug.blur.stack import varying_blur
 from uwaug.formation.demand import blur_demand

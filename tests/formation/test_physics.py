@@ -9,17 +9,7 @@ import pytest
 
 pytest.importorskip("cv2")
 
-from benchmarks.physics import (
-    CALIBRATED,
-    FORMER,
-    PAPER,
-    STATIONS,
-    Law,
-    fit_law,
-    mean_error,
-    picture_error,
-)
-from benchmarks.transport import (
+from referees.transport import (
     ABSORPTION,
     EDGES,
     FREQUENCIES,
@@ -30,6 +20,17 @@ from benchmarks.transport import (
     spread,
     survey,
     walk,
+)
+
+from benchmarks.accuracy.physics import (
+    CALIBRATED,
+    FORMER,
+    PAPER,
+    STATIONS,
+    Law,
+    fit_law,
+    mean_error,
+    picture_error,
 )
 from uwaug.optics.point_spread import PointSpread
 

@@ -3,10 +3,10 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import pytest
-import reference
 import torch
 from forming import LAW, TERMS, check, coefficients, distances, tracked, uniform
 from inputs import rand
+from referees import reference
 from torch import Tensor
 
 from uwaug.formation.model import Terms, form_image

@@ -8,8 +8,10 @@ import torch
 pytest.importorskip("cv2")
 pytest.importorskip("scipy")
 
-from benchmarks import matrix_chart, naive, stability
-from benchmarks.conditions import Case, Method, conditions, exact
+from referees.conditions import Case, Method, conditions, exact
+
+from benchmarks.accuracy import naive, stability
+from benchmarks.figures import matrix_chart
 
 CASES: dict[str, Case] = {}
 for group in conditions().values():

@@ -4,9 +4,9 @@ import math
 import pickle
 
 import pytest
-import reference
 import torch
 from degrading import MEDIA, coastal, distances, picture
+from referees import reference
 from torch import Tensor
 
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear

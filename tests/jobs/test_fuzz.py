@@ -9,7 +9,7 @@ from PIL import Image
 pytest.importorskip("cv2")
 pytest.importorskip("OpenEXR")
 
-from benchmarks import jobs_fuzz
+from benchmarks.accuracy import jobs_fuzz
 
 EACH = 8
 KINDS = jobs_fuzz.samples()

@@ -14,7 +14,7 @@ import pytest
 import torch
 from filing import content, metres, pixels, save
 
-from benchmarks.jobs_kill import living
+from benchmarks.accuracy.jobs_kill import living
 from uwaug._support.atomic import is_part
 from uwaug.jobs import Recipe, Rows
 from uwaug.jobs import run as jobs

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 import torch
 from inputs import rand
+from referees.lamps import KINDS, random_case, veil_by_definition
 from torch import Tensor
 
 import uwaug
-from benchmarks.lamps_cases import KINDS, random_case, veil_by_definition
 from uwaug import Light, Medium, Underwater, form_image
 from uwaug.formation.model import Terms
 from uwaug.light.beam import ray_of

@@ -2,9 +2,9 @@ import math
 
 import numpy as np
 import pytest
-import reference
 import torch
 from optical import CURVES
+from referees import reference
 
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread

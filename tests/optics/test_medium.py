@@ -5,9 +5,9 @@ import pickle
 
 import numpy as np
 import pytest
-import reference
 import torch
 from optical import CURVES, Z
+from referees import reference
 
 from uwaug.optics.camera import load_camera
 from uwaug.optics.medium import Medium

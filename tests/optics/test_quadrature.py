@@ -2,9 +2,9 @@ import itertools
 
 import numpy as np
 import pytest
-import reference
 import torch
 from optical import CURVES, Z, errors
+from referees import reference
 
 from uwaug.optics.medium import Medium
 from uwaug.optics.water import JERLOV_TYPES, Water

@@ -5,10 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import reference
-import systems
 import torch
-from systems import CHANNELS, SPECTRAL, Scene
+from referees import reference, systems
+from referees.systems import CHANNELS, SPECTRAL, Scene
 
 import uwaug.presets.scene
 from uwaug import JERLOV_TYPES, Camera, Medium, PointSpread, Underwater, Water, form_image

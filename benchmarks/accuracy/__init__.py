@@ -1,0 +1,1 @@
+"""How right: against exact computation, light transport, real pictures."""

@@ -1,0 +1,292 @@
+"""All charts of the benchmarks: error against time, scaling, light transport.
+
+`python -m benchmarks.figures.charts` draws the first two from their results.
+"""
+
+import json
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from PIL import Image
+from referees.transport import EDGES, LENGTHS, Spread, chosen
+
+from benchmarks.figures.chart_labels import Point, write_labels
+from benchmarks.harness import RESULTS
+from uwaug._support.atomic import written_whole
+
+if TYPE_CHECKING:
+    from benchmarks.accuracy.physics import Errors, Law, Spreads
+
+FIGURES = Path(__file__).parent
+DEFAULT, OURS, RIVAL, FRONT = "#c1272d", "#0b6e99", "#7a7a7a", "#e8a33d"
+STYLES = {
+    "uwaug": (OURS, "o"),
+    "fused C++": ("#8a5a9e", "s"),
+    "copy bound": (RIVAL, "^"),
+    "memory": ("#2a7f4f", "D"),
+}
+SHOWN = (512, 1)  # size and threads of the panels drawn; all others are in the JSON
+_OUR_NAMES = ("ours", "eager", "compiled loops", "torch.compile", "ONNX", "float", "bfloat")
+_NUMBER = re.compile(r"\b\d[\de.-]*(?: \+ \d+)?\b")
+STYLE = {
+    "font.size": 8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 9,
+}
+_SWEEPS = {
+    "pixels": "pixels",
+    "batch": "batch, images",
+    "widest": "widest σ, px",
+    "rates": "rates, direct + scatter",
+}
+_WALKS = {"HG 0.85": "C0", "HG 0.924": "C1", "AUTEC 7": "C2", "HAOCE 11": "C3", "NUC 2200": "C4"}
+# colour and dashes of its line, colour of its bars
+_LAWS = {
+    "paper": ("0.0", ":", "0.75"),
+    "one Gaussian, HG .924 (former)": ("0.0", "--", "0.5"),
+    "calibrated": ("0.0", "-", "#1f6fb4"),
+    "two Gaussians, refitted": ("0.6", "-", "#8fbbe0"),
+}
+_TRUTHS = {
+    "HG 0.924": "HG .924",
+    "Petzold": "Petzold's stations",
+    "pictures": "pictures (HG .924)",
+}
+
+
+def draw_frontier(results: dict[str, Any]) -> Path:
+    return save_small(frontier_figure(results), "frontier")
+
+
+def draw_scaling(results: dict[str, Any]) -> Path:
+    return save_small(scaling_figure(results), "scaling")
+
+
+def draw_physics(spreads: "Spreads", laws: "dict[str, Law]", errors: "Errors") -> Path:
+    path = FIGURES / "physics.png"
+    with written_whole(path) as part:
+        physics_figure(spreads, laws, errors).savefig(part, format="png", dpi=85)
+    return path
+
+
+def save_small(figure: Figure, name: str) -> Path:
+    """Write figures/NAME.png, in 96 colours: a third of the bytes."""
+    canvas = FigureCanvasAgg(figure)
+    with matplotlib.rc_context(STYLE):
+        canvas.draw()
+    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    path = FIGURES / f"{name}.png"
+    with written_whole(path) as part:
+        few = picture.quantize(96, dither=Image.Dither.NONE)
+        few.save(part, format="png", optimize=True)
+    return path
+
+
+def frontier_figure(results: dict[str, Any], shown: tuple[int, int] = SHOWN) -> Figure:
+    """Time against PSNR of every method, a panel for each part of the model."""
+    size, threads = shown
+    panels = [p for p in results["panels"].values() if (p["size"], p["threads"]) == shown]
+    panels.sort(key=lambda panel: not panel["part"].startswith("blur"))
+    with matplotlib.rc_context(STYLE):
+        figure = Figure((13, 12.5), layout="constrained")
+        grid = figure.add_gridspec(3, 6, height_ratios=(1.25, 1, 1))
+        places = [grid[0, 0:3], grid[0, 3:6], grid[1, 0:3], grid[1, 3:6]]
+        places += [grid[2, 0:2], grid[2, 2:4], grid[2, 4:6]]
+        drawn = []
+        for place, panel in zip(places, panels, strict=False):
+            drawn.append((figure.add_subplot(place), panel))
+        setting = f"{size}² px, {threads} thread{'s' * (threads > 1)}"
+        better = "up and to the left is better"
+        title = f"Error of the final image against time, {setting}; {better}"
+        figure.suptitle(title, fontsize=11)
+        below = {"loc": "outside lower center", "ncols": 4, "frameon": False, "fontsize": 9}
+        figure.legend(handles=_frontier_legend(), **below)
+        marked = [(axes, _frontier_panel(axes, panel)) for axes, panel in drawn]
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")  # labels must not move what they were placed against
+        for axes, points in marked:
+            write_labels(figure, axes, points, DEFAULT)
+    return figure
+
+
+def _frontier_legend() -> list[Line2D]:
+    star = {"marker": "*", "markersize": 12, "linestyle": ""}
+    return [
+        Line2D([], [], color=DEFAULT, label="our default", **star),
+        Line2D([], [], color=OURS, marker="o", linestyle="", label="ours"),
+        Line2D([], [], color=RIVAL, marker="s", linestyle="", label="others"),
+        Line2D([], [], color=FRONT, linewidth=4, alpha=0.5, label="Pareto front"),
+    ]
+
+
+def _frontier_panel(axes: Axes, panel: dict[str, Any]) -> list[Point]:
+    """Draw one panel; return its points, which are to be labelled."""
+    entries = sorted(panel["entries"], key=lambda entry: entry["median_ms"])
+    finite = [entry["psnr_db"] for entry in entries if entry["psnr_db"] is not None]
+    top = max(finite) + 0.12 * (max(finite) - min(finite))
+    place = {}
+    for entry in entries:
+        psnr = entry["psnr_db"]
+        place[entry["name"]] = (entry["median_ms"], top if psnr is None else psnr)
+    front = [place[entry["name"]] for entry in entries if entry["front"]]
+    thick = {"color": FRONT, "linewidth": 4, "alpha": 0.5, "solid_capstyle": "round"}
+    axes.step(*zip(*front, strict=True), where="post", zorder=1, **thick)
+    points = []
+    for series in _series(panel["entries"]):
+        names = [entry["name"] for entry in series]
+        label, colour = _label(series), RIVAL
+        size, marker, order = 5, "o" if _is_ours(names[0]) else "s", 3
+        if series[0]["default"]:
+            colour, size, marker, order = DEFAULT, 15, "*", 4
+        elif _is_ours(names[0]):
+            colour = OURS
+        xy = [place[name] for name in names]
+        look = {"color": colour, "marker": marker, "markersize": size, "linewidth": 0.8}
+        axes.plot(*zip(*xy, strict=True), zorder=order, **look)
+        points += [Point(*at, "", colour) for at in xy[:-1]]
+        points.append(Point(*xy[-1], label, colour))
+    _finish_frontier(axes, panel)
+    return points
+
+
+def _is_ours(name: str) -> bool:
+    return name.startswith(_OUR_NAMES) or name.endswith("rates")
+
+
+def _series(entries: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
+    """Entries whose names differ by one number belong together; the default stands alone."""
+    series: dict[str, list[dict[str, Any]]] = {}
+    for entry in entries:
+        name = entry["name"]
+        key = name if entry["default"] else _NUMBER.sub("#", name, count=1)
+        series.setdefault(key, []).append(entry)
+    return list(series.values())
+
+
+def _label(series: list[dict[str, Any]]) -> str:
+    label: str = series[0]["name"]
+    if len(series) > 1:
+        numbers = [_NUMBER.search(entry["name"]) for entry in (series[0], series[-1])]
+        span = " … ".join(number.group() for number in numbers if number)
+        label = _NUMBER.sub(span, label, count=1)
+    exact = any(entry["psnr_db"] is None for entry in series)
+    return f"{label} (no error)" if exact else label
+
+
+def _finish_frontier(axes: Axes, panel: dict[str, Any]) -> None:
+    axes.set_xscale("log")
+    axes.margins(0.16, 0.16)
+    plain_numbers(axes.xaxis)
+    axes.set(xlabel="time, ms (log)", ylabel="PSNR, dB")
+    verdict = panel["verdict"]
+    slower = f"{100 * verdict['slower_than_front']:.0f} % slower than “{verdict['beaten_by']}”"
+    stands = "on the front" if verdict["on_front"] else slower
+    title = f"{panel['part']}\ndefault: {verdict['psnr_db']:.1f} dB, {stands}"
+    axes.set_title(title, loc="left")
+    axes.grid(alpha=0.2)
+
+
+def plain_numbers(axis: Axis) -> None:
+    """1, 2, 5 along an axis instead of powers of ten."""
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def scaling_figure(results: dict[str, Any]) -> Figure:
+    """Time and peak memory on log–log axes, with the fitted exponents in the labels."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure((13, 6.4), layout="constrained")
+        axes = figure.subplots(2, 4, sharex="col", sharey="row", height_ratios=(1.5, 1))
+        for (name, title), (time, memory) in zip(_SWEEPS.items(), axes.T, strict=True):
+            _scaling_column(time, memory, results["sweeps"][name])
+            memory.set_xlabel(title)
+            time.set_title(f"against {title.split(',')[0]}", loc="left")
+        for panel in axes.flat:
+            panel.yaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+        for panel in axes[1, 1:]:
+            plain_numbers(panel.xaxis)
+        for row in axes:
+            low, high = row[0].get_ylim()
+            row[0].set_ylim(low, high * (high / low) ** 0.25)  # room for the legends
+        axes[0, 0].set_ylabel("time, ms")
+        axes[1, 0].set_ylabel("peak memory of uwaug, MiB")
+        figure.suptitle(f"Scaling; {results['setting']}", fontsize=10)
+    return figure
+
+
+def _scaling_column(time: Axes, memory: Axes, sweep: dict[str, Any]) -> None:
+    points = sweep["points"]
+    x = [point["x"] for point in points]
+    for method, fit in sweep["fits"].items():
+        law = f"∝ $x^{{{fit['exponent']:.2f}}}$ (×/÷ {fit['residual_factor']:.2f})"
+        if method in points[0]["ms"]:
+            panel, (colour, marker), label = time, STYLES[method], f"{method} {law}"
+            y = [point["ms"][method]["median_ms"] for point in points]
+        else:
+            panel, (colour, marker), label = memory, STYLES["memory"], law
+            y = [point["peak_mib"] for point in points]
+        panel.plot(x, y, color=colour, marker=marker, markersize=4, linewidth=1, label=label)
+    for panel in (time, memory):
+        panel.set(xscale="log", yscale="log")
+        panel.grid(alpha=0.2)
+        panel.legend(frameon=False, fontsize=7.5, loc="upper left", handlelength=1.2)
+
+
+def physics_figure(spreads: "Spreads", laws: "dict[str, Law]", errors: "Errors") -> Figure:
+    """Walks against laws: g, width, shape, and the error of the laws."""
+    figure = Figure((11, 7.6), layout="constrained")
+    axes = figure.subplots(2, 2)
+    (left, right), (shape, bars) = axes
+    radius = np.geomspace(3e-5, 3, 300)
+    for name, colour in _WALKS.items():
+        row: list[Spread] = [chosen(spreads[name], x, 0.4) for x in LENGTHS]
+        dots = {"ms": 4, "color": colour}
+        left.plot(LENGTHS, [s.figures["g"] for s in row], "o-", label=name, **dots)
+        right.loglog(LENGTHS, [s.figures["q50"] for s in row], "o-", **dots)
+        shape.semilogx(radius, np.interp(radius, EDGES[1:], row[3].encircled), color=colour, lw=2)
+    for name, (colour, dashes, _) in _LAWS.items():
+        law, line = laws[name], {"color": colour, "ls": dashes, "lw": 1.2}
+        within = [law.encircled(x, radius) for x in LENGTHS]
+        medians = [np.interp(0.5, share, radius) for share in within]
+        left.axhline(law.g, **line)
+        right.plot(LENGTHS, medians, label=name, **line)
+        shape.plot(radius, within[3], **line)
+    seen = "share of scattered light within"
+    left.set(xlabel="b·z", ylabel="effective g")
+    left.set_title("Share of scattered light that is lost (a/b = 0.4)")
+    right.set(xlabel="b·z", ylabel="median tangent of scattered light", title="Width")
+    shape.set(xlabel="tangent", ylabel=seen, title="Shape at b·z = 1")
+    corner = {"bbox_to_anchor": (0, 0.94), "loc": "upper left"}
+    left.legend(frameon=False, fontsize=8, title="Monte Carlo", **corner)
+    right.legend(frameon=False, fontsize=8, title="laws")
+    _physics_bars(bars, errors)
+    for panel in axes.flat:
+        panel.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def _physics_bars(axes: Axes, errors: "Errors") -> None:
+    for n, (name, (_, _, colour)) in enumerate(_LAWS.items()):
+        values = [errors[name][truth] for truth in _TRUTHS]
+        bar = axes.bar(np.arange(3) + 0.2 * n - 0.3, values, 0.18, color=colour)
+        axes.bar_label(bar, [f"{value:.3f}"[1:] for value in values], fontsize=7)
+        bar.set_label(name)
+    axes.set_xticks(range(3), tuple(_TRUTHS.values()))
+    axes.set(ylabel="mean RMSE of D + F", title="Error of the laws, b·z = 0.1 … 5")
+    axes.legend(frameon=False, fontsize=8)
+
+
+if __name__ == "__main__":
+    for name, draw in (("frontier", draw_frontier), ("scaling", draw_scaling)):
+        print(draw(json.loads((RESULTS / f"{name}.json").read_text())))

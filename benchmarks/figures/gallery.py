@@ -1,0 +1,95 @@
+"""The galleries of the README: the published systems in two waters, and ten waters at three
+visibilities.
+"""
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from torch import Tensor
+
+from benchmarks.accuracy.information import pictured
+from benchmarks.harness import RESULTS, command
+from uwaug._support.atomic import written_whole
+from uwaug.figures.comparison import seen_by
+from uwaug.optics.water import JERLOV_TYPES, Water
+from uwaug.presets.preset import load_preset, published_systems
+from uwaug.presets.scene import Scene, motorcycle
+
+FIGURES = RESULTS.parent / "figures"
+WATERS = {"II": 1.0, "7C": 0.2}
+"""What the scene's distances are multiplied by: at 2 to 5 m nothing is seen in 7C."""
+
+OWN = "hou-2020"
+"""The system that knows no waters and no distances."""
+
+VISIBILITIES = (16.0, 8.0, 4.0)  # m
+WIDTH = 188  # px of a picture
+LABEL = 22  # px
+QUALITY = 70
+
+
+class Grid:
+    """Pictures of one shape in columns, each with a label above."""
+
+    def __init__(self, rows: int, columns: int, shape: tuple[int, int]) -> None:
+        self.tall = WIDTH * shape[0] / shape[1]
+        self.size = (columns * (WIDTH + 6) - 6, rows * (self.tall + LABEL))
+        self.columns = columns
+        self.figure = Figure(figsize=(self.size[0] / 100, self.size[1] / 100), dpi=100)
+
+    def show(self, place: int, picture: Tensor, label: str) -> None:
+        """The picture (3xHxW, sRGB) at a place, counted row by row."""
+        row, column = divmod(place, self.columns)
+        wide, high = self.size
+        x, y = column * (WIDTH + 6), row * (self.tall + LABEL) + LABEL
+        box = (x / wide, 1 - (y + self.tall) / high, WIDTH / wide, self.tall / high)
+        axis: Axes = self.figure.add_axes(box)
+        axis.imshow(picture.clamp(0, 1).permute(1, 2, 0).numpy(), aspect="auto")
+        axis.set_axis_off()
+        axis.set_title(label, loc="left", fontsize=8, pad=3)
+
+
+def systems(scene: Scene) -> Figure:
+    """The scene, and each published system in II and in 7C, two systems a row."""
+    names = [name for name in published_systems() if name != OWN]
+    rows = -(-(len(names) + 1) // 2)
+    grid = Grid(rows, 4, (scene.image.shape[-2], scene.image.shape[-1]))
+    grid.show(0, scene.image, "no water")
+    grid.show(1, seen_by(load_preset(OWN), scene.image, scene.distance), f"{OWN}, its own water")
+    place = 2
+    for name in names:
+        for water, factor in WATERS.items():
+            z = factor * scene.distance
+            picture = seen_by(load_preset(name, water=water), scene.image, z)
+            grid.show(place, picture, f"{name}, {water}")
+            place += 1
+    return grid.figure
+
+
+def visibilities(scene: Scene) -> Figure:
+    """Ten waters, scaled to three visibilities: five waters beside one another."""
+    grid = Grid(6, 5, (scene.image.shape[-2], scene.image.shape[-1]))
+    for i, name in enumerate(JERLOV_TYPES):
+        block, column = divmod(i, 5)
+        for row, metres in enumerate(VISIBILITIES):
+            picture, _ = pictured(scene, Water.jerlov(name).with_visibility(metres))
+            place = (3 * block + row) * 5 + column
+            grid.show(place, picture, f"{name}, {metres:g} m")
+    return grid.figure
+
+
+def main(quick: bool = False) -> dict[str, Figure]:
+    """Draw and save."""
+    scene = motorcycle()
+    if quick:
+        scene = Scene(scene.image[:, ::8, ::8], scene.distance[:, ::8, ::8], 125.0)
+    found = {"systems": systems(scene), "visibilities": visibilities(scene)}
+    if not quick:
+        for name, figure in found.items():
+            with written_whole(FIGURES / f"{name}.jpg") as part:
+                figure.savefig(part, format="jpg", pil_kwargs={"quality": QUALITY})
+            print(FIGURES / f"{name}.jpg")
+    return found
+
+
+if __name__ == "__main__":
+    command(main, __doc__)

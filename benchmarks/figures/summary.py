@@ -1,0 +1,311 @@
+"""The figures that the README shows, from results/*.json between its markers:
+`python -m benchmarks.figures.summary`.
+"""
+
+import json
+import re
+from typing import Any
+
+from benchmarks.figures.summary_fits import fits
+from benchmarks.harness import RESULTS, ROOT, command
+from uwaug._support.atomic import written_whole
+
+README = ROOT / "README.md"
+TRUTHS = {
+    "Petzold's, in their waters": "Petzold",
+    "Henyey–Greenstein, mean cosine .85": "HG 0.85",
+    ".90": "HG 0.9",
+    ".924": "HG 0.924",
+    ".95": "HG 0.95",
+    "six pictures, .924": "pictures",
+}
+
+Results = dict[str, Any]
+
+
+def load(name: str) -> Results:
+    results: Results = json.loads((RESULTS / f"{name}.json").read_text())
+    return results
+
+
+def table(head: list[str], rows: list[list[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
+
+
+def accuracy() -> str:
+    """How near the model is to what it stands for."""
+    model, planner = load("model"), load("planner")
+    machine = model["machine"]
+    on = f"{machine['processor']}, torch {machine['versions']['torch']}, one thread"
+    rows = planner["rows"]
+    largest, worst = (max(row[key] for row in rows) for key in ("rmse", "max"))
+    unblurred = sum(not row["blurred"] for row in rows)
+    ours = load("stability")["counts"]["uwaug"]
+    draws = load("draws")
+    scenes = draws["scenes"].values()
+    good = min(min(row[bar] for bar in ("kept", "veil", "bright")) for row in scenes)
+    right = min(ours["value"]["right"], ours["gradient"]["right"])
+    conditions = sum(ours["value"].values())
+    paragraphs = [
+        f"Measured by `python -m benchmarks` ({on}); the files in `benchmarks/results` hold all "
+        "figures, and `python -m benchmarks.figures.summary` writes them here.",
+        "**Blur**, against each pixel's own Gaussian, on the scene above (sRGB values, 3000 "
+        "pixels):",
+        _blur_table(model),
+        "**Curves**, at a tolerance of .002, against 61 bands at any distance (vertical depth 0, "
+        "1, 10 m; g 0, .2, 1). Rates are those of the direct term + those that signal and veil "
+        "share; all three channels use them:",
+        _curve_table(model),
+        "**Image**, in ten waters, three ranges of distance and two width laws: "
+        f"{planner['within']} of {len(rows)} pictures within an RMSE of .002, the tolerance, "
+        f"in linear light: at most {largest:.4f}, single values at most {worst:.4f}. "
+        f"With one blur less, {planner['one_less_breaks']} of "
+        f"{planner['with_blurs']} would be beyond half of it. {unblurred} need no blur at all.",
+        "**Published implementation**: direct, forward (before its blur) and veil agree to 1e-5 "
+        "where conventions agree.",
+        "**Light transport**, mean RMSE of direct and forward-scattered light against our own "
+        "Monte Carlo walk over 0.1 to 5 scattering lengths, and in six Monte Carlo pictures "
+        "(`python -m benchmarks.accuracy.physics`):",
+        _transport_table(load("physics")),
+        f"**Default pictures**: {draws['draws']} draws of `RandomUnderwater()` on each of "
+        f"{len(scenes)} scenes (the one above and {len(scenes) - 1} public RGB-D pairs). In the "
+        f"worst scene {100 * good:.0f} % of them are good: 10 to 95 % of the contrast is left at "
+        "the median distance (as standard deviation of sRGB luminance), no veil is brighter than "
+        "white, and no channel's mean is below .02 (`python -m benchmarks.accuracy.draws`).",
+        f"**Stability**: {right} of {conditions} hard conditions right in value and gradient.",
+        "![Methods against hard conditions: value and gradient of each]"
+        "(benchmarks/figures/stability.svg)",
+    ]
+    return "\n\n".join(paragraphs)
+
+
+def _blur_table(model: Results) -> str:
+    rows: dict[str, list[str]] = {}
+    for found in model["blur"]:
+        low, high = (f"{v:g}".removeprefix("0") for v in found["sigma_px"])
+        cells = rows.setdefault(f"{low}–{high} px", [])
+        cells.append(f"{found['psnr_db']:.0f} dB, {found['blurs']} blurs")
+    head = ["widths", "tolerance .01", ".002 (default)", ".0005"]
+    return table(head, [[widths, *cells] for widths, cells in rows.items()])
+
+
+def _curve_table(model: Results) -> str:
+    errors: dict[str, list[float]] = {}
+    for found in model["curves"]:
+        errors.setdefault(found["type"], []).append(found["error"])
+    rows = []
+    for found in model["curves"]:
+        if (found["depth_m"], found["g"]) == (1.0, 0.2):
+            name = found["type"]
+            rates = " + ".join(map(str, found["rates"]))
+            rows.append([name, rates, f"{max(errors[name]):.4f}"])
+    return table(["type", "rates at 1 m, g = .2", "largest error"], rows)
+
+
+def _transport_table(physics: Results) -> str:
+    laws = {
+        "calibrated law": physics["errors"]["calibrated"],
+        "one Gaussian": physics["errors"]["one Gaussian, HG .924 (former)"],
+        "paper's constants": physics["errors"]["paper"],
+    }
+    rows = []
+    for name, key in TRUTHS.items():
+        rows.append([name, *(f"{errors[key]:.4f}" for errors in laws.values())])
+    return table(["phase function", *laws], rows)
+
+
+def chart() -> str:
+    """Where the defaults stand among all that we know, and how time grows."""
+    verdicts, scaling = {}, load("scaling")
+    for panel in load("frontier")["panels"].values():
+        verdicts[panel["part"], panel["size"], panel["threads"]] = panel["verdict"]
+    near = sum(verdict["within_10_percent"] for verdict in verdicts.values())
+    fits = {name: sweep["fits"]["uwaug"] for name, sweep in scaling["sweeps"].items()}
+    pixels, widest = (f"{fits[name]['exponent']:.2f}" for name in ("pixels", "widest"))
+    fused = {}
+    for point in scaling["sweeps"]["widest"]["points"]:
+        median = {name: times["median_ms"] for name, times in point["ms"].items()}
+        fused[f"{point['x']:g}"] = median["uwaug"] / median["fused C++"]
+    paragraphs = [
+        "Every way that we know to compute each part, error of the final image against time, "
+        "512², one thread (`python -m benchmarks.speed.frontier`). Red is our default, "
+        "the line the Pareto front:",
+        "![PSNR against time for blur, spectra, number formats and runtimes]"
+        "(benchmarks/figures/frontier.png)",
+        f"The default is on the front or within 10 % of it in {near} of {len(verdicts)} panels. "
+        "PSNR of the default and, where one exists, the fastest method that is at least as "
+        "accurate (without numba; the compiled loops are the extra `fast`):",
+        _verdict_table(verdicts),
+        f"Time grows with pixels to the power {pixels}, with the widest blur to the power "
+        f"{widest}. One fused loop in C++, compiled on the spot, without coarse grids, is "
+        f"{fused['4']:.1f} times as fast at 4 px and {1 / fused['64']:.1f} times as slow at 64 px "
+        "(`python -m benchmarks.speed.scaling`).",
+        "![Time and memory against pixels, batch, widest blur and rates]"
+        "(benchmarks/figures/scaling.png)",
+    ]
+    return "\n\n".join(paragraphs)
+
+
+def _verdict_table(verdicts: dict[tuple[str, int, int], Results]) -> str:
+    head, settings = [""], dict.fromkeys((size, threads) for _, size, threads in verdicts)
+    for size, threads in settings:
+        head.append(f"{size}², {threads} thread{'s' * (threads > 1)}")
+    rows = []
+    for part in dict.fromkeys(part for part, *_ in verdicts):
+        row = [part]
+        for size, threads in settings:
+            row.append(_stands(verdicts.get((part, size, threads))))
+        rows.append(row)
+    return table(head, rows)
+
+
+def _stands(verdict: Results | None) -> str:
+    if verdict is None:
+        return "–"
+    psnr = f"{verdict['psnr_db']:.0f} dB"
+    if verdict["on_front"]:
+        return psnr
+    return f"{psnr}, {100 * verdict['slower_than_front']:.0f} % behind {verdict['beaten_by']}"
+
+
+def speed() -> str:
+    """Milliseconds, and pictures per second."""
+    model = load("model")
+    scale = model["scaling"]
+    both = scale["forward + backward / forward"]
+    paragraphs = [
+        "Milliseconds for the whole model, field given, widths .9–4.5 px, one thread, each row a "
+        "race in one process (`python -m benchmarks.speed.model`; medians on a shared machine, "
+        "so read the ratios). The factors are for a blur that keeps 60 dB by itself; by default "
+        "uwaug blurs forward-scattered light, which is faint, less carefully:",
+        _speed_table(model),
+        f"A blur of up to 60 px takes {scale['60 px / 4 px']:.2f} times as long as one of up to "
+        f"4 px. 1024² takes {scale['1024² / 256²']:.1f} times as long as 256². Forward and "
+        f"backward together take {both:.1f} times forward alone; to fit, `torch.compile(degrade)` "
+        f"is faster still. At 1024² the peak of memory is {model['memory_times_input']:.1f} times "
+        f"the input. `import uwaug` adds {model['import_s']:.2f} s to torch and kornia.",
+        _loaders(load("throughput")),
+        "The exported file (`python -m benchmarks.speed.runtime`), milliseconds:",
+        _runtime_table(load("runtime")),
+        "These are PyTorch's own loops. For eight times the published recipe and more, see "
+        "[Faster on a CPU](#faster-on-a-cpu).",
+    ]
+    return "\n\n".join(paragraphs)
+
+
+def _speed_table(model: Results) -> str:
+    ours, others = ("uwaug", "uwaug, default"), ("published, OpenCV", "naive kornia")
+    rows = []
+    for found in model["speed"]:
+        ms, times = found["ms"], found["times_faster"]
+        row = [f"{found['water']}, {found['size']}² × {found['batch']}"]
+        row += [f"{ms[name]['median_ms']:.1f}" for name in ours]
+        row += [f"{ms[name]['median_ms']:.0f} ({times[name]:.1f}×)" for name in others]
+        rows.append(row)
+    return table(["water, size × batch", "uwaug, blur ≥ 60 dB", "uwaug, default", *others], rows)
+
+
+def _loaders(throughput: Results) -> str:
+    one = next(t for t in throughput["throughput"] if (t["size"], t["workers"]) == (256, 1))
+    rate = {name: f"{found['median']:.0f}" for name, found in one["pictures_per_s"].items()}
+    other = "torchvision blur + jitter"
+    torchvision = ""
+    if other in rate:
+        torchvision = f"; torchvision's GaussianBlur and ColorJitter make {rate[other]}"
+    parts = next(found for found in throughput["parts"] if found["size"] == 256)["ms_per_picture"]
+    share = {name: 100 * part["draw and medium, share of all"] for name, part in parts.items()}
+    return (
+        "`RandomUnderwater.survey()` at 256 px, field included, one worker (`python -m "
+        f"benchmarks.speed.throughput`): {rate['uwaug, survey']} pictures per second, "
+        f'{rate["uwaug, survey in linear light"]} with `color_space="linear"` as the published '
+        f"recipe works; the published recipe processes {rate['published, OpenCV']} per second"
+        f"{torchvision}. Drawing parameters and building the medium take "
+        f"{share['uwaug, survey']:.0f} % of the time with discrete waters, "
+        f"{share['uwaug, everything random']:.0f} % when every parameter has a range."
+    )
+
+
+def _runtime_table(runtime: Results) -> str:
+    rows = []
+    for found in runtime["speed"]:
+        ms = {name: f"{times['median_ms']:.1f}" for name, times in found["ms"].items()}
+        setting = f"{found['threads']}, {found['size']}² × {found['batch']}"
+        onnx = f"{ms['ONNX Runtime']} ({found['of_eager']:.2f} of eager)"
+        rows.append([setting, onnx, ms["eager"], ms["compiled"]])
+    return table(["threads, size × batch", "ONNX Runtime", "eager", "torch.compile"], rows)
+
+
+def compiled() -> str:
+    """How many times as fast the compiled loops are as what ran beside them."""
+    found = load("fused")
+    others = ("eager", "published recipe", "authors' loops", "direct + veil")
+    rows = []
+    for one in found["whole_model"]:
+        rows.append([_setting(one), *(_times(one, name) for name in others)])
+    encoded = []
+    for one in found["colours"]:
+        encoded.append([_setting(one), *(_times(one, f"eager, {kind}") for kind in _KINDS)])
+    waters = []
+    for one in found["random"]:
+        waters.append([one["transform"], *(_times(one, name) for name in others[:2])])
+    paragraphs = [
+        "How many times as long others take, in the same process "
+        "(`python -m benchmarks.speed.loops`; a shared machine). "
+        "The whole model with field, in linear light:",
+        table(["size, threads", *others], rows),
+        "sRGB in and out; bytes in and out:",
+        table(["size, threads", "eager, sRGB", "eager, bytes"], encoded),
+        "`RandomUnderwater` at 256 px, one worker:",
+        table(["transform", "eager", "published recipe"], waters),
+    ]
+    return "\n\n".join(paragraphs)
+
+
+_KINDS = ("sRGB", "bytes")
+
+
+def _setting(one: Results) -> str:
+    return f"{one['size']}², {one['threads']} thread{'s' * (one['threads'] > 1)}"
+
+
+def _times(one: Results, name: str) -> str:
+    times = one["times_faster"]
+    if name not in times:
+        return "–"
+    ours = times[name.replace("eager", "fused")] if name.startswith("eager, ") else 1.0
+    return f"{times[name] / ours:.1f}"
+
+
+def sections() -> dict[str, str]:
+    """What belongs between the markers of each name."""
+    found = "\n\n".join(fits(load("fitting")))
+    text = {"accuracy": accuracy(), "fits": found, "chart": chart(), "speed": speed()}
+    return text | {"fused": compiled()}
+
+
+def updated(text: str) -> str:
+    """The README with the figures of the results."""
+    for name, body in sections().items():
+        pattern = rf"(<!-- figures: {name} -->\n).*?(<!-- /figures: {name} -->)"
+
+        def filled(markers: re.Match[str], body: str = body) -> str:
+            return f"{markers[1]}{body}\n{markers[2]}"
+
+        text, count = re.subn(pattern, filled, text, flags=re.DOTALL)
+        if count != 1:
+            wanted = f"expected the markers of figures: {name} once, found them {count} times"
+            raise ValueError(f"{README.name}: {wanted}")
+    return text
+
+
+def main(quick: bool = False) -> None:
+    """Write the README's figures; if quick, only make them."""
+    text = updated(README.read_text())
+    if not quick:
+        with written_whole(README) as part:
+            part.write_text(text)
+
+
+if __name__ == "__main__":
+    command(main, __doc__)

@@ -1,0 +1,1 @@
+"""How long: ours beside others in one process."""

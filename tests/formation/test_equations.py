@@ -1,0 +1,75 @@
+"""Each equation stands once, and the way to it is short."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+import uwaug
+import uwaug.formation.model
+import uwaug.optics.curves
+from uwaug import fused
+from uwaug.onnx.graph import Graph
+from uwaug.onnx.metadata import plan_of
+from uwaug.optics.point_spread import PointSpread
+
+
+def test_the_first_matrix_product_is_near() -> None:
+    """From `RandomUnderwater` to what multiplies: at most six functions of the package deep."""
+    aug = uwaug.RandomUnderwater.survey(waters="7C", field_probability=0.0)
+    image, distance = torch.rand(3, 64, 80), torch.linspace(1, 5, 64 * 80).reshape(1, 64, 80)
+    deepest = []
+    products = (torch.mm, torch.bmm)
+
+    def watch(frame: Any, event: str, called: Any) -> None:
+        if event == "c_call" and called in products and not deepest:
+            while frame is not None:
+                if frame.f_code.co_filename.startswith(str(Path(uwaug.__file__).parent)):
+                    deepest.append(frame.f_code.co_name)
+                frame = frame.f_back
+
+    with fused.use(False):
+        aug(image, distance)  # plans and matrices are made at the first call
+        sys.setprofile(watch)
+        try:
+            aug(image, distance)
+        finally:
+            sys.setprofile(None)
+    assert deepest[-1] == "forward"
+    assert len(deepest) <= 6, deepest
+
+
+def doubled(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
+    return lambda *arguments: 2 * function(*arguments)
+
+
+@pytest.mark.parametrize(
+    "owner, name",
+    [
+        (uwaug.optics.curves, "decay"),  # e^(−rate·z), of all three curves
+        (PointSpread, "sigma"),  # the width law
+        (uwaug.formation.model, "node_weights"),  # the weights of the blurs
+    ],
+)
+def test_eager_and_graph_share_each_equation(
+    owner: Any, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = uwaug.load_preset("survey", water="7C").module(sides=(32, 1024))
+    plan = plan_of(module)
+    image, distance = torch.rand(1, 3, 40, 56), torch.linspace(1, 5, 40 * 56).reshape(1, 1, 40, 56)
+
+    def eager_and_graph() -> tuple[Tensor, Tensor]:
+        graph = Graph(module, plan, frozen=True, field=False, quantised=False)
+        with torch.no_grad(), fused.use(False):
+            eager = module.formed(image, distance, None, module.medium, plan)
+            return eager, graph(image, distance)
+
+    before, _ = eager_and_graph()
+    monkeypatch.setattr(owner, name, doubled(getattr(owner, name)))
+    eager, graph = eager_and_graph()
+    assert (eager - before).abs().max() > 0.01
+    torch.testing.assert_close(graph, eager, rtol=0, atol=2e-6)

@@ -1,0 +1,1 @@
+"""Models of our own making that share no code with the package, to judge it by."""
