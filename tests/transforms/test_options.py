@@ -1,3 +1,4 @@
+import json
 import math
 from pathlib import Path
 from typing import Any
@@ -215,3 +216,45 @@ def test_construction_rejects(options: dict[str, Any], match: str) -> None:
 def test_point_spread_must_be_one() -> None:
     with pytest.raises(TypeError, match=r"point_spread must be a uwaug\.PointSpread, got float"):
         RandomUnderwater(point_spread=0.3)
+
+
+# Options as JSON and TOML hold them
+
+
+def test_options_are_written_and_read(options: dict[str, Any]) -> None:
+    aug = RandomUnderwater(**options)
+    if callable(options.get("distance")):
+        with pytest.raises(NotImplementedError, match=r"distance cannot be written.*brightness"):
+            aug.to_dict()
+        return
+    plain = json.loads(json.dumps(aug.to_dict()))
+    twin = RandomUnderwater.from_dict(plain)
+    assert twin.to_dict() == aug.to_dict() == plain
+    assert same(result(aug, 2), result(twin, 2))
+
+
+def test_options_as_people_write_them() -> None:
+    law = {"scale": 2.0, "exponent": 0.6}
+    lights = [
+        {"kind": "ambient", "gain": 0.2},
+        {"kind": "lamp", "position": [0.3, 0, 0], "direction": [0, 0, 1]},
+    ]
+    aug = RandomUnderwater.from_dict({"g": [0.1, 0.2], "point_spread": law, "light": lights})
+    light = Light.ambient(0.2) + Light.lamp((0.3, 0.0, 0.0), (0.0, 0.0, 1.0))
+    expected = RandomUnderwater(g=(0.1, 0.2), point_spread=PointSpread(2.0, 0.6), light=light)
+    assert aug.to_dict() == expected.to_dict()
+    assert aug.g == (0.1, 0.2)
+
+
+@pytest.mark.parametrize(
+    "options, match",
+    [
+        ({"point_spread": {"exponent": 0.6}}, "point_spread: .*scale"),
+        ({"point_spread": {"scale": 1.0, "width": 2}}, "point_spread: .*width"),
+        ({"light": [{"kind": "moon"}]}, "light.kind must be one of"),
+        ({"cameras": {"uwaug": "Kodak"}}, "cameras: unknown or missing: 'Kodak'"),
+    ],
+)
+def test_tables_that_do_not_suit(options: dict[str, Any], match: str) -> None:
+    with pytest.raises(ValueError, match=match):
+        RandomUnderwater.from_dict(options)

@@ -10,10 +10,9 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug.adapters.conversion import map_of, picture_of
-from uwaug.adapters.plain import from_plain, to_plain
 from uwaug.io.pictures import Unit, metres_of, read_distance
+from uwaug.transforms.codec import encode_options
 from uwaug.transforms.draw import Record
-from uwaug.transforms.options import given
 from uwaug.transforms.random_underwater import RandomUnderwater
 
 try:
@@ -86,7 +85,7 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
         checks.within("p", p, 0.0, 1.0)
         super().__init__(p=p)
         if augment is None or isinstance(augment, Mapping):
-            augment = RandomUnderwater(**from_plain(augment or {}))
+            augment = RandomUnderwater.from_dict(augment or {})
         checks.instance("augment", augment, RandomUnderwater)
         if augment.p != 1:
             raise ValueError(f"augment.p must be 1, got {augment.p}: give p to the adapter instead")
@@ -146,5 +145,4 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
     def to_dict_private(self) -> dict[str, Any]:
         """The options, as JSON holds them."""
         state: dict[str, Any] = super().to_dict_private()
-        state["augment"] = given(self.augment)
-        return {name: to_plain(name, value) for name, value in state.items()}
+        return encode_options({**state, "augment": self.augment.to_dict()})

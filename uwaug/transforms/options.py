@@ -35,7 +35,6 @@ __all__ = [
     "contrast_beside",
     "contrast_of",
     "distribution_of",
-    "given",
     "settings_of",
 ]
 
@@ -129,21 +128,6 @@ def lights_in(aug: RandomUnderwater) -> list[Light]:
         if light.rows() > 1:
             raise ValueError(f"light must be for one picture, got one for {light.rows()}")
     return lights
-
-
-def given(aug: RandomUnderwater) -> dict[str, Any]:
-    """The options that are not the defaults; with them, the class makes an equal transform."""
-    options: dict[str, Any] = {}
-    waters = list(aug.waters) if set(aug.waters.values()) == {1} else aug.waters
-    if waters != list(GOOD_WATERS):
-        options["waters"] = waters
-    for name, parameter in list(inspect.signature(type(aug)).parameters.items())[1:]:
-        value, default = getattr(aug, name), parameter.default
-        if name == "contrast" and aug.visibility is not None:
-            continue  # visibility takes its place
-        if value not in (default, [default]):
-            options[name] = value
-    return options
 
 
 def distribution_of(aug: RandomUnderwater) -> Distribution:

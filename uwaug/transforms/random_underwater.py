@@ -1,5 +1,6 @@
 """`RandomUnderwater`: new water for every picture, in a DataLoader worker or on a whole batch."""
 
+import inspect
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Literal
@@ -15,6 +16,7 @@ from uwaug.optics.camera import Camera
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
 from uwaug.presets.preset import load_preset
+from uwaug.transforms.codec import decode_options, encode_options
 from uwaug.transforms.draw import Lens, Range, Record, cameras_of, spectra_of, weighed
 from uwaug.transforms.opaque import Opaque
 from uwaug.transforms.options import (
@@ -25,7 +27,6 @@ from uwaug.transforms.options import (
     contrast_beside,
     contrast_of,
     distribution_of,
-    given,
     settings_of,
 )
 from uwaug.transforms.prepare import Choice, Draw, exactly, in_water, used
@@ -252,6 +253,41 @@ class RandomUnderwater(SampleTransform):
         preset = load_preset(name_or_path, water=water, camera=camera)
         return cls(**{**preset.options(options.get("distance_kind", "metric")), **options})
 
+    def to_dict(self) -> dict[str, Any]:
+        """The options that differ from the defaults, in numbers, strings, lists and dicts, as JSON,
+        YAML and TOML hold them.
+
+        Raises:
+            NotImplementedError: if one cannot be written so, such as a function.
+        """
+        return encode_options(self._changed_options())
+
+    @classmethod
+    def from_dict(cls, options: Mapping[str, Any]) -> "RandomUnderwater":
+        """A transform from what `to_dict` gives, or from options as a person writes them in TOML: a
+        range as a list of two numbers, `point_spread` as a table of its arguments, `light` as a
+        list of tables, each with kind = "ambient", "parallel" or "lamp" and the arguments of that
+        constructor of `Light`.
+
+        Raises:
+            TypeError, ValueError: as the class, and if a table does not suit.
+        """
+        return cls(**decode_options(options))
+
+    def _changed_options(self) -> dict[str, Any]:
+        """The options that differ from the defaults."""
+        options: dict[str, Any] = {}
+        waters = list(self.waters) if set(self.waters.values()) == {1} else self.waters
+        if waters != list(GOOD_WATERS):
+            options["waters"] = waters
+        for name, parameter in list(inspect.signature(type(self)).parameters.items())[1:]:
+            value, default = getattr(self, name), parameter.default
+            if name == "contrast" and self.visibility is not None:
+                continue  # visibility takes its place
+            if value not in (default, [default]):
+                options[name] = value
+        return options
+
     def make_params(self, image: Tensor, generator: torch.Generator | None = None) -> Record:
         """Draw everything that is random, for a picture or a batch of this shape.
 
@@ -342,7 +378,7 @@ class RandomUnderwater(SampleTransform):
         return jobs
 
     def __repr__(self) -> str:
-        options = given(self)
+        options = self._changed_options()
         shown = [repr(options.pop("waters"))] if "waters" in options else []
         for name, value in options.items():
             shown.append(f"{name}={value!r}")
