@@ -103,5 +103,4 @@ def choice(quick: bool, progress: Path | None = None) -> dict[str, Any]:
     for state, values in sorted(right.items()):
         results["right_percent"][state] = [percent(values), len(values)]
         print(f"{state:24} right in {percent(values):.0f} % of {len(values)}")
-    results["rows"] = rows
     return results

@@ -161,7 +161,6 @@ def recovery(quick: bool, progress: Path | None = None) -> dict[str, Any]:
         if some:
             results[kind] = summarised(some)
             show(kind, results[kind])
-    results["rows"] = rows
     return results
 
 

@@ -1,4 +1,4 @@
-"""The figures that the README shows, from results/*.json between its markers:
+"""The tables of benchmarks/README.md, from results/*.json, between its markers:
 `python -m benchmarks.figures.summary`.
 """
 
@@ -10,7 +10,7 @@ from benchmarks.figures.summary_fits import fits
 from benchmarks.harness import RESULTS, ROOT, command
 from uwaug._support.atomic import written_whole
 
-README = ROOT / "README.md"
+GUIDE = ROOT / "benchmarks" / "README.md"
 TRUTHS = {
     "Petzold's, in their waters": "Petzold",
     "Henyey–Greenstein, mean cosine .85": "HG 0.85",
@@ -74,8 +74,7 @@ def accuracy() -> str:
         "the median distance (as standard deviation of sRGB luminance), no veil is brighter than "
         "white, and no channel's mean is below .02 (`python -m benchmarks.accuracy.draws`).",
         f"**Stability**: {right} of {conditions} hard conditions right in value and gradient.",
-        "![Methods against hard conditions: value and gradient of each]"
-        "(benchmarks/figures/stability.svg)",
+        "![Methods against hard conditions: value and gradient of each](figures/stability.svg)",
     ]
     return "\n\n".join(paragraphs)
 
@@ -131,8 +130,7 @@ def chart() -> str:
         "Every way that we know to compute each part, error of the final image against time, "
         "512², one thread (`python -m benchmarks.speed.frontier`). Red is our default, "
         "the line the Pareto front:",
-        "![PSNR against time for blur, spectra, number formats and runtimes]"
-        "(benchmarks/figures/frontier.png)",
+        "![PSNR against time for blur, spectra, number formats and runtimes](figures/frontier.png)",
         f"The default is on the front or within 10 % of it in {near} of {len(verdicts)} panels. "
         "PSNR of the default and, where one exists, the fastest method that is at least as "
         "accurate (without numba; the compiled loops are the extra `fast`):",
@@ -141,8 +139,7 @@ def chart() -> str:
         f"{widest}. One fused loop in C++, compiled on the spot, without coarse grids, is "
         f"{fused['4']:.1f} times as fast at 4 px and {1 / fused['64']:.1f} times as slow at 64 px "
         "(`python -m benchmarks.speed.scaling`).",
-        "![Time and memory against pixels, batch, widest blur and rates]"
-        "(benchmarks/figures/scaling.png)",
+        "![Time and memory against pixels, batch, widest blur and rates](figures/scaling.png)",
     ]
     return "\n\n".join(paragraphs)
 
@@ -285,7 +282,7 @@ def sections() -> dict[str, str]:
 
 
 def updated(text: str) -> str:
-    """The README with the figures of the results."""
+    """The guide with the figures of the results."""
     for name, body in sections().items():
         pattern = rf"(<!-- figures: {name} -->\n).*?(<!-- /figures: {name} -->)"
 
@@ -295,15 +292,15 @@ def updated(text: str) -> str:
         text, count = re.subn(pattern, filled, text, flags=re.DOTALL)
         if count != 1:
             wanted = f"expected the markers of figures: {name} once, found them {count} times"
-            raise ValueError(f"{README.name}: {wanted}")
+            raise ValueError(f"{GUIDE.name}: {wanted}")
     return text
 
 
 def main(quick: bool = False) -> None:
-    """Write the README's figures; if quick, only make them."""
-    text = updated(README.read_text())
+    """Write the tables; if quick, only make them."""
+    text = updated(GUIDE.read_text())
     if not quick:
-        with written_whole(README) as part:
+        with written_whole(GUIDE) as part:
             part.write_text(text)
 
 

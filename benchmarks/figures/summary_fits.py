@@ -1,4 +1,4 @@
-"""What the README says of fits, from results/fitting.json."""
+"""What the guide says of fits, from results/fitting.json."""
 
 from typing import Any
 
