@@ -384,11 +384,6 @@ def test_a_picture_whose_map_tells_nothing_is_skipped(kind: str, same_on_batch: 
     levels = picture(3, torch.uint8)
     assert same(aug.transform(levels, maps, drawn)[1], levels[1])
     assert same(aug(image[1], maps[1])[0], image[1])
-    torch.compiler.reset()
-    compiled = torch.compile(aug.transform, fullgraph=True, backend="eager")
-    assert same(compiled(image, maps, drawn), out)
-    alone = {"samples": drawn["samples"][:1]}
-    assert same(compiled(image[1], maps[1], alone), image[1])
 
 
 def applied(image: Tensor, maps: Tensor, **options: Any) -> list[bool]:

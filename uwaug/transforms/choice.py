@@ -3,12 +3,9 @@
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Literal, NamedTuple
-
-import torch
-from torch import Tensor
 
 from uwaug._support.types import ColorSpace, Order
 from uwaug.distance.sample import DistanceKind, Scaling, Unknown
@@ -83,11 +80,6 @@ class Draw(NamedTuple):
             values.append(math.nan if value is None else value)
         return Draw(*values)
 
-    def to_tensor(self) -> Tensor:
-        """As numbers; torch.tensor(…) would fix them in a graph."""
-        one = torch.ones((), dtype=torch.float64)
-        return torch.stack([one * value for value in self])
-
 
 @dataclass(frozen=True)
 class Settings:
@@ -119,18 +111,6 @@ class Settings:
     def light(self, draw: Draw) -> Light | None:
         """The light of a draw; None for daylight alone."""
         return None if math.isnan(draw.light) else lights_of(self.lights)[int(draw.light)]
-
-    def to_json(self) -> str:
-        """As text, for an operator that takes no objects."""
-        return json.dumps(asdict(self))
-
-    @staticmethod
-    def from_json(text: str) -> "Settings":
-        """The inverse of `to_json`."""
-        values = json.loads(text)
-        if values["point_spread"] is not None:
-            values["point_spread"] = PointSpread(**values["point_spread"])
-        return Settings(**values)
 
 
 @lru_cache(maxsize=16)

@@ -137,9 +137,8 @@ class Distribution:
                 raise ValueError(
                     f"params is of a transform with other options: they differ in {odd}"
                 )
-            if not torch.compiler.is_compiling():  # numbers are symbols there
-                _require_values(sample, self.ranges)
-                _require_light(sample, self.lights)
+            _require_values(sample, self.ranges)
+            _require_light(sample, self.lights)
             _require_known(sample["waters"], self.waters)
             _require_known([sample["camera"]], self.cameras)
         return samples * batch if count < batch else samples

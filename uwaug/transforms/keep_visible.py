@@ -17,7 +17,7 @@ from uwaug.labels.regions import box_region, mask_region, mean_over
 from uwaug.transforms.draw import Record
 from uwaug.transforms.prepare import exactly, in_water
 from uwaug.transforms.random_underwater import RandomUnderwater
-from uwaug.transforms.samples import key_of, naming, plain_image, typed
+from uwaug.transforms.samples import key_of, naming, plain_image, typed, uncompiled
 
 __all__ = ["KeepVisible", "transform_with_contrast"]
 
@@ -101,6 +101,7 @@ class KeepVisible(nn.Module):
         """The transform with randomness from a key; see `RandomUnderwater.at`."""
         return partial(self._apply_with, key_of(seed, epoch, index))
 
+    @uncompiled
     def forward(self, *inputs: Any) -> Any:
         """Draw, degrade and look at the objects; see the class."""
         return self._degraded(None, inputs)

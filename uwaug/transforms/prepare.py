@@ -38,7 +38,6 @@ __all__ = [
     "Settings",
     "Settled",
     "Whole",
-    "degrade",
     "exactly",
     "in_water",
     "used",
@@ -51,22 +50,6 @@ turbid enough for a scene at arm's length are black at 10 m.
 """
 
 
-def degrade(image: Tensor, distance: Tensor | None, choice: Choice) -> Tensor:
-    """Degrade a picture; a large one in strips, which is the same to rounding.
-
-    Args:
-        image (3xHxW tensor): uint8 or floating point.
-        distance (1xHxW tensor): of the kind that is set; None for a plane at the distance drawn.
-        choice: what it is degraded with.
-
-    Returns:
-        The picture, like `image`.
-    """
-    with exactly(image):
-        (picture,) = in_water(image, distance, choice).seen.pictures(together)
-        return picture
-
-
 @contextmanager
 def exactly(image: Tensor) -> Iterator[None]:
     """Where a picture is degraded: without gradients, and bit for bit the same each time."""
@@ -75,7 +58,7 @@ def exactly(image: Tensor) -> Iterator[None]:
 
 
 def used(image: Tensor, distance: Tensor | None, choice: Choice) -> dict[str, float]:
-    """What the draw comes to on a picture; arguments as for `degrade`.
+    """What the draw comes to on a picture; arguments as for `in_water`.
 
     Returns:
         contents: factor on all that is in the water besides pure water.
@@ -173,7 +156,13 @@ class InWater(NamedTuple):
 
 
 def in_water(image: Tensor, distance: Tensor | None, choice: Choice) -> InWater:
-    """A picture in its water, before it is formed; arguments as for `degrade`."""
+    """A picture in its water, before it is formed.
+
+    Args:
+        image (3xHxW tensor): uint8 or floating point.
+        distance (1xHxW tensor): of the kind that is set; None for a plane at the distance drawn.
+        choice: what it is degraded with.
+    """
     make = _in_strips if strips.is_large(image) else _as_a_whole
     return make(image, distance, choice)
 

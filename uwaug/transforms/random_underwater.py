@@ -18,7 +18,6 @@ from uwaug.optics.water import Water
 from uwaug.presets.preset import load_preset
 from uwaug.transforms.codec import decode_options, encode_options
 from uwaug.transforms.draw import Lens, Range, Record, cameras_of, spectra_of, weighed
-from uwaug.transforms.opaque import Opaque
 from uwaug.transforms.options import (
     CONTRAST,
     GOOD_WATERS,
@@ -30,7 +29,14 @@ from uwaug.transforms.options import (
     settings_of,
 )
 from uwaug.transforms.prepare import Choice, Draw, exactly, in_water, used
-from uwaug.transforms.samples import SampleTransform, maps_for, naming, plain_image, typed
+from uwaug.transforms.samples import (
+    SampleTransform,
+    maps_for,
+    naming,
+    plain_image,
+    typed,
+    uncompiled,
+)
 
 __all__ = ["RandomUnderwater"]
 
@@ -104,7 +110,8 @@ class RandomUnderwater(SampleTransform):
         share one map; uint8 (0…255) or floating point (0…1); plain tensors or torchvision's
         tv_tensors (a distance map is best a `Mask`). The same structure comes back with a new image
         of the same type; every other leaf is returned as it is, and no input is changed. Gradients
-        end here; `uwaug.Underwater` passes them on.
+        end here; `uwaug.Underwater` passes them on. `torch.compile` leaves the transform as it
+        is, at a break of the graph, as it does torchvision's.
 
     Randomness comes from torch's global generator, which a DataLoader seeds for each worker and
     epoch; `at` draws from a key instead. Place the transform before normalisation, and after
@@ -194,7 +201,6 @@ class RandomUnderwater(SampleTransform):
         self.responses = cameras_of(self.cameras)
         self._distribution = distribution_of(self)
         self._settings = settings_of(self, self._distribution.ranges)
-        self._opaque = Opaque(self.spectra, self.responses, self._settings)
 
     @classmethod
     def survey(cls, **options: Any) -> "RandomUnderwater":
@@ -302,12 +308,9 @@ class RandomUnderwater(SampleTransform):
         batch = 1 if image.ndim == 3 or self.same_on_batch else len(image)
         return self._distribution.draw(batch, generator)
 
+    @uncompiled
     def transform(self, image: Tensor, distance: Tensor | None, params: Record) -> Tensor:
         """Degrade a picture or a batch as a record says: deterministic, bit for bit.
-
-        To `torch.compile` it is one opaque operator, bit for bit as well and no faster. Each
-        choice of waters and camera compiles a graph of its own; PyTorch keeps at most eight
-        (`torch._dynamo.config.recompile_limit`).
 
         Args:
             image (3xHxW or Bx3xHxW tensor): uint8 or floating point.
@@ -331,12 +334,9 @@ class RandomUnderwater(SampleTransform):
         if not jobs:
             return image
         for i, z, sample in jobs:
-            if torch.compiler.is_compiling():
-                parts[i] = self._opaque(parts[i], z, sample)
-            else:
-                with naming(i, len(parts)), exactly(parts[i]):
-                    found = in_water(parts[i], z, self.chosen(sample))
-                    (parts[i],) = found.seen.pictures(together)
+            with naming(i, len(parts)), exactly(parts[i]):
+                found = in_water(parts[i], z, self.chosen(sample))
+                (parts[i],) = found.seen.pictures(together)
         return typed(parts[0] if plain.ndim == 3 else torch.stack(parts), type(image))
 
     def resolve(self, image: Tensor, distance: Tensor | None, params: Record) -> Record:
@@ -371,9 +371,7 @@ class RandomUnderwater(SampleTransform):
         maps = maps_for(plain, distance, chosen, self.distance)
         jobs = []
         for i, z in zip(chosen, maps, strict=True):
-            # compiled code cannot look at a map: the operator does
-            kind, unknown = self._settings.distance_kind, self._settings.unknown
-            if torch.compiler.is_compiling() or not skipped(z, kind, unknown):
+            if not skipped(z, self._settings.distance_kind, self._settings.unknown):
                 jobs.append((i, z, samples[i]))
         return jobs
 

@@ -4,11 +4,12 @@ applies a transform to them.
 
 import copy
 import hashlib
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
+from functools import partial, wraps
 from operator import index as whole
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -23,6 +24,7 @@ __all__ = [
     "plain_image",
     "take_apart",
     "typed",
+    "uncompiled",
 ]
 
 
@@ -68,6 +70,26 @@ def _leaf(sample: Mapping[Any, Any], name: str, what: str) -> Any:
     return sample[name]
 
 
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def uncompiled(function: Callable[P, T]) -> Callable[P, T]:
+    """What `torch.compiler.disable` makes of a function, which `torch.compile` then leaves as it
+    is, at a break of the graph; without its import of torch._dynamo (.7 s) where nobody compiles.
+    """
+
+    @wraps(function)
+    def called(*args: P.args, **kwargs: P.kwargs) -> T:
+        if "torch._dynamo" not in sys.modules:
+            return function(*args, **kwargs)
+        result: T = torch.compiler.disable(function)(*args, **kwargs)  # type: ignore[no-untyped-call]
+        return result
+
+    called._torchdynamo_disable = True  # type: ignore[attr-defined]
+    return called
+
+
 class SampleTransform(nn.Module):
     """What applies a random transform to samples; a subclass has `make_params` and `transform`.
 
@@ -97,11 +119,13 @@ class SampleTransform(nn.Module):
         """
         return partial(self._apply_with, key_of(seed, epoch, index))
 
+    @uncompiled
     def _apply_with(self, key: int, *inputs: Any) -> Any:
         generator = torch.Generator().manual_seed(key)
         image, distance, rebuild = self.taken_apart(inputs)
         return rebuild(self.transform(image, distance, self.make_params(image, generator)))
 
+    @uncompiled
     def forward(self, *inputs: Any) -> Any:
         """Draw and degrade; see the class."""
         image, distance, rebuild = self.taken_apart(inputs)
