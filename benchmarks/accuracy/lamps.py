@@ -17,10 +17,8 @@ import uwaug
 from benchmarks.accuracy.lamps_transport import RADIUS, lamp_light
 from benchmarks.harness import ROOT, command, race, save, scene, use_threads, water_medium
 from uwaug import Light, Medium, Underwater
-from uwaug.light.beam import ray_of
-from uwaug.light.fog import fog_at, fog_of, fog_within, terms_of
-from uwaug.light.rays import view_of
-from uwaug.optics.inherent import legs_of
+from uwaug.light.backscatter import grid_of, integrated, interpolated, order_of
+from uwaug.light.geometry import ray_of, view_of
 from uwaug.presets.scene import motorcycle
 
 FIGURE = ROOT / "benchmarks" / "figures" / "lamps.jpg"
@@ -34,7 +32,7 @@ IN_VIEW = Light.lamp((0.4, -0.3, 3.0), (-0.12, 0.1, -1.0), 2.0, cone=45.0)
 
 def veils(count: int, water: str = "7C") -> dict[str, dict[str, float]]:
     """The largest and the median error of the veil for random lamps; and of the grid of rays."""
-    legs = legs_of(Medium.from_water(water))
+    white = Medium.from_water(water).under()
     rng = np.random.default_rng(0)
     found = {}
     for kind in KINDS:
@@ -42,10 +40,10 @@ def veils(count: int, water: str = "7C") -> dict[str, dict[str, float]]:
         for _ in range(count):
             case = random_case(kind, rng)
             lamp, view = case.lamp, case.view
-            own = legs.tinted(lamp.power[:, None] * lamp.colour)
+            own = white.brightened(lamp.power[:, None] * lamp.rgb)
             z = torch.full((1, 1, 1, 1), case.z, dtype=torch.float64)
-            ours = fog_at(lamp, own, view, ray_of(lamp, view), z).flatten()
-            truth = veil_by_definition(case, legs)
+            ours = integrated(lamp, own, view, ray_of(lamp, view), z).flatten()
+            truth = veil_by_definition(case, white)
             # a picture shows no more than white
             errors.append(float(((ours - truth).abs() / truth.clamp(min=1)).max()))
             if not lamp.ahead:
@@ -55,16 +53,16 @@ def veils(count: int, water: str = "7C") -> dict[str, dict[str, float]]:
     return found
 
 
-def _off_grid(lamp: Any, legs: Any, rng: np.random.Generator) -> float:
+def _off_grid(lamp: Any, water: Medium, rng: np.random.Generator) -> float:
     """The largest error of the grid of rays at 200 pixels of a picture."""
     size = (10, 20)
-    view = view_of(size, 0.866 * 20, None, legs.G)
+    view = view_of(size, 0.866 * 20, None, water.G)
     ray = ray_of(lamp, view)
     z = torch.from_numpy(0.2 * 100 ** rng.uniform(size=(1, 1, *size)))
     # the rays of a picture of this size lie beside those of the grid
-    fog = fog_of(lamp, legs, view, terms_of(lamp, legs))
-    found = fog_within(fog, view, ray, z, slice(0, size[1]))
-    return float((found - fog_at(lamp, legs, view, ray, z)).abs().max())
+    grid = grid_of(lamp, water, view, order_of(lamp, water))
+    found = interpolated(grid, view, ray, z, slice(0, size[1]))
+    return float((found - integrated(lamp, water, view, ray, z)).abs().max())
 
 
 def referee(photons: int, lengths: tuple[float, ...] = LENGTHS) -> list[dict[str, float]]:

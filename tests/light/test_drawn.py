@@ -11,8 +11,7 @@ from torch import Tensor
 
 import uwaug
 from uwaug import KeepVisible, Light, Medium, RandomUnderwater
-from uwaug.light.text import light_of_tables
-from uwaug.optics.reduction import Forward
+from uwaug.optics.inherent import Forward
 
 LAMP = Light.lamp((0.4, -0.2, 0.0), (-0.1, 0.0, 1.0), 4.0, 40.0)
 
@@ -96,7 +95,7 @@ def test_large_pictures_say_that_they_take_none(monkeypatch: pytest.MonkeyPatch)
 
 def test_lights_of_tables() -> None:
     lamp = {"kind": "lamp", "position": [0.4, -0.2, 0.0], "direction": [-0.1, 0.0, 1.0]}
-    light = light_of_tables([{"kind": "ambient", "gain": 0.5}, {**lamp, "power": 4.0}])
+    light = Light.from_list([{"kind": "ambient", "gain": 0.5}, {**lamp, "power": 4.0}])
     assert repr(light).startswith(
         "Light.ambient(gain=0.5, gradient=0.0) + Light.lamp(position=(0.4"
     )
@@ -107,7 +106,7 @@ def test_lights_of_tables() -> None:
         ({"kind": "lamp"}, "light: expected tables"),
     ):
         with pytest.raises(ValueError, match=message):
-            light_of_tables(table)
+            Light.from_list(table)
 
 
 def test_degrade_takes_a_light_from_a_file(run: Any, tmp_path: Path) -> None:

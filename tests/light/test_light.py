@@ -11,11 +11,8 @@ from torch import Tensor
 import uwaug
 from uwaug import Light, Medium, Underwater, form_image
 from uwaug.formation.model import Terms
-from uwaug.light.beam import ray_of
-from uwaug.light.fog import fog_at, fog_of, fog_within, terms_of
-from uwaug.light.rays import normals, view_of
-from uwaug.light.text import light_from, plain_numbers
-from uwaug.optics.inherent import legs_of
+from uwaug.light.backscatter import grid_of, integrated, interpolated, order_of
+from uwaug.light.geometry import normals, ray_of, view_of
 
 FOCAL = 50.0
 MEDIUM = Medium.from_water("5C", vertical_depth=3.0).to(torch.float64)
@@ -139,44 +136,44 @@ def test_a_lamp_on_a_wall() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("water", ["I", "7C"])
 def test_the_veil_is_the_integral(kind: str, water: str) -> None:
-    legs = legs_of(Medium.from_water(water))
+    white = Medium.from_water(water).under()
     rng = np.random.default_rng(KINDS.index(kind))
     for _ in range(25):
         case = random_case(kind, rng)
         lamp, view = case.lamp, case.view
-        own = legs.tinted(lamp.power[:, None] * lamp.colour)
+        own = white.brightened(lamp.power[:, None] * lamp.rgb)
         z = torch.full((1, 1, 1, 1), case.z, dtype=torch.float64)
-        found = fog_at(lamp, own, view, ray_of(lamp, view), z).flatten()
-        wanted = veil_by_definition(case, legs)
+        found = integrated(lamp, own, view, ray_of(lamp, view), z).flatten()
+        wanted = veil_by_definition(case, white)
         torch.testing.assert_close(found, wanted, rtol=0.005, atol=1e-3)
 
 
 @pytest.mark.parametrize("kind", KINDS[:2])
 def test_the_grid_of_rays_is_fine_enough(kind: str) -> None:
-    legs = legs_of(Medium.from_water("7C"))
+    white = Medium.from_water("7C").under()
     rng, size = np.random.default_rng(5), (60, 80)
-    view = view_of(size, 0.866 * 80, None, legs.G)
+    view = view_of(size, 0.866 * 80, None, white.G)
     z = torch.from_numpy(0.2 * 100 ** rng.uniform(size=(1, 1, *size)))
     for _ in range(10):
         lamp = random_case(kind, rng).lamp
         assert not lamp.ahead
-        own = legs.tinted(lamp.power[:, None] * lamp.colour)
-        fog = fog_of(lamp, own, view, terms_of(lamp, own))
-        found = fog_within(fog, view, ray_of(lamp, view), z, slice(0, 80))
-        exact = fog_at(lamp, own, view, ray_of(lamp, view), z)
+        own = white.brightened(lamp.power[:, None] * lamp.rgb)
+        grid = grid_of(lamp, own, view, order_of(lamp, own))
+        found = interpolated(grid, view, ray_of(lamp, view), z, slice(0, 80))
+        exact = integrated(lamp, own, view, ray_of(lamp, view), z)
         torch.testing.assert_close(found, exact, rtol=0, atol=0.002)
 
 
 @pytest.mark.parametrize("z", [0.3, 2.0, 4.0])
 def test_gradients_of_the_veil(z: float) -> None:
-    legs = legs_of(Medium.from_coefficients((0.5,) * 3, (0.2,) * 3, (0.1,) * 3, b_mean=0.3))
-    view = view_of((3, 4), 3.0, None, legs.G)
+    white = Medium.from_coefficients((0.5,) * 3, (0.2,) * 3, (0.1,) * 3, b_mean=0.3).under()
+    view = view_of((3, 4), 3.0, None, white.G)
     distance = torch.full((1, 1, 3, 4), z, dtype=torch.float64)
 
     def veil(position: Tensor, power: Tensor) -> Tensor:
         (lamp,) = Light.lamp(position, (0.1, 0.2, 1.0), power, cone=50.0).sources
-        own = legs.tinted(lamp.power[:, None] * lamp.colour)
-        return fog_at(lamp, own, view, ray_of(lamp, view), distance)
+        own = white.brightened(lamp.power[:, None] * lamp.rgb)
+        return integrated(lamp, own, view, ray_of(lamp, view), distance)
 
     position = torch.tensor([0.3, -0.2, 0.4], dtype=torch.float64, requires_grad=True)
     power = torch.tensor(2.0, dtype=torch.float64, requires_grad=True)
@@ -300,7 +297,7 @@ def test_numbers_there_and_back() -> None:
     spectrum = ([400.0, 500.0, 700.0], [0.1, 1.0, 0.3])
     light = beside() + Light.parallel(35, -120, diffuse=0.3, gradient=0.1)
     light = light + Light.ambient(0.4) + beside(spectrum=spectrum)
-    again = light_from(plain_numbers(light))
+    again = Light.from_list(light.to_list())
     assert repr(again) == repr(light)
     torch.testing.assert_close(formed(again).image, formed(light).image)
 
@@ -310,14 +307,14 @@ def test_numbers_there_and_back() -> None:
     [
         ({"position": (1.0, 2.0)}, "position must be 3 numbers.*in metres.*x to the right"),
         ({"position": "left"}, "position must be 3 numbers"),
-        ({"position": (0.0, math.nan, 0.0)}, "position must be finite"),
+        ({"position": (0.0, math.nan, 0.0)}, "position must be in \\[-100000, 100000\\]"),
         ({"direction": (0.0, 0.0, 0.0)}, "direction must point somewhere"),
         ({"power": -1.0}, "power must be finite and ≥ 0"),
-        ({"cone": 200.0}, "cone must be at most 180 degrees"),
-        ({"cone": -1.0}, "cone must be finite and ≥ 0, in degrees"),
-        ({"falloff": 1.5}, "falloff must be at most 1"),
+        ({"cone": 200.0}, "cone must be in \\[0, 180\\], in degrees"),
+        ({"cone": -1.0}, "cone must be in \\[0, 180\\]"),
+        ({"falloff": 1.5}, "falloff must be in \\[0, 1\\]"),
         ({"radius": 0.0}, "radius must be finite and ≥ 0.0001, in metres"),
-        ({"asymmetry": 1.0}, "asymmetry must be at most"),
+        ({"asymmetry": 1.0}, "asymmetry must be in \\[0, 0.999\\]"),
         ({"rgb": (1.0, -1.0, 0.0)}, "rgb must be finite and ≥ 0"),
         ({"rgb": (1.0,) * 3, "spectrum": ([400, 700], [1, 1])}, "give one of them"),
         ({"spectrum": 3.0}, "spectrum must be a pair of arrays"),
@@ -355,7 +352,7 @@ def test_wrong_lights_are_named() -> None:
     numbers = Medium.from_coefficients((0.3,) * 3, (0.2,) * 3, (0.1,) * 3)
     with pytest.raises(ValueError, match="spectrum: the medium has three channels"):
         formed(beside(spectrum=([400, 700], [1, 1])), numbers)
-    with pytest.raises(ValueError, match="elevation must be at most 90 degrees"):
+    with pytest.raises(ValueError, match=r"elevation must be in \[-90, 90\]"):
         Light.parallel(100.0, 0.0)
-    with pytest.raises(ValueError, match="gradient must be at most 10"):
+    with pytest.raises(ValueError, match=r"gradient must be in \[-10, 10\]"):
         Light.ambient(gradient=1000.0)

@@ -82,7 +82,7 @@ def test_gradients_of_every_tensor() -> None:
     law, distance = [(2,), (2,)], (1, 1, 3, 4)
     inputs = []
     for shape in (*tensors, *law, distance):
-        inputs.append(torch.rand(*shape, dtype=torch.float64, requires_grad=True))
+        inputs.append((0.1 + torch.rand(*shape, dtype=torch.float64)).requires_grad_())
     assert torch.autograd.gradcheck(evaluate, inputs)
 
 

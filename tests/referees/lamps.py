@@ -7,10 +7,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uwaug import Light
-from uwaug.light.rays import View
-from uwaug.light.source import Lamp
-from uwaug.optics.inherent import Legs
+from uwaug import Light, Medium
+from uwaug.light.geometry import View
+from uwaug.light.light import Lamp
 
 KINDS = ("behind", "beside", "in view")
 
@@ -60,9 +59,9 @@ def random_case(kind: str, rng: np.random.Generator) -> Case:
     return Case(light, x, y, z)
 
 
-def veil_by_definition(case: Case, legs: Legs, points: int = 20_001) -> Tensor:
-    """The veil (3) of light scattered once, summed along the ray in steps that are fine where the
-    lamp is near.
+def veil_by_definition(case: Case, water: Medium, points: int = 20_001) -> Tensor:
+    """The veil (3) of a lamp's light that a water (`Medium.under`) scatters once, summed along the
+    ray in steps that are fine where the lamp is near.
     """
     lamp = case.lamp
     ray = np.array([case.x, case.y, 1.0])
@@ -79,7 +78,7 @@ def veil_by_definition(case: Case, legs: Legs, points: int = 20_001) -> Tensor:
     outer = math.cos(math.radians(float(lamp.cone)))
     share = np.clip((off @ axis / radius - outer) / (inner - outer), 0, 1)
     share = share * share * (3 - 2 * share)
-    rates, weights = legs.G[0].numpy(), legs.scatter[0].numpy()
+    rates, weights = water.G[0].numpy(), water.veil_weights[0].numpy()
     left = np.exp(-np.multiply.outer(s + radius, rates)) @ weights.T
     density = (math.pi * phase * share / radius**2 * fine * np.cosh(t))[:, None] * left
     return torch.from_numpy(float(lamp.power) * np.trapezoid(density, t, axis=0))

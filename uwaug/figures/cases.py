@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from uwaug._support.types import ColorSpace
 from uwaug.formation.exposure import Exposure
-from uwaug.light.value import Light
+from uwaug.light.light import Light
 from uwaug.optics.medium import Medium
 from uwaug.optics.water import Water
 from uwaug.presets.preset import Preset

@@ -21,9 +21,9 @@ from uwaug.formation.colour import LUMINANCE, linear_to_srgb, to_light
 from uwaug.formation.contrast import contrast
 from uwaug.formation.model import validate
 from uwaug.formation.underwater import Underwater
+from uwaug.light.geometry import focal_of
 from uwaug.optics.water import JERLOV_TYPES
 from uwaug.presets.preset import Preset, load_preset, published_systems
-from uwaug.transforms.choice import focal_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

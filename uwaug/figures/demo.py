@@ -37,13 +37,13 @@ from uwaug.formation.demand import blur_demand
 from uwaug.formation.exposure import gain_of
 from uwaug.formation.field import gaussian_random_field
 from uwaug.formation.model import Terms, form_image
+from uwaug.light.geometry import focal_of
+from uwaug.light.light import Light
 from uwaug.light.lit import lit_of, planned
-from uwaug.light.value import Light
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import JERLOV_TYPES, Water
 from uwaug.presets.scene import Scene
-from uwaug.transforms.choice import focal_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

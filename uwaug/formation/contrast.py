@@ -24,8 +24,8 @@ from uwaug._support import checks
 from uwaug._support.torch_func import refuse_mapped
 from uwaug.formation.colour import LUMINANCE
 from uwaug.formation.model import any_at_lens
+from uwaug.light.light import Light
 from uwaug.light.lit import Lit, lit_of, seen
-from uwaug.light.value import Light
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 

@@ -12,11 +12,11 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from uwaug._support.torch_func import transformed
-from uwaug.optics.inherent import Legs
+from uwaug.light.lit import LampInWater
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 
-__all__ = ["FixedLegs", "FixedMedium", "LearnableMedium"]
+__all__ = ["FixedLamps", "FixedMedium", "LearnableMedium"]
 
 _LEAST_RATE = 1e-6
 """1/m, where learning starts from a rate of 0: a smaller one would hardly learn."""
@@ -83,26 +83,24 @@ class FixedMedium(_InFullPrecision):
         return replace(self.start, **held, point_spread=replace(law, **numbers))
 
 
-class FixedLegs(_InFullPrecision):
-    """What a medium does to the light of lamps, as buffers; it moves and is saved with a module.
+class FixedLamps(nn.Module):
+    """What a medium does to the light of lamps, as buffers: it moves and is saved with a module.
 
     Args:
-        legs: of each lamp, see `uwaug.light.lit.lamp_legs`.
+        lamps: see `uwaug.light.lit.lamps_in_water`.
     """
 
-    def __init__(self, legs: Sequence[Legs]) -> None:
+    def __init__(self, lamps: Sequence[LampInWater]) -> None:
         super().__init__()
-        self.count = len(legs)
-        for number, one in enumerate(legs):
-            for name, value in one._asdict().items():
-                self.register_buffer(f"{name}_{number}", value.detach().clone())
+        self.lamps = tuple(lamps)
+        self.waters = nn.ModuleList(FixedMedium(lamp.water) for lamp in lamps)
 
-    def forward(self) -> list[Legs]:
-        """Those of each lamp."""
-        found = []
-        for number in range(self.count):
-            found.append(Legs(*(self.get_buffer(f"{name}_{number}") for name in Legs._fields)))
-        return found
+    def forward(self) -> list[LampInWater]:
+        """Each lamp in the water at hand."""
+        return [
+            lamp._replace(water=water())
+            for lamp, water in zip(self.lamps, self.waters, strict=True)
+        ]
 
 
 class LearnableMedium(_InFullPrecision):

@@ -33,8 +33,8 @@ from uwaug.blur.stack import blurred, mixed, node_weights
 from uwaug.blur.tiled import blurred_pieces
 from uwaug.formation.at_hand import plan_at_hand
 from uwaug.formation.loops.recorded import recorded, records
+from uwaug.light.light import Light
 from uwaug.light.lit import Lit, lit_of, planned, seen
-from uwaug.light.value import Light
 from uwaug.optics.curves import FARTHEST, Curves
 from uwaug.optics.medium import Medium
 

@@ -15,7 +15,7 @@ from uwaug.formation.colour import decoded, encoded, headroom
 from uwaug.formation.contrast import contrast
 from uwaug.formation.exposure import Exposure, balanced, fixed_gain, looks
 from uwaug.formation.model import Combine, at_lens, scattered
-from uwaug.light.value import Light
+from uwaug.light.light import Light
 from uwaug.optics.curves import FARTHEST, Sums, curves
 from uwaug.optics.medium import Medium
 

@@ -18,15 +18,14 @@ from uwaug.formation.beyond import beyond_plan
 from uwaug.formation.colour import from_light, require_values
 from uwaug.formation.demand import BlurDemand, blur_demand
 from uwaug.formation.exposure import Exposure, brightest, exposed_under, require_exposure
-from uwaug.formation.learnable import FixedLegs, FixedMedium, LearnableMedium
+from uwaug.formation.learnable import FixedLamps, FixedMedium, LearnableMedium
 from uwaug.formation.loops.picture import decode, fused_picture
 from uwaug.formation.loops.serving import serves
 from uwaug.formation.loops.switch import path
 from uwaug.formation.model import Reach, form, prepared_maps, together, unbatched, validate
-from uwaug.light.lit import lamp_legs, light_of, lit_of, settled
-from uwaug.light.lit import planned as planned_under
-from uwaug.light.text import plain_numbers
-from uwaug.light.value import Light
+from uwaug.light.light import Light
+from uwaug.light.lit import lamps_in_water, light_of, lit_of
+from uwaug.light.lit import planning_medium as planned_under
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 
@@ -140,10 +139,8 @@ class Underwater(nn.Module):
             width = self.demand is None or self.demand.high > 0
             self.coefficients = LearnableMedium(medium, width)
         # what is learned changes what lamps give
-        fixed = None if light is None or learnable else lamp_legs(light, medium)
-        self.legs = FixedLegs(fixed) if fixed else None
-        if light is not None and not learnable:
-            self.light = settled(light, medium)
+        fixed = None if light is None or learnable else lamps_in_water(light, medium)
+        self.lamps = FixedLamps(fixed) if fixed else None
 
     @property
     def medium(self) -> Medium:
@@ -238,8 +235,8 @@ class Underwater(nn.Module):
             if daylight and plan is not None and serves(light, z, medium, self.order):
                 return fused_picture(image, light, z, medium, plan, self.color_space, ends[1])
             medium = medium.to(dtype=z.dtype, device=z.device)
-            legs = None if self.legs is None else self.legs()
-            lit = lit_of(self.light, distance, field, medium, *self.camera, legs)
+            lamps = None if self.lamps is None else self.lamps()
+            lit = lit_of(self.light, distance, field, medium, *self.camera, lamps)
             medium, lit = exposed_under(light, z, medium, self.exposure, lit)
             if plan is None:
                 shown = planned_under(medium, self.light)
@@ -284,7 +281,7 @@ class Underwater(nn.Module):
                 settings[name] = float(value)
         settings |= {"light": None, "camera": None}
         if self.light is not None:
-            settings |= {"light": plain_numbers(self.light), "camera": self.camera}
+            settings |= {"light": self.light.to_list(), "camera": self.camera}
         settings |= {"sides": self._sides, "tolerance": self.tolerance}
         settings["demand"] = None if self.demand is None else asdict(self.demand)
         return settings

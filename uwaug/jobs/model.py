@@ -16,10 +16,10 @@ from uwaug.formation.loops.picture import to_light
 from uwaug.formation.loops.switch import path
 from uwaug.formation.model import prepare, separately, together
 from uwaug.formation.strips import Strips, in_rows, is_large, require_daylight
+from uwaug.light.geometry import focal_of
+from uwaug.light.light import Light
 from uwaug.light.lit import lit_of
-from uwaug.light.value import Light
 from uwaug.optics.medium import Medium
-from uwaug.transforms.choice import focal_of
 from uwaug.transforms.prepare import Whole, exactly, in_water
 from uwaug.transforms.random_underwater import RandomUnderwater
 

@@ -16,7 +16,7 @@ from uwaug.fitting.result import Fit
 from uwaug.jobs.depth import Depth
 from uwaug.jobs.model import Model, OneMedium, RandomWater
 from uwaug.labels import LabelSource, open_labels
-from uwaug.light.text import light_of_tables
+from uwaug.light.light import Light
 from uwaug.optics.point_spread import PointSpread
 from uwaug.presets.preset import Preset, load_preset
 from uwaug.transforms.random_underwater import RandomUnderwater
@@ -214,7 +214,7 @@ def _from_json(name: str, value: Any) -> Any:
     if name == "point_spread":
         return PointSpread(**value)
     if name == "light":
-        return light_of_tables(value)
+        return Light.from_list(value)
     numbers = isinstance(value, (list, tuple)) and len(value) == 2
     if numbers and all(isinstance(one, (int, float)) for one in value):
         return tuple(value)

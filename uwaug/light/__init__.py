@@ -1,5 +1,5 @@
 """Light: daylight with a direction, and lamps."""
 
-from uwaug.light.value import Light
+from uwaug.light.light import Light
 
 __all__ = ["Light"]

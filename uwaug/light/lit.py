@@ -1,14 +1,15 @@
-"""The curves of distance under a given light, at every pixel: what `curves` is under the default.
+"""A light on a scene: the curves of distance at every pixel.
 
 A light is linear: that of several sources is the sum of what each gives. With c for a channel,
 
     daylight  shade·T_β, shade·(T_G − T_β), e^(gradient·sin e)·(V(0) − V)
-    a lamp    share·A, (1 − share)·A, and its near-field veil (see `uwaug.light.fog`)
+    a lamp    share·A, (1 − share)·A, and its near-field backscatter
 
-A = beam·T_G(z + r) is what arrives of a lamp's light after both legs, r and z: on the way to the
-scene, light that is scattered forward still lights it. share = T_β(z)/T_G(z) of that has come
-straight from the surface to the camera. In the water's own field m, both legs of a pixel get that
-pixel's m, and its veil is multiplied by it: right to 4 % for m of .5 to 2, and too bright beyond.
+A = irradiance·T_G(z + r) is what arrives of a lamp's light after both ways, r from the lamp and z:
+on the way to the scene, light that is scattered forward still lights it. share = T_β(z)/T_G(z) of
+that has come straight from the surface to the camera. In the water's own field m, both ways of a
+pixel get that pixel's m, and its backscatter is multiplied by it: right to 4 % for m of .5 to 2,
+and too bright beyond.
 """
 
 from collections.abc import Sequence
@@ -19,21 +20,175 @@ import torch
 from torch import Tensor
 
 from uwaug._support import checks
-from uwaug.light.beam import Ray, beam_of, column, facing, ray_of
-from uwaug.light.fog import Fog, fog_at, fog_of, fog_within, terms_of
-from uwaug.light.rays import View, beyond, normals, require_centre, view_of
-from uwaug.light.source import Daylight, Lamp
-from uwaug.light.value import Light
+from uwaug.light.backscatter import Grid, grid_of, integrated, interpolated, order_of
+from uwaug.light.geometry import Place, as_map, facing, irradiance, ray_of, require_centre, view_of
+from uwaug.light.light import Daylight, Lamp, Light
 from uwaug.optics.curves import FARTHEST, Curves, Sums, curves, decay
-from uwaug.optics.inherent import Legs, legs_of
 from uwaug.optics.medium import Medium
 
-__all__ = ["Lit", "lamp_legs", "light_of", "lit_of", "planned", "seen", "settled"]
-
-_ALL = slice(None)
-
-_SPENT = 1e-30
+_DARK = 1e-30
 """Of light, stands for none."""
+
+
+class LampInWater(NamedTuple):
+    """What is the same for all pictures with a lamp in a water.
+
+    Attributes:
+        water: `Medium.under` the lamp's spectrum.
+        ahead: see `Lamp.ahead`.
+        order: see `uwaug.light.backscatter.order_of`.
+    """
+
+    water: Medium
+    ahead: bool
+    order: int
+
+    @staticmethod
+    def of(lamp: Lamp, medium: Medium) -> "LampInWater":
+        """A lamp of the medium's type."""
+        water = medium.under(lamp.spectrum)
+        order = order_of(lamp, water.brightened(lamp.power[:, None] * lamp.rgb))
+        return LampInWater(water, lamp.ahead, order)
+
+
+def lamps_in_water(light: Light, medium: Medium) -> list[LampInWater]:
+    """Each lamp of a light in a medium."""
+    return [LampInWater.of(lamp, medium) for lamp in light.to(medium.beta).lamps]
+
+
+class Part:
+    """A part of a scene: what its sources share, computed when the first asks for it.
+
+    Args:
+        place: its surfaces.
+        sums: of the medium, for daylight.
+        z (Bx1xHxW tensor): effective distance, m.
+    """
+
+    def __init__(self, place: Place, sums: Sums, z: Tensor) -> None:
+        self.place, self.sums, self.z = place, sums, z
+        self._daylight: Curves | None = None
+        self._normals: Tensor | None = None
+        self._shares: dict[int, tuple[Tensor, Tensor]] = {}
+
+    def daylight(self) -> Curves:
+        """The curves of the medium under its own daylight."""
+        if self._daylight is None:
+            self._daylight = curves(self.sums, self.z)
+        return self._daylight
+
+    def normals(self) -> Tensor:
+        """The normals of the surfaces (Bx3xHxW), see `uwaug.light.geometry.normals`."""
+        if self._normals is None:
+            self._normals = self.place.normals()
+        return self._normals
+
+    def shares(self, source: "LampOnScene") -> tuple[Tensor, Tensor]:
+        """The shares of a lamp's light that were not scattered on the way to the camera, and that
+        were: T_β/T_G, and the rest. Lamps of one spectrum have them in common.
+        """
+        key = id(source.lamp.spectrum)
+        if key not in self._shares:
+            self._shares[key] = source.shares(self.z)
+        return self._shares[key]
+
+
+class DaylightOnScene(NamedTuple):
+    """Light from the surface on a scene."""
+
+    source: Daylight
+
+    def row(self, n: int) -> "DaylightOnScene":
+        """That of the n-th picture."""
+        return DaylightOnScene(self.source.row(n))
+
+    def brightened(self, gain: Tensor) -> "DaylightOnScene":
+        """As a camera of this gain sees it: the medium has that already."""
+        return self
+
+    def curves(self, part: Part) -> Curves:
+        """What reaches the camera at each pixel."""
+        sky, source, view = part.daylight(), self.source, part.place.view
+        if source.gain is None and not source.has_view:
+            return sky
+        shade = veil = sky.direct.new_ones(1) if source.gain is None else as_map(source.gain)
+        if source.gradient is not None:
+            assert view is not None
+            veil = veil * torch.exp(as_map(source.gradient) * (-view.y * view.shortening()))
+        if source.sun is not None:
+            assert source.diffuse is not None
+            diffuse = as_map(source.diffuse)
+            shade = shade * (diffuse + (1 - diffuse) * facing(part.normals(), source.sun))
+        return Curves(sky.direct * shade, sky.scatter * shade, sky.veil * veil)
+
+
+class LampOnScene(NamedTuple):
+    """A lamp on a scene: its light on the surfaces, and its near-field backscatter.
+
+    Attributes:
+        lamp: of the type of the picture.
+        white: `Medium.under` its spectrum.
+        water: the same of its power and colour.
+        grid: its backscatter along the rays of the whole picture; None where that is integrated at
+            each pixel: near a lamp in view, it is too steep for a grid.
+        from_direct (B tensor): see `uwaug.optics.inherent.Bands`; None where it is 0.
+        gain (B tensor): by which an exposure brightens it, or None.
+    """
+
+    lamp: Lamp
+    white: Medium
+    water: Medium
+    grid: Grid | None
+    from_direct: Tensor | None
+    gain: Tensor | None = None
+
+    def row(self, n: int) -> "LampOnScene":
+        """That of the n-th picture."""
+
+        def pick(value: Tensor) -> Tensor:
+            return value[n % len(value)][None]
+
+        return LampOnScene(
+            self.lamp.row(n),
+            self.white[n % len(self.white)],
+            self.water[n % len(self.water)],
+            self.grid and self.grid._replace(planes=pick(self.grid.planes)),
+            None if self.from_direct is None else pick(self.from_direct),
+            None if self.gain is None else pick(self.gain),
+        )
+
+    def brightened(self, gain: Tensor) -> "LampOnScene":
+        """As a camera of this gain (B or 1) sees it."""
+        return self._replace(gain=gain)
+
+    def curves(self, part: Part) -> Curves:
+        """What reaches the camera at each pixel."""
+        lamp, place, field = self.lamp, part.place, part.place.field
+        assert place.view is not None
+        ray = ray_of(lamp, place.view)
+        share, path = irradiance(lamp, place.view, ray, place.z, part.normals())
+        if self.grid is None:
+            veil = integrated(lamp, self.water, place.view, ray, place.z)
+        else:
+            veil = interpolated(self.grid, place.view, ray, place.z, place.columns)
+        if self.gain is not None:
+            share, veil = share * as_map(self.gain), veil * as_map(self.gain)
+        if field is not None:
+            path, veil = path * field, veil * field
+        arrives = _summed(self.water.G, self.water.signal_weights, part.z + path) * share
+        direct, scattered = part.shares(self)
+        return Curves(arrives * direct, arrives * scattered, veil)
+
+    def shares(self, z: Tensor) -> tuple[Tensor, Tensor]:
+        """See `Part.shares`; z (Bx1xHxW) is effective distance, m."""
+        direct = _summed(self.white.beta, self.white.direct_weights, z)
+        signal = _summed(self.white.G, self.white.signal_weights, z)
+        share = (direct / signal.clamp(min=_DARK)).clamp(max=1.0)
+        scattered = 1 - share
+        if self.from_direct is not None:
+            ones = torch.ones_like(direct)
+            scattered = scattered * torch.lerp(ones, direct, as_map(self.from_direct))
+        return share, scattered
 
 
 class Lit(NamedTuple):
@@ -41,91 +196,38 @@ class Lit(NamedTuple):
 
     Attributes:
         light: of the type of the picture.
-        legs: for each source, the sums of its light; None for daylight.
-        fogs: for each source, its veil along the rays of the whole picture; None for daylight, and
-            where the veil is integrated at each pixel.
-        view: the rays; None if no source differs from ray to ray.
-        z (Bx1xHxW tensor): distance, m, without the field.
-        field (Bx1xHxW tensor): m, or None.
-        normals (Bx3xHxW tensor): see `uwaug.light.rays`; None for a whole scene, see `part`.
-        columns: of the picture, which this part has.
-        from_direct (B tensor): see `uwaug.optics.inherent.Unlit`; None where it is 0.
-        gain (B tensor): by which an exposure brightens lamps, or None; daylight's is in the medium.
+        sources: those of the light, on the scene.
+        place: the surfaces.
     """
 
     light: Light
-    legs: tuple[Legs | None, ...]
-    fogs: tuple[Fog | None, ...]
-    view: View | None
-    z: Tensor
-    field: Tensor | None
-    normals: Tensor | None = None
-    columns: slice = _ALL
-    from_direct: Tensor | None = None
-    gain: Tensor | None = None
+    sources: tuple[DaylightOnScene | LampOnScene, ...]
+    place: Place
 
     def row(self, n: int) -> "Lit":
         """The light of the n-th picture."""
-
-        def one(value: Tensor) -> Tensor:
-            return value[n % len(value)][None]
-
-        return self._replace(
-            light=self.light.row(n),
-            legs=tuple(legs and legs.map(one) for legs in self.legs),
-            fogs=tuple(fog and fog._replace(planes=one(fog.planes)) for fog in self.fogs),
-            z=one(self.z),
-            field=None if self.field is None else one(self.field),
-            from_direct=None if self.from_direct is None else one(self.from_direct),
-            gain=None if self.gain is None else one(self.gain),
-        )
+        sources = tuple(source.row(n) for source in self.sources)
+        return Lit(self.light.row(n), sources, self.place.row(n))
 
     def part(self, rows: slice, columns: slice) -> "Lit":
         """The light on some rows and columns."""
-
-        def cut(value: Tensor) -> Tensor:
-            return value[..., rows, columns]
-
-        return self._replace(
-            view=None if self.view is None else self.view.part(rows, columns),
-            z=cut(self.z),
-            field=None if self.field is None else cut(self.field),
-            normals=self._normals(rows, columns),
-            columns=columns,
-        )
+        return self._replace(place=self.place.part(rows, columns))
 
     def whole(self) -> "Lit":
-        """The light on the whole picture, where it is not formed in parts."""
-        return self.part(slice(0, self.z.shape[-2]), slice(0, self.z.shape[-1]))
-
-    def _normals(self, rows: slice, columns: slice) -> Tensor | None:
-        """Those of a part: made with it, as long as it lies in the cache."""
-        if self.view is None:
-            return None
-        (tall, top), (wide, left) = beyond(rows), beyond(columns)
-        found = normals(self.z[..., tall, wide], self.view.part(tall, wide))
-        return found[..., top, left]
+        """The light on the whole picture."""
+        return self
 
     def at(self, pixels: Tensor) -> "Lit":
         """The light on some pixels, given by their flat indices (N), as one row of them."""
-        width, view = self.z.shape[-1], self.view
-
-        def pick(value: Tensor) -> Tensor:
-            return value.flatten(-2)[..., pixels][:, :, None]
-
-        slopes = None
-        if view is not None:
-            slopes = pick(normals(self.z, view))
-            x, y = view.x.flatten()[pixels % width], view.y.flatten()[pixels // width]
-            view = View(x.reshape(1, 1, 1, -1), y.reshape(1, 1, 1, -1))
-        field = None if self.field is None else pick(self.field)
-        nothing = (None,) * len(self.fogs)
-        found = Lit(self.light, self.legs, nothing, view, pick(self.z), field, slopes)
-        return found._replace(from_direct=self.from_direct, gain=self.gain)
+        sources = [
+            source._replace(grid=None) if isinstance(source, LampOnScene) else source
+            for source in self.sources
+        ]
+        return Lit(self.light, tuple(sources), self.place.at(pixels))
 
     def brightened(self, gain: Tensor) -> "Lit":
-        """The same as a camera of this gain (B or 1) sees it, with the medium brightened alike."""
-        return self._replace(gain=gain)
+        """The light as a camera of this gain (B or 1) sees it, with the medium brightened alike."""
+        return self._replace(sources=tuple(source.brightened(gain) for source in self.sources))
 
     def curves(self, sums: Sums, z: Tensor) -> Curves:
         """What reaches the camera at each pixel.
@@ -134,74 +236,15 @@ class Lit(NamedTuple):
             sums: of the medium, for daylight.
             z (Bx1xHxW tensor): effective distance, m.
         """
-        found: Curves | None = None
-        daylight = any(isinstance(source, Daylight) for source in self.light.sources)
-        sky = curves(sums, z) if daylight else None
-        shares: dict[int, tuple[Tensor, Tensor]] = {}
-        for source, legs, fog in zip(self.light.sources, self.legs, self.fogs, strict=True):
-            if isinstance(source, Daylight):
-                assert sky is not None
-                one = self._daylit(source, sky)
-            else:
-                assert legs is not None
-                key = id(source.spectrum)  # of the same light, the same share
-                if key not in shares:
-                    shares[key] = self._shares(legs, z)
-                one = self._lamplit(source, legs, fog, z, shares[key])
-            found = one if found is None else Curves(*map(torch.add, found, one))
-        if found is None:
+        part = Part(self.place, sums, z)
+        maps = [source.curves(part) for source in self.sources]
+        if not maps:
             dark = z.new_zeros(()).expand(z.shape[0], 3, *z.shape[-2:])
-            found = Curves(dark, dark, dark)
-        return found
-
-    def _daylit(self, source: Daylight, sky: Curves) -> Curves:
-        shade = veil = column(source.gain)
-        if source.whole and not source.has_view:
-            return sky
-        if self.view is not None and not source.level:
-            up = -self.view.y * self.view.shortening()
-            veil = veil * torch.exp(column(source.gradient) * up)
-        if source.sun is not None:
-            assert self.normals is not None
-            diffuse = column(source.diffuse)
-            cosine = facing(self.normals, source.sun)
-            shade = shade * (diffuse + (1 - diffuse) * cosine)
-        return Curves(sky.direct * shade, sky.scatter * shade, sky.veil * veil)
-
-    def _lamplit(
-        self, lamp: Lamp, legs: Legs, fog: Fog | None, z: Tensor, shares: tuple[Tensor, Tensor]
-    ) -> Curves:
-        assert self.view is not None
-        assert self.normals is not None
-        ray = ray_of(lamp, self.view)
-        beam = beam_of(lamp, self.view, ray, self.z, self.normals)
-        path = beam.metres if self.field is None else beam.metres * self.field
-        share, veil = beam.share, self._fogged(lamp, legs, fog, ray)
-        if self.gain is not None:
-            share, veil = share * column(self.gain), veil * column(self.gain)
-        if self.field is not None:
-            veil = veil * self.field
-        arrives = _summed(legs.G, legs.signal, z + path) * share
-        return Curves(arrives * shares[0], arrives * shares[1], veil)
-
-    def _shares(self, legs: Legs, z: Tensor) -> tuple[Tensor, Tensor]:
-        """Of what arrives, the shares that were not scattered on the way, and that were: T_β/T_G,
-        and the rest.
-        """
-        found = _summed(legs.both, legs.parts, z)
-        direct = (found[:, :3] / found[:, 3:].clamp(min=_SPENT)).clamp(max=1.0)
-        scattered = 1 - direct
-        if self.from_direct is not None:
-            scattered = scattered * torch.lerp(
-                torch.ones_like(direct), found[:, :3], column(self.from_direct)
-            )
-        return direct, scattered
-
-    def _fogged(self, lamp: Lamp, legs: Legs, fog: Fog | None, ray: Ray) -> Tensor:
-        assert self.view is not None
-        if fog is None:
-            return fog_at(lamp, legs, self.view, ray, self.z)
-        return fog_within(fog, self.view, ray, self.z, self.columns)
+            return Curves(dark, dark, dark)
+        total = maps[0]
+        for more in maps[1:]:
+            total = Curves(*map(torch.add, total, more))
+        return total
 
 
 def lit_of(
@@ -211,7 +254,7 @@ def lit_of(
     medium: Medium,
     focal_px: float | None,
     centre: tuple[float, float] | None,
-    held: Sequence[Legs] | None = None,
+    lamps: Sequence[LampInWater] | None = None,
 ) -> Lit | None:
     """A light on a scene; None if it is daylight as the medium has it.
 
@@ -220,61 +263,36 @@ def lit_of(
         distance, field: as for `uwaug.form_image`, valid.
         medium: of the type to compute in.
         focal_px, centre: as for `uwaug.form_image`.
-        held: from `lamp_legs`, of the same light and medium; by default they are made.
+        lamps: from `lamps_in_water`, of this light and medium; by default they are made.
     """
     if light is None or light.plain:
         return None
     light = light_of(light, focal_px, centre).to(medium.beta)
     z = _batch(distance, medium).clamp(0.0, FARTHEST)
     field = None if field is None else _batch(field, medium)
-    if not light.has_view or not z.numel():
-        nothing = (None,) * len(light.sources)
-        return Lit(light, nothing, nothing, None, z, field)
-    assert focal_px is not None
-    view = view_of((z.shape[-2], z.shape[-1]), focal_px, centre, z)
-    legs: list[Legs | None] = []
-    fogs: list[Fog | None] = []
-    rest = iter(lamp_legs(light, medium) if held is None else held)
+    if not z.numel():
+        return Lit(light, (), Place(z, field, None))
+    view = None
+    if light.has_view:
+        assert focal_px is not None
+        view = view_of((z.shape[-2], z.shape[-1]), focal_px, centre, z)
+    in_water = iter(lamps_in_water(light, medium) if lamps is None else lamps)
+    from_direct = None if medium.bands is None else medium.bands.from_direct.to(medium.beta)
+    # compiled code cannot look
+    if not torch.compiler.is_compiling() and from_direct is not None and not from_direct.any():
+        from_direct = None
+    sources: list[DaylightOnScene | LampOnScene] = []
     for source in light.sources:
         if isinstance(source, Daylight):
-            legs.append(None)
-            fogs.append(None)
+            sources.append(DaylightOnScene(source))
             continue
-        white = next(rest).map(lambda t: t.to(medium.beta))
-        own = white.tinted(source.power[:, None] * source.colour)
-        legs.append(own)
-        # near a lamp in view, the veil is too steep for a grid
-        terms = source.terms or terms_of(source, own)
-        fogs.append(None if source.ahead else fog_of(source, own, view, terms))
-    found = Lit(light, tuple(legs), tuple(fogs), view, z, field)
-    return found._replace(from_direct=_from_direct(medium))
-
-
-def _from_direct(medium: Medium) -> Tensor | None:
-    if medium.unlit is None:
-        return None
-    # a module that was moved or cast keeps the bands where they were
-    found = medium.unlit.from_direct.to(medium.beta)
-    # compiled code cannot look
-    return found if torch.compiler.is_compiling() or bool(found.any()) else None
-
-
-def lamp_legs(light: Light, medium: Medium) -> list[Legs]:
-    """The sums of each lamp's light in a medium."""
-    lamps = [source for source in light.sources if isinstance(source, Lamp)]
-    return [legs_of(medium, lamp.spectrum) for lamp in lamps]
-
-
-def settled(light: Light, medium: Medium) -> Light:
-    """A light that holds what else would be looked for in each picture."""
-    legs = iter(lamp_legs(light, medium))
-    sources: list[Daylight | Lamp] = []
-    for source, alike in zip(light.sources, light.to(medium.beta).sources, strict=True):
-        if isinstance(source, Lamp) and isinstance(alike, Lamp):
-            own = next(legs).tinted(alike.power[:, None] * alike.colour)
-            source = replace(source, terms=terms_of(alike, own))
-        sources.append(source)
-    return Light(tuple(sources))
+        assert view is not None
+        white, ahead, order = next(in_water)
+        white = white.to(medium.beta)
+        water = white.brightened(source.power[:, None] * source.rgb)
+        grid = None if ahead else grid_of(source, water, view, order)
+        sources.append(LampOnScene(source, white, water, grid, from_direct))
+    return Lit(light, tuple(sources), Place(z, field, view))
 
 
 def _batch(value: Tensor, medium: Medium) -> Tensor:
@@ -298,28 +316,20 @@ def seen(sums: Sums, z: Tensor, lit: Lit | None) -> Curves:
     return curves(sums, z) if lit is None else lit.curves(sums, z)
 
 
+def planning_medium(medium: Medium, light: Light | None) -> Medium:
+    """The medium for which a blur is planned: a lamp may light the scene as daylight does at the
+    surface, however dim daylight is at the scene.
+    """
+    if light is None or not light.lamps:
+        return medium
+    near = medium.under()
+    return Medium.stack([medium, replace(near, veil_weights=torch.zeros_like(near.veil_weights))])
+
+
+planned = planning_medium
+
+
 def _summed(rates: Tensor, weights: Tensor, z: Tensor) -> Tensor:
     """Σ weight·e^(−rate·z) for three channels (Bx3xHxW)."""
     left = decay(rates[..., None], z.flatten(1)[:, None])
     return torch.unflatten(weights @ left, -1, z.shape[-2:])
-
-
-def planned(medium: Medium, light: Light | None) -> Medium:
-    """The medium for which a blur is planned: a lamp may light the scene as daylight does at the
-    surface, however dim daylight is at the scene.
-    """
-    if light is None or not light.has_lamp:
-        return medium
-    legs = legs_of(medium)
-    k = legs.both.shape[1] - legs.G.shape[1]
-    near = Medium(
-        beta=legs.both[:, :k],
-        direct_weights=legs.parts[:, :3, :k],
-        G=legs.G,
-        signal_weights=legs.signal,
-        veil_weights=torch.zeros_like(legs.signal),
-        b_mean=medium.b_mean,
-        point_spread=medium.point_spread,
-        notes=medium.notes,
-    )
-    return Medium.stack([medium, near])

@@ -65,7 +65,7 @@ class Graph(nn.Module):
         if self.curves_fixed:
             weights = weights * fixed_gain(self.medium, module.exposure)
         self.light = module.light and module.light.map(lambda t: t.detach().to("cpu"))
-        self.legs, self.camera = module.legs, module.camera
+        self.lamps, self.camera = module.lamps, module.camera
         self.register_buffer("rates", rates)
         self.register_buffer("weights", weights)
 
@@ -114,8 +114,8 @@ class Graph(nn.Module):
 
     def _lit(self, distance: Tensor, field: Tensor | None, medium: Medium) -> Lit | None:
         """The light on the scene; None for daylight as the medium has it."""
-        legs = None if self.legs is None else self.legs()
-        lit = lit_of(self.light, distance, field, medium, *self.camera, legs)
+        lamps = None if self.lamps is None else self.lamps()
+        lit = lit_of(self.light, distance, field, medium, *self.camera, lamps)
         if lit is None or isinstance(self.exposure, str):
             return lit and lit.whole()
         return lit.whole().brightened(medium.beta.new_full((1,), 2.0**self.exposure))

@@ -18,10 +18,9 @@ from uwaug.blur.plan import NO_BLUR, BlurPlan
 from uwaug.formation.exposure import Exposure, require_exposure
 from uwaug.formation.planned import SIDES, distances, sides_of
 from uwaug.formation.underwater import Underwater
+from uwaug.light.light import Light
 from uwaug.light.lit import light_of
-from uwaug.light.text import light_from, plain_numbers
-from uwaug.light.value import Light
-from uwaug.optics.inherent import Unlit
+from uwaug.optics.inherent import Bands
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 
@@ -142,12 +141,11 @@ def written(module: Underwater, plan: BlurPlan, options: Options) -> dict[str, s
         "plan": asdict(plan),
     }
     if module.light is not None:
-        rebuild["light"] = plain_numbers(module.light)
+        rebuild["light"] = module.light.to_list()
         rebuild["camera"] = module.camera
-        unlit = medium.unlit
-        if unlit is not None:
-            bands = [tensor.detach().double().tolist() for tensor in unlit.tensors()]
-            rebuild["unlit"] = [*bands, unlit.tolerance]
+        if medium.bands is not None:
+            bands = [tensor.detach().double().tolist() for tensor in medium.bands.tensors()]
+            rebuild["unlit"] = [*bands, medium.bands.tolerance]
     return {
         "uwaug_format": str(FORMAT),
         "uwaug_version": version("uwaug"),
@@ -241,7 +239,7 @@ def _light(rebuild: dict[str, Any]) -> tuple[Light | None, Any]:
         return None, (None, None)
     focal_px, centre = rebuild["camera"]
     centre = None if centre is None else tuple(centre)
-    return light_of(light_from(rebuild["light"]), focal_px, centre), (focal_px, centre)
+    return light_of(Light.from_list(rebuild["light"]), focal_px, centre), (focal_px, centre)
 
 
 def _medium(rebuild: dict[str, Any]) -> Medium:
@@ -259,11 +257,12 @@ def _medium(rebuild: dict[str, Any]) -> Medium:
         checks.positive("reference_size", law["reference_size"], "px")
     notes = tuple(map(str, rebuild["notes"]))
     spread = PointSpread(**numbers, shape=law["shape"], reference_size=law["reference_size"])
-    unlit = None
+    bands = None
     if "unlit" in rebuild:
-        *bands, tolerance = rebuild["unlit"]
-        unlit = Unlit.of([torch.tensor(band, dtype=torch.float64) for band in bands], tolerance)
-    medium = Medium(**values, point_spread=spread, notes=notes, unlit=unlit)
+        *tensors, tolerance = rebuild["unlit"]
+        doubles = [torch.tensor(t, dtype=torch.float64) for t in tensors]
+        bands = Bands.of_tensors(doubles, tolerance)
+    medium = Medium(**values, point_spread=spread, notes=notes, bands=bands)
     medium.parameters()  # has a row of each number for every medium, or raises
     return medium
 

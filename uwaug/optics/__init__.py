@@ -3,8 +3,9 @@ distance and a width law.
 """
 
 from uwaug.optics.camera import Camera, load_camera
+from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
-from uwaug.optics.water import JERLOV_TYPES, Water
+from uwaug.optics.water import Water
 
 __all__ = ["JERLOV_TYPES", "Camera", "Medium", "PointSpread", "Water", "load_camera"]

@@ -26,11 +26,12 @@ veil alike; only the weights belong to the camera. (For a tolerance of .002, one
 per curve and channel needs 15 to 24 exponentials, shared rates need 4 to 8.)
 """
 
+import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import index
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from numpy.typing import ArrayLike
@@ -38,24 +39,33 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.checks import DOMAIN
-from uwaug.optics import derived
+from uwaug._support.types import Array
 from uwaug.optics.bands import (
     Dims,
     Downwelling,
     VeilRate,
-    band_coefficients,
+    attenuations,
     default_bands,
+    forward_from_direct,
+    joined,
+    reduced,
+    require_forward,
+    spectral_note,
+    surface_light,
 )
 from uwaug.optics.camera import Camera, load_camera, response_at
-from uwaug.optics.curves import FARTHEST, Sums
-from uwaug.optics.inherent import Unlit, of_channels, unlit_bands
+from uwaug.optics.curves import FARTHEST, Curves, Sums, cancels, curves
+from uwaug.optics.inherent import Bands, Forward, padded
 from uwaug.optics.point_spread import PointSpread
-from uwaug.optics.reduction import Forward, reduced, spectral_note
 from uwaug.optics.water import Water
 
-__all__ = ["Medium"]
-
 _TENSORS = ("beta", "direct_weights", "G", "signal_weights", "veil_weights", "b_mean")
+
+_AT_ONCE = 1e6
+"""1/m, of a veil that is all there at any distance: at .1 mm, e^−100 of it is missing."""
+
+_DARK = 1e-30
+"""Stands for the light of a channel that gets none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +81,8 @@ class Medium:
         b_mean (B tensor): b̄, scattering coefficient for the width law, 1/m.
         point_spread: the width law.
         notes: one line per medium on what it models.
-        unlit: the water band by band, for lamps; None if only the sums are known.
+        bands: the water band by band, for lamps; None if only the sums are known. `to` leaves them
+            as they are.
     """
 
     beta: Tensor
@@ -82,7 +93,7 @@ class Medium:
     b_mean: Tensor
     point_spread: PointSpread
     notes: tuple[str, ...] = ()
-    unlit: Unlit | None = None
+    bands: Bands | None = None
 
     def __post_init__(self) -> None:
         b, k, n = self.beta.shape[0], self.beta.shape[-1], self.G.shape[-1]
@@ -139,22 +150,27 @@ class Medium:
         if isinstance(water, str):
             water = Water.jerlov(water)
         checks.instance("water", water, Water, "; see Water.jerlov")
-        drawn: dict[str, Any] = {"vertical_depth": vertical_depth, "g": g, "mu": mu}
-        for name, value in drawn.items():
+        numbers = {"vertical_depth": vertical_depth, "g": g, "mu": mu}
+        for name, value in numbers.items():
             checks.within(name, value, *DOMAIN[name])
         if tolerance != 0:
             checks.tolerance(tolerance)
-        bands = water.at(default_bands(water) if wavelengths is None else wavelengths)
-        response = response_at(load_camera(camera), bands.wavelengths.tobytes())
+        spectra = water.at(default_bands(water) if wavelengths is None else wavelengths)
+        axis, b = spectra.wavelengths, spectra.b
+        response = response_at(load_camera(camera), axis.tobytes())
         choices: dict[str, Any] = {"downwelling": downwelling, "dims": dims, "veil_rate": veil_rate}
-        found = band_coefficients(bands.a, bands.b, bands.kd, **drawn, **choices)
-        tensors, error = reduced(found, response, forward, tolerance)
-        note = spectral_note(water.name, tensors, error, drawn, {**choices, "forward": forward})
-        b_mean = torch.as_tensor([(response @ bands.b).mean()])
+        beta, G = attenuations(spectra.a, b, g)
+        light, veil, rate = surface_light(
+            beta, G, b, spectra.kd, vertical_depth=vertical_depth, mu=mu, **choices
+        )
+        tensors, error = reduced(beta, G, light, veil, rate, response, forward, tolerance)
+        note = spectral_note(water.name, tensors, error, numbers, {**choices, "forward": forward})
+        b_mean = torch.as_tensor([(response @ b).mean()])
         law = PointSpread.paper() if point_spread is None else point_spread
-        axis, tensors = bands.wavelengths, [*tensors, b_mean]
-        unlit = unlit_bands(axis, found, bands.b, response, forward, tolerance)
-        return Medium.of_tensors(tensors, law, (note,), unlit)
+        arrays = [torch.tensor(array)[None] for array in (axis, beta, G, b, response)]
+        from_direct = torch.tensor([float(forward == "direct")], dtype=torch.float64)
+        bands = Bands.of_tensors([*arrays, from_direct], tolerance)
+        return Medium.of_tensors([*tensors, b_mean], law, (note,), bands)
 
     @staticmethod
     def from_coefficients(
@@ -187,12 +203,23 @@ class Medium:
         Raises:
             ValueError: if a shape is another, batches differ, or a value is negative or infinite.
         """
-        given = {"beta": beta, "G": G, "veil": veil, "light": light, "b_mean": b_mean}
-        rows = derived.channel_rows({**given, "veil_rate": veil_rate})
-        tensors = derived.channel_tensors(rows, forward)
+        require_forward(forward)
+        coefficients = {"beta": beta, "G": G, "veil": veil, "light": light, "b_mean": b_mean}
+        rows = _rows({**coefficients, "veil_rate": veil_rate})
+        beta, G, b = rows["beta"], rows["G"], rows["b_mean"]
+        weights, veil_weights = torch.diag_embed(rows["light"]), torch.diag_embed(rows["veil"])
+        if "veil_rate" not in rows and forward == "image":
+            tensors = [beta, weights, G, weights, veil_weights]
+        else:
+            signal = [(G, weights)]
+            if forward == "direct":
+                signal = forward_from_direct((beta, weights), (beta + G, weights))
+            tensors = joined((beta, weights), signal, (rows.get("veil_rate", G), veil_weights))
+        counts = f"{tensors[0].shape[1]} + {tensors[2].shape[1]}"
+        notes = (f"coefficients: {counts} rates, one per channel",) * len(b)
         law = PointSpread.none() if point_spread is None else point_spread
-        unlit = of_channels(rows["beta"], rows["G"], rows["b_mean"], forward)
-        return Medium.of_tensors(tensors, law, derived.channel_notes(tensors), unlit)
+        bands = Bands.of_channels(beta, G, b, forward)
+        return Medium.of_tensors([*tensors, b], law, notes, bands)
 
     @staticmethod
     def from_transmission(
@@ -207,7 +234,13 @@ class Medium:
         Raises:
             ValueError: if a shape is another, batches differ, or a value is out of range.
         """
-        return Medium.from_coefficients(**derived.without_distance(transmission, veil))
+        rows = _rows({"transmission": transmission, "veil": veil})
+        t, zeros = rows["transmission"], torch.zeros_like(rows["veil"])
+        if not bool((t.detach() <= 1).all()):
+            raise ValueError(f"transmission must be in [0, 1], got {t.detach().tolist()}")
+        at_once = torch.full_like(zeros, _AT_ONCE)
+        haze = (1 - t) * rows["veil"]
+        return Medium.from_coefficients(zeros, zeros, haze, light=t, veil_rate=at_once)
 
     @staticmethod
     def stack(media: "Iterable[Medium]") -> "Medium":
@@ -215,7 +248,15 @@ class Medium:
         media = list(media)
         for medium in media:
             checks.instance("media", medium, Medium, "; see Medium.from_water")
-        return derived.stacked(media)
+        if not media:
+            raise ValueError("media is empty: stack needs at least one Medium")
+        rows = [len(medium) for medium in media]
+        law = PointSpread.stack([m.point_spread for m in media], rows, media[0].beta.dtype)
+        columns = zip(*(medium.tensors() for medium in media), strict=True)
+        notes = sum((medium.notes for medium in media), ())
+        parts = [medium.bands for medium in media if medium.bands is not None]
+        bands = Bands.stack(parts) if len(parts) == len(media) else None
+        return Medium.of_tensors([padded(column) for column in columns], law, notes, bands)
 
     def __len__(self) -> int:
         return len(self.beta)
@@ -227,27 +268,39 @@ class Medium:
             raise IndexError(f"medium {i!r} of {len(self)}")
         return replace(self.map(lambda t: t[part] if t.ndim else t), notes=self.notes[part])
 
+    def expand(self, rows: int) -> "Medium":
+        """One medium as a batch of `rows` equal ones; a batch stays as it is."""
+        if len(self) != 1 or rows == 1:
+            return self
+        wide = self.map(lambda t: t.expand(rows, *t.shape[1:]))
+        return replace(wide, notes=self.notes * rows)
+
     def map(self, function: Callable[[Tensor], Tensor]) -> "Medium":
-        """`function` applied to each tensor, the width law's included."""
-        law, unlit = self.point_spread.map(function), self.unlit and self.unlit.map(function)
-        return self.of_tensors(list(map(function, self.tensors())), law, self.notes, unlit)
+        """`function` applied to each tensor, those of the width law and of the bands included."""
+        law, bands = self.point_spread.map(function), self.bands and self.bands.map(function)
+        return Medium.of_tensors(list(map(function, self.tensors())), law, self.notes, bands)
 
     @staticmethod
     def of_tensors(
         tensors: Sequence[Tensor],
         point_spread: PointSpread,
-        notes: tuple[str, ...],
-        unlit: Unlit | None = None,
+        notes: tuple[str, ...] = (),
+        bands: Bands | None = None,
     ) -> "Medium":
         """The inverse of `tensors`."""
         named: dict[str, Any] = dict(zip(_TENSORS, tensors, strict=True))
-        return Medium(**named, point_spread=point_spread, notes=notes, unlit=unlit)
+        return Medium(**named, point_spread=point_spread, notes=notes, bands=bands)
 
     def to(self, *args: Any, **kwargs: Any) -> "Medium":
         """Move or cast, as `torch.Tensor.to`."""
         if all(t.to(*args, **kwargs) is t for t in self.tensors()):
             return self
-        return self.map(lambda t: t.to(*args, **kwargs))
+
+        def moved(tensor: Tensor) -> Tensor:
+            return tensor.to(*args, **kwargs)
+
+        law = self.point_spread.map(moved)
+        return self.of_tensors(list(map(moved, self.tensors())), law, self.notes, self.bands)
 
     def tensors(self) -> tuple[Tensor, ...]:
         """Rates, weights and b̄, in the order of the attributes."""
@@ -276,13 +329,70 @@ class Medium:
         return any(t.requires_grad for t in self.parameters().values())
 
     def sums(self, *, exact_at_lens: bool) -> Sums:
-        """What `curves` takes.
+        """The three curves as sums of exponentials, for `uwaug.optics.curves.curves`.
 
         exact_at_lens: compute the veil without cancellation, so that a millimetre of water gives a
         small veil, not 0. Otherwise V(0) − V(z) is subtracted, which takes half the time; see
-        `uwaug.formation.any_at_lens` for where that is right.
+        `any_at_lens` for where that is right.
         """
-        return derived.sums_of(self, exact_at_lens)
+        direct, signal, veil = self.direct_weights, self.signal_weights, self.veil_weights
+        rates = torch.cat([torch.zeros_like(self.beta[:, :1]), self.beta, self.G], 1)[..., None]
+        no_direct, no_signal = torch.zeros_like(direct), torch.zeros_like(signal)
+        nothing = torch.zeros_like(direct[..., :1])
+        # if the exponentials of G stand for e^−x − 1, T_G(z) is T_G(0) + Σ s(e^−Gz − 1), and the
+        # veil is −Σ v(e^−Gz − 1)
+        signal_at_0 = signal.sum(-1, keepdim=True) if exact_at_lens else nothing
+        veil_at_0 = nothing if exact_at_lens else veil.sum(-1, keepdim=True)
+        weights = [
+            torch.cat([nothing, direct, no_signal], 2),
+            torch.cat([signal_at_0, -direct, signal], 2),
+            torch.cat([veil_at_0, no_direct, -veil], 2),
+        ]
+        split = 1 + self.beta.shape[1] if exact_at_lens else None
+        return Sums(rates, torch.cat(weights, 1), split)
+
+    def any_at_lens(self, nearest: Tensor) -> bool:
+        """Whether V(0) − V(z) would cancel at the nearest distance of a picture (B, m), so that
+        `sums` must be exact at the lens.
+        """
+        slowest = self.G.masked_fill(self.G <= 0, math.inf).amin(1)
+        return cancels(slowest, nearest)
+
+    def under(self, spectrum: Callable[[Array], Array] | None = None) -> "Medium":
+        """The water in the light of a lamp, which does not come down from the surface.
+
+        With S_c for the response of the camera's channel c to the lamp's light, ∫S_c dλ = 1 in the
+        mean of the channels,
+
+            T_β,c(z) = ∫ S_c·e^(−β z) dλ        what arrives unscattered
+            T_G,c(z) = ∫ S_c·e^(−G z) dλ        what arrives at all
+            b_c(x) = ∫ S_c·b·e^(−G x) dλ        what a metre of water scatters, seen after x metres
+
+        A medium of numbers alone, as one that learns, has no bands: its own rates and the shares of
+        its light stand for them, and b̄ for b.
+
+        Args:
+            spectrum: power at wavelengths (N array, nm); None for white.
+
+        Returns:
+            A medium whose `veil_weights` are those of b_c, 1/m.
+
+        Raises:
+            ValueError: if a spectrum is given and the medium has no wavelengths, or the spectrum
+                has no light in them.
+        """
+        if self.bands is not None:
+            tensors = [t.to(self.beta) for t in self.bands.under(spectrum)]
+        elif spectrum is None:
+            direct, signal = (
+                weights / weights.sum(-1, keepdim=True).clamp(min=_DARK)
+                for weights in (self.direct_weights, self.signal_weights)
+            )
+            scatter = signal * self.b_mean[:, None, None]
+            tensors = [self.beta, direct, self.G, signal, scatter]
+        else:
+            raise ValueError("spectrum: the medium has no wavelengths any more; give rgb")
+        return Medium.of_tensors([*tensors, self.b_mean], self.point_spread, self.notes)
 
     def transmission(self, z: Tensor) -> Tensor:
         """T_β(z): share of the light at the surface that arrives unscattered.
@@ -293,22 +403,42 @@ class Medium:
         Returns:
             (B, 3, H, W), or (B, 3, N), or (B, 3).
         """
-        return derived.curves_at(self, z).direct
+        return self._curves(z).direct
 
     def signal(self, z: Tensor) -> Tensor:
         """T_G(z): share of the light at the surface that arrives at all; as `transmission`."""
-        found = derived.curves_at(self, z)
-        return found.direct + found.scatter
+        arriving = self._curves(z)
+        return arriving.direct + arriving.scatter
 
     def backscatter(self, z: Tensor) -> Tensor:
         """V(0) − V(z), the veil in front of a point at distance z; as `transmission`."""
-        return derived.curves_at(self, z, exact_at_lens=True).veil
+        return self._curves(z, exact_at_lens=True).veil
+
+    def _curves(self, z: Tensor, *, exact_at_lens: bool = False) -> Curves:
+        with torch.autocast(z.device.type, enabled=False):
+            x = z.to(torch.promote_types(z.dtype, torch.float32)).clamp(max=FARTHEST)
+            plane = x if z.ndim > 2 else x.reshape(1, 1, -1)
+            batch = plane if plane.ndim == 4 else plane[None]
+            maps = curves(self.to(x).sums(exact_at_lens=exact_at_lens), batch)
+        if z.ndim > 2:
+            return maps
+        return Curves(*(curve.reshape(len(curve), 3, *z.shape) for curve in maps))
 
     def brightened(self, gain: Tensor) -> "Medium":
-        """The medium as seen by a camera that multiplies all light by `gain` (B or 1)."""
-        return derived.brightened(self, gain)
+        """The medium as seen by a camera that multiplies all light by `gain` (B or 1), or each
+        channel's by its own (B or 1, 3).
+        """
+        wide, factor = self.expand(len(gain)), gain.reshape(len(gain), -1, 1).to(self.beta)
+        return replace(
+            wide,
+            direct_weights=factor * wide.direct_weights,
+            signal_weights=factor * wide.signal_weights,
+            veil_weights=factor * wide.veil_weights,
+        )
 
-    def with_veil(self, veil: Tensor | Sequence[float], curve: derived.Veil = "veil") -> "Medium":
+    def with_veil(
+        self, veil: Tensor | Sequence[float], curve: Literal["veil", "signal"] = "veil"
+    ) -> "Medium":
         """The same water with a given veil at infinite distance.
 
         Args:
@@ -320,7 +450,16 @@ class Medium:
             ValueError: if a shape is another, batches differ, a value is negative or infinite, or a
                 channel has no curve of its own to follow.
         """
-        return derived.with_veil(self, veil, curve)
+        checks.one_of("curve", curve, ("veil", "signal"))
+        limit = _row("veil", veil, (3,), self.beta.dtype).to(self.beta.device)
+        checks.batches({"veil": len(limit), "medium": len(self)})
+        wide = self.expand(len(limit))
+        weights = wide.veil_weights if curve == "veil" else wide.signal_weights
+        total = weights.sum(-1, keepdim=True)
+        if not bool((total.detach() > 0).all()):
+            cure = 'try curve="signal"' if curve == "veil" else "no light is left at that depth"
+            raise ValueError(f"veil must follow the medium's own {curve}, which is 0: {cure}")
+        return replace(wide, veil_weights=limit[..., None] * weights / total)
 
     def lengths(self, z: Tensor) -> Tensor:
         """Scattering lengths b̄·z of finite distances (B or 1, 1, H, W)."""
@@ -336,3 +475,31 @@ class Medium:
         cut = ", …" if len(self) > 3 else ""
         note = self.notes[0] if self.notes else ""
         return f"Medium({note}{more}; {self.point_spread}, b̄ = {b_mean}{cut}/m)"
+
+
+def _rows(coefficients: Mapping[str, Any]) -> dict[str, Tensor]:
+    """The coefficients that are not None, by name, as tensors of one type and batch."""
+    numbers = {name: value for name, value in coefficients.items() if value is not None}
+    dtypes = [v.dtype for v in numbers.values() if isinstance(v, Tensor) and v.is_floating_point()]
+    dtype = dtypes[0] if dtypes else torch.float64
+    rows = {
+        name: _row(name, value, () if name == "b_mean" else (3,), dtype)
+        for name, value in numbers.items()
+    }
+    batches = {name: len(row) for name, row in rows.items()}
+    checks.batches(batches)
+    b = max(batches.values())
+    return {name: row.expand(b, *row.shape[1:]) for name, row in rows.items()}
+
+
+def _row(name: str, value: Any, shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
+    """A coefficient of `shape`, or a batch of them, as (B, *shape); finite and ≥ 0."""
+    row = torch.as_tensor(value, dtype=None if isinstance(value, Tensor) else dtype).to(dtype)
+    batched = row.ndim == len(shape) + 1
+    if row.shape[batched:] != shape:
+        expected = "a number or (B,)" if shape == () else "(3,) or (B, 3)"
+        raise ValueError(f"{name} must have shape {expected}, got {tuple(row.shape)}")
+    numbers = row.detach()
+    if not bool(((numbers >= 0) & numbers.isfinite()).all()):
+        raise ValueError(f"{name} must be finite and ≥ 0, got {numbers.tolist()}")
+    return row if batched else row[None]

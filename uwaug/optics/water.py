@@ -1,8 +1,11 @@
-"""Water: absorption, scattering and diffuse attenuation as functions of wavelength."""
+"""Water: absorption, scattering and diffuse attenuation as functions of wavelength; how far one
+sees through it, and how much of what is in it that takes.
+"""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache, lru_cache
 from typing import Self
 
 import numpy as np
@@ -10,7 +13,6 @@ from numpy.typing import ArrayLike
 
 from uwaug._support import checks
 from uwaug._support.types import Array
-from uwaug.optics import sight
 from uwaug.optics.jerlov import JERLOV_TYPES, repaired_table
 from uwaug.optics.spectra import Spectra, common_axis, spectrum, wavelength_axis
 
@@ -18,6 +20,14 @@ __all__ = ["CONTRAST_THRESHOLD", "JERLOV_TYPES", "Water"]
 
 CONTRAST_THRESHOLD = 0.02
 """The contrast at which an object is no longer seen (Koschmieder 1924)."""
+
+_VISIBLE = (400.0, 700.0)
+"""nm."""
+
+_NODES = 301
+"""Wavelengths for the eye, 1 nm apart on a full range. The 61 bands of a medium would put the
+visibility of type I 7e-4 off.
+"""
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -199,9 +209,7 @@ class Water(Spectra):
             {'I': 78.5, 'IB': 32.6, 'II': 8.7, '3C': 3.3, '9C': 1.2}
         """
         if wavelength is None:
-            nodes, weights = sight.eye_on(self)
-            rates = np.interp(nodes, self.wavelengths, self.beta)
-            return sight.distance_to(CONTRAST_THRESHOLD, weights, rates)
+            return _distance_to(CONTRAST_THRESHOLD, *self._seen(self.beta))
         self._require_inside(wavelength, wavelength)
         beta = float(np.interp(wavelength, self.wavelengths, self.beta))
         return -math.log(CONTRAST_THRESHOLD) / beta if beta > 0 else math.inf
@@ -215,14 +223,14 @@ class Water(Spectra):
             0.252
         """
         checks.within("metres", metres, *checks.DOMAIN["distance"])
-        return sight.contrast_at(self, self.beta, metres)
+        return self._luminance(self.beta, metres)
 
     def most_contrast(self, metres: float) -> float:
         """The ``contrast()`` at this distance [m] in the pure water inside this one: the most that
         ``with_contrast`` can give.
         """
         checks.within("metres", metres, *checks.DOMAIN["distance"])
-        return sight.contrast_at(self, sight.pure_inside(self)[:2].sum(0), metres)
+        return self._luminance(self._pure()[:2].sum(0), metres)
 
     def with_visibility(self, metres: float) -> Self:
         """The same kind of water with more or less in it, so that ``visibility()`` is ``metres``,
@@ -235,7 +243,7 @@ class Water(Spectra):
         checks.number_only("metres", metres)
         checks.positive("metres", metres)
         if self.most_contrast(metres) < CONTRAST_THRESHOLD:
-            most = Water(self.wavelengths, *sight.pure_inside(self)).visibility()
+            most = Water(self.wavelengths, *self._pure()).visibility()
             allowed = f"the pure water in {self.name!r} allows, {most:.4g} m"
             raise ValueError(f"metres={metres:g} is more than {allowed}")
         name = f"{self.name} at {metres:g} m visibility"
@@ -294,9 +302,17 @@ class Water(Spectra):
         scaled, 1 at an infinite distance.
         """
         checks.within("contrast", contrast, *checks.DOMAIN["contrast"])
-        if math.isinf(metres):
-            return 1.0
-        return sight.contents_for(self, contrast, metres)
+        return 1.0 if math.isinf(metres) else self._contents_for(contrast, metres)
+
+    def daylight(self, depth: float) -> float:
+        """The share of the surface's luminance that is left at a vertical depth [m]."""
+        checks.within("depth", depth, *checks.DOMAIN["vertical_depth"])
+        return self._luminance(self.kd, depth)
+
+    def depth_of_daylight(self, share: float) -> float:
+        """The vertical depth [m] at which this share of the surface's luminance is left."""
+        checks.within("share", share, 0.0, 1.0)
+        return _distance_to(share, *self._seen(self.kd))
 
     def with_contents(self, factor: float) -> Self:
         """This water with `factor` times what is in it besides pure water, see `with_contrast`."""
@@ -304,9 +320,45 @@ class Water(Spectra):
         name = f"{factor:.2g}·contents of {self.name}"
         return self if factor == 1 else self._with(factor, name, self.provenance)
 
+    def _seen(self, rates: Array) -> tuple[Array, Array]:
+        """The eye's weights at wavelengths that the water has, whose sum is 1, and rates there."""
+        low, high = self.wavelengths[[0, -1]].tolist()
+        if low > _VISIBLE[1] or high < _VISIBLE[0]:
+            cure = "give visibility() a wavelength"
+            raise ValueError(f"{self} has no wavelength in 400–700 nm: {cure}")
+        nodes, weights = _eye(low, high)
+        return weights, np.interp(nodes, self.wavelengths, rates)
+
+    def _luminance(self, rates: Array, metres: float) -> float:
+        """The share of luminance that is left after a path in which light fades at these rates."""
+        weights, rates = self._seen(rates)
+        return float((weights * np.exp(rates * -metres)).sum())
+
+    def _pure(self) -> Array:
+        """a, b and K_d (3, N) of the pure sea water in this one."""
+        nm = self.wavelengths
+        if nm[0] < 300 or nm[-1] > 800:
+            cure = "resample with .at() first"
+            raise ValueError(f"pure water is tabulated at 300–800 nm, but {self} leaves it: {cure}")
+        absorption, scattering = _pure_water(nm.tobytes())  # an array is no key
+        a, b = np.minimum(self.a, absorption), np.minimum(self.b, scattering)
+        return np.array([a, b, np.minimum(self.kd, a + b / 2)])
+
+    def _contents_for(self, contrast: float, metres: float) -> float:
+        """The factor s of `with_contrast`; 0 if pure water leaves no more, infinity if no factor
+        will do.
+        """
+        a, b, _ = self._pure()
+        weights, water = self._seen(a + b)
+        seen = weights * np.exp(water * -metres)
+        if float(seen.sum()) <= contrast:
+            return 0.0
+        _, contents = self._seen(self.a + self.b - (a + b))
+        return _distance_to(contrast, seen, contents * metres)
+
     def _scaled(self, contrast: float, metres: float, name: str) -> Self:
         """This water with a contrast that pure water allows."""
-        factor = sight.contents_for(self, contrast, metres)
+        factor = self._contents_for(contrast, metres)
         if math.isinf(factor):
             nothing = f"there is nothing to scale to a contrast of {contrast:g} at {metres:g} m"
             raise ValueError(f"{self.name!r} is nothing but pure water to the eye: {nothing}")
@@ -314,7 +366,7 @@ class Water(Spectra):
         return self._with(factor, name, provenance)
 
     def _with(self, factor: float, name: str, provenance: tuple[str, ...]) -> Self:
-        pure = sight.pure_inside(self)
+        pure = self._pure()
         with np.errstate(over="ignore"):
             table = pure + factor * (self._table(self.wavelengths) - pure)
         if not np.isfinite(table).all():
@@ -349,3 +401,43 @@ class Water(Spectra):
 
 def _bracketed(name: str) -> str:
     return f"({name})" if " " in name else name
+
+
+def _distance_to(share: float, weights: Array, rates: Array) -> float:
+    """The z ≥ 0 at which Σ weights·e^(−rates·z) falls to `share`; inf if it never does."""
+    if weights[rates <= 0].sum() >= share:
+        return math.inf
+    # the logarithm of the sum is convex and falls, so Newton's steps from 0 never overshoot
+    fading = weights * rates
+    z, step = 0.0, math.inf
+    while step > 1e-15 * z:
+        left = np.exp(-rates * z)
+        total = float(weights @ left)
+        step = math.log(total / share) * total / float(fading @ left)
+        z += step
+    return z
+
+
+@lru_cache(maxsize=16)
+def _eye(low: float, high: float) -> tuple[Array, Array]:
+    """Wavelengths that are seen between these, and the weights of the CIE 1931 observer's ȳ."""
+    nodes = np.linspace(max(low, _VISIBLE[0]), min(high, _VISIBLE[1]), _NODES)
+    weights = np.interp(nodes, *_observer())
+    return nodes, weights / weights.sum()
+
+
+@cache
+def _observer() -> tuple[Array, Array]:
+    import jerlov
+
+    wavelengths, xyz = jerlov.cie_1931_cmf()
+    return wavelengths, xyz[:, 1]
+
+
+@lru_cache(maxsize=16)
+def _pure_water(axis: bytes) -> Array:
+    """Absorption and scattering (2, N) of pure sea water at these wavelengths."""
+    import jerlov
+
+    nm = np.frombuffer(axis)
+    return np.array([jerlov.pure_water_absorption(nm), jerlov.pure_water_scattering(nm)])

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from uwaug.optics.bands import band_coefficients
+from uwaug.optics.bands import attenuations, surface_light
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.presets.schema import Config
@@ -86,14 +86,15 @@ def _of_coefficients(config: Config, law: PointSpread, depth: float) -> Medium:
     a, b, printed, kd = (np.array(values) for values in vars(config.coefficients).values())
     # the g of each channel that gives G as printed, which is rounded
     g = np.divide(printed - a, b, out=np.zeros(3), where=b > 0)
-    found = band_coefficients(a, b, kd, vertical_depth=depth, g=g, mu=config.medium.mu)
+    beta, G = attenuations(a, b, g)
+    light, veil, _ = surface_light(beta, G, b, kd, vertical_depth=depth, mu=config.medium.mu)
     return Medium.from_coefficients(
-        found.beta.tolist(),
-        found.G.tolist(),
-        found.veil.tolist(),
+        beta.tolist(),
+        G.tolist(),
+        veil.tolist(),
         b_mean=float(b.mean()),
         point_spread=law,
-        light=found.light.tolist(),
+        light=light.tolist(),
     )
 
 

@@ -15,7 +15,6 @@ from uwaug.formation.exposure import Exposure
 from uwaug.formation.field import gaussian_random_field
 from uwaug.formation.underwater import Underwater
 from uwaug.light import Light
-from uwaug.light.text import light_of_tables
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.medium import Medium
 from uwaug.optics.water import Water
@@ -235,7 +234,7 @@ def load_preset(
         spectral=spectral,
         equation=config.equation,
         choices=config.choices(),
-        light=None if config.light is None else light_of_tables(config.light),
+        light=None if config.light is None else Light.from_list(config.light),
     )
 
 

@@ -13,9 +13,9 @@ from uwaug._support.atomic import require_regular
 from uwaug._support.checks import DOMAIN
 from uwaug._support.types import ColorSpace, Shape
 from uwaug.formation.exposure import require_exposure
-from uwaug.light.text import light_of_tables
-from uwaug.optics.bands import Dims, Downwelling, VeilRate
-from uwaug.optics.reduction import USUAL, Forward
+from uwaug.light.light import Light
+from uwaug.optics.bands import USUAL, Dims, Downwelling, VeilRate
+from uwaug.optics.inherent import Forward
 from uwaug.optics.water import JERLOV_TYPES
 
 __all__ = ["Config", "read_config"]
@@ -184,7 +184,7 @@ class Config(_Table):
     def __post_init__(self) -> None:
         require_exposure(self.exposure)
         if self.light is not None:
-            light_of_tables(self.light)
+            Light.from_list(self.light)
         tables = (self.water, self.coefficients, self.channels)
         if sum(table is not None for table in tables) != 1:
             raise ValueError("water, coefficients, channels: give one of these three tables")

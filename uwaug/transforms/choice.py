@@ -11,20 +11,12 @@ from uwaug._support.types import ColorSpace, Order
 from uwaug.distance.sample import DistanceKind, Scaling, Unknown
 from uwaug.formation.loops.switch import Path
 from uwaug.light import Light
-from uwaug.light.text import light_from
+from uwaug.light.geometry import focal_of
 from uwaug.optics.camera import Camera
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
 
-__all__ = ["Choice", "Draw", "Settings", "focal_of"]
-
-_FOCAL = 0.5 / math.tan(math.radians(30))
-"""Focal length of a view 60° wide, as a share of the picture's width."""
-
-
-def focal_of(focal_px: float | None, width: int) -> float:
-    """Focal length for a picture of `width` px, px; by default that of a view 60° wide."""
-    return focal_px or _FOCAL * width
+__all__ = ["Choice", "Draw", "Settings"]
 
 
 class Draw(NamedTuple):
@@ -96,7 +88,7 @@ class Settings:
     varied: bool
     """Whether each picture has a medium of its own, so that none need be kept."""
     lights: str = ""
-    """JSON of the lights that are drawn from, see `uwaug.light.text`; none for daylight alone."""
+    """JSON of the lights that are drawn from (`Light.to_list`); none for daylight alone."""
 
     def law(self, width: int) -> PointSpread:
         """The width law for a picture of `width` px."""
@@ -116,7 +108,7 @@ class Settings:
 @lru_cache(maxsize=16)
 def lights_of(text: str) -> tuple[Light, ...]:
     """The lights of `Settings.lights`."""
-    return tuple(light_from(numbers) for numbers in json.loads(text))
+    return tuple(Light.from_list(numbers) for numbers in json.loads(text))
 
 
 class Choice(NamedTuple):

@@ -9,7 +9,6 @@ import numpy as np
 
 from uwaug.distance.network import DepthNetwork
 from uwaug.light import Light
-from uwaug.light.text import light_from, light_of_tables, plain_numbers
 from uwaug.optics.camera import Camera
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
@@ -46,7 +45,7 @@ def decode_options(plain: Mapping[str, Any]) -> dict[str, Any]:
             value = {_CLASS: "PointSpread", **value}
         tables = name == "light" and isinstance(value, (list, tuple))
         if tables and all(isinstance(table, Mapping) and _CLASS not in table for table in value):
-            options[name] = light_of_tables(list(value))
+            options[name] = Light.from_list(list(value))
         else:
             options[name] = _decode(name, value)
     return options
@@ -66,7 +65,7 @@ def _encode(name: str, value: Any) -> Any:
             return {key: _encode(name, item) for key, item in value.items()}
         return {_CLASS: "Mapping", "items": _encode(name, list(value.items()))}
     if isinstance(value, Light):
-        return {_CLASS: "Light", "sources": plain_numbers(value)}
+        return {_CLASS: "Light", "sources": value.to_list()}
     if type(value).__name__ in _CLASSES:
         fields = inspect.signature(type(value)).parameters
         attributes = {field: _encode(name, getattr(value, field)) for field in fields}
@@ -89,7 +88,7 @@ def _decode(name: str, value: Any) -> Any:
         return items
     try:
         if kind == "Light":
-            return light_from(items["sources"])
+            return Light.from_list(items["sources"])
         if kind == "Mapping":
             return dict(items["items"])
         return _CLASSES[kind](**items)

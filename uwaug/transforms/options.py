@@ -11,7 +11,6 @@ from uwaug._support import checks
 from uwaug._support.types import ColorSpace, Order
 from uwaug.distance.sample import DistanceKind, as_unknown
 from uwaug.light import Light
-from uwaug.light.text import plain_numbers
 from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.point_spread import PointSpread
 from uwaug.transforms.draw import (
@@ -158,7 +157,7 @@ def settings_of(aug: RandomUnderwater, ranges: Mapping[str, tuple[float, float]]
         exposure=exposure,
         tolerance=aug.tolerance,
         varied=_varies(ranges),
-        lights=json.dumps([plain_numbers(light) for light in lights_in(aug)]),
+        lights=json.dumps([light.to_list() for light in lights_in(aug)]),
     )
 
 

@@ -24,7 +24,6 @@ from uwaug.formation.loops.switch import Path
 from uwaug.formation.model import Combine, form, prepare, together
 from uwaug.formation.strips import Strips
 from uwaug.light.lit import Lit, lit_of, planned
-from uwaug.optics import sight
 from uwaug.optics.camera import Camera
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
@@ -213,7 +212,7 @@ def _settled(choice: Choice, some: Iterable[Tensor], width: int) -> Settled:
     water, contents = _water(waters, draw, some)
     light = settings.light(draw)
     # a lamp shines at any depth
-    if settings.exposure == "auto" and not (light is not None and light.has_lamp):
+    if settings.exposure == "auto" and not (light is not None and light.lamps):
         draw = draw._replace(vertical_depth=_lit_depth(water, draw.vertical_depth))
     medium = _medium(water, camera, draw, settings.law(width), settings)
     return Settled(water, contents, draw.vertical_depth, medium)
@@ -261,9 +260,9 @@ def _middle(some: Iterable[Tensor]) -> float:
 
 def _lit_depth(water: Water, metres: float) -> float:
     """A vertical depth, or that where the light is dimmest if it is deeper."""
-    if sight.contrast_at(water, water.kd, metres) >= _DIMMEST:
+    if water.daylight(metres) >= _DIMMEST:
         return metres
-    return min(metres, sight.depth_of_light(water, _DIMMEST))
+    return min(metres, water.depth_of_daylight(_DIMMEST))
 
 
 def _gain(balanced: Callable[[], Tensor], medium: Medium, draw: Draw, settings: Settings) -> Tensor:

@@ -1,0 +1,288 @@
+"""Near-field backscatter: a lamp's light that the water scatters into the camera, once.
+
+Along a ray of the camera, s metres from it, the water scatters b·p(α) of the lamp's light to the
+camera, of which e^(−G(s + r)) is left of both legs:
+
+    B_c(z) = π·power ∫_0^z Σ_l f_cl e^(−G_l (s + r)) p(α) cone(ψ) / r² ds
+
+r is the distance to the lamp, α the angle of scattering with p of Henyey & Greenstein (1941), ψ the
+angle to the lamp's axis; f_cl are the weights of b. In the angle θ = atan((s − s₀)/h) that the lamp
+sees (Kulla & Fajardo 2012, equiangular), with s₀ the ray's nearest point to the lamp and h the
+distance there, ds/r² is dθ/h: the inverse square is gone, cos α = −sin θ, cos ψ is a sine, and
+
+    s + r = s₀ + h·tan(π/4 + θ/2)
+
+What is left is smooth within the cone, whose ends in θ are known. Gauss quadrature projects it onto
+Legendre polynomials, whose integral is a polynomial in θ: the veil at any distance of that ray. Its
+few coefficients vary slowly from ray to ray: they are made on a coarse grid.
+"""
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from uwaug._support.torch_func import transformed
+from uwaug.light.geometry import Ray, View, along, as_map, before_camera, ray_of
+from uwaug.light.light import Lamp
+from uwaug.optics.curves import decay
+from uwaug.optics.medium import Medium
+
+_POINTS = 12
+"""Of the quadrature over the lit part of a ray: the worst of 450 random lamps is off by 3e-5, with
+10 by 2e-4.
+"""
+
+ORDER = 6
+"""Of the polynomials. With 4 the worst of the lamps beside a camera is off by .004, with 6 by .001,
+with 12 by .001.
+"""
+
+_GRID = 49
+"""Rays along either side of the picture. With 33 the worst is off by .002, with 49 by .001, as with
+65.
+"""
+
+_SHOWS = 5e-4
+"""Of the veil: less is left out."""
+
+_WIDEST, _FEW = 1.2, 25
+"""The tangent of 50°, and rays on which is looked for what shows."""
+
+_LEAST = 1e-6
+"""Stands for the cosine at the far end of a ray."""
+
+_EPS = 1e-4
+"""By which a cosine stays within −1…1, where the slope of its angle is endless."""
+
+
+def _legendre(count: int, x: float) -> list[float]:
+    """P_0 to P_count at x."""
+    values = [1.0, x]
+    for k in range(1, count):
+        values.append(((2 * k + 1) * x * values[k] - k * values[k - 1]) / (k + 1))
+    return values
+
+
+def _gauss(count: int) -> tuple[list[float], list[float]]:
+    """Nodes and weights of the Gauss–Legendre quadrature over −1…1: Newton's steps to the zeros of
+    P_count. NumPy's take 5 ms to import, and compiled code cannot compute with them.
+    """
+    nodes, weights = [], []
+    for k in reversed(range(count)):
+        x = math.cos(math.pi * (k + 0.75) / (count + 0.5))
+        for _ in range(8):
+            *_, before, value = _legendre(count, x)
+            slope = count * (before - x * value) / (1 - x * x)
+            x -= value / slope
+        nodes.append(x)
+        weights.append(2 / ((1 - x * x) * slope * slope))
+    return nodes, weights
+
+
+def _quotients() -> list[list[float]]:
+    """For k < ORDER, the polynomial Q_k in u = 2x − 1, from the lowest power up, with
+    (2k + 1)·∫_−1^u P_k(v) dv/2 = x·Q_k(u).
+    """
+    powers = [[1.0], [0.0, 1.0]]  # of P_k
+    for k in range(1, ORDER):
+        raised = [0.0, *((2 * k + 1) * c for c in powers[k])]
+        lower = [k * c for c in powers[k - 1]] + [0.0, 0.0]
+        powers.append([(a - b) / (k + 1) for a, b in zip(raised, lower, strict=True)])
+    quotients = [[1.0]]
+    for k in range(1, ORDER):
+        lower = [*powers[k - 1], 0.0, 0.0]
+        integral = [(a - b) / 2 for a, b in zip(powers[k + 1], lower, strict=True)]
+        # divided by x = (u + 1)/2, from the highest power down
+        quotient = [0.0] * (k + 1)
+        rest = 0.0
+        for power in range(k, -1, -1):
+            rest = 2 * integral[power + 1] - rest
+            quotient[power] = rest
+        quotients.append(quotient)
+    return quotients
+
+
+_NODES, _WEIGHTS = _gauss(_POINTS)
+
+_THETA = torch.tensor([(x + 1) / 2 for x in _NODES], dtype=torch.float64)
+"""Nodes (M) as shares of the lit part of a ray."""
+
+_SHARES = torch.tensor([w / 2 for w in _WEIGHTS], dtype=torch.float64)
+"""Their weights (M)."""
+
+_PROJECT = (
+    torch.tensor([_legendre(ORDER - 1, x) for x in _NODES], dtype=torch.float64).T.contiguous()
+    * _SHARES
+)
+"""From values at the nodes to the coefficients (K, M) of integrals of Legendre polynomials, none of
+which exceeds 1.
+"""
+
+_POWERS = torch.tensor(
+    [q + [0.0] * (ORDER - len(q)) for q in _quotients()], dtype=torch.float64
+).T.contiguous()
+"""From those to the coefficients (K, K) of a polynomial Q in u = 2x − 1, where the integral from 0
+to x is x·Q(u).
+"""
+
+
+class Grid(NamedTuple):
+    """The backscatter of a lamp along some rows of rays that span the picture.
+
+    Attributes:
+        planes (BxnxNxW tensor): where the lit part of a ray begins, θ, and 1/its length; then the
+            coefficients of three channels, from the lowest power up.
+        tangents (n tensor): of the rows.
+    """
+
+    planes: Tensor
+    tangents: Tensor
+
+
+class _LitPart(NamedTuple):
+    """What the lamp lights of a ray, from one angle θ over a span; and cos ψ(θ) as
+    across·cos θ + along·sin θ.
+    """
+
+    low: Tensor
+    span: Tensor
+    across: Tensor
+    along: Tensor
+
+
+def _lit(lamp: Lamp, view: View, ray: Ray, far: Tensor | None) -> _LitPart:
+    """The part of each ray within the lamp's cone, up to the angle `far`, or to infinity."""
+    forward = along(lamp.direction, view)
+    across = (ray.middle * forward - before_camera(lamp)) / ray.height
+    low = torch.atan2(-ray.middle, ray.height)
+    high = torch.full_like(low, math.pi / 2) if far is None else far
+    size = torch.sqrt((across.square() + forward.square()).clamp(min=_EPS**2))
+    _, outer = lamp.edges()
+    outer = as_map(outer)
+    half = torch.acos((outer / size).clamp(-1 + _EPS, 1 - _EPS))
+    half = torch.where(outer >= size, 0.0, half)
+    middle = torch.atan2(forward, across)
+    # a cone of more than a right angle may leave dark the middle of a ray: there nothing is cut
+    wide = outer < 0
+    low = torch.where(wide, low, torch.maximum(low, middle - half))
+    high = torch.where(wide, high, torch.minimum(high, middle + half))
+    return _LitPart(low, (high - low).clamp(min=0.0), across, forward)
+
+
+def _source(lamp: Lamp, water: Medium, ray: Ray, lit: _LitPart, theta: Tensor) -> Tensor:
+    """The light that the water scatters into the camera from each angle `theta` (BxMxHxW), per unit
+    of θ and times the ray's distance h from the lamp (Bx3xMxHxW).
+    """
+    # half angles: near the lamp 1 + sin θ would cancel
+    up, level = torch.sin(math.pi / 4 + theta / 2), torch.cos(math.pi / 4 + theta / 2)
+    raised, cosine = 2 * up.square(), 2 * up * level
+    g = as_map(lamp.asymmetry)
+    # cos α = −sin θ; the 4π of the phase function and the π of a white plate leave 1/4
+    root = ((1 - g).square() + 2 * g * raised).rsqrt()
+    phase = root * root.square() * (0.25 * (1 - g * g))
+    seen = lamp.cone_at(lit.across * cosine + lit.along * (raised - 1)) * phase
+    path = ray.middle + ray.height * up / level.clamp(min=_LEAST)
+    b, m, height, width = path.shape
+    flat = path.clamp(min=0.0).reshape(b, 1, -1)
+    arrives = water.veil_weights @ decay(water.G[..., None], flat)
+    return arrives.reshape(-1, 3, m, height, width) * seen[:, None]
+
+
+def grid_of(lamp: Lamp, water: Medium, view: View, order: int) -> Grid:
+    """The backscatter of a lamp as polynomials along the rays of a picture.
+
+    Args:
+        lamp: of B or 1 rows.
+        water: `Medium.under` this lamp's light, of its power and colour.
+        view: of the whole picture.
+        order: of the polynomials, see `order_of`.
+    """
+    x, y = _spread(view.x, 3), _spread(view.y, 2)
+    _, lit, series = _series(lamp, water, View(x, y))
+    powers = _POWERS.to(x)[:order, :order]
+    coefficients = torch.einsum("jk,bkchw->bjchw", powers, series[:, :order]).flatten(1, 2)
+    low = lit.low.expand(len(coefficients), -1, -1, -1)
+    steep = 1 / lit.span.clamp(min=_EPS).expand_as(low)
+    planes = torch.cat([low, steep, coefficients], 1)
+    planes = planes @ _tents(x.flatten(), view.x.flatten()).T
+    return Grid(planes.transpose(1, 2).contiguous(), y.flatten())
+
+
+def _series(lamp: Lamp, water: Medium, view: View) -> tuple[Ray, _LitPart, Tensor]:
+    """The backscatter along each ray, times h, as a series (BxKx3xHxW) of integrals of Legendre
+    polynomials.
+    """
+    ray = ray_of(lamp, view)
+    lit = _lit(lamp, view, ray, None)
+    theta = lit.low + lit.span * _THETA.to(view.x).reshape(1, -1, 1, 1)
+    values = _source(lamp, water, ray, lit, theta) * lit.span[:, None]
+    return ray, lit, torch.einsum("km,bcmhw->bkchw", _PROJECT.to(view.x), values)
+
+
+def order_of(lamp: Lamp, water: Medium) -> int:
+    """How many polynomials show in any view of up to 100° across; all of them where numbers may
+    change or cannot be looked at.
+    """
+    if torch.compiler.is_compiling() or transformed() or water.requires_grad:
+        return ORDER
+    if any(value.requires_grad for value in lamp.tensors().values()):
+        return ORDER
+    tangents = torch.linspace(-_WIDEST, _WIDEST, _FEW).to(water.G)
+    view = View(tangents.reshape(1, 1, 1, -1), tangents.reshape(1, 1, -1, 1))
+    ray, _, series = _series(lamp, water, view)
+    size = (series.abs().amax(2) / ray.height).amax((0, 2, 3))
+    left = size.flip(0).cumsum(0).flip(0)  # of what comes from each of them on
+    return max(1, int((left > _SHOWS).sum()))
+
+
+def _spread(tangents: Tensor, axis: int) -> Tensor:
+    """A few tangents from the first to the last."""
+    first, last = tangents.narrow(axis, 0, 1), tangents.narrow(axis, tangents.shape[axis] - 1, 1)
+    shape = [1, 1, 1, 1]
+    shape[axis] = _GRID
+    t = torch.linspace(0, 1, _GRID, dtype=tangents.dtype, device=tangents.device).reshape(shape)
+    return first + (last - first) * t
+
+
+def _tents(nodes: Tensor, places: Tensor) -> Tensor:
+    """The matrix (MxN) that interpolates linearly from N tangents of even steps to M others.
+
+    As a product it takes a tenth of the time of picking columns, and a third of picking rows.
+    """
+    gap = (nodes[-1] - nodes[0]).clamp(min=_EPS)
+    at = ((places - nodes[0]) / gap).clamp(0.0, 1.0) * (_GRID - 1)
+    index = torch.arange(_GRID, dtype=at.dtype, device=at.device)
+    return (1 - (at[:, None] - index).abs()).clamp(min=0.0)
+
+
+def interpolated(grid: Grid, view: View, ray: Ray, z: Tensor, columns: slice) -> Tensor:
+    """The backscatter before points at distance z (Bx3xHxW) in some `columns` of the picture."""
+    tents, planes = _tents(grid.tangents, view.y.flatten()), grid.planes[..., columns]
+    if not torch.compiler.is_compiling():  # of a strip, few rows of the grid are needed
+        used = torch.nonzero(tents.amax(0)).flatten()
+        few = slice(int(used[0]), int(used[-1]) + 1)
+        tents, planes = tents[:, few], planes[:, few]
+
+    def plane(first: int, count: int) -> Tensor:
+        rows = tents @ planes[:, :, first : first + count].flatten(2)
+        return torch.unflatten(rows, 2, (count, planes.shape[3]))
+
+    theta = torch.atan((z - ray.middle) / ray.height).transpose(1, 2)
+    x = ((theta - plane(0, 1)) * plane(1, 1)).clamp(0.0, 1.0)
+    u = 2 * x - 1
+    last = planes.shape[2] - 3
+    total = plane(last, 3)
+    # one by one, so that they stay in the cache
+    for first in range(last - 3, 1, -3):
+        total = torch.addcmul(plane(first, 3), total, u)
+    return total.transpose(1, 2) * (x.transpose(1, 2) / ray.height)
+
+
+def integrated(lamp: Lamp, water: Medium, view: View, ray: Ray, z: Tensor) -> Tensor:
+    """The backscatter before points at distance z (Bx3xHxW), by quadrature along each ray."""
+    lit = _lit(lamp, view, ray, torch.atan((z - ray.middle) / ray.height))
+    theta = lit.low + lit.span * _THETA.to(z).reshape(1, -1, 1, 1)
+    values = _source(lamp, water, ray, lit, theta)
+    return (values * _SHARES.to(z).reshape(1, 1, -1, 1, 1)).sum(2) * (lit.span / ray.height)
