@@ -2,14 +2,13 @@
 
 import os
 import signal
-from pathlib import Path
 from typing import Any
 
-from uwaug.jobs import Depth
+from uwaug.jobs import DistanceFormat
 
 
-class Deadly(Depth):
-    def read(self, where: Path | float | None, image: Any) -> Any:
-        if where == 6.66:
+class Deadly(DistanceFormat):
+    def read(self, file: Any, size: Any, **options: Any) -> Any:
+        if "deadly" in str(file.name):
             os.kill(os.getpid(), signal.SIGKILL)
-        return super().read(where, image)
+        return super().read(file, size, **options)

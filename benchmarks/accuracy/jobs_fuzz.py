@@ -2,7 +2,7 @@
 
 `python -m benchmarks.accuracy.jobs_fuzz [COUNT]` damages COUNT files, 10 000 by default: pictures
 and distances of every format, with flipped bits, blocks of zeros, missing ends. Each is handed to
-`uwaug.jobs.degrade_file` in a process that is watched. It writes results/jobs_fuzz.json: for each
+`uwaug.jobs.Degrader` in a process that is watched. It writes results/jobs_fuzz.json: for each
 format how many were refused and how many degraded, the slowest and the largest, and everything that
 is wrong: a reason that is no sentence, a half file, a picture of the wrong size, a process that
 died or hung.
@@ -28,10 +28,9 @@ from PIL import Image
 
 from benchmarks.harness import ROOT, peak_of, save
 from uwaug._support.atomic import is_part
-from uwaug.io.pictures import read_source
-from uwaug.jobs import Depth, Recipe, Row, degrade_file
-from uwaug.jobs.record import read_record
-from uwaug.jobs.row import record_path
+from uwaug.io.read import read_picture_file
+from uwaug.jobs import Degrader, DistanceFormat, Item, Recipe, Sidecar
+from uwaug.jobs.sidecar import sidecar_path
 
 SEED = 11
 SIZE = (40, 60)
@@ -165,17 +164,17 @@ def attempt(sample: Sample, content: bytes, folder: Path) -> dict[str, Any]:
         picture, distance = folder / "good.png", folder / sample.name
     output = folder / "out" / f"result{picture.suffix}"
     unit = "mm" if sample.name == "z.png" else "m"
-    recipe = Recipe(water="3C", depth=Depth(unit=unit, unknown="fill"))
+    recipe = Recipe(water="3C", distance=DistanceFormat(unit=unit, unknown="fill"))
     found: list[Any] = []
     began = time.perf_counter()
-    row = Row("a", picture, distance, output)
-    peak = peak_of(lambda: found.append(degrade_file(row, recipe, force=True)))
+    item = Item("a", picture, distance, output)
+    peak = peak_of(lambda: found.append(Degrader(recipe, force=True)(item)))
     (outcome,) = found
     seconds = time.perf_counter() - began
-    wrong = _wrong_refusal(outcome, folder) if outcome.reason else _wrong_picture(row)
+    wrong = _wrong_refusal(outcome, folder) if outcome.reason else _wrong_picture(item)
     if peak > MOST:
         wrong = f"{peak / 2**20:.0f} MiB"
-    for path in (output, record_path(output)):
+    for path in (output, sidecar_path(output)):
         path.unlink(missing_ok=True)
     reason = None if outcome.reason is None else outcome.reason.replace(str(folder), "")
     return {
@@ -198,16 +197,16 @@ def _wrong_refusal(outcome: Any, folder: Path) -> str | None:
     return f"left {', '.join(left)}" if left else None
 
 
-def _wrong_picture(row: Row) -> str | None:
-    read, written = read_source(row.input).picture, read_source(row.output).picture
-    record = read_record(record_path(row.output))
+def _wrong_picture(item: Item) -> str | None:
+    read, written = (read_picture_file(file).image for file in (item.input, item.output))
+    record = Sidecar.read(sidecar_path(item.output))
     if read.shape != written.shape:
         return f"{tuple(read.shape)} became {tuple(written.shape)}"
     if not bool(written.isfinite().all()):
         return "not finite"
-    if record.bytes != row.output.stat().st_size:
+    if record.bytes != item.output.stat().st_size:
         return "the record is of another file"
-    parts = [path.name for path in row.output.parent.iterdir() if is_part(path.name)]
+    parts = [path.name for path in item.output.parent.iterdir() if is_part(path.name)]
     return f"left {', '.join(parts)}" if parts else None
 
 

@@ -4,9 +4,9 @@
 workers, against reading, degrading and encoding one picture, each timed by itself (their sum for
 all pictures, divided by two). The parts are timed in two processes at once, before and after the
 run, as a machine with others on it is not the same from minute to minute. What does not depend on
-that: how much more one picture takes in `degrade_file`, which hashes, writes a record and flushes
+that: how much more one picture takes in `degrader`, which hashes, writes a record and flushes
 to the disk too, than its parts do just before; and the share of the run that workers spend in
-`degrade_file`, and not in beginning and waiting. The one divided by the other is the ratio too.
+`degrader`, and not in beginning and waiting. The one divided by the other is the ratio too.
 """
 
 import json
@@ -22,10 +22,10 @@ import torch
 from PIL import Image
 
 from benchmarks.harness import ROOT, command, save
-from uwaug.io.pictures import read_source
-from uwaug.io.write import FORMATS, fill
-from uwaug.jobs import Recipe, Row, Rows, degrade_file
-from uwaug.jobs.run import run
+from uwaug.io.read import read_picture_file
+from uwaug.io.write import FORMATS, encode
+from uwaug.jobs import Degrader, Item, Items, Recipe
+from uwaug.jobs.pool import run
 from uwaug.presets import scene
 
 WANTED = 1.25
@@ -50,21 +50,24 @@ def _apart(name: str, end: str, count: int) -> None:
     """Print the milliseconds of each part, and of the whole."""
     torch.set_num_threads(1)
     folder, recipe = Path(name), Recipe(random=True)
-    model, times = recipe.model(), []
+    model, times = recipe.open(), []
+    degrader = Degrader(recipe, force=True)
     with tempfile.TemporaryDirectory(dir=folder) as out:
         for number in range(count + 2):
             picture, target = folder / f"all/{number:04}{end}", Path(out) / f"{number}{end}"
             began = time.perf_counter()
-            source = read_source(picture)
-            mapped = recipe.depth.read(folder / "z.npy", source.picture)
+            source = read_picture_file(picture)
+            size = (source.image.shape[-2], source.image.shape[-1])
+            distance, _ = recipe.distance.read(folder / "z.npy", size)
             read = time.perf_counter()
-            drawn = model.draw(source.picture, torch.Generator().manual_seed(number))
-            made = model.degrade(source.picture, mapped.values, drawn)
+            drawn = model.draw(source.image, torch.Generator().manual_seed(number))
+            made = model.degrade(source.image, distance, drawn)
             formed = time.perf_counter()
-            fill(target, FORMATS[end], made.image, source)
+            with target.open("wb") as file:
+                encode(file, FORMATS[end], made.image, source)
             encoded = time.perf_counter()
-            row = Row("a", picture, folder / "z.npy", target)
-            outcome = degrade_file(row, recipe, force=True)
+            item = Item("a", picture, folder / "z.npy", target)
+            outcome = degrader(item)
             if outcome.status != "done":
                 raise RuntimeError(outcome.reason)
             times.append([read - began, formed - read, encoded - formed, outcome.seconds])
@@ -79,16 +82,16 @@ def apart(folder: Path, end: str, count: int) -> dict[str, float]:
         arguments = [sys.executable, "-c", code]
         begun.append(subprocess.Popen(arguments, stdout=subprocess.PIPE, cwd=ROOT))
     found = [json.loads(process.communicate()[0].splitlines()[-1]) for process in begun]
-    names = ("read", "degrade", "encode", "degrade_file")
+    names = ("read", "degrade", "encode", "degrader")
     return dict(zip(names, np.mean(found, 0).tolist(), strict=True))
 
 
 def together(folder: Path, count: int) -> dict[str, float]:
     """Seconds of a run, until its first picture was there, and that pictures took."""
-    rows = Rows([folder / "all"], str(folder / "z.npy"), folder / "out")
+    items = Items([folder / "all"], str(folder / "z.npy"), folder / "out")
     first = inside = 0.0
     began = time.perf_counter()
-    for number, outcome in enumerate(run(rows, Recipe(random=True), workers=WORKERS)):
+    for number, outcome in enumerate(run(items, Recipe(random=True), workers=WORKERS)):
         if outcome.status != "done":
             raise RuntimeError(outcome.reason)
         inside += outcome.seconds
@@ -106,24 +109,24 @@ def measured(end: str, count: int, sample: int) -> dict[str, Any]:
         taken = together(folder, count)
         after = apart(folder, end, sample)
     parts = {key: (before[key] + after[key]) / 2 for key in before}
-    whole = parts.pop("degrade_file")
+    whole = parts.pop("degrader")
     expected = sum(parts.values()) * count / 1e3 / WORKERS
     busy = taken["inside"] / taken["seconds"] / WORKERS
     found = {
         "files": count,
         "workers": WORKERS,
         "parts_ms": parts,
-        "degrade_file_ms": whole,
+        "degrader_ms": whole,
         "seconds": taken["seconds"],
         "first_after_s": taken["first"],
         "expected_s": expected,
         "ratio": taken["seconds"] / expected,
-        "degrade_file_ratio": whole / sum(parts.values()),
+        "degrader_ratio": whole / sum(parts.values()),
         "busy": busy,
         "ratio_by_shares": whole / sum(parts.values()) / busy,
     }
     told = ", ".join(f"{key} {ms:.0f}" for key, ms in parts.items())
-    print(f"{end}: {told} ms; degrade_file {whole:.0f} ms (× {found['degrade_file_ratio']:.2f})")
+    print(f"{end}: {told} ms; degrader {whole:.0f} ms (× {found['degrader_ratio']:.2f})")
     print(
         f"   {count} files {taken['seconds']:.1f} s, first after {taken['first']:.1f} s: ", end=""
     )

@@ -17,10 +17,9 @@ import numpy as np
 from PIL import Image
 
 from benchmarks.harness import command, save
-from uwaug.jobs import Recipe, Rows
-from uwaug.jobs.cluster import LOCAL, connected, run_on_ray
-from uwaug.jobs.run import run
-from uwaug.jobs.shards import SIZE, Shards
+from uwaug.jobs import Items, Recipe
+from uwaug.jobs.pool import run
+from uwaug.jobs.ray import LOCAL, SIZE, Shards, connected, run_on_ray
 from uwaug.presets.scene import motorcycle
 
 WANTED = 1.5
@@ -38,8 +37,8 @@ GIGABYTE_MONTH = 0.023
 """US dollars for keeping a gigabyte for a month, likewise."""
 
 
-def pictures(folder: Path, count: int) -> Rows:
-    """Files in a folder, and the rows that write beside it."""
+def pictures(folder: Path, count: int) -> Items:
+    """Files in a folder, and the items that write beside it."""
     scene = motorcycle()
     values = (scene.image * 255).round().byte().permute(1, 2, 0).numpy()
     source = folder / "in"
@@ -49,26 +48,26 @@ def pictures(folder: Path, count: int) -> Rows:
     for i in range(1, count):
         for end in ("jpg", "npy"):
             (source / f"{i}.{end}").hardlink_to(source / f"0.{end}")
-    return Rows([source], "{stem}.npy", folder / "out")
+    return Items([source], "{stem}.npy", folder / "out")
 
 
-def by_pool(rows: Rows) -> tuple[float, float]:
+def by_pool(items: Items) -> tuple[float, float]:
     """Seconds with and without starting, from the first picture that is done."""
-    return _timed(lambda: run(rows, RECIPE, workers=WORKERS, force=True), rows)
+    return _timed(lambda: run(items, RECIPE, workers=WORKERS, force=True), items)
 
 
-def by_ray(rows: Rows) -> tuple[float, float]:
+def by_ray(items: Items) -> tuple[float, float]:
     """Likewise, into files."""
     began = time.perf_counter()
     with connected(LOCAL, WORKERS):
         started = time.perf_counter() - began
-        whole, steady = _timed(lambda: run_on_ray(rows, RECIPE, force=True), rows)
+        whole, steady = _timed(lambda: run_on_ray(items, RECIPE, force=True), items)
     return started + whole, steady
 
 
-def _timed(go: Callable[[], Any], rows: Rows) -> tuple[float, float]:
+def _timed(go: Callable[[], Any], items: Items) -> tuple[float, float]:
     """The first pictures, one for each worker, wait for what is imported."""
-    count = sum(1 for _ in rows)
+    count = len(items)
     began, first = time.perf_counter(), 0.0
     for n, outcome in enumerate(go(), 1):
         assert outcome.status == "done", outcome.reason
@@ -78,18 +77,17 @@ def _timed(go: Callable[[], Any], rows: Rows) -> tuple[float, float]:
     return ended - began, (ended - first) * count / (count - WORKERS)
 
 
-def by_shards(rows: Rows) -> tuple[float, float]:
+def by_shards(items: Items) -> tuple[float, float]:
     """Seconds with starting, and without starting Ray."""
     began = time.perf_counter()
     with connected(LOCAL, WORKERS):
         started = time.perf_counter()
-        shards = Shards(str(rows.out.with_name("shards")))
+        shards = Shards(str(items.out.with_name("shards")))
         shards.prepare(RECIPE, force=True)
-        count = sum(1 for _ in rows)
-        shards.write(rows, RECIPE, count)
+        shards.write(items, RECIPE)
         ended = time.perf_counter()
     tally = shards.tally(1)
-    assert (tally.rows, tally.failed) == (count, 0), tally
+    assert (tally.rows, tally.failed) == (len(items), 0), tally
     return ended - began, ended - started
 
 
@@ -129,12 +127,12 @@ def main(quick: bool = False, count: int = 200, rounds: int = 3) -> dict[str, An
     ways = {"pool": by_pool, "ray": by_ray, "shards": by_shards}
     times: dict[str, list[tuple[float, float]]] = {name: [] for name in ways}
     with tempfile.TemporaryDirectory() as folder:
-        rows = pictures(Path(folder), count)
+        items = pictures(Path(folder), count)
         for _ in range(rounds):
             for name, way in ways.items():
-                times[name].append(way(rows))
+                times[name].append(way(items))
                 print(f"{name}: {times[name][-1][0]:.1f} s, {times[name][-1][1]:.1f} s", flush=True)
-        written = sum(path.stat().st_size for path in rows.out.glob("*.jpg")) / count
+        written = sum(path.stat().st_size for path in items.out.glob("*.jpg")) / count
     found: dict[str, Any] = {"count": count, "rounds": rounds, "workers": WORKERS}
     found |= {"wanted": WANTED, "seconds": times}
     for name in ("ray", "shards"):

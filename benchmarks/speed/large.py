@@ -20,7 +20,8 @@ from imagecodecs import png_encode
 import uwaug
 from benchmarks.harness import command, printed, save
 from uwaug._support.tiles import bands
-from uwaug.io.pictures import read_distance, read_source
+from uwaug.io.distances import read_distance
+from uwaug.io.read import read_picture_file
 from uwaug.io.write import write_picture
 
 SIZES = ((1155, 1733), (4000, 6000), (8660, 11547))  # px: 2, 24 and 100 megapixels
@@ -69,19 +70,19 @@ def _measure(folder: str, rounds: int) -> dict[str, Any]:
         seconds[step], peaks[step] = time.process_time() - began, _peak_mib()
         began = time.process_time()
 
-    source = read_source(Path(folder) / "picture.png")
+    source = read_picture_file(Path(folder) / "picture.png")
     distance = read_distance(Path(folder) / "distance.png", "mm")
     done("read")
     augment = uwaug.RandomUnderwater("7C")
-    record = augment.make_params(source.picture, torch.Generator().manual_seed(1))
-    out = augment.transform(source.picture, distance, record)
+    record = augment.make_params(source.image, torch.Generator().manual_seed(1))
+    out = augment.transform(source.image, distance, record)
     done("degrade")
     write_picture(Path(folder) / "out.png", out, source)
     done("write")
     again = []
     for _ in range(rounds):
         began = time.process_time()
-        out = augment.transform(source.picture, distance, record)
+        out = augment.transform(source.image, distance, record)
         again.append(time.process_time() - began)
     if again:
         # plans and matrices of a size are made at the first picture

@@ -11,7 +11,8 @@ from PIL import Image
 
 import uwaug
 from uwaug.cli.series import read_series
-from uwaug.io.pictures import read_distance, read_picture
+from uwaug.io.distances import read_distance
+from uwaug.io.read import read_picture
 
 PAIR = ["--clean", "clean.png", "--observed", "observed.png", "--distance", "z.png"]
 FAST = ["--distance-unit", "mm", "--model", "haze"]

@@ -14,10 +14,9 @@ from PIL import Image
 
 import uwaug
 from uwaug.distance.convert import along_ray, from_disparity, from_inverse, from_relative
-from uwaug.io.pictures import read_picture, read_source
-from uwaug.jobs import Recipe, Row, degrade_file
-from uwaug.jobs.record import read_record
-from uwaug.jobs.row import record_path
+from uwaug.io.read import read_picture, read_picture_file
+from uwaug.jobs import Degrader, Item, Recipe, Sidecar
+from uwaug.jobs.sidecar import sidecar_path
 
 ORIENTATION, MAKER = 0x0112, 0x010F
 PROFILE = b"\0" * 36 + b"acsp" + b"\0" * 88
@@ -123,7 +122,7 @@ def test_orientation_is_honoured_and_the_rest_of_exif_kept(made, end):
 def test_a_profile_is_kept_in_tiff(made):
     save("a.tif", words(), photometric="rgb", iccprofile=PROFILE)
     made("a.tif")
-    assert read_source("out/a.tif").profile == PROFILE
+    assert read_picture_file("out/a.tif").profile == PROFILE
 
 
 def test_alpha_is_kept(made):
@@ -132,20 +131,20 @@ def test_alpha_is_kept(made):
     save("b.png", bits16)
     save("c.tif", bits16, photometric="rgb", extrasamples=["unassalpha"])
     made("a.png", "b.png", "c.tif")
-    assert np.array_equal(read_source("out/a.png").alpha, bits8[..., 3])
+    assert np.array_equal(read_picture_file("out/a.png").alpha, bits8[..., 3])
     for name in ("b.png", "c.tif"):
-        assert np.array_equal(read_source(f"out/{name}").alpha, bits16[..., 3])
+        assert np.array_equal(read_picture_file(f"out/{name}").alpha, bits16[..., 3])
 
 
 @pytest.mark.parametrize("name", ["b.png", "b.tif"])
 def test_16_bits_stay_16_bits(made, name):
     save(name, words(), **({"photometric": "rgb"} if name == "b.tif" else {}))
     made(name)
-    found = read_source(f"out/{name}")
+    found = read_picture_file(f"out/{name}")
     assert found.bits == 16
     expected = in_water(torch.from_numpy(words().transpose(2, 0, 1) / np.float32(65535)), metric())
-    assert (found.picture - expected).abs().max() < 0.51 / 65535
-    assert (found.picture * 255 % 1).std() > 0.1
+    assert (found.image - expected).abs().max() < 0.51 / 65535
+    assert (found.image * 255 % 1).std() > 0.1
 
 
 def test_floats_of_npy(made):
@@ -192,7 +191,7 @@ def test_maps_of_pictures_in_folders(made):
     save("maps/one/a.npy", metres())
     save("maps/two/a.tif", metres() * 2)
     made("all", distance="maps")
-    records = [read_record(Path(f"out/{name}/a.png.json")) for name in ("one", "two")]
+    records = [Sidecar.read(Path(f"out/{name}/a.png.json")) for name in ("one", "two")]
     assert [record.id for record in records] == ["one/a.png", "two/a.png"]
     assert [Path(record.distance.path).name for record in records] == ["a.npy", "a.tif"]
     Path("maps/two/a.tif").unlink()
@@ -221,8 +220,8 @@ def test_lists(made, end):
         pq.write_table(pa.Table.from_pylist(lines), "list.parquet")
     made(f"list.{end}", distance=None)
     assert {"x/one.jpg", "x/one.jpg.json", "b.png", "b.png.json"} < set(content("out"))
-    assert read_record(Path("out/x/one.jpg.json")).id == "first"
-    assert read_record(Path("out/b.png.json")).distance == 2.5
+    assert Sidecar.read(Path("out/x/one.jpg.json")).id == "first"
+    assert Sidecar.read(Path("out/b.png.json")).distance == 2.5
 
 
 def test_a_link_that_leads_back_ends(made):
@@ -279,7 +278,7 @@ def test_planar_depth_in_millimetres(made):
     options = ("--planar", "--focal-px", "20", "--distance-unit", "mm")
     made("a.png", *options, distance="z.png")
     z = along_ray(torch.from_numpy((mm.astype(np.float64) * 0.001).astype(np.float32))[None], 20)
-    record = read_record(Path("out/a.png.json"))
+    record = Sidecar.read(Path("out/a.png.json"))
     assert record.recipe["options"] == {"focal_px": 20.0}
     transform = uwaug.RandomUnderwater(
         "3C", contrast=None, vertical_depth=1.0, field_probability=0.0, focal_px=20.0
@@ -293,7 +292,7 @@ def test_a_depth_network(made):
     image = read_picture("a.png")
     inverse = uwaug.distance.DepthNetwork(path)(image / 255)
     from_(in_water(image, from_inverse(inverse, 1.0, 6.0)))
-    assert read_record(Path("out/a.png.json")).distance is None
+    assert Sidecar.read(Path("out/a.png.json")).distance is None
 
 
 @pytest.mark.parametrize("unknown", ["fill", "far", "3.5", "skip"])
@@ -314,7 +313,7 @@ def test_a_picture_without_distances_is_left_as_it_is(made):
     save("z.npy", metres() * 0)
     made("a.png", "--unknown", "skip")
     from_(read_picture("a.png"))
-    record = read_record(Path("out/a.png.json"))
+    record = Sidecar.read(Path("out/a.png.json"))
     assert (record.water, record.contrast) == ("none", 1.0)
 
 
@@ -323,7 +322,7 @@ def test_distances_of_another_size(made):
     out = made("a.png")
     note = f"distances of {W // 2}×{H // 2} px, resampled to {W}×{H}"
     assert f"Note: a.png: {note}" in out
-    assert read_record(Path("out/a.png.json")).notes == [note]
+    assert Sidecar.read(Path("out/a.png.json")).notes == [note]
     near = metres(H // 2, W // 2).repeat(2, 0).repeat(2, 1)
     from_(in_water(read_picture("a.png"), metric(near)))
 
@@ -351,15 +350,11 @@ def test_the_index_tells_all(made):
         lines = list(csv.DictReader(file))
     assert [line["output"] for line in lines] == ["b.png", "a.png"]
     for line in lines:
-        record = read_record(Path("out", line["output"] + ".json"))
+        record = Sidecar.read(Path("out", line["output"] + ".json"))
         assert line["water"] == record.water
         assert float(line["visibility"]) == pytest.approx(record.visibility, rel=1e-3)
         assert 0 < float(line["contrast"]) < 1
         assert (line["status"], line["reason"]) == ("done", "")
-    pq = pytest.importorskip("pyarrow.parquet")
-    table = pq.read_table("out/index.parquet").to_pylist()
-    assert [row["id"] for row in table] == ["b.png", "a.png"]
-    assert [row["contrast"] for row in table] == [float(line["contrast"]) for line in lines]
 
 
 def test_the_index_keeps_what_other_runs_have_made(made):
@@ -458,7 +453,7 @@ def test_an_old_picture_is_not_taken_for_that_of_a_new_record(made, monkeypatch)
     """Stopped between the two, when their sizes are alike."""
     save("b.npy", pixels())
     made("b.npy")
-    row = Row("b.npy", Path("b.npy"), Path("z.npy"), Path("out/b.npy"))
+    row = Item("b.npy", Path("b.npy"), Path("z.npy"), Path("out/b.npy"))
     recipe = Recipe(water="7C")
 
     def stopped(*_):
@@ -467,9 +462,9 @@ def test_an_old_picture_is_not_taken_for_that_of_a_new_record(made, monkeypatch)
     with monkeypatch.context() as patch:
         patch.setattr(Path, "replace", _only_records(Path.replace, stopped))
         with pytest.raises(KeyboardInterrupt):
-            degrade_file(row, recipe, force=True)
-    assert record_path(row.output).exists()
-    assert degrade_file(row, recipe, resume=True).status == "done"
+            Degrader(recipe, force=True)(row)
+    assert sidecar_path(row.output).exists()
+    assert Degrader(recipe, resume=True)(row).status == "done"
 
 
 def _only_records(replace, stopped):

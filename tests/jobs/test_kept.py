@@ -123,7 +123,7 @@ def test_two_pictures_do_not_get_one_map_by_their_names(run, tmp_path):
     lines = f"input,output\n{tmp_path}/all/a.png,1.png\n{tmp_path}/other/a.png,2.png\n"
     Path("list.csv").write_text(lines)
     err = refused(run, "list.csv", "--distance", "maps", *WATER, "--out", "out")
-    assert "have one map, maps/a.npy: give an index with a column distance" in err
+    assert "have one map, maps/a.npy: give a manifest with a column distance" in err
 
 
 def test_maps_and_results_are_no_pictures(run):

@@ -21,10 +21,8 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from uwaug.cli.app import app
-from uwaug.jobs import Recipe, Row, Rows
-from uwaug.jobs.cluster import run_on_ray
-from uwaug.jobs.run import run
-from uwaug.jobs.shards import Shards
+from uwaug.jobs import Item, Items, Recipe, run
+from uwaug.jobs.ray import Shards, run_on_ray
 
 ray = pytest.importorskip("ray")
 pytestmark = [
@@ -65,8 +63,8 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def rows_of(pictures: Path, out: Path) -> Rows:
-    return Rows([pictures], "{stem}.npy", out, variants=2)
+def rows_of(pictures: Path, out: Path) -> Items:
+    return Items([pictures], "{stem}.npy", out, variants=2)
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +106,7 @@ def test_files_and_records_are_those_of_the_pool(
     mixed = list(rows_of(pictures, tmp_path))
     random.Random(0).shuffle(mixed)
     found = list(run_on_ray(mixed, RECIPE))
-    assert [one.row for one in found] == mixed
+    assert [one.item for one in found] == mixed
     assert content(tmp_path) == content(pool)
     assert {one.status for one in run_on_ray(mixed, RECIPE, resume=True)} == {"kept"}
 
@@ -174,11 +172,11 @@ def test_shards_go_on(cluster: None, pictures: Path, pool: Path, tmp_path: Path)
     for i in range(COUNT // 2):
         for name in (f"{i}.png", f"{i}.npy"):
             (part / name).symlink_to(pictures / name)
-    shards.write(rows_of(part, rows.out), RECIPE, COUNT)
+    shards.write(rows_of(part, rows.out), RECIPE)
     assert len(held(rows.out)) == COUNT
-    killer = threading.Thread(target=kill_one, args=("_Worker)).submit",))
+    killer = threading.Thread(target=kill_one, args=("_IntoShards",))
     killer.start()
-    shards.write(rows, RECIPE, 2 * COUNT, size=4)
+    shards.write(rows, RECIPE, size=4)
     killer.join()
     assert held(rows.out) == shown(pool)
 
@@ -212,7 +210,7 @@ def family(pid: int) -> list[str]:
 def test_a_worker_that_dies_takes_no_picture_with_it(
     cluster: None, pictures: Path, pool: Path, tmp_path: Path
 ) -> None:
-    killer = threading.Thread(target=kill_one, args=("_degrade",))
+    killer = threading.Thread(target=kill_one, args=("_IntoFiles",))
     killer.start()
     found = list(run_on_ray(rows_of(pictures, tmp_path), RECIPE))
     killer.join()
@@ -220,16 +218,14 @@ def test_a_worker_that_dies_takes_no_picture_with_it(
     assert content(tmp_path) == content(pool)
 
 
-def test_a_picture_that_kills_fails_alone(
-    cluster: None, pictures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_picture_that_kills_fails_alone(cluster: None, pictures: Path, tmp_path: Path) -> None:
     from uwaug.jobs.ray import degrade
 
-    monkeypatch.setattr("uwaug.jobs.cluster._RETRIES", 0)
-    recipe, rows, items = Recipe(water="II", depth=Deadly()), [], []
-    for name, metres in (("0.png", 6.66), ("1.png", 3.0)):
-        rows.append(Row(name, pictures / name, metres, tmp_path / name))
-        items.append({"id": name, "input": str(pictures / name), "distance": metres})
+    recipe, rows, items = Recipe(water="II", distance=Deadly()), [], []
+    (deadly := tmp_path / "deadly.npy").symlink_to(pictures / "0.npy")
+    for name, distance in (("0.png", deadly), ("1.png", pictures / "1.npy")):
+        rows.append(Item(name, pictures / name, distance, tmp_path / name))
+        items.append({"id": name, "input": str(pictures / name), "distance": str(distance)})
     first, second = run_on_ray(rows, recipe)
     assert (first.status, second.status) == ("failed", "done")
     made = degrade(ray.data.from_items(items, override_num_blocks=1), recipe, workers=1).take_all()

@@ -77,7 +77,7 @@ PICTURES = {
     "truncated .npy": ("a.npy", truncated, 1, "a.npy"),
     "truncated TIFF": ("a.tif", truncated, 1, "a.tif"),
     "CMYK": ("a.jpg", inks, 1, "got CMYK: save it as RGB"),
-    "grey": ("a.png", grey, 1, "got grey: the model needs colours"),
+    "grey": ("a.png", grey, 1, "got grey: save it as RGB"),
     "not a number": (
         "a.npy",
         lambda path: save(path, np.full((H, W, 3), np.nan, np.float32)),
@@ -125,13 +125,13 @@ def holed(value: float) -> np.ndarray:
 
 MAPS = {
     "missing": (None, [], "z"),
-    "NaN": (holed(np.nan), [], "NaN or negative at 48 of 192"),
-    "zero": (holed(0), [], "at 48 of 192 pixels: say what they get by --unknown"),
-    "negative": (holed(-1), [], "NaN or negative at 48"),
-    "none known": (np.zeros((H, W), np.float32), ["--unknown", "fill"], "no pixel has a distance"),
+    "NaN": (holed(np.nan), [], "NaN at 48"),
+    "zero": (holed(0), [], "zero at 48"),
+    "negative": (holed(-1), [], "negative at 48"),
+    "none known": (np.zeros((H, W), np.float32), ["--unknown", "fill"], "at least one known pixel"),
     "colours": (pixels().astype(np.float32), [], "one channel, got colour"),
     "8 bits": (pixels()[..., 0], [], "expected 16 bit or floating point"),
-    "millimetres": (metres() * 1000, [], "--distance-unit mm"),
+    "millimetres": (metres() * 1000, [], "is its unit mm?"),
     "turned": (metres(W, H), [], "is 12×16 but the picture 16×12"),
     "cropped": (metres(H, W - 4), [], "of one view"),
     "text": ("hello", [], "is no picture and no map"),
@@ -303,7 +303,7 @@ def test_two_pictures_with_one_output(run):
     save("one/A.jpg", pixels())
     code, err = degraded(run, "one", "--format", "png")
     assert (code, "have one output" in err) == (2, True)
-    assert "give an index with a column output" in err
+    assert "give a manifest with a column output" in err
 
 
 def test_the_same_picture_twice(run):
@@ -487,10 +487,10 @@ def test_a_note_of_a_median_beyond_200_m(run):
     save("z.npy", metres() * 100)
     code, out, _ = run("degrade", "good.png", "--distance", "z.npy", "--out", "out", *WATER)
     assert code == 0
-    assert re.search(r"median distance 2[45]\d m: is the file in mm\?", out)
+    assert re.search(r"median distance 2[45]\d m: is the unit of the file mm\?", out)
 
 
 def test_words_of_16_bits_are_no_metres(run):
     save("z.png", words()[..., 0])
     code, err = degraded(run, "good.png", distance="z.png")
-    assert (code, "--distance-unit mm" in err) == (1, True)
+    assert (code, "is its unit mm?" in err) == (1, True)

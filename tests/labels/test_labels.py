@@ -68,7 +68,7 @@ def coco(folder: Path, **changes: Any) -> Path:
 
 def judged(source: LabelSource, picture: str, output: str, least: float | None = 0.05) -> Any:
     """A record as it comes back from a file, of labels as a worker gets them."""
-    labels = pickle.loads(pickle.dumps(source.labels_of(picture, SIZE)))
+    labels = pickle.loads(pickle.dumps(source.labels_of(picture)))
     record = json.loads(json.dumps(with_contrast(labels, seen(), least)))
     return record | {"output": output}
 
@@ -88,7 +88,7 @@ def test_coco_round_trip(tmp_path: Path) -> None:
     out = tmp_path / "out"
     out.mkdir()
     records = [judged(source, "b.jpg", "b_deep.png"), judged(source, "reef/a.jpg", "reef/a.png")]
-    assert source.write_picture(source.labels_of("b.jpg", SIZE), records[0], out / "b.png") == []
+    assert source.labels_of("b.jpg").write(records[0], out / "b.png") == []
     (written,) = source.write_run(iter(records), out)
     found = json.loads(written.read_text())
     assert found["info"] == COCO["info"]
@@ -121,16 +121,16 @@ def test_coco_of_several_pictures_from_one(tmp_path: Path) -> None:
 
 def test_pictures_are_found_by_path_name_or_stem(tmp_path: Path) -> None:
     source = open_labels(coco(tmp_path))
-    assert source.labels_of("b.png", SIZE).picture == "b.jpg"
-    assert source.labels_of(Path("deep") / "b.jpg", SIZE).picture == "b.jpg"
-    assert source.labels_of("sand/a.jpg", SIZE).objects == ()
-    assert source.labels_of("train/sand/a.jpg", SIZE).picture == "sand/a.jpg"
+    assert source.labels_of("b.png").picture == "b.jpg"
+    assert source.labels_of(Path("deep") / "b.jpg").picture == "b.jpg"
+    assert source.labels_of("sand/a.jpg").objects(SIZE) == []
+    assert source.labels_of("train/sand/a.jpg").picture == "sand/a.jpg"
     with pytest.raises(ValueError, match=r"no image 'wreck/a.jpg'"):
-        source.labels_of("wreck/a.jpg", SIZE)
+        source.labels_of("wreck/a.jpg")
     with pytest.raises(ValueError, match=r"'a.jpg' may be any of reef/a.jpg, sand/a.jpg"):
-        source.labels_of("a.jpg", SIZE)
+        source.labels_of("a.jpg")
     with pytest.raises(ValueError, match=r"no image 'wreck.jpg' \(there are b.jpg, reef/a.jpg"):
-        source.labels_of("wreck.jpg", SIZE)
+        source.labels_of("wreck.jpg")
 
 
 def test_compressed_run_lengths(tmp_path: Path) -> None:
@@ -141,9 +141,7 @@ def test_compressed_run_lengths(tmp_path: Path) -> None:
     image = {"id": 1, "file_name": "a.jpg", "height": 6, "width": 7}
     entry = {**ANNOTATIONS[3], "segmentation": packed}
     source = open_labels(coco(tmp_path, images=[image], annotations=[entry]))
-    (found,) = source.labels_of("a.jpg", (6, 7)).objects
-    assert list(found.values) == runs(mask)
-    region = found.region((6, 7))
+    ((_, region),) = source.labels_of("a.jpg").objects((6, 7))
     assert region.mask is not None
     assert np.array_equal(region.mask, mask)
 
@@ -207,12 +205,12 @@ def yolo(folder: Path, text: str = LINES) -> YoloLabels:
 
 def test_yolo_round_trip(tmp_path: Path) -> None:
     source = yolo(tmp_path)
-    labels = source.labels_of("reef/a.jpg", SIZE)
+    labels = source.labels_of("reef/a.jpg")
     record = judged(source, "reef/a.jpg", "x")
     assert source.write_run([record], tmp_path) == []
     out = tmp_path / "out"
     out.mkdir()
-    text, values = source.write_picture(labels, record, out / "a_v1.png")
+    text, values = labels.write(record, out / "a_v1.png")
     assert text == out / "a_v1.txt"
     first, _, _, polygon = LINES.splitlines()
     assert text.read_text() == f"{first}\n{polygon}\n"
@@ -224,7 +222,7 @@ def test_yolo_round_trip(tmp_path: Path) -> None:
         {"line": 4, "contrast": mixed, "ignored": False},
     ]
     everything = judged(source, "reef/a.jpg", "x", None)
-    text, _ = source.write_picture(labels, everything, out / "all.png")
+    text, _ = labels.write(everything, out / "all.png")
     assert text.read_text().split() == LINES.split()
 
 
@@ -232,17 +230,17 @@ def test_yolo_pictures_without_objects(tmp_path: Path) -> None:
     source = yolo(tmp_path, "")
     (tmp_path / "out").mkdir()
     for picture, written in (("reef/a.jpg", ["a.contrast.json", "a.txt"]), ("reef/b.jpg", [])):
-        labels = source.labels_of(picture, SIZE)
-        assert labels.objects == ()
+        labels = source.labels_of(picture)
+        assert labels.objects(SIZE) == []
         record = with_contrast(labels, seen(), 0.5)
-        files = source.write_picture(labels, record, tmp_path / "out/a.png")
+        files = labels.write(record, tmp_path / "out/a.png")
         assert sorted(file.name for file in files) == written
     assert (tmp_path / "out/a.txt").read_text() == ""
 
 
 def test_labels_may_lie_flat(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text(LINES)
-    assert len(open_labels(tmp_path).labels_of("deep/reef/a.jpg", SIZE).objects) == 3
+    assert len(open_labels(tmp_path).labels_of("deep/reef/a.jpg").objects(SIZE)) == 3
 
 
 def test_labels_in_folders_are_of_the_pictures_in_them(tmp_path: Path) -> None:
@@ -253,7 +251,7 @@ def test_labels_in_folders_are_of_the_pictures_in_them(tmp_path: Path) -> None:
     source = open_labels(tmp_path)
     found = {}
     for picture in ("1.png", "b/1.png", "images/train/1.png", "images/val/1.png", "images/b/1.png"):
-        file = source.labels_of(picture, SIZE).file
+        file = source.labels_of(picture).file
         found[picture] = file and Path(file).relative_to(tmp_path).as_posix()
     assert found == {
         "1.png": "1.txt",
@@ -281,9 +279,9 @@ def test_objects_outside_the_picture_have_no_contrast(tmp_path: Path) -> None:
 
 def test_inputs_are_never_overwritten(tmp_path: Path) -> None:
     source = yolo(tmp_path)
-    labels, record = source.labels_of("reef/a.jpg", SIZE), judged(source, "reef/a.jpg", "x")
+    labels, record = source.labels_of("reef/a.jpg"), judged(source, "reef/a.jpg", "x")
     with pytest.raises(ValueError, match="is the labels' own file"):
-        source.write_picture(labels, record, tmp_path / "labels/reef/a.png")
+        labels.write(record, tmp_path / "labels/reef/a.png")
     assert (tmp_path / "labels/reef/a.txt").read_text() == LINES
 
 
@@ -326,10 +324,10 @@ def instances(dtype: Any = np.uint8) -> np.ndarray:
 @pytest.mark.parametrize("dtype, gone", [(np.uint8, 255), (np.uint16, 65535)])
 def test_masks_round_trip(dtype: Any, gone: int, tmp_path: Path) -> None:
     source = masks(tmp_path, instances(dtype))
-    labels, record = source.labels_of("reef/a.jpg", SIZE), judged(source, "reef/a.jpg", "x")
+    labels, record = source.labels_of("reef/a.jpg"), judged(source, "reef/a.jpg", "x")
     assert source.write_run([record], tmp_path) == []
     (tmp_path / "out").mkdir()
-    written, values = source.write_picture(labels, record, tmp_path / "out/a_0.jpg")
+    written, values = labels.write(record, tmp_path / "out/a_0.jpg")
     found, expected = np.asarray(Image.open(written)), instances(dtype)
     expected[expected == 5] = gone
     assert found.dtype == dtype
@@ -339,15 +337,15 @@ def test_masks_round_trip(dtype: Any, gone: int, tmp_path: Path) -> None:
         {"value": 2, "contrast": 0.455, "ignored": False},
         {"value": 5, "contrast": 0.01, "ignored": True},
     ]
-    again = open_labels(tmp_path / "out", void=gone).labels_of("a_0.jpg", SIZE)
-    assert [one.key for one in again.objects] == [1, 2]
+    again = open_labels(tmp_path / "out", void=gone).labels_of("a_0.jpg")
+    assert [one.key for one in again.objects(SIZE)] == [1, 2]
 
 
 def test_masks_keep_their_palette(tmp_path: Path) -> None:
     source = masks(tmp_path, instances(), mode="P")
-    labels, record = source.labels_of("a.jpg", SIZE), judged(source, "a.jpg", "x")
+    labels, record = source.labels_of("a.jpg"), judged(source, "a.jpg", "x")
     (tmp_path / "out").mkdir()
-    written, _ = source.write_picture(labels, record, tmp_path / "out/a.jpg")
+    written, _ = labels.write(record, tmp_path / "out/a.jpg")
     with Image.open(written) as image, Image.open(tmp_path / "masks/a.png") as before:
         assert image.mode == "P"
         assert image.getpalette() == before.getpalette()
@@ -360,23 +358,23 @@ def test_255_in_use_is_refused_only_where_it_would_be_needed(tmp_path: Path) -> 
     (tmp_path / "out").mkdir()
     target = tmp_path / "out/a.png"
     source = masks(tmp_path, values)
-    labels = source.labels_of("a.jpg", SIZE)
+    labels = source.labels_of("a.jpg")
     with pytest.raises(ValueError, match="255 marks what is ignored, but it is a value in use"):
-        source.write_picture(labels, judged(source, "a.jpg", "x"), target)
-    assert len(source.write_picture(labels, judged(source, "a.jpg", "x", None), target)) == 2
+        labels.write(judged(source, "a.jpg", "x"), target)
+    assert len(labels.write(judged(source, "a.jpg", "x", None), target)) == 2
     known = masks(tmp_path, values, void=255)
-    labels = known.labels_of("a.jpg", SIZE)
-    assert [one.key for one in labels.objects] == [2, 5]
-    assert len(known.write_picture(labels, judged(known, "a.jpg", "x"), target)) == 2
+    labels = known.labels_of("a.jpg")
+    assert [one.key for one in labels.objects(SIZE)] == [2, 5]
+    assert len(labels.write(judged(known, "a.jpg", "x"), target)) == 2
 
 
 def test_bad_masks(tmp_path: Path) -> None:
     source = masks(tmp_path, instances())
     with pytest.raises(ValueError, match=r"it is \(6, 8\) but the picture \(12, 16\) px"):
-        source.labels_of("a.jpg", (12, 16))
+        source.labels_of("a.jpg").objects((12, 16))
     colour = masks(tmp_path, np.zeros((*SIZE, 3), np.uint8))
     with pytest.raises(ValueError, match=r"expected one channel of whole numbers, .*, got RGB"):
-        colour.labels_of("a.jpg", SIZE)
+        colour.labels_of("a.jpg").objects(SIZE)
 
 
 def test_what_is_no_source(tmp_path: Path) -> None:
@@ -396,10 +394,8 @@ def test_what_is_no_source(tmp_path: Path) -> None:
 
 
 def test_the_map_must_be_the_pictures(tmp_path: Path) -> None:
-    labels = open_labels(coco(tmp_path)).labels_of("b.jpg", SIZE)
-    with pytest.raises(
-        ValueError, match=r"contrast_map is \(1, 3, 3\), but b.jpg needs \(1, 6, 8\)"
-    ):
+    labels = open_labels(coco(tmp_path)).labels_of("b.jpg")
+    with pytest.raises(ValueError, match=r"image 'b.jpg' is \(6, 8\) there but \(3, 3\) px"):
         with_contrast(labels, torch.ones(1, 3, 3))
     with pytest.raises(ValueError, match=r"min_contrast must be in \[0, 1\], got 5"):
         with_contrast(labels, seen(), 5)

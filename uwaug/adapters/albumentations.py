@@ -10,7 +10,7 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug.adapters.conversion import map_of, picture_of
-from uwaug.io.pictures import Unit, metres_of, read_distance
+from uwaug.io.distances import Unit, metres_of, read_distance
 from uwaug.transforms.codec import encode_options
 from uwaug.transforms.draw import Record
 from uwaug.transforms.random_underwater import RandomUnderwater
@@ -31,7 +31,7 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
     Args:
         augment: a `RandomUnderwater`; or its options, as a dict. Its own `p` has to be 1.
         distance_key: the name under which a call passes the map: an array (HxW), or the path of a
-            file that `uwaug.io.pictures.read_distance` reads. An array also has to be in the
+            file that `uwaug.io.read_distance` reads. An array also has to be in the
             pipeline's `additional_targets={"distance": "mask"}`, so that it moves with the
             picture. Not needed where `augment` has a `distance`.
         lookup: a function that finds the map (or its path) where a call passes none; it gets all

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 
-from uwaug.io.pictures import Unit, colours_of, metres_of
+from uwaug.io.distances import Unit, metres_of
+from uwaug.io.read import colours_of
 
 __all__ = ["map_of", "picture_of"]
 
@@ -30,7 +31,7 @@ def picture_of(image: Any) -> Taken:
 
     Args:
         image: an array (HxWx3), a tensor (3xHxW), both uint8 (0…255) or floating point (0…1); or a
-            Pillow picture, by the rules of `uwaug.io.pictures.read_picture`: palettes become RGB,
+            Pillow picture, by the rules of `uwaug.io.read_picture`: palettes become RGB,
             and alpha stays as it is.
 
     Raises:

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug.adapters.conversion import map_of, picture_of
-from uwaug.io.pictures import Unit, metres_of
+from uwaug.io.distances import Unit, metres_of
 from uwaug.transforms.random_underwater import RandomUnderwater
 from uwaug.transforms.samples import key_of
 

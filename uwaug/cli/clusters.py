@@ -9,10 +9,10 @@ from rich.console import Console
 
 from uwaug.cli.console import fail, refuse, require_matplotlib
 from uwaug.cli.runs import INTERRUPTED, LISTED, Manner, failures
-from uwaug.jobs.cluster import LOCAL, connected, require_ray
+from uwaug.jobs.items import Items
+from uwaug.jobs.ray import LOCAL, Shards, connected, require_ray
 from uwaug.jobs.recipe import Recipe
-from uwaug.jobs.rows import Rows
-from uwaug.jobs.shards import Shards
+from uwaug.labels import LabelSource
 
 __all__ = ["carry_out_in_shards", "place_of", "require_manner"]
 
@@ -48,12 +48,16 @@ def require_manner(
         fail(error)
 
 
-def carry_out_in_shards(rows: Rows, recipe: Recipe, count: int, manner: Manner, place: str) -> None:
+def carry_out_in_shards(
+    items: Items, recipe: Recipe, manner: Manner, source: LabelSource | None, place: str
+) -> None:
     """Degrade all pictures into shards; end with 1 if any failed."""
     start = time.perf_counter()
     try:
         shards = Shards(place)
         shards.prepare(recipe, resume=manner.resume, force=manner.force)
+    except FileExistsError as error:
+        refuse(f"{error}: --resume to go on, --force to remove them, or another place")
     except (ValueError, ImportError) as error:
         refuse(error)
     except OSError as error:
@@ -61,7 +65,8 @@ def carry_out_in_shards(rows: Rows, recipe: Recipe, count: int, manner: Manner, 
     assert manner.ray is not None
     try:
         with connected(manner.ray, manner.workers):
-            shards.write(rows, recipe, count, progress=Console(stderr=True).is_terminal)
+            shown = Console(stderr=True).is_terminal
+            shards.write(items, recipe, labels=source, progress=shown)
         tally = shards.tally(LISTED)
     except KeyboardInterrupt:
         print("Stopped; --resume goes on.", file=sys.stderr)
@@ -69,7 +74,7 @@ def carry_out_in_shards(rows: Rows, recipe: Recipe, count: int, manner: Manner, 
     except (OSError, ValueError) as error:
         fail(error)
     took = time.perf_counter() - start
-    print(f"{tally.rows - tally.failed} of {count} pictures in {place}, {took:.1f} s")
+    print(f"{tally.rows - tally.failed} of {len(items)} pictures in {place}, {took:.1f} s")
     if tally.failed:
         failed, rest = (tally.failed, tally.rows, tally.reasons), ": rows whose status is failed"
         fail(failures(*failed, rest))

@@ -66,7 +66,7 @@ def compare(
 
 def _require(water: str, systems: list[str], distance_unit: str) -> None:
     """Refuse what no picture could make good."""
-    from uwaug.io.pictures import UNITS
+    from uwaug.io.distances import UNITS
     from uwaug.optics.water import JERLOV_TYPES
     from uwaug.presets.preset import preset_path
 

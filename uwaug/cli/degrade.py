@@ -10,14 +10,11 @@ from uwaug.cli import degrade_options as given
 from uwaug.cli.clusters import carry_out_in_shards, place_of, require_manner
 from uwaug.cli.console import refuse
 from uwaug.cli.runs import Manner, carry_out, rehearse, repeat, require_free
-from uwaug.io.write import FORMATS, require_format
-from uwaug.jobs.clashes import counted_rows
-from uwaug.jobs.depth import Depth
-from uwaug.jobs.index import INDICES, number_of
-from uwaug.jobs.model import TERMS
+from uwaug.io.distances import DistanceFormat
+from uwaug.io.write import FORMATS, format_of
+from uwaug.jobs.items import MANIFESTS, Items, metres_in
+from uwaug.jobs.pool import cores
 from uwaug.jobs.recipe import Recipe
-from uwaug.jobs.rows import Rows
-from uwaug.jobs.run import cores
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import JERLOV_TYPES
 from uwaug.transforms.options import contrast_of
@@ -119,28 +116,27 @@ def degrade(
             fit=None if fit is None else str(fit),
             random=random,
             options=drawn,
-            depth=_depth(depth_options, distance),
+            distance=_format(depth_options, distance),
             seed=seed,
             labels=None if labels is None else str(labels),
             min_contrast=min_contrast,
             void=void,
             keep_terms=keep_terms,
-        ).sealed()
-        rows = _rows(inputs, place, distance, variants, output_format, depth_network is not None)
-        _require_folder(rows, shards)
-        count = counted_rows(rows, TERMS if keep_terms else ())
+        ).resolved()
+        items = _items(inputs, place, distance, variants, output_format, depth_network is not None)
+        _require_folder(items, shards)
+        source = recipe.open_labels()
     except (TypeError, ValueError, OSError, ImportError) as error:
         refuse(error)
-    manner = Manner(_workers(workers, count, ray), resume, force, sheet, ray)
+    manner = Manner(_workers(workers, len(items), ray), resume, force, sheet, ray)
     require_manner(manner, shards, workers, keep_terms=keep_terms)
-    if shards is None:
-        require_free(rows, recipe, manner)
+    require_free(items, recipe, manner, in_files=shards is None)
     if dry_run:
-        rehearse(rows, recipe, count, manner)
+        rehearse(items, recipe, manner, source)
     elif shards is None:
-        carry_out(rows, recipe, count, manner)
+        carry_out(items, recipe, manner, source)
     else:
-        carry_out_in_shards(rows, recipe, count, manner, shards)
+        carry_out_in_shards(items, recipe, manner, source, shards)
 
 
 def _options(path: Path | None, flags: dict[str, str | None], severity: int | None) -> Any:
@@ -210,12 +206,12 @@ def _number(text: str) -> str | float:
         return text
 
 
-def _depth(options: dict[str, Any], distance: str | None) -> Depth:
+def _format(options: dict[str, Any], distance: str | None) -> DistanceFormat:
     """What the distance files of a run hold."""
-    depth = Depth(**_inverse_of_network(options))
-    if depth.network is None and distance is not None and number_of(distance) is not None:
-        depth.require_constant()
-    return depth
+    format = DistanceFormat(**_inverse_of_network(options))
+    if format.network is None and distance is not None and metres_in(distance) is not None:
+        format.require_constant()
+    return format
 
 
 def _inverse_of_network(options: dict[str, Any]) -> dict[str, Any]:
@@ -225,35 +221,35 @@ def _inverse_of_network(options: dict[str, Any]) -> dict[str, Any]:
     return options
 
 
-def _rows(
+def _items(
     inputs: list[Path],
     out: Path,
     distance: str | None,
     variants: int,
     output_format: str | None,
     network: bool,
-) -> Rows:
+) -> Items:
     checks.within("variants", variants, 1)
     if network and distance is not None:
         raise ValueError("--depth-network takes the place of --distance: give one of them")
     ending = None
     if output_format is not None:
         ending = f".{output_format.lower().removeprefix('.')}"
-        require_format(f"picture{ending}")
-    alone = len(inputs) == 1 and not inputs[0].is_dir() and inputs[0].suffix not in INDICES
+        format_of(f"picture{ending}")
+    alone = len(inputs) == 1 and not inputs[0].is_dir() and inputs[0].suffix not in MANIFESTS
     if alone and variants == 1 and out.suffix.lower() in FORMATS and not out.is_dir():
-        return Rows(inputs, distance, out.parent, network=network, name=out.name)
-    return Rows(inputs, distance, out, variants, ending, network)
+        return Items(inputs, distance, out.parent, network=network, name=out.name)
+    return Items(inputs, distance, out, variants=variants, ending=ending, network=network)
 
 
-def _require_folder(rows: Rows, shards: str | None) -> None:
+def _require_folder(items: Items, shards: str | None) -> None:
     """Refuse a folder that looks like a file that cannot be written."""
-    alone = rows.name is not None or shards is not None
-    if not alone and rows.out.suffix and not rows.out.is_dir():
+    alone = items.name is not None or shards is not None
+    if not alone and items.out.suffix and not items.out.is_dir():
         ends = ", ".join(FORMATS)
         wanted = f"the file of one picture, which ends in {ends}, or a folder"
         cure = "make the folder first if it is to be called so"
-        raise ValueError(f"--out {rows.out}: expected {wanted}: {cure}")
+        raise ValueError(f"--out {items.out}: expected {wanted}: {cure}")
 
 
 def _workers(wanted: int | None, count: int, ray: str | None) -> int:

@@ -128,7 +128,7 @@ def _write(
 
 def _require_options(distance_unit: str, options: dict[str, Any]) -> None:
     """Refuse what no pictures could make good."""
-    from uwaug.io.pictures import UNITS
+    from uwaug.io.distances import UNITS
 
     try:
         checks.one_of("--distance-unit", distance_unit, UNITS)
@@ -190,7 +190,8 @@ def _fit_series(path: Path, unit: str, options: dict[str, Any]) -> uwaug.fitting
 
 def _read(given: dict[str, list[Path]], unit: str) -> dict[str, Any]:
     """The files, each of them once: what several pairs share stays one, and is blurred once."""
-    from uwaug.io.pictures import read_distance, read_mask, read_picture
+    from uwaug.io.distances import read_distance, read_mask
+    from uwaug.io.read import read_picture
 
     readers: dict[str, Callable[[Path], Tensor]] = {
         "clean": read_picture,

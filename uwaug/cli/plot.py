@@ -49,7 +49,7 @@ def plot(
     """Draw your own scene in ten waters, and term by term."""
     require_matplotlib("a plot is drawn")
     from uwaug.figures.demo import own_pictures
-    from uwaug.io.pictures import UNITS
+    from uwaug.io.distances import UNITS
 
     try:
         checks.one_of("--distance-unit", distance_unit, UNITS)
@@ -85,7 +85,8 @@ def _case(water: str | None, preset: str | None) -> "Case | None":
 
 def read_scene(image: Path, distance: Path, unit: str) -> "Scene":
     """A picture and its distances as a sheet shows them; fails where they cannot be read."""
-    from uwaug.io.pictures import read_distance, read_picture
+    from uwaug.io.distances import read_distance
+    from uwaug.io.read import read_picture
     from uwaug.presets.scene import own_scene
 
     try:

@@ -18,14 +18,16 @@ from uwaug._support.atomic import remove_left
 from uwaug.cli.console import fail, refuse
 from uwaug.cli.progress import counted
 from uwaug.figures.run_sheet import SHOWN, draw_sheet
+from uwaug.io.read import name_of
 from uwaug.io.write import FORMATS
-from uwaug.jobs.cluster import connected, run_on_ray
-from uwaug.jobs.one import Outcome, degrade_file, named, reason_of, repeated
+from uwaug.jobs.index import index_of, write_labels
+from uwaug.jobs.items import Items, labelled, preflight
+from uwaug.jobs.picture import Degrader, Result, named, reason_of, replay
+from uwaug.jobs.pool import run
+from uwaug.jobs.ray import connected, run_on_ray
 from uwaug.jobs.recipe import Recipe
-from uwaug.jobs.record import Record, Source, read_record, record_of
-from uwaug.jobs.report import index_of, written_outputs
-from uwaug.jobs.rows import Rows
-from uwaug.jobs.run import run
+from uwaug.jobs.sidecar import Sidecar
+from uwaug.labels import LabelSource
 
 __all__ = [
     "INTERRUPTED",
@@ -45,11 +47,11 @@ INTERRUPTED = 130
 """Exit code of what Ctrl-C has ended."""
 
 
-Taker = Callable[[Outcome], None]
+Taker = Callable[[Result], None]
 
 
 class Manner(NamedTuple):
-    """How a run is done, see `uwaug.jobs.run`; `ray`: by Ray at this address, if not None."""
+    """How a run is done, see `uwaug.jobs.pool`; `ray`: by Ray at this address, if not None."""
 
     workers: int
     resume: bool
@@ -58,69 +60,45 @@ class Manner(NamedTuple):
     ray: str | None = None
 
 
-def require_free(rows: Rows, recipe: Recipe, manner: Manner) -> None:
+def require_free(items: Items, recipe: Recipe, manner: Manner, *, in_files: bool = True) -> None:
     """Refuse a run that would write over files, or go on with what was made otherwise, before it
     begins; or its sheet over a picture.
     """
-    if not manner.force:
-        _require_none_there(rows, recipe, manner)
+    cure = "--force to write over it, or another folder"
+    try:
+        preflight(items, recipe, resume=manner.resume, force=manner.force or not in_files)
+    except FileExistsError as error:
+        refuse(f"{error}: --resume to go on, {cure}")
+    except (ValueError, OSError) as error:
+        refuse(error)
     if not manner.sheet:
         return
-    sheet = _sheet(rows.out)
-    if not (manner.resume or manner.force):
-        _require_none(sheet, "--force to write over it, or another folder")
-    for row in rows:
-        if row.output == sheet:
-            refuse(f"{row.input} would be written to {sheet}, as the sheet: leave out --sheet")
+    sheet = _sheet(items.out)
+    if sheet.exists() and not (manner.resume or manner.force):
+        refuse(f"{sheet} exists: {cure}")
+    for item in items:
+        if item.output == sheet:
+            refuse(f"{item.input} would be written to {sheet}, as the sheet: leave out --sheet")
 
 
-def _require_none_there(rows: Rows, recipe: Recipe, manner: Manner) -> None:
-    labels = recipe.labels
-    if labels is not None and Path(labels).is_file() and not (rows.out / "index.csv").exists():
-        _require_none(rows.out / Path(labels).name, "--force to write over it, or another folder")
-    for row in rows:
-        if not row.output.exists():
-            continue
-        if not manner.resume:
-            cure = "--resume to go on, --force to write over it, or another folder"
-            refuse(f"{row.output} exists: {cure}")
-        apart = _apart(row.output, recipe)
-        if apart:
-            cure = "give the same ones, --force, or another folder"
-            refuse(f"{row.output} was made with other options ({', '.join(apart)}): {cure}")
-        return
-
-
-def _apart(output: Path, recipe: Recipe) -> list[str]:
-    """The options in which a picture's record differs from a recipe."""
-    record, mine = record_of(output), recipe.to_json()
-    if record is None:
-        return []
-    return [name for name in mine if mine[name] != record.recipe.get(name) and name != "content"]
-
-
-def _require_none(path: Path, cure: str) -> None:
-    if path.exists():
-        refuse(f"{path} exists: {cure}")
-
-
-def carry_out(rows: Rows, recipe: Recipe, count: int, manner: Manner) -> None:
+def carry_out(items: Items, recipe: Recipe, manner: Manner, source: LabelSource | None) -> None:
     """Degrade all pictures; write an index if they go to a folder; end with 1 if any failed."""
-    start = time.perf_counter()
+    start, count = time.perf_counter(), len(items)
     summary = _Summary(max(1, count // SHOWN))
     problems = []
     try:
-        rows.out.mkdir(parents=True, exist_ok=True)
+        items.out.mkdir(parents=True, exist_ok=True)
         if manner.resume:
-            _clean(rows.out)
-        if rows.name is not None:
-            _go(rows, recipe, count, manner, [summary.add])
+            _clean(items.out)
+        if items.name is not None:
+            _go(items, recipe, manner, source, [summary.add])
         else:
-            with index_of(rows.out) as index:
-                _go(rows, recipe, count, manner, [summary.add, index.add])
-        _write_labels(rows, recipe)
+            with index_of(items.out) as index:
+                _go(items, recipe, manner, source, [summary.add, index.add])
+        if source is not None:
+            write_labels(items, recipe, source)
         if manner.sheet and summary.shown:
-            draw_sheet(summary.shown, _sheet(rows.out))
+            draw_sheet(_pairs(summary.shown), _sheet(items.out))
     except (KeyboardInterrupt, SystemExit) as stop:
         print(f"Stopped: {summary.said(count)}; --resume goes on.", file=sys.stderr)
         code = stop.code if isinstance(stop, SystemExit) else INTERRUPTED
@@ -129,7 +107,7 @@ def carry_out(rows: Rows, recipe: Recipe, count: int, manner: Manner) -> None:
         problems.append(reason_of(error))
     for line in summary.notes:
         print(f"Note: {line}")
-    print(f"{summary.said(count)} in {rows.out}, {time.perf_counter() - start:.1f} s")
+    print(f"{summary.said(count)} in {items.out}, {time.perf_counter() - start:.1f} s")
     if summary.failed:
         failed, rest = (summary.failed, count, summary.reasons), ", see index.csv"
         problems.append(failures(*failed, rest))
@@ -144,16 +122,31 @@ def _sheet(out: Path) -> Path:
     return out / "sheet.jpg"
 
 
-def _go(rows: Rows, recipe: Recipe, count: int, manner: Manner, takers: list[Taker]) -> None:
-    with _engine(manner) as go, counted(count) as counter:
-        for outcome in go(rows, recipe, resume=manner.resume, force=manner.force):
+def _pairs(results: list[Result]) -> list[tuple[str, Path]]:
+    """Titles and pictures of a sheet, before and after."""
+    pairs = []
+    for result in results[:SHOWN]:
+        sidecar = result.sidecar
+        if sidecar is not None:
+            visibility = sidecar.visibility
+            title = "" if visibility is None else f", visibility {visibility:.2g} m"
+            pairs.append((result.item.id, Path(name_of(result.item.input))))
+            pairs.append((f"{sidecar.water}{title}", result.item.output))
+    return pairs
+
+
+def _go(
+    items: Items, recipe: Recipe, manner: Manner, source: LabelSource | None, takers: list[Taker]
+) -> None:
+    with _engine(manner) as go, counted(len(items)) as counter:
+        for result in go(items, recipe, resume=manner.resume, force=manner.force, labels=source):
             for take in takers:
-                take(outcome)
+                take(result)
             counter.advance()
 
 
 @contextmanager
-def _engine(manner: Manner) -> Iterator[Callable[..., Iterator[Outcome]]]:
+def _engine(manner: Manner) -> Iterator[Callable[..., Iterator[Result]]]:
     """What carries a run out: processes of this machine, or Ray."""
     if manner.ray is None:
         yield partial(run, workers=manner.workers)
@@ -170,52 +163,28 @@ class _Summary:
         self.seen = self.failed = self.kept = self.labelled = 0
         self.reasons: list[str] = []
         self.notes: list[str] = []
-        self.shown: list[Outcome] = []
+        self.shown: list[Result] = []
 
-    def add(self, outcome: Outcome) -> None:
+    def add(self, result: Result) -> None:
         """One more picture."""
-        if outcome.status == "failed":
+        if result.status == "failed":
             self.failed += 1
             if len(self.reasons) < LISTED:
-                self.reasons.append(outcome.named_reason)
+                self.reasons.append(result.named_reason)
         elif self.seen % self._step == 0:
-            self.shown.append(outcome)
-        self.kept += outcome.status == "kept"
+            self.shown.append(result)
+        self.kept += result.status == "kept"
         self.seen += 1
-        self.labelled += outcome.record is not None and outcome.record.label_file is not None
-        for note in outcome.record.notes if outcome.record else ():
+        self.labelled += result.sidecar is not None and result.sidecar.label_file is not None
+        for note in result.sidecar.notes if result.sidecar else ():
             if len(self.notes) < LISTED:
-                self.notes.append(named(str(outcome.row.input), note))
+                self.notes.append(named(name_of(result.item.input), note))
 
     def said(self, count: int) -> str:
         """How many."""
         done = self.seen - self.failed - self.kept
         kept = f", {self.kept} were there" if self.kept else ""
         return f"{done} of {count} pictures{kept}"
-
-
-def _write_labels(rows: Rows, recipe: Recipe) -> None:
-    """Write what labels have one file of for all pictures in the folder: this run's, and those of
-    earlier ones with the same labels.
-    """
-    source = recipe.label_source()
-    if source is None:
-        return
-    found = []
-    for record in _records(rows):
-        if record.labels is not None and record.recipe["labels"] == recipe.labels:
-            found.append(record.labels)
-    if found:
-        source.write_run(found, rows.out)
-
-
-def _records(rows: Rows) -> Iterator[Record]:
-    """Of the pictures in the folder that a run writes to."""
-    outputs = written_outputs(rows.out) if rows.name is None else [rows.out / rows.name]
-    for output in outputs:
-        record = record_of(output)
-        if record is not None:
-            yield record
 
 
 def failures(failed: int, count: int, reasons: list[str], rest: str) -> str:
@@ -231,19 +200,20 @@ def _clean(out: Path) -> None:
         remove_left(Path(folder))
 
 
-def rehearse(rows: Rows, recipe: Recipe, count: int, manner: Manner) -> None:
+def rehearse(items: Items, recipe: Recipe, manner: Manner, source: LabelSource | None) -> None:
     """Say what a run would read and write, and how long it would take by its first picture."""
-    for row in islice(rows, LISTED):
-        print(f"{row.input} + {row.problem or row.distance} → {row.output}")
+    count = len(items)
+    for item in islice(items, LISTED):
+        print(f"{item.input} + {item.problem or item.distance} → {item.output}")
     if count > LISTED:
         print(f"… and {count - LISTED} more")
     with tempfile.TemporaryDirectory() as folder:
-        for row in islice(rows, 1):
-            moved = row.moved(Path(folder))
-            outcomes = [degrade_file(moved, recipe, force=True) for _ in range(2)]
-    if outcomes[1].status == "failed":
-        fail(outcomes[1].named_reason)
-    seconds = outcomes[1].seconds * count / manner.workers
+        (item,) = labelled((item.moved(Path(folder)) for item in islice(items, 1)), source)
+        degrader = Degrader(recipe, force=True)
+        first = [degrader(item) for _ in range(2)][1]
+    if first.status == "failed":
+        fail(first.named_reason)
+    seconds = first.seconds * count / manner.workers
     workers = f"{manner.workers} worker{'s' if manner.workers > 1 else ''}"
     print(f"{count} pictures, about {seconds:.3g} s with {workers}. Nothing was written.")
 
@@ -259,17 +229,18 @@ def repeat(path: Path, out: Path, force: bool, moved: list[Path], distance: str 
         distance: the same of its distances.
     """
     try:
-        record = read_record(path)
+        sidecar = Sidecar.read(path)
         if moved:
-            record = replace(record, input=replace(record.input, path=str(moved[0].absolute())))
-        if distance is not None and isinstance(record.distance, Source):
-            where = replace(record.distance, path=str(Path(distance).absolute()))
-            record = replace(record, distance=where)
+            file = sidecar.input._replace(path=str(moved[0].absolute()))
+            sidecar = replace(sidecar, input=file)
+        if distance is not None and isinstance(sidecar.distance, tuple):
+            file = sidecar.distance._replace(path=str(Path(distance).absolute()))
+            sidecar = replace(sidecar, distance=file)
         alone = out.suffix.lower() in FORMATS and not out.is_dir()
-        output = out if alone else out / record.output
-        if output.resolve() == (path.parent / record.output).resolve():
+        output = out if alone else out / sidecar.output
+        if output.resolve() == (path.parent / sidecar.output).resolve():
             refuse(f"--out: {output} is the first one: choose another folder")
-        made = repeated(record, output, force=force)
+        again = replay(sidecar, output, force=force)
     except FileNotFoundError as error:
         cure = "if it was moved, name it: uwaug degrade PICTURE --distance MAP --from RECORD"
         fail(f"{reason_of(error)}: {cure}")
@@ -277,5 +248,5 @@ def repeat(path: Path, out: Path, force: bool, moved: list[Path], distance: str 
         if isinstance(error, typer.Exit):
             raise
         fail(reason_of(error))
-    same = "the same bytes" if made.sha256 == record.sha256 else "in another format"
+    same = "the same bytes" if again.sha256 == sidecar.sha256 else "in another format"
     print(f"{output}: {same}")

@@ -9,8 +9,7 @@ import torch
 from torch import Tensor
 
 from uwaug._support import sheet as sheets
-from uwaug.io.pictures import read_picture
-from uwaug.jobs.one import Outcome
+from uwaug.io.read import read_picture
 
 __all__ = ["SHOWN", "draw_sheet"]
 
@@ -22,20 +21,14 @@ _SIDE = 400
 """px, which a cell has room for."""
 
 
-def draw_sheet(outcomes: Sequence[Outcome], path: Path) -> None:
-    """Draw what was read beside what was written, for at most `SHOWN` outcomes.
+def draw_sheet(pictures: Sequence[tuple[str, Path]], path: Path) -> None:
+    """Draw pictures in files, each under its title: every second one as it was written, after the
+    one that was read.
 
     Raises:
         ValueError, OSError: if a picture cannot be read, or the sheet not written.
     """
-    cells = []
-    for outcome in outcomes[:SHOWN]:
-        row, record = outcome.row, outcome.record
-        if record is None:
-            continue
-        cells.append((row.id, _small(row.input)))
-        seen = "" if record.visibility is None else f", visibility {record.visibility:.2g} m"
-        cells.append((f"{record.water}{seen}", _small(row.output)))
+    cells = [(title, _small(file)) for title, file in pictures]
     rows = max(1, math.ceil(len(cells) / _COLUMNS))
     caption = "Each picture as it was read, and as it was written."
     figure, axes = sheets.sheet(rows, _COLUMNS, (3, 4), "Some of the pictures", caption)

@@ -1,10 +1,10 @@
-"""Pictures into files, whole or not at all."""
+"""Pictures into files, whole or not at all; or into file objects."""
 
 import os
 import struct
 import zlib
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import tifffile
@@ -13,9 +13,7 @@ from torch import Tensor
 
 from uwaug._support.atomic import written_whole
 from uwaug._support.tiles import bands
-from uwaug.io.pictures import Source
-
-__all__ = ["FORMATS", "fill", "lost", "require_format", "write_picture"]
+from uwaug.io.read import PictureFile
 
 FORMATS = {
     ".png": "PNG",
@@ -38,7 +36,7 @@ _HEAD = 33
 """Bytes of a PNG before what may stand beside its pixels."""
 
 
-def require_format(path: str | os.PathLike[str]) -> str:
+def format_of(path: str | os.PathLike[str]) -> str:
     """The format that a file's name asks for.
 
     Raises:
@@ -51,57 +49,56 @@ def require_format(path: str | os.PathLike[str]) -> str:
     return FORMATS[suffix]
 
 
-def write_picture(path: str | os.PathLike[str], picture: Tensor, like: Source) -> None:
-    """Write a picture as its source was: as many bits where the format holds them, with its alpha,
-    EXIF, colour profile and dpi where the format can; see `lost`.
+def write_picture(path: str | os.PathLike[str], image: Tensor, like: PictureFile) -> None:
+    """Write a picture as its original was: as many bits where the format holds them, with its
+    alpha, EXIF, colour profile and dpi where the format can; see `lost`.
 
     Args:
         path: its end is the format; a file that exists is replaced.
-        picture (3xHxW tensor): of the type of `like.picture`.
+        image (3xHxW tensor): of the type of `like.image`.
         like: where it comes from.
 
     Raises:
         ValueError: if the end of the name is unknown.
         OSError: if it cannot be written.
     """
-    kind = require_format(path)
-    with written_whole(path) as part:
-        fill(part, kind, picture, like)
+    format = format_of(path)
+    with written_whole(path) as part, part.open("wb") as file:
+        encode(file, format, image, like)
 
 
-def lost(like: Source, kind: str) -> list[str]:
-    """What a format of `FORMATS` does not keep of a source, such as "alpha". (dpi is not told.)"""
-    most = max(_DEPTHS[kind])
+def lost(like: PictureFile, format: str) -> list[str]:
+    """What a format of `FORMATS` does not keep of a picture, such as "alpha". (dpi is not told.)"""
+    most = max(_DEPTHS[format])
     gone = {
         f"{like.bits} bits (it has {most})": like.bits > most,
-        "alpha": like.alpha is not None and kind == "JPEG",
-        "EXIF": like.exif is not None and kind in ("TIFF", "NPY"),
-        "colour profile": like.profile is not None and kind == "NPY",
+        "alpha": like.alpha is not None and format == "JPEG",
+        "EXIF": like.exif is not None and format in ("TIFF", "NPY"),
+        "colour profile": like.profile is not None and format == "NPY",
     }
     return [what for what, is_lost in gone.items() if is_lost]
 
 
-def fill(part: Path, kind: str, picture: Tensor, like: Source) -> None:
-    """Write a picture into a file that is there, in a format of `FORMATS`; as `write_picture`."""
-    bits = max(bits for bits in _DEPTHS[kind] if bits <= like.bits)
-    values = _in_bits(picture, bits)
-    if like.alpha is not None and kind != "JPEG":
+def encode(file: BinaryIO, format: str, image: Tensor, like: PictureFile) -> None:
+    """Write a picture into an open file in a format of `FORMATS`; otherwise as `write_picture`."""
+    bits = max(bits for bits in _DEPTHS[format] if bits <= like.bits)
+    values = _in_bits(image, bits)
+    if like.alpha is not None and format != "JPEG":
         alpha = _alpha_in_bits(like.alpha, values.dtype)
         values = np.concatenate([values, alpha[..., None]], 2)
-    with part.open("wb") as file:
-        if kind == "NPY":
-            np.save(file, values.transpose(2, 0, 1))
-        elif kind == "TIFF":
-            _write_tiff(file, values, like)
-        elif bits == 16:
-            _write_png16(file, values, like)
-        else:
-            _write_pillow(file, values, kind, like)
+    if format == "NPY":
+        np.save(file, values.transpose(2, 0, 1))
+    elif format == "TIFF":
+        _write_tiff(file, values, like)
+    elif bits == 16:
+        _write_png16(file, values, like)
+    else:
+        _write_pillow(file, values, format, like)
 
 
-def _in_bits(picture: Tensor, bits: int) -> Any:
+def _in_bits(image: Tensor, bits: int) -> Any:
     """HxWx3, in the numbers of a file."""
-    values = picture.permute(1, 2, 0).numpy()
+    values = image.permute(1, 2, 0).numpy()
     if values.dtype == np.uint8 or bits == 32:
         return values
     most = 2**bits - 1
@@ -124,7 +121,7 @@ def _alpha_in_bits(alpha: Any, dtype: Any) -> Any:
     return np.rint(np.clip(unit, 0, 1) * np.iinfo(dtype).max).astype(dtype)
 
 
-def _write_tiff(file: Any, values: Any, like: Source) -> None:
+def _write_tiff(file: BinaryIO, values: Any, like: PictureFile) -> None:
     options: dict[str, Any] = {"photometric": "rgb", "compression": "zlib", "metadata": None}
     if like.profile is not None:
         options["iccprofile"] = like.profile
@@ -136,7 +133,7 @@ def _write_tiff(file: Any, values: Any, like: Source) -> None:
     tifffile.imwrite(file, values, datetime=None, software="uwaug", **options)
 
 
-def _write_png16(file: Any, values: Any, like: Source) -> None:
+def _write_png16(file: BinaryIO, values: Any, like: PictureFile) -> None:
     from imagecodecs import png_encode
 
     data = png_encode(np.ascontiguousarray(values))
@@ -151,13 +148,13 @@ def _write_png16(file: Any, values: Any, like: Source) -> None:
     file.write(data[_HEAD:])
 
 
-def _write_chunk(file: Any, name: bytes, data: bytes) -> None:
+def _write_chunk(file: BinaryIO, name: bytes, data: bytes) -> None:
     """A part of a PNG, as its specification has it."""
     file.write(struct.pack(">I", len(data)) + name + data)
     file.write(struct.pack(">I", zlib.crc32(name + data)))
 
 
-def _write_pillow(file: Any, values: Any, kind: str, like: Source) -> None:
+def _write_pillow(file: BinaryIO, values: Any, format: str, like: PictureFile) -> None:
     options: dict[str, Any] = {}
     if like.exif is not None:
         options["exif"] = like.exif
@@ -165,13 +162,13 @@ def _write_pillow(file: Any, values: Any, kind: str, like: Source) -> None:
         options["icc_profile"] = like.profile
     if like.dpi is not None:
         options["dpi"] = like.dpi
-    if kind in ("JPEG", "WEBP"):
+    if format in ("JPEG", "WEBP"):
         options["quality"] = _QUALITY
-    if kind == "JPEG":
+    if format == "JPEG":
         options["subsampling"] = "4:4:4"  # colour is what water changes
     height, width, channels = values.shape
     image = Image.new("RGB" if channels == 3 else "RGBA", (width, height))
     # Pillow's copy has four bytes a pixel: one of ours beside it would double the memory
     for start, stop in bands(height, width):
         image.paste(Image.fromarray(np.ascontiguousarray(values[start:stop])), (0, start))
-    image.save(file, kind, **options)
+    image.save(file, format, **options)

@@ -1,122 +1,132 @@
-"""Lists of pictures, as CSV or Parquet: what a run reads, and what it writes.
-
-A list that is read has a column `input` and, if it likes, `id`, `distance` and `output`; paths
-are from its own folder, outputs from the folder of the run. A distance may be a number of metres.
-"""
+"""index.csv of a run: a line for each picture. And what labels have one file of for all of them."""
 
 import csv
-from collections.abc import Iterator, Mapping
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from uwaug._support import checks
-from uwaug._support.atomic import require_regular
+from uwaug._support.atomic import require_regular, written_whole
+from uwaug.io.read import name_of
+from uwaug.jobs.items import Items
+from uwaug.jobs.picture import Result
+from uwaug.jobs.recipe import Recipe
+from uwaug.jobs.sidecar import Sidecar, sidecar_of
+from uwaug.labels import LabelSource
 
-__all__ = ["INDICES", "Line", "number_of", "read_index", "require_pyarrow"]
-
-INDICES = (".csv", ".parquet")
-"""Ends of their names."""
-
-_COLUMNS = ("input", "id", "distance", "output")
-
-
-class Line(NamedTuple):
-    """A line of a list; None where it says nothing."""
-
-    input: str
-    id: str | None
-    distance: str | None
-    output: str | None
-
-    def distance_from(self, folder: Path) -> Path | float | None:
-        """Metres, or a path; `folder` is the list's own."""
-        if self.distance is None:
-            return None
-        metres = number_of(self.distance)
-        return folder / self.distance if metres is None else metres
+COLUMNS = (
+    "id",
+    "variant",
+    "input",
+    "distance",
+    "output",
+    "water",
+    "visibility",
+    "contrast",
+    "seconds",
+    "status",
+    "reason",
+)
+"""Of an index: visibility in m, contrast as the mean share that is left."""
 
 
-def number_of(distance: str) -> float | None:
-    """Metres, if that is what a distance says.
+class Index:
+    """Takes down what became of pictures, as lines of a CSV file that is being written."""
 
-    Raises:
-        ValueError: if they are not finite and > 0.
-    """
-    try:
-        metres = float(distance)
-    except ValueError:
-        return None
-    checks.positive("distance", metres, "m")
-    return metres
+    def __init__(self, out: Path, file: Any) -> None:
+        self._out = out
+        self._writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        self._writer.writeheader()
+        self._outputs: set[str] = set()
 
+    def add(self, result: Result) -> None:
+        """Take down one."""
+        item, sidecar = result.item, result.sidecar
+        line: dict[str, Any] = {
+            "id": item.id,
+            "variant": item.variant,
+            "input": self._path(item.input),
+            "distance": self._path(item.distance),
+            "output": item.place.as_posix(),
+            "seconds": f"{result.seconds:.3f}",
+            "status": result.status,
+            "reason": result.reason,
+        }
+        if sidecar is not None:
+            line["water"] = sidecar.water
+            for name in ("visibility", "contrast"):
+                value = getattr(sidecar, name)
+                line[name] = None if value is None else f"{value:.4g}"
+        self._outputs.add(line["output"])
+        self._writer.writerow(line)
 
-def read_index(path: Path) -> Iterator[Line]:
-    """The lines of a list, one by one.
+    def keep_others(self, path: Path) -> None:
+        """Take over the lines of an earlier index, of pictures that were not in this run."""
+        if not path.exists():
+            return
+        with path.open(encoding="utf-8", newline="") as file:
+            for line in csv.DictReader(file):
+                if line["output"] not in self._outputs:
+                    self._writer.writerow(line)
 
-    Raises:
-        ValueError: if it has no column input, or a line none; names it.
-        ImportError: if it is Parquet and pyarrow is not installed.
-        OSError: if it cannot be read.
-    """
-    require_regular(path)
-    rows = _parquet(path) if path.suffix.lower() == ".parquet" else _csv(path)
-    for place, row in rows:
-        values = {name: _text(row.get(name)) for name in _COLUMNS}
-        if any("\0" in (text or "") for text in values.values()):
-            raise ValueError(f"{path}: {place} is no text")
-        picture = values["input"]
-        if picture is None:
-            raise ValueError(f"{path}: {place} has no input")
-        yield Line(picture, values["id"], values["distance"], values["output"])
-
-
-def _text(value: Any) -> str | None:
-    return None if value is None or str(value).strip() == "" else str(value).strip()
-
-
-def _require_input(path: Path, columns: list[str]) -> None:
-    if "input" not in columns:
-        raise ValueError(f"{path}: expected a column input, got {', '.join(columns) or 'none'}")
-
-
-def _csv(path: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    # some spreadsheets begin a file with a mark
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        reader = csv.DictReader(file, skipinitialspace=True)
+    def _path(self, where: Any) -> Any:
+        """From the folder of the index, as manifests are read."""
+        if where is None or isinstance(where, (int, float)):
+            return where
         try:
-            _require_input(path, list(reader.fieldnames or []))
-            for row in reader:
-                yield f"line {reader.line_num}", row
-        except (csv.Error, UnicodeDecodeError) as error:
-            raise ValueError(f"{path}: is no CSV: {error}") from None
+            return os.path.relpath(name_of(where), self._out)
+        except ValueError:  # of another drive
+            return os.path.abspath(name_of(where))
 
 
-def _parquet(path: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    require_pyarrow(f"{path} is Parquet")
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    count = 0
-    try:
-        with pq.ParquetFile(path) as file:
-            names = file.schema_arrow.names
-            _require_input(path, names)
-            for batch in file.iter_batches(columns=[name for name in _COLUMNS if name in names]):
-                for row in batch.to_pylist():
-                    count += 1
-                    yield f"row {count}", row
-    except (pa.ArrowException, OSError) as error:
-        raise ValueError(f"{path}: is no Parquet file, or damaged: {error}") from None
-
-
-def require_pyarrow(what: str) -> None:
-    """Refuse what needs pyarrow where it is not installed.
+@contextmanager
+def index_of(out: Path) -> Iterator[Index]:
+    """index.csv in a folder, which is there once all went well. Pictures of earlier runs stay in
+    it.
 
     Raises:
-        ImportError: names the extra.
+        ValueError: if index.csv is there and is none.
+        OSError: if it cannot be written.
     """
-    try:
-        import pyarrow.parquet  # noqa: F401
-    except ImportError:
-        cure = 'pip install ".[parquet]" in a checkout of uwaug'
-        raise ImportError(f"{what}, which pyarrow reads and writes: {cure}") from None
+    path = out / "index.csv"
+    if path.exists():
+        require_regular(path)
+        with path.open(encoding="utf-8", errors="replace", newline="") as file:
+            if file.readline().rstrip("\r\n") != ",".join(COLUMNS):
+                raise ValueError(f"{path} is no index of uwaug: choose another folder, or move it")
+    with (
+        written_whole(path) as part,
+        part.open("w", encoding="utf-8", errors="backslashreplace", newline="") as file,
+    ):
+        index = Index(out, file)
+        yield index
+        index.keep_others(path)
+
+
+def write_labels(items: Items, recipe: Recipe, source: LabelSource) -> None:
+    """Write what labels have one file of for all pictures in the folder of a run: this run's, and
+    those of earlier ones with the same labels. Their sidecars are read.
+
+    Raises:
+        ValueError, OSError: as `LabelSource.write_run`.
+    """
+    records = []
+    for output in [items.out / items.name] if items.name else _outputs_in(items.out):
+        sidecar = sidecar_of(output)
+        if sidecar is not None and _is_of(sidecar, recipe):
+            records.append(sidecar.labels)
+    if records:
+        source.write_run(records, items.out)
+
+
+def _outputs_in(out: Path) -> Iterator[Path]:
+    """The pictures that the index of a folder knows of."""
+    with (out / "index.csv").open(encoding="utf-8", newline="") as file:
+        for line in csv.DictReader(file):
+            if line["status"] != "failed":
+                yield out / line["output"]
+
+
+def _is_of(sidecar: Sidecar, recipe: Recipe) -> bool:
+    return sidecar.labels is not None and sidecar.recipe["labels"] == recipe.labels

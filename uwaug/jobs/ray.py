@@ -1,38 +1,148 @@
-"""Data sets of Ray Data under water: `uwaug.jobs.ray.degrade(dataset, recipe)`."""
+"""Many pictures on Ray: on the cores of this machine, or of a cluster. Ray Data maps the `Degrader`
+over the items of a run, into files or into Parquet shards with the pictures inside; or over a data
+set of Ray Data: `uwaug.jobs.ray.degrade(dataset, recipe)`.
 
+Beside a folder of shards, in one of its name with `.run` behind it, stands the recipe. What is done
+stands in the shards alone: one that has no end was being written when the run was killed, and does
+not count.
+"""
+
+import io
 import json
+import logging
 import os
-import tempfile
-from collections.abc import Mapping
-from dataclasses import asdict, replace
-from functools import partial
+import pickle
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from PIL import Image
 
-from uwaug.io.write import FORMATS, require_format
-from uwaug.jobs.cluster import begin_on, require_ray
-from uwaug.jobs.index import number_of
-from uwaug.jobs.one import Outcome, degrade_file, reason_of
+from uwaug.io.read import name_of, opened
+from uwaug.io.write import FORMATS, format_of
+from uwaug.jobs.items import Item, Items, labelled, metres_in
+from uwaug.jobs.picture import Degrader, Result, named, reason_of
+from uwaug.jobs.pool import alone, cores, use_one_thread
 from uwaug.jobs.recipe import Recipe
-from uwaug.jobs.record import Source
-from uwaug.jobs.row import Row
-from uwaug.jobs.run import alone
+from uwaug.labels import LabelSource
 
-__all__ = ["ADDED", "added_schema", "degrade"]
-
-_GIVEN = ("id", "variant", "input", "distance", "output", "problem", "name")
+LOCAL = "local"
+"""In place of an address: Ray is started on this machine, and ended with the run."""
 
 ADDED = ("image", "water", "visibility", "contrast", "record", "status", "reason")
 """Columns that `degrade` adds."""
+
+SIZE = 256
+"""Rows of a shard: of pictures of half a megabyte, what one reads at once."""
+
+_BLOCK = 16
+"""Pictures that are handed to an actor at once, at most, and that a reader of shards gets at once.
+"""
+
+_BATCH = 8
+"""Pictures of a data set that an actor holds at once."""
 
 _SHARE = 0.5
 """Of a core, that each actor asks for. It uses a whole one; but if actors asked for all of them,
 what reads the pictures would wait for ever."""
 
-_BATCH = 8
-"""Pictures that an actor holds at once."""
+_SETTINGS = {
+    "RAY_USAGE_STATS_ENABLED": "0",
+    # else a picture for which memory does not suffice is begun again for ever
+    "RAY_task_oom_retries": "3",
+}
+
+
+def require_ray() -> None:
+    """Refuse what needs Ray where it is not installed.
+
+    Raises:
+        ImportError: names the extra.
+    """
+    try:
+        import ray.data  # noqa: F401
+    except ImportError:
+        cure = 'pip install ".[ray]" in a checkout of uwaug'
+        raise ImportError(f"Ray is not installed: {cure}") from None
+
+
+@contextmanager
+def connected(address: str, workers: int | None = None) -> Iterator[int]:
+    """Ray, for as long as it is needed; gives the number of its cores.
+
+    Args:
+        address: "local" starts it on this machine; "auto" finds a cluster that this machine is
+            part of; or host:port. Where Ray has been started in this process, that is taken.
+        workers: cores, of "local"; None: all that this process may use.
+
+    Raises:
+        ImportError: if Ray is not installed.
+        OSError: if nothing answers there.
+    """
+    require_ray()
+    import ray
+
+    mine = not ray.is_initialized()
+    if mine:
+        for name, value in _SETTINGS.items():
+            os.environ.setdefault(name, value)
+        options: dict[str, Any] = {"log_to_driver": False, "logging_level": "error"}
+        if address == LOCAL:
+            options |= {"num_cpus": workers or cores(), "include_dashboard": False}
+        try:
+            ray.init(address, **options)
+        except (OSError, RuntimeError, ValueError) as error:
+            cure = f"is Ray running there? {LOCAL} starts it on this machine"
+            raise ConnectionError(f"no Ray at {address}: {error}: {cure}") from None
+    try:
+        yield _total()
+    finally:
+        if mine:
+            ray.shutdown()
+
+
+def run_on_ray(
+    items: Iterable[Item],
+    recipe: Recipe,
+    *,
+    resume: bool = False,
+    force: bool = False,
+    labels: LabelSource | None = None,
+) -> Iterator[Result]:
+    """Degrade pictures in files, and say in the order of `items` what became of each.
+
+    The same files as of `uwaug.jobs.run`. Pictures whose process or machine dies are begun
+    again on another.
+
+    Args:
+        items: which pictures.
+        recipe: what is done to them. Files that it names must be there on every machine.
+        resume, force, labels: as for `uwaug.jobs.run`.
+
+    Raises:
+        OSError: if Ray itself fails.
+    """
+    import ray
+
+    source = recipe.open_labels() if labels is None else labels
+    dataset = _blocks(list(labelled(items, source)), _BLOCK)
+    if dataset is None:
+        return
+    dataset.context.execution_options.preserve_order = True
+    dataset.context.enable_progress_bars = False
+    # what is begun again may have been written by then, but not reported
+    options = {"resume": resume or not force, "force": force}
+    made = _mapped(dataset, _IntoFiles, (recipe, os.getcwd(), options), batch_size=1)
+    try:
+        for row in made.iter_rows():
+            for result in pickle.loads(row["results"]):
+                kept = result.status == "kept" and not resume
+                yield replace(result, status="done") if kept else result
+    except ray.exceptions.RayError as error:
+        raise OSError(f"Ray: {error}") from None
 
 
 def degrade(
@@ -55,7 +165,8 @@ def degrade(
             distance, if the recipe has no depth network: the same of files of distances, or metres;
             output, if you like: names, whose ends say the format;
             variant, if you like: which of several of one picture, from 0.
-        recipe: what is done to them. Files that it names must be there on every machine.
+        recipe: what is done to them. Files that it names must be there on every machine; but for
+            its labels, which are read here.
         workers: actors, or the least and the most of them; None: one for each core that Ray has
             now. Each uses one core.
         ending: of pictures without an output, such as ".png"; None: as of the picture.
@@ -64,7 +175,7 @@ def degrade(
         A `ray.data.Dataset` of as many rows, with all columns that were there and
             image: structs {bytes, path} of the picture's file; null where status is "failed";
             water, visibility (m), contrast: its name, and what is left to see;
-            record: JSON of what stands beside a picture that is written to a file;
+            record: JSON of the sidecar of a picture that is written to a file;
             status: "done" or "failed";
             reason: why it failed. One bad picture does not stop the rest.
 
@@ -74,29 +185,9 @@ def degrade(
             unknown.
     """
     require_ray()
-    import ray
-
     if ending is not None:
-        require_format(f"picture{ending}")
-    _require_columns(dataset.columns() or [])
-    total = int(ray.cluster_resources().get("CPU", 1))
-    if workers is None:
-        workers = max(1, total)
-    compute = ray.data.ActorPoolStrategy(size=workers)
-    if isinstance(workers, tuple):
-        compute = ray.data.ActorPoolStrategy(min_size=workers[0], max_size=workers[1])
-    return dataset.map_batches(
-        _Worker,
-        fn_constructor_args=(recipe, ending, os.getcwd()),
-        compute=compute,
-        batch_size=_BATCH,
-        batch_format="pyarrow",
-        num_cpus=_SHARE if total > 1 else 0,
-        udf_modifying_row_count=False,
-    )
-
-
-def _require_columns(names: list[str]) -> None:
+        format_of(f"picture{ending}")
+    names = dataset.columns() or []
     for name in ("id", "input"):
         if name not in names:
             raise ValueError(f"dataset: expected columns id and input, got {', '.join(names)}")
@@ -104,124 +195,204 @@ def _require_columns(names: list[str]) -> None:
     if twice:
         cure = "see ray.data.Dataset.rename_columns"
         raise ValueError(f"dataset has a column {twice[0]}, which would be added: {cure}")
+    arguments = (recipe, os.getcwd(), {"in_memory": True}, ending, recipe.open_labels())
+    return _mapped(dataset, _OverRows, arguments, batch_size=_BATCH, workers=workers)
+
+
+def _total() -> int:
+    import ray
+
+    return max(1, int(ray.cluster_resources().get("CPU", 1)))
+
+
+def _mapped(
+    dataset: Any,
+    worker: type,
+    arguments: tuple[Any, ...],
+    *,
+    batch_size: int,
+    workers: int | tuple[int, int] | None = None,
+) -> Any:
+    """A data set with a worker mapped over it, by as many actors as there are cores."""
+    import ray
+
+    total = _total()
+    workers = total if workers is None else workers
+    compute = ray.data.ActorPoolStrategy(size=workers)
+    if isinstance(workers, tuple):
+        compute = ray.data.ActorPoolStrategy(min_size=workers[0], max_size=workers[1])
+    return dataset.map_batches(
+        worker,
+        fn_constructor_args=arguments,
+        compute=compute,
+        batch_size=batch_size,
+        batch_format="pyarrow",
+        num_cpus=_SHARE if total > 1 else 0,
+    )
+
+
+def _blocks(items: list[Item], size: int) -> Any:
+    """A data set of items, some in each row; None if there are none."""
+    import pyarrow as pa
+    import ray
+
+    # 8 for each actor, so that none of them works alone at the end
+    size = max(1, min(_BLOCK, size, len(items) // (8 * _total())))
+    remaining, blocks = iter(items), []
+    while group := list(islice(remaining, size)):
+        blocks.append(pa.table({"items": pa.array([pickle.dumps(group)], pa.large_binary())}))
+    return ray.data.from_arrow(blocks) if blocks else None
 
 
 class _Worker:
-    """An actor."""
+    """An actor: a `Degrader` in the folder of the run."""
 
-    def __init__(self, recipe: Recipe, ending: str | None, folder: str) -> None:
+    def __init__(self, recipe: Recipe, folder: str, options: dict[str, bool]) -> None:
         import ray
 
-        begin_on(folder)
-        self._recipe, self._ending = recipe, ending
-        self._job = partial(degrade_file, recipe=recipe)
+        use_one_thread()
+        # paths are from there
+        with suppress(OSError):
+            os.chdir(folder)
+        self._recipe, self._options = recipe, options
+        self._degrader = Degrader(recipe, **options)
         # what it died over may come again: from now on, each picture has a process of its own
         self._careful = bool(ray.get_runtime_context().was_current_actor_reconstructed)
+
+    def result(self, item: Item) -> Result:
+        """What becomes of an item."""
+        if self._careful:
+            return alone(item, self._recipe, **self._options)
+        return self._degrader(item)
+
+
+class _IntoFiles(_Worker):
+    def __call__(self, batch: Any) -> Any:
+        import pyarrow as pa
+
+        results = []
+        for row in batch["items"].to_pylist():
+            results.append(pickle.dumps([self.result(item) for item in pickle.loads(row)]))
+        return pa.table({"results": pa.array(results, pa.large_binary())})
+
+
+class _IntoShards(_Worker):
+    def __call__(self, batch: Any) -> Any:
+        import pyarrow as pa
+
+        rows = []
+        for row in batch["items"].to_pylist():
+            for item in pickle.loads(row):
+                result = self.result(item)
+                distance = None if item.distance is None else str(item.distance)
+                rows.append(
+                    {
+                        "id": item.id,
+                        "variant": item.variant,
+                        "input": str(item.input),
+                        "distance": distance,
+                        "output": item.place.as_posix(),
+                        **_columns(result, item.place.as_posix()),
+                    }
+                )
+        return pa.Table.from_pylist(rows, shard_schema())
+
+
+class _OverRows(_Worker):
+    """The rows of a data set, which keeps its columns."""
+
+    def __init__(
+        self,
+        recipe: Recipe,
+        folder: str,
+        options: dict[str, bool],
+        ending: str | None,
+        source: LabelSource | None,
+    ) -> None:
+        super().__init__(recipe, folder, options)
+        self._ending, self._source = ending, source
 
     def __call__(self, batch: Any) -> Any:
         import pyarrow as pa
 
-        rows = batch.select([name for name in _GIVEN if name in batch.column_names]).to_pylist()
-        results = [self._result(row) for row in rows]
-        schema = added_schema()
-        added = pa.Table.from_pylist(results, schema)
+        names = ("id", "variant", "input", "distance", "output")
+        rows = batch.select([name for name in names if name in batch.column_names]).to_pylist()
+        schema = _added_schema()
+        added = pa.Table.from_pylist([self._added(row) for row in rows], schema)
         for name in ADDED:
             batch = batch.append_column(schema.field(name), added[name])
         return batch
 
-    def _result(self, values: Mapping[str, Any]) -> dict[str, Any]:
+    def _added(self, row: Mapping[str, Any]) -> dict[str, Any]:
         try:
-            with tempfile.TemporaryDirectory(prefix="uwaug-") as folder:
-                return self._made(values, Path(folder))
+            item = self._item(row)
         except Exception as error:
             return {"status": "failed", "reason": reason_of(error)}
+        return _columns(self.result(item), item.output.as_posix())
 
-    def _made(self, values: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-        """The added columns of a row, by way of files in a folder that is removed."""
-        name = values["id"]
-        if not isinstance(name, str) or not name:
-            raise ValueError(f"id: expected a name, got {name!r}")
-        given, known = _file_of(values["input"], folder / "input")
-        if not isinstance(given, Path):
+    def _item(self, row: Mapping[str, Any]) -> Item:
+        id = row["id"]
+        if not isinstance(id, str) or not id:
+            raise ValueError(f"id: expected a name, got {id!r}")
+        given, distance = _file_of(row["input"], "input"), _file_of(row.get("distance"), "distance")
+        if given is None or isinstance(given, float):
             raise ValueError(f"input: expected a path or bytes, got {given!r}")
-        where, where_known = _file_of(values.get("distance"), folder / "distance")
-        output = values.get("output") or _named(name, self._ending or _ending_of(given, known))
-        row = Row(
-            name,
-            given,
-            where,
-            folder / f"output{Path(output).suffix}",
-            int(values.get("variant") or 0),
-            values.get("problem"),
-            values.get("name") or name,
-        )
-        outcome = alone(self._job, row) if self._careful else self._job(row)
-        if outcome.record is None:
-            # the folder is gone when this is read
-            reason = str(outcome.reason).replace(f"{folder}/", "")
-            return {"status": "failed", "reason": reason}
-        return _columns(outcome, str(output), known, where_known)
+        output = row.get("output")
+        if not output:
+            ending = self._ending or _ending_of(given)
+            path = Path(id)
+            output = path.with_suffix(ending) if path.suffix.lower() in FORMATS else id + ending
+        variant = int(row.get("variant") or 0)
+        # from no folder: its whole name is its place
+        item = Item(id, given, distance, Path(output), variant, name=id, out=Path())
+        (item,) = labelled([item], self._source)
+        return item
 
 
-def _columns(
-    outcome: Outcome, output: str, known: str | None, where_known: str | None
-) -> dict[str, Any]:
-    record = outcome.record
-    assert record is not None
-    record = replace(record, output=Path(output).name)
-    if record.labels is not None:
-        record = replace(record, labels={**record.labels, "output": output})
-    if known is not None:
-        record = replace(record, input=replace(record.input, path=known))
-    if where_known is not None and isinstance(record.distance, Source):
-        record = replace(record, distance=replace(record.distance, path=where_known))
+def _columns(result: Result, output: str) -> dict[str, Any]:
+    """The added columns of a row."""
+    sidecar = result.sidecar
+    if sidecar is None:
+        return {"status": "failed", "reason": result.reason}
     return {
-        "image": {"bytes": outcome.row.output.read_bytes(), "path": output},
-        "water": record.water,
-        "visibility": record.visibility,
-        "contrast": record.contrast,
-        "record": json.dumps(asdict(record), ensure_ascii=False),
+        "image": {"bytes": result.content, "path": output},
+        "water": sidecar.water,
+        "visibility": sidecar.visibility,
+        "contrast": sidecar.contrast,
+        "record": json.dumps(sidecar.to_json(), ensure_ascii=False),
         "status": "done",
     }
 
 
-def _file_of(value: Any, path: Path) -> tuple[Path | float | None, str | None]:
-    """The file of a value, or its metres; and, of bytes, by what name they are known.
-
-    Bytes are put into a file: what reads files reads them too, by the same rules.
-    """
-    known = path.name
+def _file_of(value: Any, name: str) -> Any:
+    """A path, metres, or an open file of bytes, with the name by which they are known."""
     if isinstance(value, Mapping):
-        known = value.get("path") or known
+        name = value.get("path") or name
         value = value.get("path") if value.get("bytes") is None else value["bytes"]
     if isinstance(value, bytes):
-        path.write_bytes(value)
-        return path, known
+        file = io.BytesIO(value)
+        file.name = name
+        return file
     if value is None or value == "":
-        return None, None
-    metres = number_of(str(value))
-    return (Path(value) if metres is None else metres), None
+        return None
+    metres = metres_in(str(value))
+    return Path(value) if metres is None else metres
 
 
-def _named(name: str, ending: str) -> str:
-    path = Path(name)
-    return str(path.with_suffix(ending)) if path.suffix.lower() in FORMATS else name + ending
-
-
-def _ending_of(path: Path, known: str | None) -> str:
+def _ending_of(file: Any) -> str:
     """Of the file to write: as of the picture's name, else as of its content."""
-    suffix = Path(known or path).suffix.lower()
+    suffix = Path(name_of(file)).suffix.lower()
     if suffix in FORMATS:
         return suffix
-    with Image.open(path) as image:
-        kind = image.format
-    for suffix, format in FORMATS.items():
-        if format == kind:
+    with opened(file) as stream, Image.open(stream) as image:
+        format = image.format
+    for suffix, known in FORMATS.items():
+        if known == format:
             return suffix
-    raise ValueError(f"input: expected a picture that can be written as {kind}: give an ending")
+    raise ValueError(f"input: expected a picture that can be written as {format}: give an ending")
 
 
-def added_schema() -> Any:
+def _added_schema() -> Any:
     """The `pyarrow.Schema` of the columns that `degrade` adds."""
     import pyarrow as pa
 
@@ -231,3 +402,189 @@ def added_schema() -> Any:
         "contrast": pa.float64(),
     }
     return pa.schema([(name, kinds.get(name, pa.string())) for name in ADDED])
+
+
+def shard_schema() -> Any:
+    """Of shards, with what Hugging Face's `datasets` need to show pictures."""
+    import pyarrow as pa
+
+    columns = [(name, pa.string()) for name in ("id", "input", "distance", "output")]
+    columns.insert(1, ("variant", pa.int64()))
+    schema = pa.schema([*pa.schema(columns), *_added_schema()])
+    features: dict[str, Any] = {}
+    for column in schema:
+        kind = "float64" if column.type == pa.float64() else str(column.type)
+        features[column.name] = {"dtype": kind, "_type": "Value"}
+    features["image"] = {"_type": "Image"}
+    return schema.with_metadata({"huggingface": json.dumps({"info": {"features": features}})})
+
+
+@dataclass
+class Tally:
+    """What the shards of a run hold.
+
+    Attributes:
+        rows, failed: how many; failed ones are rows without a picture.
+        reasons: why they failed, of the first few.
+    """
+
+    rows: int = 0
+    failed: int = 0
+    reasons: list[str] = field(default_factory=list)
+
+
+class Shards:
+    """A folder of shards.
+
+    Args:
+        place: path of a folder; or s3://…, gs://…, hdfs://…, or fsspec+NAME://… of whatever else
+            fsspec knows.
+
+    Raises:
+        ImportError: if Ray, or what serves the place, is not installed.
+        ValueError: if nothing serves such a place.
+    """
+
+    def __init__(self, place: str) -> None:
+        require_ray()
+        import pyarrow.fs as fs
+
+        where = place if "://" in place else os.path.abspath(place)
+        try:
+            self._files, path = fs.FileSystem.from_uri(where)
+        except (OSError, ValueError) as error:
+            raise ValueError(f"shards: no place {place}: {error}") from None
+        self.place, self._path = place, path.rstrip("/")
+        self._run = f"{self._path}.run"
+
+    def prepare(self, recipe: Recipe, *, resume: bool = False, force: bool = False) -> None:
+        """Make room before anything is done: Ray would add to what is there.
+
+        Args:
+            recipe: of the run.
+            resume: go on where the same run was stopped.
+            force: remove shards of an earlier run.
+
+        Raises:
+            FileExistsError: if there are files and neither is asked for.
+            ValueError: if the run that is to go on was another; or if no run is known that has
+                written what is there.
+            OSError: if the place cannot be read or written.
+        """
+        from pyarrow.fs import FileType
+
+        paths, before = self._paths(), self._recipe()
+        if paths and not (resume or force):
+            raise FileExistsError(f"{self.place} holds files, such as {paths[0]}")
+        # what is somebody else's must not be removed
+        odd = [path for path in paths if before is None or not path.endswith(".parquet")]
+        if odd:
+            cure = "choose another place, or move it"
+            raise ValueError(f"{odd[0]} is no shard of a run that {self._run} knows: {cure}")
+        mine = json.dumps(recipe.to_json(), indent=1)
+        if resume and before is not None:
+            if before != json.loads(mine):
+                raise ValueError(f"{self._run}/recipe.json is another recipe: give the same")
+            return
+        for folder in (self._run, self._path):
+            if self._files.get_file_info(folder).type != FileType.NotFound:
+                self._files.delete_dir(folder)
+            self._files.create_dir(folder, recursive=True)
+        with self._files.open_output_stream(f"{self._run}/recipe.json") as file:
+            file.write(mine.encode())
+
+    def write(
+        self,
+        items: Items,
+        recipe: Recipe,
+        *,
+        labels: LabelSource | None = None,
+        size: int = SIZE,
+        progress: bool = False,
+    ) -> None:
+        """Degrade the items that are not in the shards, and write them into some more.
+
+        Args:
+            items: which pictures.
+            recipe: what is done to them.
+            labels: as for `uwaug.jobs.run`.
+            size: rows of a shard, at least, but of the last.
+            progress: whether Ray draws how far it is.
+
+        Raises:
+            OSError: if Ray fails, or the place cannot be written.
+        """
+        import ray
+
+        logging.getLogger("ray.data").setLevel(logging.ERROR)
+        done = self._done()
+        left = (item for item in items if (item.id, item.variant) not in done)
+        source = recipe.open_labels() if labels is None else labels
+        dataset = _blocks(list(labelled(left, source)), size)
+        if dataset is None:
+            return
+        arguments = (recipe, os.getcwd(), {"in_memory": True})
+        made = _mapped(dataset, _IntoShards, arguments, batch_size=1)
+        made.context.enable_progress_bars = progress
+        try:
+            made.write_parquet(
+                self._path,
+                filesystem=self._files,
+                min_rows_per_file=size,
+                # else writing would wait for a core that the actors hold
+                ray_remote_args={"num_cpus": 0},
+                row_group_size=_BLOCK,
+                schema=shard_schema(),
+            )
+        except ray.exceptions.RayError as error:
+            raise OSError(f"Ray: {error}") from None
+
+    def tally(self, most: int) -> Tally:
+        """Count what is in the shards; with at most so many reasons.
+
+        Raises:
+            OSError: if they cannot be read.
+        """
+        from pyarrow.dataset import dataset
+
+        tally = Tally()
+        shards = dataset(self._path, filesystem=self._files, format="parquet")
+        for batch in shards.to_batches(columns=["input", "status", "reason"]):
+            tally.rows += len(batch)
+            for row in batch.to_pylist():
+                if row["status"] == "failed":
+                    tally.failed += 1
+                    if len(tally.reasons) < most:
+                        tally.reasons.append(named(row["input"], row["reason"]))
+        return tally
+
+    def _paths(self) -> list[str]:
+        """The files that are there."""
+        from pyarrow.fs import FileSelector, FileType
+
+        inside = FileSelector(self._path, recursive=True, allow_not_found=True)
+        listed = self._files.get_file_info(inside)
+        return [info.path for info in listed if info.type == FileType.File]
+
+    def _recipe(self) -> Any:
+        """The recipe of the run that has written here; None if there was none."""
+        try:
+            with self._files.open_input_stream(f"{self._run}/recipe.json") as file:
+                return json.loads(file.read())
+        except (FileNotFoundError, ValueError):
+            return None
+
+    def _done(self) -> set[tuple[str, int]]:
+        """Id and variant of the rows in the shards; removes shards that have no end."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        done: set[tuple[str, int]] = set()
+        for path in self._paths():
+            try:
+                shard = pq.read_table(path, columns=["id", "variant"], filesystem=self._files)
+            except pa.ArrowInvalid:
+                self._files.delete_file(path)
+            else:
+                done.update(zip(shard["id"].to_pylist(), shard["variant"].to_pylist(), strict=True))
+        return done

@@ -1,5 +1,6 @@
 """Labels as COCO has them: one JSON file for many pictures."""
 
+import hashlib
 import json
 import os
 from collections import Counter
@@ -11,9 +12,16 @@ from typing import Any
 import numpy as np
 
 from uwaug._support.atomic import require_regular
-from uwaug.labels.source import Labels, Object, Record, plain_name, refuse_source, write_json
-
-__all__ = ["CocoLabels"]
+from uwaug._support.hashing import FileHash
+from uwaug.labels.regions import Region, Size, box_region, polygon_region, runs_region
+from uwaug.labels.source import (
+    Labels,
+    Object,
+    Record,
+    plain_name,
+    refuse_source,
+    write_json,
+)
 
 Entry = dict[str, Any]
 
@@ -24,14 +32,14 @@ class CocoLabels:
     the `Labels` of each picture to those who work.
 
     Attributes:
-        path: of the file.
+        hash: of the file.
         content: all that is in it.
         images: by file name as the file has it.
         annotations: by image id.
         stems: file names as the file has them, by their stem.
     """
 
-    path: Path
+    hash: FileHash
     content: Entry
     images: Mapping[str, Entry]
     annotations: Mapping[Any, list[Entry]]
@@ -47,8 +55,9 @@ class CocoLabels:
             OSError: if it cannot be read.
         """
         require_regular(path)
+        data = Path(path).read_bytes()
         try:
-            content = json.loads(Path(path).read_text(encoding="utf-8-sig"))
+            content = json.loads(data.decode("utf-8-sig"))
         except ValueError as error:
             raise ValueError(f"{path}: expected JSON: {error}") from None
         images, annotations = (_listed(content, name, path) for name in ("images", "annotations"))
@@ -66,26 +75,26 @@ class CocoLabels:
                 raise ValueError(f"{path}: two images have the file_name {name!r}")
             by_name[name] = entry
             stems.setdefault(PurePosixPath(name).stem, []).append(name)
-        return CocoLabels(Path(path), content, by_name, by_image, stems)
+        digest = hashlib.sha256(data).hexdigest()
+        file = FileHash(os.path.abspath(path), digest, len(data))
+        return CocoLabels(file, content, by_name, by_image, stems)
 
-    def labels_of(self, picture: str | os.PathLike[str], size: tuple[int, int]) -> Labels:
+    @property
+    def path(self) -> Path:
+        """Of the file."""
+        return Path(self.hash.path)
+
+    def labels_of(self, picture: str | os.PathLike[str]) -> Labels:
         """See `LabelSource`. A picture is found by its path, or by the end of it where one of the
         two paths begins in another folder; another suffix does no harm.
         """
-        name = self._called(plain_name(picture))
+        name = self._name_of(plain_name(picture))
         image = self.images[name]
-        stated = (image.get("height", size[0]), image.get("width", size[1]))
-        if stated != tuple(size):
-            got = f"image {name!r} is {stated} there but {tuple(size)} px in its file"
-            cure = "height and width must agree; was it resized, or turned by its EXIF orientation?"
-            raise ValueError(f"{self.path}: {got}: {cure}")
-        objects = []
-        for entry in self.annotations[image["id"]]:
-            where = f"{self.path}, annotation {entry['id']}"
-            objects.append(Object(entry["id"], where, *_shape(entry, where, size)))
-        return Labels(name, size, str(self.path), tuple(objects))
+        entries = tuple(self.annotations[image["id"]])
+        stated = image.get("height"), image.get("width")
+        return _CocoImage(name, self.hash.path, self.hash, stated, entries)
 
-    def _called(self, picture: str) -> str:
+    def _name_of(self, picture: str) -> str:
         """The file name, as the file has it, of a picture."""
         if picture in self.images:
             return picture
@@ -93,21 +102,15 @@ class CocoLabels:
             name for name in self.stems.get(PurePosixPath(picture).stem, ()) if _meet(name, picture)
         ]
         alike = [name for name in near if PurePosixPath(name).name == PurePosixPath(picture).name]
-        found = alike or near
-        if len(found) > 1:
-            several = ", ".join(found[:3])
+        names = alike or near
+        if len(names) > 1:
+            several = ", ".join(names[:3])
             raise ValueError(f"{self.path}: {picture!r} may be any of {several}: use its path")
-        if found:
-            return found[0]
+        if names:
+            return names[0]
         some = ", ".join(sorted(self.images)[:3])
         cure = "take the picture out, or give it an image entry without annotations"
         raise ValueError(f"{self.path}: no image {picture!r} (there are {some}, …): {cure}")
-
-    def write_picture(
-        self, labels: Labels, record: Record, path: str | os.PathLike[str]
-    ) -> list[Path]:
-        """None: see `LabelSource`."""
-        return []
 
     def write_run(self, records: Iterable[Record], folder: str | os.PathLike[str]) -> list[Path]:
         """See `LabelSource`. The file has the name of the one that was read."""
@@ -131,7 +134,7 @@ class CocoLabels:
         annotations: list[Entry] = []
         for record in ordered:
             image = self._image(record)
-            judged = {one["key"]: one for one in record["objects"]}
+            judged = {entry["key"]: entry for entry in record["objects"]}
             number = len(images) + 1 if anew else image["id"]
             for entry in self.annotations[image["id"]]:
                 if entry["id"] not in judged:
@@ -152,16 +155,55 @@ class CocoLabels:
         return self.images[record["picture"]]
 
 
-def _meet(one: str, other: str) -> bool:
+@dataclass(frozen=True)
+class _CocoImage(Labels):
+    """An image of a COCO file with its annotations.
+
+    Attributes:
+        hash: of the file.
+        stated: height and width, as the file has them; None where it says nothing.
+        annotations: of the image.
+    """
+
+    hash: FileHash
+    stated: tuple[int | None, int | None]
+    annotations: tuple[Entry, ...]
+
+    def objects(self, size: Size) -> list[Object]:
+        """As of `Labels`."""
+        stated = tuple(
+            actual if side is None else side for side, actual in zip(self.stated, size, strict=True)
+        )
+        if stated != tuple(size):
+            got = f"image {self.picture!r} is {stated} there but {tuple(size)} px in its file"
+            cure = "height and width must agree; was it resized, or turned by its EXIF orientation?"
+            raise ValueError(f"{self.file}: {got}: {cure}")
+        objects = []
+        for entry in self.annotations:
+            where = f"{self.file}, annotation {entry['id']}"
+            objects.append(Object(entry["id"], _region(entry, where, size)))
+        return objects
+
+    def write(self, record: Record, path: str | os.PathLike[str]) -> list[Path]:
+        """None: one file holds those of the whole run."""
+        return []
+
+    def file_hash(self) -> FileHash:
+        """The COCO file as it was when it was opened."""
+        return self.hash
+
+
+def _meet(name: str, other: str) -> bool:
     """Whether one path, without suffix, is the end of the other."""
-    parts = [PurePosixPath(path).with_suffix("").parts for path in (one, other)]
+    parts = [PurePosixPath(path).with_suffix("").parts for path in (name, other)]
     shorter, longer = sorted(parts, key=len)
     return longer[-len(shorter) :] == shorter
 
 
-def _judged(one: Record) -> Entry:
+def _judged(judgement: Record) -> Entry:
     """What a judgement adds to an annotation."""
-    return {"contrast": one["contrast"], **({"iscrowd": 1} if one["ignored"] else {})}
+    iscrowd = {"iscrowd": 1} if judgement["ignored"] else {}
+    return {"contrast": judgement["contrast"], **iscrowd}
 
 
 def _numbered(entry: Entry, number: Any, *, anew: bool) -> Entry:
@@ -175,11 +217,11 @@ def _listed(content: Any, name: str, path: Any) -> list[Entry]:
         raise ValueError(f"{path}: expected COCO's format, with a list of {name!r}")
     seen = set()
     for number, entry in enumerate(entries):
-        found = entry.get("id")
-        if not isinstance(found, (int, str)) or found in seen:
-            wrong = "is used twice" if found in seen else "is missing"
-            raise ValueError(f"{path}: the id {found!r} of {name}[{number}] {wrong}")
-        seen.add(found)
+        key = entry.get("id")
+        if not isinstance(key, (int, str)) or key in seen:
+            wrong = "is used twice" if key in seen else "is missing"
+            raise ValueError(f"{path}: the id {key!r} of {name}[{number}] {wrong}")
+        seen.add(key)
     return entries
 
 
@@ -190,25 +232,25 @@ def _name_of(entry: Entry, path: Any) -> str:
     return PurePosixPath(name.replace("\\", "/")).as_posix()
 
 
-def _shape(entry: Entry, where: str, size: tuple[int, int]) -> tuple[str, Any]:
-    """Kind and values of an `Object`: the segmentation, or the box where there is none."""
+def _region(entry: Entry, where: str, size: Size) -> Region | None:
+    """The pixels of the segmentation, or of the box where there is none."""
     segmentation = entry.get("segmentation")
     if isinstance(segmentation, dict):
-        return "runs", _runs(segmentation, where, size)
+        return runs_region(_runs(segmentation, where, size), size)
     if isinstance(segmentation, list) and segmentation:
-        return "polygons", tuple(_polygon(row, where) for row in segmentation)
+        return polygon_region([_polygon(row, where) for row in segmentation], size)
     box = _numbers(entry.get("bbox"), f"{where}: bbox")
     if len(box) != 4:
         raise ValueError(f"{where}: expected a bbox [x, y, width, height], got {len(box)} numbers")
     x, y, width, height = map(float, box)
-    return "box", (x, y, x + width, y + height)
+    return box_region((x, y, x + width, y + height), size)
 
 
 def _polygon(row: Any, where: str) -> Any:
     values = _numbers(row, f"{where}: segmentation")
     if len(values) < 6 or len(values) % 2:
-        wanted = "three corners or more, [x1, y1, x2, y2, x3, y3, …]"
-        raise ValueError(f"{where}: expected {wanted}, got {len(values)} numbers")
+        expected = "three corners or more, [x1, y1, x2, y2, x3, y3, …]"
+        raise ValueError(f"{where}: expected {expected}, got {len(values)} numbers")
     return values.reshape(-1, 2)
 
 
@@ -222,7 +264,7 @@ def _numbers(row: Any, where: str) -> Any:
     return values
 
 
-def _runs(segmentation: Entry, where: str, size: tuple[int, int]) -> tuple[int, ...]:
+def _runs(segmentation: Entry, where: str, size: Size) -> tuple[int, ...]:
     """Run lengths, plain or compressed."""
     counts = segmentation.get("counts")
     if isinstance(counts, str):

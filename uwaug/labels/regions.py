@@ -11,8 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Region", "box_region", "mask_region", "mean_over", "polygon_region", "runs_region"]
-
 Mask = NDArray[np.bool_]
 
 Size = tuple[int, int]

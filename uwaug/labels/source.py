@@ -1,28 +1,20 @@
-"""What all formats of labels share: labels, their contrast, and what a source of them can do."""
+"""Labels of pictures, how much can still be seen of each object, and where labels come from."""
 
 import json
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path, PurePosixPath
-from typing import Any, ClassVar, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from numpy.typing import NDArray
 from torch import Tensor
 
 from uwaug._support import checks
-from uwaug._support.atomic import require_regular, written_whole
-from uwaug.labels.regions import (
-    Region,
-    box_region,
-    mask_region,
-    mean_over,
-    polygon_region,
-    runs_region,
-)
-
-__all__ = ["LabelSource", "Labels", "Object", "Record", "with_contrast"]
+from uwaug._support.atomic import written_whole
+from uwaug._support.hashing import FileHash
+from uwaug.labels.regions import Region, Size, mean_over
 
 Record = dict[str, Any]
 """What `with_contrast` returns, see there."""
@@ -31,92 +23,91 @@ _DIGITS = 4
 """Of a contrast in files; a `min_contrast` is compared with the number that the file shows."""
 
 
-@dataclass(frozen=True)
-class Object:
+class Object(NamedTuple):
     """One object of a picture.
 
     Attributes:
         key: the id of a COCO annotation, a line of a YOLO file counted from 1, a value of a mask.
-        where: file and key in words, for errors.
-        shape: "box" (x1, y1, x2, y2), "polygons" (Nx2 each), "runs" (COCO's run lengths) or
-            "mask" (HxW); x to the right and y down, px.
-        values: of that shape.
+        region: its pixels in the picture; None if there are none, as of an object that a crop has
+            cut off.
     """
 
     key: int | str
-    where: str
-    shape: str
-    values: Any
-
-    def region(self, size: tuple[int, int]) -> Region | None:
-        """Its pixels in a picture of (height, width); None if there are none, as of an object that
-        a crop has cut off.
-        """
-        find: Any = {
-            "box": box_region,
-            "polygons": polygon_region,
-            "runs": runs_region,
-            "mask": lambda mask, _: mask_region(mask),
-        }[self.shape]
-        found: Region | None = find(self.values, size)
-        return found
+    region: Region | None
 
 
 @dataclass(frozen=True)
-class Labels:
-    """The labels of one picture.
+class Labels(ABC):
+    """The labels of one picture, for whoever degrades it: they pickle, and are small.
 
     Attributes:
         picture: its name in the source.
-        size: height and width, px.
         file: the label file; None if the picture has none, which says that it shows no object.
-        objects: in the file's order.
     """
 
     picture: str
-    size: tuple[int, int]
     file: str | None
-    objects: tuple[Object, ...]
 
-
-class LabelSource(Protocol):
-    """Where labels come from, and go to. See `uwaug.labels`."""
-
-    def labels_of(self, picture: str | os.PathLike[str], size: tuple[int, int]) -> Labels:
-        """The labels of a picture.
-
-        Args:
-            picture: its path below the folder of pictures.
-            size: its height and width, px.
+    @abstractmethod
+    def objects(self, size: Size) -> list[Object]:
+        """The objects of the picture, in the file's order; `size` is its height and width, px.
 
         Raises:
-            ValueError: if they are malformed or of a picture of another size, or (COCO) there is no
-                such picture; names file and line, annotation or value.
+            ValueError: if labels are malformed or of a picture of another size; names file and
+                line, annotation or value.
             OSError: if a file cannot be read.
         """
 
-    def write_picture(
-        self, labels: Labels, record: Record, path: str | os.PathLike[str]
-    ) -> list[Path]:
+    @abstractmethod
+    def write(self, record: Record, path: str | os.PathLike[str]) -> list[Path]:
         """Write the labels of one picture, each file whole.
 
         Args:
-            labels: from `labels_of`.
             record: from `with_contrast`.
             path: of the picture that was written, as it would be in a folder for labels alone;
                 its end is replaced. (A mask beside its picture may have the same name.)
 
         Returns:
-            The files; none if the format has one for the whole run.
+            The files; none if the format has one for the whole run, or the picture has no labels.
 
         Raises:
             ValueError: if it would write over the labels that it read.
             OSError: if a file cannot be written.
         """
 
+    def file_hash(self) -> FileHash | None:
+        """The label file as it is now; None if there is none.
+
+        Raises:
+            OSError: if it cannot be read.
+        """
+        return None if self.file is None else FileHash.of(self.file)
+
+
+class LabelSource(Protocol):
+    """Where labels come from, and go to: one process holds it. See `uwaug.labels`."""
+
+    def labels_of(self, picture: str | os.PathLike[str]) -> Labels:
+        """The labels of a picture, by its path below the folder of pictures.
+
+        Raises:
+            ValueError: if there is no such picture (COCO).
+            OSError: if a file cannot be read.
+        """
+
     def write_run(self, records: Iterable[Record], folder: str | os.PathLike[str]) -> list[Path]:
-        """Write what the format has one file of for the whole run; arguments and errors as for
-        `write_picture`.
+        """Write what the format has one file of for the whole run.
+
+        Args:
+            records: from `with_contrast`, with "output", the path of each picture below `folder`.
+            folder: that is written to.
+
+        Returns:
+            The files; none if the format has one for each picture.
+
+        Raises:
+            ValueError: if it would write over the labels that it read, or records are of others.
+            OSError: if a file cannot be written.
         """
 
 
@@ -127,89 +118,65 @@ def with_contrast(
 
     Args:
         labels: of the picture.
-        contrast_map (1xHxW tensor): see `uwaug.contrast`.
+        contrast_map (1xHxW tensor): see `uwaug.contrast`; of the picture's size.
         min_contrast: objects with less are marked as ignored; None for none.
 
     Returns:
         {"picture": name in the source, "objects": [{"key": …, "contrast": …, "ignored": …}]}, in
-        the order of `labels.objects`. The contrast of an object without a pixel in the picture is
-        0.
+        the order of the file. The contrast of an object without a pixel in the picture is 0.
 
     Raises:
-        ValueError: if the map has another size than the picture.
+        ValueError, OSError: as of `Labels.objects`.
     """
     if min_contrast is not None:
         checks.within("min_contrast", min_contrast, 0.0, 1.0)
     checks.floating("contrast_map", contrast_map)
-    if tuple(contrast_map.shape) != (1, *labels.size):
-        got, wanted = tuple(contrast_map.shape), (1, *labels.size)
-        raise ValueError(f"contrast_map is {got}, but {labels.picture} needs {wanted}")
+    checks.picture("contrast_map", contrast_map, 1)
     values: NDArray[Any] = contrast_map[0].detach().cpu().float().numpy()
     objects = []
-    for one in labels.objects:
-        left = round(mean_over(values, one.region(labels.size)), _DIGITS)
-        ignored = min_contrast is not None and left < min_contrast
-        objects.append({"key": one.key, "contrast": left, "ignored": ignored})
+    for key, region in labels.objects((values.shape[0], values.shape[1])):
+        contrast = round(mean_over(values, region), _DIGITS)
+        ignored = min_contrast is not None and contrast < min_contrast
+        objects.append({"key": key, "contrast": contrast, "ignored": ignored})
     return {"picture": labels.picture, "objects": objects}
+
+
+def open_labels(path: str | os.PathLike[str], *, void: int | None = None) -> LabelSource:
+    """Labels from files.
+
+    Args:
+        path: a COCO file (.json); or a folder, with all below it, of YOLO's files (.txt) or of
+            masks (.png, one channel, 8 or 16 bit).
+        void: value of masks that already means "ignored", such as the 255 of Pascal VOC and
+            Cityscapes; None if there is none.
+
+    Raises:
+        ValueError: if it is none of these, or more than one; or a COCO file is malformed.
+        OSError: if it cannot be read.
+    """
+    from uwaug.labels.coco import CocoLabels
+    from uwaug.labels.folders import MaskLabels, YoloLabels
+
+    place = Path(path)
+    if not place.exists():
+        raise FileNotFoundError(f"labels: there is nothing at {path}")
+    files = [place] if place.is_file() else place.rglob("*")
+    known = {".json"} if place.is_file() else {".txt", ".png"}
+    ends = {file.suffix.lower() for file in files} & known
+    if len(ends) != 1:
+        expected = "a COCO file (.json) or a folder of YOLO's .txt or of .png masks"
+        got = f"{path}, a folder with both" if ends else f"{path}"
+        raise ValueError(f"labels must be {expected}, got {got}")
+    if void is not None and ends != {".png"}:
+        raise ValueError(f"void is a value of masks, but {path} has none")
+    if ends == {".json"}:
+        return CocoLabels.read(place)
+    return YoloLabels(place) if ends == {".txt"} else MaskLabels(place, void)
 
 
 def plain_name(picture: str | os.PathLike[str]) -> str:
     """A path with forward slashes, as label files have it."""
     return PurePosixPath(*Path(picture).parts).as_posix()
-
-
-class LabelFolder:
-    """A folder with a file for each picture, laid out as the pictures are, or flat."""
-
-    folder: Path
-    end: ClassVar[str]
-
-    @cached_property
-    def _flat(self) -> bool:
-        """Whether no label file lies in a folder inside this one."""
-        return next(self.folder.rglob(f"*/*{self.end}"), None) is None
-
-    def file_of(self, picture: str) -> Path | None:
-        """The label file of a picture: in a folder of the same layout; in one where "images" is
-        missing, or "labels" stands in its place; or, of a flat folder, the one of its name.
-        """
-        name = Path(picture).with_suffix(self.end)
-        names = [name, *_without_images(name)]
-        if self._flat:
-            # elsewhere b/1.txt may be missing, and 1.txt be that of another picture
-            names.append(Path(name.name))
-        for candidate in names:
-            if (self.folder / candidate).exists():
-                require_regular(self.folder / candidate)
-                return self.folder / candidate
-        return None
-
-    def write_run(self, records: Iterable[Record], folder: str | os.PathLike[str]) -> list[Path]:
-        """None: see `LabelSource`."""
-        return []
-
-
-def _without_images(name: Path) -> list[Path]:
-    """Where the labels of images/train/1.png are: train/1.txt or labels/train/1.txt. As for
-    Ultralytics, the last folder called "images" counts.
-    """
-    folders = name.parts[:-1]
-    if "images" not in folders:
-        return []
-    last = len(folders) - 1 - folders[::-1].index("images")
-    before, after = name.parts[:last], name.parts[last + 1 :]
-    return [Path(*before, *after), Path(*before, "labels", *after)]
-
-
-def beside(path: str | os.PathLike[str], end: str, source: str | None) -> Path:
-    """A file beside a picture, of the same stem, in a folder that is made if need be; refused if it
-    is the labels' own.
-    """
-    found = Path(path)
-    found.parent.mkdir(parents=True, exist_ok=True)
-    target = found.with_name(found.stem + end)
-    refuse_source(target, source)
-    return target
 
 
 def refuse_source(target: Path, source: str | None) -> None:

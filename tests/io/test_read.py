@@ -2,20 +2,18 @@
 
 import io
 import os
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import OpenEXR
 import pytest
 import tifffile
 import torch
 from imagecodecs import png_encode
 from PIL import Image
 
-import uwaug.io.decoding
-from uwaug.io.pictures import read_distance, read_mask, read_picture
+import uwaug.io.read
+from uwaug.io.read import read_picture, read_picture_file
 
 RNG = np.random.default_rng(0)
 BYTES = RNG.integers(0, 256, (6, 9, 3), dtype=np.uint8)
@@ -23,11 +21,6 @@ WORDS = RNG.integers(0, 65536, (6, 9, 3), dtype=np.uint16)
 LIGHT = RNG.random((6, 9, 3), dtype=np.float32)
 ALPHA8 = RNG.integers(0, 256, (6, 9, 1), dtype=np.uint8)
 ALPHA16 = RNG.integers(0, 65536, (6, 9, 1), dtype=np.uint16)
-METRES = np.array([[0.0, np.nan, 1.5, 2.0, 0.5], [3.25, np.inf, 4.0, 5.5, 3]], dtype=np.float32)
-MILLIMETRES = np.array(
-    [[0, 1500, 2000, 2500, 3250], [3250, 4000, 5500, 6000, 900]], dtype=np.uint16
-)
-NOTHING = np.zeros_like(METRES)
 
 Write = Callable[[Path], object]
 
@@ -171,99 +164,50 @@ def test_half_a_file(case: str, tmp_path: Path) -> None:
     assert str(error.value).startswith(f"{path}: ")
 
 
+@pytest.mark.parametrize("case", PICTURES)
+def test_files_that_are_open(case: str, tmp_path: Path) -> None:
+    """As data sets hold them, without a place of their own."""
+    name, write, _ = PICTURES[case]
+    write(tmp_path / name)
+    file = io.BytesIO((tmp_path / name).read_bytes())
+    from_path, from_bytes = (read_picture_file(f) for f in (tmp_path / name, file))
+    assert torch.equal(from_path.image, from_bytes.image)
+    assert from_path.bits == from_bytes.bits
+    file = io.BytesIO(b"no picture")
+    file.name = "named.png"
+    with pytest.raises(ValueError, match=r"named\.png: is no picture"):
+        read_picture(file)
+
+
+@pytest.mark.parametrize("case", PICTURES)
+def test_damaged_files(case: str, tmp_path: Path) -> None:
+    """A picture, or a sentence that names the file: nothing else is raised."""
+    name, write, _ = PICTURES[case]
+    path, rng = tmp_path / name, np.random.default_rng(list(PICTURES).index(case))
+    write(path)
+    whole = np.frombuffer(path.read_bytes(), np.uint8)
+    said = []
+    for _ in range(20):
+        damaged = whole.copy()
+        places = rng.integers(0, len(whole), rng.integers(1, 9))
+        damaged[places] = rng.integers(0, 256, len(places))
+        path.write_bytes(damaged[: rng.integers(len(whole) // 2, len(whole) + 1)].tobytes())
+        try:
+            read_picture(path)
+        except ValueError as error:
+            said.append(str(error))
+    assert said
+    assert all(text.startswith(f"{path}: ") for text in said)
+
+
 def test_what_is_no_file(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         read_picture(tmp_path / "no.png")
     with pytest.raises(IsADirectoryError):
-        read_distance(tmp_path)
+        read_picture(tmp_path)
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(OSError, match="a pipe"):
-        read_mask(tmp_path / "pipe")
-
-
-def pfm(path: Path) -> None:
-    """From the bottom row up, little-endian."""
-    path.write_bytes(b"Pf\n5 2\n-1.0\n" + METRES[::-1].astype("<f4").tobytes())
-
-
-def exr(**channels: np.ndarray) -> Write:
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    return lambda path: OpenEXR.File(header, channels).write(str(path))
-
-
-DISTANCES: dict[str, tuple[str, Write, str]] = {
-    "npy": ("z.npy", npy(METRES), "m"),
-    "npy of doubles": ("z.npy", npy(METRES[None].astype(np.float64)), "m"),
-    "npy, last axis": ("z.npy", npy(METRES[..., None]), "m"),
-    "npz": ("z.npz", lambda path: np.savez(path, METRES), "m"),
-    "in cm": ("z.npy", npy(METRES * 100), "cm"),
-    "in µm": ("z.npy", npy(METRES * 1e6), "um"),
-    "TIFF of floats": ("z.tif", tiff(METRES), "m"),
-    "PFM": ("z.pfm", pfm, "m"),
-    "EXR": ("z.exr", exr(depth=METRES), "m"),
-    "EXR with colours": ("z.exr", exr(R=NOTHING, G=NOTHING, B=NOTHING, Z=METRES), "m"),
-    "PNG": ("z.png", png16(MILLIMETRES), "mm"),
-    "TIFF": ("z.tif", tiff(MILLIMETRES), "mm"),
-}
-
-
-@pytest.mark.parametrize("case", DISTANCES)
-def test_distances(case: str, tmp_path: Path) -> None:
-    name, write, unit = DISTANCES[case]
-    write(tmp_path / name)
-    wanted = MILLIMETRES / 1000 if unit == "mm" else METRES
-    expected = torch.from_numpy(wanted.astype(np.float32))[None]
-    found = read_distance(tmp_path / name, unit)
-    torch.testing.assert_close(found, expected, rtol=1e-6, atol=0, equal_nan=True)
-
-
-WRONG_DISTANCES: dict[str, tuple[str, Write, str, str]] = {
-    "mm": ("z.png", png16(MILLIMETRES), "m", "is 3250 m if .*--distance-unit mm"),
-    "mm in floats": ("z.npy", npy(MILLIMETRES.astype(np.float32)), "m", "--distance-unit mm"),
-    "µm": ("z.npy", npy(METRES * 1e6), "mm", "--distance-unit um"),
-    "8 bits": ("z.png", pillow(BYTES[..., 0]), "m", "got uint8: relative depth?"),
-    "colours": ("z.png", pillow(BYTES), "m", "distances in one channel, got colour"),
-    "complex": ("z.npy", npy(NOTHING * 1j), "m", "numbers of type complex64"),
-    "unknown": ("z.npy", npy(NOTHING), "m", "no pixel has a distance > 0"),
-    "two": ("z.npz", lambda path: np.savez(path, a=METRES, b=METRES), "m", "array, got a, b"),
-    "channels": ("z.exr", exr(R=METRES, G=METRES, B=METRES), "m", "none of them Z: save one"),
-    "an unknown unit": ("z.npy", npy(METRES), "ft", "unit must be one of m, cm, mm, um"),
-}
-
-
-@pytest.mark.parametrize("case", WRONG_DISTANCES)
-def test_wrong_distances(case: str, tmp_path: Path) -> None:
-    name, write, unit, message = WRONG_DISTANCES[case]
-    write(tmp_path / name)
-    with pytest.raises(ValueError, match=message) as error:
-        read_distance(tmp_path / name, unit)
-    assert unit == "ft" or str(error.value).startswith(f"{tmp_path / name}: ")
-
-
-def test_distances_of_open_water_alone(tmp_path: Path) -> None:
-    np.save(tmp_path / "z.npy", np.full((4, 5), 1e9))
-    assert read_distance(tmp_path / "z.npy").shape == (1, 4, 5)
-
-
-def test_exr_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    exr(Z=METRES)(tmp_path / "z.exr")
-    monkeypatch.setitem(sys.modules, "OpenEXR", None)
-    with pytest.raises(ValueError, match=r'z\.exr: OpenEXR is missing.*pip install "\.\[exr\]"'):
-        read_distance(tmp_path / "z.exr")
-
-
-def test_masks(tmp_path: Path) -> None:
-    wanted = RNG.random((6, 9)) > 0.5
-    np.save(tmp_path / "a.npy", wanted)
-    Image.fromarray(wanted.astype(np.uint8) * 255).save(tmp_path / "a.png")
-    Image.fromarray(wanted).save(tmp_path / "b.png")
-    for name in ("a.npy", "a.png", "b.png"):
-        found = read_mask(tmp_path / name)
-        assert found.dtype == torch.bool
-        assert (found[0].numpy() == wanted).all(), name
-    Image.fromarray(BYTES).save(tmp_path / "c.png")
-    with pytest.raises(ValueError, match="a mask in one channel, got colour"):
-        read_mask(tmp_path / "c.png")
+        read_picture(tmp_path / "pipe")
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.tif"])
@@ -275,6 +219,6 @@ def test_pictures_may_be_larger_than_pillow_likes(
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 10)
     assert read_picture(tmp_path / name).shape == (3, 6, 9)
     assert Image.MAX_IMAGE_PIXELS == 10  # of others
-    monkeypatch.setattr(uwaug.io.decoding, "_MOST", 50)
+    monkeypatch.setattr(uwaug.io.read, "_MOST", 50)
     with pytest.raises(ValueError, match=rf"{name}: holds 9 × 6 px, which is more than .* megapix"):
         read_picture(tmp_path / name)

@@ -1,0 +1,405 @@
+"""Pictures in files, decoded by their content: names may lie."""
+
+import io
+import logging
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from errno import EINVAL
+from pathlib import Path
+from threading import Lock
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+import tifffile
+import torch
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+from torch import Tensor
+
+from uwaug._support import checks
+from uwaug._support.atomic import require_regular
+
+File = str | os.PathLike[str] | BinaryIO
+"""A path; or a file object that can be read and sought, whose attribute `name`, if it has one,
+stands in errors.
+"""
+
+Values = NDArray[Any]
+
+COLOUR, GREY = "colour", "grey"
+
+_ORIENTATION = 0x0112
+"""EXIF's tag, and TIFF's."""
+
+_PROFILE = 0x8773
+"""TIFF's tag of a colour profile."""
+
+_ASIDE = (5, 6, 7, 8)
+"""Orientations in which width and height change places."""
+
+_PER_INCH = {2: 1.0, 3: 2.54}
+"""By TIFF's number of a unit of resolution."""
+
+_FINEST = 65535
+"""dpi: the most that JPEG holds."""
+
+_MOST = 1_000_000_000
+"""Pixels of a compressed picture. Pillow's own limit, 89 megapixels, is for files from strangers: a
+small one may hold a picture that fills the memory. A person's own are larger.
+"""
+
+_DENSEST = 10_000
+"""Pixels in a byte of a file, of one bit each, as dense as any compression makes them."""
+
+_INKS = ("CMYK", "LAB", "HSV")
+"""Pillow's names of channels that are neither light nor alpha."""
+
+_opening = Lock()
+
+# it tells of damaged files on standard error, besides what it raises
+logging.getLogger("tifffile").addHandler(logging.NullHandler())
+
+
+class _UnfitError(ValueError):
+    """A file that is whole, and not what is needed; says so in a sentence without its name."""
+
+
+class Raster(NamedTuple):
+    """What a file holds.
+
+    Attributes:
+        values: HxW in grey, HxWx3 in colour.
+        kind: "colour", "grey", or in words what cannot be used.
+        alpha: HxW; None if there is none.
+        exif, profile: as they are in the file; None if there are none. EXIF without orientation,
+            as the picture stands upright.
+        dpi: across and down; None if the file does not say.
+        turned: whether it was turned or mirrored, as EXIF says that the camera was held.
+    """
+
+    values: Values
+    kind: str
+    alpha: Values | None = None
+    exif: bytes | None = None
+    profile: bytes | None = None
+    dpi: tuple[float, float] | None = None
+    turned: bool = False
+
+
+class PictureFile(NamedTuple):
+    """A picture, and what a copy of its file should keep.
+
+    Attributes:
+        image (3xHxW tensor): uint8 (0…255), or float32.
+        bits: 8, 16, or 32 for floating point.
+        alpha, exif, profile, dpi, turned: as of `Raster`; alpha in the numbers of the file.
+    """
+
+    image: Tensor
+    bits: int
+    alpha: Values | None = None
+    exif: bytes | None = None
+    profile: bytes | None = None
+    dpi: tuple[float, float] | None = None
+    turned: bool = False
+
+
+def read_picture(file: File) -> Tensor:
+    """Read a picture in colour.
+
+    Args:
+        file: PNG, JPEG, WebP, TIFF (its first page) or whatever else Pillow reads; 8 or 16 bit, or
+            floating point. Or .npy of HxWx3 or 3xHxW.
+
+    Returns:
+        3xHxW: uint8 (0…255) of 8-bit files, float32 of others: 0…1 of 16-bit files, as they are of
+        floating point. Upright, as EXIF says that the camera was held; without alpha. A colour
+        profile is not applied.
+
+    Raises:
+        ValueError: if it is grey, CMYK, of another type, or cannot be decoded; names the file.
+        OSError: if there is no such file, or it cannot be read.
+    """
+    return read_picture_file(file).image
+
+
+def read_picture_file(file: File) -> PictureFile:
+    """Read a picture in colour with what a copy of its file should keep; files and errors as for
+    `read_picture`.
+    """
+    raster, name = decode(file), name_of(file)
+    _require_colour(name, raster)
+    values = raster.values.transpose(2, 0, 1)
+    if values.dtype == np.uint8:
+        return PictureFile(torch.from_numpy(values.copy()), 8, *raster[2:])
+    if values.dtype == np.uint16:
+        image = torch.from_numpy(values.astype(np.float32)).div_(65535)
+        return PictureFile(image, 16, *raster[2:])
+    if values.dtype.kind != "f":
+        expected = "expected 8 or 16 bit, or floating point"
+        raise ValueError(f"{name}: {expected}, got {values.dtype}: save it as 16 bit")
+    image = torch.from_numpy(values.astype(np.float32))
+    try:
+        checks.finite("picture", image)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
+    return PictureFile(image, 32, *raster[2:])
+
+
+def colours_of(image: Image.Image) -> tuple[Values, Values | None]:
+    """The colours of a picture in Pillow's hands (HxWx3, uint8), and its alpha if there is one.
+
+    As it lies there, whatever EXIF says; by the same rules as `read_picture`.
+
+    Raises:
+        ValueError: if it is grey, or of inks.
+    """
+    raster = _of_mode(image)
+    _require_colour("image", raster)
+    return raster.values, raster.alpha
+
+
+def decode(file: File) -> Raster:
+    """What a file holds, by its content.
+
+    Raises:
+        ValueError: if it cannot be decoded; names the file.
+        OSError: if there is no such file, or it cannot be read.
+    """
+    name = name_of(file)
+    with opened(file) as stream:
+        try:
+            raster = _by_content(stream)
+        except MemoryError:
+            raise
+        except Exception as error:
+            # decoders raise whatever they like over a damaged file
+            # and seek where a damaged one sends them: an invalid argument
+            if isinstance(error, OSError) and error.errno not in (None, EINVAL):
+                error.filename = error.filename or name
+                raise
+            raise ValueError(f"{name}: {_reason(error)}") from error
+    if not raster.values.size:
+        raise ValueError(f"{name}: holds no pixels, got shape {raster.values.shape}")
+    return raster
+
+
+def name_of(file: File) -> str:
+    """What a file is called in errors."""
+    if isinstance(file, (str, os.PathLike)):
+        return os.fspath(file)
+    return str(getattr(file, "name", "file"))
+
+
+@contextmanager
+def opened(file: File) -> Iterator[BinaryIO]:
+    """A file to read, from its beginning; what was open stays open.
+
+    Raises:
+        OSError: if there is no such file, it is none, or cannot be read.
+    """
+    if isinstance(file, (str, os.PathLike)):
+        require_regular(file)
+        with Path(file).open("rb") as stream:
+            yield stream
+    else:
+        file.seek(0)
+        yield file
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, _UnfitError):
+        return str(error)
+    if isinstance(error, UnidentifiedImageError):
+        return "is no picture and no map that can be read: damaged, or of another kind?"
+    return f"cannot be decoded, it seems to be damaged ({str(error) or type(error).__name__})"
+
+
+def _require_colour(name: str, raster: Raster) -> None:
+    if raster.kind != COLOUR:
+        raise ValueError(f"{name}: expected a picture in colour, got {raster.kind}: save it as RGB")
+
+
+def _by_content(stream: BinaryIO) -> Raster:
+    """By what a file begins with."""
+    head = stream.read(26)
+    stream.seek(0)
+    if not head:
+        raise _UnfitError("is empty")
+    if head.startswith((b"\x93NUMPY", b"PK\x03\x04")):
+        return _numpy(stream)
+    if head.startswith((b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")):
+        return _tiff(stream)
+    if head.startswith(b"\x76\x2f\x31\x01"):
+        return _exr(stream)
+    # the bits of a PNG's channels, of which Pillow would drop half
+    if head.startswith(b"\x89PNG") and head[24] == 16:
+        return _png_of_16_bits(stream)
+    return _pillow(stream)
+
+
+def _numpy(stream: BinaryIO) -> Raster:
+    array = np.load(stream, allow_pickle=False)
+    if isinstance(array, np.lib.npyio.NpzFile):
+        if len(array.files) != 1:
+            raise _UnfitError(f"expected one array, got {', '.join(array.files) or 'none'}")
+        array = array[array.files[0]]
+    if array.ndim == 3 and array.shape[-1] not in (1, 3, 4) and array.shape[0] in (1, 3, 4):
+        array = np.moveaxis(array, 0, -1)
+    return _channels(array)
+
+
+def _channels(values: Values) -> Raster:
+    """Of HxW or HxWxC: grey or colour, without alpha."""
+    if values.ndim == 2:
+        return Raster(values, GREY)
+    if values.ndim == 3 and values.shape[-1] in (1, 2):
+        return Raster(values[..., 0], GREY)
+    if values.ndim == 3 and values.shape[-1] in (3, 4):
+        alpha = values[..., 3] if values.shape[-1] == 4 else None
+        return Raster(values[..., :3], COLOUR, alpha)
+    raise _UnfitError(f"expected (H, W) or (H, W, 3), got {values.shape}: save one picture")
+
+
+def _tiff(stream: BinaryIO) -> Raster:
+    with tifffile.TiffFile(stream) as file:
+        page = file.pages.first
+        # palettes, inks and YCbCr are Pillow's
+        if page.photometric not in (tifffile.PHOTOMETRIC.RGB, tifffile.PHOTOMETRIC.MINISBLACK):
+            return _pillow(stream)
+        _require_held(stream, page.imagewidth, page.imagelength)
+        if page.bitspersample not in (1, 8, 16, 32, 64):
+            got = f"got {page.bitspersample} bits in a channel"
+            raise _UnfitError(f"expected 8 or 16 bits, or floating point, {got}: save it as 16")
+        values = page.asarray()
+        if "S" in page.axes:
+            values = np.moveaxis(values, page.axes.index("S"), -1)
+        orientation = int(page.tags.valueof(_ORIENTATION) or 1)
+        profile = page.tags.valueof(_PROFILE)
+        dpi = _tiff_dpi(page.tags)
+    kept = _kept(orientation, None, None if profile is None else bytes(profile), dpi)
+    return _channels(_upright(values, orientation))._replace(**kept)
+
+
+def _tiff_dpi(tags: tifffile.TiffTags) -> Any:
+    scale = _PER_INCH.get(tags.valueof("ResolutionUnit", 1))
+    sides = [tags.valueof(name) for name in ("XResolution", "YResolution")]
+    if scale is None or not all(isinstance(side, tuple) and all(side) for side in sides):
+        return None
+    return tuple(scale * side[0] / side[1] for side in sides)
+
+
+def _png_of_16_bits(stream: BinaryIO) -> Raster:
+    from imagecodecs import png_decode
+
+    with _pillow_opened(stream) as image:
+        _require_held(stream, *image.size)
+        orientation, kept = _metadata(image)
+    stream.seek(0)
+    return _channels(_upright(png_decode(stream.read()), orientation))._replace(**kept)
+
+
+def _pillow(stream: BinaryIO) -> Raster:
+    with _pillow_opened(stream) as image:
+        _require_held(stream, *image.size)
+        image.load()
+        orientation, kept = _metadata(image)
+        return _of_mode(image, orientation)._replace(**kept)
+
+
+def _pillow_opened(stream: BinaryIO) -> Image.Image:
+    """A file opened by Pillow, which has no limit of its own meanwhile."""
+    stream.seek(0)
+    with _opening:
+        limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
+        try:
+            return Image.open(stream)
+        finally:
+            Image.MAX_IMAGE_PIXELS = limit
+
+
+def _require_held(stream: BinaryIO, width: int, height: int) -> None:
+    """Refuse a size that is too large, or that the file is too small for, before memory is taken
+    for it: one damaged bit can make 40 px of 32 808.
+    """
+    if width * height > _MOST:
+        got = f"{width} × {height} px, which is more than {_MOST // 10**6} megapixels"
+        raise _UnfitError(f"holds {got}: cut it into parts")
+    before = stream.tell()
+    size = stream.seek(0, os.SEEK_END)
+    stream.seek(before)
+    if width * height > _DENSEST * size:
+        got = f"{width} × {height} px cannot be held in {size} bytes"
+        raise _UnfitError(f"{got}: the file seems to be damaged")
+
+
+def _metadata(image: Image.Image) -> tuple[int, dict[str, Any]]:
+    """Orientation, and what is kept of a file."""
+    exif = image.getexif()
+    orientation = exif.get(_ORIENTATION, 1)
+    if _ORIENTATION in exif:
+        del exif[_ORIENTATION]
+    profile, dpi = image.info.get("icc_profile"), image.info.get("dpi")
+    return orientation, _kept(orientation, exif.tobytes() if len(exif) else None, profile, dpi)
+
+
+def _kept(orientation: int, exif: bytes | None, profile: bytes | None, dpi: Any) -> dict[str, Any]:
+    """What stands beside the pixels of a `Raster` that is upright."""
+    # of a damaged file, it may be anything
+    if dpi is not None and all(0 < side < _FINEST for side in dpi):
+        x, y = map(float, dpi)
+        dpi = (y, x) if orientation in _ASIDE else (x, y)
+    else:
+        dpi = None
+    return {"exif": exif, "profile": profile, "dpi": dpi, "turned": orientation in range(2, 9)}
+
+
+def _of_mode(image: Image.Image, orientation: int = 1) -> Raster:
+    """By what Pillow calls its channels."""
+    mode = image.mode
+    if mode in ("P", "PA", "YCbCr"):
+        # by way of alpha, else Pillow warns of a transparent entry of a palette
+        image = image.convert("RGBA")
+    values = _upright(np.asarray(image), orientation)
+    if mode in ("P", "PA") and bool((values[..., 1:3] == values[..., :1]).all()):
+        return Raster(values, "a palette of greys")
+    if mode in _INKS:
+        return Raster(values, mode)
+    raster = _channels(values)
+    opaque = mode == "YCbCr" or (mode == "P" and bool((values[..., 3] == 255).all()))
+    return raster._replace(alpha=None if opaque else raster.alpha)
+
+
+def _exr(stream: BinaryIO) -> Raster:
+    try:
+        import OpenEXR
+    except ImportError:
+        cure = 'pip install ".[exr]" in a checkout of uwaug, or save it as .npy'
+        raise _UnfitError(f"OpenEXR is missing, which reads it: {cure}") from None
+    if isinstance(stream, io.BufferedReader):
+        channels = OpenEXR.File(str(stream.name), separate_channels=True).channels()
+    else:
+        # it reads nothing but files with names
+        with tempfile.NamedTemporaryFile(suffix=".exr") as file:
+            shutil.copyfileobj(stream, file)
+            file.flush()
+            channels = OpenEXR.File(file.name, separate_channels=True).channels()
+    names = list(channels)
+    if len(names) > 1 and "Z" not in names:
+        cure = "save one channel, or call it Z"
+        raise _UnfitError(f"holds the channels {', '.join(names)}, none of them Z: {cure}")
+    return _channels(channels["Z" if "Z" in names else names[0]].pixels)
+
+
+def _upright(values: Values, orientation: int) -> Values:
+    """As EXIF says that the camera was held: where the first row and the first column belong."""
+    if orientation in _ASIDE:
+        values = values.swapaxes(0, 1)
+    if orientation in (2, 3, 6, 7):
+        values = values[:, ::-1]
+    if orientation in (3, 4, 7, 8):
+        values = values[::-1]
+    return values

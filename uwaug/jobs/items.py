@@ -1,0 +1,413 @@
+"""Which pictures a run degrades, where their distances are, what it writes, and whether it may.
+
+A manifest is a list of pictures, CSV or Parquet, with a column `input` and, if it likes, `id`,
+`distance` and `output`; paths are from its own folder, outputs from the folder of the run. A
+distance may be a number of metres.
+"""
+
+import csv
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+from uwaug._support import checks
+from uwaug._support.atomic import is_part, require_regular
+from uwaug.io.write import FORMATS
+from uwaug.jobs.recipe import Recipe
+from uwaug.jobs.sidecar import TERMS, sidecar_of, terms_path
+from uwaug.labels import Labels, LabelSource
+
+MANIFESTS = (".csv", ".parquet")
+"""Ends of their names."""
+
+_COLUMNS = ("input", "id", "distance", "output")
+
+_MAPS = (".npy", ".npz", ".png", ".tif", ".tiff", ".exr", ".pfm")
+"""Ends of the names of distance files, in a folder of them."""
+
+
+class Item(NamedTuple):
+    """A picture of a run.
+
+    Attributes:
+        id: what its randomness follows from: its path from the folder that was given, or the id of
+            a manifest.
+        input: its file; open files, with a name, are for data sets that hold pictures.
+        distance: the file of its distances; metres; or None, for a depth network.
+        output: the file to write.
+        variant: which of several of one picture, from 0.
+        problem: why it cannot be done; None if nothing is known against it.
+        name: path of the picture from the folder that was given, which labels know it by.
+        out: the folder that is written to; None: the output's own.
+        labels: of the picture; None if none are asked for.
+    """
+
+    id: str
+    input: Path | BinaryIO
+    distance: Path | BinaryIO | float | None
+    output: Path
+    variant: int = 0
+    problem: str | None = None
+    name: str = ""
+    out: Path | None = None
+    labels: Labels | None = None
+
+    @property
+    def place(self) -> Path:
+        """Path of the output from the folder that is written to."""
+        return self.output.relative_to(self.out or self.output.parent)
+
+    @property
+    def labels_path(self) -> Path:
+        """Where labels of the output would be, were they a picture."""
+        return (self.out or self.output.parent) / "labels" / self.place
+
+    def moved(self, out: Path) -> "Item":
+        """The same item, written to another folder."""
+        return self._replace(output=out / self.place, out=out)
+
+
+class _Picture(NamedTuple):
+    """An input, in little memory; `place`: of its output, from the folder that is written to."""
+
+    id: str
+    input: str
+    name: str
+    place: str
+    distance: str | float | None
+    problem: str | None
+
+
+class Items:
+    """The pictures of a run: folders and manifests are gone through once, here.
+
+    Takes some 400 bytes of memory for each picture.
+
+    Args:
+        inputs: pictures, folders of pictures (with all that is in them), and manifests.
+        distance: metres, the same for every pixel; a file; a folder of files of the pictures'
+            names; or a pattern with {stem} or {name} (the path from the folder that was given,
+            without its end), of files beside each picture if it has no folder. None: manifests
+            name them.
+        out: the folder to write to.
+        variants: of each picture.
+        ending: of the files to write, such as ".png"; None: as of each picture.
+        network: whether a depth network gives the distances.
+        name: of the one file to write, in place of the picture's own.
+
+    Raises:
+        ValueError: if nothing says where the distances are, or a manifest is none.
+        OSError: if an input does not exist.
+    """
+
+    def __init__(
+        self,
+        inputs: Sequence[Path],
+        distance: str | None,
+        out: Path,
+        *,
+        variants: int = 1,
+        ending: str | None = None,
+        network: bool = False,
+        name: str | None = None,
+    ) -> None:
+        self.inputs, self.distance, self.out = inputs, distance, out
+        self.variants, self.ending, self.network, self.name = variants, ending, network, name
+        self._pictures = [picture for given in inputs for picture in self._expanded(given)]
+
+    def __len__(self) -> int:
+        return self.variants * len(self._pictures)
+
+    def __iter__(self) -> Iterator[Item]:
+        """In the order of inputs and names."""
+        for picture in self._pictures:
+            where = picture.distance
+            distance = Path(where) if isinstance(where, str) else where
+            for variant in range(self.variants):
+                place = Path(picture.place if self.name is None else self.name)
+                if self.ending is not None:
+                    place = place.with_suffix(self.ending)
+                if self.variants > 1:
+                    place = place.with_name(f"{place.stem}_{variant + 1}{place.suffix}")
+                yield Item(
+                    picture.id,
+                    Path(picture.input),
+                    distance,
+                    self.out / place,
+                    variant,
+                    picture.problem,
+                    picture.name,
+                    self.out,
+                )
+
+    def _expanded(self, given: Path) -> Iterator[_Picture]:
+        """The pictures of an input."""
+        if given.is_dir():
+            for path in self._inside(given):
+                name = path.relative_to(given).as_posix()
+                yield self._picture(name, path, name, name, None)
+        elif given.suffix.lower() in MANIFESTS:
+            for line in _read_manifest(given):
+                path = Path(str(line["input"]))
+                # what lies elsewhere keeps its name alone
+                inside = not path.is_absolute() and ".." not in path.parts
+                name = path.as_posix() if inside else path.name
+                place = Path(line["output"] or name)
+                if place.is_absolute() or ".." in place.parts:
+                    got = f"got {place}"
+                    raise ValueError(f"{given}: output must lie in the folder of the run, {got}")
+                where: Any = line["distance"]
+                if where is not None:
+                    metres = metres_in(where)
+                    where = str(given.parent / where) if metres is None else metres
+                id = line["id"] or path.as_posix()
+                yield self._picture(id, given.parent / path, name, place.as_posix(), where)
+        else:
+            require_regular(given)
+            yield self._picture(given.name, given, given.name, given.name, None)
+
+    def _picture(
+        self, id: str, path: Path, name: str, place: str, distance: str | float | None
+    ) -> _Picture:
+        problem = None
+        try:
+            f"{path}{place}".encode()
+        except UnicodeEncodeError:
+            # text files could not hold it
+            shown = str(path).encode("utf-8", "backslashreplace").decode()
+            problem = f"{shown}: its name is not UTF-8: rename it"
+        if distance is None and not self.network and problem is None:
+            distance, problem = self._distance_of(path, Path(name))
+        return _Picture(id, str(path), name, place, distance, problem)
+
+    def _inside(self, folder: Path) -> Iterator[Path]:
+        """The pictures in a folder and in those inside it, but for maps of distances and for what a
+        run has written. Links to folders are not followed, as they may lead back.
+        """
+        others = {os.path.realpath(self.out)}
+        if self.distance is not None and os.path.isdir(self.distance):
+            others.add(os.path.realpath(self.distance))
+        for here, folders, files in os.walk(folder):
+            kept = []
+            for name in sorted(folders):
+                if os.path.realpath(os.path.join(here, name)) not in others:
+                    kept.append(name)
+            folders[:] = kept
+            there = set(files)
+            for name in sorted(files):
+                suffix = os.path.splitext(name)[1].lower()
+                if suffix not in FORMATS or suffix == ".npy" or is_part(name):
+                    continue
+                path = Path(here, name)
+                written = f"{name}.json" in there and sidecar_of(path) is not None
+                if not (self._is_map(name) or written):
+                    yield path
+
+    def _is_map(self, name: str) -> bool:
+        """Whether a file beside the pictures is one of the maps that a pattern asks for."""
+        pattern = self.distance
+        if pattern is None or "{stem}" not in pattern or Path(pattern).parent != Path():
+            return False
+        before, _, after = pattern.partition("{stem}")
+        return name.startswith(before) and name.endswith(after) and name != before + after
+
+    def _distance_of(self, path: Path, name: Path) -> tuple[str | float | None, str | None]:
+        """The distances of a picture, and what is wrong with them."""
+        if self.distance is None:
+            raise ValueError(f"{path} has no distances: no distance was given, and no manifest")
+        metres = metres_in(self.distance)
+        if metres is not None:
+            return metres, None
+        if "{" in self.distance:
+            words = {"stem": path.stem, "name": name.with_suffix("").as_posix()}
+            try:
+                filled = Path(self.distance.format(**words))
+            except (KeyError, IndexError, ValueError):
+                got = f"got {self.distance!r}"
+                raise ValueError(f"distance: expected {{stem}} or {{name}}, {got}") from None
+            beside = filled.parent == Path() and "{name}" not in self.distance
+            return str(path.parent / filled if beside else filled), None
+        if not os.path.isdir(self.distance):
+            require_regular(self.distance)
+            return self.distance, None
+        base = Path(self.distance) / name.parent / path.stem
+        matches = []
+        for suffix in _MAPS:
+            candidate = base.with_name(base.name + suffix)
+            if candidate.is_file():
+                matches.append(str(candidate))
+        if len(matches) == 1:
+            return matches[0], None
+        names = ", ".join(matches) or "none"
+        return None, f"{path}: expected one of {base}{{{','.join(_MAPS)}}}, found {names}"
+
+
+def metres_in(distance: str) -> float | None:
+    """The metres that a text says; None if it is something else.
+
+    Raises:
+        ValueError: if they are not finite and > 0.
+    """
+    try:
+        metres = float(distance)
+    except ValueError:
+        return None
+    checks.positive("distance", metres, "m")
+    return metres
+
+
+def labelled(items: Iterable[Item], source: LabelSource | None) -> Iterator[Item]:
+    """Items with their labels, for those who degrade and do not hold the source."""
+    for item in items:
+        if source is None or item.problem is not None:
+            yield item
+            continue
+        try:
+            yield item._replace(labels=source.labels_of(item.name or Path(item.id)))
+        except (ValueError, OSError) as error:
+            yield item._replace(problem=str(error))
+
+
+def preflight(items: Items, recipe: Recipe, *, resume: bool = False, force: bool = False) -> None:
+    """Refuse, before anything is done, a run in which pictures would get in each other's way or
+    write over something.
+
+    Args:
+        items: of the run.
+        recipe: what is done to them.
+        resume: outputs may be there, if the same recipe has made the first of them.
+        force: they may be there.
+
+    Raises:
+        ValueError: if there are no pictures; if two have one id, or would be written to one file;
+            if a file that is read would be written over; if two get one map by their names; or if
+            what is there was made by another recipe. Names them.
+        FileExistsError: if an output is there already.
+    """
+    if not len(items):
+        known = ", ".join(name for name in FORMATS if name != ".npy")
+        raise ValueError(f"no pictures in {', '.join(map(str, items.inputs))}: expected {known}")
+    for given in items.inputs:
+        # else the next run would take what this one has written for pictures
+        if given.is_dir() and os.path.realpath(given) == os.path.realpath(items.out):
+            raise ValueError(f"{given} would be written into: expected a folder of its own")
+    # a map that is found by the name of its picture may be that of another too
+    by_name = items.distance is not None and (
+        "{" in items.distance or os.path.isdir(items.distance)
+    )
+    inputs = {_real(path) for item in items for path in (item.input, item.distance)}
+
+    def outputs_of(item: Item) -> list[str]:
+        places = [_real(path) for path in written_by(item, recipe)]
+        if not inputs.isdisjoint(places):
+            got = f"{item.output}, made of {item.input}"
+            raise ValueError(f"{got}, would be written over what is read: another folder?")
+        return places
+
+    _require_apart(items, "id", lambda item: [f"{item.id}/{item.variant}"])
+    _require_apart(items, "output", outputs_of)
+    if by_name:
+        first = [item for item in items if item.variant == 0 and isinstance(item.distance, Path)]
+        _require_apart(first, "map", lambda item: [str(item.distance)])
+    if force:
+        return
+    labels = recipe.labels
+    if labels is not None and os.path.isfile(labels):
+        target = items.out / os.path.basename(labels)
+        if target.exists() and not (items.out / "index.csv").exists():
+            raise FileExistsError(f"{target} exists")
+    for item in items:
+        if not item.output.exists():
+            continue
+        if not resume:
+            raise FileExistsError(f"{item.output} exists")
+        sidecar, mine = sidecar_of(item.output), recipe.to_json()
+        before = mine if sidecar is None else sidecar.recipe
+        other = [name for name in mine if mine[name] != before.get(name) and name != "content"]
+        if other:
+            got = f"was made with other options ({', '.join(other)})"
+            raise ValueError(f"{item.output} {got}: give the same ones, or another folder")
+        return
+
+
+def written_by(item: Item, recipe: Recipe) -> list[Path]:
+    """The pictures that an item makes."""
+    terms = TERMS if recipe.keep_terms else ()
+    return [item.output, *(terms_path(item.output, term) for term in terms)]
+
+
+def _real(path: Any) -> str:
+    """Where a file is; some file systems know no difference between A and a."""
+    return os.path.realpath(path).casefold() if isinstance(path, Path) else ""
+
+
+def _require_apart(items: Iterable[Item], what: str, keys_of: Callable[[Item], list[str]]) -> None:
+    """Refuse two pictures that have a key in common."""
+    seen: set[str] = set()
+    for item in items:
+        for key in keys_of(item):
+            if key in seen:
+                before = next(other for other in items if key in keys_of(other))
+                if (before.input, before.variant) != (item.input, item.variant):
+                    column = "distance" if what == "map" else what
+                    got = f"{before.input} and {item.input} have one {what}, {key}"
+                    raise ValueError(f"{got}: give a manifest with a column {column}")
+                if before.output == item.output:
+                    raise ValueError(f"{item.input} was given twice")
+            seen.add(key)
+
+
+def _read_manifest(path: Path) -> Iterator[dict[str, str | None]]:
+    """The lines of a manifest, None where they say nothing.
+
+    Raises:
+        ValueError: if it has no column input, or a line none; names it.
+        ImportError: if it is Parquet and pyarrow is not installed.
+        OSError: if it cannot be read.
+    """
+    require_regular(path)
+    lines = _parquet(path) if path.suffix.lower() == ".parquet" else _csv(path)
+    for place, line in lines:
+        values = {}
+        for name in _COLUMNS:
+            text = "" if line.get(name) is None else str(line[name]).strip()
+            if "\0" in text:
+                raise ValueError(f"{path}: {place} is no text")
+            values[name] = text or None
+        if values["input"] is None:
+            raise ValueError(f"{path}: {place} has no input")
+        yield values
+
+
+def _require_input(path: Path, columns: Sequence[str]) -> None:
+    if "input" not in columns:
+        raise ValueError(f"{path}: expected a column input, got {', '.join(columns) or 'none'}")
+
+
+def _csv(path: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    # some spreadsheets begin a file with a mark
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        reader = csv.DictReader(file, skipinitialspace=True)
+        try:
+            _require_input(path, reader.fieldnames or [])
+            for line in reader:
+                yield f"line {reader.line_num}", line
+        except (csv.Error, UnicodeDecodeError) as error:
+            raise ValueError(f"{path}: is no CSV: {error}") from None
+
+
+def _parquet(path: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError:
+        cure = 'pip install ".[parquet]" in a checkout of uwaug'
+        raise ImportError(f"{path} is Parquet, which pyarrow reads: {cure}") from None
+    try:
+        table = pq.read_table(path)
+    except (pa.ArrowException, OSError) as error:
+        raise ValueError(f"{path}: is no Parquet file, or damaged: {error}") from None
+    _require_input(path, table.column_names)
+    lines = table.select([name for name in _COLUMNS if name in table.column_names]).to_pylist()
+    yield from ((f"row {number}", line) for number, line in enumerate(lines, 1))

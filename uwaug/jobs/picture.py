@@ -1,0 +1,364 @@
+"""One picture of a run: read, degraded, written whole or not at all, with its sidecar."""
+
+import glob
+import io
+import os
+import time
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, BinaryIO, Literal, NamedTuple
+
+import torch
+
+from uwaug._support.atomic import written_whole
+from uwaug._support.deterministic import reproducible
+from uwaug._support.hashing import FileHash
+from uwaug.distance.network import DepthNetwork
+from uwaug.formation.loops import switch
+from uwaug.io.read import File, PictureFile, name_of, opened, read_picture_file
+from uwaug.io.write import encode, format_of, lost, write_picture
+from uwaug.jobs.items import Item, labelled
+from uwaug.jobs.model import Degraded, terms_of
+from uwaug.jobs.recipe import Recipe
+from uwaug.jobs.sidecar import (
+    TERMS,
+    Sidecar,
+    sidecar_of,
+    sidecar_path,
+    terms_path,
+    versions,
+)
+from uwaug.labels import with_contrast
+from uwaug.transforms.samples import key_of
+
+
+@dataclass(frozen=True)
+class Result:
+    """What became of a picture.
+
+    Attributes:
+        item: which picture, without its labels.
+        status: "done"; "kept", as it was there already; "failed".
+        reason: why it failed; None if it did not.
+        sidecar: what stands beside the picture; None if it failed.
+        seconds: that it took.
+        content: of the picture's file, where it is not written to one.
+    """
+
+    item: Item
+    status: Literal["done", "kept", "failed"]
+    reason: str | None = None
+    sidecar: Sidecar | None = None
+    seconds: float = 0.0
+    content: bytes | None = None
+
+    @property
+    def named_reason(self) -> str:
+        """The reason, with the picture's name."""
+        return named(name_of(self.item.input), str(self.reason))
+
+
+class _Made(NamedTuple):
+    """A picture before it is written; `sidecar`: but for the hash and the size of its file."""
+
+    original: PictureFile
+    degraded: Degraded
+    format: str
+    sidecar: Sidecar
+
+
+class Degrader:
+    """A recipe with its water and its depth network opened: made once in each process.
+
+    The same item and recipe give the same files, in any process. Called with an item, it writes the
+    picture and returns a `Result`; it never raises over a file.
+
+    Args:
+        recipe: what is done to pictures.
+        resume: keep what this recipe has made of the same files before.
+        force: write over what is there.
+        in_memory: put pictures into `Result.content`, and write no file.
+
+    Raises:
+        TypeError, ValueError, OSError: as `Recipe.open`.
+    """
+
+    def __init__(
+        self,
+        recipe: Recipe,
+        *,
+        resume: bool = False,
+        force: bool = False,
+        in_memory: bool = False,
+    ) -> None:
+        self.recipe, self.resume, self.force, self.in_memory = recipe, resume, force, in_memory
+        self._recipe = recipe.to_json()
+        self._model = recipe.open()
+        network = recipe.distance.network
+        self._network = None if network is None else DepthNetwork(network)
+
+    def __call__(self, item: Item) -> Result:
+        """Degrade a picture."""
+        start, content, about = time.perf_counter(), None, item._replace(labels=None)
+        try:
+            kept = self._kept(item) if self.resume else None
+            if kept is not None:
+                return Result(about, "kept", None, kept, time.perf_counter() - start)
+            if self.in_memory:
+                file = io.BytesIO()
+                sidecar = _encoded(file, self._made(item, None))
+                content = file.getvalue()
+            else:
+                sidecar = self.write(item)
+        except Exception as error:
+            return Result(about, "failed", reason_of(error), None, time.perf_counter() - start)
+        return Result(about, "done", None, sidecar, time.perf_counter() - start, content)
+
+    def write(self, item: Item, drawn: Mapping[str, Any] | None = None) -> Sidecar:
+        """Degrade a picture into a file.
+
+        Args:
+            item: which picture.
+            drawn: what a sidecar holds of what is random; None to draw it anew.
+
+        Raises:
+            ValueError: if a file does not suit.
+            OSError: if one cannot be read or written, or is there already.
+        """
+        if not self.force:
+            self._require_free(item)
+        made, beside = self._made(item, drawn), sidecar_path(item.output)
+        item.output.parent.mkdir(parents=True, exist_ok=True)
+        with written_whole(item.output) as part:
+            with part.open("w+b") as file:
+                sidecar = _encoded(file, made)
+            if self.force:
+                # what was there goes when all else is written; a new sidecar beside an old picture
+                # would pass for its own
+                self._remove_beside(item)
+                self._write_beside(item, made)
+                Path(os.path.realpath(item.output)).unlink(missing_ok=True)
+                sidecar.write(beside)
+            else:
+                sidecar.write(beside)
+                self._write_beside(item, made)
+        return sidecar
+
+    def _kept(self, item: Item) -> Sidecar | None:
+        """The sidecar of a picture that this recipe has made of the same files."""
+        sidecar = sidecar_of(item.output)
+        if sidecar is None or sidecar.recipe != self._recipe:
+            return None
+        if (sidecar.id, sidecar.variant) != (item.id, item.variant):
+            return None
+        try:
+            now = (
+                item.output.stat().st_size,
+                _hash_of(item.input),
+                _hash_of(item.distance),
+                None if item.labels is None else item.labels.file_hash(),
+            )
+        except OSError:
+            return None
+        then = (sidecar.bytes, sidecar.input, sidecar.distance, sidecar.label_file)
+        return sidecar if now == then else None
+
+    def _made(self, item: Item, drawn: Mapping[str, Any] | None) -> _Made:
+        if item.problem is not None:
+            raise ValueError(item.problem)
+        format = format_of(item.output)
+        with warnings.catch_warnings():
+            # what is worth knowing stands in the sidecar
+            warnings.simplefilter("ignore")
+            with opened(item.input) as file:
+                input_hash = FileHash.of_stream(file, _path_of(item.input))
+                original = read_picture_file(file)
+            image = original.image
+            distance, distance_hash, notes = self._distance(item.distance, original)
+            if drawn is None:
+                key = key_of(self.recipe.seed, item.variant, item.id)
+                drawn = self._model.draw(image, torch.Generator().manual_seed(key))
+            try:
+                degraded = self._model.degrade(image, distance, drawn)
+            except ValueError as error:
+                raise ValueError(f"{_names(item)}: {error}") from error
+            labels = None
+            if item.labels is not None:
+                contrast = torch.ones(1, *image.shape[-2:])
+                if degraded.seen is not None:
+                    contrast = degraded.seen.contrast()
+                labels = with_contrast(item.labels, contrast, self.recipe.min_contrast)
+                labels["output"] = item.place.as_posix()
+        losses = [f"{format} does not keep: {what}" for what in lost(original, format)]
+        uwaug, pytorch = versions()
+        sidecar = Sidecar(
+            uwaug=uwaug,
+            torch=pytorch,
+            id=item.id,
+            variant=item.variant,
+            input=input_hash,
+            distance=distance_hash,
+            output=item.output.name,
+            sha256="",
+            bytes=0,
+            recipe=self._recipe,
+            drawn=degraded.record,
+            water=degraded.water,
+            visibility=degraded.visibility,
+            contrast=_mean_contrast(degraded),
+            notes=[*notes, *losses],
+            labels=labels,
+            label_file=None if item.labels is None else item.labels.file_hash(),
+        )
+        return _Made(original, degraded, format, sidecar)
+
+    def _distance(
+        self, where: File | float | None, original: PictureFile
+    ) -> tuple[torch.Tensor, FileHash | float | None, list[str]]:
+        """The map of a picture, what its sidecar says of it, and notes."""
+        image = original.image
+        size = (image.shape[-2], image.shape[-1])
+        if where is None:
+            if self._network is None:
+                raise ValueError("no distances: give a file, metres, or a depth network")
+            shown = image / 255 if image.dtype == torch.uint8 else image
+            return self._network(shown), None, []
+        if isinstance(where, (int, float)):
+            kind = self.recipe.distance.kind
+            if self.recipe.distance.map_kind != "metric":
+                cure = "give a file of that kind, or metres without distance_kind"
+                got = f"distance={where:g} is metres, but distance_kind is {kind!r}"
+                raise ValueError(f"{got}: {cure}")
+            return torch.full((1, *size), float(where)), where, []
+        with opened(where) as file:
+            hash = FileHash.of_stream(file, _path_of(where))
+            values, notes = self.recipe.distance.read(file, size, turned=original.turned)
+        return values, hash, notes
+
+    def _require_free(self, item: Item) -> None:
+        """Refuse to write over files, but for what a run has left that was stopped."""
+        beside = sidecar_path(item.output)
+        if item.output.exists():
+            raise FileExistsError(f"{item.output} exists")
+        if sidecar_of(item.output) is not None:
+            return
+        if beside.exists():
+            raise FileExistsError(f"{beside} exists, and is no record of uwaug")
+        for path in self._beside(item, self.recipe.keep_terms, item.labels is not None):
+            if path.exists():
+                raise FileExistsError(f"{path} exists")
+
+    def _beside(self, item: Item, terms: bool, labels: bool) -> list[Path]:
+        """Files of terms and of labels that a picture may have."""
+        paths = [terms_path(item.output, term) for term in TERMS] if terms else []
+        if labels:
+            path = item.labels_path
+            paths += path.parent.glob(f"{glob.escape(path.stem)}.*")
+        return paths
+
+    def _remove_beside(self, item: Item) -> None:
+        """What an earlier run has written of terms and labels: not those of the new picture."""
+        before = sidecar_of(item.output)
+        if before is None:
+            return
+        read = None if item.labels is None else item.labels.file
+        for path in self._beside(item, before.recipe["keep_terms"], before.labels is not None):
+            if read is None or path.resolve() != Path(read).resolve():
+                path.unlink(missing_ok=True)
+
+    def _write_beside(self, item: Item, made: _Made) -> None:
+        """Terms and labels."""
+        if self.recipe.keep_terms and made.degraded.seen is not None:
+            for name, term in terms_of(made.degraded.seen).items():
+                write_picture(terms_path(item.output, name), term, made.original)
+        if item.labels is not None:
+            item.labels.write(made.sidecar.labels, item.labels_path)
+
+
+def replay(sidecar: Sidecar, output: Path, *, force: bool = False) -> Sidecar:
+    """Make a picture again from its sidecar.
+
+    Args:
+        sidecar: of the picture.
+        output: the file to write.
+        force: write over what is there.
+
+    Raises:
+        ValueError: if a file that it was made of has changed, or, with the picture written, if it
+            has come out differently: another version of uwaug or PyTorch, another kind of CPU, no
+            numba where its loops made the first.
+        OSError: if a file cannot be read or written.
+    """
+    recipe = Recipe.from_json(sidecar.recipe)
+    recipe.require_content()
+    for hash in (sidecar.input, sidecar.distance):
+        if isinstance(hash, FileHash) and FileHash.of(hash.path).sha256 != hash.sha256:
+            raise ValueError(f"{hash.path} has changed since the record was written")
+    where = sidecar.distance
+    distance = Path(where.path) if isinstance(where, FileHash) else where
+    name = sidecar.labels["picture"] if sidecar.labels else ""
+    item = Item(sidecar.id, Path(sidecar.input.path), distance, output, sidecar.variant, name=name)
+    (item,) = labelled([item], recipe.open_labels() if name else None)
+    again = Degrader(recipe, force=force).write(item, sidecar.drawn)
+    if again.sha256 != sidecar.sha256 and output.suffix == Path(sidecar.output).suffix:
+        (drawn,) = sidecar.drawn.get("samples", [sidecar.drawn])
+        by = drawn.get("path", "eager")
+        theirs = f"uwaug {sidecar.uwaug} and torch {sidecar.torch} ({by})"
+        mine = f"here are {again.uwaug} and {again.torch} ({switch.path()})"
+        raise ValueError(f"{output} differs from the first one, by {theirs}: {mine}")
+    return again
+
+
+def named(name: str, text: str) -> str:
+    """A text with the name of what it is about."""
+    return text if name in text else f"{name}: {text}"
+
+
+def reason_of(error: Exception) -> str:
+    """An error in words; those that no check of ours has raised with their kind."""
+    if isinstance(error, OSError) and error.strerror and error.filename:
+        return f"{error.filename}: {error.strerror}"
+    if isinstance(error, MemoryError):
+        return f"out of memory: {error}" if str(error) else "out of memory"
+    if isinstance(error, (ValueError, OSError, ImportError)) and str(error):
+        return str(error)
+    return f"{type(error).__name__}: {error}"
+
+
+def _encoded(file: BinaryIO, made: _Made) -> Sidecar:
+    """Write a picture into an open file; its sidecar is then complete."""
+    encode(file, made.format, made.degraded.image, made.original)
+    hash = FileHash.of_stream(file, "")
+    return replace(made.sidecar, sha256=hash.sha256, bytes=hash.bytes)
+
+
+def _path_of(file: File) -> str:
+    """How sidecars name a file: absolute, but for what is in no file."""
+    return os.path.abspath(file) if isinstance(file, (str, os.PathLike)) else name_of(file)
+
+
+def _hash_of(where: File | float | None) -> FileHash | float | None:
+    """What a sidecar says of a file, or of metres."""
+    if where is None or isinstance(where, (int, float)):
+        return where
+    with opened(where) as file:
+        return FileHash.of_stream(file, _path_of(where))
+
+
+def _names(item: Item) -> str:
+    names = [name_of(item.input)]
+    if item.distance is not None and not isinstance(item.distance, (int, float)):
+        names.append(name_of(item.distance))
+    return " with ".join(names)
+
+
+def _mean_contrast(degraded: Degraded) -> float:
+    """Of some pixels, spread over the picture: all of them would take a tenth of its time."""
+    if degraded.seen is None:
+        return 1.0
+    with reproducible():  # a sidecar is the same on any number of threads
+        contrast = degraded.seen.some_contrast()
+    # and wherever in memory it lies, which its last bits follow from
+    return round(float(contrast.double().mean()), 6)

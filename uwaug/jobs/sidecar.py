@@ -1,0 +1,130 @@
+"""The sidecar of a picture that a run has written: what it was made of, and how to make it again.
+
+It is put in place before its picture is. A picture without a sidecar is therefore none of a run's,
+and a sidecar whose picture is missing is of a run that was stopped there.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from uwaug._support.atomic import require_regular, written_whole
+from uwaug._support.hashing import FileHash
+
+TERMS = ("direct", "forward", "backscatter")
+"""Of the light, as files beside a picture are called."""
+
+_FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Sidecar:
+    """What is written beside a picture, as JSON.
+
+    Attributes:
+        uwaug, torch: versions.
+        id, variant: of the item.
+        input: the picture's file.
+        distance: its file; metres; or None, of a depth network.
+        output: the name of the picture that was written.
+        sha256, bytes: of its file.
+        recipe: as JSON has it, see `Recipe.to_json`.
+        drawn: all that is random, and what it came to: of `RandomUnderwater`, its record.
+        water, visibility, contrast: name; m; mean share of contrast that is left. None if unknown.
+        notes: what is worth knowing.
+        labels: what `uwaug.labels.with_contrast` returns, with "output"; None if there are none.
+        label_file: that they are from.
+    """
+
+    uwaug: str
+    torch: str
+    id: str
+    variant: int
+    input: FileHash
+    distance: FileHash | float | None
+    output: str
+    sha256: str
+    bytes: int
+    recipe: dict[str, Any]
+    drawn: dict[str, Any]
+    water: str
+    visibility: float | None
+    contrast: float | None
+    notes: list[str]
+    labels: Any = None
+    label_file: FileHash | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """As what JSON holds."""
+        values = {"format": _FORMAT, **asdict(self)}
+        for name in ("input", "distance", "label_file"):
+            if isinstance(values[name], FileHash):
+                values[name] = values[name]._asdict()
+        return values
+
+    def write(self, path: Path) -> None:
+        """Write it, whole or not at all.
+
+        Raises:
+            OSError: if it cannot be written.
+        """
+        text = json.dumps(self.to_json(), indent=1, ensure_ascii=False) + "\n"
+        with written_whole(path) as part:
+            part.write_text(text, encoding="utf-8")
+
+    @staticmethod
+    def read(path: Path) -> "Sidecar":
+        """Read one.
+
+        Raises:
+            ValueError: if the file is none; names it.
+            OSError: if it cannot be read.
+        """
+        require_regular(path)
+        try:
+            values = json.loads(path.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise ValueError(f"{path}: is no record of a picture: {error}") from None
+        names = {field.name for field in fields(Sidecar)}
+        if not isinstance(values, Mapping) or set(values) != names | {"format"}:
+            raise ValueError(f"{path}: is no record of a picture that uwaug has written")
+        if values["format"] != _FORMAT:
+            got = values["format"]
+            raise ValueError(f"{path}: expected a record of format {_FORMAT}, got {got}")
+        made = {name: values[name] for name in names}
+        try:
+            for name in ("input", "distance", "label_file"):
+                if isinstance(made[name], Mapping):
+                    made[name] = FileHash(**made[name])
+        except TypeError:
+            raise ValueError(f"{path}: is no record of a picture that uwaug has written") from None
+        return Sidecar(**made)
+
+
+def versions() -> tuple[str, str]:
+    """Of uwaug and torch."""
+    return version("uwaug"), str(torch.__version__)
+
+
+def sidecar_of(picture: Path) -> Sidecar | None:
+    """The sidecar of a picture; None if no run has written it."""
+    beside = sidecar_path(picture)
+    try:
+        return Sidecar.read(beside) if beside.is_file() else None
+    except (OSError, ValueError):
+        return None
+
+
+def sidecar_path(output: Path) -> Path:
+    """The sidecar of a picture that is written to `output`."""
+    return output.with_name(output.name + ".json")
+
+
+def terms_path(output: Path, term: str) -> Path:
+    """The file of one of a picture's terms."""
+    return output.with_name(f"{output.stem}_{term}{output.suffix}")
