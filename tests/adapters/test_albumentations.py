@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from adapting import array, metres
-from augmenting import LASERS, TANK, brightness
+from augmenting import LASERS, TANK, array, brightness, metres
 from torch.utils.data import DataLoader, Dataset, get_worker_info
 
 from uwaug import Light, RandomUnderwater

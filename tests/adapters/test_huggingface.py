@@ -6,8 +6,7 @@ import datasets
 import numpy as np
 import pytest
 import torch
-from adapting import array, metres
-from augmenting import H, W, picture
+from augmenting import H, W, array, metres, picture
 from PIL import Image
 from torch.utils.data import DataLoader
 
@@ -151,7 +150,7 @@ def test_no_map_and_a_stream() -> None:
         ({"image_key": "picture"}, {}, "the batch has no 'picture', only 'image', 'depth_map'"),
         ({"distance_key": "depth"}, {}, "the batch has no 'depth', only"),
         ({}, {"image": Image.new("L", (W, H))}, "expected a picture in colour, got grey"),
-        ({}, {"image": Image.new("CMYK", (W, H))}, "got CMYK: save it as RGB from"),
+        ({}, {"image": Image.new("CMYK", (W, H))}, "got CMYK: save it as RGB"),
         ({}, {"image": None}, "image must be an array, a tensor or a Pillow picture, got NoneType"),
         ({}, {"image": array()[..., 0]}, r"image must be an array \(H, W, 3\), got \(24, 33\)"),
         ({}, {"depth_map": Image.new("L", (W, H))}, "more than 8 bits, got uint8"),

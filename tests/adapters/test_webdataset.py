@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 import torch
 import webdataset as wds
-from adapting import array, metres
-from augmenting import picture
+from augmenting import array, metres, picture
 from PIL import Image
 
 from uwaug import RandomUnderwater

@@ -22,8 +22,6 @@ except ImportError as missing:
         f'{missing.name} is missing: install ".[adapters]" in a checkout of uwaug'
     ) from missing
 
-__all__ = ["AlbumentationsUnderwater"]
-
 
 class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
     """Degrade pictures in an Albumentations pipeline.
@@ -109,8 +107,8 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
         """Degrade what a call passed, as a record says."""
         # the map is found here: Albumentations shows a picture no other target, and as a parameter
         # it would be kept for replays, which may be of another picture
-        found = {**params, "distance": self._distance(kwargs)}
-        result: dict[str, Any] = super().apply_with_params(found, *args, **kwargs)
+        params = {**params, "distance": self._distance(kwargs)}
+        result: dict[str, Any] = super().apply_with_params(params, *args, **kwargs)
         return result
 
     def _distance(self, passed: dict[str, Any]) -> Tensor | None:
@@ -133,8 +131,8 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
     ) -> np.ndarray[Any, Any]:
         """One picture with water."""
         backwards = self.channels == "bgr"
-        taken = picture_of(img[..., ::-1] if backwards else img)
-        result = taken.back(self.augment.transform(taken.picture, distance, record))
+        picture, restore = picture_of(img[..., ::-1] if backwards else img)
+        result = restore(self.augment.transform(picture, distance, record))
         return np.ascontiguousarray(result[..., ::-1] if backwards else result)
 
     def get_transform_init_args(self) -> dict[str, Any]:

@@ -2,8 +2,7 @@
 
 import io
 from collections.abc import Callable
-from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,20 +13,11 @@ from torch import Tensor
 from uwaug.io.distances import Unit, metres_of
 from uwaug.io.read import colours_of
 
-__all__ = ["map_of", "picture_of"]
-
 Values = NDArray[Any]
 
 
-class Taken(NamedTuple):
-    """A picture as a tensor (3xHxW), and what makes of a result what the picture was."""
-
-    picture: Tensor
-    back: Callable[[Tensor], Any]
-
-
-def picture_of(image: Any) -> Taken:
-    """A picture as a tensor.
+def picture_of(image: Any) -> tuple[Tensor, Callable[[Tensor], Any]]:
+    """A picture as a tensor (3xHxW), and what makes of another tensor what the picture was.
 
     Args:
         image: an array (HxWx3), a tensor (3xHxW), both uint8 (0…255) or floating point (0…1); or a
@@ -39,15 +29,15 @@ def picture_of(image: Any) -> Taken:
         ValueError: if it has no three colours.
     """
     if isinstance(image, Tensor):
-        return Taken(image, _as_tensor)
+        return image, lambda result: result
     if isinstance(image, np.ndarray):
         if image.ndim != 3 or image.shape[2] != 3:
             cure = "the model needs colours, without alpha: see PIL.Image.convert('RGB')"
             raise ValueError(f"image must be an array (H, W, 3), got {image.shape}: {cure}")
-        return Taken(_channels_first(image), _as_array)
+        return _channels_first(image), _as_array
     if isinstance(image, Image.Image):
         values, alpha = colours_of(image)
-        return Taken(_channels_first(values), partial(_as_pillow, alpha, dict(image.info)))
+        return _channels_first(values), lambda result: _as_pillow(result, alpha, image.info)
     got = "bytes, so decode it first" if isinstance(image, bytes) else type(image).__name__
     raise TypeError(f"image must be an array, a tensor or a Pillow picture, got {got}")
 
@@ -68,7 +58,14 @@ def map_of(distance: Any, unit: Unit = "m") -> Tensor:
         ValueError: if it has another shape; or if it has 8 bits, which hold no distances, and
             `unit` does not say as a number what a step is.
     """
-    values = np.asarray(_opened(distance) if isinstance(distance, bytes) else distance)
+    if isinstance(distance, bytes):
+        try:
+            distance = Image.open(io.BytesIO(distance))
+        except OSError:
+            got = f"distance has {len(distance)} bytes that Pillow cannot read"
+            cure = "decode it first, or give the bytes of a PNG or TIFF file"
+            raise ValueError(f"{got}: {cure}") from None
+    values = np.asarray(distance)
     if values.dtype.kind not in "iuf":
         got = f"{type(distance).__name__} of {values.dtype}"
         raise TypeError(f"distance must be a map of numbers, got {got}")
@@ -85,23 +82,9 @@ def map_of(distance: Any, unit: Unit = "m") -> Tensor:
     return torch.from_numpy(z.astype(np.float32))[None]
 
 
-def _opened(data: bytes) -> Image.Image:
-    try:
-        return Image.open(io.BytesIO(data))
-    except OSError:
-        cure = "decode it first, or give the bytes of a PNG or TIFF file"
-        raise ValueError(
-            f"distance has {len(data)} bytes that Pillow cannot read: {cure}"
-        ) from None
-
-
 def _channels_first(values: Values) -> Tensor:
     # a copy, as the array may not be writable, or run backwards
     return torch.from_numpy(values.transpose(2, 0, 1).copy())
-
-
-def _as_tensor(result: Tensor) -> Tensor:
-    return result
 
 
 def _as_array(result: Tensor) -> Values:
@@ -109,10 +92,10 @@ def _as_array(result: Tensor) -> Values:
     return values
 
 
-def _as_pillow(alpha: Values | None, info: dict[Any, Any], result: Tensor) -> Image.Image:
+def _as_pillow(result: Tensor, alpha: Values | None, info: dict[Any, Any]) -> Image.Image:
     values = _as_array(result)
     if alpha is not None:
         values = np.concatenate([values, alpha[..., None]], 2)
     image = Image.fromarray(values)
-    image.info = info  # EXIF and the profile of its colours
+    image.info = dict(info)  # EXIF and the profile of its colours
     return image

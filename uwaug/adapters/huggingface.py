@@ -7,8 +7,6 @@ from typing import Any
 from uwaug.adapters.samples import SampleAdapter, first_of
 from uwaug.transforms.samples import naming
 
-__all__ = ["HuggingFaceUnderwater"]
-
 
 @dataclass(eq=False)
 class HuggingFaceUnderwater(SampleAdapter):
@@ -58,10 +56,9 @@ class HuggingFaceUnderwater(SampleAdapter):
         """A batch with water."""
         cure = "see image_key; a column read alone has no other"
         images = examples[first_of(examples, self.image_key, "the batch", cure)]
-        nothing = [None] * len(images)
         key = self._key_of_map(examples, self.distance_key, "the batch")
-        maps = nothing if key is None else examples[key]
-        names = nothing
+        maps = [None] * len(images) if key is None else examples[key]
+        names = [None] * len(images)
         if self.id_key is not None:
             names = examples[first_of(examples, self.id_key, "the batch", "see id_key")]
         results = []

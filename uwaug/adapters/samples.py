@@ -1,6 +1,4 @@
-"""What the adapters of data sets share: where randomness comes from, and the pass that workers are
-in.
-"""
+"""`RandomUnderwater` on pictures and maps of data sets, with randomness from their names."""
 
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field
@@ -14,8 +12,6 @@ from uwaug.adapters.conversion import map_of, picture_of
 from uwaug.io.distances import Unit, metres_of
 from uwaug.transforms.random_underwater import RandomUnderwater
 from uwaug.transforms.samples import key_of
-
-__all__ = ["SampleAdapter", "first_of"]
 
 
 class Epoch:
@@ -63,18 +59,16 @@ class SampleAdapter:
         self._epoch.number.fill_(epoch)
 
     def _degraded(self, image: Any, distance: Any, name: int | str | None) -> Any:
-        picture, back = picture_of(image)
+        picture, restore = picture_of(image)
         z = None if distance is None else map_of(distance, self.unit)
-        record = self.augment.make_params(picture, self._generator(name))
-        return back(self.augment.transform(picture, z, record))
-
-    def _generator(self, name: int | str | None) -> torch.Generator | None:
-        if self.seed is None:
-            return None
-        if name is None:
-            raise ValueError("seed needs the name of each picture, got None for one")
-        epoch = int(self._epoch.number)
-        return torch.Generator().manual_seed(key_of(self.seed, epoch, name))
+        generator = None
+        if self.seed is not None:
+            if name is None:
+                raise ValueError("seed needs the name of each picture, got None for one")
+            key = key_of(self.seed, int(self._epoch.number), name)
+            generator = torch.Generator().manual_seed(key)
+        record = self.augment.make_params(picture, generator)
+        return restore(self.augment.transform(picture, z, record))
 
     def _key_of_map(self, sample: Mapping[str, Any], keys: str, what: str) -> str | None:
         """The key of a map; None where a sample has none and needs none."""

@@ -6,8 +6,6 @@ from typing import Any
 
 from uwaug.adapters.samples import SampleAdapter, first_of
 
-__all__ = ["WebDatasetUnderwater"]
-
 
 @dataclass(eq=False)
 class WebDatasetUnderwater(SampleAdapter):
