@@ -1,8 +1,6 @@
 import copy
 import os
 import pickle
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +12,7 @@ from uwaug.optics.camera import Camera, load_camera
 
 NIKON = "Nikon 5100 (NPL)"
 SIGMA = "Sigma SDMerill (NPL)"
-GRID = np.arange(400, 701, 5)
+ROWS = "400,0,1,2\n500,0,3,0\n700,4,1,0\n"
 
 
 def toy(**changes):
@@ -29,28 +27,19 @@ def toy(**changes):
 # ---------------------------------------------------------------- own responses
 
 
-def test_attributes():
-    camera = toy()
-    assert camera.wavelengths.dtype == camera.response.dtype == np.float64
-    assert camera.response.shape == (3, 3)
-    assert repr(camera) == "Camera('toy', 3 wavelengths, 400–700 nm)"
-    assert Camera([550], [[1, 1, 1]]).name == "custom"
-
-
 def test_immutable_and_independent_of_its_input():
     response = np.ones((3, 3))
     camera = toy(response=response)
     response[:] = 0
     assert camera.response.min() == 1
+    assert camera.wavelengths.dtype == camera.response.dtype == np.float64
     with pytest.raises(ValueError, match="read-only"):
         camera.response[0, 0] = 1
     with pytest.raises(AttributeError):
         camera.response = response
 
 
-@pytest.mark.parametrize(
-    "clone", [copy.copy, copy.deepcopy, lambda c: pickle.loads(pickle.dumps(c))]
-)
+@pytest.mark.parametrize("clone", [copy.deepcopy, lambda c: pickle.loads(pickle.dumps(c))])
 def test_copies_are_equal_and_still_read_only(clone):
     camera = load_camera(NIKON)
     twin = clone(camera)
@@ -67,44 +56,21 @@ def test_equality_sees_every_field():
 
 
 @pytest.mark.parametrize(
-    "changes, error, message",
+    "changes, message",
     [
-        ({"wavelengths": [0.4, 0.5, 0.7]}, ValueError, "they look like micrometres"),
-        (
-            {"wavelengths": [400, 700, 500]},
-            ValueError,
-            "strictly ascending, but 700 is followed by 500",
-        ),
-        (
-            {"response": np.ones((3, 4))},
-            ValueError,
-            r"one row per wavelength, shape \(3, 3\), got \(3, 4\)",
-        ),
-        (
-            {"response": np.ones((2, 3))},
-            ValueError,
-            r"one row per wavelength, shape \(3, 3\), got \(2, 3\)",
-        ),
-        ({"response": "raw"}, TypeError, "response must be an array of numbers, got 'raw'"),
+        ({"response": np.ones((3, 4))}, r"one row per wavelength, shape \(3, 3\), got \(3, 4\)"),
         (
             {"response": [[1, 1, 1], [np.nan, 1, np.inf], [1, 1, 1]]},
-            ValueError,
             "2 NaN or infinite of 9 .* at 500 nm",
         ),
         (
-            {"response": [[1, 1, 1], [1, 1, 1], [1, 1, -1e-6]]},
-            ValueError,
-            "1 negative of 9 .* at 700 nm: set measure",
-        ),
-        (
             {"response": [[0, 1, 0], [0, 1, 0], [0, 1, 0]]},
-            ValueError,
             "'toy' has no response in red and blue",
         ),
     ],
 )
-def test_bad_input(changes, error, message):
-    with pytest.raises(error, match=message):
+def test_bad_input(changes, message):
+    with pytest.raises(ValueError, match=message):
         toy(**changes)
 
 
@@ -115,14 +81,6 @@ def test_at_interpolates_and_is_dark_outside():
     response = toy().at([300, 399.9, 400, 450, 600, 700, 700.1])
     expected = [[0, 0, 0], [0, 0, 0], [0, 1, 2], [0, 2, 1], [2, 2, 0], [4, 1, 0], [0, 0, 0]]
     np.testing.assert_allclose(response, expected, rtol=1e-15)
-    with pytest.raises(ValueError, match="strictly ascending"):
-        toy().at([500, 400])
-
-
-def test_weights_on_a_uniform_grid_are_the_normalised_samples():
-    camera = load_camera(NIKON)
-    samples = camera.response[(camera.wavelengths >= 400) & (camera.wavelengths <= 700)]
-    np.testing.assert_allclose(camera.weights(GRID), samples / samples.sum(axis=0), rtol=1e-13)
 
 
 def test_weights_on_a_grid_of_varying_step_are_rectangles():
@@ -130,12 +88,8 @@ def test_weights_on_a_grid_of_varying_step_are_rectangles():
     samples, widths = toy().at(grid), np.array([20, 40, 80, 100])
     areas = samples * widths[:, None]
     np.testing.assert_allclose(toy().weights(grid), areas / areas.sum(axis=0), rtol=1e-14)
-
-
-def test_weights_at_one_wavelength():
-    np.testing.assert_array_equal(
-        Camera([500, 600], [[1, 2, 3], [3, 2, 1]]).weights([550]), [[1, 1, 1]]
-    )
+    single = Camera([500, 600], [[1, 2, 3], [3, 2, 1]]).weights([550])
+    np.testing.assert_array_equal(single, [[1, 1, 1]])
 
 
 @given(st.lists(st.floats(380, 780), min_size=2, max_size=40, unique=True))
@@ -160,8 +114,6 @@ def test_weights_integrate():
 def test_weights_need_a_response():
     with pytest.raises(ValueError, match="camera 'toy' on 400–450 nm has no response in red"):
         toy().weights([400, 450])
-    with pytest.raises(ValueError, match="on 800–900 nm has no response in red and green and blue"):
-        toy().weights([800, 900])
 
 
 # ---------------------------------------------------------------- by name
@@ -198,67 +150,34 @@ def test_named_camera(name, nm, expected):
     np.testing.assert_allclose(camera.at(nm), expected, atol=3e-7)
 
 
-@pytest.mark.parametrize(
-    "name", ["nikon 5100 (npl)", "NIKON 5100 NPL", "Nikon5100(NPL)", "Níkon 5100 (NPL)"]
-)
+def test_names_and_values_are_those_of_colour_science():
+    options = np.get_printoptions()
+    import colour
+
+    np.set_printoptions(**options)  # which it sets for the whole process
+    assert list(colour.MSDS_CAMERA_SENSITIVITIES) == [NIKON, SIGMA]
+    for name, entry in colour.MSDS_CAMERA_SENSITIVITIES.items():
+        camera = load_camera(name)
+        np.testing.assert_array_equal(camera.wavelengths, entry.wavelengths)
+        np.testing.assert_array_equal(camera.response, entry.values)
+
+
+@pytest.mark.parametrize("name", ["nikon 5100 (npl)", "NIKON 5100 NPL", "Nikon5100(NPL)"])
 def test_names_are_matched_by_letters_and_digits(name):
     assert load_camera(name) is load_camera(NIKON)
 
 
-def test_a_camera_passes_through():
+def test_other_names_and_types_are_refused():
     camera = toy()
     assert load_camera(camera) is camera
-
-
-@pytest.mark.parametrize("name", ["Nikon D90", "", "camera.txt"])
-def test_unknown_name(name):
-    message = rf"no camera is called '{name}'; there are '.*', '.*', or .* path of a \.csv"
+    message = r"no camera is called 'Nikon D90'; there are '.*', '.*', or .* path of a \.csv"
     with pytest.raises(ValueError, match=message):
-        load_camera(name)
-
-
-@pytest.mark.parametrize("camera", [None, 5100, ["a.csv"]])
-def test_wrong_type(camera):
-    message = r"camera must be a name, the path of a CSV file or a Camera, got"
-    with pytest.raises(TypeError, match=message):
-        load_camera(camera)
-
-
-COMPARE = """
-import sys
-import numpy as np
-import uwaug.optics.camera
-from pathlib import Path
-
-if sys.argv[1] == "moved":
-    uwaug.optics.camera._DATASET = Path("elsewhere.py")
-cameras = uwaug.optics.camera._colour_science_cameras()
-assert ("colour" in sys.modules) == (sys.argv[1] == "moved")
-assert not np.get_printoptions()["legacy"]
-
-import colour
-
-assert list(cameras) == list(colour.MSDS_CAMERA_SENSITIVITIES)
-for name, camera in cameras.items():
-    entry = colour.MSDS_CAMERA_SENSITIVITIES[name]
-    assert camera.name == name
-    np.testing.assert_array_equal(camera.wavelengths, entry.wavelengths)
-    np.testing.assert_array_equal(camera.response, entry.values)
-"""
-
-
-@pytest.mark.parametrize("layout", ["as known", "moved"])
-def test_names_and_values_are_those_of_colour_science(layout):
-    # in a process of its own: importing colour changes NumPy's print options
-    done = subprocess.run(
-        [sys.executable, "-c", COMPARE, layout], check=False, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
+        load_camera("Nikon D90")
+    with pytest.raises(TypeError, match=r"camera must be a name, .* or a Camera, got 5100"):
+        load_camera(5100)
 
 
 # ---------------------------------------------------------------- from a file
-
-ROWS = "400,0,1,2\n500,0,3,0\n700,4,1,0\n"
 
 
 def write(tmp_path, text, name="toy.csv"):
@@ -283,40 +202,25 @@ def test_csv(tmp_path, text):
     assert load_camera(path) == load_camera(str(path)) == toy()
 
 
-def test_csv_path_objects_need_no_suffix(tmp_path):
-    assert load_camera(write(tmp_path, ROWS, "my camera.txt")) == toy(name="my camera")
+def test_csv_is_read_anew_and_path_objects_need_no_suffix(tmp_path):
+    path = write(tmp_path, ROWS, "my camera.txt")
+    assert load_camera(path) == toy(name="my camera")
+    write(tmp_path, ROWS.replace("4,1,0", "5,1,0"), "my camera.txt")
+    assert load_camera(path) != toy(name="my camera")
     assert load_camera(str(write(tmp_path, ROWS, "UPPER.CSV"))).name == "UPPER"
-
-
-def test_csv_is_read_anew(tmp_path):
-    path = write(tmp_path, ROWS)
-    before = load_camera(path)
-    write(tmp_path, ROWS.replace("4,1,0", "5,1,0"))
-    assert load_camera(path) != before
 
 
 @pytest.mark.parametrize(
     "text, message",
     [
-        ("", "no rows of wavelength, R, G, B"),
         ("wavelength,R,G,B\n", "no rows of wavelength, R, G, B"),
-        (
-            ROWS.replace(",", ";"),
-            r"line 1: expected wavelength, R, G, B separated by commas, got \['400;0;1;2'\]",
-        ),
-        (
-            ROWS + "\n710,1,2\n",
-            r"line 5: expected wavelength, R, G, B separated by commas, got \['710', '1', '2'\]",
-        ),
-        (ROWS + "800,0,0,x\n", r"line 4: expected four numbers, got \['800', '0', '0', 'x'\]"),
-        (
-            "wavelength,B,G,R\n" + ROWS,
-            r"line 1: columns must be wavelength, R, G, B, not \['wavelength', 'B'",
-        ),
+        (ROWS.replace(",", ";"), "line 1: expected four numbers, wavelength, R, G, B"),
+        (ROWS + "\n710,1,2\n", "line 5: expected four numbers"),
+        (ROWS + "800,0,0,x\n", "line 4: expected four numbers"),
+        ("wavelength,B,G,R\n" + ROWS, "line 1: expected four numbers, wavelength, R, G, B"),
         (ROWS.replace("700", "450"), "strictly ascending, but 500 is followed by 450"),
-        (ROWS.replace("700,4", "700,nan"), "response has 1 NaN or infinite of 9 values, at 700 nm"),
-        (ROWS.replace("700,4", "700,0"), "camera 'toy' has no response in red"),
-        (b"\xff\xfe\x00PNG\n", "line 1: expected wavelength, R, G, B"),
+        (b"\xff\xfe\x00PNG\n", "line 1: expected four numbers"),
+        ("9" * 200_000 + ",1,2,3\n", "line 1: field larger"),
     ],
 )
 def test_bad_csv(tmp_path, text, message):
@@ -326,39 +230,17 @@ def test_bad_csv(tmp_path, text, message):
     assert str(info.value).startswith(str(path))
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "root:*:20228:0:99999:7:::\ndaemon:*:20228:0:99999:7:::\n",
-        "password=hunter2\n",
-        "hunter\n",
-        "user,name,pass-word-of-mine,hunter2hunter2\n",
-        ROWS + "AKIA6ODU5DHT7EXAMPLE,1,2,3\n",
-    ],
-)
-def test_a_file_that_is_no_table_is_not_quoted(tmp_path, text):
+def test_a_file_that_is_no_table_is_not_quoted(tmp_path):
     # its path may come from a preset of somebody else
-    with pytest.raises(ValueError, match="a line that is not a table of numbers") as info:
-        load_camera(write(tmp_path, text))
-    said = str(info.value).removeprefix(str(tmp_path))
-    assert not [secret for secret in ("root", "hunter", "AKIA") if secret in said]
+    with pytest.raises(ValueError, match="expected four numbers") as info:
+        load_camera(write(tmp_path, "user,name,pass-word-of-mine,hunter2\n"))
+    assert "hunter" not in str(info.value)
 
 
-def test_a_huge_cell_is_an_error_of_value(tmp_path):
-    path = write(tmp_path, "9" * 200_000 + ",1,2,3\n")
-    with pytest.raises(
-        ValueError, match=r"toy\.csv, line \d: not a table of numbers: field larger"
-    ):
-        load_camera(path)
-
-
-def test_a_pipe_is_refused_before_it_is_opened(tmp_path):
-    os.mkfifo(tmp_path / "pipe.csv")
-    with pytest.raises(OSError, match=r"path must be a file, but .* is a pipe"):
+def test_what_is_no_file_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe.csv")  # which would wait for somebody to write
+    with pytest.raises(OSError, match=r"path must be a file, but .* is no regular file"):
         load_camera(tmp_path / "pipe.csv")
-
-
-def test_missing_csv():
     with pytest.raises(FileNotFoundError, match=r"nowhere\.csv"):
         load_camera("nowhere.csv")
     with pytest.raises(FileNotFoundError, match="nowhere"):

@@ -1,15 +1,10 @@
 """Cameras: how strongly red, green and blue respond to each wavelength."""
 
-import ast
 import csv
-import importlib.util
 import os
-import re
-import unicodedata
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,14 +13,15 @@ from uwaug._support.atomic import require_regular
 from uwaug._support.types import Array
 from uwaug.optics.spectra import Spectra, spectrum, wavelength_axis
 
-__all__ = ["Camera", "load_camera", "response_at"]
-
 _CHANNELS = ("red", "green", "blue")
-_DATASET = Path("characterisation", "datasets", "cameras", "dslr", "sensitivities.py")
-_NO_TABLE = "not a table of numbers"
-_FIGURES = re.compile(r"[-+.,;:eE\d\s]{0,80}")
-_HEADING = re.compile(r"[-+.\d\s]*|[^\W\d]{1,12}([ _][\w().%/]{1,8})?")
-_TABLE = "DATA_CAMERA_SENSITIVITIES_DSLR"
+
+_BUNDLED = {
+    "Nikon 5100 (NPL)": "nikon-5100-npl.csv",
+    "Sigma SDMerill (NPL)": "sigma-sdmerill-npl.csv",
+}
+"""In the folder `cameras`: those of colour-science, `import` of which takes .6 s after torch, loads
+1100 modules and sets NumPy's print options for the whole process.
+"""
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -105,10 +101,10 @@ def load_camera(camera: "str | os.PathLike[str] | Camera") -> Camera:
     """A camera by name or from a file; a ``Camera`` passes through.
 
     Args:
-        camera: a name in colour-science's ``MSDS_CAMERA_SENSITIVITIES``, upper and lower case,
-            accents, blanks and punctuation aside; or the path of a CSV file (a string that ends in
-            ``.csv``, or any path object) whose rows are wavelength [nm], R, G, B, separated by
-            commas, with or without one header line.
+        camera: "Nikon 5100 (NPL)" or "Sigma SDMerill (NPL)", whatever their case, blanks and
+            punctuation; or the path of a CSV file (a string that ends in ``.csv``, or any path
+            object) whose rows are wavelength [nm], R, G, B, separated by commas, with or without
+            one header line.
 
     Raises:
         TypeError: if ``camera`` is none of these.
@@ -133,11 +129,10 @@ def load_camera(camera: "str | os.PathLike[str] | Camera") -> Camera:
         )
     if not isinstance(camera, str) or camera.lower().endswith(".csv"):
         return _read_csv(Path(camera))
-    known = _colour_science_cameras()
-    for name, entry in known.items():
+    for name in _BUNDLED:
         if _plain(name) == _plain(camera):
-            return entry
-    names = ", ".join(map(repr, known))
+            return _bundled(name)
+    names = ", ".join(map(repr, _BUNDLED))
     raise ValueError(
         f"no camera is called {camera!r}; there are {names}, or give the path of a .csv file"
     )
@@ -159,45 +154,39 @@ def _require_response(values: Array, whose: str) -> None:
 
 
 def _plain(name: str) -> str:
-    decomposed = unicodedata.normalize("NFKD", name).casefold()
-    return "".join(filter(str.isalnum, decomposed))
+    return "".join(filter(str.isalnum, name.casefold()))
 
 
 @cache
-def _colour_science_cameras() -> dict[str, Camera]:
-    # `import colour` takes .6 s after torch, loads 1100 modules (SciPy, matplotlib) and sets
-    # NumPy's print options for the whole process. Its camera table is a literal: read from the
-    # source file it takes 2 to 10 ms.
-    spec = importlib.util.find_spec("colour")
-    for root in (spec and spec.submodule_search_locations) or ():
-        source = Path(root) / _DATASET
-        tables = _literal(source, _TABLE) if source.is_file() else None
-        if tables is not None:
-            return {name: Camera(list(t), list(t.values()), name) for name, t in tables.items()}
-
-    with np.printoptions():  # a release that keeps the table elsewhere
-        import colour
-
-    cameras = colour.MSDS_CAMERA_SENSITIVITIES
-    return {name: Camera(c.wavelengths, c.values, name) for name, c in cameras.items()}
-
-
-def _literal(source: Path, name: str) -> Any:
-    """The value of an annotated literal in a source file; None if it has no such name."""
-    for node in ast.parse(source.read_text(encoding="utf-8")).body:
-        if isinstance(node, ast.AnnAssign) and node.value and ast.unparse(node.target) == name:
-            return ast.literal_eval(node.value)
-    return None
+def _bundled(name: str) -> Camera:
+    read = _read_csv(Path(__file__).parent / "cameras" / _BUNDLED[name])
+    return Camera(read.wavelengths, read.response, name)
 
 
 def _read_csv(path: Path) -> Camera:
     require_regular(path)
+    table: list[list[float]] = []
     with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
         reader = csv.reader(file)
+        header = True
         try:
-            table = _table(reader, path)
+            for row in reader:
+                if not any(cell.strip() for cell in row):
+                    continue
+                try:
+                    wavelength, red, green, blue = row
+                    table.append([float(cell) for cell in (wavelength, red, green, blue)])
+                except ValueError:
+                    initials = [cell.strip()[:1].lower() for cell in row]
+                    if not header or len(row) != 4 or initials[1:] != ["r", "g", "b"]:
+                        # what it says instead is not shown: a preset of somebody else may name a
+                        # file that is none of theirs
+                        where = f"{path}, line {reader.line_num}"
+                        expected = "four numbers, wavelength, R, G, B, separated by commas"
+                        raise ValueError(f"{where}: expected {expected}") from None
+                header = False
         except csv.Error as error:
-            raise ValueError(f"{path}, line {reader.line_num}: {_NO_TABLE}: {error}") from None
+            raise ValueError(f"{path}, line {reader.line_num}: {error}") from None
     if not table:
         raise ValueError(f"{path}: no rows of wavelength, R, G, B")
     values = np.array(table)
@@ -205,39 +194,3 @@ def _read_csv(path: Path) -> Camera:
         return Camera(values[:, 0], values[:, 1:], path.stem)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-
-
-def _table(reader: Any, path: Path) -> list[list[float]]:
-    table: list[list[float]] = []
-    first = True
-    for row in reader:
-        if not any(cell.strip() for cell in row):
-            continue
-        numbers = _numbers(row, f"{path}, line {reader.line_num}", header=first)
-        table += [numbers] if numbers else []
-        first = False
-    return table
-
-
-def _numbers(row: list[str], where: str, *, header: bool) -> list[float]:
-    """The four numbers of a row; none if it is the header, where there may be one."""
-    if len(row) != 4:
-        expected = "wavelength, R, G, B separated by commas"
-        raise ValueError(f"{where}: expected {expected}, got {_quoted(row)}")
-    try:
-        return [float(cell) for cell in row]
-    except ValueError:
-        if not header:
-            raise ValueError(f"{where}: expected four numbers, got {_quoted(row)}") from None
-    if [cell.strip()[:1].lower() for cell in row[1:]] != ["r", "g", "b"]:
-        raise ValueError(f"{where}: columns must be wavelength, R, G, B, not {_quoted(row)}")
-    return []
-
-
-def _quoted(row: list[str]) -> str:
-    """A row as a message may show it. What is neither numbers nor a header is not shown: the path
-    may come from a preset of somebody else, and name a file that is none of theirs.
-    """
-    figures = all(_FIGURES.fullmatch(cell) for cell in row)
-    header = len(row) == 4 and all(_HEADING.fullmatch(cell) for cell in row)
-    return f"{row!r:.80}" if figures or header else f"a line that is {_NO_TABLE}"

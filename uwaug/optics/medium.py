@@ -124,7 +124,7 @@ class Medium:
 
         Args:
             water: spectra a, b, K_d; or the name of a Jerlov type.
-            camera: name of a colour-science response, path of a CSV file, or a `Camera`.
+            camera: a name, the path of a CSV file (see `uwaug.load_camera`), or a `Camera`.
             vertical_depth: d, depth of the scene below the surface, m, ≥ 0.
             g: share of the scattered light that leaves the line of sight, 0…1. Not the asymmetry of
                 a phase function: .2 (the paper) for a subject that fills part of the view, .05 for
