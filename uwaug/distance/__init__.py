@@ -11,9 +11,11 @@ from uwaug.distance.convert import (
     from_relative,
 )
 from uwaug.distance.network import DepthNetwork
+from uwaug.distance.sample import UnknownDistanceError
 
 __all__ = [
     "DepthNetwork",
+    "UnknownDistanceError",
     "along_ray",
     "check_distance",
     "fill_unknown",

@@ -8,8 +8,6 @@ from torch import Tensor
 
 from uwaug._support.tiles import Rows, bands
 
-__all__ = ["filled", "filled_rows", "warn_of_unknown"]
-
 # Artificial holes in five RGB-D pairs and the bundled scene (occlusions, rims, edges, specks,
 # blobs of 5 to 30 %, all beyond a range): error of log z in blobs of 5, 15, 30 %; of e^(−z/2) at
 # edges; ms at 500×741. This: .041, .069, .112; .0116; 35. Losers:
@@ -54,8 +52,8 @@ def filled(distance: Tensor, unknown: Tensor) -> Tensor:
         distance (NxHxW tensor): m.
         unknown (NxHxW tensor): boolean; each map has a pixel that is known.
     """
-    found = [_nearest_known(holes) for holes in unknown.cpu()]
-    away, index = (torch.stack(parts).to(distance.device) for parts in zip(*found, strict=True))
+    nearby = [_nearest_known(holes) for holes in unknown.cpu()]
+    away, index = (torch.stack(parts).to(distance.device) for parts in zip(*nearby, strict=True))
     nearest = distance.flatten(1).gather(1, index.flatten(1)).view_as(distance)
     weight = _weight(away, distance)
     if not bool((weight > 0).any()):
@@ -65,9 +63,9 @@ def filled(distance: Tensor, unknown: Tensor) -> Tensor:
 
 
 def filled_rows(distance: Rows, size: tuple[int, int]) -> Rows:
-    """The same for one map (1xHxW) that is made a few rows at a time, some of them with holes.
+    """One map (1xHxW) without holes that is read a few rows at a time, as `filled` fills it.
 
-    What fills the holes is held, and a quarter of the pixels of what is known.
+    Values of the holes are held, and a quarter of the pixels of what is known.
     """
     coarse = [_halved_rows(distance(start, stop)) for start, stop in bands(*size, multiple=2)]
     means, known = (torch.cat(parts, 2) for parts in zip(*coarse, strict=True))
@@ -187,6 +185,6 @@ def warn_of_unknown(share: float) -> None:
     if share > _MANY and not _warned:
         percent = round(100 * share)
         guess = f"distance is unknown at {percent} % of a map's pixels, and is guessed there"
-        cure = "beyond a sensor's range, set metres or inf (unknown='far', --unknown far)"
+        cure = "beyond a sensor's range, set metres or inf (unknown='far')"
         warnings.warn(f"{guess}: {cure}", UserWarning, stacklevel=3)
         _warned.append(percent)

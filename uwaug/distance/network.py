@@ -11,8 +11,6 @@ from torch.nn.functional import interpolate
 from uwaug._support import checks
 from uwaug._support.onnx_session import Session
 
-__all__ = ["DepthNetwork"]
-
 
 class DepthNetwork:
     """A monocular depth network in an ONNX file, run by onnxruntime: image in, inverse relative

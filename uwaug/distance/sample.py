@@ -11,8 +11,8 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug._support.tiles import Rows, bands, held
 from uwaug.distance.complete import filled_rows, warn_of_unknown
-from uwaug.distance.convert import check_distance
-from uwaug.distance.scaling import (
+from uwaug.distance.convert import (
+    check_distance,
     ends_of_inverse,
     require_range,
     require_relative,
@@ -20,16 +20,6 @@ from uwaug.distance.scaling import (
     scaled_relative,
     single,
 )
-
-__all__ = [
-    "DistanceKind",
-    "Scaling",
-    "Unknown",
-    "as_unknown",
-    "metres_by_rows",
-    "skipped",
-    "to_metres",
-]
 
 DistanceKind = Literal["metric", "relative", "inverse"]
 _Policy = Literal["error", "fill", "skip", "far"]
@@ -40,8 +30,22 @@ _TOUCHING = 1e-6
 """m, for relative distance 0 with near = 0: in a map of metres 0 means unknown."""
 
 
-_SKIP = "unknown='skip' (--unknown skip)"
-"""In Python, and on the command line."""
+class UnknownDistanceError(ValueError):
+    """A map that has unknown pixels where none may be, or nothing else.
+
+    Attributes:
+        argument: "unknown", the option that says what they get.
+        cures: values of it that would help.
+    """
+
+    argument = "unknown"
+
+    def __init__(self, message: str, *cures: str) -> None:
+        super().__init__(message)
+        self.cures = cures
+
+    def __reduce__(self) -> tuple[type, tuple[str, ...]]:
+        return type(self), (str(self), *self.cures)
 
 
 class Scaling(NamedTuple):
@@ -72,60 +76,58 @@ def skipped(distance: Tensor | None, kind: DistanceKind, unknown: Unknown) -> bo
         return not bool((distance > 0).any())
     if kind == "relative":
         return bool(distance.isnan().all())
-    known = distance[distance.isfinite()]
-    return not known.numel() or bool((known == known[0]).all())
+    finite = distance[distance.isfinite()]
+    return not finite.numel() or bool((finite == finite[0]).all())
 
 
 def to_metres(distance: Tensor, scaling: Scaling, kind: DistanceKind, unknown: Unknown) -> Tensor:
     """A map of one picture (1xHxW), in metres, every pixel known.
 
     Raises:
-        ValueError: if the map does not suit, saying which option would help.
+        UnknownDistanceError: if pixels are unknown and `unknown` does not say what they get.
+        ValueError: if the map is of another kind.
     """
-    instead = math.inf if unknown == "far" else unknown
-    return _known(_scale(distance, scaling, kind)(distance), instead)
+    return _completed(_scale(distance, scaling, kind)(distance), unknown)
 
 
 def metres_by_rows(
     distance: Tensor, scaling: Scaling, kind: DistanceKind, unknown: Unknown
 ) -> Rows:
     """`to_metres`, a few rows at a time."""
-    instead = math.inf if unknown == "far" else unknown
     scale = _scale(distance, scaling, kind)
 
     def scaled(start: int, stop: int) -> Tensor:
         return scale(distance[:, start:stop])
 
-    if not isinstance(instead, str):
-        return lambda start, stop: _known(scaled(start, stop), instead)
+    if unknown not in ("error", "fill", "skip"):
+        return lambda start, stop: _completed(scaled(start, stop), unknown)
     size = (distance.shape[-2], distance.shape[-1])
-    known = 0
-    for start, stop in bands(*size):
-        known += int((scaled(start, stop) > 0).sum())
-    if known == distance.numel():
+    count = sum(int((scaled(start, stop) > 0).sum()) for start, stop in bands(*size))
+    if count == distance.numel():
         return scaled
-    if instead == "error" or not known:
-        # refused
-        return held(_known(scale(distance), instead))
-    warn_of_unknown(1 - known / distance.numel())
+    if unknown == "error" or not count:
+        return held(_completed(scale(distance), unknown))  # which refuses it
+    warn_of_unknown(1 - count / distance.numel())
     return filled_rows(scaled, size)
 
 
-def _known(z: Tensor, instead: Unknown) -> Tensor:
+def _completed(z: Tensor, unknown: Unknown) -> Tensor:
     """A map in metres with something at every unknown pixel."""
-    if not isinstance(instead, str):
-        return torch.where(z > 0, z, instead)
-    strict = instead == "error"
-    others = "fill, skip, far or metres"
-    cure = f"unknown='fill' (--unknown {others})" if strict else _SKIP
+    if not isinstance(unknown, str):
+        return torch.where(z > 0, z, unknown)
+    if unknown == "far":
+        return torch.where(z > 0, z, math.inf)
     try:
-        return check_distance(z, strict=strict)
+        return check_distance(z, strict=unknown == "error")
     except ValueError as error:
-        raise ValueError(f"{error}; or use {cure}") from None
+        cures = ("fill", "skip", "far") if unknown == "error" else ("skip",)
+        raise UnknownDistanceError(f"{error}; or use unknown={cures[0]!r}", *cures) from None
 
 
 def _scale(distance: Tensor, scaling: Scaling, kind: DistanceKind) -> Callable[[Tensor], Tensor]:
-    """What takes a part of a map to metres, unknown pixels left; refuses what does not suit."""
+    """A function from a part of a map to metres, that leaves unknown pixels; refuses a map of
+    another kind.
+    """
     if kind == "metric":
         checks.metres("distance", distance)
         return single
@@ -136,9 +138,9 @@ def _scale(distance: Tensor, scaling: Scaling, kind: DistanceKind) -> Callable[[
         return lambda part: scaled_relative(single(part), near, far, gamma)
     if not bool(distance.isfinite().any()):
         return lambda part: torch.full_like(part, math.nan)
+    require_range(near, far, inverse=True)
     try:
-        require_range(near, far, inverse=True)
         ends = ends_of_inverse(single(distance))
     except ValueError as error:
-        raise ValueError(f"{error}; or use {_SKIP}") from None
+        raise UnknownDistanceError(f"{error}; or use unknown='skip'", "skip") from None
     return lambda part: scaled_inverse(single(part), ends, near, far)
