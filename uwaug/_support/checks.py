@@ -10,29 +10,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-__all__ = [
-    "DOMAIN",
-    "batches",
-    "bounds",
-    "counted",
-    "distances",
-    "extent",
-    "finite",
-    "floating",
-    "instance",
-    "metres",
-    "number_only",
-    "one_of",
-    "pair",
-    "picture",
-    "positive",
-    "same_device",
-    "same_size",
-    "span",
-    "tolerance",
-    "within",
-]
-
 DOMAIN = {
     "mixing": (0.0, 1.0),
     "visibility": (1e-3, math.inf),

@@ -2,7 +2,6 @@
 worker makes its own.
 """
 
-import importlib
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,21 +11,10 @@ import torch
 from torch import Tensor
 
 from uwaug._support.atomic import require_regular
-
-__all__ = ["Session", "require"]
+from uwaug._support.extras import require
 
 _inherited: list[Any] = []
 """Sessions of the parent process, which has their threads: to end one here would wait for them."""
-
-
-def require(*packages: str) -> list[Any]:
-    """Import optional packages, or say how to install them."""
-    try:
-        return [importlib.import_module(name) for name in packages]
-    except ImportError as error:
-        raise ImportError(
-            f'{error.name} is missing: ONNX needs pip install ".[onnx]" in a checkout of uwaug'
-        ) from error
 
 
 class Session:
@@ -75,7 +63,7 @@ class Session:
         return self._opened
 
     def _open(self) -> Any:
-        (ort,) = require("onnxruntime")
+        (ort,) = require("onnx", "onnxruntime")
         require_regular(self.path)
         self.path.open("rb").close()  # for Python's own error if it may not be read
         options = ort.SessionOptions()
@@ -92,9 +80,8 @@ class Session:
         )
         try:
             return ort.InferenceSession(str(self.path), options, providers=list(self.providers))
-        except (
-            Exception
-        ) as error:  # its exceptions have no common base, and no place in the public interface
+        # its exceptions have no common base, and no place in the public interface
+        except Exception as error:
             raise ValueError(
                 f"{self.path}: ONNX Runtime cannot load it: {str(error).splitlines()[0]}"
             ) from error

@@ -7,8 +7,6 @@ from torch.autograd import forward_ad
 
 from uwaug._support.types import Array
 
-__all__ = ["mapped", "refuse_mapped", "transformed", "values"]
-
 
 def transformed() -> bool:
     """Whether `torch.func` or forward mode is at work: no tensor says so of itself."""

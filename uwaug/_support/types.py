@@ -5,8 +5,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Array", "ColorSpace", "Order", "Shape"]
-
 Array = NDArray[np.float64]
 
 Shape = Literal["gaussian", "exponential"]

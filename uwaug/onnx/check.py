@@ -9,7 +9,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from uwaug._support.onnx_session import Session, require
+from uwaug._support.extras import require
+from uwaug._support.onnx_session import Session
 from uwaug.formation.planned import alike
 from uwaug.formation.underwater import Underwater
 from uwaug.onnx.graph import parameters_of
@@ -70,7 +71,7 @@ def check_onnx(
         ValueError: naming the worst case, if it exceeds the tolerance; or if the module itself
             hardly changes a picture, so that a graph that returns its input would pass.
     """
-    (onnx,) = require("onnx")
+    (onnx,) = require("onnx", "onnx")
     metadata = read_metadata(path)
     try:
         onnx.checker.check_model(os.fspath(path), full_check=True)

@@ -15,7 +15,7 @@ from torch.nn.functional import pad
 
 from uwaug._support import checks
 from uwaug._support.atomic import written_whole
-from uwaug._support.onnx_session import require
+from uwaug._support.extras import require
 from uwaug.blur.kernels import PERIOD
 from uwaug.formation.underwater import Underwater
 from uwaug.onnx.check import check_onnx
@@ -69,7 +69,7 @@ def export_onnx(
     path = Path(path)
     if opset < 18:
         raise ValueError(f"opset must be ≥ 18 (scatter with addition), got {opset}")
-    onnx, *_ = require("onnx", "onnxscript", *(["onnxruntime"] if verify else []))
+    onnx, *_ = require("onnx", "onnx", "onnxscript", *(["onnxruntime"] if verify else []))
     newest = onnx.defs.onnx_opset_version()
     if opset > newest:
         raise ValueError(f"opset must be ≤ {newest}, as onnx {onnx.__version__} is, got {opset}")

@@ -10,9 +10,6 @@ from typing import NamedTuple
 import numpy as np
 
 from uwaug._support import checks
-
-__all__ = ["JERLOV_TYPES", "SOURCES", "Table", "repaired_table"]
-
 from uwaug._support.types import Array
 
 JERLOV_TYPES = ("I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C")

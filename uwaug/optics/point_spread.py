@@ -10,9 +10,6 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug._support.checks import DOMAIN
 from uwaug._support.torch_func import transformed
-
-__all__ = ["PAPER_SIZE", "PointSpread", "Shape", "pixel_scale", "width_at"]
-
 from uwaug._support.types import Shape
 
 PAPER_SIZE = 518

@@ -7,8 +7,6 @@ import numpy as np
 from uwaug._support.types import Array
 from uwaug.optics.curves import FARTHEST
 
-__all__ = ["Reduced", "reduce_rates"]
-
 Reduced = tuple[Array, list[Array], float]
 """The rates (K), ascending; the weights, (3, K) for each measure; the largest error."""
 

@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Array", "Spectra", "common_axis", "spectrum", "wavelength_axis"]
-
 from uwaug._support.types import Array
 
 
