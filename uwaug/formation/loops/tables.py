@@ -1,7 +1,8 @@
 """What the compiled loops look up: a plan for pictures of one size, and a medium, as arrays."""
 
 import math
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -14,29 +15,13 @@ from uwaug.blur.operators import Kind, Node, whole
 from uwaug.blur.plan import V_FLOOR, BlurPlan, range_in_v
 from uwaug.optics.medium import Medium
 
-__all__ = [
-    "Bytes",
-    "Coarse",
-    "Floats",
-    "Indices",
-    "Plan",
-    "Stack",
-    "Water",
-    "order_of",
-    "ordered_nodes",
-    "plan_tables",
-    "series_table",
-    "water_tables",
-]
-
 Floats = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
 Indices = NDArray[np.int64]
+Size = tuple[int, int]
 
-_REMEMBERED: "Cache[Plan]" = Cache(8 * 2**20)
 
-
-class Coarse(NamedTuple):
+class CoarseTable(NamedTuple):
     """One coarse grid of h cells by w, for pictures of HxW.
 
     Attributes:
@@ -59,7 +44,7 @@ class Coarse(NamedTuple):
     back: Floats
 
 
-class Stack(NamedTuple):
+class StackTable(NamedTuple):
     """All blurs of a plan, sharp first, then narrow, then those on coarse grids.
 
     Attributes:
@@ -83,20 +68,56 @@ class Stack(NamedTuple):
     back: Floats
 
 
-class Plan(NamedTuple):
+class PlanTable(NamedTuple):
     """A plan for pictures of one size."""
 
-    stack: Stack
-    coarse: tuple[Coarse, ...]
-
-    @property
-    def bytes(self) -> int:
-        """Memory of all tables."""
-        tables = (self.stack, *self.coarse)
-        return sum(value.nbytes for table in tables for value in table if hasattr(value, "nbytes"))
+    stack: StackTable
+    coarse: tuple[CoarseTable, ...]
 
 
-class Water(NamedTuple):
+class CellTable(NamedTuple):
+    """The transpose of one blur on a coarse grid of h cells by w, for pictures of HxW.
+
+    Attributes:
+        rows (h, taps), down (h, taps): three times the rows of the picture that a row of cells was
+            enlarged to, and weights.
+        across_first (w), across (w, taps): the first column of the picture that a cell was enlarged
+            to, and weights from there on.
+        along_first (W), along (W, taps): the first cell that a column was shrunk into, and weights
+            from there on.
+    """
+
+    rows: Indices
+    down: Floats
+    across_first: Indices
+    across: Floats
+    along_first: Indices
+    along: Floats
+
+
+class BackTable(NamedTuple):
+    """The last step of the transposes of all blurs.
+
+    Attributes:
+        folds (3, n): of each channel, the lines (see `uwaug.formation.loops.adjoint.cell_lines`) of
+            the rows of `StackTable`.
+        rows (m, H, taps), up (m, H, taps): the lines of all grids that a row was shrunk into, and
+            weights.
+    """
+
+    folds: Indices
+    rows: Indices
+    up: Floats
+
+
+class AdjointTable(NamedTuple):
+    """The transposes of a plan's blurs, for pictures of one size."""
+
+    cells: tuple[CellTable, ...]
+    back: BackTable
+
+
+class MediumTable(NamedTuple):
     """A medium, for a plan and pictures of one size.
 
     Attributes:
@@ -113,36 +134,64 @@ class Water(NamedTuple):
     law: Floats
 
 
-def plan_tables(plan: BlurPlan, size: tuple[int, int]) -> Plan:
+# ------------------------------------------------------------------------------ plans
+
+_Table = TypeVar("_Table", PlanTable, AdjointTable)
+_CACHE: Cache[Any] = Cache(16 * 2**20)
+
+
+def plan_table(plan: BlurPlan, size: Size) -> PlanTable:
     """A plan for pictures of (height, width) `size`."""
-    found = _REMEMBERED.get((plan, size))
-    if found is None:
-        found = _plan_tables(plan, size)
-        _REMEMBERED.put((plan, size), found, found.bytes)
-    return found
+    return _cached(_plan_table, plan, size)
+
+
+def adjoint_table(plan: BlurPlan, size: Size) -> AdjointTable:
+    """The transposes of a plan's blurs, for pictures of (height, width) `size`."""
+    return _cached(_adjoint_table, plan, size)
 
 
 def order_of(plan: BlurPlan) -> list[int]:
-    """The blurs of a plan as `Stack` has them."""
+    """The blurs of a plan in the order of `StackTable`."""
     return sorted(range(len(plan.sigmas)), key=lambda k: (plan.cells[k] != 1, plan.sigmas[k] > 0))
 
 
-def ordered_nodes(plan: BlurPlan) -> list[Node]:
-    """The same, as nodes."""
+def series_table(coefficients: Any) -> Floats:
+    """Chebyshev series as the loops take them: with 4, 6, … terms."""
+    series = np.array(coefficients, np.float32, order="C")
+    count = series.shape[1]
+    return np.pad(series, ((0, 0), (0, max(4, count + count % 2) - count)))
+
+
+def _cached(build: Callable[[BlurPlan, Size], _Table], plan: BlurPlan, size: Size) -> _Table:
+    key = (build, plan, size)
+    table: _Table | None = _CACHE.get(key)
+    if table is None:
+        table = build(plan, size)
+        _CACHE.put(key, table, _bytes(table))
+    return table
+
+
+def _bytes(table: Any) -> int:
+    """Memory of all arrays of a table and of those in it."""
+    if isinstance(table, tuple):
+        return sum(map(_bytes, table))
+    return int(getattr(table, "nbytes", 0))
+
+
+def _nodes(plan: BlurPlan) -> list[Node]:
     return [Node(plan.sigmas[k], plan.cells[k], plan.reach) for k in order_of(plan)]
 
 
-def _plan_tables(plan: BlurPlan, size: tuple[int, int]) -> Plan:
+def _plan_table(plan: BlurPlan, size: Size) -> PlanTable:
     height, width = size
-    nodes = ordered_nodes(plan)
-    narrow = [node for node in nodes if node.cell == 1 and node.sigma > 0]
-    wide = [node for node in nodes if node.cell != 1]
+    narrow = [node for node in _nodes(plan) if node.cell == 1 and node.sigma > 0]
+    wide = [node for node in _nodes(plan) if node.cell != 1]
     taps = _taps(narrow)
     margin = taps.shape[1] - 1
-    coarse = tuple(_coarse(node, height, width) for node in wide)
+    coarse = tuple(coarse_table(node, height, width) for node in wide)
     lines = [3 * len(grid.down_first) for grid in coarse]
     back = [_rows_of("enlarge", node, height) for node in wide]
-    stack = Stack(
+    stack = StackTable(
         series=series_table([plan.coefficients[k] for k in order_of(plan)]),
         taps=taps,
         pairs=np.array([_pairs(node) for node in narrow], np.int64),
@@ -153,14 +202,7 @@ def _plan_tables(plan: BlurPlan, size: tuple[int, int]) -> Plan:
         back_first=np.array([first for first, _ in back], np.int64).reshape(-1, height),
         back=np.array([weights for _, weights in back], np.float32).reshape(-1, height, 4),
     )
-    return Plan(stack, coarse)
-
-
-def series_table(coefficients: Any) -> Floats:
-    """Series as the loops take them: with 4, 6, … terms."""
-    series = np.array(coefficients, np.float32, order="C")
-    count = series.shape[1]
-    return np.pad(series, ((0, 0), (0, max(4, count + count % 2) - count)))
+    return PlanTable(stack, coarse)
 
 
 def _pairs(node: Node) -> int:
@@ -179,13 +221,14 @@ def _taps(nodes: list[Node]) -> Floats:
     return taps
 
 
-def _coarse(node: Node, height: int, width: int) -> Coarse:
+def coarse_table(node: Node, height: int, width: int) -> CoarseTable:
+    """A blur on a coarse grid, for pictures of one size."""
     down_first, down = _rows_of("shrink", node, height)
     across_first, across = _rows_of("shrink", node, width)
     back_first, back = _rows_of("enlarge", node, width)
     row_margin = _beyond(down_first, down, height)
     column_margin = _beyond(across_first, across, width)
-    return Coarse(
+    return CoarseTable(
         rows=_mirrored(row_margin, height),
         row_margin=row_margin,
         down_first=down_first + row_margin,
@@ -204,8 +247,7 @@ def _rows_of(kind: Kind, node: Node, size: int) -> tuple[Indices, Floats]:
     matrix = whole(kind, size, node)
     kernels = matrix.kernels
     place = (np.arange(matrix.rows) - kernels.shift) % len(kernels.first)
-    more = -kernels.taps % 4
-    weights = np.pad(kernels.weights, ((0, 0), (0, more)))[place]
+    weights = np.pad(kernels.weights, ((0, 0), (0, -kernels.taps % 4)))[place]
     return kernels.starts(0, matrix.rows), weights.astype(np.float32)
 
 
@@ -221,23 +263,84 @@ def _mirrored(margin: int, size: int) -> Indices:
     return np.minimum(index, 2 * size - 1 - index)
 
 
-def water_tables(medium: Medium, plan: BlurPlan, size: tuple[int, int]) -> Water:
-    """A medium of one row."""
-    beta, direct, rates, signal, veil, b_mean = map(_values, medium.tensors())
-    return Water(
-        rates=np.concatenate([beta, rates]) * np.float32(-math.log2(math.e)),
-        direct=direct,
-        scatter=np.concatenate([-direct, signal], 1),
-        veil=-veil,
-        law=_law(medium, float(b_mean), plan, size),
+# ------------------------------------------------------------------------------ transposes
+
+
+def _adjoint_table(plan: BlurPlan, size: Size) -> AdjointTable:
+    """A narrow blur is its own transpose, edges and all; one on a coarse grid goes the same way
+    back, along the columns of its matrices.
+    """
+    stack, (height, _) = plan_table(plan, size).stack, size
+    wide = [node for node in _nodes(plan) if node.cell != 1]
+    shrunk = [_columns_of("shrink", node, height) for node in wide]
+    taps = max((weights.shape[1] for _, weights in shrunk), default=0)
+    rows = np.zeros((len(wide), height, taps), np.int64)
+    up = np.zeros((len(wide), height, taps), np.float32)
+    for k, (first, weights) in enumerate(shrunk):
+        cells = whole("shrink", height, wide[k]).rows
+        rows[k] = stack.starts[k] + 3 * _from(first, taps, cells)
+        up[k, :, : weights.shape[1]] = weights
+    folds = 3 * stack.rows + np.arange(3)[:, None]
+    return AdjointTable(tuple(_cells(node, size) for node in wide), BackTable(folds, rows, up))
+
+
+def _cells(node: Node, size: Size) -> CellTable:
+    height, width = size
+    first, down = _columns_of("enlarge", node, height)
+    rows = 3 * _from(first, down.shape[1], height)
+    return CellTable(
+        rows, down, *_columns_of("enlarge", node, width), *_columns_of("shrink", node, width)
     )
 
 
-def _law(medium: Medium, b_mean: float, plan: BlurPlan, size: tuple[int, int]) -> Floats:
-    """See `uwaug.blur.stack.node_weights` for the place of a width in a plan."""
+def _from(first: Indices, taps: int, size: int) -> Indices:
+    """So many indices from each first on; beyond the end, where nothing has a weight, the last."""
+    return np.asarray(np.minimum(first[:, None] + np.arange(taps), size - 1))
+
+
+def _columns_of(kind: Kind, node: Node, size: int) -> tuple[Indices, Floats]:
+    """First row and weights of every column of a matrix; 4, 8, … weights, some of them 0.
+
+    What is folded onto a column from beyond the edges is among them.
+    """
+    matrix = whole(kind, size, node, adjoint=True)
+    low, dense = matrix.slab(0, matrix.cols)
+    used = dense != 0
+    first = used.argmax(1)
+    last = np.where(used.any(1), dense.shape[1] - 1 - used[:, ::-1].argmax(1), 0)
+    taps = 4 * math.ceil(((last - first).max() + 1) / 4)
+    window = first[:, None] + np.arange(taps)
+    weights = np.take_along_axis(np.pad(dense, ((0, 0), (0, taps))), window, 1)
+    return low + first, weights.astype(np.float32)
+
+
+# ------------------------------------------------------------------------------ media
+
+
+def medium_tables(medium: Medium, plan: BlurPlan, size: Size) -> list[MediumTable]:
+    """Each row of a medium, for a plan and pictures of (height, width) `size`."""
+    tensors = [np.array(t.detach().numpy(), np.float32, order="C") for t in medium.tensors()]
+    tables = []
+    for n in range(len(medium)):
+        beta, direct, rates, signal, veil, b_mean = (values[n] for values in tensors)
+        tables.append(
+            MediumTable(
+                rates=np.concatenate([beta, rates]) * np.float32(-math.log2(math.e)),
+                direct=direct,
+                scatter=np.concatenate([-direct, signal], 1),
+                veil=-veil,
+                law=_law(medium, n, float(b_mean), plan, size),
+            )
+        )
+    return tables
+
+
+def _law(medium: Medium, n: int, b_mean: float, plan: BlurPlan, size: Size) -> Floats:
+    """Width law of the `n`-th medium, and the place of a width in a plan as
+    `uwaug.blur.stack.node_weights` has it.
+    """
     spread = medium.point_spread
-    # a law's numbers may be tensors of one value
-    scale, exponent = (_number(value) for value in spread.numbers().values())
+    scale, exponent = (_number(value, n) for value in spread.numbers().values())
     if spread.reference_size is not None:
         scale *= min(size) / spread.reference_size
     low, high = range_in_v(plan)
@@ -249,11 +352,9 @@ def _law(medium: Medium, b_mean: float, plan: BlurPlan, size: tuple[int, int]) -
     return np.array(law, np.float32)
 
 
-def _number(value: Any) -> float:
-    """A number of a law, as `Medium.to` leaves it: a tensor's is rounded to float32."""
-    return float(value.detach().to(torch.float32)) if isinstance(value, Tensor) else float(value)
-
-
-def _values(tensor: Any) -> Floats:
-    """The values of a medium's one row."""
-    return np.array(tensor.detach().numpy()[0], np.float32, order="C")
+def _number(value: float | Tensor, n: int) -> float:
+    """The n-th of a law's numbers, as `Medium.to` leaves it: a tensor's is rounded to float32."""
+    if not isinstance(value, Tensor):
+        return float(value)
+    values = value.detach().to(torch.float32).reshape(-1)
+    return float(values[n if len(values) > 1 else 0])

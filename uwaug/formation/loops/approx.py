@@ -7,19 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from uwaug.formation.loops.compiling import inner
-
-__all__ = [
-    "decode",
-    "decode_unit",
-    "encode",
-    "encode_unit",
-    "exp2",
-    "exp2_parts",
-    "log2",
-    "log2_1p",
-    "nearest",
-]
+from uwaug.formation.loops.backend import inner
 
 f32, i32 = np.float32, np.int32
 _0, _1 = f32(0), f32(1)

@@ -1,0 +1,304 @@
+"""The backend of compiled loops: who may use it, what it can compute, how it is compiled.
+
+numba is imported at first use. Without it, and for all that the loops cannot compute, PyTorch
+computes the same to 2e-6.
+"""
+
+import logging
+import os
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
+from functools import lru_cache
+from hashlib import sha256
+from importlib import import_module, reload
+from importlib.util import find_spec
+from pathlib import Path as Folder
+from threading import Lock
+from types import TracebackType
+from typing import Any, Literal, TypeVar
+
+import torch
+from torch import Tensor
+
+from uwaug._support.torch_func import transformed
+from uwaug.blur.plan import BlurPlan
+from uwaug.optics.medium import Medium
+
+_log = logging.getLogger(__name__)
+
+# ------------------------------------------------------------------------------ the switch
+
+Path = Literal["fused", "eager"]
+
+VARIABLE = "UWAUG_FUSED"
+"""Of the environment: 0 for eager PyTorch, 1 for the compiled loops, or an error without them."""
+
+_INSTALL = 'install numba, with pip install "uwaug[fast]"'
+
+_switched: bool | None = None
+_numba: bool | None = None  # whether it is installed and works; None: not looked yet
+
+
+class use(AbstractContextManager[None]):  # noqa: N801  (called like a function)
+    """Choose the path: at once and for good, or while a `with` block lasts; for all threads.
+
+    Args:
+        fused: True for the compiled loops wherever they can be used; False for eager PyTorch; None
+            for what the environment variable UWAUG_FUSED says (0 or 1), or the loops if numba is
+            installed.
+
+    Raises:
+        TypeError: if `fused` is neither.
+        ModuleNotFoundError: if it is True and numba is not installed.
+
+    Examples:
+        >>> from uwaug import fused
+        >>> with fused.use(False):
+        ...     fused.path()
+        'eager'
+    """
+
+    def __init__(self, fused: bool | None) -> None:
+        global _switched  # noqa: PLW0603  (it is of the process)
+        if fused is not None and not isinstance(fused, bool):
+            raise TypeError(f"fused must be True, False or None, got {fused!r}")
+        if fused and not has_numba():
+            raise ModuleNotFoundError(f"fused: {_INSTALL}")
+        self._before = _switched
+        _switched = fused
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        global _switched  # noqa: PLW0603
+        _switched = self._before
+
+
+def path() -> Path:
+    """What computes pictures in float32 on a CPU."""
+    if _switched is not None:
+        return "fused" if _switched and has_numba() else "eager"
+    value = os.environ.get(VARIABLE, "")
+    if value not in ("", "0", "1"):
+        raise ValueError(f"environment variable {VARIABLE} must be 0 or 1, got {value!r}")
+    if value == "1" and not has_numba():
+        raise ModuleNotFoundError(f"{VARIABLE}=1: {_INSTALL}")
+    return "fused" if value != "0" and has_numba() else "eager"
+
+
+def path_for(engine: Path | None) -> Path:
+    """The path that a record names, or that at hand if it names none; a warning where the record's
+    is not to be had.
+    """
+    if engine == "fused" and path() == "eager":
+        why = "is switched off" if has_numba() else "needs numba (uwaug[fast])"
+        warnings.warn(
+            f"the record is of the fused path, which {why}: pictures differ in the last bits",
+            stacklevel=2,
+        )
+    return "eager" if engine == "eager" else path()
+
+
+def has_numba() -> bool:
+    """Whether numba is installed, and has not failed in this process."""
+    global _numba  # noqa: PLW0603
+    if _numba is None:
+        _numba = find_spec("numba") is not None
+    return _numba
+
+
+# ------------------------------------------------------------------------------ what is computed
+
+
+def can_decode(image: Tensor, engine: Path | None = None) -> bool:
+    """Whether the loops decode this picture; `engine` is what a record names."""
+    return _readable(image) and not _records(image) and _can_run(engine)
+
+
+def can_render(light: Tensor, z: Tensor, medium: Medium, engine: Path | None = None) -> bool:
+    """Whether the loops form this picture, in the line of sight and by daylight.
+
+    Args:
+        light (Bx3xHxW tensor), z (Bx1xHxW tensor): of the scene; effective distance.
+        medium: of float32 or float64.
+        engine: what a record names.
+    """
+    law = [v for v in medium.point_spread.numbers().values() if isinstance(v, Tensor)]
+    numbers = (*medium.tensors(), *law)
+    return (
+        _readable(light, z)
+        and light.shape[1] == 3
+        and all(_is_here(t) and t.dtype in (torch.float32, torch.float64) for t in numbers)
+        and not _records(light, z, *numbers)
+        and _can_run(engine)
+    )
+
+
+def can_differentiate(light: Tensor, z: Tensor, medium: Medium, plan: BlurPlan) -> bool:
+    """Whether the loops form this picture, and give its gradients; arguments as for `can_render`,
+    but that the medium must be of float32.
+    """
+    law = (v for v in medium.point_spread.numbers().values() if isinstance(v, Tensor))
+    if len(plan.sigmas) == 1 or not _readable(light, z, *medium.tensors(), *law):
+        return False
+    return _can_run(None, gradients=True)
+
+
+def _can_run(engine: Path | None, gradients: bool = False) -> bool:
+    if torch.compiler.is_compiling() or path_for(engine) == "eager":
+        return False
+    tracing = torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
+    return not (tracing or transformed()) and ready(gradients)
+
+
+def _readable(*tensors: Tensor) -> bool:
+    """Whether all have memory that numba can read, and something in it."""
+    kinds = (torch.float32, torch.uint8)
+    return all(_is_here(t) and t.dtype in kinds and all(t.shape) for t in tensors)
+
+
+def _is_here(value: Tensor) -> bool:
+    return type(value) in (Tensor, torch.nn.Parameter) and value.device.type == "cpu"
+
+
+def _records(*tensors: Tensor) -> bool:
+    return torch.is_grad_enabled() and any(t.requires_grad for t in tensors)
+
+
+# ------------------------------------------------------------------------------ loading
+
+_KERNELS = ("kernels", "adjoint")
+_ready: set[str] = set()  # of these modules
+_lock = Lock()
+
+
+def ready(gradients: bool = False) -> bool:
+    """Load the loops, and compile what no earlier process has left on disk; whether they work.
+
+    Args:
+        gradients: load those for gradients too, which takes as long again.
+    """
+    modules = _KERNELS if gradients else _KERNELS[:1]
+    if not _ready.issuperset(modules):
+        with _lock:
+            for name in modules:
+                if name not in _ready and path() == "fused":
+                    _load(name)
+    return _ready.issuperset(modules)
+
+
+def loaded(name: Literal["kernels", "adjoint"]) -> Any:
+    """The module of kernels, or of those for gradients."""
+    return import_module(f"uwaug.formation.loops.{name}")
+
+
+def _load(name: str) -> None:
+    global _numba, _on_disk  # noqa: PLW0603  (of the process)
+    try:
+        with _compiling_told():
+            module = import_module(f"uwaug.formation.loops.{name}")
+            try:
+                _run_once(name)
+            except OSError:  # a full disk, or one that is not shared as it should be
+                _on_disk = False
+                reload(module)
+                _run_once(name)
+    except Exception as error:
+        # a numba that does not suit numpy, say: whatever it is, PyTorch can do without
+        _numba = False
+        said = f"numba is installed but does not work, so PyTorch computes alone: {error}"
+        warnings.warn(said, stacklevel=2)
+        return
+    _ready.add(name)
+
+
+def _run_once(name: str) -> None:
+    """Form a picture of one pixel, so that all kernels of a module are compiled."""
+    from uwaug.formation.loops import backward, render
+
+    (render if name == "kernels" else backward).run_once()
+
+
+@contextmanager
+def _compiling_told() -> Iterator[None]:
+    """Log when loops are being compiled."""
+    from numba.core import event
+
+    class Told(event.Listener):  # type: ignore[misc]
+        said = False
+
+        def on_start(self, event: Any) -> None:
+            if not Told.said:
+                Told.said = True
+                _log.info("compiling the fused loops, which takes some seconds once")
+
+        def on_end(self, event: Any) -> None: ...
+
+    began = time.perf_counter()
+    with event.install_listener("numba:compile", Told()):
+        yield
+    if Told.said:
+        _log.info("fused loops compiled in %.0f s", time.perf_counter() - began)
+
+
+def _forget() -> None:
+    """A thread of the parent may have held the lock."""
+    global _lock  # noqa: PLW0603
+    _lock = Lock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget)
+
+# ------------------------------------------------------------------------------ compiling
+
+_on_disk = True  # whether what is compiled is kept there
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+# what may be fused is fused; sums keep their order, NaN and infinity their meaning
+_OPTIONS = {"fastmath": {"contract", "nsz"}, "nogil": True, "error_model": "numpy"}
+
+
+def inner(function: _F) -> _F:
+    """A part of loops."""
+    import numba
+
+    compiled: _F = numba.njit(forceinline=True, **_OPTIONS)(function)
+    return compiled
+
+
+def kernel(function: _F) -> _F:
+    """Loops that Python calls: compiled once, and kept on disk where there is room."""
+    import numba
+
+    try:
+        compiled: _F = numba.njit(cache=_on_disk, **_OPTIONS)(function)
+    except RuntimeError:  # no folder can be written to
+        compiled = numba.njit(**_OPTIONS)(function)
+    folder = compiled.stats.cache_path  # type: ignore[attr-defined]
+    if folder:
+        with suppress(OSError):
+            _drop_older(Folder(folder))
+    return compiled
+
+
+@lru_cache
+def _drop_older(folder: Folder, sources: Folder = Folder(__file__).parent) -> None:
+    """Remove from a folder what is kept of other versions of the loops: numba looks at the file of
+    a kernel, and not at those of what the kernel calls.
+    """
+    digest = sha256()
+    for source in sorted(sources.glob("*.py")):
+        digest.update(source.read_bytes())
+    stamp = folder / "loops.sha256"
+    if stamp.exists() and stamp.read_text() == digest.hexdigest():
+        return
+    for index in folder.glob("*.nbi"):
+        index.unlink(missing_ok=True)
+    stamp.write_text(digest.hexdigest())

@@ -1,0 +1,486 @@
+"""The compiled loops that form a picture without gradients.
+
+Pixels are computed in tiles of `TILE` px of one row, counted from its left edge, so that their bits
+depend neither on threads nor on strips. What a tile needs, some 20 rows, stays in the first cache.
+(More arithmetic in one loop, two rates or four pairs of taps, is no faster.)
+
+Slices are taken before a loop, so that no index can be negative: numba would otherwise test each,
+and no loop would be vectorised. Arrays are copied by loops as well: `d[:n] = s` of two arrays takes
+a quarter of the time of compiling, for the words of an error that cannot occur.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uwaug.formation.loops.approx import (
+    decode,
+    decode_unit,
+    encode,
+    encode_unit,
+    exp2,
+    exp2_parts,
+    log2,
+    log2_1p,
+    nearest,
+)
+from uwaug.formation.loops.backend import inner, kernel
+from uwaug.formation.loops.tables import (
+    Bytes,
+    CoarseTable,
+    Floats,
+    Indices,
+    MediumTable,
+    StackTable,
+)
+
+TILE = 256
+"""px. (128: 2 to 10 % longer; 512: as fast, but half as long again at 256 px; 1024: half again.)"""
+
+LANES = 32
+"""Lines that go through a coarse grid side by side. (16: 10 to 80 % longer; 64: 20 to 40 %.)"""
+
+NEAREST, FARTHEST = np.float32(1e-6), np.float32(1e4)
+"""Scattering lengths between which a width changes, see `uwaug.optics.point_spread.width_at`."""
+
+f32 = np.float32
+_0, _1, _2, _255 = f32(0), f32(1), f32(2), f32(255)
+
+# ------------------------------------------------------------------------------ coarse grids
+
+
+@inner
+def copy(d: Any, s: Any) -> None:
+    """The values of `s` to the front of `d`."""
+    for x in range(s.size):
+        d[x] = s[x]
+
+
+@inner
+def add_rows(d: Any, plane: Any, rows: Any, c: int, w: Any) -> None:
+    """Add to d: Σ w[i]·(row rows[i] + c); there are 4, 8, … weights."""
+    for i in range(0, w.size, 4):
+        w0, w1, w2, w3 = w[i], w[i + 1], w[i + 2], w[i + 3]
+        r0, r1 = plane[rows[i] + c], plane[rows[i + 1] + c]
+        r2, r3 = plane[rows[i + 2] + c], plane[rows[i + 3] + c]
+        for x in range(d.size):
+            d[x] += (w0 * r0[x] + w1 * r1[x]) + (w2 * r2[x] + w3 * r3[x])
+
+
+@inner
+def to_columns(columns: Any, lines: Any, width: int) -> None:
+    """Lines as columns of `LANES` samples, so that what follows needs no shuffling."""
+    for x in range(width):
+        column = columns[x * LANES : (x + 1) * LANES]
+        for j in range(LANES):
+            column[j] = lines[j, x]
+
+
+@inner
+def to_lines(grid: Any, top: int, count: int, columns: Any) -> None:
+    """Columns of `LANES` samples as so many lines of a grid."""
+    for j in range(count):
+        line = grid[top + j]
+        for x in range(line.size):
+            line[x] = columns[x * LANES + j]
+
+
+@inner
+def _mix_columns(d: Any, s: Any, w: Any, i: int) -> None:
+    """Add to d: Σ of four weights from w[i] on times columns of `LANES` samples."""
+    w0, w1, w2, w3 = w[i], w[i + 1], w[i + 2], w[i + 3]
+    for j in range(LANES):
+        s01 = w0 * s[j] + w1 * s[j + LANES]
+        d[j] += s01 + (w2 * s[j + 2 * LANES] + w3 * s[j + 3 * LANES])
+
+
+@inner
+def gather(to: Any, source: Any, first: Any, weights: Any) -> None:
+    """Columns of `LANES` samples, each a weighed sum of others."""
+    to[:] = _0
+    count, taps = weights.shape
+    for k in range(count):
+        column, begin = to[k * LANES : (k + 1) * LANES], first[k] * LANES
+        for i in range(0, taps, 4):
+            four = source[begin + i * LANES : begin + (i + 4) * LANES]
+            _mix_columns(column, four, weights[k], i)
+
+
+@inner
+def extend(line: Any, fold: Any, margin: int, width: int, each: int) -> None:
+    """Fill both margins of a line of `width` columns of `each` samples, mirrored."""
+    for x in range(margin):
+        left, right = (margin + fold[x]) * each, (margin + fold[margin + width + x]) * each
+        for j in range(each):
+            line[x * each + j] = line[left + j]
+            line[(margin + width + x) * each + j] = line[right + j]
+
+
+@kernel
+def coarse_lines(
+    light: Floats, grid: Floats, c: CoarseTable, origin: int, start: int, stop: int
+) -> None:
+    """Lines of a coarse grid, shrunk along both axes and enlarged again along rows; the last step,
+    the enlarging along columns, is left to those who read them.
+
+    Args:
+        light (3xHxW): of the scene.
+        grid (NxW): lines from `origin` on; n is of channel n % 3, of row n // 3 of the whole grid.
+        c: tables of the grid.
+        start, stop: lines, counted from `origin`.
+    """
+    channels, _, width = light.shape
+    cells, taps = c.across.shape
+    # columns of a power of two would share few places of the cache: half as long again at 1024 px
+    lines = np.zeros((LANES, width + 24), np.float32)
+    flat = np.zeros((width + 2 * c.column_margin) * LANES, np.float32)
+    small = np.zeros(cells * LANES, np.float32)
+    inside = flat[c.column_margin * LANES : (c.column_margin + width) * LANES]
+    for top in range(start, stop, LANES):
+        count = min(LANES, stop - top)
+        for j in range(count):
+            row, channel = (origin + top + j) // channels, (origin + top + j) % channels
+            rows = c.rows[c.down_first[row] : c.down_first[row] + taps]
+            line = lines[j, :width]
+            line[:] = _0
+            add_rows(line, light[channel], rows, 0, c.down[row])
+        to_columns(inside, lines, width)
+        extend(flat, c.columns, c.column_margin, width, LANES)
+        gather(small, flat, c.across_first, c.across)
+        gather(inside, small, c.back_first, c.back)
+        to_lines(grid, top, count, inside)
+
+
+# ------------------------------------------------------------------------------ pixels
+
+
+@kernel
+def decode_rows(image: Floats, light: Floats, beyond: bool, start: int, stop: int) -> None:
+    """Linear light of rows (NxW) of sRGB values; `beyond`: some may not lie in 0…1."""
+    for y in range(start, stop):
+        values, decoded = image[y], light[y]
+        for x in range(decoded.size):
+            decoded[x] = decode_unit(values[x])
+        if beyond:
+            for x in range(decoded.size):
+                value = values[x]
+                decoded[x] = decoded[x] if _0 <= value <= _1 else decode(value)
+
+
+@kernel
+def look_up(image: Bytes, table: Floats, light: Floats, start: int, stop: int) -> None:
+    """Linear light of rows (NxW) of bytes, from a table of all of them."""
+    for y in range(start, stop):
+        values, decoded = image[y], light[y]
+        for x in range(decoded.size):
+            decoded[x] = table[values[x]]
+
+
+@inner
+def blur_rows(d: Any, plane: Any, fold: Any, middle: int, w: Any, pairs: int) -> None:
+    """Into d: w[0]·(row fold[middle]) + Σ w[i]·(both rows i away); there are 2, 4, … pairs."""
+    m = plane[fold[middle]]
+    a, b = plane[fold[middle - 1]], plane[fold[middle + 1]]
+    p, q = plane[fold[middle - 2]], plane[fold[middle + 2]]
+    w0, w1, w2 = w[0], w[1], w[2]
+    for x in range(d.size):
+        d[x] = w0 * m[x] + w1 * (a[x] + b[x]) + w2 * (p[x] + q[x])
+    for i in range(3, pairs, 2):
+        a, b = plane[fold[middle - i]], plane[fold[middle + i]]
+        p, q = plane[fold[middle - i - 1]], plane[fold[middle + i + 1]]
+        w1, w2 = w[i], w[i + 1]
+        for x in range(d.size):
+            d[x] += w1 * (a[x] + b[x]) + w2 * (p[x] + q[x])
+
+
+@inner
+def add_line(d: Any, share: Any, line: Any, at: int, w: Any, pairs: int) -> None:
+    """Add a share of the line so blurred along itself, for the tile that begins there."""
+    near = line[at - 2 : at + TILE + 2]
+    w0, w1, w2 = w[0], w[1], w[2]
+    for x in range(TILE):
+        one, two = near[x + 1] + near[x + 3], near[x] + near[x + 4]
+        d[x] += share[x] * (w0 * near[x + 2] + w1 * one + w2 * two)
+    for i in range(3, pairs, 2):
+        left, right = line[at - i - 1 : at - i + TILE], line[at + i : at + i + TILE + 1]
+        w1, w2 = w[i], w[i + 1]
+        for x in range(TILE):
+            d[x] += share[x] * (w1 * (left[x + 1] + right[x]) + w2 * (left[x] + right[x + 1]))
+
+
+@inner
+def add_enlarged(d: Any, share: Any, grid: Any, n: int, left: int, right: int, w: Any) -> None:
+    """Add a share of lines n, n + 3, … of a grid, those of one channel, weighed."""
+    w0, w1, w2, w3 = w[0], w[1], w[2], w[3]
+    # one by one: of a block of lines, numba does not know that each is dense
+    a, b = grid[n, left:right], grid[n + 3, left:right]
+    p, q = grid[n + 6, left:right], grid[n + 9, left:right]
+    for x in range(a.size):
+        d[x] += share[x] * ((w0 * a[x] + w1 * b[x]) + (w2 * p[x] + w3 * q[x]))
+
+
+@inner
+def tile_row(t: Any, n: int) -> Any:
+    """One of the rows that a tile works in."""
+    return t[n * TILE : (n + 1) * TILE]
+
+
+@inner
+def tile_rows(t: Any, first: int, count: int) -> Any:
+    """`count` of the rows that a tile works in."""
+    return t[first * TILE : (first + count) * TILE]
+
+
+@inner
+def powers(t: Any, z: int, to: int, law: Any) -> None:
+    """(b̄·z)^exponent of the distances in row `z`, from 1e-6 to 1e4 scattering lengths."""
+    far, v = tile_row(t, z), tile_row(t, to)
+    b_mean, exponent = law[0], law[2]
+    for x in range(TILE):
+        v[x] = min(max(b_mean * far[x], NEAREST), FARTHEST)
+    if exponent != _1:
+        for x in range(TILE):
+            v[x] = exp2(exponent * log2(v[x]))
+
+
+@inner
+def width_places(t: Any, row: int, law: Any) -> None:
+    """Where widths lie in a plan, −1…1, in place of the powers in a row."""
+    v, scale = tile_row(t, row), law[1]
+    linear, square, slope, offset = law[3] * scale, law[4] * scale * scale, law[5], law[6]
+    for x in range(TILE):
+        place = slope * log2_1p(v[x] * (linear + square * v[x])) + offset
+        v[x] = min(max(place, -_1), _1)
+
+
+@inner
+def _polynomials(t: Any, place: int, count: int) -> None:
+    """Chebyshev polynomials of the place, those from 2 on in the rows after it: two at a time."""
+    v, s = tile_row(t, place), tile_rows(t, place + 1, 2)
+    for x in range(TILE):
+        s[x] = _2 * v[x] * v[x] - _1
+        s[x + TILE] = _2 * v[x] * s[x] - v[x]
+    for n in range(4, count, 2):
+        s = tile_rows(t, place + n - 3, 4)
+        for x in range(TILE):
+            twice, last = _2 * v[x], s[x + TILE]
+            one = twice * last - s[x]
+            s[x + 2 * TILE] = one
+            s[x + 3 * TILE] = twice * one - last
+
+
+@inner
+def weigh_series(t: Any, to: int, first: int, w: Any) -> None:
+    """Row `to` = w[0] + Σ w[i]·(row first + i − 1); there are 4, 6, … weights."""
+    d, i = tile_row(t, to), 4
+    w0, w1, w2, w3 = w[0], w[1], w[2], w[3]
+    if w.size > 4:
+        s, w4, w5, i = tile_rows(t, first, 5), w[4], w[5], 6
+        for x in range(TILE):
+            near = w0 + w1 * s[x] + w2 * s[x + TILE]
+            far = w3 * s[x + 2 * TILE] + w4 * s[x + 3 * TILE] + w5 * s[x + 4 * TILE]
+            d[x] = near + far
+    else:
+        s = tile_rows(t, first, 3)
+        for x in range(TILE):
+            d[x] = w0 + w1 * s[x] + (w2 * s[x + TILE] + w3 * s[x + 2 * TILE])
+    while i < w.size:
+        s, w0, w1 = tile_rows(t, first + i - 1, 2), w[i], w[i + 1]
+        for x in range(TILE):
+            d[x] += w0 * s[x] + w1 * s[x + TILE]
+        i += 2
+
+
+@inner
+def blur_weights(t: Any, place: int, to: int, series: Any) -> None:
+    """The weights of the blurs, from the places; the rows after those are to work in."""
+    _polynomials(t, place, series.shape[1])
+    for k in range(series.shape[0]):
+        weigh_series(t, to + k, place, series[k])
+
+
+@inner
+def curves(t: Any, z: int, to: int, medium: Any) -> None:
+    """T_β, T_G − T_β and V(0) − V of three channels in turn, from the distances in row z."""
+    far, rates, direct = tile_row(t, z), medium.rates, medium.direct.shape[1]
+    d = tile_rows(t, to, 9)
+    d[:] = _0
+    for r in range(direct):
+        rate = rates[r]
+        a0, a1, a2 = medium.direct[0, r], medium.direct[1, r], medium.direct[2, r]
+        b0, b1, b2 = medium.scatter[0, r], medium.scatter[1, r], medium.scatter[2, r]
+        for x in range(TILE):
+            e = exp2(rate * far[x])
+            d[x] += a0 * e
+            d[x + TILE] += b0 * e
+            d[x + 3 * TILE] += a1 * e
+            d[x + 4 * TILE] += b1 * e
+            d[x + 6 * TILE] += a2 * e
+            d[x + 7 * TILE] += b2 * e
+    for r in range(direct, rates.size):
+        rate = rates[r]
+        a0, a1, a2 = (
+            medium.veil[0, r - direct],
+            medium.veil[1, r - direct],
+            medium.veil[2, r - direct],
+        )
+        b0, b1, b2 = medium.scatter[0, r], medium.scatter[1, r], medium.scatter[2, r]
+        for x in range(TILE):
+            power, rest = exp2_parts(rate * far[x])
+            e, less = power + rest, (power - _1) + rest
+            d[x + TILE] += b0 * e
+            d[x + 2 * TILE] += a0 * less
+            d[x + 4 * TILE] += b1 * e
+            d[x + 5 * TILE] += a1 * less
+            d[x + 7 * TILE] += b2 * e
+            d[x + 8 * TILE] += a2 * less
+
+
+@inner
+def _store(
+    total: Any, curves: Any, light: Any, srgb: bool, most: Any, out: Any, out_bytes: Any
+) -> None:
+    """D + F + B of a tile, encoded, to where there is room: into one of the two."""
+    for x in range(light.size):
+        near = curves[x + 2 * TILE] + curves[x] * light[x]
+        total[x] = near + curves[x + TILE] * total[x]
+    if srgb and most > _1:
+        for x in range(TILE):
+            value = total[x]
+            total[x] = encode_unit(value) if value <= _1 else min(encode(value), most)
+    elif srgb:
+        for x in range(TILE):
+            total[x] = encode_unit(total[x])
+    copy(out, total[: out.size])
+    for x in range(out_bytes.size):
+        out_bytes[x] = np.uint8(nearest(min(max(total[x] * _255, _0), _255)))
+
+
+@kernel
+def render_rows(
+    light: Floats,
+    z: Floats,
+    medium: MediumTable,
+    stack: StackTable,
+    grid: Floats,
+    srgb: bool,
+    most: Any,
+    out: Floats,
+    out_bytes: Bytes,
+    start: int,
+    stop: int,
+) -> None:
+    """Rows of a picture.
+
+    Args:
+        light (3xHxW), z (HxW): of the scene; effective distance, m.
+        medium, stack: tables.
+        grid (NxW): the lines of all coarse grids.
+        srgb, most: whether to encode, and the largest value then.
+        out, out_bytes (3xHxW): the result, one of them; the other is 3x1x0.
+        start, stop: rows.
+    """
+    _, _, width = light.shape
+    count, terms = stack.series.shape
+    narrow, wide, margin = stack.taps.shape[0], stack.back.shape[0], stack.margin
+    padded = -(-width // TILE) * TILE + 2 * margin + 2
+    lines = np.zeros((narrow * 3 + 1, padded), np.float32)
+    # rows of a tile: distance, curves, shares, total, and place and terms to work in
+    shares = 10
+    total = shares + count
+    t = np.zeros((total + terms) * TILE, np.float32)
+    tile_row(t, shares)[:] = _1  # if there is one
+    sharp = count - narrow - wide
+    z_row, total_row = tile_row(t, 0), tile_row(t, total)
+    for y in range(start, stop):
+        for c in range(3):
+            for k in range(narrow):
+                line = lines[k * 3 + c]
+                inside = line[margin : margin + width]
+                blur_rows(inside, light[c], stack.rows, margin + y, stack.taps[k], stack.pairs[k])
+                extend(line, stack.columns, margin, width, 1)
+        for left in range(0, width, TILE):
+            right = min(left + TILE, width)
+            copy(z_row, z[y, left:right])
+            if count > 1:
+                powers(t, 0, total + 1, medium.law)
+                width_places(t, total + 1, medium.law)
+                blur_weights(t, total + 1, shares, stack.series)
+            curves(t, 0, 1, medium)
+            for c in range(3):
+                seen = light[c, y, left:right]
+                total_row[:] = _0
+                if sharp:
+                    share = tile_row(t, shares)
+                    for x in range(seen.size):
+                        total_row[x] = share[x] * seen[x]
+                for k in range(narrow):
+                    share, line = tile_row(t, shares + sharp + k), lines[k * 3 + c]
+                    add_line(total_row, share, line, margin + left, stack.taps[k], stack.pairs[k])
+                for k in range(wide):
+                    share = tile_row(t, shares + sharp + narrow + k)
+                    first = stack.starts[k] + 3 * stack.back_first[k, y] + c
+                    add_enlarged(total_row, share, grid, first, left, right, stack.back[k, y])
+                _store(
+                    total_row,
+                    tile_rows(t, 1 + 3 * c, 3),
+                    seen,
+                    srgb,
+                    most,
+                    out[c, y % out.shape[1], left:right],
+                    out_bytes[c, y % out_bytes.shape[1], left:right],
+                )
+
+
+# ------------------------------------------------------------------------------ metering
+
+
+@inner
+def _add_light(sums: Any, light: Any, left: Any, count: int) -> None:
+    """Add what is left of the light of three channels, and what is left of 1."""
+    s0, s1, s2, s3 = sums[0], sums[1], sums[2], sums[3]
+    j0, j1, j2 = light[0], light[1], light[2]
+    for i in range(count):
+        s0[i] += left[i] * j0[i]
+        s1[i] += left[i] * j1[i]
+        s2[i] += left[i] * j2[i]
+        s3[i] += left[i]
+
+
+@kernel
+def meter(
+    light: Floats, z: Floats, pixels: Indices, rates: Floats, sums: NDArray[np.float64]
+) -> None:
+    """Sums over some pixels of e^(−rate·z)·J and of e^(−rate·z).
+
+    Args:
+        light (3xP): J of all pixels.
+        z (P): their effective distances, m.
+        pixels (N): which of them are metered.
+        rates (L): times −log2(e), ≤ 0.
+        sums (Lx4): where the sums of three channels, and that of the exponentials, are put.
+    """
+    parts = np.zeros((rates.size, 4, TILE), np.float32)
+    scene, tile = np.empty((3, TILE), np.float32), np.empty((2, TILE), np.float32)
+    far, left = tile[0], tile[1]
+    for first in range(0, pixels.size, TILE):
+        count = min(TILE, pixels.size - first)
+        for i in range(count):
+            pixel = pixels[first + i]
+            far[i] = z[pixel]
+            scene[0, i], scene[1, i], scene[2, i] = (
+                light[0, pixel],
+                light[1, pixel],
+                light[2, pixel],
+            )
+        for k in range(rates.size):
+            for i in range(count):
+                left[i] = exp2(rates[k] * far[i])
+            _add_light(parts[k], scene, left, count)
+    for k in range(rates.size):
+        for c in range(4):
+            total = 0.0
+            for i in range(TILE):
+                total += parts[k, c, i]
+            sums[k, c] = total

@@ -1,0 +1,235 @@
+"""Pictures by the compiled loops: decoding, metering, and all from light to the encoded picture."""
+
+import math
+import os
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from threading import Lock
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.data import get_worker_info
+
+from uwaug._support.types import Array
+from uwaug.blur.plan import BlurPlan
+from uwaug.formation.loops.backend import loaded
+from uwaug.formation.loops.tables import (
+    Floats,
+    Indices,
+    MediumTable,
+    PlanTable,
+    medium_tables,
+    plan_table,
+)
+from uwaug.optics.medium import Medium
+
+_NO_FLOATS, _NO_BYTES = np.zeros((3, 1, 0), np.float32), np.zeros((3, 1, 0), np.uint8)
+
+ONE_OF_EACH = BlurPlan(
+    0.0, 9.0, (0.0, 1.0, 6.0), (1.0, 1.0, 4.0), ((1.0, 0.0),) * 3, reach=3.0, error=0.0
+)
+"""A plan with a sharp, a narrow and a coarse blur."""
+
+_BAND = 1 << 21
+"""Pixels whose coarse grids are held at a time: of all together, up to 24 MiB."""
+
+
+def decode(image: Tensor, srgb: bool, beyond: bool = False) -> Tensor:
+    """Linear light of a picture of bytes, or of sRGB values in float32.
+
+    Args:
+        srgb: whether bytes are sRGB.
+        beyond: whether some values may lie outside of 0…1.
+    """
+    kernels, width = loaded("kernels"), image.shape[-1]
+    light = torch.empty(image.shape, dtype=torch.float32)
+    values = image.detach().contiguous().numpy().reshape(-1, width)
+    rows = light.numpy().reshape(-1, width)
+    if image.dtype == torch.uint8:
+        # by the same arithmetic as floating point, so that both give one picture
+        unit = np.arange(256, dtype=np.float32)[None] / np.float32(255)
+        table = unit.copy()
+        if srgb:
+            kernels.decode_rows(unit, table, False, 0, 1)
+        run = partial(kernels.look_up, values, table[0], rows)
+    else:
+        run = partial(kernels.decode_rows, values, rows, beyond)
+    in_bands(run, range(len(values)), width)
+    return light
+
+
+def meter(light: Tensor, z: Tensor, medium: Medium, pixels: Tensor) -> tuple[Array, Array, Array]:
+    """What an automatic exposure measures of one picture.
+
+    Args:
+        light (3xHxW tensor), z (1xHxW tensor): of the scene; effective distances, m; float32.
+        medium: of one row.
+        pixels (N tensor): flat indices of those that are looked at.
+
+    Returns:
+        Light of three channels (3): of the scene, of what arrives of it with the veil, both in the
+        mean of these pixels; and the veil of the farthest pixel of all.
+    """
+    weights = medium.G, medium.signal_weights, medium.veil_weights
+    G, signal, veil = (t.detach().numpy()[0].astype(np.float64) for t in weights)
+    # 0 first: its exponential is 1, which leaves the scene as it is
+    rates = np.append(0.0, G * -math.log2(math.e)).astype(np.float32)
+    sums = np.empty((len(rates), 4))
+    scene, metres = (t.detach().contiguous().numpy() for t in (light, z))
+    flat = scene.reshape(3, -1), metres.reshape(-1)
+    loaded("kernels").meter(*flat, pixels.numpy(), rates, sums)
+    means = sums / len(pixels)
+    arriving = (signal * means[1:, :3].T).sum(1) + veil @ (1 - means[1:, 3])
+    return means[0, :3], arriving, veil @ -np.expm1(-G * float(z.amax()))
+
+
+def render(
+    light: Tensor,
+    z: Tensor,
+    medium: Medium,
+    plan: BlurPlan,
+    *,
+    srgb: bool = False,
+    largest: float | Tensor = 1.0,
+    dtype: torch.dtype = torch.float32,
+) -> Tensor:
+    """D + F + B of a batch of pictures, in the line of sight, encoded.
+
+    Args:
+        light (Bx3xHxW tensor), z (Bx1xHxW tensor): of the scene; effective distances, m; float32.
+        medium: of any number of rows.
+        plan: of the blur.
+        srgb: encode; otherwise the result is linear light.
+        largest: sRGB value of the result, ≥ 1, one or (B, …).
+        dtype: of the result; uint8 is rounded and clipped.
+    """
+    size = (light.shape[-2], light.shape[-1])
+    batch = max(len(light), len(z), len(medium))
+    kind = torch.uint8 if dtype == torch.uint8 else torch.float32
+    result = torch.empty(batch, 3, *size, dtype=kind)
+    most = torch.as_tensor(largest, dtype=torch.float32).reshape(-1).expand(batch)
+    render_into(result, light, z, plan, medium_tables(medium, plan, size), srgb, most.numpy())
+    return result.to(dtype)
+
+
+def render_into(
+    result: Tensor,
+    light: Tensor,
+    z: Tensor,
+    plan: BlurPlan,
+    media: Sequence[MediumTable],
+    srgb: bool,
+    largest: Floats,
+) -> None:
+    """Render a batch; `media` are for this plan and size, `largest` has a value for each result."""
+    scenes, metres = light.detach().contiguous().numpy(), z.detach().contiguous().numpy()
+    size, results = (light.shape[-2], light.shape[-1]), result.numpy()
+    table, kernel = plan_table(plan, size), loaded("kernels").render_rows
+    for i, scene in enumerate(scenes):
+        # one picture in several waters is blurred once
+        samples = range(len(results)) if len(scenes) == 1 else (i,)
+        for rows in _bands(size):
+            grid, starts = coarse_grids(scene, table, rows)
+            stack = table.stack._replace(starts=starts)
+            for n in samples:
+                out = results[n]
+                outs = (_NO_FLOATS, out) if out.dtype == np.uint8 else (out, _NO_BYTES)
+                maps = (scene, metres[n % len(metres), 0], media[n % len(media)])
+                run = partial(kernel, *maps, stack, grid, srgb, largest[n], *outs)
+                in_bands(run, rows, size[1])
+
+
+def _bands(size: tuple[int, int]) -> Iterator[range]:
+    """Rows whose coarse grids are held at a time."""
+    height, width = size
+    step = max(_BAND // width, 64)
+    return (range(first, min(first + step, height)) for first in range(0, height, step))
+
+
+def coarse_grids(light: Floats, table: PlanTable, rows: range) -> tuple[Floats, Indices]:
+    """The lines of all coarse grids that some rows of a picture need, and where those of each would
+    start if they were whole.
+    """
+    kernels, width, first = loaded("kernels"), light.shape[-1], table.stack.back_first
+    low, high = 3 * first[:, rows.start], 3 * (first[:, rows.stop - 1] + 4)
+    counts = high - low
+    places = np.cumsum(counts) - counts
+    grid = np.empty((int(counts.sum()), width), np.float32)
+    for coarse, origin, count, place in zip(table.coarse, low, counts, places, strict=True):
+        lines = grid[place : place + count]
+        run = partial(kernels.coarse_lines, light, lines, coarse, int(origin))
+        in_bands(run, range(count), width, kernels.LANES)
+    return grid, places - low
+
+
+def run_once() -> None:
+    """Compile all kernels: decode, meter and render one pixel."""
+    light, z = (torch.from_numpy(np.ones((1, n, 1, 1), np.float32)) for n in (3, 1))
+    medium = Medium.from_coefficients([1.0] * 3, [1.0] * 3, [1.0] * 3)
+    decode(light.to(torch.uint8), srgb=True)
+    meter(light[0], z[0], medium, torch.from_numpy(np.zeros(1, np.int64)))
+    render(light, z, medium, ONE_OF_EACH)
+
+
+# ------------------------------------------------------------------------------ threads
+
+_LEAST = 1 << 15
+"""Pixels for each thread: with fewer, to wake one takes longer than it saves."""
+
+_pool: ThreadPoolExecutor | None = None
+_workers = 0
+_lock = Lock()
+
+
+def in_bands(run: Callable[[int, int], None], lines: range, width: int, multiple: int = 1) -> None:
+    """Call `run(start, stop)` for lines of `width` px, in bands on as many threads as torch may
+    use; in a DataLoader's worker, on this one.
+
+    Args:
+        multiple: bands hold multiples of so many lines.
+    """
+    threads = 1 if get_worker_info() else torch.get_num_threads()
+    threads = min(threads, len(lines) * width // _LEAST)
+    if threads < 2:
+        run(lines.start, lines.stop)
+        return
+    # several for each thread: one that is held up does not hold up all
+    each = multiple * -(-len(lines) // (4 * threads * multiple))
+    bands = deque(lines[::each])
+
+    def work() -> None:
+        while bands:
+            try:
+                start = bands.popleft()
+            except IndexError:  # another thread has taken the last
+                return
+            run(start, min(start + each, lines.stop))
+
+    pool = _executor(threads - 1)
+    helpers = [pool.submit(work) for _ in range(threads - 1)]
+    work()  # this thread need not wait for the others to wake
+    for helper in helpers:
+        if not helper.cancel():
+            helper.result()
+
+
+def _executor(threads: int) -> ThreadPoolExecutor:
+    global _pool, _workers
+    with _lock:
+        if _pool is None or _workers < threads:
+            # the smaller one ends with its last task
+            _pool, _workers = ThreadPoolExecutor(threads, "uwaug"), threads
+        return _pool
+
+
+def _forget() -> None:
+    """In a child process there are no threads but its own."""
+    global _pool, _lock
+    _pool, _lock = None, Lock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget)
