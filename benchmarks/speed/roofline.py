@@ -23,7 +23,7 @@ import uwaug
 from benchmarks.harness import command, race, save, scene, use_threads
 from benchmarks.speed.loops import WATER, by, direct_and_veil, module
 from uwaug.blur.plan import BlurPlan
-from uwaug.formation.loops.tables import Coarse, Floats, plan_tables, water_tables
+from uwaug.formation.loops.tables import CoarseTable, Floats, medium_tables, plan_table
 from uwaug.optics.medium import Medium
 
 Work = dict[str, float]
@@ -31,7 +31,7 @@ Work = dict[str, float]
 
 CHANNELS = 3
 EXP, LOG = 16, 21
-"""Of one exponential and one logarithm, as in `uwaug.formation.loops.polynomials`."""
+"""Of one exponential and one logarithm, as in `uwaug.formation.loops.approx`."""
 
 BYTES = 4 * (CHANNELS + 1 + 1 + CHANNELS)
 """For each pixel: image, distance, field; result."""
@@ -45,7 +45,7 @@ def narrow(pairs: int) -> int:
     return CHANNELS * 2 * (1 + 3 * pairs)
 
 
-def wide(grid: Coarse) -> float:
+def wide(grid: CoarseTable) -> float:
     """One blur on a coarse grid: shrunk along both axes, enlarged along both."""
     height, width = len(grid.rows) - 2 * grid.row_margin, len(grid.back_first)
     (lines, down), (cells, across) = grid.down.shape, grid.across.shape
@@ -57,13 +57,13 @@ def wide(grid: Coarse) -> float:
 
 def arithmetic(plan: BlurPlan, medium: Medium, size: tuple[int, int]) -> Work:
     """Our model with field, whichever path computes it."""
-    stack, coarse = plan_tables(plan, size)
-    water = water_tables(medium.to(torch.float32), plan, size)
+    stack, coarse = plan_table(plan, size)
+    (table,) = medium_tables(medium, plan, size)
     blurs, terms = len(plan.coefficients), len(plan.coefficients[0])
-    rates, direct = len(water.rates), water.direct.shape[1]
+    rates, direct = len(table.rates), table.direct.shape[1]
     falling = rates - direct
     place = (LOG + 3) + 6 if blurs > 1 else 0  # three more: log2(1 + x) keeps what rounding loses
-    if blurs > 1 and water.law[2] != 1:
+    if blurs > 1 and table.law[2] != 1:
         place += LOG + EXP + 1
     shares = place + 3 * max(terms - 2, 0) + 2 * blurs * terms
     # a rate is multiplied with z; that of the veil also gives e^−x − 1

@@ -224,7 +224,7 @@ def test_the_roofline_counts_coarse_blurs_as_matrices_have_it() -> None:
     from benchmarks.speed import roofline
     from uwaug.blur.banded import along_rows
     from uwaug.blur.operators import Node, operator
-    from uwaug.formation.loops.tables import _coarse
+    from uwaug.formation.loops.tables import coarse_table
 
     node, height, width = Node(6.0, 4.0, 3.0), 96, 130
 
@@ -234,12 +234,12 @@ def test_the_roofline_counts_coarse_blurs_as_matrices_have_it() -> None:
         dense = along_rows(operator(*at), torch.eye(columns, dtype=torch.float64))
         return int((dense != 0).sum())
 
-    lines = len(_coarse(node, height, width).down)
+    lines = len(coarse_table(node, height, width).down)
     down, back = weights("shrink", height) * width, weights("enlarge", height) * width
     along = weights("shrink", width) + weights("enlarge", width)
     least = 3 * 2 * (down + lines * along + back) / (height * width)
     # rows of all matrices are filled up to 4, 8, … weights; at edges some fall on one pixel
-    assert least <= roofline.wide(_coarse(node, height, width)) <= 1.25 * least
+    assert least <= roofline.wide(coarse_table(node, height, width)) <= 1.25 * least
 
 
 def test_what_the_roofline_counts() -> None:
