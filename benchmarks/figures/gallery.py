@@ -11,7 +11,7 @@ from benchmarks.harness import RESULTS, command
 from uwaug._support.atomic import written_whole
 from uwaug.figures.comparison import seen_by
 from uwaug.optics.water import JERLOV_TYPES, Water
-from uwaug.presets.preset import load_preset, published_systems
+from uwaug.presets import load_preset, published_systems
 from uwaug.presets.scene import Scene, motorcycle
 
 FIGURES = RESULTS.parent / "figures"

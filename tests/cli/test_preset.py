@@ -3,7 +3,7 @@ import re
 import pytest
 
 from uwaug import load_preset
-from uwaug.presets.preset import bundled_preset, list_presets
+from uwaug.presets.files import bundled_preset, list_presets
 
 
 def test_list(run):

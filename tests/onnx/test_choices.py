@@ -12,7 +12,7 @@ from PIL import Image
 from uwaug import Medium, PointSpread, Underwater, Water, form_image, load_preset
 from uwaug.light.geometry import focal_of
 from uwaug.onnx import OnnxUnderwater, export_onnx
-from uwaug.presets.preset import bundled_preset
+from uwaug.presets.files import bundled_preset
 
 THREE = (0.5, 0.4, 0.3)
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from uwaug import JERLOV_TYPES, Camera, Medium, PointSpread, Underwater, Water
-from uwaug.presets.preset import Preset, list_presets, load_preset, published_systems
+from uwaug.presets import Preset, list_presets, load_preset, published_systems
 
 NAMES = list_presets()
 
@@ -169,12 +169,12 @@ def test_water_and_camera_take_the_place_of_spectra_only(tmp_path):
     camera = Camera([400, 500, 600, 700], [[0, 0, 1], [0, 1, 1], [1, 1, 0], [1, 0, 0]], "box")
     assert not same(load_preset("survey", camera=camera).medium, load_preset("survey").medium)
     for override in ({"water": "II"}, {"camera": camera}):
-        message = r"tank-adjusted-2.toml: holds coefficients for red, green and blue"
+        message = r"preset tank-adjusted-2: holds coefficients for red, green and blue"
         with pytest.raises(ValueError, match=message):
             load_preset("tank-adjusted-2", **override)
-    with pytest.raises(ValueError, match=r"survey.toml: type must be one of I, .*, got '11C'"):
+    with pytest.raises(ValueError, match=r"preset survey: type must be one of I, .*, got '11C'"):
         load_preset("survey", water="11C")
-    with pytest.raises(ValueError, match=r"survey.toml: no camera is called 'D90'"):
+    with pytest.raises(ValueError, match=r"preset survey: no camera is called 'D90'"):
         load_preset("survey", camera="D90")
 
 

@@ -11,7 +11,8 @@ from referees.systems import CHANNELS, SPECTRAL, Scene
 
 import uwaug.presets.scene
 from uwaug import JERLOV_TYPES, Camera, Medium, PointSpread, Underwater, Water, form_image
-from uwaug.presets.preset import bundled_preset, load_preset, published_systems
+from uwaug.presets import load_preset, published_systems
+from uwaug.presets.files import bundled_preset
 
 SIZES = [(1, 1), (7, 5), (16, 24)]
 BLURRED = ("mcglamery-1980", "jaffe-1990", "schechner-2004", "ismiroglou-2025")

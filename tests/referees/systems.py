@@ -12,7 +12,7 @@ import numpy as np
 from referees import reference
 from uwaug.optics.camera import load_camera
 from uwaug.optics.water import Water
-from uwaug.presets.preset import bundled_preset
+from uwaug.presets.files import bundled_preset
 
 Array = np.ndarray
 BANDS = np.arange(400.0, 701.0, 5.0)

@@ -68,7 +68,7 @@ def _require(water: str, systems: list[str], distance_unit: str) -> None:
     """Refuse what no picture could make good."""
     from uwaug.io.distances import UNITS
     from uwaug.optics.water import JERLOV_TYPES
-    from uwaug.presets.preset import preset_path
+    from uwaug.presets.files import preset_path
 
     try:
         checks.one_of("--water", water, JERLOV_TYPES)

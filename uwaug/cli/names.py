@@ -1,7 +1,7 @@
 """What a shell completes: names of waters and of presets."""
 
 from uwaug.optics.water import JERLOV_TYPES
-from uwaug.presets.preset import list_presets
+from uwaug.presets.files import list_presets
 
 __all__ = ["complete_preset", "complete_water"]
 

@@ -10,7 +10,8 @@ from rich.table import Table
 from uwaug._support.atomic import written_whole
 from uwaug.cli.console import fail, refuse, require_room
 from uwaug.cli.names import complete_preset
-from uwaug.presets.preset import bundled_preset, list_presets, load_preset, preset_path
+from uwaug.presets.files import bundled_preset, list_presets, preset_path
+from uwaug.presets.preset import load_preset
 
 __all__ = ["preset"]
 

@@ -23,7 +23,8 @@ from uwaug.formation.model import validate
 from uwaug.formation.underwater import Underwater
 from uwaug.light.geometry import focal_of
 from uwaug.optics.water import JERLOV_TYPES
-from uwaug.presets.preset import Preset, load_preset, published_systems
+from uwaug.presets.files import published_systems
+from uwaug.presets.preset import Preset, load_preset
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -200,9 +201,10 @@ def compare(
     known = _Known(_congruency(scene), _lab(fullest))
     rows, pictures, fixed = [], {}, []
     for name in names:
-        preset = _preset(name, water)
-        if preset is None:
-            preset = load_preset(name)
+        preset = load_preset(name)
+        if preset.waters:
+            preset = load_preset(name, water=water)
+        else:
             fixed.append(name)
         pictures[name] = seen_by(preset, scene, distance)
         rows.append(_row(name, preset, pictures[name], known))
@@ -253,16 +255,6 @@ def _phase_congruency() -> Any:
         cure = 'pip install ".[compare]" in a checkout of uwaug'
         raise ImportError(f"{error.name} is missing: a comparison needs {cure}") from error
     return phasecongmono
-
-
-def _preset(name: str, water: str) -> Preset | None:
-    """None if it has a water of its own."""
-    try:
-        return load_preset(name, water=water)
-    except ValueError as error:
-        if "no water" not in str(error):
-            raise
-        return None
 
 
 def seen_by(preset: Preset, scene: Tensor, distance: Tensor) -> Tensor:

@@ -1,5 +1,6 @@
 """What comes with the package: presets, published systems, a scene."""
 
-from uwaug.presets.preset import Preset, list_presets, load_preset, published_systems
+import lazy_loader
 
-__all__ = ["Preset", "list_presets", "load_preset", "published_systems"]
+# names of presets are completed in a shell, which waits for no torch
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

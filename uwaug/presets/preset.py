@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -15,20 +16,13 @@ from uwaug.formation.exposure import Exposure
 from uwaug.formation.field import gaussian_random_field
 from uwaug.formation.underwater import Underwater
 from uwaug.light import Light
+from uwaug.optics.bands import attenuations, surface_light
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
-from uwaug.presets.media import medium_of
+from uwaug.presets.files import preset_path
 from uwaug.presets.schema import Config, read_config
-
-__all__ = [
-    "Preset",
-    "bundled_preset",
-    "list_presets",
-    "load_preset",
-    "preset_path",
-    "published_systems",
-]
 
 _HOMOGENEOUS = (1.0, 1.0)
 """The range of a field that does nothing."""
@@ -51,6 +45,8 @@ class Preset:
             are decoded first.
         exposure: "none", "auto", or a gain in stops, see `uwaug.Underwater`.
         spectral: water, camera, g and mu; None where the file has coefficients of three channels.
+        waters: names of the types that `load_preset` takes in place of the file's; none where the
+            file's coefficients are those of one water.
         equation: what it computes, in one line; may be empty.
         choices: how its medium differs from what `uwaug.RandomUnderwater` draws.
         light: what shines; None for daylight as the medium has it.
@@ -67,6 +63,7 @@ class Preset:
     color_space: ColorSpace
     exposure: Exposure
     spectral: dict[str, Any] | None
+    waters: tuple[str, ...]
     equation: str
     choices: Mapping[str, str]
     light: Light | None
@@ -87,9 +84,9 @@ class Preset:
         if self.spectral is None:
             raise ValueError(f"preset {self.name!r} has coefficients but no spectra: {cure}")
         if self.choices:
-            made = ", ".join(f"{key} = {value}" for key, value in self.choices.items())
+            choices = ", ".join(f"{key} = {value}" for key, value in self.choices.items())
             raise ValueError(
-                f"preset {self.name!r} has {made}, which RandomUnderwater does not draw: {cure}"
+                f"preset {self.name!r} has {choices}, which RandomUnderwater does not draw: {cure}"
             )
         options = {
             **self.spectral,
@@ -126,57 +123,22 @@ class Preset:
     def module(
         self, sides: tuple[int, int] | None = None, focal_px: float | None = None
     ) -> Underwater:
-        """The preset as an `uwaug.Underwater`, planned for its distances times its field; `sides`
-        as there.
+        """The preset as an `uwaug.Underwater`, planned for its distances times its field.
 
-        focal_px: focal length, px of the image; wanted where the preset has a lamp or a sun.
+        Args:
+            sides: the smallest and the largest short side, px, see `uwaug.Underwater`.
+            focal_px: focal length, px of the image; a preset with a lamp or a sun needs it.
         """
         low, high = self.field_range
-        distances = (self.near * low, self.far * high)
-        options: dict[str, Any] = {"color_space": self.color_space, "exposure": self.exposure}
-        options |= {"light": self.light, "focal_px": focal_px}
-        return Underwater(self.medium, distances, sides=sides, **options)
-
-
-def list_presets() -> list[str]:
-    """Names of the presets that come with the package, sorted: the paper's, the library's own, and
-    the `published_systems`.
-    """
-    return sorted(_files())
-
-
-def published_systems() -> list[str]:
-    """Names of the presets that compute what others have published, oldest first."""
-    named = [name for name, path in _files().items() if path.parent.name == "published"]
-    # each ends with its year
-    return sorted(named, key=lambda name: (name.rpartition("-")[2], name))
-
-
-def bundled_preset(name: str) -> Path:
-    """The file of a preset that comes with the package.
-
-    Raises:
-        ValueError: the name is unknown; lists the known.
-    """
-    files = _files()
-    if name not in files:
-        known = ", ".join(sorted(files))
-        raise ValueError(f"no preset is called {name!r}; there are {known}")
-    return files[name]
-
-
-def preset_path(name_or_path: str | os.PathLike[str]) -> Path:
-    """The file of a preset, from what `load_preset` takes.
-
-    Raises:
-        ValueError: it is a name, and unknown; lists the known.
-    """
-    if not isinstance(name_or_path, str) or name_or_path.endswith(".toml"):
-        return Path(name_or_path)
-    try:
-        return bundled_preset(name_or_path)
-    except ValueError as error:
-        raise ValueError(f"{error}; or give the path of a .toml file") from None
+        return Underwater(
+            self.medium,
+            (self.near * low, self.far * high),
+            color_space=self.color_space,
+            sides=sides,
+            exposure=self.exposure,
+            light=self.light,
+            focal_px=focal_px,
+        )
 
 
 def load_preset(
@@ -213,12 +175,22 @@ def load_preset(
     """
     path = preset_path(name_or_path)
     config = read_config(path)
+    depth = config.medium.vertical_depth_m
+    if generator is not None and config.medium.depth_range_m is not None:
+        low, high = config.medium.depth_range_m
+        depth = low + (high - low) * _uniform(1, generator)[0]
     try:
-        spectral = _spectral(config, path.parent, water, camera)
-        kind = _type_of_channels(config, water)
-        medium, depth = medium_of(config, spectral, kind, tolerance, generator)
+        spectral = _spectra(config, path.parent, water, camera)
+        veil = _veil(config, generator)
+        if spectral is not None:
+            medium = _spectral_medium(config, spectral, depth, veil, tolerance)
+        elif config.channels is not None:
+            medium = _channel_medium(config, water, depth, veil)
+        else:
+            medium = _coefficient_medium(config, depth)
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+        # of the arguments, as the file has been checked
+        raise ValueError(f"preset {path.stem}: {error}") from error
     z = config.distance
     return Preset(
         name=path.stem,
@@ -232,26 +204,14 @@ def load_preset(
         color_space=config.color_space,
         exposure=config.exposure,
         spectral=spectral,
+        waters=config.waters(),
         equation=config.equation,
         choices=config.choices(),
         light=None if config.light is None else Light.from_list(config.light),
     )
 
 
-def _files() -> dict[str, Path]:
-    """The file of each preset that comes with the package."""
-    folder = _folder()
-    paths = [*folder.glob("*.toml"), *folder.glob("published/*.toml")]
-    return {path.stem: path for path in paths}
-
-
-def _folder() -> Path:
-    here = Path(__file__).parent.parent
-    installed = here / "configs"
-    return installed if installed.is_dir() else here.parent / "configs"
-
-
-def _spectral(
+def _spectra(
     config: Config,
     folder: Path,
     water: str | Water | None,
@@ -276,14 +236,89 @@ def _spectral(
     }
 
 
-def _type_of_channels(config: Config, water: str | Water | None) -> str | None:
-    """The water among those that a file has rates of three channels for; None for its own."""
-    if config.channels is None or water is None:
+def _spectral_medium(
+    config: Config,
+    spectral: Mapping[str, Any],
+    depth: float,
+    veil: list[float] | None,
+    tolerance: float,
+) -> Medium:
+    medium = Medium.from_water(
+        spectral["waters"],
+        spectral["cameras"],
+        vertical_depth=depth,
+        g=spectral["g"],
+        mu=spectral["mu"],
+        point_spread=_width_law(config),
+        tolerance=tolerance,
+        downwelling=config.medium.downwelling,
+        dims=config.medium.dims,
+        veil_rate=config.medium.veil_rate,
+        forward=config.medium.forward,
+    )
+    if veil is None:
+        return medium
+    at_infinity = torch.tensor(veil, dtype=torch.float64)
+    if config.medium.dims != "direct":
+        # dimmed as the picture is, each wavelength by its own
+        at_infinity = at_infinity * medium.signal_weights.sum(-1)
+    return medium.with_veil(at_infinity, curve="signal")
+
+
+def _channel_medium(
+    config: Config, water: str | Water | None, depth: float, veil: list[float] | None
+) -> Medium:
+    channels = config.channels
+    assert channels is not None
+    assert veil is not None
+    if channels.left is not None:
+        if water is not None:
+            raise ValueError("holds one transmission, which no water replaces")
+        return Medium.from_transmission(channels.left, veil)
+    rates = channels.rates()
+    kind = channels.type if water is None else water
+    if kind not in rates:
+        raise ValueError(f"has no spectra: water must be one of {', '.join(rates)}, got {water!r}")
+    beta = rates[str(kind)]
+    left = np.exp(-beta * depth) if config.medium.downwelling == "beam" else np.ones(3)
+    left = left * channels.surface_light
+    light = np.ones(3) if config.medium.dims == "veil" else left
+    ambient = np.ones(3) if config.medium.dims == "direct" else left
+    return Medium.from_coefficients(
+        beta.tolist(), beta.tolist(), (np.array(veil) * ambient).tolist(), light=light.tolist()
+    )
+
+
+def _coefficient_medium(config: Config, depth: float) -> Medium:
+    a, b, printed_G, kd = (np.array(values) for values in vars(config.coefficients).values())
+    # the g of each channel that gives G as printed, which is rounded
+    g = np.divide(printed_G - a, b, out=np.zeros(3), where=b > 0)
+    beta, G = attenuations(a, b, g)
+    light, veil, _ = surface_light(beta, G, b, kd, vertical_depth=depth, mu=config.medium.mu)
+    return Medium.from_coefficients(
+        beta.tolist(),
+        G.tolist(),
+        veil.tolist(),
+        b_mean=float(b.mean()),
+        point_spread=_width_law(config),
+        light=light.tolist(),
+    )
+
+
+def _width_law(config: Config) -> PointSpread:
+    law = config.point_spread
+    return PointSpread(law.scale_px, law.exponent, law.shape, law.short_side_px)
+
+
+def _veil(config: Config, generator: torch.Generator | None) -> list[float] | None:
+    """V(0) before it is dimmed: the middle of its range, or drawn; None if the water makes it."""
+    if config.veil is None:
         return None
-    table = config.channels.beta_per_m or config.channels.left_per_m
-    if table is None:
-        raise ValueError("holds one transmission, which no water replaces")
-    if water not in table:
-        known = ", ".join(table)
-        raise ValueError(f"has no spectra: water must be one of {known}, got {water!r}")
-    return str(water)
+    shares = [0.5] * 3 if generator is None else _uniform(3, generator)
+    ends = zip(config.veil.low, config.veil.high, shares, strict=True)
+    return [low + (high - low) * share for low, high, share in ends]
+
+
+def _uniform(count: int, generator: torch.Generator) -> list[float]:
+    """Random numbers in 0…1."""
+    return torch.rand(count, generator=generator, dtype=torch.float64).tolist()

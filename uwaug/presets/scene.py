@@ -11,8 +11,6 @@ from uwaug._support import checks
 from uwaug.distance.convert import along_ray, fill_unknown, from_disparity
 from uwaug.formation.colour import linear_to_srgb, to_light
 
-__all__ = ["Scene", "motorcycle", "motorcycle_depth", "own_scene"]
-
 _PIXELS = 500_000
 """What a sheet shows of a picture: twice as wide as its cells, and enough for one across all."""
 
@@ -93,7 +91,7 @@ def own_scene(image: Tensor, distance: Tensor) -> Scene:
 
 
 def motorcycle_depth() -> tuple[Tensor, Tensor]:
-    """The picture of that scene (3xHxW, sRGB), and its depth along the optical axis (1xHxW, m)."""
+    """The motorcycle's picture (3xHxW, sRGB), and its depth along the optical axis (1xHxW, m)."""
     from skimage.data import stereo_motorcycle
 
     left, _, disparity = stereo_motorcycle()

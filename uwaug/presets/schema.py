@@ -8,17 +8,17 @@ from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal, get_args
 
+import numpy as np
+
 from uwaug._support import checks
 from uwaug._support.atomic import require_regular
 from uwaug._support.checks import DOMAIN
-from uwaug._support.types import ColorSpace, Shape
+from uwaug._support.types import Array, ColorSpace, Shape
 from uwaug.formation.exposure import require_exposure
 from uwaug.light.light import Light
 from uwaug.optics.bands import USUAL, Dims, Downwelling, VeilRate
 from uwaug.optics.inherent import Forward
 from uwaug.optics.water import JERLOV_TYPES
-
-__all__ = ["Config", "read_config"]
 
 _ROUNDING = 0.005  # 1/m: half of the last digit that the paper prints
 
@@ -57,8 +57,7 @@ class _Coefficients(_Table):
 
     def __post_init__(self) -> None:
         for key, values in vars(self).items():
-            for value in values:
-                checks.within(key, value, 0.0)
+            _require_not_negative(key, values)
         if min(self.G_per_m) == 0:
             raise ValueError(f"G_per_m must be > 0, got {self.G_per_m}")
 
@@ -87,9 +86,15 @@ class _Channels(_Table):
             return
         checks.one_of("type", self.type, self.beta_per_m or self.left_per_m or ())
         for name, beta in (self.beta_per_m or {}).items():
-            _require_each(f"beta_per_m.{name}", beta)
+            _require_not_negative(f"beta_per_m.{name}", beta)
         for name, left in (self.left_per_m or {}).items():
             _require_shares(f"left_per_m.{name}", left)
+
+    def rates(self) -> dict[str, Array]:
+        """β of each water type, 1/m."""
+        if self.beta_per_m is not None:
+            return {name: np.array(beta) for name, beta in self.beta_per_m.items()}
+        return {name: -np.log(np.array(left)) for name, left in (self.left_per_m or {}).items()}
 
 
 @dataclass(frozen=True)
@@ -100,8 +105,8 @@ class _Veil(_Table):
     high: _RGB
 
     def __post_init__(self) -> None:
-        _require_each("low", self.low)
-        _require_each("high", self.high)
+        _require_not_negative("low", self.low)
+        _require_not_negative("high", self.high)
         if any(low > high for low, high in zip(self.low, self.high, strict=True)):
             raise ValueError(f"high must be ≥ low = {self.low}, got {self.high}")
 
@@ -123,8 +128,8 @@ class _Medium(_Table):
             low, high = self.depth_range_m
             checks.within("depth_range_m", low, 0.0)
             if not low <= self.vertical_depth_m <= high < math.inf:
-                wanted = f"hold vertical_depth_m = {self.vertical_depth_m}"
-                raise ValueError(f"depth_range_m must {wanted}, got {self.depth_range_m}")
+                expected = f"hold vertical_depth_m = {self.vertical_depth_m}"
+                raise ValueError(f"depth_range_m must {expected}, got {self.depth_range_m}")
 
 
 @dataclass(frozen=True)
@@ -211,16 +216,18 @@ class Config(_Table):
 
     def choices(self) -> dict[str, str]:
         """How the medium differs from what `RandomUnderwater` draws."""
-        named = {}
-        for key, usual in USUAL.items():
-            if getattr(self.medium, key) != usual:
-                named[key] = getattr(self.medium, key)
-        if self.veil is not None:
-            named["veil"] = "given"
-        return named
+        values = {key: getattr(self.medium, key) for key in USUAL}
+        choices = {key: value for key, value in values.items() if value != USUAL[key]}
+        return choices if self.veil is None else {**choices, "veil": "given"}
+
+    def waters(self) -> tuple[str, ...]:
+        """Names of the water types that the file holds, or its spectra are known of."""
+        if self.channels is not None:
+            return tuple(self.channels.rates())
+        return () if self.water is None else JERLOV_TYPES
 
 
-def _require_each(key: str, values: _RGB) -> None:
+def _require_not_negative(key: str, values: _RGB) -> None:
     for value in values:
         checks.within(key, value, 0.0)
 
@@ -265,8 +272,8 @@ def read_config(path: Path) -> Config:
     try:
         return TypeAdapter(Config).validate_json(table)
     except ValidationError as error:
-        found = "; ".join(_explain(dict(one)) for one in error.errors())
-        raise ValueError(f"{path}: {found}") from None
+        faults = "; ".join(_explain(dict(fault)) for fault in error.errors())
+        raise ValueError(f"{path}: {faults}") from None
 
 
 def _explain(error: dict[str, Any]) -> str:
@@ -277,15 +284,15 @@ def _explain(error: dict[str, Any]) -> str:
     if error["type"] == "missing":
         return f"{key} is missing"
     if error["type"] == "unexpected_keyword_argument":
-        known = _keys(where[:-1])
-        close = difflib.get_close_matches(where[-1], known, n=1)
-        hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(known)}"
+        keys = _keys(where[:-1])
+        close = difflib.get_close_matches(where[-1], keys, n=1)
+        hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(keys)}"
         return f"{key} is no key; {hint}"
     return f"{key}: {error['msg']}, got {error['input']!r}"
 
 
 def _keys(tables: list[str]) -> list[str]:
-    """The keys of a table, given the way to it."""
+    """The keys of the table at a path of tables."""
     table: Any = Config
     for name in tables:
         kind = next(field.type for field in fields(table) if field.name == name)

@@ -1,0 +1,53 @@
+"""The files of the presets that come with the package, by name. Nothing else is loaded, so that a
+shell can complete names at once.
+"""
+
+import os
+from pathlib import Path
+
+
+def list_presets() -> list[str]:
+    """Names of the presets that come with the package, sorted: the paper's, the library's own, and
+    the `published_systems`.
+    """
+    return sorted(_files())
+
+
+def published_systems() -> list[str]:
+    """Names of the presets that compute what others have published, oldest first."""
+    names = [name for name, path in _files().items() if path.parent.name == "published"]
+    # each ends with its year
+    return sorted(names, key=lambda name: (name.rpartition("-")[2], name))
+
+
+def bundled_preset(name: str) -> Path:
+    """The file of a preset that comes with the package.
+
+    Raises:
+        ValueError: the name is unknown; lists the known.
+    """
+    files = _files()
+    if name not in files:
+        raise ValueError(f"no preset is called {name!r}; there are {', '.join(sorted(files))}")
+    return files[name]
+
+
+def preset_path(name_or_path: str | os.PathLike[str]) -> Path:
+    """The file of a preset, from its name or its path, see `uwaug.load_preset`.
+
+    Raises:
+        ValueError: it is a name, and unknown; lists the known.
+    """
+    if not isinstance(name_or_path, str) or name_or_path.endswith(".toml"):
+        return Path(name_or_path)
+    try:
+        return bundled_preset(name_or_path)
+    except ValueError as error:
+        raise ValueError(f"{error}; or give the path of a .toml file") from None
+
+
+def _files() -> dict[str, Path]:
+    here = Path(__file__).parent.parent
+    installed = here / "configs"
+    folder = installed if installed.is_dir() else here.parent / "configs"
+    return {path.stem: path for path in [*folder.glob("*.toml"), *folder.glob("published/*.toml")]}
