@@ -1,7 +1,6 @@
-"""`uwaug fit`, and `uwaug export` of a fit."""
+"""`uwaug fit`."""
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +9,8 @@ import torch
 from PIL import Image
 
 import uwaug
-from uwaug.cli.series import read_series
-from uwaug.io.distances import read_distance
-from uwaug.io.read import read_picture
+from uwaug.cli.fit import read_series
+from uwaug.io.pictures import read_distance, read_picture
 
 PAIR = ["--clean", "clean.png", "--observed", "observed.png", "--distance", "z.png"]
 FAST = ["--distance-unit", "mm", "--model", "haze"]
@@ -63,17 +61,6 @@ def test_fit(run, scene):
     with Image.open("fit.png") as picture:
         assert (picture.format, picture.width) == ("PNG", 1400)
     assert names(scene) == sorted([*before, "fit.json", "fit.png"])
-
-
-def test_nothing_is_written_over_unasked(run, scene, monkeypatch):
-    monkeypatch.setattr(uwaug, "fit", lambda *_, **__: pytest.fail("worked before it looked"))
-    cure = "exists: choose another file, or --force to write over it"
-    for name in ("fit.json", "fit.png"):
-        Path(name).write_text("old")
-        arguments = ["fit", *PAIR, *FAST, "--out", "fit.json", "--report", "fit.png"]
-        assert run(*arguments) == (2, "", f"Error: {name} {cure}\n")
-        assert Path(name).read_text() == "old"
-        Path(name).unlink()
 
 
 def test_force(run, scene):
@@ -136,53 +123,6 @@ def test_one_clean_picture_serves_two(run, scene):
     assert "gain_2 " in out
     written = json.loads(Path("fit.json").read_text())
     assert written["structure"]["geometry"]["pairs"] == 2
-
-
-@pytest.mark.parametrize(
-    "code, arguments, message",
-    [
-        (2, PAIR[:4], "--distance is missing: a fit needs"),
-        (2, [*PAIR, *PAIR, *PAIR[:2]], "got 3 of --clean, 2 of --observed, 2 of --distance"),
-        (2, [*PAIR, *PAIR, *PAIR, "--mask", "a", "--mask", "b"], "3 of --distance, 2 of --mask"),
-        (2, [*PAIR, "--model", "fog"], "--model must be one of auto, attenuation, haze"),
-        (2, [*PAIR, "--model", "calibrated"], "needs --focal-px"),
-        (2, [*PAIR, "--gain", "auto"], "--gain must be one of fixed, free, channels"),
-        (2, [*PAIR, "--color-space", "rgb"], "--color-space must be one of srgb, linear"),
-        (2, [*PAIR, "--distance-unit", "ft"], "--distance-unit must be one of m, cm, mm, um"),
-        (2, [*PAIR, "--focal-px", "0"], "--focal-px must be finite and > 0 px"),
-        (2, [*PAIR, "--seed", "-1"], "--seed must be finite and ≥ 0"),
-        (2, [*PAIR, "--report", "fit.pdf"], "--report must end in .png or .jpg, got fit.pdf"),
-        (2, [*PAIR, "--out", "a.png", "--report", "./a.png"], "--report and --out are one file"),
-        (1, [*PAIR, "--report", "no/fit.png"], "there is no folder no"),
-        (1, [*PAIR, "--out", "no/fit.json"], "there is no folder no"),
-        (1, [*PAIR, "--out", ".", "--force"], "is a folder"),
-        (1, [*PAIR], "z.png: its median is 3500 m if it is in m"),
-        (1, [*PAIR], "try --distance-unit mm"),
-        (1, [*PAIR, *FAST, "--mask", "clean.png"], "clean.png: expected a mask in one channel"),
-        (1, [*PAIR[:-1], "no.png"], "No such file or directory: 'no.png'"),
-        (1, [*PAIR[:3], "clean.png", *PAIR[4:], *FAST], "are the same picture"),
-        (1, [*PAIR[:-1], "flat.npy", *FAST[2:]], "distance is flat"),
-        (1, [*PAIR[:-1], "small.npy", *FAST[2:]], "they must be aligned"),
-    ],
-)
-def test_wrong_fits(run, scene, code, arguments, message):
-    np.save("flat.npy", np.full((60, 80), 2.0))
-    np.save("small.npy", np.full((6, 8), 2.0))
-    before = names(scene)
-    if "--out" not in arguments:
-        arguments = [*arguments, "--out", "fit.json"]
-    got, out, err = run("fit", *arguments)
-    assert (got, out) == (code, "")
-    assert err.startswith("Error: ")
-    assert message in err
-    assert err.count("\n") == 1
-    assert names(scene) == before
-
-
-def test_without_an_output(run, scene):
-    code, out, err = run("fit", *PAIR)
-    assert (code, out) == (2, "")
-    assert "Missing option '--out'" in err
 
 
 @pytest.fixture
@@ -253,22 +193,6 @@ def test_wrong_series(run, scene, text, message):
     assert not Path("fit.json").exists()
 
 
-@pytest.mark.parametrize("beside", [PAIR, ["--gain", "free"], ["--focal-px", "70"]])
-def test_a_series_stands_alone(run, scene, beside):
-    code, out, err = run("fit", "--series", "a.csv", *beside, "--out", "fit.json")
-    assert (code, out) == (2, "")
-    assert err.startswith("Error: --series takes the place of pairs of one water: expected no ")
-
-
-def test_a_report_without_matplotlib(run, scene, monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    code, out, err = run("fit", *PAIR, *FAST, "--out", "fit.json", "--report", "fit.png")
-    cure = 'not installed: pip install ".[plot]" in a checkout of uwaug'
-    assert (code, out) == (1, "")
-    assert err == f"Error: a report is drawn with matplotlib, which is {cure}\n"
-    assert not Path("fit.json").exists()
-
-
 def test_a_report_that_cannot_be_written_leaves_the_fit(run, scene, monkeypatch):
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device", "fit.png")
@@ -289,52 +213,3 @@ def test_progress_is_said(run, scene, monkeypatch):
     assert run("fit", *PAIR, *FAST, "--out", "fit.json")[0] == 0
     assert said[0] == "reading the pictures"
     assert "fitting 'haze', 1 of 1" in said
-
-
-def test_help(run):
-    code, out, err = run("fit", "-h")
-    assert (code, err) == (0, "")
-    assert "uwaug fit" in out
-    assert all(f"--{name} " in out for name in ("clean", "observed", "distance", "out", "report"))
-    assert "\n  fit " in run("-h")[1]
-
-
-def test_export_of_a_fit(run, scene):
-    pytest.importorskip("onnxruntime")
-    assert run("fit", *PAIR, *FAST, "--out", "fit.json")[0] == 0
-    code, out, err = run("export", "--fit", "fit.json", "--out", "a.onnx", "--sides", "32", "200")
-    assert (code, err) == (0, "")
-    assert out.startswith("a.onnx  (")
-    from uwaug.onnx import OnnxUnderwater, read_module
-
-    found = uwaug.fitting.Fit.load("fit.json")
-    module = read_module("a.onnx")
-    # of distances spread over 1…6 m: .2 × the median, 1.5 × the farthest
-    assert module.distance_range == pytest.approx((0.7, 1.5 * 5.75), rel=0.02)
-    torch.testing.assert_close(module.medium.beta, found.medium.beta.float(), check_dtype=False)
-    clean, z = read_picture("clean.png") / 255, read_distance("z.png", "mm")
-    wanted = uwaug.Underwater(found.medium)(clean, z)
-    seen = OnnxUnderwater("a.onnx")(clean[None], z[None])
-    np.testing.assert_allclose(np.asarray(seen)[0], wanted.numpy(), atol=1e-4)
-
-
-@pytest.mark.parametrize(
-    "code, arguments, message",
-    [
-        (2, "", "expected --preset or --fit, got neither"),
-        (2, "--fit fit.json --preset survey", "expected --preset or --fit, got both"),
-        (2, "--fit fit.json --water 7C", "--water takes the place of a preset's"),
-        (2, "--fit fit.json --sides 64 32", "sides must be whole numbers"),
-        (1, "--fit no.json", "No such file"),
-        (1, "--fit fit.json", "fit.json: not a fit"),
-    ],
-)
-def test_wrong_exports(run, tmp_path, monkeypatch, code, arguments, message):
-    monkeypatch.chdir(tmp_path)
-    Path("fit.json").write_text("{}")
-    got, out, err = run("export", *arguments.split(), "--out", "a.onnx")
-    assert (got, out) == (code, "")
-    assert err.startswith("Error: ")
-    assert message in err
-    assert err.count("\n") == 1
-    assert names(tmp_path) == ["fit.json"]

@@ -1,8 +1,9 @@
 import re
 
+import numpy as np
 import pytest
 
-from uwaug import load_preset
+from uwaug import JERLOV_TYPES, Water, load_camera, load_preset
 from uwaug.presets.files import bundled_preset, list_presets
 
 
@@ -30,38 +31,33 @@ def test_copy_never_writes_over_a_file_unasked(run, tmp_path):
     own = tmp_path / "own.toml"
     code, out, err = run("preset", "copy", "survey", str(own))
     assert (code, err) == (0, "")
-    assert out.startswith(f"{own}  (a copy of survey")
+    assert out.startswith(f"{own}  (")
+    assert "a copy of survey: edit it" in out
     assert own.read_bytes() == bundled_preset("survey").read_bytes()
     own.write_text("mine")
     code, out, err = run("preset", "copy", "survey", str(own))
-    cure = "choose another file, or --force to write over it"
-    assert (code, out, err) == (2, "", f"Error: {own} exists: {cure}\n")
+    assert (code, out) == (2, "")
+    assert err.startswith(f"Error: {own} exists: ")
     assert own.read_text() == "mine"
     assert run("preset", "copy", "calibrated", str(own), "--force")[0] == 0
     assert own.read_bytes() == bundled_preset("calibrated").read_bytes()
     assert [path.name for path in tmp_path.iterdir()] == ["own.toml"]
 
 
-@pytest.mark.parametrize(
-    ("code", "arguments", "message"),
-    [
-        (2, "show no", "no preset is called 'no'; there are akkaynak-2018, calibrated"),
-        (2, "copy no a.toml", "no preset is called 'no'; there are akkaynak-2018, calibrated"),
-        (2, "copy bad.toml a.toml", "no preset is called 'bad.toml'"),
-        (2, "copy survey a.txt", "expected a name that ends in .toml"),
-        (1, "copy survey missing/a.toml", "there is no folder missing"),
-        (1, "copy survey folder.toml --force", "is a folder"),
-        (1, "show missing.toml", "No such file"),
-        (1, "show bad.toml", "bad.toml: not a TOML file"),
-    ],
-)
-def test_wrong_use(run, tmp_path, monkeypatch, code, arguments, message):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "bad.toml").write_text("no [toml")
-    (tmp_path / "folder.toml").mkdir()
-    got, out, err = run("preset", *arguments.split())
-    assert (got, out) == (code, "")
-    assert err.startswith("Error: ")
-    assert message in err
-    assert err.count("\n") == 1
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["bad.toml", "folder.toml"]
+def test_waters(run):
+    code, out, err = run("waters")
+    assert (code, err) == (0, "")
+    rows = {line.split()[1]: line for line in out.splitlines() if re.match(r"│ \w+ ", line)}
+    assert list(rows) == list(JERLOV_TYPES)
+    assert all(f" {Water.jerlov(t).visibility():.1f} " in row for t, row in rows.items())
+    nm = np.arange(400, 701, 5)
+    response = load_camera("Nikon 5100 (NPL)").at(nm)
+    for type, row in rows.items():
+        water = Water.jerlov(type)
+        for spectrum in (water.a + water.b, water.kd):
+            means = np.interp(nm, water.wavelengths, spectrum) @ response / response.sum(axis=0)
+            assert "  ".join(f"{v:.3f}" for v in means) in row
+    doubts = out[out.index("doubtful") :]
+    assert "5C: a at 600–700 nm: Williamson & Hollins 2022 (misprinted" in doubts
+    assert "Jerlov I: b at 300–700 nm: suspect" in doubts
+    assert "9C" not in doubts

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from PIL import Image
 from torch import Tensor
 
 import uwaug
@@ -153,70 +152,3 @@ def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "phasecongruency", None)
     with pytest.raises(ImportError, match=r'pip install "\.\[compare\]"'):
         uwaug.figures.compare(*scene())
-
-
-# the command
-
-
-@pytest.fixture
-def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    image, distance = scene()
-    levels = (image * 255).to(torch.uint8).permute(1, 2, 0).numpy()
-    Image.fromarray(levels).save("a.png")
-    np.save("a.npy", distance[0].numpy())
-    np.save("b.npy", np.ones((3, 4), np.float32))
-    Path("there.png").write_bytes(b"mine")
-    return tmp_path
-
-
-COMPARE = ("compare", "--image", "a.png", "--distance")
-
-
-def test_sheet_and_table(run, files):
-    systems = ("--system", FULLEST, "--system", "jaffe-1990")
-    arguments = ("a.npy", "--water", "7C", "--out", "s.jpg", "--table", "s.csv", *systems)
-    code, out, err = run(*COMPARE, *arguments)
-    assert (code, err) == (0, "")
-    assert out.splitlines()[1].startswith(FULLEST)
-    assert "s.csv" in out.splitlines()[-1]
-    with Image.open("s.jpg") as sheet:
-        assert sheet.width == 1400
-    assert len(Path("s.csv").read_text().splitlines()) == 3
-    assert run(*COMPARE, *arguments)[0] == 2
-    code, out, err = run(*COMPARE, *arguments, "--force")
-    assert (code, err) == (0, "")
-
-
-@pytest.mark.parametrize(
-    ("code", "arguments", "message"),
-    [
-        (1, "b.npy --out s.png", "height and width must agree"),
-        (1, "missing.npy --out s.png", "No such file"),
-        (1, "a.npy --out no/s.png", "there is no folder no"),
-        (1, "a.npy --out s.png --system no.toml", "No such file"),
-        (2, "a.npy --out s.gif", "--out must end in .png or .jpg"),
-        (2, "a.npy --out s.png --table s.txt", "--table must end in .csv or .json"),
-        (2, "a.npy --out there.png", "there.png exists"),
-        (2, "a.npy --out a.png --force", "a.png is read, and would be written over"),
-        (2, "a.npy --out s.png --water 10C", "--water must be one of I, IA"),
-        (2, "a.npy --out s.png --distance-unit ft", "--distance-unit must be one of"),
-        (2, "a.npy --out s.png --system nobody", "no preset is called 'nobody'"),
-        (2, "a.npy --out s.png --system survey --system survey", "one twice"),
-    ],
-)
-def test_wrong_use_writes_nothing(run, files, code, arguments, message):
-    before = {path.name: path.read_bytes() for path in files.iterdir()}
-    got, out, err = run(*COMPARE, *arguments.split())
-    assert (got, out) == (code, "")
-    assert err.startswith("Error: ")
-    assert message in err
-    assert err.count("\n") == 1
-    assert {path.name: path.read_bytes() for path in files.iterdir()} == before
-
-
-def test_the_command_names_a_missing_package(run, files, monkeypatch):
-    monkeypatch.setitem(sys.modules, "phasecongruency", None)
-    code, out, err = run(*COMPARE, "a.npy", "--out", "s.png")
-    assert (code, out) == (1, "")
-    assert '".[compare]"' in err

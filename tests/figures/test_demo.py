@@ -5,7 +5,7 @@ import torch
 
 from uwaug import load_preset
 from uwaug.figures import demo as plots
-from uwaug.figures.cases import preset_case
+from uwaug.figures.demo import preset_case
 from uwaug.presets.scene import Scene
 
 

@@ -1,56 +1,209 @@
-"""What commands have in common: how they end, and what they say meanwhile."""
+"""What commands have in common: exit codes, errors in the words of the command line, what they say
+meanwhile.
+"""
 
 import importlib.util
+import os
+import re
 import sys
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import typer
-from rich.console import Console
 
-__all__ = ["fail", "refuse", "require_matplotlib", "require_room", "said"]
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+_PAUSE = 10.0
+"""Seconds between two lines of progress where there is no terminal."""
+
+FLAGS = {
+    "baseline_m": "--baseline",
+    "color_space": "--color-space",
+    "contrast": "--contrast",
+    "distance_kind": "--distance-kind",
+    "distance_unit": "--distance-unit",
+    "exposure": "--exposure",
+    "far": "--far",
+    "field": "--field",
+    "fit": "--fit",
+    "focal_px": "--focal-px",
+    "gain": "--gain",
+    "gamma": "--gamma",
+    "image": "--image",
+    "clean": "--clean",
+    "observed": "--observed",
+    "mask": "--mask",
+    "min_contrast": "--min-contrast",
+    "near": "--near",
+    "network": "--depth-network",
+    "offset_px": "--offset-px",
+    "parameters": "--parameters",
+    "planar": "--planar",
+    "preset": "--preset",
+    "random": "--random",
+    "severity": "--severity",
+    "sides": "--sides",
+    "systems": "--system",
+    "type": "--water",
+    "unit": "--distance-unit",
+    "unknown": "--unknown",
+    "vertical_depth": "--vertical-depth",
+    "visibility": "--visibility",
+    "ignore_index": "--ignore-index",
+    "water": "--water",
+}
+"""Arguments of the library, and the flags that set them."""
+
+_SINGLE = re.compile(rf"^({'|'.join(FLAGS)})(?= must\b| is missing| is empty| would |:)")
+_NAMED = re.compile(rf"\b({'|'.join(name for name in FLAGS if '_' in name)})\b")
+_GIVEN = re.compile(rf"""\b({"|".join(FLAGS)})=["']?([\w.]+)["']?""")
+
+
+def in_flags(message: str) -> str:
+    """A message of the library with flags in place of the arguments that it names.
+
+    An argument of one word is known by its place, as the same word may be used in a sentence. Where
+    a file is at fault, its keys are named, and only a cure such as `unit="mm"` is an argument.
+    """
+    message = _GIVEN.sub(lambda match: f"{FLAGS[match[1]]} {match[2]}", message)
+    if os.path.exists(message.partition(": ")[0]):
+        return message
+    message = _SINGLE.sub(lambda match: FLAGS[match[1]], message)
+    return _NAMED.sub(lambda match: FLAGS[match[1]], message)
 
 
 def refuse(message: object) -> NoReturn:
-    """For what was asked for wrongly."""
+    """End with 2: used wrongly, by flags or inputs that do not go together."""
     _end(2, message)
 
 
 def fail(message: object) -> NoReturn:
-    """For what was asked for rightly and cannot be done."""
+    """End with 1: a file that cannot be read or written or is not what it should be, or a package
+    that is missing.
+    """
     _end(1, message)
 
 
 def _end(code: int, message: object) -> NoReturn:
-    print(f"Error: {message}", file=sys.stderr)
+    print(f"Error: {in_flags(str(message))}", file=sys.stderr)
     raise typer.Exit(code)
 
 
-def require_matplotlib(what: str) -> None:
-    """Fail where what is to be drawn cannot be."""
-    if importlib.util.find_spec("matplotlib") is None:
-        cure = 'pip install ".[plot]" in a checkout of uwaug'
-        fail(f"{what} with matplotlib, which is not installed: {cure}")
+@contextmanager
+def reported_errors(*written: Path) -> Iterator[None]:
+    """End with one line and an exit code where the library raises.
+
+    Where the content of a file is at fault, the library names the file first: one that is there, or
+    one of those that are `written`.
+    """
+    try:
+        yield
+    except (OSError, ImportError) as error:
+        fail(error)
+    except (TypeError, ValueError) as error:
+        at_fault = str(error).partition(": ")[0]
+        if os.path.exists(at_fault) or at_fault in map(str, written):
+            fail(error)
+        refuse(error)
 
 
-def require_room(path: Path, force: bool) -> None:
-    """Before long work: refuse to write over a file, fail where none can be."""
+def require_package(name: str, extra: str) -> None:
+    """Fail before long work without a package of an extra."""
+    if importlib.util.find_spec(name) is None:
+        fail(f'{name} is missing: pip install ".[{extra}]" in a checkout of uwaug')
+
+
+def require_not_read(option: str, path: Path, inputs: Iterable[Path]) -> None:
+    """Refuse to write over an input, --force or not."""
+    if path.resolve() in {file.resolve() for file in inputs}:
+        refuse(f"{path} is read, and would be written over: choose another {option}")
+
+
+def require_writable(
+    option: str,
+    path: Path,
+    *,
+    force: bool,
+    endings: tuple[str, ...] = (),
+    inputs: Iterable[Path] = (),
+) -> None:
+    """Refuse, before any work, to write over an input, or unasked over another file, or to a name
+    that does not end in one of `endings`; fail where no file can be.
+    """
+    if endings and path.suffix not in endings:
+        refuse(f"{option} must end in {' or '.join(endings)}, got {path}")
+    require_not_read(option, path, inputs)
     if path.exists() and not force:
         refuse(f"{path} exists: choose another file, or --force to write over it")
     if path.is_dir():
-        fail(f"path must be a file, but {path} is a folder")
+        fail(f"{path} is a folder: {option} must be a file")
     if not path.parent.is_dir():
-        fail(f"path: there is no folder {path.parent}")
+        fail(f"there is no folder {path.parent} for {option}")
+
+
+def print_written(*paths: Path | None) -> None:
+    """Name the files that were written."""
+    for path in filter(None, paths):
+        print(f"{path}  ({path.stat().st_size / 1024:.0f} KiB)")
 
 
 @contextmanager
-def said() -> Iterator[Callable[[str], None]]:
-    """Says on a terminal what is being done, for as long as it is."""
+def status() -> Iterator[Callable[[str], None]]:
+    """Say on a terminal what is being done, for as long as it is."""
+    from rich.console import Console
+
     errors = Console(stderr=True)
     if not errors.is_terminal:
         yield lambda _: None
         return
-    with errors.status("starting") as status:
-        yield status.update
+    with errors.status("starting") as line:
+        yield line.update
+
+
+class Counter:
+    """Counts what is done of a long run: a bar on a terminal, else a line now and then."""
+
+    def __init__(self, total: int, progress: "Progress | None") -> None:
+        self._total, self._progress = total, progress
+        self._task = None if progress is None else progress.add_task("", total=total, rate="")
+        self._start = self._printed = time.monotonic()
+        self.done = 0
+
+    def advance(self) -> None:
+        """Count one more."""
+        self.done += 1
+        now = time.monotonic()
+        rate = self.done / max(now - self._start, 1e-9)
+        if self._progress is not None and self._task is not None:
+            self._progress.update(self._task, advance=1, rate=f"{rate:.3g}/s")
+        elif now - self._printed > _PAUSE:
+            self._printed = now
+            left = (self._total - self.done) / rate
+            line = f"{self.done} of {self._total}, {rate:.3g}/s, {left:.0f} s left"
+            print(line, file=sys.stderr, flush=True)
+
+
+@contextmanager
+def counted(total: int) -> Iterator[Counter]:
+    """A counter of `total` things, shown on standard error."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield Counter(total, None)
+        return
+    rate = TextColumn("{task.fields[rate]}")
+    columns = (BarColumn(), MofNCompleteColumn(), rate, TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as progress:
+        yield Counter(total, progress)

@@ -1,26 +1,24 @@
-"""`uwaug degrade`."""
+"""`uwaug degrade`: its flags, and the recipe and the pictures that they come to."""
 
 import inspect
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from uwaug._support import checks
-from uwaug.cli import degrade_options as given
-from uwaug.cli.clusters import carry_out_in_shards, place_of, require_manner
-from uwaug.cli.console import refuse
-from uwaug.cli.runs import Manner, carry_out, rehearse, repeat, require_free
-from uwaug.io.distances import DistanceFormat
-from uwaug.io.write import FORMATS, format_of
-from uwaug.jobs.items import MANIFESTS, Items, metres_in
-from uwaug.jobs.pool import cores
-from uwaug.jobs.recipe import Recipe
-from uwaug.optics.point_spread import PointSpread
-from uwaug.optics.water import JERLOV_TYPES
-from uwaug.transforms.options import contrast_of
-from uwaug.transforms.random_underwater import RandomUnderwater
+import typer
 
-__all__ = ["degrade"]
+from uwaug.cli.choices import preset_option, water_option
+from uwaug.cli.console import refuse, reported_errors, require_package
+
+if TYPE_CHECKING:
+    from uwaug.jobs import Rows
+
+WATER = "Water"
+DISTANCES = "Distances"
+DRAWN = "Drawn for each picture"
+OUTPUT = "Output"
+RUN = "Run"
+LABELS = "Labels"
 
 _FEW = 8
 """Pictures that this process has done before others have begun."""
@@ -36,226 +34,380 @@ _NOT_OPTIONS = (
 """Arguments of `RandomUnderwater` that files have no use for, or that flags say."""
 
 
-def degrade(
-    inputs: given.Inputs = None,
-    out: given.Out = None,
-    distance: given.Distance = None,
-    water: given.WaterType = None,
-    preset: given.PresetName = None,
-    fit: given.FitFile = None,
-    random: given.Random = False,
-    options: given.Options = None,
-    visibility: given.Visibility = None,
-    contrast: given.Contrast = None,
-    severity: given.Severity = None,
-    depth: given.VerticalDepth = None,
-    exposure: given.Exposure = None,
-    distance_kind: given.Kind = "metric",
-    distance_unit: given.Unit = "m",
-    unknown: given.Unknown = "error",
-    near: given.Near = None,
-    far: given.Far = None,
-    gamma: given.Gamma = None,
-    focal_px: given.Focal = None,
-    baseline: given.Baseline = None,
-    offset_px: given.Offset = 0.0,
-    planar: given.Planar = False,
-    depth_network: given.Network = None,
-    seed: given.Seed = 0,
-    variants: given.Variants = 1,
-    output_format: given.Format = None,
-    workers: given.Workers = None,
-    ray: given.Ray = None,
-    shards: given.InShards = None,
-    resume: given.Resume = False,
-    force: given.Force = False,
-    labels: given.LabelFiles = None,
-    min_contrast: given.MinContrast = None,
-    void: given.Void = None,
-    keep_terms: given.Terms = False,
-    sheet: given.Sheet = False,
-    dry_run: given.DryRun = False,
-    again: given.From = None,
-) -> None:
-    """Your pictures, under water: with a record beside each, and an index of all."""
-    depth_options = {
-        "kind": distance_kind,
-        "unit": _number(distance_unit),
-        "focal_px": focal_px,
-        "baseline_m": baseline,
-        "offset_px": offset_px,
-        "planar": planar,
-        "unknown": _number(unknown),
-        "network": None if depth_network is None else str(depth_network),
-    }
-    flags = {
-        "visibility": visibility,
-        "contrast": contrast,
-        "vertical_depth": depth,
-        "exposure": exposure,
-        "near": near,
-        "far": far,
-        "gamma": gamma,
-    }
-    place = place_of(out, shards, alone=again is not None)
-    if again is not None:
-        others = (water, preset, fit, random, options, seed, keep_terms, labels, *flags.values())
-        if len(inputs or []) > 1 or any(others):
-            refuse("--from takes all from the record: give nothing but --out and files that moved")
-        repeat(again, place, force, inputs or [], distance)
-        return
-    if not inputs:
-        refuse("expected a picture, a folder of pictures, a list of them, or --from")
-    try:
-        drawn = _options(options, flags, severity)
-        if focal_px is not None and preset is None and fit is None:
-            drawn.setdefault("focal_px", focal_px)
-        recipe = Recipe(
-            water=_jerlov(water),
-            preset=preset,
-            fit=None if fit is None else str(fit),
-            random=random,
-            options=drawn,
-            distance=_format(depth_options, distance),
-            seed=seed,
-            labels=None if labels is None else str(labels),
-            min_contrast=min_contrast,
-            void=void,
-            keep_terms=keep_terms,
-        ).resolved()
-        items = _items(inputs, place, distance, variants, output_format, depth_network is not None)
-        _require_folder(items, shards)
-        source = recipe.open_labels()
-    except (TypeError, ValueError, OSError, ImportError) as error:
-        refuse(error)
-    manner = Manner(_workers(workers, len(items), ray), resume, force, sheet, ray)
-    require_manner(manner, shards, workers, keep_terms=keep_terms)
-    require_free(items, recipe, manner, in_files=shards is None)
-    if dry_run:
-        rehearse(items, recipe, manner, source)
-    elif shards is None:
-        carry_out(items, recipe, manner, source)
-    else:
-        carry_out_in_shards(items, recipe, manner, source, shards)
-
-
-def _options(path: Path | None, flags: dict[str, str | None], severity: int | None) -> Any:
-    """Options of `RandomUnderwater`, from a file and from flags."""
-    found: dict[str, Any] = {}
-    if path is not None:
-        try:
-            found = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise ValueError(f"{path}: is no TOML: {error}") from None
-        known = inspect.signature(RandomUnderwater).parameters
-        for name in found:
-            if name not in known or name in _NOT_OPTIONS:
-                wanted = ", ".join(name for name in known if name not in _NOT_OPTIONS)
-                raise ValueError(f"{path}: unknown key {name}; there are {wanted}")
-        _require_point_spread(path, found.get("point_spread"))
-    for name, text in flags.items():
-        if text is not None:
-            found[name] = text if text in ("auto", "none") else _range(name, text)
-    if severity is not None:
-        if "contrast" in found:
-            raise ValueError("severity and contrast: give one of them")
-        checks.within("severity", severity, 1, 5)
-        found["contrast"] = contrast_of(severity)
-    return found
-
-
-def _require_point_spread(path: Path, table: Any) -> None:
-    """Refuse a table that is no `PointSpread`."""
-    known = inspect.signature(PointSpread).parameters
-    wanted = f"expected a table with scale and, if you like, {', '.join(list(known)[1:])}"
-    if table is None:
-        return
-    if not isinstance(table, dict):
-        raise ValueError(f"{path}: point_spread: {wanted}, got {table!r}")
-    for name in table:
-        if name not in known:
-            raise ValueError(f"{path}: point_spread: unknown key {name}: {wanted}")
-    if "scale" not in table:
-        raise ValueError(f"{path}: point_spread: scale is missing: {wanted}")
-
-
-def _jerlov(water: str | None) -> str | None:
-    """A Jerlov type, which may be given in small letters."""
-    if water is None:
-        return None
-    checks.one_of("water", water.upper(), JERLOV_TYPES)
-    return water.upper()
-
-
-def _range(name: str, text: str) -> float | list[float]:
-    """A number, or two with a colon between them."""
+def _range(text: str) -> float | list[float]:
     try:
         numbers = [float(part) for part in text.split(":")]
     except ValueError:
         numbers = []
     if len(numbers) not in (1, 2):
-        raise ValueError(f"{name} must be a number, or a range such as 2:10, got {text!r}")
+        raise typer.BadParameter(f"expected a number, or a range such as 2:10, got {text!r}")
     return numbers[0] if len(numbers) == 1 else numbers
 
 
-def _number(text: str) -> str | float:
-    """A number where there is one."""
+def _exposure(text: str) -> str | float | list[float]:
+    return text if text in ("auto", "none") else _range(text)
+
+
+def _word_or_number(text: str) -> str | float:
     try:
         return float(text)
     except ValueError:
         return text
 
 
-def _format(options: dict[str, Any], distance: str | None) -> DistanceFormat:
-    """What the distance files of a run hold."""
-    format = DistanceFormat(**_inverse_of_network(options))
-    if format.network is None and distance is not None and metres_in(distance) is not None:
-        format.require_constant()
-    return format
+def _drawn(*flags: str, help: str) -> Any:
+    """A number, or a range of them to draw from."""
+    return typer.Option(
+        *flags, help=help, parser=_range, metavar="NUMBER|LOW:HIGH", rich_help_panel=DRAWN
+    )
 
 
-def _inverse_of_network(options: dict[str, Any]) -> dict[str, Any]:
-    """Depth networks give inverse depth, whatever the default is."""
-    if options["network"] is not None and options["kind"] == "metric":
-        options = {**options, "kind": "inverse"}
+def degrade(
+    inputs: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            help="Pictures, folders of them, or lists: CSV or Parquet with a column input and, if "
+            "they like, id, distance, output."
+        ),
+    ] = None,
+    water: Annotated[
+        str | None,
+        water_option("Jerlov type: I, IA, IB, II, III, 1C, 3C, 5C, 7C, 9C.", WATER),
+    ] = None,
+    preset: Annotated[
+        str | None, preset_option("A preset, or the path of a TOML file.", WATER)
+    ] = None,
+    fit: Annotated[
+        Path | None, typer.Option(help="What uwaug fit has written.", rich_help_panel=WATER)
+    ] = None,
+    random: Annotated[
+        bool,
+        typer.Option(
+            "--random", help="A water of its own for each picture.", rich_help_panel=WATER
+        ),
+    ] = False,
+    options: Annotated[
+        Path | None,
+        typer.Option(
+            help="TOML file of options of RandomUnderwater, such as waters.", rich_help_panel=WATER
+        ),
+    ] = None,
+    distance: Annotated[
+        str | None,
+        typer.Option(
+            help="Distance of each pixel: a folder of files with the pictures' names, a pattern "
+            "such as {stem}_depth.png, one file, or metres.",
+            rich_help_panel=DISTANCES,
+        ),
+    ] = None,
+    distance_kind: Annotated[
+        Literal["metric", "relative", "inverse", "disparity"],
+        typer.Option(help="Of distance files.", rich_help_panel=DISTANCES),
+    ] = "metric",
+    distance_unit: Annotated[
+        str,
+        typer.Option(
+            help="Of distance files: m, cm, mm, um, or how many metres 1 stands for.",
+            rich_help_panel=DISTANCES,
+        ),
+    ] = "m",
+    unknown: Annotated[
+        str,
+        typer.Option(
+            help="What 0 and NaN get: error, fill, skip, far, or metres.",
+            rich_help_panel=DISTANCES,
+        ),
+    ] = "error",
+    planar: Annotated[
+        bool,
+        typer.Option(
+            "--planar",
+            help="Files hold depth along the optical axis, not the ray.",
+            rich_help_panel=DISTANCES,
+        ),
+    ] = False,
+    focal_px: Annotated[
+        float | None,
+        typer.Option(
+            help="Focal length, px: for the blur, planar depth and disparity.",
+            rich_help_panel=DISTANCES,
+        ),
+    ] = None,
+    baseline: Annotated[
+        float | None,
+        typer.Option(help="m, between the cameras of a disparity.", rich_help_panel=DISTANCES),
+    ] = None,
+    offset_px: Annotated[
+        float,
+        typer.Option(help="px, of the principal points of a disparity.", rich_help_panel=DISTANCES),
+    ] = 0.0,
+    depth_network: Annotated[
+        Path | None,
+        typer.Option(
+            help="Depth network (ONNX), in place of --distance.", rich_help_panel=DISTANCES
+        ),
+    ] = None,
+    near: Annotated[Any, _drawn(help="m, of relative and inverse distances.")] = None,
+    far: Annotated[Any, _drawn(help="m, of relative and inverse distances.")] = None,
+    gamma: Annotated[Any, _drawn(help="Exponent, of relative distances.")] = None,
+    visibility: Annotated[Any, _drawn(help="m.")] = None,
+    contrast: Annotated[Any, _drawn(help="Left at the median distance, 0…1.")] = None,
+    severity: Annotated[
+        int | None,
+        typer.Option(min=1, max=5, help="1 (mild) to 5: a contrast.", rich_help_panel=DRAWN),
+    ] = None,
+    vertical_depth: Annotated[
+        Any, _drawn("--vertical-depth", "--depth", help="Of the scene below the surface, m.")
+    ] = None,
+    exposure: Annotated[
+        Any,
+        typer.Option(
+            help="auto, none, or a gain in stops.",
+            parser=_exposure,
+            metavar="auto|none|STOPS",
+            rich_help_panel=DRAWN,
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of all that is random.", rich_help_panel=DRAWN)] = 0,
+    variants: Annotated[
+        int, typer.Option(min=1, help="Of each picture.", rich_help_panel=DRAWN)
+    ] = 1,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder to write to, made if need be; or, of one picture, a file.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = None,
+    output_format: Annotated[
+        str | None,
+        typer.Option(
+            "--format",
+            help="png, jpg, webp, tif, npy; that of each picture by default.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = None,
+    keep_terms: Annotated[
+        bool,
+        typer.Option(
+            "--keep-terms",
+            help="The direct, forward and backscattered light too.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = False,
+    sheet: Annotated[
+        bool,
+        typer.Option("--sheet", help="Some of the results on one sheet.", rich_help_panel=OUTPUT),
+    ] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Write over what is there.", rich_help_panel=OUTPUT)
+    ] = False,
+    labels: Annotated[
+        Path | None,
+        typer.Option(
+            help="COCO file, or folder of YOLO's .txt or of .png masks.", rich_help_panel=LABELS
+        ),
+    ] = None,
+    min_contrast: Annotated[
+        float | None,
+        typer.Option(
+            help="Labels of what keeps less, 0…1, are marked as ignored.", rich_help_panel=LABELS
+        ),
+    ] = None,
+    ignore_index: Annotated[
+        int | None,
+        typer.Option(
+            "--ignore-index",
+            "--void",
+            help='Value of masks that means "ignored" already.',
+            rich_help_panel=LABELS,
+        ),
+    ] = None,
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume", help="Go on where the same command was stopped.", rich_help_panel=RUN
+        ),
+    ] = False,
+    dry_run: Annotated[
+        bool,
+        typer.Option(
+            "--dry-run",
+            help="Say what would be read and written, and how long.",
+            rich_help_panel=RUN,
+        ),
+    ] = False,
+    replay: Annotated[
+        Path | None,
+        typer.Option(
+            "--replay",
+            "--from",
+            help="A record: make its picture again, the same bytes.",
+            rich_help_panel=RUN,
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(min=1, help="Processes; by default one for each core.", rich_help_panel=RUN),
+    ] = None,
+    ray: Annotated[
+        str | None,
+        typer.Option(
+            help="In place of processes: local (Ray is started on this machine), auto (its "
+            "cluster), or host:port of a cluster.",
+            rich_help_panel=RUN,
+        ),
+    ] = None,
+    shards: Annotated[
+        str | None,
+        typer.Option(
+            help="In place of --out, with --ray: Parquet files with the pictures inside, in a "
+            "folder, s3://…, gs://… or fsspec+NAME://…",
+            rich_help_panel=RUN,
+        ),
+    ] = None,
+) -> None:
+    """Your pictures, under water: with a record beside each, and an index of all."""
+    if (out is None) == (shards is None):
+        got = "neither" if out is None else "both"
+        refuse(f"expected --out, or --shards in its place, got {got}")
+    drawn = {
+        "visibility": visibility,
+        "contrast": contrast,
+        "vertical_depth": vertical_depth,
+        "exposure": exposure,
+        "near": near,
+        "far": far,
+        "gamma": gamma,
+    }
+    if replay is not None:
+        if out is None:
+            refuse("--replay writes a file: give --out")
+        others = (water, preset, fit, random, options, seed, keep_terms, labels, *drawn.values())
+        if len(inputs or []) > 1 or any(others):
+            refuse(
+                "--replay takes all from the record: give nothing but --out and files that moved"
+            )
+        from uwaug.cli.run import repeat
+
+        repeat(replay, out, force, inputs or [], distance)
+        return
+    if not inputs:
+        refuse("expected a picture, a folder of pictures, a list of them, or --replay")
+    if depth_network is not None and distance is not None:
+        refuse("--depth-network takes the place of --distance: give one of them")
+    if shards is not None and ray is None:
+        refuse("--shards is written by Ray: give --ray local, or an address")
+    if shards is not None and (sheet or keep_terms):
+        flag = "--sheet" if sheet else "--keep-terms"
+        refuse(f"{flag} is a file of its own, and --shards has none: give --out")
+    if ray not in (None, "local") and workers is not None:
+        refuse(f"--workers: the cluster at {ray} has its own")
+    if sheet:
+        require_package("matplotlib", "plot")
+    if ray is not None:
+        require_package("ray", "ray")
+
+    from uwaug.cli.run import Run
+    from uwaug.jobs import Depth, Recipe
+    from uwaug.jobs.clashes import counted_rows
+    from uwaug.jobs.index import number_of
+    from uwaug.jobs.model import TERMS
+    from uwaug.jobs.run import cores
+
+    place = Path(str(shards)) if out is None else out
+    with reported_errors():
+        depth = Depth(
+            # a depth network gives inverse depth
+            kind="inverse" if depth_network and distance_kind == "metric" else distance_kind,
+            unit=_word_or_number(distance_unit),
+            focal_px=focal_px,
+            baseline_m=baseline,
+            offset_px=offset_px,
+            planar=planar,
+            unknown=_word_or_number(unknown),
+            network=None if depth_network is None else str(depth_network),
+        )
+        if distance is not None and number_of(distance) is not None:
+            depth.require_constant()
+        drawn_options = _options(options, drawn, severity)
+        if focal_px is not None and preset is None and fit is None:
+            drawn_options.setdefault("focal_px", focal_px)
+        recipe = Recipe(
+            water=water,
+            preset=preset,
+            fit=None if fit is None else str(fit),
+            random=random,
+            options=drawn_options,
+            depth=depth,
+            seed=seed,
+            labels=None if labels is None else str(labels),
+            min_contrast=min_contrast,
+            void=ignore_index,
+            keep_terms=keep_terms,
+        ).sealed()
+        rows = _rows(inputs, place, distance, variants, output_format, depth_network is not None)
+        if shards is None and rows.name is None and rows.out.suffix and not rows.out.is_dir():
+            from uwaug.io.write import FORMATS
+
+            expected = f"the file of one picture, which ends in {', '.join(FORMATS)}, or a folder"
+            cure = "make the folder first if it is to be called so"
+            refuse(f"--out {rows.out}: expected {expected}: {cure}")
+        count = counted_rows(rows, TERMS if keep_terms else ())
+    if workers is None:
+        # a worker takes three seconds to begin
+        workers = 1 if count < _FEW and ray is None else min(cores(), count)
+    run = Run(rows, recipe, count, workers, resume=resume, force=force, sheet=sheet, ray=ray)
+    if shards is None:
+        run.require_free()
+    if dry_run:
+        run.rehearse()
+    elif shards is None:
+        run.carry_out()
+    else:
+        run.carry_out_in_shards(shards)
+
+
+def _options(path: Path | None, drawn: dict[str, Any], severity: int | None) -> dict[str, Any]:
+    """Options of `RandomUnderwater`, from a file and from flags."""
+    from uwaug import RandomUnderwater
+    from uwaug.transforms.options import contrast_of
+
+    options: dict[str, Any] = {}
+    if path is not None:
+        try:
+            options = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise ValueError(f"{path}: is no TOML: {error}") from None
+        names = [n for n in inspect.signature(RandomUnderwater).parameters if n not in _NOT_OPTIONS]
+        for name in options:
+            if name not in names:
+                raise ValueError(f"{path}: unknown key {name}; there are {', '.join(names)}")
+    options |= {name: value for name, value in drawn.items() if value is not None}
+    if severity is not None:
+        if "contrast" in options:
+            refuse("--severity and --contrast: give one of them")
+        options["contrast"] = contrast_of(severity)
     return options
 
 
-def _items(
+def _rows(
     inputs: list[Path],
     out: Path,
     distance: str | None,
     variants: int,
     output_format: str | None,
     network: bool,
-) -> Items:
-    checks.within("variants", variants, 1)
-    if network and distance is not None:
-        raise ValueError("--depth-network takes the place of --distance: give one of them")
+) -> "Rows":
+    from uwaug.io.write import FORMATS, require_format
+    from uwaug.jobs import Rows
+    from uwaug.jobs.index import INDICES
+
     ending = None
     if output_format is not None:
         ending = f".{output_format.lower().removeprefix('.')}"
-        format_of(f"picture{ending}")
-    alone = len(inputs) == 1 and not inputs[0].is_dir() and inputs[0].suffix not in MANIFESTS
+        require_format(f"picture{ending}")
+    alone = len(inputs) == 1 and not inputs[0].is_dir() and inputs[0].suffix not in INDICES
     if alone and variants == 1 and out.suffix.lower() in FORMATS and not out.is_dir():
-        return Items(inputs, distance, out.parent, network=network, name=out.name)
-    return Items(inputs, distance, out, variants=variants, ending=ending, network=network)
-
-
-def _require_folder(items: Items, shards: str | None) -> None:
-    """Refuse a folder that looks like a file that cannot be written."""
-    alone = items.name is not None or shards is not None
-    if not alone and items.out.suffix and not items.out.is_dir():
-        ends = ", ".join(FORMATS)
-        wanted = f"the file of one picture, which ends in {ends}, or a folder"
-        cure = "make the folder first if it is to be called so"
-        raise ValueError(f"--out {items.out}: expected {wanted}: {cure}")
-
-
-def _workers(wanted: int | None, count: int, ray: str | None) -> int:
-    if wanted is not None:
-        if wanted < 1:
-            refuse(f"--workers must be at least 1, got {wanted}")
-        return wanted
-    # a worker takes three seconds to begin
-    return 1 if count < _FEW and ray is None else min(cores(), count)
+        return Rows(inputs, distance, out.parent, network=network, name=out.name)
+    return Rows(inputs, distance, out, variants, ending, network)

@@ -1,33 +1,28 @@
-"""`uwaug preset …`."""
+"""`uwaug preset …` and `uwaug waters`."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.table import Table
 
-from uwaug._support.atomic import written_whole
-from uwaug.cli.console import fail, refuse, require_room
-from uwaug.cli.names import complete_preset
+from uwaug.cli.choices import WATERS, ForceFile, complete_preset
+from uwaug.cli.console import print_written, reported_errors, require_writable
 from uwaug.presets.files import bundled_preset, list_presets, preset_path
-from uwaug.presets.preset import load_preset
-
-__all__ = ["preset"]
 
 _WIDE = 250
 """Columns: more than any row has."""
 
-preset = typer.Typer(
-    help="List presets, show one, or copy one to edit it.",
-    no_args_is_help=True,
-    rich_markup_mode=None,
-)
+preset = typer.Typer(help="List presets, show one, or copy one to edit it.", no_args_is_help=True)
 
 
 @preset.command("list")
 def list_() -> None:
     """List the presets and where their figures come from."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from uwaug.presets import load_preset
+
     table = Table("name", "distance (m)", "γ", "field", "source", box=None, pad_edge=False)
     for name in list_presets():
         p = load_preset(name)
@@ -47,15 +42,11 @@ def show(
     ],
 ) -> None:
     """Print a preset's file, and the medium that it comes to."""
-    try:
+    from uwaug.presets import load_preset
+
+    with reported_errors():
         path = preset_path(name)
-    except ValueError as error:
-        refuse(error)
-    try:
-        text = path.read_text(encoding="utf-8")
-        medium = load_preset(path).medium
-    except (OSError, ValueError) as error:
-        fail(error)
+        text, medium = path.read_text(encoding="utf-8"), load_preset(path).medium
     # as a comment: what is printed is a preset's file too
     print(f"{text.rstrip()}\n\n# It comes to {medium}")
 
@@ -66,19 +57,46 @@ def copy(
         str, typer.Argument(help="A preset, see uwaug preset list.", autocompletion=complete_preset)
     ],
     file: Annotated[Path, typer.Argument(help="The .toml file to write.")],
-    force: Annotated[bool, typer.Option("--force", help="Write over an existing file.")] = False,
+    force: ForceFile = False,
 ) -> None:
     """Copy a preset into a file of your own, to edit it."""
-    try:
+    require_writable("the file", file, force=force, endings=(".toml",))
+    from uwaug._support.atomic import written_whole
+
+    with reported_errors():
         source = bundled_preset(name)
-    except ValueError as error:
-        refuse(error)
-    if file.suffix != ".toml":
-        refuse(f"{file}: expected a name that ends in .toml, as --preset asks for one")
-    require_room(file, force)
-    try:
         with written_whole(file) as part:
             part.write_bytes(source.read_bytes())
-    except OSError as error:
-        fail(error)
-    print(f"{file}  (a copy of {name}: edit it, then use it with --preset {file})")
+    print_written(file)
+    print(f"    a copy of {name}: edit it, then use it with --preset {file}")
+
+
+def waters() -> None:
+    """List the water types: visibility, attenuation, doubts."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from uwaug import Water, load_camera
+    from uwaug.optics.bands import WAVELENGTHS
+
+    camera = load_camera("Nikon 5100 (NPL)")
+    weights = camera.weights(WAVELENGTHS)
+    means = f"β, K_d: means over the {camera.name}'s red, green, blue"
+    table = Table(caption=means, caption_justify="left")
+    table.add_column("type", no_wrap=True)
+    for heading in ("visibility (m)", "β (1/m)", "K_d (1/m)"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    types = [Water.jerlov(name) for name in WATERS]
+    for water in types:
+        bands = water.at(WAVELENGTHS)
+        means_of = [
+            "  ".join(f"{x:.3f}" for x in rate @ weights) for rate in (bands.beta, bands.kd)
+        ]
+        table.add_row(water.name, f"{water.visibility():.1f}", *means_of)
+    Console().print(table)
+    print("\nNot as printed in Solonenko & Mobley 2015, or doubtful:")
+    for water in types:
+        for note in water.provenance:
+            # what is taken whole from the table has a citation without wavelengths
+            if " nm: " in note:
+                print(f"  {note}")

@@ -8,13 +8,14 @@ import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from uwaug._support import checks
+from uwaug._support import sheet as paper
 from uwaug._support.atomic import written_whole
 from uwaug._support.types import Array
 from uwaug.formation.colour import LUMINANCE, linear_to_srgb, to_light
@@ -28,17 +29,6 @@ from uwaug.presets.preset import Preset, load_preset
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-__all__ = [
-    "FULLEST",
-    "HEADINGS",
-    "Comparison",
-    "SystemRow",
-    "cells_of",
-    "compare",
-    "phase_congruency_difference",
-    "seen_by",
-]
 
 FULLEST = "ismiroglou-2025"
 """The system that the others' colours are compared with: direct light, forward scatter and veil
@@ -113,15 +103,13 @@ class Comparison:
 
     def summary(self) -> str:
         """The table as text."""
-        lines: list[tuple[str, ...]] = [HEADINGS]
-        for row in self.rows:
-            lines.append(cells_of(row))
+        lines = [HEADINGS, *(_cells(row) for row in self.rows)]
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         text = []
-        for line in lines:
-            first, *rest = line
-            numbers = (cell.rjust(n) for cell, n in zip(rest, widths[1:], strict=True))
-            text.append("  ".join([first.ljust(widths[0]), *numbers]))
+        for system, *numbers in lines:
+            columns = zip(numbers, widths[1:], strict=True)
+            aligned = [cell.rjust(width) for cell, width in columns]
+            text.append("  ".join([system.ljust(widths[0]), *aligned]))
         return "\n".join(text)
 
     def __str__(self) -> str:
@@ -151,11 +139,56 @@ class Comparison:
         with written_whole(path) as part:
             part.write_text(text, encoding="utf-8", newline="")
 
-    def figure(self) -> "Figure":
+    def plot(self) -> "Figure":
         """The pictures side by side, with the table below. Needs matplotlib."""
-        from uwaug.figures.comparison_sheet import draw_comparison
+        from matplotlib.transforms import Bbox
 
-        return draw_comparison(self)
+        shape = (self.image.shape[-2], self.image.shape[-1])
+        columns = paper.columns_for(shape)
+        caption = "Each as its authors computed it, with one water, one exposure, no noise."
+        if self.fixed:
+            caption += f" With a water of its own: {', '.join(self.fixed)}."
+        line = 24  # px
+        below = line * (len(self.rows) + 3)
+        figure, axes = paper.sheet(
+            math.ceil((1 + len(self.pictures)) / columns),
+            columns,
+            shape,
+            f"One scene, {len(self.rows)} systems, Jerlov {self.water}",
+            caption,
+            below=below,
+        )
+        pictures = {"No water": self.image, **self.pictures}
+        for axis, (name, picture) in zip(axes, pictures.items(), strict=False):
+            paper.show(axis, picture, name)
+        width, height = figure.get_size_inches() * figure.dpi
+        left = paper.MARGIN / width
+        box = (left, 1.5 * paper.MARGIN / height, 0.86, line * (len(self.rows) + 1) / height)
+        axis = figure.add_axes(box)
+        axis.set_axis_off()
+        table = axis.table(
+            [_cells(row) for row in self.rows],
+            colLabels=HEADINGS,
+            colWidths=[0.26, 0.16, 0.1, 0.08, 0.1, 0.1, 0.07, 0.13],
+            bbox=Bbox.unit(),
+            edges="",
+        )
+        table.auto_set_font_size(False)
+        for (row, column), cell in table.get_celld().items():
+            cell.PAD = 0.0
+            cell.set_text_props(
+                fontsize=11,
+                color=paper.GREY if row == 0 else paper.INK,
+                ha="left" if column < 2 else "right",
+                parse_math=False,
+            )
+        note = (
+            "Contrast: of fine detail on grey, left at that distance. "
+            f"ΔE: mean CIEDE2000 to {FULLEST}. "
+            "PC difference: of phase congruency, 0 = all structure is left."
+        )
+        figure.text(left, paper.MARGIN / height, note, fontsize=10, color=paper.GREY, va="center")
+        return figure
 
 
 def compare(
@@ -180,10 +213,11 @@ def compare(
     Examples:
         >>> import torch, uwaug
         >>> image, distance = torch.rand(3, 40, 60), torch.linspace(1, 5, 2400).reshape(1, 40, 60)
-        >>> found = uwaug.figures.compare(image, distance, "7C", ["jaffe-1990", "ismiroglou-2025"])
-        >>> [row.system for row in found.rows]
+        >>> systems = ["jaffe-1990", "ismiroglou-2025"]
+        >>> comparison = uwaug.figures.compare(image, distance, "7C", systems)
+        >>> [row.system for row in comparison.rows]
         ['jaffe-1990', 'ismiroglou-2025']
-        >>> found.rows[1].delta_e
+        >>> comparison.rows[1].delta_e
         0.0
     """
     checks.one_of("water", water, JERLOV_TYPES)
@@ -197,8 +231,11 @@ def compare(
         raise ValueError(f"systems: expected at least one, each once, got {names}")
     _phase_congruency()  # before any work
     scene = linear_to_srgb(to_light(image, "srgb")).detach()
-    fullest = seen_by(load_preset(FULLEST, water=water), scene, distance)
-    known = _Known(_congruency(scene), _lab(fullest))
+    fullest = _lab(seen_by(load_preset(FULLEST, water=water), scene, distance))
+    structure = _congruency(scene)
+    size = (scene.shape[-2], scene.shape[-1])
+    # a plate in the middle of the view, which faces the camera
+    z = torch.tensor(METRES, dtype=torch.float64).reshape(-1, 1, 1, 1)
     rows, pictures, fixed = [], {}, []
     for name in names:
         preset = load_preset(name)
@@ -206,8 +243,26 @@ def compare(
             preset = load_preset(name, water=water)
         else:
             fixed.append(name)
-        pictures[name] = seen_by(preset, scene, distance)
-        rows.append(_row(name, preset, pictures[name], known))
+        picture = seen_by(preset, scene, distance)
+        focal_px = focal_of(None, size[1])
+        shares = contrast(preset.medium, z, light=preset.light, focal_px=focal_px).flatten()
+        widths = preset.medium.width(z, size).flatten()
+        red, green, blue = picture.double().mean((1, 2)).tolist()
+        rows.append(
+            SystemRow(
+                system=name,
+                red=red,
+                green=green,
+                blue=blue,
+                contrast_2m=float(shares[0]),
+                contrast_5m=float(shares[1]),
+                blur_2m=float(widths[0]),
+                blur_5m=float(widths[1]),
+                delta_e=_colour_difference(_lab(picture), fullest),
+                phase_congruency=_lost(structure, _congruency(picture)),
+            )
+        )
+        pictures[name] = picture
     return Comparison(water, tuple(rows), pictures, scene, tuple(fixed))
 
 
@@ -235,8 +290,8 @@ def phase_congruency_difference(before: Tensor, after: Tensor) -> float:
     return _lost(_congruency(before), _congruency(after))
 
 
-def _lost(known: Array, found: Array) -> float:
-    return float(np.abs(known - found).mean() / max(float(known.mean()), 1e-12))
+def _lost(before: Array, after: Array) -> float:
+    return float(np.abs(before - after).mean() / max(float(before.mean()), 1e-12))
 
 
 def _congruency(picture: Tensor) -> Array:
@@ -265,37 +320,6 @@ def seen_by(preset: Preset, scene: Tensor, distance: Tensor) -> Tensor:
         return Underwater(preset.medium, **options)(scene, distance).clamp(0, 1)
 
 
-class _Known(NamedTuple):
-    """What all systems are compared with: phase congruency of the scene, and the fullest picture
-    (Nx3, Lab).
-    """
-
-    structure: Array
-    fullest: Array
-
-
-def _row(name: str, preset: Preset, picture: Tensor, known: _Known) -> SystemRow:
-    # a plate in the middle of the view, which faces the camera
-    z = torch.tensor(METRES, dtype=torch.float64).reshape(-1, 1, 1, 1)
-    size = (picture.shape[-2], picture.shape[-1])
-    light, medium = preset.light, preset.medium
-    left = contrast(medium, z, light=light, focal_px=focal_of(None, size[1])).flatten().tolist()
-    width = medium.width(z, size).flatten().tolist()
-    red, green, blue = picture.double().mean((1, 2)).tolist()
-    return SystemRow(
-        system=name,
-        red=red,
-        green=green,
-        blue=blue,
-        contrast_2m=left[0],
-        contrast_5m=left[1],
-        blur_2m=width[0],
-        blur_5m=width[1],
-        delta_e=_colour_difference(_lab(picture), known.fullest),
-        phase_congruency=_lost(known.structure, _congruency(picture)),
-    )
-
-
 def _lab(picture: Tensor) -> Array:
     """CIE Lab (Nx3) of a picture (3xHxW, sRGB)."""
     colour = _colour_science()
@@ -310,13 +334,14 @@ def _colour_difference(lab: Array, other: Array) -> float:
 
 
 def _colour_science() -> Any:
-    with np.printoptions():  # which it sets for the whole process
+    # it sets NumPy's print options for the whole process
+    with np.printoptions():
         import colour
 
     return colour
 
 
-def cells_of(row: SystemRow) -> tuple[str, ...]:
+def _cells(row: SystemRow) -> tuple[str, ...]:
     """A row in words, under the headings of the table."""
     mean = f"{row.red:.2f} {row.green:.2f} {row.blue:.2f}"
     contrasts = f"{row.contrast_2m:.3f}", f"{row.contrast_5m:.3f}"

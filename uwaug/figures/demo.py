@@ -31,10 +31,9 @@ from uwaug._support.sheet import (
 )
 from uwaug._support.types import ColorSpace
 from uwaug.distance.convert import from_relative
-from uwaug.figures.cases import SETTING, Case, water_case
 from uwaug.formation.colour import from_light, linear_to_srgb, to_light
 from uwaug.formation.demand import blur_demand
-from uwaug.formation.exposure import gain_of
+from uwaug.formation.exposure import Exposure, gain_of
 from uwaug.formation.field import gaussian_random_field
 from uwaug.formation.model import Terms, form_image
 from uwaug.light.geometry import focal_of
@@ -43,19 +42,65 @@ from uwaug.light.lit import lit_of, planned
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import JERLOV_TYPES, Water
+from uwaug.presets.preset import Preset
 from uwaug.presets.scene import Scene
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["PICTURES", "Drawing", "own_pictures"]
+SETTING = "Scene 1 m deep, g = 0.2, μ = 0.3"
+"""In words, the defaults of `uwaug.Medium.from_water`."""
 
 _COAST = "1C"
 _EVEN = f"{SETTING}, homogeneous, one exposure"
 
 _HALF = {"gaussian": math.sqrt(2 * math.log(2)), "exponential": math.sqrt(3)}
 """Radius that holds half of the light, in σ."""
+
+
+class Case(NamedTuple):
+    """What the terms are drawn in.
+
+    Attributes:
+        name, setting: of the water, and how the scene lies in it, for heading and caption.
+        medium: a batch of one.
+        field_range: least and largest value of the medium field.
+        color_space, exposure, light: see `uwaug.Underwater`.
+    """
+
+    name: str
+    setting: str
+    medium: Medium
+    field_range: tuple[float, float] = (0.3, 1.7)
+    color_space: ColorSpace = "srgb"
+    exposure: Exposure = "none"
+    light: Light | None = None
+
+
+def water_case(water: str) -> Case:
+    """A Jerlov type with the defaults of `uwaug.Medium.from_water`.
+
+    Raises:
+        ValueError: if the type is unknown.
+    """
+    return Case(f"Jerlov {water}", SETTING, Medium.from_water(Water.jerlov(water)))
+
+
+def preset_case(preset: Preset) -> Case:
+    """What a preset comes to."""
+    name, setting = f"preset {preset.name}", f"Scene {preset.vertical_depth:g} m deep"
+    if preset.spectral is None:
+        setting += ", coefficients of red, green and blue"
+    else:
+        name += f", {preset.spectral['waters'].name}"
+        setting += f", g = {preset.spectral['g']:g}, μ = {preset.spectral['mu']:g}"
+    for key, value in preset.choices.items():
+        setting += f", {key} = {value}"
+    if preset.light is not None:
+        setting += ", by its own light; the curves are those of daylight"
+    shown = preset.color_space, preset.exposure, preset.light
+    return Case(name, setting, preset.medium, preset.field_range, *shown)
 
 
 class Drawing(NamedTuple):
