@@ -4,7 +4,7 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -127,13 +127,10 @@ class Run:
                 for folder, _, _ in os.walk(out):
                     remove_left(Path(folder))
             if self.rows.name is not None:
-                for outcome in self._outcomes():
-                    summary.add(outcome)
+                self._go(summary.add)
             else:
                 with index_of(out) as index:
-                    for outcome in self._outcomes():
-                        summary.add(outcome)
-                        index.add(outcome)
+                    self._go(summary.add, index.add)
             self._write_labels()
             if self.sheet and summary.shown:
                 draw_sheet(summary.shown, self._sheet)
@@ -156,10 +153,11 @@ class Run:
         if problems:
             fail("\n".join(problems))
 
-    def _outcomes(self) -> Iterator[Outcome]:
+    def _go(self, *takers: Callable[[Outcome], None]) -> None:
         with self._engine() as degraded, counted(self.count) as counter:
             for outcome in degraded(self.rows, self.recipe, resume=self.resume, force=self.force):
-                yield outcome
+                for take in takers:
+                    take(outcome)
                 counter.advance()
 
     @contextmanager
