@@ -10,7 +10,7 @@ from PIL import Image
 
 import uwaug
 from uwaug.cli.fit import read_series
-from uwaug.io.pictures import read_distance, read_picture
+from uwaug.io import read_distance, read_picture
 
 PAIR = ["--clean", "clean.png", "--observed", "observed.png", "--distance", "z.png"]
 FAST = ["--distance-unit", "mm", "--model", "haze"]

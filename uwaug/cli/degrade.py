@@ -11,7 +11,7 @@ from uwaug.cli.choices import preset_option, water_option
 from uwaug.cli.console import refuse, reported_errors, require_package
 
 if TYPE_CHECKING:
-    from uwaug.jobs import Rows
+    from uwaug.jobs.items import Items
 
 WATER = "Water"
 DISTANCES = "Distances"
@@ -309,15 +309,15 @@ def degrade(
         require_package("ray", "ray")
 
     from uwaug.cli.run import Run
-    from uwaug.jobs import Depth, Recipe
-    from uwaug.jobs.clashes import counted_rows
-    from uwaug.jobs.index import number_of
-    from uwaug.jobs.model import TERMS
-    from uwaug.jobs.run import cores
+    from uwaug.io import DistanceFormat
+    from uwaug.io.write import FORMATS
+    from uwaug.jobs import Recipe
+    from uwaug.jobs.items import metres_in
+    from uwaug.jobs.pool import cores
 
     place = Path(str(shards)) if out is None else out
     with reported_errors():
-        depth = Depth(
+        distance_format = DistanceFormat(
             # a depth network gives inverse depth
             kind="inverse" if depth_network and distance_kind == "metric" else distance_kind,
             unit=_word_or_number(distance_unit),
@@ -328,8 +328,8 @@ def degrade(
             unknown=_word_or_number(unknown),
             network=None if depth_network is None else str(depth_network),
         )
-        if distance is not None and number_of(distance) is not None:
-            depth.require_constant()
+        if distance is not None and metres_in(distance) is not None:
+            distance_format.require_constant()
         drawn_options = _options(options, drawn, severity)
         if focal_px is not None and preset is None and fit is None:
             drawn_options.setdefault("focal_px", focal_px)
@@ -339,27 +339,25 @@ def degrade(
             fit=None if fit is None else str(fit),
             random=random,
             options=drawn_options,
-            depth=depth,
+            distance=distance_format,
             seed=seed,
             labels=None if labels is None else str(labels),
             min_contrast=min_contrast,
             void=ignore_index,
             keep_terms=keep_terms,
-        ).sealed()
-        rows = _rows(inputs, place, distance, variants, output_format, depth_network is not None)
-        if shards is None and rows.name is None and rows.out.suffix and not rows.out.is_dir():
-            from uwaug.io.write import FORMATS
-
+        ).resolved()
+        items = _items(inputs, place, distance, variants, output_format, depth_network is not None)
+        if shards is None and items.name is None and out and out.suffix and not out.is_dir():
             expected = f"the file of one picture, which ends in {', '.join(FORMATS)}, or a folder"
             cure = "make the folder first if it is to be called so"
-            refuse(f"--out {rows.out}: expected {expected}: {cure}")
-        count = counted_rows(rows, TERMS if keep_terms else ())
+            refuse(f"--out {out}: expected {expected}: {cure}")
+        source = recipe.open_labels()
+        count = len(items)
     if workers is None:
         # a worker takes three seconds to begin
         workers = 1 if count < _FEW and ray is None else min(cores(), count)
-    run = Run(rows, recipe, count, workers, resume=resume, force=force, sheet=sheet, ray=ray)
-    if shards is None:
-        run.require_free()
+    run = Run(items, recipe, source, workers, resume=resume, force=force, sheet=sheet, ray=ray)
+    run.require_free(in_files=shards is None)
     if dry_run:
         run.rehearse()
     elif shards is None:
@@ -391,23 +389,22 @@ def _options(path: Path | None, drawn: dict[str, Any], severity: int | None) -> 
     return options
 
 
-def _rows(
+def _items(
     inputs: list[Path],
     out: Path,
     distance: str | None,
     variants: int,
     output_format: str | None,
     network: bool,
-) -> "Rows":
-    from uwaug.io.write import FORMATS, require_format
-    from uwaug.jobs import Rows
-    from uwaug.jobs.index import INDICES
+) -> "Items":
+    from uwaug.io.write import FORMATS, format_of
+    from uwaug.jobs.items import MANIFESTS, Items
 
     ending = None
     if output_format is not None:
         ending = f".{output_format.lower().removeprefix('.')}"
-        require_format(f"picture{ending}")
-    alone = len(inputs) == 1 and not inputs[0].is_dir() and inputs[0].suffix not in INDICES
+        format_of(f"picture{ending}")
+    alone = len(inputs) == 1 and not inputs[0].is_dir() and inputs[0].suffix not in MANIFESTS
     if alone and variants == 1 and out.suffix.lower() in FORMATS and not out.is_dir():
-        return Rows(inputs, distance, out.parent, network=network, name=out.name)
-    return Rows(inputs, distance, out, variants, ending, network)
+        return Items(inputs, distance, out.parent, network=network, name=out.name)
+    return Items(inputs, distance, out, variants=variants, ending=ending, network=network)

@@ -127,7 +127,7 @@ def compare(
 
 def _read_scene(image: Path, distance: Path, unit: DistanceUnit) -> "Scene":
     """A picture and its distances as a sheet shows them."""
-    from uwaug.io.pictures import read_distance, read_picture
+    from uwaug.io import read_distance, read_picture
     from uwaug.presets.scene import own_scene
 
     with reported_errors():

@@ -115,7 +115,7 @@ def fit(
 
 def _read(files: dict[str, list[Path]], unit: str) -> dict[str, Any]:
     """The files, each of them once: what several pairs share stays one, and is blurred once."""
-    from uwaug.io.pictures import read_distance, read_mask, read_picture
+    from uwaug.io import read_distance, read_mask, read_picture
 
     readers: dict[str, Callable[[Path], Tensor]] = {
         "clean": read_picture,
