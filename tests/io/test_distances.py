@@ -81,9 +81,9 @@ def test_distances(case: str, tmp_path: Path) -> None:
 
 
 WRONG_DISTANCES: dict[str, tuple[str, Write, str, str]] = {
-    "mm": ("z.png", png16(MILLIMETRES), "m", "is 3250 m if .*is its unit mm"),
-    "mm in floats": ("z.npy", npy(MILLIMETRES.astype(np.float32)), "m", "is its unit mm"),
-    "µm": ("z.npy", npy(METRES * 1e6), "mm", "is its unit um"),
+    "mm": ("z.png", png16(MILLIMETRES), "m", "is 3250 m if .*try unit='mm'"),
+    "mm in floats": ("z.npy", npy(MILLIMETRES.astype(np.float32)), "m", "try unit='mm'"),
+    "µm": ("z.npy", npy(METRES * 1e6), "mm", "try unit='um'"),
     "8 bits": ("z.png", pillow(BYTES[..., 0]), "m", "got uint8: relative depth?"),
     "colours": ("z.png", pillow(BYTES), "m", "distances in one channel, got colour"),
     "complex": ("z.npy", npy(NOTHING * 1j), "m", "numbers of type complex64"),

@@ -248,7 +248,7 @@ def _metres(file: File, unit: Unit) -> NDArray[np.float32]:
         if median > _FARTHEST:
             finer = "mm" if unit in ("m", "cm") else "um"
             got = f"its median is {median:.5g} m if it is in {unit}, farther than one sees"
-            raise ValueError(f"{name_of(file)}: {got}: is its unit {finer}?")
+            raise ValueError(f"{name_of(file)}: {got}: try unit={finer!r}")
     return z
 
 
