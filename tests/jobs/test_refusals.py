@@ -102,7 +102,7 @@ PICTURES = {
     "missing": ("a.png", lambda _: None, 1, "No such file"),
     "empty folder": ("a.png", lambda path: Path(path).mkdir(), 2, "no pictures in a.png"),
     "link to itself": ("a.png", loop, 1, "symbolic links"),
-    "pipe": ("a.png", pipe, 1, "a pipe (FIFO)"),
+    "pipe": ("a.png", pipe, 1, "no regular file"),
 }
 
 

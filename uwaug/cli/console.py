@@ -2,7 +2,6 @@
 meanwhile.
 """
 
-import importlib.util
 import os
 import re
 import sys
@@ -111,10 +110,12 @@ def reported_errors(*written: Path) -> Iterator[None]:
         refuse(error)
 
 
-def require_package(name: str, extra: str) -> None:
+def require_package(extra: str, name: str) -> None:
     """Fail before long work without a package of an extra."""
-    if importlib.util.find_spec(name) is None:
-        fail(f'{name} is missing: pip install ".[{extra}]" in a checkout of uwaug')
+    from uwaug._support.extras import require
+
+    with reported_errors():
+        require(extra, name)
 
 
 def require_not_read(option: str, path: Path, inputs: Iterable[Path]) -> None:

@@ -304,9 +304,9 @@ def degrade(
     if ray not in (None, "local") and workers is not None:
         refuse(f"--workers: the cluster at {ray} has its own")
     if sheet:
-        require_package("matplotlib", "plot")
+        require_package("plot", "matplotlib")
     if ray is not None:
-        require_package("ray", "ray")
+        require_package("ray", "ray.data")
 
     from uwaug.cli.run import Run
     from uwaug.io import DistanceFormat

@@ -38,7 +38,7 @@ OutFolder = Annotated[Path, typer.Option(help="Folder for the pictures; made if 
 
 def demo(out: OutFolder = Path("uwaug-demo"), force: ForceFolder = False) -> None:
     """Draw a real scene in ten waters, term by term."""
-    require_package("matplotlib", "plot")
+    require_package("plot", "matplotlib")
     from uwaug.figures.demo import PICTURES
     from uwaug.presets import scene
 
@@ -61,7 +61,7 @@ def plot(
     force: ForceFolder = False,
 ) -> None:
     """Draw your own scene in ten waters, and term by term."""
-    require_package("matplotlib", "plot")
+    require_package("plot", "matplotlib")
     from uwaug.figures.demo import own_pictures, preset_case, water_case
     from uwaug.presets import load_preset
 
@@ -102,7 +102,7 @@ def compare(
     require_writable("--out", out, force=force, endings=(".png", ".jpg"), inputs=inputs)
     if table is not None:
         require_writable("--table", table, force=force, endings=(".csv", ".json"), inputs=inputs)
-    require_package("matplotlib", "plot")
+    require_package("plot", "matplotlib")
     import uwaug
     from uwaug._support import sheet
 

@@ -78,7 +78,7 @@ def fit(
         if report.resolve() == out.resolve():
             refuse(f"--report and --out are one file, {out}: name two")
         require_writable("--report", report, force=force, endings=(".png", ".jpg"), inputs=inputs)
-        require_package("matplotlib", "plot")
+        require_package("plot", "matplotlib")
     import uwaug
     from uwaug._support import sheet
 

@@ -304,12 +304,8 @@ def _congruency(picture: Tensor) -> Array:
 
 
 def _phase_congruency() -> Any:
-    try:
-        from phasecongruency import phasecongmono
-    except ImportError as error:
-        cure = 'pip install ".[compare]" in a checkout of uwaug'
-        raise ImportError(f"{error.name} is missing: a comparison needs {cure}") from error
-    return phasecongmono
+    (package,) = require("compare", "phasecongruency")
+    return package.phasecongmono
 
 
 def seen_by(preset: Preset, scene: Tensor, distance: Tensor) -> Tensor:
