@@ -17,6 +17,7 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug._support import sheet as paper
 from uwaug._support.atomic import written_whole
+from uwaug._support.extras import require
 from uwaug._support.types import Array
 from uwaug.formation.colour import LUMINANCE, linear_to_srgb, to_light
 from uwaug.formation.contrast import contrast
