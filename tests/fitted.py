@@ -5,11 +5,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
-
-import uwaug
 from uwaug.fitting.one_water import OneWater
 from uwaug.fitting.pixels import Pair, gather
 from uwaug.fitting.structure import MODELS, Geometry
+
+import uwaug
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
 from uwaug.presets.scene import motorcycle
 

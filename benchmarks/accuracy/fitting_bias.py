@@ -6,6 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
+from uwaug.fitting.solve import solve
+from uwaug.fitting.uncertainty import spread
 
 import uwaug
 from benchmarks.accuracy.fitting_scenes import (
@@ -19,8 +21,6 @@ from benchmarks.accuracy.fitting_scenes import (
     view,
 )
 from uwaug.fitting import Fit, fit
-from uwaug.fitting.solve import solve
-from uwaug.fitting.uncertainty import spread
 from uwaug.formation.model import form_image
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread

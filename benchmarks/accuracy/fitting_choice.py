@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 import torch
+from uwaug.fitting.start import best_of_starts
+from uwaug.fitting.structure import MODELS
 
 from benchmarks.accuracy.fitting_recovery import Row, run
 from benchmarks.accuracy.fitting_scenes import (
@@ -18,8 +20,6 @@ from benchmarks.accuracy.fitting_scenes import (
     view,
 )
 from uwaug.fitting import fit
-from uwaug.fitting.start import best_of_starts
-from uwaug.fitting.structure import MODELS
 
 # "narrow" is of the candidate "gaussian"
 KINDS = ("attenuation", "haze", "veil", "paper", "calibrated", "gaussian", "exponential", "narrow")

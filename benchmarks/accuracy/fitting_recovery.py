@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 import torch
+from uwaug.fitting.solve import solve
+from uwaug.fitting.start import best_of_starts
 
 from benchmarks.accuracy.fitting_scenes import (
     SHARE,
@@ -22,8 +24,6 @@ from benchmarks.accuracy.fitting_scenes import (
     view,
 )
 from uwaug.fitting import Fit, fit
-from uwaug.fitting.solve import solve
-from uwaug.fitting.start import best_of_starts
 
 RUNS = 200
 PROCESSES = 2

@@ -9,13 +9,13 @@ import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
-
-from uwaug.fitting import Fit
 from uwaug.fitting.one_water import OneWater
 from uwaug.fitting.pixels import gather
 from uwaug.fitting.solve import Problem
 from uwaug.fitting.start import guess
 from uwaug.fitting.structure import COLOURS, MODELS
+
+from uwaug.fitting import Fit
 from uwaug.formation.colour import linear_to_srgb, to_light
 from uwaug.formation.model import form_image
 from uwaug.optics.medium import Medium

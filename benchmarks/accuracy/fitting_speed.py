@@ -11,6 +11,9 @@ import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import softplus
+from uwaug.fitting.model import rendered
+from uwaug.fitting.solve import ROBUST, Problem, solve
+from uwaug.fitting.uncertainty import spread
 
 from benchmarks.accuracy.fitting_scenes import (
     HALF,
@@ -24,9 +27,6 @@ from benchmarks.accuracy.fitting_scenes import (
 )
 from benchmarks.harness import printed
 from uwaug.fitting import Fit, fit
-from uwaug.fitting.model import rendered
-from uwaug.fitting.solve import ROBUST, Problem, solve
-from uwaug.fitting.uncertainty import spread
 
 CAP = 60.0  # s
 NEAR = (1e-3, 1e-6)  # of the least loss

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from uwaug.fitting.structure import COLOURS
 
 from benchmarks.accuracy.physics import CALIBRATED, PICTURES
 from uwaug.fitting import Fit, fit
-from uwaug.fitting.structure import COLOURS
 from uwaug.formation.model import form_image
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread

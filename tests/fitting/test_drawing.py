@@ -12,11 +12,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.text import Text
-
-import uwaug
 from uwaug.fitting.drawing import _scale, _told
 from uwaug.fitting.report import Candidate, Parameter
 from uwaug.fitting.result import Fit
+
+import uwaug
 from uwaug.formation.colour import linear_to_srgb
 
 WATER = uwaug.Medium.from_coefficients((0.5, 0.2, 0.3), (0.5, 0.2, 0.3), (0.1, 0.3, 0.4))

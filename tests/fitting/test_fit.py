@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 from fitted import COLOURS, TRUTH, medium, seen
+from uwaug.fitting.media import _without_scatter
 
 import uwaug
-from uwaug.fitting.media import _without_scatter
 
 
 @pytest.fixture(scope="module")

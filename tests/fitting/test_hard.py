@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 from fitted import COLOURS, TRUTH, medium, pair, seen, structure
-
-import uwaug
 from uwaug.fitting.pixels import gather
 from uwaug.fitting.solve import Problem, scouted, solve
 from uwaug.fitting.start import best_of_starts, guess
 from uwaug.fitting.uncertainty import spread
 from uwaug.fitting.verdict import _odd_units
+
+import uwaug
 
 HAZE = {"G": TRUTH["beta"]}
 

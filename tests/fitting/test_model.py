@@ -2,13 +2,13 @@ import numpy as np
 import pytest
 import torch
 from fitted import medium, pixels, seen, structure
+from uwaug.fitting.model import rendered
+from uwaug.fitting.solve import Problem
+from uwaug.fitting.structure import MODELS
 
 import uwaug
 from uwaug.blur.plan import plan_blur
 from uwaug.blur.stack import node_slopes, node_weights
-from uwaug.fitting.model import rendered
-from uwaug.fitting.solve import Problem
-from uwaug.fitting.structure import MODELS
 
 # of torch's own forward mode
 pytestmark = pytest.mark.filterwarnings("ignore:.*torch.jit.script:DeprecationWarning")

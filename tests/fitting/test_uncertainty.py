@@ -4,10 +4,7 @@ import numpy as np
 import pytest
 import torch
 from fitted import TRUTH, medium, pair, seen, structure
-
-import uwaug
 from uwaug.fitting.choice import Tried, choose, held_out
-from uwaug.fitting.noise import estimated
 from uwaug.fitting.pixels import Pair, gather, thinned
 from uwaug.fitting.report import parameters_of
 from uwaug.fitting.search import Search
@@ -15,6 +12,9 @@ from uwaug.fitting.solve import Problem, influence, loss, solve
 from uwaug.fitting.start import best_of_starts, guess
 from uwaug.fitting.threads import one_thread
 from uwaug.fitting.uncertainty import limits, spread
+
+import uwaug
+from uwaug.fitting.noise import estimated
 
 HAZE = {"G": TRUTH["beta"]}
 

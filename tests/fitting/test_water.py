@@ -3,14 +3,14 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
-
-import uwaug
 import uwaug.fitting.water
+from torch import Tensor
 from uwaug.fitting.inputs import pairs_of
 from uwaug.fitting.pixels import gather
 from uwaug.fitting.spectral import Grid, OneType, Optics, SpectralProblem
 from uwaug.fitting.water import fit_water
+
+import uwaug
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
 from uwaug.optics.camera import load_camera
 from uwaug.optics.curves import curves

@@ -2,17 +2,20 @@
 pictures support.
 """
 
-from uwaug.fitting.entry import fit
+from uwaug.fitting.api import fit, fit_series, fit_water
 from uwaug.fitting.noise import Noise
-from uwaug.fitting.prior_entry import WaterEstimate, red_channel_prior
-from uwaug.fitting.report import Candidate, Parameter
-from uwaug.fitting.result import Fit
-from uwaug.fitting.series import fit_series
-from uwaug.fitting.series_result import Line, SeriesFit
+from uwaug.fitting.results import (
+    Candidate,
+    Fit,
+    JerlovType,
+    Line,
+    Parameter,
+    SeriesFit,
+    VeilFit,
+    WaterFit,
+)
+from uwaug.fitting.single_image import WaterEstimate, red_channel_prior
 from uwaug.fitting.veil import fit_veil
-from uwaug.fitting.veil_result import VeilFit
-from uwaug.fitting.water import fit_water
-from uwaug.fitting.water_result import JerlovType, WaterFit
 
 __all__ = [
     "Candidate",

@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from uwaug._support import checks
-from uwaug._support.types import ColorSpace
+from uwaug._support.types import Array, ColorSpace
+from uwaug.fitting.data import Pixels
+from uwaug.fitting.least_squares import M, Objective, solve
 from uwaug.formation.colour import linear_to_srgb
-
-__all__ = ["Noise", "counted", "estimated"]
 
 _LEAST = 1e-4
 """Of linear light; no camera is better."""
@@ -23,11 +23,17 @@ _BINS = 16
 _INSIDE = 3.0
 """Standard deviations of noise, by which a value lies above black and below white."""
 
-_MOST = 0.1
+_MAX_MARGIN = 0.1
 """Of linear light: a very noisy picture would have no pixels left."""
 
 _MAD = 1.4826
 """Standard deviations in a median absolute deviation of Gaussian noise."""
+
+_OUTLYING = 6.0
+"""Standard deviations of noise, from where on a residual does not count at all."""
+
+_ROUNDS = 2
+"""Of learning the noise: a third changes no number by a tenth of its error."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +82,11 @@ def _slope(light: Tensor) -> Tensor:
     return slope
 
 
-def estimated(
+_ROUGH = Noise(0.01)
+"""For a first fit, where the noise is not known."""
+
+
+def estimate_noise(
     residual: Tensor, light: Tensor, used: Tensor, bits: int | None, color_space: ColorSpace
 ) -> Noise:
     """The noise that the residuals of a fit speak of.
@@ -111,7 +121,7 @@ def _line(x: Any, variance: Any) -> tuple[float, float]:
     return float(read), float(shot)
 
 
-def counted(light: Tensor, deviation: Tensor, color_space: ColorSpace) -> Tensor:
+def unclipped(light: Tensor, deviation: Tensor, color_space: ColorSpace) -> Tensor:
     """Which values are far enough from black and white for the noise not to be clipped.
 
     By what the model says, not by what was observed: leaving out dark observations alone would
@@ -119,5 +129,51 @@ def counted(light: Tensor, deviation: Tensor, color_space: ColorSpace) -> Tensor
     """
     if color_space == "linear":  # is never clipped
         return torch.ones_like(light, dtype=torch.bool)
-    margin = (_INSIDE * deviation).clamp(max=_MOST)
+    margin = (_INSIDE * deviation).clamp(max=_MAX_MARGIN)
     return (light > margin) & (light < 1 - margin)
+
+
+def initial_weights(pixels: Pixels, noise: Noise | None, color_space: ColorSpace) -> Pixels:
+    """The pixels with weights for a first fit, by the observed light."""
+    deviation = (noise or _ROUGH).deviation(pixels.observed, color_space)
+    return pixels.weighed(pixels.weights / deviation)
+
+
+def reweight(
+    model: M,
+    theta: Array,
+    pixels: Pixels,
+    noise: Noise | None,
+    *,
+    color_space: ColorSpace,
+    bits: int | None,
+    robust: bool = True,
+) -> tuple[Pixels, Noise, Array]:
+    """Weigh pixels by a model's own light, with a noise that is learnt from its residuals.
+
+    Args:
+        model: that explains the pixels best, which all candidates are then compared with.
+        theta: where it begins.
+        pixels: without the weights of any noise.
+        noise: if it is known.
+        color_space, bits: of the observed file.
+        robust: as of `Objective`.
+
+    Returns:
+        The pixels with their weights, the noise, and where the model ended.
+    """
+    estimate, weighed = noise or _ROUGH, initial_weights(pixels, noise, color_space)
+    for _ in range(_ROUNDS):
+        objective = Objective(model, weighed, robust)
+        theta = solve(objective, theta).theta
+        light = objective.render(theta)
+        error = light - pixels.observed
+        if noise is None:
+            estimate = estimate_noise(error, light, weighed.weights > 0, bits, color_space)
+        deviation = estimate.deviation(light, color_space)
+        inside = unclipped(light, deviation, color_space)
+        if robust:
+            # one-sided ones, such as particles, would pull the veil up for ever
+            inside = inside & (error.abs() < _OUTLYING * deviation)
+        weighed = pixels.weighed(pixels.weights * inside / deviation)
+    return weighed, estimate, theta

@@ -1,44 +1,39 @@
 """`fit_veil`: the veil of a picture without its clean twin, from what is darkest at a distance."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, get_args
+from typing import NamedTuple
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from numpy.typing import NDArray
-from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.types import Array, ColorSpace
-from uwaug.fitting.inputs import Pictures, distances_apart, pairs_of, require_pixels
-from uwaug.fitting.pixels import Pair, reference_distance, tiles
-from uwaug.fitting.threads import one_thread
-from uwaug.fitting.veil_result import VeilFit, veil_found
+from uwaug.fitting.data import Observations, Pair, Pictures, cluster_of, mean_3x3
+from uwaug.fitting.diagnosis import VEIL, Evidence, diagnosis, straight
+from uwaug.fitting.errors import not_identified, parameter
+from uwaug.fitting.least_squares import one_thread
+from uwaug.fitting.models import COLOURS, MAX_OPTICAL_DEPTH, Quantity
+from uwaug.fitting.results import VeilFit
 from uwaug.formation.colour import LUMINANCE
 from uwaug.optics.curves import FARTHEST
-
-__all__ = ["fit_veil"]
-
-_STAND_IN = 0.9
-"""For the clean picture, which is not looked at."""
 
 _NEAR, _FAR = 0.005, 0.995
 """Quantiles of the finite distances, between which the bins lie."""
 
-_FEWEST = 50
+_MIN_PIXELS = 50
 """Pixels of a bin that is looked at."""
 
-_LEAST = 10
+_MIN_DARK = 10
 """Dark pixels that are taken from a bin."""
 
-_BINS = 3
+_MIN_BINS = 3
 """Bins that a fit needs."""
 
-_MOST = 3000
+_MAX_DARK = 3000
 """Dark pixels that are fitted."""
 
-_TILES = 10
+_CLUSTERS = 10
 """Blocks along the picture's short side, that errors go by."""
 
 _ABOVE = 0.3
@@ -46,7 +41,7 @@ _ABOVE = 0.3
 the veil is too high by half as much again where nothing is black, with .1 the noise draws it down.
 """
 
-_WAYS = (0.1, 1.0)
+_OTHER_ABOVE = (0.1, 1.0)
 """Others that might be taken as well: by how much they differ is part of the error."""
 
 _ROBUST = 0.02
@@ -55,11 +50,14 @@ _ROBUST = 0.02
 _STARTS = (0.1, 0.5, 2.0)
 """Optical depths G·z at the median distance, to begin at."""
 
-_THINNEST, _THICKEST = 1e-4, 40.0
-"""Bounds of these."""
+_THINNEST = 1e-4
+"""Least of these."""
 
 _REPEATS = 60
-"""Draws of blocks that errors are taken from."""
+"""Draws of clusters that errors are taken from."""
+
+_RESOLUTION = 1e-6
+"""Light may be of any unit here, so that any change may show."""
 
 
 class Dark(NamedTuple):
@@ -68,12 +66,12 @@ class Dark(NamedTuple):
     Attributes:
         z (N array): effective distance, m.
         light (Nx3 array): linear light.
-        block (N array): the part of the picture that a pixel is from.
+        cluster (N array): the part of the picture that a pixel is from.
     """
 
     z: Array
     light: Array
-    block: NDArray[np.int64]
+    cluster: NDArray[np.int64]
 
 
 def fit_veil(
@@ -109,7 +107,7 @@ def fit_veil(
         seed: of draws.
 
     Returns:
-        The veil, with errors over blocks of the picture: an estimate.
+        The veil, with errors over clusters of pixels: an estimate.
 
     Raises:
         TypeError, ValueError: if an input does not suit; if fewer than 500 pixels can be used,
@@ -127,141 +125,144 @@ def fit_veil(
         >>> import torch, uwaug
         >>> clean, z = torch.rand(3, 60, 80) ** 4, torch.linspace(1, 9, 4800).reshape(1, 60, 80)
         >>> water = uwaug.Medium.from_coefficients((0.4,) * 3, (0.4,) * 3, (0.1, 0.3, 0.4))
-        >>> found = uwaug.fitting.fit_veil(uwaug.Underwater(water)(clean, z), z)
-        >>> found.veil.round(decimals=1).tolist()
+        >>> fit = uwaug.fitting.fit_veil(uwaug.Underwater(water)(clean, z), z)
+        >>> fit.veil.round(decimals=1).tolist()
         [0.1, 0.3, 0.4]
     """
-    checks.one_of("color_space", color_space, get_args(ColorSpace))
-    checks.within("bins", bins, _BINS, 100)
+    checks.within("bins", bins, _MIN_BINS, 100)
     checks.within("share", share, 1e-6, 0.5)
-    pairs = pairs_of(_stand_in(observed), observed, distance, field, mask, color_space)
-    require_pixels(pairs)
-    distances_apart(pairs)
+    checks.within("seed", seed, 0)
+    observations = Observations.of(
+        None, observed, distance, field=field, mask=mask, color_space=color_space
+    )
     rng = np.random.default_rng(seed)
-    dark = _darkest(pairs, int(bins), share, rng)
-    reference = reference_distance(pairs)
-    everything = np.ones(len(dark.z))
+    dark = _darkest(observations.pairs, int(bins), share, rng)
+    reference, everything = observations.reference, np.ones(len(dark.z))
     with one_thread():
-        numbers = _channels(dark, reference, everything)
-        repeats = [_channels(dark, reference, one, near=numbers) for one in _draws(dark, rng)]
-        ways = [_channels(dark, reference, everything, above, numbers) for above in _WAYS]
-    return veil_found(numbers, np.array(repeats), np.array(ways), _farthest(dark.z))
+        theta = _fit(dark, reference, everything)
+        draws = [_fit(dark, reference, w, near=theta) for w in _bootstrap(dark, rng)]
+        others = [_fit(dark, reference, everything, above, theta) for above in _OTHER_ABOVE]
+    # the distance that the veil is seen to
+    sea = (dark.z >= FARTHEST).mean() > 0.01
+    farthest = np.inf if sea else float(np.quantile(dark.z, 0.95))
+    return _reported(dark, theta, np.array(draws), np.array(others), farthest)
 
 
-def _draws(dark: Dark, rng: np.random.Generator) -> list[Array]:
-    """How often each pixel counts in each draw of blocks."""
-    _, block = np.unique(dark.block, return_inverse=True)
-    count = int(block.max()) + 1
-    found = []
-    for _ in range(_REPEATS):
-        times = np.bincount(rng.integers(count, size=count), minlength=count)
-        found.append(times[block].astype(np.float64))
-    return found
+def _reported(dark: Dark, theta: Array, draws: Array, others: Array, farthest: float) -> VeilFit:
+    """What is reported of source and G of each channel (3x2), of those of draws of clusters, and of
+    those of other ways to count what lies above the curve.
+    """
+    values, spread, ways = _quantities(theta), _quantities(draws), _quantities(others)
+    parameters = {}
+    for kind, value in values.items():
+        error = np.hypot(spread[kind].std(0), 0.5 * np.ptp(ways[kind], 0))
+        for c, colour in enumerate(COLOURS):
+            unit = "1" if kind == "veil" else "1/m"
+            quantity = Quantity(f"{kind}_{colour}", unit, _RESOLUTION, ())
+            if kind != "source" and straight(theta[c, 1], farthest):
+                parameters[quantity.name] = not_identified(quantity)
+            else:
+                parameters[quantity.name] = parameter(quantity, value[c], error[c])
+    apart = 0.5 * np.ptp(others.reshape(len(others), 6), 0)
+    residual = np.stack([_veil(source, G, dark.z) for source, G in theta], 1) - dark.light
+    return VeilFit(
+        parameters=parameters,
+        candidates=(),
+        message=diagnosis(VEIL, Evidence(parameters, G=theta[:, 1].tolist(), farthest=farthest)),
+        noise=None,
+        rms=float(np.sqrt((residual**2).mean())),
+        theta=theta.flatten(),
+        covariance=np.cov(draws.reshape(len(draws), 6).T, ddof=0) + np.diag(apart**2),
+        farthest=farthest,
+    )
 
 
-def _channels(
-    dark: Dark,
-    reference: float,
-    weights: Array,
-    above: float = _ABOVE,
-    near: Array | None = None,
-) -> Array:
-    """Source and G of each channel (3x2)."""
-    rows = []
-    for c in range(3):
-        start = None if near is None else near[c]
-        rows.append(_fitted(dark.z, dark.light[:, c], reference, weights, above, start))
-    return np.array(rows)
-
-
-def _stand_in(observed: Any) -> Pictures:
-    """A clean picture where there is none, of the size of the observed ones."""
-    first = observed
-    if not isinstance(observed, Tensor) and isinstance(observed, Sequence) and observed:
-        first = observed[0]
-    if not isinstance(first, Tensor):
-        checks.floating("observed", first)
-    checks.picture("observed", first, 3)
-    return torch.full((3, *first.shape[-2:]), _STAND_IN)
+def _quantities(numbers: Array) -> dict[str, Array]:
+    """What is reported, by kind, from source and G in the last place."""
+    source, G = numbers[..., 0], numbers[..., 1]
+    return {"veil": source / G, "G": G, "source": source}
 
 
 def _darkest(pairs: Sequence[Pair], bins: int, share: float, rng: np.random.Generator) -> Dark:
     """The darkest pixels of each step of distance, and any of open water."""
-    all_pixels = _flattened(pairs)
-    z, luminance = all_pixels.z, _luminance(pairs)
+    luminance = np.concatenate([_luminance(pair) for pair in pairs])
+    z = torch.cat([pair.z[0][pair.usable[0]] for pair in pairs]).numpy()
+    light = torch.cat([pair.observed[:, pair.usable[0]].T for pair in pairs]).numpy()
+    clusters = np.concatenate(
+        [
+            cluster_of(np.flatnonzero(pair.usable.numpy()), i, pair.size, _CLUSTERS)
+            for i, pair in enumerate(pairs)
+        ]
+    )
     finite = z < FARTHEST
     low, high = np.quantile(z[finite], (_NEAR, _FAR))
     step = np.floor((z - low) / max(high - low, 1e-9) * bins)
     taken = []
     for k in range(bins):
         inside = np.flatnonzero(finite & (step == k))
-        if len(inside) >= _FEWEST:
-            wanted = max(round(share * len(inside)), _LEAST)
-            taken.append(inside[np.argpartition(luminance[inside], wanted)[:wanted]])
-    if len(taken) < _BINS:
-        got = f"only {len(taken)} of {bins} steps of distance hold {_FEWEST} pixels"
-        raise ValueError(f"distance: {got}, expected {_BINS}: give fewer bins, or more pixels")
-    open_water = rng.permutation(np.flatnonzero(~finite))
-    taken.append(open_water[: max(len(one) for one in taken)])
-    places = rng.permutation(np.concatenate(taken))[:_MOST]
-    return Dark(z[places], all_pixels.light[places], all_pixels.block[places])
+        if len(inside) >= _MIN_PIXELS:
+            count = max(round(share * len(inside)), _MIN_DARK)
+            taken.append(inside[np.argpartition(luminance[inside], count)[:count]])
+    if len(taken) < _MIN_BINS:
+        few = f"only {len(taken)} of {bins} steps of distance hold {_MIN_PIXELS} pixels"
+        raise ValueError(f"distance: {few}, expected {_MIN_BINS}: give fewer bins, or more pixels")
+    sea = rng.permutation(np.flatnonzero(~finite))
+    taken.append(sea[: max(len(places) for places in taken)])
+    places = rng.permutation(np.concatenate(taken))[:_MAX_DARK]
+    return Dark(z[places], light[places], clusters[places])
 
 
-def _flattened(pairs: Sequence[Pair]) -> Dark:
-    """The usable pixels of all pairs."""
-    z, light, block = [], [], []
-    for i, pair in enumerate(pairs):
-        usable = pair.usable[0]
-        z.append(pair.z[0][usable])
-        light.append(pair.observed[:, usable].T)
-        block.append(tiles(np.flatnonzero(usable.numpy()), i, pair.size, _TILES))
-    return Dark(torch.cat(z).numpy(), torch.cat(light).numpy(), np.concatenate(block))
-
-
-def _luminance(pairs: Sequence[Pair]) -> Array:
+def _luminance(pair: Pair) -> Array:
     """Of the usable pixels, over 3×3 neighbours."""
-    found = []
-    for pair in pairs:
-        weights = torch.tensor(LUMINANCE, dtype=torch.float64)
-        picture = torch.einsum("c,chw->hw", weights, pair.observed)[None, None]
-        smooth = F.avg_pool2d(F.pad(picture, (1, 1, 1, 1), mode="replicate"), 3, 1)
-        found.append(smooth[0, 0][pair.usable[0]])
-    return np.asarray(torch.cat(found).numpy())
+    weights = torch.tensor(LUMINANCE, dtype=torch.float64)
+    picture = torch.einsum("c,chw->hw", weights, pair.observed)[None]
+    return np.asarray(mean_3x3(picture)[0][pair.usable[0]])
 
 
-def _fitted(
-    z: Array, light: Array, reference: float, weights: Array, above: float, near: Array | None
+def _bootstrap(dark: Dark, rng: np.random.Generator) -> list[Array]:
+    """How often each pixel counts in each draw of clusters."""
+    _, cluster = np.unique(dark.cluster, return_inverse=True)
+    count = int(cluster.max()) + 1
+    draws = [rng.integers(count, size=count) for _ in range(_REPEATS)]
+    return [np.bincount(draw, minlength=count)[cluster].astype(np.float64) for draw in draws]
+
+
+def _fit(
+    dark: Dark,
+    reference: float,
+    weights: Array,
+    above: float = _ABOVE,
+    near: Array | None = None,
 ) -> Array:
-    """Growth at the lens, 1/m, and G of a channel: the best from several starts, or from `near`."""
+    """Growth at the lens, 1/m, and G of each channel (3x2): the best from several starts, or from
+    `near`.
+    """
     from scipy.optimize import least_squares
 
-    scale = max(_ROBUST * float(np.quantile(light, 0.95)), 1e-9)
-
-    def residual(numbers: Array) -> Array:
-        error = (light - _veil(numbers[0], numbers[1], z)) / scale
-        return np.asarray(np.sqrt(weights * np.where(error > 0, above, 1.0)) * error)
-
-    starts = [] if near is None else [near]
-    for depth in _STARTS if near is None else ():
-        growth = _veil(1.0, depth / reference, z)
-        starts.append(np.array([growth @ light / (growth @ growth), depth / reference]))
     low = np.array([0.0, _THINNEST / reference])
-    high = np.array([np.inf, _THICKEST / reference])
-    best: Any = None
-    for start in starts:
-        begin = np.clip(start, low * 1.001 + 1e-12, high * 0.999)
-        found = least_squares(
-            residual, begin, bounds=(low, high), x_scale=np.maximum(begin, 1e-6), loss="soft_l1"
-        )
-        if best is None or found.cost < best.cost:
-            best = found
-    return np.asarray(best.x)
+    high = np.array([np.inf, MAX_OPTICAL_DEPTH / reference])
+    rows = []
+    for c, light in enumerate(dark.light.T):
+        scale = max(_ROBUST * float(np.quantile(light, 0.95)), 1e-9)
+
+        def residual(numbers: Array, light: Array = light, scale: float = scale) -> Array:
+            error = (light - _veil(numbers[0], numbers[1], dark.z)) / scale
+            return np.asarray(np.sqrt(weights * np.where(error > 0, above, 1.0)) * error)
+
+        starts = [] if near is None else [near[c]]
+        for depth in _STARTS if near is None else ():
+            growth = _veil(1.0, depth / reference, dark.z)
+            starts.append(np.array([growth @ light / (growth @ growth), depth / reference]))
+        ends = []
+        for start in starts:
+            begin = np.clip(start, low * 1.001 + 1e-12, high * 0.999)
+            size = np.maximum(begin, 1e-6)
+            ends.append(
+                least_squares(residual, begin, bounds=(low, high), x_scale=size, loss="soft_l1")
+            )
+        rows.append(min(ends, key=lambda end: end.cost).x)
+    return np.array(rows)
 
 
 def _veil(source: float, G: float, z: Array) -> Array:
     return np.asarray(source * -np.expm1(-G * z) / G)
-
-
-def _farthest(z: Array) -> float:
-    """The distance that the veil is seen to, m: infinity if there is open water."""
-    return float(np.inf) if (z >= FARTHEST).mean() > 0.01 else float(np.quantile(z, 0.95))

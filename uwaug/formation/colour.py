@@ -50,31 +50,34 @@ takes 3 to 5 times as long.
 """
 
 
-def to_light(image: Tensor, color_space: ColorSpace) -> Tensor:
+def to_light(image: Tensor, color_space: ColorSpace, name: str = "image") -> Tensor:
     """Linear light in float32 or float64 from a picture as callers give it.
 
     Args:
         image: uint8 (0…255), or floating point (nominally 0…1); half precision is taken up to
             float32.
         color_space: "srgb" decodes; "linear" takes the values for light, of any brightness.
+        name: what the picture is called where it is refused.
 
     Raises:
         ValueError: if values are NaN or infinite; if sRGB values exceed 16, which are taken for a
             scale of 0…255, or fall below −0.1, which are taken for normalised ones.
     """
-    require_values(image, color_space)
+    require_values(image, color_space, name)
     return decoded(image, color_space)
 
 
-def require_values(image: Tensor, color_space: ColorSpace) -> tuple[float, float]:
+def require_values(
+    image: Tensor, color_space: ColorSpace, name: str = "image"
+) -> tuple[float, float]:
     """Refuse what `to_light` cannot take; between which values the others lie."""
     if not image.is_floating_point() or not image.numel() or torch.compiler.is_compiling():
         return 0.0, 1.0
-    low, high = checks.finite("image", image)
+    low, high = checks.finite(name, image)
     if color_space == "srgb" and high > _BRIGHTEST:
-        raise ValueError(f"image reaches {high:g}: expected 0…1; divide a 0…255 image by 255")
+        raise ValueError(f"{name} reaches {high:g}: expected 0…1; divide a 0…255 image by 255")
     if color_space == "srgb" and low < _DARKEST:
-        raise ValueError(f"image falls to {low:g}: expected 0…1; place it before Normalize")
+        raise ValueError(f"{name} falls to {low:g}: expected 0…1; place it before Normalize")
     return low, high
 
 

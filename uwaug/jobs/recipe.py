@@ -8,7 +8,7 @@ from typing import Any
 from uwaug._support import checks
 from uwaug._support.hashing import FileHash
 from uwaug.distance.sample import Scaling
-from uwaug.fitting.result import Fit
+from uwaug.fitting import Fit
 from uwaug.io.distances import DistanceFormat
 from uwaug.jobs.model import Model, OneMedium, RandomWater
 from uwaug.labels import LabelSource, open_labels

@@ -1,0 +1,160 @@
+"""The picture as a function of coefficients of each pair, and its slopes: what a fit compares with
+what was observed. The image is formed by the functions that form any other.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from uwaug._support.types import Shape
+from uwaug.blur.stack import mixed, node_slopes, node_weights
+from uwaug.fitting.data import Geometry, Pixels
+from uwaug.optics.curves import curves
+from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread
+
+MIN_G = 1e-9
+"""1/m, stands for smaller G, where the veil has no end."""
+
+MIN_SCATTERING = 1e-6
+"""1/m, or scattering lengths: stands for none in a width law."""
+
+_MIN_WIDTH = 1e-9
+"""px, stands for less: widths are proportional to it."""
+
+
+class Coefficients(NamedTuple):
+    """What the picture of each of P pairs depends on.
+
+    Attributes:
+        beta (Px3 tensor): attenuation of the direct light, 1/m.
+        G (Px3 tensor): attenuation of signal and veil, 1/m.
+        veil_slope (Px3 tensor): growth of the veil at the lens, G·V(0), 1/m: what is seen of the
+            veil where G is small.
+        width (P tensor): σ at the reference distance, px; None if no light is scattered forward.
+        exponent (P tensor): of the width law.
+        gain (Px3 tensor): of the picture's exposure.
+    """
+
+    beta: Tensor
+    G: Tensor
+    veil_slope: Tensor
+    width: Tensor | None
+    exponent: Tensor | None
+    gain: Tensor
+
+    @property
+    def veil(self) -> Tensor:
+        """V(0) of each pair (Px3)."""
+        return self.veil_slope / self.G.clamp(min=MIN_G)
+
+    def stacked(self) -> Tensor:
+        """All numbers of each pair and colour (6xPx3); 0 where there are none."""
+        rows = []
+        for value in self:
+            value = torch.zeros_like(self.beta) if value is None else value
+            rows.append(value if value.ndim == 2 else value[:, None].expand_as(self.beta))
+        return torch.stack(rows)
+
+    def media(self, b_mean: Tensor, shape: Shape | None, geometry: Geometry) -> Medium:
+        """A batch of media that any picture can be formed in; gains are the cameras' and stay out.
+
+        Args:
+            b_mean (P tensor): mean scattering coefficient, 1/m.
+            shape: of the point spread; None if no light is scattered forward.
+            geometry: of the pictures that were fitted.
+        """
+        if shape is None or self.width is None or self.exponent is None:
+            return lossy_media(self.beta, self.G, self.veil)
+        b, exponent = b_mean.clamp(min=MIN_SCATTERING), self.exponent
+        # σ = width·(z/reference)^exponent
+        scale = self.width / (b * geometry.reference) ** exponent
+        law = PointSpread(scale, exponent, shape, geometry.short_side)
+        if len(self.beta) == 1:
+            law = replace(law, scale=float(scale), exponent=float(exponent))
+        return Medium.from_coefficients(self.beta, self.G, self.veil, b_mean=b, point_spread=law)
+
+
+def lossy_media(beta: Tensor, G: Tensor, veil: Tensor) -> Medium:
+    """Media in which all light that leaves the line of sight is lost: T_G = T_β, and a veil that
+    has rates of its own.
+    """
+    one = torch.diag_embed(torch.ones_like(beta))
+    none = torch.zeros_like(one)
+    return Medium(
+        beta=beta,
+        direct_weights=one,
+        G=torch.cat([beta, G], 1),
+        signal_weights=torch.cat([one, none], 2),
+        veil_weights=torch.cat([none, torch.diag_embed(veil)], 2),
+        b_mean=beta.new_zeros(len(beta)),
+        point_spread=PointSpread.none(),
+        notes=("fitted: direct light and veil, no forward scatter",) * len(beta),
+    )
+
+
+def render(c: Coefficients, pixels: Pixels, shape: Shape | None) -> Tensor:
+    """The pixels (Px3x1xN) of these coefficients, in linear light; differentiable."""
+    medium = _medium(c, shape, pixels.reference)
+    T = curves(medium.sums(exact_at_lens=True), pixels.z)
+    light = T.direct * pixels.clean + T.veil
+    if shape is not None:
+        plan, blurs = pixels.stacks[shape]
+        sigma = medium.point_spread.sigma(medium.lengths(pixels.z), None)
+        light = light + T.scatter * mixed(blurs, node_weights(sigma, plan))
+    return c.gain[:, :, None, None] * light
+
+
+def _medium(c: Coefficients, shape: Shape | None, reference: float) -> Medium:
+    """The media, one row for each pair; their width law counts in multiples of the reference."""
+    law = PointSpread.none()
+    if c.width is not None and c.exponent is not None and shape is not None:
+        law = PointSpread(c.width, c.exponent, shape)
+    G = c.G.clamp(min=MIN_G)
+    return Medium.from_coefficients(c.beta, G, c.veil, b_mean=1 / reference, point_spread=law)
+
+
+def derivatives(c: Coefficients, pixels: Pixels, shape: Shape | None) -> tuple[Tensor, Tensor]:
+    """The pixels, and their derivatives (6xPx3x1xN) by each of the coefficients.
+
+    Written out, as colours do not mix: forward mode through `render` takes 25 times as long. A
+    test compares the two.
+    """
+    medium = _medium(c, shape, pixels.reference)
+    T = curves(medium.sums(exact_at_lens=True), pixels.z)
+    z, gain = pixels.z, c.gain[:, :, None, None]
+    x, veil_slope = c.G[:, :, None, None] * z, c.veil_slope[:, :, None, None]
+    light = T.direct * pixels.clean + T.veil
+    by_beta = -z * T.direct * pixels.clean
+    by_G = -veil_slope * z * z * _growth_slope(x)
+    by_veil_slope = z * _growth(x)
+    by_width = by_exponent = torch.zeros_like(T.direct)
+    if shape is not None and c.width is not None:
+        plan, blurs = pixels.stacks[shape]
+        sigma = medium.point_spread.sigma(medium.lengths(z), None)
+        blur = mixed(blurs, node_weights(sigma, plan))
+        light = light + T.scatter * blur
+        by_beta = by_beta + z * T.direct * blur
+        by_G = by_G - z * (T.direct + T.scatter) * blur
+        by_logarithm = T.scatter * mixed(blurs, node_slopes(sigma, plan)) * sigma
+        by_width = by_logarithm / c.width.clamp(min=_MIN_WIDTH).reshape(-1, 1, 1, 1)
+        by_exponent = by_logarithm * (z / pixels.reference).log()
+    each = (by_beta, by_G, by_veil_slope, by_width, by_exponent)
+    return gain * light, torch.stack([gain * slope for slope in each] + [light])
+
+
+def _growth(x: Tensor) -> Tensor:
+    """(1 − e^−x)/x."""
+    small = x < 1e-4
+    safe = torch.where(small, 1.0, x)
+    return torch.where(small, 1 - x / 2, -torch.expm1(-safe) / safe)
+
+
+def _growth_slope(x: Tensor) -> Tensor:
+    """(1 − e^−x·(1 + x))/x², the derivative of −(1 − e^−x)/x."""
+    small = x < 1e-2
+    safe = torch.where(small, 1.0, x)
+    series = 0.5 - x / 3 + x * x / 8 - x**3 / 30 + x**4 / 144
+    return torch.where(small, series, (1 - torch.exp(-safe) * (1 + safe)) / (safe * safe))
