@@ -5,16 +5,18 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
-from uwaug.fitting.one_water import OneWater
-from uwaug.fitting.pixels import Pair, gather
-from uwaug.fitting.structure import MODELS, Geometry
 
 import uwaug
+from uwaug.fitting.data import Observations, Pixels
+from uwaug.fitting.least_squares import Objective
+from uwaug.fitting.models import MODELS, CoefficientModel
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
 from uwaug.presets.scene import motorcycle
 
 COLOURS = ("red", "green", "blue")
 TRUTH = {"beta": (0.62, 0.41, 0.48), "G": (0.30, 0.15, 0.20), "veil": (0.10, 0.28, 0.33)}
+HAZE = {"G": TRUTH["beta"], "law": uwaug.PointSpread.none()}
+"""No light is scattered forward."""
 
 
 class Known(NamedTuple):
@@ -25,50 +27,106 @@ class Known(NamedTuple):
     distance: Tensor  # 1xHxW
 
 
-def scene(step: int = 3) -> tuple[Tensor, Tensor]:
-    """The motorcycle with every `step`-th pixel of a smoothed picture, sRGB, and its distances."""
-    whole = motorcycle()
-    small = torch.nn.functional.avg_pool2d(whole.image[None], step)[0]
-    h, w = small.shape[-2:]
-    return small, whole.distance[:, step // 2 :: step, step // 2 :: step][:, :h, :w]
-
-
 def medium(law: uwaug.PointSpread | None = None, **truth: Any) -> uwaug.Medium:
     """One of three exponentials."""
     numbers = {**TRUTH, **truth}
-    law = uwaug.PointSpread(2.0, 0.9) if law is None else law
+    law = uwaug.PointSpread(0.8, 0.9) if law is None else law
     return uwaug.Medium.from_coefficients(
         numbers["beta"], numbers["G"], numbers["veil"], b_mean=1.0, point_spread=law
     )
 
 
+def scene(step: int = 7) -> tuple[Tensor, Tensor]:
+    """The motorcycle (71×105) as bytes, and its distances."""
+    whole = motorcycle()
+    small = torch.nn.functional.avg_pool2d(whole.image[None], step)[0]
+    h, w = small.shape[-2:]
+    z = whole.distance[:, step // 2 :: step, step // 2 :: step][:, :h, :w]
+    return (small * 255).round().to(torch.uint8), z
+
+
+def as_bytes(light: Tensor, noise: float = 0.01, seed: int = 0) -> Tensor:
+    """Linear light with noise, as a camera stores it."""
+    generator = torch.Generator().manual_seed(seed)
+    light = light + noise * torch.randn(light.shape, generator=generator, dtype=light.dtype)
+    return (linear_to_srgb(light.clamp(min=0)).clamp(0, 1) * 255).round().to(torch.uint8)
+
+
 def seen(
-    water: uwaug.Medium, *, step: int = 3, noise: float = 0.01, seed: int = 0, gain: Any = 1.0
+    water: uwaug.Medium, *, step: int = 7, noise: float = 0.01, seed: int = 0, gain: Any = 1.0
 ) -> Known:
     """The scene in a water, with noise in linear light, rounded to 8 bits."""
     clean, z = scene(step)
-    stored = (clean * 255).round().to(torch.uint8)
-    light = srgb_to_linear(stored.double() / 255)
-    image = uwaug.form_image(light, z.double(), water, tolerance=1e-4).image
-    generator = torch.Generator().manual_seed(seed)
-    image = gain * image
-    image = image + noise * torch.randn(image.shape, generator=generator, dtype=image.dtype)
-    observed = (linear_to_srgb(image.clamp(min=0.0)).clamp(0, 1) * 255).round().to(torch.uint8)
-    return Known(stored, observed, z)
+    light = srgb_to_linear(clean.double() / 255)
+    image = gain * uwaug.form_image(light, z.double(), water, tolerance=1e-4).image
+    return Known(clean, as_bytes(image, noise, seed), z)
 
 
-def structure(name: str, pairs: int = 1, fixed: dict[str, float] | None = None) -> OneWater:
-    """A candidate for a scene of 166 px, 3 m away."""
-    geometry = Geometry(pairs, 166, 3.0, 4.5, 20.0, 300.0)
-    return OneWater(MODELS[name], geometry, "fixed", 0.05, fixed or {})
+def sampled(known: Known, count: int = 2000, noise: float = 0.01) -> Pixels:
+    """Pixels with weights by a noise that is known; dark ones, where it is clipped, have none."""
+    pixels = Observations.of(*known).sample_pixels(("gaussian", "exponential"), count, 0)
+    lit = pixels.observed.mean(1, keepdim=True) > 0.05
+    return pixels.weighed(pixels.weights * lit / noise)
 
 
-def pair(known: Known) -> Pair:
-    """As it is fitted."""
-    clean, observed = (srgb_to_linear(one.double() / 255) for one in known[:2])
-    return Pair(clean, observed, known.distance.double(), torch.ones_like(known.distance) > 0)
+def objective(known: Known, name: str = "haze", **options: Any) -> Objective[CoefficientModel]:
+    """One of the candidates, and pixels that it is to explain."""
+    geometry = Observations.of(*known).geometry(focal_px=70.0)
+    model = CoefficientModel(MODELS[name], geometry, "fixed", 0.05, {})
+    return Objective(model, sampled(known, **options))
 
 
-def pixels(known: Known, shapes: tuple[Any, ...] = ("gaussian", "exponential")) -> Any:
-    """Two thousand of them."""
-    return gather([pair(known)], shapes, 2000, np.random.default_rng(0))
+def errors(fit: Any, truth: Any = TRUTH, kinds: Any = ("beta", "G", "veil")) -> Any:
+    """How far the numbers are off, in standard errors."""
+    away = []
+    for kind in kinds:
+        for c, colour in enumerate(COLOURS):
+            number = fit.parameters[f"{kind}_{colour}"]
+            away.append((number.value - truth[kind][c]) / number.error)
+    return np.array(away)
+
+
+LEVELS = (0.5, 1.0, 2.0, 4.0)
+TANK = {
+    "a": np.array([0.15, 0.03, 0.02]),
+    "m": np.array([0.06, 0.07, 0.08]),
+    "k": np.array([0.12, 0.10, 0.09]),
+    "b0": 0.02,
+    "g": 0.12,
+}
+
+
+def tank(bend: float = 0.0, levels: Any = LEVELS) -> list[Known]:
+    """The scene at several turbidities; scattering bends away from a line."""
+    pairs = []
+    for i, level in enumerate(levels):
+        b = TANK["b0"] + TANK["k"] * level * (1 + bend * level)
+        G = TANK["a"] + TANK["g"] * b
+        numbers = {"beta": TANK["a"] + b, "G": G, "veil": TANK["m"] * b / G}
+        law = uwaug.PointSpread(1.2 * b.mean() ** 0.8, 0.8)
+        water = medium(law, **{name: values.tolist() for name, values in numbers.items()})
+        pairs.append(seen(water, seed=i))
+    return pairs
+
+
+STONES = torch.linspace(0.8, 8.0, 90 * 120).reshape(1, 90, 120)
+"""Distances of stones, m."""
+
+
+def stones(darkest: float = 0.0) -> Tensor:
+    """Patches of linear light (3x90x120), some of them black, at every distance."""
+    generator = torch.Generator().manual_seed(1)
+    patches = torch.rand(3, 18, 24, generator=generator) ** 2
+    patches[:, torch.rand(18, 24, generator=generator) < 0.1] = 0
+    light = patches.repeat_interleave(5, 1).repeat_interleave(5, 2)
+    return darkest + (1 - darkest) * light
+
+
+def veiled(water: uwaug.Medium, z: Tensor = STONES, darkest: float = 0.0, seed: int = 0) -> Tensor:
+    """The stones in a water, as bytes."""
+    return as_bytes(uwaug.form_image(stones(darkest), z, water).image, seed=seed)
+
+
+def veil_water(veil: Any = (0.1, 0.35, 0.45), G: Any = (0.5, 0.35, 0.4)) -> uwaug.Medium:
+    """A water of which the veil is to be found."""
+    return uwaug.Medium.from_coefficients([rate + 0.1 for rate in G], G, veil)

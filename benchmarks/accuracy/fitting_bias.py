@@ -6,8 +6,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
-from uwaug.fitting.solve import solve
-from uwaug.fitting.uncertainty import spread
 
 import uwaug
 from benchmarks.accuracy.fitting_scenes import (
@@ -21,6 +19,8 @@ from benchmarks.accuracy.fitting_scenes import (
     view,
 )
 from uwaug.fitting import Fit, fit
+from uwaug.fitting.errors import cluster_covariance
+from uwaug.fitting.least_squares import solve
 from uwaug.formation.model import form_image
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
@@ -64,8 +64,8 @@ def mean_water(kind: str, scene: View) -> Truth:
 
 def fitted_numbers(found: Fit) -> dict[str, list[float]]:
     """β, G and veil of the colours, as they were fitted, identified or not."""
-    natural = found.structure.natural(torch.from_numpy(found.theta))
-    beta, G, source = natural.beta[0], natural.G[0], natural.source[0]
+    natural = found.fitted.coefficients(torch.from_numpy(found.theta))
+    beta, G, source = natural.beta[0], natural.G[0], natural.veil_slope[0]
     veil = source / G.clamp(min=1e-9)
     rows = (("beta", beta), ("G", G), ("veil", veil))
     return {name: [float(f"{v:.5g}") for v in row.tolist()] for name, row in rows}
@@ -193,9 +193,10 @@ def errors_on_purpose(quick: bool) -> Results:
 def judged(found: Fit, wrong: Wrong) -> Results:
     """What a fit says of its errors, and how far it is off."""
     problem = problem_of(found)
-    widened = spread(problem, solve(problem, found.theta, most=10)).widened
+    end = solve(problem, found.theta, most=10)
+    widened = cluster_covariance(problem, end).design_effect
     scores, off = [], []
-    reference = found.structure.geometry.reference / wrong.factor
+    reference = found.fitted.geometry.reference / wrong.factor
     for name, right in wrong.truth.numbers(reference).items():
         one = found.parameters[name]
         rate = name.startswith(("beta", "G_"))
@@ -221,7 +222,7 @@ def judged(found: Fit, wrong: Wrong) -> Results:
 
 def _curves_off(found: Fit, water: Medium) -> dict[str, float]:
     """Largest difference of T_β, T_G and veil in the distances of the scene, and to twice that."""
-    near, far = found.structure.geometry.reference, found.structure.geometry.farthest
+    near, far = found.fitted.geometry.reference, found.fitted.geometry.farthest
     rows = {}
     for name, end in (("inside", far), ("to twice", 2 * far)):
         z = torch.linspace(0.7 * near, end, 50, dtype=torch.float64)

@@ -5,8 +5,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from uwaug.fitting.start import best_of_starts
-from uwaug.fitting.structure import MODELS
 
 from benchmarks.accuracy.fitting_recovery import Row, run
 from benchmarks.accuracy.fitting_scenes import (
@@ -20,6 +18,8 @@ from benchmarks.accuracy.fitting_scenes import (
     view,
 )
 from uwaug.fitting import fit
+from uwaug.fitting.least_squares import multistart
+from uwaug.fitting.models import MODELS
 
 # "narrow" is of the candidate "gaussian"
 KINDS = ("attenuation", "haze", "veil", "paper", "calibrated", "gaussian", "exponential", "narrow")
@@ -44,9 +44,9 @@ def picked(seed: int, pixels: int = 20_000) -> Row:
     apart = {}
     for name in MODELS if pixels > FEW else ("attenuation", "haze"):
         problem = problem_of(found, name, light, min(FEW, pixels))
-        best = best_of_starts(problem, [first_guess(problem)], seed)
+        best = multistart(problem, [first_guess(problem)], seed)
         used = problem.pixels.weights > 0
-        residual = (problem.model(best.theta) - problem.pixels.observed)[used]
+        residual = (problem.render(best.theta) - problem.pixels.observed)[used]
         apart[name] = float(f"{float(residual.square().mean().sqrt()) / NOISE:.3g}")
     candidates = {}
     for one in found.candidates:

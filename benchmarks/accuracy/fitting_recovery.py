@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from uwaug.fitting.solve import solve
-from uwaug.fitting.start import best_of_starts
 
 from benchmarks.accuracy.fitting_scenes import (
     SHARE,
@@ -24,6 +22,7 @@ from benchmarks.accuracy.fitting_scenes import (
     view,
 )
 from uwaug.fitting import Fit, fit
+from uwaug.fitting.least_squares import multistart, solve
 
 RUNS = 200
 PROCESSES = 2
@@ -60,7 +59,7 @@ def recovered(seed: int, pixels: int = 20_000) -> Row:
 def compared(truth: Truth, found: Fit) -> dict[str, list[Any]]:
     """Of each number that is reported: truth, value, standard error, interval, state."""
     rows = {}
-    for name, right in truth.numbers(found.structure.geometry.reference).items():
+    for name, right in truth.numbers(found.fitted.geometry.reference).items():
         one = found.parameters.get(name)
         if one is not None:
             row = [right, one.value, one.error, one.low, one.high, one.state]
@@ -71,12 +70,12 @@ def compared(truth: Truth, found: Fit) -> dict[str, list[Any]]:
 def _costs(found: Fit, pixels: int, rng: np.random.Generator) -> list[float]:
     """Where the fit ended, and where it would have ended from one random start."""
     problem = problem_of(found, count=pixels)
-    low, high = problem.limits
+    low, high = problem.bounds
     first = first_guess(problem)
     costs = [solve(problem, found.theta).cost]
     for _ in range(STARTS):
         start = np.clip(first * np.exp(rng.uniform(-APART, APART, len(first))), low, high)
-        costs.append(best_of_starts(problem, [start], 0, more=0).cost)
+        costs.append(multistart(problem, [start], 0, more=0).cost)
     return costs
 
 

@@ -9,13 +9,11 @@ import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
-from uwaug.fitting.one_water import OneWater
-from uwaug.fitting.pixels import gather
-from uwaug.fitting.solve import Problem
-from uwaug.fitting.start import guess
-from uwaug.fitting.structure import COLOURS, MODELS
 
 from uwaug.fitting import Fit
+from uwaug.fitting.data import Observations
+from uwaug.fitting.least_squares import Objective, guess
+from uwaug.fitting.models import COLOURS, MODELS, CoefficientModel
 from uwaug.formation.colour import linear_to_srgb, to_light
 from uwaug.formation.model import form_image
 from uwaug.optics.medium import Medium
@@ -143,31 +141,29 @@ def photographed(light: Tensor, rng: np.random.Generator, noise: float = NOISE) 
 
 def problem_of(
     fit: Fit, name: str | None = None, light: Tensor | None = None, count: int = 20_000
-) -> Problem:
+) -> Objective[CoefficientModel]:
     """What `fit` has solved for its model, or for that of a `name`; `light`: to explain a picture
     (3xHxW) other than the observed one.
     """
-    pairs = list(fit.pairs)
+    pairs = fit.pairs
     if light is not None:
-        pairs = [pairs[0]._replace(observed=light)]
-    old = fit.structure
-    model = old.model if name is None else MODELS[name]
-    structure = OneWater(model, old.geometry, old.gain, 0.2 if name == "paper" else SHARE, {})
-    if name is None:
-        structure = old
-    shapes = [] if structure.shape is None else [structure.shape]
-    pixels = gather(pairs, shapes, count, np.random.default_rng(0))
-    now = Problem(old, pixels).model(fit.theta) if name is None else pixels.observed
+        pairs = (pairs[0]._replace(observed=light),)
+    model = fit.fitted
+    if name is not None:
+        spec = MODELS[name]
+        model = CoefficientModel(spec, model.geometry, model.gain, spec.g, {})
+    shapes = [] if model.shape is None else [model.shape]
+    pixels = Observations(pairs, "srgb", 8, model.geometry.unit).sample_pixels(shapes, count, 0)
+    now = model.render(fit.theta, pixels) if name is None else pixels.observed
     deviation = fit.noise.deviation(now, "srgb")
     inside = (now > 3 * deviation) & (now < 1 - 3 * deviation)
-    return Problem(structure, pixels.weighed(pixels.weights * inside / deviation))
+    return Objective(model, pixels.weighed(pixels.weights * inside / deviation))
 
 
-def first_guess(problem: Problem) -> Array:
+def first_guess(problem: Objective[CoefficientModel]) -> Array:
     """Where `fit` begins."""
-    structure = problem.structure
-    assert isinstance(structure, OneWater)
-    return structure.begun(guess(structure, problem.pixels), {})
+    model = problem.model
+    return model.start(guess(model, problem.pixels), {})
 
 
 def percent(values: Sequence[bool]) -> float:

@@ -11,9 +11,6 @@ import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import softplus
-from uwaug.fitting.model import rendered
-from uwaug.fitting.solve import ROBUST, Problem, solve
-from uwaug.fitting.uncertainty import spread
 
 from benchmarks.accuracy.fitting_scenes import (
     HALF,
@@ -27,6 +24,9 @@ from benchmarks.accuracy.fitting_scenes import (
 )
 from benchmarks.harness import printed
 from uwaug.fitting import Fit, fit
+from uwaug.fitting.coefficients import render
+from uwaug.fitting.errors import cluster_covariance
+from uwaug.fitting.least_squares import ROBUST, Objective, solve
 
 CAP = 60.0  # s
 NEAR = (1e-3, 1e-6)  # of the least loss
@@ -103,19 +103,19 @@ def _measured(model: str, threads: int) -> Results:
     return row
 
 
-def adam_on_pixels(problem: Problem, cap: float) -> Results:
+def adam_on_pixels(problem: Objective, cap: float) -> Results:
     """Time until Adam, and the fit's own solver, from the same guess, are near the least loss."""
     start = first_guess(problem)
     began = time.perf_counter()
     ours = solve(problem, start)
     results: Results = {"solver_seconds": time.perf_counter() - began, "least": ours.cost}
     results["solver_evaluations"] = len(ours.history)
-    error = torch.from_numpy(np.sqrt(np.diag(spread(problem, ours).covariance)))
-    low, high = (torch.from_numpy(limit) for limit in problem.limits)
+    error = torch.from_numpy(np.sqrt(np.diag(cluster_covariance(problem, ours).matrix)))
+    low, high = (torch.from_numpy(limit) for limit in problem.bounds)
 
     def cost(raw: Tensor) -> Tensor:
         theta = low + (high - low) * torch.sigmoid(raw)
-        light = rendered(problem.structure.natural(theta), problem.pixels, problem.structure.shape)
+        light = render(problem.model.coefficients(theta), problem.pixels, problem.model.shape)
         residual = problem.pixels.weights * (light - problem.pixels.observed)
         return ROBUST**2 * (torch.sqrt(1 + (residual / ROBUST) ** 2) - 1).sum()
 

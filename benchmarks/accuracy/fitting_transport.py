@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from uwaug.fitting.structure import COLOURS
 
 from benchmarks.accuracy.physics import CALIBRATED, PICTURES
 from uwaug.fitting import Fit, fit
+from uwaug.fitting.models import COLOURS
 from uwaug.formation.model import form_image
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
@@ -90,8 +90,8 @@ def _beyond(residual: Tensor, noise: float) -> float:
 
 
 def _judged(found: Fit, a: float, b: float, focal: float, floor: list[float]) -> Results:
-    structure = found.structure
-    natural = structure.natural(torch.from_numpy(found.theta))
+    structure = found.fitted
+    natural = structure.coefficients(torch.from_numpy(found.theta))
     beta, G = float(natural.beta[0, 1]), float(natural.G[0, 1])
     assert natural.width is not None
     assert natural.exponent is not None

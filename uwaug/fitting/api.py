@@ -14,8 +14,8 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug._support.types import Array, ColorSpace
 from uwaug.fitting.data import Geometry, Observations, Pictures, Pixels
-from uwaug.fitting.diagnosis import FIT, SERIES, WATER, Evidence, diagnosis
-from uwaug.fitting.errors import cluster_covariance, parameters
+from uwaug.fitting.diagnosis import of_fit, of_series, of_water
+from uwaug.fitting.errors import ClusterCovariance, cluster_covariance, parameters
 from uwaug.fitting.least_squares import (
     M,
     Objective,
@@ -45,43 +45,21 @@ from uwaug.optics.water import JERLOV_TYPES, Water
 
 Progress = Callable[[str], None]
 
-_PIXELS = (500, 100_000)
-"""That may be fitted."""
-
-_MAX_KNOWN = 1e6
-"""Of numbers that a caller knows."""
-
-_SCOUTS = 4000
-"""Pixels of the fits that noise is first learnt from."""
-
-_SCOUTS_OF_LEVEL = 3000
-"""Pixels of each turbidity, which say where a series begins."""
-
-_SCOUTS_OF_TYPE = 1000
-"""Pixels of the fits that those of Jerlov types begin from."""
-
-_MUCH = 0.01
-"""Of the cost, that a gain must save before it is spoken of."""
-
-_GAIN = 0.02
-"""By which it must differ from 1."""
+_PIXELS = (500, 100_000)  # that may be fitted
+_MAX_KNOWN = 1e6  # of numbers that a caller knows
+_SCOUTS = 4000  # pixels of the fits that noise is first learnt from
+_SCOUTS_OF_LEVEL = 3000  # pixels of each turbidity, which say where a series begins
+_SCOUTS_OF_TYPE = 1000  # pixels of the fits that those of Jerlov types begin from
+_MUCH = 0.01  # of the cost, that a gain must save before it is spoken of
+_GAIN = 0.02  # by which it must differ from 1
 
 _SERIES = ("veil", "gaussian", "exponential")
 
-_VISIBILITIES = np.geomspace(0.4, 25.0, 8)
-"""To begin at, in multiples of the median distance."""
-
-_DEPTHS = (0.5, 3.0, 10.0)
-"""Vertical depths to begin at, m."""
-
-_MIN_VALUES = 500
-"""Values between noise and white, of all that are fitted, that `fit_water` needs."""
-
-_SURELY = 2.0
-"""Standard errors, by which a mixture is neither of its ends."""
-
-_MIN_SHARE = 0.05
-"""Of a type in a mixture: media of the default tolerance make up for .02."""
+_VISIBILITIES = np.geomspace(0.4, 25.0, 8)  # to begin at, in multiples of the median distance
+_DEPTHS = (0.5, 3.0, 10.0)  # vertical depths to begin at, m
+_MIN_VALUES = 500  # values between noise and white, of all that are fitted, that `fit_water` needs
+_SURELY = 2.0  # standard errors, by which a mixture is neither of its ends
+_MIN_SHARE = 0.05  # of a type in a mixture: media of the default tolerance make up for .02
 
 _TYPES = (*((name,) for name in JERLOV_TYPES), *pairwise(JERLOV_TYPES))
 """The types, and mixtures of neighbours. Without these, a picture of half 1C and half 3C would be
@@ -191,22 +169,19 @@ def fit(
         say("learning the noise")
         rough = initial_weights(drawn, noise, color_space).subsample(_SCOUTS, seed)
         richest, solution = _richest(models, rough, robust, seed, start)
-        weighed, noise, _ = reweight(
-            richest,
-            solution.theta,
-            drawn,
-            noise,
-            color_space=color_space,
-            bits=observations.bits,
-            robust=robust,
+        weighed, noise, theta = reweight(
+            richest, solution.theta, drawn, noise, observations, robust=robust
         )
         tried: list[FittedModel[CoefficientModel]] = []
         for i, candidate in enumerate(models):
             say(f"fitting {candidate.name!r}, {i + 1} of {len(models)}")
             objective = Objective(candidate, weighed, robust)
-            near = _numbers(tried[-1:])
-            solution = multistart(objective, starting_points(objective, near, start), seed)
-            tried.append(FittedModel.of(objective, solution, seed))
+            end = solve(objective, theta) if candidate is richest else None
+            # one that explains less than fewer numbers do has gone astray
+            if end is None or any(x.solution.cost < end.cost for x in tried):
+                starts = starting_points(objective, _numbers(tried[-1:]), start)
+                end = multistart(objective, starts, seed)
+            tried.append(FittedModel.of(objective, end, seed))
         chosen = one_standard_error_rule(tried)
         if gain != "fixed" and model == "auto":
             say("fitting without a gain")
@@ -214,11 +189,11 @@ def fit(
             solution = multistart(objective, starting_points(objective, (), start), seed)
             tried.append(FittedModel.of(objective, solution, seed))
             chosen = one_standard_error_rule([chosen, tried[-1]])
-        common, evidence = _reported(chosen, tried, noise)
-        evidence = replace(evidence, gain=_missing_gain(chosen))
+        common, covariance = _reported(chosen, noise)
+        gains = _missing_gain(chosen)
     return Fit(
         **common,
-        message=diagnosis(FIT, evidence),
+        message="\n".join(of_fit(chosen, tried, common["parameters"], covariance, gains)),
         candidates=_candidates(tried),
         fitted=chosen.model,
         history=chosen.solution.history,
@@ -301,20 +276,16 @@ def _missing_gain(chosen: FittedModel[CoefficientModel]) -> float | None:
     return float(gains.mean()) if better and apart else None
 
 
-def _reported(
-    chosen: FittedModel[M], tried: Sequence[FittedModel[M]], noise: Noise
-) -> tuple[dict[str, Any], Evidence]:
-    """What all results hold, and what a diagnosis is made from."""
+def _reported(chosen: FittedModel[M], noise: Noise) -> tuple[dict[str, Any], ClusterCovariance]:
+    """What all results hold."""
     covariance = cluster_covariance(chosen.objective, chosen.solution)
-    numbers = parameters(chosen.objective, chosen.solution, covariance)
-    common = {
-        "parameters": numbers,
+    return {
+        "parameters": parameters(chosen.objective, chosen.solution, covariance),
         "noise": noise,
         "rms": chosen.rms,
         "theta": chosen.theta,
         "covariance": covariance.matrix,
-    }
-    return common, Evidence(numbers, chosen, tried, covariance)
+    }, covariance
 
 
 def _candidates(tried: Sequence[FittedModel[M]]) -> tuple[Candidate, ...]:
@@ -376,13 +347,7 @@ def fit_series(
         starts = [_start_of_series(model, rough, robust, seed, say) for model in models]
         say("learning the noise")
         weighed, noise, _ = reweight(
-            models[-1],
-            starts[-1],
-            drawn,
-            noise,
-            color_space=color_space,
-            bits=observations.bits,
-            robust=robust,
+            models[-1], starts[-1], drawn, noise, observations, robust=robust
         )
         tried = []
         for candidate, start in zip(models, starts, strict=True):
@@ -390,15 +355,15 @@ def fit_series(
             objective = Objective(candidate, weighed, robust)
             tried.append(FittedModel.of(objective, solve(objective, start), seed))
         chosen = one_standard_error_rule(tried)
-        common, evidence = _reported(chosen, tried, noise)
+        common, covariance = _reported(chosen, noise)
     lines = {}
     for c, colour in enumerate(COLOURS):
         places = 3 + 3 * np.arange(len(levels)) + c
-        block = common["covariance"][np.ix_(places, places)]
+        block = covariance.matrix[np.ix_(places, places)]
         lines[colour] = _line(np.array(levels), chosen.theta[places], block)
     return SeriesFit(
         **common,
-        message=diagnosis(SERIES, replace(evidence, lines=lines)),
+        message="\n".join(of_series(chosen, common["parameters"], covariance, lines)),
         candidates=_candidates(tried),
         fitted=chosen.model,
         levels=levels,
@@ -499,11 +464,7 @@ def fit_water(
     a type before a mixture, unless the mixture is better by more than one standard error.
 
     Args:
-        clean (3xHxW or Bx3xHxW tensor, or a sequence): the scene without water; uint8 (0…255) or
-            floating point (0…1). One serves all observed pictures, which are of one water.
-        observed (as clean): the scene in the water, aligned with `clean` to the pixel.
-        distance (1xHxW or Bx1xHxW tensor, or a sequence): metres along the ray; pixels that are
-            NaN, 0 or negative are left out; +inf is open water.
+        clean, observed, distance, field, mask, color_space: as of `uwaug.fit`.
         camera: as of `Medium.from_water`. A wrong one gives a wrong water.
         vertical_depth: of the scene below the surface, m; None: it is fitted, 0…30 m.
         focal_px: focal length, px: the width law is `PointSpread.calibrated(focal_px)`, which goes
@@ -514,22 +475,15 @@ def fit_water(
             picture made with .05 and .075 in 3C passes for IA + IB with .2 and .3.
         mu: share of the scattered light that is sent towards the camera; None: .075 with
             `focal_px`, else .3.
-        field (as distance): medium field, multiplies the distance.
-        mask (as distance): true or > 0 where pixels count.
-        color_space: "srgb", or "linear" for linear light. All numbers refer to linear light.
-        gain: "fixed": both pictures have one exposure. "free": a factor for each observed picture.
+        gain: "fixed" or "free", as of `uwaug.fit`.
         noise: of the observed pictures; None learns it from a fit that is free in every channel.
-        seed: of the pixels that are drawn, and of random starts.
-        progress: is called with a line on what is being tried.
-        pixels: how many are fitted, spread evenly over the distances; at most 100 000.
+        seed, progress, pixels: as of `uwaug.fit`.
 
     Returns:
         Type, water, visibility and depth, with errors; all types; what cannot be told, in words.
 
     Raises:
-        TypeError, ValueError: if an input does not suit; if fewer than 500 pixels can be used, too
-            few lie above the noise, the distances are all alike, or clean and observed are one
-            picture.
+        TypeError, ValueError: as `uwaug.fit`; if too few pixels lie above the noise.
 
     On a scene of 500×741 px at 2 to 5 m with 1 % noise in 8 bits, at the types' own visibilities
     and at 6 m (30 m of I and IA), all ten types are found, visibilities within .2 % (.7 % in type
@@ -567,9 +521,7 @@ def fit_water(
         few = initial_weights(drawn, noise, color_space).subsample(_SCOUTS_OF_TYPE, seed)
         objective = Objective(channels, few)
         theta = multistart(objective, starting_points(objective), seed).theta
-        weighed, noise, theta = reweight(
-            channels, theta, drawn, noise, color_space=color_space, bits=observations.bits
-        )
+        weighed, noise, theta = reweight(channels, theta, drawn, noise, observations)
         bright = int((weighed.weights > 0).sum())
         if bright < _MIN_VALUES:
             cure = "raise the exposure, or give the noise if it is known"
@@ -589,10 +541,10 @@ def fit_water(
             )
         tried = _fit_types(types, weighed, seed, say)
         chosen = one_standard_error_rule(tried)
-        common, evidence = _reported(chosen, tried, noise)
+        common, _ = _reported(chosen, noise)
         candidates = _jerlov_types(tried)
-        evidence = replace(evidence, candidates=candidates, free=free)
-        message = diagnosis(WATER, evidence)
+        sentences = of_water(chosen, tried, common["parameters"], candidates, free)
+        message = "\n".join(sentences)
     return WaterFit(**common, message=message, candidates=candidates, fitted=chosen.model)
 
 

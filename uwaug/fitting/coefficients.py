@@ -15,14 +15,9 @@ from uwaug.optics.curves import curves
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 
-MIN_G = 1e-9
-"""1/m, stands for smaller G, where the veil has no end."""
-
-MIN_SCATTERING = 1e-6
-"""1/m, or scattering lengths: stands for none in a width law."""
-
-_MIN_WIDTH = 1e-9
-"""px, stands for less: widths are proportional to it."""
+MIN_G = 1e-9  # 1/m, stands for smaller G, where the veil has no end
+MIN_SCATTERING = 1e-6  # 1/m, or scattering lengths: stands for none in a width law
+_MIN_WIDTH = 1e-9  # px, stands for less: widths are proportional to it
 
 
 class Coefficients(NamedTuple):
@@ -129,7 +124,7 @@ def derivatives(c: Coefficients, pixels: Pixels, shape: Shape | None) -> tuple[T
     light = T.direct * pixels.clean + T.veil
     by_beta = -z * T.direct * pixels.clean
     by_G = -veil_slope * z * z * _growth_slope(x)
-    by_veil_slope = z * _growth(x)
+    by_veil_slope = veil_growth(c.G, pixels)
     by_width = by_exponent = torch.zeros_like(T.direct)
     if shape is not None and c.width is not None:
         plan, blurs = pixels.stacks[shape]
@@ -145,11 +140,12 @@ def derivatives(c: Coefficients, pixels: Pixels, shape: Shape | None) -> tuple[T
     return gain * light, torch.stack([gain * slope for slope in each] + [light])
 
 
-def _growth(x: Tensor) -> Tensor:
-    """(1 − e^−x)/x."""
+def veil_growth(G: Tensor, pixels: Pixels) -> Tensor:
+    """The veil (Px3x1xN) at the pixels for a slope of 1 at the lens: z·(1 − e^−x)/x, x = G·z."""
+    x = G[:, :, None, None] * pixels.z
     small = x < 1e-4
     safe = torch.where(small, 1.0, x)
-    return torch.where(small, 1 - x / 2, -torch.expm1(-safe) / safe)
+    return pixels.z * torch.where(small, 1 - x / 2, -torch.expm1(-safe) / safe)
 
 
 def _growth_slope(x: Tensor) -> Tensor:

@@ -26,49 +26,31 @@ Pictures = Tensor | Sequence[Tensor]
 
 Places = NDArray[np.int64]
 
-_MIN_PIXELS = 500
-"""Usable pixels, of all pairs together, that a fit needs."""
-
-_MIN_PIXELS_OF_PAIR = 50
-"""Usable pixels that each pair needs."""
+_MIN_PIXELS = 500  # usable pixels, of all pairs together, that a fit needs
+_MIN_PIXELS_OF_PAIR = 50  # usable pixels that each pair needs
 
 _MIN_SPAN = 0.03
 """Span of the distances as a share of their median, below which they are one distance."""
 
-_SAME = 2e-3
-"""Mean difference of two pictures that are one, as a share of their light."""
-
-_MIN_FIELD = 1e-3
-"""Of a medium field; less water is none."""
-
-_WHITE = 0.98
-"""Linear light, 253 of 255 in sRGB: the clean picture may be brighter than it says."""
-
-_TOLERANCE = 2e-4
-"""Of the blurs: what they are wrong by is the least that a residual can be."""
+_SAME = 2e-3  # mean difference of two pictures that are one, as a share of their light
+_MIN_FIELD = 1e-3  # of a medium field; less water is none
+_WHITE = 0.98  # linear light, 253 of 255 in sRGB: the clean picture may be brighter than it says
+_TOLERANCE = 2e-4  # of the blurs: what they are wrong by is the least that a residual can be
 
 _WIDEST = 1 / 5
 """Of the picture's short side: the widest blur that a law may ask for. The calibrated law reaches
 that of a 60° view after ten scattering lengths, where no light is left.
 """
 
-_BINS = 20
-"""Of the distances, from each of which as many pixels are taken."""
+_BINS = 20  # of the distances, from each of which as many pixels are taken
 
 _CLUSTERS = (10, 5, 3)
 """Blocks along the picture's short side; the residuals of one may depend on each other."""
 
-_MAX_CLUSTERS = 1_000_000
-"""More than the blocks of any picture."""
-
-_NEAR, _FAR = 0.05, 0.95
-"""Quantiles of the finite distances that the range of distances goes by."""
-
-_NODES = 48
-"""Distances at which spectra are summed. Between 2 m and 10 km they hold to 1e-7."""
-
-_OPEN = 1e4
-"""m, stands for more: even pure water lets nothing through."""
+_MAX_CLUSTERS = 1_000_000  # more than the blocks of any picture
+_NEAR, _FAR = 0.05, 0.95  # quantiles of the finite distances that the range of distances goes by
+_NODES = 48  # distances at which spectra are summed. Between 2 m and 10 km they hold to 1e-7
+_OPEN = 1e4  # m, stands for more: even pure water lets nothing through
 
 
 class Geometry(NamedTuple):

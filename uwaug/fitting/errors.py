@@ -14,8 +14,7 @@ from uwaug.fitting.least_squares import M, Objective, Solution, influence, solve
 from uwaug.fitting.models import Quantity
 from uwaug.fitting.results import Parameter
 
-NORMAL = 1.96
-"""Standard errors to either end of a 95 % interval."""
+NORMAL = 1.96  # standard errors to either end of a 95 % interval
 
 _VAGUE = 0.5
 """Of a number at either end of its interval: where its standard error is larger, and larger than
@@ -33,29 +32,14 @@ _NEAR_BOUND = 3.0
 _ASYMMETRIC = 0.08
 """Standard errors as a share of a number, from which its interval is taken from the profile."""
 
-_PROFILED = 5000
-"""Pixels that profiles are made with; all of them would take most of a fit's time."""
-
-_CHI2 = 3.841
-"""χ² of one degree of freedom that 95 % stay below."""
-
-_TRIES = 6
-"""Fits in search of one end of an interval."""
-
-_STEPS = 15
-"""Evaluations of each, which begins where the last one ended."""
-
-_NEAR_ENOUGH = 0.1
-"""Of an interval's half width."""
-
-_FLAT = 1e-9
-"""Of the largest eigenvalue of a matrix of unit scale: what is less is not seen."""
-
-_UNMOVED = 1e-4
-"""Of what a quantity could move along a direction that is not seen."""
-
-_COARSE = 1.5
-"""Ratio of variances, from which larger clusters take the place of smaller ones."""
+_PROFILED = 5000  # pixels that profiles are made with; all of them would take most of a fit's time
+_CHI2 = 3.841  # χ² of one degree of freedom that 95 % stay below
+_TRIES = 6  # fits in search of one end of an interval
+_STEPS = 15  # evaluations of each, which begins where the last one ended
+_NEAR_ENOUGH = 0.1  # of an interval's half width
+_FLAT = 1e-9  # of the largest eigenvalue of a matrix of unit scale: what is less is not seen
+_UNMOVED = 1e-4  # of what a quantity could move along a direction that is not seen
+_COARSE = 1.5  # ratio of variances, from which larger clusters take the place of smaller ones
 
 
 @dataclass(frozen=True, eq=False)

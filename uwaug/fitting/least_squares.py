@@ -1,7 +1,7 @@
 """Nonlinear least squares on pixels: where a fit begins, how it proceeds, where it ends."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar
 
@@ -11,38 +11,24 @@ from torch import Tensor
 
 from uwaug._support.deterministic import reproducible
 from uwaug._support.types import Array
-from uwaug.fitting.coefficients import Coefficients, render
+from uwaug.fitting.coefficients import Coefficients, render, veil_growth
 from uwaug.fitting.data import Pixels
 from uwaug.fitting.models import COLOURS, CoefficientModel, Model
 
 M = TypeVar("M", bound=Model)
 
-ROBUST = 2.0
-"""Standard deviations of noise, from where on a residual counts less than its square."""
-
-_INSIDE = 1e-4
-"""Of a number's range: a fit begins at least so far from its bounds."""
-
-_MAX_LOGIT = 16.0
-"""Logarithm of the odds; e^−16 of a number's range is its end."""
-
-_AT_BOUND = 1e-6
-"""Of a number's range: nearer to its end, it is there."""
-
-_CONVERGED = 1e-7
-"""Relative change of cost or numbers at which a fit ends."""
+ROBUST = 2.0  # standard deviations of noise, from where on a residual counts less than its square
+_INSIDE = 1e-4  # of a number's range: a fit begins at least so far from its bounds
+_MAX_LOGIT = 16.0  # logarithm of the odds; e^−16 of a number's range is its end
+_AT_BOUND = 1e-6  # of a number's range: nearer to its end, it is there
+_CONVERGED = 1e-7  # relative change of cost or numbers at which a fit ends
 
 _DEPTHS = np.geomspace(0.05, 12.0, 24)
 """Optical depths β·z at the reference distance, of the grid that a guess is taken from."""
 
-_G_OVER_BETA = (0.1, 0.3, 0.6, 1.0)
-"""Of the same grid."""
-
-_SCOUTS = 2000
-"""Pixels that decide between starts."""
-
-_APART = 0.5
-"""Of random starts: each number is multiplied by up to e^±_APART."""
+_G_OVER_BETA = (0.1, 0.3, 0.6, 1.0)  # of the same grid
+_SCOUTS = 2000  # pixels that decide between starts
+_APART = 0.5  # of random starts: each number is multiplied by up to e^±_APART
 
 
 @contextmanager
@@ -59,7 +45,8 @@ def one_thread() -> Iterator[None]:
         threadpool_limits(1, user_api="blas"),
         torch.inference_mode(False),
         torch.enable_grad(),
-        torch.device("cpu"),
+        # a mode for devices costs a tenth of the time where nothing asks for it
+        nullcontext() if torch.get_default_device().type == "cpu" else torch.device("cpu"),
     ):
         yield
 
@@ -326,7 +313,7 @@ def _best_veil(c: Coefficients, pixels: Pixels, model: CoefficientModel) -> tupl
     slope = torch.zeros(3, dtype=torch.float64)
     if model.spec.veil != "none":
         # a picture is linear in its veil
-        veil = render(c._replace(veil_slope=torch.ones_like(c.beta)), pixels, model.shape) - scene
+        veil = c.gain[:, :, None, None] * veil_growth(c.G, pixels)
         along, across = (w * veil * left).sum((0, 2, 3)), (w * veil * veil).sum((0, 2, 3))
         slope = (along / across.clamp(min=1e-300)).clamp(min=0.0)
         left = left - slope[:, None, None] * veil

@@ -39,26 +39,13 @@ Veil = Literal["none", "shared", "own"]
 Law = Literal["paper", "calibrated", "gaussian", "exponential"]
 Gain = Literal["fixed", "free", "channels"]
 
-MAX_OPTICAL_DEPTH = 40.0
-"""To the median distance: more than any picture survives."""
-
-_MAX_G_OVER_BETA = 4.0
-"""Where no light is scattered forward and nothing ties the two together."""
-
-_MAX_VERTICAL_DEPTH = 30.0
-"""m; below, little is left of any light but blue."""
-
-_MIN_CONTENTS = 1e-3
-"""Of a type's: nothing but pure water is left."""
-
-EXPONENTS = (0.2, 3.0)
-"""Of a width law: least and largest."""
-
-_STEP = 1e-5
-"""Of θ, for a difference that stands for the slope of a picture."""
-
-_REPORT_STEP = 1e-4
-"""Of θ, for a difference that stands for the slope of what is reported."""
+MAX_OPTICAL_DEPTH = 40.0  # to the median distance: more than any picture survives
+_MAX_G_OVER_BETA = 4.0  # where no light is scattered forward and nothing ties the two together
+_MAX_VERTICAL_DEPTH = 30.0  # m; below, little is left of any light but blue
+_MIN_CONTENTS = 1e-3  # of a type's: nothing but pure water is left
+EXPONENTS = (0.2, 3.0)  # of a width law: least and largest
+_STEP = 1e-5  # of θ, for a difference that stands for the slope of a picture
+_REPORT_STEP = 1e-4  # of θ, for a difference that stands for the slope of what is reported
 
 
 class Bounds(NamedTuple):
@@ -234,8 +221,7 @@ _SPECS = (
     ),
 )
 
-MODELS = {spec.name: spec for spec in _SPECS}
-"""By name, from the fewest numbers to the most."""
+MODELS = {spec.name: spec for spec in _SPECS}  # by name, from the fewest numbers to the most
 
 _FITTED = {f"G_{colour}": f"share_{colour}" for colour in COLOURS}
 _FITTED |= {f"veil_{colour}": f"source_{colour}" for colour in COLOURS}

@@ -10,30 +10,17 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.types import Array, ColorSpace
-from uwaug.fitting.data import Pixels
+from uwaug.fitting.data import Observations, Pixels
 from uwaug.fitting.least_squares import M, Objective, solve
 from uwaug.formation.colour import linear_to_srgb
 
-_LEAST = 1e-4
-"""Of linear light; no camera is better."""
-
-_BINS = 16
-"""Of brightness, in each of which the spread of the residuals is looked at."""
-
-_INSIDE = 3.0
-"""Standard deviations of noise, by which a value lies above black and below white."""
-
-_MAX_MARGIN = 0.1
-"""Of linear light: a very noisy picture would have no pixels left."""
-
-_MAD = 1.4826
-"""Standard deviations in a median absolute deviation of Gaussian noise."""
-
-_OUTLYING = 6.0
-"""Standard deviations of noise, from where on a residual does not count at all."""
-
-_ROUNDS = 2
-"""Of learning the noise: a third changes no number by a tenth of its error."""
+_LEAST = 1e-4  # of linear light; no camera is better
+_BINS = 16  # of brightness, in each of which the spread of the residuals is looked at
+_INSIDE = 3.0  # standard deviations of noise, by which a value lies above black and below white
+_MAX_MARGIN = 0.1  # of linear light: a very noisy picture would have no pixels left
+_MAD = 1.4826  # standard deviations in a median absolute deviation of Gaussian noise
+_OUTLYING = 6.0  # standard deviations of noise, from where on a residual does not count at all
+_ROUNDS = 2  # of learning the noise: a third changes no number by a tenth of its error
 
 
 @dataclass(frozen=True)
@@ -82,8 +69,7 @@ def _slope(light: Tensor) -> Tensor:
     return slope
 
 
-_ROUGH = Noise(0.01)
-"""For a first fit, where the noise is not known."""
+_ROUGH = Noise(0.01)  # for a first fit, where the noise is not known
 
 
 def estimate_noise(
@@ -144,9 +130,8 @@ def reweight(
     theta: Array,
     pixels: Pixels,
     noise: Noise | None,
+    observations: Observations,
     *,
-    color_space: ColorSpace,
-    bits: int | None,
     robust: bool = True,
 ) -> tuple[Pixels, Noise, Array]:
     """Weigh pixels by a model's own light, with a noise that is learnt from its residuals.
@@ -156,12 +141,13 @@ def reweight(
         theta: where it begins.
         pixels: without the weights of any noise.
         noise: if it is known.
-        color_space, bits: of the observed file.
+        observations: whose color space and bits the noise depends on.
         robust: as of `Objective`.
 
     Returns:
         The pixels with their weights, the noise, and where the model ended.
     """
+    color_space, bits = observations.color_space, observations.bits
     estimate, weighed = noise or _ROUGH, initial_weights(pixels, noise, color_space)
     for _ in range(_ROUNDS):
         objective = Objective(model, weighed, robust)

@@ -24,26 +24,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_PAIRS = 3
-"""Pairs that are shown at most."""
-
-_ROWS = 14
-"""Of the tables of parameters and candidates, at most."""
-
-_SAMPLES = 200
-"""Waters that the bands are of; of those by spectra, which take longer, a fifth."""
-
-_LEAST = 0.002
-"""Of linear light: residuals are not enlarged beyond half of a step of 8 bits."""
-
-_GROUND = "#9a9a9a"
-"""Behind pictures, where NaN lets it through."""
+_PAIRS = 3  # pairs that are shown at most
+_ROWS = 14  # of the tables of parameters and candidates, at most
+_SAMPLES = 200  # waters that the bands are of; of those by spectra, which take longer, a fifth
+_LEAST = 0.002  # of linear light: residuals are not enlarged beyond half of a step of 8 bits
+_GROUND = "#9a9a9a"  # behind pictures, where NaN lets it through
 
 _CELL = (Canvas.width - 2 * MARGIN - 2 * GAP) / 3  # px
 _LABEL, _CURVES, _PITCH, _LETTERS = 30, 320, 22, 82
 _BAR = 220  # px, narrower than which a picture has no room for a colour bar
-_MIDDLE = 700
-"""px from the left, where the message begins."""
+_MIDDLE = 700  # px from the left, where the message begins
 
 _CHART = 420  # px, height of the axes of a series
 

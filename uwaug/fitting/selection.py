@@ -14,11 +14,8 @@ from uwaug.fitting.least_squares import M, Objective, Solution, loss, solve
 
 _FOLDS = 5
 
-_CHANCE = 2.0
-"""Of summed loss: what a number gains by chance."""
-
-_STEPS = 6
-"""Of a fit without a fold."""
+_CHANCE = 2.0  # of summed loss: what a number gains by chance
+_STEPS = 6  # of a fit without a fold
 
 
 @dataclass(frozen=True, eq=False)

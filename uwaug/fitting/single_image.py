@@ -32,22 +32,16 @@ from uwaug.fitting.models import COLOURS
 from uwaug.formation.colour import linear_to_srgb, to_light
 from uwaug.optics.medium import Medium
 
-_MIN_SIDE = 48
-"""px: short side of a picture."""
+_MIN_SIDE = 48  # px: short side of a picture
 
 _BLOCK = 4
 """px of the small copy, whose mean is compared with its neighbours': noise averages out, texture
 does not.
 """
 
-_EVEN = 0.006
-"""sRGB: RMS of blocks about the mean of 5×5 of them; 1.5 of 255 levels."""
-
-_SHARE = 0.01
-"""Of the picture, that open water fills at least."""
-
-_RED = 0.9
-"""Of green and blue: what red may have at most."""
+_EVEN = 0.006  # sRGB: RMS of blocks about the mean of 5×5 of them; 1.5 of 255 levels
+_SHARE = 0.01  # of the picture, that open water fills at least
+_RED = 0.9  # of green and blue: what red may have at most
 
 _CLIPPED, _BLACK = 0.97, 2e-3
 """Linear light that is none of open water: of a lamp or a sensor's end; of shadow."""
@@ -57,11 +51,8 @@ _TOP = 0.1
 taken.
 """
 
-_OTHER = 0.15
-"""Relative, by which another even part differs so that it is said."""
-
-SIDE = 240
-"""px: short side at which a picture is looked at, up to twice as much."""
+_OTHER = 0.15  # relative, by which another even part differs so that it is said
+SIDE = 240  # px: short side at which a picture is looked at, up to twice as much
 
 _WINDOW = 11
 """px of these: neighbourhood that holds something dark. With 15, slopes were off by .05."""
@@ -76,23 +67,15 @@ _WEIGHT, _ALBEDO = 20.0, 0.02
 trusts that near and far surfaces are alike, and (100, 0), which trusts that some are black.
 """
 
-_READINGS = ((1.0, 0.05), (100.0, 0.0))
-"""These two: where they differ, neither is to be trusted."""
-
-_APART = 0.1
-"""In transmission, from where on they differ."""
+_READINGS = ((1.0, 0.05), (100.0, 0.0))  # these two: where they differ, neither is to be trusted
+_APART = 0.1  # in transmission, from where on they differ
 
 _GONE = 0.05
 """Transmission at the nearest surfaces, or loss at the farthest, below which a rate is a guess."""
 
-_BINS = 12
-"""Steps of distance."""
-
-_FEWEST = 50
-"""Pixels of a step, or neighbourhoods of a picture."""
-
-_FADED = 0.1
-"""Of the light of what is taken for open water, that may come from a surface."""
+_BINS = 12  # steps of distance
+_FEWEST = 50  # pixels of a step, or neighbourhoods of a picture
+_FADED = 0.1  # of the light of what is taken for open water, that may come from a surface
 
 _SCATTER = 0.05
 """Relative, of the ratio of two channels' rates over neighbourhoods, from where on it is said."""

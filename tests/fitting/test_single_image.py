@@ -264,7 +264,7 @@ def test_refuses_what_is_no_picture() -> None:
         (scene.numpy(), TypeError, "picture must be a floating-point tensor"),
         (scene[None], ValueError, "picture must be one"),
         (scene[:1], ValueError, "picture must have shape"),
-        (scene * 255, ValueError, "divide a 0…255 image"),
+        (scene * 255, ValueError, "picture reaches .* divide a 0…255 image"),
         (scene * math.nan, ValueError, "NaN"),
     ):
         with pytest.raises(error, match=said):
