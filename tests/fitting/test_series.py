@@ -32,7 +32,7 @@ def test_scattering_on_a_line(series):
 
 
 def test_scattering_off_a_line():
-    fit = fit_series(tank(bend=0.3), LEVELS, model="veil", pixels=6000)
+    fit = fit_series(tank(bend=0.3), LEVELS, model="gaussian", pixels=6000)
     assert all(line.probability < 1e-6 for line in fit.lines.values())
     assert "does not follow turbidity on a line in red, green, blue" in fit.message
 

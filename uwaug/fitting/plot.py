@@ -237,7 +237,7 @@ def _words(message: str) -> list[str]:
 
 
 def _write_table(canvas: Canvas, y: float, table: list[tuple[str, list[str]]]) -> None:
-    across = [MARGIN + 130 + 170 * i for i in range(3)]
+    across = [MARGIN + 150 + 165 * i for i in range(3)]
     if any(len(cells) == 3 for _, cells in table):
         for x, colour, name in zip(across, RGB, COLOURS, strict=True):
             canvas.write(x, y, name, 10.5, colour, fontweight="bold")
