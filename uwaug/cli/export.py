@@ -1,16 +1,12 @@
 """`uwaug export` and `uwaug check`: ONNX files."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from uwaug.cli.choices import SIDES, ForceFile, preset_option, water_option
 from uwaug.cli.console import print_written, refuse, reported_errors, require_writable, status
-
-if TYPE_CHECKING:
-    from uwaug import Underwater
-    from uwaug.fitting import Fit
 
 
 def export(
@@ -57,7 +53,7 @@ def export(
 
     with reported_errors(out), status() as say:
         if fit is not None:
-            module = _fitted(Fit.load(fit), sides)
+            module = Fit.load(fit).module(sides)
         else:
             module = load_preset(str(preset), water=water).module(sides, focal_px)
         export_onnx(module, out, parameters=parameters, field=field, image=image, progress=say)
@@ -75,11 +71,3 @@ def check(path: Annotated[Path, typer.Argument(help="A file that uwaug has expor
         unit = " of 255" if read_metadata(path)["uwaug_image"] == "uint8" else ""
     worst = f"largest difference {report.worst:.2g}{unit}"
     print(f"{path}: {report.cases} cases, {worst} ({report.where})")
-
-
-def _fitted(fit: "Fit", sides: tuple[int, int]) -> "Underwater":
-    from uwaug import Underwater
-
-    geometry = fit.structure.geometry
-    distances = (0.2 * geometry.reference, 1.5 * geometry.farthest)
-    return Underwater(fit.medium, distances, sides=sides)
