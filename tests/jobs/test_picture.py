@@ -1,0 +1,401 @@
+"""One picture: what is made of it, what is kept of its file, and how it is made again."""
+
+import json
+import os
+import resource
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+import torch
+from filing import H, W, content, metres, pixels, save, save_pair, words
+from networks import mean_of_channels
+from PIL import Image
+
+import uwaug
+from uwaug.distance.convert import along_ray, from_disparity, from_inverse, from_relative
+from uwaug.io import DistanceFormat, read_picture, read_picture_file
+from uwaug.jobs import Degrader, Item, Items, Recipe, Sidecar, labelled, replay
+from uwaug.jobs.index import index_of
+from uwaug.jobs.sidecar import sidecar_path
+
+FIXED = {"contrast": None, "vertical_depth": 1.0, "field_probability": 0.0}
+Z = Path("z.npy")
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    """A picture, and its distances."""
+    monkeypatch.chdir(tmp_path)
+    save_pair("a.png")
+    return tmp_path
+
+
+def item_of(name: str = "a.png", distance=Z, output: str | None = None, variant: int = 0) -> Item:
+    output = Path("out", output or name)
+    return Item(name, Path(name), distance, output, variant, name=name, out=Path("out"))
+
+
+def made(item: Item | None = None, *, resume=False, force=False, **recipe) -> Sidecar:
+    """What stands beside a picture in water of type 3C, or as the recipe says."""
+    recipe = Recipe(**({"water": "3C"} | recipe)).resolved()
+    (item,) = labelled([item or item_of()], recipe.open_labels())
+    return Degrader(recipe, resume=resume, force=force).write(item)
+
+
+def failed(item: Item, **recipe) -> str:
+    """The reason; nothing is left."""
+    before = content(".")
+    result = Degrader(Recipe(**({"water": "3C"} | recipe)))(item)
+    assert result.status == "failed"
+    assert content(".") == before
+    return result.reason
+
+
+def in_water(image, z, **options) -> torch.Tensor:
+    """A picture in water of type 3C, by the transform."""
+    return uwaug.RandomUnderwater("3C", **{**FIXED, **options}).at(0, 0, "a.png")(image, z)[0]
+
+
+def metric(values=None) -> torch.Tensor:
+    return torch.from_numpy(metres() if values is None else values)[None]
+
+
+# What becomes of a picture
+
+
+def test_the_same_as_by_the_transform():
+    options = {"waters": ["II", "7C"], "mixing": [0.0, 1.0], "visibility": [3, 5]}
+    for variant in (0, 1):
+        item = item_of(output=f"{variant}.png", variant=variant)
+        made(item, water=None, random=True, seed=7, options=options)
+        transform = uwaug.RandomUnderwater(["II", "7C"], mixing=(0.0, 1.0), visibility=(3, 5))
+        expected, _ = transform.at(7, variant, "a.png")(read_picture("a.png"), metric())
+        assert torch.equal(read_picture(f"out/{variant}.png"), expected)
+    assert content("out")["0.png"] != content("out")["1.png"]
+
+
+def test_a_picture_of_one_pixel():
+    save("a.png", pixels(1, 1))
+    made(item_of(distance=3.0))
+    assert read_picture("out/a.png").shape == (3, 1, 1)
+
+
+def test_orientation_is_honoured_and_the_rest_kept():
+    exif = Image.Exif()
+    exif[0x0112], exif[0x010F] = 6, "maker"
+    save("a.png", pixels(W, H, 4), exif=exif)
+    sidecar = made()
+    with Image.open("out/a.png") as image:
+        assert dict(image.getexif()) == {0x010F: "maker"}
+    turned = np.rot90(pixels(W, H, 4), -1)
+    stood = torch.from_numpy(turned[..., :3].copy()).permute(2, 0, 1)
+    assert torch.equal(read_picture("out/a.png"), in_water(stood, metric()))
+    assert np.array_equal(read_picture_file("out/a.png").alpha, turned[..., 3])
+    assert sidecar.notes == [
+        "the picture was turned as its EXIF says; its map is taken as turned already"
+    ]
+
+
+@pytest.mark.parametrize("name", ["b.png", "b.tif"])
+def test_16_bits_stay_16_bits(name):
+    save(name, words(), **({"photometric": "rgb"} if name == "b.tif" else {}))
+    made(item_of(name))
+    file = read_picture_file(f"out/{name}")
+    assert file.bits == 16
+    expected = in_water(torch.from_numpy(words().transpose(2, 0, 1) / np.float32(65535)), metric())
+    assert (file.image - expected).abs().max() < 0.51 / 65535
+
+
+def test_what_a_format_does_not_keep_is_noted():
+    save("b.png", words(4))
+    notes = made(item_of("b.png", output="b.jpg")).notes
+    assert notes == ["JPEG does not keep: 16 bits (it has 8)", "JPEG does not keep: alpha"]
+
+
+# What maps hold
+
+
+def test_what_maps_hold():
+    image, t = read_picture("a.png"), (metres() - 1) / 3
+    save("t.npy", t.astype(np.float32))
+    mm = (metres() * 1000).astype(np.uint16)
+    save("mm.png", mm)
+    ends = {"near": 1, "far": 6}
+    disparity = DistanceFormat("disparity", focal_px=20, baseline_m=0.4, offset_px=1.5)
+    planar = DistanceFormat(unit="mm", planar=True, focal_px=20)
+    read_mm = torch.from_numpy((mm.astype(np.float64) * 0.001).astype(np.float32))[None]
+    t_map = torch.from_numpy(t.astype(np.float32))[None]
+    cases = (
+        ("t.npy", DistanceFormat("relative"), {**ends, "gamma": 2}, from_relative(t_map, 1, 6, 2)),
+        ("z.npy", DistanceFormat("inverse"), ends, from_inverse(metric(), 1.0, 6.0)),
+        ("z.npy", disparity, {}, along_ray(from_disparity(metric(), 20, 0.4, 1.5), 20)),
+        ("mm.png", planar, {}, along_ray(read_mm, 20)),
+    )
+    for number, (file, format, options, z) in enumerate(cases):
+        output = f"{number}.png"
+        made(item_of(distance=Path(file), output=output), distance=format, options=options)
+        found = read_picture(f"out/{output}").int() - in_water(image, z).int()
+        assert found.abs().max() <= (1 if format.kind == "relative" else 0), format
+
+
+def test_a_depth_network():
+    format = DistanceFormat("inverse", network=mean_of_channels("n.onnx"))
+    sidecar = made(item_of(distance=None), distance=format, options={"near": 1, "far": 6})
+    image = read_picture("a.png")
+    inverse = uwaug.distance.DepthNetwork("n.onnx")(image / 255)
+    assert torch.equal(read_picture("out/a.png"), in_water(image, from_inverse(inverse, 1.0, 6.0)))
+    assert sidecar.distance is None
+
+
+@pytest.mark.parametrize("unknown", ["fill", "far", 3.5, "skip"])
+def test_unknown_distances(unknown):
+    holed = metres()
+    holed[:2, :5] = np.nan
+    holed[3] = 0
+    save("z.npy", holed)
+    made(distance=DistanceFormat(unknown=unknown))
+    expected = in_water(read_picture("a.png"), metric(holed), unknown=unknown)
+    assert torch.equal(read_picture("out/a.png"), expected)
+
+
+def test_a_picture_without_distances_is_left_as_it_is():
+    save("z.npy", metres() * 0)
+    sidecar = made(distance=DistanceFormat(unknown="skip"))
+    assert torch.equal(read_picture("out/a.png"), read_picture("a.png"))
+    assert (sidecar.water, sidecar.contrast) == ("none", 1.0)
+
+
+# What stands beside it
+
+
+def decoded(path: str) -> np.ndarray:
+    v = tifffile.imread(path).astype(np.float64)
+    return np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4)
+
+
+def test_terms_add_up_in_linear_light():
+    save("a.tif", pixels().astype(np.float32) / 255, photometric="rgb")
+    made(item_of("a.tif"), keep_terms=True)
+    terms = [decoded(f"out/a_{term}.tif") for term in ("direct", "forward", "backscatter")]
+    assert all(term.max() > 0.001 for term in terms)
+    np.testing.assert_allclose(sum(terms), decoded("out/a.tif"), atol=2e-6)
+
+
+def test_the_index_tells_all_and_keeps_what_other_runs_have_made():
+    for name in ("a.png", "b.png"):
+        save(name, pixels(seed=ord(name[0])))
+        result = Degrader(Recipe(random=True))(item_of(name))
+        with index_of(Path("out")) as index:
+            index.add(result)
+    first, second = Items([Path("out/index.csv")], None, Path("again"))
+    assert (first.id, second.id) == ("b.png", "a.png")
+    assert first.distance.resolve() == Z.resolve()
+    line = Path("out/index.csv").read_text().splitlines()[1].split(",")
+    sidecar = result.sidecar
+    shown = [sidecar.water, f"{sidecar.visibility:.4g}", f"{sidecar.contrast:.4g}"]
+    assert line == [
+        *("b.png", "0", "../b.png", "../z.npy", "b.png"),
+        *shown,
+        *(f"{result.seconds:.3f}", "done", ""),
+    ]
+    Path("out/index.csv").write_text("mine,alone\n")
+    with pytest.raises(ValueError, match="is no index of uwaug"), index_of(Path("out")):
+        pass
+    assert Path("out/index.csv").read_text() == "mine,alone\n"
+
+
+# Again
+
+
+@pytest.mark.parametrize("how", [{"water": "3C"}, {"water": None, "random": True, "seed": 5}])
+def test_a_sidecar_makes_the_same_bytes(how):
+    save("marks/a.png", np.ones((H, W), np.uint8))
+    first = made(item_of(variant=1), keep_terms=True, labels="marks", **how)
+    sidecar = Sidecar.read(Path("out/a.png.json"))
+    assert sidecar == first
+    again = replay(sidecar, Path("again/a.png"))
+    assert again == sidecar
+    assert content("again") == content("out")
+    assert len(content("again")) == 7
+    with pytest.raises(FileExistsError, match="exists"):
+        replay(sidecar, Path("again/a.png"))
+
+
+@pytest.mark.parametrize("name", ["a.png", "z.npy", "p.toml"])
+def test_a_sidecar_of_files_that_have_changed(name):
+    preset = Path(uwaug.__file__).parent.parent / "configs/survey.toml"
+    Path("p.toml").write_text(preset.read_text())
+    sidecar = made(water=None, preset="p.toml")
+    if name == "p.toml":
+        Path(name).write_text(preset.read_text() + "\n")
+    else:
+        save(name, pixels(seed=3) if name == "a.png" else metres() + 1)
+    with pytest.raises(ValueError, match=f"{name} has changed since the record was written"):
+        replay(sidecar, Path("again/a.png"))
+    assert not Path("again").exists()
+
+
+def test_sidecars_that_are_none():
+    for text in ("", "{}", '{"format": 1}', "[1]"):
+        Path("r.json").write_text(text)
+        with pytest.raises(ValueError, match=r"r\.json: is no record of a picture"):
+            Sidecar.read(Path("r.json"))
+
+
+# What is kept, and what is written over
+
+
+def test_resume_keeps_what_is_there_and_only_that():
+    first = made()
+    degrader = Degrader(Recipe(water="3C"), resume=True)
+    kept = degrader(item_of())
+    assert (kept.status, kept.sidecar) == ("kept", first)
+    Path("out/a.png").unlink()
+    assert degrader(item_of()).status == "done"
+
+
+@pytest.mark.parametrize("changed", ["a.png", "z.npy", "marks/a.png"])
+def test_resume_sees_other_content_of_the_same_size(changed):
+    save("marks/a.png", np.ones((H, W), np.uint8))
+    made(labels="marks")
+    data = bytearray(Path(changed).read_bytes())
+    data[-1] ^= 1
+    Path(changed).write_bytes(data)
+    with pytest.raises(FileExistsError, match=r"a\.png exists"):
+        made(labels="marks")
+    recipe = Recipe(water="3C", labels="marks").resolved()
+    (item,) = labelled([item_of()], recipe.open_labels())
+    result = Degrader(recipe, resume=True)(item)
+    assert (result.status, result.reason) == ("failed", "out/a.png exists")
+
+
+def test_nothing_of_the_users_is_written_over():
+    for path in ("out/a.png", "out/a.png.json", "out/a_direct.png", "out/labels/a.png"):
+        save("marks/a.png", np.ones((H, W), np.uint8))
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        Path(path).write_text("mine")
+        with pytest.raises(FileExistsError, match=f"{path} exists"):
+            made(keep_terms=True, labels="marks")
+        assert Path(path).read_text() == "mine"
+        Path(path).unlink()
+    made(keep_terms=True, labels="marks")
+
+
+def test_force_leaves_labels_that_no_run_has_written():
+    made()
+    save("out/labels/a.png", np.ones((H, W), np.uint8))
+    before = content("out/labels")
+    made(force=True)
+    with pytest.raises(ValueError, match="the labels' own file"):
+        made(labels="out/labels", force=True)
+    assert content("out/labels") == before
+
+
+def test_force_leaves_nothing_of_the_picture_before():
+    save("marks/a.png", np.ones((H, W), np.uint8))
+    made(labels="marks", keep_terms=True)
+    assert {"a_direct.png", "labels/a.png"} <= set(content("out"))
+    made(force=True)
+    assert set(content("out")) == {"a.png", "a.png.json"}
+
+
+def test_an_old_picture_is_not_taken_for_that_of_a_new_sidecar(monkeypatch):
+    """Stopped between the two, when their sizes are alike."""
+    save("b.npy", pixels())
+    made(item_of("b.npy"))
+    recipe, move = Recipe(water="7C"), Path.replace
+
+    def stopped(part, target):
+        if not str(target).endswith(".json"):
+            raise KeyboardInterrupt
+        return move(part, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            Degrader(recipe, force=True)(item_of("b.npy"))
+    assert sidecar_path(Path("out/b.npy")).exists()
+    assert Degrader(recipe, resume=True)(item_of("b.npy")).status == "done"
+
+
+# What is refused
+
+
+def test_pictures_that_are_refused():
+    save("floats.npy", pixels().astype(np.float32))
+    for name, reason in (
+        ("floats.npy", "divide a 0…255 image by 255"),
+        ("none.png", "No such file"),
+    ):
+        said = failed(item_of(name))
+        assert reason in said
+        assert name in said
+    assert "a.gif: expected a name that ends in .png" in failed(item_of(output="a.gif"))
+    assert failed(item_of()._replace(problem="odd")) == "odd"
+
+
+@pytest.mark.parametrize(
+    "value, format, words",
+    [
+        (np.nan, {}, "NaN at 48"),
+        (0, {}, "zero at 48"),
+        (-1, {}, "negative at 48"),
+        (np.nan, {"kind": "inverse"}, "NaN at 48"),
+        (2, {"kind": "relative"}, r"must lie in \[0, 1\]"),
+    ],
+)
+def test_distances_that_are_refused(value, format, words):
+    z = metres() / 4
+    z[:3] = value
+    save("z.npy", z)
+    said = failed(item_of(), distance=DistanceFormat(**format))
+    assert "a.png with z.npy: " in said
+    assert words.replace("\\", "") in said
+
+
+def test_metres_are_of_no_other_kind():
+    said = failed(item_of(distance=3), distance=DistanceFormat("inverse"))
+    assert "distance=3 is metres, but distance_kind is 'inverse'" in said
+    assert "no distances: give a file, metres, or a depth network" in failed(item_of(distance=None))
+
+
+def test_files_may_not_be_so_large():
+    """As where the disk is full."""
+    save("a.png", pixels(120, 160))
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
+    try:
+        result = Degrader(Recipe(water="3C"))(item_of(distance=3))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert result.reason == "out/a.png: File too large"
+    assert os.listdir("out") == []
+
+
+@pytest.mark.parametrize(
+    "recipe, words",
+    [
+        ({}, "expected one of water, preset, fit and random, got none"),
+        ({"water": "3C", "fit": "f.json"}, "got water and fit"),
+        ({"water": "3C", "random": True}, "got water and random"),
+        ({"random": True, "min_contrast": 0.1}, "there are no labels"),
+        ({"random": True, "options": {"waters": "12C"}}, "12C"),
+        ({"preset": "nowhere"}, "survey"),
+    ],
+)
+def test_recipes_that_are_none(recipe, words):
+    with pytest.raises(ValueError, match=words):
+        Recipe(**recipe).resolved()
+
+
+def test_recipes_as_json():
+    recipe = Recipe(random=True, options={"light": [{"kind": "ambient"}]}, seed=3).resolved()
+    values = json.loads(json.dumps(recipe.to_json()))
+    assert "depth" in values
+    assert Recipe.from_json(values) == recipe
+    assert replace(recipe, seed=4) != recipe
+    with pytest.raises(ValueError, match="they differ in odd"):
+        Recipe.from_json({**values, "odd": 1})
