@@ -21,6 +21,7 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.atomic import require_regular
+from uwaug._support.extras import require
 
 File = str | os.PathLike[str] | BinaryIO
 """A path; or a file object that can be read and sought, whose attribute `name`, if it has one,
@@ -375,10 +376,9 @@ def _of_mode(image: Image.Image, orientation: int = 1) -> Raster:
 
 def _exr(stream: BinaryIO) -> Raster:
     try:
-        import OpenEXR
-    except ImportError:
-        cure = 'pip install ".[exr]" in a checkout of uwaug, or save it as .npy'
-        raise _UnfitError(f"OpenEXR is missing, which reads it: {cure}") from None
+        (OpenEXR,) = require("exr", "OpenEXR")
+    except ImportError as error:
+        raise _UnfitError(f"{error}, or save it as .npy") from None
     if isinstance(stream, io.BufferedReader):
         channels = OpenEXR.File(str(stream.name), separate_channels=True).channels()
     else:

@@ -13,6 +13,7 @@ from typing import Any, BinaryIO, NamedTuple
 
 from uwaug._support import checks
 from uwaug._support.atomic import is_part, require_regular
+from uwaug._support.extras import require
 from uwaug.io.write import FORMATS
 from uwaug.jobs.recipe import Recipe
 from uwaug.jobs.sidecar import TERMS, sidecar_of, terms_path
@@ -398,12 +399,7 @@ def _csv(path: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
 
 
 def _parquet(path: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError:
-        cure = 'pip install ".[parquet]" in a checkout of uwaug'
-        raise ImportError(f"{path} is Parquet, which pyarrow reads: {cure}") from None
+    pa, pq = require("parquet", "pyarrow", "pyarrow.parquet")
     try:
         table = pq.read_table(path)
     except (pa.ArrowException, OSError) as error:

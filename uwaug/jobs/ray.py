@@ -21,6 +21,7 @@ from typing import Any
 
 from PIL import Image
 
+from uwaug._support.extras import require
 from uwaug.io.read import name_of, opened
 from uwaug.io.write import FORMATS, format_of
 from uwaug.jobs.items import Item, Items, labelled, metres_in
@@ -62,11 +63,7 @@ def require_ray() -> None:
     Raises:
         ImportError: names the extra.
     """
-    try:
-        import ray.data  # noqa: F401
-    except ImportError:
-        cure = 'pip install ".[ray]" in a checkout of uwaug'
-        raise ImportError(f"Ray is not installed: {cure}") from None
+    require("ray", "ray.data")
 
 
 @contextmanager
