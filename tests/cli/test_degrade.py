@@ -1,0 +1,354 @@
+"""`uwaug degrade`: its flags, its exit codes, and what it prints."""
+
+import csv
+import json
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from filing import H, W, content, metres, pixels, save, save_pair, words
+from PIL import Image
+
+import uwaug
+from uwaug.io import read_picture
+from uwaug.jobs import Sidecar
+from uwaug.optics.water import JERLOV_TYPES
+
+WATER = ("--water", "3C")
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    """A good picture, and its distances."""
+    monkeypatch.chdir(tmp_path)
+    save_pair("good.png")
+    return tmp_path
+
+
+@pytest.fixture
+def degrade(run):
+    """Degrade what must go well; return what is printed."""
+
+    def call(*arguments: str) -> str:
+        code, out, err = run("degrade", *arguments)
+        assert (code, err) == (0, "")
+        return out
+
+    return call
+
+
+def degraded(run, *arguments: str, distance: str = "z.npy"):
+    """Exit code, and what stands on standard error."""
+    code, _, err = run("degrade", *arguments, "--distance", distance, "--out", "out", *WATER)
+    assert "Traceback" not in err
+    return code, err
+
+
+# What flags say
+
+
+def test_flags_are_options_of_the_transform(degrade):
+    Path("o.toml").write_text('waters = ["II", "7C"]\nmixing = [0.0, 1.0]\nfield_probability = 1.0')
+    given = ("--random", "--options", "o.toml", "--visibility", "3:5", "--vertical-depth", "2")
+    degrade("good.png", "--distance", "z.npy", *given, "--seed", "7", "--out", "out")
+    transform = uwaug.RandomUnderwater(
+        ["II", "7C"], mixing=(0, 1), field_probability=1.0, visibility=(3, 5), vertical_depth=2.0
+    )
+    z = torch.from_numpy(metres())[None]
+    expected, _ = transform.at(7, 0, "good.png")(read_picture("good.png"), z)
+    assert torch.equal(read_picture("out/good.png"), expected)
+
+
+def test_flags_are_what_maps_hold(degrade):
+    mm = (metres() * 1000).astype(np.uint16)
+    mm[0] = 0
+    save("z.png", mm)
+    given = ("--planar", "--focal-px", "20", "--distance-unit", "mm", "--unknown", "3.5")
+    degrade("good.png", "--distance", "z.png", *given, *WATER, "--out", "out")
+    recipe = Sidecar.read(Path("out/good.png.json")).recipe
+    assert recipe["options"] == {"focal_px": 20.0}
+    said = {name: recipe["depth"][name] for name in ("kind", "unit", "planar", "unknown")}
+    assert said == {"kind": "metric", "unit": "mm", "planar": True, "unknown": 3.5}
+
+
+def test_one_picture_into_one_file(degrade):
+    given = ("--distance", "3", "--water", "3c", "--out", "there/b.jpg")
+    assert "1 of 1 pictures" in degrade("good.png", *given)
+    assert set(content("there")) == {"b.jpg", "b.jpg.json"}
+
+
+def test_a_folder_its_index_and_one_more_run(degrade):
+    for name in ("b/1.png", "2.png"):
+        save(f"all/{name}", pixels(seed=len(name)))
+    given = ("--distance", "3", *WATER, "--format", "tif")
+    assert "2 of 2 pictures" in degrade("all", *given, "--out", "all/wet")
+    assert "2 of 2 pictures, 2 were there" in degrade("all", *given, "--out", "all/wet", "--resume")
+    degrade("good.png", *given, "--out", "all/wet")
+    with open("all/wet/index.csv", newline="") as file:
+        outputs = {line["output"]: line["status"] for line in csv.DictReader(file)}
+    assert outputs == {"2.tif": "kept", "b/1.tif": "kept", "good.tif": "done"}
+
+
+def test_a_rehearsal_writes_nothing_anywhere(degrade, monkeypatch, tmp_path):
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    save("deep/in/it/a.png", pixels())
+    save("marks/in/it/a.png", np.ones((H, W), np.uint8))
+    before = content(".")
+    given = ("--distance", "3", *WATER, "--labels", "marks", "--variants", "3", "--out", "out")
+    out = degrade("deep", *given, "--dry-run")
+    assert "deep/in/it/a.png + 3.0 → out/in/it/a_3.png" in out
+    assert "3 pictures, about" in out
+    assert content(".") == before
+
+
+def test_a_sheet(degrade, run):
+    pytest.importorskip("matplotlib")
+    degrade("good.png", "--distance", "3", *WATER, "--out", "out", "--sheet")
+    with Image.open("out/sheet.jpg") as sheet:
+        assert sheet.width > 500
+    save("all/sheet.jpg", pixels())
+    code, err = degraded(run, "all", "--sheet", "--force")
+    assert (code, "all/sheet.jpg would be written to out/sheet.jpg" in err) == (2, True)
+    Path("out/good.png").unlink()
+    code, err = degraded(run, "good.png", "--sheet")
+    assert (code, "out/sheet.jpg exists: --force" in err) == (2, True)
+
+
+def test_a_record_holds_from_any_folder(degrade, run, monkeypatch):
+    degrade("good.png", "--distance", "z.npy", *WATER, "--out", "out")
+    Path("good.png").rename("moved.png")
+    Path("elsewhere").mkdir()
+    monkeypatch.chdir("elsewhere")
+    record = ("--from", "../out/good.png.json")
+    code, _, err = run("degrade", *record, "--out", "again")
+    assert (code, "if it was moved, name it" in err) == (1, True)
+    assert "the same bytes" in degrade("../moved.png", *record, "--out", "again")
+    assert "in another format" in degrade("../moved.png", *record, "--out", "again/a.tif")
+    code, _, err = run("degrade", *record, "--out", "../out", "--force")
+    assert (code, "is the first one" in err) == (2, True)
+
+
+# Labels
+
+
+def labelled(path: str) -> list[str]:
+    return sorted(image["file_name"] for image in json.loads(Path(path).read_text())["images"])
+
+
+def test_a_file_of_labels_keeps_those_of_earlier_runs(degrade):
+    images, marks = [], []
+    for i, name in enumerate(("a.png", "b.png")):
+        save(name, pixels(seed=i))
+        images.append({"id": i, "file_name": name, "height": H, "width": W})
+        marks.append({"id": i, "image_id": i, "category_id": 1, "bbox": [1, 1, 5, 5]})
+    Path("marks.json").write_text(json.dumps({"images": images, "annotations": marks}))
+    given = ("--distance", "3", *WATER, "--labels", "marks.json", "--out", "out")
+    degrade("a.png", *given)
+    assert labelled("out/marks.json") == ["a.png"]
+    degrade("b.png", *given)
+    assert labelled("out/marks.json") == ["a.png", "b.png"]
+
+
+def test_labels_that_are_nowhere_are_missed(run):
+    save("marks/other.png", np.ones((H, W), np.uint8))
+    code, err = degraded(run, "good.png", "--labels", "marks")
+    assert (code, "none of the pictures has labels in" in err) == (1, True)
+
+
+# What is refused
+
+
+COMMANDS = {
+    "no input": ([], "expected a picture"),
+    "no water": (["good.png"], "expected one of water, preset, fit and random, got none"),
+    "unknown preset": (["good.png", "--preset", "nowhere"], "survey"),
+    "preset is missing": (["good.png", "--preset", "no.toml"], "no.toml"),
+    "fit is missing": (["good.png", "--fit", "no.json"], "no.json"),
+    "fit is none": (["good.png", "--fit", "good.png"], "good.png"),
+    "severity and contrast": (
+        ["good.png", *WATER, "--severity", "3", "--contrast", ".5"],
+        "--severity and --contrast",
+    ),
+    "severity 6": (["good.png", *WATER, "--severity", "6"], "severity"),
+    "no number": (["good.png", *WATER, "--visibility", "far"], "--visibility"),
+    "three numbers": (["good.png", *WATER, "--depth", "1:2:3"], "--vertical-depth"),
+    "unit": (["good.png", *WATER, "--distance-unit", "miles"], "--distance-unit must be"),
+    "kind": (["good.png", *WATER, "--distance-kind", "far"], "--distance-kind"),
+    "planar without focal length": (["good.png", *WATER, "--planar"], "--focal-px is missing"),
+    "baseline of metres": (["good.png", *WATER, "--baseline", ".1"], "--baseline would do nothing"),
+    "format": (["good.png", *WATER, "--format", "bmp"], ".png, .jpg"),
+    "variants": (["good.png", *WATER, "--variants", "0"], "variants"),
+    "workers": (["good.png", *WATER, "--workers", "0"], "--workers"),
+    "network and distance": (
+        ["good.png", *WATER, "--depth-network", "no.onnx"],
+        "--depth-network takes the place of --distance",
+    ),
+    "twice": (["good.png", "good.png", *WATER], "good.png was given twice"),
+    "record and pictures": (["good.png", "good.png", "--from", "a.json"], "all from the record"),
+    "record and water": ([*WATER, "--from", "a.json"], "all from the record"),
+    "workers of a cluster": (
+        ["good.png", *WATER, "--ray", "a:1", "--workers", "2"],
+        "has its own",
+    ),
+    "shards without Ray": (["good.png", *WATER, "--shards", "s"], "got both"),
+}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_commands_that_are_refused(run, name):
+    arguments, words = COMMANDS[name]
+    before = content(".")
+    code, out, err = run("degrade", *arguments, "--distance", "z.npy", "--out", "out")
+    # 1 where a file is at fault
+    at_fault = name in ("preset is missing", "fit is missing", "fit is none")
+    assert (code, out) == (1 if at_fault else 2, "")
+    assert words in err
+    assert content(".") == before
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--planar", "--focal-px", "9"],
+        ["--distance-unit", "mm"],
+        ["--distance-kind", "inverse"],
+    ],
+)
+def test_what_says_something_of_maps_needs_maps(run, options):
+    code, err = degraded(run, "good.png", *options, distance="3")
+    assert (code, f"{options[0]} would do nothing: the distance is a number" in err) == (2, True)
+
+
+@pytest.mark.parametrize("out", [["v.heic"], ["v.jpg", "--variants", "2"], ["run.v2"]])
+def test_a_file_that_cannot_be_the_output_is_no_folder(run, out):
+    arguments = ("degrade", "good.png", "--distance", "3", *WATER, "--out", *out)
+    code, _, err = run(*arguments)
+    assert (code, f"--out {out[0]}: expected the file of one picture" in err) == (2, True)
+    Path(out[0]).mkdir()
+    assert run(*arguments)[0] == 0
+
+
+def test_an_unknown_water_lists_the_ten(run):
+    code, out, err = run("degrade", "good.png", "--distance", "3", "--out", "out", "--water", "4C")
+    assert (code, out) == (2, "")
+    assert "water must be one of" in err
+    assert all(water in err for water in JERLOV_TYPES)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("colour = 3", "unknown key colour; there are waters"),
+        ("unknown = 'fill'", "unknown key unknown"),
+        ("waters = ", "is no TOML"),
+        ("waters = '12C'", "12C"),
+        ("point_spread = { width = 2 }", "unexpected keyword argument 'width'"),
+    ],
+)
+def test_options_that_are_refused(run, text, words):
+    Path("o.toml").write_text(text)
+    given = ("--distance", "3", "--out", "out", "--random", "--options", "o.toml")
+    code, _, err = run("degrade", "good.png", *given)
+    assert code == (1 if err.startswith("Error: o.toml: ") else 2)
+    assert words in err
+
+
+# What fails
+
+
+def test_what_fails_is_told_at_the_end(run):
+    for name in "abc":
+        save(f"all/{name}.png", pixels())
+    Path("all/b.png").write_bytes(b"")
+    code, err = degraded(run, "all")
+    assert (code, "1 of 3 pictures failed:\n  all/b.png: is empty" in err) == (1, True)
+    lines = Path("out/index.csv").read_text().splitlines()
+    assert [line.split(",")[9] for line in lines] == ["status", "done", "failed", "done"]
+    code, err = degraded(run, "all/b.png", "--dry-run")
+    assert (code, "b.png: is empty" in err) == (1, True)
+
+
+@pytest.mark.parametrize(
+    ("make", "path", "words"),
+    [
+        (lambda path: None, "nowhere.png", "No such file"),
+        (lambda path: path.symlink_to(path), "a.png", "symbolic links"),
+        (lambda path: path.write_text("input\n\x00\n"), "list.csv", "list.csv: line 2 is no text"),
+        (lambda path: path.write_text("hello"), "a.png", "is no picture and no map"),
+        (lambda path: path.write_text("{}"), "r.json", "is no record of a picture"),
+    ],
+)
+def test_files_at_fault(run, folder, make, path, words):
+    make(folder / path)
+    given = ["--from", path] if path == "r.json" else [path, "--distance", "3", *WATER]
+    code, _, err = run("degrade", *given, "--out", "out")
+    assert (code, words in err, path in err) == (1, True, True)
+    assert not Path("out").exists() or set(content("out")) == {"index.csv"}
+
+
+def test_the_cure_of_a_map_in_other_units(run):
+    save("z.png", words()[..., 0])
+    code, err = degraded(run, "good.png", distance="z.png")
+    assert (code, "try --distance-unit mm" in err) == (1, True)
+
+
+def test_what_is_there_stays(run):
+    save("out/good.png", pixels(seed=1))
+    before = content("out")
+    code, err = degraded(run, "good.png")
+    assert (code, "out/good.png exists: --resume to go on, --force" in err) == (2, True)
+    # what is there is none of a run's
+    code, err = degraded(run, "good.png", "--resume")
+    assert (code, "out/good.png exists" in err) == (1, True)
+    assert content("out").items() >= before.items()
+    assert degraded(run, "good.png", "--force")[0] == 0
+    code, err = degraded(run, "good.png", "--resume", "--severity", "2")
+    assert (code, "was made with other options (options)" in err) == (2, True)
+
+
+# Where nothing can be written
+
+
+def test_out_is_a_file(run):
+    Path("out").write_text("")
+    code, err = degraded(run, "good.png")
+    assert (code, "out" in err) == (1, True)
+    assert Path("out").is_file()
+
+
+@pytest.fixture
+def mounted(folder):
+    """Mount a file system at `out`; skip where that is not permitted."""
+
+    def mount(*arguments: str) -> None:
+        Path("out").mkdir()
+        command = ["mount", *arguments, str(folder / "out")]
+        if shutil.which("mount") is None or subprocess.run(command, check=False).returncode:
+            pytest.skip("mounting is not permitted")
+
+    yield mount
+    subprocess.run(["umount", str(folder / "out")], capture_output=True, check=False)
+
+
+def test_out_is_read_only(run, mounted):
+    mounted("-t", "tmpfs", "-o", "ro,size=1m", "tmpfs")
+    code, err = degraded(run, "good.png")
+    assert (code, "cannot write to the folder" in err, "Read-only" in err) == (1, True, True)
+
+
+def test_the_disk_is_full(run, mounted):
+    mounted("-t", "tmpfs", "-o", "size=64k", "tmpfs")
+    for name in "ab":
+        save(f"all/{name}.png", pixels(500, 500))
+    save("all/c.png", pixels())
+    code, err = degraded(run, "all", "--workers", "1", distance="3")
+    assert code == 1
+    assert "No space left on device" in err
+    assert "2 of 3 pictures failed" in err
+    assert set(content("out")) == {"c.png", "c.png.json", "index.csv"}
