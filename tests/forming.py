@@ -9,7 +9,7 @@ from inputs import rand
 from referees import reference
 from torch import Tensor
 
-from uwaug.formation.model import Terms
+from uwaug.formation.scene import Terms
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 

@@ -15,11 +15,10 @@ import torch
 from referees.exact import blur_exact
 from torch import Tensor
 
-from uwaug._support.tiles import held
 from uwaug.blur.kernels import reflect
 from uwaug.blur.plan import BlurPlan
 from uwaug.blur.stack import mixed, node_weights
-from uwaug.blur.tiled import blurred_pieces
+from uwaug.blur.tiled import blurred_tiles
 
 Array = np.ndarray[Any, Any]
 Gaussian = Callable[[Array, float], Array]
@@ -65,10 +64,8 @@ def exact(image: Tensor, sigma: Tensor, most: int | None = None) -> tuple[Tensor
 def stack(image: Tensor, sigma: Tensor, plan: BlurPlan) -> Tensor:
     """Our stack, a strip of rows at a time, as `form_image` uses it."""
     out = torch.empty_like(image)
-    shape = (image.shape[-3], image.shape[-2], image.shape[-1])
-    for rows, columns, blurs in blurred_pieces(held(image[0]), shape, image, plan):
-        weights = node_weights(sigma[..., rows, columns], plan)
-        out[..., rows, columns] = mixed(blurs, weights)
+    for tile, blurs in blurred_tiles(image, plan):
+        out[tile] = mixed(blurs, node_weights(sigma[tile], plan))
     return out
 
 

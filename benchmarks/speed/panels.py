@@ -24,7 +24,7 @@ from benchmarks.speed import blurs
 from uwaug import fused
 from uwaug.blur.plan import BlurPlan, plan_blur
 from uwaug.blur.tiled import row_strips
-from uwaug.formation.model import together
+from uwaug.formation.scene import total
 from uwaug.onnx import OnnxUnderwater, export_onnx
 from uwaug.optics.curves import curves
 from uwaug.optics.medium import Medium
@@ -140,7 +140,7 @@ def pointwise(c: Case, medium: Medium, scattered: Tensor) -> Tensor:
     out, sums = torch.empty_like(c.image), medium.sums(exact_at_lens=False)
     for rows in row_strips(*c.image.shape[1:]):
         image, z, blurred = (t[..., rows, :] for t in (c.image, c.z, scattered))
-        (out[..., rows, :],) = together(image, curves(sums, z), blurred)
+        (out[..., rows, :],) = total(curves(sums, z), image, blurred)
     return out
 
 

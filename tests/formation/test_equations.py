@@ -1,8 +1,6 @@
-"""Each equation stands once, and the way to it is short."""
+"""Each equation stands once."""
 
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,37 +8,12 @@ import torch
 from torch import Tensor
 
 import uwaug
-import uwaug.formation.model
+import uwaug.formation.scene
 import uwaug.optics.curves
 from uwaug import fused
 from uwaug.onnx.graph import Graph
 from uwaug.onnx.metadata import plan_of
 from uwaug.optics.point_spread import PointSpread
-
-
-def test_the_first_matrix_product_is_near() -> None:
-    """From `RandomUnderwater` to what multiplies: at most six functions of the package deep."""
-    aug = uwaug.RandomUnderwater.survey(waters="7C", field_probability=0.0)
-    image, distance = torch.rand(3, 64, 80), torch.linspace(1, 5, 64 * 80).reshape(1, 64, 80)
-    deepest = []
-    products = (torch.mm, torch.bmm)
-
-    def watch(frame: Any, event: str, called: Any) -> None:
-        if event == "c_call" and called in products and not deepest:
-            while frame is not None:
-                if frame.f_code.co_filename.startswith(str(Path(uwaug.__file__).parent)):
-                    deepest.append(frame.f_code.co_name)
-                frame = frame.f_back
-
-    with fused.use(False):
-        aug(image, distance)  # plans and matrices are made at the first call
-        sys.setprofile(watch)
-        try:
-            aug(image, distance)
-        finally:
-            sys.setprofile(None)
-    assert deepest[-1] == "forward"
-    assert len(deepest) <= 6, deepest
 
 
 def doubled(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
@@ -52,7 +25,7 @@ def doubled(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
     [
         (uwaug.optics.curves, "decay"),  # e^(−rate·z), of all three curves
         (PointSpread, "sigma"),  # the width law
-        (uwaug.formation.model, "node_weights"),  # the weights of the blurs
+        (uwaug.formation.scene, "node_weights"),  # the weights of the blurs
     ],
 )
 def test_eager_and_graph_share_each_equation(

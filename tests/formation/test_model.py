@@ -13,7 +13,8 @@ from referees import reference
 
 from uwaug.blur.stack import varying_blur
 from uwaug.formation.demand import blur_demand
-from uwaug.formation.model import Terms, form_image
+from uwaug.formation.model import form_image
+from uwaug.formation.scene import Terms
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water

@@ -9,7 +9,8 @@ from inputs import rand
 from referees import reference
 from torch import Tensor
 
-from uwaug.formation.model import Terms, form_image
+from uwaug.formation.model import form_image
+from uwaug.formation.scene import Terms
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water

@@ -9,12 +9,12 @@ from torch import Tensor
 
 import uwaug._support.tiles
 import uwaug.blur.tiled
-import uwaug.formation.strips
-from uwaug import PointSpread, RandomUnderwater
-from uwaug._support.tiles import held
+import uwaug.formation.scene
+from uwaug import Light, PointSpread, RandomUnderwater
+from uwaug._support.tiles import RowSource, held
 from uwaug.blur.plan import plan_blur
 from uwaug.blur.stack import blurred
-from uwaug.blur.tiled import blurred_pieces
+from uwaug.blur.tiled import blurred_tiles
 from uwaug.distance.complete import filled, filled_rows
 from uwaug.distance.sample import Scaling
 from uwaug.formation.colour import srgb_to_linear
@@ -22,6 +22,7 @@ from uwaug.formation.field import gaussian_random_field, gaussian_random_rows
 from uwaug.jobs.model import OneMedium, RandomWater, terms_of
 from uwaug.optics.medium import Medium
 from uwaug.optics.water import Water
+from uwaug.transforms.keep_visible import transform_with_contrast
 
 pytestmark = pytest.mark.filterwarnings("ignore:distance is unknown")
 
@@ -73,7 +74,7 @@ def in_strips(monkeypatch: pytest.MonkeyPatch) -> Any:
     """What makes every picture a large one, in bands of some tens of rows."""
 
     def switch() -> None:
-        monkeypatch.setattr(uwaug.formation.strips, "LARGE", 1)
+        monkeypatch.setattr(uwaug._support.tiles, "LARGE", 1)
         monkeypatch.setattr(uwaug._support.tiles, "_BAND", 20_000)
         monkeypatch.setattr(uwaug.blur.tiled, "_STRIP", 20_000)
 
@@ -98,6 +99,33 @@ def test_strips_are_the_whole(name: str, in_strips: Any) -> None:
     # where rounding falls the other way
     assert (apart > 0).float().mean() < 1e-3
     assert out[1].dtype == torch.uint8
+
+
+LIGHTS = {
+    "lamp": Light.lamp((0.4, -0.2, 0.0), (-0.1, 0.0, 1.0), 4.0, 40.0),
+    "lamp in view": Light.lamp((0.2, 0.1, 1.5), (0.0, 0.0, 1.0), power=0.5, cone=180.0),
+    "sun": Light.parallel(40.0, 120.0, gradient=0.5)
+    + Light.lamp((-0.3, 0.0, 0.0), (0.1, 0.0, 1.0), 2.0),
+}
+
+
+@pytest.mark.parametrize("name", LIGHTS)
+@pytest.mark.parametrize("exposure", ["none", "auto"])
+def test_large_pictures_have_lamps(name: str, exposure: Any, in_strips: Any) -> None:
+    aug, size = RandomUnderwater("3C", light=LIGHTS[name], exposure=exposure), (331, 257)
+    image, z = picture(*size), distances("default", *size)
+    record = aug.make_params(image, torch.Generator().manual_seed(3))
+    whole = aug.transform(image, z, record)
+    _, left = transform_with_contrast(aug, image, z, record)
+    used = aug.resolve(image, z, record)["samples"][0]["used"]
+    in_strips()
+    out, near = transform_with_contrast(aug, image, z, record)
+    # the veil of a lamp lies on a grid of rays of each band, which is finer
+    torch.testing.assert_close(*map(srgb_to_linear, (out, whole)), rtol=0, atol=2e-3)
+    # in the dark, contrast is a quotient of hardly anything
+    seen = srgb_to_linear(whole).amin(0, keepdim=True) > 1e-2
+    torch.testing.assert_close(near[seen], left[seen], rtol=0, atol=2e-3)
+    assert aug.resolve(image, z, record)["samples"][0]["used"] == pytest.approx(used, rel=1e-3)
 
 
 @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float64])
@@ -137,39 +165,45 @@ def test_models_of_files(in_strips: Any) -> None:
     for model in (known, RandomWater(RandomUnderwater("7C"))):
         drawn = model.draw(image, torch.Generator().manual_seed(1))
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(uwaug.formation.strips, "LARGE", 10**9)
+            patch.setattr(uwaug._support.tiles, "LARGE", 10**9)
             whole = model.degrade(image, z, drawn)
             terms = terms_of(whole.seen)
         in_strips()
         out = model.degrade(image, z, drawn)
         torch.testing.assert_close(out.image, whole.image, rtol=0, atol=2e-5)
         assert out.visibility == whole.visibility
-        torch.testing.assert_close(out.seen.some_contrast(), whole.seen.some_contrast())
+        torch.testing.assert_close(out.seen.contrast_at_points(), whole.seen.contrast_at_points())
         for name, term in terms_of(out.seen).items():
             torch.testing.assert_close(term, terms[name], rtol=0, atol=5e-5)
 
 
 @pytest.mark.parametrize("size", [(333, 130), (97, 412), (16, 16), (1, 50), (50, 1)])
 @pytest.mark.parametrize("widths", [(1.0, 6.0, "gaussian"), (0.0, 200.0, "exponential")])
-def test_blurs_in_bands(size: tuple[int, int], widths: tuple[float, float, Any]) -> None:
+def test_blurs_in_bands(
+    size: tuple[int, int], widths: tuple[float, float, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
     image = picture(*size)
     low, high, shape = widths
     plan = plan_blur(low, high, 0.002, shape, max(size))
     whole = blurred(image[None], plan)
     for band in (None, 16, 112):
-        out = [torch.full_like(image, math.nan) for _ in whole]
-        for rows, columns, stack in blurred_pieces(held(image), (3, *size), image, plan, band):
-            for one, part in zip(out, stack, strict=True):
-                one[:, rows, columns] = part[0]
+        source: Tensor | RowSource = image[None]
+        if band is not None:
+            monkeypatch.setattr(uwaug._support.tiles, "_BAND", band * size[1])
+            source = RowSource(held(image), (3, *size), image)
+        out = [torch.full_like(blur, math.nan) for blur in whole]
+        for tile, blurs in blurred_tiles(source, plan):
+            for one, part in zip(out, blurs, strict=True):
+                one[tile] = part
         for one, other in zip(out, whole, strict=True):
-            torch.testing.assert_close(one, other[0], rtol=0, atol=2e-6)
+            torch.testing.assert_close(one, other, rtol=0, atol=2e-6)
 
 
 def test_light_is_asked_for_in_bands(in_strips: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
-    decoded = uwaug.formation.strips.decoded
+    decoded = uwaug.formation.scene.decoded
     monkeypatch.setattr(
-        uwaug.formation.strips, "decoded", lambda *a: asked.append(a[0].shape[1]) or decoded(*a)
+        uwaug.formation.scene, "decoded", lambda *a: asked.append(a[0].shape[1]) or decoded(*a)
     )
     in_strips()
     law = PointSpread(4.0, 0.6, "exponential")

@@ -12,6 +12,7 @@ from torch import Tensor
 import uwaug
 from uwaug import KeepVisible, Light, Medium, RandomUnderwater
 from uwaug.optics.inherent import Forward
+from uwaug.presets.preset import bundled_preset
 
 LAMP = Light.lamp((0.4, -0.2, 0.0), (-0.1, 0.0, 1.0), 4.0, 40.0)
 
@@ -86,13 +87,6 @@ def test_wrong_lights_are_refused() -> None:
         RandomUnderwater().transform(image, z, record)
 
 
-def test_large_pictures_say_that_they_take_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(uwaug.formation.strips, "LARGE", 100)
-    image, z = scene()
-    with pytest.raises(ValueError, match=r"light: a picture of 0\.0001 megapixels"):
-        RandomUnderwater(light=LAMP)(image, z)
-
-
 def test_lights_of_tables() -> None:
     lamp = {"kind": "lamp", "position": [0.4, -0.2, 0.0], "direction": [-0.1, 0.0, 1.0]}
     light = Light.from_list([{"kind": "ambient", "gain": 0.5}, {**lamp, "power": 4.0}])
@@ -165,7 +159,7 @@ def test_media_of_both_kinds_are_one_batch() -> None:
 
 
 def test_a_preset_refuses_what_is_no_light(tmp_path) -> None:
-    text = uwaug.presets.bundled_preset("jaffe-1990").read_text(encoding="utf-8")
+    text = bundled_preset("jaffe-1990").read_text(encoding="utf-8")
     path = tmp_path / "mine.toml"
     path.write_text(text.replace('kind = "lamp"', 'kind = "torch"'), encoding="utf-8")
     with pytest.raises(ValueError, match=r"mine.toml: .*light.kind must be one of"):

@@ -10,7 +10,7 @@ from torch import Tensor
 
 import uwaug
 from uwaug import Light, Medium, Underwater, form_image
-from uwaug.formation.model import Terms
+from uwaug.formation.scene import Terms
 from uwaug.light.backscatter import grid_of, integrated, interpolated, order_of
 from uwaug.light.geometry import normals, ray_of, view_of
 

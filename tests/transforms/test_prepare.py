@@ -15,7 +15,7 @@ from uwaug import Medium, PointSpread, RandomUnderwater, Water, form_image
 from uwaug._support.deterministic import reproducible
 from uwaug.distance.convert import fill_unknown, from_inverse, from_relative
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
-from uwaug.formation.exposure import looks
+from uwaug.formation.exposure import metering_points
 from uwaug.formation.field import gaussian_random_field
 
 
@@ -71,7 +71,7 @@ def test_default_is_the_calibrated_model_exposed(focal_px: float | None) -> None
     for i, s in enumerate(record["samples"]):
         used, z = s["used"], distance[i]
         water = Water.jerlov(s["waters"][0]).at(np.arange(400, 701, 5))
-        middle = z.flatten()[looks(H, W, z.device)].median()
+        middle = z.flatten()[metering_points(H, W, z.device)].median()
         # the share of luminance contrast that is left at the middle distance, as drawn
         scaled = water.with_visibility(used["visibility"])
         assert scaled.contrast(float(middle)) == pytest.approx(s["contrast"], rel=1e-4)

@@ -1,17 +1,86 @@
-"""Pictures and maps that are made a few rows at a time, so that a large one is never held whole."""
+"""Parts of pictures and maps; and large ones that are made a few rows at a time, so that none is
+ever held whole.
+"""
 
 from collections.abc import Callable, Iterator
+from types import EllipsisType
 
 import torch
 from torch import Tensor
 
-__all__ = ["Rows", "at_pixels", "bands", "extremes", "held"]
+__all__ = [
+    "LARGE",
+    "RowSource",
+    "Rows",
+    "Tile",
+    "at_pixels",
+    "bands",
+    "extremes",
+    "held",
+    "is_large",
+]
 
 Rows = Callable[[int, int], Tensor]
 """What makes rows `start` to `stop` of a picture or map: (CxRxW tensor)."""
 
+Tile = EllipsisType | tuple[EllipsisType, slice, slice]
+"""Rows and columns, as an index of tensors and of row sources; `...` for all of them."""
+
+LARGE = 24_000_000
+"""Pixels from which no light and no map of a picture is held whole. That would take 40 bytes a
+pixel, 1 GB here.
+"""
+
 _BAND = 1 << 21
 """Pixels of a band: of float32, 24 MiB of a picture."""
+
+
+def is_large(size: tuple[int, int]) -> bool:
+    """Whether a picture of (height, width) `size` is made in rows."""
+    return size[0] * size[1] >= LARGE
+
+
+class RowSource:
+    """A picture or map that is made as it is asked for; tiles of it are `source[..., rows,
+    columns]` (1xCxRxS), as of a tensor.
+
+    Args:
+        rows: makes some rows.
+        shape: channels, height and width.
+        like: a tensor of their type and device.
+    """
+
+    def __init__(self, rows: Rows, shape: tuple[int, int, int], like: Tensor) -> None:
+        self.rows = rows
+        self.like = like.new_empty(0)
+        self.shape = torch.Size((1, *shape))
+        # tiles of the same rows follow each other
+        self._last: tuple[int, int, Tensor] = (0, 0, torch.empty(0))
+
+    def __len__(self) -> int:
+        return 1
+
+    @property
+    def device(self) -> torch.device:
+        """Where its rows are made."""
+        return self.like.device
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width, px."""
+        return self.shape[-2], self.shape[-1]
+
+    def __getitem__(self, tile: Tile) -> Tensor:
+        _, rows, columns = (..., slice(None), slice(None)) if tile is ... else tile
+        start, stop, _ = rows.indices(self.shape[-2])
+        first, end, made = self._last
+        if not first <= start <= stop <= end:
+            first, end, made = self._last = start, stop, self.rows(start, stop)
+        return made[None, :, start - first : stop - first, columns]
+
+    def at(self, pixels: Tensor) -> Tensor:
+        """The values (CxN) of some pixels, given by their flat indices (N)."""
+        return at_pixels(self.rows, self.size, pixels)
 
 
 def held(picture: Tensor) -> Rows:

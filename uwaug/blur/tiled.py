@@ -1,19 +1,20 @@
 """The blurs of one picture a piece at a time, from rows that are made as they are asked for."""
 
 from collections.abc import Iterator
+from types import EllipsisType
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from uwaug._support.tiles import Rows
+from uwaug._support.tiles import Rows, RowSource, bands, held
 from uwaug.blur.banded import Banded, along_columns, along_rows
 from uwaug.blur.kernels import PERIOD
 from uwaug.blur.operators import Node, whole
 from uwaug.blur.plan import BlurPlan
 from uwaug.blur.stack import Chain, chain_of, products
 
-__all__ = ["blurred_pieces", "row_strips"]
+__all__ = ["blurred_tiles", "row_strips"]
 
 _STRIP = 200_000
 """Samples of a strip; 50_000 takes a fifth longer (calls), 400_000 a tenth at 1024² (caches)."""
@@ -108,28 +109,31 @@ def _rows_of_strip(channels: int, width: int) -> int:
     return PERIOD * max(1, _STRIP // (PERIOD * channels * width))
 
 
-def blurred_pieces(
-    rows: Rows, shape: tuple[int, int, int], like: Tensor, plan: BlurPlan, band: int | None = None
-) -> Iterator[tuple[slice, slice, list[Tensor]]]:
-    """The plan's blurs of one image, a piece at a time so that what follows stays in the cache: a
-    strip of rows, or a part of one if the image is very wide. Not for gradients.
+def blurred_tiles(
+    picture: Tensor | RowSource, plan: BlurPlan
+) -> Iterator[tuple[tuple[EllipsisType, slice, slice], list[Tensor]]]:
+    """The plan's blurs of one picture, a tile at a time so that what follows stays in the cache: a
+    strip of rows, or a part of one if the picture is very wide. Not for gradients.
 
     Args:
-        rows: makes rows of the image, linear light.
-        shape: channels, height and width of the image.
-        like: a tensor of the image's type, float32 or float64, and device.
+        picture (1xCxHxW tensor or row source): float32 or float64; of a row source a band of rows
+            is held at a time.
         plan: from `plan_blur`.
-        band: so many rows of the image are held at a time, about; None for all.
 
     Yields:
-        the rows, the columns, and K tensors (1xCxRxS): the image blurred by each of `plan.sigmas`.
+        the tile, and K tensors (1xCxRxS): the picture blurred by each of `plan.sigmas`.
     """
-    c, h, w = shape
+    _, c, h, w = picture.shape
+    strip = _rows_of_strip(c, w)
+    if isinstance(picture, Tensor):
+        like, rows, step = picture, held(picture[0]), h
+    else:
+        like, rows = picture.like, picture.rows
+        (_, band), *_ = bands(h, w)
+        step = strip * max(1, band // strip)
     blurs = []
     for sigma, cell in zip(plan.sigmas, plan.cells, strict=True):
         blurs.append(_Blur(Node(sigma, cell, plan.reach), (h, w), like))
-    strip = _rows_of_strip(c, w)
-    step = h if band is None else strip * max(1, band // strip)
     if step < h:
         _keep_coarse([blur for blur in blurs if blur.node.cell >= _KEPT], rows, h)
     for top in range(0, h, step):
@@ -147,7 +151,7 @@ def blurred_pieces(
             across = max(1, _PIECE // (c * (part.stop - part.start)))
             for left in range(0, w, across):
                 columns = slice(left, min(left + across, w))
-                yield part, columns, [strip[..., columns] for strip in strips]
+                yield (..., part, columns), [strip[..., columns] for strip in strips]
 
 
 def _keep_coarse(blurs: list[_Blur], rows: Rows, height: int) -> None:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from uwaug._support import checks
-from uwaug._support.tiles import Rows, bands, held
+from uwaug._support.tiles import Rows, RowSource, bands, held, is_large
 from uwaug.distance.complete import filled_rows, warn_of_unknown
 from uwaug.distance.convert import (
     check_distance,
@@ -88,6 +88,17 @@ def to_metres(distance: Tensor, scaling: Scaling, kind: DistanceKind, unknown: U
         ValueError: if the map is of another kind.
     """
     return _completed(_scale(distance, scaling, kind)(distance), unknown)
+
+
+def metres_of(
+    distance: Tensor, scaling: Scaling, kind: DistanceKind, unknown: Unknown
+) -> Tensor | RowSource:
+    """A map of one picture (1xHxW), in metres, every pixel known; of a large picture in rows."""
+    height, width = distance.shape[-2:]
+    if not is_large((height, width)):
+        return to_metres(distance, scaling, kind, unknown)
+    rows = metres_by_rows(distance, scaling, kind, unknown)
+    return RowSource(rows, (1, height, width), single(distance[:, :0]))
 
 
 def metres_by_rows(

@@ -35,7 +35,8 @@ from uwaug.formation.colour import from_light, linear_to_srgb, to_light
 from uwaug.formation.demand import blur_demand
 from uwaug.formation.exposure import Exposure, gain_of
 from uwaug.formation.field import gaussian_random_field
-from uwaug.formation.model import Terms, form_image
+from uwaug.formation.model import form_image
+from uwaug.formation.scene import Terms
 from uwaug.light.geometry import focal_of
 from uwaug.light.light import Light
 from uwaug.light.lit import lit_of, planned

@@ -5,12 +5,15 @@ from uwaug.formation.contrast import contrast
 from uwaug.formation.demand import BlurDemand, blur_demand
 from uwaug.formation.field import gaussian_random_field
 from uwaug.formation.learnable import LearnableMedium
-from uwaug.formation.model import Terms, form_image
+from uwaug.formation.model import form_image
+from uwaug.formation.scene import Scene, Setup, Terms
 from uwaug.formation.underwater import Underwater
 
 __all__ = [
     "BlurDemand",
     "LearnableMedium",
+    "Scene",
+    "Setup",
     "Terms",
     "Underwater",
     "blur_demand",

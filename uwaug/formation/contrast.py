@@ -23,13 +23,13 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug._support.torch_func import refuse_mapped
 from uwaug.formation.colour import LUMINANCE
-from uwaug.formation.model import any_at_lens
+from uwaug.formation.transmittance import transmittance
 from uwaug.light.light import Light
-from uwaug.light.lit import Lit, lit_of, seen
-from uwaug.optics.curves import FARTHEST
+from uwaug.light.lit import lit_of
+from uwaug.optics.curves import FARTHEST, Curves
 from uwaug.optics.medium import Medium
 
-__all__ = ["contrast", "contrast_under"]
+__all__ = ["contrast", "contrast_of"]
 
 
 def contrast(
@@ -79,26 +79,18 @@ def contrast(
         water = medium.to(z)
         lit = lit_of(light, distance, None, water, focal_px, centre)
         here = None if lit is None else lit.whole()
-        left = contrast_under(here, water, z, _light(reflectance, z)).to(distance.dtype)
+        T = transmittance(water, z, here)
+        left = contrast_of(T, _light(reflectance, z)).to(distance.dtype)
     alone = len(medium) == 1 and len(left) == 1 and (light is None or light.rows() == 1)
     return left[0] if distance.ndim == 3 and alone else left
 
 
-def contrast_under(
-    lit: Lit | None, medium: Medium, z: Tensor, reflectance: float | Tensor = 0.18
-) -> Tensor:
-    """The same (Bx1xHxW) of prepared input.
-
-    Args:
-        lit: the light on these pixels; None for daylight as the medium has it.
-        medium: of the type to compute in.
-        z (Bx1xHxW tensor): effective distance, m.
-        reflectance: as for `contrast`.
+def contrast_of(T: Curves, reflectance: float | Tensor = 0.18) -> Tensor:
+    """The share of contrast (Bx1xHxW) that transmittances leave; reflectance as for `contrast`, of
+    their type.
     """
-    exact = torch.compiler.is_compiling() or any_at_lens(z, medium)
-    found = seen(medium.sums(exact_at_lens=exact), z, lit)
-    detail = _luminance(found.direct * reflectance)
-    whole = _luminance((found.direct + found.scatter) * reflectance + found.veil)
+    detail = _luminance(T.direct * reflectance)
+    whole = _luminance((T.direct + T.scatter) * reflectance + T.veil)
     # where no light arrives the slope of a quotient would be NaN
     dark = whole <= 0
     return torch.where(dark, 0.0, detail / torch.where(dark, 1.0, whole))

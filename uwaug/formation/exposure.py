@@ -12,11 +12,11 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug.formation.colour import LUMINANCE
-from uwaug.formation.loops.measuring import measured
-from uwaug.formation.loops.serving import serves
-from uwaug.formation.loops.switch import Path
+from uwaug.formation.loops.backend import can_render
+from uwaug.formation.loops.render import meter
+from uwaug.light.light import Light
 from uwaug.light.lit import Lit, seen
-from uwaug.optics.curves import Sums, curves
+from uwaug.optics.curves import Curves, Sums, curves
 from uwaug.optics.medium import Medium
 
 __all__ = [
@@ -26,10 +26,10 @@ __all__ = [
     "balanced",
     "brightest",
     "exposed_sums",
-    "exposed_under",
+    "farthest_veil",
     "fixed_gain",
     "gain_of",
-    "looks",
+    "metering_points",
     "require_exposure",
 ]
 
@@ -78,34 +78,39 @@ def auto_gain(image: Tensor, z: Tensor, sums: Sums, lit: Lit | None = None) -> T
         (B,) within `GAINS`, and such that the veil of the farthest pixel stays at or below 1; 1
         where no light arrives.
     """
-    some = looks(z.shape[-2], z.shape[-1], z.device)
-    here = None if lit is None else lit.at(some)
+    points = metering_points(z.shape[-2], z.shape[-1], z.device)
+    T = seen(sums, _at(z, points), None if lit is None else lit.at(points))
     farthest = z.amax((-3, -2, -1), keepdim=True)
-    return balanced(_at(image, some), _at(z, some), farthest, sums, here)
+    veil = farthest_veil(sums, farthest, None if lit is None else lit.light)
+    return balanced(_at(image, points), T, veil)
 
 
-def balanced(
-    light: Tensor, z: Tensor, farthest: Tensor, sums: Sums, lit: Lit | None = None
-) -> Tensor:
-    """The same from what some pixels show.
+def balanced(light: Tensor, T: Curves, veil: Tensor) -> Tensor:
+    """`auto_gain` from what some pixels show.
 
     Args:
         light (Bx3x1xN tensor): linear light of these pixels.
-        z (Bx1x1xN tensor): their effective distances, m.
-        farthest (Bx1x1x1 tensor): the largest of all effective distances, m.
-        sums: as for `auto_gain`.
-        lit: the light on these pixels, if it is not the default.
+        T: their transmittances.
+        veil (B tensor): from `farthest_veil`.
     """
-    found = seen(sums, z, lit)
-    arrives = (found.direct + found.scatter) * light + found.veil
+    arrives = (T.direct + T.scatter) * light + T.veil
     before, after = _luminance(light), _luminance(arrives)
     dark = after <= 0
     gain = torch.where(dark, 1.0, before / torch.where(dark, 1.0, after))
-    # the far water is the highlight that a camera protects; a lamp in view may be blown out
-    veil = curves(sums, farthest).veil.amax((-3, -2, -1))
-    if lit is not None:
-        veil = veil * lit.light.daylight()
     return gain.clamp(*GAINS).minimum(1 / veil.clamp(min=1 / GAINS[1]))
+
+
+def farthest_veil(sums: Sums, farthest: Tensor, light: Light | None) -> Tensor:
+    """The veil (B) of the farthest pixel, the highlight that a camera protects; a lamp in view may
+    be blown out.
+
+    Args:
+        sums: as for `auto_gain`.
+        farthest (Bx1x1x1 tensor): the largest of all effective distances, m.
+        light: as for `uwaug.form_image`.
+    """
+    veil = curves(sums, farthest).veil.amax((-3, -2, -1))
+    return veil if light is None or light.plain else veil * light.daylight()
 
 
 def gain_of(
@@ -114,28 +119,30 @@ def gain_of(
     medium: Medium,
     exposure: Exposure,
     lit: Lit | None = None,
-    wanted: Path | None = None,
+    *,
+    by_loops: bool = False,
 ) -> Tensor:
-    """The gain of an exposure: (B,), or (1,) if it is the same for all pictures; `wanted` is the
-    path that a record names.
+    """The gain of an exposure: (B,), or (1,) if it is the same for all pictures.
+
+    by_loops: meter daylight by the compiled loops, which can read these tensors.
     """
     if exposure != "auto" or not image.numel() or not z.numel():
         return fixed_gain(medium, exposure)
-    if lit is None and serves(image, z, medium, "line_of_sight", wanted):
+    if lit is None and by_loops and can_render(image, z, medium):
         return _gain_by_loops(image, z, medium)
     return auto_gain(image, z, medium.sums(exact_at_lens=False), lit)
 
 
 def _gain_by_loops(image: Tensor, z: Tensor, medium: Medium) -> Tensor:
     """`auto_gain` in a fifth of the time, to rounding."""
-    pixels = looks(z.shape[-2], z.shape[-1], z.device)
+    pixels = metering_points(z.shape[-2], z.shape[-1], z.device)
     gains = []
     for n in range(max(len(image), len(z), len(medium))):
         row = medium if len(medium) == 1 else medium[n]
-        found = measured(image[n % len(image)], z[n % len(z)], row, pixels)
-        before, after = (float(light @ LUMINANCE) for light in (found.before, found.after))
+        scene, arriving, veil = meter(image[n % len(image)], z[n % len(z)], row, pixels)
+        before, after = float(scene @ LUMINANCE), float(arriving @ LUMINANCE)
         gain = before / after if after > 0 else 1.0
-        most = 1 / max(float(found.veil.max()), 1 / GAINS[1])
+        most = 1 / max(float(veil.max()), 1 / GAINS[1])
         gains.append(min(max(gain, GAINS[0]), GAINS[1], most))
     return z.new_tensor(gains)
 
@@ -144,23 +151,6 @@ def fixed_gain(medium: Medium, exposure: Exposure) -> Tensor:
     """The gain (1,) of an exposure that does not look at the picture."""
     stops = 0.0 if isinstance(exposure, str) else exposure
     return medium.beta.new_full((1,), 2.0**stops)
-
-
-def exposed_under(
-    image: Tensor,
-    z: Tensor,
-    medium: Medium,
-    exposure: Exposure,
-    lit: Lit | None,
-    wanted: Path | None = None,
-) -> tuple[Medium, Lit | None]:
-    """The medium and the light (None if it is the default) as a camera of this exposure sees them;
-    arguments as for `gain_of`.
-    """
-    if exposure == "none":
-        return medium, lit
-    gain = gain_of(image, z, medium, exposure, lit, wanted)
-    return medium.brightened(gain), None if lit is None else lit.brightened(gain)
 
 
 def exposed_sums(image: Tensor, z: Tensor, sums: Sums, exposure: Exposure) -> Sums:
@@ -186,14 +176,14 @@ def brightest(medium: Medium, exposure: Exposure) -> Medium:
     return medium.brightened(medium.beta.new_full((1,), 2.0**exposure))
 
 
-def looks(height: int, width: int, device: torch.device) -> Tensor:
+def metering_points(height: int, width: int, device: torch.device) -> Tensor:
     """The flat indices of some pixels, spread evenly over a picture."""
     if torch.compiler.is_compiling() or not isinstance(height, int):
-        return _looks(height, width, device)
-    return _kept_looks(height, width, device)
+        return _points_of(height, width, device)
+    return _kept_points(height, width, device)
 
 
-def _looks(height: int, width: int, device: torch.device) -> Tensor:
+def _points_of(height: int, width: int, device: torch.device) -> Tensor:
     count = torch.arange(_LOOKS, dtype=torch.int64, device=device)
     # of a whole side, and back into pixels: a remainder and a quotient take five times as long
     row, column = (((count * step + _TURN // 2) & (_TURN - 1)) for step in _STEPS)
@@ -201,10 +191,10 @@ def _looks(height: int, width: int, device: torch.device) -> Tensor:
 
 
 @lru_cache(maxsize=8)
-def _kept_looks(height: int, width: int, device: torch.device) -> Tensor:
+def _kept_points(height: int, width: int, device: torch.device) -> Tensor:
     # what inference mode makes cannot be used outside
     with torch.inference_mode(False):
-        return _looks(height, width, device)
+        return _points_of(height, width, device)
 
 
 def _at(values: Tensor, pixels: Tensor) -> Tensor:

@@ -4,17 +4,17 @@ distance.
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.cache import Cache
-from uwaug._support.tiles import Rows, extremes
+from uwaug._support.tiles import Rows, RowSource, extremes, is_large
 from uwaug._support.torch_func import transformed
 
-__all__ = ["field_from_noise", "gaussian_random_field", "gaussian_random_rows"]
+__all__ = ["field_from_noise", "gaussian_random_field", "gaussian_random_rows", "random_field"]
 
 
 def gaussian_random_field(
@@ -81,6 +81,23 @@ def gaussian_random_rows(
     least, largest = extremes(waves.rows, size)
     ends = torch.tensor(least), torch.tensor(largest)
     return lambda start, stop: _between(waves.rows(start, stop), *ends, low, high)
+
+
+def random_field(
+    size: tuple[int, int], seed: int, low: float, high: float, like: Tensor
+) -> Tensor | RowSource:
+    """The field (1x1xHxW) that a seed stands for, in float32; of a large picture in rows.
+
+    Args:
+        size: height and width in pixels.
+        seed: of torch's generator on the CPU.
+        low, high: the least and the largest value.
+        like: a tensor on the wanted device.
+    """
+    options: Any = {"low": low, "high": high, "generator": torch.Generator().manual_seed(seed)}
+    if is_large(size):
+        return RowSource(gaussian_random_rows(size, **options), (1, *size), like)
+    return gaussian_random_field(size, **options, dtype=torch.float32, device="cpu").to(like.device)
 
 
 def _drawn(

@@ -17,50 +17,20 @@ Order "line_of_sight" blurs J and weights it with the curves of the pixel that l
 """
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import NamedTuple, get_args
 
 import torch
 from torch import Tensor
 
 from uwaug._support import checks
-from uwaug._support.tiles import held
-from uwaug._support.torch_func import refuse_mapped, transformed
+from uwaug._support.torch_func import refuse_mapped
 from uwaug._support.types import Order
 from uwaug.blur.plan import BlurPlan
-from uwaug.blur.stack import blurred, mixed, node_weights
-from uwaug.blur.tiled import blurred_pieces
-from uwaug.formation.at_hand import plan_at_hand
-from uwaug.formation.loops.recorded import recorded, records
+from uwaug.formation.scene import Scene, Setup, Terms
 from uwaug.light.light import Light
-from uwaug.light.lit import Lit, lit_of, planned, seen
-from uwaug.optics.curves import FARTHEST, Curves
 from uwaug.optics.medium import Medium
 
-__all__ = ["Order", "Terms", "form_image"]
-
-Combine = Callable[[Tensor, Curves, Tensor], tuple[Tensor, ...]]
-"""What makes the result of image, curves and blurred image: `separately` or `together`."""
-
-_CANCELS = 1 / 256
-"""Optical depth; nearer, 1 − e^−x keeps less than 16 of the 24 bits of single precision, and the
-veil less than 2e-5 of itself.
-"""
-
-
-@dataclass(frozen=True, eq=False)
-class Terms:
-    """The three terms of an image, each (BxCxHxW) in linear light; `image` is their sum."""
-
-    direct: Tensor
-    forward: Tensor
-    backscatter: Tensor
-
-    @property
-    def image(self) -> Tensor:
-        """Direct + forward + backscatter."""
-        return self.direct + self.forward + self.backscatter
+__all__ = ["form_image"]
 
 
 class Reach(NamedTuple):
@@ -122,32 +92,13 @@ def form_image(
     """
     checks.one_of("order", order, get_args(Order))
     validate(image, distance, medium, field, light=light)
-    if image.numel() and not torch.compiler.is_compiling():
-        checks.finite("image", image)
+    setup = Setup(medium, light, "none", "linear", focal_px, centre, tolerance, order)
     with torch.autocast(image.device.type, enabled=False):
-        scene, z, prepared = prepare(image, distance, medium, field)
-        lit = lit_of(light, distance, field, prepared, focal_px, centre)
-        if plan is None:
-            plan = plan_at_hand(z, planned(prepared, light), tolerance, order)
-        parts = form(scene, z, prepared, plan, order, separately, lit)
-        parts = tuple(part.to(image.dtype) for part in parts)
-    if unbatched(image, distance, medium, field, light):
-        parts = tuple(part[0] for part in parts)
+        scene = Scene.of(image, distance, setup, field, "eager", plan=plan)
+        parts = [part.to(image.dtype) for part in scene.terms()]
+    if image.ndim == 3 and len(scene) == 1:
+        parts = [part[0] for part in parts]
     return Terms(*parts)
-
-
-def unbatched(
-    image: Tensor,
-    distance: Tensor,
-    medium: Medium,
-    field: Tensor | None,
-    light: Light | None = None,
-) -> bool:
-    """Whether the caller gave one image without a batch dimension, and gets one back."""
-    maps = (distance,) if field is None else (distance, field)
-    alone = len(medium) == 1 and (light is None or light.rows() == 1)
-    alone = alone and all(one.ndim == 3 or len(one) == 1 for one in maps)
-    return image.ndim == 3 and alone
 
 
 def validate(
@@ -198,135 +149,3 @@ def validate(
 
 def _holds_bytes(image: object) -> bool:
     return isinstance(image, Tensor) and image.dtype == torch.uint8
-
-
-def prepare(
-    image: Tensor, distance: Tensor, medium: Medium, field: Tensor | None
-) -> tuple[Tensor, Tensor, Medium]:
-    """Image (BxCxHxW), effective distance m·z (Bx1xHxW) and medium, all in one type of float32 and
-    float64.
-    """
-    light, z = prepared_maps(image, distance, field)
-    return light, z, medium.to(dtype=z.dtype, device=z.device)
-
-
-def prepared_maps(
-    image: Tensor, distance: Tensor, field: Tensor | None, reach: Reach | None = None
-) -> tuple[Tensor, Tensor]:
-    """The same without the medium; `reach` is what `validate` has seen of the maps."""
-    dtype = torch.promote_types(image.dtype, torch.float32)
-
-    def batch(value: Tensor) -> Tensor:
-        return (value if value.ndim == 4 else value[None]).to(dtype)
-
-    z = batch(distance)
-    if reach is None or reach.farthest > FARTHEST:
-        # compiled code does not look at its input: at least no distance is negative there
-        z = z.clamp(0.0, FARTHEST)
-    if field is not None:
-        z = z * batch(field)
-    return batch(image), z
-
-
-def form(
-    image: Tensor,
-    z: Tensor,
-    medium: Medium,
-    plan: BlurPlan,
-    order: Order,
-    combine: Combine,
-    lit: Lit | None = None,
-) -> tuple[Tensor, ...]:
-    """The model on prepared input (see `prepare`); `combine` is `separately` or `together`."""
-    lengths = (len(image), len(z), len(medium), 1 if lit is None else lit.light.rows())
-    b, size = max(lengths) if all(lengths) else 0, (image.shape[-2], image.shape[-1])
-    if b == 0 or 0 in size:
-        none = image[:b].expand(b, -1, -1, -1)
-        return combine(none, Curves(none, none, none), none)
-    recorded = image.requires_grad or z.requires_grad or medium.requires_grad
-    recorded = recorded or (lit is not None and lit.light.requires_grad)
-    records = torch.is_grad_enabled() and recorded
-    if records or transformed() or torch.compiler.is_compiling() or order == "source":
-        return _form_at_once(image, z, medium, plan, order, combine, lit)
-    media = [medium[i] for i in range(len(medium))] if len(medium) > 1 else [medium]
-    exact = any_at_lens(z, medium)
-    sums = [one.sums(exact_at_lens=exact) for one in media]
-    lights = None if lit is None else [lit.row(n) for n in range(b)]
-    outputs: list[Tensor] = []
-    for i, picture in enumerate(image):
-        # one picture in several waters is blurred once
-        samples = range(b) if len(image) == 1 else (i,)
-        for rows, columns, stack in blurred_pieces(held(picture), (3, *size), picture, plan):
-            for n in samples:
-                m, part = n % len(media), z[n % len(z), :, rows, columns][None]
-                blur = scattered(stack, part, media[m], plan, size)
-                here = None if lights is None else lights[n].part(rows, columns)
-                found = seen(sums[m], part, here)
-                results = combine(picture[None, :, rows, columns], found, blur)
-                outputs = outputs or [result.new_empty(b, 3, *size) for result in results]
-                for output, result in zip(outputs, results, strict=True):
-                    output[n, :, rows, columns] = result[0]
-    return tuple(outputs)
-
-
-def _form_at_once(
-    image: Tensor,
-    z: Tensor,
-    medium: Medium,
-    plan: BlurPlan,
-    order: Order,
-    combine: Combine,
-    lit: Lit | None,
-) -> tuple[Tensor, ...]:
-    """`form` without strips: for gradients, for compilers, for curves that precede the blur."""
-    simple = combine is together and order == "line_of_sight" and lit is None
-    if simple and records(image, z, medium, plan):
-        return (recorded(image, z, medium, plan),)
-    # a compiler cannot look at the distances
-    exact = torch.compiler.is_compiling() or any_at_lens(z, medium)
-    here = None if lit is None else lit.whole()
-    found = seen(medium.sums(exact_at_lens=exact), z, here)
-    source = image
-    if order == "source":
-        source, found = found.scatter * image, found._replace(scatter=image.new_ones(()))
-    stack = blurred(source, plan)
-    blur = scattered(stack, z, medium, plan, (image.shape[-2], image.shape[-1]))
-    return combine(image, found, blur)
-
-
-def any_at_lens(z: Tensor, medium: Medium) -> bool:
-    """Whether a pixel is so near that V(0) − V(z) cannot be subtracted without cancellation."""
-    return at_lens(z.flatten(1).amin(1), medium)
-
-
-def at_lens(nearest: Tensor, medium: Medium) -> bool:
-    """The same from the nearest distance of each picture (B)."""
-    slowest = medium.G.masked_fill(medium.G <= 0, math.inf).amin(1)
-    return bool((slowest * nearest <= _CANCELS).any())
-
-
-def scattered(
-    stack: list[Tensor], z: Tensor, medium: Medium, plan: BlurPlan, size: tuple[int, int]
-) -> Tensor:
-    """The blurred image: each pixel's own mixture of the plan's blurs.
-
-    z (Bx1xRxW tensor): effective distances of rows of an image of (height, width) `size`.
-    """
-    records = torch.is_grad_enabled() and medium.requires_grad
-    if len(stack) == 1 and not (records or transformed()):
-        return stack[0]
-    sigma = medium.point_spread.sigma(medium.lengths(z), size)
-    if len(stack) == 1:  # the width does nothing: its gradient is 0, not missing
-        return stack[0] + 0 * sigma
-    return mixed(stack, node_weights(sigma, plan))
-
-
-def separately(image: Tensor, found: Curves, blur: Tensor) -> tuple[Tensor, ...]:
-    """D, F and B."""
-    direct = found.direct * image
-    return direct, found.scatter * blur, found.veil.expand_as(direct)
-
-
-def together(image: Tensor, found: Curves, blur: Tensor) -> tuple[Tensor, ...]:
-    """D + F + B."""
-    return (found.veil.addcmul(found.direct, image).addcmul_(found.scatter, blur),)

@@ -1,6 +1,7 @@
 """`Underwater`: a medium and a plan as an `nn.Module`."""
 
 import json
+import math
 import warnings
 from dataclasses import asdict
 from operator import index
@@ -13,18 +14,15 @@ from uwaug._support import checks
 from uwaug._support.types import ColorSpace, Order
 from uwaug.blur.plan import BlurPlan
 from uwaug.formation import planned
-from uwaug.formation.at_hand import plan_at_hand
 from uwaug.formation.beyond import beyond_plan
-from uwaug.formation.colour import from_light, require_values
 from uwaug.formation.demand import BlurDemand, blur_demand
-from uwaug.formation.exposure import Exposure, brightest, exposed_under, require_exposure
+from uwaug.formation.exposure import Exposure, brightest, require_exposure
 from uwaug.formation.learnable import FixedLamps, FixedMedium, LearnableMedium
-from uwaug.formation.loops.picture import decode, fused_picture
-from uwaug.formation.loops.serving import serves
 from uwaug.formation.loops.switch import path
-from uwaug.formation.model import Reach, form, prepared_maps, together, unbatched, validate
+from uwaug.formation.model import Reach, validate
+from uwaug.formation.scene import Scene, Setup
 from uwaug.light.light import Light
-from uwaug.light.lit import lamps_in_water, light_of, lit_of
+from uwaug.light.lit import lamps_in_water, light_of
 from uwaug.light.lit import planning_medium as planned_under
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
@@ -180,8 +178,7 @@ class Underwater(nn.Module):
         plan = self.plan((image.shape[-2], image.shape[-1]))
         if reach is not None and not self._warned:
             self._look_beyond(distance, field, medium, reach)
-        result = self.formed(image, distance, field, medium, plan, reach)
-        return result[0] if unbatched(image, distance, medium, field, self.light) else result
+        return self.formed(image, distance, field, medium, plan, reach)
 
     def _look_beyond(
         self, distance: Tensor, field: Tensor | None, medium: Medium, reach: Reach
@@ -225,26 +222,22 @@ class Underwater(nn.Module):
         plan: BlurPlan | None,
         reach: Reach | None = None,
     ) -> Tensor:
-        """A batch of results, of input that is known to be valid; `reach` is from `validate`."""
+        """Results like the image, of input that is known to be good; `reach` is from `validate`."""
+        setup = Setup(
+            medium,
+            self.light,
+            self.exposure,
+            self.color_space,
+            *self.camera,
+            self.tolerance,
+            self.order,
+        )
+        farthest = math.inf if reach is None else reach.farthest
+        lamps = None if self.lamps is None else self.lamps()
         with torch.autocast(image.device.type, enabled=False):
-            ends = require_values(image, self.color_space)
-            light = decode(image, self.color_space, ends)
-            light, z = prepared_maps(light, distance, field, reach)
-            daylight = self.light is None and self.exposure == "none"
-            # the loops read a medium of any type
-            if daylight and plan is not None and serves(light, z, medium, self.order):
-                return fused_picture(image, light, z, medium, plan, self.color_space, ends[1])
-            medium = medium.to(dtype=z.dtype, device=z.device)
-            lamps = None if self.lamps is None else self.lamps()
-            lit = lit_of(self.light, distance, field, medium, *self.camera, lamps)
-            medium, lit = exposed_under(light, z, medium, self.exposure, lit)
-            if plan is None:
-                shown = planned_under(medium, self.light)
-                plan = plan_at_hand(z, shown, self.tolerance, self.order)
-            if lit is None and serves(light, z, medium, self.order):
-                return fused_picture(image, light, z, medium, plan, self.color_space, ends[1])
-            (result,) = form(light, z, medium, plan, self.order, together, lit)
-            return from_light(result, self.color_space, image)
+            return Scene.of(
+                image, distance, setup, field, plan=plan, lamps=lamps, farthest=farthest
+            ).picture()
 
     def get_extra_state(self) -> Tensor:
         """What a state dict says of the module besides its tensors, as text in a tensor: file

@@ -8,19 +8,15 @@ import torch
 from torch import Tensor
 
 from uwaug._support.types import ColorSpace
-from uwaug.distance.sample import DistanceKind, Scaling, metres_by_rows, skipped, to_metres
-from uwaug.formation.colour import require_values
-from uwaug.formation.exposure import Exposure, exposed_under
-from uwaug.formation.field import gaussian_random_field, gaussian_random_rows
-from uwaug.formation.loops.picture import to_light
+from uwaug.distance.sample import DistanceKind, Scaling, metres_of, skipped
+from uwaug.formation.exposure import Exposure
+from uwaug.formation.field import random_field
 from uwaug.formation.loops.switch import path
-from uwaug.formation.model import prepare, separately, together
-from uwaug.formation.strips import Strips, in_rows, is_large, require_daylight
+from uwaug.formation.scene import Scene, Setup
 from uwaug.light.geometry import focal_of
 from uwaug.light.light import Light
-from uwaug.light.lit import lit_of
 from uwaug.optics.medium import Medium
-from uwaug.transforms.prepare import Whole, exactly, in_water
+from uwaug.transforms.prepare import exactly, in_water
 from uwaug.transforms.random_underwater import RandomUnderwater
 
 __all__ = [
@@ -48,7 +44,7 @@ class Degraded(NamedTuple):
 
     image: Tensor
     record: dict[str, Any]
-    seen: Whole | Strips | None
+    seen: Scene | None
     water: str
     visibility: float | None
 
@@ -95,10 +91,10 @@ class RandomWater:
         choice = self.transform.chosen(sample)
         with exactly(image):
             found = in_water(image, mapped, choice)
-            (picture,) = found.seen.pictures(together)
+            picture = found.scene.picture()
         used = found.used()
         record = {"samples": [{**sample, "used": used}]}
-        return Degraded(picture, record, found.seen, found.settled.water.name, used["visibility"])
+        return Degraded(picture, record, found.scene, found.settled.water.name, used["visibility"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,47 +133,29 @@ class OneMedium:
         if skipped(distance, self.kind, self.unknown):
             return Degraded(image, dict(record), None, "none", None)
         with exactly(image):
-            make = self._large if is_large(image) else self._whole
-            seen = make(image, distance, record)
-            (picture,) = seen.pictures(together)
-        return Degraded(picture, dict(record), seen, self.name, None)
+            scene = self._scene(image, distance, record)
+            picture = scene.picture()
+        return Degraded(picture, dict(record), scene, self.name, None)
 
-    def _whole(self, image: Tensor, distance: Tensor, record: Mapping[str, Any]) -> Whole:
-        wanted = record.get("path")
-        light = to_light(image.contiguous(), self.color_space, wanted)
-        z = to_metres(distance.contiguous(), self.scaling, self.kind, self.unknown)
-        field = None
+    def _scene(self, image: Tensor, distance: Tensor, record: Mapping[str, Any]) -> Scene:
+        metres = metres_of(distance.contiguous(), self.scaling, self.kind, self.unknown)
+        size, field = (image.shape[-2], image.shape[-1]), None
         if self.field_range is not None:
-            size = z.shape[-2:]
-            field = gaussian_random_field(size, **self._field(record), dtype=z.dtype)
-        metres, focal_px = z, focal_of(self.focal_px, image.shape[-1])
-        light, z, medium = prepare(light, z, self.medium, field)
-        lit = lit_of(self.light, metres, field, medium, focal_px, None)
-        medium, lit = exposed_under(light, z, medium, self.exposure, lit, wanted)
-        return Whole(image, self.color_space, light, z, medium, lit=lit, path=wanted)
-
-    def _large(self, image: Tensor, distance: Tensor, record: Mapping[str, Any]) -> Strips:
-        require_values(image, self.color_space)
-        require_daylight(self.light)
-        z = metres_by_rows(distance.contiguous(), self.scaling, self.kind, self.unknown)
-        field = None
-        if self.field_range is not None:
-            size = (image.shape[-2], image.shape[-1])
-            field = gaussian_random_rows(size, **self._field(record))
-        found = in_rows(image, z, self.medium, field, self.color_space)
-        return found.brightened(found.gain_of(self.exposure))
-
-    def _field(self, record: Mapping[str, Any]) -> dict[str, Any]:
-        """Which field is drawn."""
-        assert self.field_range is not None
-        low, high = self.field_range
-        generator = torch.Generator().manual_seed(record["field_seed"])
-        return {"low": low, "high": high, "generator": generator}
+            like = metres if isinstance(metres, Tensor) else metres.like
+            field = random_field(size, record["field_seed"], *self.field_range, like)
+        setup = Setup(
+            medium=self.medium,
+            light=self.light,
+            exposure=self.exposure,
+            color_space=self.color_space,
+            focal_px=focal_of(self.focal_px, size[1]),
+        )
+        return Scene.of(image, metres, setup, field, record.get("path"))
 
 
-def terms_of(seen: Whole | Strips) -> dict[str, Tensor]:
+def terms_of(seen: Scene) -> dict[str, Tensor]:
     """Direct, forward-scattered and backscattered light, each as a picture like the image. In
     linear light they add up to the degraded picture.
     """
     with exactly(seen.image):
-        return dict(zip(TERMS, seen.pictures(separately), strict=True))
+        return seen.term_pictures()

@@ -359,6 +359,6 @@ def _mean_contrast(degraded: Degraded) -> float:
     if degraded.seen is None:
         return 1.0
     with reproducible():  # a sidecar is the same on any number of threads
-        contrast = degraded.seen.some_contrast()
+        contrast = degraded.seen.contrast_at_points()
     # and wherever in memory it lies, which its last bits follow from
     return round(float(contrast.double().mean()), 6)

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from uwaug.blur.plan import BlurPlan
 from uwaug.formation.colour import encoded, from_light, headroom, to_light
 from uwaug.formation.exposure import exposed_sums, fixed_gain
-from uwaug.formation.model import scattered, together
+from uwaug.formation.scene import mixture, total
 from uwaug.formation.underwater import Underwater
 from uwaug.light.lit import Lit, lit_of, seen
 from uwaug.onnx.blurs import Blur, blur_of
@@ -75,7 +75,7 @@ class Graph(nn.Module):
         found = seen(sums, z, self._lit(distance, field, medium))
         stack = [blur(light) for blur in self.blurs]
         size = (z.shape[2], z.shape[3])
-        (result,) = together(light, found, scattered(stack, z, medium, self.plan, size))
+        (result,) = total(found, light, mixture(stack, z, medium, self.plan, size))
         return from_light(result, self.color_space, image)
 
     def scene(
@@ -173,7 +173,7 @@ class Strip(nn.Module):
         rates, weights = given.get("rates", graph.rates), given.get("weights", graph.weights)
         size = (z.shape[2], z.shape[3])
         light, z = PICTURE.of(light, rows), PICTURE.of(z, rows)
-        blurred = scattered(stack, z, graph.medium_of(given), graph.plan, size)
-        (result,) = together(light, curves(Sums(rates, weights, None), z), blurred)
+        blurred = mixture(stack, z, graph.medium_of(given), graph.plan, size)
+        (result,) = total(curves(Sums(rates, weights, None), z), light, blurred)
         dtype = torch.uint8 if graph.quantised else torch.float32
         return encoded(result, graph.color_space, dtype, given.get("brightest", 1.0))

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from uwaug._support import checks
-from uwaug.formation.model import together
 from uwaug.labels.regions import box_region, mask_region, mean_over
 from uwaug.transforms.draw import Record
 from uwaug.transforms.prepare import exactly, in_water
@@ -180,8 +179,8 @@ def transform_with_contrast(
         choice = augment.chosen(sample)
         with naming(i, len(parts)), exactly(parts[i]):
             found = in_water(parts[i], z, choice)
-            maps[i] = found.seen.contrast().float()
-            (parts[i],) = found.seen.pictures(together)
+            maps[i] = found.scene.contrast().float()
+            parts[i] = found.scene.picture()
     if plain.ndim == 3:
         return typed(parts[0], type(image)) if jobs else image, maps[0]
     return typed(torch.stack(parts), type(image)) if jobs else image, torch.stack(maps)

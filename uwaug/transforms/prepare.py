@@ -1,29 +1,20 @@
 """One picture in one random water: what `RandomUnderwater` does once it has drawn."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from uwaug._support.deterministic import reproducible
-from uwaug._support.types import ColorSpace, Order
-from uwaug.distance.sample import metres_by_rows, to_metres
-from uwaug.formation import strips
-from uwaug.formation.at_hand import plan_at_hand
-from uwaug.formation.colour import from_light, require_values
-from uwaug.formation.contrast import contrast_under
-from uwaug.formation.exposure import GAINS, fixed_gain, gain_of, looks
-from uwaug.formation.field import gaussian_random_field, gaussian_random_rows
-from uwaug.formation.loops.picture import fused_picture, to_light
-from uwaug.formation.loops.serving import serves
-from uwaug.formation.loops.switch import Path
-from uwaug.formation.model import Combine, form, prepare, together
-from uwaug.formation.strips import Strips
-from uwaug.light.lit import Lit, lit_of, planned
+from uwaug._support.tiles import RowSource, bands
+from uwaug.distance.sample import metres_of
+from uwaug.formation.exposure import GAINS, Exposure, metering_points
+from uwaug.formation.field import random_field
+from uwaug.formation.scene import Scene, Setup
 from uwaug.optics.camera import Camera
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
@@ -36,7 +27,6 @@ __all__ = [
     "InWater",
     "Settings",
     "Settled",
-    "Whole",
     "exactly",
     "in_water",
     "used",
@@ -94,64 +84,15 @@ class Settled(NamedTuple):
         }
 
 
-class Whole(NamedTuple):
-    """A picture in its water, as `form` takes it; `Strips` is the same of a large one.
-
-    Attributes:
-        image (3xHxW tensor): as it was given.
-        color_space: of its values.
-        light (1x3xHxW tensor): of the scene.
-        z (1x1xHxW tensor): effective distance, m.
-        medium: as the camera's exposure sees it.
-        order, tolerance: as for `uwaug.form_image`.
-        lit: the light, if it is not the default, as the exposure sees it.
-        path: that its record names, see `uwaug.fused`.
-    """
-
-    image: Tensor
-    color_space: ColorSpace
-    light: Tensor
-    z: Tensor
-    medium: Medium
-    order: Order = "line_of_sight"
-    tolerance: float = 0.002
-    lit: Lit | None = None
-    path: Path | None = None
-
-    def pictures(self, combine: Combine) -> tuple[Tensor, ...]:
-        """What `combine` makes, `together` or `separately`, as pictures like the image."""
-        shown = self.medium if self.lit is None else planned(self.medium, self.lit.light)
-        plan = plan_at_hand(self.z, shown, self.tolerance, self.order)
-        given = (self.light, self.z, self.medium)
-        daylight = self.lit is None
-        if daylight and combine is together and serves(*given, self.order, self.path):
-            return (fused_picture(self.image, *given, plan, self.color_space)[0],)
-        parts = form(*given, plan, self.order, combine, self.lit)
-        return tuple(from_light(part[0], self.color_space, self.image) for part in parts)
-
-    def contrast(self) -> Tensor:
-        """The share of contrast that is left at each pixel (1xHxW), see `uwaug.contrast`."""
-        lit = None if self.lit is None else self.lit.whole()
-        return contrast_under(lit, self.medium, self.z)[0]
-
-    def some_contrast(self) -> Tensor:
-        """The same at some pixels, spread over the picture (N)."""
-        pixels = looks(self.z.shape[-2], self.z.shape[-1], self.z.device)
-        lit = None if self.lit is None else self.lit.at(pixels)
-        z = self.z.flatten()[pixels].reshape(1, 1, 1, -1)
-        return contrast_under(lit, self.medium, z).flatten()
-
-
 class InWater(NamedTuple):
-    """A picture in its water, before it is formed; what the draw and the gain came to."""
+    """A picture in its water, before it is formed, and what the draw came to."""
 
-    seen: Whole | Strips
+    scene: Scene
     settled: Settled
-    gain: Tensor
 
     def used(self) -> dict[str, float]:
         """What a record says of it."""
-        return self.settled.used(self.gain)
+        return self.settled.used(self.scene.gain)
 
 
 def in_water(image: Tensor, distance: Tensor | None, choice: Choice) -> InWater:
@@ -162,48 +103,44 @@ def in_water(image: Tensor, distance: Tensor | None, choice: Choice) -> InWater:
         distance (1xHxW tensor): of the kind that is set; None for a plane at the distance drawn.
         choice: what it is degraded with.
     """
-    make = _in_strips if strips.is_large(image) else _as_a_whole
-    return make(image, distance, choice)
-
-
-def _as_a_whole(image: Tensor, distance: Tensor | None, choice: Choice) -> InWater:
     draw, settings = choice.draw, choice.settings
-    # a view with other strides takes other paths through the kernels, which round differently
-    light = to_light(image.contiguous(), settings.color_space, draw.path)
+    size = (image.shape[-2], image.shape[-1])
+    metres: Tensor | RowSource
     if distance is None:
-        z = torch.full_like(light[:1], draw.distance)
-    else:
-        z = to_metres(distance.contiguous(), draw.scaling, settings.distance_kind, settings.unknown)
-    some = z.flatten()[looks(z.shape[-2], z.shape[-1], z.device)]
-    settled = _settled(choice, (some, z), image.shape[-1])
-    field, metres = _field(draw, z), z
-    light, z, medium = prepare(light, z, settled.medium, field)
-    focal_px = settings.focal(image.shape[-1])
-    lit = lit_of(settings.light(draw), metres, field, medium, focal_px, None)
-    gain = _gain(lambda: gain_of(light, z, medium, "auto", lit, draw.path), medium, draw, settings)
-    lit = None if lit is None else lit.brightened(gain)
-    kept = settings.order, settings.tolerance, lit, draw.path
-    seen = Whole(image, settings.color_space, light, z, medium.brightened(gain), *kept)
-    return InWater(seen, settled, gain)
-
-
-def _in_strips(image: Tensor, distance: Tensor | None, choice: Choice) -> InWater:
-    draw, settings, size = choice.draw, choice.settings, (image.shape[-2], image.shape[-1])
-    require_values(image, settings.color_space)
-    strips.require_daylight(settings.light(draw))
-    if distance is None:
-        z = strips.plane(draw.distance, size, image)
+        dtype = torch.promote_types(image.dtype, torch.float32)
+        metres = image.new_full((1, 1, 1), draw.distance, dtype=dtype).expand(1, *size)
     else:
         given = distance.contiguous()
-        z = metres_by_rows(given, draw.scaling, settings.distance_kind, settings.unknown)
-    settled = _settled(choice, strips.some_of(z, size, image.device), size[1])
+        metres = metres_of(given, draw.scaling, settings.distance_kind, settings.unknown)
+    settled = _settled(choice, _some_of(metres), size[1])
     field = None
     if not math.isnan(draw.field_seed):
-        field = gaussian_random_rows(size, **_field_of(draw))
-    kept = settings.color_space, settings.order, settings.tolerance
-    found = strips.in_rows(image, z, settled.medium, field, *kept)
-    gain = _gain(lambda: found.gain_of("auto"), found.medium, draw, settings)
-    return InWater(found.brightened(gain), settled, gain)
+        like = metres if isinstance(metres, Tensor) else metres.like
+        field = random_field(size, int(draw.field_seed), draw.field_low, draw.field_high, like)
+    exposure: Exposure = draw.exposure if settings.exposure == "drawn" else settings.exposure
+    setup = Setup(
+        medium=settled.medium,
+        light=settings.light(draw),
+        exposure=exposure,
+        color_space=settings.color_space,
+        focal_px=settings.focal(size[1]),
+        tolerance=settings.tolerance,
+        order=settings.order,
+    )
+    gain = None if math.isnan(draw.gain) else draw.gain
+    return InWater(Scene.of(image, metres, setup, field, draw.path, gain=gain), settled)
+
+
+def _some_of(metres: Tensor | RowSource) -> Iterator[Tensor]:
+    """Distances at some pixels; then, if asked for, all, of a large picture but for open water."""
+    points = metering_points(metres.shape[-2], metres.shape[-1], metres.device)
+    if isinstance(metres, Tensor):
+        yield metres.flatten()[points]
+        yield metres
+        return
+    yield metres.at(points)
+    bands_of = (metres.rows(*band) for band in bands(*metres.size))
+    yield torch.cat([band[band.isfinite()] for band in bands_of])
 
 
 def _settled(choice: Choice, some: Iterable[Tensor], width: int) -> Settled:
@@ -216,21 +153,6 @@ def _settled(choice: Choice, some: Iterable[Tensor], width: int) -> Settled:
         draw = draw._replace(vertical_depth=_lit_depth(water, draw.vertical_depth))
     medium = _medium(water, camera, draw, settings.law(width), settings)
     return Settled(water, contents, draw.vertical_depth, medium)
-
-
-def _field(draw: Draw, z: Tensor) -> Tensor | None:
-    if math.isnan(draw.field_seed):
-        return None
-    field = gaussian_random_field(
-        z.shape[-2:], **_field_of(draw), dtype=torch.float32, device="cpu"
-    )
-    return field.to(z.device)
-
-
-def _field_of(draw: Draw) -> dict[str, Any]:
-    """Which field is drawn."""
-    generator = torch.Generator().manual_seed(int(draw.field_seed))
-    return {"low": draw.field_low, "high": draw.field_high, "generator": generator}
 
 
 def _water(waters: Sequence[Water], draw: Draw, some: Iterable[Tensor]) -> tuple[Water, float]:
@@ -263,15 +185,6 @@ def _lit_depth(water: Water, metres: float) -> float:
     if water.daylight(metres) >= _DIMMEST:
         return metres
     return min(metres, water.depth_of_daylight(_DIMMEST))
-
-
-def _gain(balanced: Callable[[], Tensor], medium: Medium, draw: Draw, settings: Settings) -> Tensor:
-    """The exposure of a picture, (1,); `balanced` gives an automatic one."""
-    if not math.isnan(draw.gain):
-        return medium.beta.new_full((1,), draw.gain)
-    if settings.exposure == "auto":
-        return balanced()
-    return fixed_gain(medium, draw.exposure if settings.exposure == "drawn" else settings.exposure)
 
 
 def _medium(

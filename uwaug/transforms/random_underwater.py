@@ -10,7 +10,6 @@ from torch import Tensor
 
 from uwaug._support.types import ColorSpace, Order
 from uwaug.distance.sample import DistanceKind, Unknown, skipped
-from uwaug.formation.model import together
 from uwaug.light import Light
 from uwaug.optics.camera import Camera
 from uwaug.optics.point_spread import PointSpread
@@ -336,7 +335,7 @@ class RandomUnderwater(SampleTransform):
         for i, z, sample in jobs:
             with naming(i, len(parts)), exactly(parts[i]):
                 found = in_water(parts[i], z, self.chosen(sample))
-                (parts[i],) = found.seen.pictures(together)
+                parts[i] = found.scene.picture()
         return typed(parts[0] if plain.ndim == 3 else torch.stack(parts), type(image))
 
     def resolve(self, image: Tensor, distance: Tensor | None, params: Record) -> Record:

@@ -1,0 +1,67 @@
+"""The one place that decides what computes a picture."""
+
+from collections.abc import Sequence
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+
+from uwaug._support.tiles import RowSource, is_large
+from uwaug._support.torch_func import transformed
+from uwaug._support.types import Order
+from uwaug.formation.loops.backend import Path, path_for, ready
+from uwaug.light.light import Light
+from uwaug.optics.medium import Medium
+
+__all__ = ["Engine", "choose", "path_of"]
+
+Engine = Literal["fused", "tiles", "whole"]
+"""The compiled loops; or PyTorch, a tile at a time, so that what is computed stays in the cache; or
+PyTorch, all pictures at once, for compilers, gradients and curves that precede the blur.
+"""
+
+
+def choose(
+    image: Tensor,
+    maps: Sequence[Tensor | RowSource],
+    medium: Medium,
+    light: Light | None = None,
+    order: Order = "line_of_sight",
+    path: Path | None = None,
+) -> Engine:
+    """The fastest engine that computes D + F + B of these pictures; a record names it.
+
+    Args:
+        image (Bx3xHxW or 3xHxW tensor): as it was given, uint8 or floating.
+        maps: the distance, and the field if there is one.
+        medium, light, order: as for `uwaug.form_image`.
+        path: that a record names: "eager" keeps to PyTorch; "fused" warns if the loops are missing.
+    """
+    if torch.compiler.is_compiling() or transformed():
+        return "whole"
+    law = (v for v in medium.point_spread.numbers().values() if isinstance(v, Tensor))
+    tensors = [image, *(m if isinstance(m, Tensor) else m.like for m in maps)]
+    numbers = [*medium.tensors(), *law]
+    learns = any(t.requires_grad for t in (*tensors, *numbers))
+    learns = torch.is_grad_enabled() and (learns or (light is not None and light.requires_grad))
+    fused = path_for(path) == "fused" and order == "line_of_sight"
+    fused = fused and (light is None or light.plain) and _can_read(tensors, numbers)
+    if fused and all(isinstance(m, Tensor) for m in maps) and ready(gradients=learns):
+        return "fused"
+    if learns or (order == "source" and not is_large((image.shape[-2], image.shape[-1]))):
+        return "whole"
+    return "tiles"
+
+
+def path_of(engine: Engine) -> Path:
+    """What a record says of an engine."""
+    return "fused" if engine == "fused" else "eager"
+
+
+def _can_read(maps: Sequence[Tensor], numbers: Sequence[Tensor]) -> bool:
+    """Whether the loops can read pictures and maps in their memory, and copy the numbers."""
+    tracing = torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
+    here = all(type(t) in (Tensor, nn.Parameter) and t.is_cpu for t in (*maps, *numbers))
+    if tracing or not here or not all(map(Tensor.numel, maps)) or maps[0].shape[-3] != 3:
+        return False
+    return torch.promote_types(maps[0].dtype, torch.float32) == torch.float32

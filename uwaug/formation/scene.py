@@ -1,0 +1,598 @@
+"""A picture in its water, and the one loop that forms it.
+
+    I = T_β·J + (T_G − T_β)·blur_σ{J} + V(0) − V
+
+Held pictures, pictures of 100 megapixels and pictures under lamps differ in what a tile of
+radiance J, of distance z and of the transmittances T_β, T_G and V is, and in nothing else.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from uwaug._support.tiles import Rows, RowSource, Tile, bands, held, is_large
+from uwaug._support.torch_func import transformed
+from uwaug._support.types import ColorSpace, Order
+from uwaug.blur.plan import BlurPlan
+from uwaug.blur.stack import blurred, mixed, node_weights
+from uwaug.blur.tiled import blurred_tiles
+from uwaug.formation.at_hand import farthest_seen, plan_at_hand, plan_between
+from uwaug.formation.colour import decoded, encoded, headroom, require_values
+from uwaug.formation.contrast import contrast_of
+from uwaug.formation.engine import Engine, choose
+from uwaug.formation.exposure import (
+    Exposure,
+    balanced,
+    farthest_veil,
+    fixed_gain,
+    gain_of,
+    metering_points,
+)
+from uwaug.formation.loops import backend
+from uwaug.formation.loops import render as loops
+from uwaug.formation.loops.backend import Path
+from uwaug.formation.loops.backward import render_with_gradients
+from uwaug.formation.transmittance import any_at_lens, at_lens, transmittance
+from uwaug.light.light import Light
+from uwaug.light.lit import LampInWater, Lit, lit_of, planning_medium, seen
+from uwaug.optics.curves import FARTHEST, Curves, Sums, curves
+from uwaug.optics.medium import Medium
+
+__all__ = ["Finish", "Scene", "Setup", "Terms", "mixture", "separate", "total"]
+
+
+@dataclass(frozen=True, eq=False)
+class Terms:
+    """The three terms of an image, each (BxCxHxW) in linear light; `image` is their sum."""
+
+    direct: Tensor
+    forward: Tensor
+    backscatter: Tensor
+
+    def __iter__(self) -> Iterator[Tensor]:
+        return iter((self.direct, self.forward, self.backscatter))
+
+    @property
+    def image(self) -> Tensor:
+        """Direct + forward + backscatter."""
+        return self.direct + self.forward + self.backscatter
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """What a picture is taken with.
+
+    Attributes:
+        medium: one, or one for each picture of a batch.
+        light: what shines; None for daylight as the medium has it.
+        exposure: "none", "auto", or a gain in stops; see `uwaug.Underwater`.
+        color_space: of the picture, given and made.
+        focal_px, centre: of the camera, see `uwaug.form_image`.
+        tolerance, order: as for `uwaug.form_image`.
+    """
+
+    medium: Medium
+    light: Light | None = None
+    exposure: Exposure = "none"
+    color_space: ColorSpace = "srgb"
+    focal_px: float | None = None
+    centre: tuple[float, float] | None = None
+    tolerance: float = 0.002
+    order: Order = "line_of_sight"
+
+
+_HALO = 2
+"""Rows on either side of a band, on which the normals of its surfaces rest."""
+
+Finish = Callable[[Curves, Tensor, Tensor], tuple[Tensor, ...]]
+"""What makes the result of transmittances T, radiance J and blurred radiance."""
+
+
+def total(T: Curves, J: Tensor, blurred: Tensor) -> tuple[Tensor, ...]:
+    """D + F + B."""
+    return (T.veil.addcmul(T.direct, J).addcmul_(T.scatter, blurred),)
+
+
+def separate(T: Curves, J: Tensor, blurred: Tensor) -> tuple[Tensor, ...]:
+    """D, F and B."""
+    direct = T.direct * J
+    return direct, T.scatter * blurred, T.veil.expand_as(direct)
+
+
+class Span(NamedTuple):
+    """The least and the largest effective distance, and the largest that asks for a blur, m."""
+
+    low: float
+    high: float
+    shown: float
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Pictures in their water, made by `Scene.of`.
+
+    Attributes:
+        image (3xHxW or Bx3xHxW tensor): as it was given.
+        setup: what it is taken with.
+        engine: what computes its pictures.
+        radiance (Bx3xHxW tensor or row source): J, linear light.
+        z (Bx1xHxW tensor or row source): effective distance, m.
+        medium: as the exposure sees it.
+        lit: the light, as the exposure sees it; None for daylight as the medium has it.
+        gain (B or 1 tensor): of the exposure.
+        given_plan: of the blur; None to plan for the distances at hand.
+        span: of the distances of a row source.
+        brightest: the largest value of the image, where it is known.
+    """
+
+    image: Tensor
+    setup: Setup
+    engine: Engine
+    radiance: Tensor | RowSource
+    z: Tensor | RowSource
+    medium: Medium
+    lit: "Lit | _BandedLight | None"
+    gain: Tensor
+    given_plan: BlurPlan | None
+    span: Span | None
+    brightest: float | None
+
+    @staticmethod
+    def of(
+        image: Tensor,
+        distance: Tensor | RowSource,
+        setup: Setup,
+        field: Tensor | RowSource | None = None,
+        engine: Path | None = None,
+        *,
+        plan: BlurPlan | None = None,
+        gain: float | None = None,
+        lamps: Sequence[LampInWater] | None = None,
+        farthest: float = math.inf,
+    ) -> "Scene":
+        """Pictures in their water, of maps that are known to be good.
+
+        Args:
+            image (3xHxW or Bx3xHxW tensor): uint8 or floating point, in the setup's colour space.
+            distance (1xHxW or Bx1xHxW tensor, or row source): metres along the ray, every pixel
+                known.
+            setup: what the picture is taken with.
+            field (as distance, or None): multiplies the distance.
+            engine: that a record names; None for the fastest.
+            plan: of the blur; None for one for the distances at hand.
+            gain: that a record names, in place of the setup's exposure.
+            lamps: from `uwaug.light.lit.lamps_in_water`, where they are at hand.
+            farthest: a bound of the distances, m.
+
+        Raises:
+            ValueError: if values of the image do not suit its colour space.
+        """
+        ends = require_values(image, setup.color_space)
+        brightest = None if torch.compiler.is_compiling() else ends[1]
+        maps = (distance,) if field is None else (distance, field)
+        chosen = choose(image, maps, setup.medium, setup.light, setup.order, engine)
+        dtype = torch.promote_types(image.dtype, torch.float32)
+        medium = setup.medium.to(dtype=dtype, device=image.device)
+        camera = setup.focal_px, setup.centre
+        radiance: Tensor | RowSource
+        z: Tensor | RowSource
+        lit: Lit | _BandedLight | None
+        # records of older versions call fused what the loops decoded and metered, and no more
+        span, by_loops = None, chosen == "fused" or engine == "fused"
+        if chosen == "tiles" and _is_large(image, maps, setup):
+            radiance = _radiance_rows(image, setup.color_space)
+            z = _distance_rows(maps, radiance.like)
+            plain = setup.light is None or setup.light.plain
+            lit = None if plain else _BandedLight(setup, maps, medium, None)
+            span = _span(z, farthest_seen(planning_medium(medium, setup.light), setup.order))
+        else:
+            # a view of other strides takes other paths through the kernels, which round otherwise
+            light = _decoded(image.contiguous(), setup.color_space, ends, by_loops)
+            radiance = light if light.ndim == 4 else light[None]
+            metres, *factor = (_whole(x, dtype) for x in maps)
+            # compiled code does not look at its input: at least no distance is negative there
+            z = metres.clamp(0.0, FARTHEST) if farthest > FARTHEST else metres
+            z = z * factor[0] if factor else z
+            lit = lit_of(setup.light, metres, factor[0] if factor else None, medium, *camera, lamps)
+        scene = Scene(
+            image=image,
+            setup=setup,
+            engine=chosen,
+            radiance=radiance,
+            z=z,
+            medium=medium,
+            lit=lit,
+            gain=fixed_gain(medium, setup.exposure),
+            given_plan=plan,
+            span=span,
+            brightest=brightest,
+        )
+        if gain is None and setup.exposure == "none":
+            return scene
+        if gain is not None:
+            return scene._exposed(medium.beta.new_full((1,), gain))
+        if setup.exposure == "auto" and len(scene) and image.numel():
+            return scene._exposed(scene._metered(by_loops))
+        return scene._exposed(scene.gain)
+
+    def __len__(self) -> int:
+        lights = 1 if self.setup.light is None else self.setup.light.rows()
+        lengths = (len(self.radiance), len(self.z), len(self.medium), lights)
+        return max(lengths) if all(lengths) else 0
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width, px."""
+        return self.image.shape[-2], self.image.shape[-1]
+
+    def _exposed(self, gain: Tensor) -> "Scene":
+        """The scene as a camera of this gain sees it."""
+        medium = self.medium.brightened(gain)
+        lit = None if self.lit is None else self.lit.brightened(gain)
+        return replace(self, medium=medium, lit=lit, gain=gain)
+
+    def _metered(self, by_loops: bool) -> Tensor:
+        """The gain of an automatic exposure, before any."""
+        if isinstance(self.radiance, Tensor) and isinstance(self.z, Tensor):
+            assert not isinstance(self.lit, _BandedLight)
+            return gain_of(self.radiance, self.z, self.medium, "auto", self.lit, by_loops=by_loops)
+        assert self.span is not None
+        points = metering_points(*self.size, self.image.device)
+        values = self.image.flatten(-2)[..., points].reshape(1, 3, 1, -1)
+        z = self._z_at(points)
+        sums = self.medium.sums(exact_at_lens=False)
+        T = self._transmittance_at(points, z, sums)
+        farthest = z.new_full((1, 1, 1, 1), self.span.high)
+        veil = farthest_veil(sums, farthest, self.setup.light)
+        return balanced(decoded(values, self.setup.color_space), T, veil)
+
+    @property
+    def plan(self) -> BlurPlan:
+        """The blur's plan."""
+        if self.given_plan is not None:
+            return self.given_plan
+        medium, setup = planning_medium(self.medium, self.setup.light), self.setup
+        if self.span is None:
+            assert isinstance(self.z, Tensor)
+            return plan_at_hand(self.z, medium, setup.tolerance, setup.order)
+        ends = self.span.low, self.span.shown
+        return plan_between(ends, self.size, medium, setup.tolerance, setup.order)
+
+    def picture(self) -> Tensor:
+        """D + F + B, encoded, like the image; of several media or lights Bx3xHxW."""
+        plan = self.plan
+        if self.engine == "fused" and not self._learns():
+            light, z = self.radiance, self.z
+            assert isinstance(light, Tensor)
+            assert isinstance(z, Tensor)
+            srgb = self.setup.color_space == "srgb"
+            largest = headroom(self.image, self.brightest) if srgb else 1.0
+            dtype = self.image.dtype
+            return self._unbatched(
+                loops.render(light, z, self.medium, plan, srgb=srgb, largest=largest, dtype=dtype)
+            )
+        return self._encoded(plan, total)[0]
+
+    def terms(self) -> Terms:
+        """Direct, forward-scattered and backscattered light, Bx3xHxW, linear and not encoded."""
+        return Terms(*self._rendered(self.plan, separate))
+
+    def term_pictures(self) -> dict[str, Tensor]:
+        """The three terms by name, each encoded like the image. In linear light they add up to the
+        picture.
+        """
+        pictures = self._encoded(self.plan, separate)
+        return dict(zip(("direct", "forward", "backscatter"), pictures, strict=True))
+
+    def contrast(self) -> Tensor:
+        """The share of contrast that is left at each pixel (1xHxW), see `uwaug.contrast`."""
+        if isinstance(self.z, Tensor) and not isinstance(self.lit, _BandedLight):
+            lit = None if self.lit is None else self.lit.whole()
+            return self._unbatched(contrast_of(transmittance(self.medium, self.z, lit)))
+        parts = []
+        for start, stop in bands(*self.size):
+            tile = (..., slice(start, stop), slice(0, self.size[1]))
+            lit = None if self.lit is None else self.lit.part(*tile[1:])
+            parts.append(contrast_of(transmittance(self.medium, self.z[tile], lit))[0])
+        return torch.cat(parts, 1)
+
+    def contrast_at_points(self) -> Tensor:
+        """The share of contrast that is left at some pixels (N) of one picture, spread over it."""
+        points = metering_points(*self.size, self.image.device)
+        z = self._z_at(points)
+        sums = self.medium.sums(exact_at_lens=any_at_lens(z, self.medium))
+        return contrast_of(self._transmittance_at(points, z, sums)).flatten()
+
+    def _z_at(self, points: Tensor) -> Tensor:
+        """Effective distances (1x1x1xN) of some pixels."""
+        flat = self.z.flatten()[points] if isinstance(self.z, Tensor) else self.z.at(points)
+        return flat.reshape(1, 1, 1, -1)
+
+    def _transmittance_at(self, points: Tensor, z: Tensor, sums: Sums) -> Curves:
+        if isinstance(self.lit, _BandedLight):
+            return self.lit.curves_at(points, z, sums)
+        return seen(sums, z, None if self.lit is None else self.lit.at(points))
+
+    def _learns(self) -> bool:
+        light = self.setup.light
+        learns = any(t.requires_grad for t in (self.radiance, self.z) if isinstance(t, Tensor))
+        learns = learns or self.medium.requires_grad or (light is not None and light.requires_grad)
+        return torch.is_grad_enabled() and learns
+
+    def _unbatched(self, result: Tensor) -> Tensor:
+        return result[0] if self.image.ndim == 3 and len(self) == 1 else result
+
+    def _encoded(self, plan: BlurPlan, finish: Finish) -> tuple[Tensor, ...]:
+        """Results as pictures like the image."""
+        space, image = self.setup.color_space, self.image
+        most = headroom(image, self.brightest) if space == "srgb" else 1.0
+        encode = partial(encoded, color_space=space, dtype=image.dtype, most=most)
+        if isinstance(self.radiance, RowSource):
+            results = self._rendered(plan, finish, encode)
+        else:
+            results = tuple(map(encode, self._rendered(plan, finish)))
+        return tuple(map(self._unbatched, results))
+
+    def _rendered(
+        self, plan: BlurPlan, finish: Finish, encode: Callable[[Tensor], Tensor] | None = None
+    ) -> tuple[Tensor, ...]:
+        """Results (Bx3xHxW), linear, or encoded a tile at a time so that no light is held."""
+        batch = len(self)
+        if batch == 0 or 0 in self.size:
+            assert isinstance(self.radiance, Tensor)
+            none = self.radiance[:batch].expand(batch, -1, -1, -1)
+            return finish(Curves(none, none, none), none, none)
+        if self.engine == "fused" and finish is total and self._learns() and len(plan.sigmas) > 1:
+            assert isinstance(self.radiance, Tensor)
+            assert isinstance(self.z, Tensor)
+            return (render_with_gradients(self.radiance, self.z, self.medium, plan),)
+        canvas: list[Tensor] = []
+        for view, n, tile, blurs in self._views(plan, finish):
+            J, z = view.radiance[tile], view.z[tile]
+            blur = mixture(blurs, z, view.medium, plan, self.size)
+            results = finish(view.transmittance(tile, z), J, blur)
+            if n is None:
+                return results
+            if encode is not None:
+                results = tuple(map(encode, results))
+            canvas = canvas or [r.new_empty(batch, 3, *self.size) for r in results]
+            for made, result in zip(canvas, results, strict=True):
+                made[n][tile] = result[0]
+        return tuple(canvas)
+
+    def _views(
+        self, plan: BlurPlan, finish: Finish
+    ) -> Iterator[tuple["_View", int | None, Tile, list[Tensor]]]:
+        """What the loop goes over: a view of a picture, its number, a tile and its blurs; or all
+        pictures at once, without a number.
+        """
+        if self.engine == "whole" or self._learns():
+            assert isinstance(self.radiance, Tensor)
+            assert isinstance(self.z, Tensor)
+            # a compiler cannot look at the distances
+            exact = torch.compiler.is_compiling() or any_at_lens(self.z, self.medium)
+            view = self._view(None, exact)
+            source = view.source()
+            assert isinstance(source, Tensor)
+            yield view, None, ..., blurred(source, plan)
+            return
+        exact = self._near_lens()
+        views = [self._view(n, exact) for n in range(len(self))]
+        # one picture in several waters is blurred once
+        shared = len(self.radiance) == 1 and self.setup.order == "line_of_sight"
+        groups = [range(len(views))] if shared else [range(n, n + 1) for n in range(len(views))]
+        for group in groups:
+            for tile, blurs in blurred_tiles(views[group[0]].source(), plan):
+                for n in group:
+                    yield views[n], n, tile, blurs
+
+    def _near_lens(self) -> bool:
+        if isinstance(self.z, Tensor):
+            return any_at_lens(self.z, self.medium)
+        assert self.span is not None
+        return at_lens(self.medium.beta.new_full((1,), self.span.low), self.medium)
+
+    def _view(self, n: int | None, exact: bool) -> "_View":
+        """The n-th picture; None for all of them."""
+        medium, lit, radiance, z = self.medium, self.lit, self.radiance, self.z
+        if n is not None:
+            radiance, z = (_row(x, n) for x in (radiance, z))
+            medium = medium[n % len(medium)] if len(medium) > 1 else medium
+            lit = lit.row(n) if isinstance(lit, Lit) else lit
+        sums = medium.sums(exact_at_lens=exact)
+        return _View(radiance, z, medium, sums, lit, self.setup.order)
+
+
+class _View(NamedTuple):
+    """A picture of a scene, or all of them, as the loop sees it."""
+
+    radiance: Tensor | RowSource
+    z: Tensor | RowSource
+    medium: Medium
+    sums: Sums
+    lit: "Lit | _BandedLight | None"
+    order: Order
+
+    def transmittance(self, tile: Tile, z: Tensor) -> Curves:
+        """T_β, T_G − T_β and V(0) − V of a tile, which has distances z."""
+        T = self._transmittance(tile, z)
+        # in source order light is weighted before it is blurred
+        return T if self.order == "line_of_sight" else T._replace(scatter=z.new_ones(()))
+
+    def source(self) -> Tensor | RowSource:
+        """What is blurred."""
+        if self.order == "line_of_sight":
+            return self.radiance
+        if isinstance(self.radiance, Tensor):
+            return self._weighted(...)
+        width = self.radiance.shape[-1]
+
+        def rows(start: int, stop: int) -> Tensor:
+            return self._weighted((..., slice(start, stop), slice(0, width)))[0]
+
+        return RowSource(rows, (3, *self.radiance.size), self.radiance.like)
+
+    def _weighted(self, tile: Tile) -> Tensor:
+        return self._transmittance(tile, self.z[tile]).scatter * self.radiance[tile]
+
+    def _transmittance(self, tile: Tile, z: Tensor) -> Curves:
+        if self.lit is None:
+            return curves(self.sums, z)
+        if tile is ...:
+            assert isinstance(self.lit, Lit)
+            return self.lit.whole().curves(self.sums, z)
+        _, rows, columns = tile
+        return self.lit.part(rows, columns).curves(self.sums, z)
+
+
+def mixture(
+    blurs: list[Tensor], z: Tensor, medium: Medium, plan: BlurPlan, size: tuple[int, int]
+) -> Tensor:
+    """The blurred picture: each pixel's own mixture of the plan's blurs.
+
+    z (Bx1xRxW tensor): effective distances of a tile of a picture of (height, width) `size`.
+    """
+    learns = torch.is_grad_enabled() and medium.requires_grad
+    if len(blurs) == 1 and not (learns or transformed()):
+        return blurs[0]
+    sigma = medium.point_spread.sigma(medium.lengths(z), size)
+    if len(blurs) == 1:  # the width does nothing: its gradient is 0, not missing
+        return blurs[0] + 0 * sigma
+    return mixed(blurs, node_weights(sigma, plan))
+
+
+class _BandedLight:
+    """A light on a large picture: a `Lit` of one band of rows after the other, each a picture
+    whose centre lies elsewhere.
+    """
+
+    def __init__(
+        self, setup: Setup, maps: Sequence[Tensor | RowSource], medium: Medium, gain: Tensor | None
+    ) -> None:
+        self.setup, self.maps, self.medium, self.gain = setup, maps, medium, gain
+        height, width = maps[0].shape[-2:]
+        self.size = height, width
+        self.centre = setup.centre or ((width - 1) / 2, (height - 1) / 2)
+        self._kept: tuple[slice, Lit] | None = None
+
+    def brightened(self, gain: Tensor) -> "_BandedLight":
+        """The light as a camera of this gain sees it."""
+        return _BandedLight(self.setup, self.maps, self.medium, gain)
+
+    def part(self, rows: slice, columns: slice) -> Lit:
+        """The light on some rows and columns."""
+        band, lit = self._band(rows)
+        return lit.part(slice(rows.start - band.start, rows.stop - band.start), columns)
+
+    def curves_at(self, points: Tensor, z: Tensor, sums: Sums) -> Curves:
+        """What reaches the camera at some pixels (N) of effective distances z (1x1x1xN)."""
+        height, width = self.size
+        row = points // width
+        found = Curves(*(z.new_empty(1, 3, 1, len(points)) for _ in range(3)))
+        for start, stop in bands(height, width):
+            inside = (row >= start) & (row < stop)
+            if not bool(inside.any()):
+                continue
+            band, lit = self._band(slice(start, stop))
+            here = lit.at(points[inside] - band.start * width).curves(sums, z[..., inside])
+            for whole, part in zip(found, here, strict=True):
+                whole[..., inside] = part
+        return found
+
+    def _band(self, rows: slice) -> tuple[slice, Lit]:
+        """The rows of a band that holds these and what their normals rest on, and its light."""
+        wanted = slice(max(rows.start - _HALO, 0), min(rows.stop + _HALO, self.size[0]))
+        if self._kept is not None:
+            kept, lit = self._kept
+            if kept.start <= wanted.start and wanted.stop <= kept.stop:
+                return kept, lit
+        (_, step), *_ = bands(*self.size)
+        stop = min(max(wanted.stop, wanted.start + step), self.size[0])
+        band = slice(wanted.start, stop)
+        distance, *field = (_rows_of(x)(band.start, band.stop)[None] for x in self.maps)
+        column, row = self.centre
+        centre = column, row - band.start
+        setup = self.setup
+        lit_here = lit_of(
+            setup.light, distance, field[0] if field else None, self.medium, setup.focal_px, centre
+        )
+        assert lit_here is not None
+        if self.gain is not None:
+            lit_here = lit_here.brightened(self.gain)
+        self._kept = band, lit_here
+        return self._kept
+
+
+def _is_large(image: Tensor, maps: Sequence[Tensor | RowSource], setup: Setup) -> bool:
+    """Whether this is one picture in one water, too large to hold its light."""
+    rows = 1 if setup.light is None else setup.light.rows()
+    single = all(len(x.shape) == 3 or len(x) == 1 for x in (image, *maps))
+    single = single and len(setup.medium) == rows == 1
+    return single and is_large((image.shape[-2], image.shape[-1]))
+
+
+def _decoded(
+    image: Tensor, color_space: ColorSpace, ends: tuple[float, float], by_loops: bool
+) -> Tensor:
+    """Linear light of values that are known to be good, and to lie between these ends."""
+    srgb = color_space == "srgb"
+    if by_loops and (srgb or image.dtype == torch.uint8) and backend.can_decode(image):
+        return loops.decode(image, srgb, ends[0] < 0 or ends[1] > 1)
+    return decoded(image, color_space)
+
+
+def _radiance_rows(image: Tensor, color_space: ColorSpace) -> RowSource:
+    """The linear light of a picture, a few rows at a time."""
+    # a view with other strides takes other paths through the kernels, which round differently
+    picture = image.reshape(image.shape[-3:]).contiguous()
+
+    def rows(start: int, stop: int) -> Tensor:
+        return decoded(picture[:, start:stop].contiguous(), color_space)
+
+    dtype = torch.promote_types(image.dtype, torch.float32)
+    return RowSource(rows, (3, *image.shape[-2:]), picture.new_empty(0, dtype=dtype))
+
+
+def _distance_rows(maps: Sequence[Tensor | RowSource], like: Tensor) -> RowSource:
+    """The effective distance, m·z, a few rows at a time."""
+    distance, *field = map(_rows_of, maps)
+
+    def rows(start: int, stop: int) -> Tensor:
+        z = distance(start, stop).to(like).clamp(0.0, FARTHEST)
+        return z * field[0](start, stop).to(z) if field else z
+
+    return RowSource(rows, (1, *maps[0].shape[-2:]), like)
+
+
+def _rows_of(x: Tensor | RowSource) -> Rows:
+    return x.rows if isinstance(x, RowSource) else held(x.reshape(x.shape[-3:]))
+
+
+def _whole(x: Tensor | RowSource, dtype: torch.dtype) -> Tensor:
+    """All of a map, with a batch dimension."""
+    held = x if isinstance(x, Tensor) else x[...]
+    return (held if held.ndim == 4 else held[None]).to(dtype)
+
+
+def _row(x: Tensor | RowSource, n: int) -> Tensor | RowSource:
+    """The n-th of a batch, or the only one."""
+    return x if isinstance(x, RowSource) else x[n % len(x)][None]
+
+
+def _span(z: RowSource, end: float) -> Span:
+    """Look at all distances once; from `end` on they ask for no blur."""
+    low, high, shown = math.inf, 0.0, -math.inf
+    for start, stop in bands(*z.size):
+        band = z.rows(start, stop)
+        least, largest = (float(value) for value in band.aminmax())
+        low, high = min(low, least), max(high, largest)
+        if largest >= end < FARTHEST:
+            band = band[band < end]
+            largest = float(band.max()) if band.numel() else -math.inf
+        shown = max(shown, largest)
+    return Span(low, high, max(shown, low))
