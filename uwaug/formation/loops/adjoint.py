@@ -187,11 +187,8 @@ def _by_blur(
     """Gradient of a blur of one channel, and its part of the mixture and of the slope by its place
     in the plan.
     """
-    mixture, blur, by_place = (
-        tile_row(t, work),
-        tile_row(t, work + 1),
-        tile_row(t, by_width),
-    )
+    mixture, blur = tile_row(t, work), tile_row(t, work + 1)
+    by_place = tile_row(t, by_width)
     g, w, slope = tile_row(t, through), tile_row(t, share), tile_row(t, steep)
     # one loop for both would need more tests of overlap than LLVM allows, and not be vectorised
     for x in range(TILE):
@@ -243,17 +240,9 @@ def _by_widths(t: Any, sums: Any, place: int, by_width: int, power: int, law: An
     those by ln(1 + x), x = 2σ or 2σ². `power` is the row of (b̄·z)^exponent.
     """
     b_mean, scale, exponent, linear, square = law[0], law[1], law[2], law[3], law[4]
-    z, v, g, p = (
-        tile_row(t, 0),
-        tile_row(t, place),
-        tile_row(t, by_width),
-        tile_row(t, power),
-    )
-    by_b, by_scale, by_exponent = (
-        tile_row(sums, 0),
-        tile_row(sums, 1),
-        tile_row(sums, 2),
-    )
+    z, v = tile_row(t, 0), tile_row(t, place)
+    g, p = tile_row(t, by_width), tile_row(t, power)
+    by_b, by_scale, by_exponent = tile_row(sums, 0), tile_row(sums, 1), tile_row(sums, 2)
     for x in range(TILE):
         s = scale * p[x]
         slope = (linear + (square + square) * s) / (_1 + s * (linear + square * s))
@@ -323,12 +312,12 @@ def slope_rows(
             for c in range(3):
                 _fill(t, by + 6 + c, gradient[c, y, left:right])
                 _fill(t, by + c, light[c, y, left:right])
-                g, seen = tile_row(t, by + 6 + c), tile_row(t, by + c)
+                g, by_direct = tile_row(t, by + 6 + c), tile_row(t, by + c)
                 through = tile_row(t, by + 3 + c)
                 direct, scatter = tile_row(t, 1 + 3 * c), tile_row(t, 2 + 3 * c)
                 for x in range(TILE):
                     through[x] = g[x] * scatter[x]
-                    seen[x] *= g[x]
+                    by_direct[x] *= g[x]
                 d = to_light[c, y, left:right]
                 for x in range(d.size):
                     d[x] = g[x] * direct[x]
@@ -342,10 +331,7 @@ def slope_rows(
                     through[x] = g[x] * mixture[x]
             _by_widths(t, sums[: 3 * TILE], place, by_width, power, medium.law)
             _by_rates(t, sums[3 * TILE :], by, work, medium)
-            d, by_curves, by_blur = (
-                to_z[y, left:right],
-                tile_row(t, work + 1),
-                tile_row(t, by_width),
-            )
+            by_curves, by_blur = tile_row(t, work + 1), tile_row(t, by_width)
+            d = to_z[y, left:right]
             for x in range(d.size):
                 d[x] = by_curves[x] + by_blur[x]

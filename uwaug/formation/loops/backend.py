@@ -211,8 +211,10 @@ def _load(name: str) -> None:
     except Exception as error:
         # a numba that does not suit numpy, say: whatever it is, PyTorch can do without
         _numba = False
-        said = f"numba is installed but does not work, so PyTorch computes alone: {error}"
-        warnings.warn(said, stacklevel=2)
+        warnings.warn(
+            f"numba is installed but does not work, so PyTorch computes alone: {error}",
+            stacklevel=2,
+        )
         return
     _ready.add(name)
 
@@ -229,20 +231,20 @@ def _compiling_told() -> Iterator[None]:
     """Log when loops are being compiled."""
     from numba.core import event
 
-    class Told(event.Listener):  # type: ignore[misc]
-        said = False
+    class Listener(event.Listener):  # type: ignore[misc]
+        heard = False
 
         def on_start(self, event: Any) -> None:
-            if not Told.said:
-                Told.said = True
+            if not Listener.heard:
+                Listener.heard = True
                 _log.info("compiling the fused loops, which takes some seconds once")
 
         def on_end(self, event: Any) -> None: ...
 
     began = time.perf_counter()
-    with event.install_listener("numba:compile", Told()):
+    with event.install_listener("numba:compile", Listener()):
         yield
-    if Told.said:
+    if Listener.heard:
         _log.info("fused loops compiled in %.0f s", time.perf_counter() - began)
 
 

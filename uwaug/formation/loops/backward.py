@@ -74,7 +74,7 @@ class _Render(torch.autograd.Function):
         by_light, by_z, sums = gradients(light, z, plan, ctx.media, gradient, through=needed[0])
         by_medium = _by_medium(sums, beta.shape[1])
         slopes = (by_light, by_z, *by_medium)
-        return (None, None, *(t if one else None for t, one in zip(slopes, needed, strict=True)))
+        return (None, None, *(t if need else None for t, need in zip(slopes, needed, strict=True)))
 
 
 def gradients(
@@ -188,9 +188,9 @@ def _by_autograd(
         curve, sigma = curves(sums, z), width_at(b_mean * z, scale, exponent)
         blur = mixed(blurred(light, plan), node_weights(sigma, plan))
         result = curve.veil + curve.direct * light + curve.scatter * blur
-        wanted = [t for t, one in zip(apart, needed, strict=True) if one]
-        slopes = iter(torch.autograd.grad(result, wanted, gradient, create_graph=again))
-    return [next(slopes) if one else None for one in needed]
+        inputs = [t for t, need in zip(apart, needed, strict=True) if need]
+        slopes = iter(torch.autograd.grad(result, inputs, gradient, create_graph=again))
+    return [next(slopes) if need else None for need in needed]
 
 
 def run_once() -> None:

@@ -200,8 +200,8 @@ def add_line(d: Any, share: Any, line: Any, at: int, w: Any, pairs: int) -> None
     near = line[at - 2 : at + TILE + 2]
     w0, w1, w2 = w[0], w[1], w[2]
     for x in range(TILE):
-        one, two = near[x + 1] + near[x + 3], near[x] + near[x + 4]
-        d[x] += share[x] * (w0 * near[x + 2] + w1 * one + w2 * two)
+        first, second = near[x + 1] + near[x + 3], near[x] + near[x + 4]
+        d[x] += share[x] * (w0 * near[x + 2] + w1 * first + w2 * second)
     for i in range(3, pairs, 2):
         left, right = line[at - i - 1 : at - i + TILE], line[at + i : at + i + TILE + 1]
         w1, w2 = w[i], w[i + 1]
@@ -265,9 +265,9 @@ def _polynomials(t: Any, place: int, count: int) -> None:
         s = tile_rows(t, place + n - 3, 4)
         for x in range(TILE):
             twice, last = _2 * v[x], s[x + TILE]
-            one = twice * last - s[x]
-            s[x + 2 * TILE] = one
-            s[x + 3 * TILE] = twice * one - last
+            even = twice * last - s[x]
+            s[x + 2 * TILE] = even
+            s[x + 3 * TILE] = twice * even - last
 
 
 @inner
@@ -409,12 +409,12 @@ def render_rows(
                 blur_weights(t, total + 1, shares, stack.series)
             curves(t, 0, 1, medium)
             for c in range(3):
-                seen = light[c, y, left:right]
+                J = light[c, y, left:right]
                 total_row[:] = _0
                 if sharp:
                     share = tile_row(t, shares)
-                    for x in range(seen.size):
-                        total_row[x] = share[x] * seen[x]
+                    for x in range(J.size):
+                        total_row[x] = share[x] * J[x]
                 for k in range(narrow):
                     share, line = tile_row(t, shares + sharp + k), lines[k * 3 + c]
                     add_line(total_row, share, line, margin + left, stack.taps[k], stack.pairs[k])
@@ -425,7 +425,7 @@ def render_rows(
                 _store(
                     total_row,
                     tile_rows(t, 1 + 3 * c, 3),
-                    seen,
+                    J,
                     srgb,
                     most,
                     out[c, y % out.shape[1], left:right],
