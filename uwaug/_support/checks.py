@@ -127,20 +127,25 @@ def finite(name: str, value: Tensor) -> tuple[float, float]:
 
 
 def metres(name: str, value: Tensor) -> None:
-    """Refuse a map whose median lies beyond 1000 m: it holds millimetres.
+    """Refuse a map whose median lies beyond 1000 m: it holds millimetres."""
+    median = too_far(value)
+    if median is not None:
+        got = f"a map whose median is {median:.4g}"
+        raise ValueError(f"{name} must be in metres, got {got}: divide by 1000: millimetres?")
+
+
+def too_far(value: Tensor) -> float | None:
+    """The median of a map, m, if it lies farther than anybody sees, beyond 1000 m.
 
     Unknown pixels and open water do not count. All pixels are looked at only if one of a few
     hundred holds such a distance.
     """
     rows, columns = (max(1, side // _LOOKS) for side in value.shape[-2:])
-    seen = value.detach()[..., ::rows, ::columns]
-    if not bool(((seen > _FARTHEST) & (seen < OPEN)).any()):
-        return
-    known = value.detach()[(value > 0) & (value < OPEN)]
-    median = float(known.median())
-    if median > _FARTHEST:
-        got = f"a map whose median is {median:.4g}"
-        raise ValueError(f"{name} must be in metres, got {got}: divide by 1000: millimetres?")
+    sample = value.detach()[..., ::rows, ::columns]
+    if not bool(((sample > _FARTHEST) & (sample < OPEN)).any()):
+        return None
+    median = float(value.detach()[(value > 0) & (value < OPEN)].median())
+    return median if median > _FARTHEST else None
 
 
 def distances(name: str, value: Tensor) -> tuple[float, float]:

@@ -333,8 +333,7 @@ def _colour_difference(lab: Array, other: Array) -> float:
 def _colour_science() -> Any:
     # it sets NumPy's print options for the whole process
     with np.printoptions():
-        import colour
-
+        (colour,) = require("compare", "colour")
     return colour
 
 

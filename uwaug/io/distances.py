@@ -24,9 +24,6 @@ Unit = str | float
 
 Kind = Literal["metric", "relative", "inverse", "disparity"]
 
-_FARTHEST = 1000.0
-"""m: no map of metres has a median beyond; no water lets one see farther than 100 m."""
-
 _FAR = 200.0
 """m: a median beyond is more likely in other units than in metres."""
 
@@ -243,12 +240,11 @@ def _metres(file: File, unit: Unit) -> NDArray[np.float32]:
         z = np.empty(values.shape, np.float32)
         for start, stop in bands(*values.shape):
             z[start:stop] = values[start:stop].astype(np.float64) * scale
-    if ((z > _FARTHEST) & (z < checks.OPEN)).any():
-        median = float(np.median(z[(z > 0) & (z < checks.OPEN)]))
-        if median > _FARTHEST:
-            finer = "mm" if unit in ("m", "cm") else "um"
-            got = f"its median is {median:.5g} m if it is in {unit}, farther than one sees"
-            raise ValueError(f"{name_of(file)}: {got}: try unit={finer!r}")
+    median = checks.too_far(torch.from_numpy(z))
+    if median is not None:
+        finer = "mm" if unit in ("m", "cm") else "um"
+        got = f"its median is {median:.5g} m if it is in {unit}, farther than one sees"
+        raise ValueError(f"{name_of(file)}: {got}: try unit={finer!r}")
     return z
 
 
