@@ -2,10 +2,14 @@ import copy
 import itertools
 import math
 import pickle
+import re
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from optical import CURVES, Z
 from referees import reference
 
@@ -13,6 +17,11 @@ from uwaug.optics.camera import load_camera
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
+
+
+@pytest.fixture
+def coastal() -> Medium:
+    return Medium.from_water(Water.jerlov("3C"))
 
 
 @pytest.mark.parametrize("b", [0.0, 0.3])
@@ -38,12 +47,7 @@ def test_clear_water_scatters_nothing() -> None:
     torch.testing.assert_close(medium.signal(z), medium.transmission(z), rtol=0, atol=0.004)
 
 
-def test_no_light_towards_the_camera() -> None:
-    medium = Medium.from_water(Water.jerlov("II"), mu=0.0)
-    assert (medium.backscatter(torch.tensor([1.0, 20.0])) == 0).all()
-
-
-@pytest.mark.parametrize("depth", [300.0, 1e4, 5e4, 1e6])
+@pytest.mark.parametrize("depth", [300.0, 1e6])
 def test_no_light_down_there(depth: float) -> None:
     medium = Medium.from_water(Water.jerlov("II"), vertical_depth=depth)
     assert all(t.isfinite().all() for t in medium.tensors())
@@ -126,6 +130,7 @@ def test_a_stack_equals_its_members() -> None:
     assert len({m.beta.shape for m in media}) > 1, "sizes should differ, or padding is not tested"
     batch = Medium.stack([*media, Medium.stack(media[:2])])
     assert len(batch) == 5
+    assert batch[-1].notes == media[1].notes
     z = 10 * torch.rand(1, 1, 6, 7, dtype=torch.float64)
     for i, member in enumerate([*media, *media[:2]]):
         for name in CURVES:
@@ -137,24 +142,6 @@ def test_a_stack_equals_its_members() -> None:
         torch.testing.assert_close(batch.width(z, (6, 7))[i], width[0], rtol=1e-6, atol=0)
         torch.testing.assert_close(batch[i].width(z, (6, 7)), width, rtol=1e-6, atol=0)
         assert batch[i].notes == member.notes
-
-
-def test_a_stack_keeps_plain_width_laws_plain() -> None:
-    media = [Medium.from_water(Water.jerlov(t)) for t in ("I", "II")]
-    assert Medium.stack(media).point_spread == PointSpread.paper()
-
-
-def test_indexing(coastal: Medium) -> None:
-    batch = Medium.stack([coastal, Medium.from_water(Water.jerlov("I"))])
-    assert batch[-1].notes == batch[1].notes
-    assert batch[-2].notes == batch[0].notes
-    for i in (2, -3, 100):
-        with pytest.raises(IndexError):
-            batch[i]
-
-
-def test_iteration_ends(coastal: Medium) -> None:
-    assert len(list(itertools.islice(coastal, 5))) == 1
 
 
 def test_to_casts_every_tensor_and_keeps_gradients() -> None:
@@ -171,7 +158,22 @@ def test_to_casts_every_tensor_and_keeps_gradients() -> None:
     assert scale.grad is not None
 
 
-def test_copies_survive(coastal: Medium) -> None:
+def test_a_water_under_a_lamp() -> None:
+    water, z = Water.jerlov("3C"), torch.from_numpy(Z)
+    medium = Medium.from_water(water, vertical_depth=30.0, tolerance=0, g=0.2)
+    exact = reference.spectral_curves(water, Z, depth=0.0, g=0.2, mu=0.3)
+    white = medium.under()
+    np.testing.assert_allclose(white.transmission(z)[0], exact.direct, atol=1e-13)
+    np.testing.assert_allclose(white.signal(z)[0], exact.signal, atol=1e-13)
+    b = water.at(reference.BANDS).b @ load_camera(reference.NIKON).weights(reference.BANDS)
+    np.testing.assert_allclose(white.veil_weights.sum(-1)[0], b, rtol=1e-12)
+    red = medium.under(lambda nm: np.where(nm > 600, 1.0, 0.0)).signal_weights.sum(-1)[0]
+    assert float(red.mean()) == pytest.approx(1)
+    assert red[0] > 10 * red[2]
+
+
+def test_copies_and_iteration(coastal: Medium) -> None:
+    assert len(list(itertools.islice(coastal, 5))) == 1
     for twin in (pickle.loads(pickle.dumps(coastal)), copy.deepcopy(coastal)):
         pairs = zip(twin.tensors(), coastal.tensors(), strict=True)
         assert all(torch.equal(a, b) for a, b in pairs)
@@ -180,7 +182,7 @@ def test_copies_survive(coastal: Medium) -> None:
 
 def test_repr_says_what_it_models(coastal: Medium) -> None:
     text = repr(coastal)
-    for part in (
+    said = (
         "3C",
         "2 + 2 rates",
         "at any distance",
@@ -189,70 +191,49 @@ def test_repr_says_what_it_models(coastal: Medium) -> None:
         "gaussian",
         "518 px",
         "b̄ = ",
-    ):
-        assert part in text
+    )
+    assert not [part for part in said if part not in text]
     assert "2 more" in repr(Medium.stack([coastal] * 3))
+    law = PointSpread(torch.tensor([1.0], requires_grad=True))
     numbers = (1,) * 3, (1,) * 3, (0,) * 3
     assert "no blur" in repr(Medium.from_coefficients(*numbers))
-    law = PointSpread(torch.tensor([1.0], requires_grad=True))
     assert "learned" in repr(Medium.from_coefficients(*numbers, point_spread=law))
-    exact = Medium.from_water(Water.jerlov("3C"), tolerance=0)
-    assert "61 + 61 rates" in repr(exact)
+    beam = Medium.from_water("3C", tolerance=0, downwelling="beam")
+    assert "61 + 61 rates" in repr(beam)
+    assert "downwelling = beam" in repr(beam)
 
 
 @pytest.mark.parametrize(
-    "change, match",
+    "water, change, match",
     [
-        ({"vertical_depth": -1.0}, "vertical_depth.*-1"),
-        ({"vertical_depth": math.inf}, "vertical_depth.*inf"),
-        ({"vertical_depth": math.nan}, "vertical_depth.*nan"),
-        ({"g": -0.1}, r"g must.*\[0, 1\].*-0.1"),
-        ({"g": 1.1}, "g must.*1.1"),
-        ({"mu": 30.0}, "mu must.*30"),
-        ({"mu": math.nan}, "mu must.*nan"),
-        ({"tolerance": -0.1}, "tolerance.*-0.1"),
-        ({"tolerance": 1.0}, "tolerance.*1"),
-        ({"tolerance": math.nan}, "tolerance.*nan"),
-        ({"camera": "Kodak"}, "Kodak"),
-        ({"wavelengths": [200.0, 400.0]}, "200"),
+        ("II", {"vertical_depth": -1.0}, "vertical_depth.*-1"),
+        ("II", {"g": 1.1}, r"g must.*\[0, 1\].*1.1"),
+        ("II", {"mu": math.nan}, "mu must.*nan"),
+        ("II", {"tolerance": 1.0}, "tolerance.*1"),
+        ("II", {"camera": "Kodak"}, "Kodak"),
+        ("II", {"wavelengths": [200.0, 400.0]}, "200"),
+        ("sea", {}, r"type must be one of I, IA.*got 'sea'"),
+        (Water([750, 800], a=[1, 1], b=[1, 1], kd=[1, 1]), {}, "no band of 400–700 nm"),
     ],
 )
-def test_from_water_rejects(change: dict[str, object], match: str) -> None:
+def test_from_water_rejects(water: Any, change: dict[str, Any], match: str) -> None:
     with pytest.raises(ValueError, match=match):
-        Medium.from_water(Water.jerlov("II"), **change)
+        Medium.from_water(water, **change)
 
 
 def test_from_water_wants_a_water() -> None:
     with pytest.raises(TypeError, match=r"water must be a uwaug.Water, got dict; see Water.jerlov"):
         Medium.from_water({"a": 1})
-    with pytest.raises(ValueError, match=r"type must be one of I, IA.*got 'sea'"):
-        Medium.from_water("sea")
-
-
-def test_from_water_takes_the_name_of_a_jerlov_type() -> None:
-    named, given = Medium.from_water("7C"), Medium.from_water(Water.jerlov("7C"))
-    pairs = zip(named.tensors(), given.tensors(), strict=True)
-    assert all(torch.equal(one, other) for one, other in pairs)
-
-
-def test_from_water_says_so_if_the_spectrum_is_elsewhere() -> None:
-    with pytest.raises(ValueError, match="400"):
-        Medium.from_water(Water([750, 800], a=[1, 1], b=[1, 1], kd=[1, 1]))
 
 
 @pytest.mark.parametrize(
     "change, match",
     [
         ({"beta": (0.1, 0.2)}, r"beta.*\(2,\)"),
-        ({"G": torch.rand(2, 4)}, r"G must.*\(2, 4\)"),
         ({"veil": torch.rand(1, 1, 3)}, r"veil.*\(1, 1, 3\)"),
-        ({"beta": (0.1, -0.2, 0.3)}, "beta.*-0.2"),
         ({"G": (0.1, math.nan, 0.3)}, "G must.*nan"),
-        ({"veil": (0.1, math.inf, 0.3)}, "veil.*inf"),
         ({"light": (0.1, -1.0, 0.3)}, "light.*-1"),
-        ({"beta": torch.rand(2, 3), "G": torch.rand(3, 3)}, "beta|G"),
-        ({"b_mean": -1.0}, "b_mean.*-1"),
-        ({"b_mean": math.nan}, "b_mean.*nan"),
+        ({"beta": torch.rand(2, 3), "G": torch.rand(3, 3)}, "batch sizes"),
         ({"b_mean": torch.rand(2, 2)}, "b_mean"),
     ],
 )
@@ -261,26 +242,64 @@ def test_from_coefficients_rejects(change: dict[str, object], match: str) -> Non
         Medium.from_coefficients(**{**COEFFICIENTS, **change})
 
 
-TENSORS = ("beta", "direct_weights", "G", "signal_weights", "veil_weights", "b_mean")
-
-
-@pytest.mark.parametrize("name", TENSORS)
-def test_medium_rejects_shapes_that_disagree(name: str, coastal: Medium) -> None:
-    fields = dict(zip(TENSORS, coastal.tensors(), strict=True))
-    with pytest.raises(ValueError, match=r"Medium\.\w+ must have shape .* got"):
-        Medium(**{**fields, name: torch.rand(2, 5, 7)}, point_spread=PointSpread.none())
+def test_medium_rejects_shapes_that_disagree(coastal: Medium) -> None:
+    for i in range(6):
+        tensors = list(coastal.tensors())
+        tensors[i] = torch.rand(2, 5, 7)
+        with pytest.raises(ValueError, match=r"Medium\.\w+ must have shape .* got"):
+            Medium(*tensors, point_spread=PointSpread.none())
 
 
 def test_stack_rejects(coastal: Medium) -> None:
     with pytest.raises(ValueError, match="media is empty"):
         Medium.stack([])
-    other = Medium.from_water(Water.jerlov("II"), point_spread=PointSpread(1.0))
-    with pytest.raises(ValueError, match="reference_size"):
-        Medium.stack([coastal, other])
-    law = PointSpread.calibrated(400.0)
-    calibrated = Medium.from_water(Water.jerlov("II"), g=0.05, mu=0.075, point_spread=law)
+    calibrated = Medium.from_water("II", point_spread=PointSpread.calibrated(400.0))
     message = r"shape and reference_size .*exponential σ = 12·.*gaussian σ = 0\.3·.* 518 px"
     with pytest.raises(ValueError, match=message):
         Medium.stack([coastal, calibrated])
-    with pytest.raises(ValueError, match=r"got \['exponential .*', 'gaussian .*'\]"):
-        Medium.stack([other, calibrated])
+
+
+NUMBERS = ((0.5,) * 3, (0.2,) * 3, (0.3,) * 3)
+
+
+def test_stacks_of_anything_that_can_be_iterated() -> None:
+    media = [Medium.from_coefficients(*NUMBERS) for _ in range(3)]
+    assert len(Medium.stack(medium for medium in media)) == 3
+    with pytest.raises(TypeError, match=r"media must be a uwaug.Medium, got str"):
+        Medium.stack("7C")
+
+
+def test_slices_of_media() -> None:
+    beta = torch.arange(1.0, 13.0).reshape(4, 3)
+    law = PointSpread(torch.arange(4.0))
+    medium = Medium.from_coefficients(beta, beta / 2, beta / 3, point_spread=law)
+    for part in (slice(0, 2), slice(1, None), slice(None, None, 2), slice(-2, None)):
+        torch.testing.assert_close(medium[part].beta, beta[part])
+        torch.testing.assert_close(medium[part].point_spread.scale, torch.arange(4.0)[part])
+        assert medium[part].notes == medium.notes[part]
+    with pytest.raises(IndexError, match=re.escape("medium slice(4, 9, None) of 4")):
+        medium[4:9]
+    with pytest.raises(TypeError, match="str"):
+        medium["a"]
+
+
+@pytest.mark.parametrize("name", ["vertical_depth", "g", "mu"])
+def test_numbers_that_are_to_be_learned(name: str) -> None:
+    message = f"{name} must be a number, got a tensor; to learn .* learnable=True"
+    with pytest.raises(TypeError, match=message):
+        Medium.from_water("7C", **{name: torch.tensor(0.5, requires_grad=True)})
+
+
+SILLY = st.floats(0, 1e300) | st.sampled_from([0.0, 5e-324, 1e-300, 1e-9, 1e150])
+
+
+@settings(max_examples=150, deadline=None, derandomize=True)
+@given(st.lists(SILLY, min_size=6, max_size=6), st.floats(0, 1e6), st.floats(0, 1), st.floats(0, 1))
+@pytest.mark.filterwarnings("error")
+def test_silly_waters_pass_in_silence(
+    values: list[float], depth: float, g: float, mu: float
+) -> None:
+    water = Water([400, 700], values[:2], values[2:4], values[4:])
+    medium = Medium.from_water(water, vertical_depth=depth, g=g, mu=mu)
+    assert all(not t.isnan().any() for t in medium.tensors())
+    assert all((t >= 0).all() for t in medium.tensors())

@@ -1,4 +1,5 @@
 import math
+from typing import Any
 
 import pytest
 import torch
@@ -7,7 +8,6 @@ from hypothesis import strategies as st
 
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
-from uwaug.optics.water import Water
 
 
 def test_width_laws() -> None:
@@ -40,33 +40,38 @@ def test_width_grows_with_distance_and_is_finite(scale: float, exponent: float, 
 @pytest.mark.parametrize(
     "arguments, match",
     [
-        ({"scale": -1.0}, "scale.*-1"),
-        ({"scale": math.nan}, "scale.*nan"),
-        ({"scale": math.inf}, "scale.*inf"),
-        ({"scale": 1.0, "exponent": 0.0}, "exponent.*0"),
-        ({"scale": 1.0, "exponent": -1.0}, "exponent.*-1"),
-        ({"scale": 1.0, "shape": "lorentzian"}, "shape.*lorentzian"),
-        ({"scale": 1.0, "reference_size": 0.0}, "reference_size.*0"),
-        ({"scale": 1.0, "reference_size": math.nan}, "reference_size.*nan"),
-        ({"scale": 1.0, "reference_size": math.inf}, "reference_size.*inf"),
+        ((-1.0,), "scale must be finite and ≥ 0, got -1"),
+        (("a",), "scale must be finite and ≥ 0, got 'a'"),
+        ((torch.tensor([1.0, -2.0]),), r"scale must be finite and ≥ 0, got \[1.0, -2.0\]"),
+        ((torch.ones(3, 1),), r"scale must be a number or a floating-point tensor.*\(3, 1\)"),
+        ((torch.ones(3, dtype=torch.int64),), "scale must be a number or .* got torch.int64"),
+        ((1.0, 0.0), "exponent must be finite and ≥ 0.001, got 0"),
+        ((1.0, 1.0, "lorentzian"), "shape.*lorentzian"),
+        ((1.0, 1.0, "gaussian", math.nan), "reference_size.*nan"),
     ],
 )
-def test_point_spread_rejects(arguments: dict[str, object], match: str) -> None:
+def test_a_width_law_refuses(arguments: tuple[Any, ...], match: str) -> None:
     with pytest.raises(ValueError, match=match):
-        PointSpread(**arguments)
+        PointSpread(*arguments)
 
 
-@pytest.mark.parametrize("focal", [0.0, -3.0, math.inf, math.nan])
-def test_calibrated_wants_a_focal_length(focal: float) -> None:
-    with pytest.raises(ValueError, match="focal_px"):
-        PointSpread.calibrated(focal)
+def three(law: PointSpread) -> Medium:
+    beta = torch.full((3, 3), 0.5)
+    return Medium.from_coefficients(beta, beta / 2, beta / 3, b_mean=0.3, point_spread=law)
 
 
-def test_calibrated_media_of_several_cameras_stack() -> None:
-    laws = [PointSpread.calibrated(focal) for focal in (200.0, 400.0, 900.0)]
-    medium = Medium.stack([Medium.from_water(Water.jerlov("II"), point_spread=law) for law in laws])
-    z = torch.tensor([0.5, 3.0], dtype=torch.float64).reshape(1, 1, 1, 2)
-    for i, law in enumerate(laws):
-        expected = Medium.from_water(Water.jerlov("II"), point_spread=law).width(z, (64, 64))
-        torch.testing.assert_close(medium.width(z, (64, 64))[i : i + 1], expected)
-        assert medium[i].point_spread.shape == law.shape == "exponential"
+@pytest.mark.parametrize("name", ["scale", "exponent"])
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_a_width_law_has_a_number_for_each_medium(name: str, count: int) -> None:
+    law = PointSpread(**{"scale": 1.0, name: torch.ones(count)})
+    message = rf"PointSpread.{name} must have shape \(\) or \(3,\), .* got \({count},\)"
+    with pytest.raises(ValueError, match=message):
+        three(law)
+
+
+def test_a_width_law_may_hold_one_number_or_one_for_each() -> None:
+    for value in (torch.tensor(1.5), torch.tensor([1.0, 2.0, 3.0])):
+        medium = three(PointSpread(value))
+        width = medium.width(torch.full((1, 1, 1, 1), 2.0), (9, 9))
+        torch.testing.assert_close(width.flatten(), (0.6 * value).expand(width.numel()))
+        assert len(medium[1:]) == 2

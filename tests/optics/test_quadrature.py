@@ -62,14 +62,6 @@ def test_mixtures_of_any_visibility_keep_the_tolerance(seed: int) -> None:
 
 
 @pytest.mark.parametrize("type", JERLOV_TYPES)
-def test_no_tolerance_keeps_all_bands(type: str) -> None:
-    water = Water.jerlov(type)
-    medium = Medium.from_water(water, vertical_depth=10.0, g=0.2, mu=0.3, tolerance=0)
-    assert medium.beta.shape == (1, 61)
-    assert max(errors(medium, water, depth=10.0, g=0.2, mu=0.3)) < 1e-14
-
-
-@pytest.mark.parametrize("type", JERLOV_TYPES)
 def test_no_more_rates_than_needed(type: str) -> None:
     water = Water.jerlov(type)
     media = []
@@ -86,12 +78,6 @@ def test_no_more_rates_than_needed(type: str) -> None:
             fewer = [error for k, error in found.items() if k < needed]
             assert fewer, f"no medium with fewer than {needed} rates to compare with"
             assert min(fewer) > tolerance
-
-
-def test_the_water_decides_how_much_to_model() -> None:
-    rates = {t: Medium.from_water(Water.jerlov(t), vertical_depth=0.0) for t in JERLOV_TYPES}
-    assert all(len(m.beta[0]) <= 6 and len(m.G[0]) <= 7 for m in rates.values())
-    assert len(rates["II"].beta[0]) < len(rates["I"].beta[0])
 
 
 def test_a_water_that_absorbs_in_part_of_the_spectrum_only() -> None:

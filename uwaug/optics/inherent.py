@@ -82,7 +82,7 @@ class Bands:
                 response = _in_light(response, axis, spectrum)
             rows.append(_reduced(self.tolerance, *(t.tobytes() for t in (beta, G, b, response))))
         columns = zip(*rows, strict=True)
-        return [padded([torch.from_numpy(row)[None] for row in column]) for column in columns]
+        return [padded([torch.tensor(row)[None] for row in column]) for column in columns]
 
 
 def padded(parts: Sequence[Tensor]) -> Tensor:

@@ -28,17 +28,6 @@ REPAIRED = {
         (700, 0.614, 0.8834, 0.80),
     ],
 }
-# an independent repair: a between the neighbouring types, K_d from Eq. (3) of that a and b
-INDEPENDENT = {
-    "3C": [(675, 0.477, 0.6374), (700, 0.592, 0.7692)],
-    "5C": [
-        (600, 0.259, 0.4085),
-        (625, 0.327, 0.485),
-        (650, 0.367, 0.5273),
-        (675, 0.499, 0.6793),
-        (700, 0.598, 0.7916),
-    ],
-}
 
 
 @pytest.mark.parametrize("type", JERLOV_TYPES)
@@ -51,14 +40,6 @@ def test_every_type_is_complete(type):
     # energy: K_d is more than absorption, less than what leaves the beam
     assert (water.kd >= water.a).all()
     assert (water.kd <= 1.05 * water.beta).all()
-
-
-@pytest.mark.parametrize("type", INDEPENDENT)
-def test_repairs_agree_with_an_independent_repair(type):
-    for nm, a, kd in INDEPENDENT[type]:
-        ours = values(Water.jerlov(type), nm)
-        assert ours[0] == pytest.approx(a, rel=0.12)
-        assert ours[2] == pytest.approx(kd, rel=0.13)
 
 
 def test_types_are_those_of_the_package():
