@@ -120,7 +120,7 @@ def test_is_nearly_the_membrane(touching: bool) -> None:
     assert error[hole].square().mean().sqrt() < 0.01
 
 
-@pytest.mark.parametrize("size", [(1, 1), (1, 50), (50, 1), (2, 31), (33, 47), (64, 64)])
+@pytest.mark.parametrize("size", [(1, 1), (1, 50), (50, 1), (33, 47)])
 @pytest.mark.parametrize("share", [0.5, 0.99])
 def test_stays_between_what_is_known(size: tuple[int, int], share: float) -> None:
     for seed in range(5):

@@ -12,7 +12,6 @@ from torch import Tensor
 import uwaug
 from uwaug import KeepVisible, Light, Medium, RandomUnderwater
 from uwaug.optics.inherent import Forward
-from uwaug.presets.preset import bundled_preset
 
 LAMP = Light.lamp((0.4, -0.2, 0.0), (-0.1, 0.0, 1.0), 4.0, 40.0)
 
@@ -46,28 +45,6 @@ def test_draws_without_a_light_stay_what_they_were() -> None:
     plain, lit = samples
     assert lit.pop("light") in (0, 1)
     assert plain == lit
-
-
-def test_the_light_shines() -> None:
-    image, z = scene()
-    options: dict[str, Any] = {"exposure": 0.0, "vertical_depth": 60.0, "waters": "5C"}
-    options |= {"contrast": None, "field_probability": 0.0}
-    torch.manual_seed(0)
-    dark = RandomUnderwater(**options)(image, z)[0]
-    torch.manual_seed(0)
-    lit = RandomUnderwater(**options, light=LAMP)(image, z)[0]
-    assert dark.max() < 0.01
-    assert lit.max() > 0.1
-
-
-def test_daylight_of_its_own_is_the_default() -> None:
-    image, z = scene()
-    pictures = []
-    for light in (None, Light.ambient()):
-        aug = RandomUnderwater(light=light, vertical_depth=2.0)
-        torch.manual_seed(0)
-        pictures.append(aug(image, z)[0])
-    assert torch.equal(*pictures)
 
 
 def test_wrong_lights_are_refused() -> None:
@@ -143,30 +120,6 @@ def test_what_a_lamps_light_scatters_forward(forward: Forward) -> None:
     b, g = beta[:, None, None], G[:, None, None]
     ratio = (torch.exp((b - g) * z) - 1) * (torch.exp(-b * z) if forward == "direct" else 1)
     torch.testing.assert_close(terms.forward, ratio * terms.direct, rtol=1e-4, atol=1e-6)
-
-
-def test_media_of_both_kinds_are_one_batch() -> None:
-    kinds: tuple[Forward, ...] = ("image", "direct")
-    media = []
-    for forward in kinds:
-        media.append(Medium.from_coefficients((1.0,) * 3, (0.5,) * 3, (0.1,) * 3, forward=forward))
-    image, z = scene()
-    both = uwaug.form_image(image, z, Medium.stack(media), light=LAMP, focal_px=40.0).image
-    for n, medium in enumerate(media):
-        one = uwaug.form_image(image, z, medium, light=LAMP, focal_px=40.0).image
-        torch.testing.assert_close(both[n], one, rtol=0, atol=1e-6)
-    assert (both[0] - both[1]).abs().max() > 0.01
-
-
-def test_a_preset_refuses_what_is_no_light(tmp_path) -> None:
-    text = bundled_preset("jaffe-1990").read_text(encoding="utf-8")
-    path = tmp_path / "mine.toml"
-    path.write_text(text.replace('kind = "lamp"', 'kind = "torch"'), encoding="utf-8")
-    with pytest.raises(ValueError, match=r"mine.toml: .*light.kind must be one of"):
-        uwaug.load_preset(path)
-    path.write_text(text.replace("power = 10.0", "power = -1.0"), encoding="utf-8")
-    with pytest.raises(ValueError, match="power must be finite and ≥ 0"):
-        uwaug.load_preset(path)
 
 
 def test_objects_are_judged_under_their_light() -> None:

@@ -104,14 +104,6 @@ def test_numbers_of_a_lamp_are_for_one_batch() -> None:
         Light.parallel(torch.ones(3), torch.ones(2))
 
 
-def test_a_list_of_lights_is_summed() -> None:
-    lights = [lamp(), Light.ambient(0.5)]
-    assert repr(sum(lights, start=Light.none())) == repr(sum(lights))
-    assert repr(lights[0]).startswith(
-        "Light.lamp(position=(0.4, -0.3, 0.0), direction=(-0.1, 0.1, 1.0), power=3.0"
-    )
-
-
 def test_pictures_without_pixels() -> None:
     for light in (lamp(), Light.parallel(20, 30)):
         module = Underwater(MEDIUM, light=light, focal_px=FOCAL)
