@@ -13,11 +13,5 @@ def require(extra: str, *packages: str) -> list[Any]:
     try:
         return [importlib.import_module(name) for name in packages]
     except ImportError as error:
-        raise ImportError(
-            f"{error.name} is missing: {installation(extra)}", name=error.name
-        ) from error
-
-
-def installation(extra: str) -> str:
-    """The command that installs an extra."""
-    return f'pip install ".[{extra}]" in a checkout of uwaug'
+        cure = f'pip install ".[{extra}]" in a checkout of uwaug'
+        raise ImportError(f"{error.name} is missing: {cure}", name=error.name) from error
