@@ -15,7 +15,6 @@ from matplotlib.text import Text
 
 import uwaug
 from uwaug.fitting import Candidate, Fit, Parameter, SeriesFit
-from uwaug.fitting.plot import _scale, _told
 from uwaug.formation.colour import linear_to_srgb
 
 OLD = Path(__file__).parent / "e9c0d46"
@@ -312,32 +311,17 @@ def test_odd_sheets(haze):
     whole = haze.pairs[0]
     sea = whole._replace(z=torch.full_like(whole.z, 1e9))
     assert axes_of(replace(haze, pairs=(sea,)).plot(), "Distance: open water")
-    more = {f"gain_{i}": Parameter(1.0, 0.1, 0.8, 1.2, "1", "free") for i in range(40)}
-    figure = replace(haze, parameters={**haze.parameters, **more}).plot()
+    told = {
+        "0.54728 ± 0.00061": (0.54728, 0.00061, "free"),
+        "12.3 ± 1.5": (12.3456, 1.5, "free"),
+        "0.30000 ± 0.00001": (0.3, 1e-9, "free"),
+        "0.02 (fixed)": (0.02, None, "fixed"),
+        "0 (at bound)": (4.3e-18, None, "at bound"),
+        "not identified": (None, None, "not identified"),
+    }
+    more = [Parameter(x, error, None, None, "1", state) for x, error, state in told.values()]
+    numbers = {f"gain_{i}": number for i, number in enumerate([*more, *more[:1] * 34])}
+    figure = replace(haze, parameters={**haze.parameters, **numbers}).plot()
     # β, veil, source and ten gains
-    assert "and 30 more, see the summary" in [text.get_text() for text in figure.texts]
-
-
-@pytest.mark.parametrize(
-    "largest, scale", [(0.0, 0.002), (0.004, 0.005), (0.011, 0.02), (0.2, 0.2), (0.7, 1.0)]
-)
-def test_scale(largest, scale):
-    residual = torch.tensor([largest, -largest, torch.nan]).repeat(100)
-    assert _scale([residual, torch.zeros(1)]) == pytest.approx(scale)
-
-
-@pytest.mark.parametrize(
-    "numbers, told",
-    [
-        ((0.54728, 0.00061, "free"), "0.54728 ± 0.00061"),
-        ((12.3456, 1.5, "free"), "12.3 ± 1.5"),
-        ((123.456, 15.2, "free"), "123 ± 15"),
-        ((0.3, 1e-9, "free"), "0.30000 ± 0.00001"),
-        ((0.02, None, "fixed"), "0.02 (fixed)"),
-        ((4.3e-18, None, "at bound"), "0 (at bound)"),
-        ((None, None, "not identified"), "not identified"),
-    ],
-)
-def test_numbers_have_the_digits_that_their_errors_leave(numbers, told):
-    value, error, state = numbers
-    assert _told(Parameter(value, error, None, None, "1", state)) == told
+    texts = {text.get_text() for text in figure.texts}
+    assert texts >= {"and 30 more, see the summary", *told}

@@ -216,6 +216,13 @@ class Result:
     def __str__(self) -> str:
         return self.summary()
 
+    def _drawn(self, count: int, generator: torch.Generator | None) -> Array:
+        """Draw θ (count x n) from its normal distribution."""
+        values, vectors = np.linalg.eigh(self.covariance)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        normal = torch.randn(count, len(values), generator=generator, dtype=torch.float64)
+        return np.asarray(self.theta + normal.numpy() @ root.T)
+
     def plot(self) -> "Figure":
         """Draw the result; needs matplotlib."""
         from uwaug.fitting.plot import plot
@@ -629,11 +636,9 @@ class WaterFit(Result):
             count: how many.
             generator: source of randomness; torch's global generator if None.
         """
-        values, vectors = np.linalg.eigh(self.covariance)
-        normal = torch.randn(count, len(values), generator=generator, dtype=torch.float64).numpy()
-        drawn = self.theta + normal @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
         low, high = np.array([[x.low, x.high] for x in self.fitted.bounds.values()]).T
-        return Medium.stack([self.fitted.medium(row) for row in np.clip(drawn, low, high)])
+        drawn = np.clip(self._drawn(count, generator), low, high)
+        return Medium.stack([self.fitted.medium(theta) for theta in drawn])
 
     @property
     def visibility(self) -> float | None:
@@ -739,10 +744,8 @@ class VeilFit(Result):
             count: how many.
             generator: source of randomness; torch's global generator if None.
         """
-        values, vectors = np.linalg.eigh(self.covariance)
-        normal = torch.randn(count, len(values), generator=generator, dtype=torch.float64).numpy()
-        drawn = self.theta + normal @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
-        return _veil_medium(np.maximum(drawn, 1e-3 * self.theta).reshape(count, 3, 2))
+        drawn = np.maximum(self._drawn(count, generator), 1e-3 * self.theta)
+        return _veil_medium(drawn.reshape(count, 3, 2))
 
     @property
     def veil(self) -> Tensor:
