@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from uwaug import Camera, Light, PointSpread, RandomUnderwater, Water
-from uwaug.transforms.options import SURVEY
+from uwaug.transforms.random_underwater import SURVEY
 
 H, W = 24, 33
 TANK = Water([400, 550, 700], [0.5, 0.2, 0.7], [1.3, 1.1, 1.0], [0.7, 0.3, 0.8], name="tank")

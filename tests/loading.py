@@ -16,42 +16,23 @@ SIZE = 48
 
 
 class Crops(Dataset[tuple[Tensor, Tensor, int]]):
-    """Crops of a scene: picture (3xSxS, 0…1), distance (1xSxS, m), and whether the crop is
-    bright.
-    """
+    """Crops of a scene: picture (3xSxS, 0…1), distance (1xSxS, m), and its number."""
 
     def __init__(self, image: Tensor, distance: Tensor, count: int = 16) -> None:
         generator = torch.Generator().manual_seed(0)
         height, width = image.shape[-2:]
         rows = torch.randint(height - SIZE, (count,), generator=generator).tolist()
         columns = torch.randint(width - SIZE, (count,), generator=generator).tolist()
-        pairs = []
-        for y, x in zip(rows, columns, strict=True):
+        self.items = []
+        for number, (y, x) in enumerate(zip(rows, columns, strict=True)):
             window = (slice(None), slice(y, y + SIZE), slice(x, x + SIZE))
-            pairs.append((image[window].clone(), distance[window].clone()))
-        brightness = torch.stack([picture.mean() for picture, _ in pairs])
-        bright = (brightness > brightness.median()).tolist()
-        self.items = [(*pair, int(b)) for pair, b in zip(pairs, bright, strict=True)]
+            self.items.append((image[window].clone(), distance[window].clone(), number))
 
     def __len__(self) -> int:
         return len(self.items)
 
     def __getitem__(self, index: int) -> tuple[Tensor, Tensor, int]:
         return self.items[index]
-
-
-class Degraded(Dataset[tuple[Tensor, int]]):
-    """For a classifier: every picture in a water of its own, new in every epoch."""
-
-    def __init__(self, crops: Crops, augment: RandomUnderwater) -> None:
-        self.crops, self.augment = crops, augment
-
-    def __len__(self) -> int:
-        return len(self.crops)
-
-    def __getitem__(self, index: int) -> tuple[Tensor, int]:
-        image, _, label = self.augment(self.crops[index])
-        return image, label
 
 
 class Pairs(Dataset[tuple[Tensor, Tensor, str]]):
@@ -70,7 +51,9 @@ class Pairs(Dataset[tuple[Tensor, Tensor, str]]):
 
 
 class Keyed(Dataset[tuple[int, Tensor]]):
-    """For studies that must repeat: water from (seed, epoch, index)."""
+    """For studies that must repeat: water from (seed, epoch, name); the epoch may come from a
+    sampler.
+    """
 
     def __init__(self, crops: Crops, augment: RandomUnderwater) -> None:
         self.crops, self.augment, self.epoch = crops, augment, 0
@@ -78,8 +61,9 @@ class Keyed(Dataset[tuple[int, Tensor]]):
     def __len__(self) -> int:
         return len(self.crops)
 
-    def __getitem__(self, index: int) -> tuple[int, Tensor]:
-        image, *_ = self.augment.at(0, self.epoch, index)(self.crops[index])
+    def __getitem__(self, key: int | tuple[int, int]) -> tuple[int, Tensor]:
+        epoch, index = key if isinstance(key, tuple) else (self.epoch, key)
+        image, *_ = self.augment.at(0, epoch, f"crops/{index}.png")(self.crops[index])
         return index, image
 
 
@@ -95,22 +79,9 @@ class Epochs(Sampler[tuple[int, int]]):
         return self.count
 
     def __iter__(self) -> Iterator[tuple[int, int]]:
-        order = torch.randperm(self.count).tolist()
-        pairs = [(self.epoch, index) for index in order]
+        pairs = [(self.epoch, index) for index in torch.randperm(self.count).tolist()]
         self.epoch += 1
         return iter(pairs)
-
-
-class KeyedByEpoch(Dataset[tuple[int, Tensor]]):
-    """Water from (seed, epoch, name), the epoch from the sampler."""
-
-    def __init__(self, crops: Crops, augment: RandomUnderwater) -> None:
-        self.crops, self.augment = crops, augment
-
-    def __getitem__(self, key: tuple[int, int]) -> tuple[int, Tensor]:
-        epoch, index = key
-        image, *_ = self.augment.at(0, epoch, f"crops/{index}.png")(self.crops[index])
-        return index, image
 
 
 class DegradeBatch:

@@ -21,7 +21,6 @@ from benchmarks.harness import RESULTS, machine, save
 from uwaug.distance.convert import fill_unknown
 from uwaug.formation.colour import LUMINANCE
 from uwaug.presets.scene import motorcycle
-from uwaug.transforms.prepare import in_water
 
 DRAWS = 200
 WIDTH = 320  # px, at which the pictures are degraded
@@ -80,14 +79,13 @@ def judged(aug: uwaug.RandomUnderwater, pair: Pair, index: int) -> tuple[Tensor,
     low, high = torch.quantile(pair.distance, torch.tensor([0.3, 0.7]))
     middle = (pair.distance[0] >= low) & (pair.distance[0] <= high)
     share = _deviation(picture, middle) / _deviation(pair.image, middle)
-    with torch.no_grad():
-        found = in_water(pair.image, pair.distance, aug.chosen(sample))
-    veil = float(found.seen.medium.backscatter(found.seen.z).max())
+    (wet,) = aug.in_water(pair.image, pair.distance, record, lambda wet: wet).values()
+    veil = float(wet.scene.medium.backscatter(wet.scene.z).max())
     judgement = {
         "water": sample["waters"][0],
         "contrast": sample.get("contrast"),
-        "contents": found.settled.contents,
-        "gain": float(found.gain),
+        "contents": wet.contents,
+        "gain": float(wet.scene.gain),
         "share": share,
         "veil": veil,
         "least_channel": float(picture.mean((1, 2)).min()),

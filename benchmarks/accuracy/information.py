@@ -19,7 +19,6 @@ from uwaug.formation.contrast import contrast
 from uwaug.optics.medium import Medium
 from uwaug.optics.water import JERLOV_TYPES, Water
 from uwaug.presets.scene import Scene, motorcycle
-from uwaug.transforms.prepare import in_water
 
 DRAWS = 20
 SEED = 11
@@ -67,10 +66,8 @@ def at_severity(scene: Scene, level: int, draws: int) -> list[Seen]:
         generator = torch.Generator().manual_seed(SEED * 1000 + index)
         record = aug.make_params(scene.image, generator)
         picture = aug.transform(scene.image, scene.distance, record)
-        with torch.no_grad():
-            made = in_water(scene.image, scene.distance, aug.chosen(record["samples"][0]))
-        visibility = made.settled.water.visibility()
-        found.append(seen(scene, picture, made.settled.medium, visibility))
+        (wet,) = aug.in_water(scene.image, scene.distance, record, lambda wet: wet).values()
+        found.append(seen(scene, picture, wet.scene.setup.medium, wet.water.visibility()))
     return found
 
 

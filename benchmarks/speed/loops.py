@@ -20,8 +20,6 @@ import uwaug
 from benchmarks.harness import command, printed, race, save, scene, use_threads
 from benchmarks.speed import scaling
 from uwaug import fused
-from uwaug.formation.exposure import metering_points
-from uwaug.transforms.prepare import _settled
 
 Runners = dict[str, Callable[[], object]]
 
@@ -172,9 +170,8 @@ def _settle_eight(aug: uwaug.RandomUnderwater, image: Tensor, distance: Tensor) 
     """What is drawn for eight pictures, and their media."""
     torch.manual_seed(0)
     for _ in range(8):
-        (sample,) = aug.make_params(image)["samples"]
-        some = distance.flatten()[metering_points(*distance.shape[-2:], distance.device)]
-        _settled(aug.chosen(sample), (some, distance), image.shape[-1])
+        (params,) = aug._draw(image, None)
+        aug._setup(params, distance)
 
 
 def first_call() -> dict[str, float]:

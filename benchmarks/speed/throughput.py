@@ -20,9 +20,9 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 
 import uwaug
 from benchmarks.harness import command, printed, race, save, scene, use_threads
-from uwaug.transforms import prepare as degrade
+from uwaug.formation import scene as forming
 from uwaug.transforms import random_underwater as transforms
-from uwaug.transforms.options import SURVEY
+from uwaug.transforms.random_underwater import SURVEY
 
 BATCH = 4
 EVERYTHING = {
@@ -45,19 +45,24 @@ TORCHVISION = "torchvision blur + jitter"
 # the parts of a picture's time, and what is timed for each
 PARTS: dict[str, tuple[tuple[Any, str], ...]] = {
     "all": ((transforms.RandomUnderwater, "forward"),),
-    "draw": ((transforms.RandomUnderwater, "make_params"),),
+    "draw": ((transforms.RandomUnderwater, "_draw"),),
     "checks": (
         (transforms, "plain_image"),
         (transforms, "maps_for"),
-        (degrade, "prepare"),
+        (forming, "require_values"),
+        (forming, "choose"),
     ),
-    "decode": ((degrade, "to_light"),),
-    "distance": ((degrade, "to_metres"),),
-    "medium": ((degrade, "_water"), (degrade, "_medium")),
-    "field": ((degrade, "gaussian_random_field"),),
-    "exposure": ((degrade, "_gain"),),
-    "image": ((degrade, "plan_at_hand"), (degrade, "form")),
-    "encode": ((degrade, "from_light"),),
+    "decode": ((forming, "_decoded"),),
+    "distance": ((transforms, "metres_of"),),
+    "medium": ((transforms.RandomUnderwater, "_setup"),),
+    "field": ((transforms, "random_field"),),
+    "exposure": ((forming.Scene, "_metered"),),
+    "image": (
+        (forming, "plan_at_hand"),
+        (forming.Scene, "_rendered"),
+        (forming.loops, "render"),
+    ),
+    "encode": ((forming, "encoded"),),
 }
 Augment = Callable[[Tensor, Tensor], Tensor]
 

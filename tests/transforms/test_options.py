@@ -23,14 +23,22 @@ NAMES = {
 }
 
 
-def test_repr_builds_the_transform(options: dict[str, Any]) -> None:
+def test_repr_and_dict_make_the_transform(options: dict[str, Any]) -> None:
     aug = RandomUnderwater(**options)
     text = repr(aug)
     for name in ("TANK", "LASERS", "LIGHTS", "brightness"):
         text = text.replace(repr(NAMES[name]), name)
     twin = eval(text, NAMES.copy())
     assert repr(twin) == repr(aug)
-    assert same(result(aug, 2), result(twin, 2))
+    assert same(result(aug), result(twin))
+    if callable(aug.distance):
+        with pytest.raises(NotImplementedError, match=r"distance cannot be written.*brightness"):
+            aug.to_dict()
+        return
+    plain = json.loads(json.dumps(aug.to_dict()))
+    twin = RandomUnderwater.from_dict(plain)
+    assert twin.to_dict() == aug.to_dict() == plain
+    assert same(result(aug), result(twin))
 
 
 def test_repr_shows_what_was_changed() -> None:
@@ -47,10 +55,6 @@ def test_defaults_are_the_calibrated_model() -> None:
     assert preset.medium.notes[0].endswith("g = 0.05, μ = 0.075")
     assert (aug.g, aug.mu) == (0.05, 0.075)
     assert (aug.contrast, aug.visibility, aug.exposure) == ((0.1, 0.6), None, "auto")
-    law = aug._settings.law(1000)
-    assert law == PointSpread.calibrated(1000 * 0.8660254037844387)
-    calibrated = preset.medium.point_spread
-    assert (law.exponent, law.shape) == (calibrated.exponent, calibrated.shape)
 
 
 def test_visibility_takes_the_place_of_contrast() -> None:
@@ -76,32 +80,17 @@ def test_from_a_preset(name: str) -> None:
     expected = preset.module()(image, from_relative(t, preset.near, preset.far, 2.0), field)
     torch.testing.assert_close(aug.transform(image, t, record), expected, rtol=0, atol=3e-3)
     assert repr(RandomUnderwater.from_preset(name, visibility=3.0)).count("visibility=3.0") == 1
-
-
-def test_a_preset_of_coefficients_has_no_spectra() -> None:
     with pytest.raises(ValueError, match=r"'tank-proposed-1'.*no spectra.*module"):
         RandomUnderwater.from_preset("tank-proposed-1")
 
 
 def test_survey_is_the_papers() -> None:
-    aug = RandomUnderwater.survey(distance_kind="relative")
-    preset = load_preset("survey", water="7C")
-    assert list(aug.waters) == [t for t in JERLOV_TYPES if t != "I"]
-    assert set(aug.waters.values()) == {1}
-    assert (aug.near, aug.far, aug.gamma) == (preset.near, preset.far, preset.gamma)
-    assert aug.field_range == preset.field_range
-    assert aug.vertical_depth == preset.vertical_depth
-    assert aug.point_spread == preset.medium.point_spread
-    assert (aug.g, aug.mu, aug.field_probability) == (0.2, 0.3, 1)
-    assert (aug.mixing, aug.visibility, aug.blur_factor) == (0, None, 1)
-    # and so the picture is the preset's
-    aug = RandomUnderwater.survey(waters="7C", distance_kind="relative", color_space="linear")
-    image, t = picture(), distances()
-    record = aug.make_params(image)
-    generator = torch.Generator().manual_seed(record["samples"][0]["field_seed"])
-    field = preset.field((1, 1, H, W), generator)
-    expected = preset.module()(image, preset.distance(t), field)
-    torch.testing.assert_close(aug.transform(image, t, record), expected, rtol=0, atol=2e-3)
+    survey = RandomUnderwater.survey(distance_kind="relative")
+    preset = RandomUnderwater.from_preset("survey", distance_kind="relative")
+    assert survey.waters == dict.fromkeys(JERLOV_TYPES[1:], 1)
+    numbers = "g mu vertical_depth contrast exposure point_spread near far gamma field_range"
+    for name in numbers.split():
+        assert getattr(survey, name) == getattr(preset, name), name
 
 
 def test_listed_twice_counts_twice() -> None:
@@ -160,52 +149,39 @@ def test_severity_takes_options() -> None:
         ({"waters": ["7C", Water.jerlov("7C")]}, "waters.*name of its own"),
         ({"cameras": []}, "cameras.*at least one"),
         ({"cameras": "Kodak"}, "no camera.*Kodak"),
-        ({"cameras": [LASERS, LASERS]}, "cameras.*name of its own"),
-        ({"contrast": 1.5}, "contrast must be.*1.5"),
-        ({"contrast": 0.0}, "contrast must be.*0.0"),
         ({"exposure": "bright"}, "exposure must be one of none, auto.*'bright'"),
-        ({"exposure": (0.0, 99.0)}, r"exposure must be.*\(0.0, 99.0\)"),
         ({"focal_px": 0.0}, "focal_px must be.*> 0 px.*0.0"),
         ({"focal_px": 500.0, "point_spread": PointSpread.none()}, "focal_px would do nothing.*500"),
+        ({"light": []}, "light: expected a Light or several"),
+        # a range, and the domain of each quantity
         ({"g": ()}, r"g must be.*got \(\)"),
         ({"g": (0.1, 0.2, 0.3)}, r"g must be.*got \(0.1, 0.2, 0.3\)"),
         ({"g": "much"}, "g must be.*got 'much'"),
+        ({"g": abs}, "g must be.*abs"),
+        ({"mu": None}, "mu must be.*None"),
         ({"g": (0.3, 0.2)}, r"g must be.*low ≤ high.*got \(0.3, 0.2\)"),
-        ({"mu": 1.5}, r"mu must be.*\[0, 1\].*1.5"),
-        ({"mixing": (-0.1, 1.0)}, r"mixing must be.*\(-0.1, 1.0\)"),
-        ({"vertical_depth": -1}, "vertical_depth.*≥ 0.*-1"),
-        ({"vertical_depth": math.inf}, "vertical_depth.*finite.*inf"),
+        ({"mixing": (-0.1, 1.0)}, r"mixing must be.*\[0, 1\].*\(-0.1, 1.0\)"),
+        ({"contrast": 0.0}, "contrast must be.*0.0"),
+        ({"exposure": (0.0, 99.0)}, r"exposure must be.*stops.*\(0.0, 99.0\)"),
+        ({"vertical_depth": math.inf}, "vertical_depth.*finite and ≥ 0 m.*inf"),
         ({"blur_factor": math.nan}, "blur_factor.*nan"),
-        ({"visibility": 0.0}, "visibility.*≥ 0.001.*0.0"),
-        (
-            {"visibility": (5.0, 500.0)},
-            "visibility=500 does not suit water 'II'.*pure water",
-        ),
-        ({"waters": "I", "visibility": 5.0}, "visibility=5 does not suit water 'I'"),
-        ({"field_range": (1.3, 0.7)}, r"field_range.*low ≤ high.*\(1.3, 0.7\)"),
         ({"field_range": (-0.1, 1.0)}, r"field_range.*≥ 0.*\(-0.1, 1.0\)"),
-        ({"p": 1.1}, "p must be in .0, 1.*1.1"),
+        ({"distance": "far"}, "distance must be.*'far'"),
+        ({"visibility": (5.0, 500.0)}, "visibility=500 does not suit water 'II'.*pure water"),
         ({"p": math.nan}, "p must be in .0, 1.*nan"),
         ({"field_probability": -0.5}, "field_probability must be.*-0.5"),
         ({"distance_kind": "disparity"}, r"distance_kind must be one of metric, .*'disparity'"),
         ({"unknown": "ignore"}, "unknown must be one of.*'ignore'"),
         ({"color_space": "rgb"}, "color_space must be one of.*'rgb'"),
         ({"order": "backwards"}, "order must be one of.*'backwards'"),
+        ({"tolerance": 0.0}, r"tolerance must lie in \(0, 1\).*0.0"),
         ({"near": 0.5}, "near would do nothing.*'metric', got 0.5"),
         ({"distance_kind": "inverse", "gamma": 2.0}, "gamma would do nothing.*'inverse', got 2.0"),
-        ({"mu": None}, "mu must be.*None"),
-        ({"g": abs}, "g must be.*abs"),
+        ({"distance_kind": "inverse", "near": 0.0}, "near must lie above 0 m.*0.0"),
         (
             {"distance_kind": "relative", "near": (1.0, 6.0)},
             r"near must lie below far.*\(1.0, 6.0\).*5.0",
         ),
-        ({"distance_kind": "relative", "gamma": 0.0}, "gamma must be.*0.0"),
-        ({"distance_kind": "relative", "far": math.inf}, "far must be.*inf"),
-        ({"distance_kind": "inverse", "near": 0.0}, "near must lie above 0 m.*0.0"),
-        ({"distance": (3.0, 1.0)}, r"distance must be.*\(3.0, 1.0\)"),
-        ({"distance": "far"}, "distance must be.*'far'"),
-        ({"tolerance": 0.0}, r"tolerance must lie in \(0, 1\).*0.0"),
-        ({"tolerance": math.nan}, "tolerance.*nan"),
     ],
 )
 def test_construction_rejects(options: dict[str, Any], match: str) -> None:
@@ -219,18 +195,6 @@ def test_point_spread_must_be_one() -> None:
 
 
 # Options as JSON and TOML hold them
-
-
-def test_options_are_written_and_read(options: dict[str, Any]) -> None:
-    aug = RandomUnderwater(**options)
-    if callable(options.get("distance")):
-        with pytest.raises(NotImplementedError, match=r"distance cannot be written.*brightness"):
-            aug.to_dict()
-        return
-    plain = json.loads(json.dumps(aug.to_dict()))
-    twin = RandomUnderwater.from_dict(plain)
-    assert twin.to_dict() == aug.to_dict() == plain
-    assert same(result(aug, 2), result(twin, 2))
 
 
 def test_options_as_people_write_them() -> None:

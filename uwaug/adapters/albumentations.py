@@ -12,7 +12,7 @@ from uwaug._support import checks
 from uwaug.adapters.conversion import map_of, picture_of
 from uwaug.io.distances import Unit, metres_of, read_distance
 from uwaug.transforms.codec import encode_options
-from uwaug.transforms.draw import Record
+from uwaug.transforms.params import Record
 from uwaug.transforms.random_underwater import RandomUnderwater
 
 try:

@@ -84,5 +84,5 @@ def first_of(sample: Mapping[str, Any], keys: str, what: str, cure: str) -> str:
     for key in keys.split(";"):
         if key in sample:
             return key
-    there = ", ".join(map(repr, sample))
-    raise ValueError(f"{what} has no {keys!r}, only {there}: {cure}")
+    names = ", ".join(map(repr, sample))
+    raise ValueError(f"{what} has no {keys!r}, only {names}: {cure}")

@@ -369,7 +369,7 @@ def degrade(
 def _options(path: Path | None, drawn: dict[str, Any], severity: int | None) -> dict[str, Any]:
     """Options of `RandomUnderwater`, from a file and from flags."""
     from uwaug import RandomUnderwater
-    from uwaug.transforms.options import contrast_of
+    from uwaug.transforms.random_underwater import SEVERITIES
 
     options: dict[str, Any] = {}
     if path is not None:
@@ -385,7 +385,7 @@ def _options(path: Path | None, drawn: dict[str, Any], severity: int | None) -> 
     if severity is not None:
         if "contrast" in options:
             refuse("--severity and --contrast: give one of them")
-        options["contrast"] = contrast_of(severity)
+        options["contrast"] = SEVERITIES[severity]
     return options
 
 

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from uwaug._support.types import ColorSpace
 from uwaug.distance.sample import DistanceKind, Scaling, metres_of, skipped
+from uwaug.formation.engine import path_of
 from uwaug.formation.exposure import Exposure
 from uwaug.formation.field import random_field
 from uwaug.formation.loops.switch import path
@@ -16,7 +17,7 @@ from uwaug.formation.scene import Scene, Setup
 from uwaug.light.geometry import focal_of
 from uwaug.light.light import Light
 from uwaug.optics.medium import Medium
-from uwaug.transforms.prepare import exactly, in_water
+from uwaug.transforms.prepare import InWater, deterministic
 from uwaug.transforms.random_underwater import RandomUnderwater
 
 __all__ = [
@@ -83,18 +84,18 @@ class RandomWater:
 
     def degrade(self, image: Tensor, distance: Tensor, record: Mapping[str, Any]) -> Degraded:
         """As `Model.degrade`, bit for bit what the transform makes of the same record."""
+
+        def degraded(wet: InWater) -> Degraded:
+            params = wet.resolved()
+            record = {"samples": [params.to_dict()]}
+            visibility = wet.water.visibility()
+            return Degraded(wet.scene.picture(), record, wet.scene, wet.water.name, visibility)
+
+        made = self.transform.in_water(image, distance, dict(record), degraded)
+        if made:
+            return made[0]
         (sample,) = record["samples"]
-        jobs = self.transform.jobs(image, distance, dict(record))
-        if not jobs:
-            return Degraded(image, {"samples": [{**sample, "applied": False}]}, None, "none", None)
-        ((_, mapped, _),) = jobs
-        choice = self.transform.chosen(sample)
-        with exactly(image):
-            found = in_water(image, mapped, choice)
-            picture = found.scene.picture()
-        used = found.used()
-        record = {"samples": [{**sample, "used": used}]}
-        return Degraded(picture, record, found.scene, found.settled.water.name, used["visibility"])
+        return Degraded(image, {"samples": [{**sample, "applied": False}]}, None, "none", None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,19 +124,21 @@ class OneMedium:
 
     def draw(self, image: Tensor, generator: torch.Generator) -> dict[str, Any]:
         """As `Model.draw`."""
+        # the loops know daylight alone
+        drawn = {"path": path() if self.light is None or self.light.plain else "eager"}
         if self.field_range is None:
-            return {"path": path()}
-        seed = int(torch.randint(2**32, (1,), generator=generator))
-        return {"field_seed": seed, "path": path()}
+            return drawn
+        return {"field_seed": int(torch.randint(2**32, (1,), generator=generator)), **drawn}
 
     def degrade(self, image: Tensor, distance: Tensor, record: Mapping[str, Any]) -> Degraded:
         """As `Model.degrade`."""
         if skipped(distance, self.kind, self.unknown):
             return Degraded(image, dict(record), None, "none", None)
-        with exactly(image):
+        with deterministic(image):
             scene = self._scene(image, distance, record)
             picture = scene.picture()
-        return Degraded(picture, dict(record), scene, self.name, None)
+        record = {**record, "path": path_of(scene.engine)}
+        return Degraded(picture, record, scene, self.name, None)
 
     def _scene(self, image: Tensor, distance: Tensor, record: Mapping[str, Any]) -> Scene:
         metres = metres_of(distance.contiguous(), self.scaling, self.kind, self.unknown)
@@ -157,5 +160,5 @@ def terms_of(seen: Scene) -> dict[str, Tensor]:
     """Direct, forward-scattered and backscattered light, each as a picture like the image. In
     linear light they add up to the degraded picture.
     """
-    with exactly(seen.image):
+    with deterministic(seen.image):
         return seen.term_pictures()

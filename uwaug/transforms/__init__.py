@@ -1,7 +1,7 @@
 """Random water for every picture of a data set."""
 
-from uwaug.transforms.draw import collate_records
 from uwaug.transforms.keep_visible import KeepVisible
+from uwaug.transforms.params import collate_records
 from uwaug.transforms.random_underwater import RandomUnderwater
 
 __all__ = ["KeepVisible", "RandomUnderwater", "collate_records"]

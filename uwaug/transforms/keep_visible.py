@@ -2,23 +2,18 @@
 
 import copy
 from collections.abc import Callable, Collection, Mapping
-from functools import partial
 from itertools import compress
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import Tensor
 
 from uwaug._support import checks
 from uwaug.labels.regions import box_region, mask_region, mean_over
-from uwaug.transforms.draw import Record
-from uwaug.transforms.prepare import exactly, in_water
 from uwaug.transforms.random_underwater import RandomUnderwater
-from uwaug.transforms.samples import key_of, naming, plain_image, typed, uncompiled
-
-__all__ = ["KeepVisible", "transform_with_contrast"]
+from uwaug.transforms.samples import SampleTransform, replaced, typed
 
 _ALONG = ("boxes", "masks", "labels", "area", "iscrowd", "keypoints")
 """Entries of a target that must have a row for each object."""
@@ -34,7 +29,7 @@ _CORNERS: dict[str, Callable[..., tuple[float, ...]]] = {
 """By torchvision's name of a format."""
 
 
-class KeepVisible(nn.Module):
+class KeepVisible(SampleTransform):
     """A `RandomUnderwater` that takes objects which can no longer be seen out of the targets.
 
     It degrades as `augment` alone does, with the same draws, and finds for each object the mean of
@@ -96,47 +91,54 @@ class KeepVisible(nn.Module):
             raise TypeError(f"whole must be names, such as ({whole!r},), got a string")
         self.whole = tuple(whole)
 
-    def at(self, seed: int, epoch: int, index: int | str) -> Callable[..., Any]:
-        """The transform with randomness from a key; see `RandomUnderwater.at`."""
-        return partial(self._apply_with, key_of(seed, epoch, index))
-
-    @uncompiled
-    def forward(self, *inputs: Any) -> Any:
-        """Draw, degrade and look at the objects; see the class."""
-        return self._degraded(None, inputs)
-
-    def _apply_with(self, key: int, *inputs: Any) -> Any:
-        return self._degraded(torch.Generator().manual_seed(key), inputs)
-
-    def _degraded(self, generator: torch.Generator | None, inputs: tuple[Any, ...]) -> Any:
-        image, distance, rebuild = self.augment.taken_apart(inputs)
+    def _sampled(self, inputs: tuple[Any, ...], generator: torch.Generator | None) -> Any:
+        image, distance, restore = self.augment.take_apart(inputs)
         if image.ndim != 3:
             got = f"a batch {tuple(image.shape)}"
             raise ValueError(f"KeepVisible takes one picture (3, H, W) at a time, got {got}")
         record = self.augment.make_params(image, generator)
-        degraded, left = transform_with_contrast(self.augment, image, distance, record)
-        sample = rebuild(degraded)
-        target, put_back = _found(sample)
-        return put_back(self._kept(target, left[0].cpu().numpy()))
+        degraded = self.augment.in_water(
+            image, distance, record, lambda wet: (wet.scene.picture(), wet.scene.contrast())
+        )
+        contrast = np.ones(image.shape[-2:], np.float32)
+        if degraded:
+            picture, contrast_map = degraded[0]
+            image, contrast = typed(picture, type(image)), contrast_map[0].float().cpu().numpy()
+        return self._without_unseen(restore(image), contrast)
 
-    def _kept(self, target: Mapping[str, Any], left: NDArray[Any]) -> Any:
+    def _without_unseen(self, sample: Any, contrast: NDArray[Any]) -> Any:
+        """A sample with the objects that can still be seen, by a map of contrast (HxW)."""
+        if _has_objects(sample):
+            return self._kept(sample, contrast)
+        members = dict(sample) if isinstance(sample, Mapping) else {}
+        if isinstance(sample, (tuple, list)):
+            members = dict(enumerate(sample))
+        places = [place for place, member in members.items() if _has_objects(member)]
+        if len(places) != 1:
+            expected = "one dict with 'boxes' or 'masks', the sample or directly in it"
+            cure = "without any, use augment alone"
+            raise ValueError(f"expected {expected}; found {len(places)}: {cure}")
+        (place,) = places
+        return replaced(sample, place, self._kept(members[place], contrast))
+
+    def _kept(self, target: Mapping[str, Any], contrast: NDArray[Any]) -> Any:
         """A copy of a target, of what a map of contrast (HxW) leaves."""
-        seen = _of_objects(target, left)
+        visible = _contrast_of_objects(target, contrast)
         for name in _ALONG:
-            if name in target and len(target[name]) != len(seen):
-                got = f"target[{name!r}] has {len(target[name])} rows for {len(seen)} objects"
+            if name in target and len(target[name]) != len(visible):
+                got = f"target[{name!r}] has {len(target[name])} rows for {len(visible)} objects"
                 raise ValueError(f"{got}: expected one each")
         changed: Any = copy.copy(target)
-        keep = seen >= self.min_contrast
-        changed["contrast"] = seen
+        keep = visible >= self.min_contrast
+        changed["contrast"] = visible
         if self.flag:
             crowd = torch.as_tensor(
-                target.get("iscrowd", torch.zeros(len(seen), dtype=torch.int64))
+                target.get("iscrowd", torch.zeros(len(visible), dtype=torch.int64))
             )
             changed["iscrowd"] = torch.where(keep.to(crowd.device), crowd, 1)
             return changed
         for name, value in changed.items():
-            if name in _ALONG or self._has_rows(name, value, len(seen), left.shape):
+            if name in _ALONG or self._has_rows(name, value, len(visible), contrast.shape):
                 changed[name] = _rows(value, keep)
         return changed
 
@@ -158,87 +160,28 @@ class KeepVisible(nn.Module):
         return f"min_contrast={self.min_contrast}" + ", flag=True" * self.flag + whole
 
 
-def transform_with_contrast(
-    augment: RandomUnderwater, image: Tensor, distance: Tensor | None, params: Record
-) -> tuple[Tensor, Tensor]:
-    """What `augment.transform` returns, and the share of contrast that is left at each pixel.
-
-    Args:
-        augment: what degrades.
-        image, distance, params: as for `RandomUnderwater.transform`.
-
-    Returns:
-        The degraded image; and (1xHxW or Bx1xHxW), see `uwaug.contrast`, 1 where the record leaves
-        a picture alone.
-    """
-    plain = plain_image(image)
-    parts = list(plain if plain.ndim == 4 else plain[None])
-    maps = [torch.ones_like(part[:1], dtype=torch.float32) for part in parts]
-    jobs = augment.jobs(plain, distance, params)
-    for i, z, sample in jobs:
-        choice = augment.chosen(sample)
-        with naming(i, len(parts)), exactly(parts[i]):
-            found = in_water(parts[i], z, choice)
-            maps[i] = found.scene.contrast().float()
-            parts[i] = found.scene.picture()
-    if plain.ndim == 3:
-        return typed(parts[0], type(image)) if jobs else image, maps[0]
-    return typed(torch.stack(parts), type(image)) if jobs else image, torch.stack(maps)
-
-
-def _found(sample: Any) -> tuple[Mapping[str, Any], Callable[[Any], Any]]:
-    """The dict with the objects, and what puts another in its place."""
-    if _has_objects(sample):
-        return sample, _itself
-    members = dict(sample) if isinstance(sample, Mapping) else dict(enumerate(_leaves(sample)))
-    places = [place for place, member in members.items() if _has_objects(member)]
-    if len(places) != 1:
-        wanted = "one dict with 'boxes' or 'masks', the sample or directly in it"
-        raise ValueError(f"expected {wanted}; found {len(places)}: without any, use augment alone")
-    return members[places[0]], partial(_replaced, sample, places[0])
-
-
 def _has_objects(value: Any) -> bool:
     return isinstance(value, Mapping) and ("boxes" in value or "masks" in value)
 
 
-def _leaves(sample: Any) -> Any:
-    return sample if isinstance(sample, (tuple, list)) else ()
-
-
-def _itself(target: Any) -> Any:
-    return target
-
-
-def _replaced(sample: Any, place: Any, member: Any) -> Any:
-    """A copy of a dict, tuple, named tuple or list with another member."""
-    if isinstance(sample, Mapping):
-        changed: Any = copy.copy(sample)
-        changed[place] = member
-        return changed
-    leaves = [*sample[:place], member, *sample[place + 1 :]]
-    return type(sample)(*leaves) if hasattr(sample, "_fields") else type(sample)(leaves)
-
-
-def _of_objects(target: Mapping[str, Any], left: NDArray[Any]) -> Tensor:
+def _contrast_of_objects(target: Mapping[str, Any], contrast: NDArray[Any]) -> Tensor:
     """The contrast of each object, (N)."""
-    regions = []
     if "masks" in target:
         masks = np.asarray(torch.as_tensor(target["masks"]).cpu()) != 0
-        if masks.ndim != 3 or masks.shape[1:] != left.shape:
+        if masks.ndim != 3 or masks.shape[1:] != contrast.shape:
             got = f"target['masks'] is {masks.shape}"
-            raise ValueError(f"{got}: expected (N, {left.shape[0]}, {left.shape[1]})")
+            raise ValueError(f"{got}: expected (N, {contrast.shape[0]}, {contrast.shape[1]})")
         regions = [mask_region(mask) for mask in masks]
     else:
-        corners = _corners(target["boxes"], left.shape)
-        regions = [box_region(box, left.shape) for box in corners]
-    return torch.tensor([mean_over(left, region) for region in regions], dtype=torch.float32)
+        corners = _corners(target["boxes"], contrast.shape)
+        regions = [box_region(box, contrast.shape) for box in corners]
+    return torch.tensor([mean_over(contrast, region) for region in regions], dtype=torch.float32)
 
 
 def _corners(boxes: Any, size: tuple[int, ...]) -> list[tuple[float, ...]]:
     """(x1, y1, x2, y2) of each box, px."""
-    form = getattr(boxes, "format", "XYXY")
-    name = getattr(form, "name", form)
+    layout = getattr(boxes, "format", "XYXY")
+    name = getattr(layout, "name", layout)
     if name not in _CORNERS:
         cure = "convert them with torchvision's ConvertBoundingBoxFormat first"
         raise ValueError(f"boxes must be {', '.join(_CORNERS)}, got {name}: {cure}")

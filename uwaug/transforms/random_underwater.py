@@ -1,47 +1,82 @@
 """`RandomUnderwater`: new water for every picture, in a DataLoader worker or on a whole batch."""
 
 import inspect
+import math
 import os
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Literal
+from dataclasses import replace
+from typing import Any, Literal, TypeVar, get_args
 
 import torch
 from torch import Tensor
 
+from uwaug._support import checks
+from uwaug._support.tiles import RowSource
 from uwaug._support.types import ColorSpace, Order
-from uwaug.distance.sample import DistanceKind, Unknown, skipped
+from uwaug.distance.sample import (
+    DistanceKind,
+    Scaling,
+    Unknown,
+    as_unknown,
+    metres_of,
+    skipped,
+)
+from uwaug.formation.field import random_field
+from uwaug.formation.loops.backend import path
+from uwaug.formation.scene import Scene, Setup
 from uwaug.light import Light
-from uwaug.optics.camera import Camera
+from uwaug.light.geometry import focal_of
+from uwaug.optics.bands import default_bands
+from uwaug.optics.camera import Camera, load_camera
+from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
 from uwaug.presets.preset import load_preset
 from uwaug.transforms.codec import decode_options, encode_options
-from uwaug.transforms.draw import Lens, Range, Record, cameras_of, spectra_of, weighed
-from uwaug.transforms.options import (
-    CONTRAST,
-    GOOD_WATERS,
-    SURVEY,
-    check_options,
-    contrast_beside,
-    contrast_of,
-    distribution_of,
-    settings_of,
+from uwaug.transforms.params import QUANTITIES, Distribution, Params, Range, Record, as_range
+from uwaug.transforms.prepare import (
+    InWater,
+    deterministic,
+    kept_medium,
+    lit_depth,
+    new_medium,
+    water_of,
 )
-from uwaug.transforms.prepare import Choice, Draw, exactly, in_water, used
 from uwaug.transforms.samples import (
+    Parts,
     SampleTransform,
     maps_for,
     naming,
     plain_image,
-    typed,
+    take_apart,
     uncompiled,
+    with_pictures,
 )
 
-__all__ = ["RandomUnderwater"]
+GOOD_WATERS = ("II", "III", "1C", "3C", "5C", "7C", "9C")
+"""The types that keep their look when their contents are scaled to a wanted contrast. The clear
+oceanic types would need 11 to 66 times what is in them, and turn dark green.
+"""
 
+CONTRAST = (0.1, 0.6)
+"""Less is fog in which little can be learnt, more is hardly water."""
 
-Job = tuple[int, Tensor | None, Record]
-"""A picture that is to be degraded: its place in the batch, its map, its sample."""
+SEVERITIES = {1: 0.65, 2: 0.5, 3: 0.35, 4: 0.2, 5: 0.08}
+"""The contrast of each grade of severity."""
+
+SURVEY: dict[str, Any] = {
+    "waters": JERLOV_TYPES[1:],
+    "contrast": None,
+    "vertical_depth": 1.0,
+    "exposure": "none",
+    "g": 0.2,
+    "mu": 0.3,
+    "point_spread": PointSpread.paper(),
+}
+"""The set of the paper's survey."""
+
+T = TypeVar("T")
 
 
 class RandomUnderwater(SampleTransform):
@@ -141,7 +176,7 @@ class RandomUnderwater(SampleTransform):
         mixing: Range = 0.0,
         contrast: Range | None = CONTRAST,
         visibility: Range | None = None,
-        cameras: Lens | Iterable[Lens] = "Nikon 5100 (NPL)",
+        cameras: str | os.PathLike[str] | Camera | Iterable[Any] = "Nikon 5100 (NPL)",
         vertical_depth: Range = (0.0, 10.0),
         exposure: Literal["none", "auto"] | Range = "auto",
         g: Range = 0.05,
@@ -166,12 +201,17 @@ class RandomUnderwater(SampleTransform):
         order: Order = "line_of_sight",
         light: Light | Sequence[Light] | None = None,
     ) -> None:
-        super().__init__(image_key, distance_key, mapped=distance is None)
-        self.waters = weighed(waters)
-        one = isinstance(cameras, (str, os.PathLike, Camera))
-        self.cameras: list[Any] = [cameras] if one else list(cameras)  # type: ignore[arg-type]
+        super().__init__()
+        if visibility is not None:  # it takes the place of the default contrast
+            if contrast not in (None, CONTRAST):
+                got = f"visibility = {visibility} and contrast = {contrast}"
+                raise ValueError(f"visibility and contrast: give one of them, got {got}")
+            contrast = None
+        self.waters = _weights_of(waters)
+        single = isinstance(cameras, (str, os.PathLike, Camera))
+        self.cameras: list[Any] = [cameras] if single else list(cameras)  # type: ignore[arg-type]
         self.mixing = mixing
-        self.contrast = contrast_beside(visibility, contrast)
+        self.contrast = contrast
         self.visibility = visibility
         self.vertical_depth = vertical_depth
         self.exposure = exposure
@@ -190,16 +230,26 @@ class RandomUnderwater(SampleTransform):
         self.p = p
         self.same_on_batch = same_on_batch
         self.unknown = unknown
+        self.image_key = image_key
+        self.distance_key = distance_key
         self.tolerance = tolerance
         self.color_space = color_space
         self.order = order
         self.light = light
-        check_options(self)
-        # what all pictures share: spectra, what is drawn from, settings
-        self.spectra = spectra_of(self.waters)
-        self.responses = cameras_of(self.cameras)
-        self._distribution = distribution_of(self)
-        self._settings = settings_of(self, self._distribution.ranges)
+        self._check_options()
+        # what all pictures share: spectra, lights, what is drawn from
+        self.spectra = _spectra_of(self.waters)
+        self.responses = _by_name("cameras", [load_camera(camera) for camera in self.cameras])
+        self._lights = _lights_of(light)
+        self._unknown = as_unknown(unknown)
+        self._distribution = Distribution(
+            waters=dict(zip(self.spectra, self.waters.values(), strict=True)),
+            cameras=tuple(self.responses),
+            ranges=self._ranges(),
+            field_range=as_range("field_range", field_range),
+            p=p,
+            field_probability=field_probability,
+        )
 
     @classmethod
     def survey(cls, **options: Any) -> "RandomUnderwater":
@@ -233,7 +283,9 @@ class RandomUnderwater(SampleTransform):
             level: 1 (mild) … 5 (severe).
             options: any other argument of the class.
         """
-        return cls(**{"contrast": contrast_of(level), **options})
+        if not isinstance(level, int) or level not in SEVERITIES:
+            raise ValueError(f"level must be a whole number from 1 to 5, got {level!r}")
+        return cls(**{"contrast": SEVERITIES[level], **options})
 
     @classmethod
     def from_preset(
@@ -279,20 +331,6 @@ class RandomUnderwater(SampleTransform):
         """
         return cls(**decode_options(options))
 
-    def _changed_options(self) -> dict[str, Any]:
-        """The options that differ from the defaults."""
-        options: dict[str, Any] = {}
-        waters = list(self.waters) if set(self.waters.values()) == {1} else self.waters
-        if waters != list(GOOD_WATERS):
-            options["waters"] = waters
-        for name, parameter in list(inspect.signature(type(self)).parameters.items())[1:]:
-            value, default = getattr(self, name), parameter.default
-            if name == "contrast" and self.visibility is not None:
-                continue  # visibility takes its place
-            if value not in (default, [default]):
-                options[name] = value
-        return options
-
     def make_params(self, image: Tensor, generator: torch.Generator | None = None) -> Record:
         """Draw everything that is random, for a picture or a batch of this shape.
 
@@ -304,8 +342,7 @@ class RandomUnderwater(SampleTransform):
             A plain record, {"samples": [one dict for each picture]}, that can be pickled and
             written as JSON.
         """
-        batch = 1 if image.ndim == 3 or self.same_on_batch else len(image)
-        return self._distribution.draw(batch, generator)
+        return {"samples": [params.to_dict() for params in self._draw(image, generator)]}
 
     @uncompiled
     def transform(self, image: Tensor, distance: Tensor | None, params: Record) -> Tensor:
@@ -327,56 +364,259 @@ class RandomUnderwater(SampleTransform):
             TypeError, ValueError: if an input does not suit, naming what came and what was
                 expected.
         """
-        plain = plain_image(image)
-        parts = list(plain if plain.ndim == 4 else plain[None])
-        jobs = self.jobs(plain, distance, params)
-        if not jobs:
-            return image
-        for i, z, sample in jobs:
-            with naming(i, len(parts)), exactly(parts[i]):
-                found = in_water(parts[i], z, self.chosen(sample))
-                parts[i] = found.scene.picture()
-        return typed(parts[0] if plain.ndim == 3 else torch.stack(parts), type(image))
+        return self._transform(image, distance, self._read(image, params))
 
     def resolve(self, image: Tensor, distance: Tensor | None, params: Record) -> Record:
         """The record with what its samples come to on these pictures.
 
         Each sample that is applied gains "used": "contents", the factor on all that is in the water
-        besides pure water; its "visibility", m; the "gain" of the exposure. `transform` takes both
-        factors from there, for any picture. A skipped one (see `unknown`) is no longer "applied".
+        besides pure water; its "visibility", m; the "vertical_depth", m, that was reached; the
+        "gain" of the exposure. `transform` takes contents and gain from there, for any picture.
+        Its "path" says what computes the picture. A skipped one (see `unknown`) is no longer
+        "applied".
 
         Args:
             image, distance, params: as for `transform`.
         """
+        samples = self._read(image, params)
+        resolved = self._each(image, distance, samples, InWater.resolved)
+        left = [resolved.get(i, replace(sample, applied=False)) for i, sample in enumerate(samples)]
+        return {"samples": [params.to_dict() for params in left]}
+
+    def in_water(
+        self, image: Tensor, distance: Tensor | None, params: Record, see: Callable[[InWater], T]
+    ) -> dict[int, T]:
+        """What `see` makes of each picture in its water: of its scene, and what the draw came to.
+
+        Args:
+            image, distance, params: as for `transform`.
+            see: called once for each picture that is degraded, without gradients.
+
+        Returns:
+            By the picture's place in the batch; those that are left alone are missing.
+        """
+        return self._each(image, distance, self._read(image, params), see)
+
+    def take_apart(self, inputs: tuple[Any, ...]) -> Parts:
+        """Image, map and the way back, of what the transform was called with."""
+        mapped = self.distance is None
+        return take_apart(inputs, self.image_key, self.distance_key, mapped=mapped)
+
+    def _sampled(self, inputs: tuple[Any, ...], generator: torch.Generator | None) -> Any:
+        image, distance, restore = self.take_apart(inputs)
+        return restore(self._transform(image, distance, self._draw(image, generator)))
+
+    def _draw(self, image: Tensor, generator: torch.Generator | None) -> list[Params]:
+        count = 1 if image.ndim == 3 or self.same_on_batch else len(image)
+        drawn = self._distribution.draw(count, generator, path())
+        # a record names what will compute the picture, as far as that is known before it comes
+        return [
+            params if self._fused(params) else replace(params, path="eager") for params in drawn
+        ]
+
+    def _fused(self, params: Params) -> bool:
+        """Whether compiled loops know the light and the order of a draw."""
+        light = self._light(params)
+        return self.order == "line_of_sight" and (light is None or light.plain)
+
+    def _light(self, params: Params) -> Light | None:
+        return self._lights[int(params.numbers["light"])] if self._lights else None
+
+    def _read(self, image: Tensor, record: Any) -> list[Params]:
         plain = plain_image(image)
-        images = plain if plain.ndim == 4 else plain[None]
-        samples = self._distribution.samples(params, len(images))
-        resolved = [{**sample, "applied": False} for sample in samples]
-        for i, z, sample in self.jobs(plain, distance, params):
-            found = used(images[i], z, self.chosen(sample))
-            resolved[i] = {**sample, "used": found}
-        return {"samples": resolved}
+        return self._distribution.read(record, 1 if plain.ndim == 3 else len(plain))
 
-    def chosen(self, sample: Record) -> Choice:
-        """What a sample of a record degrades its picture with."""
-        waters = [self.spectra[name] for name in sample["waters"]]
-        camera = self.responses[sample["camera"]]
-        return Choice(waters, camera, Draw.of(sample), self._settings)
+    def _transform(self, image: Tensor, distance: Any, samples: list[Params]) -> Tensor:
+        degraded = self._each(image, distance, samples, lambda wet: wet.scene.picture())
+        return with_pictures(image, degraded)
 
-    def jobs(self, plain: Tensor, distance: Any, params: Record) -> list[Job]:
-        """The pictures of a batch that are to be degraded."""
-        samples = self._distribution.samples(params, len(plain) if plain.ndim == 4 else 1)
-        chosen = [i for i, sample in enumerate(samples) if sample["applied"]]
-        maps = maps_for(plain, distance, chosen, self.distance)
-        jobs = []
-        for i, z in zip(chosen, maps, strict=True):
-            if not skipped(z, self._settings.distance_kind, self._settings.unknown):
-                jobs.append((i, z, samples[i]))
-        return jobs
+    def _each(
+        self, image: Tensor, distance: Any, samples: list[Params], see: Callable[[InWater], T]
+    ) -> dict[int, T]:
+        """`in_water`, of params that were read or drawn."""
+        plain = plain_image(image)
+        pictures = plain if plain.ndim == 4 else plain[None]
+        if len(samples) < len(pictures):  # one serves all
+            samples = samples * len(pictures)
+        applied = [i for i, params in enumerate(samples) if params.applied]
+        results = {}
+        for i, z in zip(applied, maps_for(plain, distance, applied, self.distance), strict=True):
+            if not skipped(z, self.distance_kind, self._unknown):
+                with naming(i, len(pictures)), deterministic(pictures[i]):
+                    results[i] = see(self._in_water(pictures[i], z, samples[i]))
+        return results
+
+    def _in_water(self, image: Tensor, distance: Tensor | None, params: Params) -> InWater:
+        """A picture (3xHxW) with its map (1xHxW) in the water that was drawn for it."""
+        numbers, size = params.numbers, (image.shape[-2], image.shape[-1])
+        z: Tensor | RowSource
+        if distance is None:
+            dtype = torch.promote_types(image.dtype, torch.float32)
+            z = image.new_full((1, 1, 1), numbers["distance"], dtype=dtype).expand(1, *size)
+        else:
+            scaling = Scaling(*(numbers.get(name, math.nan) for name in Scaling._fields))
+            z = metres_of(distance.contiguous(), scaling, self.distance_kind, self._unknown)
+        setup, water, contents, depth = self._setup(params, z)
+        field = None
+        if params.field_seed is not None:
+            field = random_field(size, params.field_seed, *params.field_range, image)
+        gain = None if params.used is None else params.used["gain"]
+        scene = Scene.of(image, z, setup, field, params.path, gain=gain)
+        return InWater(scene, params, water, contents, depth)
+
+    def _setup(self, params: Params, z: Tensor | RowSource) -> tuple[Setup, Water, float, float]:
+        """What a picture with these distances is taken with; its water, the factor on what is in
+        it, and the vertical depth, m.
+        """
+        numbers, light = params.numbers, self._light(params)
+        water, contents = water_of(self.spectra, params, z)
+        depth = numbers["vertical_depth"]
+        # a lamp shines at any depth
+        if self.exposure == "auto" and not (light is not None and light.lamps):
+            depth = lit_depth(water, depth)
+        focal_px = focal_of(self.focal_px, z.shape[-1])
+        law = self.point_spread or PointSpread.calibrated(focal_px)
+        medium = (new_medium if self._distribution.makes_media else kept_medium)(
+            water,
+            self.responses[params.camera],
+            (depth, numbers["g"], numbers["mu"]),
+            law.widened(numbers["blur_factor"]),
+            self.tolerance,
+        )
+        setup = Setup(
+            medium,
+            light=light,
+            exposure=self.exposure if isinstance(self.exposure, str) else numbers["exposure"],
+            color_space=self.color_space,
+            focal_px=focal_px,
+            tolerance=self.tolerance,
+            order=self.order,
+        )
+        return setup, water, contents, depth
+
+    def _check_options(self) -> None:
+        """Refuse options that are unknown, out of range, or would do nothing."""
+        checks.one_of("distance_kind", self.distance_kind, get_args(DistanceKind))
+        checks.one_of("color_space", self.color_space, get_args(ColorSpace))
+        checks.one_of("order", self.order, get_args(Order))
+        checks.within("p", self.p, 0.0, 1.0)
+        checks.within("field_probability", self.field_probability, 0.0, 1.0)
+        checks.tolerance(self.tolerance)
+        if isinstance(self.exposure, str):
+            checks.one_of("exposure", self.exposure, ("none", "auto"))
+        if self.point_spread is not None:
+            checks.instance("point_spread", self.point_spread, PointSpread)
+        if self.focal_px is not None:
+            checks.positive("focal_px", self.focal_px, "px")
+            if self.point_spread is not None and self.light is None:
+                instead = "a point_spread takes the place of the calibrated law that it is for"
+                raise ValueError(f"focal_px would do nothing: {instead}, got {self.focal_px}")
+        defaults = inspect.signature(type(self)).parameters
+        for name, quantity in QUANTITIES.items():
+            unused = self.distance_kind not in quantity.maps
+            if unused and getattr(self, name) != defaults[name].default:
+                kind = f"distance_kind is {self.distance_kind!r}"
+                raise ValueError(f"{name} would do nothing: {kind}, got {getattr(self, name)}")
+
+    def _ranges(self) -> dict[str, tuple[float, float]]:
+        """(low, high) of each quantity that is drawn."""
+        ranges: dict[str, tuple[float, float]] = {}
+        if self._lights:
+            ranges["light"] = (0, len(self._lights))
+        for name, quantity in QUANTITIES.items():
+            option = getattr(self, name)
+            if name == "light" or self.distance_kind not in quantity.maps:
+                continue
+            if name == "exposure" and isinstance(option, str):
+                continue
+            if name == "distance" and callable(option):
+                continue
+            if option is not None or name not in ("contrast", "visibility", "distance"):
+                ranges[name] = as_range(name, option)
+        if self.distance_kind != "metric":
+            near, far = ranges["near"], ranges["far"]
+            if near[1] >= far[0]:
+                got = f"near = {near} and far = {far}"
+                raise ValueError(f"near must lie below far, got {got} in metres")
+            if self.distance_kind == "inverse" and near[0] == 0:
+                where = "above 0 m where distance_kind is 'inverse'"
+                raise ValueError(f"near must lie {where}, got {near}")
+        for water in self.spectra.values():
+            for metres in ranges.get("visibility", ()):
+                try:
+                    water.with_visibility(metres)
+                except ValueError as error:
+                    unsuited = f"visibility={metres:g} does not suit water {water.name!r}"
+                    raise ValueError(f"{unsuited}: {error}") from None
+        return ranges
+
+    def _changed_options(self) -> dict[str, Any]:
+        """The options that differ from the defaults."""
+        options: dict[str, Any] = {}
+        waters = list(self.waters) if set(self.waters.values()) == {1} else self.waters
+        if waters != list(GOOD_WATERS):
+            options["waters"] = waters
+        for name, parameter in list(inspect.signature(type(self)).parameters.items())[1:]:
+            value, default = getattr(self, name), parameter.default
+            if name == "contrast" and self.visibility is not None:
+                continue  # visibility takes its place
+            if value not in (default, [default]):
+                options[name] = value
+        return options
 
     def __repr__(self) -> str:
         options = self._changed_options()
         shown = [repr(options.pop("waters"))] if "waters" in options else []
-        for name, value in options.items():
-            shown.append(f"{name}={value!r}")
+        shown += [f"{name}={value!r}" for name, value in options.items()]
         return f"{type(self).__name__}({', '.join(shown)})"
+
+
+_NO_SPECTRUM = (
+    " or the name of a Jerlov type. A picture, a fit or a medium has three coefficients and no "
+    "spectrum: give it to uwaug.Underwater, such as "
+    "uwaug.Underwater(uwaug.fitting.red_channel_prior(…).medium)"
+)
+
+
+def _weights_of(waters: Any) -> dict[str | Water, float]:
+    """Each water's weight."""
+    if isinstance(waters, (set, frozenset)):
+        raise TypeError("waters must have an order, as draws follow it; got a set")
+    listed = [waters] if isinstance(waters, (str, Water)) else list(waters)
+    for water in listed:
+        if not isinstance(water, str):
+            checks.instance("waters", water, Water, _NO_SPECTRUM)
+    weights = dict(waters if isinstance(waters, Mapping) else Counter(listed))
+    values = list(weights.values())
+    if values and not (min(values) >= 0 and 0 < sum(values) < math.inf):
+        raise ValueError(f"waters: expected weights ≥ 0 with a positive sum, got {values}")
+    return weights
+
+
+def _spectra_of(waters: Iterable[str | Water]) -> dict[str, Water]:
+    """The waters by name, at the bands that media are made from: mixing needs no interpolation."""
+    whole = [Water.jerlov(water) if isinstance(water, str) else water for water in waters]
+    return _by_name("waters", [water.at(default_bands(water)) for water in whole])
+
+
+def _by_name(option: str, spectra: list[Any]) -> dict[str, Any]:
+    named = {spectrum.name: spectrum for spectrum in spectra}
+    if not spectra or len(named) < len(spectra):
+        got = [spectrum.name for spectrum in spectra]
+        expected = "expected at least one, each with a name of its own (name=… gives one)"
+        raise ValueError(f"{option}: {expected}, got {got}")
+    return named
+
+
+def _lights_of(light: Light | Sequence[Light] | None) -> list[Light]:
+    """The lights that are drawn from."""
+    if light is None:
+        return []
+    lights = [light] if isinstance(light, Light) else list(light)
+    if not lights:
+        raise ValueError("light: expected a Light or several to draw from, got none")
+    for each in lights:
+        checks.instance("light", each, Light)
+        if each.rows() > 1:
+            raise ValueError(f"light must be for one picture, got one for {each.rows()}")
+    return lights

@@ -1,5 +1,5 @@
-"""Samples as loaders give them: an image and a map inside a tuple, a list or a dict; and what
-applies a transform to them.
+"""Samples as loaders give them, an image and a map inside a tuple, a list or a dict; and what is
+common to all that transforms them.
 """
 
 import copy
@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial, wraps
-from operator import index as whole
+from operator import index as whole_number
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import torch
@@ -16,16 +16,8 @@ from torch import Tensor, nn
 
 from uwaug._support import checks
 
-__all__ = [
-    "Parts",
-    "SampleTransform",
-    "maps_for",
-    "naming",
-    "plain_image",
-    "take_apart",
-    "typed",
-    "uncompiled",
-]
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 class Parts(NamedTuple):
@@ -33,7 +25,7 @@ class Parts(NamedTuple):
 
     image: Tensor
     distance: Any
-    rebuild: Callable[[Tensor], Any]
+    restore: Callable[[Tensor], Any]
 
 
 def take_apart(inputs: tuple[Any, ...], image_key: str, distance_key: str, mapped: bool) -> Parts:
@@ -44,34 +36,45 @@ def take_apart(inputs: tuple[Any, ...], image_key: str, distance_key: str, mappe
             second place of a tuple, a dict may hold the map.
         image_key, distance_key: of a dict.
         mapped: whether there has to be a map; if not, a tuple holds none.
+
+    Raises:
+        TypeError, ValueError: if there is no image or no map.
     """
     sample = inputs[0] if len(inputs) == 1 else inputs
     if isinstance(sample, Mapping):
         image = _leaf(sample, image_key, "sample")
         distance = _leaf(sample, distance_key, "sample") if mapped else sample.get(distance_key)
-        rebuild: Callable[[Tensor], Any] = partial(_with_image, sample, image_key)
-        return Parts(image, distance, rebuild)
-    if not isinstance(sample, (tuple, list)):
-        return Parts(sample, None, _alone)
-    if not sample:
+        parts = Parts(image, distance, partial(replaced, sample, image_key))
+    elif not isinstance(sample, (tuple, list)):
+        parts = Parts(sample, None, lambda result: result)
+    elif not sample:
         raise ValueError("sample is empty: expected (image, distance, …)")
-    distance = sample[1] if len(sample) > 1 and mapped else None
-    if isinstance(distance, Mapping):
-        # torchvision's (image, target)
-        distance = _leaf(distance, distance_key, "the dict in second place")
-    return Parts(sample[0], distance, partial(_with_first, sample))
+    else:
+        distance = sample[1] if len(sample) > 1 and mapped else None
+        if isinstance(distance, Mapping):
+            # torchvision's (image, target)
+            distance = _leaf(distance, distance_key, "the dict in second place")
+        parts = Parts(sample[0], distance, partial(replaced, sample, 0))
+    plain_image(parts.image)
+    return parts
 
 
 def _leaf(sample: Mapping[Any, Any], name: str, what: str) -> Any:
     if name not in sample:
-        there = ", ".join(map(repr, sample))
+        keys = ", ".join(map(repr, sample))
         cure = "see image_key, distance_key and distance"
-        raise ValueError(f"{what} has no {name!r}, only {there}: {cure}")
+        raise ValueError(f"{what} has no {name!r}, only {keys}: {cure}")
     return sample[name]
 
 
-P = ParamSpec("P")
-T = TypeVar("T")
+def replaced(sample: Any, place: Any, value: Any) -> Any:
+    """A copy of a dict, tuple, named tuple or list with another value at a key or an index."""
+    if isinstance(sample, Mapping):
+        changed: Any = copy.copy(sample)
+        changed[place] = value
+        return changed
+    leaves = [*sample[:place], value, *sample[place + 1 :]]
+    return type(sample)(*leaves) if hasattr(sample, "_fields") else type(sample)(leaves)
 
 
 def uncompiled(function: Callable[P, T]) -> Callable[P, T]:
@@ -91,21 +94,7 @@ def uncompiled(function: Callable[P, T]) -> Callable[P, T]:
 
 
 class SampleTransform(nn.Module):
-    """What applies a random transform to samples; a subclass has `make_params` and `transform`.
-
-    Args:
-        image_key, distance_key: where to find the two in a dict.
-        mapped: whether a sample holds a map of distances.
-    """
-
-    make_params: Callable[..., Any]
-    transform: Callable[..., Tensor]
-
-    def __init__(self, image_key: str, distance_key: str, *, mapped: bool) -> None:
-        super().__init__()
-        self.image_key = image_key
-        self.distance_key = distance_key
-        self._mapped = mapped
+    """A random transform of samples; a subclass says in `_sampled` what it does to one."""
 
     def at(self, seed: int, epoch: int, index: int | str) -> Callable[..., Any]:
         """The transform with randomness from a key: the same result in any worker, in any order.
@@ -121,50 +110,22 @@ class SampleTransform(nn.Module):
 
     @uncompiled
     def _apply_with(self, key: int, *inputs: Any) -> Any:
-        generator = torch.Generator().manual_seed(key)
-        image, distance, rebuild = self.taken_apart(inputs)
-        return rebuild(self.transform(image, distance, self.make_params(image, generator)))
+        return self._sampled(inputs, torch.Generator().manual_seed(key))
 
     @uncompiled
     def forward(self, *inputs: Any) -> Any:
         """Draw and degrade; see the class."""
-        image, distance, rebuild = self.taken_apart(inputs)
-        return rebuild(self.transform(image, distance, self.make_params(image)))
+        return self._sampled(inputs, None)
 
-    def taken_apart(self, inputs: tuple[Any, ...]) -> Parts:
-        """Image, map and the way back, of what the transform was called with."""
-        parts = take_apart(inputs, self.image_key, self.distance_key, mapped=self._mapped)
-        plain_image(parts.image)
-        return parts
+    def _sampled(self, inputs: tuple[Any, ...], generator: torch.Generator | None) -> Any:
+        raise NotImplementedError
 
 
 def key_of(seed: int, epoch: int, index: int | str) -> int:
     """A seed of 32 bits, all that a generator of torch takes, from a key; see `at`."""
-    which = index if isinstance(index, str) else whole(index)
-    text = f"{whole(seed)}/{whole(epoch)}/{which}"
+    which = index if isinstance(index, str) else whole_number(index)
+    text = f"{whole_number(seed)}/{whole_number(epoch)}/{which}"
     return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=4).digest())
-
-
-def _alone(result: Tensor) -> Tensor:
-    return result
-
-
-def _with_image(sample: Any, key: str, result: Tensor) -> Any:
-    """A copy of a dict with another image."""
-    changed = copy.copy(sample)
-    changed[key] = result
-    return changed
-
-
-def _with_first(sample: Any, result: Tensor) -> Any:
-    """The same tuple, named tuple or list with another first leaf."""
-    leaves = (result, *sample[1:])
-    return type(sample)(*leaves) if hasattr(sample, "_fields") else type(sample)(leaves)
-
-
-def typed(x: Tensor, wanted: type[Tensor]) -> Tensor:
-    """A tensor as another class of tensors."""
-    return x if type(x) is wanted else x.as_subclass(wanted)
 
 
 def plain_image(image: Any) -> Tensor:
@@ -175,6 +136,21 @@ def plain_image(image: Any) -> Tensor:
     return typed(image, Tensor)
 
 
+def typed(x: Tensor, kind: type[Tensor]) -> Tensor:
+    """A tensor as another class of tensors."""
+    return x if type(x) is kind else x.as_subclass(kind)
+
+
+def with_pictures(image: Tensor, pictures: Mapping[int, Tensor]) -> Tensor:
+    """An image, or a batch of them, with new pictures in some places; itself if there are none."""
+    if not pictures:
+        return image
+    if image.ndim == 3:
+        return typed(pictures[0], type(image))
+    plain = typed(image, Tensor)
+    return typed(torch.stack([pictures.get(i, plain[i]) for i in range(len(plain))]), type(image))
+
+
 def maps_for(
     image: Tensor, distance: Any, chosen: list[int], instead: Any
 ) -> Sequence[Tensor | None]:
@@ -182,9 +158,12 @@ def maps_for(
 
     Args:
         image (3xHxW or Bx3xHxW tensor): plain.
-        distance: the map that was given, or None.
+        distance: the map of a sample, or None.
         chosen: indices of pictures.
         instead: what there is instead of a map: None, numbers, or a callable that guesses maps.
+
+    Raises:
+        TypeError, ValueError: if a map does not suit the image, or there is none.
     """
     batch = image if image.ndim == 4 else image[None]
     if distance is not None:
@@ -197,22 +176,11 @@ def maps_for(
         raise ValueError(f"distance is missing: give a map, or {cure}; {kornia}")
     if not callable(instead) or not chosen:
         return [None] * len(chosen)
-    seen = batch[chosen]
-    shown = image if image.ndim == 3 else seen
+    pictures = batch[chosen]
+    shown = image if image.ndim == 3 else pictures
     with torch.no_grad():
         guess = instead(shown / 255 if shown.dtype == torch.uint8 else shown)
-    return list(_plain_maps(guess, seen))
-
-
-@contextmanager
-def naming(index: int, count: int) -> Iterator[None]:
-    """Say in refusals which picture of a batch it is."""
-    try:
-        yield
-    except ValueError as error:
-        if count == 1:
-            raise
-        raise ValueError(f"picture {index} of {count}, counted from 0: {error}") from None
+    return list(_plain_maps(guess, pictures))
 
 
 def _plain_maps(distance: Any, images: Tensor) -> Tensor:
@@ -228,3 +196,14 @@ def _plain_maps(distance: Any, images: Tensor) -> Tensor:
     if len(maps) not in (1, batch):
         raise ValueError(f"distance is a batch of {len(maps)} but image is one of {batch}")
     return maps.expand(batch, -1, -1, -1)
+
+
+@contextmanager
+def naming(index: int, count: int) -> Iterator[None]:
+    """Say in refusals which picture of a batch it is."""
+    try:
+        yield
+    except ValueError as error:
+        if count == 1:
+            raise
+        raise ValueError(f"picture {index} of {count}, counted from 0: {error}") from None

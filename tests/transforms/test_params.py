@@ -1,17 +1,17 @@
 import itertools
-import json
 import math
 import pickle
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from augmenting import EVERYTHING, LASERS, TANK, distances, leaves, picture, same
+from augmenting import EVERYTHING, LASERS, LIGHTS, TANK, distances, picture, same
 
-import uwaug.transforms.draw
 from uwaug import JERLOV_TYPES, RandomUnderwater
+from uwaug.transforms import collate_records
+from uwaug.transforms.params import QUANTITIES, Quantity
 
 # Keys
 
@@ -69,7 +69,7 @@ def test_new_draws_go_to_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
         return [aug.make_params(picture(b), torch.Generator().manual_seed(3)) for b in (None, 4)]
 
     before = records()
-    monkeypatch.setattr(uwaug.transforms.draw, "_DRAWS", (*uwaug.transforms.draw._DRAWS, "new"))
+    monkeypatch.setitem(QUANTITIES, "new", Quantity(0.0, 1.0, maps=()))
     assert records() == before
 
 
@@ -158,102 +158,7 @@ def test_probabilities(drawn: list[dict[str, Any]]) -> None:
 # Records
 
 
-def changed(**values: Any) -> Callable[[dict[str, Any]], Any]:
-    return lambda record: {"samples": [{**record["samples"][0], **values}]}
-
-
-@pytest.mark.parametrize(
-    "change, error, match",
-    [
-        (
-            lambda r: {"samples": r["samples"] * 2},
-            ValueError,
-            "params has 2 samples but image is a batch of 3",
-        ),
-        (lambda r: {"samples": []}, ValueError, "params has 0 samples but image is a batch of 3"),
-        (lambda r: r["samples"], TypeError, "params must be a record from make_params"),
-        (lambda r: None, TypeError, "params must be a record.*None"),
-        (changed(waters=["II"]), ValueError, "params asks for 'II', but this transform has 7C, 9C"),
-        (
-            changed(camera="Kodak"),
-            ValueError,
-            "params asks for 'Kodak', but this transform has Nikon",
-        ),
-        (
-            lambda r: {"samples": [{"applied": True}]},
-            ValueError,
-            "params is of a transform with other options.*camera",
-        ),
-    ],
-)
-def test_records_are_checked(
-    change: Callable[[Any], Any], error: type[Exception], match: str
-) -> None:
-    aug = RandomUnderwater(["7C", "9C"])
-    with pytest.raises(error, match=match):
-        aug.transform(picture(3), distances(3), change(aug.make_params(picture())))
-
-
-def test_records_of_other_transforms() -> None:
-    plain, scaled = RandomUnderwater(), RandomUnderwater(distance_kind="relative")
-    for one, other in ((plain, scaled), (scaled, plain)):
-        message = r"params is of a transform with other options.* far, gamma, near"
-        with pytest.raises(ValueError, match=message):
-            one.transform(picture(), distances(), other.make_params(picture()))
-    record = RandomUnderwater(visibility=3.0).make_params(picture())
-    with pytest.raises(ValueError, match=r"other options.* visibility"):
-        plain.transform(picture(), distances(), record)
-
-
-@pytest.mark.parametrize("written", [False, True], ids=["dicts", "JSON"])
-def test_records_of_single_pictures_make_one_of_a_batch(
-    options: dict[str, Any], written: bool
-) -> None:
-    aug = RandomUnderwater(**{**options, "same_on_batch": False})
-    image, *rest = leaves(aug, 4)
-    maps = rest[0] if rest else [None] * 4
-    torch.manual_seed(3)
-    records = [aug.make_params(one) for one in image]
-    parts = []
-    for one, z, record in zip(image, maps, records, strict=True):
-        parts.append(aug.transform(one, z, record))
-    given = map(json.dumps, records) if written else records
-    whole = uwaug.transforms.collate_records(given)
-    assert json.loads(json.dumps(whole)) == whole
-    assert same(aug.transform(image, rest[0] if rest else None, whole), torch.stack(parts))
-
-
-@pytest.mark.parametrize(
-    "records, error, match",
-    [
-        ([{"samples": []}], ValueError, "of one picture each, got one of 0 at 0"),
-        (['{"samples": [{}]}', {"samples": [{}, {}]}], ValueError, "got one of 2 at 1"),
-        ([{"samples": {}}], TypeError, "records must be records from make_params.* at 0"),
-        ([{"applied": True}], TypeError, "records must be records from make_params"),
-        (["[1]"], TypeError, r"got '\[1\]' at 0"),
-        ({"samples": [{}]}, TypeError, "records must be a list of records.*got a dict"),
-        ('{"samples": [{}]}', TypeError, "records must be a list of records.*got a str"),
-        (["samples"], TypeError, "records must be.* or their JSON, got 'samples' at 0"),
-    ],
-)
-def test_what_records_are_collated(records: Any, error: type[Exception], match: str) -> None:
-    with pytest.raises(error, match=match):
-        uwaug.transforms.collate_records(records)
-
-
-def test_record_is_plain() -> None:
-    aug = RandomUnderwater([TANK, "7C"], cameras=[LASERS], distance=(1.0, 2.0), **EVERYTHING)
-
-    def walk(value: Any) -> Iterator[Any]:
-        yield value
-        parts = value.values() if isinstance(value, dict) else value
-        if isinstance(value, (dict, list)):
-            for part in parts:
-                yield from walk(part)
-
-    record = aug.make_params(picture(4))
-    assert {type(v) for v in walk(record)} <= {dict, list, str, bool, int, float}
-    assert list(record) == ["samples"]
+OTHERS = "params is of a transform with other options.*"
 
 
 @pytest.mark.parametrize(
@@ -265,18 +170,77 @@ def test_record_is_plain() -> None:
         ({"applied": "no"}, "params: applied must be"),
         ({"waters": []}, "params: waters must be a list"),
         ({"waters": [("II", "II")]}, "collate_records"),
+        ({"waters": ["II"]}, "params asks for 'II', but this transform has 7C, 9C"),
+        ({"camera": "Kodak"}, "params asks for 'Kodak', but this transform has Nikon"),
         ({"field_range": None}, "field_range must be"),
         ({"used": None}, "params: used must hold"),
         ({"used": {"contents": 1.0, "gain": math.inf}}, "params: used.gain must be"),
         ({"used": {"contents": 1e9, "gain": 1.0}}, "params: used.contents must be"),
+        ({"path": "slow"}, "params: path must be one of"),
+        ({"light": 2}, "params: light must be a whole number below 2, got 2"),
+        ({"near": 1.0, "far": 2.0}, OTHERS + "far, near"),
     ],
 )
 def test_altered_records_are_refused(change: dict[str, Any], match: str) -> None:
-    aug = RandomUnderwater()
+    aug = RandomUnderwater(["7C", "9C"], light=LIGHTS)
     record = aug.make_params(picture())
     record["samples"][0] |= change
     with pytest.raises(ValueError, match=match):
         aug.transform(picture(), distances() + 1, record)
+
+
+@pytest.mark.parametrize(
+    "record, match",
+    [
+        ({"samples": [{}, {}]}, "params has 2 samples but image is a batch of 3"),
+        ({"samples": []}, "params has 0 samples but image is a batch of 3"),
+        ({"samples": [{"applied": True}]}, OTHERS + "camera"),
+        ({"samples": ["applied"]}, "params..samples.. must be a list of dicts"),
+        ([{"applied": True}], "params must be a record from make_params"),
+        (None, "params must be a record.*None"),
+        (RandomUnderwater(visibility=3.0).make_params(picture()), OTHERS + " visibility"),
+    ],
+)
+def test_what_is_no_record_of_a_transform(record: Any, match: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=match):
+        RandomUnderwater().transform(picture(3), distances(3), record)
+
+
+@pytest.mark.parametrize(
+    "records, match",
+    [
+        ([{"samples": []}], "of one picture each, got one of 0 at 0"),
+        (['{"samples": [{}]}', {"samples": [{}, {}]}], "got one of 2 at 1"),
+        ([{"samples": {}}], "records must be records from make_params.* at 0"),
+        ([{"applied": True}], "records must be records from make_params"),
+        (["[1]"], r"got '\[1\]' at 0"),
+        ({"samples": [{}]}, "records must be a list of records.*got a dict"),
+        ('{"samples": [{}]}', "records must be a list of records.*got a str"),
+        (["samples"], "records must be.* or their JSON, got 'samples' at 0"),
+    ],
+)
+def test_what_records_are_collated(records: Any, match: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=match):
+        collate_records(records)
+
+
+def test_record_is_plain() -> None:
+    options = {"cameras": [LASERS], "distance": (1.0, 2.0), "light": LIGHTS, **EVERYTHING}
+    aug = RandomUnderwater([TANK, "7C"], **options)
+
+    def walk(value: Any) -> Iterator[Any]:
+        yield value
+        parts = value.values() if isinstance(value, dict) else value
+        if isinstance(value, (dict, list)):
+            for part in parts:
+                yield from walk(part)
+
+    record = aug.make_params(picture(4))
+    assert {type(v) for v in walk(record)} <= {dict, list, str, bool, int, float}
+    assert list(record) == ["samples"]
+    # as all records since the first release
+    first = "applied waters camera field_seed field_range path light mixing visibility"
+    assert " ".join(record["samples"][0]).startswith(first)
 
 
 def test_sets_have_no_order() -> None:

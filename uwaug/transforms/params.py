@@ -1,0 +1,309 @@
+"""What is random about a picture's water: from what it is drawn, and the records of what was."""
+
+import json
+import math
+from bisect import bisect
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import Any, get_args
+
+import numpy as np
+import torch
+
+from uwaug._support import checks
+from uwaug._support.checks import DOMAIN
+from uwaug.distance.sample import DistanceKind
+from uwaug.formation.loops.backend import Path
+
+Range = float | tuple[float, float]
+Record = dict[str, Any]
+
+_LARGEST = 1e4
+"""Of contents and gain in a record: far beyond any that was used."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number that each picture draws.
+
+    Attributes:
+        low, high: its domain; infinity itself is never allowed.
+        unit: of the number.
+        log: whether it is drawn uniformly in its logarithm.
+        whole: whether it is a whole number below the end of its range.
+        makes_medium: whether a range of it gives each picture a medium of its own.
+        maps: the kinds of distance map that it means something for.
+    """
+
+    low: float
+    high: float
+    unit: str = ""
+    log: bool = False
+    whole: bool = False
+    makes_medium: bool = False
+    maps: tuple[str, ...] = get_args(DistanceKind)
+
+    @property
+    def domain(self) -> tuple[float, float]:
+        """Its least and its largest value."""
+        return self.low, self.high
+
+
+QUANTITIES = {
+    "mixing": Quantity(*DOMAIN["mixing"], makes_medium=True),
+    "visibility": Quantity(*DOMAIN["visibility"], "m", log=True, makes_medium=True),
+    "vertical_depth": Quantity(*DOMAIN["vertical_depth"], "m", makes_medium=True),
+    "g": Quantity(*DOMAIN["g"], makes_medium=True),
+    "mu": Quantity(*DOMAIN["mu"], makes_medium=True),
+    "blur_factor": Quantity(*DOMAIN["blur_factor"], makes_medium=True),
+    "near": Quantity(*DOMAIN["near"], "m", maps=("relative", "inverse")),
+    "far": Quantity(*DOMAIN["far"], "m", maps=("relative", "inverse")),
+    "gamma": Quantity(*DOMAIN["gamma"], maps=("relative",)),
+    "distance": Quantity(*DOMAIN["distance"], "m"),
+    "contrast": Quantity(*DOMAIN["contrast"], log=True, makes_medium=True),
+    "exposure": Quantity(*DOMAIN["exposure"], "stops"),
+    "light": Quantity(0.0, math.inf, whole=True),
+}
+"""By the name of the option that gives a number or a range of it, in the order in which they are
+drawn. A new one goes to the end, so that keys of `RandomUnderwater.at` keep their pictures.
+"""
+
+_CHOICES = ("applied", "first", "second", "camera", "field")
+"""What each picture draws a uniform number for before those of `QUANTITIES`; for all, whether
+anything asks for them or not.
+"""
+
+
+@dataclass(frozen=True)
+class Params:
+    """What one picture was drawn. A quantity that nothing asks for is missing.
+
+    Attributes:
+        applied: whether the picture is degraded at all.
+        waters: the name of one, or of two to be mixed.
+        camera: its name.
+        field_seed: of the medium field; None for an even water.
+        field_range: least and largest value of the field.
+        path: who computes the picture, see `uwaug.fused`; None if a record does not say.
+        numbers: by the names of `QUANTITIES`; "light" is the index of a light.
+        used: what the numbers came to, in a record that was resolved.
+    """
+
+    applied: bool
+    waters: tuple[str, ...]
+    camera: str
+    field_seed: int | None
+    field_range: tuple[float, float]
+    path: Path | None
+    numbers: Mapping[str, float]
+    used: Mapping[str, float] | None = None
+
+    def to_dict(self) -> Record:
+        """The sample of a record."""
+        sample: Record = {
+            "applied": self.applied,
+            "waters": list(self.waters),
+            "camera": self.camera,
+            "field_seed": self.field_seed,
+            "field_range": list(self.field_range),
+        }
+        if self.path is not None:
+            sample["path"] = self.path
+        sample |= self.numbers
+        if self.used is not None:
+            sample["used"] = dict(self.used)
+        return sample
+
+    @staticmethod
+    def from_dict(sample: Mapping[str, Any]) -> "Params":
+        """The inverse of `to_dict`.
+
+        Raises:
+            ValueError: if no draw can have given one of the values.
+        """
+        names = sample["waters"]
+        if not isinstance(names, list) or len(names) not in (1, 2) or isinstance(names[0], tuple):
+            cure = "make a batch of records with uwaug.transforms.collate_records"
+            raise ValueError(
+                f"params: waters must be a list of 1 or 2 names, got {names!r}; {cure}"
+            )
+        if not isinstance(sample["applied"], bool):
+            raise ValueError(f"params: applied must be true or false, got {sample['applied']!r}")
+        numbers = {name: sample[name] for name in QUANTITIES if name in sample}
+        for name, number in numbers.items():
+            checks.within(f"params: {name}", number, *QUANTITIES[name].domain)
+        if "path" in sample:
+            checks.one_of("params: path", sample["path"], get_args(Path))
+        used = None
+        if "used" in sample:
+            used = sample["used"]
+            if not isinstance(used, Mapping) or not {"contents", "gain"} <= set(used):
+                raise ValueError(f"params: used must hold contents and gain, got {used!r:.80}")
+            for name in ("contents", "gain"):
+                checks.within(f"params: used.{name}", used[name], 0.0, _LARGEST)
+        return Params(
+            applied=sample["applied"],
+            waters=tuple(names),
+            camera=sample["camera"],
+            field_seed=sample["field_seed"],
+            field_range=as_range("field_range", sample["field_range"]),
+            path=sample.get("path"),
+            numbers=numbers,
+            used=used,
+        )
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """From what `Params` are drawn, see `RandomUnderwater`.
+
+    Attributes:
+        waters: the weight of each, by name.
+        cameras: names, of equal weight.
+        ranges: (low, high) of each quantity that is drawn.
+        field_range: (low, high) of the medium field.
+        p, field_probability: of degrading a picture at all, and of an uneven water.
+    """
+
+    waters: Mapping[str, float]
+    cameras: tuple[str, ...]
+    ranges: Mapping[str, tuple[float, float]]
+    field_range: tuple[float, float]
+    p: float
+    field_probability: float
+
+    @property
+    def makes_media(self) -> bool:
+        """Whether each picture gets a medium of its own."""
+        if "contrast" in self.ranges:  # at the picture's own distances
+            return True
+        return any(
+            QUANTITIES[name].makes_medium and low < high
+            for name, (low, high) in self.ranges.items()
+        )
+
+    def draw(
+        self, count: int, generator: torch.Generator | None, path: Path | None
+    ) -> list[Params]:
+        """Params for each of `count` pictures, which `path` is to compute."""
+        # 32 bits: all that a generator of torch takes from a seed
+        seeds = torch.randint(2**32, (count,), generator=generator).tolist()
+        rows = (*_CHOICES, *QUANTITIES)
+        uniform = torch.rand(len(rows), count, generator=generator, dtype=torch.float64)
+        names, weights = list(self.waters), list(accumulate(self.waters.values()))
+        which = ("first", "second") if self.ranges["mixing"][1] > 0 else ("first",)
+        drawn = []
+        for column, seed in zip(uniform.T.tolist(), seeds, strict=True):
+            u = dict(zip(rows, column, strict=True))
+            numbers: dict[str, float] = {}
+            for name, (low, high) in self.ranges.items():
+                log, whole = QUANTITIES[name].log, QUANTITIES[name].whole
+                value = low * (high / low) ** u[name] if log else low + (high - low) * u[name]
+                numbers[name] = int(value) if whole else value
+            params = Params(
+                applied=u["applied"] < self.p,
+                waters=tuple(names[bisect(weights, u[n] * weights[-1])] for n in which),
+                camera=self.cameras[int(u["camera"] * len(self.cameras))],
+                field_seed=seed if u["field"] < self.field_probability else None,
+                field_range=self.field_range,
+                path=path,
+                numbers=numbers,
+            )
+            drawn.append(params)
+        return drawn
+
+    def read(self, record: Any, count: int) -> list[Params]:
+        """The params of each of `count` pictures from a record.
+
+        Raises:
+            TypeError, ValueError: if it is no record, or none that this distribution can have
+                given.
+        """
+        if not isinstance(record, Mapping) or "samples" not in record:
+            expected = "a record from make_params, {'samples': […]}"
+            raise TypeError(f"params must be {expected}, got {record!r:.80}")
+        samples = record["samples"]
+        if not isinstance(samples, list) or not all(isinstance(s, Mapping) for s in samples):
+            raise TypeError(f"params['samples'] must be a list of dicts, got {samples!r:.80}")
+        if len(samples) not in (1, count):
+            raise ValueError(f"params has {len(samples)} samples but image is a batch of {count}")
+        keys = {"applied", "waters", "camera", "field_seed", "field_range", *self.ranges}
+        read = []
+        for sample in samples:
+            odd = ", ".join(sorted(keys ^ (set(sample) - {"used", "path"})))
+            if odd:
+                raise ValueError(
+                    f"params is of a transform with other options: they differ in {odd}"
+                )
+            params = Params.from_dict(sample)
+            for names, choices in ((params.waters, self.waters), ((params.camera,), self.cameras)):
+                for name in names:
+                    if name not in choices:
+                        has = ", ".join(choices)
+                        raise ValueError(f"params asks for {name!r}, but this transform has {has}")
+            if "light" in self.ranges:
+                light, lights = params.numbers["light"], int(self.ranges["light"][1])
+                if light not in range(lights):
+                    below = f"a whole number below {lights}"
+                    raise ValueError(f"params: light must be {below}, got {light!r:.40}")
+            read.append(params)
+        return read * count if len(read) < count else read
+
+
+def collate_records(records: Iterable[Mapping[str, Any] | str]) -> Record:
+    """Make the record of a batch from those of its pictures, for `RandomUnderwater.transform`.
+
+    Args:
+        records: from `RandomUnderwater.make_params`, each of one picture, in the order of the
+            batch; or their JSON.
+
+    Raises:
+        TypeError: if one is no record.
+        ValueError: if one is of several pictures.
+
+    Examples:
+        >>> import json, torch, uwaug
+        >>> aug, image = uwaug.RandomUnderwater(distance=3.0), torch.rand(2, 3, 20, 30)
+        >>> records = [json.dumps(aug.make_params(picture)) for picture in image]
+        >>> aug.transform(image, None, uwaug.transforms.collate_records(records)).shape
+        torch.Size([2, 3, 20, 30])
+    """
+    if isinstance(records, (str, Mapping)):
+        got = f"got a {type(records).__name__}"
+        raise TypeError(f"records must be a list of records, one of each picture, {got}")
+    samples = []
+    for i, record in enumerate(records):
+        parsed: Any = record
+        if isinstance(record, str):
+            try:
+                parsed = json.loads(record)
+            except json.JSONDecodeError:
+                parsed = None
+        of_record = parsed.get("samples") if isinstance(parsed, Mapping) else None
+        if not isinstance(of_record, list):
+            expected = "records from make_params, {'samples': […]}, or their JSON"
+            raise TypeError(f"records must be {expected}, got {record!r:.80} at {i}")
+        if len(of_record) != 1:
+            got = f"got one of {len(of_record)} at {i}"
+            raise ValueError(f"records must be of one picture each, {got}")
+        samples += of_record
+    return {"samples": samples}
+
+
+def as_range(name: str, value: Any) -> tuple[float, float]:
+    """A number or (low, high) as (low, high), inside the domain of that name."""
+    least, most = DOMAIN[name]
+    try:
+        if isinstance(value, (str, bool)):
+            raise TypeError
+        alone = isinstance(value, (int, float, np.number))
+        low, high = (value, value) if alone else map(float, value)
+    except (TypeError, ValueError):
+        low = high = math.nan
+    if not (least <= low <= high <= most and high < math.inf):
+        unit = QUANTITIES[name].unit if name in QUANTITIES else ""
+        domain = f"{checks.bounds(least, most)} {unit}".rstrip()
+        expected = f"a number or a range (low, high) with low ≤ high, {domain}"
+        raise ValueError(f"{name} must be {expected}; got {value!r}")
+    return float(low), float(high)
