@@ -2,6 +2,8 @@
 
 import inspect
 import tomllib
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -12,13 +14,6 @@ from uwaug.cli.console import refuse, reported_errors, require_package
 
 if TYPE_CHECKING:
     from uwaug.jobs.items import Items
-
-WATER = "Water"
-DISTANCES = "Distances"
-DRAWN = "Drawn for each picture"
-OUTPUT = "Output"
-RUN = "Run"
-LABELS = "Labels"
 
 _FEW = 8
 """Pictures that this process has done before others have begun."""
@@ -55,11 +50,15 @@ def _word_or_number(text: str) -> str | float:
         return text
 
 
-def _drawn(*flags: str, help: str) -> Any:
-    """A number, or a range of them to draw from."""
-    return typer.Option(
-        *flags, help=help, parser=_range, metavar="NUMBER|LOW:HIGH", rich_help_panel=DRAWN
-    )
+def _panel(name: str) -> Callable[..., Any]:
+    """`typer.Option` for a group of flags in the help."""
+    return partial(typer.Option, rich_help_panel=name)
+
+
+_water, _distance, _output = _panel("Water"), _panel("Distances"), _panel("Output")
+_drawn, _labels, _run = _panel("Drawn for each picture"), _panel("Labels"), _panel("Run")
+_ranged = partial(_drawn, parser=_range, metavar="NUMBER|LOW:HIGH")
+_scaled = partial(_distance, parser=_range, metavar="NUMBER|LOW:HIGH")
 
 
 def degrade(
@@ -72,198 +71,115 @@ def degrade(
     ] = None,
     water: Annotated[
         str | None,
-        water_option("Jerlov type: I, IA, IB, II, III, 1C, 3C, 5C, 7C, 9C.", WATER),
+        water_option("Jerlov type: I, IA, IB, II, III, 1C, 3C, 5C, 7C, 9C.", "Water"),
     ] = None,
     preset: Annotated[
-        str | None, preset_option("A preset, or the path of a TOML file.", WATER)
+        str | None, preset_option("A preset, or the path of a TOML file.", "Water")
     ] = None,
-    fit: Annotated[
-        Path | None, typer.Option(help="What uwaug fit has written.", rich_help_panel=WATER)
-    ] = None,
+    fit: Annotated[Path | None, _water(help="What uwaug fit has written.")] = None,
     random: Annotated[
-        bool,
-        typer.Option(
-            "--random", help="A water of its own for each picture.", rich_help_panel=WATER
-        ),
+        bool, _water("--random", help="A water of its own for each picture.")
     ] = False,
     options: Annotated[
-        Path | None,
-        typer.Option(
-            help="TOML file of options of RandomUnderwater, such as waters.", rich_help_panel=WATER
-        ),
+        Path | None, _water(help="TOML file of options of RandomUnderwater, such as waters.")
     ] = None,
     distance: Annotated[
         str | None,
-        typer.Option(
+        _distance(
             help="Distance of each pixel: a folder of files with the pictures' names, a pattern "
-            "such as {stem}_depth.png, one file, or metres.",
-            rich_help_panel=DISTANCES,
+            "such as {stem}_depth.png, one file, or metres."
         ),
     ] = None,
     distance_kind: Annotated[
-        Literal["metric", "relative", "inverse", "disparity"],
-        typer.Option(help="Of distance files.", rich_help_panel=DISTANCES),
+        Literal["metric", "relative", "inverse", "disparity"], _distance(help="Of distance files.")
     ] = "metric",
     distance_unit: Annotated[
-        str,
-        typer.Option(
-            help="Of distance files: m, cm, mm, um, or how many metres 1 stands for.",
-            rich_help_panel=DISTANCES,
-        ),
+        str, _distance(help="Of distance files: m, cm, mm, um, or how many metres 1 stands for.")
     ] = "m",
     unknown: Annotated[
-        str,
-        typer.Option(
-            help="What 0 and NaN get: error, fill, skip, far, or metres.",
-            rich_help_panel=DISTANCES,
-        ),
+        str, _distance(help="What 0 and NaN get: error, fill, skip, far, or metres.")
     ] = "error",
     planar: Annotated[
         bool,
-        typer.Option(
-            "--planar",
-            help="Files hold depth along the optical axis, not the ray.",
-            rich_help_panel=DISTANCES,
-        ),
+        _distance("--planar", help="Files hold depth along the optical axis, not the ray."),
     ] = False,
     focal_px: Annotated[
         float | None,
-        typer.Option(
-            help="Focal length, px: for the blur, planar depth and disparity.",
-            rich_help_panel=DISTANCES,
-        ),
+        _distance(help="Focal length, px: for the blur, planar depth and disparity."),
     ] = None,
     baseline: Annotated[
-        float | None,
-        typer.Option(help="m, between the cameras of a disparity.", rich_help_panel=DISTANCES),
+        float | None, _distance(help="m, between the cameras of a disparity.")
     ] = None,
     offset_px: Annotated[
-        float,
-        typer.Option(help="px, of the principal points of a disparity.", rich_help_panel=DISTANCES),
+        float, _distance(help="px, of the principal points of a disparity.")
     ] = 0.0,
     depth_network: Annotated[
-        Path | None,
-        typer.Option(
-            help="Depth network (ONNX), in place of --distance.", rich_help_panel=DISTANCES
-        ),
+        Path | None, _distance(help="Depth network (ONNX), in place of --distance.")
     ] = None,
-    near: Annotated[Any, _drawn(help="m, of relative and inverse distances.")] = None,
-    far: Annotated[Any, _drawn(help="m, of relative and inverse distances.")] = None,
-    gamma: Annotated[Any, _drawn(help="Exponent, of relative distances.")] = None,
-    visibility: Annotated[Any, _drawn(help="m.")] = None,
-    contrast: Annotated[Any, _drawn(help="Left at the median distance, 0…1.")] = None,
-    severity: Annotated[
-        int | None,
-        typer.Option(min=1, max=5, help="1 (mild) to 5: a contrast.", rich_help_panel=DRAWN),
-    ] = None,
+    near: Annotated[Any, _scaled(help="m, of relative and inverse distances.")] = None,
+    far: Annotated[Any, _scaled(help="m, of relative and inverse distances.")] = None,
+    gamma: Annotated[Any, _scaled(help="Exponent, of relative distances.")] = None,
+    visibility: Annotated[Any, _ranged(help="m.")] = None,
+    contrast: Annotated[Any, _ranged(help="Left at the median distance, 0…1.")] = None,
+    severity: Annotated[int | None, _drawn(min=1, max=5, help="1 (mild) to 5: a contrast.")] = None,
     vertical_depth: Annotated[
-        Any, _drawn("--vertical-depth", "--depth", help="Of the scene below the surface, m.")
+        Any, _ranged("--vertical-depth", "--depth", help="Of the scene below the surface, m.")
     ] = None,
     exposure: Annotated[
         Any,
-        typer.Option(
-            help="auto, none, or a gain in stops.",
-            parser=_exposure,
-            metavar="auto|none|STOPS",
-            rich_help_panel=DRAWN,
-        ),
+        _drawn(help="auto, none, or a gain in stops.", parser=_exposure, metavar="auto|none|STOPS"),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Of all that is random.", rich_help_panel=DRAWN)] = 0,
-    variants: Annotated[
-        int, typer.Option(min=1, help="Of each picture.", rich_help_panel=DRAWN)
-    ] = 1,
+    seed: Annotated[int, _drawn(help="Of all that is random.")] = 0,
+    variants: Annotated[int, _drawn(min=1, help="Of each picture.")] = 1,
     out: Annotated[
         Path | None,
-        typer.Option(
-            help="Folder to write to, made if need be; or, of one picture, a file.",
-            rich_help_panel=OUTPUT,
-        ),
+        _output(help="Folder to write to, made if need be; or, of one picture, a file."),
     ] = None,
     output_format: Annotated[
         str | None,
-        typer.Option(
-            "--format",
-            help="png, jpg, webp, tif, npy; that of each picture by default.",
-            rich_help_panel=OUTPUT,
-        ),
+        _output("--format", help="png, jpg, webp, tif, npy; that of each picture by default."),
     ] = None,
     keep_terms: Annotated[
         bool,
-        typer.Option(
-            "--keep-terms",
-            help="The direct, forward and backscattered light too.",
-            rich_help_panel=OUTPUT,
-        ),
+        _output("--keep-terms", help="The direct, forward and backscattered light too."),
     ] = False,
-    sheet: Annotated[
-        bool,
-        typer.Option("--sheet", help="Some of the results on one sheet.", rich_help_panel=OUTPUT),
-    ] = False,
-    force: Annotated[
-        bool, typer.Option("--force", help="Write over what is there.", rich_help_panel=OUTPUT)
-    ] = False,
+    sheet: Annotated[bool, _output("--sheet", help="Some of the results on one sheet.")] = False,
+    force: Annotated[bool, _output("--force", help="Write over what is there.")] = False,
     labels: Annotated[
-        Path | None,
-        typer.Option(
-            help="COCO file, or folder of YOLO's .txt or of .png masks.", rich_help_panel=LABELS
-        ),
+        Path | None, _labels(help="COCO file, or folder of YOLO's .txt or of .png masks.")
     ] = None,
     min_contrast: Annotated[
-        float | None,
-        typer.Option(
-            help="Labels of what keeps less, 0…1, are marked as ignored.", rich_help_panel=LABELS
-        ),
+        float | None, _labels(help="Labels of what keeps less, 0…1, are marked as ignored.")
     ] = None,
     ignore_index: Annotated[
         int | None,
-        typer.Option(
-            "--ignore-index",
-            "--void",
-            help='Value of masks that means "ignored" already.',
-            rich_help_panel=LABELS,
-        ),
+        _labels("--ignore-index", "--void", help='Value of masks that means "ignored" already.'),
     ] = None,
     resume: Annotated[
-        bool,
-        typer.Option(
-            "--resume", help="Go on where the same command was stopped.", rich_help_panel=RUN
-        ),
+        bool, _run("--resume", help="Go on where the same command was stopped.")
     ] = False,
     dry_run: Annotated[
-        bool,
-        typer.Option(
-            "--dry-run",
-            help="Say what would be read and written, and how long.",
-            rich_help_panel=RUN,
-        ),
+        bool, _run("--dry-run", help="Say what would be read and written, and how long.")
     ] = False,
     replay: Annotated[
         Path | None,
-        typer.Option(
-            "--replay",
-            "--from",
-            help="A record: make its picture again, the same bytes.",
-            rich_help_panel=RUN,
-        ),
+        _run("--replay", "--from", help="A record: make its picture again, the same bytes."),
     ] = None,
     workers: Annotated[
-        int | None,
-        typer.Option(min=1, help="Processes; by default one for each core.", rich_help_panel=RUN),
+        int | None, _run(min=1, help="Processes; by default one for each core.")
     ] = None,
     ray: Annotated[
         str | None,
-        typer.Option(
+        _run(
             help="In place of processes: local (Ray is started on this machine), auto (its "
-            "cluster), or host:port of a cluster.",
-            rich_help_panel=RUN,
+            "cluster), or host:port of a cluster."
         ),
     ] = None,
     shards: Annotated[
         str | None,
-        typer.Option(
+        _run(
             help="In place of --out, with --ray: Parquet files with the pictures inside, in a "
-            "folder, s3://…, gs://… or fsspec+NAME://…",
-            rich_help_panel=RUN,
+            "folder, s3://…, gs://… or fsspec+NAME://…"
         ),
     ] = None,
 ) -> None:

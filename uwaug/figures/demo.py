@@ -100,8 +100,15 @@ def preset_case(preset: Preset) -> Case:
         setting += f", {key} = {value}"
     if preset.light is not None:
         setting += ", by its own light; the curves are those of daylight"
-    shown = preset.color_space, preset.exposure, preset.light
-    return Case(name, setting, preset.medium, preset.field_range, *shown)
+    return Case(
+        name,
+        setting,
+        preset.medium,
+        preset.field_range,
+        preset.color_space,
+        preset.exposure,
+        preset.light,
+    )
 
 
 class Drawing(NamedTuple):
@@ -198,11 +205,11 @@ def draw_white_plate() -> Drawing:
     second, left = MARGIN + 52, MARGIN + 140
     width = (Canvas.width - left - gap - MARGIN) / 2
     right = left + width + gap
-    seen = "Camera RGB (Nikon D5100) of a white vertical plate against its distance, shown as sRGB"
+    plate = "Camera RGB (Nikon D5100) of a white vertical plate against its distance, shown as sRGB"
     canvas = Canvas(
         height=top + pitch * len(JERLOV_TYPES) + 64,
         heading="A white plate in ten waters",
-        caption=f"{seen}. {SETTING}. The tick is the visibility.",
+        caption=f"{plate}. {SETTING}. The tick is the visibility.",
     )
     canvas.write(MARGIN, top - 19, "type", 10.5, GREY)
     canvas.write(second, top - 19, "visibility", 10.5, GREY)

@@ -11,8 +11,6 @@ from torch import Tensor
 from uwaug._support import sheet as sheets
 from uwaug.io.read import read_picture
 
-__all__ = ["SHOWN", "draw_sheet"]
-
 SHOWN = 10
 """Pictures, before and after, on a sheet."""
 
