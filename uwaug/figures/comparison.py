@@ -24,7 +24,7 @@ from uwaug.formation.contrast import contrast
 from uwaug.formation.model import validate
 from uwaug.formation.underwater import Underwater
 from uwaug.light.geometry import focal_of
-from uwaug.optics.water import JERLOV_TYPES
+from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.presets.files import published_systems
 from uwaug.presets.preset import Preset, load_preset
 

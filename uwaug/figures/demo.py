@@ -39,10 +39,11 @@ from uwaug.formation.model import form_image
 from uwaug.formation.scene import Terms
 from uwaug.light.geometry import focal_of
 from uwaug.light.light import Light
-from uwaug.light.lit import lit_of, planned
+from uwaug.light.lit import lit_of, planning_medium
+from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
-from uwaug.optics.water import JERLOV_TYPES, Water
+from uwaug.optics.water import Water
 from uwaug.presets.preset import Preset
 from uwaug.presets.scene import Scene
 
@@ -344,7 +345,7 @@ def _form(
 ) -> tuple[Terms, list[str]]:
     """The terms of a scene in a medium, and what was modelled. A view with a light is 60° wide."""
     z = scene.distance if distance is None else distance
-    demand = blur_demand(planned(medium, light), extent(z if field is None else z * field))
+    demand = blur_demand(planning_medium(medium, light), extent(z if field is None else z * field))
     plan = demand.plan(_shape(scene))
     terms = form_image(
         to_light(scene.image, color_space),

@@ -40,8 +40,9 @@ from uwaug.fitting.noise import Noise, initial_weights, reweight
 from uwaug.fitting.results import Candidate, Fit, JerlovType, Line, SeriesFit, WaterFit
 from uwaug.fitting.selection import FittedModel, best_of, one_standard_error_rule
 from uwaug.optics.camera import Camera, load_camera
+from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.point_spread import PointSpread
-from uwaug.optics.water import JERLOV_TYPES, Water
+from uwaug.optics.water import Water
 
 Progress = Callable[[str], None]
 

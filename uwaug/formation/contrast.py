@@ -23,9 +23,8 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug._support.torch_func import refuse_mapped
 from uwaug.formation.colour import LUMINANCE
-from uwaug.formation.transmittance import transmittance
 from uwaug.light.light import Light
-from uwaug.light.lit import lit_of
+from uwaug.light.lit import lit_of, transmittance
 from uwaug.optics.curves import FARTHEST, Curves
 from uwaug.optics.medium import Medium
 
@@ -78,8 +77,7 @@ def contrast(
         z = (z if z.ndim == 4 else z[None]).clamp(0.0, FARTHEST)
         water = medium.to(z)
         lit = lit_of(light, distance, None, water, focal_px, centre)
-        here = None if lit is None else lit.whole()
-        T = transmittance(water, z, here)
+        T = transmittance(water.sums_at(z), z, lit)
         left = contrast_of(T, _light(reflectance, z)).to(distance.dtype)
     alone = len(medium) == 1 and len(left) == 1 and (light is None or light.rows() == 1)
     return left[0] if distance.ndim == 3 and alone else left

@@ -15,7 +15,7 @@ from uwaug.formation.colour import LUMINANCE
 from uwaug.formation.loops.backend import can_render
 from uwaug.formation.loops.render import meter
 from uwaug.light.light import Light
-from uwaug.light.lit import Lit, seen
+from uwaug.light.lit import Lit, transmittance
 from uwaug.optics.curves import Curves, Sums, curves
 from uwaug.optics.medium import Medium
 
@@ -79,7 +79,7 @@ def auto_gain(image: Tensor, z: Tensor, sums: Sums, lit: Lit | None = None) -> T
         where no light arrives.
     """
     points = metering_points(z.shape[-2], z.shape[-1], z.device)
-    T = seen(sums, _at(z, points), None if lit is None else lit.at(points))
+    T = transmittance(sums, _at(z, points), None if lit is None else lit.at(points))
     farthest = z.amax((-3, -2, -1), keepdim=True)
     veil = farthest_veil(sums, farthest, None if lit is None else lit.light)
     return balanced(_at(image, points), T, veil)

@@ -37,9 +37,8 @@ from uwaug.formation.loops import backend
 from uwaug.formation.loops import render as loops
 from uwaug.formation.loops.backend import Path
 from uwaug.formation.loops.backward import render_with_gradients
-from uwaug.formation.transmittance import any_at_lens, at_lens, transmittance
 from uwaug.light.light import Light
-from uwaug.light.lit import LampInWater, Lit, lit_of, planning_medium, seen
+from uwaug.light.lit import LampInWater, Lit, lit_of, planning_medium, transmittance
 from uwaug.optics.curves import FARTHEST, Curves, Sums, curves
 from uwaug.optics.medium import Medium
 
@@ -292,21 +291,21 @@ class Scene:
     def contrast(self) -> Tensor:
         """The share of contrast that is left at each pixel (1xHxW), see `uwaug.contrast`."""
         if isinstance(self.z, Tensor) and not isinstance(self.lit, _BandedLight):
-            lit = None if self.lit is None else self.lit.whole()
-            return self._unbatched(contrast_of(transmittance(self.medium, self.z, lit)))
+            sums = self.medium.sums_at(self.z)
+            return self._unbatched(contrast_of(transmittance(sums, self.z, self.lit)))
         parts = []
         for start, stop in bands(*self.size):
             tile = (..., slice(start, stop), slice(0, self.size[1]))
             lit = None if self.lit is None else self.lit.part(*tile[1:])
-            parts.append(contrast_of(transmittance(self.medium, self.z[tile], lit))[0])
+            z = self.z[tile]
+            parts.append(contrast_of(transmittance(self.medium.sums_at(z), z, lit))[0])
         return torch.cat(parts, 1)
 
     def contrast_at_points(self) -> Tensor:
         """The share of contrast that is left at some pixels (N) of one picture, spread over it."""
         points = metering_points(*self.size, self.image.device)
         z = self._z_at(points)
-        sums = self.medium.sums(exact_at_lens=any_at_lens(z, self.medium))
-        return contrast_of(self._transmittance_at(points, z, sums)).flatten()
+        return contrast_of(self._transmittance_at(points, z, self.medium.sums_at(z))).flatten()
 
     def _z_at(self, points: Tensor) -> Tensor:
         """Effective distances (1x1x1xN) of some pixels."""
@@ -316,7 +315,7 @@ class Scene:
     def _transmittance_at(self, points: Tensor, z: Tensor, sums: Sums) -> Curves:
         if isinstance(self.lit, _BandedLight):
             return self.lit.curves_at(points, z, sums)
-        return seen(sums, z, None if self.lit is None else self.lit.at(points))
+        return transmittance(sums, z, None if self.lit is None else self.lit.at(points))
 
     def _learns(self) -> bool:
         light = self.setup.light
@@ -374,9 +373,7 @@ class Scene:
         if self.engine == "whole" or self._learns():
             assert isinstance(self.radiance, Tensor)
             assert isinstance(self.z, Tensor)
-            # a compiler cannot look at the distances
-            exact = torch.compiler.is_compiling() or any_at_lens(self.z, self.medium)
-            view = self._view(None, exact)
+            view = self._view(None, self.medium.any_at_lens(self.z))
             source = view.source()
             assert isinstance(source, Tensor)
             yield view, None, ..., blurred(source, plan)
@@ -393,9 +390,9 @@ class Scene:
 
     def _near_lens(self) -> bool:
         if isinstance(self.z, Tensor):
-            return any_at_lens(self.z, self.medium)
+            return self.medium.any_at_lens(self.z)
         assert self.span is not None
-        return at_lens(self.medium.beta.new_full((1,), self.span.low), self.medium)
+        return self.medium.any_at_lens(self.medium.beta.new_full((1,), self.span.low))
 
     def _view(self, n: int | None, exact: bool) -> "_View":
         """The n-th picture; None for all of them."""
@@ -445,7 +442,7 @@ class _View(NamedTuple):
             return curves(self.sums, z)
         if tile is ...:
             assert isinstance(self.lit, Lit)
-            return self.lit.whole().curves(self.sums, z)
+            return self.lit.curves(self.sums, z)
         _, rows, columns = tile
         return self.lit.part(rows, columns).curves(self.sums, z)
 

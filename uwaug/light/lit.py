@@ -213,10 +213,6 @@ class Lit(NamedTuple):
         """The light on some rows and columns."""
         return self._replace(place=self.place.part(rows, columns))
 
-    def whole(self) -> "Lit":
-        """The light on the whole picture."""
-        return self
-
     def at(self, pixels: Tensor) -> "Lit":
         """The light on some pixels, given by their flat indices (N), as one row of them."""
         sources = [
@@ -311,8 +307,14 @@ def light_of(light: Light, focal_px: float | None, centre: tuple[float, float] |
     return light
 
 
-def seen(sums: Sums, z: Tensor, lit: Lit | None) -> Curves:
-    """The curves at each pixel under a light; None for daylight as the medium has it."""
+def transmittance(sums: Sums, z: Tensor, lit: Lit | None) -> Curves:
+    """T_β, T_G − T_β and V(0) − V at each pixel.
+
+    Args:
+        sums: of the medium, see `Medium.sums` and `Medium.sums_at`.
+        z (Bx1xHxW tensor): effective distance, m.
+        lit: the light on these pixels; None for daylight as the medium has it.
+    """
     return curves(sums, z) if lit is None else lit.curves(sums, z)
 
 
@@ -324,9 +326,6 @@ def planning_medium(medium: Medium, light: Light | None) -> Medium:
         return medium
     near = medium.under()
     return Medium.stack([medium, replace(near, veil_weights=torch.zeros_like(near.veil_weights))])
-
-
-planned = planning_medium
 
 
 def _summed(rates: Tensor, weights: Tensor, z: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ from uwaug.formation.colour import encoded, from_light, headroom, to_light
 from uwaug.formation.exposure import exposed_sums, fixed_gain
 from uwaug.formation.scene import mixture, total
 from uwaug.formation.underwater import Underwater
-from uwaug.light.lit import Lit, lit_of, seen
+from uwaug.light.lit import Lit, lit_of, transmittance
 from uwaug.onnx.blurs import Blur, blur_of
 from uwaug.onnx.strips import PICTURE, strips_of
 from uwaug.optics.curves import FARTHEST, Sums, curves
@@ -72,7 +72,7 @@ class Graph(nn.Module):
     def forward(self, image: Tensor, distance: Tensor, *rest: Tensor) -> Tensor:
         """Image (Bx3xHxW) and distance (Bx1xHxW) → image."""
         light, z, field, medium, sums = self.scene(image, distance, *rest)
-        found = seen(sums, z, self._lit(distance, field, medium))
+        found = transmittance(sums, z, self._lit(distance, field, medium))
         stack = [blur(light) for blur in self.blurs]
         size = (z.shape[2], z.shape[3])
         (result,) = total(found, light, mixture(stack, z, medium, self.plan, size))
@@ -117,8 +117,8 @@ class Graph(nn.Module):
         lamps = None if self.lamps is None else self.lamps()
         lit = lit_of(self.light, distance, field, medium, *self.camera, lamps)
         if lit is None or isinstance(self.exposure, str):
-            return lit and lit.whole()
-        return lit.whole().brightened(medium.beta.new_full((1,), 2.0**self.exposure))
+            return lit
+        return lit.brightened(medium.beta.new_full((1,), 2.0**self.exposure))
 
 
 class Before(nn.Module):

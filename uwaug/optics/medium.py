@@ -333,7 +333,7 @@ class Medium:
 
         exact_at_lens: compute the veil without cancellation, so that a millimetre of water gives a
         small veil, not 0. Otherwise V(0) − V(z) is subtracted, which takes half the time; see
-        `any_at_lens` for where that is right.
+        `sums_at` for where that is right.
         """
         direct, signal, veil = self.direct_weights, self.signal_weights, self.veil_weights
         rates = torch.cat([torch.zeros_like(self.beta[:, :1]), self.beta, self.G], 1)[..., None]
@@ -351,12 +351,18 @@ class Medium:
         split = 1 + self.beta.shape[1] if exact_at_lens else None
         return Sums(rates, torch.cat(weights, 1), split)
 
-    def any_at_lens(self, nearest: Tensor) -> bool:
-        """Whether V(0) − V(z) would cancel at the nearest distance of a picture (B, m), so that
-        `sums` must be exact at the lens.
+    def sums_at(self, z: Tensor) -> Sums:
+        """`sums` that are right at distances z (B or 1, …), m."""
+        return self.sums(exact_at_lens=self.any_at_lens(z))
+
+    def any_at_lens(self, z: Tensor) -> bool:
+        """Whether a distance z (B or 1, …), m, is so near that V(0) − V(z) would cancel. A compiler
+        cannot look.
         """
+        if torch.compiler.is_compiling():
+            return True
         slowest = self.G.masked_fill(self.G <= 0, math.inf).amin(1)
-        return cancels(slowest, nearest)
+        return cancels(slowest, z.flatten(1).amin(1) if z.ndim > 1 else z)
 
     def under(self, spectrum: Callable[[Array], Array] | None = None) -> "Medium":
         """The water in the light of a lamp, which does not come down from the surface.

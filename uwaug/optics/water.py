@@ -16,8 +16,6 @@ from uwaug._support.types import Array
 from uwaug.optics.jerlov import JERLOV_TYPES, repaired_table
 from uwaug.optics.spectra import Spectra, common_axis, spectrum, wavelength_axis
 
-__all__ = ["CONTRAST_THRESHOLD", "JERLOV_TYPES", "Water"]
-
 CONTRAST_THRESHOLD = 0.02
 """The contrast at which an object is no longer seen (Koschmieder 1924)."""
 

@@ -18,7 +18,7 @@ from uwaug.formation.exposure import require_exposure
 from uwaug.light.light import Light
 from uwaug.optics.bands import USUAL, Dims, Downwelling, VeilRate
 from uwaug.optics.inherent import Forward
-from uwaug.optics.water import JERLOV_TYPES
+from uwaug.optics.jerlov import JERLOV_TYPES
 
 _ROUNDING = 0.005  # 1/m: half of the last digit that the paper prints
 
