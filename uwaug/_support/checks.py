@@ -65,8 +65,8 @@ def within(name: str, value: Any, low: float = -math.inf, high: float = math.inf
     number_only(name, value)
     number = isinstance(value, (int, float, np.number))
     if not number or not (low <= value <= high and math.isfinite(value)):
-        wanted = "finite" if low == -math.inf else bounds(low, high)
-        raise ValueError(f"{name} must be {wanted}, got {value!r}")
+        domain = "finite" if low == -math.inf else bounds(low, high)
+        raise ValueError(f"{name} must be {domain}, got {value!r}")
 
 
 def pair(name: str, value: Any, wanted: str) -> tuple[float, float]:
@@ -190,8 +190,8 @@ def _reshaped(name: str, shape: tuple[int, ...], channels: int) -> str:
 def same_size(name: str, value: Tensor, image: Tensor) -> None:
     """Refuse a map of another height or width than the image."""
     if value.shape[-2:] != image.shape[-2:]:
-        mine, wanted = tuple(value.shape[-2:]), tuple(image.shape[-2:])
-        raise ValueError(f"{name} is {mine} but image is {wanted}: height and width must agree")
+        size, other = tuple(value.shape[-2:]), tuple(image.shape[-2:])
+        raise ValueError(f"{name} is {size} but image is {other}: height and width must agree")
 
 
 def same_device(name: str, value: Tensor, image: Tensor) -> None:
@@ -209,9 +209,8 @@ def batches(sizes: Mapping[str, int]) -> None:
 
 def counted(x: Tensor, *kinds: str, of: str = "pixels") -> str:
     """How many values of a tensor are "NaN", "negative", "zero" or "infinite", in words."""
-    found = {"NaN": x.isnan(), "negative": x < 0, "zero": x == 0, "infinite": x.isinf()}
-    parts = [f"{kind} at {int(found[kind].sum())}" for kind in kinds]
-    *first, last = parts
+    masks = {"NaN": x.isnan(), "negative": x < 0, "zero": x == 0, "infinite": x.isinf()}
+    *first, last = (f"{kind} at {int(masks[kind].sum())}" for kind in kinds)
     return f"{', '.join(first)} and {last} of {x.numel()} {of}"
 
 
@@ -223,7 +222,7 @@ def extent(x: Tensor) -> tuple[float, float]:
 
 def span(x: Tensor) -> str:
     """The values of a tensor, in words."""
-    known = x[~x.isnan()]
-    if not known.numel():
+    numbers = x[~x.isnan()]
+    if not numbers.numel():
         return "NaN only"
-    return f"{float(known.min()):.4g} to {float(known.max()):.4g}"
+    return f"{float(numbers.min()):.4g} to {float(numbers.max()):.4g}"

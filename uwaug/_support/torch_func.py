@@ -1,4 +1,4 @@
-"""What `torch.func` and forward-mode differentiation need of the package."""
+"""Whether `torch.func` or forward-mode differentiation is at work, and values under them."""
 
 import numpy as np
 import torch

@@ -82,7 +82,7 @@ class DepthNetwork:
         checks.picture("image", image, 3)
         if image.numel() and not (image.amin() >= 0 and image.amax() <= 1):
             raise ValueError(f"image must lie in [0, 1], got {checks.span(image)}: divide by 255?")
-        maps = [self._predict(one) for one in image.reshape(-1, 1, *image.shape[-3:])]
+        maps = [self._predict(picture) for picture in image.reshape(-1, 1, *image.shape[-3:])]
         depth = torch.cat(maps) if maps else image.new_empty(0, 1, *image.shape[-2:])
         return depth.view(*image.shape[:-3], 1, *image.shape[-2:])
 

@@ -180,7 +180,7 @@ class LampOnScene(NamedTuple):
         return Curves(arrives * direct, arrives * scattered, veil)
 
     def shares(self, z: Tensor) -> tuple[Tensor, Tensor]:
-        """See `Part.shares`; z (Bx1xHxW) is effective distance, m."""
+        """`Part.shares` at effective distances z (Bx1xHxW), m."""
         direct = _summed(self.white.beta, self.white.direct_weights, z)
         signal = _summed(self.white.G, self.white.signal_weights, z)
         share = (direct / signal.clamp(min=_DARK)).clamp(max=1.0)

@@ -83,8 +83,8 @@ def repaired_table(type: str, source: str) -> Table:
     checks.one_of("source", source, SOURCES)
     types = jerlov.SOURCES[source].water_types
     if type not in types:
-        known = ", ".join(types)
-        raise ValueError(f"type must be one of {known} with source {source!r}, got {type!r}")
+        names = ", ".join(types)
+        raise ValueError(f"type must be one of {names} with source {source!r}, got {type!r}")
     kept = SOURCES[source]
     grid = jerlov.water(type, source=source).wavelengths
     grid = grid[(grid >= kept.low) & (grid <= kept.high)]

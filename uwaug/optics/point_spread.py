@@ -97,46 +97,39 @@ class PointSpread:
         def join(values: list[float | Tensor]) -> float | Tensor:
             if not any(isinstance(value, Tensor) or value != values[0] for value in values):
                 return values[0]
-            parts = []
-            for value, count in zip(values, rows, strict=True):
-                parts.append(torch.as_tensor(value, dtype=dtype).expand(count))
-            return torch.cat(parts)
+            pairs = zip(values, rows, strict=True)
+            return torch.cat([torch.as_tensor(x, dtype=dtype).expand(count) for x, count in pairs])
 
-        each = [law.numbers() for law in laws]
-        joined: dict[str, Any] = {}
-        for name in PointSpread.NUMBERS:
-            joined[name] = join([law[name] for law in each])
+        joined: dict[str, Any] = {
+            name: join([getattr(law, name) for law in laws]) for name in PointSpread.NUMBERS
+        }
         return replace(laws[0], **joined)
 
     def numbers(self) -> dict[str, Any]:
-        """What is continuous in the law, by name."""
+        """The numbers that are continuous, by name."""
         return {name: getattr(self, name) for name in self.NUMBERS}
 
     def rows(self, count: int, like: Tensor) -> dict[str, Tensor]:
-        """The same as tensors of `count` rows."""
-        rows: dict[str, Tensor] = {}
-        for name, value in self.numbers().items():
-            rows[name] = torch.as_tensor(value).to(like).expand(count)
-        return rows
+        """The numbers as tensors of `count` rows, by name."""
+        numbers = self.numbers()
+        return {name: torch.as_tensor(x).to(like).expand(count) for name, x in numbers.items()}
 
     def require_rows(self, count: int) -> None:
         """Refuse tensors that are neither one number for all media nor one for each of `count`."""
         for name, value in self.numbers().items():
             if isinstance(value, Tensor) and value.shape not in ((), (count,)):
-                wanted = f"() or ({count},), a number for each medium"
+                expected = f"() or ({count},), a number for each medium"
                 got = tuple(value.shape)
-                raise ValueError(f"PointSpread.{name} must have shape {wanted}, got {got}")
+                raise ValueError(f"PointSpread.{name} must have shape {expected}, got {got}")
 
     def widened(self, factor: float) -> "PointSpread":
         """The law with all widths `factor` times as large."""
         return replace(self, scale=self.scale * factor)
 
     def map(self, function: Callable[[Tensor], Tensor]) -> "PointSpread":
-        """The same law with `function` applied to what it holds as tensors."""
-        changed: dict[str, Any] = {}
-        for name, value in self.numbers().items():
-            if isinstance(value, Tensor):
-                changed[name] = function(value)
+        """The law with `function` applied to its tensors."""
+        tensors = {n: value for n, value in self.numbers().items() if isinstance(value, Tensor)}
+        changed: dict[str, Any] = {name: function(value) for name, value in tensors.items()}
         return replace(self, **changed) if changed else self
 
     def sigma(self, lengths: Tensor, size: tuple[int, int] | None) -> Tensor:
@@ -152,9 +145,10 @@ class PointSpread:
     def __str__(self) -> str:
         if not isinstance(self.scale, Tensor) and self.scale == 0:
             return "no blur"
-        shown = []
-        for value in (self.scale, self.exponent):
-            shown.append("learned" if isinstance(value, Tensor) else f"{value:.3g}")
+        shown = [
+            "learned" if isinstance(value, Tensor) else f"{value:.3g}"
+            for value in (self.scale, self.exponent)
+        ]
         at = "" if self.reference_size is None else f" at {self.reference_size:g} px short side"
         return f"{self.shape} σ = {shown[0]}·(b̄ z)^{shown[1]} px{at}"
 
@@ -185,9 +179,9 @@ def _require_values(name: str, value: Tensor, low: float, high: float) -> None:
     unknown = value.is_meta or torch.compiler.is_compiling() or tracing or transformed()
     if not value.is_leaf or unknown:
         return  # computed from parameters; or values are not known yet
-    known = value.detach()
-    if not bool(((known >= low) & (known <= high) & known.isfinite()).all()):
-        raise ValueError(f"{name} must be {checks.bounds(low, high)}, got {known.tolist()}")
+    numbers = value.detach()
+    if not bool(((numbers >= low) & (numbers <= high) & numbers.isfinite()).all()):
+        raise ValueError(f"{name} must be {checks.bounds(low, high)}, got {numbers.tolist()}")
 
 
 def pixel_scale(reference_size: float | None, size: tuple[int, int] | None) -> float | Tensor:

@@ -44,23 +44,23 @@ def reduce_rates(rates: Array, measures: tuple[Array, ...], tolerance: float) ->
         measures: each (3, M), the weights of three curves Σ_m measure_cm e^(−rate_m z).
         tolerance: largest error of any curve; 0 keeps every band.
     """
-    wanted = np.concatenate(measures)  # (C, M)
+    weights = np.concatenate(measures)  # (C, M)
     if tolerance == 0:
         return rates, list(measures), 0.0
-    totals = wanted.sum(1, keepdims=True)
+    totals = weights.sum(1, keepdims=True)
     if totals.max() < _LEAST:  # no light so deep
         return rates[:1], [measure[:, :1] for measure in measures], 0.0
     # rates of any size: what overflows has decayed, and what is invalid keeps no tolerance
     with np.errstate(over="ignore", invalid="ignore"):
         z = _distances(rates)
-        exact = wanted @ np.exp(np.multiply.outer(-rates, z))  # (C, N)
-        shares = (wanted / np.maximum(totals, _LEAST)).sum(0)
+        exact = weights @ np.exp(np.multiply.outer(-rates, z))  # (C, N)
+        shares = (weights / np.maximum(totals, _LEAST)).sum(0)
         logs = np.log(np.maximum(rates, _LEAST))
         for most in (_FIRST_RATES, _MOST_RATES):
-            found = _fewest(_jacobi(logs, shares, most), z, exact, tolerance)
-            if found is not None:
-                nodes, weights, error = found
-                return nodes, [weights[row : row + 3] for row in range(0, len(weights), 3)], error
+            fit = _fewest(_jacobi(logs, shares, most), z, exact, tolerance)
+            if fit is not None:
+                nodes, fitted, error = fit
+                return nodes, [fitted[row : row + 3] for row in range(0, len(fitted), 3)], error
     return rates, list(measures), 0.0  # every band is a rate: slow, and exact
 
 
@@ -102,19 +102,19 @@ def _fewest(jacobi: Array, z: Array, exact: Array, tolerance: float) -> _Fit:
     """A fit that keeps the tolerance where one rate fewer does not."""
     most = len(jacobi)
     count = min(_guess(jacobi, tolerance), most)
-    found = _fit(jacobi, count, z, exact, tolerance)
-    if found is None:
-        while found is None and count < most:
+    fit = _fit(jacobi, count, z, exact, tolerance)
+    if fit is None:
+        while fit is None and count < most:
             count += 1
-            found = _fit(jacobi, count, z, exact, tolerance)
-        return found
+            fit = _fit(jacobi, count, z, exact, tolerance)
+        return fit
     while count > 1:
         count -= 1
         fewer = _fit(jacobi, count, z, exact, tolerance)
         if fewer is None:
             break
-        found = fewer
-    return found
+        fit = fewer
+    return fit
 
 
 def _guess(jacobi: Array, tolerance: float) -> int:
@@ -151,7 +151,7 @@ def _fit(jacobi: Array, count: int, z: Array, exact: Array, tolerance: float) ->
 
 
 def _positive(system: Array, right: Array, weights: Array) -> Array:
-    """The same with weights ≥ 0: strikes out the most negative of each curve, refits the rest."""
+    """Weights ≥ 0: strikes out the most negative of each curve, refits the rest."""
     weights = weights.copy()
     count = weights.shape[1]
     rows = np.flatnonzero(weights.min(1) < 0)

@@ -75,13 +75,13 @@ def wavelength_axis(values: ArrayLike) -> Array:
     return axis
 
 
-def common_axis(one: Spectra, other: Spectra) -> Array | None:
+def common_axis(first: Spectra, second: Spectra) -> Array | None:
     """The wavelengths of both, in the range that both cover; None if there is none."""
-    mine, theirs = one.wavelengths, other.wavelengths
-    if np.array_equal(mine, theirs):
-        return mine
-    both = np.union1d(mine, theirs)
-    low, high = max(mine[0], theirs[0]), min(mine[-1], theirs[-1])
+    a, b = first.wavelengths, second.wavelengths
+    if np.array_equal(a, b):
+        return a
+    both = np.union1d(a, b)
+    low, high = max(a[0], b[0]), min(a[-1], b[-1])
     shared = both[(both >= low) & (both <= high)]
     return wavelength_axis(shared) if shared.size else None
 
