@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from typing import Literal
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from uwaug._support.tiles import RowSource, is_large
 from uwaug._support.torch_func import transformed
 from uwaug._support.types import Order
-from uwaug.formation.loops.backend import Path, path_for, ready
+from uwaug.formation.loops.backend import Path, can_render, path_for
 from uwaug.light.light import Light
 from uwaug.optics.medium import Medium
 
@@ -45,8 +45,8 @@ def choose(
     learns = any(t.requires_grad for t in (*tensors, *numbers))
     learns = torch.is_grad_enabled() and (learns or (light is not None and light.requires_grad))
     fused = path_for(path) == "fused" and order == "line_of_sight"
-    fused = fused and (light is None or light.plain) and _can_read(tensors, numbers)
-    if fused and all(isinstance(m, Tensor) for m in maps) and ready(gradients=learns):
+    fused = fused and (light is None or light.plain) and all(isinstance(m, Tensor) for m in maps)
+    if fused and can_render(tensors, numbers, gradients=learns):
         return "fused"
     if learns or (order == "source" and not is_large((image.shape[-2], image.shape[-1]))):
         return "whole"
@@ -56,12 +56,3 @@ def choose(
 def path_of(engine: Engine) -> Path:
     """What a record says of an engine."""
     return "fused" if engine == "fused" else "eager"
-
-
-def _can_read(maps: Sequence[Tensor], numbers: Sequence[Tensor]) -> bool:
-    """Whether the loops can read pictures and maps in their memory, and copy the numbers."""
-    tracing = torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
-    here = all(type(t) in (Tensor, nn.Parameter) and t.is_cpu for t in (*maps, *numbers))
-    if tracing or not here or not all(map(Tensor.numel, maps)) or maps[0].shape[-3] != 3:
-        return False
-    return torch.promote_types(maps[0].dtype, torch.float32) == torch.float32

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug.formation.colour import LUMINANCE
-from uwaug.formation.loops.backend import can_render
+from uwaug.formation.loops.backend import can_read
 from uwaug.formation.loops.render import meter
 from uwaug.light.light import Light
 from uwaug.light.lit import Lit, transmittance
@@ -128,7 +128,7 @@ def gain_of(
     """
     if exposure != "auto" or not image.numel() or not z.numel():
         return fixed_gain(medium, exposure)
-    if lit is None and by_loops and can_render(image, z, medium):
+    if lit is None and by_loops and can_read(image, z, *medium.tensors()):
         return _gain_by_loops(image, z, medium)
     return auto_gain(image, z, medium.sums(exact_at_lens=False), lit)
 

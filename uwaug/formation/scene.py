@@ -33,9 +33,8 @@ from uwaug.formation.exposure import (
     gain_of,
     metering_points,
 )
-from uwaug.formation.loops import backend
 from uwaug.formation.loops import render as loops
-from uwaug.formation.loops.backend import Path
+from uwaug.formation.loops.backend import Path, can_read
 from uwaug.formation.loops.backward import render_with_gradients
 from uwaug.light.light import Light
 from uwaug.light.lit import LampInWater, Lit, lit_of, planning_medium, transmittance
@@ -538,7 +537,7 @@ def _decoded(
 ) -> Tensor:
     """Linear light of values that are known to be good, and to lie between these ends."""
     srgb = color_space == "srgb"
-    if by_loops and (srgb or image.dtype == torch.uint8) and backend.can_decode(image):
+    if by_loops and (srgb or image.dtype == torch.uint8) and can_read(image):
         return loops.decode(image, srgb, ends[0] < 0 or ends[1] > 1)
     return decoded(image, color_space)
 

@@ -18,7 +18,7 @@ from uwaug.formation.beyond import beyond_plan
 from uwaug.formation.demand import BlurDemand, blur_demand
 from uwaug.formation.exposure import Exposure, brightest, require_exposure
 from uwaug.formation.learnable import FixedLamps, FixedMedium, LearnableMedium
-from uwaug.formation.loops.switch import path
+from uwaug.formation.loops.backend import path
 from uwaug.formation.model import Reach, validate
 from uwaug.formation.scene import Scene, Setup
 from uwaug.light.light import Light

@@ -12,7 +12,7 @@ from uwaug.distance.sample import DistanceKind, Scaling, metres_of, skipped
 from uwaug.formation.engine import path_of
 from uwaug.formation.exposure import Exposure
 from uwaug.formation.field import random_field
-from uwaug.formation.loops.switch import path
+from uwaug.formation.loops.backend import path
 from uwaug.formation.scene import Scene, Setup
 from uwaug.light.geometry import focal_of
 from uwaug.light.light import Light

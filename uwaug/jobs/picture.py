@@ -16,7 +16,7 @@ from uwaug._support.atomic import written_whole
 from uwaug._support.deterministic import reproducible
 from uwaug._support.hashing import FileHash
 from uwaug.distance.network import DepthNetwork
-from uwaug.formation.loops import switch
+from uwaug.formation.loops import backend
 from uwaug.io.read import File, PictureFile, name_of, opened, read_picture_file
 from uwaug.io.write import encode, format_of, lost, write_picture
 from uwaug.jobs.items import Item, labelled
@@ -306,7 +306,7 @@ def replay(sidecar: Sidecar, output: Path, *, force: bool = False) -> Sidecar:
         (drawn,) = sidecar.drawn.get("samples", [sidecar.drawn])
         by = drawn.get("path", "eager")
         theirs = f"uwaug {sidecar.uwaug} and torch {sidecar.torch} ({by})"
-        mine = f"here are {again.uwaug} and {again.torch} ({switch.path()})"
+        mine = f"here are {again.uwaug} and {again.torch} ({backend.path()})"
         raise ValueError(f"{output} differs from the first one, by {theirs}: {mine}")
     return again
 

@@ -8,7 +8,7 @@ import logging
 import os
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import lru_cache
 from hashlib import sha256
@@ -23,8 +23,6 @@ import torch
 from torch import Tensor
 
 from uwaug._support.torch_func import transformed
-from uwaug.blur.plan import BlurPlan
-from uwaug.optics.medium import Medium
 
 _log = logging.getLogger(__name__)
 
@@ -115,59 +113,43 @@ def has_numba() -> bool:
 # ------------------------------------------------------------------------------ what is computed
 
 
-def can_decode(image: Tensor, engine: Path | None = None) -> bool:
-    """Whether the loops decode this picture; `engine` is what a record names."""
-    return _readable(image) and not _records(image) and _can_run(engine)
-
-
-def can_render(light: Tensor, z: Tensor, medium: Medium, engine: Path | None = None) -> bool:
-    """Whether the loops form this picture, in the line of sight and by daylight.
+def can_render(maps: Sequence[Tensor], numbers: Sequence[Tensor], *, gradients: bool) -> bool:
+    """Whether the loops form these pictures, in the line of sight and by daylight; they are loaded
+    then.
 
     Args:
-        light (Bx3xHxW tensor), z (Bx1xHxW tensor): of the scene; effective distance.
-        medium: of float32 or float64.
-        engine: what a record names.
+        maps: the picture (Bx3xHxW or 3xHxW), and all maps of its pixels, as they were given.
+        numbers: of the medium.
+        gradients: whether there will be gradients.
     """
-    law = [v for v in medium.point_spread.numbers().values() if isinstance(v, Tensor)]
-    numbers = (*medium.tensors(), *law)
-    return (
-        _readable(light, z)
-        and light.shape[1] == 3
-        and all(_is_here(t) and t.dtype in (torch.float32, torch.float64) for t in numbers)
-        and not _records(light, z, *numbers)
-        and _can_run(engine)
-    )
-
-
-def can_differentiate(light: Tensor, z: Tensor, medium: Medium, plan: BlurPlan) -> bool:
-    """Whether the loops form this picture, and give its gradients; arguments as for `can_render`,
-    but that the medium must be of float32.
-    """
-    law = (v for v in medium.point_spread.numbers().values() if isinstance(v, Tensor))
-    if len(plan.sigmas) == 1 or not _readable(light, z, *medium.tensors(), *law):
+    if not all(map(_is_plain, (*maps, *numbers))) or not all(map(Tensor.numel, maps)):
         return False
-    return _can_run(None, gradients=True)
+    image = maps[0]
+    single = torch.promote_types(image.dtype, torch.float32) == torch.float32
+    return single and image.shape[-3] == 3 and _is_at_hand(gradients)
 
 
-def _can_run(engine: Path | None, gradients: bool = False) -> bool:
-    if torch.compiler.is_compiling() or path_for(engine) == "eager":
+def can_read(*tensors: Tensor) -> bool:
+    """Whether the loops decode or meter these tensors as they are: bytes or float32, of which no
+    gradients are recorded.
+    """
+    kinds = (torch.float32, torch.uint8)
+    recorded = torch.is_grad_enabled() and any(t.requires_grad for t in tensors)
+    plain = all(_is_plain(t) and t.dtype in kinds and t.numel() for t in tensors)
+    return plain and not recorded and _is_at_hand(gradients=False)
+
+
+def _is_plain(value: Tensor) -> bool:
+    """Whether a tensor has memory that numba can read."""
+    return type(value) in (Tensor, torch.nn.Parameter) and value.is_cpu
+
+
+def _is_at_hand(gradients: bool) -> bool:
+    """Whether the loops may be used, and work."""
+    if torch.compiler.is_compiling() or path() == "eager":
         return False
     tracing = torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
     return not (tracing or transformed()) and ready(gradients)
-
-
-def _readable(*tensors: Tensor) -> bool:
-    """Whether all have memory that numba can read, and something in it."""
-    kinds = (torch.float32, torch.uint8)
-    return all(_is_here(t) and t.dtype in kinds and all(t.shape) for t in tensors)
-
-
-def _is_here(value: Tensor) -> bool:
-    return type(value) in (Tensor, torch.nn.Parameter) and value.device.type == "cpu"
-
-
-def _records(*tensors: Tensor) -> bool:
-    return torch.is_grad_enabled() and any(t.requires_grad for t in tensors)
 
 
 # ------------------------------------------------------------------------------ loading
