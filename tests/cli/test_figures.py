@@ -1,6 +1,7 @@
 """`uwaug demo`, `uwaug plot` and `uwaug compare`."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -83,7 +84,8 @@ def test_a_preset_shines_its_lamp():
     """The terms are those of the preset's own light, and not of daylight."""
     scene = own_scene(torch.rand(3, 20, 30), torch.full((1, 20, 30), 2.0))
     case = preset_case(uwaug.load_preset("jaffe-1990", water="7C"))
-    by_lamp, by_day = (draw_terms(scene, c).figure for c in (case, case._replace(light=None)))
+    daylight = case._replace(setup=replace(case.setup, light=None))
+    by_lamp, by_day = (draw_terms(scene, c).figure for c in (case, daylight))
     assert "its own light" in case.setting
     drawn, other = (figure.axes[7].images[0].get_array() for figure in (by_lamp, by_day))
     assert np.abs(np.subtract(drawn, other, dtype=float)).max() > 0.05 * np.max(other)

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from itertools import combinations
 
 import pytest
@@ -70,11 +71,10 @@ def test_a_preset_is_drawn_as_its_module_degrades(small, monkeypatch):
     monkeypatch.setattr(plots, "show", lambda _, picture, label: shown.update({label: picture}))
     fields = []
     monkeypatch.setattr(plots, "show_field", lambda _, field, span: fields.append((field, span)))
-    case = preset_case(preset)._replace(exposure=1.0)
+    case = preset_case(preset)
+    case = case._replace(setup=replace(case.setup, exposure=1.0))
     plots.draw_terms(small, case)
     ((field, span),) = fields
     assert span == preset.field_range
-    from dataclasses import replace
-
     wanted = replace(preset, exposure=1.0).module()(small.image, small.distance, field)
     torch.testing.assert_close(shown["I   image"], wanted, rtol=0, atol=2e-3)

@@ -4,6 +4,7 @@ what it modelled.
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -29,17 +30,14 @@ from uwaug._support.sheet import (
     show_map,
     ticks_of,
 )
-from uwaug._support.types import ColorSpace
 from uwaug.distance.convert import from_relative
-from uwaug.formation.colour import from_light, linear_to_srgb, to_light
+from uwaug.formation.colour import linear_to_srgb
 from uwaug.formation.demand import blur_demand
-from uwaug.formation.exposure import Exposure, gain_of
 from uwaug.formation.field import gaussian_random_field
-from uwaug.formation.model import form_image
-from uwaug.formation.scene import Terms
+from uwaug.formation.scene import Scene as InWater
+from uwaug.formation.scene import Setup
 from uwaug.light.geometry import focal_of
-from uwaug.light.light import Light
-from uwaug.light.lit import lit_of, planning_medium
+from uwaug.light.lit import planning_medium
 from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
@@ -66,18 +64,14 @@ class Case(NamedTuple):
 
     Attributes:
         name, setting: of the water, and how the scene lies in it, for heading and caption.
-        medium: a batch of one.
+        setup: its medium, a batch of one, and what the picture is taken with.
         field_range: least and largest value of the medium field.
-        color_space, exposure, light: see `uwaug.Underwater`.
     """
 
     name: str
     setting: str
-    medium: Medium
+    setup: Setup
     field_range: tuple[float, float] = (0.3, 1.7)
-    color_space: ColorSpace = "srgb"
-    exposure: Exposure = "none"
-    light: Light | None = None
 
 
 def water_case(water: str) -> Case:
@@ -86,7 +80,7 @@ def water_case(water: str) -> Case:
     Raises:
         ValueError: if the type is unknown.
     """
-    return Case(f"Jerlov {water}", SETTING, Medium.from_water(Water.jerlov(water)))
+    return Case(f"Jerlov {water}", SETTING, Setup(Medium.from_water(water)))
 
 
 def preset_case(preset: Preset) -> Case:
@@ -101,15 +95,7 @@ def preset_case(preset: Preset) -> Case:
         setting += f", {key} = {value}"
     if preset.light is not None:
         setting += ", by its own light; the curves are those of daylight"
-    return Case(
-        name,
-        setting,
-        preset.medium,
-        preset.field_range,
-        preset.color_space,
-        preset.exposure,
-        preset.light,
-    )
+    return Case(name, setting, preset.setup(), preset.field_range)
 
 
 class Drawing(NamedTuple):
@@ -133,21 +119,21 @@ def draw_contact_sheet(scene: Scene) -> Drawing:
         12 // columns, columns, _shape(scene), "One scene in ten waters", _noted(caption, scene)
     )
     media = Medium.stack([Medium.from_water(water) for water in waters])
-    terms, modelled = _form(scene, media)
+    in_water = _in_water(scene, Setup(media))
     show(axes[0], scene.image, "No water")
     show_distance(axes[1], scene.distance)
-    for axis, water, picture in zip(axes[2:], waters, terms.image, strict=True):
-        label = f"{water.name}   (visibility {water.visibility():.2g} m)"
-        show(axis, linear_to_srgb(picture), label)
-    return Drawing(figure, modelled)
+    for axis, water, picture in zip(axes[2:], waters, in_water.picture(), strict=True):
+        show(axis, picture, f"{water.name}   (visibility {water.visibility():.2g} m)")
+    return Drawing(figure, _modelled(in_water))
 
 
 def draw_terms(scene: Scene, case: Case) -> Drawing:
     """Every term of the model, in an inhomogeneous medium."""
-    light = (
-        "added in linear light" if case.color_space == "srgb" else "of sRGB values taken for light"
-    )
-    exposure = "" if case.exposure == "none" else f" ({case.exposure})"
+    setup = case.setup
+    light = "added in linear light"
+    if setup.color_space == "linear":
+        light = "of sRGB values taken for light"
+    exposure = "" if setup.exposure == "none" else f" ({setup.exposure})"
     caption = f"I = D + F + B, {light}. All pictures at one exposure{exposure}."
     columns = columns_for(_shape(scene))
     figure, axes = sheet(
@@ -159,22 +145,15 @@ def draw_terms(scene: Scene, case: Case) -> Drawing:
     )
     rng, (low, high) = torch.Generator().manual_seed(4), case.field_range
     field = gaussian_random_field(_shape(scene), low=low, high=high, generator=rng)[0]
-    before = to_light(scene.image, case.color_space)
-    terms, modelled = _form(scene, case.medium, None, field, case.color_space, case.light)
-    gain = _gain(scene, before, field, case)
-    terms = Terms(*(gain * term for term in (terms.direct, terms.forward, terms.backscatter)))
-    medium = case.medium.brightened(gain)
-
-    def display(term: Tensor, cell: int, label: str) -> None:
-        show(axes[cell], from_light(term, case.color_space, scene.image), label)
-
+    in_water = _in_water(scene, setup, scene.distance, field)
+    terms, medium = in_water.term_pictures(), in_water.medium
     show(axes[0], scene.image, "J   scene without water")
     show_distance(axes[1], scene.distance)
     show_field(axes[2], field, case.field_range)
-    display(terms.direct, 4, "D   direct")
-    display(terms.forward, 5, "F   forward scatter")
-    display(terms.backscatter, 6, "B   backscatter")
-    display(terms.image, 7, "I   image")
+    show(axes[4], terms["direct"], "D   direct")
+    show(axes[5], terms["forward"], "F   forward scatter")
+    show(axes[6], terms["backscatter"], "B   backscatter")
+    show(axes[7], in_water.picture(), "I   image")
     axis = plot(axes[3], "Curves of distance, red, green, blue", "z [m]", "")
     reach = round_up(1.5 * seen(scene.distance)[1])
     z = torch.linspace(0, reach, 201, dtype=torch.float64)
@@ -194,7 +173,7 @@ def draw_terms(scene: Scene, case: Case) -> Drawing:
         "borderpad": 0,
     }
     axis.legend(fontsize=9.5, loc="upper right", **box)
-    return Drawing(figure, modelled)
+    return Drawing(figure, _modelled(in_water))
 
 
 def draw_white_plate() -> Drawing:
@@ -255,10 +234,10 @@ def draw_depth_scaling(scene: Scene) -> Drawing:
         label, ticks = f"Distance z, γ = {gamma:g}", ("0 m", "10 m", "20 m")
         show_map(axes[column], z, label, "viridis_r", ticks, bar=column == 0)
         for row, name in ((1, "II"), (2, "7C")):
-            terms, lines = _form(scene, Medium.from_water(Water.jerlov(name)), z)
-            picture = linear_to_srgb(terms.image)
-            show(axes[3 * row + column], picture, f"{name}, γ = {gamma:g}")
-            modelled += [f"γ = {gamma:g}: {lines[0]}", *lines[1:]]
+            in_water = _in_water(scene, Setup(Medium.from_water(name)), z)
+            show(axes[3 * row + column], in_water.picture(), f"{name}, γ = {gamma:g}")
+            medium, plan = _modelled(in_water)
+            modelled += [f"γ = {gamma:g}: {medium}", plan]
     return Drawing(figure, modelled)
 
 
@@ -289,10 +268,11 @@ def draw_width_laws(scene: Scene) -> Drawing:
         (axes[7], "Paper's law", paper, RGB[2]),
         (axes[8], "Calibrated law", calibrated, RGB[0]),
     ):
-        terms, lines = _form(scene, medium)
-        modelled += lines
-        columns.append((label, linear_to_srgb(terms.image)))
-        show(axis, linear_to_srgb(terms.forward), f"{label}, forward scatter alone")
+        in_water = _in_water(scene, Setup(medium))
+        modelled += _modelled(in_water)
+        columns.append((label, in_water.picture()))
+        forward = in_water.term_pictures()["forward"]
+        show(axis, forward, f"{label}, forward scatter alone")
         sigma = medium.width(z[None, None, None], (height, width)).flatten()
         half = _HALF[medium.point_spread.shape] * sigma
         radius.plot(z.numpy(), half.numpy(), color=colour, label=label, linewidth=2)
@@ -335,37 +315,21 @@ def _shape(scene: Scene) -> tuple[int, int]:
     return scene.image.shape[-2], scene.image.shape[-1]
 
 
-def _form(
-    scene: Scene,
-    medium: Medium,
-    distance: Tensor | None = None,
-    field: Tensor | None = None,
-    color_space: ColorSpace = "srgb",
-    light: Light | None = None,
-) -> tuple[Terms, list[str]]:
-    """The terms of a scene in a medium, and what was modelled. A view with a light is 60° wide."""
+def _in_water(
+    scene: Scene, setup: Setup, distance: Tensor | None = None, field: Tensor | None = None
+) -> InWater:
+    """A scene in a medium, in a view 60° wide."""
     z = scene.distance if distance is None else distance
-    demand = blur_demand(planning_medium(medium, light), extent(z if field is None else z * field))
-    plan = demand.plan(_shape(scene))
-    terms = form_image(
-        to_light(scene.image, color_space),
-        z,
-        medium,
-        field,
-        plan=plan,
-        light=light,
-        focal_px=focal_of(None, _shape(scene)[1]),
+    setup = replace(setup, focal_px=focal_of(None, _shape(scene)[1]))
+    demand = blur_demand(
+        planning_medium(setup.medium, setup.light), extent(z if field is None else z * field)
     )
-    return terms, [*(repr(medium[i]) for i in range(len(medium))), str(plan)]
+    return InWater.of(scene.image, z, setup, field, plan=demand.plan(_shape(scene)))
 
 
-def _gain(scene: Scene, before: Tensor, field: Tensor, case: Case) -> Tensor:
-    """The gain (1,) of the exposure of a case."""
-    medium = case.medium.to(before)
-    focal_px = focal_of(None, _shape(scene)[1])
-    lit = lit_of(case.light, scene.distance, field, medium, focal_px, None)
-    z = (scene.distance * field)[None].to(before)
-    return gain_of(before[None], z, medium, case.exposure, lit)
+def _modelled(scene: InWater) -> list[str]:
+    medium = scene.setup.medium
+    return [*(repr(medium[i]) for i in range(len(medium))), str(scene.plan)]
 
 
 def _noted(caption: str, scene: Scene) -> str:

@@ -14,6 +14,7 @@ from uwaug._support.types import ColorSpace
 from uwaug.distance.convert import from_relative
 from uwaug.formation.exposure import Exposure
 from uwaug.formation.field import gaussian_random_field
+from uwaug.formation.scene import Setup
 from uwaug.formation.underwater import Underwater
 from uwaug.light import Light
 from uwaug.optics.bands import attenuations, surface_light
@@ -119,6 +120,10 @@ class Preset:
         """
         low, high = self.field_range
         return gaussian_random_field(shape, low=low, high=high, generator=generator)
+
+    def setup(self, focal_px: float | None = None) -> Setup:
+        """What a picture of the preset is taken with; `focal_px` as for `module`."""
+        return Setup(self.medium, self.light, self.exposure, self.color_space, focal_px)
 
     def module(
         self, sides: tuple[int, int] | None = None, focal_px: float | None = None
