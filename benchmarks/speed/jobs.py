@@ -50,7 +50,7 @@ def _apart(name: str, end: str, count: int) -> None:
     """Print the milliseconds of each part, and of the whole."""
     torch.set_num_threads(1)
     folder, recipe = Path(name), Recipe(random=True)
-    model, times = recipe.open(), []
+    waters, times = recipe.open(), []
     degrader = Degrader(recipe, force=True)
     with tempfile.TemporaryDirectory(dir=folder) as out:
         for number in range(count + 2):
@@ -60,8 +60,7 @@ def _apart(name: str, end: str, count: int) -> None:
             size = (source.image.shape[-2], source.image.shape[-1])
             distance, _ = recipe.distance.read(folder / "z.npy", size)
             read = time.perf_counter()
-            drawn = model.draw(source.image, torch.Generator().manual_seed(number))
-            made = model.degrade(source.image, distance, drawn)
+            made = waters.degrade(source.image, distance, None, number)
             formed = time.perf_counter()
             with target.open("wb") as file:
                 encode(file, FORMATS[end], made.image, source)

@@ -16,12 +16,8 @@ from uwaug.blur.plan import plan_blur
 from uwaug.blur.stack import blurred
 from uwaug.blur.tiled import blurred_tiles
 from uwaug.distance.complete import filled, filled_rows
-from uwaug.distance.sample import Scaling
 from uwaug.formation.colour import srgb_to_linear
 from uwaug.formation.field import gaussian_random_field, gaussian_random_rows
-from uwaug.jobs.model import OneMedium, RandomWater, terms_of
-from uwaug.optics.medium import Medium
-from uwaug.optics.water import Water
 from uwaug.transforms.keep_visible import transform_with_contrast
 
 pytestmark = pytest.mark.filterwarnings("ignore:distance is unknown")
@@ -153,28 +149,6 @@ def test_refusals_are_the_same(in_strips: Any) -> None:
             said.append(str(error.value))
         in_strips()
     assert said[:4] == said[4:]
-
-
-def test_models_of_files(in_strips: Any) -> None:
-    size = (150, 130)
-    image, z = picture(*size), distances("", *size)
-    law = PointSpread.calibrated(110.0)
-    medium = Medium.from_water(Water.jerlov("7C"), point_spread=law)
-    scaling = Scaling(1.0, 5.0, 1.0)
-    known = OneMedium("7C", medium, "srgb", "auto", (0.7, 1.3), "metric", "error", scaling)
-    for model in (known, RandomWater(RandomUnderwater("7C"))):
-        drawn = model.draw(image, torch.Generator().manual_seed(1))
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(uwaug._support.tiles, "LARGE", 10**9)
-            whole = model.degrade(image, z, drawn)
-            terms = terms_of(whole.seen)
-        in_strips()
-        out = model.degrade(image, z, drawn)
-        torch.testing.assert_close(out.image, whole.image, rtol=0, atol=2e-5)
-        assert out.visibility == whole.visibility
-        torch.testing.assert_close(out.seen.contrast_at_points(), whole.seen.contrast_at_points())
-        for name, term in terms_of(out.seen).items():
-            torch.testing.assert_close(term, terms[name], rtol=0, atol=5e-5)
 
 
 @pytest.mark.parametrize("size", [(333, 130), (97, 412), (16, 16), (1, 50), (50, 1)])

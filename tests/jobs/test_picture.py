@@ -5,6 +5,7 @@ import os
 import resource
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,11 +16,14 @@ from networks import mean_of_channels
 from PIL import Image
 
 import uwaug
+import uwaug._support.tiles
+from uwaug import fused
 from uwaug.distance.convert import along_ray, from_disparity, from_inverse, from_relative
 from uwaug.io import DistanceFormat, read_picture, read_picture_file
 from uwaug.jobs import Degrader, Item, Items, Recipe, Sidecar, labelled, replay
 from uwaug.jobs.index import index_of
 from uwaug.jobs.sidecar import sidecar_path
+from uwaug.light.geometry import focal_of
 
 FIXED = {"contrast": None, "vertical_depth": 1.0, "field_probability": 0.0}
 Z = Path("z.npy")
@@ -166,6 +170,64 @@ def test_a_picture_without_distances_is_left_as_it_is():
     sidecar = made(distance=DistanceFormat(unknown="skip"))
     assert torch.equal(read_picture("out/a.png"), read_picture("a.png"))
     assert (sidecar.water, sidecar.contrast) == ("none", 1.0)
+
+
+# Known waters
+
+
+def fitted() -> Any:
+    """A fit in f.json, of pictures in a water that is known."""
+    clean = torch.rand(3, 32, 32, generator=torch.Generator().manual_seed(0))
+    z = torch.linspace(1, 6, 32 * 32).reshape(1, 32, 32)
+    medium = uwaug.Medium.from_coefficients(*[(0.5, 0.2, 0.15)] * 2, (0.1, 0.3, 0.4))
+    observed = uwaug.form_image(clean, z, medium).image
+    uwaug.fit(clean, observed, z, color_space="linear", model="haze").save("f.json")
+    return uwaug.fitting.Fit.load("f.json").medium
+
+
+def test_known_waters_are_seen_by_any_camera_in_any_light():
+    medium, image, z = fitted(), read_picture("a.png"), metric()
+    place = {"position": (0.3, 0, 0), "direction": (0, 0, 1), "power": 2}
+    cases = (
+        ({}, {}),
+        ({"exposure": 1.5}, {"exposure": 1.5}),
+        ({"exposure": "auto"}, {"exposure": "auto"}),
+        ({"light": [{"kind": "lamp", **place}]}, {"light": uwaug.Light.lamp(**place)}),
+    )
+    for number, (options, arguments) in enumerate(cases):
+        item = item_of(output=f"{number}.png")
+        sidecar = made(item, water=None, fit="f.json", options=options)
+        expected = uwaug.Underwater(medium, (1, 4), focal_px=focal_of(None, W), **arguments)(
+            image[None], z[None]
+        )[0]
+        found = read_picture(f"out/{number}.png").int()
+        assert (found - expected.int()).abs().max() <= 1
+        assert sidecar.drawn == {"path": "eager" if "light" in options else fused.path()}
+        again = replay(sidecar, Path("again", f"{number}.png"))
+        assert again.sha256 == sidecar.sha256
+    assert len({path.read_bytes() for path in Path("out").glob("*.png")}) == len(cases)
+    with pytest.raises(ValueError, match=r"visibility=3 would do nothing: fit .* is one known"):
+        made(water=None, fit="f.json", options={"visibility": 3}, force=True)
+
+
+@pytest.mark.parametrize("recipe", [{"preset": "mcglamery-1980"}, {"random": True}])
+def test_large_pictures_in_all_waters(recipe, monkeypatch):
+    """Formed in tiles, and recorded so; contrast and terms as of one that is formed whole."""
+    save("a.png", pixels(150, 130))
+    save("z.npy", metres(150, 130))
+    recipe = {"water": None, "keep_terms": True, "labels": "marks", **recipe}
+    save("marks/a.png", np.ones((150, 130), np.uint8))
+    whole = made(**recipe)
+    before = {path.name: read_picture(path).int() for path in Path("out").glob("a*.png")}
+    monkeypatch.setattr(uwaug._support.tiles, "LARGE", 1)
+    tiled = made(force=True, **recipe)
+    for name, picture in before.items():
+        assert (read_picture(f"out/{name}").int() - picture).abs().max() <= 1
+    assert tiled.contrast == pytest.approx(whole.contrast, abs=2e-5)
+    (seen,), (expected,) = tiled.labels["objects"], whole.labels["objects"]
+    assert seen["contrast"] == pytest.approx(expected["contrast"], abs=1e-4)
+    (drawn,) = tiled.drawn.get("samples", [tiled.drawn])
+    assert drawn["path"] == "eager"
 
 
 # What stands beside it

@@ -16,11 +16,11 @@ from uwaug._support.atomic import written_whole
 from uwaug._support.deterministic import reproducible
 from uwaug._support.hashing import FileHash
 from uwaug.distance.network import DepthNetwork
-from uwaug.formation.loops import backend
+from uwaug.formation import fused
+from uwaug.formation.scene import Scene
 from uwaug.io.read import File, PictureFile, name_of, opened, read_picture_file
 from uwaug.io.write import encode, format_of, lost, write_picture
 from uwaug.jobs.items import Item, labelled
-from uwaug.jobs.model import Degraded, terms_of
 from uwaug.jobs.recipe import Recipe
 from uwaug.jobs.sidecar import (
     TERMS,
@@ -30,7 +30,9 @@ from uwaug.jobs.sidecar import (
     terms_path,
     versions,
 )
+from uwaug.jobs.waters import InWater
 from uwaug.labels import with_contrast
+from uwaug.transforms.prepare import deterministic
 from uwaug.transforms.samples import key_of
 
 
@@ -64,7 +66,7 @@ class _Made(NamedTuple):
     """A picture before it is written; `sidecar`: but for the hash and the size of its file."""
 
     original: PictureFile
-    degraded: Degraded
+    formed: InWater
     format: str
     sidecar: Sidecar
 
@@ -95,7 +97,7 @@ class Degrader:
     ) -> None:
         self.recipe, self.resume, self.force, self.in_memory = recipe, resume, force, in_memory
         self._recipe = recipe.to_json()
-        self._model = recipe.open()
+        self._waters = recipe.open()
         network = recipe.distance.network
         self._network = None if network is None else DepthNetwork(network)
 
@@ -177,18 +179,16 @@ class Degrader:
                 original = read_picture_file(file)
             image = original.image
             distance, distance_hash, notes = self._distance(item.distance, original)
-            if drawn is None:
-                key = key_of(self.recipe.seed, item.variant, item.id)
-                drawn = self._model.draw(image, torch.Generator().manual_seed(key))
+            key = key_of(self.recipe.seed, item.variant, item.id)
             try:
-                degraded = self._model.degrade(image, distance, drawn)
+                formed = self._waters.degrade(image, distance, drawn, key)
             except ValueError as error:
                 raise ValueError(f"{_names(item)}: {error}") from error
             labels = None
             if item.labels is not None:
                 contrast = torch.ones(1, *image.shape[-2:])
-                if degraded.seen is not None:
-                    contrast = degraded.seen.contrast()
+                if formed.scene is not None:
+                    contrast = formed.scene.contrast()
                 labels = with_contrast(item.labels, contrast, self.recipe.min_contrast)
                 labels["output"] = item.place.as_posix()
         losses = [f"{format} does not keep: {what}" for what in lost(original, format)]
@@ -204,15 +204,15 @@ class Degrader:
             sha256="",
             bytes=0,
             recipe=self._recipe,
-            drawn=degraded.record,
-            water=degraded.water,
-            visibility=degraded.visibility,
-            contrast=_mean_contrast(degraded),
+            drawn=formed.drawn,
+            water=formed.water,
+            visibility=formed.visibility,
+            contrast=_mean_contrast(formed.scene),
             notes=[*notes, *losses],
             labels=labels,
             label_file=None if item.labels is None else item.labels.file_hash(),
         )
-        return _Made(original, degraded, format, sidecar)
+        return _Made(original, formed, format, sidecar)
 
     def _distance(
         self, where: File | float | None, original: PictureFile
@@ -270,8 +270,10 @@ class Degrader:
 
     def _write_beside(self, item: Item, made: _Made) -> None:
         """Terms and labels."""
-        if self.recipe.keep_terms and made.degraded.seen is not None:
-            for name, term in terms_of(made.degraded.seen).items():
+        if self.recipe.keep_terms and made.formed.scene is not None:
+            with deterministic(made.original.image):
+                terms = made.formed.scene.term_pictures()
+            for name, term in terms.items():
                 write_picture(terms_path(item.output, name), term, made.original)
         if item.labels is not None:
             item.labels.write(made.sidecar.labels, item.labels_path)
@@ -303,12 +305,16 @@ def replay(sidecar: Sidecar, output: Path, *, force: bool = False) -> Sidecar:
     (item,) = labelled([item], recipe.open_labels() if name else None)
     again = Degrader(recipe, force=force).write(item, sidecar.drawn)
     if again.sha256 != sidecar.sha256 and output.suffix == Path(sidecar.output).suffix:
-        (drawn,) = sidecar.drawn.get("samples", [sidecar.drawn])
-        by = drawn.get("path", "eager")
-        theirs = f"uwaug {sidecar.uwaug} and torch {sidecar.torch} ({by})"
-        mine = f"here are {again.uwaug} and {again.torch} ({backend.path()})"
+        theirs = f"uwaug {sidecar.uwaug} and torch {sidecar.torch} ({_path_in(sidecar)})"
+        mine = f"here are {again.uwaug} and {again.torch} ({fused.path()})"
         raise ValueError(f"{output} differs from the first one, by {theirs}: {mine}")
     return again
+
+
+def _path_in(sidecar: Sidecar) -> str:
+    """What has formed a picture, see `uwaug.fused`."""
+    (drawn,) = sidecar.drawn.get("samples", [sidecar.drawn])
+    return str(drawn.get("path", "eager"))
 
 
 def named(name: str, text: str) -> str:
@@ -329,7 +335,7 @@ def reason_of(error: Exception) -> str:
 
 def _encoded(file: BinaryIO, made: _Made) -> Sidecar:
     """Write a picture into an open file; its sidecar is then complete."""
-    encode(file, made.format, made.degraded.image, made.original)
+    encode(file, made.format, made.formed.image, made.original)
     hash = FileHash.of_stream(file, "")
     return replace(made.sidecar, sha256=hash.sha256, bytes=hash.bytes)
 
@@ -354,11 +360,11 @@ def _names(item: Item) -> str:
     return " with ".join(names)
 
 
-def _mean_contrast(degraded: Degraded) -> float:
+def _mean_contrast(scene: Scene | None) -> float:
     """Of some pixels, spread over the picture: all of them would take a tenth of its time."""
-    if degraded.seen is None:
+    if scene is None:
         return 1.0
     with reproducible():  # a sidecar is the same on any number of threads
-        contrast = degraded.seen.contrast_at_points()
+        contrast = scene.contrast_at_points()
     # and wherever in memory it lies, which its last bits follow from
     return round(float(contrast.double().mean()), 6)

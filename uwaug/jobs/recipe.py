@@ -7,17 +7,17 @@ from typing import Any
 
 from uwaug._support import checks
 from uwaug._support.hashing import FileHash
-from uwaug.distance.sample import Scaling
+from uwaug.distance.sample import Scaling, as_unknown
 from uwaug.fitting import Fit
+from uwaug.formation.exposure import require_exposure
+from uwaug.formation.scene import Setup
 from uwaug.io.distances import DistanceFormat
-from uwaug.jobs.model import Model, OneMedium, RandomWater
+from uwaug.jobs.waters import DrawnWaters, KnownWater, Waters
 from uwaug.labels import LabelSource, open_labels
-from uwaug.presets.preset import Preset, load_preset
+from uwaug.light.light import Light
+from uwaug.presets.preset import load_preset
 from uwaug.transforms.codec import decode_options
 from uwaug.transforms.random_underwater import RandomUnderwater
-
-_RANGES = ("near", "far", "gamma")
-"""Options that scale maps, which known media take too, as numbers."""
 
 _FIXED: dict[str, Any] = {
     "contrast": None,
@@ -140,61 +140,63 @@ class Recipe:
         """
         return None if self.labels is None else open_labels(self.labels, void=self.void)
 
-    def open(self) -> Model:
-        """What degrades pictures.
+    def open(self) -> Waters:
+        """Where pictures get their water.
 
         Raises:
             TypeError, ValueError, OSError: as the transform, the preset or the fit.
         """
         options = decode_options(self.options)
-        options |= {"distance_kind": self.distance.map_kind, "unknown": self.distance.unknown}
         if self.fit is not None:
-            found = Fit.load(self.fit)
-            return OneMedium(
-                f"fit {found.model}",
-                found.medium,
-                "srgb",
-                "none",
-                None,
-                **_of_maps("a fit", options, None),
-            )
+            fit = Fit.load(self.fit)
+            name = f"fit {fit.model}"
+            setup = Setup(fit.medium, focal_px=self.distance.focal_px)
+            return self._known(name, setup, None, Scaling(1.0, 5.0, 1.0), options)
         if self.preset is not None:
             preset = load_preset(self.preset, water=self.water)
             if not preset.drawable:
-                return OneMedium(
-                    preset.name,
+                setup = Setup(
                     preset.medium,
-                    preset.color_space,
-                    preset.exposure,
-                    preset.uneven,
-                    **_of_maps(f"preset {preset.name}", options, preset),
                     light=preset.light,
+                    exposure=preset.exposure,
+                    color_space=preset.color_space,
                     focal_px=self.distance.focal_px,
                 )
-            return RandomWater(
-                RandomUnderwater.from_preset(self.preset, water=self.water, **options)
-            )
+                scaling = Scaling(preset.near, preset.far, preset.gamma)
+                return self._known(preset.name, setup, preset.uneven, scaling, options)
+        options |= {"distance_kind": self.distance.map_kind, "unknown": self.distance.unknown}
+        if self.preset is not None:
+            from_preset = RandomUnderwater.from_preset
+            return DrawnWaters(from_preset(self.preset, water=self.water, **options))
         if self.water is not None:
             fixed = {**_FIXED, "waters": [self.water]}
             if {"contrast", "visibility"} & set(options):
                 del fixed["contrast"]
-            return RandomWater(RandomUnderwater(**{**fixed, **options}))
-        return RandomWater(RandomUnderwater(**options))
+            options = {**fixed, **options}
+        return DrawnWaters(RandomUnderwater(**options))
 
-
-def _of_maps(what: str, options: Mapping[str, Any], preset: Preset | None) -> dict[str, Any]:
-    """What a known medium takes of the options."""
-    numbers = {"near": 1.0, "far": 5.0, "gamma": 1.0}
-    if preset is not None:
-        numbers = {"near": preset.near, "far": preset.far, "gamma": preset.gamma}
-    kind, unknown = options["distance_kind"], options["unknown"]
-    for name, value in options.items():
-        if name in ("distance_kind", "unknown"):
-            continue
-        if name not in _RANGES or not isinstance(value, (int, float)):
-            raise ValueError(f"{name}={value!r} would do nothing: {what} is one known medium")
-        numbers[name] = value
-    return {"kind": kind, "unknown": unknown, "scaling": Scaling(**numbers)}
+    def _known(
+        self,
+        name: str,
+        setup: Setup,
+        field_range: tuple[float, float] | None,
+        scaling: Scaling,
+        options: Mapping[str, Any],
+    ) -> KnownWater:
+        """A known medium, and those of the options that say how it is seen."""
+        for option, value in options.items():
+            if option in ("near", "far", "gamma") and isinstance(value, (int, float)):
+                scaling = scaling._replace(**{option: value})
+            elif option == "exposure":
+                require_exposure(value)
+                setup = replace(setup, exposure=value)
+            elif option == "light" and isinstance(value, Light):
+                setup = replace(setup, light=value)
+            else:
+                got = f"{name} is one known medium, and nothing is drawn"
+                raise ValueError(f"{option}={value!r} would do nothing: {got}")
+        kind, unknown = self.distance.map_kind, as_unknown(self.distance.unknown)
+        return KnownWater(name, setup, field_range, kind, unknown, scaling)
 
 
 def _absolute(path: Any, ending: str = "") -> Any:

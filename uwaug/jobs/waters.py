@@ -1,0 +1,126 @@
+"""The water of a recipe: one that is drawn for each picture, or one that is known."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, Protocol
+
+import torch
+from torch import Tensor
+
+from uwaug.distance.sample import DistanceKind, Scaling, Unknown, metres_of, skipped
+from uwaug.formation.engine import path_of
+from uwaug.formation.field import random_field
+from uwaug.formation.scene import Scene, Setup
+from uwaug.light.geometry import focal_of
+from uwaug.transforms.prepare import InWater as Wet
+from uwaug.transforms.prepare import deterministic
+from uwaug.transforms.random_underwater import RandomUnderwater
+
+
+class InWater(NamedTuple):
+    """A picture in its water.
+
+    Attributes:
+        image: like the picture that it was made of.
+        drawn: all that is random, and what it came to; JSON can hold it.
+        scene: what it was formed of; None if it was left as it is.
+        water: the name of its water.
+        visibility: of that water, m; None if it is not known.
+    """
+
+    image: Tensor
+    drawn: dict[str, Any]
+    scene: Scene | None
+    water: str
+    visibility: float | None
+
+
+class Waters(Protocol):
+    """Where pictures get their water."""
+
+    def degrade(
+        self, image: Tensor, distance: Tensor, drawn: Mapping[str, Any] | None, key: int
+    ) -> InWater:
+        """Degrade a picture.
+
+        Args:
+            image (3xHxW tensor): uint8 or floating point.
+            distance (1xHxW tensor): of the kind that the recipe says.
+            drawn: what a sidecar holds; None to draw it from `key`.
+            key: of all that is random.
+
+        Raises:
+            ValueError: if image or distance do not suit.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnWaters:
+    """A water of its own for each picture, bit for bit as by the transform."""
+
+    transform: RandomUnderwater
+
+    def degrade(
+        self, image: Tensor, distance: Tensor, drawn: Mapping[str, Any] | None, key: int
+    ) -> InWater:
+        """As of `Waters`."""
+        generator = torch.Generator().manual_seed(key)
+        record = self.transform.make_params(image, generator) if drawn is None else dict(drawn)
+
+        def seen(wet: Wet) -> InWater:
+            params = wet.resolved().to_dict()
+            if drawn is not None:
+                # older records call fused what had only its sRGB decoded by the loops
+                params["path"] = drawn["samples"][0]["path"]
+            visibility = wet.water.visibility()
+            picture = wet.scene.picture()
+            return InWater(picture, {"samples": [params]}, wet.scene, wet.water.name, visibility)
+
+        made = self.transform.in_water(image, distance, record, seen)
+        if made:
+            return made[0]
+        (sample,) = record["samples"]
+        return InWater(image, {"samples": [{**sample, "applied": False}]}, None, "none", None)
+
+
+@dataclass(frozen=True, eq=False)
+class KnownWater:
+    """A medium that is known by its coefficients: that of a fit, or of a preset without spectra.
+
+    Attributes:
+        name: of the water.
+        setup: what pictures are taken with; by default the view is 60° wide.
+        field_range: least and largest value of the medium field; None for water without.
+        kind, unknown, scaling: of the maps, see `uwaug.distance.sample.metres_of`.
+    """
+
+    name: str
+    setup: Setup
+    field_range: tuple[float, float] | None
+    kind: DistanceKind
+    unknown: Unknown
+    scaling: Scaling
+
+    def degrade(
+        self, image: Tensor, distance: Tensor, drawn: Mapping[str, Any] | None, key: int
+    ) -> InWater:
+        """As of `Waters`."""
+        if drawn is None:
+            drawn = {}
+            if self.field_range is not None:
+                generator = torch.Generator().manual_seed(key)
+                drawn["field_seed"] = int(torch.randint(2**32, (1,), generator=generator))
+        if skipped(distance, self.kind, self.unknown):
+            return InWater(image, dict(drawn), None, "none", None)
+        size, field = (image.shape[-2], image.shape[-1]), None
+        setup = replace(self.setup, focal_px=focal_of(self.setup.focal_px, size[1]))
+        with deterministic(image):
+            metres = metres_of(distance.contiguous(), self.scaling, self.kind, self.unknown)
+            if self.field_range is not None:
+                like = metres if isinstance(metres, Tensor) else metres.like
+                field = random_field(size, drawn["field_seed"], *self.field_range, like)
+            scene = Scene.of(image, metres, setup, field, drawn.get("path"))
+            picture = scene.picture()
+        record = {"path": path_of(scene.engine), **drawn}
+        return InWater(picture, record, scene, self.name, None)
