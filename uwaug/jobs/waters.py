@@ -70,9 +70,9 @@ class DrawnWaters:
 
         def seen(wet: Wet) -> InWater:
             params = wet.resolved().to_dict()
-            if drawn is not None:
+            if drawn is not None and "path" in (sample := drawn["samples"][0]):
                 # older records call fused what had only its sRGB decoded by the loops
-                params["path"] = drawn["samples"][0]["path"]
+                params["path"] = sample["path"]
             visibility = wet.water.visibility()
             picture = wet.scene.picture()
             return InWater(picture, {"samples": [params]}, wet.scene, wet.water.name, visibility)
