@@ -18,7 +18,6 @@ from uwaug.blur.tiled import blurred_tiles
 from uwaug.distance.complete import filled, filled_rows
 from uwaug.formation.colour import srgb_to_linear
 from uwaug.formation.field import gaussian_random_field, gaussian_random_rows
-from uwaug.transforms.keep_visible import transform_with_contrast
 
 pytestmark = pytest.mark.filterwarnings("ignore:distance is unknown")
 
@@ -105,6 +104,12 @@ LIGHTS = {
 }
 
 
+def formed(aug: RandomUnderwater, image: Tensor, z: Tensor, record: Any) -> tuple[Tensor, Tensor]:
+    """A picture in its water, and the contrast that is left."""
+    look = lambda wet: (wet.scene.picture(), wet.scene.contrast())  # noqa: E731
+    return aug.in_water(image, z, record, look)[0]
+
+
 @pytest.mark.parametrize("name", LIGHTS)
 @pytest.mark.parametrize("exposure", ["none", "auto"])
 def test_large_pictures_have_lamps(name: str, exposure: Any, in_strips: Any) -> None:
@@ -112,10 +117,10 @@ def test_large_pictures_have_lamps(name: str, exposure: Any, in_strips: Any) -> 
     image, z = picture(*size), distances("default", *size)
     record = aug.make_params(image, torch.Generator().manual_seed(3))
     whole = aug.transform(image, z, record)
-    _, left = transform_with_contrast(aug, image, z, record)
+    _, left = formed(aug, image, z, record)
     used = aug.resolve(image, z, record)["samples"][0]["used"]
     in_strips()
-    out, near = transform_with_contrast(aug, image, z, record)
+    out, near = formed(aug, image, z, record)
     # the veil of a lamp lies on a grid of rays of each band, which is finer
     torch.testing.assert_close(*map(srgb_to_linear, (out, whole)), rtol=0, atol=2e-3)
     # in the dark, contrast is a quotient of hardly anything
