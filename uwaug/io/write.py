@@ -44,8 +44,8 @@ def format_of(path: str | os.PathLike[str]) -> str:
     """
     suffix = Path(path).suffix.lower()
     if suffix not in FORMATS:
-        known = ", ".join(FORMATS)
-        raise ValueError(f"{path}: expected a name that ends in {known}, got {suffix or 'none'}")
+        ends = ", ".join(FORMATS)
+        raise ValueError(f"{path}: expected a name that ends in {ends}, got {suffix or 'none'}")
     return FORMATS[suffix]
 
 

@@ -115,7 +115,7 @@ class Items:
     ) -> None:
         self.inputs, self.distance, self.out = inputs, distance, out
         self.variants, self.ending, self.network, self.name = variants, ending, network, name
-        self._pictures = [picture for given in inputs for picture in self._expanded(given)]
+        self._pictures = [picture for path in inputs for picture in self._expanded(path)]
 
     def __len__(self) -> int:
         return self.variants * len(self._pictures)
@@ -142,14 +142,14 @@ class Items:
                     self.out,
                 )
 
-    def _expanded(self, given: Path) -> Iterator[_Picture]:
+    def _expanded(self, source: Path) -> Iterator[_Picture]:
         """The pictures of an input."""
-        if given.is_dir():
-            for path in self._inside(given):
-                name = path.relative_to(given).as_posix()
+        if source.is_dir():
+            for path in self._inside(source):
+                name = path.relative_to(source).as_posix()
                 yield self._picture(name, path, name, name, None)
-        elif given.suffix.lower() in MANIFESTS:
-            for line in _read_manifest(given):
+        elif source.suffix.lower() in MANIFESTS:
+            for line in _read_manifest(source):
                 path = Path(str(line["input"]))
                 # what lies elsewhere keeps its name alone
                 inside = not path.is_absolute() and ".." not in path.parts
@@ -157,16 +157,16 @@ class Items:
                 place = Path(line["output"] or name)
                 if place.is_absolute() or ".." in place.parts:
                     got = f"got {place}"
-                    raise ValueError(f"{given}: output must lie in the folder of the run, {got}")
+                    raise ValueError(f"{source}: output must lie in the folder of the run, {got}")
                 where: Any = line["distance"]
                 if where is not None:
                     metres = metres_in(where)
-                    where = str(given.parent / where) if metres is None else metres
+                    where = str(source.parent / where) if metres is None else metres
                 id = line["id"] or path.as_posix()
-                yield self._picture(id, given.parent / path, name, place.as_posix(), where)
+                yield self._picture(id, source.parent / path, name, place.as_posix(), where)
         else:
-            require_regular(given)
-            yield self._picture(given.name, given, given.name, given.name, None)
+            require_regular(source)
+            yield self._picture(source.name, source, source.name, source.name, None)
 
     def _picture(
         self, id: str, path: Path, name: str, place: str, distance: str | float | None
@@ -287,12 +287,12 @@ def preflight(items: Items, recipe: Recipe, *, resume: bool = False, force: bool
         FileExistsError: if an output is there already.
     """
     if not len(items):
-        known = ", ".join(name for name in FORMATS if name != ".npy")
-        raise ValueError(f"no pictures in {', '.join(map(str, items.inputs))}: expected {known}")
-    for given in items.inputs:
+        ends = ", ".join(end for end in FORMATS if end != ".npy")
+        raise ValueError(f"no pictures in {', '.join(map(str, items.inputs))}: expected {ends}")
+    for source in items.inputs:
         # else the next run would take what this one has written for pictures
-        if given.is_dir() and os.path.realpath(given) == os.path.realpath(items.out):
-            raise ValueError(f"{given} would be written into: expected a folder of its own")
+        if source.is_dir() and os.path.realpath(source) == os.path.realpath(items.out):
+            raise ValueError(f"{source} would be written into: expected a folder of its own")
     # a map that is found by the name of its picture may be that of another too
     by_name = items.distance is not None and (
         "{" in items.distance or os.path.isdir(items.distance)

@@ -62,7 +62,7 @@ class Result:
         return named(name_of(self.item.input), str(self.reason))
 
 
-class _Made(NamedTuple):
+class _Degraded(NamedTuple):
     """A picture before it is written; `sidecar`: but for the hash and the size of its file."""
 
     original: PictureFile
@@ -110,7 +110,7 @@ class Degrader:
                 return Result(about, "kept", None, kept, time.perf_counter() - start)
             if self.in_memory:
                 file = io.BytesIO()
-                sidecar = _encoded(file, self._made(item, None))
+                sidecar = _encoded(file, self._degraded(item, None))
                 content = file.getvalue()
             else:
                 sidecar = self.write(item)
@@ -131,21 +131,21 @@ class Degrader:
         """
         if not self.force:
             self._require_free(item)
-        made, beside = self._made(item, drawn), sidecar_path(item.output)
+        degraded, beside = self._degraded(item, drawn), sidecar_path(item.output)
         item.output.parent.mkdir(parents=True, exist_ok=True)
         with written_whole(item.output) as part:
             with part.open("w+b") as file:
-                sidecar = _encoded(file, made)
+                sidecar = _encoded(file, degraded)
             if self.force:
                 # what was there goes when all else is written; a new sidecar beside an old picture
                 # would pass for its own
                 self._remove_beside(item)
-                self._write_beside(item, made)
+                self._write_beside(item, degraded)
                 Path(os.path.realpath(item.output)).unlink(missing_ok=True)
                 sidecar.write(beside)
             else:
                 sidecar.write(beside)
-                self._write_beside(item, made)
+                self._write_beside(item, degraded)
         return sidecar
 
     def _kept(self, item: Item) -> Sidecar | None:
@@ -167,7 +167,7 @@ class Degrader:
         then = (sidecar.bytes, sidecar.input, sidecar.distance, sidecar.label_file)
         return sidecar if now == then else None
 
-    def _made(self, item: Item, drawn: Mapping[str, Any] | None) -> _Made:
+    def _degraded(self, item: Item, drawn: Mapping[str, Any] | None) -> _Degraded:
         if item.problem is not None:
             raise ValueError(item.problem)
         format = format_of(item.output)
@@ -212,7 +212,7 @@ class Degrader:
             labels=labels,
             label_file=None if item.labels is None else item.labels.file_hash(),
         )
-        return _Made(original, formed, format, sidecar)
+        return _Degraded(original, formed, format, sidecar)
 
     def _distance(
         self, where: File | float | None, original: PictureFile
@@ -268,15 +268,15 @@ class Degrader:
             if read is None or path.resolve() != Path(read).resolve():
                 path.unlink(missing_ok=True)
 
-    def _write_beside(self, item: Item, made: _Made) -> None:
+    def _write_beside(self, item: Item, degraded: _Degraded) -> None:
         """Terms and labels."""
-        if self.recipe.keep_terms and made.formed.scene is not None:
-            with deterministic(made.original.image):
-                terms = made.formed.scene.term_pictures()
+        if self.recipe.keep_terms and degraded.formed.scene is not None:
+            with deterministic(degraded.original.image):
+                terms = degraded.formed.scene.term_pictures()
             for name, term in terms.items():
-                write_picture(terms_path(item.output, name), term, made.original)
+                write_picture(terms_path(item.output, name), term, degraded.original)
         if item.labels is not None:
-            item.labels.write(made.sidecar.labels, item.labels_path)
+            item.labels.write(degraded.sidecar.labels, item.labels_path)
 
 
 def replay(sidecar: Sidecar, output: Path, *, force: bool = False) -> Sidecar:
@@ -333,11 +333,11 @@ def reason_of(error: Exception) -> str:
     return f"{type(error).__name__}: {error}"
 
 
-def _encoded(file: BinaryIO, made: _Made) -> Sidecar:
+def _encoded(file: BinaryIO, degraded: _Degraded) -> Sidecar:
     """Write a picture into an open file; its sidecar is then complete."""
-    encode(file, made.format, made.formed.image, made.original)
+    encode(file, degraded.format, degraded.formed.image, degraded.original)
     hash = FileHash.of_stream(file, "")
-    return replace(made.sidecar, sha256=hash.sha256, bytes=hash.bytes)
+    return replace(degraded.sidecar, sha256=hash.sha256, bytes=hash.bytes)
 
 
 def _path_of(file: File) -> str:

@@ -132,9 +132,9 @@ def run_on_ray(
     dataset.context.enable_progress_bars = False
     # what is begun again may have been written by then, but not reported
     options = {"resume": resume or not force, "force": force}
-    made = _mapped(dataset, _IntoFiles, (recipe, os.getcwd(), options), batch_size=1)
+    mapped = _mapped(dataset, _IntoFiles, (recipe, os.getcwd(), options), batch_size=1)
     try:
-        for row in made.iter_rows():
+        for row in mapped.iter_rows():
             for result in pickle.loads(row["results"]):
                 kept = result.status == "kept" and not resume
                 yield replace(result, status="done") if kept else result
@@ -331,17 +331,17 @@ class _OverRows(_Worker):
         id = row["id"]
         if not isinstance(id, str) or not id:
             raise ValueError(f"id: expected a name, got {id!r}")
-        given, distance = _file_of(row["input"], "input"), _file_of(row.get("distance"), "distance")
-        if given is None or isinstance(given, float):
-            raise ValueError(f"input: expected a path or bytes, got {given!r}")
+        file, distance = _file_of(row["input"], "input"), _file_of(row.get("distance"), "distance")
+        if file is None or isinstance(file, float):
+            raise ValueError(f"input: expected a path or bytes, got {file!r}")
         output = row.get("output")
         if not output:
-            ending = self._ending or _ending_of(given)
+            ending = self._ending or _ending_of(file)
             path = Path(id)
             output = path.with_suffix(ending) if path.suffix.lower() in FORMATS else id + ending
         variant = int(row.get("variant") or 0)
         # from no folder: its whole name is its place
-        item = Item(id, given, distance, Path(output), variant, name=id, out=Path())
+        item = Item(id, file, distance, Path(output), variant, name=id, out=Path())
         (item,) = labelled([item], self._source)
         return item
 
@@ -383,8 +383,8 @@ def _ending_of(file: Any) -> str:
         return suffix
     with opened(file) as stream, Image.open(stream) as image:
         format = image.format
-    for suffix, known in FORMATS.items():
-        if known == format:
+    for suffix, writable in FORMATS.items():
+        if writable == format:
             return suffix
     raise ValueError(f"input: expected a picture that can be written as {format}: give an ending")
 
@@ -521,10 +521,10 @@ class Shards:
         if dataset is None:
             return
         arguments = (recipe, os.getcwd(), {"in_memory": True})
-        made = _mapped(dataset, _IntoShards, arguments, batch_size=1)
-        made.context.enable_progress_bars = progress
+        mapped = _mapped(dataset, _IntoShards, arguments, batch_size=1)
+        mapped.context.enable_progress_bars = progress
         try:
-            made.write_parquet(
+            mapped.write_parquet(
                 self._path,
                 filesystem=self._files,
                 min_rows_per_file=size,

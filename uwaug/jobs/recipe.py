@@ -123,7 +123,7 @@ class Recipe:
         Raises:
             ValueError, TypeError: if they are those of no recipe.
         """
-        names = [one.name for one in fields(Recipe)]
+        names = [option.name for option in fields(Recipe)]
         names[names.index("distance")] = "depth"
         odd = sorted(set(values) ^ set(names))
         if odd:

@@ -96,14 +96,14 @@ class Sidecar:
         if values["format"] != _FORMAT:
             got = values["format"]
             raise ValueError(f"{path}: expected a record of format {_FORMAT}, got {got}")
-        made = {name: values[name] for name in names}
+        attributes = {name: values[name] for name in names}
         try:
             for name in ("input", "distance", "label_file"):
-                if isinstance(made[name], Mapping):
-                    made[name] = FileHash(**made[name])
+                if isinstance(attributes[name], Mapping):
+                    attributes[name] = FileHash(**attributes[name])
         except TypeError:
             raise ValueError(f"{path}: is no record of a picture that uwaug has written") from None
-        return Sidecar(**made)
+        return Sidecar(**attributes)
 
 
 def versions() -> tuple[str, str]:

@@ -77,9 +77,9 @@ class DrawnWaters:
             picture = wet.scene.picture()
             return InWater(picture, {"samples": [params]}, wet.scene, wet.water.name, visibility)
 
-        made = self.transform.in_water(image, distance, record, seen)
-        if made:
-            return made[0]
+        by_place = self.transform.in_water(image, distance, record, seen)
+        if by_place:
+            return by_place[0]
         (sample,) = record["samples"]
         return InWater(image, {"samples": [{**sample, "applied": False}]}, None, "none", None)
 

@@ -161,8 +161,8 @@ def open_labels(path: str | os.PathLike[str], *, void: int | None = None) -> Lab
     if not place.exists():
         raise FileNotFoundError(f"labels: there is nothing at {path}")
     files = [place] if place.is_file() else place.rglob("*")
-    known = {".json"} if place.is_file() else {".txt", ".png"}
-    ends = {file.suffix.lower() for file in files} & known
+    formats = {".json"} if place.is_file() else {".txt", ".png"}
+    ends = {file.suffix.lower() for file in files} & formats
     if len(ends) != 1:
         expected = "a COCO file (.json) or a folder of YOLO's .txt or of .png masks"
         got = f"{path}, a folder with both" if ends else f"{path}"
