@@ -56,7 +56,7 @@ def test_open_water_is_the_veil() -> None:
 
 
 def test_no_water_in_between() -> None:
-    degrade = Underwater(coastal(vertical_depth=0.0))
+    degrade = Underwater(coastal(vertical_depth=0.0), (0.0, 20.0))
     image = picture()
     result = degrade(image, torch.zeros(1, 1, 32, 40))
     torch.testing.assert_close(result, image, rtol=0, atol=2e-6)

@@ -25,7 +25,6 @@ __all__ = [
     "NO_BLUR",
     "V_FLOOR",
     "BlurPlan",
-    "difference",
     "octave_steps",
     "plan_blur",
     "range_in_v",
@@ -172,14 +171,6 @@ def _plan_blur(low: float, high: float, tolerance: float, shape: Shape, longest:
         error=error,
         shape=shape,
     )
-
-
-def difference(sigma: float, other: float, shape: Shape, longest: float) -> float:
-    """RMSE of one width taken for another, on the picture that plans are made for."""
-    octave = _octave(shape, longest)
-    transfer = _exponential_transfer if shape == "exponential" else _gaussian_transfer
-    ours, theirs = transfer(np.array([sigma, other]), octave) * _amplitude(octave)
-    return float(np.sqrt(((ours - theirs) ** 2).sum()))
 
 
 def _octave(shape: Shape, longest: float) -> float:

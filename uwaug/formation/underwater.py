@@ -14,7 +14,6 @@ from uwaug._support import checks
 from uwaug._support.types import ColorSpace, Order
 from uwaug.blur.plan import BlurPlan
 from uwaug.formation import planned
-from uwaug.formation.beyond import beyond_plan
 from uwaug.formation.demand import BlurDemand, blur_demand
 from uwaug.formation.exposure import Exposure, brightest, require_exposure
 from uwaug.formation.learnable import FixedLamps, FixedMedium, LearnableMedium
@@ -29,6 +28,9 @@ from uwaug.optics.medium import Medium
 
 __all__ = ["Underwater"]
 
+
+_FEW = 0.01
+"""Share of the pixels that may lie outside of the range that is planned for without a word."""
 
 _ROOM = 2.0
 """Either way, for the width that is learned, until it is planned anew."""
@@ -176,25 +178,35 @@ class Underwater(nn.Module):
         reach = validate(image, distance, medium, field, also_bytes=True, light=self.light)
         self.keep_up(medium)
         plan = self.plan((image.shape[-2], image.shape[-1]))
-        if reach is not None and not self._warned:
-            self._look_beyond(distance, field, medium, reach)
+        planned_for = self.distance_range
+        if reach is not None and planned_for is not None and not reach.lies_in(*planned_for):
+            self._warn_outside(distance, field, *planned_for)
         return self.formed(image, distance, field, medium, plan, reach)
 
-    def _look_beyond(
-        self, distance: Tensor, field: Tensor | None, medium: Medium, reach: Reach
+    def _warn_outside(
+        self, distance: Tensor, field: Tensor | None, near: float, far: float
     ) -> None:
-        """Warn, once, if distances lie beyond the plan and it shows."""
-        if self.distance_range is None or reach.lies_in(*self.distance_range):
+        """Warn, once, if more than 1 % of the pixels lie outside of the range that is planned for;
+        open water does not count.
+        """
+        if self._warned:
             return
-        assert self.demand is not None
         # half precision does not reach as far as open water
         z = distance.detach().to(torch.promote_types(distance.dtype, torch.float32))
         if field is not None:
             z = z.clamp(max=FARTHEST) * field.detach()
-        said = beyond_plan(z, medium, self.distance_range, self.demand, self.tolerance)
-        if said:
+        outside = {"nearer": z < near, "farther": (z > far) & (z < FARTHEST)}
+        shares = {where: float(pixels.double().mean()) for where, pixels in outside.items()}
+        told = [f"{share:.0%} of the pixels lie {where}" for where, share in shares.items()]
+        told = [words for words, share in zip(told, shares.values(), strict=True) if share > _FEW]
+        if told:
             self._warned = True
-            warnings.warn(said, stacklevel=3)
+            warnings.warn(
+                f"{' and '.join(told)} than the {near:g}…{far:g} m that the blur is planned for, "
+                "and get the width of its end; plan for them with Underwater(…, "
+                "distance_range=(near, far)), or with None for each call",
+                stacklevel=3,
+            )
 
     def keep_up(self, medium: Medium) -> None:
         """Plan anew if what was learned has left the plan, at whose ends widths would stop changing
