@@ -1,9 +1,8 @@
 import pytest
 import torch
 
-from uwaug.blur.banded import along_columns, along_rows
+from uwaug.blur.banded import Node, along_columns, along_rows, operator
 from uwaug.blur.kernels import PERIOD
-from uwaug.blur.operators import Node, operator
 
 
 @pytest.mark.parametrize("cell", [1.0, 2.0, 16 / 7, 16 / 5, 8.0, 16.0, 48.0])

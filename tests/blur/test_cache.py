@@ -3,8 +3,8 @@ from concurrent.futures import ThreadPoolExecutor
 import torch
 
 from uwaug._support.cache import Cache
-from uwaug.blur import operators
-from uwaug.blur.operators import Node, operator
+from uwaug.blur import banded
+from uwaug.blur.banded import Node, operator
 
 
 def test_what_was_used_last_stays() -> None:
@@ -46,7 +46,7 @@ def test_threads_may_share_it() -> None:
 
 
 def test_operators_of_random_sizes_take_no_more_than_their_budget() -> None:
-    remembered = operators._REMEMBERED
+    remembered = banded._REMEMBERED
     most = 0
     for size in range(100, 1100, 7):
         for cell in (1.0, 16 / 5, 16.0):

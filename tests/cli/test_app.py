@@ -85,7 +85,7 @@ def test_arguments_become_flags(message, said, tmp_path, monkeypatch):
 
 def test_words_of_flags_are_the_librarys():
     from uwaug.fitting.models import MODELS, Gain
-    from uwaug.formation.planned import SIDES
+    from uwaug.formation.demand import SIDES
     from uwaug.io import UNITS
 
     assert uwaug.JERLOV_TYPES == choices.WATERS

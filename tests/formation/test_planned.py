@@ -4,7 +4,7 @@ import pytest
 from degrading import coastal
 
 from uwaug import PointSpread, Underwater
-from uwaug.formation.planned import EVERY_SIDE, alike
+from uwaug.formation.demand import EVERY_SIDE
 
 
 @pytest.mark.parametrize(
@@ -46,11 +46,3 @@ def test_a_law_that_knows_no_size_has_one_plan_anyway(law):
     assert degrade.plan((1, 1)) == degrade.plan((4000, 6000))
     # an exponential shape asks for no blurs much wider than the picture
     assert Underwater(coastal(point_spread=PointSpread.calibrated(60.0))).sides is None
-
-
-def test_alike():
-    assert alike({"a": (1.0, [2.0, None])}, {"a": [1.0 + 1e-8, (2.0, None)]})
-    assert not alike({"a": 1.0}, {"b": 1.0})
-    assert not alike({"a": 1.0}, {"a": 1.001})
-    assert not alike((1.0, 2.0), (1.0,))
-    assert not alike("srgb", "linear")

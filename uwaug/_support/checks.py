@@ -226,3 +226,14 @@ def span(x: Tensor) -> str:
     if not numbers.numel():
         return "NaN only"
     return f"{float(numbers.min()):.4g} to {float(numbers.max()):.4g}"
+
+
+def alike(mine: Any, theirs: Any) -> bool:
+    """Whether two settings are equal, numbers to 1e-6: the last digits depend on the processor."""
+    if isinstance(mine, dict) and isinstance(theirs, dict):
+        return mine.keys() == theirs.keys() and all(alike(mine[key], theirs[key]) for key in mine)
+    if isinstance(mine, list | tuple) and isinstance(theirs, list | tuple):
+        return len(mine) == len(theirs) and all(map(alike, mine, theirs))
+    if isinstance(mine, float) and isinstance(theirs, float):
+        return math.isclose(mine, theirs, rel_tol=1e-6, abs_tol=1e-6)
+    return bool(mine == theirs)

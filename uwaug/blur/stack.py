@@ -9,8 +9,7 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.torch_func import transformed
-from uwaug.blur.banded import Banded, along_columns, along_rows
-from uwaug.blur.operators import Kind, Node, operator
+from uwaug.blur.banded import Banded, Kind, Node, along_columns, along_rows, operator
 from uwaug.blur.plan import V_FLOOR, BlurPlan, plan_blur, range_in_v
 
 __all__ = [

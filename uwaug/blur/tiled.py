@@ -8,9 +8,8 @@ import torch
 from torch import Tensor
 
 from uwaug._support.tiles import Rows, RowSource, bands, held
-from uwaug.blur.banded import Banded, along_columns, along_rows
+from uwaug.blur.banded import Banded, Node, along_columns, along_rows, whole
 from uwaug.blur.kernels import PERIOD
-from uwaug.blur.operators import Node, whole
 from uwaug.blur.plan import BlurPlan
 from uwaug.blur.stack import Chain, chain_of, products
 

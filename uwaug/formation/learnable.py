@@ -61,9 +61,9 @@ class FixedMedium(_InFullPrecision):
             if isinstance(numbers.get(name, value), Tensor):
                 self.register_buffer(name, value.clone())
 
-    # the medium that was made last. Its tensors are the buffers, so that it stays right where their
-    # values change; files of modules that older versions wrote have none
-    _made: Medium | None = None
+    # the buffers that the last medium was made of, and that medium: its tensors are these, so that
+    # it stays right where their values change; files of modules of older versions have none
+    _last: tuple[tuple[Tensor | None, ...], Medium] | None = None
 
     def forward(self) -> Medium:
         """The medium at hand."""
@@ -71,10 +71,13 @@ class FixedMedium(_InFullPrecision):
         looks = any(name in self._buffers for name in PointSpread.NUMBERS)
         if looks or torch.compiler.is_compiling() or transformed():
             return self._of_buffers()
-        made = self._made
-        if made is None or not all(map(is_, made.tensors(), self._buffers.values())):
-            made = self._made = self._of_buffers()
-        return made
+        buffers = tuple(self._buffers.values())
+        if self._last is not None:
+            before, medium = self._last
+            if len(before) == len(buffers) and all(map(is_, before, buffers)):
+                return medium
+        self._last = buffers, self._of_buffers()
+        return self._last[1]
 
     def _of_buffers(self) -> Medium:
         held: dict[str, Any] = dict(self.named_buffers())

@@ -21,9 +21,9 @@ from uwaug._support.types import ColorSpace, Order
 from uwaug.blur.plan import BlurPlan
 from uwaug.blur.stack import blurred, mixed, node_weights
 from uwaug.blur.tiled import blurred_tiles
-from uwaug.formation.at_hand import farthest_seen, plan_at_hand, plan_between
 from uwaug.formation.colour import decoded, encoded, headroom, require_values
 from uwaug.formation.contrast import contrast_of
+from uwaug.formation.demand import farthest_blurred, plan_for
 from uwaug.formation.engine import Engine, choose
 from uwaug.formation.exposure import (
     Exposure,
@@ -187,7 +187,7 @@ class Scene:
             z = _distance_rows(maps, radiance.like)
             plain = setup.light is None or setup.light.plain
             lit = None if plain else _BandedLight(setup, maps, medium, None)
-            span = _span(z, farthest_seen(planning_medium(medium, setup.light), setup.order))
+            span = _span(z, farthest_blurred(planning_medium(medium, setup.light), setup.order))
         else:
             # a view of other strides takes other paths through the kernels, which round otherwise
             light = _decoded(image.contiguous(), setup.color_space, ends, by_loops)
@@ -255,11 +255,9 @@ class Scene:
         if self.given_plan is not None:
             return self.given_plan
         medium, setup = planning_medium(self.medium, self.setup.light), self.setup
-        if self.span is None:
-            assert isinstance(self.z, Tensor)
-            return plan_at_hand(self.z, medium, setup.tolerance, setup.order)
-        ends = self.span.low, self.span.shown
-        return plan_between(ends, self.size, medium, setup.tolerance, setup.order)
+        span = self.span or _span(self.z, farthest_blurred(medium, setup.order))
+        ends = span.low, span.shown
+        return plan_for(ends, self.size, medium, setup.tolerance, setup.order)
 
     def picture(self) -> Tensor:
         """D + F + B, encoded, like the image; of several media or lights Bx3xHxW."""
@@ -391,7 +389,7 @@ class Scene:
         if isinstance(self.z, Tensor):
             return self.medium.any_at_lens(self.z)
         assert self.span is not None
-        return self.medium.any_at_lens(self.medium.beta.new_full((1,), self.span.low))
+        return self.medium.any_at_lens(self.medium.beta.new_full((1, 1, 1, 1), self.span.low))
 
     def _view(self, n: int | None, exact: bool) -> "_View":
         """The n-th picture; None for all of them."""
@@ -580,15 +578,20 @@ def _row(x: Tensor | RowSource, n: int) -> Tensor | RowSource:
     return x if isinstance(x, RowSource) else x[n % len(x)][None]
 
 
-def _span(z: RowSource, end: float) -> Span:
+def _span(z: Tensor | RowSource, end: float) -> Span:
     """Look at all distances once; from `end` on they ask for no blur."""
+    if isinstance(z, Tensor):
+        parts = iter((z.detach(),) if z.numel() else ())
+    else:
+        parts = (z.rows(*band) for band in bands(*z.size))
     low, high, shown = math.inf, 0.0, -math.inf
-    for start, stop in bands(*z.size):
-        band = z.rows(start, stop)
+    for band in parts:
         least, largest = (float(value) for value in band.aminmax())
         low, high = min(low, least), max(high, largest)
         if largest >= end < FARTHEST:
             band = band[band < end]
             largest = float(band.max()) if band.numel() else -math.inf
         shown = max(shown, largest)
+    if low > high:  # no pixel
+        return Span(0.0, 0.0, 0.0)
     return Span(low, high, max(shown, low))

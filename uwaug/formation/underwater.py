@@ -13,16 +13,22 @@ from torch import Tensor, nn
 from uwaug._support import checks
 from uwaug._support.types import ColorSpace, Order
 from uwaug.blur.plan import BlurPlan
-from uwaug.formation import planned
-from uwaug.formation.demand import BlurDemand, blur_demand
+from uwaug.formation.demand import (
+    EVERY_SIDE,
+    BlurDemand,
+    blur_demand,
+    constant_plan,
+    distance_range_of,
+    same_plan,
+    sides_of,
+)
 from uwaug.formation.exposure import Exposure, brightest, require_exposure
 from uwaug.formation.learnable import FixedLamps, FixedMedium, LearnableMedium
 from uwaug.formation.loops.backend import path
 from uwaug.formation.model import Reach, validate
 from uwaug.formation.scene import Scene, Setup
 from uwaug.light.light import Light
-from uwaug.light.lit import lamps_in_water, light_of
-from uwaug.light.lit import planning_medium as planned_under
+from uwaug.light.lit import lamps_in_water, light_of, planning_medium
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 
@@ -66,6 +72,8 @@ class Underwater(nn.Module):
             it. Numbers of it that require gradients are learned with, and stay the caller's: they
             are no part of the state, but must be those of the module that is loaded.
         focal_px, centre: as for `uwaug.form_image`; wanted where the light differs from ray to ray.
+        plan: of the blur, for pictures of all sizes, such as a file has that another version wrote;
+            by default one is made for `distance_range`.
 
     Keep torch's default matmul precision. With `torch.set_float32_matmul_precision("medium")`, CPUs
     that support it multiply in bfloat16, and the error is visible.
@@ -101,6 +109,7 @@ class Underwater(nn.Module):
         light: Light | None = None,
         focal_px: float | None = None,
         centre: tuple[float, float] | None = None,
+        plan: BlurPlan | None = None,
     ) -> None:
         super().__init__()
         checks.instance("medium", medium, Medium, "; see Medium.from_water")
@@ -110,27 +119,18 @@ class Underwater(nn.Module):
         require_exposure(exposure)
         self.light = None if light is None else light_of(light, focal_px, centre)
         self.camera = focal_px, centre
-        self.distance_range = None if distance_range is None else planned.distances(distance_range)
+        self.distance_range = None if distance_range is None else distance_range_of(distance_range)
         self.tolerance = tolerance
         self.color_space = color_space
         self.order: Order = order
         self.exposure: Exposure = exposure
         self.learnable = learnable
-        self._sides = None if sides is None else planned.sides_of(sides)
+        self._sides = None if sides is None else sides_of(sides)
         self.demand: BlurDemand | None = None
         self._warned = False
-        # of a file that the module was read from, which another version may have written
-        self.stored_plan: BlurPlan | None = None
+        self._plan = plan
         if self.distance_range is not None:
-            margin = _ROOM if learnable else 1.0
-            self.demand = blur_demand(
-                planned_under(brightest(medium, exposure), self.light),
-                self.distance_range,
-                tolerance,
-                order=order,
-                learned=learnable,
-                margin=margin,
-            )
+            self.demand = self._demand_of(medium, margin=_ROOM if learnable else 1.0)
         elif sides is not None:
             raise ValueError(f"sides need a distance_range to plan for, got sides={sides} alone")
         self.coefficients: FixedMedium | LearnableMedium = FixedMedium(medium)
@@ -151,20 +151,20 @@ class Underwater(nn.Module):
     @property
     def sides(self) -> tuple[int, int] | None:
         """Short sides, px, of pictures that share a plan; None if each size has its own."""
-        if self._sides is None and self.demand and planned.serves_every_size(self.demand):
-            return planned.EVERY_SIDE
+        if self._sides is None and self.demand and self.demand.serves_every_size:
+            return EVERY_SIDE
         return self._sides
 
     def plan(self, size: tuple[int, int]) -> BlurPlan | None:
         """The blur plan for images of (height, width) `size`; None without a `distance_range`."""
-        if self.stored_plan is not None:
-            return planned.same_plan(self.stored_plan)
+        if self._plan is not None:
+            return same_plan(self._plan)
         if self.demand is None:
             return None
         if self.sides is not None:
-            return planned.plan_all(self.demand, self.sides)
+            return constant_plan(self.demand, self.sides, 1, 1)
         # index(): a compiled module is compiled again for another size, which has another plan
-        return planned.plan_one(self.demand, index(size[0]), index(size[1]))
+        return constant_plan(self.demand, None, index(size[0]), index(size[1]))
 
     if TYPE_CHECKING:  # nn.Module's own returns Any
 
@@ -214,16 +214,20 @@ class Underwater(nn.Module):
         """
         if not self.learnable or self.demand is None or torch.compiler.is_compiling():
             return
+        demand = self._demand_of(medium)
+        if not self.demand.covers(demand):
+            self.demand = demand.widened(_ROOM)
+
+    def _demand_of(self, medium: Medium, margin: float = 1.0) -> BlurDemand:
         assert self.distance_range is not None
-        wanted = blur_demand(
-            planned_under(brightest(medium, self.exposure), self.light),
+        return blur_demand(
+            planning_medium(brightest(medium, self.exposure), self.light),
             self.distance_range,
             self.tolerance,
             order=self.order,
-            learned=True,
+            learned=self.learnable,
+            margin=margin,
         )
-        if not self.demand.covers(wanted):
-            self.demand = wanted.widened(_ROOM)
 
     def formed(
         self,
@@ -266,7 +270,7 @@ class Underwater(nn.Module):
         apart = []
         for name, mine in self._settings().items():
             adopted = name == "demand" and self.learnable and mine and theirs.get(name)
-            if not adopted and not planned.alike(mine, theirs.get(name)):
+            if not adopted and not checks.alike(mine, theirs.get(name)):
                 apart.append(f"{name} is {theirs.get(name)} there and {mine} here")
         if apart:
             raise ValueError(f"state_dict is of an Underwater of another kind: {'; '.join(apart)}")
@@ -298,7 +302,7 @@ class Underwater(nn.Module):
             near, far = self.distance_range
             at = " at 512 px"
             if self.sides is not None:
-                every = self.sides == planned.EVERY_SIDE
+                every = self.sides == EVERY_SIDE
                 at = "" if every else " for short sides of {}…{} px".format(*self.sides)
             said = f"{near:g}…{far:g} m, {self.plan((512, 512))}{at}"
         settings = f"tolerance={self.tolerance:g}, {self.color_space}, {self.order}"

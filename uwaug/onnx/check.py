@@ -9,9 +9,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from uwaug._support import checks
 from uwaug._support.extras import require
 from uwaug._support.onnx_session import Session
-from uwaug.formation.planned import alike
 from uwaug.formation.underwater import Underwater
 from uwaug.onnx.graph import parameters_of
 from uwaug.onnx.metadata import Stored, plan_of, read_metadata, stored_in
@@ -81,7 +81,7 @@ def check_onnx(
         ) from error
     stored = stored_in(path, metadata)
     options, plan = stored.options, plan_of(module)
-    if not alike(asdict(plan), asdict(stored.plan)):
+    if not checks.alike(asdict(plan), asdict(stored.plan)):
         raise ValueError(
             f"{path}: made for {metadata['uwaug_plan']}, but module asks for {plan} here: "
             "it is from another module or version; export it again"

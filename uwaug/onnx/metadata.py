@@ -15,8 +15,8 @@ from uwaug._support.onnx_session import Session
 from uwaug._support.types import ColorSpace, Shape
 from uwaug.blur.kernels import PERIOD
 from uwaug.blur.plan import NO_BLUR, BlurPlan
+from uwaug.formation.demand import SIDES, distance_range_of, sides_of
 from uwaug.formation.exposure import Exposure, require_exposure
-from uwaug.formation.planned import SIDES, distances, sides_of
 from uwaug.formation.underwater import Underwater
 from uwaug.light.light import Light
 from uwaug.light.lit import light_of
@@ -224,7 +224,7 @@ def _stored(metadata: dict[str, str]) -> Stored:
         medium=medium,
         plan=plan,
         sides=sides,
-        distance_range=distances(json.loads(metadata["uwaug_distance_range_m"])),
+        distance_range=distance_range_of(json.loads(metadata["uwaug_distance_range_m"])),
         tolerance=tolerance,
         color_space=metadata["uwaug_color_space"],  # type: ignore[arg-type]
         exposure=exposure,
@@ -303,7 +303,7 @@ def read_module(path: str | os.PathLike[str]) -> Underwater:
     metadata = read_metadata(path)
     stored = stored_in(path, metadata)
     try:
-        module = Underwater(
+        return Underwater(
             stored.medium,
             stored.distance_range,
             stored.tolerance,
@@ -313,9 +313,8 @@ def read_module(path: str | os.PathLike[str]) -> Underwater:
             light=stored.light,
             focal_px=stored.camera[0],
             centre=stored.camera[1],
+            plan=stored.plan,
         )
     except (ArithmeticError, RuntimeError, RuntimeWarning) as error:
         # finite figures, but beyond what can be computed with
         raise ValueError(f"{path}: its metadata are damaged ({error}): export it again") from error
-    module.stored_plan = stored.plan
-    return module

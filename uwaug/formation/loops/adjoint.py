@@ -4,7 +4,7 @@ All blurs of a picture are made anew (`blurred_rows`). `slope_rows` goes through
 it leaves the gradient of each blur in its place, and adds up what belongs to the medium. The
 transposes of the blurs are then added up into one picture, Σ_k B_kᵀ g_k (`cell_lines`,
 `gathered_rows`). A narrow blur is its own transpose, edges and all (see
-`uwaug.blur.operators.operator`).
+`uwaug.blur.banded.operator`).
 """
 
 from typing import Any

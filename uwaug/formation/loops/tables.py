@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from uwaug._support.cache import Cache
+from uwaug.blur.banded import Kind, Node, whole
 from uwaug.blur.kernels import blur_kernel
-from uwaug.blur.operators import Kind, Node, whole
 from uwaug.blur.plan import V_FLOOR, BlurPlan, range_in_v
 from uwaug.optics.medium import Medium
 
