@@ -1,5 +1,7 @@
 """Whether `torch.func` or forward-mode differentiation is at work, and values under them."""
 
+from contextlib import AbstractContextManager
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -14,6 +16,12 @@ def transformed() -> bool:
         return False
     active: bool = torch._C._are_functorch_transforms_active()
     return active or forward_ad._current_level >= 0
+
+
+def untransformed() -> AbstractContextManager[None]:
+    """Where tensors are made that no transform may wrap, such as constants."""
+    context: AbstractContextManager[None] = torch._C._DisableFuncTorch()
+    return context
 
 
 def mapped(x: Tensor) -> bool:

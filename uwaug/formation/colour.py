@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from uwaug._support import checks
+from uwaug._support.torch_func import transformed
 
 __all__ = [
     "LUMINANCE",
@@ -246,49 +247,34 @@ def _piecewise(kernel: Callable[..., Tensor], x: Tensor, *others: Tensor) -> Ten
     return result
 
 
-class _Pointwise(torch.autograd.Function):
-    generate_vmap_rule = True
-
+class _Decode(torch.autograd.Function):
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple[Tensor], output: Tensor) -> None:
-        ctx.save_for_backward(*inputs)
-        ctx.save_for_forward(*inputs)
-
-
-class _Decode(_Pointwise):
-    @staticmethod
-    def forward(x: Tensor) -> Tensor:
+    def forward(ctx: Any, x: Tensor) -> Tensor:
+        ctx.save_for_backward(x)
         return _piecewise(_decode_, x)
 
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> Tensor:
         return _piecewise(_decode_grad, *ctx.saved_tensors, grad)
 
-    @staticmethod
-    def jvp(ctx: Any, tangent: Tensor) -> Tensor:
-        (x,) = ctx.saved_tensors
-        return _decode_grad(x, tangent)
 
-
-class _Encode(_Pointwise):
+class _Encode(torch.autograd.Function):
     @staticmethod
-    def forward(x: Tensor) -> Tensor:
+    def forward(ctx: Any, x: Tensor) -> Tensor:
+        ctx.save_for_backward(x)
         return _piecewise(_encode_, x)
 
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> Tensor:
         return _piecewise(_encode_grad, *ctx.saved_tensors, grad)
 
-    @staticmethod
-    def jvp(ctx: Any, tangent: Tensor) -> Tensor:
-        (x,) = ctx.saved_tensors
-        return _encode_grad(x, tangent)
 
-
-def _apply(x: Tensor, eager: type[_Pointwise], traced: Callable[[Tensor], Tensor]) -> Tensor:
+def _apply(
+    x: Tensor, eager: type[torch.autograd.Function], traced: Callable[[Tensor], Tensor]
+) -> Tensor:
     checks.floating("x", x, ", nominally in [0, 1]: divide by 255 first?")
     v = x.float() if x.dtype.itemsize < 4 else x
-    if torch.compiler.is_compiling():
+    if torch.compiler.is_compiling() or transformed():
         # a compiler fuses and differentiates the plain formula; autograd functions make it warn
         return traced(v).to(x.dtype)
     y: Tensor = eager.apply(v)  # type: ignore[no-untyped-call]
