@@ -29,8 +29,6 @@ PARTS = {
     "soak": "speed",
     "large": "speed",
     "jobs": "speed",
-    "jobs_kill": "accuracy",
-    "jobs_fuzz": "accuracy",
     "summary": "figures",
 }
 """Each part and its folder, in the order in which they run."""
