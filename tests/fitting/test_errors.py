@@ -85,7 +85,7 @@ def test_no_door_reports_what_another_would_not():
 def test_errors_are_those_of_repetitions():
     away = []
     for seed in range(16):
-        problem = objective(seen(medium(**HAZE), seed=seed))
+        problem = objective(seen(medium(**HAZE), seed=seed), count=600)
         solution = solved(problem)
         numbers = parameters(problem, solution, cluster_covariance(problem, solution))
         away += errors(SimpleNamespace(parameters=numbers), kinds=("beta", "veil")).tolist()

@@ -32,7 +32,7 @@ def test_scattering_on_a_line(series):
 
 
 def test_scattering_off_a_line():
-    fit = fit_series(tank(bend=0.3), LEVELS, model="gaussian", pixels=6000)
+    fit = fit_series(tank(bend=0.3), LEVELS, model="gaussian", pixels=1500)
     assert all(line.probability < 1e-6 for line in fit.lines.values())
     assert "does not follow turbidity on a line in red, green, blue" in fit.message
 
@@ -41,7 +41,7 @@ def test_models_are_compared_and_two_turbidities_are_no_test():
     pairs, said = tank(levels=(0.5, 2.0)), []
     # in another order, and one of them twice
     fit = fit_series(
-        [pairs[1], pairs[0], pairs[1]], [2.0, 0.5, 2.0], pixels=4000, progress=said.append
+        [pairs[1], pairs[0], pairs[1]], [2.0, 0.5, 2.0], pixels=1500, progress=said.append
     )
     assert fit.model == "gaussian"
     assert [tried.name for tried in fit.candidates] == ["veil", "gaussian", "exponential"]

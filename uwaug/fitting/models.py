@@ -8,10 +8,10 @@ is reported of it: that is `Model`, all that a fit asks for.
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar, Literal, NamedTuple, Protocol
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -131,10 +131,12 @@ class Scattering:
 class ByCoefficients(ABC):
     """A `Model` whose pictures depend on coefficients of each pair alone."""
 
+    spec: "ModelSpec"
+
     @property
-    @abstractmethod
     def shape(self) -> Shape | None:
         """Of the point spread; None if no light is scattered forward."""
+        return self.spec.shape
 
     @abstractmethod
     def coefficients(self, theta: Tensor) -> Coefficients:
@@ -207,18 +209,15 @@ class ModelSpec:
         return (Scattering.PAPER if self.law == "paper" else Scattering.CALIBRATED)["g"]
 
 
+_TOO = "forward scatter too"
 _SPECS = (
     ModelSpec("attenuation", "none", None, "direct light alone"),
     ModelSpec("haze", "shared", None, "direct light and veil, one coefficient for both"),
     ModelSpec("veil", "own", None, "direct light and veil, a coefficient for each"),
-    ModelSpec("paper", "own", "paper", "forward scatter too, the paper's width law"),
-    ModelSpec("calibrated", "own", "calibrated", "forward scatter too, the calibrated width law"),
-    ModelSpec(
-        "gaussian", "own", "gaussian", "forward scatter too, a Gaussian with a law of its own"
-    ),
-    ModelSpec(
-        "exponential", "own", "exponential", "forward scatter too, an exponential of its own"
-    ),
+    ModelSpec("paper", "own", "paper", f"{_TOO}, the paper's width law"),
+    ModelSpec("calibrated", "own", "calibrated", f"{_TOO}, the calibrated width law"),
+    ModelSpec("gaussian", "own", "gaussian", f"{_TOO}, a Gaussian with a law of its own"),
+    ModelSpec("exponential", "own", "exponential", f"{_TOO}, an exponential of its own"),
 )
 
 MODELS = {spec.name: spec for spec in _SPECS}  # by name, from the fewest numbers to the most
@@ -251,11 +250,6 @@ class CoefficientModel(ByCoefficients):
     fixed: Mapping[str, float]
 
     @property
-    def shape(self) -> Shape | None:
-        """Of the point spread; None if no light is scattered forward."""
-        return self.spec.shape
-
-    @property
     def name(self) -> str:
         """Of the candidate."""
         return self.spec.name if self.gain == "fixed" else f"{self.spec.name} + gain"
@@ -263,12 +257,8 @@ class CoefficientModel(ByCoefficients):
     @property
     def fixable(self) -> tuple[str, ...]:
         """The names of numbers that may be given instead of fitted."""
-        kinds = ["beta"]
-        if self.spec.veil == "own":
-            kinds.append("G")
-        if self.spec.veil != "none":
-            kinds.append("veil")
-        names = [f"{kind}_{colour}" for kind in kinds for colour in COLOURS]
+        kinds = {"none": ["beta"], "shared": ["beta", "veil"], "own": ["beta", "G", "veil"]}
+        names = [f"{kind}_{colour}" for kind in kinds[self.spec.veil] for colour in COLOURS]
         return (*names, *(("width", "exponent") if self.spec.own_law else ()))
 
     def start(self, numbers: Mapping[str, float], known: Mapping[str, float]) -> Array:
@@ -314,29 +304,34 @@ class CoefficientModel(ByCoefficients):
 
     def coefficients(self, theta: Tensor) -> Coefficients:
         """What pictures depend on; differentiable."""
-        value, pairs = self._values(theta), self.geometry.pairs
-        beta = torch.stack([value(f"beta_{colour}") for colour in COLOURS])
+        numbers, pairs = self._numbers(theta), self.geometry.pairs
+        beta = torch.stack([numbers[f"beta_{colour}"] for colour in COLOURS])
         G, veil_slope = beta, torch.zeros_like(beta)
         if self.spec.veil == "own":
             rows = []
-            for colour in COLOURS:
-                if f"G_{colour}" in self.fixed:
-                    rows.append(value(f"G_{colour}"))
-                else:
-                    rows.append(value(f"share_{colour}") * value(f"beta_{colour}"))
+            for c, colour in enumerate(COLOURS):
+                rate = numbers.get(f"G_{colour}")
+                rows.append(numbers[f"share_{colour}"] * beta[c] if rate is None else rate)
             G = torch.stack(rows)
         if self.spec.veil != "none":
             rows = []
             for c, colour in enumerate(COLOURS):
-                if f"veil_{colour}" in self.fixed:
-                    rows.append(G[c] * value(f"veil_{colour}"))
-                else:
-                    rows.append(value(f"source_{colour}"))
+                veil = numbers.get(f"veil_{colour}")
+                rows.append(numbers[f"source_{colour}"] if veil is None else G[c] * veil)
             veil_slope = torch.stack(rows)
-        width, exponent = self._width_law(value, beta, G)
+        width, exponent = numbers.get("width"), numbers.get("exponent")
+        if self.spec.law in ("paper", "calibrated"):
+            law = PointSpread.paper()
+            law = replace(law, scale=law.scale * self.geometry.short_side / PAPER_SIZE)
+            if self.spec.law == "calibrated":
+                assert self.geometry.focal_px is not None
+                law = PointSpread.calibrated(self.geometry.focal_px)
+            lengths = ((beta - G) / (1 - self.g)).mean() * self.geometry.reference
+            exponent = torch.as_tensor(law.exponent, dtype=beta.dtype)
+            width = law.scale * lengths.clamp(min=MIN_SCATTERING) ** exponent
         gain = beta.new_ones(pairs, 3)
         if self._gains:
-            gain = torch.stack([value(name) for name in self._gains]).reshape(pairs, -1)
+            gain = torch.stack([numbers[name] for name in self._gains]).reshape(pairs, -1)
         return Coefficients(
             beta=beta.expand(pairs, 3),
             G=G.expand(pairs, 3),
@@ -346,35 +341,10 @@ class CoefficientModel(ByCoefficients):
             gain=gain.expand(pairs, 3),
         )
 
-    def _values(self, theta: Tensor) -> Callable[[str], Tensor]:
-        """Look numbers up by name, fitted or fixed."""
-        places = {name: i for i, name in enumerate(self.bounds)}
-
-        def value(name: str) -> Tensor:
-            if name in places:
-                return theta[places[name]]
-            return theta.new_tensor(self.fixed[name])
-
-        return value
-
-    def _width_law(
-        self, value: Callable[[str], Tensor], beta: Tensor, G: Tensor
-    ) -> tuple[Tensor | None, Tensor | None]:
-        """Width at the reference distance, and exponent."""
-        if self.spec.law is None:
-            return None, None
-        if self.spec.own_law:
-            return value("width"), value("exponent")
-        if self.spec.law == "paper":
-            law = PointSpread.paper()
-            law = replace(law, scale=law.scale * self.geometry.short_side / PAPER_SIZE)
-        elif self.geometry.focal_px is None:
-            raise ValueError("focal_px: the calibrated width law needs the focal length in px")
-        else:
-            law = PointSpread.calibrated(self.geometry.focal_px)
-        lengths = ((beta - G) / (1 - self.g)).mean() * self.geometry.reference
-        exponent = torch.as_tensor(law.exponent, dtype=beta.dtype)
-        return law.scale * lengths.clamp(min=MIN_SCATTERING) ** exponent, exponent
+    def _numbers(self, theta: Tensor) -> dict[str, Tensor]:
+        """Each number by name, fitted or fixed."""
+        fixed = {name: theta.new_tensor(x) for name, x in self.fixed.items()}
+        return fixed | {name: theta[i] for i, name in enumerate(self.bounds)}
 
     def media(self, c: Coefficients) -> Medium:
         """A batch of media that any picture can be formed in."""
@@ -384,44 +354,40 @@ class CoefficientModel(ByCoefficients):
     @cached_property
     def quantities(self) -> list[Quantity]:
         """What is reported: those that are fitted or fixed, and what follows from them."""
-        distance, unit = self.geometry.farthest, f"1/{self.geometry.unit}"
-        rate = 0.1 / distance
-        kinds: list[tuple[str, str, float, tuple[str, ...]]]
-        kinds = [("beta", unit, rate, ("beta",))]
-        if self.spec.veil == "own":
-            kinds.append(("G", unit, rate, ("share",)))
-        if self.spec.veil != "none":
-            kinds.append(("veil", "1", 0.02, ("source",)))
-            kinds.append(("source", unit, 0.02 / distance, ("source",)))
-        if self.spec.law is not None:
-            kinds += [("a", unit, rate, ()), ("b", unit, rate, ("share",))]
         rows = []
-        for kind, its_unit, resolution, follows in kinds:
+        for kind, unit, resolution, *follows in self._kinds:
             for colour in COLOURS:
                 names = tuple(f"{name}_{colour}" for name in follows)
-                rows.append(Quantity(f"{kind}_{colour}", its_unit, resolution, names))
+                rows.append(Quantity(f"{kind}_{colour}", unit, resolution, names))
         if self.spec.own_law:
             rows.append(Quantity("width", "px", 0.2, ("width",)))
             rows.append(Quantity("exponent", "1", 0.2, ("exponent",)))
         return rows + [Quantity(name, "1", 0.02, (name,)) for name in self._gains]
 
+    @property
+    def _kinds(self) -> list[tuple[Any, ...]]:
+        """What is reported of each colour: kind, unit, resolution, what it follows."""
+        distance, unit = self.geometry.farthest, f"1/{self.geometry.unit}"
+        rate = 0.1 / distance
+        kinds: list[tuple[Any, ...]] = [("beta", unit, rate, "beta")]
+        if self.spec.veil == "own":
+            kinds.append(("G", unit, rate, "share"))
+        if self.spec.veil != "none":
+            kinds += [("veil", "1", 0.02, "source"), ("source", unit, 0.02 / distance, "source")]
+        if self.spec.law is not None:
+            kinds += [("a", unit, rate), ("b", unit, rate, "share")]
+        return kinds
+
     def reported(self, theta: Tensor) -> Tensor:
         """The value of each of `quantities`; differentiable."""
-        c, value = self.coefficients(theta), self._values(theta)
+        c, numbers = self.coefficients(theta), self._numbers(theta)
         beta, G, veil_slope = c.beta[0], c.G[0], c.veil_slope[0]
         b = (beta - G) / (1 - self.g)
-        parts = [beta]
-        if self.spec.veil == "own":
-            parts.append(G)
-        if self.spec.veil != "none":
-            parts += [veil_slope / (G + MIN_G), veil_slope]
-        if self.spec.law is not None:
-            parts += [beta - b, b]
-        if self.spec.own_law:
-            parts.append(torch.stack([value("width"), value("exponent")]))
-        if self._gains:
-            parts.append(torch.stack([value(name) for name in self._gains]))
-        return torch.cat(parts)
+        kinds = {"beta": beta, "G": G, "veil": veil_slope / (G + MIN_G), "source": veil_slope}
+        kinds |= {"a": beta - b, "b": b}
+        rows = [kinds[kind] for kind, *_ in self._kinds]
+        names = [quantity.name for quantity in self.quantities[3 * len(rows) :]]
+        return torch.cat([*rows, *(numbers[name][None] for name in names)])
 
 
 # ---- one water at several turbidities
@@ -447,11 +413,6 @@ class TurbidityModel(ByCoefficients):
     geometry: Geometry
     level: tuple[int, ...]
     levels: int
-
-    @property
-    def shape(self) -> Shape | None:
-        """Of the point spread; None if no light is scattered forward."""
-        return self.spec.shape
 
     @property
     def name(self) -> str:
@@ -644,12 +605,13 @@ class SpectralModel:
         """What is reported: visibility, contents, vertical depth, mixing, gains."""
         names = list(self.bounds)
         rows = [
-            Quantity("visibility", "m", 0.0, tuple({"contents", "mixing"} & set(names))),
+            Quantity("visibility", "m", 0.0, tuple({"contents", "mixing"} & self.bounds.keys())),
             Quantity("contents", "1", 0.05, ("contents",)),
             Quantity("vertical_depth", "m", 0.5, ("vertical_depth",)),
         ]
-        others = [name for name in names if name not in ("contents", "vertical_depth")]
-        return rows + [Quantity(name, "1", 0.05, (name,)) for name in others]
+        return rows + [
+            Quantity(name, "1", 0.05, (name,)) for name in names if name.startswith(("gain", "mix"))
+        ]
 
     def report(self, theta: Array) -> Array:
         """The value of each of `quantities`."""

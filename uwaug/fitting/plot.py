@@ -4,16 +4,14 @@ in words what was found. A series is a chart of coefficients against turbidity.
 
 import math
 import textwrap
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from uwaug._support.sheet import GAP, GREY, HEADER, INK, MARGIN, RGB, Canvas, show, show_map
-from uwaug._support.sheet import plot as plot_cell
-from uwaug.fitting.data import Pair
+from uwaug._support.sheet import GREY, INK, RGB
 from uwaug.fitting.errors import NORMAL
 from uwaug.fitting.models import COLOURS
 from uwaug.fitting.results import Fit, Parameter, Result, SeriesFit, VeilFit, WaterFit
@@ -23,6 +21,7 @@ from uwaug.optics.medium import Medium
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.image import AxesImage
 
 _PAIRS = 3  # pairs that are shown at most
 _ROWS = 14  # of the tables of parameters and candidates, at most
@@ -30,27 +29,11 @@ _SAMPLES = 200  # waters that the bands are of; of those by spectra, which take 
 _LEAST = 0.002  # of linear light: residuals are not enlarged beyond half of a step of 8 bits
 _GROUND = "#9a9a9a"  # behind pictures, where NaN lets it through
 
-_CELL = (Canvas.width - 2 * MARGIN - 2 * GAP) / 3  # px
-_LABEL, _CURVES, _PITCH, _LETTERS = 30, 320, 22, 82
-_BAR = 220  # px, narrower than which a picture has no room for a colour bar
-_MIDDLE = 700  # px from the left, where the message begins
+_WIDTH, _CELL, _ABOUT = 14.0, 4.3, 0.5  # inches: of a sheet, of a picture, of what is written on it
+_LINE = 0.22  # inches
+_LETTERS = 82  # of a line of the message
 
-_CHART = 420  # px, height of the axes of a series
-
-
-class _Curves(NamedTuple):
-    """What the curves of a sheet are of: media, the far end of the pictures, the unit of distance,
-    and which of the three are known.
-    """
-
-    best: Medium
-    samples: Medium
-    farthest: float
-    unit: str
-    names: tuple[str, ...] = ("transmission", "signal", "backscatter")
-
-
-_TITLES = {
+_CURVES = {
     "transmission": "$T_β$   what is left of direct light",
     "signal": "$T_G$   with light scattered forward",
     "backscatter": "$V$   veil",
@@ -62,107 +45,150 @@ def plot(result: Result) -> "Figure":
     generator = torch.Generator().manual_seed(0)
     if isinstance(result, SeriesFit):
         return _series(result)
-    if isinstance(result, Fit):
-        geometry = result.fitted.geometry
-        samples = result.sample(_SAMPLES, generator)
-        curves = _Curves(result.medium, samples, geometry.farthest, geometry.unit)
-        return _sheet(result, f"A water from pictures: model “{result.model}”", curves)
-    if isinstance(result, WaterFit):
-        geometry = result.fitted.geometry
-        samples = result.sample(_SAMPLES // 5, generator)
-        curves = _Curves(result.medium, samples, geometry.farthest, geometry.unit)
-        return _sheet(result, f"A water from pictures: Jerlov type {result.type}", curves)
-    assert isinstance(result, VeilFit)
-    # open water shows the end of a veil, a few lengths of its growth away
-    G = result.theta.reshape(3, 2)[:, 1]
-    farthest = min(result.farthest, 4 / float(G.min()))
-    samples = result.sample(_SAMPLES, generator)
-    curves = _Curves(result.medium, samples, farthest, "m", ("backscatter",))
-    return _sheet(result, "A veil from pictures without their clean twins", curves)
+    curves, count, unit = list(_CURVES), _SAMPLES, "m"
+    if isinstance(result, VeilFit):
+        heading, curves = "A veil from pictures without their clean twins", ["backscatter"]
+        # open water shows the end of a veil, a few lengths of its growth away
+        farthest = min(result.farthest, 4 / float(result.theta[1::2].min()))
+    else:
+        assert isinstance(result, (Fit, WaterFit))
+        heading = f"A water from pictures: model “{result.chosen}”"
+        if isinstance(result, WaterFit):
+            heading, count = f"A water from pictures: Jerlov type {result.type}", _SAMPLES // 5
+        farthest, unit = result.fitted.geometry.farthest, result.fitted.geometry.unit
+    figure, cells = _sheet(result, heading, curves)
+    media = result.medium, result.sample(count, generator)
+    _draw_curves({name: cells[name] for name in curves}, *media, farthest, unit)
+    return figure
 
 
-def _sheet(result: Result, heading: str, curves: _Curves) -> "Figure":
-    """A sheet of the first three pairs, as far as the result has its pictures; curves of distance
-    with 95 % bands; parameters, message and candidates.
+def _sheet(result: Result, heading: str, curves: list[str]) -> "tuple[Figure, dict[str, Axes]]":
+    """A sheet of the first three pairs, as far as the result has its pictures; room for curves of
+    distance; parameters, message and candidates.
     """
+    words = [line for row in result.message.splitlines() for line in textwrap.wrap(row, _LETTERS)]
+    table, tried = _table(result), _candidates(result)
     pairs = result.pairs[:_PAIRS] if isinstance(result, Fit) else ()
+    rows, heights = [], []
+    for i, pair in enumerate(pairs):
+        rows += [[f"{i} {kind}{c}" for c in range(3) for _ in "12"] for kind in ("", "residual ")]
+        heights += 2 * [min(_CELL * pair.size[0] / pair.size[1], _CELL)]
+    rows += [
+        [name for name in [*curves, ".", "."][:3] for _ in "12"],
+        3 * ["table"] + 3 * ["words"],
+    ]
+    heights += [3.0, _LINE * max(len(table) + 1, len(words) + len(tried))]
+    caption = "Bands hold 95 %; shaded: farther than 95 % of the pixels."
     formed = result.formed(_PAIRS) if isinstance(result, Fit) and pairs else []
     scale = _scale([difference for _, difference in formed])
-    table, words, tried = _table(result), _words(result.message), _candidates(result)
-    lines = max(len(table) + 1, len(words) + len(tried))
-    height = HEADER + sum(2 * _pitch(pair) for pair in pairs)
-    height += _LABEL + _CURVES + GAP + lines * _PITCH + MARGIN
-    caption = "Bands hold 95 %; shaded: farther than 95 % of the pixels."
     if isinstance(result, Fit) and pairs:
         residuals = f"Residuals: linear light (0…1), all on one scale of ±{scale:g}."
         caption = f"{residuals} Grey: not counted. {caption}"
         if len(result.pairs) > _PAIRS:
             caption = f"{_PAIRS} of {len(result.pairs)} pairs. {caption}"
-    canvas = Canvas(round(height), heading, caption)
-    y = float(HEADER)
-    if isinstance(result, Fit) and pairs:
-        y = _draw_pairs(canvas, y, result, formed, scale)
-    _draw_curves(canvas, y + _LABEL, curves)
-    y += _LABEL + _CURVES + GAP + _PITCH / 2
-    _write_table(canvas, y, table)
-    for i, line in enumerate(words):
-        canvas.write(_MIDDLE, y + i * _PITCH, line, 10.5)
-    _write_candidates(canvas, y + len(words) * _PITCH, tried, result.chosen)
-    return canvas.figure
+    figure, cells = _figure(heading, caption, rows, heights)
+    if isinstance(result, Fit):
+        _draw_pairs(cells, result, formed, scale)
+    head = [("", *COLOURS)] if any(len(row) == 4 for row in table) else [("",)]
+    _write(cells["table"], [*head, *table], (0, 0.2, 0.47, 0.74), _style_of_table)
+    lines = [*((line,) for line in words), *tried]
+
+    def style(i: int, _: int) -> dict[str, Any]:
+        bold = i > len(words) + 1 and lines[i][0] == result.chosen
+        return {"fontweight": "bold"} if bold else {"color": GREY if i == len(words) + 1 else INK}
+
+    _write(cells["words"], lines, (0, 0.22, 0.38, 0.62), style)
+    return figure, cells
 
 
-def _tall(pair: Pair) -> float:
-    """Height of a picture's cell: at most a square."""
-    return min(_CELL * pair.size[0] / pair.size[1], _CELL)
+def _figure(
+    heading: str, caption: str, rows: list[list[str]], heights: list[float]
+) -> "tuple[Figure, dict[str, Axes]]":
+    """A figure with a cell for each name in rows of these heights, inches."""
+    from matplotlib.figure import Figure
+
+    tall = sum(heights) + _ABOUT * (len(heights) + 2)
+    figure = Figure(figsize=(_WIDTH, tall), dpi=100, layout="constrained")
+    figure.suptitle(heading, x=0.01, ha="left", fontsize=18, fontweight="bold", color=INK)
+    style: dict[str, Any] = {"x": 0.01, "ha": "left", "parse_math": False}
+    figure.supxlabel(caption, fontsize=11.5, color=GREY, **style)
+    cells = figure.subplot_mosaic(rows, height_ratios=heights)  # type: ignore[arg-type]
+    return figure, cells
 
 
-def _wide(pair: Pair) -> float:
-    return _tall(pair) * pair.size[1] / pair.size[0]
+def _write(
+    axis: "Axes",
+    rows: Sequence[tuple[str, ...]],
+    across: tuple[float, ...],
+    style: Callable[[int, int], dict[str, Any]],
+) -> None:
+    """Write a table, from the upper left corner of a cell."""
+    axis.set_axis_off()
+    for i, row in enumerate(rows):
+        for j, text in enumerate(row):
+            look: dict[str, Any] = {
+                "fontsize": 10.5,
+                "parse_math": False,
+                "va": "top",
+                **style(i, j),
+            }
+            down, at = (0, -72 * _LINE * i), (across[j], 1)
+            look |= {"xycoords": "axes fraction", "textcoords": "offset points"}
+            axis.annotate(text, at, down, **look).set_in_layout(False)
 
 
-def _pitch(pair: Pair) -> float:
-    return _LABEL + _tall(pair) + GAP
+def _style_of_table(i: int, j: int) -> dict[str, Any]:
+    if i == 0:
+        return {"color": RGB[j - 1], "fontweight": "bold"}
+    return {"color": INK if j else GREY}
 
 
 def _draw_pairs(
-    canvas: Canvas, y: float, fit: Fit, formed: list[tuple[Tensor, Tensor]], scale: float
-) -> float:
-    """Pictures, distances and residuals; returns where they end."""
-    ticks = (f"-{scale:g}", "0", f"+{scale:g}")
+    cells: "dict[str, Axes]", fit: Fit, formed: list[tuple[Tensor, Tensor]], scale: float
+) -> None:
+    """Pictures, distances and residuals."""
     for i, (rendered, difference) in enumerate(formed):
-        pair = fit.pairs[i]
-        first, second = _row(canvas, y, pair), _row(canvas, y + _pitch(pair), pair)
+        pair, unit = fit.pairs[i], fit.fitted.geometry.unit
         which = f"{i + 1}: " if len(fit.pairs) > 1 else ""
-        show(first[0], linear_to_srgb(pair.observed.clamp(0, 1)), f"{which}Observed")
-        picture = linear_to_srgb(rendered.clamp(0, 1))
+        _show(cells[f"{i} 0"], linear_to_srgb(pair.observed.clamp(0, 1)), f"{which}Observed")
         # as an image of four channels, whose last lets grey through
-        seen = torch.cat([picture, pair.usable.to(picture)])
-        show(first[1], seen, f"{which}Rendered by the fit")
-        _show_distance(first[2], pair, f"{which}Distance", fit.fitted.geometry.unit)
+        seen = torch.cat([linear_to_srgb(rendered.clamp(0, 1)), pair.usable.to(rendered)])
+        _show(cells[f"{i} 1"], seen, f"{which}Rendered by the fit")
+        low, high = None, None
+        label = f"{which}Distance: open water"
+        if bool(pair.finite.any()):
+            low, high = np.quantile(pair.z[pair.finite].numpy(), (0.01, 0.99))
+            label = f"{which}Distance, {low:.3g}–{high:.3g} {unit}"
+        z = torch.where(pair.finite, pair.z, torch.nan)
+        picture = _show(cells[f"{i} 2"], z, label, cmap="viridis_r", vmin=low, vmax=high)
+        if low is not None:
+            _bar(picture)
+        ends: dict[str, Any] = {"cmap": "RdBu_r", "vmin": -scale, "vmax": scale}
         for c, colour in enumerate(COLOURS):
             label = f"{which}Rendered − observed, {colour}"
-            bar = i == 0 and c == 0 and _wide(pair) >= _BAR
-            show_map(second[c], difference[c : c + 1], label, "RdBu_r", ticks, bar=bar)
-        y += 2 * _pitch(pair)
-    return y
+            _bar(_show(cells[f"{i} residual {c}"], difference[c : c + 1], label, **ends))
 
 
-def _row(canvas: Canvas, y: float, pair: Pair) -> list["Axes"]:
-    """Three cells of the shape of a pair's pictures, on grey."""
-    wide, tall = _wide(pair), _tall(pair)
-    cells = []
-    for i in range(3):
-        cell = canvas.axes(MARGIN + i * (_CELL + GAP), y + _LABEL, wide, tall)
-        cell.set(xticks=[], yticks=[], facecolor=_GROUND)
-        cell.spines[:].set_visible(False)
-        cells.append(cell)
-    return cells
+def _show(axis: "Axes", picture: Tensor, label: str, **style: Any) -> "AxesImage":
+    """A picture or a map (CxHxW), on grey."""
+    axis.set(xticks=[], yticks=[], facecolor=_GROUND, anchor="NW")
+    axis.spines[:].set_visible(False)
+    axis.set_title(label, loc="left", fontsize=12.5, color=INK)
+    return axis.imshow(picture.permute(1, 2, 0).numpy(), **style)
 
 
-def _scale(residual: Sequence[Tensor]) -> float:
+def _bar(picture: "AxesImage") -> None:
+    """The scale of a map, below it."""
+    below = picture.axes.inset_axes((0, -0.06, 1, 0.03))
+    picture.axes.figure.colorbar(picture, cax=below, orientation="horizontal")
+    below.tick_params(labelsize=9, colors=GREY, length=2)
+    below.locator_params(nbins=2)
+
+
+def _scale(residuals: list[Tensor]) -> float:
     """One end for all: what 99 % of the values are within, rounded up to 1, 2 or 5 of a decade."""
     end = _LEAST
-    for part in residual:
+    for part in residuals:
         values = part[part.isfinite()].abs()
         if values.numel():
             end = max(end, float(np.quantile(values.numpy(), 0.99)))
@@ -171,40 +197,29 @@ def _scale(residual: Sequence[Tensor]) -> float:
     return next(step for step in steps if end <= step * (1 + 1e-6))
 
 
-def _show_distance(axis: "Axes", pair: Pair, label: str, unit: str) -> None:
-    """Of the pixels that count."""
-    finite = pair.finite
-    if not bool(finite.any()):
-        axis.set_title(f"{label}: open water", loc="left", fontsize=12.5)
-        return
-    low, high = np.quantile(pair.z[finite].numpy(), (0.01, 0.99))
-    ticks = (f"{low:.3g} {unit}", f"{(low + high) / 2:.3g} {unit}", f"{high:.3g} {unit}")
-    label = f"{label}, {low:.3g}–{high:.3g} {unit}"
-    z = torch.where(finite, pair.z, torch.nan)
-    show_map(axis, z, label, "viridis_r", ticks, bar=_wide(pair) >= _BAR)
-
-
-def _draw_curves(canvas: Canvas, y: float, curves: _Curves) -> None:
-    """Curves of distance, with the bands of waters that the pictures allow."""
-    z = torch.linspace(0, 1.25 * curves.farthest, 161, dtype=torch.float64)
+def _draw_curves(
+    cells: "dict[str, Axes]", best: Medium, samples: Medium, farthest: float, unit: str
+) -> None:
+    """Curves of distance of the best water, as far as `farthest` and a bit farther, with the bands
+    of waters that the pictures allow.
+    """
+    z = torch.linspace(0, 1.25 * farthest, 161, dtype=torch.float64)
     quantiles = torch.tensor([0.025, 0.975], dtype=torch.float64)
-    for i, name in enumerate(curves.names):
-        best, samples = getattr(curves.best, name)(z), getattr(curves.samples, name)(z)
-        cell = canvas.axes(MARGIN + i * (_CELL + GAP), y, _CELL, _CURVES)
-        cell.set_axis_off()
-        axis = plot_cell(cell, _TITLES[name], f"distance [{curves.unit}]", "")
-        low, high = samples.quantile(quantiles, dim=0)
+    for name, axis in cells.items():
+        curve = getattr(best, name)(z)
+        low, high = getattr(samples, name)(z).quantile(quantiles, dim=0)
         for c, colour in enumerate(RGB):
             axis.fill_between(z, low[c], high[c], color=colour, alpha=0.25, linewidth=0)
-            axis.plot(z.numpy(), best[0, c].numpy(), color=colour, linewidth=1.6)
-        axis.axvspan(curves.farthest, float(z[-1]), color="black", alpha=0.07, linewidth=0)
+            axis.plot(z.numpy(), curve[0, c].numpy(), color=colour, linewidth=1.6)
+        axis.axvspan(farthest, float(z[-1]), color="black", alpha=0.07, linewidth=0)
         axis.set(xlim=(0, float(z[-1])), ylim=(0, 1))
-        if name == "backscatter" and float(best.max()) > 0:
+        if name == "backscatter" and float(curve.max()) > 0:
             # a veil that is not identified has bands without end
-            axis.set_ylim(0, max(1.15 * float(best.max()), min(float(high.max()), 1.0)))
+            axis.set_ylim(0, max(1.15 * float(curve.max()), min(float(high.max()), 1.0)))
+        _styled(axis, _CURVES[name], f"distance [{unit}]", "")
 
 
-def _table(result: Result) -> list[tuple[str, list[str]]]:
+def _table(result: Result) -> list[tuple[str, ...]]:
     """Rows of a name and of one number, or of three, of red, green and blue."""
     rows: dict[str, list[str]] = {}
     for name, number in result.parameters.items():
@@ -213,10 +228,9 @@ def _table(result: Result) -> list[tuple[str, list[str]]]:
         kind = "β" if kind == "beta" else kind.replace("_", " ")
         unit = "" if number.unit == "1" else f"  [{number.unit}]"
         rows.setdefault(f"{kind}{unit}", []).append(_told(number))
-    table = list(rows.items())
-    if len(table) > _ROWS:
-        table = [*table[: _ROWS - 1], (f"and {len(table) - _ROWS + 1} more, see the summary", [])]
-    return table
+    table = [(name, *cells) for name, cells in rows.items()]
+    more = f"and {len(table) - _ROWS + 1} more, see the summary"
+    return table if len(table) <= _ROWS else [*table[: _ROWS - 1], (more,)]
 
 
 def _told(number: Parameter) -> str:
@@ -231,22 +245,6 @@ def _told(number: Parameter) -> str:
     return f"{number.value:.{digits}f} ± {error:.{digits}f}"
 
 
-def _words(message: str) -> list[str]:
-    """The message, in lines that fit."""
-    return [line for row in message.splitlines() for line in textwrap.wrap(row, _LETTERS)]
-
-
-def _write_table(canvas: Canvas, y: float, table: list[tuple[str, list[str]]]) -> None:
-    across = [MARGIN + 150 + 165 * i for i in range(3)]
-    if any(len(cells) == 3 for _, cells in table):
-        for x, colour, name in zip(across, RGB, COLOURS, strict=True):
-            canvas.write(x, y, name, 10.5, colour, fontweight="bold")
-    for i, (name, cells) in enumerate(table):
-        canvas.write(MARGIN, y + (i + 1) * _PITCH, name, 10.5, GREY)
-        for x, cell in zip(across, cells, strict=False):
-            canvas.write(x, y + (i + 1) * _PITCH, cell, 10.5)
-
-
 def _candidates(result: Result) -> list[tuple[str, ...]]:
     """Rows of the models that were tried, if there were several, below an empty one."""
     if len(result.candidates) < 2:
@@ -258,33 +256,15 @@ def _candidates(result: Result) -> list[tuple[str, ...]]:
     return rows
 
 
-def _write_candidates(canvas: Canvas, y: float, rows: list[tuple[str, ...]], chosen: str) -> None:
-    across = [_MIDDLE, _MIDDLE + 150, _MIDDLE + 260, _MIDDLE + 420]
-    for i, row in enumerate(rows):
-        for x, text in zip(across, row, strict=False):
-            weight = "bold" if row[0] == chosen else "normal"
-            colour = GREY if i == 1 else INK
-            canvas.write(x, y + i * _PITCH, text, 10.5, colour, fontweight=weight)
-
-
-# ---- a series
-
-
 def _series(fit: SeriesFit) -> "Figure":
     """Draw b of each level with its 95 % interval, the line and its band; what is left of b beside
     the line; a of each colour.
     """
     verdict = fit.message.splitlines()[1]
-    canvas = Canvas(HEADER + _CHART + 110, "Scattering against turbidity", verdict)
-    gap, bottom = 90, 70
-    wide = (canvas.width - 2 * MARGIN - 2 * gap) / 3
-    cells = []
-    for i in range(3):
-        left = MARGIN + 40 + i * (wide + gap - 20)
-        cells.append(canvas.axes(left, HEADER + 30, wide - 40, _CHART - bottom + 60))
-    _draw_lines(cells[0], cells[1], fit)
-    _draw_absorption(cells[2], fit)
-    return canvas.figure
+    figure, cells = _figure("Scattering against turbidity", verdict, [["b", "left", "a"]], [_CELL])
+    _draw_lines(cells["b"], cells["left"], fit)
+    _draw_absorption(cells["a"], fit)
+    return figure
 
 
 def _styled(axis: "Axes", title: str, xlabel: str, ylabel: str) -> None:

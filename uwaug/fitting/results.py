@@ -2,8 +2,7 @@
 
 import json
 import os
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self, get_args
 
@@ -21,7 +20,6 @@ from uwaug.fitting.models import (
     MODELS,
     CoefficientModel,
     Gain,
-    Model,
     Scattering,
     SpectralModel,
     TurbidityModel,
@@ -40,6 +38,7 @@ if TYPE_CHECKING:
 State = Literal["free", "at bound", "not identified", "fixed"]
 
 _FORMAT = 1
+_CAMERA = ("wavelengths", "response", "name")
 
 _NEAREST, _FARTHEST = 0.2, 1.5
 """Of the median distance and of the farthest: what a fit's module is planned for."""
@@ -176,52 +175,40 @@ class Result:
         """The name of the candidate that was taken."""
         return ""
 
-    def _lines(self) -> list[str]:
-        """What stands in the summary between message and parameters."""
-        return []
-
-    def _remarks(self) -> list[str]:
-        """What stands at the end of the summary."""
-        return []
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Least and largest value of each number of `theta`."""
+        raise NotImplementedError
 
     def summary(self) -> str:
         """The result as text: message, parameters, candidates."""
-        parts = [self.message, "", *self._lines()]
-        parts.append(f"  {'':14}{'value':>10}{'std. error':>12}{'95 % interval':>22}  unit")
+        rows = [["", "value", "std. error", "95 % interval", "unit"]]
         for name, number in self.parameters.items():
-            if number.value is None:
-                parts.append(f"  {name:14}{'not identified':>22}")
-                continue
+            value = "not identified" if number.value is None else f"{number.value:.4g}"
             error = "" if number.error is None else f"{number.error:.2g}"
             interval = "" if number.low is None else f"{number.low:.4g} … {number.high:.4g}"
-            state = "" if number.state == "free" else f"  ({number.state})"
-            row = f"{number.value:>10.4g}{error:>12}{interval:>22}  {number.unit}{state}"
-            parts.append(f"  {name:14}{row}")
+            state = f"({number.state})" if number.state in ("at bound", "fixed") else ""
+            unit = "" if number.value is None else f"{number.unit}  {state}"
+            rows.append([name, value, error, interval, unit])
+        parts = [self.message, *_aligned(rows)]
         if len(self.candidates) > 1:
-            head = f"{'numbers':>8}{'held-out error':>16}{'behind the best':>18}"
-            parts += ["", f"  {'model':22}{head}"]
+            rows = [["  model", "numbers", "held-out error", "behind the best", ""]]
             for tried in self.candidates:
                 mark = "*" if tried.name == self.chosen else " "
-                behind = f"{tried.behind:10.4g} ± {tried.behind_error:.2g}"
-                behind = behind if tried.behind else "      best"
-                if isinstance(tried, JerlovType):
-                    seen = f"{tried.visibility:.4g} m at {tried.vertical_depth:.3g} m"
-                    behind = f"{behind:22} visibility {seen}"
-                    behind += "" if tried.told_apart or not tried.behind else ", not told apart"
-                parts.append(
-                    f"{mark} {tried.name:22}{tried.numbers:8}{tried.error:16.4f}   {behind}"
+                behind = (
+                    f"{tried.behind:.4g} ± {tried.behind_error:.2g}" if tried.behind else "best"
                 )
-        return "\n".join([*parts, *self._remarks()])
+                seen = ""
+                if isinstance(tried, JerlovType):
+                    seen = f"visibility {tried.visibility:.4g} m at {tried.vertical_depth:.3g} m"
+                    seen += "" if tried.told_apart or not tried.behind else ", not told apart"
+                error = f"{tried.error:.4f}"
+                rows.append([f"{mark} {tried.name}", str(tried.numbers), error, behind, seen])
+            parts += _aligned(rows)
+        return "\n".join(parts)
 
     def __str__(self) -> str:
         return self.summary()
-
-    def _drawn(self, count: int, generator: torch.Generator | None) -> Array:
-        """Draw θ (count x n) from its normal distribution."""
-        values, vectors = np.linalg.eigh(self.covariance)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        normal = torch.randn(count, len(values), generator=generator, dtype=torch.float64)
-        return np.asarray(self.theta + normal.numpy() @ root.T)
 
     def plot(self) -> "Figure":
         """Draw the result; needs matplotlib."""
@@ -229,33 +216,24 @@ class Result:
 
         return plot(self)
 
-    def _to_dict(self) -> dict[str, Any]:
-        """What this kind of result has beside what all have."""
+    def _structure(self) -> dict[str, Any]:
+        """What a file of this kind holds beside what all hold."""
         raise NotImplementedError
 
     @classmethod
-    def _from_dict(cls, values: Mapping[str, Any], common: dict[str, Any]) -> Self:
-        """A result of a file's values; `common` are the attributes that all have."""
+    def _of_file(cls, values: dict[str, Any], common: dict[str, Any]) -> Self:
+        """A result of what `_structure` wrote; `common` are the attributes that all have."""
         raise NotImplementedError
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the result as JSON, whole or not at all. Pictures are not part of it."""
         from importlib.metadata import version
 
-        values = {
-            self.KEY: _FORMAT,
-            "uwaug": version("uwaug"),
-            "message": self.message,
-            "parameters": {name: asdict(number) for name, number in self.parameters.items()},
-            "candidates": [asdict(tried) for tried in self.candidates],
-            "noise": None if self.noise is None else asdict(self.noise),
-            "rms": self.rms,
-            "theta": self.theta.tolist(),
-            "covariance": self.covariance.tolist(),
-            **self._to_dict(),
-        }
+        values = {self.KEY: _FORMAT, "uwaug": version("uwaug")}
+        values |= {entry.name: getattr(self, entry.name) for entry in fields(Result)}
+        values |= self._structure()
         with written_whole(path) as part:
-            part.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
+            part.write_text(json.dumps(values, default=_plain, indent=1) + "\n", encoding="utf-8")
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
@@ -268,60 +246,93 @@ class Result:
         require_regular(path)
         try:
             values = json.loads(Path(path).read_text(encoding="utf-8"))
-        except (ValueError, RecursionError) as error:
-            raise ValueError(f"{path}: not {cls.NOUN}: {error}") from None
-        values = values if isinstance(values, dict) else {}
-        if cls.KEY not in values:
-            expected = f"expected a file written by {cls.__name__}.save"
-            for other in (Fit, SeriesFit, WaterFit, VeilFit):
-                if other.KEY in values:
-                    expected = f"it holds {other.NOUN}, see {other.__name__}.load"
-            raise ValueError(f"{path}: not {cls.NOUN}: {expected}")
-        if values[cls.KEY] != _FORMAT:
-            formats = f"expected format {_FORMAT}, got {values[cls.KEY]!r}"
-            raise ValueError(f"{path}: {formats}, written by uwaug {values.get('uwaug')}")
-        try:
-            common = {
-                "message": values["message"],
+            if values.get(cls.KEY) != _FORMAT:
+                keys = [cls.KEY, *(kind.KEY for kind in (Fit, SeriesFit, WaterFit, VeilFit))]
+                held = next((f"{key} {values[key]}" for key in keys if key in values), "none")
+                raise ValueError(f"expected {cls.KEY} {_FORMAT}, got {held}")
+            common = {entry.name: values[entry.name] for entry in fields(Result)}
+            rows, noise = values["candidates"], values["noise"]
+            common |= {
                 "parameters": {name: Parameter(**x) for name, x in values["parameters"].items()},
-                "candidates": tuple(_candidate(x) for x in values["candidates"]),
-                "noise": None if values["noise"] is None else Noise(**values["noise"]),
-                "rms": values["rms"],
+                "candidates": tuple(
+                    (JerlovType if "visibility" in x else Candidate)(**x) for x in rows
+                ),
+                "noise": None if noise is None else Noise(**noise),
                 "theta": np.array(values["theta"]),
                 "covariance": np.array(values["covariance"]),
             }
-            return cls._from_dict(values, common)
-        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+            result = cls._of_file(values, common)
+            theta, covariance, (low, high) = result.theta, result.covariance, result.bounds
+            if theta.shape != low.shape or covariance.shape != (len(low), len(low)):
+                raise ValueError(f"theta and covariance must hold {len(low)} numbers")
+            if not ((theta >= low) & (theta <= high)).all() or not np.isfinite(covariance).all():
+                raise ValueError("theta must lie within its bounds, and covariance be finite")
+        except (
+            ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError
+        ) as error:  # fmt: skip
             raise ValueError(f"{path}: not {cls.NOUN}: {type(error).__name__}: {error}") from None
+        return result
 
 
-def _candidate(values: Mapping[str, Any]) -> Candidate:
-    return (JerlovType if "visibility" in values else Candidate)(**values)
+def _plain(value: Any) -> Any:
+    """A value that JSON does not know, as one that it knows."""
+    return asdict(value) if is_dataclass(value) else value.tolist()  # type: ignore[arg-type]
 
 
-def _require_numbers(result: Result, model: Model) -> None:
-    """Refuse numbers that cannot be a model's own."""
-    bounds, theta = model.bounds.values(), result.theta
-    n = len(bounds)
-    if theta.shape != (n,) or result.covariance.shape != (n, n):
-        raise ValueError(f"theta and covariance must hold {n} numbers, got {theta.shape}")
-    low, high = np.array([[bound.low, bound.high] for bound in bounds]).T
-    if not ((theta >= low) & (theta <= high)).all() or not np.isfinite(result.covariance).all():
-        raise ValueError("theta must lie within its bounds, and covariance be finite")
+def _aligned(rows: list[list[str]]) -> list[str]:
+    """A table in lines, below an empty one: words to the left, numbers to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = [""]
+    for first, *numbers, last in rows:
+        cells = [cell.rjust(width) for cell, width in zip(numbers, widths[1:], strict=False)]
+        lines.append("  ".join(["", first.ljust(widths[0]), *cells, last]).rstrip())
+    return lines
+
+
+def _drawn(
+    mean: Tensor, covariance: Tensor, count: int, generator: torch.Generator | None
+) -> Tensor:
+    """Numbers (count x n) of a normal distribution."""
+    if not isinstance(count, (int, np.integer)) or isinstance(count, bool) or count < 1:
+        raise ValueError(f"count must be a whole number ≥ 1, got {count!r}")
+    values, vectors = torch.linalg.eigh(covariance)
+    root = vectors * values.clamp(min=0.0).sqrt()
+    normal = torch.randn(int(count), len(mean), generator=generator, dtype=torch.float64)
+    drawn: Tensor = mean + normal @ root.T
+    return drawn
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Fit(Result):
+class _ByModel(Result):
+    """A result with a model that makes pictures of its numbers."""
+
+    fitted: Any
+
+    @property
+    def chosen(self) -> str:
+        """The name of the candidate that was taken."""
+        return str(self.fitted.name)
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Least and largest value of each number of `theta`."""
+        low, high = np.array([(x.low, x.high) for x in self.fitted.bounds.values()]).T
+        return low, high
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Fit(_ByModel):
     """A water that was recovered from pictures; made by `uwaug.fit`, or read by `Fit.load`.
 
     Attributes:
         parameters: each number by name: value, standard error, 95 % interval, unit, state. beta, G,
             a and b of each colour [1/m]; veil, V(0); source, the growth of the veil at the lens,
             G·V(0) [1/m]; width, σ at the median distance [px], and exponent of the width law; gain.
-        candidates, message, noise, rms, theta, covariance: as of `Result`.
         fitted: the model that was chosen, which makes pictures of `theta`.
         history: the cost after each evaluation of that model.
         pairs: what it was fitted to; none, if it was read from a file.
+
+    All else is as of `Result`.
     """
 
     fitted: CoefficientModel
@@ -335,11 +346,6 @@ class Fit(Result):
     def model(self) -> str:
         """The name of the model that was chosen."""
         return self.fitted.spec.name
-
-    @property
-    def chosen(self) -> str:
-        """The name of the candidate that was taken: the model, with or without a gain."""
-        return self.fitted.name
 
     @property
     def medium(self) -> Medium:
@@ -383,8 +389,6 @@ class Fit(Result):
             count: how many.
             generator: source of randomness; torch's global generator if None.
         """
-        if not isinstance(count, (int, np.integer)) or isinstance(count, bool) or count < 1:
-            raise ValueError(f"count must be a whole number ≥ 1, got {count!r}")
         model = self.fitted
 
         def flat(theta: Tensor) -> Tensor:
@@ -395,11 +399,8 @@ class Fit(Result):
         theta = torch.from_numpy(self.theta)
         slopes = torch.func.jacrev(flat)(theta)
         covariance = slopes @ torch.from_numpy(self.covariance) @ slopes.T
-        values, vectors = torch.linalg.eigh(covariance)
-        root = vectors * values.clamp(min=0.0).sqrt()
-        normal = torch.randn(int(count), root.shape[1], generator=generator, dtype=torch.float64)
-        drawn = (flat(theta) + normal @ root.T).clamp(min=0.0).reshape(int(count), 6, 3)
-        beta, G, veil_slope, width, exponent, _ = drawn.unbind(1)
+        drawn = _drawn(flat(theta), covariance, count, generator).clamp(min=0.0)
+        beta, G, veil_slope, width, exponent, _ = drawn.reshape(-1, 6, 3).unbind(1)
         if model.shape is not None or model.spec.veil == "shared":
             G = G.minimum(beta)
         forward = model.shape is not None
@@ -436,46 +437,30 @@ class Fit(Result):
             rows.append((picture, torch.where(pair.usable, difference, torch.nan)))
         return rows
 
-    def _remarks(self) -> list[str]:
+    def summary(self) -> str:
+        """The result as text: message, parameters, candidates, what depends on what."""
         # not of numbers which follow from each other
         derived = ("a_", "b_", "source_")
         names, matrix = self.correlation
-        strong = [
-            f"{names[i]}–{names[j]} {matrix[i, j]:+.2f}"
-            for i, j in zip(*np.triu_indices(len(names), 1), strict=True)
-            if abs(matrix[i, j]) > 0.9
-            and not (names[i] + " " + names[j]).startswith(derived)
-            and not names[j].startswith(derived)
-        ]
-        return ["", "  correlations above .9: " + ", ".join(strong)] if strong else []
+        strong = []
+        for i, j in zip(*np.nonzero(np.triu(abs(matrix) > 0.9, 1)), strict=True):
+            if not names[i].startswith(derived) and not names[j].startswith(derived):
+                strong.append(f"{names[i]}–{names[j]} {matrix[i, j]:+.2f}")
+        text = super().summary()
+        return f"{text}\n\n  correlations above .9: {', '.join(strong)}" if strong else text
 
-    def _to_dict(self) -> dict[str, Any]:
-        model = self.fitted
-        return {
-            "model": self.model,
-            "history": self.history,
-            "structure": {
-                "geometry": model.geometry._asdict(),
-                "gain": model.gain,
-                "g": model.g,
-                "fixed": dict(model.fixed),
-            },
-        }
+    def _structure(self) -> dict[str, Any]:
+        x = self.fitted
+        structure = {"geometry": x.geometry._asdict(), "gain": x.gain, "g": x.g, "fixed": x.fixed}
+        return {"model": self.model, "history": self.history, "structure": structure}
 
     @classmethod
-    def _from_dict(cls, values: Mapping[str, Any], common: dict[str, Any]) -> "Fit":
-        stored = values["structure"]
-        checks.one_of("gain", stored["gain"], get_args(Gain))
-        model = CoefficientModel(
-            spec=MODELS[values["model"]],
-            geometry=Geometry(**stored["geometry"]),
-            gain=stored["gain"],
-            g=float(stored["g"]),
-            fixed=stored["fixed"],
-        )
-        fit = Fit(**common, fitted=model, history=values["history"])
-        _require_numbers(fit, model)
-        return fit
+    def _of_file(cls, values: dict[str, Any], common: dict[str, Any]) -> "Fit":
+        structure = values["structure"]
+        checks.one_of("gain", structure["gain"], get_args(Gain))
+        structure["geometry"] = Geometry(**structure["geometry"])
+        model = CoefficientModel(MODELS[values["model"]], **structure)
+        return Fit(**common, fitted=model, history=values["history"])
 
     def __repr__(self) -> str:
         beta = [self.parameters[f"beta_{colour}"].value for colour in COLOURS]
@@ -484,18 +469,19 @@ class Fit(Result):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SeriesFit(Result):
+class SeriesFit(_ByModel):
     """A series of turbidities; made by `uwaug.fitting.fit_series`, or read by `SeriesFit.load`.
 
     Attributes:
         parameters: each number by name, as of `Fit`: a of each colour; b of each colour and level,
             such as b_red_1; m, veil for each unit of scattering, G·V(0)/b; g; scale and exponent of
             the width law.
-        candidates, message, noise, rms, theta, covariance: as of `Result`.
         fitted: the model that was chosen, which makes pictures of `theta`.
         levels: the turbidities, ascending.
         unit: of the turbidities.
         lines: b₀ + k·turbidity, by colour.
+
+    All else is as of `Result`.
     """
 
     fitted: TurbidityModel
@@ -509,11 +495,6 @@ class SeriesFit(Result):
     @property
     def model(self) -> str:
         """The name of the model that was chosen."""
-        return self.fitted.name
-
-    @property
-    def chosen(self) -> str:
-        """The name of the candidate that was taken."""
         return self.fitted.name
 
     @property
@@ -533,56 +514,46 @@ class SeriesFit(Result):
         theta = torch.from_numpy(self.theta)
         return self.fitted.media(theta, torch.tensor([b], dtype=torch.float64))
 
-    def _lines(self) -> list[str]:
-        head = f"  {'':14}{'b₀ [1/m]':>18}{f'k [1/m per {self.unit}]':>24}{'on a line':>12}"
-        parts = [head]
+    def summary(self) -> str:
+        """The result as text: message, parameters, candidates, lines."""
+        rows = [["", "b₀ [1/m]", f"k [1/m per {self.unit}]", "on a line"]]
         for colour, line in self.lines.items():
             b0, k = f"{line.b0:.4g} ± {line.b0_error:.2g}", f"{line.k:.4g} ± {line.k_error:.2g}"
             odds = "" if line.probability is None else f"p = {line.probability:.2g}"
-            parts.append(f"  {colour:14}{b0:>18}{k:>24}{odds:>12}")
-        return [*parts, ""]
+            rows.append([colour, b0, k, odds])
+        return "\n".join([super().summary(), *_aligned(rows)])
 
-    def _to_dict(self) -> dict[str, Any]:
-        model = self.fitted
+    def _structure(self) -> dict[str, Any]:
+        x = self.fitted
+        names = ("name", "shape", "level", "levels")
+        structure = {name: getattr(x, name) for name in names}
+        structure["geometry"] = x.geometry._asdict()
         return {
             "model": self.model,
             "levels": self.levels,
             "unit": self.unit,
             "lines": {colour: line._asdict() for colour, line in self.lines.items()},
-            "structure": {
-                "name": model.name,
-                "shape": model.shape,
-                "geometry": model.geometry._asdict(),
-                "level": model.level,
-                "levels": model.levels,
-            },
+            "structure": structure,
         }
 
     @classmethod
-    def _from_dict(cls, values: Mapping[str, Any], common: dict[str, Any]) -> "SeriesFit":
-        stored = values["structure"]
-        model = TurbidityModel(
-            spec=MODELS[stored["name"]],
-            geometry=Geometry(**stored["geometry"]),
-            level=tuple(stored["level"]),
-            levels=stored["levels"],
-        )
-        series = SeriesFit(
+    def _of_file(cls, values: dict[str, Any], common: dict[str, Any]) -> "SeriesFit":
+        x = values["structure"]
+        spec, geometry = MODELS[x["name"]], Geometry(**x["geometry"])
+        return SeriesFit(
             **common,
-            fitted=model,
+            fitted=TurbidityModel(spec, geometry, tuple(x["level"]), x["levels"]),
             levels=tuple(values["levels"]),
             unit=values["unit"],
             lines={colour: Line(**line) for colour, line in values["lines"].items()},
         )
-        _require_numbers(series, model)
-        return series
 
     def __repr__(self) -> str:
         return f"SeriesFit({self.model!r}, {len(self.levels)} turbidities, {self.unit})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class WaterFit(Result):
+class WaterFit(_ByModel):
     """The Jerlov water that was recovered from pictures; made by `uwaug.fitting.fit_water`, or read
     by `WaterFit.load`.
 
@@ -591,8 +562,9 @@ class WaterFit(Result):
             `Water.with_contents`; mixing, the share of the second type, 0…1; vertical_depth [m];
             gain_1, …, the exposure of each observed picture.
         candidates: the ten types and those mixtures that are neither of their ends, best first.
-        message, noise, rms, theta, covariance: as of `Result`.
         fitted: the model that was chosen, which makes pictures of `theta`.
+
+    All else is as of `Result`.
     """
 
     candidates: tuple[JerlovType, ...]
@@ -604,11 +576,6 @@ class WaterFit(Result):
     @property
     def type(self) -> str:
         """The Jerlov type, such as "3C"; a mixture of neighbours, as "II + III"."""
-        return self.fitted.name
-
-    @property
-    def chosen(self) -> str:
-        """The name of the candidate that was taken."""
         return self.fitted.name
 
     @property
@@ -636,9 +603,9 @@ class WaterFit(Result):
             count: how many.
             generator: source of randomness; torch's global generator if None.
         """
-        low, high = np.array([[x.low, x.high] for x in self.fitted.bounds.values()]).T
-        drawn = np.clip(self._drawn(count, generator), low, high)
-        return Medium.stack([self.fitted.medium(theta) for theta in drawn])
+        theta, covariance = torch.from_numpy(self.theta), torch.from_numpy(self.covariance)
+        drawn = np.clip(_drawn(theta, covariance, count, generator).numpy(), *self.bounds)
+        return Medium.stack([self.fitted.medium(numbers) for numbers in drawn])
 
     @property
     def visibility(self) -> float | None:
@@ -663,48 +630,31 @@ class WaterFit(Result):
         rows = self.parameters.items()
         return tuple(number.value for name, number in rows if name.startswith("gain"))
 
-    def _to_dict(self) -> dict[str, Any]:
-        model = self.fitted
-        law = model.scattering.law
-        return {
-            "model": {
-                "waters": [water.name for water in model.waters],
-                "camera": {
-                    "name": model.camera.name,
-                    "wavelengths": model.camera.wavelengths.tolist(),
-                    "response": model.camera.response.tolist(),
-                },
-                "point_spread": {
-                    "scale": float(law.scale),
-                    "exponent": float(law.exponent),
-                    "shape": law.shape,
-                    "reference_size": law.reference_size,
-                },
-                "g": model.scattering.g,
-                "mu": model.scattering.mu,
-                "depth": model.depth,
-                "sizes": model.sizes,
-                "geometry": model.geometry._asdict(),
-                "gain": model.gain,
-            }
+    def _structure(self) -> dict[str, Any]:
+        x = self.fitted
+        structure = {
+            "waters": [water.name for water in x.waters],
+            "camera": {name: getattr(x.camera, name) for name in _CAMERA},
+            "point_spread": x.scattering.law,
+            "geometry": x.geometry._asdict(),
+            "g": x.scattering.g,
+            "mu": x.scattering.mu,
         }
+        return {"model": structure | {"depth": x.depth, "sizes": x.sizes, "gain": x.gain}}
 
     @classmethod
-    def _from_dict(cls, values: Mapping[str, Any], common: dict[str, Any]) -> "WaterFit":
-        stored = values["model"]
-        camera, law = stored["camera"], PointSpread(**stored["point_spread"])
+    def _of_file(cls, values: dict[str, Any], common: dict[str, Any]) -> "WaterFit":
+        x = values["model"]
         model = SpectralModel(
-            waters=tuple(Water.jerlov(name) for name in stored["waters"]),
-            camera=Camera(camera["wavelengths"], camera["response"], camera["name"]),
-            scattering=Scattering(law, stored["g"], stored["mu"]),
-            depth=stored["depth"],
-            sizes=tuple((height, width) for height, width in stored["sizes"]),
-            geometry=Geometry(**stored["geometry"]),
-            gain=stored["gain"],
+            waters=tuple(Water.jerlov(name) for name in x["waters"]),
+            camera=Camera(**x["camera"]),
+            scattering=Scattering(PointSpread(**x["point_spread"]), x["g"], x["mu"]),
+            depth=x["depth"],
+            sizes=tuple((height, width) for height, width in x["sizes"]),
+            geometry=Geometry(**x["geometry"]),
+            gain=x["gain"],
         )
-        water = WaterFit(**common, fitted=model)
-        _require_numbers(water, model)
-        return water
+        return WaterFit(**common, fitted=model)
 
     def __repr__(self) -> str:
         seen = "?" if self.visibility is None else f"{self.visibility:.3g}"
@@ -719,9 +669,11 @@ class VeilFit(Result):
     Attributes:
         parameters: each number by name, as of `Fit`: veil, V(0); G [1/m]; source, the growth of the
             veil at the lens, G·V(0) [1/m]; of each colour.
-        message, rms: as of `Result`; `rms` is that of the dark pixels about their veil.
+        rms: of the dark pixels about their veil.
         theta, covariance: source and G of each colour.
         farthest: distance that the veil is seen to, m; infinity if there is open water.
+
+    All else is as of `Result`; there are no candidates, and no noise.
     """
 
     farthest: float
@@ -730,11 +682,16 @@ class VeilFit(Result):
     NOUN = "a veil"
 
     @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Least and largest value of each number of `theta`."""
+        return np.zeros(6), np.full(6, np.inf)
+
+    @property
     def medium(self) -> Medium:
         """The veil as a water. That the direct light fades as the veil does, β = G, is assumed:
         pictures without a clean one do not tell.
         """
-        return _veil_medium(self.theta.reshape(1, 3, 2))
+        return _veil_medium(torch.from_numpy(self.theta).reshape(1, 3, 2))
 
     def sample(self, count: int, generator: torch.Generator | None = None) -> Medium:
         """A batch of veils that the pictures allow: drawn from the normal distribution of what was
@@ -744,8 +701,9 @@ class VeilFit(Result):
             count: how many.
             generator: source of randomness; torch's global generator if None.
         """
-        drawn = np.maximum(self._drawn(count, generator), 1e-3 * self.theta)
-        return _veil_medium(drawn.reshape(count, 3, 2))
+        theta, covariance = torch.from_numpy(self.theta), torch.from_numpy(self.covariance)
+        drawn = _drawn(theta, covariance, count, generator).maximum(1e-3 * theta)
+        return _veil_medium(drawn.reshape(-1, 3, 2))
 
     @property
     def veil(self) -> Tensor:
@@ -774,13 +732,11 @@ class VeilFit(Result):
         """
         return self.medium.backscatter(z)
 
-    def _to_dict(self) -> dict[str, Any]:
+    def _structure(self) -> dict[str, Any]:
         return {"farthest": self.farthest}
 
     @classmethod
-    def _from_dict(cls, values: Mapping[str, Any], common: dict[str, Any]) -> "VeilFit":
-        if common["theta"].shape != (6,) or common["covariance"].shape != (6, 6):
-            raise ValueError("theta and covariance must hold 6 numbers")
+    def _of_file(cls, values: dict[str, Any], common: dict[str, Any]) -> "VeilFit":
         return VeilFit(**common, farthest=float(values["farthest"]))
 
     def __repr__(self) -> str:
@@ -788,7 +744,7 @@ class VeilFit(Result):
         return f"VeilFit(V(0) = {shown})"
 
 
-def _veil_medium(numbers: Array) -> Medium:
+def _veil_medium(numbers: Tensor) -> Medium:
     """Media of source and G of each colour (Bx3x2)."""
-    source, G = torch.from_numpy(numbers).unbind(-1)
+    source, G = numbers.unbind(-1)
     return Medium.from_coefficients(G, G, source / G)

@@ -19,7 +19,7 @@ doi:10.1016/j.jvcir.2014.11.006.
 import math
 import warnings
 from dataclasses import dataclass
-from typing import NamedTuple, get_args
+from typing import get_args
 
 import torch
 import torch.nn.functional as F
@@ -89,6 +89,9 @@ _CONTRARY, _CONTRARY_SHARE = 0.05, 0.03
 """By how much the second bound is above the first, and in how much of the scene, so that it is
 said. Where neighbourhoods held something black it was 1 % at most, in the bundled scene 5 to 22 %.
 """
+
+
+Rates = tuple[Tensor, Tensor, list[str]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,35 +166,12 @@ def red_channel_prior(
         >>> beta = (0.5, 0.3, 0.3)
         >>> water = uwaug.Medium.from_coefficients(beta, beta, veil=(0.1, 0.3, 0.4))
         >>> picture = uwaug.Underwater(water, color_space="linear")(scene, z)
-        >>> found = uwaug.fitting.red_channel_prior(picture, z, color_space="linear")
-        >>> found.veil.round(decimals=2).tolist()
+        >>> estimate = uwaug.fitting.red_channel_prior(picture, z, color_space="linear")
+        >>> estimate.veil.round(decimals=2).tolist()
         [0.1, 0.3, 0.4]
-        >>> found.rates.round(decimals=1).tolist()
+        >>> estimate.rates.round(decimals=1).tolist()
         [0.5, 0.3, 0.3]
     """
-    _validate(picture, distance, color_space)
-    light, z = _reduced(picture, distance, color_space)
-    found = open_water(light, z)
-    veil = veil_of(light, found.mask)
-    if z is None:
-        rates = relative_rates(light, veil, found.mask)
-    else:
-        rates = metric_rates(light, veil, found.mask, z)
-    doubts = [*found.doubts, *rates.doubts]
-    if doubts:
-        warnings.warn(f"picture: {'; '.join(doubts)}", UserWarning, stacklevel=2)
-    transmission = torch.exp(-rates.beta[:, None, None] * rates.distance)
-    return WaterEstimate(
-        veil=veil,
-        rates=rates.beta,
-        transmission=_enlarged(transmission.float(), picture),
-        open_water=_enlarged(found.mask[None].float(), picture) > 0,
-        metric=z is not None,
-        doubts=tuple(doubts),
-    )
-
-
-def _validate(picture: Tensor, distance: Tensor | None, color_space: str) -> None:
     checks.one_of("color_space", color_space, get_args(ColorSpace))
     if not (isinstance(picture, Tensor) and picture.dtype == torch.uint8):
         checks.floating("picture", picture)
@@ -202,15 +182,38 @@ def _validate(picture: Tensor, distance: Tensor | None, color_space: str) -> Non
     if min(height, width) < _MIN_SIDE:
         expected = f"expected {_MIN_SIDE} px at least on its short side"
         raise ValueError(f"picture is too small, {height}×{width} px: {expected}")
-    if distance is None:
-        return
-    checks.floating("distance", distance)
-    checks.picture("distance", distance, 1)
-    checks.same_size("distance", distance, picture)
-    checks.same_device("distance", distance, picture)
-    if distance.ndim == 4:
-        raise ValueError(f"distance must be one map, (1, H, W), got {tuple(distance.shape)}")
-    checks.metres("distance", distance)
+    if distance is not None:
+        checks.floating("distance", distance)
+        checks.picture("distance", distance, 1)
+        checks.same_size("distance", distance, picture)
+        checks.same_device("distance", distance, picture)
+        if distance.ndim == 4:
+            raise ValueError(f"distance must be one map, (1, H, W), got {tuple(distance.shape)}")
+        checks.metres("distance", distance)
+    light, z = _reduced(picture, distance, color_space)
+    water, doubts = open_water(light, z)
+    veil = veil_of(light, water)
+    if z is None:
+        rates, relative, more = relative_rates(light, veil, water)
+    else:
+        rates, relative, more = metric_rates(light, veil, water, z)
+    doubts += more
+    if doubts:
+        warnings.warn(f"picture: {'; '.join(doubts)}", UserWarning, stacklevel=2)
+
+    def enlarged(values: Tensor) -> Tensor:
+        return F.interpolate(values[None], (height, width), mode="nearest-exact")[0]
+
+    return WaterEstimate(
+        veil=veil,
+        rates=rates,
+        transmission=enlarged(torch.exp(-rates[:, None, None] * relative).float()).to(
+            picture.device
+        ),
+        open_water=(enlarged(water[None].float()) > 0).to(picture.device),
+        metric=z is not None,
+        doubts=tuple(doubts),
+    )
 
 
 def _reduced(
@@ -233,24 +236,12 @@ def _reduced(
     return light, torch.where(z > 0, z, torch.nan)
 
 
-def _enlarged(values: Tensor, picture: Tensor) -> Tensor:
-    """Back to the size of the picture (CxHxW)."""
-    size = (picture.shape[-2], picture.shape[-1])
-    return F.interpolate(values[None], size, mode="nearest-exact")[0].to(picture.device)
-
-
 # ---- open water
 
 
-class Found(NamedTuple):
-    """Where open water is (HxW, bool), and doubts about it."""
-
-    mask: Tensor
-    doubts: list[str]
-
-
-def open_water(light: Tensor, z: Tensor | None) -> Found:
-    """Find open water: by the distances where they say +inf, else by how the picture looks.
+def open_water(light: Tensor, z: Tensor | None) -> tuple[Tensor, list[str]]:
+    """Where open water is (hxw, bool), and doubts about it: by the distances where they say +inf,
+    else by how the picture looks.
 
     Args:
         light (3xHxW tensor): linear light.
@@ -260,7 +251,7 @@ def open_water(light: Tensor, z: Tensor | None) -> Found:
         ValueError: if there is none.
     """
     if z is not None and float(z.isposinf().double().mean()) >= _SHARE:
-        return Found(z.isposinf(), [])
+        return z.isposinf(), []
     blocks = F.avg_pool2d(light[None], _BLOCK)[0]
     even = _even(linear_to_srgb(blocks))
     if float(even.double().mean()) > 0.95:
@@ -274,7 +265,8 @@ def open_water(light: Tensor, z: Tensor | None) -> Found:
     usual, shares = [], []
     for part in parts:
         colour = blocks[:, part].median(1).values
-        if _like_water(colour):
+        bright, red = float(colour.max()), float(colour[0])
+        if _BLACK <= bright <= _CLIPPED and red < _RED * float(colour[1:].min()):
             usual.append((part, colour))
         shares.append(", ".join(f"{x:.2g}" for x in colour.tolist()))
     if not usual:
@@ -283,15 +275,17 @@ def open_water(light: Tensor, z: Tensor | None) -> Found:
             "like open water, where red is darkest: white-balanced, a wall, or a water that the "
             "red-channel prior does not know. Give distances, with +inf for open water"
         )
-    chosen = _chosen(blocks, [part for part, _ in usual])
+    chosen, veil = usual[_chosen(blocks, [part for part, _ in usual])]
     doubts = []
-    veil = usual[chosen][1]
     for part, colour in usual:
         if float((colour / veil - 1).abs().max()) > _OTHER:
             share = float(part.double().mean())
             doubts.append(f"the veil ({share:.0%} of the picture is as even, of another colour)")
             break
-    return Found(_mask(usual[chosen][0], light), doubts)
+    wide = chosen.repeat_interleave(_BLOCK, 0).repeat_interleave(_BLOCK, 1)
+    # what the blocks leave over is none
+    height, width = light.shape[-2:]
+    return F.pad(wide, (0, width - wide.shape[1], 0, height - wide.shape[0])), doubts
 
 
 def veil_of(light: Tensor, mask: Tensor) -> Tensor:
@@ -324,18 +318,8 @@ def _parts(even: Tensor) -> list[Tensor]:
     numbers, count = label(even.cpu().numpy())
     labels = torch.from_numpy(numbers).to(even.device)
     sizes = torch.bincount(labels.flatten().long(), minlength=count + 1)[1:]
-    found = []
-    for k in sizes.argsort(descending=True).tolist():
-        if int(sizes[k]) >= _SHARE * even.numel():
-            found.append(labels == k + 1)
-    return found
-
-
-def _like_water(colour: Tensor) -> bool:
-    red, green, blue = colour.tolist()
-    if max(colour.tolist()) < _BLACK or max(colour.tolist()) > _CLIPPED:
-        return False
-    return bool(red < _RED * min(green, blue))
+    order = sizes.argsort(descending=True).tolist()
+    return [labels == k + 1 for k in order if int(sizes[k]) >= _SHARE * even.numel()]
 
 
 def _chosen(blocks: Tensor, parts: list[Tensor]) -> int:
@@ -350,22 +334,7 @@ def _chosen(blocks: Tensor, parts: list[Tensor]) -> int:
     return next(i for i, part in enumerate(parts) if bool(part.flatten()[place]))
 
 
-def _mask(part: Tensor, light: Tensor) -> Tensor:
-    """In px of the picture that is looked at; what the blocks leave over is none."""
-    wide = part.repeat_interleave(_BLOCK, 0).repeat_interleave(_BLOCK, 1)
-    height, width = light.shape[-2:]
-    return F.pad(wide, (0, width - wide.shape[1], 0, height - wide.shape[0]))
-
-
-# ---- rates
-
-
-class Rates(NamedTuple):
-    """β of each channel, the distance of each pixel (HxW) that they go with, doubts."""
-
-    beta: Tensor
-    distance: Tensor
-    doubts: list[str]
+# ---- rates: β of each channel, the distances (hxw) that they go with, doubts
 
 
 def metric_rates(light: Tensor, veil: Tensor, water: Tensor, z: Tensor) -> Rates:
@@ -388,7 +357,7 @@ def metric_rates(light: Tensor, veil: Tensor, water: Tensor, z: Tensor) -> Rates
         elif float(differ[c]) > _APART:
             why = f"what is dark and what is alike tell transmissions {float(differ[c]):.2f} apart"
             doubts.append(f"the rate of {colour} ({why})")
-    return Rates(beta, torch.where(water, torch.inf, z), doubts)
+    return beta, torch.where(water, torch.inf, z), doubts
 
 
 def _steps(light: Tensor, veil: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
@@ -420,7 +389,7 @@ def _fading(metres: Tensor, apart: Tensor, veil: Tensor, weight: float, albedo: 
     """
     rates = torch.logspace(-3, 1.5, 2000, dtype=torch.float64) / metres.max()
     fades = torch.exp(-rates[:, None] * metres)
-    found = []
+    best = []
     for c in range(3):
         seen = apart[:, :, c]
         amplitude = (fades @ seen) / fades.square().sum(1, keepdim=True)
@@ -428,8 +397,8 @@ def _fading(metres: Tensor, apart: Tensor, veil: Tensor, weight: float, albedo: 
         amplitude[:, 0] = amplitude[:, 0].clamp(dark, dark + albedo)
         error = (seen - fades[:, :, None] * amplitude[:, None]).square().sum(1)
         error[:, 0] *= weight
-        found.append(rates[error.sum(1).argmin()])
-    return torch.stack(found)
+        best.append(rates[error.sum(1).argmin()])
+    return torch.stack(best)
 
 
 def _require_far(beta: Tensor, z: Tensor, metres: Tensor) -> None:
@@ -479,7 +448,7 @@ def relative_rates(light: Tensor, veil: Tensor, water: Tensor) -> Rates:
     if shares[0] > _LIGHT or shares[1] > _CONTRARY_SHARE:
         doubts.append(f"all distances ({max(shares):.0%} of the scene has nothing dark in it)")
     relative = torch.where(water, torch.inf, depth / far)
-    return Rates(torch.stack(ratios) * far, relative.masked_fill(blank, torch.nan), doubts)
+    return torch.stack(ratios) * far, relative.masked_fill(blank, torch.nan), doubts
 
 
 def _bounds(light: Tensor, veil: Tensor, water: Tensor) -> tuple[Tensor, Tensor]:
