@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 import uwaug
-from uwaug.fitting.data import Observations, Pixels
+from uwaug.fitting.data import Observations
 from uwaug.fitting.least_squares import Objective
 from uwaug.fitting.models import MODELS, CoefficientModel
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
@@ -62,18 +62,16 @@ def seen(
     return Known(clean, as_bytes(image, noise, seed), z)
 
 
-def sampled(known: Known, count: int = 2000, noise: float = 0.01) -> Pixels:
-    """Pixels with weights by a noise that is known; dark ones, where it is clipped, have none."""
-    pixels = Observations.of(*known).sample_pixels(("gaussian", "exponential"), count, 0)
-    lit = pixels.observed.mean(1, keepdim=True) > 0.05
-    return pixels.weighed(pixels.weights * lit / noise)
-
-
-def objective(known: Known, name: str = "haze", **options: Any) -> Objective[CoefficientModel]:
-    """One of the candidates, and pixels that it is to explain."""
-    geometry = Observations.of(*known).geometry(focal_px=70.0)
+def objective(known: Known, name: str = "haze", count: int = 2000) -> Objective[CoefficientModel]:
+    """One of the candidates, and pixels that it is to explain, with weights by a noise of .01; dark
+    ones, where noise is clipped, have none.
+    """
+    observations = Observations.of(*known)
+    geometry = observations.geometry(focal_px=70.0)
     model = CoefficientModel(MODELS[name], geometry, "fixed", 0.05, {})
-    return Objective(model, sampled(known, **options))
+    pixels = observations.sample_pixels([model.shape] if model.shape else (), count, 0)
+    lit = pixels.observed.mean(1, keepdim=True) > 0.05
+    return Objective(model, pixels.weighed(pixels.weights * lit / 0.01))
 
 
 def errors(fit: Any, truth: Any = TRUTH, kinds: Any = ("beta", "G", "veil")) -> Any:

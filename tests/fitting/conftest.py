@@ -61,7 +61,7 @@ def haze(once, hazy) -> uwaug.fitting.Fit:
 @pytest.fixture(scope="session")
 def series(once) -> uwaug.fitting.SeriesFit:
     """The model that made the pictures of a tank."""
-    options = {"model": "gaussian", "pixels": 3000}
+    options = {"model": "gaussian", "pixels": 5000}
     return once("series", lambda: uwaug.fitting.fit_series(tank(), LEVELS, **options))
 
 

@@ -56,7 +56,7 @@ def scattered_away(G):
     ],
 )
 def test_the_model_that_made_the_picture_is_chosen(model, water):
-    assert uwaug.fit(*seen(water()), pixels=1000).model == model
+    assert uwaug.fit(*seen(water()), pixels=600).model == model
 
 
 def test_gains_of_several_pictures():

@@ -3,7 +3,7 @@
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import pairwise
 from typing import Any, Literal, get_args
 
@@ -45,7 +45,6 @@ from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
 
 Progress = Callable[[str], None]
-
 _PIXELS = (500, 100_000)  # that may be fitted
 _MAX_KNOWN = 1e6  # of numbers that a caller knows
 _SCOUTS = 4000  # pixels of the fits that noise is first learnt from
@@ -53,21 +52,16 @@ _SCOUTS_OF_LEVEL = 3000  # pixels of each turbidity, which say where a series be
 _SCOUTS_OF_TYPE = 1000  # pixels of the fits that those of Jerlov types begin from
 _MUCH = 0.01  # of the cost, that a gain must save before it is spoken of
 _GAIN = 0.02  # by which it must differ from 1
-
 _SERIES = ("veil", "gaussian", "exponential")
-
 _VISIBILITIES = np.geomspace(0.4, 25.0, 8)  # to begin at, in multiples of the median distance
 _DEPTHS = (0.5, 3.0, 10.0)  # vertical depths to begin at, m
 _MIN_VALUES = 500  # values between noise and white, of all that are fitted, that `fit_water` needs
 _SURELY = 2.0  # standard errors, by which a mixture is neither of its ends
 _MIN_SHARE = 0.05  # of a type in a mixture: media of the default tolerance make up for .02
-
+# The types, and mixtures of neighbours. Without these, a picture of half 1C and half 3C would be
+# type 3C, 7 % off in visibility, and one of half III and half 1C would be none. (Those of the best
+# type alone miss three of eight.)
 _TYPES = (*((name,) for name in JERLOV_TYPES), *pairwise(JERLOV_TYPES))
-"""The types, and mixtures of neighbours. Without these, a picture of half 1C and half 3C would be
-type 3C, 7 % off in visibility, and one of half III and half 1C would be none. (Those of the best
-type alone miss three of eight.)
-"""
-
 OneGain = Literal["fixed", "free"]
 
 
@@ -152,15 +146,7 @@ def fit(
         raise ValueError("focal_px: the calibrated width law needs the focal length in px")
     if g is not None:
         checks.within("g", g, 0.0, 0.99)
-    observations = Observations.of(
-        clean,
-        observed,
-        distance,
-        field=field,
-        mask=mask,
-        color_space=color_space,
-        relative=relative,
-    )
+    observations = Observations.of(clean, observed, distance, field, mask, color_space, relative)
     models = _models(model, observations.geometry(focal_px), gain, g, fixed or {})
     start = _checked("start", start or {}, models)
     with one_thread():
@@ -180,7 +166,7 @@ def fit(
             end = solve(objective, theta) if candidate is richest else None
             # one that explains less than fewer numbers do has gone astray
             if end is None or any(x.solution.cost < end.cost for x in tried):
-                starts = starting_points(objective, _numbers(tried[-1:]), start)
+                starts = starting_points(objective, [x.numbers for x in tried[-1:]], start)
                 end = multistart(objective, starts, seed)
             tried.append(FittedModel.of(objective, end, seed))
         chosen = one_standard_error_rule(tried)
@@ -211,11 +197,11 @@ def _models(
         if name in ("auto", spec.name) and (spec.law != "calibrated" or geometry.focal_px):
             share = spec.g if g is None else float(g)
             models.append(CoefficientModel(spec, geometry, gain, share, {}))
-    known = _checked("fixed", fixed, models)
-    fixable = [replace(x, fixed=known) for x in models if set(known) <= set(x.fixable)]
+    numbers = _checked("fixed", fixed, models)
+    fixable = [replace(x, fixed=numbers) for x in models if set(numbers) <= set(x.fixable)]
     models = [model for model in fixable if model.bounds]
     if not models:
-        raise ValueError(f"fixed: nothing is left to be fitted, got {', '.join(known)}")
+        raise ValueError(f"fixed: nothing is left to be fitted, got {', '.join(numbers)}")
     return models
 
 
@@ -258,18 +244,13 @@ def _richest(
     return min(ends, key=lambda end: end[1].cost)
 
 
-def _numbers(fitted: Sequence[FittedModel[CoefficientModel]]) -> list[dict[str, float]]:
-    return [dict(zip(x.model.bounds, x.theta.tolist(), strict=True)) for x in fitted]
-
-
 def _missing_gain(chosen: FittedModel[CoefficientModel]) -> float | None:
     """The mean gain that would explain the pictures much better, where none was asked for."""
     model = chosen.model
     if model.gain != "fixed":
         return None
     freed = replace(model, gain="free")
-    (numbers,) = _numbers([chosen])
-    begin = freed.start({name: numbers.get(name, 1.0) for name in freed.bounds}, {})
+    begin = freed.start({name: chosen.numbers.get(name, 1.0) for name in freed.bounds}, {})
     end = solve(replace(chosen.objective, model=freed), begin, most=20)
     gains = end.theta[[name.startswith("gain") for name in freed.bounds]]
     better = chosen.solution.cost - end.cost > _MUCH * chosen.solution.cost
@@ -415,25 +396,18 @@ def _line(turbidity: Array, b: Array, covariance: Array) -> Line:
     from scipy.stats import chi2
 
     # what is at a bound has no error, and says nothing
-    known = np.diag(covariance) > 0
-    turbidity, b, covariance = turbidity[known], b[known], covariance[np.ix_(known, known)]
+    certain = np.diag(covariance) > 0
+    turbidity, b, covariance = turbidity[certain], b[certain], covariance[np.ix_(certain, certain)]
     system = np.stack([np.ones_like(turbidity), turbidity], 1)
     precision = np.linalg.pinv(covariance, hermitian=True)
     of_line = np.linalg.pinv(system.T @ precision @ system, hermitian=True)
     values = of_line @ system.T @ precision @ b
-    left = b - system @ values
+    residual = b - system @ values
     (b0, k), (b0_error, k_error) = values, np.sqrt(np.maximum(np.diag(of_line), 0.0))
     correlation = of_line[0, 1] / max(b0_error * k_error, 1e-300)
     free = len(b) - 2
-    odds = float(chi2.sf(left @ precision @ left, free)) if free > 0 else None
-    return Line(
-        b0=float(b0),
-        b0_error=float(b0_error),
-        k=float(k),
-        k_error=float(k_error),
-        correlation=float(correlation),
-        probability=odds,
-    )
+    odds = float(chi2.sf(residual @ precision @ residual, free)) if free > 0 else None
+    return Line(float(b0), float(b0_error), float(k), float(k_error), float(correlation), odds)
 
 
 def fit_water(
@@ -509,9 +483,7 @@ def fit_water(
     checks.one_of("gain", gain, get_args(OneGain))
     if vertical_depth is not None:
         checks.within("vertical_depth", vertical_depth, *checks.DOMAIN["vertical_depth"])
-    observations = Observations.of(
-        clean, observed, distance, field=field, mask=mask, color_space=color_space
-    )
+    observations = Observations.of(clean, observed, distance, field, mask, color_space)
     geometry, shape = observations.geometry(), scattering.law.shape
     with one_thread():
         say("blurring the clean picture")
@@ -531,21 +503,14 @@ def fit_water(
             raise ValueError(f"observed: {few_values} {above}: {cure}")
         objective = Objective(channels, weighed)
         free = FittedModel.of(objective, solve(objective, theta), seed)
-        types = []
-        for names in _TYPES:
-            waters = tuple(Water.jerlov(name) for name in names)
-            sizes = tuple(pair.size for pair in observations.pairs)
-            types.append(
-                SpectralModel(
-                    waters, camera, scattering, vertical_depth, sizes, geometry, gain == "free"
-                )
-            )
+        sizes = tuple(pair.size for pair in observations.pairs)
+        conditions = (camera, scattering, vertical_depth, sizes, geometry, gain == "free")
+        types = [SpectralModel(tuple(map(Water.jerlov, names)), *conditions) for names in _TYPES]
         tried = _fit_types(types, weighed, seed, say)
         chosen = one_standard_error_rule(tried)
         common, _ = _reported(chosen, noise)
         candidates = _jerlov_types(tried)
-        sentences = of_water(chosen, tried, common["parameters"], candidates, free)
-        message = "\n".join(sentences)
+        message = "\n".join(of_water(chosen, tried, common["parameters"], candidates, free))
     return WaterFit(**common, message=message, candidates=candidates, fitted=chosen.model)
 
 
@@ -623,12 +588,9 @@ def _jerlov_types(tried: Sequence[FittedModel[SpectralModel]]) -> tuple[JerlovTy
     """What is reported of each, best first."""
     order = sorted(tried, key=lambda fitted: fitted.loss)
     rows = []
-    for x in order:
-        behind, error = x.delta_loss(order[0])
-        visibility = x.model.water(x.theta).visibility()
-        depth = x.model.vertical_depth(x.theta)
-        numbers = len(x.theta)
-        rows.append(JerlovType(x.name, numbers, x.error, behind, error, visibility, depth))
+    for x, common in zip(order, _candidates(order), strict=True):
+        visibility, depth = x.model.water(x.theta).visibility(), x.model.vertical_depth(x.theta)
+        rows.append(JerlovType(**asdict(common), visibility=visibility, vertical_depth=depth))
     return tuple(rows)
 
 

@@ -76,13 +76,13 @@ def lossy_media(beta: Tensor, G: Tensor, veil: Tensor) -> Medium:
     """Media in which all light that leaves the line of sight is lost: T_G = T_β, and a veil that
     has rates of its own.
     """
-    one = torch.diag_embed(torch.ones_like(beta))
-    none = torch.zeros_like(one)
+    unit = torch.diag_embed(torch.ones_like(beta))
+    none = torch.zeros_like(unit)
     return Medium(
         beta=beta,
-        direct_weights=one,
+        direct_weights=unit,
         G=torch.cat([beta, G], 1),
-        signal_weights=torch.cat([one, none], 2),
+        signal_weights=torch.cat([unit, none], 2),
         veil_weights=torch.cat([none, torch.diag_embed(veil)], 2),
         b_mean=beta.new_zeros(len(beta)),
         point_spread=PointSpread.none(),

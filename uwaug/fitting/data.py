@@ -23,30 +23,21 @@ from uwaug.formation.colour import to_light
 from uwaug.optics.curves import FARTHEST
 
 Pictures = Tensor | Sequence[Tensor]
-
 Places = NDArray[np.int64]
-
 _MIN_PIXELS = 500  # usable pixels, of all pairs together, that a fit needs
 _MIN_PIXELS_OF_PAIR = 50  # usable pixels that each pair needs
-
+# Span of the distances as a share of their median, below which they are one distance.
 _MIN_SPAN = 0.03
-"""Span of the distances as a share of their median, below which they are one distance."""
-
 _SAME = 2e-3  # mean difference of two pictures that are one, as a share of their light
 _MIN_FIELD = 1e-3  # of a medium field; less water is none
 _WHITE = 0.98  # linear light, 253 of 255 in sRGB: the clean picture may be brighter than it says
 _TOLERANCE = 2e-4  # of the blurs: what they are wrong by is the least that a residual can be
-
+# Of the picture's short side: the widest blur that a law may ask for. The calibrated law reaches
+# that of a 60° view after ten scattering lengths, where no light is left.
 _WIDEST = 1 / 5
-"""Of the picture's short side: the widest blur that a law may ask for. The calibrated law reaches
-that of a 60° view after ten scattering lengths, where no light is left.
-"""
-
 _BINS = 20  # of the distances, from each of which as many pixels are taken
-
+# Blocks along the picture's short side; the residuals of one may depend on each other.
 _CLUSTERS = (10, 5, 3)
-"""Blocks along the picture's short side; the residuals of one may depend on each other."""
-
 _MAX_CLUSTERS = 1_000_000  # more than the blocks of any picture
 _NEAR, _FAR = 0.05, 0.95  # quantiles of the finite distances that the range of distances goes by
 _NODES = 48  # distances at which spectra are summed. Between 2 m and 10 km they hold to 1e-7
@@ -121,7 +112,6 @@ class Observations:
         clean: Pictures | None,
         observed: Pictures,
         distance: Pictures,
-        *,
         field: Pictures | None = None,
         mask: Pictures | None = None,
         color_space: ColorSpace = "srgb",
@@ -150,10 +140,12 @@ class Observations:
         for i in range(counts["observed"]):
             row = {name: column[i % len(column)] for name, column in columns.items()}
             pairs.append(_pair(row, color_space, light, relative))
-        if clean is not None:
-            _require_water(pairs)
-        _require_pixels(pairs)
-        _require_depth(pairs)
+            apart = float((pairs[i].clean - pairs[i].observed).abs().mean())
+            if clean is not None and apart <= _SAME * float(pairs[i].clean.mean()):
+                which = f" of pair {i + 1}" if counts["observed"] > 1 else ""
+                cure = "give the same scene without water and in it"
+                raise ValueError(f"clean and observed{which} are the same picture: {cure}")
+        _require_usable(pairs)
         bits = _bits(columns["observed"][0])
         return Observations(tuple(pairs), color_space, bits, "unit" if relative else "m")
 
@@ -388,18 +380,10 @@ def _pair(
     return Pair(clean, observed, z, usable)
 
 
-def _require_water(pairs: Sequence[Pair]) -> None:
-    """Refuse pairs that are one picture."""
-    for i, pair in enumerate(pairs):
-        apart = float((pair.clean - pair.observed).abs().mean())
-        if apart <= _SAME * float(pair.clean.mean()):
-            which = f" of pair {i + 1}" if len(pairs) > 1 else ""
-            cure = "give the same scene without water and in it"
-            raise ValueError(f"clean and observed{which} are the same picture: {cure}")
-
-
-def _require_pixels(pairs: Sequence[Pair]) -> None:
-    """Refuse pictures of which too little can be used, saying what it is lost to."""
+def _require_usable(pairs: Sequence[Pair]) -> None:
+    """Refuse pictures of which too little can be used, saying what it is lost to; and distances
+    that are all alike: attenuation is seen by what it does to distances.
+    """
     usable = [int(pair.finite.sum()) for pair in pairs]
     if sum(usable) < _MIN_PIXELS:
         total = sum(pair.z.numel() for pair in pairs)
@@ -415,14 +399,9 @@ def _require_pixels(pairs: Sequence[Pair]) -> None:
         if count < _MIN_PIXELS_OF_PAIR:
             few = f"pair {i + 1} of {len(pairs)} has {count} pixels that can be used"
             raise ValueError(f"{few}, expected {_MIN_PIXELS_OF_PAIR}: leave it out")
-
-
-def _require_depth(pairs: Sequence[Pair]) -> None:
-    """Refuse distances that are all alike: attenuation is seen by what it does to distances."""
-    usable = torch.cat([pair.z[pair.usable] for pair in pairs])
-    low, high = np.quantile(usable.numpy(), (0.02, 0.98))
-    middle = float(torch.cat([pair.z[pair.finite] for pair in pairs]).median())
-    if high - low < _MIN_SPAN * middle:
+    z = torch.cat([pair.z[pair.usable] for pair in pairs]).numpy()
+    low, high = np.quantile(z, (0.02, 0.98))
+    if high - low < _MIN_SPAN * float(np.median(z[z < FARTHEST])):
         cure = "β, G and veil need a scene with depth, or pictures at several distances"
         raise ValueError(f"distance is flat: all pixels lie at {low:.4g}–{high:.4g} m; {cure}")
 

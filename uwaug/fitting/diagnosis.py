@@ -15,34 +15,24 @@ from uwaug.fitting.results import JerlovType, Line, Parameter
 from uwaug.fitting.selection import FittedModel, best_of
 
 Parameters = Mapping[str, Parameter]
-
 _THIN = 0.3  # optical depth G·z at the far end, below which a veil is still a straight line
-
+# Optical depth G·z at the far end, below which surfaces that are not quite black bend a veil as
+# much as its end does.
 _HALF_GROWN = 1.0
-"""Optical depth G·z at the far end, below which surfaces that are not quite black bend a veil as
-much as its end does.
-"""
-
+# Ratio of standard errors over clusters to those of independent residuals, above which the model
+# misses something.
 _DEPENDENT = 1.5
-"""Ratio of standard errors over clusters to those of independent residuals, above which the model
-misses something.
-"""
-
 _POOR = 0.8  # share of the observed variance, below which a model does not explain a picture
 _NEAREST = 0.05  # m, median distance; nearer scenes are rare
 _FASTEST = 30.0  # 1/m; no natural water attenuates more
 _ALMOST = 0.95  # of the widest blur
 _ALIKE = 0.03  # smallest singular value of the scaled Jacobian where two numbers do nearly the same
-
+# Probability, below which scattering does not follow turbidity; there are three colours.
 _UNLIKELY = 0.05 / 3
-"""Probability, below which scattering does not follow turbidity; there are three colours."""
-
+# Ratio of held-out errors to those of coefficients that are free in every channel: above, no Jerlov
+# water explains a picture. Jerlov waters reach 1.002, a wrong g or μ 1.2, grey water, wrong cameras
+# and wrong exposures 1.5 to 5.
 _UNLIKE = 1.25
-"""Ratio of held-out errors to those of coefficients that are free in every channel: above, no
-Jerlov water explains a picture. Jerlov waters reach 1.002, a wrong g or μ 1.2, grey water, wrong
-cameras and wrong exposures 1.5 to 5.
-"""
-
 _NOT_QUITE = 1.02  # ratio above which none is quite right
 _UNSEEN = 0.001  # RMS of linear light: the default tolerance of a medium puts pictures .0007 off
 _CLAMPED = 0.01  # share of the pixels at which blurs are wider than any that was made
@@ -151,9 +141,9 @@ def of_water(
     """The sentences on a `WaterFit`. free: a model that is free in every channel."""
     model = chosen.model
     kind = "A mixture of Jerlov types" if len(model.waters) == 2 else "Jerlov type"
-    seen = parameters["visibility"]
-    error = "" if seen.error is None else f" ± {seen.error:.2g}"
-    visibility = "" if seen.value is None else f", visibility {seen.value:.4g}{error} m"
+    distance = parameters["visibility"]
+    error = "" if distance.error is None else f" ± {distance.error:.2g}"
+    visibility = "" if distance.value is None else f", visibility {distance.value:.4g}{error} m"
     yield f"{kind} {model.name}{visibility}."
     alike = [x.name for x in types if not x.told_apart and x.name != model.name]
     if alike:
@@ -189,10 +179,10 @@ def of_veil(parameters: Parameters, G: Sequence[float], farthest: float) -> Iter
     lines = [colour for colour, depth in depths.items() if depth < _THIN]
     if lines:
         yield _straight_line(lines, farthest, "m")
-    seen = [c for c, z in depths.items() if z < _HALF_GROWN and _value(parameters, f"veil_{c}")]
-    if seen:
+    early = [c for c, z in depths.items() if z < _HALF_GROWN and _value(parameters, f"veil_{c}")]
+    if early:
         yield (
-            f"In {', '.join(seen)} the veil is far from its end at {farthest:.3g} m: V(0) may be "
+            f"In {', '.join(early)} the veil is far from its end at {farthest:.3g} m: V(0) may be "
             "off by half, and G more; up to there the veil itself (backscatter) is better known."
         )
 
@@ -203,8 +193,8 @@ def _value(parameters: Parameters, name: str) -> float | None:
 
 def _residual(chosen: FittedModel[M]) -> str:
     share = f"{100 * np.floor(1e4 * chosen.explained) / 1e4:.4g} %"
-    left = f"The residual is {chosen.rms:.2g} RMS of linear light"
-    return f"{left}; {share} of the variance of the observed pixels is explained."
+    residual = f"The residual is {chosen.rms:.2g} RMS of linear light"
+    return f"{residual}; {share} of the variance of the observed pixels is explained."
 
 
 def _dependent(covariance: ClusterCovariance) -> Iterator[str]:
@@ -235,8 +225,8 @@ def _straight_veil(parameters: Parameters, geometry: Geometry) -> Iterator[str]:
     for colour in COLOURS:
         G = _value(parameters, f"G_{colour}" if "G_red" in parameters else f"beta_{colour}")
         lost = f"veil_{colour}" in parameters and _value(parameters, f"veil_{colour}") is None
-        seen = _value(parameters, f"source_{colour}") is not None
-        if lost and seen and straight(G or 0.0, geometry.farthest):
+        grows = _value(parameters, f"source_{colour}") is not None
+        if lost and grows and straight(G or 0.0, geometry.farthest):
             colours.append(colour)
     if colours:
         yield _straight_line(colours, geometry.farthest, geometry.unit)

@@ -16,16 +16,13 @@ from uwaug.fitting.data import Pixels
 from uwaug.fitting.models import COLOURS, CoefficientModel, Model
 
 M = TypeVar("M", bound=Model)
-
 ROBUST = 2.0  # standard deviations of noise, from where on a residual counts less than its square
 _INSIDE = 1e-4  # of a number's range: a fit begins at least so far from its bounds
 _MAX_LOGIT = 16.0  # logarithm of the odds; e^−16 of a number's range is its end
 _AT_BOUND = 1e-6  # of a number's range: nearer to its end, it is there
 _CONVERGED = 1e-7  # relative change of cost or numbers at which a fit ends
-
+# Optical depths β·z at the reference distance, of the grid that a guess is taken from.
 _DEPTHS = np.geomspace(0.05, 12.0, 24)
-"""Optical depths β·z at the reference distance, of the grid that a guess is taken from."""
-
 _G_OVER_BETA = (0.1, 0.3, 0.6, 1.0)  # of the same grid
 _SCOUTS = 2000  # pixels that decide between starts
 _APART = 0.5  # of random starts: each number is multiplied by up to e^±_APART
@@ -287,12 +284,12 @@ def guess(
     few = pixels.subsample(_SCOUTS // 2, 0)
     beta = torch.from_numpy(_DEPTHS / model.geometry.reference)
     shares = _G_OVER_BETA if model.spec.veil == "own" else (1.0,)
-    known = model.coefficients(torch.tensor([values[name] for name in model.bounds]).double())
+    others = model.coefficients(torch.tensor([values[name] for name in model.bounds]).double())
     errors, slopes = [], []
     for share in shares:
         for rate in beta:
             b = rate.expand(len(few), 3)
-            c = known._replace(beta=b, G=share * b, veil_slope=torch.zeros_like(b))
+            c = others._replace(beta=b, G=share * b, veil_slope=torch.zeros_like(b))
             error, slope = _best_veil(c, few, model)
             errors.append(error)
             slopes.append(slope)
@@ -309,12 +306,12 @@ def _best_veil(c: Coefficients, pixels: Pixels, model: CoefficientModel) -> tupl
     """The squared error of each colour with the veil that suits it best, and its slope (3 each)."""
     w = pixels.weights**2
     scene = render(c, pixels, model.shape)
-    left = pixels.observed - scene
+    residual = pixels.observed - scene
     slope = torch.zeros(3, dtype=torch.float64)
     if model.spec.veil != "none":
         # a picture is linear in its veil
         veil = c.gain[:, :, None, None] * veil_growth(c.G, pixels)
-        along, across = (w * veil * left).sum((0, 2, 3)), (w * veil * veil).sum((0, 2, 3))
+        along, across = (w * veil * residual).sum((0, 2, 3)), (w * veil * veil).sum((0, 2, 3))
         slope = (along / across.clamp(min=1e-300)).clamp(min=0.0)
-        left = left - slope[:, None, None] * veil
-    return (w * left * left).sum((0, 2, 3)), slope
+        residual = residual - slope[:, None, None] * veil
+    return (w * residual * residual).sum((0, 2, 3)), slope

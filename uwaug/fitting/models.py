@@ -34,11 +34,9 @@ from uwaug.optics.point_spread import PAPER_SIZE, PointSpread
 from uwaug.optics.water import Water
 
 COLOURS = ("red", "green", "blue")
-
 Veil = Literal["none", "shared", "own"]
 Law = Literal["paper", "calibrated", "gaussian", "exponential"]
 Gain = Literal["fixed", "free", "channels"]
-
 MAX_OPTICAL_DEPTH = 40.0  # to the median distance: more than any picture survives
 _MAX_G_OVER_BETA = 4.0  # where no light is scattered forward and nothing ties the two together
 _MAX_VERTICAL_DEPTH = 30.0  # m; below, little is left of any light but blue
@@ -219,14 +217,11 @@ _SPECS = (
     ModelSpec("gaussian", "own", "gaussian", f"{_TOO}, a Gaussian with a law of its own"),
     ModelSpec("exponential", "own", "exponential", f"{_TOO}, an exponential of its own"),
 )
-
 MODELS = {spec.name: spec for spec in _SPECS}  # by name, from the fewest numbers to the most
-
 _FITTED = {f"G_{colour}": f"share_{colour}" for colour in COLOURS}
+# Numbers that are fitted in place of those that are reported: G as a share of β, and the veil by
+# its slope at the lens, are told apart better than G and V(0).
 _FITTED |= {f"veil_{colour}": f"source_{colour}" for colour in COLOURS}
-"""Numbers that are fitted in place of those that are reported: G as a share of β, and the veil by
-its slope at the lens, are told apart better than G and V(0).
-"""
 
 
 @dataclass(frozen=True)
@@ -603,14 +598,15 @@ class SpectralModel:
     @cached_property
     def quantities(self) -> list[Quantity]:
         """What is reported: visibility, contents, vertical depth, mixing, gains."""
-        names = list(self.bounds)
         rows = [
             Quantity("visibility", "m", 0.0, tuple({"contents", "mixing"} & self.bounds.keys())),
             Quantity("contents", "1", 0.05, ("contents",)),
             Quantity("vertical_depth", "m", 0.5, ("vertical_depth",)),
         ]
         return rows + [
-            Quantity(name, "1", 0.05, (name,)) for name in names if name.startswith(("gain", "mix"))
+            Quantity(name, "1", 0.05, (name,))
+            for name in self.bounds
+            if name.startswith(("gain", "mix"))
         ]
 
     def report(self, theta: Array) -> Array:

@@ -57,16 +57,11 @@ class Noise:
             return torch.zeros_like(light)
         step = torch.full_like(light, 1 / (2**self.bits - 1))
         if color_space == "srgb":
-            step = step / _slope(light)
+            inside = light.detach().clamp(0.0, 1.0).requires_grad_()
+            with torch.enable_grad():
+                (slope,) = torch.autograd.grad(linear_to_srgb(inside).sum(), inside)
+            step = step / slope
         return step**2 / 12
-
-
-def _slope(light: Tensor) -> Tensor:
-    """Of the sRGB values, by light."""
-    inside = light.detach().clamp(0.0, 1.0).requires_grad_()
-    with torch.enable_grad():
-        (slope,) = torch.autograd.grad(linear_to_srgb(inside).sum(), inside)
-    return slope
 
 
 _ROUGH = Noise(0.01)  # for a first fit, where the noise is not known

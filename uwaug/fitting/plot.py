@@ -28,11 +28,9 @@ _ROWS = 14  # of the tables of parameters and candidates, at most
 _SAMPLES = 200  # waters that the bands are of; of those by spectra, which take longer, a fifth
 _LEAST = 0.002  # of linear light: residuals are not enlarged beyond half of a step of 8 bits
 _GROUND = "#9a9a9a"  # behind pictures, where NaN lets it through
-
 _WIDTH, _CELL, _ABOUT = 14.0, 4.3, 0.5  # inches: of a sheet, of a picture, of what is written on it
 _LINE = 0.22  # inches
 _LETTERS = 82  # of a line of the message
-
 _CURVES = {
     "transmission": "$T_β$   what is left of direct light",
     "signal": "$T_G$   with light scattered forward",
@@ -90,7 +88,7 @@ def _sheet(result: Result, heading: str, curves: list[str]) -> "tuple[Figure, di
     if isinstance(result, Fit):
         _draw_pairs(cells, result, formed, scale)
     head = [("", *COLOURS)] if any(len(row) == 4 for row in table) else [("",)]
-    _write(cells["table"], [*head, *table], (0, 0.2, 0.47, 0.74), _style_of_table)
+    _write(cells["table"], [*head, *table], (0, 0.24, 0.49, 0.74), _style_of_table)
     lines = [*((line,) for line in words), *tried]
 
     def style(i: int, _: int) -> dict[str, Any]:
@@ -152,8 +150,8 @@ def _draw_pairs(
         which = f"{i + 1}: " if len(fit.pairs) > 1 else ""
         _show(cells[f"{i} 0"], linear_to_srgb(pair.observed.clamp(0, 1)), f"{which}Observed")
         # as an image of four channels, whose last lets grey through
-        seen = torch.cat([linear_to_srgb(rendered.clamp(0, 1)), pair.usable.to(rendered)])
-        _show(cells[f"{i} 1"], seen, f"{which}Rendered by the fit")
+        masked = torch.cat([linear_to_srgb(rendered.clamp(0, 1)), pair.usable.to(rendered)])
+        _show(cells[f"{i} 1"], masked, f"{which}Rendered by the fit")
         low, high = None, None
         label = f"{which}Distance: open water"
         if bool(pair.finite.any()):
@@ -288,10 +286,12 @@ def _draw_lines(axis: "Axes", beside: "Axes", fit: SeriesFit) -> None:
         axis.fill_between(x, middle - band, middle + band, color=RGB[c], alpha=0.2, linewidth=0)
         axis.plot(x, middle, color=RGB[c], linewidth=1.4, label=colour)
         axis.errorbar(levels, b, half, fmt="o", color=RGB[c], markersize=4, capsize=3)
-        left = b - line.b0 - line.k * levels
+        residual = b - line.b0 - line.k * levels
         at = levels + (c - 1) * 0.012 * levels[-1]  # colours side by side
         odds = "" if line.probability is None else f"p = {line.probability:.2g}"
-        beside.errorbar(at, left, half, fmt="o", color=RGB[c], markersize=4, capsize=3, label=odds)
+        beside.errorbar(
+            at, residual, half, fmt="o", color=RGB[c], markersize=4, capsize=3, label=odds
+        )
     axis.set(xlim=(0, x[-1]), ylim=(0, None))
     axis.legend(frameon=False, fontsize=10)
     _styled(axis, "b, and b₀ + k·turbidity", f"turbidity [{fit.unit}]", "b [1/m]")

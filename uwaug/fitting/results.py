@@ -36,12 +36,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 State = Literal["free", "at bound", "not identified", "fixed"]
-
 _FORMAT = 1
 _CAMERA = ("wavelengths", "response", "name")
-
+# Of the median distance and of the farthest: what a fit's module is planned for.
 _NEAREST, _FARTHEST = 0.2, 1.5
-"""Of the median distance and of the farthest: what a fit's module is planned for."""
 
 
 @dataclass(frozen=True)
@@ -198,12 +196,14 @@ class Result:
                 behind = (
                     f"{tried.behind:.4g} ± {tried.behind_error:.2g}" if tried.behind else "best"
                 )
-                seen = ""
+                visibility = ""
                 if isinstance(tried, JerlovType):
-                    seen = f"visibility {tried.visibility:.4g} m at {tried.vertical_depth:.3g} m"
-                    seen += "" if tried.told_apart or not tried.behind else ", not told apart"
+                    visibility = (
+                        f"visibility {tried.visibility:.4g} m at {tried.vertical_depth:.3g} m"
+                    )
+                    visibility += "" if tried.told_apart or not tried.behind else ", not told apart"
                 error = f"{tried.error:.4f}"
-                rows.append([f"{mark} {tried.name}", str(tried.numbers), error, behind, seen])
+                rows.append([f"{mark} {tried.name}", str(tried.numbers), error, behind, visibility])
             parts += _aligned(rows)
         return "\n".join(parts)
 
@@ -377,9 +377,9 @@ class Fit(_ByModel):
         slopes = self.fitted.report_jacobian(self.theta)
         covariance = slopes @ self.covariance @ slopes.T
         error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        known = np.flatnonzero(error > 0)
-        matrix = covariance[np.ix_(known, known)] / np.outer(error[known], error[known])
-        return Correlation([self.fitted.quantities[i].name for i in known], matrix)
+        places = np.flatnonzero(error > 0)
+        matrix = covariance[np.ix_(places, places)] / np.outer(error[places], error[places])
+        return Correlation([self.fitted.quantities[i].name for i in places], matrix)
 
     def sample(self, count: int, generator: torch.Generator | None = None) -> Medium:
         """A batch of waters that the pictures allow: drawn from the normal distribution of what
@@ -722,8 +722,8 @@ class VeilFit(Result):
 
     def _values(self, kind: str) -> Tensor:
         values = [self.parameters[f"{kind}_{colour}"].value for colour in COLOURS]
-        known = [np.nan if value is None else value for value in values]
-        return torch.tensor(known, dtype=torch.float64)
+        numbers = [np.nan if value is None else value for value in values]
+        return torch.tensor(numbers, dtype=torch.float64)
 
     def backscatter(self, z: Tensor) -> Tensor:
         """The veil in front of points at these distances, m; shapes as of `Medium.backscatter`.

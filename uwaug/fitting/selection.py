@@ -13,7 +13,6 @@ from uwaug._support.types import Array
 from uwaug.fitting.least_squares import M, Objective, Solution, loss, solve
 
 _FOLDS = 5
-
 _CHANCE = 2.0  # of summed loss: what a number gains by chance
 _STEPS = 6  # of a fit without a fold
 
@@ -54,6 +53,11 @@ class FittedModel(Generic[M]):
     def theta(self) -> Array:
         """The numbers."""
         return self.solution.theta
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """The numbers by name."""
+        return dict(zip(self.objective.model.bounds, self.theta.tolist(), strict=True))
 
     @property
     def loss(self) -> float:

@@ -33,63 +33,41 @@ from uwaug.formation.colour import linear_to_srgb, to_light
 from uwaug.optics.medium import Medium
 
 _MIN_SIDE = 48  # px: short side of a picture
-
+# px of the small copy, whose mean is compared with its neighbours': noise averages out, texture
+# does not.
 _BLOCK = 4
-"""px of the small copy, whose mean is compared with its neighbours': noise averages out, texture
-does not.
-"""
-
 _EVEN = 0.006  # sRGB: RMS of blocks about the mean of 5×5 of them; 1.5 of 255 levels
 _SHARE = 0.01  # of the picture, that open water fills at least
 _RED = 0.9  # of green and blue: what red may have at most
-
+# Linear light that is none of open water: of a lamp or a sensor's end; of shadow.
 _CLIPPED, _BLACK = 0.97, 2e-3
-"""Linear light that is none of open water: of a lamp or a sensor's end; of shadow."""
-
+# Share of the even blocks, of largest red-channel value, among which the one of least red is taken.
 _TOP = 0.1
-"""Share of the even blocks, of largest red-channel value, among which the one of least red is
-taken.
-"""
-
 _OTHER = 0.15  # relative, by which another even part differs so that it is said
 SIDE = 240  # px: short side at which a picture is looked at, up to twice as much
-
+# px of these: neighbourhood that holds something dark. With 15, slopes were off by .05.
 _WINDOW = 11
-"""px of these: neighbourhood that holds something dark. With 15, slopes were off by .05."""
-
+# Of the light of surfaces at a distance, all of which fade towards the veil. With the darkest alone
+# red was up to .5 off in transmission, where its veil is as dark as dark surfaces.
 _QUANTILES = (0.02, 0.1, 0.5, 0.9, 0.98)
-"""Of the light of surfaces at a distance, all of which fade towards the veil. With the darkest
-alone red was up to .5 off in transmission, where its veil is as dark as dark surfaces.
-"""
-
+# What the darkest of them counts, and the most light that it may reflect: between (1, .05), which
+# trusts that near and far surfaces are alike, and (100, 0), which trusts that some are black.
 _WEIGHT, _ALBEDO = 20.0, 0.02
-"""What the darkest of them counts, and the most light that it may reflect: between (1, .05), which
-trusts that near and far surfaces are alike, and (100, 0), which trusts that some are black.
-"""
-
 _READINGS = ((1.0, 0.05), (100.0, 0.0))  # these two: where they differ, neither is to be trusted
 _APART = 0.1  # in transmission, from where on they differ
-
+# Transmission at the nearest surfaces, or loss at the farthest, below which a rate is a guess.
 _GONE = 0.05
-"""Transmission at the nearest surfaces, or loss at the farthest, below which a rate is a guess."""
-
 _BINS = 12  # steps of distance
 _FEWEST = 50  # pixels of a step, or neighbourhoods of a picture
 _FADED = 0.1  # of the light of what is taken for open water, that may come from a surface
-
+# Relative, of the ratio of two channels' rates over neighbourhoods, from where on it is said.
 _SCATTER = 0.05
-"""Relative, of the ratio of two channels' rates over neighbourhoods, from where on it is said."""
-
+# By how much the darkest of a neighbourhood is lighter than open water, so that it tells nothing;
+# and the share of such neighbourhoods from which on it is said.
 _LIGHT = 0.1
-"""By how much the darkest of a neighbourhood is lighter than open water, so that it tells nothing;
-and the share of such neighbourhoods from which on it is said.
-"""
-
+# By how much the second bound is above the first, and in how much of the scene, so that it is said.
+# Where neighbourhoods held something black it was 1 % at most, in the bundled scene 5 to 22 %.
 _CONTRARY, _CONTRARY_SHARE = 0.05, 0.03
-"""By how much the second bound is above the first, and in how much of the scene, so that it is
-said. Where neighbourhoods held something black it was 1 % at most, in the bundled scene 5 to 22 %.
-"""
-
 
 Rates = tuple[Tensor, Tensor, list[str]]
 
@@ -349,10 +327,10 @@ def metric_rates(light: Tensor, veil: Tensor, water: Tensor, z: Tensor) -> Rates
     differ = (readings[0] - readings[1]).abs().amax(1)
     doubts = []
     for c, colour in enumerate(COLOURS):
-        left = torch.exp(-beta[c] * metres)
-        if float(left.max()) < _GONE:
+        transmission = torch.exp(-beta[c] * metres)
+        if float(transmission.max()) < _GONE:
             doubts.append(f"the rate of {colour} (hardly any of it is left at any distance)")
-        elif float(left.min()) > 1 - _GONE:
+        elif float(transmission.min()) > 1 - _GONE:
             doubts.append(f"the rate of {colour} (it hardly fades)")
         elif float(differ[c]) > _APART:
             why = f"what is dark and what is alike tell transmissions {float(differ[c]):.2f} apart"
@@ -362,8 +340,8 @@ def metric_rates(light: Tensor, veil: Tensor, water: Tensor, z: Tensor) -> Rates
 
 def _steps(light: Tensor, veil: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
     """Mean distance of each of N steps, and there quantiles of light − veil (NxQx3)."""
-    known = z.isfinite()
-    metres, colours = z[known], mean_3x3(light)[:, known]
+    surfaces = z.isfinite()
+    metres, colours = z[surfaces], mean_3x3(light)[:, surfaces]
     if len(metres) < _BINS * _FEWEST:
         expected = f"expected {_BINS * _FEWEST} at least that are no open water"
         raise ValueError(f"distance is known at {len(metres)} pixels of a small copy: {expected}")
@@ -391,11 +369,11 @@ def _fading(metres: Tensor, apart: Tensor, veil: Tensor, weight: float, albedo: 
     fades = torch.exp(-rates[:, None] * metres)
     best = []
     for c in range(3):
-        seen = apart[:, :, c]
-        amplitude = (fades @ seen) / fades.square().sum(1, keepdim=True)
+        light = apart[:, :, c]
+        amplitude = (fades @ light) / fades.square().sum(1, keepdim=True)
         dark = -float(veil[c])
         amplitude[:, 0] = amplitude[:, 0].clamp(dark, dark + albedo)
-        error = (seen - fades[:, :, None] * amplitude[:, None]).square().sum(1)
+        error = (light - fades[:, :, None] * amplitude[:, None]).square().sum(1)
         error[:, 0] *= weight
         best.append(rates[error.sum(1).argmin()])
     return torch.stack(best)
@@ -407,11 +385,13 @@ def _require_far(beta: Tensor, z: Tensor, metres: Tensor) -> None:
     if 2 * len(near) < len(z):
         return
     middle = float(near.median())
-    left = float(torch.exp(-beta.min() * middle))
-    if left > _FADED or bool((metres > 1.1 * middle).any()):
-        said = f"what looks like open water is {middle:.3g} m away"
+    transmission = float(torch.exp(-beta.min() * middle))
+    if transmission > _FADED or bool((metres > 1.1 * middle).any()):
+        place = f"what looks like open water is {middle:.3g} m away"
         cure = "a wall? Give a picture with open water, +inf in its map"
-        raise ValueError(f"picture: {said}, from where {left:.0%} of the light arrives: {cure}")
+        raise ValueError(
+            f"picture: {place}, from where {transmission:.0%} of the light arrives: {cure}"
+        )
 
 
 def relative_rates(light: Tensor, veil: Tensor, water: Tensor) -> Rates:

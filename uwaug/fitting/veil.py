@@ -24,15 +24,12 @@ _MIN_DARK = 10  # dark pixels that are taken from a bin
 _MIN_BINS = 3  # bins that a fit needs
 _MAX_DARK = 3000  # dark pixels that are fitted
 _CLUSTERS = 10  # blocks along the picture's short side, that errors go by
-
+# What residuals above the curve count: surfaces may be brighter than black, none is darker. With 1
+# the veil is too high by half as much again where nothing is black, with .1 the noise draws it
+# down.
 _ABOVE = 0.3
-"""What residuals above the curve count: surfaces may be brighter than black, none is darker. With 1
-the veil is too high by half as much again where nothing is black, with .1 the noise draws it down.
-"""
-
+# Others that might be taken as well: by how much they differ is part of the error.
 _OTHER_ABOVE = (0.1, 1.0)
-"""Others that might be taken as well: by how much they differ is part of the error."""
-
 _ROBUST = 0.02  # of the brightest dark pixels, from where on a residual counts less than its square
 _STARTS = (0.1, 0.5, 2.0)  # optical depths G·z at the median distance, to begin at
 _THINNEST = 1e-4  # least of these
@@ -109,9 +106,7 @@ def fit_veil(
     checks.within("bins", bins, _MIN_BINS, 100)
     checks.within("share", share, 1e-6, 0.5)
     checks.within("seed", seed, 0)
-    observations = Observations.of(
-        None, observed, distance, field=field, mask=mask, color_space=color_space
-    )
+    observations = Observations.of(None, observed, distance, field, mask, color_space)
     rng = np.random.default_rng(seed)
     dark = _darkest(observations.pairs, int(bins), share, rng)
     reference, everything = observations.reference, np.ones(len(dark.z))
@@ -162,7 +157,9 @@ def _quantities(numbers: Array) -> dict[str, Array]:
 
 def _darkest(pairs: Sequence[Pair], bins: int, share: float, rng: np.random.Generator) -> Dark:
     """The darkest pixels of each step of distance, and any of open water."""
-    luminance = np.concatenate([_luminance(pair) for pair in pairs])
+    weights = torch.tensor(LUMINANCE, dtype=torch.float64)
+    grey = [mean_3x3(torch.einsum("c,chw->hw", weights, pair.observed)[None]) for pair in pairs]
+    luminance = torch.cat([x[pair.usable] for x, pair in zip(grey, pairs, strict=True)]).numpy()
     z = torch.cat([pair.z[0][pair.usable[0]] for pair in pairs]).numpy()
     light = torch.cat([pair.observed[:, pair.usable[0]].T for pair in pairs]).numpy()
     clusters = np.concatenate(
@@ -174,26 +171,19 @@ def _darkest(pairs: Sequence[Pair], bins: int, share: float, rng: np.random.Gene
     finite = z < FARTHEST
     low, high = np.quantile(z[finite], (_NEAR, _FAR))
     step = np.floor((z - low) / max(high - low, 1e-9) * bins)
-    taken = []
+    darkest = []
     for k in range(bins):
         inside = np.flatnonzero(finite & (step == k))
         if len(inside) >= _MIN_PIXELS:
             count = max(round(share * len(inside)), _MIN_DARK)
-            taken.append(inside[np.argpartition(luminance[inside], count)[:count]])
-    if len(taken) < _MIN_BINS:
-        few = f"only {len(taken)} of {bins} steps of distance hold {_MIN_PIXELS} pixels"
+            darkest.append(inside[np.argpartition(luminance[inside], count)[:count]])
+    if len(darkest) < _MIN_BINS:
+        few = f"only {len(darkest)} of {bins} steps of distance hold {_MIN_PIXELS} pixels"
         raise ValueError(f"distance: {few}, expected {_MIN_BINS}: give fewer bins, or more pixels")
     sea = rng.permutation(np.flatnonzero(~finite))
-    taken.append(sea[: max(len(places) for places in taken)])
-    places = rng.permutation(np.concatenate(taken))[:_MAX_DARK]
+    darkest.append(sea[: max(len(places) for places in darkest)])
+    places = rng.permutation(np.concatenate(darkest))[:_MAX_DARK]
     return Dark(z[places], light[places], clusters[places])
-
-
-def _luminance(pair: Pair) -> Array:
-    """Of the usable pixels, over 3×3 neighbours."""
-    weights = torch.tensor(LUMINANCE, dtype=torch.float64)
-    picture = torch.einsum("c,chw->hw", weights, pair.observed)[None]
-    return np.asarray(mean_3x3(picture)[0][pair.usable[0]])
 
 
 def _bootstrap(dark: Dark, rng: np.random.Generator) -> list[Array]:
