@@ -53,7 +53,7 @@ def seafloor(black: float = 0.35) -> tuple[Tensor, Tensor]:
 
 def seen(scene: Tensor, z: Tensor, water: Water, noise: float = 0.005) -> Tensor:
     """As a camera's 8 bits, with noise."""
-    values = linear_to_srgb(Underwater(water.medium, color_space="linear")(scene, z))
+    values = linear_to_srgb(Underwater(water.medium, None, color_space="linear")(scene, z))
     grain = torch.randn(values.shape, generator=torch.Generator().manual_seed(2))
     return ((values + noise * grain).clamp(0, 1) * 255).round().to(torch.uint8)
 
@@ -93,7 +93,7 @@ def test_the_medium_makes_the_picture_again() -> None:
     torch.testing.assert_close(medium.backscatter(torch.tensor(1e6).double())[0], estimate.veil)
     relative = -estimate.transmission[2:].double().log() / estimate.rates[2]
     assert 0.9 < float(relative[relative.isfinite()].quantile(0.98)) < 1.1
-    other, apply = cells(seed=5), Underwater(medium, color_space="linear")
+    other, apply = cells(seed=5), Underwater(medium, None, color_space="linear")
     mine = apply(other, torch.where(relative.isnan(), 1.0, relative).float())
     light = srgb_to_linear(seen(other, z, water, noise=0) / 255)
     assert (mine - light).square().mean().sqrt() < 0.03

@@ -263,19 +263,14 @@ class Pixels:
 
     def at(self, index: Any) -> "Pixels":
         """Pixels at an index: of pairs, or behind an ellipsis, of the pixels of each."""
-        stacks = {}
-        for shape, (plan, blurs) in self.stacks.items():
-            stacks[shape] = Stack(plan, [blur[index] for blur in blurs])
-        return replace(
-            self,
-            clean=self.clean[index],
-            observed=self.observed[index],
-            z=self.z[index],
-            weights=self.weights[index],
-            clusters=self.clusters[index],
-            coarser=tuple(numbers[index] for numbers in self.coarser),
-            stacks=stacks,
-        )
+        names = ("clean", "observed", "z", "weights", "clusters")
+        values: dict[str, Any] = {name: getattr(self, name)[index] for name in names}
+        values["coarser"] = tuple(numbers[index] for numbers in self.coarser)
+        values["stacks"] = {
+            shape: Stack(plan, [blur[index] for blur in blurs])
+            for shape, (plan, blurs) in self.stacks.items()
+        }
+        return replace(self, **values)
 
     def subsample(self, count: int, seed: "int | np.random.Generator") -> "Pixels":
         """About `count` of the pixels, drawn at random; all if there are no more."""

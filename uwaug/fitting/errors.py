@@ -136,11 +136,8 @@ def _over_clusters(scores: Array, clusters: NDArray[np.int64], counted: NDArray[
 def _ratio(matrix: Array, other: Array) -> float:
     """The median ratio of two covariances' variances."""
     positive = np.diag(other) > 0
-    return (
-        float(np.median(np.diag(matrix)[positive] / np.diag(other)[positive]))
-        if positive.any()
-        else 1.0
-    )
+    ratios = np.diag(matrix)[positive] / np.diag(other)[positive]
+    return float(np.median(ratios)) if ratios.size else 1.0
 
 
 def parameters(

@@ -88,7 +88,7 @@ def _sheet(result: Result, heading: str, curves: list[str]) -> "tuple[Figure, di
     if isinstance(result, Fit):
         _draw_pairs(cells, result, formed, scale)
     head = [("", *COLOURS)] if any(len(row) == 4 for row in table) else [("",)]
-    _write(cells["table"], [*head, *table], (0, 0.24, 0.49, 0.74), _style_of_table)
+    _write(cells["table"], [*head, *table], (0, 0.225, 0.49, 0.755), _style_of_table)
     lines = [*((line,) for line in words), *tried]
 
     def style(i: int, _: int) -> dict[str, Any]:

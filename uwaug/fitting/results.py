@@ -196,14 +196,12 @@ class Result:
                 behind = (
                     f"{tried.behind:.4g} ± {tried.behind_error:.2g}" if tried.behind else "best"
                 )
-                visibility = ""
+                row = [f"{mark} {tried.name}", str(tried.numbers), f"{tried.error:.4f}", behind, ""]
                 if isinstance(tried, JerlovType):
-                    visibility = (
-                        f"visibility {tried.visibility:.4g} m at {tried.vertical_depth:.3g} m"
-                    )
-                    visibility += "" if tried.told_apart or not tried.behind else ", not told apart"
-                error = f"{tried.error:.4f}"
-                rows.append([f"{mark} {tried.name}", str(tried.numbers), error, behind, visibility])
+                    doubt = "" if tried.told_apart or not tried.behind else ", not told apart"
+                    metres = f"{tried.visibility:.4g} m at {tried.vertical_depth:.3g} m"
+                    row[-1] = f"visibility {metres}{doubt}"
+                rows.append(row)
             parts += _aligned(rows)
         return "\n".join(parts)
 
@@ -596,12 +594,8 @@ class WaterFit(_ByModel):
         return self.fitted.medium(self.theta, tolerance=0.002)
 
     def sample(self, count: int, generator: torch.Generator | None = None) -> Medium:
-        """A batch of waters that the pictures allow: θ drawn from its normal distribution, within
-        its bounds.
-
-        Args:
-            count: how many.
-            generator: source of randomness; torch's global generator if None.
+        """Draw waters that the pictures allow, as `Fit.sample`: θ from its normal distribution,
+        within its bounds.
         """
         theta, covariance = torch.from_numpy(self.theta), torch.from_numpy(self.covariance)
         drawn = np.clip(_drawn(theta, covariance, count, generator).numpy(), *self.bounds)
@@ -694,12 +688,8 @@ class VeilFit(Result):
         return _veil_medium(torch.from_numpy(self.theta).reshape(1, 3, 2))
 
     def sample(self, count: int, generator: torch.Generator | None = None) -> Medium:
-        """A batch of veils that the pictures allow: drawn from the normal distribution of what was
-        fitted.
-
-        Args:
-            count: how many.
-            generator: source of randomness; torch's global generator if None.
+        """Draw veils that the pictures allow, as `Fit.sample`, from the normal distribution of
+        what was fitted.
         """
         theta, covariance = torch.from_numpy(self.theta), torch.from_numpy(self.covariance)
         drawn = _drawn(theta, covariance, count, generator).maximum(1e-3 * theta)
