@@ -115,6 +115,7 @@ def test_pictures_without_pixels() -> None:
 @pytest.mark.parametrize("name", ["jaffe-1990", "mcglamery-1980"])
 def test_modules_with_a_lamp_are_cast(name: str) -> None:
     image, z = scene()
+    z = z.clamp(1.0, 5.0)  # what the systems plan for
     module = uwaug.load_preset(name).module(focal_px=28.0)
     first = module(image, z)
     exact = module.double()(image.double(), z.double())

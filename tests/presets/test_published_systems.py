@@ -245,7 +245,8 @@ def test_reduced_curves_keep_the_tolerance_with_every_choice(type):
 @pytest.mark.parametrize("name", published_systems())
 def test_every_system_on_the_bundled_scene(name):
     scene = uwaug.presets.scene.motorcycle()
-    image, distance = scene.image[:, ::4, ::4], scene.distance[:, ::4, ::4]
+    # the systems plan for 1 to 5 m, and 3 % of the scene lie a little farther
+    image, distance = scene.image[:, ::4, ::4], scene.distance[:, ::4, ::4].clamp(max=5.0)
     for water in (None,) if name == "hou-2020" else ("II", "7C"):
         preset = load_preset(name, water=water)
         assert preset.waters == (() if water is None else JERLOV_TYPES)
