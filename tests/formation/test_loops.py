@@ -101,7 +101,7 @@ def test_batches(images: int, maps: int, media: int) -> None:
 
 
 def test_bright_pictures_keep_their_largest_value() -> None:
-    module = uwaug.Underwater(uwaug.Medium.from_water("I"))
+    module = uwaug.Underwater(uwaug.Medium.from_water("I"), None)
     image = rand(2, 3, 20, 30).float() * torch.tensor([1.0, 4.0]).reshape(2, 1, 1, 1)
     ours = assert_exact(module, image, torch.zeros(1, 1, 20, 30), 4 * ERROR)
     assert ours[1].max() > 1.5
@@ -110,7 +110,7 @@ def test_bright_pictures_keep_their_largest_value() -> None:
 def test_decoding_and_encoding_undo_each_other() -> None:
     values = torch.linspace(0, 1, 30_000).reshape(3, 100, 100)
     air = uwaug.Medium.from_coefficients([0.0] * 3, [0.0] * 3, [0.0] * 3)
-    ours = assert_exact(uwaug.Underwater(air), values, torch.zeros(1, 100, 100), 8e-7)
+    ours = assert_exact(uwaug.Underwater(air, None), values, torch.zeros(1, 100, 100), 8e-7)
     assert ours[0, 0, 0] == 0
     assert ours.max() == 1
     assert ours[-1, -1, -1] == 1
