@@ -58,7 +58,7 @@ PARTS: dict[str, tuple[tuple[Any, str], ...]] = {
     "field": ((transforms, "random_field"),),
     "exposure": ((forming.Scene, "_metered"),),
     "image": (
-        (forming, "plan_at_hand"),
+        (forming, "plan_for"),
         (forming.Scene, "_rendered"),
         (forming.loops, "render"),
     ),
