@@ -311,5 +311,5 @@ class Underwater(nn.Module):
         if self.light is not None:
             settings += f", {self.light!r}"
         # gradients and other types of numbers are PyTorch's in any case
-        settings += f", {path()} without gradients" if path() == "fused" else ", eager"
+        settings += f", {path()}"
         return f"{self.medium!r},\n{said},\n{settings}"
