@@ -7,10 +7,12 @@ import pytest
 import torch
 from torch import Tensor
 
+import uwaug
 import uwaug._support.tiles
 import uwaug.blur.tiled
+import uwaug.formation.loops.render
 import uwaug.formation.scene
-from uwaug import Light, PointSpread, RandomUnderwater
+from uwaug import Light, PointSpread, RandomUnderwater, Underwater, fused
 from uwaug._support.tiles import RowSource, held
 from uwaug.blur.plan import plan_blur
 from uwaug.blur.stack import blurred
@@ -72,20 +74,30 @@ def in_strips(monkeypatch: pytest.MonkeyPatch) -> Any:
         monkeypatch.setattr(uwaug._support.tiles, "LARGE", 1)
         monkeypatch.setattr(uwaug._support.tiles, "_BAND", 20_000)
         monkeypatch.setattr(uwaug.blur.tiled, "_STRIP", 20_000)
+        monkeypatch.setattr(uwaug.formation.loops.render, "_BAND", 20_000)
 
     return switch
 
 
+@pytest.mark.parametrize("engine", ["eager", "fused-rows"])
 @pytest.mark.parametrize("name", OPTIONS)
-def test_strips_are_the_whole(name: str, in_strips: Any) -> None:
+def test_strips_are_the_whole(name: str, engine: str, in_strips: Any) -> None:
     aug, size = RandomUnderwater(["7C", "II"], **OPTIONS[name]), (331, 257)
     image, z = picture(*size), distances(name, *size)
     levels = (255 * image).round().byte()
     record = aug.make_params(image, torch.Generator().manual_seed(3))
+    sample = record["samples"][0]
+    if engine == "fused-rows" and sample["path"] == "eager":
+        pytest.skip("needs numba, and the line of sight")
+    sample["path"] = engine.removesuffix("-rows")
     whole = [aug.transform(one, z, record) for one in (image, levels)]
     used = aug.resolve(image, z, record)["samples"][0]["used"]
     in_strips()
+    sample["path"] = engine
+    assert aug.resolve(image, z, record)["samples"][0]["path"] == engine
     out = [aug.transform(one, z, record) for one in (image, levels)]
+    if engine == "fused-rows" and name == "plane":
+        assert torch.equal(out[1], whole[1])
     assert aug.resolve(image, z, record)["samples"][0]["used"] == pytest.approx(used, rel=1e-5)
     light = [one if name == "light" else srgb_to_linear(one) for one in (out[0], whole[0])]
     torch.testing.assert_close(*light, rtol=0, atol=1e-5)
@@ -127,6 +139,28 @@ def test_large_pictures_have_lamps(name: str, exposure: Any, in_strips: Any) -> 
     seen = srgb_to_linear(whole).amin(0, keepdim=True) > 1e-2
     torch.testing.assert_close(near[seen], left[seen], rtol=0, atol=2e-3)
     assert aug.resolve(image, z, record)["samples"][0]["used"] == pytest.approx(used, rel=1e-3)
+
+
+def test_large_pictures_go_by_the_loops(in_strips: Any) -> None:
+    if fused.path() == "eager":
+        pytest.skip("needs numba")
+    aug, size = RandomUnderwater("7C"), (331, 257)
+    image, z = picture(*size), distances("default", *size)
+    older = aug.make_params(image, torch.Generator().manual_seed(3))
+    assert older["samples"][0]["path"] == "fused"
+    in_strips()
+    (sample,) = aug.make_params(image, torch.Generator().manual_seed(3))["samples"]
+    assert sample["path"] == "fused-rows"
+    # what older versions called fused was made by PyTorch
+    by_tiles = {"samples": [{**sample, "path": "eager"}]}
+    replayed = aug.transform(image, z, older)
+    torch.testing.assert_close(replayed, aug.transform(image, z, by_tiles), rtol=0, atol=0)
+    assert not torch.equal(replayed, aug.transform(image, z, {"samples": [sample]}))
+    module = Underwater(uwaug.Medium.from_water("7C"))
+    large = module(image, z)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(uwaug._support.tiles, "LARGE", 10**9)
+        assert torch.equal(large, module(image, z))
 
 
 @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float64])
@@ -180,18 +214,24 @@ def test_blurs_in_bands(
 
 def test_light_is_asked_for_in_bands(in_strips: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
-    decoded = uwaug.formation.scene.decoded
+    decode = uwaug.formation.scene._decoded
     monkeypatch.setattr(
-        uwaug.formation.scene, "decoded", lambda *a: asked.append(a[0].shape[1]) or decoded(*a)
+        uwaug.formation.scene, "_decoded", lambda *a: asked.append(a[0].shape[1]) or decode(*a)
     )
     in_strips()
     law = PointSpread(4.0, 0.6, "exponential")
-    RandomUnderwater("7C", point_spread=law, exposure="none")(
-        picture(900, 64), distances("", 900, 64)
-    )
+    aug = RandomUnderwater("7C", point_spread=law, exposure="none")
+    with fused.use(False):
+        aug(picture(900, 64), distances("", 900, 64))
     # a band, and what blurs on the finest grids reach beyond it
     assert max(asked) <= 20_000 // 64 + 2 * 60
     assert sum(asked) < 4.5 * 900
+    if fused.path() == "fused":
+        asked.clear()
+        aug(picture(900, 64), distances("", 900, 64))
+        # the loops keep rows that they need again
+        assert max(asked) <= 20_000 // 64 + 2 * 60
+        assert sum(asked) == 2 * 900, "once for the coarsest grids, once for the bands"
 
 
 def test_fields_in_rows() -> None:

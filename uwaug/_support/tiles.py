@@ -52,7 +52,7 @@ class RowSource:
 
     def __init__(self, rows: Rows, shape: tuple[int, int, int], like: Tensor) -> None:
         self.rows = rows
-        self.like = like.new_empty(0)
+        self.like = like.new_empty(1)
         self.shape = torch.Size((1, *shape))
         # tiles of the same rows follow each other
         self._last: tuple[int, int, Tensor] = (0, 0, torch.empty(0))

@@ -1,6 +1,6 @@
 """The blurs of one picture a piece at a time, from rows that are made as they are asked for."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from types import EllipsisType
 from typing import NamedTuple
 
@@ -45,7 +45,7 @@ class _Source(NamedTuple):
     after: Chain
 
 
-class _Blur:
+class PartBlur:
     """One blur of a stack, of a picture that comes in bands.
 
     On a coarse grid all but the last product is done up front: those intermediates live on coarse
@@ -79,12 +79,16 @@ class _Blur:
         (_, shrink), *across, (_, enlarge) = self.chain
         cells = enlarge.span(start, stop)
         if self.kept is not None:
-            part = products(self.kept[cells.low : cells.high], tuple(across[1:]))
-            return _Source(part, cells.low, enlarge, ())
+            return _Source(self.lines(cells.low, cells.high), cells.low, enlarge, ())
         _, c, w = light.shape
         first, end, _, _ = shrink.span(cells.low, cells.high)
         part = along_rows(shrink, light.reshape(-1, c * w), first, end, top)
         return _Source(products(part.reshape(-1, c, w), tuple(across)), first, enlarge, ())
+
+    def lines(self, low: int, high: int) -> Tensor:
+        """Rows of cells of the kept grid, enlarged along rows (NxCxW)."""
+        assert self.kept is not None
+        return products(self.kept[low:high], (self.chain[2],))
 
     def keep(self, light: Tensor, start: int) -> None:
         """Add what the picture's rows (RxCxW) from `start` on give to the coarse grid."""
@@ -132,9 +136,9 @@ def blurred_tiles(
         step = strip * max(1, band // strip)
     blurs = []
     for sigma, cell in zip(plan.sigmas, plan.cells, strict=True):
-        blurs.append(_Blur(Node(sigma, cell, plan.reach), (h, w), like))
+        blurs.append(PartBlur(Node(sigma, cell, plan.reach), (h, w), like))
     if step < h:
-        _keep_coarse([blur for blur in blurs if blur.node.cell >= _KEPT], rows, h)
+        keep_coarse(blurs, rows, h)
     for top in range(0, h, step):
         sources = _sources(blurs, rows, top, min(top + step, h))
         for first in range(top, min(top + step, h), strip):
@@ -153,17 +157,18 @@ def blurred_tiles(
                 yield (..., part, columns), [strip[..., columns] for strip in strips]
 
 
-def _keep_coarse(blurs: list[_Blur], rows: Rows, height: int) -> None:
-    """Make the coarse grids of blurs that are kept whole."""
-    if not blurs:
+def keep_coarse(blurs: Sequence[PartBlur], rows: Rows, height: int) -> None:
+    """Make the coarse grids of those blurs whose grids are kept whole."""
+    coarse = [blur for blur in blurs if blur.node.cell >= _KEPT]
+    if not coarse:
         return
     for start in range(0, height, _SLAB):
         light = _upright(rows(start, min(start + _SLAB, height)))
-        for blur in blurs:
+        for blur in coarse:
             blur.keep(light, start)
 
 
-def _sources(blurs: list[_Blur], rows: Rows, start: int, stop: int) -> list[_Source]:
+def _sources(blurs: list[PartBlur], rows: Rows, start: int, stop: int) -> list[_Source]:
     """Of each blur, what rows `start` to `stop` are made of."""
     needed = [span for blur in blurs if (span := blur.needs(start, stop)) is not None]
     low, high = start, start

@@ -15,9 +15,10 @@ from uwaug.optics.medium import Medium
 
 __all__ = ["Engine", "choose", "path_of"]
 
-Engine = Literal["fused", "tiles", "whole"]
-"""The compiled loops; or PyTorch, a tile at a time, so that what is computed stays in the cache; or
-PyTorch, all pictures at once, for compilers, gradients and curves that precede the blur.
+Engine = Literal["fused", "fused-rows", "tiles", "whole"]
+"""The compiled loops; the same on a large picture, a band of rows at a time; or PyTorch, a tile at
+a time, so that what is computed stays in the cache; or PyTorch, all pictures at once, for
+compilers, gradients and curves that precede the blur.
 """
 
 
@@ -44,15 +45,34 @@ def choose(
     numbers = [*medium.tensors(), *law]
     learns = any(t.requires_grad for t in (*tensors, *numbers))
     learns = torch.is_grad_enabled() and (learns or (light is not None and light.requires_grad))
+    rows = is_in_rows(image, maps, medium, light)
     fused = path_for(path) == "fused" and order == "line_of_sight"
-    fused = fused and (light is None or light.plain) and all(isinstance(m, Tensor) for m in maps)
+    fused = fused and (light is None or light.plain)
+    # older records call fused what PyTorch made of a large picture
+    fused = fused and not (rows and path == "fused" and not learns)
     if fused and can_render(tensors, numbers, gradients=learns):
-        return "fused"
-    if learns or (order == "source" and not is_large((image.shape[-2], image.shape[-1]))):
+        return "fused-rows" if rows and not learns else "fused"
+    if learns or (order == "source" and not rows):
         return "whole"
     return "tiles"
 
 
+def is_in_rows(
+    image: Tensor, maps: Sequence[Tensor | RowSource], medium: Medium, light: Light | None
+) -> bool:
+    """Whether this is one picture in one water, too large to hold its light."""
+    rows = 1 if light is None else light.rows()
+    single = all(len(x.shape) == 3 or len(x) == 1 for x in (image, *maps))
+    return single and len(medium) == rows == 1 and is_large((image.shape[-2], image.shape[-1]))
+
+
 def path_of(engine: Engine) -> Path:
     """What a record says of an engine."""
-    return "fused" if engine == "fused" else "eager"
+    return "eager" if engine == "tiles" or engine == "whole" else engine
+
+
+def expected_path(size: tuple[int, int], order: Order, light: Light | None) -> Path:
+    """What a record says before there is a picture of (height, width) `size`."""
+    if path_for(None) == "eager" or order != "line_of_sight" or not (light is None or light.plain):
+        return "eager"
+    return "fused-rows" if is_large(size) else "fused"

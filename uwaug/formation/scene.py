@@ -10,12 +10,12 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from uwaug._support.tiles import Rows, RowSource, Tile, bands, held, is_large
+from uwaug._support.tiles import Rows, RowSource, Tile, bands, held
 from uwaug._support.torch_func import transformed
 from uwaug._support.types import ColorSpace, Order
 from uwaug.blur.plan import BlurPlan
@@ -24,7 +24,7 @@ from uwaug.blur.tiled import blurred_tiles
 from uwaug.formation.colour import decoded, encoded, headroom, require_values
 from uwaug.formation.contrast import contrast_of
 from uwaug.formation.demand import farthest_blurred, plan_for
-from uwaug.formation.engine import Engine, choose
+from uwaug.formation.engine import Engine, choose, is_in_rows
 from uwaug.formation.exposure import (
     Exposure,
     balanced,
@@ -182,8 +182,9 @@ class Scene:
         lit: Lit | _BandedLight | None
         # records of older versions call fused what the loops decoded and metered, and no more
         span, by_loops = None, chosen == "fused" or engine == "fused"
-        if chosen == "tiles" and _is_large(image, maps, setup):
-            radiance = _radiance_rows(image, setup.color_space)
+        rows = chosen in ("fused-rows", "tiles")
+        if rows and is_in_rows(image, maps, setup.medium, setup.light):
+            radiance = _radiance_rows(image, setup.color_space, ends, chosen == "fused-rows")
             z = _distance_rows(maps, radiance.like)
             plain = setup.light is None or setup.light.plain
             lit = None if plain else _BandedLight(setup, maps, medium, None)
@@ -262,16 +263,16 @@ class Scene:
     def picture(self) -> Tensor:
         """D + F + B, encoded, like the image; of several media or lights Bx3xHxW."""
         plan = self.plan
-        if self.engine == "fused" and not self._learns():
+        if self.engine in ("fused", "fused-rows") and not self._learns():
             light, z = self.radiance, self.z
-            assert isinstance(light, Tensor)
-            assert isinstance(z, Tensor)
-            srgb = self.setup.color_space == "srgb"
+            srgb, dtype = self.setup.color_space == "srgb", self.image.dtype
             largest = headroom(self.image, self.brightest) if srgb else 1.0
-            dtype = self.image.dtype
-            return self._unbatched(
-                loops.render(light, z, self.medium, plan, srgb=srgb, largest=largest, dtype=dtype)
-            )
+            options: Any = {"srgb": srgb, "largest": largest, "dtype": dtype}
+            if isinstance(light, Tensor) and isinstance(z, Tensor):
+                return self._unbatched(loops.render(light, z, self.medium, plan, **options))
+            assert isinstance(light, RowSource)
+            assert isinstance(z, RowSource)
+            return self._unbatched(loops.render_in_rows(light, z, self.medium, plan, **options))
         return self._encoded(plan, total)[0]
 
     def terms(self) -> Terms:
@@ -522,14 +523,6 @@ class _BandedLight:
         return self._kept
 
 
-def _is_large(image: Tensor, maps: Sequence[Tensor | RowSource], setup: Setup) -> bool:
-    """Whether this is one picture in one water, too large to hold its light."""
-    rows = 1 if setup.light is None else setup.light.rows()
-    single = all(len(x.shape) == 3 or len(x) == 1 for x in (image, *maps))
-    single = single and len(setup.medium) == rows == 1
-    return single and is_large((image.shape[-2], image.shape[-1]))
-
-
 def _decoded(
     image: Tensor, color_space: ColorSpace, ends: tuple[float, float], by_loops: bool
 ) -> Tensor:
@@ -540,13 +533,15 @@ def _decoded(
     return decoded(image, color_space)
 
 
-def _radiance_rows(image: Tensor, color_space: ColorSpace) -> RowSource:
+def _radiance_rows(
+    image: Tensor, color_space: ColorSpace, ends: tuple[float, float], by_loops: bool
+) -> RowSource:
     """The linear light of a picture, a few rows at a time."""
     # a view with other strides takes other paths through the kernels, which round differently
     picture = image.reshape(image.shape[-3:]).contiguous()
 
     def rows(start: int, stop: int) -> Tensor:
-        return decoded(picture[:, start:stop].contiguous(), color_space)
+        return _decoded(picture[:, start:stop].contiguous(), color_space, ends, by_loops)
 
     dtype = torch.promote_types(image.dtype, torch.float32)
     return RowSource(rows, (3, *image.shape[-2:]), picture.new_empty(0, dtype=dtype))

@@ -183,10 +183,8 @@ class Distribution:
             for name, (low, high) in self.ranges.items()
         )
 
-    def draw(
-        self, count: int, generator: torch.Generator | None, path: Path | None
-    ) -> list[Params]:
-        """Params for each of `count` pictures, which `path` is to compute."""
+    def draw(self, count: int, generator: torch.Generator | None) -> list[Params]:
+        """Params for each of `count` pictures."""
         # 32 bits: all that a generator of torch takes from a seed
         seeds = torch.randint(2**32, (count,), generator=generator).tolist()
         rows = (*_CHOICES, *QUANTITIES)
@@ -207,7 +205,7 @@ class Distribution:
                 camera=self.cameras[int(u["camera"] * len(self.cameras))],
                 field_seed=seed if u["field"] < self.field_probability else None,
                 field_range=self.field_range,
-                path=path,
+                path=None,
                 numbers=numbers,
             )
             drawn.append(params)

@@ -22,8 +22,8 @@ from uwaug.distance.sample import (
     metres_of,
     skipped,
 )
+from uwaug.formation.engine import expected_path
 from uwaug.formation.field import random_field
-from uwaug.formation.loops.backend import path
 from uwaug.formation.scene import Scene, Setup
 from uwaug.light import Light
 from uwaug.light.geometry import focal_of
@@ -408,16 +408,12 @@ class RandomUnderwater(SampleTransform):
 
     def _draw(self, image: Tensor, generator: torch.Generator | None) -> list[Params]:
         count = 1 if image.ndim == 3 or self.same_on_batch else len(image)
-        drawn = self._distribution.draw(count, generator, path())
-        # a record names what will compute the picture, as far as that is known before it comes
+        drawn = self._distribution.draw(count, generator)
+        size = (image.shape[-2], image.shape[-1])
         return [
-            params if self._fused(params) else replace(params, path="eager") for params in drawn
+            replace(params, path=expected_path(size, self.order, self._light(params)))
+            for params in drawn
         ]
-
-    def _fused(self, params: Params) -> bool:
-        """Whether compiled loops know the light and the order of a draw."""
-        light = self._light(params)
-        return self.order == "line_of_sight" and (light is None or light.plain)
 
     def _light(self, params: Params) -> Light | None:
         return self._lights[int(params.numbers["light"])] if self._lights else None

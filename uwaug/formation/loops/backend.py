@@ -28,7 +28,10 @@ _log = logging.getLogger(__name__)
 
 # ------------------------------------------------------------------------------ the switch
 
-Path = Literal["fused", "eager"]
+Path = Literal["fused", "fused-rows", "eager"]
+"""What a record says of who computed its picture: "fused-rows" of a large one by the loops, as
+older versions call "fused" what they did for large ones by PyTorch.
+"""
 
 VARIABLE = "UWAUG_FUSED"
 """Of the environment: 0 for eager PyTorch, 1 for the compiled loops, or an error without them."""
@@ -93,7 +96,7 @@ def path_for(engine: Path | None) -> Path:
     """The path that a record names, or that at hand if it names none; a warning where the record's
     is not to be had.
     """
-    if engine == "fused" and path() == "eager":
+    if engine is not None and engine != "eager" and path() == "eager":
         why = "is switched off" if has_numba() else "needs numba (uwaug[fast])"
         warnings.warn(
             f"the record is of the fused path, which {why}: pictures differ in the last bits",

@@ -13,14 +13,17 @@ import torch
 from torch import Tensor
 from torch.utils.data import get_worker_info
 
+from uwaug._support.tiles import RowSource
 from uwaug._support.types import Array
 from uwaug.blur.plan import BlurPlan
+from uwaug.blur.tiled import PartBlur, keep_coarse
 from uwaug.formation.loops.backend import loaded
 from uwaug.formation.loops.tables import (
     Floats,
     Indices,
     MediumTable,
     PlanTable,
+    coarse_nodes,
     medium_tables,
     plan_table,
 )
@@ -33,7 +36,7 @@ ONE_OF_EACH = BlurPlan(
 )
 """A plan with a sharp, a narrow and a coarse blur."""
 
-_BAND = 1 << 21
+_BAND = 1 << 20
 """Pixels whose coarse grids are held at a time: of all together, up to 24 MiB."""
 
 
@@ -142,6 +145,78 @@ def render_into(
                 in_bands(run, rows, size[1])
 
 
+def render_in_rows(
+    light: RowSource,
+    z: RowSource,
+    medium: Medium,
+    plan: BlurPlan,
+    *,
+    srgb: bool = False,
+    largest: float | Tensor = 1.0,
+    dtype: torch.dtype = torch.float32,
+) -> Tensor:
+    """`render` of one large picture (1x3xHxW), whose light and distances are made a band of rows at
+    a time. Blurs on the coarsest grids are made first, by `uwaug.blur.tiled`, and kept, as they
+    reach far beyond a band.
+    """
+    height, width = light.size
+    table, kernel = plan_table(plan, light.size), loaded("kernels").render_rows
+    (numbers,) = medium_tables(medium, plan, light.size)
+    blurs = [PartBlur(node, light.size, light.like) for node in coarse_nodes(plan)]
+    keep_coarse(blurs, light.rows, height)
+    most = np.float32(torch.as_tensor(largest).reshape(-1)[0])
+    in_bytes = dtype == torch.uint8
+    result = torch.empty(1, 3, height, width, dtype=dtype)
+    held, first = np.empty((3, 0, width), np.float32), 0
+    for rows in _bands(light.size):
+        low, high = _reached(table, rows, blurs)
+        # rows that the band before had are kept
+        kept = held[:, max(low - first, 0) :]
+        first, begin = low, max(low, low + kept.shape[1])
+        fresh = [light.rows(begin, high).numpy()] if begin < high else []
+        held = np.concatenate([kept, *fresh], 1)
+        inside = range(rows.start - low, rows.stop - low)
+        part = _cut(table, low, high)
+        grid, starts = coarse_grids(held, part, inside, blurs)
+        # of what is empty, pages that are not touched take no memory
+        metres = np.empty((high - low, width), np.float32)
+        metres[inside.start : inside.stop] = z.rows(rows.start, rows.stop)[0].numpy()
+        out = np.empty((3, high - low, width), np.uint8 if in_bytes else np.float32)
+        outs = (_NO_FLOATS, out) if in_bytes else (out, _NO_BYTES)
+        stack = part.stack._replace(starts=starts)
+        run = partial(kernel, held, metres, numbers, stack, grid, srgb, most, *outs)
+        in_bands(run, inside, width)
+        made = torch.from_numpy(out[:, inside.start : inside.stop])
+        result[0, :, rows.start : rows.stop] = made.to(dtype)
+    return result
+
+
+def _reached(table: PlanTable, rows: range, blurs: Sequence[PartBlur]) -> tuple[int, int]:
+    """The first row of a picture that the blurs of some rows reach, and the end; without those
+    whose grids are kept.
+    """
+    stack = table.stack
+    reached = [stack.rows[rows.start : rows.stop + 2 * stack.margin]]
+    for grid, first, blur in zip(table.coarse, stack.back_first, blurs, strict=True):
+        if blur.kept is None:
+            cells = grid.down_first[first[rows.start] : first[rows.stop - 1] + 4]
+            reached.append(grid.rows[cells.min() : cells.max() + grid.down.shape[1]])
+    return min(int(r.min()) for r in reached), max(int(r.max()) for r in reached) + 1
+
+
+def _cut(table: PlanTable, low: int, high: int) -> PlanTable:
+    """A plan for rows `low` to `high` of a picture, counted from `low`."""
+    stack = table.stack
+    part = stack._replace(
+        rows=stack.rows[low : high + 2 * stack.margin] - low,
+        back_first=np.ascontiguousarray(stack.back_first[:, low:high]),
+        back=np.ascontiguousarray(stack.back[:, low:high]),
+    )
+    return table._replace(
+        stack=part, coarse=tuple(grid._replace(rows=grid.rows - low) for grid in table.coarse)
+    )
+
+
 def _bands(size: tuple[int, int]) -> Iterator[range]:
     """Rows whose coarse grids are held at a time."""
     height, width = size
@@ -149,17 +224,23 @@ def _bands(size: tuple[int, int]) -> Iterator[range]:
     return (range(first, min(first + step, height)) for first in range(0, height, step))
 
 
-def coarse_grids(light: Floats, table: PlanTable, rows: range) -> tuple[Floats, Indices]:
+def coarse_grids(
+    light: Floats, table: PlanTable, rows: range, blurs: Sequence[PartBlur] = ()
+) -> tuple[Floats, Indices]:
     """The lines of all coarse grids that some rows of a picture need, and where those of each would
-    start if they were whole.
+    start if they were whole; `blurs` may have kept some of them.
     """
     kernels, width, first = loaded("kernels"), light.shape[-1], table.stack.back_first
     low, high = 3 * first[:, rows.start], 3 * (first[:, rows.stop - 1] + 4)
     counts = high - low
     places = np.cumsum(counts) - counts
     grid = np.empty((int(counts.sum()), width), np.float32)
-    for coarse, origin, count, place in zip(table.coarse, low, counts, places, strict=True):
-        lines = grid[place : place + count]
+    for k, (origin, count, place) in enumerate(zip(low, counts, places, strict=True)):
+        lines, coarse = grid[place : place + count], table.coarse[k]
+        if blurs and blurs[k].kept is not None:
+            cells = blurs[k].lines(int(origin) // 3, int(origin + count) // 3)
+            lines[:] = cells.reshape(-1, width).numpy()
+            continue
         run = partial(kernels.coarse_lines, light, lines, coarse, int(origin))
         in_bands(run, range(count), width, kernels.LANES)
     return grid, places - low

@@ -182,6 +182,11 @@ def _nodes(plan: BlurPlan) -> list[Node]:
     return [Node(plan.sigmas[k], plan.cells[k], plan.reach) for k in order_of(plan)]
 
 
+def coarse_nodes(plan: BlurPlan) -> list[Node]:
+    """The blurs of a plan that are made on coarse grids, as `PlanTable` has them."""
+    return [node for node in _nodes(plan) if node.cell != 1]
+
+
 def _plan_table(plan: BlurPlan, size: Size) -> PlanTable:
     height, width = size
     narrow = [node for node in _nodes(plan) if node.cell == 1 and node.sigma > 0]
