@@ -4,9 +4,9 @@ import pytest
 import torch
 from degrading import distances, picture
 
-from uwaug import Medium, RandomUnderwater, Underwater, Water, form_image, fused
+from uwaug import Medium, RandomUnderwater, Underwater, Water, form_image
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
-from uwaug.formation.exposure import GAINS, auto_gain, gain_of
+from uwaug.formation.exposure import GAINS, auto_gain
 
 LUMINANCE = torch.tensor([0.2126, 0.7152, 0.0722]).view(3, 1, 1)
 
@@ -151,17 +151,3 @@ def test_maps_of_every_fourth_row_are_looked_at() -> None:
         used = aug.resolve(image, distance, record)["samples"][0]["used"]
         gains.append(used["contents"])
     assert max(gains) == pytest.approx(min(gains), rel=1e-6)
-
-
-def test_the_loops_measure_what_pytorch_does() -> None:
-    if fused.path() != "fused":
-        pytest.skip("needs numba")
-    image, z = torch.cat([picture(40, 50), 0.1 * picture(40, 50)]), distances(40, 50)
-    z[..., -1, -1] = 1e9  # open water
-    for metres in (0.0, 5.0, 300.0):
-        medium = deep(metres).to(torch.float32)
-        wanted = auto_gain(image.double(), z.double(), deep(metres).sums(exact_at_lens=False))
-        found = gain_of(image, z, medium, "auto", by_loops=True)
-        torch.testing.assert_close(found.double(), wanted, rtol=2e-6, atol=0)
-        eager = gain_of(image, z, medium, "auto")
-        assert torch.equal(eager, auto_gain(image, z, medium.sums(exact_at_lens=False)))

@@ -12,8 +12,6 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug.formation.colour import LUMINANCE
-from uwaug.formation.loops.backend import can_read
-from uwaug.formation.loops.render import meter
 from uwaug.light.light import Light
 from uwaug.light.lit import Lit, transmittance
 from uwaug.optics.curves import Curves, Sums, curves
@@ -28,7 +26,6 @@ __all__ = [
     "exposed_sums",
     "farthest_veil",
     "fixed_gain",
-    "gain_of",
     "metering_points",
     "require_exposure",
 ]
@@ -111,40 +108,6 @@ def farthest_veil(sums: Sums, farthest: Tensor, light: Light | None) -> Tensor:
     """
     veil = curves(sums, farthest).veil.amax((-3, -2, -1))
     return veil if light is None or light.plain else veil * light.daylight()
-
-
-def gain_of(
-    image: Tensor,
-    z: Tensor,
-    medium: Medium,
-    exposure: Exposure,
-    lit: Lit | None = None,
-    *,
-    by_loops: bool = False,
-) -> Tensor:
-    """The gain of an exposure: (B,), or (1,) if it is the same for all pictures.
-
-    by_loops: meter daylight by the compiled loops, which can read these tensors.
-    """
-    if exposure != "auto" or not image.numel() or not z.numel():
-        return fixed_gain(medium, exposure)
-    if lit is None and by_loops and can_read(image, z, *medium.tensors()):
-        return _gain_by_loops(image, z, medium)
-    return auto_gain(image, z, medium.sums(exact_at_lens=False), lit)
-
-
-def _gain_by_loops(image: Tensor, z: Tensor, medium: Medium) -> Tensor:
-    """`auto_gain` in a fifth of the time, to rounding."""
-    pixels = metering_points(z.shape[-2], z.shape[-1], z.device)
-    gains = []
-    for n in range(max(len(image), len(z), len(medium))):
-        row = medium if len(medium) == 1 else medium[n]
-        scene, arriving, veil = meter(image[n % len(image)], z[n % len(z)], row, pixels)
-        before, after = float(scene @ LUMINANCE), float(arriving @ LUMINANCE)
-        gain = before / after if after > 0 else 1.0
-        most = 1 / max(float(veil.max()), 1 / GAINS[1])
-        gains.append(min(max(gain, GAINS[0]), GAINS[1], most))
-    return z.new_tensor(gains)
 
 
 def fixed_gain(medium: Medium, exposure: Exposure) -> Tensor:

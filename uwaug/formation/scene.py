@@ -27,10 +27,10 @@ from uwaug.formation.demand import farthest_blurred, plan_for
 from uwaug.formation.engine import Engine, choose, is_in_rows
 from uwaug.formation.exposure import (
     Exposure,
+    auto_gain,
     balanced,
     farthest_veil,
     fixed_gain,
-    gain_of,
     metering_points,
 )
 from uwaug.formation.loops import render as loops
@@ -180,7 +180,7 @@ class Scene:
         radiance: Tensor | RowSource
         z: Tensor | RowSource
         lit: Lit | _BandedLight | None
-        # records of older versions call fused what the loops decoded and metered, and no more
+        # records of older versions call fused what the loops decoded, and no more
         span, by_loops = None, chosen == "fused" or engine == "fused"
         rows = chosen in ("fused-rows", "tiles")
         if rows and is_in_rows(image, maps, setup.medium, setup.light):
@@ -216,7 +216,7 @@ class Scene:
         if gain is not None:
             return scene._exposed(medium.beta.new_full((1,), gain))
         if setup.exposure == "auto" and len(scene) and image.numel():
-            return scene._exposed(scene._metered(by_loops))
+            return scene._exposed(scene._metered())
         return scene._exposed(scene.gain)
 
     def __len__(self) -> int:
@@ -235,16 +235,16 @@ class Scene:
         lit = None if self.lit is None else self.lit.brightened(gain)
         return replace(self, medium=medium, lit=lit, gain=gain)
 
-    def _metered(self, by_loops: bool) -> Tensor:
+    def _metered(self) -> Tensor:
         """The gain of an automatic exposure, before any."""
+        sums = self.medium.sums(exact_at_lens=False)
         if isinstance(self.radiance, Tensor) and isinstance(self.z, Tensor):
             assert not isinstance(self.lit, _BandedLight)
-            return gain_of(self.radiance, self.z, self.medium, "auto", self.lit, by_loops=by_loops)
+            return auto_gain(self.radiance, self.z, sums, self.lit)
         assert self.span is not None
         points = metering_points(*self.size, self.image.device)
         values = self.image.flatten(-2)[..., points].reshape(1, 3, 1, -1)
         z = self._z_at(points)
-        sums = self.medium.sums(exact_at_lens=False)
         T = self._transmittance_at(points, z, sums)
         farthest = z.new_full((1, 1, 1, 1), self.span.high)
         veil = farthest_veil(sums, farthest, self.setup.light)

@@ -133,7 +133,7 @@ def can_render(maps: Sequence[Tensor], numbers: Sequence[Tensor], *, gradients: 
 
 
 def can_read(*tensors: Tensor) -> bool:
-    """Whether the loops decode or meter these tensors as they are: bytes or float32, of which no
+    """Whether the loops decode these tensors as they are: bytes or float32, of which no
     gradients are recorded.
     """
     kinds = (torch.float32, torch.uint8)

@@ -12,7 +12,6 @@ a quarter of the time of compiling, for the words of an error that cannot occur.
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from uwaug.formation.loops.approx import (
     decode,
@@ -30,7 +29,6 @@ from uwaug.formation.loops.tables import (
     Bytes,
     CoarseTable,
     Floats,
-    Indices,
     MediumTable,
     StackTable,
 )
@@ -431,56 +429,3 @@ def render_rows(
                     out[c, y % out.shape[1], left:right],
                     out_bytes[c, y % out_bytes.shape[1], left:right],
                 )
-
-
-# ------------------------------------------------------------------------------ metering
-
-
-@inner
-def _add_light(sums: Any, light: Any, left: Any, count: int) -> None:
-    """Add what is left of the light of three channels, and what is left of 1."""
-    s0, s1, s2, s3 = sums[0], sums[1], sums[2], sums[3]
-    j0, j1, j2 = light[0], light[1], light[2]
-    for i in range(count):
-        s0[i] += left[i] * j0[i]
-        s1[i] += left[i] * j1[i]
-        s2[i] += left[i] * j2[i]
-        s3[i] += left[i]
-
-
-@kernel
-def meter(
-    light: Floats, z: Floats, pixels: Indices, rates: Floats, sums: NDArray[np.float64]
-) -> None:
-    """Sums over some pixels of e^(−rate·z)·J and of e^(−rate·z).
-
-    Args:
-        light (3xP): J of all pixels.
-        z (P): their effective distances, m.
-        pixels (N): which of them are metered.
-        rates (L): times −log2(e), ≤ 0.
-        sums (Lx4): where the sums of three channels, and that of the exponentials, are put.
-    """
-    parts = np.zeros((rates.size, 4, TILE), np.float32)
-    scene, tile = np.empty((3, TILE), np.float32), np.empty((2, TILE), np.float32)
-    far, left = tile[0], tile[1]
-    for first in range(0, pixels.size, TILE):
-        count = min(TILE, pixels.size - first)
-        for i in range(count):
-            pixel = pixels[first + i]
-            far[i] = z[pixel]
-            scene[0, i], scene[1, i], scene[2, i] = (
-                light[0, pixel],
-                light[1, pixel],
-                light[2, pixel],
-            )
-        for k in range(rates.size):
-            for i in range(count):
-                left[i] = exp2(rates[k] * far[i])
-            _add_light(parts[k], scene, left, count)
-    for k in range(rates.size):
-        for c in range(4):
-            total = 0.0
-            for i in range(TILE):
-                total += parts[k, c, i]
-            sums[k, c] = total

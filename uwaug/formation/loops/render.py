@@ -1,6 +1,5 @@
-"""Pictures by the compiled loops: decoding, metering, and all from light to the encoded picture."""
+"""Pictures by the compiled loops: decoding, and all from light to the encoded picture."""
 
-import math
 import os
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -14,7 +13,6 @@ from torch import Tensor
 from torch.utils.data import get_worker_info
 
 from uwaug._support.tiles import RowSource
-from uwaug._support.types import Array
 from uwaug.blur.plan import BlurPlan
 from uwaug.blur.tiled import PartBlur, keep_coarse
 from uwaug.formation.loops.backend import loaded
@@ -62,31 +60,6 @@ def decode(image: Tensor, srgb: bool, beyond: bool = False) -> Tensor:
         run = partial(kernels.decode_rows, values, rows, beyond)
     in_bands(run, range(len(values)), width)
     return light
-
-
-def meter(light: Tensor, z: Tensor, medium: Medium, pixels: Tensor) -> tuple[Array, Array, Array]:
-    """What an automatic exposure measures of one picture.
-
-    Args:
-        light (3xHxW tensor), z (1xHxW tensor): of the scene; effective distances, m; float32.
-        medium: of one row.
-        pixels (N tensor): flat indices of those that are looked at.
-
-    Returns:
-        Light of three channels (3): of the scene, of what arrives of it with the veil, both in the
-        mean of these pixels; and the veil of the farthest pixel of all.
-    """
-    weights = medium.G, medium.signal_weights, medium.veil_weights
-    G, signal, veil = (t.detach().numpy()[0].astype(np.float64) for t in weights)
-    # 0 first: its exponential is 1, which leaves the scene as it is
-    rates = np.append(0.0, G * -math.log2(math.e)).astype(np.float32)
-    sums = np.empty((len(rates), 4))
-    scene, metres = (t.detach().contiguous().numpy() for t in (light, z))
-    flat = scene.reshape(3, -1), metres.reshape(-1)
-    loaded("kernels").meter(*flat, pixels.numpy(), rates, sums)
-    means = sums / len(pixels)
-    arriving = (signal * means[1:, :3].T).sum(1) + veil @ (1 - means[1:, 3])
-    return means[0, :3], arriving, veil @ -np.expm1(-G * float(z.amax()))
 
 
 def render(
@@ -247,11 +220,10 @@ def coarse_grids(
 
 
 def run_once() -> None:
-    """Compile all kernels: decode, meter and render one pixel."""
+    """Compile all kernels: decode and render one pixel."""
     light, z = (torch.from_numpy(np.ones((1, n, 1, 1), np.float32)) for n in (3, 1))
     medium = Medium.from_coefficients([1.0] * 3, [1.0] * 3, [1.0] * 3)
     decode(light.to(torch.uint8), srgb=True)
-    meter(light[0], z[0], medium, torch.from_numpy(np.zeros(1, np.int64)))
     render(light, z, medium, ONE_OF_EACH)
 
 
