@@ -81,10 +81,11 @@ def test_srgb_is_clipped_to_what_files_hold() -> None:
     image, z = picture(), 10 * distances()
     light = form_image(srgb_to_linear(image), z, bright()).image
     assert light.max() > 1.1
-    out = Underwater(bright())(image, z)
+    planned = (0.1, 80.0)
+    out = Underwater(bright(), planned)(image, z)
     assert out.max() == 1
     torch.testing.assert_close(out, linear_to_srgb(light).clamp(0, 1), rtol=0, atol=2e-3)
-    assert Underwater(bright(), color_space="linear")(image, z).max() > 1.1
+    assert Underwater(bright(), planned, color_space="linear")(image, z).max() > 1.1
     aug = RandomUnderwater.survey(waters="III", mu=0.6, field_probability=0.0)
     assert aug(image[0], z[0])[0].max() == 1
     aug = RandomUnderwater.survey(waters="III", mu=0.6, color_space="linear")
@@ -96,7 +97,7 @@ def test_pictures_above_1_keep_their_headroom() -> None:
     images[1, :, :16] = 3.0
     z = torch.full((1, 1, 32, 40), 1e-3)
     medium = Medium.from_water(Water.jerlov("III"), vertical_depth=0.0)
-    out = Underwater(medium)(images, z)
+    out = Underwater(medium, (0.0, 20.0))(images, z)
     assert out[0].max() <= 1
     assert out[1].max() == pytest.approx(3.0, abs=0.02)
 

@@ -2,13 +2,16 @@
 
 import copy
 import io
+import json
 
 import pytest
 import torch
 from degrading import coastal, distances, picture
 from torch import nn
 
+import uwaug
 from uwaug import Medium, PointSpread, Underwater, Water, form_image
+from uwaug.formation import Scene, Setup
 
 
 def start(**options: object) -> Underwater:
@@ -145,3 +148,21 @@ def test_a_medium_is_made_once_and_follows_its_buffers() -> None:
     module.to(torch.float32)
     assert module.medium is not first
     assert module.medium.beta.dtype == torch.float32
+
+
+def test_a_setup_is_plain_values_and_back() -> None:
+    lamp = uwaug.Light.lamp((0.4, -0.2, 0.0), (-0.1, 0.0, 1.0), 4.0, 40.0)
+    media = Medium.stack([Medium.from_water(kind) for kind in ("II", "7C")])
+    for setup in (
+        Setup(media, exposure=1.5, tolerance=0.01, order="source"),
+        Setup(media[0], lamp, "auto", "linear", 50.0, (20.0, 10.0)),
+    ):
+        again = Setup.from_dict(json.loads(json.dumps(setup.to_dict())))
+        assert again.to_dict() == setup.to_dict()
+        image, z = torch.rand(3, 24, 40), torch.full((1, 24, 40), 2.0)
+        pictures = [Scene.of(image, z, s).picture() for s in (setup, again)]
+        torch.testing.assert_close(*pictures, rtol=0, atol=1e-6)
+    values = Setup(media).to_dict()
+    for name, value in (("exposure", "dim"), ("order", "first"), ("color_space", "rgb")):
+        with pytest.raises(ValueError, match=f"{name} must be one of"):
+            Setup.from_dict({**values, name: value})

@@ -7,14 +7,15 @@ radiance J, of distance z and of the transmittances T_β, T_G and V is, and in n
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import torch
 from torch import Tensor
 
+from uwaug._support import checks
 from uwaug._support.tiles import Rows, RowSource, Tile, bands, held
 from uwaug._support.torch_func import transformed
 from uwaug._support.types import ColorSpace, Order
@@ -32,14 +33,17 @@ from uwaug.formation.exposure import (
     farthest_veil,
     fixed_gain,
     metering_points,
+    require_exposure,
 )
 from uwaug.formation.loops import render as loops
 from uwaug.formation.loops.backend import Path, can_read
 from uwaug.formation.loops.backward import render_with_gradients
 from uwaug.light.light import Light
-from uwaug.light.lit import LampInWater, Lit, lit_of, planning_medium, transmittance
+from uwaug.light.lit import LampInWater, Lit, light_of, lit_of, planning_medium, transmittance
 from uwaug.optics.curves import FARTHEST, Curves, Sums, curves
+from uwaug.optics.inherent import Bands
 from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread
 
 __all__ = ["Finish", "Scene", "Setup", "Terms", "mixture", "separate", "total"]
 
@@ -82,6 +86,72 @@ class Setup:
     centre: tuple[float, float] | None = None
     tolerance: float = 0.002
     order: Order = "line_of_sight"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The setup as plain numbers and words, which JSON can hold."""
+        medium, law = self.medium, self.medium.point_spread
+        numbers: dict[str, Any] = {
+            name: value.detach().tolist() for name, value in medium.parameters().items()
+        }
+        for name, value in law.numbers().items():
+            if not isinstance(value, Tensor):
+                numbers[name] = value
+        values: dict[str, Any] = {
+            "medium": numbers,
+            "law": {"shape": law.shape, "reference_size": law.reference_size},
+            "notes": list(medium.notes),
+            "exposure": self.exposure,
+            "color_space": self.color_space,
+            "tolerance": self.tolerance,
+            "order": self.order,
+        }
+        if (self.focal_px, self.centre) != (None, None):
+            values["camera"] = self.focal_px, self.centre
+        if self.light is not None:
+            values["light"] = self.light.to_list()
+            if medium.bands is not None:  # which only lamps ask for
+                bands = [tensor.detach().double().tolist() for tensor in medium.bands.tensors()]
+                values["unlit"] = [*bands, medium.bands.tolerance]
+        return values
+
+    @staticmethod
+    def from_dict(values: Mapping[str, Any]) -> "Setup":
+        """The inverse of `to_dict`; what is missing but the medium is as by default.
+
+        Raises:
+            ValueError: if a value is none that `to_dict` can have given.
+        """
+        options = {name: values[name] for name in _OPTIONS if name in values}
+        require_exposure(options.get("exposure", "none"))
+        checks.one_of("color_space", options.get("color_space", "srgb"), get_args(ColorSpace))
+        checks.one_of("order", options.get("order", "line_of_sight"), get_args(Order))
+        checks.tolerance(options.get("tolerance", 0.002))
+        focal_px, centre = values.get("camera", (None, None))
+        options |= {"focal_px": focal_px, "centre": None if centre is None else tuple(centre)}
+        if "light" in values:
+            light = Light.from_list(values["light"])
+            options["light"] = light_of(light, focal_px, options["centre"])
+        return Setup(_medium_from(values), **options)
+
+
+_OPTIONS = ("exposure", "color_space", "tolerance", "order")
+
+
+def _medium_from(values: Mapping[str, Any]) -> Medium:
+    numbers: dict[str, Any] = {
+        name: torch.tensor(value, dtype=torch.float64) if isinstance(value, list) else float(value)
+        for name, value in values["medium"].items()
+    }
+    law = {name: numbers.pop(name) for name in PointSpread.NUMBERS}
+    bands = None
+    if "unlit" in values:  # as files of older versions name them
+        *tensors, tolerance = values["unlit"]
+        doubles = [torch.tensor(t, dtype=torch.float64) for t in tensors]
+        bands = Bands.of_tensors(doubles, tolerance)
+    spread = PointSpread(**law, **values["law"])
+    medium = Medium(**numbers, point_spread=spread, notes=tuple(values["notes"]), bands=bands)
+    medium.parameters()  # has a row of each number for every medium, or raises
+    return medium
 
 
 _HALO = 2

@@ -22,9 +22,9 @@ from uwaug.formation.demand import (
     same_plan,
     sides_of,
 )
+from uwaug.formation.engine import expected_path
 from uwaug.formation.exposure import Exposure, brightest, require_exposure
 from uwaug.formation.learnable import FixedLamps, FixedMedium, LearnableMedium
-from uwaug.formation.loops.backend import path
 from uwaug.formation.model import Reach, validate
 from uwaug.formation.scene import Scene, Setup
 from uwaug.light.light import Light
@@ -149,6 +149,15 @@ class Underwater(nn.Module):
         return medium
 
     @property
+    def setup(self) -> Setup:
+        """What pictures are taken with."""
+        return self._setup_of(self.medium)
+
+    def _setup_of(self, medium: Medium) -> Setup:
+        space, camera = self.color_space, self.camera
+        return Setup(medium, self.light, self.exposure, space, *camera, self.tolerance, self.order)
+
+    @property
     def sides(self) -> tuple[int, int] | None:
         """Short sides, px, of pictures that share a plan; None if each size has its own."""
         if self._sides is None and self.demand and self.demand.serves_every_size:
@@ -239,15 +248,7 @@ class Underwater(nn.Module):
         reach: Reach | None = None,
     ) -> Tensor:
         """Results like the image, of input that is known to be good; `reach` is from `validate`."""
-        setup = Setup(
-            medium,
-            self.light,
-            self.exposure,
-            self.color_space,
-            *self.camera,
-            self.tolerance,
-            self.order,
-        )
+        setup = self._setup_of(medium)
         farthest = math.inf if reach is None else reach.farthest
         lamps = None if self.lamps is None else self.lamps()
         with torch.autocast(image.device.type, enabled=False):
@@ -310,6 +311,5 @@ class Underwater(nn.Module):
             settings += f", exposure={self.exposure!r}"
         if self.light is not None:
             settings += f", {self.light!r}"
-        # gradients and other types of numbers are PyTorch's in any case
-        settings += f", {path()}"
+        settings += f", {expected_path((512, 512), self.order, self.light)}"
         return f"{self.medium!r},\n{said},\n{settings}"
