@@ -7,10 +7,10 @@ import torch
 from torch import Tensor
 from torch.utils.data import Dataset
 
-import uwaug
-from uwaug import Underwater, list_presets
-from uwaug.onnx import OnnxUnderwater, read_metadata
-from uwaug.onnx.metadata import stored_in
+from uwaug import Medium, Underwater, list_presets
+from uwaug.onnx import OnnxUnderwater
+from uwaug.onnx.graph import Options, plan_of
+from uwaug.onnx.metadata import written
 from uwaug.presets import published_systems
 
 NEAR, FAR = 0.25, 10.0
@@ -31,36 +31,64 @@ def scene(
 
 
 def eager(
-    path: Path, module: Underwater, image: Tensor, distance: Tensor, **given: object
+    module: Underwater,
+    image: Tensor,
+    distance: Tensor,
+    field: Tensor | None = None,
+    medium: Medium | None = None,
 ) -> Tensor:
-    """Float64 eager through the public model, with the file's plan."""
-    stored = stored_in(path, read_metadata(path))
-    assert stored.sides == module.sides
-    plan = module.plan((image.shape[-2], image.shape[-1]))
-    field, medium = given.get("field"), given.get("medium", module.medium)
+    """The module in double precision, in another water."""
+    medium = (medium or module.medium).to(dtype=torch.float64)
     field = None if field is None else field.double()
-    j = image.double()
-    if image.dtype == torch.uint8:
-        j = j / 255
-    if module.color_space == "srgb":
-        j = torch.where(j <= 0.04045, j / 12.92, ((j + 0.055) / 1.055) ** 2.4)
-    out = uwaug.form_image(j, distance.double(), medium, field, plan=plan).image
-    if module.color_space == "srgb":
-        power = 1.055 * out.clamp(min=1e-9) ** (1 / 2.4) - 0.055
-        out = torch.where(out <= 0.0031308, out * 12.92, power)
-    return (255 * out).round().clamp(0, 255) if image.dtype == torch.uint8 else out
+    image = image if image.dtype == torch.uint8 else image.double()
+    with torch.no_grad():
+        return module.formed(image, distance.double(), field, medium, plan_of(module))
+
+
+def apart(result: Tensor, expected: Tensor) -> float:
+    """The largest difference."""
+    return float((result.double() - expected.double()).abs().max())
+
+
+def bare(
+    path: Path,
+    module: Underwater,
+    options: Options | None = None,
+    nodes: tuple[tuple[str, list[str], str], ...] = (("Identity", ["image"], "output"),),
+    **metadata: str | None,
+) -> Path:
+    """A file with the metadata of a module, or others (None: without), and a graph of some nodes.
+
+    To export takes seconds, and this nothing.
+    """
+    import onnx
+    from onnx import TensorProto, helper
+
+    options = options or Options()
+    kind = TensorProto.UINT8 if options.image == "uint8" else TensorProto.FLOAT
+    sizes = ["batch", 3, "height", "width"]
+    inputs = [
+        helper.make_tensor_value_info("image", kind, sizes),
+        helper.make_tensor_value_info("distance", TensorProto.FLOAT, ["batch", 1, *sizes[2:]]),
+    ]
+    outputs = [helper.make_tensor_value_info("output", kind, [None] * 4)]
+    graph = helper.make_graph(
+        [helper.make_node(kind, takes, [gives]) for kind, takes, gives in nodes],
+        "bare",
+        inputs,
+        outputs,
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=8)
+    for key, value in {**written(module, plan_of(module), options), **metadata}.items():
+        if value is not None:
+            model.metadata_props.add(key=key, value=value)
+    onnx.save(model, path)
+    return path
 
 
 def stored_tensors(model: Any) -> list[Any]:
-    """What an ONNX model holds, and the body of its loop over strips."""
-    (scan,) = (node for node in model.graph.node if node.op_type == "Scan")
-    body = next(one.g for one in scan.attribute if one.name == "body")
-    return [*model.graph.initializer, *body.initializer]
-
-
-def apart(got: Tensor, wanted: Tensor) -> float:
-    """The largest difference."""
-    return float((got.double() - wanted.double()).abs().max())
+    """What an ONNX model holds."""
+    return list(model.graph.initializer)
 
 
 class Pictures(Dataset):

@@ -11,8 +11,7 @@ import uwaug
 import uwaug.formation.scene
 import uwaug.optics.curves
 from uwaug import fused
-from uwaug.onnx.graph import Graph
-from uwaug.onnx.metadata import plan_of
+from uwaug.onnx.graph import Graph, Options
 from uwaug.optics.point_spread import PointSpread
 
 
@@ -32,11 +31,11 @@ def test_eager_and_graph_share_each_equation(
     owner: Any, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     module = uwaug.load_preset("survey", water="7C").module(sides=(32, 1024))
-    plan = plan_of(module)
+    plan = module.plan((40, 56))
     image, distance = torch.rand(1, 3, 40, 56), torch.linspace(1, 5, 40 * 56).reshape(1, 1, 40, 56)
 
     def eager_and_graph() -> tuple[Tensor, Tensor]:
-        graph = Graph(module, plan, frozen=True, field=False, quantised=False)
+        graph = Graph(module, Options())
         with torch.no_grad(), fused.use(False):
             eager = module.formed(image, distance, None, module.medium, plan)
             return eager, graph(image, distance)

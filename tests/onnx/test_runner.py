@@ -53,7 +53,7 @@ def test_runner_refuses_what_the_file_does_not_take(frozen, waters) -> None:
 
 # the lens itself and open water are among the cases
 @pytest.mark.filterwarnings("ignore:.* of the pixels lie:UserWarning")
-def test_runner_refuses_what_the_module_refuses(waters, encoded) -> None:
+def test_runner_refuses_what_the_module_refuses(waters, lamp) -> None:
     path, module = waters
     image, distance, field = scene(1)
     bad = {"NaN": torch.nan, "negative": -1.0, "infinite": torch.inf}
@@ -84,18 +84,18 @@ def test_runner_refuses_what_the_module_refuses(waters, encoded) -> None:
     # open water and the lens itself are no mistakes, nor is a field for each image of a batch
     assert refused == len(cases) - 3
     # values of a file's own type, but of another scale
-    path = encoded[0]
+    of_bytes = OnnxUnderwater(lamp[0])
     message = r"image must be torch\.uint8 for this file, got torch\.float32"
     with pytest.raises(TypeError, match=message):
-        OnnxUnderwater(path)(image, distance, medium=alone)
+        of_bytes(image, distance, field)
     with pytest.raises(TypeError, match=r"image must be .* for this file, got ndarray"):
-        OnnxUnderwater(path)(image.numpy(), distance, medium=alone)
+        of_bytes(image.numpy(), distance, field)
 
 
-def test_a_picture_of_0_to_255_is_refused(calibrated) -> None:
+def test_a_picture_of_0_to_255_is_refused(frozen) -> None:
     image, distance, _ = scene(1)
     with pytest.raises(ValueError, match=r"image reaches 2.*divide a 0…255 image by 255"):
-        OnnxUnderwater(calibrated[0])(255 * image, distance)
+        OnnxUnderwater(frozen[0])(255 * image, distance)
 
 
 def test_runner_has_the_shapes_of_the_module(frozen) -> None:
@@ -113,7 +113,7 @@ def test_runner_has_the_shapes_of_the_module(frozen) -> None:
         (image[..., :0], distance[..., :0]),
     ):
         assert run(i, d).shape == module(i, d).shape
-    assert "7C" in repr(run)
+    assert str(module.medium) in repr(run)
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,16 @@
-"""The blurs of a plan as a graph has them: what is done once on a whole picture, and what is left
-for each strip of rows.
+"""The blurs of a plan as convolutions, for pictures of any size.
 
 `uwaug.blur` works in blocks and caches that a graph has no room for. Here all but the widest blurs
 are convolutions with a channel for each px, or cell, of a period: one window serves a period of
-results, which is twice as fast as a window for each.
+results, which is twice as fast as a window for each. Work is done in whole periods of rows and
+columns, which may go beyond the picture.
+
+A length in whole periods comes as a tensor of that length. To a tracer it is a size of its own;
+quotients and remainders of height and width take most of its time.
 """
+
+from collections.abc import Mapping
+from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
@@ -19,41 +25,161 @@ from uwaug.blur.kernels import (
     reflect,
     shrink_kernels,
 )
-from uwaug.onnx.strips import PICTURE, Rows
+from uwaug.blur.plan import BlurPlan
 
-__all__ = ["Blur", "blur_of"]
+_FEW = 8
+"""Taps; a kernel of fewer is as fast with a window for each px."""
+
+Size = tuple[int, int]
+"""Height and width, px; in a trace, symbols."""
+
+
+class Folds(NamedTuple):
+    """The numbers of an axis's px, and of those around the picture, where it is folded back.
+
+    Attributes:
+        numbers: from `lead` px before the picture to `tail` px beyond its last period.
+        lead, tail: px.
+    """
+
+    numbers: Tensor
+    lead: int
+    tail: int
+
+    def rows(self, x: Tensor, lead: int, length: int) -> Tensor:
+        """So many rows of x (B×C×H×W) from `lead` px before it on."""
+        return x.index_select(2, self.numbers.narrow(0, self.lead - lead, length))
+
+    def columns(self, x: Tensor, lead: int, tail: int) -> Tensor:
+        """X (B×C×H×W) with `lead` columns before it and a period, less 1 px, and `tail` after."""
+        left = self.numbers.narrow(0, self.lead - lead, lead)
+        right = self.numbers.narrow(0, self.lead + x.shape[3], PERIOD - 1 + tail)
+        # to gather whole rows would copy them value by value
+        return torch.cat([x.index_select(3, left), x, x.index_select(3, right)], 3)
+
+
+class Picture(NamedTuple):
+    """A whole picture.
+
+    Attributes:
+        light: B×3×H×W.
+        rows, columns: of it.
+        whole: height and width in whole periods, px.
+    """
+
+    light: Tensor
+    rows: Folds
+    columns: Folds
+    whole: Size
+
+
+class Strip(NamedTuple):
+    """Some rows of a picture.
+
+    Attributes:
+        numbers: of the rows (R): whole periods, which may go beyond the picture.
+        light: B×3×R×W.
+        around: the same with `margin` px above and below, before and, beyond whole periods, after.
+        margin: px.
+        across: width in whole periods, px.
+    """
+
+    numbers: Tensor
+    light: Tensor
+    around: Tensor
+    margin: int
+    across: int
 
 
 class Blur(nn.Module):
     """One blur of a stack; as it is, none (σ = 0).
 
     Attributes:
-        rows: those that a strip is made of: of the picture, or of what `before` makes of it.
-        prepared: whether there is anything to do before.
+        margin: px around a strip that it makes the strip from.
+        lead, tail: px before the picture and beyond its whole periods that `before` needs.
     """
 
-    rows = PICTURE
-    prepared = False
+    margin = lead = tail = 0
 
-    def before(self, x: Tensor) -> Tensor:
-        """What is done once, on the whole picture (BxCxHxW)."""
-        return x
+    def before(self, picture: Picture) -> Tensor | None:
+        """What is done once on the whole picture; None if that is nothing."""
+        return None
 
-    def within(self, part: Tensor) -> Tensor:
-        """A strip of the blurred picture from its rows."""
-        return part
+    def height(self, height: int, periods: int) -> int:
+        """Height of what `before` makes of a picture; of this in px, and in periods."""
+        return height
 
-    def forward(self, x: Tensor) -> Tensor:
-        """The whole picture blurred, as one strip."""
-        height = x.shape[2]
-        # a period to spare: torch.export takes it for granted that a free size is not 1
-        strip = torch.arange((height + PERIOD - 1) // PERIOD * PERIOD + PERIOD)
-        strip = self.within(self.rows.of(self.before(x), strip))
-        # not narrowed: torch.export would take the height for whole periods
-        return strip.index_select(2, torch.arange(height))
+    def strip(self, strip: Strip, prepared: Tensor | None) -> Tensor:
+        """The blurred strip (B×3×R×W), from the strip or from what `before` made of the picture."""
+        return strip.light
 
 
-def blur_of(sigma: float, cell: float, reach: float) -> Blur:
+class Blurs(nn.Module):
+    """The stack of blurs of a plan: what is done once on a whole picture, then strips of rows."""
+
+    def __init__(self, plan: BlurPlan) -> None:
+        super().__init__()
+        self.stack = nn.ModuleList(
+            _blur_of(sigma, cell, plan.reach)
+            for sigma, cell in zip(plan.sigmas, plan.cells, strict=True)
+        )
+        self.margin = max(blur.margin for blur in self.blurs())
+        self.lead = max(self.margin, *(blur.lead for blur in self.blurs()))
+        self.tail = max(self.margin, *(blur.tail for blur in self.blurs()))
+
+    def blurs(self) -> list[Blur]:
+        """Each of them."""
+        return list(self.stack)  # type: ignore[arg-type]
+
+    def before(self, light: Tensor, down: Tensor, across: Tensor) -> dict[str, Tensor]:
+        """What `strip` needs of a picture, by name.
+
+        Args:
+            light (Bx3xHxW tensor): the picture.
+            down, across: tensors of the length of whole periods that cover its rows, its columns.
+        """
+        whole = (down.shape[0], across.shape[0])
+        rows = reflect(torch.arange(-self.lead, whole[0] + self.tail), light.shape[2])
+        columns = reflect(
+            torch.arange(-self.lead, light.shape[3] + PERIOD - 1 + self.tail), light.shape[3]
+        )
+        picture = Picture(
+            light,
+            Folds(rows, self.lead, self.tail),
+            Folds(columns, self.lead, self.tail),
+            whole,
+        )
+        prepared = {f"blur_{i}": blur.before(picture) for i, blur in enumerate(self.blurs())}
+        prepared |= {"light": light, "columns": columns}
+        return {name: x for name, x in prepared.items() if x is not None}
+
+    def height(self, name: str, height: int, periods: int) -> int:
+        """Height of what `before` makes, by name; of the picture in px, and in periods."""
+        return self.blurs()[int(name.removeprefix("blur_"))].height(height, periods)
+
+    def strip(
+        self, prepared: Mapping[str, Tensor], numbers: Tensor, across: Tensor
+    ) -> tuple[Tensor, list[Tensor]]:
+        """A strip of a picture, and of its blurs (each B×3×R×W).
+
+        Args:
+            prepared: by `before`.
+            numbers: of its rows (R), whole periods, which may go beyond the picture.
+            across: as for `before`.
+        """
+        light, m, count = prepared["light"], self.margin, numbers.shape[0]
+        rows = reflect(numbers[:1] + torch.arange(-m, count + m), light.shape[2])
+        light = light.index_select(2, rows)
+        around = light
+        if m:
+            around = Folds(prepared["columns"], self.lead, self.tail).columns(light, m, m)
+        strip = Strip(numbers, light.narrow(2, m, count), around, m, across.shape[0])
+        return strip.light, [
+            blur.strip(strip, prepared.get(f"blur_{i}")) for i, blur in enumerate(self.blurs())
+        ]
+
+
+def _blur_of(sigma: float, cell: float, reach: float) -> Blur:
     """One blur of a plan."""
     if sigma == 0:
         return Blur()
@@ -67,24 +193,15 @@ class _Fine(Blur):
         super().__init__()
         kernel = blur_kernel(sigma, reach)
         self.margin = kernel.shape[1] // 2
-        self.rows = Rows(PERIOD, -self.margin, self.margin)
         self.phases = 1 if kernel.shape[1] < _FEW else PERIOD
         window = _windows(torch.arange(self.phases), kernel.expand(self.phases, -1))
         self.register_buffer("kernel", window)
 
-    def within(self, part: Tensor) -> Tensor:
-        kernel, width = self.get_buffer("kernel"), part.shape[3]
-        x, end = _strided(part, kernel, self.phases, 2), width
-        if self.phases > 1:
-            # a period to spare, as in `forward`
-            end = (width + PERIOD - 1) // PERIOD * PERIOD + PERIOD
-        x = _extended(x, -self.margin, end + self.margin, 3)
-        x = _strided(x, kernel, self.phases, 3)
-        return x if self.phases == 1 else x.narrow(3, 0, width)
-
-
-_FEW = 8
-"""Taps; a kernel of fewer is as fast with a window for each px."""
+    def strip(self, strip: Strip, prepared: Tensor | None) -> Tensor:
+        m, spare, kernel = self.margin, strip.margin - self.margin, self.get_buffer("kernel")
+        x = strip.around.narrow(2, spare, strip.numbers.shape[0] + 2 * m)
+        x = _strided(x, kernel, self.phases, 2).narrow(3, spare, strip.across + 2 * m)
+        return _strided(x, kernel, self.phases, 3).narrow(3, 0, strip.light.shape[3])
 
 
 class _Coarse(Blur):
@@ -92,41 +209,46 @@ class _Coarse(Blur):
     back, with a channel for each cell of a period, or each px.
     """
 
-    prepared = True
-
     def __init__(self, sigma: float, cell: float, reach: float) -> None:
         super().__init__()
         a, q = per_cell(cell)
         self.cells = a * (PERIOD // q)
         cells = torch.arange(-MARGIN, self.cells - MARGIN)
         first, kernel = shrink_kernels(cells, self.cells, PERIOD, sigma, reach)
-        self.first = int(first[0])
         self.register_buffer("shrink", _windows(first, kernel))
         enlarge = _windows(*enlarge_kernels(torch.arange(PERIOD), self.cells, PERIOD))
         self.register_buffer("enlarge", enlarge)
-        self.rows = Rows(self.cells, 0, enlarge.shape[1] - self.cells)
+        # cells that the last px need beyond their own period, and whole periods of them
+        self.beyond = enlarge.shape[1] - self.cells
+        self.more = -(-self.beyond // self.cells)
+        self.lead = -int(first[0])
+        self.tail = PERIOD * (self.more - 1) + self.get_buffer("shrink").shape[1] - self.lead
 
-    def before(self, x: Tensor) -> Tensor:
-        shrink, enlarge = self.get_buffer("shrink"), self.get_buffer("enlarge")
-        # periods of cells that the last px need beyond their own
-        more, width = -(-enlarge.shape[1] // self.cells) - 1, x.shape[3]
-        for axis in (2, 3):
-            # one to spare, as in `forward`
-            last = (x.shape[axis] + PERIOD - 1) // PERIOD + more
-            end = self.first + PERIOD * last + shrink.shape[1]
-            x = _strided(_extended(x, self.first, end, axis), shrink, PERIOD, axis)
-        return _strided(x, enlarge, self.cells, 3).narrow(3, 0, width)
+    def before(self, picture: Picture) -> Tensor:
+        shrink, around = self.get_buffer("shrink"), self.lead + self.tail
+        x = picture.rows.rows(picture.light, self.lead, picture.whole[0] + around)
+        x = picture.columns.columns(_strided(x, shrink, PERIOD, 2), self.lead, self.tail)
+        x = _strided(x.narrow(3, 0, picture.whole[1] + around), shrink, PERIOD, 3)
+        x = _strided(x, self.get_buffer("enlarge"), self.cells, 3)
+        return x.narrow(3, 0, picture.light.shape[3])
 
-    def within(self, part: Tensor) -> Tensor:
-        return _strided(part, self.get_buffer("enlarge"), self.cells, 2)
+    def height(self, height: int, periods: int) -> int:
+        return self.cells * periods + self.cells * self.more
+
+    def strip(self, strip: Strip, prepared: Tensor | None) -> Tensor:
+        assert prepared is not None
+        periods = strip.numbers.shape[0] // PERIOD
+        first = strip.numbers[:1] // PERIOD * self.cells
+        rows = first + torch.arange(periods * self.cells + self.beyond)
+        # what lies beyond the end is no pixel's
+        x = prepared.index_select(2, rows.clamp(max=prepared.shape[2] - 1))
+        return _strided(x, self.get_buffer("enlarge"), self.cells, 2)
 
 
 class _Wide(Blur):
     """On a grid with cells of several periods: dense matrices, which are small; the kernel may
     exceed the image.
     """
-
-    prepared = True
 
     def __init__(self, sigma: float, cell: float, reach: float) -> None:
         super().__init__()
@@ -140,19 +262,23 @@ class _Wide(Blur):
         self.starts: list[int] = starts.tolist()
         self.register_buffer("enlarge", spline.to(torch.float32))
 
-    def before(self, x: Tensor) -> Tensor:
+    def before(self, picture: Picture) -> Tensor:
+        x = picture.light
         (shrink_rows, enlarge_rows), (shrink_columns, enlarge_columns) = (
             self._matrices(n) for n in x.shape[-2:]
         )
         x = (shrink_rows @ x) @ shrink_columns.t()
         return enlarge_rows @ (x @ enlarge_columns.t())
 
+    def strip(self, strip: Strip, prepared: Tensor | None) -> Tensor:
+        assert prepared is not None
+        return prepared.index_select(2, strip.numbers.clamp(max=prepared.shape[2] - 1))
+
     def _matrices(self, size: int) -> tuple[Tensor, Tensor]:
         """(cells, size) and (size, cells)."""
         kernel = self.get_buffer("shrink")
-        cells = (
-            size + self.pitch - 1
-        ) // self.pitch + 2 * MARGIN  # of positive numbers: ONNX's division truncates
+        # of positive numbers: ONNX's division truncates
+        cells = (size + self.pitch - 1) // self.pitch + 2 * MARGIN
         first = self.first + self.pitch * torch.arange(-MARGIN, cells - MARGIN)
         # derived from `size`, so that the exporter computes the indices at run time instead of
         # storing them
@@ -182,19 +308,12 @@ def _windows(first: Tensor, kernel: Tensor) -> Tensor:
     )
 
 
-def _extended(x: Tensor, first: int, end: int, axis: int) -> Tensor:
-    """An axis from px `first` ≤ 0 to `end` ≥ its size, half-sample symmetric."""
-    size = x.shape[axis]
-    index = reflect(torch.arange(first, end), size)
-    if axis == 2:
-        return x.index_select(2, index)
-    # to gather whole rows would copy them value by value
-    left, right = x.index_select(3, index[:-first]), x.index_select(3, index[size - first :])
-    return torch.cat([left, x, right], 3)
-
-
 def _strided(x: Tensor, kernels: Tensor, stride: int, axis: int) -> Tensor:
-    """The n kernels (n, taps) at every `stride` along an axis, their results in turn."""
+    """The n kernels (n, taps) at every `stride` along an axis, their results in turn.
+
+    One pixel_shuffle for both axes is quicker to trace, but the convolutions of 3·16 groups that it
+    takes keep two threads waiting for each other: 1024² in 2.3 times the time.
+    """
     n, taps = kernels.shape
     weights = kernels.repeat(3, 1).reshape(3 * n, 1, *((taps, 1) if axis == 2 else (1, taps)))
     y = F.conv2d(x, weights, stride=(stride, 1) if axis == 2 else (1, stride), groups=3)

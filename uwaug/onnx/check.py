@@ -13,11 +13,9 @@ from uwaug._support import checks
 from uwaug._support.extras import require
 from uwaug._support.onnx_session import Session
 from uwaug.formation.underwater import Underwater
-from uwaug.onnx.graph import parameters_of
-from uwaug.onnx.metadata import Stored, plan_of, read_metadata, stored_in
+from uwaug.onnx.graph import parameters_of, plan_of
+from uwaug.onnx.metadata import Stored, read_metadata, stored_in
 from uwaug.optics.medium import Medium
-
-__all__ = ["Report", "check_onnx"]
 
 _MOST_CHECKED = 1024  # px: the one large picture of a check is no larger, so that it is quickly run
 
@@ -191,7 +189,7 @@ def _cases(stored: Stored) -> Iterator[_Case]:
         distances["open water behind"] = torch.where(ramp > 0.5, torch.inf, distances["ramp"])
         for name, distance in distances.items():
             yield case(name, image, distance, field)
-    if stored.light is None:
+    if stored.setup.light is None:
         # several strips (see `uwaug.onnx.strips`), of which the last is not full; beyond white
         top = 1.0 if stored.options.image == "uint8" else 1.8
         image = top * torch.rand(2, 3, 199, 233, generator=rng, dtype=torch.float32)

@@ -1,6 +1,5 @@
 """From module to file."""
 
-import inspect
 import logging
 import os
 import warnings
@@ -10,20 +9,17 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn.functional import pad
 
-from uwaug._support import checks
 from uwaug._support.atomic import written_whole
 from uwaug._support.extras import require
 from uwaug.blur.kernels import PERIOD
 from uwaug.formation.underwater import Underwater
 from uwaug.onnx.check import check_onnx
-from uwaug.onnx.graph import Before, Graph, Strip, parameters_of
-from uwaug.onnx.metadata import Options, plan_of, require_light, written
-from uwaug.onnx.strips import joined, strips_of
-
-__all__ = ["export_onnx", "export_program"]
+from uwaug.onnx.graph import Graph, Options, parameters_of
+from uwaug.onnx.metadata import written
+from uwaug.onnx.scan import STRIP, join
 
 
 def export_onnx(
@@ -73,12 +69,12 @@ def export_onnx(
     newest = onnx.defs.onnx_opset_version()
     if opset > newest:
         raise ValueError(f"opset must be ≤ {newest}, as onnx {onnx.__version__} is, got {opset}")
-    options, tell = Options(parameters, field, image), progress or _silent
+    tell = progress or (lambda _: None)
     tell("tracing")
-    subject = _subject(module, options)
+    graph = Graph(module, Options(parameters, field, image)).eval()
     with written_whole(path) as part:
-        model = _translated(subject, opset, tell)
-        for key, value in written(module, subject.graph.plan, options).items():
+        model = _model(graph, opset, tell)
+        for key, value in written(module, graph.plan, graph.options).items():
             model.metadata_props.add(key=key, value=value)
         onnx.save(model, part)
         if verify:
@@ -88,85 +84,6 @@ def export_onnx(
                 # nobody will ever see the part
                 raise ValueError(str(error).replace(str(part), str(path))) from error
     return path
-
-
-def _silent(_: str) -> None:
-    pass
-
-
-def _translated(subject: "_Subject", opset: int, tell: Callable[[str], None]) -> Any:
-    """The graph as an ONNX model."""
-    if subject.graph.light is not None:  # which is made for the whole picture
-        model = _model(subject, opset, tell)
-    else:
-        before = subject._replace(graph=Before(subject.graph))
-        whole = _model(before, opset, tell)
-        model = joined(whole, _model(_strip_of(before), opset, _silent))
-    _drop_traces(model.graph)
-    _name_sizes(model, subject)
-    return model
-
-
-def _strip_of(before: "_Subject") -> "_Subject":
-    """A strip, with what `Before` makes as examples."""
-    image = before.inputs["image"]
-    with torch.no_grad():
-        rows, _ = strips_of(len(image), (image.shape[2], image.shape[3]))
-        made = before.graph.made(*before.inputs.values())
-    assert len(rows) > 1  # torch.export takes a size of 1 for fixed
-    frozen, picture = before.graph.parent.frozen, before.free["image"]
-    every = torch.export.Dim("every_rate", min=1)
-    known = {
-        "light": picture,
-        "z": picture,
-        "brightest": {0: picture[0]},
-        "rates": {0: picture[0], 1: every},
-        "weights": {0: picture[0]} if frozen else {0: picture[0], 2: every},
-    }
-    # whole periods of rows
-    free = {"rows": {0: PERIOD * torch.export.Dim("periods", min=1)}}
-    for name in made:
-        if name.startswith("prepared"):
-            free[name] = {**picture, 2: torch.export.Dim(name, min=1)}
-        else:
-            free[name] = known.get(name) or before.free[name]
-    strip = Strip(before.graph.parent, list(made))
-    return _Subject(strip, {"rows": rows[0], **made}, free)
-
-
-def _model(subject: "_Subject", opset: int, tell: Callable[[str], None]) -> Any:
-    """A graph, or one of its parts, as an ONNX model."""
-    with torch.no_grad(), _quiet():
-        program = _program(subject)
-        _drop_asserts(program)
-        tell("translating and optimising")
-        exported = torch.onnx.export(
-            program,
-            dynamo=True,
-            input_names=list(subject.inputs),
-            opset_version=opset,
-            verbose=False,
-        )
-    assert exported is not None
-    model = exported.model_proto
-    got = {entry.domain: entry.version for entry in model.opset_import}
-    if got.get("") != opset:
-        # it says so in its log alone
-        raise ValueError(
-            f"opset {opset}: the installed exporter can write up to {got.get('')} here"
-        )
-    return model
-
-
-def _drop_asserts(program: torch.export.ExportedProgram) -> None:
-    """Drop what it asserts of free sizes. The exporter does so too, but only after it has traced
-    their arithmetic again.
-    """
-    for node in list(program.graph.nodes):
-        if node.target is torch.ops.aten._assert_scalar.default:
-            program.graph.erase_node(node)
-    program.graph.eliminate_dead_code()
-    program.graph_module.recompile()
 
 
 def export_program(
@@ -179,71 +96,148 @@ def export_program(
     """The same function as a `torch.export` program, for `torch.export.save`: one graph without
     strips, which is slower on large pictures. Arguments as for `export_onnx`.
     """
-    with torch.no_grad(), _quiet():
-        return _program(_subject(module, Options(parameters, field, image)))
+    graph = Graph(module, Options(parameters, field, image)).eval()
+    return _program(graph, _examples(graph, _Sizes()))
 
 
-class _Subject(NamedTuple):
-    """What torch.export wants: the graph, or a part of it; an example of each input, by name, and
-    its free sizes, by axis.
-    """
+class _Example(NamedTuple):
+    """An input for a trace, and the names of its free sizes, by axis."""
 
-    graph: Any
-    inputs: dict[str, Tensor]
-    free: dict[str, dict[int, Any]]
+    value: Tensor
+    free: dict[int, Any]
 
 
-def _subject(module: Underwater, options: Options) -> _Subject:
-    checks.instance("module", module, Underwater)
-    frozen, field, quantised = (
-        options.parameters == "frozen",
-        options.field == "input",
-        options.image == "uint8",
-    )
-    if frozen and len(module.medium) != 1:
-        held = f"{len(module.medium)} media, of which only one can be frozen"
-        raise ValueError(f"module holds {held}: use parameters='inputs'")
-    require_light(module, options)
-    plan = plan_of(module)
-    names = ("batch", "height", "width", "rates", "scatter_rates")
-    batch, height, width, rates, scatter_rates = (torch.export.Dim(name, min=1) for name in names)
-    # five strips of three periods
-    picture = torch.rand(2, 3, 240, 560, dtype=torch.float32)
-    inputs = {
-        "image": (picture * 255).to(torch.uint8) if quantised else picture,
-        "distance": torch.ones_like(picture[:, :1]),
-    }
-    if field:
-        inputs["field"] = torch.ones_like(picture[:, :1])
-    free = {name: {0: batch, 2: height, 3: width} for name in inputs}
-    for name, row in parameters_of(module.medium[0]).items() if not frozen else ():
+class _Sizes:
+    """The free sizes of a trace."""
+
+    def __init__(self, prefix: str = "") -> None:
+        def size(name: str) -> Any:
+            return torch.export.Dim(prefix + name, min=1)
+
+        self.batch, self.height, self.width = size("batch"), size("height"), size("width")
+        # in periods, of a whole picture and of a strip
+        self.down, self.across, self.periods = size("down"), size("across"), size("periods")
+        self.rates, self.scatter_rates = size("rates"), size("scatter_rates")
+        self.all_rates = size("all_rates")
+        self.picture = {0: self.batch, 2: self.height, 3: self.width}
+
+
+def _examples(graph: Graph, sizes: _Sizes) -> dict[str, _Example]:
+    """What a graph takes, by name."""
+    # no multiple of a period, which torch.export would take for the rule; nor is a 1 free
+    image = torch.rand(2, 3, 41, 57, dtype=torch.float32)
+    metres = torch.ones_like(image[:, :1])
+    if graph.options.image == "uint8":
+        image = (image * 255).to(torch.uint8)
+    pictures = {name: metres for name in ("distance", "field") if name in graph.inputs}
+    pictures = {"image": image, **pictures}
+    examples = {name: _Example(x, sizes.picture) for name, x in pictures.items()}
+    for name, row in parameters_of(graph.medium[0]).items() if not graph.frozen else ():
         # two more rates of no weight, as an example of one rate would fix that number
-        example = pad(row, (0, 2)) if row.ndim > 1 else row
-        inputs[name] = example.expand(2, *example.shape[1:]).contiguous()
-        free[name] = {0: batch}
+        row, free = pad(row, (0, 2)) if row.ndim > 1 else row, {0: sizes.batch}
         if row.ndim > 1:
-            free[name][row.ndim - 1] = (
-                rates if name in ("beta", "direct_weights") else scatter_rates
-            )
-    graph = Graph(module, plan, frozen=frozen, field=field, quantised=quantised).eval()
-    return _Subject(graph, inputs, free)
+            direct = name in ("beta", "direct_weights")
+            free[row.ndim - 1] = sizes.rates if direct else sizes.scatter_rates
+        examples[name] = _Example(row.expand(2, *row.shape[1:]).contiguous(), free)
+    return examples
 
 
-def _program(subject: _Subject) -> torch.export.ExportedProgram:
-    parameters = inspect.signature(subject.graph.forward).parameters.values()
-    named = sum(one.kind is not one.VAR_POSITIONAL for one in parameters)
-    free = list(subject.free.values())
-    shapes: tuple[Any, ...] = tuple(free[:named])
-    if len(free) > named:
-        shapes = (*shapes, tuple(free[named:]))
-    return torch.export.export(
-        subject.graph,
-        tuple(subject.inputs.values()),
-        dynamic_shapes=shapes,
-        strict=False,
-        # that whole periods of 16 px cover an image of any size is more than the exporter can prove
-        prefer_deferred_runtime_asserts_over_guards=True,
-    )
+class _Parts(nn.Module):
+    """Both parts of a graph side by side, for a single trace."""
+
+    def __init__(self, graph: Graph, names: list[str]) -> None:
+        super().__init__()
+        self.parent, self.names = graph, names
+
+    def forward(self, *values: Tensor) -> tuple[Tensor, ...]:
+        given = dict(zip(self.names, values, strict=True))
+        own = {name.removeprefix(STRIP): x for name, x in given.items() if name.startswith(STRIP)}
+        before = self.parent.before(given, given["down"], given["across"])
+        return (*before.values(), self.parent.strip(own, own["rows"], own["across"]))
+
+
+def _parts(graph: Graph) -> tuple[dict[str, _Example], list[str]]:
+    """What both parts of a graph take, each of sizes of its own; names of what the first gives."""
+    sizes = _Sizes()
+    examples = _examples(graph, sizes)
+    down, across = torch.arange(3 * PERIOD), torch.arange(4 * PERIOD)
+    examples["down"] = _Example(down, {0: PERIOD * sizes.down})
+    examples["across"] = _Example(across, {0: PERIOD * sizes.across})
+    with torch.no_grad():
+        prepared = graph.before({name: x.value for name, x in examples.items()}, down, across)
+    sizes = _Sizes(STRIP)
+    strip = {name: x for name, x in _examples(graph, sizes).items() if name in graph.parameters_in}
+    strip["rows"] = _Example(down[: 2 * PERIOD], {0: PERIOD * sizes.periods})
+    strip["across"] = _Example(across, {0: PERIOD * sizes.across})
+    free: dict[str, dict[int, Any]] = {
+        "light": sizes.picture,
+        "z": sizes.picture,
+        "columns": {0: sizes.width + len(prepared["columns"]) - 57},
+        "brightest": {0: sizes.batch},
+        "rates": {0: sizes.batch, 1: sizes.all_rates},
+        "weights": {0: sizes.batch} if graph.frozen else {0: sizes.batch, 2: sizes.all_rates},
+    }
+    for name, value in prepared.items():
+        if name not in free:
+            height = graph.blurs.height(name, sizes.height, sizes.down)
+            free[name] = {**sizes.picture, 2: height}
+        strip[name] = _Example(value, free[name])
+    examples |= {STRIP + name: example for name, example in strip.items()}
+    return examples, list(prepared)
+
+
+def _program(graph: nn.Module, examples: dict[str, _Example]) -> torch.export.ExportedProgram:
+    with torch.no_grad(), _quiet():
+        program = torch.export.export(
+            graph,
+            # to torch.export, one tensor given twice is one input
+            tuple(example.value.clone() for example in examples.values()),
+            dynamic_shapes=(tuple(example.free for example in examples.values()),),
+            strict=False,
+            # that whole periods of 16 px cover an image of any size is more than the exporter can
+            # prove
+            prefer_deferred_runtime_asserts_over_guards=True,
+        )
+    # It asserts that sizes are apart where they are in the example, such as width and whole
+    # periods, or 1 and the number of these. What is computed holds where they are equal, too. The
+    # ONNX exporter drops assertions as well, but only after it has traced their arithmetic again.
+    for node in list(program.graph.nodes):
+        if node.target is torch.ops.aten._assert_scalar.default:
+            program.graph.erase_node(node)
+    program.graph.eliminate_dead_code()
+    program.graph_module.recompile()
+    return program
+
+
+def _model(graph: Graph, opset: int, tell: Callable[[str], None]) -> Any:
+    """A graph as an ONNX model."""
+    examples, prepared = _parts(graph) if graph.in_strips else (_examples(graph, _Sizes()), [])
+    program = _program(_Parts(graph, list(examples)) if prepared else graph, examples)
+    tell("translating and optimising")
+    with torch.no_grad(), _quiet():
+        exported = torch.onnx.export(
+            program,
+            dynamo=True,
+            input_names=list(examples),
+            output_names=[*prepared, "output"],
+            opset_version=opset,
+            verbose=False,
+        )
+    assert exported is not None
+    model = exported.model_proto
+    written = {entry.domain: entry.version for entry in model.opset_import}[""]
+    if written != opset:
+        # it says so in its log alone
+        raise ValueError(f"opset {opset}: the installed exporter can write up to {written} here")
+    if prepared:
+        join(model, prepared)
+    _drop_traces(model.graph)
+    # free sizes have names; the output has those of the image
+    for value in (*model.graph.input, *model.graph.output):
+        dims = value.type.tensor_type.shape.dim
+        for axis, size in examples["image" if value.name == "output" else value.name].free.items():
+            dims[axis].dim_param = size.__name__
+    return model
 
 
 @contextmanager
@@ -276,11 +270,3 @@ def _drop_traces(graph: Any) -> None:
         for attribute in node.attribute:
             if attribute.HasField("g"):  # the body of a loop
                 _drop_traces(attribute.g)
-
-
-def _name_sizes(model: Any, subject: _Subject) -> None:
-    """Give the free sizes of inputs and output their names; the output has those of the image."""
-    free = (*subject.free.values(), subject.free["image"])
-    for value, dims in zip((*model.graph.input, *model.graph.output), free, strict=True):
-        for axis, dim in dims.items():
-            value.type.tensor_type.shape.dim[axis].dim_param = dim.__name__

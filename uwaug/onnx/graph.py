@@ -1,32 +1,49 @@
 """The model as a graph for any batch, height and width: what `uwaug.onnx` exports.
 
 Curves, width law, weights and sum are the package's own functions. Of its own a graph has the
-blurs, see `uwaug.onnx.blurs`; `uwaug.onnx.check_onnx` holds what is exported against them. A file
-has the graph in two parts, `Before` and `Strip`, see `uwaug.onnx.strips`; with a light, and as a
-program of torch.export, it is `Graph`.
+blurs, see `uwaug.onnx.blurs`; `uwaug.onnx.check_onnx` holds what is exported against them.
+
+A graph works at once (`Graph.forward`), or in two parts: what is done once on the whole picture
+(`before`), then strips of rows (`strip`), so that what a pixel does by itself stays in the caches.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from torch import Tensor, nn
 
+from uwaug._support import checks
+from uwaug.blur.kernels import PERIOD
 from uwaug.blur.plan import BlurPlan
 from uwaug.formation.colour import encoded, from_light, headroom, to_light
+from uwaug.formation.demand import SIDES
 from uwaug.formation.exposure import exposed_sums, fixed_gain
 from uwaug.formation.scene import mixture, total
 from uwaug.formation.underwater import Underwater
 from uwaug.light.lit import Lit, lit_of, transmittance
-from uwaug.onnx.blurs import Blur, blur_of
-from uwaug.onnx.strips import PICTURE, strips_of
+from uwaug.onnx.blurs import Blurs
 from uwaug.optics.curves import FARTHEST, Sums, curves
 from uwaug.optics.medium import Medium
 
-__all__ = ["Before", "Graph", "Strip", "parameters_of"]
+
+@dataclass(frozen=True)
+class Options:
+    """What a file is exported for; see `uwaug.onnx.export_onnx`."""
+
+    parameters: Literal["frozen", "inputs"] = "frozen"
+    field: Literal["none", "input"] = "none"
+    image: Literal["float32", "uint8"] = "float32"
+
+    def __post_init__(self) -> None:
+        checks.one_of("parameters", self.parameters, ("frozen", "inputs"))
+        checks.one_of("field", self.field, ("none", "input"))
+        checks.one_of("image", self.image, ("float32", "uint8"))
 
 
 def parameters_of(medium: Medium) -> dict[str, Tensor]:
-    """What a file exported with `parameters="inputs"` takes, by name: `Medium.parameters` in
+    """The inputs of a file exported with `parameters="inputs"`, by name: `Medium.parameters` in
     float32.
     """
     return {
@@ -35,82 +52,136 @@ def parameters_of(medium: Medium) -> dict[str, Tensor]:
     }
 
 
+def plan_of(module: Underwater) -> BlurPlan:
+    """The plan of a module's file, which is the module's own for pictures of any size.
+
+    Raises:
+        ValueError: if the module has no such plan.
+    """
+    if module.distance_range is None:
+        cure = "give Underwater(…, distance_range=(near, far)), which fixes the plan"
+        raise ValueError(f"module has no distance_range: {cure}")
+    if module.sides is None:
+        cure = f"give Underwater(…, sides={SIDES}), so that module and file share one plan"
+        raise ValueError(f"module has no sides and plans its blur for each picture's size: {cure}")
+    # as it would be at the next picture, after parameters have changed
+    module.keep_up(module.medium)
+    plan = module.plan((module.sides[0], module.sides[0]))
+    assert plan is not None
+    return plan
+
+
 class Graph(nn.Module):
-    """An `Underwater` module as a function of tensors alone: image, distance, then the field and
-    the parameters if those are inputs.
+    """An `Underwater` module as a function of tensors alone.
+
+    Attributes:
+        inputs: their names, in order: image, distance, then the field and the parameters if those
+            are inputs.
+        in_strips: whether it works in two parts, too; a light is made for the whole picture.
     """
 
     rates: Tensor
     weights: Tensor
 
-    def __init__(
-        self, module: Underwater, plan: BlurPlan, *, frozen: bool, field: bool, quantised: bool
-    ) -> None:
+    def __init__(self, module: Underwater, options: Options) -> None:
         super().__init__()
-        self.plan = plan
-        self.frozen = frozen
-        self.field = field
-        self.quantised = quantised
-        self.color_space = module.color_space
-        self.exposure = module.exposure
-        self.keeps_brightest = module.color_space == "srgb" and not quantised
-        self.curves_fixed = frozen and module.exposure != "auto"
+        checks.instance("module", module, Underwater)
+        _require_exportable(module, options)
+        self.plan = plan_of(module)
+        self.blurs = Blurs(self.plan)
+        self.options, self.frozen = options, options.parameters == "frozen"
+        self.color_space, self.exposure = module.color_space, module.exposure
         self.medium = module.medium.map(lambda t: t.detach().to("cpu", torch.float32))
-        self.blurs = nn.ModuleList(
-            blur_of(sigma, cell, plan.reach)
-            for sigma, cell in zip(plan.sigmas, plan.cells, strict=True)
-        )
-        # exact_at_lens=False: ONNX has no e^x − 1
-        rates, weights, _ = self.medium.sums(exact_at_lens=False)
-        if self.curves_fixed:
-            weights = weights * fixed_gain(self.medium, module.exposure)
         self.light = module.light and module.light.map(lambda t: t.detach().to("cpu"))
         self.lamps, self.camera = module.lamps, module.camera
+        self.in_strips = self.light is None
+        field = ("field",) if options.field == "input" else ()
+        self.parameters_in = () if self.frozen else tuple(self.medium.parameters())
+        self.inputs = ("image", "distance", *field, *self.parameters_in)
+        # exact_at_lens=False: ONNX has no e^x − 1
+        rates, weights, _ = self.medium.sums(exact_at_lens=False)
+        self.curves_fixed = self.frozen and self.exposure != "auto"
+        if self.curves_fixed:
+            weights = weights * fixed_gain(self.medium, self.exposure)
         self.register_buffer("rates", rates)
         self.register_buffer("weights", weights)
 
-    def forward(self, image: Tensor, distance: Tensor, *rest: Tensor) -> Tensor:
-        """Image (Bx3xHxW) and distance (Bx1xHxW) → image."""
-        light, z, field, medium, sums = self.scene(image, distance, *rest)
-        found = transmittance(sums, z, self._lit(distance, field, medium))
-        stack = [blur(light) for blur in self.blurs]
+    def forward(self, *values: Tensor) -> Tensor:
+        """Image (Bx3xHxW), distance (Bx1xHxW) and the rest of `inputs` → image."""
+        inputs = dict(zip(self.inputs, values, strict=True))
+        light, z, field = self._maps(inputs)
+        medium = self._medium(inputs)
+        sums = self._sums(light, z, medium)
         size = (z.shape[2], z.shape[3])
-        (result,) = total(found, light, mixture(stack, z, medium, self.plan, size))
-        return from_light(result, self.color_space, image)
+        down, across = (torch.arange((n + PERIOD - 1) // PERIOD * PERIOD) for n in size)
+        _, stack = self.blurs.strip(self.blurs.before(light, down, across), down, across)
+        stack = [blur.narrow(2, 0, size[0]) for blur in stack]
+        T = transmittance(sums, z, self._lit(inputs["distance"], field, medium))
+        (result,) = total(T, light, mixture(stack, z, medium, self.plan, size))
+        return from_light(result, self.color_space, inputs["image"])
 
-    def scene(
-        self, image: Tensor, distance: Tensor, *rest: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor | None, Medium, Sums]:
-        """Linear light, effective distance, field, medium, and its sums as the camera sees them."""
-        z, field = distance.clamp(0.0, FARTHEST), None
-        if self.field:
-            # either is limited first: a graph cannot refuse, and 0·inf is NaN
-            field = rest[0].clamp(0.0, FARTHEST)
-            z = z * field
-        medium = self.medium_of(self.numbers(rest))
+    def before(
+        self, inputs: Mapping[str, Tensor], down: Tensor, across: Tensor
+    ) -> dict[str, Tensor]:
+        """What `strip` needs of the whole picture, by name.
+
+        Args:
+            inputs: by name.
+            down, across: tensors of the length of whole periods that cover its rows, its columns.
+        """
+        light, z, _ = self._maps(inputs)
+        prepared = {**self.blurs.before(light, down, across), "z": z}
+        if self.color_space == "srgb" and self.options.image == "float32":
+            # eager mode gives a number where no value is above 1
+            brightest = torch.as_tensor(headroom(inputs["image"]), dtype=light.dtype)
+            prepared["brightest"] = brightest.expand(light.shape[0], 1, 1, 1)
+        sums = self._sums(light, z, self._medium(inputs))
+        if not self.frozen:
+            prepared["rates"] = sums.rates
+        if not self.curves_fixed:
+            prepared["weights"] = sums.weights
+        return prepared
+
+    def strip(self, inputs: Mapping[str, Tensor], numbers: Tensor, across: Tensor) -> Tensor:
+        """A strip of the result (Bx3xRxW).
+
+        Args:
+            inputs: by name, what `before` gives, and the parameters if those are inputs.
+            numbers: of its rows (R), whole periods, which may go beyond the picture.
+            across: as for `before`.
+        """
+        z = inputs["z"]
+        size = (z.shape[2], z.shape[3])
+        z = z.index_select(2, numbers.clamp(max=size[0] - 1))
+        light, stack = self.blurs.strip(inputs, numbers, across)
+        rates, weights = inputs.get("rates", self.rates), inputs.get("weights", self.weights)
+        blurred = mixture(stack, z, self._medium(inputs), self.plan, size)
+        (result,) = total(curves(Sums(rates, weights, None), z), light, blurred)
+        dtype = getattr(torch, self.options.image)
+        return encoded(result, self.color_space, dtype, inputs.get("brightest", 1.0))
+
+    def _maps(self, inputs: Mapping[str, Tensor]) -> tuple[Tensor, Tensor, Tensor | None]:
+        """Linear light, effective distance and field."""
+        light = to_light(inputs["image"], self.color_space)
+        z = inputs["distance"].clamp(0.0, FARTHEST)
+        if "field" not in inputs:
+            return light, z, None
+        # either is limited first: a graph cannot refuse, and 0·inf is NaN
+        field = inputs["field"].clamp(0.0, FARTHEST)
+        return light, z * field, field
+
+    def _medium(self, inputs: Mapping[str, Tensor]) -> Medium:
+        """The medium, of the parameters if those are inputs."""
+        if self.frozen:
+            return self.medium
+        return Medium.of({name: inputs[name] for name in self.parameters_in}, self.medium)
+
+    def _sums(self, light: Tensor, z: Tensor, medium: Medium) -> Sums:
+        """The medium's sums of exponentials as the camera sees them."""
         sums = Sums(self.rates, self.weights, None)
         if not self.frozen:
             sums = medium.sums(exact_at_lens=False)
-        light = to_light(image, self.color_space)
-        if not self.curves_fixed:
-            sums = exposed_sums(light, z, sums, self.exposure)
-        return light, z, field, medium, sums
-
-    def stack(self) -> list[Blur]:
-        """The blurs."""
-        return list(self.blurs)  # type: ignore[arg-type]
-
-    def numbers(self, rest: Sequence[Tensor]) -> dict[str, Tensor]:
-        """The parameters (none, if frozen) among the inputs that follow the distance, by name."""
-        if self.frozen:
-            return {}
-        return dict(zip(self.medium.parameters(), rest[1:] if self.field else rest, strict=True))
-
-    def medium_of(self, numbers: Mapping[str, Tensor]) -> Medium:
-        """The medium, of its parameters if those are inputs; among `numbers` may be others."""
-        if self.frozen:
-            return self.medium
-        return Medium.of({name: numbers[name] for name in self.medium.parameters()}, self.medium)
+        return sums if self.curves_fixed else exposed_sums(light, z, sums, self.exposure)
 
     def _lit(self, distance: Tensor, field: Tensor | None, medium: Medium) -> Lit | None:
         """The light on the scene; None for daylight as the medium has it."""
@@ -121,59 +192,23 @@ class Graph(nn.Module):
         return lit.brightened(medium.beta.new_full((1,), 2.0**self.exposure))
 
 
-class Before(nn.Module):
-    """What a graph does once, on the whole picture: takes what the graph takes, and gives the
-    tensors of `strips_of`, then those of `made`.
-    """
-
-    def __init__(self, graph: Graph) -> None:
-        super().__init__()
-        self.parent = graph
-
-    def forward(self, image: Tensor, distance: Tensor, *rest: Tensor) -> tuple[Tensor, ...]:
-        """As `Graph.forward`."""
-        strips = strips_of(image.shape[0], (image.shape[2], image.shape[3]))
-        return (*strips, *self.made(image, distance, *rest).values())
-
-    def made(self, image: Tensor, distance: Tensor, *rest: Tensor) -> dict[str, Tensor]:
-        """What a `Strip` takes besides its rows, by name."""
-        graph = self.parent
-        light, z, _, _, sums = graph.scene(image, distance, *rest)
-        found = {"light": light, "z": z}
-        for i, blur in enumerate(graph.stack()):
-            if blur.prepared:
-                found[f"prepared_{i}"] = blur.before(light)
-        if graph.keeps_brightest:
-            # eager mode gives a number where no value is above 1
-            brightest = torch.as_tensor(headroom(image), dtype=light.dtype)
-            found["brightest"] = brightest.expand(image.shape[0], 1, 1, 1)
-        if not graph.frozen:
-            found["rates"] = sums.rates
-        if not graph.curves_fixed:
-            found["weights"] = sums.weights
-        return found | graph.numbers(rest)
-
-
-class Strip(nn.Module):
-    """A strip of a graph's result; `names` are those of what `Before` makes."""
-
-    def __init__(self, graph: Graph, names: Sequence[str]) -> None:
-        super().__init__()
-        self.parent = graph
-        self.names = tuple(names)
-
-    def forward(self, rows: Tensor, *made: Tensor) -> Tensor:
-        """The numbers of its rows (R), and what `Before` makes → strip (Bx3xRxW)."""
-        graph, given = self.parent, dict(zip(self.names, made, strict=True))
-        light, z = given["light"], given["z"]
-        stack = []
-        for i, blur in enumerate(graph.stack()):
-            source = given[f"prepared_{i}"] if blur.prepared else light
-            stack.append(blur.within(blur.rows.of(source, rows)))
-        rates, weights = given.get("rates", graph.rates), given.get("weights", graph.weights)
-        size = (z.shape[2], z.shape[3])
-        light, z = PICTURE.of(light, rows), PICTURE.of(z, rows)
-        blurred = mixture(stack, z, graph.medium_of(given), graph.plan, size)
-        (result,) = total(curves(Sums(rates, weights, None), z), light, blurred)
-        dtype = torch.uint8 if graph.quantised else torch.float32
-        return encoded(result, graph.color_space, dtype, given.get("brightest", 1.0))
+def _require_exportable(module: Underwater, options: Options) -> None:
+    """Refuse what a file cannot hold."""
+    frozen, light = options.parameters == "frozen", module.light
+    if frozen and len(module.medium) != 1:
+        held = f"{len(module.medium)} media, of which only one can be frozen"
+        raise ValueError(f"module holds {held}: use parameters='inputs'")
+    if module.order != "line_of_sight":
+        raise ValueError(
+            f"module.order must be 'line_of_sight' to be exported, got {module.order!r}"
+        )
+    if light is None:
+        return
+    if light.rows() > 1:
+        raise ValueError(f"module.light is for {light.rows()} pictures, of which one can be frozen")
+    if not frozen:
+        what = "a light is written with its water"
+        raise ValueError(f"parameters must be 'frozen' where module.light is given: {what}")
+    if module.exposure == "auto":
+        cure = "give a number of stops"
+        raise ValueError(f"module.exposure is 'auto', which a file with a light has not: {cure}")

@@ -13,8 +13,6 @@ from uwaug.onnx.graph import parameters_of
 from uwaug.onnx.metadata import read_metadata, stored_in
 from uwaug.optics.medium import Medium
 
-__all__ = ["OnnxUnderwater"]
-
 
 class OnnxUnderwater:
     """Run an exported file like the module that it came from.
@@ -91,7 +89,7 @@ class OnnxUnderwater:
             )
 
     def _require_law(self, medium: Medium) -> None:
-        law, stored = medium.point_spread, self.stored.medium.point_spread
+        law, stored = medium.point_spread, self.stored.setup.medium.point_spread
         if (law.shape, law.reference_size) != (stored.shape, stored.reference_size):
             wanted = f"shape {stored.shape!r} and reference_size {stored.reference_size}"
             raise ValueError(f"medium: its point spread is {law}, but the file is for {wanted}")
@@ -108,7 +106,7 @@ class OnnxUnderwater:
         validate(image, distance, medium, field, also_bytes=True)
         if image.numel():
             # and those of values, which hold for all if they hold for the ends
-            to_light(torch.stack(image.aminmax()), self.stored.color_space)
+            to_light(torch.stack(image.aminmax()), self.stored.setup.color_space)
         rows = {"image": image, "distance": distance.to(torch.float32)}
         if field is not None:
             rows["field"] = field.to(torch.float32)

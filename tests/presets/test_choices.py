@@ -11,7 +11,6 @@ from PIL import Image
 
 from uwaug import Medium, PointSpread, Underwater, Water, form_image, load_preset
 from uwaug.light.geometry import focal_of
-from uwaug.onnx import OnnxUnderwater, export_onnx
 from uwaug.presets.files import bundled_preset
 
 THREE = (0.5, 0.4, 0.3)
@@ -260,13 +259,3 @@ def test_degrade_refuses_a_water_where_there_is_none_to_take(run, tmp_path):
     code, _, err = run("degrade", *arguments, "--water", "II", "--out", str(tmp_path / "b.png"))
     assert code != 0
     assert "holds one transmission, which no water replaces" in err
-
-
-@pytest.mark.parametrize("name", ["jaffe-1990", "hou-2020"])
-def test_systems_as_onnx_files(tmp_path, name):
-    preset = load_preset(name)
-    module = preset.module(sides=(16, 64), focal_px=40.0)
-    export_onnx(module, tmp_path / "a.onnx")
-    image, z = torch.rand(1, 3, 32, 40), torch.linspace(1, 5, 1280).reshape(1, 1, 32, 40)
-    ours = OnnxUnderwater(tmp_path / "a.onnx")(image, z)
-    torch.testing.assert_close(torch.as_tensor(ours), module(image, z), rtol=0, atol=2e-5)
