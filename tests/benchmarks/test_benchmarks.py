@@ -94,7 +94,7 @@ def test_tiles_are_the_exact_blur() -> None:
 
 
 def test_the_readme_shows_what_was_measured() -> None:
-    text = summary.README.read_text()
+    text = summary.GUIDE.read_text()
     assert summary.updated(text) == text
     for name in ("accuracy", "chart", "speed"):
         message = f"expected the markers of figures: {name} once, found them 0 times"

@@ -288,7 +288,7 @@ def test_a_sidecar_makes_the_same_bytes(how):
 
 @pytest.mark.parametrize("name", ["a.png", "z.npy", "p.toml"])
 def test_a_sidecar_of_files_that_have_changed(name):
-    preset = Path(uwaug.__file__).parent.parent / "configs/survey.toml"
+    preset = Path(__file__).parents[2] / "configs/survey.toml"
     Path("p.toml").write_text(preset.read_text())
     sidecar = made(water=None, preset="p.toml")
     if name == "p.toml":

@@ -83,7 +83,8 @@ class FixedMedium(_InFullPrecision):
         held: dict[str, Any] = dict(self.named_buffers())
         law = self.start.point_spread
         numbers = {name: held.pop(name) for name in law.NUMBERS if name in held}
-        return replace(self.start, **held, point_spread=replace(law, **numbers))
+        # a law is looked at when it is made, which torch.compile cannot do with numbers of its own
+        return replace(self.start, **held, point_spread=replace(law, **numbers) if numbers else law)
 
 
 class FixedLamps(nn.Module):
