@@ -210,9 +210,12 @@ def test_known_waters_are_seen_by_any_camera_in_any_light():
         made(water=None, fit="f.json", options={"visibility": 3}, force=True)
 
 
-@pytest.mark.parametrize("recipe", [{"preset": "mcglamery-1980"}, {"random": True}])
-def test_large_pictures_in_all_waters(recipe, monkeypatch):
-    """Formed in tiles, and recorded so; contrast and terms as of one that is formed whole."""
+@pytest.mark.parametrize(
+    ("recipe", "engine"),
+    [({"preset": "mcglamery-1980"}, "eager"), ({"random": True}, "fused-rows")],
+)
+def test_large_pictures_in_all_waters(recipe, engine, monkeypatch):
+    """Formed in bands of rows, and recorded so; contrast and terms as of one that is formed whole."""
     save("a.png", pixels(150, 130))
     save("z.npy", metres(150, 130))
     recipe = {"water": None, "keep_terms": True, "labels": "marks", **recipe}
@@ -227,7 +230,7 @@ def test_large_pictures_in_all_waters(recipe, monkeypatch):
     (seen,), (expected,) = tiled.labels["objects"], whole.labels["objects"]
     assert seen["contrast"] == pytest.approx(expected["contrast"], abs=1e-4)
     (drawn,) = tiled.drawn.get("samples", [tiled.drawn])
-    assert drawn["path"] == "eager"
+    assert drawn["path"] == engine
 
 
 # What stands beside it
