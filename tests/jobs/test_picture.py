@@ -215,7 +215,7 @@ def test_known_waters_are_seen_by_any_camera_in_any_light():
     [({"preset": "mcglamery-1980"}, "eager"), ({"random": True}, "fused-rows")],
 )
 def test_large_pictures_in_all_waters(recipe, engine, monkeypatch):
-    """Formed in bands of rows, and recorded so; contrast and terms as of one that is formed whole."""
+    """Formed in bands of rows, and recorded so; contrast and terms as of the whole picture."""
     save("a.png", pixels(150, 130))
     save("z.npy", metres(150, 130))
     recipe = {"water": None, "keep_terms": True, "labels": "marks", **recipe}
