@@ -13,23 +13,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "GREY",
-    "INK",
-    "RGB",
-    "Canvas",
-    "columns_for",
-    "plot",
-    "round_up",
-    "save",
-    "seen",
-    "sheet",
-    "show",
-    "show_distance",
-    "show_field",
-    "show_map",
-    "ticks_of",
-]
 
 INK, GREY = "#1a1a1a", "#5a5a5a"
 RGB = ("#c0392b", "#2e8b57", "#2a5caa")

@@ -8,18 +8,6 @@ from types import EllipsisType
 import torch
 from torch import Tensor
 
-__all__ = [
-    "LARGE",
-    "RowSource",
-    "Rows",
-    "Tile",
-    "at_pixels",
-    "bands",
-    "extremes",
-    "held",
-    "is_large",
-]
-
 Rows = Callable[[int, int], Tensor]
 """What makes rows `start` to `stop` of a picture or map: (CxRxW tensor)."""
 
@@ -73,10 +61,10 @@ class RowSource:
     def __getitem__(self, tile: Tile) -> Tensor:
         _, rows, columns = (..., slice(None), slice(None)) if tile is ... else tile
         start, stop, _ = rows.indices(self.shape[-2])
-        first, end, made = self._last
+        first, end, values = self._last
         if not first <= start <= stop <= end:
-            first, end, made = self._last = start, stop, self.rows(start, stop)
-        return made[None, :, start - first : stop - first, columns]
+            first, end, values = self._last = start, stop, self.rows(start, stop)
+        return values[None, :, start - first : stop - first, columns]
 
     def at(self, pixels: Tensor) -> Tensor:
         """The values (CxN) of some pixels, given by their flat indices (N)."""
@@ -86,6 +74,11 @@ class RowSource:
 def held(picture: Tensor) -> Rows:
     """The rows of a picture (CxHxW) that is there."""
     return lambda start, stop: picture[:, start:stop]
+
+
+def rows_of(x: Tensor | RowSource) -> Rows:
+    """The rows of a picture or map, be it there (CxHxW or 1xCxHxW) or made as it is asked for."""
+    return x.rows if isinstance(x, RowSource) else held(x.reshape(x.shape[-3:]))
 
 
 def bands(height: int, width: int, multiple: int = 1) -> Iterator[tuple[int, int]]:
@@ -99,16 +92,16 @@ def at_pixels(values: Rows, size: tuple[int, int], pixels: Tensor) -> Tensor:
     """The values (CxN) of some pixels, given by their flat indices (N)."""
     height, width = size
     row, column = pixels // width, pixels % width
-    found: Tensor | None = None
+    at_them: Tensor | None = None
     for start, stop in bands(height, width):
         inside = (row >= start) & (row < stop)
         if not bool(inside.any()):
             continue
         band = values(start, stop)
-        if found is None:
-            found = band.new_empty(len(band), len(pixels))
-        found[:, inside] = band[:, row[inside] - start, column[inside]]
-    return torch.empty(0, 0) if found is None else found
+        if at_them is None:
+            at_them = band.new_empty(len(band), len(pixels))
+        at_them[:, inside] = band[:, row[inside] - start, column[inside]]
+    return torch.empty(0, 0) if at_them is None else at_them
 
 
 def extremes(values: Rows, size: tuple[int, int]) -> tuple[float, float]:

@@ -9,18 +9,6 @@ import torch
 from kornia.filters import get_gaussian_kernel1d
 from torch import Tensor
 
-__all__ = [
-    "MARGIN",
-    "PERIOD",
-    "Array",
-    "blur_kernel",
-    "enlarge_kernels",
-    "per_cell",
-    "reflect",
-    "sampled_parameter",
-    "shrink_kernels",
-]
-
 from uwaug._support.types import Array
 
 PERIOD = 16

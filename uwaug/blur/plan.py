@@ -21,15 +21,6 @@ from uwaug._support import checks
 from uwaug._support.types import Array, Shape
 from uwaug.blur.kernels import PERIOD, sampled_parameter
 
-__all__ = [
-    "NO_BLUR",
-    "V_FLOOR",
-    "BlurPlan",
-    "octave_steps",
-    "plan_blur",
-    "range_in_v",
-]
-
 V_FLOOR = 0.5
 """px² or, of an exponential shape, px: keeps v finite at σ = 0."""
 

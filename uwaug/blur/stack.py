@@ -12,17 +12,6 @@ from uwaug._support.torch_func import transformed, untransformed
 from uwaug.blur.banded import Banded, Kind, Node, along_columns, along_rows, operator, whole
 from uwaug.blur.plan import V_FLOOR, BlurPlan, plan_blur, range_in_v
 
-__all__ = [
-    "Chain",
-    "blurred",
-    "chain_of",
-    "mixed",
-    "node_slopes",
-    "node_weights",
-    "products",
-    "varying_blur",
-]
-
 Chain = tuple[tuple[int, Banded], ...]
 """Axis and matrix of each product, in the order of use."""
 

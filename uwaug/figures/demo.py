@@ -35,7 +35,7 @@ from uwaug.formation.colour import linear_to_srgb
 from uwaug.formation.demand import blur_demand
 from uwaug.formation.field import gaussian_random_field
 from uwaug.formation.scene import Scene as InWater
-from uwaug.formation.scene import Setup
+from uwaug.formation.setup import Setup
 from uwaug.light.geometry import focal_of
 from uwaug.light.lit import planning_medium
 from uwaug.optics.jerlov import JERLOV_TYPES

@@ -6,7 +6,8 @@ from uwaug.formation.demand import BlurDemand, blur_demand
 from uwaug.formation.field import gaussian_random_field
 from uwaug.formation.learnable import LearnableMedium
 from uwaug.formation.model import form_image
-from uwaug.formation.scene import Scene, Setup, Terms
+from uwaug.formation.scene import Scene, Terms
+from uwaug.formation.setup import Setup
 from uwaug.formation.underwater import Underwater
 
 __all__ = [

@@ -9,20 +9,6 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.torch_func import transformed
-
-__all__ = [
-    "LUMINANCE",
-    "ColorSpace",
-    "decoded",
-    "encoded",
-    "from_light",
-    "headroom",
-    "linear_to_srgb",
-    "require_values",
-    "srgb_to_linear",
-    "to_light",
-]
-
 from uwaug._support.types import ColorSpace
 
 """What the values of a picture are: sRGB, or linear light as they stand."""

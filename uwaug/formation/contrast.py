@@ -28,8 +28,6 @@ from uwaug.light.lit import lit_of, transmittance
 from uwaug.optics.curves import FARTHEST, Curves
 from uwaug.optics.medium import Medium
 
-__all__ = ["contrast", "contrast_of"]
-
 
 def contrast(
     medium: Medium,

@@ -13,8 +13,6 @@ from uwaug.formation.loops.backend import Path, can_render, path_for
 from uwaug.light.light import Light
 from uwaug.optics.medium import Medium
 
-__all__ = ["Engine", "choose", "path_of"]
-
 Engine = Literal["fused", "fused-rows", "tiles", "whole"]
 """The compiled loops; the same on a large picture, a band of rows at a time; or PyTorch, a tile at
 a time, so that what is computed stays in the cache; or PyTorch, all pictures at once, for

@@ -17,19 +17,6 @@ from uwaug.light.lit import Lit, transmittance
 from uwaug.optics.curves import Curves, Sums, curves
 from uwaug.optics.medium import Medium
 
-__all__ = [
-    "GAINS",
-    "Exposure",
-    "auto_gain",
-    "balanced",
-    "brightest",
-    "exposed_sums",
-    "farthest_veil",
-    "fixed_gain",
-    "metering_points",
-    "require_exposure",
-]
-
 Exposure = Literal["none", "auto"] | float
 """What a camera does about dim light: nothing; one gain that keeps the mean luminance; or a gain in
 stops, which doubles the light with each.

@@ -14,8 +14,6 @@ from uwaug._support.cache import Cache
 from uwaug._support.tiles import Rows, RowSource, extremes, is_large
 from uwaug._support.torch_func import transformed
 
-__all__ = ["field_from_noise", "gaussian_random_field", "gaussian_random_rows", "random_field"]
-
 
 def gaussian_random_field(
     shape: Sequence[int],

@@ -16,8 +16,6 @@ from uwaug.light.lit import LampInWater
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 
-__all__ = ["FixedLamps", "FixedMedium", "LearnableMedium"]
-
 _LEAST_RATE = 1e-6
 """1/m, where learning starts from a rate of 0: a smaller one would hardly learn."""
 

@@ -26,11 +26,10 @@ from uwaug._support import checks
 from uwaug._support.torch_func import refuse_mapped
 from uwaug._support.types import Order
 from uwaug.blur.plan import BlurPlan
-from uwaug.formation.scene import Scene, Setup, Terms
+from uwaug.formation.scene import Scene, Terms
+from uwaug.formation.setup import Setup
 from uwaug.light.light import Light
 from uwaug.optics.medium import Medium
-
-__all__ = ["form_image"]
 
 
 class Reach(NamedTuple):

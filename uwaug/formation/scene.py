@@ -7,16 +7,15 @@ radiance J, of distance z and of the transmittances T_β, T_G and V is, and in n
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from uwaug._support import checks
-from uwaug._support.tiles import Rows, RowSource, Tile, bands, held
+from uwaug._support.tiles import RowSource, Tile, bands, rows_of
 from uwaug._support.torch_func import transformed
 from uwaug._support.types import ColorSpace, Order
 from uwaug.blur.plan import BlurPlan
@@ -27,25 +26,20 @@ from uwaug.formation.contrast import contrast_of
 from uwaug.formation.demand import farthest_blurred, plan_for
 from uwaug.formation.engine import Engine, choose, is_in_rows
 from uwaug.formation.exposure import (
-    Exposure,
     auto_gain,
     balanced,
     farthest_veil,
     fixed_gain,
     metering_points,
-    require_exposure,
 )
 from uwaug.formation.loops import render as loops
 from uwaug.formation.loops.backend import Path, can_read
 from uwaug.formation.loops.backward import render_with_gradients
-from uwaug.light.light import Light
-from uwaug.light.lit import LampInWater, Lit, light_of, lit_of, planning_medium, transmittance
+from uwaug.formation.setup import Setup
+from uwaug.light.banded import BandedLight
+from uwaug.light.lit import LampInWater, Lit, lit_of, planning_medium, transmittance
 from uwaug.optics.curves import FARTHEST, Curves, Sums, curves
-from uwaug.optics.inherent import Bands
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread
-
-__all__ = ["Finish", "Scene", "Setup", "Terms", "mixture", "separate", "total"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,98 +58,6 @@ class Terms:
         """Direct + forward + backscatter."""
         return self.direct + self.forward + self.backscatter
 
-
-@dataclass(frozen=True, eq=False)
-class Setup:
-    """What a picture is taken with.
-
-    Attributes:
-        medium: one, or one for each picture of a batch.
-        light: what shines; None for daylight as the medium has it.
-        exposure: "none", "auto", or a gain in stops; see `uwaug.Underwater`.
-        color_space: of the picture, given and made.
-        focal_px, centre: of the camera, see `uwaug.form_image`.
-        tolerance, order: as for `uwaug.form_image`.
-    """
-
-    medium: Medium
-    light: Light | None = None
-    exposure: Exposure = "none"
-    color_space: ColorSpace = "srgb"
-    focal_px: float | None = None
-    centre: tuple[float, float] | None = None
-    tolerance: float = 0.002
-    order: Order = "line_of_sight"
-
-    def to_dict(self) -> dict[str, Any]:
-        """The setup as plain numbers and words, which JSON can hold."""
-        medium, law = self.medium, self.medium.point_spread
-        numbers: dict[str, Any] = {
-            name: value.detach().tolist() for name, value in medium.parameters().items()
-        }
-        for name, value in law.numbers().items():
-            if not isinstance(value, Tensor):
-                numbers[name] = value
-        values: dict[str, Any] = {
-            "medium": numbers,
-            "law": {"shape": law.shape, "reference_size": law.reference_size},
-            "notes": list(medium.notes),
-            "exposure": self.exposure,
-            "color_space": self.color_space,
-            "tolerance": self.tolerance,
-            "order": self.order,
-        }
-        if (self.focal_px, self.centre) != (None, None):
-            values["camera"] = self.focal_px, self.centre
-        if self.light is not None:
-            values["light"] = self.light.to_list()
-            if medium.bands is not None:  # which only lamps ask for
-                bands = [tensor.detach().double().tolist() for tensor in medium.bands.tensors()]
-                values["unlit"] = [*bands, medium.bands.tolerance]
-        return values
-
-    @staticmethod
-    def from_dict(values: Mapping[str, Any]) -> "Setup":
-        """The inverse of `to_dict`; what is missing but the medium is as by default.
-
-        Raises:
-            ValueError: if a value is none that `to_dict` can have given.
-        """
-        options = {name: values[name] for name in _OPTIONS if name in values}
-        require_exposure(options.get("exposure", "none"))
-        checks.one_of("color_space", options.get("color_space", "srgb"), get_args(ColorSpace))
-        checks.one_of("order", options.get("order", "line_of_sight"), get_args(Order))
-        checks.tolerance(options.get("tolerance", 0.002))
-        focal_px, centre = values.get("camera", (None, None))
-        options |= {"focal_px": focal_px, "centre": None if centre is None else tuple(centre)}
-        if "light" in values:
-            light = Light.from_list(values["light"])
-            options["light"] = light_of(light, focal_px, options["centre"])
-        return Setup(_medium_from(values), **options)
-
-
-_OPTIONS = ("exposure", "color_space", "tolerance", "order")
-
-
-def _medium_from(values: Mapping[str, Any]) -> Medium:
-    numbers: dict[str, Any] = {
-        name: torch.tensor(value, dtype=torch.float64) if isinstance(value, list) else float(value)
-        for name, value in values["medium"].items()
-    }
-    law = {name: numbers.pop(name) for name in PointSpread.NUMBERS}
-    bands = None
-    if "unlit" in values:  # as files of older versions name them
-        *tensors, tolerance = values["unlit"]
-        doubles = [torch.tensor(t, dtype=torch.float64) for t in tensors]
-        bands = Bands.of_tensors(doubles, tolerance)
-    spread = PointSpread(**law, **values["law"])
-    medium = Medium(**numbers, point_spread=spread, notes=tuple(values["notes"]), bands=bands)
-    medium.parameters()  # has a row of each number for every medium, or raises
-    return medium
-
-
-_HALO = 2
-"""Rows on either side of a band, on which the normals of its surfaces rest."""
 
 Finish = Callable[[Curves, Tensor, Tensor], tuple[Tensor, ...]]
 """What makes the result of transmittances T, radiance J and blurred radiance."""
@@ -204,7 +106,7 @@ class Scene:
     radiance: Tensor | RowSource
     z: Tensor | RowSource
     medium: Medium
-    lit: "Lit | _BandedLight | None"
+    lit: Lit | BandedLight | None
     gain: Tensor
     given_plan: BlurPlan | None
     span: Span | None
@@ -249,15 +151,16 @@ class Scene:
         camera = setup.focal_px, setup.centre
         radiance: Tensor | RowSource
         z: Tensor | RowSource
-        lit: Lit | _BandedLight | None
+        lit: Lit | BandedLight | None
         # records of older versions call fused what the loops decoded, and no more
         span, by_loops = None, chosen == "fused" or engine == "fused"
         rows = chosen in ("fused-rows", "tiles")
         if rows and is_in_rows(image, maps, setup.medium, setup.light):
             radiance = _radiance_rows(image, setup.color_space, ends, chosen == "fused-rows")
             z = _distance_rows(maps, radiance.like)
-            plain = setup.light is None or setup.light.plain
-            lit = None if plain else _BandedLight(setup, maps, medium, None)
+            lit = None
+            if setup.light is not None and not setup.light.plain:
+                lit = BandedLight(setup.light, maps, medium, *camera)
             span = _span(z, farthest_blurred(planning_medium(medium, setup.light), setup.order))
         else:
             # a view of other strides takes other paths through the kernels, which round otherwise
@@ -309,7 +212,7 @@ class Scene:
         """The gain of an automatic exposure, before any."""
         sums = self.medium.sums(exact_at_lens=False)
         if isinstance(self.radiance, Tensor) and isinstance(self.z, Tensor):
-            assert not isinstance(self.lit, _BandedLight)
+            assert not isinstance(self.lit, BandedLight)
             return auto_gain(self.radiance, self.z, sums, self.lit)
         assert self.span is not None
         points = metering_points(*self.size, self.image.device)
@@ -358,7 +261,7 @@ class Scene:
 
     def contrast(self) -> Tensor:
         """The share of contrast that is left at each pixel (1xHxW), see `uwaug.contrast`."""
-        if isinstance(self.z, Tensor) and not isinstance(self.lit, _BandedLight):
+        if isinstance(self.z, Tensor) and not isinstance(self.lit, BandedLight):
             sums = self.medium.sums_at(self.z)
             return self._unbatched(contrast_of(transmittance(sums, self.z, self.lit)))
         parts = []
@@ -381,7 +284,7 @@ class Scene:
         return flat.reshape(1, 1, 1, -1)
 
     def _transmittance_at(self, points: Tensor, z: Tensor, sums: Sums) -> Curves:
-        if isinstance(self.lit, _BandedLight):
+        if isinstance(self.lit, BandedLight):
             return self.lit.curves_at(points, z, sums)
         return transmittance(sums, z, None if self.lit is None else self.lit.at(points))
 
@@ -428,8 +331,8 @@ class Scene:
             if encode is not None:
                 results = tuple(map(encode, results))
             canvas = canvas or [r.new_empty(batch, 3, *self.size) for r in results]
-            for made, result in zip(canvas, results, strict=True):
-                made[n][tile] = result[0]
+            for pictures, result in zip(canvas, results, strict=True):
+                pictures[n][tile] = result[0]
         return tuple(canvas)
 
     def _views(
@@ -480,7 +383,7 @@ class _View(NamedTuple):
     z: Tensor | RowSource
     medium: Medium
     sums: Sums
-    lit: "Lit | _BandedLight | None"
+    lit: Lit | BandedLight | None
     order: Order
 
     def transmittance(self, tile: Tile, z: Tensor) -> Curves:
@@ -531,68 +434,6 @@ def mixture(
     return mixed(blurs, node_weights(sigma, plan))
 
 
-class _BandedLight:
-    """A light on a large picture: a `Lit` of one band of rows after the other, each a picture
-    whose centre lies elsewhere.
-    """
-
-    def __init__(
-        self, setup: Setup, maps: Sequence[Tensor | RowSource], medium: Medium, gain: Tensor | None
-    ) -> None:
-        self.setup, self.maps, self.medium, self.gain = setup, maps, medium, gain
-        height, width = maps[0].shape[-2:]
-        self.size = height, width
-        self.centre = setup.centre or ((width - 1) / 2, (height - 1) / 2)
-        self._kept: tuple[slice, Lit] | None = None
-
-    def brightened(self, gain: Tensor) -> "_BandedLight":
-        """The light as a camera of this gain sees it."""
-        return _BandedLight(self.setup, self.maps, self.medium, gain)
-
-    def part(self, rows: slice, columns: slice) -> Lit:
-        """The light on some rows and columns."""
-        band, lit = self._band(rows)
-        return lit.part(slice(rows.start - band.start, rows.stop - band.start), columns)
-
-    def curves_at(self, points: Tensor, z: Tensor, sums: Sums) -> Curves:
-        """What reaches the camera at some pixels (N) of effective distances z (1x1x1xN)."""
-        height, width = self.size
-        row = points // width
-        found = Curves(*(z.new_empty(1, 3, 1, len(points)) for _ in range(3)))
-        for start, stop in bands(height, width):
-            inside = (row >= start) & (row < stop)
-            if not bool(inside.any()):
-                continue
-            band, lit = self._band(slice(start, stop))
-            here = lit.at(points[inside] - band.start * width).curves(sums, z[..., inside])
-            for whole, part in zip(found, here, strict=True):
-                whole[..., inside] = part
-        return found
-
-    def _band(self, rows: slice) -> tuple[slice, Lit]:
-        """The rows of a band that holds these and what their normals rest on, and its light."""
-        wanted = slice(max(rows.start - _HALO, 0), min(rows.stop + _HALO, self.size[0]))
-        if self._kept is not None:
-            kept, lit = self._kept
-            if kept.start <= wanted.start and wanted.stop <= kept.stop:
-                return kept, lit
-        (_, step), *_ = bands(*self.size)
-        stop = min(max(wanted.stop, wanted.start + step), self.size[0])
-        band = slice(wanted.start, stop)
-        distance, *field = (_rows_of(x)(band.start, band.stop)[None] for x in self.maps)
-        column, row = self.centre
-        centre = column, row - band.start
-        setup = self.setup
-        lit_here = lit_of(
-            setup.light, distance, field[0] if field else None, self.medium, setup.focal_px, centre
-        )
-        assert lit_here is not None
-        if self.gain is not None:
-            lit_here = lit_here.brightened(self.gain)
-        self._kept = band, lit_here
-        return self._kept
-
-
 def _decoded(
     image: Tensor, color_space: ColorSpace, ends: tuple[float, float], by_loops: bool
 ) -> Tensor:
@@ -619,7 +460,7 @@ def _radiance_rows(
 
 def _distance_rows(maps: Sequence[Tensor | RowSource], like: Tensor) -> RowSource:
     """The effective distance, m·z, a few rows at a time."""
-    distance, *field = map(_rows_of, maps)
+    distance, *field = map(rows_of, maps)
 
     def rows(start: int, stop: int) -> Tensor:
         z = distance(start, stop).to(like).clamp(0.0, FARTHEST)
@@ -628,14 +469,10 @@ def _distance_rows(maps: Sequence[Tensor | RowSource], like: Tensor) -> RowSourc
     return RowSource(rows, (1, *maps[0].shape[-2:]), like)
 
 
-def _rows_of(x: Tensor | RowSource) -> Rows:
-    return x.rows if isinstance(x, RowSource) else held(x.reshape(x.shape[-3:]))
-
-
 def _whole(x: Tensor | RowSource, dtype: torch.dtype) -> Tensor:
     """All of a map, with a batch dimension."""
-    held = x if isinstance(x, Tensor) else x[...]
-    return (held if held.ndim == 4 else held[None]).to(dtype)
+    values = x if isinstance(x, Tensor) else x[...]
+    return (values if values.ndim == 4 else values[None]).to(dtype)
 
 
 def _row(x: Tensor | RowSource, n: int) -> Tensor | RowSource:

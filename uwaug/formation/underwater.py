@@ -26,14 +26,12 @@ from uwaug.formation.engine import expected_path
 from uwaug.formation.exposure import Exposure, brightest, require_exposure
 from uwaug.formation.learnable import FixedLamps, FixedMedium, LearnableMedium
 from uwaug.formation.model import Reach, validate
-from uwaug.formation.scene import Scene, Setup
+from uwaug.formation.scene import Scene
+from uwaug.formation.setup import Setup
 from uwaug.light.light import Light
 from uwaug.light.lit import lamps_in_water, light_of, planning_medium
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
-
-__all__ = ["Underwater"]
-
 
 _FEW = 0.01
 """Share of the pixels that may lie outside of the range that is planned for without a word."""

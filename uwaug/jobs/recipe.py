@@ -10,7 +10,7 @@ from uwaug._support.hashing import FileHash
 from uwaug.distance.sample import Scaling, as_unknown
 from uwaug.fitting import Fit
 from uwaug.formation.exposure import require_exposure
-from uwaug.formation.scene import Setup
+from uwaug.formation.setup import Setup
 from uwaug.io.distances import DistanceFormat
 from uwaug.jobs.waters import DrawnWaters, KnownWater, Waters
 from uwaug.labels import LabelSource, open_labels

@@ -10,7 +10,8 @@ from torch import Tensor
 from uwaug.distance.sample import DistanceKind, Scaling, Unknown, metres_of, skipped
 from uwaug.formation.engine import path_of
 from uwaug.formation.field import random_field
-from uwaug.formation.scene import Scene, Setup
+from uwaug.formation.scene import Scene
+from uwaug.formation.setup import Setup
 from uwaug.light.geometry import focal_of
 from uwaug.transforms.prepare import InWater as Wet
 from uwaug.transforms.prepare import deterministic

@@ -4,25 +4,14 @@ import json
 import os
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
-from typing import Any, get_args
+from typing import Any
 
-import torch
-from torch import Tensor
-
-from uwaug._support import checks
 from uwaug._support.onnx_session import Session
-from uwaug._support.types import ColorSpace
 from uwaug.blur.plan import BlurPlan
 from uwaug.formation.demand import distance_range_of, sides_of
-from uwaug.formation.exposure import require_exposure
-from uwaug.formation.scene import Setup
+from uwaug.formation.setup import Setup
 from uwaug.formation.underwater import Underwater
-from uwaug.light.light import Light
-from uwaug.light.lit import light_of
 from uwaug.onnx.graph import Options
-from uwaug.optics.inherent import Bands
-from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread
 
 FORMAT = 2
 """Of the metadata; files of another are refused."""
@@ -60,25 +49,8 @@ class Stored:
 
 def written(module: Underwater, plan: BlurPlan, options: Options) -> dict[str, str]:
     """The metadata of a module's file."""
-    medium, law = module.medium, module.medium.point_spread
-    tensors: dict[str, Any] = {
-        name: value.detach().tolist() for name, value in medium.parameters().items()
-    }
-    for name, value in law.numbers().items():
-        if not isinstance(value, Tensor):
-            tensors[name] = value
-    rebuild: dict[str, Any] = {
-        "medium": tensors,
-        "law": {"shape": law.shape, "reference_size": law.reference_size},
-        "notes": medium.notes,
-        "plan": asdict(plan),
-    }
-    if module.light is not None:
-        rebuild["light"] = module.light.to_list()
-        rebuild["camera"] = module.camera
-        if medium.bands is not None:
-            bands = [tensor.detach().double().tolist() for tensor in medium.bands.tensors()]
-            rebuild["unlit"] = [*bands, medium.bands.tolerance]
+    medium = module.medium
+    rebuild = {**module.setup.to_dict(), "plan": asdict(plan)}
     return {
         "uwaug_format": str(FORMAT),
         "uwaug_version": version("uwaug"),
@@ -141,25 +113,14 @@ def stored_in(path: str | os.PathLike[str], metadata: dict[str, str]) -> Stored:
 
 def _stored(metadata: dict[str, str]) -> Stored:
     module = json.loads(metadata["uwaug_module"], parse_constant=_refuse_constant)
-    checks.one_of("color_space", metadata["uwaug_color_space"], get_args(ColorSpace))
+    # files of older versions say these three here only
     exposure = json.loads(metadata["uwaug_exposure"])
-    require_exposure(exposure)
-    light, (focal_px, centre) = None, module.get("camera", (None, None))
-    centre = None if centre is None else tuple(centre)
-    if "light" in module:
-        light = light_of(Light.from_list(module["light"]), focal_px, centre)
+    color_space, tolerance = metadata["uwaug_color_space"], float(metadata["uwaug_tolerance"])
+    here = {"exposure": exposure, "color_space": color_space, "tolerance": tolerance}
     choices = (metadata[f"uwaug_{name}"] for name in ("parameters", "field", "image"))
     return Stored(
         options=Options(*choices),  # type: ignore[arg-type]
-        setup=Setup(
-            _medium(module),
-            light,
-            exposure,
-            metadata["uwaug_color_space"],  # type: ignore[arg-type]
-            focal_px,
-            centre,
-            float(metadata["uwaug_tolerance"]),
-        ),
+        setup=Setup.from_dict(module | here),
         plan=BlurPlan(**{name: _tuples(value) for name, value in module["plan"].items()}),
         sides=sides_of(json.loads(metadata["uwaug_sides_px"])),
         distance_range=distance_range_of(json.loads(metadata["uwaug_distance_range_m"])),
@@ -173,22 +134,6 @@ def _refuse_constant(name: str) -> None:
 def _tuples(value: Any) -> Any:
     """JSON's lists as tuples."""
     return tuple(map(_tuples, value)) if isinstance(value, list) else value
-
-
-def _medium(module: dict[str, Any]) -> Medium:
-    values: dict[str, Any] = {
-        name: torch.tensor(value, dtype=torch.float64) if isinstance(value, list) else float(value)
-        for name, value in module["medium"].items()
-    }
-    law = PointSpread(**{name: values.pop(name) for name in PointSpread.NUMBERS}, **module["law"])
-    bands = None
-    if "unlit" in module:  # as formats before this version name them
-        *tensors, tolerance = module["unlit"]
-        doubles = [torch.tensor(t, dtype=torch.float64) for t in tensors]
-        bands = Bands.of_tensors(doubles, tolerance)
-    medium = Medium(**values, point_spread=law, notes=tuple(module["notes"]), bands=bands)
-    medium.parameters()  # has a row of each number for every medium, or raises
-    return medium
 
 
 def read_module(path: str | os.PathLike[str]) -> Underwater:

@@ -14,7 +14,7 @@ from uwaug._support.types import ColorSpace
 from uwaug.distance.convert import from_relative
 from uwaug.formation.exposure import Exposure
 from uwaug.formation.field import gaussian_random_field
-from uwaug.formation.scene import Setup
+from uwaug.formation.setup import Setup
 from uwaug.formation.underwater import Underwater
 from uwaug.light import Light
 from uwaug.optics.bands import attenuations, surface_light

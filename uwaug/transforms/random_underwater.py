@@ -24,7 +24,8 @@ from uwaug.distance.sample import (
 )
 from uwaug.formation.engine import expected_path
 from uwaug.formation.field import random_field
-from uwaug.formation.scene import Scene, Setup
+from uwaug.formation.scene import Scene
+from uwaug.formation.setup import Setup
 from uwaug.light import Light
 from uwaug.light.geometry import focal_of
 from uwaug.optics.bands import default_bands
