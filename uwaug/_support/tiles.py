@@ -92,16 +92,16 @@ def at_pixels(values: Rows, size: tuple[int, int], pixels: Tensor) -> Tensor:
     """The values (CxN) of some pixels, given by their flat indices (N)."""
     height, width = size
     row, column = pixels // width, pixels % width
-    at_them: Tensor | None = None
+    sampled: Tensor | None = None
     for start, stop in bands(height, width):
         inside = (row >= start) & (row < stop)
         if not bool(inside.any()):
             continue
         band = values(start, stop)
-        if at_them is None:
-            at_them = band.new_empty(len(band), len(pixels))
-        at_them[:, inside] = band[:, row[inside] - start, column[inside]]
-    return torch.empty(0, 0) if at_them is None else at_them
+        if sampled is None:
+            sampled = band.new_empty(len(band), len(pixels))
+        sampled[:, inside] = band[:, row[inside] - start, column[inside]]
+    return torch.empty(0, 0) if sampled is None else sampled
 
 
 def extremes(values: Rows, size: tuple[int, int]) -> tuple[float, float]:

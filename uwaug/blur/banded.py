@@ -338,9 +338,9 @@ def operator(
             transform diagonalise it.
     """
     key = (kind, axis, size, node, dtype, device, adjoint)
-    found = _REMEMBERED.get(key)
-    if found is not None:
-        return found
+    banded = _REMEMBERED.get(key)
+    if banded is not None:
+        return banded
     least = 8 if axis == 0 else 32  # rows of a block, the fastest of 4…64 on 256 and 512 px
     a, q = per_cell(node.cell)
     # whole periods of the grid repeat; a strip of rows of the image ends between two blocks
@@ -351,6 +351,6 @@ def operator(
         # rows are cells
         height, period = a * -(-least // a), a
     matrix = whole(kind, size, node, adjoint)
-    made = matrix.banded(axis, height, math.lcm(height, period), dtype, device)
-    _REMEMBERED.put(key, made, made.bytes)
-    return made
+    banded = matrix.banded(axis, height, math.lcm(height, period), dtype, device)
+    _REMEMBERED.put(key, banded, banded.bytes)
+    return banded

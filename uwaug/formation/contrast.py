@@ -116,12 +116,12 @@ def _light(reflectance: float | Tensor, z: Tensor) -> Tensor:
         low, _ = checks.finite("reflectance", reflectance)
         if low < 0:
             raise ValueError(f"reflectance falls to {low:g}: expected linear light ≥ 0")
-    wanted = (len(z), 3, *z.shape[-2:])
+    shape = (len(z), 3, *z.shape[-2:])
     try:
-        np.broadcast_shapes(reflectance.shape, wanted)
+        np.broadcast_shapes(reflectance.shape, shape)
     except ValueError:
         got = tuple(reflectance.shape)
-        raise ValueError(f"reflectance is {got}: expected what broadcasts with {wanted}") from None
+        raise ValueError(f"reflectance is {got}: expected what broadcasts with {shape}") from None
     return reflectance.to(z)
 
 

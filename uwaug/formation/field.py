@@ -203,16 +203,16 @@ _REMEMBERED: Cache[_Waves] = Cache(4 * 2**20)
 def _waves(noise: Tensor, height: int, width: int, exponent: float) -> _Waves:
     """The waves of some noise, which gives their amplitudes."""
     if type(noise) is not Tensor or torch.compiler.is_compiling() or transformed():
-        made = _unit_waves(noise, height, width, exponent)
-        return made._replace(amplitude=noise * made.amplitude)
+        unit = _unit_waves(noise, height, width, exponent)
+        return unit._replace(amplitude=noise * unit.amplitude)
     key = (height, width, exponent, noise.shape[-1], noise.dtype, noise.device)
-    found = _REMEMBERED.get(key)
-    if found is None:
+    waves = _REMEMBERED.get(key)
+    if waves is None:
         # what inference mode makes cannot be used outside
         with torch.inference_mode(False), torch.no_grad():
-            found = _unit_waves(noise.new_empty(noise.shape[-1]), height, width, exponent)
-        _REMEMBERED.put(key, found, sum(t.numel() * t.element_size() for t in found))
-    return found._replace(amplitude=noise * found.amplitude)
+            waves = _unit_waves(noise.new_empty(noise.shape[-1]), height, width, exponent)
+        _REMEMBERED.put(key, waves, sum(t.numel() * t.element_size() for t in waves))
+    return waves._replace(amplitude=noise * waves.amplitude)
 
 
 def _unit_waves(noise: Tensor, height: int, width: int, exponent: float) -> _Waves:

@@ -65,9 +65,9 @@ class FixedMedium(_InFullPrecision):
 
     def forward(self) -> Medium:
         """The medium at hand."""
-        # a law looks at the values of its tensors whenever it is made
-        looks = any(name in self._buffers for name in PointSpread.NUMBERS)
-        if looks or torch.compiler.is_compiling() or transformed():
+        # a law checks the values of its tensors whenever it is made
+        has_law = any(name in self._buffers for name in PointSpread.NUMBERS)
+        if has_law or torch.compiler.is_compiling() or transformed():
             return self._of_buffers()
         buffers = tuple(self._buffers.values())
         if self._last is not None:

@@ -204,13 +204,16 @@ class Underwater(nn.Module):
             z = z.clamp(max=FARTHEST) * field.detach()
         outside = {"nearer": z < near, "farther": (z > far) & (z < FARTHEST)}
         shares = {where: float(pixels.double().mean()) for where, pixels in outside.items()}
-        told = [f"{share:.0%} of the pixels lie {where}" for where, share in shares.items()]
-        told = [words for words, share in zip(told, shares.values(), strict=True) if share > _FEW]
-        if told:
+        clauses = [
+            f"{share:.0%} of the pixels lie {where}"
+            for where, share in shares.items()
+            if share > _FEW
+        ]
+        if clauses:
             self._warned = True
             warnings.warn(
-                f"{' and '.join(told)} than the {near:g}…{far:g} m that the blur is planned for, "
-                "and get the width of its end; plan for them with Underwater(…, "
+                f"{' and '.join(clauses)} than the {near:g}…{far:g} m that the blur is planned "
+                "for, and get the width of its end; plan for them with Underwater(…, "
                 "distance_range=(near, far)), or with None for each call",
                 stacklevel=3,
             )

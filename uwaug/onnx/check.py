@@ -90,7 +90,7 @@ def check_onnx(
     quantised = options.image == "uint8"
     limit = 1.0 if quantised else tolerance or limit_of(module)
     sessions = {"off": Session(path, 1, optimise=False), "on": Session(path, 1)}
-    found: list[tuple[float, str]] = []
+    differences: list[tuple[float, str]] = []
     moved = 0.0
     cases = list(_cases(stored))
     for number, case in enumerate(cases):
@@ -104,17 +104,17 @@ def check_onnx(
         # uint8 stays uint8, so that its result is rounded and clipped
         image = case.image if quantised else case.image.double()
         with torch.no_grad():
-            wanted = module.formed(
+            eager = module.formed(
                 image, case.distance.double(), field, medium.to(torch.float64), plan
             )
-        moved = max(moved, float((wanted.double() - case.image).abs().max()))
+        moved = max(moved, float((eager.double() - case.image).abs().max()))
         if options.parameters == "inputs":
             for name, value in parameters_of(medium).items():
                 rows[name] = value.expand(len(image), *value.shape[1:])
         for state, session in sessions.items():
             where = f"{case.name}, optimisations {state}"
-            found.append((_apart(path, session, rows, wanted, where), where))
-    worst, where = max(found)
+            differences.append((_apart(path, session, rows, eager, where), where))
+    worst, where = max(differences)
     if worst > limit:
         raise ValueError(
             f"{path}: differs from float64 eager by {worst:.3g} (limit {limit:g}) at {where}"
@@ -122,7 +122,7 @@ def check_onnx(
     if moved <= 2 * limit:
         danger = "a graph that returns its input would pass"
         raise ValueError(f"module changes a picture by {moved:.2g} at most: {danger}")
-    return Report(len(found), worst, where)
+    return Report(len(differences), worst, where)
 
 
 def limit_of(module: Underwater) -> float:
@@ -134,17 +134,17 @@ def _apart(
     path: str | os.PathLike[str],
     session: Session,
     rows: dict[str, Tensor],
-    wanted: Tensor,
+    eager: Tensor,
     where: str,
 ) -> float:
-    """The largest difference of the file's result from the one wanted; inf if it holds NaN."""
+    """The largest difference of the result of a file from eager's; inf if it holds NaN."""
     try:
         out = session(rows)
     except Exception as error:  # of ONNX Runtime, see Session
         raise ValueError(f"{path}: fails at {where}: {str(error).splitlines()[0]}") from error
-    if out.shape != wanted.shape:
-        raise ValueError(f"{path}: gives {tuple(out.shape)}, not {tuple(wanted.shape)}, at {where}")
-    apart = float((out.double() - wanted.double()).abs().max())
+    if out.shape != eager.shape:
+        raise ValueError(f"{path}: gives {tuple(out.shape)}, not {tuple(eager.shape)}, at {where}")
+    apart = float((out.double() - eager.double()).abs().max())
     return math.inf if math.isnan(apart) else apart
 
 

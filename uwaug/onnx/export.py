@@ -150,9 +150,9 @@ class _Parts(nn.Module):
         self.parent, self.names = graph, names
 
     def forward(self, *values: Tensor) -> tuple[Tensor, ...]:
-        given = dict(zip(self.names, values, strict=True))
-        own = {name.removeprefix(STRIP): x for name, x in given.items() if name.startswith(STRIP)}
-        before = self.parent.before(given, given["down"], given["across"])
+        by_name = dict(zip(self.names, values, strict=True))
+        own = {name.removeprefix(STRIP): x for name, x in by_name.items() if name.startswith(STRIP)}
+        before = self.parent.before(by_name, by_name["down"], by_name["across"])
         return (*before.values(), self.parent.strip(own, own["rows"], own["across"]))
 
 

@@ -82,9 +82,9 @@ def lengths() -> list[Any]:
 
     def op(kind: str, *inputs: str | int, name: str | None = None, **attributes: Any) -> str:
         """A node's only result, of names or numbers."""
-        given = [x if isinstance(x, str) else op("Constant", value_int=x) for x in inputs]
+        names = [x if isinstance(x, str) else op("Constant", value_int=x) for x in inputs]
         name = name or f"length_{len(nodes)}"  # after those of its inputs
-        nodes.append(helper.make_node(kind, given, [name], **attributes))
+        nodes.append(helper.make_node(kind, names, [name], **attributes))
         return name
 
     def up(n: str, to: str | int) -> str:

@@ -159,8 +159,8 @@ def render_in_rows(
         stack = part.stack._replace(starts=starts)
         run = partial(kernel, held, metres, numbers, stack, grid, srgb, most, *outs)
         in_bands(run, inside, width)
-        made = torch.from_numpy(out[:, inside.start : inside.stop])
-        result[0, :, rows.start : rows.stop] = made.to(dtype)
+        band = torch.from_numpy(out[:, inside.start : inside.stop])
+        result[0, :, rows.start : rows.stop] = band.to(dtype)
     return result
 
 
