@@ -27,17 +27,19 @@ def survey(water: str) -> uwaug.Underwater:
 def test_pixels_beyond_the_plan_are_reported_once(water, near, far, said) -> None:
     degrade = survey(water)
     image, z = scene(near, far)
-    with pytest.warns(UserWarning, match=said):
+    with pytest.warns(UserWarning, match=said) as warned:
         degrade(image, z)
+    assert warned[0].filename == __file__
     degrade(image, z)  # an error, in these tests, if it warned again
 
 
-def test_few_pixels_and_open_water_are_not_reported() -> None:
+@pytest.mark.parametrize("factor", [0.8, 1.2])
+def test_few_pixels_and_open_water_are_not_reported(factor: float) -> None:
     degrade = survey("7C")
     image, z = scene(1.0, 5.0)
     z[..., 0, :20] = 0.2
     z[..., 50:, :] = math.inf
-    degrade(image, z, torch.full_like(z, 1.2))  # an error, in these tests, if it warned
+    degrade(image, z, torch.full_like(z, factor))  # an error, in these tests, if it warned
     degrade(image[:0], z[:0])
 
 

@@ -31,6 +31,11 @@ from uwaug.formation.setup import Setup
 from uwaug.light.light import Light
 from uwaug.optics.medium import Medium
 
+_ROUNDING = 1e-6
+"""Of float32. A field of .7…1.3 on a range that was planned for it would be looked at each time:
+4 ms of 30 at 1024².
+"""
+
 
 class Reach(NamedTuple):
     """The least and the largest distance, m, and the same of the field, 1 without one."""
@@ -41,8 +46,9 @@ class Reach(NamedTuple):
     high: float = 1.0
 
     def lies_in(self, near: float, far: float) -> bool:
-        """Whether no effective distance can lie outside of a range, m."""
-        return near <= self.nearest * self.low and self.farthest * self.high <= far
+        """Whether no effective distance can lie outside of a range, m, by more than rounding."""
+        nearest, farthest = self.nearest * self.low, self.farthest * self.high
+        return near <= nearest * (1 + _ROUNDING) and farthest <= far * (1 + _ROUNDING)
 
 
 def form_image(

@@ -200,10 +200,14 @@ class Underwater(nn.Module):
             return
         # half precision does not reach as far as open water
         z = distance.detach().to(torch.promote_types(distance.dtype, torch.float32))
+        open_water = z >= FARTHEST
         if field is not None:
-            z = z.clamp(max=FARTHEST) * field.detach()
-        outside = {"nearer": z < near, "farther": (z > far) & (z < FARTHEST)}
-        shares = {where: float(pixels.double().mean()) for where, pixels in outside.items()}
+            z = z * field.detach()
+        outside = {"nearer": z < near, "farther": (z > far) & ~open_water}
+        shares = {
+            where: float(pixels.count_nonzero()) / max(1, pixels.numel())
+            for where, pixels in outside.items()
+        }
         clauses = [
             f"{share:.0%} of the pixels lie {where}"
             for where, share in shares.items()
@@ -215,7 +219,7 @@ class Underwater(nn.Module):
                 f"{' and '.join(clauses)} than the {near:g}…{far:g} m that the blur is planned "
                 "for, and get the width of its end; plan for them with Underwater(…, "
                 "distance_range=(near, far)), or with None for each call",
-                stacklevel=3,
+                stacklevel=5,  # behind two functions of torch that call forward
             )
 
     def keep_up(self, medium: Medium) -> None:
