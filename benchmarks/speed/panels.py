@@ -7,7 +7,7 @@ import importlib.util
 import logging
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -23,7 +23,7 @@ from benchmarks.harness import DISTANCES, WIDEST, scene, water_medium
 from benchmarks.speed import blurs
 from uwaug import fused
 from uwaug.blur.plan import BlurPlan, plan_blur
-from uwaug.blur.tiled import row_strips
+from uwaug.blur.tiled import rows_of_strip
 from uwaug.formation.scene import total
 from uwaug.onnx import OnnxUnderwater, export_onnx
 from uwaug.optics.curves import curves
@@ -135,10 +135,16 @@ def _blur_plans(c: Case, size: int) -> dict[str, BlurPlan]:
     return plans
 
 
+def _strips(image: Tensor) -> Iterator[slice]:
+    """Rows of an image, as many at a time as its blurs are made of."""
+    height, step = image.shape[-2], rows_of_strip(image.shape[1], image.shape[-1])
+    return (slice(first, min(first + step, height)) for first in range(0, height, step))
+
+
 def pointwise(c: Case, medium: Medium, scattered: Tensor) -> Tensor:
     """Curves, veil and sum as `form_image` computes them."""
     out, sums = torch.empty_like(c.image), medium.sums(exact_at_lens=False)
-    for rows in row_strips(*c.image.shape[1:]):
+    for rows in _strips(c.image):
         image, z, blurred = (t[..., rows, :] for t in (c.image, c.z, scattered))
         (out[..., rows, :],) = total(curves(sums, z), image, blurred)
     return out
@@ -147,7 +153,7 @@ def pointwise(c: Case, medium: Medium, scattered: Tensor) -> Tensor:
 def table_lookup(c: Case, table: Tensor, farthest: float, scattered: Tensor) -> Tensor:
     """Direct, share and veil (3×3 curves) interpolated linearly in a table over 0…farthest."""
     out = torch.empty_like(c.image)
-    for rows in row_strips(*c.image.shape[1:]):
+    for rows in _strips(c.image):
         image, z, blurred = (t[0, :, rows] for t in (c.image, c.z, scattered))
         place = (z * ((table.shape[1] - 1) / farthest)).flatten().clamp(0, table.shape[1] - 1.001)
         index = place.int()

@@ -100,13 +100,8 @@ class PartBlur:
         self.kept[low : low + len(part)] += part
 
 
-def row_strips(channels: int, height: int, width: int) -> Iterator[slice]:
-    """Rows of an image, a strip at a time."""
-    rows = _rows_of_strip(channels, width)
-    return (slice(first, min(first + rows, height)) for first in range(0, height, rows))
-
-
-def _rows_of_strip(channels: int, width: int) -> int:
+def rows_of_strip(channels: int, width: int) -> int:
+    """How many rows of an image are blurred at a time."""
     return PERIOD * max(1, _STRIP // (PERIOD * channels * width))
 
 
@@ -125,7 +120,7 @@ def blurred_tiles(
         the tile, and K tensors (1xCxRxS): the picture blurred by each of `plan.sigmas`.
     """
     _, c, h, w = picture.shape
-    strip = _rows_of_strip(c, w)
+    strip = rows_of_strip(c, w)
     if isinstance(picture, Tensor):
         like, rows, step = picture, held(picture[0]), h
     else:

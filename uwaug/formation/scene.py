@@ -38,7 +38,7 @@ from uwaug.formation.loops.backward import render_with_gradients
 from uwaug.formation.setup import Setup
 from uwaug.light.banded import BandedLight
 from uwaug.light.lit import LampInWater, Lit, lit_of, planning_medium, transmittance
-from uwaug.optics.curves import FARTHEST, Curves, Sums, curves
+from uwaug.optics.curves import FARTHEST, Curves, Sums
 from uwaug.optics.medium import Medium
 
 
@@ -409,13 +409,9 @@ class _View(NamedTuple):
         return self._transmittance(tile, self.z[tile]).scatter * self.radiance[tile]
 
     def _transmittance(self, tile: Tile, z: Tensor) -> Curves:
-        if self.lit is None:
-            return curves(self.sums, z)
-        if tile is ...:
-            assert isinstance(self.lit, Lit)
-            return self.lit.curves(self.sums, z)
-        _, rows, columns = tile
-        return self.lit.part(rows, columns).curves(self.sums, z)
+        lit = self.lit if self.lit is None or tile is ... else self.lit.part(*tile[1:])
+        assert not isinstance(lit, BandedLight)
+        return transmittance(self.sums, z, lit)
 
 
 def mixture(

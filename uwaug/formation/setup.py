@@ -11,7 +11,7 @@ from uwaug._support import checks
 from uwaug._support.types import ColorSpace, Order
 from uwaug.formation.exposure import Exposure, require_exposure
 from uwaug.light.light import Light
-from uwaug.light.lit import light_of
+from uwaug.light.lit import checked_light
 from uwaug.optics.inherent import Bands
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
@@ -82,7 +82,7 @@ class Setup:
         options |= {"focal_px": focal_px, "centre": None if centre is None else tuple(centre)}
         if "light" in values:
             light = Light.from_list(values["light"])
-            options["light"] = light_of(light, focal_px, options["centre"])
+            options["light"] = checked_light(light, focal_px, options["centre"])
         return Setup(_medium_from(values), **options)
 
 

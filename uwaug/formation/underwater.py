@@ -29,7 +29,7 @@ from uwaug.formation.model import Reach, validate
 from uwaug.formation.scene import Scene
 from uwaug.formation.setup import Setup
 from uwaug.light.light import Light
-from uwaug.light.lit import lamps_in_water, light_of, planning_medium
+from uwaug.light.lit import checked_light, lamps_in_water, planning_medium
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 
@@ -115,7 +115,7 @@ class Underwater(nn.Module):
         checks.one_of("order", order, get_args(Order))
         checks.tolerance(tolerance)
         require_exposure(exposure)
-        self.light = None if light is None else light_of(light, focal_px, centre)
+        self.light = None if light is None else checked_light(light, focal_px, centre)
         self.camera = focal_px, centre
         self.distance_range = None if distance_range is None else distance_range_of(distance_range)
         self.tolerance = tolerance

@@ -2,7 +2,7 @@
 
 A light is linear: that of several sources is the sum of what each gives. With c for a channel,
 
-    daylight  shade·T_β, shade·(T_G − T_β), e^(gradient·sin e)·(V(0) − V)
+    daylight  gain·shade·T_β, gain·shade·(T_G − T_β), gain·e^(gradient·sin e)·(V(0) − V)
     a lamp    share·A, (1 − share)·A, and its near-field backscatter
 
 A = irradiance·T_G(z + r) is what arrives of a lamp's light after both ways, r from the lamp and z:
@@ -263,7 +263,7 @@ def lit_of(
     """
     if light is None or light.plain:
         return None
-    light = light_of(light, focal_px, centre).to(medium.beta)
+    light = checked_light(light, focal_px, centre).to(medium.beta)
     z = _batch(distance, medium).clamp(0.0, FARTHEST)
     field = None if field is None else _batch(field, medium)
     if not z.numel():
@@ -295,7 +295,9 @@ def _batch(value: Tensor, medium: Medium) -> Tensor:
     return (value if value.ndim == 4 else value[None]).to(medium.beta)
 
 
-def light_of(light: Light, focal_px: float | None, centre: tuple[float, float] | None) -> Light:
+def checked_light(
+    light: Light, focal_px: float | None, centre: tuple[float, float] | None
+) -> Light:
     """A light and what is known of the camera, checked."""
     checks.instance("light", light, Light)
     require_centre(centre)

@@ -54,7 +54,7 @@ def attenuations(a: Array, b: Array, g: float | Array) -> tuple[Array, Array]:
     return a + b, np.maximum(a + g * b, _LOSSLESS)
 
 
-def surface_light(
+def light_and_veil(
     beta: Array,
     G: Array,
     b: Array,
@@ -95,7 +95,7 @@ def reduced(
     curve.
 
     Args:
-        beta, G, light, veil, veil_rate (N arrays): from `attenuations` and `surface_light`.
+        beta, G, light, veil, veil_rate (N arrays): from `attenuations` and `light_and_veil`.
         response (3xN array): of the camera; rows sum to 1.
         forward: see `uwaug.Medium.from_water`.
         tolerance: largest error of each curve; 0 keeps every band.

@@ -48,10 +48,10 @@ from uwaug.optics.bands import (
     default_bands,
     forward_from_direct,
     joined,
+    light_and_veil,
     reduced,
     require_forward,
     spectral_note,
-    surface_light,
 )
 from uwaug.optics.camera import Camera, load_camera, response_at
 from uwaug.optics.curves import FARTHEST, Curves, Sums, cancels, curves
@@ -160,7 +160,7 @@ class Medium:
         response = response_at(load_camera(camera), axis.tobytes())
         choices: dict[str, Any] = {"downwelling": downwelling, "dims": dims, "veil_rate": veil_rate}
         beta, G = attenuations(spectra.a, b, g)
-        light, veil, rate = surface_light(
+        light, veil, rate = light_and_veil(
             beta, G, b, spectra.kd, vertical_depth=vertical_depth, mu=mu, **choices
         )
         tensors, error = reduced(beta, G, light, veil, rate, response, forward, tolerance)

@@ -63,7 +63,8 @@ class PointSpread:
         Henyey–Greenstein function (HG) of mean cosine .924. Use with g = .05, and with μ = .075,
         which keeps the paper's μ/g.
 
-        Mean RMSE of direct + forward light over b̄z = .1…5, from `benchmarks/physics.py`:
+        Mean RMSE of direct + forward light over b̄z = .1…5, from
+        `python -m benchmarks.accuracy.physics`:
 
             |                                          | Petzold's | HG .924 | .90   | .85   |
             | this law                                 | .0066     | .0075   | .0100 | .0181 |

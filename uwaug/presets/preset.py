@@ -17,7 +17,7 @@ from uwaug.formation.field import gaussian_random_field
 from uwaug.formation.setup import Setup
 from uwaug.formation.underwater import Underwater
 from uwaug.light import Light
-from uwaug.optics.bands import attenuations, surface_light
+from uwaug.optics.bands import attenuations, light_and_veil
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
@@ -299,7 +299,7 @@ def _coefficient_medium(config: Config, depth: float) -> Medium:
     # the g of each channel that gives G as printed, which is rounded
     g = np.divide(printed_G - a, b, out=np.zeros(3), where=b > 0)
     beta, G = attenuations(a, b, g)
-    light, veil, _ = surface_light(beta, G, b, kd, vertical_depth=depth, mu=config.medium.mu)
+    light, veil, _ = light_and_veil(beta, G, b, kd, vertical_depth=depth, mu=config.medium.mu)
     return Medium.from_coefficients(
         beta.tolist(),
         G.tolist(),

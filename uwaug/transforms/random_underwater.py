@@ -278,7 +278,8 @@ class RandomUnderwater(SampleTransform):
 
         The loss is that of the standard deviation of luminance in sRGB, PCD the difference of phase
         congruency (0: all structure is left), both at the bundled scene; at 2 and 5 m: the contrast
-        of fine detail on grey, see `uwaug.contrast`. Medians of `python -m benchmarks.information`.
+        of fine detail on grey, see `uwaug.contrast`. Medians of
+        `python -m benchmarks.accuracy.information`.
 
         Args:
             level: 1 (mild) … 5 (severe).

@@ -286,6 +286,6 @@ def _drop_older(folder: Folder, sources: Folder = Folder(__file__).parent) -> No
     stamp = folder / "loops.sha256"
     if stamp.exists() and stamp.read_text() == digest.hexdigest():
         return
-    for index in folder.glob("*.nbi"):
-        index.unlink(missing_ok=True)
+    for kept in folder.glob("*.nb[ic]"):
+        kept.unlink(missing_ok=True)
     stamp.write_text(digest.hexdigest())

@@ -336,7 +336,7 @@ def curves(t: Any, z: int, to: int, medium: Any) -> None:
 
 
 @inner
-def _store(
+def _sum_and_store(
     total: Any, curves: Any, light: Any, srgb: bool, most: Any, out: Any, out_bytes: Any
 ) -> None:
     """D + F + B of a tile, encoded, to where there is room: into one of the two."""
@@ -420,7 +420,7 @@ def render_rows(
                     share = tile_row(t, shares + sharp + narrow + k)
                     first = stack.starts[k] + 3 * stack.back_first[k, y] + c
                     add_enlarged(total_row, share, grid, first, left, right, stack.back[k, y])
-                _store(
+                _sum_and_store(
                     total_row,
                     tile_rows(t, 1 + 3 * c, 3),
                     J,

@@ -190,7 +190,7 @@ def coarse_nodes(plan: BlurPlan) -> list[Node]:
 def _plan_table(plan: BlurPlan, size: Size) -> PlanTable:
     height, width = size
     narrow = [node for node in _nodes(plan) if node.cell == 1 and node.sigma > 0]
-    wide = [node for node in _nodes(plan) if node.cell != 1]
+    wide = coarse_nodes(plan)
     taps = _taps(narrow)
     margin = taps.shape[1] - 1
     coarse = tuple(coarse_table(node, height, width) for node in wide)
@@ -276,7 +276,7 @@ def _adjoint_table(plan: BlurPlan, size: Size) -> AdjointTable:
     back, along the columns of its matrices.
     """
     stack, (height, _) = plan_table(plan, size).stack, size
-    wide = [node for node in _nodes(plan) if node.cell != 1]
+    wide = coarse_nodes(plan)
     shrunk = [_columns_of("shrink", node, height) for node in wide]
     taps = max((weights.shape[1] for _, weights in shrunk), default=0)
     rows = np.zeros((len(wide), height, taps), np.int64)
