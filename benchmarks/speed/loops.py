@@ -72,7 +72,7 @@ def direct_and_veil(image: Tensor, distance: Tensor, field: Tensor) -> Tensor:
 
 def _race(runners: Runners, quick: bool) -> dict[str, dict[str, float]]:
     with torch.no_grad():
-        return race(runners, 3 if quick else 45, 4.0 if quick else 30.0)
+        return race(runners, 3 if quick else 45, 0.5 if quick else 30.0)
 
 
 def _said(times: dict[str, dict[str, float]]) -> str:

@@ -260,7 +260,7 @@ def shares(size: int, pictures: int) -> dict[str, Any]:
     return {"size": size, "ms_per_picture": rows}
 
 
-def first_pictures(size: int, count: int = 20) -> dict[str, Any]:
+def first_pictures(size: int, count: int) -> dict[str, Any]:
     """What a fresh worker's first pictures cost, before plans, matrices and media are there to be
     shared.
     """
@@ -291,17 +291,17 @@ def _first(size: int, name: str, count: int) -> None:
 
 def main(quick: bool = False) -> None:
     """Run all parts and save the figures."""
-    sizes, rounds, seconds = ((256,), 2, 0.2) if quick else ((224, 256, 512), 7, 0.4)
+    sizes, rounds, seconds = ((64,), 1, 0.05) if quick else ((224, 256, 512), 7, 0.4)
     os.environ["OMP_NUM_THREADS"] = "1"  # of the processes that are started here
     throughput = []
     for size in sizes:
-        for workers in (1, 2):
+        for workers in (2,) if quick else (1, 2):
             throughput.append(rates(size, workers, rounds, seconds))
     results = {
         "throughput": throughput,
         # in a small picture, the medium is what takes the time
         "parts": [shares(size, 20 if quick else 200) for size in (32, *sizes)],
-        "first": [first_pictures(size) for size in sizes],
+        "first": [first_pictures(size, 2 if quick else 20) for size in sizes],
     }
     if not quick:
         print(save("throughput", results))
