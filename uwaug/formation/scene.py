@@ -24,7 +24,7 @@ from uwaug.blur.tiled import blurred_tiles
 from uwaug.formation.colour import decoded, encoded, headroom, require_values
 from uwaug.formation.contrast import contrast_of
 from uwaug.formation.demand import farthest_blurred, plan_for
-from uwaug.formation.engine import Engine, choose, is_in_rows
+from uwaug.formation.engine import Engine, choose
 from uwaug.formation.exposure import (
     auto_gain,
     balanced,
@@ -33,7 +33,7 @@ from uwaug.formation.exposure import (
     metering_points,
 )
 from uwaug.formation.loops import render as loops
-from uwaug.formation.loops.backend import Path, can_read
+from uwaug.formation.loops.backend import RecordedEngine, can_read
 from uwaug.formation.loops.backward import render_with_gradients
 from uwaug.formation.setup import Setup
 from uwaug.light.banded import BandedLight
@@ -118,7 +118,7 @@ class Scene:
         distance: Tensor | RowSource,
         setup: Setup,
         field: Tensor | RowSource | None = None,
-        engine: Path | None = None,
+        recorded: RecordedEngine | None = None,
         *,
         plan: BlurPlan | None = None,
         gain: float | None = None,
@@ -133,7 +133,7 @@ class Scene:
                 known.
             setup: what the picture is taken with.
             field (as distance, or None): multiplies the distance.
-            engine: that a record names; None for the fastest.
+            recorded: the engine that a record names; None for the fastest.
             plan: of the blur; None for one for the distances at hand.
             gain: that a record names, in place of the setup's exposure.
             lamps: from `uwaug.light.lit.lamps_in_water`, where they are at hand.
@@ -145,24 +145,24 @@ class Scene:
         ends = require_values(image, setup.color_space)
         brightest = None if torch.compiler.is_compiling() else ends[1]
         maps = (distance,) if field is None else (distance, field)
-        chosen = choose(image, maps, setup.medium, setup.light, setup.order, engine)
+        engine = choose(image, maps, setup.medium, setup.light, setup.order, recorded)
         dtype = torch.promote_types(image.dtype, torch.float32)
         medium = setup.medium.to(dtype=dtype, device=image.device)
         camera = setup.focal_px, setup.centre
         radiance: Tensor | RowSource
         z: Tensor | RowSource
         lit: Lit | BandedLight | None
-        # records of older versions call fused what the loops decoded, and no more
-        span, by_loops = None, chosen == "fused" or engine == "fused"
-        rows = chosen in ("fused-rows", "tiles")
-        if rows and is_in_rows(image, maps, setup.medium, setup.light):
-            radiance = _radiance_rows(image, setup.color_space, ends, chosen == "fused-rows")
+        span = None
+        if engine in ("fused-rows", "tile-rows"):
+            radiance = _radiance_rows(image, setup.color_space, ends, engine == "fused-rows")
             z = _distance_rows(maps, radiance.like)
             lit = None
             if setup.light is not None and not setup.light.plain:
                 lit = BandedLight(setup.light, maps, medium, *camera)
             span = _span(z, farthest_blurred(planning_medium(medium, setup.light), setup.order))
         else:
+            # older records call fused what the loops decoded, and no more
+            by_loops = engine in ("fused", "fused-gradients") or recorded == "fused"
             # a view of other strides takes other paths through the kernels, which round otherwise
             light = _decoded(image.contiguous(), setup.color_space, ends, by_loops)
             radiance = light if light.ndim == 4 else light[None]
@@ -174,7 +174,7 @@ class Scene:
         scene = Scene(
             image=image,
             setup=setup,
-            engine=chosen,
+            engine=engine,
             radiance=radiance,
             z=z,
             medium=medium,
@@ -236,7 +236,7 @@ class Scene:
     def picture(self) -> Tensor:
         """D + F + B, encoded, like the image; of several media or lights Bx3xHxW."""
         plan = self.plan
-        if self.engine in ("fused", "fused-rows") and not self._learns():
+        if self.engine in ("fused", "fused-rows"):
             light, z = self.radiance, self.z
             srgb, dtype = self.setup.color_space == "srgb", self.image.dtype
             largest = headroom(self.image, self.brightest) if srgb else 1.0
@@ -288,12 +288,6 @@ class Scene:
             return self.lit.curves_at(points, z, sums)
         return transmittance(sums, z, None if self.lit is None else self.lit.at(points))
 
-    def _learns(self) -> bool:
-        light = self.setup.light
-        learns = any(t.requires_grad for t in (self.radiance, self.z) if isinstance(t, Tensor))
-        learns = learns or self.medium.requires_grad or (light is not None and light.requires_grad)
-        return torch.is_grad_enabled() and learns
-
     def _unbatched(self, result: Tensor) -> Tensor:
         return result[0] if self.image.ndim == 3 and len(self) == 1 else result
 
@@ -317,7 +311,7 @@ class Scene:
             assert isinstance(self.radiance, Tensor)
             none = self.radiance[:batch].expand(batch, -1, -1, -1)
             return finish(Curves(none, none, none), none, none)
-        if self.engine == "fused" and finish is total and self._learns() and len(plan.sigmas) > 1:
+        if self.engine == "fused-gradients" and finish is total and len(plan.sigmas) > 1:
             assert isinstance(self.radiance, Tensor)
             assert isinstance(self.z, Tensor)
             return (render_with_gradients(self.radiance, self.z, self.medium, plan),)
@@ -341,7 +335,7 @@ class Scene:
         """What the loop goes over: a view of a picture, its number, a tile and its blurs; or all
         pictures at once, without a number.
         """
-        if self.engine == "whole" or self._learns():
+        if self.engine in ("whole", "fused-gradients"):
             assert isinstance(self.radiance, Tensor)
             assert isinstance(self.z, Tensor)
             view = self._view(None, self.medium.any_at_lens(self.z))

@@ -22,7 +22,7 @@ from uwaug.formation.demand import (
     same_plan,
     sides_of,
 )
-from uwaug.formation.engine import expected_path
+from uwaug.formation.engine import expected_engine
 from uwaug.formation.exposure import Exposure, brightest, require_exposure
 from uwaug.formation.learnable import FixedLamps, FixedMedium, LearnableMedium
 from uwaug.formation.model import Reach, validate
@@ -316,5 +316,5 @@ class Underwater(nn.Module):
             settings += f", exposure={self.exposure!r}"
         if self.light is not None:
             settings += f", {self.light!r}"
-        settings += f", {expected_path((512, 512), self.order, self.light)}"
+        settings += f", {expected_engine((512, 512), self.order, self.light)}"
         return f"{self.medium!r},\n{said},\n{settings}"

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from uwaug.distance.sample import DistanceKind, Scaling, Unknown, metres_of, skipped
-from uwaug.formation.engine import path_of
+from uwaug.formation.engine import recorded_engine
 from uwaug.formation.field import random_field
 from uwaug.formation.scene import Scene
 from uwaug.formation.setup import Setup
@@ -123,5 +123,5 @@ class KnownWater:
                 field = random_field(size, drawn["field_seed"], *self.field_range, like)
             scene = Scene.of(image, metres, setup, field, drawn.get("path"))
             picture = scene.picture()
-        record = {"path": path_of(scene.engine), **drawn}
+        record = {"path": recorded_engine(scene.engine), **drawn}
         return InWater(picture, record, scene, self.name, None)

@@ -14,7 +14,7 @@ import torch
 from uwaug._support import checks
 from uwaug._support.checks import DOMAIN
 from uwaug.distance.sample import DistanceKind
-from uwaug.formation.loops.backend import Path
+from uwaug.formation.loops.backend import RecordedEngine
 
 Range = float | tuple[float, float]
 Record = dict[str, Any]
@@ -95,7 +95,7 @@ class Params:
     camera: str
     field_seed: int | None
     field_range: tuple[float, float]
-    path: Path | None
+    path: RecordedEngine | None
     numbers: Mapping[str, float]
     used: Mapping[str, float] | None = None
 
@@ -134,7 +134,7 @@ class Params:
         for name, number in numbers.items():
             checks.within(f"params: {name}", number, *QUANTITIES[name].domain)
         if "path" in sample:
-            checks.one_of("params: path", sample["path"], get_args(Path))
+            checks.one_of("params: path", sample["path"], get_args(RecordedEngine))
         used = None
         if "used" in sample:
             used = sample["used"]

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from uwaug._support.deterministic import reproducible
 from uwaug._support.tiles import RowSource, bands
-from uwaug.formation.engine import path_of
+from uwaug.formation.engine import recorded_engine
 from uwaug.formation.exposure import GAINS, metering_points
 from uwaug.formation.scene import Scene
 from uwaug.optics.camera import Camera
@@ -53,7 +53,7 @@ class InWater:
             "vertical_depth": self.vertical_depth,
             "gain": float(self.scene.gain),
         }
-        return replace(self.params, used=used, path=path_of(self.scene.engine))
+        return replace(self.params, used=used, path=recorded_engine(self.scene.engine))
 
 
 @contextmanager

@@ -22,7 +22,7 @@ from uwaug.distance.sample import (
     metres_of,
     skipped,
 )
-from uwaug.formation.engine import expected_path
+from uwaug.formation.engine import expected_engine
 from uwaug.formation.field import random_field
 from uwaug.formation.scene import Scene
 from uwaug.formation.setup import Setup
@@ -413,7 +413,7 @@ class RandomUnderwater(SampleTransform):
         drawn = self._distribution.draw(count, generator)
         size = (image.shape[-2], image.shape[-1])
         return [
-            replace(params, path=expected_path(size, self.order, self._light(params)))
+            replace(params, path=expected_engine(size, self.order, self._light(params)))
             for params in drawn
         ]
 

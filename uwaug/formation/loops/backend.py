@@ -14,7 +14,7 @@ from functools import lru_cache
 from hashlib import sha256
 from importlib import import_module, reload
 from importlib.util import find_spec
-from pathlib import Path as Folder
+from pathlib import Path
 from threading import Lock
 from types import TracebackType
 from typing import Any, Literal, TypeVar
@@ -28,9 +28,9 @@ _log = logging.getLogger(__name__)
 
 # ------------------------------------------------------------------------------ the switch
 
-Path = Literal["fused", "fused-rows", "eager"]
-"""What a record says of who computed its picture: "fused-rows" of a large one by the loops, as
-older versions call "fused" what they did for large ones by PyTorch.
+RecordedEngine = Literal["fused", "fused-rows", "eager"]
+"""What a record says of who computed its picture, under the key "path": "fused-rows" of a large one
+by the loops, as older records call "fused" what PyTorch made of large ones.
 """
 
 VARIABLE = "UWAUG_FUSED"
@@ -80,7 +80,7 @@ class use(AbstractContextManager[None]):  # noqa: N801  (called like a function)
         _switched = self._before
 
 
-def path() -> Path:
+def path() -> RecordedEngine:
     """What computes pictures in float32 on a CPU."""
     if _switched is not None:
         return "fused" if _switched and has_numba() else "eager"
@@ -92,17 +92,17 @@ def path() -> Path:
     return "fused" if value != "0" and has_numba() else "eager"
 
 
-def path_for(engine: Path | None) -> Path:
-    """The path that a record names, or that at hand if it names none; a warning where the record's
-    is not to be had.
+def engine_for(recorded: RecordedEngine | None) -> RecordedEngine:
+    """The engine that a record asks for, or that at hand if it names none; a warning where the
+    record's is not to be had.
     """
-    if engine is not None and engine != "eager" and path() == "eager":
+    if recorded not in (None, "eager") and path() == "eager":
         why = "is switched off" if has_numba() else "needs numba (uwaug[fast])"
         warnings.warn(
             f"the record is of the fused path, which {why}: pictures differ in the last bits",
             stacklevel=2,
         )
-    return "eager" if engine == "eager" else path()
+    return "eager" if recorded == "eager" else path()
 
 
 def has_numba() -> bool:
@@ -271,12 +271,12 @@ def kernel(function: _F) -> _F:
     folder = compiled.stats.cache_path  # type: ignore[attr-defined]
     if folder:
         with suppress(OSError):
-            _drop_older(Folder(folder))
+            _drop_older(Path(folder))
     return compiled
 
 
 @lru_cache
-def _drop_older(folder: Folder, sources: Folder = Folder(__file__).parent) -> None:
+def _drop_older(folder: Path, sources: Path = Path(__file__).parent) -> None:
     """Remove from a folder what is kept of other versions of the loops: numba looks at the file of
     a kernel, and not at those of what the kernel calls.
     """
@@ -286,6 +286,6 @@ def _drop_older(folder: Folder, sources: Folder = Folder(__file__).parent) -> No
     stamp = folder / "loops.sha256"
     if stamp.exists() and stamp.read_text() == digest.hexdigest():
         return
-    for kept in folder.glob("*.nb[ic]"):
-        kept.unlink(missing_ok=True)
+    for compiled in folder.glob("*.nb[ic]"):
+        compiled.unlink(missing_ok=True)
     stamp.write_text(digest.hexdigest())
