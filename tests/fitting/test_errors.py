@@ -67,6 +67,7 @@ def test_one_rule_says_what_is_identified(value, error, profile, state):
     bound = parameter(RATE, value, error, profile, at_bound=True)
     assert bound.state == ("at bound" if state == "free" else state)
     assert bound.error is None
+    assert parameter(RATE, value, error, profile, shows=False).state == "not identified"
 
 
 def test_no_door_reports_what_another_would_not():
@@ -179,12 +180,11 @@ def test_numbers_that_are_held_stay(settled):
 def test_influence_is_the_slope_of_the_loss():
     r = np.linspace(-8, 8, 33)
     step = 1e-5
-    for robust in (True, False):
-        slope, curvature = influence(r, robust)
-        wanted = (loss(r + step, robust) - loss(r - step, robust)) / (4 * step)
-        np.testing.assert_allclose(slope, wanted, atol=1e-8)
-        further, _ = influence(r + step, robust)
-        np.testing.assert_allclose(curvature, (further - slope) / step, atol=1e-4)
+    slope, curvature = influence(r)
+    wanted = (loss(r + step) - loss(r - step)) / (4 * step)
+    np.testing.assert_allclose(slope, wanted, atol=1e-8)
+    further, _ = influence(r + step)
+    np.testing.assert_allclose(curvature, (further - slope) / step, atol=1e-4)
 
 
 def test_far_starts_meet(known):
@@ -222,8 +222,7 @@ def test_noise_is_that_of_the_residuals():
     assert noise.shot == pytest.approx(4e-4, rel=0.1)
 
 
-@pytest.mark.parametrize("robust", [True, False])
-def test_what_lies_far_off_has_no_weight_in_robust_fits(settled, hazy, robust):
+def test_what_lies_far_off_has_no_weight(settled, hazy):
     problem, solution = settled
     observations = Observations.of(*hazy)
     pixels = observations.sample_pixels((), 500, 0)
@@ -231,10 +230,8 @@ def test_what_lies_far_off_has_no_weight_in_robust_fits(settled, hazy, robust):
     observed[..., ::20] += 0.3  # particles
     pixels = replace(pixels, observed=observed)
     with one_thread():
-        weighed, _, _ = reweight(
-            problem.model, solution.theta, pixels, None, observations, robust=robust
-        )
-    assert bool((weighed.weights[..., ::20] > 0).any()) is not robust
+        weighed, _, _ = reweight(problem.model, solution.theta, pixels, None, observations)
+    assert not (weighed.weights[..., ::20] > 0).any()
     assert (weighed.weights > 0).double().mean() > 0.8
 
 

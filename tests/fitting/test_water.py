@@ -25,8 +25,7 @@ def only(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 
 def test_finds_type_visibility_and_depth(water: WaterFit, known: Known) -> None:
     assert water.type == "3C"
-    assert water.mixing is None
-    assert water.gain == ()
+    assert not {"mixing", "gain_1"} & set(water.parameters)
     assert not any("3C" in tried.name for tried in water.types if "+" in tried.name)
     assert water.visibility == pytest.approx(5, rel=0.02)
     assert water.vertical_depth == pytest.approx(3, abs=0.1)
@@ -56,7 +55,7 @@ def test_mixture(only: Callable[..., None]) -> None:
     fit = fit_water(*seen(medium_of(truth, 3.0)), pixels=1000, progress=said.append)
     assert said[-3:] == ["fitting 1C", "fitting 3C", "fitting 1C + 3C"]
     assert fit.type == "1C + 3C"
-    assert fit.mixing == pytest.approx(0.4, abs=0.1)
+    assert fit.parameters["mixing"].value == pytest.approx(0.4, abs=0.1)
     assert fit.visibility == pytest.approx(truth.visibility(), rel=0.02)
     assert fit.errors["mixing"] < 0.05
 
@@ -68,7 +67,8 @@ def test_gain_and_depth_of_two_pictures(only: Callable[..., None]) -> None:
     pictures = [picture.observed for picture in both]
     fit = fit_water(both[0].clean, pictures, both[0].distance, gain="free", pixels=1000)
     assert fit.type == "5C"
-    assert fit.gain == pytest.approx((1.3, 0.8), rel=0.05)
+    gains = [fit.parameters[f"gain_{i}"].value for i in (1, 2)]
+    assert gains == pytest.approx([1.3, 0.8], rel=0.05)
     assert fit.vertical_depth == pytest.approx(2, abs=0.3)
     assert fit.visibility == pytest.approx(uwaug.Water.jerlov("5C").visibility(), rel=0.02)
     assert set(fit.errors) >= {"gain_1", "gain_2", "vertical_depth"}

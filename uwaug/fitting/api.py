@@ -78,7 +78,6 @@ def fit(
     color_space: ColorSpace = "srgb",
     gain: Gain = "fixed",
     noise: Noise | None = None,
-    robust: bool = True,
     seed: int = 0,
     progress: Progress | None = None,
     focal_px: float | None = None,
@@ -108,7 +107,6 @@ def fit(
         gain: "fixed": both pictures have one exposure. "free": a factor for each observed picture.
             "channels": one for each of its colours, as where the scene lies deep.
         noise: of the observed pictures; None learns it from the residuals.
-        robust: let residuals beyond two standard deviations count less than their squares.
         seed: of the pixels that are drawn, and of random starts.
         progress: is called with a line on what is being tried.
         focal_px: focal length, px; "calibrated" needs it, and is not tried without.
@@ -155,14 +153,12 @@ def fit(
         drawn = observations.sample_pixels(shapes, int(pixels), seed)
         say("learning the noise")
         rough = initial_weights(drawn, noise, color_space).subsample(_SCOUTS, seed)
-        richest, solution = _richest(models, rough, robust, seed, start)
-        weighed, noise, theta = reweight(
-            richest, solution.theta, drawn, noise, observations, robust=robust
-        )
+        richest, solution = _richest(models, rough, seed, start)
+        weighed, noise, theta = reweight(richest, solution.theta, drawn, noise, observations)
         tried: list[FittedModel[CoefficientModel]] = []
         for i, candidate in enumerate(models):
             say(f"fitting {candidate.name!r}, {i + 1} of {len(models)}")
-            objective = Objective(candidate, weighed, robust)
+            objective = Objective(candidate, weighed)
             end = solve(objective, theta) if candidate is richest else None
             # one that explains less than fewer numbers do has gone astray
             if end is None or any(x.solution.cost < end.cost for x in tried):
@@ -172,7 +168,7 @@ def fit(
         chosen = one_standard_error_rule(tried)
         if gain != "fixed" and model == "auto":
             say("fitting without a gain")
-            objective = Objective(replace(chosen.model, gain="fixed"), weighed, robust)
+            objective = Objective(replace(chosen.model, gain="fixed"), weighed)
             solution = multistart(objective, starting_points(objective, (), start), seed)
             tried.append(FittedModel.of(objective, solution, seed))
             chosen = one_standard_error_rule([chosen, tried[-1]])
@@ -229,7 +225,6 @@ def _checked(
 def _richest(
     models: Sequence[CoefficientModel],
     pixels: Pixels,
-    robust: bool,
     seed: int,
     start: Mapping[str, float],
 ) -> tuple[CoefficientModel, Solution]:
@@ -238,7 +233,7 @@ def _richest(
     ends = []
     for model in models:
         if len(model.bounds) == most:
-            objective = Objective(model, pixels, robust)
+            objective = Objective(model, pixels)
             starts = starting_points(objective, (), start)
             ends.append((model, multistart(objective, starts, seed)))
     return min(ends, key=lambda end: end[1].cost)
@@ -283,7 +278,6 @@ def fit_series(
     mask: Tensor | Sequence[Tensor] | None = None,
     color_space: ColorSpace = "srgb",
     noise: Noise | None = None,
-    robust: bool = True,
     seed: int = 0,
     progress: Progress | None = None,
     pixels: int = 40_000,
@@ -297,7 +291,7 @@ def fit_series(
         turbidity: of each picture, in any unit, ≥ 0; pictures of one turbidity share their b.
         model: "veil" (no forward scatter), "gaussian", "exponential"; "auto" takes the one of the
             fewest numbers that foretells pixels it was not fitted to as well as any.
-        mask, color_space, noise, robust, seed, progress, pixels: as for `uwaug.fit`; `pixels` are
+        mask, color_space, noise, seed, progress, pixels: as for `uwaug.fit`; `pixels` are
             those of all pictures together.
         unit: of the turbidity, for what is written.
 
@@ -326,15 +320,13 @@ def fit_series(
         shapes = sorted({model.shape for model in models if model.shape is not None})
         drawn = observations.sample_pixels(shapes, int(pixels), seed)
         rough = initial_weights(drawn, noise, color_space)
-        starts = [_start_of_series(model, rough, robust, seed, say) for model in models]
+        starts = [_start_of_series(model, rough, seed, say) for model in models]
         say("learning the noise")
-        weighed, noise, _ = reweight(
-            models[-1], starts[-1], drawn, noise, observations, robust=robust
-        )
+        weighed, noise, _ = reweight(models[-1], starts[-1], drawn, noise, observations)
         tried = []
         for candidate, start in zip(models, starts, strict=True):
             say(f"fitting {candidate.name!r} to all")
-            objective = Objective(candidate, weighed, robust)
+            objective = Objective(candidate, weighed)
             tried.append(FittedModel.of(objective, solve(objective, start), seed))
         chosen = one_standard_error_rule(tried)
         common, covariance = _reported(chosen, noise)
@@ -374,18 +366,16 @@ def _levels(
     return tuple(levels), tuple(levels.index(float(value)) for value in turbidity)
 
 
-def _start_of_series(
-    model: TurbidityModel, pixels: Pixels, robust: bool, seed: int, say: Progress
-) -> Array:
+def _start_of_series(model: TurbidityModel, pixels: Pixels, seed: int, say: Progress) -> Array:
     """θ where a series begins: from each level alone."""
     alone = []
     for level in range(model.levels):
         say(f"fitting {model.name!r}, turbidity {level + 1} of {model.levels} alone")
         rows = [i for i, its_level in enumerate(model.level) if its_level == level]
-        geometry = model.geometry._replace(pairs=len(rows))
+        geometry = replace(model.geometry, pairs=len(rows))
         single = CoefficientModel(model.spec, geometry, "fixed", 0.0, {})
         few = pixels.at(rows).subsample(_SCOUTS_OF_LEVEL, seed)
-        objective = Objective(single, few, robust)
+        objective = Objective(single, few)
         theta = multistart(objective, starting_points(objective), seed).theta
         alone.append(single.coefficients(torch.from_numpy(theta)))
     return model.start(alone)
@@ -578,7 +568,7 @@ def _start_of_type(objective: Objective[SpectralModel]) -> Array:
                 along = (light * pixels.observed * pixels.weights).sum((1, 2, 3))
                 gains = along / (light * light).sum((1, 2, 3)).clamp(min=1e-300)
                 theta[-len(gains) :] = gains.clamp(1e-3, 1e3).numpy()
-            cost = float(loss(objective.residual(theta), objective.robust).sum())
+            cost = float(loss(objective.residual(theta)).sum())
             if cost < least:
                 best, least = theta, cost
     return best

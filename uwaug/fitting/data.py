@@ -44,7 +44,8 @@ _NODES = 48  # distances at which spectra are summed. Between 2 m and 10 km they
 _OPEN = 1e4  # m, stands for more: even pure water lets nothing through
 
 
-class Geometry(NamedTuple):
+@dataclass(frozen=True)
+class Geometry:
     """What is known of the pictures before anything is fitted.
 
     Attributes:

@@ -1,5 +1,5 @@
-"""How sure a fit is: the spread of its numbers over other pictures of the same kind, and the one
-rule by which a number is reported, or is not identified.
+"""How sure a fit is: the spread of its numbers over other pictures of the same kind; and the one
+place, `parameter`, where a number is reported or is "not identified".
 """
 
 import math
@@ -87,7 +87,7 @@ def cluster_covariance(
     Source: White 1982; over clusters, Liang and Zeger 1986.
     """
     free = objective.free & (solution.at_bound == 0) if free is None else free
-    score, curvature = influence(solution.residual, objective.robust)
+    score, curvature = influence(solution.residual)
     length = np.sqrt((solution.jacobian**2).sum(0))
     used = free & (length > 0)
     scaled = solution.jacobian[:, used] / length[used]
@@ -155,19 +155,16 @@ def parameters(
         slope = slopes[q]
         if not slope.any():
             rows[quantity.name] = Parameter(float(value), None, None, None, quantity.unit, "fixed")
-        elif not covariance.identifies(slope):
-            rows[quantity.name] = not_identified(quantity)
-        else:
-            error = math.sqrt(max(float(slope @ covariance.matrix @ slope), 0.0))
-            ends = [model.report(end)[q] for i in profiles if slope[i] for end in profiles[i]]
-            follows = not at_bound.isdisjoint(quantity.follows)
-            rows[quantity.name] = parameter(quantity, value, error, ends, at_bound=follows)
+            continue
+        rows[quantity.name] = parameter(
+            quantity,
+            value,
+            error=math.sqrt(max(float(slope @ covariance.matrix @ slope), 0.0)),
+            profile=[model.report(end)[q] for i in profiles if slope[i] for end in profiles[i]],
+            shows=covariance.identifies(slope),
+            at_bound=not at_bound.isdisjoint(quantity.follows),
+        )
     return rows
-
-
-def not_identified(quantity: Quantity) -> Parameter:
-    """A number that the pictures do not tell."""
-    return Parameter(None, None, None, None, quantity.unit, "not identified")
 
 
 def parameter(
@@ -176,14 +173,20 @@ def parameter(
     error: float,
     profile: Sequence[float] = (),
     *,
+    shows: bool = True,
     at_bound: bool = False,
 ) -> Parameter:
     """A number, if the pictures tell it: the one place where that is decided.
+
+    It is not identified in two cases: it does not show in the pictures at all; or its standard
+    error is larger than half of the number at either end of its interval, and larger than what
+    shows in a picture.
 
     Args:
         quantity: what it is.
         value, error: the number and its standard error.
         profile: its values at the ends of profiles, which take the place of the normal interval.
+        shows: whether a change of it shows in the pictures: nothing else makes up for it.
         at_bound: whether it is at the end of what it may be.
     """
     value = float(value)
@@ -193,8 +196,8 @@ def parameter(
     low = max(low, min(value, 0.0))  # no quantity is negative
     half = (high - low) / (2 * NORMAL)
     least = min(abs(value), abs(low), abs(high))
-    if not half <= max(quantity.resolution, _VAGUE * least):
-        return not_identified(quantity)
+    if not (shows and half <= max(quantity.resolution, _VAGUE * least)):
+        return Parameter(None, None, None, None, quantity.unit, "not identified")
     if at_bound:
         return Parameter(value, None, low, high, quantity.unit, "at bound")
     error = max(error, half) if len(profile) else error

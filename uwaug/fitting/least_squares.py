@@ -55,13 +55,11 @@ class Objective(Generic[M]):
     Attributes:
         model: what is fitted.
         pixels: what it is fitted to.
-        robust: whether large residuals count less than their squares.
         held: the value of each number that stays as it is, by its place.
     """
 
     model: M
     pixels: Pixels
-    robust: bool = True
     held: Mapping[int, float] = field(default_factory=dict)
 
     @property
@@ -115,17 +113,13 @@ class Solution:
     converged: bool = True
 
 
-def loss(residual: Array, robust: bool) -> Array:
-    """What each residual adds to twice the cost: its square, or less."""
-    if not robust:
-        return np.asarray(residual**2)
+def loss(residual: Array) -> Array:
+    """What each residual adds to twice the cost: its square, or less where it is large."""
     return np.asarray(2 * ROBUST**2 * (np.sqrt(1 + (residual / ROBUST) ** 2) - 1))
 
 
-def influence(residual: Array, robust: bool) -> tuple[Array, Array]:
+def influence(residual: Array) -> tuple[Array, Array]:
     """The first two derivatives of half the loss."""
-    if not robust:
-        return residual, np.ones_like(residual)
     root = np.sqrt(1 + (residual / ROBUST) ** 2)
     return residual / root, 1 / root**3
 
@@ -156,7 +150,7 @@ def logit_prefit(objective: Objective[M], start: Array, most: int = 40) -> Array
         np.clip(np.log(inside / (1 - inside)), -_MAX_LOGIT, _MAX_LOGIT),
         jacobian,
         bounds=(-_MAX_LOGIT - 1, _MAX_LOGIT + 1),
-        loss="soft_l1" if objective.robust else "linear",
+        loss="soft_l1",
         f_scale=ROBUST,
         max_nfev=most,
         ftol=1e-5,
@@ -188,7 +182,7 @@ def solve(objective: Objective[M], start: Array, most: int = 60) -> Solution:
 
     def residual(numbers: Array) -> Array:
         values = objective.residual(at(numbers))
-        history.append(float(loss(values, objective.robust).sum() / 2))
+        history.append(float(loss(values).sum() / 2))
         return values
 
     def jacobian(numbers: Array) -> Array:
@@ -202,7 +196,7 @@ def solve(objective: Objective[M], start: Array, most: int = 60) -> Solution:
         jacobian,
         bounds=(low, high),
         x_scale="jac",
-        loss="soft_l1" if objective.robust else "linear",
+        loss="soft_l1",
         f_scale=ROBUST,
         max_nfev=most,
         ftol=_CONVERGED,
@@ -221,7 +215,7 @@ def solve(objective: Objective[M], start: Array, most: int = 60) -> Solution:
     at_bound[free] = reached
     return Solution(
         theta=at(numbers),
-        cost=float(loss(values, objective.robust).sum() / 2),
+        cost=float(loss(values).sum() / 2),
         at_bound=at_bound,
         residual=values,
         jacobian=derivative,

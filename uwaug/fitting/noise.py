@@ -126,8 +126,6 @@ def reweight(
     pixels: Pixels,
     noise: Noise | None,
     observations: Observations,
-    *,
-    robust: bool = True,
 ) -> tuple[Pixels, Noise, Array]:
     """Weigh pixels by a model's own light, with a noise that is learnt from its residuals.
 
@@ -137,7 +135,6 @@ def reweight(
         pixels: without the weights of any noise.
         noise: if it is known.
         observations: whose color space and bits the noise depends on.
-        robust: as of `Objective`.
 
     Returns:
         The pixels with their weights, the noise, and where the model ended.
@@ -145,16 +142,15 @@ def reweight(
     color_space, bits = observations.color_space, observations.bits
     estimate, weighed = noise or _ROUGH, initial_weights(pixels, noise, color_space)
     for _ in range(_ROUNDS):
-        objective = Objective(model, weighed, robust)
+        objective = Objective(model, weighed)
         theta = solve(objective, theta).theta
         light = objective.render(theta)
         error = light - pixels.observed
         if noise is None:
             estimate = estimate_noise(error, light, weighed.weights > 0, bits, color_space)
         deviation = estimate.deviation(light, color_space)
-        inside = unclipped(light, deviation, color_space)
-        if robust:
-            # one-sided ones, such as particles, would pull the veil up for ever
-            inside = inside & (error.abs() < _OUTLYING * deviation)
+        # one-sided outliers, such as particles, would pull the veil up for ever
+        near = error.abs() < _OUTLYING * deviation
+        inside = unclipped(light, deviation, color_space) & near
         weighed = pixels.weighed(pixels.weights * inside / deviation)
     return weighed, estimate, theta

@@ -2,6 +2,7 @@
 
 import json
 import os
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self, get_args
@@ -112,7 +113,8 @@ class Correlation(NamedTuple):
     matrix: Array
 
 
-class Line(NamedTuple):
+@dataclass(frozen=True)
+class Line:
     """b = b₀ + k·turbidity, in one colour, by generalised least squares.
 
     Attributes:
@@ -137,7 +139,7 @@ class Line(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result:
-    """What all fits have in common.
+    """What all fits have in common. A file holds the attributes under their names.
 
     Attributes:
         parameters: each number by name: value, standard error, 95 % interval, unit, state.
@@ -215,23 +217,28 @@ class Result:
         return plot(self)
 
     def _structure(self) -> dict[str, Any]:
-        """What a file of this kind holds beside what all hold."""
-        raise NotImplementedError
+        """What of the fitted model is written: its attributes, as far as JSON can hold them."""
+        return {}
 
     @classmethod
-    def _of_file(cls, values: dict[str, Any], common: dict[str, Any]) -> Self:
-        """A result of what `_structure` wrote; `common` are the attributes that all have."""
-        raise NotImplementedError
+    def _fitted(cls, values: dict[str, Any]) -> dict[str, Any]:
+        """The fitted model by its attribute's name, of what `_structure` wrote."""
+        return {}
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the result as JSON, whole or not at all. Pictures are not part of it."""
         from importlib.metadata import version
 
         values = {self.KEY: _FORMAT, "uwaug": version("uwaug")}
-        values |= {entry.name: getattr(self, entry.name) for entry in fields(Result)}
+        values |= {name: getattr(self, name) for name in self._written()}
         values |= self._structure()
         with written_whole(path) as part:
             part.write_text(json.dumps(values, default=_plain, indent=1) + "\n", encoding="utf-8")
+
+    @classmethod
+    def _written(cls) -> list[str]:
+        """The attributes that are written under their own names."""
+        return [entry.name for entry in fields(cls) if entry.name not in ("fitted", "pairs")]
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
@@ -248,18 +255,8 @@ class Result:
                 keys = [cls.KEY, *(kind.KEY for kind in (Fit, SeriesFit, WaterFit, VeilFit))]
                 held = next((f"{key} {values[key]}" for key in keys if key in values), "none")
                 raise ValueError(f"expected {cls.KEY} {_FORMAT}, got {held}")
-            common = {entry.name: values[entry.name] for entry in fields(Result)}
-            rows, noise = values["candidates"], values["noise"]
-            common |= {
-                "parameters": {name: Parameter(**x) for name, x in values["parameters"].items()},
-                "candidates": tuple(
-                    (JerlovType if "visibility" in x else Candidate)(**x) for x in rows
-                ),
-                "noise": None if noise is None else Noise(**noise),
-                "theta": np.array(values["theta"]),
-                "covariance": np.array(values["covariance"]),
-            }
-            result = cls._of_file(values, common)
+            read = {name: _READERS.get(name, _as_it_is)(values[name]) for name in cls._written()}
+            result = cls(**read, **cls._fitted(values))
             theta, covariance, (low, high) = result.theta, result.covariance, result.bounds
             if theta.shape != low.shape or covariance.shape != (len(low), len(low)):
                 raise ValueError(f"theta and covariance must hold {len(low)} numbers")
@@ -275,6 +272,25 @@ class Result:
 def _plain(value: Any) -> Any:
     """A value that JSON does not know, as one that it knows."""
     return asdict(value) if is_dataclass(value) else value.tolist()  # type: ignore[arg-type]
+
+
+def _as_it_is(value: Any) -> Any:
+    return value
+
+
+_READERS: dict[str, Callable[[Any], Any]] = {
+    "parameters": lambda rows: {name: Parameter(**x) for name, x in rows.items()},
+    "candidates": lambda rows: tuple(
+        (JerlovType if "visibility" in x else Candidate)(**x) for x in rows
+    ),
+    "noise": lambda x: None if x is None else Noise(**x),
+    "theta": np.array,
+    "covariance": np.array,
+    "levels": tuple,
+    "lines": lambda rows: {colour: Line(**x) for colour, x in rows.items()},
+    "farthest": float,
+}
+"""What makes an attribute of the value that JSON has for it, where the two differ."""
 
 
 def _aligned(rows: list[list[str]]) -> list[str]:
@@ -449,16 +465,15 @@ class Fit(_ByModel):
 
     def _structure(self) -> dict[str, Any]:
         x = self.fitted
-        structure = {"geometry": x.geometry._asdict(), "gain": x.gain, "g": x.g, "fixed": x.fixed}
-        return {"model": self.model, "history": self.history, "structure": structure}
+        structure = {"geometry": x.geometry, "gain": x.gain, "g": x.g, "fixed": x.fixed}
+        return {"model": self.model, "structure": structure}
 
     @classmethod
-    def _of_file(cls, values: dict[str, Any], common: dict[str, Any]) -> "Fit":
-        structure = values["structure"]
-        checks.one_of("gain", structure["gain"], get_args(Gain))
-        structure["geometry"] = Geometry(**structure["geometry"])
-        model = CoefficientModel(MODELS[values["model"]], **structure)
-        return Fit(**common, fitted=model, history=values["history"])
+    def _fitted(cls, values: dict[str, Any]) -> dict[str, Any]:
+        x = values["structure"]
+        checks.one_of("gain", x["gain"], get_args(Gain))
+        x["geometry"] = Geometry(**x["geometry"])
+        return {"fitted": CoefficientModel(MODELS[values["model"]], **x)}
 
     def __repr__(self) -> str:
         beta = [self.parameters[f"beta_{colour}"].value for colour in COLOURS]
@@ -522,29 +537,15 @@ class SeriesFit(_ByModel):
         return "\n".join([super().summary(), *_aligned(rows)])
 
     def _structure(self) -> dict[str, Any]:
-        x = self.fitted
-        names = ("name", "shape", "level", "levels")
-        structure = {name: getattr(x, name) for name in names}
-        structure["geometry"] = x.geometry._asdict()
-        return {
-            "model": self.model,
-            "levels": self.levels,
-            "unit": self.unit,
-            "lines": {colour: line._asdict() for colour, line in self.lines.items()},
-            "structure": structure,
-        }
+        names = ("name", "shape", "level", "levels", "geometry")
+        structure = {name: getattr(self.fitted, name) for name in names}
+        return {"model": self.model, "structure": structure}
 
     @classmethod
-    def _of_file(cls, values: dict[str, Any], common: dict[str, Any]) -> "SeriesFit":
+    def _fitted(cls, values: dict[str, Any]) -> dict[str, Any]:
         x = values["structure"]
         spec, geometry = MODELS[x["name"]], Geometry(**x["geometry"])
-        return SeriesFit(
-            **common,
-            fitted=TurbidityModel(spec, geometry, tuple(x["level"]), x["levels"]),
-            levels=tuple(values["levels"]),
-            unit=values["unit"],
-            lines={colour: Line(**line) for colour, line in values["lines"].items()},
-        )
+        return {"fitted": TurbidityModel(spec, geometry, tuple(x["level"]), x["levels"])}
 
     def __repr__(self) -> str:
         return f"SeriesFit({self.model!r}, {len(self.levels)} turbidities, {self.unit})"
@@ -611,33 +612,23 @@ class WaterFit(_ByModel):
         """Below the surface [m]; None if the pictures do not tell."""
         return self.parameters["vertical_depth"].value
 
-    @property
-    def mixing(self) -> float | None:
-        """The share of the second type, 0…1; None of a single type."""
-        return self.parameters["mixing"].value if "mixing" in self.parameters else None
-
-    @property
-    def gain(self) -> tuple[float | None, ...]:
-        """The exposure of each observed picture, as multiples of the clean one's; empty if it was
-        not fitted.
-        """
-        rows = self.parameters.items()
-        return tuple(number.value for name, number in rows if name.startswith("gain"))
-
     def _structure(self) -> dict[str, Any]:
         x = self.fitted
         structure = {
             "waters": [water.name for water in x.waters],
             "camera": {name: getattr(x.camera, name) for name in _CAMERA},
             "point_spread": x.scattering.law,
-            "geometry": x.geometry._asdict(),
+            "geometry": x.geometry,
             "g": x.scattering.g,
             "mu": x.scattering.mu,
+            "depth": x.depth,
+            "sizes": x.sizes,
+            "gain": x.gain,
         }
-        return {"model": structure | {"depth": x.depth, "sizes": x.sizes, "gain": x.gain}}
+        return {"model": structure}
 
     @classmethod
-    def _of_file(cls, values: dict[str, Any], common: dict[str, Any]) -> "WaterFit":
+    def _fitted(cls, values: dict[str, Any]) -> dict[str, Any]:
         x = values["model"]
         model = SpectralModel(
             waters=tuple(Water.jerlov(name) for name in x["waters"]),
@@ -648,7 +639,7 @@ class WaterFit(_ByModel):
             geometry=Geometry(**x["geometry"]),
             gain=x["gain"],
         )
-        return WaterFit(**common, fitted=model)
+        return {"fitted": model}
 
     def __repr__(self) -> str:
         seen = "?" if self.visibility is None else f"{self.visibility:.3g}"
@@ -721,13 +712,6 @@ class VeilFit(Result):
         It is known where V(0) and G are not, as far as `farthest`.
         """
         return self.medium.backscatter(z)
-
-    def _structure(self) -> dict[str, Any]:
-        return {"farthest": self.farthest}
-
-    @classmethod
-    def _of_file(cls, values: dict[str, Any], common: dict[str, Any]) -> "VeilFit":
-        return VeilFit(**common, farthest=float(values["farthest"]))
 
     def __repr__(self) -> str:
         shown = ", ".join("?" if x.isnan() else f"{float(x):.3g}" for x in self.veil)

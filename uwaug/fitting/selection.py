@@ -139,5 +139,5 @@ def cross_validate(objective: Objective[M], solution: Solution, seed: int) -> Ar
         theta = solve(part, solution.theta, most=_STEPS).theta
         inside = fold[of_value] == k
         residual = objective.residual(theta)[inside]
-        np.add.at(losses, of_value[inside], loss(residual, objective.robust))
+        np.add.at(losses, of_value[inside], loss(residual))
     return losses

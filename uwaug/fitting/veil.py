@@ -11,7 +11,7 @@ from uwaug._support import checks
 from uwaug._support.types import Array, ColorSpace
 from uwaug.fitting.data import Observations, Pair, Pictures, cluster_of, mean_3x3
 from uwaug.fitting.diagnosis import of_veil, straight
-from uwaug.fitting.errors import not_identified, parameter
+from uwaug.fitting.errors import parameter
 from uwaug.fitting.least_squares import one_thread
 from uwaug.fitting.models import COLOURS, MAX_OPTICAL_DEPTH, Quantity
 from uwaug.fitting.results import VeilFit
@@ -131,10 +131,9 @@ def _reported(dark: Dark, theta: Array, draws: Array, others: Array, farthest: f
         for c, colour in enumerate(COLOURS):
             unit = "1" if kind == "veil" else "1/m"
             quantity = Quantity(f"{kind}_{colour}", unit, _RESOLUTION, ())
-            if kind != "source" and straight(theta[c, 1], farthest):
-                parameters[quantity.name] = not_identified(quantity)
-            else:
-                parameters[quantity.name] = parameter(quantity, value[c], error[c])
+            # of a straight line its growth alone shows
+            shows = kind == "source" or not straight(theta[c, 1], farthest)
+            parameters[quantity.name] = parameter(quantity, value[c], error[c], shows=shows)
     apart = 0.5 * np.ptp(others.reshape(len(others), 6), 0)
     residual = np.stack([_veil(source, G, dark.z) for source, G in theta], 1) - dark.light
     return VeilFit(
