@@ -102,10 +102,3 @@ def at_pixels(values: Rows, size: tuple[int, int], pixels: Tensor) -> Tensor:
             sampled = band.new_empty(len(band), len(pixels))
         sampled[:, inside] = band[:, row[inside] - start, column[inside]]
     return torch.empty(0, 0) if sampled is None else sampled
-
-
-def extremes(values: Rows, size: tuple[int, int]) -> tuple[float, float]:
-    """The least and the largest value; NaN if there is any."""
-    ends = [values(start, stop).aminmax() for start, stop in bands(*size)]
-    low, high = torch.stack([end.min for end in ends]), torch.stack([end.max for end in ends])
-    return float(low.amin()), float(high.amax())

@@ -21,7 +21,7 @@ from uwaug._support.extras import require
 from uwaug._support.types import Array
 from uwaug.formation.colour import LUMINANCE, linear_to_srgb, to_light
 from uwaug.formation.contrast import contrast
-from uwaug.formation.model import validate
+from uwaug.formation.inputs import validate
 from uwaug.formation.underwater import Underwater
 from uwaug.light.geometry import focal_of
 from uwaug.optics.jerlov import JERLOV_TYPES

@@ -11,8 +11,6 @@ from uwaug._support import checks
 from uwaug._support.torch_func import transformed
 from uwaug._support.types import ColorSpace
 
-"""What the values of a picture are: sRGB, or linear light as they stand."""
-
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Weights of the channels of linear sRGB (IEC 61966-2-1)."""
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.cache import Cache
-from uwaug._support.tiles import Rows, RowSource, extremes, is_large
+from uwaug._support.tiles import Rows, RowSource, bands, is_large
 from uwaug._support.torch_func import transformed
 
 
@@ -76,9 +76,10 @@ def gaussian_random_rows(
     """
     _check(exponent, low, high)
     waves = _waves(_drawn((1, *size), exponent, generator, torch.device("cpu")), *size, exponent)
-    least, largest = extremes(waves.rows, size)
-    ends = torch.tensor(least), torch.tensor(largest)
-    return lambda start, stop: _between(waves.rows(start, stop), *ends, low, high)
+    ends = [waves.rows(*band).aminmax() for band in bands(*size)]
+    least = torch.stack([end.min for end in ends]).amin()
+    largest = torch.stack([end.max for end in ends]).amax()
+    return lambda start, stop: _between(waves.rows(start, stop), least, largest, low, high)
 
 
 def random_field(

@@ -58,10 +58,9 @@ class FixedMedium(_InFullPrecision):
         for name, value in self.start.parameters().items():
             if isinstance(numbers.get(name, value), Tensor):
                 self.register_buffer(name, value.clone())
-
-    # the buffers that the last medium was made of, and that medium: its tensors are these, so that
-    # it stays right where their values change; files of modules of older versions have none
-    _last: tuple[tuple[Tensor | None, ...], Medium] | None = None
+        # the buffers that the last medium was made of, and that medium: its tensors are these, so
+        # that it stays right where their values change
+        self._last: tuple[tuple[Tensor | None, ...], Medium] | None = None
 
     def forward(self) -> Medium:
         """The medium at hand."""

@@ -16,39 +16,19 @@ Order "line_of_sight" blurs J and weights it with the curves of the pixel that l
 (two planes, edge region) has an RMSE of .0268 to the first and of .0290 to the second.
 """
 
-import math
-from typing import NamedTuple, get_args
+from typing import get_args
 
 import torch
 from torch import Tensor
 
 from uwaug._support import checks
-from uwaug._support.torch_func import refuse_mapped
 from uwaug._support.types import Order
 from uwaug.blur.plan import BlurPlan
+from uwaug.formation.inputs import validate
 from uwaug.formation.scene import Scene, Terms
 from uwaug.formation.setup import Setup
 from uwaug.light.light import Light
 from uwaug.optics.medium import Medium
-
-_ROUNDING = 1e-6
-"""Of float32. A field of .7…1.3 on a range that was planned for it would be looked at each time:
-4 ms of 30 at 1024².
-"""
-
-
-class Reach(NamedTuple):
-    """The least and the largest distance, m, and the same of the field, 1 without one."""
-
-    nearest: float
-    farthest: float
-    low: float = 1.0
-    high: float = 1.0
-
-    def lies_in(self, near: float, far: float) -> bool:
-        """Whether no effective distance can lie outside of a range, m, by more than rounding."""
-        nearest, farthest = self.nearest * self.low, self.farthest * self.high
-        return near <= nearest * (1 + _ROUNDING) and farthest <= far * (1 + _ROUNDING)
 
 
 def form_image(
@@ -104,53 +84,3 @@ def form_image(
     if image.ndim == 3 and len(scene) == 1:
         parts = [part[0] for part in parts]
     return Terms(*parts)
-
-
-def validate(
-    image: Tensor,
-    distance: Tensor,
-    medium: Medium | None,
-    field: Tensor | None,
-    *,
-    also_bytes: bool = False,
-    light: Light | None = None,
-) -> Reach | None:
-    """Refuse what `form_image` cannot take: types, shapes, batches, devices, wrong distances.
-
-    medium: None if it is none of the caller's, as that of a file.
-    also_bytes: take a uint8 picture, as files hold it.
-
-    Returns:
-        What has been seen of the maps; None in a graph, which is for others as well.
-    """
-    if medium is not None:
-        checks.instance("medium", medium, Medium, "; see Medium.from_water")
-    maps = {"distance": distance} if field is None else {"distance": distance, "field": field}
-    sizes = {"medium": 1 if medium is None else len(medium)}
-    if light is not None:
-        checks.instance("light", light, Light)
-        sizes["light"] = light.rows()
-    for name, value in {"image": image, **maps}.items():
-        if not (name == "image" and also_bytes and _holds_bytes(image)):
-            checks.floating(name, value)
-        checks.picture(name, value, 3 if name == "image" else 1)
-        checks.same_size(name, value, image)
-        checks.same_device(name, value, image)
-        refuse_mapped(name, value)
-        sizes[name] = len(value) if value.ndim == 4 else 1
-    checks.batches(sizes)
-    if torch.compiler.is_compiling():
-        return None
-    nearest, farthest = checks.distances("distance", distance)
-    low = high = 1.0
-    if field is not None and field.numel():
-        low, high = checks.extent(field)
-        if not (low >= 0 and high < math.inf):
-            counts = checks.counted(field, "NaN", "negative", "infinite")
-            raise ValueError(f"field is {counts}: expected finite values ≥ 0")
-    tracing = torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
-    return None if tracing else Reach(nearest, farthest, low, high)
-
-
-def _holds_bytes(image: object) -> bool:
-    return isinstance(image, Tensor) and image.dtype == torch.uint8

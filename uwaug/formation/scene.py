@@ -148,7 +148,7 @@ class Scene:
         engine = choose(image, maps, setup.medium, setup.light, setup.order, recorded)
         dtype = torch.promote_types(image.dtype, torch.float32)
         medium = setup.medium.to(dtype=dtype, device=image.device)
-        camera = setup.focal_px, setup.centre
+        pinhole = setup.focal_px, setup.centre
         radiance: Tensor | RowSource
         z: Tensor | RowSource
         lit: Lit | BandedLight | None
@@ -158,7 +158,7 @@ class Scene:
             z = _distance_rows(maps, radiance.like)
             lit = None
             if setup.light is not None and not setup.light.plain:
-                lit = BandedLight(setup.light, maps, medium, *camera)
+                lit = BandedLight(setup.light, maps, medium, *pinhole)
             span = _span(z, farthest_blurred(planning_medium(medium, setup.light), setup.order))
         else:
             # older records call fused what the loops decoded, and no more
@@ -166,11 +166,12 @@ class Scene:
             # a view of other strides takes other paths through the kernels, which round otherwise
             light = _decoded(image.contiguous(), setup.color_space, ends, by_loops)
             radiance = light if light.ndim == 4 else light[None]
-            metres, *factor = (_whole(x, dtype) for x in maps)
+            metres = _whole(distance, dtype)
+            factor = None if field is None else _whole(field, dtype)
             # compiled code does not look at its input: at least no distance is negative there
             z = metres.clamp(0.0, FARTHEST) if farthest > FARTHEST else metres
-            z = z * factor[0] if factor else z
-            lit = lit_of(setup.light, metres, factor[0] if factor else None, medium, *camera, lamps)
+            z = z if factor is None else z * factor
+            lit = lit_of(setup.light, metres, factor, medium, *pinhole, lamps)
         scene = Scene(
             image=image,
             setup=setup,

@@ -96,7 +96,7 @@ def _medium_from(values: Mapping[str, Any]) -> Medium:
     }
     law = {name: numbers.pop(name) for name in PointSpread.NUMBERS}
     bands = None
-    if "unlit" in values:  # as files of older versions name them
+    if "unlit" in values:
         *tensors, tolerance = values["unlit"]
         doubles = [torch.tensor(t, dtype=torch.float64) for t in tensors]
         bands = Bands.of_tensors(doubles, tolerance)

@@ -24,8 +24,8 @@ from uwaug.formation.demand import (
 )
 from uwaug.formation.engine import expected_engine
 from uwaug.formation.exposure import Exposure, brightest, require_exposure
+from uwaug.formation.inputs import MapRanges, validate
 from uwaug.formation.learnable import FixedLamps, FixedMedium, LearnableMedium
-from uwaug.formation.model import Reach, validate
 from uwaug.formation.scene import Scene
 from uwaug.formation.setup import Setup
 from uwaug.light.light import Light
@@ -116,7 +116,7 @@ class Underwater(nn.Module):
         checks.tolerance(tolerance)
         require_exposure(exposure)
         self.light = None if light is None else checked_light(light, focal_px, centre)
-        self.camera = focal_px, centre
+        self.pinhole = focal_px, centre
         self.distance_range = None if distance_range is None else distance_range_of(distance_range)
         self.tolerance = tolerance
         self.color_space = color_space
@@ -152,8 +152,8 @@ class Underwater(nn.Module):
         return self._setup_of(self.medium)
 
     def _setup_of(self, medium: Medium) -> Setup:
-        space, camera = self.color_space, self.camera
-        return Setup(medium, self.light, self.exposure, space, *camera, self.tolerance, self.order)
+        space, pinhole = self.color_space, self.pinhole
+        return Setup(medium, self.light, self.exposure, space, *pinhole, self.tolerance, self.order)
 
     @property
     def sides(self) -> tuple[int, int] | None:
@@ -182,13 +182,13 @@ class Underwater(nn.Module):
     def forward(self, image: Tensor, distance: Tensor, field: Tensor | None = None) -> Tensor:
         """Degrade an image; see the class."""
         medium = self.medium
-        reach = validate(image, distance, medium, field, also_bytes=True, light=self.light)
+        ranges = validate(image, distance, medium, field, also_bytes=True, light=self.light)
         self.keep_up(medium)
         plan = self.plan((image.shape[-2], image.shape[-1]))
         planned_for = self.distance_range
-        if reach is not None and planned_for is not None and not reach.lies_in(*planned_for):
+        if ranges is not None and planned_for is not None and not ranges.lie_within(*planned_for):
             self._warn_outside(distance, field, *planned_for)
-        return self.formed(image, distance, field, medium, plan, reach)
+        return self.formed(image, distance, field, medium, plan, ranges)
 
     def _warn_outside(
         self, distance: Tensor, field: Tensor | None, near: float, far: float
@@ -250,11 +250,11 @@ class Underwater(nn.Module):
         field: Tensor | None,
         medium: Medium,
         plan: BlurPlan | None,
-        reach: Reach | None = None,
+        ranges: MapRanges | None = None,
     ) -> Tensor:
-        """Results like the image, of input that is known to be good; `reach` is from `validate`."""
+        """Results like the image, of input that `validate` has seen, which gives its `ranges`."""
         setup = self._setup_of(medium)
-        farthest = math.inf if reach is None else reach.farthest
+        farthest = math.inf if ranges is None else ranges.farthest
         lamps = None if self.lamps is None else self.lamps()
         with torch.autocast(image.device.type, enabled=False):
             return Scene.of(
@@ -296,7 +296,7 @@ class Underwater(nn.Module):
                 settings[name] = float(value)
         settings |= {"light": None, "camera": None}
         if self.light is not None:
-            settings |= {"light": self.light.to_list(), "camera": self.camera}
+            settings |= {"light": self.light.to_list(), "camera": self.pinhole}
         settings |= {"sides": self._sides, "tolerance": self.tolerance}
         settings["demand"] = None if self.demand is None else asdict(self.demand)
         return settings

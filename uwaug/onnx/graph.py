@@ -93,7 +93,7 @@ class Graph(nn.Module):
         self.color_space, self.exposure = module.color_space, module.exposure
         self.medium = module.medium.map(lambda t: t.detach().to("cpu", torch.float32))
         self.light = module.light and module.light.map(lambda t: t.detach().to("cpu"))
-        self.lamps, self.camera = module.lamps, module.camera
+        self.lamps, self.pinhole = module.lamps, module.pinhole
         self.in_strips = self.light is None
         field = ("field",) if options.field == "input" else ()
         self.parameters_in = () if self.frozen else tuple(self.medium.parameters())
@@ -186,7 +186,7 @@ class Graph(nn.Module):
     def _lit(self, distance: Tensor, field: Tensor | None, medium: Medium) -> Lit | None:
         """The light on the scene; None for daylight as the medium has it."""
         lamps = None if self.lamps is None else self.lamps()
-        lit = lit_of(self.light, distance, field, medium, *self.camera, lamps)
+        lit = lit_of(self.light, distance, field, medium, *self.pinhole, lamps)
         if lit is None or isinstance(self.exposure, str):
             return lit
         return lit.brightened(medium.beta.new_full((1,), 2.0**self.exposure))

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from uwaug._support.onnx_session import Session
 from uwaug.formation.colour import to_light
-from uwaug.formation.model import validate
+from uwaug.formation.inputs import validate
 from uwaug.onnx.graph import parameters_of
 from uwaug.onnx.metadata import read_metadata, stored_in
 from uwaug.optics.medium import Medium
