@@ -36,7 +36,7 @@ from benchmarks.harness import (
     water_medium,
 )
 from uwaug.blur.kernels import blur_kernel
-from uwaug.blur.plan import range_in_v
+from uwaug.blur.plan import place_line
 
 SOURCE = Path(__file__).parent / "loops.cpp"
 USUAL = {"side": 512, "batch": 1, "widest": WIDEST, "rates_tolerance": 0.002}
@@ -82,9 +82,7 @@ class Fused:
         reach = torch.tensor([len(half) - 1 for half in halves], dtype=torch.int32)
         taps = torch.cat(halves)
         coefficients = torch.tensor(plan.coefficients).contiguous()
-        low, high = range_in_v(plan)
-        slope = 1 / (high - low)
-        offset = (math.log(0.5) - low - high) * slope
+        slope, offset = place_line(plan)
         spread = float(medium.b_mean) * float(medium.point_spread.scale)
         law = (ctypes.c_float(value) for value in (spread, slope, offset))
         names = ("beta", "direct_weights", "G", "signal_weights", "veil_weights")

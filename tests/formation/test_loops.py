@@ -222,7 +222,7 @@ def test_without_numba(monkeypatch: pytest.MonkeyPatch, rendered: list[Any]) -> 
     assert fused.path() == "eager"
     degraded(20)
     assert not rendered
-    with pytest.raises(ModuleNotFoundError, match=r"uwaug\[fast\]"):
+    with pytest.raises(ModuleNotFoundError, match=r'pip install "\.\[fast\]"'):
         fused.use(True)
     monkeypatch.setenv(backend.VARIABLE, "1")
     with pytest.raises(ModuleNotFoundError, match=r"UWAUG_FUSED=1: install numba"):

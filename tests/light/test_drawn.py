@@ -11,7 +11,7 @@ from torch import Tensor
 
 import uwaug
 from uwaug import KeepVisible, Light, Medium, RandomUnderwater
-from uwaug.optics.inherent import Forward
+from uwaug.optics.bands import Forward
 
 LAMP = Light.lamp((0.4, -0.2, 0.0), (-0.1, 0.0, 1.0), 4.0, 40.0)
 

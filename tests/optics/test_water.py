@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from optical import values
 
-from uwaug.optics.bands import WAVELENGTHS
+from uwaug.optics.reduction import WAVELENGTHS
 from uwaug.optics.water import CONTRAST_THRESHOLD, JERLOV_TYPES, Water
 
 NM = [400.0, 500.0, 600.0, 700.0]

@@ -4,6 +4,11 @@ import importlib
 from typing import Any
 
 
+def install(extra: str) -> str:
+    """How to install an extra, in words."""
+    return f'pip install ".[{extra}]" in a checkout of uwaug'
+
+
 def require(extra: str, *packages: str) -> list[Any]:
     """Import optional packages, or say how to install them.
 
@@ -13,5 +18,4 @@ def require(extra: str, *packages: str) -> list[Any]:
     try:
         return [importlib.import_module(name) for name in packages]
     except ImportError as error:
-        cure = f'pip install ".[{extra}]" in a checkout of uwaug'
-        raise ImportError(f"{error.name} is missing: {cure}", name=error.name) from error
+        raise ImportError(f"{error.name} is missing: {install(extra)}", name=error.name) from error

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from uwaug._support import checks
+from uwaug._support.extras import install
 from uwaug.adapters.conversion import map_of, picture_of
 from uwaug.io.distances import Unit, metres_of, read_distance
 from uwaug.transforms.codec import encode_options
@@ -18,9 +19,7 @@ from uwaug.transforms.random_underwater import RandomUnderwater
 try:
     from albumentations import ImageOnlyTransform
 except ImportError as missing:
-    raise ImportError(
-        f'{missing.name} is missing: install ".[adapters]" in a checkout of uwaug'
-    ) from missing
+    raise ImportError(f"{missing.name} is missing: {install('adapters')}") from missing
 
 
 class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]

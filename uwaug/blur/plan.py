@@ -247,9 +247,18 @@ def octave_steps(value: float, per_octave: int, rounding: Callable[[float], int]
     return float(2.0 ** (rounding(per_octave * math.log2(value)) / per_octave))
 
 
-def range_in_v(plan: BlurPlan) -> tuple[float, float]:
-    """A plan's range of widths, in v. (No method: those of a plan cannot be compiled.)"""
-    return _v(plan.sigma_min, plan.shape), _v(plan.sigma_max, plan.shape)
+def place_line(plan: BlurPlan) -> tuple[float, float]:
+    """Slope and offset of the place of a width in a plan's range, −1…1: the argument of its series.
+
+    The place is slope·ln(1 + x) + offset, with x = 2σ² of a Gaussian, as 2v = ln ½ + ln(1 + 2σ²),
+    and x = 2σ of an exponential shape, as v = ln ½ + ln(1 + 2σ). Of a single width both are 0. (No
+    method: those of a plan cannot be compiled.)
+    """
+    low, high = _v(plan.sigma_min, plan.shape), _v(plan.sigma_max, plan.shape)
+    if low == high:
+        return 0.0, 0.0
+    slope = (2 if plan.shape == "exponential" else 1) / (high - low)
+    return slope, slope * math.log(V_FLOOR) - (low + high) / (high - low)
 
 
 def _v(sigma: float, shape: Shape) -> float:

@@ -10,7 +10,7 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug._support.torch_func import transformed, untransformed
 from uwaug.blur.banded import Banded, Kind, Node, along_columns, along_rows, operator, whole
-from uwaug.blur.plan import V_FLOOR, BlurPlan, plan_blur, range_in_v
+from uwaug.blur.plan import V_FLOOR, BlurPlan, place_line, plan_blur
 
 Chain = tuple[tuple[int, Banded], ...]
 """Axis and matrix of each product, in the order of use."""
@@ -99,24 +99,19 @@ def node_slopes(sigma: Tensor, plan: BlurPlan) -> Tensor:
     slopes = np.polynomial.chebyshev.chebder(np.array(plan.coefficients), axis=1)
     if len(plan.coefficients[0]) == 1:
         return sigma.new_zeros(len(sigma), len(plan.coefficients), *sigma.shape[-2:])
-    place = _place(sigma, plan)
-    low, high = range_in_v(plan)
-    # of v: σ/(σ² + ½) or, of an exponential shape, 1/(σ + ½)
-    above = V_FLOOR + (sigma if plan.shape == "exponential" else sigma * sigma)
-    by_sigma = (1.0 if plan.shape == "exponential" else sigma) / above * (2 / (high - low))
+    place, (slope, _) = _place(sigma, plan), place_line(plan)
+    if plan.shape == "exponential":
+        by_sigma = slope * (1 / (V_FLOOR + sigma))
+    else:
+        by_sigma = 2 * slope * (sigma / (V_FLOOR + sigma * sigma))
     inside = place.abs() < 1
     return _series(sigma.new_tensor(slopes), place) * (by_sigma * inside)
 
 
 def _place(sigma: Tensor, plan: BlurPlan) -> Tensor:
-    """Where in a plan's range a width lies, −1…1: v = log ½ + log1p(2σ) of an exponential shape,
-    2v = log ½ + log1p(2σ²) of a Gaussian.
-    """
-    low, high = range_in_v(plan)
-    exponential = plan.shape == "exponential"
-    slope = (2 if exponential else 1) / (high - low)
-    offset = slope * math.log(V_FLOOR) - (low + high) / (high - low)
-    x = sigma * (1 / V_FLOOR) if exponential else sigma * sigma * (1 / V_FLOOR)
+    """Where in a plan's range a width lies, −1…1."""
+    slope, offset = place_line(plan)
+    x = (sigma if plan.shape == "exponential" else sigma * sigma) * (1 / V_FLOOR)
     return torch.log1p(x).mul_(slope).add_(offset).clamp(-1, 1)
 
 

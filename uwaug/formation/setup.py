@@ -12,7 +12,7 @@ from uwaug._support.types import ColorSpace, Order
 from uwaug.formation.exposure import Exposure, require_exposure
 from uwaug.light.light import Light
 from uwaug.light.lit import checked_light
-from uwaug.optics.inherent import Bands
+from uwaug.optics.bands import Bands
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 

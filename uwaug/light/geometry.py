@@ -198,8 +198,12 @@ def _slope(values: Tensor, along: Tensor, axis: int) -> Tensor:
 
 
 class Ray(NamedTuple):
-    """Rays of the camera as a lamp sees them (Bx1xHxW): where they come nearest to it, and how far
-    from it they are there, m.
+    """The camera's rays as a lamp sees them: the point of each that is nearest to the lamp.
+
+    Attributes:
+        middle (Bx1xHxW tensor): how far along the ray it is, m; below 0 behind the camera.
+        height (Bx1xHxW tensor): how far it is from the lamp, m, which is as wide as its radius:
+            √(distance² + radius²), never 0.
     """
 
     middle: Tensor
@@ -207,8 +211,11 @@ class Ray(NamedTuple):
 
 
 class Irradiance(NamedTuple):
-    """What a lamp sends to each pixel's surface (Bx1xHxW): the share of its light, and after how
-    many metres.
+    """What a lamp sends to each pixel's surface.
+
+    Attributes:
+        share (Bx1xHxW tensor): of the lamp's light, without the water between.
+        path (Bx1xHxW tensor): from the lamp to the surface, m.
     """
 
     share: Tensor

@@ -131,7 +131,7 @@ class LampOnScene(NamedTuple):
         water: the same of its power and colour.
         grid: its backscatter along the rays of the whole picture; None where that is integrated at
             each pixel: near a lamp in view, it is too steep for a grid.
-        from_direct (B tensor): see `uwaug.optics.inherent.Bands`; None where it is 0.
+        from_direct (B tensor): see `uwaug.optics.bands.Bands`; None where it is 0.
         gain (B tensor): by which an exposure brightens it, or None.
     """
 

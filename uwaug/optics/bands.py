@@ -1,180 +1,128 @@
-"""From spectra to the rates and weights of a medium: coefficients at each band, then sums over few
-shared rates.
+"""The inherent optical properties of media, band by band: what a light that does not come down from
+the surface needs to know of the water.
 """
 
-from collections.abc import Mapping
-from typing import Literal, get_args
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
-from uwaug._support import checks
+from uwaug._support.torch_func import values
 from uwaug._support.types import Array
-from uwaug.optics.inherent import Forward
 from uwaug.optics.quadrature import reduce_rates
-from uwaug.optics.water import Water
 
-Downwelling = Literal["kd", "beam", "none"]
-"""What dims light on its way down: K_d, beam attenuation β, or nothing."""
-
-Dims = Literal["both", "direct", "veil"]
-"""What that light is lost to: the picture and the veil, the picture alone, or the veil alone."""
-
-VeilRate = Literal["G", "beta"]
-"""At which the veil of each wavelength comes in."""
-
-USUAL = {"downwelling": "kd", "dims": "both", "veil_rate": "G", "forward": "image"}
-"""The choices of the paper, and of `uwaug.RandomUnderwater`."""
-
-WAVELENGTHS = np.arange(400.0, 701.0, 5.0)
-"""nm, the 61 bands that stand for the integral."""
-
-_LOSSLESS = 1e-6
-"""1/m, stands for G = 0, where the veil has the limit μ·b·E·z. Over 20 m it is off by 1e-5 of
-that; a smaller one loses digits in V(0) − V(z), two large numbers.
-"""
-
-Part = tuple[Tensor, Tensor]
-"""Rates (B, K) and weights (B, 3, K) of a curve, or of a part of one."""
+Forward = Literal["image", "direct"]
+"""What forward scatter is a blur of: the scene J, or the direct light D."""
 
 
-def default_bands(water: Water) -> Array:
-    """Those of `WAVELENGTHS` that the water covers."""
-    low, high = water.wavelengths[[0, -1]]
-    bands: Array = WAVELENGTHS[(low <= WAVELENGTHS) & (high >= WAVELENGTHS)]
-    if len(bands) == 0:
-        cure = "give wavelengths in its range"
-        raise ValueError(f"water covers {low:g}–{high:g} nm: no band of 400–700 nm; {cure}")
-    return bands
+@dataclass(frozen=True, eq=False)
+class Bands:
+    """A batch of media band by band, and the camera that sees them; each tensor has a row per
+    medium.
 
-
-def attenuations(a: Array, b: Array, g: float | Array) -> tuple[Array, Array]:
-    """β = a + b and G = a + g·b [1/m] at each band."""
-    return a + b, np.maximum(a + g * b, _LOSSLESS)
-
-
-def light_and_veil(
-    beta: Array,
-    G: Array,
-    b: Array,
-    kd: Array,
-    *,
-    vertical_depth: float,
-    mu: float,
-    downwelling: Downwelling = "kd",
-    dims: Dims = "both",
-    veil_rate: VeilRate = "G",
-) -> tuple[Array, Array, Array]:
-    """Light of the picture, V(0) and rate of the veil [1/m] at each band: E = e^(−K_d d),
-    V(0) = μ·b·E/G and G, unless the choices of `uwaug.Medium.from_water` say otherwise.
+    Attributes:
+        wavelengths (BxM tensor): nm; 0 where bands are the camera's channels.
+        beta, G, b (BxM tensors): β, G and scattering coefficient of the water, 1/m.
+        response (Bx3xM tensor): the camera's weights; each channel's sum is 1.
+        from_direct (B tensor): 1 where forward scatter is a blur of the direct light, else 0.
+        tolerance: largest error of a curve; 0 where every band is a rate.
     """
-    checks.one_of("downwelling", downwelling, get_args(Downwelling))
-    checks.one_of("dims", dims, get_args(Dims))
-    checks.one_of("veil_rate", veil_rate, get_args(VeilRate))
-    loss = {"kd": kd, "beam": beta, "none": np.zeros_like(beta)}[downwelling]
-    left = np.exp(-loss * vertical_depth)
-    full = np.ones_like(left)
-    light = full if dims == "veil" else left
-    ambient = full if dims == "direct" else left
-    rate = G if veil_rate == "G" else np.maximum(beta, _LOSSLESS)
-    return light, mu * b * ambient / rate, rate
+
+    wavelengths: Tensor
+    beta: Tensor
+    G: Tensor
+    b: Tensor
+    response: Tensor
+    from_direct: Tensor
+    tolerance: float
+
+    @staticmethod
+    def of_channels(beta: Tensor, G: Tensor, b_mean: Tensor, forward: Forward) -> "Bands":
+        """A band for each of three channels (B, 3), all of which scatter b̄ (B)."""
+        response = torch.eye(3, dtype=beta.dtype, device=beta.device).expand(len(beta), 3, 3)
+        from_direct = beta.new_full((len(beta),), float(forward == "direct"))
+        b = b_mean[:, None].expand(-1, 3)
+        return Bands(torch.zeros_like(beta), beta, G, b, response, from_direct, 0.0)
+
+    @staticmethod
+    def stack(parts: "Sequence[Bands]") -> "Bands":
+        """Several as one batch. Bands that some lack have no weight."""
+        columns = zip(*(part.tensors() for part in parts), strict=True)
+        tolerance = min(part.tolerance for part in parts)
+        return Bands.of_tensors([padded(column) for column in columns], tolerance)
+
+    def tensors(self) -> tuple[Tensor, ...]:
+        """All but the tolerance, in the order of the attributes."""
+        return tuple(getattr(self, field.name) for field in fields(self)[:-1])
+
+    def map(self, function: Callable[[Tensor], Tensor]) -> "Bands":
+        """`function` applied to each tensor."""
+        return Bands.of_tensors(list(map(function, self.tensors())), self.tolerance)
+
+    @staticmethod
+    def of_tensors(tensors: Sequence[Tensor], tolerance: float) -> "Bands":
+        """The inverse of `tensors`."""
+        wavelengths, beta, G, b, response, from_direct = tensors
+        return Bands(wavelengths, beta, G, b, response, from_direct, tolerance)
+
+    def under(self, spectrum: Callable[[Array], Array] | None) -> list[Tensor]:
+        """Rates and weights of `Medium.under`: β and T_β's, G, T_G's and b's."""
+        if spectrum is None and self.tolerance == 0:
+            scatter = self.response * self.b[:, None]
+            return [self.beta, self.response, self.G, self.response, scatter]
+        rows = []
+        for n in range(len(self.beta)):
+            axis, beta, G, b, response = (_array(t[n]) for t in self.tensors()[:-1])
+            if spectrum is not None:
+                response = _in_light(response, axis, spectrum)
+            rows.append(_reduced(self.tolerance, *(t.tobytes() for t in (beta, G, b, response))))
+        columns = zip(*rows, strict=True)
+        return [padded([torch.tensor(row)[None] for row in column]) for column in columns]
 
 
-def reduced(
-    beta: Array,
-    G: Array,
-    light: Array,
-    veil: Array,
-    veil_rate: Array,
-    response: Array,
-    forward: Forward,
-    tolerance: float,
-) -> tuple[list[Tensor], float]:
-    """Rates and weights of a medium in the order of its attributes, and the largest error of a
-    curve.
-
-    Args:
-        beta, G, light, veil, veil_rate (N arrays): from `attenuations` and `light_and_veil`.
-        response (3xN array): of the camera; rows sum to 1.
-        forward: see `uwaug.Medium.from_water`.
-        tolerance: largest error of each curve; 0 keeps every band.
+def padded(parts: Sequence[Tensor]) -> Tensor:
+    """One attribute of several media as one tensor: (B) or (B, …, K). The missing rates and weights
+    of some are 0.
     """
-    require_forward(forward)
-    lit, haze = response * light, response * veil
-    shared = forward == "image" and np.array_equal(veil_rate, G)
-    if shared and np.array_equal(beta, G):
-        # nothing is scattered forward: of two reductions, the difference would be left
-        rates, (direct, veil_weights), error = reduce_rates(beta, (lit, haze), tolerance)
-        return _tensors(rates, direct, rates, direct, veil_weights), error
-    # forward scatter from D is the sum of three curves
-    share = tolerance if forward == "image" else tolerance / 3
-    rates, (direct,), error = reduce_rates(beta, (lit,), share)
-    if shared:
-        G_rates, (signal, veil_weights), other = reduce_rates(G, (lit, haze), tolerance)
-        return _tensors(rates, direct, G_rates, signal, veil_weights), max(error, other)
-    first = _part(rates, direct)
-    veil_rates, (veil_weights,), of_veil = reduce_rates(veil_rate, (haze,), tolerance)
-    if forward == "direct":
-        sums, (weights,), other = reduce_rates(beta + G, (lit,), share)
-        arriving, error = forward_from_direct(first, _part(sums, weights)), 2 * error + other
-    else:
-        G_rates, (signal,), other = reduce_rates(G, (lit,), tolerance)
-        arriving, error = [_part(G_rates, signal)], max(error, other)
-    return joined(first, arriving, _part(veil_rates, veil_weights)), max(error, of_veil)
+    if parts[0].ndim == 1:
+        return torch.cat(list(parts))
+    width = max(part.shape[-1] for part in parts)
+    return torch.cat([F.pad(part, (0, width - part.shape[-1])) for part in parts])
 
 
-def forward_from_direct(direct: Part, both: Part) -> list[Part]:
-    """The light that arrives at all, if forward scatter is a blur of D instead of J.
+def _in_light(response: Array, wavelengths: Array, spectrum: Callable[[Array], Array]) -> Array:
+    """The camera's response to a light, of which the mean of the channels is 1."""
+    if not wavelengths.any():
+        cure = "give rgb, or make the medium from a water"
+        raise ValueError(f"spectrum: the medium has three channels and no wavelengths; {cure}")
+    weighed = response * spectrum(wavelengths)
+    mean = float(weighed.sum() / 3)
+    if mean == 0:
+        low, high = wavelengths.min(), wavelengths.max()
+        raise ValueError(f"spectrum has no light between {low:g} and {high:g} nm")
+    return weighed / mean
 
-    F = (e^(−Gz) − e^(−βz))·blur{D} with D = e^(−βz)·J, so that the light that arrives is
-    e^(−βz) + e^(−(β + G)z) − e^(−2βz).
 
-    Args:
-        direct: T_β.
-        both: the curve whose rates are β + G.
+def _array(row: Tensor) -> Array:
+    """The numbers of one medium (M) or (3, M)."""
+    return values(row.detach().double().flatten()).reshape(row.shape)
+
+
+@lru_cache(maxsize=64)
+def _reduced(tolerance: float, *arrays: bytes) -> tuple[Array, ...]:
+    """The rates and weights of `Bands.under` for one medium, from the bytes of its β, G, b and
+    response.
     """
-    rates, weights = direct
-    return [direct, both, (2 * rates, -weights)]
-
-
-def joined(direct: Part, signal: list[Part], veil: Part) -> list[Tensor]:
-    """Rates and weights of a medium whose signal and veil have rates of their own: they share a
-    list of rates, and have weights of 0 where a rate is the other's.
-    """
-    rates = [part[0] for part in signal]
-    arriving = torch.cat([part[1] for part in signal], 2)
-    signal_weights = torch.cat([arriving, torch.zeros_like(veil[1])], 2)
-    veil_weights = torch.cat([torch.zeros_like(arriving), veil[1]], 2)
-    return [*direct, torch.cat([*rates, veil[0]], 1), signal_weights, veil_weights]
-
-
-def require_forward(forward: str) -> None:
-    """Refuse what forward scatter is no blur of."""
-    checks.one_of("forward", forward, get_args(Forward))
-
-
-def spectral_note(
-    water: str,
-    tensors: list[Tensor],
-    error: float,
-    numbers: Mapping[str, float],
-    choices: Mapping[str, str],
-) -> str:
-    """One line on a medium from spectra, with those of its choices that are not the usual."""
-    unusual = [f", {name} = {value}" for name, value in choices.items() if value != USUAL[name]]
-    return (
-        f"{water}: {tensors[0].shape[1]} + {tensors[2].shape[1]} rates, "
-        f"curves within {error:.1g} at any distance, "
-        f"{numbers['vertical_depth']:g} m deep, g = {numbers['g']:g}, μ = {numbers['mu']:g}"
-        + "".join(unusual)
-    )
-
-
-def _part(rates: Array, weights: Array) -> Part:
-    first, second = _tensors(rates, weights)
-    return first, second
-
-
-def _tensors(*arrays: Array) -> list[Tensor]:
-    return [torch.from_numpy(array[None]) for array in arrays]
+    beta, G, b, response = (np.frombuffer(array) for array in arrays)
+    response = response.reshape(3, -1)
+    # b spans some tenths about its mean: as a measure of the scale of the light it keeps the
+    # tolerance relative to it
+    mean = float(b.mean()) or 1.0
+    rates, (direct,), _ = reduce_rates(beta, (response,), tolerance)
+    G_rates, (signal, scatter), _ = reduce_rates(G, (response, response * b / mean), tolerance)
+    return rates, direct, G_rates, signal, scatter * mean

@@ -62,6 +62,9 @@ class Camera(Spectra):
 
         Args:
             wavelengths (M array): wavelengths [nm], strictly ascending.
+
+        Raises:
+            TypeError, ValueError: if they are no such axis.
         """
         axis = wavelength_axis(wavelengths)
         responses = np.empty((axis.size, 3))

@@ -21,9 +21,12 @@ distance.
     σ(z) = scale·(b̄ z)^exponent                              width of the forward scatter, px
 
 Each integral becomes a sum of a few exponentials with positive weights: exact at z = 0, monotone,
-right at any distance. The rates belong to the water and serve all three channels, and signal and
-veil alike; only the weights belong to the camera. (For a tolerance of .002, one Gauss quadrature
-per curve and channel needs 15 to 24 exponentials, shared rates need 4 to 8.)
+right at any distance. (Where forward scatter is a blur of the direct light, T_G is the sum of three
+curves, of which the last has negative weights: e^(−βz) + e^(−(β + G)z) − e^(−2βz).)
+
+The rates belong to the water and serve all three channels, and signal and veil alike; only the
+weights belong to the camera. (For a tolerance of .002, one Gauss quadrature per curve and channel
+needs 15 to 24 exponentials, shared rates need 4 to 8.)
 """
 
 import math
@@ -40,7 +43,11 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug._support.checks import DOMAIN
 from uwaug._support.types import Array
-from uwaug.optics.bands import (
+from uwaug.optics.bands import Bands, Forward, padded
+from uwaug.optics.camera import Camera, load_camera, response_at
+from uwaug.optics.curves import FARTHEST, Curves, Sums, cancels, curves
+from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.reduction import (
     Dims,
     Downwelling,
     VeilRate,
@@ -53,10 +60,6 @@ from uwaug.optics.bands import (
     require_forward,
     spectral_note,
 )
-from uwaug.optics.camera import Camera, load_camera, response_at
-from uwaug.optics.curves import FARTHEST, Curves, Sums, cancels, curves
-from uwaug.optics.inherent import Bands, Forward, padded
-from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
 
 _TENSORS = ("beta", "direct_weights", "G", "signal_weights", "veil_weights", "b_mean")
@@ -76,7 +79,7 @@ class Medium:
         beta (BxK tensor): rates of the direct term, 1/m, ≥ 0.
         direct_weights (Bx3xK tensor): weights of T_β.
         G (BxL tensor): rates of signal and veil, 1/m, ≥ 0.
-        signal_weights (Bx3xL tensor): weights of T_G.
+        signal_weights (Bx3xL tensor): weights of T_G; some are negative with forward="direct".
         veil_weights (Bx3xL tensor): weights of V; their sum is the veil at infinite distance.
         b_mean (B tensor): b̄, scattering coefficient for the width law, 1/m.
         point_spread: the width law.
@@ -142,10 +145,11 @@ class Medium:
             veil_rate: "G", or "beta": V(0) = μ·b·E/β, and e^(−βz) for the veil.
             forward: what forward scatter blurs: "image", J; or "direct", D, so that F has
                 e^(−βz)·(e^(−Gz) − e^(−βz)) for a weight, which is e^(−βz) times that of J: the
-                nearer the scene, the more equal the two.
+                nearer the scene, the more equal the two. Some `signal_weights` are then negative.
 
         Raises:
             TypeError, ValueError: if an argument is no water, no number, or outside its domain.
+            OSError: if the camera's file cannot be read.
         """
         if isinstance(water, str):
             water = Water.jerlov(water)
@@ -244,7 +248,12 @@ class Medium:
 
     @staticmethod
     def stack(media: "Iterable[Medium]") -> "Medium":
-        """One batch of several media; their width laws must share shape and reference size."""
+        """One batch of several media; their width laws must share shape and reference size.
+
+        Raises:
+            TypeError: if one is no `Medium`.
+            ValueError: if there is none, or width laws differ in shape or reference size.
+        """
         media = list(media)
         for medium in media:
             checks.instance("media", medium, Medium, "; see Medium.from_water")

@@ -15,6 +15,11 @@ from uwaug._support.types import Shape
 PAPER_SIZE = 518
 """px, short side of the paper's pictures."""
 
+LEAST_LENGTH, MOST_LENGTH = 1e-6, 1e4
+"""Scattering lengths between which a width changes: a power below 1 has an infinite slope at 0, so
+that σ(0) is tiny instead of 0; and at 1e4 all light is gone.
+"""
+
 
 @dataclass(frozen=True)
 class PointSpread:
@@ -30,6 +35,9 @@ class PointSpread:
             image that `scale` refers to, so that the picture does not depend on its resolution.
 
     σ never falls with distance; planning looks at the two ends of a range only.
+
+    Raises:
+        ValueError: if a value is outside its domain, or a tensor has another shape.
     """
 
     NUMBERS: ClassVar = ("scale", "exponent")
@@ -75,6 +83,9 @@ class PointSpread:
 
         Args:
             focal_px: focal length, px of the image at hand; .866·width for a 60° field of view.
+
+        Raises:
+            ValueError: if it is no positive number.
         """
         checks.positive("focal_px", focal_px, "px")
         return PointSpread(0.030 * focal_px, 0.62, "exponential")
@@ -156,9 +167,7 @@ class PointSpread:
 
 def width_at(lengths: Tensor, scale: float | Tensor, exponent: float | Tensor) -> Tensor:
     """scale·lengths^exponent, of shapes that broadcast."""
-    # x^exponent below 1 has an infinite slope at 0, so that σ(0) is tiny instead of 0; at 1e4
-    # scattering lengths all light is gone
-    x = lengths.clamp(1e-6, 1e4)
+    x = lengths.clamp(LEAST_LENGTH, MOST_LENGTH)
     if isinstance(exponent, Tensor) or exponent != 1:
         x = x**exponent  # ONNX Runtime would compute x^1
     return scale * x

@@ -216,6 +216,10 @@ class Water(Spectra):
         """The share of its luminance contrast that an object at this distance [m] keeps, 0…1: the
         ∫ ȳ e^(−β z) dλ of ``visibility()``, which is the distance where it is 2 %.
 
+        Raises:
+            TypeError, ValueError: if the distance is no number, negative or infinite; or as
+                ``visibility()``.
+
         Examples:
             >>> round(Water.jerlov("II").contrast(3), 3)
             0.252
@@ -232,7 +236,7 @@ class Water(Spectra):
 
     def with_visibility(self, metres: float) -> Self:
         """The same kind of water with more or less in it, so that ``visibility()`` is ``metres``,
-        up to that of pure water: a turbidity knob. As ``with_contrast`` of 2 %.
+        up to that of pure water: a turbidity knob. As ``with_contrast`` of 2 %, errors included.
 
         Examples:
             >>> round(Water.jerlov("1C").with_visibility(3).visibility(), 9)

@@ -17,10 +17,10 @@ from uwaug.formation.field import gaussian_random_field
 from uwaug.formation.setup import Setup
 from uwaug.formation.underwater import Underwater
 from uwaug.light import Light
-from uwaug.optics.bands import attenuations, light_and_veil
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.reduction import attenuations, light_and_veil
 from uwaug.optics.water import Water
 from uwaug.presets.files import preset_path
 from uwaug.presets.schema import Config, read_config

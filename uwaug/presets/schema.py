@@ -16,9 +16,9 @@ from uwaug._support.checks import DOMAIN
 from uwaug._support.types import Array, ColorSpace, Shape
 from uwaug.formation.exposure import require_exposure
 from uwaug.light.light import Light
-from uwaug.optics.bands import USUAL, Dims, Downwelling, VeilRate
-from uwaug.optics.inherent import Forward
+from uwaug.optics.bands import Forward
 from uwaug.optics.jerlov import JERLOV_TYPES
+from uwaug.optics.reduction import USUAL, Dims, Downwelling, VeilRate
 
 _ROUNDING = 0.005  # 1/m: half of the last digit that the paper prints
 

@@ -28,10 +28,10 @@ from uwaug.formation.scene import Scene
 from uwaug.formation.setup import Setup
 from uwaug.light import Light
 from uwaug.light.geometry import focal_of
-from uwaug.optics.bands import default_bands
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.reduction import default_bands
 from uwaug.optics.water import Water
 from uwaug.presets.preset import load_preset
 from uwaug.transforms.codec import decode_options, encode_options

@@ -14,9 +14,7 @@ import numpy as np
 from uwaug.formation.loops.approx import exp2_parts, log2
 from uwaug.formation.loops.backend import inner, kernel
 from uwaug.formation.loops.kernels import (
-    FARTHEST,
     LANES,
-    NEAREST,
     TILE,
     add_enlarged,
     add_line,
@@ -240,6 +238,7 @@ def _by_widths(t: Any, sums: Any, place: int, by_width: int, power: int, law: An
     those by ln(1 + x), x = 2σ or 2σ². `power` is the row of (b̄·z)^exponent.
     """
     b_mean, scale, exponent, linear, square = law[0], law[1], law[2], law[3], law[4]
+    least, most = law[7], law[8]
     z, v = tile_row(t, 0), tile_row(t, place)
     g, p = tile_row(t, by_width), tile_row(t, power)
     by_b, by_scale, by_exponent = tile_row(sums, 0), tile_row(sums, 1), tile_row(sums, 2)
@@ -250,7 +249,7 @@ def _by_widths(t: Any, sums: Any, place: int, by_width: int, power: int, law: An
         by_scale[x] += p[x]
     for x in range(TILE):
         length = b_mean * z[x]
-        within = min(max(length, NEAREST), FARTHEST)
+        within = min(max(length, least), most)
         by_exponent[x] += scale * p[x] * (_LN2 * log2(within))
         by_length = scale * exponent * p[x] / within if within == length else _0
         by_b[x] += z[x] * by_length

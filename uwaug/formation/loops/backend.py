@@ -22,6 +22,7 @@ from typing import Any, Literal, TypeVar
 import torch
 from torch import Tensor
 
+from uwaug._support.extras import install
 from uwaug._support.torch_func import transformed
 
 _log = logging.getLogger(__name__)
@@ -36,7 +37,7 @@ by the loops, as older records call "fused" what PyTorch made of large ones.
 VARIABLE = "UWAUG_FUSED"
 """Of the environment: 0 for eager PyTorch, 1 for the compiled loops, or an error without them."""
 
-_INSTALL = 'install numba, with pip install "uwaug[fast]"'
+_INSTALL = f"install numba, with {install('fast')}"
 
 _switched: bool | None = None
 _numba: bool | None = None  # whether it is installed and works; None: not looked yet
@@ -97,7 +98,7 @@ def engine_for(recorded: RecordedEngine | None) -> RecordedEngine:
     record's is not to be had.
     """
     if recorded not in (None, "eager") and path() == "eager":
-        why = "is switched off" if has_numba() else "needs numba (uwaug[fast])"
+        why = "is switched off" if has_numba() else f"needs numba: {install('fast')}"
         warnings.warn(
             f"the record is of the fused path, which {why}: pictures differ in the last bits",
             stacklevel=2,

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from uwaug._support.torch_func import mapped
 from uwaug._support.types import Array
-from uwaug.blur.plan import BlurPlan, range_in_v
+from uwaug.blur.plan import BlurPlan, place_line
 from uwaug.blur.stack import blurred, mixed, node_weights
 from uwaug.formation.loops.backend import loaded
 from uwaug.formation.loops.render import ONE_OF_EACH, coarse_grids, in_bands, render_into
@@ -166,11 +166,10 @@ def _by_medium(sums: Tensor, direct: int) -> list[Tensor]:
 
 @lru_cache(maxsize=16)
 def _steeper(plan: BlurPlan) -> Floats:
-    """Series of the slopes of the weights by ln(1 + x), x the 2σ or 2σ² of `BlurPlan`'s shape."""
-    low, high = range_in_v(plan)
+    """Series of the slopes of the weights by ln(1 + x), see `uwaug.blur.plan.place_line`."""
     series = np.array(plan.coefficients)[order_of(plan)]
     by_place = np.polynomial.chebyshev.chebder(series, axis=1)
-    slope = (2 if plan.shape == "exponential" else 1) / (high - low) if high > low else 0.0
+    slope, _ = place_line(plan)
     return series_table(slope * by_place)
 
 

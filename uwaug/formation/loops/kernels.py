@@ -39,9 +39,6 @@ TILE = 256
 LANES = 32
 """Lines that go through a coarse grid side by side. (16: 10 to 80 % longer; 64: 20 to 40 %.)"""
 
-NEAREST, FARTHEST = np.float32(1e-6), np.float32(1e4)
-"""Scattering lengths between which a width changes, see `uwaug.optics.point_spread.width_at`."""
-
 f32 = np.float32
 _0, _1, _2, _255 = f32(0), f32(1), f32(2), f32(255)
 
@@ -232,11 +229,11 @@ def tile_rows(t: Any, first: int, count: int) -> Any:
 
 @inner
 def powers(t: Any, z: int, to: int, law: Any) -> None:
-    """(b̄·z)^exponent of the distances in row `z`, from 1e-6 to 1e4 scattering lengths."""
+    """(b̄·z)^exponent of the distances in row `z`, as `uwaug.optics.point_spread.width_at`."""
     far, v = tile_row(t, z), tile_row(t, to)
-    b_mean, exponent = law[0], law[2]
+    b_mean, exponent, least, most = law[0], law[2], law[7], law[8]
     for x in range(TILE):
-        v[x] = min(max(b_mean * far[x], NEAREST), FARTHEST)
+        v[x] = min(max(b_mean * far[x], least), most)
     if exponent != _1:
         for x in range(TILE):
             v[x] = exp2(exponent * log2(v[x]))

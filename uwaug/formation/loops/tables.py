@@ -12,8 +12,9 @@ from torch import Tensor
 from uwaug._support.cache import Cache
 from uwaug.blur.banded import Kind, Node, whole
 from uwaug.blur.kernels import blur_kernel
-from uwaug.blur.plan import V_FLOOR, BlurPlan, range_in_v
+from uwaug.blur.plan import V_FLOOR, BlurPlan, place_line
 from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import LEAST_LENGTH, MOST_LENGTH, pixel_scale
 
 Floats = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
@@ -123,8 +124,8 @@ class MediumTable(NamedTuple):
     Attributes:
         rates (R): times −log2(e): those of the direct term, then the others.
         direct (3, K), scatter (3, R), veil (3, R − K): weights; the veil's are those of e^−x − 1.
-        law (7): b̄, scale, exponent; what 2σ or 2σ² is of scale and of scale²; slope and offset of
-            log2.
+        law (9): b̄, scale, exponent; what 2σ or 2σ² is of scale and of scale²; slope and offset of
+            log2; the least and the most scattering lengths.
     """
 
     rates: Floats
@@ -341,20 +342,14 @@ def medium_tables(medium: Medium, plan: BlurPlan, size: Size) -> list[MediumTabl
 
 
 def _law(medium: Medium, n: int, b_mean: float, plan: BlurPlan, size: Size) -> Floats:
-    """Width law of the `n`-th medium, and the place of a width in a plan as
-    `uwaug.blur.stack.node_weights` has it.
-    """
+    """Width law of the `n`-th medium, and the place of a width in a plan."""
     spread = medium.point_spread
     scale, exponent = (_number(value, n) for value in spread.numbers().values())
-    if spread.reference_size is not None:
-        scale *= min(size) / spread.reference_size
-    low, high = range_in_v(plan)
-    exponential = plan.shape == "exponential"
-    slope = (2 if exponential else 1) / (high - low) if high > low else 0.0
-    offset = slope * math.log(V_FLOOR) - (low + high) / (high - low) if high > low else 0.0
-    powers = (1 / V_FLOOR, 0.0) if exponential else (0.0, 1 / V_FLOOR)
-    law = (b_mean, scale, exponent, *powers, slope * math.log(2), offset)
-    return np.array(law, np.float32)
+    per_pixel = pixel_scale(spread.reference_size, size)
+    slope, offset = place_line(plan)
+    powers = (1 / V_FLOOR, 0.0) if plan.shape == "exponential" else (0.0, 1 / V_FLOOR)
+    law = (b_mean, scale * per_pixel, exponent, *powers, slope * math.log(2), offset)
+    return np.array((*law, LEAST_LENGTH, MOST_LENGTH), np.float32)
 
 
 def _number(value: float | Tensor, n: int) -> float:
