@@ -2,13 +2,15 @@
 
 import hashlib
 import os
+from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO
 
 from uwaug._support.atomic import require_regular
 
 
-class FileHash(NamedTuple):
+@dataclass(frozen=True)
+class FileHash:
     """A file as it was read: its absolute path, the SHA-256 of its content, and its size."""
 
     path: str

@@ -19,41 +19,20 @@ if TYPE_CHECKING:
 _PAUSE = 10.0
 """Seconds between two lines of progress where there is no terminal."""
 
-FLAGS = {
+_ALIKE = """
+    clean color_space contrast distance_kind distance_unit exposure far field fit focal_px gain
+    gamma ignore_index image mask min_contrast near observed offset_px parameters planar preset
+    random severity sides unknown vertical_depth visibility water
+"""
+"""Arguments of the library whose flags have their names."""
+
+FLAGS = {name: f"--{name.replace('_', '-')}" for name in _ALIKE.split()}
+FLAGS |= {
     "baseline_m": "--baseline",
-    "color_space": "--color-space",
-    "contrast": "--contrast",
-    "distance_kind": "--distance-kind",
-    "distance_unit": "--distance-unit",
-    "exposure": "--exposure",
-    "far": "--far",
-    "field": "--field",
-    "fit": "--fit",
-    "focal_px": "--focal-px",
-    "gain": "--gain",
-    "gamma": "--gamma",
-    "image": "--image",
-    "clean": "--clean",
-    "observed": "--observed",
-    "mask": "--mask",
-    "min_contrast": "--min-contrast",
-    "near": "--near",
     "network": "--depth-network",
-    "offset_px": "--offset-px",
-    "parameters": "--parameters",
-    "planar": "--planar",
-    "preset": "--preset",
-    "random": "--random",
-    "severity": "--severity",
-    "sides": "--sides",
     "systems": "--system",
     "type": "--water",
     "unit": "--distance-unit",
-    "unknown": "--unknown",
-    "vertical_depth": "--vertical-depth",
-    "visibility": "--visibility",
-    "ignore_index": "--ignore-index",
-    "water": "--water",
 }
 """Arguments of the library, and the flags that set them."""
 

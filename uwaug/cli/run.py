@@ -16,6 +16,7 @@ import typer
 from rich.console import Console
 
 from uwaug._support.atomic import remove_left
+from uwaug._support.hashing import FileHash
 from uwaug.cli.console import counted, fail, in_flags, refuse, reported_errors
 from uwaug.figures.run_sheet import SHOWN, draw_sheet
 from uwaug.io.read import name_of
@@ -245,10 +246,10 @@ def repeat(path: Path, out: Path, force: bool, moved: list[Path], distance: str 
     try:
         sidecar = Sidecar.read(path)
         if moved:
-            file = sidecar.input._replace(path=str(moved[0].absolute()))
+            file = replace(sidecar.input, path=str(moved[0].absolute()))
             sidecar = replace(sidecar, input=file)
-        if distance is not None and isinstance(sidecar.distance, tuple):
-            file = sidecar.distance._replace(path=str(Path(distance).absolute()))
+        if distance is not None and isinstance(sidecar.distance, FileHash):
+            file = replace(sidecar.distance, path=str(Path(distance).absolute()))
             sidecar = replace(sidecar, distance=file)
         alone = out.suffix.lower() in FORMATS and not out.is_dir()
         output = out if alone else out / sidecar.output

@@ -19,6 +19,8 @@ from uwaug.formation.colour import LUMINANCE
 from uwaug.optics.curves import FARTHEST
 
 _NEAR, _FAR = 0.005, 0.995  # quantiles of the finite distances, between which the bins lie
+_BINS = 10  # equal steps of distance
+_SHARE = 0.01  # of the pixels of each, that are taken for black
 _MIN_PIXELS = 50  # pixels of a bin that is looked at
 _MIN_DARK = 10  # dark pixels that are taken from a bin
 _MIN_BINS = 3  # bins that a fit needs
@@ -58,14 +60,12 @@ def fit_veil(
     field: Pictures | None = None,
     mask: Pictures | None = None,
     color_space: ColorSpace = "srgb",
-    bins: int = 10,
-    share: float = 0.01,
     seed: int = 0,
 ) -> VeilFit:
     """Estimate a veil V·(1 − e^(−G z)) for each channel without a clean picture, from the darkest
     pixels at each distance: what light they show is the veil's, if their surfaces are black.
 
-    In each of `bins` equal steps of distance those of least luminance are taken, by the mean of
+    In each of ten equal steps of distance those of least luminance are taken, by the mean of
     their 3×3 neighbours (single pixels would be chosen for their noise: V 7 to 60 % off instead of
     4 to 20 %), and of open water any. Residuals below the curve count more than those above.
     Sea-thru's second term, J'·e^(−β' z) for what dark surfaces reflect, is left out: pictures
@@ -74,8 +74,6 @@ def fit_veil(
     Args:
         observed, distance, field, mask, color_space: as of `uwaug.fit`; several pictures are of one
             water.
-        bins: steps of distance, 3…100.
-        share: of the pixels of each, that are taken for black, 0…0.5.
         seed: of draws.
 
     Returns:
@@ -103,12 +101,10 @@ def fit_veil(
         >>> fit.veil.round(decimals=1).tolist()
         [0.1, 0.3, 0.4]
     """
-    checks.within("bins", bins, _MIN_BINS, 100)
-    checks.within("share", share, 1e-6, 0.5)
     checks.within("seed", seed, 0)
     observations = Observations.of(None, observed, distance, field, mask, color_space)
     rng = np.random.default_rng(seed)
-    dark = _darkest(observations.pairs, int(bins), share, rng)
+    dark = _darkest(observations.pairs, rng)
     reference, everything = observations.reference, np.ones(len(dark.z))
     with one_thread():
         theta = _fit(dark, reference, everything)
@@ -154,7 +150,7 @@ def _quantities(numbers: Array) -> dict[str, Array]:
     return {"veil": source / G, "G": G, "source": source}
 
 
-def _darkest(pairs: Sequence[Pair], bins: int, share: float, rng: np.random.Generator) -> Dark:
+def _darkest(pairs: Sequence[Pair], rng: np.random.Generator) -> Dark:
     """The darkest pixels of each step of distance, and any of open water."""
     weights = torch.tensor(LUMINANCE, dtype=torch.float64)
     grey = [mean_3x3(torch.einsum("c,chw->hw", weights, pair.observed)[None]) for pair in pairs]
@@ -169,16 +165,16 @@ def _darkest(pairs: Sequence[Pair], bins: int, share: float, rng: np.random.Gene
     )
     finite = z < FARTHEST
     low, high = np.quantile(z[finite], (_NEAR, _FAR))
-    step = np.floor((z - low) / max(high - low, 1e-9) * bins)
+    step = np.floor((z - low) / max(high - low, 1e-9) * _BINS)
     darkest = []
-    for k in range(bins):
+    for k in range(_BINS):
         inside = np.flatnonzero(finite & (step == k))
         if len(inside) >= _MIN_PIXELS:
-            count = max(round(share * len(inside)), _MIN_DARK)
+            count = max(round(_SHARE * len(inside)), _MIN_DARK)
             darkest.append(inside[np.argpartition(luminance[inside], count)[:count]])
     if len(darkest) < _MIN_BINS:
-        few = f"only {len(darkest)} of {bins} steps of distance hold {_MIN_PIXELS} pixels"
-        raise ValueError(f"distance: {few}, expected {_MIN_BINS}: give fewer bins, or more pixels")
+        few = f"only {len(darkest)} of {_BINS} steps of distance hold {_MIN_PIXELS} pixels"
+        raise ValueError(f"distance: {few}, expected {_MIN_BINS}: give larger pictures")
     sea = rng.permutation(np.flatnonzero(~finite))
     darkest.append(sea[: max(len(places) for places in darkest)])
     places = rng.permutation(np.concatenate(darkest))[:_MAX_DARK]

@@ -23,7 +23,7 @@ from PIL import Image
 
 from uwaug._support.extras import require
 from uwaug.io.read import name_of, opened
-from uwaug.io.write import FORMATS, format_of
+from uwaug.io.write import FORMATS
 from uwaug.jobs.items import Item, Items, labelled, metres_in
 from uwaug.jobs.picture import Degrader, Result, named, reason_of
 from uwaug.jobs.pool import alone, cores, use_one_thread
@@ -146,8 +146,7 @@ def degrade(
     dataset: Any,
     recipe: Recipe,
     *,
-    workers: int | tuple[int, int] | None = None,
-    ending: str | None = None,
+    workers: int | None = None,
 ) -> Any:
     """Degrade the pictures of a data set of Ray Data.
 
@@ -164,9 +163,7 @@ def degrade(
             variant, if you like: which of several of one picture, from 0.
         recipe: what is done to them. Files that it names must be there on every machine; but for
             its labels, which are read here.
-        workers: actors, or the least and the most of them; None: one for each core that Ray has
-            now. Each uses one core.
-        ending: of pictures without an output, such as ".png"; None: as of the picture.
+        workers: actors; None: one for each core that Ray has now. Each uses one core.
 
     Returns:
         A `ray.data.Dataset` of as many rows, with all columns that were there and
@@ -178,12 +175,9 @@ def degrade(
 
     Raises:
         ImportError: if Ray is not installed.
-        ValueError: if a column is missing or has the name of one that is added, or the ending is
-            unknown.
+        ValueError: if a column is missing or has the name of one that is added.
     """
     require_ray()
-    if ending is not None:
-        format_of(f"picture{ending}")
     names = dataset.columns() or []
     for name in ("id", "input"):
         if name not in names:
@@ -192,7 +186,7 @@ def degrade(
     if twice:
         cure = "see ray.data.Dataset.rename_columns"
         raise ValueError(f"dataset has a column {twice[0]}, which would be added: {cure}")
-    arguments = (recipe, os.getcwd(), {"in_memory": True}, ending, recipe.open_labels())
+    arguments = (recipe, os.getcwd(), {"in_memory": True}, recipe.open_labels())
     return _mapped(dataset, _OverRows, arguments, batch_size=_BATCH, workers=workers)
 
 
@@ -208,20 +202,16 @@ def _mapped(
     arguments: tuple[Any, ...],
     *,
     batch_size: int,
-    workers: int | tuple[int, int] | None = None,
+    workers: int | None = None,
 ) -> Any:
     """A data set with a worker mapped over it, by as many actors as there are cores."""
     import ray
 
     total = _total()
-    workers = total if workers is None else workers
-    compute = ray.data.ActorPoolStrategy(size=workers)
-    if isinstance(workers, tuple):
-        compute = ray.data.ActorPoolStrategy(min_size=workers[0], max_size=workers[1])
     return dataset.map_batches(
         worker,
         fn_constructor_args=arguments,
-        compute=compute,
+        compute=ray.data.ActorPoolStrategy(size=workers or total),
         batch_size=batch_size,
         batch_format="pyarrow",
         num_cpus=_SHARE if total > 1 else 0,
@@ -303,11 +293,10 @@ class _OverRows(_Worker):
         recipe: Recipe,
         folder: str,
         options: dict[str, bool],
-        ending: str | None,
         source: LabelSource | None,
     ) -> None:
         super().__init__(recipe, folder, options)
-        self._ending, self._source = ending, source
+        self._source = source
 
     def __call__(self, batch: Any) -> Any:
         import pyarrow as pa
@@ -336,8 +325,7 @@ class _OverRows(_Worker):
             raise ValueError(f"input: expected a path or bytes, got {file!r}")
         output = row.get("output")
         if not output:
-            ending = self._ending or _ending_of(file)
-            path = Path(id)
+            ending, path = _ending_of(file), Path(id)
             output = path.with_suffix(ending) if path.suffix.lower() in FORMATS else id + ending
         variant = int(row.get("variant") or 0)
         # from no folder: its whole name is its place
@@ -386,7 +374,7 @@ def _ending_of(file: Any) -> str:
     for suffix, writable in FORMATS.items():
         if writable == format:
             return suffix
-    raise ValueError(f"input: expected a picture that can be written as {format}: give an ending")
+    raise ValueError(f"input: {format} cannot be written: give an output, such as 1.png")
 
 
 def _added_schema() -> Any:

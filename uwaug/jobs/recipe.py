@@ -155,13 +155,7 @@ class Recipe:
         if self.preset is not None:
             preset = load_preset(self.preset, water=self.water)
             if not preset.drawable:
-                setup = Setup(
-                    preset.medium,
-                    light=preset.light,
-                    exposure=preset.exposure,
-                    color_space=preset.color_space,
-                    focal_px=self.distance.focal_px,
-                )
+                setup = preset.setup(self.distance.focal_px)
                 scaling = Scaling(preset.near, preset.far, preset.gamma)
                 return self._known(preset.name, setup, preset.uneven, scaling, options)
         options |= {"distance_kind": self.distance.map_kind, "unknown": self.distance.unknown}

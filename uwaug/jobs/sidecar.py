@@ -61,11 +61,7 @@ class Sidecar:
 
     def to_json(self) -> dict[str, Any]:
         """As what JSON holds."""
-        values = {"format": _FORMAT, **asdict(self)}
-        for name in ("input", "distance", "label_file"):
-            if isinstance(values[name], FileHash):
-                values[name] = values[name]._asdict()
-        return values
+        return {"format": _FORMAT, **asdict(self)}
 
     def write(self, path: Path) -> None:
         """Write it, whole or not at all.
