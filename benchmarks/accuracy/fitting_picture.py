@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmarks.accuracy.fitting_scenes import Truth, formed, photographed, view
 from benchmarks.harness import ROOT
-from uwaug._support import sheet as sheets
+from uwaug._support.drawing import save
 from uwaug.fitting import fit
 from uwaug.optics.point_spread import PointSpread
 
@@ -25,5 +25,5 @@ def picture(quick: bool = False) -> dict[str, Any]:
     found = fit(scene.srgb, observed, scene.distance, model=model, focal_px=scene.focal_px)
     figure = found.plot()
     if not quick:
-        sheets.save(figure, ROOT / "benchmarks" / "figures" / "fit.jpg")
+        save(figure, ROOT / "benchmarks" / "figures" / "fit.jpg")
     return {"seed": SEED, "model": found.model, "rms": found.rms}

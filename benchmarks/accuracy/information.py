@@ -12,8 +12,8 @@ from torch import Tensor
 import uwaug
 from benchmarks.figures.summary import table
 from benchmarks.harness import RESULTS, command, machine, save
-from uwaug._support.sheet import GREY, INK
-from uwaug._support.sheet import save as save_figure
+from uwaug._support.drawing import GREY, INK
+from uwaug._support.drawing import save as save_figure
 from uwaug.figures.comparison import METRES, phase_congruency_difference
 from uwaug.formation.contrast import contrast
 from uwaug.optics.medium import Medium

@@ -197,7 +197,7 @@ def test_a_report_that_cannot_be_written_leaves_the_fit(run, scene, monkeypatch)
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device", "fit.png")
 
-    monkeypatch.setattr("uwaug._support.sheet.save", full)
+    monkeypatch.setattr("uwaug._support.drawing.save", full)
     code, out, err = run("fit", *PAIR, *FAST, "--out", "fit.json", "--report", "fit.png")
     assert (code, err) == (1, "Error: [Errno 28] No space left on device: 'fit.png'\n")
     assert out.startswith("Model 'haze'")

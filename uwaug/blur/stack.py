@@ -132,7 +132,8 @@ def _node_blur(x: Tensor, sigma: float, cell: float, reach: float, adjoint: bool
     """One blur of a stack on x (H, N, W), or its adjoint: an operator of its own, which
     torch.compile keeps whole.
     """
-    return _blurred_once(x, sigma, cell, reach, adjoint)
+    size = (x.shape[0], x.shape[2])
+    return products(x.contiguous(), chain_of(Node(sigma, cell, reach), size, x, adjoint))
 
 
 @_node_blur.register_fake
@@ -170,11 +171,6 @@ def _dense(node: Node, size: int) -> Tensor:
             low, slab = matrix.slab(0, matrix.rows)
             product = slab @ product[low : low + slab.shape[1]]
         return torch.from_numpy(product)
-
-
-def _blurred_once(x: Tensor, sigma: float, cell: float, reach: float, adjoint: bool) -> Tensor:
-    size = (x.shape[0], x.shape[2])
-    return products(x.contiguous(), chain_of(Node(sigma, cell, reach), size, x, adjoint))
 
 
 def products(x: Tensor, chain: Chain) -> Tensor:

@@ -104,7 +104,7 @@ def compare(
         require_writable("--table", table, force=force, endings=(".csv", ".json"), inputs=inputs)
     require_package("plot", "matplotlib")
     import uwaug
-    from uwaug._support import sheet
+    from uwaug._support.drawing import save
 
     with status() as say:
         say("reading the picture")
@@ -113,7 +113,7 @@ def compare(
         with reported_errors():
             comparison = uwaug.figures.compare(scene.image, scene.distance, water, system)
     try:
-        sheet.save(comparison.plot(), out)
+        save(comparison.plot(), out)
         if table is not None:
             comparison.save(table)
     except OSError as error:
@@ -162,7 +162,7 @@ def _draw_into(
     from rich.console import Console
     from rich.progress import Progress
 
-    from uwaug._support import sheet
+    from uwaug._support.drawing import save
 
     start = time.perf_counter()
     errors, report = Console(stderr=True), []
@@ -172,7 +172,7 @@ def _draw_into(
             for name, draw in progress.track(pictures.items(), description="Drawing"):
                 before = time.perf_counter()
                 figure, lines = draw(scene)
-                sheet.save(figure, out / name)
+                save(figure, out / name)
                 report.append(f"{out / name}  ({time.perf_counter() - before:.1f} s)")
                 report += [f"    {line}" for line in lines]
     except OSError as error:

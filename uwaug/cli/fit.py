@@ -80,7 +80,7 @@ def fit(
         require_writable("--report", report, force=force, endings=(".png", ".jpg"), inputs=inputs)
         require_package("plot", "matplotlib")
     import uwaug
-    from uwaug._support import sheet
+    from uwaug._support import drawing
 
     options: dict[str, Any] = {"model": model, "color_space": color_space, "seed": seed}
     result: uwaug.fitting.Fit | uwaug.fitting.SeriesFit
@@ -97,7 +97,7 @@ def fit(
     try:
         result.save(out)
         if report is not None:
-            sheet.save(result.plot(), report)
+            drawing.save(result.plot(), report)
     except OSError as error:
         # what may have taken minutes is not lost
         print(result.summary())

@@ -151,24 +151,20 @@ def along_ray(
     return depth * (1 + x**2 + y[:, None] ** 2).sqrt()
 
 
-def check_distance(distance: Tensor, strict: bool = True) -> Tensor:
+def check_distance(distance: Tensor) -> Tensor:
     """Make sure that every pixel is known: above 0 m, or +inf for open water.
 
     Args:
         distance: (..., H, W), metres.
-        strict: raise if a pixel is unknown; otherwise `fill_unknown`.
 
     Returns:
-        `distance`, filled if need be.
+        `distance`.
 
     Raises:
-        ValueError: pixels are NaN, negative or zero (says how many of each); or not `strict`, and a
-            map has no known pixel.
+        ValueError: pixels are NaN, negative or zero (says how many of each).
         TypeError: `distance` is no floating-point tensor.
     """
     distance = _maps("distance", distance)
-    if not strict:
-        return fill_unknown(distance)
     # NaN if any is; a mask of all pixels takes several times as long
     if distance.numel() and not distance.detach().amin() > 0:
         counts = checks.counted(distance, "NaN", "negative", "zero")

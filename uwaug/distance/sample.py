@@ -14,6 +14,7 @@ from uwaug.distance.complete import filled_rows, warn_of_unknown
 from uwaug.distance.convert import (
     check_distance,
     ends_of_inverse,
+    fill_unknown,
     require_range,
     require_relative,
     scaled_inverse,
@@ -129,7 +130,7 @@ def _completed(z: Tensor, unknown: Unknown) -> Tensor:
     if unknown == "far":
         return torch.where(z > 0, z, math.inf)
     try:
-        return check_distance(z, strict=unknown == "error")
+        return check_distance(z) if unknown == "error" else fill_unknown(z)
     except ValueError as error:
         cures = ("fill", "skip", "far") if unknown == "error" else ("skip",)
         raise UnknownDistanceError(f"{error}; or use unknown={cures[0]!r}", *cures) from None

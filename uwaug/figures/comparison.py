@@ -15,10 +15,11 @@ import torch
 from torch import Tensor
 
 from uwaug._support import checks
-from uwaug._support import sheet as paper
 from uwaug._support.atomic import written_whole
+from uwaug._support.drawing import GREY, INK
 from uwaug._support.extras import require
 from uwaug._support.types import Array
+from uwaug.figures import sheet as paper
 from uwaug.formation.colour import LUMINANCE, linear_to_srgb, to_light
 from uwaug.formation.contrast import contrast
 from uwaug.formation.inputs import validate
@@ -179,7 +180,7 @@ class Comparison:
             cell.PAD = 0.0
             cell.set_text_props(
                 fontsize=11,
-                color=paper.GREY if row == 0 else paper.INK,
+                color=GREY if row == 0 else INK,
                 ha="left" if column < 2 else "right",
                 parse_math=False,
             )
@@ -188,7 +189,7 @@ class Comparison:
             f"ΔE: mean CIEDE2000 to {FULLEST}. "
             "PC difference: of phase congruency, 0 = all structure is left."
         )
-        figure.text(left, paper.MARGIN / height, note, fontsize=10, color=paper.GREY, va="center")
+        figure.text(left, paper.MARGIN / height, note, fontsize=10, color=GREY, va="center")
         return figure
 
 

@@ -12,12 +12,11 @@ import torch
 from torch import Tensor
 
 from uwaug._support.checks import extent
-from uwaug._support.sheet import (
-    GREY,
+from uwaug._support.drawing import GREY, INK, RGB
+from uwaug.distance.convert import from_relative
+from uwaug.figures.sheet import (
     HEADER,
-    INK,
     MARGIN,
-    RGB,
     Canvas,
     columns_for,
     plot,
@@ -30,7 +29,6 @@ from uwaug._support.sheet import (
     show_map,
     ticks_of,
 )
-from uwaug.distance.convert import from_relative
 from uwaug.formation.colour import linear_to_srgb
 from uwaug.formation.demand import blur_demand
 from uwaug.formation.field import gaussian_random_field

@@ -8,7 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uwaug._support import sheet as sheets
+from uwaug._support.drawing import save
+from uwaug.figures import sheet as sheets
 from uwaug.io.read import read_picture
 
 SHOWN = 10
@@ -33,7 +34,7 @@ def draw_sheet(pictures: Sequence[tuple[str, Path]], path: Path) -> None:
     for axis, (label, picture) in zip(axes, cells, strict=False):
         sheets.show(axis, picture, _short(label))
         axis.set_aspect("equal", adjustable="box", anchor="NW")
-    sheets.save(figure, path)
+    save(figure, path)
 
 
 def _short(label: str) -> str:

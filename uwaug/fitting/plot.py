@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uwaug._support.sheet import GREY, INK, RGB
+from uwaug._support.drawing import GREY, INK, RGB
 from uwaug.fitting.errors import NORMAL
 from uwaug.fitting.models import COLOURS
 from uwaug.fitting.results import Fit, Parameter, Result, SeriesFit, VeilFit, WaterFit

@@ -11,11 +11,10 @@
 it over the object's pixels: its mask or polygon, or all that its box touches. It is 0 where no
 pixel of an object is in the picture.
 
-Call all of them for every format: what a format has no use for returns no files. One process holds
-the source (a COCO file can be large) and hands each picture's labels, which pickle, to those who
-degrade. A record is as JSON reads it back, so a run that goes on after a stop may read records from
-its sidecars. `write_run` takes them in any order, one for each picture that was written;
-`record["output"]` is its path below the output folder. README.md in this folder has the rest.
+Call all of them for every format: what a format has no use for returns no files. A record is as
+JSON reads it back, so a run that goes on after a stop may read records from its sidecars.
+`write_run` takes them in any order, one for each picture that was written. README.md in this folder
+has the rest.
 """
 
 from uwaug.labels.coco import CocoLabels

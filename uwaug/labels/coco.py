@@ -70,7 +70,7 @@ class CocoLabels:
         by_name: dict[str, Entry] = {}
         stems: dict[str, list[str]] = {}
         for entry in images:
-            name = _name_of(entry, path)
+            name = _file_name(entry, path)
             if name in by_name:
                 raise ValueError(f"{path}: two images have the file_name {name!r}")
             by_name[name] = entry
@@ -225,7 +225,7 @@ def _listed(content: Any, name: str, path: Any) -> list[Entry]:
     return entries
 
 
-def _name_of(entry: Entry, path: Any) -> str:
+def _file_name(entry: Entry, path: Any) -> str:
     name = entry.get("file_name")
     if not isinstance(name, str) or not name:
         raise ValueError(f"{path}, image {entry['id']}: expected a file_name, got {name!r}")

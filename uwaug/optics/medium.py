@@ -34,7 +34,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import index
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import torch
 from numpy.typing import ArrayLike
@@ -57,7 +57,6 @@ from uwaug.optics.reduction import (
     joined,
     light_and_veil,
     reduced,
-    require_forward,
     spectral_note,
 )
 from uwaug.optics.water import Water
@@ -207,7 +206,7 @@ class Medium:
         Raises:
             ValueError: if a shape is another, batches differ, or a value is negative or infinite.
         """
-        require_forward(forward)
+        checks.one_of("forward", forward, get_args(Forward))
         coefficients = {"beta": beta, "G": G, "veil": veil, "light": light, "b_mean": b_mean}
         rows = _rows({**coefficients, "veil_rate": veil_rate})
         beta, G, b = rows["beta"], rows["G"], rows["b_mean"]

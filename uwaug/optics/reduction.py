@@ -100,7 +100,7 @@ def reduced(
         forward: see `uwaug.Medium.from_water`.
         tolerance: largest error of each curve; 0 keeps every band.
     """
-    require_forward(forward)
+    checks.one_of("forward", forward, get_args(Forward))
     lit, haze = response * light, response * veil
     shared = forward == "image" and np.array_equal(veil_rate, G)
     if shared and np.array_equal(beta, G):
@@ -147,11 +147,6 @@ def joined(direct: Part, signal: list[Part], veil: Part) -> list[Tensor]:
     signal_weights = torch.cat([arriving, torch.zeros_like(veil[1])], 2)
     veil_weights = torch.cat([torch.zeros_like(arriving), veil[1]], 2)
     return [*direct, torch.cat([*rates, veil[0]], 1), signal_weights, veil_weights]
-
-
-def require_forward(forward: str) -> None:
-    """Refuse what forward scatter is no blur of."""
-    checks.one_of("forward", forward, get_args(Forward))
 
 
 def spectral_note(

@@ -68,10 +68,7 @@ def wavelength_axis(values: ArrayLike) -> Array:
         )
     low, high = axis[[0, -1]]
     if not (low >= 100 and high <= 3000):
-        hint = _unit_hint(low, high)
-        raise ValueError(
-            f"wavelengths must be in nm, between 100 and 3000, got {low:g}…{high:g}{hint}"
-        )
+        raise ValueError(f"wavelengths must be in nm, between 100 and 3000, got {low:g}…{high:g}")
     return axis
 
 
@@ -84,13 +81,6 @@ def common_axis(first: Spectra, second: Spectra) -> Array | None:
     low, high = max(a[0], b[0]), min(a[-1], b[-1])
     shared = both[(both >= low) & (both <= high)]
     return wavelength_axis(shared) if shared.size else None
-
-
-def _unit_hint(low: float, high: float) -> str:
-    for unit, factor in (("micrometres", 1e3), ("metres", 1e9), ("ångströms", 0.1)):
-        if low * factor >= 100 and high * factor <= 3000:
-            return f"; they look like {unit}: multiply by {factor:g}"
-    return ""
 
 
 def spectrum(name: str, values: ArrayLike, axis: Array, channels: tuple[int, ...] = ()) -> Array:

@@ -303,8 +303,16 @@ class Water(Spectra):
         pure water alone leaves no more, infinity where nothing but pure water is there to be
         scaled, 1 at an infinite distance.
         """
-        checks.within("contrast", contrast, *checks.DOMAIN["contrast"])
-        return 1.0 if math.isinf(metres) else self._contents_for(contrast, metres)
+        checks.positive("contrast", contrast)
+        if math.isinf(metres):
+            return 1.0
+        a, b, _ = self._pure()
+        weights, water = self._seen(a + b)
+        seen = weights * np.exp(water * -metres)
+        if float(seen.sum()) <= contrast:
+            return 0.0
+        _, contents = self._seen(self.a + self.b - (a + b))
+        return _distance_to(contrast, seen, contents * metres)
 
     def daylight(self, depth: float) -> float:
         """The share of the surface's luminance that is left at a vertical depth [m]."""
@@ -346,21 +354,9 @@ class Water(Spectra):
         a, b = np.minimum(self.a, absorption), np.minimum(self.b, scattering)
         return np.array([a, b, np.minimum(self.kd, a + b / 2)])
 
-    def _contents_for(self, contrast: float, metres: float) -> float:
-        """The factor s of `with_contrast`; 0 if pure water leaves no more, infinity if no factor
-        will do.
-        """
-        a, b, _ = self._pure()
-        weights, water = self._seen(a + b)
-        seen = weights * np.exp(water * -metres)
-        if float(seen.sum()) <= contrast:
-            return 0.0
-        _, contents = self._seen(self.a + self.b - (a + b))
-        return _distance_to(contrast, seen, contents * metres)
-
     def _scaled(self, contrast: float, metres: float, name: str) -> Self:
         """This water with a contrast that pure water allows."""
-        factor = self._contents_for(contrast, metres)
+        factor = self.contents_for(contrast, metres)
         if math.isinf(factor):
             nothing = f"there is nothing to scale to a contrast of {contrast:g} at {metres:g} m"
             raise ValueError(f"{self.name!r} is nothing but pure water to the eye: {nothing}")
