@@ -10,13 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from filing import H, W, content, metres, pixels, save, save_pair, words
+from filing import H, W, content, metres, pixels, save, save_pair
 from PIL import Image
 
 import uwaug
 from uwaug.io import read_picture
 from uwaug.jobs import Sidecar
-from uwaug.optics.water import JERLOV_TYPES
 
 WATER = ("--water", "3C")
 
@@ -164,67 +163,6 @@ def test_labels_that_are_nowhere_are_missed(run):
 # What is refused
 
 
-COMMANDS = {
-    "no input": ([], "expected a picture"),
-    "no water": (["good.png"], "expected one of water, preset, fit and random, got none"),
-    "unknown preset": (["good.png", "--preset", "nowhere"], "survey"),
-    "preset is missing": (["good.png", "--preset", "no.toml"], "no.toml"),
-    "fit is missing": (["good.png", "--fit", "no.json"], "no.json"),
-    "fit is none": (["good.png", "--fit", "good.png"], "good.png"),
-    "severity and contrast": (
-        ["good.png", *WATER, "--severity", "3", "--contrast", ".5"],
-        "--severity and --contrast",
-    ),
-    "severity 6": (["good.png", *WATER, "--severity", "6"], "severity"),
-    "no number": (["good.png", *WATER, "--visibility", "far"], "--visibility"),
-    "three numbers": (["good.png", *WATER, "--depth", "1:2:3"], "--vertical-depth"),
-    "unit": (["good.png", *WATER, "--distance-unit", "miles"], "--distance-unit must be"),
-    "kind": (["good.png", *WATER, "--distance-kind", "far"], "--distance-kind"),
-    "planar without focal length": (["good.png", *WATER, "--planar"], "--focal-px is missing"),
-    "baseline of metres": (["good.png", *WATER, "--baseline", ".1"], "--baseline would do nothing"),
-    "format": (["good.png", *WATER, "--format", "bmp"], ".png, .jpg"),
-    "variants": (["good.png", *WATER, "--variants", "0"], "variants"),
-    "workers": (["good.png", *WATER, "--workers", "0"], "--workers"),
-    "network and distance": (
-        ["good.png", *WATER, "--depth-network", "no.onnx"],
-        "--depth-network takes the place of --distance",
-    ),
-    "twice": (["good.png", "good.png", *WATER], "good.png was given twice"),
-    "record and pictures": (["good.png", "good.png", "--from", "a.json"], "all from the record"),
-    "record and water": ([*WATER, "--from", "a.json"], "all from the record"),
-    "workers of a cluster": (
-        ["good.png", *WATER, "--ray", "a:1", "--workers", "2"],
-        "has its own",
-    ),
-    "shards without Ray": (["good.png", *WATER, "--shards", "s"], "got both"),
-}
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_commands_that_are_refused(run, name):
-    arguments, words = COMMANDS[name]
-    before = content(".")
-    code, out, err = run("degrade", *arguments, "--distance", "z.npy", "--out", "out")
-    # 1 where a file is at fault
-    at_fault = name in ("preset is missing", "fit is missing", "fit is none")
-    assert (code, out) == (1 if at_fault else 2, "")
-    assert words in err
-    assert content(".") == before
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        ["--planar", "--focal-px", "9"],
-        ["--distance-unit", "mm"],
-        ["--distance-kind", "inverse"],
-    ],
-)
-def test_what_says_something_of_maps_needs_maps(run, options):
-    code, err = degraded(run, "good.png", *options, distance="3")
-    assert (code, f"{options[0]} would do nothing: the distance is a number" in err) == (2, True)
-
-
 @pytest.mark.parametrize("out", [["v.heic"], ["v.jpg", "--variants", "2"], ["run.v2"]])
 def test_a_file_that_cannot_be_the_output_is_no_folder(run, out):
     arguments = ("degrade", "good.png", "--distance", "3", *WATER, "--out", *out)
@@ -232,13 +170,6 @@ def test_a_file_that_cannot_be_the_output_is_no_folder(run, out):
     assert (code, f"--out {out[0]}: expected the file of one picture" in err) == (2, True)
     Path(out[0]).mkdir()
     assert run(*arguments)[0] == 0
-
-
-def test_an_unknown_water_lists_the_ten(run):
-    code, out, err = run("degrade", "good.png", "--distance", "3", "--out", "out", "--water", "4C")
-    assert (code, out) == (2, "")
-    assert "water must be one of" in err
-    assert all(water in err for water in JERLOV_TYPES)
 
 
 @pytest.mark.parametrize(
@@ -277,10 +208,8 @@ def test_what_fails_is_told_at_the_end(run):
 @pytest.mark.parametrize(
     ("make", "path", "words"),
     [
-        (lambda path: None, "nowhere.png", "No such file"),
         (lambda path: path.symlink_to(path), "a.png", "symbolic links"),
         (lambda path: path.write_text("input\n\x00\n"), "list.csv", "list.csv: line 2 is no text"),
-        (lambda path: path.write_text("hello"), "a.png", "is no picture and no map"),
         (lambda path: path.write_text("{}"), "r.json", "is no record of a picture"),
     ],
 )
@@ -290,12 +219,6 @@ def test_files_at_fault(run, folder, make, path, words):
     code, _, err = run("degrade", *given, "--out", "out")
     assert (code, words in err, path in err) == (1, True, True)
     assert not Path("out").exists() or set(content("out")) == {"index.csv"}
-
-
-def test_the_cure_of_a_map_in_other_units(run):
-    save("z.png", words()[..., 0])
-    code, err = degraded(run, "good.png", distance="z.png")
-    assert (code, "try --distance-unit mm" in err) == (1, True)
 
 
 def test_what_is_there_stays(run):

@@ -1,8 +1,8 @@
 from dataclasses import replace
-from itertools import combinations
 
 import pytest
 import torch
+from texts import require_room
 
 from uwaug import load_preset
 from uwaug.figures import demo as plots
@@ -12,7 +12,7 @@ from uwaug.presets.scene import Scene
 
 @pytest.mark.parametrize("name", plots.PICTURES)
 def test_no_text_overlaps_or_leaves_the_picture(small, name, monkeypatch):
-    require_room(plots.PICTURES[name], small, monkeypatch)
+    assert require_room(lambda: plots.PICTURES[name](small).figure, monkeypatch) > 10
 
 
 @pytest.mark.parametrize("name", plots.own_pictures())
@@ -33,35 +33,8 @@ def test_nor_in_scenes_of_other_shapes_and_distances(
     note = "Drawn at 1000×500 of 20000×10000 px. 0.0017 % of the distances were unknown."
     scene = Scene(torch.rand(3, *shape), z, None, note)
     case = preset_case(load_preset("tank-proposed-4"))
-    require_room(plots.own_pictures(case)[name], scene, monkeypatch)
-
-
-def require_room(draw_sheet, scene, monkeypatch):
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.text import Text
-
-    drawn, draw = [], Text.draw
-
-    def remembered(text, renderer):
-        drawn.append(text)
-        draw(text, renderer)
-
-    monkeypatch.setattr(Text, "draw", remembered)
-    figure = draw_sheet(scene).figure
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    boxes = {}
-    for i, text in enumerate(drawn):
-        if text.get_text() and text.get_visible():
-            boxes[text.get_text(), i] = text.get_window_extent()
-    assert len(boxes) > 10
-    for (label, _), box in boxes.items():
-        assert box.x0 >= 0, label
-        assert box.y0 >= 0, label
-        assert box.x1 <= figure.bbox.x1, label
-        assert box.y1 <= figure.bbox.y1, label
-    for ((first, _), a), ((second, _), b) in combinations(boxes.items(), 2):
-        assert not (a.x0 < b.x1 and b.x0 < a.x1 and a.y0 < b.y1 and b.y0 < a.y1), (first, second)
+    draw = plots.own_pictures(case)[name]
+    assert require_room(lambda: draw(scene).figure, monkeypatch) > 10
 
 
 def test_a_preset_is_drawn_as_its_module_degrades(small, monkeypatch):

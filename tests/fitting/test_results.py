@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ from fitted import COLOURS
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.text import Text
+from texts import require_room
 
 import uwaug
 from uwaug.fitting import Candidate, Fit, Parameter, SeriesFit
@@ -198,25 +198,7 @@ def test_no_text_overlaps_or_leaves_the_picture(request, name, tmp_path, monkeyp
         fit = Fit.load(OLD / "fit.json")
     else:
         fit = request.getfixturevalue(name)
-    drawn, draw = [], Text.draw
-
-    def remembered(text, renderer):
-        drawn.append(text)
-        draw(text, renderer)
-
-    monkeypatch.setattr(Text, "draw", remembered)
-    figure = fit.plot()
-    FigureCanvasAgg(figure).draw()
-    texts = [text for text in drawn if text.get_text() and text.get_visible()]
-    boxes = [(text.get_text(), text.get_window_extent()) for text in texts]
-    assert len(boxes) > 20
-    for label, box in boxes:
-        assert box.x0 >= 0, label
-        assert box.y0 >= 0, label
-        assert box.x1 <= figure.bbox.x1, label
-        assert box.y1 <= figure.bbox.y1, label
-    for (first, a), (second, b) in combinations(boxes, 2):
-        assert not (a.x0 < b.x1 and b.x0 < a.x1 and a.y0 < b.y1 and b.y0 < a.y1), (first, second)
+    assert require_room(fit.plot, monkeypatch) > 20
 
 
 def test_pictures_are_those_of_the_fit(haze):

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from deadly import Deadly
+from filing import content
 from PIL import Image
 
 from uwaug.jobs import Item, Items, Recipe, run
@@ -71,10 +72,6 @@ def here(pictures: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("here")
     assert {one.status for one in run(items_of(pictures, out), RECIPE)} == {"done"}
     return out
-
-
-def content(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
 
 def held(folder: Path) -> dict[str, bytes]:
@@ -143,7 +140,6 @@ def test_shards_go_on(cluster: None, pictures: Path, here: Path, tmp_path: Path)
     shards.write(items_of(part, items.out), RECIPE)
     tally = shards.tally(1)
     assert (tally.rows, tally.failed) == (COUNT + 2, 2)
-
     assert "bad.png: is no picture" in tally.reasons[0]
 
     (shard,) = items.out.iterdir()
