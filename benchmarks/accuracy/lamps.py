@@ -17,7 +17,7 @@ import uwaug
 from benchmarks.accuracy.lamps_transport import RADIUS, lamp_light
 from benchmarks.harness import ROOT, command, race, save, scene, use_threads, water_medium
 from uwaug import Light, Medium, Underwater
-from uwaug.light.backscatter import grid_of, integrated, interpolated, order_of
+from uwaug.light.backscatter import grid_of, integrated, interpolated, polynomials_of
 from uwaug.light.geometry import ray_of, view_of
 from uwaug.presets.scene import motorcycle
 
@@ -60,7 +60,7 @@ def _off_grid(lamp: Any, water: Medium, rng: np.random.Generator) -> float:
     ray = ray_of(lamp, view)
     z = torch.from_numpy(0.2 * 100 ** rng.uniform(size=(1, 1, *size)))
     # the rays of a picture of this size lie beside those of the grid
-    grid = grid_of(lamp, water, view, order_of(lamp, water))
+    grid = grid_of(lamp, water, view, polynomials_of(lamp, water))
     found = interpolated(grid, view, ray, z, slice(0, size[1]))
     return float((found - integrated(lamp, water, view, ray, z)).abs().max())
 

@@ -19,7 +19,7 @@ from imagecodecs import png_encode
 
 import uwaug
 from benchmarks.harness import command, printed, save
-from uwaug._support.tiles import bands
+from uwaug._support.tiles import row_bands
 from uwaug.io.distances import read_distance
 from uwaug.io.read import read_picture_file
 from uwaug.io.write import write_picture
@@ -40,7 +40,7 @@ def _make(folder: Path, height: int, width: int) -> None:
     picture = np.empty((height, width, 3), np.uint8)
     across = np.linspace(0, coarse.shape[1] - 1.001, width, dtype=np.float32)
     left, share = across.astype(int), (across % 1)[:, None]
-    for start, stop in bands(height, width):
+    for start, stop in row_bands(height, width):
         down = np.linspace(0, coarse.shape[0] - 1.001, height, dtype=np.float32)[start:stop]
         upper, part = down.astype(int), (down % 1)[:, None, None]
         rows = coarse[upper] * (1 - part) + coarse[upper + 1] * part

@@ -60,7 +60,7 @@ PARTS: dict[str, tuple[tuple[Any, str], ...]] = {
     "image": (
         (forming, "plan_for"),
         (forming.Scene, "_rendered"),
-        (forming.loops, "render"),
+        (forming, "render"),
     ),
     "encode": ((forming, "encoded"),),
 }

@@ -10,4 +10,4 @@ def test_every_cache_of_the_process_is_emptied() -> None:
         assert kept[f"uwaug.{name}"].cache_info().currsize > 0
     clear()
     assert kept["uwaug.optics.bands._reduced"].cache_info().currsize == 0
-    assert kept["uwaug.blur.banded._REMEMBERED"].held == 0
+    assert kept["uwaug.blur.banded._CACHE"].held == 0

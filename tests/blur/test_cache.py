@@ -46,15 +46,15 @@ def test_threads_may_share_it() -> None:
 
 
 def test_operators_of_random_sizes_take_no_more_than_their_budget() -> None:
-    remembered = banded._REMEMBERED
+    operators = banded._CACHE
     most = 0
     for size in range(100, 1100, 7):
         for cell in (1.0, 16 / 5, 16.0):
             node = Node(1.3 * cell, cell, 3.0)
             for kind in ("blur",) if cell == 1 else ("shrink", "enlarge"):
                 operator(kind, 1, size, node, torch.float64, torch.device("cpu"))
-                most = max(most, remembered.held)
-    assert most <= remembered.budget
+                most = max(most, operators.held)
+    assert most <= operators.budget
 
 
 def test_an_operator_is_made_once() -> None:

@@ -13,7 +13,7 @@ import uwaug.blur.tiled
 import uwaug.formation.loops.render
 import uwaug.formation.scene
 from uwaug import Light, PointSpread, RandomUnderwater, Underwater, fused
-from uwaug._support.tiles import RowSource, held
+from uwaug._support.tiles import RowSource, rows_of
 from uwaug.blur.plan import plan_blur
 from uwaug.blur.stack import blurred
 from uwaug.blur.tiled import blurred_tiles
@@ -203,7 +203,7 @@ def test_blurs_in_bands(
         source: Tensor | RowSource = image[None]
         if band is not None:
             monkeypatch.setattr(uwaug._support.tiles, "_BAND", band * size[1])
-            source = RowSource(held(image), (3, *size), image)
+            source = RowSource(rows_of(image), (3, *size), image)
         out = [torch.full_like(blur, math.nan) for blur in whole]
         for tile, blurs in blurred_tiles(source, plan):
             for one, part in zip(out, blurs, strict=True):
@@ -258,7 +258,7 @@ def test_holes_are_filled_in_rows(wide: bool, monkeypatch: pytest.MonkeyPatch) -
         whole = filled(z, ~(z > 0))
         for rows in (10, 26):
             monkeypatch.setattr(uwaug._support.tiles, "_BAND", rows * width)
-            found = filled_rows(held(z), (height, width))
+            found = filled_rows(rows_of(z), (height, width))
             torch.testing.assert_close(found(0, height), whole, rtol=1e-5, atol=0)
             middle = slice(height // 3, height // 2)
             part = found(middle.start, middle.stop)

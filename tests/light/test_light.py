@@ -13,7 +13,7 @@ from torch import Tensor
 import uwaug
 from uwaug import Light, Medium, Underwater, form_image
 from uwaug.formation.scene import Terms
-from uwaug.light.backscatter import grid_of, integrated, interpolated, order_of
+from uwaug.light.backscatter import grid_of, integrated, interpolated, polynomials_of
 from uwaug.light.geometry import normals, ray_of, view_of
 
 FOCAL = 50.0
@@ -150,7 +150,7 @@ def test_the_grid_of_rays_is_fine_enough(kind: str) -> None:
         lamp = random_case(kind, rng).lamp
         assert not lamp.ahead
         own = white.brightened(lamp.power[:, None] * lamp.rgb)
-        grid = grid_of(lamp, own, view, order_of(lamp, own))
+        grid = grid_of(lamp, own, view, polynomials_of(lamp, own))
         found = interpolated(grid, view, ray_of(lamp, view), z, slice(0, 80))
         exact = integrated(lamp, own, view, ray_of(lamp, view), z)
         torch.testing.assert_close(found, exact, rtol=0, atol=0.002)

@@ -71,17 +71,15 @@ class RowSource:
         return at_pixels(self.rows, self.size, pixels)
 
 
-def held(picture: Tensor) -> Rows:
-    """The rows of a picture (CxHxW) that is there."""
+def rows_of(x: Tensor | RowSource) -> Rows:
+    """The rows of a picture or map, be it there (CxHxW or 1xCxHxW) or made as it is asked for."""
+    if isinstance(x, RowSource):
+        return x.rows
+    picture = x.reshape(x.shape[-3:])
     return lambda start, stop: picture[:, start:stop]
 
 
-def rows_of(x: Tensor | RowSource) -> Rows:
-    """The rows of a picture or map, be it there (CxHxW or 1xCxHxW) or made as it is asked for."""
-    return x.rows if isinstance(x, RowSource) else held(x.reshape(x.shape[-3:]))
-
-
-def bands(height: int, width: int, multiple: int = 1) -> Iterator[tuple[int, int]]:
+def row_bands(height: int, width: int, multiple: int = 1) -> Iterator[tuple[int, int]]:
     """First row and end of each band; whole multiples of rows, but for the last."""
     rows = multiple * max(1, _BAND // (multiple * width))
     for start in range(0, height, rows):
@@ -93,7 +91,7 @@ def at_pixels(values: Rows, size: tuple[int, int], pixels: Tensor) -> Tensor:
     height, width = size
     row, column = pixels // width, pixels % width
     sampled: Tensor | None = None
-    for start, stop in bands(height, width):
+    for start, stop in row_bands(height, width):
         inside = (row >= start) & (row < stop)
         if not bool(inside.any()):
             continue

@@ -288,7 +288,7 @@ class Node(NamedTuple):
     reach: float
 
 
-_REMEMBERED: Cache[Banded] = Cache(8 * 2**20)
+_CACHE: Cache[Banded] = Cache(8 * 2**20)
 """Those of fifty sizes of a small picture, or of a few of a large one. With 16 MiB a process that
 gets pictures of random size grows by half, as blocks that stay lie between temporaries that go, and
 is no faster. To make one takes .1 ms; to put it together from blocks that sizes share would save
@@ -338,7 +338,7 @@ def operator(
             transform diagonalise it.
     """
     key = (kind, axis, size, node, dtype, device, adjoint)
-    banded = _REMEMBERED.get(key)
+    banded = _CACHE.get(key)
     if banded is not None:
         return banded
     least = 8 if axis == 0 else 32  # rows of a block, the fastest of 4…64 on 256 and 512 px
@@ -352,5 +352,5 @@ def operator(
         height, period = a * -(-least // a), a
     matrix = whole(kind, size, node, adjoint)
     banded = matrix.banded(axis, height, math.lcm(height, period), dtype, device)
-    _REMEMBERED.put(key, banded, banded.bytes)
+    _CACHE.put(key, banded, banded.bytes)
     return banded

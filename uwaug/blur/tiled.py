@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from uwaug._support.tiles import Rows, RowSource, bands, held
+from uwaug._support.tiles import Rows, RowSource, row_bands, rows_of
 from uwaug.blur.banded import Banded, Node, along_columns, along_rows, whole
 from uwaug.blur.kernels import PERIOD
 from uwaug.blur.plan import BlurPlan
@@ -120,12 +120,12 @@ def blurred_tiles(
         the tile, and K tensors (1xCxRxS): the picture blurred by each of `plan.sigmas`.
     """
     _, c, h, w = picture.shape
-    strip = rows_of_strip(c, w)
+    strip, rows = rows_of_strip(c, w), rows_of(picture)
     if isinstance(picture, Tensor):
-        like, rows, step = picture, held(picture[0]), h
+        like, step = picture, h
     else:
-        like, rows = picture.like, picture.rows
-        (_, band), *_ = bands(h, w)
+        like = picture.like
+        (_, band), *_ = row_bands(h, w)
         step = strip * max(1, band // strip)
     blurs = []
     for sigma, cell in zip(plan.sigmas, plan.cells, strict=True):

@@ -6,7 +6,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from uwaug._support.tiles import Rows, bands
+from uwaug._support.tiles import Rows, row_bands
 
 # Artificial holes in five RGB-D pairs and the bundled scene (occlusions, rims, edges, specks,
 # blobs of 5 to 30 %, all beyond a range): error of log z in blobs of 5, 15, 30 %; of e^(−z/2) at
@@ -67,13 +67,13 @@ def filled_rows(distance: Rows, size: tuple[int, int]) -> Rows:
 
     Values of the holes are held, and a quarter of the pixels of what is known.
     """
-    coarse = [_halved_rows(distance(start, stop)) for start, stop in bands(*size, multiple=2)]
+    coarse = [_halved_rows(distance(start, stop)) for start, stop in row_bands(*size, multiple=2)]
     means, known = (torch.cat(parts, 2) for parts in zip(*coarse, strict=True))
     del coarse
     guess = _membrane(means, known)
     del means, known
     counts, values = [], []
-    for start, stop in bands(*size):
+    for start, stop in row_bands(*size):
         unknown = ~(distance(start, stop) > 0)
         counts.append(unknown.sum((0, 2)))
         if bool(unknown.any()):

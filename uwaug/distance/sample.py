@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from uwaug._support import checks
-from uwaug._support.tiles import Rows, RowSource, bands, held, is_large
+from uwaug._support.tiles import Rows, RowSource, is_large, row_bands, rows_of
 from uwaug.distance.complete import filled_rows, warn_of_unknown
 from uwaug.distance.convert import (
     check_distance,
@@ -114,11 +114,11 @@ def metres_by_rows(
     if unknown not in ("error", "fill", "skip"):
         return lambda start, stop: _completed(scaled(start, stop), unknown)
     size = (distance.shape[-2], distance.shape[-1])
-    count = sum(int((scaled(start, stop) > 0).sum()) for start, stop in bands(*size))
+    count = sum(int((scaled(start, stop) > 0).sum()) for start, stop in row_bands(*size))
     if count == distance.numel():
         return scaled
     if unknown == "error" or not count:
-        return held(_completed(scale(distance), unknown))  # which refuses it
+        return rows_of(_completed(scale(distance), unknown))  # which refuses it
     warn_of_unknown(1 - count / distance.numel())
     return filled_rows(scaled, size)
 

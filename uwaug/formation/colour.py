@@ -97,21 +97,21 @@ def from_light(light: Tensor, color_space: ColorSpace, like: Tensor) -> Tensor:
     sRGB values are clipped to 0…1, or to the largest value of `like` if that is more; linear light
     never is.
     """
-    most = headroom(like) if color_space == "srgb" else 1.0
-    return encoded(light, color_space, like.dtype, most)
+    largest = headroom(like) if color_space == "srgb" else 1.0
+    return encoded(light, color_space, like.dtype, largest)
 
 
 def encoded(
-    light: Tensor, color_space: ColorSpace, dtype: torch.dtype, most: float | Tensor
+    light: Tensor, color_space: ColorSpace, dtype: torch.dtype, largest: float | Tensor
 ) -> Tensor:
     """`from_light`, given the type of the result and the largest sRGB value that it may have."""
     values = light
     if color_space == "srgb":
         values = linear_to_srgb(light)
-        if isinstance(most, Tensor):
-            values = torch.minimum(values.clamp(min=0), most)
+        if isinstance(largest, Tensor):
+            values = torch.minimum(values.clamp(min=0), largest)
         else:
-            values = values.clamp(0.0, most)  # an integer beside a float cannot be exported
+            values = values.clamp(0.0, largest)  # an integer beside a float cannot be exported
     if dtype == torch.uint8:
         return (values * 255).round().clamp(0, 255).to(torch.uint8)
     return values.to(dtype)

@@ -76,9 +76,9 @@ def contrast(
         water = medium.to(z)
         lit = lit_of(light, distance, None, water, focal_px, centre)
         T = transmittance(water.sums_at(z), z, lit)
-        left = contrast_of(T, _light(reflectance, z)).to(distance.dtype)
-    alone = len(medium) == 1 and len(left) == 1 and (light is None or light.rows() == 1)
-    return left[0] if distance.ndim == 3 and alone else left
+        share = contrast_of(T, _light(reflectance, z)).to(distance.dtype)
+    single = len(medium) == 1 and len(share) == 1 and (light is None or light.rows() == 1)
+    return share[0] if distance.ndim == 3 and single else share
 
 
 def contrast_of(T: Curves, reflectance: float | Tensor = 0.18) -> Tensor:

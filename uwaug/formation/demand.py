@@ -162,8 +162,8 @@ def blur_demand(
     visible = np.flatnonzero(strength > tolerance)
     traced = any(isinstance(v, Tensor) and v.requires_grad for v in law.numbers().values())
     if len(visible) == 0:
-        kept = learned and traced
-        return BlurDemand(0.0, 0.0, tolerance, law.shape, law.reference_size, kept)
+        learns = learned and traced
+        return BlurDemand(0.0, 0.0, tolerance, law.shape, law.reference_size, learns)
     first, last = max(visible[0] - 1, 0), min(visible[-1] + 1, len(z) - 1)
     ends = (near if first == 0 else float(z[first]), float(z[last]))
     if order == "source":
@@ -174,9 +174,9 @@ def blur_demand(
     # in half octaves, so that similar media may share a plan
     slack = _SLACK * octave_steps(1 / float(strength.max()), 2, math.floor)
     blur_tolerance = min(tolerance * slack, _FOR_SLOPES if learned else 0.5)
-    kept = learned and (traced or high > 0)
+    learns = learned and (traced or high > 0)
     return BlurDemand(
-        low / margin, high * margin, blur_tolerance, law.shape, law.reference_size, kept
+        low / margin, high * margin, blur_tolerance, law.shape, law.reference_size, learns
     )
 
 

@@ -113,7 +113,7 @@ def exposed_sums(image: Tensor, z: Tensor, sums: Sums, exposure: Exposure) -> Su
     return sums._replace(weights=2.0**exposure * sums.weights)
 
 
-def brightest(medium: Medium, exposure: Exposure) -> Medium:
+def exposed_for_planning(medium: Medium, exposure: Exposure) -> Medium:
     """The medium for which a blur is planned before a picture is seen: an automatic exposure is
     taken to make up for the light that is lost on the way down.
     """
@@ -129,11 +129,11 @@ def brightest(medium: Medium, exposure: Exposure) -> Medium:
 def metering_points(height: int, width: int, device: torch.device) -> Tensor:
     """The flat indices of some pixels, spread evenly over a picture."""
     if torch.compiler.is_compiling() or not isinstance(height, int):
-        return _points_of(height, width, device)
-    return _kept_points(height, width, device)
+        return _points(height, width, device)
+    return _cached_points(height, width, device)
 
 
-def _points_of(height: int, width: int, device: torch.device) -> Tensor:
+def _points(height: int, width: int, device: torch.device) -> Tensor:
     count = torch.arange(_LOOKS, dtype=torch.int64, device=device)
     # of a whole side, and back into pixels: a remainder and a quotient take five times as long
     row, column = (((count * step + _TURN // 2) & (_TURN - 1)) for step in _STEPS)
@@ -141,10 +141,10 @@ def _points_of(height: int, width: int, device: torch.device) -> Tensor:
 
 
 @lru_cache(maxsize=8)
-def _kept_points(height: int, width: int, device: torch.device) -> Tensor:
+def _cached_points(height: int, width: int, device: torch.device) -> Tensor:
     # what inference mode makes cannot be used outside
     with torch.inference_mode(False):
-        return _points_of(height, width, device)
+        return _points(height, width, device)
 
 
 def _at(values: Tensor, pixels: Tensor) -> Tensor:

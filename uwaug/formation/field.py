@@ -11,7 +11,7 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.cache import Cache
-from uwaug._support.tiles import Rows, RowSource, bands, is_large
+from uwaug._support.tiles import Rows, RowSource, is_large, row_bands
 from uwaug._support.torch_func import transformed
 
 
@@ -76,7 +76,7 @@ def gaussian_random_rows(
     """
     _check(exponent, low, high)
     waves = _waves(_drawn((1, *size), exponent, generator, torch.device("cpu")), *size, exponent)
-    ends = [waves.rows(*band).aminmax() for band in bands(*size)]
+    ends = [waves.rows(*band).aminmax() for band in row_bands(*size)]
     least = torch.stack([end.min for end in ends]).amin()
     largest = torch.stack([end.max for end in ends]).amax()
     return lambda start, stop: _between(waves.rows(start, stop), least, largest, low, high)
@@ -197,7 +197,7 @@ class _Waves(NamedTuple):
         return self.down[start:stop] @ self.amplitude @ self.across
 
 
-_REMEMBERED: Cache[_Waves] = Cache(4 * 2**20)
+_CACHE: Cache[_Waves] = Cache(4 * 2**20)
 """Of the sizes used last: to make one takes as long as the sum does at 256²."""
 
 
@@ -207,12 +207,12 @@ def _waves(noise: Tensor, height: int, width: int, exponent: float) -> _Waves:
         unit = _unit_waves(noise, height, width, exponent)
         return unit._replace(amplitude=noise * unit.amplitude)
     key = (height, width, exponent, noise.shape[-1], noise.dtype, noise.device)
-    waves = _REMEMBERED.get(key)
+    waves = _CACHE.get(key)
     if waves is None:
         # what inference mode makes cannot be used outside
         with torch.inference_mode(False), torch.no_grad():
             waves = _unit_waves(noise.new_empty(noise.shape[-1]), height, width, exponent)
-        _REMEMBERED.put(key, waves, sum(t.numel() * t.element_size() for t in waves))
+        _CACHE.put(key, waves, sum(t.numel() * t.element_size() for t in waves))
     return waves._replace(amplitude=noise * waves.amplitude)
 
 

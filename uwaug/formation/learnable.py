@@ -32,12 +32,12 @@ class _InFullPrecision(nn.Module):
     """
 
     def _apply(self, function: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
-        def kept(value: Tensor) -> Tensor:
+        def converted(value: Tensor) -> Tensor:
             changed = function(value)
             narrow = changed.is_floating_point() and changed.dtype.itemsize < 4
             return value.to(changed.device) if narrow else changed
 
-        super()._apply(kept, recurse)  # type: ignore[no-untyped-call]
+        super()._apply(converted, recurse)  # type: ignore[no-untyped-call]
         return self
 
 
@@ -77,11 +77,12 @@ class FixedMedium(_InFullPrecision):
         return self._last[1]
 
     def _of_buffers(self) -> Medium:
-        held: dict[str, Any] = dict(self.named_buffers())
+        tensors: dict[str, Any] = dict(self.named_buffers())
         law = self.start.point_spread
-        numbers = {name: held.pop(name) for name in law.NUMBERS if name in held}
+        numbers = {name: tensors.pop(name) for name in law.NUMBERS if name in tensors}
         # a law is looked at when it is made, which torch.compile cannot do with numbers of its own
-        return replace(self.start, **held, point_spread=replace(law, **numbers) if numbers else law)
+        law = replace(law, **numbers) if numbers else law
+        return replace(self.start, **tensors, point_spread=law)
 
 
 class FixedLamps(nn.Module):
@@ -150,11 +151,11 @@ class LearnableMedium(_InFullPrecision):
                 'a learnable medium needs signal_weights ≥ 0: forward="direct" cannot be learned'
             )
         light = direct.sum(-1)
-        apart = float((light - signal.sum(-1)).abs().max())
-        if apart > 1e-5:
+        difference = float((light - signal.sum(-1)).abs().max())
+        if difference > 1e-5:
             raise ValueError(
                 "a learnable medium needs direct_weights and signal_weights of one sum, "
-                f"the light at z = 0; they differ by {apart:.2g}"
+                f"the light at z = 0; they differ by {difference:.2g}"
             )
         beta = values["beta"].clamp(min=_LEAST_RATE)
         G = values["G"].clamp(min=_LEAST_RATE)
@@ -209,8 +210,8 @@ class LearnableMedium(_InFullPrecision):
         raw = self.raw_shares
         hidden = raw.masked_fill(~self.shared, torch.finfo(raw.dtype).min)
         free = torch.softmax(hidden.flatten(-2), -1).reshape(raw.shape)
-        left = 1 - self.fixed.sum((-1, -2), keepdim=True)
-        return self.fixed + left * free * self.shared
+        free_light = 1 - self.fixed.sum((-1, -2), keepdim=True)
+        return self.fixed + free_light * free * self.shared
 
 
 def _pairs(beta: Tensor, direct: Tensor, G: Tensor, signal: Tensor) -> Tensor:

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from uwaug._support.tiles import RowSource, Tile, bands, rows_of
+from uwaug._support.tiles import RowSource, Tile, row_bands, rows_of
 from uwaug._support.torch_func import transformed
 from uwaug._support.types import ColorSpace, Order
 from uwaug.blur.plan import BlurPlan
@@ -32,9 +32,9 @@ from uwaug.formation.exposure import (
     fixed_gain,
     metering_points,
 )
-from uwaug.formation.loops import render as loops
 from uwaug.formation.loops.backend import RecordedEngine, can_read
 from uwaug.formation.loops.backward import render_with_gradients
+from uwaug.formation.loops.render import decode, render, render_in_rows
 from uwaug.formation.setup import Setup
 from uwaug.light.banded import BandedLight
 from uwaug.light.lit import LampInWater, Lit, lit_of, planning_medium, transmittance
@@ -74,12 +74,12 @@ def separate(T: Curves, J: Tensor, blurred: Tensor) -> tuple[Tensor, ...]:
     return direct, T.scatter * blurred, T.veil.expand_as(direct)
 
 
-class Span(NamedTuple):
+class EffectiveRange(NamedTuple):
     """The least and the largest effective distance, and the largest that asks for a blur, m."""
 
-    low: float
-    high: float
-    shown: float
+    nearest: float
+    farthest: float
+    blurred_to: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,8 +96,8 @@ class Scene:
         lit: the light, as the exposure sees it; None for daylight as the medium has it.
         gain (B or 1 tensor): of the exposure.
         given_plan: of the blur; None to plan for the distances at hand.
-        span: of the distances of a row source.
-        brightest: the largest value of the image, where it is known.
+        z_range: of the effective distances of a row source.
+        image_max: the largest value of the image, where it is known.
     """
 
     image: Tensor
@@ -109,8 +109,8 @@ class Scene:
     lit: Lit | BandedLight | None
     gain: Tensor
     given_plan: BlurPlan | None
-    span: Span | None
-    brightest: float | None
+    z_range: EffectiveRange | None
+    image_max: float | None
 
     @staticmethod
     def of(
@@ -143,7 +143,7 @@ class Scene:
             ValueError: if values of the image do not suit its colour space.
         """
         ends = require_values(image, setup.color_space)
-        brightest = None if torch.compiler.is_compiling() else ends[1]
+        image_max = None if torch.compiler.is_compiling() else ends[1]
         maps = (distance,) if field is None else (distance, field)
         engine = choose(image, maps, setup.medium, setup.light, setup.order, recorded)
         dtype = torch.promote_types(image.dtype, torch.float32)
@@ -152,14 +152,15 @@ class Scene:
         radiance: Tensor | RowSource
         z: Tensor | RowSource
         lit: Lit | BandedLight | None
-        span = None
+        z_range = None
         if engine in ("fused-rows", "tile-rows"):
             radiance = _radiance_rows(image, setup.color_space, ends, engine == "fused-rows")
             z = _distance_rows(maps, radiance.like)
             lit = None
             if setup.light is not None and not setup.light.plain:
                 lit = BandedLight(setup.light, maps, medium, *pinhole)
-            span = _span(z, farthest_blurred(planning_medium(medium, setup.light), setup.order))
+            end = farthest_blurred(planning_medium(medium, setup.light), setup.order)
+            z_range = _z_range(z, end)
         else:
             # older records call fused what the loops decoded, and no more
             by_loops = engine in ("fused", "fused-gradients") or recorded == "fused"
@@ -182,8 +183,8 @@ class Scene:
             lit=lit,
             gain=fixed_gain(medium, setup.exposure),
             given_plan=plan,
-            span=span,
-            brightest=brightest,
+            z_range=z_range,
+            image_max=image_max,
         )
         if gain is None and setup.exposure == "none":
             return scene
@@ -215,12 +216,12 @@ class Scene:
         if isinstance(self.radiance, Tensor) and isinstance(self.z, Tensor):
             assert not isinstance(self.lit, BandedLight)
             return auto_gain(self.radiance, self.z, sums, self.lit)
-        assert self.span is not None
+        assert self.z_range is not None
         points = metering_points(*self.size, self.image.device)
         values = self.image.flatten(-2)[..., points].reshape(1, 3, 1, -1)
         z = self._z_at(points)
         T = self._transmittance_at(points, z, sums)
-        farthest = z.new_full((1, 1, 1, 1), self.span.high)
+        farthest = z.new_full((1, 1, 1, 1), self.z_range.farthest)
         veil = farthest_veil(sums, farthest, self.setup.light)
         return balanced(decoded(values, self.setup.color_space), T, veil)
 
@@ -230,8 +231,8 @@ class Scene:
         if self.given_plan is not None:
             return self.given_plan
         medium, setup = planning_medium(self.medium, self.setup.light), self.setup
-        span = self.span or _span(self.z, farthest_blurred(medium, setup.order))
-        ends = span.low, span.shown
+        z_range = self.z_range or _z_range(self.z, farthest_blurred(medium, setup.order))
+        ends = z_range.nearest, z_range.blurred_to
         return plan_for(ends, self.size, medium, setup.tolerance, setup.order)
 
     def picture(self) -> Tensor:
@@ -240,13 +241,13 @@ class Scene:
         if self.engine in ("fused", "fused-rows"):
             light, z = self.radiance, self.z
             srgb, dtype = self.setup.color_space == "srgb", self.image.dtype
-            largest = headroom(self.image, self.brightest) if srgb else 1.0
+            largest = headroom(self.image, self.image_max) if srgb else 1.0
             options: Any = {"srgb": srgb, "largest": largest, "dtype": dtype}
             if isinstance(light, Tensor) and isinstance(z, Tensor):
-                return self._unbatched(loops.render(light, z, self.medium, plan, **options))
+                return self._unbatched(render(light, z, self.medium, plan, **options))
             assert isinstance(light, RowSource)
             assert isinstance(z, RowSource)
-            return self._unbatched(loops.render_in_rows(light, z, self.medium, plan, **options))
+            return self._unbatched(render_in_rows(light, z, self.medium, plan, **options))
         return self._encoded(plan, total)[0]
 
     def terms(self) -> Terms:
@@ -266,7 +267,7 @@ class Scene:
             sums = self.medium.sums_at(self.z)
             return self._unbatched(contrast_of(transmittance(sums, self.z, self.lit)))
         parts = []
-        for start, stop in bands(*self.size):
+        for start, stop in row_bands(*self.size):
             tile = (..., slice(start, stop), slice(0, self.size[1]))
             lit = None if self.lit is None else self.lit.part(*tile[1:])
             z = self.z[tile]
@@ -295,8 +296,8 @@ class Scene:
     def _encoded(self, plan: BlurPlan, finish: Finish) -> tuple[Tensor, ...]:
         """Results as pictures like the image."""
         space, image = self.setup.color_space, self.image
-        most = headroom(image, self.brightest) if space == "srgb" else 1.0
-        encode = partial(encoded, color_space=space, dtype=image.dtype, most=most)
+        largest = headroom(image, self.image_max) if space == "srgb" else 1.0
+        encode = partial(encoded, color_space=space, dtype=image.dtype, largest=largest)
         if isinstance(self.radiance, RowSource):
             results = self._rendered(plan, finish, encode)
         else:
@@ -357,8 +358,9 @@ class Scene:
     def _near_lens(self) -> bool:
         if isinstance(self.z, Tensor):
             return self.medium.any_at_lens(self.z)
-        assert self.span is not None
-        return self.medium.any_at_lens(self.medium.beta.new_full((1, 1, 1, 1), self.span.low))
+        assert self.z_range is not None
+        nearest = self.medium.beta.new_full((1, 1, 1, 1), self.z_range.nearest)
+        return self.medium.any_at_lens(nearest)
 
     def _view(self, n: int | None, exact: bool) -> "_View":
         """The n-th picture; None for all of them."""
@@ -431,7 +433,7 @@ def _decoded(
     """Linear light of values that are known to be good, and to lie between these ends."""
     srgb = color_space == "srgb"
     if by_loops and (srgb or image.dtype == torch.uint8) and can_read(image):
-        return loops.decode(image, srgb, ends[0] < 0 or ends[1] > 1)
+        return decode(image, srgb, ends[0] < 0 or ends[1] > 1)
     return decoded(image, color_space)
 
 
@@ -471,20 +473,20 @@ def _row(x: Tensor | RowSource, n: int) -> Tensor | RowSource:
     return x if isinstance(x, RowSource) else x[n % len(x)][None]
 
 
-def _span(z: Tensor | RowSource, end: float) -> Span:
+def _z_range(z: Tensor | RowSource, end: float) -> EffectiveRange:
     """Look at all distances once; from `end` on they ask for no blur."""
     if isinstance(z, Tensor):
         parts = iter((z.detach(),) if z.numel() else ())
     else:
-        parts = (z.rows(*band) for band in bands(*z.size))
-    low, high, shown = math.inf, 0.0, -math.inf
+        parts = (z.rows(*band) for band in row_bands(*z.size))
+    nearest, farthest, blurred_to = math.inf, 0.0, -math.inf
     for band in parts:
         least, largest = (float(value) for value in band.aminmax())
-        low, high = min(low, least), max(high, largest)
+        nearest, farthest = min(nearest, least), max(farthest, largest)
         if largest >= end < FARTHEST:
             band = band[band < end]
             largest = float(band.max()) if band.numel() else -math.inf
-        shown = max(shown, largest)
-    if low > high:  # no pixel
-        return Span(0.0, 0.0, 0.0)
-    return Span(low, high, max(shown, low))
+        blurred_to = max(blurred_to, largest)
+    if nearest > farthest:  # no pixel
+        return EffectiveRange(0.0, 0.0, 0.0)
+    return EffectiveRange(nearest, farthest, max(blurred_to, nearest))

@@ -23,7 +23,7 @@ from uwaug.formation.demand import (
     sides_of,
 )
 from uwaug.formation.engine import expected_engine
-from uwaug.formation.exposure import Exposure, brightest, require_exposure
+from uwaug.formation.exposure import Exposure, exposed_for_planning, require_exposure
 from uwaug.formation.inputs import MapRanges, validate
 from uwaug.formation.learnable import FixedLamps, FixedMedium, LearnableMedium
 from uwaug.formation.scene import Scene
@@ -235,7 +235,7 @@ class Underwater(nn.Module):
     def _demand_of(self, medium: Medium, margin: float = 1.0) -> BlurDemand:
         assert self.distance_range is not None
         return blur_demand(
-            planning_medium(brightest(medium, self.exposure), self.light),
+            planning_medium(exposed_for_planning(medium, self.exposure), self.light),
             self.distance_range,
             self.tolerance,
             order=self.order,
@@ -273,13 +273,14 @@ class Underwater(nn.Module):
         this module's plan.
         """
         theirs = json.loads(state.cpu().numpy().tobytes())
-        apart = []
+        differences = []
         for name, mine in self._settings().items():
             adopted = name == "demand" and self.learnable and mine and theirs.get(name)
             if not adopted and not checks.alike(mine, theirs.get(name)):
-                apart.append(f"{name} is {theirs.get(name)} there and {mine} here")
-        if apart:
-            raise ValueError(f"state_dict is of an Underwater of another kind: {'; '.join(apart)}")
+                differences.append(f"{name} is {theirs.get(name)} there and {mine} here")
+        if differences:
+            got = "; ".join(differences)
+            raise ValueError(f"state_dict is of an Underwater of another kind: {got}")
         if self.learnable and self.demand is not None:
             # while it learned, that module may have planned anew
             self.demand = BlurDemand(**theirs["demand"])
@@ -290,9 +291,9 @@ class Underwater(nn.Module):
         settings: dict[str, Any] = {"color_space": self.color_space, "order": self.order}
         settings["exposure"] = self.exposure
         settings |= {"shape": law.shape, "reference_size": law.reference_size}
-        held = self.coefficients.state_dict()
+        state = self.coefficients.state_dict()
         for name, value in law.numbers().items():
-            if name not in held and not (self.learnable and name == "scale"):
+            if name not in state and not (self.learnable and name == "scale"):
                 settings[name] = float(value)
         settings |= {"light": None, "camera": None}
         if self.light is not None:
@@ -303,18 +304,18 @@ class Underwater(nn.Module):
 
     def extra_repr(self) -> str:
         """What is modelled, and what is skipped."""
-        said = "planned at each call"
+        blur = "planned at each call"
         if self.distance_range is not None:
             near, far = self.distance_range
             at = " at 512 px"
             if self.sides is not None:
                 every = self.sides == EVERY_SIDE
                 at = "" if every else " for short sides of {}…{} px".format(*self.sides)
-            said = f"{near:g}…{far:g} m, {self.plan((512, 512))}{at}"
+            blur = f"{near:g}…{far:g} m, {self.plan((512, 512))}{at}"
         settings = f"tolerance={self.tolerance:g}, {self.color_space}, {self.order}"
         if self.exposure != "none":
             settings += f", exposure={self.exposure!r}"
         if self.light is not None:
             settings += f", {self.light!r}"
         settings += f", {expected_engine((512, 512), self.order, self.light)}"
-        return f"{self.medium!r},\n{said},\n{settings}"
+        return f"{self.medium!r},\n{blur},\n{settings}"

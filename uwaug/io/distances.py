@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from uwaug._support import checks
-from uwaug._support.tiles import bands
+from uwaug._support.tiles import row_bands
 from uwaug.distance.convert import along_ray, from_disparity
 from uwaug.distance.sample import DistanceKind, as_unknown
 from uwaug.io.read import GREY, File, Values, decode, name_of
@@ -238,7 +238,7 @@ def _metres(file: File, unit: Unit) -> NDArray[np.float32]:
     else:
         # rounded once; a large map is never held in double precision
         z = np.empty(values.shape, np.float32)
-        for start, stop in bands(*values.shape):
+        for start, stop in row_bands(*values.shape):
             z[start:stop] = values[start:stop].astype(np.float64) * scale
     median = checks.too_far(torch.from_numpy(z))
     if median is not None:

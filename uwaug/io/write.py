@@ -12,7 +12,7 @@ from PIL import Image
 from torch import Tensor
 
 from uwaug._support.atomic import written_whole
-from uwaug._support.tiles import bands
+from uwaug._support.tiles import row_bands
 from uwaug.io.read import PictureFile
 
 FORMATS = {
@@ -103,7 +103,7 @@ def _in_bits(image: Tensor, bits: int) -> Any:
         return values
     most = 2**bits - 1
     scaled = np.empty(values.shape, np.uint8 if bits == 8 else np.uint16)
-    for start, stop in bands(*values.shape[:2]):
+    for start, stop in row_bands(*values.shape[:2]):
         band = values[start:stop].astype(np.float64)
         scaled[start:stop] = np.rint(np.clip(band, 0, 1) * most)
     return scaled
@@ -169,6 +169,6 @@ def _write_pillow(file: BinaryIO, values: Any, format: str, like: PictureFile) -
     height, width, channels = values.shape
     image = Image.new("RGB" if channels == 3 else "RGBA", (width, height))
     # Pillow's copy has four bytes a pixel: one of ours beside it would double the memory
-    for start, stop in bands(height, width):
+    for start, stop in row_bands(height, width):
         image.paste(Image.fromarray(np.ascontiguousarray(values[start:stop])), (0, start))
     image.save(file, format, **options)

@@ -34,9 +34,9 @@ _POINTS = 12
 10 by 2e-4.
 """
 
-ORDER = 6
-"""Of the polynomials. With 4 the worst of the lamps beside a camera is off by .004, with 6 by .001,
-with 12 by .001.
+_POLYNOMIALS = 6
+"""Along a ray, at most. With 4 the worst of the lamps beside a camera is off by .004, with 6 by
+.001, with 12 by .001.
 """
 
 _GRID = 49
@@ -82,16 +82,16 @@ def _gauss(count: int) -> tuple[list[float], list[float]]:
 
 
 def _quotients() -> list[list[float]]:
-    """For k < ORDER, the polynomial Q_k in u = 2x − 1, from the lowest power up, with
+    """For k < _POLYNOMIALS, the polynomial Q_k in u = 2x − 1, from the lowest power up, with
     (2k + 1)·∫_−1^u P_k(v) dv/2 = x·Q_k(u).
     """
     powers = [[1.0], [0.0, 1.0]]  # of P_k
-    for k in range(1, ORDER):
+    for k in range(1, _POLYNOMIALS):
         raised = [0.0, *((2 * k + 1) * c for c in powers[k])]
         lower = [k * c for c in powers[k - 1]] + [0.0, 0.0]
         powers.append([(a - b) / (k + 1) for a, b in zip(raised, lower, strict=True)])
     quotients = [[1.0]]
-    for k in range(1, ORDER):
+    for k in range(1, _POLYNOMIALS):
         lower = [*powers[k - 1], 0.0, 0.0]
         integral = [(a - b) / 2 for a, b in zip(powers[k + 1], lower, strict=True)]
         # divided by x = (u + 1)/2, from the highest power down
@@ -113,7 +113,9 @@ _SHARES = torch.tensor([w / 2 for w in _WEIGHTS], dtype=torch.float64)
 """Their weights (M)."""
 
 _PROJECT = (
-    torch.tensor([_legendre(ORDER - 1, x) for x in _NODES], dtype=torch.float64).T.contiguous()
+    torch.tensor(
+        [_legendre(_POLYNOMIALS - 1, x) for x in _NODES], dtype=torch.float64
+    ).T.contiguous()
     * _SHARES
 )
 """From values at the nodes to the coefficients (K, M) of integrals of Legendre polynomials, none of
@@ -121,7 +123,7 @@ which exceeds 1.
 """
 
 _POWERS = torch.tensor(
-    [q + [0.0] * (ORDER - len(q)) for q in _quotients()], dtype=torch.float64
+    [q + [0.0] * (_POLYNOMIALS - len(q)) for q in _quotients()], dtype=torch.float64
 ).T.contiguous()
 """From those to the coefficients (K, K) of a polynomial Q in u = 2x − 1, where the integral from 0
 to x is x·Q(u).
@@ -152,12 +154,12 @@ class _LitPart(NamedTuple):
     along: Tensor
 
 
-def _lit(lamp: Lamp, view: View, ray: Ray, far: Tensor | None) -> _LitPart:
-    """The part of each ray within the lamp's cone, up to the angle `far`, or to infinity."""
+def _lit(lamp: Lamp, view: View, ray: Ray, last: Tensor | None) -> _LitPart:
+    """The part of each ray within the lamp's cone, up to the angle `last`, or to infinity."""
     forward = along(lamp.direction, view)
     across = (ray.middle * forward - before_camera(lamp)) / ray.height
     low = torch.atan2(-ray.middle, ray.height)
-    high = torch.full_like(low, math.pi / 2) if far is None else far
+    high = torch.full_like(low, math.pi / 2) if last is None else last
     size = torch.sqrt((across.square() + forward.square()).clamp(min=_EPS**2))
     _, outer = lamp.edges()
     outer = as_map(outer)
@@ -190,19 +192,19 @@ def _source(lamp: Lamp, water: Medium, ray: Ray, lit: _LitPart, theta: Tensor) -
     return arrives.reshape(-1, 3, m, height, width) * seen[:, None]
 
 
-def grid_of(lamp: Lamp, water: Medium, view: View, order: int) -> Grid:
+def grid_of(lamp: Lamp, water: Medium, view: View, polynomials: int) -> Grid:
     """The backscatter of a lamp as polynomials along the rays of a picture.
 
     Args:
         lamp: of B or 1 rows.
         water: `Medium.under` this lamp's light, of its power and colour.
         view: of the whole picture.
-        order: of the polynomials, see `order_of`.
+        polynomials: how many, see `polynomials_of`.
     """
     x, y = _spread(view.x, 3), _spread(view.y, 2)
     _, lit, series = _series(lamp, water, View(x, y))
-    powers = _POWERS.to(x)[:order, :order]
-    coefficients = torch.einsum("jk,bkchw->bjchw", powers, series[:, :order]).flatten(1, 2)
+    powers = _POWERS.to(x)[:polynomials, :polynomials]
+    coefficients = torch.einsum("jk,bkchw->bjchw", powers, series[:, :polynomials]).flatten(1, 2)
     low = lit.low.expand(len(coefficients), -1, -1, -1)
     steep = 1 / lit.span.clamp(min=_EPS).expand_as(low)
     planes = torch.cat([low, steep, coefficients], 1)
@@ -221,20 +223,20 @@ def _series(lamp: Lamp, water: Medium, view: View) -> tuple[Ray, _LitPart, Tenso
     return ray, lit, torch.einsum("km,bcmhw->bkchw", _PROJECT.to(view.x), values)
 
 
-def order_of(lamp: Lamp, water: Medium) -> int:
+def polynomials_of(lamp: Lamp, water: Medium) -> int:
     """How many polynomials show in any view of up to 100° across; all of them where numbers may
     change or cannot be looked at.
     """
     if torch.compiler.is_compiling() or transformed() or water.requires_grad:
-        return ORDER
+        return _POLYNOMIALS
     if any(value.requires_grad for value in lamp.tensors().values()):
-        return ORDER
+        return _POLYNOMIALS
     tangents = torch.linspace(-_WIDEST, _WIDEST, _FEW).to(water.G)
     view = View(tangents.reshape(1, 1, 1, -1), tangents.reshape(1, 1, -1, 1))
     ray, _, series = _series(lamp, water, view)
     size = (series.abs().amax(2) / ray.height).amax((0, 2, 3))
-    left = size.flip(0).cumsum(0).flip(0)  # of what comes from each of them on
-    return max(1, int((left > _SHOWS).sum()))
+    tails = size.flip(0).cumsum(0).flip(0)  # of what comes from each of them on
+    return max(1, int((tails > _SHOWS).sum()))
 
 
 def _spread(tangents: Tensor, axis: int) -> Tensor:

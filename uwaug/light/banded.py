@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from torch import Tensor
 
-from uwaug._support.tiles import RowSource, bands, rows_of
+from uwaug._support.tiles import RowSource, row_bands, rows_of
 from uwaug.light.light import Light
 from uwaug.light.lit import Lit, lit_of
 from uwaug.optics.curves import Curves, Sums
@@ -41,7 +41,7 @@ class BandedLight:
         height, width = maps[0].shape[-2:]
         self.size = height, width
         self.centre = centre or ((width - 1) / 2, (height - 1) / 2)
-        self._kept: tuple[slice, Lit] | None = None
+        self._last: tuple[slice, Lit] | None = None
 
     def brightened(self, gain: Tensor) -> "BandedLight":
         """The light as a camera of this gain sees it."""
@@ -57,7 +57,7 @@ class BandedLight:
         height, width = self.size
         row = points // width
         T = Curves(*(z.new_empty(1, 3, 1, len(points)) for _ in range(3)))
-        for start, stop in bands(height, width):
+        for start, stop in row_bands(height, width):
             inside = (row >= start) & (row < stop)
             if not bool(inside.any()):
                 continue
@@ -70,11 +70,11 @@ class BandedLight:
     def _band(self, rows: slice) -> tuple[slice, Lit]:
         """The rows of a band that holds these and what their normals rest on, and its light."""
         least = slice(max(rows.start - _HALO, 0), min(rows.stop + _HALO, self.size[0]))
-        if self._kept is not None:
-            kept, lit = self._kept
-            if kept.start <= least.start and least.stop <= kept.stop:
-                return kept, lit
-        (_, step), *_ = bands(*self.size)
+        if self._last is not None:
+            band, lit = self._last
+            if band.start <= least.start and least.stop <= band.stop:
+                return band, lit
+        (_, step), *_ = row_bands(*self.size)
         stop = min(max(least.stop, least.start + step), self.size[0])
         band = slice(least.start, stop)
         distance, *field = (rows_of(x)(band.start, band.stop)[None] for x in self.maps)
@@ -83,5 +83,5 @@ class BandedLight:
         factor = field[0] if field else None
         here = lit_of(self.light, distance, factor, self.medium, self.focal_px, centre)
         assert here is not None
-        self._kept = band, here if self.gain is None else here.brightened(self.gain)
-        return self._kept
+        self._last = band, here if self.gain is None else here.brightened(self.gain)
+        return self._last

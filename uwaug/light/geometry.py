@@ -179,16 +179,16 @@ def normals(z: Tensor, view: View) -> Tensor:
     return torch.cat([across, down, inverse - view.x * across - view.y * down], 1)
 
 
-def _slope(values: Tensor, along: Tensor, axis: int) -> Tensor:
+def _slope(values: Tensor, tangents: Tensor, axis: int) -> Tensor:
     """The slope of a map along an axis, of the side where it is smaller."""
     size = values.shape[axis]
     pads = (_BESIDE, _BESIDE, 0, 0) if axis == 3 else (0, 0, _BESIDE, _BESIDE)
-    wide, far = (F.pad(t, pads, mode="replicate") for t in (values, along))
+    values_around, tangents_around = (F.pad(t, pads, mode="replicate") for t in (values, tangents))
     more = size + _BESIDE
-    gap = far.narrow(axis, _BESIDE, more) - far.narrow(axis, 0, more)
+    gap = tangents_around.narrow(axis, _BESIDE, more) - tangents_around.narrow(axis, 0, more)
     # at the border one side is missing
     missing = gap <= 0
-    steep = wide.narrow(axis, _BESIDE, more) - wide.narrow(axis, 0, more)
+    steep = values_around.narrow(axis, _BESIDE, more) - values_around.narrow(axis, 0, more)
     steep = steep * (1 / torch.where(missing, torch.inf, gap))
     size_of = steep.abs() + torch.where(missing, _WALL, 0.0)
     before, after = (steep.narrow(axis, start, size) for start in (0, _BESIDE))

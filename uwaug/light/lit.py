@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from uwaug._support import checks
-from uwaug.light.backscatter import Grid, grid_of, integrated, interpolated, order_of
+from uwaug.light.backscatter import Grid, grid_of, integrated, interpolated, polynomials_of
 from uwaug.light.geometry import Place, as_map, facing, irradiance, ray_of, require_centre, view_of
 from uwaug.light.light import Daylight, Lamp, Light
 from uwaug.optics.curves import FARTHEST, Curves, Sums, curves, decay
@@ -36,19 +36,19 @@ class LampInWater(NamedTuple):
     Attributes:
         water: `Medium.under` the lamp's spectrum.
         ahead: see `Lamp.ahead`.
-        order: see `uwaug.light.backscatter.order_of`.
+        polynomials: see `uwaug.light.backscatter.polynomials_of`.
     """
 
     water: Medium
     ahead: bool
-    order: int
+    polynomials: int
 
     @staticmethod
     def of(lamp: Lamp, medium: Medium) -> "LampInWater":
         """A lamp of the medium's type."""
         water = medium.under(lamp.spectrum)
-        order = order_of(lamp, water.brightened(lamp.power[:, None] * lamp.rgb))
-        return LampInWater(water, lamp.ahead, order)
+        polynomials = polynomials_of(lamp, water.brightened(lamp.power[:, None] * lamp.rgb))
+        return LampInWater(water, lamp.ahead, polynomials)
 
 
 def lamps_in_water(light: Light, medium: Medium) -> list[LampInWater]:
@@ -283,10 +283,10 @@ def lit_of(
             sources.append(DaylightOnScene(source))
             continue
         assert view is not None
-        white, ahead, order = next(in_water)
+        white, ahead, polynomials = next(in_water)
         white = white.to(medium.beta)
         water = white.brightened(source.power[:, None] * source.rgb)
-        grid = None if ahead else grid_of(source, water, view, order)
+        grid = None if ahead else grid_of(source, water, view, polynomials)
         sources.append(LampOnScene(source, white, water, grid, from_direct))
     return Lit(light, tuple(sources), Place(z, field, view))
 
@@ -332,5 +332,5 @@ def planning_medium(medium: Medium, light: Light | None) -> Medium:
 
 def _summed(rates: Tensor, weights: Tensor, z: Tensor) -> Tensor:
     """Σ weight·e^(−rate·z) for three channels (Bx3xHxW)."""
-    left = decay(rates[..., None], z.flatten(1)[:, None])
-    return torch.unflatten(weights @ left, -1, z.shape[-2:])
+    decays = decay(rates[..., None], z.flatten(1)[:, None])
+    return torch.unflatten(weights @ decays, -1, z.shape[-2:])

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from uwaug._support.deterministic import reproducible
-from uwaug._support.tiles import RowSource, bands
+from uwaug._support.tiles import RowSource, row_bands
 from uwaug.formation.engine import recorded_engine
 from uwaug.formation.exposure import GAINS, metering_points
 from uwaug.formation.scene import Scene
@@ -89,7 +89,7 @@ def _median(z: Tensor | RowSource) -> float:
     # to pick them takes longer than the median itself
     near = some if bool(finite.all()) else some[finite]
     if not near.numel():
-        rows = [z] if isinstance(z, Tensor) else (z.rows(*band) for band in bands(*z.size))
+        rows = [z] if isinstance(z, Tensor) else (z.rows(*band) for band in row_bands(*z.size))
         near = torch.cat([part[part.isfinite()] for part in rows])
     return float(near.median()) if near.numel() else math.inf
 

@@ -22,9 +22,9 @@ from uwaug.formation.loops.tables import (
     MediumTable,
     adjoint_table,
     medium_tables,
-    order_of,
     plan_table,
     series_table,
+    stack_order,
 )
 from uwaug.optics.curves import curves
 from uwaug.optics.medium import Medium
@@ -71,7 +71,7 @@ class _Render(torch.autograd.Function):
         if torch.is_grad_enabled() or mapped(gradient):
             return (None, None, *_by_autograd(tensors, plan, gradient, needed))
         light, z, beta = tensors[:3]
-        by_light, by_z, sums = gradients(light, z, plan, ctx.media, gradient, through=needed[0])
+        by_light, by_z, sums = gradients(light, z, plan, ctx.media, gradient, of_light=needed[0])
         by_medium = _by_medium(sums, beta.shape[1])
         slopes = (by_light, by_z, *by_medium)
         return (None, None, *(t if need else None for t, need in zip(slopes, needed, strict=True)))
@@ -84,11 +84,11 @@ def gradients(
     media: list[MediumTable],
     gradient: Tensor,
     *,
-    through: bool,
+    of_light: bool,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Gradients of light and z, and the sums (B, 3 + 7R) that give those of the medium.
 
-    through: whether the gradient of light is wanted, which has to pass the blurs.
+    of_light: whether the gradient of light is wanted, which has to pass the blurs.
     """
     light, z, gradient = (t.detach().contiguous() for t in (light, z, gradient))
     by_light, by_z = torch.empty_like(gradient), torch.empty_like(z)
@@ -101,7 +101,7 @@ def gradients(
         maps = gradient[n].numpy(), scene, z[n, 0].numpy()
         outs = blurs, to_light, by_z[n, 0].numpy()
         sums.append(_pass_pixels(plan, media[n % len(media)], maps, outs))
-        if through:
+        if of_light:
             add_transposed(blurs, plan, to_light)
     if len(light) < batch:
         by_light = by_light.sum(0, keepdim=True)
@@ -167,7 +167,7 @@ def _by_medium(sums: Tensor, direct: int) -> list[Tensor]:
 @lru_cache(maxsize=16)
 def _steeper(plan: BlurPlan) -> Floats:
     """Series of the slopes of the weights by ln(1 + x), see `uwaug.blur.plan.place_line`."""
-    series = np.array(plan.coefficients)[order_of(plan)]
+    series = np.array(plan.coefficients)[stack_order(plan)]
     by_place = np.polynomial.chebyshev.chebder(series, axis=1)
     slope, _ = place_line(plan)
     return series_table(slope * by_place)
@@ -180,14 +180,14 @@ def _by_autograd(
     again = torch.is_grad_enabled()
     with torch.enable_grad():
         # each by itself: the caller's may be made of each other
-        apart = [t.view_as(t) for t in tensors]
-        light, z, *medium = apart
+        views = [t.view_as(t) for t in tensors]
+        light, z, *medium = views
         b_mean, scale, exponent = (t[:, None, None, None] for t in medium[5:])
         sums = Medium.of_tensors(medium[:6], PointSpread.none(), ()).sums(exact_at_lens=True)
         curve, sigma = curves(sums, z), width_at(b_mean * z, scale, exponent)
         blur = mixed(blurred(light, plan), node_weights(sigma, plan))
         result = curve.veil + curve.direct * light + curve.scatter * blur
-        inputs = [t for t, need in zip(apart, needed, strict=True) if need]
+        inputs = [t for t, need in zip(views, needed, strict=True) if need]
         slopes = iter(torch.autograd.grad(result, inputs, gradient, create_graph=again))
     return [next(slopes) if need else None for need in needed]
 
@@ -197,4 +197,4 @@ def run_once() -> None:
     light, z = (torch.from_numpy(np.ones((1, n, 1, 1), np.float32)) for n in (3, 1))
     medium = Medium.from_coefficients([1.0] * 3, [1.0] * 3, [1.0] * 3)
     media = medium_tables(medium, ONE_OF_EACH, (1, 1))
-    gradients(light, z, ONE_OF_EACH, media, light, through=True)
+    gradients(light, z, ONE_OF_EACH, media, light, of_light=True)

@@ -86,8 +86,8 @@ def render(
     batch = max(len(light), len(z), len(medium))
     kind = torch.uint8 if dtype == torch.uint8 else torch.float32
     result = torch.empty(batch, 3, *size, dtype=kind)
-    most = torch.as_tensor(largest, dtype=torch.float32).reshape(-1).expand(batch)
-    render_into(result, light, z, plan, medium_tables(medium, plan, size), srgb, most.numpy())
+    largest = torch.as_tensor(largest, dtype=torch.float32).reshape(-1).expand(batch)
+    render_into(result, light, z, plan, medium_tables(medium, plan, size), srgb, largest.numpy())
     return result.to(dtype)
 
 
@@ -137,27 +137,27 @@ def render_in_rows(
     (numbers,) = medium_tables(medium, plan, light.size)
     blurs = [PartBlur(node, light.size, light.like) for node in coarse_nodes(plan)]
     keep_coarse(blurs, light.rows, height)
-    most = np.float32(torch.as_tensor(largest).reshape(-1)[0])
+    (largest,) = torch.as_tensor(largest, dtype=torch.float32).reshape(-1).numpy()
     in_bytes = dtype == torch.uint8
     result = torch.empty(1, 3, height, width, dtype=dtype)
-    held, first = np.empty((3, 0, width), np.float32), 0
+    window, first = np.empty((3, 0, width), np.float32), 0
     for rows in _bands(light.size):
         low, high = _reached(table, rows, blurs)
-        # rows that the band before had are kept
-        kept = held[:, max(low - first, 0) :]
-        first, begin = low, max(low, low + kept.shape[1])
+        # rows that the band before had are there
+        overlap = window[:, max(low - first, 0) :]
+        first, begin = low, max(low, low + overlap.shape[1])
         fresh = [light.rows(begin, high).numpy()] if begin < high else []
-        held = np.concatenate([kept, *fresh], 1)
+        window = np.concatenate([overlap, *fresh], 1)
         inside = range(rows.start - low, rows.stop - low)
         part = _cut(table, low, high)
-        grid, starts = coarse_grids(held, part, inside, blurs)
+        grid, starts = coarse_grids(window, part, inside, blurs)
         # of what is empty, pages that are not touched take no memory
         metres = np.empty((high - low, width), np.float32)
         metres[inside.start : inside.stop] = z.rows(rows.start, rows.stop)[0].numpy()
         out = np.empty((3, high - low, width), np.uint8 if in_bytes else np.float32)
         outs = (_NO_FLOATS, out) if in_bytes else (out, _NO_BYTES)
         stack = part.stack._replace(starts=starts)
-        run = partial(kernel, held, metres, numbers, stack, grid, srgb, most, *outs)
+        run = partial(kernel, window, metres, numbers, stack, grid, srgb, largest, *outs)
         in_bands(run, inside, width)
         band = torch.from_numpy(out[:, inside.start : inside.stop])
         result[0, :, rows.start : rows.stop] = band.to(dtype)

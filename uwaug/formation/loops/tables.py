@@ -151,7 +151,7 @@ def adjoint_table(plan: BlurPlan, size: Size) -> AdjointTable:
     return _cached(_adjoint_table, plan, size)
 
 
-def order_of(plan: BlurPlan) -> list[int]:
+def stack_order(plan: BlurPlan) -> list[int]:
     """The blurs of a plan in the order of `StackTable`."""
     return sorted(range(len(plan.sigmas)), key=lambda k: (plan.cells[k] != 1, plan.sigmas[k] > 0))
 
@@ -180,7 +180,7 @@ def _bytes(table: Any) -> int:
 
 
 def _nodes(plan: BlurPlan) -> list[Node]:
-    return [Node(plan.sigmas[k], plan.cells[k], plan.reach) for k in order_of(plan)]
+    return [Node(plan.sigmas[k], plan.cells[k], plan.reach) for k in stack_order(plan)]
 
 
 def coarse_nodes(plan: BlurPlan) -> list[Node]:
@@ -198,7 +198,7 @@ def _plan_table(plan: BlurPlan, size: Size) -> PlanTable:
     lines = [3 * len(grid.down_first) for grid in coarse]
     back = [_rows_of("enlarge", node, height) for node in wide]
     stack = StackTable(
-        series=series_table([plan.coefficients[k] for k in order_of(plan)]),
+        series=series_table([plan.coefficients[k] for k in stack_order(plan)]),
         taps=taps,
         pairs=np.array([_pairs(node) for node in narrow], np.int64),
         margin=margin,
