@@ -1,6 +1,5 @@
 """`uwaug fit`."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +8,6 @@ import torch
 from PIL import Image
 
 import uwaug
-from uwaug.cli.fit import read_series
 from uwaug.io import read_distance, read_picture
 
 PAIR = ["--clean", "clean.png", "--observed", "observed.png", "--distance", "z.png"]
@@ -116,15 +114,6 @@ def test_what_jpeg_does_is_said(run, scene):
     assert "Note: observed.JPG: JPEG blurs colours" in out
 
 
-def test_one_clean_picture_serves_two(run, scene):
-    two = ["--observed", "observed-2.png", "--distance", "z-2.png"]
-    code, out, err = run("fit", *PAIR, *two, *FAST, "--gain", "free", "--out", "fit.json")
-    assert (code, err) == (0, "")
-    assert "gain_2 " in out
-    written = json.loads(Path("fit.json").read_text())
-    assert written["structure"]["geometry"]["pairs"] == 2
-
-
 @pytest.fixture
 def table(scene):
     """The scene in two turbidities of one water, as a CSV in a folder of its own lists them."""
@@ -157,16 +146,6 @@ def test_series(run, table):
     assert [line.split()[0] for line in files.splitlines()] == ["fit.json", "fit.png"]
     with Image.open("fit.png") as picture:
         assert picture.format == "PNG"
-
-
-def test_files_of_a_series(table):
-    files, turbidity = read_series(table)
-    assert turbidity == [1.0, 2.0]
-    assert files == {
-        "clean": [Path("tank/clean.png")] * 2,
-        "observed": [Path("tank/seen-1.png"), Path("tank/seen-2.png")],
-        "distance": [Path("tank/z.npy")] * 2,
-    }
 
 
 HEAD = "clean,observed,distance,turbidity\n"
@@ -202,14 +181,3 @@ def test_a_report_that_cannot_be_written_leaves_the_fit(run, scene, monkeypatch)
     assert (code, err) == (1, "Error: [Errno 28] No space left on device: 'fit.png'\n")
     assert out.startswith("Model 'haze'")
     assert uwaug.fitting.Fit.load("fit.json").model == "haze"
-
-
-def test_progress_is_said(run, scene, monkeypatch):
-    from rich.console import Console
-
-    said = []
-    monkeypatch.setattr(Console, "is_terminal", property(lambda _: True))
-    monkeypatch.setattr("rich.status.Status.update", lambda _, step: said.append(step))
-    assert run("fit", *PAIR, *FAST, "--out", "fit.json")[0] == 0
-    assert said[0] == "reading the pictures"
-    assert "fitting 'haze', 1 of 1" in said

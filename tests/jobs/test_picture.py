@@ -81,12 +81,6 @@ def test_the_same_as_by_the_transform():
     assert content("out")["0.png"] != content("out")["1.png"]
 
 
-def test_a_picture_of_one_pixel():
-    save("a.png", pixels(1, 1))
-    made(item_of(distance=3.0))
-    assert read_picture("out/a.png").shape == (3, 1, 1)
-
-
 def test_orientation_is_honoured_and_the_rest_kept():
     exif = Image.Exif()
     exif[0x0112], exif[0x010F] = 6, "maker"

@@ -1,12 +1,13 @@
 import os
 import re
-from pathlib import Path
 
 import pytest
 import torch
+from presetting import edited, same
 
 from uwaug import JERLOV_TYPES, Camera, Medium, PointSpread, Underwater, Water
 from uwaug.presets import Preset, list_presets, load_preset, published_systems
+from uwaug.presets.files import bundled_preset
 
 NAMES = list_presets()
 
@@ -36,8 +37,7 @@ PRINTED = {
     "depth-scaling-6": (0.2, 0.3, 0.3, 1.0, 0.0, 20.0, 6, (0.7, 1.3)),
 }
 
-SPECTRAL = Path(__file__).parent.parent.parent / "configs" / "survey.toml"
-TANK_FILE = SPECTRAL.with_name("tank-proposed-1.toml")
+SPECTRAL = bundled_preset("survey")
 
 
 def numbers(cells: str) -> torch.Tensor:
@@ -46,10 +46,6 @@ def numbers(cells: str) -> torch.Tensor:
 
 def ranges(preset: Preset) -> tuple:
     return preset.near, preset.far, preset.gamma, preset.field_range
-
-
-def same(first: Medium, second: Medium) -> bool:
-    return all(torch.equal(x, y) for x, y in zip(first.tensors(), second.tensors(), strict=True))
 
 
 def test_every_printed_row_has_a_preset_beside_the_librarys_own_and_others_systems():
@@ -119,7 +115,7 @@ def test_calibrated_is_the_width_law_for_60_degrees_across():
 
 def test_shape_of_the_point_spread(tmp_path):
     assert load_preset("survey").medium.point_spread.shape == "gaussian"  # if the file does not say
-    heavy = edited(tmp_path, SPECTRAL, r"^exponent = .*", 'exponent = 1.0\nshape = "exponential"')
+    heavy = edited(tmp_path, "survey", r"^exponent = .*", 'exponent = 1.0\nshape = "exponential"')
     assert load_preset(heavy).medium.point_spread == PointSpread(0.3, 1.0, "exponential", 518)
 
 
@@ -188,17 +184,8 @@ def test_own_file_with_its_own_camera(tmp_path):
         assert same(preset.medium, load_preset("survey", camera=tmp_path / "box.csv").medium)
 
 
-def edited(tmp_path: Path, source: Path, pattern: str, replacement: str) -> Path:
-    text, count = re.subn(pattern, replacement, source.read_text(), flags=re.MULTILINE)
-    assert count == 1
-    path = tmp_path / "mine.toml"
-    path.write_text(text)
-    return path
-
-
-@pytest.mark.parametrize(
-    ("pattern", "replacement", "message"),
-    [
+REFUSED = {
+    "survey": [
         (r"^vertical_depth_m", "vertical_depth_cm", "is no key; did you mean vertical_depth_m?"),
         (r"^mu =", "haze =", "medium.haze is no key; there are vertical_depth_m, g, mu"),
         (r"^\[field\]", "[noise]", "noise is no key; there are source, color_space, medium"),
@@ -220,17 +207,7 @@ def edited(tmp_path: Path, source: Path, pattern: str, replacement: str) -> Path
         (r"^\[water\]", "[coefficients]", "coefficients.a_per_m is missing"),
         (r"^\[water\]", "water", "not a TOML file"),
     ],
-)
-def test_error_names_file_and_key(tmp_path, pattern, replacement, message):
-    path = edited(tmp_path, SPECTRAL, pattern, replacement)
-    with pytest.raises(ValueError, match=re.escape(message)) as error:
-        load_preset(path)
-    assert str(error.value).startswith(f"{path}: ")
-
-
-@pytest.mark.parametrize(
-    ("pattern", "replacement", "message"),
-    [
+    "tank-proposed-1": [
         (
             r"^G_per_m = .*",
             "G_per_m = [2.62, 2.82, 3.68]",
@@ -240,10 +217,47 @@ def test_error_names_file_and_key(tmp_path, pattern, replacement, message):
         (r"^b_per_m = .*", "b_per_m = [9.5, 10.25, -1.0]", "coefficients.b_per_m must be finite"),
         (r"^G_per_m = .*", "G_per_m = [0.0, 2.82, 3.65]", "coefficients.G_per_m must be > 0"),
         (r"^\[medium\]", '[water]\ntype = "II"\ncamera = "x"\n[medium]', "give one of these"),
+        ("^mu = (.*)", r'mu = \1\ndims = "veil"', "medium: dims is for the tab"),
     ],
+    "jaffe-1990": [
+        ("^forward = .*", 'forward = "J"', "medium.forward: Input should be 'image'"),
+        ("^forward = ", "foward = ", "foward is no key; did you mean forward?"),
+    ],
+    "ueda-2019": [
+        ("^downwelling = .*", 'downwelling = "b"', "medium.downwelling: Input should"),
+        ("^downwelling = .*", 'dims = "veil"', "medium.dims must be both or direct"),
+        ("^low = .0.4", "low = [0.6", "veil.high must be ≥ low = (0.6, 0.7, 0.7)"),
+        ("^low = .0.4", "low = [-1.0", "veil.low must be finite and ≥ 0, got -1.0"),
+    ],
+    "li-2020": [
+        ("^depth_range_m = .*", "depth_range_m = [5.0, 6.0]", "hold vertical_depth_m"),
+        ('^type = "II"', 'type = "2"', "channels.type must be one of I, IA, IB, II"),
+        ("^II = .0.80", "II = [0.0", "left_per_m.II must be in (0, 1], got 0.0"),
+        ("^surface_light = .*", "surface_light = -1.0", "surface_light must be finite"),
+        ("^downwelling = .*", "", "medium.downwelling must be beam or none here"),
+        ("^downwelling = (.*)", r'downwelling = \1\nforward = "direct"', "forward must"),
+        (r"^\[veil\]", "[viel]", "viel is no key; did you mean veil?"),
+    ],
+    "slurpp-2025": [
+        ("^II = .0", "II = [-1", "channels.beta_per_m.II must be finite and ≥ 0"),
+    ],
+    "hou-2020": [
+        ("^left = .0.35", "left = [1.35", "channels.left must be in (0, 1], got 1.35"),
+        ("^left = ", 'type = "II"\nleft = ', "channels.left is all: type and surface"),
+        ("^downwelling = .*", 'downwelling = "beam"', "downwelling must be none here"),
+        ("^left = .*", "", "left_per_m, left: give one of these three"),
+        (r"^\[veil\].*\nlow.*\nhigh.*\n", "", "veil is missing: channels have no scattering"),
+    ],
+}
+"""What takes the place of a pattern in a preset's file, and what is said of it."""
+
+
+@pytest.mark.parametrize(
+    ("name", "pattern", "replacement", "message"),
+    [(name, *row) for name, rows in REFUSED.items() for row in rows],
 )
-def test_error_in_coefficients(tmp_path, pattern, replacement, message):
-    path = edited(tmp_path, TANK_FILE, pattern, replacement)
+def test_error_names_file_and_key(tmp_path, name, pattern, replacement, message):
+    path = edited(tmp_path, name, pattern, replacement)
     with pytest.raises(ValueError, match=re.escape(message)) as error:
         load_preset(path)
     assert str(error.value).startswith(f"{path}: ")
@@ -260,11 +274,11 @@ def test_all_errors_are_told_at_once(tmp_path):
 
 
 def test_light_falls_with_depth_in_a_preset_with_coefficients(tmp_path):
-    path = edited(tmp_path, TANK_FILE, r"^kd_per_m = .*", "kd_per_m = [1.0, 2.0, 0.0]")
+    path = edited(tmp_path, "tank-proposed-1", r"^kd_per_m = .*", "kd_per_m = [1.0, 2.0, 0.0]")
     medium = load_preset(path).medium
     light = torch.exp(torch.tensor([[-0.5, -1.0, 0.0]], dtype=torch.float64))
     torch.testing.assert_close(medium.signal(torch.tensor(0.0, dtype=torch.float64)), light)
-    full = load_preset(TANK_FILE).medium.veil_weights.sum(-1)
+    full = load_preset("tank-proposed-1").medium.veil_weights.sum(-1)
     torch.testing.assert_close(medium.veil_weights.sum(-1), full * light)
 
 

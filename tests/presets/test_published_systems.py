@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from presetting import same
 from referees import reference, systems
 from referees.systems import CHANNELS, SPECTRAL, Scene
 
@@ -34,10 +35,6 @@ def random_scene(size: tuple[int, int], seed: int = 0) -> Scene:
 
 def tensors(scene: Scene) -> tuple[torch.Tensor, torch.Tensor]:
     return torch.from_numpy(scene.J), torch.from_numpy(scene.z)[None]
-
-
-def same(first: Medium, second: Medium) -> bool:
-    return all(torch.equal(x, y) for x, y in zip(first.tensors(), second.tensors(), strict=True))
 
 
 def test_each_system_has_its_equation_here():

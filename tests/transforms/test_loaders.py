@@ -1,6 +1,5 @@
 import json
 import multiprocessing
-import warnings
 from typing import Any
 
 import pytest
@@ -86,24 +85,6 @@ def test_a_sampler_brings_the_epoch_to_workers_that_persist(crops: Crops) -> Non
     epochs = [run(data) for _ in range(3)]
     assert all(equal(made, run(here)) for made in epochs)
     assert not any(torch.equal(epochs[0][i], epochs[1][i]) for i in epochs[0])
-
-
-def quiet(worker: int) -> None:
-    """Fill maps of which much is unknown."""
-    warnings.simplefilter("ignore")
-
-
-def test_crops_without_any_known_distance(motorcycle: Any) -> None:
-    distance = motorcycle.distance.float().clone()
-    distance[:, :, 150:700] = 0.0
-    crops = Crops(motorcycle.srgb.float(), distance, count=32)
-    silent = [not bool((z > 0).any()) for _, z, _ in crops]
-    assert 4 < sum(silent) < 30
-    data = loader(Pairs(crops, RandomUnderwater(unknown="skip")), worker_init_fn=quiet)
-    pairs = [(clean, out) for batch in data for clean, out in zip(*batch[:2], strict=True)]
-    assert [torch.equal(clean, out) for clean, out in pairs] == silent
-    with pytest.raises(ValueError, match="unknown='skip'"):
-        list(loader(Pairs(crops, RandomUnderwater(unknown="fill")), worker_init_fn=quiet))
 
 
 @pytest.mark.parametrize("options", [{"p": 0.7}, {"same_on_batch": True}])
