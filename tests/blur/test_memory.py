@@ -14,9 +14,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-@pytest.mark.parametrize(
-    "height, width, most", [(1024, 1024, 5.0), (64, 20000, 7.0), (20000, 64, 5.0)]
-)
+@pytest.mark.parametrize("height, width, most", [(64, 20000, 7.0), (20000, 64, 5.0)])
 def test_a_first_call_takes_a_few_times_its_input(height: int, width: int, most: float) -> None:
     (found,) = scaling.long_shapes([(height, width)])
     assert found["peak_per_input"] <= most

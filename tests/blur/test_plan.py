@@ -14,17 +14,7 @@ from uwaug.blur.stack import varying_blur
 @pytest.mark.parametrize("shape", ["gaussian", "exponential"])
 @pytest.mark.parametrize(
     "low, high",
-    [
-        (0.0, 0.5),
-        (0.0, 1.0),
-        (0.0, 4.0),
-        (0.6, 1.0),
-        (2.0, 4.0),
-        (0.9, 4.5),
-        (0.75, 15.0),
-        (2.0, 60.0),
-        (0.0, 200.0),
-    ],
+    [*RANGES, (0.0, 0.5), (0.0, 4.0), (0.6, 1.0), (2.0, 2.0), (5.0, 5.0), (0.0, 200.0)],
 )
 def test_error_on_a_picture_is_the_predicted_one(shape, low, high) -> None:
     image = reference.picture(160, 200)
@@ -39,19 +29,6 @@ def test_error_on_a_picture_is_the_predicted_one(shape, low, high) -> None:
             squares.append(float(((result.double().numpy() - exact) ** 2).mean()))
         assert math.sqrt(np.mean(squares)) <= tolerance, f"{plan}: {np.sqrt(squares)}"
         assert math.sqrt(max(squares)) <= 2.5 * tolerance
-
-
-def test_the_plan_says_what_it_achieves() -> None:
-    # cutting the kernels and coarse grids count too
-    image = reference.picture(128, 128)
-    for low, high in [(2.0, 2.0), (5.0, 5.0), *RANGES]:
-        plan = plan_blur(low, high)
-        worst = 0.0
-        for sigma in np.geomspace(low, high, 5):
-            exact = reference.gaussian(image, sigma)
-            result = constant(torch.from_numpy(image)[None], sigma, plan=plan)[0]
-            worst = max(worst, 10 ** (-reference.psnr(result, exact) / 20))
-        assert worst <= 3 * plan.error, str(plan)  # the plan's error is the RMS over the range
 
 
 @pytest.mark.parametrize("shape", ["gaussian", "exponential"])

@@ -116,29 +116,12 @@ def test_adjoint_of_every_node(sigma, cell, reach) -> None:
             torch.testing.assert_close(adjoint, blur(y, plan), rtol=0, atol=1e-13)
 
 
-def test_adjoint_on_a_photograph() -> None:
-    plan = plan_blur(0.75, 15.0)
-    x, y = rand(1, 3, 500, 741).requires_grad_(), rand(1, 3, 500, 741, seed=1)
-    sigma = 0.75 + 14.25 * rand(1, 1, 500, 741, seed=2)
-    blurred = varying_blur(x, sigma, plan)
-    (adjoint,) = torch.autograd.grad((blurred * y).sum(), x)
-    torch.testing.assert_close((blurred * y).sum(), (x * adjoint).sum(), rtol=1e-12, atol=0)
-
-
 @pytest.mark.parametrize("size", [*SIZES, (500, 741)])
 @pytest.mark.parametrize("low, high", [*RANGES, (0.0, 3.0), (100.0, 3000.0)])
 def test_a_constant_image_stays_constant(size, low, high) -> None:
     sigma = (low + (high - low) * rand(1, 1, *size)).float()
     result = varying_blur(torch.full((1, 3, *size), 0.7), sigma, plan_blur(low, high))
     assert (result - 0.7).abs().max() < 1e-5
-
-
-@pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("sigma", [0.7, 2.0, 9.0, 40.0])
-def test_light_is_neither_made_nor_lost(size, sigma) -> None:
-    image = rand(1, 3, *size)
-    before, after = image.mean((2, 3)), constant(image, sigma, tolerance=0.0005).mean((2, 3))
-    torch.testing.assert_close(after, before, rtol=0, atol=1e-3)
 
 
 @settings(max_examples=25, deadline=None, derandomize=True)
@@ -164,25 +147,8 @@ def test_turning_and_mirroring_the_image_turns_and_mirrors_the_blur(height, widt
     torch.testing.assert_close(mirrored, result.flip(2, 3), rtol=0, atol=5e-4)
 
 
-@pytest.mark.parametrize(
-    "plan", [None, *(plan_blur(0.0, high) for high in (0.3, 1.0, 4.0, 60.0))], ids=str
-)
-def test_no_width_gives_the_image(plan) -> None:
-    image = torch.from_numpy(reference.picture(40, 50))[None]
-    assert reference.psnr(varying_blur(image, torch.zeros(1, 1, 40, 50), plan), image) >= 60
-
-
 @pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("sigma", [300.0, 5000.0])
-def test_a_huge_width_gives_the_mean(size, sigma) -> None:
-    image = rand(1, 3, *size)
-    result = constant(image, sigma, tolerance=0.0005)
-    mean = image.mean((2, 3), keepdim=True).expand_as(image)
-    torch.testing.assert_close(result, mean, rtol=0, atol=1e-3)
-
-
-@pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("sigma", [0.8, 2.5, 7.0, 60.0])
+@pytest.mark.parametrize("sigma", [0.0, 0.8, 2.5, 7.0, 60.0, 5000.0])
 def test_small_and_odd_sizes(size, sigma) -> None:
     image = reference.picture(*size)
     exact = reference.gaussian(image, sigma)

@@ -66,11 +66,9 @@ class Camera(Spectra):
         Raises:
             TypeError, ValueError: if they are no such axis.
         """
-        axis = wavelength_axis(wavelengths)
-        responses = np.empty((axis.size, 3))
-        for channel, response in enumerate(self.response.T):
-            responses[:, channel] = np.interp(axis, self.wavelengths, response, left=0, right=0)
-        return responses
+        axis, known = wavelength_axis(wavelengths), self.wavelengths
+        rows = [np.interp(axis, known, row, left=0, right=0) for row in self.response.T]
+        return np.stack(rows, 1)
 
     def weights(self, wavelengths: ArrayLike) -> Array:
         """Quadrature weights: ∫ S_c(λ) f(λ) dλ ≈ Σ_i weights[i, c] f(λ_i), with ∫ S_c = 1.

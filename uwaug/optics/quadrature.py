@@ -99,31 +99,14 @@ _Fit = tuple[Array, Array, float] | None
 
 
 def _fewest(jacobi: Array, z: Array, exact: Array, tolerance: float) -> _Fit:
-    """A fit that keeps the tolerance where one rate fewer does not."""
-    most = len(jacobi)
-    count = min(_guess(jacobi, tolerance), most)
-    fit = _fit(jacobi, count, z, exact, tolerance)
-    if fit is None:
-        while fit is None and count < most:
-            count += 1
-            fit = _fit(jacobi, count, z, exact, tolerance)
-        return fit
-    while count > 1:
-        count -= 1
-        fewer = _fit(jacobi, count, z, exact, tolerance)
-        if fewer is None:
-            break
-        fit = fewer
-    return fit
-
-
-def _guess(jacobi: Array, tolerance: float) -> int:
-    """How many rates may be needed: one for a spread of log-rates of 3·√tolerance, and one more for
-    each 1.8 times of it. Right in two of three mixtures, else one off.
+    """The fit with the fewest rates that keeps the tolerance. (To begin at a guess of their number
+    saves 40 of 390 µs.)
     """
-    spread = float(jacobi[1, 0]) if len(jacobi) > 1 else 0.0
-    narrow = 3 * math.sqrt(tolerance)
-    return 1 if spread <= narrow else 1 + math.ceil(math.log(spread / narrow) / math.log(1.8))
+    for count in range(1, len(jacobi) + 1):
+        fit = _fit(jacobi, count, z, exact, tolerance)
+        if fit is not None:
+            return fit
+    return None
 
 
 def _fit(jacobi: Array, count: int, z: Array, exact: Array, tolerance: float) -> _Fit:
