@@ -239,15 +239,15 @@ class Scene:
         """D + F + B, encoded, like the image; of several media or lights Bx3xHxW."""
         plan = self.plan
         if self.engine in ("fused", "fused-rows"):
-            light, z = self.radiance, self.z
+            radiance, z = self.radiance, self.z
             srgb, dtype = self.setup.color_space == "srgb", self.image.dtype
             largest = headroom(self.image, self.image_max) if srgb else 1.0
             options: Any = {"srgb": srgb, "largest": largest, "dtype": dtype}
-            if isinstance(light, Tensor) and isinstance(z, Tensor):
-                return self._unbatched(render(light, z, self.medium, plan, **options))
-            assert isinstance(light, RowSource)
+            if isinstance(radiance, Tensor) and isinstance(z, Tensor):
+                return self._unbatched(render(radiance, z, self.medium, plan, **options))
+            assert isinstance(radiance, RowSource)
             assert isinstance(z, RowSource)
-            return self._unbatched(render_in_rows(light, z, self.medium, plan, **options))
+            return self._unbatched(render_in_rows(radiance, z, self.medium, plan, **options))
         return self._encoded(plan, total)[0]
 
     def terms(self) -> Terms:
@@ -318,7 +318,7 @@ class Scene:
             assert isinstance(self.z, Tensor)
             return (render_with_gradients(self.radiance, self.z, self.medium, plan),)
         canvas: list[Tensor] = []
-        for view, n, tile, blurs in self._views(plan, finish):
+        for view, n, tile, blurs in self._views(plan):
             J, z = view.radiance[tile], view.z[tile]
             blur = mixture(blurs, z, view.medium, plan, self.size)
             results = finish(view.transmittance(tile, z), J, blur)
@@ -331,9 +331,7 @@ class Scene:
                 pictures[n][tile] = result[0]
         return tuple(canvas)
 
-    def _views(
-        self, plan: BlurPlan, finish: Finish
-    ) -> Iterator[tuple["_View", int | None, Tile, list[Tensor]]]:
+    def _views(self, plan: BlurPlan) -> Iterator[tuple["_View", int | None, Tile, list[Tensor]]]:
         """What the loop goes over: a view of a picture, its number, a tile and its blurs; or all
         pictures at once, without a number.
         """
