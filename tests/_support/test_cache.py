@@ -1,13 +1,41 @@
-import uwaug
-from uwaug._support.cache import caches, clear
+from concurrent.futures import ThreadPoolExecutor
+
+from uwaug._support.cache import Cache
 
 
-def test_every_cache_of_the_process_is_emptied() -> None:
-    uwaug.Medium.from_water("7C").under()
-    uwaug.Water.jerlov("7C").with_visibility(2.0)
-    kept = caches()
-    for name in ("optics.bands._reduced", "optics.camera.response_at", "optics.water._eye"):
-        assert kept[f"uwaug.{name}"].cache_info().currsize > 0
-    clear()
-    assert kept["uwaug.optics.bands._reduced"].cache_info().currsize == 0
-    assert kept["uwaug.blur.banded._CACHE"].held == 0
+def test_what_was_used_last_stays() -> None:
+    cache: Cache[str] = Cache(100)
+    for name in "abc":
+        cache.put(name, name.upper(), 33)
+    assert cache.get("a") == "A"
+    cache.put("d", "D", 33)
+    assert [cache.get(name) for name in "abcd"] == ["A", None, "C", "D"]
+    assert cache.held == 99
+
+
+def test_a_value_put_again_counts_once_and_a_large_one_alone() -> None:
+    cache: Cache[int] = Cache(100)
+    for size in (60, 80, 20):
+        cache.put("a", size, size)
+    assert (cache.get("a"), cache.held) == (20, 20)
+    cache.put("b", 0, 500)
+    assert (cache.get("a"), cache.get("b"), cache.held) == (None, 0, 500)
+    cache.put("c", 1, 1)
+    assert (cache.get("b"), cache.held) == (None, 1)
+    cache.cache_clear()
+    assert (cache.get("c"), cache.held) == (None, 0)
+
+
+def test_threads_may_share_it() -> None:
+    cache: Cache[int] = Cache(50)
+
+    def work(seed: int) -> None:
+        for n in range(2000):
+            key = (seed * 7 + n) % 23
+            found = cache.get(key)
+            assert found in (None, key)
+            cache.put(key, key, 5)
+
+    with ThreadPoolExecutor(8) as threads:
+        list(threads.map(work, range(8)))
+    assert cache.held <= 50

@@ -1,6 +1,7 @@
 import pytest
 import torch
 
+from uwaug.blur import banded
 from uwaug.blur.banded import Node, along_columns, along_rows, operator
 from uwaug.blur.kernels import PERIOD
 
@@ -32,3 +33,20 @@ def test_strips_are_parts_of_the_whole(cell) -> None:
             strips = range(0, size, 2 * PERIOD)
             parts = [along_rows(last, x, first, first + 2 * PERIOD) for first in strips]
             torch.testing.assert_close(torch.cat(parts), along_rows(last, x), rtol=0, atol=1e-12)
+
+
+def test_operators_of_random_sizes_take_no_more_than_their_budget() -> None:
+    operators = banded._CACHE
+    most = 0
+    for size in range(100, 1100, 7):
+        for cell in (1.0, 16 / 5, 16.0):
+            node = Node(1.3 * cell, cell, 3.0)
+            for kind in ("blur",) if cell == 1 else ("shrink", "enlarge"):
+                operator(kind, 1, size, node, torch.float64, torch.device("cpu"))
+                most = max(most, operators.held)
+    assert most <= operators.budget
+
+
+def test_an_operator_is_made_once() -> None:
+    arguments = ("blur", 0, 77, Node(1.5, 1.0, 3.0), torch.float32, torch.device("cpu"))
+    assert operator(*arguments) is operator(*arguments)

@@ -116,32 +116,14 @@ def test_exif_is_kept_but_for_orientation(tmp_path, name):
 def test_a_png_of_16_bits_keeps_all_of_it(tmp_path):
     exif = Image.Exif()
     exif[0x010F] = "Camera"
-    one = source(WORDS, exif=exif.tobytes(), profile=PROFILE, dpi=(300.0, 150.0))
+    one = source(WORDS, exif=exif.tobytes(), profile=PROFILE)
     write_picture(tmp_path / "a.png", one.image, one)
     again = read_picture_file(tmp_path / "a.png")
     assert torch.equal(again.image, one.image)
     assert (again.bits, again.profile) == (16, PROFILE)
-    assert again.dpi == pytest.approx((300, 150), abs=0.02)
     with Image.open(tmp_path / "a.png") as image:
         image.load()  # checks the sums
         assert dict(image.getexif()) == {0x010F: "Camera"}
-
-
-@pytest.mark.parametrize("values", [BYTES, WORDS])
-@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif"])
-def test_dpi_is_kept(tmp_path, name, values):
-    one = source(values, dpi=(300.0, 150.0))
-    write_picture(tmp_path / name, one.image, one)
-    assert read_picture_file(tmp_path / name).dpi == pytest.approx((300, 150), abs=0.02)
-
-
-def test_dpi_is_turned_with_the_picture(tmp_path):
-    exif = Image.Exif()
-    exif[0x0112] = 6
-    Image.fromarray(BYTES).save(tmp_path / "a.jpg", exif=exif, dpi=(300, 150))
-    assert read_picture_file(tmp_path / "a.jpg").dpi == (150, 300)
-    Image.fromarray(BYTES).save(tmp_path / "a.png")
-    assert read_picture_file(tmp_path / "a.png").dpi is None
 
 
 def test_what_is_lost_is_said():

@@ -1,16 +1,9 @@
-"""Caches of the process: one that is bounded by memory, as what it holds differs in size a
-thousandfold; and one call that lists and empties all, those of `functools.lru_cache` included.
+"""A cache that is bounded by memory, as what it holds differs in size a thousandfold."""
 
-Other state of a process: the switch and the threads of `uwaug.formation.loops`, the counters of
-`uwaug._support.deterministic`, the sessions that `uwaug._support.onnx_session` has inherited from a
-parent process, and whether `uwaug.distance` has warned of unknown pixels.
-"""
-
-import sys
 from collections import OrderedDict
 from collections.abc import Hashable
 from threading import Lock
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 Value = TypeVar("Value")
 
@@ -52,20 +45,3 @@ class Cache(Generic[Value]):
         with self._lock:
             self._values.clear()
             self.held = 0
-
-
-def caches() -> dict[str, Any]:
-    """Every cache of the modules of uwaug that are loaded, by its full name."""
-    return {
-        f"{module}.{name}": value
-        for module, members in list(sys.modules.items())
-        if module.partition(".")[0] == "uwaug"
-        for name, value in list(vars(members).items())
-        if hasattr(value, "cache_clear") and not isinstance(value, type)
-    }
-
-
-def clear() -> None:
-    """Empty every cache of the process."""
-    for cache in caches().values():
-        cache.cache_clear()

@@ -38,14 +38,11 @@ _ORIENTATION = 0x0112
 _PROFILE = 0x8773
 """TIFF's tag of a colour profile."""
 
+_TURNED = range(2, 9)
+"""Orientations in which a picture does not stand upright."""
+
 _ASIDE = (5, 6, 7, 8)
-"""Orientations in which width and height change places."""
-
-_PER_INCH = {2: 1.0, 3: 2.54}
-"""By TIFF's number of a unit of resolution."""
-
-_FINEST = 65535
-"""dpi: the most that JPEG holds."""
+"""Those in which width and height change places."""
 
 _MOST = 1_000_000_000
 """Pixels of a compressed picture. Pillow's own limit, 89 megapixels, is for files from strangers: a
@@ -77,7 +74,6 @@ class Raster(NamedTuple):
         alpha: HxW; None if there is none.
         exif, profile: as they are in the file; None if there are none. EXIF without orientation,
             as the picture stands upright.
-        dpi: across and down; None if the file does not say.
         turned: whether it was turned or mirrored, as EXIF says that the camera was held.
     """
 
@@ -86,7 +82,6 @@ class Raster(NamedTuple):
     alpha: Values | None = None
     exif: bytes | None = None
     profile: bytes | None = None
-    dpi: tuple[float, float] | None = None
     turned: bool = False
 
 
@@ -96,7 +91,7 @@ class PictureFile(NamedTuple):
     Attributes:
         image (3xHxW tensor): uint8 (0…255), or float32.
         bits: 8, 16, or 32 for floating point.
-        alpha, exif, profile, dpi, turned: as of `Raster`; alpha in the numbers of the file.
+        alpha, exif, profile, turned: as of `Raster`; alpha in the numbers of the file.
     """
 
     image: Tensor
@@ -104,7 +99,6 @@ class PictureFile(NamedTuple):
     alpha: Values | None = None
     exif: bytes | None = None
     profile: bytes | None = None
-    dpi: tuple[float, float] | None = None
     turned: bool = False
 
 
@@ -280,17 +274,9 @@ def _tiff(stream: BinaryIO) -> Raster:
             values = np.moveaxis(values, page.axes.index("S"), -1)
         orientation = int(page.tags.valueof(_ORIENTATION) or 1)
         profile = page.tags.valueof(_PROFILE)
-        dpi = _tiff_dpi(page.tags)
-    kept = _kept(orientation, None, None if profile is None else bytes(profile), dpi)
-    return _channels(_upright(values, orientation))._replace(**kept)
-
-
-def _tiff_dpi(tags: tifffile.TiffTags) -> Any:
-    scale = _PER_INCH.get(tags.valueof("ResolutionUnit", 1))
-    sides = [tags.valueof(name) for name in ("XResolution", "YResolution")]
-    if scale is None or not all(isinstance(side, tuple) and all(side) for side in sides):
-        return None
-    return tuple(scale * side[0] / side[1] for side in sides)
+    raster = _channels(_upright(values, orientation))
+    profile = None if profile is None else bytes(profile)
+    return raster._replace(profile=profile, turned=orientation in _TURNED)
 
 
 def _png_of_16_bits(stream: BinaryIO) -> Raster:
@@ -343,19 +329,11 @@ def _metadata(image: Image.Image) -> tuple[int, dict[str, Any]]:
     orientation = exif.get(_ORIENTATION, 1)
     if _ORIENTATION in exif:
         del exif[_ORIENTATION]
-    profile, dpi = image.info.get("icc_profile"), image.info.get("dpi")
-    return orientation, _kept(orientation, exif.tobytes() if len(exif) else None, profile, dpi)
-
-
-def _kept(orientation: int, exif: bytes | None, profile: bytes | None, dpi: Any) -> dict[str, Any]:
-    """What stands beside the pixels of a `Raster` that is upright."""
-    # of a damaged file, it may be anything
-    if dpi is not None and all(0 < side < _FINEST for side in dpi):
-        x, y = map(float, dpi)
-        dpi = (y, x) if orientation in _ASIDE else (x, y)
-    else:
-        dpi = None
-    return {"exif": exif, "profile": profile, "dpi": dpi, "turned": orientation in range(2, 9)}
+    return orientation, {
+        "exif": exif.tobytes() if len(exif) else None,
+        "profile": image.info.get("icc_profile"),
+        "turned": orientation in _TURNED,
+    }
 
 
 def _of_mode(image: Image.Image, orientation: int = 1) -> Raster:

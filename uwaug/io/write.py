@@ -51,7 +51,7 @@ def format_of(path: str | os.PathLike[str]) -> str:
 
 def write_picture(path: str | os.PathLike[str], image: Tensor, like: PictureFile) -> None:
     """Write a picture as its original was: as many bits where the format holds them, with its
-    alpha, EXIF, colour profile and dpi where the format can; see `lost`.
+    alpha, EXIF and colour profile where the format can; see `lost`.
 
     Args:
         path: its end is the format; a file that exists is replaced.
@@ -68,7 +68,7 @@ def write_picture(path: str | os.PathLike[str], image: Tensor, like: PictureFile
 
 
 def lost(like: PictureFile, format: str) -> list[str]:
-    """What a format of `FORMATS` does not keep of a picture, such as "alpha". (dpi is not told.)"""
+    """What a format of `FORMATS` does not keep of a picture, such as "alpha"."""
     most = max(_DEPTHS[format])
     gone = {
         f"{like.bits} bits (it has {most})": like.bits > most,
@@ -127,8 +127,6 @@ def _write_tiff(file: BinaryIO, values: Any, like: PictureFile) -> None:
         options["iccprofile"] = like.profile
     if values.shape[2] == 4:
         options["extrasamples"] = ["unassalpha"]
-    if like.dpi is not None:
-        options |= {"resolution": like.dpi, "resolutionunit": "INCH"}
     # else the time of writing would be part of the file
     tifffile.imwrite(file, values, datetime=None, software="uwaug", **options)
 
@@ -140,9 +138,6 @@ def _write_png16(file: BinaryIO, values: Any, like: PictureFile) -> None:
     file.write(data[:_HEAD])
     if like.profile is not None:
         _write_chunk(file, b"iCCP", b"ICC Profile\0\0" + zlib.compress(like.profile))
-    if like.dpi is not None:
-        x, y = (round(side / 0.0254) for side in like.dpi)  # px per metre
-        _write_chunk(file, b"pHYs", struct.pack(">IIB", x, y, 1))
     if like.exif is not None:
         _write_chunk(file, b"eXIf", like.exif.removeprefix(b"Exif\0\0"))
     file.write(data[_HEAD:])
@@ -160,8 +155,6 @@ def _write_pillow(file: BinaryIO, values: Any, format: str, like: PictureFile) -
         options["exif"] = like.exif
     if like.profile is not None:
         options["icc_profile"] = like.profile
-    if like.dpi is not None:
-        options["dpi"] = like.dpi
     if format in ("JPEG", "WEBP"):
         options["quality"] = _QUALITY
     if format == "JPEG":
