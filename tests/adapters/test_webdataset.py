@@ -117,14 +117,6 @@ def test_shards_shuffles_and_workers_change_nothing(shards: Path, workers: int) 
         assert (found == whole) == (epoch == 0)
 
 
-def test_without_a_seed_torch_draws(shards: Path) -> None:
-    runs = []
-    for seed in (0, 0, 1):
-        torch.manual_seed(seed)
-        runs.append(made(stream(shards, WebDatasetUnderwater(AUGMENT))))
-    assert runs[0] == runs[1] != runs[2]
-
-
 def test_no_map(shards: Path) -> None:
     water = WebDatasetUnderwater(RandomUnderwater("7C", distance=3.0), seed=3, distance_key="z")
     assert len(set(made(stream(shards, water)).values())) == len(NAMES)

@@ -184,6 +184,7 @@ FIT = "fit --out x.json --clean a.png --observed a.png --distance a.npy"
         (2, f"{COMPARE} a.npy --out x.png --system survey --system survey", "each once"),
         (2, f"{DEGRADE} 3 --water 10C", f"--water must be one of {', '.join(choices.WATERS)}"),
         (2, f"{DEGRADE} 3 --preset no", "no preset is called 'no'"),
+        (2, f"{DEGRADE} 3 --preset hou-2020 --water II", "transmission, which no water replaces"),
         (2, f"{DEGRADE} 3 --random --severity 6", "--severity"),
         (2, f"{DEGRADE} 3 --random --vertical-depth x", "--vertical-depth"),
         (2, f"{DEGRADE} 3 --random --depth 1:2:3", "--vertical-depth"),

@@ -1,6 +1,5 @@
 """Ray itself, on two cores: what it makes must be what this process makes."""
 
-import io
 import json
 import os
 import random
@@ -9,7 +8,6 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +15,7 @@ from deadly import Deadly
 from filing import content
 from PIL import Image
 
-from uwaug.jobs import Item, Items, Recipe, run
+from uwaug.jobs import Items, Recipe, run
 from uwaug.jobs.ray import Shards, degrade, run_on_ray
 
 ray = pytest.importorskip("ray")
@@ -191,20 +189,3 @@ def test_what_is_somebody_elses_stays(tmp_path: Path) -> None:
     (tmp_path / "mine.parquet").touch()
     with pytest.raises(ValueError, match="no shard of a run"):
         Shards(str(tmp_path)).prepare(RECIPE, force=True)
-
-
-def test_pictures_that_are_no_files(pictures: Path) -> None:
-    """What Ray hands over, without Ray."""
-    from uwaug.jobs import Degrader
-
-    files: list[Any] = []
-    for name in ("0.png", "0.npy"):
-        files.append(io.BytesIO((pictures / name).read_bytes()))
-        files[-1].name = name
-    item = Item("0.png", *files, Path("0.jpg"))
-    result = Degrader(RECIPE, in_memory=True)(item)
-    assert result.status == "done"
-    with Image.open(io.BytesIO(result.content)) as image:
-        assert (image.format, image.size) == ("JPEG", (30, 20))
-    assert result.sidecar.input.path == "0.png"
-    assert not Path("0.jpg").exists()

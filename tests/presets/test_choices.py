@@ -198,11 +198,3 @@ def test_degrade_takes_a_system_and_a_water(run, tmp_path, name):
     assert (made.int() - expected.int()).abs().max() <= 1
     record = json.loads((tmp_path / "b.png.json").read_text())
     assert name in json.dumps(record)
-
-
-def test_degrade_refuses_a_water_where_there_is_none_to_take(run, tmp_path):
-    Image.new("RGB", (8, 8)).save(tmp_path / "a.png")
-    arguments = [str(tmp_path / "a.png"), "--distance", "3", "--preset", "hou-2020"]
-    code, _, err = run("degrade", *arguments, "--water", "II", "--out", str(tmp_path / "b.png"))
-    assert code != 0
-    assert "holds one transmission, which no water replaces" in err

@@ -75,12 +75,6 @@ def test_tank_rows(model, turbidity):
     assert preset.color_space == "linear"
 
 
-def test_with_g_1_there_is_no_forward_scatter():
-    medium = load_preset("tank-reference-3").medium
-    z = torch.linspace(0, 2, 9, dtype=torch.float64)
-    torch.testing.assert_close(medium.signal(z), medium.transmission(z), atol=0.002, rtol=0)
-
-
 @pytest.mark.parametrize("name", PRINTED)
 @pytest.mark.parametrize("water", [None, "IA", Water.jerlov("9C")], ids=str)
 def test_spectral_rows(name, water):
@@ -154,11 +148,6 @@ def test_unknown_name_lists_the_known(name):
     message = rf"no preset is called '{name}'; there are akkaynak-2018, .*, tank-reference-4"
     with pytest.raises(ValueError, match=message):
         load_preset(name)
-
-
-def test_missing_file():
-    with pytest.raises(FileNotFoundError, match=r"nowhere\.toml"):
-        load_preset("nowhere.toml")
 
 
 def test_water_and_camera_take_the_place_of_spectra_only(tmp_path):

@@ -160,7 +160,7 @@ class Counter:
         rate = self.done / max(now - self._start, 1e-9)
         if self._progress is not None and self._task is not None:
             self._progress.update(self._task, advance=1, rate=f"{rate:.3g}/s")
-        elif now - self._printed > _PAUSE:
+        elif now - self._printed > _PAUSE and self.done < self._total:
             self._printed = now
             left = (self._total - self.done) / rate
             line = f"{self.done} of {self._total}, {rate:.3g}/s, {left:.0f} s left"
