@@ -60,7 +60,7 @@ def test_new_draws_go_to_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
         return [aug.make_params(picture(b), torch.Generator().manual_seed(3)) for b in (None, 4)]
 
     before = records()
-    monkeypatch.setitem(QUANTITIES, "new", Quantity(0.0, 1.0, maps=()))
+    monkeypatch.setitem(QUANTITIES, "new", Quantity((0.0, 1.0), maps=()))
     assert records() == before
 
 

@@ -12,7 +12,7 @@ from uwaug.io.read import name_of
 from uwaug.jobs.items import Items
 from uwaug.jobs.picture import Result
 from uwaug.jobs.recipe import Recipe
-from uwaug.jobs.sidecar import Sidecar, sidecar_of
+from uwaug.jobs.sidecar import sidecar_of
 from uwaug.labels import LabelSource
 
 COLUMNS = (
@@ -114,7 +114,9 @@ def write_labels(items: Items, recipe: Recipe, source: LabelSource) -> None:
     records = []
     for output in [items.out / items.name] if items.name else _outputs_in(items.out):
         sidecar = sidecar_of(output)
-        if sidecar is not None and _is_of(sidecar, recipe):
+        if sidecar is None or sidecar.labels is None:
+            continue
+        if sidecar.recipe["labels"] == recipe.labels:
             records.append(sidecar.labels)
     if records:
         source.write_run(records, items.out)
@@ -126,7 +128,3 @@ def _outputs_in(out: Path) -> Iterator[Path]:
         for line in csv.DictReader(file):
             if line["status"] != "failed":
                 yield out / line["output"]
-
-
-def _is_of(sidecar: Sidecar, recipe: Recipe) -> bool:
-    return sidecar.labels is not None and sidecar.recipe["labels"] == recipe.labels

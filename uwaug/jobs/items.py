@@ -300,7 +300,9 @@ def preflight(items: Items, recipe: Recipe, *, resume: bool = False, force: bool
     inputs = {_real(path) for item in items for path in (item.input, item.distance)}
 
     def outputs_of(item: Item) -> list[str]:
-        places = [_real(path) for path in written_by(item, recipe)]
+        terms = TERMS if recipe.keep_terms else ()
+        written = [item.output, *(terms_path(item.output, term) for term in terms)]
+        places = [_real(path) for path in written]
         if not inputs.isdisjoint(places):
             got = f"{item.output}, made of {item.input}"
             raise ValueError(f"{got}, would be written over what is read: another folder?")
@@ -330,12 +332,6 @@ def preflight(items: Items, recipe: Recipe, *, resume: bool = False, force: bool
             got = f"was made with other options ({', '.join(other)})"
             raise ValueError(f"{item.output} {got}: give the same ones, or another folder")
         return
-
-
-def written_by(item: Item, recipe: Recipe) -> list[Path]:
-    """The pictures that an item makes."""
-    terms = TERMS if recipe.keep_terms else ()
-    return [item.output, *(terms_path(item.output, term) for term in terms)]
 
 
 def _real(path: Any) -> str:

@@ -28,7 +28,7 @@ class Quantity:
     """A number that each picture draws.
 
     Attributes:
-        low, high: its domain; infinity itself is never allowed.
+        domain: its least and its largest value; infinity itself is never allowed.
         unit: of the number.
         log: whether it is drawn uniformly in its logarithm.
         whole: whether it is a whole number below the end of its range.
@@ -36,34 +36,28 @@ class Quantity:
         maps: the kinds of distance map that it means something for.
     """
 
-    low: float
-    high: float
+    domain: tuple[float, float]
     unit: str = ""
     log: bool = False
     whole: bool = False
     makes_medium: bool = False
     maps: tuple[str, ...] = get_args(DistanceKind)
 
-    @property
-    def domain(self) -> tuple[float, float]:
-        """Its least and its largest value."""
-        return self.low, self.high
-
 
 QUANTITIES = {
-    "mixing": Quantity(*DOMAIN["mixing"], makes_medium=True),
-    "visibility": Quantity(*DOMAIN["visibility"], "m", log=True, makes_medium=True),
-    "vertical_depth": Quantity(*DOMAIN["vertical_depth"], "m", makes_medium=True),
-    "g": Quantity(*DOMAIN["g"], makes_medium=True),
-    "mu": Quantity(*DOMAIN["mu"], makes_medium=True),
-    "blur_factor": Quantity(*DOMAIN["blur_factor"], makes_medium=True),
-    "near": Quantity(*DOMAIN["near"], "m", maps=("relative", "inverse")),
-    "far": Quantity(*DOMAIN["far"], "m", maps=("relative", "inverse")),
-    "gamma": Quantity(*DOMAIN["gamma"], maps=("relative",)),
-    "distance": Quantity(*DOMAIN["distance"], "m"),
-    "contrast": Quantity(*DOMAIN["contrast"], log=True, makes_medium=True),
-    "exposure": Quantity(*DOMAIN["exposure"], "stops"),
-    "light": Quantity(0.0, math.inf, whole=True),
+    "mixing": Quantity(DOMAIN["mixing"], makes_medium=True),
+    "visibility": Quantity(DOMAIN["visibility"], "m", log=True, makes_medium=True),
+    "vertical_depth": Quantity(DOMAIN["vertical_depth"], "m", makes_medium=True),
+    "g": Quantity(DOMAIN["g"], makes_medium=True),
+    "mu": Quantity(DOMAIN["mu"], makes_medium=True),
+    "blur_factor": Quantity(DOMAIN["blur_factor"], makes_medium=True),
+    "near": Quantity(DOMAIN["near"], "m", maps=("relative", "inverse")),
+    "far": Quantity(DOMAIN["far"], "m", maps=("relative", "inverse")),
+    "gamma": Quantity(DOMAIN["gamma"], maps=("relative",)),
+    "distance": Quantity(DOMAIN["distance"], "m"),
+    "contrast": Quantity(DOMAIN["contrast"], log=True, makes_medium=True),
+    "exposure": Quantity(DOMAIN["exposure"], "stops"),
+    "light": Quantity((0.0, math.inf), whole=True),
 }
 """By the name of the option that gives a number or a range of it, in the order in which they are
 drawn. A new one goes to the end, so that keys of `RandomUnderwater.at` keep their pictures.
