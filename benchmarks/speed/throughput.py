@@ -53,7 +53,7 @@ PARTS: dict[str, tuple[tuple[Any, str], ...]] = {
         (forming, "choose"),
     ),
     "decode": ((forming, "_decoded"),),
-    "distance": ((transforms, "metres_of"),),
+    "distance": ((transforms, "to_metres"),),
     "medium": ((transforms.RandomUnderwater, "_setup"),),
     "field": ((transforms, "random_field"),),
     "exposure": ((forming.Scene, "_metered"),),

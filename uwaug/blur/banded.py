@@ -38,6 +38,12 @@ from uwaug.blur.kernels import (
 Index = NDArray[np.int64]
 
 
+def mirrored(index: Index, size: int) -> Index:
+    """Fold indices into [0, size), half-sample symmetric."""
+    index = index % (2 * size)
+    return np.minimum(index, 2 * size - 1 - index)
+
+
 class Run(NamedTuple):
     """`repeats` equal blocks of a matrix, one below the other: each `height` rows, and `step`
     columns further on.
@@ -118,9 +124,7 @@ class Kernels(NamedTuple):
         """Rows `start` to `stop` of A: the first column in use, and the weights from there on."""
         columns = self.starts(start, stop)[:, None] + np.arange(self.taps)
         if self.reflects:
-            # half-sample symmetric
-            columns = columns % (2 * cols)
-            columns = np.minimum(columns, 2 * cols - 1 - columns)
+            columns = mirrored(columns, cols)
         low, high = int(columns.min()), int(columns.max())
         rows, width = stop - start, high + 1 - low
         weights = self.weights[(np.arange(start, stop) - self.shift) % len(self.first)]

@@ -81,23 +81,18 @@ def skipped(distance: Tensor | None, kind: DistanceKind, unknown: Unknown) -> bo
     return not finite.numel() or bool((finite == finite[0]).all())
 
 
-def to_metres(distance: Tensor, scaling: Scaling, kind: DistanceKind, unknown: Unknown) -> Tensor:
-    """A map of one picture (1xHxW), in metres, every pixel known.
+def to_metres(
+    distance: Tensor, scaling: Scaling, kind: DistanceKind, unknown: Unknown
+) -> Tensor | RowSource:
+    """A map of one picture (1xHxW), in metres, every pixel known; of a large picture in rows.
 
     Raises:
         UnknownDistanceError: if pixels are unknown and `unknown` does not say what they get.
         ValueError: if the map is of another kind.
     """
-    return _completed(_scale(distance, scaling, kind)(distance), unknown)
-
-
-def metres_of(
-    distance: Tensor, scaling: Scaling, kind: DistanceKind, unknown: Unknown
-) -> Tensor | RowSource:
-    """A map of one picture (1xHxW), in metres, every pixel known; of a large picture in rows."""
     height, width = distance.shape[-2:]
     if not is_large((height, width)):
-        return to_metres(distance, scaling, kind, unknown)
+        return _completed(_scale(distance, scaling, kind)(distance), unknown)
     rows = metres_by_rows(distance, scaling, kind, unknown)
     return RowSource(rows, (1, height, width), single(distance[:, :0]))
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Protocol
 import torch
 from torch import Tensor
 
-from uwaug.distance.sample import DistanceKind, Scaling, Unknown, metres_of, skipped
+from uwaug.distance.sample import DistanceKind, Scaling, Unknown, skipped, to_metres
 from uwaug.formation.engine import recorded_engine
 from uwaug.formation.field import random_field
 from uwaug.formation.scene import Scene
@@ -93,7 +93,7 @@ class KnownWater:
         name: of the water.
         setup: what pictures are taken with; by default the view is 60° wide.
         field_range: least and largest value of the medium field; None for water without.
-        kind, unknown, scaling: of the maps, see `uwaug.distance.sample.metres_of`.
+        kind, unknown, scaling: of the maps, see `uwaug.distance.sample.to_metres`.
     """
 
     name: str
@@ -117,7 +117,7 @@ class KnownWater:
         size, field = (image.shape[-2], image.shape[-1]), None
         setup = replace(self.setup, focal_px=focal_of(self.setup.focal_px, size[1]))
         with deterministic(image):
-            metres = metres_of(distance.contiguous(), self.scaling, self.kind, self.unknown)
+            metres = to_metres(distance.contiguous(), self.scaling, self.kind, self.unknown)
             if self.field_range is not None:
                 like = metres if isinstance(metres, Tensor) else metres.like
                 field = random_field(size, drawn["field_seed"], *self.field_range, like)

@@ -19,8 +19,8 @@ from uwaug.distance.sample import (
     Scaling,
     Unknown,
     as_unknown,
-    metres_of,
     skipped,
+    to_metres,
 )
 from uwaug.formation.engine import expected_engine
 from uwaug.formation.field import random_field
@@ -453,7 +453,7 @@ class RandomUnderwater(SampleTransform):
             z = image.new_full((1, 1, 1), numbers["distance"], dtype=dtype).expand(1, *size)
         else:
             scaling = Scaling(*(numbers.get(name, math.nan) for name in Scaling._fields))
-            z = metres_of(distance.contiguous(), scaling, self.distance_kind, self._unknown)
+            z = to_metres(distance.contiguous(), scaling, self.distance_kind, self._unknown)
         setup, water, contents, depth = self._setup(params, z)
         field = None
         if params.field_seed is not None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from uwaug._support.cache import Cache
-from uwaug.blur.banded import Kind, Node, whole
+from uwaug.blur.banded import Kind, Node, mirrored, whole
 from uwaug.blur.kernels import blur_kernel
 from uwaug.blur.plan import V_FLOOR, BlurPlan, place_line
 from uwaug.optics.medium import Medium
@@ -265,8 +265,7 @@ def _beyond(first: Indices, weights: Floats, size: int) -> int:
 
 def _mirrored(margin: int, size: int) -> Indices:
     """Places on an axis, half-sample symmetric, from `margin` before its start on."""
-    index = np.arange(-margin, size + margin) % (2 * size)
-    return np.minimum(index, 2 * size - 1 - index)
+    return mirrored(np.arange(-margin, size + margin), size)
 
 
 # ------------------------------------------------------------------------------ transposes
