@@ -167,7 +167,18 @@ def test_every_sweep_is_fitted() -> None:
 
 
 def test_charts_are_drawn(tmp_path: Path) -> None:
-    figures = (charts.frontier_figure(FRONTIER), charts.scaling_figure(SCALING))
+    # to place the labels of all panels takes seconds
+    shown = [
+        (len(panel["entries"]), name)
+        for name, panel in FRONTIER["panels"].items()
+        if (panel["size"], panel["threads"]) == charts.SHOWN
+    ]
+    panels = {name: FRONTIER["panels"][name] for _, name in sorted(shown)[:3]}
+    assert len(panels) == 3
+    figures = (
+        charts.frontier_figure({**FRONTIER, "panels": panels}),
+        charts.scaling_figure(SCALING),
+    )
     for number, figure in enumerate(figures):
         path = tmp_path / f"{number}.png"
         figure.savefig(path, dpi=30)

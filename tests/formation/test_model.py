@@ -218,7 +218,7 @@ def test_all_scattered_light_leaves_the_line_of_sight() -> None:
 
 def test_one_pixel_of_open_water_does_not_spoil_the_others() -> None:
     # its distance stretches the range that the blur is planned for
-    image, z = torch.from_numpy(reference.picture(40, 40))[None], 4 + 8 * rand(1, 1, 40, 40)
+    image, z = torch.from_numpy(reference.picture(24, 24))[None], 4 + 8 * rand(1, 1, 24, 24)
     open_water = z.clone()
     open_water[..., 0, 0] = math.inf
     laws = PointSpread.calibrated(35.0), PointSpread(2.0, 1.0)

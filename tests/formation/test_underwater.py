@@ -169,8 +169,12 @@ def test_tensors_move_with_the_module() -> None:
 @pytest.mark.filterwarnings("ignore:.*script_method:DeprecationWarning")
 def test_compiles_whole() -> None:
     torch._dynamo.reset()
-    degrade = Underwater(coastal(point_spread=PointSpread(2.0, 0.6)), learnable=True)
-    image, z, field = picture(), distances(), 0.7 + 0.6 * torch.rand(1, 1, 32, 40)
+    # few blurs, on the image's own grid and on a coarse one: each takes the compiler a second
+    medium = coastal(point_spread=PointSpread(3.0, 0.6))
+    degrade = Underwater(medium, (1.0, 2.0), learnable=True)
+    assert {cell == 1 for cell in degrade.plan((32, 40)).cells} == {True, False}
+    image, field = picture(), 0.95 + 0.1 * torch.rand(1, 1, 32, 40)
+    z = 1.1 + 0.7 * torch.rand(1, 1, 32, 40)
     compiled = torch.compile(degrade, fullgraph=True)
     expected, result = degrade(image, z, field), compiled(image, z, field)
     torch.testing.assert_close(result, expected, rtol=0, atol=2e-5)
@@ -179,8 +183,6 @@ def test_compiles_whole() -> None:
     gradients = [torch.autograd.grad((r * weight).sum(), parameters) for r in (expected, result)]
     for a, b in zip(*gradients, strict=True):
         torch.testing.assert_close(a, b, rtol=1e-3, atol=1e-3)
-    with torch.no_grad():
-        torch.testing.assert_close(compiled(image, z, field), expected, rtol=0, atol=2e-5)
 
 
 def test_compiles_for_every_size() -> None:

@@ -20,7 +20,6 @@ from uwaug.jobs.ray import Shards, degrade, run_on_ray
 
 ray = pytest.importorskip("ray")
 pytestmark = [
-    pytest.mark.xdist_group("ray"),
     # Ray warns of itself, and leaves pipes of the processes that it starts to the system
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),
     pytest.mark.filterwarnings("ignore::ResourceWarning"),

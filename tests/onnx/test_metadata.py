@@ -69,7 +69,7 @@ def test_the_module_comes_back_from_its_file(module, tmp_path) -> None:
     options = Options() if len(module.medium) == 1 else Options(parameters="inputs")
     again = read_module(bare(tmp_path / "a.onnx", module, options))
     assert again.plan((64, 80)) == module.plan((64, 80))
-    for name in ("sides", "distance_range", "color_space", "exposure", "tolerance", "camera"):
+    for name in ("sides", "distance_range", "color_space", "exposure", "tolerance", "pinhole"):
         assert getattr(again, name) == getattr(module, name), name
     assert again.medium.notes == module.medium.notes
     assert str(again.medium.point_spread) == str(module.medium.point_spread)

@@ -10,7 +10,6 @@ import numpy as np
 import torch
 from scipy.fft import dctn, idctn
 from scipy.ndimage import gaussian_filter
-from scipy.optimize import brentq
 from scipy.stats import halfnorm
 
 from uwaug.optics.camera import load_camera
@@ -66,19 +65,24 @@ def medium_curves(medium: Any, z: np.ndarray, row: int = 0) -> Curves:
     return Curves(*(np.moveaxis(p, -1, 0) for p in parts))
 
 
-def matched(sigma: float) -> float:
-    """The parameter of the sampled Gaussian whose variance is sigma²; sigma itself from .75 px on,
-    to 1e-3.
+def matched(sigma: np.ndarray) -> np.ndarray:
+    """Parameters s (N) of the sampled Gaussians whose variances are sigma² (N); sigma itself from
+    .75 px on, to 1e-3. By Newton's method for the logarithm of the variance over −1/(2s²), which
+    is almost a straight line.
     """
-    if sigma >= 0.75 or sigma == 0:
-        return sigma
-    n = np.arange(-12, 13)
-
-    def excess(s: float) -> float:
-        taps = np.exp(-0.5 * (n / s) ** 2)
-        return float((n**2 * taps).sum() / taps.sum()) - sigma**2
-
-    return float(brentq(excess, 0.03, 1.0)) if excess(0.03) < 0 else 0.0
+    parameter = sigma.astype(np.float64)
+    narrow = (sigma > 1e-100) & (sigma < 0.75)
+    wanted = 2 * np.log(parameter[narrow])[:, None]
+    squares = np.arange(1, 13) ** 2
+    power = wanted - math.log(2)  # where only the taps at ±1 px count
+    for _ in range(20):
+        taps = np.exp(power * squares)
+        total = 0.5 + taps.sum(1, keepdims=True)
+        variance = (squares * taps).sum(1, keepdims=True) / total
+        fourth = (squares**2 * taps).sum(1, keepdims=True) / total
+        power = power - (np.log(variance) - wanted) / (fourth / variance - variance)
+    parameter[narrow] = np.sqrt(-0.5 / power[:, 0])
+    return parameter
 
 
 def gaussian_rows(centres: np.ndarray, sigma: np.ndarray, size: int) -> np.ndarray:
@@ -106,7 +110,7 @@ def varying_gaussian(
     at = np.arange(h * w) if at is None else at
     wide = np.broadcast_to(sigma, (h, w)).reshape(-1)[at]
     values, where = np.unique(wide, return_inverse=True)
-    wide = np.array([matched(float(s)) for s in values])[where]
+    wide = matched(values)[where]
     out = np.empty((c, len(at)))
     for chunk in np.array_split(np.argsort(wide), math.ceil(len(at) / 1024)):
         rows = gaussian_rows(at[chunk] // w, wide[chunk], h)
@@ -121,8 +125,8 @@ def gaussian(image: np.ndarray, sigma: float) -> np.ndarray:
     shows.
     """
     if sigma < 4:
-        widths = (0, matched(sigma), matched(sigma))
-        return gaussian_filter(image, widths, mode="reflect", truncate=9)
+        width = float(matched(np.array([sigma]))[0])
+        return gaussian_filter(image, (0, width, width), mode="reflect", truncate=9)
     _, h, w = image.shape
     squared = np.add.outer((np.arange(h) / (2 * h)) ** 2, (np.arange(w) / (2 * w)) ** 2)
     transfer = np.exp(-2 * (np.pi * sigma) ** 2 * squared)
@@ -139,8 +143,8 @@ def mixed_waves(h: int, w: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     for size in (h, w):
         f = np.arange(size) / (2 * size)
         rows = np.exp(-2 * (np.pi * np.outer(widths, f)) ** 2)
-        for row, s in zip(rows, widths[widths < 4], strict=False):
-            n, width = np.arange(-36, 37), matched(float(s))
+        n = np.arange(-36, 37)
+        for row, width in zip(rows, matched(widths[widths < 4]), strict=False):
             taps = np.exp(-0.5 * (n / width) ** 2) if width else 1.0 * (n == 0)
             row[:] = taps @ np.cos(2 * np.pi * np.outer(n, f)) / taps.sum()
         axes.append(rows)
