@@ -133,7 +133,10 @@ class CocoLabels:
         images: list[Entry] = []
         annotations: list[Entry] = []
         for record in ordered:
-            image = self._image(record)
+            if record["picture"] not in self.images:
+                got = f"a record of {record['picture']!r}"
+                raise ValueError(f"{self.path}: {got}, which is no image of it: run anew")
+            image = self.images[record["picture"]]
             judged = {entry["key"]: entry for entry in record["objects"]}
             number = len(images) + 1 if anew else image["id"]
             for entry in self.annotations[image["id"]]:
@@ -142,17 +145,14 @@ class CocoLabels:
                     raise ValueError(
                         f"{where}: {record['output']!r} was judged without it: run anew"
                     )
-                changed = {**entry, "image_id": number, **_judged(judged[entry["id"]])}
+                judgement = judged[entry["id"]]
+                changed = {**entry, "image_id": number, "contrast": judgement["contrast"]}
+                if judgement["ignored"]:
+                    changed["iscrowd"] = 1
                 annotations.append(_numbered(changed, len(annotations) + 1, anew=anew))
             renamed = {**image, "file_name": plain_name(record["output"])}
             images.append(_numbered(renamed, number, anew=anew))
         return {**self.content, "images": images, "annotations": annotations}
-
-    def _image(self, record: Record) -> Entry:
-        if record["picture"] not in self.images:
-            got = f"a record of {record['picture']!r}"
-            raise ValueError(f"{self.path}: {got}, which is no image of it: run anew")
-        return self.images[record["picture"]]
 
 
 @dataclass(frozen=True)
@@ -198,12 +198,6 @@ def _meet(name: str, other: str) -> bool:
     parts = [PurePosixPath(path).with_suffix("").parts for path in (name, other)]
     shorter, longer = sorted(parts, key=len)
     return longer[-len(shorter) :] == shorter
-
-
-def _judged(judgement: Record) -> Entry:
-    """What a judgement adds to an annotation."""
-    iscrowd = {"iscrowd": 1} if judgement["ignored"] else {}
-    return {"contrast": judgement["contrast"], **iscrowd}
 
 
 def _numbered(entry: Entry, number: Any, *, anew: bool) -> Entry:

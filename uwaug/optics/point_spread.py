@@ -151,7 +151,10 @@ class PointSpread:
             lengths (BxC'xHxW tensor): scattering lengths b̄·z, ≥ 0.
             size: (height, width) of the image, px; None for px of `reference_size`.
         """
-        scale, exponent = (_over_pixels(value, lengths) for value in self.numbers().values())
+        scale, exponent = (
+            value.reshape(-1, 1, 1, 1).to(lengths) if isinstance(value, Tensor) else value
+            for value in self.numbers().values()
+        )
         return width_at(lengths, scale * pixel_scale(self.reference_size, size), exponent)
 
     def __str__(self) -> str:
@@ -171,11 +174,6 @@ def width_at(lengths: Tensor, scale: float | Tensor, exponent: float | Tensor) -
     if isinstance(exponent, Tensor) or exponent != 1:
         x = x**exponent  # ONNX Runtime would compute x^1
     return scale * x
-
-
-def _over_pixels(value: float | Tensor, like: Tensor) -> Any:
-    """A number of the law in the shape of images."""
-    return value.reshape(-1, 1, 1, 1).to(like) if isinstance(value, Tensor) else value
 
 
 def _require_values(name: str, value: Tensor, low: float, high: float) -> None:
