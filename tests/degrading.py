@@ -35,8 +35,13 @@ def from_coefficients(beta: tuple[float, ...] | Tensor, G: tuple[float, ...]) ->
 
 
 def two_waters() -> Medium:
-    waters = [Water.jerlov(t) for t in ("I", "9C")]
-    return Medium.stack([Medium.from_water(water, point_spread=LAW) for water in waters])
+    """Each with a width law of its own."""
+    laws = {"I": (1.2, 0.8), "9C": (2.0, 0.7)}
+    media = []
+    for name, (scale, exponent) in laws.items():
+        law = PointSpread(torch.tensor([scale]), torch.tensor([exponent]))
+        media.append(Medium.from_water(Water.jerlov(name), point_spread=law))
+    return Medium.stack(media)
 
 
 MEDIA = {

@@ -8,7 +8,6 @@ from torch.func import functional_call, grad, jacrev
 from uwaug.formation.learnable import LearnableMedium
 from uwaug.formation.underwater import Underwater
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import JERLOV_TYPES
 
 Z = torch.cat([torch.zeros(1), torch.logspace(-6, 6, 400), torch.tensor([math.inf])]).double()
@@ -34,6 +33,10 @@ def test_it_starts_at_the_medium(medium: Medium) -> None:
     begun = LearnableMedium(medium)()
     for one, other in zip(begun.tensors(), medium.tensors(), strict=True):
         torch.testing.assert_close(one.detach(), other, rtol=1e-5, atol=2e-6)
+    for name in ("scale", "exponent"):
+        numbers = [getattr(which.point_spread, name) for which in (begun, medium)]
+        each = [torch.as_tensor(n).detach().double().expand(len(medium)) for n in numbers]
+        torch.testing.assert_close(*each, rtol=1e-5, atol=2e-6)
     for name in ("transmission", "signal", "backscatter"):
         curves = [getattr(which, name)(Z).detach() for which in (begun, medium)]
         # farther on, a rate of 0, which begins as 1e-6/m, can be told from it
@@ -138,12 +141,3 @@ def test_parameters_may_be_given_at_the_call() -> None:
         for name, parameter in module.named_parameters():
             parameter.copy_(given[name])
     torch.testing.assert_close(module(image, z).square().mean(), loss(given))
-
-
-def test_learned_numbers_of_each_row() -> None:
-    law = PointSpread(torch.tensor([1.0, 2.0]), torch.tensor([0.7, 0.9]))
-    beta = torch.tensor([[0.6, 0.3, 0.25], [0.5, 0.4, 0.3]])
-    medium = Medium.from_coefficients(beta, beta / 2, beta / 3, point_spread=law)
-    begun = LearnableMedium(medium)().point_spread
-    torch.testing.assert_close(begun.scale.detach(), law.scale)
-    torch.testing.assert_close(begun.exponent, law.exponent)

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from inputs import rand
 from referees import reference
 
-from uwaug.blur.stack import varying_blur
 from uwaug.formation.demand import blur_demand
 from uwaug.formation.model import form_image
 from uwaug.formation.scene import Terms
@@ -143,14 +142,22 @@ def test_one_image_without_a_batch() -> None:
     assert form_image(image, z.expand(2, 1, 9, 12), medium).image.shape == (2, 3, 9, 12)
 
 
-def test_per_image_width_laws() -> None:
-    laws = (
+LAWS = {
+    "of each image": (
         PointSpread(torch.tensor([0.5]), 0.5),
         PointSpread(torch.tensor([3.0]), torch.tensor([1.0])),
         PointSpread(0.0),
-    )
-    medium = Medium.stack([coefficients(3, law) for law in laws])
-    image, z = torch.from_numpy(reference.picture(30, 30))[None], distances(1, 1, 30, 30)
+    ),
+    "in pixels": (PointSpread(2.0, 0.5),),
+    "for 10 px": (PointSpread(2.0, 0.5, reference_size=10.0),),
+    "for 400 px": (PointSpread(2.0, 0.5, reference_size=400.0),),
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_width_laws(name) -> None:
+    medium = Medium.stack([coefficients(3, law) for law in LAWS[name]])
+    image, z = torch.from_numpy(reference.picture(28, 44))[None], distances(1, 1, 28, 44)
     check(form_image(image, z, medium), image, z, medium)
 
 
@@ -165,13 +172,6 @@ def test_a_batch_of_focal_lengths(order) -> None:
         alone = form_image(image, z, medium, order=order).forward[0]
         # the batch has one plan, of more blurs
         assert reference.psnr(together.forward[i], alone) >= 54
-
-
-@pytest.mark.parametrize("reference_size", [None, 10.0, 400.0])
-def test_resolution_of_the_width_law(reference_size) -> None:
-    medium = coefficients(3, PointSpread(2.0, 0.5, reference_size=reference_size))
-    image, z = torch.from_numpy(reference.picture(28, 60))[None], distances(1, 1, 28, 60)
-    check(form_image(image, z, medium), image, z, medium)
 
 
 def test_an_exponential_point_spread() -> None:
@@ -311,15 +311,6 @@ def test_tighter_tolerance_is_nearer() -> None:
         found.append(reference.psnr(forward[0], exact))
     assert found[0] < found[1] < found[2]
     assert found[2] >= 74
-
-
-def test_forward_scatter_is_the_blurred_scene() -> None:
-    medium = coefficients()
-    image = torch.from_numpy(reference.picture(40, 44))[None]
-    z = distances(1, 1, 40, 44)
-    share = medium.signal(z) - medium.transmission(z)
-    blurred = varying_blur(image, medium.width(z, (40, 44)), tolerance=0.0002)
-    assert reference.psnr(form_image(image, z, medium).forward, share * blurred) >= 57
 
 
 @pytest.mark.parametrize("dtype, precision", [(torch.float32, 3e-5), (torch.float64, 1e-12)])

@@ -86,11 +86,6 @@ def test_terms(name: str) -> None:
     signal = (case.medium.signal(case.distance)[0] / light(case)) ** case.field
     assert_close(lit * direct, case.direct)
     assert_close(lit * (signal - direct), case.forward)
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_veil(name: str) -> None:
-    case = load(name)
     terms = form_image(case.image, case.veil_distance, case.medium)
     assert_close(terms.backscatter, case.backscatter)
 

@@ -101,8 +101,9 @@ LEAVES = (
 )
 
 
-@pytest.mark.parametrize("order", ["line_of_sight", "source"])
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=["float32", "float64"])
+@pytest.mark.parametrize(
+    "dtype, order", [(torch.float32, "line_of_sight"), (torch.float64, "source")], ids=str
+)
 @pytest.mark.parametrize("name", SINGULAR)
 def test_singular_points(name, dtype, order) -> None:
     case = SINGULAR[name]

@@ -6,7 +6,7 @@ import json
 
 import pytest
 import torch
-from degrading import coastal, distances, picture
+from degrading import LAW, coastal, distances, picture
 from torch import nn
 
 import uwaug
@@ -14,62 +14,41 @@ from uwaug import Medium, PointSpread, Underwater, Water, form_image
 from uwaug.formation import Scene, Setup
 
 
-def start(**options: object) -> Underwater:
-    return Underwater(coastal(), **options)
+def start(water: str = "3C", law: PointSpread = LAW, **options: object) -> Underwater:
+    medium = Medium.from_water(Water.jerlov(water), point_spread=law)
+    return Underwater(medium, **options)
+
+
+KINDS = [
+    ({}, {"color_space": "linear"}, "color_space is srgb there and linear here"),
+    ({"order": "source"}, {}, "order is source there and line_of_sight here"),
+    ({"sides": (32, 64)}, {"sides": (32, 96)}, r"sides is \[32, 64\] there and \(32, 96\)"),
+    ({"exposure": "auto"}, {}, "exposure is auto there and none here"),
+    ({"distance_range": None}, {}, "demand is None there"),
+    ({}, {"tolerance": 0.001}, "tolerance is .* there"),
+    ({"law": PointSpread(1.2, 0.6)}, {}, ""),
+    ({"law": PointSpread(1.2, 0.8, "exponential")}, {}, ""),
+    ({"law": PointSpread(1.2, 0.8, reference_size=512.0)}, {}, ""),
+]
+DEMANDS = [  # what learns plans anew
+    ({"distance_range": (0.1, 2.0)}, {}, "demand is .* there and .* here"),
+    ({"law": PointSpread(3.0, 0.8)}, {}, ""),
+    # of as many rates
+    ({"water": "5C", "sides": (32, 512)}, {"sides": (32, 512)}, "demand is .* there and .* here"),
+]
 
 
 @pytest.mark.parametrize(
-    ("there", "here", "message"),
-    [
-        ({}, {"color_space": "linear"}, "color_space is srgb there and linear here"),
-        ({"order": "source"}, {}, "order is source there and line_of_sight here"),
-        ({"sides": (32, 64)}, {"sides": (32, 96)}, r"sides is \[32, 64\] there and \(32, 96\)"),
-        ({"exposure": "auto"}, {}, "exposure is auto there and none here"),
-        ({"distance_range": None}, {}, "demand is None there"),
-        ({}, {"tolerance": 0.001}, "tolerance is .* there"),
-    ],
+    ("learnable", "there", "here", "message"),
+    [(False, *case) for case in (*KINDS, *DEMANDS)] + [(True, *case) for case in KINDS],
 )
-@pytest.mark.parametrize("learnable", [False, True])
-def test_the_state_of_another_kind_of_module_is_refused(there, here, message, learnable):
+def test_the_state_of_another_kind_of_module_is_refused(learnable, there, here, message):
     theirs = start(learnable=learnable, **there)
     mine = start(learnable=learnable, **here)
     before = mine(picture(), distances()).detach()
     with pytest.raises(ValueError, match=f"state_dict is of an Underwater .*: .*{message}"):
         mine.load_state_dict(theirs.state_dict())
     assert torch.equal(mine(picture(), distances()), before)
-
-
-@pytest.mark.parametrize(
-    "law",
-    [
-        PointSpread(3.0, 0.8),
-        PointSpread(1.2, 0.6),
-        PointSpread(1.2, 0.8, "exponential"),
-        PointSpread(1.2, 0.8, reference_size=512.0),
-    ],
-)
-def test_the_state_of_another_width_law_is_refused(law):
-    theirs = Underwater(coastal(point_spread=law)).state_dict()
-    with pytest.raises(ValueError, match="state_dict is of an Underwater of another kind"):
-        start().load_state_dict(theirs)
-
-
-def test_the_state_of_another_water_is_refused_if_its_plan_is_another():
-    def module(name: str) -> Underwater:
-        return Underwater(Medium.from_water(Water.jerlov(name)), sides=(32, 512))
-
-    theirs, mine = module("5C"), module("3C")
-    assert {k: v.shape for k, v in theirs.state_dict().items() if k != "_extra_state"} == {
-        k: v.shape for k, v in mine.state_dict().items() if k != "_extra_state"
-    }
-    with pytest.raises(ValueError, match=r"demand is .* there and .* here"):
-        mine.load_state_dict(theirs.state_dict())
-
-
-def test_the_state_for_another_range_is_refused():
-    theirs = start(distance_range=(0.1, 2.0)).state_dict()
-    with pytest.raises(ValueError, match=r"demand is .* there and .* here"):
-        start().load_state_dict(theirs)
 
 
 def test_a_plan_made_anew_while_learning_comes_with_the_state():

@@ -10,6 +10,7 @@ from referees import reference
 from torch import Tensor
 
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
+from uwaug.formation.demand import EVERY_SIDE
 from uwaug.formation.model import form_image
 from uwaug.formation.underwater import Underwater
 from uwaug.optics.medium import Medium
@@ -216,21 +217,51 @@ def test_the_plan_depends_on_size_and_range() -> None:
     assert near.sigma_max < Underwater(coastal()).plan((100, 100)).sigma_max
 
 
+def test_with_sides_pictures_of_all_sizes_share_a_plan():
+    medium = coastal(point_spread=PointSpread.paper(0.8))
+    degrade = Underwater(medium, sides=(32, 700))
+    plans = {degrade.plan(size) for size in ((1, 1), (33, 40), (700, 900), (3000, 4000))}
+    assert plans == {degrade.demand.plan_all((32, 700))}
+    assert "for short sides of 32…700 px" in repr(degrade)
+    sized = Underwater(medium)
+    assert sized.sides is None
+    assert sized.plan((33, 40)) != sized.plan((700, 900))
+
+
+@pytest.mark.parametrize("law", [PointSpread(40.0, 0.5), PointSpread.none()])
+def test_a_law_that_knows_no_size_has_one_plan_anyway(law):
+    degrade = Underwater(coastal(point_spread=law))
+    assert degrade.sides == EVERY_SIDE
+    assert degrade.plan((1, 1)) == degrade.plan((4000, 6000))
+    # an exponential shape asks for no blurs much wider than the picture
+    assert Underwater(coastal(point_spread=PointSpread.calibrated(60.0))).sides is None
+
+
 @pytest.mark.parametrize(
-    "change, match",
+    "change, error, message",
     [
-        ({"color_space": "rgb"}, "color_space.*rgb"),
-        ({"distance_range": (5.0, 1.0)}, r"distance_range.*\(5.0, 1.0\)"),
-        ({"distance_range": (-1.0, 1.0)}, r"distance_range.*-1"),
-        ({"distance_range": (math.nan, 1.0)}, r"distance_range.*nan"),
-        ({"order": "backwards"}, "order.*backwards"),
-        ({"tolerance": 0.0}, "tolerance.*0"),
-        ({"tolerance": -1.0}, "tolerance.*-1"),
-        ({"tolerance": math.nan}, "tolerance.*nan"),
+        ({"color_space": "rgb"}, ValueError, "color_space.*rgb"),
+        ({"order": "backwards"}, ValueError, "order.*backwards"),
+        ({"tolerance": 0.0}, ValueError, "tolerance.*0"),
+        ({"tolerance": math.nan}, ValueError, "tolerance.*nan"),
+        ({"distance_range": (5.0, 1.0)}, ValueError, r"distance_range.*\(5.0, 1.0\)"),
+        ({"distance_range": (-1.0, 1.0)}, ValueError, r"distance_range.*-1"),
+        ({"distance_range": (math.nan, 1.0)}, ValueError, r"distance_range.*nan"),
+        ({"sides": (64, 32)}, ValueError, r"sides must be whole numbers, 1 ≤ smallest ≤ largest"),
+        ({"sides": (0, 32)}, ValueError, r"sides must be .*, got \(0, 32\)"),
+        ({"sides": (32, 1e6)}, ValueError, r"≤ 16384 px, got \(32, 1000000.0\)"),
+        ({"sides": (32, 64.5)}, ValueError, r"sides must be whole numbers"),
+        ({"sides": (32, math.nan)}, ValueError, r"sides must be whole numbers"),
+        ({"sides": 512}, TypeError, r"sides must be \(smallest, largest\) .*, got 512"),
+        ({"sides": ()}, TypeError, r"sides must be \(smallest, largest\) .*, got \(\)"),
+        ({"sides": ("a", "b")}, TypeError, r"sides must be \(smallest, largest\)"),
+        ({"distance_range": 5.0}, TypeError, r"distance_range must be .* in metres, got 5\.0"),
+        ({"distance_range": (1, 2, 3)}, TypeError, r"distance_range must be .* got \(1, 2, 3\)"),
+        ({"distance_range": None, "sides": (32, 64)}, ValueError, "sides need a distance_range"),
     ],
 )
-def test_construction_rejects(change: dict[str, object], match: str) -> None:
-    with pytest.raises(ValueError, match=match):
+def test_construction_rejects(change, error, message) -> None:
+    with pytest.raises(error, match=message):
         Underwater(coastal(), **change)
 
 
@@ -239,22 +270,15 @@ def test_construction_wants_a_medium() -> None:
         Underwater(Water.jerlov("7C"))
 
 
-@pytest.mark.parametrize(
-    "image, distance, error, match",
-    [
-        (255 * picture(), distances(), ValueError, r"image reaches 2\d\d.*255"),
-        ((255 * picture()).int(), distances(), TypeError, "image.*int32"),
-        (picture(), distances() * math.nan, ValueError, "distance.*NaN"),
-        (picture(), -distances(), ValueError, "distance.*negative"),
-        (picture(), distances(16, 40), ValueError, r"distance.*\(16, 40\)"),
-    ],
-    ids=["0…255", "integers", "nan", "negative", "size"],
-)
-def test_forward_rejects(
-    image: Tensor, distance: Tensor, error: type[Exception], match: str
-) -> None:
-    with pytest.raises(error, match=match):
-        Underwater(coastal())(image, distance)
+def test_forward_rejects_what_form_image_rejects() -> None:
+    """Of whose refusals there is a table in test_inputs.py; and pictures of 0…255."""
+    degrade = Underwater(coastal())
+    with pytest.raises(ValueError, match=r"image reaches 2\d\d.*255"):
+        degrade(255 * picture(), distances())
+    with pytest.raises(TypeError, match=r"image.*int32"):
+        degrade((255 * picture()).int(), distances())
+    with pytest.raises(ValueError, match=r"distance.*NaN"):
+        degrade(picture(), distances() * math.nan)
 
 
 @pytest.mark.parametrize("exposure", ["none", "auto"])
