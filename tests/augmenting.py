@@ -7,11 +7,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from uwaug import Camera, Light, PointSpread, RandomUnderwater, Water
+from uwaug import Camera, Constituents, Light, PointSpread, RandomUnderwater, Water
 from uwaug.transforms.random_underwater import SURVEY
 
 H, W = 24, 33
 TANK = Water([400, 550, 700], [0.5, 0.2, 0.7], [1.3, 1.1, 1.0], [0.7, 0.3, 0.8], name="tank")
+COAST = Constituents(chlorophyll=(1, 20), cdom=(0.1, 2), minerals=0.5)
 LASERS = Camera([450, 550, 600], [[0, 0, 1], [0, 1, 0], [1, 0, 0]], name="lasers")
 EVERYTHING = {
     "mixing": (0.0, 1.0),
@@ -41,6 +42,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "one water": {"waters": "7C"},
     "weights": {"waters": {"II": 3.0, "9C": 0, TANK: 1.5}},
     "everything random": EVERYTHING,
+    "contents": {"waters": [COAST, "II", TANK], "mixing": (0.0, 1.0)},
     "cameras": {"cameras": ["sigma sdmerill (npl)", LASERS]},
     "calibrated": {"point_spread": PointSpread.calibrated(28.6), "g": 0.05, "mu": 0.075},
     "heavy tails": {"point_spread": PointSpread(1.0, 0.6, "exponential")},

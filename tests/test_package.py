@@ -91,6 +91,7 @@ def test_heavy_packages_are_heavy() -> None:
 PUBLIC = [
     "JERLOV_TYPES",
     "Camera",
+    "Constituents",
     "KeepVisible",
     "Light",
     "Medium",
@@ -108,6 +109,7 @@ PUBLIC = [
     "gaussian_random_field",
     "list_presets",
     "load_camera",
+    "load_water",
     "load_preset",
 ]
 ROOMS = [

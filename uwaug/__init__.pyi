@@ -19,10 +19,12 @@ from .formation import gaussian_random_field as gaussian_random_field
 from .light import Light as Light
 from .optics import JERLOV_TYPES as JERLOV_TYPES
 from .optics import Camera as Camera
+from .optics import Constituents as Constituents
 from .optics import Medium as Medium
 from .optics import PointSpread as PointSpread
 from .optics import Water as Water
 from .optics import load_camera as load_camera
+from .optics import load_water as load_water
 from .presets import Preset as Preset
 from .presets import list_presets as list_presets
 from .presets import load_preset as load_preset

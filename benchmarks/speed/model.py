@@ -30,7 +30,7 @@ from benchmarks.harness import (
 )
 from uwaug.blur.plan import plan_blur
 from uwaug.blur.stack import varying_blur
-from uwaug.optics.reduction import WAVELENGTHS
+from uwaug.optics.spectra import WAVELENGTHS
 
 MU = 0.3  # of `Medium.from_water`
 

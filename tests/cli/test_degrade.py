@@ -133,6 +133,39 @@ def test_a_record_holds_from_any_folder(degrade, run, monkeypatch):
     assert (code, "is the first one" in err) == (2, True)
 
 
+def test_drawn_contents_are_recorded_and_come_back(degrade):
+    given = ("--distance", "z.npy", "--water", "chlorophyll=1:20,cdom=0.3", "--variants", "2")
+    degrade("good.png", *given, "--out", "out")
+    names = {Sidecar.read(path).water for path in Path("out").glob("*.json")}
+    assert len(names) == 2
+    drawn = [uwaug.Constituents.parse(name) for name in names]
+    ranges = uwaug.Constituents(chlorophyll=(1, 20), cdom=0.3)
+    assert all(ranges.holds(contents) for contents in drawn)
+    record = next(iter(Path("out").glob("*.json")))
+    assert "the same bytes" in degrade("--from", str(record), "--out", "again")
+
+
+def test_a_water_of_ones_own(degrade, run, monkeypatch):
+    rows = "400,0.5,1.3,0.7\n550,0.2,1.1,0.3\n700,0.7,1.0,0.8\n"
+    Path("tank.csv").write_text("nm,a,b,kd\n" + rows)
+    Path("o.toml").write_text('waters = ["tank.csv"]')
+    degrade("good.png", "--distance", "z.npy", "--water", "tank.csv", "--out", "out")
+    random = ("--random", "--options", "o.toml")
+    degrade("good.png", "--distance", "z.npy", *random, "--out", "drawn")
+    Path("elsewhere").mkdir()
+    monkeypatch.chdir("elsewhere")
+    records = [
+        ("--from", f"../{out}/good.png.json", "--out", f"{out}.png") for out in ("out", "drawn")
+    ]
+    for record in records:
+        assert Sidecar.read(Path(record[1])).water.endswith("tank")
+        assert "the same bytes" in degrade(*record)
+    Path("../tank.csv").write_text(rows.replace("0.5", "0.6"))
+    for record in records:
+        code, _, err = run("degrade", *record, "--force")
+        assert (code, "tank.csv has changed since the record was written" in err) == (1, True)
+
+
 # Labels
 
 

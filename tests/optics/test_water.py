@@ -1,4 +1,6 @@
 import math
+from pathlib import Path
+from typing import Any
 
 import jerlov
 import numpy as np
@@ -6,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uwaug.optics.reduction import WAVELENGTHS
-from uwaug.optics.water import CONTRAST_THRESHOLD, JERLOV_TYPES, Water
+from uwaug.optics.spectra import WAVELENGTHS
+from uwaug.optics.water import CONTRAST_THRESHOLD, JERLOV_TYPES, Water, load_water
 
 NM = [400.0, 500.0, 600.0, 700.0]
 
@@ -330,3 +332,66 @@ def test_derived_waters_are_waters() -> None:
         assert hash(again) == hash(water)
         for key in ("wavelengths", "a", "b", "kd"):
             assert not getattr(water, key).flags.writeable
+
+
+# ---------------------------------------------------------------- by name, contents or file
+
+
+ROWS = "400,0.5,1.3,0.7\n550,0.2,1.1,0.3\n700,0.7,1.0,0.8\n"
+TANK = Water([400, 550, 700], [0.5, 0.2, 0.7], [1.3, 1.1, 1.0], [0.7, 0.3, 0.8], name="tank")
+
+
+@pytest.mark.parametrize("header", ["", "nm,a,b,K_d\n", "\ufeffwavelength, a, b, kd\r\n"])
+def test_water_from_a_file(tmp_path: Path, header: str) -> None:
+    path = tmp_path / "tank.csv"
+    path.write_text(header + ROWS)
+    for named in (path, str(path)):
+        water = load_water(named)
+        assert (water.name, water.provenance) == ("tank", ("a, b, K_d: tank.csv",))
+        for name in ("wavelengths", "a", "b", "kd"):
+            np.testing.assert_array_equal(getattr(water, name), getattr(TANK, name))
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("nm,a,b,kd\n", "no rows of wavelength, a, b, K_d"),
+        ("nm,a,kd,b\n" + ROWS, "line 1: expected four numbers, wavelength, a, b, K_d"),
+        (ROWS + "710,1,2\n", "line 4: expected four numbers"),
+        (ROWS + "710,1,-2,1\n", "b has 1 negative of 4 values, at 710 nm"),
+        (ROWS + "710,1,2,nan\n", "kd has 1 NaN or infinite of 4 values, at 710 nm"),
+        (ROWS + "650,1,2,1\n", "strictly ascending, but 700 is followed by 650"),
+    ],
+)
+def test_bad_file(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "tank.csv"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=message) as info:
+        load_water(path)
+    assert str(info.value).startswith(str(path))
+
+
+def test_water_by_name_and_contents() -> None:
+    assert load_water(TANK) is TANK
+    assert load_water("7c") == Water.jerlov("7C")
+    contents = {"chlorophyll": 5.0, "cdom": 0.3, "minerals": 1.5}
+    water = Water.from_constituents(**contents)
+    assert load_water("minerals=1.5, CDOM=.3,chlorophyll=5") == load_water(water.name) == water
+    named = Water.from_constituents(**contents, name="harbour")
+    assert named.name == "harbour"
+    np.testing.assert_array_equal(named.a, water.a)
+
+
+@pytest.mark.parametrize(
+    "water, error, message",
+    [
+        (7, TypeError, "water must be a Jerlov type, .* or a uwaug.Water, got 7"),
+        ("7D", ValueError, "type must be one of I, .*, got '7D'"),
+        ("chlorophyll=1:5", ValueError, "one number for each content, got 'chlorophyll=1:5'"),
+        ("salt=3", ValueError, r"expected a water such as chlorophyll=5.*, got 'salt=3'"),
+        ("nowhere.csv", FileNotFoundError, r"nowhere\.csv"),
+    ],
+)
+def test_no_such_water(water: Any, error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        load_water(water)

@@ -9,10 +9,19 @@ import torch
 from augmenting import LASERS, LIGHTS, TANK, H, W, brightness, distances, picture, result, same
 from torch import Tensor
 
-from uwaug import JERLOV_TYPES, Light, PointSpread, RandomUnderwater, Water, load_preset
+from uwaug import (
+    JERLOV_TYPES,
+    Constituents,
+    Light,
+    PointSpread,
+    RandomUnderwater,
+    Water,
+    load_preset,
+)
 from uwaug.distance.convert import from_relative
 
 NAMES = {
+    "Constituents": Constituents,
     "LASERS": LASERS,
     "LIGHTS": LIGHTS,
     "Light": Light,
@@ -106,6 +115,21 @@ def test_camera_from_a_file(tmp_path: Path) -> None:
     assert same(result(aug), result(RandomUnderwater(cameras=str(table))))
 
 
+def test_water_from_a_file_and_by_its_contents(tmp_path: Path) -> None:
+    rows = zip(TANK.wavelengths, TANK.a, TANK.b, TANK.kd, strict=True)
+    table = tmp_path / "tank.csv"
+    table.write_text("".join(f"{nm},{a},{b},{kd}\n" for nm, a, b, kd in rows))
+    for waters in (table, str(table), [table], {table: 2.0}):
+        aug = RandomUnderwater(waters)
+        assert aug.make_params(picture())["samples"][0]["waters"] == ["tank"]
+        assert same(result(aug), result(RandomUnderwater(TANK)))
+    lake = "chlorophyll=5,cdom=0.3"
+    of_text = result(RandomUnderwater(lake))
+    water = Water.from_constituents(chlorophyll=5, cdom=0.3)
+    assert same(of_text, result(RandomUnderwater(water)))
+    assert same(of_text, result(RandomUnderwater(Constituents(chlorophyll=5, cdom=0.3))))
+
+
 # Severity
 
 
@@ -143,6 +167,12 @@ def test_severity_takes_options() -> None:
         ({"waters": []}, "waters.*at least one"),
         ({"waters": {}}, "waters.*at least one"),
         ({"waters": ["7C", "8C"]}, "one of I, IA.*'8C'"),
+        ({"waters": "salt=3"}, "expected a water such as chlorophyll=5.*'salt=3'"),
+        ({"waters": "cdom=3:1"}, r"cdom must be a number ≥ 0 or .*got \(3.0, 1.0\)"),
+        (
+            {"waters": "cdom=1:3", "visibility": 100.0},
+            "visibility=100 does not suit water 'cdom=1'",
+        ),
         ({"waters": {"7C": -1.0, "1C": 2.0}}, r"waters.*weights.*\[-1.0, 2.0\]"),
         ({"waters": {"7C": 0.0}}, r"waters.*weights.*\[0.0\]"),
         ({"waters": {"7C": math.nan}}, "waters.*weights.*nan"),

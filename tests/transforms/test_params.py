@@ -1,4 +1,5 @@
 import itertools
+import json
 import math
 import pickle
 from collections.abc import Iterator
@@ -7,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from augmenting import EVERYTHING, LASERS, LIGHTS, TANK, distances, picture, same
+from augmenting import COAST, EVERYTHING, LASERS, LIGHTS, TANK, distances, picture, same
 
-from uwaug import JERLOV_TYPES, RandomUnderwater
+from uwaug import JERLOV_TYPES, Constituents, RandomUnderwater, Water
 from uwaug.transforms import collate_records
 from uwaug.transforms.params import QUANTITIES, Quantity
 
@@ -135,6 +136,35 @@ def test_probabilities(drawn: list[dict[str, Any]]) -> None:
     assert len(set(seeds)) == len(seeds)
 
 
+def test_contents_are_drawn_by_their_logarithm_and_with_equal_weight() -> None:
+    from scipy.stats import binomtest, kstest
+
+    aug = RandomUnderwater([COAST, "II"], contrast=None)
+    samples = aug.make_params(torch.empty(2000, 3, 1, 1), torch.Generator().manual_seed(4))
+    names = [sample["waters"][0] for sample in samples["samples"]]
+    assert binomtest(names.count("II"), 2000, 0.5).pvalue > 0.01
+    drawn = [Constituents.parse(name) for name in names if name != "II"]
+    assert all(COAST.holds(contents) for contents in drawn)
+    for name, (low, high) in (("chlorophyll", (1, 20)), ("cdom", (0.1, 2))):
+        shares = [math.log(getattr(contents, name) / low, high / low) for contents in drawn]
+        assert kstest(shares, "uniform").pvalue > 0.01
+
+
+def test_drawing_contents_leaves_all_other_draws_alone() -> None:
+    alone, beside = RandomUnderwater([TANK, "II"]), RandomUnderwater([COAST, "II"])
+    types = []
+    for seed in range(8):
+        records = [
+            aug.make_params(picture(), torch.Generator().manual_seed(seed))
+            for aug in (alone, beside)
+        ]
+        names = [record["samples"][0].pop("waters") for record in records]
+        assert records[0] == records[1]
+        assert (names[0] == ["II"]) == (names[1] == ["II"])
+        types += names[0]
+    assert set(types) == {"II", "tank"}
+
+
 # Records
 
 
@@ -166,6 +196,34 @@ def test_altered_records_are_refused(change: dict[str, Any], match: str) -> None
     record = aug.make_params(picture())
     record["samples"][0] |= change
     with pytest.raises(ValueError, match=match):
+        aug.transform(picture(), distances() + 1, record)
+
+
+def test_contents_replay_from_their_record() -> None:
+    aug = RandomUnderwater([COAST, "II"], mixing=(0.0, 1.0))
+    image, z = picture(6), distances(6) + 1
+    record = json.loads(json.dumps(aug.make_params(image, torch.Generator().manual_seed(2))))
+    assert torch.equal(aug.transform(image, z, record), aug.transform(image, z, record))
+    sample = next(s for s in record["samples"] if any("=" in name for name in s["waters"]))
+    name = next(name for name in sample["waters"] if "=" in name)
+    contents = Constituents.parse(name)
+    water = Water.from_constituents(
+        chlorophyll=contents.chlorophyll, cdom=contents.cdom, minerals=contents.minerals
+    )
+    fixed = RandomUnderwater([water, "II"], mixing=(0.0, 1.0))
+    one = {"samples": [sample]}
+    assert torch.equal(aug.transform(image[0], z[0], one), fixed.transform(image[0], z[0], one))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [COAST.name, "chlorophyll=2,cdom=0.5", "chlorophyll=2,cdom=0.5,minerals=9", "7C", "a.csv", 3],
+)
+def test_records_of_other_contents_are_refused(name: Any) -> None:
+    aug = RandomUnderwater([COAST, "II"])
+    record = aug.make_params(picture())
+    record["samples"][0]["waters"] = [name]
+    with pytest.raises(ValueError, match=r"params asks for .*, but this transform has chlorophyll"):
         aug.transform(picture(), distances() + 1, record)
 
 

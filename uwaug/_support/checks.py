@@ -26,6 +26,9 @@ DOMAIN = {
     "field_range": (0.0, math.inf),
     "contrast": (1e-3, 1.0),
     "exposure": (-10.0, 10.0),
+    "chlorophyll": (0.0, math.inf),
+    "cdom": (0.0, math.inf),
+    "minerals": (0.0, math.inf),
 }
 """Least and largest value of every quantity that may be drawn or read from a preset. Infinity
 itself is never allowed.

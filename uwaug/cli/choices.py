@@ -35,15 +35,15 @@ def complete_preset(incomplete: str) -> list[str]:
 
 
 def _water(text: str) -> str:
-    # types of a preset's own may be called as they like
+    # contents, files and types of a preset's own may be called as they like
     return text.upper() if text.upper() in WATERS else text
 
 
 def water_option(help: str, panel: str | None = None) -> Any:
-    """`--water`: a Jerlov type, also in small letters."""
+    """`--water`: a Jerlov type, also in small letters; its contents; or a file."""
     return typer.Option(
         help=help,
-        metavar="TYPE",
+        metavar="TYPE|CONTENTS|CSV",
         parser=_water,
         autocompletion=complete_water,
         rich_help_panel=panel,

@@ -77,7 +77,7 @@ def waters() -> None:
     from rich.table import Table
 
     from uwaug import Water, load_camera
-    from uwaug.optics.reduction import WAVELENGTHS
+    from uwaug.optics.spectra import WAVELENGTHS
 
     camera = load_camera("Nikon 5100 (NPL)")
     weights = camera.weights(WAVELENGTHS)

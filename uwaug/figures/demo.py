@@ -39,7 +39,7 @@ from uwaug.light.lit import planning_medium
 from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
-from uwaug.optics.water import Water
+from uwaug.optics.water import Water, load_water
 from uwaug.presets.preset import Preset
 from uwaug.presets.scene import Scene
 
@@ -73,12 +73,14 @@ class Case(NamedTuple):
 
 
 def water_case(water: str) -> Case:
-    """A Jerlov type with the defaults of `uwaug.Medium.from_water`.
+    """A water, as `uwaug.load_water` takes it, with the defaults of `uwaug.Medium.from_water`.
 
     Raises:
-        ValueError: if the type is unknown.
+        ValueError, OSError: as `uwaug.load_water`.
     """
-    return Case(f"Jerlov {water}", SETTING, Setup(Medium.from_water(water)))
+    loaded = load_water(water)
+    name = f"Jerlov {loaded.name}" if loaded.name in JERLOV_TYPES else loaded.name
+    return Case(name, SETTING, Setup(Medium.from_water(loaded)))
 
 
 def preset_case(preset: Preset) -> Case:

@@ -27,12 +27,17 @@ _FIXED: dict[str, Any] = {
 """Options of one water, as it is in nature, instead of a random one."""
 
 
+_SPECTRA = ("waters", "cameras")
+"""Options that may name CSV files."""
+
+
 @dataclass(frozen=True)
 class Recipe:
     """What is done to every picture. One of `water`, `preset`, `fit` and `random` says which water.
 
     Attributes:
-        water: a Jerlov type, as it is in nature; beside a preset, in place of the preset's.
+        water: what `uwaug.load_water` takes, as it is in nature, or the text of `Constituents`;
+            beside a preset, in place of the preset's.
         preset: name, or path of a TOML file.
         fit: path of what `uwaug fit` has written.
         random: waters as `RandomUnderwater` draws them.
@@ -80,12 +85,11 @@ class Recipe:
             TypeError, ValueError, OSError: if no picture could be degraded with it.
         """
         options = dict(self.options)
-        if "cameras" in options:
-            cameras = options["cameras"]
-            names = [cameras] if isinstance(cameras, str) else list(cameras)
-            options["cameras"] = [_absolute(name, ".csv") for name in names]
+        spectra = {name: _absolute_spectra(options[name]) for name in _SPECTRA if name in options}
+        options |= spectra
         recipe = replace(
             self,
+            water=_absolute(self.water, ".csv"),
             preset=_absolute(self.preset, ".toml"),
             fit=_absolute(self.fit),
             labels=_absolute(self.labels),
@@ -93,10 +97,11 @@ class Recipe:
             distance=replace(self.distance, network=_absolute(self.distance.network)),
         )
         recipe.open()
-        paths = [recipe.preset, recipe.fit, recipe.labels, recipe.distance.network]
+        paths = [recipe.water, recipe.preset, recipe.fit, recipe.labels, recipe.distance.network]
+        paths += [name for names in spectra.values() for name in names]
         content = {}
-        for path in (*paths, *options.get("cameras", ())):
-            if path is not None and os.path.isabs(path) and not os.path.isdir(path):
+        for path in paths:
+            if isinstance(path, str) and os.path.isabs(path) and not os.path.isdir(path):
                 content[path] = FileHash.of(path).sha256
         return replace(recipe, content=content)
 
@@ -191,6 +196,14 @@ class Recipe:
                 raise ValueError(f"{option}={value!r} would do nothing: {got}")
         kind, unknown = self.distance.map_kind, as_unknown(self.distance.unknown)
         return KnownWater(name, setup, field_range, kind, unknown, scaling)
+
+
+def _absolute_spectra(names: Any) -> Any:
+    """Waters or cameras, with absolute paths of files: a list, or a mapping to weights."""
+    if isinstance(names, Mapping):
+        return {_absolute(name, ".csv"): weight for name, weight in names.items()}
+    listed = names if isinstance(names, list | tuple) else [names]
+    return [_absolute(name, ".csv") for name in listed]
 
 
 def _absolute(path: Any, ending: str = "") -> Any:

@@ -3,9 +3,19 @@ distance and a width law.
 """
 
 from uwaug.optics.camera import Camera, load_camera
+from uwaug.optics.constituents import Constituents
 from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
-from uwaug.optics.water import Water
+from uwaug.optics.water import Water, load_water
 
-__all__ = ["JERLOV_TYPES", "Camera", "Medium", "PointSpread", "Water", "load_camera"]
+__all__ = [
+    "JERLOV_TYPES",
+    "Camera",
+    "Constituents",
+    "Medium",
+    "PointSpread",
+    "Water",
+    "load_camera",
+    "load_water",
+]

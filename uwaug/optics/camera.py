@@ -1,6 +1,5 @@
 """Cameras: how strongly red, green and blue respond to each wavelength."""
 
-import csv
 import os
 from dataclasses import dataclass
 from functools import cache, lru_cache
@@ -9,9 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from uwaug._support.atomic import require_regular
 from uwaug._support.types import Array
-from uwaug.optics.spectra import Spectra, spectrum, wavelength_axis
+from uwaug.optics.spectra import Spectra, read_spectra, spectrum, wavelength_axis
 
 _CHANNELS = ("red", "green", "blue")
 
@@ -165,33 +163,8 @@ def _bundled(name: str) -> Camera:
 
 
 def _read_csv(path: Path) -> Camera:
-    require_regular(path)
-    table: list[list[float]] = []
-    with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
-        reader = csv.reader(file)
-        header = True
-        try:
-            for row in reader:
-                if not any(cell.strip() for cell in row):
-                    continue
-                try:
-                    wavelength, red, green, blue = row
-                    table.append([float(cell) for cell in (wavelength, red, green, blue)])
-                except ValueError:
-                    initials = [cell.strip()[:1].lower() for cell in row]
-                    if not header or len(row) != 4 or initials[1:] != ["r", "g", "b"]:
-                        # what it says instead is not shown: a preset of somebody else may name a
-                        # file that is none of theirs
-                        where = f"{path}, line {reader.line_num}"
-                        expected = "four numbers, wavelength, R, G, B, separated by commas"
-                        raise ValueError(f"{where}: expected {expected}") from None
-                header = False
-        except csv.Error as error:
-            raise ValueError(f"{path}, line {reader.line_num}: {error}") from None
-    if not table:
-        raise ValueError(f"{path}: no rows of wavelength, R, G, B")
-    values = np.array(table)
+    table = read_spectra(path, ("wavelength", "R", "G", "B"))
     try:
-        return Camera(values[:, 0], values[:, 1:], path.stem)
+        return Camera(table[:, 0], table[:, 1:], path.stem)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error

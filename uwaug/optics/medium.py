@@ -59,7 +59,7 @@ from uwaug.optics.reduction import (
     reduced,
     spectral_note,
 )
-from uwaug.optics.water import Water
+from uwaug.optics.water import Water, load_water
 
 _TENSORS = ("beta", "direct_weights", "G", "signal_weights", "veil_weights", "b_mean")
 
@@ -108,7 +108,7 @@ class Medium:
 
     @staticmethod
     def from_water(
-        water: str | Water,
+        water: str | os.PathLike[str] | Water,
         camera: str | os.PathLike[str] | Camera = "Nikon 5100 (NPL)",
         *,
         vertical_depth: float = 1.0,
@@ -125,7 +125,8 @@ class Medium:
         """Reduce spectra to as few exponentials as the tolerance allows.
 
         Args:
-            water: spectra a, b, K_d; or the name of a Jerlov type.
+            water: spectra a, b, K_d; or a Jerlov type, contents or the path of a CSV file, see
+                `uwaug.load_water`.
             camera: a name, the path of a CSV file (see `uwaug.load_camera`), or a `Camera`.
             vertical_depth: d, depth of the scene below the surface, m, ≥ 0.
             g: share of the scattered light that leaves the line of sight, 0…1. Not the asymmetry of
@@ -148,11 +149,9 @@ class Medium:
 
         Raises:
             TypeError, ValueError: if an argument is no water, no number, or outside its domain.
-            OSError: if the camera's file cannot be read.
+            OSError: if the file of the water or the camera cannot be read.
         """
-        if isinstance(water, str):
-            water = Water.jerlov(water)
-        checks.instance("water", water, Water, "; see Water.jerlov")
+        water = load_water(water)
         numbers = {"vertical_depth": vertical_depth, "g": g, "mu": mu}
         for name, value in numbers.items():
             checks.within(name, value, *DOMAIN[name])

@@ -13,6 +13,7 @@ from uwaug._support import checks
 from uwaug._support.types import Array
 from uwaug.optics.bands import Forward
 from uwaug.optics.quadrature import reduce_rates
+from uwaug.optics.spectra import WAVELENGTHS
 from uwaug.optics.water import Water
 
 Downwelling = Literal["kd", "beam", "none"]
@@ -26,9 +27,6 @@ VeilRate = Literal["G", "beta"]
 
 USUAL = {"downwelling": "kd", "dims": "both", "veil_rate": "G", "forward": "image"}
 """The choices of the paper, and of `uwaug.RandomUnderwater`."""
-
-WAVELENGTHS = np.arange(400.0, 701.0, 5.0)
-"""nm, the 61 bands that stand for the integral."""
 
 _LOSSLESS = 1e-6
 """1/m, stands for G = 0, where the veil has the limit μ·b·E·z. Over 20 m it is off by 1e-5 of

@@ -1,13 +1,19 @@
 """Arrays over wavelength, checked, with value semantics."""
 
+import csv
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from uwaug._support.atomic import require_regular
 from uwaug._support.types import Array
+
+WAVELENGTHS = np.arange(400.0, 701.0, 5.0)
+"""nm, the 61 bands that stand for the integral."""
 
 
 class Spectra:
@@ -108,3 +114,44 @@ def _refuse(name: str, bad: NDArray[np.bool_], axis: Array, what: str, cure: str
     nm = axis[bad.reshape(axis.size, -1).any(axis=1)]
     where = ", ".join(f"{at:g}" for at in nm[:8]) + (", …" if nm.size > 8 else "")
     raise ValueError(f"{name} has {bad.sum()} {what} of {bad.size} values, at {where} nm: {cure}")
+
+
+def read_spectra(path: Path, columns: tuple[str, str, str] | tuple[str, str, str, str]) -> Array:
+    """The table (N, columns) of a CSV file: wavelengths, then spectra, with or without one header
+    line, whose cells begin like `columns`.
+
+    Raises:
+        ValueError: if it is no such table; the message names the line.
+        OSError: if the file cannot be read.
+    """
+    require_regular(path)
+    named, table = ", ".join(columns), []
+    expected = [column[0].lower() for column in columns[1:]]
+    with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
+        reader = csv.reader(file)
+        header = True
+        try:
+            for row in reader:
+                if not any(cell.strip() for cell in row):
+                    continue
+                try:
+                    numbers = [float(cell) for cell in row]
+                except ValueError:
+                    numbers = []
+                initials = [cell.strip()[:1].lower() for cell in row]
+                if len(numbers) == len(columns):
+                    table.append(numbers)
+                elif not header or len(row) != len(columns) or initials[1:] != expected:
+                    # what it says instead is not shown: a preset of somebody else may name a file
+                    # that is none of theirs
+                    where = f"{path}, line {reader.line_num}"
+                    count = {3: "three", 4: "four"}[len(columns)]
+                    raise ValueError(
+                        f"{where}: expected {count} numbers, {named}, separated by commas"
+                    )
+                header = False
+        except csv.Error as error:
+            raise ValueError(f"{path}, line {reader.line_num}: {error}") from None
+    if not table:
+        raise ValueError(f"{path}: no rows of {named}")
+    return np.array(table)

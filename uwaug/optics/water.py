@@ -3,9 +3,11 @@ sees through it, and how much of what is in it that takes.
 """
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
+from pathlib import Path
 from typing import Self
 
 import numpy as np
@@ -13,14 +15,27 @@ from numpy.typing import ArrayLike
 
 from uwaug._support import checks
 from uwaug._support.types import Array
+from uwaug.optics.constituents import Constituents, optical_properties, pure_water
 from uwaug.optics.jerlov import JERLOV_TYPES, repaired_table
-from uwaug.optics.spectra import Spectra, common_axis, spectrum, wavelength_axis
+from uwaug.optics.spectra import (
+    WAVELENGTHS,
+    Spectra,
+    common_axis,
+    read_spectra,
+    spectrum,
+    wavelength_axis,
+)
 
 CONTRAST_THRESHOLD = 0.02
 """The contrast at which an object is no longer seen (Koschmieder 1924)."""
 
 _VISIBLE = (400.0, 700.0)
 """nm."""
+
+_BIO_OPTICAL = (
+    "a, b, K_d: bio-optical model of Bricaud et al. 1998, Loisel & Morel 1998, Haltrin 1999, Babin "
+    "et al. 2003 and Kirk 1984"
+)
 
 _NODES = 301
 """Wavelengths for the eye, 1 nm apart on a full range. The 61 bands of a medium would put the
@@ -127,6 +142,43 @@ class Water(Spectra):
         type = type.upper() if str(type).upper() in JERLOV_TYPES else type
         table = repaired_table(type, source)
         return cls(table.wavelengths, **table.spectra, name=type, provenance=table.provenance)
+
+    @classmethod
+    def from_constituents(
+        cls,
+        *,
+        chlorophyll: float = 0.0,
+        cdom: float = 0.0,
+        minerals: float = 0.0,
+        name: str | None = None,
+    ) -> Self:
+        """A water with these contents, at 400–700 nm: greens and browns that no Jerlov type has.
+
+        A bio-optical model of the literature; `uwaug/optics/constituents.py` has its equations and
+        sources, and how near it comes to the Jerlov types.
+
+        Args:
+            chlorophyll: of phytoplankton, mg/m³: .03 to .5 in the open ocean, 1 to 10 at coasts, up
+                to 100 in lakes.
+            cdom: absorption of coloured dissolved organic matter at 440 nm, 1/m: .01 in the ocean,
+                .1 to 1 at coasts, 10 in peat lakes.
+            minerals: suspended, g/m³: 0 in the ocean, .1 to 10 at coasts, 100 in rivers.
+            name: what to call it; None for the contents, as `load_water` reads them.
+
+        Raises:
+            ValueError: if a content is no number ≥ 0.
+
+        Examples:
+            >>> lake = Water.from_constituents(chlorophyll=12, cdom=0.8, minerals=2)
+            >>> lake, round(lake.visibility(), 1)
+            (Water('chlorophyll=12,cdom=0.8,minerals=2', 61 wavelengths, 400–700 nm), 1.0)
+        """
+        contents = {"chlorophyll": chlorophyll, "cdom": cdom, "minerals": minerals}
+        for content, value in contents.items():
+            checks.within(content, value, *checks.DOMAIN[content])
+        name = Constituents(**contents).name if name is None else name
+        table = optical_properties(**contents)
+        return cls(WAVELENGTHS, *table, name=name, provenance=(_BIO_OPTICAL,))
 
     def at(self, wavelengths: ArrayLike) -> Self:
         """This water on other wavelengths, by linear interpolation.
@@ -350,7 +402,7 @@ class Water(Spectra):
         if nm[0] < 300 or nm[-1] > 800:
             cure = "resample with .at() first"
             raise ValueError(f"pure water is tabulated at 300–800 nm, but {self} leaves it: {cure}")
-        absorption, scattering = _pure_water(nm.tobytes())  # an array is no key
+        absorption, scattering = pure_water(nm.tobytes())  # an array is no key
         a, b = np.minimum(self.a, absorption), np.minimum(self.b, scattering)
         return np.array([a, b, np.minimum(self.kd, a + b / 2)])
 
@@ -397,6 +449,54 @@ class Water(Spectra):
             raise ValueError(f"{asked} is outside {data}: nothing is extrapolated")
 
 
+def load_water(water: "str | os.PathLike[str] | Water") -> Water:
+    """A water by name, by its contents or from a file; a ``Water`` passes through.
+
+    Args:
+        water: a Jerlov type; contents such as "chlorophyll=5,cdom=0.3,minerals=1" (see
+            `Water.from_constituents`); or the path of a CSV file (a string that ends in ``.csv``,
+            or any path object) whose rows are wavelength [nm], a, b, K_d [1/m], separated by
+            commas, with or without one header line.
+
+    Raises:
+        TypeError: if ``water`` is none of these.
+        ValueError: if the name is unknown, a content has a range, or the file is no such table; the
+            message names the line.
+        OSError: if the file cannot be read.
+
+    Examples:
+        >>> load_water("7c"), load_water("chlorophyll=5,cdom=0.3").name
+        (Water('7C', 17 wavelengths, 300–700 nm), 'chlorophyll=5,cdom=0.3')
+    """
+    if isinstance(water, Water):
+        return water
+    if not isinstance(water, str | os.PathLike):
+        raise TypeError(
+            "water must be a Jerlov type, contents such as 'chlorophyll=5', the path of a CSV file "
+            f"or a uwaug.Water, got {water!r:.80}; see Water.jerlov"
+        )
+    if not isinstance(water, str) or water.lower().endswith(".csv"):
+        return _read_csv(Path(water))
+    if "=" not in water:
+        return Water.jerlov(water)
+    contents = Constituents.parse(water)
+    if not contents.fixed:
+        drawn = "RandomUnderwater draws from ranges, here is one water"
+        raise ValueError(f"water must have one number for each content, got {water!r}: {drawn}")
+    lows = {name: low for name, (low, _) in contents.ranges.items()}
+    return Water.from_constituents(
+        chlorophyll=lows["chlorophyll"], cdom=lows["cdom"], minerals=lows["minerals"]
+    )
+
+
+def _read_csv(path: Path) -> Water:
+    table = read_spectra(path, ("wavelength", "a", "b", "K_d"))
+    try:
+        return Water(*table.T, name=path.stem, provenance=(f"a, b, K_d: {path.name}",))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
 def _bracketed(name: str) -> str:
     return f"({name})" if " " in name else name
 
@@ -430,12 +530,3 @@ def _observer() -> tuple[Array, Array]:
 
     wavelengths, xyz = jerlov.cie_1931_cmf()
     return wavelengths, xyz[:, 1]
-
-
-@lru_cache(maxsize=16)
-def _pure_water(axis: bytes) -> Array:
-    """Absorption and scattering (2, N) of pure sea water at these wavelengths."""
-    import jerlov
-
-    nm = np.frombuffer(axis)
-    return np.array([jerlov.pure_water_absorption(nm), jerlov.pure_water_scattering(nm)])

@@ -21,7 +21,7 @@ from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.reduction import attenuations, light_and_veil
-from uwaug.optics.water import Water
+from uwaug.optics.water import Water, load_water
 from uwaug.presets.files import preset_path
 from uwaug.presets.schema import Config, read_config
 
@@ -149,7 +149,7 @@ class Preset:
 def load_preset(
     name_or_path: str | os.PathLike[str],
     *,
-    water: str | Water | None = None,
+    water: str | os.PathLike[str] | Water | None = None,
     camera: str | os.PathLike[str] | Camera | None = None,
     tolerance: float = 0.002,
     generator: torch.Generator | None = None,
@@ -159,8 +159,8 @@ def load_preset(
     Args:
         name_or_path: a name, see `list_presets`; or the path of a TOML file (a string that ends in
             ``.toml``, or any path object). `uwaug preset copy` copies one to make your own.
-        water: a Jerlov type ("I" … "9C") or a `Water` that takes the place of the preset's. Where
-            there are no spectra, one of the types that the file has figures for.
+        water: takes the place of the preset's, see `load_water`. Where there are no spectra, one of
+            the types that the file has figures for.
         camera: a camera that takes the place of the preset's, see `load_camera`.
         tolerance: largest error of a curve that was a spectrum; 0 keeps every band.
         generator: draws what the file holds as a range, a veil or a depth; None takes the middle.
@@ -219,7 +219,7 @@ def load_preset(
 def _spectra(
     config: Config,
     folder: Path,
-    water: str | Water | None,
+    water: str | os.PathLike[str] | Water | None,
     camera: str | os.PathLike[str] | Camera | None,
 ) -> dict[str, Any] | None:
     """Water, camera, g and mu, as `RandomUnderwater` names them; None if there are no spectra."""
@@ -234,7 +234,7 @@ def _spectra(
         name = config.water.camera
         camera = folder / name if name.lower().endswith(".csv") else name
     return {
-        "waters": water if isinstance(water, Water) else Water.jerlov(water),
+        "waters": load_water(water),
         "cameras": load_camera(camera),
         "g": config.medium.g,
         "mu": config.medium.mu,
@@ -271,7 +271,10 @@ def _spectral_medium(
 
 
 def _channel_medium(
-    config: Config, water: str | Water | None, depth: float, veil: list[float] | None
+    config: Config,
+    water: str | os.PathLike[str] | Water | None,
+    depth: float,
+    veil: list[float] | None,
 ) -> Medium:
     channels = config.channels
     assert channels is not None

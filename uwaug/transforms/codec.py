@@ -10,13 +10,16 @@ import numpy as np
 from uwaug.distance.network import DepthNetwork
 from uwaug.light import Light
 from uwaug.optics.camera import Camera
+from uwaug.optics.constituents import Constituents
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
 
 _CLASS = "uwaug"
 """The key that holds the name of a class."""
 
-_CLASSES = {kind.__name__: kind for kind in (Camera, DepthNetwork, PointSpread, Water)}
+_CLASSES = {
+    kind.__name__: kind for kind in (Camera, Constituents, DepthNetwork, PointSpread, Water)
+}
 """Made anew from the attributes that are named like the arguments of their constructors."""
 
 
@@ -70,7 +73,9 @@ def _encode(name: str, value: Any) -> Any:
         fields = inspect.signature(type(value)).parameters
         attributes = {field: _encode(name, getattr(value, field)) for field in fields}
         return {_CLASS: type(value).__name__, **attributes}
-    expected = "numbers, strings, or a Water, Camera, PointSpread, Light or DepthNetwork"
+    expected = (
+        "numbers, strings, or a Water, Constituents, Camera, PointSpread, Light or DepthNetwork"
+    )
     cure = "keep the pipeline in code, or pickle it"
     raise NotImplementedError(
         f"{name} cannot be written: expected {expected}, got {value!r:.80}; {cure}"

@@ -15,6 +15,7 @@ from uwaug._support import checks
 from uwaug._support.checks import DOMAIN
 from uwaug.distance.sample import DistanceKind
 from uwaug.formation.loops.backend import RecordedEngine
+from uwaug.optics.constituents import UNITS, Constituents
 
 Range = float | tuple[float, float]
 Record = dict[str, Any]
@@ -33,6 +34,7 @@ class Quantity:
         log: whether it is drawn uniformly in its logarithm.
         whole: whether it is a whole number below the end of its range.
         makes_medium: whether a range of it gives each picture a medium of its own.
+        content: whether `Constituents` draw it, for whoever has such waters; no option says it.
         maps: the kinds of distance map that it means something for.
     """
 
@@ -41,6 +43,7 @@ class Quantity:
     log: bool = False
     whole: bool = False
     makes_medium: bool = False
+    content: bool = False
     maps: tuple[str, ...] = get_args(DistanceKind)
 
 
@@ -58,9 +61,13 @@ QUANTITIES = {
     "contrast": Quantity(DOMAIN["contrast"], log=True, makes_medium=True),
     "exposure": Quantity(DOMAIN["exposure"], "stops"),
     "light": Quantity((0.0, math.inf), whole=True),
+    "chlorophyll": Quantity(DOMAIN["chlorophyll"], UNITS["chlorophyll"], content=True),
+    "cdom": Quantity(DOMAIN["cdom"], UNITS["cdom"], content=True),
+    "minerals": Quantity(DOMAIN["minerals"], UNITS["minerals"], content=True),
 }
-"""By the name of the option that gives a number or a range of it, in the order in which they are
-drawn. A new one goes to the end, so that keys of `RandomUnderwater.at` keep their pictures.
+"""By the name of the option (or of the content of a water) that gives a number or a range of it, in
+the order in which they are drawn. A new one goes to the end, so that keys of `RandomUnderwater.at`
+keep their pictures.
 """
 
 _CHOICES = ("applied", "first", "second", "camera", "field")
@@ -75,7 +82,8 @@ class Params:
 
     Attributes:
         applied: whether the picture is degraded at all.
-        waters: the name of one, or of two to be mixed.
+        waters: the name of one, or of two to be mixed; of drawn contents, that of
+            `Water.from_constituents`.
         camera: its name.
         field_seed: of the medium field; None for an even water.
         field_range: least and largest value of the field.
@@ -154,6 +162,7 @@ class Distribution:
 
     Attributes:
         waters: the weight of each, by name.
+        constituents: those of the waters whose contents are drawn, by name.
         cameras: names, of equal weight.
         ranges: (low, high) of each quantity that is drawn.
         field_range: (low, high) of the medium field.
@@ -161,6 +170,7 @@ class Distribution:
     """
 
     waters: Mapping[str, float]
+    constituents: Mapping[str, Constituents]
     cameras: tuple[str, ...]
     ranges: Mapping[str, tuple[float, float]]
     field_range: tuple[float, float]
@@ -170,7 +180,8 @@ class Distribution:
     @property
     def makes_media(self) -> bool:
         """Whether each picture gets a medium of its own."""
-        if "contrast" in self.ranges:  # at the picture's own distances
+        # a contrast is that at the picture's own distances
+        if "contrast" in self.ranges or self.constituents:
             return True
         return any(
             QUANTITIES[name].makes_medium and low < high
@@ -195,7 +206,9 @@ class Distribution:
                 numbers[name] = int(value) if whole else value
             params = Params(
                 applied=u["applied"] < self.p,
-                waters=tuple(names[bisect(weights, u[n] * weights[-1])] for n in which),
+                waters=tuple(
+                    self._drawn_water(names[bisect(weights, u[n] * weights[-1])], u) for n in which
+                ),
                 camera=self.cameras[int(u["camera"] * len(self.cameras))],
                 field_seed=seed if u["field"] < self.field_probability else None,
                 field_range=self.field_range,
@@ -204,6 +217,24 @@ class Distribution:
             )
             drawn.append(params)
         return drawn
+
+    def _drawn_water(self, name: str, shares: Mapping[str, float]) -> str:
+        """The name of a water that was picked, with what is drawn of its contents. Of two waters
+        both are drawn at the same shares of their ranges.
+        """
+        drawn_from = self.constituents.get(name)
+        return name if drawn_from is None else drawn_from.drawn(shares).name
+
+    def _require_water(self, name: Any) -> None:
+        """Refuse the name of a water that cannot have been drawn."""
+        if name in self.waters and name not in self.constituents:
+            return
+        if isinstance(name, str) and "=" in name:
+            contents = Constituents.parse(name)
+            if any(ranges.holds(contents) for ranges in self.constituents.values()):
+                return
+        has = ", ".join(self.waters)
+        raise ValueError(f"params asks for {name!r}, but this transform has {has}")
 
     def read(self, record: Any, count: int) -> list[Params]:
         """The params of each of `count` pictures from a record.
@@ -229,11 +260,11 @@ class Distribution:
                     f"params is of a transform with other options: they differ in {odd}"
                 )
             params = Params.from_dict(sample)
-            for names, choices in ((params.waters, self.waters), ((params.camera,), self.cameras)):
-                for name in names:
-                    if name not in choices:
-                        has = ", ".join(choices)
-                        raise ValueError(f"params asks for {name!r}, but this transform has {has}")
+            for name in params.waters:
+                self._require_water(name)
+            if params.camera not in self.cameras:
+                has = ", ".join(self.cameras)
+                raise ValueError(f"params asks for {params.camera!r}, but this transform has {has}")
             if "light" in self.ranges:
                 light, lights = params.numbers["light"], int(self.ranges["light"][1])
                 if light not in range(lights):

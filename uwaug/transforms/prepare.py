@@ -17,7 +17,7 @@ from uwaug.formation.scene import Scene
 from uwaug.optics.camera import Camera
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
-from uwaug.optics.water import CONTRAST_THRESHOLD, Water
+from uwaug.optics.water import CONTRAST_THRESHOLD, Water, load_water
 from uwaug.transforms.params import Params
 
 _DIMMEST = 2 / GAINS[1]
@@ -66,8 +66,14 @@ def deterministic(image: Tensor) -> Iterator[None]:
 def water_of(
     waters: Mapping[str, Water], params: Params, z: Tensor | RowSource
 ) -> tuple[Water, float]:
-    """The water of a picture with these distances, and the factor on what is in it."""
-    drawn = [waters[name] for name in params.waters]
+    """The water of a picture with these distances, and the factor on what is in it.
+
+    Args:
+        waters: by name; others are named by their contents.
+        params: of the picture.
+        z: its distances, m.
+    """
+    drawn = [waters[name] if name in waters else load_water(name) for name in params.waters]
     numbers, used = params.numbers, params.used
     water = drawn[0].mix(drawn[1], numbers["mixing"]) if len(drawn) > 1 else drawn[0]
     if used is not None:

@@ -29,10 +29,11 @@ from uwaug.formation.setup import Setup
 from uwaug.light import Light
 from uwaug.light.geometry import focal_of
 from uwaug.optics.camera import Camera, load_camera
+from uwaug.optics.constituents import Constituents
 from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.reduction import default_bands
-from uwaug.optics.water import Water
+from uwaug.optics.water import Water, load_water
 from uwaug.presets.preset import load_preset
 from uwaug.transforms.codec import decode_options, encode_options
 from uwaug.transforms.params import QUANTITIES, Distribution, Params, Range, Record, as_range
@@ -77,6 +78,8 @@ SURVEY: dict[str, Any] = {
 }
 """The set of the paper's survey."""
 
+AnyWater = str | os.PathLike[str] | Water | Constituents
+
 T = TypeVar("T")
 
 
@@ -90,7 +93,9 @@ class RandomUnderwater(SampleTransform):
     preset's figures.
 
     Args:
-        waters: Jerlov types or `Water` objects, drawn with equal weight (one that is given twice
+        waters: what `uwaug.load_water` takes (Jerlov types, contents, CSV files, `Water` objects),
+            and `Constituents` (or their text, such as "chlorophyll=1:20,cdom=.1:1"), whose contents
+            are drawn anew for each picture. Picked with equal weight (one that is given twice
             counts twice); or a mapping to weights.
         mixing: share of a second water, drawn like the first; 0 for none, (0, 1) for a continuous
             slider between types.
@@ -172,7 +177,7 @@ class RandomUnderwater(SampleTransform):
 
     def __init__(
         self,
-        waters: str | Water | Mapping[str | Water, float] | Iterable[str | Water] = GOOD_WATERS,
+        waters: AnyWater | Mapping[AnyWater, float] | Iterable[AnyWater] = GOOD_WATERS,
         *,
         mixing: Range = 0.0,
         contrast: Range | None = CONTRAST,
@@ -239,12 +244,22 @@ class RandomUnderwater(SampleTransform):
         self.light = light
         self._check_options()
         # what all pictures share: spectra, lights, what is drawn from
-        self.spectra = _spectra_of(self.waters)
+        named = _by_name("waters", [_loaded(water) for water in self.waters])
+        self._constituents = {
+            name: water for name, water in named.items() if isinstance(water, Constituents)
+        }
+        # at the bands that media are made from: mixing needs no interpolation
+        self.spectra = {
+            name: water.at(default_bands(water))
+            for name, water in named.items()
+            if isinstance(water, Water)
+        }
         self.responses = _by_name("cameras", [load_camera(camera) for camera in self.cameras])
         self._lights = _lights_of(light)
         self._unknown = as_unknown(unknown)
         self._distribution = Distribution(
-            waters=dict(zip(self.spectra, self.waters.values(), strict=True)),
+            waters=dict(zip(named, self.waters.values(), strict=True)),
+            constituents=self._constituents,
             cameras=tuple(self.responses),
             ranges=self._ranges(),
             field_range=as_range("field_range", field_range),
@@ -294,7 +309,7 @@ class RandomUnderwater(SampleTransform):
         cls,
         name_or_path: str | os.PathLike[str],
         *,
-        water: str | Water | None = None,
+        water: str | os.PathLike[str] | Water | None = None,
         camera: str | os.PathLike[str] | Camera | None = None,
         **options: Any,
     ) -> "RandomUnderwater":
@@ -522,9 +537,9 @@ class RandomUnderwater(SampleTransform):
         if self._lights:
             ranges["light"] = (0, len(self._lights))
         for name, quantity in QUANTITIES.items():
-            option = getattr(self, name)
-            if name == "light" or self.distance_kind not in quantity.maps:
+            if name == "light" or quantity.content or self.distance_kind not in quantity.maps:
                 continue
+            option = getattr(self, name)
             if name == "exposure" and isinstance(option, str):
                 continue
             if name == "distance" and callable(option):
@@ -539,7 +554,8 @@ class RandomUnderwater(SampleTransform):
             if self.distance_kind == "inverse" and near[0] == 0:
                 where = "above 0 m where distance_kind is 'inverse'"
                 raise ValueError(f"near must lie {where}, got {near}")
-        for water in self.spectra.values():
+        clearest = [load_water(water.clearest.name) for water in self._constituents.values()]
+        for water in (*self.spectra.values(), *clearest):
             for metres in ranges.get("visibility", ()):
                 try:
                     water.with_visibility(metres)
@@ -570,19 +586,20 @@ class RandomUnderwater(SampleTransform):
 
 
 _NO_SPECTRUM = (
-    " or the name of a Jerlov type. A picture, a fit or a medium has three coefficients and no "
-    "spectrum: give it to uwaug.Underwater, such as "
+    ", Constituents, or what uwaug.load_water takes. A picture, a fit or a medium has three "
+    "coefficients and no spectrum: give it to uwaug.Underwater, such as "
     "uwaug.Underwater(uwaug.fitting.red_channel_prior(…).medium)"
 )
 
 
-def _weights_of(waters: Any) -> dict[str | Water, float]:
+def _weights_of(waters: Any) -> dict[AnyWater, float]:
     """Each water's weight."""
     if isinstance(waters, (set, frozenset)):
         raise TypeError("waters must have an order, as draws follow it; got a set")
-    listed = [waters] if isinstance(waters, (str, Water)) else list(waters)
+    kinds = (str, os.PathLike, Water, Constituents)
+    listed = [waters] if isinstance(waters, kinds) else list(waters)
     for water in listed:
-        if not isinstance(water, str):
+        if not isinstance(water, kinds):
             checks.instance("waters", water, Water, _NO_SPECTRUM)
     weights = dict(waters if isinstance(waters, Mapping) else Counter(listed))
     values = list(weights.values())
@@ -591,10 +608,13 @@ def _weights_of(waters: Any) -> dict[str | Water, float]:
     return weights
 
 
-def _spectra_of(waters: Iterable[str | Water]) -> dict[str, Water]:
-    """The waters by name, at the bands that media are made from: mixing needs no interpolation."""
-    whole = [Water.jerlov(water) if isinstance(water, str) else water for water in waters]
-    return _by_name("waters", [water.at(default_bands(water)) for water in whole])
+def _loaded(water: AnyWater) -> Water | Constituents:
+    """A water, or the ranges that each picture draws one from."""
+    if isinstance(water, str) and "=" in water and not water.lower().endswith(".csv"):
+        water = Constituents.parse(water)
+    if isinstance(water, Constituents):
+        return load_water(water.name) if water.fixed else water
+    return load_water(water)
 
 
 def _by_name(option: str, spectra: list[Any]) -> dict[str, Any]:

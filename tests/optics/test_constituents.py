@@ -1,0 +1,129 @@
+"""Waters by what is in them: against the Jerlov types, pure water and the equations."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from uwaug import Constituents, Water
+
+# chlorophyll, CDOM and minerals that come nearest to the tables of a source, by fits of a, b, K_d
+SOLONENKO = {
+    "I": (0, 0.0077, 0),
+    "IA": (0.00059, 0.012, 0),
+    "IB": (0.032, 0.0085, 0.033),
+    "II": (0, 0, 0.49),
+    "III": (0, 0, 1.2),
+    "1C": (0, 0.09, 0.54),
+    "3C": (0, 0.1, 1.6),
+    "5C": (0, 0.25, 2),
+    "7C": (0.94, 0.44, 3),
+    "9C": (3.9, 0.9, 3.3),
+}
+WILLIAMSON = {
+    "IB": (0.21, 0.0075, 0.002),
+    "II": (0.35, 0.023, 0.0072),
+    "III": (0.74, 0.06, 0),
+    "1C": (0.98, 0.11, 0.1),
+    "3C": (1.8, 0.17, 0.17),
+    "5C": (4, 0.26, 0.29),
+}
+NM = np.arange(400.0, 701.0, 25.0)
+
+
+def of(chlorophyll: float, cdom: float, minerals: float) -> Water:
+    return Water.from_constituents(chlorophyll=chlorophyll, cdom=cdom, minerals=minerals)
+
+
+@pytest.mark.parametrize(
+    "source, contents, mean, worst",
+    [
+        # RMS of the logarithm of a, b, K_d, as the module says
+        ("solonenko2015", SOLONENKO, (0.105, 0.07, 0.08), (0.24, 0.2, 0.105)),
+        ("williamson2022", WILLIAMSON, (0.105, 0.03, 0.14), (0.175, 0.045, 0.225)),
+    ],
+)
+def test_near_the_jerlov_types(
+    source: str, contents: dict[str, tuple[float, float, float]], mean: Any, worst: Any
+) -> None:
+    apart = []
+    for type, amounts in contents.items():
+        table, model = Water.jerlov(type, source).at(NM), of(*amounts).at(NM)
+        pairs = ((model.a, table.a), (model.b, table.b), (model.kd, table.kd))
+        apart.append([np.sqrt(np.mean(np.log(mine / theirs) ** 2)) for mine, theirs in pairs])
+    assert (np.mean(apart, axis=0) < mean).all()
+    assert (np.max(apart, axis=0) < worst).all()
+
+
+def test_nothing_is_pure_water() -> None:
+    water, jerlov = Water.from_constituents(), Water.jerlov("I")
+    assert water.most_contrast(20) == pytest.approx(water.contrast(20), rel=1e-12)
+    assert water.at(NM).most_contrast(20) == pytest.approx(jerlov.at(NM).most_contrast(20), rel=0.1)
+    np.testing.assert_allclose(water.kd, (water.a + water.b / 2) / 0.9, rtol=1e-12)
+
+
+def test_the_equations_by_hand() -> None:
+    pure, at_440 = of(0, 0, 0), np.array([440.0])
+    w, water = pure.at(at_440), of(4, 0.5, 2).at(at_440)
+    a = w.a + 0.052019 * 4**0.634965 + 0.5 + 2 * 0.041 * math.exp(0.0123 * 3)
+    b = w.b + 0.347 * 4**0.766 + 2 * 1.1513 * (400 / 440) ** 1.7
+    lost = a + w.b / 2
+    kd = np.sqrt(lost**2 + 0.1925 * lost * (b - w.b)) / 0.9
+    np.testing.assert_allclose([water.a, water.b, water.kd], [a, b, kd], rtol=1e-6)
+    # little phytoplankton scatters more blue: (λ/660)^((log₁₀ C − .3)/2), at most ^−1
+    for chlorophyll, slope in ((0.2, (math.log10(0.2) - 0.3) / 2), (0.001, -1.0)):
+        b = of(chlorophyll, 0, 0).at(at_440).b - w.b
+        assert b == pytest.approx(0.347 * chlorophyll**0.766 * (440 / 660) ** slope, rel=1e-9)
+
+
+def test_what_waters_look_like() -> None:
+    """Where light goes farthest: blue in the ocean, green at coasts, red in peat."""
+    clearest = [water.wavelengths[water.beta.argmin()] for water in (of(0.03, 0.005, 0),)]
+    clearest += [w.wavelengths[w.beta.argmin()] for w in (of(5, 0.3, 1), of(5, 10, 1))]
+    assert clearest[0] < 500 < clearest[1] < 600 < clearest[2]
+
+
+@pytest.mark.parametrize("content", ["chlorophyll", "cdom", "minerals"])
+@pytest.mark.parametrize("value", [-1.0, math.nan, math.inf, "5", (1, 2)])
+def test_contents_that_no_water_has(content: str, value: Any) -> None:
+    with pytest.raises(ValueError, match=f"{content} must be finite and ≥ 0, got"):
+        Water.from_constituents(**{content: value})
+
+
+# Ranges
+
+
+@given(st.floats(1e-3, 50), st.floats(1, 30), st.fixed_dictionaries({"cdom": st.floats(0, 1)}))
+def test_draws_lie_in_their_ranges(low: float, ratio: float, shares: dict[str, float]) -> None:
+    ranges = Constituents(chlorophyll=3, cdom=(low, low * ratio))
+    drawn = ranges.drawn(shares)
+    assert drawn.fixed
+    assert ranges.holds(drawn)
+    assert drawn.cdom == pytest.approx(low * ratio ** shares["cdom"], rel=1e-3)
+    assert Constituents.parse(drawn.name) == drawn
+    assert Constituents.parse(ranges.name) == ranges
+    assert not ranges.holds(Constituents(chlorophyll=3.001, cdom=low))
+    assert not ranges.holds(Constituents(chlorophyll=3, cdom=low, minerals=1))
+
+
+@pytest.mark.parametrize("value", [-1, (0, 2), (3, 2), (1, math.inf), math.nan, (1, math.nan)])
+def test_ranges_that_are_none(value: Any) -> None:
+    with pytest.raises(
+        ValueError, match=r"cdom must be a number ≥ 0 or \(low, high\) with 0 < low"
+    ):
+        Constituents(cdom=value)
+
+
+@pytest.mark.parametrize("value", ["5", True, (1, 2, 3), None])
+def test_what_is_no_range(value: Any) -> None:
+    with pytest.raises(TypeError, match=r"minerals must be a number ≥ 0 or .*, in g/m³, got"):
+        Constituents(minerals=value)
+
+
+@pytest.mark.parametrize("text", ["", "=", "cdom", "cdom=", "cdom=1:2:3", "cdom=1,cdom=2", "a=1"])
+def test_texts_that_are_no_contents(text: str) -> None:
+    with pytest.raises(ValueError, match=r"expected a water such as chlorophyll=5,cdom=0.3"):
+        Constituents.parse(text)

@@ -1,0 +1,205 @@
+"""What is in a water, and what it does to light: a bio-optical model of chlorophyll, coloured
+dissolved organic matter (CDOM) and minerals.
+
+    a = a_w + A_p C^E_p + g e^(−.014 (λ − 440)) + .041 s e^(−.0123 (λ − 443))
+    b = b_w + .347 C^.766 (λ/660)^ν + 1.1513 s (400/λ)^1.7
+    K_d = √(A² + (.425 μ₀ − .19) A (b − b_w)) / μ₀,  A = a + b_w/2,  μ₀ = .9
+
+with C chlorophyll [mg/m³], g CDOM [1/m at 440 nm], s minerals [g/m³]. Particles that belong to the
+phytoplankton are in A_p; ν = (log₁₀ C − .3)/2 in [−1, 0] is 0 for C > 2. Against the tables of
+Jerlov's types, with the best C, g and s of each, at 400–700 nm, RMS of the logarithm (mean, worst
+type):
+
+    |                          | a        | b        | K_d      |
+    | Solonenko & Mobley 2015  | .10, .24 | .07, .20 | .08, .10 |
+    | Williamson & Hollins '22 | .10, .17 | .03, .04 | .14, .22 |
+    | the two from each other  | .37, .61 | .66, 1.3 | .11, .21 |
+
+The worst is type III, which Solonenko & Mobley let scatter 1/m and hardly absorb.
+Lost on the same tables: phytoplankton as .06 A(λ) C^.65 (a .16 with their own C, this .14),
+scattering by minerals as .51 (555/λ)^.3 (b .22), CDOM's slope .0176 (a .13 on the measured types),
+K_d as (a + b_b)/μ₀ (.26) and as Lee et al. 2005 (.09, this .06, from each type's own a and b). With
+half of the minerals' absorption type III is nearer (a .14), and muddy rivers would be too white.
+
+References:
+    A_p, E_p: Bricaud et al., J. Geophys. Res. 103 (1998), particles of Case 1 waters.
+    CDOM: Bricaud et al., Limnol. Oceanogr. 26 (1981).
+    Minerals: absorption, Babin et al., J. Geophys. Res. 108 (2003); scattering, the small
+        (terrigenic) particles of Haltrin, Appl. Opt. 38 (1999), as in Solonenko & Mobley (1.513 in
+        print there, a digit lost).
+    Scattering by phytoplankton: Loisel and Morel, Limnol. Oceanogr. 43 (1998); ν: Morel and
+        Maritorena, J. Geophys. Res. 106 (2001).
+    K_d: Kirk, Limnol. Oceanogr. 29 (1984). Pure water: see `Water.with_contrast`.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import cache, lru_cache
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from uwaug._support import checks
+from uwaug._support.types import Array
+from uwaug.optics.spectra import WAVELENGTHS, read_spectra
+
+UNITS = {"chlorophyll": "mg/m³", "cdom": "1/m at 440 nm", "minerals": "g/m³"}
+
+_MU_0 = 0.9
+"""Mean cosine of daylight below the surface. Solonenko & Mobley have .98 in the ocean and .85 at
+the coast.
+"""
+
+
+@dataclass(frozen=True)
+class Constituents:
+    """Ranges of what is in a water, from which `RandomUnderwater` draws one for each picture.
+
+    Each is a number or (low, high), drawn uniformly in its logarithm.
+
+    Args:
+        chlorophyll, cdom, minerals: in the units of `Water.from_constituents`, which says what
+            natural waters have.
+
+    Raises:
+        ValueError: if a range is none, negative, or begins at 0 and ends elsewhere.
+
+    Examples:
+        >>> lakes = Constituents(chlorophyll=(1, 50), cdom=(0.2, 5), minerals=1)
+        >>> lakes.name
+        'chlorophyll=1:50,cdom=0.2:5,minerals=1'
+        >>> Constituents.parse(lakes.name) == lakes
+        True
+    """
+
+    chlorophyll: float | tuple[float, float] = 0.0
+    cdom: float | tuple[float, float] = 0.0
+    minerals: float | tuple[float, float] = 0.0
+
+    def __post_init__(self) -> None:
+        for name, unit in UNITS.items():
+            value = getattr(self, name)
+            alone = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+            expected = f"a number ≥ 0 or (low, high) with 0 < low ≤ high, in {unit}"
+            low, high = checks.pair(name, (value, value) if alone else value, expected)
+            if not (0 < low <= high < math.inf or low == high == 0):
+                raise ValueError(f"{name} must be {expected}; got {value!r}")
+            object.__setattr__(self, name, low if low == high else (low, high))
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Constituents as one writes them on a command line.
+
+        Args:
+            text: such as "chlorophyll=5,cdom=0.3", or with ranges "chlorophyll=1:10,minerals=.5:5";
+                what is missing is 0.
+
+        Raises:
+            ValueError: if it is none of this.
+        """
+        ranges: dict[str, float | tuple[float, float]] = {}
+        for part in text.split(","):
+            name, _, value = part.partition("=")
+            name = name.strip().lower()
+            try:
+                numbers = tuple(float(number) for number in value.split(":"))
+            except ValueError:
+                numbers = ()
+            if name not in UNITS or name in ranges or len(numbers) not in (1, 2):
+                expected = "a water such as chlorophyll=5,cdom=0.3,minerals=1:10"
+                raise ValueError(f"expected {expected}, got {part.strip()!r:.80} in {text!r:.80}")
+            ranges[name] = numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1])
+        return cls(**ranges)
+
+    @property
+    def name(self) -> str:
+        """What `parse` reads; all that is not 0."""
+        texts = [f"{name}={_text(getattr(self, name))}" for name in UNITS if getattr(self, name)]
+        return ",".join(texts) or "chlorophyll=0"
+
+    @property
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """(low, high) of each."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: v if isinstance(v, tuple) else (v, v) for name, v in values.items()}
+
+    @property
+    def fixed(self) -> bool:
+        """Whether it is one water, with nothing to draw."""
+        return all(low == high for low, high in self.ranges.values())
+
+    @property
+    def clearest(self) -> Self:
+        """The one water with least of each."""
+        return self.drawn(dict.fromkeys(UNITS, 0.0))
+
+    def drawn(self, shares: Mapping[str, float]) -> Self:
+        """One water: each at this share (0…1) of the way from low to high, by its logarithm. Four
+        digits, so that a record that names the water says all of it.
+        """
+        values = {}
+        for name, (low, high) in self.ranges.items():
+            value = low if low == high else low * (high / low) ** shares[name]
+            values[name] = min(max(float(f"{value:.4g}"), low), high)
+        return type(self)(**values)
+
+    def holds(self, other: "Constituents") -> bool:
+        """Whether `other` is one of the waters that can be drawn."""
+        mine, theirs = self.ranges, other.ranges
+        return other.fixed and all(mine[n][0] <= theirs[n][0] <= mine[n][1] for n in UNITS)
+
+
+def _text(value: float | tuple[float, float]) -> str:
+    # the shortest text that is the same number again
+    numbers = value if isinstance(value, tuple) else (value,)
+    return ":".join(repr(number).removesuffix(".0") for number in numbers)
+
+
+def optical_properties(chlorophyll: float, cdom: float, minerals: float) -> Array:
+    """a, b and K_d (3, N) [1/m] at `WAVELENGTHS` of a water with these contents."""
+    absorption, scattering = pure_water(WAVELENGTHS.tobytes())
+    a = absorption + cdom * _cdom() + minerals * _minerals()[0]
+    by_particles = minerals * _minerals()[1]
+    if chlorophyll > 0:
+        at_1, exponents = _phytoplankton()
+        a += at_1 * chlorophyll**exponents
+        slope = min(max((math.log10(chlorophyll) - 0.3) / 2, -1.0), 0.0)
+        by_particles += 0.347 * chlorophyll**0.766 * (WAVELENGTHS / 660) ** slope
+    # what molecules scatter backwards, half of it, is lost as if it were absorbed
+    lost = a + scattering / 2
+    kd = np.sqrt(lost * lost + (0.425 * _MU_0 - 0.19) * lost * by_particles) / _MU_0
+    return np.array([a, scattering + by_particles, kd])
+
+
+@cache
+def _cdom() -> Array:
+    return np.asarray(np.exp(-0.014 * (WAVELENGTHS - 440)))
+
+
+@cache
+def _minerals() -> Array:
+    """Absorption and scattering of 1 g/m³."""
+    a = 0.041 * np.exp(-0.0123 * (WAVELENGTHS - 443))
+    return np.array([a, 1.1513 * (400 / WAVELENGTHS) ** 1.7])
+
+
+@cache
+def _phytoplankton() -> tuple[Array, Array]:
+    """Absorption at 1 mg/m³ of chlorophyll, and its exponent."""
+    path = Path(__file__).parent / "phytoplankton.csv"
+    table = read_spectra(path, ("wavelength", "A", "E"))
+    at_1, exponents = (np.interp(WAVELENGTHS, table[:, 0], column) for column in table[:, 1:].T)
+    return at_1, exponents
+
+
+@lru_cache(maxsize=16)
+def pure_water(axis: bytes) -> Array:
+    """Absorption and scattering (2, N) of pure sea water at wavelengths [nm], given as the bytes of
+    their array.
+    """
+    import jerlov
+
+    nm = np.frombuffer(axis)
+    return np.array([jerlov.pure_water_absorption(nm), jerlov.pure_water_scattering(nm)])
