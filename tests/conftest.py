@@ -14,7 +14,7 @@ from torch import Tensor
 
 import uwaug.presets.scene
 
-pytest.register_assert_rewrite("forming")  # before a test imports it
+pytest.register_assert_rewrite("referees.terms")  # before a test imports it
 # at the end, so that `benchmarks` is found but an installed uwaug is tested, not the checkout's
 sys.path.append(str(Path(__file__).parent.parent))
 # no test asks the network

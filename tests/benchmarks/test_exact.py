@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 from blurring import SIZES
-from inputs import rand
 from referees import reference
 from referees.exact import blur_exact
+from scenes import rand
 from scipy.ndimage import gaussian_filter
 
 from uwaug.blur.kernels import sampled_parameter

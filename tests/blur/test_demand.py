@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from forming import coefficients, uniform
+from scenes import coefficients, uniform
 
 from uwaug.blur.plan import plan_blur
 from uwaug.formation.demand import BlurDemand, blur_demand

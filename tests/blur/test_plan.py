@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 from blurring import RANGES, constant
-from inputs import rand
 from referees import reference
+from scenes import rand
 
 from uwaug.blur.plan import _exponential_transfer, _frequencies, plan_blur
 from uwaug.blur.stack import varying_blur

@@ -8,8 +8,8 @@ import torch
 from blurring import RANGES, SIZES, blur, constant, node
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from inputs import rand
 from referees import reference
+from scenes import rand
 
 from uwaug.blur.plan import plan_blur
 from uwaug.blur.stack import varying_blur

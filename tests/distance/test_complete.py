@@ -4,7 +4,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from inputs import rand
+from scenes import rand
 from torch import Tensor
 
 from uwaug.distance.complete import _membrane

@@ -6,7 +6,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from inputs import rand
+from scenes import rand
 
 from uwaug._support import tiles
 from uwaug.distance.convert import (

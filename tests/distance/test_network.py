@@ -5,9 +5,9 @@ import sys
 import numpy as np
 import pytest
 import torch
-from inputs import rand
 from networks import mean_of_channels, save
 from onnx import TensorProto, helper
+from scenes import rand
 
 from uwaug.distance.convert import from_inverse
 from uwaug.distance.network import DepthNetwork

@@ -2,7 +2,7 @@ import math
 
 import pytest
 import torch
-from degrading import distances, picture
+from scenes import distances, picture
 
 from uwaug import Medium, RandomUnderwater, Underwater, Water, form_image
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import pytest
 import torch
-from forming import TERMS, coefficients, distances, tracked
-from inputs import rand
+from referees.terms import TERMS
+from scenes import coefficients, rand, stepped, tracked
 from torch import Tensor
 
 from uwaug.formation.demand import blur_demand
@@ -20,7 +20,7 @@ from uwaug.optics.water import Water
 @pytest.mark.parametrize("grad", [False, True])
 def test_half_precision_is_computed_in_single(dtype, grad) -> None:
     image = rand(2, 3, 20, 24).to(dtype)
-    z = distances(2, 1, 20, 24).to(dtype)
+    z = stepped(2, 1, 20, 24).to(dtype)
     field = (0.7 + 0.6 * rand(2, 1, 20, 24)).to(dtype)
     image.requires_grad_(grad)
     terms = form_image(image, z, coefficients(), field)
@@ -36,7 +36,7 @@ def test_half_precision_is_computed_in_single(dtype, grad) -> None:
 
 
 def test_the_result_has_the_type_of_the_image() -> None:
-    image, z = rand(1, 3, 8, 8), distances(1, 1, 8, 8)
+    image, z = rand(1, 3, 8, 8), stepped(1, 1, 8, 8)
     for dtype, other in itertools.product((torch.float16, torch.float32, torch.float64), repeat=2):
         medium = coefficients().to(torch.float32 if other == torch.float16 else other)
         result = form_image(image.to(dtype), z.to(other), medium)
@@ -47,7 +47,7 @@ def test_the_result_has_the_type_of_the_image() -> None:
 @pytest.mark.parametrize("grad", [False, True])
 def test_autocast_changes_nothing(dtype, grad) -> None:
     image = rand(1, 3, 40, 33, dtype=torch.float32).requires_grad_(grad)
-    z = distances(1, 1, 40, 33).float()
+    z = stepped(1, 1, 40, 33).float()
     medium = Medium.stack([coefficients(), coefficients(5)])
     expected = form_image(image, z, medium).image
     with torch.autocast("cpu", dtype):
@@ -57,7 +57,7 @@ def test_autocast_changes_nothing(dtype, grad) -> None:
 
 @pytest.mark.parametrize("grad", [False, True])
 def test_layout_does_not_matter(grad) -> None:
-    image, z = rand(2, 3, 30, 22), distances(2, 1, 30, 22)
+    image, z = rand(2, 3, 30, 22), stepped(2, 1, 30, 22)
     medium = tracked(coefficients()) if grad else coefficients()
     expected = form_image(image, z, medium).image
     last = {"memory_format": torch.channels_last}
@@ -79,7 +79,7 @@ def test_layout_does_not_matter(grad) -> None:
 
 def test_inputs_are_left_alone() -> None:
     image = rand(2, 3, 12, 12)
-    z = distances(2, 1, 12, 12)
+    z = stepped(2, 1, 12, 12)
     field = rand(2, 1, 12, 12)
     medium = coefficients()
     z[0, 0, 0, 0] = math.inf
@@ -95,16 +95,16 @@ def test_values_that_would_spread_are_refused(value: float) -> None:
     image[0, 1, 2, 3] = value
     counts = "NaN at 1 and infinite at 0" if math.isnan(value) else "NaN at 0 and infinite at 1"
     with pytest.raises(ValueError, match=f"image is {counts} of 216 values: expected finite"):
-        form_image(image, distances(1, 1, 8, 9), coefficients())
+        form_image(image, stepped(1, 1, 8, 9), coefficients())
     for color_space in ("srgb", "linear"):
         degrade = Underwater(coefficients(), color_space=color_space)
         with pytest.raises(ValueError, match=f"image is {counts} of 216 values"):
-            degrade(image.float(), distances(1, 1, 8, 9).float())
+            degrade(image.float(), stepped(1, 1, 8, 9).float())
 
 
 @pytest.mark.parametrize("size", [(1, 1), (8, 9), (200, 3), (130, 170)])
 def test_millimetres_are_refused(size: tuple[int, int]) -> None:
-    image, z = rand(1, 3, *size), 1.2 + distances(1, 1, *size)
+    image, z = rand(1, 3, *size), 1.2 + stepped(1, 1, *size)
     open_water = (1000 * z).masked_fill(rand(1, 1, *size, seed=2) < 0.4, math.inf)
     open_water[..., 0, 0] = 2000.0
     for wrong in (1000 * z, open_water):
@@ -126,7 +126,7 @@ def test_far_distances_are_no_millimetres() -> None:
 
 
 def test_normalised_pictures_are_refused() -> None:
-    image, z = rand(1, 3, 8, 9, dtype=torch.float32), distances(1, 1, 8, 9).float()
+    image, z = rand(1, 3, 8, 9, dtype=torch.float32), stepped(1, 1, 8, 9).float()
     mean, std = torch.tensor([0.485, 0.456, 0.406]), torch.tensor([0.229, 0.224, 0.225])
     normalised = (image - mean.view(3, 1, 1)) / std.view(3, 1, 1)
     with pytest.raises(ValueError, match=r"image falls to -.*; place it before Normalize"):
@@ -146,7 +146,7 @@ def deterministic() -> Iterator[None]:
 def test_deterministic_algorithms() -> None:
     grads = []
     for _ in range(2):
-        image, z = rand(2, 3, 40, 40).requires_grad_(), distances(2, 1, 40, 40).requires_grad_()
+        image, z = rand(2, 3, 40, 40).requires_grad_(), stepped(2, 1, 40, 40).requires_grad_()
         medium = tracked(coefficients(law=PointSpread(4.0, 0.5)))
         form_image(image, z, medium).image.square().sum().backward()
         form_image(image.detach(), z.detach(), coefficients())
@@ -167,7 +167,7 @@ def test_gradcheck(order) -> None:
 
     inputs = [
         rand(1, 3, 4, 5),
-        distances(1, 1, 4, 5),
+        stepped(1, 1, 4, 5),
         0.7 + 0.6 * rand(1, 1, 4, 5),
         torch.tensor([1.2]),
         torch.tensor([0.8]),

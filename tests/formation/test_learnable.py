@@ -2,7 +2,7 @@ import math
 
 import pytest
 import torch
-from degrading import MEDIA, coastal, distances, picture
+from scenes import MEDIA, coastal, distances, picture
 from torch.func import functional_call, grad, jacrev
 
 from uwaug.formation.learnable import LearnableMedium

@@ -4,8 +4,8 @@ import pickle
 
 import pytest
 import torch
-from degrading import LAW, MEDIA, coastal, distances, picture
 from referees import reference
+from scenes import LAW, MEDIA, coastal, distances, picture
 from torch import Tensor
 
 from uwaug.formation.underwater import Underwater

@@ -13,9 +13,8 @@ from typing import Any
 import pytest
 import torch
 from filing import metres, pixels, save
-from forming import coefficients, distances
-from inputs import rand
 from referees.conditions import Case, conditions
+from scenes import coefficients, rand, stepped
 from torch import Tensor
 
 import uwaug
@@ -87,7 +86,7 @@ def test_every_condition(name: str, rendered: list[Any]) -> None:
 def test_every_size(size: tuple[int, int], color_space: Any, law: Any, rendered: list[Any]) -> None:
     medium = uwaug.Medium.from_water("7C", point_spread=law)
     module = uwaug.Underwater(medium, color_space=color_space, exposure="auto")
-    image, z = rand(2, 3, *size).float(), distances(2, 1, *size, far=15.0)
+    image, z = rand(2, 3, *size).float(), stepped(2, 1, *size, far=15.0)
     assert_exact(module, image, z)
     assert_exact(module, (image * 255).to(torch.uint8), z)
     assert len(rendered) == 4
@@ -97,7 +96,7 @@ def test_every_size(size: tuple[int, int], color_space: Any, law: Any, rendered:
 def test_batches(images: int, maps: int, media: int) -> None:
     medium = uwaug.Medium.stack([coefficients(seed=n) for n in range(media)])
     module = uwaug.Underwater(medium, color_space="linear")
-    assert_exact(module, rand(images, 3, 33, 65).float(), distances(maps, 1, 33, 65))
+    assert_exact(module, rand(images, 3, 33, 65).float(), stepped(maps, 1, 33, 65))
 
 
 def test_bright_pictures_keep_their_largest_value() -> None:
@@ -170,7 +169,7 @@ def test_a_child_goes_on_after_a_fork(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_what_the_loops_take(rendered: list[Any]) -> None:
-    image, z = rand(1, 3, 20, 30).float(), distances(1, 1, 20, 30).float()
+    image, z = rand(1, 3, 20, 30).float(), stepped(1, 1, 20, 30).float()
     medium = coefficients()
     with fused.use(True):
         module = uwaug.Underwater(medium, learnable=True, color_space="linear")

@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 import torch
-from forming import coefficients, distances
-from inputs import rand
+from scenes import coefficients, rand, stepped
 from torch import Tensor
 
 import uwaug
@@ -62,7 +61,7 @@ def scene(
         return module.formed(image, z, None, learned, module.plan(size))
 
     law = torch.full((rows,), 1.2), torch.full((rows,), 0.8)
-    maps = rand(batches[0], 3, *size), distances(batches[1], 1, *size)
+    maps = rand(batches[0], 3, *size), stepped(batches[1], 1, *size)
     return [t.double() for t in (*maps, *medium.tensors(), *law)], picture
 
 

@@ -5,11 +5,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import torch
-from forming import LAW, TERMS, check, coefficients, distances, expected, tracked
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from inputs import rand
 from referees import reference
+from referees.terms import TERMS, check, expected
+from scenes import LAW, coefficients, rand, stepped, tracked
 
 from uwaug.formation.demand import blur_demand
 from uwaug.formation.model import form_image
@@ -35,7 +35,7 @@ class Spectral(NamedTuple):
 def test_the_three_terms_from_spectra(case, order) -> None:
     water = Water.jerlov(case.type)
     image = torch.from_numpy(reference.picture(40, 52))[None]
-    z = distances(1, 1, 40, 52)
+    z = stepped(1, 1, 40, 52)
     m = 0.7 + 0.6 * rand(1, 1, 40, 52)
     law = PointSpread(2.5, 0.6)
     kwargs = {"vertical_depth": case.depth, "g": case.g, "mu": case.mu, "point_spread": law}
@@ -85,7 +85,7 @@ BATCHES = [
     "dtype, atol", [(torch.float32, 3e-6), (torch.float64, 1e-12)], ids=["float32", "float64"]
 )
 def test_the_path_without_gradients_equals_the_one_with(size, dtype, atol) -> None:
-    image, z = rand(2, 3, *size, dtype=dtype), distances(2, 1, *size).to(dtype)
+    image, z = rand(2, 3, *size, dtype=dtype), stepped(2, 1, *size).to(dtype)
     medium = Medium.stack([coefficients(), coefficients(5)])
     # of one plan: by default that for gradients is finer
     plan = blur_demand(medium, (float(z.min()), float(z.max())), 0.001).plan(size)
@@ -102,7 +102,7 @@ def test_the_path_without_gradients_equals_the_one_with(size, dtype, atol) -> No
 def test_batches_broadcast(batch, order) -> None:
     images, zs, media, fields = batch
     image = torch.from_numpy(np.stack([reference.picture(20, 36, seed) for seed in range(images)]))
-    z = distances(zs, 1, 20, 36)
+    z = stepped(zs, 1, 20, 36)
     medium = Medium.stack([coefficients(seed) for seed in range(media)])
     field = 0.7 + 0.6 * rand(fields, 1, 20, 36) if fields else None
     path = z if field is None else z * field
@@ -131,7 +131,7 @@ def test_in_source_order_a_pixel_at_the_lens_sees_only_itself(law, columns) -> N
 
 def test_one_image_without_a_batch() -> None:
     image = rand(3, 9, 12)
-    z = distances(1, 1, 9, 12)[0]
+    z = stepped(1, 1, 9, 12)[0]
     field = 0.7 + 0.6 * rand(1, 9, 12)
     medium = coefficients()
     terms = form_image(image, z, medium, field)
@@ -157,7 +157,7 @@ LAWS = {
 @pytest.mark.parametrize("name", LAWS)
 def test_width_laws(name) -> None:
     medium = Medium.stack([coefficients(3, law) for law in LAWS[name]])
-    image, z = torch.from_numpy(reference.picture(28, 44))[None], distances(1, 1, 28, 44)
+    image, z = torch.from_numpy(reference.picture(28, 44))[None], stepped(1, 1, 28, 44)
     check(form_image(image, z, medium), image, z, medium)
 
 
@@ -165,7 +165,7 @@ def test_width_laws(name) -> None:
 def test_a_batch_of_focal_lengths(order) -> None:
     focals = {3: 20.0, 4: 55.0, 5: 300.0}
     media = [coefficients(seed, PointSpread.calibrated(f)) for seed, f in focals.items()]
-    image, z = torch.from_numpy(reference.picture(30, 36))[None], distances(1, 1, 30, 36)
+    image, z = torch.from_numpy(reference.picture(30, 36))[None], stepped(1, 1, 30, 36)
     together = form_image(image, z, Medium.stack(media), order=order)
     check(together, image, z, Medium.stack(media), order)
     for i, medium in enumerate(media):
@@ -197,7 +197,7 @@ def test_what_arrives_of_a_white_wall_is_the_signal(law, order) -> None:
     medium, image = coefficients(3, law), torch.full((1, 3, 40, 30), 0.8).double()
     maps = [torch.full((1, 1, 40, 30), 2.5).double()]
     if order == "line_of_sight":
-        maps.append(distances(1, 1, 40, 30))
+        maps.append(stepped(1, 1, 40, 30))
     for z in maps:
         terms = form_image(image, z, medium, order=order)
         arrives = terms.direct + terms.forward
@@ -205,7 +205,7 @@ def test_what_arrives_of_a_white_wall_is_the_signal(law, order) -> None:
 
 
 def test_all_scattered_light_leaves_the_line_of_sight() -> None:
-    image, z = rand(1, 3, 12, 12), distances(1, 1, 12, 12)
+    image, z = rand(1, 3, 12, 12), stepped(1, 1, 12, 12)
 
     def brightest(**kwargs: float) -> float:
         medium = Medium.from_water(Water.jerlov("3C"), **kwargs)
@@ -247,7 +247,7 @@ def test_open_water_does_not_hide_where_light_scatters(tolerance) -> None:
 @pytest.mark.parametrize("factor", [None, 0.7, 1.3])
 def test_open_water_is_as_wide_as_very_far_water_in_source_order(factor) -> None:
     # light that is scattered elsewhere reaches it
-    image, far = torch.from_numpy(reference.picture(48, 48))[None], distances(1, 1, 48, 48)
+    image, far = torch.from_numpy(reference.picture(48, 48))[None], stepped(1, 1, 48, 48)
     far[..., 24:] = 1e8
     open_water = torch.where(far == 1e8, math.inf, far)
     medium = coefficients(law=PointSpread(4.0, 1.0))
@@ -294,7 +294,7 @@ def test_forward_scatter_keeps_the_tolerance(data) -> None:
 def test_a_plan_may_be_given() -> None:
     medium = coefficients()
     image = torch.from_numpy(reference.picture(30, 30))[None]
-    z = distances(1, 1, 30, 30)
+    z = stepped(1, 1, 30, 30)
     plan = blur_demand(medium, (float(z.min()), float(z.max())), 0.002).plan((30, 30), shared=True)
     planned = form_image(image, z, medium, plan=plan).image
     assert torch.equal(planned, form_image(image, z, medium).image)
@@ -303,7 +303,7 @@ def test_a_plan_may_be_given() -> None:
 def test_tighter_tolerance_is_nearer() -> None:
     medium = coefficients(law=PointSpread(3.0, 1.0))
     image = torch.from_numpy(reference.picture(60, 60))[None]
-    z = distances(1, 1, 60, 60)
+    z = stepped(1, 1, 60, 60)
     exact = expected(image[0], z[0, 0], medium)[1]
     found = []
     for tolerance in (0.02, 0.002, 0.0002):

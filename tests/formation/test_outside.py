@@ -3,7 +3,7 @@ import warnings
 
 import pytest
 import torch
-from inputs import rand
+from scenes import rand
 
 import uwaug
 

@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import pytest
 import torch
-from forming import LAW, TERMS, check, coefficients, distances, tracked, uniform
-from inputs import rand
 from referees import reference
+from referees.terms import TERMS, check
+from scenes import LAW, coefficients, rand, stepped, tracked, uniform
 from torch import Tensor
 
 from uwaug.formation.model import form_image
@@ -108,7 +108,7 @@ LEAVES = (
 def test_singular_points(name, dtype, order) -> None:
     case = SINGULAR[name]
     image = case.image(torch.from_numpy(reference.picture(16, 20))).to(dtype)[None]
-    z = case.distance(distances(1, 1, 16, 20)).to(dtype)
+    z = case.distance(stepped(1, 1, 16, 20)).to(dtype)
     field = None if case.field is None else case.field(0.7 + 0.6 * rand(1, 1, 16, 20)).to(dtype)
     medium = case.medium()
     path = z.double() if field is None else z.double().clamp(max=1e30) * field.double()

@@ -6,7 +6,7 @@ import json
 
 import pytest
 import torch
-from degrading import LAW, coastal, distances, picture
+from scenes import LAW, coastal, distances, picture
 from torch import nn
 
 import uwaug

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 import torch
-from inputs import rand
+from scenes import rand
 from torch import Tensor
 from torch.autograd import forward_ad
 from torch.func import functional_call, grad, hessian, jacfwd, jacrev, jvp, vmap

@@ -5,8 +5,8 @@ import pickle
 
 import pytest
 import torch
-from degrading import MEDIA, coastal, distances, picture
 from referees import reference
+from scenes import MEDIA, coastal, distances, picture
 from torch import Tensor
 
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear

@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 import torch
 from augmenting import LIGHTS
-from inputs import rand
 from PIL import Image
+from scenes import rand
 from torch import Tensor
 
 import uwaug

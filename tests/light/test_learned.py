@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 import torch
-from inputs import rand
+from scenes import rand
 from torch import Tensor
 
 import uwaug

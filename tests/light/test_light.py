@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from inputs import rand
 from referees.lamps import KINDS, random_case, veil_by_definition
+from scenes import rand
 from torch import Tensor
 
 import uwaug

@@ -1,50 +1,16 @@
-"""What the tests of form_image share."""
+"""Terms of `form_image` against the reference."""
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import torch
-from inputs import rand
-from referees import reference
 from torch import Tensor
 
+from referees import reference
 from uwaug.formation.scene import Terms
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread
 
 TERMS = ("direct", "forward", "backscatter")
-LAW = PointSpread(1.2, 0.8)
-
-
-def distances(*shape: int, far: float = 6.0, seed: int = 1) -> Tensor:
-    """Distances with steps, as a scene has them."""
-    coarse = rand(shape[0], 1, 3, 4, seed=seed)
-    steps = torch.nn.functional.interpolate(coarse, shape[-2:], mode="nearest")
-    return 0.3 + (far - 0.5) * steps + 0.2 * rand(*shape, seed=seed)
-
-
-def coefficients(seed: int = 3, law: PointSpread = LAW) -> Medium:
-    """A medium of random coefficients."""
-    beta, share, veil, light = rand(4, 3, seed=seed)
-    beta = 0.3 + beta
-    G = beta * (0.1 + 0.4 * share)
-    return Medium.from_coefficients(beta, G, veil, b_mean=0.7, light=light, point_spread=law)
-
-
-def uniform(
-    beta: float, G: float, veil: float = 0.3, b_mean: float = 0.7, law: PointSpread = LAW
-) -> Callable[[], Medium]:
-    """What makes a medium that is the same in all channels."""
-    return lambda: Medium.from_coefficients(
-        (beta,) * 3, (G,) * 3, (veil,) * 3, b_mean=b_mean, point_spread=law
-    )
-
-
-def tracked(medium: Medium) -> Medium:
-    """The medium, with gradients."""
-    leaves = [t.clone().requires_grad_() for t in medium.tensors()]
-    return Medium(*leaves, medium.point_spread, medium.notes)
 
 
 def expected(

@@ -1,4 +1,6 @@
-"""What the tests of Underwater share."""
+"""Pictures, distances and media that tests share, the same at every call."""
+
+from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -12,14 +14,50 @@ from uwaug.optics.water import Water
 LAW = PointSpread(1.2, 0.8)
 
 
+def rand(*shape: int, dtype: torch.dtype = torch.float64, seed: int = 0) -> Tensor:
+    """Numbers 0…1 from a seed."""
+    return torch.rand(*shape, dtype=dtype, generator=torch.Generator().manual_seed(seed))
+
+
 def picture(height: int = 32, width: int = 40, batch: int = 1) -> Tensor:
+    """Pictures in single precision, 0…1."""
     images = np.stack([reference.picture(height, width, seed) for seed in range(batch)])
     return torch.from_numpy(images).clamp(0, 1).float()
 
 
 def distances(height: int = 32, width: int = 40, batch: int = 1) -> Tensor:
-    generator = torch.Generator().manual_seed(1)
-    return 0.5 + 5 * torch.rand(batch, 1, height, width, generator=generator)
+    """Distances in single precision, each pixel by itself, m."""
+    return 0.5 + 5 * rand(batch, 1, height, width, dtype=torch.float32, seed=1)
+
+
+def stepped(*shape: int, far: float = 6.0, seed: int = 1) -> Tensor:
+    """Distances in double precision, with steps as a scene has them, m."""
+    coarse = rand(shape[0], 1, 3, 4, seed=seed)
+    steps = torch.nn.functional.interpolate(coarse, shape[-2:], mode="nearest")
+    return 0.3 + (far - 0.5) * steps + 0.2 * rand(*shape, seed=seed)
+
+
+def coefficients(seed: int = 3, law: PointSpread = LAW) -> Medium:
+    """A medium of random coefficients."""
+    beta, share, veil, light = rand(4, 3, seed=seed)
+    beta = 0.3 + beta
+    G = beta * (0.1 + 0.4 * share)
+    return Medium.from_coefficients(beta, G, veil, b_mean=0.7, light=light, point_spread=law)
+
+
+def uniform(
+    beta: float, G: float, veil: float = 0.3, b_mean: float = 0.7, law: PointSpread = LAW
+) -> Callable[[], Medium]:
+    """What makes a medium that is the same in all channels."""
+    return lambda: Medium.from_coefficients(
+        (beta,) * 3, (G,) * 3, (veil,) * 3, b_mean=b_mean, point_spread=law
+    )
+
+
+def tracked(medium: Medium) -> Medium:
+    """The medium, with gradients."""
+    leaves = [t.clone().requires_grad_() for t in medium.tensors()]
+    return Medium(*leaves, medium.point_spread, medium.notes)
 
 
 def coastal(**kwargs: object) -> Medium:
