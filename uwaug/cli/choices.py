@@ -39,11 +39,11 @@ def _water(text: str) -> str:
     return text.upper() if text.upper() in WATERS else text
 
 
-def water_option(help: str, panel: str | None = None) -> Any:
-    """`--water`: a Jerlov type, also in small letters; its contents; or a file."""
+def water_option(help: str, panel: str | None = None, metavar: str = "TYPE|CONTENTS|CSV") -> Any:
+    """`--water`: what `uwaug.load_water` takes; Jerlov types in small letters too."""
     return typer.Option(
         help=help,
-        metavar="TYPE|CONTENTS|CSV",
+        metavar=metavar,
         parser=_water,
         autocompletion=complete_water,
         rich_help_panel=panel,

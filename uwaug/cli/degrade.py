@@ -74,7 +74,7 @@ def degrade(
         water_option(
             "Jerlov type: I, IA, IB, II, III, 1C, 3C, 5C, 7C, 9C. Or contents, such as "
             "chlorophyll=5,cdom=0.3,minerals=1 (mg/m³, 1/m at 440 nm, g/m³), each a number or a "
-            "range, LOW:HIGH. Or a CSV file: wavelength [nm], a, b, K_d [1/m].",
+            "range, LOW:HIGH. Or a CSV file: wavelength (nm), a, b, K_d (1/m).",
             "Water",
         ),
     ] = None,

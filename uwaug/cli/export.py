@@ -17,9 +17,7 @@ def export(
     fit: Annotated[
         Path | None, typer.Option(help="In place of a preset: what uwaug fit has written.")
     ] = None,
-    water: Annotated[
-        str | None, water_option("Jerlov type that takes the place of the preset's.")
-    ] = None,
+    water: Annotated[str | None, water_option("Takes the place of the preset's.")] = None,
     parameters: Annotated[
         Literal["frozen", "inputs"], typer.Option(help="inputs: one file for many waters.")
     ] = "frozen",

@@ -86,7 +86,7 @@ def compare(
     image: Image,
     distance: Distance,
     out: Annotated[Path, typer.Option(help="The sheet to write: .png or .jpg.")],
-    water: Annotated[str, water_option("Jerlov type.")] = "II",
+    water: Annotated[str, water_option("Jerlov type.", metavar="TYPE")] = "II",
     system: Annotated[
         list[str] | None,
         preset_option(

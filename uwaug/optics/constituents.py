@@ -22,7 +22,8 @@ K_d as (a + b_b)/μ₀ (.26) and as Lee et al. 2005 (.09, this .06, from each ty
 half of the minerals' absorption type III is nearer (a .14), and muddy rivers would be too white.
 
 References:
-    A_p, E_p: Bricaud et al., J. Geophys. Res. 103 (1998), particles of Case 1 waters.
+    A_p, E_p: Bricaud et al., J. Geophys. Res. 103 (1998), particles of Case 1 waters, measured at
+        .02–25 mg/m³ and 400–700 nm: the range of these waters, as nothing is extrapolated.
     CDOM: Bricaud et al., Limnol. Oceanogr. 26 (1981).
     Minerals: absorption, Babin et al., J. Geophys. Res. 108 (2003); scattering, the small
         (terrigenic) particles of Haltrin, Appl. Opt. 38 (1999), as in Solonenko & Mobley (1.513 in
