@@ -65,7 +65,8 @@ class Constituents:
             natural waters have.
 
     Raises:
-        ValueError: if a range is none, negative, or begins at 0 and ends elsewhere.
+        TypeError: if one is neither a number nor a pair of them.
+        ValueError: if a number is negative or infinite, or a range falls, or begins at 0.
 
     Examples:
         >>> lakes = Constituents(chlorophyll=(1, 50), cdom=(0.2, 5), minerals=1)

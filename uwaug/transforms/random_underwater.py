@@ -97,8 +97,8 @@ class RandomUnderwater(SampleTransform):
             and `Constituents` (or their text, such as "chlorophyll=1:20,cdom=.1:1"), whose contents
             are drawn anew for each picture. Picked with equal weight (one that is given twice
             counts twice); or a mapping to weights.
-        mixing: share of a second water, drawn like the first; 0 for none, (0, 1) for a continuous
-            slider between types.
+        mixing: share of a second water, picked like the first; 0 for none, (0, 1) for a continuous
+            slider between types. Contents of both are drawn at the same shares of their ranges.
         contrast: share of an object's contrast of luminance that is left at the scene's median
             distance, ignoring scattered light; the contents of the water are scaled to it, as far
             as pure water allows. None leaves the water as it is, and `visibility` takes its place.
