@@ -38,7 +38,8 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "far": {"unknown": "far"},
     "relative": {"distance_kind": "relative", "far": 6.0},
     "inverse": {"distance_kind": "inverse"},
-    "plane": {"distance": 3.0},
+    # without the negative weights of spectra, which make more of the rounding of coarse grids
+    "plane": {"distance": 3.0, "surfaces": "grey", "color_matrix": None},
 }
 
 

@@ -128,7 +128,7 @@ def test_objects_are_judged_under_their_light() -> None:
     """At night, what a lamp shows can be seen, and what it does not reach cannot."""
     lamp = Light.lamp((0.3, 0.0, 0.0), (-0.5, 0.0, 1.0), 8.0, 25.0)
     night: dict[str, Any] = {"waters": "II", "contrast": None, "vertical_depth": 30.0}
-    augment = RandomUnderwater(light=lamp, field_probability=0.0, focal_px=30.0, **night)
+    augment = RandomUnderwater.hazy(light=lamp, field_probability=0.0, focal_px=30.0, **night)
     image, z = rand(3, 40, 60).float(), torch.full((1, 40, 60), 1.0)
     boxes = torch.tensor([[2.0, 12.0, 14.0, 28.0], [50.0, 12.0, 59.0, 28.0]])
     target = {"boxes": boxes, "labels": torch.tensor([1, 2])}

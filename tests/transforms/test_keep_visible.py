@@ -68,7 +68,7 @@ def test_what_is_far_is_taken_out() -> None:
 
 def test_the_contrast_is_that_of_the_medium() -> None:
     """Worked out anew from what the record says of the water, over the pixels of each object."""
-    aug = RandomUnderwater("3C", contrast=None, field_range=(0.5, 2.0))
+    aug = RandomUnderwater.hazy(waters="3C", contrast=None, field_range=(0.5, 2.0))
     torch.manual_seed(3)
     record = aug.resolve(image(), distance(), aug.make_params(image()))
     (sample,) = record["samples"]

@@ -58,12 +58,15 @@ def test_repr_shows_what_was_changed() -> None:
     assert repr(aug) == "RandomUnderwater(g=(0.1, 0.3))"
 
 
-def test_defaults_are_the_calibrated_model() -> None:
-    aug = RandomUnderwater()
+def test_defaults_of_old_are_the_calibrated_model() -> None:
+    aug = RandomUnderwater.hazy()
     preset = load_preset("calibrated", water="7C")
     assert preset.medium.notes[0].endswith("g = 0.05, μ = 0.075")
     assert (aug.g, aug.mu) == (0.05, 0.075)
     assert (aug.contrast, aug.visibility, aug.exposure) == ((0.1, 0.6), None, "auto")
+    assert aug.surfaces == "grey"
+    sample = aug.make_params(picture())["samples"][0]
+    assert not {"color_matrix", "white_balance", "gamut", "compensation"} & set(sample)
 
 
 def test_visibility_takes_the_place_of_contrast() -> None:
@@ -152,7 +155,8 @@ def test_severity_grows(motorcycle: Any) -> None:
 
 def test_severity_takes_options() -> None:
     aug = RandomUnderwater.severity(3, waters="7C", distance=(1.0, 2.0), p=0.5)
-    assert repr(aug) == "RandomUnderwater(['7C'], contrast=0.35, distance=(1.0, 2.0), p=0.5)"
+    hazy = RandomUnderwater.hazy(waters="7C", contrast=0.35, distance=(1.0, 2.0), p=0.5)
+    assert repr(aug) == repr(hazy)
     for level in (0, 6, 2.5, "3"):
         with pytest.raises(ValueError, match=f"level.*1 to 5.*{level}"):
             RandomUnderwater.severity(level)

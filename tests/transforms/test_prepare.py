@@ -64,7 +64,8 @@ def test_transform_is_form_image(kind: str, color_space: str) -> None:
 
 @pytest.mark.parametrize("focal_px", [None, 40.0])
 def test_default_is_the_calibrated_model_exposed(focal_px: float | None) -> None:
-    aug = RandomUnderwater(["II", "7C"], focal_px=focal_px, field_probability=0.0, tolerance=1e-4)
+    options: dict[str, Any] = {"field_probability": 0.0, "tolerance": 1e-4}
+    aug = RandomUnderwater.hazy(waters=["II", "7C"], focal_px=focal_px, **options)
     image, distance = picture(2), 1 + 4 * distances(2)
     record = aug.resolve(image, distance, aug.make_params(image))
     out = aug.transform(image, distance, record)

@@ -29,6 +29,13 @@ DOMAIN = {
     "chlorophyll": (0.0, math.inf),
     "cdom": (0.0, math.inf),
     "minerals": (0.0, math.inf),
+    "color_matrix": (0.0, 1.0),
+    "compensation": (-10.0, 10.0),
+    "white_balance": (-1.0, 1.0),
+    "saturation": (0.0, 4.0),
+    "black_point": (0.0, 1.0),
+    "gamut": (0.0, 1.0),
+    "tone": (0.25, 4.0),
 }
 """Least and largest value of every quantity that may be drawn or read from a preset. Infinity
 itself is never allowed.

@@ -25,7 +25,7 @@ from uwaug._support.torch_func import refuse_mapped
 from uwaug.formation.colour import LUMINANCE
 from uwaug.light.light import Light
 from uwaug.light.lit import lit_of, transmittance
-from uwaug.optics.curves import FARTHEST, Curves
+from uwaug.optics.curves import FARTHEST, Curves, of_white, passed
 from uwaug.optics.medium import Medium
 
 
@@ -85,11 +85,19 @@ def contrast_of(T: Curves, reflectance: float | Tensor = 0.18) -> Tensor:
     """The share of contrast (Bx1xHxW) that transmittances leave; reflectance as for `contrast`, of
     their type.
     """
-    detail = _luminance(T.direct * reflectance)
-    whole = _luminance((T.direct + T.scatter) * reflectance + T.veil)
+    detail = _luminance(_left(T.direct, reflectance))
+    whole = _luminance(_left(T.direct + T.scatter, reflectance) + T.veil)
     # where no light arrives the slope of a quotient would be NaN
     dark = whole <= 0
     return torch.where(dark, 0.0, detail / torch.where(dark, 1.0, whole))
+
+
+def _left(T: Tensor, reflectance: float | Tensor) -> Tensor:
+    """Light of surfaces after transmittances; grey ones are the same in all channels."""
+    if not isinstance(reflectance, Tensor) or reflectance.ndim == 0:
+        return of_white(T) * reflectance
+    shape = np.broadcast_shapes(reflectance.shape, (1, 3, *T.shape[-2:]))
+    return passed(T, reflectance.expand(shape))
 
 
 def _validate(medium: Medium, distance: Tensor, light: Light | None) -> None:

@@ -185,9 +185,24 @@ def _strongest(medium: Medium, z: Array) -> tuple[Array, Array]:
     have most of it. A tenth of the time that `curves` would take for so few distances.
     """
     beta, direct_weights, G, signal_weights = map(_table, medium.tensors()[:4])
-    direct = direct_weights @ np.exp(np.multiply.outer(-beta, z))
-    arriving = signal_weights @ np.exp(np.multiply.outer(-G, z))
-    return np.abs(arriving - direct).max((0, 1)), direct.max((0, 1))
+    direct = _sums_at(direct_weights, beta, z)
+    arriving = _sums_at(signal_weights, G, z)
+    return _most(arriving - direct), _most(direct)
+
+
+def _sums_at(weights: Array, rates: Array, z: Array) -> Array:
+    """Σ weight·e^(−rate·z) at distances (N), of every channel (Bx3xN) or matrix (Bx3x3xN)."""
+    left = np.exp(np.multiply.outer(-rates, z))
+    sums: Array = weights @ (left[:, None] if weights.ndim == 4 else left)
+    return sums
+
+
+def _most(T: Array) -> Array:
+    """The most light (N) that transmittances make of any scene, or take."""
+    # of matrices, with the colour in 0…1 that adds up all that is positive, or negative
+    ends = (T.clip(min=0).sum(2), -T.clip(max=0).sum(2)) if T.ndim == 4 else (np.abs(T),)
+    most: Array = np.maximum.reduce(ends).max((0, 1))
+    return most
 
 
 def _table(x: Tensor) -> Array:
@@ -201,7 +216,8 @@ def farthest_blurred(medium: Medium, order: Order) -> float:
     No light is scattered from beyond where all of the signal has faded below any tolerance, and in
     the line of sight none passes.
     """
-    dark = (_table(medium.signal_weights) <= 0).all(1)
+    weights = _table(medium.signal_weights)
+    dark = (weights == 0).all((1, 2)) if medium.is_spectral else (weights <= 0).all(1)
     slowest = float(np.where(dark, math.inf, _table(medium.G)).min())
     if order != "line_of_sight" or slowest <= 0:
         return FARTHEST

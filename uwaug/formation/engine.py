@@ -10,6 +10,7 @@ from uwaug._support.tiles import RowSource, is_large
 from uwaug._support.torch_func import transformed
 from uwaug._support.types import Order
 from uwaug.formation.loops.backend import RecordedEngine, can_render, engine_for
+from uwaug.formation.setup import Setup
 from uwaug.light.light import Light
 from uwaug.optics.medium import Medium
 
@@ -24,9 +25,7 @@ compilers, gradients and curves that precede the blur.
 def choose(
     image: Tensor,
     maps: Sequence[Tensor | RowSource],
-    medium: Medium,
-    light: Light | None = None,
-    order: Order = "line_of_sight",
+    setup: Setup,
     recorded: RecordedEngine | None = None,
 ) -> Engine:
     """The fastest engine that computes D + F + B of these pictures.
@@ -34,12 +33,13 @@ def choose(
     Args:
         image (Bx3xHxW or 3xHxW tensor): as it was given, uint8 or floating.
         maps: the distance, and the field if there is one.
-        medium, light, order: as for `uwaug.form_image`.
+        setup: what the picture is taken with.
         recorded: that a record names: "eager" keeps to PyTorch; "fused" warns if the loops are
             missing.
     """
     if torch.compiler.is_compiling() or transformed():
         return "whole"
+    medium, light, order = setup.medium, setup.light, setup.order
     law = (v for v in medium.point_spread.numbers().values() if isinstance(v, Tensor))
     tensors = [image, *(m if isinstance(m, Tensor) else m.like for m in maps)]
     numbers = [*medium.tensors(), *law]
@@ -50,6 +50,9 @@ def choose(
     fused = _is_fused(recorded, order, light)
     # older records call fused what PyTorch made of a large picture
     fused = fused and not (in_rows and recorded == "fused" and not gradients)
+    # gradients where channels mix are by PyTorch
+    mixes = medium.is_spectral or setup.development.saturation != 1
+    fused = fused and not (gradients and mixes)
     if fused and can_render(tensors, numbers, gradients=gradients):
         if gradients:
             return "fused-gradients"

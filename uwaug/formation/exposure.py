@@ -14,7 +14,7 @@ from uwaug._support import checks
 from uwaug.formation.colour import LUMINANCE
 from uwaug.light.light import Light
 from uwaug.light.lit import Lit, transmittance
-from uwaug.optics.curves import Curves, Sums, curves
+from uwaug.optics.curves import Curves, Sums, curves, passed
 from uwaug.optics.medium import Medium
 
 Exposure = Literal["none", "auto"] | float
@@ -62,11 +62,24 @@ def auto_gain(image: Tensor, z: Tensor, sums: Sums, lit: Lit | None = None) -> T
         (B,) within `GAINS`, and such that the veil of the farthest pixel stays at or below 1; 1
         where no light arrives.
     """
-    points = metering_points(z.shape[-2], z.shape[-1], z.device)
-    T = transmittance(sums, _at(z, points), None if lit is None else lit.at(points))
+    light, T = metered(image, z, sums, lit)
     farthest = z.amax((-3, -2, -1), keepdim=True)
     veil = farthest_veil(sums, farthest, None if lit is None else lit.light)
-    return balanced(_at(image, points), T, veil)
+    return balanced(light, T, veil)
+
+
+def metered(image: Tensor, z: Tensor, sums: Sums, lit: Lit | None = None) -> tuple[Tensor, Curves]:
+    """The light (Bx3x1xN) of the scene at some pixels, and their transmittances; arguments as for
+    `auto_gain`.
+    """
+    points = metering_points(z.shape[-2], z.shape[-1], z.device)
+    T = transmittance(sums, _at(z, points), None if lit is None else lit.at(points))
+    return _at(image, points), T
+
+
+def arriving(light: Tensor, T: Curves) -> Tensor:
+    """What arrives of light (Bx3x1xN) where transmittances are these, without the blur."""
+    return passed(T.direct + T.scatter, light) + T.veil
 
 
 def balanced(light: Tensor, T: Curves, veil: Tensor) -> Tensor:
@@ -77,7 +90,7 @@ def balanced(light: Tensor, T: Curves, veil: Tensor) -> Tensor:
         T: their transmittances.
         veil (B tensor): from `farthest_veil`.
     """
-    arrives = (T.direct + T.scatter) * light + T.veil
+    arrives = arriving(light, T)
     before, after = _luminance(light), _luminance(arrives)
     dark = after <= 0
     gain = torch.where(dark, 1.0, before / torch.where(dark, 1.0, after))
@@ -103,27 +116,17 @@ def fixed_gain(medium: Medium, exposure: Exposure) -> Tensor:
     return medium.beta.new_full((1,), 2.0**stops)
 
 
-def exposed_sums(image: Tensor, z: Tensor, sums: Sums, exposure: Exposure) -> Sums:
-    """The sums of a medium so exposed, for a graph, in which the number of rows is not known."""
-    if exposure == "none":
-        return sums
-    if exposure == "auto":
-        gain = auto_gain(image, z, sums)[:, None, None]
-        return sums._replace(weights=gain * sums.weights)
-    return sums._replace(weights=2.0**exposure * sums.weights)
-
-
-def exposed_for_planning(medium: Medium, exposure: Exposure) -> Medium:
+def exposed_for_planning(medium: Medium, exposure: Exposure, stops: float = 0.0) -> Medium:
     """The medium for which a blur is planned before a picture is seen: an automatic exposure is
-    taken to make up for the light that is lost on the way down.
+    taken to make up for the light that is lost on the way down. `stops`: compensation on top.
     """
-    if exposure == "none":
-        return medium
     if exposure == "auto":
-        left = medium.signal_weights.detach().sum(-1)
+        left = medium.ambient().detach()
         luminance = (left * left.new_tensor(LUMINANCE)).sum(-1)
-        return medium.brightened((1 / luminance.clamp(min=1e-30)).clamp(*GAINS))
-    return medium.brightened(medium.beta.new_full((1,), 2.0**exposure))
+        gain = (1 / luminance.clamp(min=1e-30)).clamp(*GAINS) * 2.0**stops
+        return medium.brightened(gain)
+    total = stops if isinstance(exposure, str) else exposure + stops
+    return medium if total == 0 else medium.brightened(medium.beta.new_full((1,), 2.0**total))
 
 
 def metering_points(height: int, width: int, device: torch.device) -> Tensor:

@@ -131,7 +131,8 @@ class LearnableMedium(_InFullPrecision):
 
     Raises:
         ValueError: if the light at z = 0 is one in `direct_weights`, another in `signal_weights`,
-            or a weight is negative, as of forward scatter from the direct light.
+            or a weight is negative, as of forward scatter from the direct light; if surfaces have
+            spectra.
     """
 
     b_mean: Tensor
@@ -146,6 +147,8 @@ class LearnableMedium(_InFullPrecision):
         self.start = medium.map(lambda t: t.detach().clone())
         values = self.start.parameters()
         direct, signal = values["direct_weights"], values["signal_weights"]
+        if medium.is_spectral:
+            raise ValueError('a learnable medium needs surfaces="grey", got surfaces="spectral"')
         if bool((signal < 0).any()):
             raise ValueError(
                 'a learnable medium needs signal_weights ≥ 0: forward="direct" cannot be learned'

@@ -9,7 +9,6 @@ radiance J, of distance z and of the transmittances T_β, T_G and V is, and in n
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, NamedTuple
 
 import torch
@@ -24,12 +23,22 @@ from uwaug.blur.tiled import blurred_tiles
 from uwaug.formation.colour import decoded, encoded, headroom, require_values
 from uwaug.formation.contrast import contrast_of
 from uwaug.formation.demand import farthest_blurred, plan_for
+from uwaug.formation.development import (
+    NEUTRAL,
+    black_of,
+    developed,
+    finished,
+    linear_part,
+    look_of,
+)
 from uwaug.formation.engine import Engine, choose
 from uwaug.formation.exposure import (
+    arriving,
     auto_gain,
     balanced,
     farthest_veil,
     fixed_gain,
+    metered,
     metering_points,
 )
 from uwaug.formation.loops.backend import RecordedEngine, can_read
@@ -38,7 +47,7 @@ from uwaug.formation.loops.render import decode, render, render_in_rows
 from uwaug.formation.setup import Setup
 from uwaug.light.banded import BandedLight
 from uwaug.light.lit import LampInWater, Lit, lit_of, planning_medium, transmittance
-from uwaug.optics.curves import FARTHEST, Curves, Sums
+from uwaug.optics.curves import FARTHEST, Curves, Sums, passed
 from uwaug.optics.medium import Medium
 
 
@@ -65,13 +74,15 @@ Finish = Callable[[Curves, Tensor, Tensor], tuple[Tensor, ...]]
 
 def total(T: Curves, J: Tensor, blurred: Tensor) -> tuple[Tensor, ...]:
     """D + F + B."""
+    if T.direct.ndim == 5:  # surfaces with spectra
+        return (passed(T.direct, J).add_(passed(T.scatter, blurred)).add_(T.veil),)
     return (T.veil.addcmul(T.direct, J).addcmul_(T.scatter, blurred),)
 
 
 def separate(T: Curves, J: Tensor, blurred: Tensor) -> tuple[Tensor, ...]:
     """D, F and B."""
-    direct = T.direct * J
-    return direct, T.scatter * blurred, T.veil.expand_as(direct)
+    direct = passed(T.direct, J)
+    return direct, passed(T.scatter, blurred), T.veil.expand_as(direct)
 
 
 class EffectiveRange(NamedTuple):
@@ -92,9 +103,10 @@ class Scene:
         engine: what computes its pictures.
         radiance (Bx3xHxW tensor or row source): J, linear light.
         z (Bx1xHxW tensor or row source): effective distance, m.
-        medium: as the exposure sees it.
-        lit: the light, as the exposure sees it; None for daylight as the medium has it.
+        medium: as the camera sees it, exposed and developed as far as that is linear.
+        lit: the light, as the camera sees it; None for daylight as the medium has it.
         gain (B or 1 tensor): of the exposure.
+        black (B or 1, 1, 1, 1 tensor): light that the development makes black.
         given_plan: of the blur; None to plan for the distances at hand.
         z_range: of the effective distances of a row source.
         image_max: the largest value of the image, where it is known.
@@ -108,6 +120,7 @@ class Scene:
     medium: Medium
     lit: Lit | BandedLight | None
     gain: Tensor
+    black: Tensor
     given_plan: BlurPlan | None
     z_range: EffectiveRange | None
     image_max: float | None
@@ -145,7 +158,7 @@ class Scene:
         ends = require_values(image, setup.color_space)
         image_max = None if torch.compiler.is_compiling() else ends[1]
         maps = (distance,) if field is None else (distance, field)
-        engine = choose(image, maps, setup.medium, setup.light, setup.order, recorded)
+        engine = choose(image, maps, setup, recorded)
         dtype = torch.promote_types(image.dtype, torch.float32)
         medium = setup.medium.to(dtype=dtype, device=image.device)
         pinhole = setup.focal_px, setup.centre
@@ -182,17 +195,20 @@ class Scene:
             medium=medium,
             lit=lit,
             gain=fixed_gain(medium, setup.exposure),
+            black=medium.beta.new_zeros(1, 1, 1, 1),
             given_plan=plan,
             z_range=z_range,
             image_max=image_max,
         )
-        if gain is None and setup.exposure == "none":
-            return scene
+        visible = len(scene) > 0 and image.numel() > 0
         if gain is not None:
-            return scene._exposed(medium.beta.new_full((1,), gain))
-        if setup.exposure == "auto" and len(scene) and image.numel():
-            return scene._exposed(scene._metered())
-        return scene._exposed(scene.gain)
+            scene = replace(scene, gain=medium.beta.new_full((1,), gain))
+        elif setup.exposure == "auto" and visible:
+            scene = replace(scene, gain=scene._metered())
+        if setup.development != NEUTRAL and visible:
+            return scene._developed()
+        exposed = gain is not None or setup.exposure != "none"
+        return scene._seen(scene.gain) if exposed else scene
 
     def __len__(self) -> int:
         lights = 1 if self.setup.light is None else self.setup.light.rows()
@@ -204,11 +220,11 @@ class Scene:
         """Height and width, px."""
         return self.image.shape[-2], self.image.shape[-1]
 
-    def _exposed(self, gain: Tensor) -> "Scene":
-        """The scene as a camera of this gain sees it."""
+    def _seen(self, gain: Tensor) -> "Scene":
+        """The scene as a camera of this gain sees it, see `Medium.brightened`."""
         medium = self.medium.brightened(gain)
         lit = None if self.lit is None else self.lit.brightened(gain)
-        return replace(self, medium=medium, lit=lit, gain=gain)
+        return replace(self, medium=medium, lit=lit)
 
     def _metered(self) -> Tensor:
         """The gain of an automatic exposure, before any."""
@@ -217,13 +233,29 @@ class Scene:
             assert not isinstance(self.lit, BandedLight)
             return auto_gain(self.radiance, self.z, sums, self.lit)
         assert self.z_range is not None
+        light, T = self._looks(sums)
+        farthest = light.new_full((1, 1, 1, 1), self.z_range.farthest)
+        return balanced(light, T, farthest_veil(sums, farthest, self.setup.light))
+
+    def _looks(self, sums: Sums) -> tuple[Tensor, Curves]:
+        """Light (Bx3x1xN) and transmittances at the pixels where it is measured."""
+        if isinstance(self.radiance, Tensor) and isinstance(self.z, Tensor):
+            assert not isinstance(self.lit, BandedLight)
+            return metered(self.radiance, self.z, sums, self.lit)
         points = metering_points(*self.size, self.image.device)
         values = self.image.flatten(-2)[..., points].reshape(1, 3, 1, -1)
-        z = self._z_at(points)
-        T = self._transmittance_at(points, z, sums)
-        farthest = z.new_full((1, 1, 1, 1), self.z_range.farthest)
-        veil = farthest_veil(sums, farthest, self.setup.light)
-        return balanced(decoded(values, self.setup.color_space), T, veil)
+        T = self._transmittance_at(points, self._z_at(points), sums)
+        return decoded(values, self.setup.color_space), T
+
+    def _developed(self) -> "Scene":
+        """The scene as its camera sees it, exposed and developed."""
+        development, gain = self.setup.development, self.gain.reshape(-1, 1, 1, 1)
+        light = self.gain.new_zeros(1, 3, 1, 1)
+        if development.measures:
+            light = gain * arriving(*self._looks(self.medium.sums(exact_at_lens=False)))
+        linear = linear_part(development, light)
+        black = black_of(development, developed(light, linear))
+        return replace(self._seen(linear * gain.reshape(-1, *[1] * (linear.ndim - 1))), black=black)
 
     @property
     def plan(self) -> BlurPlan:
@@ -242,7 +274,8 @@ class Scene:
             radiance, z = self.radiance, self.z
             srgb, dtype = self.setup.color_space == "srgb", self.image.dtype
             largest = headroom(self.image, self.image_max) if srgb else 1.0
-            options: Any = {"srgb": srgb, "largest": largest, "dtype": dtype}
+            look = look_of(self.setup.development, self.black)
+            options: Any = {"srgb": srgb, "largest": largest, "dtype": dtype, "look": look}
             if isinstance(radiance, Tensor) and isinstance(z, Tensor):
                 return self._unbatched(render(radiance, z, self.medium, plan, **options))
             assert isinstance(radiance, RowSource)
@@ -256,7 +289,7 @@ class Scene:
 
     def term_pictures(self) -> dict[str, Tensor]:
         """The three terms by name, each encoded like the image. In linear light they add up to the
-        picture.
+        picture, before its black point, gamut and contrast are developed.
         """
         pictures = self._encoded(self.plan, separate)
         return dict(zip(("direct", "forward", "backscatter"), pictures, strict=True))
@@ -297,7 +330,13 @@ class Scene:
         """Results as pictures like the image."""
         space, image = self.setup.color_space, self.image
         largest = headroom(image, self.image_max) if space == "srgb" else 1.0
-        encode = partial(encoded, color_space=space, dtype=image.dtype, largest=largest)
+        develop = finish is total and not self.setup.development.is_linear
+
+        def encode(light: Tensor) -> Tensor:
+            if develop:
+                light = finished(self.setup.development, light, self.black)
+            return encoded(light, space, image.dtype, largest)
+
         if isinstance(self.radiance, RowSource):
             results = self._rendered(plan, finish, encode)
         else:
@@ -401,7 +440,7 @@ class _View(NamedTuple):
         return RowSource(rows, (3, *self.radiance.size), self.radiance.like)
 
     def _weighted(self, tile: Tile) -> Tensor:
-        return self._transmittance(tile, self.z[tile]).scatter * self.radiance[tile]
+        return passed(self._transmittance(tile, self.z[tile]).scatter, self.radiance[tile])
 
     def _transmittance(self, tile: Tile, z: Tensor) -> Curves:
         lit = self.lit if self.lit is None or tile is ... else self.lit.part(*tile[1:])

@@ -1,7 +1,7 @@
 """What a picture is taken with: water, light, exposure, camera; and the same as plain values."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, get_args
 
 import torch
@@ -9,6 +9,7 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.types import ColorSpace, Order
+from uwaug.formation.development import NEUTRAL, Development
 from uwaug.formation.exposure import Exposure, require_exposure
 from uwaug.light.light import Light
 from uwaug.light.lit import checked_light
@@ -28,6 +29,7 @@ class Setup:
         color_space: of the picture, given and made.
         focal_px, centre: of the camera, see `uwaug.form_image`.
         tolerance, order: as for `uwaug.form_image`.
+        development: of the picture, in linear light.
     """
 
     medium: Medium
@@ -38,6 +40,7 @@ class Setup:
     centre: tuple[float, float] | None = None
     tolerance: float = 0.002
     order: Order = "line_of_sight"
+    development: Development = NEUTRAL
 
     def to_dict(self) -> dict[str, Any]:
         """The setup as plain numbers and words, which JSON can hold."""
@@ -57,6 +60,8 @@ class Setup:
             "tolerance": self.tolerance,
             "order": self.order,
         }
+        if self.development != NEUTRAL:
+            values["development"] = asdict(self.development)
         if (self.focal_px, self.centre) != (None, None):
             values["camera"] = self.focal_px, self.centre
         if self.light is not None:
@@ -80,6 +85,7 @@ class Setup:
         checks.tolerance(options.get("tolerance", 0.002))
         focal_px, centre = values.get("camera", (None, None))
         options |= {"focal_px": focal_px, "centre": None if centre is None else tuple(centre)}
+        options["development"] = Development(**values.get("development", {}))
         if "light" in values:
             light = Light.from_list(values["light"])
             options["light"] = checked_light(light, focal_px, options["centre"])

@@ -22,6 +22,7 @@ from uwaug.formation.demand import (
     same_plan,
     sides_of,
 )
+from uwaug.formation.development import NEUTRAL, Development
 from uwaug.formation.engine import expected_engine
 from uwaug.formation.exposure import Exposure, exposed_for_planning, require_exposure
 from uwaug.formation.inputs import MapRanges, validate
@@ -70,6 +71,8 @@ class Underwater(nn.Module):
             it. Numbers of it that require gradients are learned with, and stay the caller's: they
             are no part of the state, but must be those of the module that is loaded.
         focal_px, centre: as for `uwaug.form_image`; wanted where the light differs from ray to ray.
+        development: what the camera makes of the light, see `uwaug.Development`; nothing by
+            default.
         plan: of the blur, for pictures of all sizes, such as a file has that another version wrote;
             by default one is made for `distance_range`.
 
@@ -108,6 +111,7 @@ class Underwater(nn.Module):
         focal_px: float | None = None,
         centre: tuple[float, float] | None = None,
         plan: BlurPlan | None = None,
+        development: Development = NEUTRAL,
     ) -> None:
         super().__init__()
         checks.instance("medium", medium, Medium, "; see Medium.from_water")
@@ -122,6 +126,8 @@ class Underwater(nn.Module):
         self.color_space = color_space
         self.order: Order = order
         self.exposure: Exposure = exposure
+        checks.instance("development", development, Development)
+        self.development = development
         self.learnable = learnable
         self._sides = None if sides is None else sides_of(sides)
         self.demand: BlurDemand | None = None
@@ -153,7 +159,16 @@ class Underwater(nn.Module):
 
     def _setup_of(self, medium: Medium) -> Setup:
         space, pinhole = self.color_space, self.pinhole
-        return Setup(medium, self.light, self.exposure, space, *pinhole, self.tolerance, self.order)
+        return Setup(
+            medium,
+            self.light,
+            self.exposure,
+            space,
+            *pinhole,
+            tolerance=self.tolerance,
+            order=self.order,
+            development=self.development,
+        )
 
     @property
     def sides(self) -> tuple[int, int] | None:
@@ -235,7 +250,10 @@ class Underwater(nn.Module):
     def _demand_of(self, medium: Medium, margin: float = 1.0) -> BlurDemand:
         assert self.distance_range is not None
         return blur_demand(
-            planning_medium(exposed_for_planning(medium, self.exposure), self.light),
+            planning_medium(
+                exposed_for_planning(medium, self.exposure, self.development.compensation),
+                self.light,
+            ),
             self.distance_range,
             self.tolerance,
             order=self.order,
@@ -298,6 +316,8 @@ class Underwater(nn.Module):
         settings |= {"light": None, "camera": None}
         if self.light is not None:
             settings |= {"light": self.light.to_list(), "camera": self.pinhole}
+        if self.development != NEUTRAL:
+            settings["development"] = asdict(self.development)
         settings |= {"sides": self._sides, "tolerance": self.tolerance}
         settings["demand"] = None if self.demand is None else asdict(self.demand)
         return settings
@@ -315,6 +335,8 @@ class Underwater(nn.Module):
         settings = f"tolerance={self.tolerance:g}, {self.color_space}, {self.order}"
         if self.exposure != "none":
             settings += f", exposure={self.exposure!r}"
+        if self.development != NEUTRAL:
+            settings += f", {self.development!r}"
         if self.light is not None:
             settings += f", {self.light!r}"
         settings += f", {expected_engine((512, 512), self.order, self.light)}"

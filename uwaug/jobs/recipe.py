@@ -17,12 +17,15 @@ from uwaug.labels import LabelSource, open_labels
 from uwaug.light.light import Light
 from uwaug.presets.preset import load_preset
 from uwaug.transforms.codec import decode_options
+from uwaug.transforms.params import DEVELOPED
 from uwaug.transforms.random_underwater import RandomUnderwater
 
 _FIXED: dict[str, Any] = {
+    **dict.fromkeys(DEVELOPED),
     "contrast": None,
     "vertical_depth": 1.0,
     "field_probability": 0.0,
+    "mu": 0.075,
 }
 """Options of one water, as it is in nature, instead of a random one."""
 

@@ -19,7 +19,17 @@ from uwaug._support.hashing import FileHash
 TERMS = ("direct", "forward", "backscatter")
 """Of the light, as files beside a picture are called."""
 
-_FORMAT = 1
+_FORMAT = 2
+
+_DEFAULTS_OF_1: dict[str, Any] = {
+    "waters": ["II", "III", "1C", "3C", "5C", "7C", "9C"],
+    "contrast": [0.1, 0.6],
+    "vertical_depth": [0.0, 10.0],
+    "mu": 0.075,
+    "surfaces": "grey",
+    **dict.fromkeys(("color_matrix", "compensation", "white_balance", "gamut")),
+}
+"""Options of `RandomUnderwater` as they were by default where format 1 was written."""
 
 
 @dataclass(frozen=True)
@@ -89,10 +99,12 @@ class Sidecar:
         names = {field.name for field in fields(Sidecar)}
         if not isinstance(values, Mapping) or set(values) != names | {"format"}:
             raise ValueError(f"{path}: is no record of a picture that uwaug has written")
-        if values["format"] != _FORMAT:
+        if values["format"] not in (1, _FORMAT):
             got = values["format"]
             raise ValueError(f"{path}: expected a record of format {_FORMAT}, got {got}")
         attributes = {name: values[name] for name in names}
+        if values["format"] == 1:
+            attributes["recipe"] = _recipe_of_1(attributes["recipe"])
         try:
             for name in ("input", "distance", "label_file"):
                 if isinstance(attributes[name], Mapping):
@@ -100,6 +112,21 @@ class Sidecar:
         except TypeError:
             raise ValueError(f"{path}: is no record of a picture that uwaug has written") from None
         return Sidecar(**attributes)
+
+
+def _recipe_of_1(recipe: Any) -> Any:
+    """A recipe of format 1 with the options that were meant where they are not named."""
+    if not isinstance(recipe, Mapping) or not (recipe.get("random") or recipe.get("water")):
+        return recipe
+    if recipe.get("preset"):  # has options of its own
+        return recipe
+    options = recipe.get("options") or {}
+    meant = dict(_DEFAULTS_OF_1)
+    if recipe.get("water"):
+        del meant["waters"], meant["contrast"], meant["vertical_depth"]
+    if "visibility" in options:
+        meant.pop("contrast", None)
+    return {**recipe, "options": {**meant, **options}}
 
 
 def versions() -> tuple[str, str]:

@@ -56,15 +56,18 @@ class BandedLight:
         """What reaches the camera at some pixels (N) of effective distances z (1x1x1xN)."""
         height, width = self.size
         row = points // width
-        T = Curves(*(z.new_empty(1, 3, 1, len(points)) for _ in range(3)))
+        T: Curves | None = None
         for start, stop in row_bands(height, width):
             inside = (row >= start) & (row < stop)
             if not bool(inside.any()):
                 continue
             band, lit = self._band(slice(start, stop))
             here = lit.at(points[inside] - band.start * width).curves(sums, z[..., inside])
+            if T is None:
+                T = Curves(*(z.new_empty(*part.shape[:-1], len(points)) for part in here))
             for whole, part in zip(T, here, strict=True):
                 whole[..., inside] = part
+        assert T is not None
         return T
 
     def _band(self, rows: slice) -> tuple[slice, Lit]:

@@ -23,8 +23,9 @@ from uwaug._support import checks
 from uwaug.light.backscatter import Grid, grid_of, integrated, interpolated, polynomials_of
 from uwaug.light.geometry import Place, as_map, facing, irradiance, ray_of, require_centre, view_of
 from uwaug.light.light import Daylight, Lamp, Light
-from uwaug.optics.curves import FARTHEST, Curves, Sums, curves, decay
+from uwaug.optics.curves import FARTHEST, Curves, Sums, amplified, curves, decay, dimmed
 from uwaug.optics.medium import Medium
+from uwaug.optics.surfaces import white
 
 _DARK = 1e-30
 """Of light, stands for none."""
@@ -119,7 +120,7 @@ class DaylightOnScene(NamedTuple):
             assert source.diffuse is not None
             diffuse = as_map(source.diffuse)
             shade = shade * (diffuse + (1 - diffuse) * facing(part.normals(), source.sun))
-        return Curves(sky.direct * shade, sky.scatter * shade, sky.veil * veil)
+        return Curves(dimmed(sky.direct, shade), dimmed(sky.scatter, shade), sky.veil * veil)
 
 
 class LampOnScene(NamedTuple):
@@ -132,7 +133,7 @@ class LampOnScene(NamedTuple):
         grid: its backscatter along the rays of the whole picture; None where that is integrated at
             each pixel: near a lamp in view, it is too steep for a grid.
         from_direct (B tensor): see `uwaug.optics.bands.Bands`; None where it is 0.
-        gain (B tensor): by which an exposure brightens it, or None.
+        gain: what a camera makes of it, as for `Medium.brightened`; or None.
     """
 
     lamp: Lamp
@@ -158,7 +159,7 @@ class LampOnScene(NamedTuple):
         )
 
     def brightened(self, gain: Tensor) -> "LampOnScene":
-        """As a camera of this gain (B or 1) sees it."""
+        """As a camera of this gain sees it, see `Medium.brightened`."""
         return self._replace(gain=gain)
 
     def curves(self, part: Part) -> Curves:
@@ -171,18 +172,19 @@ class LampOnScene(NamedTuple):
             veil = integrated(lamp, self.water, place.view, ray, place.z)
         else:
             veil = interpolated(self.grid, place.view, ray, place.z, place.columns)
-        if self.gain is not None:
-            share, veil = share * as_map(self.gain), veil * as_map(self.gain)
         if field is not None:
             path, veil = path * field, veil * field
-        arrives = _summed(self.water.G, self.water.signal_weights, part.z + path) * share
+        arrives = dimmed(_summed(self.water.G, self.water.signal_weights, part.z + path), share)
         direct, scattered = part.shares(self)
-        return Curves(arrives * direct, arrives * scattered, veil)
+        T = Curves(dimmed(arrives, direct), dimmed(arrives, scattered), veil)
+        return T if self.gain is None else amplified(T, self.gain)
 
     def shares(self, z: Tensor) -> tuple[Tensor, Tensor]:
         """`Part.shares` at effective distances z (Bx1xHxW), m."""
-        direct = _summed(self.white.beta, self.white.direct_weights, z)
-        signal = _summed(self.white.G, self.white.signal_weights, z)
+        direct = _summed(self.white.beta, white(self.white.direct_weights), z)
+        signal = _summed(self.white.G, white(self.white.signal_weights), z)
+        if self.white.is_spectral:  # a channel may be black or negative, the sum of all is not
+            direct, signal = direct.sum(1, keepdim=True), signal.sum(1, keepdim=True)
         share = (direct / signal.clamp(min=_DARK)).clamp(max=1.0)
         scattered = 1 - share
         if self.from_direct is not None:
@@ -222,7 +224,7 @@ class Lit(NamedTuple):
         return Lit(self.light, tuple(sources), self.place.at(pixels))
 
     def brightened(self, gain: Tensor) -> "Lit":
-        """The light as a camera of this gain (B or 1) sees it, with the medium brightened alike."""
+        """The light as a camera of this gain sees it, with the medium brightened alike."""
         return self._replace(sources=tuple(source.brightened(gain) for source in self.sources))
 
     def curves(self, sums: Sums, z: Tensor) -> Curves:
@@ -331,6 +333,9 @@ def planning_medium(medium: Medium, light: Light | None) -> Medium:
 
 
 def _summed(rates: Tensor, weights: Tensor, z: Tensor) -> Tensor:
-    """Σ weight·e^(−rate·z) for three channels (Bx3xHxW)."""
+    """Σ weight·e^(−rate·z) for three channels (Bx3xHxW), or for matrices (Bx3x3xHxW)."""
     decays = decay(rates[..., None], z.flatten(1)[:, None])
-    return torch.unflatten(weights @ decays, -1, z.shape[-2:])
+    if weights.ndim == 3:
+        return torch.unflatten(weights @ decays, -1, z.shape[-2:])
+    sums = weights.flatten(1, 2) @ decays
+    return sums.reshape(sums.shape[0], 3, 3, *z.shape[-2:])

@@ -126,8 +126,11 @@ def check_onnx(
 
 
 def limit_of(module: Underwater) -> float:
-    """The largest difference that passes by default."""
-    return _SLOPES if module.light is not None and module.light.has_view else _EQUAL
+    """The largest difference that passes by default; in linear light a development multiplies it
+    as it does the picture.
+    """
+    lit = module.light is not None and module.light.has_view
+    return (_SLOPES if lit else _EQUAL) * module.development.gain
 
 
 def _apart(
@@ -214,11 +217,15 @@ def _unrelated_media(medium: Medium) -> list[Medium]:
             torch.linspace(0.6, 1.0, 3, dtype=torch.float64)[None, :, None].expand(1, 3, k) / k
         )
         law = replace(medium.point_spread, scale=scale, exponent=exponent)
+        signal = weights
+        if medium.is_spectral:  # some of them negative
+            mixing = 1.4 * torch.eye(3, dtype=torch.float64) - 0.2
+            signal = mixing[:, :, None] * weights[:, None]
         return Medium(
             rates,
-            weights,
+            signal,
             0.4 * rates,
-            weights,
+            signal,
             0.3 * weights,
             rates.new_tensor([0.7]),
             law,

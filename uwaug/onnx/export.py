@@ -174,6 +174,7 @@ def _parts(graph: Graph) -> tuple[dict[str, _Example], list[str]]:
         "z": sizes.picture,
         "columns": {0: sizes.width + len(prepared["columns"]) - 57},
         "brightest": {0: sizes.batch},
+        "black": {0: sizes.batch},
         "rates": {0: sizes.batch, 1: sizes.all_rates},
         "weights": {0: sizes.batch} if graph.frozen else {0: sizes.batch, 2: sizes.all_rates},
     }

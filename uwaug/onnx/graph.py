@@ -19,7 +19,7 @@ from uwaug.blur.kernels import PERIOD
 from uwaug.blur.plan import BlurPlan
 from uwaug.formation.colour import encoded, from_light, headroom, to_light
 from uwaug.formation.demand import SIDES
-from uwaug.formation.exposure import exposed_sums, fixed_gain
+from uwaug.formation.development import finished, linear_part, seen_sums
 from uwaug.formation.scene import mixture, total
 from uwaug.formation.underwater import Underwater
 from uwaug.light.lit import Lit, lit_of, transmittance
@@ -91,6 +91,7 @@ class Graph(nn.Module):
         self.blurs = Blurs(self.plan)
         self.options, self.frozen = options, options.parameters == "frozen"
         self.color_space, self.exposure = module.color_space, module.exposure
+        self.development = module.development
         self.medium = module.medium.map(lambda t: t.detach().to("cpu", torch.float32))
         self.light = module.light and module.light.map(lambda t: t.detach().to("cpu"))
         self.lamps, self.pinhole = module.lamps, module.pinhole
@@ -99,25 +100,28 @@ class Graph(nn.Module):
         self.parameters_in = () if self.frozen else tuple(self.medium.parameters())
         self.inputs = ("image", "distance", *field, *self.parameters_in)
         # exact_at_lens=False: ONNX has no e^x − 1
-        rates, weights, _ = self.medium.sums(exact_at_lens=False)
-        self.curves_fixed = self.frozen and self.exposure != "auto"
+        sums = self.medium.sums(exact_at_lens=False)
+        measures = self.exposure == "auto" or self.development.measures
+        self.curves_fixed = self.frozen and not measures
         if self.curves_fixed:
-            weights = weights * fixed_gain(self.medium, self.exposure)
-        self.register_buffer("rates", rates)
-        self.register_buffer("weights", weights)
+            nothing = sums.weights.new_zeros(1, 3, 1, 1)
+            sums, _ = seen_sums(nothing, nothing, sums, self.exposure, self.development)
+        self.register_buffer("rates", sums.rates)
+        self.register_buffer("weights", sums.weights)
 
     def forward(self, *values: Tensor) -> Tensor:
         """Image (Bx3xHxW), distance (Bx1xHxW) and the rest of `inputs` → image."""
         inputs = dict(zip(self.inputs, values, strict=True))
         light, z, field = self._maps(inputs)
         medium = self._medium(inputs)
-        sums = self._sums(light, z, medium)
+        sums, black = self._sums(light, z, medium)
         size = (z.shape[2], z.shape[3])
         down, across = (torch.arange((n + PERIOD - 1) // PERIOD * PERIOD) for n in size)
         _, stack = self.blurs.strip(self.blurs.before(light, down, across), down, across)
         stack = [blur.narrow(2, 0, size[0]) for blur in stack]
         T = transmittance(sums, z, self._lit(inputs["distance"], field, medium))
         (result,) = total(T, light, mixture(stack, z, medium, self.plan, size))
+        result = finished(self.development, result, black)
         return from_light(result, self.color_space, inputs["image"])
 
     def before(
@@ -135,7 +139,9 @@ class Graph(nn.Module):
             # eager mode gives a number where no value is above 1
             brightest = torch.as_tensor(headroom(inputs["image"]), dtype=light.dtype)
             prepared["brightest"] = brightest.expand(light.shape[0], 1, 1, 1)
-        sums = self._sums(light, z, self._medium(inputs))
+        sums, black = self._sums(light, z, self._medium(inputs))
+        if self.development.black_point > 0:
+            prepared["black"] = black
         if not self.frozen:
             prepared["rates"] = sums.rates
         if not self.curves_fixed:
@@ -157,6 +163,7 @@ class Graph(nn.Module):
         rates, weights = inputs.get("rates", self.rates), inputs.get("weights", self.weights)
         blurred = mixture(stack, z, self._medium(inputs), self.plan, size)
         (result,) = total(curves(Sums(rates, weights, None), z), light, blurred)
+        result = finished(self.development, result, inputs.get("black", result.new_zeros(1)))
         dtype = getattr(torch, self.options.image)
         return encoded(result, self.color_space, dtype, inputs.get("brightest", 1.0))
 
@@ -176,20 +183,24 @@ class Graph(nn.Module):
             return self.medium
         return Medium.of({name: inputs[name] for name in self.parameters_in}, self.medium)
 
-    def _sums(self, light: Tensor, z: Tensor, medium: Medium) -> Sums:
-        """The medium's sums of exponentials as the camera sees them."""
+    def _sums(self, light: Tensor, z: Tensor, medium: Medium) -> tuple[Sums, Tensor]:
+        """The medium's sums of exponentials as the camera sees them, and what becomes black."""
         sums = Sums(self.rates, self.weights, None)
+        if self.curves_fixed:
+            return sums, light.new_zeros(1, 1, 1, 1)
         if not self.frozen:
             sums = medium.sums(exact_at_lens=False)
-        return sums if self.curves_fixed else exposed_sums(light, z, sums, self.exposure)
+        return seen_sums(light, z, sums, self.exposure, self.development)
 
     def _lit(self, distance: Tensor, field: Tensor | None, medium: Medium) -> Lit | None:
         """The light on the scene; None for daylight as the medium has it."""
         lamps = None if self.lamps is None else self.lamps()
         lit = lit_of(self.light, distance, field, medium, *self.pinhole, lamps)
-        if lit is None or isinstance(self.exposure, str):
-            return lit
-        return lit.brightened(medium.beta.new_full((1,), 2.0**self.exposure))
+        if lit is None:
+            return None
+        stops = 0.0 if isinstance(self.exposure, str) else self.exposure
+        linear = linear_part(self.development, medium.beta.new_zeros(1, 3, 1, 1))
+        return lit.brightened(2.0**stops * linear)
 
 
 def _require_exportable(module: Underwater, options: Options) -> None:
@@ -212,3 +223,7 @@ def _require_exportable(module: Underwater, options: Options) -> None:
     if module.exposure == "auto":
         cure = "give a number of stops"
         raise ValueError(f"module.exposure is 'auto', which a file with a light has not: {cure}")
+    if module.development.measures:
+        what = "measures the picture, which a file with a light does not"
+        cure = "leave out white_balance and black_point"
+        raise ValueError(f"module.development {what}: {cure}")

@@ -15,6 +15,7 @@ from torch import Tensor
 from uwaug._support.torch_func import values
 from uwaug._support.types import Array
 from uwaug.optics.quadrature import reduce_rates
+from uwaug.optics.surfaces import as_matrices, measure, tensor_of
 
 Forward = Literal["image", "direct"]
 """What forward scatter is a blur of: the scene J, or the direct light D."""
@@ -30,6 +31,8 @@ class Bands:
         beta, G, b (BxM tensors): β, G and scattering coefficient of the water, 1/m.
         response (Bx3xM tensor): the camera's weights; each channel's sum is 1.
         from_direct (B tensor): 1 where forward scatter is a blur of the direct light, else 0.
+        surfaces (Bx1xM or Bx3xM tensor): what surfaces reflect, see `uwaug.optics.surfaces`: all of
+            it, or the three basis reflectances.
         tolerance: largest error of a curve; 0 where every band is a rate.
     """
 
@@ -39,6 +42,7 @@ class Bands:
     b: Tensor
     response: Tensor
     from_direct: Tensor
+    surfaces: Tensor
     tolerance: float
 
     @staticmethod
@@ -47,11 +51,16 @@ class Bands:
         response = torch.eye(3, dtype=beta.dtype, device=beta.device).expand(len(beta), 3, 3)
         from_direct = beta.new_full((len(beta),), float(forward == "direct"))
         b = b_mean[:, None].expand(-1, 3)
-        return Bands(torch.zeros_like(beta), beta, G, b, response, from_direct, 0.0)
+        grey = torch.ones_like(beta)[:, None]
+        return Bands(torch.zeros_like(beta), beta, G, b, response, from_direct, grey, 0.0)
 
     @staticmethod
-    def stack(parts: "Sequence[Bands]") -> "Bands":
-        """Several as one batch. Bands that some lack have no weight."""
+    def stack(parts: "Sequence[Bands]") -> "Bands | None":
+        """Several as one batch; None if the surfaces of some are grey and those of others are not.
+        Bands that some lack have no weight.
+        """
+        if len({part.surfaces.shape[1] for part in parts}) > 1:
+            return None
         columns = zip(*(part.tensors() for part in parts), strict=True)
         tolerance = min(part.tolerance for part in parts)
         return Bands.of_tensors([padded(column) for column in columns], tolerance)
@@ -67,22 +76,27 @@ class Bands:
     @staticmethod
     def of_tensors(tensors: Sequence[Tensor], tolerance: float) -> "Bands":
         """The inverse of `tensors`."""
-        wavelengths, beta, G, b, response, from_direct = tensors
-        return Bands(wavelengths, beta, G, b, response, from_direct, tolerance)
+        # files of older versions know of grey surfaces alone
+        given = tensors if len(tensors) == 7 else [*tensors, torch.ones_like(tensors[1])[:, None]]
+        wavelengths, beta, G, b, response, from_direct, surfaces = given
+        return Bands(wavelengths, beta, G, b, response, from_direct, surfaces, tolerance)
 
     def under(self, spectrum: Callable[[Array], Array] | None) -> list[Tensor]:
         """Rates and weights of `Medium.under`: β and T_β's, G, T_G's and b's."""
         if spectrum is None and self.tolerance == 0:
-            scatter = self.response * self.b[:, None]
-            return [self.beta, self.response, self.G, self.response, scatter]
+            scatter, lit = self.response * self.b[:, None], self.response
+            if self.surfaces.shape[1] == 3:
+                lit = lit[:, :, None] * self.surfaces[:, None]
+            return [self.beta, lit, self.G, lit, scatter]
         rows = []
         for n in range(len(self.beta)):
-            axis, beta, G, b, response = (_array(t[n]) for t in self.tensors()[:-1])
+            axis, beta, G, b, response, _, surfaces = (_array(t[n]) for t in self.tensors())
             if spectrum is not None:
                 response = _in_light(response, axis, spectrum)
-            rows.append(_reduced(self.tolerance, *(t.tobytes() for t in (beta, G, b, response))))
+            arrays = (beta, G, b, response, *(surfaces if len(surfaces) == 3 else ()))
+            rows.append(_reduced(self.tolerance, *(t.tobytes() for t in arrays)))
         columns = zip(*rows, strict=True)
-        return [padded([torch.tensor(row)[None] for row in column]) for column in columns]
+        return [padded([tensor_of(row)[None] for row in column]) for column in columns]
 
 
 def padded(parts: Sequence[Tensor]) -> Tensor:
@@ -91,6 +105,8 @@ def padded(parts: Sequence[Tensor]) -> Tensor:
     """
     if parts[0].ndim == 1:
         return torch.cat(list(parts))
+    if any(part.ndim == 4 for part in parts):
+        parts = [as_matrices(part) for part in parts]
     width = max(part.shape[-1] for part in parts)
     return torch.cat([F.pad(part, (0, width - part.shape[-1])) for part in parts])
 
@@ -116,13 +132,14 @@ def _array(row: Tensor) -> Array:
 @lru_cache(maxsize=64)
 def _reduced(tolerance: float, *arrays: bytes) -> tuple[Array, ...]:
     """The rates and weights of `Bands.under` for one medium, from the bytes of its β, G, b and
-    response.
+    response, and of the three reflectances of its surfaces if these have spectra.
     """
-    beta, G, b, response = (np.frombuffer(array) for array in arrays)
+    beta, G, b, response, *basis = (np.frombuffer(array) for array in arrays)
     response = response.reshape(3, -1)
+    lit = measure(response, np.stack(basis) if basis else None)
     # b spans some tenths about its mean: as a measure of the scale of the light it keeps the
     # tolerance relative to it
     mean = float(b.mean()) or 1.0
-    rates, (direct,), _ = reduce_rates(beta, (response,), tolerance)
-    G_rates, (signal, scatter), _ = reduce_rates(G, (response, response * b / mean), tolerance)
+    rates, (direct,), _ = reduce_rates(beta, (lit,), tolerance)
+    G_rates, (signal, scatter), _ = reduce_rates(G, (lit, response * b / mean), tolerance)
     return rates, direct, G_rates, signal, scatter * mean

@@ -30,6 +30,9 @@ class Camera(Spectra):
         wavelengths (N array): wavelengths [nm], strictly ascending, N ≥ 1.
         response (N×3 array): response of R, G, B ≥ 0 to equal power, on any common scale.
         name: what to call it.
+        color_matrix (3×3 array): from its raw channels to linear sRGB, as DNG files have it; rows
+            are scaled to a sum of 1. None for the matrix that shows sRGB colours of Mallett and
+            Yuksel as they are, see `uwaug.optics.surfaces`.
 
     Attributes are the arguments, the arrays as read-only float64 copies. Between its wavelengths a
     response is linear.
@@ -37,7 +40,8 @@ class Camera(Spectra):
     Raises:
         TypeError: if an array holds no numbers.
         ValueError: if wavelengths are not ascending nm, the response has another shape, is
-            negative, NaN or infinite, or a channel responds to nothing.
+            negative, NaN or infinite, or a channel responds to nothing; if the matrix has another
+            shape, cannot be inverted, or a row of it has no positive sum.
 
     Examples:
         >>> Camera([450, 550, 600], [[0, 0, 1], [0, 1, 0], [1, 0, 0]], name="laser lines")
@@ -47,12 +51,20 @@ class Camera(Spectra):
     wavelengths: Array
     response: Array
     name: str
+    color_matrix: Array | None
 
-    def __init__(self, wavelengths: ArrayLike, response: ArrayLike, name: str = "custom") -> None:
+    def __init__(
+        self,
+        wavelengths: ArrayLike,
+        response: ArrayLike,
+        name: str = "custom",
+        color_matrix: ArrayLike | None = None,
+    ) -> None:
         axis = wavelength_axis(wavelengths)
         values = spectrum("response", response, axis, channels=(3,))
         _require_response(values, f"camera {name!r}")
-        vars(self).update(wavelengths=axis, response=values, name=name)
+        matrix = None if color_matrix is None else _matrix(color_matrix)
+        vars(self).update(wavelengths=axis, response=values, name=name, color_matrix=matrix)
 
     def at(self, wavelengths: ArrayLike) -> Array:
         """The response at other wavelengths (M, 3), by linear interpolation; 0 outside the range of
@@ -143,6 +155,18 @@ def response_at(camera: Camera, axis: bytes) -> Array:
     1.
     """
     return camera.weights(np.frombuffer(axis)).T
+
+
+def _matrix(values: ArrayLike) -> Array:
+    """A colour matrix, of rows whose sum is 1."""
+    matrix = np.array(values, np.float64)
+    sums = matrix.sum(-1) if matrix.shape == (3, 3) else np.zeros(3)
+    if not (np.isfinite(matrix).all() and (sums > 0).all() and np.linalg.cond(matrix) < 1e3):
+        expected = "3x3 numbers that can be inverted, with rows of a positive sum"
+        raise ValueError(f"color_matrix must be {expected}, got {values!r:.80}")
+    rows: Array = matrix / sums[:, None]
+    rows.flags.writeable = False
+    return rows
 
 
 def _require_response(values: Array, whose: str) -> None:

@@ -18,7 +18,9 @@ _LOG2E = math.log2(math.e)
 
 
 class Curves(NamedTuple):
-    """T_β, T_G − T_β and V(0) − V at given distances, one value for each channel."""
+    """T_β, T_G − T_β and V(0) − V at given distances, one value for each channel (Bx3xHxW); of
+    surfaces with spectra, T_β and T_G − T_β are matrices (Bx3x3xHxW), see `passed`.
+    """
 
     direct: Tensor
     scatter: Tensor
@@ -31,7 +33,8 @@ class Sums(NamedTuple):
     Attributes:
         rates (BxRx1): first 0 (its exponential is 1 and carries the constants), then the rates of
             the direct term, then those that signal and veil share.
-        weights (Bx9xR): the three curves, of three channels each.
+        weights (Bx9xR): the three curves, of three channels each; Bx21xR of surfaces with spectra,
+            whose first two curves have nine.
         shifted: the first of the rates whose exponentials stand for e^−x − 1; None if all stand
             for e^−x.
     """
@@ -49,7 +52,7 @@ def curves(sums: Sums, z: Tensor) -> Curves:
         z (Bx1xHxW tensor): effective distance, m, finite, ≥ 0.
 
     Returns:
-        Each (B, 3, H, W), B the larger of the two batches.
+        The curves, B the larger of the two batches.
     """
     flat, split = z.flatten(1)[:, None], sums.shifted
     if split is None:
@@ -58,12 +61,64 @@ def curves(sums: Sums, z: Tensor) -> Curves:
         shifted = torch.mul(-sums.rates[:, split:], flat).expm1_()
         left = torch.cat([decay(sums.rates[:, :split], flat), shifted], 1)
     b = left.shape[0]  # len() of it would be fixed in a graph
-    shape = (b, 3, *z.shape[-2:])
+    channels = (3,) if sums.weights.shape[1] == 9 else (3, 3)
+    rows = [math.prod(channels), math.prod(channels), 3]
     if torch.compiler.is_compiling():  # ONNX Runtime would copy the parts of one product
-        parts = [sums.weights[:, row : row + 3] @ left for row in (0, 3, 6)]
+        parts = [weights @ left for weights in torch.split(sums.weights, rows, 1)]
     else:  # three products take half as long again
-        parts = list(torch.split(sums.weights.expand(b, -1, -1) @ left, 3, 1))
-    return Curves(*(part.reshape(shape) for part in parts))
+        parts = list(torch.split(sums.weights.expand(b, -1, -1) @ left, rows, 1))
+    shapes = ((b, *channel, *z.shape[-2:]) for channel in (channels, channels, (3,)))
+    return Curves(*(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)))
+
+
+def passed(T: Tensor, light: Tensor) -> Tensor:
+    """What is left of light (Bx3xHxW) after transmittances: T·J of each channel, or the product
+    of matrices (Bx3x3xHxW) and colours.
+    """
+    if T.ndim < 5:
+        return T * light
+    red, green, blue = (light[:, j, None] for j in range(3))
+    return (T[:, :, 0] * red).addcmul(T[:, :, 1], green).addcmul(T[:, :, 2], blue)
+
+
+def dimmed(T: Tensor, light: Tensor) -> Tensor:
+    """Transmittances in light of other strength: (B, 1 or 3, H, W) for the channels of the
+    picture.
+    """
+    return T * light if T.ndim < 5 else T * light[:, :, None]
+
+
+def amplified(T: Curves, gain: Tensor) -> Curves:
+    """Curves as a camera of a gain sees them, see `Medium.brightened`."""
+    if gain.ndim < 3:
+        factor = gain[:, None, None, None] if gain.ndim == 1 else gain[..., None, None]
+        return Curves(dimmed(T.direct, factor), dimmed(T.scatter, factor), T.veil * factor)
+    matrix = gain[..., None, None]
+    if T.direct.ndim == 5:
+        direct, scatter = ((matrix[:, :, :, None] * part[:, None]).sum(2) for part in T[:2])
+    else:
+        direct, scatter = (matrix * part[:, None] for part in T[:2])
+    return Curves(direct, scatter, (matrix * T.veil[:, None]).sum(2))
+
+
+def amplified_sums(sums: Sums, gain: Tensor) -> Sums:
+    """Sums as a camera of a gain sees them, see `Medium.brightened`; for a graph, in which the
+    number of media is not known.
+    """
+    weights = sums.weights
+    channels = (3,) if weights.shape[1] == 9 else (3, 3)
+    rows = [math.prod(channels), math.prod(channels), 3]
+    # planes of one pixel for each rate
+    parts = torch.split(weights, rows, 1)
+    shapes = (channels, channels, (3,))
+    maps = (torch.unflatten(w, 1, s)[..., None] for w, s in zip(parts, shapes, strict=True))
+    seen = amplified(Curves(*maps), gain)
+    return sums._replace(weights=torch.cat([curve.flatten(1, -3) for curve in seen], 1)[..., 0])
+
+
+def of_white(T: Tensor) -> Tensor:
+    """What transmittances leave of white light (Bx3xHxW)."""
+    return T if T.ndim < 5 else T.sum(2)
 
 
 def decay(rates: Tensor, z: Tensor) -> Tensor:

@@ -20,9 +20,14 @@ distance.
     V_c(z) = ∫ S_c·V(0)·e^(−G z) dλ ≈ Σ_l v_cl e^(−G_l z)    so that the veil is V(0) − V(z)
     σ(z) = scale·(b̄ z)^exponent                              width of the forward scatter, px
 
-Each integral becomes a sum of a few exponentials with positive weights: exact at z = 0, monotone,
-right at any distance. (Where forward scatter is a blur of the direct light, T_G is the sum of three
-curves, of which the last has negative weights: e^(−βz) + e^(−(β + G)z) − e^(−2βz).)
+With surfaces that have spectra, T_β and T_G are matrices: what channel c shows of the scene's
+channel j, with S_c·ρ_j for S_c, and S the response of the camera with its colour matrix, which may
+be negative (see `uwaug.optics.surfaces`).
+
+Each integral becomes a sum of a few exponentials, of positive weights where the integrand is
+positive: exact at z = 0, right at any distance. (Where forward scatter is a blur of the direct
+light, T_G is the sum of three curves, of which the last has negative weights:
+e^(−βz) + e^(−(β + G)z) − e^(−2βz).)
 
 The rates belong to the water and serve all three channels, and signal and veil alike; only the
 weights belong to the camera. (For a tolerance of .002, one Gauss quadrature per curve and channel
@@ -36,6 +41,7 @@ from dataclasses import dataclass, replace
 from operator import index
 from typing import Any, Literal, get_args
 
+import numpy as np
 import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
@@ -59,6 +65,14 @@ from uwaug.optics.reduction import (
     reduced,
     spectral_note,
 )
+from uwaug.optics.surfaces import (
+    Surfaces,
+    as_matrices,
+    reflectances,
+    require_surfaces,
+    through_camera,
+    white,
+)
 from uwaug.optics.water import Water, load_water
 
 _TENSORS = ("beta", "direct_weights", "G", "signal_weights", "veil_weights", "b_mean")
@@ -76,9 +90,10 @@ class Medium:
 
     Attributes:
         beta (BxK tensor): rates of the direct term, 1/m, ≥ 0.
-        direct_weights (Bx3xK tensor): weights of T_β.
+        direct_weights (Bx3xK tensor, or Bx3x3xK of surfaces with spectra): weights of T_β.
         G (BxL tensor): rates of signal and veil, 1/m, ≥ 0.
-        signal_weights (Bx3xL tensor): weights of T_G; some are negative with forward="direct".
+        signal_weights (Bx3xL or Bx3x3xL tensor): weights of T_G; some are negative with
+            forward="direct".
         veil_weights (Bx3xL tensor): weights of V; their sum is the veil at infinite distance.
         b_mean (B tensor): b̄, scattering coefficient for the width law, 1/m.
         point_spread: the width law.
@@ -99,7 +114,8 @@ class Medium:
 
     def __post_init__(self) -> None:
         b, k, n = self.beta.shape[0], self.beta.shape[-1], self.G.shape[-1]
-        shapes = ((b, k), (b, 3, k), (b, n), (b, 3, n), (b, 3, n), (b,))
+        channels = (b, 3, 3) if self.is_spectral else (b, 3)
+        shapes = ((b, k), (*channels, k), (b, n), (*channels, n), (b, 3, n), (b,))
         for name, shape in zip(_TENSORS, shapes, strict=True):
             got = tuple(getattr(self, name).shape)
             if got != shape:
@@ -121,6 +137,8 @@ class Medium:
         dims: Dims = "both",
         veil_rate: VeilRate = "G",
         forward: Forward = "image",
+        surfaces: Surfaces = "grey",
+        color_matrix: float = 1.0,
     ) -> "Medium":
         """Reduce spectra to as few exponentials as the tolerance allows.
 
@@ -137,6 +155,12 @@ class Medium:
             point_spread: width law, by default `PointSpread.paper()`.
             tolerance: largest error of each curve, at any distance; 0 keeps every band.
             wavelengths: bands, nm, by default 400…700 in steps of 5 as far as the water reaches.
+            surfaces: "grey", where a channel of the picture depends on that channel of the scene
+                alone, as in the paper; or "spectral", where colours of the scene have spectra, and
+                the camera a colour matrix, see `uwaug.optics.surfaces`. In air the picture is the
+                scene with both.
+            color_matrix: share of the camera's colour matrix that is applied, 0…1, where surfaces
+                have spectra. With 0 its raw channels are shown.
 
         Other models of water (see `uwaug.presets.published_systems`) differ in:
             downwelling: what dims light on its way down: "kd"; "beam", β; or "none".
@@ -159,19 +183,33 @@ class Medium:
             checks.tolerance(tolerance)
         spectra = water.at(default_bands(water) if wavelengths is None else wavelengths)
         axis, b = spectra.wavelengths, spectra.b
-        response = response_at(load_camera(camera), axis.tobytes())
+        require_surfaces(surfaces)
+        checks.within("color_matrix", color_matrix, *DOMAIN["color_matrix"])
+        eye = load_camera(camera)
+        sensor = response_at(eye, axis.tobytes())
+        basis, response = None, sensor
+        if surfaces == "spectral":
+            basis = reflectances(axis.tobytes())
+            response, basis = through_camera(sensor, basis, color_matrix, eye.color_matrix)
         choices: dict[str, Any] = {"downwelling": downwelling, "dims": dims, "veil_rate": veil_rate}
         beta, G = attenuations(spectra.a, b, g)
         light, veil, rate = light_and_veil(
             beta, G, b, spectra.kd, vertical_depth=vertical_depth, mu=mu, **choices
         )
-        tensors, error = reduced(beta, G, light, veil, rate, response, forward, tolerance)
-        note = spectral_note(water.name, tensors, error, numbers, {**choices, "forward": forward})
-        b_mean = torch.as_tensor([(response @ b).mean()])
+        tensors, error = reduced(beta, G, light, veil, rate, response, basis, forward, tolerance)
+        note = spectral_note(
+            water.name,
+            tensors,
+            error,
+            numbers,
+            {**choices, "forward": forward, "surfaces": surfaces},
+        )
+        b_mean = torch.as_tensor([(sensor @ b).mean()])
         law = PointSpread.paper() if point_spread is None else point_spread
         arrays = [torch.tensor(array)[None] for array in (axis, beta, G, b, response)]
         from_direct = torch.tensor([float(forward == "direct")], dtype=torch.float64)
-        bands = Bands.of_tensors([*arrays, from_direct], tolerance)
+        reflected = np.ones((1, len(axis))) if basis is None else basis
+        bands = Bands.of_tensors([*arrays, from_direct, torch.tensor(reflected)[None]], tolerance)
         return Medium.of_tensors([*tensors, b_mean], law, (note,), bands)
 
     @staticmethod
@@ -316,8 +354,8 @@ class Medium:
     def parameters(self) -> dict[str, Tensor]:
         """All that is continuous in a medium, by name, each with a row for every medium.
 
-        Shapes: beta (B, K), direct_weights (B, 3, K), G (B, L), signal_weights and veil_weights
-        (B, 3, L), b_mean, scale and exponent (B,).
+        Shapes: beta (B, K), direct_weights (B, 3, K) or (B, 3, 3, K), G (B, L), signal_weights
+        (B, 3, L) or (B, 3, 3, L), veil_weights (B, 3, L), b_mean, scale and exponent (B,).
         """
         tensors = dict(zip(_TENSORS, self.tensors(), strict=True))
         return tensors | self.point_spread.rows(len(self), self.beta)
@@ -331,6 +369,15 @@ class Medium:
         return Medium.of_tensors(tensors, law, like.notes)
 
     @property
+    def is_spectral(self) -> bool:
+        """Whether each channel of the picture depends on all three of the scene."""
+        return self.direct_weights.ndim == 4
+
+    def ambient(self) -> Tensor:
+        """Light of a white surface in front of the lens (B, 3): e^(−K_d d) of each channel."""
+        return white(self.signal_weights).sum(-1)
+
+    @property
     def requires_grad(self) -> bool:
         """Whether any tensor, the width law's included, records gradients."""
         return any(t.requires_grad for t in self.parameters().values())
@@ -342,18 +389,19 @@ class Medium:
         small veil, not 0. Otherwise V(0) − V(z) is subtracted, which takes half the time; see
         `sums_at` for where that is right.
         """
-        direct, signal, veil = self.direct_weights, self.signal_weights, self.veil_weights
+        direct, signal = self.direct_weights.flatten(1, -2), self.signal_weights.flatten(1, -2)
+        veil = self.veil_weights
         rates = torch.cat([torch.zeros_like(self.beta[:, :1]), self.beta, self.G], 1)[..., None]
         no_direct, no_signal = torch.zeros_like(direct), torch.zeros_like(signal)
-        nothing = torch.zeros_like(direct[..., :1])
+        nothing, no_veil = no_direct[..., :1], no_direct[:, :3]
         # if the exponentials of G stand for e^−x − 1, T_G(z) is T_G(0) + Σ s(e^−Gz − 1), and the
         # veil is −Σ v(e^−Gz − 1)
         signal_at_0 = signal.sum(-1, keepdim=True) if exact_at_lens else nothing
-        veil_at_0 = nothing if exact_at_lens else veil.sum(-1, keepdim=True)
+        veil_at_0 = no_veil[..., :1] if exact_at_lens else veil.sum(-1, keepdim=True)
         weights = [
             torch.cat([nothing, direct, no_signal], 2),
             torch.cat([signal_at_0, -direct, signal], 2),
-            torch.cat([veil_at_0, no_direct, -veil], 2),
+            torch.cat([veil_at_0, no_veil, -veil], 2),
         ]
         split = 1 + self.beta.shape[1] if exact_at_lens else None
         return Sums(rates, torch.cat(weights, 1), split)
@@ -396,7 +444,7 @@ class Medium:
         """
         if self.bands is not None:
             tensors = [t.to(self.beta) for t in self.bands.under(spectrum)]
-        elif spectrum is None:
+        elif spectrum is None and not self.is_spectral:
             direct, signal = (
                 weights / weights.sum(-1, keepdim=True).clamp(min=_DARK)
                 for weights in (self.direct_weights, self.signal_weights)
@@ -404,7 +452,8 @@ class Medium:
             scatter = signal * self.b_mean[:, None, None]
             tensors = [self.beta, direct, self.G, signal, scatter]
         else:
-            raise ValueError("spectrum: the medium has no wavelengths any more; give rgb")
+            what = "spectrum" if spectrum is not None else "light"
+            raise ValueError(f"{what}: the medium has no wavelengths any more; give rgb")
         return Medium.of_tensors([*tensors, self.b_mean], self.point_spread, self.notes)
 
     def transmission(self, z: Tensor) -> Tensor:
@@ -414,7 +463,8 @@ class Medium:
             z: distance, m; (B or 1, 1, H, W), (1, H, W), or any number of values (N,) or ().
 
         Returns:
-            (B, 3, H, W), or (B, 3, N), or (B, 3).
+            (B, 3, H, W), or (B, 3, N), or (B, 3). Of surfaces with spectra, a matrix (B, 3, 3, …):
+            what each channel of the picture has of each channel of the scene.
         """
         return self._curves(z).direct
 
@@ -435,17 +485,28 @@ class Medium:
             maps = curves(self.to(x).sums(exact_at_lens=exact_at_lens), batch)
         if z.ndim > 2:
             return maps
-        return Curves(*(curve.reshape(len(curve), 3, *z.shape) for curve in maps))
+        return Curves(*(curve.reshape(*curve.shape[:-2], *z.shape) for curve in maps))
 
     def brightened(self, gain: Tensor) -> "Medium":
-        """The medium as seen by a camera that multiplies all light by `gain` (B or 1), or each
-        channel's by its own (B or 1, 3).
+        """The medium as seen by a camera that multiplies all light by `gain` (B or 1), each
+        channel's by its own (B or 1, 3), or mixes channels by a matrix (B or 1, 3, 3).
         """
-        wide, factor = self.expand(len(gain)), gain.reshape(len(gain), -1, 1).to(self.beta)
+        wide = self.expand(len(gain))
+        if gain.ndim == 3:
+            matrix = gain.to(self.beta)
+            direct, signal = map(as_matrices, (wide.direct_weights, wide.signal_weights))
+            return replace(
+                wide,
+                direct_weights=torch.einsum("bij,bjkl->bikl", matrix, direct),
+                signal_weights=torch.einsum("bij,bjkl->bikl", matrix, signal),
+                veil_weights=matrix @ wide.veil_weights,
+            )
+        factor = gain.reshape(len(gain), -1, 1).to(self.beta)
+        of_signal = factor[..., None] if self.is_spectral else factor
         return replace(
             wide,
-            direct_weights=factor * wide.direct_weights,
-            signal_weights=factor * wide.signal_weights,
+            direct_weights=of_signal * wide.direct_weights,
+            signal_weights=of_signal * wide.signal_weights,
             veil_weights=factor * wide.veil_weights,
         )
 
@@ -467,7 +528,7 @@ class Medium:
         limit = _row("veil", veil, (3,), self.beta.dtype).to(self.beta.device)
         checks.batches({"veil": len(limit), "medium": len(self)})
         wide = self.expand(len(limit))
-        weights = wide.veil_weights if curve == "veil" else wide.signal_weights
+        weights = wide.veil_weights if curve == "veil" else white(wide.signal_weights)
         total = weights.sum(-1, keepdim=True)
         if not bool((total.detach() > 0).all()):
             cure = 'try curve="signal"' if curve == "veil" else "no light is left at that depth"

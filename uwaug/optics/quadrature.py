@@ -3,12 +3,13 @@
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uwaug._support.types import Array
 from uwaug.optics.curves import FARTHEST
 
 Reduced = tuple[Array, list[Array], float]
-"""The rates (K), ascending; the weights, (3, K) for each measure; the largest error."""
+"""The rates (K), ascending; the weights, (C, K) for each measure; the largest error."""
 
 _FIRST_RATES, _MOST_RATES = 4, 12
 """Rates tried first, and at all. At a tolerance of .002 the ten types need 2 to 4, and each of them
@@ -37,39 +38,43 @@ def reduce_rates(rates: Array, measures: tuple[Array, ...], tolerance: float) ->
     The rates are the nodes of the Gauss quadrature (Golub & Welsch 1969) of all measures taken
     together, on the logarithm of the rates, as distances spread over decades. (On the rates
     themselves, 90 media of the ten types need 693 rates where these need 499.) The weights fit each
-    curve by non-negative least squares over the logarithm of distance, exact at z = 0.
+    curve by least squares over the logarithm of distance, exact at z = 0; those of a curve without
+    negative weights are not negative either.
 
     Args:
         rates (M): rate of each band.
-        measures: each (3, M), the weights of three curves Σ_m measure_cm e^(−rate_m z).
+        measures: each (C, M), the weights of C curves Σ_m measure_cm e^(−rate_m z).
         tolerance: largest error of any curve; 0 keeps every band.
     """
     weights = np.concatenate(measures)  # (C, M)
     if tolerance == 0:
         return rates, list(measures), 0.0
-    totals = weights.sum(1, keepdims=True)
+    sizes = np.abs(weights)
+    totals = sizes.sum(1, keepdims=True)
     if totals.max() < _LEAST:  # no light so deep
         return rates[:1], [measure[:, :1] for measure in measures], 0.0
     # rates of any size: what overflows has decayed, and what is invalid keeps no tolerance
     with np.errstate(over="ignore", invalid="ignore"):
-        z = _distances(rates)
+        z = distances_of(rates)
         exact = weights @ np.exp(np.multiply.outer(-rates, z))  # (C, N)
-        shares = (weights / np.maximum(totals, _LEAST)).sum(0)
+        shares = (sizes / np.maximum(totals, _LEAST)).sum(0)
+        positive = weights.min(1) >= 0
         logs = np.log(np.maximum(rates, _LEAST))
         tried = 0
         for most in (_FIRST_RATES, _MOST_RATES):
             jacobi = _jacobi(logs, shares, most)
             # to begin at a guess of the number saves 40 of 390 µs
             for count in range(tried + 1, len(jacobi) + 1):
-                fit = _fit(jacobi, count, z, exact, tolerance)
+                fit = _fit(jacobi, count, z, exact, positive, tolerance)
                 if fit is not None:
                     nodes, fitted, error = fit
-                    return nodes, [fitted[row : row + 3] for row in range(0, len(fitted), 3)], error
+                    ends = np.cumsum([len(measure) for measure in measures])
+                    return nodes, np.split(fitted, ends[:-1]), error
             tried = len(jacobi)
     return rates, list(measures), 0.0  # every band is a rate: slow, and exact
 
 
-def _distances(rates: Array) -> Array:
+def distances_of(rates: Array) -> Array:
     """0, then logarithmic steps in which the curves of these rates bend."""
     near = min(max(_BEGUN / max(float(rates.max()), _LEAST), _NEAREST), FARTHEST)
     far = min(_ENDED / max(float(rates.min()), _LEAST), FARTHEST)
@@ -100,10 +105,15 @@ def _jacobi(points: Array, weights: Array, most: int) -> Array:
 
 
 def _fit(
-    jacobi: Array, count: int, z: Array, exact: Array, tolerance: float
+    jacobi: Array,
+    count: int,
+    z: Array,
+    exact: Array,
+    positive: NDArray[np.bool_],
+    tolerance: float,
 ) -> tuple[Array, Array, float] | None:
     """Rates (K), weights (C, K) and error of `count` rates; None if the error is beyond the
-    tolerance.
+    tolerance. `positive`: which curves have no negative weights.
     """
     nodes = np.exp(np.linalg.eigvalsh(jacobi[:count, :count]).astype(np.float64, copy=False))
     basis = np.exp(np.multiply.outer(-nodes, z))
@@ -120,8 +130,9 @@ def _fit(
     except np.linalg.LinAlgError:  # two rates that no distance tells apart
         return None
     error = float(np.abs(weights @ basis - exact).max())
-    if error <= tolerance and weights.min() < 0:
-        weights = _positive(system, right.T, weights)
+    negative = np.flatnonzero(positive & (weights.min(1) < 0))
+    if error <= tolerance and len(negative):
+        weights[negative] = _positive(system, right.T[negative], weights[negative])
         error = float(np.abs(weights @ basis - exact).max())
     # non-negative weights fit no better than any
     return (nodes, weights, error) if error <= tolerance else None

@@ -7,13 +7,15 @@ from typing import Literal, get_args
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.types import Array
 from uwaug.optics.bands import Forward
-from uwaug.optics.quadrature import reduce_rates
+from uwaug.optics.quadrature import distances_of, reduce_rates
 from uwaug.optics.spectra import WAVELENGTHS
+from uwaug.optics.surfaces import measure, tensor_of
 from uwaug.optics.water import Water
 
 Downwelling = Literal["kd", "beam", "none"]
@@ -34,7 +36,7 @@ that; a smaller one loses digits in V(0) − V(z), two large numbers.
 """
 
 Part = tuple[Tensor, Tensor]
-"""Rates (B, K) and weights (B, 3, K) of a curve, or of a part of one."""
+"""Rates (B, K) and weights (B, 3, K) or (B, 3, 3, K) of a curve, or of a part of one."""
 
 
 def default_bands(water: Water) -> Array:
@@ -86,6 +88,7 @@ def reduced(
     veil: Array,
     veil_rate: Array,
     response: Array,
+    basis: Array | None,
     forward: Forward,
     tolerance: float,
 ) -> tuple[list[Tensor], float]:
@@ -94,12 +97,17 @@ def reduced(
 
     Args:
         beta, G, light, veil, veil_rate (N arrays): from `attenuations` and `light_and_veil`.
-        response (3xN array): of the camera; rows sum to 1.
+        response (3xN array): of the camera, with its colour matrix if there is a basis; rows sum
+            to 1.
+        basis (3xN array): reflectances of surfaces with spectra; None for grey ones.
         forward: see `uwaug.Medium.from_water`.
         tolerance: largest error of each curve; 0 keeps every band.
     """
     checks.one_of("forward", forward, get_args(Forward))
-    lit, haze = response * light, response * veil
+    lit, haze = measure(response, basis) * light, response * veil
+    if basis is not None and _mixed(lit, np.stack([beta, G])) <= tolerance / 2:
+        # three numbers serve, and so leave half of the tolerance
+        lit, tolerance = response * light, tolerance / 2
     shared = forward == "image" and np.array_equal(veil_rate, G)
     if shared and np.array_equal(beta, G):
         # nothing is scattered forward: of two reductions, the difference would be left
@@ -122,6 +130,20 @@ def reduced(
     return joined(first, arriving, _part(veil_rates, veil_weights)), max(error, of_veil)
 
 
+def _mixed(lit: Array, rates: Array) -> float:
+    """The most that a channel takes from the other two at any distance.
+
+    Args:
+        lit (9xN array): weights of the nine curves.
+        rates (2xN array): β and G, 1/m.
+    """
+    others = lit[[1, 2, 3, 5, 6, 7]]
+    with np.errstate(over="ignore", invalid="ignore"):
+        left = (others @ np.exp(-rate[:, None] * distances_of(rate)) for rate in rates)
+        sums = [np.abs(curves).reshape(3, 2, -1).sum(1) for curves in left]
+    return float(max(curve.max() for curve in sums))
+
+
 def forward_from_direct(direct: Part, both: Part) -> list[Part]:
     """The light that arrives at all, if forward scatter is a blur of D instead of J.
 
@@ -141,9 +163,9 @@ def joined(direct: Part, signal: list[Part], veil: Part) -> list[Tensor]:
     list of rates, and have weights of 0 where a rate is the other's.
     """
     rates = [part[0] for part in signal]
-    arriving = torch.cat([part[1] for part in signal], 2)
-    signal_weights = torch.cat([arriving, torch.zeros_like(veil[1])], 2)
-    veil_weights = torch.cat([torch.zeros_like(arriving), veil[1]], 2)
+    arriving = torch.cat([part[1] for part in signal], -1)
+    signal_weights = F.pad(arriving, (0, veil[1].shape[-1]))
+    veil_weights = F.pad(veil[1], (arriving.shape[-1], 0))
     return [*direct, torch.cat([*rates, veil[0]], 1), signal_weights, veil_weights]
 
 
@@ -155,7 +177,8 @@ def spectral_note(
     choices: Mapping[str, str],
 ) -> str:
     """One line on a medium from spectra, with those of its choices that are not the usual."""
-    unusual = [f", {name} = {value}" for name, value in choices.items() if value != USUAL[name]]
+    usual = {**USUAL, "surfaces": "grey"}
+    unusual = [f", {name} = {value}" for name, value in choices.items() if value != usual[name]]
     return (
         f"{water}: {tensors[0].shape[1]} + {tensors[2].shape[1]} rates, "
         f"curves within {error:.1g} at any distance, "
@@ -170,4 +193,4 @@ def _part(rates: Array, weights: Array) -> Part:
 
 
 def _tensors(*arrays: Array) -> list[Tensor]:
-    return [torch.from_numpy(array[None]) for array in arrays]
+    return [tensor_of(array)[None] for array in arrays]

@@ -266,7 +266,7 @@ def _spectral_medium(
     at_infinity = torch.tensor(veil, dtype=torch.float64)
     if config.medium.dims != "direct":
         # dimmed as the picture is, each wavelength by its own
-        at_infinity = at_infinity * medium.signal_weights.sum(-1)
+        at_infinity = at_infinity * medium.ambient()
     return medium.with_veil(at_infinity, curve="signal")
 
 

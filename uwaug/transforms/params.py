@@ -4,7 +4,7 @@ import json
 import math
 from bisect import bisect
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import accumulate
 from typing import Any, get_args
 
@@ -14,6 +14,7 @@ import torch
 from uwaug._support import checks
 from uwaug._support.checks import DOMAIN
 from uwaug.distance.sample import DistanceKind
+from uwaug.formation.development import Development
 from uwaug.formation.loops.backend import RecordedEngine
 from uwaug.optics.constituents import UNITS, Constituents
 
@@ -64,11 +65,21 @@ QUANTITIES = {
     "chlorophyll": Quantity(DOMAIN["chlorophyll"], UNITS["chlorophyll"], content=True),
     "cdom": Quantity(DOMAIN["cdom"], UNITS["cdom"], content=True),
     "minerals": Quantity(DOMAIN["minerals"], UNITS["minerals"], content=True),
+    "color_matrix": Quantity(DOMAIN["color_matrix"], makes_medium=True),
+    "compensation": Quantity(DOMAIN["compensation"], "stops"),
+    "white_balance": Quantity(DOMAIN["white_balance"]),
+    "saturation": Quantity(DOMAIN["saturation"]),
+    "black_point": Quantity(DOMAIN["black_point"]),
+    "gamut": Quantity(DOMAIN["gamut"]),
+    "tone": Quantity(DOMAIN["tone"]),
 }
 """By the name of the option (or of the content of a water) that gives a number or a range of it, in
 the order in which they are drawn. A new one goes to the end, so that keys of `RandomUnderwater.at`
 keep their pictures.
 """
+
+DEVELOPED = tuple(field.name for field in fields(Development))
+"""Those of the quantities that are of the camera's development."""
 
 _CHOICES = ("applied", "first", "second", "camera", "field")
 """What each picture draws a uniform number for before those of `QUANTITIES`; for all, whether

@@ -17,6 +17,7 @@ from uwaug.formation.scene import Scene
 from uwaug.optics.camera import Camera
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.surfaces import Surfaces
 from uwaug.optics.water import CONTRAST_THRESHOLD, Water, load_water
 from uwaug.transforms.params import Params
 
@@ -113,11 +114,21 @@ def new_medium(
     numbers: tuple[float, float, float],
     law: PointSpread,
     tolerance: float,
+    surfaces: Surfaces,
+    color_matrix: float,
 ) -> Medium:
     """The medium of a water at a vertical depth, with g and mu."""
     depth, g, mu = numbers
     return Medium.from_water(
-        water, camera, vertical_depth=depth, g=g, mu=mu, point_spread=law, tolerance=tolerance
+        water,
+        camera,
+        vertical_depth=depth,
+        g=g,
+        mu=mu,
+        point_spread=law,
+        tolerance=tolerance,
+        surfaces=surfaces,
+        color_matrix=color_matrix,
     )
 
 

@@ -22,6 +22,7 @@ from uwaug.distance.sample import (
     skipped,
     to_metres,
 )
+from uwaug.formation.development import Development
 from uwaug.formation.engine import expected_engine
 from uwaug.formation.field import random_field
 from uwaug.formation.scene import Scene
@@ -33,10 +34,19 @@ from uwaug.optics.constituents import Constituents
 from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.reduction import default_bands
+from uwaug.optics.surfaces import Surfaces, require_surfaces
 from uwaug.optics.water import Water, load_water
 from uwaug.presets.preset import load_preset
 from uwaug.transforms.codec import decode_options, encode_options
-from uwaug.transforms.params import QUANTITIES, Distribution, Params, Range, Record, as_range
+from uwaug.transforms.params import (
+    DEVELOPED,
+    QUANTITIES,
+    Distribution,
+    Params,
+    Range,
+    Record,
+    as_range,
+)
 from uwaug.transforms.prepare import (
     InWater,
     deterministic,
@@ -61,13 +71,28 @@ GOOD_WATERS = ("II", "III", "1C", "3C", "5C", "7C", "9C")
 oceanic types would need 11 to 66 times what is in them, and turn dark green.
 """
 
-CONTRAST = (0.1, 0.6)
+CONTRAST = (0.1, 0.9)
 """Less is fog in which little can be learnt, more is hardly water."""
 
 SEVERITIES = {1: 0.65, 2: 0.5, 3: 0.35, 4: 0.2, 5: 0.08}
 """The contrast of each grade of severity."""
 
+UNDEVELOPED: dict[str, Any] = {"surfaces": "grey"} | dict.fromkeys(
+    ("color_matrix", *DEVELOPED), None
+)
+"""What raw channels shown as sRGB are: the pictures of the paper, and of versions up to 0.1."""
+
+HAZY: dict[str, Any] = {
+    **UNDEVELOPED,
+    "waters": GOOD_WATERS,
+    "contrast": (0.1, 0.6),
+    "vertical_depth": (0.0, 10.0),
+    "mu": 0.075,
+}
+"""The defaults of versions up to 0.1, and what severities grade."""
+
 SURVEY: dict[str, Any] = {
+    **UNDEVELOPED,
     "waters": JERLOV_TYPES[1:],
     "contrast": None,
     "vertical_depth": 1.0,
@@ -89,8 +114,9 @@ class RandomUnderwater(SampleTransform):
     A range is a number or (low, high), drawn uniformly; contrast and visibility are drawn uniformly
     in their logarithm. The defaults give pictures as an underwater camera takes them: constants
     calibrated to light transport (see `PointSpread.calibrated`), waters as turbid as the scene
-    bears, an exposure. `survey` has the paper's set, `severity` five grades, `from_preset` a
-    preset's figures.
+    bears, surfaces with spectra, an exposure and a development. `survey` has the paper's set,
+    `hazy` the defaults of versions up to 0.1, `severity` five grades, `from_preset` a preset's
+    figures.
 
     Args:
         waters: what `uwaug.load_water` takes (Jerlov types, contents, CSV files, `Water` objects),
@@ -143,6 +169,10 @@ class RandomUnderwater(SampleTransform):
         image_key, distance_key: where to find the two in a dict.
         tolerance, color_space, order: as for `uwaug.Underwater`.
         light: a `Light`, or several, of which each picture draws one; None for daylight.
+        surfaces: "spectral" or "grey", as for `uwaug.Medium.from_water`.
+        color_matrix: share of the camera's colour matrix, see there; None for grey surfaces.
+        compensation, white_balance, saturation, black_point, gamut, tone: how the camera develops
+            what it sees, see `uwaug.Development`; None leaves out what it is.
 
     Inputs:
         (image, distance, …), a tuple or list of them, (image, target) with the map in a dict in
@@ -183,10 +213,10 @@ class RandomUnderwater(SampleTransform):
         contrast: Range | None = CONTRAST,
         visibility: Range | None = None,
         cameras: str | os.PathLike[str] | Camera | Iterable[Any] = "Nikon 5100 (NPL)",
-        vertical_depth: Range = (0.0, 10.0),
+        vertical_depth: Range = (0.0, 15.0),
         exposure: Literal["none", "auto"] | Range = "auto",
         g: Range = 0.05,
-        mu: Range = 0.075,
+        mu: Range = (0.02, 0.075),
         point_spread: PointSpread | None = None,
         focal_px: float | None = None,
         blur_factor: Range = 1.0,
@@ -206,6 +236,14 @@ class RandomUnderwater(SampleTransform):
         color_space: ColorSpace = "srgb",
         order: Order = "line_of_sight",
         light: Light | Sequence[Light] | None = None,
+        surfaces: Surfaces = "spectral",
+        color_matrix: Range | None = 1.0,
+        compensation: Range | None = (-1.2, 0.4),
+        white_balance: Range | None = (-0.5, 0.9),
+        saturation: Range | None = None,
+        black_point: Range | None = None,
+        gamut: Range | None = (0.5, 1.0),
+        tone: Range | None = None,
     ) -> None:
         super().__init__()
         if visibility is not None:  # it takes the place of the default contrast
@@ -242,6 +280,14 @@ class RandomUnderwater(SampleTransform):
         self.color_space = color_space
         self.order = order
         self.light = light
+        self.surfaces = surfaces
+        self.color_matrix = color_matrix
+        self.compensation = compensation
+        self.white_balance = white_balance
+        self.saturation = saturation
+        self.black_point = black_point
+        self.gamut = gamut
+        self.tone = tone
         self._check_options()
         # what all pictures share: spectra, lights, what is drawn from
         named = _by_name("waters", [_loaded(water) for water in self.waters])
@@ -268,6 +314,16 @@ class RandomUnderwater(SampleTransform):
         )
 
     @classmethod
+    def hazy(cls, **options: Any) -> "RandomUnderwater":
+        """The defaults of versions up to 0.1: turbid waters alone, surfaces without spectra, and a
+        camera that shows its raw channels. Like fog with a tint; structure is as in the defaults.
+
+        Args:
+            options: any other argument of the class.
+        """
+        return cls(**{**HAZY, **options})
+
+    @classmethod
     def survey(cls, **options: Any) -> "RandomUnderwater":
         """The set of the paper's survey: its nine waters, g, mu, depth and width law, no exposure.
 
@@ -281,7 +337,7 @@ class RandomUnderwater(SampleTransform):
 
     @classmethod
     def severity(cls, level: int, **options: Any) -> "RandomUnderwater":
-        """One of five grades, for robustness studies: the default at a fixed contrast.
+        """One of five grades, for robustness studies: `hazy` at a fixed contrast.
 
         | level | contrast left at the median distance | loss | visibility | at 2, 5 m | PCD |
         |---|---|---|---|---|---|
@@ -302,7 +358,7 @@ class RandomUnderwater(SampleTransform):
         """
         if not isinstance(level, int) or level not in SEVERITIES:
             raise ValueError(f"level must be a whole number from 1 to 5, got {level!r}")
-        return cls(**{"contrast": SEVERITIES[level], **options})
+        return cls(**{**HAZY, "contrast": SEVERITIES[level], **options})
 
     @classmethod
     def from_preset(
@@ -325,7 +381,8 @@ class RandomUnderwater(SampleTransform):
                 instead of spectra.
         """
         preset = load_preset(name_or_path, water=water, camera=camera)
-        return cls(**{**preset.options(options.get("distance_kind", "metric")), **options})
+        figures = preset.options(options.get("distance_kind", "metric"))
+        return cls(**{**UNDEVELOPED, **figures, **options})
 
     def to_dict(self) -> dict[str, Any]:
         """The options that differ from the defaults, in numbers, strings, lists and dicts, as JSON,
@@ -495,6 +552,8 @@ class RandomUnderwater(SampleTransform):
             (depth, numbers["g"], numbers["mu"]),
             law.widened(numbers["blur_factor"]),
             self.tolerance,
+            self.surfaces,
+            numbers.get("color_matrix", 1.0),
         )
         setup = Setup(
             medium,
@@ -504,6 +563,7 @@ class RandomUnderwater(SampleTransform):
             focal_px=focal_px,
             tolerance=self.tolerance,
             order=self.order,
+            development=Development(**{n: numbers[n] for n in DEVELOPED if n in numbers}),
         )
         return setup, water, contents, depth
 
@@ -512,6 +572,10 @@ class RandomUnderwater(SampleTransform):
         checks.one_of("distance_kind", self.distance_kind, get_args(DistanceKind))
         checks.one_of("color_space", self.color_space, get_args(ColorSpace))
         checks.one_of("order", self.order, get_args(Order))
+        require_surfaces(self.surfaces)
+        if self.surfaces == "grey" and self.color_matrix not in (None, 1.0):
+            got = f"surfaces are grey, got {self.color_matrix}"
+            raise ValueError(f"color_matrix would do nothing: {got}")
         checks.within("p", self.p, 0.0, 1.0)
         checks.within("field_probability", self.field_probability, 0.0, 1.0)
         checks.tolerance(self.tolerance)
@@ -544,7 +608,9 @@ class RandomUnderwater(SampleTransform):
                 continue
             if name == "distance" and callable(option):
                 continue
-            if option is not None or name not in ("contrast", "visibility", "distance"):
+            if name == "color_matrix" and self.surfaces == "grey":
+                continue
+            if option is not None or name not in _OPTIONAL:
                 ranges[name] = as_range(name, option)
         if self.distance_kind != "metric":
             near, far = ranges["near"], ranges["far"]
@@ -584,6 +650,9 @@ class RandomUnderwater(SampleTransform):
         shown += [f"{name}={value!r}" for name, value in options.items()]
         return f"{type(self).__name__}({', '.join(shown)})"
 
+
+_OPTIONAL = ("contrast", "visibility", "distance", "color_matrix", *DEVELOPED)
+"""Quantities that may be None: nothing asks for them."""
 
 _NO_SPECTRUM = (
     ", Constituents, or what uwaug.load_water takes. A picture, a fit or a medium has three "

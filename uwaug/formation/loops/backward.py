@@ -16,7 +16,7 @@ from uwaug._support.types import Array
 from uwaug.blur.plan import BlurPlan, place_line
 from uwaug.blur.stack import blurred, mixed, node_weights
 from uwaug.formation.loops.backend import loaded
-from uwaug.formation.loops.render import ONE_OF_EACH, coarse_grids, in_bands, render_into
+from uwaug.formation.loops.render import NO_LOOK, ONE_OF_EACH, coarse_grids, in_bands, render_into
 from uwaug.formation.loops.tables import (
     Floats,
     MediumTable,
@@ -62,7 +62,9 @@ class _Render(torch.autograd.Function):
         ctx.plan, ctx.media = plan, media
         light, z = tensors[:2]
         result = z.new_empty(len(z), *light.shape[1:])
-        render_into(result, light, z, plan, media, False, np.ones(len(z), np.float32))
+        largest = np.ones(len(z), np.float32)
+        looks = np.array(NO_LOOK.expand(len(z), -1).numpy())
+        render_into(result, light, z, plan, media, False, largest, looks)
         return result
 
     @staticmethod

@@ -40,6 +40,9 @@ LANES = 32
 """Lines that go through a coarse grid side by side. (16: 10 to 80 % longer; 64: 20 to 40 %.)"""
 
 f32 = np.float32
+GAMUT_FROM, BEYOND, DARK = f32(0.75), f32(4), f32(1e-8)
+"""Of the development's curves."""
+
 _0, _1, _2, _255 = f32(0), f32(1), f32(2), f32(255)
 
 # ------------------------------------------------------------------------------ coarse grids
@@ -333,13 +336,86 @@ def curves(t: Any, z: int, to: int, medium: Any) -> None:
 
 
 @inner
-def _sum_and_store(
-    total: Any, curves: Any, light: Any, srgb: bool, most: Any, out: Any, out_bytes: Any
-) -> None:
-    """D + F + B of a tile, encoded, to where there is room: into one of the two."""
+def _sum(total: Any, curves: Any, light: Any) -> None:
+    """D + F + B of a channel, in place of its blurred light."""
     for x in range(light.size):
         near = curves[x + 2 * TILE] + curves[x] * light[x]
         total[x] = near + curves[x + TILE] * total[x]
+
+
+@inner
+def _mix(t: Any, z: int, sharp: int, total: int, medium: Any) -> None:
+    """D + F + B of surfaces with spectra, in place of blurred light B in three rows from `total`
+    on: Σ T_β·(J − B) + T_G·B and the veil, for J in three rows from `sharp` on.
+
+    To sum products of light, instead of 21 curves first, takes half the time.
+    """
+    far, rates, direct = tile_row(t, z), medium.rates, medium.direct.shape[1]
+    X, B = tile_rows(t, sharp, 3), tile_rows(t, total, 3)
+    d = tile_rows(t, sharp + 3, 3)
+    for x in range(3 * TILE):
+        X[x] -= B[x]
+        d[x] = _0
+    for r in range(direct):
+        rate, w = rates[r], medium.direct
+        a0, a1, a2 = w[0, r], w[1, r], w[2, r]
+        b0, b1, b2 = w[3, r], w[4, r], w[5, r]
+        c0, c1, c2 = w[6, r], w[7, r], w[8, r]
+        for x in range(TILE):
+            e, red, green, blue = exp2(rate * far[x]), X[x], X[x + TILE], X[x + 2 * TILE]
+            d[x] += e * (a0 * red + a1 * green + a2 * blue)
+            d[x + TILE] += e * (b0 * red + b1 * green + b2 * blue)
+            d[x + 2 * TILE] += e * (c0 * red + c1 * green + c2 * blue)
+    for r in range(direct, rates.size):
+        rate, w, v = rates[r], medium.scatter, medium.veil
+        a0, a1, a2, a3 = w[0, r], w[1, r], w[2, r], v[0, r - direct]
+        b0, b1, b2, b3 = w[3, r], w[4, r], w[5, r], v[1, r - direct]
+        c0, c1, c2, c3 = w[6, r], w[7, r], w[8, r], v[2, r - direct]
+        for x in range(TILE):
+            power, rest = exp2_parts(rate * far[x])
+            e, less = power + rest, (power - _1) + rest
+            red, green, blue = B[x], B[x + TILE], B[x + 2 * TILE]
+            d[x] += e * (a0 * red + a1 * green + a2 * blue) + less * a3
+            d[x + TILE] += e * (b0 * red + b1 * green + b2 * blue) + less * b3
+            d[x + 2 * TILE] += e * (c0 * red + c1 * green + c2 * blue) + less * c3
+    copy(B, d)
+
+
+@inner
+def _develop(t: Any, total: int, look: Any) -> None:
+    """Black point, gamut and contrast of the light in three rows, see
+    `uwaug.formation.development`.
+    """
+    black, scale, share, contrast, offset = look[0], look[1], look[2], look[3], look[4]
+    d = tile_rows(t, total, 3)
+    if black > _0:
+        for x in range(3 * TILE):
+            d[x] = (d[x] - black) * scale
+    if share > _0:
+        for x in range(TILE):
+            red, green, blue = d[x], d[x + TILE], d[x + 2 * TILE]
+            brightest = max(red, green, blue, DARK)
+            inverse, less = _1 / brightest, share * brightest
+            d[x] = red + less * _compression(_1 - red * inverse)
+            d[x + TILE] = green + less * _compression(_1 - green * inverse)
+            d[x + 2 * TILE] = blue + less * _compression(_1 - blue * inverse)
+    if contrast != _1:
+        for x in range(3 * TILE):
+            size = max(abs(d[x]), DARK)
+            power = exp2(contrast * log2(size))
+            d[x] *= (_1 + offset) * power / ((power + offset) * size)
+
+
+@inner
+def _compression(distance: Any) -> Any:
+    """By how much a distance from grey is made less."""
+    beyond = max(distance - GAMUT_FROM, _0) * BEYOND
+    return (beyond - beyond / np.sqrt(_1 + beyond * beyond)) * (_1 - GAMUT_FROM)
+
+
+@inner
+def _store(total: Any, srgb: bool, most: Any, out: Any, out_bytes: Any) -> None:
+    """Light of a tile, encoded, to where there is room: into one of the two."""
     if srgb and most > _1:
         for x in range(TILE):
             value = total[x]
@@ -361,6 +437,7 @@ def render_rows(
     grid: Floats,
     srgb: bool,
     most: Any,
+    look: Floats,
     out: Floats,
     out_bytes: Bytes,
     start: int,
@@ -373,6 +450,7 @@ def render_rows(
         medium, stack: tables.
         grid (NxW): the lines of all coarse grids.
         srgb, most: whether to encode, and the largest value then.
+        look (5): of the development.
         out, out_bytes (3xHxW): the result, one of them; the other is 3x1x0.
         start, stop: rows.
     """
@@ -381,13 +459,14 @@ def render_rows(
     narrow, wide, margin = stack.taps.shape[0], stack.back.shape[0], stack.margin
     padded = -(-width // TILE) * TILE + 2 * margin + 2
     lines = np.zeros((narrow * 3 + 1, padded), np.float32)
-    # rows of a tile: distance, curves, shares, total, and place and terms to work in
+    spectral = medium.direct.shape[0] == 9
+    # rows of a tile: distance, curves, shares, totals, and place and terms to work in
     shares = 10
-    total = shares + count
-    t = np.zeros((total + terms) * TILE, np.float32)
+    totals = shares + count
+    t = np.zeros((totals + 3 + max(terms, 1)) * TILE, np.float32)
     tile_row(t, shares)[:] = _1  # if there is one
     sharp = count - narrow - wide
-    z_row, total_row = tile_row(t, 0), tile_row(t, total)
+    z_row = tile_row(t, 0)
     for y in range(start, stop):
         for c in range(3):
             for k in range(narrow):
@@ -399,12 +478,11 @@ def render_rows(
             right = min(left + TILE, width)
             copy(z_row, z[y, left:right])
             if count > 1:
-                powers(t, 0, total + 1, medium.law)
-                width_places(t, total + 1, medium.law)
-                blur_weights(t, total + 1, shares, stack.series)
-            curves(t, 0, 1, medium)
+                powers(t, 0, totals + 3, medium.law)
+                width_places(t, totals + 3, medium.law)
+                blur_weights(t, totals + 3, shares, stack.series)
             for c in range(3):
-                J = light[c, y, left:right]
+                J, total_row = light[c, y, left:right], tile_row(t, totals + c)
                 total_row[:] = _0
                 if sharp:
                     share = tile_row(t, shares)
@@ -417,10 +495,19 @@ def render_rows(
                     share = tile_row(t, shares + sharp + narrow + k)
                     first = stack.starts[k] + 3 * stack.back_first[k, y] + c
                     add_enlarged(total_row, share, grid, first, left, right, stack.back[k, y])
-                _sum_and_store(
-                    total_row,
-                    tile_rows(t, 1 + 3 * c, 3),
-                    J,
+            if spectral:
+                for c in range(3):
+                    copy(tile_row(t, 1 + c), light[c, y, left:right])
+                _mix(t, 0, 1, totals, medium)
+            else:
+                curves(t, 0, 1, medium)
+                for c in range(3):
+                    near = tile_rows(t, 1 + 3 * c, 3)
+                    _sum(tile_row(t, totals + c), near, light[c, y, left:right])
+            _develop(t, totals, look)
+            for c in range(3):
+                _store(
+                    tile_row(t, totals + c),
                     srgb,
                     most,
                     out[c, y % out.shape[1], left:right],

@@ -34,6 +34,9 @@ ONE_OF_EACH = BlurPlan(
 )
 """A plan with a sharp, a narrow and a coarse blur."""
 
+NO_LOOK = torch.tensor([[0.0, 1.0, 0.0, 1.0, 0.0]])
+"""Of a development that is linear, see `uwaug.formation.development.look_of`."""
+
 _BAND = 1 << 20
 """Pixels whose coarse grids are held at a time: of all together, up to 24 MiB."""
 
@@ -70,9 +73,10 @@ def render(
     *,
     srgb: bool = False,
     largest: float | Tensor = 1.0,
+    look: Tensor = NO_LOOK,
     dtype: torch.dtype = torch.float32,
 ) -> Tensor:
-    """D + F + B of a batch of pictures, in the line of sight, encoded.
+    """D + F + B of a batch of pictures, in the line of sight, developed and encoded.
 
     Args:
         light (Bx3xHxW tensor), z (Bx1xHxW tensor): of the scene; effective distances, m; float32.
@@ -80,6 +84,7 @@ def render(
         plan: of the blur.
         srgb: encode; otherwise the result is linear light.
         largest: sRGB value of the result, ≥ 1, one or (B, …).
+        look (B or 1, 5): from `uwaug.formation.development.look_of`.
         dtype: of the result; uint8 is rounded and clipped.
     """
     size = (light.shape[-2], light.shape[-1])
@@ -87,7 +92,9 @@ def render(
     kind = torch.uint8 if dtype == torch.uint8 else torch.float32
     result = torch.empty(batch, 3, *size, dtype=kind)
     largest = torch.as_tensor(largest, dtype=torch.float32).reshape(-1).expand(batch)
-    render_into(result, light, z, plan, medium_tables(medium, plan, size), srgb, largest.numpy())
+    looks = np.array(look.expand(batch, -1).numpy(), np.float32)
+    media = medium_tables(medium, plan, size)
+    render_into(result, light, z, plan, media, srgb, largest.numpy(), looks)
     return result.to(dtype)
 
 
@@ -99,8 +106,11 @@ def render_into(
     media: Sequence[MediumTable],
     srgb: bool,
     largest: Floats,
+    looks: Floats,
 ) -> None:
-    """Render a batch; `media` are for this plan and size, `largest` has a value for each result."""
+    """Render a batch; `media` are for this plan and size, `largest` and `looks` have a row for each
+    result.
+    """
     scenes, metres = light.detach().contiguous().numpy(), z.detach().contiguous().numpy()
     size, results = (light.shape[-2], light.shape[-1]), result.numpy()
     table, kernel = plan_table(plan, size), loaded("kernels").render_rows
@@ -114,7 +124,7 @@ def render_into(
                 out = results[n]
                 outs = (_NO_FLOATS, out) if out.dtype == np.uint8 else (out, _NO_BYTES)
                 maps = (scene, metres[n % len(metres), 0], media[n % len(media)])
-                run = partial(kernel, *maps, stack, grid, srgb, largest[n], *outs)
+                run = partial(kernel, *maps, stack, grid, srgb, largest[n], looks[n], *outs)
                 in_bands(run, rows, size[1])
 
 
@@ -126,6 +136,7 @@ def render_in_rows(
     *,
     srgb: bool = False,
     largest: float | Tensor = 1.0,
+    look: Tensor = NO_LOOK,
     dtype: torch.dtype = torch.float32,
 ) -> Tensor:
     """`render` of one large picture (1x3xHxW), whose light and distances are made a band of rows at
@@ -138,6 +149,7 @@ def render_in_rows(
     blurs = [PartBlur(node, light.size, light.like) for node in coarse_nodes(plan)]
     keep_coarse(blurs, light.rows, height)
     (largest,) = torch.as_tensor(largest, dtype=torch.float32).reshape(-1).numpy()
+    developing = np.array(look[0].numpy(), np.float32)
     in_bytes = dtype == torch.uint8
     result = torch.empty(1, 3, height, width, dtype=dtype)
     window, first = np.empty((3, 0, width), np.float32), 0
@@ -157,7 +169,8 @@ def render_in_rows(
         out = np.empty((3, high - low, width), np.uint8 if in_bytes else np.float32)
         outs = (_NO_FLOATS, out) if in_bytes else (out, _NO_BYTES)
         stack = part.stack._replace(starts=starts)
-        run = partial(kernel, window, metres, numbers, stack, grid, srgb, largest, *outs)
+        maps = window, metres, numbers, stack, grid
+        run = partial(kernel, *maps, srgb, largest, developing, *outs)
         in_bands(run, inside, width)
         band = torch.from_numpy(out[:, inside.start : inside.stop])
         result[0, :, rows.start : rows.stop] = band.to(dtype)

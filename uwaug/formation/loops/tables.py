@@ -124,6 +124,8 @@ class MediumTable(NamedTuple):
     Attributes:
         rates (R): times −log2(e): those of the direct term, then the others.
         direct (3, K), scatter (3, R), veil (3, R − K): weights; the veil's are those of e^−x − 1.
+            Of surfaces with spectra, direct and scatter have nine rows: for each channel of the
+            picture, those of the scene.
         law (9): b̄, scale, exponent; what 2σ or 2σ² is of scale and of scale²; slope and offset of
             log2; the least and the most scattering lengths.
     """
@@ -324,7 +326,12 @@ def _columns_of(kind: Kind, node: Node, size: int) -> tuple[Indices, Floats]:
 
 def medium_tables(medium: Medium, plan: BlurPlan, size: Size) -> list[MediumTable]:
     """Each row of a medium, for a plan and pictures of (height, width) `size`."""
-    tensors = [np.array(t.detach().numpy(), np.float32, order="C") for t in medium.tensors()]
+    beta, direct, G, signal, veil, b_mean = medium.tensors()
+    # matrices as rows
+    weights = direct.flatten(1, -2), G, signal.flatten(1, -2)
+    tensors = [
+        np.array(t.detach().numpy(), np.float32, order="C") for t in (beta, *weights, veil, b_mean)
+    ]
     tables = []
     for n in range(len(medium)):
         beta, direct, rates, signal, veil, b_mean = (values[n] for values in tensors)

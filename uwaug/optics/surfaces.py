@@ -1,0 +1,105 @@
+"""Surfaces with spectra, and the camera's colour matrix.
+
+An sRGB colour (R, G, B) is taken for a surface that reflects
+
+    ρ(λ) = R·ρ_R(λ) + G·ρ_G(λ) + B·ρ_B(λ),        ρ_R + ρ_G + ρ_B = 1
+
+with the three basis reflectances of Mallett and Yuksel, *Spectral primary decomposition for
+rendering with sRGB reflectance*, EGSR 2019. A camera of response S sees it in air as M·(R, G, B)
+with M_cj = ∫ S_c ρ_j dλ, and its colour matrix M⁻¹ gives R, G, B back. M⁻¹S is the response of the
+camera with its matrix: it may be negative, as the matrix takes out of red the green that the sensor
+let in, and its channels have an integral of 1 as those of S have.
+"""
+
+from functools import cache, lru_cache
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from uwaug._support import checks
+from uwaug._support.types import Array
+
+Surfaces = Literal["grey", "spectral"]
+"""What a channel of the picture depends on: "grey", on that channel of the scene alone, which is
+right for grey surfaces; "spectral", on all three, as surfaces have spectra.
+"""
+
+_SINGULAR = 1e3
+"""Condition number of M from which on the three channels see the same. Of usual cameras it is 3."""
+
+
+def require_surfaces(surfaces: str) -> None:
+    """Refuse what surfaces are not."""
+    checks.one_of("surfaces", surfaces, get_args(Surfaces))
+
+
+@lru_cache(maxsize=16)
+def reflectances(axis: bytes) -> Array:
+    """ρ_R, ρ_G and ρ_B (3, N) at wavelengths, nm, given as the bytes of their array."""
+    table = _table()
+    wavelengths = np.frombuffer(axis)
+    return np.stack([np.interp(wavelengths, table[:, 0], column) for column in table.T[1:]])
+
+
+@cache
+def _table() -> Array:
+    """Wavelengths of 380…780 nm and the three reflectances there (81, 4), as packaged by
+    colour-science.
+    """
+    file = Path(__file__).parent / "reflectances" / "mallett-yuksel-2019.csv"
+    return np.loadtxt(file, delimiter=",", skiprows=1)
+
+
+def through_camera(
+    sensor: Array, basis: Array, share: float = 1.0, own: Array | None = None
+) -> tuple[Array, Array]:
+    """The response (3, N) of a camera with its colour matrix C, and the reflectances (3, N) of the
+    surfaces that it shows in air as R, G and B: (C·M)⁻¹ makes them of the basis. With C = M⁻¹ they
+    are the basis itself; with less of it, those of purer colours.
+
+    Args:
+        sensor (3xN array): response of the camera; rows sum to 1.
+        basis (3xN array): from `reflectances`, at the same wavelengths.
+        share: of the camera's matrix, 0…1: C = 1 + share·(matrix − 1).
+        own (3x3 array): the camera's matrix; None for M⁻¹.
+
+    Raises:
+        ValueError: if the channels cannot tell three colours apart.
+    """
+    seen = sensor @ basis.T
+    if np.linalg.cond(seen) > _SINGULAR:
+        cure = "give a camera and wavelengths that cover 400–700 nm, or surfaces='grey'"
+        raise ValueError(f"camera: its channels cannot tell three colours apart: {cure}")
+    full = np.linalg.inv(seen) if own is None else own
+    matrix = np.eye(3) + share * (full - np.eye(3))
+    return matrix @ sensor, np.linalg.inv(matrix @ seen).T @ basis
+
+
+def measure(response: Array, basis: Array | None) -> Array:
+    """What of each wavelength reaches the channels: S_c (3, N) of grey surfaces, S_c·ρ_j (9, N) of
+    those with spectra.
+    """
+    return response if basis is None else (response[:, None] * basis).reshape(9, -1)
+
+
+def tensor_of(values: Array) -> Tensor:
+    """Rates (K) or weights (3, K) as they are, weights (9, K) as (3, 3, K)."""
+    return torch.tensor(
+        values.reshape(3, 3, -1) if values.ndim == 2 and len(values) == 9 else values
+    )
+
+
+def white(weights: Tensor) -> Tensor:
+    """What a white surface shows of weights (Bx3xK or Bx3x3xK): Bx3xK."""
+    return weights if weights.ndim == 3 else weights.sum(2)
+
+
+def as_matrices(weights: Tensor) -> Tensor:
+    """Weights (Bx3xK) as those of diagonal matrices (Bx3x3xK); matrices stay as they are."""
+    if weights.ndim == 4:
+        return weights
+    unit = torch.eye(3, dtype=weights.dtype, device=weights.device)
+    return unit[:, :, None] * weights[:, :, None]
