@@ -10,6 +10,7 @@ from . import onnx as onnx
 from . import presets as presets
 from . import transforms as transforms
 from .fitting import fit as fit
+from .formation import Development as Development
 from .formation import Terms as Terms
 from .formation import Underwater as Underwater
 from .formation import contrast as contrast

@@ -20,6 +20,7 @@ from uwaug.blur.tiled import blurred_tiles
 from uwaug.distance.complete import filled, filled_rows
 from uwaug.formation.colour import srgb_to_linear
 from uwaug.formation.field import gaussian_random_field, gaussian_random_rows
+from uwaug.transforms.random_underwater import HAZY
 
 pytestmark = pytest.mark.filterwarnings("ignore:distance is unknown")
 
@@ -38,8 +39,8 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "far": {"unknown": "far"},
     "relative": {"distance_kind": "relative", "far": 6.0},
     "inverse": {"distance_kind": "inverse"},
-    # without the negative weights of spectra, which make more of the rounding of coarse grids
-    "plane": {"distance": 3.0, "surfaces": "grey", "color_matrix": None},
+    # not developed, which makes more of the rounding of coarse grids
+    "plane": {**HAZY, "waters": ["7C", "II"], "distance": 3.0},
 }
 
 
@@ -83,7 +84,7 @@ def in_strips(monkeypatch: pytest.MonkeyPatch) -> Any:
 @pytest.mark.parametrize("engine", ["eager", "fused-rows"])
 @pytest.mark.parametrize("name", OPTIONS)
 def test_strips_are_the_whole(name: str, engine: str, in_strips: Any) -> None:
-    aug, size = RandomUnderwater(["7C", "II"], **OPTIONS[name]), (331, 257)
+    aug, size = RandomUnderwater(**{"waters": ["7C", "II"], **OPTIONS[name]}), (331, 257)
     image, z = picture(*size), distances(name, *size)
     levels = (255 * image).round().byte()
     record = aug.make_params(image, torch.Generator().manual_seed(3))

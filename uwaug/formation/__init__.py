@@ -3,6 +3,7 @@
 from uwaug.formation import loops as fused
 from uwaug.formation.contrast import contrast
 from uwaug.formation.demand import BlurDemand, blur_demand
+from uwaug.formation.development import Development
 from uwaug.formation.field import gaussian_random_field
 from uwaug.formation.learnable import LearnableMedium
 from uwaug.formation.model import form_image
@@ -12,6 +13,7 @@ from uwaug.formation.underwater import Underwater
 
 __all__ = [
     "BlurDemand",
+    "Development",
     "LearnableMedium",
     "Scene",
     "Setup",

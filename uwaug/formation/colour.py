@@ -102,16 +102,22 @@ def from_light(light: Tensor, color_space: ColorSpace, like: Tensor) -> Tensor:
 
 
 def encoded(
-    light: Tensor, color_space: ColorSpace, dtype: torch.dtype, largest: float | Tensor
+    light: Tensor,
+    color_space: ColorSpace,
+    dtype: torch.dtype,
+    largest: float | Tensor,
+    least: float = 0.0,
 ) -> Tensor:
-    """`from_light`, given the type of the result and the largest sRGB value that it may have."""
+    """`from_light`, given the type of the result and the largest and the least sRGB value that it
+    may have.
+    """
     values = light
     if color_space == "srgb":
         values = linear_to_srgb(light)
         if isinstance(largest, Tensor):
-            values = torch.minimum(values.clamp(min=0), largest)
+            values = torch.minimum(values.clamp(min=least), largest)
         else:
-            values = values.clamp(0.0, largest)  # an integer beside a float cannot be exported
+            values = values.clamp(least, largest)  # an integer beside a float cannot be exported
     if dtype == torch.uint8:
         return (values * 255).round().clamp(0, 255).to(torch.uint8)
     return values.to(dtype)

@@ -101,7 +101,7 @@ def _gains(development: Development, light: Tensor) -> Tensor:
     light (Bx3x1xN tensor): what arrives at some pixels, as exposed.
     """
     stops = 2.0**development.compensation
-    if development.white_balance == 0:
+    if development.white_balance <= 0:
         return light.new_full((1, 3), stops)
     means = light.mean((-2, -1))
     weights = means.new_tensor(LUMINANCE)

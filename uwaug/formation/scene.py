@@ -34,7 +34,6 @@ from uwaug.formation.development import (
 from uwaug.formation.engine import Engine, choose
 from uwaug.formation.exposure import (
     arriving,
-    auto_gain,
     balanced,
     farthest_veil,
     fixed_gain,
@@ -201,12 +200,16 @@ class Scene:
             image_max=image_max,
         )
         visible = len(scene) > 0 and image.numel() > 0
+        automatic = gain is None and setup.exposure == "auto"
+        looks = None
+        if visible and (automatic or setup.development.measures):
+            looks = scene._looks()
         if gain is not None:
             scene = replace(scene, gain=medium.beta.new_full((1,), gain))
-        elif setup.exposure == "auto" and visible:
-            scene = replace(scene, gain=scene._metered())
+        elif automatic and looks is not None:
+            scene = replace(scene, gain=scene._metered(*looks))
         if setup.development != NEUTRAL and visible:
-            return scene._developed()
+            return scene._developed(None if looks is None else arriving(*looks))
         exposed = gain is not None or setup.exposure != "none"
         return scene._seen(scene.gain) if exposed else scene
 
@@ -226,19 +229,9 @@ class Scene:
         lit = None if self.lit is None else self.lit.brightened(gain)
         return replace(self, medium=medium, lit=lit)
 
-    def _metered(self) -> Tensor:
-        """The gain of an automatic exposure, before any."""
+    def _looks(self) -> tuple[Tensor, Curves]:
+        """Light (Bx3x1xN) and transmittances at the pixels where light is measured, unexposed."""
         sums = self.medium.sums(exact_at_lens=False)
-        if isinstance(self.radiance, Tensor) and isinstance(self.z, Tensor):
-            assert not isinstance(self.lit, BandedLight)
-            return auto_gain(self.radiance, self.z, sums, self.lit)
-        assert self.z_range is not None
-        light, T = self._looks(sums)
-        farthest = light.new_full((1, 1, 1, 1), self.z_range.farthest)
-        return balanced(light, T, farthest_veil(sums, farthest, self.setup.light))
-
-    def _looks(self, sums: Sums) -> tuple[Tensor, Curves]:
-        """Light (Bx3x1xN) and transmittances at the pixels where it is measured."""
         if isinstance(self.radiance, Tensor) and isinstance(self.z, Tensor):
             assert not isinstance(self.lit, BandedLight)
             return metered(self.radiance, self.z, sums, self.lit)
@@ -247,15 +240,27 @@ class Scene:
         T = self._transmittance_at(points, self._z_at(points), sums)
         return decoded(values, self.setup.color_space), T
 
-    def _developed(self) -> "Scene":
-        """The scene as its camera sees it, exposed and developed."""
+    def _metered(self, light: Tensor, T: Curves) -> Tensor:
+        """The gain of an automatic exposure, from what `_looks` sees."""
+        if isinstance(self.z, Tensor):
+            farthest = self.z.amax((-3, -2, -1), keepdim=True)
+        else:
+            assert self.z_range is not None
+            farthest = light.new_full((1, 1, 1, 1), self.z_range.farthest)
+        sums = self.medium.sums(exact_at_lens=False)
+        return balanced(light, T, farthest_veil(sums, farthest, self.setup.light))
+
+    def _developed(self, arrives: Tensor | None) -> "Scene":
+        """The scene as its camera sees it, exposed and developed.
+
+        arrives (Bx3x1xN tensor): light at some pixels, unexposed; None where nothing depends on it.
+        """
         development, gain = self.setup.development, self.gain.reshape(-1, 1, 1, 1)
-        light = self.gain.new_zeros(1, 3, 1, 1)
-        if development.measures:
-            light = gain * arriving(*self._looks(self.medium.sums(exact_at_lens=False)))
+        light = self.gain.new_zeros(1, 3, 1, 1) if arrives is None else gain * arrives
         linear = linear_part(development, light)
         black = black_of(development, developed(light, linear))
-        return replace(self._seen(linear * gain.reshape(-1, *[1] * (linear.ndim - 1))), black=black)
+        seen = self._seen(linear * gain.reshape(-1, *[1] * (linear.ndim - 1)))
+        return replace(seen, black=black)
 
     @property
     def plan(self) -> BlurPlan:
@@ -289,7 +294,8 @@ class Scene:
 
     def term_pictures(self) -> dict[str, Tensor]:
         """The three terms by name, each encoded like the image. In linear light they add up to the
-        picture, before its black point, gamut and contrast are developed.
+        picture, before its black point, gamut and tone are developed; light out of sRGB is
+        negative in some of them, which bytes do not hold.
         """
         pictures = self._encoded(self.plan, separate)
         return dict(zip(("direct", "forward", "backscatter"), pictures, strict=True))
@@ -335,7 +341,8 @@ class Scene:
         def encode(light: Tensor) -> Tensor:
             if develop:
                 light = finished(self.setup.development, light, self.black)
-            return encoded(light, space, image.dtype, largest)
+            least = 0.0 if finish is total else -1.0
+            return encoded(light, space, image.dtype, largest, least)
 
         if isinstance(self.radiance, RowSource):
             results = self._rendered(plan, finish, encode)

@@ -63,7 +63,7 @@ class _Render(torch.autograd.Function):
         light, z = tensors[:2]
         result = z.new_empty(len(z), *light.shape[1:])
         largest = np.ones(len(z), np.float32)
-        looks = np.array(NO_LOOK.expand(len(z), -1).numpy())
+        looks = np.array(NO_LOOK.expand(len(z), -1).numpy(), order="C")
         render_into(result, light, z, plan, media, False, largest, looks)
         return result
 

@@ -92,7 +92,7 @@ def render(
     kind = torch.uint8 if dtype == torch.uint8 else torch.float32
     result = torch.empty(batch, 3, *size, dtype=kind)
     largest = torch.as_tensor(largest, dtype=torch.float32).reshape(-1).expand(batch)
-    looks = np.array(look.expand(batch, -1).numpy(), np.float32)
+    looks = np.array(look.expand(batch, -1).numpy(), np.float32, order="C")
     media = medium_tables(medium, plan, size)
     render_into(result, light, z, plan, media, srgb, largest.numpy(), looks)
     return result.to(dtype)
