@@ -65,7 +65,7 @@ def auto_gain(image: Tensor, z: Tensor, sums: Sums, lit: Lit | None = None) -> T
     light, T = metered(image, z, sums, lit)
     farthest = z.amax((-3, -2, -1), keepdim=True)
     veil = farthest_veil(sums, farthest, None if lit is None else lit.light)
-    return balanced(light, T, veil)
+    return balanced(light, arriving(light, T), veil)
 
 
 def metered(image: Tensor, z: Tensor, sums: Sums, lit: Lit | None = None) -> tuple[Tensor, Curves]:
@@ -82,15 +82,14 @@ def arriving(light: Tensor, T: Curves) -> Tensor:
     return passed(T.direct + T.scatter, light) + T.veil
 
 
-def balanced(light: Tensor, T: Curves, veil: Tensor) -> Tensor:
+def balanced(light: Tensor, arrives: Tensor, veil: Tensor) -> Tensor:
     """`auto_gain` from what some pixels show.
 
     Args:
         light (Bx3x1xN tensor): linear light of these pixels.
-        T: their transmittances.
+        arrives (Bx3x1xN tensor): from `arriving`.
         veil (B tensor): from `farthest_veil`.
     """
-    arrives = arriving(light, T)
     before, after = _luminance(light), _luminance(arrives)
     dark = after <= 0
     gain = torch.where(dark, 1.0, before / torch.where(dark, 1.0, after))

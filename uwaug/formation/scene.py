@@ -201,15 +201,16 @@ class Scene:
         )
         visible = len(scene) > 0 and image.numel() > 0
         automatic = gain is None and setup.exposure == "auto"
-        looks = None
+        arrives = None
         if visible and (automatic or setup.development.measures):
-            looks = scene._looks()
+            sums = medium.sums(exact_at_lens=False)
+            light, arrives = scene._looks(sums)
+            if automatic:
+                scene = replace(scene, gain=scene._metered(light, arrives, sums))
         if gain is not None:
             scene = replace(scene, gain=medium.beta.new_full((1,), gain))
-        elif automatic and looks is not None:
-            scene = replace(scene, gain=scene._metered(*looks))
         if setup.development != NEUTRAL and visible:
-            return scene._developed(None if looks is None else arriving(*looks))
+            return scene._developed(arrives)
         exposed = gain is not None or setup.exposure != "none"
         return scene._seen(scene.gain) if exposed else scene
 
@@ -229,26 +230,26 @@ class Scene:
         lit = None if self.lit is None else self.lit.brightened(gain)
         return replace(self, medium=medium, lit=lit)
 
-    def _looks(self) -> tuple[Tensor, Curves]:
-        """Light (Bx3x1xN) and transmittances at the pixels where light is measured, unexposed."""
-        sums = self.medium.sums(exact_at_lens=False)
+    def _looks(self, sums: Sums) -> tuple[Tensor, Tensor]:
+        """Light (Bx3x1xN) of the scene at some pixels, and what arrives of it, unexposed."""
         if isinstance(self.radiance, Tensor) and isinstance(self.z, Tensor):
             assert not isinstance(self.lit, BandedLight)
-            return metered(self.radiance, self.z, sums, self.lit)
-        points = metering_points(*self.size, self.image.device)
-        values = self.image.flatten(-2)[..., points].reshape(1, 3, 1, -1)
-        T = self._transmittance_at(points, self._z_at(points), sums)
-        return decoded(values, self.setup.color_space), T
+            light, T = metered(self.radiance, self.z, sums, self.lit)
+        else:
+            points = metering_points(*self.size, self.image.device)
+            values = self.image.flatten(-2)[..., points].reshape(1, 3, 1, -1)
+            T = self._transmittance_at(points, self._z_at(points), sums)
+            light = decoded(values, self.setup.color_space)
+        return light, arriving(light, T)
 
-    def _metered(self, light: Tensor, T: Curves) -> Tensor:
+    def _metered(self, light: Tensor, arrives: Tensor, sums: Sums) -> Tensor:
         """The gain of an automatic exposure, from what `_looks` sees."""
         if isinstance(self.z, Tensor):
             farthest = self.z.amax((-3, -2, -1), keepdim=True)
         else:
             assert self.z_range is not None
             farthest = light.new_full((1, 1, 1, 1), self.z_range.farthest)
-        sums = self.medium.sums(exact_at_lens=False)
-        return balanced(light, T, farthest_veil(sums, farthest, self.setup.light))
+        return balanced(light, arrives, farthest_veil(sums, farthest, self.setup.light))
 
     def _developed(self, arrives: Tensor | None) -> "Scene":
         """The scene as its camera sees it, exposed and developed.
