@@ -23,7 +23,7 @@ from uwaug._support import checks
 from uwaug.light.backscatter import Grid, grid_of, integrated, interpolated, polynomials_of
 from uwaug.light.geometry import Place, as_map, facing, irradiance, ray_of, require_centre, view_of
 from uwaug.light.light import Daylight, Lamp, Light
-from uwaug.optics.curves import FARTHEST, Curves, Sums, amplified, curves, decay, dimmed
+from uwaug.optics.curves import FARTHEST, Curves, Sums, added, amplified, curves, decay, dimmed
 from uwaug.optics.medium import Medium
 from uwaug.optics.surfaces import white
 
@@ -241,7 +241,7 @@ class Lit(NamedTuple):
             return Curves(dark, dark, dark)
         total = maps[0]
         for more in maps[1:]:
-            total = Curves(*map(torch.add, total, more))
+            total = added(total, more)
         return total
 
 

@@ -116,6 +116,25 @@ def amplified_sums(sums: Sums, gain: Tensor) -> Sums:
     return sums._replace(weights=torch.cat([curve.flatten(1, -3) for curve in seen], 1)[..., 0])
 
 
+def added(first: Curves, second: Curves) -> Curves:
+    """The curves of two lights together. Numbers beside matrices are diagonals: three weights may
+    serve for one light where another mixes channels.
+    """
+    if first.direct.ndim == second.direct.ndim:
+        return Curves(*map(torch.add, first, second))
+    direct, scatter = (
+        _as_matrices(a) + _as_matrices(b) for a, b in zip(first[:2], second[:2], strict=True)
+    )
+    return Curves(direct, scatter, first.veil + second.veil)
+
+
+def _as_matrices(T: Tensor) -> Tensor:
+    if T.ndim == 5:
+        return T
+    unit = torch.eye(3, dtype=T.dtype, device=T.device)
+    return unit[:, :, None, None] * T[:, :, None]
+
+
 def of_white(T: Tensor) -> Tensor:
     """What transmittances leave of white light (Bx3xHxW)."""
     return T if T.ndim < 5 else T.sum(2)

@@ -179,6 +179,9 @@ def spectral_note(
     """One line on a medium from spectra, with those of its choices that are not the usual."""
     usual = {**USUAL, "surfaces": "grey"}
     unusual = [f", {name} = {value}" for name, value in choices.items() if value != usual[name]]
+    if choices["surfaces"] == "spectral":
+        mixes = tensors[1].ndim == 4
+        unusual.append(" (3×3 weights)" if mixes else " (3 weights serve: channels do not mix)")
     return (
         f"{water}: {tensors[0].shape[1]} + {tensors[2].shape[1]} rates, "
         f"curves within {error:.1g} at any distance, "

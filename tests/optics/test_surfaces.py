@@ -1,0 +1,276 @@
+"""Surfaces with spectra: media of 3×3 weights against sums over 61 bands."""
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from referees import reference, spectral
+from referees.spectral import NIKON, SIGMA
+
+from uwaug import Camera, Light, Medium, Water, form_image
+from uwaug.formation.setup import Setup
+from uwaug.optics.bands import Bands
+from uwaug.optics.camera import load_camera
+from uwaug.optics.surfaces import reflectances
+
+TYPES = ["I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C"]
+Z = np.concatenate([[0.0], np.geomspace(1e-3, 30, 160)])
+SCATTERING = {"g": 0.2, "mu": 0.3}
+OWN = [[1.9, -0.7, -0.2], [-0.3, 1.6, -0.3], [0.1, -0.8, 1.7]]  # as a DNG file may have it
+
+
+def medium_of(water: str | Water = "3C", **options: Any) -> Medium:
+    return Medium.from_water(water, **{"surfaces": "spectral", "vertical_depth": 0.0, **options})
+
+
+def camera_of(own: Any = None) -> Camera:
+    nikon = load_camera(NIKON)
+    return Camera(nikon.wavelengths, nikon.response, "own", own)
+
+
+def three_by_three(values: np.ndarray) -> np.ndarray:
+    """Numbers of three channels (1x3xN) as diagonal matrices (1x3x3xN); matrices stay."""
+    return values if values.ndim == 4 else np.eye(3)[:, :, None] * values[:, :, None]
+
+
+def errors(medium: Medium, exact: tuple[np.ndarray, ...], z: np.ndarray = Z) -> list[float]:
+    """How far each of the three curves is from the exact one, at most."""
+    metres = torch.from_numpy(z)
+    ours = [f(metres).numpy() for f in (medium.transmission, medium.signal)]
+    pairs = zip(map(three_by_three, ours), exact[:2], strict=True)
+    apart = [float(np.abs(curve[0] - right).max()) for curve, right in pairs]
+    veil = medium.backscatter(metres)[0].numpy()
+    return [*apart, float(np.abs(veil - exact[2]).max())]
+
+
+def test_the_basis_is_that_of_colour_science() -> None:
+    basis = reflectances(spectral.BANDS.tobytes())
+    np.testing.assert_allclose(basis.sum(0), 1, rtol=0, atol=1e-7)
+    assert basis.min() > 0
+    np.testing.assert_allclose(basis, spectral.BASIS, rtol=0, atol=1e-9)
+    between = reflectances(np.array([452.5]).tobytes())[:, 0]
+    np.testing.assert_allclose(between, basis[:, 10:12].mean(1), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("camera", [NIKON, SIGMA, "own matrix"])
+def test_air_changes_nothing(camera: str, share: float) -> None:
+    eye = camera_of(OWN) if camera == "own matrix" else camera
+    air = torch.zeros(1, 1, 6, 7, dtype=torch.float64)
+    image = torch.from_numpy(reference.picture(6, 7))[None]
+    for tolerance in (0.002, 0.0):
+        medium = medium_of(camera=eye, color_matrix=share, tolerance=tolerance)
+        seen = form_image(image, air, medium).image
+        torch.testing.assert_close(seen, image, rtol=0, atol=1e-6)  # the basis sums to 1 ± 3e-8
+
+
+@pytest.mark.parametrize("camera", [NIKON, SIGMA])
+@pytest.mark.parametrize("water", TYPES)
+def test_curves_are_those_of_the_bands(water: str, camera: str) -> None:
+    eye = spectral.eye(camera)
+    for depth in (0.0, 1.0, 10.0, 25.0):
+        bands = spectral.bands_of(Water.jerlov(water), depth=depth, **SCATTERING)
+        exact = spectral.curves(bands, Z, eye)
+        medium = medium_of(water, camera=camera, vertical_depth=depth)
+        assert max(errors(medium, exact)) <= 0.002 * 1.02
+        # without reduction, to rounding of the table
+        every_band = medium_of(water, camera=camera, vertical_depth=depth, tolerance=0)
+        assert max(errors(every_band, exact)) <= (1e-8 if every_band.is_spectral else 0.002)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("own", [None, OWN], ids=["of the basis", "own"])
+def test_a_share_of_the_matrix(share: float, own: Any) -> None:
+    eye = spectral.eye(NIKON, share, own)
+    exact = spectral.curves(spectral.bands_of(Water.jerlov("1C"), depth=4.0, **SCATTERING), Z, eye)
+    options = {"camera": camera_of(own), "color_matrix": share, "vertical_depth": 4.0}
+    assert max(errors(medium_of("1C", **options), exact)) <= 0.002 * 1.02
+    assert max(errors(medium_of("1C", tolerance=0, **options), exact)) <= 1e-8
+
+
+def test_the_matrix_takes_red_out_of_water() -> None:
+    """Of a white plate under ten metres, raw red has three times what the matrix leaves of it."""
+    z = torch.tensor(2.0)
+    raw, developed = (
+        medium_of("II", vertical_depth=10.0, color_matrix=share).signal(z)[0].sum(1)
+        for share in (0.0, 1.0)
+    )
+    assert raw[0] > 3 * developed[0]
+
+
+def test_a_red_thing_turns_grey_and_then_black() -> None:
+    paint = torch.tensor([0.5, 0.04, 0.03], dtype=torch.float64)
+    z = torch.tensor(0.5, dtype=torch.float64)
+    at_surface, deep, deeper = (
+        medium_of("II", vertical_depth=depth).signal(z)[0] @ paint for depth in (0.0, 10.0, 30.0)
+    )
+    assert at_surface[0] > 5 * at_surface[1]
+    assert deep.abs().max() < 0.03
+    assert deep[0] < 1.3 * deep[1]
+    assert deeper[0] < 0.1 * deep[0]
+    assert deeper.abs().max() < 0.01
+
+
+def test_three_numbers_serve_where_channels_do_not_mix() -> None:
+    grey = Water([400, 700], a=[0.1, 0.1], b=[0.3, 0.3], kd=[0.15, 0.15])
+    medium = medium_of(grey, vertical_depth=3.0)
+    assert not medium.is_spectral
+    assert "surfaces = spectral (3 weights serve" in repr(medium)
+    exact = spectral.curves(spectral.bands_of(grey, depth=3.0, **SCATTERING), Z, spectral.eye())
+    assert max(errors(medium, exact)) <= 0.002
+    mixing = medium_of("3C")
+    assert mixing.is_spectral
+    assert "surfaces = spectral (3×3 weights)" in repr(mixing)
+    assert "surfaces" not in repr(Medium.from_water("3C"))
+
+
+def test_every_band_is_kept_where_nothing_is_reduced() -> None:
+    assert medium_of("3C", tolerance=0).direct_weights.shape == (1, 3, 3, 61)
+
+
+@pytest.mark.parametrize("forward, veil_rate", [("direct", "G"), ("image", "beta")])
+def test_other_models_of_water(forward: Any, veil_rate: Any) -> None:
+    options = {"forward": forward, "veil_rate": veil_rate, "vertical_depth": 2.0}
+    exact = medium_of("7C", tolerance=0, **options)
+    near = medium_of("7C", **options)
+    z = torch.from_numpy(Z)
+    for name in ("transmission", "signal", "backscatter"):
+        apart = (getattr(near, name)(z) - getattr(exact, name)(z)).abs().max()
+        assert apart <= 0.002 * 1.02, name
+
+
+REFUSED = [
+    ({"surfaces": "matte"}, ValueError, "surfaces must be one of grey, spectral, got 'matte'"),
+    ({"color_matrix": 1.5}, ValueError, "color_matrix must be .*0.*1.*, got 1.5"),
+    ({"color_matrix": "full"}, ValueError, r"color_matrix must be in \[0, 1\], got 'full'"),
+    ({"wavelengths": [450.0, 550.0]}, ValueError, "cannot tell three colours apart"),
+    (
+        {"camera": Camera([400, 700], [[1, 1, 1], [2, 2, 2.001]])},
+        ValueError,
+        "cannot tell three colours apart: give a camera .*or surfaces='grey'",
+    ),
+]
+
+
+@pytest.mark.parametrize("options, error, message", REFUSED)
+def test_refused(options: dict[str, Any], error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        medium_of(**options)
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [np.eye(2), np.ones((3, 3)), -np.eye(3), np.full((3, 3), np.nan)],
+    ids=["2x2", "singular", "negative", "NaN"],
+)
+def test_matrices_that_no_camera_has(matrix: np.ndarray) -> None:
+    with pytest.raises(ValueError, match="color_matrix must be 3x3 numbers that can be inverted"):
+        camera_of(matrix)
+
+
+def test_a_cameras_matrix_is_part_of_it() -> None:
+    assert camera_of(OWN) == camera_of(2 * np.array(OWN)), "rows are scaled"
+    assert camera_of(OWN) != camera_of()
+    with pytest.raises(ValueError, match="read-only"):
+        camera_of(OWN).color_matrix[0, 0] = 1.0
+
+
+@pytest.mark.parametrize("shape", [(), (5,), (1, 4, 6), (2, 1, 4, 6)])
+def test_shapes_of_curves(shape: tuple[int, ...]) -> None:
+    medium = Medium.stack([medium_of("3C"), medium_of("I")])
+    z = torch.linspace(0.1, 3, max(1, int(np.prod(shape)))).reshape(shape)
+    pixels = shape if len(shape) < 3 else shape[-2:]
+    assert medium.transmission(z).shape == (2, 3, 3, *pixels)
+    assert medium.signal(z).shape == (2, 3, 3, *pixels)
+    assert medium.backscatter(z).shape == (2, 3, *pixels)
+
+
+def test_grey_stacks_with_spectral() -> None:
+    parts = [Medium.from_water("1C"), medium_of("7C"), Medium.from_water("I")]
+    batch = Medium.stack(parts)
+    assert batch.direct_weights.shape[:3] == (3, 3, 3)
+    image = torch.from_numpy(reference.picture(12, 15))[None]
+    z = torch.linspace(0.5, 4, 180).double().reshape(1, 1, 12, 15)
+    together = form_image(image, z, batch)
+    for n, part in enumerate(parts):
+        alone = form_image(image, z, part)
+        for name in ("direct", "backscatter"):
+            torch.testing.assert_close(getattr(together, name)[n : n + 1], getattr(alone, name))
+        torch.testing.assert_close(together.image[n : n + 1], alone.image, rtol=0, atol=0.004)
+        same = batch[n].signal(torch.tensor(2.0))[0]
+        ours = part.signal(torch.tensor(2.0))[0]
+        torch.testing.assert_close(same, ours if part.is_spectral else torch.diag(ours))
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 0.002])
+def test_lamps_have_a_spectrum(tolerance: float) -> None:
+    """`under` against the bands: spectrum of the lamp × that of the surface."""
+    axis, power = [400.0, 520.0, 700.0], [0.2, 1.0, 0.6]
+    spectrum, eye = np.interp(spectral.BANDS, axis, power), spectral.eye()
+    seen = eye.matrix @ eye.sensor * spectrum
+    water = spectral.bands_of(Water.jerlov("5C"), depth=0.0, **SCATTERING)
+    under = medium_of("5C", vertical_depth=9.0, tolerance=tolerance).under(
+        lambda nm: np.interp(nm, axis, power)
+    )
+    weights = seen / (seen.sum() / 3)
+    exact = np.einsum("cn,jn,nz->cjz", weights, eye.basis, np.exp(-np.outer(water.beta, Z)))
+    scattered = weights * water.b @ np.exp(-np.outer(water.G, Z))
+    ours = under.transmission(torch.from_numpy(Z))[0].numpy()
+    np.testing.assert_allclose(ours, exact, rtol=0, atol=max(1e-8, 1.02 * tolerance))
+    left = torch.exp(-under.G[0, :, None] * torch.from_numpy(Z))
+    metre = (under.veil_weights[0] @ left).numpy()
+    np.testing.assert_allclose(metre, scattered, rtol=0, atol=1e-7 + 3 * tolerance)
+
+
+def test_a_lamp_mixes_channels_where_daylight_does_not() -> None:
+    medium = medium_of("5C", vertical_depth=9.0, tolerance=0.1)
+    assert not medium.is_spectral
+    assert medium.under().is_spectral
+    sky, lamp = Light.ambient(20.0), Light.lamp((0.3, 0, 0), (0, 0, 1), 2.0)
+    image = torch.from_numpy(reference.picture(12, 15))[None]
+    z = torch.linspace(0.5, 4, 180).double().reshape(1, 1, 12, 15)
+    together, by_sky, by_lamp = (
+        form_image(image, z, medium, light=light, focal_px=20.0)
+        for light in (sky + lamp, sky, lamp)
+    )
+    assert by_sky.direct.max() > 0.01
+    for name in ("direct", "backscatter"):
+        apart = getattr(by_sky, name) + getattr(by_lamp, name)
+        torch.testing.assert_close(getattr(together, name), apart)
+
+
+def test_a_setup_there_and_back() -> None:
+    light = Light.ambient() + Light.lamp((0.3, 0, 0), (0, 0, 1), 2.0)
+    image = torch.from_numpy(reference.picture(12, 15))[None]
+    z = torch.linspace(0.5, 4, 180).double().reshape(1, 1, 12, 15)
+    setup = Setup(medium_of("3C", vertical_depth=5.0), light, focal_px=20.0)
+    values = json.loads(json.dumps(setup.to_dict()))
+    again = Setup.from_dict(values)
+    assert again.medium.is_spectral
+    ours, theirs = (
+        form_image(image, z, s.medium, light=s.light, focal_px=20.0).image for s in (setup, again)
+    )
+    assert torch.equal(ours, theirs)
+
+
+def test_setups_of_before_are_of_grey_surfaces() -> None:
+    light = Light.lamp((0.3, 0, 0), (0, 0, 1), 2.0)
+    setup = Setup(Medium.from_water("3C"), light, focal_px=20.0)
+    values = setup.to_dict()
+    surfaces = values["unlit"].pop(-2)
+    assert np.array(surfaces).shape == (1, 1, 61)
+    again = Setup.from_dict(json.loads(json.dumps(values)))
+    assert again.medium.bands is not None
+    pairs = zip(again.medium.under().tensors(), setup.medium.under().tensors(), strict=True)
+    assert all(torch.equal(ours, theirs) for ours, theirs in pairs)
+
+
+def test_bands_of_both_kinds_are_no_batch() -> None:
+    parts = [m.bands for m in (Medium.from_water("3C"), medium_of("3C"))]
+    assert Bands.stack([part for part in parts if part is not None]) is None
+    stacked = Medium.stack([medium_of("3C"), medium_of("7C")]).under()
+    alone = medium_of("7C").under()
+    z = torch.tensor(1.5)
+    torch.testing.assert_close(stacked.signal(z)[1:], alone.signal(z))

@@ -1,0 +1,166 @@
+"""Pictures rendered one wavelength after the other: a scene whose colours have spectra in 61 bands,
+and what a camera and its colour matrix make of the sum.
+
+Of uwaug it takes only a water's spectra. Reflectances and cameras are those of colour-science.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from referees import reference
+from uwaug.optics.water import Water
+
+_options = np.get_printoptions()
+import colour  # noqa: E402
+
+np.set_printoptions(**_options)  # which colour sets for the whole process
+
+BANDS = np.arange(400.0, 701.0, 5.0)  # nm
+NIKON, SIGMA = colour.MSDS_CAMERA_SENSITIVITIES
+BASIS = colour.recovery.MSDS_BASIS_FUNCTIONS_sRGB_MALLETT2019.values[4:65].T
+
+Array = np.ndarray
+
+
+class Eye(NamedTuple):
+    """A camera that develops.
+
+    Attributes:
+        sensor (3x61): weights of each band in each channel; rows sum to 1.
+        matrix (3x3): from raw channels to those of the picture.
+        basis (3x61): what surfaces reflect that it shows in air as pure R, G and B.
+    """
+
+    sensor: Array
+    matrix: Array
+    basis: Array
+
+
+def eye(name: str = NIKON, share: float = 1.0, own: Any = None) -> Eye:
+    """A camera with a share of its colour matrix: `own`, or the one that is right for the basis."""
+    table = colour.MSDS_CAMERA_SENSITIVITIES[name]
+    columns = table.values.T
+    response = [np.interp(BANDS, table.wavelengths, x, left=0, right=0) for x in columns]
+    sensor = np.array([channel / channel.sum() for channel in response])
+    basis = BASIS
+    raw = np.array([[(channel * reflects).sum() for reflects in basis] for channel in sensor])
+    full = np.linalg.inv(raw)
+    if own is not None:
+        full = np.array([np.divide(row, sum(row)) for row in own])
+    matrix = (1 - share) * np.eye(3) + share * full
+    # the colour that the basis needs so that the camera shows R, G or B
+    needed = np.linalg.inv(matrix @ raw)
+    return Eye(sensor, matrix, needed.T @ basis)
+
+
+class Water61(NamedTuple):
+    """β, G, b, light E and μ·b·E of a water in each band."""
+
+    beta: Array
+    G: Array
+    b: Array
+    light: Array
+    glow: Array
+
+
+def bands_of(water: Water, *, depth: float, g: float, mu: float) -> Water61:
+    """A water in 61 bands."""
+    bulk = water.at(BANDS)
+    light = np.exp(-bulk.kd * depth)
+    return Water61(bulk.a + bulk.b, bulk.a + g * bulk.b, bulk.b, light, mu * bulk.b * light)
+
+
+def curves(
+    water: Water61, z: Array, camera: Eye, spectrum: Array | None = None
+) -> tuple[Array, Array, Array]:
+    """T_β and T_G (3x3x…: channel of the picture, of the scene) and the veil (3x…) at distances,
+    band by band.
+    """
+    direct, signal = np.zeros((2, 3, 3, *np.shape(z)))
+    veil = np.zeros((3, *np.shape(z)))
+    for n in range(61):
+        beta, G = water.beta[n], water.G[n]
+        seen = camera.matrix @ camera.sensor[:, n]
+        mixes = np.multiply.outer(seen, camera.basis[:, n]) * water.light[n]
+        direct += np.multiply.outer(mixes, np.exp(-beta * z))
+        signal += np.multiply.outer(mixes, np.exp(-G * z))
+        column = -np.expm1(-G * z) / G if G > 0 else z
+        veil += np.multiply.outer(seen * water.glow[n], column)
+    return direct, signal, veil
+
+
+def terms(
+    J: Array, z: Array, water: Water61, camera: Eye, sigma: Array
+) -> tuple[Array, Array, Array]:
+    """Direct, forward and backscattered light of a picture (3xHxW), each a sum of monochrome
+    pictures.
+    """
+    _, h, w = J.shape
+    blurred = reference.varying_gaussian(J, sigma).reshape(3, h, w)
+    direct, forward, veil = np.zeros((3, 3, h, w))
+    for n in range(61):
+        seen = camera.matrix @ camera.sensor[:, n]
+        near, far = np.exp(-water.beta[n] * z), np.exp(-water.G[n] * z)
+        sharp, soft = (np.tensordot(camera.basis[:, n], x, 1) for x in (J, blurred))
+        direct += np.multiply.outer(seen, water.light[n] * near * sharp)
+        forward += np.multiply.outer(seen, water.light[n] * (far - near) * soft)
+        veil += np.multiply.outer(seen, water.glow[n] * -np.expm1(-water.G[n] * z) / water.G[n])
+    return direct, forward, veil
+
+
+class Lamp61(NamedTuple):
+    """A lamp beside the camera that shines to all sides alike.
+
+    Attributes:
+        position (3): m, in the camera's coordinates.
+        power: see `uwaug.Light.lamp`.
+        spectrum (61): of any scale.
+        radius: m.
+        asymmetry: of the phase function.
+    """
+
+    position: Array
+    power: float
+    spectrum: Array
+    radius: float = 0.03
+    asymmetry: float = 0.924
+
+
+def lit_wall(
+    J: Array, far: float, focal: float, water: Water61, camera: Eye, lamp: Lamp61
+) -> tuple[Array, Array, Array]:
+    """Distance (HxW), the light of a lamp that arrives from a wall at `far` metres (3xHxW), and the
+    veil before it (3xHxW). There is no blur.
+    """
+    _, h, w = J.shape
+    y, x = np.mgrid[:h, :w]
+    rays = np.stack([x - (w - 1) / 2, y - (h - 1) / 2, np.full((h, w), focal)], -1)
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    z = far / rays[..., 2]
+    seen = camera.matrix @ camera.sensor
+    spectrum = lamp.spectrum / ((seen * lamp.spectrum).sum() / 3) * lamp.power
+    to_wall = z[..., None] * rays - lamp.position
+    squared = (to_wall**2).sum(-1) + lamp.radius**2
+    facing = to_wall[..., 2] / np.sqrt(squared)
+    # steps that are fine where the lamp is near
+    middle = rays @ lamp.position
+    fine = np.sqrt(np.maximum((lamp.position**2).sum() - middle**2 + lamp.radius**2, 1e-9))
+    turn = np.linspace(0, 1, 2001)
+    low, high = np.arcsinh(-middle / fine), np.arcsinh((z - middle) / fine)
+    t = low[..., None] + (high - low)[..., None] * turn
+    s = middle[..., None] + fine[..., None] * np.sinh(t)
+    step = fine[..., None] * np.cosh(t)
+    radius = np.sqrt((s - middle[..., None]) ** 2 + fine[..., None] ** 2)
+    g, cosine = lamp.asymmetry, -(s - middle[..., None]) / radius
+    phase = (1 - g * g) / (4 * math.pi * (1 + g * g - 2 * g * cosine) ** 1.5)
+    arrives, veil = np.zeros((2, 3, h, w))
+    for n in range(61):
+        there = spectrum[n] * facing / squared * np.exp(-water.G[n] * np.sqrt(squared))
+        reflected = np.tensordot(camera.basis[:, n], J, 1)
+        arrives += np.multiply.outer(seen[:, n], there * np.exp(-water.G[n] * z) * reflected)
+        glows = math.pi * phase / radius**2 * np.exp(-water.G[n] * (s + radius)) * step
+        total = np.trapezoid(glows, t, axis=-1) * water.b[n] * spectrum[n]
+        veil += np.multiply.outer(seen[:, n], total)
+    return z, arrives, veil
