@@ -23,6 +23,7 @@ from .optics import Camera as Camera
 from .optics import Constituents as Constituents
 from .optics import Medium as Medium
 from .optics import PointSpread as PointSpread
+from .optics import Scattering as Scattering
 from .optics import Water as Water
 from .optics import load_camera as load_camera
 from .optics import load_water as load_water

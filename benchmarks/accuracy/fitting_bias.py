@@ -24,9 +24,10 @@ from uwaug.fitting.least_squares import solve
 from uwaug.formation.model import form_image
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.scattering import Scattering
 from uwaug.optics.water import JERLOV_TYPES, Water
 
-MU = 0.075  # goes with g = .05
+MU = Scattering.CALIBRATED.mu
 CONTRAST = 0.25  # that luminance keeps at the median distance
 QUANTITIES = ("beta", "G", "veil")
 

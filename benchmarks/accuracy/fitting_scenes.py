@@ -18,10 +18,11 @@ from uwaug.formation.colour import linear_to_srgb, to_light
 from uwaug.formation.model import form_image
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PAPER_SIZE, PointSpread
+from uwaug.optics.scattering import Scattering
 from uwaug.presets.scene import motorcycle
 
 NOISE = 0.01  # standard deviation, of linear light
-SHARE = 0.05  # g, as `fit` takes it
+SHARE = Scattering.CALIBRATED.g  # as `fit` takes it
 HALF = 370  # px, width of half of the scene
 WHOLE = 741
 
@@ -69,7 +70,7 @@ class Truth:
     @property
     def b_mean(self) -> float:
         """Of the width law, as `fit` takes it."""
-        share = 0.2 if self.kind == "paper" else SHARE
+        share = Scattering.PAPER.g if self.kind == "paper" else SHARE
         return float((self.beta - self.G).mean() / (1 - share))
 
     def numbers(self, reference: float) -> dict[str, float]:

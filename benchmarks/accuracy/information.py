@@ -17,12 +17,13 @@ from uwaug._support.drawing import save as save_figure
 from uwaug.figures.comparison import METRES, phase_congruency_difference
 from uwaug.formation.contrast import contrast
 from uwaug.optics.medium import Medium
+from uwaug.optics.scattering import Scattering
 from uwaug.optics.water import JERLOV_TYPES, Water
 from uwaug.presets.scene import Scene, motorcycle
 
 DRAWS = 20
 SEED = 11
-G, MU = 0.05, 0.075  # of the calibrated law
+G, MU = Scattering.CALIBRATED.g, Scattering.CALIBRATED.mu
 VISIBILITIES = (1.0, 2.0, 3.0, 5.0, 8.0, 12.0, 20.0)  # m, that waters are scaled to for the chart
 SCALED = ("II", "1C", "7C")
 FIGURE = RESULTS.parent / "figures" / "information.png"

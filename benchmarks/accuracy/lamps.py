@@ -19,6 +19,7 @@ from benchmarks.harness import ROOT, command, race, save, scene, use_threads, wa
 from uwaug import Light, Medium, Underwater
 from uwaug.light.backscatter import grid_of, integrated, interpolated, polynomials_of
 from uwaug.light.geometry import ray_of, view_of
+from uwaug.optics import Scattering
 from uwaug.presets.scene import motorcycle
 
 FIGURE = ROOT / "benchmarks" / "figures" / "lamps.jpg"
@@ -168,8 +169,8 @@ def _cell(image: Tensor, z: Tensor, focal: float, water: str, depth: float, lit:
     medium = Medium.from_water(
         water,
         vertical_depth=depth,
-        g=0.05,
-        mu=0.075,
+        g=Scattering.CALIBRATED.g,
+        mu=Scattering.CALIBRATED.mu,
         point_spread=uwaug.PointSpread.calibrated(focal),
     )
     both = Light.ambient() + LAMP

@@ -39,6 +39,7 @@ from uwaug.light.lit import planning_medium
 from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.scattering import Scattering
 from uwaug.optics.water import Water, load_water
 from uwaug.presets.preset import Preset
 from uwaug.presets.scene import Scene
@@ -47,7 +48,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SETTING = "Scene 1 m deep, g = 0.2, μ = 0.3"
+SETTING = f"Scene 1 m deep, g = {Scattering.PAPER.g:g}, μ = {Scattering.PAPER.mu:g}"
 """In words, the defaults of `uwaug.Medium.from_water`."""
 
 _COAST = "1C"
@@ -249,16 +250,17 @@ def draw_width_laws(scene: Scene) -> Drawing:
 
     if scene.focal_px is None:
         raise ValueError("scene.focal_px is None: expected the focal length in px, for its law")
+    constants, papers = Scattering.CALIBRATED, Scattering.PAPER
     caption = (
-        "Paper's: Gaussian, g = 0.2, μ = 0.3. Calibrated to Monte Carlo light transport: "
-        f"exponential, g = 0.05, μ = 0.075, focal length {scene.focal_px:.0f} px. Scene 1 m deep."
+        f"Paper's: Gaussian, g = {papers.g:g}, μ = {papers.mu:g}. Calibrated to Monte Carlo light "
+        f"transport: exponential, g = {constants.g:g}, μ = {constants.mu:g}, focal length "
+        f"{scene.focal_px:.0f} px. Scene 1 m deep."
     )
     heading = f"Width laws of the forward scatter, Jerlov {_COAST}"
     figure, axes = sheet(3, 3, _shape(scene), heading, caption)
     water, law = Water.jerlov(_COAST), PointSpread.calibrated(scene.focal_px)
     paper = Medium.from_water(water)
-    # μ in the paper's ratio to g: the veil stays below a white plate
-    calibrated = Medium.from_water(water, g=0.05, mu=0.075, point_spread=law)
+    calibrated = Medium.from_water(water, g=constants.g, mu=constants.mu, point_spread=law)
     height, width = _shape(scene)
     radius = plot(axes[6], "Half of the scattered light is within", "distance [m]", "radius [px]")
     z = torch.linspace(0.05, 8, 160, dtype=torch.float64)

@@ -15,6 +15,7 @@ from uwaug.io.distances import DistanceFormat
 from uwaug.jobs.waters import DrawnWaters, KnownWater, Waters
 from uwaug.labels import LabelSource, open_labels
 from uwaug.light.light import Light
+from uwaug.optics.scattering import Scattering
 from uwaug.presets.preset import load_preset
 from uwaug.transforms.codec import decode_options
 from uwaug.transforms.params import DEVELOPED
@@ -25,7 +26,7 @@ _FIXED: dict[str, Any] = {
     "contrast": None,
     "vertical_depth": 1.0,
     "field_probability": 0.0,
-    "mu": 0.075,
+    "mu": Scattering.CALIBRATED.mu,
 }
 """Options of one water, as it is in nature, instead of a random one."""
 

@@ -7,6 +7,7 @@ from uwaug.optics.constituents import Constituents
 from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.scattering import Scattering
 from uwaug.optics.water import Water, load_water
 
 __all__ = [
@@ -15,6 +16,7 @@ __all__ = [
     "Constituents",
     "Medium",
     "PointSpread",
+    "Scattering",
     "Water",
     "load_camera",
     "load_water",

@@ -65,6 +65,7 @@ from uwaug.optics.reduction import (
     reduced,
     spectral_note,
 )
+from uwaug.optics.scattering import Scattering
 from uwaug.optics.surfaces import (
     Surfaces,
     as_matrices,
@@ -128,8 +129,8 @@ class Medium:
         camera: str | os.PathLike[str] | Camera = "Nikon 5100 (NPL)",
         *,
         vertical_depth: float = 1.0,
-        g: float = 0.2,
-        mu: float = 0.3,
+        g: float = Scattering.PAPER.g,
+        mu: float = Scattering.PAPER.mu,
         point_spread: PointSpread | None = None,
         tolerance: float = 0.002,
         wavelengths: ArrayLike | None = None,
@@ -151,7 +152,7 @@ class Medium:
                 a phase function: .2 (the paper) for a subject that fills part of the view, .05 for
                 one that fills it.
             mu: share of the scattered light that is sent towards the camera, 0…1, where 1 in the
-                image means a white vertical plate.
+                image means a white vertical plate. See `uwaug.Scattering` for what goes with g.
             point_spread: width law, by default `PointSpread.paper()`.
             tolerance: largest error of each curve, at any distance; 0 keeps every band.
             wavelengths: bands, nm, by default 400…700 in steps of 5 as far as the water reaches.

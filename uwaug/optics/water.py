@@ -284,7 +284,8 @@ class Water(Spectra):
         ``with_contrast`` can give.
         """
         checks.within("metres", metres, *checks.DOMAIN["distance"])
-        return self._luminance(self._pure()[:2].sum(0), metres)
+        fine = self._fine()
+        return fine._luminance(fine._pure()[:2].sum(0), metres)
 
     def with_visibility(self, metres: float) -> Self:
         """The same kind of water with more or less in it, so that ``visibility()`` is ``metres``,
@@ -297,7 +298,8 @@ class Water(Spectra):
         checks.number_only("metres", metres)
         checks.positive("metres", metres)
         if self.most_contrast(metres) < CONTRAST_THRESHOLD:
-            most = Water(self.wavelengths, *self._pure()).visibility()
+            fine = self._fine()
+            most = Water(fine.wavelengths, *fine._pure()).visibility()
             allowed = f"the pure water in {self.name!r} allows, {most:.4g} m"
             raise ValueError(f"metres={metres:g} is more than {allowed}")
         name = f"{self.name} at {metres:g} m visibility"
@@ -338,7 +340,7 @@ class Water(Spectra):
         Examples:
             >>> hazy = Water.jerlov("1C").with_contrast(0.5, metres=3)
             >>> hazy, round(hazy.contrast(3), 9)
-            (Water('1C with 0.5 of the contrast at 3 m', 17 wavelengths, 300–700 nm), 0.5)
+            (Water('1C with 0.5 of the contrast at 3 m', 65 wavelengths, 300–700 nm), 0.5)
         """
         for name, value in {"metres": metres, "contrast": contrast}.items():
             checks.number_only(name, value)
@@ -358,12 +360,13 @@ class Water(Spectra):
         checks.positive("contrast", contrast)
         if math.isinf(metres):
             return 1.0
-        a, b, _ = self._pure()
-        weights, water = self._seen(a + b)
+        fine = self._fine()
+        a, b, _ = fine._pure()
+        weights, water = fine._seen(a + b)
         seen = weights * np.exp(water * -metres)
         if float(seen.sum()) <= contrast:
             return 0.0
-        _, contents = self._seen(self.a + self.b - (a + b))
+        _, contents = fine._seen(fine.beta - (a + b))
         return _distance_to(contrast, seen, contents * metres)
 
     def daylight(self, depth: float) -> float:
@@ -416,13 +419,23 @@ class Water(Spectra):
         return self._with(factor, name, provenance)
 
     def _with(self, factor: float, name: str, provenance: tuple[str, ...]) -> Self:
-        pure = self._pure()
+        fine = self._fine()
+        pure = fine._pure()
         with np.errstate(over="ignore"):
-            table = pure + factor * (self._table(self.wavelengths) - pure)
+            table = pure + factor * (fine._table(fine.wavelengths) - pure)
         if not np.isfinite(table).all():
             times = f"its contents would be {factor:.4g} times as much"
             raise ValueError(f"{name} is out of reach: {times}")
-        return self._derived(self.wavelengths, table, name, provenance)
+        return self._derived(fine.wavelengths, table, name, provenance)
+
+    def _fine(self) -> Self:
+        """This water at the bands of a medium too: contents are all but pure water, whose spectrum
+        is not linear between wavelengths 25 nm apart. So a water has the same contents whether it
+        is taken to the bands of a medium before it is scaled or after.
+        """
+        low, high = self.wavelengths[[0, -1]]
+        bands = WAVELENGTHS[(low <= WAVELENGTHS) & (high >= WAVELENGTHS)]
+        return self.at(np.union1d(self.wavelengths, bands))
 
     def _derived(self, axis: Array, table: Array, name: str, provenance: tuple[str, ...]) -> Self:
         """A water of spectra that are known to be valid: checking them takes longer than all

@@ -34,6 +34,7 @@ from uwaug.optics.constituents import Constituents
 from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.reduction import default_bands
+from uwaug.optics.scattering import Scattering
 from uwaug.optics.surfaces import Surfaces, require_surfaces
 from uwaug.optics.water import Water, load_water
 from uwaug.presets.preset import load_preset
@@ -87,7 +88,7 @@ HAZY: dict[str, Any] = {
     "waters": GOOD_WATERS,
     "contrast": (0.1, 0.6),
     "vertical_depth": (0.0, 10.0),
-    "mu": 0.075,
+    "mu": Scattering.CALIBRATED.mu,
 }
 """The defaults of versions up to 0.1, and what severities grade."""
 
@@ -97,8 +98,8 @@ SURVEY: dict[str, Any] = {
     "contrast": None,
     "vertical_depth": 1.0,
     "exposure": "none",
-    "g": 0.2,
-    "mu": 0.3,
+    "g": Scattering.PAPER.g,
+    "mu": Scattering.PAPER.mu,
     "point_spread": PointSpread.paper(),
 }
 """The set of the paper's survey."""
@@ -215,8 +216,8 @@ class RandomUnderwater(SampleTransform):
         cameras: str | os.PathLike[str] | Camera | Iterable[Any] = "Nikon 5100 (NPL)",
         vertical_depth: Range = (0.0, 15.0),
         exposure: Literal["none", "auto"] | Range = "auto",
-        g: Range = 0.05,
-        mu: Range = (0.02, 0.075),
+        g: Range = Scattering.CALIBRATED.g,
+        mu: Range = (0.02, Scattering.CALIBRATED.mu),
         point_spread: PointSpread | None = None,
         focal_px: float | None = None,
         blur_factor: Range = 1.0,
