@@ -56,7 +56,8 @@ class Development:
             the curve of ACES' reference gamut compression (Academy, S-2020-001) with power 2.
             Colours nearer to grey stay as they are.
         tone: slope of the curve about mid-grey, .25…4: c·k/(p + k) in stops a stop with
-            p = .18^c and k = .82·p/(.18 − p); black, mid-grey and white stay.
+            p = .18^c and k = .82·p/(.18 − p); black, mid-grey and white stay. Light above white
+            goes on along the curve's slope there.
 
     Raises:
         TypeError, ValueError: if a number is none, or outside of its range.
@@ -170,7 +171,8 @@ def compressed(light: Tensor, share: float) -> Tensor:
     beyond = (distance - _GAMUT_FROM).clamp(min=0.0) * _BEYOND
     squeezed = beyond * (1 + beyond * beyond).rsqrt()
     less = (beyond - squeezed) * ((1 - _GAMUT_FROM) * share)
-    return light + torch.where(lit, less * brightest, 0.0)
+    # the limit where no channel is above 0, as below the black point
+    return light + torch.where(lit, less * brightest, -share * light)
 
 
 def seen_sums(
@@ -208,9 +210,13 @@ def _offset(contrast: float) -> float:
 
 
 def curved(light: Tensor, contrast: float) -> Tensor:
-    """Light along the curve (1 + k)·x^c/(x^c + k), odd, through 0, mid-grey and 1."""
+    """Light along the curve (1 + k)·x^c/(x^c + k), odd, through 0, mid-grey and 1; from there on
+    straight, as curves of c < 1 have a pole beyond.
+    """
     k = _offset(contrast)
     size = light.abs().clamp(min=1e-8)
-    power = size**contrast
-    curve: Tensor = light / size * ((1 + k) * power / (power + k))
+    inside = size.clamp(max=1.0)
+    power = inside**contrast
+    beyond = (size - inside) * (contrast * k / (1 + k))
+    curve: Tensor = light / size * ((1 + k) * power / (power + k) + beyond)
     return curve

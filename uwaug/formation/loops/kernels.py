@@ -400,10 +400,13 @@ def _develop(t: Any, total: int, look: Any) -> None:
             d[x + TILE] = green + less * _compression(_1 - green * inverse)
             d[x + 2 * TILE] = blue + less * _compression(_1 - blue * inverse)
     if contrast != _1:
+        slope = contrast * offset / (_1 + offset)
         for x in range(3 * TILE):
             size = max(abs(d[x]), DARK)
-            power = exp2(contrast * log2(size))
-            d[x] *= (_1 + offset) * power / ((power + offset) * size)
+            inside = min(size, _1)
+            power = exp2(contrast * log2(inside))
+            curve = (_1 + offset) * power / (power + offset) + slope * (size - inside)
+            d[x] *= curve / size
 
 
 @inner

@@ -1,0 +1,76 @@
+"""What a camera does between sensor and file, in NumPy, stage by stage, written straight from the
+equations.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+Array = np.ndarray
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+
+
+@dataclass
+class Camera:
+    """The numbers of a development; see `uwaug.Development`."""
+
+    compensation: float = 0.0
+    white_balance: float = 0.0
+    saturation: float = 1.0
+    black_point: float = 0.0
+    gamut: float = 0.0
+    tone: float = 1.0
+
+    def develop(self, light: Array, looks: Array) -> Array:
+        """Light (3xHxW) as the camera shows it.
+
+        looks (N): flat indices of the pixels at which it measures.
+        """
+        light = 2**self.compensation * balanced(light, looks, self.white_balance)
+        luminance = np.tensordot(LUMINANCE, light, 1)
+        light = luminance + self.saturation * (light - luminance)
+        darkest = np.sort(np.tensordot(LUMINANCE, light, 1).reshape(-1)[looks])
+        black = self.black_point * min(max(darkest[max(1, len(looks) // 100) - 1], 0.0), 0.9)
+        light = (light - black) / (1 - black)
+        return curved(compressed(light, self.gamut), self.tone)
+
+
+def balanced(light: Array, looks: Array, share: float) -> Array:
+    """A share of a grey-world correction, with the luminance kept."""
+    means = light.reshape(3, -1)[:, looks].mean(1)
+    before = LUMINANCE @ means
+    if share <= 0 or before <= 0:
+        return light
+    gains = np.array([min(before / mean, 16.0) if mean > 0 else 16.0 for mean in means]) ** share
+    gains *= before / (LUMINANCE @ (gains * means))
+    return gains[:, None, None] * light
+
+
+def compressed(light: Array, share: float) -> Array:
+    """Distances from grey above .75, along a curve with power 2 that never reaches 1."""
+    out = light.copy()
+    for at in np.ndindex(*light.shape[1:]):
+        colour = light[(slice(None), *at)]
+        most = colour.max()
+        for c, value in enumerate(colour):
+            if most <= 0:
+                inside = 0.0  # where all is black, for any share of light that is negative
+            else:
+                distance = 1 - value / most
+                x = max(distance - 0.75, 0.0) / 0.25
+                inside = most * (1 - min(distance, 0.75) - 0.25 * x / math.sqrt(1 + x * x))
+            out[(c, *at)] = (1 - share) * value + share * inside
+    return out
+
+
+def curved(light: Array, contrast: float) -> Array:
+    """A curve in x^c/(x^c + k) through 0, .18 and 1, odd, and straight beyond 1."""
+    if contrast == 1:
+        return light
+    grey = 0.18**contrast
+    k = 0.82 * grey / (0.18 - grey)
+    size = np.abs(light)
+    curve = (1 + k) * size**contrast / (size**contrast + k)
+    straight = 1 + contrast * k / (1 + k) * (size - 1)
+    return np.sign(light) * np.where(size > 1, straight, curve)
