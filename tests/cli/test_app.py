@@ -45,6 +45,7 @@ def test_flags_of_degrade_are_grouped(run):
         "Water",
         "Distances",
         "Drawn",
+        "Camera",
         "Output",
         "Labels",
         "Run",
@@ -254,7 +255,7 @@ def test_exit_codes(run, files, code, arguments, message):
         ("matplotlib", f"{FIT} --report x.png", "plot"),
         ("phasecongruency", f"{COMPARE} a.npy --out x.png", "compare"),
         ("onnx", "export --preset survey --out x.onnx", "onnx"),
-        ("ray", f"{DEGRADE} 3 --water II --ray local", "ray"),
+        ("ray.data", f"{DEGRADE} 3 --water II --ray local", "ray"),
     ],
 )
 def test_a_missing_package_is_named(run, files, monkeypatch, package, arguments, extra):

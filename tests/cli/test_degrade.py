@@ -5,6 +5,7 @@ import json
 import shutil
 import subprocess
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,11 @@ from filing import H, W, content, metres, pixels, save, save_pair
 from PIL import Image
 
 import uwaug
+from uwaug.formation.scene import Scene
 from uwaug.io import read_picture
 from uwaug.jobs import Sidecar
+from uwaug.light.geometry import focal_of
+from uwaug.transforms.random_underwater import SEVERITIES
 
 WATER = ("--water", "3C")
 
@@ -59,6 +63,86 @@ def test_flags_are_options_of_the_transform(degrade):
     )
     z = torch.from_numpy(metres())[None]
     expected, _ = transform.at(7, 0, "good.png")(read_picture("good.png"), z)
+    assert torch.equal(read_picture("out/good.png"), expected)
+
+
+CAMERA = {
+    "exposure": "auto",
+    "compensation": -0.5,
+    "white_balance": 0.6,
+    "saturation": 1.2,
+    "black_point": 0.5,
+    "gamut": 0.8,
+    "tone": 1.1,
+}
+
+
+def flags(options: dict) -> list[str]:
+    """Options as flags of the command line; a range as LOW:HIGH."""
+    arguments = []
+    for name, value in options.items():
+        text = ":".join(map(str, value)) if isinstance(value, tuple) else str(value)
+        arguments += [f"--{name.replace('_', '-')}", text]
+    return arguments
+
+
+@pytest.mark.parametrize("water", [["--random"], ["--water", "II"], ["--preset", "survey"]])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"surfaces": "grey"},
+        {"surfaces": "spectral", "color_matrix": (0.2, 0.6), **CAMERA, "compensation": (-1.0, 0.5)},
+    ],
+)
+def test_flags_of_the_camera(degrade, water, options):
+    given = ("good.png", "--distance", "z.npy", *water)
+    degrade(*given, *flags(options), "--seed", "7", "--out", "out")
+    if water[0] == "--preset":
+        transform = uwaug.RandomUnderwater.from_preset("survey", **options)
+    elif water[0] == "--water":
+        neutral = dict.fromkeys(CAMERA) | {"exposure": "auto"}
+        in_nature = {"contrast": None, "vertical_depth": 1.0, "field_probability": 0.0}
+        in_nature["mu"] = 0.075
+        transform = uwaug.RandomUnderwater("II", **{**neutral, **in_nature, **options})
+    else:
+        transform = uwaug.RandomUnderwater(**options)
+    z = torch.from_numpy(metres())[None]
+    expected, _ = transform.at(7, 0, "good.png")(read_picture("good.png"), z)
+    assert torch.equal(read_picture("out/good.png"), expected)
+    degrade(*given, "--seed", "7", "--out", "plain")
+    same = torch.equal(read_picture("plain/good.png"), expected)
+    assert same == (water[0] == "--preset" and options == {"surfaces": "grey"})
+
+
+def test_known_water_is_developed(degrade, run):
+    given = ("good.png", "--distance", "z.npy", "--preset", "mcglamery-1980")
+    degrade(*given, *flags(CAMERA), "--out", "out")
+    preset = uwaug.load_preset("mcglamery-1980")
+    developed = {name: value for name, value in CAMERA.items() if name != "exposure"}
+    setup = replace(preset.setup(focal_of(None, W)), exposure="auto")
+    setup = replace(setup, development=uwaug.Development(**developed))
+    z = torch.from_numpy(metres())[None]
+    expected = Scene.of(read_picture("good.png"), z, setup).picture()
+    assert (read_picture("out/good.png").int() - expected.int()).abs().max() <= 1
+    assert "the same bytes" in degrade("--from", "out/good.png.json", "--out", "again")
+    for wrong in (["--gamut", "0.5:1"], ["--surfaces", "spectral"]):
+        code, _, err = run("degrade", *given, *wrong, "--out", "wrong")
+        assert (code, "would do nothing: mcglamery-1980 is one known medium" in err) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("given", "options"),
+    [
+        (["--hazy"], {}),
+        (["--hazy", "--visibility", "3:5"], {"visibility": (3.0, 5.0)}),
+        (["--random", "--severity", "2"], {"contrast": SEVERITIES[2]}),
+    ],
+)
+def test_the_defaults_of_old_by_name(degrade, given, options):
+    degrade("good.png", "--distance", "z.npy", *given, "--out", "out")
+    transform = uwaug.RandomUnderwater.hazy(**options)
+    z = torch.from_numpy(metres())[None]
+    expected, _ = transform.at(0, 0, "good.png")(read_picture("good.png"), z)
     assert torch.equal(read_picture("out/good.png"), expected)
 
 

@@ -56,8 +56,10 @@ def _panel(name: str) -> Callable[..., Any]:
 
 
 _water, _distance, _output = _panel("Water"), _panel("Distances"), _panel("Output")
-_drawn, _labels, _run = _panel("Drawn for each picture"), _panel("Labels"), _panel("Run")
+_drawn, _camera = _panel("Drawn for each picture"), _panel("Camera")
+_labels, _run = _panel("Labels"), _panel("Run")
 _ranged = partial(_drawn, parser=_range, metavar="NUMBER|LOW:HIGH")
+_developed = partial(_camera, parser=_range, metavar="NUMBER|LOW:HIGH")
 _scaled = partial(_distance, parser=_range, metavar="NUMBER|LOW:HIGH")
 
 
@@ -84,6 +86,14 @@ def degrade(
     fit: Annotated[Path | None, _water(help="What uwaug fit has written.")] = None,
     random: Annotated[
         bool, _water("--random", help="A water of its own for each picture.")
+    ] = False,
+    hazy: Annotated[
+        bool,
+        _water(
+            "--hazy",
+            help="--random as it was up to version 0.1: turbid waters, grey surfaces, a camera "
+            "that shows its raw channels.",
+        ),
     ] = False,
     options: Annotated[
         Path | None, _water(help="TOML file of options of RandomUnderwater, such as waters.")
@@ -126,16 +136,45 @@ def degrade(
     gamma: Annotated[Any, _scaled(help="Exponent, of relative distances.")] = None,
     visibility: Annotated[Any, _ranged(help="m.")] = None,
     contrast: Annotated[Any, _ranged(help="Left at the median distance, 0…1.")] = None,
-    severity: Annotated[int | None, _drawn(min=1, max=5, help="1 (mild) to 5: a contrast.")] = None,
+    severity: Annotated[
+        int | None,
+        _drawn(min=1, max=5, help="1 (mild) to 5: a contrast; --random as --hazy."),
+    ] = None,
     vertical_depth: Annotated[
         Any, _ranged("--vertical-depth", "--depth", help="Of the scene below the surface, m.")
     ] = None,
-    exposure: Annotated[
-        Any,
-        _drawn(help="auto, none, or a gain in stops.", parser=_exposure, metavar="auto|none|STOPS"),
-    ] = None,
     seed: Annotated[int, _drawn(help="Of all that is random.")] = 0,
     variants: Annotated[int, _drawn(min=1, help="Of each picture.")] = 1,
+    surfaces: Annotated[
+        Literal["spectral", "grey"] | None,
+        _camera(
+            help="spectral: each colour loses light by its own spectrum, so that reds turn grey "
+            "and black; grey: all colours as a grey card does."
+        ),
+    ] = None,
+    color_matrix: Annotated[
+        Any, _developed(help="Share of the camera's colour matrix, 0…1; of spectral surfaces.")
+    ] = None,
+    exposure: Annotated[
+        Any,
+        _camera(
+            help="auto, none, or a gain in stops.", parser=_exposure, metavar="auto|none|STOPS"
+        ),
+    ] = None,
+    compensation: Annotated[Any, _developed(help="Stops, on top of the exposure.")] = None,
+    white_balance: Annotated[
+        Any, _developed(help="Share of a grey-world correction, up to 1; 0 and less: none.")
+    ] = None,
+    saturation: Annotated[Any, _developed(help="0: grey; 1: as it is.")] = None,
+    black_point: Annotated[
+        Any, _developed(help="Share of the darkest percent's light that becomes black, 0…1.")
+    ] = None,
+    gamut: Annotated[
+        Any, _developed(help="Share of gamut compression, 0…1; 0 clips negative channels.")
+    ] = None,
+    tone: Annotated[
+        Any, _developed(help="Contrast of the tone curve about mid-grey; 1: straight.")
+    ] = None,
     out: Annotated[
         Path | None,
         _output(help="Folder to write to, made if need be; or, of one picture, a file."),
@@ -196,7 +235,15 @@ def degrade(
         "visibility": visibility,
         "contrast": contrast,
         "vertical_depth": vertical_depth,
+        "surfaces": surfaces,
+        "color_matrix": color_matrix,
         "exposure": exposure,
+        "compensation": compensation,
+        "white_balance": white_balance,
+        "saturation": saturation,
+        "black_point": black_point,
+        "gamut": gamut,
+        "tone": tone,
         "near": near,
         "far": far,
         "gamma": gamma,
@@ -204,8 +251,9 @@ def degrade(
     if replay is not None:
         if out is None:
             refuse("--replay writes a file: give --out")
-        others = (water, preset, fit, random, options, seed, keep_terms, labels, *drawn.values())
-        if len(inputs or []) > 1 or any(others):
+        others = (water, preset, fit, random, hazy, options, severity, seed, keep_terms, labels)
+        given = any(others) or any(value is not None for value in drawn.values())
+        if len(inputs or []) > 1 or given:
             refuse(
                 "--replay takes all from the record: give nothing but --out and files that moved"
             )
@@ -251,14 +299,15 @@ def degrade(
         )
         if distance is not None and metres_in(distance) is not None:
             distance_format.require_constant()
-        drawn_options = _options(options, drawn, severity)
+        as_hazy = hazy or (random and severity is not None)
+        drawn_options = _options(options, drawn, severity, hazy=as_hazy)
         if focal_px is not None and preset is None and fit is None:
             drawn_options.setdefault("focal_px", focal_px)
         recipe = Recipe(
             water=water,
             preset=preset,
             fit=None if fit is None else str(fit),
-            random=random,
+            random=random or hazy,
             options=drawn_options,
             distance=distance_format,
             seed=seed,
@@ -287,10 +336,15 @@ def degrade(
         run.carry_out_in_shards(shards)
 
 
-def _options(path: Path | None, drawn: dict[str, Any], severity: int | None) -> dict[str, Any]:
-    """Options of `RandomUnderwater`, from a file and from flags."""
+def _options(
+    path: Path | None, drawn: dict[str, Any], severity: int | None, *, hazy: bool
+) -> dict[str, Any]:
+    """Options of `RandomUnderwater`, from a file and from flags; of its `hazy` those too that
+    neither names.
+    """
     from uwaug import RandomUnderwater
-    from uwaug.transforms.random_underwater import SEVERITIES
+    from uwaug.transforms.codec import encode_options
+    from uwaug.transforms.random_underwater import SEVERITIES, hazy_options
 
     options: dict[str, Any] = {}
     if path is not None:
@@ -307,7 +361,7 @@ def _options(path: Path | None, drawn: dict[str, Any], severity: int | None) -> 
         if "contrast" in options:
             refuse("--severity and --contrast: give one of them")
         options["contrast"] = SEVERITIES[severity]
-    return options
+    return encode_options(hazy_options(options)) if hazy else options
 
 
 def _items(

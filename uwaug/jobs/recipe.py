@@ -46,7 +46,8 @@ class Recipe:
         fit: path of what `uwaug fit` has written.
         random: waters as `RandomUnderwater` draws them.
         options: of `RandomUnderwater`, as JSON and TOML have them: ranges as lists, a point spread
-            as a table. Of a fit, and of a preset without spectra, near, far and gamma alone.
+            as a table. Of a fit, and of a preset without spectra, only what says how it is seen:
+            near, far, gamma, exposure, light, and numbers of `uwaug.Development`.
         distance: what distance files hold; "depth" in JSON.
         seed: of all that is random.
         labels: COCO file, or folder of YOLO's files or of masks, see `uwaug.labels`.
@@ -188,8 +189,12 @@ class Recipe:
     ) -> KnownWater:
         """A known medium, and those of the options that say how it is seen."""
         for option, value in options.items():
-            if option in ("near", "far", "gamma") and isinstance(value, (int, float)):
+            is_number = isinstance(value, (int, float))
+            if option in Scaling._fields and is_number:
                 scaling = scaling._replace(**{option: value})
+            elif option in DEVELOPED and is_number:
+                development = replace(setup.development, **{option: value})
+                setup = replace(setup, development=development)
             elif option == "exposure":
                 require_exposure(value)
                 setup = replace(setup, exposure=value)

@@ -15,21 +15,13 @@ import torch
 
 from uwaug._support.atomic import require_regular, written_whole
 from uwaug._support.hashing import FileHash
+from uwaug.transforms.codec import encode_options
+from uwaug.transforms.random_underwater import UNDEVELOPED, hazy_options
 
 TERMS = ("direct", "forward", "backscatter")
 """Of the light, as files beside a picture are called."""
 
 _FORMAT = 2
-
-_DEFAULTS_OF_1: dict[str, Any] = {
-    "waters": ["II", "III", "1C", "3C", "5C", "7C", "9C"],
-    "contrast": [0.1, 0.6],
-    "vertical_depth": [0.0, 10.0],
-    "mu": 0.075,
-    "surfaces": "grey",
-    **dict.fromkeys(("color_matrix", "compensation", "white_balance", "gamut")),
-}
-"""Options of `RandomUnderwater` as they were by default where format 1 was written."""
 
 
 @dataclass(frozen=True)
@@ -115,18 +107,12 @@ class Sidecar:
 
 
 def _recipe_of_1(recipe: Any) -> Any:
-    """A recipe of format 1 with the options that were meant where they are not named."""
-    if not isinstance(recipe, Mapping) or not (recipe.get("random") or recipe.get("water")):
-        return recipe
-    if recipe.get("preset"):  # has options of its own
-        return recipe
+    """A recipe of format 1, with those options that have other defaults since."""
+    if not isinstance(recipe, Mapping) or recipe.get("preset") or recipe.get("fit"):
+        return recipe  # presets and fits have all options of their own
     options = recipe.get("options") or {}
-    meant = dict(_DEFAULTS_OF_1)
-    if recipe.get("water"):
-        del meant["waters"], meant["contrast"], meant["vertical_depth"]
-    if "visibility" in options:
-        meant.pop("contrast", None)
-    return {**recipe, "options": {**meant, **options}}
+    named = hazy_options(options) if recipe.get("random") else {**UNDEVELOPED, **options}
+    return {**recipe, "options": encode_options(named)}
 
 
 def versions() -> tuple[str, str]:

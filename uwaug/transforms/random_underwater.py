@@ -322,7 +322,7 @@ class RandomUnderwater(SampleTransform):
         Args:
             options: any other argument of the class.
         """
-        return cls(**{**HAZY, **options})
+        return cls(**hazy_options(options))
 
     @classmethod
     def survey(cls, **options: Any) -> "RandomUnderwater":
@@ -359,7 +359,7 @@ class RandomUnderwater(SampleTransform):
         """
         if not isinstance(level, int) or level not in SEVERITIES:
             raise ValueError(f"level must be a whole number from 1 to 5, got {level!r}")
-        return cls(**{**HAZY, "contrast": SEVERITIES[level], **options})
+        return cls(**hazy_options({"contrast": SEVERITIES[level], **options}))
 
     @classmethod
     def from_preset(
@@ -660,6 +660,12 @@ _NO_SPECTRUM = (
     "coefficients and no spectrum: give it to uwaug.Underwater, such as "
     "uwaug.Underwater(uwaug.fitting.red_channel_prior(…).medium)"
 )
+
+
+def hazy_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """`HAZY` with other options in place of its own; a visibility takes the place of a contrast."""
+    replaced = {"contrast": None} if options.get("visibility") is not None else {}
+    return {**HAZY, **replaced, **options}
 
 
 def _weights_of(waters: Any) -> dict[AnyWater, float]:
