@@ -36,6 +36,8 @@ def _model(
     plain_veil: bool = False,
     plain_powers: bool = False,
 ) -> Tensor:
+    if case.colours is not None:
+        raise NotApplicableError
     raw, farthest = case.distance, min(FARTHEST, torch.finfo(case.distance.dtype).max)
     z = (raw if mean_attenuation else raw.clamp(max=farthest)) * case.field
     least = 0.0 if plain_veil else 1e-6
@@ -159,6 +161,8 @@ def published(case: Case) -> Tensor:
     formats, layouts.
     """
     small = case.image.dtype.itemsize < 4
+    if case.colours is not None:
+        raise NotApplicableError
     no_array = case.autocast or case.layout or case.repeat or case.alone or small
     if no_array or case.srgb or not len(case.image) or bool((case.exponent != 1).any()):
         raise NotApplicableError

@@ -29,7 +29,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from referees.conditions import WAVELENGTHS, Case, Method, conditions, exact, spread
+from referees.conditions import WAVELENGTHS, Case, Method, conditions, exact, mixed, spread
 from torch import Tensor
 
 import uwaug
@@ -64,7 +64,8 @@ def _medium(case: Case) -> uwaug.Medium:
     law = uwaug.PointSpread(case.scale, case.exponent)
     if case.spectra is None:
         options = {"light": case.light, "b_mean": case.b_mean, "point_spread": law}
-        return uwaug.Medium.from_coefficients(case.beta, case.G, case.veil, **options)
+        medium = uwaug.Medium.from_coefficients(case.beta, case.G, case.veil, **options)
+        return medium if case.colours is None else _coloured(medium, case.colours)
     s, ascending = case.spectra, sorted(WAVELENGTHS)
     response = np.equal.outer(ascending, WAVELENGTHS)
     a, b, kd = (values[::-1] for values in s[:3])
@@ -78,7 +79,19 @@ def _medium(case: Case) -> uwaug.Medium:
         tolerance=0,
         wavelengths=ascending,
         point_spread=law,
+        surfaces="grey" if case.colours is None else "spectral",
     )
+
+
+def _coloured(medium: uwaug.Medium, colours: Tensor) -> uwaug.Medium:
+    """A medium whose channels see a mixture of the picture's colours, and which gives them back."""
+    mix, back = colours.to(medium.beta), torch.linalg.inv(colours).to(medium.beta)
+    direct, signal = (
+        torch.einsum("ic,bck,cj->bijk", back, weights, mix)
+        for weights in (medium.direct_weights, medium.signal_weights)
+    )
+    veil = back @ medium.veil_weights
+    return replace(medium, direct_weights=direct, signal_weights=signal, veil_weights=veil)
 
 
 METHODS: dict[str, Method] = {**naive.METHODS, "uwaug": ours}
@@ -118,7 +131,11 @@ def right(case: Case, published: bool = False) -> Right | None:
     if published:  # it has no gradients
         return Right(value.detach(), weights, {}, {})
     gradients = {"image": torch.autograd.grad((value * weights).sum(), image)[0]}
-    value = value.detach()
+    value, raw = value.detach(), case.raw
+    weights_of_raw = weights
+    if case.colours is not None:
+        weights_of_raw = mixed(torch.linalg.inv(case.colours).T, weights)
+    raw_value = exact(raw)
     floors = {"image": TOLERANCE * case.peak * float(weights.norm())}
     step = 1e-6
     for name in case.leaves[1:]:
@@ -126,12 +143,12 @@ def right(case: Case, published: bool = False) -> Right | None:
         if name == "G" and bool((leaf == 0).any() and case.distance.isinf().any()):
             continue  # infinite: any finite number will do
         shape = leaf.shape if leaf.ndim == 4 else spread(leaf).shape
-        # no pixel and no channel reads the parameters of another: one difference quotient serves
-        # all of them
-        moved = replace(case, **{name: torch.where(leaf.isfinite(), leaf + step, leaf)})
-        slope = (exact(moved) - value) / step * weights
+        # no pixel and no raw channel reads the parameters of another: one difference quotient
+        # serves all of them
+        moved = replace(raw, **{name: torch.where(leaf.isfinite(), leaf + step, leaf)})
+        slope = (exact(moved) - raw_value) / step * weights_of_raw
         gradients[name] = slope.sum_to_size(shape).reshape(leaf.shape)
-        reach = float(weights.abs().sum_to_size(shape).norm())
+        reach = float(weights_of_raw.abs().sum_to_size(shape).norm())
         floors[name] = TOLERANCE * case.peak / UNITS.get(name, 1.0) * reach
     return Right(value, weights, gradients, floors)
 

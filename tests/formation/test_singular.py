@@ -31,6 +31,10 @@ def water(**kwargs: object) -> Callable[[], Medium]:
     )
 
 
+def spectra(**kwargs: object) -> Callable[[], Medium]:
+    return water(surfaces="spectral", **kwargs)
+
+
 def far_plane(z: Tensor) -> Tensor:
     return torch.where(torch.arange(z.shape[-1]) > 9, torch.tensor(6.0, dtype=z.dtype), z)
 
@@ -58,6 +62,16 @@ SINGULAR = {
     "no veil": Case(medium=water(mu=0.0)),
     "full veil": Case(medium=water(mu=1.0)),
     "deep down": Case(medium=water(vertical_depth=500.0)),
+    "colours": Case(medium=spectra()),
+    "colours, reduced": Case(medium=spectra(tolerance=0.002)),
+    "colours at the lens": Case(medium=spectra(), distance=torch.zeros_like),
+    "colours, some open water": Case(
+        medium=spectra(), distance=lambda z: torch.where(z > 3, math.inf, z)
+    ),
+    "colours deep down": Case(medium=spectra(vertical_depth=500.0)),
+    "colours, all light is kept": Case(medium=spectra(g=0.0)),
+    "colours, no light is kept": Case(medium=spectra(g=1.0)),
+    "colours of high dynamic range": Case(medium=spectra(), image=lambda j: 20 * j - 5),
     "optical depth 1e4": Case(medium=uniform(1e4, 2e3)),
     "optical depth 1e-4": Case(medium=uniform(1e-4, 3e-5)),
     "no blur": Case(medium=lambda: coefficients(law=PointSpread.none())),

@@ -52,6 +52,8 @@ class Case:
     source: Tensor | None = None  # μ·b·E = veil·G, where G may be 0
     # if the water is given so; `beta` to `b_mean` then hold what it should come to
     spectra: Spectra | None = None
+    # 3x3: what raw channels see of the picture's colours, where surfaces have spectra
+    colours: Tensor | None = None
     srgb: bool = False
     dtype: torch.dtype = torch.float32
     layout: Literal["", "channels last", "sliced"] = ""
@@ -70,6 +72,13 @@ class Case:
         """Brightest value of the picture, at least 1."""
         return max(1.0, float(self.image.abs().max())) if self.image.numel() else 1.0
 
+    @property
+    def raw(self) -> "Case":
+        """The same in raw channels, each of which depends on itself alone."""
+        if self.colours is None:
+            return self
+        return replace(self, image=mixed(self.colours, self.image), colours=None)
+
     def to(self, dtype: torch.dtype) -> "Case":
         """All tensors in `dtype`."""
         return replace(self, **{n: getattr(self, n).to(dtype) for n in LEAVES})
@@ -87,11 +96,18 @@ def spread(value: Tensor) -> Tensor:
     return value.reshape(-1, 3 if value.shape[-1:] == (3,) else 1, 1, 1)
 
 
+def mixed(matrix: Tensor, pictures: Tensor) -> Tensor:
+    """A matrix (3x3) times the colours of pictures (Bx3xHxW)."""
+    return torch.einsum("ij,bjhw->bihw", matrix.to(pictures), pictures)
+
+
 def exact(case: Case, published: bool = False) -> Tensor:
     """The model: exponentials of each pixel, and each pixel's own Gaussian.
 
     As `published` it blurs light that is weighted already, and the veil's distance is smoothed.
     """
+    if case.colours is not None:
+        return mixed(torch.linalg.inv(case.colours), exact(case.raw, published))
     image, z = case.image, case.distance.clamp(max=FARTHEST) * case.field
     image = _decode(image) if case.srgb else image
     direct, signal = (torch.exp(-spread(rate) * z) for rate in (case.beta, case.G))
@@ -276,6 +292,41 @@ def _waters(usual: Case) -> dict[str, Case]:
     }
 
 
+def _coloured(usual: Case, near: Tensor, media: dict[str, Tensor]) -> dict[str, Case]:
+    """Surfaces with spectra: of three wavelengths, a medium is one of three channels between two
+    matrices.
+    """
+    seen = [[0.7, 0.25, 0.05], [0.2, 0.7, 0.1], [0.05, 0.3, 0.65]]
+    colours = {"colours": torch.tensor(seen, dtype=torch.float64)}
+    # the reflectances of Mallett and Yuksel (2019) at `WAVELENGTHS`
+    basis = [
+        [0.94925303, 0.0412304345, 0.00951653539],
+        [0.00640057277, 0.973351116, 0.0202483114],
+        [0.0119861636, 0.0309885719, 0.957025265],
+    ]
+    reflects = {"colours": torch.tensor(basis, dtype=torch.float64)}
+    a, b, kd, z = (0.3, 0.1, 0.2), (0.5, 0.5, 0.6), (0.35, 0.15, 0.25), usual.distance
+    zero, inf = (0.0,) * 3, torch.full_like(z, math.inf)
+    open_water = torch.where(z > 3, math.inf, z)
+    return {
+        "colours": replace(usual, **colours),
+        "colours, z = 0": replace(usual, distance=0 * z, **colours),
+        "colours, z = +∞ in part": replace(usual, distance=open_water, **colours),
+        "colours, σ ∝ √z at z = 0": _case(exponent=0.5, distance=near, **colours),
+        "colours, β = G = 0": _case(beta=zero, G=zero, **colours),
+        "colours, G = 0, z = +∞": _case(G=zero, distance=inf, **colours),
+        "colours, optical depth 1e4": _case(beta=(1e4, 9e3, 8e3), G=(3e3, 2e3, 1e3), **colours),
+        "colours, J = 0 and 1": replace(usual, image=(usual.image > 0.5).double(), **colours),
+        "colours, J > 1 and < 0": replace(usual, image=30 * usual.image - 5, **colours),
+        "colours, batch of 2 media": _case(24, 24, 2, **media, **colours),
+        "colours, float16": replace(usual, dtype=torch.float16, **colours),
+        "colours, g = 1": _spectral(Spectra(a, b, kd, 1.0, g=1.0), **reflects),
+        "colours, a = g = 0": _spectral(Spectra(zero, b, kd, 1.0, g=0.0), **reflects),
+        "colours, μ = 0": _spectral(Spectra(a, b, kd, 1.0, mu=0.0), **reflects),
+        "colours, K_d·d = 500": _spectral(Spectra(a, b, (0.5,) * 3, 1000.0), **reflects),
+    }
+
+
 def conditions() -> dict[str, dict[str, Case]]:
     """Every condition, by group and name."""
     usual = _case()
@@ -294,6 +345,7 @@ def conditions() -> dict[str, dict[str, Case]]:
     return {
         "distance": _distances(usual),
         "water": _waters(usual),
+        "surfaces": _coloured(usual, near, media),
         "width": {
             "σ = 0": _case(scale=0.0),
             "σ = .05 px": _case(scale=0.02),

@@ -20,7 +20,9 @@ NIKON = "Nikon 5100 (NPL)"
 
 
 class Curves(NamedTuple):
-    """T_β, T_G and the veil, each (3, …) over distances (…)."""
+    """T_β, T_G and the veil, each (3, …) over distances (…); of surfaces with spectra, T_β and T_G
+    are matrices (3, 3, …).
+    """
 
     direct: np.ndarray
     signal: np.ndarray
@@ -57,12 +59,12 @@ def medium_curves(medium: Any, z: np.ndarray, row: int = 0) -> Curves:
             product = np.asarray(z, dtype=np.float64)[..., None] * r
         return np.where(r == 0, 0, product)
 
-    parts = (
-        np.exp(-depth(rates)) @ direct.T,
-        np.exp(-depth(scatter)) @ signal.T,
-        -np.expm1(-depth(scatter)) @ veil.T,
+    near, far = np.exp(-depth(rates)), np.exp(-depth(scatter))
+    return Curves(
+        np.tensordot(direct, near, (-1, -1)),
+        np.tensordot(signal, far, (-1, -1)),
+        np.tensordot(veil, -np.expm1(-depth(scatter)), (-1, -1)),
     )
-    return Curves(*(np.moveaxis(p, -1, 0) for p in parts))
 
 
 def matched(sigma: np.ndarray) -> np.ndarray:
@@ -199,10 +201,15 @@ def terms(
     share = curves.signal - curves.direct
     blur = varying_exponential if shape == "exponential" else varying_gaussian
     if order == "source":
-        scattered = blur(share * J, sigma).reshape(J.shape)
+        scattered = blur(passed(share, J), sigma).reshape(J.shape)
     else:
-        scattered = share * blur(J, sigma).reshape(J.shape)
-    return curves.direct * J, scattered, curves.veil
+        scattered = passed(share, blur(J, sigma).reshape(J.shape))
+    return passed(curves.direct, J), scattered, curves.veil
+
+
+def passed(T: np.ndarray, J: np.ndarray) -> np.ndarray:
+    """What numbers of three channels (3, H, W), or matrices (3, 3, H, W), leave of colours."""
+    return T * J if T.ndim == 3 else (T * J).sum(1)
 
 
 def picture(height: int, width: int, seed: int = 0, channels: int = 3) -> np.ndarray:
