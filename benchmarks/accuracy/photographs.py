@@ -1,0 +1,195 @@
+"""How near do draws lie to real underwater photographs? 26 numbers of a picture, of which 12 hang
+on the water more than on the scene, and three shares of two clouds of such numbers:
+
+    recall     photographs inside the cloud of draws (Kynkäänniemi et al. 2019)
+    coverage   photographs that have a draw among their nearest neighbours (Naeem et al. 2020)
+    precision  draws inside the cloud of photographs
+
+`results/photographs.csv` holds the numbers of 342 photographs of UIEB, RUIE, LSUI, U45, OceanDark,
+and of the test sets of EUVP, UFO and SUIM; without those that a network made.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, minimum_filter
+from scipy.spatial.distance import cdist
+from skimage.color import rgb2lab
+
+from benchmarks.harness import RESULTS
+
+Numbers = NDArray[np.float64]
+Picture = NDArray[np.uint8]
+
+OF_WATER = [
+    "L_mean",
+    "a_mean",
+    "b_mean",
+    "chroma",
+    "veil_L",
+    "veil_a",
+    "veil_b",
+    "log_RG",
+    "log_BG",
+    "sd_RG",
+    "corr_RG",
+    "dark",
+]
+"""Names of the numbers that hang on the water more than on the scene."""
+
+_NEIGHBOURS = 5
+_SPLITS = 12
+_MOST_OF_A_GROUP = 100
+_MOST = 280
+
+
+def load_photographs() -> tuple[Numbers, list[str], NDArray[Any]]:
+    """Numbers of the photographs (N×26), their names, and the set of each photograph (N)."""
+    text = (RESULTS / "photographs.csv").read_text()
+    head, *lines = (line.split(",") for line in text.splitlines())
+    numbers = np.array([line[2:] for line in lines], np.float64)
+    return numbers, head[2:], np.array([line[1] for line in lines])
+
+
+def numbers_of(picture: Picture) -> dict[str, float]:
+    """26 numbers of a picture (HxWx3, sRGB, short side 256 px), by name."""
+    srgb = picture.astype(np.float32) / 255
+    lab = rgb2lab(srgb)
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    luminance = (linear @ np.array([0.2126, 0.7152, 0.0722]) + 0.002).astype(np.float32)
+    return {
+        **_of_colour(srgb, lab, linear),
+        **_of_veil(srgb, lab),
+        **_of_detail(lab[..., 0], luminance),
+        "dark": float(minimum_filter(srgb[..., 1:].min(-1), 15).mean()),
+        "clip_hi": float(np.sqrt((picture.max(2) >= 253).mean())),
+        "clip_lo": float(np.sqrt((picture.min(2) <= 2).mean())),
+        **_of_layout(luminance),
+    }
+
+
+def _of_colour(srgb: Numbers, lab: Numbers, linear: Numbers) -> dict[str, float]:
+    L, a, b = lab[..., 0], lab[..., 1], lab[..., 2]
+    mean, spread = linear.reshape(-1, 3).mean(0) + 0.004, srgb.reshape(-1, 3).std(0) + 0.004
+    # a constant channel has a correlation, too
+    jitter = 1e-4 * np.random.default_rng(0).standard_normal((3, L.size))
+    correlation = np.corrcoef(srgb.reshape(-1, 3).T + jitter)
+    low, high = np.percentile(L, [5, 95])
+    return {
+        "L_mean": L.mean(),
+        "L_p5": low,
+        "L_p95": high,
+        "a_mean": a.mean(),
+        "b_mean": b.mean(),
+        "chroma": np.hypot(a, b).mean(),
+        "ab_spread": np.sqrt(a.var() + b.var()),
+        "log_RG": np.log2(mean[0] / mean[1]),
+        "log_BG": np.log2(mean[2] / mean[1]),
+        "sd_RG": np.log2(spread[0] / spread[1]),
+        "sd_BG": np.log2(spread[2] / spread[1]),
+        "corr_RG": correlation[0, 1],
+        "corr_BG": correlation[2, 1],
+        "rms": L.std() / 100,
+    }
+
+
+def _of_veil(srgb: Numbers, lab: Numbers) -> dict[str, float]:
+    """Of those blocks of 16 px that have least texture and least red."""
+    height, width = (size // 16 for size in srgb.shape[:2])
+
+    def blocks(x: Numbers) -> Numbers:
+        cut = x[: height * 16, : width * 16].reshape(height, 16, width, 16)
+        return cut.transpose(0, 2, 1, 3).reshape(-1, 256)
+
+    def rank(values: Numbers) -> NDArray[np.int64]:
+        return np.argsort(np.argsort(values))
+
+    texture = blocks(lab[..., 0]).std(1)
+    less_red = blocks(srgb[..., 1:].max(-1) - srgb[..., 0]).mean(1)
+    veil = np.argsort(rank(texture) - rank(less_red))[: max(2, len(texture) // 10)]
+    return {
+        f"veil_{name}": float(np.median(blocks(lab[..., channel])[veil]))
+        for channel, name in enumerate("Lab")
+    }
+
+
+def _of_detail(L: Numbers, luminance: NDArray[np.float32]) -> dict[str, float]:
+    height, width = (size // 4 for size in luminance.shape)
+
+    def quarter(x: NDArray[np.float32]) -> NDArray[np.float32]:
+        return x[: height * 4, : width * 4].reshape(height, 4, width, 4).mean((1, 3))
+
+    numbers = {}
+    square = luminance * luminance
+    small, small_square = quarter(luminance), quarter(square)
+    scales = {"loc2": (luminance, square, 2.0), "loc6": (small, small_square, 1.5)}
+    scales["loc18"] = small, small_square, 4.5
+    for name, (first, second, sigma) in scales.items():
+        mean = gaussian_filter(first, sigma)
+        variance = np.maximum(gaussian_filter(second, sigma) - mean * mean, 0)
+        numbers[name] = np.log2(np.median(np.sqrt(variance) / mean) + 0.004)
+    side = min(L.shape)
+    top, left = ((size - side) // 2 for size in L.shape)
+    middle = L[top : top + side, left : left + side]
+    window = np.hanning(side)[:, None] * np.hanning(side)
+    power = np.abs(np.fft.fft2((middle - middle.mean()) * window)) ** 2
+    frequency = np.fft.fftfreq(side)
+    ring = np.round(np.hypot(frequency[:, None], frequency) * side).astype(int).ravel()
+    radial = np.bincount(ring, power.ravel()) / np.maximum(np.bincount(ring), 1)
+    radius = np.arange(len(radial)) / side
+    used = (radius > 0.03) & (radius < 0.35)
+    numbers["slope"] = np.polyfit(np.log(radius[used]), np.log(radial[used] + 1e-3), 1)[0]
+    return numbers
+
+
+def _of_layout(luminance: NDArray[np.float32]) -> dict[str, float]:
+    height, width = luminance.shape
+    third = height // 3
+    y, x = np.mgrid[:height, :width]
+    radius = np.hypot((y - height / 2) / (height / 2), (x - width / 2) / (width / 2))
+    return {
+        "top_bottom": np.log2(luminance[:third].mean() / luminance[-third:].mean()),
+        "centre_edge": np.log2(luminance[radius < 0.5].mean() / luminance[radius > 1.05].mean()),
+    }
+
+
+def closeness(pictures: list[Picture]) -> dict[str, tuple[float, float]]:
+    """Recall, coverage and precision of draws, each by all numbers and by those of water."""
+    photographs, names, groups = load_photographs()
+    draws = np.array([list(map(numbers_of(picture).get, names)) for picture in pictures], float)
+    real, drawn = _standardised(photographs, draws, groups)
+    water = [names.index(name) for name in OF_WATER]
+    everything = _shares(real, drawn, groups)
+    of_water = _shares(real[:, water], drawn[:, water], groups)
+    pairs = zip(everything, of_water, strict=True)
+    return dict(zip(("recall", "coverage", "precision"), pairs, strict=True))
+
+
+def _standardised(real: Numbers, drawn: Numbers, groups: NDArray[Any]) -> tuple[Numbers, Numbers]:
+    """Both by mean and spread of the photographs; far outliers are held at 4."""
+    kept = [np.flatnonzero(groups == group)[:_MOST_OF_A_GROUP] for group in np.unique(groups)]
+    low, high = np.percentile(real, [0.5, 99.5], axis=0)
+    clipped = np.clip(real[np.concatenate(kept)], low, high)
+    mean, spread = clipped.mean(0), clipped.std(0)
+    return np.clip((real - mean) / spread, -4, 4), np.clip((drawn - mean) / spread, -4, 4)
+
+
+def _shares(real: Numbers, drawn: Numbers, groups: NDArray[Any]) -> list[float]:
+    """Recall, coverage, precision: means over random subsets of equal size."""
+    generator, rows = np.random.default_rng(0), []
+    for _ in range(_SPLITS):
+        parts = [
+            generator.permutation(np.flatnonzero(groups == group))[:_MOST_OF_A_GROUP]
+            for group in np.unique(groups)
+        ]
+        part = np.concatenate(parts)
+        count = min(_MOST, len(part), len(drawn))
+        R = real[generator.permutation(part)[:count]]
+        D = drawn[generator.permutation(len(drawn))[:count]]
+        of_real, of_drawn = (np.sort(cdist(x, x), 1)[:, _NEIGHBOURS] for x in (R, D))
+        apart = cdist(R, D)
+        inside, near = apart < of_drawn[None], apart < of_real[:, None]
+        rows.append((inside.any(1).mean(), near.any(1).mean(), near.any(0).mean()))
+    shares: list[float] = np.mean(rows, 0).tolist()
+    return shares
