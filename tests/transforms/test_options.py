@@ -18,6 +18,7 @@ from uwaug import (
     Water,
     load_preset,
 )
+from uwaug.transforms.random_underwater import WATERS
 from uwaug.distance.convert import from_relative
 
 NAMES = {
@@ -54,7 +55,7 @@ def test_repr_shows_what_was_changed() -> None:
     assert repr(RandomUnderwater()) == "RandomUnderwater()"
     assert repr(RandomUnderwater(["1C", "7C"], p=0.5)) == "RandomUnderwater(['1C', '7C'], p=0.5)"
     assert repr(RandomUnderwater({"1C": 2.0, "7C": 1})) == "RandomUnderwater({'1C': 2.0, '7C': 1})"
-    aug = RandomUnderwater(g=(0.1, 0.3), waters=["II", "III", "1C", "3C", "5C", "7C", "9C"])
+    aug = RandomUnderwater(g=(0.1, 0.3), waters=WATERS)
     assert repr(aug) == "RandomUnderwater(g=(0.1, 0.3))"
 
 
@@ -201,7 +202,7 @@ def test_severity_takes_options() -> None:
         ({"blur_factor": math.nan}, "blur_factor.*nan"),
         ({"field_range": (-0.1, 1.0)}, r"field_range.*≥ 0.*\(-0.1, 1.0\)"),
         ({"distance": "far"}, "distance must be.*'far'"),
-        ({"visibility": (5.0, 500.0)}, "visibility=500 does not suit water 'II'.*pure water"),
+        ({"visibility": (5.0, 500.0)}, "visibility=500 does not suit water 'IB'.*pure water"),
         ({"p": math.nan}, "p must be in .0, 1.*nan"),
         ({"field_probability": -0.5}, "field_probability must be.*-0.5"),
         ({"distance_kind": "disparity"}, r"distance_kind must be one of metric, .*'disparity'"),

@@ -112,9 +112,8 @@ class DaylightOnScene(NamedTuple):
         sky, source, view = part.daylight(), self.source, part.place.view
         if source.gain is None and not source.has_view:
             return sky
-        shade = veil = (
-            sky.direct.new_ones(1, 1, 1, 1) if source.gain is None else as_map(source.gain)
-        )
+        gain = sky.direct.new_ones(1) if source.gain is None else source.gain
+        shade = veil = as_map(gain)
         if source.gradient is not None:
             assert view is not None
             veil = veil * torch.exp(as_map(source.gradient) * (-view.y * view.shortening()))
