@@ -18,8 +18,8 @@ from uwaug import (
     Water,
     load_preset,
 )
-from uwaug.transforms.random_underwater import WATERS
 from uwaug.distance.convert import from_relative
+from uwaug.transforms.random_underwater import WATERS
 
 NAMES = {
     "Constituents": Constituents,
