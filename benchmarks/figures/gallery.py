@@ -1,5 +1,5 @@
-"""The galleries of the README: the published systems in two waters, and ten waters at three
-visibilities.
+"""The galleries of the README: the published systems in two waters, ten waters at three
+visibilities, and a red tank at five depths.
 """
 
 from matplotlib.axes import Axes
@@ -8,8 +8,10 @@ from torch import Tensor
 
 from benchmarks.accuracy.information import pictured
 from benchmarks.harness import RESULTS, command
+from uwaug import Development, Medium, Underwater
 from uwaug._support.atomic import written_whole
 from uwaug.figures.comparison import seen_by
+from uwaug.optics.scattering import Scattering
 from uwaug.optics.water import JERLOV_TYPES, Water
 from uwaug.presets import load_preset, published_systems
 from uwaug.presets.scene import Scene, motorcycle
@@ -22,6 +24,9 @@ OWN = "hou-2020"
 """The system that knows no waters and no distances."""
 
 VISIBILITIES = (16.0, 8.0, 4.0)  # m
+DEPTHS = (0.0, 5.0, 10.0, 20.0, 30.0)
+"""m below the surface, of the red tank in type II; a diver is some .7 to 2 m away from it."""
+
 WIDTH = 188  # px of a picture
 LABEL = 22  # px
 QUALITY = 70
@@ -77,12 +82,36 @@ def visibilities(scene: Scene) -> Figure:
     return grid.figure
 
 
+def reds(scene: Scene) -> Figure:
+    """A red tank at five depths: above, each channel fades by one number; below, surfaces have
+    spectra. The camera's exposure is automatic.
+    """
+    height, width = scene.image.shape[-2:]
+    tank = (..., slice(height // 4, 3 * height // 4), slice(3 * width // 8, 7 * width // 8))
+    image, distance = scene.image[tank], scene.distance[tank] / 3
+    grid = Grid(2, len(DEPTHS), (image.shape[-2], image.shape[-1]))
+    for column, depth in enumerate(DEPTHS):
+        for row, surfaces in enumerate(("grey", "spectral")):
+            medium = Medium.from_water(
+                "II",
+                vertical_depth=depth,
+                g=Scattering.CALIBRATED.g,
+                mu=Scattering.CALIBRATED.mu,
+                surfaces=surfaces,
+            )
+            gamut = Development(gamut=float(surfaces == "spectral"))
+            degrade = Underwater(medium, exposure="auto", development=gamut)
+            label = f"{depth:g} m, {'spectra' if row else 'one number a channel'}"
+            grid.show(row * len(DEPTHS) + column, degrade(image, distance), label)
+    return grid.figure
+
+
 def main(quick: bool = False) -> dict[str, Figure]:
     """Draw and save."""
     scene = motorcycle()
     if quick:
         scene = Scene(scene.image[:, ::8, ::8], scene.distance[:, ::8, ::8], 125.0)
-    found = {"systems": systems(scene), "visibilities": visibilities(scene)}
+    found = {"systems": systems(scene), "visibilities": visibilities(scene), "reds": reds(scene)}
     if not quick:
         for name, figure in found.items():
             with written_whole(FIGURES / f"{name}.jpg") as part:

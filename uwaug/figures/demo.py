@@ -31,6 +31,7 @@ from uwaug.figures.sheet import (
 )
 from uwaug.formation.colour import linear_to_srgb
 from uwaug.formation.demand import blur_demand
+from uwaug.formation.development import Development
 from uwaug.formation.field import gaussian_random_field
 from uwaug.formation.scene import Scene as InWater
 from uwaug.formation.setup import Setup
@@ -50,6 +51,9 @@ if TYPE_CHECKING:
 
 SETTING = f"Scene 1 m deep, g = {Scattering.PAPER.g:g}, μ = {Scattering.PAPER.mu:g}"
 """In words, the defaults of `uwaug.Medium.from_water`."""
+
+_DEPTH = 5.0
+"""m below the surface: of the sheet of ten waters."""
 
 _COAST = "1C"
 _EVEN = f"{SETTING}, homogeneous, one exposure"
@@ -114,13 +118,30 @@ def draw_contact_sheet(scene: Scene) -> Drawing:
         f"{seen(scene.distance)[1]:.3g} m" if low == high else f"{low.removesuffix(' m')}–{high}"
     )
     beyond = "" if bool(scene.distance.isfinite().all()) else " and open water"
-    caption = f"Jerlov types over the scene's distances, {metres}{beyond}. {_EVEN}."
+    caption = (
+        f"Jerlov types over the scene's distances, {metres}{beyond}. Scene {_DEPTH:g} m deep, "
+        "surfaces with spectra, a camera with its colour matrix and an automatic exposure."
+    )
     columns = columns_for(_shape(scene))
     figure, axes = sheet(
         12 // columns, columns, _shape(scene), "One scene in ten waters", _noted(caption, scene)
     )
-    media = Medium.stack([Medium.from_water(water) for water in waters])
-    in_water = _in_water(scene, Setup(media))
+    scattering = Scattering.CALIBRATED
+    law = PointSpread.calibrated(focal_of(None, _shape(scene)[1]))
+    media = [
+        Medium.from_water(
+            water,
+            vertical_depth=_DEPTH,
+            g=scattering.g,
+            mu=scattering.mu,
+            point_spread=law,
+            surfaces="spectral",
+        )
+        for water in waters
+    ]
+    camera = Development(gamut=1.0)
+    setup = Setup(Medium.stack(media), exposure="auto", development=camera)
+    in_water = _in_water(scene, setup)
     show(axes[0], scene.image, "No water")
     show_distance(axes[1], scene.distance)
     for axis, water, picture in zip(axes[2:], waters, in_water.picture(), strict=True):
