@@ -46,7 +46,7 @@ from uwaug.formation.loops.render import decode, render, render_in_rows
 from uwaug.formation.setup import Setup
 from uwaug.light.banded import BandedLight
 from uwaug.light.lit import LampInWater, Lit, lit_of, planning_medium, transmittance
-from uwaug.optics.curves import FARTHEST, Curves, Sums, passed
+from uwaug.optics.curves import FARTHEST, Curves, Sums, mix, passed
 from uwaug.optics.medium import Medium
 
 
@@ -73,7 +73,7 @@ Finish = Callable[[Curves, Tensor, Tensor], tuple[Tensor, ...]]
 
 def total(T: Curves, J: Tensor, blurred: Tensor) -> tuple[Tensor, ...]:
     """D + F + B."""
-    if T.direct.ndim == 5:  # surfaces with spectra
+    if T.direct.ndim == 5:  # surfaces with spectra, under a lamp
         return (passed(T.direct, J).add_(passed(T.scatter, blurred)).add_(T.veil),)
     return (T.veil.addcmul(T.direct, J).addcmul_(T.scatter, blurred),)
 
@@ -367,8 +367,10 @@ class Scene:
         canvas: list[Tensor] = []
         for view, n, tile, blurs in self._views(plan):
             J, z = view.radiance[tile], view.z[tile]
+            if plan.sigmas == (0.0,) and view.order == "line_of_sight":
+                blurs = [J]  # itself, not a copy, of which `mix` makes use
             blur = mixture(blurs, z, view.medium, plan, self.size)
-            results = finish(view.transmittance(tile, z), J, blur)
+            results = view.results(finish, tile, z, J, blur)
             if n is None:
                 return results
             if encode is not None:
@@ -427,6 +429,15 @@ class _View(NamedTuple):
     sums: Sums
     lit: Lit | BandedLight | None
     order: Order
+
+    def results(
+        self, finish: Finish, tile: Tile, z: Tensor, J: Tensor, blurred: Tensor
+    ) -> tuple[Tensor, ...]:
+        """What `finish` makes of a tile."""
+        daylight = self.lit is None and self.order == "line_of_sight"
+        if daylight and self.sums.is_spectral and finish is total:
+            return (mix(self.sums, z, J, blurred),)
+        return finish(self.transmittance(tile, z), J, blurred)
 
     def transmittance(self, tile: Tile, z: Tensor) -> Curves:
         """T_β, T_G − T_β and V(0) − V of a tile, which has distances z."""

@@ -162,7 +162,8 @@ class Graph(nn.Module):
         light, stack = self.blurs.strip(inputs, numbers, across)
         rates, weights = inputs.get("rates", self.rates), inputs.get("weights", self.weights)
         blurred = mixture(stack, z, self._medium(inputs), self.plan, size)
-        (result,) = total(curves(Sums(rates, weights, None), z), light, blurred)
+        sums = Sums(rates, weights, self.medium.beta.shape[1], None)
+        (result,) = total(curves(sums, z), light, blurred)
         result = finished(self.development, result, inputs.get("black", result.new_zeros(1)))
         dtype = getattr(torch, self.options.image)
         return encoded(result, self.color_space, dtype, inputs.get("brightest", 1.0))
@@ -185,7 +186,7 @@ class Graph(nn.Module):
 
     def _sums(self, light: Tensor, z: Tensor, medium: Medium) -> tuple[Sums, Tensor]:
         """The medium's sums of exponentials as the camera sees them, and what becomes black."""
-        sums = Sums(self.rates, self.weights, None)
+        sums = Sums(self.rates, self.weights, self.medium.beta.shape[1], None)
         if self.curves_fixed:
             return sums, light.new_zeros(1, 1, 1, 1)
         if not self.frozen:

@@ -35,13 +35,20 @@ class Sums(NamedTuple):
             the direct term, then those that signal and veil share.
         weights (Bx9xR): the three curves, of three channels each; Bx21xR of surfaces with spectra,
             whose first two curves have nine.
+        direct: how many of the rates are those of the direct term.
         shifted: the first of the rates whose exponentials stand for e^−x − 1; None if all stand
             for e^−x.
     """
 
     rates: Tensor
     weights: Tensor
+    direct: int
     shifted: int | None
+
+    @property
+    def is_spectral(self) -> bool:
+        """Whether they are those of surfaces with spectra."""
+        return self.weights.shape[1] == 21
 
 
 def curves(sums: Sums, z: Tensor) -> Curves:
@@ -54,14 +61,9 @@ def curves(sums: Sums, z: Tensor) -> Curves:
     Returns:
         The curves, B the larger of the two batches.
     """
-    flat, split = z.flatten(1)[:, None], sums.shifted
-    if split is None:
-        left = decay(sums.rates, flat)
-    else:
-        shifted = torch.mul(-sums.rates[:, split:], flat).expm1_()
-        left = torch.cat([decay(sums.rates[:, :split], flat), shifted], 1)
+    left = _exponentials(sums, z)
     b = left.shape[0]  # len() of it would be fixed in a graph
-    channels = (3,) if sums.weights.shape[1] == 9 else (3, 3)
+    channels = (3, 3) if sums.is_spectral else (3,)
     rows = [math.prod(channels), math.prod(channels), 3]
     if torch.compiler.is_compiling():  # ONNX Runtime would copy the parts of one product
         parts = [weights @ left for weights in torch.split(sums.weights, rows, 1)]
@@ -69,6 +71,42 @@ def curves(sums: Sums, z: Tensor) -> Curves:
         parts = list(torch.split(sums.weights.expand(b, -1, -1) @ left, rows, 1))
     shapes = ((b, *channel, *z.shape[-2:]) for channel in (channels, channels, (3,)))
     return Curves(*(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)))
+
+
+def mix(sums: Sums, z: Tensor, light: Tensor, blurred: Tensor) -> Tensor:
+    """D + F + B (Bx3xHxW) of surfaces with spectra, from J and its blur. Colours are mixed once for
+    each rate and then summed, as Σ T_β·(J − blur) + T_G·blur + V(0) − V: matrices of curves would
+    take half as long again.
+    """
+    left, size, soft = _exponentials(sums, z), z.shape[-2:], blurred.flatten(2)
+    first = 1 + sums.direct
+    direct, signal, veil = torch.split(sums.weights, [9, 9, 3], 1)
+    exponentials = left[:, :, None].unbind(1)
+    terms = list(zip(exponentials[first:], _mixed(signal[..., first:], soft), strict=True))
+    if blurred is not light:
+        sharp = (light - blurred).flatten(2)
+        terms += zip(exponentials[1:first], _mixed(direct[..., 1:first], sharp), strict=True)
+    total = torch.addcmul(veil @ left, *terms[0])  # of the widest batch
+    for exponential, colours in terms[1:]:
+        total.addcmul_(exponential, colours)
+    if sums.shifted is not None:
+        total += torch.unflatten(signal[..., 0], 1, (3, 3)) @ soft
+    return torch.unflatten(total, -1, size)
+
+
+def _mixed(weights: Tensor, light: Tensor) -> tuple[Tensor, ...]:
+    """What the matrix of each rate (Bx9xR) makes of light (Bx3xN): R tensors (Bx3xN)."""
+    matrices = torch.unflatten(weights, 1, (3, 3)).permute(0, 3, 1, 2)
+    return torch.unflatten(matrices.flatten(1, 2) @ light, 1, (-1, 3)).unbind(1)
+
+
+def _exponentials(sums: Sums, z: Tensor) -> Tensor:
+    """e^(−rate·z), or that − 1, of each rate (BxRxN)."""
+    flat, split = z.flatten(1)[:, None], sums.shifted
+    if split is None:
+        return decay(sums.rates, flat)
+    shifted = torch.mul(-sums.rates[:, split:], flat).expm1_()
+    return torch.cat([decay(sums.rates[:, :split], flat), shifted], 1)
 
 
 def passed(T: Tensor, light: Tensor) -> Tensor:
@@ -106,7 +144,7 @@ def amplified_sums(sums: Sums, gain: Tensor) -> Sums:
     number of media is not known.
     """
     weights = sums.weights
-    channels = (3,) if weights.shape[1] == 9 else (3, 3)
+    channels = (3, 3) if sums.is_spectral else (3,)
     rows = [math.prod(channels), math.prod(channels), 3]
     # planes of one pixel for each rate
     parts = torch.split(weights, rows, 1)

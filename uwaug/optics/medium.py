@@ -405,7 +405,7 @@ class Medium:
             torch.cat([veil_at_0, no_veil, -veil], 2),
         ]
         split = 1 + self.beta.shape[1] if exact_at_lens else None
-        return Sums(rates, torch.cat(weights, 1), split)
+        return Sums(rates, torch.cat(weights, 1), self.beta.shape[1], split)
 
     def sums_at(self, z: Tensor) -> Sums:
         """`sums` that are right at distances z (B or 1, …), m."""
