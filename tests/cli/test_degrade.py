@@ -100,7 +100,7 @@ def test_flags_of_the_camera(degrade, water, options):
     if water[0] == "--preset":
         transform = uwaug.RandomUnderwater.from_preset("survey", **options)
     elif water[0] == "--water":
-        neutral = dict.fromkeys(CAMERA) | {"exposure": "auto"}
+        neutral = dict.fromkeys(("color_matrix", *CAMERA)) | {"exposure": "auto"}
         in_nature = {"contrast": None, "vertical_depth": 1.0, "field_probability": 0.0}
         in_nature["mu"] = 0.075
         transform = uwaug.RandomUnderwater("II", **{**neutral, **in_nature, **options})

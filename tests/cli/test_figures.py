@@ -11,6 +11,7 @@ from PIL import Image
 
 import uwaug
 from uwaug.figures.demo import PICTURES, draw_terms, preset_case
+from uwaug.presets.files import bundled_preset
 from uwaug.presets.scene import own_scene
 
 
@@ -89,6 +90,18 @@ def test_a_preset_shines_its_lamp():
     assert "its own light" in case.setting
     drawn, other = (figure.axes[7].images[0].get_array() for figure in (by_lamp, by_day))
     assert np.abs(np.subtract(drawn, other, dtype=float)).max() > 0.05 * np.max(other)
+
+
+def test_a_preset_whose_surfaces_have_spectra(files):
+    """The curves are those of a white surface."""
+    text = bundled_preset("calibrated").read_text()
+    Path("mine.toml").write_text(text.replace("[medium]\n", '[medium]\nsurfaces = "spectral"\n'))
+    scene = own_scene(torch.rand(3, 20, 30), torch.full((1, 20, 30), 2.0))
+    presets = [uwaug.load_preset(name) for name in ("mine.toml", "calibrated")]
+    spectral, grey = (draw_terms(scene, preset_case(preset)).figure for preset in presets)
+    assert "spectra" in preset_case(presets[0]).setting
+    for line, of_grey in zip(spectral.axes[3].lines, grey.axes[3].lines, strict=True):
+        np.testing.assert_allclose(line.get_ydata(), of_grey.get_ydata(), atol=0.15)
 
 
 def test_what_was_done_to_the_files_is_said(run, files):

@@ -1,5 +1,6 @@
 """One picture: what is made of it, what is kept of its file, and how it is made again."""
 
+import csv
 import json
 import os
 import resource
@@ -27,7 +28,7 @@ from uwaug.jobs.sidecar import sidecar_path
 from uwaug.light.geometry import focal_of
 from uwaug.transforms.params import DEVELOPED
 
-UNDEVELOPED = dict.fromkeys(DEVELOPED) | {"mu": 0.075}
+UNDEVELOPED = dict.fromkeys(("color_matrix", *DEVELOPED)) | {"mu": 0.075}
 FIXED = {**UNDEVELOPED, "contrast": None, "vertical_depth": 1.0, "field_probability": 0.0}
 Z = Path("z.npy")
 
@@ -257,7 +258,7 @@ def test_the_index_tells_all_and_keeps_what_other_runs_have_made():
     first, second = Items([Path("out/index.csv")], None, Path("again"))
     assert (first.id, second.id) == ("b.png", "a.png")
     assert first.distance.resolve() == Z.resolve()
-    line = Path("out/index.csv").read_text().splitlines()[1].split(",")
+    _, line, _ = csv.reader(Path("out/index.csv").read_text().splitlines())
     sidecar = result.sidecar
     shown = [sidecar.water, f"{sidecar.visibility:.4g}", f"{sidecar.contrast:.4g}"]
     assert line == [

@@ -6,7 +6,7 @@ import torch
 from exporting import FAR, NEAR, bare, scene
 
 import uwaug
-from uwaug import Light, Medium, PointSpread, Underwater, load_preset
+from uwaug import Development, Light, Medium, PointSpread, Underwater, load_preset
 from uwaug.onnx import OnnxUnderwater, check_onnx, read_metadata, read_module
 from uwaug.onnx.graph import Options
 
@@ -51,6 +51,12 @@ def lit() -> Underwater:
     return Underwater(medium, (NEAR, FAR), sides=(32, 64), **options)
 
 
+def developed() -> Underwater:
+    medium = Medium.from_water("II", vertical_depth=5.0, surfaces="spectral", color_matrix=0.6)
+    development = Development(-0.5, 0.6, 1.2, 0.4, 0.8, 1.1)
+    return Underwater(medium, (NEAR, FAR), sides=(32, 64), development=development)
+
+
 @pytest.mark.parametrize(
     "module",
     [
@@ -59,8 +65,9 @@ def lit() -> Underwater:
         lambda: Underwater(Medium.stack([load_preset("survey").medium] * 2), (NEAR, FAR), 0.01),
         learned,
         lit,
+        developed,
     ],
-    ids=["survey", "calibrated", "stack", "learned", "lamp"],
+    ids=["survey", "calibrated", "stack", "learned", "lamp", "developed"],
 )
 def test_the_module_comes_back_from_its_file(module, tmp_path) -> None:
     module = module()

@@ -5,7 +5,16 @@ import pytest
 import torch
 from presetting import edited, same
 
-from uwaug import JERLOV_TYPES, Camera, Medium, PointSpread, Underwater, Water
+from uwaug import (
+    JERLOV_TYPES,
+    Camera,
+    Development,
+    Medium,
+    PointSpread,
+    RandomUnderwater,
+    Underwater,
+    Water,
+)
 from uwaug.presets import Preset, list_presets, load_preset, published_systems
 from uwaug.presets.files import bundled_preset
 
@@ -137,6 +146,26 @@ def test_every_preset_runs(name):
     assert (result - image).abs().max() > 0.05
 
 
+def test_a_camera_that_develops_spectral_surfaces(tmp_path):
+    numbers = {"compensation": 0.5, "white_balance": 0.6, "gamut": 1.0}
+    lines = "\n".join(f"{name} = {value}" for name, value in numbers.items())
+    spectral = 'surfaces = "spectral"\ncolor_matrix = 0.7\n'
+    path = edited(tmp_path, "calibrated", r"^\[field\]", f"[development]\n{lines}\n[field]")
+    path.write_text(path.read_text().replace("[medium]\n", f"[medium]\n{spectral}"))
+    preset, plain = load_preset(path, water="II"), load_preset("calibrated", water="II")
+    law = plain.medium.point_spread
+    medium = Medium.from_water(
+        "II", g=0.05, mu=0.075, point_spread=law, surfaces="spectral", color_matrix=0.7
+    )
+    image, z = torch.rand(3, 20, 24), torch.full((1, 20, 24), 3.0)
+    development = Development(**numbers)
+    expected = Underwater(medium, (0.7, 6.5), development=development)(image, z)
+    assert torch.equal(preset.module()(image, z), expected)
+    drawn = RandomUnderwater.from_preset(path, water="II", field_probability=0.0)
+    assert (drawn(image, z)[0] - expected).abs().max() < 2e-3
+    assert (plain.module()(image, z) - expected).abs().max() > 0.05
+
+
 def test_field_takes_a_generator():
     preset = load_preset("survey")
     first, second = (preset.field((8, 8), torch.Generator().manual_seed(3)) for _ in range(2))
@@ -195,6 +224,13 @@ REFUSED = {
         (r"^type = .*", 'type = "11C"', "water.type must be one of I, IA"),
         (r"^\[water\]", "[coefficients]", "coefficients.a_per_m is missing"),
         (r"^\[water\]", "water", "not a TOML file"),
+        (r"^mu = (.*)", r"mu = \1\ncolor_matrix = 0.5", "medium.color_matrix would do nothing"),
+        (
+            r"^\[field\]",
+            "[development]\ngamut = 2.0\n[field]",
+            "development.gamut must be in [0, 1]",
+        ),
+        (r"^\[field\]", "[development]\ngamma = 2.0\n[field]", "did you mean gamut?"),
     ],
     "tank-proposed-1": [
         (
@@ -207,6 +243,7 @@ REFUSED = {
         (r"^G_per_m = .*", "G_per_m = [0.0, 2.82, 3.65]", "coefficients.G_per_m must be > 0"),
         (r"^\[medium\]", '[water]\ntype = "II"\ncamera = "x"\n[medium]', "give one of these"),
         ("^mu = (.*)", r'mu = \1\ndims = "veil"', "medium: dims is for the tab"),
+        ("^mu = (.*)", r'mu = \1\nsurfaces = "spectral"', "medium.surfaces must be grey where"),
     ],
     "jaffe-1990": [
         ("^forward = .*", 'forward = "J"', "medium.forward: Input should be 'image'"),

@@ -31,12 +31,13 @@ from uwaug.figures.sheet import (
 )
 from uwaug.formation.colour import linear_to_srgb
 from uwaug.formation.demand import blur_demand
-from uwaug.formation.development import Development
+from uwaug.formation.development import NEUTRAL, Development
 from uwaug.formation.field import gaussian_random_field
 from uwaug.formation.scene import Scene as InWater
 from uwaug.formation.setup import Setup
 from uwaug.light.geometry import focal_of
 from uwaug.light.lit import planning_medium
+from uwaug.optics.curves import of_white
 from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
@@ -96,8 +97,12 @@ def preset_case(preset: Preset) -> Case:
     else:
         name += f", {preset.spectral['waters'].name}"
         setting += f", g = {preset.spectral['g']:g}, μ = {preset.spectral['mu']:g}"
+        if preset.spectral["surfaces"] == "spectral":
+            setting += ", surfaces with spectra"
     for key, value in preset.choices.items():
         setting += f", {key} = {value}"
+    if preset.development != NEUTRAL:
+        setting += ", developed"
     if preset.light is not None:
         setting += ", by its own light; the curves are those of daylight"
     return Case(name, setting, preset.setup(), preset.field_range)
@@ -179,12 +184,13 @@ def draw_terms(scene: Scene, case: Case) -> Drawing:
     axis = plot(axes[3], "Curves of distance, red, green, blue", "z [m]", "")
     reach = round_up(1.5 * seen(scene.distance)[1])
     z = torch.linspace(0, reach, 201, dtype=torch.float64)
+    row = z[None, None, None]  # a map, as `of_white` wants one
     for label, curve, style in (
-        ("$T_β$  direct", medium.transmission(z), "-"),
-        ("$T_G$  direct + forward", medium.signal(z), "--"),
-        ("$B$  backscatter", medium.backscatter(z), ":"),
+        ("$T_β$  direct", of_white(medium.transmission(row)), "-"),
+        ("$T_G$  direct + forward", of_white(medium.signal(row)), "--"),
+        ("$B$  backscatter", medium.backscatter(row), ":"),
     ):
-        for values, colour in zip(curve[0], RGB, strict=True):
+        for values, colour in zip(curve[0, :, 0], RGB, strict=True):
             axis.plot(z.numpy(), values.numpy(), style, color=colour, linewidth=1.6)
         axis.plot([], [], style, color=INK, label=label)
     axis.set(xlim=(0, reach), ylim=(0, 1))

@@ -33,6 +33,9 @@ _MOST = 16.0
 _DARKEST = 0.01
 """Share of the pixels below the black that is found."""
 
+_BLACKEST = 0.9
+"""Of the luminance that becomes black."""
+
 _GAMUT_FROM = 0.75
 """Distance from grey, (max − c)/max, from which on colours are compressed. 1 is where a channel
 reaches 0."""
@@ -85,7 +88,8 @@ class Development:
     def gain(self) -> float:
         """By how much it may multiply small differences, without a white balance."""
         stops: float = 2.0 ** max(self.compensation, 0.0)
-        return stops * max(self.saturation, 1.0) * max(self.tone, 1.0)
+        stretch = 1 / (1 - _BLACKEST * self.black_point)
+        return stops * max(self.saturation, 1.0) * stretch * max(self.tone, 1.0)
 
     @property
     def is_linear(self) -> bool:
@@ -149,7 +153,7 @@ def black_of(development: Development, light: Tensor) -> Tensor:
     weights = light.new_tensor(LUMINANCE)[:, None, None]
     luminance = (light * weights).sum(1).flatten(1)
     rank = max(1, int(_DARKEST * luminance.shape[1]))
-    darkest = luminance.topk(rank, largest=False).values[:, -1].clamp(0.0, 0.9)
+    darkest = luminance.topk(rank, largest=False).values[:, -1].clamp(0.0, _BLACKEST)
     black: Tensor = development.black_point * darkest
     return black.reshape(-1, 1, 1, 1)
 

@@ -22,7 +22,7 @@ from uwaug.transforms.params import DEVELOPED
 from uwaug.transforms.random_underwater import RandomUnderwater
 
 _FIXED: dict[str, Any] = {
-    **dict.fromkeys(DEVELOPED),
+    **dict.fromkeys(("color_matrix", *DEVELOPED)),
     "contrast": None,
     "vertical_depth": 1.0,
     "field_probability": 0.0,

@@ -156,4 +156,5 @@ def read_module(path: str | os.PathLike[str]) -> Underwater:
         focal_px=setup.focal_px,
         centre=setup.centre,
         plan=stored.plan,
+        development=setup.development,
     )

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from torch import Tensor
 
 from uwaug._support.types import ColorSpace
 from uwaug.distance.convert import from_relative
+from uwaug.formation.development import NEUTRAL, Development
 from uwaug.formation.exposure import Exposure
 from uwaug.formation.field import gaussian_random_field
 from uwaug.formation.setup import Setup
@@ -45,12 +46,14 @@ class Preset:
         color_space: "linear" if sRGB values are taken for light, as the paper does; "srgb" if they
             are decoded first.
         exposure: "none", "auto", or a gain in stops, see `uwaug.Underwater`.
-        spectral: water, camera, g and mu; None where the file has coefficients of three channels.
+        spectral: water, camera, g, mu, surfaces and color_matrix; None where the file has
+            coefficients of three channels.
         waters: names of the types that `load_preset` takes in place of the file's; none where the
             file's coefficients are those of one water.
         equation: what it computes, in one line; may be empty.
         choices: how its medium differs from what `uwaug.RandomUnderwater` draws.
         light: what shines; None for daylight as the medium has it.
+        development: of the picture, see `uwaug.Development`.
     """
 
     name: str
@@ -68,6 +71,7 @@ class Preset:
     equation: str
     choices: Mapping[str, str]
     light: Light | None
+    development: Development
 
     @property
     def drawable(self) -> bool:
@@ -102,6 +106,8 @@ class Preset:
             options["field_probability"] = 0.0
         if self.light is not None:
             options["light"] = self.light
+        if self.development != NEUTRAL:
+            options |= asdict(self.development)
         if distance_kind != "metric":
             options |= {"near": self.near, "far": self.far}
         if distance_kind == "relative":
@@ -123,7 +129,14 @@ class Preset:
 
     def setup(self, focal_px: float | None = None) -> Setup:
         """What a picture of the preset is taken with; `focal_px` as for `module`."""
-        return Setup(self.medium, self.light, self.exposure, self.color_space, focal_px)
+        return Setup(
+            self.medium,
+            self.light,
+            self.exposure,
+            self.color_space,
+            focal_px,
+            development=self.development,
+        )
 
     def module(
         self, sides: tuple[int, int] | None = None, focal_px: float | None = None
@@ -143,6 +156,7 @@ class Preset:
             exposure=self.exposure,
             light=self.light,
             focal_px=focal_px,
+            development=self.development,
         )
 
 
@@ -213,6 +227,7 @@ def load_preset(
         equation=config.equation,
         choices=config.choices(),
         light=None if config.light is None else Light.from_list(config.light),
+        development=Development(**vars(config.development)),
     )
 
 
@@ -222,7 +237,7 @@ def _spectra(
     water: str | os.PathLike[str] | Water | None,
     camera: str | os.PathLike[str] | Camera | None,
 ) -> dict[str, Any] | None:
-    """Water, camera, g and mu, as `RandomUnderwater` names them; None if there are no spectra."""
+    """What makes the medium, as `RandomUnderwater` names it; None if there are no spectra."""
     if config.water is None:
         if camera is not None or (water is not None and config.channels is None):
             raise ValueError(
@@ -238,6 +253,8 @@ def _spectra(
         "cameras": load_camera(camera),
         "g": config.medium.g,
         "mu": config.medium.mu,
+        "surfaces": config.medium.surfaces,
+        "color_matrix": config.medium.color_matrix if config.medium.has_spectra else None,
     }
 
 
@@ -260,6 +277,8 @@ def _spectral_medium(
         dims=config.medium.dims,
         veil_rate=config.medium.veil_rate,
         forward=config.medium.forward,
+        surfaces=config.medium.surfaces,
+        color_matrix=config.medium.color_matrix,
     )
     if veil is None:
         return medium

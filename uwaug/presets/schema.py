@@ -14,11 +14,13 @@ from uwaug._support import checks
 from uwaug._support.atomic import require_regular
 from uwaug._support.checks import DOMAIN
 from uwaug._support.types import Array, ColorSpace, Shape
+from uwaug.formation.development import Development
 from uwaug.formation.exposure import require_exposure
 from uwaug.light.light import Light
 from uwaug.optics.bands import Forward
 from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.reduction import USUAL, Dims, Downwelling, VeilRate
+from uwaug.optics.surfaces import Surfaces
 
 _ROUNDING = 0.005  # 1/m: half of the last digit that the paper prints
 
@@ -121,15 +123,24 @@ class _Medium(_Table):
     dims: Dims = "both"
     veil_rate: VeilRate = "G"
     forward: Forward = "image"
+    surfaces: Surfaces = "grey"
+    color_matrix: float = 1.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if not self.has_spectra and self.color_matrix != 1:
+            raise ValueError("color_matrix would do nothing: surfaces are grey")
         if self.depth_range_m is not None:
             low, high = self.depth_range_m
             checks.within("depth_range_m", low, 0.0)
             if not low <= self.vertical_depth_m <= high < math.inf:
                 expected = f"hold vertical_depth_m = {self.vertical_depth_m}"
                 raise ValueError(f"depth_range_m must {expected}, got {self.depth_range_m}")
+
+    @property
+    def has_spectra(self) -> bool:
+        """Whether surfaces have them."""
+        return self.surfaces == "spectral"
 
 
 @dataclass(frozen=True)
@@ -169,6 +180,11 @@ class _Field(_Table):
 
 
 @dataclass(frozen=True)
+class _Development(_Table, Development):
+    """As `Development`, whose numbers it has."""
+
+
+@dataclass(frozen=True)
 class Config(_Table):
     """All of a preset's file; the tables are named as there."""
 
@@ -185,6 +201,7 @@ class Config(_Table):
     veil: _Veil | None = None
     equation: str = ""
     light: list[dict[str, Any]] | None = None
+    development: _Development = _Development()
 
     def __post_init__(self) -> None:
         require_exposure(self.exposure)
@@ -195,6 +212,8 @@ class Config(_Table):
             raise ValueError("water, coefficients, channels: give one of these three tables")
         if self.channels is not None:
             self._require_channels()
+        if self.water is None and self.medium.has_spectra:
+            raise ValueError("medium.surfaces must be grey where the table water is missing")
         if self.coefficients is not None and self.choices():
             raise ValueError(f"medium: {', '.join(self.choices())} is for the table water alone")
         if self.water is not None and self.veil is not None and self.medium.dims == "veil":
