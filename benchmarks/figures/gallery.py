@@ -1,4 +1,4 @@
-"""The galleries of the README: the published systems in two waters, ten waters at three
+"""The galleries of the README: the published systems in two waters, nine waters at three
 visibilities, and a red tank at five depths.
 """
 
@@ -71,9 +71,11 @@ def systems(scene: Scene) -> Figure:
 
 
 def visibilities(scene: Scene) -> Figure:
-    """Ten waters, scaled to three visibilities: five waters beside one another."""
+    """Nine waters, scaled to three visibilities: five waters beside one another. (No amount of what
+    type I holds brings it to 4 m.)
+    """
     grid = Grid(6, 5, (scene.image.shape[-2], scene.image.shape[-1]))
-    for i, name in enumerate(JERLOV_TYPES):
+    for i, name in enumerate(JERLOV_TYPES[1:]):
         block, column = divmod(i, 5)
         for row, metres in enumerate(VISIBILITIES):
             picture, _ = pictured(scene, Water.jerlov(name).with_visibility(metres))
