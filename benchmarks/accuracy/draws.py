@@ -177,8 +177,10 @@ LEFT_OUT: dict[str, dict[str, Any]] = {
     "saturation": {"saturation": None},
     "black_point": {"black_point": None},
     "gamut": {"gamut": None},
+    "tone": {"tone": None},
     "contrast .1–.6": {"contrast": (0.1, 0.6)},
-    "mu .075": {"mu": 0.075},
+    "contrast .12–.95": {"contrast": (0.12, 0.95)},
+    "mu .02–.075": {"mu": (0.02, 0.075)},
     "vertical_depth 0–10 m": {"vertical_depth": (0.0, 10.0)},
 }
 """What is put in place of a range, by name."""

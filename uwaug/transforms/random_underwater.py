@@ -83,7 +83,7 @@ of them: recall and coverage of photographs each .02 to .05 less. `python -m
 benchmarks.accuracy.draws` measures what each range below is worth.)
 """
 
-CONTRAST = (0.12, 0.95)
+CONTRAST = (0.1, 0.8)
 """Less is fog in which little can be learnt, more is hardly water."""
 
 COLOR_MATRIX = (0.0, 1.0)
@@ -231,7 +231,7 @@ class RandomUnderwater(SampleTransform):
         vertical_depth: Range = (0.0, 15.0),
         exposure: Literal["none", "auto"] | Range = "auto",
         g: Range = Scattering.CALIBRATED.g,
-        mu: Range = (0.02, Scattering.CALIBRATED.mu),
+        mu: Range = Scattering.CALIBRATED.mu,
         point_spread: PointSpread | None = None,
         focal_px: float | None = None,
         blur_factor: Range = 1.0,
@@ -258,7 +258,7 @@ class RandomUnderwater(SampleTransform):
         saturation: Range | None = (0.8, 1.5),
         black_point: Range | None = (0.0, 0.9),
         gamut: Range | None = (0.5, 1.0),
-        tone: Range | None = (0.9, 1.4),
+        tone: Range | None = (0.9, 1.5),
     ) -> None:
         super().__init__()
         if visibility is not None:  # it takes the place of the default contrast
