@@ -17,6 +17,7 @@ from benchmarks.accuracy.fitting_picture import picture
 from benchmarks.accuracy.fitting_recovery import recovery
 from benchmarks.accuracy.fitting_speed import speed
 from benchmarks.accuracy.fitting_transport import transport
+from benchmarks.accuracy.fitting_waters import waters
 from benchmarks.harness import RESULTS, save, use_threads
 
 PARTS: dict[str, Callable[[bool], dict[str, Any]]] = {
@@ -25,6 +26,7 @@ PARTS: dict[str, Callable[[bool], dict[str, Any]]] = {
     "errors": errors_on_purpose,
     "speed": speed,
     "picture": picture,
+    "waters": waters,
 }
 LONG: dict[str, Callable[[bool, Path | None], dict[str, Any]]] = {
     "choice": choice,

@@ -85,13 +85,15 @@ def test_arguments_become_flags(message, said, tmp_path, monkeypatch):
 
 
 def test_words_of_flags_are_the_librarys():
-    from uwaug.fitting.models import MODELS, Gain
+    from uwaug.fitting.models import MODELS, CameraGain, Gain
     from uwaug.formation.demand import SIDES
     from uwaug.io import UNITS
+    from uwaug.optics.surfaces import Surfaces
 
     assert uwaug.JERLOV_TYPES == choices.WATERS
     assert get_args(choices.FitModel) == ("auto", *MODELS)
-    assert get_args(choices.Gain) == get_args(Gain)
+    assert set(get_args(choices.Gain)) == {*get_args(Gain), *get_args(CameraGain)}
+    assert get_args(choices.Surfaces) == get_args(Surfaces)
     assert get_args(choices.DistanceUnit) == tuple(UNITS)
     assert SIDES == choices.SIDES
 

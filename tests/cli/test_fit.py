@@ -1,5 +1,6 @@
 """`uwaug fit`."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -181,3 +182,40 @@ def test_a_report_that_cannot_be_written_leaves_the_fit(run, scene, monkeypatch)
     assert (code, err) == (1, "Error: [Errno 28] No space left on device: 'fit.png'\n")
     assert out.startswith("Model 'haze'")
     assert uwaug.fitting.Fit.load("fit.json").model == "haze"
+
+
+def test_waters(run, scene, monkeypatch):
+    """What `uwaug degrade` has made of a file is named by `uwaug fit --waters`."""
+    monkeypatch.setattr("uwaug.fitting.api._TYPES", (("1C",), ("7C",)))
+    distance = ["--distance", "z.png", "--distance-unit", "mm"]
+    made = ["--water", "7C", "--visibility", "4", "--depth", "2", "--out", "wet.png"]
+    assert run("degrade", "clean.png", *distance, *made)[0] == 0
+    pair = ["--clean", "clean.png", "--observed", "wet.png", *distance]
+    code, out, err = run("fit", "--waters", *pair, "--out", "fit.json", "--report", "fit.png")
+    assert (code, err) == (0, "")
+    found = uwaug.fitting.WaterFit.load("fit.json")
+    assert out.startswith(found.summary())
+    assert found.type == "7C"
+    assert found.visibility == pytest.approx(4, abs=3 * found.errors["visibility"])
+    assert found.vertical_depth == pytest.approx(2, abs=3 * found.errors["vertical_depth"])
+    known = ["--depth", "2", "--surfaces", "grey", "--gain", "fixed"]
+    known += ["--camera", "Sigma SDMerill (NPL)"]
+    assert run("fit", "--waters", *pair, *known, "--out", "other.json")[0] == 0
+    other = uwaug.fitting.WaterFit.load("other.json")
+    assert (other.fitted.surfaces, other.fitted.gain) == ("grey", "fixed")
+    assert other.fitted.camera.name.startswith("Sigma")
+    assert other.parameters["vertical_depth"].state == "fixed"
+
+
+@pytest.mark.parametrize(
+    "flags, message",
+    [
+        (["--waters", "--model", "haze"], "--waters takes the place of --model"),
+        (["--camera", "Nikon 5100 (NPL)"], "--camera.* for --waters"),
+        (["--waters", "--gain", "channels"], "gain must be one of fixed, free, matrix"),
+    ],
+)
+def test_flags_that_do_not_suit(run, scene, flags, message):
+    code, _, err = run("fit", *PAIR, "--distance-unit", "mm", *flags, "--out", "fit.json")
+    assert code != 0
+    assert re.search(message, " ".join(err.split()))

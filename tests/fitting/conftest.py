@@ -69,8 +69,17 @@ def series(once) -> uwaug.fitting.SeriesFit:
 def water(once) -> uwaug.fitting.WaterFit:
     """All types and mixtures, tried on a 3C of 5 m."""
     truth = uwaug.Water.jerlov("3C").with_visibility(5)
-    seen_in_it = seen(uwaug.Medium.from_water(truth, vertical_depth=3.0, tolerance=0))
-    return once("water", lambda: uwaug.fitting.fit_water(*seen_in_it, pixels=500))
+    constants = uwaug.Scattering.CALIBRATED
+    medium = uwaug.Medium.from_water(
+        truth,
+        vertical_depth=3.0,
+        g=constants.g,
+        mu=constants.mu,
+        point_spread=uwaug.PointSpread.calibrated(0.866 * 105),
+        surfaces="spectral",
+        tolerance=0,
+    )
+    return once("water", lambda: uwaug.fitting.fit_water(*seen(medium), pixels=500))
 
 
 @pytest.fixture(scope="session")

@@ -11,9 +11,10 @@ from uwaug.blur.stack import node_slopes, node_weights
 from uwaug.fitting.coefficients import render
 from uwaug.fitting.data import Observations
 from uwaug.fitting.least_squares import Objective
-from uwaug.fitting.models import MODELS, Scattering, SpectralModel, TurbidityModel
+from uwaug.fitting.models import MODELS, SpectralModel, TurbidityModel
 from uwaug.optics.camera import load_camera
 from uwaug.optics.curves import curves
+from uwaug.optics.scattering import Scattering
 
 # of torch's own forward mode
 pytestmark = pytest.mark.filterwarnings("ignore:.*torch.jit.script:DeprecationWarning")
@@ -100,17 +101,18 @@ def test_a_law_is_that_of_its_name(known, name, law):
 # ---- by spectra
 
 
-def spectral(known, *names):
+def spectral(known, *names, surfaces="grey"):
     observations = Observations.of(*known)
-    scattering = Scattering(uwaug.PointSpread.paper(), **Scattering.PAPER)
     model = SpectralModel(
         waters=tuple(uwaug.Water.jerlov(name) for name in names),
         camera=load_camera("Nikon 5100 (NPL)"),
-        scattering=scattering,
+        surfaces=surfaces,
+        scattering=Scattering.PAPER,
+        point_spread=uwaug.PointSpread.paper(),
         depth=None,
         sizes=tuple(pair.size for pair in observations.pairs),
         geometry=observations.geometry(),
-        gain=True,
+        gain="free",
     )
     return Objective(model, observations.sample_pixels(["gaussian"], 600, 0))
 
@@ -120,8 +122,10 @@ def jerlov():
     return seen(uwaug.Medium.from_water("3C", vertical_depth=3.0, tolerance=0), noise=0.0)
 
 
-def test_pixels_by_spectra_are_those_of_the_image(jerlov):
-    problem = spectral(jerlov, "3C")
+@pytest.mark.parametrize("surfaces", ["grey", "spectral"])
+def test_pixels_by_spectra_are_those_of_the_image(surfaces):
+    water = uwaug.Medium.from_water("3C", vertical_depth=3.0, tolerance=0, surfaces=surfaces)
+    problem = spectral(seen(water, noise=0.0), "3C", surfaces=surfaces)
     error = problem.render(np.array([0.0, 3.0, 1.0])) - problem.pixels.observed
     # what remains is the rounding to 8 bits, and two tolerances of blurs
     assert error.abs().max() < 0.006
@@ -150,3 +154,14 @@ def test_grid_holds_the_curves_to_open_water(jerlov):
     sums = water.sums(exact_at_lens=True)
     for exact, at_nodes in zip(curves(sums, z), curves(sums, grid.z), strict=True):
         assert (at_nodes @ grid.weights - exact).abs().max() < 1e-6
+
+
+def test_a_colour_matrix_and_a_black_are_found(jerlov):
+    problem = spectral(jerlov, "3C", surfaces="spectral")
+    pixels, model = problem.pixels, replace(problem.model, gain="matrix")
+    light = problem.render(np.array([0.0, 3.0, 1.0]))
+    matrix = torch.tensor([[0.9, 0.1, 0.0], [0.2, 0.6, -0.1], [0.0, 0.1, 1.2]]).double()
+    observed = torch.einsum("ij,pjkn->pikn", matrix, light) + 0.05
+    developed = replace(pixels, observed=observed)
+    again = model.render(np.array([0.0, 3.0]), developed)
+    assert (again - observed).abs().max() < 1e-6

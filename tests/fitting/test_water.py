@@ -2,15 +2,23 @@ from collections.abc import Callable
 
 import pytest
 import torch
-from fitted import Known, seen
+from fitted import Known, scene, seen
 
 import uwaug
 import uwaug.fitting.api
+from uwaug import Scattering
 from uwaug.fitting import WaterFit, fit_water
+from uwaug.jobs import Recipe
+
+FOCAL_PX = 0.866 * 105
+"""Of a view 60° wide, as `fit_water` takes it of the scene."""
 
 
-def medium_of(water: uwaug.Water | str, depth: float) -> uwaug.Medium:
-    return uwaug.Medium.from_water(water, vertical_depth=depth, tolerance=0)
+def medium_of(water: uwaug.Water | str, depth: float, **options: object) -> uwaug.Medium:
+    """With the constants that `fit_water` takes."""
+    known = {"g": Scattering.CALIBRATED.g, "mu": Scattering.CALIBRATED.mu, "surfaces": "spectral"}
+    known["point_spread"] = uwaug.PointSpread.calibrated(FOCAL_PX)
+    return uwaug.Medium.from_water(water, vertical_depth=depth, tolerance=0, **{**known, **options})
 
 
 @pytest.fixture
@@ -25,7 +33,7 @@ def only(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 
 def test_finds_type_visibility_and_depth(water: WaterFit, known: Known) -> None:
     assert water.type == "3C"
-    assert not {"mixing", "gain_1"} & set(water.parameters)
+    assert "mixing" not in water.parameters
     assert not any("3C" in tried.name for tried in water.types if "+" in tried.name)
     assert water.visibility == pytest.approx(5, rel=0.02)
     assert water.vertical_depth == pytest.approx(3, abs=0.1)
@@ -78,8 +86,8 @@ def test_depth_that_is_not_identified(only: Callable[..., None]) -> None:
     """To a camera of one band, depth is a gain."""
     only(("3C",))
     narrow = uwaug.Camera([540, 550, 560], [[0, 0, 0], [1, 1, 1], [0, 0, 0]])
-    water = uwaug.Medium.from_water("3C", narrow, vertical_depth=2.0, tolerance=0)
-    fit = fit_water(*seen(water), camera=narrow, gain="free", pixels=500)
+    water = medium_of("3C", 2.0, camera=narrow, surfaces="grey")
+    fit = fit_water(*seen(water), camera=narrow, surfaces="grey", pixels=500)
     assert fit.vertical_depth is None
     assert "Not identified: vertical_depth" in fit.message
     assert fit.visibility == pytest.approx(uwaug.Water.jerlov("3C").visibility(), rel=0.1)
@@ -96,8 +104,8 @@ def test_no_jerlov_water(only: Callable[..., None]) -> None:
 def test_calibrated_law_and_known_depth(only: Callable[..., None]) -> None:
     only(("3C",))
     law = uwaug.PointSpread.calibrated(40.0)
-    water = uwaug.Medium.from_water("3C", g=0.05, mu=0.075, point_spread=law, tolerance=0)
-    known = {"vertical_depth": 1.0, "pixels": 500}
+    water = medium_of("3C", 1.0, point_spread=law, surfaces="grey")
+    known = {"vertical_depth": 1.0, "pixels": 500, "surfaces": "grey", "gain": "fixed"}
     fit = fit_water(*seen(water), focal_px=40.0, **known)
     assert fit.parameters["vertical_depth"].state == "fixed"
     assert fit.vertical_depth == 1.0
@@ -124,3 +132,47 @@ def test_refuses(known: Known, change: dict[str, object], message: str) -> None:
     inputs = dict(zip(("clean", "observed", "distance"), known, strict=True))
     with pytest.raises(ValueError, match=message):
         fit_water(**{**inputs, **change})
+
+
+@pytest.mark.parametrize(
+    "type, options",
+    [
+        ("II", {"vertical_depth": 6.0}),
+        ("1C", {"visibility": 6.0, "vertical_depth": 8.0}),
+        ("7C", {}),
+    ],
+)
+def test_what_degrade_has_made(
+    only: Callable[..., None], type: str, options: dict[str, float]
+) -> None:
+    """`uwaug degrade --water` and `fit_water` agree, with the defaults of both."""
+    only(("IB",), ("II",), ("1C",), ("5C",), ("7C",), ("II", "III"), ("5C", "7C"))
+    clean, z = scene(step=4)
+    degraded = Recipe(water=type, options=options).open().degrade(clean, z, None, 0)
+    used = degraded.drawn["samples"][0]["used"]
+    fit = fit_water(clean, degraded.image, z, pixels=3000)
+    assert fit.type == type
+    assert "No " not in fit.message
+    for name, error in fit.errors.items():
+        truth = used["gain" if name == "gain_1" else name]
+        assert abs(fit.parameters[name].value - truth) < 3 * error
+        assert error < 0.02 * truth
+
+
+@pytest.mark.parametrize("development", [{"white_balance": 0.7}, {"tone": 1.3}])
+def test_a_developed_picture_is_no_water(
+    only: Callable[..., None], development: dict[str, float]
+) -> None:
+    only(("II",), ("1C",), ("5C",))
+    clean, z = scene(step=4)
+    options = {"visibility": 6.0, "vertical_depth": 4.0, **development}
+    degraded = Recipe(water="1C", options=options).open().degrade(clean, z, None, 0)
+    fit = fit_water(clean, degraded.image, z, pixels=2000)
+    assert "No Jerlov water explains this picture" in fit.message
+    assert 'give gain="matrix"' in fit.message
+    if "white_balance" in development:
+        fit = fit_water(clean, degraded.image, z, gain="matrix", pixels=2000)
+        assert fit.type == "1C"
+        assert "No " not in fit.message
+        assert fit.visibility == pytest.approx(6.0, abs=3 * fit.errors["visibility"])
+        assert fit.errors["vertical_depth"] > 0.1

@@ -18,7 +18,8 @@ SIDES = (32, 2160)
 
 DistanceUnit = Literal["m", "cm", "mm", "um"]
 ColorSpace = Literal["srgb", "linear"]
-Gain = Literal["fixed", "free", "channels"]
+Gain = Literal["fixed", "free", "channels", "matrix"]
+Surfaces = Literal["grey", "spectral"]
 FitModel = Literal[
     "auto", "attenuation", "haze", "veil", "paper", "calibrated", "gaussian", "exponential"
 ]

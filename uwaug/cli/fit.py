@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from uwaug.cli.choices import ColorSpace, FitModel, ForceFile, Gain, Unit
+from uwaug.cli.choices import ColorSpace, FitModel, ForceFile, Gain, Surfaces, Unit
 from uwaug.cli.console import (
     fail,
     print_written,
@@ -45,14 +45,41 @@ def fit(
             "columns clean, observed, distance (paths from its folder) and turbidity."
         ),
     ] = None,
+    waters: Annotated[
+        bool,
+        typer.Option(
+            "--waters",
+            help="Which Jerlov type, how far one sees in it, and how deep the scene lies, in place "
+            "of coefficients: of pictures as uwaug degrade --water makes them.",
+        ),
+    ] = False,
     distance_unit: Unit = "m",
     model: Annotated[FitModel, typer.Option(help="One model, or the best of all.")] = "auto",
     gain: Annotated[
-        Gain, typer.Option(help="One exposure; one for each picture; one for each colour.")
-    ] = "fixed",
+        Gain | None,
+        typer.Option(
+            help="One exposure (fixed, the default); one for each picture (free, the default with "
+            "--waters); one for each colour (channels); with --waters, a colour matrix and a black "
+            "for each picture (matrix)."
+        ),
+    ] = None,
+    camera: Annotated[
+        str | None,
+        typer.Option(help="With --waters: a name or a CSV file. A wrong one gives a wrong water."),
+    ] = None,
+    surfaces: Annotated[
+        Surfaces | None, typer.Option(help="With --waters: spectral by default.")
+    ] = None,
+    vertical_depth: Annotated[
+        float | None,
+        typer.Option(
+            "--vertical-depth", "--depth", help="With --waters: m below the surface, if known."
+        ),
+    ] = None,
     color_space: Annotated[ColorSpace, typer.Option(help="Of the pictures.")] = "srgb",
     focal_px: Annotated[
-        float | None, typer.Option(help="Focal length, px: lets it try calibrated.")
+        float | None,
+        typer.Option(help="Focal length, px: lets it try calibrated. With --waters: of the blur."),
     ] = None,
     mask: Annotated[
         list[Path] | None, typer.Option(help="Pictures that are > 0 where pixels count.")
@@ -65,9 +92,15 @@ def fit(
     ] = None,
     force: ForceFile = False,
 ) -> None:
-    """Which water is it? Coefficients, and how sure they are."""
+    """Which water is it? Coefficients or a Jerlov type, and how sure they are."""
     pairs = {"clean": clean or [], "observed": observed or [], "distance": distance or []}
-    if series is not None and (any(pairs.values()) or gain != "fixed" or focal_px is not None):
+    named = {"camera": camera, "surfaces": surfaces, "vertical_depth": vertical_depth}
+    of_waters: dict[str, Any] = {name: x for name, x in named.items() if x is not None}
+    if waters and (series is not None or model != "auto"):
+        refuse("--waters takes the place of --model and --series: give one of them")
+    if of_waters and not waters:
+        refuse("--camera, --surfaces and --vertical-depth are for --waters: give it too")
+    if series is not None and (any(pairs.values()) or gain is not None or focal_px is not None):
         flags = "--clean, --observed, --distance, --gain or --focal-px"
         refuse(f"--series takes the place of pairs of one water: expected no {flags} beside it")
     if series is None and not all(pairs.values()):
@@ -82,18 +115,25 @@ def fit(
     import uwaug
     from uwaug._support import drawing
 
-    options: dict[str, Any] = {"model": model, "color_space": color_space, "seed": seed}
-    result: uwaug.fitting.Fit | uwaug.fitting.SeriesFit
+    options: dict[str, Any] = {"color_space": color_space, "seed": seed}
+    result: uwaug.fitting.Fit | uwaug.fitting.SeriesFit | uwaug.fitting.WaterFit
     with reported_errors(), status() as say:
         say("reading the pictures")
         masks = _read({"mask": mask}, distance_unit) if mask else {}
         if series is None:
+            options |= {"focal_px": focal_px, "progress": say}
+            if gain is not None:
+                options["gain"] = gain
             pictures = {**_read(pairs, distance_unit), **masks}
-            result = uwaug.fit(**pictures, **options, gain=gain, focal_px=focal_px, progress=say)
+            if waters:
+                result = uwaug.fitting.fit_water(**pictures, **options, **of_waters)
+            else:
+                result = uwaug.fit(**pictures, **options, model=model)
         else:
             files, turbidity = read_series(series)
             rows = list(zip(*_read(files, distance_unit).values(), strict=True))
-            result = uwaug.fitting.fit_series(rows, turbidity, **masks, **options, progress=say)
+            options |= {"model": model, "progress": say}
+            result = uwaug.fitting.fit_series(rows, turbidity, **masks, **options)
     try:
         result.save(out)
         if report is not None:

@@ -5,7 +5,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from itertools import pairwise
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 import torch
@@ -30,18 +30,22 @@ from uwaug.fitting.models import (
     COLOURS,
     EXPONENTS,
     MODELS,
+    CameraGain,
     CoefficientModel,
     Gain,
-    Scattering,
+    Model,
     SpectralModel,
     TurbidityModel,
 )
 from uwaug.fitting.noise import Noise, initial_weights, reweight
 from uwaug.fitting.results import Candidate, Fit, JerlovType, Line, SeriesFit, WaterFit
 from uwaug.fitting.selection import FittedModel, best_of, one_standard_error_rule
+from uwaug.light.geometry import focal_of
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.scattering import Scattering
+from uwaug.optics.surfaces import Surfaces, require_surfaces
 from uwaug.optics.water import Water
 
 Progress = Callable[[str], None]
@@ -57,12 +61,14 @@ _VISIBILITIES = np.geomspace(0.4, 25.0, 8)  # to begin at, in multiples of the m
 _DEPTHS = (0.5, 3.0, 10.0)  # vertical depths to begin at, m
 _MIN_VALUES = 500  # values between noise and white, of all that are fitted, that `fit_water` needs
 _SURELY = 2.0  # standard errors, by which a mixture is neither of its ends
+_TOLERANCE = 0.002  # of media and blurs, by default
+# RMS of linear light by which blurs of that tolerance look like other widths: a part of .0007.
+_BLURS_OFF = 0.0002
 _MIN_SHARE = 0.05  # of a type in a mixture: media of the default tolerance make up for .02
 # The types, and mixtures of neighbours. Without these, a picture of half 1C and half 3C would be
 # type 3C, 7 % off in visibility, and one of half III and half 1C would be none. (Those of the best
 # type alone miss three of eight.)
 _TYPES = (*((name,) for name in JERLOV_TYPES), *pairwise(JERLOV_TYPES))
-OneGain = Literal["fixed", "free"]
 
 
 def fit(
@@ -253,9 +259,13 @@ def _missing_gain(chosen: FittedModel[CoefficientModel]) -> float | None:
     return float(gains.mean()) if better and apart else None
 
 
-def _reported(chosen: FittedModel[M], noise: Noise) -> tuple[dict[str, Any], ClusterCovariance]:
-    """What all results hold."""
+def _reported(
+    chosen: FittedModel[M], noise: Noise, more: Array | None = None
+) -> tuple[dict[str, Any], ClusterCovariance]:
+    """What all results hold. more: covariance of what is no noise."""
     covariance = cluster_covariance(chosen.objective, chosen.solution)
+    if more is not None:
+        covariance = replace(covariance, matrix=covariance.matrix + more)
     return {
         "parameters": parameters(chosen.objective, chosen.solution, covariance),
         "noise": noise,
@@ -406,15 +416,16 @@ def fit_water(
     distance: Pictures,
     *,
     camera: "str | os.PathLike[str] | Camera" = "Nikon 5100 (NPL)",
+    surfaces: Surfaces = "spectral",
     vertical_depth: float | None = None,
     focal_px: float | None = None,
     point_spread: PointSpread | None = None,
-    g: float | None = None,
-    mu: float | None = None,
+    g: float = Scattering.CALIBRATED.g,
+    mu: float = Scattering.CALIBRATED.mu,
     field: Pictures | None = None,
     mask: Pictures | None = None,
     color_space: ColorSpace = "srgb",
-    gain: OneGain = "fixed",
+    gain: CameraGain = "free",
     noise: Noise | None = None,
     seed: int = 0,
     progress: Progress | None = None,
@@ -426,22 +437,26 @@ def fit_water(
     Each of the ten types, and each mixture of neighbours in the order of `JERLOV_TYPES`, is fitted
     by its contents, by vertical depth and gain if these are free, by its spectra and the camera's,
     through `Medium.from_water`. That which foretells left-out parts of the picture best is taken;
-    a type before a mixture, unless the mixture is better by more than one standard error.
+    a type before a mixture, unless the mixture is better by more than one standard error. All that
+    is known by default is what `uwaug degrade --water` takes.
 
     Args:
         clean, observed, distance, field, mask, color_space: as of `uwaug.fit`.
         camera: as of `Medium.from_water`. A wrong one gives a wrong water.
+        surfaces: "spectral" or "grey", as of `Medium.from_water`.
         vertical_depth: of the scene below the surface, m; None: it is fitted, 0…30 m.
-        focal_px: focal length, px: the width law is `PointSpread.calibrated(focal_px)`, which goes
-            with g = .05 and μ = .075.
-        point_spread: the width law; without it and without `focal_px`, `PointSpread.paper()`.
-        g: share of the scattered light that leaves the line of sight; None: .05 with `focal_px`,
-            else .2, as of `Medium.from_water`. One picture does not tell g and μ from the water: a
-            picture made with .05 and .075 in 3C passes for IA + IB with .2 and .3.
-        mu: share of the scattered light that is sent towards the camera; None: .075 with
-            `focal_px`, else .3.
-        gain: "fixed" or "free", as of `uwaug.fit`.
-        noise: of the observed pictures; None learns it from a fit that is free in every channel.
+        focal_px: focal length, px, of the width law `PointSpread.calibrated(focal_px)`; None for a
+            view 60° wide, .866·width of the first picture.
+        point_spread: the width law in its place, such as `PointSpread.paper()`.
+        g, mu: share of the scattered light that leaves the line of sight, and that is sent towards
+            the camera; see `uwaug.Scattering`. One picture does not tell them from the water: one
+            made with .05 and .075 in 1C passes for IA + IB with the paper's .2 and .3.
+        gain: "free": an exposure for each observed picture, as cameras choose it. "fixed": that of
+            the clean picture. "matrix": a colour matrix and a black for each picture, which make up
+            for white balance, saturation and black point of one that was developed; depth is then
+            hardly known. What is not linear, tone and gamut compression, nothing makes up for: the
+            message says that no water explains the picture.
+        noise: of the observed pictures; None learns it from the model that explains them best.
         seed, progress, pixels: as of `uwaug.fit`.
 
     Returns:
@@ -450,76 +465,81 @@ def fit_water(
     Raises:
         TypeError, ValueError: as `uwaug.fit`; if too few pixels lie above the noise.
 
-    On a scene of 500×741 px at 2 to 5 m with 1 % noise in 8 bits, at the types' own visibilities
-    and at 6 m (30 m of I and IA), all ten types are found, visibilities within .2 % (.7 % in type
-    I), depths within .04 m. With a free gain, one 7C at 6 m passes for a mixture of 5C and 7C, and
-    visibilities are within .2 % (1.3 % in I and IA), depths within .06 m otherwise. Mixtures of
-    half and half come back within .02. 6 to 8 s on one thread. Types that would need a hundred
-    times their contents to be so turbid leave no light to fit.
-
     Source: spectra: Solonenko and Mobley 2015, see `Water.jerlov`; choice: see `uwaug.fit`.
 
     Examples:
         >>> import torch, uwaug
         >>> clean, z = torch.rand(3, 60, 80), torch.linspace(1, 6, 4800).reshape(1, 60, 80)
-        >>> observed = uwaug.Underwater(uwaug.Medium.from_water("5C"))(clean, z)
-        >>> fit = uwaug.fitting.fit_water(clean, observed, z, vertical_depth=1.0, pixels=500)
+        >>> water = uwaug.Medium.from_water("5C", g=0.05, mu=0.075, surfaces="spectral")
+        >>> observed = uwaug.Underwater(water)(clean, z)
+        >>> law = water.point_spread
+        >>> fit = uwaug.fitting.fit_water(clean, observed, z, point_spread=law, pixels=500)
         >>> fit.type
         '5C'
     """
     say = _require_options(noise, pixels, seed, progress)
-    scattering = _scattering(focal_px, point_spread, g, mu)
+    if focal_px is not None:
+        if point_spread is not None:
+            raise ValueError("point_spread and focal_px: expected one of the two, got both")
+        checks.positive("focal_px", focal_px, "px")
+    for name, share in {"g": g, "mu": mu}.items():
+        checks.within(name, share, *checks.DOMAIN[name])
     camera = load_camera(camera)
-    checks.one_of("gain", gain, get_args(OneGain))
+    require_surfaces(surfaces)
+    checks.one_of("gain", gain, get_args(CameraGain))
     if vertical_depth is not None:
         checks.within("vertical_depth", vertical_depth, *checks.DOMAIN["vertical_depth"])
     observations = Observations.of(clean, observed, distance, field, mask, color_space)
-    geometry, shape = observations.geometry(), scattering.law.shape
+    geometry = observations.geometry()
+    sizes = tuple(pair.size for pair in observations.pairs)
+    if point_spread is None:
+        point_spread = PointSpread.calibrated(focal_of(focal_px, sizes[0][1]))
+    checks.instance("point_spread", point_spread, PointSpread)
+    known = (camera, surfaces, Scattering(g, mu), point_spread, vertical_depth, sizes, geometry)
+    types = [SpectralModel(tuple(map(Water.jerlov, names)), *known, gain) for names in _TYPES]
     with one_thread():
         say("blurring the clean picture")
-        drawn = observations.sample_pixels([shape], int(pixels), seed)
+        drawn = observations.sample_pixels([point_spread.shape], int(pixels), seed)
         say("learning the noise")
-        # free in every channel: what Jerlov waters are compared with
-        channels = CoefficientModel(MODELS[shape], geometry, "channels", scattering.g, {})
-        few = initial_weights(drawn, noise, color_space).subsample(_SCOUTS_OF_TYPE, seed)
-        objective = Objective(channels, few)
-        theta = multistart(objective, starting_points(objective), seed).theta
-        weighed, noise, theta = reweight(channels, theta, drawn, noise, observations)
+        rough = initial_weights(drawn, noise, color_space).subsample(_SCOUTS_OF_TYPE, seed)
+        free, theta = _freest(types, geometry, g, rough, seed)
+        weighed, noise, theta = reweight(free, theta, drawn, noise, observations)
         bright = int((weighed.weights > 0).sum())
         if bright < _MIN_VALUES:
             cure = "raise the exposure, or give the noise if it is known"
             few_values = f"only {bright} of {weighed.weights.numel()} values that are fitted"
             above = f"lie above the noise, expected {_MIN_VALUES}"
             raise ValueError(f"observed: {few_values} {above}: {cure}")
-        objective = Objective(channels, weighed)
-        free = FittedModel.of(objective, solve(objective, theta), seed)
-        sizes = tuple(pair.size for pair in observations.pairs)
-        conditions = (camera, scattering, vertical_depth, sizes, geometry, gain == "free")
-        types = [SpectralModel(tuple(map(Water.jerlov, names)), *conditions) for names in _TYPES]
+        objective = Objective(free, weighed)
+        freest = FittedModel.of(objective, solve(objective, theta), seed)
         tried = _fit_types(types, weighed, seed, say)
         chosen = one_standard_error_rule(tried)
-        common, _ = _reported(chosen, noise)
+        common, covariance = _reported(chosen, noise, _formed_to_tolerance(chosen))
         candidates = _jerlov_types(tried)
-        message = "\n".join(of_water(chosen, tried, common["parameters"], candidates, free))
+        message = "\n".join(
+            of_water(chosen, tried, common["parameters"], covariance, candidates, freest)
+        )
     return WaterFit(**common, message=message, candidates=candidates, fitted=chosen.model)
 
 
-def _scattering(
-    focal_px: float | None, point_spread: PointSpread | None, g: float | None, mu: float | None
-) -> Scattering:
-    """What is known of the scattering, and what goes with it."""
-    law, shares = PointSpread.paper(), Scattering.PAPER
-    if focal_px is not None:
-        if point_spread is not None:
-            raise ValueError("point_spread and focal_px: expected one of the two, got both")
-        law, shares = PointSpread.calibrated(focal_px), Scattering.CALIBRATED
-    if point_spread is not None:
-        checks.instance("point_spread", point_spread, PointSpread)
-        law = point_spread
-    shares = {**shares, **{k: x for k, x in (("g", g), ("mu", mu)) if x is not None}}
-    for name, value in shares.items():
-        checks.within(name, value, *checks.DOMAIN[name])
-    return Scattering(law, **shares)
+def _freest(
+    types: Sequence[SpectralModel], geometry: Geometry, g: float, pixels: Pixels, seed: int
+) -> tuple[Model, Array]:
+    """The model that explains the pixels best, which the types are compared with, and its θ: one
+    that is free in every channel, or a type as seen by a camera with any colour matrix.
+    """
+    channels = CoefficientModel(MODELS[types[0].shape], geometry, "channels", g, {})
+    of_channels = Objective(channels, pixels)
+    solution = multistart(of_channels, starting_points(of_channels), seed)
+    free: Model = channels
+    theta, least = solution.theta, solution.cost
+    for model in types:
+        if len(model.waters) == 1:
+            developed = Objective(replace(model, gain="matrix"), pixels)
+            solution = solve(developed, _start_of_type(developed))
+            if solution.cost < least:
+                free, theta, least = developed.model, solution.theta, solution.cost
+    return free, theta
 
 
 def _fit_types(
@@ -563,7 +583,7 @@ def _start_of_type(objective: Objective[SpectralModel]) -> Array:
         for depth in _DEPTHS if model.depth is None else (0.0,):
             numbers = {"contents": math.log(contents), "mixing": 0.5, "vertical_depth": depth}
             theta = np.clip([numbers.get(name, 1.0) for name in model.bounds], low, high)
-            if model.gain:
+            if model.gain == "free":
                 light = objective.render(theta) * pixels.weights
                 along = (light * pixels.observed * pixels.weights).sum((1, 2, 3))
                 gains = along / (light * light).sum((1, 2, 3)).clamp(min=1e-300)
@@ -572,6 +592,28 @@ def _start_of_type(objective: Objective[SpectralModel]) -> Array:
             if cost < least:
                 best, least = theta, cost
     return best
+
+
+def _formed_to_tolerance(fitted: FittedModel[SpectralModel]) -> Array:
+    """The covariance of θ from what the default tolerance, .002, puts pictures off: more than the
+    noise does, where that is of rounding alone. The medium's curves are known; what blurs are off
+    by looks like other widths.
+    """
+    model, pixels = fitted.model, fitted.objective.pixels
+    theta, jacobian = fitted.theta, fitted.solution.jacobian
+    exact = model.render(theta, pixels)
+    curves = model.render(theta, pixels, _TOLERANCE) - exact
+    law = model.point_spread.widened(1.1)
+    blurs = replace(model, point_spread=law).render(theta, pixels) - exact
+    blurs *= _BLURS_OFF / blurs.square().mean().sqrt().clamp(min=_BLURS_OFF)
+    inside = fitted.solution.at_bound == 0
+    covariance = np.zeros((len(theta), len(theta)))
+    for light in (curves, blurs):
+        residual = (pixels.weights * light).flatten().numpy()
+        away = np.zeros(len(theta))
+        away[inside] = np.linalg.lstsq(jacobian[:, inside], residual, rcond=1e-9)[0]
+        covariance += np.outer(away, away)
+    return covariance
 
 
 def _jerlov_types(tried: Sequence[FittedModel[SpectralModel]]) -> tuple[JerlovType, ...]:

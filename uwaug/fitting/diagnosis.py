@@ -3,6 +3,7 @@ tell and why. Each result has one list of conditions and sentences.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -135,10 +136,11 @@ def of_water(
     chosen: FittedModel[SpectralModel],
     tried: Sequence[FittedModel[SpectralModel]],
     parameters: Parameters,
+    covariance: ClusterCovariance,
     types: Sequence[JerlovType],
-    free: FittedModel[CoefficientModel],
+    free: FittedModel[Any],
 ) -> Iterator[str]:
-    """The sentences on a `WaterFit`. free: a model that is free in every channel."""
+    """The sentences on a `WaterFit`. free: the model that explains the pictures best."""
     model = chosen.model
     kind = "A mixture of Jerlov types" if len(model.waters) == 2 else "Jerlov type"
     distance = parameters["visibility"]
@@ -152,6 +154,7 @@ def of_water(
         yield "All others foretell left-out pixels worse by more than one standard error."
     yield _residual(chosen)
     yield from _no_jerlov_water(best_of(tried), free)
+    yield from _dependent(covariance)
     yield from _not_identified(parameters)
     yield from _at_bounds(parameters)
     pixels = chosen.objective.pixels
@@ -239,22 +242,26 @@ def _straight_line(colours: Sequence[str], farthest: float, unit: str) -> str:
     )
 
 
-def _no_jerlov_water(
-    best: FittedModel[SpectralModel], free: FittedModel[CoefficientModel]
-) -> Iterator[str]:
+def _no_jerlov_water(best: FittedModel[SpectralModel], free: FittedModel[Any]) -> Iterator[str]:
     ratio = best.error / max(free.error, 1e-9)
     behind, error = best.delta_loss(free)
     missed = max(best.rms**2 - free.rms**2, 0.0) ** 0.5
     if ratio < _NOT_QUITE or behind < 2 * error or missed < _UNSEEN:
         return
-    than = f"left-out pixels are {ratio:.3g} times as far off as with coefficients free in every"
-    causes = "camera, g, μ, exposure (gain), white balance, and distances in metres"
+    off = f"left-out pixels are {ratio:.3g} times as far off as"
+    causes = "camera, g, μ, exposure (gain), surfaces, and distances in metres"
+    if isinstance(free.model, SpectralModel):
+        off += f" with a colour matrix and a black of the camera's own, in {free.name}"
+        cure = 'if it was developed (white balance, saturation, black point), give gain="matrix"'
+    else:
+        off += " with coefficients free in every channel"
+        cure = "see uwaug.fit"
     if ratio < _UNLIKE:
-        yield f"No type is quite right: {than} channel. Errors do not count that; check {causes}."
+        yield f"No type is quite right: {off}. Errors do not count that; check {causes}; {cure}."
     else:
         yield (
-            f"No Jerlov water explains this picture: {than} channel, for which see uwaug.fit. Do "
-            f"not rely on type and numbers; check {causes}."
+            f"No Jerlov water explains this picture: {off}. Do not rely on type and numbers; check "
+            f"{causes}; {cure}."
         )
 
 

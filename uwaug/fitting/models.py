@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -28,21 +28,26 @@ from uwaug.fitting.coefficients import (
 )
 from uwaug.fitting.data import Geometry, Pixels
 from uwaug.optics.camera import Camera
-from uwaug.optics.curves import curves
+from uwaug.optics.curves import curves, passed
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PAPER_SIZE, PointSpread
+from uwaug.optics.scattering import Scattering
+from uwaug.optics.surfaces import Surfaces
 from uwaug.optics.water import Water
 
 COLOURS = ("red", "green", "blue")
 Veil = Literal["none", "shared", "own"]
 Law = Literal["paper", "calibrated", "gaussian", "exponential"]
 Gain = Literal["fixed", "free", "channels"]
+CameraGain = Literal["fixed", "free", "matrix"]
 MAX_OPTICAL_DEPTH = 40.0  # to the median distance: more than any picture survives
 _MAX_G_OVER_BETA = 4.0  # where no light is scattered forward and nothing ties the two together
 _MAX_VERTICAL_DEPTH = 30.0  # m; below, little is left of any light but blue
 _MIN_CONTENTS = 1e-3  # of a type's: nothing but pure water is left
+_MAX_CONTENTS = 1e3  # of a type's: the clearest are pure water within the tables' error
 EXPONENTS = (0.2, 3.0)  # of a width law: least and largest
 _STEP = 1e-5  # of θ, for a difference that stands for the slope of a picture
+_RIDGE = 1e-9  # keeps a colour matrix that is not seen from being infinite
 _REPORT_STEP = 1e-4  # of θ, for a difference that stands for the slope of what is reported
 
 
@@ -103,27 +108,6 @@ class Model(Protocol):
 
     def report_jacobian(self, theta: Array) -> Array:
         """Derivatives of `report` by θ (quantities x n)."""
-
-
-@dataclass(frozen=True)
-class Scattering:
-    """How light that is scattered is shared out, where a picture does not tell.
-
-    Attributes:
-        law: width law of the forward scatter.
-        g: share of the scattered light that leaves the line of sight.
-        mu: share that is sent towards the camera.
-    """
-
-    law: PointSpread
-    g: float
-    mu: float
-
-    PAPER: ClassVar = {"g": 0.2, "mu": 0.3}
-    """What goes with `PointSpread.paper`."""
-
-    CALIBRATED: ClassVar = {"g": 0.05, "mu": 0.075}
-    """What goes with `PointSpread.calibrated`."""
 
 
 class ByCoefficients(ABC):
@@ -204,7 +188,7 @@ class ModelSpec:
     @property
     def g(self) -> float:
         """Share of the scattered light that leaves the line of sight, if nobody knows better."""
-        return (Scattering.PAPER if self.law == "paper" else Scattering.CALIBRATED)["g"]
+        return (Scattering.PAPER if self.law == "paper" else Scattering.CALIBRATED).g
 
 
 _TOO = "forward scatter too"
@@ -496,20 +480,24 @@ class SpectralModel:
 
     Attributes:
         waters: one type or two.
-        camera, scattering: what is known, see `Medium.from_water`.
+        camera, surfaces, scattering, point_spread: what is known, see `Medium.from_water`.
         depth: the vertical depth, m; None if it is fitted.
         sizes: height and width of each observed picture, px.
         geometry: of the pictures.
-        gain: whether each picture has an exposure of its own.
+        gain: "fixed": the exposure is that of the clean picture. "free": one factor for each
+            picture. "matrix": each picture was developed by a colour matrix and a black of its own,
+            which are no numbers of θ: they are those that fit the pixels best.
     """
 
     waters: tuple[Water, ...]
     camera: Camera
+    surfaces: Surfaces
     scattering: Scattering
+    point_spread: PointSpread
     depth: float | None
     sizes: tuple[tuple[int, int], ...]
     geometry: Geometry
-    gain: bool
+    gain: CameraGain
 
     @property
     def name(self) -> str:
@@ -519,21 +507,22 @@ class SpectralModel:
     @property
     def shape(self) -> Shape:
         """Of the point spread."""
-        return self.scattering.law.shape
+        return self.point_spread.shape
 
     @cached_property
     def bounds(self) -> dict[str, Bounds]:
         """Bounds of each number that is fitted, by name, in the order of θ; contents by their
         logarithm.
         """
-        thickest = max(float(water.beta.mean()) for water in self.waters) * self.geometry.reference
-        most = math.log(max(MAX_OPTICAL_DEPTH / thickest, 1.0))
-        bounds = {"contents": Bounds(math.log(_MIN_CONTENTS), most, 0.0, log=True)}
+        unseen, reference = math.exp(-MAX_OPTICAL_DEPTH), self.geometry.reference
+        most = max(water.contents_for(unseen, reference) for water in self.waters)
+        high = math.log(min(max(most, 1.0), _MAX_CONTENTS))
+        bounds = {"contents": Bounds(math.log(_MIN_CONTENTS), high, 0.0, log=True)}
         if len(self.waters) == 2:
             bounds["mixing"] = Bounds(0.0, 1.0, 0.5)
         if self.depth is None:
             bounds["vertical_depth"] = Bounds(0.0, _MAX_VERTICAL_DEPTH, 3.0)
-        if self.gain:
+        if self.gain == "free":
             bounds |= {f"gain_{i + 1}": Bounds(1e-3, 1e3, 1.0) for i in range(len(self.sizes))}
         return bounds
 
@@ -563,8 +552,9 @@ class SpectralModel:
             vertical_depth=self.vertical_depth(theta),
             g=self.scattering.g,
             mu=self.scattering.mu,
-            point_spread=self.scattering.law,
+            point_spread=self.point_spread,
             tolerance=tolerance,
+            surfaces=self.surfaces,
         )
 
     def sigma(self, medium: Medium, z: Tensor) -> Tensor:
@@ -572,17 +562,22 @@ class SpectralModel:
         lengths, law = medium.lengths(z), medium.point_spread
         return torch.cat([law.sigma(lengths[i : i + 1], size) for i, size in enumerate(self.sizes)])
 
-    def render(self, theta: Array, pixels: Pixels) -> Tensor:
+    def render(self, theta: Array, pixels: Pixels, tolerance: float = 0.0) -> Tensor:
         """The pixels (Px3x1xN) in linear light."""
-        medium, grid = self.medium(theta), pixels.grid
-        at_nodes = curves(medium.sums(exact_at_lens=True), grid.z)
-        direct, scatter, veil = (curve @ grid.weights for curve in at_nodes)
+        medium, grid = self.medium(theta, tolerance), pixels.grid
+        direct, scatter, veil = (
+            curve @ (grid.weights if curve.ndim == 4 else grid.weights[:, None])
+            for curve in curves(medium.sums(exact_at_lens=True), grid.z)
+        )
         plan, blurs = pixels.stacks[self.shape]
         blur = mixed(blurs, node_weights(self.sigma(medium, pixels.z), plan))
-        light = direct * pixels.clean + scatter * blur + veil
-        if not self.gain:
-            return light
-        return torch.from_numpy(theta[-len(self.sizes) :]).reshape(-1, 1, 1, 1) * light
+        light = passed(direct, pixels.clean) + passed(scatter, blur) + veil
+        if self.gain == "free":
+            light = torch.from_numpy(theta[-len(self.sizes) :]).reshape(-1, 1, 1, 1) * light
+        elif self.gain == "matrix":
+            light = developed(light, pixels)
+        # a file holds no negative light, which surfaces with spectra have
+        return light.masked_fill((pixels.observed == 0) & (light < 0), 0.0)
 
     def jacobian(self, theta: Array, pixels: Pixels) -> tuple[Tensor, Tensor]:
         """The pixels, and their derivatives by θ (Px3x1xNxn), by differences."""
@@ -626,3 +621,18 @@ class SpectralModel:
             down[i] = max(theta[i] - _REPORT_STEP, bound.low)
             columns.append((self.report(up) - self.report(down)) / (up[i] - down[i]))
         return np.array(columns).T
+
+
+def developed(light: Tensor, pixels: Pixels) -> Tensor:
+    """Light (Px3x1xN) by the colour matrix and the black of each picture that bring it nearest to
+    the observed pixels.
+    """
+    terms = torch.cat([light, torch.ones_like(light[:, :1])], 1)[:, :, 0].mT  # PxNx4
+    observed = pixels.observed[:, :, 0, :, None]
+    weights = pixels.weights[:, :, 0, :, None] * (observed != 0)  # 0 may stand for negative light
+    columns = weights * terms[:, None]  # Px3xNx4
+    # what weighs nothing everywhere leaves a matrix that is singular
+    normal = columns.mT @ columns + _RIDGE * torch.eye(4, dtype=light.dtype)
+    matrix = torch.linalg.solve(normal, columns.mT @ (weights * observed))  # Px3x4x1
+    fitted: Tensor = (terms[:, None] @ matrix)[..., 0][:, :, None]
+    return fitted

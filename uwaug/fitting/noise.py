@@ -152,5 +152,7 @@ def reweight(
         # one-sided outliers, such as particles, would pull the veil up for ever
         near = error.abs() < _OUTLYING * deviation
         inside = unclipped(light, deviation, color_space) & near
+        if color_space == "srgb":  # a wrong model may say that there is light
+            inside &= pixels.observed > 0
         weighed = pixels.weighed(pixels.weights * inside / deviation)
     return weighed, estimate, theta

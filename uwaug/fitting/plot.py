@@ -195,6 +195,12 @@ def _scale(residuals: list[Tensor]) -> float:
     return next(step for step in steps if end <= step * (1 + 1e-6))
 
 
+def _of_white(media: Medium, name: str, z: Tensor) -> Tensor:
+    """A curve of each channel (Bx3xN): of matrices, that of a white surface."""
+    curve: Tensor = getattr(media, name)(z)
+    return curve.sum(2) if curve.ndim == 4 else curve
+
+
 def _draw_curves(
     cells: "dict[str, Axes]", best: Medium, samples: Medium, farthest: float, unit: str
 ) -> None:
@@ -204,8 +210,8 @@ def _draw_curves(
     z = torch.linspace(0, 1.25 * farthest, 161, dtype=torch.float64)
     quantiles = torch.tensor([0.025, 0.975], dtype=torch.float64)
     for name, axis in cells.items():
-        curve = getattr(best, name)(z)
-        low, high = getattr(samples, name)(z).quantile(quantiles, dim=0)
+        curve = _of_white(best, name, z)
+        low, high = _of_white(samples, name, z).quantile(quantiles, dim=0)
         for c, colour in enumerate(RGB):
             axis.fill_between(z, low[c], high[c], color=colour, alpha=0.25, linewidth=0)
             axis.plot(z.numpy(), curve[0, c].numpy(), color=colour, linewidth=1.6)

@@ -21,7 +21,6 @@ from uwaug.fitting.models import (
     MODELS,
     CoefficientModel,
     Gain,
-    Scattering,
     SpectralModel,
     TurbidityModel,
 )
@@ -31,6 +30,7 @@ from uwaug.formation.underwater import Underwater
 from uwaug.optics.camera import Camera
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.scattering import Scattering
 from uwaug.optics.water import Water
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 State = Literal["free", "at bound", "not identified", "fixed"]
 _FORMAT = 1
-_CAMERA = ("wavelengths", "response", "name")
+_CAMERA = ("wavelengths", "response", "name", "color_matrix")
 # Of the median distance and of the farthest: what a fit's module is planned for.
 _NEAREST, _FARTHEST = 0.2, 1.5
 
@@ -617,7 +617,8 @@ class WaterFit(_ByModel):
         structure = {
             "waters": [water.name for water in x.waters],
             "camera": {name: getattr(x.camera, name) for name in _CAMERA},
-            "point_spread": x.scattering.law,
+            "surfaces": x.surfaces,
+            "point_spread": x.point_spread,
             "geometry": x.geometry,
             "g": x.scattering.g,
             "mu": x.scattering.mu,
@@ -633,11 +634,13 @@ class WaterFit(_ByModel):
         model = SpectralModel(
             waters=tuple(Water.jerlov(name) for name in x["waters"]),
             camera=Camera(**x["camera"]),
-            scattering=Scattering(PointSpread(**x["point_spread"]), x["g"], x["mu"]),
+            surfaces=x.get("surfaces", "grey"),  # files of 0.1 do not say
+            scattering=Scattering(x["g"], x["mu"]),
+            point_spread=PointSpread(**x["point_spread"]),
             depth=x["depth"],
             sizes=tuple((height, width) for height, width in x["sizes"]),
             geometry=Geometry(**x["geometry"]),
-            gain=x["gain"],
+            gain={False: "fixed", True: "free"}.get(x["gain"], x["gain"]),
         )
         return {"fitted": model}
 
