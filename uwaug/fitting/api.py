@@ -465,6 +465,11 @@ def fit_water(
     Raises:
         TypeError, ValueError: as `uwaug.fit`; if too few pixels lie above the noise.
 
+    Of 29 pictures (250×370) that `uwaug degrade --water` makes of the ten types, 1 and 8 m deep, at
+    their own visibility and at 6 m, all 29 types are found, and visibility and depth lie within two
+    standard errors in 28. In 9C with the least light, visibility is 7 % off and depth 60 %, without
+    a word (`python -m benchmarks.accuracy.fitting waters`).
+
     Source: spectra: Solonenko and Mobley 2015, see `Water.jerlov`; choice: see `uwaug.fit`.
 
     Examples:
