@@ -15,6 +15,7 @@ PARTS = {
     "stability": "accuracy",
     "physics": "accuracy",
     "contrast": "accuracy",
+    "surfaces": "accuracy",
     "lamps": "accuracy",
     "fitting": "accuracy",
     "draws": "accuracy",

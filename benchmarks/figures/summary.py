@@ -130,6 +130,40 @@ def _transport_table(physics: Results) -> str:
     return table(["phase function", *laws], rows)
 
 
+def surfaces() -> str:
+    """How near colours come to those of real spectra, and what it costs."""
+    found = load("surfaces")
+    methods = found["errors"]["ColorChecker"]
+    rows = []
+    for method in methods:
+        row = ['`surfaces="spectral"`' if method == "basis" else method]
+        for errors in found["errors"].values():
+            row += [f"{errors[method][key]:.4f}" for key in ("mean", "worst")]
+        rows.append(row)
+    head = ["method", *(f"{name}, {key}" for name in found["errors"] for key in ("mean", "worst"))]
+    places = found["places"]["ColorChecker"]
+    costs = []
+    for race in found["speed"]:
+        setting = f"{race['water']}, {race['size']}²"
+        costs.append([setting, *(f"{ratio:.2f}" for ratio in race["ratio"].values())])
+    paragraphs = [
+        "**Colours**, against the spectra of the 24 patches of the ColorChecker and of 99 CIE 2017 "
+        "samples in 61 bands (`python -m benchmarks.accuracy.surfaces`): RMSE in units of a white "
+        f"plate at the same place, in {places} places of ten waters (0 to 25 m deep, 0 to 8 m "
+        "away) where such a plate has 1/64 of its light or more. All but the last have the "
+        "camera's colour matrix, so that the comparison is fair: one number and three wavelengths "
+        "multiply raw channels. The last multiplies sRGB values, as published systems do, and as "
+        "uwaug does with grey surfaces:",
+        table(head, rows),
+        "![Red, green, skin and white against depth: truth, uwaug, one number a channel]"
+        "(figures/surfaces.png)",
+        'How many times as long pictures take with `surfaces="spectral"` as with grey ones, one '
+        "thread, in one process:",
+        table(["water, size", *found["speed"][0]["ratio"]], costs),
+    ]
+    return "\n\n".join(paragraphs)
+
+
 def chart() -> str:
     """Where the defaults stand among all that we know, and how time grows."""
     verdicts, scaling = {}, load("scaling")
@@ -293,8 +327,8 @@ def _times(one: Results, name: str) -> str:
 def sections() -> dict[str, str]:
     """What belongs between the markers of each name."""
     found = "\n\n".join(fits(load("fitting")))
-    text = {"accuracy": accuracy(), "fits": found, "chart": chart(), "speed": speed()}
-    return text | {"fused": compiled()}
+    text = {"accuracy": accuracy(), "surfaces": surfaces(), "fits": found, "chart": chart()}
+    return text | {"speed": speed(), "fused": compiled()}
 
 
 def updated(text: str) -> str:

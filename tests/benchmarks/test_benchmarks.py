@@ -17,7 +17,7 @@ from referees import published
 from referees.exact import blur_exact
 
 import uwaug
-from benchmarks.accuracy import information, lamps
+from benchmarks.accuracy import information, lamps, surfaces
 from benchmarks.figures import charts, gallery, summary
 from benchmarks.harness import race
 from benchmarks.speed import blurs, frontier, scaling
@@ -220,6 +220,20 @@ def test_lamps_are_refereed() -> None:
     assert ratios["arriving"] == pytest.approx(0.95, abs=0.1)
     assert ratios["veil"] == pytest.approx(1.08, abs=0.2)
     assert all(cost["median_ms"] > 0 for cost in results["costs"].values())
+
+
+def test_colours_are_refereed() -> None:
+    checker = np.stack(list(surfaces.samples()["ColorChecker"].values()))
+    assert checker.shape == (24, 61)
+    at_lens = surfaces.seen(checker, uwaug.Water.jerlov("III"), 0.0, 0.0)
+    for colours in at_lens.values():
+        np.testing.assert_allclose(colours, at_lens["truth"], rtol=0, atol=1e-7)
+    rows = surfaces.errors(checker, ("III",))
+    table = surfaces.summary(rows)
+    assert 2 * table[surfaces.BASIS]["worst"] < table[surfaces.CHANNEL]["worst"]
+    assert table[surfaces.BASIS]["mean"] < 0.012
+    assert all(row["depth_m"] < 25 or row["distance_m"] < 8 for row in rows), "where it is dark"
+    surfaces.draw(None)
 
 
 def test_the_roofline_counts_coarse_blurs_as_matrices_have_it() -> None:
