@@ -205,7 +205,8 @@ def test_galleries_hold_a_picture_for_each() -> None:
     found = gallery.main(quick=True)
     systems, waters = len(uwaug.presets.published_systems()) - 1, len(uwaug.JERLOV_TYPES)
     assert len(found["systems"].axes) == 2 + 2 * systems
-    assert len(found["visibilities"].axes) == 3 * waters
+    assert len(found["visibilities"].axes) == 3 * (waters - 1)
+    assert len(found["reds"].axes) == 2 * len(gallery.DEPTHS)
 
 
 def test_lamps_are_refereed() -> None:
