@@ -1,7 +1,6 @@
 """The three curves of distance at every pixel, as sums of exponentials."""
 
 import math
-from itertools import pairwise
 from typing import NamedTuple
 
 import torch
@@ -65,12 +64,10 @@ def curves(sums: Sums, z: Tensor) -> Curves:
     left = _exponentials(sums, z)
     b = left.shape[0]  # len() of it would be fixed in a graph
     channels = (3, 3) if sums.is_spectral else (3,)
-    rows = [math.prod(channels), math.prod(channels), 3]
     if torch.compiler.is_compiling():  # ONNX Runtime would copy the parts of one product
-        ends = (0, rows[0], 2 * rows[0], 2 * rows[0] + 3)  # not torch.split, of which it tells
-        parts = [sums.weights[:, low:high] @ left for low, high in pairwise(ends)]
+        parts = [weights @ left for weights in _parts(sums.weights)]
     else:  # three products take half as long again
-        parts = list(torch.split(sums.weights.expand(b, -1, -1) @ left, rows, 1))
+        parts = _parts(sums.weights.expand(b, -1, -1) @ left)
     shapes = ((b, *channel, *z.shape[-2:]) for channel in (channels, channels, (3,)))
     return Curves(*(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)))
 
@@ -82,7 +79,7 @@ def mix(sums: Sums, z: Tensor, light: Tensor, blurred: Tensor) -> Tensor:
     """
     left, size, soft = _exponentials(sums, z), z.shape[-2:], blurred.flatten(2)
     first = 1 + sums.direct
-    direct, signal, veil = torch.split(sums.weights, [9, 9, 3], 1)
+    direct, signal, veil = _parts(sums.weights)
     exponentials = left[:, :, None].unbind(1)
     terms = list(zip(exponentials[first:], _mixed(signal[..., first:], soft), strict=True))
     if blurred is not light:
@@ -100,6 +97,15 @@ def _mixed(weights: Tensor, light: Tensor) -> tuple[Tensor, ...]:
     """What the matrix of each rate (Bx9xR) makes of light (Bx3xN): R tensors (Bx3xN)."""
     matrices = torch.unflatten(weights, 1, (3, 3)).permute(0, 3, 1, 2)
     return torch.unflatten(matrices.flatten(1, 2) @ light, 1, (-1, 3)).unbind(1)
+
+
+def _parts(rows: Tensor) -> list[Tensor]:
+    """What of the rows (Bx9xR or Bx21xR) is of each curve."""
+    count = (rows.shape[1] - 3) // 2
+    if torch.compiler.is_compiling():  # the exporter of ONNX tells the user of each split
+        return [rows[:, :count], rows[:, count : 2 * count], rows[:, 2 * count :]]
+    # gradients of slices would each fill all rows with zeros
+    return list(torch.split(rows, [count, count, 3], 1))
 
 
 def _exponentials(sums: Sums, z: Tensor) -> Tensor:
@@ -147,9 +153,8 @@ def amplified_sums(sums: Sums, gain: Tensor) -> Sums:
     """
     weights = sums.weights
     channels = (3, 3) if sums.is_spectral else (3,)
-    rows = [math.prod(channels), math.prod(channels), 3]
     # planes of one pixel for each rate
-    parts = torch.split(weights, rows, 1)
+    parts = _parts(weights)
     shapes = (channels, channels, (3,))
     maps = (torch.unflatten(w, 1, s)[..., None] for w, s in zip(parts, shapes, strict=True))
     seen = amplified(Curves(*maps), gain)
