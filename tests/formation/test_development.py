@@ -120,6 +120,39 @@ def test_white_balance_makes_grey_and_keeps_luminance() -> None:
     torch.testing.assert_close(weights @ means, weights @ before, rtol=0.05, atol=0)
 
 
+@pytest.mark.parametrize("depth", [5.0, 10.0, 13.0, 15.0])
+def test_white_balance_of_colours_out_of_the_gamut(depth: float) -> None:
+    """From 8 m on the mean of red is negative: no gain brings it to the others."""
+    medium = spectral_medium(vertical_depth=depth, g=0.05, mu=0.075)
+    image = coloured(64, 90).mean(-3, keepdim=True).expand(1, 3, 64, 90)
+    z = torch.full((1, 1, 64, 90), 2.0).double()
+    plain, ours = (
+        module_of(medium, {"white_balance": share}, exposure="auto")(image, z).clamp(min=0)
+        for share in (0.0, 1.0)
+    )
+    weights = torch.from_numpy(referee.LUMINANCE)
+    before, after = (weights @ light.mean((0, 2, 3)) for light in (plain, ours))
+    torch.testing.assert_close(after, before, rtol=0.05, atol=0)
+
+
+@pytest.mark.parametrize("options", [{"compensation": 10.0}, {"compensation": 8.0}])
+@pytest.mark.parametrize("planned", [None, (0.1, 20.0)])
+def test_bright_exposures_ask_for_no_more_blurs_than_there_are(options: Any, planned: Any) -> None:
+    image, z = coloured(64, 90), distances(64, 90).double()
+    light = module_of(spectral_medium(), options, distance_range=planned, exposure="auto")(image, z)
+    assert light.isfinite().all()
+
+
+def test_a_planned_blur_knows_of_saturation() -> None:
+    plain, vivid = (
+        module_of(spectral_medium(), {"saturation": s}, distance_range=(0.1, 20.0)).demand
+        for s in (1.0, 4.0)
+    )
+    assert plain is not None
+    assert vivid is not None
+    assert vivid.blur_tolerance == plain.blur_tolerance / 4
+
+
 # Gamut and tone
 
 

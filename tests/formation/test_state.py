@@ -10,7 +10,7 @@ from scenes import LAW, coastal, distances, picture
 from torch import nn
 
 import uwaug
-from uwaug import Medium, PointSpread, Underwater, Water, form_image
+from uwaug import Development, Medium, PointSpread, Underwater, Water, form_image
 from uwaug.formation import Scene, Setup
 
 
@@ -25,6 +25,8 @@ KINDS = [
     ({"sides": (32, 64)}, {"sides": (32, 96)}, r"sides is \[32, 64\] there and \(32, 96\)"),
     ({"exposure": "auto"}, {}, "exposure is auto there and none here"),
     ({"distance_range": None}, {}, "demand is None there"),
+    ({"development": Development(tone=2.0)}, {}, "development is .* there"),
+    ({}, {"development": Development(tone=2.0)}, "development is .* there"),
     ({}, {"tolerance": 0.001}, "tolerance is .* there"),
     ({"law": PointSpread(1.2, 0.6)}, {}, ""),
     ({"law": PointSpread(1.2, 0.8, "exponential")}, {}, ""),

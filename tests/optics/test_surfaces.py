@@ -1,6 +1,7 @@
 """Surfaces with spectra: media of 3×3 weights against sums over 61 bands."""
 
 import json
+import pickle
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import torch
 from referees import reference, spectral
 from referees.spectral import NIKON, SIGMA
 
-from uwaug import Camera, Light, Medium, Water, form_image
+from uwaug import Camera, Light, Medium, RandomUnderwater, Water, form_image
 from uwaug.formation.setup import Setup
 from uwaug.optics.bands import Bands
 from uwaug.optics.camera import load_camera
@@ -145,6 +146,7 @@ REFUSED = [
     ({"surfaces": "matte"}, ValueError, "surfaces must be one of grey, spectral, got 'matte'"),
     ({"color_matrix": 1.5}, ValueError, "color_matrix must be .*0.*1.*, got 1.5"),
     ({"color_matrix": "full"}, ValueError, r"color_matrix must be in \[0, 1\], got 'full'"),
+    ({"surfaces": "grey", "color_matrix": 0.5}, ValueError, "color_matrix would do nothing"),
     ({"wavelengths": [450.0, 550.0]}, ValueError, "cannot tell three colours apart"),
     (
         {"camera": Camera([400, 700], [[1, 1, 1], [2, 2, 2.001]])},
@@ -171,10 +173,32 @@ def test_matrices_that_no_camera_has(matrix: np.ndarray) -> None:
 
 
 def test_a_cameras_matrix_is_part_of_it() -> None:
-    assert camera_of(OWN) == camera_of(2 * np.array(OWN)), "rows are scaled"
+    scaled = camera_of(2 * np.array(OWN))
+    np.testing.assert_allclose(scaled.color_matrix, camera_of(OWN).color_matrix, rtol=1e-14)
     assert camera_of(OWN) != camera_of()
+    rng = np.random.default_rng(0)
+    for matrix in np.eye(3) + 0.1 * rng.standard_normal((20, 3, 3)):
+        camera = camera_of(matrix)
+        assert pickle.loads(pickle.dumps(camera)) == camera
     with pytest.raises(ValueError, match="read-only"):
         camera_of(OWN).color_matrix[0, 0] = 1.0
+
+
+@pytest.mark.parametrize("surfaces", ["grey", "spectral"])
+def test_waters_that_hide_a_channel_are_refused(surfaces: Any) -> None:
+    axis = np.arange(400.0, 701.0, 25.0)
+    for last, allowed in ((600.0, True), (550.0, False)):
+        water = Water.jerlov("3C").at(axis[axis <= last])
+        if allowed:
+            Medium.from_water(water, surfaces=surfaces)
+            continue
+        message = "water covers 400–550 nm, 13% of what red of camera 'Nikon 5100 .NPL.' sees"
+        with pytest.raises(ValueError, match=message):
+            Medium.from_water(water, surfaces=surfaces)
+    with pytest.raises(ValueError, match="13% of what red"):
+        RandomUnderwater(water, surfaces=surfaces, color_matrix=None)(
+            torch.rand(3, 8, 8), torch.ones(1, 8, 8)
+        )
 
 
 @pytest.mark.parametrize("shape", [(), (5,), (1, 4, 6), (2, 1, 4, 6)])
@@ -214,7 +238,7 @@ def test_lamps_have_a_spectrum(tolerance: float) -> None:
     under = medium_of("5C", vertical_depth=9.0, tolerance=tolerance).under(
         lambda nm: np.interp(nm, axis, power)
     )
-    weights = seen / (seen.sum() / 3)
+    weights = seen / (eye.sensor @ spectrum).mean()
     exact = np.einsum("cn,jn,nz->cjz", weights, eye.basis, np.exp(-np.outer(water.beta, Z)))
     scattered = weights * water.b @ np.exp(-np.outer(water.G, Z))
     ours = under.transmission(torch.from_numpy(Z))[0].numpy()
@@ -259,8 +283,8 @@ def test_setups_of_before_are_of_grey_surfaces() -> None:
     light = Light.lamp((0.3, 0, 0), (0, 0, 1), 2.0)
     setup = Setup(Medium.from_water("3C"), light, focal_px=20.0)
     values = setup.to_dict()
-    surfaces = values["unlit"].pop(-2)
-    assert np.array(surfaces).shape == (1, 1, 61)
+    eye, surfaces = values["unlit"].pop(-2), values["unlit"].pop(-2)
+    assert (np.array(eye).shape, np.array(surfaces).shape) == ((1, 61), (1, 1, 61))
     again = Setup.from_dict(json.loads(json.dumps(values)))
     assert again.medium.bands is not None
     pairs = zip(again.medium.under().tensors(), setup.medium.under().tensors(), strict=True)

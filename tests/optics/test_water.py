@@ -368,6 +368,8 @@ def test_water_from_a_file(tmp_path: Path, header: str) -> None:
     [
         ("nm,a,b,kd\n", "no rows of wavelength, a, b, K_d"),
         ("nm,a,kd,b\n" + ROWS, "line 1: expected four numbers, wavelength, a, b, K_d"),
+        ("nm,a,backscattering,kd\n" + ROWS, "line 1: expected four numbers"),
+        ("nm,attenuation,b,kd\n" + ROWS, "line 1: expected four numbers"),
         (ROWS + "710,1,2\n", "line 4: expected four numbers"),
         (ROWS + "710,1,-2,1\n", "b has 1 negative of 4 values, at 710 nm"),
         (ROWS + "710,1,2,nan\n", "kd has 1 NaN or infinite of 4 values, at 710 nm"),

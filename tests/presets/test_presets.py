@@ -163,6 +163,8 @@ def test_a_camera_that_develops_spectral_surfaces(tmp_path):
     assert torch.equal(preset.module()(image, z), expected)
     drawn = RandomUnderwater.from_preset(path, water="II", field_probability=0.0)
     assert (drawn(image, z)[0] - expected).abs().max() < 2e-3
+    grey = RandomUnderwater.from_preset(path, water="II", surfaces="grey", field_probability=0.0)
+    assert (grey(image, z)[0] - expected).abs().max() > 0.02
     assert (plain.module()(image, z) - expected).abs().max() > 0.05
 
 

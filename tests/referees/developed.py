@@ -38,7 +38,7 @@ class Camera:
 
 def balanced(light: Array, looks: Array, share: float) -> Array:
     """A share of a grey-world correction, with the luminance kept."""
-    means = light.reshape(3, -1)[:, looks].mean(1)
+    means = light.reshape(3, -1)[:, looks].clip(min=0).mean(1)
     before = LUMINANCE @ means
     if share <= 0 or before <= 0:
         return light
@@ -70,7 +70,7 @@ def curved(light: Array, contrast: float) -> Array:
         return light
     grey = 0.18**contrast
     k = 0.82 * grey / (0.18 - grey)
-    size = np.abs(light)
+    size = np.abs(light).clip(min=1e-4)
     curve = (1 + k) * size**contrast / (size**contrast + k)
     straight = 1 + contrast * k / (1 + k) * (size - 1)
-    return np.sign(light) * np.where(size > 1, straight, curve)
+    return light / size * np.where(size > 1, straight, curve)

@@ -140,7 +140,7 @@ def lit_wall(
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     z = far / rays[..., 2]
     seen = camera.matrix @ camera.sensor
-    spectrum = lamp.spectrum / ((seen * lamp.spectrum).sum() / 3) * lamp.power
+    spectrum = lamp.spectrum / ((camera.sensor * lamp.spectrum).sum() / 3) * lamp.power
     to_wall = z[..., None] * rays - lamp.position
     squared = (to_wall**2).sum(-1) + lamp.radius**2
     facing = to_wall[..., 2] / np.sqrt(squared)

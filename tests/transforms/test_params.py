@@ -185,7 +185,7 @@ OTHERS = "params is of a transform with other options.*"
         ({"field_range": None}, "field_range must be"),
         ({"used": None}, "params: used must hold"),
         ({"used": {"contents": 1.0, "gain": math.inf}}, "params: used.gain must be"),
-        ({"used": {"contents": 1e9, "gain": 1.0}}, "params: used.contents must be"),
+        ({"used": {"contents": math.inf, "gain": 1.0}}, "params: used.contents must be"),
         ({"path": "slow"}, "params: path must be one of"),
         ({"light": 2}, "params: light must be a whole number below 2, got 2"),
         ({"near": 1.0, "far": 2.0}, OTHERS + "far, near"),

@@ -30,6 +30,9 @@ the plan assumes. At 1.75 a picture of nothing but forward scatter fell below 60
 of .002.
 """
 
+_FINEST = 1e-5
+"""What a bright exposure asks for at most: with a gain of 1000, all but the darkest is white."""
+
 _FOR_SLOPES = 0.0005
 """Blur tolerance wherever a medium is learned, however weak its forward scatter is: a slope in the
 width is relative. Against the exact model (48 × 48 px, widths of 2…11 and 1…20 px, five waters) the
@@ -174,6 +177,7 @@ def blur_demand(
     # in half octaves, so that similar media may share a plan
     slack = _SLACK * octave_steps(1 / float(strength.max()), 2, math.floor)
     blur_tolerance = min(tolerance * slack, _FOR_SLOPES if learned else 0.5)
+    blur_tolerance = max(blur_tolerance, min(tolerance, _FINEST))
     learns = learned and (traced or high > 0)
     return BlurDemand(
         low / margin, high * margin, blur_tolerance, law.shape, law.reference_size, learns

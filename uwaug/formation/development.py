@@ -21,7 +21,7 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug._support.checks import DOMAIN
 from uwaug.formation.colour import LUMINANCE
-from uwaug.formation.exposure import Exposure, arriving, auto_gain, metered
+from uwaug.formation.exposure import Exposure, auto_gain, metered
 from uwaug.optics.curves import Sums, amplified_sums
 
 MID_GREY = 0.18
@@ -41,6 +41,11 @@ _GAMUT_FROM = 0.75
 reaches 0."""
 
 _BEYOND = 1 / (1 - _GAMUT_FROM)
+
+_TOE = 1e-4
+"""Linear light below which the curve of tone is straight: curves of less contrast are infinitely
+steep at 0.
+"""
 
 
 @dataclass(frozen=True)
@@ -87,9 +92,14 @@ class Development:
     @property
     def gain(self) -> float:
         """By how much it may multiply small differences, without a white balance."""
-        stops: float = 2.0 ** max(self.compensation, 0.0)
         stretch = 1 / (1 - _BLACKEST * self.black_point)
-        return stops * max(self.saturation, 1.0) * stretch * max(self.tone, 1.0)
+        return max(self.linear_gain, 1.0) * stretch * max(self.tone, 1.0)
+
+    @property
+    def linear_gain(self) -> float:
+        """Of compensation and saturation alone."""
+        stops: float = 2.0**self.compensation
+        return stops * max(self.saturation, 1.0)
 
     @property
     def is_linear(self) -> bool:
@@ -108,7 +118,8 @@ def _gains(development: Development, light: Tensor) -> Tensor:
     stops = 2.0**development.compensation
     if development.white_balance <= 0:
         return light.new_full((1, 3), stops)
-    means = light.mean((-2, -1))
+    # colours out of sRGB have negative channels, which no picture shows
+    means = light.clamp(min=0.0).mean((-2, -1))
     weights = means.new_tensor(LUMINANCE)
     before = (means * weights).sum(-1, keepdim=True)
     lit = before > 0
@@ -191,7 +202,7 @@ def seen_sums(
         sums = sums._replace(weights=2.0**exposure * sums.weights)
     light = image.new_zeros(1, 3, 1, 1)
     if development.measures:
-        light = arriving(*metered(image, z, sums))
+        light = metered(image, z, sums)[1]
     linear = linear_part(development, light)
     black = black_of(development, developed(light, linear))
     return (sums if development == NEUTRAL else amplified_sums(sums, linear)), black
@@ -214,11 +225,11 @@ def _offset(contrast: float) -> float:
 
 
 def curved(light: Tensor, contrast: float) -> Tensor:
-    """Light along the curve (1 + k)·x^c/(x^c + k), odd, through 0, mid-grey and 1; from there on
-    straight, as curves of c < 1 have a pole beyond.
+    """Light along the curve (1 + k)·x^c/(x^c + k), odd, through 0, mid-grey and 1; straight below
+    `_TOE`, and from 1 on, as curves of c < 1 have a pole beyond.
     """
     k = _offset(contrast)
-    size = light.abs().clamp(min=1e-8)
+    size = light.abs().clamp(min=_TOE)
     inside = size.clamp(max=1.0)
     power = inside**contrast
     beyond = (size - inside) * (contrast * k / (1 + k))

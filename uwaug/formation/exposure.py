@@ -14,7 +14,7 @@ from uwaug._support import checks
 from uwaug.formation.colour import LUMINANCE
 from uwaug.light.light import Light
 from uwaug.light.lit import Lit, transmittance
-from uwaug.optics.curves import Curves, Sums, curves, passed
+from uwaug.optics.curves import Curves, Sums, mix, passed, veil_at
 from uwaug.optics.medium import Medium
 
 Exposure = Literal["none", "auto"] | float
@@ -62,19 +62,23 @@ def auto_gain(image: Tensor, z: Tensor, sums: Sums, lit: Lit | None = None) -> T
         (B,) within `GAINS`, and such that the veil of the farthest pixel stays at or below 1; 1
         where no light arrives.
     """
-    light, T = metered(image, z, sums, lit)
+    light, arrives = metered(image, z, sums, lit)
     farthest = z.amax((-3, -2, -1), keepdim=True)
     veil = farthest_veil(sums, farthest, None if lit is None else lit.light)
-    return balanced(light, arriving(light, T), veil)
+    return balanced(light, arrives, veil)
 
 
-def metered(image: Tensor, z: Tensor, sums: Sums, lit: Lit | None = None) -> tuple[Tensor, Curves]:
-    """The light (Bx3x1xN) of the scene at some pixels, and their transmittances; arguments as for
-    `auto_gain`.
+def metered(image: Tensor, z: Tensor, sums: Sums, lit: Lit | None = None) -> tuple[Tensor, Tensor]:
+    """The light (Bx3x1xN) of the scene at some pixels, and what arrives of it without the blur;
+    arguments as for `auto_gain`.
     """
     points = metering_points(z.shape[-2], z.shape[-1], z.device)
-    T = transmittance(sums, _at(z, points), None if lit is None else lit.at(points))
-    return _at(image, points), T
+    light, metres = _at(image, points), _at(z, points)
+    # `mix` goes over the rates, whose number a graph does not know
+    if lit is None and sums.is_spectral and not torch.compiler.is_compiling():
+        return light, mix(sums, metres, light, light)
+    T = transmittance(sums, metres, None if lit is None else lit.at(points))
+    return light, arriving(light, T)
 
 
 def arriving(light: Tensor, T: Curves) -> Tensor:
@@ -105,7 +109,7 @@ def farthest_veil(sums: Sums, farthest: Tensor, light: Light | None) -> Tensor:
         farthest (Bx1x1x1 tensor): the largest of all effective distances, m.
         light: as for `uwaug.form_image`.
     """
-    veil = curves(sums, farthest).veil.amax((-3, -2, -1))
+    veil = veil_at(sums, farthest).amax((-3, -2, -1))
     return veil if light is None or light.plain else veil * light.daylight()
 
 
@@ -115,17 +119,17 @@ def fixed_gain(medium: Medium, exposure: Exposure) -> Tensor:
     return medium.beta.new_full((1,), 2.0**stops)
 
 
-def exposed_for_planning(medium: Medium, exposure: Exposure, stops: float = 0.0) -> Medium:
+def exposed_for_planning(medium: Medium, exposure: Exposure, factor: float = 1.0) -> Medium:
     """The medium for which a blur is planned before a picture is seen: an automatic exposure is
-    taken to make up for the light that is lost on the way down. `stops`: compensation on top.
+    taken to make up for the light that is lost on the way down. `factor`: of the development, on
+    top.
     """
     if exposure == "auto":
         left = medium.ambient().detach()
         luminance = (left * left.new_tensor(LUMINANCE)).sum(-1)
-        gain = (1 / luminance.clamp(min=1e-30)).clamp(*GAINS) * 2.0**stops
-        return medium.brightened(gain)
-    total = stops if isinstance(exposure, str) else exposure + stops
-    return medium if total == 0 else medium.brightened(medium.beta.new_full((1,), 2.0**total))
+        return medium.brightened((1 / luminance.clamp(min=1e-30)).clamp(*GAINS) * factor)
+    gain = fixed_gain(medium, exposure) * factor
+    return medium if float(gain) == 1 else medium.brightened(gain)
 
 
 def metering_points(height: int, width: int, device: torch.device) -> Tensor:

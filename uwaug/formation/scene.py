@@ -234,12 +234,11 @@ class Scene:
         """Light (Bx3x1xN) of the scene at some pixels, and what arrives of it, unexposed."""
         if isinstance(self.radiance, Tensor) and isinstance(self.z, Tensor):
             assert not isinstance(self.lit, BandedLight)
-            light, T = metered(self.radiance, self.z, sums, self.lit)
-        else:
-            points = metering_points(*self.size, self.image.device)
-            values = self.image.flatten(-2)[..., points].reshape(1, 3, 1, -1)
-            T = self._transmittance_at(points, self._z_at(points), sums)
-            light = decoded(values, self.setup.color_space)
+            return metered(self.radiance, self.z, sums, self.lit)
+        points = metering_points(*self.size, self.image.device)
+        values = self.image.flatten(-2)[..., points].reshape(1, 3, 1, -1)
+        T = self._transmittance_at(points, self._z_at(points), sums)
+        light = decoded(values, self.setup.color_space)
         return light, arriving(light, T)
 
     def _metered(self, light: Tensor, arrives: Tensor, sums: Sums) -> Tensor:

@@ -251,7 +251,7 @@ class Underwater(nn.Module):
         assert self.distance_range is not None
         return blur_demand(
             planning_medium(
-                exposed_for_planning(medium, self.exposure, self.development.compensation),
+                exposed_for_planning(medium, self.exposure, self.development.linear_gain),
                 self.light,
             ),
             self.distance_range,
@@ -290,7 +290,8 @@ class Underwater(nn.Module):
         """Refuse the state of a module that is set up differently: its tensors would be used with
         this module's plan.
         """
-        theirs = json.loads(state.cpu().numpy().tobytes())
+        # files of older versions know of no development
+        theirs = {"development": asdict(NEUTRAL), **json.loads(state.cpu().numpy().tobytes())}
         differences = []
         for name, mine in self._settings().items():
             adopted = name == "demand" and self.learnable and mine and theirs.get(name)
@@ -316,8 +317,7 @@ class Underwater(nn.Module):
         settings |= {"light": None, "camera": None}
         if self.light is not None:
             settings |= {"light": self.light.to_list(), "camera": self.pinhole}
-        if self.development != NEUTRAL:
-            settings["development"] = asdict(self.development)
+        settings["development"] = asdict(self.development)
         settings |= {"sides": self._sides, "tolerance": self.tolerance}
         settings["demand"] = None if self.demand is None else asdict(self.demand)
         return settings

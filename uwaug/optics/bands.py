@@ -33,6 +33,8 @@ class Bands:
         from_direct (B tensor): 1 where forward scatter is a blur of the direct light, else 0.
         surfaces (Bx1xM or Bx3xM tensor): what surfaces reflect, see `uwaug.optics.surfaces`: all of
             it, or the three basis reflectances.
+        eye (BxM tensor): mean of the channels of the sensor, before any colour matrix: what says
+            how bright a light is.
         tolerance: largest error of a curve; 0 where every band is a rate.
     """
 
@@ -43,6 +45,7 @@ class Bands:
     response: Tensor
     from_direct: Tensor
     surfaces: Tensor
+    eye: Tensor
     tolerance: float
 
     @staticmethod
@@ -52,7 +55,8 @@ class Bands:
         from_direct = beta.new_full((len(beta),), float(forward == "direct"))
         b = b_mean[:, None].expand(-1, 3)
         grey = torch.ones_like(beta)[:, None]
-        return Bands(torch.zeros_like(beta), beta, G, b, response, from_direct, grey, 0.0)
+        eye = response.mean(1)
+        return Bands(torch.zeros_like(beta), beta, G, b, response, from_direct, grey, eye, 0.0)
 
     @staticmethod
     def stack(parts: "Sequence[Bands]") -> "Bands | None":
@@ -76,10 +80,11 @@ class Bands:
     @staticmethod
     def of_tensors(tensors: Sequence[Tensor], tolerance: float) -> "Bands":
         """The inverse of `tensors`."""
-        # files of older versions know of grey surfaces alone
-        given = tensors if len(tensors) == 7 else [*tensors, torch.ones_like(tensors[1])[:, None]]
-        wavelengths, beta, G, b, response, from_direct, surfaces = given
-        return Bands(wavelengths, beta, G, b, response, from_direct, surfaces, tolerance)
+        if len(tensors) == 6:  # files of older versions know of grey surfaces alone
+            _, beta, _, _, response, _ = tensors
+            tensors = [*tensors, torch.ones_like(beta)[:, None], response.mean(1)]
+        named = zip([field.name for field in fields(Bands)[:-1]], tensors, strict=True)
+        return Bands(**dict(named), tolerance=tolerance)
 
     def under(self, spectrum: Callable[[Array], Array] | None) -> list[Tensor]:
         """Rates and weights of `Medium.under`: β and T_β's, G, T_G's and b's."""
@@ -90,9 +95,9 @@ class Bands:
             return [self.beta, lit, self.G, lit, scatter]
         rows = []
         for n in range(len(self.beta)):
-            axis, beta, G, b, response, _, surfaces = (_array(t[n]) for t in self.tensors())
+            axis, beta, G, b, response, _, surfaces, eye = (_array(t[n]) for t in self.tensors())
             if spectrum is not None:
-                response = _in_light(response, axis, spectrum)
+                response = _in_light(response, eye, axis, spectrum)
             arrays = (beta, G, b, response, *(surfaces if len(surfaces) == 3 else ()))
             rows.append(_reduced(self.tolerance, *(t.tobytes() for t in arrays)))
         columns = zip(*rows, strict=True)
@@ -111,17 +116,19 @@ def padded(parts: Sequence[Tensor]) -> Tensor:
     return torch.cat([F.pad(part, (0, width - part.shape[-1])) for part in parts])
 
 
-def _in_light(response: Array, wavelengths: Array, spectrum: Callable[[Array], Array]) -> Array:
-    """The camera's response to a light, of which the mean of the channels is 1."""
+def _in_light(
+    response: Array, eye: Array, wavelengths: Array, spectrum: Callable[[Array], Array]
+) -> Array:
+    """The camera's response to a light, of which the mean of the sensor's channels is 1."""
     if not wavelengths.any():
         cure = "give rgb, or make the medium from a water"
         raise ValueError(f"spectrum: the medium has three channels and no wavelengths; {cure}")
-    weighed = response * spectrum(wavelengths)
-    mean = float(weighed.sum() / 3)
+    power = spectrum(wavelengths)
+    mean = float(power @ eye)
     if mean == 0:
         low, high = wavelengths.min(), wavelengths.max()
         raise ValueError(f"spectrum has no light between {low:g} and {high:g} nm")
-    return weighed / mean
+    return response * (power / mean)
 
 
 def _array(row: Tensor) -> Array:

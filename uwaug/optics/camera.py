@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from uwaug._support.types import Array
-from uwaug.optics.spectra import Spectra, read_spectra, spectrum, wavelength_axis
+from uwaug.optics.spectra import WAVELENGTHS, Spectra, read_spectra, spectrum, wavelength_axis
 
 _CHANNELS = ("red", "green", "blue")
 
@@ -30,9 +30,11 @@ class Camera(Spectra):
         wavelengths (N array): wavelengths [nm], strictly ascending, N ≥ 1.
         response (N×3 array): response of R, G, B ≥ 0 to equal power, on any common scale.
         name: what to call it.
-        color_matrix (3×3 array): from its raw channels to linear sRGB, as DNG files have it; rows
-            are scaled to a sum of 1. None for the matrix that shows sRGB colours of Mallett and
-            Yuksel as they are, see `uwaug.optics.surfaces`.
+        color_matrix (3×3 array): from its raw channels to linear sRGB, for surfaces with spectra;
+            rows are scaled to a sum of 1. It is `rgb_cam` of dcraw, or XYZ → sRGB times a DNG
+            file's ForwardMatrix; its ColorMatrix, XYZ → raw, goes the other way. None for the
+            matrix that shows sRGB colours of Mallett and Yuksel as they are, see
+            `uwaug.optics.surfaces`.
 
     Attributes are the arguments, the arrays as read-only float64 copies. Between its wavelengths a
     response is linear.
@@ -157,6 +159,24 @@ def response_at(camera: Camera, axis: bytes) -> Array:
     return camera.weights(np.frombuffer(axis)).T
 
 
+_SEEN = 0.25
+"""Least share of a channel's response that lies where the water is known. Of 400–600 nm it is .49,
+and pictures are right within .01; of 400–550 nm .13, and grey looks red.
+"""
+
+
+@lru_cache(maxsize=16)
+def require_seen(camera: Camera, low: float, high: float) -> None:
+    """Refuse wavelengths, nm, between which a channel sees little of what it sees."""
+    inside = (low <= WAVELENGTHS) & (high >= WAVELENGTHS)
+    shares = camera.weights(WAVELENGTHS)[inside].sum(0).tolist()
+    for channel, share in zip(_CHANNELS, shares, strict=True):
+        if share < _SEEN:
+            whose = f"{share:.0%} of what {channel} of camera {camera.name!r} sees"
+            cure = "give spectra for more of 400–700 nm"
+            raise ValueError(f"water covers {low:g}–{high:g} nm, {whose}: {cure}")
+
+
 def _matrix(values: ArrayLike) -> Array:
     """A colour matrix, of rows whose sum is 1."""
     matrix = np.array(values, np.float64)
@@ -164,7 +184,8 @@ def _matrix(values: ArrayLike) -> Array:
     if not (np.isfinite(matrix).all() and (sums > 0).all() and np.linalg.cond(matrix) < 1e3):
         expected = "3x3 numbers that can be inverted, with rows of a positive sum"
         raise ValueError(f"color_matrix must be {expected}, got {values!r:.80}")
-    rows: Array = matrix / sums[:, None]
+    # those of a matrix that was scaled before stay as they are, to the last bit
+    rows: Array = matrix / np.where(np.abs(sums - 1) < 1e-12, 1.0, sums)[:, None]
     rows.flags.writeable = False
     return rows
 

@@ -93,6 +93,12 @@ def mix(sums: Sums, z: Tensor, light: Tensor, blurred: Tensor) -> Tensor:
     return torch.unflatten(total, -1, size)
 
 
+def veil_at(sums: Sums, z: Tensor) -> Tensor:
+    """V(0) − V at every pixel (Bx3xHxW), as `curves` has it."""
+    rows = _parts(sums.weights)[2] @ _exponentials(sums, z)
+    return torch.unflatten(rows, -1, z.shape[-2:])
+
+
 def _mixed(weights: Tensor, light: Tensor) -> tuple[Tensor, ...]:
     """What the matrix of each rate (Bx9xR) makes of light (Bx3xN): R tensors (Bx3xN)."""
     matrices = torch.unflatten(weights, 1, (3, 3)).permute(0, 3, 1, 2)

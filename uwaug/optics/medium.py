@@ -50,7 +50,7 @@ from uwaug._support import checks
 from uwaug._support.checks import DOMAIN
 from uwaug._support.types import Array
 from uwaug.optics.bands import Bands, Forward, padded
-from uwaug.optics.camera import Camera, load_camera, response_at
+from uwaug.optics.camera import Camera, load_camera, require_seen, response_at
 from uwaug.optics.curves import FARTHEST, Curves, Sums, cancels, curves
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.reduction import (
@@ -160,7 +160,7 @@ class Medium:
                 alone, as in the paper; or "spectral", where colours of the scene have spectra, and
                 the camera a colour matrix, see `uwaug.optics.surfaces`. In air the picture is the
                 scene with both.
-            color_matrix: share of the camera's colour matrix that is applied, 0…1, where surfaces
+            color_matrix: share of the camera's colour matrix that is applied, 0…1; surfaces must
                 have spectra. With 0 its raw channels are shown.
 
         Other models of water (see `uwaug.presets.published_systems`) differ in:
@@ -186,7 +186,13 @@ class Medium:
         axis, b = spectra.wavelengths, spectra.b
         require_surfaces(surfaces)
         checks.within("color_matrix", color_matrix, *DOMAIN["color_matrix"])
+        if surfaces == "grey" and color_matrix != 1:
+            raise ValueError(
+                f"color_matrix would do nothing: surfaces are grey, got {color_matrix}"
+            )
         eye = load_camera(camera)
+        if wavelengths is None:
+            require_seen(eye, *map(float, axis[[0, -1]]))
         sensor = response_at(eye, axis.tobytes())
         basis, response = None, sensor
         if surfaces == "spectral":
@@ -210,7 +216,8 @@ class Medium:
         arrays = [torch.tensor(array)[None] for array in (axis, beta, G, b, response)]
         from_direct = torch.tensor([float(forward == "direct")], dtype=torch.float64)
         reflected = np.ones((1, len(axis))) if basis is None else basis
-        bands = Bands.of_tensors([*arrays, from_direct, torch.tensor(reflected)[None]], tolerance)
+        rows = [torch.tensor(array)[None] for array in (reflected, sensor.mean(0))]
+        bands = Bands.of_tensors([*arrays, from_direct, *rows], tolerance)
         return Medium.of_tensors([*tensors, b_mean], law, (note,), bands)
 
     @staticmethod
@@ -495,13 +502,12 @@ class Medium:
         wide = self.expand(len(gain))
         if gain.ndim == 3:
             matrix = gain.to(self.beta)
-            direct, signal = map(as_matrices, (wide.direct_weights, wide.signal_weights))
-            return replace(
-                wide,
-                direct_weights=torch.einsum("bij,bjkl->bikl", matrix, direct),
-                signal_weights=torch.einsum("bij,bjkl->bikl", matrix, signal),
-                veil_weights=matrix @ wide.veil_weights,
+            direct, signal = (
+                torch.unflatten(matrix @ as_matrices(weights).flatten(2), 2, (3, -1))
+                for weights in (wide.direct_weights, wide.signal_weights)
             )
+            veil = matrix @ wide.veil_weights
+            return replace(wide, direct_weights=direct, signal_weights=signal, veil_weights=veil)
         factor = gain.reshape(len(gain), -1, 1).to(self.beta)
         of_signal = factor[..., None] if self.is_spectral else factor
         return replace(
@@ -533,7 +539,8 @@ class Medium:
         total = weights.sum(-1, keepdim=True)
         if not bool((total.detach() > 0).all()):
             cure = 'try curve="signal"' if curve == "veil" else "no light is left at that depth"
-            raise ValueError(f"veil must follow the medium's own {curve}, which is 0: {cure}")
+            shows = "which is 0, or negative as the colour is out of sRGB"
+            raise ValueError(f"veil must follow the medium's own {curve}, {shows}: {cure}")
         return replace(wide, veil_weights=limit[..., None] * weights / total)
 
     def lengths(self, z: Tensor) -> Tensor:

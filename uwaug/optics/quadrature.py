@@ -60,14 +60,15 @@ def reduce_rates(rates: Array, measures: tuple[Array, ...], tolerance: float) ->
         shares = (sizes / np.maximum(totals, _LEAST)).sum(0)
         positive = weights.min(1) >= 0
         logs = np.log(np.maximum(rates, _LEAST))
-        tried = 0
+        tried = 1
         for most in (_FIRST_RATES, _MOST_RATES):
             jacobi = _jacobi(logs, shares, most)
-            # to begin at a guess of the number saves 40 of 390 µs
-            for count in range(tried + 1, len(jacobi) + 1):
+            for count in range(min(tried + 1, len(jacobi)), len(jacobi) + 1):
                 fit = _fit(jacobi, count, z, exact, positive, tolerance)
                 if fit is not None:
-                    nodes, fitted, error = fit
+                    # one rate seldom serves, and never where two do not
+                    alone = _fit(jacobi, 1, z, exact, positive, tolerance) if count == 2 else None
+                    nodes, fitted, error = alone or fit
                     ends = np.cumsum([len(measure) for measure in measures])
                     return nodes, np.split(fitted, ends[:-1]), error
             tried = len(jacobi)

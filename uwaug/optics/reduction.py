@@ -105,7 +105,7 @@ def reduced(
     """
     checks.one_of("forward", forward, get_args(Forward))
     lit, haze = measure(response, basis) * light, response * veil
-    if basis is not None and _mixed(lit, np.stack([beta, G])) <= tolerance / 2:
+    if basis is not None and not _mixes(lit, np.stack([beta, G]), tolerance / 2):
         # three numbers serve, and so leave half of the tolerance
         lit, tolerance = response * light, tolerance / 2
     shared = forward == "image" and np.array_equal(veil_rate, G)
@@ -130,18 +130,20 @@ def reduced(
     return joined(first, arriving, _part(veil_rates, veil_weights)), max(error, of_veil)
 
 
-def _mixed(lit: Array, rates: Array) -> float:
-    """The most that a channel takes from the other two at any distance.
+def _mixes(lit: Array, rates: Array, tolerance: float) -> bool:
+    """Whether a channel takes more than a tolerance from the other two at some distance.
 
     Args:
         lit (9xN array): weights of the nine curves.
         rates (2xN array): β and G, 1/m.
     """
     others = lit[[1, 2, 3, 5, 6, 7]]
+    if (np.abs(others.sum(1)).reshape(3, 2).sum(1) > tolerance).any():  # at the lens, as most do
+        return True
     with np.errstate(over="ignore", invalid="ignore"):
         left = (others @ np.exp(-rate[:, None] * distances_of(rate)) for rate in rates)
         sums = [np.abs(curves).reshape(3, 2, -1).sum(1) for curves in left]
-    return float(max(curve.max() for curve in sums))
+    return max(float(curve.max()) for curve in sums) > tolerance
 
 
 def forward_from_direct(direct: Part, both: Part) -> list[Part]:

@@ -116,6 +116,10 @@ def _refuse(name: str, bad: NDArray[np.bool_], axis: Array, what: str, cure: str
     raise ValueError(f"{name} has {bad.sum()} {what} of {bad.size} values, at {where} nm: {cure}")
 
 
+_OTHERS = ("bb", "b_b", "back", "atten")
+"""What backscattering and attenuation are called, which are not scattering and absorption."""
+
+
 def read_spectra(path: Path, columns: tuple[str, str, str] | tuple[str, str, str, str]) -> Array:
     """The table (N, columns) of a CSV file: wavelengths, then spectra, with or without one header
     line, whose cells begin like `columns`.
@@ -138,10 +142,16 @@ def read_spectra(path: Path, columns: tuple[str, str, str] | tuple[str, str, str
                     numbers = [float(cell) for cell in row]
                 except ValueError:
                     numbers = []
-                initials = [cell.strip()[:1].lower() for cell in row]
+                cells = [cell.strip().lower() for cell in row]
+                initials = [cell[:1] for cell in cells]
                 if len(numbers) == len(columns):
                     table.append(numbers)
-                elif not header or len(row) != len(columns) or initials[1:] != expected:
+                elif (
+                    not header
+                    or len(row) != len(columns)
+                    or initials[1:] != expected
+                    or any(cell.startswith(_OTHERS) for cell in cells)
+                ):
                     # what it says instead is not shown: a preset of somebody else may name a file
                     # that is none of theirs
                     where = f"{path}, line {reader.line_num}"

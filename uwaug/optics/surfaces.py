@@ -70,12 +70,21 @@ def through_camera(
         ValueError: if the channels cannot tell three colours apart.
     """
     seen = sensor @ basis.T
+    inverse = _inverse(seen.tobytes())
+    full = inverse if own is None else own
+    matrix = np.eye(3) + share * (full - np.eye(3))
+    return matrix @ sensor, np.linalg.inv(matrix @ seen).T @ basis
+
+
+@lru_cache(maxsize=16)
+def _inverse(matrix: bytes) -> Array:
+    """M⁻¹ (3, 3); refuses an M that has none."""
+    seen = np.frombuffer(matrix).reshape(3, 3)
     if np.linalg.cond(seen) > _SINGULAR:
         cure = "give a camera and wavelengths that cover 400–700 nm, or surfaces='grey'"
         raise ValueError(f"camera: its channels cannot tell three colours apart: {cure}")
-    full = np.linalg.inv(seen) if own is None else own
-    matrix = np.eye(3) + share * (full - np.eye(3))
-    return matrix @ sensor, np.linalg.inv(matrix @ seen).T @ basis
+    inverse: Array = np.linalg.inv(seen)
+    return inverse
 
 
 def measure(response: Array, basis: Array | None) -> Array:

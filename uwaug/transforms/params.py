@@ -22,7 +22,7 @@ Range = float | tuple[float, float]
 Record = dict[str, Any]
 
 _LARGEST = 1e4
-"""Of contents and gain in a record: far beyond any that was used."""
+"""Of the gain in a record: far beyond any that was used."""
 
 
 @dataclass(frozen=True)
@@ -153,8 +153,8 @@ class Params:
             used = sample["used"]
             if not isinstance(used, Mapping) or not {"contents", "gain"} <= set(used):
                 raise ValueError(f"params: used must hold contents and gain, got {used!r:.80}")
-            for name in ("contents", "gain"):
-                checks.within(f"params: used.{name}", used[name], 0.0, _LARGEST)
+            for name, most in {"contents": math.inf, "gain": _LARGEST}.items():
+                checks.within(f"params: used.{name}", used[name], 0.0, most)
         return Params(
             applied=sample["applied"],
             waters=tuple(names),

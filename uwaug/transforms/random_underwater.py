@@ -397,6 +397,8 @@ class RandomUnderwater(SampleTransform):
         """
         preset = load_preset(name_or_path, water=water, camera=camera)
         figures = preset.options(options.get("distance_kind", "metric"))
+        if options.get("surfaces") == "grey":  # have no use for a matrix of the preset's
+            figures.pop("color_matrix", None)
         return cls(**{**UNDEVELOPED, **figures, **options})
 
     def to_dict(self) -> dict[str, Any]:

@@ -40,7 +40,7 @@ LANES = 32
 """Lines that go through a coarse grid side by side. (16: 10 to 80 % longer; 64: 20 to 40 %.)"""
 
 f32 = np.float32
-GAMUT_FROM, BEYOND, DARK = f32(0.75), f32(4), f32(1e-8)
+GAMUT_FROM, BEYOND, DARK, TOE = f32(0.75), f32(4), f32(1e-8), f32(1e-4)
 """Of the development's curves."""
 
 _0, _1, _2, _255 = f32(0), f32(1), f32(2), f32(255)
@@ -402,7 +402,7 @@ def _develop(t: Any, total: int, look: Any) -> None:
     if contrast != _1:
         slope = contrast * offset / (_1 + offset)
         for x in range(3 * TILE):
-            size = max(abs(d[x]), DARK)
+            size = max(abs(d[x]), TOE)
             inside = min(size, _1)
             power = exp2(contrast * log2(inside))
             curve = (_1 + offset) * power / (power + offset) + slope * (size - inside)

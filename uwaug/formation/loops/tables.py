@@ -140,7 +140,8 @@ class MediumTable(NamedTuple):
 # ------------------------------------------------------------------------------ plans
 
 _Table = TypeVar("_Table", PlanTable, AdjointTable)
-_CACHE: Cache[Any] = Cache(16 * 2**20)
+_CACHE: Cache[Any] = Cache(64 * 2**20)
+"""Pictures of 512 px in waters that are drawn ask for some 50 MiB."""
 
 
 def plan_table(plan: BlurPlan, size: Size) -> PlanTable:
