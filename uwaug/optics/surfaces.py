@@ -83,8 +83,7 @@ def _inverse(matrix: bytes) -> Array:
     if np.linalg.cond(seen) > _SINGULAR:
         cure = "give a camera and wavelengths that cover 400–700 nm, or surfaces='grey'"
         raise ValueError(f"camera: its channels cannot tell three colours apart: {cure}")
-    inverse: Array = np.linalg.inv(seen)
-    return inverse
+    return np.asarray(np.linalg.inv(seen))
 
 
 def measure(response: Array, basis: Array | None) -> Array:
