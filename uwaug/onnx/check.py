@@ -187,7 +187,7 @@ def _cases(stored: Stored) -> Iterator[_Case]:
             "random": torch.rand(shape, generator=rng, dtype=torch.float32),
         }
         distances = {name: near + (far - near) * t for name, t in within.items()}
-        distances["at the lens"] = torch.zeros_like(field)
+        distances["the lens"] = torch.zeros_like(field)
         distances["beyond the range"] = torch.full_like(field, 3 * far)
         distances["open water behind"] = torch.where(ramp > 0.5, torch.inf, distances["ramp"])
         for name, distance in distances.items():
