@@ -16,7 +16,18 @@ from uwaug.cli import choices
 from uwaug.cli.app import app
 from uwaug.cli.console import FLAGS, in_flags, status
 
-COMMANDS = ("demo", "plot", "compare", "degrade", "fit", "waters", "preset", "export", "check")
+COMMANDS = (
+    "demo",
+    "plot",
+    "compare",
+    "degrade",
+    "fit",
+    "waters",
+    "preset",
+    "export",
+    "check",
+    "warm-up",
+)
 
 
 def test_version(run):

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,8 @@ from torch import Tensor
 import uwaug
 from benchmarks.accuracy import stability
 from uwaug import fused
-from uwaug.formation.loops import backend, render
+from uwaug.formation import scene
+from uwaug.formation.loops import backend, proof, render
 
 pytest.importorskip("numba")
 
@@ -37,7 +39,7 @@ def by_default(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def rendered(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """The calls of the loops."""
-    assert backend.ready()
+    assert backend.ready(gradients=True)
     calls: list[Any] = []
     kernels = backend.loaded("kernels")
     run = kernels.render_rows
@@ -248,38 +250,196 @@ def test_a_numba_that_does_not_work_is_told(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-c", BROKEN], env=environment, check=True, cwd=tmp_path)
 
 
-def test_compiling(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
-    import numba
-    from numba.core import caching
-
+def test_compiling_is_said_where_nobody_logs(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     def twice(x: float) -> float:
         return 2 * x
 
-    monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])
-    with pytest.raises(RuntimeError, match="cannot cache"):
-        numba.njit(cache=True)(twice)
-    with caplog.at_level(logging.INFO, "uwaug"), backend._compiling_told():
+    monkeypatch.setattr(backend, "_folder", lambda: None)
+    with backend._compiling_told("kernels"):
         assert backend.kernel(twice)(2.0) == 4.0  # without a folder to keep it in
-    assert "compiling" in caplog.text
+    (told,) = caplog.records
+    assert told.levelno == logging.WARNING
+    assert "compiles its loops" in told.message
+    assert "no folder can be written to" in told.message
     caplog.clear()
-    with caplog.at_level(logging.INFO, "uwaug"), backend._compiling_told():
+    with backend._compiling_told("kernels"):
         pass
     assert not caplog.text
 
 
-def test_a_full_disk_keeps_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    errors = [OSError("No space left on device")]
-    monkeypatch.setattr(backend, "_ready", set())
-    monkeypatch.setattr(backend, "_on_disk", True)
-    monkeypatch.setattr(render, "run_once", lambda: errors and (_ for _ in ()).throw(errors.pop()))
+def test_nothing_is_kept_where_no_folder_can_be_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    from numba.core import caching
+
+    assert backend._folder() is not None
+    backend._folder.cache_clear()
+    monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])
+    assert backend._folder() is None
+    backend._folder.cache_clear()
+
+
+@pytest.fixture
+def unloaded(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """The kernels, which a process is about to load; it is another's again after the test."""
     kernels = backend.loaded("kernels")
+    for name, value in (("_ready", set()), ("_on_disk", True), ("_numba", True), ("_failure", "")):
+        monkeypatch.setattr(backend, name, value)
     before = dict(vars(kernels))
-    try:
-        assert kernels.render_rows.stats.cache_path is not None
-        assert backend.ready()
-        assert kernels.render_rows.stats.cache_path is None
-    finally:
-        vars(kernels).update(before)
+    yield kernels
+    vars(kernels).update(before)
+
+
+def test_a_full_disk_keeps_nothing(monkeypatch: pytest.MonkeyPatch, unloaded: Any) -> None:
+    def prove() -> None:
+        if backend._on_disk:
+            raise OSError("No space left on device")
+
+    monkeypatch.setattr(proof, "prove", prove)
+    assert unloaded.render_rows.stats.cache_path is not None
+    assert backend.ready()
+    assert unloaded.render_rows.stats.cache_path is None
+
+
+def test_a_damaged_file_is_made_anew(
+    monkeypatch: pytest.MonkeyPatch, unloaded: Any, tmp_path: Path
+) -> None:
+    damaged = tmp_path / "kernels.render_rows.nbi"
+    other = tmp_path / "adjoint.slope_rows.nbi"
+
+    def prove() -> None:
+        if damaged.exists():
+            raise EOFError("Ran out of input")
+
+    monkeypatch.setattr(backend, "_folder", lambda: tmp_path)
+    monkeypatch.setattr(proof, "prove", prove)
+    backend._drop_older(tmp_path)
+    damaged.touch()
+    other.touch()
+    assert backend.ready()
+    assert fused.path() == "fused"
+    assert other.exists()
+
+
+CHANGES = {
+    "law": (uwaug.PointSpread, "sigma", lambda sigma: lambda *a: 1.2 * sigma(*a)),
+    "term": (scene, "total", lambda total: lambda *a: tuple(t + 0.01 for t in total(*a))),
+}
+
+
+@pytest.mark.parametrize("change", ["law", "term"])
+def test_a_changed_law_or_term_is_not_ignored(
+    change: str, monkeypatch: pytest.MonkeyPatch, unloaded: Any
+) -> None:
+    owner, name, changed = CHANGES[change]
+    monkeypatch.setattr(owner, name, changed(getattr(owner, name)))
+    with pytest.warns(UserWarning, match="has a law or a term been changed"):
+        assert not backend.ready()
+    assert fused.path() == "eager"
+    with pytest.raises(ModuleNotFoundError, match="another picture than PyTorch"):
+        fused.warm_up()
+
+
+def test_a_changed_slope_is_not_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
+    proof.prove_gradients()
+    adjoint = backend.loaded("adjoint")
+    gathered = adjoint.gathered_rows
+    monkeypatch.setattr(adjoint, "gathered_rows", lambda *a: (gathered(*a), a[4].__imul__(1.01)))
+    with pytest.raises(proof.LoopsDifferError, match="another gradient"):
+        proof.prove_gradients()
+
+
+class Wider(uwaug.PointSpread):
+    def sigma(self, *arguments: Any) -> Tensor:
+        return 2 * super().sigma(*arguments)
+
+
+def test_a_law_of_ones_own_goes_by_pytorch(rendered: list[Any]) -> None:
+    image, z = rand(3, 20, 30).float(), stepped(1, 20, 30).float()
+    own, usual = Wider(1.0), uwaug.PointSpread(2.0)
+    wide, same = (uwaug.Underwater(coefficients(law=law)) for law in (own, usual))
+    with torch.no_grad(), fused.use(True):
+        picture = wide(image, z)
+    assert not rendered
+    with torch.no_grad(), fused.use(False):
+        torch.testing.assert_close(picture, same(image, z), rtol=0, atol=1e-3)
+
+
+def test_one_process_compiles_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fcntl = pytest.importorskip("fcntl")
+    monkeypatch.setattr(backend, "_folder", lambda: tmp_path)
+
+    def is_free() -> bool:
+        with (tmp_path / "loops.lock").open("w") as other:
+            try:
+                fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return False
+        return True
+
+    assert is_free()
+    with backend._alone():
+        assert not is_free()
+    assert is_free()
+    monkeypatch.setattr(fcntl, "flock", lambda *_: (_ for _ in ()).throw(OSError("no locks")))
+    with backend._alone():
+        pass
+
+
+def test_numba_that_may_not_compile(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(backend, "_numba", None)
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    assert fused.path() == "eager"
+    with pytest.raises(ModuleNotFoundError, match="unset NUMBA_DISABLE_JIT"):
+        fused.use(True)
+    monkeypatch.setattr(backend, "_numba", None)
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "0")
+    assert fused.path() == "fused"
+
+
+def test_warm_up(run: Any) -> None:
+    code, out, _ = run("warm-up")
+    assert code == 0
+    assert str(fused.warm_up()) in out
+
+
+DEFAULTS = """
+import sys, torch
+torch.set_default_dtype(torch.bfloat16)
+torch.set_default_device("meta")  # as "cuda" would be, where pictures are on the CPU
+import uwaug
+from uwaug import fused
+image = torch.arange(3 * 24 * 30, dtype=torch.float32, device="cpu").reshape(3, 24, 30) % 97 / 97
+z = 0.1 + 4 * image[:1]
+development = uwaug.Development(white_balance=0.5, gamut=1.0)
+lamp = uwaug.Light.lamp((0.4, -0.3, 0.0), (-0.1, 0.1, 1.0))
+media = [uwaug.Medium.from_water("7C", surfaces=surfaces) for surfaces in ("grey", "spectral")]
+results = []
+for on in (True, False):
+    with fused.use(on):
+        x = image.clone().requires_grad_()
+        learned = uwaug.Underwater(media[0], color_space="linear")(x, z)
+        results += [learned, *torch.autograd.grad(learned.sum(), x)]
+        results += [uwaug.Underwater(media[1], exposure="auto", development=development)(image, z)]
+        results += [uwaug.Underwater(media[0], light=lamp, focal_px=30.0)(image, z)]
+        results += [uwaug.RandomUnderwater().at(0, 0, 0)(image, z)[0]]
+assert {r.dtype for r in results} == {torch.float32} and {r.device.type for r in results} == {"cpu"}
+half = len(results) // 2
+for ours, eager in zip(results[:half], results[half:], strict=True):
+    print(float((ours - eager).abs().max()), float(ours.detach().double().sum()))
+"""
+
+
+def test_defaults_of_torch_change_nothing() -> None:
+    def outputs(code: str) -> list[float]:
+        command = [sys.executable, "-c", code]
+        done = subprocess.run(command, check=True, capture_output=True, text=True)
+        return [float(number) for number in done.stdout.split()]
+
+    usual = DEFAULTS.replace("torch.bfloat16", "torch.float32").replace('"meta"', '"cpu"')
+    numbers = outputs(DEFAULTS)
+    assert numbers == outputs(usual)
+    assert max(numbers[::2]) < 1e-5
 
 
 def test_loops_of_another_version_are_forgotten(tmp_path: Path) -> None:
@@ -290,7 +450,6 @@ def test_loops_of_another_version_are_forgotten(tmp_path: Path) -> None:
     for text, stays in (("a = 1", False), ("a = 1", True), ("a = 2", False)):
         called.write_text(text)
         kept.touch()
-        backend._drop_older.cache_clear()
         backend._drop_older(folder, sources)
         assert kept.exists() == stays
 

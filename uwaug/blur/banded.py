@@ -305,12 +305,13 @@ def _kernels(kind: Kind, node: Node) -> Kernels:
     a, q = per_cell(node.cell)
     if kind == "blur":
         kernel = blur_kernel(node.sigma, node.reach)
-        first = torch.tensor([-(kernel.shape[1] // 2)])
-        return Kernels(first.numpy(), kernel.numpy(), step=1, shift=0, reflects=True)
+        middle = np.array([-(kernel.shape[1] // 2)])
+        return Kernels(middle, kernel.numpy(), step=1, shift=0, reflects=True)
+    cells = torch.arange(a if kind == "shrink" else q, device="cpu")
     if kind == "shrink":
-        first, weights = shrink_kernels(torch.arange(a), a, q, node.sigma, node.reach)
+        first, weights = shrink_kernels(cells, a, q, node.sigma, node.reach)
         return Kernels(first.numpy(), weights.numpy(), step=q, shift=MARGIN, reflects=True)
-    first, weights = enlarge_kernels(torch.arange(q), a, q)
+    first, weights = enlarge_kernels(cells, a, q)
     return Kernels((first + MARGIN).numpy(), weights.numpy(), step=a, shift=0, reflects=False)
 
 

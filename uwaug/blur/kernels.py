@@ -57,7 +57,8 @@ def blur_kernel(sigma: float, reach: float) -> Tensor:
     """(1, 2r + 1) sampled Gaussian of variance sigma² px², cut at `reach`·sigma."""
     radius = math.ceil(reach * sigma)
     parameter = float(sampled_parameter(np.array(sigma)))
-    kernel: Tensor = get_gaussian_kernel1d(2 * radius + 1, parameter, dtype=torch.float64)
+    kind = {"dtype": torch.float64, "device": torch.device("cpu")}
+    kernel: Tensor = get_gaussian_kernel1d(2 * radius + 1, parameter, **kind)
     return kernel
 
 
@@ -82,7 +83,7 @@ def shrink_kernels(
     within = (torch.remainder(index, a).double() + 0.5) * cell - 0.5
     radius = math.ceil(reach * sigma)
     first = torch.floor(within).long() - radius
-    x = (first[:, None] + torch.arange(2 * radius + 2)) - within[:, None]
+    x = (first[:, None] + torch.arange(2 * radius + 2, device=index.device)) - within[:, None]
     ratio = torch.exp(-x * (cell / sigma**2))
     g_cell = math.exp(-0.5 * (cell / sigma) ** 2)
     kernel, forth, back = torch.ones_like(x), torch.ones_like(x), torch.ones_like(x)

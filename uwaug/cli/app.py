@@ -19,6 +19,7 @@ from uwaug.cli.export import check, export
 from uwaug.cli.figures import compare, demo, plot
 from uwaug.cli.fit import fit
 from uwaug.cli.preset import preset, waters
+from uwaug.cli.warm_up import warm_up
 
 app = typer.Typer(
     help="A differentiable, batched, spectrally honest model of how water degrades an image.",
@@ -32,6 +33,7 @@ _PANELS = {
     "Pictures": (degrade, plot, compare, demo),
     "Waters": (fit, waters),
     "ONNX files": (export, check),
+    "This machine": (warm_up,),
 }
 for panel, commands in _PANELS.items():
     for command in commands:

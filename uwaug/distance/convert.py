@@ -234,7 +234,7 @@ def require_relative(
         cure = "normalise first, (t - t.min()) / (t.max() - t.min())"
         raise ValueError(f"t must lie in [0, 1], got {checks.span(t)}: {cure}")
     require_range(near, far, inverse=False)
-    power = torch.as_tensor(gamma)
+    power = torch.as_tensor(gamma, dtype=torch.float64)
     if not bool(((power > 0) & power.isfinite()).all()):
         raise ValueError(f"gamma must be positive and finite, got {gamma}")
 
@@ -273,7 +273,7 @@ def scaled_inverse(
 
 def require_range(near: float | Tensor, far: float | Tensor, *, inverse: bool) -> None:
     """Refuse distances that no map can be scaled to."""
-    n, f = torch.as_tensor(near), torch.as_tensor(far)
+    n, f = (torch.as_tensor(end, dtype=torch.float64) for end in (near, far))
     if inverse:
         domain, good = "0 < near <= far, near finite", (n > 0) & (f >= n) & n.isfinite()
     else:

@@ -13,6 +13,7 @@ from uwaug.formation.loops.backend import RecordedEngine, can_render, engine_for
 from uwaug.formation.setup import Setup
 from uwaug.light.light import Light
 from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread
 
 Engine = Literal["fused", "fused-gradients", "fused-rows", "tiles", "tile-rows", "whole"]
 """The compiled loops; the same with gradients; the same on a large picture, a band of rows at a
@@ -50,6 +51,8 @@ def choose(
     fused = _is_fused(recorded, order, light)
     # older records call fused what PyTorch made of a large picture
     fused = fused and not (in_rows and recorded == "fused" and not gradients)
+    # of a law of one's own the loops know nothing
+    fused = fused and type(medium) is Medium and type(medium.point_spread) is PointSpread
     # gradients where channels mix are by PyTorch
     mixes = medium.is_spectral or setup.development.saturation != 1
     fused = fused and not (gradients and mixes)

@@ -218,7 +218,7 @@ def _waves(noise: Tensor, height: int, width: int, exponent: float) -> _Waves:
 
 def _unit_waves(noise: Tensor, height: int, width: int, exponent: float) -> _Waves:
     """The waves of noise that is 1; of `noise` only the type and the last size are looked at."""
-    index = torch.arange(noise.shape[-1]).to(noise)
+    index = torch.arange(noise.shape[-1], dtype=noise.dtype, device=noise.device)
     cycles, phase = ((index + 1) / 2).floor(), index % 2 * (math.pi / 2)
     square = cycles**2 + cycles[:, None] ** 2
     square[0, 0] = math.inf  # no constant term: the affine map would take it out again
@@ -242,7 +242,8 @@ def _between(field: Tensor, least: Tensor, largest: Tensor, low: float, high: fl
 
 def _centred(side: int, like: Tensor) -> Tensor:
     """Pixel centres (side, 1), 0 in the middle."""
-    return (torch.arange(side).to(like) - (side - 1) / 2)[:, None]
+    index = torch.arange(side, dtype=like.dtype, device=like.device)
+    return (index - (side - 1) / 2)[:, None]
 
 
 def _cutoff(exponent: float, longest: int) -> int:

@@ -106,15 +106,15 @@ def _quotients() -> list[list[float]]:
 
 _NODES, _WEIGHTS = _gauss(_POINTS)
 
-_THETA = torch.tensor([(x + 1) / 2 for x in _NODES], dtype=torch.float64)
+_THETA = torch.tensor([(x + 1) / 2 for x in _NODES], dtype=torch.float64, device="cpu")
 """Nodes (M) as shares of the lit part of a ray."""
 
-_SHARES = torch.tensor([w / 2 for w in _WEIGHTS], dtype=torch.float64)
+_SHARES = torch.tensor([w / 2 for w in _WEIGHTS], dtype=torch.float64, device="cpu")
 """Their weights (M)."""
 
 _PROJECT = (
     torch.tensor(
-        [_legendre(_POLYNOMIALS - 1, x) for x in _NODES], dtype=torch.float64
+        [_legendre(_POLYNOMIALS - 1, x) for x in _NODES], dtype=torch.float64, device="cpu"
     ).T.contiguous()
     * _SHARES
 )
@@ -123,7 +123,7 @@ which exceeds 1.
 """
 
 _POWERS = torch.tensor(
-    [q + [0.0] * (_POLYNOMIALS - len(q)) for q in _quotients()], dtype=torch.float64
+    [q + [0.0] * (_POLYNOMIALS - len(q)) for q in _quotients()], dtype=torch.float64, device="cpu"
 ).T.contiguous()
 """From those to the coefficients (K, K) of a polynomial Q in u = 2x − 1, where the integral from 0
 to x is x·Q(u).
@@ -231,7 +231,8 @@ def polynomials_of(lamp: Lamp, water: Medium) -> int:
         return _POLYNOMIALS
     if any(value.requires_grad for value in lamp.tensors().values()):
         return _POLYNOMIALS
-    tangents = torch.linspace(-_WIDEST, _WIDEST, _FEW).to(water.G)
+    like = water.G
+    tangents = torch.linspace(-_WIDEST, _WIDEST, _FEW, dtype=like.dtype, device=like.device)
     view = View(tangents.reshape(1, 1, 1, -1), tangents.reshape(1, 1, -1, 1))
     ray, _, series = _series(lamp, water, view)
     size = (series.abs().amax(2) / ray.height).amax((0, 2, 3))

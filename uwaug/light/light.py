@@ -467,11 +467,11 @@ def _batch(
     expected = "a number or a tensor (B,)" if shape == () else "3 numbers or a tensor (B, 3)"
     expected = f"{expected}, {unit}"
     try:
-        row = value if isinstance(value, Tensor) else torch.tensor(value, dtype=torch.float64)
+        if not isinstance(value, Tensor):
+            value = torch.tensor(value, dtype=torch.float64, device="cpu")
     except (TypeError, ValueError, RuntimeError):
         raise TypeError(f"{name} must be {expected}, got {value!r:.80}") from None
-    if not row.is_floating_point():
-        row = row.to(torch.float64)
+    row: Tensor = value if value.is_floating_point() else value.to(torch.float64)
     batched = row.ndim == len(shape) + 1
     if row.shape[batched:] != shape or row.ndim > len(shape) + 1:
         raise ValueError(f"{name} must be {expected}, got shape {tuple(row.shape)}")

@@ -71,6 +71,7 @@ from uwaug.optics.surfaces import (
     as_matrices,
     reflectances,
     require_surfaces,
+    tensor_of,
     through_camera,
     white,
 )
@@ -211,12 +212,12 @@ class Medium:
             numbers,
             {**choices, "forward": forward, "surfaces": surfaces},
         )
-        b_mean = torch.as_tensor([(sensor @ b).mean()])
+        b_mean = tensor_of(np.array([(sensor @ b).mean()]))
         law = PointSpread.paper() if point_spread is None else point_spread
-        arrays = [torch.tensor(array)[None] for array in (axis, beta, G, b, response)]
-        from_direct = torch.tensor([float(forward == "direct")], dtype=torch.float64)
+        arrays = [tensor_of(array)[None] for array in (axis, beta, G, b, response)]
+        from_direct = tensor_of(np.array([float(forward == "direct")]))
         reflected = np.ones((1, len(axis))) if basis is None else basis
-        rows = [torch.tensor(array)[None] for array in (reflected, sensor.mean(0))]
+        rows = [tensor_of(array)[None] for array in (reflected, sensor.mean(0))]
         bands = Bands.of_tensors([*arrays, from_direct, *rows], tolerance)
         return Medium.of_tensors([*tensors, b_mean], law, (note,), bands)
 
@@ -576,7 +577,9 @@ def _rows(coefficients: Mapping[str, Any]) -> dict[str, Tensor]:
 
 def _row(name: str, value: Any, shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
     """A coefficient of `shape`, or a batch of them, as (B, *shape); finite and ≥ 0."""
-    row = torch.as_tensor(value, dtype=None if isinstance(value, Tensor) else dtype).to(dtype)
+    if not isinstance(value, Tensor):
+        value = torch.as_tensor(value, dtype=dtype, device="cpu")
+    row: Tensor = value.to(dtype)
     batched = row.ndim == len(shape) + 1
     if row.shape[batched:] != shape:
         expected = "a number or (B,)" if shape == () else "(3,) or (B, 3)"

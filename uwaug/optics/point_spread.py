@@ -123,8 +123,10 @@ class PointSpread:
 
     def rows(self, count: int, like: Tensor) -> dict[str, Tensor]:
         """The numbers as tensors of `count` rows, by name."""
-        numbers = self.numbers()
-        return {name: torch.as_tensor(x).to(like).expand(count) for name, x in numbers.items()}
+        return {
+            name: torch.as_tensor(x, dtype=like.dtype, device=like.device).expand(count)
+            for name, x in self.numbers().items()
+        }
 
     def require_rows(self, count: int) -> None:
         """Refuse tensors that are neither one number for all media nor one for each of `count`."""

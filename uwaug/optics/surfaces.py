@@ -94,10 +94,12 @@ def measure(response: Array, basis: Array | None) -> Array:
 
 
 def tensor_of(values: Array) -> Tensor:
-    """Rates (K) or weights (3, K) as they are, weights (9, K) as (3, 3, K)."""
-    return torch.tensor(
-        values.reshape(3, 3, -1) if values.ndim == 2 and len(values) == 9 else values
-    )
+    """Rates (K) or weights (3, K) as they are, weights (9, K) as (3, 3, K); on the CPU, whatever
+    torch's default device.
+    """
+    if values.ndim == 2 and len(values) == 9:
+        values = values.reshape(3, 3, -1)
+    return torch.tensor(values, device="cpu")
 
 
 def white(weights: Tensor) -> Tensor:

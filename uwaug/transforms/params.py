@@ -202,9 +202,10 @@ class Distribution:
     def draw(self, count: int, generator: torch.Generator | None) -> list[Params]:
         """Params for each of `count` pictures."""
         # 32 bits: all that a generator of torch takes from a seed
-        seeds = torch.randint(2**32, (count,), generator=generator).tolist()
+        seeds = torch.randint(2**32, (count,), generator=generator, device="cpu").tolist()
         rows = (*_CHOICES, *QUANTITIES)
-        uniform = torch.rand(len(rows), count, generator=generator, dtype=torch.float64)
+        shape = len(rows), count
+        uniform = torch.rand(shape, generator=generator, dtype=torch.float64, device="cpu")
         names, weights = list(self.waters), list(accumulate(self.waters.values()))
         which = ("first", "second") if self.ranges["mixing"][1] > 0 else ("first",)
         drawn = []

@@ -5,6 +5,6 @@ cache and go through them once. They need numba (`pip install ".[fast]"` in a ch
 and for all that they do not take, PyTorch computes the same to 2e-6.
 """
 
-from uwaug.formation.loops.backend import path, use
+from uwaug.formation.loops.backend import path, use, warm_up
 
-__all__ = ["path", "use"]
+__all__ = ["path", "use", "warm_up"]

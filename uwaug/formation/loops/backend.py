@@ -9,7 +9,7 @@ import os
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from functools import lru_cache
 from hashlib import sha256
 from importlib import import_module, reload
@@ -25,6 +25,11 @@ from torch import Tensor
 from uwaug._support.extras import install
 from uwaug._support.torch_func import transformed
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
 _log = logging.getLogger(__name__)
 
 # ------------------------------------------------------------------------------ the switch
@@ -37,10 +42,12 @@ by the loops, as older records call "fused" what PyTorch made of large ones.
 VARIABLE = "UWAUG_FUSED"
 """Of the environment: 0 for eager PyTorch, 1 for the compiled loops, or an error without them."""
 
-_INSTALL = f"install numba, with {install('fast')}"
+_DISABLED = "NUMBA_DISABLE_JIT"
+"""numba's own variable: 1 to run what would be compiled in Python."""
 
 _switched: bool | None = None
 _numba: bool | None = None  # whether it is installed and works; None: not looked yet
+_failure = ""  # why it does not work
 
 
 class use(AbstractContextManager[None]):  # noqa: N801  (called like a function)
@@ -67,7 +74,7 @@ class use(AbstractContextManager[None]):  # noqa: N801  (called like a function)
         if fused is not None and not isinstance(fused, bool):
             raise TypeError(f"fused must be True, False or None, got {fused!r}")
         if fused and not has_numba():
-            raise ModuleNotFoundError(f"fused: {_INSTALL}")
+            raise ModuleNotFoundError(f"fused: {_cure()}")
         self._before = _switched
         _switched = fused
 
@@ -89,7 +96,7 @@ def path() -> RecordedEngine:
     if value not in ("", "0", "1"):
         raise ValueError(f"environment variable {VARIABLE} must be 0 or 1, got {value!r}")
     if value == "1" and not has_numba():
-        raise ModuleNotFoundError(f"{VARIABLE}=1: {_INSTALL}")
+        raise ModuleNotFoundError(f"{VARIABLE}=1: {_cure()}")
     return "fused" if value != "0" and has_numba() else "eager"
 
 
@@ -98,7 +105,7 @@ def engine_for(recorded: RecordedEngine | None) -> RecordedEngine:
     record's is not to be had.
     """
     if recorded not in (None, "eager") and path() == "eager":
-        why = "is switched off" if has_numba() else f"needs numba: {install('fast')}"
+        why = "is switched off" if has_numba() else f"cannot be used ({_cure()})"
         warnings.warn(
             f"the record is of the fused path, which {why}: pictures differ in the last bits",
             stacklevel=2,
@@ -107,11 +114,25 @@ def engine_for(recorded: RecordedEngine | None) -> RecordedEngine:
 
 
 def has_numba() -> bool:
-    """Whether numba is installed, and has not failed in this process."""
+    """Whether numba is installed, may compile, and has not failed in this process."""
     global _numba  # noqa: PLW0603
     if _numba is None:
-        _numba = find_spec("numba") is not None
+        _numba = find_spec("numba") is not None and not _is_jit_disabled()
     return _numba
+
+
+def _is_jit_disabled() -> bool:
+    """Whether numba leaves Python as it is: a picture would take hours."""
+    return os.environ.get(_DISABLED, "0") not in ("", "0")
+
+
+def _cure() -> str:
+    """What to do about loops that cannot be used."""
+    if _failure:
+        return _failure
+    if _is_jit_disabled():
+        return f"unset {_DISABLED}, which keeps numba from compiling"
+    return f"install numba, with {install('fast')}"
 
 
 # ------------------------------------------------------------------------------ what is computed
@@ -183,20 +204,31 @@ def loaded(name: Literal["kernels", "adjoint"]) -> Any:
     return import_module(f"uwaug.formation.loops.{name}")
 
 
+def warm_up() -> Path | None:
+    """Compile all loops, those for gradients too, so that no picture waits for the compiler.
+
+    Returns:
+        The folder where they are kept; None if none can be written to, so that every process
+        compiles for itself.
+
+    Raises:
+        ModuleNotFoundError: if numba is missing, or does not work.
+    """
+    with use(True):
+        if not ready(gradients=True):
+            raise ModuleNotFoundError(f"fused: {_cure()}")
+    return _folder() if _on_disk else None
+
+
 def _load(name: str) -> None:
-    global _numba, _on_disk  # noqa: PLW0603  (of the process)
+    global _numba, _failure
     try:
-        with _compiling_told():
-            module = import_module(f"uwaug.formation.loops.{name}")
-            try:
-                _run_once(name)
-            except OSError:  # a full disk, or one that is not shared as it should be
-                _on_disk = False
-                reload(module)
-                _run_once(name)
+        import_module("numba")  # before others wait
+        with _alone(), _compiling_told(name):
+            _compile(name)
     except Exception as error:
         # a numba that does not suit numpy, say: whatever it is, PyTorch can do without
-        _numba = False
+        _numba, _failure = False, str(error)
         warnings.warn(
             f"numba is installed but does not work, so PyTorch computes alone: {error}",
             stacklevel=2,
@@ -205,17 +237,54 @@ def _load(name: str) -> None:
     _ready.add(name)
 
 
-def _run_once(name: str) -> None:
-    """Form a picture of one pixel, so that all kernels of a module are compiled."""
-    from uwaug.formation.loops import backward, render
+def _compile(name: str) -> None:
+    """Load the kernels of a module from disk, or compile them, and see that they work."""
+    global _on_disk  # noqa: PLW0603  (of the process)
+    from uwaug.formation.loops import proof
 
-    (render if name == "kernels" else backward).run_once()
+    run = proof.prove if name == "kernels" else proof.prove_gradients
+    module = import_module(f"uwaug.formation.loops.{name}")
+    try:
+        run()
+    except proof.LoopsDifferError:
+        raise
+    except OSError:  # a full disk, or one that is not shared as it should be
+        _on_disk = False
+    except Exception:  # a damaged file, as a crash of the machine may leave it
+        _on_disk = _drop_kept(name)
+    else:
+        return
+    reload(module)
+    run()
 
 
 @contextmanager
-def _compiling_told() -> Iterator[None]:
-    """Log when loops are being compiled."""
+def _alone() -> Iterator[None]:
+    """While one process compiles, the others wait, and then take what it has left on disk."""
+    folder = _folder()
+    if folder is None or fcntl is None:
+        yield
+        return
+    with ExitStack() as stack:
+        with suppress(OSError):  # a disk without locks
+            file = stack.enter_context((folder / "loops.lock").open("w"))
+            fcntl.flock(file, fcntl.LOCK_EX)
+            # a child that was forked meanwhile holds the file open too
+            stack.callback(fcntl.flock, file, fcntl.LOCK_UN)
+            _drop_older(folder)
+        yield
+
+
+@contextmanager
+def _compiling_told(name: str) -> Iterator[None]:
+    """Say when loops are being compiled: a warning, as that alone is seen where nobody has set up
+    logging, and the program seems to hang.
+    """
     from numba.core import event
+
+    folder = _folder() if _on_disk else None
+    where = f"kept in {folder}" if folder else "by each process, as no folder can be written to"
+    what = "loops" if name == "kernels" else "loops for gradients"
 
     class Listener(event.Listener):  # type: ignore[misc]
         heard = False
@@ -223,7 +292,7 @@ def _compiling_told() -> Iterator[None]:
         def on_start(self, event: Any) -> None:
             if not Listener.heard:
                 Listener.heard = True
-                _log.info("compiling the fused loops, which takes some seconds once")
+                _log.warning("uwaug compiles its %s, once: 10 s to a minute; %s", what, where)
 
         def on_end(self, event: Any) -> None: ...
 
@@ -231,7 +300,7 @@ def _compiling_told() -> Iterator[None]:
     with event.install_listener("numba:compile", Listener()):
         yield
     if Listener.heard:
-        _log.info("fused loops compiled in %.0f s", time.perf_counter() - began)
+        _log.info("uwaug has compiled its %s in %.0f s", what, time.perf_counter() - began)
 
 
 def _forget() -> None:
@@ -265,18 +334,33 @@ def kernel(function: _F) -> _F:
     """Loops that Python calls: compiled once, and kept on disk where there is room."""
     import numba
 
-    try:
-        compiled: _F = numba.njit(cache=_on_disk, **_OPTIONS)(function)
-    except RuntimeError:  # no folder can be written to
-        compiled = numba.njit(**_OPTIONS)(function)
-    folder = compiled.stats.cache_path  # type: ignore[attr-defined]
-    if folder:
-        with suppress(OSError):
-            _drop_older(Path(folder))
+    kept = _on_disk and _folder() is not None
+    compiled: _F = numba.njit(cache=kept, **_OPTIONS)(function)
     return compiled
 
 
 @lru_cache
+def _folder() -> Path | None:
+    """Where numba keeps what it compiles of this folder; None where it can write to none."""
+    import numba
+
+    try:
+        return Path(numba.njit(cache=True)(kernel).stats.cache_path)
+    except RuntimeError:
+        return None
+
+
+def _drop_kept(name: str) -> bool:
+    """Remove what is kept of a module's loops; whether it could be."""
+    folder = _folder()
+    try:
+        for compiled in folder.glob(f"{name}.*.nb[ic]") if folder else ():
+            compiled.unlink(missing_ok=True)
+    except OSError:
+        return False
+    return True
+
+
 def _drop_older(folder: Path, sources: Path = Path(__file__).parent) -> None:
     """Remove from a folder what is kept of other versions of the loops: numba looks at the file of
     a kernel, and not at those of what the kernel calls.

@@ -16,7 +16,7 @@ from uwaug._support.types import Array
 from uwaug.blur.plan import BlurPlan, place_line
 from uwaug.blur.stack import blurred, mixed, node_weights
 from uwaug.formation.loops.backend import loaded
-from uwaug.formation.loops.render import NO_LOOK, ONE_OF_EACH, coarse_grids, in_bands, render_into
+from uwaug.formation.loops.render import NO_LOOK, coarse_grids, in_bands, render_into
 from uwaug.formation.loops.tables import (
     Floats,
     MediumTable,
@@ -192,11 +192,3 @@ def _by_autograd(
         inputs = [t for t, need in zip(views, needed, strict=True) if need]
         slopes = iter(torch.autograd.grad(result, inputs, gradient, create_graph=again))
     return [next(slopes) if need else None for need in needed]
-
-
-def run_once() -> None:
-    """Compile all kernels: a picture of one pixel, and its gradients."""
-    light, z = (torch.from_numpy(np.ones((1, n, 1, 1), np.float32)) for n in (3, 1))
-    medium = Medium.from_coefficients([1.0] * 3, [1.0] * 3, [1.0] * 3)
-    media = medium_tables(medium, ONE_OF_EACH, (1, 1))
-    gradients(light, z, ONE_OF_EACH, media, light, of_light=True)

@@ -29,12 +29,7 @@ from uwaug.optics.medium import Medium
 
 _NO_FLOATS, _NO_BYTES = np.zeros((3, 1, 0), np.float32), np.zeros((3, 1, 0), np.uint8)
 
-ONE_OF_EACH = BlurPlan(
-    0.0, 9.0, (0.0, 1.0, 6.0), (1.0, 1.0, 4.0), ((1.0, 0.0),) * 3, reach=3.0, error=0.0
-)
-"""A plan with a sharp, a narrow and a coarse blur."""
-
-NO_LOOK = torch.tensor([[0.0, 1.0, 0.0, 1.0, 0.0]])
+NO_LOOK = torch.tensor([[0.0, 1.0, 0.0, 1.0, 0.0]], dtype=torch.float32, device="cpu")
 """Of a development that is linear, see `uwaug.formation.development.look_of`."""
 
 _BAND = 1 << 20
@@ -49,7 +44,7 @@ def decode(image: Tensor, srgb: bool, beyond: bool = False) -> Tensor:
         beyond: whether some values may lie outside of 0…1.
     """
     kernels, width = loaded("kernels"), image.shape[-1]
-    light = torch.empty(image.shape, dtype=torch.float32)
+    light = torch.empty(image.shape, dtype=torch.float32, device="cpu")
     values = image.detach().contiguous().numpy().reshape(-1, width)
     rows = light.numpy().reshape(-1, width)
     if image.dtype == torch.uint8:
@@ -90,8 +85,9 @@ def render(
     size = (light.shape[-2], light.shape[-1])
     batch = max(len(light), len(z), len(medium))
     kind = torch.uint8 if dtype == torch.uint8 else torch.float32
-    result = torch.empty(batch, 3, *size, dtype=kind)
-    largest = torch.as_tensor(largest, dtype=torch.float32).reshape(-1).expand(batch)
+    result = torch.empty(batch, 3, *size, dtype=kind, device="cpu")
+    largest = torch.as_tensor(largest, dtype=torch.float32, device="cpu")
+    largest = largest.reshape(-1).expand(batch)
     looks = np.array(look.expand(batch, -1).numpy(), np.float32, order="C")
     media = medium_tables(medium, plan, size)
     render_into(result, light, z, plan, media, srgb, largest.numpy(), looks)
@@ -148,10 +144,11 @@ def render_in_rows(
     (numbers,) = medium_tables(medium, plan, light.size)
     blurs = [PartBlur(node, light.size, light.like) for node in coarse_nodes(plan)]
     keep_coarse(blurs, light.rows, height)
-    (largest,) = torch.as_tensor(largest, dtype=torch.float32).reshape(-1).numpy()
+    largest = torch.as_tensor(largest, dtype=torch.float32, device="cpu")
+    (largest,) = largest.reshape(-1).numpy()
     developing = np.array(look[0].numpy(), np.float32)
     in_bytes = dtype == torch.uint8
-    result = torch.empty(1, 3, height, width, dtype=dtype)
+    result = torch.empty(1, 3, height, width, dtype=dtype, device="cpu")
     window, first = np.empty((3, 0, width), np.float32), 0
     for rows in _bands(light.size):
         low, high = _reached(table, rows, blurs)
@@ -230,14 +227,6 @@ def coarse_grids(
         run = partial(kernels.coarse_lines, light, lines, coarse, int(origin))
         in_bands(run, range(count), width, kernels.LANES)
     return grid, places - low
-
-
-def run_once() -> None:
-    """Compile all kernels: decode and render one pixel."""
-    light, z = (torch.from_numpy(np.ones((1, n, 1, 1), np.float32)) for n in (3, 1))
-    medium = Medium.from_coefficients([1.0] * 3, [1.0] * 3, [1.0] * 3)
-    decode(light.to(torch.uint8), srgb=True)
-    render(light, z, medium, ONE_OF_EACH)
 
 
 # ------------------------------------------------------------------------------ threads
