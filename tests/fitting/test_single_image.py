@@ -3,7 +3,7 @@
 import math
 import re
 import warnings
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 import torch
@@ -146,6 +146,22 @@ def test_says_where_red_is_gone_or_does_not_fade(rate: float, said: str) -> None
         red_channel_prior(seen(scene, z, water), z)
 
 
+@pytest.mark.parametrize(
+    "beta", [(0.6, 0.25, 0.2), (0.4, 0.2, 0.2), (1.0, 0.4, 0.3)], ids=["coast", "clear", "turbid"]
+)
+def test_red_is_doubted_where_its_veil_is_as_dark_as_dark_surfaces(
+    beta: tuple[float, float, float], motorcycle: Any
+) -> None:
+    """The darkest of the motorcycle reflect .02, nearly half of the veil of red."""
+    z = motorcycle.distance.float()
+    z[:, : z.shape[1] // 3] = torch.inf
+    water = Water(beta, (0.05, 0.25, 0.35))
+    with pytest.warns(UserWarning, match="the rate of red"):
+        estimate = red_channel_prior(seen(motorcycle.linear.float(), z, water, noise=0), z)
+    assert not any("green" in doubt for doubt in estimate.doubts)
+    assert float(estimate.rates[1]) == pytest.approx(beta[1], rel=0.1)
+
+
 def test_the_bundled_scene_is_doubted(motorcycle: object) -> None:
     z = motorcycle.distance.float()
     z = 1 + 7 * (z - z.min()) / (z.max() - z.min())
@@ -189,6 +205,9 @@ def test_refuses_pictures_that_tell_nothing() -> None:
     refused(seen(scene, z, WATERS["blue"]).flip(0), None, "red is darkest")
     even = torch.full((3, 96, 96), 0.3)
     refused(even, None, "even all over")
+    far = torch.linspace(1, 6, 96 * 96).reshape(1, 96, 96)
+    far[:, :20] = torch.inf
+    refused(even, far, "even all over")
     refused(even[:, :40], None, "too small, 40×96 px")
     bright = seen(1 - 0.3 * scene, z.clamp(min=4), WATERS["turbid"])
     refused(bright, None, "hardly any surface is darker")
