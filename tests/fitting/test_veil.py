@@ -2,10 +2,11 @@ import math
 
 import pytest
 import torch
-from fitted import STONES, stones, veil_water, veiled
+from fitted import STONES, as_bytes, medium, scene, stones, veil_water, veiled
 
 import uwaug
 from uwaug.fitting import fit_veil
+from uwaug.formation.colour import srgb_to_linear
 
 VEIL, G = (0.1, 0.35, 0.45), (0.5, 0.35, 0.4)
 
@@ -33,6 +34,20 @@ def test_nothing_black_is_too_much_veil(veil: uwaug.fitting.VeilFit) -> None:
     grey = fit_veil(veiled(veil_water(), darkest=0.1), STONES)
     z = torch.tensor(1.0)
     assert (grey.backscatter(z) > veil.backscatter(z) + 0.01).all()
+
+
+def test_a_scene_without_anything_dark_tells_no_growth() -> None:
+    """Of surfaces of .5 to 1 the darkest are as light at 2 m as at 5."""
+    clean, z = scene(3)
+    bright, usual = (
+        as_bytes(uwaug.form_image(srgb_to_linear(values), z.double(), medium()).image)
+        for values in (0.5 + clean.double() / 510, clean.double() / 255)
+    )
+    fit = fit_veil(bright, z)
+    assert fit.G.isnan().all()
+    assert fit.source.isnan().all()
+    assert "the water is very turbid, or nothing in view is black" in fit.message
+    assert "very turbid" not in fit_veil(usual, z).message
 
 
 def test_chance_does_not_matter(veil: uwaug.fitting.VeilFit) -> None:
@@ -105,6 +120,7 @@ def test_unit_of_light_and_distance() -> None:
     [
         ({"distance": STONES[..., :5]}, "distance is .* but observed is"),
         ({"observed": torch.zeros(3, 90, 120)}, "10800 black in observed"),
+        ({"observed": torch.full((3, 90, 120), 0.4)}, "one colour everywhere"),
     ],
 )
 def test_refuses(change: dict[str, object], message: str) -> None:

@@ -20,6 +20,10 @@ _THIN = 0.3  # optical depth G·z at the far end, below which a veil is still a 
 # Optical depth G·z at the far end, below which surfaces that are not quite black bend a veil as
 # much as its end does.
 _HALF_GROWN = 1.0
+# Optical depth G·z at the near end, above which less than a tenth of the growth is left to be seen.
+# In five waters the bundled scene comes to 1.4 at most, and with surfaces that are nowhere black to
+# 2.5 to 22.
+_FULL_GROWN = 2.3
 # Ratio of standard errors over clusters to those of independent residuals, above which the model
 # misses something.
 _DEPENDENT = 1.5
@@ -37,6 +41,13 @@ _UNLIKE = 1.25
 _NOT_QUITE = 1.02  # ratio above which none is quite right
 _UNSEEN = 0.001  # RMS of linear light: the default tolerance of a medium puts pictures .0007 off
 _CLAMPED = 0.01  # share of the pixels at which blurs are wider than any that was made
+
+
+def full_grown(G: float, nearest: float) -> bool:
+    """Whether a veil has grown to its end before the nearest surface, so that its growth is not
+    seen.
+    """
+    return G * nearest > _FULL_GROWN
 
 
 def straight(G: float, farthest: float) -> bool:
@@ -171,13 +182,23 @@ def of_water(
     yield from _unsettled(chosen)
 
 
-def of_veil(parameters: Parameters, G: Sequence[float], farthest: float) -> Iterator[str]:
-    """The sentences on a `VeilFit`, of its G in each colour, 1/m, seen as far as `farthest`, m."""
+def of_veil(
+    parameters: Parameters, G: Sequence[float], nearest: float, farthest: float
+) -> Iterator[str]:
+    """The sentences on a `VeilFit`, of its G in each colour, 1/m, seen from `nearest` to
+    `farthest`, m.
+    """
     yield (
         "An estimate: the darkest pixels at each distance are taken for black. What their surfaces "
         "reflect counts as veil, and is hardly part of the errors."
     )
     yield from _not_identified(parameters)
+    even = [c for c, rate in zip(COLOURS, G, strict=True) if full_grown(rate, nearest)]
+    if even:
+        yield (
+            f"In {', '.join(even)} what is darkest is as light at {nearest:.3g} m as farther away: "
+            "the water is very turbid, or nothing in view is black and V(0) is too high."
+        )
     depths = {colour: rate * farthest for colour, rate in zip(COLOURS, G, strict=True)}
     lines = [colour for colour, depth in depths.items() if depth < _THIN]
     if lines:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from uwaug._support import checks
 from uwaug._support.types import Array, ColorSpace
 from uwaug.fitting.data import Observations, Pair, Pictures, cluster_of, mean_3x3
-from uwaug.fitting.diagnosis import of_veil, straight
+from uwaug.fitting.diagnosis import full_grown, of_veil, straight
 from uwaug.fitting.errors import parameter
 from uwaug.fitting.least_squares import one_thread
 from uwaug.fitting.models import COLOURS, MAX_OPTICAL_DEPTH, Quantity
@@ -36,6 +36,7 @@ _ROBUST = 0.02  # of the brightest dark pixels, from where on a residual counts 
 _STARTS = (0.1, 0.5, 2.0)  # optical depths G·z at the median distance, to begin at
 _THINNEST = 1e-4  # least of these
 _REPEATS = 60  # draws of clusters that errors are taken from
+_ONE_COLOUR = 1e-3  # of the brightest light: any less variation is none
 _RESOLUTION = 1e-6  # light may be of any unit here, so that any change may show
 
 
@@ -81,15 +82,17 @@ def fit_veil(
 
     Raises:
         TypeError, ValueError: if an input does not suit; if fewer than 500 pixels can be used,
-            fewer than three steps hold enough of them, or the distances are all alike.
+            fewer than three steps hold enough of them, the distances are all alike, or the picture
+            is of one colour.
 
     Measured on five scenes, degraded in four waters with 1 % noise: the veil at a distance is .002
     to .004 off (RMS, linear light) where something is black at each of them, else up to .03 too
-    high. V and G are up to 7 and 11 % off where the far end is veiled (G·z > 1.2) and something is
-    black, up to 25 and 30 % if not quite. In clearer waters, where the veil's growth has hardly
-    slowed, V may be 50 % off and G by a factor of 3; most of these are not identified: in 40 random
-    waters no V that was reported was more than .3 off, no G more than .5. No real picture with a
-    known veil was at hand.
+    high. (If nothing in view is black, V and G may be far too high; it is said where the veil then
+    seems full grown before the nearest surface, and G is not identified.) V and G are up to 7 and
+    11 % off where the far end is veiled (G·z > 1.2) and something is black, up to 25 and 30 % if
+    not quite. In clearer waters, where the veil's growth has hardly slowed, V may be 50 % off and G
+    by a factor of 3; most of these are not identified: in 40 random waters no V that was reported
+    was more than .3 off, no G more than .5. No real picture with a known veil was at hand.
 
     Source: Akkaynak and Treibitz, *Sea-thru*, CVPR 2019, section 4.3.
 
@@ -110,16 +113,20 @@ def fit_veil(
         theta = _fit(dark, reference, everything)
         draws = [_fit(dark, reference, w, near=theta) for w in _bootstrap(dark, rng)]
         others = [_fit(dark, reference, everything, above, theta) for above in _OTHER_ABOVE]
-    # the distance that the veil is seen to
+    # the distances that the veil is seen from and to
+    nearest = float(np.quantile(dark.z, 0.05))
     sea = (dark.z >= FARTHEST).mean() > 0.01
     farthest = np.inf if sea else float(np.quantile(dark.z, 0.95))
-    return _reported(dark, theta, np.array(draws), np.array(others), farthest)
+    return _reported(dark, theta, np.array(draws), np.array(others), (nearest, farthest))
 
 
-def _reported(dark: Dark, theta: Array, draws: Array, others: Array, farthest: float) -> VeilFit:
+def _reported(
+    dark: Dark, theta: Array, draws: Array, others: Array, seen: tuple[float, float]
+) -> VeilFit:
     """What is reported of source and G of each channel (3x2), of those of draws of clusters, and of
-    those of other ways to count what lies above the curve.
+    those of other ways to count what lies above the curve; `seen` from and to, m.
     """
+    nearest, farthest = seen
     values, spread, ways = _quantities(theta), _quantities(draws), _quantities(others)
     parameters = {}
     for kind, value in values.items():
@@ -127,15 +134,17 @@ def _reported(dark: Dark, theta: Array, draws: Array, others: Array, farthest: f
         for c, colour in enumerate(COLOURS):
             unit = "1" if kind == "veil" else "1/m"
             quantity = Quantity(f"{kind}_{colour}", unit, _RESOLUTION, ())
-            # of a straight line its growth alone shows
-            shows = kind == "source" or not straight(theta[c, 1], farthest)
+            if full_grown(theta[c, 1], nearest):  # its end alone shows
+                shows = kind == "veil"
+            else:  # of a straight line its growth alone
+                shows = kind == "source" or not straight(theta[c, 1], farthest)
             parameters[quantity.name] = parameter(quantity, value[c], error[c], shows=shows)
     apart = 0.5 * np.ptp(others.reshape(len(others), 6), 0)
     residual = np.stack([_veil(source, G, dark.z) for source, G in theta], 1) - dark.light
     return VeilFit(
         parameters=parameters,
         candidates=(),
-        message="\n".join(of_veil(parameters, theta[:, 1].tolist(), farthest)),
+        message="\n".join(of_veil(parameters, theta[:, 1].tolist(), nearest, farthest)),
         noise=None,
         rms=float(np.sqrt((residual**2).mean())),
         theta=theta.flatten(),
@@ -163,6 +172,8 @@ def _darkest(pairs: Sequence[Pair], rng: np.random.Generator) -> Dark:
             for i, pair in enumerate(pairs)
         ]
     )
+    if float(np.ptp(light, 0).max()) <= _ONE_COLOUR * float(light.max()):
+        raise ValueError("observed is of one colour everywhere, which tells nothing of the water")
     finite = z < FARTHEST
     low, high = np.quantile(z[finite], (_NEAR, _FAR))
     step = np.floor((z - low) / max(high - low, 1e-9) * _BINS)
