@@ -54,6 +54,29 @@ def test_the_map_moves_with_the_picture() -> None:
     assert np.array_equal(result["image"], ours(*moved, result["applied_transforms"][-1][1]))
 
 
+@pytest.mark.parametrize(
+    "transforms", [[A.HorizontalFlip(p=1), water()], [A.OneOf([water()], p=1)]]
+)
+def test_a_map_that_would_stay_behind_is_refused(transforms: list[Any], tmp_path: Path) -> None:
+    message = r"distance is no target of the pipeline, .*additional_targets={'distance': 'mask'}"
+    for made in (A.Compose(transforms), pickle.loads(pickle.dumps(A.Compose(transforms)))):
+        with pytest.raises(ValueError, match=message):
+            made(image=array(), distance=metres())
+    # targets of another map do not move this one
+    with pytest.raises(ValueError, match=message):
+        A.Compose(transforms, additional_targets={"depth": "mask"})(
+            image=array(), distance=metres()
+        )
+
+
+def test_a_map_that_moves_by_another_name() -> None:
+    named = A.Compose([A.HorizontalFlip(p=1), water(distance_key="mask")], seed=0)
+    moved = pipeline(A.HorizontalFlip(p=1), water())(image=array(), distance=metres())
+    assert np.array_equal(named(image=array(), mask=metres())["image"], moved["image"])
+    # without a pipeline nothing moves
+    assert water()(image=array(), distance=metres())["image"].shape == array().shape
+
+
 def test_labels_are_left_alone() -> None:
     mask = (array()[..., 0] > 99).astype(np.uint8)
     boxes, points = np.array([[1.0, 2, 20, 15]]), np.array([[3.0, 4]])
@@ -114,7 +137,31 @@ def test_replay_is_bit_exact_and_takes_the_new_map() -> None:
 
 
 SPECTRUM = ([400.0, 700.0], [1.0, 0.4])
+DEVELOPMENT = {
+    "compensation": (-1.0, 1.0),
+    "white_balance": 0.5,
+    "saturation": (0.8, 1.2),
+    "black_point": 0.3,
+    "gamut": 1.0,
+    "tone": 1.1,
+}
 LAMP = Light.lamp((0.4, 0.0, 0.0), (-0.1, 0.0, 1.0), 3.0, spectrum=SPECTRUM)
+
+
+def test_a_developed_picture_is_that_of_its_record() -> None:
+    """The camera's options reach the picture, and its record."""
+    augment = RandomUnderwater("II", surfaces="spectral", **DEVELOPMENT)
+    made = pipeline(water(augment), save_applied_params=True)
+    result = made(image=array(), distance=metres())
+    ((_, applied),) = result["applied_transforms"]
+    (sample,) = applied["record"]["samples"]
+    assert {sample["white_balance"], sample["gamut"]} == {0.5, 1.0}
+    taken, z = torch.from_numpy(array()).permute(2, 0, 1), torch.from_numpy(metres())[None]
+    expected = augment.transform(taken, z, applied["record"]).permute(1, 2, 0).numpy()
+    assert np.array_equal(result["image"], expected)
+    plain = RandomUnderwater("II", surfaces="spectral", **dict.fromkeys(DEVELOPMENT))
+    undeveloped = pipeline(water(plain))(image=array(), distance=metres())["image"]
+    assert not np.array_equal(result["image"], undeveloped)
 
 
 @pytest.mark.parametrize(
@@ -125,8 +172,9 @@ LAMP = Light.lamp((0.4, 0.0, 0.0), (-0.1, 0.0, 1.0), 3.0, spectrum=SPECTRUM)
         RandomUnderwater([TANK, "7C"], visibility=(2.0, 9.0), distance=(1.0, 4.0), unknown=2.0),
         RandomUnderwater.from_preset("calibrated"),
         RandomUnderwater("II", light=(LAMP, Light.ambient(0.2) + Light.parallel(40, -20))),
+        RandomUnderwater("II", surfaces="spectral", color_matrix=(0.2, 0.9), **DEVELOPMENT),
     ],
-    ids=["default", "survey", "own", "preset", "lights"],
+    ids=["default", "survey", "own", "preset", "lights", "developed"],
 )
 def test_written_and_read(augment: RandomUnderwater) -> None:
     made = pipeline(water(augment, unit="cm", channels="bgr"))

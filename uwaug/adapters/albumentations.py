@@ -28,9 +28,9 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
     Args:
         augment: a `RandomUnderwater`; or its options, as a dict. Its own `p` has to be 1.
         distance_key: the name under which a call passes the map: an array (HxW), or the path of a
-            file that `uwaug.io.read_distance` reads. An array also has to be in the
-            pipeline's `additional_targets={"distance": "mask"}`, so that it moves with the
-            picture. Not needed where `augment` has a `distance`.
+            file that `uwaug.io.read_distance` reads. An array in a pipeline has to be in its
+            `additional_targets={"distance": "mask"}`, so that it moves with the picture, or it is
+            refused. Not needed where `augment` has a `distance`.
         lookup: a function that finds the map (or its path) where a call passes none; it gets all
             that the call passed, as a dict. Neither flips nor crops move what it finds, and what is
             in files: such transforms belong behind this one.
@@ -93,6 +93,18 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
         self.lookup = lookup
         self.unit = unit
         self.channels = channels
+        self._in_pipeline = False
+        self._moved = {"mask"}  # what a pipeline moves with the picture
+
+    def add_targets(self, additional_targets: dict[str, str]) -> None:
+        """Hear of the arrays that a pipeline moves with the picture."""
+        super().add_targets(additional_targets)
+        self._moved |= set(additional_targets)
+
+    def set_processors(self, processors: dict[str, Any]) -> None:
+        """Hear that there is a pipeline: each calls this of all its transforms."""
+        super().set_processors(processors)
+        self._in_pipeline = True
 
     def get_params(self) -> dict[str, Any]:
         """What is random: a record, see `RandomUnderwater.make_params`."""
@@ -112,7 +124,12 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
 
     def _distance(self, passed: dict[str, Any]) -> Tensor | None:
         """The map of a call, 1xHxW in metres."""
-        distance = passed.get(self.distance_key)
+        distance, key = passed.get(self.distance_key), self.distance_key
+        is_file = isinstance(distance, (str, os.PathLike))
+        if distance is not None and not is_file and self._in_pipeline and key not in self._moved:
+            got = f"{key} is no target of the pipeline, so flips and crops leave it where it is"
+            cure = f"give A.Compose(…, additional_targets={{{key!r}: 'mask'}})"
+            raise ValueError(f"{got}: {cure}")
         if distance is None and self.lookup is not None:
             distance = self.lookup(passed)
         if distance is None:
@@ -120,7 +137,7 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
                 return None
             got = ", ".join(map(repr, passed))
             cure = "pass it, or give lookup=… or RandomUnderwater(distance=…)"
-            raise ValueError(f"there is no {self.distance_key!r}, only {got}: {cure}")
+            raise ValueError(f"there is no {key!r}, only {got}: {cure}")
         if isinstance(distance, (str, os.PathLike)):
             return read_distance(distance, self.unit)
         return map_of(distance, self.unit)
