@@ -274,7 +274,7 @@ def test_each_worker_and_epoch_has_waters_of_its_own() -> None:
         ({}, {}, "there is no 'distance', only 'image': pass it"),
         ({"unit": -0.5}, {}, "unit must be"),
         ({}, {"distance": metres()[:9]}, "distance"),
-        ({}, {"distance": 1000 * metres()}, "millimetres"),
+        ({}, {"distance": 1000 * metres()}, "farther than one sees: try unit='mm'"),
         ({}, {"image": array()[..., :1], "distance": metres()}, r"array \(H, W, 3\)"),
     ],
 )

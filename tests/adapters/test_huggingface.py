@@ -133,6 +133,19 @@ def test_without_a_seed_torch_draws() -> None:
     assert len(set(runs[0])) == COUNT
 
 
+def test_numbers_that_are_no_metres_may_be_large() -> None:
+    augment = RandomUnderwater("7C", distance_kind="inverse", near=1.0, far=5.0)
+    inverse = 1e5 / metres()
+    assert HuggingFaceUnderwater(augment)({"image": [array()], "depth_map": [inverse]})["image"]
+
+
+def test_pairs_for_restoration() -> None:
+    pairs = dataset().with_transform(HuggingFaceUnderwater(AUGMENT, output_key="water", **KEYED))
+    pair = pairs[0]
+    assert np.array_equal(pair["image"], array())
+    assert np.array_equal(pair["water"], expected())
+
+
 def test_no_map_and_a_stream() -> None:
     water = HuggingFaceUnderwater(RandomUnderwater("7C", distance=3.0), **KEYED)
     alone = dataset().remove_columns("depth_map")
@@ -156,6 +169,8 @@ def test_no_map_and_a_stream() -> None:
         ({}, {"depth_map": Image.new("L", (W, H))}, "more than 8 bits, got uint8"),
         ({}, {"depth_map": Image.new("RGB", (W, H))}, "distance must"),
         ({}, {"depth_map": metres()[1:]}, "distance"),
+        ({}, {"depth_map": 1000 * metres()}, r"distance: its median is .* in m, .*try unit='mm'"),
+        ({"unit": "mm"}, {"depth_map": 1e6 * metres()}, "if it is in mm, .*: try unit='um'"),
         ({}, {"depth_map": "a.png"}, "distance must be a map of numbers, got str"),
         (
             {},

@@ -140,7 +140,7 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
             raise ValueError(f"there is no {key!r}, only {got}: {cure}")
         if isinstance(distance, (str, os.PathLike)):
             return read_distance(distance, self.unit)
-        return map_of(distance, self.unit)
+        return map_of(distance, self.unit, metric=self.augment.distance_kind == "metric")
 
     def apply(
         self, img: np.ndarray[Any, Any], record: Record, distance: Tensor | None, **params: Any

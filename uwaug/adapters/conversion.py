@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 
-from uwaug.io.distances import Unit, metres_of
+from uwaug.io.distances import Unit, metres_of, require_in_sight
 from uwaug.io.read import colours_of
 
 Values = NDArray[Any]
@@ -42,21 +42,23 @@ def picture_of(image: Any) -> tuple[Tensor, Callable[[Tensor], Any]]:
     raise TypeError(f"image must be an array, a tensor or a Pillow picture, got {got}")
 
 
-def map_of(distance: Any, unit: Unit = "m") -> Tensor:
+def map_of(distance: Any, unit: Unit = "m", *, metric: bool = True) -> Tensor:
     """A map of distances as a tensor.
 
     Args:
         distance: an array, a tensor, a Pillow picture or nested lists, of HxW, HxWx1 or 1xHxW
             numbers; or the bytes of a PNG or TIFF file.
         unit: of its numbers.
+        metric: whether they are distances, and no relative or inverse ones.
 
     Returns:
         1xHxW, float32.
 
     Raises:
         TypeError: if it holds no numbers.
-        ValueError: if it has another shape; or if it has 8 bits, which hold no distances, and
-            `unit` does not say as a number what a step is.
+        ValueError: if it has another shape; if it has 8 bits, which hold no distances, and `unit`
+            does not say as a number what a step is; or if the median of its distances lies beyond
+            1000 m.
     """
     if isinstance(distance, bytes):
         try:
@@ -79,7 +81,10 @@ def map_of(distance: Any, unit: Unit = "m") -> Tensor:
         raise ValueError(f"distance must be a map (H, W), got {values.shape}: {cure}")
     scale = metres_of(unit)
     z = values if scale == 1.0 else values.astype(np.float64) * scale
-    return torch.from_numpy(z.astype(np.float32))[None]
+    result = torch.from_numpy(z.astype(np.float32))[None]
+    if metric:
+        require_in_sight("distance", result, unit)
+    return result
 
 
 def _channels_first(values: Values) -> Tensor:

@@ -20,11 +20,13 @@ class HuggingFaceUnderwater(SampleAdapter):
             and CMYK are refused), arrays (HxWx3) or tensors (3xHxW).
         distance_key: the column of maps: Pillow's (modes F, I;16 and I), arrays, or nested lists.
             Not needed where `augment` has a `distance`.
+        output_key: the column that new pictures are put in; None for `image_key`. With a column of
+            its own, pictures stay beside what the water makes of them: pairs for restoration.
         id_key: the column of names, such as paths, or of numbers; for `seed`.
         unit, seed: as for `SampleAdapter`.
 
     A call takes a batch as a dict of columns and returns it with new pictures of the same kind in
-    `image_key`; all other columns are returned as they are.
+    `output_key`; all other columns are returned as they are.
 
     Raises:
         TypeError, ValueError: if an option, a picture or a map does not suit, or a column is
@@ -44,6 +46,7 @@ class HuggingFaceUnderwater(SampleAdapter):
     _: KW_ONLY
     image_key: str = "image"
     distance_key: str = "depth_map"
+    output_key: str | None = None
     id_key: str | None = None
 
     def __post_init__(self) -> None:
@@ -65,4 +68,4 @@ class HuggingFaceUnderwater(SampleAdapter):
         for i, row in enumerate(zip(images, maps, names, strict=True)):
             with naming(i, len(images)):
                 results.append(self._degraded(*row))
-        return {**examples, self.image_key: results}
+        return {**examples, self.output_key or self.image_key: results}

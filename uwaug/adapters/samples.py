@@ -60,7 +60,9 @@ class SampleAdapter:
 
     def _degraded(self, image: Any, distance: Any, name: int | str | None) -> Any:
         picture, restore = picture_of(image)
-        z = None if distance is None else map_of(distance, self.unit)
+        z = None
+        if distance is not None:
+            z = map_of(distance, self.unit, metric=self.augment.distance_kind == "metric")
         generator = None
         if self.seed is not None:
             if name is None:

@@ -240,12 +240,23 @@ def _metres(file: File, unit: Unit) -> NDArray[np.float32]:
         z = np.empty(values.shape, np.float32)
         for start, stop in row_bands(*values.shape):
             z[start:stop] = values[start:stop].astype(np.float64) * scale
-    median = checks.too_far(torch.from_numpy(z))
+    require_in_sight(name_of(file), torch.from_numpy(z), unit)
+    return z
+
+
+def require_in_sight(name: str, z: Tensor, unit: Unit) -> None:
+    """Refuse a map (m) whose median lies farther than one sees: it is in another unit.
+
+    Args:
+        name: of the map, for the message.
+        z: m, as read in `unit`.
+        unit: that its numbers were taken to be in.
+    """
+    median = checks.too_far(z)
     if median is not None:
         finer = "mm" if unit in ("m", "cm") else "um"
         got = f"its median is {median:.5g} m if it is in {unit}, farther than one sees"
-        raise ValueError(f"{name_of(file)}: {got}: try unit={finer!r}")
-    return z
+        raise ValueError(f"{name}: {got}: try unit={finer!r}")
 
 
 def _one_channel(file: File, expected: str) -> Values:
