@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 import uwaug
-from uwaug.cli import choices
+from uwaug.cli import choices, distances
 from uwaug.cli.app import app
 from uwaug.cli.console import FLAGS, in_flags, status
 
@@ -95,17 +95,61 @@ def test_arguments_become_flags(message, said, tmp_path, monkeypatch):
     assert in_flags(message) == said
 
 
+def words_of(command: str, flag: str) -> list[str]:
+    """The words that a shell completes a flag with."""
+    from click import Context
+    from typer.main import get_command
+
+    option = next(x for x in get_command(app).commands[command].params if flag in x.opts)
+    context = Context(get_command(app))
+    return [item.value for item in option.shell_complete(context, "")]
+
+
+NO_DISPARITY = {"planar": False, "focal_px": None, "baseline": None, "offset_px": 0.0}
+DISTANCE_FLAGS = {
+    "--distance",
+    "--distance-kind",
+    "--distance-unit",
+    "--unknown",
+    "--planar",
+    "--focal-px",
+    "--baseline",
+    "--offset-px",
+}
+
+
+@pytest.mark.parametrize("command", ["degrade", "plot", "compare", "fit"])
+def test_distances_have_one_dialect(command):
+    """The same flags in every command that reads distances, in one group of its help."""
+    from typer.main import get_command
+
+    options = get_command(app).commands[command].params
+    named = {x.opts[0] for x in options if getattr(x, "rich_help_panel", "") == "Distances"}
+    scaled = {"--near", "--far", "--gamma"} if command != "fit" else set()
+    own = {"--depth-network"} if command == "degrade" else set()
+    assert named == DISTANCE_FLAGS | scaled | own
+
+
 def test_words_of_flags_are_the_librarys():
     from uwaug.fitting.models import MODELS, CameraGain, Gain
     from uwaug.formation.demand import SIDES
     from uwaug.io import UNITS
+    from uwaug.io.distances import Kind
+    from uwaug.io.write import FORMATS
     from uwaug.optics.surfaces import Surfaces
 
     assert uwaug.JERLOV_TYPES == choices.WATERS
     assert get_args(choices.FitModel) == ("auto", *MODELS)
     assert set(get_args(choices.Gain)) == {*get_args(Gain), *get_args(CameraGain)}
     assert get_args(choices.Surfaces) == get_args(Surfaces)
-    assert get_args(choices.DistanceUnit) == tuple(UNITS)
+    assert {FORMATS[f".{name}"] for name in choices.PICTURE_FORMATS} == set(FORMATS.values())
+    assert get_args(get_args(distances.Kind)[0]) == get_args(Kind)
+    assert words_of("plot", "--distance-unit") == list(UNITS)
+    assert words_of("plot", "--unknown") == ["error", "fill", "skip", "far"]
+    for unit in words_of("degrade", "--distance-unit"):
+        distances.format_of("metric", unit, "fill", **NO_DISPARITY)
+    for unknown in words_of("degrade", "--unknown"):
+        distances.format_of("metric", "m", unknown, **NO_DISPARITY)
     assert SIDES == choices.SIDES
 
 
@@ -129,7 +173,8 @@ def files(tmp_path, monkeypatch) -> Path:
     np.save("open.npy", np.full((20, 30), np.inf, np.float32))
     for name in ("bad.png", "bad.toml", "bad.json", "bad.onnx"):
         Path(name).write_text("no [file")
-    Path("folder.toml").mkdir()
+    for name in ("folder.toml", "folder.onnx"):
+        Path(name).mkdir()
     return tmp_path
 
 
@@ -137,8 +182,8 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
 
-PLOT = "plot --image a.png --distance"
-COMPARE = "compare --image a.png --distance"
+PLOT = "plot a.png --distance"
+COMPARE = "compare a.png --distance"
 DEGRADE = "degrade a.png --out x.png --distance"
 FIT = "fit --out x.json --clean a.png --observed a.png --distance a.npy"
 
@@ -163,11 +208,11 @@ FIT = "fit --out x.json --clean a.png --observed a.png --distance a.npy"
         (1, "check no.onnx", "No such file"),
         (1, "preset show no.toml", "No such file"),
         # a file that is not what it should be
-        (1, "plot --image bad.png --distance a.npy", "bad.png"),
+        (1, "plot bad.png --distance a.npy", "bad.png"),
         (1, f"{PLOT} mm.npy", "try --distance-unit mm"),
-        (1, f"{PLOT} b.npy", "height and width must agree"),
+        (1, f"{PLOT} b.npy", "b.npy: is 31×20 but the picture 30×20"),
         (1, f"{PLOT} open.npy", "some pixel above 0 m that is not open water"),
-        (1, "compare --image bad.png --distance a.npy --out x.png", "bad.png"),
+        (1, "compare bad.png --distance a.npy --out x.png", "bad.png"),
         (1, f"{COMPARE} a.npy --out x.png --system bad.toml", "bad.toml: not a TOML file"),
         (1, "degrade bad.png --distance 3 --water II --out x.png", "is no picture and no map"),
         (1, f"{DEGRADE} mm.npy --water II", "try --distance-unit mm"),
@@ -184,7 +229,7 @@ FIT = "fit --out x.json --clean a.png --observed a.png --distance a.npy"
         (1, f"{COMPARE} a.npy --out no/x.png", "there is no folder no"),
         (1, "fit --out no/x.json --clean a.png --observed a.png --distance a.npy", "no folder no"),
         (1, "export --preset survey --out no/x.onnx", "there is no folder no"),
-        (1, "export --preset survey --out . --force", "is a folder"),
+        (1, "export --preset survey --out folder.onnx --force", "is a folder"),
         (1, "preset copy survey no/x.toml", "there is no folder no"),
         (1, "preset copy survey folder.toml --force", "is a folder"),
         (1, "demo --out a.png", "cannot write to a.png: Not a directory"),
@@ -192,8 +237,16 @@ FIT = "fit --out x.json --clean a.png --observed a.png --distance a.npy"
         (2, f"{PLOT} a.npy --water 10C", "--water must be one of I, IA"),
         (2, f"{PLOT} a.npy --preset no", "no preset is called 'no'"),
         (2, f"{PLOT} a.npy --preset tank-adjusted-1 --water II", "which no water or camera"),
-        (2, f"{PLOT} a.npy --distance-unit ft", "--distance-unit"),
+        (2, f"{PLOT} a.npy --distance-unit ft", "--distance-unit must be"),
+        (2, f"{PLOT} a.npy --unknown gone", "--unknown must be one of error, fill"),
+        (2, f"{PLOT} a.npy --distance-kind relative", "--near is missing: relative distances"),
+        (2, f"{PLOT} a.npy --near 1", "--near would do nothing: --distance-kind is 'metric'"),
+        (2, f"{PLOT} 3 --planar --focal-px 9", "--planar would do nothing"),
+        (2, f"{PLOT} 0", "--distance must be finite and > 0"),
+        (2, "plot --distance 3", "expected a picture"),
+        (2, f"{PLOT} 3 --image a.png", "--image is an older spelling"),
         (2, f"{COMPARE} a.npy --out x.png --water 10C", "--water must be one of I, IA"),
+        (2, f"{COMPARE} a.npy --out x.png --unknown 0", "--unknown must be finite and > 0"),
         (2, f"{COMPARE} a.npy --out x.png --system nobody", "no preset is called 'nobody'"),
         (2, f"{COMPARE} a.npy --out x.png --system survey --system survey", "each once"),
         (2, f"{DEGRADE} 3 --water 10C", f"--water must be one of {', '.join(choices.WATERS)}"),
@@ -211,6 +264,10 @@ FIT = "fit --out x.json --clean a.png --observed a.png --distance a.npy"
         (2, f"{FIT} --seed -1", "--seed"),
         (2, f"{FIT} --focal-px 0", "--focal-px must be finite and > 0"),
         (2, f"{FIT} --model calibrated", "--focal-px: the calibrated width law needs"),
+        (2, f"{FIT} --unknown fill", "--unknown fill: expected skip, far or metres"),
+        (2, f"{FIT} --distance-kind relative", "--distance-kind"),
+        (2, f"{FIT} --distance-kind disparity", "--focal-px is missing"),
+        (2, f"{FIT} --distance-unit ft", "--distance-unit must be"),
         (2, "export --preset no --out x.onnx", "no preset is called 'no'"),
         (2, "export --preset survey --water 10C --out x.onnx", "10C"),
         (2, "export --preset survey --sides 64 32 --out x.onnx", "--sides must be whole numbers"),
@@ -227,7 +284,19 @@ FIT = "fit --out x.json --clean a.png --observed a.png --distance a.npy"
         (2, f"{FIT} --report a.png --force", "a.png is read"),
         (2, f"{FIT} --out x.png --report ./x.png", "--report and --out are one file"),
         (2, "export --preset survey --out bad.onnx", "bad.onnx exists"),
+        (2, "export --preset survey --out 7C.txt", "--out must end in .onnx, got 7C.txt"),
         (2, "preset copy survey x.txt", "must end in .toml"),
+        # what is like a number and is none, or has no use here
+        (2, f"{DEGRADE} 3m --water II", "--distance: expected metres without a unit, such as 3"),
+        (2, f"{PLOT} 3m", "--distance: expected metres without a unit, such as 3"),
+        (2, f"{COMPARE} 2,5 --out x.png", "--distance: expected metres without a unit"),
+        (2, f"{DEGRADE} 5:1 --water II", "--distance: expected a range, low first, got 5:1"),
+        (2, f"{PLOT} 1:5", "--distance: 1:5 is a range: uwaug degrade draws from it"),
+        (2, f"{COMPARE} 1:5 --out x.png", "--distance: 1:5 is a range"),
+        (2, "fit --out x.json --clean a.png --observed a.png --distance 1:5", "1:5 is a range"),
+        (2, f"{DEGRADE} 1:5 --preset hou-2020", "--distance 1.0:5.0 would do nothing"),
+        (2, f"{DEGRADE} 1:5 --water II --distance-unit mm", "--distance-unit would do nothing"),
+        (2, f"{DEGRADE} 3 --random --exposure bright", "expected auto, none, stops, or a range"),
         # flags that do not go together
         (2, f"{DEGRADE} 3", "expected one of water, preset, fit and random, got none"),
         (2, "degrade --out x --distance 3 --water II", "expected a picture, a folder"),
@@ -300,6 +369,18 @@ def test_as_a_module_it_has_its_own_name(tmp_path):
         ("uwaug export --water I", ["I", "IA", "IB", "II", "III"]),
         ("uwaug plot --water 7", ["7C"]),
         ("uwaug fit --model au", ["auto"]),
+        ("uwaug fit --gain ", ["fixed", "free", "channels", "matrix"]),
+        ("uwaug fit --unknown ", ["skip", "far"]),
+        ("uwaug degrade --distance-unit ", ["m", "cm", "mm", "um"]),
+        ("uwaug compare --distance-unit c", ["cm"]),
+        ("uwaug plot --distance-kind ", ["metric", "relative", "inverse", "disparity"]),
+        ("uwaug degrade --unknown f", ["fill", "far"]),
+        ("uwaug degrade --severity ", ["1", "2", "3", "4", "5"]),
+        ("uwaug degrade --exposure ", ["auto", "none"]),
+        ("uwaug degrade --format ", ["png", "jpg", "webp", "tif", "npy"]),
+        ("uwaug degrade --surfaces ", ["grey", "spectral"]),
+        ("uwaug degrade --ray ", ["local", "auto"]),
+        ("uwaug export --parameters ", ["frozen", "inputs"]),
         ("uwaug plot --preset own.to", []),  # the shell goes on with files
     ],
 )

@@ -67,7 +67,7 @@ def test_pictures_of_a_folder_by_their_paths():
 def test_where_distances_are(distance, found):
     save("z.npy", metres())
     assert listed("all", distance=distance)[0].distance == found
-    assert listed("all", distance=None, network=True)[0].distance is None
+    assert listed("all", distance=None, unmapped=True)[0].distance is None
 
 
 def test_of_a_folder_of_maps_none_or_two_fit():

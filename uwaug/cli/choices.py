@@ -4,7 +4,7 @@ The library is not loaded for these, so that help and completion do not wait for
 the words against the library's.
 """
 
-from pathlib import Path
+from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
 import typer
@@ -13,10 +13,12 @@ from uwaug.presets.files import list_presets
 
 WATERS = ("I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C")
 
+PICTURE_FORMATS = ("png", "jpg", "webp", "tif", "npy")
+"""Kinds of pictures that are written, one name of each."""
+
 SIDES = (32, 2160)
 """Short sides that a file serves by default, px."""
 
-DistanceUnit = Literal["m", "cm", "mm", "um"]
 ColorSpace = Literal["srgb", "linear"]
 Gain = Literal["fixed", "free", "channels", "matrix"]
 Surfaces = Literal["grey", "spectral"]
@@ -25,14 +27,19 @@ FitModel = Literal[
 ]
 
 
+def complete(*words: str) -> Callable[[str], list[str]]:
+    """A function that tells a shell which of the words begin as one that is being typed."""
+    return lambda incomplete: [word for word in words if word.startswith(incomplete)]
+
+
 def complete_water(incomplete: str) -> list[str]:
     """The Jerlov types that begin so."""
-    return [name for name in WATERS if name.startswith(incomplete.upper())]
+    return complete(*WATERS)(incomplete.upper())
 
 
 def complete_preset(incomplete: str) -> list[str]:
     """The bundled presets that begin so."""
-    return [name for name in list_presets() if name.startswith(incomplete)]
+    return complete(*list_presets())(incomplete)
 
 
 def _water(text: str) -> str:
@@ -58,12 +65,6 @@ def preset_option(help: str, panel: str | None = None) -> Any:
     )
 
 
-Image = Annotated[Path, typer.Option(help="Picture of the scene without water.")]
-Distance = Annotated[
-    Path, typer.Option(help="Distance of each pixel: .npy, .npz, TIFF, PNG, PFM, EXR.")
-]
-Unit = Annotated[DistanceUnit, typer.Option(help="Of the numbers in distance files.")]
-FocalPx = Annotated[float | None, typer.Option(help="Focal length, px of the picture.")]
 ForceFile = Annotated[bool, typer.Option("--force", help="Write over existing files.")]
 ForceFolder = Annotated[
     bool, typer.Option("--force", help="Write even if the folder holds other files.")

@@ -20,9 +20,9 @@ _PAUSE = 10.0
 """Seconds between two lines of progress where there is no terminal."""
 
 _ALIKE = """
-    clean color_space contrast distance_kind distance_unit exposure far field fit focal_px gain
-    gamma ignore_index image mask min_contrast near observed offset_px parameters planar preset
-    random severity sides unknown vertical_depth visibility water
+    clean color_space contrast distance distance_kind distance_unit exposure far field fit
+    focal_px gain gamma ignore_index image mask min_contrast near observed offset_px parameters
+    planar preset random severity sides unknown vertical_depth visibility water
 """
 """Arguments of the library whose flags have their names."""
 
@@ -39,6 +39,7 @@ FLAGS |= {
 _SINGLE = re.compile(rf"^({'|'.join(FLAGS)})(?= must\b| is missing| is empty| would |:)")
 _NAMED = re.compile(rf"\b({'|'.join(name for name in FLAGS if '_' in name)})\b")
 _GIVEN = re.compile(rf"""\b({"|".join(FLAGS)})=["']?([\w.]+)["']?""")
+_RANGE = re.compile(rf"""\b({"|".join(FLAGS)})=[(\[]([\w.]+), ([\w.]+)[)\]]""")
 
 
 def in_flags(message: str) -> str:
@@ -47,6 +48,7 @@ def in_flags(message: str) -> str:
     An argument of one word is known by its place, as the same word may be used in a sentence. Where
     a file is at fault, its keys are named, and only a cure such as `unit="mm"` is an argument.
     """
+    message = _RANGE.sub(lambda match: f"{FLAGS[match[1]]} {match[2]}:{match[3]}", message)
     message = _GIVEN.sub(lambda match: f"{FLAGS[match[1]]} {match[2]}", message)
     if os.path.exists(message.partition(": ")[0]):
         return message

@@ -5,11 +5,12 @@ import tomllib
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from uwaug.cli.choices import preset_option, water_option
+from uwaug.cli import distances
+from uwaug.cli.choices import PICTURE_FORMATS, Surfaces, complete, preset_option, water_option
 from uwaug.cli.console import refuse, reported_errors, require_package
 
 if TYPE_CHECKING:
@@ -40,14 +41,13 @@ def _range(text: str) -> float | list[float]:
 
 
 def _exposure(text: str) -> str | float | list[float]:
-    return text if text in ("auto", "none") else _range(text)
-
-
-def _word_or_number(text: str) -> str | float:
-    try:
-        return float(text)
-    except ValueError:
+    if text in ("auto", "none"):
         return text
+    try:
+        return _range(text)
+    except typer.BadParameter:
+        expected = "auto, none, stops, or a range of them such as -1:1"
+        raise typer.BadParameter(f"expected {expected}, got {text!r}") from None
 
 
 def _panel(name: str) -> Callable[..., Any]:
@@ -55,12 +55,12 @@ def _panel(name: str) -> Callable[..., Any]:
     return partial(typer.Option, rich_help_panel=name)
 
 
-_water, _distance, _output = _panel("Water"), _panel("Distances"), _panel("Output")
+_water, _output = _panel("Water"), _panel("Output")
 _drawn, _camera = _panel("Drawn for each picture"), _panel("Camera")
 _labels, _run = _panel("Labels"), _panel("Run")
 _ranged = partial(_drawn, parser=_range, metavar="NUMBER|LOW:HIGH")
 _developed = partial(_camera, parser=_range, metavar="NUMBER|LOW:HIGH")
-_scaled = partial(_distance, parser=_range, metavar="NUMBER|LOW:HIGH")
+_scaled = partial(distances.flag, parser=_range, metavar="NUMBER|LOW:HIGH")
 
 
 def degrade(
@@ -100,36 +100,26 @@ def degrade(
     ] = None,
     distance: Annotated[
         str | None,
-        _distance(
+        distances.flag(
             help="Distance of each pixel: a folder of files with the pictures' names, a pattern "
-            "such as {stem}_depth.png, one file, or metres."
+            "such as {stem}_depth.png, one file, metres, or a range of metres, LOW:HIGH, of which "
+            "each picture gets one."
         ),
     ] = None,
-    distance_kind: Annotated[
-        Literal["metric", "relative", "inverse", "disparity"], _distance(help="Of distance files.")
-    ] = "metric",
-    distance_unit: Annotated[
-        str, _distance(help="Of distance files: m, cm, mm, um, or how many metres 1 stands for.")
-    ] = "m",
-    unknown: Annotated[
-        str, _distance(help="What 0 and NaN get: error, fill, skip, far, or metres.")
-    ] = "error",
-    planar: Annotated[
-        bool,
-        _distance("--planar", help="Files hold depth along the optical axis, not the ray."),
-    ] = False,
+    distance_kind: distances.Kind = "metric",
+    distance_unit: distances.Unit = "m",
+    unknown: distances.Unknown = "error",
+    planar: distances.Planar = False,
     focal_px: Annotated[
         float | None,
-        _distance(help="Focal length, px: for the blur, planar depth and disparity."),
+        distances.flag(
+            help="Focal length, px of the picture: of planar depth and disparity, and of the blur."
+        ),
     ] = None,
-    baseline: Annotated[
-        float | None, _distance(help="m, between the cameras of a disparity.")
-    ] = None,
-    offset_px: Annotated[
-        float, _distance(help="px, of the principal points of a disparity.")
-    ] = 0.0,
+    baseline: distances.Baseline = None,
+    offset_px: distances.OffsetPx = 0.0,
     depth_network: Annotated[
-        Path | None, _distance(help="Depth network (ONNX), in place of --distance.")
+        Path | None, distances.flag(help="Depth network (ONNX), in place of --distance.")
     ] = None,
     near: Annotated[Any, _scaled(help="m, of relative and inverse distances.")] = None,
     far: Annotated[Any, _scaled(help="m, of relative and inverse distances.")] = None,
@@ -138,7 +128,12 @@ def degrade(
     contrast: Annotated[Any, _ranged(help="Left at the median distance, 0…1.")] = None,
     severity: Annotated[
         int | None,
-        _drawn(min=1, max=5, help="1 (mild) to 5: a contrast; --random as --hazy."),
+        _drawn(
+            min=1,
+            max=5,
+            help="1 (mild) to 5: a contrast; --random as --hazy.",
+            autocompletion=complete(*"12345"),
+        ),
     ] = None,
     vertical_depth: Annotated[
         Any, _ranged("--vertical-depth", "--depth", help="Of the scene below the surface, m.")
@@ -146,7 +141,7 @@ def degrade(
     seed: Annotated[int, _drawn(help="Of all that is random.")] = 0,
     variants: Annotated[int, _drawn(min=1, help="Of each picture.")] = 1,
     surfaces: Annotated[
-        Literal["spectral", "grey"] | None,
+        Surfaces | None,
         _camera(
             help="spectral: each colour loses light by its own spectrum, so that reds turn grey "
             "and black; grey: all colours as a grey card does."
@@ -158,7 +153,10 @@ def degrade(
     exposure: Annotated[
         Any,
         _camera(
-            help="auto, none, or a gain in stops.", parser=_exposure, metavar="auto|none|STOPS"
+            help="auto, none, or a gain in stops.",
+            parser=_exposure,
+            metavar="auto|none|STOPS",
+            autocompletion=complete("auto", "none"),
         ),
     ] = None,
     compensation: Annotated[Any, _developed(help="Stops, on top of the exposure.")] = None,
@@ -181,7 +179,11 @@ def degrade(
     ] = None,
     output_format: Annotated[
         str | None,
-        _output("--format", help="png, jpg, webp, tif, npy; that of each picture by default."),
+        _output(
+            "--format",
+            help="png, jpg, webp, tif, npy; that of each picture by default.",
+            autocompletion=complete(*PICTURE_FORMATS),
+        ),
     ] = None,
     keep_terms: Annotated[
         bool,
@@ -216,7 +218,8 @@ def degrade(
         str | None,
         _run(
             help="In place of processes: local (Ray is started on this machine), auto (its "
-            "cluster), or host:port of a cluster."
+            "cluster), or host:port of a cluster.",
+            autocompletion=complete("local", "auto"),
         ),
     ] = None,
     shards: Annotated[
@@ -278,31 +281,32 @@ def degrade(
         require_package("ray", "ray.data")
 
     from uwaug.cli.run import Run
-    from uwaug.io import DistanceFormat
     from uwaug.io.write import FORMATS
     from uwaug.jobs import Recipe
-    from uwaug.jobs.items import metres_in
     from uwaug.jobs.pool import cores
 
     place = Path(str(shards)) if out is None else out
     with reported_errors():
-        distance_format = DistanceFormat(
-            # a depth network gives inverse depth
-            kind="inverse" if depth_network and distance_kind == "metric" else distance_kind,
-            unit=_word_or_number(distance_unit),
-            focal_px=focal_px,
-            baseline_m=baseline,
-            offset_px=offset_px,
+        distance_format = distances.format_of(
+            distance_kind,
+            distance_unit,
+            unknown,
             planar=planar,
-            unknown=_word_or_number(unknown),
-            network=None if depth_network is None else str(depth_network),
+            focal_px=focal_px,
+            baseline=baseline,
+            offset_px=offset_px,
+            network=depth_network,
         )
-        if distance is not None and metres_in(distance) is not None:
+        distance_place = None if distance is None else distances.place_of(distance)
+        if isinstance(distance_place, (float, tuple)):
             distance_format.require_constant()
+        planes = distance_place if isinstance(distance_place, tuple) else None
         as_hazy = hazy or (random and severity is not None)
         drawn_options = _options(options, drawn, severity, hazy=as_hazy)
         if focal_px is not None and preset is None and fit is None:
             drawn_options.setdefault("focal_px", focal_px)
+        if planes is not None:
+            drawn_options["distance"] = list(planes)
         recipe = Recipe(
             water=water,
             preset=preset,
@@ -316,7 +320,9 @@ def degrade(
             void=ignore_index,
             keep_terms=keep_terms,
         ).resolved()
-        items = _items(inputs, place, distance, variants, output_format, depth_network is not None)
+        from_files = None if planes is not None else distance
+        unmapped = planes is not None or depth_network is not None
+        items = _items(inputs, place, from_files, variants, output_format, unmapped)
         if shards is None and items.name is None and out and out.suffix and not out.is_dir():
             expected = f"the file of one picture, which ends in {', '.join(FORMATS)}, or a folder"
             cure = "make the folder first if it is to be called so"
@@ -370,7 +376,7 @@ def _items(
     distance: str | None,
     variants: int,
     output_format: str | None,
-    network: bool,
+    unmapped: bool,
 ) -> "Items":
     from uwaug.io.write import FORMATS, format_of
     from uwaug.jobs.items import MANIFESTS, Items
@@ -381,5 +387,5 @@ def _items(
         format_of(f"picture{ending}")
     alone = len(inputs) == 1 and not inputs[0].is_dir() and inputs[0].suffix not in MANIFESTS
     if alone and variants == 1 and out.suffix.lower() in FORMATS and not out.is_dir():
-        return Items(inputs, distance, out.parent, network=network, name=out.name)
-    return Items(inputs, distance, out, variants=variants, ending=ending, network=network)
+        return Items(inputs, distance, out.parent, unmapped=unmapped, name=out.name)
+    return Items(inputs, distance, out, variants=variants, ending=ending, unmapped=unmapped)

@@ -44,14 +44,14 @@ def export(
         refuse(f"expected --preset or --fit, got {'neither' if fit is None else 'both'}")
     if fit is not None and water is not None:
         refuse("--water takes the place of a preset's: a fit has its own")
-    require_writable("--out", out, force=force)
-    from uwaug.fitting import Fit
+    require_writable("--out", out, force=force, endings=(".onnx",))
+    from uwaug.fitting import load_fit
     from uwaug.onnx import export_onnx, read_metadata
     from uwaug.presets import load_preset
 
     with reported_errors(out), status() as say:
         if fit is not None:
-            module = Fit.load(fit).module(sides)
+            module = load_fit(fit).module(sides)
         else:
             module = load_preset(str(preset), water=water).module(sides, focal_px)
         export_onnx(module, out, parameters=parameters, field=field, image=image, progress=say)

@@ -8,16 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from uwaug.cli.choices import (
-    Distance,
-    DistanceUnit,
-    ForceFile,
-    ForceFolder,
-    Image,
-    Unit,
-    preset_option,
-    water_option,
-)
+from uwaug.cli import distances
+from uwaug.cli.choices import ForceFile, ForceFolder, preset_option, water_option
 from uwaug.cli.console import (
     fail,
     print_written,
@@ -31,8 +23,13 @@ from uwaug.cli.console import (
 
 if TYPE_CHECKING:
     from uwaug.figures.demo import Drawing
+    from uwaug.io import DistanceFormat
     from uwaug.presets.scene import Scene
 
+Picture = Annotated[
+    Path | None, typer.Argument(help="The scene without water.", show_default=False)
+]
+OlderPicture = Annotated[Path | None, typer.Option("--image", hidden=True)]
 OutFolder = Annotated[Path, typer.Option(help="Folder for the pictures; made if need be.")]
 
 
@@ -47,8 +44,8 @@ def demo(out: OutFolder = Path("uwaug-demo"), force: ForceFolder = False) -> Non
 
 
 def plot(
-    image: Image,
-    distance: Distance,
+    distance: distances.Distance,
+    picture: Picture = None,
     water: Annotated[
         str | None,
         water_option("For the sheet of terms, or in place of the preset's: 1C if none is given."),
@@ -56,11 +53,22 @@ def plot(
     preset: Annotated[
         str | None, preset_option("For the sheet of terms; or the path of a TOML file.")
     ] = None,
-    distance_unit: Unit = "m",
+    distance_kind: distances.Kind = "metric",
+    distance_unit: distances.Unit = "m",
+    unknown: distances.Unknown = "fill",
+    planar: distances.Planar = False,
+    focal_px: distances.FocalPx = None,
+    baseline: distances.Baseline = None,
+    offset_px: distances.OffsetPx = 0.0,
+    near: distances.Near = None,
+    far: distances.Far = None,
+    gamma: distances.Gamma = None,
     out: OutFolder = Path("uwaug-plot"),
     force: ForceFolder = False,
+    image: OlderPicture = None,
 ) -> None:
     """Draw your own scene in ten waters, and term by term."""
+    file = _the_picture(picture, image)
     require_package("plot", "matplotlib")
     from uwaug.figures.demo import own_pictures, preset_case, water_case
     from uwaug.presets import load_preset
@@ -72,21 +80,34 @@ def plot(
             case = water_case(water or "1C")
     pictures = own_pictures(case)
     _require_folder(out, pictures, force)
+    with reported_errors():
+        place = distances.one_place(distance)
+        format = distances.format_of(
+            distance_kind,
+            distance_unit,
+            unknown,
+            planar=planar,
+            focal_px=focal_px,
+            baseline=baseline,
+            offset_px=offset_px,
+        )
     for name in pictures:
-        require_not_read("--out", out / name, (image, distance))
+        require_not_read("--out", out / name, distances.files(file, place))
     with status() as say:
         say("reading the picture")
-        scene = _read_scene(image, distance, distance_unit)
+        scene = _read_scene(file, place, format, near, far, gamma)
     _draw_into(out, scene, pictures)
     if scene.note:
         print(scene.note)
 
 
 def compare(
-    image: Image,
-    distance: Distance,
+    distance: distances.Distance,
     out: Annotated[Path, typer.Option(help="The sheet to write: .png or .jpg.")],
-    water: Annotated[str, water_option("Jerlov type.", metavar="TYPE")] = "II",
+    picture: Picture = None,
+    water: Annotated[
+        str, water_option("Systems that have figures of few waters alone keep their own.")
+    ] = "II",
     system: Annotated[
         list[str] | None,
         preset_option(
@@ -94,11 +115,33 @@ def compare(
         ),
     ] = None,
     table: Annotated[Path | None, typer.Option(help="The table too: a .csv or .json file.")] = None,
-    distance_unit: Unit = "m",
+    distance_kind: distances.Kind = "metric",
+    distance_unit: distances.Unit = "m",
+    unknown: distances.Unknown = "fill",
+    planar: distances.Planar = False,
+    focal_px: distances.FocalPx = None,
+    baseline: distances.Baseline = None,
+    offset_px: distances.OffsetPx = 0.0,
+    near: distances.Near = None,
+    far: distances.Far = None,
+    gamma: distances.Gamma = None,
     force: ForceFile = False,
+    image: OlderPicture = None,
 ) -> None:
     """Your scene as each published system makes it, and how they differ."""
-    inputs = (image, distance)
+    file = _the_picture(picture, image)
+    with reported_errors():
+        place = distances.one_place(distance)
+        format = distances.format_of(
+            distance_kind,
+            distance_unit,
+            unknown,
+            planar=planar,
+            focal_px=focal_px,
+            baseline=baseline,
+            offset_px=offset_px,
+        )
+    inputs = distances.files(file, place)
     require_writable("--out", out, force=force, endings=(".png", ".jpg"), inputs=inputs)
     if table is not None:
         require_writable("--table", table, force=force, endings=(".csv", ".json"), inputs=inputs)
@@ -108,7 +151,7 @@ def compare(
 
     with status() as say:
         say("reading the picture")
-        scene = _read_scene(image, distance, distance_unit)
+        scene = _read_scene(file, place, format, near, far, gamma)
         say("computing the systems")
         with reported_errors():
             comparison = uwaug.figures.compare(scene.image, scene.distance, water, system)
@@ -125,17 +168,42 @@ def compare(
     print_written(out, table)
 
 
-def _read_scene(image: Path, distance: Path, unit: DistanceUnit) -> "Scene":
+def _the_picture(picture: Path | None, image: Path | None) -> Path:
+    """The picture, by either of its spellings."""
+    if picture is not None and image is not None:
+        refuse(f"--image is an older spelling of the picture: expected one, got {picture} too")
+    file = picture or image
+    if file is None:
+        refuse("expected a picture, such as photo.jpg")
+    return file
+
+
+def _read_scene(
+    file: Path,
+    place: Path | float,
+    format: "DistanceFormat",
+    near: float | None,
+    far: float | None,
+    gamma: float | None,
+) -> "Scene":
     """A picture and its distances as a sheet shows them."""
-    from uwaug.io import read_distance, read_picture
+    from uwaug.io import read_picture_file
     from uwaug.presets.scene import own_scene
 
     with reported_errors():
-        picture, metres = read_picture(image), read_distance(distance, unit)
+        original = read_picture_file(file)
+        size = (original.image.shape[-2], original.image.shape[-1])
+        scaling = {"near": near, "far": far, "gamma": gamma}
+        metres, notes = format.metres(place, size, turned=original.turned, **scaling)
         try:
-            return own_scene(picture, metres)
+            scene = own_scene(original.image, metres)
         except ValueError as error:
-            raise ValueError(f"{distance}: with {image}: {error}") from error
+            # the map first, as most of what does not suit is in it
+            names = ": with ".join(map(str, reversed(distances.files(file, place))))
+            raise ValueError(f"{names}: {error}") from error
+    for note in notes:
+        print(f"Note: {place}: {note}")
+    return scene
 
 
 def _require_folder(out: Path, names: Iterable[str], force: bool) -> None:

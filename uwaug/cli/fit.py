@@ -1,13 +1,15 @@
 """`uwaug fit`."""
 
 import csv
-from collections.abc import Callable
+from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from uwaug.cli.choices import ColorSpace, FitModel, ForceFile, Gain, Surfaces, Unit
+from uwaug.cli import distances
+from uwaug.cli.choices import ColorSpace, FitModel, ForceFile, Gain, Surfaces, complete
 from uwaug.cli.console import (
     fail,
     print_written,
@@ -20,6 +22,8 @@ from uwaug.cli.console import (
 
 if TYPE_CHECKING:
     from torch import Tensor
+
+    from uwaug.io import DistanceFormat
 
 
 def fit(
@@ -35,8 +39,10 @@ def fit(
         ),
     ] = None,
     distance: Annotated[
-        list[Path] | None,
-        typer.Option(help="Distance of each pixel: .npy, .npz, TIFF, PNG, PFM, EXR."),
+        list[str] | None,
+        distances.flag(
+            help="Distance of each pixel: .npy, .npz, TIFF, PNG, PFM, EXR. Or metres, for all."
+        ),
     ] = None,
     series: Annotated[
         Path | None,
@@ -53,7 +59,29 @@ def fit(
             "of coefficients: of pictures as uwaug degrade --water makes them.",
         ),
     ] = False,
-    distance_unit: Unit = "m",
+    distance_kind: Annotated[
+        Literal["metric", "disparity"],
+        distances.flag(help="Of files: a fit needs metres."),
+    ] = "metric",
+    distance_unit: distances.Unit = "m",
+    unknown: Annotated[
+        str,
+        distances.flag(
+            help="What 0 and NaN get: skip (they do not count), far, or metres.",
+            metavar="skip|far|METRES",
+            autocompletion=complete("skip", "far"),
+        ),
+    ] = "skip",
+    planar: distances.Planar = False,
+    focal_px: Annotated[
+        float | None,
+        distances.flag(
+            help="Focal length, px of the picture: of planar depth and disparity; lets a fit try "
+            "calibrated; with --waters, of the blur."
+        ),
+    ] = None,
+    baseline: distances.Baseline = None,
+    offset_px: distances.OffsetPx = 0.0,
     model: Annotated[FitModel, typer.Option(help="One model, or the best of all.")] = "auto",
     gain: Annotated[
         Gain | None,
@@ -77,10 +105,6 @@ def fit(
         ),
     ] = None,
     color_space: Annotated[ColorSpace, typer.Option(help="Of the pictures.")] = "srgb",
-    focal_px: Annotated[
-        float | None,
-        typer.Option(help="Focal length, px: lets it try calibrated. With --waters: of the blur."),
-    ] = None,
     mask: Annotated[
         list[Path] | None, typer.Option(help="Pictures that are > 0 where pixels count.")
     ] = None,
@@ -93,7 +117,20 @@ def fit(
     force: ForceFile = False,
 ) -> None:
     """Which water is it? Coefficients or a Jerlov type, and how sure they are."""
-    pairs = {"clean": clean or [], "observed": observed or [], "distance": distance or []}
+    pairs: dict[str, list[Any]] = {"clean": clean or [], "observed": observed or []}
+    with reported_errors():
+        pairs["distance"] = [distances.one_place(text) for text in distance or []]
+        format = distances.format_of(
+            distance_kind,
+            distance_unit,
+            unknown,
+            planar=planar,
+            focal_px=focal_px,
+            baseline=baseline,
+            offset_px=offset_px,
+        )
+    if unknown in ("fill", "error"):
+        refuse(f"--unknown {unknown}: expected skip, far or metres: a fit counts what is measured")
     named = {"camera": camera, "surfaces": surfaces, "vertical_depth": vertical_depth}
     of_waters: dict[str, Any] = {name: x for name, x in named.items() if x is not None}
     if waters and (series is not None or model != "auto"):
@@ -105,7 +142,8 @@ def fit(
         refuse(f"--series takes the place of pairs of one water: expected no {flags} beside it")
     if series is None and not all(pairs.values()):
         refuse("a fit needs --clean, --observed and --distance, or --series")
-    inputs = [*pairs["clean"], *pairs["observed"], *pairs["distance"], *(mask or [])]
+    inputs = [place for places in pairs.values() for place in places if isinstance(place, Path)]
+    inputs += mask or []
     require_writable("--out", out, force=force, inputs=inputs)
     if report is not None:
         if report.resolve() == out.resolve():
@@ -114,24 +152,27 @@ def fit(
         require_package("plot", "matplotlib")
     import uwaug
     from uwaug._support import drawing
+    from uwaug.io import read_mask
 
     options: dict[str, Any] = {"color_space": color_space, "seed": seed}
     result: uwaug.fitting.Fit | uwaug.fitting.SeriesFit | uwaug.fitting.WaterFit
     with reported_errors(), status() as say:
         say("reading the pictures")
-        masks = _read({"mask": mask}, distance_unit) if mask else {}
+        masks: dict[str, Any] = {"mask": [read_mask(path) for path in mask]} if mask else {}
         if series is None:
             options |= {"focal_px": focal_px, "progress": say}
             if gain is not None:
                 options["gain"] = gain
-            pictures = {**_read(pairs, distance_unit), **masks}
+            read, notes = _read(pairs, format)
+            pictures = {**read, **masks}
             if waters:
                 result = uwaug.fitting.fit_water(**pictures, **options, **of_waters)
             else:
                 result = uwaug.fit(**pictures, **options, model=model)
         else:
             files, turbidity = read_series(series)
-            rows = list(zip(*_read(files, distance_unit).values(), strict=True))
+            read, notes = _read(files, format)
+            rows = list(zip(*read.values(), strict=True))
             options |= {"model": model, "progress": say}
             result = uwaug.fitting.fit_series(rows, turbidity, **masks, **options)
     try:
@@ -143,6 +184,8 @@ def fit(
         print(result.summary())
         fail(error)
     print(f"{result.summary()}\n")
+    for note in notes:
+        print(f"Note: {note}\n")
     # JPEG stores colours at half the resolution, which a fit takes for scattering
     pictures_named = [*pairs["clean"], *pairs["observed"]]
     lossy = {path.name for path in pictures_named if path.suffix.lower() in (".jpg", ".jpeg")}
@@ -153,21 +196,32 @@ def fit(
     print_written(out, report)
 
 
-def _read(files: dict[str, list[Path]], unit: str) -> dict[str, Any]:
-    """The files, each of them once: what several pairs share stays one, and is blurred once."""
-    from uwaug.io import read_distance, read_mask, read_picture
+def _read(
+    files: Mapping[str, list[Any]], format: "DistanceFormat"
+) -> tuple[dict[str, Any], list[str]]:
+    """The files, each of them once: what several pairs share stays one, and is blurred once. And
+    what is worth knowing of the maps.
+    """
+    from uwaug.io import read_picture
 
-    readers: dict[str, Callable[[Path], Tensor]] = {
-        "clean": read_picture,
-        "observed": read_picture,
-        "distance": lambda path: read_distance(path, unit),
-        "mask": read_mask,
-    }
-    pictures = {}
-    for name, paths in files.items():
-        by_path = {path: readers[name](path) for path in dict.fromkeys(paths)}
-        pictures[name] = [by_path[path] for path in paths]
-    return pictures
+    notes: list[str] = []
+
+    @cache
+    def picture(path: Path) -> "Tensor":
+        return read_picture(path)
+
+    @cache
+    def metres(place: Path | float, size: tuple[int, int]) -> "Tensor":
+        z, about = format.metres(place, size)
+        notes.extend(f"{place}: {note}" for note in about)
+        return z
+
+    read = {name: [picture(path) for path in files[name]] for name in ("clean", "observed")}
+    sizes = [(image.shape[-2], image.shape[-1]) for image in read["observed"]]
+    read["distance"] = [
+        metres(place, sizes[i % len(sizes)]) for i, place in enumerate(files["distance"])
+    ]
+    return read, notes
 
 
 def read_series(path: Path) -> tuple[dict[str, list[Path]], list[float]]:

@@ -97,6 +97,16 @@ def to_metres(
     return RowSource(rows, (1, height, width), single(distance[:, :0]))
 
 
+def whole_metres(
+    distance: Tensor, scaling: Scaling, kind: DistanceKind, unknown: Unknown
+) -> Tensor:
+    """`to_metres` of all rows at once, for those who see to unknown pixels: "fill" and "skip" leave
+    them 0 or NaN.
+    """
+    z = _scale(distance, scaling, kind)(distance)
+    return z if unknown in ("fill", "skip") else _completed(z, unknown)
+
+
 def metres_by_rows(
     distance: Tensor, scaling: Scaling, kind: DistanceKind, unknown: Unknown
 ) -> Rows:

@@ -26,6 +26,7 @@ from uwaug.formation.inputs import validate
 from uwaug.formation.underwater import Underwater
 from uwaug.light.geometry import focal_of
 from uwaug.optics.jerlov import JERLOV_TYPES
+from uwaug.optics.water import Water, load_water
 from uwaug.presets.files import published_systems
 from uwaug.presets.preset import Preset, load_preset
 
@@ -90,7 +91,7 @@ class Comparison:
     """Systems on one scene; made by `uwaug.figures.compare`.
 
     Attributes:
-        water: the Jerlov type.
+        water: its name; that of a Jerlov type, or of one's own.
         rows: one for each system.
         pictures: of each system (3xHxW, sRGB, 0…1), by name.
         image (3xHxW tensor): the scene without water, sRGB.
@@ -150,13 +151,14 @@ class Comparison:
         caption = "Each as its authors computed it, with one water, one exposure, no noise."
         if self.fixed:
             caption += f" With a water of its own: {', '.join(self.fixed)}."
+        water = f"Jerlov {self.water}" if self.water in JERLOV_TYPES else self.water
         line = 24  # px
         below = line * (len(self.rows) + 3)
         figure, axes = paper.sheet(
             math.ceil((1 + len(self.pictures)) / columns),
             columns,
             shape,
-            f"One scene, {len(self.rows)} systems, Jerlov {self.water}",
+            f"One scene, {len(self.rows)} systems, {water}",
             caption,
             below=below,
         )
@@ -194,7 +196,10 @@ class Comparison:
 
 
 def compare(
-    image: Tensor, distance: Tensor, water: str = "II", systems: Sequence[str] | None = None
+    image: Tensor,
+    distance: Tensor,
+    water: str | os.PathLike[str] | Water = "II",
+    systems: Sequence[str] | None = None,
 ) -> Comparison:
     """One scene in one water, as each of several systems makes it.
 
@@ -202,7 +207,8 @@ def compare(
         image (3xHxW tensor): the scene without water, sRGB; uint8, or floating point. Lamps take
             its view to be 60° wide.
         distance (1xHxW tensor): metres along the ray; +inf is open water.
-        water: Jerlov type. A system that has coefficients of its own keeps them.
+        water: what `uwaug.load_water` takes. A system that has coefficients of its own keeps them;
+            so does one that has figures of Jerlov types, where the water is none of these.
         systems: names of presets or paths of their files; None for all of
             `uwaug.presets.published_systems`. Where a preset has a range, its middle is
             taken; water is homogeneous.
@@ -222,7 +228,8 @@ def compare(
         >>> comparison.rows[1].delta_e
         0.0
     """
-    checks.one_of("water", water, JERLOV_TYPES)
+    loaded = load_water(water)
+    is_type = loaded.name in JERLOV_TYPES and loaded == Water.jerlov(loaded.name)
     validate(image, distance, None, None, also_bytes=True)
     if image.ndim == 4:
         raise ValueError(f"image must be one picture, (3, H, W), got {tuple(image.shape)}")
@@ -233,7 +240,7 @@ def compare(
         raise ValueError(f"systems: expected at least one, each once, got {names}")
     _phase_congruency()  # before any work
     scene = linear_to_srgb(to_light(image, "srgb")).detach()
-    fullest = _lab(seen_by(load_preset(FULLEST, water=water), scene, distance))
+    fullest = _lab(seen_by(load_preset(FULLEST, water=loaded), scene, distance))
     structure = _congruency(scene)
     size = (scene.shape[-2], scene.shape[-1])
     # a plate in the middle of the view, which faces the camera
@@ -241,8 +248,10 @@ def compare(
     rows, pictures, fixed = [], {}, []
     for name in names:
         preset = load_preset(name)
-        if preset.waters:
-            preset = load_preset(name, water=water)
+        if preset.spectral is not None:
+            preset = load_preset(name, water=loaded)
+        elif is_type and loaded.name in preset.waters:
+            preset = load_preset(name, water=loaded.name)
         else:
             fixed.append(name)
         picture = seen_by(preset, scene, distance)
@@ -265,7 +274,7 @@ def compare(
             )
         )
         pictures[name] = picture
-    return Comparison(water, tuple(rows), pictures, scene, tuple(fixed))
+    return Comparison(loaded.name, tuple(rows), pictures, scene, tuple(fixed))
 
 
 def phase_congruency_difference(before: Tensor, after: Tensor) -> float:

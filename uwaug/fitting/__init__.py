@@ -13,6 +13,7 @@ from uwaug.fitting.results import (
     SeriesFit,
     VeilFit,
     WaterFit,
+    load_fit,
 )
 from uwaug.fitting.single_image import WaterEstimate, red_channel_prior
 from uwaug.fitting.veil import fit_veil
@@ -32,5 +33,6 @@ __all__ = [
     "fit_series",
     "fit_veil",
     "fit_water",
+    "load_fit",
     "red_channel_prior",
 ]

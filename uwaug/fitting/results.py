@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
 State = Literal["free", "at bound", "not identified", "fixed"]
 _FORMAT = 1
+_HEAD = 64  # bytes of a file, in which its first key stands
 _CAMERA = ("wavelengths", "response", "name", "color_matrix")
 # Of the median distance and of the farthest: what a fit's module is planned for.
 _NEAREST, _FARTHEST = 0.2, 1.5
@@ -334,8 +335,28 @@ class _ByModel(Result):
         return low, high
 
 
+class _OneWater(_ByModel):
+    """A result that is one water."""
+
+    @property
+    def medium(self) -> Medium:
+        """As `uwaug.Underwater` takes it."""
+        raise NotImplementedError
+
+    def module(self, sides: tuple[int, int] | None = None) -> Underwater:
+        """The water as a module for the distances that it was fitted to, and some more: from .2
+        times their median to 1.5 times the farthest, with the exposure of the clean picture.
+
+        Args:
+            sides: smallest and largest short side that it serves, px, as of `uwaug.Underwater`.
+        """
+        geometry = self.fitted.geometry
+        distances = (_NEAREST * geometry.reference, _FARTHEST * geometry.farthest)
+        return Underwater(self.medium, distances, sides=sides)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class Fit(_ByModel):
+class Fit(_OneWater):
     """A water that was recovered from pictures; made by `uwaug.fit`, or read by `Fit.load`.
 
     Attributes:
@@ -368,17 +389,6 @@ class Fit(_ByModel):
         # any pair, as all are of one water
         first = c._replace(**{k: x[:1] for k, x in c._asdict().items() if x is not None})
         return self.fitted.media(first)
-
-    def module(self, sides: tuple[int, int] | None = None) -> Underwater:
-        """The water as a module for the distances that it was fitted to, and some more: from .2
-        times their median to 1.5 times the farthest, with the exposure of the clean picture.
-
-        Args:
-            sides: smallest and largest short side that it serves, px, as of `uwaug.Underwater`.
-        """
-        geometry = self.fitted.geometry
-        distances = (_NEAREST * geometry.reference, _FARTHEST * geometry.farthest)
-        return Underwater(self.medium, distances, sides=sides)
 
     @property
     def gains(self) -> Tensor:
@@ -552,7 +562,7 @@ class SeriesFit(_ByModel):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class WaterFit(_ByModel):
+class WaterFit(_OneWater):
     """The Jerlov water that was recovered from pictures; made by `uwaug.fitting.fit_water`, or read
     by `WaterFit.load`.
 
@@ -725,3 +735,17 @@ def _veil_medium(numbers: Tensor) -> Medium:
     """Media of source and G of each colour (Bx3x2)."""
     source, G = numbers.unbind(-1)
     return Medium.from_coefficients(G, G, source / G)
+
+
+def load_fit(path: str | os.PathLike[str]) -> Fit | WaterFit:
+    """Read a fit of one water, whichever of `uwaug.fit` and `uwaug.fitting.fit_water` made it.
+
+    Raises:
+        ValueError: if the file is of neither, or of a newer version; names it.
+        OSError: if it cannot be read.
+    """
+    require_regular(path)
+    with Path(path).open("rb") as file:
+        # the first key says which
+        is_water = f'"{WaterFit.KEY}"'.encode() in file.read(_HEAD)
+    return WaterFit.load(path) if is_water else Fit.load(path)

@@ -13,7 +13,7 @@ from torch.nn.functional import interpolate
 from uwaug._support import checks
 from uwaug._support.tiles import row_bands
 from uwaug.distance.convert import along_ray, from_disparity
-from uwaug.distance.sample import DistanceKind, as_unknown
+from uwaug.distance.sample import DistanceKind, Scaling, as_unknown, whole_metres
 from uwaug.io.read import GREY, File, Values, decode, name_of
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-6}
@@ -118,6 +118,53 @@ class DistanceFormat:
             if is_said:
                 got = "the distance is a number, which is metres along every ray"
                 raise ValueError(f"{name} would do nothing: {got}")
+
+    def metres(
+        self,
+        place: File | float,
+        size: tuple[int, int],
+        *,
+        near: float | None = None,
+        far: float | None = None,
+        gamma: float | None = None,
+        turned: bool = False,
+    ) -> tuple[Tensor, list[str]]:
+        """The distances of a picture, with what is worth knowing of them.
+
+        Args:
+            place: a file, as for `read`; or metres, for all pixels.
+            size: height and width of the picture, px.
+            near, far: m, of relative and inverse distances, which need them.
+            gamma: exponent of relative distances; None for 1.
+            turned: as for `read`.
+
+        Returns:
+            1xHxW, float32, m along the ray; what is unknown as `unknown` says, but for "fill" and
+            "skip", which leave it 0 or NaN. And notes.
+
+        Raises:
+            ValueError: if the file does not suit, or an option is missing or would do nothing.
+            OSError: if the file cannot be read.
+        """
+        scaled = {"near": self.map_kind != "metric", "far": self.map_kind != "metric"}
+        scaled["gamma"] = self.map_kind == "relative"
+        for name, value in {"near": near, "far": far, "gamma": gamma}.items():
+            if value is not None and not scaled[name]:
+                raise ValueError(f"{name} would do nothing: distance_kind is {self.kind!r}")
+            if value is None and scaled[name] and name != "gamma":
+                raise ValueError(f"{name} is missing: {self.kind} distances need it, in m")
+        if isinstance(place, (int, float)):
+            self.require_constant()
+            checks.positive("distance", place, "m")
+            return torch.full((1, *size), float(place)), []
+        values, notes = self.read(place, size, turned=turned)
+        # metric maps have no scale
+        scaling = Scaling(near or 0.0, far or 0.0, 1.0 if gamma is None else gamma)
+        try:
+            z = whole_metres(values, scaling, self.map_kind, as_unknown(self.unknown))
+        except ValueError as error:
+            raise ValueError(f"{name_of(place)}: {error}") from error
+        return z, notes
 
     def read(
         self, file: File, size: tuple[int, int], *, turned: bool = False

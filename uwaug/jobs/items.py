@@ -35,7 +35,8 @@ class Item(NamedTuple):
         id: what its randomness follows from: its path from the folder that was given, or the id of
             a manifest.
         input: its file; open files, with a name, are for data sets that hold pictures.
-        distance: the file of its distances; metres; or None, for a depth network.
+        distance: the file of its distances; metres; or None, for a depth network, and for metres
+            that are drawn.
         output: the file to write.
         variant: which of several of one picture, from 0.
         problem: why it cannot be done; None if nothing is known against it.
@@ -94,7 +95,8 @@ class Items:
         out: the folder to write to.
         variants: of each picture.
         ending: of the files to write, such as ".png"; None: as of each picture.
-        network: whether a depth network gives the distances.
+        unmapped: whether pictures need no maps: a depth network guesses them, or each picture is
+            put on a plane whose distance is drawn.
         name: of the one file to write, in place of the picture's own.
 
     Raises:
@@ -110,11 +112,11 @@ class Items:
         *,
         variants: int = 1,
         ending: str | None = None,
-        network: bool = False,
+        unmapped: bool = False,
         name: str | None = None,
     ) -> None:
         self.inputs, self.distance, self.out = inputs, distance, out
-        self.variants, self.ending, self.network, self.name = variants, ending, network, name
+        self.variants, self.ending, self.unmapped, self.name = variants, ending, unmapped, name
         self._pictures = [picture for path in inputs for picture in self._expanded(path)]
 
     def __len__(self) -> int:
@@ -178,7 +180,7 @@ class Items:
             # text files could not hold it
             shown = str(path).encode("utf-8", "backslashreplace").decode()
             problem = f"{shown}: its name is not UTF-8: rename it"
-        if distance is None and not self.network and problem is None:
+        if distance is None and not self.unmapped and problem is None:
             distance, problem = self._distance_of(path, Path(name))
         return _Picture(id, str(path), name, place, distance, problem)
 

@@ -216,11 +216,15 @@ class Degrader:
 
     def _distance(
         self, where: File | float | None, original: PictureFile
-    ) -> tuple[torch.Tensor, FileHash | float | None, list[str]]:
-        """The map of a picture, what its sidecar says of it, and notes."""
+    ) -> tuple[torch.Tensor | None, FileHash | float | None, list[str]]:
+        """The map of a picture, None where its distance is drawn; what its sidecar says of it; and
+        notes.
+        """
         image = original.image
         size = (image.shape[-2], image.shape[-1])
         if where is None:
+            if "distance" in self.recipe.options:
+                return None, None, []
             if self._network is None:
                 raise ValueError("no distances: give a file, metres, or a depth network")
             shown = image / 255 if image.dtype == torch.uint8 else image

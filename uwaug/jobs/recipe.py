@@ -8,7 +8,7 @@ from typing import Any
 from uwaug._support import checks
 from uwaug._support.hashing import FileHash
 from uwaug.distance.sample import Scaling, as_unknown
-from uwaug.fitting import Fit
+from uwaug.fitting import Fit, load_fit
 from uwaug.formation.exposure import require_exposure
 from uwaug.formation.setup import Setup
 from uwaug.io.distances import DistanceFormat
@@ -158,8 +158,8 @@ class Recipe:
         """
         options = decode_options(self.options)
         if self.fit is not None:
-            fit = Fit.load(self.fit)
-            name = f"fit {fit.model}"
+            fit = load_fit(self.fit)
+            name = f"fit {fit.model if isinstance(fit, Fit) else fit.type}"
             setup = Setup(fit.medium, focal_px=self.distance.focal_px)
             return self._known(name, setup, None, Scaling(1.0, 5.0, 1.0), options)
         if self.preset is not None:

@@ -40,13 +40,13 @@ class Waters(Protocol):
     """Where pictures get their water."""
 
     def degrade(
-        self, image: Tensor, distance: Tensor, drawn: Mapping[str, Any] | None, key: int
+        self, image: Tensor, distance: Tensor | None, drawn: Mapping[str, Any] | None, key: int
     ) -> InWater:
         """Degrade a picture.
 
         Args:
             image (3xHxW tensor): uint8 or floating point.
-            distance (1xHxW tensor): of the kind that the recipe says.
+            distance (1xHxW tensor): of the kind that the recipe says; None if it is drawn.
             drawn: what a sidecar holds; None to draw it from `key`.
             key: of all that is random.
 
@@ -63,7 +63,7 @@ class DrawnWaters:
     transform: RandomUnderwater
 
     def degrade(
-        self, image: Tensor, distance: Tensor, drawn: Mapping[str, Any] | None, key: int
+        self, image: Tensor, distance: Tensor | None, drawn: Mapping[str, Any] | None, key: int
     ) -> InWater:
         """As of `Waters`."""
         generator = torch.Generator().manual_seed(key)
@@ -104,9 +104,10 @@ class KnownWater:
     scaling: Scaling
 
     def degrade(
-        self, image: Tensor, distance: Tensor, drawn: Mapping[str, Any] | None, key: int
+        self, image: Tensor, distance: Tensor | None, drawn: Mapping[str, Any] | None, key: int
     ) -> InWater:
         """As of `Waters`."""
+        assert distance is not None  # nothing is drawn
         if drawn is None:
             drawn = {}
             if self.field_range is not None:

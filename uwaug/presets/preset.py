@@ -24,7 +24,7 @@ from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.reduction import attenuations, light_and_veil
 from uwaug.optics.water import Water, load_water
 from uwaug.presets.files import preset_path
-from uwaug.presets.schema import Config, read_config
+from uwaug.presets.schema import Config, is_table, read_config
 
 _HOMOGENEOUS = (1.0, 1.0)
 """The range of a field that does nothing."""
@@ -244,10 +244,10 @@ def _spectra(
                 "holds coefficients for red, green and blue, which no water or camera replaces"
             )
         return None
-    water = config.water.type if water is None else water
+    if water is None:
+        water = _named(config.water.type, folder)
     if camera is None:
-        name = config.water.camera
-        camera = folder / name if name.lower().endswith(".csv") else name
+        camera = _named(config.water.camera, folder)
     return {
         "waters": load_water(water),
         "cameras": load_camera(camera),
@@ -256,6 +256,11 @@ def _spectra(
         "surfaces": config.medium.surfaces,
         "color_matrix": config.medium.color_matrix if config.medium.has_spectra else None,
     }
+
+
+def _named(name: str, folder: Path) -> str | Path:
+    """What a preset names: a file beside its own, or what has a name."""
+    return folder / name if is_table(name) else name
 
 
 def _spectral_medium(

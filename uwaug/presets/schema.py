@@ -21,6 +21,7 @@ from uwaug.optics.bands import Forward
 from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.reduction import USUAL, Dims, Downwelling, VeilRate
 from uwaug.optics.surfaces import Surfaces
+from uwaug.optics.water import load_water
 
 _ROUNDING = 0.005  # 1/m: half of the last digit that the paper prints
 
@@ -43,11 +44,19 @@ _RGB = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class _Spectral(_Table):
+    """A water and a camera; of each, a file that ends in .csv lies beside the preset's."""
+
     type: str
     camera: str
 
     def __post_init__(self) -> None:
-        checks.one_of("type", self.type, JERLOV_TYPES)
+        if "=" in self.type:
+            try:
+                load_water(self.type)
+            except ValueError as error:
+                raise ValueError(f"type: {error}") from None
+        elif not is_table(self.type):
+            checks.one_of("type", self.type, (*JERLOV_TYPES, "contents", "the name of a CSV file"))
 
 
 @dataclass(frozen=True)
@@ -244,6 +253,11 @@ class Config(_Table):
         if self.channels is not None:
             return tuple(self.channels.rates())
         return () if self.water is None else JERLOV_TYPES
+
+
+def is_table(name: str) -> bool:
+    """Whether a water or a camera is named by a CSV file."""
+    return name.lower().endswith(".csv")
 
 
 def _require_not_negative(key: str, values: _RGB) -> None:
