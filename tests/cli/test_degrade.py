@@ -66,6 +66,64 @@ def test_flags_are_options_of_the_transform(degrade):
     assert torch.equal(read_picture("out/good.png"), expected)
 
 
+def test_a_range_of_metres_puts_each_picture_on_a_plane(degrade):
+    degrade("good.png", "--distance", "2:6", "--random", "--variants", "3", "--out", "out")
+    transform, metres_of = uwaug.RandomUnderwater(distance=(2.0, 6.0)), []
+    for variant in range(3):
+        record = Sidecar.read(Path(f"out/good_{variant + 1}.png.json"))
+        (sample,) = record.drawn["samples"]
+        metres_of.append(sample["distance"])
+        expected = transform.transform(read_picture("good.png"), None, record.drawn)
+        assert torch.equal(read_picture(f"out/good_{variant + 1}.png"), expected)
+    assert len(set(metres_of)) == 3
+    assert all(2 <= z <= 6 for z in metres_of)
+    again = degrade("--replay", "out/good_2.png.json", "--out", "again")
+    assert "the same bytes" in again
+    resumed = degrade(
+        *("good.png", "--distance", "2:6", "--random", "--variants", "3", "--out", "out"),
+        "--resume",
+    )
+    assert "3 were there" in resumed
+
+
+def test_a_range_in_one_water_and_in_a_preset(degrade):
+    for water in (WATER, ("--preset", "survey")):
+        degrade("good.png", "--distance", "2:6", *water, "--out", f"out-{water[0]}")
+        (sample,) = Sidecar.read(Path(f"out-{water[0]}/good.png.json")).drawn["samples"]
+        assert 2 <= sample["distance"] <= 6
+
+
+def test_a_water_of_ones_own_by_its_file(degrade, run):
+    """It is found in capitals too, and named as it was typed."""
+    Path("Harbour.CSV").write_text("wavelength,a,b,kd\n400,.5,1,.7\n700,.7,1,.8\n")
+    degrade("good.png", "--distance", "z.npy", "--water", "Harbour.CSV", "--out", "out")
+    assert Sidecar.read(Path("out/good.png.json")).water.endswith("Harbour")
+    code, _, err = run("degrade", "good.png", "--distance", "3", "--water", "no.Csv", "--out", "x")
+    assert (code, "no.Csv" in err) == (1, True)
+
+
+def test_what_fit_waters_has_written(degrade, run):
+    """`--fit` takes both kinds of files."""
+    rng = torch.Generator().manual_seed(0)
+    clean = 0.1 + 0.8 * torch.rand(3, 40, 60, generator=rng)
+    z = torch.linspace(1, 6, 2400).reshape(1, 40, 60)
+    water = uwaug.Medium.from_water("3C", g=0.05, mu=0.075, vertical_depth=2.0)
+    fit = uwaug.fitting.fit_water(
+        clean, uwaug.Underwater(water)(clean, z), z, gain="fixed", vertical_depth=2.0
+    )
+    fit.save("water.json")
+    degrade("good.png", "--distance", "z.npy", "--fit", "water.json", "--out", "out.npy")
+    expected = uwaug.Underwater(fit.medium)(
+        read_picture("good.png") / 255, torch.from_numpy(metres())[None]
+    )
+    assert (read_picture("out.npy") / 255 - expected).abs().max() < 0.01
+    assert Sidecar.read(Path("out.npy.json")).water == f"fit {fit.type}"
+    assert uwaug.fitting.load_fit("water.json").module((32, 200)).sides == (32, 200)
+    Path("half.json").write_text(Path("water.json").read_text()[:900])
+    code, _, err = run("degrade", "good.png", "--distance", "3", "--fit", "half.json", "--out", "x")
+    assert (code, "half.json: not a water: " in err) == (1, True)
+
+
 CAMERA = {
     "exposure": "auto",
     "compensation": -0.5,

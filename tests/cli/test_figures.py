@@ -10,6 +10,7 @@ import torch
 from PIL import Image
 
 import uwaug
+from uwaug.distance import along_ray, from_disparity, from_inverse, from_relative
 from uwaug.figures.demo import PICTURES, draw_terms, preset_case
 from uwaug.presets.files import bundled_preset
 from uwaug.presets.scene import own_scene
@@ -25,7 +26,7 @@ def files(tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
-PLOT = ("plot", "--image", "a.png", "--distance")
+PLOT = ("plot", "a.png", "--distance")
 
 
 def test_demo_on_the_real_scene(run, tmp_path):
@@ -111,10 +112,78 @@ def test_what_was_done_to_the_files_is_said(run, files):
     assert out.splitlines()[-1] == "25 % of the distances were unknown and are filled."
 
 
+@pytest.fixture
+def drawn_scene(monkeypatch):
+    """What `uwaug plot` would draw: only the scene is looked at, and nothing drawn."""
+    from uwaug.cli import figures
+
+    scenes = []
+    monkeypatch.setattr(figures, "_draw_into", lambda out, scene, pictures: scenes.append(scene))
+    return scenes
+
+
+@pytest.mark.parametrize(
+    ("distance", "flags", "expected"),
+    [
+        ("3", (), lambda z: torch.full_like(z, 3.0)),
+        ("0.5", ("--focal-px", "40"), lambda z: torch.full_like(z, 0.5)),
+        ("a.npy", ("--distance-unit", "0.5"), lambda z: z / 2),
+        ("a.npy", ("--planar", "--focal-px", "40"), lambda z: along_ray(z, 40.0)),
+        (
+            "a.npy",
+            ("--distance-kind", "inverse", "--near", "1", "--far", "8"),
+            lambda z: from_inverse(z, 1.0, 8.0),
+        ),
+        (
+            "share.npy",
+            ("--distance-kind", "relative", "--near", "1", "--far", "8", "--gamma", "2"),
+            lambda z: from_relative((z - 1) / 3, 1.0, 8.0, 2.0),
+        ),
+        (
+            "a.npy",
+            ("--distance-kind", "disparity", "--focal-px", "40", "--baseline", "0.1"),
+            lambda z: along_ray(from_disparity(z, 40.0, 0.1), 40.0),
+        ),
+        ("holes.npy", ("--unknown", "7"), lambda z: torch.where(z > 2, z, 7.0)),
+        ("holes.npy", ("--unknown", "far"), lambda z: torch.where(z > 2, z, torch.inf)),
+    ],
+)
+def test_distances_as_degrade_reads_them(run, files, drawn_scene, distance, flags, expected):
+    z = torch.from_numpy(np.load("a.npy"))[None]
+    np.save("share.npy", ((z - 1) / 3)[0].numpy())
+    np.save("holes.npy", torch.where(z > 2, z, 0.0)[0].numpy())
+    code, _, err = run(*PLOT, distance, *flags)
+    assert (code, err) == (0, "")
+    (scene,) = drawn_scene
+    torch.testing.assert_close(scene.distance, expected(z), rtol=1e-5, atol=1e-5)
+
+
+def test_unknown_distances_may_be_refused(run, files, drawn_scene):
+    np.save("holes.npy", np.pad(np.full((20, 29), 2.5, np.float32), ((0, 0), (0, 1))))
+    code, _, err = run(*PLOT, "holes.npy", "--unknown", "error")
+    assert (code, drawn_scene) == (1, [])
+    assert err.startswith("Error: holes.npy: distance must be above 0 m")
+    assert "use --unknown fill" in err
+
+
+def test_a_map_of_another_size_is_resampled_and_said_so(run, files, drawn_scene):
+    np.save("half.npy", np.load("a.npy")[::2, ::2])
+    code, out, _ = run(*PLOT, "half.npy")
+    assert code == 0
+    assert "Note: half.npy: distances of 15×10 px, resampled to 30×20" in out
+    assert drawn_scene[0].distance.shape == (1, 20, 30)
+
+
+def test_the_older_spelling_of_a_picture(run, files, drawn_scene):
+    assert run("plot", "--image", "a.png", "--distance", "a.npy")[::2] == (0, "")
+    assert run(*PLOT, "a.npy")[::2] == (0, "")
+    assert torch.equal(drawn_scene[0].image, drawn_scene[1].image)
+
+
 def test_a_picture_is_not_written_over(run, files):
     Image.open("a.png").save("1-waters.jpg")
     before = Path("1-waters.jpg").read_bytes()
-    arguments = ("--image", "1-waters.jpg", "--distance", "a.npy", "--out", ".", "--force")
+    arguments = ("1-waters.jpg", "--distance", "a.npy", "--out", ".", "--force")
     code, _, err = run("plot", *arguments)
     assert (code, err.startswith("Error: 1-waters.jpg is read, and would be")) == (2, True)
     assert Path("1-waters.jpg").read_bytes() == before
@@ -123,7 +192,7 @@ def test_a_picture_is_not_written_over(run, files):
 def test_a_comparison_with_its_table(run, files):
     pytest.importorskip("phasecongruency")
     systems = ("--system", "ismiroglou-2025", "--system", "jaffe-1990")
-    arguments = ("--image", "a.png", "--distance", "a.npy", "--water", "7c", *systems)
+    arguments = ("a.png", "--distance", "a.npy", "--water", "7c", *systems)
     arguments += ("--out", "s.jpg", "--table", "s.csv")
     code, out, err = run("compare", *arguments)
     assert (code, err) == (0, "")

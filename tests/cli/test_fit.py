@@ -106,6 +106,59 @@ def test_options_arrive(run, scene, monkeypatch):
     assert (seen["focal_px"], seen["seed"]) == (70.0, 3)
 
 
+@pytest.mark.parametrize(
+    ("distance", "flags", "expected"),
+    [
+        ("z.png", ("--distance-unit", "0.001"), lambda z: z),
+        (
+            "z.png",
+            ("--distance-unit", "mm", "--planar", "--focal-px", "70"),
+            lambda z: uwaug.distance.along_ray(z, 70.0),
+        ),
+        ("holes.npy", (), lambda z: torch.where(z > 2, z, 0.0)),
+        ("holes.npy", ("--unknown", "far"), lambda z: torch.where(z > 2, z, torch.inf)),
+        ("3", (), lambda z: torch.full_like(z, 3.0)),
+        (
+            "z.png",
+            ("--distance-kind", "disparity", "--focal-px", "70", "--baseline", "0.1"),
+            lambda z: uwaug.distance.along_ray(
+                uwaug.distance.from_disparity(1000 * z, 70.0, 0.1), 70.0
+            ),
+        ),
+    ],
+)
+def test_distances_as_degrade_reads_them(run, scene, monkeypatch, distance, flags, expected):
+    z = read_distance("z.png", "mm")
+    np.save("holes.npy", torch.where(z > 2, z, 0.0)[0].numpy())
+    seen = {}
+
+    def fit(**options: object) -> None:
+        seen.update(options)
+        raise ValueError("seen enough")
+
+    monkeypatch.setattr(uwaug, "fit", fit)
+    pair = ["--clean", "clean.png", "--observed", "observed.png", "--distance", distance]
+    assert "seen enough" in run("fit", *pair, *flags, "--out", "fit.json")[2]
+    (given,) = seen["distance"]
+    torch.testing.assert_close(given, expected(z), rtol=1e-4, atol=1e-4)
+
+
+def test_a_plane_tells_too_little(run, scene):
+    pair = ["--clean", "clean.png", "--observed", "observed.png", "--distance", "3"]
+    code, _, err = run("fit", *pair, "--out", "fit.json")
+    assert code == 2
+    assert "Traceback" not in err
+    assert "distance" in err
+
+
+def test_a_map_of_another_size_is_resampled_and_said_so(run, scene):
+    Image.open("z.png").resize((40, 30), Image.Resampling.NEAREST).save("half.png")
+    pair = ["--clean", "clean.png", "--observed", "observed.png", "--distance", "half.png"]
+    code, out, _ = run("fit", *pair, *FAST, "--out", "fit.json")
+    assert code == 0
+    assert "Note: half.png: distances of 40×30 px, resampled to 80×60" in out
+
+
 def test_what_jpeg_does_is_said(run, scene):
     assert "JPEG" not in run("fit", *PAIR, *FAST, "--out", "fit.json")[1]
     Image.open("observed.png").save("observed.JPG", quality=95)

@@ -86,6 +86,22 @@ def test_all_published_systems_by_default() -> None:
     assert found.water == "II"
 
 
+def test_a_water_of_ones_own(tmp_path: Path) -> None:
+    """Spectra reach the systems that take them; one that knows Jerlov types keeps its own."""
+    path = tmp_path / "II.csv"  # and is no Jerlov type for being called so
+    path.write_text("wavelength,a,b,kd\n400,.9,2,1\n550,.6,2,.8\n700,1,2,1.2\n")
+    systems = [FULLEST, "akkaynak-2018", "li-2020", "hou-2020"]
+    knows = {name: uwaug.load_preset(name) for name in systems}
+    found = uwaug.figures.compare(*scene(), path, systems)
+    assert set(found.fixed) == {name for name, preset in knows.items() if preset.spectral is None}
+    own = uwaug.load_preset(FULLEST, water=path)
+    expected = uwaug.Underwater(own.medium, color_space=own.color_space)(*scene())
+    assert torch.allclose(found.pictures[FULLEST], expected.clamp(0, 1), atol=2e-3)
+    contents = uwaug.figures.compare(*scene(), "chlorophyll=9,cdom=1", [FULLEST])
+    assert contents.water == "chlorophyll=9,cdom=1"
+    assert contents.rows[0].contrast_5m != found.rows[0].contrast_5m
+
+
 def test_information_falls_as_water_thickens() -> None:
     image, distance = scene()
     lost = []
@@ -134,7 +150,7 @@ def test_uint8_is_the_same_scene() -> None:
 def test_wrong_arguments() -> None:
     image, distance = scene()
     for arguments, said in (
-        ((image, distance, "10C"), "water must be one of"),
+        ((image, distance, "10C"), "type must be one of I, IA"),
         ((image[None], distance), "image must be one picture"),
         ((image, distance[:, 1:]), "height and width must agree"),
         ((image, distance, "II", []), "systems: expected at least one"),

@@ -204,8 +204,29 @@ def test_own_file_with_its_own_camera(tmp_path):
         assert same(preset.medium, load_preset("survey", camera=tmp_path / "box.csv").medium)
 
 
+def test_own_file_with_a_water_of_ones_own(tmp_path):
+    """A CSV file beside the preset's, or contents."""
+    (tmp_path / "harbour.csv").write_text("wavelength,a,b,kd\n400,.5,1,.7\n700,.7,1,.8\n")
+    path = tmp_path / "mine.toml"
+    for type, water in (
+        ("harbour.csv", tmp_path / "harbour.csv"),
+        ("chlorophyll=5,cdom=0.3", "chlorophyll=5,cdom=0.3"),
+    ):
+        path.write_text(SPECTRAL.read_text().replace('type = "7C"', f'type = "{type}"'))
+        preset = load_preset(path)
+        assert same(preset.medium, load_preset("survey", water=water).medium)
+        assert preset.spectral["waters"].name in ("harbour", type)
+        assert same(load_preset(path, water="II").medium, load_preset("survey", water="II").medium)
+    (tmp_path / "harbour.csv").unlink()
+    path.write_text(SPECTRAL.read_text().replace('type = "7C"', 'type = "harbour.csv"'))
+    with pytest.raises(FileNotFoundError, match=r"harbour\.csv"):
+        load_preset(path)
+
+
 REFUSED = {
     "survey": [
+        (r"^type = .*", 'type = "harbour"', "9C, contents, the name of a CSV file, got 'harbour'"),
+        (r"^type = .*", 'type = "algae=3"', "water.type: "),
         (r"^vertical_depth_m", "vertical_depth_cm", "is no key; did you mean vertical_depth_m?"),
         (r"^mu =", "haze =", "medium.haze is no key; there are vertical_depth_m, g, mu"),
         (r"^\[field\]", "[noise]", "noise is no key; there are source, color_space, medium"),
