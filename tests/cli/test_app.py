@@ -85,6 +85,14 @@ def test_errors_name_flags_that_there_are():
         ("the light that is near in water", "the light that is near in water"),
         ("1 of 4 pixels: try unknown='fill'", "1 of 4 pixels: try --unknown fill"),
         ('far.npy: 3000 m: try unit="mm"', "far.npy: 3000 m: try --distance-unit mm"),
+        (
+            "visibility and contrast: got visibility = 3.0",
+            "--visibility and --contrast: got --visibility 3.0",
+        ),
+        ("min_contrast and void would do", "--min-contrast and --ignore-index would do"),
+        ("contrast=(0.2, 0.8) would do", "--contrast 0.2:0.8 would do"),
+        ("distance is flat: contrast is low", "--distance is flat: contrast is low"),
+        ("own.toml: near = 3 is key of a table", "own.toml: near = 3 is key of a table"),
         ("own.toml: color_space: expected srgb", "own.toml: color_space: expected srgb"),
     ],
 )
@@ -207,6 +215,7 @@ FIT = "fit --out x.json --clean a.png --observed a.png --distance a.npy"
         (1, "export --fit no.json --out x.onnx", "No such file"),
         (1, "check no.onnx", "No such file"),
         (1, "preset show no.toml", "No such file"),
+        (1, f"{DEGRADE} no/ --water II", "Error: no/: No such file"),
         # a file that is not what it should be
         (1, "plot bad.png --distance a.npy", "bad.png"),
         (1, f"{PLOT} mm.npy", "try --distance-unit mm"),
@@ -297,7 +306,8 @@ FIT = "fit --out x.json --clean a.png --observed a.png --distance a.npy"
         (2, f"{DEGRADE} 1:5 --preset hou-2020", "--distance 1.0:5.0 would do nothing"),
         (2, f"{DEGRADE} 1:5 --water II --distance-unit mm", "--distance-unit would do nothing"),
         (2, f"{DEGRADE} 3 --random --exposure bright", "expected auto, none, stops, or a range"),
-        # flags that do not go together
+        # flags that do not go together, or are missing
+        (2, "degrade a.png --out x.png --water II", "--distance is missing: a.png has no"),
         (2, f"{DEGRADE} 3", "expected one of water, preset, fit and random, got none"),
         (2, "degrade --out x --distance 3 --water II", "expected a picture, a folder"),
         (2, "degrade a.png a.png --out x --distance 3 --water II", "a.png was given twice"),

@@ -20,9 +20,10 @@ _PAUSE = 10.0
 """Seconds between two lines of progress where there is no terminal."""
 
 _ALIKE = """
-    clean color_space contrast distance distance_kind distance_unit exposure far field fit
-    focal_px gain gamma ignore_index image mask min_contrast near observed offset_px parameters
-    planar preset random severity sides unknown vertical_depth visibility water
+    black_point clean color_matrix color_space compensation contrast distance distance_kind
+    distance_unit exposure far field fit focal_px gain gamma gamut ignore_index image mask
+    min_contrast model near observed offset_px parameters planar preset random saturation
+    severity sides surfaces tone unknown vertical_depth visibility water white_balance
 """
 """Arguments of the library whose flags have their names."""
 
@@ -33,27 +34,37 @@ FLAGS |= {
     "systems": "--system",
     "type": "--water",
     "unit": "--distance-unit",
+    "void": "--ignore-index",
 }
 """Arguments of the library, and the flags that set them."""
 
-_SINGLE = re.compile(rf"^({'|'.join(FLAGS)})(?= must\b| is missing| is empty| would |:)")
-_NAMED = re.compile(rf"\b({'|'.join(name for name in FLAGS if '_' in name)})\b")
-_GIVEN = re.compile(rf"""\b({"|".join(FLAGS)})=["']?([\w.]+)["']?""")
-_RANGE = re.compile(rf"""\b({"|".join(FLAGS)})=[(\[]([\w.]+), ([\w.]+)[)\]]""")
+_ANY = "|".join(FLAGS)
+_NAME = re.compile(rf"\b({_ANY})\b")
+_SUBJECT = re.compile(rf"^({_ANY})( and ({_ANY}))?(?= must\b| is\b| are\b| would |:)")
+_UNDERSCORED = re.compile(rf"\b({'|'.join(name for name in FLAGS if '_' in name)})\b")
+_GIVEN = re.compile(rf"""\b({_ANY})=["']?([\w.]+)["']?""")
+_RANGE = re.compile(rf"\b({_ANY})=[(\[]([\w.]+), ([\w.]+)[)\]]")
+_SAID = re.compile(rf"\b({_ANY}) = ([\w.]+)")
 
 
 def in_flags(message: str) -> str:
     """A message of the library with flags in place of the arguments that it names.
 
-    An argument of one word is known by its place, as the same word may be used in a sentence. Where
-    a file is at fault, its keys are named, and only a cure such as `unit="mm"` is an argument.
+    An argument of one word is known by its place, as the same word may be used in a sentence: it is
+    what the message is about, or it has a value. Where a file is at fault, its keys are named, and
+    only a cure such as `unit="mm"` is an argument.
     """
     message = _RANGE.sub(lambda match: f"{FLAGS[match[1]]} {match[2]}:{match[3]}", message)
     message = _GIVEN.sub(lambda match: f"{FLAGS[match[1]]} {match[2]}", message)
     if os.path.exists(message.partition(": ")[0]):
         return message
-    message = _SINGLE.sub(lambda match: FLAGS[match[1]], message)
-    return _NAMED.sub(lambda match: FLAGS[match[1]], message)
+    message = _SAID.sub(lambda match: f"{FLAGS[match[1]]} {match[2]}", message)
+    message = _SUBJECT.sub(lambda match: _NAME.sub(_flag, match[0]), message)
+    return _UNDERSCORED.sub(_flag, message)
+
+
+def _flag(match: re.Match[str]) -> str:
+    return FLAGS[match[1]]
 
 
 def refuse(message: object) -> NoReturn:
@@ -82,7 +93,10 @@ def reported_errors(*written: Path) -> Iterator[None]:
     """
     try:
         yield
-    except (OSError, ImportError) as error:
+    except OSError as error:
+        named = error.filename and error.strerror
+        fail(f"{error.filename}: {error.strerror}" if named else error)
+    except ImportError as error:
         fail(error)
     except (TypeError, ValueError) as error:
         at_fault = str(error).partition(": ")[0]

@@ -218,7 +218,8 @@ class Items:
     def _distance_of(self, path: Path, name: Path) -> tuple[str | float | None, str | None]:
         """The distances of a picture, and what is wrong with them."""
         if self.distance is None:
-            raise ValueError(f"{path} has no distances: no distance was given, and no manifest")
+            expected = "files, metres, or a list with a column distance"
+            raise ValueError(f"distance is missing: {path} has no distances: expected {expected}")
         metres = metres_in(self.distance)
         if metres is not None:
             return metres, None
