@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import shutil
 import subprocess
 import tempfile
@@ -91,6 +92,19 @@ def test_a_range_in_one_water_and_in_a_preset(degrade):
         degrade("good.png", "--distance", "2:6", *water, "--out", f"out-{water[0]}")
         (sample,) = Sidecar.read(Path(f"out-{water[0]}/good.png.json")).drawn["samples"]
         assert 2 <= sample["distance"] <= 6
+
+
+def test_lamps_as_the_guide_writes_them(degrade):
+    guide = Path(uwaug.__file__).parent / "cli" / "README.md"
+    (toml,) = re.findall(r"```toml\n(.*?)```", guide.read_text(encoding="utf-8"), re.DOTALL)
+    Path("night.toml").write_text(toml, encoding="utf-8")
+    given = ("good.png", "--distance", "z.npy", "--water", "1C", "--vertical-depth", "30")
+    degrade(*given, "--options", "night.toml", "--out", "night.png")
+    lamp = uwaug.Light.lamp((-0.4, -0.2, 0.0), (0.15, 0.1, 1.0), power=2.0, cone=45.0)
+    scene_light = Sidecar.read(Path("night.png.json")).recipe["options"]["light"]
+    assert repr(uwaug.Light.from_list(scene_light)) == repr(lamp + uwaug.Light.ambient())
+    degrade(*given, "--out", "day.png")
+    assert not torch.equal(read_picture("night.png"), read_picture("day.png"))
 
 
 def test_a_water_of_ones_own_by_its_file(degrade, run):

@@ -52,7 +52,8 @@ def export_onnx(
         image: "float32" (0…1, not clipped), or "uint8" in and out (0…255, rounded and clipped).
         opset: ≥ 18, as high as the installed exporter can write.
         verify: run `check_onnx` before the file is put in place.
-        progress: is told what is being done, a few words at each step.
+        progress: is told what is being done, a few words at each step; such as `print`, as a file
+            takes about a minute.
 
     Returns:
         The path.
