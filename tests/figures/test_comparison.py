@@ -63,6 +63,10 @@ def test_contrast_is_that_under_the_lamp() -> None:
     left = uwaug.contrast(preset.medium, plate, light=preset.light, focal_px=focal_px)
     assert row.contrast_2m == pytest.approx(float(left[0, 20, 30]), rel=0.03)
     assert row.contrast_2m != pytest.approx(float(uwaug.contrast(preset.medium, plate)[0, 20, 30]))
+    own = uwaug.figures.compare(image, z, "7C", ["jaffe-1990"], focal_px=90.0)
+    options = {"light": preset.light, "exposure": preset.exposure, "focal_px": 90.0}
+    wanted = uwaug.Underwater(preset.medium, color_space=preset.color_space, **options)(image, z)
+    torch.testing.assert_close(own.pictures["jaffe-1990"], wanted.clamp(0, 1))
 
 
 def test_colour_differences_agree_with_scikit_image(found: uwaug.figures.Comparison) -> None:

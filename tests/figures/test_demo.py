@@ -7,6 +7,7 @@ from texts import require_room
 from uwaug import load_preset
 from uwaug.figures import demo as plots
 from uwaug.figures.demo import preset_case
+from uwaug.light.geometry import focal_of
 from uwaug.presets.scene import Scene
 
 
@@ -51,3 +52,17 @@ def test_a_preset_is_drawn_as_its_module_degrades(small, monkeypatch):
     assert span == preset.field_range
     wanted = replace(preset, exposure=1.0).module()(small.image, small.distance, field)
     torch.testing.assert_close(shown["I   image"], wanted, rtol=0, atol=2e-3)
+
+
+def test_lamps_shine_into_the_view_that_a_scene_has(small, monkeypatch):
+    """A scene of one's own is drawn with its focal length, and with a view 60° wide without."""
+    shown = {}
+    monkeypatch.setattr(plots, "show", lambda _, picture, label: shown.update({label: picture}))
+    preset = load_preset("jaffe-1990")
+    case = preset_case(preset)._replace(field_range=(1.0, 1.0))
+    wide = focal_of(None, small.image.shape[-1])
+    for focal_px in (None, 4 * wide):
+        scene = replace(small, focal_px=focal_px)
+        plots.own_pictures(case)["2-terms.jpg"](scene)
+        wanted = preset.module(focal_px=focal_px or wide)(small.image, small.distance)
+        torch.testing.assert_close(shown["I   image"], wanted, rtol=0, atol=5e-3)

@@ -23,8 +23,9 @@ def test_the_motorcycle_is_where_it_was_measured():
 def test_a_large_picture_is_reduced_in_light_and_its_distances_stay_measured_ones():
     black_and_white = torch.tensor([0, 255], dtype=torch.uint8).repeat(3, 1000, 1000)
     z = torch.where(torch.arange(2000) < 1000, 2.0, 5.0).expand(1, 1000, 2000)
-    scene = own_scene(black_and_white, z)
+    scene = own_scene(black_and_white, z, focal_px=1800.0)
     assert scene.image.shape == (3, 500, 1000)
+    assert scene.focal_px == 900.0
     assert scene.note == "Drawn at 1000×500 of 2000×1000 px."
     # half of the light, not half of the sRGB value
     torch.testing.assert_close(scene.image, torch.full((3, 500, 1000), 0.7354), rtol=0, atol=1e-3)
@@ -37,6 +38,8 @@ def test_a_small_picture_stays_and_unknown_distances_are_filled():
     z[0, 5, 5:8] = torch.tensor([0.0, torch.nan, -1.0])
     z[0, 10, 10] = 1e9
     scene = own_scene(image, z)
+    assert scene.focal_px is None
+    assert own_scene(image, z, 25.0).focal_px == 25.0
     torch.testing.assert_close(scene.image, image)
     assert scene.note == "0.5 % of the distances were unknown and are filled."
     assert scene.distance[0, 10, 10] == torch.inf

@@ -110,12 +110,7 @@ def degrade(
     distance_unit: distances.Unit = "m",
     unknown: distances.Unknown = "error",
     planar: distances.Planar = False,
-    focal_px: Annotated[
-        float | None,
-        distances.flag(
-            help="Focal length, px of the picture: of planar depth and disparity, and of the blur."
-        ),
-    ] = None,
+    focal_px: distances.FocalPx = None,
     baseline: distances.Baseline = None,
     offset_px: distances.OffsetPx = 0.0,
     depth_network: Annotated[

@@ -44,7 +44,8 @@ Planar = Annotated[
     bool, flag("--planar", help="Files hold depth along the optical axis, not the ray.")
 ]
 FocalPx = Annotated[
-    float | None, flag(help="Focal length, px of the picture: of planar depth and disparity.")
+    float | None,
+    flag(help="Focal length, px of the picture: of planar depth and disparity, blur and lamps."),
 ]
 Baseline = Annotated[float | None, flag(help="m, between the cameras of a disparity.")]
 OffsetPx = Annotated[float, flag(help="px, of the principal points of a disparity.")]

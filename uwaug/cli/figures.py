@@ -154,7 +154,9 @@ def compare(
         scene = _read_scene(file, place, format, near, far, gamma)
         say("computing the systems")
         with reported_errors():
-            comparison = uwaug.figures.compare(scene.image, scene.distance, water, system)
+            comparison = uwaug.figures.compare(
+                scene.image, scene.distance, water, system, scene.focal_px
+            )
     try:
         save(comparison.plot(), out)
         if table is not None:
@@ -196,7 +198,7 @@ def _read_scene(
         scaling = {"near": near, "far": far, "gamma": gamma}
         metres, notes = format.metres(place, size, turned=original.turned, **scaling)
         try:
-            scene = own_scene(original.image, metres)
+            scene = own_scene(original.image, metres, format.focal_px)
         except ValueError as error:
             # the map first, as most of what does not suit is in it
             names = ": with ".join(map(str, reversed(distances.files(file, place))))

@@ -200,18 +200,19 @@ def compare(
     distance: Tensor,
     water: str | os.PathLike[str] | Water = "II",
     systems: Sequence[str] | None = None,
+    focal_px: float | None = None,
 ) -> Comparison:
     """One scene in one water, as each of several systems makes it.
 
     Args:
-        image (3xHxW tensor): the scene without water, sRGB; uint8, or floating point. Lamps take
-            its view to be 60° wide.
+        image (3xHxW tensor): the scene without water, sRGB; uint8, or floating point.
         distance (1xHxW tensor): metres along the ray; +inf is open water.
         water: what `uwaug.load_water` takes. A system that has coefficients of its own keeps them;
             so does one that has figures of Jerlov types, where the water is none of these.
         systems: names of presets or paths of their files; None for all of
             `uwaug.presets.published_systems`. Where a preset has a range, its middle is
             taken; water is homogeneous.
+        focal_px: focal length, px of the image, for lamps; by default the view is 60° wide.
 
     Raises:
         ImportError: if the package phasecongruency is missing.
@@ -240,7 +241,7 @@ def compare(
         raise ValueError(f"systems: expected at least one, each once, got {names}")
     _phase_congruency()  # before any work
     scene = linear_to_srgb(to_light(image, "srgb")).detach()
-    fullest = _lab(seen_by(load_preset(FULLEST, water=loaded), scene, distance))
+    fullest = _lab(seen_by(load_preset(FULLEST, water=loaded), scene, distance, focal_px))
     structure = _congruency(scene)
     size = (scene.shape[-2], scene.shape[-1])
     # a plate in the middle of the view, which faces the camera
@@ -254,9 +255,9 @@ def compare(
             preset = load_preset(name, water=loaded.name)
         else:
             fixed.append(name)
-        picture = seen_by(preset, scene, distance)
-        focal_px = focal_of(None, size[1])
-        shares = contrast(preset.medium, z, light=preset.light, focal_px=focal_px).flatten()
+        picture = seen_by(preset, scene, distance, focal_px)
+        focal = focal_of(focal_px, size[1])
+        shares = contrast(preset.medium, z, light=preset.light, focal_px=focal).flatten()
         widths = preset.medium.width(z, size).flatten()
         red, green, blue = picture.double().mean((1, 2)).tolist()
         rows.append(
@@ -319,10 +320,12 @@ def _phase_congruency() -> Any:
     return package.phasecongmono
 
 
-def seen_by(preset: Preset, scene: Tensor, distance: Tensor) -> Tensor:
-    """The scene (3xHxW, sRGB, 0…1) as a preset makes it, in a view 60° wide."""
+def seen_by(
+    preset: Preset, scene: Tensor, distance: Tensor, focal_px: float | None = None
+) -> Tensor:
+    """The scene (3xHxW, sRGB, 0…1) as a preset makes it, in a view 60° wide without `focal_px`."""
     options: dict[str, Any] = {"color_space": preset.color_space, "exposure": preset.exposure}
-    options |= {"light": preset.light, "focal_px": focal_of(None, scene.shape[-1])}
+    options |= {"light": preset.light, "focal_px": focal_of(focal_px, scene.shape[-1])}
     with torch.no_grad():
         return Underwater(preset.medium, **options)(scene, distance).clamp(0, 1)
 

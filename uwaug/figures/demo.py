@@ -5,7 +5,6 @@ what it modelled.
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
@@ -115,8 +114,10 @@ class Drawing(NamedTuple):
     modelled: list[str]
 
 
-def draw_contact_sheet(scene: Scene) -> Drawing:
-    """The ten Jerlov types over the scene's own distances."""
+def draw_contact_sheet(scene: Scene, focal_px: float | None = None) -> Drawing:
+    """The ten Jerlov types over the scene's own distances; the view is 60° wide without
+    `focal_px`.
+    """
     waters = [Water.jerlov(name) for name in JERLOV_TYPES]
     low, _, high = ticks_of(scene.distance)
     metres = (
@@ -132,7 +133,7 @@ def draw_contact_sheet(scene: Scene) -> Drawing:
         12 // columns, columns, _shape(scene), "One scene in ten waters", _noted(caption, scene)
     )
     scattering = Scattering.CALIBRATED
-    law = PointSpread.calibrated(focal_of(None, _shape(scene)[1]))
+    law = PointSpread.calibrated(focal_of(focal_px, _shape(scene)[1]))
     media = [
         Medium.from_water(
             water,
@@ -334,9 +335,14 @@ def own_pictures(case: Case | None = None) -> dict[str, Callable[[Scene], Drawin
     The white plate is the same for every scene; the other sheets of the demo need distances that
     are relative, or a focal length.
     """
+    case = water_case(_COAST) if case is None else case
+
+    def draw_own_terms(scene: Scene) -> Drawing:
+        return draw_terms(scene, case._replace(setup=replace(case.setup, focal_px=scene.focal_px)))
+
     return {
-        "1-waters.jpg": draw_contact_sheet,
-        "2-terms.jpg": partial(draw_terms, case=case or water_case(_COAST)),
+        "1-waters.jpg": lambda scene: draw_contact_sheet(scene, scene.focal_px),
+        "2-terms.jpg": draw_own_terms,
     }
 
 
@@ -347,9 +353,9 @@ def _shape(scene: Scene) -> tuple[int, int]:
 def _in_water(
     scene: Scene, setup: Setup, distance: Tensor | None = None, field: Tensor | None = None
 ) -> InWater:
-    """A scene in a medium, in a view 60° wide."""
+    """A scene in a medium, in a view 60° wide if the setup does not say."""
     z = scene.distance if distance is None else distance
-    setup = replace(setup, focal_px=focal_of(None, _shape(scene)[1]))
+    setup = replace(setup, focal_px=focal_of(setup.focal_px, _shape(scene)[1]))
     demand = blur_demand(
         planning_medium(setup.medium, setup.light), extent(z if field is None else z * field)
     )

@@ -49,7 +49,7 @@ def motorcycle() -> Scene:
     return Scene(image, distance, _FOCAL_PX)
 
 
-def own_scene(image: Tensor, distance: Tensor) -> Scene:
+def own_scene(image: Tensor, distance: Tensor, focal_px: float | None = None) -> Scene:
     """A picture with its distances, as large as a sheet shows it and without holes.
 
     The picture is reduced in linear light. Of the distances each keeps one of its own pixels, as a
@@ -59,6 +59,8 @@ def own_scene(image: Tensor, distance: Tensor) -> Scene:
         image (3xHxW tensor): sRGB; uint8, or floating point.
         distance (1xHxW tensor): along the ray, m. NaN, zero and negative are unknown, and filled by
             `uwaug.distance.fill_unknown`; +inf, or beyond 1e7, is open water.
+        focal_px: focal length, px of the picture; that of the scene is as much shorter as it is
+            smaller.
 
     Raises:
         ValueError: if the sizes differ, the picture is more than ten times as long as wide, none of
@@ -76,6 +78,7 @@ def own_scene(image: Tensor, distance: Tensor) -> Scene:
         size = (max(1, round(height * shrink)), max(1, round(width * shrink)))
         light = interpolate(light[None], size, mode="area")[0]
         distance = interpolate(distance[None], size, mode="nearest-exact")[0]
+        focal_px = None if focal_px is None else focal_px * size[1] / width
         notes.append(f"Drawn at {size[1]}×{size[0]} of {width}×{height} px.")
     distance = torch.where(distance > checks.OPEN, torch.inf, distance)
     if not bool(((distance > 0) & distance.isfinite()).any()):
@@ -87,7 +90,7 @@ def own_scene(image: Tensor, distance: Tensor) -> Scene:
         # of many unknown pixels: the note says how many
         warnings.simplefilter("ignore", UserWarning)
         distance = fill_unknown(distance)
-    return Scene(linear_to_srgb(light), distance, None, " ".join(notes))
+    return Scene(linear_to_srgb(light), distance, focal_px, " ".join(notes))
 
 
 def motorcycle_depth() -> tuple[Tensor, Tensor]:
