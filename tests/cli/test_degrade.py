@@ -367,6 +367,7 @@ def test_a_file_that_cannot_be_the_output_is_no_folder(run, out):
         ("colour = 3", "unknown key colour; there are waters"),
         ("unknown = 'fill'", "unknown key unknown"),
         ("waters = ", "is no TOML"),
+        ("waters = " + "[" * 100_000, "o.toml: is no TOML: its brackets or keys nest too deeply"),
         ("waters = '12C'", "12C"),
         ("point_spread = { width = 2 }", "unexpected keyword argument 'width'"),
     ],
@@ -380,6 +381,26 @@ def test_options_that_are_refused(run, text, words):
 
 
 # What fails
+
+
+def test_a_list_may_end_in_capitals(run):
+    Path("list.CSV").write_text("input\ngood.png\n")
+    given = ("list.CSV", "--distance", "3", *WATER, "--out", "out.png")
+    code, _, err = run("degrade", *given)
+    assert (code, "--out out.png: expected the file of one picture" in err) == (2, True)
+
+
+def test_a_name_without_room_for_its_record_fails_alone(run):
+    for name in ("good.png", f"{'L' * 247}.png", f"{'M' * 251}.png"):
+        save(f"all/{name}", pixels())
+    Path("maps").mkdir()
+    save("maps/good.npy", metres())
+    for given in (("--variants", "2"), ("--format", "tiff"), ("--keep-terms",)):
+        code, err = degraded(run, "all", *given, "--force")
+        assert (code, "Traceback" in err, "File name too long" in err) == (1, False, True)
+        assert any(name.startswith("good") for name in content("out"))
+    code, err = degraded(run, "all", "--force", distance="maps")
+    assert (code, "2 of 3 pictures failed" in err) == (1, True)
 
 
 def test_what_fails_is_told_at_the_end(run):

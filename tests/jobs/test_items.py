@@ -128,14 +128,44 @@ def test_a_name_that_no_text_holds_is_a_problem():
     assert "is not UTF-8: rename it" in item.problem
 
 
+@pytest.mark.parametrize("name", ["01", "2024_01", "1_0", "٣", "3"])
+def test_a_folder_called_like_a_number_is_no_metres(name):
+    for number in ("one", "two"):
+        save(f"{name}/{number}/a.npy", metres())
+    if name != "3":
+        assert listed("all", distance=name)[0].distance == Path(name, "one/a.npy")
+        return
+    with pytest.raises(ValueError, match=r"write \./3 for it, or 3\.0 for metres"):
+        listed("all", distance=name)
+    assert listed("all", distance="3.0")[0].distance == 3
+    assert listed("all", distance="./3")[0].distance == Path("3/one/a.npy")
+
+
+@pytest.mark.parametrize("end", ["csv", "CSV", "parquet"])
+def test_manifests_keep_names_to_the_letter(end):
+    save(" a .png", pixels())
+    line = {"input": " a .png", "distance": "01", "output": " b .png"}
+    if end == "parquet":
+        pa = pytest.importorskip("pyarrow")
+        import pyarrow.parquet as pq
+
+        pq.write_table(pa.Table.from_pylist([line]), "list.parquet")
+    else:
+        # a space behind a comma is none of the next name, unless it is quoted
+        Path(f"list.{end}").write_text('input, output, distance\n" a .png"," b .png", 01\n')
+    (item,) = listed(f"list.{end}", distance=None)
+    assert (item.input, item.distance) == (Path(" a .png"), Path("01"))
+    assert item.output == Path("out/ b .png")
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
         ("picture,id\na.png,1\n", "expected a column input, got picture, id"),
         ("", "expected a column input, got none"),
         ("input,id\n,1\n", "line 2 has no input"),
-        ("input,output\na.png,../a.png\n", "output must lie in the folder of the run"),
-        ("input,output\na.png,/a.png\n", "output must lie in the folder of the run"),
+        ("input,output\na.png,../b.png\n", r"output must lie in .* the run, got \.\./b\.png"),
+        ("input,output\na.png,/b.png\n", "output must lie in the folder of the run, got /b.png"),
         ("input,distance\na.png,-2\n", "distance must be"),
         ("input\na\x00.png\n", "list.csv"),
     ],

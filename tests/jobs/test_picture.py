@@ -328,6 +328,29 @@ def test_sidecars_that_are_none():
         Path("r.json").write_text(text)
         with pytest.raises(ValueError, match=r"r\.json: is no record of a picture"):
             Sidecar.read(Path("r.json"))
+    Path("r.json").write_text("[" * 200_000)
+    with pytest.raises(ValueError, match=r"r\.json: is no record of a picture: .* nest too deep"):
+        Sidecar.read(Path("r.json"))
+
+
+@pytest.mark.parametrize("output", ["../../escaped.png", "/escaped.png", "..", "", 3])
+def test_a_sidecar_does_not_say_where_to_write(output):
+    made()
+    path = Path("out/a.png.json")
+    path.write_text(json.dumps({**json.loads(path.read_text()), "output": output}))
+    with pytest.raises(ValueError, match=r"a\.png\.json: output must be a name without folders"):
+        Sidecar.read(path)
+
+
+def test_an_index_gives_names_back_to_the_letter():
+    save(" b .png", pixels())
+    item = item_of(" b .png", output=" c .png")
+    result = Degrader(Recipe(water="3C"))(item)
+    with index_of(Path("out")) as index:
+        index.add(result)
+    (again,) = Items([Path("out/index.csv")], None, Path("again"))
+    assert (again.id, again.output) == (" b .png", Path("again/ c .png"))
+    assert again.input.resolve() == Path(" b .png").resolve()
 
 
 # What is kept, and what is written over

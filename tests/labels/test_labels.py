@@ -155,6 +155,9 @@ def without(name: str) -> dict[str, Any]:
     [
         ({"images": {}}, "expected COCO's format, with a list of 'images'"),
         ({"annotations": [without("id")]}, r"the id None of annotations\[0\] is missing"),
+        ({"images": [{"id": [1]}]}, r"the id \[1\] of images\[0\] must be a whole number or a name"),
+        ({"annotations": [ANNOTATIONS[0] | {"id": 1.5}]}, r"the id 1\.5 .* must be a whole number"),
+        ({"annotations": [ANNOTATIONS[0] | {"image_id": [1]}]}, r"annotation 7: image_id \[1\], wh"),
         ({"annotations": [ANNOTATIONS[0]] * 2}, r"the id 7 of annotations\[1\] is used twice"),
         ({"annotations": [{"id": 1, "image_id": 9}]}, "annotation 1: image_id 9, which no image"),
         ({"images": [{"id": 1}]}, r"image_id 2|image 1: expected a file_name, got None"),
@@ -179,6 +182,12 @@ def test_bad_coco_files(changes: dict[str, Any], message: str, tmp_path: Path) -
     with pytest.raises(ValueError, match=message) as refused:
         judged(open_labels(path), "reef/a.jpg", "a.png")
     assert str(path) in str(refused.value)
+
+
+def test_a_file_that_nests_without_end(tmp_path: Path) -> None:
+    (tmp_path / "deep.json").write_text("[" * 100_000)
+    with pytest.raises(ValueError, match=r"deep\.json: expected JSON: .* nest too deeply"):
+        open_labels(tmp_path / "deep.json")
 
 
 def test_records_of_other_labels_are_refused(tmp_path: Path) -> None:

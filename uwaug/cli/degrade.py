@@ -1,7 +1,6 @@
 """`uwaug degrade`: its flags, and the recipe and the pictures that they come to."""
 
 import inspect
-import tomllib
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -344,14 +343,15 @@ def _options(
     neither names.
     """
     from uwaug import RandomUnderwater
+    from uwaug._support.parse import from_toml
     from uwaug.transforms.codec import encode_options
     from uwaug.transforms.random_underwater import SEVERITIES, hazy_options
 
     options: dict[str, Any] = {}
     if path is not None:
         try:
-            options = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            options = from_toml(path.read_text(encoding="utf-8"))
+        except ValueError as error:
             raise ValueError(f"{path}: is no TOML: {error}") from None
         names = [n for n in inspect.signature(RandomUnderwater).parameters if n not in _NOT_OPTIONS]
         for name in options:
@@ -374,13 +374,13 @@ def _items(
     unmapped: bool,
 ) -> "Items":
     from uwaug.io.write import FORMATS, format_of
-    from uwaug.jobs.items import MANIFESTS, Items
+    from uwaug.jobs.items import Items, is_manifest
 
     ending = None
     if output_format is not None:
         ending = f".{output_format.lower().removeprefix('.')}"
         format_of(f"picture{ending}")
-    alone = len(inputs) == 1 and not inputs[0].is_dir() and inputs[0].suffix not in MANIFESTS
+    alone = len(inputs) == 1 and not inputs[0].is_dir() and not is_manifest(inputs[0])
     if alone and variants == 1 and out.suffix.lower() in FORMATS and not out.is_dir():
         return Items(inputs, distance, out.parent, unmapped=unmapped, name=out.name)
     return Items(inputs, distance, out, variants=variants, ending=ending, unmapped=unmapped)

@@ -7,6 +7,7 @@ distance may be a number of metres.
 
 import csv
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -23,6 +24,14 @@ MANIFESTS = (".csv", ".parquet")
 """Ends of their names."""
 
 _COLUMNS = ("input", "id", "distance", "output")
+
+_INDEX_BEGINS = "id,variant,input,distance,output,"
+"""The header of an index."""
+
+_NUMBER = re.compile(
+    r"[+-]?((0|[1-9][0-9]*)(\.[0-9]*)?|\.[0-9]+)(e[+-]?[0-9]+)?|[+-]?(nan|inf)", re.IGNORECASE
+)
+"""As people write metres: `float` would take folders called 01 or 2024_01 for numbers too."""
 
 _MAPS = (".npy", ".npz", ".png", ".tif", ".tiff", ".exr", ".pfm")
 """Ends of the names of distance files, in a folder of them."""
@@ -150,7 +159,7 @@ class Items:
             for path in self._inside(source):
                 name = path.relative_to(source).as_posix()
                 yield self._picture(name, path, name, name, None)
-        elif source.suffix.lower() in MANIFESTS:
+        elif is_manifest(source):
             for line in _read_manifest(source):
                 path = Path(str(line["input"]))
                 # what lies elsewhere keeps its name alone
@@ -162,7 +171,7 @@ class Items:
                     raise ValueError(f"{source}: output must lie in the folder of the run, {got}")
                 where: Any = line["distance"]
                 if where is not None:
-                    metres = metres_in(where)
+                    metres = metres_in(where, source.parent)
                     where = str(source.parent / where) if metres is None else metres
                 id = line["id"] or path.as_posix()
                 yield self._picture(id, source.parent / path, name, place.as_posix(), where)
@@ -239,7 +248,7 @@ class Items:
         matches = []
         for suffix in _MAPS:
             candidate = base.with_name(base.name + suffix)
-            if candidate.is_file():
+            if os.path.isfile(candidate):  # a name may be too long to be one
                 matches.append(str(candidate))
         if len(matches) == 1:
             return matches[0], None
@@ -247,16 +256,32 @@ class Items:
         return None, f"{path}: expected one of {base}{{{','.join(_MAPS)}}}, found {names}"
 
 
-def metres_in(distance: str) -> float | None:
-    """The metres that a text says; None if it is something else.
+def is_manifest(path: Path) -> bool:
+    """Whether a file is a list of pictures, by the end of its name."""
+    return path.suffix.lower() in MANIFESTS
+
+
+def is_index(path: Path) -> bool:
+    """Whether a file is the index of a run."""
+    if not os.path.isfile(path):
+        return False
+    with path.open(encoding="utf-8", errors="replace", newline="") as file:
+        return file.read(len(_INDEX_BEGINS)) == _INDEX_BEGINS
+
+
+def metres_in(distance: str, folder: Path = Path()) -> float | None:
+    """The metres that a text says; None if it is something else, such as a path from `folder`.
 
     Raises:
-        ValueError: if they are not finite and > 0.
+        ValueError: if they are not finite and > 0; or if something in the folder is called so.
     """
-    try:
-        metres = float(distance)
-    except ValueError:
+    if not _NUMBER.fullmatch(distance.strip()):
         return None
+    if (folder / distance).exists():
+        metres = f"{distance}0" if "." in distance else f"{distance}.0"
+        got = f"{distance} is a number of metres, and something in {folder} is called so"
+        raise ValueError(f"distance: {got}: write ./{distance} for it, or {metres} for metres")
+    metres = float(distance)
     checks.positive("distance", metres, "m")
     return metres
 
@@ -371,10 +396,11 @@ def _read_manifest(path: Path) -> Iterator[dict[str, str | None]]:
     for place, line in lines:
         values = {}
         for name in _COLUMNS:
-            text = "" if line.get(name) is None else str(line[name]).strip()
+            # names to the letter: one may begin or end with a space
+            text = "" if line.get(name) is None else str(line[name])
             if "\0" in text:
                 raise ValueError(f"{path}: {place} is no text")
-            values[name] = text or None
+            values[name] = text if text.strip() else None
         if values["input"] is None:
             raise ValueError(f"{path}: {place} has no input")
         yield values
@@ -388,7 +414,8 @@ def _require_input(path: Path, columns: Sequence[str]) -> None:
 def _csv(path: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
     # some spreadsheets begin a file with a mark
     with path.open(encoding="utf-8-sig", newline="") as file:
-        reader = csv.DictReader(file, skipinitialspace=True)
+        # people write a space behind a comma; an index has only those of names
+        reader = csv.DictReader(file, skipinitialspace=not is_index(path))
         try:
             _require_input(path, reader.fieldnames or [])
             for line in reader:

@@ -21,7 +21,9 @@ from typing import Any
 
 from PIL import Image
 
+from uwaug._support import checks
 from uwaug._support.extras import require
+from uwaug._support.parse import from_json
 from uwaug.io.read import name_of, opened
 from uwaug.io.write import FORMATS
 from uwaug.jobs.items import Item, Items, labelled, metres_in
@@ -360,7 +362,10 @@ def _file_of(value: Any, name: str) -> Any:
         return file
     if value is None or value == "":
         return None
-    metres = metres_in(str(value))
+    if isinstance(value, (int, float)):
+        checks.positive("distance", value, "m")
+        return float(value)
+    metres = metres_in(value)
     return Path(value) if metres is None else metres
 
 
@@ -555,7 +560,7 @@ class Shards:
         """The recipe of the run that has written here; None if there was none."""
         try:
             with self._files.open_input_stream(f"{self._run}/recipe.json") as file:
-                return json.loads(file.read())
+                return from_json(file.read().decode())
         except (FileNotFoundError, ValueError):
             return None
 

@@ -15,6 +15,7 @@ import torch
 
 from uwaug._support.atomic import require_regular, written_whole
 from uwaug._support.hashing import FileHash
+from uwaug._support.parse import from_json
 from uwaug.transforms.codec import encode_options
 from uwaug.transforms.random_underwater import UNDEVELOPED, hazy_options
 
@@ -85,7 +86,7 @@ class Sidecar:
         """
         require_regular(path)
         try:
-            values = json.loads(path.read_text(encoding="utf-8"))
+            values = from_json(path.read_text(encoding="utf-8"))
         except ValueError as error:
             raise ValueError(f"{path}: is no record of a picture: {error}") from None
         names = {field.name for field in fields(Sidecar)}
@@ -103,6 +104,13 @@ class Sidecar:
                     attributes[name] = FileHash(**attributes[name])
         except TypeError:
             raise ValueError(f"{path}: is no record of a picture that uwaug has written") from None
+        if not isinstance(attributes["recipe"], Mapping):
+            raise ValueError(f"{path}: is no record of a picture that uwaug has written")
+        output = attributes["output"]
+        is_name = isinstance(output, str) and Path(output).name == output not in ("", "..")
+        if not is_name:
+            # records are handed on: none may say where on this machine is written
+            raise ValueError(f"{path}: output must be a name without folders, got {output!r}")
         return Sidecar(**attributes)
 
 

@@ -1,7 +1,6 @@
 """Labels as COCO has them: one JSON file for many pictures."""
 
 import hashlib
-import json
 import os
 from collections import Counter
 from collections.abc import Iterable, Mapping
@@ -13,6 +12,7 @@ import numpy as np
 
 from uwaug._support.atomic import require_regular
 from uwaug._support.hashing import FileHash
+from uwaug._support.parse import from_json
 from uwaug.labels.regions import Region, Size, box_region, polygon_region, runs_region
 from uwaug.labels.source import (
     Labels,
@@ -57,16 +57,17 @@ class CocoLabels:
         require_regular(path)
         data = Path(path).read_bytes()
         try:
-            content = json.loads(data.decode("utf-8-sig"))
+            content = from_json(data.decode("utf-8-sig"))
         except ValueError as error:
             raise ValueError(f"{path}: expected JSON: {error}") from None
         images, annotations = (_listed(content, name, path) for name in ("images", "annotations"))
         by_image: dict[Any, list[Entry]] = {entry["id"]: [] for entry in images}
         for entry in annotations:
-            if entry.get("image_id") not in by_image:
-                got = f"image_id {entry.get('image_id')!r}, which no image has"
+            image_id = entry.get("image_id")
+            if not isinstance(image_id, (int, str)) or image_id not in by_image:
+                got = f"image_id {image_id!r:.80}, which no image has"
                 raise ValueError(f"{path}, annotation {entry['id']}: {got}")
-            by_image[entry["image_id"]].append(entry)
+            by_image[image_id].append(entry)
         by_name: dict[str, Entry] = {}
         stems: dict[str, list[str]] = {}
         for entry in images:
@@ -212,9 +213,12 @@ def _listed(content: Any, name: str, path: Any) -> list[Entry]:
     seen = set()
     for number, entry in enumerate(entries):
         key = entry.get("id")
-        if not isinstance(key, (int, str)) or key in seen:
-            wrong = "is used twice" if key in seen else "is missing"
-            raise ValueError(f"{path}: the id {key!r} of {name}[{number}] {wrong}")
+        if not isinstance(key, (int, str)):
+            wrong = "is missing" if key is None else "must be a whole number or a name"
+        else:
+            wrong = "is used twice" if key in seen else ""
+        if wrong:
+            raise ValueError(f"{path}: the id {key!r:.80} of {name}[{number}] {wrong}")
         seen.add(key)
     return entries
 

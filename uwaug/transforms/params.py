@@ -1,6 +1,5 @@
 """What is random about a picture's water: from what it is drawn, and the records of what was."""
 
-import json
 import math
 from bisect import bisect
 from collections.abc import Iterable, Mapping
@@ -13,6 +12,7 @@ import torch
 
 from uwaug._support import checks
 from uwaug._support.checks import DOMAIN
+from uwaug._support.parse import from_json
 from uwaug.distance.sample import DistanceKind
 from uwaug.formation.development import Development
 from uwaug.formation.loops.backend import RecordedEngine
@@ -312,8 +312,8 @@ def collate_records(records: Iterable[Mapping[str, Any] | str]) -> Record:
         parsed: Any = record
         if isinstance(record, str):
             try:
-                parsed = json.loads(record)
-            except json.JSONDecodeError:
+                parsed = from_json(record)
+            except ValueError:
                 parsed = None
         of_record = parsed.get("samples") if isinstance(parsed, Mapping) else None
         if not isinstance(of_record, list):
