@@ -16,6 +16,7 @@ from filing import H, W, content, metres, pixels, save, save_pair
 from PIL import Image
 
 import uwaug
+from uwaug._support.atomic import held
 from uwaug.formation.scene import Scene
 from uwaug.io import read_picture
 from uwaug.jobs import Sidecar
@@ -429,6 +430,20 @@ def test_files_at_fault(run, folder, make, path, words):
     code, _, err = run("degrade", *given, "--out", "out")
     assert (code, words in err, path in err) == (1, True, True)
     assert not Path("out").exists() or set(content("out")) == {"index.csv"}
+
+
+def test_two_runs_at_once_into_one_folder(run):
+    """An index and a file of labels would keep the pictures of one of them."""
+    save("all/a.png", pixels())
+    Path("out").mkdir()
+    with held(Path("out")):
+        code, err = degraded(run, "all")
+        assert (code, "out: another run writes to this folder: wait" in err) == (1, True)
+        assert content("out") == {}
+    assert degraded(run, "all")[0] == 0
+    with held(Path("out"), shared=True):
+        arguments = ("degrade", "good.png", "--distance", "3", *WATER, "--out", "out/b.png")
+        assert run(*arguments)[0] == 0
 
 
 def test_what_is_there_stays(run):

@@ -4,6 +4,7 @@ import csv
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 from filing import content, metres, pixels, save
 
@@ -112,6 +113,49 @@ def test_maps_links_and_results_are_no_pictures():
     assert len(listed("beside", distance=distance, out="beside/wet2")) == 1
     os.remove("beside/wet/a.png.json")
     assert len(listed("beside", distance=distance, out="beside/wet2")) == 2
+
+
+def test_the_folder_of_a_run_holds_no_pictures():
+    """Nor does one inside: its sheets, terms and masks have no records."""
+    save("all/wet/sheet.jpg", pixels())
+    save("all/wet/labels/a.png", pixels())
+    Path("all/wet/index.csv").write_text("id,variant,input,distance,output,water\n")
+    assert [item.id for item in listed("all")] == ["one/a.png", "two/a.png"]
+    with pytest.raises(ValueError, match=r"all/wet holds what a run has written: .* index\.csv"):
+        listed("all/wet")
+    Path("all/wet/index.csv").write_text("input\n")
+    assert len(listed("all")) == 4
+
+
+def test_terms_are_no_pictures():
+    written(listed("all/one/a.png", out="wet")[0], Recipe(water="3C", keep_terms=True))
+    assert len(list(Path("wet").glob("*.png"))) == 4
+    save("wet/b_direct.png", pixels())
+    assert [item.id for item in listed("wet")] == ["b_direct.png"]
+
+
+def test_masks_are_no_pictures():
+    for name in ("a", "b"):
+        save(f"all/masks/{name}.png", np.ones((4, 4), np.uint8))
+    save("all/masks/c.jpg", pixels())
+    items = listed("all", labels="all/masks")
+    assert [item.id for item in items] == ["masks/c.jpg", "one/a.png", "two/a.png"]
+    # YOLO's may lie beside their pictures
+    Path("all/one/a.txt").touch()
+    assert len(listed("all/one", labels="all/one")) == 1
+
+
+@pytest.mark.parametrize("pattern", ["all/maps/{stem}.png", "all/maps/{name}.png"])
+def test_maps_of_a_pattern_are_no_pictures(pattern, monkeypatch):
+    save("all/maps/one/a.png", metres().astype(np.uint16))
+    save("all/maps/a.png", metres().astype(np.uint16))
+    names = {item.id for item in listed("all", distance=pattern)}
+    assert names == {"one/a.png", "two/a.png"} | (
+        {"maps/one/a.png"} if "stem" in pattern else set()
+    )
+    monkeypatch.chdir("all")
+    names = {item.id for item in listed(".", distance="maps/{name}.png")}
+    assert names == {"one/a.png", "two/a.png"}
 
 
 def test_a_folder_is_walked_once(monkeypatch):
@@ -226,6 +270,27 @@ def test_pictures_that_get_in_each_others_way():
     checked("terms")
 
 
+def test_pictures_that_would_share_a_file_of_labels():
+    save("alike/a.jpg", pixels())
+    save("alike/a.png", pixels())
+    checked("alike")
+    Path("marks").mkdir()
+    recipe = Recipe(water="3C", labels="marks")
+    with pytest.raises(ValueError, match=r"a\.jpg and alike/a\.png have one output, .*/a\.txt"):
+        checked("alike", recipe=recipe, force=True)
+    save("beside/f.png", pixels())
+    save("beside/f.left.png", pixels())
+    checked("beside", recipe=recipe)
+
+
+def test_a_picture_in_place_of_a_mask():
+    Path("marks").mkdir()
+    Path("list.csv").write_text("input,output\nall/one/a.png,1.png\nall/two/a.png,labels/1.png\n")
+    with pytest.raises(ValueError, match=r"have one output, .*/labels/1\.png"):
+        checked("list.csv", recipe=Recipe(water="3C", labels="marks"), force=True)
+    checked("list.csv")
+
+
 def test_two_pictures_do_not_get_one_map_by_their_names(folder):
     lines = "".join(f"{folder}/all/{name}/a.png,{name}.png\n" for name in ("one", "two"))
     Path("list.csv").write_text("input,output\n" + lines)
@@ -256,6 +321,34 @@ def test_what_is_there_stays_unless_forced():
     checked("all/one/a.png", resume=True)
     with pytest.raises(ValueError, match=r"was made with other options \(water\)"):
         checked("all/one/a.png", resume=True, recipe=Recipe(water="7C"))
+
+
+def test_a_link_that_points_nowhere_stays():
+    Path("out").mkdir()
+    Path("out/a.png").symlink_to("../outside.png")
+    with pytest.raises(FileExistsError, match=r"out/a\.png exists"):
+        checked("all/one/a.png")
+    with pytest.raises(FileExistsError, match=r"out/a\.png exists"):
+        written(listed("all/one/a.png")[0])
+    assert not Path("outside.png").exists()
+
+
+def test_a_camera_that_has_changed_is_another_recipe():
+    """Of a preset, which names it: pictures of two cameras would be one set."""
+    preset = Path(__file__).parents[2] / "configs/survey.toml"
+    lines = preset.read_text().splitlines()
+    own = ['camera = "cam.csv"' if line.startswith("camera") else line for line in lines]
+    assert own != lines
+    Path("mine.toml").write_text("\n".join(own))
+    rows = [f"{nm},{nm - 390},{abs(nm - 540) + 1},{710 - nm}" for nm in range(400, 701, 10)]
+    Path("cam.csv").write_text("\n".join(["wavelength,red,green,blue", *rows]))
+    recipe = Recipe(preset="mine.toml").resolved()
+    written(listed("all/one/a.png")[0], recipe)
+    checked("all/one/a.png", resume=True, recipe=Recipe(preset="mine.toml").resolved())
+    Path("cam.csv").write_text("\n".join(["wavelength,red,green,blue", *rows, ""]))
+    changed = Recipe(preset="mine.toml").resolved()
+    with pytest.raises(ValueError, match=r"cam\.csv has changed since out/a\.png was made of it"):
+        checked("all/one/a.png", resume=True, recipe=changed)
 
 
 def test_a_file_of_labels_of_somebody_else_stays():

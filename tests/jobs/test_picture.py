@@ -21,6 +21,7 @@ import uwaug
 import uwaug._support.tiles
 from uwaug import fused
 from uwaug.distance.convert import along_ray, from_disparity, from_inverse, from_relative
+from uwaug.formation.loops import backend
 from uwaug.io import DistanceFormat, read_picture, read_picture_file
 from uwaug.jobs import Degrader, Item, Items, Recipe, Sidecar, labelled, replay
 from uwaug.jobs.index import index_of
@@ -377,7 +378,100 @@ def test_resume_sees_other_content_of_the_same_size(changed):
     recipe = Recipe(water="3C", labels="marks").resolved()
     (item,) = labelled([item_of()], recipe.open_labels())
     result = Degrader(recipe, resume=True)(item)
-    assert (result.status, result.reason) == ("failed", "out/a.png exists")
+    what = {"a.png": "picture", "z.npy": "distance"}.get(changed, "label file")
+    reason = f"out/a.png exists, but was made of another {what}: remove it to make it anew"
+    assert (result.status, result.reason) == ("failed", reason)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda: Path("out/a.png").write_bytes(bytes(Path("out/a.png").stat().st_size)), "bytes"),
+        (lambda: Path("out/labels/a.png").unlink(), "out/labels/a.png is gone"),
+        (lambda: Path("out/labels/a.contrast.json").unlink(), "a.contrast.json is gone"),
+        (lambda: Path("out/a_direct.png").unlink(), "out/a_direct.png is gone"),
+        (lambda: Path("marks/a.png").unlink(), "was made of another label file"),
+    ],
+)
+def test_resume_keeps_only_what_is_whole(change, why):
+    for name in ("a", "b"):
+        save(f"marks/{name}.png", np.ones((H, W), np.uint8))
+    recipe = {"labels": "marks", "keep_terms": True}
+    first = made(**recipe)
+    before = content("out")
+    opened = Recipe(water="3C", **recipe).resolved()
+
+    def again(**how) -> Any:
+        (item,) = labelled([item_of()], opened.open_labels())
+        return Degrader(opened, resume=True, **how)(item)
+
+    assert again().sidecar == first
+    change()
+    result = again()
+    assert result.status == "failed"
+    assert result.reason.startswith("out/a.png exists, but ")
+    assert why in result.reason
+    assert again(force=True).status == "done"
+    if "label" not in why:
+        assert content("out") == before
+
+
+def test_resume_sees_labels_that_have_come():
+    Path("marks").mkdir()
+    save("marks/b.png", np.ones((H, W), np.uint8))
+    made(labels="marks")
+    save("marks/a.png", np.ones((H, W), np.uint8))
+    recipe = Recipe(water="3C", labels="marks").resolved()
+    (item,) = labelled([item_of()], recipe.open_labels())
+    assert "was made of another label file" in Degrader(recipe, resume=True)(item).reason
+
+
+def test_resume_says_what_other_versions_have_made():
+    first = made()
+    replace(first, torch="1.0").write(Path("out/a.png.json"))
+    kept = Degrader(Recipe(water="3C").resolved(), resume=True)(item_of())
+    assert kept.status == "kept"
+    said = "made by uwaug 0.1.0 and torch 1.0: not by those of this run"
+    assert kept.sidecar.notes == [said]
+
+
+def test_a_picture_that_was_left_as_it_is_has_no_terms():
+    save("z.npy", metres() * 0)
+    recipe = Recipe(water="3C", keep_terms=True, distance=DistanceFormat(unknown="skip"))
+    for resume, status in ((False, "done"), (True, "kept")):
+        assert Degrader(recipe, resume=resume)(item_of()).status == status
+
+
+def test_force_leaves_the_labels_of_a_longer_name():
+    """Of f.left.png when it comes to f.png."""
+    for name in ("f.left", "f"):
+        save(f"{name}.png", pixels())
+        Path("marks").mkdir(exist_ok=True)
+        Path(f"marks/{name}.txt").write_text("0 .5 .5 .4 .4\n")
+    for force in (False, True, True):
+        for name in ("f.left.png", "f.png"):
+            made(item_of(name), labels="marks", force=force)
+    names = {"f.txt", "f.left.txt", "f.contrast.json", "f.left.contrast.json"}
+    assert set(content("out/labels")) == names
+
+
+def test_a_record_names_what_made_its_picture_where_the_loops_do_not_load(monkeypatch):
+    first = made() if fused.path() == "fused" else None
+
+    def broken(name: str) -> None:
+        raise RuntimeError("a cache of half a file")
+
+    monkeypatch.setattr(backend, "_numba", True)
+    monkeypatch.setattr(backend, "_switched", None)
+    monkeypatch.setattr(backend, "_ready", set())
+    monkeypatch.setattr(backend, "_run_once", broken)
+    monkeypatch.delenv(backend.VARIABLE, raising=False)
+    save("b.png", pixels())
+    sidecar = made(item_of("b.png"))
+    assert sidecar.drawn["samples"][0]["path"] == "eager"
+    if first is not None:
+        again = Degrader(Recipe(water="3C")).write(item_of(output="again.png"), first.drawn)
+        assert again.drawn["samples"][0]["path"] == "eager"
 
 
 def test_nothing_of_the_users_is_written_over():

@@ -155,9 +155,15 @@ def without(name: str) -> dict[str, Any]:
     [
         ({"images": {}}, "expected COCO's format, with a list of 'images'"),
         ({"annotations": [without("id")]}, r"the id None of annotations\[0\] is missing"),
-        ({"images": [{"id": [1]}]}, r"the id \[1\] of images\[0\] must be a whole number or a name"),
+        (
+            {"images": [{"id": [1]}]},
+            r"the id \[1\] of images\[0\] must be a whole number or a name",
+        ),
         ({"annotations": [ANNOTATIONS[0] | {"id": 1.5}]}, r"the id 1\.5 .* must be a whole number"),
-        ({"annotations": [ANNOTATIONS[0] | {"image_id": [1]}]}, r"annotation 7: image_id \[1\], wh"),
+        (
+            {"annotations": [ANNOTATIONS[0] | {"image_id": [1]}]},
+            r"annotation 7: image_id \[1\], wh",
+        ),
         ({"annotations": [ANNOTATIONS[0]] * 2}, r"the id 7 of annotations\[1\] is used twice"),
         ({"annotations": [{"id": 1, "image_id": 9}]}, "annotation 1: image_id 9, which no image"),
         ({"images": [{"id": 1}]}, r"image_id 2|image 1: expected a file_name, got None"),

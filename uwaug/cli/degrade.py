@@ -316,7 +316,7 @@ def degrade(
         ).resolved()
         from_files = None if planes is not None else distance
         unmapped = planes is not None or depth_network is not None
-        items = _items(inputs, place, from_files, variants, output_format, unmapped)
+        items = _items(inputs, place, from_files, variants, output_format, unmapped, labels)
         if shards is None and items.name is None and out and out.suffix and not out.is_dir():
             expected = f"the file of one picture, which ends in {', '.join(FORMATS)}, or a folder"
             cure = "make the folder first if it is to be called so"
@@ -372,6 +372,7 @@ def _items(
     variants: int,
     output_format: str | None,
     unmapped: bool,
+    labels: Path | None,
 ) -> "Items":
     from uwaug.io.write import FORMATS, format_of
     from uwaug.jobs.items import Items, is_manifest
@@ -383,4 +384,6 @@ def _items(
     alone = len(inputs) == 1 and not inputs[0].is_dir() and not is_manifest(inputs[0])
     if alone and variants == 1 and out.suffix.lower() in FORMATS and not out.is_dir():
         return Items(inputs, distance, out.parent, unmapped=unmapped, name=out.name)
-    return Items(inputs, distance, out, variants=variants, ending=ending, unmapped=unmapped)
+    return Items(
+        inputs, distance, out, variants=variants, ending=ending, unmapped=unmapped, labels=labels
+    )

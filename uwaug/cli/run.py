@@ -5,7 +5,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
@@ -15,7 +15,7 @@ from typing import Any
 import typer
 from rich.console import Console
 
-from uwaug._support.atomic import remove_left
+from uwaug._support.atomic import held, remove_left
 from uwaug._support.hashing import FileHash
 from uwaug.cli.console import counted, fail, in_flags, refuse, reported_errors
 from uwaug.figures.run_sheet import SHOWN, draw_sheet
@@ -105,11 +105,18 @@ class Run:
 
     def carry_out(self) -> None:
         """Degrade all pictures; write an index if they go to a folder; end with 1 if any failed."""
+        with ExitStack() as stack:
+            with reported_errors():
+                self.items.out.mkdir(parents=True, exist_ok=True)
+                # single pictures have no index, and do not get in each other's way
+                stack.enter_context(held(self.items.out, shared=self.items.name is not None))
+            self._carry_out()
+
+    def _carry_out(self) -> None:
         start, out = time.perf_counter(), self.items.out
         summary = _Summary(len(self.items))
         problems = []
         try:
-            out.mkdir(parents=True, exist_ok=True)
             if self.resume:
                 # what a killed run was writing
                 for folder, _, _ in os.walk(out):

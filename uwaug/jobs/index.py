@@ -9,7 +9,7 @@ from typing import Any
 
 from uwaug._support.atomic import require_regular, written_whole
 from uwaug.io.read import name_of
-from uwaug.jobs.items import Items
+from uwaug.jobs.items import Items, is_index
 from uwaug.jobs.picture import Result
 from uwaug.jobs.recipe import Recipe
 from uwaug.jobs.sidecar import sidecar_of
@@ -36,7 +36,8 @@ class Index:
 
     def __init__(self, out: Path, file: Any) -> None:
         self._out = out
-        self._writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        # an earlier version's index may have other columns
+        self._writer = csv.DictWriter(file, COLUMNS, extrasaction="ignore", lineterminator="\n")
         self._writer.writeheader()
         self._outputs: set[str] = set()
 
@@ -92,9 +93,8 @@ def index_of(out: Path) -> Iterator[Index]:
     path = out / "index.csv"
     if path.exists():
         require_regular(path)
-        with path.open(encoding="utf-8", errors="replace", newline="") as file:
-            if file.readline().rstrip("\r\n") != ",".join(COLUMNS):
-                raise ValueError(f"{path} is no index of uwaug: choose another folder, or move it")
+        if not is_index(path):
+            raise ValueError(f"{path} is no index of uwaug: choose another folder, or move it")
     with (
         written_whole(path) as part,
         part.open("w", encoding="utf-8", errors="backslashreplace", newline="") as file,
@@ -116,7 +116,7 @@ def write_labels(items: Items, recipe: Recipe, source: LabelSource) -> None:
         sidecar = sidecar_of(output)
         if sidecar is None or sidecar.labels is None:
             continue
-        if sidecar.recipe["labels"] == recipe.labels:
+        if sidecar.recipe.get("labels") == recipe.labels:
             records.append(sidecar.labels)
     if records:
         source.write_run(records, items.out)

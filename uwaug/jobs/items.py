@@ -18,7 +18,7 @@ from uwaug._support.extras import require
 from uwaug.io.write import FORMATS
 from uwaug.jobs.recipe import Recipe
 from uwaug.jobs.sidecar import TERMS, sidecar_of, terms_path
-from uwaug.labels import Labels, LabelSource
+from uwaug.labels import Labels, LabelSource, label_paths
 
 MANIFESTS = (".csv", ".parquet")
 """Ends of their names."""
@@ -107,9 +107,11 @@ class Items:
         unmapped: whether pictures need no maps: a depth network guesses them, or each picture is
             put on a plane whose distance is drawn.
         name: of the one file to write, in place of the picture's own.
+        labels: of the run; masks in a folder of them are no pictures.
 
     Raises:
-        ValueError: if nothing says where the distances are, or a manifest is none.
+        ValueError: if nothing says where the distances are, a manifest is none, or a folder is
+            that of a run.
         OSError: if an input does not exist.
     """
 
@@ -123,8 +125,9 @@ class Items:
         ending: str | None = None,
         unmapped: bool = False,
         name: str | None = None,
+        labels: str | os.PathLike[str] | None = None,
     ) -> None:
-        self.inputs, self.distance, self.out = inputs, distance, out
+        self.inputs, self.distance, self.out, self.labels = inputs, distance, out, labels
         self.variants, self.ending, self.unmapped, self.name = variants, ending, unmapped, name
         self._pictures = [picture for path in inputs for picture in self._expanded(path)]
 
@@ -156,6 +159,9 @@ class Items:
     def _expanded(self, source: Path) -> Iterator[_Picture]:
         """The pictures of an input."""
         if source.is_dir():
+            if is_index(source / "index.csv"):
+                cure = "give its index.csv to degrade its pictures, or another folder"
+                raise ValueError(f"{source} holds what a run has written: {cure}")
             for path in self._inside(source):
                 name = path.relative_to(source).as_posix()
                 yield self._picture(name, path, name, name, None)
@@ -194,35 +200,46 @@ class Items:
         return _Picture(id, str(path), name, place, distance, problem)
 
     def _inside(self, folder: Path) -> Iterator[Path]:
-        """The pictures in a folder and in those inside it, but for maps of distances and for what a
-        run has written. Links to folders are not followed, as they may lead back.
+        """The pictures in a folder and in those inside it, but for maps of distances, masks, and
+        what a run has written. Links to folders are not followed, as they may lead back.
         """
         others = {os.path.realpath(self.out)}
         if self.distance is not None and os.path.isdir(self.distance):
             others.add(os.path.realpath(self.distance))
+        masks, map_pattern = self._masks(), self._map_pattern()
         for here, folders, files in os.walk(folder):
-            kept = []
-            for name in sorted(folders):
-                if os.path.realpath(os.path.join(here, name)) not in others:
-                    kept.append(name)
-            folders[:] = kept
+            place = os.path.realpath(here)
+            if here != str(folder) and (place in others or is_index(Path(here, "index.csv"))):
+                folders.clear()
+                continue
+            folders.sort()
+            in_masks = masks is not None and Path(place).is_relative_to(masks)
             there = set(files)
             for name in sorted(files):
                 suffix = os.path.splitext(name)[1].lower()
                 if suffix not in FORMATS or suffix == ".npy" or is_part(name):
                     continue
+                is_mask = in_masks and suffix == ".png"
+                is_map = map_pattern is not None and map_pattern.search(f"{place}{os.sep}{name}")
                 path = Path(here, name)
-                written = f"{name}.json" in there and sidecar_of(path) is not None
-                if not (self._is_map(name) or written):
+                if not (is_mask or is_map or _is_written(path, there)):
                     yield path
 
-    def _is_map(self, name: str) -> bool:
-        """Whether a file beside the pictures is one of the maps that a pattern asks for."""
-        pattern = self.distance
-        if pattern is None or "{stem}" not in pattern or Path(pattern).parent != Path():
-            return False
-        before, _, after = pattern.partition("{stem}")
-        return name.startswith(before) and name.endswith(after) and name != before + after
+    def _masks(self) -> Path | None:
+        """The folder of masks, where labels are a folder, and not of YOLO's files."""
+        if self.labels is None or not os.path.isdir(self.labels):
+            return None
+        folder = Path(os.path.realpath(self.labels))
+        return None if any(folder.rglob("*.txt")) else folder
+
+    def _map_pattern(self) -> re.Pattern[str] | None:
+        """What ends the paths of the maps that a pattern asks for; None if there is no pattern."""
+        if self.distance is None or "{" not in self.distance:
+            return None
+        beside = _is_beside(self.distance)
+        path = f"{os.sep}{self.distance}" if beside else os.path.realpath(self.distance)
+        escaped = re.escape(path).replace(r"\{stem\}", f"[^{re.escape(os.sep)}]+")
+        return re.compile(escaped.replace(r"\{name\}", ".+") + "$")
 
     def _distance_of(self, path: Path, name: Path) -> tuple[str | float | None, str | None]:
         """The distances of a picture, and what is wrong with them."""
@@ -239,8 +256,7 @@ class Items:
             except (KeyError, IndexError, ValueError):
                 got = f"got {self.distance!r}"
                 raise ValueError(f"distance: expected {{stem}} or {{name}}, {got}") from None
-            beside = filled.parent == Path() and "{name}" not in self.distance
-            return str(path.parent / filled if beside else filled), None
+            return str(path.parent / filled if _is_beside(self.distance) else filled), None
         if not os.path.isdir(self.distance):
             require_regular(self.distance)
             return self.distance, None
@@ -254,6 +270,20 @@ class Items:
             return matches[0], None
         names = ", ".join(matches) or "none"
         return None, f"{path}: expected one of {base}{{{','.join(_MAPS)}}}, found {names}"
+
+
+def _is_beside(pattern: str) -> bool:
+    """Whether a pattern is that of maps beside their pictures."""
+    return Path(pattern).parent == Path() and "{name}" not in pattern
+
+
+def _is_written(path: Path, there: set[str]) -> bool:
+    """Whether a run has written a picture, or one of the terms of a picture; `there`: the names in
+    its folder.
+    """
+    stem, _, term = path.stem.rpartition("_")
+    pictures = [path, path.with_name(stem + path.suffix)] if stem and term in TERMS else [path]
+    return any(f"{one.name}.json" in there and sidecar_of(one) is not None for one in pictures)
 
 
 def is_manifest(path: Path) -> bool:
@@ -278,9 +308,9 @@ def metres_in(distance: str, folder: Path = Path()) -> float | None:
     if not _NUMBER.fullmatch(distance.strip()):
         return None
     if (folder / distance).exists():
-        metres = f"{distance}0" if "." in distance else f"{distance}.0"
+        longer = f"{distance}0" if "." in distance else f"{distance}.0"
         got = f"{distance} is a number of metres, and something in {folder} is called so"
-        raise ValueError(f"distance: {got}: write ./{distance} for it, or {metres} for metres")
+        raise ValueError(f"distance: {got}: write ./{distance} for it, or {longer} for metres")
     metres = float(distance)
     checks.positive("distance", metres, "m")
     return metres
@@ -326,11 +356,14 @@ def preflight(items: Items, recipe: Recipe, *, resume: bool = False, force: bool
         "{" in items.distance or os.path.isdir(items.distance)
     )
     inputs = {_real(path) for item in items for path in (item.input, item.distance)}
+    label_ends = (".txt", ".png") if os.path.isdir(recipe.labels or "") else ()
 
     def outputs_of(item: Item) -> list[str]:
         terms = TERMS if recipe.keep_terms else ()
         written = [item.output, *(terms_path(item.output, term) for term in terms)]
-        places = [_real(path) for path in written]
+        for end in label_ends:
+            written += label_paths(end, item.labels_path)
+        places = list({_real(path): None for path in written})
         if not inputs.isdisjoint(places):
             got = f"{item.output}, made of {item.input}"
             raise ValueError(f"{got}, would be written over what is read: another folder?")
@@ -343,13 +376,12 @@ def preflight(items: Items, recipe: Recipe, *, resume: bool = False, force: bool
         _require_apart(first, "map", lambda item: [str(item.distance)])
     if force:
         return
-    labels = recipe.labels
-    if labels is not None and os.path.isfile(labels):
-        target = items.out / os.path.basename(labels)
-        if target.exists() and not (items.out / "index.csv").exists():
+    if recipe.labels is not None and os.path.isfile(recipe.labels):
+        target = items.out / os.path.basename(recipe.labels)
+        if os.path.lexists(target) and not (items.out / "index.csv").exists():
             raise FileExistsError(f"{target} exists")
     for item in items:
-        if not item.output.exists():
+        if not os.path.lexists(item.output):
             continue
         if not resume:
             raise FileExistsError(f"{item.output} exists")
@@ -359,6 +391,10 @@ def preflight(items: Items, recipe: Recipe, *, resume: bool = False, force: bool
         if other:
             got = f"was made with other options ({', '.join(other)})"
             raise ValueError(f"{item.output} {got}: give the same ones, or another folder")
+        for path, sha256 in before["content"].items():
+            if mine["content"].get(path) != sha256:
+                got = f"{path} has changed since {item.output} was made of it"
+                raise ValueError(f"{got}: put it back, or choose another folder")
         return
 
 

@@ -1,6 +1,5 @@
 """One picture of a run: read, degraded, written whole or not at all, with its sidecar."""
 
-import glob
 import io
 import os
 import time
@@ -16,7 +15,6 @@ from uwaug._support.atomic import written_whole
 from uwaug._support.deterministic import reproducible
 from uwaug._support.hashing import FileHash
 from uwaug.distance.network import DepthNetwork
-from uwaug.formation import fused
 from uwaug.formation.scene import Scene
 from uwaug.io.read import File, PictureFile, name_of, opened, read_picture_file
 from uwaug.io.write import encode, format_of, lost, write_picture
@@ -30,8 +28,8 @@ from uwaug.jobs.sidecar import (
     terms_path,
     versions,
 )
-from uwaug.jobs.waters import InWater
-from uwaug.labels import with_contrast
+from uwaug.jobs.waters import LEFT, InWater
+from uwaug.labels import label_paths, with_contrast
 from uwaug.transforms.prepare import deterministic
 from uwaug.transforms.samples import key_of
 
@@ -149,23 +147,48 @@ class Degrader:
         return sidecar
 
     def _kept(self, item: Item) -> Sidecar | None:
-        """The sidecar of a picture that this recipe has made of the same files."""
+        """The sidecar of a picture that is there, as this recipe would make it again.
+
+        Raises:
+            FileExistsError: if it is there and something is otherwise; says what.
+            OSError: if a file cannot be read.
+        """
         sidecar = sidecar_of(item.output)
-        if sidecar is None or sidecar.recipe != self._recipe:
+        if sidecar is None or not os.path.lexists(item.output):
             return None
+        changed = self._changed(item, sidecar)
+        if changed is None:
+            made_by = sidecar.uwaug, sidecar.torch
+            if made_by != versions():
+                note = "made by uwaug {} and torch {}: not by those of this run".format(*made_by)
+                sidecar = replace(sidecar, notes=[*sidecar.notes, note])
+            return sidecar
+        if self.force:
+            return None
+        raise FileExistsError(f"{item.output} exists, but {changed}: remove it to make it anew")
+
+    def _changed(self, item: Item, sidecar: Sidecar) -> str | None:
+        """What is otherwise than when a picture was made, in words; None if nothing is."""
+        if sidecar.recipe != self._recipe:
+            return "was made with another recipe"
         if (sidecar.id, sidecar.variant) != (item.id, item.variant):
-            return None
-        try:
-            now = (
-                item.output.stat().st_size,
-                _hash_of(item.input),
-                _hash_of(item.distance),
-                None if item.labels is None else item.labels.file_hash(),
-            )
-        except OSError:
-            return None
-        then = (sidecar.bytes, sidecar.input, sidecar.distance, sidecar.label_file)
-        return sidecar if now == then else None
+            return f"was made of {sidecar.id}, variant {sidecar.variant}"
+        labels = None if item.labels is None else item.labels.file_hash()
+        made_of = {
+            "picture": (sidecar.input, _hash_of(item.input)),
+            "distance": (sidecar.distance, _hash_of(item.distance)),
+            "label file": (sidecar.label_file, labels),
+        }
+        for what, (then, now) in made_of.items():
+            if then != now:
+                return f"was made of another {what}"
+        file = FileHash.of(item.output)
+        if (file.sha256, file.bytes) != (sidecar.sha256, sidecar.bytes):
+            return "its bytes are not those that its record tells of"
+        for path in _written_beside(item, sidecar):
+            if not path.exists():
+                return f"{path} is gone"
+        return None
 
     def _degraded(self, item: Item, drawn: Mapping[str, Any] | None) -> _Degraded:
         if item.problem is not None:
@@ -244,23 +267,17 @@ class Degrader:
     def _require_free(self, item: Item) -> None:
         """Refuse to write over files, but for what a run has left that was stopped."""
         beside = sidecar_path(item.output)
-        if item.output.exists():
+        # a link that points nowhere is somebody's too: it would be written through
+        if os.path.lexists(item.output):
             raise FileExistsError(f"{item.output} exists")
         if sidecar_of(item.output) is not None:
             return
-        if beside.exists():
+        if os.path.lexists(beside):
             raise FileExistsError(f"{beside} exists, and is no record of uwaug")
-        for path in self._beside(item, self.recipe.keep_terms, item.labels is not None):
-            if path.exists():
+        label_file = None if item.labels is None else item.labels.file
+        for path in _beside(item, self.recipe.keep_terms, label_file):
+            if os.path.lexists(path):
                 raise FileExistsError(f"{path} exists")
-
-    def _beside(self, item: Item, terms: bool, labels: bool) -> list[Path]:
-        """Files of terms and of labels that a picture may have."""
-        paths = [terms_path(item.output, term) for term in TERMS] if terms else []
-        if labels:
-            path = item.labels_path
-            paths += path.parent.glob(f"{glob.escape(path.stem)}.*")
-        return paths
 
     def _remove_beside(self, item: Item) -> None:
         """What an earlier run has written of terms and labels: not those of the new picture."""
@@ -268,7 +285,7 @@ class Degrader:
         if before is None:
             return
         read = None if item.labels is None else item.labels.file
-        for path in self._beside(item, before.recipe["keep_terms"], before.labels is not None):
+        for path in _written_beside(item, before):
             if read is None or path.resolve() != Path(read).resolve():
                 path.unlink(missing_ok=True)
 
@@ -281,6 +298,21 @@ class Degrader:
                 write_picture(terms_path(item.output, name), term, degraded.original)
         if item.labels is not None:
             item.labels.write(degraded.sidecar.labels, item.labels_path)
+
+
+def _beside(item: Item, terms: bool, label_file: str | None) -> list[Path]:
+    """Files of terms and of labels that a picture has beside it."""
+    paths = [terms_path(item.output, term) for term in TERMS] if terms else []
+    if label_file is not None:
+        paths += label_paths(Path(label_file).suffix, item.labels_path)
+    return paths
+
+
+def _written_beside(item: Item, sidecar: Sidecar) -> list[Path]:
+    """Files of terms and of labels that were written with a sidecar."""
+    # a picture that is left as it is has no terms
+    terms = bool(sidecar.recipe.get("keep_terms")) and sidecar.water != LEFT
+    return _beside(item, terms, None if sidecar.label_file is None else sidecar.label_file.path)
 
 
 def replay(sidecar: Sidecar, output: Path, *, force: bool = False) -> Sidecar:
@@ -310,7 +342,7 @@ def replay(sidecar: Sidecar, output: Path, *, force: bool = False) -> Sidecar:
     again = Degrader(recipe, force=force).write(item, sidecar.drawn)
     if again.sha256 != sidecar.sha256 and output.suffix == Path(sidecar.output).suffix:
         theirs = f"uwaug {sidecar.uwaug} and torch {sidecar.torch} ({_path_in(sidecar)})"
-        mine = f"here are {again.uwaug} and {again.torch} ({fused.path()})"
+        mine = f"here are {again.uwaug} and {again.torch} ({_path_in(again)})"
         raise ValueError(f"{output} differs from the first one, by {theirs}: {mine}")
     return again
 

@@ -16,7 +16,7 @@ from uwaug.jobs.waters import DrawnWaters, KnownWater, Waters
 from uwaug.labels import LabelSource, open_labels
 from uwaug.light.light import Light
 from uwaug.optics.scattering import Scattering
-from uwaug.presets.preset import load_preset
+from uwaug.presets.preset import load_preset, preset_files
 from uwaug.transforms.codec import decode_options
 from uwaug.transforms.params import DEVELOPED
 from uwaug.transforms.random_underwater import RandomUnderwater
@@ -104,6 +104,8 @@ class Recipe:
         recipe.open()
         paths = [recipe.water, recipe.preset, recipe.fit, recipe.labels, recipe.distance.network]
         paths += [name for names in spectra.values() for name in names]
+        if recipe.preset is not None:
+            paths += [os.path.abspath(path) for path in preset_files(recipe.preset)]
         content = {}
         for path in paths:
             if isinstance(path, str) and os.path.isabs(path) and not os.path.isdir(path):

@@ -10,12 +10,16 @@ from torch import Tensor
 from uwaug.distance.sample import DistanceKind, Scaling, Unknown, skipped, to_metres
 from uwaug.formation.engine import recorded_engine
 from uwaug.formation.field import random_field
+from uwaug.formation.loops.backend import RecordedEngine, path
 from uwaug.formation.scene import Scene
 from uwaug.formation.setup import Setup
 from uwaug.light.geometry import focal_of
 from uwaug.transforms.prepare import InWater as Wet
 from uwaug.transforms.prepare import deterministic
 from uwaug.transforms.random_underwater import RandomUnderwater
+
+LEFT = "none"
+"""In place of a water's name, of a picture that is left as it is."""
 
 
 class InWater(NamedTuple):
@@ -71,9 +75,8 @@ class DrawnWaters:
 
         def seen(wet: Wet) -> InWater:
             params = wet.resolved().to_dict()
-            if drawn is not None and "path" in (sample := drawn["samples"][0]):
-                # older records call fused what had only its sRGB decoded by the loops
-                params["path"] = sample["path"]
+            if drawn is not None:
+                params["path"] = _engine_of(wet.scene, drawn["samples"][0])
             visibility = wet.water.visibility()
             picture = wet.scene.picture()
             return InWater(picture, {"samples": [params]}, wet.scene, wet.water.name, visibility)
@@ -82,7 +85,7 @@ class DrawnWaters:
         if by_place:
             return by_place[0]
         (sample,) = record["samples"]
-        return InWater(image, {"samples": [{**sample, "applied": False}]}, None, "none", None)
+        return InWater(image, {"samples": [{**sample, "applied": False}]}, None, LEFT, None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +117,7 @@ class KnownWater:
                 generator = torch.Generator().manual_seed(key)
                 drawn["field_seed"] = int(torch.randint(2**32, (1,), generator=generator))
         if skipped(distance, self.kind, self.unknown):
-            return InWater(image, dict(drawn), None, "none", None)
+            return InWater(image, dict(drawn), None, LEFT, None)
         size, field = (image.shape[-2], image.shape[-1]), None
         setup = replace(self.setup, focal_px=focal_of(self.setup.focal_px, size[1]))
         with deterministic(image):
@@ -124,5 +127,13 @@ class KnownWater:
                 field = random_field(size, drawn["field_seed"], *self.field_range, like)
             scene = Scene.of(image, metres, setup, field, drawn.get("path"))
             picture = scene.picture()
-        record = {"path": recorded_engine(scene.engine), **drawn}
+        record = {**drawn, "path": _engine_of(scene, drawn)}
         return InWater(picture, record, scene, self.name, None)
+
+
+def _engine_of(scene: Scene, recorded: Mapping[str, Any]) -> RecordedEngine:
+    """What has formed a scene, as its record says it; `recorded`: what an earlier record says."""
+    if recorded.get("path") == "fused" and path() == "fused":
+        # older records call fused what had only its sRGB decoded by the loops
+        return "fused"
+    return recorded_engine(scene.engine)

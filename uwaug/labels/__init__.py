@@ -23,6 +23,7 @@ from uwaug.labels.source import (
     Labels,
     LabelSource,
     Object,
+    label_paths,
     open_labels,
     with_contrast,
 )
@@ -34,6 +35,7 @@ __all__ = [
     "MaskLabels",
     "Object",
     "YoloLabels",
+    "label_paths",
     "open_labels",
     "with_contrast",
 ]

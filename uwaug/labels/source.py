@@ -174,6 +174,14 @@ def open_labels(path: str | os.PathLike[str], *, void: int | None = None) -> Lab
     return YoloLabels(place) if ends == {".txt"} else MaskLabels(place, void)
 
 
+def label_paths(end: str, path: Path) -> list[Path]:
+    """The files that `Labels.write` writes for a picture at `path`, of a label file whose name has
+    this `end`; none of COCO's, which is one for the whole run.
+    """
+    ends = () if end == ".json" else (end, ".contrast.json")
+    return [path.with_name(path.stem + each) for each in ends]
+
+
 def plain_name(picture: str | os.PathLike[str]) -> str:
     """A path with forward slashes, as label files have it."""
     return PurePosixPath(*Path(picture).parts).as_posix()

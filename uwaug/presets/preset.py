@@ -231,6 +231,18 @@ def load_preset(
     )
 
 
+def preset_files(name_or_path: str | os.PathLike[str]) -> list[Path]:
+    """The files that a preset names, of a water or a camera of one's own.
+
+    Raises:
+        ValueError, OSError: as of `load_preset`.
+    """
+    path = preset_path(name_or_path)
+    named = read_config(path).water
+    names = () if named is None else (named.type, named.camera)
+    return [path.parent / name for name in names if name.lower().endswith(".csv")]
+
+
 def _spectra(
     config: Config,
     folder: Path,
