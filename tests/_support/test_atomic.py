@@ -133,9 +133,9 @@ def test_a_folder_is_held_by_one_run_or_by_many_who_share_it(tmp_path):
         for shared in (True, False):
             with pytest.raises(BlockingIOError, match=f"{tmp_path}: another run writes to"):
                 held(tmp_path, shared=shared).__enter__()
-    with held(tmp_path, shared=True), held(tmp_path, shared=True):
-        with pytest.raises(BlockingIOError):
-            held(tmp_path).__enter__()
+    sharing = held(tmp_path, shared=True), held(tmp_path, shared=True)
+    with sharing[0], sharing[1], pytest.raises(BlockingIOError):
+        held(tmp_path).__enter__()
     with held(tmp_path):
         assert list(tmp_path.iterdir()) == []
 

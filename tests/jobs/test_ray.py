@@ -16,7 +16,7 @@ from filing import content
 from PIL import Image
 
 from uwaug.jobs import Items, Recipe, run
-from uwaug.jobs.ray import Shards, degrade, run_on_ray
+from uwaug.jobs.ray import Shards, degrade, run_on_ray, shard_schema
 
 ray = pytest.importorskip("ray")
 pytestmark = [
@@ -112,6 +112,7 @@ def test_files_and_sidecars_although_a_worker_dies(
 ) -> None:
     mixed = list(items_of(pictures, tmp_path))
     random.Random(0).shuffle(mixed)
+    (tmp_path / f".uwaug-{'0' * 16}.part").touch()  # of a task that was killed
     killer = threading.Thread(target=kill_one, args=("_IntoFiles",))
     killer.start()
     results = list(run_on_ray(mixed, RECIPE))
@@ -188,3 +189,40 @@ def test_what_is_somebody_elses_stays(tmp_path: Path) -> None:
     (tmp_path / "mine.parquet").touch()
     with pytest.raises(ValueError, match="no shard of a run"):
         Shards(str(tmp_path)).prepare(RECIPE, force=True)
+
+
+@pytest.mark.parametrize("how", [{}, {"force": True}, {"resume": True}])
+@pytest.mark.parametrize("name", ["wet.run/thesis.txt", "wet.run/recipe.json", "wet/mine.parquet"])
+def test_what_no_run_has_written_is_neither_removed_nor_read(
+    tmp_path: Path, name: str, how: dict[str, bool]
+) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    shards = Shards(str(tmp_path / "wet"))
+    if name != "wet.run/recipe.json":
+        shards.prepare(RECIPE)
+    mine = tmp_path / name
+    mine.parent.mkdir(parents=True, exist_ok=True)
+    if mine.suffix == ".parquet":
+        pq.write_table(pa.table({"mine": [1]}), mine)
+    else:
+        mine.write_text('{"flour": 500}')
+    before = content(tmp_path)
+    with pytest.raises((ValueError, FileExistsError)) as refused:
+        shards.prepare(RECIPE, **how)
+    assert str(mine) in str(refused.value)
+    assert content(tmp_path) == before
+
+
+def test_force_removes_the_shards_of_a_run_and_nothing_else(tmp_path: Path) -> None:
+    import pyarrow.parquet as pq
+
+    shards = Shards(str(tmp_path / "wet"))
+    shards.prepare(RECIPE)
+    pq.write_table(shard_schema().empty_table(), tmp_path / "wet/whole.parquet")
+    (tmp_path / "wet/cut.parquet").write_bytes(b"PAR1")
+    other = Recipe(random=True, seed=1)
+    shards.prepare(other, force=True)
+    assert set(content(tmp_path)) == {"wet.run/recipe.json"}
+    assert json.loads((tmp_path / "wet.run/recipe.json").read_text())["seed"] == 1

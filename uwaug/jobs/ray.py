@@ -22,6 +22,7 @@ from typing import Any
 from PIL import Image
 
 from uwaug._support import checks
+from uwaug._support.atomic import remove_left
 from uwaug._support.extras import require
 from uwaug._support.parse import from_json
 from uwaug.io.read import name_of, opened
@@ -127,7 +128,8 @@ def run_on_ray(
     import ray
 
     source = recipe.open_labels() if labels is None else labels
-    dataset = _blocks(list(labelled(items, source)), _BLOCK)
+    listed = list(labelled(items, source))
+    dataset = _blocks(listed, _BLOCK)
     if dataset is None:
         return
     dataset.context.execution_options.preserve_order = True
@@ -142,6 +144,10 @@ def run_on_ray(
                 yield replace(result, status="done") if kept else result
     except ray.exceptions.RayError as error:
         raise OSError(f"Ray: {error}") from None
+    finally:
+        # what tasks that were killed have left
+        for folder in {item.output.parent for item in listed}:
+            remove_left(folder)
 
 
 def degrade(
@@ -457,28 +463,29 @@ class Shards:
 
         Raises:
             FileExistsError: if there are files and neither is asked for.
-            ValueError: if the run that is to go on was another; or if no run is known that has
-                written what is there.
+            ValueError: if the run that is to go on was another; or if there is what no run of
+                uwaug has written, in the place or in that of the recipe.
             OSError: if the place cannot be read or written.
         """
-        from pyarrow.fs import FileType
-
         paths, before = self._paths(), self._recipe()
         if paths and not (resume or force):
             raise FileExistsError(f"{self.place} holds files, such as {paths[0]}")
         # what is somebody else's must not be removed
-        odd = [path for path in paths if before is None or not path.endswith(".parquet")]
-        if odd:
-            cure = "choose another place, or move it"
-            raise ValueError(f"{odd[0]} is no shard of a run that {self._run} knows: {cure}")
+        cure = "choose another place, or move it"
+        for path in self._paths(self._run):
+            if before is None or path != f"{self._run}/recipe.json":
+                raise ValueError(f"{path} is no recipe of a run of uwaug: {cure}")
+        for path in paths:
+            if before is None or not self._is_shard(path):
+                raise ValueError(f"{path} is no shard of a run that {self._run} knows: {cure}")
         mine = json.dumps(recipe.to_json(), indent=1)
         if resume and before is not None:
             if before != json.loads(mine):
                 raise ValueError(f"{self._run}/recipe.json is another recipe: give the same")
             return
+        for path in paths:
+            self._files.delete_file(path)
         for folder in (self._run, self._path):
-            if self._files.get_file_info(folder).type != FileType.NotFound:
-                self._files.delete_dir(folder)
             self._files.create_dir(folder, recursive=True)
         with self._files.open_output_stream(f"{self._run}/recipe.json") as file:
             file.write(mine.encode())
@@ -548,21 +555,37 @@ class Shards:
                         tally.reasons.append(named(row["input"], row["reason"]))
         return tally
 
-    def _paths(self) -> list[str]:
-        """The files that are there."""
+    def _paths(self, folder: str | None = None) -> list[str]:
+        """The files that are there, or in a folder."""
         from pyarrow.fs import FileSelector, FileType
 
-        inside = FileSelector(self._path, recursive=True, allow_not_found=True)
+        inside = FileSelector(folder or self._path, recursive=True, allow_not_found=True)
         listed = self._files.get_file_info(inside)
         return [info.path for info in listed if info.type == FileType.File]
+
+    def _is_shard(self, path: str) -> bool:
+        """Whether a file may be of a run: it has the columns, or no end, as one that was being
+        written.
+        """
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        if not path.endswith(".parquet"):
+            return False
+        try:
+            schema = pq.read_schema(path, filesystem=self._files)
+        except pa.ArrowInvalid:
+            return True
+        return set(shard_schema().names) <= set(schema.names)
 
     def _recipe(self) -> Any:
         """The recipe of the run that has written here; None if there was none."""
         try:
             with self._files.open_input_stream(f"{self._run}/recipe.json") as file:
-                return from_json(file.read().decode())
+                recipe = from_json(file.read().decode())
         except (FileNotFoundError, ValueError):
             return None
+        return recipe if isinstance(recipe, dict) and {"depth", "seed"} <= set(recipe) else None
 
     def _done(self) -> set[tuple[str, int]]:
         """Id and variant of the rows in the shards; removes shards that have no end."""
