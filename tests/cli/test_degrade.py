@@ -384,6 +384,19 @@ def test_options_that_are_refused(run, text, words):
 # What fails
 
 
+def test_what_is_passed_over_or_lost_is_said(degrade):
+    for name in ("1.gif", "deep/2.gif", "3.BMP"):
+        save(f"all/{name}", pixels())
+    Path("all/notes.txt").touch()
+    first, second = (Image.fromarray(pixels(seed=seed)) for seed in (0, 1))
+    first.save("all/moving.png", save_all=True, append_images=[second])
+    said = degrade("all", "--distance", "3", *WATER, "--out", "out")
+    assert "Note: 1 .bmp passed over: save them as .png" in said
+    assert "Note: 2 .gif passed over" in said
+    assert "moving.png: not kept: 1 more frame" in said
+    assert ".txt" not in said
+
+
 def test_a_list_may_end_in_capitals(run):
     Path("list.CSV").write_text("input\ngood.png\n")
     given = ("list.CSV", "--distance", "3", *WATER, "--out", "out.png")

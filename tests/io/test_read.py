@@ -2,6 +2,7 @@
 
 import io
 import os
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -137,10 +138,55 @@ WRONG_PICTURES: dict[str, tuple[str, Write, str]] = {
     "NaN": ("a.npy", npy(np.full((6, 9, 3), np.nan)), "NaN at 162 and infinite at 0"),
     "a batch": ("a.npy", npy(LIGHT[None]), r"got \(1, 6, 9, 3\): save one picture"),
     "empty": ("a.npy", npy(LIGHT[:0]), "holds no pixels"),
-    "pickled": ("a.npy", npy(np.array([{}])), "allow_pickle"),
+    "pickled": ("a.npy", npy(np.array([{}])), "got a pickle of objects"),
     "text": ("a.png", lambda path: path.write_text("no picture"), "is no picture and no map"),
     "nothing": ("a.png", lambda path: path.write_text(""), "is empty"),
 }
+
+
+@pytest.mark.parametrize(
+    ("shape", "words"),
+    [
+        ((58_000, 58_000), "58000 × 58000 px, which is more than 1000 megapixels"),
+        ((3, 40_000, 40_000), "40000 × 40000 px"),
+        ((30_000, 30_000, 7), "30000 × 30000 px cannot be held in"),
+        ((10**9,), "expected \\(H, W\\) or \\(H, W, 3\\), got \\(1000000000,\\)"),
+        ((9_000, 9_000), "9000 × 9000 px cannot be held in"),
+    ],
+)
+def test_a_small_archive_of_a_large_array_is_not_unpacked(shape, words, tmp_path, monkeypatch):
+    header = io.BytesIO()
+    about = {"descr": "|u1", "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(header, about)
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a.npy", header.getvalue())
+    monkeypatch.setattr(np, "load", lambda *_, **__: pytest.fail("it was read"))
+    with pytest.raises(ValueError, match=words):
+        read_picture(tmp_path / "a.npz")
+
+
+def test_what_is_left_out_is_said(tmp_path):
+    first, *others = (Image.fromarray(values) for values in (BYTES, 255 - BYTES, BYTES))
+    for name in ("a.png", "a.webp"):
+        first.save(tmp_path / name, save_all=True, append_images=others)
+        assert read_picture_file(tmp_path / name).left_out == ("2 more frames",)
+    first.save(tmp_path / "a.png", save_all=True, append_images=others[:1])
+    assert read_picture_file(tmp_path / "a.png").left_out == ("1 more frame",)
+    tifffile.imwrite(tmp_path / "a.tif", np.stack([BYTES] * 3), photometric="rgb")
+    assert read_picture_file(tmp_path / "a.tif").left_out == ("2 more pages",)
+    np.save(tmp_path / "a.npy", LIGHT.astype(np.float64))
+    said = "numbers of float64, which become float32"
+    assert read_picture_file(tmp_path / "a.npy").left_out == (said,)
+    np.save(tmp_path / "a.npy", LIGHT)
+    assert read_picture_file(tmp_path / "a.npy").left_out == ()
+
+
+def test_a_colour_that_stands_for_transparency_becomes_alpha(tmp_path):
+    key = tuple(map(int, BYTES[2, 3]))
+    Image.fromarray(BYTES).save(tmp_path / "a.png", transparency=key)
+    picture = read_picture_file(tmp_path / "a.png")
+    np.testing.assert_array_equal(picture.alpha == 0, (BYTES[2, 3] == BYTES).all(-1))
+    np.testing.assert_array_equal(picture.image.numpy().transpose(1, 2, 0), BYTES)
 
 
 @pytest.mark.parametrize("case", WRONG_PICTURES)

@@ -126,6 +126,16 @@ def test_a_png_of_16_bits_keeps_all_of_it(tmp_path):
         assert dict(image.getexif()) == {0x010F: "Camera"}
 
 
+@pytest.mark.parametrize("channels", [3, 4])
+def test_an_array_keeps_its_order(tmp_path, channels):
+    values = np.concatenate([BYTES, ALPHA], 2)[..., :channels]
+    for array in (values, values.transpose(2, 0, 1)):
+        np.save(tmp_path / "a.npy", array)
+        one = read_picture_file(tmp_path / "a.npy")
+        write_picture(tmp_path / "b.npy", one.image, one)
+        np.testing.assert_array_equal(np.load(tmp_path / "b.npy"), array)
+
+
 def test_what_is_lost_is_said():
     one = source(WORDS, alpha=ALPHA[..., 0], exif=b"II", profile=PROFILE)
     assert lost(one, "JPEG") == ["16 bits (it has 8)", "alpha"]

@@ -136,6 +136,8 @@ class Run:
             raise typer.Exit(int(code or 0)) from None
         except (OSError, ValueError) as error:
             problems.append(reason_of(error))
+        for suffix, number in sorted(self.items.passed_over.items()):
+            print(f"Note: {number} {suffix} passed over: save them as .png to have them degraded")
         for note in summary.notes:
             print(f"Note: {note}")
         print(f"{summary.counts()} in {out}, {time.perf_counter() - start:.1f} s")

@@ -5,12 +5,13 @@ import logging
 import os
 import shutil
 import tempfile
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from errno import EINVAL
 from pathlib import Path
 from threading import Lock
-from typing import Any, BinaryIO, NamedTuple
+from typing import IO, Any, BinaryIO, NamedTuple
 
 import numpy as np
 import tifffile
@@ -75,6 +76,8 @@ class Raster(NamedTuple):
         exif, profile: as they are in the file; None if there are none. EXIF without orientation,
             as the picture stands upright.
         turned: whether it was turned or mirrored, as EXIF says that the camera was held.
+        channels_last: whether it is an array with its channels in the last place.
+        left_out: what a file holds besides, in words, such as further frames.
     """
 
     values: Values
@@ -83,6 +86,8 @@ class Raster(NamedTuple):
     exif: bytes | None = None
     profile: bytes | None = None
     turned: bool = False
+    channels_last: bool = False
+    left_out: tuple[str, ...] = ()
 
 
 class PictureFile(NamedTuple):
@@ -91,7 +96,9 @@ class PictureFile(NamedTuple):
     Attributes:
         image (3xHxW tensor): uint8 (0…255), or float32.
         bits: 8, 16, or 32 for floating point.
-        alpha, exif, profile, turned: as of `Raster`; alpha in the numbers of the file.
+        alpha, exif, profile, turned, channels_last: as of `Raster`; alpha in the numbers of the
+            file.
+        left_out: what no copy keeps, in words: further frames, pages and digits.
     """
 
     image: Tensor
@@ -100,6 +107,8 @@ class PictureFile(NamedTuple):
     exif: bytes | None = None
     profile: bytes | None = None
     turned: bool = False
+    channels_last: bool = False
+    left_out: tuple[str, ...] = ()
 
 
 def read_picture(file: File) -> Tensor:
@@ -141,6 +150,9 @@ def read_picture_file(file: File) -> PictureFile:
         checks.finite("picture", image)
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
+    if values.dtype.itemsize != 4:
+        kind = f"numbers of {values.dtype.newbyteorder('=')}, which become float32"
+        raster = raster._replace(left_out=(*raster.left_out, kind))
     return PictureFile(image, 32, *raster[2:])
 
 
@@ -237,14 +249,51 @@ def _by_content(stream: BinaryIO) -> Raster:
 
 
 def _numpy(stream: BinaryIO) -> Raster:
+    is_archive = stream.read(2) == b"PK"
+    stream.seek(0)
+    if is_archive:
+        with zipfile.ZipFile(stream) as archive:
+            names = [name.removesuffix(".npy") for name in archive.namelist()]
+            if len(names) != 1:
+                raise _UnfitError(f"expected one array, got {', '.join(names) or 'none'}")
+            # a small file may hold an array that fills the memory
+            with archive.open(archive.namelist()[0]) as member:
+                _require_pixels(stream, *_header(member))
+    else:
+        _require_pixels(stream, *_header(stream))
+    stream.seek(0)
     array = np.load(stream, allow_pickle=False)
     if isinstance(array, np.lib.npyio.NpzFile):
-        if len(array.files) != 1:
-            raise _UnfitError(f"expected one array, got {', '.join(array.files) or 'none'}")
         array = array[array.files[0]]
-    if array.ndim == 3 and array.shape[-1] not in (1, 3, 4) and array.shape[0] in (1, 3, 4):
+    channels_first = _has_channels_first(array.shape)
+    if channels_first:
         array = np.moveaxis(array, 0, -1)
-    return _channels(array)
+    return _channels(array)._replace(channels_last=array.ndim == 3 and not channels_first)
+
+
+def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Shape and type of the array of a .npy file."""
+    version = np.lib.format.read_magic(stream)
+    if version == (1, 0):
+        shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+    else:
+        shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
+    return shape, dtype
+
+
+def _has_channels_first(shape: tuple[int, ...]) -> bool:
+    return len(shape) == 3 and shape[-1] not in (1, 3, 4) and shape[0] in (1, 3, 4)
+
+
+def _require_pixels(stream: BinaryIO, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+    """Refuse an array that is no picture, no map and no mask, before it is read."""
+    if dtype.kind not in "biuf":
+        got = f"got numbers of type {dtype}" if dtype.kind != "O" else "got a pickle of objects"
+        raise _UnfitError(f"expected whole numbers or floating point, {got}")
+    if len(shape) not in (2, 3):
+        raise _UnfitError(f"expected (H, W) or (H, W, 3), got {shape}: save one picture")
+    height, width = shape[1:] if _has_channels_first(shape) else shape[:2]
+    _require_held(stream, width, height)
 
 
 def _channels(values: Values) -> Raster:
@@ -274,9 +323,16 @@ def _tiff(stream: BinaryIO) -> Raster:
             values = np.moveaxis(values, page.axes.index("S"), -1)
         orientation = int(page.tags.valueof(_ORIENTATION) or 1)
         profile = page.tags.valueof(_PROFILE)
+        left_out = _further(len(file.pages), "page")
     raster = _channels(_upright(values, orientation))
     profile = None if profile is None else bytes(profile)
-    return raster._replace(profile=profile, turned=orientation in _TURNED)
+    turned = orientation in _TURNED
+    return raster._replace(profile=profile, turned=turned, left_out=left_out)
+
+
+def _further(count: int, what: str) -> tuple[str, ...]:
+    """What is left out of a file of several pictures, in words."""
+    return () if count < 2 else (f"{count - 1} more {what}{'s' if count > 2 else ''}",)
 
 
 def _png_of_16_bits(stream: BinaryIO) -> Raster:
@@ -333,14 +389,17 @@ def _metadata(image: Image.Image) -> tuple[int, dict[str, Any]]:
         "exif": exif.tobytes() if len(exif) else None,
         "profile": image.info.get("icc_profile"),
         "turned": orientation in _TURNED,
+        "left_out": _further(getattr(image, "n_frames", 1), "frame"),
     }
 
 
 def _of_mode(image: Image.Image, orientation: int = 1) -> Raster:
     """By what Pillow calls its channels."""
     mode = image.mode
-    if mode in ("P", "PA", "YCbCr"):
-        # by way of alpha, else Pillow warns of a transparent entry of a palette
+    has_key = mode == "RGB" and "transparency" in image.info
+    if mode in ("P", "PA", "YCbCr") or has_key:
+        # by way of alpha, else Pillow warns of a transparent entry of a palette; a colour that
+        # stands for transparent ones would be another in water
         image = image.convert("RGBA")
     values = _upright(np.asarray(image), orientation)
     if mode in ("P", "PA") and bool((values[..., 1:3] == values[..., :1]).all()):

@@ -87,7 +87,7 @@ def encode(file: BinaryIO, format: str, image: Tensor, like: PictureFile) -> Non
         alpha = _alpha_in_bits(like.alpha, values.dtype)
         values = np.concatenate([values, alpha[..., None]], 2)
     if format == "NPY":
-        np.save(file, values.transpose(2, 0, 1))
+        np.save(file, values if like.channels_last else values.transpose(2, 0, 1))
     elif format == "TIFF":
         _write_tiff(file, values, like)
     elif bits == 16:

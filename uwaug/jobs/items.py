@@ -8,6 +8,7 @@ distance may be a number of metres.
 import csv
 import os
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -32,6 +33,9 @@ _NUMBER = re.compile(
     r"[+-]?((0|[1-9][0-9]*)(\.[0-9]*)?|\.[0-9]+)(e[+-]?[0-9]+)?|[+-]?(nan|inf)", re.IGNORECASE
 )
 """As people write metres: `float` would take folders called 01 or 2024_01 for numbers too."""
+
+_PASSED_OVER = (".avif", ".bmp", ".dng", ".gif", ".heic", ".jp2", ".ppm", ".tga")
+"""Ends of the names of pictures that are not written, and not taken from folders."""
 
 _MAPS = (".npy", ".npz", ".png", ".tif", ".tiff", ".exr", ".pfm")
 """Ends of the names of distance files, in a folder of them."""
@@ -109,6 +113,10 @@ class Items:
         name: of the one file to write, in place of the picture's own.
         labels: of the run; masks in a folder of them are no pictures.
 
+    Attributes:
+        passed_over: how many pictures of a folder are of kinds that are not written, by the ends of
+            their names.
+
     Raises:
         ValueError: if nothing says where the distances are, a manifest is none, or a folder is
             that of a run.
@@ -129,6 +137,7 @@ class Items:
     ) -> None:
         self.inputs, self.distance, self.out, self.labels = inputs, distance, out, labels
         self.variants, self.ending, self.unmapped, self.name = variants, ending, unmapped, name
+        self.passed_over = Counter[str]()
         self._pictures = [picture for path in inputs for picture in self._expanded(path)]
 
     def __len__(self) -> int:
@@ -217,6 +226,8 @@ class Items:
             there = set(files)
             for name in sorted(files):
                 suffix = os.path.splitext(name)[1].lower()
+                if suffix in _PASSED_OVER:
+                    self.passed_over[suffix] += 1
                 if suffix not in FORMATS or suffix == ".npy" or is_part(name):
                     continue
                 is_mask = in_masks and suffix == ".png"

@@ -215,6 +215,7 @@ class Degrader:
                 labels = with_contrast(item.labels, contrast, self.recipe.min_contrast)
                 labels["output"] = item.place.as_posix()
         losses = [f"{format} does not keep: {what}" for what in lost(original, format)]
+        losses += [f"not kept: {what}" for what in original.left_out]
         uwaug, pytorch = versions()
         sidecar = Sidecar(
             uwaug=uwaug,
