@@ -379,7 +379,7 @@ def test_resume_sees_other_content_of_the_same_size(changed):
     (item,) = labelled([item_of()], recipe.open_labels())
     result = Degrader(recipe, resume=True)(item)
     what = {"a.png": "picture", "z.npy": "distance"}.get(changed, "label file")
-    reason = f"out/a.png exists, but was made of another {what}: remove it to make it anew"
+    reason = f"out/a.png exists, but was made of another {what}: remove the picture to make it anew"
     assert (result.status, result.reason) == ("failed", reason)
 
 

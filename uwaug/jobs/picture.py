@@ -165,7 +165,9 @@ class Degrader:
             return sidecar
         if self.force:
             return None
-        raise FileExistsError(f"{item.output} exists, but {changed}: remove it to make it anew")
+        raise FileExistsError(
+            f"{item.output} exists, but {changed}: remove the picture to make it anew"
+        )
 
     def _changed(self, item: Item, sidecar: Sidecar) -> str | None:
         """What is otherwise than when a picture was made, in words; None if nothing is."""
