@@ -464,7 +464,7 @@ def test_a_record_names_what_made_its_picture_where_the_loops_do_not_load(monkey
     monkeypatch.setattr(backend, "_numba", True)
     monkeypatch.setattr(backend, "_switched", None)
     monkeypatch.setattr(backend, "_ready", set())
-    monkeypatch.setattr(backend, "_failure", None)
+    monkeypatch.setattr(backend, "_failure", "")
     monkeypatch.setattr(backend, "_compile", broken)
     monkeypatch.delenv(backend.VARIABLE, raising=False)
     save("b.png", pixels())

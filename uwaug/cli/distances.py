@@ -68,7 +68,7 @@ def place_of(text: str) -> Place:
     if os.path.exists(text):
         return text
     low, colon, high = text.partition(":")
-    ends = (metres_in(low), metres_in(high)) if colon else (None, None)
+    ends = (metres_in(low, None), metres_in(high, None)) if colon else (None, None)
     if ends[0] is not None and ends[1] is not None:
         if ends[0] > ends[1]:
             raise ValueError(f"distance: expected a range, low first, got {text}")

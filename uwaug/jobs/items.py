@@ -310,15 +310,16 @@ def is_index(path: Path) -> bool:
         return file.read(len(_INDEX_BEGINS)) == _INDEX_BEGINS
 
 
-def metres_in(distance: str, folder: Path = Path()) -> float | None:
-    """The metres that a text says; None if it is something else, such as a path from `folder`.
+def metres_in(distance: str, folder: Path | None = Path()) -> float | None:
+    """The metres that a text says; None if it is something else, such as a path from `folder`;
+    `folder`: None where no path can be meant.
 
     Raises:
         ValueError: if they are not finite and > 0; or if something in the folder is called so.
     """
     if not _NUMBER.fullmatch(distance.strip()):
         return None
-    if (folder / distance).exists():
+    if folder is not None and (folder / distance).exists():
         longer = f"{distance}0" if "." in distance else f"{distance}.0"
         got = f"{distance} is a number of metres, and something in {folder} is called so"
         raise ValueError(f"distance: {got}: write ./{distance} for it, or {longer} for metres")
