@@ -189,6 +189,23 @@ def table(scene):
     return path
 
 
+def test_series_of_planar_depth(run, table, monkeypatch):
+    rows = {}
+
+    def fit_series(pairs: list, turbidity: list, **options: object) -> None:
+        rows[tuple(turbidity)] = pairs
+        raise ValueError("seen enough")
+
+    monkeypatch.setattr(uwaug.fitting, "fit_series", fit_series)
+    flags = ("--planar", "--focal-px", "35", "--distance-unit", "cm")
+    assert "seen enough" in run("fit", "--series", str(table), *flags, "--out", "f.json")[2]
+    z = torch.from_numpy(np.load("tank/z.npy"))[None] / 100
+    for _, _, distance in rows[1.0, 2.0]:
+        torch.testing.assert_close(distance, uwaug.distance.along_ray(z, 35.0))
+    code, _, err = run("fit", "--series", str(table), "--focal-px", "35", "--out", "f.json")
+    assert (code, "--focal-px beside it" in err) == (2, True)
+
+
 def test_series(run, table):
     options = ["--model", "veil", "--report", "fit.png"]
     code, out, err = run("fit", "--series", str(table), *options, "--out", "fit.json")
@@ -214,7 +231,7 @@ HEAD = "clean,observed,distance,turbidity\n"
         (HEAD + "a,b,c,1\na,b,c\n", "line 3 has no turbidity"),
         (HEAD + "a,,c,1\n", "line 2 has no observed"),
         (HEAD + "a,b,c,clear\n", "turbidity must be a number, got 'clear' in line 2"),
-        (HEAD + "a,b,c,1\n", "No such file or directory: 'a'"),
+        (HEAD + "a,b,c,1\n", "Error: a: No such file or directory"),
     ],
 )
 def test_wrong_series(run, scene, text, message):
@@ -232,7 +249,7 @@ def test_a_report_that_cannot_be_written_leaves_the_fit(run, scene, monkeypatch)
 
     monkeypatch.setattr("uwaug._support.drawing.save", full)
     code, out, err = run("fit", *PAIR, *FAST, "--out", "fit.json", "--report", "fit.png")
-    assert (code, err) == (1, "Error: [Errno 28] No space left on device: 'fit.png'\n")
+    assert (code, err) == (1, "Error: fit.png: No space left on device\n")
     assert out.startswith("Model 'haze'")
     assert uwaug.fitting.Fit.load("fit.json").model == "haze"
 

@@ -80,6 +80,8 @@ def fail(message: object) -> NoReturn:
 
 
 def _end(code: int, message: object) -> NoReturn:
+    if isinstance(message, OSError) and message.filename and message.strerror:
+        message = f"{message.filename}: {message.strerror}"  # without the number of the error
     print(f"Error: {in_flags(str(message))}", file=sys.stderr)
     raise typer.Exit(code)
 
@@ -93,10 +95,7 @@ def reported_errors(*written: Path) -> Iterator[None]:
     """
     try:
         yield
-    except OSError as error:
-        named = error.filename and error.strerror
-        fail(f"{error.filename}: {error.strerror}" if named else error)
-    except ImportError as error:
+    except (OSError, ImportError) as error:
         fail(error)
     except (TypeError, ValueError) as error:
         at_fault = str(error).partition(": ")[0]

@@ -137,7 +137,9 @@ def fit(
         refuse("--waters takes the place of --model and --series: give one of them")
     if of_waters and not waters:
         refuse("--camera, --surfaces and --vertical-depth are for --waters: give it too")
-    if series is not None and (any(pairs.values()) or gain is not None or focal_px is not None):
+    # planar depth and disparity of a series need a focal length
+    idle_focal_px = focal_px is not None and not planar and distance_kind == "metric"
+    if series is not None and (any(pairs.values()) or gain is not None or idle_focal_px):
         flags = "--clean, --observed, --distance, --gain or --focal-px"
         refuse(f"--series takes the place of pairs of one water: expected no {flags} beside it")
     if series is None and not all(pairs.values()):
