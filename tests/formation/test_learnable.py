@@ -8,6 +8,7 @@ from torch.func import functional_call, grad, jacrev
 from uwaug.formation.learnable import LearnableMedium
 from uwaug.formation.underwater import Underwater
 from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import JERLOV_TYPES
 
 Z = torch.cat([torch.zeros(1), torch.logspace(-6, 6, 400), torch.tensor([math.inf])]).double()
@@ -141,3 +142,60 @@ def test_parameters_may_be_given_at_the_call() -> None:
         for name, parameter in module.named_parameters():
             parameter.copy_(given[name])
     torch.testing.assert_close(module(image, z).square().mean(), loss(given))
+
+
+# ---- what is known
+
+
+def trained(degrade: Underwater) -> Medium:
+    """What is left of a medium after steps that go astray."""
+    image, z = picture(24, 32), distances(24, 32)
+    optimiser = torch.optim.AdamW(degrade.parameters(), lr=0.1, weight_decay=0.1)
+    for _ in range(3):
+        optimiser.zero_grad()
+        degrade(image, z).square().mean().backward()
+        optimiser.step()
+    return degrade.medium
+
+
+@pytest.mark.parametrize("learnt", ["rates", "light", "veil", "width"])
+def test_what_is_known_stays(learnt: str) -> None:
+    begun = Medium.from_coefficients(*NUMBERS, b_mean=1.0, point_spread=PointSpread(2.0, 0.9))
+    medium = trained(Underwater(begun, (0.5, 6.0), learnable=[learnt]))
+    values = {
+        "rates": (medium.beta, medium.G),
+        "light": (medium.direct_weights.sum(-1),),
+        "veil": (medium.veil_weights.sum(-1),),
+        "width": (torch.as_tensor(medium.point_spread.scale),),
+    }
+    starts = {
+        "rates": (begun.beta, begun.G),
+        "light": (begun.direct_weights.sum(-1),),
+        "veil": (begun.veil_weights.sum(-1),),
+        "width": (torch.as_tensor(2.0),),
+    }
+    for part, now in values.items():
+        for value, start in zip(now, starts[part], strict=True):
+            moved = float((value.detach() - start).abs().max())
+            assert moved > 1e-3 if part == learnt else moved < 1e-6, part
+
+
+def test_a_part_that_there_is_not_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"learnable must be one of .*rates.* got 'beta'"):
+        Underwater(Medium.from_coefficients(*NUMBERS), learnable=["beta"])
+
+
+def test_a_learnt_medium_shows_its_numbers() -> None:
+    degrade = Underwater(Medium.from_water("7C"), learnable=True)
+    with torch.no_grad():
+        degrade.coefficients.raw_G += 1.0
+    text, medium = repr(degrade), degrade.medium
+    assert "7C" not in text
+    light = medium.direct_weights[0].sum(-1)
+    beta = (medium.direct_weights[0] * medium.beta[0]).sum(-1) / light
+    assert f"β = {', '.join(f'{x:.3g}' for x in beta.tolist())}; G = " in text
+    assert "V(0) = " in text
+    assert "light = " in text  # of a depth of 1 m
+    assert "light" not in repr(
+        Underwater(Medium.from_coefficients(*NUMBERS), learnable=True).medium
+    )

@@ -5,16 +5,27 @@ whatever an optimiser does to them.
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from operator import is_
-from typing import Any, Self
+from typing import Any, Literal, Self, get_args
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from uwaug._support import checks
 from uwaug._support.torch_func import transformed
 from uwaug.light.lit import LampInWater
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
+
+Part = Literal["rates", "light", "veil", "width"]
+
+_OF_PARTS = {
+    "rates": ("raw_G", "raw_excess"),
+    "light": ("raw_light", "raw_shares"),
+    "veil": ("raw_veil_rates",),
+    "width": ("raw_scale",),
+}
+"""The parameters of each part that may be known."""
 
 _LEAST_RATE = 1e-6
 """1/m, where learning starts from a rate of 0: a smaller one would hardly learn."""
@@ -123,7 +134,9 @@ class LearnableMedium(_InFullPrecision):
 
     Args:
         medium: where learning starts.
-        width: learn the scale of the width law too.
+        learnt: what is learnt: "rates" (all β and G), "light" (what is left of it at z = 0, and how
+            it is shared between the rates), "veil" (V(0)), "width" (scale of the width law). All
+            else is known, and stays as it is at the start.
 
     Attributes:
         deficit (Bx3 tensor): how far forward light may fall below 0, at most, in shares of the
@@ -132,7 +145,7 @@ class LearnableMedium(_InFullPrecision):
     Raises:
         ValueError: if the light at z = 0 is one in `direct_weights`, another in `signal_weights`,
             or a weight is negative, as of forward scatter from the direct light; if surfaces have
-            spectra.
+            spectra; if a part is none of these.
     """
 
     b_mean: Tensor
@@ -140,10 +153,14 @@ class LearnableMedium(_InFullPrecision):
     fixed: Tensor
     ratio: Tensor
     shared: Tensor
+    veil: Tensor | None
     veil_used: Tensor
 
-    def __init__(self, medium: Medium, width: bool = True) -> None:
+    def __init__(self, medium: Medium, learnt: Sequence[Part] = get_args(Part)) -> None:
         super().__init__()
+        for part in learnt:
+            checks.one_of("learnable", part, get_args(Part))
+        self.learnt = tuple(part for part in get_args(Part) if part in learnt)
         self.start = medium.map(lambda t: t.detach().clone())
         values = self.start.parameters()
         direct, signal = values["direct_weights"], values["signal_weights"]
@@ -180,7 +197,15 @@ class LearnableMedium(_InFullPrecision):
         self.raw_veil_rates = _positive(values["veil_weights"] * G[:, None])
         self.raw_light = _positive(light)
         self.raw_shares = nn.Parameter(torch.log(pairs.clamp(min=_LEAST_SHARE)).contiguous())
-        self.raw_scale = _positive(values["scale"]) if width else None
+        self.raw_scale = _positive(values["scale"]) if "width" in learnt else None
+        # V(0) that is known stays where the rates do not: its growth is no number of its own then
+        known_veil = None if "veil" in learnt else values["veil_weights"].clone()
+        self.register_buffer("veil", known_veil)
+        for part in set(get_args(Part)) - set(learnt):
+            for name in _OF_PARTS[part]:
+                parameter = getattr(self, name)
+                if parameter is not None:
+                    parameter.requires_grad_(False)
 
     def forward(self) -> Medium:
         """The medium at hand, of tensors that carry gradients to the parameters."""
@@ -193,16 +218,18 @@ class LearnableMedium(_InFullPrecision):
         shares = self._shares()
         slowest = max(_SLOWEST, torch.finfo(self.raw_G.dtype).tiny)
         G = F.softplus(self.raw_G).clamp(min=slowest)
+        veil = self.veil
+        if veil is None:
+            veil = F.softplus(self.raw_veil_rates) / G[:, None] * self.veil_used
         return Medium(
             beta=self._floor(G) + F.softplus(self.raw_excess),
             direct_weights=light * shares.sum(-1),
             G=G,
             signal_weights=light * shares.sum(-2),
-            veil_weights=F.softplus(self.raw_veil_rates) / G[:, None] * self.veil_used,
+            veil_weights=veil,
             b_mean=self.b_mean,
             point_spread=law,
-            notes=self.start.notes,
-        )
+        )  # without notes, which are of the start: it is shown by its numbers
 
     def _floor(self, G: Tensor) -> Tensor:
         """The least that each β may be."""

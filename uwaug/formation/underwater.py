@@ -3,6 +3,7 @@
 import json
 import math
 import warnings
+from collections.abc import Sequence
 from dataclasses import asdict
 from operator import index
 from typing import TYPE_CHECKING, Any, get_args
@@ -26,7 +27,7 @@ from uwaug.formation.development import NEUTRAL, Development
 from uwaug.formation.engine import expected_engine
 from uwaug.formation.exposure import Exposure, exposed_for_planning, require_exposure
 from uwaug.formation.inputs import MapRanges, validate
-from uwaug.formation.learnable import FixedLamps, FixedMedium, LearnableMedium
+from uwaug.formation.learnable import FixedLamps, FixedMedium, LearnableMedium, Part
 from uwaug.formation.scene import Scene
 from uwaug.formation.setup import Setup
 from uwaug.light.light import Light
@@ -55,8 +56,9 @@ class Underwater(nn.Module):
             picture's own largest value if that is above 1); "linear" takes values as they are and
             never clips.
         learnable: make rates, light, veil and width scale parameters, see
-            `uwaug.formation.LearnableMedium` for what stays true of them. A width that leaves
-            the plan is planned for anew, except in a compiled module.
+            `uwaug.formation.LearnableMedium` for what stays true of them; or some of ("rates",
+            "light", "veil", "width"), where the others are known. A width that leaves the plan is
+            planned for anew, except in a compiled module.
         order: "line_of_sight", or "source" for the paper's equation, see `uwaug.form_image`.
         exposure: "none": light is lost as it is in the water. "auto": as a camera does, one gain
             for each picture keeps the mean luminance of the scene, from 1/8 to 64. A number: a gain
@@ -103,7 +105,7 @@ class Underwater(nn.Module):
         distance_range: tuple[float, float] | None = (0.1, 20.0),
         tolerance: float = 0.002,
         color_space: ColorSpace = "srgb",
-        learnable: bool = False,
+        learnable: bool | Sequence[Part] = False,
         order: Order = "line_of_sight",
         exposure: Exposure = "none",
         sides: tuple[int, int] | None = None,
@@ -128,7 +130,7 @@ class Underwater(nn.Module):
         self.exposure: Exposure = exposure
         checks.instance("development", development, Development)
         self.development = development
-        self.learnable = learnable
+        self.learnable = bool(learnable)
         self._sides = None if sides is None else sides_of(sides)
         self.demand: BlurDemand | None = None
         self._warned = False
@@ -139,9 +141,11 @@ class Underwater(nn.Module):
             raise ValueError(f"sides need a distance_range to plan for, got sides={sides} alone")
         self.coefficients: FixedMedium | LearnableMedium = FixedMedium(medium)
         if learnable:
+            parts = get_args(Part) if learnable is True else tuple(learnable)
             # without a blur, its width does nothing
-            width = self.demand is None or self.demand.high > 0
-            self.coefficients = LearnableMedium(medium, width)
+            blurs = self.demand is None or self.demand.high > 0
+            learnt = [part for part in parts if blurs or part != "width"]
+            self.coefficients = LearnableMedium(medium, learnt)
         # what is learned changes what lamps give
         fixed = None if light is None or learnable else lamps_in_water(light, medium)
         self.lamps = FixedLamps(fixed) if fixed else None

@@ -82,6 +82,9 @@ _TENSORS = ("beta", "direct_weights", "G", "signal_weights", "veil_weights", "b_
 _AT_ONCE = 1e6
 """1/m, of a veil that is all there at any distance: at .1 mm, e^−100 of it is missing."""
 
+_ALL = 5e-4
+"""Of the light: what is left is shown if less than all is, by more than rounding."""
+
 _DARK = 1e-30
 """Stands for the light of a channel that gets none."""
 
@@ -552,11 +555,30 @@ class Medium:
         """σ(z), px, of distances (B or 1, 1, H, W) in an image of `size`; None: in the law's px."""
         return self.point_spread.sigma(self.lengths(z.clamp(max=FARTHEST)), size)
 
+    def _numbers(self) -> str:
+        """Of the first medium: β and G of each channel, as light fades with them at the lens, V(0),
+        and what is left of the light if it is not all.
+        """
+        first = self[0].map(lambda t: t.detach().double())
+        direct, signal = white(first.direct_weights)[0], white(first.signal_weights)[0]
+        light = direct.sum(-1)
+        shown = {
+            "β": direct @ first.beta[0] / light,
+            "G": signal @ first.G[0] / signal.sum(-1),
+            "V(0)": first.veil_weights[0].sum(-1),
+        }
+        if not bool(((light - 1).abs() < _ALL).all()):
+            shown["light"] = light
+        rows = (
+            f"{name} = {', '.join(f'{x:.3g}' for x in row.tolist())}" for name, row in shown.items()
+        )
+        return "; ".join(rows)
+
     def __repr__(self) -> str:
         more = f", and {len(self) - 1} more" if len(self) > 1 else ""
         b_mean = ", ".join(f"{float(b):.3g}" for b in self.b_mean.detach()[:3])
         cut = ", …" if len(self) > 3 else ""
-        note = self.notes[0] if self.notes else ""
+        note = self.notes[0] if self.notes else self._numbers()
         return f"Medium({note}{more}; {self.point_spread}, b̄ = {b_mean}{cut}/m)"
 
 
