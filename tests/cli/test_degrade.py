@@ -258,7 +258,7 @@ def test_a_rehearsal_writes_nothing_anywhere(degrade, monkeypatch, tmp_path):
     before = content(".")
     given = ("--distance", "3", *WATER, "--labels", "marks", "--variants", "3", "--out", "out")
     out = degrade("deep", *given, "--dry-run")
-    assert "deep/in/it/a.png + 3.0 → out/in/it/a_3.png" in out
+    assert "deep/in/it/a.png + 3.0 → out/images/in/it/a_3.png" in out
     assert "3 pictures, about" in out
     assert content(".") == before
 

@@ -20,6 +20,7 @@ from uwaug.io.write import FORMATS
 from uwaug.jobs.recipe import Recipe
 from uwaug.jobs.sidecar import TERMS, sidecar_of, terms_path
 from uwaug.labels import Labels, LabelSource, label_paths
+from uwaug.labels.layout import DESCRIPTION, label_place, parted, picture_place
 
 MANIFESTS = (".csv", ".parquet")
 """Ends of their names."""
@@ -76,7 +77,7 @@ class Item(NamedTuple):
     @property
     def labels_path(self) -> Path:
         """Where labels of the output would be, were they a picture."""
-        return (self.out or self.output.parent) / "labels" / self.place
+        return (self.out or self.output.parent) / label_place(self.place)
 
     def moved(self, out: Path) -> "Item":
         """The same item, written to another folder."""
@@ -111,11 +112,13 @@ class Items:
         unmapped: whether pictures need no maps: a depth network guesses them, or each picture is
             put on a plane whose distance is drawn.
         name: of the one file to write, in place of the picture's own.
-        labels: of the run; masks in a folder of them are no pictures.
+        labels: of the run. Masks in a folder of them are no pictures; beside a folder of labels
+            pictures are written below "images", where trainers look for them.
 
     Attributes:
         passed_over: how many pictures of a folder are of kinds that are not written, by the ends of
             their names.
+        for_trainers: whether they are written so.
 
     Raises:
         ValueError: if nothing says where the distances are, a manifest is none, or a folder is
@@ -138,6 +141,7 @@ class Items:
         self.inputs, self.distance, self.out, self.labels = inputs, distance, out, labels
         self.variants, self.ending, self.unmapped, self.name = variants, ending, unmapped, name
         self.passed_over = Counter[str]()
+        self.for_trainers = name is None and labels is not None and os.path.isdir(labels)
         self._pictures = [picture for path in inputs for picture in self._expanded(path)]
 
     def __len__(self) -> int:
@@ -150,6 +154,8 @@ class Items:
             distance = Path(where) if isinstance(where, str) else where
             for variant in range(self.variants):
                 place = Path(picture.place if self.name is None else self.name)
+                if self.for_trainers:
+                    place = picture_place(place)
                 if self.ending is not None:
                     place = place.with_suffix(self.ending)
                 if self.variants > 1:
@@ -272,11 +278,12 @@ class Items:
             require_regular(self.distance)
             return self.distance, None
         base = Path(self.distance) / name.parent / path.stem
-        matches = []
-        for suffix in _MAPS:
-            candidate = base.with_name(base.name + suffix)
-            if os.path.isfile(candidate):  # a name may be too long to be one
-                matches.append(str(candidate))
+        matches = _maps_called(base)
+        folders = parted(name)
+        if folders is not None and not matches:
+            # images/train/1.png and depth/train/1.npy lie side by side, as labels do
+            base = Path(self.distance).joinpath(*folders[0], *folders[1], path.stem)
+            matches = _maps_called(base)
         if len(matches) == 1:
             return matches[0], None
         names = ", ".join(matches) or "none"
@@ -308,6 +315,13 @@ def is_index(path: Path) -> bool:
         return False
     with path.open(encoding="utf-8", errors="replace", newline="") as file:
         return file.read(len(_INDEX_BEGINS)) == _INDEX_BEGINS
+
+
+def _maps_called(base: Path) -> list[str]:
+    """The maps of a path without its end."""
+    candidates = [base.with_name(base.name + suffix) for suffix in _MAPS]
+    # a name may be too long to be one
+    return [str(candidate) for candidate in candidates if os.path.isfile(candidate)]
 
 
 def metres_in(distance: str, folder: Path | None = Path()) -> float | None:
@@ -386,10 +400,14 @@ def preflight(items: Items, recipe: Recipe, *, resume: bool = False, force: bool
     if by_name:
         first = [item for item in items if item.variant == 0 and isinstance(item.distance, Path)]
         _require_apart(first, "map", lambda item: [str(item.distance)])
+    if recipe.keep_terms and items.for_trainers:
+        got = "there is a folder of labels, and trainers would take terms for pictures"
+        raise ValueError(f"keep_terms must be left out: {got}")
     if force:
         return
-    if recipe.labels is not None and os.path.isfile(recipe.labels):
-        target = items.out / os.path.basename(recipe.labels)
+    if recipe.labels is not None and items.name is None:
+        is_file = os.path.isfile(recipe.labels)
+        target = items.out / (os.path.basename(recipe.labels) if is_file else DESCRIPTION)
         if os.path.lexists(target) and not (items.out / "index.csv").exists():
             raise FileExistsError(f"{target} exists")
     for item in items:

@@ -5,7 +5,7 @@
     record = with_contrast(labels, contrast_map, min_contrast=0.05)
     labels.write(record, out / "labels/reef/0001_v0.png")  # YOLO, masks: 2 files
     record["output"] = "reef/0001_v0.png"
-    source.write_run(records, out)  # COCO: one file for all
+    source.write_run(records, out)  # COCO: one file for all; YOLO: data.yaml
 
 `contrast_map` is what `uwaug.contrast` returns for the picture. An object's contrast is the mean of
 it over the object's pixels: its mask or polygon, or all that its box touches. It is 0 where no

@@ -1,6 +1,7 @@
 """Labels in folders, with a file for each picture: YOLO's text files, and masks."""
 
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -10,6 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uwaug._support.atomic import require_regular, written_whole
+from uwaug.labels.layout import (
+    DESCRIPTION,
+    described,
+    description_of,
+    label_place,
+    parted,
+    splits_of,
+)
 from uwaug.labels.regions import Region, Size, box_region, mask_region, polygon_region
 from uwaug.labels.source import (
     Labels,
@@ -45,11 +54,10 @@ class _LabelFolder:
         """
         name = Path(picture).with_suffix(self.end)
         names = [name]
-        if "images" in (folders := name.parts[:-1]):
-            # train/1.txt or labels/train/1.txt; as for Ultralytics, the last "images" counts
-            last = len(folders) - 1 - folders[::-1].index("images")
-            before, after = name.parts[:last], name.parts[last + 1 :]
-            names += [Path(*before, *after), Path(*before, "labels", *after)]
+        if (folders := parted(name)) is not None:
+            before, after = folders
+            # train/1.txt or labels/train/1.txt
+            names += [Path(*before, *after, name.name), label_place(name)]
         if self._flat:
             # elsewhere b/1.txt may be missing, and 1.txt be that of another picture
             names.append(Path(name.name))
@@ -59,7 +67,7 @@ class _LabelFolder:
                 return str(self.folder / candidate)
         return None
 
-    def write_run(self, records: Any, folder: str | os.PathLike[str]) -> list[Path]:
+    def write_run(self, records: Iterable[Record], folder: str | os.PathLike[str]) -> list[Path]:
         """None: see `LabelSource`."""
         return []
 
@@ -81,6 +89,32 @@ class YoloLabels(_LabelFolder):
         """See `LabelSource`."""
         name = plain_name(picture)
         return _YoloFile(name, self.file_of(name))
+
+    def write_run(self, records: Iterable[Record], folder: str | os.PathLike[str]) -> list[Path]:
+        """See `LabelSource`. data.yaml says where the pictures are, and names the classes as the
+        one of the labels does, or a classes.txt; without either it counts them.
+        """
+        listed = list(records)
+        splits = splits_of(record["output"] for record in listed)
+        if not splits:
+            return []
+        target, before = Path(folder) / DESCRIPTION, description_of(self.folder)
+        refuse_source(target, None if before is None else str(before))
+        classes = [] if before is not None else self._classes(listed)
+        with written_whole(target) as part:
+            part.write_text(described(splits, before, classes), encoding="utf-8")
+        return [target]
+
+    def _classes(self, records: Iterable[Record]) -> list[str] | int:
+        """Their names, or how many the labels of these pictures tell of."""
+        for folder in (self.folder, self.folder.parent):
+            names = folder / "classes.txt"
+            if names.is_file():
+                return [line for _, line in _lines(str(names))]
+        numbers = [0]
+        for picture in {record["picture"] for record in records}:
+            numbers += [int(line.split()[0]) for _, line in _lines(self.file_of(picture))]
+        return max(numbers) + 1
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,159 @@
+"""Labelled data sets through `uwaug degrade`: what a trainer finds afterwards."""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from filing import H, W, content, pixels, save
+
+WATER = ("--water", "II", "--visibility", "8")
+LINES = "0 0.5 0.5 0.4 0.4\n2 0.25 0.25 0.2 0.2\n"
+NAMES = ("train/1", "train/2", "val/1")
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    """A data set as YOLO's are, with maps in mm."""
+    monkeypatch.chdir(tmp_path)
+    for seed, name in enumerate(NAMES):
+        save(f"ds/images/{name}.png", pixels(seed=seed))
+        save(f"ds/depth/{name}.png", np.full((H, W), 3000, np.uint16))
+        path = Path(f"ds/labels/{name}.txt")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(LINES)
+    Path("ds/data.yaml").write_text("path: ds\ntrain: images/train\nval: images/val\nnc: 3\n")
+    return tmp_path
+
+
+@pytest.fixture
+def degrade(run):
+    """Degrade what must go well; return what is printed."""
+
+    def call(*arguments: str) -> str:
+        code, out, err = run("degrade", *arguments, *WATER)
+        assert (code, err) == (0, "")
+        return out
+
+    return call
+
+
+def img2label_paths(pictures: list[str]) -> list[str]:
+    """Ultralytics 8.4, `ultralytics.data.utils`, in its words."""
+    sa, sb = f"{os.sep}images{os.sep}", f"{os.sep}labels{os.sep}"
+    return [sb.join(x.rsplit(sa, 1)).rsplit(".", 1)[0] + ".txt" for x in pictures]
+
+
+def trained_with(description: str) -> dict[str, list[str]]:
+    """The text of the labels that Ultralytics finds, by the folders that a data.yaml names; a
+    picture without labels is missing.
+    """
+    yaml = pytest.importorskip("yaml")
+    root = Path(description).absolute().parent
+    said = yaml.safe_load(Path(description).read_text())
+    assert (said["nc"], "path" in said) == (3, False)
+    texts = {}
+    for split in ("train", "val"):
+        pictures = [str(path) for path in (root / said[split]).rglob("*.png")]
+        labels = [Path(path) for path in img2label_paths(pictures)]
+        texts[split] = [path.read_text() for path in labels if path.exists()]
+        assert len(texts[split]) == len(pictures) > 0
+    return texts
+
+
+@pytest.mark.parametrize(
+    ("inputs", "maps", "labels", "out"),
+    [
+        ("ds", "ds/depth", "ds/labels", "out"),
+        ("ds/images", "ds/depth", "ds/labels", "out"),
+        ("ds", "ds/depth", "ds/labels", "images/out"),
+    ],
+)
+def test_a_trainer_finds_all_labels(degrade, inputs, maps, labels, out):
+    given = ("--distance", maps, "--distance-unit", "mm", "--labels", labels, "--variants", "2")
+    assert "6 of 6 pictures" in degrade(inputs, *given, "--out", out)
+    expected = {"train": [LINES] * 4, "val": [LINES] * 2}
+    assert trained_with(f"{out}/data.yaml") == expected
+    before = content(out)
+    assert "6 were there" in degrade(inputs, *given, "--out", out, "--resume")
+    assert "6 of 6 pictures" in degrade(inputs, *given, "--out", out, "--force")
+    after = content(out)
+    for files in (before, after):
+        del files["index.csv"]  # it has seconds
+    assert after == before
+
+
+def test_of_one_folder_of_pictures_at_a_time(degrade):
+    for split in ("train", "val"):
+        labels = ("--labels", f"ds/labels/{split}")
+        degrade(f"ds/images/{split}", "--distance", "3", *labels, "--out", f"out/{split}")
+        assert Path(f"out/{split}/labels/1.txt").read_text() == LINES
+        said = Path(f"out/{split}/data.yaml").read_text()
+        assert said == 'train: "images"\n# val: has no pictures of its own\nval: "images"\nnc: 3\n'
+
+
+def test_what_is_hidden_is_no_line(degrade):
+    for name in NAMES:
+        # one of two objects lies beyond the water
+        map = np.full((H, W), 3000, np.uint16)
+        map[: H // 2, : W // 2] = 60000
+        save(f"ds/depth/{name}.png", map)
+    given = ("--distance-unit", "mm", "--labels", "ds/labels", "--min-contrast", "0.05")
+    degrade("ds", "--distance", "ds/depth", *given, "--out", "out")
+    first = LINES.splitlines(keepends=True)[0]
+    assert trained_with("out/data.yaml") == {"train": [first] * 2, "val": [first]}
+
+
+def test_terms_would_be_pictures_to_a_trainer(run):
+    given = ("--distance", "3", "--labels", "ds/labels", "--keep-terms", *WATER)
+    code, _, err = run("degrade", "ds/images", *given, "--out", "out")
+    assert (code, "--keep-terms must be left out" in err) == (2, True)
+    assert not Path("out").exists()
+
+
+def test_a_data_yaml_of_somebody_else_stays(run, degrade):
+    save("out/data.yaml.png", pixels())
+    Path("out/data.yaml").write_text("mine")
+    given = ("ds/images", "--distance", "3", "--labels", "ds/labels", "--out", "out")
+    code, _, err = run("degrade", *given, *WATER)
+    assert (code, "out/data.yaml exists" in err) == (2, True)
+    assert Path("out/data.yaml").read_text() == "mine"
+    degrade(*given, "--force")
+    assert len(trained_with("out/data.yaml")["train"]) == 2
+
+
+@pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
+def test_a_coco_file_as_pycocotools_reads_it(degrade):
+    coco = pytest.importorskip("pycocotools.coco")
+    images: list[Any] = []
+    annotations: list[Any] = []
+    for number, name in enumerate(NAMES, 7):
+        images.append({"id": number, "file_name": f"{name}.png", "height": H, "width": W})
+        corners = [2.0, 1.0, 8.0, 1.0, 8.0, 6.0]
+        annotations.append(
+            {
+                "id": number,
+                "image_id": number,
+                "category_id": 1,
+                "bbox": [2, 1, 6, 5],
+                "area": 15.0,
+                "iscrowd": 0,
+                "segmentation": [corners],
+            }
+        )
+    categories = [{"id": 1, "name": "fish"}]
+    file = {"images": images, "annotations": annotations, "categories": categories}
+    Path("ds/marks.json").write_text(json.dumps(file))
+    given = ("--distance", "3", "--labels", "ds/marks.json", "--variants", "2")
+    degrade("ds/images", *given, "--out", "out")
+    read = coco.COCO("out/marks.json")
+    assert len(read.getImgIds()) == len(read.getAnnIds()) == 6
+    for image in read.loadImgs(read.getImgIds()):
+        assert Path("out", image["file_name"]).is_file()
+        (entry,) = read.loadAnns(read.getAnnIds(imgIds=image["id"]))
+        assert 0 < entry["contrast"] < 1
+        mask = read.annToMask(entry)
+        assert mask.shape == (H, W)
+        assert mask.sum() > 0
