@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 from torch import Tensor
 
 import uwaug.presets.scene
+import uwaug.transforms.prepare
 
 pytest.register_assert_rewrite("referees.terms")  # before a test imports it
 # at the end, so that `benchmarks` is found but an installed uwaug is tested, not the checkout's
@@ -98,8 +99,11 @@ def torchvision() -> Any:
 
 @pytest.fixture(autouse=True)
 def warnings_are_fresh(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let every test be the first that fills a map: it warns once in a process."""
+    """Let every test be the first that fills a map: it warns once in a process. Of pictures in
+    which nothing is left only those tests hear that ask for it: many take such a water.
+    """
     monkeypatch.setattr(uwaug.distance.complete, "_warned", [])
+    monkeypatch.setattr(uwaug.transforms.prepare, "_LOOKS", 0)
 
 
 @pytest.fixture(scope="module", params=OPTIONS)

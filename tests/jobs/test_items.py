@@ -249,6 +249,24 @@ def test_what_is_not_there():
         checked("empty")
 
 
+def test_beside_a_folder_of_labels_pictures_lie_where_trainers_look():
+    for name in ("images/train/1", "reef/2"):
+        save(f"ds/{name}.png", pixels())
+    save("ds/depth/train/1.npy", metres())
+    save("ds/depth/reef/2.npy", metres())
+    Path("ds/labels").mkdir()
+    given = {"distance": "ds/depth", "labels": "ds/labels"}
+    first, second = listed("ds", **given, variants=2)[::2]
+    assert (first.problem, second.problem) == (None, None)
+    assert first.place.as_posix() == "images/train/1_1.png"
+    assert first.labels_path.as_posix() == "out/labels/train/1_1.png"
+    assert second.place.as_posix() == "images/reef/2_1.png"
+    assert second.labels_path.as_posix() == "out/labels/reef/2_1.png"
+    # one file that is named lies where it is named
+    (alone,) = listed("ds/reef/2.png", distance="3", labels="ds/labels", name="b.jpg")
+    assert alone.place.as_posix() == "b.jpg"
+
+
 # What is refused before it begins
 
 
@@ -359,6 +377,8 @@ def test_a_file_of_labels_of_somebody_else_stays():
     for how in ({}, {"resume": True}):
         with pytest.raises(FileExistsError, match=r"out/coco\.json exists"):
             checked("all", recipe=recipe, **how)
+    with pytest.raises(FileExistsError, match=r"out/coco\.json exists"):
+        checked("all/one/a.png", recipe=recipe, name="b.png")
     Path("out/index.csv").touch()
     checked("all", recipe=recipe)
     assert set(content("out")) == {"coco.json", "index.csv"}

@@ -32,6 +32,11 @@ from uwaug.transforms.params import DEVELOPED
 UNDEVELOPED = dict.fromkeys(("color_matrix", *DEVELOPED)) | {"mu": 0.075}
 FIXED = {**UNDEVELOPED, "contrast": None, "vertical_depth": 1.0, "field_probability": 0.0}
 Z = Path("z.npy")
+FAINT = (
+    "less than 3 % of the contrast is left on a fifth of the picture or more: another "
+    "distance_unit, or clearer water, such as visibility=10 or contrast=0.3?"
+)
+"""Of 1 to 4 m in water of type 3C."""
 
 
 @pytest.fixture(autouse=True)
@@ -98,7 +103,8 @@ def test_orientation_is_honoured_and_the_rest_kept():
     assert torch.equal(read_picture("out/a.png"), in_water(stood, metric()))
     assert np.array_equal(read_picture_file("out/a.png").alpha, turned[..., 3])
     assert sidecar.notes == [
-        "the picture was turned as its EXIF says; its map is taken as turned already"
+        "the picture was turned as its EXIF says; its map is taken as turned already",
+        FAINT,
     ]
 
 
@@ -115,7 +121,8 @@ def test_16_bits_stay_16_bits(name):
 def test_what_a_format_does_not_keep_is_noted():
     save("b.png", words(4))
     notes = made(item_of("b.png", output="b.jpg")).notes
-    assert notes == ["JPEG does not keep: 16 bits (it has 8)", "JPEG does not keep: alpha"]
+    losses = ["JPEG does not keep: 16 bits (it has 8)", "JPEG does not keep: alpha"]
+    assert notes == [FAINT, *losses]
 
 
 # What maps hold
@@ -265,7 +272,7 @@ def test_the_index_tells_all_and_keeps_what_other_runs_have_made():
     assert line == [
         *("b.png", "0", "../b.png", "../z.npy", "b.png"),
         *shown,
-        *(f"{result.seconds:.3f}", "done", ""),
+        *(f"{result.seconds:.3f}", "done", "", ""),
     ]
     Path("out/index.csv").write_text("mine,alone\n")
     with pytest.raises(ValueError, match="is no index of uwaug"), index_of(Path("out")):
@@ -432,7 +439,7 @@ def test_resume_says_what_other_versions_have_made():
     kept = Degrader(Recipe(water="3C").resolved(), resume=True)(item_of())
     assert kept.status == "kept"
     said = "made by uwaug 0.1.0 and torch 1.0: not by those of this run"
-    assert kept.sidecar.notes == [said]
+    assert kept.sidecar.notes == [FAINT, said]
 
 
 def test_a_picture_that_was_left_as_it_is_has_no_terms():

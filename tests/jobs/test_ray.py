@@ -138,7 +138,10 @@ def test_shards_go_on(cluster: None, pictures: Path, here: Path, tmp_path: Path)
     shards.write(items_of(part, items.out), RECIPE)
     tally = shards.tally(1)
     assert (tally.rows, tally.failed) == (COUNT + 2, 2)
-    assert "bad.png: is no picture" in tally.reasons[0]
+    (reason,) = tally.reasons
+    assert reason.startswith("2 × is no picture")
+    assert reason.endswith(f"(first: {part / 'bad.png'})")
+    assert list(tally.notes) == []
 
     (shard,) = items.out.iterdir()
     schema = pyarrow.parquet.read_schema(shard)
@@ -181,6 +184,7 @@ def test_rows_of_a_data_set(cluster: None, pictures: Path, here: Path) -> None:
         first = json.loads((here / f"{i}_2.png.json").read_text())
         assert sidecar["input"] == first["input"] | {"path": f"{i}.png"}
         assert sidecar["drawn"] == first["drawn"]
+        assert row["notes"] == " | ".join(sidecar["notes"])
     with pytest.raises(ValueError, match="expected columns id and input, got item"):
         degrade(ray.data.from_items([1, 2]), recipe)
 

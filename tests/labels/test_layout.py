@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from uwaug.labels import open_labels
-from uwaug.labels.layout import label_place, picture_place, splits_of
+from uwaug.labels.layout import description_of, label_place, picture_place, splits_of
 
 
 @pytest.mark.parametrize(
@@ -86,6 +86,17 @@ def test_what_a_data_yaml_says_but_for_places_is_kept(folder: Path) -> None:
         "names": {0: "fish", 1: "crab: red"},
         "kpt_shape": [17, 3],
     }
+
+
+@pytest.mark.parametrize("labels", ["labels", "labels/train", "train/labels"])
+def test_a_data_yaml_lies_above_its_labels(labels: str, tmp_path: Path) -> None:
+    folder = tmp_path / "deep/ds"
+    (folder / labels).mkdir(parents=True)
+    (tmp_path / "deep/other.yaml").write_text("names: [a]\n")
+    (folder / "settings.yaml").write_text("train: images\nlearning: {names: [a]}\n")
+    assert description_of(folder / labels) is None
+    (folder / "data.yaml").write_text("# mine\nnames:\n- a\n")
+    assert description_of(folder / labels) == folder / "data.yaml"
 
 
 def test_classes_are_named_or_counted(folder: Path) -> None:

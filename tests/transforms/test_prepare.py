@@ -11,6 +11,7 @@ import torch
 from augmenting import EVERYTHING, TANK, H, W, distances, picture, same
 from torch import Tensor
 
+import uwaug.transforms.prepare
 from uwaug import Medium, PointSpread, RandomUnderwater, Water, form_image
 from uwaug.distance.convert import fill_unknown, from_inverse, from_relative
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
@@ -84,6 +85,24 @@ def test_default_is_the_calibrated_model_exposed(focal_px: float | None) -> None
         expected = used["gain"] * form_image(light, z, medium, tolerance=1e-4).image
         expected = linear_to_srgb(expected).clamp(0, 1)
         torch.testing.assert_close(out[i], expected, rtol=0, atol=2e-3)
+
+
+def test_it_is_said_once_that_nothing_is_left_to_see(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(uwaug.transforms.prepare, "_LOOKS", 4)
+    monkeypatch.setattr(uwaug.transforms.prepare, "_looked", [])
+    good = RandomUnderwater()
+    blank = RandomUnderwater("3C", contrast=None, field_probability=0.0)
+    image, distance = picture(), torch.full((1, H, W), 3.0)
+    # what lies far away is hidden in many a good draw, and open water shows nothing anyway
+    distance[:, : H // 4], distance[:, H // 2 :] = 12.0, math.inf
+    good(image, distance)
+    words = r"less than 3 % of .*distance is 30 m, the visibility 3\.35 m: are distances metres\?"
+    with pytest.warns(UserWarning, match=words):
+        blank(image, 10 * distance.clamp(max=3.0))
+    blank(image, 10 * distance.clamp(max=3.0))
+    # a few pictures tell: a look takes time
+    monkeypatch.setattr(uwaug.transforms.prepare, "_looked", [None] * 4)
+    blank(image, 10 * distance)
 
 
 def test_contrast_stops_at_pure_water() -> None:

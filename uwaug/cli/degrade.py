@@ -260,6 +260,13 @@ def degrade(
         return
     if not inputs:
         refuse("expected a picture, a folder of pictures, a list of them, or --replay")
+    if not (water or preset or fit or random or hazy):
+        cure = ""
+        named = [name for name, value in drawn.items() if value is not None]
+        if named:
+            flag = f"--{named[0].replace('_', '-')}"
+            cure = f": {flag} names no water: add --random, or one such as --water 3C"
+        refuse(f"expected --water, --preset, --fit or --random, got none of them{cure}")
     if depth_network is not None and distance is not None:
         refuse("--depth-network takes the place of --distance: give one of them")
     if shards is not None and ray is None:
@@ -320,7 +327,8 @@ def degrade(
         if shards is None and items.name is None and out and out.suffix and not out.is_dir():
             expected = f"the file of one picture, which ends in {', '.join(FORMATS)}, or a folder"
             cure = "make the folder first if it is to be called so"
-            refuse(f"--out {out}: expected {expected}: {cure}")
+            got = f", got {len(items)} pictures" if out.suffix.lower() in FORMATS else ""
+            refuse(f"--out {out}: expected {expected}{got}: {cure}")
         source = recipe.open_labels()
         count = len(items)
     if workers is None:

@@ -18,20 +18,22 @@ from rich.console import Console
 from uwaug._support.atomic import held, remove_left
 from uwaug._support.hashing import FileHash
 from uwaug.cli.console import counted, fail, in_flags, refuse, reported_errors
-from uwaug.figures.run_sheet import SHOWN, draw_sheet
+from uwaug.figures.run_sheet import draw_sheet, shown_of
 from uwaug.io.read import name_of
 from uwaug.io.write import FORMATS
 from uwaug.jobs.index import index_of, write_labels
 from uwaug.jobs.items import Items, labelled, preflight
-from uwaug.jobs.picture import Degrader, Result, named, reason_of, replay
+from uwaug.jobs.maps import require_explained
+from uwaug.jobs.picture import Degrader, Result, file_names, reason_of, replay
 from uwaug.jobs.pool import run
 from uwaug.jobs.ray import Shards, Tally, connected, run_on_ray
 from uwaug.jobs.recipe import Recipe
+from uwaug.jobs.remarks import Remarks
 from uwaug.jobs.sidecar import Sidecar
 from uwaug.labels import LabelSource
 
 _LISTED = 20
-"""Reasons, or pictures of a rehearsal, at most."""
+"""Different reasons, or pictures of a rehearsal, at most."""
 
 _INTERRUPTED = 130
 """Exit code of what Ctrl-C has ended."""
@@ -75,6 +77,10 @@ class Run:
                 preflight(self.items, self.recipe, resume=self.resume, force=force)
             except FileExistsError as error:
                 refuse(f"{error}: --resume to go on, {cure}")
+        try:
+            require_explained(self.items, self.recipe.distance)
+        except ValueError as error:
+            refuse(error)
         if not self.sheet:
             return
         if self._sheet.exists() and not (self.resume or self.force):
@@ -114,7 +120,7 @@ class Run:
 
     def _carry_out(self) -> None:
         start, out = time.perf_counter(), self.items.out
-        summary = _Summary(len(self.items))
+        summary = _Summary(len(self.items), self.items.variants)
         problems = []
         try:
             if self.resume:
@@ -138,8 +144,7 @@ class Run:
             problems.append(reason_of(error))
         for suffix, number in sorted(self.items.passed_over.items()):
             print(f"Note: {number} {suffix} passed over: save them as .png to have them degraded")
-        for note in summary.notes:
-            print(f"Note: {note}")
+        _print_notes(summary.notes)
         print(f"{summary.counts()} in {out}, {time.perf_counter() - start:.1f} s")
         if summary.failed:
             problems.append(_failures(len(self.items), summary, ", see index.csv"))
@@ -185,6 +190,7 @@ class Run:
             print("Stopped; --resume goes on.", file=sys.stderr)
             raise typer.Exit(_INTERRUPTED) from None
         seconds = time.perf_counter() - start
+        _print_notes(tally.notes)
         done = f"{tally.rows - tally.failed} of {len(self.items)} pictures"
         print(f"{done} in {place}, {seconds:.1f} s")
         if tally.failed:
@@ -194,27 +200,25 @@ class Run:
 class _Summary:
     """What is said of a run when it ends; it does not grow with the number of pictures."""
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, variants: int) -> None:
         self._count = count
+        self._on_sheet = shown_of(count // variants, variants)
         self.seen = self.failed = self.kept = self.labelled = 0
-        self.reasons: list[str] = []
-        self.notes: list[str] = []
+        self.reasons, self.notes = Remarks(_LISTED), Remarks(_LISTED)
         self.shown: list[Result] = []
 
     def add(self, result: Result) -> None:
         """Take one more picture into account."""
         if result.status == "failed":
             self.failed += 1
-            if len(self.reasons) < _LISTED:
-                self.reasons.append(result.named_reason)
-        elif self.seen % max(1, self._count // SHOWN) == 0:
+            self.reasons.add(str(result.reason), file_names(result.item))
+        elif self.seen in self._on_sheet:
             self.shown.append(result)
         self.kept += result.status == "kept"
         self.seen += 1
         self.labelled += result.sidecar is not None and result.sidecar.label_file is not None
         for note in result.sidecar.notes if result.sidecar else ():
-            if len(self.notes) < _LISTED:
-                self.notes.append(named(name_of(result.item.input), note))
+            self.notes.add(note, file_names(result.item))
 
     def counts(self) -> str:
         """How many pictures were done, and how many were there."""
@@ -225,21 +229,29 @@ class _Summary:
 def _failures(count: int, run: "_Summary | Tally", rest: str) -> str:
     """How many of `count` pictures failed, and why; `rest`: where to find the other reasons."""
     lines = [f"{run.failed} of {count} pictures failed:", *map(in_flags, run.reasons)]
-    if run.failed > len(run.reasons):
-        lines.append(f"and {run.failed - len(run.reasons)} more{rest}")
+    if run.reasons.dropped:
+        lines.append(f"and {run.reasons.dropped} more{rest}")
     return "\n  ".join(lines)
 
 
-def _before_and_after(results: list[Result]) -> list[tuple[str, Path]]:
-    """Titles and pictures of a sheet."""
-    pairs = []
-    for result in results[:SHOWN]:
+def _print_notes(notes: Remarks) -> None:
+    for note in notes:
+        print(f"Note: {in_flags(note)}")
+    if notes.dropped:
+        print(f"and {notes.dropped} notes more, see the records")
+
+
+def _before_and_after(results: list[Result]) -> list[list[tuple[str, Path]]]:
+    """Titles and pictures of a sheet: each picture with what was made of it."""
+    groups: dict[str, list[tuple[str, Path]]] = {}
+    for result in results:
         if (sidecar := result.sidecar) is not None:
+            before = name_of(result.item.input)
             sight = sidecar.visibility
-            title = sidecar.water if sight is None else f"{sidecar.water}, visibility {sight:.2g} m"
-            pairs.append((result.item.id, Path(name_of(result.item.input))))
-            pairs.append((str(title), result.item.output))
-    return pairs
+            title = sidecar.water if sight is None else f"{sight:.2g} m, {sidecar.water}"
+            group = groups.setdefault(result.item.id, [(result.item.id, Path(before))])
+            group.append((title, result.item.output))
+    return list(groups.values())
 
 
 def repeat(path: Path, out: Path, force: bool, moved: list[Path], distance: str | None) -> None:

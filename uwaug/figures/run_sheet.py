@@ -12,33 +12,63 @@ from uwaug._support.drawing import save
 from uwaug.figures import sheet as sheets
 from uwaug.io.read import read_picture
 
-SHOWN = 10
-"""Pictures, before and after, on a sheet."""
+_SHOWN = 10
+"""Results on a sheet, about."""
+
+_VARIANTS = 3
+"""Of one picture, at most."""
 
 _COLUMNS = 4
 _SIDE = 400
 """px, which a cell has room for."""
 
+_LONGEST = 36
+"""Letters of a title."""
 
-def draw_sheet(pictures: Sequence[tuple[str, Path]], path: Path) -> None:
-    """Draw pictures in files, each under its title: every second one as it was written, after the
-    one that was read.
+_CAPTION = (
+    "Each picture as it was read, and what was made of it: visibility, and water. “0.3·contents of "
+    "3C” is\npure water with 0.3 times what else is in water of type 3C."
+)
+
+
+def shown_of(pictures: int, variants: int) -> set[int]:
+    """Which results of a run a sheet shows: of pictures from the first to the last, by their places
+    in the run, where the variants of a picture follow each other.
+    """
+    of_each = min(variants, _VARIANTS)
+    count = min(pictures, math.ceil(_SHOWN / of_each))
+    steps = max(1, count - 1)
+    chosen = [(pictures - 1) * place // steps for place in range(count)]
+    return {picture * variants + variant for picture in chosen for variant in range(of_each)}
+
+
+def draw_sheet(groups: Sequence[Sequence[tuple[str, Path]]], path: Path) -> None:
+    """Draw pictures in files, each under its title: in each group one that was read, and what was
+    made of it. Groups begin in the same columns.
 
     Raises:
         ValueError, OSError: if a picture cannot be read, or the sheet not written.
     """
-    cells = [(title, _small(file)) for title, file in pictures]
-    rows = max(1, math.ceil(len(cells) / _COLUMNS))
-    caption = "Each picture as it was read, and as it was written."
-    figure, axes = sheets.sheet(rows, _COLUMNS, (3, 4), "Some of the pictures", caption)
-    for axis, (label, picture) in zip(axes, cells, strict=False):
-        sheets.show(axis, picture, _short(label))
-        axis.set_aspect("equal", adjustable="box", anchor="NW")
+    width = max(map(len, groups))
+    side_by_side = max(1, _COLUMNS // width)
+    columns = width * side_by_side
+    rows = math.ceil(len(groups) / side_by_side)
+    figure, axes = sheets.sheet(rows, columns, (3, 4), "Some of the pictures", _CAPTION)
+    for place, group in enumerate(groups):
+        for axis, (label, file) in zip(axes[place * width :], group, strict=False):
+            # a path ends in what tells it from others, a water begins with it
+            short = _ending(label) if file == group[0][1] else _beginning(label)
+            sheets.show(axis, _small(file), short)
+            axis.set_aspect("equal", adjustable="box", anchor="NW")
     save(figure, path)
 
 
-def _short(label: str) -> str:
-    return label if len(label) <= 38 else f"…{label[-37:]}"
+def _ending(label: str) -> str:
+    return label if len(label) <= _LONGEST else f"…{label[1 - _LONGEST :]}"
+
+
+def _beginning(label: str) -> str:
+    return label if len(label) <= _LONGEST else f"{label[: _LONGEST - 1]}…"
 
 
 def _small(path: Path) -> Tensor:

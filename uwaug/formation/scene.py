@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from uwaug._support import checks
 from uwaug._support.tiles import RowSource, Tile, row_bands, rows_of
 from uwaug._support.torch_func import transformed
 from uwaug._support.types import ColorSpace, Order
@@ -313,11 +314,14 @@ class Scene:
             parts.append(contrast_of(transmittance(self.medium.sums_at(z), z, lit))[0])
         return torch.cat(parts, 1)
 
-    def contrast_at_points(self) -> Tensor:
-        """The share of contrast that is left at some pixels (N) of one picture, spread over it."""
+    def contrast_at_points(self) -> tuple[Tensor, Tensor]:
+        """The share of contrast that is left at some pixels (N) of one picture, spread over it; and
+        which of them show something else than open water (N, bool).
+        """
         points = metering_points(*self.size, self.image.device)
         z = self._z_at(points)
-        return contrast_of(self._transmittance_at(points, z, self.medium.sums_at(z))).flatten()
+        shares = contrast_of(self._transmittance_at(points, z, self.medium.sums_at(z)))
+        return shares.flatten(), z.flatten() < checks.OPEN
 
     def _z_at(self, points: Tensor) -> Tensor:
         """Effective distances (1x1x1xN) of some pixels."""

@@ -209,6 +209,22 @@ class DistanceFormat:
             notes += _doubts(values)
         return values, notes
 
+    def survey(self, file: File) -> tuple[float | None, float]:
+        """What a map makes one ask, without reading it as the picture's.
+
+        Returns:
+            The median of a metric map, m, if it lies farther than one sees; and the share of its
+            pixels that are unknown.
+
+        Raises:
+            ValueError, OSError: as of `read`, but for a wrong unit.
+        """
+        if self.kind != "metric":
+            unknown = np.isnan(self._numbers(file))
+            return None, float(unknown.mean())
+        z = torch.from_numpy(_scaled(file, self.unit))
+        return checks.too_far(z), float((~(z > 0)).double().mean())
+
     def _numbers(self, file: File) -> NDArray[np.float32]:
         """What a file holds (HxW): metres of metric files, px of disparities, else numbers."""
         if self.kind == "metric":
@@ -273,6 +289,18 @@ def read_mask(file: File) -> Tensor:
 
 def _metres(file: File, unit: Unit) -> NDArray[np.float32]:
     """The distances of a file (HxW), m, if they are such as can be seen."""
+    z = _scaled(file, unit)
+    require_in_sight(name_of(file), torch.from_numpy(z), unit)
+    return z
+
+
+def finer_unit(unit: Unit) -> str:
+    """The unit to try where distances are farther than one sees."""
+    return "mm" if unit in ("m", "cm") else "um"
+
+
+def _scaled(file: File, unit: Unit) -> NDArray[np.float32]:
+    """The distances of a file (HxW), m."""
     scale = metres_of(unit)
     values = _one_channel(file, "distances")
     if values.dtype.itemsize == 1:
@@ -287,7 +315,6 @@ def _metres(file: File, unit: Unit) -> NDArray[np.float32]:
         z = np.empty(values.shape, np.float32)
         for start, stop in row_bands(*values.shape):
             z[start:stop] = values[start:stop].astype(np.float64) * scale
-    require_in_sight(name_of(file), torch.from_numpy(z), unit)
     return z
 
 
@@ -301,9 +328,8 @@ def require_in_sight(name: str, z: Tensor, unit: Unit) -> None:
     """
     median = checks.too_far(z)
     if median is not None:
-        finer = "mm" if unit in ("m", "cm") else "um"
         got = f"its median is {median:.5g} m if it is in {unit}, farther than one sees"
-        raise ValueError(f"{name}: {got}: try unit={finer!r}")
+        raise ValueError(f"{name}: {got}: try unit={finer_unit(unit)!r}")
 
 
 def _one_channel(file: File, expected: str) -> Values:

@@ -27,6 +27,7 @@ COLUMNS = (
     "seconds",
     "status",
     "reason",
+    "notes",
 )
 """Of an index: visibility in m, contrast as the mean share that is left."""
 
@@ -56,6 +57,7 @@ class Index:
         }
         if sidecar is not None:
             line["water"] = sidecar.water
+            line["notes"] = sidecar.noted
             for name in ("visibility", "contrast"):
                 value = getattr(sidecar, name)
                 line[name] = None if value is None else f"{value:.4g}"

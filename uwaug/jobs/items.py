@@ -405,9 +405,9 @@ def preflight(items: Items, recipe: Recipe, *, resume: bool = False, force: bool
         raise ValueError(f"keep_terms must be left out: {got}")
     if force:
         return
-    if recipe.labels is not None and items.name is None:
-        is_file = os.path.isfile(recipe.labels)
-        target = items.out / (os.path.basename(recipe.labels) if is_file else DESCRIPTION)
+    if recipe.labels is not None and (items.for_trainers or os.path.isfile(recipe.labels)):
+        name = DESCRIPTION if items.for_trainers else os.path.basename(recipe.labels)
+        target = items.out / name
         if os.path.lexists(target) and not (items.out / "index.csv").exists():
             raise FileExistsError(f"{target} exists")
     for item in items:

@@ -15,6 +15,7 @@ from uwaug._support.atomic import written_whole
 from uwaug._support.deterministic import reproducible
 from uwaug._support.hashing import FileHash
 from uwaug.distance.network import DepthNetwork
+from uwaug.formation.contrast import faintness
 from uwaug.formation.scene import Scene
 from uwaug.io.read import File, PictureFile, name_of, opened, read_picture_file
 from uwaug.io.write import encode, format_of, lost, write_picture
@@ -32,6 +33,9 @@ from uwaug.jobs.waters import LEFT, InWater
 from uwaug.labels import label_paths, with_contrast
 from uwaug.transforms.prepare import deterministic
 from uwaug.transforms.samples import key_of
+
+_CURES = "another distance_unit, or clearer water, such as visibility=10 or contrast=0.3?"
+"""Of a picture in which next to nothing is left to see."""
 
 
 @dataclass(frozen=True)
@@ -208,7 +212,7 @@ class Degrader:
             try:
                 formed = self._waters.degrade(image, distance, drawn, key)
             except ValueError as error:
-                raise ValueError(f"{_names(item)}: {error}") from error
+                raise ValueError(f"{file_names(item)[-1]}: {error}") from error
             labels = None
             if item.labels is not None:
                 contrast = torch.ones(1, *image.shape[-2:])
@@ -216,6 +220,7 @@ class Degrader:
                     contrast = formed.scene.contrast()
                 labels = with_contrast(item.labels, contrast, self.recipe.min_contrast)
                 labels["output"] = item.place.as_posix()
+        contrast_left, hidden = _contrast_left(formed.scene)
         losses = [f"{format} does not keep: {what}" for what in lost(original, format)]
         losses += [f"not kept: {what}" for what in original.left_out]
         uwaug, pytorch = versions()
@@ -233,8 +238,8 @@ class Degrader:
             drawn=formed.drawn,
             water=formed.water,
             visibility=formed.visibility,
-            contrast=_mean_contrast(formed.scene),
-            notes=[*notes, *losses],
+            contrast=contrast_left,
+            notes=[*notes, *hidden, *losses],
             labels=labels,
             label_file=None if item.labels is None else item.labels.file_hash(),
         )
@@ -392,18 +397,28 @@ def _hash_of(where: File | float | None) -> FileHash | float | None:
         return FileHash.of_stream(file, _path_of(where))
 
 
-def _names(item: Item) -> str:
-    names = [name_of(item.input)]
-    if item.distance is not None and not isinstance(item.distance, (int, float)):
-        names.append(name_of(item.distance))
-    return " with ".join(names)
+def file_names(item: Item) -> list[str]:
+    """What reasons begin with: the picture's name, its map's, or both."""
+    where = item.distance
+    if where is None or isinstance(where, (int, float)):
+        return names_together(name_of(item.input), None)
+    return names_together(name_of(item.input), name_of(where))
 
 
-def _mean_contrast(scene: Scene | None) -> float:
-    """Of some pixels, spread over the picture: all of them would take a tenth of its time."""
+def names_together(picture: str, distance: str | None) -> list[str]:
+    """Of the files of a picture, one by one and together."""
+    return [picture] if distance is None else [picture, distance, f"{picture} with {distance}"]
+
+
+def _contrast_left(scene: Scene | None) -> tuple[float, list[str]]:
+    """The mean share of contrast that is left, and a note if it is next to nothing. Of some pixels,
+    spread over the picture: all of them would take a tenth of its time.
+    """
     if scene is None:
-        return 1.0
+        return 1.0, []
     with reproducible():  # a sidecar is the same on any number of threads
-        contrast = scene.contrast_at_points()
+        contrast, is_surface = scene.contrast_at_points()
+    faint = faintness(contrast[is_surface])
+    notes = [] if faint is None else [f"{faint}: {_CURES}"]
     # and wherever in memory it lies, which its last bits follow from
-    return round(float(contrast.double().mean()), 6)
+    return round(float(contrast.double().mean()), 6), notes

@@ -14,7 +14,7 @@ import os
 import pickle
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -28,15 +28,17 @@ from uwaug._support.parse import from_json
 from uwaug.io.read import name_of, opened
 from uwaug.io.write import FORMATS
 from uwaug.jobs.items import Item, Items, labelled, metres_in
-from uwaug.jobs.picture import Degrader, Result, named, reason_of
+from uwaug.jobs.picture import Degrader, Result, names_together, reason_of
 from uwaug.jobs.pool import alone, cores, use_one_thread
 from uwaug.jobs.recipe import Recipe
+from uwaug.jobs.remarks import Remarks
+from uwaug.jobs.sidecar import NOTES_APART
 from uwaug.labels import LabelSource
 
 LOCAL = "local"
 """In place of an address: Ray is started on this machine, and ended with the run."""
 
-ADDED = ("image", "water", "visibility", "contrast", "record", "status", "reason")
+ADDED = ("image", "water", "visibility", "contrast", "record", "status", "reason", "notes")
 """Columns that `degrade` adds."""
 
 SIZE = 256
@@ -179,7 +181,8 @@ def degrade(
             water, visibility (m), contrast: its name, and what is left to see;
             record: JSON of the sidecar of a picture that is written to a file;
             status: "done" or "failed";
-            reason: why it failed. One bad picture does not stop the rest.
+            reason: why it failed. One bad picture does not stop the rest;
+            notes: what is worth knowing.
 
     Raises:
         ImportError: if Ray is not installed.
@@ -354,6 +357,7 @@ def _columns(result: Result, output: str) -> dict[str, Any]:
         "contrast": sidecar.contrast,
         "record": json.dumps(sidecar.to_json(), ensure_ascii=False),
         "status": "done",
+        "notes": sidecar.noted,
     }
 
 
@@ -421,12 +425,14 @@ class Tally:
 
     Attributes:
         rows, failed: how many; failed ones are rows without a picture.
-        reasons: why they failed, of the first few.
+        reasons: why they failed.
+        notes: what is worth knowing of the others.
     """
 
+    reasons: Remarks
+    notes: Remarks
     rows: int = 0
     failed: int = 0
-    reasons: list[str] = field(default_factory=list)
 
 
 class Shards:
@@ -537,22 +543,25 @@ class Shards:
             raise OSError(f"Ray: {error}") from None
 
     def tally(self, most: int) -> Tally:
-        """Count what is in the shards; with at most so many reasons.
+        """Count what is in the shards; with at most so many different reasons and notes.
 
         Raises:
             OSError: if they cannot be read.
         """
         from pyarrow.dataset import dataset
 
-        tally = Tally()
-        shards = dataset(self._path, filesystem=self._files, format="parquet")
-        for batch in shards.to_batches(columns=["input", "status", "reason"]):
+        tally = Tally(Remarks(most), Remarks(most))
+        shards = dataset(self._path, shard_schema(), "parquet", self._files)
+        columns = ["input", "distance", "status", "reason", "notes"]
+        for batch in shards.to_batches(columns=columns):
             tally.rows += len(batch)
             for row in batch.to_pylist():
+                names = names_together(row["input"], row["distance"])
                 if row["status"] == "failed":
                     tally.failed += 1
-                    if len(tally.reasons) < most:
-                        tally.reasons.append(named(row["input"], row["reason"]))
+                    tally.reasons.add(row["reason"], names)
+                for note in filter(None, (row["notes"] or "").split(NOTES_APART)):
+                    tally.notes.add(note, names)
         return tally
 
     def _paths(self, folder: str | None = None) -> list[str]:

@@ -22,6 +22,9 @@ from uwaug.transforms.random_underwater import UNDEVELOPED, hazy_options
 TERMS = ("direct", "forward", "backscatter")
 """Of the light, as files beside a picture are called."""
 
+NOTES_APART = " | "
+"""Between notes in a cell of a table."""
+
 _FORMAT = 2
 
 
@@ -61,6 +64,11 @@ class Sidecar:
     notes: list[str]
     labels: Any = None
     label_file: FileHash | None = None
+
+    @property
+    def noted(self) -> str:
+        """The notes in one cell of a table."""
+        return NOTES_APART.join(self.notes)
 
     def to_json(self) -> dict[str, Any]:
         """As what JSON holds."""

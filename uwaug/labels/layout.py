@@ -72,8 +72,8 @@ def description_of(labels: Path) -> Path | None:
     None if there is none, or several that might be meant.
     """
     above = [labels, labels.parent]
-    if labels.parent.name == LABELS:
-        above.append(labels.parent.parent)
+    if labels.parent.name.startswith((LABELS, *_SPLITS)):
+        above.append(labels.parent.parent)  # of labels/train, and of train/labels
     for folder in above:
         files = [*folder.glob("*.yaml"), *folder.glob("*.yml")]
         naming = [file for file in sorted(files) if {"names", "nc"} & set(dict(_blocks(file)))]

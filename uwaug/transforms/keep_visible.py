@@ -98,7 +98,7 @@ class KeepVisible(SampleTransform):
             raise ValueError(f"KeepVisible takes one picture (3, H, W) at a time, got {got}")
         record = self.augment.make_params(image, generator)
         degraded = self.augment.in_water(
-            image, distance, record, lambda wet: (wet.scene.picture(), wet.scene.contrast())
+            image, distance, record, lambda wet: (wet.picture(), wet.scene.contrast())
         )
         contrast = np.ones(image.shape[-2:], np.float32)
         if degraded:

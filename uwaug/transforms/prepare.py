@@ -1,6 +1,7 @@
 """A picture in the water that was drawn for it, before it is formed."""
 
 import math
+import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -11,6 +12,7 @@ from torch import Tensor
 
 from uwaug._support.deterministic import reproducible
 from uwaug._support.tiles import RowSource, row_bands
+from uwaug.formation.contrast import faintness
 from uwaug.formation.engine import recorded_engine
 from uwaug.formation.exposure import GAINS, metering_points
 from uwaug.formation.scene import Scene
@@ -26,6 +28,14 @@ _DIMMEST = 2 / GAINS[1]
 largest gain makes up for, and an octave for what is lost on the way to the camera. Waters that are
 turbid enough for a scene at arm's length are black at 10 m.
 """
+
+_LOOKS = 16
+"""Pictures of a process that are looked at for whether anything is left to see: each takes a
+millisecond or two, and what is wrong with all of them shows in the first.
+"""
+
+_looked: list[str | None] = []
+"""What there was to say of them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +65,21 @@ class InWater:
             "gain": float(self.scene.gain),
         }
         return replace(self.params, used=used, path=recorded_engine(self.scene.engine))
+
+    def picture(self) -> Tensor:
+        """The picture; with a warning, once in a process, if next to nothing is left to see."""
+        if len(_looked) < _LOOKS:
+            contrast, is_surface = self.scene.contrast_at_points()
+            shares = contrast[is_surface]
+            # by the median: the far end of a scene is hidden in many a good draw
+            faint = faintness(shares.median()[None]) if shares.numel() else None
+            _looked.extend([faint] * (1 if faint is None else _LOOKS))
+            if faint is not None:
+                near, sight = _median(self.scene.z), self.water.visibility()
+                got = f"the median distance is {near:.3g} m, the visibility {sight:.3g} m"
+                cure = "are distances metres? If so, take clearer water by visibility or contrast"
+                warnings.warn(f"{faint}: {got}: {cure}", UserWarning, stacklevel=2)
+        return self.scene.picture()
 
 
 @contextmanager

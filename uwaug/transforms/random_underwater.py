@@ -514,7 +514,7 @@ class RandomUnderwater(SampleTransform):
         return self._distribution.read(record, 1 if plain.ndim == 3 else len(plain))
 
     def _transform(self, image: Tensor, distance: Any, samples: list[Params]) -> Tensor:
-        degraded = self._each(image, distance, samples, lambda wet: wet.scene.picture())
+        degraded = self._each(image, distance, samples, InWater.picture)
         return with_pictures(image, degraded)
 
     def _each(
