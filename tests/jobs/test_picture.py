@@ -341,6 +341,15 @@ def test_sidecars_that_are_none():
         Sidecar.read(Path("r.json"))
 
 
+@pytest.mark.parametrize("name", ["id", "variant", "input", "recipe", "labels", "label_file"])
+def test_a_sidecar_of_other_kinds_is_none(name):
+    made()
+    path = Path("out/a.png.json")
+    path.write_text(json.dumps({**json.loads(path.read_text()), name: ["?"]}))
+    with pytest.raises(ValueError, match=r"a\.png\.json: is no record of a picture"):
+        Sidecar.read(path)
+
+
 @pytest.mark.parametrize("output", ["../../escaped.png", "/escaped.png", "..", "", 3])
 def test_a_sidecar_does_not_say_where_to_write(output):
     made()

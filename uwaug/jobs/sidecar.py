@@ -27,6 +27,18 @@ NOTES_APART = " | "
 
 _FORMAT = 2
 
+_KINDS = {
+    "id": str,
+    "variant": int,
+    "input": FileHash,
+    "recipe": Mapping,
+    "drawn": Mapping,
+    "notes": list,
+    "labels": Mapping | None,
+    "label_file": FileHash | None,
+}
+"""Of values that are read before the recipe is."""
+
 
 @dataclass(frozen=True)
 class Sidecar:
@@ -98,8 +110,9 @@ class Sidecar:
         except ValueError as error:
             raise ValueError(f"{path}: is no record of a picture: {error}") from None
         names = {field.name for field in fields(Sidecar)}
+        foreign = f"{path}: is no record of a picture that uwaug has written"
         if not isinstance(values, Mapping) or set(values) != names | {"format"}:
-            raise ValueError(f"{path}: is no record of a picture that uwaug has written")
+            raise ValueError(foreign)
         if values["format"] not in (1, _FORMAT):
             got = values["format"]
             raise ValueError(f"{path}: expected a record of format {_FORMAT}, got {got}")
@@ -111,9 +124,9 @@ class Sidecar:
                 if isinstance(attributes[name], Mapping):
                     attributes[name] = FileHash(**attributes[name])
         except TypeError:
-            raise ValueError(f"{path}: is no record of a picture that uwaug has written") from None
-        if not isinstance(attributes["recipe"], Mapping):
-            raise ValueError(f"{path}: is no record of a picture that uwaug has written")
+            raise ValueError(foreign) from None
+        if not all(isinstance(attributes[name], kind) for name, kind in _KINDS.items()):
+            raise ValueError(foreign)
         output = attributes["output"]
         is_name = isinstance(output, str) and Path(output).name == output not in ("", "..")
         if not is_name:
