@@ -145,3 +145,14 @@ def test_what_killed_processes_have_left_is_removed(tmp_path):
     (tmp_path / ".uwaug-mine.part").touch()
     remove_left(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == [".uwaug-mine.part"]
+
+
+def test_what_this_process_is_writing_is_not_what_killed_ones_have_left(tmp_path):
+    """The index of a run, when one of its workers has died."""
+    with written_whole(tmp_path / "index.csv") as part:
+        part.write_text("kept")
+        remove_left(tmp_path)
+    assert (tmp_path / "index.csv").read_text() == "kept"
+    part.touch()
+    remove_left(tmp_path)
+    assert not part.exists()

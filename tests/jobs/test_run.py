@@ -19,6 +19,7 @@ from filing import content, metres, pixels, save
 
 from uwaug._support.atomic import is_part
 from uwaug.jobs import Items, Recipe, pool, run
+from uwaug.jobs.index import index_of
 from uwaug.labels import CocoLabels
 
 COMMAND = [sys.executable, "-m", "uwaug", "degrade", "all", "--distance", "z.npy", "--random"]
@@ -189,7 +190,13 @@ def test_a_picture_that_kills_its_worker_fails_alone(folder):
     deadly[1] = deadly[1]._replace(distance=Path("deadly.npy"))
     for item in deadly:
         save(item.distance, metres())
-    results = list(run(deadly, Recipe(water="II", distance=Deadly()), workers=2))
+    Path("out").mkdir()
+    with index_of(Path("out")) as index:
+        results = list(run(deadly, Recipe(water="II", distance=Deadly()), workers=2))
+        for result in results:
+            index.add(result)
+    # what the worker has left is removed, and the index is no part of that
+    assert len(Path("out/index.csv").read_text().splitlines()) == 5
     assert [result.status for result in results] == ["done", "failed", "done", "done"]
     assert "all/01.png: the process died over it" in str(results[1].reason)
     assert parts("out") == []

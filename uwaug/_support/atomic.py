@@ -10,6 +10,9 @@ from pathlib import Path
 
 _PART = re.compile(r"\.uwaug-[0-9a-f]{16}\.part")
 
+_writing: set[str] = set()
+"""Names of the parts that this process has begun and not ended."""
+
 
 def is_part(name: str) -> bool:
     """Whether a file's name is that of a file being written, or left by a process that was killed
@@ -55,10 +58,10 @@ def held(folder: Path, *, shared: bool = False) -> Iterator[None]:
 
 def remove_left(folder: Path) -> None:
     """Remove from a folder the files that were being written by processes that were killed. A
-    living one loses its file too: no two runs may write to one folder, see `held`.
+    living one, but for this, loses its file too: no two runs may write to one folder, see `held`.
     """
     for path in folder.glob(".uwaug-*.part"):
-        if is_part(path.name):
+        if is_part(path.name) and path.name not in _writing:
             with suppress(OSError):
                 path.unlink()
 
@@ -95,6 +98,7 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
         _refuse_irregular(target, status)
         mode = stat.S_IMODE(status.st_mode)
     part = _new_part(target.parent, private=mode is not None)
+    _writing.add(part.name)
     try:
         yield part
         if mode is not None:
@@ -109,6 +113,7 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
             error.filename = os.fspath(path)
         raise
     finally:
+        _writing.discard(part.name)
         part.unlink(missing_ok=True)
 
 
