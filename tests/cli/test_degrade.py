@@ -21,6 +21,7 @@ from uwaug.formation.scene import Scene
 from uwaug.io import read_picture
 from uwaug.jobs import Sidecar
 from uwaug.light.geometry import focal_of
+from uwaug.presets.files import bundled_preset
 from uwaug.transforms.random_underwater import SEVERITIES
 
 WATER = ("--water", "3C")
@@ -69,6 +70,7 @@ def test_flags_are_options_of_the_transform(degrade):
 
 
 def test_a_range_of_metres_puts_each_picture_on_a_plane(degrade):
+    Path("2").mkdir()  # a range is no path, whatever is called as its ends are
     degrade("good.png", "--distance", "2:6", "--random", "--variants", "3", "--out", "out")
     transform, metres_of = uwaug.RandomUnderwater(distance=(2.0, 6.0)), []
     for variant in range(3):
@@ -115,6 +117,24 @@ def test_a_water_of_ones_own_by_its_file(degrade, run):
     assert Sidecar.read(Path("out/good.png.json")).water.endswith("Harbour")
     code, _, err = run("degrade", "good.png", "--distance", "3", "--water", "no.Csv", "--out", "x")
     assert (code, "no.Csv" in err) == (1, True)
+
+
+def test_a_presets_own_water_belongs_to_its_pictures(degrade, run):
+    """A picture of another water is not made again for it, nor kept beside new ones."""
+    spectra = "wavelength,a,b,kd\n400,.5,1,.7\n700,.7,1,.8\n"
+    Path("mine").mkdir()
+    Path("mine/harbour.csv").write_text(spectra)
+    preset = bundled_preset("survey").read_text(encoding="utf-8")
+    Path("mine/own.toml").write_text(preset.replace('type = "7C"', 'type = "harbour.csv"'))
+    given = ("good.png", "--distance", "z.npy", "--preset", "mine/own.toml", "--out", "out")
+    degrade(*given)
+    assert Sidecar.read(Path("out/good.png.json")).water == "harbour"
+    assert "1 were there" in degrade(*given, "--resume")
+    Path("mine/harbour.csv").write_text(spectra.replace(".8", ".9"))
+    code, _, err = run("degrade", "--replay", "out/good.png.json", "--out", "again")
+    assert (code, "harbour.csv has changed" in err) == (1, True)
+    code, _, err = run("degrade", *given, "--resume")
+    assert (code, "harbour.csv has changed since out/good.png" in err) == (2, True)
 
 
 def test_what_fit_waters_has_written(degrade, run):

@@ -48,7 +48,7 @@ class Sidecar:
         uwaug, torch: versions.
         id, variant: of the item.
         input: the picture's file.
-        distance: its file; metres; or None, of a depth network.
+        distance: its file; metres; or None, of a depth network or drawn.
         output: the name of the picture that was written.
         sha256, bytes: of its file.
         recipe: as JSON has it, see `Recipe.to_json`.

@@ -240,7 +240,7 @@ def preset_files(name_or_path: str | os.PathLike[str]) -> list[Path]:
     path = preset_path(name_or_path)
     named = read_config(path).water
     names = () if named is None else (named.type, named.camera)
-    return [path.parent / name for name in names if name.lower().endswith(".csv")]
+    return [path.parent / name for name in names if is_table(name)]
 
 
 def _spectra(
