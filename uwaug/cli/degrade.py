@@ -95,14 +95,15 @@ def degrade(
         ),
     ] = False,
     options: Annotated[
-        Path | None, _water(help="TOML file of options of RandomUnderwater, such as waters.")
+        Path | None, _water(help="TOML file of options of RandomUnderwater, such as lamps.")
     ] = None,
     distance: Annotated[
         str | None,
         distances.flag(
             help="Distance of each pixel: a folder of files with the pictures' names, a pattern "
             "such as {stem}_depth.png, one file, metres, or a range of metres, LOW:HIGH, of which "
-            "each picture gets one."
+            "each picture gets one.",
+            metavar="PLACE|METRES|LOW:HIGH",
         ),
     ] = None,
     distance_kind: distances.Kind = "metric",

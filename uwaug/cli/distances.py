@@ -21,22 +21,26 @@ Place = str | float | tuple[float, float]
 flag = partial(typer.Option, rich_help_panel="Distances")
 """An option in the group of the help that is about distances."""
 
-_UNIT_HELP = "Of distance files: m, cm, mm, um, or how many metres 1 stands for."
+FILE_HELP = "Distance of each pixel: .npy, .npz, TIFF, PNG, PFM, EXR. Or metres, for all."
+FILE = "FILE|METRES"
 
-Distance = Annotated[
-    str, flag(help="Distance of each pixel: .npy, .npz, TIFF, PNG, PFM, EXR. Or metres, for all.")
-]
+Distance = Annotated[str, flag(help=FILE_HELP, metavar=FILE)]
 Kind = Annotated[
     Literal["metric", "relative", "inverse", "disparity"], flag(help="Of distance files.")
 ]
 Unit = Annotated[
-    str, flag(help=_UNIT_HELP, metavar="UNIT", autocompletion=complete("m", "cm", "mm", "um"))
+    str,
+    flag(
+        help="Of distance files: m, cm, mm, um, or how many metres 1 stands for.",
+        metavar="UNIT",
+        autocompletion=complete("m", "cm", "mm", "um"),
+    ),
 ]
 Unknown = Annotated[
     str,
     flag(
         help="What 0 and NaN get: error, fill, skip, far, or metres.",
-        metavar="error|fill|skip|far|METRES",
+        metavar="WORD|METRES",
         autocompletion=complete("error", "fill", "skip", "far"),
     ),
 ]

@@ -40,9 +40,7 @@ def fit(
     ] = None,
     distance: Annotated[
         list[str] | None,
-        distances.flag(
-            help="Distance of each pixel: .npy, .npz, TIFF, PNG, PFM, EXR. Or metres, for all."
-        ),
+        distances.flag(help=distances.FILE_HELP, metavar=distances.FILE),
     ] = None,
     series: Annotated[
         Path | None,
@@ -68,7 +66,7 @@ def fit(
         str,
         distances.flag(
             help="What 0 and NaN get: skip (they do not count), far, or metres.",
-            metavar="skip|far|METRES",
+            metavar="WORD|METRES",
             autocompletion=complete("skip", "far"),
         ),
     ] = "skip",
