@@ -308,7 +308,7 @@ FIT = "fit --out x.json --clean a.png --observed a.png --distance a.npy"
         (2, f"{DEGRADE} 3 --random --exposure bright", "expected auto, none, stops, or a range"),
         # flags that do not go together, or are missing
         (2, "degrade a.png --out x.png --water II", "--distance is missing: a.png has no"),
-        (2, f"{DEGRADE} 3", "expected one of water, preset, fit and random, got none"),
+        (2, f"{DEGRADE} 3", "expected --water, --preset, --fit or --random, got none"),
         (2, "degrade --out x --distance 3 --water II", "expected a picture, a folder"),
         (2, "degrade a.png a.png --out x --distance 3 --water II", "a.png was given twice"),
         (2, f"{DEGRADE} 3 --water II --planar --focal-px 40", "--planar would do nothing"),

@@ -80,7 +80,7 @@ class Run:
         try:
             require_explained(self.items, self.recipe.distance)
         except ValueError as error:
-            refuse(error)
+            fail(error)  # as the other commands, where a file is not what was said of it
         if not self.sheet:
             return
         if self._sheet.exists() and not (self.resume or self.force):
