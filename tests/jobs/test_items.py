@@ -121,7 +121,7 @@ def test_the_folder_of_a_run_holds_no_pictures():
     save("all/wet/labels/a.png", pixels())
     Path("all/wet/index.csv").write_text("id,variant,input,distance,output,water\n")
     assert [item.id for item in listed("all")] == ["one/a.png", "two/a.png"]
-    with pytest.raises(ValueError, match=r"all/wet holds what a run has written: .* index\.csv"):
+    with pytest.raises(ValueError, match=r"all/wet holds what a run has written: give the folder"):
         listed("all/wet")
     Path("all/wet/index.csv").write_text("input\n")
     assert len(listed("all")) == 4

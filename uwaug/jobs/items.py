@@ -175,7 +175,7 @@ class Items:
         """The pictures of an input."""
         if source.is_dir():
             if is_index(source / "index.csv"):
-                cure = "give its index.csv to degrade its pictures, or another folder"
+                cure = "give the folder of its pictures, or a list of files with a column input"
                 raise ValueError(f"{source} holds what a run has written: {cure}")
             for path in self._inside(source):
                 name = path.relative_to(source).as_posix()
@@ -421,7 +421,7 @@ def preflight(items: Items, recipe: Recipe, *, resume: bool = False, force: bool
         if other:
             got = f"was made with other options ({', '.join(other)})"
             raise ValueError(f"{item.output} {got}: give the same ones, or another folder")
-        for path, sha256 in before["content"].items():
+        for path, sha256 in before.get("content", {}).items():
             if mine["content"].get(path) != sha256:
                 got = f"{path} has changed since {item.output} was made of it"
                 raise ValueError(f"{got}: put it back, or choose another folder")
