@@ -479,6 +479,17 @@ def test_two_runs_at_once_into_one_folder(run):
         assert run(*arguments)[0] == 0
 
 
+def test_only_a_run_that_has_its_folder_alone_tidies_it(degrade):
+    part = Path(f"out/deep/.uwaug-{'0' * 16}.part")
+    save("out/deep/a.png", pixels())
+    part.touch()
+    given = ("good.png", "--distance", "3", *WATER, "--resume", "--out")
+    degrade(*given, "out/b.png")
+    assert part.exists()
+    degrade(*given, "out")
+    assert not part.exists()
+
+
 def test_what_is_there_stays(run):
     save("out/good.png", pixels(seed=1))
     before = content("out")

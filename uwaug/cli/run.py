@@ -123,8 +123,8 @@ class Run:
         summary = _Summary(len(self.items), self.items.variants)
         problems = []
         try:
-            if self.resume:
-                # what a killed run was writing
+            if self.resume and self.items.name is None:
+                # what a killed run was writing; beside a single picture others may be at work
                 for folder, _, _ in os.walk(out):
                     remove_left(Path(folder))
             if self.items.name is not None:
