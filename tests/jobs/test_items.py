@@ -127,6 +127,12 @@ def test_the_folder_of_a_run_holds_no_pictures():
     assert len(listed("all")) == 4
 
 
+def test_masks_of_a_run_that_was_killed_are_no_pictures():
+    save("all/wet/labels/a.png", pixels())
+    Path("all/wet/labels/a.contrast.json").touch()
+    assert [item.id for item in listed("all")] == ["one/a.png", "two/a.png"]
+
+
 def test_terms_are_no_pictures():
     written(listed("all/one/a.png", out="wet")[0], Recipe(water="3C", keep_terms=True))
     assert len(list(Path("wet").glob("*.png"))) == 4

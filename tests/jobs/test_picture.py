@@ -317,15 +317,17 @@ def test_a_sidecar_of_format_1_makes_the_same_picture(name):
     assert again.visibility == pytest.approx(sidecar.visibility)
 
 
-@pytest.mark.parametrize("name", ["a.png", "z.npy", "p.toml"])
+@pytest.mark.parametrize("name", ["a.png", "z.npy", "p.toml", "marks/a.png"])
 def test_a_sidecar_of_files_that_have_changed(name):
     preset = Path(__file__).parents[2] / "configs/survey.toml"
     Path("p.toml").write_text(preset.read_text())
-    sidecar = made(water=None, preset="p.toml")
+    save("marks/a.png", np.ones((H, W), np.uint8))
+    sidecar = made(water=None, preset="p.toml", labels="marks")
     if name == "p.toml":
         Path(name).write_text(preset.read_text() + "\n")
     else:
-        save(name, pixels(seed=3) if name == "a.png" else metres() + 1)
+        values = {"a.png": pixels(seed=3), "z.npy": metres() + 1}
+        save(name, values.get(name, np.full((H, W), 2, np.uint8)))
     with pytest.raises(ValueError, match=f"{name} has changed since the record was written"):
         replay(sidecar, Path("again/a.png"))
     assert not Path("again").exists()

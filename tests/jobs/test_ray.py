@@ -219,6 +219,13 @@ def test_what_no_run_has_written_is_neither_removed_nor_read(
     assert content(tmp_path) == before
 
 
+def test_two_runs_at_once_into_one_place(tmp_path: Path) -> None:
+    shards = Shards(str(tmp_path / "wet"))
+    with shards.held(), pytest.raises(BlockingIOError, match=r"wet\.run: another run writes to"):
+        shards.held().__enter__()
+    shards.prepare(RECIPE)
+
+
 def test_force_removes_the_shards_of_a_run_and_nothing_else(tmp_path: Path) -> None:
     import pyarrow.parquet as pq
 

@@ -173,14 +173,19 @@ class Run:
 
     def carry_out_in_shards(self, place: str) -> None:
         """Degrade all pictures into shards; end with 1 if any failed."""
+        with ExitStack() as stack:
+            with reported_errors():
+                shards = Shards(place)
+                stack.enter_context(shards.held())
+                try:
+                    shards.prepare(self.recipe, resume=self.resume, force=self.force)
+                except FileExistsError as error:
+                    refuse(f"{error}: --resume to go on, --force to remove them, or another place")
+            self._write(shards, place)
+
+    def _write(self, shards: Shards, place: str) -> None:
         start = time.perf_counter()
         assert self.ray is not None
-        with reported_errors():
-            try:
-                shards = Shards(place)
-                shards.prepare(self.recipe, resume=self.resume, force=self.force)
-            except FileExistsError as error:
-                refuse(f"{error}: --resume to go on, --force to remove them, or another place")
         try:
             with reported_errors(), connected(self.ray, self.workers):
                 is_terminal = Console(stderr=True).is_terminal

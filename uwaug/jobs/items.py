@@ -296,9 +296,11 @@ def _is_beside(pattern: str) -> bool:
 
 
 def _is_written(path: Path, there: set[str]) -> bool:
-    """Whether a run has written a picture, or one of the terms of a picture; `there`: the names in
-    its folder.
+    """Whether a run has written a picture, a mask, or one of the terms of a picture; `there`: the
+    names in its folder.
     """
+    if f"{path.stem}.contrast.json" in there:
+        return True
     stem, _, term = path.stem.rpartition("_")
     pictures = [path, path.with_name(stem + path.suffix)] if stem and term in TERMS else [path]
     return any(f"{one.name}.json" in there and sidecar_of(one) is not None for one in pictures)

@@ -339,7 +339,7 @@ def replay(sidecar: Sidecar, output: Path, *, force: bool = False) -> Sidecar:
     """
     recipe = Recipe.from_json(sidecar.recipe)
     recipe.require_content()
-    for hash in (sidecar.input, sidecar.distance):
+    for hash in (sidecar.input, sidecar.distance, sidecar.label_file):
         if isinstance(hash, FileHash) and FileHash.of(hash.path).sha256 != hash.sha256:
             raise ValueError(f"{hash.path} has changed since the record was written")
     where = sidecar.distance

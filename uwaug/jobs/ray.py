@@ -22,7 +22,7 @@ from typing import Any
 from PIL import Image
 
 from uwaug._support import checks
-from uwaug._support.atomic import remove_left
+from uwaug._support.atomic import held, remove_left
 from uwaug._support.extras import require
 from uwaug._support.parse import from_json
 from uwaug.io.read import name_of, opened
@@ -458,6 +458,24 @@ class Shards:
             raise ValueError(f"shards: no place {place}: {error}") from None
         self.place, self._path = place, path.rstrip("/")
         self._run = f"{self._path}.run"
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Hold the place against other runs, where it is a folder; elsewhere there are no locks.
+
+        Raises:
+            BlockingIOError: if another run holds it.
+            OSError: if it cannot be made.
+        """
+        from pyarrow.fs import LocalFileSystem
+
+        if not isinstance(self._files, LocalFileSystem):
+            yield
+            return
+        run = Path(self._run)
+        run.mkdir(parents=True, exist_ok=True)
+        with held(run):
+            yield
 
     def prepare(self, recipe: Recipe, *, resume: bool = False, force: bool = False) -> None:
         """Make room before anything is done: Ray would add to what is there.
