@@ -116,6 +116,19 @@ def test_commands_of_the_readme_show_something(run):
     assert len([name for name in content("underwater") if name.endswith(".png")]) == 15
 
 
+def test_a_sheet_shows_what_there_is(run):
+    """Although all that it would have shown has failed."""
+    pytest.importorskip("matplotlib")
+    for number in range(12):
+        save(f"many/{number:02}.png", pixels())
+        if number not in (5, 10):
+            Path(f"many/{number:02}.png").write_bytes(b"")
+    given = ("--distance", "1", *WATER, "--workers", "1", "--out", "out", "--sheet")
+    code, out, _ = run("degrade", "many", *given)
+    assert (code, "2 of 12 pictures" in out) == (1, True)
+    assert Path("out/sheet.jpg").exists()
+
+
 def test_where_two_pictures_cannot_go(run):
     save("one.png", pixels())
     given = ("--distance", "3", *WATER, "--out", "two.png")

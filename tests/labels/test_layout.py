@@ -79,9 +79,10 @@ def folder(tmp_path: Path) -> Path:
 def test_what_a_data_yaml_says_but_for_places_is_kept(folder: Path) -> None:
     yaml = pytest.importorskip("yaml")
     (folder / "data.yaml").write_text(BEFORE)
-    text = described(folder, "images/train/1.png", "images/val/1.png", "images/b/1.png")
+    outputs = ["images/train/1.png", "images/val/1.png", "images/a: 'ü 🐟\"/1.png"]
+    text = described(folder, *outputs)
     assert yaml.safe_load(text) == {
-        "train": ["images/b", "images/train"],
+        "train": ["images/a: 'ü 🐟\"", "images/train"],
         "val": "images/val",
         "names": {0: "fish", 1: "crab: red"},
         "kpt_shape": [17, 3],

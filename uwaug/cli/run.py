@@ -217,7 +217,7 @@ class _Summary:
         if result.status == "failed":
             self.failed += 1
             self.reasons.add(str(result.reason), file_names(result.item))
-        elif self.seen in self._on_sheet:
+        elif self.seen in self._on_sheet or not self.shown:
             self.shown.append(result)
         self.kept += result.status == "kept"
         self.seen += 1

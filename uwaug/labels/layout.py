@@ -101,7 +101,9 @@ def described(splits: dict[str, list[str]], before: Path | None, classes: list[s
             # trainers insist on both
             lines.append(f"# {split}: has no pictures of its own")
         folders = splits.get(split, some)
-        lines.append(f"{split}: {json.dumps(folders if len(folders) > 1 else folders[0])}")
+        where = folders if len(folders) > 1 else folders[0]
+        # JSON is YAML, but for letters in two escapes
+        lines.append(f"{split}: {json.dumps(where, ensure_ascii=False)}")
     if before is not None:
         lines += [block for key, block in _blocks(before) if key not in _OURS]
     elif isinstance(classes, int):
