@@ -13,7 +13,7 @@ from PIL import Image
 
 import uwaug
 from uwaug.cli import choices, distances
-from uwaug.cli.app import app
+from uwaug.cli.app import EXAMPLES, app
 from uwaug.cli.console import FLAGS, in_flags, status
 
 COMMANDS = (
@@ -45,6 +45,21 @@ def test_help_of_a_command(run, command):
     code, out, err = run(command, "-h")
     assert (code, err) == (0, "")
     assert f"uwaug {command}" in out
+
+
+@pytest.mark.parametrize(
+    "example", [*EXAMPLES.values(), "degrade a.jpg --distance 3 --random --out b"]
+)
+def test_examples_are_commands(run, example):
+    """Each is taken as it stands, and stands in the help."""
+    from typer.main import get_command
+
+    name, *arguments = example.split()
+    command = get_command(app).commands[name]
+    given = command.make_context(name, [*arguments]).params
+    assert arguments[-1] in map(str, given.values())
+    if example in EXAMPLES.values():
+        assert example in " ".join(run(name, "-h")[1].split())
 
 
 def test_flags_of_degrade_are_grouped(run):

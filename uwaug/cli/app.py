@@ -27,7 +27,17 @@ app = typer.Typer(
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="To begin: uwaug demo; then uwaug degrade photo.jpg --distance 3 --random --out wet.jpg",
 )
+
+EXAMPLES = {
+    degrade: "degrade photo.jpg --distance depth.png --distance-unit mm --random --out wet.jpg",
+    plot: "plot photo.jpg --distance depth.npy --water 7C",
+    compare: "compare photo.jpg --distance depth.npy --water II --out sheet.png",
+    fit: "fit --clean air.png --observed wet.png --distance depth.npy --out fit.json",
+    export: "export --preset survey --water 7C --out 7C.onnx",
+}
+"""What stands below the flags in the help of a command."""
 
 _PANELS = {
     "Pictures": (degrade, plot, compare, demo),
@@ -37,7 +47,8 @@ _PANELS = {
 }
 for panel, commands in _PANELS.items():
     for command in commands:
-        app.command(rich_help_panel=panel)(command)
+        example = f"Example: uwaug {EXAMPLES[command]}" if command in EXAMPLES else None
+        app.command(rich_help_panel=panel, epilog=example)(command)
 app.add_typer(preset, name="preset", rich_help_panel="Waters")
 
 
