@@ -69,6 +69,12 @@ def test_a_map_that_would_stay_behind_is_refused(transforms: list[Any], tmp_path
         )
 
 
+def test_a_map_that_would_be_changed_as_a_picture_is_refused() -> None:
+    made = A.Compose([water()], additional_targets={"distance": "image"})
+    with pytest.raises(ValueError, match=r"distance is a picture to the pipeline.*'mask'"):
+        made(image=array(), distance=metres())
+
+
 def test_a_map_that_moves_by_another_name() -> None:
     named = A.Compose([A.HorizontalFlip(p=1), water(distance_key="mask")], seed=0)
     moved = pipeline(A.HorizontalFlip(p=1), water())(image=array(), distance=metres())

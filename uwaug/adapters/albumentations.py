@@ -126,10 +126,13 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
         """The map of a call, 1xHxW in metres."""
         distance, key = passed.get(self.distance_key), self.distance_key
         is_file = isinstance(distance, (str, os.PathLike))
-        if distance is not None and not is_file and self._in_pipeline and key not in self._moved:
-            got = f"{key} is no target of the pipeline, so flips and crops leave it where it is"
+        if distance is not None and not is_file and self._in_pipeline:
             cure = f"give A.Compose(…, additional_targets={{{key!r}: 'mask'}})"
-            raise ValueError(f"{got}: {cure}")
+            if key not in self._moved:
+                got = f"{key} is no target of the pipeline, so flips and crops leave it where it is"
+                raise ValueError(f"{got}: {cure}")
+            if key in self._key2func:
+                raise ValueError(f"{key} is a picture to the pipeline, which changes it: {cure}")
         if distance is None and self.lookup is not None:
             distance = self.lookup(passed)
         if distance is None:
