@@ -43,7 +43,7 @@ def veils(count: int, water: str = "7C") -> dict[str, dict[str, float]]:
             lamp, view = case.lamp, case.view
             own = white.brightened(lamp.power[:, None] * lamp.rgb)
             z = torch.full((1, 1, 1, 1), case.z, dtype=torch.float64)
-            ours = integrated(lamp, own, view, ray_of(lamp, view), z).flatten()
+            ours = integrated(lamp, own, view, ray_of(lamp, view), z, lamp.wide).flatten()
             truth = veil_by_definition(case, white)
             # a picture shows no more than white
             errors.append(float(((ours - truth).abs() / truth.clamp(min=1)).max()))
@@ -61,9 +61,9 @@ def _off_grid(lamp: Any, water: Medium, rng: np.random.Generator) -> float:
     ray = ray_of(lamp, view)
     z = torch.from_numpy(0.2 * 100 ** rng.uniform(size=(1, 1, *size)))
     # the rays of a picture of this size lie beside those of the grid
-    grid = grid_of(lamp, water, view, polynomials_of(lamp, water))
+    grid = grid_of(lamp, water, view, polynomials_of(lamp, water), lamp.wide)
     found = interpolated(grid, view, ray, z, slice(0, size[1]))
-    return float((found - integrated(lamp, water, view, ray, z)).abs().max())
+    return float((found - integrated(lamp, water, view, ray, z, lamp.wide)).abs().max())
 
 
 def referee(photons: int, lengths: tuple[float, ...] = LENGTHS) -> list[dict[str, float]]:

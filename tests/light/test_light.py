@@ -1,6 +1,7 @@
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -135,9 +136,41 @@ def test_the_veil_is_the_integral(kind: str, water: str) -> None:
         lamp, view = case.lamp, case.view
         own = white.brightened(lamp.power[:, None] * lamp.rgb)
         z = torch.full((1, 1, 1, 1), case.z, dtype=torch.float64)
-        found = integrated(lamp, own, view, ray_of(lamp, view), z).flatten()
+        found = integrated(lamp, own, view, ray_of(lamp, view), z, lamp.wide).flatten()
         wanted = veil_by_definition(case, white)
         torch.testing.assert_close(found, wanted, rtol=0.005, atol=1e-3)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_veil_of_a_wide_lamp_is_the_integral(kind: str) -> None:
+    """A cone of more than a right angle lights a ray before the dark on its back, and behind it."""
+    white = Medium.from_water("II").under()
+    rng = np.random.default_rng(KINDS.index(kind))
+    for _ in range(25):
+        case, numbers = random_case(kind, rng), rng.uniform(size=2)
+        cone, falloff = 90 + 85 * numbers[:1], numbers[1:].clip(0.02)
+        lamp = replace(case.lamp, cone=torch.tensor(cone), falloff=torch.tensor(falloff))
+        case = case._replace(light=Light((lamp,)))
+        own, view = white.brightened(lamp.power[:, None] * lamp.rgb), case.view
+        z = torch.full((1, 1, 1, 1), case.z, dtype=torch.float64)
+        found = integrated(lamp, own, view, ray_of(lamp, view), z, lamp.wide).flatten()
+        wanted = veil_by_definition(case, white)
+        torch.testing.assert_close(found, wanted, rtol=0.01, atol=1e-5)
+
+
+@pytest.mark.parametrize("cone", [90.0, 91.0, 100.0, 130.0])
+@pytest.mark.parametrize("direction", [(-1, 0.2, 0.05), (0.1, 1, 0), (0, 0.1, -1), (0, 0, 1)])
+def test_the_grid_of_a_wide_lamp(cone: float, direction: tuple[float, float, float]) -> None:
+    white = Medium.from_water("II").under()
+    (lamp,) = Light.lamp((0.4, -0.2, 0.0), direction, cone=cone, falloff=0.0).to(white.G).lamps
+    size = 30, 40
+    view = view_of(size, 35.0, None, white.G)
+    z = torch.full((1, 1, *size), 4.0, dtype=torch.float64)
+    found = interpolated(
+        grid_of(lamp, white, view, 6, lamp.wide), view, ray_of(lamp, view), z, slice(0, 40)
+    )
+    exact = integrated(lamp, white, view, ray_of(lamp, view), z, lamp.wide)
+    torch.testing.assert_close(found, exact, rtol=0, atol=0.01 * float(exact.max()))
 
 
 @pytest.mark.parametrize("kind", KINDS[:2])
@@ -150,9 +183,9 @@ def test_the_grid_of_rays_is_fine_enough(kind: str) -> None:
         lamp = random_case(kind, rng).lamp
         assert not lamp.ahead
         own = white.brightened(lamp.power[:, None] * lamp.rgb)
-        grid = grid_of(lamp, own, view, polynomials_of(lamp, own))
+        grid = grid_of(lamp, own, view, polynomials_of(lamp, own), lamp.wide)
         found = interpolated(grid, view, ray_of(lamp, view), z, slice(0, 80))
-        exact = integrated(lamp, own, view, ray_of(lamp, view), z)
+        exact = integrated(lamp, own, view, ray_of(lamp, view), z, lamp.wide)
         torch.testing.assert_close(found, exact, rtol=0, atol=0.002)
 
 

@@ -12,7 +12,8 @@ distance there, ds/r² is dθ/h: the inverse square is gone, cos α = −sin θ,
 
     s + r = s₀ + h·tan(π/4 + θ/2)
 
-What is left is smooth within the cone, whose ends in θ are known. Gauss quadrature projects it onto
+What is left is smooth within the cone, whose ends in θ are known; a cone of more than a right angle
+may light two parts of a ray. Gauss quadrature projects it onto
 Legendre polynomials, whose integral is a polynomial in θ: the veil at any distance of that ray. Its
 few coefficients vary slowly from ray to ray: they are made on a coarse grid.
 """
@@ -25,7 +26,7 @@ from torch import Tensor
 
 from uwaug._support.torch_func import transformed
 from uwaug.light.geometry import Ray, View, along, as_map, before_camera, ray_of
-from uwaug.light.light import Lamp
+from uwaug.light.light import OBTUSE, Lamp
 from uwaug.optics.curves import decay
 from uwaug.optics.medium import Medium
 
@@ -134,17 +135,19 @@ class Grid(NamedTuple):
     """The backscatter of a lamp along some rows of rays that span the picture.
 
     Attributes:
-        planes (BxnxNxW tensor): where the lit part of a ray begins, θ, and 1/its length; then the
-            coefficients of three channels, from the lowest power up.
+        planes (BxnxNxW tensor): where a lit part of a ray begins, θ, and 1/its length; then the
+            coefficients of three channels, from the lowest power up; for one part after the other.
         tangents (n tensor): of the rows.
+        parts: of a ray, that may be lit, 1 or 2.
     """
 
     planes: Tensor
     tangents: Tensor
+    parts: int
 
 
 class _LitPart(NamedTuple):
-    """What the lamp lights of a ray, from one angle θ over a span; and cos ψ(θ) as
+    """A part of a ray that the lamp lights, from one angle θ over a span; and cos ψ(θ) as
     across·cos θ + along·sin θ.
     """
 
@@ -154,8 +157,11 @@ class _LitPart(NamedTuple):
     along: Tensor
 
 
-def _lit(lamp: Lamp, view: View, ray: Ray, last: Tensor | None) -> _LitPart:
-    """The part of each ray within the lamp's cone, up to the angle `last`, or to infinity."""
+def _lit(lamp: Lamp, view: View, ray: Ray, last: Tensor | None, wide: bool) -> list[_LitPart]:
+    """The parts of each ray within the lamp's cone, up to the angle `last`, or to infinity.
+
+    wide: see `Lamp.wide`; such a lamp lights what is before the dark on its back, and behind it.
+    """
     forward = along(lamp.direction, view)
     across = (ray.middle * forward - before_camera(lamp)) / ray.height
     low = torch.atan2(-ray.middle, ray.height)
@@ -166,11 +172,38 @@ def _lit(lamp: Lamp, view: View, ray: Ray, last: Tensor | None) -> _LitPart:
     half = torch.acos((outer / size).clamp(-1 + _EPS, 1 - _EPS))
     half = torch.where(outer >= size, 0.0, half)
     middle = torch.atan2(forward, across)
-    # a cone of more than a right angle may leave dark the middle of a ray: there nothing is cut
-    wide = outer < 0
-    low = torch.where(wide, low, torch.maximum(low, middle - half))
-    high = torch.where(wide, high, torch.minimum(high, middle + half))
-    return _LitPart(low, (high - low).clamp(min=0.0), across, forward)
+
+    def part(low: Tensor, high: Tensor) -> _LitPart:
+        return _LitPart(low, (high - low).clamp(min=0.0), across, forward)
+
+    ends = torch.maximum(low, middle - half), torch.minimum(high, middle + half)
+    if not wide:
+        return [part(*ends)]
+    # what is dark lies around the back of the lamp, at the far end of the ray or at the near one
+    beside = size.square() - outer.square()
+    dark = torch.atan2(torch.sqrt(beside.clamp(min=_EPS**2)), -outer)
+    dark = torch.where(beside > 0, dark, 0.0)
+    right = middle < 0
+    back = torch.where(right, middle + math.pi, middle - math.pi)
+    dark_from, dark_to = back - dark, back + dark
+    # Where it reaches beyond the ray's end, one piece is lit, and cut in two. From ray to ray the
+    # cut moves on such that no part jumps when the dark comes in from the other end.
+    centre = (low + high) / 2
+    cut_right, cut_left = (
+        torch.maximum(centre, high - 2 * dark),
+        torch.minimum(centre, low + 2 * dark),
+    )
+    free = (math.pi / 2 - dark).clamp(min=_EPS)  # the dark is beyond both ends
+    cut = torch.lerp(cut_right, cut_left, ((middle / free).clamp(-1.0, 1.0) + 1) / 2)
+    beyond_right, beyond_left = right & (dark_to >= high), ~right & (dark_from <= low)
+    begin = torch.where(beyond_left, torch.maximum(low, dark_to), low)
+    end = torch.where(beyond_right, torch.minimum(high, dark_from), high)
+    beyond = beyond_right | beyond_left
+    first_end = torch.minimum(torch.where(beyond, cut, dark_from), end)
+    second_begin = torch.maximum(torch.where(beyond, cut, dark_to), begin)
+    narrow = (outer >= -OBTUSE).expand_as(cut)
+    first = part(torch.where(narrow, ends[0], begin), torch.where(narrow, ends[1], first_end))
+    return [first, part(torch.where(narrow, high, second_begin), torch.where(narrow, high, end))]
 
 
 def _source(lamp: Lamp, water: Medium, ray: Ray, lit: _LitPart, theta: Tensor) -> Tensor:
@@ -192,7 +225,7 @@ def _source(lamp: Lamp, water: Medium, ray: Ray, lit: _LitPart, theta: Tensor) -
     return arrives.reshape(-1, 3, m, height, width) * seen[:, None]
 
 
-def grid_of(lamp: Lamp, water: Medium, view: View, polynomials: int) -> Grid:
+def grid_of(lamp: Lamp, water: Medium, view: View, polynomials: int, wide: bool) -> Grid:
     """The backscatter of a lamp as polynomials along the rays of a picture.
 
     Args:
@@ -200,27 +233,35 @@ def grid_of(lamp: Lamp, water: Medium, view: View, polynomials: int) -> Grid:
         water: `Medium.under` this lamp's light, of its power and colour.
         view: of the whole picture.
         polynomials: how many, see `polynomials_of`.
+        wide: see `Lamp.wide`.
     """
     x, y = _spread(view.x, 3), _spread(view.y, 2)
-    _, lit, series = _series(lamp, water, View(x, y))
     powers = _POWERS.to(x)[:polynomials, :polynomials]
-    coefficients = torch.einsum("jk,bkchw->bjchw", powers, series[:, :polynomials]).flatten(1, 2)
-    low = lit.low.expand(len(coefficients), -1, -1, -1)
-    steep = 1 / lit.span.clamp(min=_EPS).expand_as(low)
-    planes = torch.cat([low, steep, coefficients], 1)
-    planes = planes @ _tents(x.flatten(), view.x.flatten()).T
-    return Grid(planes.transpose(1, 2).contiguous(), y.flatten())
+    planes = []
+    _, parts = _series(lamp, water, View(x, y), wide)
+    for lit, series in parts:
+        shown = series[:, :polynomials]
+        coefficients = torch.einsum("jk,bkchw->bjchw", powers, shown).flatten(1, 2)
+        low = lit.low.expand(len(coefficients), -1, -1, -1)
+        steep = 1 / lit.span.clamp(min=_EPS).expand_as(low)
+        planes += [low, steep, coefficients]
+    along_rows = torch.cat(planes, 1) @ _tents(x.flatten(), view.x.flatten()).T
+    return Grid(along_rows.transpose(1, 2).contiguous(), y.flatten(), len(parts))
 
 
-def _series(lamp: Lamp, water: Medium, view: View) -> tuple[Ray, _LitPart, Tensor]:
-    """The backscatter along each ray, times h, as a series (BxKx3xHxW) of integrals of Legendre
-    polynomials.
+def _series(
+    lamp: Lamp, water: Medium, view: View, wide: bool
+) -> tuple[Ray, list[tuple[_LitPart, Tensor]]]:
+    """The backscatter along each part of each ray, times h, as a series (BxKx3xHxW) of integrals of
+    Legendre polynomials.
     """
     ray = ray_of(lamp, view)
-    lit = _lit(lamp, view, ray, None)
-    theta = lit.low + lit.span * _THETA.to(view.x).reshape(1, -1, 1, 1)
-    values = _source(lamp, water, ray, lit, theta) * lit.span[:, None]
-    return ray, lit, torch.einsum("km,bcmhw->bkchw", _PROJECT.to(view.x), values)
+    series = []
+    for lit in _lit(lamp, view, ray, None, wide):
+        theta = lit.low + lit.span * _THETA.to(view.x).reshape(1, -1, 1, 1)
+        values = _source(lamp, water, ray, lit, theta) * lit.span[:, None]
+        series.append((lit, torch.einsum("km,bcmhw->bkchw", _PROJECT.to(view.x), values)))
+    return ray, series
 
 
 def polynomials_of(lamp: Lamp, water: Medium) -> int:
@@ -234,8 +275,9 @@ def polynomials_of(lamp: Lamp, water: Medium) -> int:
     like = water.G
     tangents = torch.linspace(-_WIDEST, _WIDEST, _FEW, dtype=like.dtype, device=like.device)
     view = View(tangents.reshape(1, 1, 1, -1), tangents.reshape(1, 1, -1, 1))
-    ray, _, series = _series(lamp, water, view)
-    size = (series.abs().amax(2) / ray.height).amax((0, 2, 3))
+    ray, parts = _series(lamp, water, view, lamp.wide)
+    sizes = [(series.abs().amax(2) / ray.height).amax((0, 2, 3)) for _, series in parts]
+    size = torch.stack(sizes).amax(0)
     tails = size.flip(0).cumsum(0).flip(0)  # of what comes from each of them on
     return max(1, int((tails > _SHOWS).sum()))
 
@@ -273,19 +315,28 @@ def interpolated(grid: Grid, view: View, ray: Ray, z: Tensor, columns: slice) ->
         return torch.unflatten(rows, 2, (count, planes.shape[3]))
 
     theta = torch.atan((z - ray.middle) / ray.height).transpose(1, 2)
-    x = ((theta - plane(0, 1)) * plane(1, 1)).clamp(0.0, 1.0)
-    u = 2 * x - 1
-    last = planes.shape[2] - 3
-    total = plane(last, 3)
-    # one by one, so that they stay in the cache
-    for first in range(last - 3, 1, -3):
-        total = torch.addcmul(plane(first, 3), total, u)
-    return total.transpose(1, 2) * (x.transpose(1, 2) / ray.height)
+    each = planes.shape[2] // grid.parts
+    veil: Tensor | None = None
+    for begin in range(0, planes.shape[2], each):
+        x = ((theta - plane(begin, 1)) * plane(begin + 1, 1)).clamp(0.0, 1.0)
+        u = 2 * x - 1
+        last = begin + each - 3
+        total = plane(last, 3)
+        # one by one, so that they stay in the cache
+        for first in range(last - 3, begin + 1, -3):
+            total = torch.addcmul(plane(first, 3), total, u)
+        part = total.transpose(1, 2) * (x.transpose(1, 2) / ray.height)
+        veil = part if veil is None else veil + part
+    assert veil is not None
+    return veil
 
 
-def integrated(lamp: Lamp, water: Medium, view: View, ray: Ray, z: Tensor) -> Tensor:
+def integrated(lamp: Lamp, water: Medium, view: View, ray: Ray, z: Tensor, wide: bool) -> Tensor:
     """The backscatter before points at distance z (Bx3xHxW), by quadrature along each ray."""
-    lit = _lit(lamp, view, ray, torch.atan((z - ray.middle) / ray.height))
-    theta = lit.low + lit.span * _THETA.to(z).reshape(1, -1, 1, 1)
-    values = _source(lamp, water, ray, lit, theta)
-    return (values * _SHARES.to(z).reshape(1, 1, -1, 1, 1)).sum(2) * (lit.span / ray.height)
+    parts = []
+    for lit in _lit(lamp, view, ray, torch.atan((z - ray.middle) / ray.height), wide):
+        theta = lit.low + lit.span * _THETA.to(z).reshape(1, -1, 1, 1)
+        values = _source(lamp, water, ray, lit, theta)
+        total = (values * _SHARES.to(z).reshape(1, 1, -1, 1, 1)).sum(2)
+        parts.append(total * (lit.span / ray.height))
+    return parts[0] if len(parts) == 1 else parts[0] + parts[1]

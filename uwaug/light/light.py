@@ -28,6 +28,11 @@ _WHITE = (1.0, 1.0, 1.0)
 _SHARPEST = 1e-3
 """Of a cone's edge, in its cosine, so that the edge has a slope."""
 
+OBTUSE = 1e-4
+"""Minus the cosine of the least angle that counts as more than a right one: in single precision the
+cosine of 90° is negative.
+"""
+
 _ASIDE = 3.0**0.5
 """The tangent of 60°: pictures of up to 100° across show no lamp that is farther off their axis."""
 
@@ -176,6 +181,14 @@ class Lamp(_Source):
             return True
         x, y, z = self.position.detach().unbind(-1)
         return bool(((z > 0) & (torch.hypot(x, y) < _ASIDE * z)).any())
+
+    @property
+    def wide(self) -> bool:
+        """Whether its cone may be more than a right angle; compiled code cannot look."""
+        if torch.compiler.is_compiling():
+            return True
+        _, outer = self.edges()
+        return bool((outer.detach() < -OBTUSE).any())
 
     def edges(self) -> tuple[Tensor, Tensor]:
         """Cosines (B) of the angles at which the light begins to fade, and has faded."""

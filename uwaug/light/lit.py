@@ -36,12 +36,13 @@ class LampInWater(NamedTuple):
 
     Attributes:
         water: `Medium.under` the lamp's spectrum.
-        ahead: see `Lamp.ahead`.
+        ahead, wide: see `Lamp`.
         polynomials: see `uwaug.light.backscatter.polynomials_of`.
     """
 
     water: Medium
     ahead: bool
+    wide: bool
     polynomials: int
 
     @staticmethod
@@ -49,7 +50,7 @@ class LampInWater(NamedTuple):
         """A lamp of the medium's type."""
         water = medium.under(lamp.spectrum)
         polynomials = polynomials_of(lamp, water.brightened(lamp.power[:, None] * lamp.rgb))
-        return LampInWater(water, lamp.ahead, polynomials)
+        return LampInWater(water, lamp.ahead, lamp.wide, polynomials)
 
 
 def lamps_in_water(light: Light, medium: Medium) -> list[LampInWater]:
@@ -134,6 +135,7 @@ class LampOnScene(NamedTuple):
         grid: its backscatter along the rays of the whole picture; None where that is integrated at
             each pixel: near a lamp in view, it is too steep for a grid.
         from_direct (B tensor): see `uwaug.optics.bands.Bands`; None where it is 0.
+        wide: see `Lamp.wide`.
         gain: what a camera makes of it, as for `Medium.brightened`; or None.
     """
 
@@ -142,6 +144,7 @@ class LampOnScene(NamedTuple):
     water: Medium
     grid: Grid | None
     from_direct: Tensor | None
+    wide: bool
     gain: Tensor | None = None
 
     def row(self, n: int) -> "LampOnScene":
@@ -156,6 +159,7 @@ class LampOnScene(NamedTuple):
             self.water[n % len(self.water)],
             self.grid and self.grid._replace(planes=pick(self.grid.planes)),
             None if self.from_direct is None else pick(self.from_direct),
+            self.wide,
             None if self.gain is None else pick(self.gain),
         )
 
@@ -170,7 +174,7 @@ class LampOnScene(NamedTuple):
         ray = ray_of(lamp, place.view)
         share, path = irradiance(lamp, place.view, ray, place.z, part.normals())
         if self.grid is None:
-            veil = integrated(lamp, self.water, place.view, ray, place.z)
+            veil = integrated(lamp, self.water, place.view, ray, place.z, self.wide)
         else:
             veil = interpolated(self.grid, place.view, ray, place.z, place.columns)
         if field is not None:
@@ -286,11 +290,11 @@ def lit_of(
             sources.append(DaylightOnScene(source))
             continue
         assert view is not None
-        white, ahead, polynomials = next(in_water)
+        white, ahead, wide, polynomials = next(in_water)
         white = white.to(medium.beta)
         water = white.brightened(source.power[:, None] * source.rgb)
-        grid = None if ahead else grid_of(source, water, view, polynomials)
-        sources.append(LampOnScene(source, white, water, grid, from_direct))
+        grid = None if ahead else grid_of(source, water, view, polynomials, wide)
+        sources.append(LampOnScene(source, white, water, grid, from_direct, wide))
     return Lit(light, tuple(sources), Place(z, field, view))
 
 
