@@ -70,6 +70,15 @@ def test_defaults_of_old_are_the_calibrated_model() -> None:
     assert not {"color_matrix", "white_balance", "gamut", "compensation"} & set(sample)
 
 
+def test_a_water_of_nothing_says_what_it_can_reach() -> None:
+    aug = RandomUnderwater(waters="I", contrast=0.03)
+    image, z = torch.rand(3, 20, 30), torch.full((1, 20, 30), 3.0)
+    with pytest.raises(
+        ValueError, match=r"contrast=0.03 is out of reach of water 'I'.*0\.\d+ at 3 m"
+    ):
+        aug(image, z)
+
+
 def test_visibility_takes_the_place_of_contrast() -> None:
     aug = RandomUnderwater(visibility=(2.0, 5.0))
     sample = aug.make_params(picture())["samples"][0]

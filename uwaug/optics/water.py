@@ -268,6 +268,12 @@ class Water(Spectra):
         """The share of its luminance contrast that an object at this distance [m] keeps, 0…1: the
         ∫ ȳ e^(−β z) dλ of ``visibility()``, which is the distance where it is 2 %.
 
+        That is contrast with the open water behind the object, as a Secchi disc shows it, and a
+        number of the water alone. ``uwaug.contrast`` is the contrast of patterns on an object: the
+        veil before it takes some, and light scattered forward counts as the object's, so that it
+        depends on the depth and on g and μ. Where this is .5, that is .38 to .39 with g = .2 and μ
+        = .3, and .54 to .56 with g = .05 and μ = .075 (types 1C, 7C and II, 3 m).
+
         Raises:
             TypeError, ValueError: if the distance is no number, negative or infinite; or as
                 ``visibility()``.
@@ -307,7 +313,8 @@ class Water(Spectra):
 
     def with_contrast(self, contrast: float, metres: float) -> Self:
         """The same kind of water with more or less in it, so that an object at a distance of
-        ``metres`` keeps this share of its luminance contrast: ``contrast(metres)``.
+        ``metres`` keeps this share of its luminance contrast: ``contrast(metres)``, which see for
+        how ``uwaug.contrast`` differs.
 
         What is dissolved and suspended is scaled by one factor s; pure sea water stays:
 

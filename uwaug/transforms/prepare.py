@@ -107,7 +107,15 @@ def water_of(
     elif "visibility" in numbers:
         contents = water.contents_for(CONTRAST_THRESHOLD, numbers["visibility"])
     elif "contrast" in numbers:
-        contents = water.contents_for(numbers["contrast"], _median(z))
+        metres = _median(z)
+        contents = water.contents_for(numbers["contrast"], metres)
+        if math.isinf(contents):
+            wanted = f"contrast={numbers['contrast']:.3g} is out of reach of water {water.name!r}"
+            most = f"{water.most_contrast(metres):.2g} at {metres:.3g} m, the median distance"
+            cure = "draw from waters that have something in them, or give contrast=None"
+            raise ValueError(
+                f"{wanted}: pure water leaves {most}, and to the eye it is that: {cure}"
+            )
     else:
         return water, 1.0
     return water.with_contents(contents), contents

@@ -141,8 +141,9 @@ class RandomUnderwater(SampleTransform):
         mixing: share of a second water, picked like the first; 0 for none, (0, 1) for a continuous
             slider between types. Contents of both are drawn at the same shares of their ranges.
         contrast: share of an object's contrast of luminance that is left at the scene's median
-            distance, ignoring scattered light; the contents of the water are scaled to it, as far
-            as pure water allows. None leaves the water as it is, and `visibility` takes its place.
+            distance, ignoring scattered light (see `Water.contrast`); the contents of the water are
+            scaled to it, as far as pure water allows. None leaves the water as it is, and
+            `visibility` takes its place.
         visibility: m; scale the water to this visibility. See `Water.with_visibility`.
         cameras: names, CSV files or `Camera` objects, drawn with equal weight.
         vertical_depth: m below the surface; with an automatic exposure no deeper than where 1/32 of
