@@ -128,8 +128,9 @@ def exposed_for_planning(medium: Medium, exposure: Exposure, factor: float = 1.0
         left = medium.ambient().detach()
         luminance = (left * left.new_tensor(LUMINANCE)).sum(-1)
         return medium.brightened((1 / luminance.clamp(min=1e-30)).clamp(*GAINS) * factor)
-    gain = fixed_gain(medium, exposure) * factor
-    return medium if float(gain) == 1 else medium.brightened(gain)
+    if exposure == "none" and factor == 1:
+        return medium
+    return medium.brightened(fixed_gain(medium, exposure) * factor)
 
 
 def metering_points(height: int, width: int, device: torch.device) -> Tensor:

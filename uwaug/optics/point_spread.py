@@ -124,7 +124,7 @@ class PointSpread:
     def rows(self, count: int, like: Tensor) -> dict[str, Tensor]:
         """The numbers as tensors of `count` rows, by name."""
         return {
-            name: torch.as_tensor(x, dtype=like.dtype, device=like.device).expand(count)
+            name: (x.to(like) if isinstance(x, Tensor) else like.new_tensor(x)).expand(count)
             for name, x in self.numbers().items()
         }
 
