@@ -13,6 +13,7 @@ from typing import Any
 
 from benchmarks.accuracy.fitting_bias import errors_on_purpose, without_forward_scatter
 from benchmarks.accuracy.fitting_choice import choice
+from benchmarks.accuracy.fitting_disturbances import disturbances
 from benchmarks.accuracy.fitting_picture import picture
 from benchmarks.accuracy.fitting_recovery import recovery
 from benchmarks.accuracy.fitting_speed import speed
@@ -31,6 +32,7 @@ PARTS: dict[str, Callable[[bool], dict[str, Any]]] = {
 LONG: dict[str, Callable[[bool, Path | None], dict[str, Any]]] = {
     "choice": choice,
     "recovery": recovery,
+    "disturbances": disturbances,
 }
 
 

@@ -154,7 +154,7 @@ def test_distances_have_one_dialect(command):
 
 
 def test_words_of_flags_are_the_librarys():
-    from uwaug.fitting.models import MODELS, CameraGain, Gain
+    from uwaug.fitting.models import MODELS, CameraGain, Correction, Gain
     from uwaug.formation.demand import SIDES
     from uwaug.io import UNITS
     from uwaug.io.distances import Kind
@@ -163,7 +163,8 @@ def test_words_of_flags_are_the_librarys():
 
     assert uwaug.JERLOV_TYPES == choices.WATERS
     assert get_args(choices.FitModel) == ("auto", *MODELS)
-    assert set(get_args(choices.Gain)) == {*get_args(Gain), *get_args(CameraGain)}
+    assert set(get_args(choices.Gain)) == {"auto", *get_args(Gain), *get_args(CameraGain)}
+    assert get_args(choices.Correction) == get_args(Correction)
     assert get_args(choices.Surfaces) == get_args(Surfaces)
     assert {FORMATS[f".{name}"] for name in choices.PICTURE_FORMATS} == set(FORMATS.values())
     assert get_args(get_args(distances.Kind)[0]) == get_args(Kind)
@@ -394,7 +395,7 @@ def test_as_a_module_it_has_its_own_name(tmp_path):
         ("uwaug export --water I", ["I", "IA", "IB", "II", "III"]),
         ("uwaug plot --water 7", ["7C"]),
         ("uwaug fit --model au", ["auto"]),
-        ("uwaug fit --gain ", ["fixed", "free", "channels", "matrix"]),
+        ("uwaug fit --gain ", ["auto", "fixed", "free", "channels", "matrix"]),
         ("uwaug fit --unknown ", ["skip", "far"]),
         ("uwaug degrade --distance-unit ", ["m", "cm", "mm", "um"]),
         ("uwaug compare --distance-unit c", ["cm"]),

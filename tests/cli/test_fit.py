@@ -80,7 +80,7 @@ def test_options_arrive(run, scene, monkeypatch):
 
     class Found:
         def summary(self) -> str:
-            return "found"
+            return 'found; give gain="channels", or focal_px=…; vertical_depth'
 
         def save(self, path: Path) -> None:
             path.write_text("{}")
@@ -92,8 +92,13 @@ def test_options_arrive(run, scene, monkeypatch):
     monkeypatch.setattr(uwaug, "fit", fit)
     two = ["--observed", "observed-2.png", "--distance", "z-2.png", "--mask", "mask.png"]
     options = ["--gain", "free", "--color-space", "linear", "--focal-px", "70", "--seed", "3"]
+    options += ["--shading", "fixed", "--tone", "free"]
     code, out, err = run("fit", *PAIR, *two, *FAST, *options, "--out", "fit.json")
-    assert (code, out, err) == (0, "found\n\nfit.json  (0 KiB)\n", "")
+    assert (code, out, err) == (
+        0,
+        "found; give --gain channels, or --focal-px …; vertical_depth\n\nfit.json  (0 KiB)\n",
+        "",
+    )
     assert {name: len(seen[name]) for name in ("clean", "observed", "distance", "mask")} == {
         "clean": 1,
         "observed": 2,
@@ -104,6 +109,7 @@ def test_options_arrive(run, scene, monkeypatch):
     assert int(seen["mask"][0].sum()) == 60 * 60
     assert (seen["model"], seen["gain"], seen["color_space"]) == ("haze", "free", "linear")
     assert (seen["focal_px"], seen["seed"]) == (70.0, 3)
+    assert (seen["shading"], seen["tone"]) == ("fixed", "free")
 
 
 @pytest.mark.parametrize(
@@ -280,6 +286,7 @@ def test_waters(run, scene, monkeypatch):
 @pytest.mark.parametrize(
     "flags, message",
     [
+        (["--waters", "--tone", "free"], "--shading and --tone are for coefficients"),
         (["--waters", "--model", "haze"], "--waters takes the place of --model"),
         (["--camera", "Nikon 5100 (NPL)"], "--camera.* for --waters"),
         (["--waters", "--gain", "channels"], "gain must be one of fixed, free, matrix"),

@@ -120,7 +120,7 @@ def test_uneven_light_widens_errors_over_large_clusters(hazy):
     problem = replace(problem, pixels=drawn.weighed(drawn.weights / 0.01))
     solution = solved(problem)
     wide = cluster_covariance(problem, solution).design_effect
-    fine = replace(problem, pixels=replace(problem.pixels, coarser=()))
+    fine = replace(problem, pixels=replace(problem.pixels, others=()))
     fine = cluster_covariance(fine, solution).design_effect
     assert wide > 1.2 * fine
     assert fine > 1.2

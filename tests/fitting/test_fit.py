@@ -78,8 +78,12 @@ def test_a_gain_that_is_not_needed_is_left_out(hazy):
 
 def test_another_exposure_is_said(haze):
     brighter = seen(medium(**HAZE), gain=1.15)
-    assert "A gain of 1.1" in uwaug.fit(*brighter, model="haze", pixels=1000).message
-    assert "A gain of" not in haze.message
+    fit = uwaug.fit(*brighter, model="haze", pixels=1000)
+    assert "Of the camera, this is fitted too: gain_1" in fit.message
+    assert fit.gains.mean() == pytest.approx(1.15, rel=0.02)
+    fixed = uwaug.fit(*brighter, model="haze", gain="fixed", pixels=1000).message
+    assert "another exposure" in fixed
+    assert "exposure" not in haze.message
 
 
 def test_what_is_known_is_not_fitted(known):
@@ -202,7 +206,13 @@ def test_progress_is_told_and_nothing_is_searched_twice(hazy, monkeypatch):
 
     monkeypatch.setattr(uwaug.fitting.api, "multistart", counted)
     uwaug.fit(*hazy, model="haze", pixels=1000, progress=said.append)
-    assert said == ["blurring the clean picture", "learning the noise", "fitting 'haze', 1 of 1"]
+    assert said == [
+        "blurring the clean picture",
+        "learning the noise",
+        "looking at what the camera has done",
+        "fitting 'haze', 1 of 1",
+        "looking at what may be wrong",
+    ]
     assert searched == ["haze"]
 
 
@@ -230,7 +240,7 @@ def test_open_water_counts(known):
         ({"model": "best"}, "model must be one of auto, attenuation"),
         ({"model": "calibrated"}, "focal_px: the calibrated width law needs"),
         ({"focal_px": 0}, "focal_px must be finite and > 0 px"),
-        ({"gain": "yes"}, "gain must be one of fixed"),
+        ({"gain": "yes"}, "gain must be one of auto, fixed"),
         ({"g": 1.0}, r"g must be in \[0, 0\.99\]"),
         ({"start": {"bta_red": 0.3}}, "start: expected some of beta_red.* got bta_red"),
         ({"start": {"beta_red": float("nan")}}, r"start\['beta_red'\] must be in"),

@@ -32,13 +32,18 @@ def forward_mode(model, pixels, theta):
     return torch.func.jacfwd(light)(torch.from_numpy(theta))
 
 
-@pytest.mark.parametrize("name", [*MODELS, "series"])
+@pytest.mark.parametrize("name", [*MODELS, "series", "camera"])
 def test_slopes_are_those_of_forward_mode(known, name):
-    problem = objective(known, "gaussian" if name == "series" else name)
+    problem = objective(known, "gaussian" if name in ("series", "camera") else name)
+    if name == "camera":
+        camera = replace(problem.model, gain="channels", shading=True, tone=True)
+        problem = replace(problem, model=camera)
     if name == "series":
         geometry = problem.model.geometry
         problem = replace(problem, model=TurbidityModel(MODELS["gaussian"], geometry, (0,), 1))
     theta = middle(problem.model)
+    if name == "camera":
+        theta[-5:] = [0.2, 0.1, -0.1, 1.2, 0.4]
     weights = problem.pixels.weights[..., None]
     wanted = (weights * forward_mode(problem.model, problem.pixels, theta)).reshape(-1, len(theta))
     residual, jacobian = problem.linearised(theta)

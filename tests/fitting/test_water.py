@@ -159,6 +159,18 @@ def test_what_degrade_has_made(
         assert error < 0.02 * truth
 
 
+def test_depth_that_looks_like_an_exposure_is_said(only: Callable[..., None]) -> None:
+    """In 9C as deep as an exposure allows: "8 m" is 4.8 m then, and was found to be 2 ± .3 m."""
+    only(("9C",))
+    clean, z = scene(step=4)
+    said = {}
+    for depth in (1.0, 8.0):
+        wet = Recipe(water="9C", options={"vertical_depth": depth}).open()
+        fit = fit_water(clean, wet.degrade(clean, z, None, 0).image, z, pixels=1500)
+        said[depth] = "Depth and exposure do nearly the same" in fit.message
+    assert said == {1.0: False, 8.0: True}
+
+
 @pytest.mark.parametrize("development", [{"white_balance": 0.7}, {"tone": 1.3}])
 def test_a_developed_picture_is_no_water(
     only: Callable[..., None], development: dict[str, float]

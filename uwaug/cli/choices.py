@@ -20,7 +20,8 @@ SIDES = (32, 2160)
 """Short sides that a file serves by default, px."""
 
 ColorSpace = Literal["srgb", "linear"]
-Gain = Literal["fixed", "free", "channels", "matrix"]
+Gain = Literal["auto", "fixed", "free", "channels", "matrix"]
+Correction = Literal["auto", "fixed", "free"]
 Surfaces = Literal["grey", "spectral"]
 FitModel = Literal[
     "auto", "attenuation", "haze", "veil", "paper", "calibrated", "gaussian", "exponential"

@@ -23,7 +23,8 @@ _ALIKE = """
     black_point clean color_matrix color_space compensation contrast distance distance_kind
     distance_unit exposure far field fit focal_px gain gamma gamut ignore_index image
     keep_terms mask min_contrast model near observed offset_px parameters planar preset random
-    saturation severity sides surfaces tone unknown vertical_depth visibility water white_balance
+    saturation severity shading sides surfaces tone unknown vertical_depth visibility water
+    white_balance
 """
 """Arguments of the library whose flags have their names."""
 
@@ -42,7 +43,7 @@ _ANY = "|".join(FLAGS)
 _NAME = re.compile(rf"\b({_ANY})\b")
 _SUBJECT = re.compile(rf"^({_ANY})( and ({_ANY}))?(?= must\b| is\b| are\b| would |:)")
 _UNDERSCORED = re.compile(rf"\b({'|'.join(name for name in FLAGS if '_' in name)})\b")
-_GIVEN = re.compile(rf"""\b({_ANY})=["']?([\w.]+)["']?""")
+_GIVEN = re.compile(rf"""\b({_ANY})=["']?([\w.…]+)["']?""")
 _RANGE = re.compile(rf"\b({_ANY})=[(\[]([\w.]+), ([\w.]+)[)\]]")
 _SAID = re.compile(rf"\b({_ANY}) = ([\w.]+)")
 
@@ -55,12 +56,19 @@ def in_flags(message: str) -> str:
     only a cure such as `unit="mm"` is an argument.
     """
     message = _RANGE.sub(lambda match: f"{FLAGS[match[1]]} {match[2]}:{match[3]}", message)
-    message = _GIVEN.sub(lambda match: f"{FLAGS[match[1]]} {match[2]}", message)
+    message = cures_in_flags(message)
     if os.path.exists(message.partition(": ")[0]):
         return message
     message = _SAID.sub(lambda match: f"{FLAGS[match[1]]} {match[2]}", message)
     message = _SUBJECT.sub(lambda match: _NAME.sub(_flag, match[0]), message)
     return _UNDERSCORED.sub(_flag, message)
+
+
+def cures_in_flags(text: str) -> str:
+    """A text, such as a fit's summary, with flags in place of the arguments to which it gives a
+    value, as in `gain="channels"`; names of numbers stay.
+    """
+    return _GIVEN.sub(lambda match: f"{FLAGS[match[1]]} {match[2]}", text)
 
 
 def _flag(match: re.Match[str]) -> str:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from uwaug.cli import distances
-from uwaug.cli.choices import ColorSpace, FitModel, ForceFile, Gain, Surfaces, complete
+from uwaug.cli.choices import ColorSpace, Correction, FitModel, ForceFile, Gain, Surfaces, complete
 from uwaug.cli.console import (
+    cures_in_flags,
     fail,
     print_written,
     refuse,
@@ -84,10 +85,21 @@ def fit(
     gain: Annotated[
         Gain | None,
         typer.Option(
-            help="One exposure (fixed, the default); one for each picture (free, the default with "
-            "--waters); one for each colour (channels); with --waters, a colour matrix and a black "
-            "for each picture (matrix)."
+            help="As the pictures tell (auto, the default); one exposure (fixed); one for each "
+            "picture (free, the default with --waters); one for each colour (channels); with "
+            "--waters, a colour matrix and a black for each picture (matrix)."
         ),
+    ] = None,
+    shading: Annotated[
+        Correction | None,
+        typer.Option(
+            help="Corners or a side that are darker: fitted where the pictures tell of it (auto, "
+            "the default), never (fixed) or always (free)."
+        ),
+    ] = None,
+    tone: Annotated[
+        Correction | None,
+        typer.Option(help="A tone curve of the camera's own, as --shading."),
     ] = None,
     camera: Annotated[
         str | None,
@@ -133,12 +145,16 @@ def fit(
     of_waters: dict[str, Any] = {name: x for name, x in named.items() if x is not None}
     if waters and (series is not None or model != "auto"):
         refuse("--waters takes the place of --model and --series: give one of them")
+    camera_named = {"gain": gain, "shading": shading, "tone": tone}
+    of_camera = {name: x for name, x in camera_named.items() if x is not None}
+    if waters and (of_camera.keys() - {"gain"}):
+        refuse("--shading and --tone are for coefficients: expected neither beside --waters")
     if of_waters and not waters:
         refuse("--camera, --surfaces and --vertical-depth are for --waters: give it too")
     # planar depth and disparity of a series need a focal length
     idle_focal_px = focal_px is not None and not planar and distance_kind == "metric"
-    if series is not None and (any(pairs.values()) or gain is not None or idle_focal_px):
-        flags = "--clean, --observed, --distance, --gain or --focal-px"
+    if series is not None and (any(pairs.values()) or of_camera or idle_focal_px):
+        flags = "--clean, --observed, --distance, --gain, --shading, --tone or --focal-px"
         refuse(f"--series takes the place of pairs of one water: expected no {flags} beside it")
     if series is None and not all(pairs.values()):
         refuse("a fit needs --clean, --observed and --distance, or --series")
@@ -160,9 +176,7 @@ def fit(
         say("reading the pictures")
         masks: dict[str, Any] = {"mask": [read_mask(path) for path in mask]} if mask else {}
         if series is None:
-            options |= {"focal_px": focal_px, "progress": say}
-            if gain is not None:
-                options["gain"] = gain
+            options |= {"focal_px": focal_px, "progress": say, **of_camera}
             read, notes = _read(pairs, format)
             pictures = {**read, **masks}
             if waters:
@@ -181,9 +195,9 @@ def fit(
             drawing.save(result.plot(), report)
     except OSError as error:
         # what may have taken minutes is not lost
-        print(result.summary())
+        print(cures_in_flags(result.summary()))
         fail(error)
-    print(f"{result.summary()}\n")
+    print(f"{cures_in_flags(result.summary())}\n")
     for note in notes:
         print(f"Note: {note}\n")
     # JPEG stores colours at half the resolution, which a fit takes for scattering

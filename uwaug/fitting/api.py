@@ -5,7 +5,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from itertools import pairwise
-from typing import Any, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import torch
@@ -32,6 +32,7 @@ from uwaug.fitting.models import (
     MODELS,
     CameraGain,
     CoefficientModel,
+    Correction,
     Gain,
     Model,
     SpectralModel,
@@ -40,6 +41,7 @@ from uwaug.fitting.models import (
 from uwaug.fitting.noise import Noise, initial_weights, reweight
 from uwaug.fitting.results import Candidate, Fit, JerlovType, Line, SeriesFit, WaterFit
 from uwaug.fitting.selection import FittedModel, best_of, one_standard_error_rule
+from uwaug.fitting.suspects import spread, suspects
 from uwaug.light.geometry import focal_of
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.jerlov import JERLOV_TYPES
@@ -54,12 +56,12 @@ _MAX_KNOWN = 1e6  # of numbers that a caller knows
 _SCOUTS = 4000  # pixels of the fits that noise is first learnt from
 _SCOUTS_OF_LEVEL = 3000  # pixels of each turbidity, which say where a series begins
 _SCOUTS_OF_TYPE = 1000  # pixels of the fits that those of Jerlov types begin from
-_MUCH = 0.01  # of the cost, that a gain must save before it is spoken of
-_GAIN = 0.02  # by which it must differ from 1
+_MUCH = 0.01  # of the held-out loss, that a camera must save
 _SERIES = ("veil", "gaussian", "exponential")
 _VISIBILITIES = np.geomspace(0.4, 25.0, 8)  # to begin at, in multiples of the median distance
 _DEPTHS = (0.5, 3.0, 10.0)  # vertical depths to begin at, m
 _MIN_VALUES = 500  # values between noise and white, of all that are fitted, that `fit_water` needs
+_UNSEEN = 0.001  # RMS of linear light, by which a camera must explain more to be spoken of
 _SURELY = 2.0  # standard errors, by which a mixture is neither of its ends
 _TOLERANCE = 0.002  # of media and blurs, by default
 # RMS of linear light by which blurs of that tolerance look like other widths: a part of .0007.
@@ -82,7 +84,9 @@ def fit(
     start: Mapping[str, float] | None = None,
     mask: Pictures | None = None,
     color_space: ColorSpace = "srgb",
-    gain: Gain = "fixed",
+    gain: Gain | Literal["auto"] = "auto",
+    shading: Correction = "auto",
+    tone: Correction = "auto",
     noise: Noise | None = None,
     seed: int = 0,
     progress: Progress | None = None,
@@ -111,7 +115,13 @@ def fit(
         mask (as distance): true or > 0 where pixels count.
         color_space: "srgb", or "linear" for linear light. All numbers refer to linear light.
         gain: "fixed": both pictures have one exposure. "free": a factor for each observed picture.
-            "channels": one for each of its colours, as where the scene lies deep.
+            "channels": one for each of its colours, as where the scene lies deep, or with another
+            white balance. "auto": that which the pictures tell of, of these.
+        shading: whether the observed pictures are darker in the corners (vignette) or to one side
+            (down, right): "fixed", they are not; "free", that is fitted too; "auto", if the
+            pictures tell of it.
+        tone: whether the observed pictures have a tone curve of their own, which leaves black and
+            white: (1 + s)·x^c/(1 + s·x^c) with c, tone, and s, shoulder; as shading.
         noise: of the observed pictures; None learns it from the residuals.
         seed: of the pixels that are drawn, and of random starts.
         progress: is called with a line on what is being tried.
@@ -143,7 +153,9 @@ def fit(
     """
     say = _require_options(noise, pixels, seed, progress)
     checks.one_of("model", model, ("auto", *MODELS))
-    checks.one_of("gain", gain, get_args(Gain))
+    checks.one_of("gain", gain, ("auto", *get_args(Gain)))
+    checks.one_of("shading", shading, get_args(Correction))
+    checks.one_of("tone", tone, get_args(Correction))
     if focal_px is not None:
         checks.positive("focal_px", focal_px, "px")
     elif model == "calibrated":
@@ -151,7 +163,9 @@ def fit(
     if g is not None:
         checks.within("g", g, 0.0, 0.99)
     observations = Observations.of(clean, observed, distance, field, mask, color_space, relative)
-    models = _models(model, observations.geometry(focal_px), gain, g, fixed or {})
+    models = _models(model, observations.geometry(focal_px), g, fixed or {})
+    asked = {"gain": gain, "shading": shading, "tone": tone}
+    models = [replace(x, **_asked_camera(asked)) for x in models]
     start = _checked("start", start or {}, models)
     with one_thread():
         say("blurring the clean picture")
@@ -160,7 +174,17 @@ def fit(
         say("learning the noise")
         rough = initial_weights(drawn, noise, color_space).subsample(_SCOUTS, seed)
         richest, solution = _richest(models, rough, seed, start)
-        weighed, noise, theta = reweight(richest, solution.theta, drawn, noise, observations)
+        given, theta = noise, solution.theta
+        weighed, noise, theta = reweight(richest, theta, drawn, given, observations)
+        if "auto" in asked.values():
+            say("looking at what the camera has done")
+            few = Objective(richest, weighed.subsample(_SCOUTS, seed))
+            changed, theta = _with_camera(few, theta, asked, seed)
+            if changed is not richest:
+                camera = {name: getattr(changed, name) for name in asked}
+                models = [replace(x, **camera) for x in models]
+                richest = next(x for x in models if x == changed)
+                weighed, noise, theta = reweight(richest, theta, drawn, given, observations)
         tried: list[FittedModel[CoefficientModel]] = []
         for i, candidate in enumerate(models):
             say(f"fitting {candidate.name!r}, {i + 1} of {len(models)}")
@@ -172,17 +196,19 @@ def fit(
                 end = multistart(objective, starts, seed)
             tried.append(FittedModel.of(objective, end, seed))
         chosen = one_standard_error_rule(tried)
-        if gain != "fixed" and model == "auto":
+        if gain not in ("auto", "fixed") and model == "auto":
             say("fitting without a gain")
             objective = Objective(replace(chosen.model, gain="fixed"), weighed)
             solution = multistart(objective, starting_points(objective, (), start), seed)
             tried.append(FittedModel.of(objective, solution, seed))
             chosen = one_standard_error_rule([chosen, tried[-1]])
-        common, covariance = _reported(chosen, noise)
-        gains = _missing_gain(chosen)
+        say("looking at what may be wrong")
+        faults = suspects(chosen.objective, chosen.solution)
+        more = spread(faults, len(chosen.theta))
+        common, covariance = _reported(chosen, noise, more)
     return Fit(
         **common,
-        message="\n".join(of_fit(chosen, tried, common["parameters"], covariance, gains)),
+        message="\n".join(of_fit(chosen, tried, common["parameters"], covariance, faults)),
         candidates=_candidates(tried),
         fitted=chosen.model,
         history=chosen.solution.history,
@@ -191,14 +217,14 @@ def fit(
 
 
 def _models(
-    name: str, geometry: Geometry, gain: Gain, g: float | None, fixed: Mapping[str, float]
+    name: str, geometry: Geometry, g: float | None, fixed: Mapping[str, float]
 ) -> list[CoefficientModel]:
     """The candidates in which all that is fixed has a place."""
     models = []
     for spec in MODELS.values():
         if name in ("auto", spec.name) and (spec.law != "calibrated" or geometry.focal_px):
             share = spec.g if g is None else float(g)
-            models.append(CoefficientModel(spec, geometry, gain, share, {}))
+            models.append(CoefficientModel(spec, geometry, "fixed", share, {}))
     numbers = _checked("fixed", fixed, models)
     fixable = [replace(x, fixed=numbers) for x in models if set(numbers) <= set(x.fixable)]
     models = [model for model in fixable if model.bounds]
@@ -245,18 +271,54 @@ def _richest(
     return min(ends, key=lambda end: end[1].cost)
 
 
-def _missing_gain(chosen: FittedModel[CoefficientModel]) -> float | None:
-    """The mean gain that would explain the pictures much better, where none was asked for."""
-    model = chosen.model
-    if model.gain != "fixed":
-        return None
-    freed = replace(model, gain="free")
-    begin = freed.start({name: chosen.numbers.get(name, 1.0) for name in freed.bounds}, {})
-    end = solve(replace(chosen.objective, model=freed), begin, most=20)
-    gains = end.theta[[name.startswith("gain") for name in freed.bounds]]
-    better = chosen.solution.cost - end.cost > _MUCH * chosen.solution.cost
-    apart = float(np.abs(gains - 1).max()) > _GAIN
-    return float(gains.mean()) if better and apart else None
+def _asked_camera(asked: Mapping[str, str]) -> dict[str, Any]:
+    """What is fitted of a camera before anything is seen: what is asked for."""
+    gain = "fixed" if asked["gain"] == "auto" else asked["gain"]
+    return {"gain": gain, "shading": asked["shading"] == "free", "tone": asked["tone"] == "free"}
+
+
+def _with_camera(
+    objective: Objective[CoefficientModel], theta: Array, asked: Mapping[str, str], seed: int
+) -> tuple[CoefficientModel, Array]:
+    """The model with as much of a camera as its pictures tell of, and its θ: of all that may be
+    added, what explains most is, for as long as it surely foretells left-out pixels better, and by
+    more than does not show.
+    """
+    best = FittedModel.of(objective, solve(objective, theta), seed)
+    while True:
+        model = best.model
+        richer: list[dict[str, Any]] = []
+        if asked["gain"] == "auto" and model.gain != "channels":
+            richer += [{"gain": x} for x in ("free", "channels") if x != model.gain]
+        for name in ("shading", "tone"):
+            if asked[name] == "auto" and not getattr(model, name):
+                richer.append({name: True})
+        better = []
+        for camera in richer:
+            freed = replace(objective, model=replace(model, **camera))
+            begin = _begun(freed.model, best.numbers)
+            candidate = FittedModel.of(freed, solve(freed, begin), seed)
+            if _is_better(candidate, best):
+                better.append(candidate)
+        if not better:
+            return model, best.theta
+        best = one_standard_error_rule(better)
+
+
+def _begun(model: CoefficientModel, numbers: Mapping[str, float]) -> Array:
+    """θ from that of a simpler camera: one gain is that of each colour."""
+    begun = []
+    for name, bound in model.bounds.items():
+        simpler = numbers.get(name.rpartition("_")[0], bound.begin)
+        begun.append(numbers.get(name, simpler))
+    return np.array(begun)
+
+
+def _is_better(more: FittedModel[M], less: FittedModel[M]) -> bool:
+    """Whether a model of more numbers surely foretells left-out pixels better, and as one sees."""
+    behind, error = less.delta_loss(more)
+    seen = math.sqrt(max(less.rms**2 - more.rms**2, 0.0))
+    return behind > max(_SURELY * error, _MUCH * less.loss) and seen > _UNSEEN
 
 
 def _reported(
@@ -264,10 +326,11 @@ def _reported(
 ) -> tuple[dict[str, Any], ClusterCovariance]:
     """What all results hold. more: covariance of what is no noise."""
     covariance = cluster_covariance(chosen.objective, chosen.solution)
+    numbers = parameters(chosen.objective, chosen.solution, covariance, more)
     if more is not None:
         covariance = replace(covariance, matrix=covariance.matrix + more)
     return {
-        "parameters": parameters(chosen.objective, chosen.solution, covariance),
+        "parameters": numbers,
         "noise": noise,
         "rms": chosen.rms,
         "theta": chosen.theta,
@@ -467,8 +530,8 @@ def fit_water(
 
     Of 29 pictures (250×370) that `uwaug degrade --water` makes of the ten types, 1 and 8 m deep, at
     their own visibility and at 6 m, all 29 types are found, and visibility and depth lie within two
-    standard errors in 28. In 9C with the least light, visibility is 7 % off and depth 60 %, without
-    a word (`python -m benchmarks.accuracy.fitting waters`).
+    standard errors in 28. In 9C with the least light, visibility is 7 % off and depth 60 %: the
+    message says that depth looks like an exposure (`python -m benchmarks.accuracy.fitting waters`).
 
     Source: spectra: Solonenko and Mobley 2015, see `Water.jerlov`; choice: see `uwaug.fit`.
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from uwaug._support import checks
-from uwaug._support.types import ColorSpace, Shape
+from uwaug._support.types import Array, ColorSpace, Shape
 from uwaug.blur.plan import BlurPlan, plan_blur
 from uwaug.blur.stack import blurred
 from uwaug.formation.colour import to_light
@@ -38,6 +38,7 @@ _WIDEST = 1 / 5
 _BINS = 20  # of the distances, from each of which as many pixels are taken
 # Blocks along the picture's short side; the residuals of one may depend on each other.
 _CLUSTERS = (10, 5, 3)
+_TENTHS = 10  # parts of the distances, and of the brightness, that are clusters too
 _MAX_CLUSTERS = 1_000_000  # more than the blocks of any picture
 _NEAR, _FAR = 0.05, 0.95  # quantiles of the finite distances that the range of distances goes by
 _NODES = 48  # distances at which spectra are summed. Between 2 m and 10 km they hold to 1e-7
@@ -85,6 +86,29 @@ class Pair(NamedTuple):
     def size(self) -> tuple[int, int]:
         """Height and width, px."""
         return self.observed.shape[-2], self.observed.shape[-1]
+
+    @property
+    def position(self) -> Tensor:
+        """Of each pixel (2xHxW), down and to the right of the middle, in half diagonals."""
+        rows, columns = self.size
+        y = torch.arange(rows, dtype=torch.float64) - (rows - 1) / 2
+        x = torch.arange(columns, dtype=torch.float64) - (columns - 1) / 2
+        return torch.stack(torch.meshgrid(y, x, indexing="ij")) * (2 / math.hypot(rows, columns))
+
+    @property
+    def detail(self) -> Tensor:
+        """What is left of the clean picture (3xHxW) beside its mean over 3×3 pixels, 1 2 1."""
+        kernel = torch.tensor([0.25, 0.5, 0.25], dtype=torch.float64)
+        framed = F.pad(self.clean[:, None], (1, 1, 1, 1), mode="replicate")
+        return self.clean - F.conv2d(framed, kernel.outer(kernel)[None, None])[:, 0]
+
+    @property
+    def slopes(self) -> Tensor:
+        """Of the clean picture (2x3xHxW), down and to the right, per pixel."""
+        framed = F.pad(self.clean[None], (1, 1, 1, 1), mode="replicate")[0]
+        down = framed[:, 2:, 1:-1] - framed[:, :-2, 1:-1]
+        right = framed[:, 1:-1, 2:] - framed[:, 1:-1, :-2]
+        return torch.stack([down, right]) / 2
 
     @property
     def finite(self) -> Tensor:
@@ -184,12 +208,12 @@ class Observations:
         places = [torch.from_numpy(np.resize(row, width)) for row in drawn]
 
         def rows(name: str) -> Tensor:
-            """One attribute of the pairs at their places (PxCx1xN)."""
+            """One attribute of the pairs at their places (Px…x1xN)."""
             values = [
-                getattr(pair, name).flatten(1)[:, at]
+                getattr(pair, name).flatten(-2)[..., at]
                 for pair, at in zip(pairs, places, strict=True)
             ]
-            return torch.stack(values)[:, :, None]
+            return torch.stack(values)[..., None, :]
 
         counted = torch.stack([torch.arange(width) < len(row) for row in drawn])
         clusters = []
@@ -198,13 +222,18 @@ class Observations:
                 [cluster_of(at.numpy(), i, pairs[i].size, along) for i, at in enumerate(places)]
             )
             clusters.append(np.unique(number, return_inverse=True)[1].reshape(number.shape))
+        clean, z = rows("clean"), rows("z")
+        clusters += [_quantiles(values.numpy()) for values in (z[:, 0, 0], clean[:, :, 0].mean(1))]
         return Pixels(
-            clean=rows("clean"),
+            clean=clean,
             observed=rows("observed"),
-            z=rows("z"),
+            z=z,
+            position=rows("position"),
+            detail=rows("detail"),
+            slopes=rows("slopes"),
             weights=counted.double()[:, None, None].expand(-1, 3, 1, -1),
             clusters=clusters[0],
-            coarser=tuple(clusters[1:]),
+            others=tuple(clusters[1:]),
             stacks={shape: _stack(pairs, places, shape) for shape in shapes},
             reference=self.reference,
         )
@@ -236,10 +265,14 @@ class Pixels:
     Attributes:
         clean, observed (Px3x1xN tensor): linear light, float64.
         z (Px1x1xN tensor): effective distance, m.
+        position (Px2x1xN tensor): down and to the right of the middle, in half diagonals.
+        detail (Px3x1xN tensor): clean light beside the mean of 3×3 pixels.
+        slopes (Px2x3x1xN tensor): of the clean light, down and to the right, per pixel.
         weights (Px3x1xN tensor): one over the standard deviation of the noise; 0 leaves out.
         clusters (PxN array): the part of the picture that a pixel is from, a number of its own in
             each pair.
-        coarser: the same for larger parts.
+        others: parts of other kinds, which something that is missing may hit alike: larger blocks,
+            distances, brightness of the clean picture.
         stacks: by shape, as far as they were asked for.
         reference: distance that width laws refer to, m.
     """
@@ -247,9 +280,12 @@ class Pixels:
     clean: Tensor
     observed: Tensor
     z: Tensor
+    position: Tensor
+    detail: Tensor
+    slopes: Tensor
     weights: Tensor
     clusters: Places
-    coarser: tuple[Places, ...]
+    others: tuple[Places, ...]
     stacks: dict[Shape, Stack]
     reference: float
 
@@ -264,9 +300,9 @@ class Pixels:
 
     def at(self, index: Any) -> "Pixels":
         """Pixels at an index: of pairs, or behind an ellipsis, of the pixels of each."""
-        names = ("clean", "observed", "z", "weights", "clusters")
+        names = ("clean", "observed", "z", "position", "detail", "slopes", "weights", "clusters")
         values: dict[str, Any] = {name: getattr(self, name)[index] for name in names}
-        values["coarser"] = tuple(numbers[index] for numbers in self.coarser)
+        values["others"] = tuple(numbers[index] for numbers in self.others)
         values["stacks"] = {
             shape: Stack(plan, [blur[index] for blur in blurs])
             for shape, (plan, blurs) in self.stacks.items()
@@ -409,6 +445,12 @@ def _bits(observed: Tensor) -> int | None:
     # pictures of 8 bits are often given as floating point
     steps = observed.detach().double().cpu() * 255
     return 8 if bool(((steps - steps.round()).abs() < 1e-3).all()) else None
+
+
+def _quantiles(values: Array) -> Places:
+    """Which tenth of them each value is in."""
+    ends = np.quantile(values, np.linspace(0, 1, _TENTHS + 1)[1:-1])
+    return np.searchsorted(ends, values)
 
 
 def _stratified(pair: Pair, count: int, rng: np.random.Generator) -> Places:

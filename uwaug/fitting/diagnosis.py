@@ -2,18 +2,28 @@
 tell and why. Each result has one list of conditions and sentences.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import torch
 
+from uwaug.fitting.coefficients import Coefficients
 from uwaug.fitting.data import Geometry, widest_blur
 from uwaug.fitting.errors import ClusterCovariance
 from uwaug.fitting.least_squares import M
-from uwaug.fitting.models import COLOURS, CoefficientModel, SpectralModel, TurbidityModel
+from uwaug.fitting.models import (
+    COLOURS,
+    SHADING,
+    TONE,
+    CoefficientModel,
+    SpectralModel,
+    TurbidityModel,
+)
 from uwaug.fitting.results import JerlovType, Line, Parameter
 from uwaug.fitting.selection import FittedModel, best_of
+from uwaug.fitting.suspects import Suspect
 
 Parameters = Mapping[str, Parameter]
 _THIN = 0.3  # optical depth G·z at the far end, below which a veil is still a straight line
@@ -27,6 +37,21 @@ _FULL_GROWN = 2.3
 # Ratio of standard errors over clusters to those of independent residuals, above which the model
 # misses something.
 _DEPENDENT = 1.5
+_HARMLESS = 0.05  # of a number, half the interval that one need not look at twice
+_GRAVE = 0.25  # of a number, half an interval that is more than an estimate's
+# What is likely missing, by the names of `suspects.changes`; behind the colon, how and what cures.
+_FAULTS = {
+    "gain": 'another exposure or white balance: give gain="channels"',
+    "tone": 'a tone curve: give tone="free"',
+    "shading": 'corners or a side that are darker: give shading="free"',
+    "scene": "uneven light on the scene: on one side it is not that of the clean picture",
+    "veil": "an uneven veil: brighter on one side, as with a lamp or uneven water",
+    "alignment": "a shift: clean and observed are not aligned to the pixel",
+    "sharpness": "other detail: observed seems {smoothed}, and β is taken from detail",
+    "offset": "an offset of the distances: all surfaces seem {size:.2g} m {nearer}",
+    "planar": "distances that are off towards the corners: planar depth is not metres along the "
+    "ray, see uwaug.distance.along_ray",
+}
 _POOR = 0.8  # share of the observed variance, below which a model does not explain a picture
 _NEAREST = 0.05  # m, median distance; nearer scenes are rare
 _FASTEST = 30.0  # 1/m; no natural water attenuates more
@@ -38,6 +63,9 @@ _UNLIKELY = 0.05 / 3
 # water explains a picture. Jerlov waters reach 1.002, a wrong g or μ 1.2, grey water, wrong cameras
 # and wrong exposures 1.5 to 5.
 _UNLIKE = 1.25
+# Correlation of depth and gain, above which errors do not count what media are off by: in 9C as
+# deep as an exposure allows .9999, in other waters .9 to .996.
+_ONE_BAND = 0.999
 _NOT_QUITE = 1.02  # ratio above which none is quite right
 _UNSEEN = 0.001  # RMS of linear light: the default tolerance of a medium puts pictures .0007 off
 _CLAMPED = 0.01  # share of the pixels at which blurs are wider than any that was made
@@ -60,11 +88,9 @@ def of_fit(
     tried: Sequence[FittedModel[CoefficientModel]],
     parameters: Parameters,
     covariance: ClusterCovariance,
-    gain: float | None,
+    faults: Sequence[Suspect],
 ) -> Iterator[str]:
-    """The sentences on a `Fit`. gain: of the observed pictures, if one explains them much better
-    than none.
-    """
+    """The sentences on a `Fit`. faults: that the residuals tell of."""
     model, best = chosen.model, best_of(tried)
     geometry = model.geometry
     choice = ""
@@ -74,22 +100,21 @@ def of_fit(
             choice = f" The fewest numbers within one standard error of the best, {best.name!r}."
     yield f"Model {chosen.name!r}: {model.spec.words}.{choice}"
     yield _residual(chosen)
-    dependent = list(_dependent(covariance))
-    if chosen.explained < _POOR and dependent:
-        yield "That is little: are the pictures aligned, of one exposure (gain), and in metres?"
-    yield from dependent
-    if gain is not None:
-        yield (
-            f"A gain of {gain:.3g} explains the pictures much better: were both taken with one "
-            "exposure? If not, see the argument gain."
-        )
+    c = model.coefficients(torch.from_numpy(chosen.theta))
+    yield from _blur(model, c)
+    if len(tried) > 1 and c.width is not None and geometry.focal_px is None:
+        yield "The calibrated width law was not tried: for it, give focal_px=…, of the camera."
+    yield from _camera(parameters)
+    wrong = list(_trust(chosen, parameters, covariance, faults))
+    if chosen.explained < _POOR and wrong:
+        yield "That is little: are the pictures aligned, of one scene, and in metres?"
+    yield from wrong
     fastest = max(parameters[f"beta_{colour}"].value or 0.0 for colour in COLOURS)
     if geometry.unit == "m" and (geometry.reference < _NEAREST or fastest > _FASTEST):
         yield (
             f"The median distance is {geometry.reference:.3g} m and the largest β {fastest:.3g}/m: "
             "are the distances in metres?"
         )
-    c = model.coefficients(torch.from_numpy(chosen.theta))
     if c.width is not None and c.exponent is not None:
         far = (geometry.farthest / geometry.reference) ** float(c.exponent[0])
         if float(c.width[0]) * far >= _ALMOST * geometry.widest:
@@ -165,6 +190,7 @@ def of_water(
         yield "All others foretell left-out pixels worse by more than one standard error."
     yield _residual(chosen)
     yield from _no_jerlov_water(best_of(tried), free)
+    yield from _depth_or_exposure(model, covariance)
     yield from _dependent(covariance)
     yield from _not_identified(parameters)
     yield from _at_bounds(parameters)
@@ -231,6 +257,85 @@ def _dependent(covariance: ClusterCovariance) -> Iterator[str]:
         )
 
 
+def _camera(parameters: Parameters) -> Iterator[str]:
+    """What was fitted of the camera."""
+    names = [*(name for name in parameters if name.startswith("gain")), *SHADING, *TONE]
+    shown = []
+    for name in names:
+        if name in parameters:
+            value = parameters[name].value
+            shown.append(f"{name} not identified" if value is None else f"{name} {value:.3g}")
+    if shown:
+        yield f"Of the camera, this is fitted too: {', '.join(shown)}."
+
+
+def _blur(model: CoefficientModel, c: Coefficients) -> Iterator[str]:
+    """The width law in the measure of `PointSpread`, beside that of the table."""
+    if c.width is None:
+        return
+    medium, reference = model.media(c.at(0)), model.geometry.reference
+    law = medium.point_spread
+    yield (
+        f"Width {float(c.width[0]):.3g} px, σ at the median distance of {reference:.3g} "
+        f"{model.geometry.unit}, is that of PointSpread({float(law.scale):.3g}, "
+        f"{float(law.exponent):.3g}) at b̄ = {float(medium.b_mean[0]):.3g}/{model.geometry.unit}: "
+        "scale·(b̄ z)^exponent."
+    )
+
+
+def _trust(
+    chosen: FittedModel[CoefficientModel],
+    parameters: Parameters,
+    covariance: ClusterCovariance,
+    faults: Sequence[Suspect],
+) -> Iterator[str]:
+    """How far numbers can be trusted where the model misses something, and what that may be."""
+    if covariance.design_effect <= _DEPENDENT and not faults:
+        return
+    if chosen.rms < _UNSEEN:
+        yield f"What is left is less than shows in a picture, {_UNSEEN} of linear light."
+        return
+    yield (
+        "Residuals of neighbouring pixels depend on each other: with that, errors are "
+        f"{covariance.design_effect:.1f} times those of independent noise."
+    )
+    yield f"The model misses something: {_cause(faults)}."
+    kinds = ("beta", "G", "veil")
+    shares, lost = [0.0], False
+    for name, x in parameters.items():
+        if name.rpartition("_")[0] in kinds:
+            lost |= x.state == "not identified"
+            if x.value and x.low is not None and x.high is not None:
+                shares.append((x.high - x.low) / (2 * abs(x.value)))
+    reach = f"95 % intervals of β, G and veil reach up to {100 * max(shares):.2g} % to either side"
+    cure = "mend the pictures and fit again"
+    if lost:
+        yield f"Verdict: do not rely on it. Some of β, G and veil are hidden by that; {cure}."
+    elif max(shares) > _GRAVE:
+        yield f"Verdict: do not rely on it. With that, {reach}; {cure}."
+    elif max(shares) > _HARMLESS:
+        yield f"Verdict: estimates. With that, {reach}."
+    else:
+        yield f"Verdict: harmless. Even with that, {reach}."
+
+
+def _cause(faults: Sequence[Suspect]) -> str:
+    """The likeliest of what is missing, in words, and what explains as much."""
+    if not faults:
+        return (
+            "neither a camera's doing nor a shift, but such as wrong distances at edges, uneven "
+            "water or JPEG"
+        )
+    first, *rest = faults
+    words = _FAULTS[first.name].format(
+        size=abs(float(first.size[0])),
+        nearer="farther" if first.size[0] > 0 else "nearer",
+        smoothed="sharpened" if first.size[0] > 0 else "smoothed (noise reduction, JPEG, focus)",
+    )
+    others = [_FAULTS[x.name].partition(":")[0] for x in rest if x.explained > first.explained / 2]
+    return f"likely {words}" + "".join(f"; or {other}" for other in others)
+
+
 def _not_identified(parameters: Parameters) -> Iterator[str]:
     names = [name for name, number in parameters.items() if number.state == "not identified"]
     if names:
@@ -283,6 +388,24 @@ def _no_jerlov_water(best: FittedModel[SpectralModel], free: FittedModel[Any]) -
         yield (
             f"No Jerlov water explains this picture: {off}. Do not rely on type and numbers; check "
             f"{causes}; {cure}."
+        )
+
+
+def _depth_or_exposure(model: SpectralModel, covariance: ClusterCovariance) -> Iterator[str]:
+    """Where so little light is left that a greater depth looks like a shorter exposure."""
+    names, variance = list(model.bounds), np.diag(covariance.matrix)
+    gains = [i for i, name in enumerate(names) if name.startswith("gain") and variance[i] > 0]
+    if "vertical_depth" not in names or not gains or not variance[names.index("vertical_depth")]:
+        return
+    depth = names.index("vertical_depth")
+    alike = max(
+        covariance.matrix[depth, i] / math.sqrt(variance[depth] * variance[i]) for i in gains
+    )
+    if alike > _ONE_BAND:
+        yield (
+            f"Depth and exposure do nearly the same to this picture (correlation {alike:.4f}), as "
+            "hardly more than one band of light is left: depth and gain may be off by ten of their "
+            "errors, visibility by four. Give vertical_depth=… if it is known."
         )
 
 

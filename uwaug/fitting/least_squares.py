@@ -279,6 +279,7 @@ def guess(
     beta = torch.from_numpy(_DEPTHS / model.geometry.reference)
     shares = _G_OVER_BETA if model.spec.veil == "own" else (1.0,)
     others = model.coefficients(torch.tensor([values[name] for name in model.bounds]).double())
+    others = others._replace(shading=None, tone=None)
     errors, slopes = [], []
     for share in shares:
         for rate in beta:

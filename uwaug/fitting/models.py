@@ -8,7 +8,7 @@ is reported of it: that is `Model`, all that a fit asks for.
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple, Protocol
@@ -39,6 +39,9 @@ COLOURS = ("red", "green", "blue")
 Veil = Literal["none", "shared", "own"]
 Law = Literal["paper", "calibrated", "gaussian", "exponential"]
 Gain = Literal["fixed", "free", "channels"]
+Correction = Literal["auto", "fixed", "free"]
+"""Whether something that a camera does is fitted: where pictures tell of it, never, always."""
+
 CameraGain = Literal["fixed", "free", "matrix"]
 MAX_OPTICAL_DEPTH = 40.0  # to the median distance: more than any picture survives
 _MAX_G_OVER_BETA = 4.0  # where no light is scattered forward and nothing ties the two together
@@ -76,6 +79,17 @@ class Quantity(NamedTuple):
     unit: str
     resolution: float
     follows: tuple[str, ...]
+
+
+SHADING = {
+    "vignette": Bounds(-0.5, 0.95, 0.0),
+    "down": Bounds(-0.9, 0.9, 0.0),
+    "right": Bounds(-0.9, 0.9, 0.0),
+}
+"""What light may lose in the corners, and gain downwards and to the right."""
+
+TONE = {"tone": Bounds(0.25, 4.0, 1.0), "shoulder": Bounds(-0.5, 30.0, 0.0)}
+"""c and s of a camera's curve."""
 
 
 class Model(Protocol):
@@ -220,6 +234,8 @@ class CoefficientModel(ByCoefficients):
             colour at the scene's depth.
         g: share of the scattered light that leaves the line of sight; gives a and b from β and G.
         fixed: numbers that are known, by the names of `quantities`.
+        shading: whether the picture is darker in its corners or to one side.
+        tone: whether the camera has a curve of its own.
     """
 
     spec: ModelSpec
@@ -227,11 +243,14 @@ class CoefficientModel(ByCoefficients):
     gain: Gain
     g: float
     fixed: Mapping[str, float]
+    shading: bool = False
+    tone: bool = False
 
     @property
     def name(self) -> str:
         """Of the candidate."""
-        return self.spec.name if self.gain == "fixed" else f"{self.spec.name} + gain"
+        faults = {"gain": self.gain != "fixed", "shading": self.shading, "tone": self.tone}
+        return " + ".join([self.spec.name, *(name for name, there in faults.items() if there)])
 
     @property
     def fixable(self) -> tuple[str, ...]:
@@ -269,6 +288,7 @@ class CoefficientModel(ByCoefficients):
             bounds["width"] = Bounds(0.0, widest, 0.1 * widest)
             bounds["exponent"] = Bounds(*EXPONENTS, 1.0)
         bounds |= {name: Bounds(1e-3, 1e3, 1.0) for name in self._gains}
+        bounds |= {name: (SHADING | TONE)[name] for name in self._of_camera}
         fixed = {_FITTED.get(name, name) for name in self.fixed}
         return {name: x for name, x in bounds.items() if name not in fixed}
 
@@ -280,6 +300,11 @@ class CoefficientModel(ByCoefficients):
         if self.gain == "channels":
             return [f"gain_{i}_{colour}" for i in pictures for colour in COLOURS]
         return []
+
+    @property
+    def _of_camera(self) -> list[str]:
+        """The numbers of its camera, which all pictures share."""
+        return self.shading * [*SHADING] + self.tone * [*TONE]
 
     def coefficients(self, theta: Tensor) -> Coefficients:
         """What pictures depend on; differentiable."""
@@ -318,6 +343,9 @@ class CoefficientModel(ByCoefficients):
             width=None if width is None else width.expand(pairs),
             exponent=None if exponent is None else exponent.expand(pairs),
             gain=gain.expand(pairs, 3),
+            shading=_together(numbers, SHADING, pairs) if self.shading else None,
+            tone=numbers["tone"].expand(pairs) if self.tone else None,
+            shoulder=numbers["shoulder"].expand(pairs) if self.tone else None,
         )
 
     def _numbers(self, theta: Tensor) -> dict[str, Tensor]:
@@ -341,7 +369,8 @@ class CoefficientModel(ByCoefficients):
         if self.spec.own_law:
             rows.append(Quantity("width", "px", 0.2, ("width",)))
             rows.append(Quantity("exponent", "1", 0.2, ("exponent",)))
-        return rows + [Quantity(name, "1", 0.02, (name,)) for name in self._gains]
+        cameras = [*self._gains, *self._of_camera]
+        return rows + [Quantity(name, "1", 0.02, (name,)) for name in cameras]
 
     @property
     def _kinds(self) -> list[tuple[Any, ...]]:
@@ -367,6 +396,11 @@ class CoefficientModel(ByCoefficients):
         rows = [kinds[kind] for kind, *_ in self._kinds]
         names = [quantity.name for quantity in self.quantities[3 * len(rows) :]]
         return torch.cat([*rows, *(numbers[name][None] for name in names)])
+
+
+def _together(numbers: Mapping[str, Tensor], names: Iterable[str], pairs: int) -> Tensor:
+    """Numbers that all pairs share, side by side (PxK)."""
+    return torch.stack([numbers[name] for name in names]).expand(pairs, -1)
 
 
 # ---- one water at several turbidities

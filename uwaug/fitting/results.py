@@ -14,6 +14,7 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug._support.atomic import require_regular, written_whole
 from uwaug._support.types import Array
+from uwaug.fitting.coefficients import as_taken
 from uwaug.fitting.data import Geometry, Pair
 from uwaug.fitting.models import (
     COLOURS,
@@ -385,10 +386,8 @@ class Fit(_OneWater):
     @property
     def medium(self) -> Medium:
         """The water, as `uwaug.Underwater` and `uwaug.form_image` take it: a batch of one."""
-        c = self.fitted.coefficients(torch.from_numpy(self.theta))
         # any pair, as all are of one water
-        first = c._replace(**{k: x[:1] for k, x in c._asdict().items() if x is not None})
-        return self.fitted.media(first)
+        return self.fitted.media(self.fitted.coefficients(torch.from_numpy(self.theta)).at(0))
 
     @property
     def gains(self) -> Tensor:
@@ -424,7 +423,7 @@ class Fit(_OneWater):
         slopes = torch.func.jacrev(flat)(theta)
         covariance = slopes @ torch.from_numpy(self.covariance) @ slopes.T
         drawn = _drawn(flat(theta), covariance, count, generator).clamp(min=0.0)
-        beta, G, veil_slope, width, exponent, _ = drawn.reshape(-1, 6, 3).unbind(1)
+        beta, G, veil_slope, width, exponent, *_ = drawn.reshape(-1, 11, 3).unbind(1)
         if model.shape is not None or model.spec.veil == "shared":
             G = G.minimum(beta)
         forward = model.shape is not None
@@ -454,9 +453,10 @@ class Fit(_OneWater):
         if not self.pairs:
             raise ValueError("a fit read from a file has no pictures: fit them again to see these")
         medium, rows = self.medium, []
-        for pair, gain in zip(self.pairs[:most], self.gains[:most], strict=True):
+        c = self.fitted.coefficients(torch.from_numpy(self.theta))
+        for i, pair in enumerate(self.pairs[:most]):
             light = form_image(pair.clean.float(), pair.z.float(), medium).image
-            picture = gain.reshape(3, 1, 1).float() * light
+            picture = as_taken(light[None].double(), c.at(i), pair.position[None])[0].float()
             difference = picture - pair.observed.float()
             rows.append((picture, torch.where(pair.usable, difference, torch.nan)))
         return rows
@@ -476,6 +476,7 @@ class Fit(_OneWater):
     def _structure(self) -> dict[str, Any]:
         x = self.fitted
         structure = {"geometry": x.geometry, "gain": x.gain, "g": x.g, "fixed": x.fixed}
+        structure |= {name: True for name in ("shading", "tone") if getattr(x, name)}
         return {"model": self.model, "structure": structure}
 
     @classmethod

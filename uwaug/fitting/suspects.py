@@ -1,0 +1,122 @@
+"""What may be wrong with pictures that no number of a fit stands for: how it would change them,
+whether the residuals tell of it, and how far it would move the numbers.
+
+Each fault is followed to first order: one step of the fit with its changes of the picture as more
+columns of the Jacobian. So eight of them cost less than fitting one.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from uwaug._support.types import Array
+from uwaug.fitting.coefficients import arriving, as_taken, shading_slopes, veil_growth
+from uwaug.fitting.data import Pixels
+from uwaug.fitting.least_squares import Objective, Solution, influence
+from uwaug.fitting.models import CoefficientModel
+
+# Share of the cost, from which a fault that explains it is suspected: of 25 disturbances .3 % names
+# all but those that are harmless. By chance one of K numbers explains K/values.
+_EXPLAINS = 0.003
+_CHANCE = 20.0  # times K/values
+_STEP = 1e-4  # of a change of light, for a difference that stands for its slope
+_FLAT = 1e-9  # of the largest eigenvalue of a matrix of unit scale: what is less is not seen
+
+
+class Suspect(NamedTuple):
+    """A fault that the residuals tell of.
+
+    Attributes:
+        name: of the fault, as in `changes`.
+        size: of it, in the units of `changes`.
+        explained: share of the cost that it would save.
+        shift: how far the numbers θ would move if it was part of the model.
+    """
+
+    name: str
+    size: Array
+    explained: float
+    shift: Array
+
+
+def changes(model: CoefficientModel, theta: Array, pixels: Pixels) -> dict[str, list[Tensor]]:
+    """What each fault of size 1 does to the pixels (Px3x1xN), by the name of the fault:
+
+    * gain: of each colour; tone: a power of the light and a bend; shading: as of `Coefficients`;
+    * scene, veil: more of the scene's light, or of the veil, downwards and to the right;
+    * alignment: clean and distance lie 1 px too low, too far right;
+    * sharpness: the scene's detail is twice what it was;
+    * offset: distances are 1 m too short; planar: rays are longer by z·r², r in half diagonals.
+    """
+    c = model.coefficients(torch.from_numpy(theta))
+    light = arriving(c, pixels, model.shape)
+    veil = c.veil_slope[:, :, None, None] * veil_growth(c.G, pixels)
+    direct = torch.exp(-c.beta[:, :, None, None] * pixels.z)
+    farther = replace(pixels, z=pixels.z * (1 + _STEP))
+    by_metre = (arriving(c, farther, model.shape) - light) / (_STEP * pixels.z)
+    y, x = pixels.position[:, :1], pixels.position[:, 1:]
+    down, right = pixels.slopes.unbind(1)
+    added: dict[str, list[Tensor]] = {
+        "scene": [y * (light - veil), x * (light - veil)],
+        "veil": [y * veil, x * veil],
+        "alignment": [direct * down, direct * right],
+        "sharpness": [direct * pixels.detail],
+        "offset": [by_metre],
+        "planar": [by_metre * pixels.z * (y * y + x * x)],
+    }
+    if model.gain == "fixed":
+        added["gain"] = [light * one[:, None, None] for one in torch.eye(3, dtype=light.dtype)]
+    if not model.shading:
+        added["shading"] = [
+            light * part[:, None] for part in shading_slopes(pixels.position).unbind(1)
+        ]
+    if not model.tone:
+        added["tone"] = [light * light.clamp(min=_STEP).log(), light * light]
+    taken = as_taken(light, c, pixels.position)
+    return {
+        name: [(as_taken(light + _STEP * one, c, pixels.position) - taken) / _STEP for one in many]
+        for name, many in added.items()
+    }
+
+
+def suspects(objective: Objective[CoefficientModel], solution: Solution) -> list[Suspect]:
+    """The faults that the residuals tell of, that which explains most first."""
+    weights = objective.pixels.weights
+    values = int((weights > 0).sum())
+    found = []
+    for name, columns in changes(objective.model, solution.theta, objective.pixels).items():
+        seen = np.stack([(weights * column).flatten().numpy() for column in columns], 1)
+        suspect = _followed(name, seen, objective, solution)
+        if suspect.explained > max(_EXPLAINS, _CHANCE * len(columns) / values):
+            found.append(suspect)
+    return sorted(found, key=lambda suspect: -suspect.explained)
+
+
+def _followed(
+    name: str, seen: Array, objective: Objective[CoefficientModel], solution: Solution
+) -> Suspect:
+    """A fault of which the residuals see so much (values x K), after a step of the fit."""
+    n = len(solution.theta)
+    free = np.append(objective.free & (solution.at_bound == 0), np.ones(seen.shape[1], dtype=bool))
+    jacobian = np.concatenate([solution.jacobian, seen], 1)
+    free &= (jacobian != 0).any(0)
+    score, curvature = influence(solution.residual)
+    used = jacobian[:, free]
+    normal = used.T @ (curvature[:, None] * used)
+    scale = np.sqrt(np.diag(normal))
+    values, vectors = np.linalg.eigh(normal / np.outer(scale, scale))
+    plain = values > _FLAT * values.max()
+    inverse = (vectors[:, plain] / values[plain]) @ vectors[:, plain].T / np.outer(scale, scale)
+    slope, step = used.T @ score, np.zeros(len(free))
+    step[free] = -inverse @ slope
+    explained = float(-slope @ step[free] / 2) / max(solution.cost, 1e-300)
+    return Suspect(name, step[n:], explained, step[:n])
+
+
+def spread(found: Sequence[Suspect], numbers: int) -> Array:
+    """The covariance of θ (numbers x numbers) of not knowing whether the faults are there."""
+    return sum((np.outer(one.shift, one.shift) for one in found), np.zeros((numbers, numbers)))
