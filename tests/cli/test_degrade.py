@@ -501,7 +501,7 @@ def test_what_is_there_stays(run):
     assert content("out").items() >= before.items()
     assert degraded(run, "good.png", "--force")[0] == 0
     code, err = degraded(run, "good.png", "--resume", "--severity", "2")
-    assert (code, "was made with other options (options)" in err) == (2, True)
+    assert (code, "was made with other options (" in err) == (2, True)
 
 
 # Where nothing can be written

@@ -19,6 +19,14 @@ def test_equal_texts_are_told_once() -> None:
     assert (remarks.dropped, next(iter(remarks))) == (1, "3 × is faint (first: 1.png)")
 
 
+def test_numbers_alone_make_no_other_text() -> None:
+    remarks = Remarks(3, reword=str.upper)
+    for number in (1, 22.5):
+        remarks.add(f"hole of {number} px", [f"{number}.png"])
+    remarks.add("is faint", ["3.png"])
+    assert list(remarks) == ["2 × HOLE OF 1 PX (first: 1.png)", "3.png: IS FAINT"]
+
+
 def test_a_single_text_names_its_file() -> None:
     remarks = Remarks(9)
     remarks.add("is faint", ["1.png"])

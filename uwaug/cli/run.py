@@ -145,7 +145,8 @@ class Run:
         for suffix, number in sorted(self.items.passed_over.items()):
             print(f"Note: {number} {suffix} passed over: save them as .png to have them degraded")
         _print_notes(summary.notes)
-        print(f"{summary.counts()} in {out}, {time.perf_counter() - start:.1f} s")
+        place = out if self.items.name is None else out / self.items.name
+        print(f"{summary.counts()} in {place}, {time.perf_counter() - start:.1f} s")
         if summary.failed:
             problems.append(_failures(len(self.items), summary, ", see index.csv"))
         labels = self.recipe.labels
@@ -190,7 +191,7 @@ class Run:
             with reported_errors(), connected(self.ray, self.workers):
                 is_terminal = Console(stderr=True).is_terminal
                 shards.write(self.items, self.recipe, labels=self.labels, progress=is_terminal)
-                tally = shards.tally(_LISTED)
+                tally = shards.tally(_LISTED, in_flags)
         except KeyboardInterrupt:
             print("Stopped; --resume goes on.", file=sys.stderr)
             raise typer.Exit(_INTERRUPTED) from None
@@ -209,7 +210,7 @@ class _Summary:
         self._count = count
         self._on_sheet = shown_of(count // variants, variants)
         self.seen = self.failed = self.kept = self.labelled = 0
-        self.reasons, self.notes = Remarks(_LISTED), Remarks(_LISTED)
+        self.reasons, self.notes = (Remarks(_LISTED, in_flags) for _ in range(2))
         self.shown: list[Result] = []
 
     def add(self, result: Result) -> None:
@@ -233,7 +234,7 @@ class _Summary:
 
 def _failures(count: int, run: "_Summary | Tally", rest: str) -> str:
     """How many of `count` pictures failed, and why; `rest`: where to find the other reasons."""
-    lines = [f"{run.failed} of {count} pictures failed:", *map(in_flags, run.reasons)]
+    lines = [f"{run.failed} of {count} pictures failed:", *run.reasons]
     if run.reasons.dropped:
         lines.append(f"and {run.reasons.dropped} more{rest}")
     return "\n  ".join(lines)
@@ -241,7 +242,7 @@ def _failures(count: int, run: "_Summary | Tally", rest: str) -> str:
 
 def _print_notes(notes: Remarks) -> None:
     for note in notes:
-        print(f"Note: {in_flags(note)}")
+        print(f"Note: {note}")
     if notes.dropped:
         print(f"and {notes.dropped} notes more, see the records")
 
@@ -253,7 +254,7 @@ def _before_and_after(results: list[Result]) -> list[list[tuple[str, Path]]]:
         if (sidecar := result.sidecar) is not None:
             before = name_of(result.item.input)
             sight = sidecar.visibility
-            title = sidecar.water if sight is None else f"{sight:.2g} m, {sidecar.water}"
+            title = sidecar.water if sight is None else f"{sight:.2g} m\n{sidecar.water}"
             group = groups.setdefault(result.item.id, [(result.item.id, Path(before))])
             group.append((title, result.item.output))
     return list(groups.values())

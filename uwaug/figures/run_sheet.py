@@ -1,6 +1,7 @@
 """A sheet of some of a run's results, for a person to look at."""
 
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -22,13 +23,16 @@ _COLUMNS = 4
 _SIDE = 400
 """px, which a cell has room for."""
 
-_LONGEST = 36
-"""Letters of a title."""
+_LONGEST = 34
+"""Letters of a line of a title."""
 
 _CAPTION = (
-    "Each picture as it was read, and what was made of it: visibility, and water. “0.3·contents of "
-    "3C” is\npure water with 0.3 times what else is in water of type 3C."
+    "Each picture as it was read, and what was made of it: visibility, and water. “0.3·3C” is pure "
+    "water with 0.3 times\nwhat else is in type 3C; chl is chlorophyll, mg/m³; CDOM is coloured "
+    "dissolved matter, 1/m at 440 nm; min is minerals, g/m³."
 )
+
+_BRIEF = {"contents of ": "", "chlorophyll=": "chl ", "cdom=": "CDOM ", "minerals=": "min "}
 
 
 def shown_of(pictures: int, variants: int) -> set[int]:
@@ -53,12 +57,12 @@ def draw_sheet(groups: Sequence[Sequence[tuple[str, Path]]], path: Path) -> None
     side_by_side = max(1, _COLUMNS // width)
     columns = width * side_by_side
     rows = math.ceil(len(groups) / side_by_side)
-    figure, axes = sheets.sheet(rows, columns, (3, 4), "Some of the pictures", _CAPTION)
+    figure, axes = sheets.sheet(rows, columns, (7, 8), "Some of the pictures", _CAPTION)
     for place, group in enumerate(groups):
         for axis, (label, file) in zip(axes[place * width :], group, strict=False):
             # a path ends in what tells it from others, a water begins with it
-            short = _ending(label) if file == group[0][1] else _beginning(label)
-            sheets.show(axis, _small(file), short)
+            lines = [_ending(label)] if file == group[0][1] else map(_brief, label.split("\n"))
+            sheets.show(axis, _small(file), "\n".join(lines))
             axis.set_aspect("equal", adjustable="box", anchor="NW")
     save(figure, path)
 
@@ -67,8 +71,12 @@ def _ending(label: str) -> str:
     return label if len(label) <= _LONGEST else f"…{label[1 - _LONGEST :]}"
 
 
-def _beginning(label: str) -> str:
-    return label if len(label) <= _LONGEST else f"{label[: _LONGEST - 1]}…"
+def _brief(water: str) -> str:
+    """A water in few letters: contents by two digits."""
+    text = re.sub(r"\d+\.\d+", lambda match: f"{float(match[0]):.2g}", water).replace(",", ", ")
+    for name, short in _BRIEF.items():
+        text = text.replace(name, short)
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
 
 
 def _small(path: Path) -> Tensor:

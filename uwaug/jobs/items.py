@@ -356,6 +356,16 @@ def labelled(items: Iterable[Item], source: LabelSource | None) -> Iterator[Item
             yield item._replace(problem=str(error))
 
 
+def _change(mine: Mapping[str, Any], before: Mapping[str, Any], name: str) -> Iterator[str]:
+    """What of a recipe is otherwise than before, in words; of a table, what in it."""
+    now, then = mine.get(name), before.get(name)
+    if isinstance(now, Mapping) and isinstance(then, Mapping):
+        for key in {**now, **then}:
+            yield from _change(now, then, key)
+    elif now != then:
+        yield f"{name}={now!s:.40}, was {then!s:.40}"
+
+
 def preflight(items: Items, recipe: Recipe, *, resume: bool = False, force: bool = False) -> None:
     """Refuse, before anything is done, a run in which pictures would get in each other's way or
     write over something.
@@ -419,9 +429,9 @@ def preflight(items: Items, recipe: Recipe, *, resume: bool = False, force: bool
             raise FileExistsError(f"{item.output} exists")
         sidecar, mine = sidecar_of(item.output), recipe.to_json()
         before = mine if sidecar is None else sidecar.recipe
-        other = [name for name in mine if mine[name] != before.get(name) and name != "content"]
+        other = [line for name in mine if name != "content" for line in _change(mine, before, name)]
         if other:
-            got = f"was made with other options ({', '.join(other)})"
+            got = f"was made with other options ({'; '.join(other)})"
             raise ValueError(f"{item.output} {got}: give the same ones, or another folder")
         for path, sha256 in before.get("content", {}).items():
             if mine["content"].get(path) != sha256:

@@ -12,7 +12,7 @@ import json
 import logging
 import os
 import pickle
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -560,15 +560,15 @@ class Shards:
         except ray.exceptions.RayError as error:
             raise OSError(f"Ray: {error}") from None
 
-    def tally(self, most: int) -> Tally:
-        """Count what is in the shards; with at most so many different reasons and notes.
+    def tally(self, most: int, reword: Callable[[str], str] = str) -> Tally:
+        """Count what is in the shards; with at most so many different reasons and notes, reworded.
 
         Raises:
             OSError: if they cannot be read.
         """
         from pyarrow.dataset import dataset
 
-        tally = Tally(Remarks(most), Remarks(most))
+        tally = Tally(Remarks(most, reword), Remarks(most, reword))
         shards = dataset(self._path, shard_schema(), "parquet", self._files)
         columns = ["input", "distance", "status", "reason", "notes"]
         for batch in shards.to_batches(columns=columns):
