@@ -343,11 +343,28 @@ def test_sidecars_that_are_none():
         Sidecar.read(Path("r.json"))
 
 
-@pytest.mark.parametrize("name", ["id", "variant", "input", "recipe", "labels", "label_file"])
-def test_a_sidecar_of_other_kinds_is_none(name):
+OBJECT = {"key": 1, "contrast": 0.5, "ignored": False}
+LABELS = {"picture": "a.png", "output": "a.png", "objects": [OBJECT]}
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *((name, ["?"]) for name in ("id", "variant", "input", "distance", "recipe", "contrast")),
+        ("recipe", {"content": "a.toml"}),
+        ("label_file", "marks/a.png"),
+        ("labels", LABELS | {"picture": ["a.png"]}),
+        ("labels", LABELS | {"objects": {}}),
+        ("labels", LABELS | {"objects": [OBJECT | {"key": []}]}),
+    ],
+)
+def test_a_sidecar_of_other_kinds_is_none(name, value):
     made()
     path = Path("out/a.png.json")
-    path.write_text(json.dumps({**json.loads(path.read_text()), name: ["?"]}))
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps({**content, "labels": LABELS}))
+    assert Sidecar.read(path).labels == LABELS
+    path.write_text(json.dumps({**content, name: value}))
     with pytest.raises(ValueError, match=r"a\.png\.json: is no record of a picture"):
         Sidecar.read(path)
 

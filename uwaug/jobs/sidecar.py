@@ -27,17 +27,25 @@ NOTES_APART = " | "
 
 _FORMAT = 2
 
+_NUMBER = float | int | None
+
 _KINDS = {
+    "uwaug": str,
+    "torch": str,
     "id": str,
     "variant": int,
     "input": FileHash,
+    "distance": FileHash | _NUMBER,
     "recipe": Mapping,
     "drawn": Mapping,
+    "water": str,
+    "visibility": _NUMBER,
+    "contrast": _NUMBER,
     "notes": list,
     "labels": Mapping | None,
     "label_file": FileHash | None,
 }
-"""Of values that are read before the recipe is."""
+"""Of the values of a sidecar."""
 
 
 @dataclass(frozen=True)
@@ -127,12 +135,31 @@ class Sidecar:
             raise ValueError(foreign) from None
         if not all(isinstance(attributes[name], kind) for name, kind in _KINDS.items()):
             raise ValueError(foreign)
+        content = attributes["recipe"].get("content", {})
+        if not isinstance(content, Mapping) or not _are_labels(attributes["labels"]):
+            raise ValueError(foreign)
         output = attributes["output"]
         is_name = isinstance(output, str) and Path(output).name == output not in ("", "..")
         if not is_name:
             # records are handed on: none may say where on this machine is written
             raise ValueError(f"{path}: output must be a name without folders, got {output!r}")
         return Sidecar(**attributes)
+
+
+def _are_labels(labels: Any) -> bool:
+    """Whether a value is that of a sidecar's labels."""
+    if labels is None:
+        return True
+    objects = labels.get("objects")
+    named = all(isinstance(labels.get(name), str) for name in ("picture", "output"))
+    return named and isinstance(objects, list) and all(map(_is_object, objects))
+
+
+def _is_object(entry: Any) -> bool:
+    kinds = {"key": int | str, "contrast": float | int, "ignored": bool}
+    return isinstance(entry, Mapping) and all(
+        isinstance(entry.get(name), kind) for name, kind in kinds.items()
+    )
 
 
 def _recipe_of_1(recipe: Any) -> Any:
