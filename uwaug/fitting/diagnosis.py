@@ -68,6 +68,8 @@ _UNLIKE = 1.25
 _ONE_BAND = 0.999
 _NOT_QUITE = 1.02  # ratio above which none is quite right
 _UNSEEN = 0.001  # RMS of linear light: the default tolerance of a medium puts pictures .0007 off
+_NOTHING_SHOWS = f"What is left is less than shows in a picture, {_UNSEEN} of linear light."
+_DEPEND = "Residuals of neighbouring pixels depend on each other: with that, errors are"
 _CLAMPED = 0.01  # share of the pixels at which blurs are wider than any that was made
 
 
@@ -162,7 +164,7 @@ def of_series(
         yield f"Scattering does not follow turbidity on a line in {', '.join(off)}."
     elif odds:
         yield "Scattering follows turbidity on a line, within its errors."
-    yield from _dependent(covariance)
+    yield from _dependent(chosen, covariance)
     yield from _not_identified(parameters)
     yield from _at_bounds(parameters)
     yield from _unsettled(chosen)
@@ -191,7 +193,7 @@ def of_water(
     yield _residual(chosen)
     yield from _no_jerlov_water(best_of(tried), free)
     yield from _depth_or_exposure(model, covariance)
-    yield from _dependent(covariance)
+    yield from _dependent(chosen, covariance)
     yield from _not_identified(parameters)
     yield from _at_bounds(parameters)
     pixels = chosen.objective.pixels
@@ -247,14 +249,17 @@ def _residual(chosen: FittedModel[M]) -> str:
     return f"{residual}; {share} of the variance of the observed pixels is explained."
 
 
-def _dependent(covariance: ClusterCovariance) -> Iterator[str]:
-    if covariance.design_effect > _DEPENDENT:
-        yield (
-            "Residuals of neighbouring pixels depend on each other: errors are "
-            f"{covariance.design_effect:.1f} times those of independent noise. The model misses "
-            "something, such as wrong distances, another exposure, uneven water or light, or more "
-            "than one rate for a colour"
-        )
+def _dependent(chosen: FittedModel[M], covariance: ClusterCovariance) -> Iterator[str]:
+    if covariance.design_effect <= _DEPENDENT:
+        return
+    if chosen.rms < _UNSEEN:
+        yield _NOTHING_SHOWS
+        return
+    yield (
+        f"{_DEPEND} {covariance.design_effect:.1f} times those of independent noise. The model "
+        "misses something, such as wrong distances, another exposure, uneven water or light, or "
+        "more than one rate for a colour."
+    )
 
 
 def _camera(parameters: Parameters) -> Iterator[str]:
@@ -293,12 +298,9 @@ def _trust(
     if covariance.design_effect <= _DEPENDENT and not faults:
         return
     if chosen.rms < _UNSEEN:
-        yield f"What is left is less than shows in a picture, {_UNSEEN} of linear light."
+        yield _NOTHING_SHOWS
         return
-    yield (
-        "Residuals of neighbouring pixels depend on each other: with that, errors are "
-        f"{covariance.design_effect:.1f} times those of independent noise."
-    )
+    yield f"{_DEPEND} {covariance.design_effect:.1f} times those of independent noise."
     yield f"The model misses something: {_cause(faults)}."
     kinds = ("beta", "G", "veil")
     shares, lost = [0.0], False

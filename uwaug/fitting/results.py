@@ -363,7 +363,9 @@ class Fit(_OneWater):
     Attributes:
         parameters: each number by name: value, standard error, 95 % interval, unit, state. beta, G,
             a and b of each colour [1/m]; veil, V(0); source, the growth of the veil at the lens,
-            G·V(0) [1/m]; width, σ at the median distance [px], and exponent of the width law; gain.
+            G·V(0) [1/m]; width, σ at the median distance [px], and exponent of the width law.
+            Of the camera: gain; vignette, down and right of its shading; tone and shoulder of its
+            curve.
         fitted: the model that was chosen, which makes pictures of `theta`.
         history: the cost after each evaluation of that model.
         pairs: what it was fitted to; none, if it was read from a file.
