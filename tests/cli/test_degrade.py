@@ -137,6 +137,20 @@ def test_a_presets_own_water_belongs_to_its_pictures(degrade, run):
     assert (code, "harbour.csv has changed since out/good.png" in err) == (2, True)
 
 
+def test_a_replay_takes_nothing_else_and_leaves_what_it_reads(degrade, run):
+    degrade("good.png", "--distance", "2", *WATER, "--out", "out")
+    replay, before = ("--replay", "out/good.png.json"), Path("good.png").read_bytes()
+    for more in (("--variants", "2"), ("--resume",), ("--format", "jpg"), ("--distance", "5")):
+        code, _, err = run("degrade", *replay, *more, "--out", "again")
+        assert (code, "--distance would do nothing" in err or "all from the record" in err) == (
+            2,
+            True,
+        )
+    code, _, err = run("degrade", *replay, "--out", ".", "--force")
+    assert (code, "good.png is read, and would be written over" in err) == (1, True)
+    assert Path("good.png").read_bytes() == before
+
+
 def test_what_fit_waters_has_written(degrade, run):
     """`--fit` takes both kinds of files."""
     rng = torch.Generator().manual_seed(0)

@@ -124,6 +124,34 @@ def test_a_data_yaml_of_somebody_else_stays(run, degrade):
     assert len(trained_with("out/data.yaml")["train"]) == 2
 
 
+def test_a_coco_file_is_of_all_pictures_of_a_folder(degrade, run):
+    names = [*(f"{name}.png" for name in NAMES), "4.png"]
+    images = [{"id": n, "file_name": name, "height": H, "width": W} for n, name in enumerate(names)]
+    boxes = [{"id": n, "image_id": n, "category_id": 1, "bbox": [2, 1, 6, 5]} for n in range(4)]
+    file = {"images": images, "annotations": boxes, "categories": [{"id": 1, "name": "fish"}]}
+    labels = Path("ds/marks.json")
+    labels.write_text(json.dumps(file))
+    given = ("--distance", "3", "--labels", str(labels))
+
+    def named() -> set[str]:
+        written = json.loads(Path("out/marks.json").read_text())
+        return {image["file_name"] for image in written["images"]}
+
+    degrade("ds/images", *given, "--out", "out")
+    save("4.png", pixels(seed=9))
+    degrade("4.png", *given, "--out", "out/4.png")
+    assert named() == set(names)
+    Path("out/train/1.png").unlink()
+    save("more/train/2.png", pixels(seed=8))
+    degrade("more", *given, "--out", "out", "--force")
+    assert named() == {"train/2.png", "val/1.png"}
+    assert "train/1.png" not in Path("out/index.csv").read_text()
+    boxes[1]["bbox"] = [4, 1, 6, 5]
+    labels.write_text(json.dumps(file))
+    code, _, err = run("degrade", "more", *given, *WATER, "--out", "out", "--force")
+    assert (code, "marks.json has changed since" in err) == (1, True)
+
+
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 def test_a_coco_file_as_pycocotools_reads_it(degrade):
     coco = pytest.importorskip("pycocotools.coco")

@@ -40,6 +40,13 @@ def test_splits() -> None:
     assert splits_of(["1.png"]) == {}
 
 
+def test_folders_in_folders() -> None:
+    """Trainers take a folder with all below it: none twice, and none for another split."""
+    assert splits_of(["images/1.png", "images/reef/2.png"]) == {"train": ["images"]}
+    with pytest.raises(ValueError, match="images: has pictures right in it, and those of val"):
+        splits_of(["images/1.png", "images/val/2.png"])
+
+
 BEFORE = """\
 # COCO, some of it
 path: ../datasets/reef  # root

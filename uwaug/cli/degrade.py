@@ -63,6 +63,7 @@ _scaled = partial(distances.flag, parser=_range, metavar="NUMBER|LOW:HIGH")
 
 
 def degrade(
+    context: typer.Context,
     inputs: Annotated[
         list[Path] | None,
         typer.Argument(
@@ -249,9 +250,11 @@ def degrade(
     if replay is not None:
         if out is None:
             refuse("--replay writes a file: give --out")
-        others = (water, preset, fit, random, hazy, options, severity, seed, keep_terms, labels)
-        given = any(others) or any(value is not None for value in drawn.values())
-        if len(inputs or []) > 1 or given:
+        sources = {name: context.get_parameter_source(name) for name in context.params}
+        given = {
+            name for name, source in sources.items() if source and source.name == "COMMANDLINE"
+        }
+        if len(inputs or []) > 1 or given - {"replay", "out", "force", "inputs", "distance"}:
             refuse(
                 "--replay takes all from the record: give nothing but --out and files that moved"
             )

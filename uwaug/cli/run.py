@@ -275,7 +275,9 @@ def repeat(path: Path, out: Path, force: bool, moved: list[Path], distance: str 
         if moved:
             file = replace(sidecar.input, path=str(moved[0].absolute()))
             sidecar = replace(sidecar, input=file)
-        if distance is not None and isinstance(sidecar.distance, FileHash):
+        if distance is not None:
+            if not isinstance(sidecar.distance, FileHash):
+                refuse("--distance would do nothing: the picture was made with no map in a file")
             file = replace(sidecar.distance, path=str(Path(distance).absolute()))
             sidecar = replace(sidecar, distance=file)
         alone = out.suffix.lower() in FORMATS and not out.is_dir()

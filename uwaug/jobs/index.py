@@ -70,7 +70,8 @@ class Index:
             return
         with path.open(encoding="utf-8", newline="") as file:
             for line in csv.DictReader(file):
-                if line["output"] not in self._outputs:
+                gone = line["status"] != "failed" and not (self._out / line["output"]).exists()
+                if line["output"] not in self._outputs and not gone:
                     self._writer.writerow(line)
 
     def _path(self, where: Any) -> Any:
@@ -111,21 +112,32 @@ def write_labels(items: Items, recipe: Recipe, source: LabelSource) -> None:
     those of earlier ones with the same labels. Their sidecars are read.
 
     Raises:
+        ValueError: if the file of labels has changed since an earlier picture was made.
         ValueError, OSError: as `LabelSource.write_run`.
     """
+    outputs = list(_outputs_in(items.out))
+    if items.name is not None and items.out / items.name not in outputs:
+        outputs.append(items.out / items.name)
+    now = None if recipe.labels is None else recipe.content.get(recipe.labels)
     records = []
-    for output in [items.out / items.name] if items.name else _outputs_in(items.out):
+    for output in outputs:
         sidecar = sidecar_of(output)
-        if sidecar is None or sidecar.labels is None:
+        if sidecar is None or sidecar.labels is None or not output.exists():
             continue
-        if sidecar.recipe.get("labels") == recipe.labels:
-            records.append(sidecar.labels)
+        if sidecar.recipe.get("labels") != recipe.labels:
+            continue
+        if sidecar.recipe["content"].get(recipe.labels) != now:
+            got = f"{recipe.labels} has changed since {output} was made"
+            raise ValueError(f"{got}: put it back, make all with --force, or choose another folder")
+        records.append(sidecar.labels)
     if records:
         source.write_run(records, items.out)
 
 
 def _outputs_in(out: Path) -> Iterator[Path]:
-    """The pictures that the index of a folder knows of."""
+    """The pictures that the index of a folder knows of, if it has one."""
+    if not (out / "index.csv").exists():
+        return
     with (out / "index.csv").open(encoding="utf-8", newline="") as file:
         for line in csv.DictReader(file):
             if line["status"] != "failed":

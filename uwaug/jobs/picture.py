@@ -332,7 +332,8 @@ def replay(sidecar: Sidecar, output: Path, *, force: bool = False) -> Sidecar:
         force: write over what is there.
 
     Raises:
-        ValueError: if a file that it was made of has changed, or, with the picture written, if it
+        ValueError: if it would be written over a file that it was made of; if such a file has
+            changed, or, with the picture written, if it
             has come out differently: another version of uwaug or PyTorch, another kind of CPU, no
             numba where its loops made the first.
         OSError: if a file cannot be read or written.
@@ -340,7 +341,11 @@ def replay(sidecar: Sidecar, output: Path, *, force: bool = False) -> Sidecar:
     recipe = Recipe.from_json(sidecar.recipe)
     recipe.require_content()
     for hash in (sidecar.input, sidecar.distance, sidecar.label_file):
-        if isinstance(hash, FileHash) and FileHash.of(hash.path).sha256 != hash.sha256:
+        if not isinstance(hash, FileHash):
+            continue
+        if os.path.realpath(hash.path) == os.path.realpath(output):
+            raise ValueError(f"{output} is read, and would be written over: another folder?")
+        if FileHash.of(hash.path).sha256 != hash.sha256:
             raise ValueError(f"{hash.path} has changed since the record was written")
     where = sidecar.distance
     distance = Path(where.path) if isinstance(where, FileHash) else where

@@ -52,7 +52,11 @@ def label_place(place: P) -> P:
 
 def splits_of(places: Iterable[str]) -> dict[str, list[str]]:
     """The folders of pictures by the split that they are of: train, val or test, which a folder
-    below "images" or the one above it begins with; without such a name, train.
+    below "images" or the one above it begins with; without such a name, train. Trainers take a
+    folder with all below it.
+
+    Raises:
+        ValueError: if a folder with pictures of one split has those of another below it.
     """
     folders: dict[str, set[str]] = {}
     for place in places:
@@ -64,6 +68,15 @@ def splits_of(places: Iterable[str]) -> dict[str, list[str]]:
         (split,) = [name for name in _SPLITS if (named or [_SPLITS[0]])[0].startswith(name)]
         folder = PurePosixPath(*before, IMAGES, *after[:1]).as_posix()
         folders.setdefault(split, set()).add(folder)
+    splits = {folder: split for split, ours in folders.items() for folder in ours}
+    for folder, split in splits.items():
+        for above in map(str, PurePosixPath(folder).parents):
+            if above in splits and splits[above] != split:
+                got = f"has pictures right in it, and those of {split} below it in {folder}"
+                cure = f"a trainer would learn from both: move them to {above}/train, say"
+                raise ValueError(f"{above}: {got}: {cure}")
+            if above in splits:
+                folders[split].discard(folder)
     return {split: sorted(folders[split]) for split in _SPLITS if split in folders}
 
 
