@@ -91,6 +91,22 @@ def test_normals_of_a_plane(tilt: tuple[float, float]) -> None:
     torch.testing.assert_close(found, (n / 3.0)[None, :, None, None].expand_as(found))
 
 
+@pytest.mark.parametrize("rounded, noise", [(0.01, 0.0), (0.0, 0.003)])
+def test_normals_of_a_measured_map(rounded: float, noise: float) -> None:
+    """Of a plane, as a camera with steps of 1 cm at 3 m or with .3 % of noise maps it."""
+    view = view_of((60, 80), 500.0, None, torch.zeros((), dtype=torch.float64))
+    plane = torch.tensor([0.1, -0.05, 0.3], dtype=torch.float64)
+    inverse = plane[0] * view.x + plane[1] * view.y + plane[2]
+    z = 1 / (inverse * view.shortening())
+    generator = torch.Generator().manual_seed(0)
+    measured = z * (1 + noise * torch.randn(z.shape, generator=generator, dtype=z.dtype))
+    measured = (measured / rounded).round() * rounded if rounded else measured
+    slopes = normals(measured, view)
+    cosine = (slopes * plane.reshape(1, 3, 1, 1)).sum(1) / slopes.norm(dim=1) / plane.norm()
+    degrees = torch.rad2deg(torch.acos(cosine.clamp(max=1)))[..., 10:-10, 10:-10]
+    assert float(degrees.square().mean().sqrt()) < 3  # 21 and 45 without smoothing
+
+
 def test_normals_stop_at_an_edge() -> None:
     view = view_of((20, 32), FOCAL, None, rand(1))
     planar = torch.where(torch.arange(32) < 16, 2.0, 6.0).double().expand(1, 1, 20, 32)

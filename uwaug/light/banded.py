@@ -7,13 +7,11 @@ from collections.abc import Sequence
 from torch import Tensor
 
 from uwaug._support.tiles import RowSource, row_bands, rows_of
+from uwaug.light.geometry import HALO
 from uwaug.light.light import Light
 from uwaug.light.lit import Lit, lit_of
 from uwaug.optics.curves import Curves, Sums
 from uwaug.optics.medium import Medium
-
-_HALO = 2
-"""Rows on either side of a band, on which the normals of its surfaces rest."""
 
 
 class BandedLight:
@@ -72,7 +70,7 @@ class BandedLight:
 
     def _band(self, rows: slice) -> tuple[slice, Lit]:
         """The rows of a band that holds these and what their normals rest on, and its light."""
-        least = slice(max(rows.start - _HALO, 0), min(rows.stop + _HALO, self.size[0]))
+        least = slice(max(rows.start - HALO, 0), min(rows.stop + HALO, self.size[0]))
         if self._last is not None:
             band, lit = self._last
             if band.start <= least.start and least.stop <= band.stop:

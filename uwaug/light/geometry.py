@@ -33,6 +33,27 @@ are walls.
 _WALL = 1e30
 """1/m: steeper than any surface."""
 
+_SMOOTH, _PASSES = 4, 2
+"""px to either side, over which a distance map is smoothed before slopes are taken, and how often.
+
+Without, shading was noise: of the lit pixels of the motorcycle, whose map is
+rounded to 1 cm, to 5 cm, or has .3 % or 1 % of noise, 15, 47, 57 and 82 % changed by more than 30 %
+of their light; so 0, 12, 2 and 8 %. (Planes fitted to 11×11 px of like distance: 0, 20, 1 and 9 %,
+in ten times the time. Means of 7×7 px of like distance, twice: 0, 14, 0, 3 %, in three times the
+time, and wrong on planes at borders and edges.)
+"""
+
+_RELIEF = 0.03
+"""Of the distance: pixels on both sides whose mean is farther from the one between them than so do
+not lie on its surface. (.05 noises less, and takes more relief away.)
+"""
+
+_OUTSIDE = 1e6
+"""1/m: the inverse of no distance."""
+
+HALO = _BESIDE + _PASSES * _SMOOTH
+"""px around a pixel, on which its normal rests."""
+
 _STEEPEST = 8.0
 """The tangent of 83°: what is steeper is the gap between two surfaces, and counts as facing the
 camera. As a surface it would draw a black line round every object.
@@ -129,7 +150,7 @@ class Place(NamedTuple):
         part = Place(self.z[..., rows, columns], field, None, columns)
         if self.view is None:
             return part
-        tall, wide = (slice(max(s.start - _BESIDE, 0), s.stop + _BESIDE) for s in (rows, columns))
+        tall, wide = (slice(max(s.start - HALO, 0), s.stop + HALO) for s in (rows, columns))
         inner = [
             slice(cut.start - outer.start, cut.stop - outer.start)
             for cut, outer in ((rows, tall), (columns, wide))
@@ -168,15 +189,36 @@ def normals(z: Tensor, view: View) -> Tensor:
 
     On a plane N·P = 1 the inverse of the depth along z is N·(x, y, 1): linear in the picture, so
     that N are its slopes, without an error on planes of any tilt. Of the two slopes to either side
-    of a pixel the smaller counts, which is that of its own surface where another begins.
+    of a pixel the smaller counts, which is that of its own surface where another begins. Measured
+    maps are smoothed before.
 
     Args:
         z (Bx1xHxW tensor): distance along the ray, m.
         view: of the same pixels.
     """
-    inverse = 1 / (z.clamp(_NEAREST, _FARTHEST) * view.shortening())
+    inverse = _smoothed(1 / (z.clamp(_NEAREST, _FARTHEST) * view.shortening()))
     across, down = _slope(inverse, view.x, 3), _slope(inverse, view.y, 2)
     return torch.cat([across, down, inverse - view.x * across - view.y * down], 1)
+
+
+def _smoothed(inverse: Tensor) -> Tensor:
+    """A map of inverse depths without its noise. Planes stay as they are, with their borders, and
+    so do the edges of surfaces: pixels count in pairs, one on either side, whose mean is on the
+    plane of the one between them.
+    """
+    for _ in range(_PASSES):
+        for axis, pads in ((3, (_SMOOTH, _SMOOTH, 0, 0)), (2, (0, 0, _SMOOTH, _SMOOTH))):
+            size, around = inverse.shape[axis], F.pad(inverse, pads, value=_OUTSIDE)
+            most = 1 / (_RELIEF * inverse)
+            change, weight = torch.zeros_like(inverse), torch.ones_like(inverse)
+            for far in range(1, _SMOOTH + 1):
+                before, after = (around.narrow(axis, _SMOOTH + at, size) for at in (-far, far))
+                bend = 0.5 * (before + after) - inverse
+                alike = (1 - (bend * most).square()).clamp(min=0.0)
+                change = torch.addcmul(change, alike, bend, value=2.0)
+                weight = torch.add(weight, alike, alpha=2.0)
+            inverse = inverse + change / weight
+    return inverse
 
 
 def _slope(values: Tensor, tangents: Tensor, axis: int) -> Tensor:
