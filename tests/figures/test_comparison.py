@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -115,6 +116,8 @@ def test_information_falls_as_water_thickens() -> None:
     assert lost == sorted(lost)
     assert lost[0] < 0.2 < 0.8 < lost[-1]
     assert phase_congruency_difference(image, image) == 0
+    noise = torch.rand(3, 60, 80, generator=torch.Generator().manual_seed(0))
+    assert math.isnan(phase_congruency_difference(noise, image[..., :60, :80])), "nothing to lose"
     assert phase_congruency_difference(image, torch.full_like(image, 0.5)) == 1
 
 

@@ -278,6 +278,10 @@ def compare(
     return Comparison(loaded.name, tuple(rows), pictures, scene, tuple(fixed))
 
 
+_STRUCTURE = 1e-4
+"""Mean phase congruency of a picture with edges. Photographs have .02 and more, noise 1e-6."""
+
+
 def phase_congruency_difference(before: Tensor, after: Tensor) -> float:
     """How much of a picture's structure is lost: mean absolute difference of the phase congruency
     of both pictures, as a share of the mean of the first.
@@ -291,7 +295,7 @@ def phase_congruency_difference(before: Tensor, after: Tensor) -> float:
 
     Returns:
         0 if nothing is lost, 1 if everything is; more where rounding to 8 bits shows edges that
-        are none.
+        are none; NaN if there was no structure to lose, as in noise.
 
     Raises:
         ImportError: if the package phasecongruency is missing.
@@ -303,7 +307,10 @@ def phase_congruency_difference(before: Tensor, after: Tensor) -> float:
 
 
 def _lost(before: Array, after: Array) -> float:
-    return float(np.abs(before - after).mean() / max(float(before.mean()), 1e-12))
+    difference, structure = float(np.abs(before - after).mean()), float(before.mean())
+    if difference == 0:
+        return 0.0
+    return difference / structure if structure > _STRUCTURE else math.nan
 
 
 def _congruency(picture: Tensor) -> Array:
