@@ -171,8 +171,9 @@ def test_notes_of_a_map(tmp_path: Path) -> None:
     path = saved(tmp_path / "z.npy", z)
     _, (note,) = DistanceFormat().read(path, (12, 16), turned=True)
     assert "turned as its EXIF says" in note
-    _, (note,) = DistanceFormat().read(saved(path, z * 100), (12, 16))
-    assert re.fullmatch(r"median distance 2[45]\d m: is the unit of the file mm\?", note)
+    for factor, median in ((100, "2[45]."), (0.01, "0.02[45].?")):
+        _, (note,) = DistanceFormat().read(saved(path, z * factor), (12, 16))
+        assert re.fullmatch(rf"median distance {median} m: is the file in another unit\?", note)
     z[:6] = 0
     _, (note,) = DistanceFormat().read(saved(path, z), (12, 16))
     assert note == "distance is unknown at 50 % of the pixels"

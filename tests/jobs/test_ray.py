@@ -154,6 +154,8 @@ def test_shards_go_on(cluster: None, pictures: Path, here: Path, tmp_path: Path)
         shards.prepare(Recipe(random=True, seed=1), resume=True)
     shards.prepare(RECIPE, resume=True)
     shards.write(items, RECIPE, size=4)
+    tally = shards.tally(1)
+    assert (tally.rows, tally.failed) == (2 * COUNT, 0), "what failed is tried again"
     shown = {name: data for name, data in content(here).items() if name.endswith(".png")}
     assert held(items.out) == shown
 

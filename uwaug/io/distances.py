@@ -27,6 +27,9 @@ Kind = Literal["metric", "relative", "inverse", "disparity"]
 _FAR = 200.0
 """m: a median beyond is more likely in other units than in metres."""
 
+_NEAR = 0.05
+"""m: a median below is more likely in other units, too."""
+
 _ASKEW = 0.02
 """Difference of two pictures' proportions, above which they are not of one view."""
 
@@ -351,6 +354,7 @@ def _doubts(z: Tensor) -> list[str]:
     if share > _MANY:
         notes.append(f"distance is unknown at {100 * share:.0f} % of the pixels")
     near = z[known & z.isfinite()]
-    if near.numel() and (median := float(near.median())) > _FAR:
-        notes.append(f"median distance {median:.0f} m: is the unit of the file mm?")
+    median = float(near.median()) if near.numel() else _NEAR
+    if not _NEAR <= median <= _FAR:
+        notes.append(f"median distance {median:.3g} m: is the file in another unit?")
     return notes

@@ -615,16 +615,26 @@ class Shards:
         return recipe if isinstance(recipe, dict) and {"depth", "seed"} <= set(recipe) else None
 
     def _done(self) -> set[tuple[str, int]]:
-        """Id and variant of the rows in the shards; removes shards that have no end."""
+        """Id and variant of the pictures in the shards; removes rows of pictures that failed, which
+        get another try, and shards that have no end.
+        """
         import pyarrow as pa
+        import pyarrow.compute as pc
         import pyarrow.parquet as pq
 
         done: set[tuple[str, int]] = set()
         for path in self._paths():
             try:
-                shard = pq.read_table(path, columns=["id", "variant"], filesystem=self._files)
+                columns = ["id", "variant", "status"]
+                shard = pq.read_table(path, columns=columns, filesystem=self._files)
             except pa.ArrowInvalid:
                 self._files.delete_file(path)
             else:
+                if "failed" in shard["status"].to_pylist():
+                    shard = pq.read_table(path, filesystem=self._files)
+                    shard = shard.filter(pc.not_equal(shard["status"], "failed"))
+                    part = f"{path}.part"
+                    pq.write_table(shard, part, filesystem=self._files, row_group_size=_BLOCK)
+                    self._files.move(part, path)
                 done.update(zip(shard["id"].to_pylist(), shard["variant"].to_pylist(), strict=True))
         return done
