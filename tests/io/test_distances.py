@@ -176,7 +176,7 @@ def test_notes_of_a_map(tmp_path: Path) -> None:
         assert re.fullmatch(rf"median distance {median} m: is the file in another unit\?", note)
     z[:6] = 0
     _, (note,) = DistanceFormat().read(saved(path, z), (12, 16))
-    assert note == "distance is unknown at 50 % of the pixels"
+    assert note == "50 % of the distances are unknown"
 
 
 @pytest.mark.parametrize("size", [(16, 12), (12, 12)])

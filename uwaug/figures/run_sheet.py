@@ -23,7 +23,7 @@ _COLUMNS = 4
 _SIDE = 400
 """px, which a cell has room for."""
 
-_LONGEST = 34
+_LONGEST = 32
 """Letters of a line of a title."""
 
 _CAPTION = (
@@ -57,7 +57,8 @@ def draw_sheet(groups: Sequence[Sequence[tuple[str, Path]]], path: Path) -> None
     side_by_side = max(1, _COLUMNS // width)
     columns = width * side_by_side
     rows = math.ceil(len(groups) / side_by_side)
-    figure, axes = sheets.sheet(rows, columns, (7, 8), "Some of the pictures", _CAPTION)
+    heading = "Some of the pictures"
+    figure, axes = sheets.sheet(rows, columns, (3, 4), heading, _CAPTION, title_lines=2)
     for place, group in enumerate(groups):
         for axis, (label, file) in zip(axes[place * width :], group, strict=False):
             # a path ends in what tells it from others, a water begins with it

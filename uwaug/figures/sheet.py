@@ -78,18 +78,20 @@ def sheet(
     *,
     math: bool = False,
     below: float = 0,
+    title_lines: int = 1,
 ) -> tuple["Figure", list["Axes"]]:
     """A grid of cells, row by row, each of the shape of a picture of (height, width). The caption
-    may have several lines; for `math` see `Canvas`; `below` is room under the cells, px.
+    may have several lines, and so may titles; for `math` see `Canvas`; `below` is room under the
+    cells, px.
     """
     width = _cell_width(columns)
-    tall = width * shape[0] / shape[1]
-    pitch = _LABEL + tall + GAP
+    tall, label = width * shape[0] / shape[1], _LABEL + _LINE * (title_lines - 1)
+    pitch = label + tall + GAP
     top = HEADER + _LINE * caption.count("\n")
     canvas = Canvas(round(top + rows * pitch + MARGIN - GAP + below), heading, caption, math=math)
     axes = []
     for i in range(rows * columns):
-        x, y = MARGIN + i % columns * (width + GAP), top + _LABEL + i // columns * pitch
+        x, y = MARGIN + i % columns * (width + GAP), top + label + i // columns * pitch
         axes.append(canvas.axes(x, y, width, tall))
         axes[-1].set_axis_off()
     return canvas.figure, axes

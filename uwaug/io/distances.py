@@ -352,7 +352,7 @@ def _doubts(z: Tensor) -> list[str]:
     known, notes = z > 0, []
     share = 1 - float(known.double().mean())
     if share > _MANY:
-        notes.append(f"distance is unknown at {100 * share:.0f} % of the pixels")
+        notes.append(f"{100 * share:.0f} % of the distances are unknown")
     near = z[known & z.isfinite()]
     median = float(near.median()) if near.numel() else _NEAR
     if not _NEAR <= median <= _FAR:
