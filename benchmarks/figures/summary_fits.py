@@ -82,7 +82,7 @@ def _transport(found: Results) -> str:
         ours += water["fits"]["auto"]["residual"]
         known += water["known_law"]
     return (
-        "Three exponentials stand in for spectra well enough for the residual not to tell, and "
+        "Three exponentials stand in for spectra so well that residuals tell little of it, and "
         "their coefficients are then those of the picture, not of the bands. On Monte Carlo "
         f"pictures a fit leaves {min(ours):.4f} to {max(ours):.4f} beyond the noise, the "
         f"calibrated law with the true coefficients {min(known):.4f} to {max(known):.4f}."
