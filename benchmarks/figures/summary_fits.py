@@ -64,7 +64,8 @@ def _disturbances(found: Results) -> str:
         "**What cameras, files and maps do**, at 167×247 with β (.62 .41 .48), G (.30 .15 .20), "
         "veil (.10 .28 .33) and a Gaussian blur: of nine numbers, how many 95 % intervals hold the "
         'truth, how many are "not identified", how far off the worst is, what was fitted, and the '
-        f"verdict. {found['share_percent']:.0f} % of all hold or are not identified.",
+        f"verdict. {found['share_percent']:.0f} % of all hold or are not identified. The "
+        "thresholds of what is suspected were chosen on these pictures.",
         "",
         "| disturbance | hold | not identified | worst | model | verdict |",
         "| --- | --- | --- | --- | --- | --- |",
