@@ -308,6 +308,11 @@ def test_a_sheet(degrade, run):
     Path("out/good.png").unlink()
     code, err = degraded(run, "good.png", "--sheet")
     assert (code, "out/sheet.jpg exists: --force" in err) == (2, True)
+    Path("mine").mkdir()
+    Path("mine/sheet.jpg").write_bytes(b"of somebody")
+    given = ("--distance", "3", *WATER, "--out", "mine", "--sheet", "--resume")
+    code, _, err = run("degrade", "good.png", *given)
+    assert (code, "mine/sheet.jpg exists: --force" in err) == (2, True)
 
 
 def test_a_record_holds_from_any_folder(degrade, run, monkeypatch):

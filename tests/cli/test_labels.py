@@ -185,3 +185,15 @@ def test_a_coco_file_as_pycocotools_reads_it(degrade):
         mask = read.annToMask(entry)
         assert mask.shape == (H, W)
         assert mask.sum() > 0
+
+
+def test_one_description_is_of_one_folder_of_labels(degrade, run):
+    degrade("ds/images", "--distance", "3", "--labels", "ds/labels", "--out", "out")
+    before = Path("out/data.yaml").read_text()
+    save("b/images/other/9.png", pixels(seed=9))
+    Path("b/labels/other").mkdir(parents=True)
+    Path("b/labels/other/9.txt").write_text(LINES)
+    given = ("--distance", "3", "--labels", "b/labels", "--out", "out")
+    code, _, err = run("degrade", "b/images", *given, *WATER)
+    assert (code, "one data.yaml cannot tell of both" in err) == (1, True)
+    assert Path("out/data.yaml").read_text() == before

@@ -183,6 +183,8 @@ def test_what_is_known_stays(learnt: str) -> None:
 def test_a_part_that_there_is_not_is_refused() -> None:
     with pytest.raises(ValueError, match=r"learnable must be one of .*rates.* got 'beta'"):
         Underwater(Medium.from_coefficients(*NUMBERS), learnable=["beta"])
+    with pytest.raises(ValueError, match="width alone cannot be learnt, as no blur shows"):
+        Underwater(Medium.from_coefficients(*NUMBERS), learnable=["width"])
 
 
 def test_a_learnt_medium_shows_its_numbers() -> None:

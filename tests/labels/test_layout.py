@@ -40,6 +40,13 @@ def test_splits() -> None:
     assert splits_of(["1.png"]) == {}
 
 
+def test_names_that_begin_like_a_split() -> None:
+    for name in ("valley", "testudo", "training_pool", "trainer"):
+        assert splits_of([f"images/{name}/1.png"]) == {"train": [f"images/{name}"]}
+    for name in ("val", "valid", "validation", "val2017", "val_2"):
+        assert splits_of([f"images/{name}/1.png"]) == {"val": [f"images/{name}"]}
+
+
 def test_folders_in_folders() -> None:
     """Trainers take a folder with all below it: none twice, and none for another split."""
     assert splits_of(["images/1.png", "images/reef/2.png"]) == {"train": ["images"]}

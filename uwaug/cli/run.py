@@ -22,7 +22,7 @@ from uwaug.figures.run_sheet import draw_sheet, shown_of
 from uwaug.io.read import name_of
 from uwaug.io.write import FORMATS
 from uwaug.jobs.index import index_of, write_labels
-from uwaug.jobs.items import Items, labelled, preflight
+from uwaug.jobs.items import Items, is_index, labelled, preflight
 from uwaug.jobs.maps import require_explained
 from uwaug.jobs.picture import Degrader, Result, file_names, reason_of, replay
 from uwaug.jobs.pool import run
@@ -83,7 +83,8 @@ class Run:
             fail(error)  # as the other commands, where a file is not what was said of it
         if not self.sheet:
             return
-        if self._sheet.exists() and not (self.resume or self.force):
+        of_a_run = is_index(self.items.out / "index.csv")
+        if self._sheet.exists() and not (self.force or (self.resume and of_a_run)):
             refuse(f"{self._sheet} exists: {cure}")
         for item in self.items:
             if item.output == self._sheet:

@@ -145,6 +145,8 @@ class Underwater(nn.Module):
             # without a blur, its width does nothing
             blurs = self.demand is None or self.demand.high > 0
             learnt = [part for part in parts if blurs or part != "width"]
+            if not learnt:
+                raise ValueError("learnable: width alone cannot be learnt, as no blur shows")
             self.coefficients = LearnableMedium(medium, learnt)
         # what is learned changes what lamps give
         fixed = None if light is None or learnable else lamps_in_water(light, medium)

@@ -14,6 +14,7 @@ from uwaug.jobs.picture import Result
 from uwaug.jobs.recipe import Recipe
 from uwaug.jobs.sidecar import sidecar_of
 from uwaug.labels import LabelSource
+from uwaug.labels.layout import DESCRIPTION
 
 COLUMNS = (
     "id",
@@ -125,6 +126,9 @@ def write_labels(items: Items, recipe: Recipe, source: LabelSource) -> None:
         if sidecar is None or sidecar.labels is None or not output.exists():
             continue
         if sidecar.recipe.get("labels") != recipe.labels:
+            if items.for_trainers and (items.out / DESCRIPTION).exists():
+                got = f"{output} has labels of {sidecar.recipe.get('labels')}"
+                raise ValueError(f"{got}: one data.yaml cannot tell of both, choose another folder")
             continue
         if sidecar.recipe["content"].get(recipe.labels) != now:
             got = f"{recipe.labels} has changed since {output} was made"

@@ -20,6 +20,8 @@ _SPLITS = ("train", "val", "test")
 _OURS = (*_SPLITS, "path", "validation", "download")
 """Keys of a data.yaml that say where its pictures are."""
 
+_SPLIT = re.compile(r"(train|val|test)(?:ing|id|idation)?(?:$|[^a-zA-Z])")
+
 _KEY = re.compile(r"([A-Za-z_]\w*)\s*:")
 
 P = TypeVar("P", bound=PurePath)
@@ -51,9 +53,9 @@ def label_place(place: P) -> P:
 
 
 def splits_of(places: Iterable[str]) -> dict[str, list[str]]:
-    """The folders of pictures by the split that they are of: train, val or test, which a folder
-    below "images" or the one above it begins with; without such a name, train. Trainers take a
-    folder with all below it.
+    """The folders of pictures by the split that they are of: train, val (or valid, validation) or
+    test, as a folder below "images" or the one above it is called, digits aside; else train.
+    Trainers take a folder with all below it.
 
     Raises:
         ValueError: if a folder with pictures of one split has those of another below it.
@@ -64,8 +66,8 @@ def splits_of(places: Iterable[str]) -> dict[str, list[str]]:
         if parts is None:
             continue
         before, after = parts
-        named = [name for name in (*after[:1], *before[-1:]) if name.startswith(_SPLITS)]
-        (split,) = [name for name in _SPLITS if (named or [_SPLITS[0]])[0].startswith(name)]
+        named = [_SPLIT.match(name) for name in (*after[:1], *before[-1:])]
+        split = next((match[1] for match in named if match), _SPLITS[0])
         folder = PurePosixPath(*before, IMAGES, *after[:1]).as_posix()
         folders.setdefault(split, set()).add(folder)
     splits = {folder: split for split, ours in folders.items() for folder in ours}

@@ -240,8 +240,9 @@ class Medium:
 
         Args:
             beta (3 or Bx3): beam attenuation per channel, 1/m, ≥ 0.
-            G (3 or Bx3): effective attenuation of signal and veil, 1/m, 0…beta. With G = beta there
-                is no forward scatter.
+            G (3 or Bx3): effective attenuation of signal and veil, 1/m, ≥ 0. With G = beta there is
+                no forward scatter. No water has more of it than beta: forward scatter would then
+                take light away. It is not refused, as fits try such media.
             veil (3 or Bx3): veil at infinite distance, V(0).
             b_mean (number or B): scattering coefficient of the width law, 1/m.
             point_spread: width law, by default no blur.
@@ -253,16 +254,12 @@ class Medium:
         type.
 
         Raises:
-            ValueError: if a shape is another, batches differ, a value is negative or infinite, or G
-                exceeds beta where forward scatter is a blur of the image: it would be negative.
+            ValueError: if a shape is another, batches differ, or a value is negative or infinite.
         """
         checks.one_of("forward", forward, get_args(Forward))
         coefficients = {"beta": beta, "G": G, "veil": veil, "light": light, "b_mean": b_mean}
         rows = _rows({**coefficients, "veil_rate": veil_rate})
         beta, G, b = rows["beta"], rows["G"], rows["b_mean"]
-        if forward == "image" and bool((G.detach() > beta.detach() * (1 + 1e-6)).any()):
-            got = f"got G = {G.tolist()} and beta = {beta.tolist()}: the other way round?"
-            raise ValueError(f"G must not exceed beta, or forward scatter takes light away; {got}")
         weights, veil_weights = torch.diag_embed(rows["light"]), torch.diag_embed(rows["veil"])
         if "veil_rate" not in rows and forward == "image":
             tensors = [beta, weights, G, weights, veil_weights]
