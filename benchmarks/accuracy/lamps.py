@@ -169,6 +169,7 @@ def _cell(image: Tensor, z: Tensor, focal: float, water: str, depth: float, lit:
     medium = Medium.from_water(
         water,
         vertical_depth=depth,
+        surfaces="spectral",
         g=Scattering.CALIBRATED.g,
         mu=Scattering.CALIBRATED.mu,
         point_spread=uwaug.PointSpread.calibrated(focal),
