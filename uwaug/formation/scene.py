@@ -182,8 +182,11 @@ class Scene:
             radiance = light if light.ndim == 4 else light[None]
             metres = _whole(distance, dtype)
             factor = None if field is None else _whole(field, dtype)
-            # compiled code does not look at its input: at least no distance is negative there
-            z = metres.clamp(0.0, FARTHEST) if farthest > FARTHEST else metres
+            z = metres.clamp(max=FARTHEST) if farthest > FARTHEST else metres
+            if torch.compiler.is_compiling():
+                # compiled code does not look at its input: at least no distance is negative there
+                # (in newer releases of torch, clamp has no gradient at its ends, such as 0 m)
+                z = torch.where(z < 0, 0.0, z)
             z = z if factor is None else z * factor
             lit = lit_of(setup.light, metres, factor, medium, *pinhole, lamps)
         scene = Scene(
