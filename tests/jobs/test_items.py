@@ -271,6 +271,22 @@ def test_beside_a_folder_of_labels_pictures_lie_where_trainers_look():
     # one file that is named lies where it is named
     (alone,) = listed("ds/reef/2.png", distance="3", labels="ds/labels", name="b.jpg")
     assert alone.place.as_posix() == "b.jpg"
+    assert alone.labels_path.as_posix() == "out/labels/b.jpg"
+
+
+@pytest.mark.parametrize("inside", [False, True])
+def test_a_file_that_is_named_has_its_labels_where_trainers_look(folder, monkeypatch, inside):
+    """In a folder called images, of whatever path."""
+    Path("y/images/val").mkdir(parents=True)
+    save("b.png", pixels())
+    out = "y/images/val"
+    if inside:
+        monkeypatch.chdir(out)
+        out = ""
+    given = {"distance": "3", "out": out, "name": "3.png", "labels": folder}
+    (alone,) = listed(f"{folder}/b.png", **given)
+    assert alone.place.as_posix() == "3.png"
+    assert Path(alone.labels_path).absolute() == folder / "y/labels/val/3.png"
 
 
 # What is refused before it begins

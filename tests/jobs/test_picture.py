@@ -425,6 +425,8 @@ def test_resume_sees_other_content_of_the_same_size(changed):
         (lambda: Path("out/labels/a.png").unlink(), "out/labels/a.png is gone"),
         (lambda: Path("out/labels/a.contrast.json").unlink(), "a.contrast.json is gone"),
         (lambda: Path("out/a_direct.png").unlink(), "out/a_direct.png is gone"),
+        (lambda: Path("out/a_direct.png").write_bytes(b""), "a_direct.png is not as it was"),
+        (lambda: Path("out/labels/a.png").write_bytes(b""), "labels/a.png is not as it was"),
         (lambda: Path("marks/a.png").unlink(), "was made of another label file"),
     ],
 )
@@ -449,6 +451,20 @@ def test_resume_keeps_only_what_is_whole(change, why):
     assert again(force=True).status == "done"
     if "label" not in why:
         assert content("out") == before
+
+
+def test_records_that_do_not_tell_of_files_beside_are_kept():
+    """Those of earlier versions."""
+    save("marks/a.png", np.ones((H, W), np.uint8))
+    first = made(labels="marks")
+    path = Path("out/a.png.json")
+    record = json.loads(path.read_text())
+    assert set(record.pop("beside")) == {"a.png", "a.contrast.json"}
+    path.write_text(json.dumps(record))
+    recipe = Recipe(water="3C", labels="marks").resolved()
+    (item,) = labelled([item_of()], recipe.open_labels())
+    kept = Degrader(recipe, resume=True)(item)
+    assert (kept.status, kept.sidecar) == ("kept", replace(first, beside={}))
 
 
 def test_resume_sees_labels_that_have_come():
@@ -538,6 +554,21 @@ def test_force_leaves_nothing_of_the_picture_before():
     assert {"a_direct.png", "labels/a.png"} <= set(content("out"))
     made(force=True)
     assert set(content("out")) == {"a.png", "a.png.json"}
+
+
+@pytest.mark.parametrize("stuck", ["labels/a.txt", "labels/a.contrast.json"])
+def test_force_that_fails_leaves_a_picture_its_labels(stuck):
+    Path("marks").mkdir()
+    Path("marks/a.txt").write_text("0 .5 .5 .4 .4\n")
+    made(labels="marks")
+    before = content("out")
+    kept = Path("out", stuck).rename("kept")
+    Path("out", stuck).mkdir()
+    with pytest.raises(OSError, match="is a folder"):
+        made(labels="marks", force=True, water="7C")
+    Path("out", stuck).rmdir()
+    kept.rename(Path("out", stuck))
+    assert content("out") == before
 
 
 def test_an_old_picture_is_not_taken_for_that_of_a_new_sidecar(monkeypatch):

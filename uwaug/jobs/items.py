@@ -76,7 +76,13 @@ class Item(NamedTuple):
 
     @property
     def labels_path(self) -> Path:
-        """Where labels of the output would be, were they a picture."""
+        """Where labels of the output would be, were they a picture: where trainers look, by the
+        last "images" of its whole path; without one, below "labels" in the folder that is written
+        to.
+        """
+        for path in (os.path.normpath(self.output), os.path.abspath(self.output)):
+            if parted(Path(path)) is not None:
+                return label_place(Path(path))
         return (self.out or self.output.parent) / label_place(self.place)
 
     def moved(self, out: Path) -> "Item":

@@ -138,16 +138,21 @@ class Degrader:
         with written_whole(item.output) as part:
             with part.open("w+b") as file:
                 sidecar = _encoded(file, degraded)
+            before = sidecar_of(item.output) if self.force else None
+            if not self.force:
+                # if this is stopped, what lies there is known as a run's
+                sidecar.write(beside)
+            written = self._write_beside(item, degraded)
+            if written:
+                hashes = {path.name: FileHash.of(path).sha256 for path in written}
+                sidecar = replace(sidecar, beside=hashes)
             if self.force:
                 # what was there goes when all else is written; a new sidecar beside an old picture
                 # would pass for its own
-                self._remove_beside(item)
-                self._write_beside(item, degraded)
+                _remove_others(item, before, written)
                 Path(os.path.realpath(item.output)).unlink(missing_ok=True)
+            if self.force or written:
                 sidecar.write(beside)
-            else:
-                sidecar.write(beside)
-                self._write_beside(item, degraded)
         return sidecar
 
     def _kept(self, item: Item) -> Sidecar | None:
@@ -194,6 +199,9 @@ class Degrader:
         for path in _written_beside(item, sidecar):
             if not path.exists():
                 return f"{path} is gone"
+            sha256 = sidecar.beside.get(path.name)
+            if sha256 is not None and FileHash.of(path).sha256 != sha256:
+                return f"{path} is not as it was written with it"
         return None
 
     def _degraded(self, item: Item, drawn: Mapping[str, Any] | None) -> _Degraded:
@@ -287,25 +295,18 @@ class Degrader:
             if os.path.lexists(path):
                 raise FileExistsError(f"{path} exists")
 
-    def _remove_beside(self, item: Item) -> None:
-        """What an earlier run has written of terms and labels: not those of the new picture."""
-        before = sidecar_of(item.output)
-        if before is None:
-            return
-        read = None if item.labels is None else item.labels.file
-        for path in _written_beside(item, before):
-            if read is None or path.resolve() != Path(read).resolve():
-                path.unlink(missing_ok=True)
-
-    def _write_beside(self, item: Item, degraded: _Degraded) -> None:
-        """Terms and labels."""
+    def _write_beside(self, item: Item, degraded: _Degraded) -> list[Path]:
+        """Terms and labels; returns their files."""
+        written = []
         if self.recipe.keep_terms and degraded.formed.scene is not None:
             with deterministic(degraded.original.image):
                 terms = degraded.formed.scene.term_pictures()
             for name, term in terms.items():
                 write_picture(terms_path(item.output, name), term, degraded.original)
+                written.append(terms_path(item.output, name))
         if item.labels is not None:
-            item.labels.write(degraded.sidecar.labels, item.labels_path)
+            written += item.labels.write(degraded.sidecar.labels, item.labels_path)
+        return written
 
 
 def _beside(item: Item, terms: bool, label_file: str | None) -> list[Path]:
@@ -321,6 +322,17 @@ def _written_beside(item: Item, sidecar: Sidecar) -> list[Path]:
     # a picture that is left as it is has no terms
     terms = bool(sidecar.recipe.get("keep_terms")) and sidecar.water != LEFT
     return _beside(item, terms, None if sidecar.label_file is None else sidecar.label_file.path)
+
+
+def _remove_others(item: Item, before: Sidecar | None, written: list[Path]) -> None:
+    """Remove what an earlier run has written of terms and labels and the new picture has not."""
+    if before is None:
+        return
+    read = None if item.labels is None else item.labels.file
+    kept = {path.resolve() for path in (*written, *([] if read is None else [Path(read)]))}
+    for path in _written_beside(item, before):
+        if path.resolve() not in kept:
+            path.unlink(missing_ok=True)
 
 
 def replay(sidecar: Sidecar, output: Path, *, force: bool = False) -> Sidecar:

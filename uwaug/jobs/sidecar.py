@@ -6,7 +6,7 @@ and a sidecar whose picture is missing is of a run that was stopped there.
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -44,6 +44,7 @@ _KINDS = {
     "notes": list,
     "labels": Mapping | None,
     "label_file": FileHash | None,
+    "beside": Mapping,
 }
 """Of the values of a sidecar."""
 
@@ -65,6 +66,8 @@ class Sidecar:
         notes: what is worth knowing.
         labels: what `uwaug.labels.with_contrast` returns, with "output"; None if there are none.
         label_file: that they are from.
+        beside: SHA-256 of the files of labels and of terms that were written with it, by their
+            names. Earlier versions do not tell.
     """
 
     uwaug: str
@@ -84,6 +87,7 @@ class Sidecar:
     notes: list[str]
     labels: Any = None
     label_file: FileHash | None = None
+    beside: dict[str, str] = field(default_factory=dict)
 
     @property
     def noted(self) -> str:
@@ -117,8 +121,10 @@ class Sidecar:
             values = from_json(path.read_text(encoding="utf-8"))
         except ValueError as error:
             raise ValueError(f"{path}: is no record of a picture: {error}") from None
-        names = {field.name for field in fields(Sidecar)}
+        names = {attribute.name for attribute in fields(Sidecar)}
         foreign = f"{path}: is no record of a picture that uwaug has written"
+        if isinstance(values, Mapping):
+            values = {"beside": {}, **values}
         if not isinstance(values, Mapping) or set(values) != names | {"format"}:
             raise ValueError(foreign)
         if values["format"] not in (1, _FORMAT):
