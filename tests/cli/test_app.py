@@ -169,7 +169,7 @@ def test_words_of_flags_are_the_librarys():
     assert {FORMATS[f".{name}"] for name in choices.PICTURE_FORMATS} == set(FORMATS.values())
     assert get_args(get_args(distances.Kind)[0]) == get_args(Kind)
     assert words_of("plot", "--distance-unit") == list(UNITS)
-    assert words_of("plot", "--unknown") == ["error", "fill", "skip", "far"]
+    assert words_of("plot", "--unknown") == ["error", "fill", "behind", "skip", "far"]
     for unit in words_of("degrade", "--distance-unit"):
         distances.format_of("metric", unit, "fill", **NO_DISPARITY)
     for unknown in words_of("degrade", "--unknown"):

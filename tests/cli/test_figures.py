@@ -109,7 +109,10 @@ def test_what_was_done_to_the_files_is_said(run, files):
     np.save("holes.npy", np.where(np.arange(600).reshape(20, 30) % 4, 2500, 0).astype(np.uint16))
     code, out, err = run(*PLOT, "holes.npy", "--distance-unit", "mm", "--out", "drawn")
     assert (code, err) == (0, "")
-    assert out.splitlines()[-1] == "25 % of the distances were unknown and are filled."
+    assert (
+        out.splitlines()[-1]
+        == "25 % of the distances were unknown and are filled with what is behind."
+    )
 
 
 @pytest.fixture

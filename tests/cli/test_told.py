@@ -41,7 +41,7 @@ def test_what_maps_hold_is_asked_for_at_once(run, unknown):
     assert "depth/0.png and 4 more: the median is 2" in err
     assert "farther than one sees: try --distance-unit mm" in err
     assert ("depth/1.png and 3 more: unknown (0 or NaN) at up to 8.3 %" in err) == unknown
-    assert ("--unknown fill guesses" in err) == unknown
+    assert ("--unknown behind suits" in err) == unknown
     # so that the cure needs no --force
     assert not Path("out").exists()
     cured = ("--distance-unit", "mm", *(["--unknown", "fill"] if unknown else []))

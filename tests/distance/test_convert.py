@@ -271,7 +271,7 @@ def test_errors_say_which_option_would_help() -> None:
     scaling, holed = Scaling(1.0, 2.0, 1.0), torch.tensor([[[1.0, NAN]]])
     with pytest.raises(UnknownDistanceError, match=r"NaN at 1.*; or use unknown='fill'") as info:
         to_metres(holed, scaling, "metric", "error")
-    assert (info.value.argument, info.value.cures) == ("unknown", ("fill", "skip", "far"))
+    assert (info.value.argument, info.value.cures) == ("unknown", ("fill", "behind", "skip", "far"))
     twin = pickle.loads(pickle.dumps(info.value))
     assert (str(twin), twin.cures) == (str(info.value), info.value.cures)
     with pytest.raises(UnknownDistanceError, match="or use unknown='skip'"):

@@ -41,7 +41,7 @@ def test_a_small_picture_stays_and_unknown_distances_are_filled():
     assert scene.focal_px is None
     assert own_scene(image, z, 25.0).focal_px == 25.0
     torch.testing.assert_close(scene.image, image)
-    assert scene.note == "0.5 % of the distances were unknown and are filled."
+    assert scene.note == "0.5 % of the distances were unknown and are filled with what is behind."
     assert scene.distance[0, 10, 10] == torch.inf
     assert (scene.distance[0, 5] == 3).all()
 

@@ -39,9 +39,10 @@ Unit = Annotated[
 Unknown = Annotated[
     str,
     flag(
-        help="What 0 and NaN get: error, fill, skip, far, or metres.",
+        help="What 0 and NaN get: behind (what is behind, as maps of depth cameras want it), fill "
+        "(what is around), far (open water), metres; skip, error.",
         metavar="WORD|METRES",
-        autocompletion=complete("error", "fill", "skip", "far"),
+        autocompletion=complete("error", "fill", "behind", "skip", "far"),
     ),
 ]
 Planar = Annotated[

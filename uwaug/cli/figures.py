@@ -55,7 +55,7 @@ def plot(
     ] = None,
     distance_kind: distances.Kind = "metric",
     distance_unit: distances.Unit = "m",
-    unknown: distances.Unknown = "fill",
+    unknown: distances.Unknown = "behind",
     planar: distances.Planar = False,
     focal_px: distances.FocalPx = None,
     baseline: distances.Baseline = None,
@@ -117,7 +117,7 @@ def compare(
     table: Annotated[Path | None, typer.Option(help="The table too: a .csv or .json file.")] = None,
     distance_kind: distances.Kind = "metric",
     distance_unit: distances.Unit = "m",
-    unknown: distances.Unknown = "fill",
+    unknown: distances.Unknown = "behind",
     planar: distances.Planar = False,
     focal_px: distances.FocalPx = None,
     baseline: distances.Baseline = None,
@@ -198,7 +198,8 @@ def _read_scene(
         scaling = {"near": near, "far": far, "gamma": gamma}
         metres, notes = format.metres(place, size, turned=original.turned, **scaling)
         try:
-            scene = own_scene(original.image, metres, format.focal_px)
+            behind = format.unknown == "behind"
+            scene = own_scene(original.image, metres, format.focal_px, behind=behind)
         except ValueError as error:
             # the map first, as most of what does not suit is in it
             names = ": with ".join(map(str, reversed(distances.files(file, place))))

@@ -139,7 +139,7 @@ def fit(
             baseline=baseline,
             offset_px=offset_px,
         )
-    if unknown in ("fill", "error"):
+    if unknown in ("fill", "behind", "error"):
         refuse(f"--unknown {unknown}: expected skip, far or metres: a fit counts what is measured")
     named = {"camera": camera, "surfaces": surfaces, "vertical_depth": vertical_depth}
     of_waters: dict[str, Any] = {name: x for name, x in named.items() if x is not None}

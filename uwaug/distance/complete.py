@@ -185,6 +185,6 @@ def warn_of_unknown(share: float) -> None:
     if share > _MANY and not _warned:
         percent = round(100 * share)
         guess = f"distance is unknown at {percent} % of a map's pixels, and is guessed there"
-        cure = "beyond a sensor's range, set metres or inf (unknown='far')"
+        cure = "maps of depth cameras want unknown='behind', or 'far' for open water"
         warnings.warn(f"{guess}: {cure}", UserWarning, stacklevel=3)
         _warned.append(percent)

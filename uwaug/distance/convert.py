@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from uwaug._support import checks
+from uwaug.distance.behind import filled_behind
 from uwaug.distance.complete import filled, warn_of_unknown
 
 
@@ -173,35 +174,41 @@ def check_distance(distance: Tensor) -> Tensor:
     return distance
 
 
-def fill_unknown(distance: Tensor) -> Tensor:
+def fill_unknown(distance: Tensor, *, behind: bool = False) -> Tensor:
     """Give each unknown pixel (NaN, negative or zero) a distance from the known ones of its map.
 
     Holes of real maps are mostly thin: occlusions beside edges, reflections, the rim that
     rectification leaves. Within 4 pixels of what is known the nearest value keeps edges sharp and
     invents no distance in between. Farther inside, a membrane over 1/z spans the hole smoothly.
-    Neither is right where a sensor has reached its range: there, set what lies beyond yourself,
-    such as `torch.where(distance > 0, distance, torch.inf)` for open water.
+
+    Maps of depth cameras want `behind=True`: their holes are shadows that edges throw on what is
+    behind, and all that lies beyond the sensor's range. A hole is then filled from the farther
+    side of its rim, and the middle of a wide one gets the farthest distance of its rim. Where
+    there is open water beyond the range, set it: `torch.where(distance > 0, distance, torch.inf)`.
 
     Fill a whole map before it is cropped: a crop may hold no known pixel.
 
     Args:
         distance: (..., H, W), metres. +inf is known: open water.
+        behind: fill holes with what is behind.
 
     Returns:
         Shape of `distance`, every pixel above 0 and between the least and the largest known value;
-        differentiable in the known pixels (which of them is the nearest is held fixed). `distance`
-        itself if none is unknown.
+        differentiable in the known pixels (which of them is the nearest is held fixed, and so is
+        the farthest of a rim). `distance` itself if none is unknown.
 
     Raises:
         ValueError: a map has no known pixel.
         TypeError: `distance` is no floating-point tensor.
 
     Warns:
-        UserWarning: once in a process, if more than 20 % of a map is unknown.
+        UserWarning: once in a process, if more than 20 % of a map is unknown, but for `behind`.
 
     Examples:
         >>> fill_unknown(torch.tensor([[2.0, 2.0, 2.0, 2.0, 0.0, 0.0, 3.0, 3.0, 3.0, 3.0]]))
         tensor([[2., 2., 2., 2., 2., 3., 3., 3., 3., 3.]])
+        >>> fill_unknown(torch.tensor([[2.0, 2.0, 0.0, 0.0, 0.0, 0.0, 3.0, 3.0]]), behind=True)
+        tensor([[2., 2., 3., 3., 3., 3., 3., 3.]])
     """
     distance = _maps("distance", distance)
     unknown = ~(distance > 0)
@@ -213,9 +220,11 @@ def fill_unknown(distance: Tensor) -> Tensor:
         expected = "at least one known pixel (above 0 m) in each map"
         cure = "fill whole maps before they are cropped"
         raise ValueError(f"distance must have {expected}, got {_which(empty)} without any: {cure}")
-    warn_of_unknown(float(holes.double().mean(-1).max()))
+    if not behind:
+        warn_of_unknown(float(holes.double().mean(-1).max()))
     size = distance.shape[-2:]
-    return filled(distance.reshape(-1, *size), unknown.reshape(-1, *size)).view(distance.shape)
+    fill = filled_behind if behind else filled
+    return fill(distance.reshape(-1, *size), unknown.reshape(-1, *size)).view(distance.shape)
 
 
 def _maps(name: str, x: Tensor) -> Tensor:

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.tiles import Rows, RowSource, is_large, row_bands, rows_of
+from uwaug.distance.behind import filled_behind_rows
 from uwaug.distance.complete import filled_rows, warn_of_unknown
 from uwaug.distance.convert import (
     check_distance,
@@ -23,7 +24,7 @@ from uwaug.distance.convert import (
 )
 
 DistanceKind = Literal["metric", "relative", "inverse"]
-_Policy = Literal["error", "fill", "skip", "far"]
+_Policy = Literal["error", "fill", "behind", "skip", "far"]
 Unknown = _Policy | float
 """What unknown pixels get; a number is metres."""
 
@@ -100,11 +101,11 @@ def to_metres(
 def whole_metres(
     distance: Tensor, scaling: Scaling, kind: DistanceKind, unknown: Unknown
 ) -> Tensor:
-    """`to_metres` of all rows at once, for those who see to unknown pixels: "fill" and "skip" leave
-    them 0 or NaN.
+    """`to_metres` of all rows at once, for those who see to unknown pixels: "fill", "behind" and
+    "skip" leave them 0 or NaN.
     """
     z = _scale(distance, scaling, kind)(distance)
-    return z if unknown in ("fill", "skip") else _completed(z, unknown)
+    return z if unknown in ("fill", "behind", "skip") else _completed(z, unknown)
 
 
 def metres_by_rows(
@@ -116,7 +117,7 @@ def metres_by_rows(
     def scaled(start: int, stop: int) -> Tensor:
         return scale(distance[:, start:stop])
 
-    if unknown not in ("error", "fill", "skip"):
+    if unknown not in ("error", "fill", "behind", "skip"):
         return lambda start, stop: _completed(scaled(start, stop), unknown)
     size = (distance.shape[-2], distance.shape[-1])
     count = sum(int((scaled(start, stop) > 0).sum()) for start, stop in row_bands(*size))
@@ -124,6 +125,8 @@ def metres_by_rows(
         return scaled
     if unknown == "error" or not count:
         return rows_of(_completed(scale(distance), unknown))  # which refuses it
+    if unknown == "behind":
+        return filled_behind_rows(scaled, size)
     warn_of_unknown(1 - count / distance.numel())
     return filled_rows(scaled, size)
 
@@ -135,9 +138,11 @@ def _completed(z: Tensor, unknown: Unknown) -> Tensor:
     if unknown == "far":
         return torch.where(z > 0, z, math.inf)
     try:
-        return check_distance(z) if unknown == "error" else fill_unknown(z)
+        if unknown == "error":
+            return check_distance(z)
+        return fill_unknown(z, behind=unknown == "behind")
     except ValueError as error:
-        cures = ("fill", "skip", "far") if unknown == "error" else ("skip",)
+        cures = ("fill", "behind", "skip", "far") if unknown == "error" else ("skip",)
         raise UnknownDistanceError(f"{error}; or use unknown={cures[0]!r}", *cures) from None
 
 

@@ -142,8 +142,8 @@ class DistanceFormat:
             turned: as for `read`.
 
         Returns:
-            1xHxW, float32, m along the ray; what is unknown as `unknown` says, but for "fill" and
-            "skip", which leave it 0 or NaN. And notes.
+            1xHxW, float32, m along the ray; what is unknown as `unknown` says, but for "fill",
+            "behind" and "skip", which leave it 0 or NaN. And notes.
 
         Raises:
             ValueError: if the file does not suit, or an option is missing or would do nothing.

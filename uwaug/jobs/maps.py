@@ -40,7 +40,7 @@ def require_explained(items: Items, format: DistanceFormat) -> None:
         asked.append(f"{_names(far)}: {got}: try unit={finer_unit(format.unit)!r}")
     if holed:
         got = f"unknown (0 or NaN) at up to {100 * max(holed.values()):.2g} % of the pixels"
-        cure = "unknown='fill' guesses them from the rest, 'far' takes open water, 3.5 takes metres"
+        cure = "unknown='behind' suits depth cameras, 'far' takes open water, 3.5 takes metres"
         asked.append(f"{_names(holed)}: {got}: {cure}")
     raise ValueError("\n  ".join(asked))
 

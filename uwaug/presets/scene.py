@@ -49,7 +49,9 @@ def motorcycle() -> Scene:
     return Scene(image, distance, _FOCAL_PX)
 
 
-def own_scene(image: Tensor, distance: Tensor, focal_px: float | None = None) -> Scene:
+def own_scene(
+    image: Tensor, distance: Tensor, focal_px: float | None = None, *, behind: bool = True
+) -> Scene:
     """A picture with its distances, as large as a sheet shows it and without holes.
 
     The picture is reduced in linear light. Of the distances each keeps one of its own pixels, as a
@@ -61,6 +63,7 @@ def own_scene(image: Tensor, distance: Tensor, focal_px: float | None = None) ->
             `uwaug.distance.fill_unknown`; +inf, or beyond 1e7, is open water.
         focal_px: focal length, px of the picture; that of the scene is as much shorter as it is
             smaller.
+        behind: fill holes with what is behind, see `uwaug.distance.fill_unknown`.
 
     Raises:
         ValueError: if the sizes differ, the picture is more than ten times as long as wide, none of
@@ -85,11 +88,13 @@ def own_scene(image: Tensor, distance: Tensor, focal_px: float | None = None) ->
         expected = "some pixel above 0 m that is not open water"
         raise ValueError(f"distance must have {expected}, got {checks.span(distance)}")
     if unknown:
-        notes.append(f"{100 * unknown:.2g} % of the distances were unknown and are filled.")
+        how = "with what is behind" if behind else "with what is around"
+        share = f"{100 * unknown:.2g} %"
+        notes.append(f"{share} of the distances were unknown and are filled {how}.")
     with warnings.catch_warnings():
         # of many unknown pixels: the note says how many
         warnings.simplefilter("ignore", UserWarning)
-        distance = fill_unknown(distance)
+        distance = fill_unknown(distance, behind=behind)
     return Scene(linear_to_srgb(light), distance, focal_px, " ".join(notes))
 
 

@@ -177,11 +177,12 @@ class RandomUnderwater(SampleTransform):
         p: probability that a picture is degraded at all.
         same_on_batch: draw once for a batch.
         unknown: what NaN, 0 or negative metres get (NaN, in relative and inverse maps). "error": an
-            error. "fill": a distance from the known ones, see `distance.fill_unknown`. "skip": the
-            same, and a picture whose map tells nothing (no known pixel, or a flat map of inverse
-            depth), as crops have it, stays as it is. "far": open water, for what lies beyond a
-            sensor's range. A number: as many metres. Geometric transforms pad with 0: in maps that
-            are not metric, where 0 is a distance, let them pad with NaN.
+            error. "fill": a distance from the known ones around, see `distance.fill_unknown`.
+            "behind": from those behind, for maps of depth cameras, with their shadows and their
+            range. "skip": as "fill", and a picture whose map tells nothing (no known pixel, or a
+            flat map of inverse depth), as crops have it, stays as it is. "far": open water. A
+            number: as many metres. Geometric transforms pad with 0: in maps that are not metric,
+            where 0 is a distance, let them pad with NaN.
         image_key, distance_key: where to find the two in a dict.
         tolerance, color_space, order: as for `uwaug.Underwater`.
         light: a `Light`, or several, of which each picture draws one; None for daylight.
