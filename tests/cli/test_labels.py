@@ -90,7 +90,7 @@ def test_of_one_folder_of_pictures_at_a_time(degrade):
         labels = ("--labels", f"ds/labels/{split}")
         degrade(f"ds/images/{split}", "--distance", "3", *labels, "--out", f"out/{split}")
         assert Path(f"out/{split}/labels/1.txt").read_text() == LINES
-        said = Path(f"out/{split}/data.yaml").read_text()
+        _, said = Path(f"out/{split}/data.yaml").read_text().split("\n", 1)
         assert said == 'train: "images"\n# val: has no pictures of its own\nval: "images"\nnc: 3\n'
 
 
@@ -101,7 +101,8 @@ def test_what_is_hidden_is_no_line(degrade):
         map[: H // 2, : W // 2] = 60000
         save(f"ds/depth/{name}.png", map)
     given = ("--distance-unit", "mm", "--labels", "ds/labels", "--min-contrast", "0.05")
-    degrade("ds", "--distance", "ds/depth", *given, "--out", "out")
+    said = degrade("ds", "--distance", "ds/depth", *given, "--out", "out")
+    assert "3 of 6 objects left out, below --min-contrast 0.05\n3 of 3 pictures in out" in said
     first = LINES.splitlines(keepends=True)[0]
     assert trained_with("out/data.yaml") == {"train": [first] * 2, "val": [first]}
 
@@ -111,6 +112,14 @@ def test_terms_would_be_pictures_to_a_trainer(run):
     code, _, err = run("degrade", "ds/images", *given, "--out", "out")
     assert (code, "--keep-terms must be left out" in err) == (2, True)
     assert not Path("out").exists()
+
+
+def test_a_file_of_its_own_says_where_its_label_is(degrade):
+    given = ("ds/images/val/1.png", "--distance", "3", "--labels", "ds/labels/val")
+    said = degrade(*given, "--out", "y/images/3.png")
+    assert said.startswith("wrote y/images/3.png, labels in y/labels: 1.1·contents of II, ")
+    (label,) = img2label_paths(["y/images/3.png".replace("y", str(Path("y").absolute()), 1)])
+    assert Path(label).read_text() == LINES
 
 
 def test_a_data_yaml_of_somebody_else_stays(run, degrade):
@@ -124,11 +133,56 @@ def test_a_data_yaml_of_somebody_else_stays(run, degrade):
     assert len(trained_with("out/data.yaml")["train"]) == 2
 
 
+def test_what_a_user_says_in_data_yaml_stays(run, degrade):
+    """Until it has another name, or all is written over."""
+    given = ("ds/images/train", "--distance", "3", "--labels", "ds/labels/train", "--out", "out")
+    degrade(*given)
+    written = Path("out/data.yaml")
+    first = written.read_text()
+    edited = first.replace("nc: 3", "names: [a, b, c]")
+    written.write_text(edited)
+    save("ds/images/train/9.png", pixels(seed=9))
+    for more in ((), ("--resume",)):
+        code, _, err = run("degrade", *given, *WATER, *more)
+        assert (code, "out/data.yaml is not as a run has written it" in err) == (2, True)
+        assert written.read_text() == edited
+    written.rename("out/mine.yaml")
+    assert "1 of 3 pictures, 2 were there" in degrade(*given, "--resume")
+    assert written.read_text() == first
+    assert Path("out/mine.yaml").read_text() == edited
+    written.write_text(edited)
+    degrade(*given, "--force")
+    assert written.read_text() == first
+
+
+def coco(names: list[str]) -> dict[str, Any]:
+    """A COCO file with a box in each picture."""
+    images = [{"id": n, "file_name": name, "height": H, "width": W} for n, name in enumerate(names)]
+    boxes = [
+        {"id": n, "image_id": n, "category_id": 1, "bbox": [2, 1, 6, 5]} for n in range(len(names))
+    ]
+    return {"images": images, "annotations": boxes, "categories": [{"id": 1, "name": "fish"}]}
+
+
+def test_a_coco_file_is_of_one_least_contrast(degrade, run):
+    Path("marks.json").write_text(json.dumps(coco(["1.png", "2.png", "3.png"])))
+    for name in ("train/1", "train/2"):
+        labels = ("--labels", "marks.json", "--min-contrast", "0.9")
+        said = degrade(f"ds/images/{name}.png", "--distance", "3", *labels, "--out", "out")
+        assert "1 of 1 objects marked as ignored, below --min-contrast 0.9\n" in said
+    before = content("out")
+    save("3.png", pixels())
+    for more in ((), ("--min-contrast", "0.1"), ("--force",)):
+        given = ("3.png", "--distance", "3", "--labels", "marks.json", *more, "--out", "out")
+        code, _, err = run("degrade", *given, *WATER)
+        assert (code, "has labels with --min-contrast 0.9, and this run has" in err) == (2, True)
+    assert content("out") == before
+
+
 def test_a_coco_file_is_of_all_pictures_of_a_folder(degrade, run):
     names = [*(f"{name}.png" for name in NAMES), "4.png"]
-    images = [{"id": n, "file_name": name, "height": H, "width": W} for n, name in enumerate(names)]
-    boxes = [{"id": n, "image_id": n, "category_id": 1, "bbox": [2, 1, 6, 5]} for n in range(4)]
-    file = {"images": images, "annotations": boxes, "categories": [{"id": 1, "name": "fish"}]}
+    file = coco(names)
+    boxes = file["annotations"]
     labels = Path("ds/marks.json")
     labels.write_text(json.dumps(file))
     given = ("--distance", "3", "--labels", str(labels))
@@ -149,7 +203,7 @@ def test_a_coco_file_is_of_all_pictures_of_a_folder(degrade, run):
     boxes[1]["bbox"] = [4, 1, 6, 5]
     labels.write_text(json.dumps(file))
     code, _, err = run("degrade", "more", *given, *WATER, "--out", "out", "--force")
-    assert (code, "marks.json has changed since" in err) == (1, True)
+    assert (code, "marks.json has changed since" in err) == (2, True)
 
 
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
@@ -195,5 +249,5 @@ def test_one_description_is_of_one_folder_of_labels(degrade, run):
     Path("b/labels/other/9.txt").write_text(LINES)
     given = ("--distance", "3", "--labels", "b/labels", "--out", "out")
     code, _, err = run("degrade", "b/images", *given, *WATER)
-    assert (code, "one data.yaml cannot tell of both" in err) == (1, True)
+    assert (code, "one data.yaml cannot tell of both" in err) == (2, True)
     assert Path("out/data.yaml").read_text() == before

@@ -48,6 +48,29 @@ def test_what_maps_hold_is_asked_for_at_once(run, unknown):
     assert run("degrade", *given, *cured)[0] == 0
 
 
+def test_what_a_failure_says_would_help_helps(run):
+    """A picture of a map without unknown pixels is the same whatever these get."""
+    for number in (1, 3):
+        map = room(1000)
+        map[0] = 0
+        save(f"depth/{number}.png", map)
+    given = ("photos", "--distance", "depth", "--distance-unit", "mm", *WATER, "--out", "out")
+    code, _, err = run("degrade", *given)
+    assert (code, "2 of 5 pictures failed" in err, "--unknown fill" in err) == (1, True, True)
+    before = content("out")
+    code, out, _ = run("degrade", *given, "--resume", "--unknown", "fill")
+    assert (code, "2 of 5 pictures, 3 were there" in out) == (0, True)
+    after = content("out")
+    assert {name: after[name] for name in before if name != "index.csv"}.items() <= before.items()
+    code, out, _ = run("degrade", *given[:-1], "whole", "--unknown", "fill")
+    pictures = {name: data for name, data in content("whole").items() if name.endswith(".png")}
+    assert pictures == {name: data for name, data in after.items() if name.endswith(".png")}
+    # those with filled pixels would not be the same
+    code, _, err = run("degrade", *given, "--resume", "--unknown", "far")
+    assert (code, err.count("--unknown far, was fill")) == (1, 1)
+    assert "2 of 5 pictures failed" in err
+
+
 def test_one_bad_map_of_many_fails_alone(run):
     given = ("photos", "--distance", "depth", "--distance-unit", "cm", *WATER, "--out", "out")
     for number in (0, 1, 2, 4):

@@ -280,6 +280,18 @@ def test_the_index_tells_all_and_keeps_what_other_runs_have_made():
     assert Path("out/index.csv").read_text() == "mine,alone\n"
 
 
+def test_an_index_tells_nothing_of_pictures_that_are_being_written_over():
+    for name in ("a.png", "b.png"):
+        save(name, pixels())
+        result = Degrader(Recipe(water="3C"))(item_of(name))
+        with index_of(Path("out")) as index:
+            index.add(result)
+    with pytest.raises(KeyboardInterrupt), index_of(Path("out"), [item_of("a.png")]):
+        raise KeyboardInterrupt
+    (line,) = csv.DictReader(Path("out/index.csv").read_text().splitlines())
+    assert line["output"] == "b.png"
+
+
 # Again
 
 

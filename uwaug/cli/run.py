@@ -21,8 +21,8 @@ from uwaug.cli.console import counted, fail, in_flags, refuse, reported_errors
 from uwaug.figures.run_sheet import draw_sheet, shown_of
 from uwaug.io.read import name_of
 from uwaug.io.write import FORMATS
-from uwaug.jobs.index import index_of, write_labels
-from uwaug.jobs.items import Items, is_index, labelled, preflight
+from uwaug.jobs.index import index_of, require_alike, write_labels
+from uwaug.jobs.items import Items, is_index, labelled, labels_file, preflight
 from uwaug.jobs.maps import require_explained
 from uwaug.jobs.picture import Degrader, Result, file_names, reason_of, replay
 from uwaug.jobs.pool import run
@@ -30,7 +30,9 @@ from uwaug.jobs.ray import Shards, Tally, connected, run_on_ray
 from uwaug.jobs.recipe import Recipe
 from uwaug.jobs.remarks import Remarks
 from uwaug.jobs.sidecar import Sidecar
+from uwaug.jobs.waters import LEFT
 from uwaug.labels import LabelSource
+from uwaug.labels.layout import DESCRIPTION
 
 _LISTED = 20
 """Different reasons, or pictures of a rehearsal, at most."""
@@ -75,6 +77,8 @@ class Run:
             try:
                 force = self.force or not in_files
                 preflight(self.items, self.recipe, resume=self.resume, force=force)
+                if self.labels is not None and in_files:
+                    require_alike(self.items, self.recipe)
             except FileExistsError as error:
                 refuse(f"{error}: --resume to go on, {cure}")
         try:
@@ -131,7 +135,7 @@ class Run:
             if self.items.name is not None:
                 self._go(summary.add)
             else:
-                with index_of(out) as index:
+                with index_of(out, self.items if self.force else None) as index:
                     self._go(summary.add, index.add)
             if self.labels is not None:
                 write_labels(self.items, self.recipe, self.labels)
@@ -146,8 +150,14 @@ class Run:
         for suffix, number in sorted(self.items.passed_over.items()):
             print(f"Note: {number} {suffix} passed over: save them as .png to have them degraded")
         _print_notes(summary.notes)
+        if self.recipe.min_contrast is not None:
+            left_out = labels_file(self.items, self.recipe) == out / DESCRIPTION
+            fate = "left out" if left_out else "marked as ignored"
+            least = f"below --min-contrast {self.recipe.min_contrast:g}"
+            print(f"{summary.hidden} of {summary.objects} objects {fate}, {least}")
         place = out if self.items.name is None else out / self.items.name
-        print(f"{summary.counts()} in {place}, {time.perf_counter() - start:.1f} s")
+        done = summary.of_one() or f"{summary.counts()} in {place}"
+        print(f"{done}, {time.perf_counter() - start:.1f} s")
         if summary.failed:
             problems.append(_failures(len(self.items), summary, ", see index.csv"))
         labels = self.recipe.labels
@@ -210,7 +220,7 @@ class _Summary:
     def __init__(self, count: int, variants: int) -> None:
         self._count = count
         self._on_sheet = shown_of(count // variants, variants)
-        self.seen = self.failed = self.kept = self.labelled = 0
+        self.seen = self.failed = self.kept = self.labelled = self.objects = self.hidden = 0
         self.reasons, self.notes = (Remarks(_LISTED, in_flags) for _ in range(2))
         self.shown: list[Result] = []
 
@@ -223,14 +233,38 @@ class _Summary:
             self.shown.append(result)
         self.kept += result.status == "kept"
         self.seen += 1
-        self.labelled += result.sidecar is not None and result.sidecar.label_file is not None
-        for note in result.sidecar.notes if result.sidecar else ():
+        if result.sidecar is None:
+            return
+        self.labelled += result.sidecar.label_file is not None
+        for entry in result.sidecar.labels["objects"] if result.sidecar.labels else ():
+            self.objects += 1
+            self.hidden += entry["ignored"]
+        for note in result.sidecar.notes:
             self.notes.add(note, file_names(result.item))
 
     def counts(self) -> str:
         """How many pictures were done, and how many were there."""
         kept = f", {self.kept} were there" if self.kept else ""
         return f"{self.seen - self.failed - self.kept} of {self._count} pictures{kept}"
+
+    def of_one(self) -> str | None:
+        """What was written of a single picture, and what it looks like; None of several."""
+        if self._count != 1 or not self.shown or self.kept:
+            return None
+        (result,) = self.shown
+        assert result.sidecar is not None
+        item, sidecar = result.item, result.sidecar
+        written = f"wrote {item.output}"
+        if self.labelled and sidecar.beside:
+            written += f", labels in {item.labels_path.parent}"
+        if sidecar.water == LEFT:
+            return f"{written}: left as it is"
+        look = [sidecar.water]
+        if sidecar.visibility is not None:
+            look.append(f"visibility {sidecar.visibility:.2g} m")
+        if sidecar.contrast is not None:
+            look.append(f"{100 * sidecar.contrast:.2g} % of the contrast left")
+        return f"{written}: {', '.join(look)}"
 
 
 def _failures(count: int, run: "_Summary | Tally", rest: str) -> str:

@@ -10,6 +10,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -17,10 +18,10 @@ from uwaug._support import checks
 from uwaug._support.atomic import is_part, require_regular
 from uwaug._support.extras import require
 from uwaug.io.write import FORMATS
-from uwaug.jobs.recipe import Recipe
+from uwaug.jobs.recipe import Recipe, changes
 from uwaug.jobs.sidecar import TERMS, sidecar_of, terms_path
 from uwaug.labels import Labels, LabelSource, label_paths
-from uwaug.labels.layout import DESCRIPTION, label_place, parted, picture_place
+from uwaug.labels.layout import DESCRIPTION, is_as_described, label_place, parted, picture_place
 
 MANIFESTS = (".csv", ".parquet")
 """Ends of their names."""
@@ -227,7 +228,7 @@ class Items:
         others = {os.path.realpath(self.out)}
         if self.distance is not None and os.path.isdir(self.distance):
             others.add(os.path.realpath(self.distance))
-        masks, map_pattern = self._masks(), self._map_pattern()
+        masks, map_pattern = self.masks, self._map_pattern()
         for here, folders, files in os.walk(folder):
             place = os.path.realpath(here)
             if here != str(folder) and (place in others or is_index(Path(here, "index.csv"))):
@@ -248,7 +249,8 @@ class Items:
                 if not (is_mask or is_map or _is_written(path, there)):
                     yield path
 
-    def _masks(self) -> Path | None:
+    @cached_property
+    def masks(self) -> Path | None:
         """The folder of masks, where labels are a folder, and not of YOLO's files."""
         if self.labels is None or not os.path.isdir(self.labels):
             return None
@@ -362,16 +364,6 @@ def labelled(items: Iterable[Item], source: LabelSource | None) -> Iterator[Item
             yield item._replace(problem=str(error))
 
 
-def _change(mine: Mapping[str, Any], before: Mapping[str, Any], name: str) -> Iterator[str]:
-    """What of a recipe is otherwise than before, in words; of a table, what in it."""
-    now, then = mine.get(name), before.get(name)
-    if isinstance(now, Mapping) and isinstance(then, Mapping):
-        for key in {**now, **then}:
-            yield from _change(now, then, key)
-    elif now != then:
-        yield f"{name}={now!s:.40}, was {then!s:.40}"
-
-
 def preflight(items: Items, recipe: Recipe, *, resume: bool = False, force: bool = False) -> None:
     """Refuse, before anything is done, a run in which pictures would get in each other's way or
     write over something.
@@ -423,11 +415,13 @@ def preflight(items: Items, recipe: Recipe, *, resume: bool = False, force: bool
         raise ValueError(f"keep_terms must be left out: {got}")
     if force:
         return
-    if recipe.labels is not None and (items.for_trainers or os.path.isfile(recipe.labels)):
-        name = DESCRIPTION if items.for_trainers else os.path.basename(recipe.labels)
-        target = items.out / name
-        if os.path.lexists(target) and not (items.out / "index.csv").exists():
+    target = labels_file(items, recipe)
+    if target is not None and os.path.lexists(target):
+        if not (items.out / "index.csv").exists():
             raise FileExistsError(f"{target} exists")
+        if target.name == DESCRIPTION and not is_as_described(target):
+            got = f"{target} is not as a run has written it, and would be written over"
+            raise ValueError(f"{got}: give it another name, or --force")
     for item in items:
         if not os.path.lexists(item.output):
             continue
@@ -435,15 +429,23 @@ def preflight(items: Items, recipe: Recipe, *, resume: bool = False, force: bool
             raise FileExistsError(f"{item.output} exists")
         sidecar, mine = sidecar_of(item.output), recipe.to_json()
         before = mine if sidecar is None else sidecar.recipe
-        other = [line for name in mine if name != "content" for line in _change(mine, before, name)]
+        other = changes(mine, before)
         if other:
             got = f"was made with other options ({'; '.join(other)})"
-            raise ValueError(f"{item.output} {got}: give the same ones, or another folder")
+            cure = "give the same ones, or another folder, or make all with --force"
+            raise ValueError(f"{item.output} {got}: {cure}")
         for path, sha256 in before.get("content", {}).items():
             if mine["content"].get(path) != sha256:
                 got = f"{path} has changed since {item.output} was made of it"
                 raise ValueError(f"{got}: put it back, or choose another folder")
         return
+
+
+def labels_file(items: Items, recipe: Recipe) -> Path | None:
+    """What labels have one file of for all pictures of a folder; None if there is none."""
+    if recipe.labels is not None and os.path.isfile(recipe.labels):
+        return items.out / os.path.basename(recipe.labels)
+    return items.out / DESCRIPTION if items.for_trainers and items.masks is None else None
 
 
 def _real(path: Any) -> str:

@@ -20,7 +20,7 @@ from uwaug.formation.scene import Scene
 from uwaug.io.read import File, PictureFile, name_of, opened, read_picture_file
 from uwaug.io.write import encode, format_of, lost, write_picture
 from uwaug.jobs.items import Item, labelled
-from uwaug.jobs.recipe import Recipe
+from uwaug.jobs.recipe import Recipe, changes
 from uwaug.jobs.sidecar import (
     TERMS,
     Sidecar,
@@ -180,8 +180,10 @@ class Degrader:
 
     def _changed(self, item: Item, sidecar: Sidecar) -> str | None:
         """What is otherwise than when a picture was made, in words; None if nothing is."""
-        if sidecar.recipe != self._recipe:
-            return "was made with another recipe"
+        if other := changes(self._recipe, sidecar.recipe):
+            return f"was made with other options ({'; '.join(other)})"
+        if sidecar.recipe.get("content") != self._recipe["content"]:
+            return "was made with other files of the recipe"
         if (sidecar.id, sidecar.variant) != (item.id, item.variant):
             return f"was made of {sidecar.id}, variant {sidecar.variant}"
         labels = None if item.labels is None else item.labels.file_hash()

@@ -1,7 +1,7 @@
 """What is done to every picture of a run: a value that workers and sidecars can hold."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
@@ -207,6 +207,29 @@ class Recipe:
                 raise ValueError(f"{option}={value!r} would do nothing: {got}")
         kind, unknown = self.distance.map_kind, as_unknown(self.distance.unknown)
         return KnownWater(name, setup, field_range, kind, unknown, scaling)
+
+
+def changes(recipe: Mapping[str, Any], before: Mapping[str, Any]) -> list[str]:
+    """What of a recipe would make another picture than an earlier one has, in words; but for the
+    content of files.
+
+    Args:
+        recipe, before: as JSON has them.
+    """
+    return [
+        line for name in recipe if name != "content" for line in _changes_of(name, recipe, before)
+    ]
+
+
+def _changes_of(name: str, recipe: Mapping[str, Any], before: Mapping[str, Any]) -> Iterator[str]:
+    """The changes of an option; of a table, what in it."""
+    now, then = recipe.get(name), before.get(name)
+    if isinstance(now, Mapping) and isinstance(then, Mapping):
+        for key in {**now, **then}:
+            yield from _changes_of(key, now, then)
+    # a picture that was made although unknown pixels are an error has none
+    elif now != then and (name, then) != ("unknown", "error"):
+        yield f"{name}={now!s:.40}, was {then!s:.40}"
 
 
 def _absolute_spectra(names: Any) -> Any:

@@ -7,6 +7,7 @@ Ultralytics puts "labels" in place of the last folder "images" of a picture's pa
 import json
 import re
 from collections.abc import Iterable, Iterator
+from hashlib import sha256
 from pathlib import Path, PurePath, PurePosixPath
 from typing import TypeVar
 
@@ -23,6 +24,9 @@ _OURS = (*_SPLITS, "path", "validation", "download")
 _SPLIT = re.compile(r"(train|val|test)(?:ing|id|idation)?(?:$|[^a-zA-Z])")
 
 _KEY = re.compile(r"([A-Za-z_]\w*)\s*:")
+
+_SIGNATURE = "# written by uwaug, which writes over it unless it is changed"
+"""First line of a data.yaml, before the hash of the others."""
 
 P = TypeVar("P", bound=PurePath)
 
@@ -125,7 +129,19 @@ def described(splits: dict[str, list[str]], before: Path | None, classes: list[s
         lines.append(f"nc: {classes}")
     else:
         lines.append(f"names: {json.dumps(classes, ensure_ascii=False)}")
-    return "\n".join(lines) + "\n"
+    text = "\n".join(lines) + "\n"
+    return f"{_SIGNATURE}: {_hash_of(text)}\n{text}"
+
+
+def is_as_described(file: Path) -> bool:
+    """Whether a data.yaml is as a run has written it, and nobody has changed it since."""
+    text = file.read_text(encoding="utf-8", errors="replace")
+    first, _, rest = text.partition("\n")
+    return first == f"{_SIGNATURE}: {_hash_of(rest)}"
+
+
+def _hash_of(text: str) -> str:
+    return sha256(text.encode("utf-8", "replace")).hexdigest()[:16]
 
 
 def _blocks(file: Path) -> Iterator[tuple[str, str]]:
