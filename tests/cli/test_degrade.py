@@ -25,6 +25,7 @@ from uwaug.presets.files import bundled_preset
 from uwaug.transforms.random_underwater import SEVERITIES
 
 WATER = ("--water", "3C")
+DRAWN = (*WATER, "--visibility", "3:5")
 
 
 @pytest.fixture(autouse=True)
@@ -292,7 +293,7 @@ def test_a_rehearsal_writes_nothing_anywhere(degrade, monkeypatch, tmp_path):
     save("deep/in/it/a.png", pixels())
     save("marks/in/it/a.png", np.ones((H, W), np.uint8))
     before = content(".")
-    given = ("--distance", "3", *WATER, "--labels", "marks", "--variants", "3", "--out", "out")
+    given = ("--distance", "3", *DRAWN, "--labels", "marks", "--variants", "3", "--out", "out")
     out = degrade("deep", *given, "--dry-run")
     assert "deep/in/it/a.png + 3.0 → out/images/in/it/a_3.png" in out
     assert "3 pictures, about" in out
@@ -396,7 +397,7 @@ def test_labels_that_are_nowhere_are_missed(run):
 
 @pytest.mark.parametrize("out", [["v.heic"], ["v.jpg", "--variants", "2"], ["run.v2"]])
 def test_a_file_that_cannot_be_the_output_is_no_folder(run, out):
-    arguments = ("degrade", "good.png", "--distance", "3", *WATER, "--out", *out)
+    arguments = ("degrade", "good.png", "--distance", "3", *DRAWN, "--out", *out)
     code, _, err = run(*arguments)
     assert (code, f"--out {out[0]}: expected the file of one picture" in err) == (2, True)
     Path(out[0]).mkdir()
@@ -450,7 +451,7 @@ def test_a_name_without_room_for_its_record_fails_alone(run):
         save(f"all/{name}", pixels())
     Path("maps").mkdir()
     save("maps/good.npy", metres())
-    for given in (("--variants", "2"), ("--format", "tiff"), ("--keep-terms",)):
+    for given in (("--variants", "2", *DRAWN[2:]), ("--format", "tiff"), ("--keep-terms",)):
         code, err = degraded(run, "all", *given, "--force")
         assert (code, "Traceback" in err, "File name too long" in err) == (1, False, True)
         assert any(name.startswith("good") for name in content("out"))

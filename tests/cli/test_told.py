@@ -83,8 +83,8 @@ def test_one_bad_map_of_many_fails_alone(run):
 def test_equal_reasons_and_notes_are_one_line(run):
     for number in range(5):
         save(f"depth/{number}.png", np.full((H, W, 3), 7, np.uint8))
-    given = ("photos", "--distance", "depth", *WATER, "--variants", "3", "--out", "out")
-    code, _, err = run("degrade", *given)
+    drawn = (*WATER, "--visibility", "3:5", "--variants", "3")
+    code, _, err = run("degrade", "photos", "--distance", "depth", *drawn, "--out", "out")
     assert code == 1
     (line,) = err.splitlines()[1:]
     assert line.startswith("  15 × expected distances in one channel, got ")
@@ -150,6 +150,15 @@ def test_a_sheet_shows_what_there_is(run):
     code, out, _ = run("degrade", "many", *given)
     assert (code, "2 of 12 pictures" in out) == (1, True)
     assert Path("out/sheet.jpg").exists()
+
+
+def test_variants_that_would_be_alike(run):
+    given = ("degrade", "photos", "--distance", "3", "--variants", "2", "--out", "out")
+    for water in (("--water", "3C"), ("--preset", "mcglamery-1980")):
+        code, _, err = run(*given, *water)
+        words = "--variants 2 would be the same picture each time: nothing is drawn: give a range"
+        assert (code, f"{words}, such as --visibility 3:10" in err) == (2, True)
+    assert run(*given, "--water", "3C", "--vertical-depth", "0:15")[0] == 0
 
 
 def test_where_two_pictures_cannot_go(run):

@@ -12,7 +12,7 @@ from augmenting import COAST, EVERYTHING, LASERS, LIGHTS, TANK, distances, pictu
 
 from uwaug import JERLOV_TYPES, Constituents, RandomUnderwater, Water
 from uwaug.transforms import collate_records
-from uwaug.transforms.params import QUANTITIES, Quantity
+from uwaug.transforms.params import DEVELOPED, QUANTITIES, Quantity
 
 # Keys
 
@@ -289,3 +289,41 @@ def test_sets_have_no_order() -> None:
     assert RandomUnderwater(contrast=np.float32(0.5)).contrast == 0.5
     with pytest.raises(TypeError, match="integer"):
         RandomUnderwater().at(0.5, 1, 1)
+
+
+FIXED = {
+    "waters": "3C",
+    "contrast": 0.5,
+    "vertical_depth": 1.0,
+    "field_probability": 0.0,
+    "light": LIGHTS[:1],
+    "color_matrix": 0.5,
+    **dict.fromkeys(DEVELOPED),
+}
+
+
+@pytest.mark.parametrize(
+    ("options", "varies"),
+    [
+        ({}, False),
+        ({"mixing": 0.3}, False),
+        ({"p": 0.0, "visibility": (1.0, 3.0), "contrast": None}, False),
+        ({"field_probability": 1.0, "field_range": (0.8, 0.8)}, False),
+        ({"waters": {"3C": 1, "II": 0}}, False),
+        ({"waters": ["3C", "II"]}, True),
+        ({"waters": COAST}, True),
+        ({"cameras": ["sigma sdmerill (npl)", LASERS]}, True),
+        ({"contrast": (0.4, 0.5)}, True),
+        ({"field_probability": 1.0}, True),
+        ({"field_probability": 0.5, "field_range": (0.8, 0.8)}, True),
+        ({"p": 0.5}, True),
+        ({"light": LIGHTS}, True),
+        ({"distance": (1.0, 4.0)}, True),
+    ],
+)
+def test_whether_anything_is_drawn(options: dict[str, Any], varies: bool) -> None:
+    aug = RandomUnderwater(**{**FIXED, **options})
+    assert aug.varies == varies
+    image, map = picture(None), None if "distance" in options else distances(None) + 1
+    seen = {aug.at(0, 0, index)(image, map)[0].sum().item() for index in range(12)}
+    assert (len(seen) > 1) == varies

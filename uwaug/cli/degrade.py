@@ -134,7 +134,7 @@ def degrade(
     vertical_depth: Annotated[
         Any, _ranged("--vertical-depth", "--depth", help="Of the scene below the surface, m.")
     ] = None,
-    seed: Annotated[int, _drawn(help="Of all that is random.")] = 0,
+    seed: Annotated[int, _drawn(min=0, max=2**64 - 1, help="Of all that is random.")] = 0,
     variants: Annotated[int, _drawn(min=1, help="Of each picture.")] = 1,
     surfaces: Annotated[
         Surfaces | None,

@@ -375,9 +375,9 @@ def preflight(items: Items, recipe: Recipe, *, resume: bool = False, force: bool
         force: they may be there.
 
     Raises:
-        ValueError: if there are no pictures; if two have one id, or would be written to one file;
-            if a file that is read would be written over; if two get one map by their names; or if
-            what is there was made by another recipe. Names them.
+        ValueError: if there are no pictures; if variants of one would be alike; if two have one id,
+            or would be written to one file; if a file that is read would be written over; if two
+            get one map by their names; or if what is there was made by another recipe. Names them.
         FileExistsError: if an output is there already.
     """
     if not len(items):
@@ -387,6 +387,10 @@ def preflight(items: Items, recipe: Recipe, *, resume: bool = False, force: bool
         # else the next run would take what this one has written for pictures
         if source.is_dir() and os.path.realpath(source) == os.path.realpath(items.out):
             raise ValueError(f"{source} would be written into: expected a folder of its own")
+    if items.variants > 1 and not recipe.open().varies:
+        got = f"variants={items.variants} would be the same picture each time: nothing is drawn"
+        cure = "give a range, such as visibility=(3, 10), or another water, or one variant"
+        raise ValueError(f"{got}: {cure}")
     # a map that is found by the name of its picture may be that of another too
     by_name = items.distance is not None and (
         "{" in items.distance or os.path.isdir(items.distance)

@@ -18,7 +18,7 @@ from uwaug.light.light import Light
 from uwaug.optics.scattering import Scattering
 from uwaug.presets.preset import load_preset, preset_files
 from uwaug.transforms.codec import decode_options
-from uwaug.transforms.params import DEVELOPED
+from uwaug.transforms.params import DEVELOPED, QUANTITIES
 from uwaug.transforms.random_underwater import RandomUnderwater
 
 _FIXED: dict[str, Any] = {
@@ -101,6 +101,11 @@ class Recipe:
             options=options,
             distance=replace(self.distance, network=_absolute(self.distance.network)),
         )
+        for name, value in options.items():
+            # replays go on with what earlier versions have taken
+            if name in QUANTITIES and self.distance.map_kind not in QUANTITIES[name].maps:
+                kind = f"distance_kind is {self.distance.kind!r}"
+                raise ValueError(f"{name} would do nothing: {kind}, got {value!r}")
         recipe.open()
         paths = [recipe.water, recipe.preset, recipe.fit, recipe.labels, recipe.distance.network]
         paths += [name for names in spectra.values() for name in names]

@@ -43,6 +43,11 @@ class InWater(NamedTuple):
 class Waters(Protocol):
     """Where pictures get their water."""
 
+    @property
+    def varies(self) -> bool:
+        """Whether pictures of two keys may come out differently."""
+        ...
+
     def degrade(
         self, image: Tensor, distance: Tensor | None, drawn: Mapping[str, Any] | None, key: int
     ) -> InWater:
@@ -65,6 +70,11 @@ class DrawnWaters:
     """A water of its own for each picture, bit for bit as by the transform."""
 
     transform: RandomUnderwater
+
+    @property
+    def varies(self) -> bool:
+        """As of `Waters`."""
+        return self.transform.varies
 
     def degrade(
         self, image: Tensor, distance: Tensor | None, drawn: Mapping[str, Any] | None, key: int
@@ -105,6 +115,11 @@ class KnownWater:
     kind: DistanceKind
     unknown: Unknown
     scaling: Scaling
+
+    @property
+    def varies(self) -> bool:
+        """As of `Waters`."""
+        return self.field_range is not None
 
     def degrade(
         self, image: Tensor, distance: Tensor | None, drawn: Mapping[str, Any] | None, key: int

@@ -199,6 +199,21 @@ class Distribution:
             for name, (low, high) in self.ranges.items()
         )
 
+    @property
+    def varies(self) -> bool:
+        """Whether two draws may differ in anything that shows."""
+        if self.p == 0:
+            return False
+        alternatives = [name for name, weight in self.waters.items() if weight > 0]
+        uneven = self.field_probability > 0 and self.field_range[0] < self.field_range[1]
+        chosen = len(alternatives) > 1 or bool(self.constituents) or len(self.cameras) > 1
+        sometimes = self.p < 1 or 0 < self.field_probability < 1
+        # the end of a range of whole numbers is not drawn
+        ranged = any(
+            low < high - QUANTITIES[name].whole for name, (low, high) in self.ranges.items()
+        )
+        return sometimes or uneven or chosen or ranged
+
     def draw(self, count: int, generator: torch.Generator | None) -> list[Params]:
         """Params for each of `count` pictures."""
         # 32 bits: all that a generator of torch takes from a seed

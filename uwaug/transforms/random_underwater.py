@@ -490,6 +490,11 @@ class RandomUnderwater(SampleTransform):
         """
         return self._each(image, distance, self._read(image, params), see)
 
+    @property
+    def varies(self) -> bool:
+        """Whether two pictures may get different waters, cameras or light."""
+        return callable(self.distance) or self._distribution.varies
+
     def take_apart(self, inputs: tuple[Any, ...]) -> Parts:
         """Image, map and the way back, of what the transform was called with."""
         mapped = self.distance is None
