@@ -64,6 +64,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "fill": {"unknown": "fill"},
     "keys": {"image_key": "rgb", "distance_key": "range"},
     "light": {"color_space": "linear", "order": "source"},
+    "dim daylight": {"light": Light.ambient(0.4)},
     "lamps": {"light": LIGHTS, "vertical_depth": (5.0, 30.0), "focal_px": 40.0},
 }
 

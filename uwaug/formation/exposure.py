@@ -110,7 +110,7 @@ def farthest_veil(sums: Sums, farthest: Tensor, light: Light | None) -> Tensor:
         light: as for `uwaug.form_image`.
     """
     veil = veil_at(sums, farthest).amax((-3, -2, -1))
-    return veil if light is None or light.plain else veil * light.daylight()
+    return veil if light is None or light.plain else veil * light.to(veil).daylight()
 
 
 def fixed_gain(medium: Medium, exposure: Exposure) -> Tensor:
