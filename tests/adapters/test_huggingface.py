@@ -1,4 +1,5 @@
 import copy
+import io
 import pickle
 from typing import Any
 
@@ -85,6 +86,9 @@ def test_alpha_palettes_and_notes_of_a_picture() -> None:
     assert np.array_equal(np.asarray(other)[..., :3], expected())
     assert other.getchannel("A").getextrema() == (77, 77)
     assert third.mode == "RGB"
+    palette.info["transparency"] = 255  # a colour that no pixel has
+    palette = water({"image": [palette], "depth_map": maps[:1], "path": names[:1]})["image"][0]
+    palette.save(io.BytesIO(), "PNG")
 
 
 def test_arrays_and_tensors_come_back_as_such() -> None:
@@ -96,6 +100,8 @@ def test_arrays_and_tensors_come_back_as_such() -> None:
     assert torch.equal(second, torch.from_numpy(expected()).permute(2, 0, 1))
     assert third.dtype == np.float32
     assert np.abs(255 * third - expected()).max() < 2
+    swapped = {"image": [array(">f4")], "depth_map": [metres()], "path": ["reef/0.png"]}
+    assert np.array_equal(water(swapped)["image"][0], third)
 
 
 def of_one(batch: Any) -> Any:

@@ -88,8 +88,9 @@ def map_of(distance: Any, unit: Unit = "m", *, metric: bool = True) -> Tensor:
 
 
 def _channels_first(values: Values) -> Tensor:
-    # a copy, as the array may not be writable, or run backwards
-    return torch.from_numpy(values.transpose(2, 0, 1).copy())
+    # a copy, as the array may not be writable, run backwards, or be of another byte order
+    native = values.dtype.newbyteorder("=")
+    return torch.from_numpy(values.transpose(2, 0, 1).astype(native))
 
 
 def _as_array(result: Tensor) -> Values:
@@ -102,5 +103,6 @@ def _as_pillow(result: Tensor, alpha: Values | None, info: dict[Any, Any]) -> Im
     if alpha is not None:
         values = np.concatenate([values, alpha[..., None]], 2)
     image = Image.fromarray(values)
-    image.info = dict(info)  # EXIF and the profile of its colours
+    # EXIF and the profile of its colours; a transparent colour is in alpha by now
+    image.info = {key: value for key, value in info.items() if key != "transparency"}
     return image
