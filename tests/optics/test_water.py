@@ -352,7 +352,15 @@ ROWS = "400,0.5,1.3,0.7\n550,0.2,1.1,0.3\n700,0.7,1.0,0.8\n"
 TANK = Water([400, 550, 700], [0.5, 0.2, 0.7], [1.3, 1.1, 1.0], [0.7, 0.3, 0.8], name="tank")
 
 
-@pytest.mark.parametrize("header", ["", "nm,a,b,K_d\n", "\ufeffwavelength, a, b, kd\r\n"])
+@pytest.mark.parametrize(
+    "header",
+    [
+        "",
+        "nm,a,b,K_d\n",
+        "\ufeffwavelength, a, b, kd\r\n",
+        "lambda [nm],Absorption [1/m],scattering,Kd(PAR)\n",
+    ],
+)
 def test_water_from_a_file(tmp_path: Path, header: str) -> None:
     path = tmp_path / "tank.csv"
     path.write_text(header + ROWS)
@@ -370,6 +378,8 @@ def test_water_from_a_file(tmp_path: Path, header: str) -> None:
         ("nm,a,kd,b\n" + ROWS, "line 1: expected four numbers, wavelength, a, b, K_d"),
         ("nm,a,backscattering,kd\n" + ROWS, "line 1: expected four numbers"),
         ("nm,attenuation,b,kd\n" + ROWS, "line 1: expected four numbers"),
+        ("nm,a,beta,kd\n" + ROWS, "line 1: expected four numbers"),
+        ("nm,a_p,b_p,kd\n" + ROWS, "line 1: expected four numbers"),
         (ROWS + "710,1,2\n", "line 4: expected four numbers"),
         (ROWS + "710,1,-2,1\n", "b has 1 negative of 4 values, at 710 nm"),
         (ROWS + "710,1,2,nan\n", "kd has 1 NaN or infinite of 4 values, at 710 nm"),

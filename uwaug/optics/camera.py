@@ -208,7 +208,7 @@ def _bundled(name: str) -> Camera:
 
 
 def _read_csv(path: Path) -> Camera:
-    table = read_spectra(path, ("wavelength", "R", "G", "B"))
+    table = read_spectra(path, {"R": "red", "G": "green", "B": "blue"})
     try:
         return Camera(table[:, 0], table[:, 1:], path.stem)
     except ValueError as error:

@@ -191,7 +191,7 @@ def _minerals() -> Array:
 def _phytoplankton() -> tuple[Array, Array]:
     """Absorption at 1 mg/m³ of chlorophyll, and its exponent."""
     path = Path(__file__).parent / "phytoplankton.csv"
-    table = read_spectra(path, ("wavelength", "A", "E"))
+    table = read_spectra(path, {"A": "absorption", "E": "exponent"})
     at_1, exponents = (np.interp(WAVELENGTHS, table[:, 0], column) for column in table[:, 1:].T)
     return at_1, exponents
 

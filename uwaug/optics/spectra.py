@@ -1,7 +1,8 @@
 """Arrays over wavelength, checked, with value semantics."""
 
 import csv
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -70,7 +71,7 @@ def wavelength_axis(values: ArrayLike) -> Array:
         left, right = axis[drops[0] : drops[0] + 2]
         raise ValueError(
             f"wavelengths must be strictly ascending, but {left:g} is followed by {right:g}: "
-            "sort them"
+            "sort them, each once"
         )
     low, high = axis[[0, -1]]
     if not (low >= 100 and high <= 3000):
@@ -116,21 +117,27 @@ def _refuse(name: str, bad: NDArray[np.bool_], axis: Array, what: str, cure: str
     raise ValueError(f"{name} has {bad.sum()} {what} of {bad.size} values, at {where} nm: {cure}")
 
 
-_OTHERS = ("bb", "b_b", "back", "atten")
-"""What backscattering and attenuation are called, which are not scattering and absorption."""
+_NO_LETTER = re.compile(r"[\W\d]")
 
 
-def read_spectra(path: Path, columns: tuple[str, str, str] | tuple[str, str, str, str]) -> Array:
-    """The table (N, columns) of a CSV file: wavelengths, then spectra, with or without one header
-    line, whose cells begin like `columns`.
+def read_spectra(path: Path, spectra: Mapping[str, str]) -> Array:
+    """The table (N, 1 + spectra) of a CSV file: wavelengths, then spectra, with or without one
+    header line.
+
+    Args:
+        path: of the file.
+        spectra: their names, and a word that may stand for each. With one of both the cells of a
+            header begin, in small letters or capitals: "b [1/m]" and "scattering", while "beta"
+            and "bb" are something else.
 
     Raises:
         ValueError: if it is no such table; the message names the line.
         OSError: if the file cannot be read.
     """
     require_regular(path)
-    named, table = ", ".join(columns), []
-    expected = [column[0].lower() for column in columns[1:]]
+    named, table = ", ".join(["wavelength", *spectra]), []
+    words = [{name.lower(), word} for name, word in spectra.items()]
+    columns = 1 + len(spectra)
     with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
         reader = csv.reader(file)
         header = True
@@ -142,22 +149,18 @@ def read_spectra(path: Path, columns: tuple[str, str, str] | tuple[str, str, str
                     numbers = [float(cell) for cell in row]
                 except ValueError:
                     numbers = []
-                cells = [cell.strip().lower() for cell in row]
-                initials = [cell[:1] for cell in cells]
-                if len(numbers) == len(columns):
+                begun = [_NO_LETTER.split(cell.strip().lower(), 1)[0] for cell in row[1:]]
+                named_so = all(word in both for word, both in zip(begun, words, strict=False))
+                if len(numbers) == columns:
                     table.append(numbers)
-                elif (
-                    not header
-                    or len(row) != len(columns)
-                    or initials[1:] != expected
-                    or any(cell.startswith(_OTHERS) for cell in cells)
-                ):
+                elif not (header and len(row) == columns and named_so):
                     # what it says instead is not shown: a preset of somebody else may name a file
                     # that is none of theirs
                     where = f"{path}, line {reader.line_num}"
-                    count = {3: "three", 4: "four"}[len(columns)]
+                    count = {3: "three", 4: "four"}[columns]
                     raise ValueError(
-                        f"{where}: expected {count} numbers, {named}, separated by commas"
+                        f"{where}: expected {count} numbers, {named}, separated by commas, "
+                        "below a header with these names or none"
                     )
                 header = False
         except csv.Error as error:

@@ -510,7 +510,7 @@ def load_water(water: "str | os.PathLike[str] | Water") -> Water:
 
 
 def _read_csv(path: Path) -> Water:
-    table = read_spectra(path, ("wavelength", "a", "b", "K_d"))
+    table = read_spectra(path, {"a": "absorption", "b": "scattering", "K_d": "kd"})
     try:
         return Water(*table.T, name=path.stem, provenance=(f"a, b, K_d: {path.name}",))
     except ValueError as error:
