@@ -165,6 +165,13 @@ def planar(z: Tensor) -> Tensor:
     return z / along_ray(unit, focal_px=view(WIDTH).focal_px)
 
 
+def noisy_clean(s: Shot) -> Shot:
+    """The clean picture has noise of 2 % of white."""
+    rng = np.random.default_rng(SEED)
+    noise = torch.from_numpy(0.02 * rng.standard_normal(s.clean.shape))
+    return s._replace(clean=as_bytes(s.clean.double() / 255 + noise))
+
+
 def s_curve(srgb: Tensor) -> Tensor:
     """Half of a smooth step: darks darker, lights lighter."""
     return 0.5 * srgb + 0.5 * srgb * srgb * (3 - 2 * srgb)
@@ -202,6 +209,7 @@ DISTURBANCES: dict[str, Change] = {
     "defocus 1.5 px": developed(lambda srgb: gaussian(srgb, 1.5)),
     "median of 3×3": developed(median),
     "other light on clean": other_light,
+    "clean with 2 % noise": noisy_clean,
 }
 
 

@@ -162,6 +162,21 @@ def test_red_is_doubted_where_its_veil_is_as_dark_as_dark_surfaces(
     assert float(estimate.rates[1]) == pytest.approx(beta[1], rel=0.1)
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_rates_are_doubted_where_hardly_any_light_is_left(noise: float, motorcycle: Any) -> None:
+    """Red is 39 % too large, which hardly shows in its transmission, .02 to .15."""
+    z = motorcycle.distance.float()
+    z[:, : z.shape[1] // 3] = torch.inf
+    water = Water((0.8, 0.5, 0.6), (0.08, 0.2, 0.15))
+    with pytest.warns(UserWarning, match=r"the rate of red \(by what is dark .* /m"):
+        estimate = red_channel_prior(seen(motorcycle.linear.float(), z, water, noise=noise), z)
+    doubtful = " ".join(estimate.doubts)
+    for colour, rate, beta in zip(
+        ("red", "green", "blue"), estimate.rates, water.beta, strict=True
+    ):
+        assert colour in doubtful or float(rate) == pytest.approx(beta, rel=0.15)
+
+
 def test_the_bundled_scene_is_doubted(motorcycle: object) -> None:
     z = motorcycle.distance.float()
     z = 1 + 7 * (z - z.min()) / (z.max() - z.min())

@@ -103,6 +103,28 @@ def test_what_is_wrong_is_named_and_widens(hazy: Known, haze: Fit, change, cause
     assert errors > 2 * haze.errors["beta_red"]
 
 
+def test_noise_of_the_clean_picture_is_told_from_the_residuals(known: Known) -> None:
+    """It looks like detail that the water has taken away: β is too large, by .1 of itself here."""
+    generator = torch.Generator().manual_seed(0)
+    noise = 0.02 * torch.randn(known.clean.shape, generator=generator)
+    clean = (255 * (known.clean.double() / 255 + noise).clamp(0, 1)).round().to(torch.uint8)
+    fit = uwaug.fit(*known._replace(clean=clean), model="gaussian", pixels=4000)
+    (said,) = (line for line in fit.message.splitlines() if line.startswith("The model misses"))
+    size = re.search(r"noise of the clean picture, ([\d.]+) of white", said)
+    assert size, said
+    assert float(size[1]) == pytest.approx(0.02, rel=0.25)
+    assert held(fit) == 6
+    assert "Verdict: harmless" not in fit.message
+
+
+@pytest.mark.parametrize("gains", [(1.0, 1.0, 1.0), (1.25, 1.0, 0.9)])
+def test_noise_of_the_observed_picture_is_not_that_of_the_clean_one(known: Known, gains) -> None:
+    """Not where a white balance makes the noise of one colour larger either."""
+    picture = taken(known, lambda light: torch.tensor(gains)[:, None, None] * light)
+    fit = uwaug.fit(*picture, model="gaussian", pixels=4000)
+    assert "noise of the clean picture" not in fit.message
+
+
 def test_verdicts_are_graded(known: Known) -> None:
     """A map that is a little rough is harmless, one picture beside the other is not."""
     rough = known._replace(distance=(4 * known.distance).round() / 4)

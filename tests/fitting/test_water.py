@@ -153,10 +153,19 @@ def test_what_degrade_has_made(
     fit = fit_water(clean, degraded.image, z, pixels=3000)
     assert fit.type == type
     assert "No " not in fit.message
+    assert "The model misses something" not in fit.message
     for name, error in fit.errors.items():
         truth = used["gain" if name == "gain_1" else name]
         assert abs(fit.parameters[name].value - truth) < 3 * error
         assert error < 0.02 * truth
+
+
+def test_wrong_distances_are_said(only: Callable[..., None]) -> None:
+    only(("II",))
+    clean, z = scene(step=4)
+    degraded = Recipe(water="II").open().degrade(clean, z, None, 0)
+    fit = fit_water(clean, degraded.image, z + 0.3, pixels=1500)
+    assert "The model misses something, such as wrong distances" in fit.message
 
 
 def test_depth_that_looks_like_an_exposure_is_said(only: Callable[..., None]) -> None:

@@ -582,7 +582,10 @@ def fit_water(
         freest = FittedModel.of(objective, solve(objective, theta), seed)
         tried = _fit_types(types, weighed, seed, say)
         chosen = one_standard_error_rule(tried)
-        common, covariance = _reported(chosen, noise, _formed_to_tolerance(chosen))
+        tolerated = _formed_to_tolerance(chosen)
+        common, covariance = _reported(chosen, noise, tolerated)
+        # pictures of the types' own are off by so much: nothing is amiss there
+        covariance = replace(covariance, independent=covariance.independent + tolerated)
         candidates = _jerlov_types(tried)
         message = "\n".join(
             of_water(chosen, tried, common["parameters"], covariance, candidates, freest)

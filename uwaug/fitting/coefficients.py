@@ -117,7 +117,7 @@ def arriving(c: Coefficients, pixels: Pixels, shape: Shape | None) -> Tensor:
     T = curves(medium.sums(exact_at_lens=True), pixels.z)
     light = T.direct * pixels.clean + T.veil
     if shape is not None:
-        plan, blurs = pixels.stacks[shape]
+        plan, blurs, _ = pixels.stacks[shape]
         sigma = medium.point_spread.sigma(medium.lengths(pixels.z), None)
         light = light + T.scatter * mixed(blurs, node_weights(sigma, plan))
     return light
@@ -180,7 +180,7 @@ def derivatives(c: Coefficients, pixels: Pixels, shape: Shape | None) -> tuple[T
     by_veil_slope = veil_growth(c.G, pixels)
     by_width = by_exponent = torch.zeros_like(T.direct)
     if shape is not None and c.width is not None:
-        plan, blurs = pixels.stacks[shape]
+        plan, blurs, _ = pixels.stacks[shape]
         sigma = medium.point_spread.sigma(medium.lengths(z), None)
         blur = mixed(blurs, node_weights(sigma, plan))
         light = light + T.scatter * blur

@@ -240,10 +240,17 @@ class Observations:
 
 
 class Stack(NamedTuple):
-    """The blurs (Px3x1xN tensors) of the clean pixels for a shape of point spread."""
+    """The clean pixels, blurred for a shape of point spread.
+
+    Attributes:
+        plan: of the blurs.
+        blurs: each a Px3x1xN tensor.
+        kept: of a pixel's own light, the share that each blur leaves where it is.
+    """
 
     plan: BlurPlan
     blurs: list[Tensor]
+    kept: list[float]
 
 
 class ChebyshevGrid(NamedTuple):
@@ -304,8 +311,8 @@ class Pixels:
         values: dict[str, Any] = {name: getattr(self, name)[index] for name in names}
         values["others"] = tuple(numbers[index] for numbers in self.others)
         values["stacks"] = {
-            shape: Stack(plan, [blur[index] for blur in blurs])
-            for shape, (plan, blurs) in self.stacks.items()
+            shape: stack._replace(blurs=[blur[index] for blur in stack.blurs])
+            for shape, stack in self.stacks.items()
         }
         return replace(self, **values)
 
@@ -320,6 +327,16 @@ class Pixels:
     def weighed(self, weights: Tensor) -> "Pixels":
         """The same pixels with other weights."""
         return replace(self, weights=weights)
+
+    def with_noise(self, noise: Tensor) -> "Pixels":
+        """The same pixels with noise (Px3x1xN, linear light) in the clean picture, and in its blurs
+        what they leave of it in its place.
+        """
+        stacks = {}
+        for shape, stack in self.stacks.items():
+            noisy = [x + kept * noise for x, kept in zip(stack.blurs, stack.kept, strict=True)]
+            stacks[shape] = stack._replace(blurs=noisy)
+        return replace(self, clean=self.clean + noise, stacks=stacks)
 
     @cached_property
     def grid(self) -> ChebyshevGrid:
@@ -484,4 +501,8 @@ def _stack(pairs: Sequence[Pair], places: Sequence[Tensor], shape: Shape) -> Sta
             clean, blurs = pair.clean, blurred(pair.clean[None].float(), plan)
         for row, blur in zip(rows, blurs, strict=True):
             row.append(blur[0].flatten(1)[:, at].double())
-    return Stack(plan, [torch.stack(row)[:, :, None] for row in rows])
+    point = torch.zeros(1, 1, *pairs[0].size)
+    middle = (0, 0, pairs[0].size[0] // 2, pairs[0].size[1] // 2)
+    point[middle] = 1.0
+    kept = [float(blur[middle]) for blur in blurred(point, plan)]
+    return Stack(plan, [torch.stack(row)[:, :, None] for row in rows], kept)

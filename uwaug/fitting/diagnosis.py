@@ -49,6 +49,7 @@ _FAULTS = {
     "alignment": "a shift: clean and observed are not aligned to the pixel",
     "sharpness": "other detail: observed seems {smoothed}, and β is taken from detail",
     "offset": "an offset of the distances: all surfaces seem {size:.2g} m {nearer}",
+    "noise": "noise of the clean picture, {size:.2g} of white: mean over several of it",
     "planar": "distances that are off towards the corners: planar depth is not metres along the "
     "ray, see uwaug.distance.along_ray",
 }
@@ -329,13 +330,17 @@ def _cause(faults: Sequence[Suspect]) -> str:
             "water or JPEG"
         )
     first, *rest = faults
-    words = _FAULTS[first.name].format(
-        size=abs(float(first.size[0])),
-        nearer="farther" if first.size[0] > 0 else "nearer",
-        smoothed="sharpened" if first.size[0] > 0 else "smoothed (noise reduction, JPEG, focus)",
+    others = [_in_words(x).partition(":")[0] for x in rest if x.explained > first.explained / 2]
+    return f"likely {_in_words(first)}" + "".join(f"; or {other}" for other in others)
+
+
+def _in_words(fault: Suspect) -> str:
+    size = float(fault.size[0])
+    return _FAULTS[fault.name].format(
+        size=abs(size),
+        nearer="farther" if size > 0 else "nearer",
+        smoothed="sharpened" if size > 0 else "smoothed (noise reduction, JPEG, focus)",
     )
-    others = [_FAULTS[x.name].partition(":")[0] for x in rest if x.explained > first.explained / 2]
-    return f"likely {words}" + "".join(f"; or {other}" for other in others)
 
 
 def _not_identified(parameters: Parameters) -> Iterator[str]:

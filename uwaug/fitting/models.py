@@ -603,7 +603,7 @@ class SpectralModel:
             curve @ (grid.weights if curve.ndim == 4 else grid.weights[:, None])
             for curve in curves(medium.sums(exact_at_lens=True), grid.z)
         )
-        plan, blurs = pixels.stacks[self.shape]
+        plan, blurs, _ = pixels.stacks[self.shape]
         blur = mixed(blurs, node_weights(self.sigma(medium, pixels.z), plan))
         light = passed(direct, pixels.clean) + passed(scatter, blur) + veil
         if self.gain == "free":

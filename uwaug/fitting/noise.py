@@ -57,11 +57,16 @@ class Noise:
             return torch.zeros_like(light)
         step = torch.full_like(light, 1 / (2**self.bits - 1))
         if color_space == "srgb":
-            inside = light.detach().clamp(0.0, 1.0).requires_grad_()
-            with torch.enable_grad():
-                (slope,) = torch.autograd.grad(linear_to_srgb(inside).sum(), inside)
-            step = step / slope
+            step = step * light_of_srgb(light)
         return step**2 / 12
+
+
+def light_of_srgb(light: Tensor) -> Tensor:
+    """By how much a light of 0…1 grows with its sRGB value."""
+    inside = light.detach().clamp(0.0, 1.0).requires_grad_()
+    with torch.enable_grad():
+        (slope,) = torch.autograd.grad(linear_to_srgb(inside).sum(), inside)
+    return 1 / slope
 
 
 _ROUGH = Noise(0.01)  # for a first fit, where the noise is not known
