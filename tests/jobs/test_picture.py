@@ -176,6 +176,10 @@ def test_a_picture_without_distances_is_left_as_it_is():
     sidecar = made(distance=DistanceFormat(unknown="skip"))
     assert torch.equal(read_picture("out/a.png"), read_picture("a.png"))
     assert (sidecar.water, sidecar.contrast) == ("none", 1.0)
+    (sample,) = sidecar.drawn["samples"]
+    assert not sample["applied"]
+    assert "path" not in sample  # nothing has formed it
+    assert replay(sidecar, Path("again/a.png")) == sidecar
 
 
 # Known waters

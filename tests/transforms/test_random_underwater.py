@@ -167,6 +167,9 @@ def test_a_record_names_what_computed_the_picture() -> None:
         assert path(image.double()) == ["fused", "eager"]  # a draw sees no more than the shape
         assert path(image, light=LIGHTS[0]) == ["eager", "eager"]
         assert path(image, order="source") == ["eager", "eager"]
+        left = RandomUnderwater(unknown="skip")
+        record = left.resolve(image, 0 * distance, left.make_params(image))
+        assert "path" not in record["samples"][0]
         # as records of lamps said before 0.2
         lamp = RandomUnderwater(light=LIGHTS[0])
         record = lamp.make_params(image)

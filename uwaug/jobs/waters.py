@@ -94,8 +94,8 @@ class DrawnWaters:
         by_place = self.transform.in_water(image, distance, record, seen)
         if by_place:
             return by_place[0]
-        (sample,) = record["samples"]
-        return InWater(image, {"samples": [{**sample, "applied": False}]}, None, LEFT, None)
+        record = self.transform.resolve(image, distance, record)
+        return InWater(image, record, None, LEFT, None)
 
 
 @dataclass(frozen=True, eq=False)

@@ -465,16 +465,19 @@ class RandomUnderwater(SampleTransform):
         Each sample that is applied gains "used": "contents", the factor on all that is in the water
         besides pure water; its "visibility", m; the "vertical_depth", m, that was reached; the
         "gain" of the exposure. `transform` takes contents and gain from there, for any picture.
-        Its "path" says what computes the picture. A skipped one (see `unknown`) is no longer
-        "applied".
+        Its "path" says what computes the picture. One that is left alone has none, and a skipped
+        one (see `unknown`) is no longer "applied".
 
         Args:
             image, distance, params: as for `transform`.
         """
         samples = self._read(image, params)
         resolved = self._each(image, distance, samples, InWater.resolved)
-        left = [resolved.get(i, replace(sample, applied=False)) for i, sample in enumerate(samples)]
-        return {"samples": [params.to_dict() for params in left]}
+        seen = [
+            resolved.get(i, replace(sample, applied=False, path=None))
+            for i, sample in enumerate(samples)
+        ]
+        return {"samples": [params.to_dict() for params in seen]}
 
     def in_water(
         self, image: Tensor, distance: Tensor | None, params: Record, see: Callable[[InWater], T]
