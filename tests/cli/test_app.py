@@ -106,6 +106,10 @@ def test_errors_name_flags_that_there_are():
         ),
         ("min_contrast and void would do", "--min-contrast and --ignore-index would do"),
         ("contrast=(0.2, 0.8) would do", "--contrast 0.2:0.8 would do"),
+        (
+            "contrast must be a number or a range (low, high) with low ≤ high, in [0.001, 1]",
+            "--contrast must be a number or a range LOW:HIGH, in [0.001, 1]",
+        ),
         ("distance is flat: contrast is low", "--distance is flat: contrast is low"),
         ("own.toml: near = 3 is key of a table", "own.toml: near = 3 is key of a table"),
         ("own.toml: color_space: expected srgb", "own.toml: color_space: expected srgb"),
@@ -274,6 +278,12 @@ FIT = "fit --out x.json --clean a.png --observed a.png --distance a.npy"
         (2, f"{COMPARE} a.npy --out x.png --unknown 0", "--unknown must be finite and > 0"),
         (2, f"{COMPARE} a.npy --out x.png --system nobody", "no preset is called 'nobody'"),
         (2, f"{COMPARE} a.npy --out x.png --system survey --system survey", "each once"),
+        (
+            2,
+            f"{DEGRADE} 3 --random --water 3C",
+            "expected one of --water, --preset, --fit and --ra",
+        ),
+        (2, f"{DEGRADE} 3 --fit f.json --random", "--random, got --fit and --random"),
         (2, f"{DEGRADE} 3 --water 10C", f"--water must be one of {', '.join(choices.WATERS)}"),
         (2, f"{DEGRADE} 3 --preset no", "no preset is called 'no'"),
         (2, f"{DEGRADE} 3 --preset hou-2020 --water II", "transmission, which no water replaces"),

@@ -35,11 +35,9 @@ def test_demo_on_the_real_scene(run, tmp_path):
     assert (code, stderr) == (0, "")
     assert sorted(path.name for path in out.iterdir()) == list(PICTURES)
     lines = stdout.splitlines()
-    timed = [line for line in lines if re.match(r".* \(\d+\.\d s\)$", line)]
-    assert [line.split()[0] for line in timed] == [str(out / name) for name in PICTURES]
-    assert sum(line.startswith("    Medium(") for line in lines) == 10 + 1 + 2
-    assert "g = 0.05, μ = 0.075" in stdout
-    assert re.fullmatch(rf"5 pictures in {re.escape(str(out))}, \d+\.\d s", lines[-1])
+    named = [re.sub(r"  \(\d+ KiB\)$", "", line) for line in lines[:-1]]
+    assert named == [str(out / name) for name in PICTURES]
+    assert re.fullmatch(r"5 pictures, \d+\.\d s", lines[-1])
     for path in out.iterdir():
         with Image.open(path) as picture:
             assert picture.format == {".jpg": "JPEG", ".png": "PNG"}[path.suffix]
@@ -62,21 +60,33 @@ def test_demo_draws_over_its_own_files_only(run, small, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "medium"),
+    ("options", "heading"),
     [
-        ([], "Medium(1C: "),
-        (["--preset", "survey", "--water", "iii"], "Medium(III: "),
-        (["--preset", "tank-adjusted-1"], "Medium(coefficients: "),
+        ([], "Jerlov 1C"),
+        (["--water", "7c"], "Jerlov 7C"),
+        (["--preset", "survey", "--water", "iii"], "preset survey, III"),
+        (["--preset", "tank-adjusted-1"], "preset tank-adjusted-1"),
     ],
 )
-def test_two_sheets_in_the_water_asked_for(run, files, options, medium):
+def test_two_sheets_in_the_water_asked_for(run, files, options, heading, monkeypatch):
+    from uwaug.figures import demo
+
+    headings = []
+
+    def noted(*args, **kwargs):
+        headings.append(args[3])
+        return drawn(*args, **kwargs)
+
+    drawn = demo.sheet
+    monkeypatch.setattr(demo, "sheet", noted)
     code, out, err = run(*PLOT, "a.npy", "--out", "drawn", *options)
     assert (code, err) == (0, "")
     names = sorted(path.name for path in (files / "drawn").iterdir())
     assert names == ["1-waters.jpg", "2-terms.jpg"]
-    media = [line.strip() for line in out.splitlines() if line.startswith("    Medium(")]
-    assert len(media) == 11
-    assert media[-1].startswith(medium)
+    assert headings == ["One scene in ten waters", f"The terms of the image, {heading}"]
+    assert [line.partition("  ")[0] for line in out.splitlines()[:-1]] == [
+        str(Path("drawn") / name) for name in names
+    ]
     for name in names:
         with Image.open(files / "drawn" / name) as sheet:
             assert sheet.width == 1400
@@ -87,7 +97,7 @@ def test_a_preset_shines_its_lamp():
     scene = own_scene(torch.rand(3, 20, 30), torch.full((1, 20, 30), 2.0))
     case = preset_case(uwaug.load_preset("jaffe-1990", water="7C"))
     daylight = case._replace(setup=replace(case.setup, light=None))
-    by_lamp, by_day = (draw_terms(scene, c).figure for c in (case, daylight))
+    by_lamp, by_day = (draw_terms(scene, c) for c in (case, daylight))
     assert "its own light" in case.setting
     drawn, other = (figure.axes[7].images[0].get_array() for figure in (by_lamp, by_day))
     assert np.abs(np.subtract(drawn, other, dtype=float)).max() > 0.05 * np.max(other)
@@ -99,7 +109,7 @@ def test_a_preset_whose_surfaces_have_spectra(files):
     Path("mine.toml").write_text(text.replace("[medium]\n", '[medium]\nsurfaces = "spectral"\n'))
     scene = own_scene(torch.rand(3, 20, 30), torch.full((1, 20, 30), 2.0))
     presets = [uwaug.load_preset(name) for name in ("mine.toml", "calibrated")]
-    spectral, grey = (draw_terms(scene, preset_case(preset)).figure for preset in presets)
+    spectral, grey = (draw_terms(scene, preset_case(preset)) for preset in presets)
     assert "spectra" in preset_case(presets[0]).setting
     for line, of_grey in zip(spectral.axes[3].lines, grey.axes[3].lines, strict=True):
         np.testing.assert_allclose(line.get_ydata(), of_grey.get_ydata(), atol=0.15)
@@ -190,6 +200,24 @@ def test_a_picture_is_not_written_over(run, files):
     code, _, err = run("plot", *arguments)
     assert (code, err.startswith("Error: 1-waters.jpg is read, and would be")) == (2, True)
     assert Path("1-waters.jpg").read_bytes() == before
+
+
+def test_a_comparison_says_how_much_was_filled(run, files, monkeypatch):
+    pytest.importorskip("phasecongruency")
+    from uwaug.figures import comparison
+
+    captions = []
+    sheet = comparison.paper.sheet
+
+    def captioned(*args, **kwargs):
+        captions.append(args[4])
+        return sheet(*args, **kwargs)
+
+    monkeypatch.setattr(comparison.paper, "sheet", captioned)
+    np.save("b.npy", np.where(np.arange(600).reshape(20, 30) % 4, 2.5, 0).astype(np.float32))
+    arguments = ("--system", "jaffe-1990", "--out", "s.png")
+    assert run("compare", "a.png", "--distance", "b.npy", *arguments)[0] == 0
+    assert captions[0].partition("\n")[2].startswith("25 % of the distances were unknown")
 
 
 def test_a_comparison_with_its_table(run, files):

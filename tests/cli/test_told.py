@@ -105,10 +105,23 @@ def test_a_blank_picture_is_told_of(run, near, far, part):
     if part is None:
         assert (notes, lines, "Note" in out) == ([], [""] * 5, False)
         return
-    words = f"less than 3 % of the contrast is left on {part} of the picture or more: another "
+    words = f"less than 3 % of the contrast is left on {part} of the picture or more: "
+    unit = "--distance-unit mm, or " if near > 8 else ""
     assert [note.startswith(words) for note in notes] == [True]
     assert lines == notes * 5
-    assert f"Note: 5 × {words}--distance-unit, or clearer water, such as --visibility 10" in out
+    assert f"Note: 5 × {words}{unit}clearer water, such as --visibility 10" in out
+
+
+def test_the_cure_of_a_blank_picture_is_for_what_was_given(run):
+    given = ("degrade", "photos/0.png", "--distance")
+    run(*given, "40", *WATER, "--out", "out")
+    out = run(*given, "40", *WATER, "--out", "metres")[1]
+    assert ": clearer water, such as --visibility 10 or --contrast 0.3?" in out
+    drawn = ("--random", "--visibility", "2", "--variants", "2", "--out", "drawn")
+    out = run(*given, "40", *drawn)[1]
+    assert ": other draws, such as --contrast 0.3:0.8?" in out
+    assert "(first: 0.png)" not in out  # but which of the two
+    assert "(first: 0_0.png)" in out or "(first: 0_1.png)" in out
 
 
 def test_open_water_is_no_disappointment(run):

@@ -157,7 +157,7 @@ def test_uint8_is_the_same_scene() -> None:
 def test_wrong_arguments() -> None:
     image, distance = scene()
     for arguments, said in (
-        ((image, distance, "10C"), "type must be one of I, IA"),
+        ((image, distance, "10C"), "water must be one of I, IA"),
         ((image[None], distance), "image must be one picture"),
         ((image, distance[:, 1:]), "height and width must agree"),
         ((image, distance, "II", []), "systems: expected at least one"),

@@ -4,7 +4,7 @@ import pytest
 import torch
 from texts import require_room
 
-from uwaug import load_preset
+from uwaug import Water, load_preset
 from uwaug.figures import demo as plots
 from uwaug.figures.demo import preset_case
 from uwaug.light.geometry import focal_of
@@ -13,7 +13,7 @@ from uwaug.presets.scene import Scene
 
 @pytest.mark.parametrize("name", plots.PICTURES)
 def test_no_text_overlaps_or_leaves_the_picture(small, name, monkeypatch):
-    assert require_room(lambda: plots.PICTURES[name](small).figure, monkeypatch) > 10
+    assert require_room(lambda: plots.PICTURES[name](small), monkeypatch) > 10
 
 
 @pytest.mark.parametrize("name", plots.own_pictures())
@@ -35,7 +35,7 @@ def test_nor_in_scenes_of_other_shapes_and_distances(
     scene = Scene(torch.rand(3, *shape), z, None, note)
     case = preset_case(load_preset("tank-proposed-4"))
     draw = plots.own_pictures(case)[name]
-    assert require_room(lambda: draw(scene).figure, monkeypatch) > 10
+    assert require_room(lambda: draw(scene), monkeypatch) > 10
 
 
 def test_a_preset_is_drawn_as_its_module_degrades(small, monkeypatch):
@@ -52,6 +52,15 @@ def test_a_preset_is_drawn_as_its_module_degrades(small, monkeypatch):
     assert span == preset.field_range
     wanted = replace(preset, exposure=1.0).module()(small.image, small.distance, field)
     torch.testing.assert_close(shown["I   image"], wanted, rtol=0, atol=2e-3)
+
+
+def test_both_sheets_show_one_look_of_a_water(small, monkeypatch):
+    shown = {}
+    monkeypatch.setattr(plots, "show", lambda _, picture, label: shown.update({label: picture}))
+    for draw in plots.own_pictures(Water.jerlov("3C")).values():
+        draw(small)
+    (contact,) = (picture for label, picture in shown.items() if label.startswith("3C "))
+    torch.testing.assert_close(shown["I   image"], contact, rtol=0, atol=1e-2)
 
 
 def test_lamps_shine_into_the_view_that_a_scene_has(small, monkeypatch):

@@ -21,7 +21,7 @@ def test_texts_of_users_are_no_mathematics(tmp_path):
 
 
 def test_a_picture_is_written_whole_or_not_at_all(small, tmp_path, monkeypatch):
-    figure = plots.draw_contact_sheet(small).figure
+    figure = plots.draw_contact_sheet(small)
     path = tmp_path / "2-terms.jpg"
     path.write_text("old")
 

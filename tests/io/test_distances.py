@@ -175,8 +175,15 @@ def test_notes_of_a_map(tmp_path: Path) -> None:
         _, (note,) = DistanceFormat().read(saved(path, z * factor), (12, 16))
         assert re.fullmatch(rf"median distance {median} m: is the file in another unit\?", note)
     z[:6] = 0
-    _, (note,) = DistanceFormat().read(saved(path, z), (12, 16))
-    assert note == "50 % of the distances are unknown"
+    for unknown, done in (
+        ("behind", "filled with what is behind"),
+        ("fill", "filled with what is around"),
+        ("far", "taken for open water"),
+        (3.5, "taken for 3.5 m"),
+    ):
+        _, (note,) = DistanceFormat(unknown=unknown).read(saved(path, z), (12, 16))
+        assert note == f"50 % of the distances are unknown: {done}"
+    assert DistanceFormat(unknown="fill").metres(path, (12, 16))[1] == []  # the caller fills them
 
 
 @pytest.mark.parametrize("size", [(16, 12), (12, 12)])

@@ -33,8 +33,8 @@ UNDEVELOPED = dict.fromkeys(("color_matrix", *DEVELOPED)) | {"mu": 0.075}
 FIXED = {**UNDEVELOPED, "contrast": None, "vertical_depth": 1.0, "field_probability": 0.0}
 Z = Path("z.npy")
 FAINT = (
-    "less than 3 % of the contrast is left on a fifth of the picture or more: another "
-    "distance_unit, or clearer water, such as visibility=10 or contrast=0.3?"
+    "less than 3 % of the contrast is left on a fifth of the picture or more: "
+    "clearer water, such as visibility=10 or contrast=0.3?"
 )
 """Of 1 to 4 m in water of type 3C."""
 

@@ -212,7 +212,7 @@ def test_repr_says_what_it_models(coastal: Medium) -> None:
         ("II", {"tolerance": 1.0}, "tolerance.*1"),
         ("II", {"camera": "Kodak"}, "Kodak"),
         ("II", {"wavelengths": [200.0, 400.0]}, "200"),
-        ("sea", {}, r"type must be one of I, IA.*got 'sea'"),
+        ("sea", {}, r"water must be one of I, IA.*got 'sea'"),
         (Water([750, 800], a=[1, 1], b=[1, 1], kd=[1, 1]), {}, "no band of 400–700 nm"),
         ({"a": 1}, {}, r"water must be .* or a uwaug.Water, got \{'a': 1\}; see Water.jerlov"),
         ("7C", {"g": torch.tensor(0.5)}, "g must be a number, got a tensor; to .* learnable=True"),

@@ -409,7 +409,7 @@ def test_water_by_name_and_contents() -> None:
     "water, error, message",
     [
         (7, TypeError, "water must be a Jerlov type, .* or a uwaug.Water, got 7"),
-        ("7D", ValueError, "type must be one of I, .*, got '7D'"),
+        ("7D", ValueError, "water must be one of I, .*, 9C; contents such as .*csv; got '7D'"),
         ("chlorophyll=1:5", ValueError, "one number for each content, got 'chlorophyll=1:5'"),
         ("salt=3", ValueError, r"expected a water such as chlorophyll=5.*, got 'salt=3'"),
         ("nowhere.csv", FileNotFoundError, r"nowhere\.csv"),

@@ -55,6 +55,7 @@ def in_flags(message: str) -> str:
     what the message is about, or it has a value. Where a file is at fault, its keys are named, and
     only a cure such as `unit="mm"` is an argument.
     """
+    message = message.replace("a range (low, high) with low ≤ high", "a range LOW:HIGH")
     message = _RANGE.sub(lambda match: f"{FLAGS[match[1]]} {match[2]}:{match[3]}", message)
     message = cures_in_flags(message)
     if os.path.exists(message.partition(": ")[0]):

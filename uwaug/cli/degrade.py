@@ -271,6 +271,11 @@ def degrade(
             flag = f"--{named[0].replace('_', '-')}"
             cure = f": {flag} names no water: add --random, or one such as --water 3C"
         refuse(f"expected --water, --preset, --fit or --random, got none of them{cure}")
+    waters = {"water": water, "preset": preset, "fit": fit, "random": random or hazy}
+    chosen = [f"--{name}" for name, value in waters.items() if value]
+    if len(chosen) > 1 and chosen != ["--water", "--preset"]:
+        got = " and ".join(chosen)
+        refuse(f"expected one of --water, --preset, --fit and --random, got {got}")
     if depth_network is not None and distance is not None:
         refuse("--depth-network takes the place of --distance: give one of them")
     if shards is not None and ray is None:

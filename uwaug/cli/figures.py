@@ -22,7 +22,8 @@ from uwaug.cli.console import (
 )
 
 if TYPE_CHECKING:
-    from uwaug.figures.demo import Drawing
+    from matplotlib.figure import Figure
+
     from uwaug.io import DistanceFormat
     from uwaug.presets.scene import Scene
 
@@ -70,15 +71,15 @@ def plot(
     """Draw your own scene in ten waters, and term by term."""
     file = _the_picture(picture, image)
     require_package("plot", "matplotlib")
-    from uwaug.figures.demo import own_pictures, preset_case, water_case
+    from uwaug.figures.demo import own_pictures, preset_case
+    from uwaug.optics import load_water
     from uwaug.presets import load_preset
 
     with reported_errors():
         if preset is not None:
-            case = preset_case(load_preset(preset, water=water))
+            pictures = own_pictures(preset_case(load_preset(preset, water=water)))
         else:
-            case = water_case(water or "1C")
-    pictures = own_pictures(case)
+            pictures = own_pictures(load_water(water or "1C"))
     _require_folder(out, pictures, force)
     with reported_errors():
         place = distances.one_place(distance)
@@ -158,7 +159,7 @@ def compare(
                 scene.image, scene.distance, water, system, scene.focal_px
             )
     try:
-        save(comparison.plot(), out)
+        save(comparison.plot(scene.note), out)
         if table is not None:
             comparison.save(table)
     except OSError as error:
@@ -227,26 +228,22 @@ def _require_folder(out: Path, names: Iterable[str], force: bool) -> None:
 
 
 def _draw_into(
-    out: Path, scene: "Scene", pictures: "Mapping[str, Callable[[Scene], Drawing]]"
+    out: Path, scene: "Scene", pictures: "Mapping[str, Callable[[Scene], Figure]]"
 ) -> None:
-    """Draw the sheets of a scene and report each; the folder is made if need be."""
+    """Draw the sheets of a scene and name them; the folder is made if need be."""
     from rich.console import Console
     from rich.progress import Progress
 
     from uwaug._support.drawing import save
 
     start = time.perf_counter()
-    errors, report = Console(stderr=True), []
+    errors = Console(stderr=True)
     try:
         out.mkdir(parents=True, exist_ok=True)
         with Progress(console=errors, transient=True, disable=not errors.is_terminal) as progress:
             for name, draw in progress.track(pictures.items(), description="Drawing"):
-                before = time.perf_counter()
-                figure, lines = draw(scene)
-                save(figure, out / name)
-                report.append(f"{out / name}  ({time.perf_counter() - before:.1f} s)")
-                report += [f"    {line}" for line in lines]
+                save(draw(scene), out / name)
     except OSError as error:
         fail(f"cannot write to {out}: {error.strerror or error}")
-    print("\n".join(report))
-    print(f"{len(pictures)} pictures in {out.resolve()}, {time.perf_counter() - start:.1f} s")
+    print_written(*(out / name for name in pictures))
+    print(f"{len(pictures)} pictures, {time.perf_counter() - start:.1f} s")

@@ -140,7 +140,8 @@ class Run:
             if self.labels is not None:
                 write_labels(self.items, self.recipe, self.labels)
             if self.sheet and summary.shown:
-                draw_sheet(_before_and_after(summary.shown), self._sheet)
+                count = len(self.items) // self.items.variants
+                draw_sheet(_before_and_after(summary.shown), self._sheet, count)
         except (KeyboardInterrupt, SystemExit) as stop:
             print(f"Stopped: {summary.counts()}; --resume goes on.", file=sys.stderr)
             code = stop.code if isinstance(stop, SystemExit) else _INTERRUPTED
@@ -218,7 +219,7 @@ class _Summary:
     """What is said of a run when it ends; it does not grow with the number of pictures."""
 
     def __init__(self, count: int, variants: int) -> None:
-        self._count = count
+        self._count, self._variants = count, variants
         self._on_sheet = shown_of(count // variants, variants)
         self.seen = self.failed = self.kept = self.labelled = self.objects = self.hidden = 0
         self.reasons, self.notes = (Remarks(_LISTED, in_flags) for _ in range(2))
@@ -239,8 +240,11 @@ class _Summary:
         for entry in result.sidecar.labels["objects"] if result.sidecar.labels else ():
             self.objects += 1
             self.hidden += entry["ignored"]
+        names = file_names(result.item)
+        if self._variants > 1:
+            names.insert(0, result.item.output.name)  # which of them it is
         for note in result.sidecar.notes:
-            self.notes.add(note, file_names(result.item))
+            self.notes.add(note, names)
 
     def counts(self) -> str:
         """How many pictures were done, and how many were there."""

@@ -142,8 +142,12 @@ class Comparison:
         with written_whole(path) as part:
             part.write_text(text, encoding="utf-8", newline="")
 
-    def plot(self) -> "Figure":
-        """The pictures side by side, with the table below. Needs matplotlib."""
+    def plot(self, note: str = "") -> "Figure":
+        """The pictures side by side, with the table below. Needs matplotlib.
+
+        Args:
+            note: a line of the caption, such as what was done to the distances.
+        """
         from matplotlib.transforms import Bbox
 
         shape = (self.image.shape[-2], self.image.shape[-1])
@@ -151,6 +155,7 @@ class Comparison:
         caption = "Each as its authors computed it, with one water, one exposure, no noise."
         if self.fixed:
             caption += f" With a water of its own: {', '.join(self.fixed)}."
+        caption += f"\n{note}" if note else ""
         water = f"Jerlov {self.water}" if self.water in JERLOV_TYPES else self.water
         line = 24  # px
         below = line * (len(self.rows) + 3)

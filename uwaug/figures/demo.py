@@ -1,9 +1,7 @@
-"""What the model does to a scene, the demo's or one's own. Each function draws a sheet and says
-what it modelled.
-"""
+"""What the model does to a scene, the demo's or one's own. Each function draws a sheet."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -41,7 +39,7 @@ from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.scattering import Scattering
-from uwaug.optics.water import Water, load_water
+from uwaug.optics.water import Water
 from uwaug.presets.preset import Preset
 from uwaug.presets.scene import Scene
 
@@ -53,7 +51,13 @@ SETTING = f"Scene 1 m deep, g = {Scattering.PAPER.g:g}, μ = {Scattering.PAPER.m
 """In words, the defaults of `uwaug.Medium.from_water`."""
 
 _DEPTH = 5.0
-"""m below the surface: of the sheet of ten waters."""
+"""m below the surface: of scenes in waters, as a camera takes them."""
+
+_CAMERA = (
+    f"Scene {_DEPTH:g} m deep, surfaces with spectra, a camera with its colour matrix and an "
+    "automatic exposure"
+)
+"""In words, what `_taken` does."""
 
 _COAST = "1C"
 _EVEN = f"{SETTING}, homogeneous, one exposure"
@@ -74,18 +78,34 @@ class Case(NamedTuple):
     name: str
     setting: str
     setup: Setup
-    field_range: tuple[float, float] = (0.3, 1.7)
+    field_range: tuple[float, float]
 
 
-def water_case(water: str) -> Case:
-    """A water, as `uwaug.load_water` takes it, with the defaults of `uwaug.Medium.from_water`.
+def water_case(water: Water, scene: Scene, field_range: tuple[float, float] = (1.0, 1.0)) -> Case:
+    """A scene in a water, as the sheet of ten waters has it."""
+    name = f"Jerlov {water.name}" if water.name in JERLOV_TYPES else water.name
+    return Case(name, _CAMERA, _taken([water], scene), field_range)
 
-    Raises:
-        ValueError, OSError: as `uwaug.load_water`.
+
+def _taken(waters: Sequence[Water], scene: Scene) -> Setup:
+    """What a scene is taken with in each of several waters: spectra, a colour matrix, an automatic
+    exposure, and the calibrated width law.
     """
-    loaded = load_water(water)
-    name = f"Jerlov {loaded.name}" if loaded.name in JERLOV_TYPES else loaded.name
-    return Case(name, SETTING, Setup(Medium.from_water(loaded)))
+    constants = Scattering.CALIBRATED
+    law = PointSpread.calibrated(focal_of(scene.focal_px, _shape(scene)[1]))
+    media = [
+        Medium.from_water(
+            water,
+            vertical_depth=_DEPTH,
+            g=constants.g,
+            mu=constants.mu,
+            point_spread=law,
+            surfaces="spectral",
+        )
+        for water in waters
+    ]
+    camera = Development(gamut=1.0)
+    return Setup(Medium.stack(media), exposure="auto", development=camera, focal_px=scene.focal_px)
 
 
 def preset_case(preset: Preset) -> Case:
@@ -107,61 +127,34 @@ def preset_case(preset: Preset) -> Case:
     return Case(name, setting, preset.setup(), preset.field_range)
 
 
-class Drawing(NamedTuple):
-    """A figure, and lines that say what it models."""
-
-    figure: "Figure"
-    modelled: list[str]
-
-
-def draw_contact_sheet(scene: Scene, focal_px: float | None = None) -> Drawing:
-    """The ten Jerlov types over the scene's own distances; the view is 60° wide without
-    `focal_px`.
-    """
+def draw_contact_sheet(scene: Scene) -> "Figure":
+    """The ten Jerlov types over the scene's own distances."""
     waters = [Water.jerlov(name) for name in JERLOV_TYPES]
     low, _, high = ticks_of(scene.distance)
     metres = (
         f"{seen(scene.distance)[1]:.3g} m" if low == high else f"{low.removesuffix(' m')}–{high}"
     )
     beyond = "" if bool(scene.distance.isfinite().all()) else " and open water"
-    caption = (
-        f"Jerlov types over the scene's distances, {metres}{beyond}. Scene {_DEPTH:g} m deep, "
-        "surfaces with spectra, a camera with its colour matrix and an automatic exposure."
-    )
+    caption = f"Jerlov types over the scene's distances, {metres}{beyond}. {_CAMERA}."
     columns = columns_for(_shape(scene))
     figure, axes = sheet(
         12 // columns, columns, _shape(scene), "One scene in ten waters", _noted(caption, scene)
     )
-    scattering = Scattering.CALIBRATED
-    law = PointSpread.calibrated(focal_of(focal_px, _shape(scene)[1]))
-    media = [
-        Medium.from_water(
-            water,
-            vertical_depth=_DEPTH,
-            g=scattering.g,
-            mu=scattering.mu,
-            point_spread=law,
-            surfaces="spectral",
-        )
-        for water in waters
-    ]
-    camera = Development(gamut=1.0)
-    setup = Setup(Medium.stack(media), exposure="auto", development=camera)
-    in_water = _in_water(scene, setup)
+    in_water = _in_water(scene, _taken(waters, scene))
     show(axes[0], scene.image, "No water")
     show_distance(axes[1], scene.distance)
     for axis, water, picture in zip(axes[2:], waters, in_water.picture(), strict=True):
         show(axis, picture, f"{water.name}   (visibility {water.visibility():.2g} m)")
-    return Drawing(figure, _modelled(in_water))
+    return figure
 
 
-def draw_terms(scene: Scene, case: Case) -> Drawing:
-    """Every term of the model, in an inhomogeneous medium."""
+def draw_terms(scene: Scene, case: Case) -> "Figure":
+    """Every term of the model."""
     setup = case.setup
     light = "added in linear light"
     if setup.color_space == "linear":
         light = "of sRGB values taken for light"
-    exposure = "" if setup.exposure == "none" else f" ({setup.exposure})"
+    exposure = f" ({setup.exposure})" if isinstance(setup.exposure, float) else ""
     caption = f"I = D + F + B, {light}. All pictures at one exposure{exposure}."
     columns = columns_for(_shape(scene))
     figure, axes = sheet(
@@ -169,7 +162,7 @@ def draw_terms(scene: Scene, case: Case) -> Drawing:
         columns,
         _shape(scene),
         f"The terms of the image, {case.name}",
-        _noted(f"{caption} {case.setting}.", scene),
+        _noted(f"{caption}\n{case.setting}.", scene),
     )
     rng, (low, high) = torch.Generator().manual_seed(4), case.field_range
     field = gaussian_random_field(_shape(scene), low=low, high=high, generator=rng)[0]
@@ -194,7 +187,8 @@ def draw_terms(scene: Scene, case: Case) -> Drawing:
         for values, colour in zip(curve[0, :, 0], RGB, strict=True):
             axis.plot(z.numpy(), values.numpy(), style, color=colour, linewidth=1.6)
         axis.plot([], [], style, color=INK, label=label)
-    axis.set(xlim=(0, reach), ylim=(0, 1))
+    # a colour matrix makes more of a channel than there is
+    axis.set(xlim=(0, reach), ylim=(0, max(1, axis.dataLim.ymax)))
     box: dict[str, Any] = {
         "framealpha": 0.85,
         "edgecolor": "none",
@@ -202,10 +196,10 @@ def draw_terms(scene: Scene, case: Case) -> Drawing:
         "borderpad": 0,
     }
     axis.legend(fontsize=9.5, loc="upper right", **box)
-    return Drawing(figure, _modelled(in_water))
+    return figure
 
 
-def draw_white_plate() -> Drawing:
+def draw_white_plate() -> "Figure":
     """Colour of a white plate against distance in all types, with the veil in front of it and
     without.
     """
@@ -235,7 +229,7 @@ def draw_white_plate() -> Drawing:
             if name == JERLOV_TYPES[-1]:
                 axis.set(xticks=range(0, 21, 5))
                 axis.set_xlabel("distance [m]", fontsize=11.5, color=GREY)
-    return Drawing(canvas.figure, ["the same ten media; one colour needs no blur"])
+    return canvas.figure
 
 
 def _draw_strip(axis: "Axes", colours: Tensor, visibility: float) -> None:
@@ -251,13 +245,12 @@ def _draw_strip(axis: "Axes", colours: Tensor, visibility: float) -> None:
     axis.tick_params(labelsize=11, colors=GREY, length=3)
 
 
-def draw_depth_scaling(scene: Scene) -> Drawing:
+def draw_depth_scaling(scene: Scene) -> "Figure":
     """The paper's depth-scaling study: z from 0 to 20 m, γ = 1, 3, 6, in types II and 7C."""
     law = "$z$ = 20 m · $t^γ$, where $t$ = 0…1 is the relative distance"
     figure, axes = sheet(3, 3, _shape(scene), "Depth scaling", f"{law}. {_EVEN}.", math=True)
     low, high = scene.distance.aminmax()
     t = (scene.distance - low) / (high - low)
-    modelled = []
     for column, gamma in enumerate((1.0, 3.0, 6.0)):
         z = from_relative(t, 0.0, 20.0, gamma)
         label, ticks = f"Distance z, γ = {gamma:g}", ("0 m", "10 m", "20 m")
@@ -265,12 +258,10 @@ def draw_depth_scaling(scene: Scene) -> Drawing:
         for row, name in ((1, "II"), (2, "7C")):
             in_water = _in_water(scene, Setup(Medium.from_water(name)), z)
             show(axes[3 * row + column], in_water.picture(), f"{name}, γ = {gamma:g}")
-            medium, plan = _modelled(in_water)
-            modelled += [f"γ = {gamma:g}: {medium}", plan]
-    return Drawing(figure, modelled)
+    return figure
 
 
-def draw_width_laws(scene: Scene) -> Drawing:
+def draw_width_laws(scene: Scene) -> "Figure":
     """The paper's width law against the one calibrated to Monte Carlo light transport, with an
     enlarged part.
     """
@@ -293,13 +284,11 @@ def draw_width_laws(scene: Scene) -> Drawing:
     radius = plot(axes[6], "Half of the scattered light is within", "distance [m]", "radius [px]")
     z = torch.linspace(0.05, 8, 160, dtype=torch.float64)
     columns: list[tuple[str, Tensor]] = [("No water", scene.image)]
-    modelled = []
     for axis, label, medium, colour in (
         (axes[7], "Paper's law", paper, RGB[2]),
         (axes[8], "Calibrated law", calibrated, RGB[0]),
     ):
         in_water = _in_water(scene, Setup(medium))
-        modelled += _modelled(in_water)
         columns.append((label, in_water.picture()))
         forward = in_water.term_pictures()["forward"]
         show(axis, forward, f"{label}, forward scatter alone")
@@ -315,12 +304,14 @@ def draw_width_laws(scene: Scene) -> Drawing:
         show(whole, picture, label)
         whole.add_patch(Rectangle((x, y), w, h, fill=False, edgecolor="white", linewidth=1.4))
         show(part, picture[:, y : y + h, x : x + w], f"{label}, enlarged")
-    return Drawing(figure, modelled)
+    return figure
 
 
-PICTURES: dict[str, Callable[[Scene], Drawing]] = {
+PICTURES: "dict[str, Callable[[Scene], Figure]]" = {
     "1-waters.jpg": draw_contact_sheet,
-    "2-terms.jpg": lambda scene: draw_terms(scene, water_case(_COAST)),
+    "2-terms.jpg": lambda scene: draw_terms(
+        scene, water_case(Water.jerlov(_COAST), scene, (0.3, 1.7))
+    ),
     "3-white-plate.png": lambda _: draw_white_plate(),
     "4-depth-scaling.jpg": draw_depth_scaling,
     "5-width-laws.jpg": draw_width_laws,
@@ -328,22 +319,22 @@ PICTURES: dict[str, Callable[[Scene], Drawing]] = {
 """The demo's files and who draws them."""
 
 
-def own_pictures(case: Case | None = None) -> dict[str, Callable[[Scene], Drawing]]:
-    """The files that show a scene of one's own, and who draws them; the terms in the demo's water
-    if there is no `case`.
+def own_pictures(case: Case | Water | None = None) -> "dict[str, Callable[[Scene], Figure]]":
+    """The files that show a scene of one's own, and who draws them; the terms in a water, that of
+    the demo if there is none, or in a case, such as that of a preset.
 
     The white plate is the same for every scene; the other sheets of the demo need distances that
     are relative, or a focal length.
     """
-    case = water_case(_COAST) if case is None else case
+    drawn = Water.jerlov(_COAST) if case is None else case
 
-    def draw_own_terms(scene: Scene) -> Drawing:
-        return draw_terms(scene, case._replace(setup=replace(case.setup, focal_px=scene.focal_px)))
+    def draw_own_terms(scene: Scene) -> "Figure":
+        if isinstance(drawn, Water):
+            return draw_terms(scene, water_case(drawn, scene))
+        setup = replace(drawn.setup, focal_px=scene.focal_px)
+        return draw_terms(scene, drawn._replace(setup=setup))
 
-    return {
-        "1-waters.jpg": lambda scene: draw_contact_sheet(scene, scene.focal_px),
-        "2-terms.jpg": draw_own_terms,
-    }
+    return {"1-waters.jpg": draw_contact_sheet, "2-terms.jpg": draw_own_terms}
 
 
 def _shape(scene: Scene) -> tuple[int, int]:
@@ -360,11 +351,6 @@ def _in_water(
         planning_medium(setup.medium, setup.light), extent(z if field is None else z * field)
     )
     return InWater.of(scene.image, z, setup, field, plan=demand.plan(_shape(scene)))
-
-
-def _modelled(scene: InWater) -> list[str]:
-    medium = scene.setup.medium
-    return [*(repr(medium[i]) for i in range(len(medium))), str(scene.plan)]
 
 
 def _noted(caption: str, scene: Scene) -> str:

@@ -36,6 +36,15 @@ _ASKEW = 0.02
 _MANY = 0.2
 """Share of unknown pixels that is worth a note."""
 
+_DONE = {
+    "behind": "filled with what is behind",
+    "fill": "filled with what is around",
+    "skip": "filled with what is around",
+    "far": "taken for open water",
+    "error": "an error where they are needed",
+}
+"""What becomes of unknown pixels, in words."""
+
 _LOOKS = 128
 """Rows, and columns, that notes of a map are taken from."""
 
@@ -161,6 +170,9 @@ class DistanceFormat:
             checks.positive("distance", place, "m")
             return torch.full((1, *size), float(place)), []
         values, notes = self.read(place, size, turned=turned)
+        if self.unknown in ("fill", "behind", "skip"):
+            # who fills them says so
+            notes = [note for note in notes if note not in self._holes(values)]
         # metric maps have no scale
         scaling = Scaling(near or 0.0, far or 0.0, 1.0 if gamma is None else gamma)
         try:
@@ -209,8 +221,16 @@ class DistanceFormat:
             assert self.focal_px is not None
             values = along_ray(values, self.focal_px)
         if self.map_kind == "metric":
-            notes += _doubts(values)
+            notes += [*self._holes(values), *_doubts(values)]
         return values, notes
+
+    def _holes(self, z: Tensor) -> list[str]:
+        """A note of a map in metres that has many holes: what becomes of them."""
+        share = 1 - float((_some(z) > 0).double().mean())
+        if share <= _MANY:
+            return []
+        done = _DONE.get(self.unknown, f"taken for {self.unknown} m")
+        return [f"{100 * share:.0f} % of the distances are unknown: {done}"]
 
     def survey(self, file: File) -> tuple[float | None, float]:
         """What a map makes one ask, without reading it as the picture's.
@@ -346,15 +366,18 @@ def _one_channel(file: File, expected: str) -> Values:
 
 
 def _doubts(z: Tensor) -> list[str]:
-    """Notes of a map in metres, by some of its pixels: all would take long."""
-    rows, columns = (max(1, side // _LOOKS) for side in z.shape[-2:])
-    z = z[..., ::rows, ::columns]
-    known, notes = z > 0, []
-    share = 1 - float(known.double().mean())
-    if share > _MANY:
-        notes.append(f"{100 * share:.0f} % of the distances are unknown")
-    near = z[known & z.isfinite()]
+    """Notes of a map in metres whose unit is doubtful, by some of its pixels: all would take
+    long.
+    """
+    z = _some(z)
+    near = z[(z > 0) & z.isfinite()]
     median = float(near.median()) if near.numel() else _NEAR
-    if not _NEAR <= median <= _FAR:
-        notes.append(f"median distance {median:.3g} m: is the file in another unit?")
-    return notes
+    if _NEAR <= median <= _FAR:
+        return []
+    return [f"median distance {median:.3g} m: is the file in another unit?"]
+
+
+def _some(z: Tensor) -> Tensor:
+    """Pixels of a map, spread over it."""
+    rows, columns = (max(1, side // _LOOKS) for side in z.shape[-2:])
+    return z[..., ::rows, ::columns]

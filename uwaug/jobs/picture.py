@@ -17,6 +17,7 @@ from uwaug._support.hashing import FileHash
 from uwaug.distance.network import DepthNetwork
 from uwaug.formation.contrast import faintness
 from uwaug.formation.scene import Scene
+from uwaug.io.distances import finer_unit
 from uwaug.io.read import File, PictureFile, name_of, opened, read_picture_file
 from uwaug.io.write import encode, format_of, lost, write_picture
 from uwaug.jobs.items import Item, labelled
@@ -34,8 +35,8 @@ from uwaug.labels import label_paths, with_contrast
 from uwaug.transforms.prepare import deterministic
 from uwaug.transforms.samples import key_of
 
-_CURES = "another distance_unit, or clearer water, such as visibility=10 or contrast=0.3?"
-"""Of a picture in which next to nothing is left to see."""
+_ROOM = 8.0
+"""m: a map whose median is farther may be in another unit, if next to nothing is left to see."""
 
 
 @dataclass(frozen=True)
@@ -230,7 +231,8 @@ class Degrader:
                     contrast = formed.scene.contrast()
                 labels = with_contrast(item.labels, contrast, self.recipe.min_contrast)
                 labels["output"] = item.place.as_posix()
-        contrast_left, hidden = _contrast_left(formed.scene)
+        contrast_left, faint = _contrast_left(formed.scene)
+        hidden = [] if faint is None else [f"{faint}: {self._cure(item, distance)}?"]
         losses = [f"{format} does not keep: {what}" for what in lost(original, format)]
         losses += [f"not kept: {what}" for what in original.left_out]
         uwaug, pytorch = versions()
@@ -254,6 +256,22 @@ class Degrader:
             label_file=None if item.labels is None else item.labels.file_hash(),
         )
         return _Degraded(original, formed, format, sidecar)
+
+    def _cure(self, item: Item, distance: torch.Tensor | None) -> str:
+        """Of a picture in which next to nothing is left to see."""
+        recipe = self.recipe
+        if recipe.random:
+            cure = "other draws, such as contrast=(0.3, 0.8)"
+        elif recipe.water is not None:
+            cure = "clearer water, such as visibility=10 or contrast=0.3"
+        else:
+            cure = "less distance"
+        in_file = not (item.distance is None or isinstance(item.distance, (int, float)))
+        if in_file and distance is not None and recipe.distance.kind == "metric":
+            known = distance[(distance > 0) & distance.isfinite()]
+            if known.numel() and float(known.median()) > _ROOM:
+                return f"unit={finer_unit(recipe.distance.unit)!r}, or {cure}"
+        return cure
 
     def _distance(
         self, where: File | float | None, original: PictureFile
@@ -429,15 +447,14 @@ def names_together(picture: str, distance: str | None) -> list[str]:
     return [picture] if distance is None else [picture, distance, f"{picture} with {distance}"]
 
 
-def _contrast_left(scene: Scene | None) -> tuple[float, list[str]]:
-    """The mean share of contrast that is left, and a note if it is next to nothing. Of some pixels,
+def _contrast_left(scene: Scene | None) -> tuple[float, str | None]:
+    """The mean share of contrast that is left, and a word if it is next to nothing. Of some pixels,
     spread over the picture: all of them would take a tenth of its time.
     """
     if scene is None:
-        return 1.0, []
+        return 1.0, None
     with reproducible():  # a sidecar is the same on any number of threads
         contrast, is_surface = scene.contrast_at_points()
     faint = faintness(contrast[is_surface])
-    notes = [] if faint is None else [f"{faint}: {_CURES}"]
     # and wherever in memory it lies, which its last bits follow from
-    return round(float(contrast.double().mean()), 6), notes
+    return round(float(contrast.double().mean()), 6), faint

@@ -4,6 +4,7 @@ sees through it, and how much of what is in it that takes.
 
 import math
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
@@ -473,10 +474,10 @@ def load_water(water: "str | os.PathLike[str] | Water") -> Water:
     """A water by name, by its contents or from a file; a ``Water`` passes through.
 
     Args:
-        water: a Jerlov type; contents such as "chlorophyll=5,cdom=0.3,minerals=1" (see
-            `Water.from_constituents`); or the path of a CSV file (a string that ends in ``.csv``,
-            or any path object) whose rows are wavelength [nm], a, b, K_d [1/m], separated by
-            commas, with or without one header line.
+        water: a Jerlov type, "3C" or "Jerlov 3C"; contents such as
+            "chlorophyll=5,cdom=0.3,minerals=1" (see `Water.from_constituents`); or the path of a
+            CSV file (a string that ends in ``.csv``, or any path object) whose rows are wavelength
+            [nm], a, b, K_d [1/m], separated by commas, with or without one header line.
 
     Raises:
         TypeError: if ``water`` is none of these.
@@ -498,7 +499,12 @@ def load_water(water: "str | os.PathLike[str] | Water") -> Water:
     if not isinstance(water, str) or water.lower().endswith(".csv"):
         return _read_csv(Path(water))
     if "=" not in water:
-        return Water.jerlov(water)
+        type = re.sub("^jerlov[ _-]*", "", water, flags=re.IGNORECASE)  # as sheets have it
+        if type.upper() not in JERLOV_TYPES:
+            others = "contents such as 'chlorophyll=5', or a file that ends in .csv"
+            types = ", ".join(JERLOV_TYPES)
+            raise ValueError(f"water must be one of {types}; {others}; got {water!r}")
+        return Water.jerlov(type)
     contents = Constituents.parse(water)
     if not contents.fixed:
         drawn = "RandomUnderwater draws from ranges, here is one water"
