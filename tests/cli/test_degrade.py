@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import tempfile
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,10 +17,12 @@ from filing import H, W, content, metres, pixels, save, save_pair
 from PIL import Image
 
 import uwaug
+import uwaug.cli.run
 from uwaug._support.atomic import held
 from uwaug.formation.scene import Scene
 from uwaug.io import read_picture
 from uwaug.jobs import Sidecar
+from uwaug.jobs.ray import Shards
 from uwaug.light.geometry import focal_of
 from uwaug.presets.files import bundled_preset
 from uwaug.transforms.random_underwater import SEVERITIES
@@ -510,6 +513,17 @@ def test_only_a_run_that_has_its_folder_alone_tidies_it(degrade):
     assert part.exists()
     degrade(*given, "out")
     assert not part.exists()
+
+
+def test_shards_that_are_nowhere(run, monkeypatch):
+    """As those in the memory of other processes."""
+    pytest.importorskip("ray")
+    monkeypatch.setattr(uwaug.cli.run, "connected", lambda *_: nullcontext(2))
+    monkeypatch.setattr(Shards, "write", lambda *_, **__: None)
+    given = ("--distance", "3", *WATER, "--ray", "local", "--shards", "place")
+    code, out, err = run("degrade", "good.png", *given)
+    assert (code, "0 of 1 pictures in place" in out) == (1, True)
+    assert "place: 1 of 1 pictures are not there: is it the same place on all machines?" in err
 
 
 def test_what_is_there_stays(run):

@@ -109,9 +109,10 @@ def test_what_is_hidden_is_no_line(degrade):
 
 def test_terms_would_be_pictures_to_a_trainer(run):
     given = ("--distance", "3", "--labels", "ds/labels", "--keep-terms", *WATER)
-    code, _, err = run("degrade", "ds/images", *given, "--out", "out")
-    assert (code, "--keep-terms must be left out" in err) == (2, True)
-    assert not Path("out").exists()
+    for files in (("ds/images", "--out", "out"), ("ds/images/val/1.png", "--out", "images/1.png")):
+        code, _, err = run("degrade", *files, *given)
+        assert (code, "--keep-terms must be left out" in err) == (2, True)
+        assert not Path(files[-1]).exists()
 
 
 def test_a_file_of_its_own_says_where_its_label_is(degrade):

@@ -209,10 +209,17 @@ class Run:
             raise typer.Exit(_INTERRUPTED) from None
         seconds = time.perf_counter() - start
         _print_notes(tally.notes)
-        done = f"{tally.rows - tally.failed} of {len(self.items)} pictures"
-        print(f"{done} in {place}, {seconds:.1f} s")
+        count = len(self.items)
+        print(f"{tally.rows - tally.failed} of {count} pictures in {place}, {seconds:.1f} s")
+        problems = []
+        if tally.rows < count:
+            # such as fsspec+memory://, which each process has of its own
+            got = f"{count - tally.rows} of {count} pictures are not there"
+            problems.append(f"{place}: {got}: is it the same place on all machines?")
         if tally.failed:
-            fail(_failures(tally.rows, tally, ": rows whose status is failed"))
+            problems.append(_failures(tally.rows, tally, ": rows whose status is failed"))
+        if problems:
+            fail("\n".join(problems))
 
 
 class _Summary:

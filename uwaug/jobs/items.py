@@ -414,7 +414,9 @@ def preflight(items: Items, recipe: Recipe, *, resume: bool = False, force: bool
     if by_name:
         first = [item for item in items if item.variant == 0 and isinstance(item.distance, Path)]
         _require_apart(first, "map", lambda item: [str(item.distance)])
-    if recipe.keep_terms and items.for_trainers:
+    alone = None if items.name is None else Path(os.path.abspath(items.out / items.name))
+    in_images = items.for_trainers or (alone is not None and parted(alone) is not None)
+    if recipe.keep_terms and label_ends and in_images:
         got = "there is a folder of labels, and trainers would take terms for pictures"
         raise ValueError(f"keep_terms must be left out: {got}")
     if force:
