@@ -14,7 +14,7 @@ from matplotlib.text import Text
 from texts import require_room
 
 import uwaug
-from uwaug.fitting import Candidate, Fit, Parameter, SeriesFit
+from uwaug.fitting import Candidate, Fit, Parameter, SeriesFit, WaterFit
 from uwaug.formation.colour import linear_to_srgb
 
 OLD = Path(__file__).parent / "e9c0d46"
@@ -216,6 +216,39 @@ def test_pictures_are_those_of_the_fit(haze):
     for axis, wanted in zip(axes_of(figure, "Rendered −"), haze.residual[0], strict=True):
         shown = np.ma.filled(axis.images[0].get_array(), np.nan)
         np.testing.assert_array_equal(shown, wanted.numpy())
+
+
+@pytest.mark.parametrize("gain", ["free", "fixed", "matrix"])
+def test_a_fit_of_waters_shows_its_pictures(water, gain, tmp_path):
+    """Observed, rendered, and what is left, under any of the three cameras."""
+    theta = water.theta[: len(water.bounds[0])]
+    if gain == "free":
+        theta = np.append(theta, 0.7)
+    pairs = [pair._replace(observed=0.7 * pair.observed) for pair in water.pairs]
+    pairs = water.pairs if gain == "fixed" else tuple(pairs)
+    fit = replace(water, fitted=replace(water.fitted, gain=gain), theta=theta, pairs=pairs)
+    (residual,) = fit.residual
+    rms = residual[residual.isfinite()].square().mean().sqrt()
+    assert rms < 2 * water.rms
+    assert torch.equal(fit.rendered[0], fit.formed()[0][0])
+
+
+def test_the_sheet_of_a_fit_of_waters(water, tmp_path):
+    figure = water.plot()
+    for label in ("Observed", "Rendered by", "Rendered − observed, blue"):
+        assert axes_of(figure, label)
+    water.save(tmp_path / "water.json")
+    assert not axes_of(WaterFit.load(tmp_path / "water.json").plot(), "Observed")
+
+
+def test_a_sheet_has_margins(haze):
+    """For what is written, and between the ticks of neighbours."""
+    figure = haze.plot()
+    FigureCanvasAgg(figure).draw()
+    boxes = [x.get_window_extent() for x in figure.findobj(Text) if x.get_text()]
+    assert min(box.x0 for box in boxes) > 10
+    assert max(box.x1 for box in boxes) < figure.bbox.x1 - 10
+    assert max(box.y1 for box in boxes) < figure.bbox.y1 - 10
 
 
 def test_the_candidate_that_was_chosen_is_bold(many):

@@ -590,7 +590,13 @@ def fit_water(
         message = "\n".join(
             of_water(chosen, tried, common["parameters"], covariance, candidates, freest)
         )
-    return WaterFit(**common, message=message, candidates=candidates, fitted=chosen.model)
+    return WaterFit(
+        **common,
+        message=message,
+        candidates=candidates,
+        fitted=chosen.model,
+        pairs=observations.pairs,
+    )
 
 
 def _freest(

@@ -591,6 +591,10 @@ class SpectralModel:
             surfaces=self.surfaces,
         )
 
+    def gains(self, theta: Array) -> Tensor:
+        """Of each picture, where they are fitted."""
+        return torch.from_numpy(theta[-len(self.sizes) :])
+
     def sigma(self, medium: Medium, z: Tensor) -> Tensor:
         """Widths (Px1x1xN) of the forward scatter, px, at distances of that shape."""
         lengths, law = medium.lengths(z), medium.point_spread
@@ -607,9 +611,9 @@ class SpectralModel:
         blur = mixed(blurs, node_weights(self.sigma(medium, pixels.z), plan))
         light = passed(direct, pixels.clean) + passed(scatter, blur) + veil
         if self.gain == "free":
-            light = torch.from_numpy(theta[-len(self.sizes) :]).reshape(-1, 1, 1, 1) * light
+            light = self.gains(theta).reshape(-1, 1, 1, 1) * light
         elif self.gain == "matrix":
-            light = developed(light, pixels)
+            light = developed(light, pixels.observed, pixels.weights)
         # a file holds no negative light, which surfaces with spectra have
         return light.masked_fill((pixels.observed == 0) & (light < 0), 0.0)
 
@@ -657,13 +661,13 @@ class SpectralModel:
         return np.array(columns).T
 
 
-def developed(light: Tensor, pixels: Pixels) -> Tensor:
-    """Light (Px3x1xN) by the colour matrix and the black of each picture that bring it nearest to
-    the observed pixels.
+def developed(light: Tensor, observed: Tensor, weights: Tensor) -> Tensor:
+    """Light by the colour matrix and the black of each picture that bring it nearest to the
+    observed pixels; all are Px3x1xN, or weights Px1x1xN.
     """
     terms = torch.cat([light, torch.ones_like(light[:, :1])], 1)[:, :, 0].mT  # PxNx4
-    observed = pixels.observed[:, :, 0, :, None]
-    weights = pixels.weights[:, :, 0, :, None] * (observed != 0)  # 0 may stand for negative light
+    observed = observed[:, :, 0, :, None]
+    weights = weights[:, :, 0, :, None] * (observed != 0)  # 0 may stand for negative light
     columns = weights * terms[:, None]  # Px3xNx4
     # what weighs nothing everywhere leaves a matrix that is singular
     normal = columns.mT @ columns + _RIDGE * torch.eye(4, dtype=light.dtype)

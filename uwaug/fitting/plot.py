@@ -29,7 +29,8 @@ _SAMPLES = 200  # waters that the bands are of; of those by spectra, which take 
 _LEAST = 0.002  # of linear light: residuals are not enlarged beyond half of a step of 8 bits
 _GROUND = "#9a9a9a"  # behind pictures, where NaN lets it through
 _WIDTH, _CELL, _ABOUT = 14.0, 4.3, 0.5  # inches: of a sheet, of a picture, of what is written on it
-_LINE = 0.22  # inches
+_LINE, _MARGIN = 0.22, 0.2  # inches
+_ABOVE, _BELOW = 0.65, 0.5  # inches: of heading and caption, with their margins
 _LETTERS = 82  # of a line of the message
 _CURVES = {
     "transmission": "$T_β$   what is left of direct light",
@@ -66,7 +67,7 @@ def _sheet(result: Result, heading: str, curves: list[str]) -> "tuple[Figure, di
     """
     words = [line for row in result.message.splitlines() for line in textwrap.wrap(row, _LETTERS)]
     table, tried = _table(result), _candidates(result)
-    pairs = result.pairs[:_PAIRS] if isinstance(result, Fit) else ()
+    pairs = result.pairs[:_PAIRS] if isinstance(result, (Fit, WaterFit)) else ()
     rows, heights = [], []
     for i, pair in enumerate(pairs):
         rows += [[f"{i} {kind}{c}" for c in range(3) for _ in "12"] for kind in ("", "residual ")]
@@ -77,18 +78,18 @@ def _sheet(result: Result, heading: str, curves: list[str]) -> "tuple[Figure, di
     ]
     heights += [3.0, _LINE * max(len(table) + 1, len(words) + len(tried))]
     caption = "Bands hold 95 %; shaded: farther than 95 % of the pixels."
-    formed = result.formed(_PAIRS) if isinstance(result, Fit) and pairs else []
+    formed = result.formed(_PAIRS) if isinstance(result, (Fit, WaterFit)) and pairs else []
     scale = _scale([difference for _, difference in formed])
-    if isinstance(result, Fit) and pairs:
+    if isinstance(result, (Fit, WaterFit)) and pairs:
         residuals = f"Residuals: linear light (0…1), all on one scale of ±{scale:g}."
         caption = f"{residuals} Grey: not counted. {caption}"
         if len(result.pairs) > _PAIRS:
             caption = f"{_PAIRS} of {len(result.pairs)} pairs. {caption}"
     figure, cells = _figure(heading, caption, rows, heights)
-    if isinstance(result, Fit):
+    if isinstance(result, (Fit, WaterFit)):
         _draw_pairs(cells, result, formed, scale)
     head = [("", *COLOURS)] if any(len(row) == 4 for row in table) else [("",)]
-    _write(cells["table"], [*head, *table], (0, 0.225, 0.49, 0.755), _style_of_table)
+    _write(cells["table"], [*head, *table], (0, 0.24, 0.5, 0.765), _style_of_table)
     lines = [*((line,) for line in words), *tried]
 
     def style(i: int, _: int) -> dict[str, Any]:
@@ -106,10 +107,15 @@ def _figure(
     from matplotlib.figure import Figure
 
     tall = sum(heights) + _ABOUT * (len(heights) + 2)
-    figure = Figure(figsize=(_WIDTH, tall), dpi=100, layout="constrained")
-    figure.suptitle(heading, x=0.01, ha="left", fontsize=18, fontweight="bold", color=INK)
-    style: dict[str, Any] = {"x": 0.01, "ha": "left", "parse_math": False}
-    figure.supxlabel(caption, fontsize=11.5, color=GREY, **style)
+    figure = Figure(figsize=(_WIDTH, tall), dpi=100)
+    x, y, bottom, top = _MARGIN / _WIDTH, _MARGIN / tall, _BELOW / tall, _ABOVE / tall
+    # what is left of axes, such as the labels of their ticks, keeps clear of the cell beside
+    figure.set_layout_engine(
+        "constrained", rect=(x, bottom, 1 - 2 * x, 1 - bottom - top), w_pad=0.1
+    )
+    plain: dict[str, Any] = {"ha": "left", "parse_math": False}
+    figure.text(x, 1 - y, heading, fontsize=18, fontweight="bold", color=INK, va="top", **plain)
+    figure.text(x, y, caption, fontsize=11.5, color=GREY, va="bottom", **plain)
     cells = figure.subplot_mosaic(rows, height_ratios=heights)  # type: ignore[arg-type]
     return figure, cells
 
@@ -125,7 +131,7 @@ def _write(
     for i, row in enumerate(rows):
         for j, text in enumerate(row):
             look: dict[str, Any] = {
-                "fontsize": 10.5,
+                "fontsize": 10,
                 "parse_math": False,
                 "va": "top",
                 **style(i, j),
@@ -142,7 +148,7 @@ def _style_of_table(i: int, j: int) -> dict[str, Any]:
 
 
 def _draw_pairs(
-    cells: "dict[str, Axes]", fit: Fit, formed: list[tuple[Tensor, Tensor]], scale: float
+    cells: "dict[str, Axes]", fit: Fit | WaterFit, formed: list[tuple[Tensor, Tensor]], scale: float
 ) -> None:
     """Pictures, distances and residuals."""
     for i, (rendered, difference) in enumerate(formed):

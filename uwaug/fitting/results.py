@@ -24,6 +24,7 @@ from uwaug.fitting.models import (
     Gain,
     SpectralModel,
     TurbidityModel,
+    developed,
 )
 from uwaug.fitting.noise import Noise
 from uwaug.formation.model import form_image
@@ -339,6 +340,8 @@ class _ByModel(Result):
 class _OneWater(_ByModel):
     """A result that is one water."""
 
+    pairs: tuple[Pair, ...]
+
     @property
     def medium(self) -> Medium:
         """As `uwaug.Underwater` takes it."""
@@ -354,6 +357,34 @@ class _OneWater(_ByModel):
         geometry = self.fitted.geometry
         distances = (_NEAREST * geometry.reference, _FARTHEST * geometry.farthest)
         return Underwater(self.medium, distances, sides=sides)
+
+    @property
+    def rendered(self) -> list[Tensor]:
+        """Each observed picture (3xHxW, linear light) as the fitted water makes it."""
+        return [picture for picture, _ in self.formed()]
+
+    @property
+    def residual(self) -> list[Tensor]:
+        """Rendered − observed (3xHxW, linear light) of each picture; NaN where the distance is not
+        known or a value was clipped.
+        """
+        return [difference for _, difference in self.formed()]
+
+    def formed(self, most: int | None = None) -> list[tuple[Tensor, Tensor]]:
+        """Rendered picture and residual, as `rendered` and `residual`, of at most so many pairs."""
+        if not self.pairs:
+            raise ValueError("a fit read from a file has no pictures: fit them again to see these")
+        medium, rows = self.medium, []
+        for i, pair in enumerate(self.pairs[:most]):
+            light = form_image(pair.clean.float(), pair.z.float(), medium).image
+            picture = self._as_taken(light.double(), i).float()
+            difference = picture - pair.observed.float()
+            rows.append((picture, torch.where(pair.usable, difference, torch.nan)))
+        return rows
+
+    def _as_taken(self, light: Tensor, i: int) -> Tensor:
+        """Light (3xHxW) as the camera of pair i has taken it."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -438,30 +469,9 @@ class Fit(_OneWater):
         )
         return model.media(c)
 
-    @property
-    def rendered(self) -> list[Tensor]:
-        """Each observed picture (3xHxW, linear light) as the fitted water makes it."""
-        return [picture for picture, _ in self.formed()]
-
-    @property
-    def residual(self) -> list[Tensor]:
-        """Rendered − observed (3xHxW, linear light) of each picture; NaN where the distance is not
-        known or a value was clipped.
-        """
-        return [difference for _, difference in self.formed()]
-
-    def formed(self, most: int | None = None) -> list[tuple[Tensor, Tensor]]:
-        """Rendered picture and residual, as `rendered` and `residual`, of at most so many pairs."""
-        if not self.pairs:
-            raise ValueError("a fit read from a file has no pictures: fit them again to see these")
-        medium, rows = self.medium, []
+    def _as_taken(self, light: Tensor, i: int) -> Tensor:
         c = self.fitted.coefficients(torch.from_numpy(self.theta))
-        for i, pair in enumerate(self.pairs[:most]):
-            light = form_image(pair.clean.float(), pair.z.float(), medium).image
-            picture = as_taken(light[None].double(), c.at(i), pair.position[None])[0].float()
-            difference = picture - pair.observed.float()
-            rows.append((picture, torch.where(pair.usable, difference, torch.nan)))
-        return rows
+        return as_taken(light[None], c.at(i), self.pairs[i].position[None])[0]
 
     def summary(self) -> str:
         """The result as text: message, parameters, candidates, what depends on what."""
@@ -575,12 +585,14 @@ class WaterFit(_OneWater):
             gain_1, …, the exposure of each observed picture.
         candidates: the ten types and those mixtures that are neither of their ends, best first.
         fitted: the model that was chosen, which makes pictures of `theta`.
+        pairs: what it was fitted to; none, if it was read from a file.
 
     All else is as of `Result`.
     """
 
     candidates: tuple[JerlovType, ...]
     fitted: SpectralModel
+    pairs: tuple[Pair, ...] = field(default=(), repr=False)
 
     KEY = "uwaug_water"
     NOUN = "a water"
@@ -614,6 +626,17 @@ class WaterFit(_OneWater):
         theta, covariance = torch.from_numpy(self.theta), torch.from_numpy(self.covariance)
         drawn = np.clip(_drawn(theta, covariance, count, generator).numpy(), *self.bounds)
         return Medium.stack([self.fitted.medium(numbers) for numbers in drawn])
+
+    def _as_taken(self, light: Tensor, i: int) -> Tensor:
+        pair = self.pairs[i]
+        if self.fitted.gain == "free":
+            light = light * self.fitted.gains(self.theta)[i]
+        elif self.fitted.gain == "matrix":
+            pixels = (light, pair.observed, pair.usable.double())
+            flat = (x[None].flatten(2)[:, :, None] for x in pixels)
+            light = developed(*flat).view_as(light)
+        # a file holds no negative light, which surfaces with spectra have
+        return light.masked_fill((pair.observed == 0) & (light < 0), 0.0)
 
     @property
     def visibility(self) -> float | None:
