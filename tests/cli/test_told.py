@@ -132,12 +132,13 @@ def test_open_water_is_no_disappointment(run):
     assert "Note" not in out
 
 
-def test_commands_of_the_readme_show_something(run):
+def test_commands_of_the_readme_show_something(run, monkeypatch):
     """On maps in mm, with holes, as they are printed."""
+    monkeypatch.setattr("uwaug.cli.console._PAUSE", 1e9)  # how long it takes is another matter
     map = room(1000)
+    map[0, :3] = 0
     save("photo.jpg", pixels())
     save("depth.png", map)
-    map[0, :3] = 0
     for number in range(5):
         save(f"depth/{number}.png", map)
     text = (ROOT / "README.md").read_text()
@@ -150,6 +151,19 @@ def test_commands_of_the_readme_show_something(run):
     assert record["contrast"] > 0.3
     assert record["notes"] == []
     assert len([name for name in content("underwater") if name.endswith(".png")]) == 15
+
+
+def test_commands_of_the_guide_show_something(run):
+    save("photo.jpg", pixels())
+    Path("own.csv").write_text("400,0.5,1.3,0.7\n550,0.2,1.1,0.3\n700,0.7,1.0,0.8\n")
+    text = (ROOT / "uwaug/cli/README.md").read_text()
+    lines = [line.partition("  #")[0] for line in text.splitlines()]
+    commands = [line for line in lines if line.startswith("uwaug degrade photo.jpg --distance 3")]
+    assert len(commands) == 4
+    for command in commands:
+        code, out, err = run(*shlex.split(command)[1:])
+        assert (code, err) == (0, ""), command
+        assert "less than" not in out or "=1:20" in command, command
 
 
 def test_a_sheet_shows_what_there_is(run):
