@@ -284,6 +284,27 @@ def test_the_index_tells_all_and_keeps_what_other_runs_have_made():
     assert Path("out/index.csv").read_text() == "mine,alone\n"
 
 
+def test_an_index_that_was_cut_off_or_damaged():
+    for name in ("a.png", "b.png"):
+        save(name, pixels())
+    path = Path("out/index.csv")
+    results = [Degrader(Recipe(water="3C"))(item_of(name)) for name in ("a.png", "b.png")]
+    with index_of(Path("out")) as index:
+        for result in results:
+            index.add(result)
+    whole = path.read_bytes()
+    for kept in range(len(whole.split(b"\n")[0]) + 1, len(whole), 6):
+        path.write_bytes(whole[:kept])
+        with index_of(Path("out")):
+            pass
+        lines = list(csv.DictReader(path.read_text().splitlines()))
+        assert [line["output"] for line in lines] == ["a.png", "b.png"][: len(lines)]
+    path.write_bytes(whole + b"\xff")
+    with pytest.raises(ValueError, match=r"index\.csv: is damaged"), index_of(Path("out")):
+        pass
+    assert path.read_bytes() == whole + b"\xff"
+
+
 def test_an_index_tells_nothing_of_pictures_that_are_being_written_over():
     for name in ("a.png", "b.png"):
         save(name, pixels())

@@ -148,6 +148,8 @@ def test_shards_go_on(cluster: None, pictures: Path, here: Path, tmp_path: Path)
     features = json.loads(schema.metadata[b"huggingface"])["info"]["features"]
     assert features["image"] == {"_type": "Image"}
     (items.out / "half.parquet").write_bytes(shard.read_bytes()[:-100])
+    # of a run that was killed while it wrote a shard again, without what failed
+    (items.out / f"{shard.name}.part").write_bytes(shard.read_bytes())
     with pytest.raises(FileExistsError, match="holds files, such as"):
         shards.prepare(RECIPE)
     with pytest.raises(ValueError, match="another recipe"):

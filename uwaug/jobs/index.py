@@ -71,13 +71,10 @@ class Index:
 
     def keep_others(self, path: Path) -> None:
         """Take over the lines of an earlier index, of pictures that were not in this run."""
-        if not path.exists():
-            return
-        with path.open(encoding="utf-8", newline="") as file:
-            for line in csv.DictReader(file):
-                gone = line["status"] != "failed" and not (self._out / line["output"]).exists()
-                if line["output"] not in self._outputs and not gone:
-                    self._writer.writerow(line)
+        for line in _lines_in(path):
+            gone = line["status"] != "failed" and not (self._out / line["output"]).exists()
+            if line["output"] not in self._outputs and not gone:
+                self._writer.writerow(line)
 
     def _path(self, where: Any) -> Any:
         """From the folder of the index, as manifests are read."""
@@ -183,9 +180,24 @@ def _labels_in(items: Items, recipe: Recipe, outputs: list[Path]) -> Iterator[An
 
 def _outputs_in(out: Path) -> Iterator[Path]:
     """The pictures that the index of a folder knows of, if it has one."""
-    if not (out / "index.csv").exists():
+    for line in _lines_in(out / "index.csv"):
+        if line["status"] != "failed":
+            yield out / line["output"]
+
+
+def _lines_in(path: Path) -> Iterator[dict[str, str]]:
+    """The lines of an index, if there is one; but for those that are cut off, as a copy that was
+    stopped has them.
+
+    Raises:
+        ValueError: if it is damaged otherwise; names it.
+    """
+    if not path.exists():
         return
-    with (out / "index.csv").open(encoding="utf-8", newline="") as file:
-        for line in csv.DictReader(file):
-            if line["status"] != "failed":
-                yield out / line["output"]
+    with path.open(encoding="utf-8", newline="") as file:
+        try:
+            for line in csv.DictReader(file):
+                if line.get("output") and line.get("status"):
+                    yield line
+        except (csv.Error, UnicodeDecodeError) as error:
+            raise ValueError(f"{path}: is damaged: {error}: move it") from None

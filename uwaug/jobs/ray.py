@@ -51,6 +51,9 @@ _BLOCK = 16
 _BATCH = 8
 """Pictures of a data set that an actor holds at once."""
 
+_PART = ".parquet.part"
+"""End of the name of a shard that is being written anew, without the rows that failed."""
+
 _SHARE = 0.5
 """Of a core, that each actor asks for. It uses a whole one; but if actors asked for all of them,
 what reads the pictures would wait for ever."""
@@ -597,7 +600,7 @@ class Shards:
         import pyarrow as pa
         import pyarrow.parquet as pq
 
-        if not path.endswith(".parquet"):
+        if not path.endswith((".parquet", _PART)):
             return False
         try:
             schema = pq.read_schema(path, filesystem=self._files)
@@ -624,6 +627,9 @@ class Shards:
 
         done: set[tuple[str, int]] = set()
         for path in self._paths():
+            if path.endswith(_PART):
+                self._files.delete_file(path)
+                continue
             try:
                 columns = ["id", "variant", "status"]
                 shard = pq.read_table(path, columns=columns, filesystem=self._files)
@@ -633,7 +639,7 @@ class Shards:
                 if "failed" in shard["status"].to_pylist():
                     shard = pq.read_table(path, filesystem=self._files)
                     shard = shard.filter(pc.not_equal(shard["status"], "failed"))
-                    part = f"{path}.part"
+                    part = path.removesuffix(".parquet") + _PART
                     pq.write_table(shard, part, filesystem=self._files, row_group_size=_BLOCK)
                     self._files.move(part, path)
                 done.update(zip(shard["id"].to_pylist(), shard["variant"].to_pylist(), strict=True))
