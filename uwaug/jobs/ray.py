@@ -626,10 +626,11 @@ class Shards:
         import pyarrow.parquet as pq
 
         done: set[tuple[str, int]] = set()
-        for path in self._paths():
-            if path.endswith(_PART):
-                self._files.delete_file(path)
-                continue
+        paths = self._paths()
+        left = [path for path in paths if path.endswith(_PART)]
+        for path in left:
+            self._files.delete_file(path)
+        for path in set(paths).difference(left):
             try:
                 columns = ["id", "variant", "status"]
                 shard = pq.read_table(path, columns=columns, filesystem=self._files)
