@@ -96,6 +96,7 @@ def test_errors_name_flags_that_there_are():
     [
         ("vertical_depth must be finite", "--vertical-depth must be finite"),
         ("water must be one of I, IA", "--water must be one of I, IA"),
+        ("other options (seed=3, was 0)", "other options (--seed 3, was 0)"),
         ("near: what is near in water", "--near: what is near in water"),
         ("the light that is near in water", "the light that is near in water"),
         ("1 of 4 pixels: try unknown='fill'", "1 of 4 pixels: try --unknown fill"),

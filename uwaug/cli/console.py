@@ -23,7 +23,7 @@ _ALIKE = """
     black_point clean color_matrix color_space compensation contrast distance distance_kind
     distance_unit exposure far field fit focal_px gain gamma gamut ignore_index image
     keep_terms mask min_contrast model near observed offset_px parameters planar preset random
-    saturation severity shading sides surfaces tone unknown variants vertical_depth
+    saturation seed severity shading sides surfaces tone unknown variants vertical_depth
     visibility water white_balance
 """
 """Arguments of the library whose flags have their names."""

@@ -132,8 +132,8 @@ def require_alike(items: Items, recipe: Recipe) -> None:
         ValueError: if labels that have one file for all are those of another folder, or have
             changed; or if those of the other pictures are ignored below another contrast.
     """
-    mine = {item.output for item in items}
-    for _ in _labels_in(items, recipe, [out for out in _outputs_in(items.out) if out not in mine]):
+    others = set(_outputs_in(items.out)).difference(item.output for item in items)
+    for _ in _labels_in(items, recipe, sorted(others)):
         pass
 
 
