@@ -57,8 +57,11 @@ def test_a_preset_is_drawn_as_its_module_degrades(small, monkeypatch):
 def test_both_sheets_show_one_look_of_a_water(small, monkeypatch):
     shown = {}
     monkeypatch.setattr(plots, "show", lambda _, picture, label: shown.update({label: picture}))
+    fields = []
+    monkeypatch.setattr(plots, "show_field", lambda _, field, span: fields.append(span))
     for draw in plots.own_pictures(Water.jerlov("3C")).values():
         draw(small)
+    assert fields == [(1.0, 1.0)]  # nobody has asked for uneven water
     (contact,) = (picture for label, picture in shown.items() if label.startswith("3C "))
     torch.testing.assert_close(shown["I   image"], contact, rtol=0, atol=1e-2)
 

@@ -418,3 +418,9 @@ def test_water_by_name_and_contents() -> None:
 def test_no_such_water(water: Any, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         load_water(water)
+
+
+@pytest.mark.parametrize("name", ["3c", "Jerlov3C", "jerlov 3C", "Jerlov-3c"])
+def test_types_by_the_names_that_people_write(name):
+    assert load_water(name) == Water.jerlov("3C")
+    assert load_water(name).name == "3C"
