@@ -165,14 +165,21 @@ def test_killed_and_resumed(folder):
 
 @linux
 @pytest.mark.parametrize(
-    ("number", "all_of_them", "code"), [(signal.SIGINT, True, 130), (signal.SIGTERM, False, 143)]
+    ("number", "all_of_them", "times", "code"),
+    [
+        (signal.SIGINT, True, 1, 130),
+        (signal.SIGINT, True, 2, 130),  # an impatient hand
+        (signal.SIGTERM, False, 1, 143),
+    ],
 )
-def test_stopped_by_a_signal(folder, number, all_of_them, code):
+def test_stopped_by_a_signal(folder, number, all_of_them, times, code):
     scene(40, 120, 160)
     process = start("out")
     wait_for(lambda: pictures("out") >= 2)
     # Ctrl-C goes to all processes of a terminal
-    (os.killpg if all_of_them else os.kill)(process.pid, number)
+    for _ in range(times):
+        (os.killpg if all_of_them else os.kill)(process.pid, number)
+        time.sleep(0.1)
     _, err = process.communicate(timeout=30)
     assert process.returncode == code
     assert "Traceback" not in err

@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import replace
 from multiprocessing.connection import wait
 from multiprocessing.context import BaseContext
@@ -85,7 +86,8 @@ def run(
             pass
         finally:
             # if something is raised, what is under way is finished and the rest dropped
-            pool.shutdown(wait=True, cancel_futures=True)
+            with _deaf_to_interrupts():
+                pool.shutdown(wait=True, cancel_futures=True)
         left = [*(item for item, _ in waiting), *taken]
         waiting.clear()
         for folder in {item.output.parent for item in left}:
@@ -95,6 +97,19 @@ def run(
             result = alone(item, recipe, resume=resume or not force, force=force)
             kept = result.status == "kept" and not resume
             yield replace(result, status="done") if kept else result
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """A second Ctrl-C would leave a pool half shut down, and the process would never end."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
 
 
 def alone(item: Item, recipe: Recipe, **options: bool) -> Result:
