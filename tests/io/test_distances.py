@@ -49,6 +49,12 @@ def pfm(path: Path) -> None:
     path.write_bytes(b"Pf\n5 2\n-1.0\n" + METRES[::-1].astype("<f4").tobytes())
 
 
+def pgm(maximum: int) -> Write:
+    """Millimetres of 16 bits, big-endian."""
+    header = f"P5\n5 2\n{maximum}\n".encode()
+    return lambda path: path.write_bytes(header + MILLIMETRES.astype(">u2").tobytes())
+
+
 def exr(**channels: np.ndarray) -> Write:
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     return lambda path: OpenEXR.File(header, channels).write(str(path))
@@ -63,6 +69,7 @@ DISTANCES: dict[str, tuple[str, Write, str]] = {
     "in µm": ("z.npy", npy(METRES * 1e6), "um"),
     "TIFF of floats": ("z.tif", tiff(METRES), "m"),
     "PFM": ("z.pfm", pfm, "m"),
+    "PGM": ("z.pgm", pgm(65535), "mm"),
     "EXR": ("z.exr", exr(depth=METRES), "m"),
     "EXR with colours": ("z.exr", exr(R=NOTHING, G=NOTHING, B=NOTHING, Z=METRES), "m"),
     "PNG": ("z.png", png16(MILLIMETRES), "mm"),
@@ -86,6 +93,8 @@ WRONG_DISTANCES: dict[str, tuple[str, Write, str, str]] = {
     "µm": ("z.npy", npy(METRES * 1e6), "mm", "try unit='um'"),
     "8 bits": ("z.png", pillow(BYTES[..., 0]), "m", "got uint8: relative depth?"),
     "colours": ("z.png", pillow(BYTES), "m", "distances in one channel, got colour"),
+    "flow": ("z.npy", npy(np.stack([METRES, METRES], 2)), "m", "got grey with a second channel"),
+    "PGM of fewer grey levels": ("z.pgm", pgm(10_000), "mm", "no binary PGM with a maximum"),
     "complex": ("z.npy", npy(NOTHING * 1j), "m", "numbers of type complex64"),
     "unknown": ("z.npy", npy(NOTHING), "m", "no pixel has a distance > 0"),
     "two": ("z.npz", lambda path: np.savez(path, a=METRES, b=METRES), "m", "array, got a, b"),

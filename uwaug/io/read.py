@@ -18,6 +18,7 @@ import tifffile
 import torch
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
+from PIL.PpmImagePlugin import PpmImageFile
 from torch import Tensor
 
 from uwaug._support import checks
@@ -300,8 +301,10 @@ def _channels(values: Values) -> Raster:
     """Of HxW or HxWxC: grey or colour, without alpha."""
     if values.ndim == 2:
         return Raster(values, GREY)
-    if values.ndim == 3 and values.shape[-1] in (1, 2):
+    if values.ndim == 3 and values.shape[-1] == 1:
         return Raster(values[..., 0], GREY)
+    if values.ndim == 3 and values.shape[-1] == 2:
+        return Raster(values, "grey with a second channel")
     if values.ndim == 3 and values.shape[-1] in (3, 4):
         alpha = values[..., 3] if values.shape[-1] == 4 else None
         return Raster(values[..., :3], COLOUR, alpha)
@@ -348,6 +351,9 @@ def _png_of_16_bits(stream: BinaryIO) -> Raster:
 def _pillow(stream: BinaryIO) -> Raster:
     with _pillow_opened(stream) as image:
         _require_held(stream, *image.size)
+        # of these Pillow stretches other numbers to 255 or 65535: right for colours, not for metres
+        if isinstance(image, PpmImageFile) and image.mode != "RGB" and image.tile[0][0] != "raw":
+            raise _UnfitError("is no binary PGM with a maximum of 255 or 65535: save it as PNG")
         image.load()
         orientation, kept = _metadata(image)
         return _of_mode(image, orientation)._replace(**kept)
