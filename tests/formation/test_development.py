@@ -198,6 +198,10 @@ def test_tone_is_a_curve(contrast: float) -> None:
     assert float(slope) == pytest.approx(contrast * k / (grey + k))
     steps = (out.diff() / light.diff())[(light[1:] - 1).abs() < 0.01]
     assert steps.max() < 1.05 * steps.min(), "no bend at white"
+    light = torch.logspace(-6, 1, 7000, dtype=torch.float64)
+    steepest = (curved(light, contrast).diff() / light.diff()).max()
+    gain = Development(tone=contrast).gain
+    assert 0.98 * steepest <= gain <= 2 * steepest
 
 
 # Gradients

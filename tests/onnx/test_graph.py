@@ -4,7 +4,7 @@ import pytest
 import torch
 from exporting import FAR, NEAR, apart, scene
 
-from uwaug import Light, Medium, PointSpread, Underwater, Water, list_presets, load_preset
+from uwaug import Development, Light, Medium, PointSpread, Underwater, Water, list_presets, load_preset
 from uwaug.blur.plan import BlurPlan
 from uwaug.blur.stack import blurred
 from uwaug.onnx.blurs import Blurs
@@ -67,6 +67,29 @@ def test_what_is_chosen_is_one_function_with_its_graph(exposure, parameters, ima
             expected = module(picture, distance, field)
             assert apart(graph(*inputs), expected) <= tolerance
         assert apart(in_strips(graph, *inputs), expected) <= tolerance
+
+
+@pytest.mark.parametrize(
+    "development",
+    [
+        Development(black_point=0.5),
+        Development(white_balance=0.8),
+        Development(-0.5, 0.6, 1.2, 0.4, 0.8, 1.1),
+        Development(tone=0.6),
+    ],
+)
+def test_what_a_camera_develops_is_one_function_with_its_graph(development) -> None:
+    medium = Medium.from_water("II", vertical_depth=5.0, surfaces="spectral")
+    module = Underwater(medium, (NEAR, FAR), sides=(32, 160), development=development)
+    graph = Graph(module, Options())
+    image, distance, _ = scene(2, 50, 70)
+    expected = module(image, distance)
+    assert apart(graph(image, distance), expected) <= 2e-5
+    assert apart(in_strips(graph, image, distance), expected) <= 2e-5
+    given = {"image": image, "distance": distance}
+    prepared = graph.before(given, whole(50), whole(70))
+    # a file names this size once, for pictures and for what is prepared of them
+    assert all(len(prepared[name]) == 2 for name in ("weights", "black") if name in prepared)
 
 
 def test_what_is_learned_is_one_function_with_its_graph() -> None:

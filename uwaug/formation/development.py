@@ -93,7 +93,7 @@ class Development:
     def gain(self) -> float:
         """By how much it may multiply small differences, without a white balance."""
         stretch = 1 / (1 - _BLACKEST * self.black_point)
-        return max(self.linear_gain, 1.0) * stretch * max(self.tone, 1.0)
+        return max(self.linear_gain, 1.0) * stretch * _steepest(self.tone)
 
     @property
     def linear_gain(self) -> float:
@@ -222,6 +222,14 @@ def _offset(contrast: float) -> float:
     """K of the curve, for which mid-grey stays; 0 where there is none."""
     grey = MID_GREY**contrast
     return 0.0 if contrast == 1 else (1 - MID_GREY) * grey / (MID_GREY - grey)
+
+
+def _steepest(contrast: float) -> float:
+    """The curve's largest slope, about: near mid-grey, or at the toe if contrast is taken away."""
+    if contrast >= 1:
+        return contrast
+    k, power = _offset(contrast), _TOE**contrast
+    return (1 + k) * power / (power + k) / _TOE
 
 
 def curved(light: Tensor, contrast: float) -> Tensor:

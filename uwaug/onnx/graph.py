@@ -145,7 +145,8 @@ class Graph(nn.Module):
         if not self.frozen:
             prepared["rates"] = sums.rates
         if not self.curves_fixed:
-            prepared["weights"] = sums.weights
+            # a black point alone is of each picture, and leaves one medium's weights
+            prepared["weights"] = sums.weights.expand(light.shape[0], *sums.weights.shape[1:])
         return prepared
 
     def strip(self, inputs: Mapping[str, Tensor], numbers: Tensor, across: Tensor) -> Tensor:
