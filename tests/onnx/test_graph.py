@@ -4,7 +4,16 @@ import pytest
 import torch
 from exporting import FAR, NEAR, apart, scene
 
-from uwaug import Development, Light, Medium, PointSpread, Underwater, Water, list_presets, load_preset
+from uwaug import (
+    Development,
+    Light,
+    Medium,
+    PointSpread,
+    Underwater,
+    Water,
+    list_presets,
+    load_preset,
+)
 from uwaug.blur.plan import BlurPlan
 from uwaug.blur.stack import blurred
 from uwaug.onnx.blurs import Blurs

@@ -2,19 +2,43 @@ import copy
 import multiprocessing
 import pickle
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-from exporting import Pictures, apart, scene
+from exporting import Pictures, apart, bare, scene
 from torch.utils.data import DataLoader
 
-from uwaug import Underwater, load_preset
+from uwaug import Medium, Underwater, form_image, load_preset
 from uwaug.onnx import OnnxUnderwater
+from uwaug.onnx.graph import Options
 
 # by its version: without the package, "onnx" would be the folder of these tests
 pytest.importorskip("onnx", minversion="1.17")
 pytest.importorskip("onnxruntime")
+
+
+def test_a_file_of_surfaces_with_spectra_takes_media_whose_channels_do_not_mix(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mixing = Medium.from_water("II", vertical_depth=2.0, surfaces="spectral")
+    plain = Medium.from_water("9C", vertical_depth=30.0, surfaces="spectral")
+    assert mixing.is_spectral and not plain.is_spectral
+    module = Underwater(mixing, (0.5, 5.0), sides=(16, 64))
+    run = OnnxUnderwater(bare(tmp_path / "a.onnx", module, Options("inputs")))
+    given: dict[str, torch.Tensor] = {}
+    monkeypatch.setattr(run, "session", lambda rows: given.update(rows) or rows["image"])
+    image, distance, _ = scene(1)
+    run(image, distance, medium=plain)
+    again = Medium.of({name: given[name] for name in plain.parameters()}, mixing)
+    assert again.is_spectral
+    expected = form_image(image, distance, plain).image
+    torch.testing.assert_close(form_image(image, distance, again).image, expected)
+    grey = Underwater(plain, (0.5, 5.0), sides=(16, 64))
+    run = OnnxUnderwater(bare(tmp_path / "b.onnx", grey, Options("inputs")))
+    with pytest.raises(ValueError, match="grey surfaces, got one of surfaces with spectra"):
+        run(image, distance, medium=mixing)
 
 
 def test_runner_refuses_what_the_file_does_not_take(frozen, waters) -> None:

@@ -12,6 +12,7 @@ from uwaug.formation.inputs import validate
 from uwaug.onnx.graph import parameters_of
 from uwaug.onnx.metadata import read_metadata, stored_in
 from uwaug.optics.medium import Medium
+from uwaug.optics.surfaces import as_matrices
 
 
 class OnnxUnderwater:
@@ -62,8 +63,7 @@ class OnnxUnderwater:
         self._require("parameters", medium, wanted="inputs", name="medium")
         rows = self._rows(image, distance, field, medium)
         if medium is not None:
-            self._require_law(medium)
-            rows |= parameters_of(medium)
+            rows |= self._parameters(medium)
         sizes = [len(row) for row in rows.values()]
         # all batches are 1 or one common size; if that is 0, the result is empty
         batch = min(sizes) if 0 in sizes else max(sizes)
@@ -88,11 +88,21 @@ class OnnxUnderwater:
                 f"{name or key}: the file {verb}, as it was exported with {key}={exported!r}"
             )
 
-    def _require_law(self, medium: Medium) -> None:
-        law, stored = medium.point_spread, self.stored.setup.medium.point_spread
-        if (law.shape, law.reference_size) != (stored.shape, stored.reference_size):
-            wanted = f"shape {stored.shape!r} and reference_size {stored.reference_size}"
+    def _parameters(self, medium: Medium) -> dict[str, Tensor]:
+        """The numbers of a medium as the file takes them."""
+        stored = self.stored.setup.medium
+        law, kind = medium.point_spread, stored.point_spread
+        if (law.shape, law.reference_size) != (kind.shape, kind.reference_size):
+            wanted = f"shape {kind.shape!r} and reference_size {kind.reference_size}"
             raise ValueError(f"medium: its point spread is {law}, but the file is for {wanted}")
+        if medium.is_spectral and not stored.is_spectral:
+            got = "the file is for media of grey surfaces, got one of surfaces with spectra"
+            raise ValueError(f"medium: {got}: export with surfaces='spectral'")
+        parameters = parameters_of(medium)
+        if stored.is_spectral:
+            for name in ("direct_weights", "signal_weights"):
+                parameters[name] = as_matrices(parameters[name])
+        return parameters
 
     def _rows(
         self, image: Tensor, distance: Tensor, field: Tensor | None, medium: Medium | None
