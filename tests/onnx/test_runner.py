@@ -24,7 +24,8 @@ def test_a_file_of_surfaces_with_spectra_takes_media_whose_channels_do_not_mix(
 ) -> None:
     mixing = Medium.from_water("II", vertical_depth=2.0, surfaces="spectral")
     plain = Medium.from_water("9C", vertical_depth=30.0, surfaces="spectral")
-    assert mixing.is_spectral and not plain.is_spectral
+    assert mixing.is_spectral
+    assert not plain.is_spectral
     module = Underwater(mixing, (0.5, 5.0), sides=(16, 64))
     run = OnnxUnderwater(bare(tmp_path / "a.onnx", module, Options("inputs")))
     given: dict[str, torch.Tensor] = {}

@@ -228,7 +228,8 @@ def _steepest(contrast: float) -> float:
     """The curve's largest slope, about: near mid-grey, or at the toe if contrast is taken away."""
     if contrast >= 1:
         return contrast
-    k, power = _offset(contrast), _TOE**contrast
+    k = _offset(contrast)
+    power: float = _TOE**contrast
     return (1 + k) * power / (power + k) / _TOE
 
 
