@@ -95,6 +95,8 @@ def test_what_is_known_is_not_fitted(known):
     assert fit.parameters["source_red"].value == pytest.approx(0.03)
     assert fit.parameters["source_red"].state == "fixed"
     assert abs(errors(fit, kinds=("beta",))).max() < 4
+    # forward scatter takes no light away
+    assert fit.fitted.bounds["beta_red"].low == 0.3
     # what fits no place leaves fewer candidates
     with pytest.raises(ValueError, match=r"fixed: expected some of beta_red.*got exponent"):
         uwaug.fit(*known, model="haze", fixed={"exponent": 1.0})

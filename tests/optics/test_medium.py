@@ -232,11 +232,22 @@ def test_from_water_rejects(water: Any, change: dict[str, Any], match: str) -> N
         ({"light": (0.1, -1.0, 0.3)}, "light.*-1"),
         ({"beta": torch.rand(2, 3), "G": torch.rand(3, 3)}, "batch sizes"),
         ({"b_mean": torch.rand(2, 2)}, "b_mean"),
+        (
+            {"G": (0.4, 0.5, 0.1)},
+            r"G must be beta at most.*got G = .*\[\[0.4, 0.5, 0.1\]\] and beta",
+        ),
     ],
 )
 def test_from_coefficients_rejects(change: dict[str, object], match: str) -> None:
     with pytest.raises(ValueError, match=match):
         Medium.from_coefficients(**{**COEFFICIENTS, **change})
+
+
+def test_what_reaches_the_camera_directly_leaves_G_free() -> None:
+    """Light that is scattered forward out of the direct light is no less for a large G."""
+    numbers = {**COEFFICIENTS, "G": (0.9, 0.9, 0.9)}
+    medium = Medium.from_coefficients(**numbers, forward="direct")
+    assert (medium.curves(torch.rand(1, 1, 4, 4) * 9).scatter >= 0).all()
 
 
 def test_medium_rejects_shapes_that_disagree(coastal: Medium) -> None:

@@ -157,10 +157,10 @@ def _each(numbers: Tensor) -> Tensor:
 
 def _medium(c: Coefficients, shape: Shape | None, reference: float) -> Medium:
     """The media, one row for each pair; their width law counts in multiples of the reference."""
-    law = PointSpread.none()
-    if c.width is not None and c.exponent is not None and shape is not None:
-        law = PointSpread(c.width, c.exponent, shape)
     G = c.G.clamp(min=MIN_G)
+    if c.width is None or c.exponent is None or shape is None:
+        return lossy_media(c.beta, G, c.veil)
+    law = PointSpread(c.width, c.exponent, shape)
     return Medium.from_coefficients(c.beta, G, c.veil, b_mean=1 / reference, point_spread=law)
 
 

@@ -73,12 +73,14 @@ class Quantity(NamedTuple):
         name, unit: of the quantity.
         resolution: the least change of it that shows in the picture.
         follows: the numbers of θ at whose bounds it is at the end of what it may be.
+        signed: whether it may be negative.
     """
 
     name: str
     unit: str
     resolution: float
     follows: tuple[str, ...]
+    signed: bool = False
 
 
 SHADING = {
@@ -278,7 +280,11 @@ class CoefficientModel(ByCoefficients):
         thickest = MAX_OPTICAL_DEPTH / self.geometry.reference
         typical, widest = 1 / self.geometry.reference, self.geometry.widest
         largest = _MAX_G_OVER_BETA if self.spec.law is None else 1.0
-        bounds = {f"beta_{colour}": Bounds(0.0, thickest, typical) for colour in COLOURS}
+        bounds = {}
+        for colour in COLOURS:
+            # forward scatter takes no light away: with a G that is known, beta is no less
+            least = self.fixed.get(f"G_{colour}", 0.0) if self.spec.law is not None else 0.0
+            bounds[f"beta_{colour}"] = Bounds(least, max(thickest, 2 * least), max(typical, least))
         if self.spec.veil == "own":
             bounds |= {f"share_{colour}": Bounds(0.0, largest, 0.5) for colour in COLOURS}
         if self.spec.veil != "none":
@@ -370,7 +376,8 @@ class CoefficientModel(ByCoefficients):
             rows.append(Quantity("width", "px", 0.2, ("width",)))
             rows.append(Quantity("exponent", "1", 0.2, ("exponent",)))
         cameras = [*self._gains, *self._of_camera]
-        return rows + [Quantity(name, "1", 0.02, (name,)) for name in cameras]
+        rows += [Quantity(x, "1", 0.02, (x,), self.bounds[x].low < 0) for x in cameras]
+        return rows
 
     @property
     def _kinds(self) -> list[tuple[Any, ...]]:

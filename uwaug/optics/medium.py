@@ -85,6 +85,9 @@ _AT_ONCE = 1e6
 _ALL = 5e-4
 """Of the light: what is left is shown if less than all is, by more than rounding."""
 
+_ROUNDED = 1e-6
+"""1/m, and of beta: by so much G may be more."""
+
 _DARK = 1e-30
 """Stands for the light of a channel that gets none."""
 
@@ -240,26 +243,28 @@ class Medium:
 
         Args:
             beta (3 or Bx3): beam attenuation per channel, 1/m, ≥ 0.
-            G (3 or Bx3): effective attenuation of signal and veil, 1/m, ≥ 0. With G = beta there is
-                no forward scatter. No water has more of it than beta: forward scatter would then
-                take light away. It is not refused, as fits try such media.
+            G (3 or Bx3): effective attenuation of signal and veil, 1/m, 0…beta: with more, forward
+                scatter would take light away. With G = beta there is none.
             veil (3 or Bx3): veil at infinite distance, V(0).
             b_mean (number or B): scattering coefficient of the width law, 1/m.
             point_spread: width law, by default no blur.
             light (3 or Bx3): ambient light at the scene, e^(−K_d d).
             veil_rate (3 or Bx3): attenuation of the veil, 1/m, ≥ 0, if it is another than G.
-            forward: as for `from_water`.
+            forward: as for `from_water`. With "direct", G may be more than beta.
 
         Tensors keep their gradients; all are float64 inside unless given as tensors of another
         type.
 
         Raises:
-            ValueError: if a shape is another, batches differ, or a value is negative or infinite.
+            ValueError: if a shape is another, batches differ, a value is negative or infinite, or G
+                is more than beta.
         """
         checks.one_of("forward", forward, get_args(Forward))
         coefficients = {"beta": beta, "G": G, "veil": veil, "light": light, "b_mean": b_mean}
         rows = _rows({**coefficients, "veil_rate": veil_rate})
         beta, G, b = rows["beta"], rows["G"], rows["b_mean"]
+        if forward == "image":
+            _require_less(G.detach(), beta.detach())
         weights, veil_weights = torch.diag_embed(rows["light"]), torch.diag_embed(rows["veil"])
         if "veil_rate" not in rows and forward == "image":
             tensors = [beta, weights, G, weights, veil_weights]
@@ -596,6 +601,14 @@ def _rows(coefficients: Mapping[str, Any]) -> dict[str, Tensor]:
     checks.batches(batches)
     b = max(batches.values())
     return {name: row.expand(b, *row.shape[1:]) for name, row in rows.items()}
+
+
+def _require_less(G: Tensor, beta: Tensor) -> None:
+    if bool((G - beta > _ROUNDED * (1 + beta)).any()):
+        raise ValueError(
+            f"G must be beta at most, as forward scatter takes no light away: got G = {G.tolist()} "
+            f"and beta = {beta.tolist()}; a veil of a rate of its own is veil_rate=…"
+        )
 
 
 def _row(name: str, value: Any, shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
