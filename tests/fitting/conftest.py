@@ -85,4 +85,4 @@ def water(once) -> uwaug.fitting.WaterFit:
 @pytest.fixture(scope="session")
 def veil(once) -> uwaug.fitting.VeilFit:
     """The veil in front of stones."""
-    return once("veil", lambda: uwaug.fitting.fit_veil(veiled(veil_water()), STONES))
+    return once("veil", lambda: uwaug.fitting.fit_veil(veiled(veil_water()), STONES, darkest=0.0))

@@ -134,6 +134,22 @@ def test_module_serves_the_distances_of_the_fit(gaussian):
     assert (picture - linear_to_srgb(light)).abs().max() < 0.02
 
 
+def test_a_summary_says_what_its_numbers_are(gaussian, haze):
+    lines = {line.split()[0]: line for line in gaussian.summary().splitlines() if line.strip()}
+    assert lines["width"].endswith(f"px  σ at {gaussian.fitted.geometry.reference:.3g} m")
+    assert lines["veil_red"].endswith("of white, V(0)")
+    assert lines["beta_red"].endswith(" 1/m")
+    lines = {line.split()[0]: line for line in haze.summary().splitlines() if line.strip()}
+    assert lines["beta_red"].endswith("1/m  of direct and forward light together")
+    assert "β of the water, may be larger: it is not identified" in haze.message
+    assert "of direct and forward" not in gaussian.summary()
+
+
+def test_the_ends_of_an_interval_are_told_apart(gaussian):
+    sharp = Parameter(0.3, 1e-9, 0.3 - 2e-9, 0.3 + 2e-9, "1/m", "free")
+    assert "0.299999998 … 0.300000002" in replace(gaussian, parameters={"G_red": sharp}).summary()
+
+
 def test_samples_spread_as_the_errors(gaussian):
     media = gaussian.sample(4000, torch.Generator().manual_seed(0))
     assert len(media) == 4000

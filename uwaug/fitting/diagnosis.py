@@ -30,10 +30,9 @@ _THIN = 0.3  # optical depth G·z at the far end, below which a veil is still a 
 # Optical depth G·z at the far end, below which surfaces that are not quite black bend a veil as
 # much as its end does.
 _HALF_GROWN = 1.0
-# Optical depth G·z at the near end, above which less than a tenth of the growth is left to be seen.
-# In five waters the bundled scene comes to 1.4 at most, and with surfaces that are nowhere black to
-# 2.5 to 22.
-_FULL_GROWN = 2.3
+# Optical depth G·z at the near end, above which less than a third of the growth is left to be seen.
+# With surfaces that reflect .05 to .5 everywhere the bundled scene comes to 1.2 to 22.
+_FULL_GROWN = 1.2
 # Ratio of standard errors over clusters to those of independent residuals, above which the model
 # misses something.
 _DEPENDENT = 1.5
@@ -57,6 +56,9 @@ _POOR = 0.8  # share of the observed variance, below which a model does not expl
 _NEAREST = 0.05  # m, median distance; nearer scenes are rare
 _FASTEST = 30.0  # 1/m; no natural water attenuates more
 _ALMOST = 0.95  # of the widest blur
+# px, σ at the median distance, below which a blur is hardly told from none: in pictures of the
+# default tolerance β is 40 % too small at .2 px, 10 % at .45, right at .7.
+_NARROW = 0.6
 _ALIKE = 0.03  # smallest singular value of the scaled Jacobian where two numbers do nearly the same
 # Probability, below which scattering does not follow turbidity; there are three colours.
 _UNLIKELY = 0.05 / 3
@@ -212,14 +214,14 @@ def of_water(
 
 
 def of_veil(
-    parameters: Parameters, G: Sequence[float], nearest: float, farthest: float
+    parameters: Parameters, G: Sequence[float], nearest: float, farthest: float, darkest: float
 ) -> Iterator[str]:
     """The sentences on a `VeilFit`, of its G in each colour, 1/m, seen from `nearest` to
-    `farthest`, m.
+    `farthest`, m, where dark surfaces may reflect `darkest`.
     """
     yield (
         "An estimate: the darkest pixels at each distance are taken for black. What their surfaces "
-        "reflect counts as veil, and is hardly part of the errors."
+        f"reflect counts as veil; errors are for up to {darkest:.2g} of white (darkest)."
     )
     yield from _not_identified(parameters)
     even = [c for c, rate in zip(COLOURS, G, strict=True) if full_grown(rate, nearest)]
@@ -276,8 +278,15 @@ def _camera(parameters: Parameters) -> Iterator[str]:
 
 
 def _blur(model: CoefficientModel, c: Coefficients) -> Iterator[str]:
-    """The width law in the measure of `PointSpread`, beside that of the table."""
+    """The width law in the measure of `PointSpread`, beside that of the table; what no blur means
+    for β.
+    """
     if c.width is None:
+        yield (
+            "Without a blur, direct light and light that is scattered forward are one: beta is the "
+            "attenuation of both together, and G at least. That of the direct light alone, β of "
+            "the water, may be larger: it is not identified."
+        )
         return
     medium, reference = model.media(c.at(0)), model.geometry.reference
     law = medium.point_spread
@@ -287,6 +296,12 @@ def _blur(model: CoefficientModel, c: Coefficients) -> Iterator[str]:
         f"{float(law.exponent):.3g}) at b̄ = {float(medium.b_mean[0]):.3g}/{model.geometry.unit}: "
         "scale·(b̄ z)^exponent."
     )
+    if float(c.width[0]) < _NARROW:
+        yield (
+            f"A blur below {_NARROW} px is hardly told from none, and pictures that were made with "
+            "the default tolerance do not have it exactly: beta, a and b may be off by more than "
+            "their errors. G and veil do not depend on it."
+        )
 
 
 def _trust(

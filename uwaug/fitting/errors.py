@@ -227,7 +227,8 @@ def parameter(
     low, high = value - NORMAL * error, value + NORMAL * error
     if len(profile):
         low, high = float(min(value, *profile)), float(max(value, *profile))
-    low = max(low, min(value, 0.0))  # no quantity is negative
+    if not quantity.signed:
+        low = max(low, min(value, 0.0))
     half = (high - low) / (2 * NORMAL)
     least = min(abs(value), abs(low), abs(high))
     if not (shows and half <= max(quantity.resolution, _VAGUE * least)):

@@ -44,6 +44,18 @@ _HEAD = 64  # bytes of a file, in which its first key stands
 _CAMERA = ("wavelengths", "response", "name", "color_matrix")
 # Of the median distance and of the farthest: what a fit's module is planned for.
 _NEAREST, _FARTHEST = 0.2, 1.5
+_MOST_DIGITS = 12  # of the ends of an interval
+_MEANINGS = {
+    "veil": "of white, V(0)",
+    "source": "of white, G·V(0)",
+    "gain": "times the exposure of clean",
+    "vignette": "of the light, less in the corners",
+    "down": "of the light, more at the lower edge",
+    "right": "of the light, more at the right edge",
+    "contents": "times those of the type",
+    "mixing": "share of the second type",
+}
+"""What a number is, by its kind, where its name and unit do not say so."""
 
 
 @dataclass(frozen=True)
@@ -183,19 +195,28 @@ class Result:
         """Least and largest value of each number of `theta`."""
         raise NotImplementedError
 
+    @property
+    def meanings(self) -> dict[str, str]:
+        """What a number is, by its kind (its name up to "_"), where name and unit do not say so."""
+        return _MEANINGS
+
     def summary(self) -> str:
         """The result as text: message, parameters, candidates."""
         rows = [["", "value", "std. error", "95 % interval", "unit"]]
         for name, number in self.parameters.items():
             value = "not identified" if number.value is None else f"{number.value:.4g}"
             error = "" if number.error is None else f"{number.error:.2g}"
-            interval = "" if number.low is None else f"{number.low:.4g} … {number.high:.4g}"
             state = f"({number.state})" if number.state in ("at bound", "fixed") else ""
-            unit = "" if number.value is None else f"{number.unit}  {state}"
-            rows.append([name, value, error, interval, unit])
+            meaning = self.meanings.get(name.partition("_")[0], "")
+            unit = number.unit if number.unit != "1" or not meaning else ""
+            last = (
+                "  ".join(filter(None, (unit, meaning, state))) if number.value is not None else ""
+            )
+            rows.append([name, value, error, _interval(number), last])
         parts = [self.message, *_aligned(rows)]
         if len(self.candidates) > 1:
-            rows = [["  model", "numbers", "held-out error", "behind the best", ""]]
+            # errors are in standard deviations of the noise, what lies behind in their squares
+            rows = [["  model", "numbers", "held-out error [σ]", "behind the best [σ²]", ""]]
             for tried in self.candidates:
                 mark = "*" if tried.name == self.chosen else " "
                 behind = (
@@ -294,6 +315,17 @@ _READERS: dict[str, Callable[[Any], Any]] = {
     "farthest": float,
 }
 """What makes an attribute of the value that JSON has for it, where the two differ."""
+
+
+def _interval(number: Parameter) -> str:
+    """Both ends, to as many digits as tell them apart."""
+    if number.low is None or number.high is None:
+        return ""
+    for digits in range(4, _MOST_DIGITS):
+        low, high = f"{number.low:.{digits}g}", f"{number.high:.{digits}g}"
+        if low != high:
+            break
+    return f"{low} … {high}"
 
 
 def _aligned(rows: list[list[str]]) -> list[str]:
@@ -472,6 +504,23 @@ class Fit(_OneWater):
     def _as_taken(self, light: Tensor, i: int) -> Tensor:
         c = self.fitted.coefficients(torch.from_numpy(self.theta))
         return as_taken(light[None], c.at(i), self.pairs[i].position[None])[0]
+
+    @property
+    def meanings(self) -> dict[str, str]:
+        """As of `Result`, and where widths are those of; without forward scatter, what fades."""
+        meanings = {
+            **_MEANINGS,
+            "width": f"σ at {self._reference}",
+            "exponent": "of σ over distance",
+        }
+        if self.fitted.spec.law is None:
+            meanings["beta"] = "of direct and forward light together"
+        return meanings
+
+    @property
+    def _reference(self) -> str:
+        geometry = self.fitted.geometry
+        return f"{geometry.reference:.3g} {geometry.unit}"
 
     def summary(self) -> str:
         """The result as text: message, parameters, candidates, what depends on what."""

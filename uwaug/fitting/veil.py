@@ -32,6 +32,9 @@ _CLUSTERS = 10  # blocks along the picture's short side, that errors go by
 _ABOVE = 0.3
 # Others that might be taken as well: by how much they differ is part of the error.
 _OTHER_ABOVE = (0.1, 1.0)
+# What dark surfaces may reflect, if nobody knows better; no real scene's are blacker than .03. By
+# how much veil, G and source would then be others is one standard error.
+_DARKEST = 0.05
 _ROBUST = 0.02  # of the brightest dark pixels, from where on a residual counts less than its square
 _STARTS = (0.1, 0.5, 2.0)  # optical depths G·z at the median distance, to begin at
 _THINNEST = 1e-4  # least of these
@@ -61,6 +64,7 @@ def fit_veil(
     field: Pictures | None = None,
     mask: Pictures | None = None,
     color_space: ColorSpace = "srgb",
+    darkest: float = _DARKEST,
     seed: int = 0,
 ) -> VeilFit:
     """Estimate a veil V·(1 − e^(−G z)) for each channel without a clean picture, from the darkest
@@ -75,10 +79,14 @@ def fit_veil(
     Args:
         observed, distance, field, mask, color_space: as of `uwaug.fit`; several pictures are of one
             water.
+        darkest: what the darkest surfaces at each distance may reflect, 1 = white. It counts as
+            veil, and how far that may be wrong is part of the errors. 0 if some of them are known
+            to be black, such as deep shadows or a target.
         seed: of draws.
 
     Returns:
-        The veil, with errors over clusters of pixels: an estimate.
+        The veil, with errors over clusters of pixels and of what dark surfaces reflect: an
+        estimate.
 
     Raises:
         TypeError, ValueError: if an input does not suit; if fewer than 500 pixels can be used,
@@ -87,12 +95,10 @@ def fit_veil(
 
     Measured on five scenes, degraded in four waters with 1 % noise: the veil at a distance is .002
     to .004 off (RMS, linear light) where something is black at each of them, else up to .03 too
-    high. (If nothing in view is black, V and G may be far too high; it is said where the veil then
-    seems full grown before the nearest surface, and G is not identified.) V and G are up to 7 and
-    11 % off where the far end is veiled (G·z > 1.2) and something is black, up to 25 and 30 % if
-    not quite. In clearer waters, where the veil's growth has hardly slowed, V may be 50 % off and G
-    by a factor of 3; most of these are not identified: in 40 random waters no V that was reported
-    was more than .3 off, no G more than .5. No real picture with a known veil was at hand.
+    high. V and G are up to 7 and 11 % off where the far end is veiled (G·z > 1.2) and something is
+    black. Where nothing is (reflectances of the bundled scene raised by .05 to .2), G alone would
+    be 30 to 300 % too large: it is not identified, nor is V unless open water is in view. No real
+    picture with a known veil was at hand.
 
     Source: Akkaynak and Treibitz, *Sea-thru*, CVPR 2019, section 4.3.
 
@@ -100,11 +106,12 @@ def fit_veil(
         >>> import torch, uwaug
         >>> clean, z = torch.rand(3, 60, 80) ** 4, torch.linspace(1, 9, 4800).reshape(1, 60, 80)
         >>> water = uwaug.Medium.from_coefficients((0.4,) * 3, (0.4,) * 3, (0.1, 0.3, 0.4))
-        >>> fit = uwaug.fitting.fit_veil(uwaug.Underwater(water)(clean, z), z)
+        >>> fit = uwaug.fitting.fit_veil(uwaug.Underwater(water)(clean, z), z, darkest=0)
         >>> fit.veil.round(decimals=1).tolist()
         [0.1, 0.3, 0.4]
     """
     checks.within("seed", seed, 0)
+    checks.within("darkest", darkest, 0.0, 1.0)
     observations = Observations.of(None, observed, distance, field, mask, color_space)
     rng = np.random.default_rng(seed)
     dark = _darkest(observations.pairs, rng)
@@ -113,42 +120,57 @@ def fit_veil(
         theta = _fit(dark, reference, everything)
         draws = [_fit(dark, reference, w, near=theta) for w in _bootstrap(dark, rng)]
         others = [_fit(dark, reference, everything, above, theta) for above in _OTHER_ABOVE]
+        grey = _fit(dark, reference, everything, near=theta, floor=darkest)
     # the distances that the veil is seen from and to
     nearest = float(np.quantile(dark.z, 0.05))
     sea = (dark.z >= FARTHEST).mean() > 0.01
     farthest = np.inf if sea else float(np.quantile(dark.z, 0.95))
-    return _reported(dark, theta, np.array(draws), np.array(others), (nearest, farthest))
+    return _reported(
+        dark, theta, np.array(draws), np.array(others), grey, (nearest, farthest), darkest
+    )
 
 
 def _reported(
-    dark: Dark, theta: Array, draws: Array, others: Array, seen: tuple[float, float]
+    dark: Dark,
+    theta: Array,
+    draws: Array,
+    others: Array,
+    grey: Array,
+    seen: tuple[float, float],
+    darkest: float,
 ) -> VeilFit:
-    """What is reported of source and G of each channel (3x2), of those of draws of clusters, and of
-    those of other ways to count what lies above the curve; `seen` from and to, m.
+    """What is reported of source and G of each channel (3x2), of those of draws of clusters, of
+    those of other ways to count what lies above the curve, and of those if nothing is black; `seen`
+    from and to, m.
     """
     nearest, farthest = seen
     values, spread, ways = _quantities(theta), _quantities(draws), _quantities(others)
+    if_grey = _quantities(grey)
     parameters = {}
     for kind, value in values.items():
         error = np.hypot(spread[kind].std(0), 0.5 * np.ptp(ways[kind], 0))
+        error = np.hypot(error, if_grey[kind] - value)
         for c, colour in enumerate(COLOURS):
             unit = "1" if kind == "veil" else "1/m"
             quantity = Quantity(f"{kind}_{colour}", unit, _RESOLUTION, ())
-            if full_grown(theta[c, 1], nearest):  # its end alone shows
-                shows = kind == "veil"
+            if full_grown(theta[c, 1], nearest):  # its end alone shows, if it is that of the water
+                shows = kind == "veil" and np.isinf(farthest)
             else:  # of a straight line its growth alone
                 shows = kind == "source" or not straight(theta[c, 1], farthest)
             parameters[quantity.name] = parameter(quantity, value[c], error[c], shows=shows)
     apart = 0.5 * np.ptp(others.reshape(len(others), 6), 0)
+    moved = (grey - theta).flatten()
     residual = np.stack([_veil(source, G, dark.z) for source, G in theta], 1) - dark.light
     return VeilFit(
         parameters=parameters,
         candidates=(),
-        message="\n".join(of_veil(parameters, theta[:, 1].tolist(), nearest, farthest)),
+        message="\n".join(of_veil(parameters, theta[:, 1].tolist(), nearest, farthest, darkest)),
         noise=None,
         rms=float(np.sqrt((residual**2).mean())),
         theta=theta.flatten(),
-        covariance=np.cov(draws.reshape(len(draws), 6).T, ddof=0) + np.diag(apart**2),
+        covariance=np.cov(draws.reshape(len(draws), 6).T, ddof=0)
+        + np.diag(apart**2)
+        + np.outer(moved, moved),
         farthest=farthest,
     )
 
@@ -206,9 +228,10 @@ def _fit(
     weights: Array,
     above: float = _ABOVE,
     near: Array | None = None,
+    floor: float = 0.0,
 ) -> Array:
     """Growth at the lens, 1/m, and G of each channel (3x2): the best from several starts, or from
-    `near`.
+    `near`. What is dark reflects `floor`, which fades as the veil grows.
     """
     from scipy.optimize import least_squares
 
@@ -219,7 +242,8 @@ def _fit(
         scale = max(_ROBUST * float(np.quantile(light, 0.95)), 1e-9)
 
         def residual(numbers: Array, light: Array = light, scale: float = scale) -> Array:
-            error = (light - _veil(numbers[0], numbers[1], dark.z)) / scale
+            seen = _veil(numbers[0], numbers[1], dark.z) + floor * np.exp(-numbers[1] * dark.z)
+            error = (light - seen) / scale
             return np.asarray(np.sqrt(weights * np.where(error > 0, above, 1.0)) * error)
 
         starts = [] if near is None else [near[c]]
