@@ -56,10 +56,10 @@ _WEIGHT, _ALBEDO = 20.0, 0.02
 _DARK_ALONE = 1e9
 _READINGS = ((1.0, 0.05), (100.0, 0.0))  # these two: where they differ, neither is to be trusted
 # Ratio of their rates, from where on they differ. Of 75 rates of the bundled scene in 25 waters,
-# those that are not in doubt then are 12 % off at most; of the others half are more than 20 % off.
+# those that are not in doubt then are 19 % off at most; of the others half are more than 20 % off.
 # (By transmissions, .1 apart, six reds were 23 to 63 % too large and not in doubt: a rate may be
 # far off where little light is left.)
-_APART = 1.2
+_APART = 1.25
 # RMS in transmission, by which the darkest may miss what black surfaces show. Where something is
 # black at all distances it is .01 to .03, and the estimate no more off; where not, .04 to .35, and
 # the estimate .1 to .5. In the motorcycle's red, whose veil is as dark as what is darkest, both
