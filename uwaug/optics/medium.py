@@ -250,7 +250,7 @@ class Medium:
             point_spread: width law, by default no blur.
             light (3 or Bx3): ambient light at the scene, e^(−K_d d).
             veil_rate (3 or Bx3): attenuation of the veil, 1/m, ≥ 0, if it is another than G.
-            forward: as for `from_water`. With "direct", G may be more than beta.
+            forward: as for `from_water`.
 
         Tensors keep their gradients; all are float64 inside unless given as tensors of another
         type.
@@ -263,8 +263,7 @@ class Medium:
         coefficients = {"beta": beta, "G": G, "veil": veil, "light": light, "b_mean": b_mean}
         rows = _rows({**coefficients, "veil_rate": veil_rate})
         beta, G, b = rows["beta"], rows["G"], rows["b_mean"]
-        if forward == "image":
-            _require_less(G.detach(), beta.detach())
+        _require_less(G.detach(), beta.detach())
         weights, veil_weights = torch.diag_embed(rows["light"]), torch.diag_embed(rows["veil"])
         if "veil_rate" not in rows and forward == "image":
             tensors = [beta, weights, G, weights, veil_weights]
