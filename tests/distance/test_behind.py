@@ -28,6 +28,20 @@ def test_the_shadow_of_an_edge_is_as_far_as_what_is_behind() -> None:
     assert (fill_unknown(z) != truth).sum() > 200
 
 
+@pytest.mark.parametrize(("size", "gap"), [(4, 6), (8, 4), (8, 10), (12, 10)])
+def test_a_hole_is_filled_from_its_own_rim(size: int, gap: int) -> None:
+    """And not from that of a speck beside it, nor the speck from the shadow's."""
+    z = torch.full((1, 100, 160), 10.0)
+    z[:, 30:70, 40:80] = 1.0
+    z[:, 30:70, 80:88] = 0
+    speck = slice(48, 48 + size), slice(80 - gap - size, 80 - gap)
+    z[:, *speck] = 0
+    filled = fill_unknown(z, behind=True)
+    assert filled[:, *speck].max() == 1
+    assert filled[:, 30:70, 80:88].mean() > 9
+    assert filled[:, 30:70, 84:88].min() > 7
+
+
 @pytest.mark.parametrize("side", [0, 1])
 def test_a_hole_within_a_thing_stays_in_it(side: int) -> None:
     z = desk()
@@ -56,6 +70,8 @@ def test_what_lies_beyond_the_range_is_not_pulled_to_the_foreground() -> None:
     assert filled[:, 5:12].min() > 4.5
     assert fill_unknown(z)[:, 5:12, 20:50].max() < 3
     assert filled.max() <= 5
+    z[:, 20, 60] = 90.0  # a wild one at the hole's edge
+    assert fill_unknown(z, behind=True)[:, 5:12, :40].max() <= 5
 
 
 def test_open_water_is_behind_everything() -> None:

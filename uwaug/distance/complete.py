@@ -55,10 +55,21 @@ def filled(distance: Tensor, unknown: Tensor) -> Tensor:
     nearby = [_nearest_known(holes) for holes in unknown.cpu()]
     away, index = (torch.stack(parts).to(distance.device) for parts in zip(*nearby, strict=True))
     nearest = distance.flatten(1).gather(1, index.flatten(1)).view_as(distance)
-    weight = _weight(away, distance)
+    return spanned(nearest, away, unknown)
+
+
+def spanned(nearest: Tensor, away: Tensor, unknown: Tensor) -> Tensor:
+    """Maps whose holes hold the nearest value, with a membrane where that is far away.
+
+    Args:
+        nearest (NxHxW tensor): m.
+        away (NxHxW tensor): how far the pixel is that has the value, px.
+        unknown (NxHxW tensor): the holes; boolean.
+    """
+    weight = _weight(away, nearest)
     if not bool((weight > 0).any()):
         return nearest
-    smooth = _membrane(_inverse(distance, unknown)[:, None], ~unknown[:, None])[:, 0]
+    smooth = _membrane(_inverse(nearest, unknown)[:, None], ~unknown[:, None])[:, 0]
     return _mixed(nearest, smooth, weight)
 
 
