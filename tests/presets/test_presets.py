@@ -188,7 +188,7 @@ def test_water_and_camera_take_the_place_of_spectra_only(tmp_path):
         message = r"preset tank-adjusted-2: holds coefficients for red, green and blue"
         with pytest.raises(ValueError, match=message):
             load_preset("tank-adjusted-2", **override)
-    with pytest.raises(ValueError, match=r"preset survey: type must be one of I, .*, got '11C'"):
+    with pytest.raises(ValueError, match=r"preset survey: water must be one of I, .*; got '11C'"):
         load_preset("survey", water="11C")
     with pytest.raises(ValueError, match=r"preset survey: no camera is called 'D90'"):
         load_preset("survey", camera="D90")
