@@ -11,6 +11,7 @@ from torch import Tensor
 
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
 from uwaug.formation.demand import EVERY_SIDE
+from uwaug.formation.development import Development
 from uwaug.formation.model import form_image
 from uwaug.formation.underwater import Underwater
 from uwaug.optics.medium import Medium
@@ -194,6 +195,32 @@ def test_compiles_for_every_size() -> None:
     for height, width, batch in ((32, 40, 1), (48, 56, 1), (20, 30, 2), (7, 9, 3)):
         image, z = picture(height, width, batch), distances(height, width, batch)
         torch.testing.assert_close(compiled(image, z), degrade(image, z), rtol=0, atol=2e-5)
+
+
+@pytest.mark.parametrize(
+    ("exposure", "development", "next_one"),
+    [
+        ("auto", Development(), Development(white_balance=0.5)),
+        ("none", Development(0.3), Development(-0.5)),
+        ("none", Development(white_balance=0.5), Development()),
+        ("none", Development(tone=1.3), Development(tone=0.8)),
+    ],
+)
+def test_compiles_with_one_development_after_another(exposure, development, next_one) -> None:
+    # from the second one on, the compiler takes its numbers for symbols
+    torch._dynamo.reset()
+    image, z = picture(32, 40, 2), distances(32, 40, 2)
+    for each in (development, next_one):
+        degrade = Underwater(coastal(), exposure=exposure, development=each)
+        compiled = torch.compile(degrade, fullgraph=True, backend="eager")
+        torch.testing.assert_close(compiled(image, z), degrade(image, z), rtol=0, atol=2e-5)
+
+
+@pytest.mark.parametrize("exposure", ["none", "auto"])
+def test_a_picture_is_the_same_whether_its_gradient_is_wanted(exposure) -> None:
+    degrade = Underwater(coastal(), None, exposure=exposure)
+    image, z = picture(60, 80), distances(60, 80)
+    torch.testing.assert_close(degrade(image.clone().requires_grad_(), z), degrade(image, z))
 
 
 def test_repr_says_what_is_modelled_and_what_is_skipped() -> None:

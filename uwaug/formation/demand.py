@@ -234,12 +234,14 @@ def plan_for(
     medium: Medium,
     tolerance: float,
     order: Order,
+    learned: bool,
 ) -> BlurPlan:
     """The plan for these effective distances, m, in a picture of (height, width) `size`, rounded so
     that similar ones share it.
+
+    learned: whether gradients of the medium are wanted, which take a finer plan.
     """
-    learned = torch.is_grad_enabled() and medium.requires_grad
-    learned = learned or transformed()
+    learned = (torch.is_grad_enabled() and learned) or transformed()
     margin = _MARGIN if learned else 1.0
     demand = blur_demand(medium, distances, tolerance, order=order, learned=learned, margin=margin)
     return demand.plan(size, shared=True)

@@ -102,6 +102,13 @@ class Development:
         return stops * max(self.saturation, 1.0)
 
     @property
+    def is_neutral(self) -> bool:
+        """Whether it does nothing."""
+        # number by number, as compilers take it; a white balance below 0 is none
+        changes_light = self.compensation != 0 or self.white_balance > 0 or self.saturation != 1
+        return self.is_linear and not changes_light
+
+    @property
     def is_linear(self) -> bool:
         """Whether all of it is in the weights of a medium."""
         return self.black_point == 0 and self.gamut == 0 and self.tone == 1
@@ -205,7 +212,7 @@ def seen_sums(
         light = metered(image, z, sums)[1]
     linear = linear_part(development, light)
     black = black_of(development, developed(light, linear))
-    return (sums if development == NEUTRAL else amplified_sums(sums, linear)), black
+    return (sums if development.is_neutral else amplified_sums(sums, linear)), black
 
 
 def look_of(development: Development, black: Tensor) -> Tensor:

@@ -25,7 +25,6 @@ from uwaug.formation.colour import decoded, encoded, headroom, require_values
 from uwaug.formation.contrast import contrast_of
 from uwaug.formation.demand import farthest_blurred, plan_for
 from uwaug.formation.development import (
-    NEUTRAL,
     black_of,
     developed,
     finished,
@@ -213,7 +212,7 @@ class Scene:
                 scene = replace(scene, gain=scene._metered(light, arrives, sums))
         if gain is not None:
             scene = replace(scene, gain=medium.beta.new_full((1,), gain))
-        if setup.development != NEUTRAL and visible:
+        if visible and not setup.development.is_neutral:
             return scene._developed(arrives)
         exposed = gain is not None or setup.exposure != "none"
         return scene._seen(scene.gain) if exposed else scene
@@ -274,7 +273,9 @@ class Scene:
         medium, setup = planning_medium(self.medium, self.setup.light), self.setup
         z_range = self.z_range or _z_range(self.z, farthest_blurred(medium, setup.order))
         ends = z_range.nearest, z_range.blurred_to
-        return plan_for(ends, self.size, medium, setup.tolerance, setup.order)
+        # the caller's medium: what is exposed by the picture has gradients where the picture has
+        learned = setup.medium.requires_grad
+        return plan_for(ends, self.size, medium, setup.tolerance, setup.order, learned)
 
     def picture(self) -> Tensor:
         """D + F + B, encoded, like the image; of several media or lights Bx3xHxW."""

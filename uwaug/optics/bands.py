@@ -71,7 +71,7 @@ class Bands:
 
     def tensors(self) -> tuple[Tensor, ...]:
         """All but the tolerance, in the order of the attributes."""
-        return tuple(getattr(self, field.name) for field in fields(self)[:-1])
+        return tuple(getattr(self, name) for name in _TENSORS)
 
     def map(self, function: Callable[[Tensor], Tensor]) -> "Bands":
         """`function` applied to each tensor."""
@@ -83,8 +83,7 @@ class Bands:
         if len(tensors) == 6:  # files of older versions know of grey surfaces alone
             _, beta, _, _, response, _ = tensors
             tensors = [*tensors, torch.ones_like(beta)[:, None], response.mean(1)]
-        named = zip([field.name for field in fields(Bands)[:-1]], tensors, strict=True)
-        return Bands(**dict(named), tolerance=tolerance)
+        return Bands(**dict(zip(_TENSORS, tensors, strict=True)), tolerance=tolerance)
 
     def under(self, spectrum: Callable[[Array], Array] | None) -> list[Tensor]:
         """Rates and weights of `Medium.under`: β and T_β's, G, T_G's and b's."""
@@ -102,6 +101,10 @@ class Bands:
             rows.append(_reduced(self.tolerance, *(t.tobytes() for t in arrays)))
         columns = zip(*rows, strict=True)
         return [padded([tensor_of(row)[None] for row in column]) for column in columns]
+
+
+# not asked of the class by each call, which torch.compile cannot follow
+_TENSORS = tuple(field.name for field in fields(Bands)[:-1])
 
 
 def padded(parts: Sequence[Tensor]) -> Tensor:
