@@ -218,6 +218,9 @@ def test_known_waters_are_seen_by_any_camera_in_any_light():
     assert len({path.read_bytes() for path in Path("out").glob("*.png")}) == len(cases)
     with pytest.raises(ValueError, match=r"visibility=3 would do nothing: fit .* is one known"):
         made(water=None, fit="f.json", options={"visibility": 3}, force=True)
+    lights = {"light": [{"kind": "lamp", **place, "power": [1.0, 4.0]}]}
+    with pytest.raises(ValueError, match="light must be for one picture, got one for 2"):
+        made(water=None, fit="f.json", options=lights, force=True)
 
 
 @pytest.mark.parametrize(

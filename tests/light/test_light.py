@@ -325,6 +325,9 @@ def test_numbers_there_and_back() -> None:
     "make, message",
     [
         (lambda: beside(power=-1.0), "power must be finite and ≥ 0"),
+        (lambda: beside(power=True), r"power must be a number or a tensor \(B,\)"),
+        (lambda: beside(power=[]), "power must be a number"),
+        (lambda: beside(power=[1.0, 4.0]).require_one(), "for one picture, got one for 2"),
         (lambda: beside(cone=200.0), r"cone must be in \[0, 180\], in degrees"),
         (lambda: beside(rgb=(1.0, 2.0)), r"rgb must be 3 numbers or a tensor \(B, 3\), light"),
         (lambda: beside(rgb="red"), "rgb must be 3 numbers"),

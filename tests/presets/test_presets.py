@@ -271,6 +271,7 @@ REFUSED = {
     "jaffe-1990": [
         ("^forward = .*", 'forward = "J"', "medium.forward: Input should be 'image'"),
         ("^forward = ", "foward = ", "foward is no key; did you mean forward?"),
+        ("^power = 10.0", "power = [1.0, 4.0]", "light must be for one picture, got one for 2"),
     ],
     "ueda-2019": [
         ("^downwelling = .*", 'downwelling = "b"', "medium.downwelling: Input should"),

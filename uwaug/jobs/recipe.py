@@ -206,7 +206,7 @@ class Recipe:
                 require_exposure(value)
                 setup = replace(setup, exposure=value)
             elif option == "light" and isinstance(value, Light):
-                setup = replace(setup, light=value)
+                setup = replace(setup, light=value.require_one())
             else:
                 got = f"{name} is one known medium, and nothing is drawn"
                 raise ValueError(f"{option}={value!r} would do nothing: {got}")

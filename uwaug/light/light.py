@@ -427,6 +427,16 @@ class Light:
         checks.batches(sizes)
         return max([1, *sizes.values()])
 
+    def require_one(self) -> "Light":
+        """Itself, where it is for any number of pictures.
+
+        Raises:
+            ValueError: if it is for a batch.
+        """
+        if self.rows() > 1:
+            raise ValueError(f"light must be for one picture, got one for {self.rows()}")
+        return self
+
     def map(self, function: Callable[[Tensor], Tensor]) -> "Light":
         """`function` applied to each number."""
         return Light(tuple(source.map(function) for source in self.sources))
@@ -479,12 +489,15 @@ def _batch(
     """A number of `shape`, or a batch of them, as (B, *shape); finite and within [low, high]."""
     expected = "a number or a tensor (B,)" if shape == () else "3 numbers or a tensor (B, 3)"
     expected = f"{expected}, {unit}"
-    try:
-        if not isinstance(value, Tensor):
-            value = torch.tensor(value, dtype=torch.float64, device="cpu")
-    except (TypeError, ValueError, RuntimeError):
-        raise TypeError(f"{name} must be {expected}, got {value!r:.80}") from None
-    row: Tensor = value if value.is_floating_point() else value.to(torch.float64)
+    row: Tensor = value
+    if not isinstance(value, Tensor):
+        try:
+            row = torch.tensor(value, dtype=torch.float64, device="cpu")
+        except (TypeError, ValueError, RuntimeError):
+            row = torch.empty(0)
+        if isinstance(value, bool) or not row.numel():
+            raise TypeError(f"{name} must be {expected}, got {value!r:.80}")
+    row = row if row.is_floating_point() else row.to(torch.float64)
     batched = row.ndim == len(shape) + 1
     if row.shape[batched:] != shape or row.ndim > len(shape) + 1:
         raise ValueError(f"{name} must be {expected}, got shape {tuple(row.shape)}")

@@ -215,7 +215,7 @@ class Config(_Table):
     def __post_init__(self) -> None:
         require_exposure(self.exposure)
         if self.light is not None:
-            Light.from_list(self.light)
+            Light.from_list(self.light).require_one()
         tables = (self.water, self.coefficients, self.channels)
         if sum(table is not None for table in tables) != 1:
             raise ValueError("water, coefficients, channels: give one of these three tables")

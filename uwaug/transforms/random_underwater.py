@@ -737,6 +737,5 @@ def _lights_of(light: Light | Sequence[Light] | None) -> list[Light]:
         raise ValueError("light: expected a Light or several to draw from, got none")
     for each in lights:
         checks.instance("light", each, Light)
-        if each.rows() > 1:
-            raise ValueError(f"light must be for one picture, got one for {each.rows()}")
+        each.require_one()
     return lights
