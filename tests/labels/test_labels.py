@@ -241,6 +241,20 @@ def test_yolo_round_trip(tmp_path: Path) -> None:
     assert text.read_text().split() == LINES.split()
 
 
+@pytest.mark.parametrize("columns", [24, 12, 51])
+def test_yolo_boxes_with_keypoints(columns: int, tmp_path: Path) -> None:
+    """12 points of two numbers, 4 or 17 of three: they are no corners of a polygon."""
+    keypoints = " ".join(["0.9"] * columns)
+    source = yolo(tmp_path, f"0 0.3 0.5 0.2 0.4 {keypoints}\n")
+    (tmp_path / "data.yaml").write_text("names: [fish]\nkpt_shape: [12, 2]\n")
+    plain = yolo(tmp_path / "plain", "0 0.3 0.5 0.2 0.4\n")
+    first, second = (x.labels_of("reef/a.png").objects((40, 60)) for x in (source, plain))
+    assert first == second
+    record = judged(source, "reef/a.jpg", "x", None)
+    text, _ = source.labels_of("reef/a.jpg").write(record, tmp_path / "a_v1.png")
+    assert text.read_text().endswith(keypoints + "\n")
+
+
 def test_yolo_pictures_without_objects(tmp_path: Path) -> None:
     source = yolo(tmp_path, "")
     (tmp_path / "out").mkdir()

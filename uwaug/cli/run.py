@@ -274,7 +274,7 @@ class _Summary:
         if sidecar.visibility is not None:
             look.append(f"visibility {sidecar.visibility:.2g} m")
         if sidecar.contrast is not None:
-            look.append(f"{100 * sidecar.contrast:.2g} % of the contrast left")
+            look.append(f"fine detail keeps {100 * sidecar.contrast:.2g} % of its contrast")
         return f"{written}: {', '.join(look)}"
 
 

@@ -96,7 +96,7 @@ def _sheet(result: Result, heading: str, curves: list[str]) -> "tuple[Figure, di
         bold = i > len(words) + 1 and lines[i][0] == result.chosen
         return {"fontweight": "bold"} if bold else {"color": GREY if i == len(words) + 1 else INK}
 
-    _write(cells["words"], lines, (0, 0.22, 0.38, 0.62), style)
+    _write(cells["words"], lines, (0, 0.36, 0.5, 0.72), style)
     return figure, cells
 
 

@@ -15,6 +15,7 @@ from uwaug.labels.layout import (
     DESCRIPTION,
     described,
     description_of,
+    has_keypoints,
     label_place,
     parted,
     splits_of,
@@ -77,7 +78,8 @@ class YoloLabels(_LabelFolder):
     """A folder of text files as Ultralytics' YOLO has them, one object a line.
 
     `class cx cy w h` is a box, `class x1 y1 x2 y2 x3 y3 …` a polygon of three corners or more (four
-    for an oriented box); all but the class are shares of the picture's width or height. A picture
+    for an oriented box); all but the class are shares of the picture's width or height. Where the
+    data.yaml of the labels has `kpt_shape`, a box comes first, and keypoints follow it. A picture
     without a file shows no object.
     """
 
@@ -88,7 +90,11 @@ class YoloLabels(_LabelFolder):
     def labels_of(self, picture: str | os.PathLike[str]) -> Labels:
         """See `LabelSource`."""
         name = plain_name(picture)
-        return _YoloFile(name, self.file_of(name))
+        return _YoloFile(name, self.file_of(name), self._has_keypoints)
+
+    @cached_property
+    def _has_keypoints(self) -> bool:
+        return has_keypoints(description_of(self.folder))
 
     def write_run(self, records: Iterable[Record], folder: str | os.PathLike[str]) -> list[Path]:
         """See `LabelSource`. data.yaml says where the pictures are, and names the classes as the
@@ -119,12 +125,15 @@ class YoloLabels(_LabelFolder):
 
 @dataclass(frozen=True)
 class _YoloFile(Labels):
+    has_keypoints: bool
+
     def objects(self, size: Size) -> list[Object]:
         """As of `Labels`."""
         objects = []
         for number, line in _lines(self.file):
             where = f"{self.file}, line {number}"
-            objects.append(Object(number, _yolo_region(line, where, size)))
+            box = " ".join(line.split()[:_BOX]) if self.has_keypoints else line
+            objects.append(Object(number, _yolo_region(box, where, size)))
         return objects
 
     def write(self, record: Record, path: str | os.PathLike[str]) -> list[Path]:

@@ -102,6 +102,11 @@ def description_of(labels: Path) -> Path | None:
     return None
 
 
+def has_keypoints(description: Path | None) -> bool:
+    """Whether the YAML file of a data set says that its labels have keypoints."""
+    return description is not None and "kpt_shape" in dict(_blocks(description))
+
+
 def described(splits: dict[str, list[str]], before: Path | None, classes: list[str] | int) -> str:
     """The text of a data.yaml. Paths are from its own folder: it says none.
 

@@ -390,7 +390,8 @@ class Water(Spectra):
     def with_contents(self, factor: float) -> Self:
         """This water with `factor` times what is in it besides pure water, see `with_contrast`."""
         checks.within("factor", factor, 0.0)
-        name = f"{factor:.2g}·contents of {self.name}"
+        share = f"{factor:.2g}"
+        name = self.name if share == "1" else f"{share}·contents of {self.name}"
         return self if factor == 1 else self._with(factor, name, self.provenance)
 
     def _seen(self, rates: Array) -> tuple[Array, Array]:
