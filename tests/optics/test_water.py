@@ -96,6 +96,8 @@ def test_mix_names_and_provenance():
     assert again.provenance == mixed.provenance
     assert clear.mix(turbid, 0.388214).name == "0.61·II + 0.39·7C"
     assert clear.with_contents(0.025843).name == "0.026·contents of II"
+    assert clear.with_contents(1.001).name == "II"
+    assert clear.with_contents(0).name == "pure water (without contents of II)"
     assert clear.mix(Water.jerlov("ii"), 0.4) is clear
 
 

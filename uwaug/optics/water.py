@@ -392,6 +392,7 @@ class Water(Spectra):
         checks.within("factor", factor, 0.0)
         share = f"{factor:.2g}"
         name = self.name if share == "1" else f"{share}·contents of {self.name}"
+        name = f"pure water (without contents of {self.name})" if factor == 0 else name
         return self if factor == 1 else self._with(factor, name, self.provenance)
 
     def _seen(self, rates: Array) -> tuple[Array, Array]:
