@@ -40,7 +40,7 @@ def test_what_maps_hold_is_asked_for_at_once(run, unknown):
     assert (code, out) == (1, "")
     assert "depth/0.png and 4 more: the median is 2" in err
     assert "farther than one sees: try --distance-unit mm" in err
-    assert ("depth/1.png and 3 more: unknown (0 or NaN) at up to 8.3 %" in err) == unknown
+    assert ("depth/1.png and 3 more: unknown (0 or NaN) at up to 8.33 %" in err) == unknown
     assert ("--unknown behind suits" in err) == unknown
     # so that the cure needs no --force
     assert not Path("out").exists()

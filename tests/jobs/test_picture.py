@@ -158,6 +158,9 @@ def test_a_depth_network():
     inverse = uwaug.distance.DepthNetwork("n.onnx")(image / 255)
     assert torch.equal(read_picture("out/a.png"), in_water(image, from_inverse(inverse, 1.0, 6.0)))
     assert sidecar.distance is None
+    Path("n.onnx.data").write_bytes(b"weights in a file of their own")
+    content = Recipe(random=True, distance=format).resolved().content
+    assert {Path(path).name for path in content} == {"n.onnx", "n.onnx.data"}
 
 
 @pytest.mark.parametrize("unknown", ["fill", "far", 3.5, "skip"])

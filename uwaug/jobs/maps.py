@@ -39,7 +39,7 @@ def require_explained(items: Items, format: DistanceFormat) -> None:
         got = f"the median is {span} m if they are in {format.unit}, farther than one sees"
         asked.append(f"{_names(far)}: {got}: try unit={finer_unit(format.unit)!r}")
     if holed:
-        got = f"unknown (0 or NaN) at up to {100 * max(holed.values()):.2g} % of the pixels"
+        got = f"unknown (0 or NaN) at up to {100 * max(holed.values()):.3g} % of the pixels"
         cure = "unknown='behind' suits depth cameras, 'far' takes open water, 3.5 takes metres"
         asked.append(f"{_names(holed)}: {got}: {cure}")
     raise ValueError("\n  ".join(asked))

@@ -111,6 +111,8 @@ class Recipe:
         paths += [name for names in spectra.values() for name in names]
         if recipe.preset is not None:
             paths += [os.path.abspath(path) for path in preset_files(recipe.preset)]
+        weights = f"{recipe.distance.network}.data"  # where ONNX has those of large networks
+        paths += [weights] if os.path.exists(weights) else []
         content = {}
         for path in paths:
             if isinstance(path, str) and os.path.isabs(path) and not os.path.isdir(path):
