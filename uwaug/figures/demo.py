@@ -156,6 +156,8 @@ def draw_terms(scene: Scene, case: Case) -> "Figure":
         light = "of sRGB values taken for light"
     exposure = f" ({setup.exposure})" if isinstance(setup.exposure, float) else ""
     caption = f"I = D + F + B, {light}. All pictures at one exposure{exposure}."
+    if setup.development.gamut > 0:
+        caption += " Colours out of sRGB are clipped in terms, and compressed in I."
     columns = columns_for(_shape(scene))
     figure, axes = sheet(
         8 // columns,
