@@ -281,6 +281,9 @@ def test_waters(run, scene, monkeypatch):
     assert (other.fitted.surfaces, other.fitted.gain) == ("grey", "fixed")
     assert other.fitted.camera.name.startswith("Sigma")
     assert other.parameters["vertical_depth"].state == "fixed"
+    code, coefficients, _ = run("fit", *pair, *FAST, "--out", "coefficients.json")
+    assert (code, "Note: wet.png: uwaug made it" in coefficients) == (0, True)
+    assert "uwaug made it" not in out
 
 
 @pytest.mark.parametrize(

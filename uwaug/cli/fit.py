@@ -169,6 +169,7 @@ def fit(
     import uwaug
     from uwaug._support import drawing
     from uwaug.io import read_mask
+    from uwaug.jobs.sidecar import sidecar_of
 
     options: dict[str, Any] = {"color_space": color_space, "seed": seed}
     result: uwaug.fitting.Fit | uwaug.fitting.SeriesFit | uwaug.fitting.WaterFit
@@ -207,6 +208,10 @@ def fit(
         moves = "which can move coefficients by more than their errors"
         names = ", ".join(sorted(lossy))
         print(f"Note: {names}: JPEG blurs colours, {moves}; prefer PNG or TIFF.\n")
+    recorded = {path.name for path in pairs["observed"] if sidecar_of(path) is not None}
+    if recorded and not waters:
+        made = f"{', '.join(sorted(recorded))}: uwaug made it, by default of surfaces with spectra"
+        print(f"Note: {made}, which coefficients do not have; see --waters.\n")
     print_written(out, report)
 
 
