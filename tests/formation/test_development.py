@@ -196,7 +196,7 @@ def test_tone_is_a_curve(contrast: float) -> None:
     grey = 0.18**contrast
     k = 0.82 * grey / (0.18 - grey)
     assert float(slope) == pytest.approx(contrast * k / (grey + k))
-    steps = (out.diff() / light.diff())[(light[1:] - 1).abs() < 0.01]
+    steps = (out.diff() / light.diff())[(light[1:] - 1).abs() < 0.0098]  # between two points
     assert steps.max() < 1.05 * steps.min(), "no bend at white"
     light = torch.logspace(-6, 1, 7000, dtype=torch.float64)
     steepest = (curved(light, contrast).diff() / light.diff()).max()

@@ -216,6 +216,15 @@ def test_compiles_with_one_development_after_another(exposure, development, next
         torch.testing.assert_close(compiled(image, z), degrade(image, z), rtol=0, atol=2e-5)
 
 
+def test_compiles_with_one_width_law_after_another() -> None:
+    torch._dynamo.reset()
+    image, z = picture(32, 40), distances(32, 40)
+    for law in (PointSpread.none(), PointSpread(2.0, 0.6), PointSpread(3.0, 0.7)):
+        degrade = Underwater(coastal(point_spread=law), learnable=True)
+        compiled = torch.compile(degrade, fullgraph=True, backend="eager")
+        torch.testing.assert_close(compiled(image, z), degrade(image, z), rtol=0, atol=2e-5)
+
+
 @pytest.mark.parametrize("exposure", ["none", "auto"])
 def test_a_picture_is_the_same_whether_its_gradient_is_wanted(exposure) -> None:
     degrade = Underwater(coastal(), None, exposure=exposure)

@@ -74,7 +74,8 @@ def within(name: str, value: Any, low: float = -math.inf, high: float = math.inf
     """Refuse a number outside [low, high], an infinite one, and what is no number."""
     number_only(name, value)
     number = isinstance(value, (int, float, np.number))
-    if not number or not (low <= value <= high and math.isfinite(value)):
+    # compilers have symbols for numbers, of which isfinite knows nothing
+    if not number or not (low <= value <= high and abs(value) < math.inf):
         domain = "finite" if low == -math.inf else bounds(low, high)
         raise ValueError(f"{name} must be {domain}, got {value!r}")
 
