@@ -264,15 +264,15 @@ def degrade(
         return
     if not inputs:
         refuse("expected a picture, a folder of pictures, a list of them, or --replay")
-    if not (water or preset or fit or random or hazy):
+    waters = {"water": water, "preset": preset, "fit": fit, "random": random or hazy}
+    chosen = [f"--{name}" for name, value in waters.items() if value]
+    if not chosen:
         cure = ""
         named = [name for name, value in drawn.items() if value is not None]
         if named:
             flag = f"--{named[0].replace('_', '-')}"
             cure = f": {flag} names no water: add --random, or one such as --water 3C"
         refuse(f"expected --water, --preset, --fit or --random, got none of them{cure}")
-    waters = {"water": water, "preset": preset, "fit": fit, "random": random or hazy}
-    chosen = [f"--{name}" for name, value in waters.items() if value]
     if len(chosen) > 1 and chosen != ["--water", "--preset"]:
         got = " and ".join(chosen)
         refuse(f"expected one of --water, --preset, --fit and --random, got {got}")

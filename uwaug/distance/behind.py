@@ -113,16 +113,7 @@ def _sources(distance: Any, unknown: Any) -> tuple[Any, Any, Any]:
     owner = holes.flat[beside]
     rim = widened(unknown, _RIM) & ~unknown
     values = np.where(rim, distance, 0)
-    # hole by hole, the nearest first
-    pixels = np.flatnonzero(rim)
-    pixels = pixels[np.lexsort((values.flat[pixels], owner.flat[pixels]))]
-    ends = np.cumsum(np.bincount(owner.flat[pixels], minlength=count + 1))
-    starts = np.concatenate([[0], ends[:-1]])
-    has_rim = ends > starts
-    farthest = np.full(count + 1, -1)
-    farthest[has_rim] = pixels[(starts + _FARTHEST * (ends - starts - 1)).astype(int)[has_rim]]
-    highest = np.full(count + 1, np.inf)
-    highest[has_rim] = values.flat[pixels[ends[has_rim] - 1]]
+    farthest, highest = _far_ends(values, np.where(rim, owner, 0), count)
     # what is beyond the picture's border is no hole: frames are as wide as they look
     deep = ndimage.distance_transform_cdt(np.pad(unknown, 1), "chessboard")[1:-1, 1:-1]
     wide = max(_NARROWEST, _WIDE * min(height, width))
@@ -151,3 +142,19 @@ def _sources(distance: Any, unknown: Any) -> tuple[Any, Any, Any]:
     away.flat[wanted] = steps
     index.flat[wanted] = index.flat[sources[nearest]]
     return index, away, ~(rim | middle)
+
+
+def _far_ends(values: Any, rims: Any, count: int) -> tuple[Any, Any]:
+    """Of each rim's distances the flat index of the farthest but for wild ones, and the largest; -1
+    and infinite of one without pixels. `rims` (HxW): 0 beside them, else 1…count.
+    """
+    # rim by rim, the nearest first
+    pixels = np.flatnonzero(rims)
+    pixels = pixels[np.lexsort((values.flat[pixels], rims.flat[pixels]))]
+    ends = np.cumsum(np.bincount(rims.flat[pixels], minlength=count + 1))
+    starts = np.concatenate([[0], ends[:-1]])
+    there = ends > starts
+    farthest, highest = np.full(count + 1, -1), np.full(count + 1, np.inf)
+    farthest[there] = pixels[(starts + _FARTHEST * (ends - starts - 1)).astype(int)[there]]
+    highest[there] = values.flat[pixels[ends[there] - 1]]
+    return farthest, highest

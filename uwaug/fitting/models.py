@@ -617,12 +617,19 @@ class SpectralModel:
         plan, blurs, _ = pixels.stacks[self.shape]
         blur = mixed(blurs, node_weights(self.sigma(medium, pixels.z), plan))
         light = passed(direct, pixels.clean) + passed(scatter, blur) + veil
+        return self.as_taken(light, self.gains(theta), pixels.observed, pixels.weights)
+
+    def as_taken(self, light: Tensor, gains: Tensor, observed: Tensor, weights: Tensor) -> Tensor:
+        """Light as the cameras of the observed pixels have taken it; see `developed` for shapes.
+
+        gains (P): of the pictures, if they are fitted.
+        """
         if self.gain == "free":
-            light = self.gains(theta).reshape(-1, 1, 1, 1) * light
+            light = gains.reshape(-1, 1, 1, 1) * light
         elif self.gain == "matrix":
-            light = developed(light, pixels.observed, pixels.weights)
+            light = developed(light, observed, weights)
         # a file holds no negative light, which surfaces with spectra have
-        return light.masked_fill((pixels.observed == 0) & (light < 0), 0.0)
+        return light.masked_fill((observed == 0) & (light < 0), 0.0)
 
     def jacobian(self, theta: Array, pixels: Pixels) -> tuple[Tensor, Tensor]:
         """The pixels, and their derivatives by θ (Px3x1xNxn), by differences."""

@@ -67,7 +67,8 @@ def _sheet(result: Result, heading: str, curves: list[str]) -> "tuple[Figure, di
     """
     words = [line for row in result.message.splitlines() for line in textwrap.wrap(row, _LETTERS)]
     table, tried = _table(result), _candidates(result)
-    pairs = result.pairs[:_PAIRS] if isinstance(result, (Fit, WaterFit)) else ()
+    pictured = result if isinstance(result, (Fit, WaterFit)) and result.pairs else None
+    pairs = pictured.pairs[:_PAIRS] if pictured else ()
     rows, heights = [], []
     for i, pair in enumerate(pairs):
         rows += [[f"{i} {kind}{c}" for c in range(3) for _ in "12"] for kind in ("", "residual ")]
@@ -78,16 +79,16 @@ def _sheet(result: Result, heading: str, curves: list[str]) -> "tuple[Figure, di
     ]
     heights += [3.0, _LINE * max(len(table) + 1, len(words) + len(tried))]
     caption = "Bands hold 95 %; shaded: farther than 95 % of the pixels."
-    formed = result.formed(_PAIRS) if isinstance(result, (Fit, WaterFit)) and pairs else []
+    formed = pictured.formed(_PAIRS) if pictured else []
     scale = _scale([difference for _, difference in formed])
-    if isinstance(result, (Fit, WaterFit)) and pairs:
+    if pictured:
         residuals = f"Residuals: linear light (0…1), all on one scale of ±{scale:g}."
         caption = f"{residuals} Grey: not counted. {caption}"
-        if len(result.pairs) > _PAIRS:
-            caption = f"{_PAIRS} of {len(result.pairs)} pairs. {caption}"
+        if len(pictured.pairs) > _PAIRS:
+            caption = f"{_PAIRS} of {len(pictured.pairs)} pairs. {caption}"
     figure, cells = _figure(heading, caption, rows, heights)
-    if isinstance(result, (Fit, WaterFit)):
-        _draw_pairs(cells, result, formed, scale)
+    if pictured:
+        _draw_pairs(cells, pictured, formed, scale)
     head = [("", *COLOURS)] if any(len(row) == 4 for row in table) else [("",)]
     _write(cells["table"], [*head, *table], (0, 0.24, 0.5, 0.765), _style_of_table)
     lines = [*((line,) for line in words), *tried]

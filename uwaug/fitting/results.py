@@ -24,7 +24,6 @@ from uwaug.fitting.models import (
     Gain,
     SpectralModel,
     TurbidityModel,
-    developed,
 )
 from uwaug.fitting.noise import Noise
 from uwaug.formation.model import form_image
@@ -677,15 +676,11 @@ class WaterFit(_OneWater):
         return Medium.stack([self.fitted.medium(numbers) for numbers in drawn])
 
     def _as_taken(self, light: Tensor, i: int) -> Tensor:
-        pair = self.pairs[i]
-        if self.fitted.gain == "free":
-            light = light * self.fitted.gains(self.theta)[i]
-        elif self.fitted.gain == "matrix":
-            pixels = (light, pair.observed, pair.usable.double())
-            flat = (x[None].flatten(2)[:, :, None] for x in pixels)
-            light = developed(*flat).view_as(light)
-        # a file holds no negative light, which surfaces with spectra have
-        return light.masked_fill((pair.observed == 0) & (light < 0), 0.0)
+        pair, gains = self.pairs[i], self.fitted.gains(self.theta)[i : i + 1]
+        flat, observed, weights = (
+            x[None].flatten(2)[:, :, None] for x in (light, pair.observed, pair.usable.double())
+        )
+        return self.fitted.as_taken(flat, gains, observed, weights).view_as(light)
 
     @property
     def visibility(self) -> float | None:

@@ -169,10 +169,9 @@ class DistanceFormat:
             self.require_constant()
             checks.positive("distance", place, "m")
             return torch.full((1, *size), float(place)), []
-        values, notes = self.read(place, size, turned=turned)
-        if self.unknown in ("fill", "behind", "skip"):
-            # who fills them says so
-            notes = [note for note in notes if note not in self._holes(values)]
+        values, notes = self._of_picture(place, size, turned)
+        if self.unknown not in ("fill", "behind", "skip"):  # who fills holes says so
+            notes += self._holes(values)
         # metric maps have no scale
         scaling = Scaling(near or 0.0, far or 0.0, 1.0 if gamma is None else gamma)
         try:
@@ -199,6 +198,13 @@ class DistanceFormat:
             ValueError: if the file does not suit; names it.
             OSError: if it cannot be read.
         """
+        values, notes = self._of_picture(file, size, turned)
+        return values, notes + self._holes(values)
+
+    def _of_picture(
+        self, file: File, size: tuple[int, int], turned: bool
+    ) -> tuple[Tensor, list[str]]:
+        """As `read`, without a note of holes."""
         notes = [_TURNED] if turned else []
         values = torch.from_numpy(self._numbers(file))[None]
         height, width = values.shape[-2:]
@@ -221,11 +227,13 @@ class DistanceFormat:
             assert self.focal_px is not None
             values = along_ray(values, self.focal_px)
         if self.map_kind == "metric":
-            notes += [*self._holes(values), *_doubts(values)]
+            notes += _doubts(values)
         return values, notes
 
     def _holes(self, z: Tensor) -> list[str]:
         """A note of a map in metres that has many holes: what becomes of them."""
+        if self.map_kind != "metric":
+            return []
         share = 1 - float((_some(z) > 0).double().mean())
         if share <= _MANY:
             return []

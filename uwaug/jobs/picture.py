@@ -365,9 +365,8 @@ def replay(sidecar: Sidecar, output: Path, *, force: bool = False) -> Sidecar:
 
     Raises:
         ValueError: if it would be written over a file that it was made of; if such a file has
-            changed, or, with the picture written, if it
-            has come out differently: another version of uwaug or PyTorch, another kind of CPU, no
-            numba where its loops made the first.
+            changed, or, with the picture written, if it has come out differently: another version
+            of uwaug or PyTorch, another kind of CPU, no numba where its loops made the first.
         OSError: if a file cannot be read or written.
     """
     recipe = Recipe.from_json(sidecar.recipe)

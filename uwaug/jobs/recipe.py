@@ -216,9 +216,6 @@ class Recipe:
         return KnownWater(name, setup, field_range, kind, unknown, scaling)
 
 
-_FILLED = ("fill", "skip")
-
-
 def changes(recipe: Mapping[str, Any], before: Mapping[str, Any]) -> list[str]:
     """What of a recipe would make another picture than an earlier one has, in words; but for the
     content of files.
@@ -237,10 +234,15 @@ def _changes_of(name: str, recipe: Mapping[str, Any], before: Mapping[str, Any])
     if isinstance(now, Mapping) and isinstance(then, Mapping):
         for key in {**now, **then}:
             yield from _changes_of(key, now, then)
-    # a picture that was made although unknown pixels are an error has none, and one whose unknown
-    # pixels were filled is not skipped
-    elif now != then and not (name == "unknown" and (then == "error" or (then, now) == _FILLED)):
+    elif now != then and not (name == "unknown" and _same_unknown(now, then)):
         yield f"{name}={now!s:.40}, was {then!s:.40}"
+
+
+def _same_unknown(now: Any, then: Any) -> bool:
+    """Whether a picture that is there would be the same: made although unknown pixels are an error,
+    it has none; and where they were filled, it would not be skipped.
+    """
+    return bool(then == "error" or (then == "fill" and now == "skip"))
 
 
 def _absolute_spectra(names: Any) -> Any:

@@ -123,9 +123,10 @@ class Sidecar:
             raise ValueError(f"{path}: is no record of a picture: {error}") from None
         names = {attribute.name for attribute in fields(Sidecar)}
         foreign = f"{path}: is no record of a picture that uwaug has written"
-        if isinstance(values, Mapping):
-            values = {"beside": {}, **values}
-        if not isinstance(values, Mapping) or set(values) != names | {"format"}:
+        if not isinstance(values, Mapping):
+            raise ValueError(foreign)
+        values = {"beside": {}, **values}
+        if set(values) != names | {"format"}:
             raise ValueError(foreign)
         if values["format"] not in (1, _FORMAT):
             got = values["format"]

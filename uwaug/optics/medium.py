@@ -263,7 +263,12 @@ class Medium:
         coefficients = {"beta": beta, "G": G, "veil": veil, "light": light, "b_mean": b_mean}
         rows = _rows({**coefficients, "veil_rate": veil_rate})
         beta, G, b = rows["beta"], rows["G"], rows["b_mean"]
-        _require_less(G.detach(), beta.detach())
+        if bool((G - beta > _ROUNDED * (1 + beta)).any()):
+            got = f"G = {G.tolist()} and beta = {beta.tolist()}"
+            raise ValueError(
+                f"G must be beta at most, as forward scatter takes no light away: got {got}; a "
+                "veil of a rate of its own is veil_rate=…"
+            )
         weights, veil_weights = torch.diag_embed(rows["light"]), torch.diag_embed(rows["veil"])
         if "veil_rate" not in rows and forward == "image":
             tensors = [beta, weights, G, weights, veil_weights]
@@ -600,14 +605,6 @@ def _rows(coefficients: Mapping[str, Any]) -> dict[str, Tensor]:
     checks.batches(batches)
     b = max(batches.values())
     return {name: row.expand(b, *row.shape[1:]) for name, row in rows.items()}
-
-
-def _require_less(G: Tensor, beta: Tensor) -> None:
-    if bool((G - beta > _ROUNDED * (1 + beta)).any()):
-        raise ValueError(
-            f"G must be beta at most, as forward scatter takes no light away: got G = {G.tolist()} "
-            f"and beta = {beta.tolist()}; a veil of a rate of its own is veil_rate=…"
-        )
 
 
 def _row(name: str, value: Any, shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:

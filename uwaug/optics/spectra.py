@@ -2,7 +2,7 @@
 
 import csv
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -136,7 +136,6 @@ def read_spectra(path: Path, spectra: Mapping[str, str]) -> Array:
     """
     require_regular(path)
     named, table = ", ".join(["wavelength", *spectra]), []
-    words = [{name.lower(), word} for name, word in spectra.items()]
     columns = 1 + len(spectra)
     with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
         reader = csv.reader(file)
@@ -149,11 +148,9 @@ def read_spectra(path: Path, spectra: Mapping[str, str]) -> Array:
                     numbers = [float(cell) for cell in row]
                 except ValueError:
                     numbers = []
-                begun = [_NO_LETTER.split(cell.strip().lower(), 1)[0] for cell in row[1:]]
-                named_so = all(word in both for word, both in zip(begun, words, strict=False))
                 if len(numbers) == columns:
                     table.append(numbers)
-                elif not (header and len(row) == columns and named_so):
+                elif not (header and len(row) == columns and _named(row[1:], spectra)):
                     # what it says instead is not shown: a preset of somebody else may name a file
                     # that is none of theirs
                     where = f"{path}, line {reader.line_num}"
@@ -168,3 +165,10 @@ def read_spectra(path: Path, spectra: Mapping[str, str]) -> Array:
     if not table:
         raise ValueError(f"{path}: no rows of {named}")
     return np.array(table)
+
+
+def _named(cells: Sequence[str], spectra: Mapping[str, str]) -> bool:
+    """Whether each cell of a header begins with the name of its spectrum, or its other word."""
+    words = [_NO_LETTER.split(cell.strip().lower(), 1)[0] for cell in cells]
+    pairs = zip(words, spectra.items(), strict=True)
+    return all(word in (name.lower(), other) for word, (name, other) in pairs)

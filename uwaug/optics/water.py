@@ -390,10 +390,13 @@ class Water(Spectra):
     def with_contents(self, factor: float) -> Self:
         """This water with `factor` times what is in it besides pure water, see `with_contrast`."""
         checks.within("factor", factor, 0.0)
+        if factor == 1:
+            return self
         share = f"{factor:.2g}"
         name = self.name if share == "1" else f"{share}·contents of {self.name}"
-        name = f"pure water (without contents of {self.name})" if factor == 0 else name
-        return self if factor == 1 else self._with(factor, name, self.provenance)
+        if factor == 0:
+            name = f"pure water (without contents of {self.name})"
+        return self._with(factor, name, self.provenance)
 
     def _seen(self, rates: Array) -> tuple[Array, Array]:
         """The eye's weights at wavelengths that the water has, whose sum is 1, and rates there."""
