@@ -1,0 +1,85 @@
+"""Dataclasses as plain dictionaries, as JSON and TOML hold them; the one codec of presets, records,
+fits, ONNX files, runs and options.
+"""
+
+import os
+from collections.abc import Mapping
+from dataclasses import MISSING, fields
+from typing import Any, TypeVar
+
+import numpy as np
+from torch import Tensor
+
+T = TypeVar("T")
+
+_KINDS: dict[str, type] = {}
+
+
+def plain(kind: type[T]) -> type[T]:
+    """Let a dataclass be written as a dictionary: {"kind": its name, attributes…}."""
+    _KINDS[kind.__name__] = kind
+    return kind
+
+
+def to_plain(value: Any) -> Any:
+    """Numbers, strings, lists and dictionaries for a value; of a dataclass, its kind and what
+    differs from its defaults.
+
+    Raises:
+        TypeError: if it is, or holds, anything else, such as a function.
+    """
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    if isinstance(value, Tensor):
+        return value.detach().cpu().tolist()
+    if isinstance(value, (np.generic, np.ndarray)):
+        return value.tolist()
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, (list, tuple)):
+        return [to_plain(item) for item in value]
+    if isinstance(value, Mapping):
+        return {str(key): to_plain(item) for key, item in value.items()}
+    if _KINDS.get(type(value).__name__) is type(value):
+        stored = {field.name: to_plain(getattr(value, field.name)) for field in _changed(value)}
+        return {"kind": type(value).__name__, **stored}
+    raise TypeError(f"cannot be written as numbers and words: {value!r:.80}")
+
+
+def from_plain(data: Any, expected: type | None = None) -> Any:
+    """The inverse of `to_plain`; lists become tuples.
+
+    Args:
+        data: from `to_plain`, or as a person writes it in TOML.
+        expected: the class of the result, where its name may be left out.
+
+    Raises:
+        TypeError, ValueError: if the class is unknown, or refuses what it is given.
+    """
+    if isinstance(data, (list, tuple)):
+        return tuple(from_plain(item) for item in data)
+    if not isinstance(data, Mapping):
+        return data
+    values = {key: from_plain(item) for key, item in data.items()}
+    name = values.pop("kind", expected and expected.__name__)
+    if name is None:
+        return values
+    if name not in _KINDS or (expected is not None and not issubclass(_KINDS[name], expected)):
+        wanted = ", ".join(_KINDS) if expected is None else expected.__name__
+        raise ValueError(f"kind must be {wanted}, got {name!r}")
+    try:
+        return _KINDS[name](**values)
+    except TypeError as error:  # an argument that it does not have
+        raise TypeError(f"{name}: {error}") from None
+
+
+def _changed(value: Any) -> list[Any]:
+    """The fields of a dataclass that are not as by default."""
+
+    def default(field: Any) -> Any:
+        return field.default if field.default_factory is MISSING else field.default_factory()
+
+    def same(a: Any, b: Any) -> bool:
+        return type(a) is type(b) and not isinstance(a, (Tensor, np.ndarray)) and a == b
+
+    return [f for f in fields(value) if f.init and not same(getattr(value, f.name), default(f))]
