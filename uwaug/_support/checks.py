@@ -12,13 +12,11 @@ from torch import Tensor
 
 DOMAIN = {
     "mixing": (0.0, 1.0),
-    "visibility": (1e-3, math.inf),
     "vertical_depth": (0.0, math.inf),
     "g": (0.0, 1.0),
     "mu": (0.0, 1.0),
     "scale": (0.0, math.inf),
     "exponent": (1e-3, math.inf),
-    "blur_factor": (0.0, math.inf),
     "near": (0.0, math.inf),
     "far": (0.0, math.inf),
     "gamma": (1e-3, math.inf),
@@ -30,10 +28,8 @@ DOMAIN = {
     "cdom": (0.0, 1e4),
     "minerals": (0.0, 1e4),
     "color_matrix": (0.0, 1.0),
-    "compensation": (-10.0, 10.0),
     "white_balance": (-1.0, 1.0),
     "saturation": (0.0, 4.0),
-    "black_point": (0.0, 1.0),
     "gamut": (0.0, 1.0),
     "tone": (0.25, 4.0),
 }
@@ -237,14 +233,3 @@ def span(x: Tensor) -> str:
     if not numbers.numel():
         return "NaN only"
     return f"{float(numbers.min()):.4g} to {float(numbers.max()):.4g}"
-
-
-def alike(mine: Any, theirs: Any) -> bool:
-    """Whether two settings are equal, numbers to 1e-6: the last digits depend on the processor."""
-    if isinstance(mine, dict) and isinstance(theirs, dict):
-        return mine.keys() == theirs.keys() and all(alike(mine[key], theirs[key]) for key in mine)
-    if isinstance(mine, list | tuple) and isinstance(theirs, list | tuple):
-        return len(mine) == len(theirs) and all(map(alike, mine, theirs))
-    if isinstance(mine, float) and isinstance(theirs, float):
-        return math.isclose(mine, theirs, rel_tol=1e-6, abs_tol=1e-6)
-    return bool(mine == theirs)

@@ -68,7 +68,8 @@ def from_plain(data: Any, expected: type | None = None) -> Any:
         wanted = ", ".join(_KINDS) if expected is None else expected.__name__
         raise ValueError(f"kind must be {wanted}, got {name!r}")
     try:
-        return _KINDS[name](**values)
+        kind = _KINDS[name]
+        return getattr(kind, "of_plain", kind)(**values)  # of_plain: makes tensors of numbers
     except TypeError as error:  # an argument that it does not have
         raise TypeError(f"{name}: {error}") from None
 
@@ -82,4 +83,5 @@ def _changed(value: Any) -> list[Any]:
     def same(a: Any, b: Any) -> bool:
         return type(a) is type(b) and not isinstance(a, (Tensor, np.ndarray)) and a == b
 
-    return [f for f in fields(value) if f.init and not same(getattr(value, f.name), default(f))]
+    stored = (f for f in fields(value) if f.init and f.metadata.get("stored", True))
+    return [f for f in stored if not same(getattr(value, f.name), default(f))]
