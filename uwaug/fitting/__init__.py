@@ -3,7 +3,9 @@ pictures support.
 """
 
 from uwaug.fitting.api import fit
+from uwaug.fitting.jerlov import fit_water
 from uwaug.fitting.result import Candidate, Fit, Parameter, Remainder, load_fit
+from uwaug.fitting.veil import fit_veil
 
 __all__ = [
     "Candidate",
@@ -11,5 +13,7 @@ __all__ = [
     "Parameter",
     "Remainder",
     "fit",
+    "fit_veil",
+    "fit_water",
     "load_fit",
 ]

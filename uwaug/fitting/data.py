@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from uwaug._support import checks
+from uwaug._support.codec import plain
 from uwaug._support.types import Array, ColorSpace, Shape
 from uwaug.blur.plan import BlurPlan, plan_blur
 from uwaug.blur.stack import blurred, mixed, node_weights
-from uwaug.formation.colour import to_light
+from uwaug.formation.colour import decoded, require_values
 from uwaug.optics.curves import FARTHEST
 
 Places = NDArray[np.int64]
@@ -37,7 +38,9 @@ _BINS = 20  # of the distances, from each of which as many pixels are taken
 _NEAR, _FAR = 0.05, 0.95  # quantiles of the finite distances that the range of distances goes by
 
 
-class Geometry(NamedTuple):
+@plain
+@dataclass(frozen=True)
+class Geometry:
     """What is known of the pictures before anything is fitted.
 
     Attributes:
@@ -265,7 +268,9 @@ def blocks_of(places: Sequence[Places], size: tuple[int, int]) -> Places:
 
 
 def _light(picture: Tensor, color_space: ColorSpace, name: str) -> Tensor:
-    return to_light(picture.detach().cpu(), color_space, name).double()
+    picture = picture.detach().cpu()
+    require_values(picture, color_space, name)
+    return decoded(picture, color_space).double()
 
 
 def _stratified(z: Array, usable: NDArray[np.bool_], count: int, rng: np.random.Generator) -> Places:

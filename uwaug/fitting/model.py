@@ -7,6 +7,7 @@ source = G·V(0), the growth of the veil at the lens. Pictures are rendered by t
 numbers, as any other image is; slopes are written out.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -25,13 +26,13 @@ from uwaug.optics.scattering import Scattering
 
 COLOURS = ("red", "green", "blue")
 MAX_OPTICAL_DEPTH = 40.0  # to the median distance: more than any picture survives
-GAINS = (1e-3, 1e3)  # least and largest
+MOST_GAIN = 1e4  # and one over it the least
 EXPONENTS = (0.2, 3.0)  # of a width law: least and largest
 _MAX_G_OVER_BETA = 4.0  # where no light is scattered forward and nothing ties the two together
 _MIN_G = 1e-9  # 1/m, stands for smaller G, where the veil has no end
 _MIN_LENGTHS = 1e-2  # scattering lengths to the median distance, that a width law counts by
 _MIN_WIDTH = 1e-9  # px, stands for less: slopes by the width are proportional to it
-_STEP = 1e-6  # of θ, for a difference that stands for the slope of what is reported
+_STEP = 1e-5  # of θ, for a difference that stands for the slope of what is reported
 
 
 class Bounds(NamedTuple):
@@ -86,7 +87,7 @@ def report_slopes(model: Model, theta: Array) -> Array:
     """Derivatives of what a model reports by θ (quantities x numbers), by differences."""
     columns = []
     for i, bound in enumerate(model.bounds.values()):
-        step = _STEP * max(abs(theta[i]), abs(bound.begin), _STEP)
+        step = _STEP * max(abs(theta[i]), abs(bound.begin), 0.01)
         up, down = theta.copy(), theta.copy()
         up[i], down[i] = min(theta[i] + step, bound.high), max(theta[i] - step, bound.low)
         columns.append((model.report(up) - model.report(down)) / (up[i] - down[i]))
@@ -197,7 +198,7 @@ def _growth_slope(x: Tensor) -> Tensor:
 class CoefficientModel:
     """A water by coefficients for each colour.
 
-    θ holds β; share, G/β; source; light; of each colour; width and exponent: G as a share of β and
+    θ holds β; share, G/β; source; the logarithm of light; of each colour; width and exponent: G as a share of β and
     the veil by its slope at the lens are told apart better than G and V(0).
 
     Attributes:
@@ -241,7 +242,8 @@ class CoefficientModel:
         slope = Bounds(0.0, thickest, 0.2 / reference)
         bounds |= {f"source_{colour}": slope for colour in COLOURS}
         if self.gain:
-            bounds |= {f"light_{colour}": Bounds(*GAINS, 1.0) for colour in COLOURS}
+            most = math.log(MOST_GAIN)
+            bounds |= {f"light_{colour}": Bounds(-most, most, 0.0) for colour in COLOURS}
         if scatters:
             bounds["width"] = Bounds(0.0, widest, 0.1 * widest)
             bounds["exponent"] = Bounds(*EXPONENTS, 1.0)
@@ -262,7 +264,7 @@ class CoefficientModel:
         beta = three("beta", np.zeros(3))
         G = three("G", three("share", np.ones(3)) * beta)
         source = three("source", G * three("veil", np.zeros(3)))
-        light = three("light", np.ones(3))
+        light = np.exp(three("light", np.zeros(3)))
         return Coefficients(
             beta, G, source, light, known.get("width", 0.0), known.get("exponent", 1.0)
         )
@@ -319,7 +321,7 @@ class CoefficientModel:
             "beta": by.beta + of_G * by_G,
             "share": beta * by_G,
             "source": by.source,
-            "light": by.light,
+            "light": torch.from_numpy(c.light).reshape(1, 3, 1, 1) * by.light,
         }
         places = {name: i for i, name in enumerate(self.bounds)}
         jacobian = np.zeros((3, pixels.z.shape[-1], len(places)))

@@ -8,18 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import torch
 from torch import Tensor
 
-from uwaug._support import codec
+from uwaug._support import checks, codec
 from uwaug._support.atomic import require_regular, written_whole
 from uwaug._support.types import Array
 from uwaug.fitting.data import Geometry, Pictures
 from uwaug.fitting.model import COLOURS
-from uwaug.formation.model import form_image
+from uwaug.formation.image import form_image
 from uwaug.formation.underwater import Underwater
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
 
 if TYPE_CHECKING:
@@ -110,6 +108,7 @@ class Remainder:
     error: tuple[float, ...]
 
 
+@codec.plain
 @dataclass(frozen=True, eq=False, repr=False)
 class Fit:
     """A water that was recovered from pictures, by `uwaug.fit`, `uwaug.fitting.fit_water` or
@@ -141,7 +140,7 @@ class Fit:
     candidates: tuple[Candidate, ...] = ()
     remainder: tuple[Remainder, ...] = ()
     water: Water | None = None
-    pictures: Pictures | None = None
+    pictures: Pictures | None = field(default=None, metadata={"stored": False})
 
     @property
     def errors(self) -> dict[str, float]:
@@ -209,19 +208,8 @@ class Fit:
 
     def to_dict(self) -> dict[str, Any]:
         """Numbers and words, as JSON holds them. Pictures are not part of it."""
-        named = {name: getattr(self, name) for name in _PLAIN}
-        law = self.medium.point_spread
-        tensors = {name: getattr(self.medium, name) for name in _TENSORS}
-        medium = {**tensors, "notes": self.medium.notes, "point_spread": law.numbers()}
-        medium["point_spread"] |= {"shape": law.shape, "reference_size": law.reference_size}
-        water = None
-        if self.water is not None:
-            water = {name: getattr(self.water, name) for name in _SPECTRA}
-        geometry = self.geometry._asdict()
-        plain: dict[str, Any] = codec.to_plain(
-            {**named, "geometry": geometry, "medium": medium, "water": water}
-        )
-        return {"kind": "Fit", **plain}
+        plain: dict[str, Any] = codec.to_plain(self)
+        return plain
 
     @staticmethod
     def from_dict(data: Mapping[str, Any]) -> "Fit":
@@ -230,22 +218,14 @@ class Fit:
         Raises:
             TypeError, ValueError: if it is something else.
         """
-        if not isinstance(data, Mapping) or data.get("kind") != "Fit":
-            raise ValueError("not a fit: expected what Fit.to_dict gives")
-        missing = {*_PLAIN, "geometry", "medium", "water"} - set(data)
-        if missing:
-            raise ValueError(f"not a fit: {', '.join(sorted(missing))} missing")
-        values = {name: codec.from_plain(data[name]) for name in data if name != "kind"}
-        medium, water = values["medium"], values["water"]
-        tensors = {name: torch.tensor(medium[name], dtype=torch.float64) for name in _TENSORS}
-        law = PointSpread(**medium["point_spread"])
-        return Fit(
-            **{name: values[name] for name in _PLAIN if name != "covariance"},
-            covariance=np.array(values["covariance"]),
-            geometry=Geometry(**values["geometry"]),
-            medium=Medium(**tensors, point_spread=law, notes=medium["notes"]),
-            water=None if water is None else Water(**water),
-        )
+        fit: Fit = codec.from_plain(data, Fit)
+        checks.instance("data", fit, Fit)
+        return fit
+
+    @staticmethod
+    def of_plain(covariance: Any, **values: Any) -> "Fit":
+        """A fit of plain numbers, see `uwaug._support.codec`."""
+        return Fit(covariance=np.array(covariance), **values)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the result as JSON, whole or not at all; `uwaug.fitting.load_fit` reads it."""
@@ -263,11 +243,6 @@ class Fit:
         unit = number.unit if number.unit != "1" or not meaning else ""
         state = f"({number.state})" if number.state in ("at bound", "fixed") else ""
         return "  ".join(filter(None, (unit, meaning, state)))
-
-
-_PLAIN = ("model", "parameters", "covariance", "rms", "notes", "candidates", "remainder")
-_TENSORS = ("beta", "direct_weights", "G", "signal_weights", "veil_weights", "b_mean")
-_SPECTRA = ("wavelengths", "a", "b", "kd", "name", "provenance")
 
 
 def load_fit(path: str | os.PathLike[str]) -> Fit:

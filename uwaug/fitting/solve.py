@@ -13,7 +13,7 @@ from torch import Tensor
 
 from uwaug._support.types import Array, ColorSpace
 from uwaug.fitting.data import Pixels
-from uwaug.fitting.model import COLOURS, GAINS, CoefficientModel, Model, picture_slopes
+from uwaug.fitting.model import COLOURS, MOST_GAIN, CoefficientModel, Model, picture_slopes
 
 M = TypeVar("M", bound=Model)
 ROBUST = 2.0  # standard deviations of noise, from where on a residual counts less than its square
@@ -217,7 +217,7 @@ def guess(
             found.append((error, beta, share, light, source))
     for i, colour in enumerate(COLOURS):
         _, beta, share, light, source = min(found, key=lambda row: float(row[0][i]))
-        best = {"beta": beta, "share": share, "light": light[i], "source": source[i]}
+        best = {"beta": beta, "share": share, "light": np.log(light[i]), "source": source[i]}
         values |= {f"{kind}_{colour}": float(value) for kind, value in best.items()}
     return values
 
@@ -237,7 +237,7 @@ def _light_and_source(
     light = np.ones(3)
     if gain:
         light = (gg * sy - sg * gy) / np.maximum(ss * gg - sg**2, 1e-12 * ss * gg + 1e-300)
-        light = light.clip(*GAINS)
+        light = light.clip(1 / MOST_GAIN, MOST_GAIN)
     source = ((gy - light * sg) / np.maximum(gg, 1e-300)).clip(min=0.0)
     fitted = torch.from_numpy(light).reshape(1, 3, 1, 1) * scene
     residual = fitted + torch.from_numpy(source).reshape(1, 3, 1, 1) * growth - pixels.observed
