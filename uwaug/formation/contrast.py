@@ -5,8 +5,8 @@ A surface of mean light ρ with a pattern on it, ρ·(1 + m·cos …), is seen t
     T_G·ρ + T_β·ρ·m·cos … + B
 
 where B is the veil. Light that was scattered forward (T_G − T_β) keeps the mean and blurs the
-pattern away. Its modulation was m and is m·T_β·ρ/(T_G·ρ + B): `contrast_left` is what m is multiplied
-by, in luminance. The gain of an exposure multiplies all terms alike and cancels.
+pattern away. Its modulation was m and is m·T_β·ρ/(T_G·ρ + B): `contrast_left` is what m is
+multiplied by, in luminance. The gain of an exposure multiplies all terms alike and cancels.
 
 That holds for patterns finer than the blur, such as the texture and the edges of an object. Coarser
 ones keep more, up to T_G·ρ/(T_G·ρ + B): this is a lower bound. Against Monte Carlo light transport
@@ -81,8 +81,8 @@ def contrast_left(
 
 
 def contrast_of(T: Curves, reflectance: float | Tensor = 0.18) -> Tensor:
-    """The share of contrast (Bx1xHxW) that transmittances leave; reflectance as for `contrast_left`, of
-    their type.
+    """The share of contrast (Bx1xHxW) that transmittances leave; reflectance as for
+    `contrast_left`, of their type.
     """
     detail = _luminance(_left(T.direct, reflectance))
     whole = _luminance(_left(T.direct + T.scatter, reflectance) + T.veil)
