@@ -4,7 +4,7 @@ fits, ONNX files, runs and options.
 
 import os
 from collections.abc import Mapping
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, Field, fields
 from typing import Any, TypeVar
 
 import numpy as np
@@ -40,7 +40,7 @@ def to_plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {str(key): to_plain(item) for key, item in value.items()}
     if _KINDS.get(type(value).__name__) is type(value):
-        stored = {field.name: to_plain(getattr(value, field.name)) for field in _changed(value)}
+        stored = {field.name: to_plain(getattr(value, field.name)) for field in changed(value)}
         return {"kind": type(value).__name__, **stored}
     raise TypeError(f"cannot be written as numbers and words: {value!r:.80}")
 
@@ -73,7 +73,7 @@ def from_plain(data: Any, expected: type | None = None) -> Any:
         raise TypeError(f"{name}: {error}") from None
 
 
-def _changed(value: Any) -> list[Any]:
+def changed(value: Any) -> list[Field[Any]]:
     """The fields of a dataclass that are not as by default."""
 
     def default(field: Any) -> Any:

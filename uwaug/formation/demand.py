@@ -216,8 +216,8 @@ def _farthest_blurred(medium: Medium) -> float:
 
 
 def plan_for(z: Tensor, medium: Medium, size: tuple[int, int], tolerance: float) -> BlurPlan:
-    """The plan for effective distances z, m, in a picture of (height, width) `size`, rounded so that
-    similar ones share it. Gradients of the medium take a finer one.
+    """The plan for effective distances z, m, in a picture of (height, width) `size`, rounded so
+    that similar ones share it. Gradients of the medium take a finer one.
     """
     learned = torch.is_grad_enabled() and medium.requires_grad
     nearest, farthest = checks.extent(z)

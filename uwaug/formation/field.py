@@ -58,9 +58,7 @@ def gaussian_random_field(
     return field_from_noise(noise.to(dtype), (height, width), exponent=exponent, low=low, high=high)
 
 
-def random_field(
-    size: tuple[int, int], seed: int, low: float, high: float, like: Tensor
-) -> Tensor:
+def random_field(size: tuple[int, int], seed: int, low: float, high: float, like: Tensor) -> Tensor:
     """The field (1x1xHxW) that a seed stands for, in float32.
 
     Args:

@@ -10,7 +10,6 @@ from torch import Tensor, nn
 
 from uwaug._support import checks
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread
 
 Part = Literal["rates", "veil", "width"]
 

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from uwaug._support import checks
 from uwaug._support.types import ColorSpace
 from uwaug.blur.plan import BlurPlan
+from uwaug.formation.colour import LUMINANCE
 from uwaug.formation.demand import (
     EVERY_SIDE,
     BlurDemand,
@@ -20,7 +21,6 @@ from uwaug.formation.demand import (
     sides_of,
 )
 from uwaug.formation.development import GAINS, NEUTRAL, Development
-from uwaug.formation.colour import LUMINANCE
 from uwaug.formation.image import form
 from uwaug.formation.inputs import effective_distance, validate
 from uwaug.formation.learnable import FixedMedium, LearnableMedium, Part

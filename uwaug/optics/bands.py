@@ -1,8 +1,8 @@
-"""The inherent optical properties of media, band by band: what a lamp, whose light does not come down
-from the surface, needs to know of the water.
+"""The inherent optical properties of media, band by band: what a lamp, whose light does not come
+down from the surface, needs to know of the water.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -39,6 +39,11 @@ class Bands:
     tolerance: float
 
     @staticmethod
+    def of_tensors(tensors: Iterable[Tensor], tolerance: float) -> "Bands":
+        """The inverse of `tensors`."""
+        return Bands(**dict(zip(_TENSORS, tensors, strict=True)), tolerance=tolerance)
+
+    @staticmethod
     def of_channels(beta: Tensor, G: Tensor, b_mean: Tensor) -> "Bands":
         """A band for each of three channels (B, 3), all of which scatter b̄ (B)."""
         response = torch.eye(3, dtype=beta.dtype, device=beta.device).expand(len(beta), 3, 3)
@@ -53,7 +58,7 @@ class Bands:
         if len({part.surfaces.shape[1] for part in parts}) > 1:
             return None
         columns = zip(*(part.tensors() for part in parts), strict=True)
-        return Bands(*map(padded, columns), min(part.tolerance for part in parts))
+        return Bands.of_tensors(map(padded, columns), min(part.tolerance for part in parts))
 
     def tensors(self) -> tuple[Tensor, ...]:
         """All but the tolerance, in the order of the attributes."""
@@ -61,7 +66,7 @@ class Bands:
 
     def map(self, function: Callable[[Tensor], Tensor]) -> "Bands":
         """`function` applied to each tensor."""
-        return Bands(*map(function, self.tensors()), self.tolerance)
+        return Bands.of_tensors(map(function, self.tensors()), self.tolerance)
 
     def under_lamp(self) -> list[Tensor]:
         """Rates and weights of `Medium.under_lamp`: β and T_β's, G, T_G's and b's."""

@@ -117,10 +117,12 @@ class Medium:
         self.point_spread.require_rows(b)
 
     @staticmethod
-    def of_plain(point_spread: PointSpread, notes: tuple[str, ...] = (), **numbers: Any) -> "Medium":
+    def of_plain(
+        point_spread: PointSpread, notes: tuple[str, ...] = (), **numbers: Any
+    ) -> "Medium":
         """A medium of plain numbers, see `uwaug._support.codec`."""
-        tensors = {name: torch.tensor(value, dtype=torch.float64) for name, value in numbers.items()}
-        return Medium(**tensors, point_spread=point_spread, notes=notes)
+        tensors = [torch.tensor(numbers.pop(name), dtype=torch.float64) for name in _TENSORS]
+        return Medium.of_tensors(tensors, point_spread, notes, **numbers)
 
     @staticmethod
     def from_water(
@@ -195,7 +197,9 @@ class Medium:
         law = PointSpread.paper() if point_spread is None else point_spread
         reflected = np.ones((1, len(axis))) if basis is None else basis
         rows = [tensor_of(array)[None] for array in (beta, G, b, response, reflected)]
-        return Medium.of_tensors([*tensors, b_mean], law, (note,), Bands(*rows, tolerance))
+        return Medium.of_tensors(
+            [*tensors, b_mean], law, (note,), Bands.of_tensors(rows, tolerance)
+        )
 
     @staticmethod
     def from_coefficients(
@@ -229,7 +233,7 @@ class Medium:
         beta, G, b = rows["beta"], rows["G"], rows["b_mean"]
         if bool((G - beta > _ROUNDED * (1 + beta)).any()):
             got = f"G = {G.tolist()} and beta = {beta.tolist()}"
-            raise ValueError(f"G must be beta at most, as forward scatter takes no light: got {got}")
+            raise ValueError(f"G must be beta at most, as scatter adds to it: got {got}")
         weights, veil_weights = torch.diag_embed(rows["light"]), torch.diag_embed(rows["veil"])
         notes = ("coefficients: one rate per channel",) * len(b)
         law = PointSpread.none() if point_spread is None else point_spread
