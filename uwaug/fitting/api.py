@@ -220,9 +220,7 @@ def _chosen(
     ]
 
 
-def _doubts(
-    chosen: FittedModel[CoefficientModel], numbers: Mapping[str, Parameter]
-) -> list[str]:
+def _doubts(chosen: FittedModel[CoefficientModel], numbers: Mapping[str, Parameter]) -> list[str]:
     """What the numbers do not say by themselves."""
     model, theta = chosen.model, chosen.solution.theta
     c, geometry, sentences = model.coefficients(theta), model.geometry, []

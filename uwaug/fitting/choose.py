@@ -51,7 +51,6 @@ class FittedModel(Generic[M]):
         difference = (self.losses - other.losses)[(self.losses > 0) | (other.losses > 0)]
         return float(difference.sum()), float(np.sqrt(difference.size * difference.var()))
 
-
     @cached_property
     def rms(self) -> float:
         """Of the residual, in linear light."""
@@ -107,7 +106,8 @@ def one_standard_error_rule(fitted: Sequence[FittedModel[M]]) -> FittedModel[M]:
 def block_losses(objective: Objective[M], theta: Array) -> Array:
     """What each block of the picture adds to the loss."""
     blocks = objective.pixels.blocks_of_values
-    return np.bincount(blocks, weights=loss(objective.residual(theta)))
+    losses: Array = np.bincount(blocks, weights=loss(objective.residual(theta))).astype(float)
+    return losses
 
 
 def cross_validated(objective: Objective[M], solution: Solution, seed: int) -> FittedModel[M]:

@@ -1,5 +1,5 @@
-"""What a fit looks at: checked pictures, and pixels of them with the blurs of the clean picture that
-any width law mixes. The blurs do not depend on the water, so that they are made once.
+"""What a fit looks at: checked pictures, and pixels of them with the blurs of the clean picture,
+which any width law mixes. The blurs do not depend on the water, so that they are made once.
 """
 
 from collections.abc import Sequence
@@ -94,7 +94,9 @@ class Pictures:
         if clean is not None:
             given["clean"] = clean
         for name, value in given.items():
-            if not (name != "distance" and isinstance(value, Tensor) and value.dtype == torch.uint8):
+            if not (
+                name != "distance" and isinstance(value, Tensor) and value.dtype == torch.uint8
+            ):
                 checks.floating(name, value)
             checks.picture(name, value, 1 if name == "distance" else 3)
             if value.shape[-2:] != observed.shape[-2:]:
@@ -153,9 +155,7 @@ class Pictures:
 
         stacks = {}
         for shape in shapes:
-            plan = plan_blur(
-                0.0, self.geometry.widest, _TOLERANCE, shape, max(self.geometry.size)
-            )
+            plan = plan_blur(0.0, self.geometry.widest, _TOLERANCE, shape, max(self.geometry.size))
             blurs = [at_places(x).double() for x in blurred(self.clean.float(), plan)]
             stacks[shape] = Stack(plan, blurs)
         observed = at_places(self.observed)
@@ -273,7 +273,9 @@ def _light(picture: Tensor, color_space: ColorSpace, name: str) -> Tensor:
     return decoded(picture, color_space).double()
 
 
-def _stratified(z: Array, usable: NDArray[np.bool_], count: int, rng: np.random.Generator) -> Places:
+def _stratified(
+    z: Array, usable: NDArray[np.bool_], count: int, rng: np.random.Generator
+) -> Places:
     """The places of `count` usable pixels of a picture: as many from each of equal steps of
     distance, as far as there are.
     """

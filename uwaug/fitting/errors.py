@@ -1,5 +1,5 @@
-"""How sure a fit is: the spread of its numbers over other pictures of the same kind; whether what is
-left is noise; and the one place, `parameter`, where a number is reported or is "not identified".
+"""How sure a fit is: the spread of its numbers over other pictures of the same kind; what is left
+by distance; and the one place, `parameter`, where a number is reported or is "not identified".
 """
 
 import math
@@ -82,9 +82,7 @@ def sandwich(jacobian: Array, score: Array, curvature: Array, blocks: Places) ->
     matrix[np.ix_(used, used)] = inner / np.outer(length[used], length[used])
     unseen = np.zeros((len(length), int((~seen).sum())))
     unseen[used] = vectors[:, ~seen]
-    return Covariance(
-        matrix, length, unseen, math.sqrt(np.median(ratios)) if ratios.size else 1.0
-    )
+    return Covariance(matrix, length, unseen, math.sqrt(np.median(ratios)) if ratios.size else 1.0)
 
 
 def covariance_of(objective: Objective[M], solution: Solution) -> Covariance:

@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -198,8 +198,8 @@ def _growth_slope(x: Tensor) -> Tensor:
 class CoefficientModel:
     """A water by coefficients for each colour.
 
-    θ holds β; share, G/β; source; the logarithm of light; of each colour; width and exponent: G as a share of β and
-    the veil by its slope at the lens are told apart better than G and V(0).
+    θ holds β, share (G/β), source and the logarithm of light of each colour, width and exponent: G
+    as a share of β, and the veil by its slope at the lens, are told apart better than G and V(0).
 
     Attributes:
         spec: the candidate.
@@ -280,7 +280,9 @@ class CoefficientModel:
         beta = np.maximum(c.beta, G) if self.spec.shape else c.beta
         light, veil = (torch.from_numpy(x)[None] for x in (c.light, c.source / G))
         if self.spec.shape is None:
-            return _without_scatter(torch.from_numpy(beta)[None], torch.from_numpy(G)[None], light, veil)
+            return _without_scatter(
+                torch.from_numpy(beta)[None], torch.from_numpy(G)[None], light, veil
+            )
         b = (beta - G).mean() / (1 - Scattering.CALIBRATED.g)
         b = max(float(b), _MIN_LENGTHS / geometry.reference)
         # σ = width·(z/reference)^exponent

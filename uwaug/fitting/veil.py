@@ -138,7 +138,7 @@ def fit_veil(
                 rows[quantity.name] = parameter(quantity, value, error, shows=shows[kind])
     numbers = {f"{kind}_{c}": rows[f"{kind}_{c}"] for kind in values for c in COLOURS}
     source, G = theta.T
-    left = dark.light - np.stack([_veil(*numbers_of, dark.z) for numbers_of in theta], 1)
+    left = dark.light - np.stack([_veil(s, rate, dark.z) for s, rate in theta], 1)
     notes = [
         "An estimate: the darkest pixels at each distance are taken for black. What their surfaces "
         f"reflect counts as veil; errors are for up to {darkest:.2g} of white (darkest)."
@@ -225,7 +225,7 @@ def _residual(theta: Array, dark: Dark, channel: int, floor: float = 0.0) -> Arr
     """Observed − veil, in units of which `ROBUST` begin to count less; above the curve, less."""
     light = dark.light[:, channel]
     scale = max(_ROBUST * float(np.quantile(light, 0.95)), 1e-9) / ROBUST
-    error = (light - _veil(*theta, dark.z) - floor * np.exp(-theta[1] * dark.z)) / scale
+    error = (light - _veil(theta[0], theta[1], dark.z) - floor * np.exp(-theta[1] * dark.z)) / scale
     return np.asarray(np.sqrt(np.where(error > 0, _ABOVE, 1.0)) * error)
 
 
