@@ -228,14 +228,13 @@ def _doubts(chosen: FittedModel[CoefficientModel], numbers: Mapping[str, Paramet
             "attenuation of both together, and G at least; that of the direct light alone, β of "
             "the water, may be larger."
         )
+    elif c.width < NARROW:
+        sentences.append(
+            f"A blur below {NARROW} px is hardly told from none, and with it what is scattered "
+            "forward from what is not; G and veil do not depend on it."
+        )
     else:
-        law = model.medium(theta).point_spread
-        if c.width < NARROW:
-            sentences.append(
-                f"A blur below {NARROW} px is hardly told from none, and with it what is scattered "
-                "forward from what is not; G and veil do not depend on it."
-            )
-        sentences.append(f"Width law: {law}, at b̄ of the medium.")
+        sentences.append(f"Width law: {model.medium(theta).point_spread}, at b̄ of the medium.")
     straight = [
         colour
         for colour, G in zip(COLOURS, c.G, strict=True)
