@@ -1,4 +1,4 @@
-"""Light: daylight with a direction, and lamps."""
+"""Light: lamps near the camera, and daylight beside them."""
 
 from uwaug.light.light import Light
 
