@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import tifffile
 import torch
-from imagecodecs import png_decode, png_encode
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 from torch import Tensor
@@ -30,7 +29,8 @@ def read_picture(path: str | Path) -> Tensor:
 
     Args:
         path: of a PNG, JPEG or TIFF file (its first page) of 8 or 16 bits; or of a .npy (HxWx3) or
-            .exr file, which may also hold floating-point numbers, 0…1.
+            .exr file, which may also hold floating-point numbers, 0…1. EXR and PNG of 16 bits need
+            the extra "files".
 
     Returns:
         3xHxW: uint8 (0…255) of 8 bits, else float32: 0…1 of 16 bits, as it is of floating point.
@@ -120,7 +120,7 @@ def write_picture(path: str | Path, image: Tensor) -> None:
         values = np.rint(values.clip(0, 1).astype(np.float64) * most).astype(kind)
     with written_whole(path) as part:
         if end == ".exr":
-            (exr,) = require("exr", "OpenEXR")
+            (exr,) = require("files", "OpenEXR")
             light = (values / 255 if values.dtype == np.uint8 else values).astype(np.float32)
             exr.File({"type": exr.scanlineimage}, {"RGB": light}).write(str(part))
             return
@@ -131,7 +131,8 @@ def write_picture(path: str | Path, image: Tensor) -> None:
                 # without the time of writing, so that equal pictures are equal files
                 tifffile.imwrite(file, values, photometric="rgb", compression="zlib", metadata=None)
             elif values.dtype == np.uint16:
-                file.write(png_encode(values))
+                (codecs,) = require("files", "imagecodecs")
+                file.write(codecs.png_encode(values))
             elif end == ".png":
                 Image.fromarray(values).save(file, "PNG")
             else:
@@ -181,7 +182,8 @@ def _of_pillow(path: Path) -> NDArray[Any]:
             raise ValueError(f"expected RGB or grey, without palette and alpha, got {image.mode}")
         head = path.open("rb").read(_BIT_DEPTH + 1) if image.format == "PNG" else b""
         if image.mode == "RGB" and head[_BIT_DEPTH:] == b"\x10":  # Pillow would drop half of them
-            return np.asarray(png_decode(path.read_bytes()))
+            (codecs,) = require("files", "imagecodecs")
+            return np.asarray(codecs.png_decode(path.read_bytes()))
         return np.asarray(ImageOps.exif_transpose(image))
 
 
@@ -198,7 +200,7 @@ def _of_tiff(path: Path) -> NDArray[Any]:
 
 
 def _of_exr(path: Path) -> NDArray[Any]:
-    (exr,) = require("exr", "OpenEXR")
+    (exr,) = require("files", "OpenEXR")
     channels = exr.File(str(path)).channels()
     name = next((name for name in ("RGB", "Z") if name in channels), None)
     if name is None and len(channels) > 1:

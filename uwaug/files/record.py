@@ -1,13 +1,25 @@
 """The record beside each picture of a run: what it was made of, and all that was drawn for it."""
 
 import json
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
+
+import torch
 
 from uwaug._support.atomic import written_whole
 
 KEYS = ("uwaug", "torch", "name", "variant", "picture", "distance", "recipe", "params")
 """What a record must have to make its picture again."""
+
+
+def versions() -> dict[str, str]:
+    """Of uwaug and torch."""
+    try:
+        own = version("uwaug")
+    except PackageNotFoundError:
+        own = "not installed"
+    return {"uwaug": own, "torch": str(torch.__version__)}
 
 
 def record_path(picture: Path) -> Path:

@@ -11,14 +11,14 @@ from typing import Any, Literal, NamedTuple
 import torch
 from torch import Tensor
 
-import uwaug
 from uwaug._support import checks
 from uwaug._support.atomic import remove_left, written_whole
+from uwaug.distance.sources import Metres
 from uwaug.files.items import Item
 from uwaug.files.labels import Judged, Labelled, Labels, judged, open_labels
 from uwaug.files.pictures import ENDINGS, metres_of, read_distance, read_picture, write_picture
 from uwaug.files.pool import on_processes, one_thread
-from uwaug.files.record import read_record, record_path, write_record
+from uwaug.files.record import read_record, record_path, versions, write_record
 from uwaug.files.sheet import write_sheet
 from uwaug.transforms.random_underwater import RandomUnderwater
 from uwaug.transforms.samples import key_of
@@ -33,7 +33,7 @@ class Recipe:
 
     Attributes:
         transform: options of `RandomUnderwater`, as its `to_dict` gives them.
-        unit: of the distances in files, see `read_distance`; None of relative and inverse ones.
+        unit: of distances in files, see `read_distance`, where the transform takes metres.
         seed: of all that is random.
         variants: of each picture.
         ending: of the files to write, such as ".png"; None: as of each picture.
@@ -46,7 +46,7 @@ class Recipe:
     """
 
     transform: dict[str, Any] = field(default_factory=dict)
-    unit: str | float | None = "m"
+    unit: str | float = "m"
     seed: int = 0
     variants: int = 1
     ending: str | None = None
@@ -54,8 +54,7 @@ class Recipe:
     min_contrast: float | None = None
 
     def __post_init__(self) -> None:
-        if self.unit is not None:
-            metres_of(self.unit)
+        metres_of(self.unit)
         if self.variants < 1:
             raise ValueError(f"variants must be 1 or more, got {self.variants}")
         if self.ending is not None:
@@ -157,7 +156,7 @@ def degrade(
         FileExistsError: if there is something in `out`, without `resume` and `force`.
         OSError: if `out` cannot be written.
     """
-    out = Path(out)
+    out, labels = Path(out), None
     single = out.suffix.lower() in ENDINGS and not out.is_dir()
     if single:
         if len(items) * recipe.variants != 1 or recipe.labels is not None or sheet:
@@ -168,17 +167,18 @@ def degrade(
         jobs = [Job(items[0], 0, out.name)]
         out = out.parent
     else:
-        labels = None if recipe.labels is None else open_labels(recipe.labels)
+        labels = open_labels(recipe.labels) if recipe.labels is not None else None
         if not (resume or force) and out.is_dir() and any(out.iterdir()):
             cure = "another folder, resume to go on, or force to write over it"
             raise FileExistsError(f"{out} is not empty: {cure}")
         out.mkdir(parents=True, exist_ok=True)
         jobs = list(_jobs(recipe, items, labels))
+    work = Worker(recipe, out, resume=resume, force=force)
+    work.require_maps(items)
     _require_apart(jobs, out)
     if resume:
         for folder in {(out / job.place).parent for job in jobs}:
             remove_left(folder)  # what a killed run was writing
-    work = Worker(recipe, out, resume=resume, force=force)
     if ray is not None:
         from uwaug.files.ray import on_ray
 
@@ -216,13 +216,30 @@ class Worker:
         self._plain = recipe.to_dict()
         self._transform = RandomUnderwater.from_dict(recipe.transform)
 
+    def require_maps(self, items: Sequence[Item]) -> None:
+        """Refuse pictures without distances if the transform reads them from files.
+
+        Raises:
+            ValueError: names a picture.
+        """
+        for item in items:
+            if item.distance is None and getattr(self._transform.distance, "reads_maps", True):
+                cure = "give files, or a transform with distance=Plane(…) or Network(…)"
+                raise ValueError(f"distance is missing: {item.name} has no file of it: {cure}")
+
     def __call__(self, job: Job) -> Result:
         """Degrade a picture."""
-        result = Result(job.item, job.variant, job.place, "failed")
         try:
             return self._written(job)
         except Exception as error:  # decoders raise whatever they like over a damaged file
-            return result._replace(reason=_reason(error))
+            return self._failed(job, _reason(error))
+
+    def died(self, job: Job) -> Result:
+        """What to say of a picture over which a process has died."""
+        return self._failed(job, "the process died over it: out of memory, or a damaged file")
+
+    def _failed(self, job: Job, reason: str) -> Result:
+        return Result(job.item, job.variant, job.place, "failed", reason=reason)
 
     def _written(self, job: Job) -> Result:
         item, output = job.item, self.out / job.place
@@ -246,13 +263,11 @@ class Worker:
             if not self.force:
                 got = f"{output} was made with another {' and '.join(other)}"
                 raise FileExistsError(f"{got}: choose another folder, or force to write over it")
-        image, z = _read(item, self.recipe)
-        generator = torch.Generator().manual_seed(
-            key_of(self.recipe.seed, job.variant, item.name)
-        )
+        image, z = _read(item, self.recipe, self._transform)
+        generator = torch.Generator().manual_seed(key_of(self.recipe.seed, job.variant, item.name))
         params = self._transform.make_params(image, generator)
         degraded = self._transform.transform(image, z, params)
-        left = self._transform.contrast(image, z, params)
+        left = self._transform.contrast_left(image, z, params)
         contrast = round(float(left.double().mean()), 4)
         objects = []
         if job.labels is not None:
@@ -263,9 +278,8 @@ class Worker:
         if job.labels is not None:
             dropped = {one.key for one in objects if not one.kept}
             job.labels.write(item.name, job.place, dropped, self.out)
-        versions = {"uwaug": uwaug.__version__, "torch": str(torch.__version__)}
         found = {"contrast": contrast, "objects": [one._asdict() for one in objects]}
-        record = {**versions, **made_of, "params": params, **found}
+        record = {**versions(), **made_of, "params": params, **found}
         write_record(record_path(output), record)
         write_picture(output, degraded)
         return result._replace(contrast=contrast, objects=objects)
@@ -304,15 +318,18 @@ def replay(
     item = Item(plain["name"], source, where)
     _require_apart([Job(item, 0, output.name)], output.parent)
     with one_thread():
-        image, z = _read(item, recipe)
         transform = RandomUnderwater.from_dict(recipe.transform)
+        image, z = _read(item, recipe, transform)
         write_picture(output, transform.transform(image, z, plain["params"]))
 
 
-def _read(item: Item, recipe: Recipe) -> tuple[Tensor, Tensor | None]:
+def _read(item: Item, recipe: Recipe, transform: RandomUnderwater) -> tuple[Tensor, Tensor | None]:
     """The picture and the map of an item."""
     image = read_picture(item.picture)
-    return image, None if item.distance is None else read_distance(item.distance, recipe.unit)
+    if item.distance is None:
+        return image, None
+    unit = recipe.unit if isinstance(transform.distance, Metres) else None
+    return image, read_distance(item.distance, unit)
 
 
 def _jobs(recipe: Recipe, items: Sequence[Item], labels: Labels | None) -> Iterator[Job]:
