@@ -1,22 +1,23 @@
 from . import adapters as adapters
 from . import blur as blur
 from . import distance as distance
+from . import fast as fast
 from . import figures as figures
+from . import files as files
 from . import fitting as fitting
 from . import formation as formation
-from . import jobs as jobs
-from . import labels as labels
 from . import onnx as onnx
 from . import presets as presets
+from . import published as published
 from . import transforms as transforms
 from .fitting import fit as fit
 from .formation import Development as Development
 from .formation import Terms as Terms
 from .formation import Underwater as Underwater
-from .formation import contrast as contrast
+from .formation import contrast_left as contrast_left
 from .formation import form_image as form_image
-from .formation import fused as fused
 from .formation import gaussian_random_field as gaussian_random_field
+from .light import Lamp as Lamp
 from .light import Light as Light
 from .optics import JERLOV_TYPES as JERLOV_TYPES
 from .optics import Camera as Camera
@@ -31,6 +32,7 @@ from .presets import Preset as Preset
 from .presets import list_presets as list_presets
 from .presets import load_preset as load_preset
 from .transforms import KeepVisible as KeepVisible
+from .transforms import RandomDevelopment as RandomDevelopment
 from .transforms import RandomUnderwater as RandomUnderwater
 
 __version__: str

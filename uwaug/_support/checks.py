@@ -4,21 +4,20 @@ And the domain of each quantity.
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
-from torch import Tensor
+
+if TYPE_CHECKING:  # what needs no tensors, such as a table of waters, is shown without PyTorch
+    from torch import Tensor
 
 DOMAIN = {
     "mixing": (0.0, 1.0),
-    "visibility": (1e-3, math.inf),
     "vertical_depth": (0.0, math.inf),
     "g": (0.0, 1.0),
     "mu": (0.0, 1.0),
     "scale": (0.0, math.inf),
     "exponent": (1e-3, math.inf),
-    "blur_factor": (0.0, math.inf),
     "near": (0.0, math.inf),
     "far": (0.0, math.inf),
     "gamma": (1e-3, math.inf),
@@ -30,10 +29,8 @@ DOMAIN = {
     "cdom": (0.0, 1e4),
     "minerals": (0.0, 1e4),
     "color_matrix": (0.0, 1.0),
-    "compensation": (-10.0, 10.0),
     "white_balance": (-1.0, 1.0),
     "saturation": (0.0, 4.0),
-    "black_point": (0.0, 1.0),
     "gamut": (0.0, 1.0),
     "tone": (0.25, 4.0),
 }
@@ -91,7 +88,7 @@ def pair(name: str, value: Any, wanted: str) -> tuple[float, float]:
 
 def number_only(name: str, value: object) -> None:
     """Refuse a tensor where a number is asked for, which would get no gradient."""
-    if isinstance(value, Tensor):
+    if hasattr(value, "requires_grad"):
         cure = "to learn what water does, use Underwater(…, learnable=True)"
         raise TypeError(f"{name} must be a number, got a tensor; {cure}")
 
@@ -118,6 +115,9 @@ def instance(name: str, value: object, kind: type, hint: str = "") -> None:
 
 def floating(name: str, value: object, hint: str = "") -> None:
     """Refuse what is no floating-point tensor; `hint` says what to do about it."""
+    import torch
+    from torch import Tensor
+
     if not isinstance(value, Tensor) or not value.is_floating_point():
         got = value.dtype if isinstance(value, Tensor) else type(value).__name__
         cure = "; scale 0…255 to 0…1 first" if got == torch.uint8 and not hint else hint
@@ -126,7 +126,7 @@ def floating(name: str, value: object, hint: str = "") -> None:
         raise TypeError(f"{name} must be a floating-point tensor, got {got}{cure}")
 
 
-def finite(name: str, value: Tensor) -> tuple[float, float]:
+def finite(name: str, value: "Tensor") -> tuple[float, float]:
     """Refuse NaN and infinite values, one of which would spread with the blur over rows and
     columns; return the least and the largest.
     """
@@ -137,7 +137,7 @@ def finite(name: str, value: Tensor) -> tuple[float, float]:
     return low, high
 
 
-def metres(name: str, value: Tensor) -> None:
+def metres(name: str, value: "Tensor") -> None:
     """Refuse a map whose median lies beyond 1000 m: it holds millimetres."""
     median = too_far(value)
     if median is not None:
@@ -145,7 +145,7 @@ def metres(name: str, value: Tensor) -> None:
         raise ValueError(f"{name} must be in metres, got {got}: divide by 1000: millimetres?")
 
 
-def too_far(value: Tensor) -> float | None:
+def too_far(value: "Tensor") -> float | None:
     """The median of a map, m, if it lies farther than anybody sees, beyond 1000 m.
 
     Unknown pixels and open water do not count. All pixels are looked at only if one of a few
@@ -159,7 +159,7 @@ def too_far(value: Tensor) -> float | None:
     return median if median > _FARTHEST else None
 
 
-def distances(name: str, value: Tensor) -> tuple[float, float]:
+def distances(name: str, value: "Tensor") -> tuple[float, float]:
     """Refuse NaN and negative distances, and millimetres; return the least and the largest."""
     if not value.numel():
         return 0.0, 0.0
@@ -174,7 +174,7 @@ def distances(name: str, value: Tensor) -> tuple[float, float]:
     return low, high
 
 
-def picture(name: str, value: Tensor, channels: int) -> None:
+def picture(name: str, value: "Tensor", channels: int) -> None:
     """Refuse a tensor that is neither (B, channels, H, W) nor (channels, H, W)."""
     if value.ndim not in (3, 4) or value.shape[-3] != channels:
         shapes = f"({channels}, H, W) or (B, {channels}, H, W)"
@@ -198,14 +198,14 @@ def _reshaped(name: str, shape: tuple[int, ...], channels: int) -> str:
     return ""
 
 
-def same_size(name: str, value: Tensor, image: Tensor) -> None:
+def same_size(name: str, value: "Tensor", image: "Tensor") -> None:
     """Refuse a map of another height or width than the image."""
     if value.shape[-2:] != image.shape[-2:]:
         size, other = tuple(value.shape[-2:]), tuple(image.shape[-2:])
         raise ValueError(f"{name} is {size} but image is {other}: height and width must agree")
 
 
-def same_device(name: str, value: Tensor, image: Tensor) -> None:
+def same_device(name: str, value: "Tensor", image: "Tensor") -> None:
     """Refuse a tensor on another device than the image."""
     if value.device != image.device:
         where = f"on {value.device} but image is on {image.device}"
@@ -218,33 +218,22 @@ def batches(sizes: Mapping[str, int]) -> None:
         raise ValueError(f"batch sizes must agree or be 1, got {dict(sizes)}")
 
 
-def counted(x: Tensor, *kinds: str, of: str = "pixels") -> str:
+def counted(x: "Tensor", *kinds: str, of: str = "pixels") -> str:
     """How many values of a tensor are "NaN", "negative", "zero" or "infinite", in words."""
     masks = {"NaN": x.isnan(), "negative": x < 0, "zero": x == 0, "infinite": x.isinf()}
     *first, last = (f"{kind} at {int(masks[kind].sum())}" for kind in kinds)
     return f"{', '.join(first)} and {last} of {x.numel()} {of}"
 
 
-def extent(x: Tensor) -> tuple[float, float]:
+def extent(x: "Tensor") -> tuple[float, float]:
     """The least and the largest value of a tensor; NaN if it holds any."""
     low, high = x.detach().aminmax()
     return float(low), float(high)
 
 
-def span(x: Tensor) -> str:
+def span(x: "Tensor") -> str:
     """The values of a tensor, in words."""
     numbers = x[~x.isnan()]
     if not numbers.numel():
         return "NaN only"
     return f"{float(numbers.min()):.4g} to {float(numbers.max()):.4g}"
-
-
-def alike(mine: Any, theirs: Any) -> bool:
-    """Whether two settings are equal, numbers to 1e-6: the last digits depend on the processor."""
-    if isinstance(mine, dict) and isinstance(theirs, dict):
-        return mine.keys() == theirs.keys() and all(alike(mine[key], theirs[key]) for key in mine)
-    if isinstance(mine, list | tuple) and isinstance(theirs, list | tuple):
-        return len(mine) == len(theirs) and all(map(alike, mine, theirs))
-    if isinstance(mine, float) and isinstance(theirs, float):
-        return math.isclose(mine, theirs, rel_tol=1e-6, abs_tol=1e-6)
-    return bool(mine == theirs)

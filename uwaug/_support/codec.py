@@ -4,11 +4,10 @@ fits, ONNX files, runs and options.
 
 import os
 from collections.abc import Mapping
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, Field, fields
 from typing import Any, TypeVar
 
 import numpy as np
-from torch import Tensor
 
 T = TypeVar("T")
 
@@ -30,7 +29,7 @@ def to_plain(value: Any) -> Any:
     """
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
-    if isinstance(value, Tensor):
+    if hasattr(value, "detach"):  # a tensor; waters and cameras are written without PyTorch
         return value.detach().cpu().tolist()
     if isinstance(value, (np.generic, np.ndarray)):
         return value.tolist()
@@ -41,7 +40,7 @@ def to_plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {str(key): to_plain(item) for key, item in value.items()}
     if _KINDS.get(type(value).__name__) is type(value):
-        stored = {field.name: to_plain(getattr(value, field.name)) for field in _changed(value)}
+        stored = {field.name: to_plain(getattr(value, field.name)) for field in changed(value)}
         return {"kind": type(value).__name__, **stored}
     raise TypeError(f"cannot be written as numbers and words: {value!r:.80}")
 
@@ -68,18 +67,20 @@ def from_plain(data: Any, expected: type | None = None) -> Any:
         wanted = ", ".join(_KINDS) if expected is None else expected.__name__
         raise ValueError(f"kind must be {wanted}, got {name!r}")
     try:
-        return _KINDS[name](**values)
+        kind = _KINDS[name]
+        return getattr(kind, "of_plain", kind)(**values)  # of_plain: makes tensors of numbers
     except TypeError as error:  # an argument that it does not have
         raise TypeError(f"{name}: {error}") from None
 
 
-def _changed(value: Any) -> list[Any]:
+def changed(value: Any) -> list[Field[Any]]:
     """The fields of a dataclass that are not as by default."""
 
     def default(field: Any) -> Any:
         return field.default if field.default_factory is MISSING else field.default_factory()
 
     def same(a: Any, b: Any) -> bool:
-        return type(a) is type(b) and not isinstance(a, (Tensor, np.ndarray)) and a == b
+        return type(a) is type(b) and not hasattr(a, "shape") and a == b
 
-    return [f for f in fields(value) if f.init and not same(getattr(value, f.name), default(f))]
+    stored = (f for f in fields(value) if f.init and f.metadata.get("stored", True))
+    return [f for f in stored if not same(getattr(value, f.name), default(f))]

@@ -8,8 +8,7 @@ import torch
 from torch import Tensor
 
 from uwaug._support import checks
-from uwaug._support.torch_func import transformed, untransformed
-from uwaug.blur.banded import Banded, Kind, Node, along_columns, along_rows, operator, whole
+from uwaug.blur.banded import Banded, Kind, Node, along_columns, along_rows, operator
 from uwaug.blur.plan import V_FLOOR, BlurPlan, place_line, plan_blur
 
 Chain = tuple[tuple[int, Banded], ...]
@@ -153,26 +152,6 @@ def _node_blur_backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]
 _node_blur.register_autograd(_node_blur_backward, setup_context=_remember)
 
 
-def _plain_blur(image: Tensor, node: Node) -> Tensor:
-    """One blur (BxCxHxW) by dense matrices: plain operations, which `torch.func` and forward mode
-    differentiate as often as they like.
-    """
-    down, across = (_dense(node, size) for size in image.shape[-2:])
-    return down.to(image) @ image @ across.to(image).mT
-
-
-def _dense(node: Node, size: int) -> Tensor:
-    """The matrix of one blur along an axis, rows times columns."""
-    steps: tuple[Kind, ...] = ("blur",) if node.cell == 1 else ("shrink", "enlarge")
-    product = np.eye(size)
-    with untransformed():
-        for kind in steps:
-            matrix = whole(kind, size, node)
-            low, slab = matrix.slab(0, matrix.rows)
-            product = slab @ product[low : low + slab.shape[1]]
-        return torch.from_numpy(product)
-
-
 def products(x: Tensor, chain: Chain) -> Tensor:
     """Apply the matrices of a chain in turn to x (H, N, W)."""
     for axis, matrix in chain:
@@ -204,10 +183,6 @@ def blurred(image: Tensor, plan: BlurPlan) -> list[Tensor]:
     x = image.permute(2, 0, 1, 3).reshape(h, b * c, w)
     stack = []
     for sigma, cell in zip(plan.sigmas, plan.cells, strict=True):
-        if transformed():
-            node = Node(sigma, cell, plan.reach)
-            stack.append(_plain_blur(image, node) if sigma > 0 else image)
-            continue
         blur = _node_blur(x, sigma, cell, plan.reach, False) if sigma > 0 else x
         stack.append(blur.reshape(h, b, c, w).permute(1, 2, 0, 3))
     return stack

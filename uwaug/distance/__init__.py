@@ -1,23 +1,20 @@
 """Metres along the ray, from what people have: metric depth, disparity, relative or inverse depth,
-a depth network.
+a depth network, a plane.
 """
 
-from uwaug.distance.convert import (
-    along_ray,
-    check_distance,
-    fill_unknown,
-    from_disparity,
-    from_inverse,
-    from_relative,
-)
-from uwaug.distance.network import DepthNetwork
-from uwaug.distance.sample import UnknownDistanceError
+from uwaug.distance.convert import along_ray, from_disparity, from_inverse, from_relative
+from uwaug.distance.fill import fill_unknown
+from uwaug.distance.network import Network
+from uwaug.distance.sources import Inverse, Metres, Plane, Relative, Source
 
 __all__ = [
-    "DepthNetwork",
-    "UnknownDistanceError",
+    "Inverse",
+    "Metres",
+    "Network",
+    "Plane",
+    "Relative",
+    "Source",
     "along_ray",
-    "check_distance",
     "fill_unknown",
     "from_disparity",
     "from_inverse",

@@ -2,16 +2,14 @@
 a depth network.
 
 Convention: maps are (..., H, W) tensors, float32 or float64 (half precision is taken up to
-float32). NaN stands for an unknown distance and stays NaN until `check_distance` or `fill_unknown`;
-+inf stands for open water. A pixel's index (i, j) has its centre at (i + 0.5, j + 0.5).
+float32). NaN stands for an unknown distance and stays NaN until `fill_unknown`; +inf stands for
+open water. A pixel's index (i, j) has its centre at (i + 0.5, j + 0.5).
 """
 
 import torch
 from torch import Tensor
 
 from uwaug._support import checks
-from uwaug.distance.behind import filled_behind
-from uwaug.distance.complete import filled, warn_of_unknown
 
 
 def from_relative(
@@ -39,9 +37,18 @@ def from_relative(
         >>> from_relative(torch.tensor([[0.0, 0.5, 1.0]]), near=1.0, far=5.0, gamma=2.0)
         tensor([[1., 2., 5.]])
     """
-    t = _maps("t", t)
-    require_relative(t, near, far, gamma)
-    return scaled_relative(t, near, far, gamma)
+    t = as_maps("t", t)
+    if bool(((t < 0) | (t > 1)).any()):
+        cure = "normalise first, (t - t.min()) / (t.max() - t.min())"
+        raise ValueError(f"t must lie in [0, 1], got {checks.span(t)}: {cure}")
+    n, f, power = (torch.as_tensor(number, dtype=torch.float64) for number in (near, far, gamma))
+    if not bool(((n >= 0) & (f >= n) & f.isfinite()).all()):
+        got = f"got near={near}, far={far}"
+        raise ValueError(f"near and far must satisfy 0 <= near <= far < inf, {got}")
+    if not bool(((power > 0) & power.isfinite()).all()):
+        raise ValueError(f"gamma must be positive and finite, got {gamma}")
+    safe = t.clamp(min=1e-6)
+    return near + (far - near) * (t / safe * safe**gamma)
 
 
 def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> Tensor:
@@ -72,9 +79,23 @@ def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> 
         >>> from_inverse(torch.tensor([[0.0, 30.0, 90.0]]), near=1.0, far=4.0)
         tensor([[4., 2., 1.]])
     """
-    inverse = _maps("inverse", inverse)
-    require_range(near, far, inverse=True)
-    return scaled_inverse(inverse, ends_of_inverse(inverse), near, far)
+    inverse = as_maps("inverse", inverse)
+    n, f = (torch.as_tensor(end, dtype=torch.float64) for end in (near, far))
+    if not bool(((n > 0) & (f >= n) & n.isfinite()).all()):
+        got = f"got near={near}, far={far}"
+        raise ValueError(f"near and far must satisfy 0 < near <= far, near finite, {got}")
+    known = inverse.isfinite()
+    least = torch.where(known, inverse, torch.inf).amin((-2, -1), keepdim=True)
+    largest = torch.where(known, inverse, -torch.inf).amax((-2, -1), keepdim=True)
+    flat = ~(largest > least)
+    if bool(flat.any()):
+        got = f"{which(flat)} that is constant or has no finite value"
+        cure = "scale whole maps before they are cropped"
+        raise ValueError(f"inverse must vary within each map, got {got}: {cure}")
+    # halves, whose difference no pair of finite values can make infinite
+    low = least / 2
+    s = (torch.where(known, inverse / 2, low) - low) / (largest / 2 - low)
+    return torch.where(known, 1 / (1 / far + (1 / near - 1 / far) * s), torch.nan)
 
 
 def from_disparity(
@@ -105,7 +126,7 @@ def from_disparity(
         >>> from_disparity(torch.tensor([[10.0, 20.0, 0.0]]), focal_px=1000.0, baseline_m=0.1)
         tensor([[10.,  5., nan]])
     """
-    disparity = _maps("disparity", disparity)
+    disparity = as_maps("disparity", disparity)
     checks.positive("focal_px", focal_px)
     checks.positive("baseline_m", baseline_m)
     checks.within("offset_px", offset_px)
@@ -140,7 +161,7 @@ def along_ray(
         >>> along_ray(torch.full((1, 3), 2.0), focal_px=1.0)
         tensor([[2.8284, 2.0000, 2.8284]])
     """
-    depth = _maps("depth", depth)
+    depth = as_maps("depth", depth)
     fx, fy = focal_px if isinstance(focal_px, tuple) else (focal_px, focal_px)
     height, width = depth.shape[-2:]
     cx, cy = (width / 2, height / 2) if centre is None else centre
@@ -152,151 +173,15 @@ def along_ray(
     return depth * (1 + x**2 + y[:, None] ** 2).sqrt()
 
 
-def check_distance(distance: Tensor) -> Tensor:
-    """Make sure that every pixel is known: above 0 m, or +inf for open water.
-
-    Args:
-        distance: (..., H, W), metres.
-
-    Returns:
-        `distance`.
-
-    Raises:
-        ValueError: pixels are NaN, negative or zero (says how many of each).
-        TypeError: `distance` is no floating-point tensor.
-    """
-    distance = _maps("distance", distance)
-    # NaN if any is; a mask of all pixels takes several times as long
-    if distance.numel() and not distance.detach().amin() > 0:
-        counts = checks.counted(distance, "NaN", "negative", "zero")
-        cure = "mask them, or fill them with uwaug.distance.fill_unknown"
-        raise ValueError(f"distance must be above 0 m (inf = open water), but is {counts}: {cure}")
-    return distance
-
-
-def fill_unknown(distance: Tensor, *, behind: bool = False) -> Tensor:
-    """Give each unknown pixel (NaN, negative or zero) a distance from the known ones of its map.
-
-    Holes of real maps are mostly thin: occlusions beside edges, reflections, the rim that
-    rectification leaves. Within 4 pixels of what is known the nearest value keeps edges sharp and
-    invents no distance in between. Farther inside, a membrane over 1/z spans the hole smoothly.
-
-    Maps of depth cameras want `behind=True`: their holes are shadows that edges throw on what is
-    behind, and all that lies beyond the sensor's range. A hole is then filled from the farther
-    side of its rim, and the middle of a wide one gets the farthest distance of its rim. Where
-    there is open water beyond the range, set it: `torch.where(distance > 0, distance, torch.inf)`.
-
-    Fill a whole map before it is cropped: a crop may hold no known pixel.
-
-    Args:
-        distance: (..., H, W), metres. +inf is known: open water.
-        behind: fill holes with what is behind.
-
-    Returns:
-        Shape of `distance`, every pixel above 0 and between the least and the largest known value;
-        differentiable in the known pixels (which of them is the nearest is held fixed, and so is
-        the farthest of a rim). `distance` itself if none is unknown.
-
-    Raises:
-        ValueError: a map has no known pixel.
-        TypeError: `distance` is no floating-point tensor.
-
-    Warns:
-        UserWarning: once in a process, if more than 20 % of a map is unknown, but for `behind`.
-
-    Examples:
-        >>> fill_unknown(torch.tensor([[2.0, 2.0, 2.0, 2.0, 0.0, 0.0, 3.0, 3.0, 3.0, 3.0]]))
-        tensor([[2., 2., 2., 2., 2., 3., 3., 3., 3., 3.]])
-        >>> fill_unknown(torch.tensor([[2.0, 2.0, 0.0, 0.0, 0.0, 0.0, 3.0, 3.0]]), behind=True)
-        tensor([[2., 2., 3., 3., 3., 3., 3., 3.]])
-    """
-    distance = _maps("distance", distance)
-    unknown = ~(distance > 0)
-    if not bool(unknown.any()):
-        return distance
-    holes = unknown.flatten(-2)
-    empty = holes.all(-1)
-    if bool(empty.any()):
-        expected = "at least one known pixel (above 0 m) in each map"
-        cure = "fill whole maps before they are cropped"
-        raise ValueError(f"distance must have {expected}, got {_which(empty)} without any: {cure}")
-    if not behind:
-        warn_of_unknown(float(holes.double().mean(-1).max()))
-    size = distance.shape[-2:]
-    fill = filled_behind if behind else filled
-    return fill(distance.reshape(-1, *size), unknown.reshape(-1, *size)).view(distance.shape)
-
-
-def _maps(name: str, x: Tensor) -> Tensor:
+def as_maps(name: str, x: Tensor) -> Tensor:
     """Check a tensor of maps; half precision is taken up to float32."""
     checks.floating(name, x, ": 8-bit values need / 255, millimetres / 1000")
     if x.ndim < 2:
         raise ValueError(f"{name} must have shape (..., H, W), got {tuple(x.shape)}")
-    return single(x)
-
-
-def require_relative(
-    t: Tensor, near: float | Tensor, far: float | Tensor, gamma: float | Tensor
-) -> None:
-    """Refuse arguments of `from_relative` outside their domains."""
-    if bool(((t < 0) | (t > 1)).any()):
-        cure = "normalise first, (t - t.min()) / (t.max() - t.min())"
-        raise ValueError(f"t must lie in [0, 1], got {checks.span(t)}: {cure}")
-    require_range(near, far, inverse=False)
-    power = torch.as_tensor(gamma, dtype=torch.float64)
-    if not bool(((power > 0) & power.isfinite()).all()):
-        raise ValueError(f"gamma must be positive and finite, got {gamma}")
-
-
-def scaled_relative(
-    t: Tensor, near: float | Tensor, far: float | Tensor, gamma: float | Tensor
-) -> Tensor:
-    """`from_relative` at each pixel of checked maps."""
-    safe = t.clamp(min=1e-6)
-    return near + (far - near) * (t / safe * safe**gamma)
-
-
-def ends_of_inverse(inverse: Tensor) -> tuple[Tensor, Tensor]:
-    """The least and the largest value of each map; refuses maps without."""
-    known = inverse.isfinite()
-    least = torch.where(known, inverse, torch.inf).amin((-2, -1), keepdim=True)
-    largest = torch.where(known, inverse, -torch.inf).amax((-2, -1), keepdim=True)
-    flat = ~(largest > least)
-    if bool(flat.any()):
-        got = f"{_which(flat)} that is constant or has no finite value"
-        cure = "scale whole maps before they are cropped"
-        raise ValueError(f"inverse must vary within each map, got {got}: {cure}")
-    return least, largest
-
-
-def scaled_inverse(
-    inverse: Tensor, ends: tuple[Tensor, Tensor], near: float | Tensor, far: float | Tensor
-) -> Tensor:
-    """`from_inverse` at each pixel of checked maps, with the ends of the whole ones."""
-    known, (least, largest) = inverse.isfinite(), ends
-    # halves, whose difference no pair of finite values can make infinite
-    low = least / 2
-    s = (torch.where(known, inverse / 2, low) - low) / (largest / 2 - low)
-    return torch.where(known, 1 / (1 / far + (1 / near - 1 / far) * s), torch.nan)
-
-
-def require_range(near: float | Tensor, far: float | Tensor, *, inverse: bool) -> None:
-    """Refuse distances that no map can be scaled to."""
-    n, f = (torch.as_tensor(end, dtype=torch.float64) for end in (near, far))
-    if inverse:
-        domain, good = "0 < near <= far, near finite", (n > 0) & (f >= n) & n.isfinite()
-    else:
-        domain, good = "0 <= near <= far < inf", (n >= 0) & (f >= n) & f.isfinite()
-    if not bool(good.all()):
-        raise ValueError(f"near and far must satisfy {domain}, got near={near}, far={far}")
-
-
-def single(x: Tensor) -> Tensor:
-    """Half precision in float32; all else as it is."""
     return x.float() if x.dtype.itemsize < 4 else x
 
 
-def _which(bad: Tensor) -> str:
+def which(bad: Tensor) -> str:
     """The first map that is bad, in words."""
     if bad.numel() == 1:
         return "a map"

@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from uwaug._support import checks
-from uwaug._support.torch_func import transformed
 from uwaug._support.types import ColorSpace
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)
@@ -35,27 +34,12 @@ takes 3 to 5 times as long.
 """
 
 
-def to_light(image: Tensor, color_space: ColorSpace, name: str = "image") -> Tensor:
-    """Linear light in float32 or float64 from a picture as callers give it.
-
-    Args:
-        image: uint8 (0…255), or floating point (nominally 0…1); half precision is taken up to
-            float32.
-        color_space: "srgb" decodes; "linear" takes the values for light, of any brightness.
-        name: what the picture is called where it is refused.
-
-    Raises:
-        ValueError: if values are NaN or infinite; if sRGB values exceed 16, which are taken for a
-            scale of 0…255, or fall below −0.1, which are taken for normalised ones.
-    """
-    require_values(image, color_space, name)
-    return decoded(image, color_space)
-
-
 def require_values(
     image: Tensor, color_space: ColorSpace, name: str = "image"
 ) -> tuple[float, float]:
-    """Refuse what `to_light` cannot take; between which values the others lie."""
+    """Refuse NaN, infinite values, and sRGB that is none: above 16 it is taken for a scale of
+    0…255, below −0.1 for normalised values. Between which values the others lie.
+    """
     if not image.is_floating_point() or not image.numel() or torch.compiler.is_compiling():
         return 0.0, 1.0
     low, high = checks.finite(name, image)
@@ -67,7 +51,7 @@ def require_values(
 
 
 def decoded(image: Tensor, color_space: ColorSpace) -> Tensor:
-    """`to_light` of values that are known to be good."""
+    """Linear light in float32 or float64 of a picture: uint8 (0…255), or floating point (0…1)."""
     if image.dtype == torch.uint8:
         unit = image.to(torch.float32) / 255
     else:
@@ -75,49 +59,30 @@ def decoded(image: Tensor, color_space: ColorSpace) -> Tensor:
     return unit if color_space == "linear" else srgb_to_linear(unit)
 
 
-def headroom(image: Tensor, high: float | None = None) -> float | Tensor:
+def headroom(image: Tensor) -> float | Tensor:
     """The largest sRGB value that a result may have: 1, as files hold no more; if the picture that
     was given is brighter (HDR), its own largest value, (B, 1, 1, 1).
-
-    high: the largest value of all, where it is known.
     """
-    if image.dtype == torch.uint8 or not image.numel():
+    if image.dtype == torch.uint8:
         return 1.0
-    if high is None and not torch.compiler.is_compiling():
-        high = float(image.detach().amax())
-    if high is not None and high <= 1:
+    if not torch.compiler.is_compiling() and float(image.detach().amax()) <= 1:
         return 1.0
     return image.detach().amax((-3, -2, -1), keepdim=True).clamp(min=1)
 
 
-def from_light(light: Tensor, color_space: ColorSpace, like: Tensor) -> Tensor:
-    """The inverse of `to_light`: a picture of the type of `like`, which was given to that; uint8 is
-    rounded and clipped.
-
-    sRGB values are clipped to 0…1, or to the largest value of `like` if that is more; linear light
-    never is.
-    """
-    largest = headroom(like) if color_space == "srgb" else 1.0
-    return encoded(light, color_space, like.dtype, largest)
-
-
 def encoded(
-    light: Tensor,
-    color_space: ColorSpace,
-    dtype: torch.dtype,
-    largest: float | Tensor,
-    least: float = 0.0,
+    light: Tensor, color_space: ColorSpace, dtype: torch.dtype, largest: float | Tensor
 ) -> Tensor:
-    """`from_light`, given the type of the result and the largest and the least sRGB value that it
-    may have.
+    """A picture of linear light, the inverse of `decoded`: sRGB is clipped to 0…`largest`, linear
+    light never is; uint8 is rounded and clipped.
     """
     values = light
     if color_space == "srgb":
         values = linear_to_srgb(light)
         if isinstance(largest, Tensor):
-            values = torch.minimum(values.clamp(min=least), largest)
+            values = torch.minimum(values.clamp(min=0.0), largest)
         else:
-            values = values.clamp(least, largest)  # an integer beside a float cannot be exported
+            values = values.clamp(0.0, largest)  # an integer beside a float cannot be exported
     if dtype == torch.uint8:
         return (values * 255).round().clamp(0, 255).to(torch.uint8)
     return values.to(dtype)
@@ -264,7 +229,7 @@ def _apply(
 ) -> Tensor:
     checks.floating("x", x, ", nominally in [0, 1]: divide by 255 first?")
     v = x.float() if x.dtype.itemsize < 4 else x
-    if torch.compiler.is_compiling() or transformed():
+    if torch.compiler.is_compiling():
         # a compiler fuses and differentiates the plain formula; autograd functions make it warn
         return traced(v).to(x.dtype)
     y: Tensor = eager.apply(v)  # type: ignore[no-untyped-call]

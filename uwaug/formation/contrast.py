@@ -5,8 +5,8 @@ A surface of mean light ρ with a pattern on it, ρ·(1 + m·cos …), is seen t
     T_G·ρ + T_β·ρ·m·cos … + B
 
 where B is the veil. Light that was scattered forward (T_G − T_β) keeps the mean and blurs the
-pattern away. Its modulation was m and is m·T_β·ρ/(T_G·ρ + B): `contrast` is what m is multiplied
-by, in luminance. The gain of an exposure multiplies all terms alike and cancels.
+pattern away. Its modulation was m and is m·T_β·ρ/(T_G·ρ + B): `contrast_left` is what m is
+multiplied by, in luminance. The gain of an exposure multiplies all terms alike and cancels.
 
 That holds for patterns finer than the blur, such as the texture and the edges of an object. Coarser
 ones keep more, up to T_G·ρ/(T_G·ρ + B): this is a lower bound. Against Monte Carlo light transport
@@ -21,10 +21,8 @@ import torch
 from torch import Tensor
 
 from uwaug._support import checks
-from uwaug._support.torch_func import refuse_mapped
 from uwaug.formation.colour import LUMINANCE
-from uwaug.light.light import Light
-from uwaug.light.lit import lit_of, transmittance
+from uwaug.light import Light
 from uwaug.optics.curves import FARTHEST, Curves, of_white, passed
 from uwaug.optics.medium import Medium
 
@@ -35,33 +33,30 @@ _MUCH = 0.2
 """Share of a picture's pixels that is worth a word if it is faint."""
 
 
-def contrast(
-    medium: Medium,
+def contrast_left(
     distance: Tensor,
+    medium: Medium,
     *,
     reflectance: float | Tensor = 0.18,
     light: Light | None = None,
-    focal_px: float | None = None,
-    centre: tuple[float, float] | None = None,
 ) -> Tensor:
     """Share of the contrast of fine detail that water leaves at each pixel.
 
     Contrast is Michelson's, of luminance: (lightest − darkest) / (lightest + darkest).
 
     Args:
-        medium: one row, or as many as maps. One map and B media give B results.
         distance (1xHxW or Bx1xHxW tensor): metres along the ray, ≥ 0; +inf is open water. In uneven
             water, times the medium field.
+        medium: one row, or as many as maps. One map and B media give B results.
         reflectance: mean light of the object, 1 = white plate at the surface; a darker object loses
             more behind the veil. A number, or a tensor that broadcasts with (B, 3, H, W), such as
             the scene's own linear light. The default is the grey of photography.
-        light, focal_px, centre: as for `uwaug.form_image`; by default daylight. With a lamp or a
-            sun, distance is without the field, as it says where surfaces are.
+        light: lamps; None for daylight as the medium has it.
 
     Returns:
-        1xHxW if distance has no batch, and medium and light one row, else Bx1xHxW; of distance's
+        1xHxW if distance has no batch, and medium one row, else Bx1xHxW; of distance's
         type. 1 at the lens, 0 in open water, and where the object is black or no light falls.
-        Gradients pass to distance, medium, reflectance and light.
+        Gradients pass to distance, medium and reflectance.
 
     Raises:
         TypeError: if medium is none, or distance or reflectance no floating-point tensor.
@@ -72,7 +67,7 @@ def contrast(
         >>> import torch
         >>> from uwaug import Medium, Water
         >>> medium = Medium.from_water(Water.jerlov("3C"))
-        >>> contrast(medium, torch.tensor([[[0.0, 1.0, 3.0, torch.inf]]])).round(decimals=2)
+        >>> contrast_left(torch.tensor([[[0.0, 1.0, 3.0, torch.inf]]]), medium).round(decimals=2)
         tensor([[[1.0000, 0.1300, 0.0100, 0.0000]]])
     """
     _validate(medium, distance, light)
@@ -80,16 +75,14 @@ def contrast(
         z = distance.to(torch.promote_types(distance.dtype, torch.float32))
         z = (z if z.ndim == 4 else z[None]).clamp(0.0, FARTHEST)
         water = medium.to(z)
-        lit = lit_of(light, distance, None, water, focal_px, centre)
-        T = transmittance(water.sums_at(z), z, lit)
+        T = water.curves(z) if light is None else light.curves(water, z)
         share = contrast_of(T, _light(reflectance, z)).to(distance.dtype)
-    single = len(medium) == 1 and len(share) == 1 and (light is None or light.rows() == 1)
-    return share[0] if distance.ndim == 3 and single else share
+    return share[0] if distance.ndim == 3 and len(share) == 1 else share
 
 
 def contrast_of(T: Curves, reflectance: float | Tensor = 0.18) -> Tensor:
-    """The share of contrast (Bx1xHxW) that transmittances leave; reflectance as for `contrast`, of
-    their type.
+    """The share of contrast (Bx1xHxW) that transmittances leave; reflectance as for
+    `contrast_left`, of their type.
     """
     detail = _luminance(_left(T.direct, reflectance))
     whole = _luminance(_left(T.direct + T.scatter, reflectance) + T.veil)
@@ -124,11 +117,9 @@ def _validate(medium: Medium, distance: Tensor, light: Light | None) -> None:
     checks.instance("medium", medium, Medium, "; see Medium.from_water")
     checks.floating("distance", distance)
     checks.picture("distance", distance, 1)
-    refuse_mapped("distance", distance)
     sizes = {"medium": len(medium), "distance": len(distance) if distance.ndim == 4 else 1}
     if light is not None:
         checks.instance("light", light, Light)
-        sizes["light"] = light.rows()
     checks.batches(sizes)
     if not torch.compiler.is_compiling():
         checks.distances("distance", distance)

@@ -9,8 +9,7 @@ import torch
 from torch import Tensor
 
 from uwaug._support import checks
-from uwaug._support.torch_func import refuse_mapped, transformed, values
-from uwaug._support.types import Array, Order, Shape
+from uwaug._support.types import Array, Shape
 from uwaug.blur.plan import NO_BLUR, BlurPlan, octave_steps, plan_blur
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
@@ -127,36 +126,30 @@ def blur_demand(
     distance_range: tuple[float, float],
     tolerance: float = 0.002,
     *,
-    order: Order = "line_of_sight",
     learned: bool = False,
     margin: float = 1.0,
 ) -> BlurDemand:
     """What a medium needs of the blur over a range of effective distances, and no more.
 
-    Ignores distances at which forward scatter is below the tolerance (except in source order, where
-    light weighted at any distance can reach a pixel). The weaker the scatter, the larger the blur
-    error allowed.
+    Ignores distances at which forward scatter is below the tolerance. The weaker the scatter, the
+    larger the blur error allowed.
 
     Args:
         medium: any batch; the demand covers all rows.
         distance_range: (nearest, farthest) of m·z, m; 0 ≤ nearest ≤ farthest, inf allowed.
         tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f²;
             single pixels may be off by 3 to 5 times as much.
-        order: as for `form_image`.
         learned: plan for gradients to the medium: finer, as slopes are wanted too, and even if
             forward scatter or its width is invisible now; its gradient is not negligible.
         margin: widen the range of widths by this factor either way, for parameters that will be
             learned.
     """
     checks.tolerance(tolerance)
-    if transformed():
-        for name, value in medium.parameters().items():
-            refuse_mapped(f"medium's {name}", value)
     law = medium.point_spread
     medium = medium.to(torch.promote_types(medium.beta.dtype, torch.float32))
     near = min(max(distance_range[0], 0.0), FARTHEST)
     far = min(max(distance_range[1], 0.0), FARTHEST)
-    far = min(far, farthest_blurred(medium, order))
+    far = min(far, _farthest_blurred(medium))
     least = max(near, 1e-3)
     z = least * (max(far, least) / least) ** _STEPS
     strength, direct = _strongest(medium, z)
@@ -169,8 +162,6 @@ def blur_demand(
         return BlurDemand(0.0, 0.0, tolerance, law.shape, law.reference_size, learns)
     first, last = max(visible[0] - 1, 0), min(visible[-1] + 1, len(z) - 1)
     ends = (near if first == 0 else float(z[first]), float(z[last]))
-    if order == "source":
-        ends = (near, float(z[-1]))
     with torch.no_grad(), torch.autocast(medium.beta.device.type, enabled=False):
         widths = medium.width(medium.beta.new_tensor(ends)[None, None, None], None)
         low, high = checks.extent(widths)
@@ -211,39 +202,32 @@ def _most(T: Array) -> Array:
 
 def _table(x: Tensor) -> Array:
     """A tensor of a medium, in double precision."""
-    return np.asarray(values(x.flatten()), np.float64).reshape(x.shape)
+    return np.asarray(x.detach().cpu().numpy(), np.float64)
 
 
-def farthest_blurred(medium: Medium, order: Order) -> float:
-    """The distance, m, from which on a pixel asks nothing of the blur; `FARTHEST` if there is none.
-
-    No light is scattered from beyond where all of the signal has faded below any tolerance, and in
-    the line of sight none passes.
+def _farthest_blurred(medium: Medium) -> float:
+    """The distance, m, from which on a pixel asks nothing of the blur, as all of the signal has
+    faded below any tolerance; `FARTHEST` if there is none.
     """
     weights = _table(medium.signal_weights)
     dark = (weights == 0).all((1, 2)) if medium.is_spectral else (weights <= 0).all(1)
     slowest = float(np.where(dark, math.inf, _table(medium.G)).min())
-    if order != "line_of_sight" or slowest <= 0:
-        return FARTHEST
-    return min(40 / slowest, FARTHEST)
+    return FARTHEST if slowest <= 0 else min(40 / slowest, FARTHEST)
 
 
-def plan_for(
-    distances: tuple[float, float],
-    size: tuple[int, int],
-    medium: Medium,
-    tolerance: float,
-    order: Order,
-    learned: bool,
-) -> BlurPlan:
-    """The plan for these effective distances, m, in a picture of (height, width) `size`, rounded so
-    that similar ones share it.
-
-    learned: whether gradients of the medium are wanted, which take a finer plan.
+def plan_for(z: Tensor, medium: Medium, size: tuple[int, int], tolerance: float) -> BlurPlan:
+    """The plan for effective distances z, m, in a picture of (height, width) `size`, rounded so
+    that similar ones share it. Gradients of the medium take a finer one.
     """
-    learned = (torch.is_grad_enabled() and learned) or transformed()
+    learned = torch.is_grad_enabled() and medium.requires_grad
+    nearest, farthest = checks.extent(z)
+    end = _farthest_blurred(medium)
+    if farthest >= end < FARTHEST:
+        blurred = z.detach()[z.detach() < end]
+        farthest = float(blurred.max()) if blurred.numel() else nearest
     margin = _MARGIN if learned else 1.0
-    demand = blur_demand(medium, distances, tolerance, order=order, learned=learned, margin=margin)
+    ends = nearest, max(farthest, nearest)
+    demand = blur_demand(medium, ends, tolerance, learned=learned, margin=margin)
     return demand.plan(size, shared=True)
 
 
@@ -256,15 +240,9 @@ def constant_plan(
     return demand.plan((height, width)) if sides is None else demand.plan_all(sides)
 
 
-def same_plan(plan: BlurPlan) -> BlurPlan:
-    """The plan itself, which a compiler takes for a constant."""
-    return plan
-
-
 # what torch.compiler.assume_constant_result does, without its import of torch._dynamo (.7 s)
-_CONSTANT: tuple[Any, ...] = (constant_plan, same_plan)
-for _function in _CONSTANT:
-    _function._dynamo_marked_constant = True
+_CONSTANT: Any = constant_plan
+_CONSTANT._dynamo_marked_constant = True
 
 
 def distance_range_of(value: Any) -> tuple[float, float]:

@@ -11,8 +11,6 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.cache import Cache
-from uwaug._support.tiles import Rows, RowSource, is_large, row_bands
-from uwaug._support.torch_func import transformed
 
 
 def gaussian_random_field(
@@ -60,32 +58,8 @@ def gaussian_random_field(
     return field_from_noise(noise.to(dtype), (height, width), exponent=exponent, low=low, high=high)
 
 
-def gaussian_random_rows(
-    size: tuple[int, int],
-    *,
-    low: float,
-    high: float,
-    generator: torch.Generator,
-    exponent: float = 4.0,
-) -> Rows:
-    """The field of one image as `gaussian_random_field` draws it, in float32, a few rows (1xRxW) at
-    a time.
-
-    Args:
-        size: height and width in pixels; the other arguments as there.
-    """
-    _check(exponent, low, high)
-    waves = _waves(_drawn((1, *size), exponent, generator, torch.device("cpu")), *size, exponent)
-    ends = [waves.rows(*band).aminmax() for band in row_bands(*size)]
-    least = torch.stack([end.min for end in ends]).amin()
-    largest = torch.stack([end.max for end in ends]).amax()
-    return lambda start, stop: _between(waves.rows(start, stop), least, largest, low, high)
-
-
-def random_field(
-    size: tuple[int, int], seed: int, low: float, high: float, like: Tensor
-) -> Tensor | RowSource:
-    """The field (1x1xHxW) that a seed stands for, in float32; of a large picture in rows.
+def random_field(size: tuple[int, int], seed: int, low: float, high: float, like: Tensor) -> Tensor:
+    """The field (1x1xHxW) that a seed stands for, in float32.
 
     Args:
         size: height and width in pixels.
@@ -94,8 +68,6 @@ def random_field(
         like: a tensor on the wanted device.
     """
     options: Any = {"low": low, "high": high, "generator": torch.Generator().manual_seed(seed)}
-    if is_large(size):
-        return RowSource(gaussian_random_rows(size, **options), (1, *size), like)
     return gaussian_random_field(size, **options, dtype=torch.float32, device="cpu").to(like.device)
 
 
@@ -180,9 +152,13 @@ def field_from_noise(
 def _synthesise(
     noise: Tensor, height: int, width: int, exponent: float, low: float, high: float
 ) -> Tensor:
-    field = _waves(noise, height, width, exponent).rows(0, height)[:, None]
+    down, amplitude, across = _waves(noise, height, width, exponent)
+    field = (down @ amplitude @ across)[:, None]
     least, largest = field.amin((-2, -1), keepdim=True), field.amax((-2, -1), keepdim=True)
-    return _between(field, least, largest, low, high)
+    flat = largest == least
+    scale = (high - low) / torch.where(flat, 1.0, largest - least)
+    start = torch.where(flat, (low + high) / 2, torch.full_like(least, low))
+    return (field - least).mul_(scale).add_(start).clamp_(low, high)
 
 
 class _Waves(NamedTuple):
@@ -192,10 +168,6 @@ class _Waves(NamedTuple):
     amplitude: Tensor
     across: Tensor
 
-    def rows(self, start: int, stop: int) -> Tensor:
-        """Some rows of their sum (BxRxW)."""
-        return self.down[start:stop] @ self.amplitude @ self.across
-
 
 _CACHE: Cache[_Waves] = Cache(4 * 2**20)
 """Of the sizes used last: to make one takes as long as the sum does at 256²."""
@@ -203,7 +175,7 @@ _CACHE: Cache[_Waves] = Cache(4 * 2**20)
 
 def _waves(noise: Tensor, height: int, width: int, exponent: float) -> _Waves:
     """The waves of some noise, which gives their amplitudes."""
-    if type(noise) is not Tensor or torch.compiler.is_compiling() or transformed():
+    if type(noise) is not Tensor or torch.compiler.is_compiling():
         unit = _unit_waves(noise, height, width, exponent)
         return unit._replace(amplitude=noise * unit.amplitude)
     key = (height, width, exponent, noise.shape[-1], noise.dtype, noise.device)
@@ -230,14 +202,6 @@ def _unit_waves(noise: Tensor, height: int, width: int, exponent: float) -> _Wav
     y = torch.cos(_centred(height, noise) * cycles * step - phase)
     x = torch.cos(_centred(width, noise) * cycles * step - phase)
     return _Waves(y, amplitude, x.mT)
-
-
-def _between(field: Tensor, least: Tensor, largest: Tensor, low: float, high: float) -> Tensor:
-    """The field mapped affinely from its least and largest value to `low` and `high`."""
-    flat = largest == least
-    scale = (high - low) / torch.where(flat, 1.0, largest - least)
-    start = torch.where(flat, (low + high) / 2, torch.full_like(least, low))
-    return (field - least).mul_(scale).add_(start).clamp_(low, high)
 
 
 def _centred(side: int, like: Tensor) -> Tensor:

@@ -1,81 +1,56 @@
-"""What image formation is given, looked at before it is formed."""
+"""What image formation is given, checked at its doors."""
 
 import math
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from uwaug._support import checks
-from uwaug._support.torch_func import refuse_mapped
-from uwaug.light.light import Light
+from uwaug._support.types import ColorSpace
+from uwaug.formation.colour import require_values
+from uwaug.light import Light
+from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
-
-_ROUNDING = 1e-6
-"""Of float32. A field of .7…1.3 on a range that was planned for it would be looked at each time:
-4 ms of 30 at 1024².
-"""
-
-
-class MapRanges(NamedTuple):
-    """Between which values the distance, m, and the field lie; the field is 1 without one."""
-
-    nearest: float
-    farthest: float
-    thinnest: float = 1.0
-    densest: float = 1.0
-
-    def lie_within(self, near: float, far: float) -> bool:
-        """Whether no effective distance can lie outside of a range, m, by more than rounding."""
-        nearest, farthest = self.nearest * self.thinnest, self.farthest * self.densest
-        return near <= nearest * (1 + _ROUNDING) and farthest <= far * (1 + _ROUNDING)
 
 
 def validate(
     image: Tensor,
     distance: Tensor,
-    medium: Medium | None,
-    field: Tensor | None,
+    medium: Medium,
+    field: Tensor | None = None,
     *,
-    also_bytes: bool = False,
+    color_space: ColorSpace,
     light: Light | None = None,
-) -> MapRanges | None:
-    """Refuse what `form_image` cannot take: types, shapes, batches, devices, wrong distances.
-
-    medium: None if it is none of the caller's, as that of a file.
-    also_bytes: take a uint8 picture, as files hold it.
-
-    Returns:
-        What the maps hold; None in a graph, which is for others as well.
-    """
-    if medium is not None:
-        checks.instance("medium", medium, Medium, "; see Medium.from_water")
-    maps = {"distance": distance} if field is None else {"distance": distance, "field": field}
-    sizes = {"medium": 1 if medium is None else len(medium)}
+) -> None:
+    """Refuse what cannot be formed: types, shapes, batches, devices, values, wrong distances."""
+    checks.instance("medium", medium, Medium, "; see Medium.from_water")
     if light is not None:
         checks.instance("light", light, Light)
-        sizes["light"] = light.rows()
+    maps = {"distance": distance} if field is None else {"distance": distance, "field": field}
+    sizes = {"medium": len(medium)}
     for name, value in {"image": image, **maps}.items():
-        if not (name == "image" and also_bytes and _holds_bytes(image)):
+        if not (name == "image" and isinstance(image, Tensor) and image.dtype == torch.uint8):
             checks.floating(name, value)
         checks.picture(name, value, 3 if name == "image" else 1)
         checks.same_size(name, value, image)
         checks.same_device(name, value, image)
-        refuse_mapped(name, value)
         sizes[name] = len(value) if value.ndim == 4 else 1
     checks.batches(sizes)
+    require_values(image, color_space)
     if torch.compiler.is_compiling():
-        return None
-    nearest, farthest = checks.distances("distance", distance)
-    thinnest = densest = 1.0
+        return
+    checks.distances("distance", distance)
     if field is not None and field.numel():
         thinnest, densest = checks.extent(field)
         if not (thinnest >= 0 and densest < math.inf):
             counts = checks.counted(field, "NaN", "negative", "infinite")
             raise ValueError(f"field is {counts}: expected finite values ≥ 0")
-    tracing = torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
-    return None if tracing else MapRanges(nearest, farthest, thinnest, densest)
 
 
-def _holds_bytes(image: object) -> bool:
-    return isinstance(image, Tensor) and image.dtype == torch.uint8
+def effective_distance(distance: Tensor, field: Tensor | None, dtype: torch.dtype) -> Tensor:
+    """m·z (Bx1xHxW), finite; +inf stands for open water."""
+    z = (distance if distance.ndim == 4 else distance[None]).to(dtype).clamp(max=FARTHEST)
+    # compiled code does not look at its input: at least no distance is negative there
+    # (in newer releases of torch, clamp has no gradient at its ends, such as 0 m)
+    z = torch.where(z < 0, 0.0, z) if torch.compiler.is_compiling() else z
+    return z if field is None else z * (field if field.ndim == 4 else field[None]).to(dtype)

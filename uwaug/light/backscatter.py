@@ -53,9 +53,10 @@ class Cone(NamedTuple):
     inner: float
     outer: float
 
-    def share(self, cosine: Tensor) -> Tensor:
-        """The share of the light at angles ψ that have this cosine."""
-        t = ((cosine - self.outer) / (self.inner - self.outer)).clamp(0.0, 1.0)
+    def share(self, cosine: Tensor, sine: Tensor) -> Tensor:
+        """The share of the light at angles θ."""
+        toward = self.across * cosine + self.along * sine
+        t = ((toward - self.outer) * (1 / (self.inner - self.outer))).clamp(0.0, 1.0)
         return t * t * (3 - 2 * t)
 
     def ends(self) -> tuple[Tensor, Tensor]:
@@ -73,7 +74,7 @@ def backscatter(
 
     Args:
         G (BxL tensor): rates of the water, 1/m.
-        weights (Bx3xL tensor): of b, 1/m, see `uwaug.Medium.under`.
+        weights (Bx3xL tensor): of b, 1/m, see `uwaug.Medium.under_lamp`.
         nearest (1x1xHxW tensor): s₀ of each ray, m.
         height (1x1xHxW tensor): h of each ray, m, > 0.
         cone: None for a lamp that shines to all sides.
@@ -93,7 +94,7 @@ def backscatter(
         root = ((1 - ASYMMETRY) ** 2 + 2 * ASYMMETRY * raised).rsqrt()
         scattered = root * root * root * weight
         if cone is not None:
-            scattered = scattered * cone.share(cone.across * level + cone.along * (raised - 1))
+            scattered = scattered * cone.share(level, raised - 1)
         total = total + scattered * decay(rates, nearest + height * u)
     # the 4π of the phase function and the π of a white plate leave 1/4
     summed = torch.unflatten(weights @ total.flatten(2), -1, z.shape[-2:])

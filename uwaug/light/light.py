@@ -13,7 +13,7 @@ arrives, share = T_β(z)/T_G(z) has come straight from the surface.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -21,7 +21,7 @@ from torch import Tensor
 from uwaug._support import checks, codec
 from uwaug.light.backscatter import Cone, backscatter
 from uwaug.light.rays import Rays, Vector, dot
-from uwaug.optics.curves import Curves, added, decay, dimmed
+from uwaug.optics.curves import Curves, added, decay
 from uwaug.optics.medium import Medium
 from uwaug.optics.surfaces import white
 
@@ -79,34 +79,37 @@ class Lamp:
         """What reaches the camera at each pixel, as `Light.curves`.
 
         Args:
-            water: `uwaug.Medium.under` the light of lamps.
+            water: `uwaug.Medium.under_lamp` the light of lamps.
             share: T_β/T_G of it at z.
             rays: of the picture.
             normals: of the surfaces, see `uwaug.light.rays.Rays.normals`.
             z (Bx1xHxW tensor): effective distance, m.
         """
-        nearest, off = rays.along(self.position), rays.distance(self.position)
-        height = torch.sqrt(off.square() + _RADIUS**2)
-        squared = (z - nearest).square() + height.square()
+        nearest = rays.along(self.position)
+        height = torch.sqrt(rays.distance(self.position).square() + _RADIUS**2)
+        beyond = z - nearest
+        squared = beyond.square() + height.square()
         one_over = squared.rsqrt()
-        length = math.hypot(*self.aim)
-        x, y, forward = (part / length for part in self.aim)
-        cone = None
         # normals point away from the camera: (P − L)·N = 1 − L·N
-        faces = (1 - dot(normals, self.position)).clamp(min=0.0) * one_over
-        gets = (faces / normals.norm(dim=1, keepdim=True)).clamp(max=1.0) * one_over.square()
-        if self.cone is not None:
-            along = rays.along((x, y, forward))
-            before = sum(p * a for p, a in zip(self.position, (x, y, forward), strict=True))
-            across = (nearest * along - before) / height
-            inner, outer = (math.cos(math.radians(self.cone * s)) for s in (1 - _EDGE, 1))
-            cone = Cone(across, along, inner, outer)
-            gets = gets * cone.share((z * along - before) * one_over)
+        above = (1 - dot(normals, self.position)).clamp(min=0.0) * normals.square().sum(1, True).rsqrt()
+        gets = (above * one_over).clamp(max=1.0) * one_over.square()
+        cone = None if self.cone is None else self._cone(self.cone, rays, nearest, height)
+        if cone is not None:
+            gets = gets * cone.share(height * one_over, beyond * one_over)
         color = z.new_tensor(self.color).reshape(1, 3, 1, 1) * self.power
-        arrives = dimmed(_summed(water.G, water.signal_weights, z + squared * one_over), gets * color)
-        direct = dimmed(arrives, share)
+        arrives = _summed(water.G, water.signal_weights, z + squared * one_over)
+        arrives = _dimmed(arrives, gets * color)
+        direct = _dimmed(arrives, share)
         veil = backscatter(water.G, water.veil_weights, nearest, height, cone, z)
         return Curves(direct, arrives - direct, veil * color)
+
+    def _cone(self, degrees: float, rays: Rays, nearest: Tensor, height: Tensor) -> Cone:
+        length = math.hypot(*self.aim)
+        x, y, z = (part / length for part in self.aim)
+        along = rays.along((x, y, z))
+        before = self.position[0] * x + self.position[1] * y + self.position[2] * z
+        inner, outer = (math.cos(math.radians(degrees * part)) for part in (1 - _EDGE, 1))
+        return Cone((nearest * along - before) / height, along, inner, outer)
 
 
 @codec.plain
@@ -160,21 +163,17 @@ class Light:
         total = Curves(*(part * self.daylight for part in day))
         if not self.lamps:
             return total
-        water, rays = medium.under(), Rays.of(z, self.view)
+        water, rays = medium.under_lamp(), Rays.of(z, self.view)
         normals, share = rays.normals(z), _straight(water, z)
         for lamp in self.lamps:
             total = added(total, lamp.curves(water, share, rays, normals, z))
         return total
 
     def planned(self, medium: Medium) -> Medium:
-        """The media for which a blur is planned: a lamp may light the scene as daylight does at the
-        surface, however dim daylight is at the scene.
+        """The medium for which a blur is planned: a lamp may light the scene as daylight does at
+        the surface, however dim daylight is at the scene.
         """
-        if not self.lamps:
-            return medium
-        near = medium.under()
-        dark = replace(near, veil_weights=torch.zeros_like(near.veil_weights))
-        return Medium.stack([medium, dark])
+        return medium.under_lamp() if self.lamps else medium
 
 
 def _straight(water: Medium, z: Tensor) -> Tensor:
@@ -195,3 +194,8 @@ def _summed(rates: Tensor, weights: Tensor, length: Tensor) -> Tensor:
     left = decay(rates[..., None], length.flatten(1)[:, None])
     sums = torch.unflatten(weights.flatten(1, -2) @ left, -1, length.shape[-2:])
     return sums if weights.ndim == 3 else torch.unflatten(sums, 1, (3, 3))
+
+
+def _dimmed(T: Tensor, light: Tensor) -> Tensor:
+    """Transmittances in light of some strength, of each channel of the picture or of all."""
+    return T * light if T.ndim == 4 else T * light[:, :, None]

@@ -2,22 +2,6 @@
 distance and a width law.
 """
 
-from uwaug.optics.camera import Camera, load_camera
-from uwaug.optics.constituents import Constituents
-from uwaug.optics.jerlov import JERLOV_TYPES
-from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread
-from uwaug.optics.scattering import Scattering
-from uwaug.optics.water import Water, load_water
+import lazy_loader
 
-__all__ = [
-    "JERLOV_TYPES",
-    "Camera",
-    "Constituents",
-    "Medium",
-    "PointSpread",
-    "Scattering",
-    "Water",
-    "load_camera",
-    "load_water",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -8,20 +8,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from uwaug._support.codec import plain
 from uwaug._support.types import Array
 from uwaug.optics.spectra import WAVELENGTHS, Spectra, read_spectra, spectrum, wavelength_axis
 
 _CHANNELS = ("red", "green", "blue")
 
-_BUNDLED = {
-    "Nikon 5100 (NPL)": "nikon-5100-npl.csv",
-    "Sigma SDMerill (NPL)": "sigma-sdmerill-npl.csv",
-}
-"""In the folder `cameras`: those of colour-science, `import` of which takes .6 s after torch, loads
-1100 modules and sets NumPy's print options for the whole process.
+_DEFAULT = "Nikon 5100 (NPL)"
+"""In the folder `cameras`. The others are asked of colour-science, whose `import` takes .6 s,
+torch, loads 1100 modules and sets NumPy's print options for the whole process.
 """
 
 
+@plain
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class Camera(Spectra):
     """The spectral response of a camera. Immutable; equality goes by content.
@@ -114,10 +113,10 @@ def load_camera(camera: "str | os.PathLike[str] | Camera") -> Camera:
     """A camera by name or from a file; a ``Camera`` passes through.
 
     Args:
-        camera: "Nikon 5100 (NPL)" or "Sigma SDMerill (NPL)", whatever their case, blanks and
-            punctuation; or the path of a CSV file (a string that ends in ``.csv``, or any path
-            object) whose rows are wavelength [nm], R, G, B, separated by commas, with or without
-            one header line.
+        camera: a name of colour-science (``colour.MSDS_CAMERA_SENSITIVITIES``), such as "Nikon
+            5100 (NPL)" or "Sigma SDMerill (NPL)", whatever its case, blanks and punctuation; or the
+            path of a CSV file (a string that ends in ``.csv``, or any path object) whose rows are
+            wavelength [nm], R, G, B, separated by commas, with or without one header line.
 
     Raises:
         TypeError: if ``camera`` is none of these.
@@ -142,13 +141,7 @@ def load_camera(camera: "str | os.PathLike[str] | Camera") -> Camera:
         )
     if not isinstance(camera, str) or camera.lower().endswith(".csv"):
         return _read_csv(Path(camera))
-    for name in _BUNDLED:
-        if _plain(name) == _plain(camera):
-            return _bundled(name)
-    names = ", ".join(map(repr, _BUNDLED))
-    raise ValueError(
-        f"no camera is called {camera!r}; there are {names}, or give the path of a .csv file"
-    )
+    return _named(_plain_name(camera))
 
 
 @lru_cache(maxsize=16)
@@ -197,14 +190,22 @@ def _require_response(values: Array, whose: str) -> None:
         raise ValueError(f"{whose} has no response in {' and '.join(dark)}")
 
 
-def _plain(name: str) -> str:
+def _plain_name(name: str) -> str:
     return "".join(filter(str.isalnum, name.casefold()))
 
 
 @cache
-def _bundled(name: str) -> Camera:
-    read = _read_csv(Path(__file__).parent / "cameras" / _BUNDLED[name])
-    return Camera(read.wavelengths, read.response, name)
+def _named(plain_name: str) -> Camera:
+    if plain_name == _plain_name(_DEFAULT):
+        read = _read_csv(Path(__file__).parent / "cameras" / "nikon-5100-npl.csv")
+        return Camera(read.wavelengths, read.response, _DEFAULT)
+    with np.printoptions():
+        from colour import MSDS_CAMERA_SENSITIVITIES as CAMERAS
+    for name, sensitivities in CAMERAS.items():
+        if _plain_name(name) == plain_name:
+            return Camera(sensitivities.wavelengths, sensitivities.values, name)
+    names = ", ".join(map(repr, CAMERAS))
+    raise ValueError(f"no camera is called so; there are {names}, or give the path of a .csv file")
 
 
 def _read_csv(path: Path) -> Camera:

@@ -43,6 +43,7 @@ from typing import Self
 import numpy as np
 
 from uwaug._support import checks
+from uwaug._support.codec import plain
 from uwaug._support.types import Array
 from uwaug.optics.spectra import WAVELENGTHS, read_spectra
 
@@ -54,6 +55,7 @@ the coast.
 """
 
 
+@plain
 @dataclass(frozen=True)
 class Constituents:
     """Ranges of what is in a water, from which `RandomUnderwater` draws one for each picture.
@@ -131,11 +133,6 @@ class Constituents:
     def fixed(self) -> bool:
         """Whether it is one water, with nothing to draw."""
         return all(low == high for low, high in self.ranges.values())
-
-    @property
-    def clearest(self) -> Self:
-        """The one water with least of each."""
-        return self.drawn(dict.fromkeys(UNITS, 0.0))
 
     def drawn(self, shares: Mapping[str, float]) -> Self:
         """One water: each at this share (0…1) of the way from low to high, by its logarithm. Four

@@ -26,6 +26,15 @@ class Curves(NamedTuple):
     scatter: Tensor
     veil: Tensor
 
+    def image(self, J: Tensor, soft: Tensor) -> Tensor:
+        """D + F + B (Bx3xHxW) of light J and its blur."""
+        return self.veil + passed(self.direct, J) + passed(self.scatter, soft)
+
+    def parts(self, J: Tensor, soft: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """D, F and B (Bx3xHxW), which add up to `image`."""
+        direct = passed(self.direct, J)
+        return direct, passed(self.scatter, soft), self.veil.expand_as(direct)
+
 
 class Sums(NamedTuple):
     """A medium's curves as one matrix product of exponentials; made by `Medium.sums`.
@@ -93,12 +102,6 @@ def mix(sums: Sums, z: Tensor, light: Tensor, blurred: Tensor) -> Tensor:
     return torch.unflatten(total, -1, size)
 
 
-def veil_at(sums: Sums, z: Tensor) -> Tensor:
-    """V(0) − V at every pixel (Bx3xHxW), as `curves` has it."""
-    rows = _parts(sums.weights)[2] @ _exponentials(sums, z)
-    return torch.unflatten(rows, -1, z.shape[-2:])
-
-
 def _mixed(weights: Tensor, light: Tensor) -> tuple[Tensor, ...]:
     """What the matrix of each rate (Bx9xR) makes of light (Bx3xN): R tensors (Bx3xN)."""
     matrices = torch.unflatten(weights, 1, (3, 3)).permute(0, 3, 1, 2)
@@ -131,40 +134,6 @@ def passed(T: Tensor, light: Tensor) -> Tensor:
         return T * light
     red, green, blue = (light[:, j, None] for j in range(3))
     return (T[:, :, 0] * red).addcmul(T[:, :, 1], green).addcmul(T[:, :, 2], blue)
-
-
-def dimmed(T: Tensor, light: Tensor) -> Tensor:
-    """Transmittances in light of other strength: (B, 1 or 3, H, W) for the channels of the
-    picture.
-    """
-    return T * light if T.ndim < 5 else T * light[:, :, None]
-
-
-def amplified(T: Curves, gain: Tensor) -> Curves:
-    """Curves as a camera of a gain sees them, see `Medium.brightened`."""
-    if gain.ndim < 3:
-        factor = gain[:, None, None, None] if gain.ndim == 1 else gain[..., None, None]
-        return Curves(dimmed(T.direct, factor), dimmed(T.scatter, factor), T.veil * factor)
-    matrix = gain[..., None, None]
-    if T.direct.ndim == 5:
-        direct, scatter = ((matrix[:, :, :, None] * part[:, None]).sum(2) for part in T[:2])
-    else:
-        direct, scatter = (matrix * part[:, None] for part in T[:2])
-    return Curves(direct, scatter, (matrix * T.veil[:, None]).sum(2))
-
-
-def amplified_sums(sums: Sums, gain: Tensor) -> Sums:
-    """Sums as a camera of a gain sees them, see `Medium.brightened`; for a graph, in which the
-    number of media is not known.
-    """
-    weights = sums.weights
-    channels = (3, 3) if sums.is_spectral else (3,)
-    # planes of one pixel for each rate
-    parts = _parts(weights)
-    shapes = (channels, channels, (3,))
-    maps = (torch.unflatten(w, 1, s)[..., None] for w, s in zip(parts, shapes, strict=True))
-    seen = amplified(Curves(*maps), gain)
-    return sums._replace(weights=torch.cat([curve.flatten(1, -3) for curve in seen], 1)[..., 0])
 
 
 def added(first: Curves, second: Curves) -> Curves:

@@ -25,9 +25,7 @@ channel j, with S_c·ρ_j for S_c, and S the response of the camera with its col
 be negative (see `uwaug.optics.surfaces`).
 
 Each integral becomes a sum of a few exponentials, of positive weights where the integrand is
-positive: exact at z = 0, right at any distance. (Where forward scatter is a blur of the direct
-light, T_G is the sum of three curves, of which the last has negative weights:
-e^(−βz) + e^(−(β + G)z) − e^(−2βz).)
+positive: exact at z = 0, right at any distance.
 
 The rates belong to the water and serve all three channels, and signal and veil alike; only the
 weights belong to the camera. (For a tolerance of .002, one Gauss quadrature per curve and channel
@@ -37,34 +35,22 @@ needs 15 to 24 exponentials, shared rates need 4 to 8.)
 import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from operator import index
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
 from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.checks import DOMAIN
-from uwaug._support.types import Array
-from uwaug.optics.bands import Bands, Forward, padded
+from uwaug._support.codec import plain
+from uwaug.optics.bands import Bands, padded
 from uwaug.optics.camera import Camera, load_camera, require_seen, response_at
-from uwaug.optics.curves import FARTHEST, Curves, Sums, cancels, curves
+from uwaug.optics.curves import FARTHEST, Curves, Sums, cancels, curves, mix
 from uwaug.optics.point_spread import PointSpread
-from uwaug.optics.reduction import (
-    Dims,
-    Downwelling,
-    VeilRate,
-    attenuations,
-    default_bands,
-    forward_from_direct,
-    joined,
-    light_and_veil,
-    reduced,
-    spectral_note,
-)
+from uwaug.optics.reduction import attenuations, default_bands, reduced
 from uwaug.optics.scattering import Scattering
 from uwaug.optics.surfaces import (
     Surfaces,
@@ -79,9 +65,6 @@ from uwaug.optics.water import Water, load_water
 
 _TENSORS = ("beta", "direct_weights", "G", "signal_weights", "veil_weights", "b_mean")
 
-_AT_ONCE = 1e6
-"""1/m, of a veil that is all there at any distance: at .1 mm, e^−100 of it is missing."""
-
 _ALL = 5e-4
 """Of the light: what is left is shown if less than all is, by more than rounding."""
 
@@ -91,7 +74,11 @@ _ROUNDED = 1e-6
 _DARK = 1e-30
 """Stands for the light of a channel that gets none."""
 
+_BRIGHT = 1.05
+"""V(0) from which on a veil is said to be brighter than a white plate."""
 
+
+@plain
 @dataclass(frozen=True, eq=False)
 class Medium:
     """A batch of B media: rates, weights and a width law. Every tensor may require gradients.
@@ -100,8 +87,7 @@ class Medium:
         beta (BxK tensor): rates of the direct term, 1/m, ≥ 0.
         direct_weights (Bx3xK tensor, or Bx3x3xK of surfaces with spectra): weights of T_β.
         G (BxL tensor): rates of signal and veil, 1/m, ≥ 0.
-        signal_weights (Bx3xL or Bx3x3xL tensor): weights of T_G; some are negative with
-            forward="direct".
+        signal_weights (Bx3xL or Bx3x3xL tensor): weights of T_G.
         veil_weights (Bx3xL tensor): weights of V; their sum is the veil at infinite distance.
         b_mean (B tensor): b̄, scattering coefficient for the width law, 1/m.
         point_spread: the width law.
@@ -118,7 +104,7 @@ class Medium:
     b_mean: Tensor
     point_spread: PointSpread
     notes: tuple[str, ...] = ()
-    bands: Bands | None = None
+    bands: Bands | None = field(default=None, metadata={"stored": False})
 
     def __post_init__(self) -> None:
         b, k, n = self.beta.shape[0], self.beta.shape[-1], self.G.shape[-1]
@@ -131,22 +117,25 @@ class Medium:
         self.point_spread.require_rows(b)
 
     @staticmethod
+    def of_plain(
+        point_spread: PointSpread, notes: tuple[str, ...] = (), **numbers: Any
+    ) -> "Medium":
+        """A medium of plain numbers, see `uwaug._support.codec`."""
+        tensors = [torch.tensor(numbers.pop(name), dtype=torch.float64) for name in _TENSORS]
+        return Medium.of_tensors(tensors, point_spread, notes, **numbers)
+
+    @staticmethod
     def from_water(
         water: str | os.PathLike[str] | Water,
         camera: str | os.PathLike[str] | Camera = "Nikon 5100 (NPL)",
         *,
         vertical_depth: float = 1.0,
         g: float = Scattering.PAPER.g,
-        mu: float = Scattering.PAPER.mu,
+        mu: float | None = None,
         point_spread: PointSpread | None = None,
-        tolerance: float = 0.002,
-        wavelengths: ArrayLike | None = None,
-        downwelling: Downwelling = "kd",
-        dims: Dims = "both",
-        veil_rate: VeilRate = "G",
-        forward: Forward = "image",
         surfaces: Surfaces = "grey",
         color_matrix: float = 1.0,
+        tolerance: float = 0.002,
     ) -> "Medium":
         """Reduce spectra to as few exponentials as the tolerance allows.
 
@@ -159,73 +148,58 @@ class Medium:
                 a phase function: .2 (the paper) for a subject that fills part of the view, .05 for
                 one that fills it.
             mu: share of the scattered light that is sent towards the camera, 0…1, where 1 in the
-                image means a white vertical plate. See `uwaug.Scattering` for what goes with g.
+                image means a white vertical plate; None for 1.5·g, as far away the veil goes as
+                μ/g. A veil of more than 1.05 of white is said in the notes.
             point_spread: width law, by default `PointSpread.paper()`.
-            tolerance: largest error of each curve, at any distance; 0 keeps every band.
-            wavelengths: bands, nm, by default 400…700 in steps of 5 as far as the water reaches.
             surfaces: "grey", where a channel of the picture depends on that channel of the scene
                 alone, as in the paper; or "spectral", where colours of the scene have spectra, and
                 the camera a colour matrix, see `uwaug.optics.surfaces`. In air the picture is the
                 scene with both.
-            color_matrix: share of the camera's colour matrix that is applied, 0…1; surfaces must
-                have spectra. With 0 its raw channels are shown.
-
-        Other models of water (see `uwaug.presets.published_systems`) differ in:
-            downwelling: what dims light on its way down: "kd"; "beam", β; or "none".
-            dims: what that light is lost to: "both"; "direct", the picture (direct and forward); or
-                "veil".
-            veil_rate: "G", or "beta": V(0) = μ·b·E/β, and e^(−βz) for the veil.
-            forward: what forward scatter blurs: "image", J; or "direct", D, so that F has
-                e^(−βz)·(e^(−Gz) − e^(−βz)) for a weight, which is e^(−βz) times that of J: the
-                nearer the scene, the more equal the two. Some `signal_weights` are then negative.
+            color_matrix: share of the camera's colour matrix that is applied to surfaces with
+                spectra, 0…1. With 0 its raw channels are shown.
+            tolerance: largest error of each curve, at any distance; 0 keeps every band.
 
         Raises:
             TypeError, ValueError: if an argument is no water, no number, or outside its domain.
             OSError: if the file of the water or the camera cannot be read.
         """
         water = load_water(water)
-        numbers = {"vertical_depth": vertical_depth, "g": g, "mu": mu}
+        if mu is None:
+            mu = min(1.5 * g, 1.0)
+        numbers = {"vertical_depth": vertical_depth, "g": g, "mu": mu, "color_matrix": color_matrix}
         for name, value in numbers.items():
             checks.within(name, value, *DOMAIN[name])
         if tolerance != 0:
             checks.tolerance(tolerance)
-        spectra = water.at(default_bands(water) if wavelengths is None else wavelengths)
-        axis, b = spectra.wavelengths, spectra.b
         require_surfaces(surfaces)
-        checks.within("color_matrix", color_matrix, *DOMAIN["color_matrix"])
-        if surfaces == "grey" and color_matrix != 1:
-            raise ValueError(
-                f"color_matrix would do nothing: surfaces are grey, got {color_matrix}"
-            )
+        spectra = water.at(default_bands(water))
+        axis, b = spectra.wavelengths, spectra.b
         eye = load_camera(camera)
-        if wavelengths is None:
-            require_seen(eye, *map(float, axis[[0, -1]]))
+        require_seen(eye, *map(float, axis[[0, -1]]))
         sensor = response_at(eye, axis.tobytes())
         basis, response = None, sensor
         if surfaces == "spectral":
             basis = reflectances(axis.tobytes())
             response, basis = through_camera(sensor, basis, color_matrix, eye.color_matrix)
-        choices: dict[str, Any] = {"downwelling": downwelling, "dims": dims, "veil_rate": veil_rate}
         beta, G = attenuations(spectra.a, b, g)
-        light, veil, rate = light_and_veil(
-            beta, G, b, spectra.kd, vertical_depth=vertical_depth, mu=mu, **choices
+        light = np.exp(-spectra.kd * vertical_depth)
+        veil = mu * b * light / G
+        tensors, error = reduced(beta, G, light, veil, response, basis, tolerance)
+        note = (
+            f"{water.name}: {tensors[0].shape[1]} + {tensors[2].shape[1]} rates, curves within "
+            f"{error:.1g} at any distance, {vertical_depth:g} m deep, g = {g:g}, μ = {mu:g}"
+            + (", surfaces = spectral" if surfaces == "spectral" else "")
         )
-        tensors, error = reduced(beta, G, light, veil, rate, response, basis, forward, tolerance)
-        note = spectral_note(
-            water.name,
-            tensors,
-            error,
-            numbers,
-            {**choices, "forward": forward, "surfaces": surfaces},
-        )
+        brightest = float((response * veil).sum(1).max())
+        if brightest > _BRIGHT:
+            note += f"; veil of {brightest:.2g} times white"
         b_mean = tensor_of(np.array([(sensor @ b).mean()]))
         law = PointSpread.paper() if point_spread is None else point_spread
-        arrays = [tensor_of(array)[None] for array in (axis, beta, G, b, response)]
-        from_direct = tensor_of(np.array([float(forward == "direct")]))
         reflected = np.ones((1, len(axis))) if basis is None else basis
-        rows = [tensor_of(array)[None] for array in (reflected, sensor.mean(0))]
-        bands = Bands.of_tensors([*arrays, from_direct, *rows], tolerance)
-        return Medium.of_tensors([*tensors, b_mean], law, (note,), bands)
+        rows = [tensor_of(array)[None] for array in (beta, G, b, response, reflected)]
+        return Medium.of_tensors(
+            [*tensors, b_mean], law, (note,), Bands.of_tensors(rows, tolerance)
+        )
 
     @staticmethod
     def from_coefficients(
@@ -236,8 +210,6 @@ class Medium:
         b_mean: Tensor | float = 0.0,
         point_spread: PointSpread | None = None,
         light: Tensor | Sequence[float] = (1.0, 1.0, 1.0),
-        veil_rate: Tensor | Sequence[float] | None = None,
-        forward: Forward = "image",
     ) -> "Medium":
         """The classical model, one exponential per channel.
 
@@ -249,8 +221,6 @@ class Medium:
             b_mean (number or B): scattering coefficient of the width law, 1/m.
             point_spread: width law, by default no blur.
             light (3 or Bx3): ambient light at the scene, e^(−K_d d).
-            veil_rate (3 or Bx3): attenuation of the veil, 1/m, ≥ 0, if it is another than G.
-            forward: as for `from_water`.
 
         Tensors keep their gradients; all are float64 inside unless given as tensors of another
         type.
@@ -259,50 +229,16 @@ class Medium:
             ValueError: if a shape is another, batches differ, a value is negative or infinite, or G
                 is more than beta.
         """
-        checks.one_of("forward", forward, get_args(Forward))
-        coefficients = {"beta": beta, "G": G, "veil": veil, "light": light, "b_mean": b_mean}
-        rows = _rows({**coefficients, "veil_rate": veil_rate})
+        rows = _rows({"beta": beta, "G": G, "veil": veil, "light": light, "b_mean": b_mean})
         beta, G, b = rows["beta"], rows["G"], rows["b_mean"]
         if bool((G - beta > _ROUNDED * (1 + beta)).any()):
             got = f"G = {G.tolist()} and beta = {beta.tolist()}"
-            raise ValueError(
-                f"G must be beta at most, as forward scatter takes no light away: got {got}; a "
-                "veil of a rate of its own is veil_rate=…"
-            )
+            raise ValueError(f"G must be beta at most, as scatter adds to it: got {got}")
         weights, veil_weights = torch.diag_embed(rows["light"]), torch.diag_embed(rows["veil"])
-        if "veil_rate" not in rows and forward == "image":
-            tensors = [beta, weights, G, weights, veil_weights]
-        else:
-            signal = [(G, weights)]
-            if forward == "direct":
-                signal = forward_from_direct((beta, weights), (beta + G, weights))
-            tensors = joined((beta, weights), signal, (rows.get("veil_rate", G), veil_weights))
-        counts = f"{tensors[0].shape[1]} + {tensors[2].shape[1]}"
-        notes = (f"coefficients: {counts} rates, one per channel",) * len(b)
+        notes = ("coefficients: one rate per channel",) * len(b)
         law = PointSpread.none() if point_spread is None else point_spread
-        bands = Bands.of_channels(beta, G, b, forward)
-        return Medium.of_tensors([*tensors, b], law, notes, bands)
-
-    @staticmethod
-    def from_transmission(
-        transmission: Tensor | Sequence[float], veil: Tensor | Sequence[float]
-    ) -> "Medium":
-        """Water of one transmission, whatever the distance (.1 mm or more): I = t·J + (1 − t)·B.
-
-        Args:
-            transmission (3 or Bx3): t per channel, 0…1.
-            veil (3 or Bx3): B, ≥ 0.
-
-        Raises:
-            ValueError: if a shape is another, batches differ, or a value is out of range.
-        """
-        rows = _rows({"transmission": transmission, "veil": veil})
-        t, zeros = rows["transmission"], torch.zeros_like(rows["veil"])
-        if not bool((t.detach() <= 1).all()):
-            raise ValueError(f"transmission must be in [0, 1], got {t.detach().tolist()}")
-        at_once = torch.full_like(zeros, _AT_ONCE)
-        haze = (1 - t) * rows["veil"]
-        return Medium.from_coefficients(zeros, zeros, haze, light=t, veil_rate=at_once)
+        tensors = [beta, weights, G, weights, veil_weights, b]
+        return Medium.of_tensors(tensors, law, notes, Bands.of_channels(beta, G, b))
 
     @staticmethod
     def stack(media: "Iterable[Medium]") -> "Medium":
@@ -395,6 +331,32 @@ class Medium:
         """Whether each channel of the picture depends on all three of the scene."""
         return self.direct_weights.ndim == 4
 
+    @property
+    def is_of_coefficients(self) -> bool:
+        """Whether each channel has one rate of each curve, as `from_coefficients` makes them."""
+        weights = (self.direct_weights, self.signal_weights, self.veil_weights)
+        square = all(w.ndim == 3 and w.shape[-1] == 3 for w in weights)
+        return square and all(torch.equal(w, w * torch.eye(3).to(w)) for w in weights)
+
+    def as_coefficients(self, metres: float = 3.0) -> "Medium":
+        """The classical model of this medium: one exponential per channel, for white, right at the
+        lens and at a distance of `metres`, with the same veil far away.
+        """
+        z = self.beta.new_tensor([metres])
+        light = white(self.direct_weights).sum(-1)
+        far = white(self.direct_weights) @ torch.exp(-self.beta * metres)[..., None]
+        beta = -torch.log(far[..., 0] / light) / z
+        signal = white(self.signal_weights) @ torch.exp(-self.G * metres)[..., None]
+        G = (-torch.log(signal[..., 0] / light) / z).minimum(beta)
+        return Medium.from_coefficients(
+            beta.clamp(min=0.0),
+            G.clamp(min=0.0),
+            self.veil_weights.sum(-1).clamp(min=0.0),
+            b_mean=self.b_mean,
+            point_spread=self.point_spread,
+            light=light.clamp(min=0.0),
+        )
+
     def ambient(self) -> Tensor:
         """Light of a white surface in front of the lens (B, 3): e^(−K_d d) of each channel."""
         return white(self.signal_weights).sum(-1)
@@ -408,8 +370,8 @@ class Medium:
         """The three curves as sums of exponentials, for `uwaug.optics.curves.curves`.
 
         exact_at_lens: compute the veil without cancellation, so that a millimetre of water gives a
-        small veil, not 0. Otherwise V(0) − V(z) is subtracted, which takes half the time; see
-        `sums_at` for where that is right.
+        small veil, not 0. Otherwise V(0) − V(z) is subtracted, which takes half the time, and
+        loses digits only there.
         """
         direct, signal = self.direct_weights.flatten(1, -2), self.signal_weights.flatten(1, -2)
         veil = self.veil_weights
@@ -428,11 +390,7 @@ class Medium:
         split = 1 + self.beta.shape[1] if exact_at_lens else None
         return Sums(rates, torch.cat(weights, 1), self.beta.shape[1], split)
 
-    def sums_at(self, z: Tensor) -> Sums:
-        """`sums` that are right at distances z (B or 1, …), m."""
-        return self.sums(exact_at_lens=self.any_at_lens(z))
-
-    def any_at_lens(self, z: Tensor) -> bool:
+    def _any_at_lens(self, z: Tensor) -> bool:
         """Whether a distance z (B or 1, …), m, is so near that V(0) − V(z) would cancel. A compiler
         cannot look.
         """
@@ -441,11 +399,8 @@ class Medium:
         slowest = self.G.masked_fill(self.G <= 0, math.inf).amin(1)
         return cancels(slowest, z.flatten(1).amin(1) if z.ndim > 1 else z)
 
-    def under(self, spectrum: Callable[[Array], Array] | None = None) -> "Medium":
-        """The water in the light of a lamp, which does not come down from the surface.
-
-        With S_c for the response of the camera's channel c to the lamp's light, ∫S_c dλ = 1 in the
-        mean of the channels,
+    def under_lamp(self) -> "Medium":
+        """The water in the white light of a lamp, which does not come down from the surface.
 
             T_β,c(z) = ∫ S_c·e^(−β z) dλ        what arrives unscattered
             T_G,c(z) = ∫ S_c·e^(−G z) dλ        what arrives at all
@@ -454,29 +409,39 @@ class Medium:
         A medium of numbers alone, as one that learns, has no bands: its own rates and the shares of
         its light stand for them, and b̄ for b.
 
-        Args:
-            spectrum: power at wavelengths (N array, nm); None for white.
-
         Returns:
             A medium whose `veil_weights` are those of b_c, 1/m.
-
-        Raises:
-            ValueError: if a spectrum is given and the medium has no wavelengths, or the spectrum
-                has no light in them.
         """
         if self.bands is not None:
-            tensors = [t.to(self.beta) for t in self.bands.under(spectrum)]
-        elif spectrum is None and not self.is_spectral:
-            direct, signal = (
-                weights / weights.sum(-1, keepdim=True).clamp(min=_DARK)
-                for weights in (self.direct_weights, self.signal_weights)
-            )
-            scatter = signal * self.b_mean[:, None, None]
-            tensors = [self.beta, direct, self.G, signal, scatter]
+            tensors = [t.to(self.beta) for t in self.bands.under_lamp()]
         else:
-            what = "spectrum" if spectrum is not None else "light"
-            raise ValueError(f"{what}: the medium has no wavelengths any more; give rgb")
+            of_white = white(self.signal_weights).sum(-1).clamp(min=_DARK)
+            of_white = of_white.reshape(len(self), 3, *[1] * (self.signal_weights.ndim - 2))
+            direct, signal = self.direct_weights / of_white, self.signal_weights / of_white
+            scatter = white(signal) * self.b_mean[:, None, None]
+            tensors = [self.beta, direct, self.G, signal, scatter]
         return Medium.of_tensors([*tensors, self.b_mean], self.point_spread, self.notes)
+
+    def curves(self, z: Tensor) -> Curves:
+        """T_β, T_G − T_β and V(0) − V at effective distances (Bx1xHxW), m, finite, ≥ 0."""
+        return curves(self.sums(exact_at_lens=self._any_at_lens(z)), z)
+
+    def image(self, z: Tensor, J: Tensor, soft: Tensor) -> Tensor:
+        """D + F + B, the sum of the model: Σ T_β·(J − soft) + T_G·soft + V(0) − V.
+
+        Args:
+            z (Bx1xHxW tensor): effective distance, m, finite, ≥ 0.
+            J, soft (Bx3xHxW tensors): the scene's linear light, and what the blur makes of it.
+        """
+        sums = self.sums(exact_at_lens=self._any_at_lens(z))
+        # `mix` goes over the rates, whose number a graph does not know
+        if self.is_spectral and not torch.compiler.is_compiling():
+            return mix(sums, z, J, soft)
+        return curves(sums, z).image(J, soft)
+
+    def parts(self, z: Tensor, J: Tensor, soft: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Direct, forward-scattered and backscattered light, which add up to `image`."""
+        return self.curves(z).parts(J, soft)
 
     def transmission(self, z: Tensor) -> Tensor:
         """T_β(z): share of the light at the surface that arrives unscattered.
@@ -530,32 +495,6 @@ class Medium:
             signal_weights=of_signal * wide.signal_weights,
             veil_weights=factor * wide.veil_weights,
         )
-
-    def with_veil(
-        self, veil: Tensor | Sequence[float], curve: Literal["veil", "signal"] = "veil"
-    ) -> "Medium":
-        """The same water with a given veil at infinite distance.
-
-        Args:
-            veil (3 or Bx3): per channel, ≥ 0; one for all media, or one for each.
-            curve: how it comes in with distance: as the medium's own "veil", or as the "signal"
-                goes, V(0)·(1 − T_G(z)/T_G(0)).
-
-        Raises:
-            ValueError: if a shape is another, batches differ, a value is negative or infinite, or a
-                channel has no curve of its own to follow.
-        """
-        checks.one_of("curve", curve, ("veil", "signal"))
-        limit = _row("veil", veil, (3,), self.beta.dtype).to(self.beta.device)
-        checks.batches({"veil": len(limit), "medium": len(self)})
-        wide = self.expand(len(limit))
-        weights = wide.veil_weights if curve == "veil" else white(wide.signal_weights)
-        total = weights.sum(-1, keepdim=True)
-        if not bool((total.detach() > 0).all()):
-            cure = 'try curve="signal"' if curve == "veil" else "no light is left at that depth"
-            shows = "which is 0, or negative as the colour is out of sRGB"
-            raise ValueError(f"veil must follow the medium's own {curve}, {shows}: {cure}")
-        return replace(wide, veil_weights=limit[..., None] * weights / total)
 
     def lengths(self, z: Tensor) -> Tensor:
         """Scattering lengths b̄·z of finite distances (B or 1, 1, H, W)."""

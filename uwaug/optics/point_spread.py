@@ -9,7 +9,7 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.checks import DOMAIN
-from uwaug._support.torch_func import transformed
+from uwaug._support.codec import plain
 from uwaug._support.types import Shape
 
 PAPER_SIZE = 518
@@ -21,6 +21,7 @@ that σ(0) is tiny instead of 0; and at 1e4 all light is gone.
 """
 
 
+@plain
 @dataclass(frozen=True)
 class PointSpread:
     """Width law of the forward scatter, σ(z) = scale·(b̄ z)^exponent, in px.
@@ -186,7 +187,7 @@ def _require_values(name: str, value: Tensor, low: float, high: float) -> None:
         got = f"{value.dtype} of shape {tuple(value.shape)}"
         raise ValueError(f"{name} must be a number or a floating-point tensor (B,), got {got}")
     tracing = torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
-    unknown = value.is_meta or torch.compiler.is_compiling() or tracing or transformed()
+    unknown = value.is_meta or torch.compiler.is_compiling() or tracing
     if not value.is_leaf or unknown:
         return  # computed from parameters; or values are not known yet
     numbers = value.detach()

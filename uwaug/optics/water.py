@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from uwaug._support import checks
+from uwaug._support.codec import plain
 from uwaug._support.types import Array
 from uwaug.optics.constituents import Constituents, optical_properties, pure_water
 from uwaug.optics.jerlov import JERLOV_TYPES, repaired_table
@@ -38,12 +39,18 @@ _BIO_OPTICAL = (
     "et al. 2003 and Kirk 1984"
 )
 
+_LEAST_LOSS = 0.85
+"""K_d may be so much of a: what is absorbed is lost on the way down, and measured tables of two
+sources differ by .12 (type IB at 450 nm).
+"""
+
 _NODES = 301
 """Wavelengths for the eye, 1 nm apart on a full range. The 61 bands of a medium would put the
 visibility of type I 7e-4 off.
 """
 
 
+@plain
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class Water(Spectra):
     """A water: the spectra that decide what it does to light. Immutable; equality goes by content.
@@ -61,8 +68,8 @@ class Water(Spectra):
 
     Raises:
         TypeError: if an array holds no numbers.
-        ValueError: if wavelengths are not ascending nm, lengths differ, or a coefficient is
-            negative, NaN or infinite.
+        ValueError: if wavelengths are not ascending nm, lengths differ, a coefficient is negative,
+            NaN or infinite, or K_d is less than a.
 
     Examples:
         >>> a, b, kd = [1.00, 0.77, 0.72], [13.25, 10.25, 9.50], [2.0, 1.6, 1.5]
@@ -102,6 +109,13 @@ class Water(Spectra):
             name=name,
             provenance=tuple(provenance),
         )
+        below = self.kd < _LEAST_LOSS * self.a
+        if below.any():
+            where = ", ".join(f"{nm:g}" for nm in axis[below][:8])
+            raise ValueError(
+                f"kd must be a at least, as what is absorbed is lost on the way down; it is less "
+                f"at {where} nm"
+            )
 
     @property
     def beta(self) -> Array:
@@ -270,7 +284,7 @@ class Water(Spectra):
         ∫ ȳ e^(−β z) dλ of ``visibility()``, which is the distance where it is 2 %.
 
         That is contrast with the open water behind the object, as a Secchi disc shows it, and a
-        number of the water alone. ``uwaug.contrast`` is the contrast of patterns on an object: the
+        number of the water alone. ``uwaug.contrast_left`` is that of patterns on an object: the
         veil before it takes some, and light scattered forward counts as the object's, so that it
         depends on the depth and on g and μ. Where this is .5, that is .38 to .39 with g = .2 and μ
         = .3, and .54 to .56 with g = .05 and μ = .075 (types 1C, 7C and II, 3 m).
@@ -286,36 +300,10 @@ class Water(Spectra):
         checks.within("metres", metres, *checks.DOMAIN["distance"])
         return self._luminance(self.beta, metres)
 
-    def most_contrast(self, metres: float) -> float:
-        """The ``contrast()`` at this distance [m] in the pure water inside this one: the most that
-        ``with_contrast`` can give.
-        """
-        checks.within("metres", metres, *checks.DOMAIN["distance"])
-        fine = self._fine()
-        return fine._luminance(fine._pure()[:2].sum(0), metres)
-
-    def with_visibility(self, metres: float) -> Self:
-        """The same kind of water with more or less in it, so that ``visibility()`` is ``metres``,
-        up to that of pure water: a turbidity knob. As ``with_contrast`` of 2 %, errors included.
-
-        Examples:
-            >>> round(Water.jerlov("1C").with_visibility(3).visibility(), 9)
-            3.0
-        """
-        checks.number_only("metres", metres)
-        checks.positive("metres", metres)
-        if self.most_contrast(metres) < CONTRAST_THRESHOLD:
-            fine = self._fine()
-            most = Water(fine.wavelengths, *fine._pure()).visibility()
-            allowed = f"the pure water in {self.name!r} allows, {most:.4g} m"
-            raise ValueError(f"metres={metres:g} is more than {allowed}")
-        name = f"{self.name} at {metres:g} m visibility"
-        return self._scaled(CONTRAST_THRESHOLD, metres, name)
-
     def with_contrast(self, contrast: float, metres: float) -> Self:
         """The same kind of water with more or less in it, so that an object at a distance of
-        ``metres`` keeps this share of its luminance contrast: ``contrast(metres)``, which see for
-        how ``uwaug.contrast`` differs.
+        ``metres`` keeps this share of its luminance contrast: a turbidity knob. A share of .02 at
+        4 m is a visibility of 4 m. See ``contrast(metres)``.
 
         What is dissolved and suspended is scaled by one factor s; pure sea water stays:
 
@@ -329,8 +317,7 @@ class Water(Spectra):
         the contents stays: to change that, ``mix``.
 
         Args:
-            contrast: the share wanted, above 0, up to ``most_contrast(metres)``, that of pure
-                water. (To clamp it there, take the smaller of the two.)
+            contrast: the share wanted, above 0, up to that of pure water.
             metres: distance [m], > 0.
 
         Raises:
@@ -353,12 +340,18 @@ class Water(Spectra):
         for name, value in {"metres": metres, "contrast": contrast}.items():
             checks.number_only(name, value)
             checks.positive(name, value)
-        most = self.most_contrast(metres)
+        fine = self._fine()
+        most = fine._luminance(fine._pure()[:2].sum(0), metres)
         if contrast > most:
             allowed = f"the pure water in {self.name!r} allows, {most:.4g}"
             raise ValueError(f"contrast={contrast:g} at {metres:g} m is more than {allowed}")
         name = f"{self.name} with {contrast:g} of the contrast at {metres:g} m"
-        return self._scaled(contrast, metres, name)
+        factor = self.contents_for(contrast, metres)
+        if math.isinf(factor):
+            nothing = f"there is nothing to scale to a contrast of {contrast:g} at {metres:g} m"
+            raise ValueError(f"{self.name!r} is nothing but pure water to the eye: {nothing}")
+        provenance = (*self.provenance, f"{name}: all but pure water scaled by {factor:.4g}")
+        return self._with(factor, name, provenance)
 
     def contents_for(self, contrast: float, metres: float) -> float:
         """The factor s of ``with_contrast``, on what is in the water besides pure water: 0 where
@@ -421,15 +414,6 @@ class Water(Spectra):
         absorption, scattering = pure_water(nm.tobytes())  # an array is no key
         a, b = np.minimum(self.a, absorption), np.minimum(self.b, scattering)
         return np.array([a, b, np.minimum(self.kd, a + b / 2)])
-
-    def _scaled(self, contrast: float, metres: float, name: str) -> Self:
-        """This water with a contrast that pure water allows."""
-        factor = self.contents_for(contrast, metres)
-        if math.isinf(factor):
-            nothing = f"there is nothing to scale to a contrast of {contrast:g} at {metres:g} m"
-            raise ValueError(f"{self.name!r} is nothing but pure water to the eye: {nothing}")
-        provenance = (*self.provenance, f"{name}: all but pure water scaled by {factor:.4g}")
-        return self._with(factor, name, provenance)
 
     def _with(self, factor: float, name: str, provenance: tuple[str, ...]) -> Self:
         fine = self._fine()

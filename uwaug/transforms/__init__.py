@@ -1,7 +1,7 @@
 """Random water for every picture of a data set."""
 
 from uwaug.transforms.keep_visible import KeepVisible
-from uwaug.transforms.params import collate_records
+from uwaug.transforms.params import RandomDevelopment
 from uwaug.transforms.random_underwater import RandomUnderwater
 
-__all__ = ["KeepVisible", "RandomUnderwater", "collate_records"]
+__all__ = ["KeepVisible", "RandomDevelopment", "RandomUnderwater"]

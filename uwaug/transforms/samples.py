@@ -5,11 +5,11 @@ common to all that transforms them.
 import copy
 import hashlib
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial, wraps
 from operator import index as whole_number
-from typing import Any, NamedTuple, ParamSpec, TypeVar
+from typing import Any, NamedTuple, ParamSpec, Self, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -28,42 +28,37 @@ class Parts(NamedTuple):
     restore: Callable[[Tensor], Any]
 
 
-def take_apart(inputs: tuple[Any, ...], image_key: str, distance_key: str, mapped: bool) -> Parts:
+def take_apart(inputs: tuple[Any, ...], keys: tuple[str, str], reads_maps: bool) -> Parts:
     """Find image and map in what a transform was called with.
 
     Args:
         inputs: (image, distance, …), or one tuple, list or dict that holds them, or an image. In
             second place of a tuple, a dict may hold the map.
-        image_key, distance_key: of a dict.
-        mapped: whether there has to be a map; if not, a tuple holds none.
+        keys: of image and map in a dict.
+        reads_maps: whether there has to be a map; if not, none is looked for.
 
     Raises:
-        TypeError, ValueError: if there is no image or no map.
+        ValueError: if there is no image or no map.
     """
     sample = inputs[0] if len(inputs) == 1 else inputs
     if isinstance(sample, Mapping):
-        image = _leaf(sample, image_key, "sample")
-        distance = _leaf(sample, distance_key, "sample") if mapped else sample.get(distance_key)
-        parts = Parts(image, distance, partial(replaced, sample, image_key))
-    elif not isinstance(sample, (tuple, list)):
-        parts = Parts(sample, None, lambda result: result)
-    elif not sample:
+        image = _leaf(sample, keys[0], "sample")
+        distance = _leaf(sample, keys[1], "sample") if reads_maps else None
+        return Parts(image, distance, partial(replaced, sample, keys[0]))
+    if not isinstance(sample, (tuple, list)):
+        return Parts(sample, None, lambda result: result)
+    if not sample:
         raise ValueError("sample is empty: expected (image, distance, …)")
-    else:
-        distance = sample[1] if len(sample) > 1 and mapped else None
-        if isinstance(distance, Mapping):
-            # torchvision's (image, target)
-            distance = _leaf(distance, distance_key, "the dict in second place")
-        parts = Parts(sample[0], distance, partial(replaced, sample, 0))
-    plain_image(parts.image)
-    return parts
+    distance = sample[1] if len(sample) > 1 and reads_maps else None
+    if isinstance(distance, Mapping):  # torchvision's (image, target)
+        distance = _leaf(distance, keys[1], "the dict in second place")
+    return Parts(sample[0], distance, partial(replaced, sample, 0))
 
 
 def _leaf(sample: Mapping[Any, Any], name: str, what: str) -> Any:
     if name not in sample:
-        keys = ", ".join(map(repr, sample))
-        cure = "see image_key, distance_key and distance"
-        raise ValueError(f"{what} has no {name!r}, only {keys}: {cure}")
+        has = ", ".join(map(repr, sample))
+        raise ValueError(f"{what} has no {name!r}, only {has}: see keys and distance")
     return sample[name]
 
 
@@ -94,7 +89,15 @@ def uncompiled(function: Callable[P, T]) -> Callable[P, T]:
 
 
 class SampleTransform(nn.Module):
-    """A random transform of samples; a subclass says in `_sampled` what it does to one."""
+    """A random transform of samples; a subclass is a dataclass, and says in `_sampled` what it does
+    to a sample.
+    """
+
+    def __new__(cls, *args: Any, **kwargs: Any) -> Self:
+        """A module has to be one before the fields of a dataclass are set."""
+        transform = super().__new__(cls)
+        nn.Module.__init__(transform)
+        return transform
 
     def at(self, seed: int, epoch: int, index: int | str) -> Callable[..., Any]:
         """The transform with randomness from a key: the same result in any worker, in any order.
@@ -128,74 +131,40 @@ def key_of(seed: int, epoch: int, index: int | str) -> int:
     return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=4).digest())
 
 
-def plain_image(image: Any) -> Tensor:
-    """Check an image's type and shape; return it as a plain tensor."""
-    if not isinstance(image, Tensor) or image.dtype != torch.uint8:
-        checks.floating("image", image, "; or uint8")
-    checks.picture("image", image, 3)
-    return typed(image, Tensor)
-
-
 def typed(x: Tensor, kind: type[Tensor]) -> Tensor:
     """A tensor as another class of tensors."""
     return x if type(x) is kind else x.as_subclass(kind)
 
 
-def with_pictures(image: Tensor, pictures: Mapping[int, Tensor]) -> Tensor:
-    """An image, or a batch of them, with new pictures in some places; itself if there are none."""
-    if not pictures:
-        return image
-    if image.ndim == 3:
-        return typed(pictures[0], type(image))
+def pictures_of(image: Any) -> Tensor:
+    """The pictures of an image or a batch (Bx3xHxW), as a plain tensor."""
+    if not isinstance(image, Tensor) or image.dtype != torch.uint8:
+        checks.floating("image", image, "; or uint8")
+    checks.picture("image", image, 3)
     plain = typed(image, Tensor)
-    return typed(torch.stack([pictures.get(i, plain[i]) for i in range(len(plain))]), type(image))
+    return plain if plain.ndim == 4 else plain[None]
 
 
-def maps_for(
-    image: Tensor, distance: Any, chosen: list[int], instead: Any
-) -> Sequence[Tensor | None]:
-    """A map for each of the chosen pictures of a batch; None where the picture is put on a plane.
-
-    Args:
-        image (3xHxW or Bx3xHxW tensor): plain.
-        distance: the map of a sample, or None.
-        chosen: indices of pictures.
-        instead: what there is instead of a map: None, numbers, or a callable that guesses maps.
+def maps_for(pictures: Tensor, distance: Any) -> list[Tensor]:
+    """A map (1xHxW) for each picture of a batch, as plain tensors.
 
     Raises:
-        TypeError, ValueError: if a map does not suit the image, or there is none.
+        TypeError, ValueError: if a map does not suit the pictures, or there is none.
     """
-    batch = image if image.ndim == 4 else image[None]
-    if distance is not None:
-        maps = _plain_maps(distance, batch)
-        return [maps[i] for i in chosen]
-    if instead is None:
-        cure = "RandomUnderwater(distance=…) a constant, a range or a callable"
-        # as it cannot be told from a call that forgot the map
-        kornia = "kornia gives its children the image alone: call RandomUnderwater after it"
-        raise ValueError(f"distance is missing: give a map, or {cure}; {kornia}")
-    if not callable(instead) or not chosen:
-        return [None] * len(chosen)
-    pictures = batch[chosen]
-    shown = image if image.ndim == 3 else pictures
-    with torch.no_grad():
-        guess = instead(shown / 255 if shown.dtype == torch.uint8 else shown)
-    return list(_plain_maps(guess, pictures))
-
-
-def _plain_maps(distance: Any, images: Tensor) -> Tensor:
-    """Check a map of distances; return one for each image (Bx1xHxW), as a plain tensor."""
+    if distance is None:
+        cure = "for pictures without maps there are uwaug.distance.Plane and Network"
+        raise ValueError(f"distance is missing: give a map, or RandomUnderwater(distance=…): {cure}")
     hint = "; divide a map in millimetres by 1000"
     if not isinstance(distance, Tensor):
         hint = "; expected (image, distance, …), (image, {'distance': …}) or a dict of both"
     checks.floating("distance", distance, hint)
     checks.picture("distance", distance, 1)
-    checks.same_size("distance", distance, images)
-    maps, batch = typed(distance, Tensor), len(images)
-    maps = maps if maps.ndim == 4 else maps[None]
+    checks.same_size("distance", distance, pictures)
+    plain, batch = typed(distance, Tensor), len(pictures)
+    maps = list(plain) if plain.ndim == 4 else [plain]
     if len(maps) not in (1, batch):
         raise ValueError(f"distance is a batch of {len(maps)} but image is one of {batch}")
-    return maps.expand(batch, -1, -1, -1)
+    return maps if len(maps) == batch else maps * batch
 
 
 @contextmanager

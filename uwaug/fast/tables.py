@@ -1,8 +1,7 @@
 """What the compiled loops look up: a plan for pictures of one size, and a medium, as arrays."""
 
 import math
-from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -76,48 +75,6 @@ class PlanTable(NamedTuple):
     coarse: tuple[CoarseTable, ...]
 
 
-class CellTable(NamedTuple):
-    """The transpose of one blur on a coarse grid of h cells by w, for pictures of HxW.
-
-    Attributes:
-        rows (h, taps), down (h, taps): three times the rows of the picture that a row of cells was
-            enlarged to, and weights.
-        across_first (w), across (w, taps): the first column of the picture that a cell was enlarged
-            to, and weights from there on.
-        along_first (W), along (W, taps): the first cell that a column was shrunk into, and weights
-            from there on.
-    """
-
-    rows: Indices
-    down: Floats
-    across_first: Indices
-    across: Floats
-    along_first: Indices
-    along: Floats
-
-
-class BackTable(NamedTuple):
-    """The last step of the transposes of all blurs.
-
-    Attributes:
-        folds (3, n): of each channel, the lines (see `uwaug.formation.loops.adjoint.cell_lines`) of
-            the rows of `StackTable`.
-        rows (m, H, taps), up (m, H, taps): the lines of all grids that a row was shrunk into, and
-            weights.
-    """
-
-    folds: Indices
-    rows: Indices
-    up: Floats
-
-
-class AdjointTable(NamedTuple):
-    """The transposes of a plan's blurs, for pictures of one size."""
-
-    cells: tuple[CellTable, ...]
-    back: BackTable
-
-
 class MediumTable(NamedTuple):
     """A medium, for a plan and pictures of one size.
 
@@ -139,19 +96,17 @@ class MediumTable(NamedTuple):
 
 # ------------------------------------------------------------------------------ plans
 
-_Table = TypeVar("_Table", PlanTable, AdjointTable)
-_CACHE: Cache[Any] = Cache(64 * 2**20)
+_CACHE: Cache[PlanTable] = Cache(64 * 2**20)
 """Pictures of 512 px in waters that are drawn ask for some 50 MiB."""
 
 
 def plan_table(plan: BlurPlan, size: Size) -> PlanTable:
     """A plan for pictures of (height, width) `size`."""
-    return _cached(_plan_table, plan, size)
-
-
-def adjoint_table(plan: BlurPlan, size: Size) -> AdjointTable:
-    """The transposes of a plan's blurs, for pictures of (height, width) `size`."""
-    return _cached(_adjoint_table, plan, size)
+    table = _CACHE.get((plan, size))
+    if table is None:
+        table = _plan_table(plan, size)
+        _CACHE.put((plan, size), table, _bytes(table))
+    return table
 
 
 def stack_order(plan: BlurPlan) -> list[int]:
@@ -166,15 +121,6 @@ def series_table(coefficients: Any) -> Floats:
     return np.pad(series, ((0, 0), (0, max(4, count + count % 2) - count)))
 
 
-def _cached(build: Callable[[BlurPlan, Size], _Table], plan: BlurPlan, size: Size) -> _Table:
-    key = (build, plan, size)
-    table: _Table | None = _CACHE.get(key)
-    if table is None:
-        table = build(plan, size)
-        _CACHE.put(key, table, _bytes(table))
-    return table
-
-
 def _bytes(table: Any) -> int:
     """Memory of all arrays of a table and of those in it."""
     if isinstance(table, tuple):
@@ -186,15 +132,10 @@ def _nodes(plan: BlurPlan) -> list[Node]:
     return [Node(plan.sigmas[k], plan.cells[k], plan.reach) for k in stack_order(plan)]
 
 
-def coarse_nodes(plan: BlurPlan) -> list[Node]:
-    """The blurs of a plan that are made on coarse grids, as `PlanTable` has them."""
-    return [node for node in _nodes(plan) if node.cell != 1]
-
-
 def _plan_table(plan: BlurPlan, size: Size) -> PlanTable:
     height, width = size
     narrow = [node for node in _nodes(plan) if node.cell == 1 and node.sigma > 0]
-    wide = coarse_nodes(plan)
+    wide = [node for node in _nodes(plan) if node.cell != 1]
     taps = _taps(narrow)
     margin = taps.shape[1] - 1
     coarse = tuple(coarse_table(node, height, width) for node in wide)
@@ -269,57 +210,6 @@ def _beyond(first: Indices, weights: Floats, size: int) -> int:
 def _mirrored(margin: int, size: int) -> Indices:
     """Places on an axis, half-sample symmetric, from `margin` before its start on."""
     return mirrored(np.arange(-margin, size + margin), size)
-
-
-# ------------------------------------------------------------------------------ transposes
-
-
-def _adjoint_table(plan: BlurPlan, size: Size) -> AdjointTable:
-    """A narrow blur is its own transpose, edges and all; one on a coarse grid goes the same way
-    back, along the columns of its matrices.
-    """
-    stack, (height, _) = plan_table(plan, size).stack, size
-    wide = coarse_nodes(plan)
-    shrunk = [_columns_of("shrink", node, height) for node in wide]
-    taps = max((weights.shape[1] for _, weights in shrunk), default=0)
-    rows = np.zeros((len(wide), height, taps), np.int64)
-    up = np.zeros((len(wide), height, taps), np.float32)
-    for k, (first, weights) in enumerate(shrunk):
-        cells = whole("shrink", height, wide[k]).rows
-        rows[k] = stack.starts[k] + 3 * _from(first, taps, cells)
-        up[k, :, : weights.shape[1]] = weights
-    folds = 3 * stack.rows + np.arange(3)[:, None]
-    return AdjointTable(tuple(_cells(node, size) for node in wide), BackTable(folds, rows, up))
-
-
-def _cells(node: Node, size: Size) -> CellTable:
-    height, width = size
-    first, down = _columns_of("enlarge", node, height)
-    rows = 3 * _from(first, down.shape[1], height)
-    return CellTable(
-        rows, down, *_columns_of("enlarge", node, width), *_columns_of("shrink", node, width)
-    )
-
-
-def _from(first: Indices, taps: int, size: int) -> Indices:
-    """So many indices from each first on; beyond the end, where nothing has a weight, the last."""
-    return np.asarray(np.minimum(first[:, None] + np.arange(taps), size - 1))
-
-
-def _columns_of(kind: Kind, node: Node, size: int) -> tuple[Indices, Floats]:
-    """First row and weights of every column of a matrix; 4, 8, … weights, some of them 0.
-
-    What is folded onto a column from beyond the edges is among them.
-    """
-    matrix = whole(kind, size, node, adjoint=True)
-    low, dense = matrix.slab(0, matrix.cols)
-    used = dense != 0
-    first = used.argmax(1)
-    last = np.where(used.any(1), dense.shape[1] - 1 - used[:, ::-1].argmax(1), 0)
-    taps = 4 * math.ceil(((last - first).max() + 1) / 4)
-    window = first[:, None] + np.arange(taps)
-    weights = np.take_along_axis(np.pad(dense, ((0, 0), (0, taps))), window, 1)
-    return low + first, weights.astype(np.float32)
 
 
 # ------------------------------------------------------------------------------ media

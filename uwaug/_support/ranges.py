@@ -1,0 +1,30 @@
+"""Ranges from which numbers are drawn."""
+
+import math
+
+import numpy as np
+
+from uwaug._support import checks
+
+Range = float | tuple[float, float]
+"""A number, or (low, high)."""
+
+
+def as_range(
+    name: str, value: object, least: float = -math.inf, most: float = math.inf, unit: str = ""
+) -> tuple[float, float]:
+    """A number or (low, high) as (low, high).
+
+    Raises:
+        ValueError: if it is neither, the range falls, or it leaves [least, most] or is infinite.
+    """
+    low = high = math.nan
+    if isinstance(value, (int, float, np.number)) and not isinstance(value, bool):
+        low = high = float(value)
+    elif isinstance(value, (tuple, list)) and len(value) == 2:
+        (low, _), (high, _) = (as_range(name, end, least, most, unit) for end in value)
+    if not (least <= low <= high <= most and math.isfinite(low) and math.isfinite(high)):
+        domain = f"{checks.bounds(least, most)} {unit}".rstrip()
+        expected = f"a number or a range (low, high) with low ≤ high, {domain}"
+        raise ValueError(f"{name} must be {expected}; got {value!r}")
+    return low, high

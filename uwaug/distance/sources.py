@@ -1,0 +1,211 @@
+"""What `RandomUnderwater(distance=…)` takes: what maps hold, or where distances come from where
+there are no maps. After it there are metres at every pixel, or an error.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Literal, get_args
+
+import torch
+from torch import Tensor
+
+from uwaug._support import checks, codec
+from uwaug._support.ranges import Range, as_range
+from uwaug.distance.convert import as_maps, from_inverse, from_relative
+from uwaug.distance.fill import fill_unknown
+
+_Policy = Literal["error", "fill", "behind", "far"]
+Holes = _Policy | float
+"""What pixels without a distance get. "error": an error. "fill": a distance from the known ones
+around, "behind": from those behind, for maps of depth cameras with their shadows and their range
+(see `fill_unknown`). "far": open water. A number: as many metres.
+"""
+
+_TOUCHING = 1e-6
+"""m, for relative distance 0 with near = 0: in a map of metres 0 means unknown."""
+
+
+class Source:
+    """Where the distances of a picture come from. A subclass is a frozen dataclass.
+
+    Attributes:
+        reads_maps: whether each picture brings a map.
+    """
+
+    reads_maps: ClassVar = True
+
+    def ranges(self) -> dict[str, Range]:
+        """Each number that a picture draws, by name."""
+        return {}
+
+    def metres(
+        self, distance: Tensor | None, image: Tensor, numbers: Mapping[str, float]
+    ) -> Tensor:
+        """The distances of a picture (1xHxW): metres above 0, or +inf for open water.
+
+        Args:
+            distance (1xHxW tensor): the picture's map, where there are any.
+            image (3xHxW tensor): the picture; uint8, or floating point in 0…1.
+            numbers: drawn from `ranges`.
+
+        Raises:
+            ValueError: if the map holds something else, or holes that `holes` says nothing of.
+        """
+        raise NotImplementedError
+
+
+@codec.plain
+@dataclass(frozen=True)
+class Metres(Source):
+    """Maps of metres along the ray, see `along_ray` for depth along the optical axis.
+
+    Attributes:
+        holes: what NaN, 0 and negative distances get, see `Holes`. Geometric transforms pad with 0.
+    """
+
+    holes: Holes = "error"
+
+    def __post_init__(self) -> None:
+        _require_holes(self.holes)
+
+    def metres(
+        self, distance: Tensor | None, image: Tensor, numbers: Mapping[str, float]
+    ) -> Tensor:
+        """See `Source.metres`."""
+        assert distance is not None
+        z = as_maps("distance", distance)
+        checks.metres("distance", z)
+        return _without_holes(z, self.holes)
+
+
+@codec.plain
+@dataclass(frozen=True)
+class Relative(Source):
+    """Maps of relative distance, 0 = near, 1 = far: near + (far − near)·t^gamma, see
+    `from_relative`. Order and proportions of the scene are right, its size is drawn.
+
+    Attributes:
+        near, far: m; numbers or (low, high).
+        gamma: exponent; a number or (low, high).
+        holes: what NaN gets, see `Holes`. Let geometric transforms pad with NaN.
+    """
+
+    near: Range = 1.0
+    far: Range = 5.0
+    gamma: Range = 1.0
+    holes: Holes = "error"
+
+    def __post_init__(self) -> None:
+        _require_ends(self.near, self.far)
+        as_range("gamma", self.gamma, 1e-3)
+        _require_holes(self.holes)
+
+    def ranges(self) -> dict[str, Range]:
+        """See `Source.ranges`."""
+        return {"near": self.near, "far": self.far, "gamma": self.gamma}
+
+    def metres(
+        self, distance: Tensor | None, image: Tensor, numbers: Mapping[str, float]
+    ) -> Tensor:
+        """See `Source.metres`."""
+        assert distance is not None
+        near = max(numbers["near"], _TOUCHING)
+        z = from_relative(distance, near, numbers["far"], numbers["gamma"])
+        return _without_holes(z, self.holes)
+
+
+@codec.plain
+@dataclass(frozen=True)
+class Inverse(Source):
+    """Maps of inverse depth as monocular networks give it: large = near, of unknown scale and
+    shift. Every map is stretched to reach from near to far, even that of a flat scene, see
+    `from_inverse`.
+
+    Attributes:
+        near, far: m; numbers or (low, high), near above 0.
+        holes: what NaN and infinite values get, see `Holes`.
+    """
+
+    near: Range = 1.0
+    far: Range = 5.0
+    holes: Holes = "error"
+
+    def __post_init__(self) -> None:
+        if _require_ends(self.near, self.far) == 0:
+            raise ValueError(f"near must lie above 0 m in inverse depth, got {self.near}")
+        _require_holes(self.holes)
+
+    def ranges(self) -> dict[str, Range]:
+        """See `Source.ranges`."""
+        return {"near": self.near, "far": self.far}
+
+    def metres(
+        self, distance: Tensor | None, image: Tensor, numbers: Mapping[str, float]
+    ) -> Tensor:
+        """See `Source.metres`."""
+        assert distance is not None
+        return _without_holes(from_inverse(distance, numbers["near"], numbers["far"]), self.holes)
+
+
+@codec.plain
+@dataclass(frozen=True)
+class Plane(Source):
+    """No maps: each picture is a plane that faces the camera, with one veil, cast and blur.
+
+    That suits a flat scene. Elsewhere the depth cue is lost (what is far should fade first), and a
+    network may learn only the tint.
+
+    Attributes:
+        low, high: m, between which its distance is drawn; `low` if there is no `high`.
+    """
+
+    reads_maps = False
+
+    low: float = 1.0
+    high: float | None = None
+
+    def __post_init__(self) -> None:
+        as_range("distance", self.ranges()["distance"], 0.0, unit="m")
+
+    def ranges(self) -> dict[str, Range]:
+        """See `Source.ranges`."""
+        return {"distance": (self.low, self.low if self.high is None else self.high)}
+
+    def metres(
+        self, distance: Tensor | None, image: Tensor, numbers: Mapping[str, float]
+    ) -> Tensor:
+        """See `Source.metres`."""
+        dtype = torch.promote_types(image.dtype, torch.float32)
+        return image.new_full((1, *image.shape[-2:]), numbers["distance"], dtype=dtype)
+
+
+def _require_holes(holes: object) -> None:
+    if isinstance(holes, (int, float)) and not isinstance(holes, bool):
+        checks.positive("holes", holes, "m")
+    else:
+        checks.one_of("holes", holes, (*get_args(_Policy), "a number of metres"))
+
+
+def _require_ends(near: Range, far: Range) -> float:
+    """Refuse ranges of near and far that meet; return the least near."""
+    least, largest = as_range("near", near, 0.0, unit="m")
+    if not largest < as_range("far", far, 0.0, unit="m")[0]:
+        raise ValueError(f"near must lie below far, got near = {near} and far = {far} in metres")
+    return least
+
+
+def _without_holes(z: Tensor, holes: Holes) -> Tensor:
+    """A map in metres with something at every pixel."""
+    if not isinstance(holes, str):
+        return torch.where(z > 0, z, holes)
+    if holes == "far":
+        return torch.where(z > 0, z, torch.inf)
+    if holes != "error":
+        return fill_unknown(z, behind=holes == "behind")
+    # NaN if any is; a mask of all pixels takes several times as long
+    if z.numel() and not z.detach().amin() > 0:
+        counts = checks.counted(z, "NaN", "negative", "zero")
+        cure = "holes='behind' fills those of depth cameras, 'fill' others, 'far' is open water"
+        given = "RandomUnderwater(distance=uwaug.distance.Metres(holes=…))"
+        raise ValueError(f"distance must be above 0 m, but is {counts}: {cure}: {given}")
+    return z

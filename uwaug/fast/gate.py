@@ -1,0 +1,152 @@
+"""The gate to the compiled loops: whether they form a picture, and how they are compiled.
+
+numba is imported at first use. Without it, and for all that the loops cannot compute, PyTorch
+computes the same to 2e-6. UWAUG_FAST=0 in the environment keeps to PyTorch.
+"""
+
+import logging
+import os
+import warnings
+from collections.abc import Callable
+from functools import cache
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import torch
+from torch import Tensor
+
+from uwaug._support.types import ColorSpace
+from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread
+
+if TYPE_CHECKING:
+    from uwaug.blur.plan import BlurPlan
+    from uwaug.formation.development import Development
+
+_log = logging.getLogger(__name__)
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+# what may be fused is fused; sums keep their order, NaN and infinity their meaning
+_OPTIONS = {"fastmath": {"contract", "nsz"}, "nogil": True, "error_model": "numpy"}
+
+
+def can(image: Tensor, z: Tensor, medium: Medium, light: object) -> bool:
+    """Whether the loops form these pictures: in float32 or bytes on a CPU, by daylight, without
+    gradients. Arguments as for `uwaug.formation.image.form`.
+    """
+    if light is not None or torch.compiler.is_compiling() or not _is_there():
+        return False
+    # of a law of one's own the loops know nothing
+    if type(medium) is not Medium or type(medium.point_spread) is not PointSpread:
+        return False
+    law = (v for v in medium.point_spread.numbers().values() if isinstance(v, Tensor))
+    tensors = (image, z, *medium.tensors(), *law)
+    if torch.is_grad_enabled() and any(t.requires_grad for t in tensors):
+        return False
+    if not all(type(t) in (Tensor, torch.nn.Parameter) and t.is_cpu for t in tensors):
+        return False
+    tracing = torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
+    return z.dtype == torch.float32 and not tracing and _works()
+
+
+def form(
+    image: Tensor,
+    z: Tensor,
+    medium: Medium,
+    development: "Development",
+    color_space: ColorSpace,
+    plan: "BlurPlan | None",
+    tolerance: float,
+) -> Tensor:
+    """As `uwaug.formation.image.form`, where `can` says so."""
+    from uwaug.fast.render import form as compiled
+
+    return compiled(image, z, medium, development, color_space, plan, tolerance)
+
+
+def warm_up() -> None:
+    """Compile all loops, so that no picture waits for the compiler. They are kept on disk, beside
+    the package or in NUMBA_CACHE_DIR.
+
+    Raises:
+        ModuleNotFoundError: if numba is missing, switched off, or does not work.
+    """
+    if not (_is_there() and _works()):
+        raise ModuleNotFoundError("the compiled loops need numba: pip install 'uwaug[fast]'")
+    z = torch.full((1, 1, 8, 8), 3.0)
+    for medium in (_example(), Medium.from_water("II", surfaces="spectral").to(torch.float32)):
+        for image in (torch.full((1, 3, 8, 8), 0.5), torch.zeros(1, 3, 8, 8, dtype=torch.uint8)):
+            form(image, z, medium, _neutral(), "srgb", None, 0.002)
+
+
+def _example() -> Medium:
+    law = PointSpread(30.0)
+    beta, G = (0.5, 0.4, 0.3), (0.2, 0.1, 0.1)
+    medium = Medium.from_coefficients(beta, G, (0.1, 0.2, 0.3), b_mean=0.3, point_spread=law)
+    return medium.to(torch.float32)
+
+
+def _neutral() -> "Development":
+    from uwaug.formation.development import NEUTRAL
+
+    return NEUTRAL
+
+
+def _is_there() -> bool:
+    """Whether the loops are wanted, and numba is installed and may compile."""
+    switches = os.environ.get("UWAUG_FAST"), os.environ.get("NUMBA_DISABLE_JIT", "0")
+    return switches[0] != "0" and switches[1] in ("", "0") and _has_numba()
+
+
+@cache
+def _has_numba() -> bool:
+    return find_spec("numba") is not None
+
+
+@cache
+def _works() -> bool:
+    """Whether the loops can be loaded; a numba that does not suit numpy, say, cannot."""
+    try:
+        from uwaug.fast import kernels  # noqa: F401
+    except Exception as error:
+        warnings.warn(f"numba does not work, so PyTorch computes alone: {error}", stacklevel=2)
+        return False
+    _tell_of_compiling()
+    return True
+
+
+def _tell_of_compiling() -> None:
+    """Log a warning when loops are compiled, as the program seems to hang for 10 s or more."""
+    from numba.core import event
+
+    class Listener(event.Listener):  # type: ignore[misc]
+        told = False
+
+        def on_start(self, event: Any) -> None:
+            if not Listener.told:
+                Listener.told = True
+                _log.warning("uwaug compiles its loops, once: 10 s to a minute")
+
+        def on_end(self, event: Any) -> None: ...
+
+    event.register("numba:compile", Listener())
+
+
+def inner(function: _F) -> _F:
+    """A part of loops."""
+    import numba
+
+    compiled: _F = numba.njit(forceinline=True, **_OPTIONS)(function)
+    return compiled
+
+
+def kernel(function: _F) -> _F:
+    """Loops that Python calls: compiled once, and kept on disk where there is room."""
+    import numba
+
+    try:
+        compiled: _F = numba.njit(cache=True, **_OPTIONS)(function)
+    except RuntimeError:  # no folder can be written to
+        compiled = numba.njit(**_OPTIONS)(function)
+    return compiled

@@ -1,0 +1,205 @@
+"""Pictures by the compiled loops: decoding, and all from light to the encoded picture."""
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from threading import Lock
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.data import get_worker_info
+
+from uwaug._support.types import ColorSpace
+from uwaug.blur.plan import BlurPlan
+from uwaug.fast import kernels
+from uwaug.fast.tables import Floats, Indices, PlanTable, medium_tables, plan_table
+from uwaug.formation.colour import headroom
+from uwaug.formation.demand import plan_for
+from uwaug.formation.development import Development, tone_offset
+from uwaug.optics.medium import Medium
+
+_NO_FLOATS, _NO_BYTES = np.zeros((3, 1, 0), np.float32), np.zeros((3, 1, 0), np.uint8)
+
+_BAND = 1 << 20
+"""Pixels whose coarse grids are held at a time: of all together, up to 24 MiB."""
+
+
+def form(
+    image: Tensor,
+    z: Tensor,
+    medium: Medium,
+    development: Development,
+    color_space: ColorSpace,
+    plan: BlurPlan | None,
+    tolerance: float,
+) -> Tensor:
+    """D + F + B as the camera stores it, see `uwaug.formation.image.form`."""
+    srgb = color_space == "srgb"
+    largest = headroom(image) if srgb else 1.0
+    J = decode(image, srgb)
+    gain = development.gain(J, z, medium)
+    seen = medium.brightened(gain)
+    if plan is None:
+        plan = plan_for(z, seen, (z.shape[-2], z.shape[-1]), tolerance)
+    look = np.array(
+        [development.gamut, development.tone, tone_offset(development.tone)], np.float32
+    )
+    return render(J, z, seen, plan, srgb=srgb, largest=largest, look=look, dtype=image.dtype)
+
+
+def decode(image: Tensor, srgb: bool) -> Tensor:
+    """Linear light of a picture of bytes, or of floating point."""
+    width = image.shape[-1]
+    if image.dtype != torch.uint8:
+        image = image.to(torch.float32)
+        if not srgb:
+            return image
+    light = torch.empty(image.shape, dtype=torch.float32, device="cpu")
+    values = image.detach().contiguous().numpy().reshape(-1, width)
+    rows = light.numpy().reshape(-1, width)
+    if image.dtype == torch.uint8:
+        # by the same arithmetic as floating point, so that both give one picture
+        unit = np.arange(256, dtype=np.float32)[None] / np.float32(255)
+        table = unit.copy()
+        if srgb:
+            kernels.decode_rows(unit, table, False, 0, 1)
+        run = partial(kernels.look_up, values, table[0], rows)
+    else:
+        low, high = image.aminmax()
+        run = partial(kernels.decode_rows, values, rows, bool(low < 0) or bool(high > 1))
+    in_bands(run, range(len(values)), width)
+    return light
+
+
+def render(
+    light: Tensor,
+    z: Tensor,
+    medium: Medium,
+    plan: BlurPlan,
+    *,
+    srgb: bool,
+    largest: float | Tensor,
+    look: Floats,
+    dtype: torch.dtype,
+) -> Tensor:
+    """D + F + B of a batch of pictures, in the line of sight, developed and encoded.
+
+    Args:
+        light (Bx3xHxW tensor), z (Bx1xHxW tensor): of the scene; effective distances, m; float32.
+        medium: of any number of rows.
+        plan: of the blur.
+        srgb: encode; otherwise the result is linear light.
+        largest: sRGB value of the result, ≥ 1, one or (B, …).
+        look (3): gamut, tone and its offset of the development.
+        dtype: of the result; uint8 is rounded and clipped.
+    """
+    size = (light.shape[-2], light.shape[-1])
+    batch = max(len(light), len(z), len(medium))
+    kind = torch.uint8 if dtype == torch.uint8 else torch.float32
+    result = torch.empty(batch, 3, *size, dtype=kind, device="cpu")
+    largest = torch.as_tensor(largest, dtype=torch.float32, device="cpu")
+    highest = largest.reshape(-1).expand(batch).numpy()
+    media = medium_tables(medium, plan, size)
+    scenes, metres = light.detach().contiguous().numpy(), z.detach().contiguous().numpy()
+    table, results = plan_table(plan, size), result.numpy()
+    for i, scene in enumerate(scenes):
+        # one picture in several waters is blurred once
+        samples = range(batch) if len(scenes) == 1 else (i,)
+        for rows in _bands(size):
+            grid, starts = coarse_grids(scene, table, rows)
+            stack = table.stack._replace(starts=starts)
+            for n in samples:
+                out = results[n]
+                outs = (_NO_FLOATS, out) if out.dtype == np.uint8 else (out, _NO_BYTES)
+                maps = (scene, metres[n % len(metres), 0], media[n % len(media)])
+                encoding = srgb, highest[n], look
+                run = partial(kernels.render_rows, *maps, stack, grid, *encoding, *outs)
+                in_bands(run, rows, size[1])
+    return result.to(dtype)
+
+
+def _bands(size: tuple[int, int]) -> Iterator[range]:
+    """Rows whose coarse grids are held at a time."""
+    height, width = size
+    step = max(_BAND // width, 64)
+    return (range(first, min(first + step, height)) for first in range(0, height, step))
+
+
+def coarse_grids(light: Floats, table: PlanTable, rows: range) -> tuple[Floats, Indices]:
+    """The lines of all coarse grids that some rows of a picture need, and where those of each would
+    start if they were whole.
+    """
+    width, first = light.shape[-1], table.stack.back_first
+    low, high = 3 * first[:, rows.start], 3 * (first[:, rows.stop - 1] + 4)
+    counts = high - low
+    places = np.cumsum(counts) - counts
+    grid = np.empty((int(counts.sum()), width), np.float32)
+    for k, (origin, count, place) in enumerate(zip(low, counts, places, strict=True)):
+        lines, coarse = grid[place : place + count], table.coarse[k]
+        run = partial(kernels.coarse_lines, light, lines, coarse, int(origin))
+        in_bands(run, range(count), width, kernels.LANES)
+    return grid, places - low
+
+
+# ------------------------------------------------------------------------------ threads
+
+_LEAST = 1 << 15
+"""Pixels for each thread: with fewer, to wake one takes longer than it saves."""
+
+_pool: ThreadPoolExecutor | None = None
+_workers = 0
+_lock = Lock()
+
+
+def in_bands(run: Callable[[int, int], None], lines: range, width: int, multiple: int = 1) -> None:
+    """Call `run(start, stop)` for lines of `width` px, in bands on as many threads as torch may
+    use; in a DataLoader's worker, on this one.
+
+    Args:
+        multiple: bands hold multiples of so many lines.
+    """
+    threads = 1 if get_worker_info() else torch.get_num_threads()
+    threads = min(threads, len(lines) * width // _LEAST)
+    if threads < 2:
+        run(lines.start, lines.stop)
+        return
+    # several for each thread: one that is held up does not hold up all
+    each = multiple * -(-len(lines) // (4 * threads * multiple))
+    bands = deque(lines[::each])
+
+    def work() -> None:
+        while bands:
+            try:
+                start = bands.popleft()
+            except IndexError:  # another thread has taken the last
+                return
+            run(start, min(start + each, lines.stop))
+
+    pool = _executor(threads - 1)
+    helpers = [pool.submit(work) for _ in range(threads - 1)]
+    work()  # this thread need not wait for the others to wake
+    for helper in helpers:
+        if not helper.cancel():
+            helper.result()
+
+
+def _executor(threads: int) -> ThreadPoolExecutor:
+    global _pool, _workers
+    with _lock:
+        if _pool is None or _workers < threads:
+            # the smaller one ends with its last task
+            _pool, _workers = ThreadPoolExecutor(threads, "uwaug"), threads
+        return _pool
+
+
+def _forget() -> None:
+    """In a child process there are no threads but its own."""
+    global _pool, _lock
+    _pool, _lock = None, Lock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget)

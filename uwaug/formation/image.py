@@ -1,0 +1,151 @@
+"""Image formation: direct, forward-scattered and backscattered light.
+
+    I = D + F + B                             z := m·z
+    D = T_β(z)·J                              direct
+    F = (T_G(z) − T_β(z))·blur_σ(z){J}        forward scatter
+    B = V(0) − V(z)                           backscatter, the veil
+
+The curves T_β, T_G and V and the width σ are the medium's, see `uwaug.optics.medium`. J is the
+scene without water, z the distance along the ray [m], m the medium field, which multiplies it.
+
+The blur is of J, weighted with the curves of the pixel that looks. To weigh first and blur the
+product, as the paper prints it, is no nearer to Monte Carlo light transport: RMSE of .0290 instead
+of .0268 (two planes, edge region).
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from uwaug import fast
+from uwaug._support import checks
+from uwaug._support.types import ColorSpace
+from uwaug.blur.plan import BlurPlan
+from uwaug.blur.stack import blurred, mixed, node_weights
+from uwaug.formation.colour import decoded, encoded, headroom
+from uwaug.formation.demand import plan_for
+from uwaug.formation.development import NEUTRAL, Development, exposed
+from uwaug.formation.inputs import effective_distance, validate
+from uwaug.light import Light
+from uwaug.optics.medium import Medium
+
+Blurs = Callable[[Tensor, BlurPlan], list[Tensor]]
+"""The blurs of a plan, see `uwaug.blur.stack.blurred`."""
+
+
+def form(
+    image: Tensor,
+    z: Tensor,
+    medium: Medium,
+    development: Development = NEUTRAL,
+    *,
+    color_space: ColorSpace = "srgb",
+    light: Light | None = None,
+    plan: BlurPlan | None = None,
+    tolerance: float = 0.002,
+    blurs: Blurs = blurred,
+) -> Tensor:
+    """D + F + B as the camera stores it. Nothing is checked.
+
+    Args:
+        image (Bx3xHxW tensor): uint8 or floating point, in the color space.
+        z (Bx1xHxW tensor): effective distances, m, finite, ≥ 0; float32 or float64.
+        medium: of the type of z; one row, or one for each picture.
+        development: what the camera makes of the light.
+        light: lamps; None for daylight as the medium has it.
+        plan: of the blur; None for one for the distances at hand.
+        tolerance: of that plan.
+        blurs: what computes the blurs of the plan.
+    """
+    if image.numel() == 0 or z.numel() == 0:
+        return image.expand(max(len(image), len(z)) if len(image) and len(z) else 0, -1, -1, -1)
+    if fast.can(image, z, medium, light):
+        return fast.form(image, z, medium, development, color_space, plan, tolerance)
+    J = decoded(image, color_space).to(z.dtype)
+    T = None if light is None else light.curves(medium, z)
+    gain = development.gain(J, z, medium, T)
+    if plan is None:
+        plan = plan_for(z, medium.brightened(gain), (z.shape[-2], z.shape[-1]), tolerance)
+    soft = blurred_as_seen(J, z, medium, plan, blurs)
+    arriving = medium.image(z, J, soft) if T is None else T.image(J, soft)
+    # a new term of the image, such as marine snow, is added here
+    developed = development.shaped(exposed(arriving, gain))
+    largest = headroom(image) if color_space == "srgb" else 1.0
+    return encoded(developed, color_space, image.dtype, largest)
+
+
+def blurred_as_seen(
+    J: Tensor, z: Tensor, medium: Medium, plan: BlurPlan, blurs: Blurs = blurred
+) -> Tensor:
+    """J (Bx3xHxW) as forward scatter blurs it: at each pixel by the width at its distance z."""
+    if plan.sigmas == (0.0,) and not medium.requires_grad:
+        return J
+    stack = blurs(J, plan)
+    sigma = medium.width(z, (z.shape[-2], z.shape[-1]))
+    if len(stack) == 1:  # the width does nothing: its gradient is 0, not missing
+        return stack[0] + 0 * sigma if medium.requires_grad else stack[0]
+    return mixed(stack, node_weights(sigma, plan))
+
+
+@dataclass(frozen=True, eq=False)
+class Terms:
+    """The terms of an image and their sum, each (BxCxHxW) in linear light."""
+
+    direct: Tensor
+    forward: Tensor
+    backscatter: Tensor
+    image: Tensor
+
+    def __iter__(self) -> Iterator[Tensor]:
+        return iter((self.direct, self.forward, self.backscatter))
+
+
+def form_image(
+    image: Tensor,
+    distance: Tensor,
+    medium: Medium,
+    *,
+    light: Light | None = None,
+    tolerance: float = 0.002,
+) -> Terms:
+    """The terms of an underwater image, in linear light.
+
+    Args:
+        image (Bx3xHxW or 3xHxW tensor): J, linear light, 1 = white plate at the surface; may exceed
+            [0, 1].
+        distance (Bx1xHxW or 1xHxW tensor): z, metres along the ray, ≥ 0, times the medium field if
+            the water is uneven; +inf is open water. A batch of 1 serves all images.
+        medium: one row, or as many as images. One image and B media give B images.
+        light: lamps; None for daylight as the medium has it.
+        tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f²;
+            single pixels may be off by 3 to 5 times as much.
+
+    Returns:
+        The terms, of the image's dtype, with its batch dimension or without.
+
+    Raises:
+        TypeError: if an argument is not a floating-point tensor.
+        ValueError: if shapes disagree, a value of the image is NaN or infinite, a distance NaN or
+            negative, most distances lie beyond 1000 m, or the tolerance needs too many blurs.
+
+    Source: "Sea-ing Through Scattered Rays" (2025), equations for the three terms, with the sign in
+    the exponent of the forward term corrected.
+    """
+    checks.floating("image", image)
+    validate(image, distance, medium, color_space="linear", light=light)
+    with torch.autocast(image.device.type, enabled=False):
+        J = image if image.ndim == 4 else image[None]
+        dtype = torch.promote_types(image.dtype, torch.float32)
+        z, water = effective_distance(distance, None, dtype), medium.to(dtype)
+        J = J.to(dtype)
+        plan = plan_for(z, water, (z.shape[-2], z.shape[-1]), tolerance)
+        soft = blurred_as_seen(J, z, water, plan)
+        if light is None:
+            parts = (*water.parts(z, J, soft), water.image(z, J, soft))
+        else:
+            T = light.curves(water, z)
+            parts = (*T.parts(J, soft), T.image(J, soft))
+    single = image.ndim == 3 and len(parts[0]) == 1
+    return Terms(*(part.to(image.dtype)[0 if single else slice(None)] for part in parts))
