@@ -1,6 +1,6 @@
-"""`uwaug.contrast` against Monte Carlo light transport: how much of a pattern's modulation is left.
+"""`uwaug.contrast_left` against Monte Carlo light transport: how much of a pattern's modulation is left.
 
-`contrast` is that of detail finer than the blur. What is measured is that of patterns of a period:
+`contrast_left` is that of detail finer than the blur. What is measured is that of patterns of a period:
 in Monte Carlo pictures (Henyey–Greenstein, mean cosine .924), and from random walks with that and
 with Petzold's phase functions. Without veil, which makes every difference smaller.
 """
@@ -25,7 +25,7 @@ from scipy.fft import dctn, idctn
 
 from benchmarks.accuracy.physics import CALIBRATED, PICTURES, STATIONS
 from benchmarks.harness import command, save, use_threads
-from uwaug.formation.contrast import contrast
+from uwaug.formation import contrast_left
 from uwaug.optics.medium import Medium
 
 PERIODS_PX = (2, 3, 4, 6, 8, 16)  # of the pictures: .52° a px
@@ -40,7 +40,7 @@ def medium_of(absorption: float, scattering: float) -> Medium:
 
 
 def pictures() -> list[dict[str, Any]]:
-    """Each Monte Carlo picture: the share that `contrast` says, and the shares that its patterns
+    """Each Monte Carlo picture: the share that `contrast_left` says, and the shares that its patterns
     have, by period.
     """
     with np.load(PICTURES) as data:
@@ -52,13 +52,13 @@ def pictures() -> list[dict[str, Any]]:
         slopes = (offset[:, None] / case["focal_px"]) ** 2 + (offset / case["focal_px"]) ** 2
         z = case["z"] * torch.sqrt(1 + slopes)[None]
         medium = medium_of(case["a"], case["b"])
-        said = contrast(medium, z)[0].numpy()
+        said = contrast_left(z, medium)[0].numpy()
         arrives = medium.signal(z)[0, 0].numpy() * texture
         brighter = light.sum() / arrives.sum()
         measured = []
         for period in PERIODS_PX:
             pattern, seen = _band(said * arrives, period), _band(light, period)
-            # how many times the modulation that `contrast` says
+            # how many times the modulation that `contrast_left` says
             times = (pattern * seen).sum() / (pattern**2).sum() / brighter
             measured.append(float(times * said.mean()))
         lengths, ratio = case["b"] * case["z"], case["a"] / case["b"]
@@ -82,7 +82,7 @@ def walks(spreads: Sequence[Spread]) -> dict[str, list[float]]:
     off = []
     for truth in spreads:
         medium = medium_of(truth.absorption, 1.0)
-        said = float(contrast(medium, torch.full((1, 1, 1), truth.lengths).double()))
+        said = float(contrast_left(torch.full((1, 1, 1), truth.lengths).double(), medium))
         frequencies = 1 / np.tan(np.radians(PERIODS_DEG))
         left = truth.direct + truth.forward * np.interp(frequencies, FREQUENCIES, truth.transfer)
         off.append(left / (truth.direct + truth.forward) - said)
