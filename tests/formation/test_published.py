@@ -16,11 +16,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from uwaug.formation.model import form_image
-from uwaug.optics.camera import load_camera
-from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread
-from uwaug.optics.water import Water
+from uwaug import Medium, PointSpread, Water, form_image, load_camera
 
 CASES = ("survey_II", "survey_3C", "survey_9C", "reference_1C", "rgbcoeff_II")
 SPECTRAL = CASES[:4]
@@ -116,7 +112,7 @@ def test_the_field_is_told_apart() -> None:
     # where conventions differ the figures do, or the tests above would prove little
     case = load("survey_II")
     lit = case.image * light(case)
-    ours = form_image(case.image, case.distance, case.medium, case.field)
+    ours = form_image(case.image, case.distance * case.field, case.medium)
     kept = case.medium.transmission(case.distance * case.field)[0] / light(case)
     assert (ours.direct - case.direct).abs().max() > 1e-4
     assert (ours.direct - lit * kept).abs().max() < 1e-12
