@@ -20,7 +20,7 @@ Examples:
 from uwaug.published.augment import augment
 from uwaug.published.equation import picture, system, systems
 from uwaug.published.lamp import Lamp
-from uwaug.published.systems import (
+from uwaug.published.models import (
     akkaynak_2018,
     desai_2021,
     desai_2024,
