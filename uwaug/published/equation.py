@@ -158,7 +158,7 @@ class BandedWater(NamedTuple):
         sigma = scale * min(size) / 518 * (self.response @ self.b).mean() * z
         sigma = sigma.clamp(max=max(size))
         # rounded up, so that pictures share plans
-        widest = 2.0 ** math.ceil(math.log2(max(float(sigma.max()), 1e-6)))
+        widest = 2.0 ** math.ceil(math.log2(max(float(sigma.detach().max()), 1e-6)))
         return varying_blur(image, sigma, plan_blur(0.0, widest, shape=shape, longest=max(size)))
 
 
@@ -181,4 +181,4 @@ def between(
 
 def colour(values: Sequence[float] | Tensor, like: Tensor) -> Tensor:
     """Three numbers beside pictures (1x3x1x1)."""
-    return torch.as_tensor(values).to(like).reshape(1, 3, 1, 1)
+    return torch.as_tensor(values, dtype=torch.float64).to(like).reshape(1, 3, 1, 1)
