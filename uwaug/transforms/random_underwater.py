@@ -13,13 +13,14 @@ import torch
 from torch import Tensor
 
 from uwaug._support import checks, codec
-from uwaug._support.ranges import Range
+from uwaug._support.ranges import Range, as_range
 from uwaug.distance.sources import Metres, Plane, Source
-from uwaug.formation.contrast import contrast_left
-from uwaug.formation.exposure import metering_points
+from uwaug.formation.colour import require_values
+from uwaug.formation.contrast import FAINT, contrast_left
+from uwaug.formation.development import metering_points
 from uwaug.formation.field import random_field
 from uwaug.formation.image import form
-from uwaug.light.light import Light
+from uwaug.light import Light
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.constituents import UNITS, Constituents
 from uwaug.optics.curves import FARTHEST
@@ -66,9 +67,6 @@ turbid enough for a scene at arm's length are black at 10 m.
 _FOCAL = 0.866
 """Of the picture's width: the focal length of a view 60° wide."""
 
-_FAINT = 0.03
-"""Share of contrast below which next to nothing can be seen."""
-
 _TABLES: dict[str, type] = {
     "development": RandomDevelopment,
     "light": Light,
@@ -79,8 +77,10 @@ _TABLES: dict[str, type] = {
 _medium_of = lru_cache(maxsize=2)(Medium.from_water)
 """Kept for transforms of one fixed water."""
 
-_pictures_to_look_at = 16
-"""Of a process, for whether anything is left to see; what is wrong with all shows in the first."""
+_looks_left = [16]
+"""Pictures of a process at which it is looked for whether anything is left to see; what is wrong
+with all shows in the first.
+"""
 
 
 @codec.plain
@@ -202,10 +202,12 @@ class RandomUnderwater(SampleTransform):
             **self.distance.ranges(),
         }
         self._ranges = checked(ranges)
-        self._field = checked({"field": self.field}).get("field")
+        self._field = None if self.field is None else as_range("field", self.field, 0.0)
         self._mixes = self._ranges["mixing"][1] > 0
         if self._mixes and any(isinstance(water, Medium) for _, water in loaded):
-            raise ValueError("mixing needs spectra: it must be 0 where one of the waters is a Medium")
+            raise ValueError(
+                "mixing needs spectra: it must be 0 where one of the waters is a Medium"
+            )
 
     @classmethod
     def severity(cls, level: int, **options: Any) -> "RandomUnderwater":
@@ -216,7 +218,8 @@ class RandomUnderwater(SampleTransform):
                 scene's median distance.
             options: any other argument of the class.
         """
-        checks.one_of("level", level, SEVERITIES)
+        if level not in SEVERITIES:
+            raise ValueError(f"level must be a whole number from 1 to 5, got {level!r}")
         return cls(**{"contrast": SEVERITIES[level], **options})
 
     @classmethod
@@ -346,7 +349,7 @@ class RandomUnderwater(SampleTransform):
             if sample["applied"]:
                 with naming(i, len(pictures)):
                     effective, medium = self._in_water(picture, z, sample)
-                    share = contrast_left(effective, medium, light=self.light)
+                    share = contrast_left(medium, effective, light=self.light)
             shares.append(share)
         left = torch.cat(shares)
         return left[0] if image.ndim == 3 else left
@@ -367,23 +370,18 @@ class RandomUnderwater(SampleTransform):
         """`transform` of samples that are known to be good; `pictures` are those of the image."""
         if not any(sample["applied"] for sample in samples):
             return image
+        maps, space = self._maps(pictures, distance), self.development.color_space
         results = []
-        maps = self._maps(pictures, distance)
         for i, (picture, z, sample) in enumerate(zip(pictures, maps, samples, strict=True)):
             result = picture[None]
             if sample["applied"]:
-                with naming(i, len(pictures)):
+                with naming(i, len(pictures)), torch.autocast(image.device.type, enabled=False):
+                    require_values(picture, space)
                     effective, medium = self._in_water(picture, z, sample)
                     _warn_if_blank(effective, medium, self.light)
-                    development = self.development.of(sample["numbers"])
-                    space = self.development.color_space
+                    look = self.development.of(sample["numbers"])
                     result = form(
-                        result,
-                        effective,
-                        medium,
-                        development,
-                        color_space=space,
-                        light=self.light,
+                        result, effective, medium, look, color_space=space, light=self.light
                     )
             results.append(result)
         batch = torch.cat(results)
@@ -510,14 +508,13 @@ def _warn_if_blank(z: Tensor, medium: Medium, light: Light | None) -> None:
     """Warn, once in a process, if next to nothing is left to see of a picture at these effective
     distances (1x1xHxW).
     """
-    global _pictures_to_look_at
-    if _pictures_to_look_at == 0:
+    if _looks_left[0] == 0:
         return
-    _pictures_to_look_at -= 1
-    shares = contrast_left(z.detach(), medium, light=light)[z < checks.OPEN]
+    _looks_left[0] -= 1
+    shares = contrast_left(medium, z.detach(), light=light)[z < checks.OPEN]
     # by the median: the far end of a scene is hidden in many a good draw
-    if shares.numel() and shares.median() < _FAINT:
-        _pictures_to_look_at = 0
-        got = f"less than {100 * _FAINT:g} % of the contrast is left on half of a picture or more"
+    if shares.numel() and shares.median() < FAINT:
+        _looks_left[0] = 0
+        got = f"less than {100 * FAINT:g} % of the contrast is left on half of a picture or more"
         cure = "are distances metres? If so, take clearer water by contrast"
         warnings.warn(f"{got}, of median distance {_median(z):.3g} m: {cure}", stacklevel=2)
