@@ -1,5 +1,5 @@
 """Sheets of pictures: the demo, scenes of one's own, published systems side by side."""
 
-from uwaug.figures.comparison import Comparison, compare
+from uwaug.figures.comparison import compare
 
-__all__ = ["Comparison", "compare"]
+__all__ = ["compare"]

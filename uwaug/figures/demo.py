@@ -2,18 +2,20 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from uwaug._support.checks import extent
-from uwaug._support.drawing import GREY, INK, RGB
+from uwaug._support.types import ColorSpace
 from uwaug.distance.convert import from_relative
 from uwaug.figures.sheet import (
+    GREY,
     HEADER,
+    INK,
     MARGIN,
+    RGB,
     Canvas,
     columns_for,
     plot,
@@ -26,15 +28,11 @@ from uwaug.figures.sheet import (
     show_map,
     ticks_of,
 )
-from uwaug.formation.colour import linear_to_srgb
-from uwaug.formation.demand import blur_demand
-from uwaug.formation.development import NEUTRAL, Development
+from uwaug.formation.colour import decoded, linear_to_srgb
+from uwaug.formation.development import NEUTRAL, Development, exposed
 from uwaug.formation.field import gaussian_random_field
-from uwaug.formation.scene import Scene as InWater
-from uwaug.formation.setup import Setup
-from uwaug.light.geometry import focal_of
-from uwaug.light.lit import planning_medium
-from uwaug.optics.curves import of_white
+from uwaug.formation.image import form_image
+from uwaug.formation.underwater import Underwater
 from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
@@ -57,7 +55,9 @@ _CAMERA = (
     f"Scene {_DEPTH:g} m deep, surfaces with spectra, a camera with its colour matrix and an "
     "automatic exposure"
 )
-"""In words, what `_taken` does."""
+"""In words, what `water_case` has."""
+
+_DEVELOPMENT = Development(exposure="auto", gamut=1.0)
 
 _COAST = "1C"
 _EVEN = f"{SETTING}, homogeneous, one exposure"
@@ -71,60 +71,52 @@ class Case(NamedTuple):
 
     Attributes:
         name, setting: of the water, and how the scene lies in it, for heading and caption.
-        setup: its medium, a batch of one, and what the picture is taken with.
+        medium: a batch of one.
+        development, color_space: of the camera.
         field_range: least and largest value of the medium field.
     """
 
     name: str
     setting: str
-    setup: Setup
+    medium: Medium
+    development: Development
+    color_space: ColorSpace
     field_range: tuple[float, float]
 
 
 def water_case(water: Water, scene: Scene, field_range: tuple[float, float] = (1.0, 1.0)) -> Case:
     """A scene in a water, as the sheet of ten waters has it."""
     name = f"Jerlov {water.name}" if water.name in JERLOV_TYPES else water.name
-    return Case(name, _CAMERA, _taken([water], scene), field_range)
+    return Case(name, _CAMERA, _media([water], scene), _DEVELOPMENT, "srgb", field_range)
 
 
-def _taken(waters: Sequence[Water], scene: Scene) -> Setup:
-    """What a scene is taken with in each of several waters: spectra, a colour matrix, an automatic
-    exposure, and the calibrated width law.
-    """
-    constants = Scattering.CALIBRATED
-    law = PointSpread.calibrated(focal_of(scene.focal_px, _shape(scene)[1]))
-    media = [
+def _media(waters: Sequence[Water], scene: Scene) -> Medium:
+    """Each water with spectra, a colour matrix, and the calibrated width law."""
+    width = scene.image.shape[-1]
+    law = PointSpread.calibrated(scene.focal_px or 0.866 * width)
+    return Medium.stack(
         Medium.from_water(
             water,
             vertical_depth=_DEPTH,
-            g=constants.g,
-            mu=constants.mu,
+            g=Scattering.CALIBRATED.g,
             point_spread=law,
             surfaces="spectral",
         )
         for water in waters
-    ]
-    camera = Development(gamut=1.0)
-    return Setup(Medium.stack(media), exposure="auto", development=camera, focal_px=scene.focal_px)
+    )
 
 
 def preset_case(preset: Preset) -> Case:
     """What a preset comes to."""
-    name, setting = f"preset {preset.name}", f"Scene {preset.vertical_depth:g} m deep"
-    if preset.spectral is None:
-        setting += ", coefficients of red, green and blue"
-    else:
-        name += f", {preset.spectral['waters'].name}"
-        setting += f", g = {preset.spectral['g']:g}, μ = {preset.spectral['mu']:g}"
-        if preset.spectral["surfaces"] == "spectral":
-            setting += ", surfaces with spectra"
-    for key, value in preset.choices.items():
-        setting += f", {key} = {value}"
-    if preset.development != NEUTRAL:
-        setting += ", developed"
-    if preset.light is not None:
-        setting += ", by its own light; the curves are those of daylight"
-    return Case(name, setting, preset.setup(), preset.field_range)
+    setting = f"Preset {preset.name}: {preset.medium.notes[0]}"
+    return Case(
+        f"preset {preset.name}",
+        setting,
+        preset.medium,
+        preset.development,
+        preset.color_space,
+        preset.field_range,
+    )
 
 
 def draw_contact_sheet(scene: Scene) -> "Figure":
@@ -140,23 +132,21 @@ def draw_contact_sheet(scene: Scene) -> "Figure":
     figure, axes = sheet(
         12 // columns, columns, _shape(scene), "One scene in ten waters", _noted(caption, scene)
     )
-    in_water = _in_water(scene, _taken(waters, scene))
+    pictures = _picture(scene, _media(waters, scene), _DEVELOPMENT)
     show(axes[0], scene.image, "No water")
     show_distance(axes[1], scene.distance)
-    for axis, water, picture in zip(axes[2:], waters, in_water.picture(), strict=True):
+    for axis, water, picture in zip(axes[2:], waters, pictures, strict=True):
         show(axis, picture, f"{water.name}   (visibility {water.visibility():.2g} m)")
     return figure
 
 
 def draw_terms(scene: Scene, case: Case) -> "Figure":
     """Every term of the model."""
-    setup = case.setup
     light = "added in linear light"
-    if setup.color_space == "linear":
+    if case.color_space == "linear":
         light = "of sRGB values taken for light"
-    exposure = f" ({setup.exposure})" if isinstance(setup.exposure, float) else ""
-    caption = f"I = D + F + B, {light}. All pictures at one exposure{exposure}."
-    if setup.development.gamut > 0:
+    caption = f"I = D + F + B, {light}. All pictures at one exposure."
+    if case.development.gamut > 0:
         caption += " Colours out of sRGB are clipped in terms, and compressed in I."
     columns = columns_for(_shape(scene))
     figure, axes = sheet(
@@ -168,26 +158,25 @@ def draw_terms(scene: Scene, case: Case) -> "Figure":
     )
     rng, (low, high) = torch.Generator().manual_seed(4), case.field_range
     field = gaussian_random_field(_shape(scene), low=low, high=high, generator=rng)[0]
-    in_water = _in_water(scene, setup, scene.distance, field)
-    terms, medium = in_water.term_pictures(), in_water.medium
+    z, medium = scene.distance * field, case.medium
+    direct, forward, backscatter = _terms(scene, z, case)
     show(axes[0], scene.image, "J   scene without water")
     show_distance(axes[1], scene.distance)
     show_field(axes[2], field, case.field_range)
-    show(axes[4], terms["direct"], "D   direct")
-    show(axes[5], terms["forward"], "F   forward scatter")
-    show(axes[6], terms["backscatter"], "B   backscatter")
-    show(axes[7], in_water.picture(), "I   image")
+    show(axes[4], direct, "D   direct")
+    show(axes[5], forward, "F   forward scatter")
+    show(axes[6], backscatter, "B   backscatter")
+    show(axes[7], _picture(scene, medium, case.development, z, case.color_space), "I   image")
     axis = plot(axes[3], "Curves of distance, red, green, blue", "z [m]", "")
     reach = round_up(1.5 * seen(scene.distance)[1])
-    z = torch.linspace(0, reach, 201, dtype=torch.float64)
-    row = z[None, None, None]  # a map, as `of_white` wants one
+    metres = torch.linspace(0, reach, 201, dtype=torch.float64)
     for label, curve, style in (
-        ("$T_β$  direct", of_white(medium.transmission(row)), "-"),
-        ("$T_G$  direct + forward", of_white(medium.signal(row)), "--"),
-        ("$B$  backscatter", medium.backscatter(row), ":"),
+        ("$T_β$  direct", _of_white(medium.transmission(metres)), "-"),
+        ("$T_G$  direct + forward", _of_white(medium.signal(metres)), "--"),
+        ("$B$  backscatter", medium.backscatter(metres), ":"),
     ):
-        for values, colour in zip(curve[0, :, 0], RGB, strict=True):
-            axis.plot(z.numpy(), values.numpy(), style, color=colour, linewidth=1.6)
+        for values, colour in zip(curve[0], RGB, strict=True):
+            axis.plot(metres.numpy(), values.numpy(), style, color=colour, linewidth=1.6)
         axis.plot([], [], style, color=INK, label=label)
     # a colour matrix makes more of a channel than there is
     axis.set(xlim=(0, reach), ylim=(0, max(1, axis.dataLim.ymax)))
@@ -258,8 +247,8 @@ def draw_depth_scaling(scene: Scene) -> "Figure":
         label, ticks = f"Distance z, γ = {gamma:g}", ("0 m", "10 m", "20 m")
         show_map(axes[column], z, label, "viridis_r", ticks, bar=column == 0)
         for row, name in ((1, "II"), (2, "7C")):
-            in_water = _in_water(scene, Setup(Medium.from_water(name)), z)
-            show(axes[3 * row + column], in_water.picture(), f"{name}, γ = {gamma:g}")
+            picture = _picture(scene, Medium.from_water(name), NEUTRAL, z)
+            show(axes[3 * row + column], picture, f"{name}, γ = {gamma:g}")
     return figure
 
 
@@ -281,7 +270,7 @@ def draw_width_laws(scene: Scene) -> "Figure":
     figure, axes = sheet(3, 3, _shape(scene), heading, caption)
     water, law = Water.jerlov(_COAST), PointSpread.calibrated(scene.focal_px)
     paper = Medium.from_water(water)
-    calibrated = Medium.from_water(water, g=constants.g, mu=constants.mu, point_spread=law)
+    calibrated = Medium.from_water(water, g=constants.g, point_spread=law)
     height, width = _shape(scene)
     radius = plot(axes[6], "Half of the scattered light is within", "distance [m]", "radius [px]")
     z = torch.linspace(0.05, 8, 160, dtype=torch.float64)
@@ -290,10 +279,9 @@ def draw_width_laws(scene: Scene) -> "Figure":
         (axes[7], "Paper's law", paper, RGB[2]),
         (axes[8], "Calibrated law", calibrated, RGB[0]),
     ):
-        in_water = _in_water(scene, Setup(medium))
-        columns.append((label, in_water.picture()))
-        forward = in_water.term_pictures()["forward"]
-        show(axis, forward, f"{label}, forward scatter alone")
+        columns.append((label, _picture(scene, medium, NEUTRAL)))
+        forward = form_image(decoded(scene.image, "srgb"), scene.distance, medium).forward
+        show(axis, linear_to_srgb(forward), f"{label}, forward scatter alone")
         sigma = medium.width(z[None, None, None], (height, width)).flatten()
         half = _HALF[medium.point_spread.shape] * sigma
         radius.plot(z.numpy(), half.numpy(), color=colour, label=label, linewidth=2)
@@ -321,20 +309,16 @@ PICTURES: "dict[str, Callable[[Scene], Figure]]" = {
 """The demo's files and who draws them."""
 
 
-def own_pictures(case: Case | Water | None = None) -> "dict[str, Callable[[Scene], Figure]]":
-    """The files that show a scene of one's own, and who draws them; the terms in a water, that of
-    the demo if there is none, or in a case, such as that of a preset.
+def own_pictures(case: Case | Water) -> "dict[str, Callable[[Scene], Figure]]":
+    """The files that show a scene of one's own, and who draws them; the terms in a water, or in a
+    case, such as that of a preset.
 
     The white plate is the same for every scene; the other sheets of the demo need distances that
     are relative, or a focal length.
     """
-    drawn = Water.jerlov(_COAST) if case is None else case
 
     def draw_own_terms(scene: Scene) -> "Figure":
-        if isinstance(drawn, Water):
-            return draw_terms(scene, water_case(drawn, scene))
-        setup = replace(drawn.setup, focal_px=scene.focal_px)
-        return draw_terms(scene, drawn._replace(setup=setup))
+        return draw_terms(scene, water_case(case, scene) if isinstance(case, Water) else case)
 
     return {"1-waters.jpg": draw_contact_sheet, "2-terms.jpg": draw_own_terms}
 
@@ -343,16 +327,29 @@ def _shape(scene: Scene) -> tuple[int, int]:
     return scene.image.shape[-2], scene.image.shape[-1]
 
 
-def _in_water(
-    scene: Scene, setup: Setup, distance: Tensor | None = None, field: Tensor | None = None
-) -> InWater:
-    """A scene in a medium, in a view 60° wide if the setup does not say."""
-    z = scene.distance if distance is None else distance
-    setup = replace(setup, focal_px=focal_of(setup.focal_px, _shape(scene)[1]))
-    demand = blur_demand(
-        planning_medium(setup.medium, setup.light), extent(z if field is None else z * field)
-    )
-    return InWater.of(scene.image, z, setup, field, plan=demand.plan(_shape(scene)))
+def _picture(
+    scene: Scene,
+    medium: Medium,
+    development: Development,
+    z: Tensor | None = None,
+    color_space: ColorSpace = "srgb",
+) -> Tensor:
+    """A scene in a medium; in several Bx3xHxW."""
+    degrade = Underwater(medium, None, color_space=color_space, development=development)
+    return degrade(scene.image, scene.distance if z is None else z)
+
+
+def _terms(scene: Scene, z: Tensor, case: Case) -> list[Tensor]:
+    """The three terms, exposed as their sum is, and encoded."""
+    J = decoded(scene.image, case.color_space)
+    gain = case.development.gain(J[None], z[None].clamp(max=1e9), case.medium.to(J))
+    terms = (exposed(term[None], gain)[0] for term in form_image(J, z, case.medium))
+    return [linear_to_srgb(t) if case.color_space == "srgb" else t for t in terms]
+
+
+def _of_white(curve: Tensor) -> Tensor:
+    """What white shows of curves (Bx3xN), or of matrices (Bx3x3xN)."""
+    return curve if curve.ndim == 3 else curve.sum(2)
 
 
 def _noted(caption: str, scene: Scene) -> str:

@@ -1,17 +1,21 @@
 """Sheets of pictures: a heading, and cells of one shape for pictures, maps and curves."""
 
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from torch import Tensor
 
+from uwaug._support.atomic import written_whole
 from uwaug._support.checks import extent
-from uwaug._support.drawing import GREY, INK
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+
+INK, GREY = "#1a1a1a", "#5a5a5a"
+RGB = ("#c0392b", "#2e8b57", "#2a5caa")
 
 _DPI, _WIDTH = 100, 1400  # px
 MARGIN, GAP, _LABEL, HEADER = 32, 18, 30, 92  # px
@@ -194,3 +198,10 @@ def plot(cell: "Axes", label: str, xlabel: str, ylabel: str) -> "Axes":
     axis.tick_params(labelsize=10, colors=GREY, length=3)
     axis.spines[["top", "right"]].set_visible(False)
     return axis
+
+
+def save(figure: "Figure", path: Path) -> None:
+    """Write a figure as PNG or JPEG, whole or not at all."""
+    options = {"quality": 88} if path.suffix == ".jpg" else {"optimize": True}
+    with written_whole(path) as part:
+        figure.savefig(part, format=path.suffix[1:], pil_kwargs=options)

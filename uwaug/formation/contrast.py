@@ -34,8 +34,8 @@ _MUCH = 0.2
 
 
 def contrast_left(
-    medium: Medium,
     distance: Tensor,
+    medium: Medium,
     *,
     reflectance: float | Tensor = 0.18,
     light: Light | None = None,
@@ -45,9 +45,9 @@ def contrast_left(
     Contrast is Michelson's, of luminance: (lightest − darkest) / (lightest + darkest).
 
     Args:
-        medium: one row, or as many as maps. One map and B media give B results.
         distance (1xHxW or Bx1xHxW tensor): metres along the ray, ≥ 0; +inf is open water. In uneven
             water, times the medium field.
+        medium: one row, or as many as maps. One map and B media give B results.
         reflectance: mean light of the object, 1 = white plate at the surface; a darker object loses
             more behind the veil. A number, or a tensor that broadcasts with (B, 3, H, W), such as
             the scene's own linear light. The default is the grey of photography.
@@ -67,7 +67,7 @@ def contrast_left(
         >>> import torch
         >>> from uwaug import Medium, Water
         >>> medium = Medium.from_water(Water.jerlov("3C"))
-        >>> contrast_left(medium, torch.tensor([[[0.0, 1.0, 3.0, torch.inf]]])).round(decimals=2)
+        >>> contrast_left(torch.tensor([[[0.0, 1.0, 3.0, torch.inf]]]), medium).round(decimals=2)
         tensor([[[1.0000, 0.1300, 0.0100, 0.0000]]])
     """
     _validate(medium, distance, light)

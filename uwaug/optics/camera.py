@@ -15,7 +15,7 @@ from uwaug.optics.spectra import WAVELENGTHS, Spectra, read_spectra, spectrum, w
 _CHANNELS = ("red", "green", "blue")
 
 _DEFAULT = "Nikon 5100 (NPL)"
-"""In the folder `cameras`. The others are asked of colour-science, `import` of which takes .6 s after
+"""In the folder `cameras`. The others are asked of colour-science, whose `import` takes .6 s,
 torch, loads 1100 modules and sets NumPy's print options for the whole process.
 """
 

@@ -1,4 +1,4 @@
-"""What comes with the package: presets, published systems, a scene."""
+"""What comes with the package: presets, and a scene."""
 
 import lazy_loader
 

@@ -7,17 +7,8 @@ from pathlib import Path
 
 
 def list_presets() -> list[str]:
-    """Names of the presets that come with the package, sorted: the paper's, the library's own, and
-    the `published_systems`.
-    """
+    """Names of the presets that come with the package, sorted."""
     return sorted(_files())
-
-
-def published_systems() -> list[str]:
-    """Names of the presets that compute what others have published, oldest first."""
-    names = [name for name, path in _files().items() if path.parent.name == "published"]
-    # each ends with its year
-    return sorted(names, key=lambda name: (name.rpartition("-")[2], name))
 
 
 def bundled_preset(name: str) -> Path:
@@ -50,4 +41,4 @@ def _files() -> dict[str, Path]:
     here = Path(__file__).parent.parent
     installed = here / "configs"
     folder = installed if installed.is_dir() else here.parent / "configs"
-    return {path.stem: path for path in [*folder.glob("*.toml"), *folder.glob("published/*.toml")]}
+    return {path.stem: path for path in folder.glob("*.toml")}

@@ -1,0 +1,9 @@
+from .camera import Camera as Camera
+from .camera import load_camera as load_camera
+from .constituents import Constituents as Constituents
+from .jerlov import JERLOV_TYPES as JERLOV_TYPES
+from .medium import Medium as Medium
+from .point_spread import PointSpread as PointSpread
+from .scattering import Scattering as Scattering
+from .water import Water as Water
+from .water import load_water as load_water

@@ -1,0 +1,58 @@
+"""What others have published, an equation each: `akkaynak_2018(image, z, "7C")`.
+
+All take a picture (3xHxW or Bx3xHxW, sRGB: floating point 0…1, or uint8) and distances along the
+ray (1xHxW or Bx1xHxW, m; +inf is open water), and give a picture of the same type, clipped to 0…1.
+Inside of a function `image` is light: decoded sRGB where the source works with radiances, and sRGB
+values as they are where it takes them for light.
+
+Those of spectra take what `uwaug.load_water` and `uwaug.load_camera` take. Few of the originals
+were at
+hand: each docstring says what its equation was taken from, what the source leaves open, and what is
+ours.
+
+Examples:
+    >>> import torch, uwaug
+    >>> image, z = torch.rand(3, 32, 48), torch.full((1, 32, 48), 3.0)
+    >>> uwaug.published.akkaynak_2018(image, z, "7C", vertical_depth=5.0).shape
+    torch.Size([3, 32, 48])
+"""
+
+from uwaug.published.augment import augment
+from uwaug.published.equation import system, systems, waters
+from uwaug.published.lamp import Lamp
+from uwaug.published.systems import (
+    akkaynak_2018,
+    desai_2021,
+    desai_2024,
+    hou_2020,
+    ismiroglou_2025,
+    ismiroglou_reference_2025,
+    jaffe_1990,
+    li_2020,
+    liu_2022,
+    mcglamery_1980,
+    schechner_2004,
+    slurpp_2025,
+    ueda_2019,
+)
+
+__all__ = [
+    "Lamp",
+    "akkaynak_2018",
+    "augment",
+    "desai_2021",
+    "desai_2024",
+    "hou_2020",
+    "ismiroglou_2025",
+    "ismiroglou_reference_2025",
+    "jaffe_1990",
+    "li_2020",
+    "liu_2022",
+    "mcglamery_1980",
+    "schechner_2004",
+    "slurpp_2025",
+    "system",
+    "systems",
+    "ueda_2019",
+    "waters",
+]

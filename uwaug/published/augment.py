@@ -1,0 +1,60 @@
+"""A published system as a transform of samples."""
+
+import inspect
+from typing import Any
+
+import torch
+from torch import nn
+
+from uwaug.published.equation import system
+from uwaug.transforms.samples import take_apart
+
+
+class _Augment(nn.Module):
+    """See `augment`."""
+
+    def __init__(self, name: str, keys: tuple[str, str], options: dict[str, Any]) -> None:
+        super().__init__()
+        self.name, self.keys, self.options = name, keys, options
+        self._degrade = system(name)
+        parameters = inspect.signature(self._degrade).parameters
+        for option in options:
+            if option not in parameters:
+                raise TypeError(f"{name} has no {option!r}, only {', '.join(list(parameters)[2:])}")
+        self._draws = "generator" in parameters
+
+    def forward(self, *inputs: Any) -> Any:
+        """Degrade a sample; see `augment`."""
+        parts = take_apart(inputs, *self.keys, True)
+        drawn = {"generator": torch.default_generator} if self._draws else {}
+        result = self._degrade(parts.image, parts.distance, **drawn, **self.options)
+        return parts.restore(result)
+
+    def extra_repr(self) -> str:
+        """Name and options."""
+        return ", ".join([repr(self.name), *(f"{k}={v!r}" for k, v in self.options.items())])
+
+
+def augment(
+    name: str, *, keys: tuple[str, str] = ("image", "distance"), **options: Any
+) -> nn.Module:
+    """A published system as a transform, called as `uwaug.RandomUnderwater` is: with (image,
+    distance, …) or a dict of both. What the source draws it draws for each picture, from torch's
+    global generator.
+
+    Args:
+        name: one of `systems`.
+        keys: of image and distance (metres) in a dict.
+        options: arguments of the system, such as `water`.
+
+    Raises:
+        ValueError: if the name is unknown; lists the known.
+        TypeError: if the system has no such argument; lists its own.
+
+    Examples:
+        >>> import torch, uwaug
+        >>> transform = uwaug.published.augment("li-2020", water="7C")
+        >>> transform({"image": torch.rand(3, 32, 48), "distance": torch.ones(1, 32, 48)}).keys()
+        dict_keys(['image', 'distance'])
+    """
+    return _Augment(name, keys, options)

@@ -1,0 +1,188 @@
+"""What the published systems share: pictures to light and back, a list of them, and integrals over
+the spectra of water and camera.
+"""
+
+import math
+import os
+from collections.abc import Callable, Sequence
+from functools import wraps
+from typing import Any, NamedTuple, TypeVar, cast
+
+import torch
+from torch import Tensor
+
+from uwaug._support import checks
+from uwaug._support.types import ColorSpace, Shape
+from uwaug.blur import plan_blur, varying_blur
+from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
+from uwaug.optics.camera import Camera, load_camera
+from uwaug.optics.curves import FARTHEST
+from uwaug.optics.spectra import WAVELENGTHS
+from uwaug.optics.water import Water, load_water
+
+Equation = TypeVar("Equation", bound=Callable[..., Tensor])
+
+AnyWater = str | os.PathLike[str] | Water
+AnyCamera = str | os.PathLike[str] | Camera
+
+_SYSTEMS: dict[str, Callable[..., Tensor]] = {}
+_WATERS: dict[str, tuple[str, ...] | None] = {}
+
+
+def published(
+    color_space: ColorSpace, waters: Sequence[str] | None = None
+) -> Callable[[Equation], Equation]:
+    """Put an equation between light (Bx3xHxW) and distance (Bx1xHxW) on the list of systems, as a
+    function of pictures.
+
+    Args:
+        color_space: "srgb" decodes pictures, "linear" takes their values for light.
+        waters: the types that it has figures of; None if it takes any water.
+    """
+
+    def wrap(equation: Equation) -> Equation:
+        @wraps(equation)
+        def of_picture(image: Tensor, z: Tensor, *args: Any, **kwargs: Any) -> Tensor:
+            light, metres = _opened(image, z, color_space)
+            result = equation(light, metres, *args, **kwargs)
+            if color_space == "srgb":
+                result = linear_to_srgb(result)
+            result = result.clamp(0, 1)
+            if image.dtype == torch.uint8:
+                result = (255 * result).round()
+            result = result.to(image.dtype)
+            return result[0] if image.ndim == z.ndim == 3 else result
+
+        name = equation.__name__.replace("_", "-")
+        _SYSTEMS[name], _WATERS[name] = of_picture, None if waters is None else tuple(waters)
+        return cast(Equation, of_picture)
+
+    return wrap
+
+
+def _opened(image: Tensor, z: Tensor, color_space: ColorSpace) -> tuple[Tensor, Tensor]:
+    """Light (Bx3xHxW) and finite metres (Bx1xHxW) of one type, or an error."""
+    if not isinstance(image, Tensor) or image.dtype != torch.uint8:
+        checks.floating("image", image, "; or uint8")
+        checks.finite("image", image)
+    checks.picture("image", image, 3)
+    checks.floating("z", z)
+    checks.picture("z", z, 1)
+    checks.same_size("z", z, image)
+    checks.distances("z", z)
+    light = image / 255 if image.dtype == torch.uint8 else image
+    dtype = torch.promote_types(torch.promote_types(light.dtype, z.dtype), torch.float32)
+    light, metres = (x.to(dtype).reshape(-1, *x.shape[-3:]) for x in (light, z))
+    checks.batches({"image": len(light), "z": len(metres)})
+    rows = max(len(light), len(metres))
+    light, metres = light.expand(rows, -1, -1, -1), metres.expand(rows, -1, -1, -1)
+    if color_space == "srgb":
+        light = srgb_to_linear(light)
+    return light, metres.clamp(max=FARTHEST)
+
+
+def systems() -> list[str]:
+    """Names of the published systems, oldest first: "mcglamery-1980" is `mcglamery_1980`."""
+    return sorted(_SYSTEMS, key=lambda name: (name.rpartition("-")[2], name))
+
+
+def system(name: str) -> Callable[..., Tensor]:
+    """The function of a published system, from its name.
+
+    Raises:
+        ValueError: if the name is unknown; lists the known.
+    """
+    checks.one_of("system", name, systems())
+    return _SYSTEMS[name]
+
+
+def waters(name: str) -> tuple[str, ...] | None:
+    """The water types that a published system has figures of: none for "hou-2020", which has a
+    water of its own. None if it takes what `uwaug.load_water` takes.
+
+    Raises:
+        ValueError: if the name is unknown; lists the known.
+    """
+    system(name)
+    return _WATERS[name]
+
+
+class BandedWater(NamedTuple):
+    """A water as a camera sees it, in N bands.
+
+    Attributes:
+        a, b, beta, kd (N tensors): absorption, scattering, attenuation of a beam and of daylight,
+            1/m.
+        response (3xN tensor): S of red, green and blue; rows sum to 1.
+    """
+
+    a: Tensor
+    b: Tensor
+    beta: Tensor
+    kd: Tensor
+    response: Tensor
+
+    @staticmethod
+    def of(water: AnyWater, camera: AnyCamera, like: Tensor) -> "BandedWater":
+        """A water and a camera, from 400 to 700 nm in steps of 5 as far as the water is known, of a
+        tensor's type.
+        """
+        water = load_water(water)
+        first, last = water.wavelengths[[0, -1]]
+        axis = WAVELENGTHS[(first <= WAVELENGTHS) & (last >= WAVELENGTHS)]
+        bands, response = water.at(axis), load_camera(camera).weights(axis).T
+        arrays = (bands.a, bands.b, bands.beta, bands.kd, response)
+        return BandedWater(*(torch.from_numpy(array.copy()).to(like) for array in arrays))
+
+    def integral(self, light: Tensor | float, *legs: tuple[Tensor, Tensor]) -> Tensor:
+        """∫ S_c·light·e^(−Σ rate·path) dλ, what the camera sees of a light (N) that loses some of
+        itself on each leg (Bx3xHxW; 1x3x1x1 without legs).
+
+        Args:
+            light: of each band.
+            legs: rate (N) 1/m and path (Bx1xHxW) m of each.
+        """
+        weights = self.response * light
+        if not legs:
+            return weights.sum(1).reshape(1, 3, 1, 1)
+        total = weights.new_zeros(1, 3, 1, 1)
+        for n, weight in enumerate(weights.T):
+            depth = sum((rate[n] * path for rate, path in legs), weight.new_zeros(()))
+            total = total + weight.reshape(1, 3, 1, 1) * torch.exp(-depth)
+        return total
+
+    def scattered(
+        self, image: Tensor, z: Tensor, scale: float, shape: Shape = "exponential"
+    ) -> Tensor:
+        """The picture under a blur of each pixel's own width σ = scale·b̄·z px, b̄ the mean of b
+        over the channels, where the short side has 518 px. An exponential shape has the transfer
+        function e^(−2πσf).
+        """
+        size = z.shape[-2:]
+        sigma = scale * min(size) / 518 * (self.response @ self.b).mean() * z
+        sigma = sigma.clamp(max=max(size))
+        # rounded up, so that pictures share plans
+        widest = 2.0 ** math.ceil(math.log2(max(float(sigma.max()), 1e-6)))
+        return varying_blur(image, sigma, plan_blur(0.0, widest, shape=shape, longest=max(size)))
+
+
+def between(
+    low: float | Sequence[float],
+    high: float | Sequence[float],
+    generator: torch.Generator | None,
+    like: Tensor,
+) -> Tensor:
+    """The middle of a range, or numbers drawn in it for each picture of a batch: 1x1x1x1 or Bx1x1x1
+    of two numbers, 1x3x1x1 or Bx3x1x1 of two colours.
+    """
+    ends = [torch.tensor(end, dtype=torch.float64).reshape(1, -1, 1, 1) for end in (low, high)]
+    share = torch.full((1, 1, 1, 1), 0.5, dtype=torch.float64)
+    if generator is not None:
+        rows = (len(like), *ends[0].shape[1:])
+        share = torch.rand(rows, generator=generator, dtype=torch.float64)
+    return (ends[0] + (ends[1] - ends[0]) * share).to(like)
+
+
+def colour(values: Sequence[float] | Tensor, like: Tensor) -> Tensor:
+    """Three numbers beside pictures (1x3x1x1)."""
+    return torch.as_tensor(values).to(like).reshape(1, 3, 1, 1)
