@@ -27,6 +27,7 @@ from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.reduction import default_bands
+from uwaug.optics.scattering import Scattering
 from uwaug.optics.water import Water, load_water
 from uwaug.presets.preset import load_preset
 from uwaug.transforms.params import RandomDevelopment, Record, checked, samples_of
@@ -236,7 +237,22 @@ class RandomUnderwater(SampleTransform):
             name_or_path, water: as for `uwaug.load_preset`.
             options: any argument of the class, in place of the preset's.
         """
-        return cls(**{**load_preset(name_or_path, water=water).options(), **options})
+        preset = load_preset(name_or_path, water=water)
+        look, constants = preset.development, preset.spectral or {}
+        grey = constants.get("surfaces", "grey") == "grey"
+        development = RandomDevelopment(
+            color_matrix=None if grey else constants.get("color_matrix", 1.0),
+            exposure=look.stops,
+            metered=look.metered,
+            white_balance=look.white_balance,
+            saturation=look.saturation,
+            gamut=look.gamut,
+            tone=look.tone,
+            color_space=preset.color_space,
+        )
+        # what `Medium.from_water` takes where the file says nothing
+        unsaid = {"development": development, "vertical_depth": 1.0, "g": Scattering.PAPER.g}
+        return cls(**{**unsaid, **preset.options(), **options})
 
     def to_dict(self) -> dict[str, Any]:
         """The options that differ from the defaults, in numbers, strings, lists and dicts, as JSON,
@@ -349,7 +365,7 @@ class RandomUnderwater(SampleTransform):
             if sample["applied"]:
                 with naming(i, len(pictures)):
                     effective, medium = self._in_water(picture, z, sample)
-                    share = contrast_left(medium, effective, light=self.light)
+                    share = contrast_left(effective, medium, light=self.light)
             shares.append(share)
         left = torch.cat(shares)
         return left[0] if image.ndim == 3 else left
@@ -511,7 +527,7 @@ def _warn_if_blank(z: Tensor, medium: Medium, light: Light | None) -> None:
     if _looks_left[0] == 0:
         return
     _looks_left[0] -= 1
-    shares = contrast_left(medium, z.detach(), light=light)[z < checks.OPEN]
+    shares = contrast_left(z.detach(), medium, light=light)[z < checks.OPEN]
     # by the median: the far end of a scene is hidden in many a good draw
     if shares.numel() and shares.median() < FAINT:
         _looks_left[0] = 0
