@@ -12,8 +12,9 @@ from augmenting import OPTIONS
 from threadpoolctl import threadpool_limits
 from torch import Tensor
 
+import uwaug.distance.fill
 import uwaug.presets.scene
-import uwaug.transforms.prepare
+import uwaug.transforms.random_underwater
 
 pytest.register_assert_rewrite("referees.terms")  # before a test imports it
 # at the end, so that `benchmarks` is found but an installed uwaug is tested, not the checkout's
@@ -102,8 +103,8 @@ def warnings_are_fresh(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let every test be the first that fills a map: it warns once in a process. Of pictures in
     which nothing is left only those tests hear that ask for it: many take such a water.
     """
-    monkeypatch.setattr(uwaug.distance.complete, "_warned", [])
-    monkeypatch.setattr(uwaug.transforms.prepare, "_LOOKS", 0)
+    monkeypatch.setattr(uwaug.distance.fill, "_warned", [])
+    monkeypatch.setattr(uwaug.transforms.random_underwater, "_looks_left", [0])
 
 
 @pytest.fixture(scope="module", params=OPTIONS)

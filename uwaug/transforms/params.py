@@ -39,7 +39,7 @@ class RandomDevelopment:
     white_balance: Range = (-0.5, 1.0)
     saturation: Range = (0.7, 1.3)
     gamut: Range = (0.5, 1.0)
-    tone: Range = (0.9, 1.5)
+    tone: Range = (0.9, 1.8)
     color_space: ColorSpace = "srgb"
 
     def __post_init__(self) -> None:

@@ -162,9 +162,9 @@ class RandomUnderwater(SampleTransform):
 
     waters: AnyWater | Iterable[AnyWater] | None = None
     _: KW_ONLY
-    contrast: Range | None = (0.1, 0.8)
+    contrast: Range | None = (0.1, 0.9)
     mixing: Range = 0.0
-    vertical_depth: Range = (0.0, 15.0)
+    vertical_depth: Range = (0.0, 12.0)
     g: Range = 0.05
     mu: Range | None = None
     point_spread: PointSpread | None = None
@@ -490,7 +490,8 @@ def _loaded(waters: Any) -> list[tuple[str, Water | Constituents | Medium]]:
     if isinstance(waters, (set, frozenset)):
         raise TypeError("waters must have an order, as draws follow it; got a set")
     loaded: list[tuple[str, Water | Constituents | Medium]] = []
-    for water in [waters] if isinstance(waters, kinds) else waters:
+    alone = isinstance(waters, kinds) or not isinstance(waters, Iterable)
+    for water in [waters] if alone else waters:
         if isinstance(water, Medium):
             loaded += [(f"medium {len(loaded) + i}", water[i]) for i in range(len(water))]
             continue
