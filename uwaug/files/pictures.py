@@ -1,6 +1,5 @@
 """Pictures and distance maps in files, in the format that the end of a file's name says."""
 
-import io
 from pathlib import Path
 from typing import Any
 
@@ -177,15 +176,15 @@ def _decoded(path: Path) -> NDArray[Any]:
 
 
 def _of_pillow(path: Path) -> NDArray[Any]:
-    data = path.read_bytes()
-    with Image.open(io.BytesIO(data)) as image:  # refuses pictures that would fill the memory
+    with Image.open(path) as image:  # refuses pictures that would fill the memory
         modes = ("RGB", "L", "I;16", "I;16B")
         if image.mode not in modes or "transparency" in image.info:
             raise ValueError(f"expected RGB or grey, without palette and alpha, got {image.mode}")
-        is_deep = image.format == "PNG" and data[_BIT_DEPTH] == 16
-        if is_deep and image.mode == "RGB":  # Pillow would drop half of the bits
-            (codecs,) = require("files", "imagecodecs")
-            return np.asarray(codecs.png_decode(data))
+        if image.format == "PNG" and image.mode == "RGB":
+            data = path.read_bytes()
+            if data[_BIT_DEPTH] == 16:  # Pillow would drop half of them
+                (codecs,) = require("files", "imagecodecs")
+                return np.asarray(codecs.png_decode(data))
         return np.asarray(ImageOps.exif_transpose(image))
 
 
