@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
+from uwaug.light.geometry import View
 
 from uwaug import Light, Medium
-from uwaug.light.geometry import View
 from uwaug.light.light import Lamp
 
 KINDS = ("behind", "beside", "in view")

@@ -233,7 +233,9 @@ class RandomUnderwater(SampleTransform):
             name_or_path, water: as for `uwaug.load_preset`.
             options: any argument of the class, in place of the preset's.
         """
-        return cls(**{**load_preset(name_or_path, water=water).options(), **options})
+        figures = load_preset(name_or_path, water=water).options()
+        figures["development"] = RandomDevelopment(**figures["development"])
+        return cls(**{**figures, **options})
 
     def to_dict(self) -> dict[str, Any]:
         """The options that differ from the defaults, in numbers, strings, lists and dicts, as JSON,
