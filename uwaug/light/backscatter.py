@@ -55,7 +55,7 @@ class Cone(NamedTuple):
 
     def share(self, cosine: Tensor, sine: Tensor) -> Tensor:
         """The share of the light at angles θ."""
-        toward = self.across * cosine + self.along * sine
+        toward = torch.addcmul(self.along * sine, self.across, cosine)
         t = ((toward - self.outer) * (1 / (self.inner - self.outer))).clamp(0.0, 1.0)
         return t * t * (3 - 2 * t)
 
@@ -95,7 +95,8 @@ def backscatter(
         scattered = root * root * root * weight
         if cone is not None:
             scattered = scattered * cone.share(level, raised - 1)
-        total = total + scattered * decay(rates, nearest + height * u)
+        left = decay(rates, torch.addcmul(nearest, height, u))
+        total = torch.addcmul(total, scattered, left)
     # the 4π of the phase function and the π of a white plate leave 1/4
     summed = torch.unflatten(weights @ total.flatten(2), -1, z.shape[-2:])
     return summed * (half / height * ((1 - ASYMMETRY**2) / 4))
