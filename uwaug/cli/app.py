@@ -27,11 +27,11 @@ app = typer.Typer(
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    epilog="To begin: uwaug demo; then uwaug degrade photo.jpg --distance 3 --random --out wet.jpg",
+    epilog="To begin: uwaug demo; then uwaug degrade photo.jpg --distance 3 --out wet.jpg",
 )
 
 EXAMPLES = {
-    degrade: "degrade photo.jpg --distance depth.png --distance-unit mm --random --out wet.jpg",
+    degrade: "degrade photos/ --distance depth/ --unit mm --holes behind --out wet/ --sheet",
     plot: "plot photo.jpg --distance depth.npy --water 7C",
     compare: "compare photo.jpg --distance depth.npy --water II --out sheet.png",
     fit: "fit --clean air.png --observed wet.png --distance depth.npy --out fit.json",

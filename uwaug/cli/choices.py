@@ -1,72 +1,88 @@
-"""Flags that several commands take, and the words that they know.
+"""Flags that several commands take.
 
-The library is not loaded for these, so that help and completion do not wait for it: a test holds
-the words against the library's.
+The library is not loaded for these, so that help and completion do not wait for it.
 """
 
 from collections.abc import Callable
-from typing import Annotated, Any, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from uwaug.presets.files import list_presets
 
+if TYPE_CHECKING:
+    from uwaug.presets.scene import Scene
+
 WATERS = ("I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C")
-
-PICTURE_FORMATS = ("png", "jpg", "webp", "tif", "npy")
-"""Kinds of pictures that are written, one name of each."""
-
-SIDES = (32, 2160)
-"""Short sides that a file serves by default, px."""
-
-ColorSpace = Literal["srgb", "linear"]
-Gain = Literal["auto", "fixed", "free", "channels", "matrix"]
-Correction = Literal["auto", "fixed", "free"]
-Surfaces = Literal["grey", "spectral"]
-FitModel = Literal[
-    "auto", "attenuation", "haze", "veil", "paper", "calibrated", "gaussian", "exponential"
-]
 
 
 def complete(*words: str) -> Callable[[str], list[str]]:
     """A function that tells a shell which of the words begin as one that is being typed."""
-    return lambda incomplete: [word for word in words if word.startswith(incomplete)]
+    return lambda incomplete: [w for w in words if w.lower().startswith(incomplete.lower())]
 
 
-def complete_water(incomplete: str) -> list[str]:
-    """The Jerlov types that begin so."""
-    return complete(*WATERS)(incomplete.upper())
-
-
-def complete_preset(incomplete: str) -> list[str]:
-    """The bundled presets that begin so."""
-    return complete(*list_presets())(incomplete)
-
-
-def _water(text: str) -> str:
-    # contents, files and types of a preset's own may be called as they like
-    return text.upper() if text.upper() in WATERS else text
-
-
-def water_option(help: str, panel: str | None = None, metavar: str = "TYPE|CONTENTS|CSV") -> Any:
-    """`--water`: what `uwaug.load_water` takes; Jerlov types in small letters too."""
-    return typer.Option(
-        help=help,
-        metavar=metavar,
-        parser=_water,
-        autocompletion=complete_water,
-        rich_help_panel=panel,
-    )
-
-
-def preset_option(help: str, panel: str | None = None) -> Any:
-    """`--preset` and what else takes a preset's name or path."""
-    return typer.Option(
-        help=help, metavar="PRESET", autocompletion=complete_preset, rich_help_panel=panel
-    )
-
-
-ForceFile = Annotated[bool, typer.Option("--force", help="Write over existing files.")]
-ForceFolder = Annotated[
-    bool, typer.Option("--force", help="Write even if the folder holds other files.")
+Picture = Annotated[Path, typer.Argument(help="The scene without water.")]
+Distance = Annotated[
+    str, typer.Option(help="Distances: .npy, PNG, TIFF, EXR. Or metres.", metavar="FILE|METRES")
 ]
+Unit = Annotated[
+    str,
+    typer.Option(
+        help="Of distance files: m, cm, mm, or how many metres 1 stands for.",
+        autocompletion=complete("m", "cm", "mm"),
+    ),
+]
+Holes = Annotated[
+    str,
+    typer.Option(
+        help="What 0 and NaN get: behind (as depth cameras want it), fill, far (open water), or "
+        "metres; error.",
+        metavar="WORD|METRES",
+        autocompletion=complete("error", "fill", "behind", "far"),
+    ),
+]
+Water = Annotated[
+    str | None,
+    typer.Option(
+        help="A Jerlov type, contents (chlorophyll=5,cdom=0.3) or a CSV file.",
+        autocompletion=complete(*WATERS),
+    ),
+]
+Preset = Annotated[
+    str | None,
+    typer.Option(
+        help="A preset, its TOML file, or what uwaug fit has written.",
+        autocompletion=complete(*list_presets()),
+    ),
+]
+Force = Annotated[bool, typer.Option("--force", help="Write over what is there.")]
+
+
+def number_or_word(text: str) -> Any:
+    """A number where it is one."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def read_scene(picture: Path, distance: str, unit: str, holes: str) -> "Scene":
+    """A picture and its distances as a sheet shows them.
+
+    Raises:
+        TypeError, ValueError, OSError: if one cannot be read, or they do not go together.
+    """
+    import torch
+
+    from uwaug.distance import Metres
+    from uwaug.files.pictures import read_distance, read_picture
+    from uwaug.presets.scene import own_scene
+
+    image = read_picture(picture)
+    metres = number_or_word(distance)
+    if isinstance(metres, float):
+        z = torch.full((1, *image.shape[-2:]), metres)
+    else:
+        z = read_distance(distance, number_or_word(unit))
+    return own_scene(image, Metres(number_or_word(holes)).metres(z, image, {}))

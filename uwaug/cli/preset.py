@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from uwaug.cli.choices import WATERS, ForceFile, complete_preset
+from uwaug.cli.choices import WATERS, Force, complete
 from uwaug.cli.console import print_written, reported_errors, require_writable
 from uwaug.presets.files import bundled_preset, list_presets, preset_path
 
@@ -37,7 +37,7 @@ def show(
     name: Annotated[
         str,
         typer.Argument(
-            help="A preset, or the path of a .toml file.", autocompletion=complete_preset
+            help="A preset, or the path of a .toml file.", autocompletion=complete(*list_presets())
         ),
     ],
 ) -> None:
@@ -54,13 +54,13 @@ def show(
 @preset.command()
 def copy(
     name: Annotated[
-        str, typer.Argument(help="A preset, see uwaug preset list.", autocompletion=complete_preset)
+        str, typer.Argument(help="A preset, see uwaug preset list.", autocompletion=complete(*list_presets()))
     ],
     file: Annotated[Path, typer.Argument(help="The .toml file to write.")],
-    force: ForceFile = False,
+    force: Force = False,
 ) -> None:
     """Copy a preset into a file of your own, to edit it."""
-    require_writable("the file", file, force=force, endings=(".toml",))
+    require_writable(file, force=force, endings=(".toml",))
     from uwaug._support.atomic import written_whole
 
     with reported_errors():

@@ -4,7 +4,6 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import torch
 from torch import Tensor
 
 from uwaug import published
@@ -20,19 +19,21 @@ def compare(scene: Scene, water: str = "II", systems: Sequence[str] = ()) -> dic
 
     Args:
         scene: picture and distances.
-        water: a Jerlov type; systems that know no waters have their own.
+        water: what `uwaug.load_water` takes; systems that have figures of few waters keep their own
+            where it is none of these.
         systems: names of `uwaug.published.systems`; all of them by default.
 
     Returns:
         Pictures (3xHxW, sRGB, 0…1) by the name of their system.
 
     Raises:
-        ValueError: if a system is unknown.
+        ValueError: if a system or the water is unknown.
     """
     pictures = {}
-    with torch.no_grad():
-        for name in systems or published.systems():
-            pictures[name] = published.picture(name, scene.image, scene.distance, water=water)
+    for name in systems or published.systems():
+        known = published.waters(name)
+        own = {} if known is not None and water not in known else {"water": water}
+        pictures[name] = published.system(name)(scene.image, scene.distance, **own)
     return pictures
 
 
@@ -44,7 +45,7 @@ def draw_comparison(scene: Scene, pictures: dict[str, Tensor], water: str) -> "F
     caption = f"Each as its authors computed it. {scene.note}"
     heading = f"One scene, {len(pictures)} systems, {water}"
     figure, axes = sheet(rows, columns, shape, heading, caption)
-    for axis, (name, picture) in zip(axes, {"no water": scene.image, **pictures}.items()):
+    for axis, (name, picture) in zip(axes, {"no water": scene.image, **pictures}.items(), strict=False):
         mean = " ".join(f"{value:.2f}" for value in picture.double().mean((1, 2)).tolist())
         show(axis, picture, f"{name}   ({mean})")
     return figure
