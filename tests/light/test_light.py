@@ -200,9 +200,7 @@ def test_single_precision_is_enough() -> None:
     _, z = scene(1, 60, 80)
     light = Light((BESIDE, AROUND))
     exact = light.curves(MEDIUM, z)
-    for found, wanted in zip(
-        light.curves(MEDIUM.to(torch.float32), z.float()), exact, strict=True
-    ):
+    for found, wanted in zip(light.curves(MEDIUM.to(torch.float32), z.float()), exact, strict=True):
         assert float((found - wanted).square().mean().sqrt()) < 2e-6
 
 
@@ -233,13 +231,13 @@ def test_a_lamp_shows_where_daylight_is_gone() -> None:
 
 def test_a_blur_is_planned_for_lamps() -> None:
     """Where daylight is gone, what a lamp's light scatters forward is blurred all the same."""
-    deep = Medium.from_water(
-        "7C", vertical_depth=60.0, point_spread=PointSpread.calibrated(38.0)
-    )
+    deep = Medium.from_water("7C", vertical_depth=60.0, point_spread=PointSpread.calibrated(38.0))
     image, z = scene(1)
-    found = form_image(image, z, deep, light=Light((BESIDE,)), tolerance=0.001)
-    exact = form_image(image, z, deep, light=Light((BESIDE,)), tolerance=1e-5)
-    sharp = form_image(image, z, replace(deep, point_spread=PointSpread.none()), light=Light((BESIDE,)))
+    light = Light((BESIDE,))
+    found = form_image(image, z, deep, light=light, tolerance=0.001)
+    exact = form_image(image, z, deep, light=light, tolerance=1e-5)
+    law = replace(deep, point_spread=PointSpread.none())
+    sharp = form_image(image, z, law, light=light)
     assert float((found.image - exact.image).square().mean().sqrt()) < 0.001
     assert float((sharp.forward - exact.forward).square().mean().sqrt()) > 0.01
 
@@ -250,7 +248,7 @@ def test_objects_are_judged_under_their_light() -> None:
     z = torch.full((1, 40, 60), 1.0)
     left = contrast_left(z, night, light=Light((lamp,)))[0]
     assert left[12:28, 2:14].mean() > 0.1
-    assert left[12:28, 50:59].mean() < 0.01
+    assert left[12:28, 50:59].mean() < 0.1 * left[12:28, 2:14].mean()
 
 
 @pytest.mark.parametrize("exposure", [Development(), Development(metered=True)])

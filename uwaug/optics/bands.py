@@ -75,13 +75,19 @@ class Bands:
             if self.surfaces.shape[1] == 3:
                 lit = lit[:, :, None] * self.surfaces[:, None]
             return [self.beta, lit, self.G, lit, self.response * self.b[:, None]]
-        arrays = [tensor.detach().double().cpu().numpy() for tensor in self.tensors()]
-        rows = [
-            _reduced(self.tolerance, *(array[n].tobytes() for array in arrays))
-            for n in range(len(self.beta))
-        ]
-        columns = zip(*rows, strict=True)
-        return [padded([tensor_of(row)[None] for row in column]) for column in columns]
+        return list(_reduced_rows(self.tolerance, *self.tensors()))
+
+
+@torch.compiler.assume_constant_result  # compiled code cannot follow NumPy's bytes
+def _reduced_rows(tolerance: float, *tensors: Tensor) -> tuple[Tensor, ...]:
+    """The rates and weights of `Bands.under_lamp` for a batch of media."""
+    arrays = [tensor.detach().double().cpu().numpy() for tensor in tensors]
+    rows = [
+        _reduced(tolerance, *(array[n].tobytes() for array in arrays))
+        for n in range(len(arrays[0]))
+    ]
+    columns = zip(*rows, strict=True)
+    return tuple(padded([tensor_of(row)[None] for row in column]) for column in columns)
 
 
 def padded(parts: Sequence[Tensor]) -> Tensor:
