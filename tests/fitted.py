@@ -5,11 +5,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
+from uwaug.fitting.least_squares import Objective
+from uwaug.fitting.models import MODELS, CoefficientModel
 
 import uwaug
 from uwaug.fitting.data import Observations
-from uwaug.fitting.least_squares import Objective
-from uwaug.fitting.models import MODELS, CoefficientModel
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
 from uwaug.presets.scene import motorcycle
 
