@@ -87,10 +87,9 @@ def test_what_arrives_is_the_spectral_integral() -> None:
     light = Light((Lamp((1.0, 0.0, 0.0), 4.0),), daylight=0.0)
     image, z = wall(2.0)
     terms = form_image(image, z, medium, light=light)
-    assert medium.bands is not None
     far = math.sqrt(5 + 0.03**2)
-    G, response = medium.bands.G[0], medium.bands.response[0]
-    wanted = 4.0 * 2 / far**3 * (response @ torch.exp(-G * (2 + far)))
+    (bands,) = medium.bands
+    wanted = torch.from_numpy(4.0 * 2 / far**3 * bands.response @ np.exp(-bands.G * (2 + far)))
     found = (terms.direct + terms.forward)[0, :, 5, 7]
     torch.testing.assert_close(found, wanted, rtol=0, atol=2e-6)
 
