@@ -8,18 +8,18 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import torch
-from augmenting import OPTIONS
+from hypothesis import settings
 from threadpoolctl import threadpool_limits
 from torch import Tensor
-
-import uwaug.presets.scene
-import uwaug.transforms.prepare
 
 pytest.register_assert_rewrite("referees.terms")  # before a test imports it
 # at the end, so that `benchmarks` is found but an installed uwaug is tested, not the checkout's
 sys.path.append(str(Path(__file__).parent.parent))
 # no test asks the network
 os.environ |= {"NO_ALBUMENTATIONS_UPDATE": "1", "HF_HUB_OFFLINE": "1"}
+# the same examples at every run, however long each takes
+settings.register_profile("uwaug", derandomize=True, deadline=None, max_examples=50)
+settings.load_profile("uwaug")
 if "PYTEST_XDIST_WORKER" in os.environ:
     # workers share the machine; what they start does, too
     torch.set_num_threads(1)
@@ -51,8 +51,10 @@ def motorcycle() -> Scene:
 
 
 @pytest.fixture
-def small(monkeypatch: pytest.MonkeyPatch) -> uwaug.presets.scene.Scene:
+def small(monkeypatch: pytest.MonkeyPatch) -> Any:
     """A scene of a few pixels in place of the motorcycle."""
+    import uwaug.presets.scene
+
     generator = torch.Generator().manual_seed(0)
     scene = uwaug.presets.scene.Scene(
         torch.rand(3, 20, 30, generator=generator),
@@ -95,18 +97,3 @@ def torchvision() -> Any:
     import torchvision.transforms.v2
 
     return torchvision
-
-
-@pytest.fixture(autouse=True)
-def warnings_are_fresh(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let every test be the first that fills a map: it warns once in a process. Of pictures in
-    which nothing is left only those tests hear that ask for it: many take such a water.
-    """
-    monkeypatch.setattr(uwaug.distance.complete, "_warned", [])
-    monkeypatch.setattr(uwaug.transforms.prepare, "_LOOKS", 0)
-
-
-@pytest.fixture(scope="module", params=OPTIONS)
-def options(request: pytest.FixtureRequest) -> dict[str, Any]:
-    """Options of RandomUnderwater, for what has to hold with all of them."""
-    return OPTIONS[request.param]

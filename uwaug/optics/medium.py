@@ -74,6 +74,9 @@ _ROUNDED = 1e-6
 _DARK = 1e-30
 """Stands for the light of a channel that gets none."""
 
+_FAINTEST = 1e-6
+"""Share of a channel's light that is told from none."""
+
 _BRIGHT = 1.05
 """V(0) from which on a veil is said to be brighter than a white plate."""
 
@@ -342,15 +345,18 @@ class Medium:
         """The classical model of this medium: one exponential per channel, for white, right at the
         lens and at a distance of `metres`, with the same veil far away.
         """
-        z = self.beta.new_tensor([metres])
         light = white(self.direct_weights).sum(-1)
-        far = white(self.direct_weights) @ torch.exp(-self.beta * metres)[..., None]
-        beta = -torch.log(far[..., 0] / light) / z
-        signal = white(self.signal_weights) @ torch.exp(-self.G * metres)[..., None]
-        G = (-torch.log(signal[..., 0] / light) / z).minimum(beta)
+
+        def rate(weights: Tensor, rates: Tensor) -> Tensor:
+            left = white(weights) @ torch.exp(-rates * metres)[..., None]
+            # a colour matrix may leave less than nothing
+            share = left[..., 0] / light.clamp(min=_DARK)
+            return -torch.log(share.clamp(_FAINTEST, 1.0)) / metres
+
+        beta = rate(self.direct_weights, self.beta)
         return Medium.from_coefficients(
-            beta.clamp(min=0.0),
-            G.clamp(min=0.0),
+            beta,
+            rate(self.signal_weights, self.G).minimum(beta),
             self.veil_weights.sum(-1).clamp(min=0.0),
             b_mean=self.b_mean,
             point_spread=self.point_spread,

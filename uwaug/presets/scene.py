@@ -8,8 +8,9 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from uwaug._support import checks
-from uwaug.distance.convert import along_ray, fill_unknown, from_disparity
-from uwaug.formation.colour import linear_to_srgb, to_light
+from uwaug.distance.convert import along_ray, from_disparity
+from uwaug.distance.fill import fill_unknown
+from uwaug.formation.colour import decoded, linear_to_srgb, require_values
 
 _PIXELS = 500_000
 """What a sheet shows of a picture: twice as wide as its cells, and enough for one across all."""
@@ -74,7 +75,8 @@ def own_scene(
     if max(height, width) > _LONGEST * min(height, width):
         expected = f"at most {_LONGEST} times as long as wide"
         raise ValueError(f"image must be {expected}, got {width}×{height} px: crop it")
-    notes, light = [], to_light(image, "srgb")
+    require_values(image, "srgb")
+    notes, light = [], decoded(image, "srgb")
     unknown = float((~(distance > 0)).double().mean())
     shrink = (_PIXELS / (height * width)) ** 0.5
     if shrink < 1:

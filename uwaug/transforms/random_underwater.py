@@ -16,10 +16,10 @@ from uwaug._support import checks, codec
 from uwaug._support.ranges import Range
 from uwaug.distance.sources import Metres, Plane, Source
 from uwaug.formation.contrast import contrast_left
-from uwaug.formation.exposure import metering_points
+from uwaug.formation.development import metering_points
 from uwaug.formation.field import random_field
 from uwaug.formation.image import form
-from uwaug.light.light import Light
+from uwaug.light import Light
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.constituents import UNITS, Constituents
 from uwaug.optics.curves import FARTHEST

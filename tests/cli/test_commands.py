@@ -1,0 +1,163 @@
+import csv
+import json
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+import uwaug
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Two pictures, and their maps as a depth camera writes them: mm, with holes."""
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(0)
+    for name in ("a", "b"):
+        picture = rng.integers(0, 255, (24, 32, 3), np.uint8)
+        depth = np.linspace(1000, 4000, 24 * 32).reshape(24, 32).astype(np.uint16)
+        depth[3:5, 4:9] = 0
+        for path, values in ((f"photos/{name}.png", picture), (f"depth/{name}.png", depth)):
+            (tmp_path / path).parent.mkdir(exist_ok=True)
+            Image.fromarray(values).save(tmp_path / path)
+    return tmp_path
+
+
+MAPS = ("--distance", "depth", "--unit", "mm", "--holes", "behind", "--workers", "1")
+
+
+def test_the_example_of_degrade_runs_on_a_depth_cameras_maps(folder, run):
+    code, out, err = run("degrade", "photos", *MAPS, "--out", "wet", "--sheet")
+    assert (code, err) == (0, "")
+    assert "2 of 2 pictures written to wet" in out
+    assert {path.name for path in (folder / "wet").iterdir()} == {
+        *("a.png", "a.png.json", "b.png", "b.png.json", "index.csv", "sheet.jpg")
+    }
+    with open("wet/index.csv", newline="") as file:
+        assert [row["status"] for row in csv.DictReader(file)] == ["written", "written"]
+
+
+def test_a_record_makes_the_same_bytes_again(folder, run):
+    assert run("degrade", "photos", *MAPS, "--out", "wet", "--seed", "3")[0] == 0
+    assert run("degrade", "wet/a.png.json", "--out", "again.png")[0] == 0
+    assert (folder / "again.png").read_bytes() == (folder / "wet/a.png").read_bytes()
+
+
+def test_options_reach_the_transform(folder, run):
+    (folder / "options.toml").write_text("mixing = [0, 1]\n[development]\nsaturation = 1.2\n")
+    code, _, err = run(
+        *("degrade", "photos/a.png", "--distance", "3", "--out", "wet.png", "--workers", "1"),
+        *("--water", "3C", "--water", "II", "--contrast", ".2:.5", "--options", "options.toml"),
+        *("--set", "vertical_depth=0:5", "--set", "development.tone=1", "--set", "field=none"),
+    )
+    assert (code, err) == (0, "")
+    recipe = json.loads((folder / "wet.png.json").read_text())["recipe"]
+    transform = uwaug.RandomUnderwater.from_dict(recipe["transform"])
+    assert transform.waters == ("3C", "II")
+    assert (transform.contrast, transform.vertical_depth) == ((0.2, 0.5), (0, 5))
+    assert (transform.mixing, transform.field) == ((0, 1), None)
+    assert (transform.development.saturation, transform.development.tone) == (1.2, 1)
+    assert transform.distance == uwaug.distance.Plane(3.0)
+
+
+def test_a_preset_degrades_as_its_module(folder, run):
+    flags = ("--distance", "0.5", "--preset", "tank-proposed-1", "--set", "field=none")
+    assert run("degrade", "photos/a.png", *flags, "--out", "tank.npy", "--workers", "1")[0] == 0
+    image = torch.from_numpy(np.array(Image.open("photos/a.png"))).permute(2, 0, 1)
+    module = uwaug.load_preset("tank-proposed-1").module()
+    wanted = module(image, torch.full((1, 24, 32), 0.5)).permute(1, 2, 0)
+    made = torch.from_numpy(np.load("tank.npy"))
+    assert (made.int() - wanted.int()).abs().max() <= 1
+
+
+def test_resume_and_force(folder, run):
+    flags = ("degrade", "photos", *MAPS, "--out", "wet")
+    assert run(*flags)[0] == 0
+    code, _, err = run(*flags)
+    assert code != 0
+    assert "force" in err
+    (folder / "wet/a.png").unlink()
+    code, out, _ = run(*flags, "--resume")
+    assert code == 0
+    assert "1 of 2 pictures written to wet, 1 were there" in out
+    assert run(*flags, "--force")[0] == 0
+
+
+def test_a_broken_map_fails_alone(folder, run):
+    (folder / "depth/a.png").write_bytes(b"no picture")
+    code, out, err = run("degrade", "photos", *MAPS, "--out", "wet")
+    assert code == 1
+    assert "1 of 2 pictures written" in out
+    assert "a.png" in err
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("degrade nowhere --out wet", "nowhere"),
+        ("degrade photos --distance depth --unit miles --out wet", "unit must be one of"),
+        ("degrade photos --distance 3 --contrast 2 --out wet", "contrast must be"),
+        ("degrade photos --distance 3 --set turbidity=2 --out wet", "turbidity"),
+        ("degrade photos --distance 3 --water 4C --out wet", "water must be one of"),
+        ("degrade photos --distance 3 --preset nothing --out wet", "nothing"),
+        ("export --out x.onnx", "--preset"),
+        ("export --preset survey --out x.bin", ".onnx"),
+        ("plot photos/a.png --distance depth/b.png", "metres"),
+        ("preset show nothing", "nothing"),
+        ("preset copy survey mine.txt", ".toml"),
+        ("check photos/a.png", "a.png"),
+    ],
+)
+def test_what_is_refused_in_one_line(folder, run, line, words):
+    code, _, err = run(*line.split())
+    assert code in (1, 2)
+    assert err.startswith("Error: ")
+    assert words in err
+    assert "Traceback" not in err
+
+
+def test_demo_draws_the_scene(small, run, tmp_path):
+    code, out, err = run("demo", "--out", str(tmp_path / "demo"))
+    assert (code, err) == (0, "")
+    assert "5 pictures" in out
+    assert len(list((tmp_path / "demo").iterdir())) == 5
+
+
+def test_plot_and_compare_draw_a_picture_of_ones_own(folder, run):
+    scene = ("photos/a.png", "--distance", "depth/a.png", "--unit", "mm")
+    code, out, err = run("plot", *scene, "--water", "3C")
+    assert (code, err) == (0, "")
+    assert "unknown" in out  # what was done to holes
+    systems = ("--system", "akkaynak-2018", "--system", "li-2020")
+    assert run("compare", *scene, *systems, "--out", "systems.jpg")[0] == 0
+    assert (folder / "systems.jpg").stat().st_size > 0
+
+
+def test_a_fit_is_a_preset(folder, run):
+    z = torch.linspace(0.5, 5, 48 * 64).reshape(1, 48, 64)
+    clean = torch.rand(3, 48, 64, generator=torch.Generator().manual_seed(0))
+    medium = uwaug.Medium.from_coefficients((0.5, 0.2, 0.3), (0.5, 0.2, 0.3), (0.1, 0.3, 0.4))
+    observed = uwaug.Underwater(medium)(clean, z)
+    np.save("z.npy", z[0].numpy())
+    for name, picture in (("clean", clean), ("observed", observed)):
+        np.save(f"{name}.npy", picture.permute(1, 2, 0).numpy())
+    pictures = ("--clean", "clean.npy", "--observed", "observed.npy", "--distance", "z.npy")
+    code, out, _ = run("fit", *pictures, "--model", "haze", "--out", "fit.json")
+    assert code == 0
+    assert "beta" in out
+    flags = ("--distance", "z.npy", "--preset", "fit.json", "--workers", "1")
+    assert run("degrade", "clean.npy", *flags, "--out", "again.npy")[0] == 0
+    assert np.abs(np.load("again.npy") - np.load("observed.npy")).max() < 0.01
+
+
+def test_presets_and_waters_are_listed(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert "survey" in run("preset", "list")[1]
+    code, out, _ = run("preset", "show", "survey")
+    assert code == 0
+    assert "[water]" in out
+    assert run("preset", "copy", "survey", "mine.toml")[0] == 0
+    assert uwaug.load_preset(tmp_path / "mine.toml").near == 1.0
+    waters = run("waters")[1]
+    assert all(name in waters for name in uwaug.JERLOV_TYPES)

@@ -1,0 +1,208 @@
+"""Pictures and distance maps in files, in the format that the end of a file's name says."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tifffile
+import torch
+from numpy.typing import NDArray
+from PIL import Image, ImageOps
+from torch import Tensor
+
+from uwaug._support import checks
+from uwaug._support.atomic import require_regular, written_whole
+from uwaug._support.extras import require
+
+ENDINGS = (".npy", ".exr", ".tif", ".tiff", ".png", ".jpg", ".jpeg")
+"""Of the names of pictures and, but for JPEG, of distance maps."""
+
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+"""What distances may be written in, m."""
+
+_BIT_DEPTH = 24
+"""Byte of a PNG that says how many bits a channel has."""
+
+
+def read_picture(path: str | Path) -> Tensor:
+    """Read a picture in colour.
+
+    Args:
+        path: of a PNG, JPEG or TIFF file (its first page) of 8 or 16 bits; or of a .npy (HxWx3) or
+            .exr file, which may also hold floating-point numbers, 0…1. EXR and PNG of 16 bits need
+            the extra "files".
+
+    Returns:
+        3xHxW: uint8 (0…255) of 8 bits, else float32: 0…1 of 16 bits, as it is of floating point.
+        Upright, as EXIF says that the camera was held. Profiles of colour are not applied.
+
+    Raises:
+        ValueError: if it is of another format, is grey, has a palette, alpha or other channels, or
+            cannot be decoded; names the file.
+        OSError: if there is no such file, or it cannot be read.
+    """
+    values = _decoded(Path(path))
+    if values.ndim != 3 or values.shape[2] != 3:
+        got = f"expected a picture in colour (H, W, 3), got {values.shape}"
+        raise ValueError(f"{path}: {got}: save it as RGB, without alpha")
+    if values.dtype == np.uint16:
+        values = values / np.float32(65535)
+    elif values.dtype != np.uint8:
+        values = values.astype(np.float32)
+    return torch.from_numpy(np.ascontiguousarray(values.transpose(2, 0, 1)))
+
+
+def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
+    """Read a map of distances.
+
+    Args:
+        path: of a .npy (HxW), .exr (one channel, or one called Z), TIFF or PNG file.
+        unit: of the numbers in the file: "m", "cm", "mm", or how many metres 1 stands for. None:
+            they are no lengths but relative or inverse; whole numbers are then shares of the
+            largest that their type holds.
+
+    Returns:
+        1xHxW, float32: m, or without unit as it is. Unknown pixels (0, NaN) stay.
+
+    Raises:
+        ValueError: if it has several channels; if it has a unit and 8 bits, which are too few, or a
+            median beyond 1000 m; if the unit is unknown; or if it cannot be decoded.
+        OSError: if there is no such file, or it cannot be read.
+    """
+    values = _decoded(Path(path))
+    if values.ndim != 2:
+        raise ValueError(f"{path}: expected distances (H, W) in one channel, got {values.shape}")
+    whole = values.dtype.kind == "u"
+    if unit is None:
+        scale = 1 / np.iinfo(values.dtype).max if whole else 1.0
+        return torch.from_numpy((values * scale).astype(np.float32))[None]
+    if values.dtype == np.uint8:
+        cure = "if its numbers are relative, give unit=None"
+        raise ValueError(f"{path}: 8 bits are too few for distances in {unit}: {cure}")
+    # rounded once, from double precision
+    z = torch.from_numpy((values.astype(np.float64) * metres_of(unit)).astype(np.float32))[None]
+    median = checks.too_far(z)
+    if median is not None:
+        got = f"the median is {median:.4g} m if they are in {unit}, farther than one sees"
+        raise ValueError(f"{path}: {got}: is the unit mm?")
+    return z
+
+
+def metres_of(unit: str | float) -> float:
+    """Metres of a unit of distances.
+
+    Raises:
+        ValueError: if it is none.
+    """
+    if isinstance(unit, str):
+        checks.one_of("unit", unit, (*UNITS, "a number of metres"))
+        return UNITS[unit]
+    checks.positive("unit", unit, "m")
+    return float(unit)
+
+
+def write_picture(path: str | Path, image: Tensor) -> None:
+    """Write a picture, whole or not at all.
+
+    Args:
+        path: its end is the format; a file that exists is replaced.
+        image (3xHxW tensor): uint8 (0…255), written in 8 bits; or floating point (0…1), written in
+            16 bits where the format has them (PNG, TIFF), as float32 in .npy and .exr.
+
+    Raises:
+        ValueError: if the end of the name is unknown.
+        OSError: if it cannot be written.
+    """
+    end = _ending(Path(path))
+    values = image.detach().cpu().permute(1, 2, 0).contiguous().numpy()
+    if values.dtype != np.uint8 and end not in (".npy", ".exr"):
+        most, kind = (255, np.uint8) if end in (".jpg", ".jpeg") else (65535, np.uint16)
+        values = np.rint(values.clip(0, 1).astype(np.float64) * most).astype(kind)
+    with written_whole(path) as part:
+        if end == ".exr":
+            (exr,) = require("files", "OpenEXR")
+            light = (values / 255 if values.dtype == np.uint8 else values).astype(np.float32)
+            exr.File({"type": exr.scanlineimage}, {"RGB": light}).write(str(part))
+            return
+        with part.open("wb") as file:
+            if end == ".npy":
+                np.save(file, values)
+            elif end in (".tif", ".tiff"):
+                # without the time of writing, so that equal pictures are equal files
+                tifffile.imwrite(file, values, photometric="rgb", compression="zlib", metadata=None)
+            elif values.dtype == np.uint16:
+                (codecs,) = require("files", "imagecodecs")
+                file.write(codecs.png_encode(values))
+            elif end == ".png":
+                Image.fromarray(values).save(file, "PNG")
+            else:
+                # colour is what water changes: none of it is subsampled
+                Image.fromarray(values).save(file, "JPEG", quality=95, subsampling="4:4:4")
+
+
+def _ending(path: Path) -> str:
+    end = path.suffix.lower()
+    if end not in ENDINGS:
+        raise ValueError(f"{path}: expected a file that ends in {', '.join(ENDINGS)}")
+    return end
+
+
+def _decoded(path: Path) -> NDArray[Any]:
+    """The numbers of a file (HxW or HxWxC): uint8, uint16 or floating point."""
+    end = _ending(path)
+    require_regular(path)
+    try:
+        if end == ".npy":
+            # mapped, so that a header that lies about its size does not fill the memory
+            values = np.array(np.load(path, mmap_mode="r", allow_pickle=False))
+        elif end == ".exr":
+            values = _of_exr(path)
+        elif end in (".tif", ".tiff"):
+            values = _of_tiff(path)
+        else:
+            values = _of_pillow(path)
+    except (ImportError, MemoryError):
+        raise
+    except Exception as error:  # decoders raise whatever they like over a damaged file
+        if isinstance(error, OSError) and error.errno is not None:
+            raise
+        raise ValueError(f"{path}: cannot be decoded: {error}") from error
+    if values.dtype not in (np.uint8, np.uint16) and values.dtype.kind != "f":
+        got = f"expected 8 or 16 bits without sign, or floating point, got {values.dtype}"
+        raise ValueError(f"{path}: {got}")
+    if not values.size:
+        raise ValueError(f"{path}: holds no pixels, got shape {values.shape}")
+    return values
+
+
+def _of_pillow(path: Path) -> NDArray[Any]:
+    with Image.open(path) as image:  # refuses pictures that would fill the memory
+        modes = ("RGB", "L", "I;16", "I;16B")
+        if image.mode not in modes or "transparency" in image.info:
+            raise ValueError(f"expected RGB or grey, without palette and alpha, got {image.mode}")
+        head = path.open("rb").read(_BIT_DEPTH + 1) if image.format == "PNG" else b""
+        if image.mode == "RGB" and head[_BIT_DEPTH:] == b"\x10":  # Pillow would drop half of them
+            (codecs,) = require("files", "imagecodecs")
+            return np.asarray(codecs.png_decode(path.read_bytes()))
+        return np.asarray(ImageOps.exif_transpose(image))
+
+
+def _of_tiff(path: Path) -> NDArray[Any]:
+    with tifffile.TiffFile(path) as file:
+        page = file.pages.first
+        kinds = (tifffile.PHOTOMETRIC.RGB, tifffile.PHOTOMETRIC.MINISBLACK)
+        if page.photometric not in kinds:
+            raise ValueError(f"expected RGB or grey, got {page.photometric}")
+        if page.imagewidth * page.imagelength > 2 * (Image.MAX_IMAGE_PIXELS or np.inf):
+            raise ValueError(f"{page.imagewidth}×{page.imagelength} px: see PIL.MAX_IMAGE_PIXELS")
+        values = page.asarray()
+        return np.moveaxis(values, page.axes.index("S"), -1) if "S" in page.axes else values
+
+
+def _of_exr(path: Path) -> NDArray[Any]:
+    (exr,) = require("files", "OpenEXR")
+    channels = exr.File(str(path)).channels()
+    name = next((name for name in ("RGB", "Z") if name in channels), None)
+    if name is None and len(channels) > 1:
+        raise ValueError(f"expected RGB, Z, or one channel, got {', '.join(channels)}")
+    return np.asarray(channels[name or next(iter(channels))].pixels)

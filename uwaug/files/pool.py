@@ -1,0 +1,117 @@
+"""Work on many pictures by the cores of one machine."""
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing.connection import wait
+from typing import Any
+
+import torch
+from threadpoolctl import threadpool_limits
+
+_AHEAD = 2
+"""Jobs for each process that are handed out before the first of them is done."""
+
+_work: Callable[[Any], Any] | None = None
+"""Of a process of a pool."""
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Results are then the same to the bit on any number of cores."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with threadpool_limits(1):
+            yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+def on_processes(work: Any, jobs: Iterable[Any], workers: int) -> Iterator[Any]:
+    """Results of jobs, in their order.
+
+    Where a process dies, as decoders of damaged files and a full memory can make it, each job that
+    was under way is done once more in a process of its own.
+
+    Args:
+        work: called with each job, one at a time in a process; it can be pickled, and has an
+            attribute of the same name for a job that its process died over: `work.died(job)`.
+        jobs: what to do.
+        workers: processes; 1: this one.
+    """
+    if workers == 1:
+        with one_thread():
+            yield from map(work, jobs)
+        return
+    remaining = iter(jobs)
+    under_way: deque[tuple[Any, Future[Any] | None]] = deque()
+    while True:
+        pool = _pool(work, workers)
+        try:
+            for job in remaining:
+                under_way.append((job, None))
+                under_way[-1] = (job, pool.submit(_call, job))
+                if len(under_way) == _AHEAD * workers:
+                    yield _first(under_way)
+            while under_way:
+                yield _first(under_way)
+            return
+        except BrokenProcessPool:
+            pass
+        finally:
+            pool.shutdown(cancel_futures=True)
+        while under_way:
+            yield alone(work, under_way.popleft()[0])
+
+
+def alone(work: Any, job: Any) -> Any:
+    """The result of a job in a process of its own, which may die over it."""
+    try:
+        with _pool(work, 1) as pool:
+            return pool.submit(_call, job).result()
+    except BrokenProcessPool:
+        return work.died(job)
+
+
+def _first(under_way: deque[tuple[Any, Future[Any] | None]]) -> Any:
+    future = under_way[0][1]
+    assert future is not None
+    result = future.result()
+    under_way.popleft()
+    return result
+
+
+def _pool(work: Any, workers: int) -> ProcessPoolExecutor:
+    context = multiprocessing.get_context("spawn")  # a fork would copy locks of torch's threads
+    return ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(work,))
+
+
+def _begin(work: Any) -> None:
+    """What each process does first."""
+    global _work  # noqa: PLW0603  (it is of the process)
+    _work = work
+    torch.set_num_threads(1)
+    threadpool_limits(1)
+    # Ctrl-C is for the process that started it, which lets the jobs under way be finished
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _call(job: Any) -> Any:
+    assert _work is not None
+    return _work(job)
+
+
+def _end_with_parent() -> None:
+    """A process would else wait for ever for the next job of a parent that was killed."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)

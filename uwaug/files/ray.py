@@ -1,0 +1,117 @@
+"""Work on many pictures by Ray: on the cores of this machine, or of a cluster."""
+
+import logging
+import os
+import pickle
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from itertools import islice
+from typing import Any
+
+import torch
+from threadpoolctl import threadpool_limits
+
+from uwaug._support.extras import require
+from uwaug.files.pool import alone
+
+_BLOCK = 16
+"""Jobs that are handed to a process at once, at most."""
+
+_SHARE = 0.5
+"""Of a core, that each process asks for. It uses a whole one; but if processes asked for all of
+them, what reads the jobs would wait for ever.
+"""
+
+_SETTINGS = {
+    "RAY_USAGE_STATS_ENABLED": "0",
+    # else a picture for which memory does not suffice is begun again for ever
+    "RAY_task_oom_retries": "3",
+}
+
+
+def on_ray(work: Any, jobs: Sequence[Any], address: str, workers: int) -> Iterator[Any]:
+    """Results of jobs, in their order, as of `uwaug.files.pool.on_processes`.
+
+    Args:
+        work, jobs: as there. Files that jobs name must be there on every machine.
+        address: "local" starts Ray on this machine, and ends it with the run; "auto" finds a
+            cluster that this machine is part of; or host:port. Where Ray has been started in this
+            process, that is taken.
+        workers: cores of "local".
+
+    Raises:
+        ImportError: if Ray is not installed.
+        OSError: if nothing answers at the address, or Ray fails.
+    """
+    ray, data, pa = require("ray", "ray", "ray.data", "pyarrow")
+    logging.getLogger("ray.data").setLevel(logging.ERROR)
+    with _connected(ray, address, workers):
+        cores = max(1, int(ray.cluster_resources().get("CPU", 1)))
+        # some blocks for each process, so that none of them works alone at the end
+        size = max(1, min(_BLOCK, len(jobs) // (8 * cores)))
+        remaining, blocks = iter(jobs), []
+        while block := list(islice(remaining, size)):
+            pickled = pa.array([pickle.dumps(block)], pa.large_binary())
+            blocks.append(pa.table({"jobs": pickled}))
+        dataset = data.from_arrow(blocks)
+        dataset.context.execution_options.preserve_order = True
+        dataset.context.enable_progress_bars = False
+        mapped = dataset.map_batches(
+            _Process,
+            fn_constructor_args=(work, os.getcwd()),
+            compute=data.ActorPoolStrategy(size=cores),
+            batch_size=1,
+            batch_format="pyarrow",
+            num_cpus=_SHARE if cores > 1 else 0,
+        )
+        try:
+            for row in mapped.iter_rows():
+                yield from pickle.loads(row["results"])
+        except ray.exceptions.RayError as error:
+            raise OSError(f"Ray: {error}") from None
+
+
+@contextmanager
+def _connected(ray: Any, address: str, workers: int) -> Iterator[None]:
+    """Ray, for as long as it is needed."""
+    if ray.is_initialized():
+        yield
+        return
+    for name, value in _SETTINGS.items():
+        os.environ.setdefault(name, value)
+    options: dict[str, Any] = {"log_to_driver": False, "logging_level": "error"}
+    if address == "local":
+        options |= {"num_cpus": workers, "include_dashboard": False}
+    try:
+        ray.init(address, **options)
+    except (OSError, RuntimeError, ValueError) as error:
+        cure = "is Ray running there? local starts it on this machine"
+        raise ConnectionError(f"no Ray at {address}: {error}: {cure}") from None
+    try:
+        yield
+    finally:
+        ray.shutdown()
+
+
+class _Process:
+    """An actor in the folder of the run."""
+
+    def __init__(self, work: Any, folder: str) -> None:
+        import ray
+
+        torch.set_num_threads(1)
+        threadpool_limits(1)
+        os.chdir(folder)  # where paths are from
+        self._work = work
+        # what it died over may come again: from now on, each job has a process of its own
+        self._careful = bool(ray.get_runtime_context().was_current_actor_reconstructed)
+
+    def __call__(self, batch: Any) -> Any:
+        import pyarrow as pa
+
+        results = []
+        for row in batch["jobs"].to_pylist():
+            jobs = pickle.loads(row)
+            found = [alone(self._work, job) if self._careful else self._work(job) for job in jobs]
+            results.append(pickle.dumps(found))
+        return pa.table({"results": pa.array(results, pa.large_binary())})

@@ -1,0 +1,379 @@
+"""Folders of pictures under water: a record beside each picture, and an index of all."""
+
+import csv
+import json
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import torch
+from torch import Tensor
+
+from uwaug._support import checks
+from uwaug._support.atomic import remove_left, written_whole
+from uwaug.distance.sources import Metres
+from uwaug.files.items import Item
+from uwaug.files.labels import Judged, Labelled, Labels, judged, open_labels
+from uwaug.files.pictures import ENDINGS, metres_of, read_distance, read_picture, write_picture
+from uwaug.files.pool import on_processes, one_thread
+from uwaug.files.record import read_record, record_path, versions, write_record
+from uwaug.files.sheet import write_sheet
+from uwaug.transforms.random_underwater import RandomUnderwater
+from uwaug.transforms.samples import key_of
+
+_COLUMNS = ("name", "variant", "picture", "distance", "output", "contrast", "status", "reason")
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What is done to every picture of a run. With the name of a picture and the number of a
+    variant, all that is random follows from it.
+
+    Attributes:
+        transform: options of `RandomUnderwater`, as its `to_dict` gives them.
+        unit: of distances in files, see `read_distance`, where the transform takes metres.
+        seed: of all that is random.
+        variants: of each picture.
+        ending: of the files to write, such as ".png"; None: as of each picture.
+        labels: a COCO file, or a folder of YOLO's files or of masks; None for none.
+        min_contrast: labels of objects of which less contrast is left, 0…1, are left out; None
+            keeps all.
+
+    Raises:
+        ValueError: if a value does not suit.
+    """
+
+    transform: dict[str, Any] = field(default_factory=dict)
+    unit: str | float = "m"
+    seed: int = 0
+    variants: int = 1
+    ending: str | None = None
+    labels: str | None = None
+    min_contrast: float | None = None
+
+    def __post_init__(self) -> None:
+        metres_of(self.unit)
+        if self.variants < 1:
+            raise ValueError(f"variants must be 1 or more, got {self.variants}")
+        if self.ending is not None:
+            checks.one_of("ending", self.ending, ENDINGS)
+        if self.min_contrast is not None:
+            checks.within("min_contrast", self.min_contrast, 0.0, 1.0)
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON holds it, and reads it back."""
+        plain: dict[str, Any] = json.loads(json.dumps(asdict(self)))
+        return plain
+
+
+class Result(NamedTuple):
+    """What became of a picture.
+
+    Attributes:
+        item, variant: which picture.
+        place: of the picture that was written, below the folder of the run.
+        status: "written"; "skipped", as the same recipe has made it before; "failed".
+        contrast: mean share of contrast that is left; None if it failed.
+        objects: of the picture, if there are labels.
+        reason: why it failed.
+    """
+
+    item: Item
+    variant: int
+    place: str
+    status: Literal["written", "skipped", "failed"]
+    contrast: float | None = None
+    objects: Sequence[Judged] = ()
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What became of a run: the `Result` of each picture, in the order of items and variants."""
+
+    results: Sequence[Result]
+
+    def count(self, status: str) -> int:
+        """How many pictures have a status of `Result`."""
+        return sum(result.status == status for result in self.results)
+
+    @property
+    def failures(self) -> list[str]:
+        """What went wrong: each begins with a picture's name."""
+        return [f"{one.item.name}: {one.reason}" for one in self.results if one.status == "failed"]
+
+    @property
+    def objects(self) -> tuple[int, int]:
+        """How many labels there were, and how many of them were kept."""
+        kept = [one.kept for result in self.results for one in result.objects]
+        return len(kept), sum(kept)
+
+
+class Job(NamedTuple):
+    """A picture to write; `place` is from the folder of the run."""
+
+    item: Item
+    variant: int
+    place: str
+    labels: Labels | None = None
+
+
+def degrade(
+    recipe: Recipe,
+    items: Sequence[Item],
+    out: str | Path,
+    *,
+    workers: int = 1,
+    resume: bool = False,
+    force: bool = False,
+    sheet: bool = False,
+    ray: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Summary:
+    """Put pictures in files under water.
+
+    Each picture gets a record beside it, from which `replay` makes it again; index.csv tells of
+    all. The same recipe and name give the same bytes, whatever the number of workers, their order,
+    and interruptions. A picture that fails does not stop the others.
+
+    Args:
+        recipe: what is done to each picture.
+        items: which pictures, see `find_items`.
+        out: a folder, made if need be; or, for one picture, the file to write.
+        workers: processes; 1: this one.
+        resume: go on where a run was stopped: what the same recipe has made is left as it is.
+        force: write over what is there.
+        sheet: draw some of the results on sheet.jpg.
+        ray: address of a Ray cluster that takes the place of processes: "local", "auto", or
+            host:port. All its machines must see the same folders.
+        progress: is told after each picture how many are done, and of how many.
+
+    Raises:
+        ValueError: if an option does not suit, two pictures would be one file, or a file would be
+            written over that is read.
+        FileExistsError: if there is something in `out`, without `resume` and `force`.
+        OSError: if `out` cannot be written.
+    """
+    out, labels = Path(out), None
+    single = out.suffix.lower() in ENDINGS and not out.is_dir()
+    if single:
+        if len(items) * recipe.variants != 1 or recipe.labels is not None or sheet:
+            cure = "more pictures, labels and sheets need a folder"
+            raise ValueError(f"{out} is a file, which is for one picture: {cure}")
+        if out.exists() and not (resume or force):
+            raise FileExistsError(f"{out} exists: resume to go on, force to write over it")
+        jobs = [Job(items[0], 0, out.name)]
+        out = out.parent
+    else:
+        labels = open_labels(recipe.labels) if recipe.labels is not None else None
+        if not (resume or force) and out.is_dir() and any(out.iterdir()):
+            cure = "another folder, resume to go on, or force to write over it"
+            raise FileExistsError(f"{out} is not empty: {cure}")
+        out.mkdir(parents=True, exist_ok=True)
+        jobs = list(_jobs(recipe, items, labels))
+    work = Worker(recipe, out, resume=resume, force=force)
+    work.require_maps(items)
+    _require_apart(jobs, out)
+    if resume:
+        for folder in {(out / job.place).parent for job in jobs}:
+            remove_left(folder)  # what a killed run was writing
+    if ray is not None:
+        from uwaug.files.ray import on_ray
+
+        found = on_ray(work, jobs, ray, workers)
+    else:
+        found = on_processes(work, jobs, workers)
+    results = []
+    for result in found:
+        results.append(result)
+        if progress is not None:
+            progress(len(results), len(jobs))
+    summary = Summary(results)
+    if not single:
+        _write_index(results, out)
+        done = [result for result in results if result.status != "failed"]
+        if labels is not None:
+            labels.finish([Labelled(one.item.name, one.place, one.objects) for one in done], out)
+        if sheet and done:
+            pairs = [(one.item.picture, out / one.place) for one in done]
+            write_sheet(out / "sheet.jpg", pairs)
+    return summary
+
+
+class Worker:
+    """A recipe in a process: it degrades one picture at a call, and raises nothing over a file.
+
+    Args:
+        recipe: what is done to pictures.
+        out: the folder of the run.
+        resume, force: as for `degrade`.
+    """
+
+    def __init__(self, recipe: Recipe, out: Path, *, resume: bool, force: bool) -> None:
+        self.recipe, self.out, self.resume, self.force = recipe, out, resume, force
+        self._plain = recipe.to_dict()
+        self._transform = RandomUnderwater.from_dict(recipe.transform)
+
+    def require_maps(self, items: Sequence[Item]) -> None:
+        """Refuse pictures without distances if the transform reads them from files.
+
+        Raises:
+            ValueError: names a picture.
+        """
+        for item in items:
+            if item.distance is None and getattr(self._transform.distance, "reads_maps", True):
+                cure = "give files, or a transform with distance=Plane(…) or Network(…)"
+                raise ValueError(f"distance is missing: {item.name} has no file of it: {cure}")
+
+    def __call__(self, job: Job) -> Result:
+        """Degrade a picture."""
+        try:
+            return self._written(job)
+        except Exception as error:  # decoders raise whatever they like over a damaged file
+            return self._failed(job, _reason(error))
+
+    def died(self, job: Job) -> Result:
+        """What to say of a picture over which a process has died."""
+        return self._failed(job, "the process died over it: out of memory, or a damaged file")
+
+    def _failed(self, job: Job, reason: str) -> Result:
+        return Result(job.item, job.variant, job.place, "failed", reason=reason)
+
+    def _written(self, job: Job) -> Result:
+        item, output = job.item, self.out / job.place
+        distance = None if item.distance is None else os.path.abspath(item.distance)
+        made_of = {
+            "name": item.name,
+            "variant": job.variant,
+            "picture": os.path.abspath(item.picture),
+            "distance": distance,
+            "recipe": self._plain,
+        }
+        result = Result(item, job.variant, job.place, "written")
+        if self.resume and output.exists():
+            record = read_record(record_path(output))
+            other = [name for name, value in made_of.items() if record[name] != value]
+            if not other:
+                objects = [Judged(**entry) for entry in record["objects"]]
+                return result._replace(
+                    status="skipped", contrast=record["contrast"], objects=objects
+                )
+            if not self.force:
+                got = f"{output} was made with another {' and '.join(other)}"
+                raise FileExistsError(f"{got}: choose another folder, or force to write over it")
+        image, z = _read(item, self.recipe, self._transform)
+        generator = torch.Generator().manual_seed(key_of(self.recipe.seed, job.variant, item.name))
+        params = self._transform.make_params(image, generator)
+        degraded = self._transform.transform(image, z, params)
+        left = self._transform.contrast_left(image, z, params)
+        contrast = round(float(left.double().mean()), 4)
+        objects = []
+        if job.labels is not None:
+            objects = judged(job.labels, item.name, left, self.recipe.min_contrast)
+        output.parent.mkdir(parents=True, exist_ok=True)
+        # the picture comes last: where it is, all that belongs to it is
+        output.unlink(missing_ok=True)
+        if job.labels is not None:
+            dropped = {one.key for one in objects if not one.kept}
+            job.labels.write(item.name, job.place, dropped, self.out)
+        found = {"contrast": contrast, "objects": [one._asdict() for one in objects]}
+        record = {**versions(), **made_of, "params": params, **found}
+        write_record(record_path(output), record)
+        write_picture(output, degraded)
+        return result._replace(contrast=contrast, objects=objects)
+
+
+def replay(
+    record: str | Path,
+    output: str | Path,
+    *,
+    picture: str | Path | None = None,
+    distance: str | Path | None = None,
+    force: bool = False,
+) -> None:
+    """Make a picture again from its record: the same bytes, by the same versions of uwaug and
+    PyTorch, on the same kind of processor.
+
+    Args:
+        record: file beside a picture that a run has written.
+        output: the file to write.
+        picture, distance: files that it was made of, if they have moved.
+        force: write over what is there.
+
+    Raises:
+        ValueError: if the file is no record, or pictures and distances do not suit.
+        FileExistsError: if `output` exists, without `force`.
+        OSError: if a file cannot be read or written.
+    """
+    output = Path(output)
+    if output.exists() and not force:
+        raise FileExistsError(f"{output} exists: force writes over it")
+    plain = read_record(Path(record))
+    recipe = Recipe(**plain["recipe"])
+    places = [plain["picture"] if picture is None else picture, distance or plain["distance"]]
+    source, where = (None if place is None else Path(place) for place in places)
+    assert source is not None
+    item = Item(plain["name"], source, where)
+    _require_apart([Job(item, 0, output.name)], output.parent)
+    with one_thread():
+        transform = RandomUnderwater.from_dict(recipe.transform)
+        image, z = _read(item, recipe, transform)
+        write_picture(output, transform.transform(image, z, plain["params"]))
+
+
+def _read(item: Item, recipe: Recipe, transform: RandomUnderwater) -> tuple[Tensor, Tensor | None]:
+    """The picture and the map of an item."""
+    image = read_picture(item.picture)
+    if item.distance is None:
+        return image, None
+    unit = recipe.unit if isinstance(transform.distance, Metres) else None
+    return image, read_distance(item.distance, unit)
+
+
+def _jobs(recipe: Recipe, items: Sequence[Item], labels: Labels | None) -> Iterator[Job]:
+    for item in items:
+        place = item.name if labels is None else labels.place(item.name)
+        stem, end = os.path.splitext(place)
+        end = recipe.ending or end
+        for variant in range(recipe.variants):
+            number = f"_{variant + 1}" if recipe.variants > 1 else ""
+            own = None if labels is None else labels.only(item.name)
+            yield Job(item, variant, f"{stem}{number}{end}", own)
+
+
+def _require_apart(jobs: Sequence[Job], out: Path) -> None:
+    """Refuse two pictures in one file, and to write over what is read."""
+    read = {os.path.realpath(job.item.picture) for job in jobs}
+    read |= {os.path.realpath(job.item.distance) for job in jobs if job.item.distance is not None}
+    written: dict[str, Path] = {}
+    for job in jobs:
+        output = os.path.realpath(out / job.place)
+        if output in read:
+            raise ValueError(f"{output} is read, and would be written over: another folder?")
+        if output in written:
+            both = f"{written[output]} and {job.item.picture}"
+            raise ValueError(f"{both} would both be written to {output}: rename one")
+        written[output] = job.item.picture
+
+
+def _write_index(results: Sequence[Result], out: Path) -> None:
+    with (
+        written_whole(out / "index.csv") as part,
+        part.open("w", encoding="utf-8", newline="") as file,
+    ):
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(_COLUMNS)
+        for item, variant, place, status, contrast, _, reason in results:
+            where = [item.name, variant, item.picture, item.distance, place]
+            writer.writerow([*where, contrast, status, reason])
+
+
+def _reason(error: Exception) -> str:
+    """An error in words, with its kind if none of our checks has raised it."""
+    if isinstance(error, OSError) and error.strerror and error.filename:
+        return f"{error.filename}: {error.strerror}"
+    if isinstance(error, (ValueError, OSError, ImportError)) and str(error):
+        return str(error)
+    return f"{type(error).__name__}: {error}"

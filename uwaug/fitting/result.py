@@ -1,0 +1,313 @@
+"""What fits return: numbers with their errors, in words, as a medium, as files and as pictures."""
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from torch import Tensor
+
+from uwaug._support import checks, codec
+from uwaug._support.atomic import require_regular, written_whole
+from uwaug._support.types import Array
+from uwaug.fitting.data import Geometry, Pictures
+from uwaug.fitting.model import COLOURS
+from uwaug.formation.image import form_image
+from uwaug.formation.underwater import Underwater
+from uwaug.optics.medium import Medium
+from uwaug.optics.water import Water
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+State = Literal["free", "at bound", "not identified", "fixed"]
+
+SHOWS = 0.002
+"""Of linear light, half of a step of 8 bits: what is less does not show in a picture. The default
+tolerance of media and blurs puts pictures .0007 off (RMS).
+"""
+
+_SURELY = 5.0  # standard errors of independent noise, that a mean of residuals is off by
+_DEPENDENT = 1.5  # design effect, above which neighbouring residuals depend on each other
+# Of the median distance and of the farthest: what a fit's module is planned for.
+_NEAREST, _FARTHEST = 0.2, 1.5
+_MOST_DIGITS = 12  # of the ends of an interval
+_MEANINGS = {
+    "veil": "of white, V(0)",
+    "source": "of white, G·V(0)",
+    "gain": "times the light of clean",
+    "exponent": "of σ over distance",
+    "contents": "times those of the type",
+}
+"""What a number is, by its kind, where its name and unit do not say so."""
+
+
+@codec.plain
+@dataclass(frozen=True)
+class Parameter:
+    """A number that a fit reports.
+
+    Attributes:
+        value: None if it is not identified.
+        error: standard error; None if there is none: not identified, fixed, or at a bound.
+        low, high: ends of the 95 % interval; None as the error, but at a bound known.
+        unit: "1/m", "m", "px" or "1".
+        state: "free"; "at bound": at the least or largest value that it may have; "not
+            identified": the pictures do not tell; "fixed": it was given.
+    """
+
+    value: float | None
+    error: float | None
+    low: float | None
+    high: float | None
+    unit: str
+    state: State
+
+
+@codec.plain
+@dataclass(frozen=True)
+class Candidate:
+    """A model, or a Jerlov type, that was tried.
+
+    Attributes:
+        name: of it.
+        numbers: how many were fitted.
+        error: root of the mean loss of pixels that it was not fitted to (of a type: that it was),
+            in standard deviations of the noise.
+        behind: how far the summed loss lies behind the best.
+        behind_error: standard error of that.
+        chosen: whether the fit is its.
+        values: of a type, what was fitted.
+    """
+
+    name: str
+    numbers: int
+    error: float
+    behind: float
+    behind_error: float
+    chosen: bool = False
+    values: Mapping[str, float] = field(default_factory=dict)
+
+
+@codec.plain
+@dataclass(frozen=True)
+class Remainder:
+    """What is left of the pixels at one distance.
+
+    Attributes:
+        distance: m.
+        mean: of observed − fitted, in linear light, of red, green and blue.
+        error: the standard error of each, if it were independent noise.
+    """
+
+    distance: float
+    mean: tuple[float, ...]
+    error: tuple[float, ...]
+
+
+@codec.plain
+@dataclass(frozen=True, eq=False, repr=False)
+class Fit:
+    """A water that was recovered from pictures, by `uwaug.fit`, `uwaug.fitting.fit_water` or
+    `uwaug.fitting.fit_veil`; or read by `load_fit`.
+
+    Attributes:
+        model: what was chosen: a name of `uwaug.fit`, a Jerlov type, or "darkest pixels".
+        parameters: each number by name: value, standard error, 95 % interval, unit, state.
+        covariance: of all of `parameters`, in their order; of no use where one is not identified.
+        medium: the water, exposure included, as `uwaug.Underwater` and `uwaug.form_image` take it:
+            a batch of one, float64. It makes the observed picture of the clean one.
+        geometry: distances [m] and size [px] of the pictures.
+        rms: of the residual, in linear light.
+        notes: in words: what was found, and what the pictures cannot tell.
+        candidates: what was tried.
+        remainder: what is left, by distance.
+        water: of `fit_water`, spectra with as much in them as was found, as
+            `uwaug.RandomUnderwater` takes them.
+        pictures: what was fitted; None if it was read from a file.
+    """
+
+    model: str
+    parameters: dict[str, Parameter]
+    covariance: Array
+    medium: Medium
+    geometry: Geometry
+    rms: float
+    notes: tuple[str, ...]
+    candidates: tuple[Candidate, ...] = ()
+    remainder: tuple[Remainder, ...] = ()
+    water: Water | None = None
+    pictures: Pictures | None = field(default=None, metadata={"stored": False})
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """The standard errors that are known, by name."""
+        rows = self.parameters.items()
+        return {name: number.error for name, number in rows if number.error is not None}
+
+    def module(self, sides: tuple[int, int] | None = None) -> Underwater:
+        """The water as a module for the distances that it was fitted to, and some more: from .2
+        times their median to 1.5 times the farthest.
+
+        Args:
+            sides: smallest and largest short side that it serves, px, as of `uwaug.Underwater`.
+        """
+        low, high = _NEAREST * self.geometry.reference, _FARTHEST * self.geometry.farthest
+        return Underwater(self.medium, (low, high), sides=sides)
+
+    def rendered(self) -> Tensor:
+        """The observed pictures (Bx3xHxW, linear light) as the water makes them.
+
+        Raises:
+            ValueError: if the fit was read from a file, or there was no clean picture.
+        """
+        if self.pictures is None or not self.pictures.clean.any():
+            raise ValueError("the fit has no clean pictures: fit them again to see these")
+        clean, z = self.pictures.clean.float(), self.pictures.z.float()
+        return form_image(clean.expand(len(z), -1, -1, -1), z, self.medium).image
+
+    def summary(self) -> str:
+        """The result as text: notes, parameters, candidates, what is left by distance."""
+        rows = [["", "value", "std. error", "95 % interval", "unit"]]
+        for name, number in self.parameters.items():
+            value = "not identified" if number.value is None else f"{number.value:.4g}"
+            error = "" if number.error is None else f"{number.error:.2g}"
+            rows.append([name, value, error, _interval(number), self._meaning(name)])
+        parts = [*self.notes, *_aligned(rows)]
+        if len(self.candidates) > 1:
+            # errors are in standard deviations of the noise, what lies behind in their squares
+            rows = [["  model", "numbers", "error [σ]", "behind the best [σ²]", ""]]
+            for tried in self.candidates:
+                mark = "*" if tried.chosen else " "
+                behind = f"{tried.behind:.4g} ± {tried.behind_error:.2g}"
+                values = ", ".join(f"{name} {x:.4g}" for name, x in tried.values.items())
+                row = [f"{mark} {tried.name}", str(tried.numbers), f"{tried.error:.4f}", behind]
+                rows.append([*row, values])
+            parts += _aligned(rows)
+        rows = [["observed − fitted", *COLOURS, "of linear light"]]
+        for left in self.remainder:
+            cells = [f"{m:+.4f} ± {e:.4f}" for m, e in zip(left.mean, left.error, strict=True)]
+            rows.append([f"at {left.distance:.3g} m", *cells, ""])
+        return "\n".join([*parts, *(_aligned(rows) if self.remainder else ())])
+
+    def __str__(self) -> str:
+        return self.summary()
+
+    def __repr__(self) -> str:
+        shown = [f"{name} = {x.value:.3g}" for name, x in self.parameters.items() if x.value]
+        return f"Fit({self.model!r}, {', '.join(shown[:3])}, …)"
+
+    def plot(self) -> "Figure":
+        """Draw the result: pictures, what is left by distance, curves; needs matplotlib."""
+        from uwaug.fitting.plot import plot
+
+        return plot(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Numbers and words, as JSON holds them. Pictures are not part of it."""
+        plain: dict[str, Any] = codec.to_plain(self)
+        return plain
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> "Fit":
+        """The inverse of `to_dict`, but for pictures.
+
+        Raises:
+            TypeError, ValueError: if it is something else.
+        """
+        fit: Fit = codec.from_plain(data, Fit)
+        checks.instance("data", fit, Fit)
+        return fit
+
+    @staticmethod
+    def of_plain(covariance: Any, **values: Any) -> "Fit":
+        """A fit of plain numbers, see `uwaug._support.codec`."""
+        return Fit(covariance=np.array(covariance), **values)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the result as JSON, whole or not at all; `uwaug.fitting.load_fit` reads it."""
+        with written_whole(path) as part:
+            part.write_text(json.dumps(self.to_dict(), indent=1) + "\n", encoding="utf-8")
+
+    def _meaning(self, name: str) -> str:
+        """Unit and meaning of a number, and its state where that is not plain."""
+        number, kind = self.parameters[name], name.partition("_")[0]
+        meaning = _MEANINGS.get(kind, "")
+        if kind == "width":
+            meaning = f"σ at {self.geometry.reference:.3g} m"
+        if kind == "beta" and self.model in ("haze", "veil"):
+            meaning = "of direct and forward light together"
+        unit = number.unit if number.unit != "1" or not meaning else ""
+        state = f"({number.state})" if number.state in ("at bound", "fixed") else ""
+        return "  ".join(filter(None, (unit, meaning, state)))
+
+
+def load_fit(path: str | os.PathLike[str]) -> Fit:
+    """Read a fit that `Fit.save` wrote.
+
+    Raises:
+        ValueError: if the file holds something else; names it.
+        OSError: if it cannot be read.
+    """
+    require_regular(path)
+    try:
+        return Fit.from_dict(json.loads(Path(path).read_text(encoding="utf-8")))
+    except (LookupError, RecursionError, TypeError, ValueError) as error:
+        raise ValueError(f"{path}: not a fit: {error}") from None
+
+
+def left_over(remainder: list[Remainder], design_effect: float, rms: float) -> list[str]:
+    """The one sentence on residuals that are not noise, if they are not: at one distance they are
+    off, or those of neighbouring pixels are alike.
+    """
+    worst, where = 0.0, ""
+    for row in remainder:
+        for colour, mean, error in zip(COLOURS, row.mean, row.error, strict=True):
+            if abs(mean) > max(SHOWS, _SURELY * error, worst):
+                worst, side = abs(mean), "brighter" if mean > 0 else "darker"
+                where = f"; {colour} is {worst:.2g} {side} than fitted at {row.distance:.3g} m"
+    alike = design_effect > _DEPENDENT and rms > SHOWS
+    if not where and not alike:
+        return []
+    causes = "distances, alignment, uneven light, or more than one rate for a colour"
+    return [
+        f"What is left is not noise: errors are {design_effect:.1f} times those of independent "
+        f"pixels{where}. The model misses something, such as {causes}: numbers may be off by more."
+    ]
+
+
+def unknown(parameters: Mapping[str, Parameter]) -> list[str]:
+    """The sentences on numbers that pictures do not tell, or that are at the end of their range."""
+    sentences = []
+    for state, words in (
+        ("not identified", "Not identified"),
+        ("at bound", "At the end of what they may be"),
+    ):
+        names = [name for name, number in parameters.items() if number.state == state]
+        if names:
+            sentences.append(f"{words}: {', '.join(names)}.")
+    return sentences
+
+
+def _interval(number: Parameter) -> str:
+    """Both ends, to as many digits as tell them apart."""
+    if number.low is None or number.high is None:
+        return ""
+    for digits in range(4, _MOST_DIGITS):
+        low, high = f"{number.low:.{digits}g}", f"{number.high:.{digits}g}"
+        if low != high:
+            break
+    return f"{low} … {high}"
+
+
+def _aligned(rows: list[list[str]]) -> list[str]:
+    """A table in lines, below an empty one: words to the left, numbers to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = [""]
+    for first, *numbers, last in rows:
+        cells = [cell.rjust(width) for cell, width in zip(numbers, widths[1:], strict=False)]
+        lines.append("  ".join(["", first.ljust(widths[0]), *cells, last]).rstrip())
+    return lines
