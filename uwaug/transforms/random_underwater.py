@@ -42,7 +42,7 @@ from uwaug.transforms.samples import (
 
 AnyWater = str | os.PathLike[str] | Water | Constituents | Medium
 
-CONTENTS = Constituents(chlorophyll=(0.5, 20.0), cdom=(0.1, 3.0), minerals=(0.05, 5.0))
+CONTENTS = Constituents(chlorophyll=(0.5, 20.0), cdom=(0.3, 3.0), minerals=(0.05, 5.0))
 """Coasts, lakes and harbours, green to yellow."""
 
 WATERS = ("IB", "II", "III", "1C", "3C", "5C", "7C", "9C", *[CONTENTS] * 8)
@@ -161,9 +161,9 @@ class RandomUnderwater(SampleTransform):
 
     waters: AnyWater | Iterable[AnyWater] | None = None
     _: KW_ONLY
-    contrast: Range | None = (0.1, 0.8)
+    contrast: Range | None = (0.1, 0.9)
     mixing: Range = 0.0
-    vertical_depth: Range = (0.0, 15.0)
+    vertical_depth: Range = (0.0, 10.0)
     g: Range = 0.05
     mu: Range | None = None
     point_spread: PointSpread | None = None
