@@ -44,7 +44,7 @@ from uwaug.transforms.samples import (
 
 AnyWater = str | os.PathLike[str] | Water | Constituents | Medium
 
-CONTENTS = Constituents(chlorophyll=(0.5, 20.0), cdom=(0.1, 3.0), minerals=(0.05, 5.0))
+CONTENTS = Constituents(chlorophyll=(0.5, 20.0), cdom=(0.3, 3.0), minerals=(0.05, 5.0))
 """Coasts, lakes and harbours, green to yellow."""
 
 WATERS = ("IB", "II", "III", "1C", "3C", "5C", "7C", "9C", *[CONTENTS] * 8)
@@ -164,7 +164,7 @@ class RandomUnderwater(SampleTransform):
     _: KW_ONLY
     contrast: Range | None = (0.1, 0.9)
     mixing: Range = 0.0
-    vertical_depth: Range = (0.0, 12.0)
+    vertical_depth: Range = (0.0, 10.0)
     g: Range = 0.05
     mu: Range | None = None
     point_spread: PointSpread | None = None
