@@ -20,6 +20,7 @@ from uwaug.formation.underwater import Underwater
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.scattering import Scattering
 from uwaug.optics.water import Water, load_water
 from uwaug.presets.files import preset_path
 
@@ -92,7 +93,9 @@ class Preset:
         """The preset as arguments of `uwaug.RandomUnderwater`; `development` as a dictionary of
         those of `uwaug.RandomDevelopment`.
         """
-        spectral = self.spectral or {"water": self.medium}
+        # what `Medium.from_water` takes where the file says nothing
+        constants = {"vertical_depth": 1.0, "g": Scattering.PAPER.g}
+        spectral = {**constants, **self.spectral} if self.spectral else {"water": self.medium}
         of_camera: dict[str, Any] = {"color_space": self.color_space, "color_matrix": None}
         if spectral.get("surfaces") == "spectral":
             of_camera["color_matrix"] = spectral.get("color_matrix", 1.0)
