@@ -146,7 +146,7 @@ class BandedWater(NamedTuple):
             return weights.sum(1).reshape(1, 3, 1, 1)
         rates, paths = (torch.stack(part) for part in zip(*legs, strict=True))
         # few pixels at a time, whose bands stay in the cache
-        parts = paths.flatten(1).split(_AT_ONCE, 1)
+        parts = torch.split(paths.flatten(1), _AT_ONCE, 1)
         sums = [weights @ torch.exp(-(rates.T @ part)) for part in parts]
         rows, _, height, width = paths.shape[1:]
         return torch.cat(sums, 1).reshape(3, rows, height, width).transpose(0, 1)
