@@ -178,7 +178,7 @@ def test_deep_and_turbid_waters_are_no_deeper_than_a_meter_makes_up_for() -> Non
 
 @pytest.mark.parametrize("kind", ["srgb", "linear"])
 def test_gradients_pass_to_image_and_distance(kind: Any) -> None:
-    # a blur is planned for the distances at hand, whose ends are not followed
+    # a blur is planned for the distances and the exposure at hand, which are not followed
     options: Any = {
         "waters": ["II", "5C"],
         "development": RandomDevelopment(color_space=kind),

@@ -384,9 +384,9 @@ class RandomUnderwater(SampleTransform):
         self, image: Tensor, pictures: Tensor, distance: Any, samples: list[Record]
     ) -> Tensor:
         """`transform` of samples that are known to be good; `pictures` are those of the image."""
+        maps, space = self._maps(pictures, distance), self.development.color_space
         if not any(sample["applied"] for sample in samples):
             return image
-        maps, space = self._maps(pictures, distance), self.development.color_space
         results = []
         for i, (picture, z, sample) in enumerate(zip(pictures, maps, samples, strict=True)):
             result = picture[None]
@@ -400,8 +400,8 @@ class RandomUnderwater(SampleTransform):
                         result, effective, medium, look, color_space=space, light=self.light
                     )
             results.append(result)
-        batch = torch.cat(results)
-        return typed(batch[0] if image.ndim == 3 else batch, type(image))
+        result = results[0][0] if image.ndim == 3 else torch.cat(results)
+        return typed(result, type(image))
 
     def _maps(self, pictures: Tensor, distance: Any) -> Sequence[Tensor | None]:
         """What each picture has for a map."""
