@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import torch
-from augmenting import OPTIONS
+from hypothesis import settings
 from threadpoolctl import threadpool_limits
 from torch import Tensor
 
@@ -21,6 +21,9 @@ pytest.register_assert_rewrite("referees.terms")  # before a test imports it
 sys.path.append(str(Path(__file__).parent.parent))
 # no test asks the network
 os.environ |= {"NO_ALBUMENTATIONS_UPDATE": "1", "HF_HUB_OFFLINE": "1"}
+# the same examples at every run, however long each takes
+settings.register_profile("uwaug", derandomize=True, deadline=None, max_examples=50)
+settings.load_profile("uwaug")
 if "PYTEST_XDIST_WORKER" in os.environ:
     # workers share the machine; what they start does, too
     torch.set_num_threads(1)
@@ -52,8 +55,10 @@ def motorcycle() -> Scene:
 
 
 @pytest.fixture
-def small(monkeypatch: pytest.MonkeyPatch) -> uwaug.presets.scene.Scene:
+def small(monkeypatch: pytest.MonkeyPatch) -> Any:
     """A scene of a few pixels in place of the motorcycle."""
+    import uwaug.presets.scene
+
     generator = torch.Generator().manual_seed(0)
     scene = uwaug.presets.scene.Scene(
         torch.rand(3, 20, 30, generator=generator),
@@ -105,9 +110,3 @@ def warnings_are_fresh(monkeypatch: pytest.MonkeyPatch) -> None:
     """
     monkeypatch.setattr(uwaug.distance.fill, "_warned", [])
     monkeypatch.setattr(uwaug.transforms.random_underwater, "_looks_left", [0])
-
-
-@pytest.fixture(scope="module", params=OPTIONS)
-def options(request: pytest.FixtureRequest) -> dict[str, Any]:
-    """Options of RandomUnderwater, for what has to hold with all of them."""
-    return OPTIONS[request.param]

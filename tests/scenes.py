@@ -7,11 +7,16 @@ import torch
 from referees import reference
 from torch import Tensor
 
+from uwaug.blur.stack import varying_blur
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
 
 LAW = PointSpread(1.2, 0.8)
+CURVES = ("transmission", "signal", "backscatter")
+# m; finer near 0, where curves bend
+Z = np.concatenate([[0.0], np.geomspace(1e-4, 1, 200), np.linspace(1, 20, 200)[1:]])
+SIZES = [(1, 1), (1, 9), (9, 1), (2, 3), (7, 5), (33, 31), (64, 48)]
 
 
 def rand(*shape: int, dtype: torch.dtype = torch.float64, seed: int = 0) -> Tensor:
@@ -54,22 +59,8 @@ def uniform(
     )
 
 
-def tracked(medium: Medium) -> Medium:
-    """The medium, with gradients."""
-    leaves = [t.clone().requires_grad_() for t in medium.tensors()]
-    return Medium(*leaves, medium.point_spread, medium.notes)
-
-
-def coastal(**kwargs: object) -> Medium:
-    return Medium.from_water(Water.jerlov("3C"), **{"point_spread": LAW, **kwargs})
-
-
-def per_image() -> Medium:
-    return coastal(point_spread=PointSpread(torch.tensor([1.5]), torch.tensor([0.6])))
-
-
-def from_coefficients(beta: tuple[float, ...] | Tensor, G: tuple[float, ...]) -> Medium:
-    return Medium.from_coefficients(beta, G, (0.1, 0.3, 0.4), b_mean=0.3, point_spread=LAW)
+def coastal(**options: object) -> Medium:
+    return Medium.from_water(Water.jerlov("3C"), **{"point_spread": LAW, **options})
 
 
 def two_waters() -> Medium:
@@ -84,13 +75,24 @@ def two_waters() -> Medium:
 
 MEDIA = {
     "water": coastal,
-    "clear": lambda: Medium.from_water(Water.jerlov("I")),
+    "spectral": lambda: coastal(surfaces="spectral"),
     "no blur": lambda: coastal(point_spread=PointSpread.none()),
-    "exponent per image": per_image,
-    "g = 1": lambda: coastal(g=1.0),
-    "no veil": lambda: coastal(mu=0.0),
-    "all bands": lambda: coastal(tolerance=0),
-    "coefficients": lambda: from_coefficients((0.6, 0.3, 0.25), (0.4, 0.1, 0.0)),
-    "float32": lambda: from_coefficients(torch.tensor([0.6, 0.3, 0.2]), (0.4, 0.1, 0.1)),
+    "coefficients": coefficients,
     "batch": two_waters,
 }
+
+
+def errors(medium: Medium, water: Water, z: np.ndarray = Z, **numbers: float) -> list[float]:
+    """How far each of a medium's curves is at most from the integral over the spectrum."""
+    exact = reference.spectral_curves(water, z, **numbers)
+    found = []
+    for name, curve in zip(CURVES, exact, strict=True):
+        ours = getattr(medium, name)(torch.from_numpy(z))[0].numpy()
+        found.append(float(np.abs(ours - curve).max()))
+    return found
+
+
+def constant(image: Tensor, sigma: float, **options: object) -> Tensor:
+    """Every pixel under the same width."""
+    widths = image.new_full((len(image), 1, *image.shape[-2:]), sigma)
+    return varying_blur(image, widths, **options)

@@ -30,7 +30,7 @@ from referees.transport import (
 from scipy.optimize import minimize
 
 from benchmarks.harness import ROOT, command, save, use_threads
-from uwaug.formation.model import form_image
+from uwaug.formation import form_image
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PAPER_SIZE, PointSpread
 

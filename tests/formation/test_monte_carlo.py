@@ -11,16 +11,12 @@ import numpy as np
 import pytest
 import torch
 
-from uwaug.formation.model import form_image
-from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread
+from uwaug import Medium, PointSpread, form_image
 
 G = 0.05  # goes with the calibrated law
 
 
-def errors(
-    law: Callable[[float], PointSpread], g: float, order: str = "line_of_sight"
-) -> list[float]:
+def errors(law: Callable[[float], PointSpread], g: float) -> list[float]:
     """RMSE of direct + forward light in six waters, the noise of the reference taken out."""
     with np.load(Path(__file__).parent.parent / "data" / "monte_carlo.npz") as data:
         texture = torch.from_numpy(data["J"].astype(np.float64))
@@ -33,15 +29,14 @@ def errors(
         distance = case["z"] * torch.sqrt(1 + (offset[:, None] / f) ** 2 + (offset / f) ** 2)[None]
         beta, scatter = (a + b,) * 3, (a + g * b,) * 3
         medium = Medium.from_coefficients(beta, scatter, (0,) * 3, b_mean=b, point_spread=law(f))
-        terms = form_image(texture.expand(3, -1, -1), distance, medium, order=order)
+        terms = form_image(texture.expand(3, -1, -1), distance, medium)
         error = (terms.direct + terms.forward)[0].numpy() - light
         found.append(float(np.sqrt((error**2).mean() - case["noise"] ** 2)))
     return found
 
 
-@pytest.mark.parametrize("order", ["line_of_sight", "source"])
-def test_the_calibrated_width_law(order: str) -> None:
-    found = errors(PointSpread.calibrated, G, order)
+def test_the_calibrated_width_law() -> None:
+    found = errors(PointSpread.calibrated, G)
     assert len(found) == 6
     assert np.mean(found) <= 0.0125, found
 
@@ -65,7 +60,7 @@ def test_what_the_blur_brings() -> None:
 
 
 # These pictures alone ask for 1.5 times the width (.0074): the law serves Petzold's waters as well,
-# which scatter into smaller angles. tests/test_physics.py holds it against both.
+# which scatter into smaller angles. test_physics.py holds it against both.
 @pytest.mark.parametrize("factor", [0.7, 2.5])
 def test_a_wider_or_narrower_law_is_worse(factor: float) -> None:
     def changed(focal_px: float) -> PointSpread:

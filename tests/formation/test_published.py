@@ -16,15 +16,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from uwaug.formation.model import form_image
-from uwaug.optics.camera import load_camera
-from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread
-from uwaug.optics.water import Water
+from uwaug import Camera, Medium, PointSpread, Water, form_image, load_camera
 
 CASES = ("survey_II", "survey_3C", "survey_9C", "reference_1C", "rgbcoeff_II")
 SPECTRAL = CASES[:4]
 WAVELENGTHS = np.arange(400.0, 701.0, 50.0)
+BANDS = np.arange(400.0, 701.0, 5.0)
 
 
 class Published(NamedTuple):
@@ -96,16 +93,12 @@ def test_veil_and_coefficients_from_water(name: str, tolerance: float) -> None:
     case = load(name)
     p = case.parameters
     water = Water(WAVELENGTHS, p["a"], p["b"], p["Kd"])
-    kwargs = {
-        "g": p["g"],
-        "mu": p["mu"],
-        "wavelengths": WAVELENGTHS,
-        "tolerance": tolerance,
-        "point_spread": PointSpread.none(),
-    }
-    medium = Medium.from_water(water, p["camera"], vertical_depth=p["vertical_depth_m"], **kwargs)
+    # of the 61 bands, the camera sees those seven
+    seen = np.isin(BANDS, WAVELENGTHS)[:, None] * load_camera(p["camera"]).at(BANDS)
+    options = {"g": p["g"], "mu": p["mu"], "tolerance": tolerance, "camera": Camera(BANDS, seen)}
+    medium = Medium.from_water(water, vertical_depth=p["vertical_depth_m"], **options)
     veil = form_image(case.image, case.veil_distance, medium).backscatter
-    surface = Medium.from_water(water, p["camera"], vertical_depth=0.0, **kwargs)
+    surface = Medium.from_water(water, vertical_depth=0.0, **options)
     ours, theirs = surface.transmission(case.distance)[0], torch.exp(-case.beta * case.distance)
     bound = max(1e-5, tolerance)
     torch.testing.assert_close(veil, case.backscatter, rtol=0, atol=bound)
@@ -116,7 +109,7 @@ def test_the_field_is_told_apart() -> None:
     # where conventions differ the figures do, or the tests above would prove little
     case = load("survey_II")
     lit = case.image * light(case)
-    ours = form_image(case.image, case.distance, case.medium, case.field)
+    ours = form_image(case.image, case.distance * case.field, case.medium)
     kept = case.medium.transmission(case.distance * case.field)[0] / light(case)
     assert (ours.direct - case.direct).abs().max() > 1e-4
     assert (ours.direct - lit * kept).abs().max() < 1e-12

@@ -55,13 +55,11 @@ class Law(NamedTuple):
 
 
 def terms(
-    J: np.ndarray, z: np.ndarray, water: Water, law: Law, order: str
+    J: np.ndarray, z: np.ndarray, water: Water, law: Law
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Direct, forward and backscatter of a picture (3, H, W) at distances (H, W), finite."""
     direct, scatter, veil = water.at(z)
     sigma = law.scale * water.lengths(z) ** law.exponent
-    if order == "source":
-        return direct * J, blurred(scatter * J, sigma, law.shape), veil
     return direct * J, scatter * blurred(J, sigma, law.shape), veil
 
 

@@ -15,10 +15,9 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 class Camera:
     """The numbers of a development; see `uwaug.Development`."""
 
-    compensation: float = 0.0
+    exposure: float = 0.0
     white_balance: float = 0.0
     saturation: float = 1.0
-    black_point: float = 0.0
     gamut: float = 0.0
     tone: float = 1.0
 
@@ -27,12 +26,9 @@ class Camera:
 
         looks (N): flat indices of the pixels at which it measures.
         """
-        light = 2**self.compensation * balanced(light, looks, self.white_balance)
+        light = 2**self.exposure * balanced(light, looks, self.white_balance)
         luminance = np.tensordot(LUMINANCE, light, 1)
         light = luminance + self.saturation * (light - luminance)
-        darkest = np.sort(np.tensordot(LUMINANCE, light, 1).reshape(-1)[looks])
-        black = self.black_point * min(max(darkest[max(1, len(looks) // 100) - 1], 0.0), 0.9)
-        light = (light - black) / (1 - black)
         return curved(compressed(light, self.gamut), self.tone)
 
 

@@ -194,16 +194,12 @@ def terms(
     z: np.ndarray,
     curves: Curves,
     sigma: np.ndarray,
-    order: str = "line_of_sight",
     shape: str = "gaussian",
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Direct, forward and backscatter of one image (3, H, W)."""
     share = curves.signal - curves.direct
     blur = varying_exponential if shape == "exponential" else varying_gaussian
-    if order == "source":
-        scattered = blur(passed(share, J), sigma).reshape(J.shape)
-    else:
-        scattered = passed(share, blur(J, sigma).reshape(J.shape))
+    scattered = passed(share, blur(J, sigma).reshape(J.shape))
     return passed(curves.direct, J), scattered, curves.veil
 
 

@@ -16,6 +16,9 @@ Part = Literal["rates", "veil", "width"]
 _LEAST = 1e-6
 """Where learning starts from 0: a smaller number would hardly learn."""
 
+_SLOWEST = 1e-9
+"""1/m, of G: the gradient of V(0) = slope/G has no end as G falls to 0."""
+
 
 class FixedMedium(nn.Module):
     """A medium whose tensors are buffers: it moves and is saved with a module."""
@@ -87,6 +90,7 @@ class LearnableMedium(nn.Module):
             F.softplus(getattr(self, f"raw_{name}"))
             for name in ("G", "excess", "veil_slope", "scale")
         )
+        G = G + _SLOWEST
         beta, veil = G + excess, torch.diag_embed(slopes / G)
         if "rates" not in self.learned:
             beta, G = self.start.beta.to(beta), self.start.G.to(beta)

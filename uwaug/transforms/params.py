@@ -37,8 +37,8 @@ class RandomDevelopment:
     exposure: Range = (-1.8, 0.6)
     metered: bool = True
     white_balance: Range = (-0.5, 1.0)
-    saturation: Range = (0.7, 1.3)
-    gamut: Range = (0.5, 1.0)
+    saturation: Range = (0.7, 1.4)
+    gamut: Range = (0.7, 1.0)
     tone: Range = (0.9, 1.8)
     color_space: ColorSpace = "srgb"
 

@@ -4,7 +4,7 @@ import math
 import os
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, asdict, dataclass
 from dataclasses import field as option
 from functools import lru_cache
 from typing import Any
@@ -16,8 +16,9 @@ from uwaug._support import checks, codec
 from uwaug._support.ranges import Range, as_range
 from uwaug.distance.sources import Metres, Plane, Source
 from uwaug.formation.colour import require_values
+from uwaug.fitting.result import load_fit
 from uwaug.formation.contrast import FAINT, contrast_left
-from uwaug.formation.development import metering_points
+from uwaug.formation.development import NEUTRAL, metering_points
 from uwaug.formation.field import random_field
 from uwaug.formation.image import form
 from uwaug.light import Light
@@ -27,7 +28,6 @@ from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.reduction import default_bands
-from uwaug.optics.scattering import Scattering
 from uwaug.optics.water import Water, load_water
 from uwaug.presets.preset import load_preset
 from uwaug.transforms.params import RandomDevelopment, Record, checked, samples_of
@@ -44,7 +44,7 @@ from uwaug.transforms.samples import (
 
 AnyWater = str | os.PathLike[str] | Water | Constituents | Medium
 
-CONTENTS = Constituents(chlorophyll=(0.5, 20.0), cdom=(0.1, 3.0), minerals=(0.05, 5.0))
+CONTENTS = Constituents(chlorophyll=(0.5, 20.0), cdom=(0.3, 3.0), minerals=(0.05, 5.0))
 """Coasts, lakes and harbours, green to yellow."""
 
 WATERS = ("IB", "II", "III", "1C", "3C", "5C", "7C", "9C", *[CONTENTS] * 8)
@@ -164,7 +164,7 @@ class RandomUnderwater(SampleTransform):
     _: KW_ONLY
     contrast: Range | None = (0.1, 0.9)
     mixing: Range = 0.0
-    vertical_depth: Range = (0.0, 12.0)
+    vertical_depth: Range = (0.0, 10.0)
     g: Range = 0.05
     mu: Range | None = None
     point_spread: PointSpread | None = None
@@ -231,28 +231,20 @@ class RandomUnderwater(SampleTransform):
         water: str | os.PathLike[str] | Water | None = None,
         **options: Any,
     ) -> "RandomUnderwater":
-        """A preset's water, camera, constants, width law, field and development.
+        """A preset's water, camera, constants, width law, field and development; or the medium of
+        a fit, as it is.
 
         Args:
-            name_or_path, water: as for `uwaug.load_preset`.
+            name_or_path, water: as for `uwaug.load_preset`; or the JSON file of a `uwaug.fitting.Fit`.
             options: any argument of the class, in place of the preset's.
         """
-        preset = load_preset(name_or_path, water=water)
-        look, constants = preset.development, preset.spectral or {}
-        grey = constants.get("surfaces", "grey") == "grey"
-        development = RandomDevelopment(
-            color_matrix=None if grey else constants.get("color_matrix", 1.0),
-            exposure=look.stops,
-            metered=look.metered,
-            white_balance=look.white_balance,
-            saturation=look.saturation,
-            gamut=look.gamut,
-            tone=look.tone,
-            color_space=preset.color_space,
-        )
-        # what `Medium.from_water` takes where the file says nothing
-        unsaid = {"development": development, "vertical_depth": 1.0, "g": Scattering.PAPER.g}
-        return cls(**{**unsaid, **preset.options(), **options})
+        if str(name_or_path).endswith(".json"):
+            neutral = {"color_matrix": None, **asdict(NEUTRAL)}
+            figures = {"waters": load_fit(name_or_path).medium, "field": None}
+        else:
+            figures = load_preset(name_or_path, water=water).options()
+            neutral = figures.pop("development")
+        return cls(**{**figures, "development": RandomDevelopment(**neutral), **options})
 
     def to_dict(self) -> dict[str, Any]:
         """The options that differ from the defaults, in numbers, strings, lists and dicts, as JSON,

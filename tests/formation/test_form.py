@@ -1,0 +1,202 @@
+"""Image formation against the equations: terms, their sum, batches, width laws."""
+
+import itertools
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from referees import reference
+from referees.terms import check
+from scenes import LAW, coefficients, distances, picture, rand, stepped
+from torch import Tensor
+
+from uwaug import Development, Medium, PointSpread, Underwater, Water, form_image
+from uwaug.formation.image import form
+
+
+@pytest.mark.parametrize(
+    "water, depth, g, mu",
+    [("I", 1.0, 0.2, 0.3), ("3C", 5.0, 0.0, 0.3), ("9C", 0.0, 0.5, 1.0)],
+)
+def test_the_three_terms_from_spectra(water: str, depth: float, g: float, mu: float) -> None:
+    image = torch.from_numpy(reference.picture(40, 52))[None]
+    z = stepped(1, 1, 40, 52) * (0.7 + 0.6 * rand(1, 1, 40, 52))
+    numbers = {"g": g, "mu": mu}
+    options = {"vertical_depth": depth, "point_spread": PointSpread(2.5, 0.6), **numbers}
+    path = z[0, 0].numpy()
+    curves = reference.spectral_curves(Water.jerlov(water), path, depth=depth, **numbers)
+    sigma = 2.5 * (float(Medium.from_water(water, **options).b_mean) * path) ** 0.6
+    direct, forward, veil = reference.terms(image[0].numpy(), path, curves, sigma)
+    for tolerance, bound in ((0, 1e-12), (0.002, 0.002)):
+        terms = form_image(image, z, Medium.from_water(water, tolerance=tolerance, **options))
+        assert np.abs(terms.direct[0].numpy() - direct).max() <= bound
+        assert np.abs(terms.backscatter[0].numpy() - veil).max() <= bound
+        assert reference.psnr(terms.forward[0], forward) >= 54
+
+
+@pytest.mark.parametrize("surfaces", ["grey", "spectral"])
+@pytest.mark.parametrize("nearest", [0.0, 0.5])
+def test_parts_add_up_to_the_image(surfaces: Any, nearest: float) -> None:
+    medium = Medium.from_water("7C", surfaces=surfaces, point_spread=PointSpread(2.0))
+    J, soft, z = rand(2, 3, 20, 30), rand(2, 3, 20, 30, seed=1), nearest + stepped(2, 1, 20, 30)
+    z[0, 0, 0, 0] = nearest
+    parts = medium.parts(z, J, soft)
+    torch.testing.assert_close(sum(parts), medium.image(z, J, soft), rtol=0, atol=1e-14)
+    terms = form_image(J, z, medium)
+    torch.testing.assert_close(sum(terms), terms.image, rtol=0, atol=1e-14)
+    assert min(float(part.abs().max()) for part in terms) > 0.01
+    module = Underwater(medium, None, color_space="linear")
+    torch.testing.assert_close(module(J, z), terms.image, rtol=0, atol=1e-12)
+
+
+def with_a_glow(image: Any) -> Any:
+    """`Medium.image` with one more term."""
+
+    def glowing(medium: Medium, z: Tensor, J: Tensor, soft: Tensor) -> Tensor:
+        return image(medium, z, J, soft) + 0.05 * -torch.expm1(-z)
+
+    return glowing
+
+
+DEVELOPED = Development(exposure=1.0, saturation=1.2, gamut=0.5)
+DEVELOPED_SPECTRAL = Underwater(
+    Medium.from_water("II", surfaces="spectral"), None, development=DEVELOPED
+)
+GLOWING = {
+    "grey": Underwater(coefficients(), None),
+    "spectral, developed": DEVELOPED_SPECTRAL,
+    "terms": lambda image, z: form_image(image, z, coefficients()).image,
+}
+
+
+@pytest.mark.parametrize("way", GLOWING)
+def test_a_term_that_is_added_shows(way: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("UWAUG_FAST", "0")
+    image, z = 0.5 * picture(), distances()
+    before = GLOWING[way](image, z)
+    monkeypatch.setattr(Medium, "image", with_a_glow(Medium.image))
+    brighter = GLOWING[way](image, z) - before
+    assert brighter.mean() > 0.03
+
+
+BATCHES = [(1, 1, 1), (3, 1, 1), (3, 3, 1), (3, 3, 3), (1, 1, 3), (1, 3, 1), (3, 1, 3)]
+
+
+@pytest.mark.parametrize("batch", BATCHES, ids=str)
+def test_batches_broadcast(batch: tuple[int, int, int]) -> None:
+    images, maps, media = batch
+    image = torch.from_numpy(np.stack([reference.picture(20, 36, seed) for seed in range(images)]))
+    z = stepped(maps, 1, 20, 36)
+    medium = Medium.stack([coefficients(seed) for seed in range(media)])
+    terms = form_image(image, z, medium)
+    assert terms.image.shape == (max(batch), 3, 20, 36)
+    check(terms, image, z, medium)
+
+
+def test_one_image_without_a_batch() -> None:
+    image, z, medium = rand(3, 9, 12), stepped(1, 1, 9, 12)[0], coefficients()
+    terms = form_image(image, z, medium)
+    assert terms.image.shape == (3, 9, 12)
+    assert torch.equal(form_image(image[None], z[None], medium).image[0], terms.image)
+    assert form_image(image, z, Medium.stack([medium] * 4)).image.shape == (4, 3, 9, 12)
+    assert form_image(image, z.expand(2, 1, 9, 12), medium).image.shape == (2, 3, 9, 12)
+
+
+LAWS = {
+    "of each image": (
+        PointSpread(torch.tensor([0.5]), 0.5),
+        PointSpread(torch.tensor([3.0]), torch.tensor([1.0])),
+        PointSpread(0.0),
+    ),
+    "in pixels": (PointSpread(2.0, 0.5),),
+    "for 10 px": (PointSpread(2.0, 0.5, reference_size=10.0),),
+    "for 400 px": (PointSpread(2.0, 0.5, reference_size=400.0),),
+    "focal lengths": [PointSpread.calibrated(focal_px) for focal_px in (20.0, 55.0, 300.0)],
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_width_laws(name: str) -> None:
+    medium = Medium.stack([coefficients(3, law) for law in LAWS[name]])
+    image, z = torch.from_numpy(reference.picture(28, 44))[None], stepped(1, 1, 28, 44)
+    check(form_image(image, z, medium), image, z, medium)
+
+
+@pytest.mark.parametrize("law", [PointSpread.none(), LAW, PointSpread.calibrated(400.0)], ids=str)
+def test_what_arrives_of_a_white_wall_is_the_signal(law: PointSpread) -> None:
+    medium, image = coefficients(3, law), torch.full((1, 3, 40, 30), 0.8).double()
+    z = stepped(1, 1, 40, 30)
+    terms = form_image(image, z, medium)
+    arrives = terms.direct + terms.forward
+    torch.testing.assert_close(arrives, 0.8 * medium.signal(z), rtol=0, atol=1e-7)
+
+
+def test_one_pixel_of_open_water_does_not_spoil_the_others() -> None:
+    # its distance stretches the range that the blur is planned for
+    image, z = torch.from_numpy(reference.picture(24, 24))[None], 4 + 8 * rand(1, 1, 24, 24)
+    z[..., 0, 0] = math.inf
+    laws = PointSpread.calibrated(35.0), PointSpread(2.0, 1.0)
+    for law, water in itertools.product(laws, ("I", "9C")):
+        medium = Medium.from_water(water, vertical_depth=0.0, point_spread=law)
+        terms = form_image(image, z, medium)
+        check(terms, image, z, medium)
+        veil = medium.veil_weights.sum(-1)[0]
+        torch.testing.assert_close(terms.image[0, :, 0, 0], veil, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("tolerance", [0.02, 0.002, 0.0002])
+def test_every_tolerance_is_kept(tolerance: float) -> None:
+    # a channel that hardly fades scatters for a kilometre, the others for metres
+    beta, G, law = (0.5, 0.9, 7.0), (0.004, 0.02, 0.024), PointSpread(1.3, 1.14)
+    clear = Medium.from_coefficients(beta, G, (0.3,) * 3, b_mean=0.32, point_spread=law)
+    image = torch.from_numpy(reference.picture(60, 30))[None]
+    for medium in (clear, coefficients(law=PointSpread(3.0, 1.0))):
+        for far in (1.0, math.inf):
+            z = stepped(1, 1, 60, 30)
+            z[..., -1, :] *= far
+            check(form_image(image, z, medium, tolerance=tolerance), image, z, medium, tolerance)
+
+
+@pytest.mark.parametrize("dtype, precision", [(torch.float32, 3e-5), (torch.float64, 1e-12)])
+def test_the_veil_is_as_precise_near_as_far(dtype: torch.dtype, precision: float) -> None:
+    # either side of where 1 − e^−x begins to cancel, a near and a far sample
+    media = Medium.stack([coefficients(3), coefficients(4)]).to(dtype)
+    image, slowest = torch.rand(2, 3, 5, 7, dtype=dtype), float(media.G.min())
+    for near in (1e-6, 0.9 / 256, 1.1 / 256, 0.3):
+        z = torch.full((2, 1, 5, 7), near / slowest, dtype=dtype)
+        z[1] = 5.0
+        veil = form_image(image, z, media).backscatter.double().numpy()
+        for n in range(2):
+            wanted = reference.medium_curves(media, z[n, 0].double().numpy(), n).veil
+            np.testing.assert_allclose(veil[n], wanted, rtol=precision)
+
+
+# ---- gradients
+
+
+@pytest.mark.parametrize("space", ["linear", "srgb"])
+def test_gradients_of_image_distance_and_coefficients(space: Any) -> None:
+    image, z = 0.1 + 0.8 * rand(1, 3, 4, 5), 0.5 + 3 * rand(1, 1, 4, 5, seed=1)
+    given = [t.clone() for t in coefficients().tensors()]
+    law = [torch.tensor([1.2]).double(), torch.tensor([0.8]).double()]
+    leaves = [leaf.requires_grad_() for leaf in (image, z, *given, *law)]
+    medium = Medium.of_tensors(given, PointSpread(*law))
+    plan = Underwater(medium, (0.4, 4.0), tolerance=0.02).plan((4, 5))
+
+    def formed(image: Tensor, z: Tensor, *tensors: Tensor) -> Tensor:
+        medium = Medium.of_tensors(tensors[:-2], PointSpread(*tensors[-2:]))
+        return form(image, z, medium, DEVELOPED, color_space=space, plan=plan)
+
+    # weights that are 0 stay, as a sum of exponentials of one channel has no others
+    assert torch.autograd.gradcheck(formed, leaves, atol=1e-5)
+
+
+def test_gradients_pass_surfaces_with_spectra() -> None:
+    medium = Medium.from_water("3C", surfaces="spectral", point_spread=LAW)
+    image, z = rand(1, 3, 4, 5).requires_grad_(), stepped(1, 1, 4, 5).requires_grad_()
+    plan = Underwater(medium, (0.1, 8.0), tolerance=0.02).plan((4, 5))
+    assert torch.autograd.gradcheck(
+        lambda image, z: form(image, z, medium, color_space="linear", plan=plan), (image, z)
+    )
