@@ -16,7 +16,6 @@ from uwaug._support import checks, codec
 from uwaug._support.ranges import Range, as_range
 from uwaug.distance.sources import Metres, Plane, Source
 from uwaug.formation.colour import require_values
-from uwaug.fitting.result import load_fit
 from uwaug.formation.contrast import FAINT, contrast_left
 from uwaug.formation.development import NEUTRAL, metering_points
 from uwaug.formation.field import random_field
@@ -235,10 +234,14 @@ class RandomUnderwater(SampleTransform):
         a fit, as it is.
 
         Args:
-            name_or_path, water: as for `uwaug.load_preset`; or the JSON file of a `uwaug.fitting.Fit`.
+            name_or_path, water: as for `uwaug.load_preset`; or the path of a fit's JSON file.
             options: any argument of the class, in place of the preset's.
         """
+        figures: dict[str, Any]
         if str(name_or_path).endswith(".json"):
+            # fits load scipy.optimize, which a DataLoader worker can do without
+            from uwaug.fitting.result import load_fit
+
             neutral = {"color_matrix": None, **asdict(NEUTRAL)}
             figures = {"waters": load_fit(name_or_path).medium, "field": None}
         else:
