@@ -27,6 +27,8 @@ from torch import Tensor
 import uwaug
 from uwaug import (
     Constituents,
+    Lamp,
+    Light,
     Medium,
     PointSpread,
     RandomDevelopment,
@@ -413,3 +415,15 @@ def test_a_network_in_place_of_maps() -> None:
     assert same(aug.transform(picture(2), None, record), expected)
     inputs = picture(2, torch.uint8), "label", "other"
     assert aug(*inputs)[1:] == inputs[1:]
+
+
+def test_lamps_shine_at_any_depth() -> None:
+    lamps = Light((Lamp((0.3, -0.2, 0.0), power=4.0),))
+    options: Any = {"vertical_depth": 200.0, "contrast": None, "development": RAW, "waters": "II"}
+    scene = picture(), 1 + distances()
+    assert RandomUnderwater(**options)(*scene)[0].max() < 0.01
+    aug = RandomUnderwater(**options, light=lamps)
+    assert aug(*scene)[0].mean() > 0.1
+    left = aug.contrast_left(*scene, aug.make_params(picture()))
+    assert 0.1 < left.median() < 0.9
+    assert RandomUnderwater.from_dict(aug.to_dict()).light == lamps
