@@ -15,8 +15,8 @@ from torch import Tensor
 from uwaug._support import checks, codec
 from uwaug._support.ranges import Range, as_range
 from uwaug.distance.sources import Metres, Plane, Source
-from uwaug.formation.colour import require_values
 from uwaug.fitting.result import load_fit
+from uwaug.formation.colour import require_values
 from uwaug.formation.contrast import FAINT, contrast_left
 from uwaug.formation.development import NEUTRAL, metering_points
 from uwaug.formation.field import random_field
@@ -235,12 +235,12 @@ class RandomUnderwater(SampleTransform):
         a fit, as it is.
 
         Args:
-            name_or_path, water: as for `uwaug.load_preset`; or the JSON file of a `uwaug.fitting.Fit`.
+            name_or_path, water: as for `uwaug.load_preset`; or the JSON file of a fit.
             options: any argument of the class, in place of the preset's.
         """
         if str(name_or_path).endswith(".json"):
             neutral = {"color_matrix": None, **asdict(NEUTRAL)}
-            figures = {"waters": load_fit(name_or_path).medium, "field": None}
+            figures: dict[str, Any] = {"waters": load_fit(name_or_path).medium, "field": None}
         else:
             figures = load_preset(name_or_path, water=water).options()
             neutral = figures.pop("development")
