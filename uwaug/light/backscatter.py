@@ -61,7 +61,9 @@ class Cone(NamedTuple):
 
     def ends(self) -> tuple[Tensor, Tensor]:
         """The angles θ between which each ray is lit; of a ray that is not, twice the same."""
-        size = torch.hypot(self.across, self.along).clamp(min=_SMALLEST)
+        # ONNX has no hypot
+        squared = self.across.square() + self.along.square()
+        size = squared.clamp(min=_SMALLEST**2).sqrt()
         half = torch.acos((self.outer / size).clamp(max=1.0))
         middle = torch.atan2(self.along, self.across)
         return middle - half, middle + half

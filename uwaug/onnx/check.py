@@ -78,6 +78,8 @@ def check_onnx(
         raise ValueError(f"{path}: onnx.checker refuses it: {first}") from error
     if module is None:
         module = module_of(path, metadata)
+        if module.light is not None:
+            raise ValueError(f"{path}: holds lamps, but not all of their water: give the module")
     takes_coefficients = metadata["uwaug_coefficients"] == "inputs"
     media = [module.medium[i] for i in range(len(module.medium))]
     if takes_coefficients:
