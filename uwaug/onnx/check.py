@@ -53,9 +53,9 @@ def check_onnx(
     """Check an exported file against the module it came from.
 
     `onnx.checker`, then ONNX Runtime with optimisations off and on against float64 eager with the
-    same plan: batches of 1, 2 and 5, odd, even and smallest sizes and a large one; constant, random,
-    zero, far and infinite distances. A file that takes coefficients is given media of other numbers
-    of rates, and one per image.
+    same plan: batches of 1, 2 and 5, odd, even and smallest sizes and a large one; constant,
+    random, zero, far and infinite distances. A file that takes coefficients is given media of other
+    numbers of rates, and one per image.
 
     Args:
         path: the file.
