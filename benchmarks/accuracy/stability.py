@@ -38,6 +38,7 @@ from benchmarks.figures import matrix_chart
 from benchmarks.harness import ROOT, command, save
 from uwaug._support.atomic import written_whole
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
+from uwaug.optics.curves import FARTHEST
 
 TOLERANCE = 0.002
 SLACK = 0.1  # of a gradient's norm
@@ -49,14 +50,17 @@ Matrix = dict[str, dict[str, Verdicts]]  # of each condition and method
 
 
 def ours(case: Case) -> Tensor:
-    """Uwaug as it comes: `Underwater` where no gradients are wanted, else `form_image`."""
+    """Uwaug as it comes; in linear light where gradients are wanted: what is clipped has none."""
     medium = _medium(case)
     if not torch.is_grad_enabled():
         color_space = "srgb" if case.srgb else "linear"
         degrade = uwaug.Underwater(medium, (0.0, math.inf), color_space=color_space)
         return degrade(case.image, case.distance, case.field)
     image = srgb_to_linear(case.image) if case.srgb else case.image
-    result = uwaug.form_image(image, case.distance * case.field, medium).image
+    # +∞ times a field has no gradient
+    farthest = min(FARTHEST, torch.finfo(case.dtype).max)
+    path = case.distance.clamp(max=farthest) * case.field
+    result = uwaug.form_image(image, path, medium).image
     return linear_to_srgb(result) if case.srgb else result
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 from referees import blur as referee
-
 from uwaug.formation.model import form_image
+
 from uwaug.optics.camera import Camera
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread

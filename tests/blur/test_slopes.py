@@ -10,11 +10,11 @@ import torch
 from referees import reference
 from scipy.fft import dctn, idct
 from torch import Tensor
+from uwaug.formation.model import form_image
 
 from uwaug._support.types import Shape
 from uwaug.blur.plan import NO_BLUR
 from uwaug.formation.demand import blur_demand
-from uwaug.formation.model import form_image
 from uwaug.formation.underwater import Underwater
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread

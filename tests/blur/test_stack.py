@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from referees import reference
 from scenes import rand
+from uwaug.formation.model import form_image
 
 from uwaug.blur.plan import plan_blur
 from uwaug.blur.stack import varying_blur
-from uwaug.formation.model import form_image
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 

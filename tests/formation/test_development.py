@@ -36,7 +36,9 @@ MEDIA = {
 WEIGHTS = torch.from_numpy(referee.LUMINANCE).reshape(3, 1, 1)
 
 
-def developed(medium: Medium, image: Tensor, z: Tensor, space: Any = "linear", **stages: Any) -> Any:
+def developed(
+    medium: Medium, image: Tensor, z: Tensor, space: Any = "linear", **stages: Any
+) -> Any:
     return Underwater(medium, color_space=space, development=Development(**stages))(image, z)
 
 

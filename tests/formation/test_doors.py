@@ -16,7 +16,11 @@ THREE = Medium.stack([coefficients()] * 3)
 
 SCENES: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"image": IMAGE.numpy()}, TypeError, "image must be a floating-point tensor, got ndarray"),
-    ({"image": (255 * IMAGE).int()}, TypeError, "image must be a floating-point tensor, got torch.int32"),
+    (
+        {"image": (255 * IMAGE).int()},
+        TypeError,
+        "image must be a floating-point tensor, got torch.int32",
+    ),
     ({"image": IMAGE[0, 0]}, ValueError, r"image must have shape .*\.expand\(3, -1, -1\)"),
     ({"image": IMAGE[:, :1]}, ValueError, r"image must .*: repeat grey with image\.expand"),
     ({"image": torch.rand(4, 6, 8)}, ValueError, r"drop alpha with image\[:3\]"),

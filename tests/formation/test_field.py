@@ -1,9 +1,10 @@
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from uwaug.formation.field import field_from_noise, gaussian_random_field
@@ -94,19 +95,6 @@ def test_the_same_seed_gives_the_same_field_at_any_resolution(sizes) -> None:
     assert (small - pooled).abs().max() < 0.02
 
 
-@pytest.mark.parametrize("exponent", [3.5, 4.0, 5.0])
-def test_omitted_detail_is_below_the_stated_tolerance(exponent) -> None:
-    options = {"exponent": exponent, "low": 0.0, "high": 1.0}
-    drawn = gaussian_random_field((8, 128, 128), **options, generator=seeded())
-    longest = {3.5: 114, 4.0: 32, 5.0: 9}[exponent]
-    noise = torch.randn(8, 2 * longest + 1, 2 * longest + 1, generator=seeded())
-    torch.testing.assert_close(field_from_noise(noise, (128, 128), **options), drawn)
-    full = torch.randn(8, 257, 257, generator=seeded(1))
-    full[:, : 2 * longest + 1, : 2 * longest + 1] = noise
-    exact = field_from_noise(full, (128, 128), **options)
-    assert (drawn - exact).square().mean().sqrt() < 0.012
-
-
 def test_mean_over_draws_is_the_middle() -> None:
     fields = gaussian_random_field((2000, 16, 16), low=0.0, high=1.0, generator=seeded())
     means = fields.mean((1, 2, 3))
@@ -132,19 +120,11 @@ def test_randomness_comes_from_the_generator_or_the_global_one() -> None:
     assert torch.equal(state, torch.random.get_rng_state())
 
 
-def test_shapes() -> None:
-    expected = gaussian_random_field((1, 1, 20, 30), generator=seeded())
-    for shape in ((20, 30), (1, 20, 30), torch.Size([1, 1, 20, 30]), [20, 30]):
-        assert torch.equal(gaussian_random_field(shape, generator=seeded()), expected)
-    assert gaussian_random_field((0, 1, 20, 30)).shape == (0, 1, 20, 30)
-
-
 SIDES = st.integers(1, 40)
 EXPONENTS = st.sampled_from([0.0, 1.5, 2.001, 4.0, 30.0])
 
 
 @given(SIDES, SIDES, EXPONENTS, st.integers(0, 99))
-@settings(max_examples=60, deadline=None)
 def test_reaches_and_never_leaves_its_range(height, width, exponent, seed) -> None:
     field = gaussian_random_field(
         (2, height, width), exponent=exponent, low=0.3, high=1.7, generator=seeded(seed)
@@ -157,31 +137,6 @@ def test_reaches_and_never_leaves_its_range(height, width, exponent, seed) -> No
         torch.testing.assert_close(field.amax((1, 2, 3)), torch.full((2,), 1.7))
 
 
-def test_degenerate_fields() -> None:
-    pixels = gaussian_random_field((3, 1, 1), low=0.5, high=1.5)
-    constant = gaussian_random_field((8, 9), low=1.25, high=1.25)
-    zero = gaussian_random_field((8, 9), low=0.0, high=0.0)
-    assert torch.equal(pixels, torch.ones(3, 1, 1, 1))
-    assert torch.equal(constant, torch.full((1, 1, 8, 9), 1.25))
-    assert torch.equal(zero, torch.zeros(1, 1, 8, 9))
-
-
-def test_dtypes_and_autocast() -> None:
-    a = gaussian_random_field((24, 24), generator=seeded(), dtype=torch.float64)
-    assert a.dtype == torch.float64
-    single = gaussian_random_field((24, 24), generator=seeded())
-    torch.testing.assert_close(single.double(), a, rtol=0, atol=1e-5)
-    for dtype in (torch.float16, torch.bfloat16):
-        noise = torch.randn(1, 33, 33, generator=seeded()).to(dtype)
-        half = field_from_noise(noise, (24, 24))
-        assert half.dtype == dtype
-        assert torch.equal(half, field_from_noise(noise.float(), (24, 24)).to(dtype))
-    noise = torch.randn(1, 65, 65, generator=seeded())
-    expected = field_from_noise(noise, (24, 24))
-    with torch.autocast("cpu", torch.bfloat16):
-        assert torch.equal(field_from_noise(noise, (24, 24)), expected)
-
-
 def test_gradient_in_the_noise() -> None:
     noise = torch.randn(2, 5, 5, generator=seeded(), dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(lambda n: field_from_noise(n, (4, 6)), noise)
@@ -189,69 +144,39 @@ def test_gradient_in_the_noise() -> None:
     assert torch.equal(grad, torch.zeros_like(noise))
 
 
-def test_traces_whole_with_the_noise_as_input() -> None:
-    class Graph(torch.nn.Module):
-        def forward(self, noise: torch.Tensor) -> torch.Tensor:
-            return field_from_noise(noise, (20, 30))
-
-    noise = torch.randn(2, 65, 65, generator=seeded())
-    compiled = torch.compile(Graph(), fullgraph=True, backend="aot_eager")
-    expected = field_from_noise(noise, (20, 30))
-    torch.testing.assert_close(compiled(noise), expected, rtol=0, atol=1e-6)
-    shapes = {"noise": {0: torch.export.Dim("b")}}
-    exported = torch.export.export(Graph(), (noise,), dynamic_shapes=shapes).module()
-    other = torch.randn(5, 65, 65, generator=seeded(1))
-    expected = field_from_noise(other, (20, 30))
-    torch.testing.assert_close(exported(other), expected, rtol=0, atol=1e-6)
+def test_shapes_types_and_fields_without_a_range() -> None:
+    expected = gaussian_random_field((1, 1, 20, 30), generator=seeded())
+    for shape in ((20, 30), (1, 20, 30), torch.Size([1, 1, 20, 30]), [20, 30]):
+        assert torch.equal(gaussian_random_field(shape, generator=seeded()), expected)
+    double = gaussian_random_field((20, 30), generator=seeded(), dtype=torch.float64)
+    torch.testing.assert_close(expected.double(), double, rtol=0, atol=1e-5)
+    assert gaussian_random_field((0, 1, 20, 30)).shape == (0, 1, 20, 30)
+    for size, low, high in (((3, 1, 1), 0.5, 1.5), ((8, 9), 1.0, 1.0)):
+        field = gaussian_random_field(size, low=low, high=high)
+        assert torch.equal(field, torch.ones_like(field))
 
 
-@pytest.mark.parametrize(
-    "shape, message",
-    [
-        ((2, 3, 8, 8), r"shape must be \(B, 1, H, W\).*got \(2, 3, 8, 8\)"),
-        ((8,), r"shape must be \(B, 1, H, W\).*got \(8,\)"),
-        ((2, 0, 8), r"at least one pixel per side, got \(2, 0, 8\)"),
-        ((-1, 8, 8), r"shape must"),
-        ((1, 1, 32.5, 32), r"shape must hold whole numbers.*32\.5"),
-    ],
-)
-def test_rejects_shapes(shape, message) -> None:
+OPTIONS: list[tuple[dict[str, Any], str]] = [
+    ({"low": 1.3, "high": 0.7}, "low and high must satisfy.*got 1.3 and 0.7"),
+    ({"low": -0.1}, "got -0.1 and 1.3: the field multiplies distance"),
+    ({"high": math.inf}, "low and high must satisfy"),
+    ({"low": math.nan}, "low and high must satisfy"),
+    ({"exponent": -1.0}, "exponent must be finite and ≥ 0, got -1.0"),
+    ({"exponent": math.inf}, "exponent must be finite"),
+    ({"shape": (2, 3, 8, 8)}, r"shape must be \(B, 1, H, W\).*got \(2, 3, 8, 8\)"),
+    ({"shape": (8,)}, r"shape must be \(B, 1, H, W\).*got \(8,\)"),
+    ({"shape": (2, 0, 8)}, r"at least one pixel per side, got \(2, 0, 8\)"),
+    ({"shape": (1, 1, 32.5, 32)}, r"shape must hold whole numbers.*32\.5"),
+]
+
+
+@pytest.mark.parametrize("options, message", OPTIONS)
+def test_a_field_refuses(options: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        gaussian_random_field(shape)
-
-
-@pytest.mark.parametrize(
-    "options, message",
-    [
-        ({"low": 1.3, "high": 0.7}, "low and high must satisfy.*got 1.3 and 0.7"),
-        (
-            {"low": -0.1},
-            "low and high must satisfy.*got -0.1 and 1.3: the field multiplies distance",
-        ),
-        ({"high": math.inf}, "low and high must satisfy"),
-        ({"low": math.nan}, "low and high must satisfy"),
-        ({"exponent": -1.0}, "exponent must be finite and ≥ 0, got -1.0"),
-        ({"exponent": math.nan}, "exponent must be finite"),
-        ({"exponent": math.inf}, "exponent must be finite"),
-    ],
-)
-def test_rejects_options(options, message) -> None:
-    with pytest.raises(ValueError, match=message):
-        gaussian_random_field((8, 8), **options)
-    with pytest.raises(ValueError, match=message):
-        field_from_noise(torch.zeros(1, 5, 5), (8, 8), **options)
+        gaussian_random_field(**{"shape": (8, 8), **options})
 
 
 @pytest.mark.parametrize("shape", [(5, 5), (1, 5, 7), (1, 4, 4), (1, 1, 1), (1, 1, 5, 5)])
-def test_rejects_noise_of_another_shape(shape) -> None:
+def test_noise_of_another_shape_is_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match=r"noise must have shape \(B, n, n\) with odd n >= 3, got"):
         field_from_noise(torch.zeros(shape), (8, 8))
-
-
-def test_rejects_noise_of_another_kind() -> None:
-    with pytest.raises(TypeError, match=r"noise must be a floating-point tensor, got torch\.int64"):
-        field_from_noise(torch.zeros(1, 5, 5, dtype=torch.int64), (8, 8))
-    with pytest.raises(TypeError, match="noise must be a floating-point tensor, got ndarray"):
-        field_from_noise(np.zeros((1, 5, 5)), (8, 8))
-    with pytest.raises(ValueError, match="at least one pixel per side"):
-        field_from_noise(torch.zeros(1, 5, 5), (0, 8))

@@ -61,11 +61,12 @@ def with_a_glow(image: Any) -> Any:
 
 
 DEVELOPED = Development(exposure=1.0, saturation=1.2, gamut=0.5)
+DEVELOPED_SPECTRAL = Underwater(
+    Medium.from_water("II", surfaces="spectral"), None, development=DEVELOPED
+)
 GLOWING = {
-    "grey": lambda image, z: Underwater(coefficients(), None)(image, z),
-    "spectral, developed": lambda image, z: Underwater(
-        Medium.from_water("II", surfaces="spectral"), None, development=DEVELOPED
-    )(image, z),
+    "grey": Underwater(coefficients(), None),
+    "spectral, developed": DEVELOPED_SPECTRAL,
     "terms": lambda image, z: form_image(image, z, coefficients()).image,
 }
 

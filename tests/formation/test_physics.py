@@ -11,9 +11,6 @@ pytest.importorskip("cv2")
 
 from referees.transport import (
     ABSORPTION,
-    EDGES,
-    FREQUENCIES,
-    LENGTHS,
     Spread,
     henyey_greenstein,
     petzold,
@@ -28,7 +25,6 @@ from benchmarks.accuracy.physics import (
     PAPER,
     STATIONS,
     Law,
-    fit_law,
     mean_error,
     picture_error,
 )
@@ -65,15 +61,6 @@ def test_agrees_with_an_independent_walk(
         assert found.figures[name] == pytest.approx(value, rel=0.02), name
 
 
-@pytest.mark.parametrize("asymmetry", [0.5, 0.924])
-def test_henyey_greenstein_samples_its_moments(asymmetry: float) -> None:
-    cosine, sine = henyey_greenstein(asymmetry).sample((np.arange(1_000_000) + 0.5) / 1e6)
-    np.testing.assert_allclose(cosine**2 + sine**2, 1, atol=1e-12)
-    assert cosine.mean() == pytest.approx(asymmetry, abs=1e-4)
-    # its Legendre moments are the powers of the asymmetry
-    assert (1.5 * cosine**2 - 0.5).mean() == pytest.approx(asymmetry**2, abs=1e-4)
-
-
 @pytest.mark.parametrize("station", MEASURED)
 def test_petzold_samples_what_was_measured(station: str) -> None:
     import jerlov
@@ -99,41 +86,6 @@ def test_single_scattering_in_a_thin_layer() -> None:
     expected = lengths * (arrives * phase).mean()
     found = spread(walk(henyey_greenstein(asymmetry).sample, lengths, PHOTONS), absorption)
     assert found.forward == pytest.approx(expected, rel=0.005)
-
-
-def test_a_walk_repeats_with_its_seed_only() -> None:
-    sample = henyey_greenstein(0.9).sample
-    first, again, other = (walk(sample, 1.0, 1000, seed) for seed in (1, 1, 2))
-    assert np.array_equal(first.tangent, again.tangent)
-    assert not np.array_equal(first.tangent, other.tangent)
-
-
-def synthetic(law: Law, lengths: float) -> Spread:
-    """What a law says, as if a walk had found it."""
-    transfer = 0.0
-    for share, width, power in law.widths:
-        sigma = width * lengths**power
-        transfer = transfer + share * np.exp(-2 * (np.pi * sigma * FREQUENCIES) ** 2)
-    direct = np.exp(-1.4 * lengths)
-    forward = np.exp(-(0.4 + law.g) * lengths) - direct
-    return Spread(lengths, 0.4, direct, forward, transfer, law.encircled(lengths, EDGES[1:]), {})
-
-
-def test_a_fit_finds_the_law_behind_the_data() -> None:
-    law = Law(0.1, ((1.0, 0.05, 0.7),))
-    truths = [synthetic(law, lengths) for lengths in LENGTHS]
-    assert mean_error(law, truths) < 1e-12
-    found = fit_law(truths)
-    assert found.g == pytest.approx(0.1, rel=0.02)
-    assert found.widths[0][1:] == pytest.approx((0.05, 0.7), rel=0.02)
-
-
-@pytest.mark.parametrize(
-    "shape, half", [("gaussian", np.sqrt(2 * np.log(2))), ("exponential", np.sqrt(3))]
-)
-def test_half_of_the_light_is_within(shape: str, half: float) -> None:
-    law = Law(0.0, ((1.0, 0.1, 0.5),), shape)
-    assert law.encircled(4.0, np.array([0.2 * half])) == pytest.approx(0.5)
 
 
 def test_heavy_tails_are_nearer_to_the_pictures_than_one_gaussian() -> None:

@@ -9,9 +9,9 @@ import pytest
 import torch
 from referees import reference, spectral
 from referees.spectral import NIKON, SIGMA
+from uwaug.formation.setup import Setup
 
 from uwaug import Camera, Light, Medium, RandomUnderwater, Water, form_image
-from uwaug.formation.setup import Setup
 from uwaug.optics.bands import Bands
 from uwaug.optics.camera import load_camera
 from uwaug.optics.surfaces import reflectances

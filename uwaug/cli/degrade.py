@@ -110,11 +110,9 @@ def degrade(
         elif holes != "error" and isinstance(chosen.get("distance", {}), dict):
             source = {"kind": "Metres", **chosen.get("distance", {})}
             chosen["distance"] = {**source, "holes": number_or_word(holes)}
-        metric = chosen.get("distance", {"kind": "Metres"})
-        is_metric = isinstance(metric, dict) and metric.get("kind") == "Metres"
         recipe = Recipe(
             transform=RandomUnderwater.from_dict(chosen).to_dict(),
-            unit=number_or_word(unit) if is_metric else None,
+            unit=number_or_word(unit),
             seed=seed,
             variants=variants,
             labels=labels,

@@ -60,20 +60,26 @@ def form(
         blurs: what computes the blurs of the plan.
     """
     if image.numel() == 0 or z.numel() == 0:
-        return image.expand(max(len(image), len(z)) if len(image) and len(z) else 0, -1, -1, -1)
+        return _nothing(image, z)
     if fast.can(image, z, medium, light):
         return fast.form(image, z, medium, development, color_space, plan, tolerance)
     J = decoded(image, color_space).to(z.dtype)
     T = None if light is None else light.curves(medium, z)
     gain = development.gain(J, z, medium, T)
     if plan is None:
-        plan = plan_for(z, medium.brightened(gain), (z.shape[-2], z.shape[-1]), tolerance)
+        brightest = medium if light is None else light.planned(medium)
+        plan = plan_for(z, brightest.brightened(gain), (z.shape[-2], z.shape[-1]), tolerance)
     soft = blurred_as_seen(J, z, medium, plan, blurs)
     arriving = medium.image(z, J, soft) if T is None else T.image(J, soft)
     # a new term of the image, such as marine snow, is added here
     developed = development.shaped(exposed(arriving, gain))
     largest = headroom(image) if color_space == "srgb" else 1.0
     return encoded(developed, color_space, image.dtype, largest)
+
+
+def _nothing(image: Tensor, z: Tensor) -> Tensor:
+    """The picture of a batch, or of pictures, without pixels."""
+    return image.expand(max(len(image), len(z)) if len(image) and len(z) else 0, -1, -1, -1)
 
 
 def blurred_as_seen(
@@ -139,8 +145,11 @@ def form_image(
         J = image if image.ndim == 4 else image[None]
         dtype = torch.promote_types(image.dtype, torch.float32)
         z, water = effective_distance(distance, None, dtype), medium.to(dtype)
+        if J.numel() == 0 or z.numel() == 0:
+            return Terms(*[_nothing(J, z)] * 4)
         J = J.to(dtype)
-        plan = plan_for(z, water, (z.shape[-2], z.shape[-1]), tolerance)
+        brightest = water if light is None else light.planned(water)
+        plan = plan_for(z, brightest, (z.shape[-2], z.shape[-1]), tolerance)
         soft = blurred_as_seen(J, z, water, plan)
         if light is None:
             parts = (*water.parts(z, J, soft), water.image(z, J, soft))

@@ -75,7 +75,9 @@ class Lamp:
         if self.cone is not None:
             checks.within("cone", self.cone, 1.0, 90.0)
 
-    def curves(self, water: Medium, share: Tensor, rays: Rays, normals: Tensor, z: Tensor) -> Curves:
+    def curves(
+        self, water: Medium, share: Tensor, rays: Rays, normals: Tensor, z: Tensor
+    ) -> Curves:
         """What reaches the camera at each pixel, as `Light.curves`.
 
         Args:
@@ -91,7 +93,9 @@ class Lamp:
         squared = beyond.square() + height.square()
         one_over = squared.rsqrt()
         # normals point away from the camera: (P − L)·N = 1 − L·N
-        above = (1 - dot(normals, self.position)).clamp(min=0.0) * normals.square().sum(1, True).rsqrt()
+        above = (1 - dot(normals, self.position)).clamp(min=0.0) * normals.square().sum(
+            1, True
+        ).rsqrt()
         gets = (above * one_over).clamp(max=1.0) * one_over.square()
         cone = None if self.cone is None else self._cone(self.cone, rays, nearest, height)
         if cone is not None:

@@ -1,0 +1,287 @@
+"""The compiled loops against PyTorch, and who computes which."""
+
+import math
+import multiprocessing
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from referees.conditions import Case, conditions
+from scenes import coefficients, rand, stepped
+from torch import Tensor
+
+import uwaug
+from benchmarks.accuracy import stability
+from uwaug import Development, Medium, PointSpread, Underwater, fast
+from uwaug.fast import gate
+from uwaug.formation.demand import blur_demand
+from uwaug.formation.image import form
+
+pytest.importorskip("numba")
+
+from uwaug.fast import kernels, render
+
+CONDITIONS = {name: case for group in conditions().values() for name, case in group.items()}
+ERROR = 2e-6
+"""Of sRGB values: light has some three roundings of 6e-8, and the curve a slope of up to 12.92."""
+
+DEVELOPMENTS = {
+    "none": Development(),
+    "metered": Development("auto"),
+    "stops": Development(-1.3),
+    "white balance": Development(white_balance=0.7),
+    "saturation": Development(saturation=1.7),
+    "gamut": Development(gamut=1.0),
+    "more contrast": Development(tone=1.6),
+    "less contrast": Development(tone=0.6),
+    "all": Development(0.5, 0.6, 1.4, 0.8, 1.3, metered=True),
+}
+MEDIA = {
+    "grey": lambda: Medium.from_water("1C"),
+    "spectral": lambda: Medium.from_water("II", surfaces="spectral", vertical_depth=6.0),
+    "batch": lambda: Medium.stack([coefficients(seed) for seed in (1, 2)]),
+}
+
+
+@pytest.fixture(autouse=True)
+def by_default(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("UWAUG_FAST", raising=False)
+
+
+@pytest.fixture
+def rendered(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """The calls of the loops."""
+    calls: list[Any] = []
+    run = kernels.render_rows
+    monkeypatch.setattr(kernels, "render_rows", lambda *a: (calls.append(a), run(*a)))
+    return calls
+
+
+def formed(image: Tensor, z: Tensor, medium: Medium, most: float = ERROR, **options: Any) -> Tensor:
+    """What the loops make of a picture; refuses one that PyTorch does not make in double
+    precision.
+    """
+    z = z.float()
+    values = image / 255 if image.dtype == torch.uint8 else image
+    assert fast.can(image, z, medium.to(torch.float32), None)
+    ours = form(image, z, medium.to(torch.float32), **options)
+    exact = form(values.double(), z.double(), medium.to(torch.float64), **options)
+    if image.dtype == torch.uint8:  # rounded, and clipped as bytes are
+        exact, most = 255 * exact.clamp(0, 1), 0.5 + 255 * most
+    assert ours.dtype == image.dtype
+    torch.testing.assert_close(ours.double(), exact, rtol=0, atol=most)
+    return ours
+
+
+@pytest.mark.parametrize("name", CONDITIONS)
+def test_every_condition(name: str, rendered: list[Any]) -> None:
+    case: Case = CONDITIONS[name]
+    with torch.no_grad():
+        if case.error:
+            with pytest.raises(ValueError, match=case.error):
+                stability.ours(case.to(case.dtype))
+            return
+        ours = stability.ours(case.to(case.dtype))
+        assert bool(rendered) == (case.dtype != torch.float64 and case.image.numel() > 0)
+        # the input as that type holds it
+        exact = stability.ours(case.to(case.dtype).to(torch.float64))
+    assert ours.dtype == case.dtype
+    rounding = torch.finfo(case.dtype).eps if case.dtype.itemsize < 4 else ERROR
+    torch.testing.assert_close(ours.double(), exact, rtol=0, atol=rounding * case.peak)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 9), (7, 5), (3, 300), (300, 3), (40, 257)], ids=str)
+@pytest.mark.parametrize("space", ["srgb", "linear"])
+@pytest.mark.parametrize("medium", MEDIA)
+def test_every_size(medium: str, space: Any, size: tuple[int, int]) -> None:
+    image, z = rand(2, 3, *size).float(), stepped(2, 1, *size, far=15.0)
+    formed(image, z, MEDIA[medium](), color_space=space)
+    formed((image * 255).to(torch.uint8), z, MEDIA[medium](), color_space=space)
+
+
+LAWS = {
+    "none": PointSpread.none(),
+    "narrow": PointSpread(0.3),
+    "coarse": PointSpread(30.0, 0.5),
+    "from none to coarse": PointSpread(4.0, 2.0),
+    "heavy tails": PointSpread.calibrated(500.0),
+    "of each medium": PointSpread(torch.tensor([2.0]), torch.tensor([0.7])),
+}
+
+
+@pytest.mark.parametrize("planned", [False, True])
+@pytest.mark.parametrize("law", LAWS)
+def test_every_blur(law: str, planned: bool) -> None:
+    image, z, medium = rand(1, 3, 70, 90).float(), stepped(1, 1, 70, 90), coefficients(3, LAWS[law])
+    plan = blur_demand(medium, (0.0, 20.0), 0.001).plan((70, 90)) if planned else None
+    formed(image, z, medium, plan=plan, color_space="linear")
+
+
+@pytest.mark.parametrize("development", DEVELOPMENTS)
+@pytest.mark.parametrize("medium", ["grey", "spectral"])
+def test_every_development(medium: str, development: str) -> None:
+    chosen = DEVELOPMENTS[development]
+    image, z = rand(1, 3, 33, 70).float() ** 2, stepped(1, 1, 33, 70)
+    # brighter light has larger roundings; below black, curves of less contrast are steep
+    most = 5e-5 if chosen.tone < 1 else 4 * ERROR
+    for space in ("linear", "srgb"):
+        formed(image, z, MEDIA[medium](), most, development=chosen, color_space=space)
+
+
+@pytest.mark.parametrize("images, maps, media", [(1, 1, 3), (3, 1, 1), (2, 2, 2), (1, 2, 2)])
+def test_batches(images: int, maps: int, media: int) -> None:
+    medium = Medium.stack([coefficients(seed=n) for n in range(media)])
+    formed(rand(images, 3, 33, 65).float(), stepped(maps, 1, 33, 65), medium)
+
+
+def test_bright_pictures_keep_their_largest_value() -> None:
+    image = rand(2, 3, 20, 30).float() * torch.tensor([1.0, 4.0]).reshape(2, 1, 1, 1)
+    ours = formed(image, torch.zeros(1, 1, 20, 30), Medium.from_water("I"), 4 * ERROR)
+    assert ours[1].max() > 1.5
+
+
+def test_decoding_and_encoding_undo_each_other() -> None:
+    values = torch.linspace(0, 1, 30_000).reshape(1, 3, 100, 100)
+    air = Medium.from_coefficients([0.0] * 3, [0.0] * 3, [0.0] * 3)
+    ours = formed(values, torch.zeros(1, 1, 100, 100), air, 8e-7)
+    assert (ours[0, 0, 0, 0], ours.max(), ours[0, -1, -1, -1]) == (0, 1, 1)
+
+
+# ---- the gate
+
+
+class OwnLaw(PointSpread):
+    def sigma(self, *arguments: Any) -> Tensor:
+        return 2 * super().sigma(*arguments)
+
+
+class OwnMedium(Medium):
+    """One of somebody's own."""
+
+
+IMAGE, Z, WATER = rand(1, 3, 20, 30).float(), stepped(1, 1, 20, 30).float(), coefficients()
+LEARNED = Medium.of_tensors([t.clone().requires_grad_() for t in WATER.tensors()], PointSpread(1.0))
+LEARNED_LAW = coefficients(law=PointSpread(torch.tensor([1.0], requires_grad=True)))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"image": IMAGE.clone().requires_grad_()},
+        {"z": Z.clone().requires_grad_()},
+        {"medium": LEARNED},
+        {"medium": LEARNED_LAW},
+        {"medium": coefficients(law=OwnLaw(1.0))},
+        {"medium": OwnMedium(*WATER.tensors(), WATER.point_spread)},
+        {"z": Z.double()},
+        {"image": IMAGE.to("meta")},
+        {"light": object()},
+    ],
+    ids=str,
+)
+def test_the_gate_is_closed(change: dict[str, Any]) -> None:
+    given = {"image": IMAGE, "z": Z, "medium": WATER, "light": None}
+    assert fast.can(**given)
+    assert not fast.can(**given | change)
+
+
+def test_the_gate_and_gradients_that_are_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    with torch.no_grad():
+        assert fast.can(IMAGE.clone().requires_grad_(), Z, LEARNED, None)
+    assert fast.can((255 * IMAGE).byte(), Z, WATER, None)
+    monkeypatch.setenv("UWAUG_FAST", "0")
+    assert not fast.can(IMAGE, Z, WATER, None)
+
+
+def test_the_switches(rendered: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    degrade = Underwater(WATER)
+    by_loops = degrade(IMAGE, Z)
+    assert len(rendered) == 1
+    for name, value in (("UWAUG_FAST", "0"), ("NUMBA_DISABLE_JIT", "1")):
+        with monkeypatch.context() as switched:
+            switched.setenv(name, value)
+            torch.testing.assert_close(degrade(IMAGE, Z), by_loops, rtol=0, atol=ERROR)
+            with pytest.raises(ModuleNotFoundError, match="the compiled loops need numba"):
+                fast.warm_up()
+    monkeypatch.setattr(gate, "_has_numba", lambda: False)
+    degrade(IMAGE, Z)
+    assert len(rendered) == 1
+
+
+def test_a_law_of_ones_own_goes_by_pytorch(rendered: list[Any]) -> None:
+    own, usual = (Underwater(coefficients(law=law)) for law in (OwnLaw(1.0), PointSpread(2.0)))
+    picture = own(IMAGE, Z)
+    assert not rendered
+    torch.testing.assert_close(picture, usual(IMAGE, Z), rtol=0, atol=1e-3)
+
+
+BROKEN = """
+import warnings, torch, uwaug
+degrade = uwaug.Underwater(uwaug.Medium.from_water("7C"))
+assert "numba" not in __import__("sys").modules
+with warnings.catch_warnings(record=True) as caught:
+    warnings.simplefilter("always")
+    degrade(torch.rand(3, 20, 30), torch.ones(1, 20, 30))
+assert "does not work" in str(caught[0].message), caught
+"""
+
+
+def test_a_numba_that_does_not_work_is_told_of(tmp_path: Path) -> None:
+    (tmp_path / "numba.py").write_text("raise ImportError('Numba needs NumPy 1.0')")
+    root = str(Path(uwaug.__file__).parent.parent)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), root])}
+    subprocess.run([sys.executable, "-c", BROKEN], env=environment, check=True, cwd=tmp_path)
+
+
+def test_nothing_is_compiled_in_the_middle_of_a_run() -> None:
+    fast.warm_up()
+    compiled = [k for k in vars(kernels).values() if getattr(k, "targetoptions", {}).get("nogil")]
+    for kernel in compiled:
+        if not kernel.targetoptions.get("forceinline"):
+            assert len(kernel.signatures) == 1, kernel
+
+
+# ---- threads and processes: one path, which gives the same bits
+
+
+def degraded() -> Tensor:
+    z = 1 + 4 * rand(1, 400, 433, seed=1).float()
+    return Underwater(Medium.from_water("7C"))(rand(3, 400, 433).float(), z)
+
+
+def test_bits_are_the_same_on_any_threads_and_in_any_bands(monkeypatch: pytest.MonkeyPatch) -> None:
+    before, whole = torch.get_num_threads(), degraded()
+    monkeypatch.setattr(render, "_LEAST", 1 << 10)  # bands of a few rows
+    try:
+        for count in (1, 2, 4):
+            torch.set_num_threads(count)
+            assert torch.equal(degraded(), whole)
+    finally:
+        torch.set_num_threads(before)
+    monkeypatch.setattr(render, "_BAND", 1)
+    assert torch.equal(degraded(), whole)
+
+
+def in_child(queue: Any) -> None:
+    assert render._pool is None
+    torch.set_num_threads(1)
+    queue.put(float(degraded().double().sum()))
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+def test_a_child_goes_on_after_a_fork() -> None:
+    here = degraded()
+    render._executor(1)
+    context = multiprocessing.get_context("fork")
+    queue = context.SimpleQueue()
+    # as another thread may hold it
+    with render._lock:
+        child = context.Process(target=in_child, args=(queue,))
+        child.start()
+    child.join(60)
+    assert child.exitcode == 0
+    assert math.isclose(queue.get(), float(here.double().sum()), rel_tol=0)
