@@ -89,18 +89,6 @@ def test_what_is_no_regular_file_is_refused(tmp_path, make, linked):
     assert len(list(tmp_path.iterdir())) == count
 
 
-def test_nobody_can_plant_a_link_in_place_of_the_part(tmp_path, monkeypatch):
-    assert write(tmp_path / "a").name != write(tmp_path / "a").name
-    monkeypatch.setattr(secrets, "token_hex", lambda n: "0" * 2 * n)
-    part = write(tmp_path / "a")
-    victim = tmp_path / "victim"
-    victim.write_text("mine")
-    part.symlink_to(victim)
-    with pytest.raises(FileExistsError, match="cannot write to the folder"):
-        write(tmp_path / "a")
-    assert victim.read_text() == "mine"
-
-
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
 def test_nothing_is_left_after_an_exception(tmp_path, error):
     path = tmp_path / "a.txt"
