@@ -17,7 +17,7 @@ PARTS = {
     "contrast": "accuracy",
     "surfaces": "accuracy",
     "lamps": "accuracy",
-    "fitting": "accuracy",
+    "fitting_recovery": "accuracy",
     "draws": "accuracy",
     "information": "accuracy",
     "gallery": "figures",

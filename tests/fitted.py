@@ -5,11 +5,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
-from uwaug.fitting.least_squares import Objective
-from uwaug.fitting.models import MODELS, CoefficientModel
 
 import uwaug
-from uwaug.fitting.data import Observations
+from uwaug.fitting.data import Pictures
+from uwaug.fitting.model import MODELS, CoefficientModel
+from uwaug.fitting.solve import Objective
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
 from uwaug.presets.scene import motorcycle
 
@@ -62,14 +62,15 @@ def seen(
     return Known(clean, as_bytes(image, noise, seed), z)
 
 
-def objective(known: Known, name: str = "haze", count: int = 2000) -> Objective[CoefficientModel]:
+def objective(
+    known: Known, name: str = "haze", count: int = 2000, gain: bool = False
+) -> Objective[CoefficientModel]:
     """One of the candidates, and pixels that it is to explain, with weights by a noise of .01; dark
     ones, where noise is clipped, have none.
     """
-    observations = Observations.of(*known)
-    geometry = observations.geometry(focal_px=70.0)
-    model = CoefficientModel(MODELS[name], geometry, "fixed", 0.05, {})
-    pixels = observations.sample_pixels([model.shape] if model.shape else (), count, 0)
+    pictures = Pictures.of(*known, "srgb")
+    model = CoefficientModel(MODELS[name], pictures.geometry, gain, {})
+    pixels = pictures.sample([model.spec.shape] if model.spec.shape else (), count, 0)
     lit = pixels.observed.mean(1, keepdim=True) > 0.05
     return Objective(model, pixels.weighed(pixels.weights * lit / 0.01))
 
@@ -82,29 +83,6 @@ def errors(fit: Any, truth: Any = TRUTH, kinds: Any = ("beta", "G", "veil")) -> 
             number = fit.parameters[f"{kind}_{colour}"]
             away.append((number.value - truth[kind][c]) / number.error)
     return np.array(away)
-
-
-LEVELS = (0.5, 1.0, 2.0, 4.0)
-TANK = {
-    "a": np.array([0.15, 0.03, 0.02]),
-    "m": np.array([0.06, 0.07, 0.08]),
-    "k": np.array([0.12, 0.10, 0.09]),
-    "b0": 0.02,
-    "g": 0.12,
-}
-
-
-def tank(bend: float = 0.0, levels: Any = LEVELS) -> list[Known]:
-    """The scene at several turbidities; scattering bends away from a line."""
-    pairs = []
-    for i, level in enumerate(levels):
-        b = TANK["b0"] + TANK["k"] * level * (1 + bend * level)
-        G = TANK["a"] + TANK["g"] * b
-        numbers = {"beta": TANK["a"] + b, "G": G, "veil": TANK["m"] * b / G}
-        law = uwaug.PointSpread(1.2 * b.mean() ** 0.8, 0.8)
-        water = medium(law, **{name: values.tolist() for name, values in numbers.items()})
-        pairs.append(seen(water, seed=i))
-    return pairs
 
 
 STONES = torch.linspace(0.8, 8.0, 90 * 120).reshape(1, 90, 120)

@@ -128,8 +128,10 @@ def recovered(seed: int, pixels: int = 20_000) -> Row:
 
 
 def _rows(truth: Truth, found: Fit) -> dict[str, list[Any]]:
-    rows = {}
-    for name, right in truth.numbers(found.geometry.reference).items():
+    rows, right_numbers = {}, truth.numbers(found.geometry.reference)
+    if found.model in ("haze", "veil"):  # direct light and forward scatter are one, and fade with G
+        right_numbers |= {f"beta_{colour}": right_numbers[f"G_{colour}"] for colour in COLOURS}
+    for name, right in right_numbers.items():
         one = found.parameters.get(name)
         if one is not None:
             rows[name] = [right, one.value, one.error, one.low, one.high, one.state]

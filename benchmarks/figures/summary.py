@@ -6,7 +6,6 @@ import json
 import re
 from typing import Any
 
-from benchmarks.figures.summary_fits import fits
 from benchmarks.harness import RESULTS, ROOT, command
 from uwaug._support.atomic import written_whole
 
@@ -324,9 +323,23 @@ def _times(one: Results, name: str) -> str:
     return f"{times[name] / ours:.1f}"
 
 
+def fits() -> str:
+    """What the guide says of fits."""
+    found = load("fitting_recovery")
+    off = ", ".join(
+        f"{name} {100 * share:.2f} %" for name, share in found["median_relative_error"].items()
+    )
+    return (
+        f"**Fits** (`python -m benchmarks.accuracy.fitting_recovery`): {found['runs']} random "
+        f"waters, 250×370, 1 % noise, 8 bits, model `auto`. {found['covered_percent']:.0f} % of "
+        f"{found['numbers']} intervals hold the truth. Median errors: {off}. The model that made "
+        f"the picture is picked in {found['right_model_percent']:.0f} %."
+    )
+
+
 def sections() -> dict[str, str]:
     """What belongs between the markers of each name."""
-    found = "\n\n".join(fits(load("fitting")))
+    found = fits()
     text = {"accuracy": accuracy(), "surfaces": surfaces(), "fits": found, "chart": chart()}
     return text | {"speed": speed(), "fused": compiled()}
 

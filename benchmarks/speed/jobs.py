@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 import torch
 from PIL import Image
-
-from benchmarks.harness import ROOT, command, save
 from uwaug.io.read import read_picture_file
 from uwaug.io.write import FORMATS, encode
 from uwaug.jobs import Degrader, Item, Items, Recipe
 from uwaug.jobs.pool import run
+
+from benchmarks.harness import ROOT, command, save
 from uwaug.presets import scene
 
 WANTED = 1.25

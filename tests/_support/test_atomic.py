@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from uwaug._support.atomic import held, is_part, remove_left, require_regular, written_whole
+from uwaug._support.atomic import is_part, remove_left, require_regular, written_whole
 
 
 def write(path: Path, text: str = "new") -> Path:
@@ -114,18 +114,6 @@ def test_a_full_disk_is_named_with_the_path(tmp_path):
         raise full
     assert str(path) in str(info.value)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_folder_is_held_by_one_run_or_by_many_who_share_it(tmp_path):
-    with held(tmp_path):
-        for shared in (True, False):
-            with pytest.raises(BlockingIOError, match=f"{tmp_path}: another run writes to"):
-                held(tmp_path, shared=shared).__enter__()
-    sharing = held(tmp_path, shared=True), held(tmp_path, shared=True)
-    with sharing[0], sharing[1], pytest.raises(BlockingIOError):
-        held(tmp_path).__enter__()
-    with held(tmp_path):
-        assert list(tmp_path.iterdir()) == []
 
 
 def test_what_killed_processes_have_left_is_removed(tmp_path):

@@ -2,13 +2,13 @@ import math
 
 import pytest
 import torch
-from torch import Tensor
-
 import uwaug.distance.behind
-from uwaug import RandomUnderwater
+from torch import Tensor
 from uwaug.distance.behind import filled_behind_rows
-from uwaug.distance.convert import fill_unknown
 from uwaug.distance.sample import Scaling, to_metres
+
+from uwaug import RandomUnderwater
+from uwaug.distance.convert import fill_unknown
 
 pytestmark = pytest.mark.filterwarnings("ignore:distance is unknown")
 

@@ -6,8 +6,8 @@ import pytest
 import torch
 from scenes import rand
 from torch import Tensor
-
 from uwaug.distance.complete import _membrane
+
 from uwaug.distance.convert import fill_unknown
 
 NAN, INF = math.nan, math.inf

@@ -7,6 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import rand
+from uwaug.distance.sample import Scaling, UnknownDistanceError, metres_by_rows, to_metres
 
 from uwaug._support import tiles
 from uwaug.distance.convert import (
@@ -17,7 +18,6 @@ from uwaug.distance.convert import (
     from_inverse,
     from_relative,
 )
-from uwaug.distance.sample import Scaling, UnknownDistanceError, metres_by_rows, to_metres
 
 NAN, INF = math.nan, math.inf
 

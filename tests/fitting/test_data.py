@@ -3,96 +3,86 @@ import pytest
 import torch
 
 import uwaug
-from uwaug.fitting.data import Observations, Pair
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda c, o, z: {"distance": torch.full_like(z, 3.0)}, "flat: all pixels lie at 3–3 m"),
-        (lambda c, o, z: {"observed": c}, "clean and observed are the same picture"),
-        (lambda c, o, z: {"distance": 1000 * z}, "distance must be in metres.*millimetres"),
-        (lambda c, o, z: {"observed": o[:, 1:]}, "observed is .* but clean is"),
-        (lambda c, o, z: {"distance": z[:, 1:]}, "distance is .* but clean is"),
-        (
-            lambda c, o, z: {"observed": torch.full_like(o, 255)},
-            "only 0 pixels can be used, expected 500: .* 7455 are saturated",
-        ),
-        (lambda c, o, z: {"observed": 0 * o}, "only 0 pixels can be used.* 7455 black in observed"),
-        (lambda c, o, z: {"distance": z * torch.inf}, "7455 lie in open water"),
-        (lambda c, o, z: {"mask": torch.zeros_like(z)}, "only 0 pixels can be used.*must overlap"),
-        (lambda c, o, z: {"observed": [o, o], "distance": [z, 0 * z]}, "pair 2 of 2 has 0 pixels"),
-        (lambda c, o, z: {"observed": [o] * 2, "distance": [z] * 3}, "distance: expected one or"),
-        (lambda c, o, z: {"clean": [c, c]}, "clean: expected one or as many as observed"),
-        (lambda c, o, z: {"clean": []}, "clean is empty"),
-        (lambda c, o, z: {"observed": o.float()}, "observed reaches [0-9]+"),
-        (lambda c, o, z: {"observed": o / torch.nan}, "observed is NaN at"),
-        (lambda c, o, z: {"field": z * torch.nan}, "field is NaN at"),
-        (lambda c, o, z: {"field": -z}, "field is .*negative at"),
-        (lambda c, o, z: {"color_space": "xyz"}, "color_space must be one of srgb"),
-        (lambda c, o, z: {"clean": c.numpy()}, "clean must be a floating-point tensor"),
-        (lambda c, o, z: {"distance": z.int()}, "distance must be a floating-point"),
-        (lambda c, o, z: {"observed": "picture"}, "observed must be a floating-point"),
-    ],
-)
-def test_what_does_not_suit_is_refused(known, change, message):
-    inputs = dict(zip(("clean", "observed", "distance"), known, strict=True))
-    with pytest.raises((TypeError, ValueError), match=message):
-        Observations.of(**(inputs | change(*known)))
-
-
-def series(clean, observed, distance, **options):
-    return uwaug.fitting.fit_series([(clean, observed, distance)] * 2, [1.0, 2.0], **options)
+from uwaug.fitting import fit_veil, fit_water
+from uwaug.fitting.data import Pictures
 
 
 def veil(clean, observed, distance, **options):
-    return uwaug.fitting.fit_veil(observed, distance, **options)
+    return fit_veil(observed, distance, **options)
 
 
-@pytest.mark.parametrize("door", [uwaug.fit, series, uwaug.fitting.fit_water, veil])
-def test_every_door_refuses_the_same(known, door):
-    options = [({"color_space": "sRGB"}, "color_space must be one of"), ({"seed": -1}, "seed must")]
-    if door is not veil:
-        options.append(({"pixels": 10}, r"pixels must be in \[500, 100000\]"))
-        with pytest.raises(TypeError, match=r"noise must be a uwaug\.Noise, got float"):
-            door(*known, noise=0.01)
-    for option, message in options:
-        with pytest.raises(ValueError, match=message):
-            door(*known, **option)
-    with pytest.raises(ValueError, match="distance is flat"):
-        door(*known[:2], torch.full_like(known.distance, 3.0))
+EVERY = (uwaug.fit, fit_water, veil)
+PAIRED = (uwaug.fit, fit_water)
+REFUSED = [
+    (EVERY, lambda c, o, z: {"distance": torch.full_like(z, 3.0)}, "flat: all pixels lie at 3–3"),
+    (EVERY, lambda c, o, z: {"distance": 1000 * z}, "distance must be in metres.*millimetres"),
+    (EVERY, lambda c, o, z: {"distance": z[:, 1:]}, "distance is .* but observed is"),
+    (EVERY, lambda c, o, z: {"distance": z * torch.inf}, "7455 lie in open water"),
+    (EVERY, lambda c, o, z: {"distance": z.int()}, "distance must be a floating-point"),
+    (EVERY, lambda c, o, z: {"distance": torch.stack([z] * 3), "observed": torch.stack([o] * 2)},
+     "batch sizes must agree"),
+    (EVERY, lambda c, o, z: {"observed": torch.full_like(o, 255)},
+     "only 0 pixels can be used, expected 500: .* 7455 are saturated"),
+    (EVERY, lambda c, o, z: {"observed": 0 * o}, "7455 are black in observed"),
+    (EVERY, lambda c, o, z: {"observed": o.float()}, "observed reaches [0-9]+"),
+    (EVERY, lambda c, o, z: {"observed": o / torch.nan}, "observed is NaN at"),
+    (EVERY, lambda c, o, z: {"observed": "picture"}, "observed must be a floating-point"),
+    (EVERY, lambda c, o, z: {"color_space": "xyz"}, "color_space must be one of srgb"),
+    (EVERY, lambda c, o, z: {"seed": -1}, "seed must be finite and ≥ 0"),
+    (PAIRED, lambda c, o, z: {"observed": c}, "clean and observed are the same picture"),
+    (PAIRED, lambda c, o, z: {"clean": c.numpy()}, "clean must be a floating-point tensor"),
+    (PAIRED, lambda c, o, z: {"pixels": 10}, r"pixels must be in \[500, 100000\]"),
+    (PAIRED[:1], lambda c, o, z: {"model": "paper"}, "model must be one of auto, haze"),
+    (PAIRED[:1], lambda c, o, z: {"gain": "auto"}, "gain must be one of fixed, free"),
+    (PAIRED[:1], lambda c, o, z: {"fixed": 3}, "fixed must be a dict"),
+    (PAIRED[:1], lambda c, o, z: {"fixed": {"beta": 1}}, "fixed: expected some of beta_red"),
+    (PAIRED[:1], lambda c, o, z: {"model": "haze", "fixed": {"exponent": 1}},
+     "expected some of beta_red.*got exponent"),
+    (PAIRED[:1], lambda c, o, z: {"fixed": {"G_red": -1}}, r"fixed\['G_red'\] must be in"),
+    (PAIRED[:1], lambda c, o, z: {"model": "gaussian", "fixed": {"beta_red": 1, "G_red": 2}},
+     "leaves nothing that may be fitted"),
+    (PAIRED[1:], lambda c, o, z: {"observed": torch.rand(3, 71, 105) * 1e-4}, "above the noise"),
+    (PAIRED[1:], lambda c, o, z: {"g": 1.5}, r"g must be in \[0, 1\]"),
+    (PAIRED[1:], lambda c, o, z: {"vertical_depth": -1.0}, "vertical_depth must be"),
+    (PAIRED[1:], lambda c, o, z: {"camera": "Kodak"}, "no camera is called"),
+    (PAIRED[1:], lambda c, o, z: {"point_spread": 3}, "point_spread must be a uwaug.PointSpread"),
+    (EVERY[2:], lambda c, o, z: {"observed": torch.full((3, 71, 105), 0.4)}, "one colour"),
+    (EVERY[2:], lambda c, o, z: {"darkest": 1.5}, r"darkest must be in \[0, 1\]"),
+    (EVERY[2:], lambda c, o, z: {"distance": torch.where(z < 4, 2.0, 6.0) + 1e-3 * z},
+     "steps of distance hold 50 pixels, expected 3"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("door", "change", "message"),
+    [(door, change, message) for doors, change, message in REFUSED for door in doors],
+)
+def test_what_does_not_suit_is_refused(known, door, change, message):
+    inputs = dict(zip(("clean", "observed", "distance"), known, strict=True))
+    with pytest.raises((TypeError, ValueError), match=message):
+        door(**(inputs | change(*known)))
 
 
 def test_unknown_distances_are_left_out(known):
     clean, observed, z = known
     unknown = torch.where(torch.rand(z.shape) < 0.3, torch.nan, z)
-    (pair,) = Observations.of(clean, observed, unknown).pairs
-    assert not (pair.usable & unknown.isnan()).any()
-    assert pair.z.isfinite().all()
-
-
-def test_rounding_is_seen(known):
-    clean, observed, z = known
-    for picture, bits in ((observed, 8), (observed / 255, 8), (observed / 254.9, None)):
-        assert Observations.of(clean, picture, z).bits == bits
+    pictures = Pictures.of(clean, observed, unknown, "srgb")
+    assert not (pictures.usable & unknown.isnan()).any()
+    assert pictures.z.isfinite().all()
 
 
 def test_pixels_are_spread_over_the_distances():
-    z = torch.full((1, 100, 100), 2.0, dtype=torch.float64)
-    z[:, :10] = torch.linspace(2.0, 6.0, 1000, dtype=torch.float64).reshape(1, 10, 100)
-    colour = torch.rand(3, 100, 100, dtype=torch.float64)
-    usable = torch.ones_like(z, dtype=torch.bool)
-    usable[..., 50:] = False
-    pair = Pair(colour, colour, z, usable)
-    drawn = Observations((pair,), "srgb", 8, "m").sample_pixels((), 600, 0)
-    assert drawn.z.shape == (1, 1, 1, 600)
-    # 500 of 5000 usable pixels lie beyond 2 m
-    assert float((drawn.z > 2.1).double().mean()) > 0.4
+    z = torch.full((2, 1, 100, 100), 2.0)
+    z[:, 0, :10] = torch.linspace(2.0, 6.0, 1000).reshape(10, 100)
+    z[0, ..., 50:] = torch.nan
+    z[1] = torch.where(z[1] > 5.5, z[1], torch.nan)
+    colour = torch.rand(2, 3, 100, 100) * 0.9
+    pictures = Pictures.of(colour[:1], 0.5 * colour, z, "linear")
+    drawn = pictures.sample((), 1000, 0)
+    # 500 of the first picture, and all of the second that are known
+    few = int((z[1] > 5.5).sum())
+    assert drawn.z.shape == (1, 1, 1, 500 + few)
+    # 500 of 5000 usable pixels of the first lie beyond 2 m
+    assert float((drawn.z[..., :500] > 2.1).double().mean()) > 0.4
+    assert np.intersect1d(drawn.blocks[:500], drawn.blocks[500:]).size == 0
     assert drawn.subsample(100, 0).z.shape[-1] == 100
-    # one pair has fewer pixels: the rest of its row has no weight
-    small = Pair(colour, colour, z, usable & (z > 5.5))
-    both = Observations((pair, small), "srgb", 8, "m").sample_pixels((), 1000, 0)
-    count = int((usable & (z > 5.5)).sum())
-    assert int((both.weights[1, 0] > 0).sum()) == count
-    assert int((both.weights[0, 0] > 0).sum()) == 500
-    assert np.intersect1d(both.clusters[0], both.clusters[1]).size == 0

@@ -5,7 +5,7 @@ The library is not loaded for these, so that help and completion do not wait for
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -59,7 +59,7 @@ Preset = Annotated[
 Force = Annotated[bool, typer.Option("--force", help="Write over what is there.")]
 
 
-def number_or_word(text: str) -> float | str:
+def number_or_word(text: str) -> Any:
     """A number where it is one."""
     try:
         return float(text)

@@ -101,6 +101,7 @@ def degrade(
         from uwaug.files.items import find_items
         from uwaug.files.run import Recipe
         from uwaug.files.run import degrade as run
+        from uwaug.transforms import RandomUnderwater
 
         maps, plane = _place(distance)
         chosen = _transform_options(preset, options, set_ or (), water or (), contrast)
@@ -109,19 +110,15 @@ def degrade(
         elif holes != "error" and isinstance(chosen.get("distance", {}), dict):
             source = {"kind": "Metres", **chosen.get("distance", {})}
             chosen["distance"] = {**source, "holes": number_or_word(holes)}
-        metric = chosen.get("distance", {"kind": "Metres"})
-        is_metric = isinstance(metric, dict) and metric.get("kind") == "Metres"
-        from uwaug.transforms import RandomUnderwater
-
         recipe = Recipe(
             transform=RandomUnderwater.from_dict(chosen).to_dict(),
-            unit=number_or_word(unit) if is_metric else None,
+            unit=number_or_word(unit),
             seed=seed,
             variants=variants,
             labels=labels,
             min_contrast=min_contrast,
         )
-        apart = [out] if labels is None else [out, labels]
+        apart = [str(out)] if labels is None else [str(out), labels]
         items = find_items(pictures, maps, apart=apart)
         with counted() as progress:
             summary = run(

@@ -18,7 +18,7 @@ def fit(
     holes: Annotated[str, typer.Option(help="Holes are left out, unless far or filled.")] = "none",
     model: Annotated[
         Literal["auto", "haze", "veil", "gaussian", "exponential", "waters"],
-        typer.Option(help="waters: which Jerlov type, its contrast and depth, in place of numbers."),
+        typer.Option(help="waters: which Jerlov type, its contrast and depth."),
     ] = "auto",
     gain: Annotated[
         Literal["free", "fixed"], typer.Option(help="Exposure and daylight above the scene.")

@@ -23,6 +23,7 @@ from uwaug.fitting.model import (
     COLOURS,
     EXPONENTS,
     MODELS,
+    NARROW,
     CoefficientModel,
     without_gain,
 )
@@ -36,9 +37,6 @@ _SCOUTS = 4000  # pixels of the fits that noise is first learnt from
 _PATIENCE = 1.0  # s, after which a fit says what it does
 _POOR = 0.8  # share of the observed variance, below which a model does not explain a picture
 _THIN = 0.3  # optical depth G·z at the far end, below which a veil is still a straight line
-# px, σ at the median distance, below which a blur is hardly told from none: in pictures of the
-# default tolerance β is 40 % too small at .2 px, 10 % at .45, right at .7.
-_NARROW = 0.6
 _FASTEST = 30.0  # 1/m; no natural water attenuates more
 
 
@@ -230,14 +228,13 @@ def _doubts(chosen: FittedModel[CoefficientModel], numbers: Mapping[str, Paramet
             "attenuation of both together, and G at least; that of the direct light alone, β of "
             "the water, may be larger."
         )
+    elif c.width < NARROW:
+        sentences.append(
+            f"A blur below {NARROW} px is hardly told from none, and with it what is scattered "
+            "forward from what is not; G and veil do not depend on it."
+        )
     else:
-        law = model.medium(theta).point_spread
-        if c.width < _NARROW:
-            sentences.append(
-                f"A blur below {_NARROW} px is hardly told from none: beta may be off by more than "
-                "its errors; G and veil do not depend on it."
-            )
-        sentences.append(f"Width law: {law}, at b̄ of the medium.")
+        sentences.append(f"Width law: {model.medium(theta).point_spread}, at b̄ of the medium.")
     straight = [
         colour
         for colour, G in zip(COLOURS, c.G, strict=True)

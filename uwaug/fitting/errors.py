@@ -99,7 +99,7 @@ def parameters(
     theta = solution.theta
     at_bound = {name for name, end in zip(model.bounds, solution.at_bound, strict=True) if end}
     slopes = report_slopes(model, theta)
-    matrix = slopes @ covariance.matrix @ slopes.T
+    matrix, hidden = slopes @ covariance.matrix @ slopes.T, model.hidden(theta)
     rows = {}
     quantities = zip(model.quantities, model.report(theta), slopes, np.diag(matrix), strict=True)
     for quantity, value, slope, variance in quantities:
@@ -110,7 +110,7 @@ def parameters(
                 quantity,
                 float(value),
                 math.sqrt(max(variance, 0.0)),
-                shows=covariance.shows(slope),
+                shows=covariance.shows(slope) and quantity.name not in hidden,
                 at_bound=quantity.follows in at_bound,
             )
         rows[quantity.name] = number

@@ -34,7 +34,6 @@ _DEPTHS = (0.5, 3.0, 10.0)  # vertical depths to begin at, m
 _MAX_VERTICAL_DEPTH = 30.0  # m; below, little is left of any light but blue
 _CONTENTS = (1e-3, 1e3)  # of a type's: from pure water to clear types within the tables' error
 _STEP = 1e-5  # of θ, for a difference that stands for the slope of a picture
-_MIN_VALUES = 500  # values between noise and white, of all that are fitted
 _TOLERANCE = 0.002  # of the medium of a result
 
 
@@ -135,6 +134,10 @@ class TypeModel:
         numbers = {**self.numbers(theta), "visibility": self.water_of(theta).visibility()}
         return np.array([numbers[quantity.name] for quantity in self.quantities])
 
+    def hidden(self, theta: Array) -> tuple[str, ...]:
+        """None of `quantities`."""
+        return ()
+
 
 def fit_water(
     clean: Tensor,
@@ -215,7 +218,6 @@ def fit_water(
         best, end = min(scouts, key=lambda pair: pair[1].cost)
         say("learning the noise")
         weighed, _ = reweighed(Objective(best, drawn), end.theta, color_space)
-        _require_light(weighed)
         tried = []
         for model, end in scouts:
             say(f"fitting {model.name}")
@@ -277,12 +279,3 @@ def _start(objective: Objective[TypeModel]) -> Array:
             if cost < least:
                 best, least = theta, cost
     return best
-
-
-def _require_light(pixels: Pixels) -> None:
-    """Refuse pictures that lie in the noise."""
-    bright = int((pixels.weights > 0).sum())
-    if bright < _MIN_VALUES:
-        few = f"only {bright} of {pixels.weights.numel()} values that are fitted"
-        cure = f"lie above the noise, expected {_MIN_VALUES}: raise the exposure"
-        raise ValueError(f"observed: {few} {cure}")

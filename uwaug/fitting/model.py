@@ -8,7 +8,7 @@ numbers, as any other image is; slopes are written out.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple, Protocol
@@ -27,6 +27,9 @@ from uwaug.optics.scattering import Scattering
 COLOURS = ("red", "green", "blue")
 MAX_OPTICAL_DEPTH = 40.0  # to the median distance: more than any picture survives
 MOST_GAIN = 1e4  # and one over it the least
+# px, σ at the median distance, below which a blur is hardly told from none: in pictures of the
+# default tolerance β is 40 % too small at .2 px, 10 % at .45, right at .7.
+NARROW = 0.6
 EXPONENTS = (0.2, 3.0)  # of a width law: least and largest
 _MAX_G_OVER_BETA = 4.0  # where no light is scattered forward and nothing ties the two together
 _MIN_G = 1e-9  # 1/m, stands for smaller G, where the veil has no end
@@ -81,6 +84,9 @@ class Model(Protocol):
 
     def report(self, theta: Array) -> Array:
         """The value of each of `quantities`."""
+
+    def hidden(self, theta: Array) -> Sequence[str]:
+        """The quantities that pictures of these numbers do not tell, whatever their errors."""
 
 
 def report_slopes(model: Model, theta: Array) -> Array:
@@ -275,27 +281,21 @@ class CoefficientModel:
 
     def medium(self, theta: Array) -> Medium:
         """The water as `uwaug.Underwater` takes it: a batch of one."""
-        c, geometry = self.coefficients(theta), self.geometry
-        G = c.G.clip(min=_MIN_G)
-        beta = np.maximum(c.beta, G) if self.spec.shape else c.beta
-        light, veil = (torch.from_numpy(x)[None] for x in (c.light, c.source / G))
+        c, reference = self.coefficients(theta), self.geometry.reference
+        least = c.G.clip(min=_MIN_G)
+        rows = (c.beta, least, c.light, c.source / least)
+        beta, G, light, veil = (torch.from_numpy(x)[None] for x in rows)
+        if self.spec.shape is None and self.spec.own_veil:
+            return _without_scatter(beta, G, light, veil)
+        beta = beta.maximum(G)
         if self.spec.shape is None:
-            return _without_scatter(
-                torch.from_numpy(beta)[None], torch.from_numpy(G)[None], light, veil
-            )
-        b = (beta - G).mean() / (1 - Scattering.CALIBRATED.g)
-        b = max(float(b), _MIN_LENGTHS / geometry.reference)
+            return Medium.from_coefficients(beta, beta, veil, light=light)
+        b = float((beta - G).mean()) / (1 - Scattering.CALIBRATED.g)
+        b = max(b, _MIN_LENGTHS / reference)
         # σ = width·(z/reference)^exponent
-        scale = c.width / (b * geometry.reference) ** c.exponent
-        law = PointSpread(scale, c.exponent, self.spec.shape, float(min(geometry.size)))
-        return Medium.from_coefficients(
-            torch.from_numpy(beta),
-            torch.from_numpy(G),
-            veil,
-            b_mean=b,
-            point_spread=law,
-            light=light,
-        )
+        scale = c.width / (b * reference) ** c.exponent
+        law = PointSpread(scale, c.exponent, self.spec.shape, float(min(self.geometry.size)))
+        return Medium.from_coefficients(beta, G, veil, b_mean=b, point_spread=law, light=light)
 
     def render(self, theta: Array, pixels: Pixels) -> Tensor:
         """The pixels (1x3x1xN) in linear light."""
@@ -362,6 +362,12 @@ class CoefficientModel:
         rows = [c.beta, *([c.G] if self.spec.own_veil else ()), c.source / (c.G + _MIN_G), c.source]
         rows += [c.light] if self.gain else []
         return np.concatenate([*rows, [c.width, c.exponent] if self.spec.shape else []])
+
+    def hidden(self, theta: Array) -> Sequence[str]:
+        """β and the width, where the blur is hardly told from none."""
+        if self.spec.shape is None or self.coefficients(theta).width >= NARROW:
+            return ()
+        return ("beta_red", "beta_green", "beta_blue", "width", "exponent")
 
 
 def _without_scatter(beta: Tensor, G: Tensor, light: Tensor, veil: Tensor) -> Medium:

@@ -9,7 +9,7 @@ import torch
 from uwaug.fitting.model import COLOURS
 from uwaug.fitting.result import SHOWS, Fit
 from uwaug.formation.colour import linear_to_srgb
-from uwaug.optics.curves import FARTHEST, of_white
+from uwaug.optics.curves import FARTHEST
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,7 +57,8 @@ def plot(fit: Fit) -> "Figure":
             cells[name].set_title(name.capitalize(), loc="left", fontsize=12)
     z = torch.linspace(0, 1.25 * fit.geometry.farthest, 161, dtype=torch.float64)
     for name, label in _CURVES.items():
-        curve = of_white(getattr(fit.medium, name)(z))[0].numpy()
+        curve = getattr(fit.medium, name)(z)[0].numpy()
+        curve = curve.sum(1) if curve.ndim == 3 else curve  # of matrices, that of a white surface
         for line, colour in zip(curve, _RGB, strict=True):
             cells[name].plot(z.numpy(), line, color=colour, linewidth=1.6)
         cells[name].axvspan(fit.geometry.farthest, float(z[-1]), color="black", alpha=0.07)

@@ -33,6 +33,7 @@ _MAD = 1.4826  # standard deviations in a median absolute deviation of Gaussian 
 _UNCLIPPED = 3.0  # standard deviations of noise, by which a value lies above black and below white
 _MAX_MARGIN = 0.1  # of linear light: a very noisy picture would have no pixels left
 _OUTLYING = 6.0  # standard deviations of noise, from where on a residual does not count at all
+_MIN_VALUES = 500  # values between noise and white, of all that are fitted
 _ROUNDS = 2  # of learning the noise: a third changes no number by a tenth of its error
 
 
@@ -265,6 +266,9 @@ def reweighed(
 
     Returns:
         The pixels with their weights, and where the model ended.
+
+    Raises:
+        ValueError: if too few values lie above the noise.
     """
     pixels = objective.pixels
     for _ in range(_ROUNDS):
@@ -279,6 +283,10 @@ def reweighed(
             # that brightens
             margin = (_UNCLIPPED * deviation).clamp(max=_MAX_MARGIN)
             counted &= (light > margin) & (light < 1 - margin) & (pixels.observed > 0)
+        bright = int(counted.sum())
+        if bright < _MIN_VALUES:
+            few = f"only {bright} of {counted.numel()} values that are fitted lie above the noise"
+            raise ValueError(f"observed: {few}, expected {_MIN_VALUES}: raise the exposure")
         objective = replace(objective, pixels=pixels.weighed(counted / deviation))
     return objective.pixels, theta
 
@@ -303,4 +311,5 @@ def noise(error: Tensor, light: Tensor, used: Tensor) -> Tensor:
     # each variance counts by its own size
     system = np.stack([np.ones_like(level), level], 1) / variance[:, None]
     (read, shot), _ = nnls(system, np.ones_like(level))
-    return (read + shot * light.clamp(min=0.0)).clamp(min=_LEAST**2).sqrt()
+    deviation: Tensor = (read + shot * light.clamp(min=0.0)).clamp(min=_LEAST**2).sqrt()
+    return deviation

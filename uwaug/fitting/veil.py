@@ -35,6 +35,7 @@ _ROBUST = 0.02  # of the brightest dark pixels, from where on a residual counts 
 _STARTS = (0.1, 0.5, 2.0)  # optical depths G·z at the median distance, to begin at
 _THINNEST = 1e-4  # least of these
 _ONE_COLOUR = 1e-3  # of the brightest light: any less variation is none
+_KINDS = {"veil": "1", "G": "1/m", "source": "1/m"}  # what is reported, with its unit
 _RESOLUTION = 1e-6  # light may be of any unit here, so that any change may show
 # Optical depth G·z at the near end, above which less than a third of the growth is left to be seen.
 # With surfaces that reflect .05 to .5 everywhere the bundled scene comes to 1.2 to 22.
@@ -117,26 +118,24 @@ def fit_veil(
     with one_thread():
         for c, colour in enumerate(COLOURS):
             theta[c] = source, G = _fit(dark, c, reference)
-            moved = _fit(dark, c, reference, floor=darkest) - theta[c]
-            # the errors of pixels, and what surfaces that are not black would change
-            spread = _covariance(dark, c, theta[c]) + np.outer(moved, moved)
             slopes = np.array([[1 / G, -source / G**2], [0.0, 1.0], [1.0, 0.0]])
+            values = _quantities(theta[c])
+            moved = _quantities(_fit(dark, c, reference, floor=darkest)) - values
+            # the errors of pixels, and what surfaces that are not black would change
+            spread = slopes @ _covariance(dark, c, theta[c]) @ slopes.T + np.outer(moved, moved)
             places = [c, 3 + c, 6 + c]
-            covariance[np.ix_(places, places)] = slopes @ spread @ slopes.T
+            covariance[np.ix_(places, places)] = spread
             if G * nearest > _FULL_GROWN:  # its end alone shows, if it is that of the water
                 full_grown.append(colour)
                 shows = {"veil": bool(np.isinf(farthest)), "G": False, "source": False}
             else:  # of a straight line its growth alone
                 bent = bool(G * farthest >= _THIN)
                 shows = {"veil": bent, "G": bent, "source": True}
-            errors = np.sqrt(np.diag(covariance)[places]).tolist()
-            values = {"veil": source / G, "G": G, "source": source}
-            for (kind, value), error in zip(values.items(), errors, strict=True):
-                quantity = Quantity(
-                    f"{kind}_{colour}", "1" if kind == "veil" else "1/m", _RESOLUTION, ""
-                )
+            errors = np.sqrt(np.diag(spread)).tolist()
+            for kind, value, error in zip(_KINDS, values.tolist(), errors, strict=True):
+                quantity = Quantity(f"{kind}_{colour}", _KINDS[kind], _RESOLUTION, "")
                 rows[quantity.name] = parameter(quantity, value, error, shows=shows[kind])
-    numbers = {f"{kind}_{c}": rows[f"{kind}_{c}"] for kind in values for c in COLOURS}
+    numbers = {f"{kind}_{c}": rows[f"{kind}_{c}"] for kind in _KINDS for c in COLOURS}
     source, G = theta.T
     left = dark.light - np.stack([_veil(s, rate, dark.z) for s, rate in theta], 1)
     notes = [
@@ -241,6 +240,12 @@ def _covariance(dark: Dark, channel: int, theta: Array) -> Array:
         1,
     )
     return sandwich(jacobian, *influence(_residual(theta, dark, channel)), dark.blocks).matrix
+
+
+def _quantities(theta: Array) -> Array:
+    """Veil, G and source, of source and G."""
+    source, G = theta
+    return np.array([source / G, G, source])
 
 
 def _veil(source: float, G: float, z: Array) -> Array:

@@ -1,5 +1,5 @@
 """Light: lamps near the camera, and daylight beside them."""
 
-from uwaug.light.light import Light
+from uwaug.light.light import Lamp, Light
 
-__all__ = ["Light"]
+__all__ = ["Lamp", "Light"]

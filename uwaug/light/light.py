@@ -1,5 +1,205 @@
-"""Placeholder until the branch `light` is merged."""
+"""`Light`: lamps near the camera, and daylight beside them.
+
+Lights add. With T_β, T_G and V of the medium and c for a channel of the picture,
+
+    daylight  daylight·T_β, daylight·(T_G − T_β), daylight·(V(0) − V)
+    a lamp    share·A_c, (1 − share)·A_c, and its backscatter (see `uwaug.light.backscatter`)
+
+A_c = power·color_c·cone(ψ)·cos(ι)/r²·T_G,c(r + z) is what arrives of a lamp's light after both ways
+through the water, r from the lamp to the surface and z from there to the camera; ι is the angle of
+incidence. On the way to the scene, light that is scattered forward still lights it. Of what
+arrives, share = T_β(z)/T_G(z) has come straight from the surface.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from uwaug._support import checks, codec
+from uwaug.light.backscatter import Cone, backscatter
+from uwaug.light.rays import Rays, Vector, dot
+from uwaug.optics.curves import Curves, added, decay
+from uwaug.optics.medium import Medium
+from uwaug.optics.surfaces import white
+
+_RADIUS = 0.03
+"""m, of a lamp: nearer, its light grows no more."""
+
+_EDGE = 0.5
+"""Of the cone, over which the light fades to its edge."""
+
+_DARK = 1e-30
+"""Of light, stands for none."""
 
 
+@codec.plain
+@dataclass(frozen=True)
+class Lamp:
+    """A lamp in the water. Coordinates are the camera's: x to the right of the picture, y down, z
+    forward.
+
+    Attributes:
+        position: m.
+        power: how bright a white plate is that faces it at 1 m in air, where 1 is a white plate in
+            daylight at the surface; ≥ 0.
+        aim: the direction of its axis; of any length.
+        cone: angle from the axis to the edge of its light, which fades over the outer half of it,
+            degrees, 1…90; None shines to all sides.
+        color: its light in the channels of the picture, each ≥ 0.
+
+    Raises:
+        TypeError, ValueError: if a number is outside its domain, or a vector has not three.
+    """
+
+    position: Vector = (0.4, -0.3, 0.0)
+    power: float = 1.0
+    aim: Vector = (0.0, 0.0, 1.0)
+    cone: float | None = None
+    color: Vector = (1.0, 1.0, 1.0)
+
+    def __post_init__(self) -> None:
+        limits = {"position": (-1e4, 1e4), "aim": (-1e4, 1e4), "color": (0.0, math.inf)}
+        for name, (low, high) in limits.items():
+            numbers = getattr(self, name)
+            if not isinstance(numbers, (tuple, list)) or len(numbers) != 3:
+                raise TypeError(f"{name} must be three numbers, got {numbers!r:.80}")
+            for number in numbers:
+                checks.within(name, number, low, high)
+            object.__setattr__(self, name, tuple(map(float, numbers)))
+        if math.hypot(*self.aim) < 1e-6:
+            raise ValueError(f"aim must point somewhere, got {self.aim}")
+        checks.within("power", self.power, 0.0)
+        if self.cone is not None:
+            checks.within("cone", self.cone, 1.0, 90.0)
+
+    def curves(
+        self, water: Medium, share: Tensor, rays: Rays, normals: Tensor, z: Tensor
+    ) -> Curves:
+        """What reaches the camera at each pixel, as `Light.curves`.
+
+        Args:
+            water: `uwaug.Medium.under_lamp` the light of lamps.
+            share: T_β/T_G of it at z.
+            rays: of the picture.
+            normals: of the surfaces, see `uwaug.light.rays.Rays.normals`.
+            z (Bx1xHxW tensor): effective distance, m.
+        """
+        nearest = rays.along(self.position)
+        height = torch.sqrt(rays.distance(self.position).square() + _RADIUS**2)
+        beyond = z - nearest
+        squared = beyond.square() + height.square()
+        one_over = squared.rsqrt()
+        # normals point away from the camera: (P − L)·N = 1 − L·N
+        above = (1 - dot(normals, self.position)).clamp(min=0.0) * normals.square().sum(
+            1, True
+        ).rsqrt()
+        gets = (above * one_over).clamp(max=1.0) * one_over.square()
+        cone = None if self.cone is None else self._cone(self.cone, rays, nearest, height)
+        if cone is not None:
+            gets = gets * cone.share(height * one_over, beyond * one_over)
+        color = z.new_tensor(self.color).reshape(1, 3, 1, 1) * self.power
+        arrives = _summed(water.G, water.signal_weights, z + squared * one_over)
+        arrives = _dimmed(arrives, gets * color)
+        direct = _dimmed(arrives, share)
+        veil = backscatter(water.G, water.veil_weights, nearest, height, cone, z)
+        return Curves(direct, arrives - direct, veil * color)
+
+    def _cone(self, degrees: float, rays: Rays, nearest: Tensor, height: Tensor) -> Cone:
+        length = math.hypot(*self.aim)
+        x, y, z = (part / length for part in self.aim)
+        along = rays.along((x, y, z))
+        before = self.position[0] * x + self.position[1] * y + self.position[2] * z
+        inner, outer = (math.cos(math.radians(degrees * part)) for part in (1 - _EDGE, 1))
+        return Cone((nearest * along - before) / height, along, inner, outer)
+
+
+@codec.plain
+@dataclass(frozen=True)
 class Light:
-    """See branch `light`."""
+    """Lamps near the camera, and daylight beside them.
+
+    Attributes:
+        lamps: any number of `Lamp`.
+        daylight: factor of the medium's own light, and of its veil; ≥ 0.
+        view: horizontal angle of view of the camera, degrees, 1…170: where its rays are.
+
+    Raises:
+        TypeError, ValueError: if a lamp is none, or a number is outside its domain.
+
+    Examples:
+        >>> headlight = Lamp((0.3, -0.2, 0.0), power=4.0, aim=(-0.1, 0.1, 1.0), cone=40.0)
+        >>> Light([headlight], daylight=0.2).lamps[0].power
+        4.0
+    """
+
+    lamps: tuple[Lamp, ...] = ()
+    daylight: float = 1.0
+    view: float = 60.0
+
+    def __post_init__(self) -> None:
+        if isinstance(self.lamps, (Lamp, Mapping)) or not isinstance(self.lamps, (tuple, list)):
+            raise TypeError(f"lamps must be a list of uwaug.Lamp, got {self.lamps!r:.80}")
+        # tables of TOML need not say of each that it is a lamp
+        lamps = [codec.from_plain(lamp, Lamp) for lamp in self.lamps]
+        for lamp in lamps:
+            checks.instance("lamps", lamp, Lamp)
+        object.__setattr__(self, "lamps", tuple(lamps))
+        checks.within("daylight", self.daylight, 0.0)
+        checks.within("view", self.view, 1.0, 170.0)
+
+    def curves(self, medium: Medium, z: Tensor) -> Curves:
+        """What reaches the camera at each pixel, of light that the scene would send back if it were
+        white: unscattered, scattered forward, and the veil. In place of `Medium.curves`; gradients
+        pass to distances and medium.
+
+        Exposure multiplies the picture: it is metered on these curves, and none is made anew for
+        it.
+
+        Args:
+            medium: of B or 1 rows, of the type of z.
+            z (Bx1xHxW tensor): effective distance, m, finite: where a field multiplies it, the
+                scene is so far from the lamps, too.
+        """
+        day = medium.curves(z)
+        total = Curves(*(part * self.daylight for part in day))
+        if not self.lamps:
+            return total
+        water, rays = medium.under_lamp(), Rays.of(z, self.view)
+        normals, share = rays.normals(z), _straight(water, z)
+        for lamp in self.lamps:
+            total = added(total, lamp.curves(water, share, rays, normals, z))
+        return total
+
+    def planned(self, medium: Medium) -> Medium:
+        """The medium for which a blur is planned: a lamp may light the scene as daylight does at
+        the surface, however dim daylight is at the scene.
+        """
+        return medium.under_lamp() if self.lamps else medium
+
+
+def _straight(water: Medium, z: Tensor) -> Tensor:
+    """T_β/T_G, the share of what arrives that has come straight from the surface: of each channel;
+    of surfaces with spectra, where one may be black or negative, one of all (Bx1xHxW).
+    """
+    direct = _summed(water.beta, white(water.direct_weights), z)
+    signal = _summed(water.G, white(water.signal_weights), z)
+    if water.is_spectral:
+        direct, signal = direct.sum(1, keepdim=True), signal.sum(1, keepdim=True)
+    return (direct / signal.clamp(min=_DARK)).clamp(max=1.0)
+
+
+def _summed(rates: Tensor, weights: Tensor, length: Tensor) -> Tensor:
+    """Σ weight·e^(−rate·length) of ways (Bx1xHxW) through the water: three channels (Bx3xHxW), or
+    matrices (Bx3x3xHxW).
+    """
+    left = decay(rates[..., None], length.flatten(1)[:, None])
+    sums = torch.unflatten(weights.flatten(1, -2) @ left, -1, length.shape[-2:])
+    return sums if weights.ndim == 3 else torch.unflatten(sums, 1, (3, 3))
+
+
+def _dimmed(T: Tensor, light: Tensor) -> Tensor:
+    """Transmittances in light of some strength, of each channel of the picture or of all."""
+    return T * light if T.ndim == 4 else T * light[:, :, None]

@@ -18,9 +18,9 @@ Examples:
 """
 
 from uwaug.published.augment import augment
-from uwaug.published.equation import system, systems, waters
+from uwaug.published.equation import picture, system, systems
 from uwaug.published.lamp import Lamp
-from uwaug.published.systems import (
+from uwaug.published.models import (
     akkaynak_2018,
     desai_2021,
     desai_2024,
@@ -49,10 +49,10 @@ __all__ = [
     "li_2020",
     "liu_2022",
     "mcglamery_1980",
+    "picture",
     "schechner_2004",
     "slurpp_2025",
     "system",
     "systems",
     "ueda_2019",
-    "waters",
 ]

@@ -166,7 +166,7 @@ def ueda_2019(
     return image * both + B * (vertical - both)
 
 
-@published("linear", waters=())
+@published("linear")
 def hou_2020(
     image: Tensor,
     z: Tensor,
@@ -206,7 +206,7 @@ UWCNN = {
 """What is left of red, green and blue after a metre of each type, for `li_2020`."""
 
 
-@published("linear", waters=tuple(UWCNN))
+@published("linear")
 def li_2020(
     image: Tensor,
     z: Tensor,
@@ -392,7 +392,7 @@ SLURPP = {
 """Attenuation of red, green and blue in each type, 1/m, for `slurpp_2025`."""
 
 
-@published("linear", waters=tuple(SLURPP))
+@published("linear")
 def slurpp_2025(
     image: Tensor,
     z: Tensor,
