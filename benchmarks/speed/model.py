@@ -212,9 +212,7 @@ def _curve_error(name: str, depth: float, g: float, tolerance: float) -> dict[st
     near = torch.linspace(0, 20, 2001, dtype=torch.float64)
     z = torch.cat([near, torch.logspace(-6, 5, 1001, dtype=torch.float64)])
     water = uwaug.Water.jerlov(name).at(WAVELENGTHS)
-    medium = uwaug.Medium.from_water(
-        water, vertical_depth=depth, g=g, mu=MU, tolerance=tolerance
-    )
+    medium = uwaug.Medium.from_water(water, vertical_depth=depth, g=g, mu=MU, tolerance=tolerance)
     response = uwaug.load_camera("Nikon 5100 (NPL)").weights(WAVELENGTHS).T
     lit = response * np.exp(-water.kd * depth)
     rates = water.a + g * water.b

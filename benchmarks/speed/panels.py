@@ -167,9 +167,7 @@ def spectra_contest(size: int, water: str) -> Contest:
     media["3 wavelengths"] = Medium.from_coefficients(**three)
     methods: dict[str, Method] = {}
     for name, medium in media.items():
-        methods[name] = partial(
-            medium.to(torch.float32).image, c.z, c.image, scattered
-        )
+        methods[name] = partial(medium.to(torch.float32).image, c.z, c.image, scattered)
     for n in (32, 256, 2048):
         table = _table(bands, n)
         methods[f"table of {n}"] = partial(table_lookup, c, table, DISTANCES[1], scattered)

@@ -239,9 +239,10 @@ def test_colours_are_refereed() -> None:
 
 def test_the_roofline_counts_coarse_blurs_as_matrices_have_it() -> None:
     pytest.importorskip("numba")
+    from uwaug.formation.loops.tables import coarse_table
+
     from benchmarks.speed import roofline
     from uwaug.blur.banded import Node, along_rows, operator
-    from uwaug.formation.loops.tables import coarse_table
 
     node, height, width = Node(6.0, 4.0, 3.0), 96, 130
 

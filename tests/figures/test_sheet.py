@@ -2,8 +2,8 @@ from pathlib import Path
 
 import pytest
 import torch
-
 from uwaug._support.drawing import save
+
 from uwaug.figures import demo as plots
 from uwaug.figures import sheet as sheets
 

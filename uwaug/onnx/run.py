@@ -2,7 +2,7 @@
 
 import json
 import os
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -116,7 +116,7 @@ class OnnxUnderwater:
             result = self.session({n: x.expand(batch, *x.shape[1:]) for n, x in rows.items()})
         if pictures.ndim == 3 and batch == 1:
             result = result[0]
-        return cast(Picture, result if isinstance(image, Tensor) else result.numpy())
+        return result if isinstance(image, Tensor) else result.numpy()
 
     def _coefficients(self, medium: Medium | None) -> dict[str, Tensor]:
         """The medium's numbers as the file takes them."""
