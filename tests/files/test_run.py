@@ -63,13 +63,14 @@ def test_items() -> None:
         Path("ds", place).parent.mkdir(parents=True, exist_ok=True)
         Path("ds", place).touch()
     assert names("ds/deep", "{stem}_depth.png") == {"2.PNG": "ds/deep/2_depth.png"}
-    inside = {"deep/2.PNG": "ds/maps/deep/2", "deep/2_depth.png": "ds/maps/deep/2_depth"}
     with pytest.raises(ValueError, match=r"ds/maps has no map for any picture: .*ds/maps/deep/2,"):
         find_items("ds", "ds/maps", apart=["ds/out"])
     Path("ds/maps/deep").mkdir()
     Path("ds/maps/deep/2.npy").touch()
-    inside["deep/2.PNG"] += ".npy"
-    assert names("ds", "ds/maps", apart=["ds/out"]) == inside
+    assert names("ds", "ds/maps", apart=["ds/out"]) == {
+        "deep/2.PNG": "ds/maps/deep/2.npy",
+        "deep/2_depth.png": "ds/maps/deep/2_depth",  # is missing
+    }
     assert names("ds/out/1.png", "ds/maps/2.tif") == {"1.png": "ds/maps/2.tif"}
     assert names("ds/out") == {"1.png": ""}
     # as data sets lie
@@ -126,6 +127,11 @@ def test_bytes_depend_on_neither_workers_nor_order_nor_threads() -> None:
     assert lines[0] == lines[1]
     assert one == two
     assert len({one[f"{number}.png"] for number in range(4)}) == 4
+
+
+def test_blank_pictures_are_told_of() -> None:
+    save("depth/1.npy", 20 * metres(H, W))
+    assert degrade(Recipe(transform=WATER.to_dict()), items(), "out").blank == ["1.png"]
 
 
 def test_formats() -> None:
@@ -277,28 +283,26 @@ def test_one_bad_picture_does_not_stop_the_rest() -> None:
     assert set(content("out")) == {"0.png", "0.png.json", "index.csv"}
 
 
-def test_refusals() -> None:
-    save("all/0.tif", pixels(H, W))
-    cases: list[tuple[Any, Any, Any, str]] = [
-        (Recipe(ending=".png"), items(), "out", "0.tif would both be written to|0.png would both"),
-        (Recipe(), items(), "all", "not empty"),
-        (Recipe(), find_items("all"), "out", "distance is missing: 0.png has no file of it"),
-        (Recipe(labels="all"), items(), "out", "images/0.png would|mask"),
-        (Recipe(transform={"contrasts": 1}), items(), "out", "contrasts"),
-    ]
-    for recipe, found, out, message in cases[:3] + cases[4:]:
-        with pytest.raises((ValueError, TypeError, OSError), match=message):
-            degrade(recipe, found, out)
-    with pytest.raises(ValueError, match="is read, and would be written over"):
-        degrade(Recipe(), items(), "all", force=True)
-    for options, message in (
-        ({"unit": "inch"}, "unit must be"),
-        ({"variants": 0}, "variants must be 1 or more"),
-        ({"ending": ".gif"}, "ending must be one of"),
-        ({"min_contrast": 2}, "min_contrast must be"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            Recipe(**options)
+@pytest.mark.parametrize(
+    "options, maps, out, message",
+    [
+        ({"ending": ".png"}, "depth", "out", "would both be written to .*out/0.png: rename one"),
+        ({}, None, "out", "distance is missing: 0.png has no file of it"),
+        ({}, "depth", "all", "is read, and would be written over"),
+        ({"transform": {"contrasts": 1}}, "depth", "out", "contrasts"),
+        ({"unit": "inch"}, "depth", "out", "unit must be one of m, cm, mm"),
+        ({"variants": 0}, "depth", "out", "variants must be 1 or more"),
+        ({"ending": ".gif"}, "depth", "out", "ending must be one of .npy"),
+        ({"min_contrast": 2}, "depth", "out", "min_contrast must be in"),
+    ],
+)
+def test_refusals(options: dict[str, Any], maps: str | None, out: str, message: str) -> None:
+    if "ending" in options:
+        save("all/0.tif", pixels(H, W))
+    before = content(".")
+    with pytest.raises((ValueError, TypeError), match=message):
+        degrade(Recipe(**options), find_items("all", maps), out, force=True)
+    assert content(".") == before
 
 
 # What is stopped

@@ -138,6 +138,10 @@ def degrade(
     if labels is not None:
         count, kept = summary.objects
         print(f"{kept} of {count} labels kept")
+    if summary.blank:
+        some = f"{len(summary.blank)} of them, such as {summary.blank[0]}"
+        cure = "are distances in another unit? If not, take clearer water by --contrast"
+        print(f"next to nothing is left to see of {some}: {cure}")
     if summary.failures:
         more = f"\nand {len(summary.failures) - 5} more" if len(summary.failures) > 5 else ""
         end(1, "\n".join(summary.failures[:5]) + more)

@@ -83,7 +83,7 @@ def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
     z = torch.from_numpy((values.astype(np.float64) * metres_of(unit)).astype(np.float32))[None]
     median = checks.too_far(z)
     if median is not None:
-        got = f"the median is {median:.4g} m if they are in {unit}, farther than one sees"
+        got = f"the median is {median:.4g} metres if they are in {unit}, farther than one sees"
         raise ValueError(f"{path}: {got}: is the unit mm?")
     return z
 

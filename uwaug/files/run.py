@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -25,6 +26,9 @@ from uwaug.transforms.samples import key_of
 
 _LOOKS = 128
 """Rows, and columns, about, at which the contrast that is left is looked at."""
+
+_FAINT = 0.03
+"""Share of contrast below which next to nothing can be seen."""
 
 _COLUMNS = ("name", "variant", "picture", "distance", "output", "contrast", "status", "reason")
 
@@ -106,6 +110,17 @@ class Summary:
     def failures(self) -> list[str]:
         """What went wrong: each begins with a picture's name."""
         return [f"{one.item.name}: {one.reason}" for one in self.results if one.status == "failed"]
+
+    @property
+    def blank(self) -> list[str]:
+        """Names of pictures in which next to nothing is left to see, less than 3 % of the contrast:
+        distances may be in another unit, or the water too turbid.
+        """
+        return [
+            one.item.name
+            for one in self.results
+            if one.contrast is not None and one.contrast < _FAINT
+        ]
 
     @property
     def objects(self) -> tuple[int, int]:
@@ -234,7 +249,10 @@ class Worker:
     def __call__(self, job: Job) -> Result:
         """Degrade a picture."""
         try:
-            return self._written(job)
+            with warnings.catch_warnings():
+                # each process would warn of blank pictures once: the summary tells of all
+                warnings.simplefilter("ignore")
+                return self._written(job)
         except Exception as error:  # decoders raise whatever they like over a damaged file
             return self._failed(job, _reason(error))
 

@@ -62,7 +62,7 @@ class Cone(NamedTuple):
 
     def ends(self) -> tuple[Tensor, Tensor]:
         """The angles θ between which each ray is lit; of a ray that is not, twice the same."""
-        size = torch.hypot(self.across, self.along).clamp(min=_LEAST)
+        size = (self.across.square() + self.along.square()).sqrt().clamp(min=_LEAST)
         half = torch.acos((self.outer / size).clamp(max=1.0))
         middle = torch.atan2(self.along, self.across)
         return middle - half, middle + half

@@ -53,9 +53,9 @@ def check_onnx(
     """Check an exported file against the module it came from.
 
     `onnx.checker`, then ONNX Runtime with optimisations off and on against float64 eager with the
-    same plan: batches of 1, 2 and 5, odd, even, smallest and large sizes; constant, random,
-    zero, far and infinite distances. A file that takes coefficients is given media of other numbers
-    of rates, and one per image.
+    same plan: batches of 1, 2 and 5, odd, even and smallest sizes and a large one; constant,
+    random, zero, far and infinite distances. A file that takes coefficients is given media of other
+    numbers of rates, and one per image.
 
     Args:
         path: the file.
@@ -78,6 +78,8 @@ def check_onnx(
         raise ValueError(f"{path}: onnx.checker refuses it: {first}") from error
     if module is None:
         module = module_of(path, metadata)
+        if module.light is not None:
+            raise ValueError(f"{path}: holds lamps, but not all of their water: give the module")
     takes_coefficients = metadata["uwaug_coefficients"] == "inputs"
     media = [module.medium[i] for i in range(len(module.medium))]
     if takes_coefficients:

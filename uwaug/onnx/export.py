@@ -6,6 +6,7 @@ import os
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +31,8 @@ from uwaug.optics.medium import Medium
 _OPSET = 18
 """The first in which scattered values are added."""
 
-_TORCH = (2, 9)
-"""The oldest whose exporter writes these files."""
+_TORCH = (2, 13)
+"""The oldest that was tried; the exporter of 2.6 lacks what a trace of free sizes needs."""
 
 _DOC = {
     "image": "linear light or sRGB, see uwaug_module; 0…1, red, green, blue",
@@ -74,7 +75,7 @@ def export_onnx(
         The path.
 
     Raises:
-        ImportError: if the onnx extra is not installed, or torch is older than 2.9.
+        ImportError: if the onnx extra is not installed, or torch is older than 2.13.
         OSError: if the folder is missing or cannot be written to, or `path` is no regular file.
         TypeError, ValueError: if the module cannot be exported, or the file fails its check.
 
@@ -114,13 +115,28 @@ def _require_exportable(module: Underwater, coefficients: bool) -> None:
         raise ValueError("coefficients cannot be inputs of a file with lamps: give one water")
 
 
+@dataclass(frozen=True, eq=False)
+class _InLamplight(Medium):
+    """A medium that knows what it is in the light of lamps, which a trace cannot work out."""
+
+    lamplit: Medium | None = None
+
+    def under_lamp(self) -> Medium:
+        assert self.lamplit is not None
+        return self.lamplit
+
+
 class Graph(nn.Module):
     """`form` as a function of tensors alone, with the blurs of one plan."""
 
     def __init__(self, module: Underwater, plan: BlurPlan) -> None:
         super().__init__()
         self.plan, self.blurs = plan, Blurs(plan)
-        self.medium = module.medium.map(lambda t: t.detach().to("cpu", torch.float32))
+        medium = module.medium.map(lambda t: t.detach().to("cpu", torch.float32))
+        if module.light is not None:
+            known = {field.name: getattr(medium, field.name) for field in fields(medium)}
+            medium = _InLamplight(**known, lamplit=medium.under_lamp())
+        self.medium = medium
         self.development, self.light = module.development, module.light
         self.color_space = module.color_space
 

@@ -19,7 +19,6 @@ Examples:
 
 from uwaug.published.augment import augment
 from uwaug.published.equation import picture, system, systems
-from uwaug.published.lamp import Lamp
 from uwaug.published.models import (
     akkaynak_2018,
     desai_2021,
@@ -37,7 +36,6 @@ from uwaug.published.models import (
 )
 
 __all__ = [
-    "Lamp",
     "akkaynak_2018",
     "augment",
     "desai_2021",

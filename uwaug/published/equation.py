@@ -26,6 +26,9 @@ Equation = TypeVar("Equation", bound=Callable[..., Tensor])
 AnyWater = str | os.PathLike[str] | Water
 AnyCamera = str | os.PathLike[str] | Camera
 
+_AT_ONCE = 4096
+"""Pixels."""
+
 _SYSTEMS: dict[str, Callable[..., Tensor]] = {}
 
 
@@ -141,11 +144,12 @@ class BandedWater(NamedTuple):
         weights = self.response * light
         if not legs:
             return weights.sum(1).reshape(1, 3, 1, 1)
-        total = weights.new_zeros(1, 3, 1, 1)
-        for n, weight in enumerate(weights.T):
-            depth = sum((rate[n] * path for rate, path in legs), weight.new_zeros(()))
-            total = total + weight.reshape(1, 3, 1, 1) * torch.exp(-depth)
-        return total
+        rates, paths = (torch.stack(part) for part in zip(*legs, strict=True))
+        # few pixels at a time, whose bands stay in the cache
+        parts = torch.split(paths.flatten(1), _AT_ONCE, 1)
+        sums = [weights @ torch.exp(-(rates.T @ part)) for part in parts]
+        rows, _, height, width = paths.shape[1:]
+        return torch.cat(sums, 1).reshape(3, rows, height, width).transpose(0, 1)
 
     def scattered(
         self, image: Tensor, z: Tensor, scale: float, shape: Shape = "exponential"

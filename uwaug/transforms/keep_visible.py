@@ -54,8 +54,8 @@ class KeepVisible(SampleTransform):
         >>> from uwaug import RandomUnderwater
         >>> keep = KeepVisible(RandomUnderwater("3C", contrast=None), min_contrast=0.05)
         >>> distance = torch.full((1, 32, 48), 1.0)
-        >>> distance[..., 24:] = 12.0
-        >>> boxes = torch.tensor([[2.0, 2.0, 20.0, 20.0], [26.0, 2.0, 46.0, 20.0]])
+        >>> distance[..., 32:] = 12.0
+        >>> boxes = torch.tensor([[2.0, 2.0, 20.0, 20.0], [34.0, 2.0, 46.0, 20.0]])
         >>> target = {"boxes": boxes, "labels": torch.tensor([7, 8])}
         >>> image, distance, target = keep(torch.rand(3, 32, 48), distance, target)
         >>> target["labels"]

@@ -15,7 +15,6 @@ from torch import Tensor
 from uwaug._support import checks, codec
 from uwaug._support.ranges import Range, as_range
 from uwaug.distance.sources import Metres, Plane, Source
-from uwaug.fitting.result import load_fit
 from uwaug.formation.colour import require_values
 from uwaug.formation.contrast import FAINT, contrast_left
 from uwaug.formation.development import NEUTRAL, metering_points
@@ -235,12 +234,16 @@ class RandomUnderwater(SampleTransform):
         a fit, as it is.
 
         Args:
-            name_or_path, water: as for `uwaug.load_preset`; or the JSON file of a fit.
+            name_or_path, water: as for `uwaug.load_preset`; or the path of a fit's JSON file.
             options: any argument of the class, in place of the preset's.
         """
+        figures: dict[str, Any]
         if str(name_or_path).endswith(".json"):
+            # fits load scipy.optimize, which a DataLoader worker can do without
+            from uwaug.fitting.result import load_fit
+
             neutral = {"color_matrix": None, **asdict(NEUTRAL)}
-            figures: dict[str, Any] = {"waters": load_fit(name_or_path).medium, "field": None}
+            figures = {"waters": load_fit(name_or_path).medium, "field": None}
         else:
             figures = load_preset(name_or_path, water=water).options()
             neutral = figures.pop("development")
@@ -376,9 +379,9 @@ class RandomUnderwater(SampleTransform):
         self, image: Tensor, pictures: Tensor, distance: Any, samples: list[Record]
     ) -> Tensor:
         """`transform` of samples that are known to be good; `pictures` are those of the image."""
+        maps, space = self._maps(pictures, distance), self.development.color_space
         if not any(sample["applied"] for sample in samples):
             return image
-        maps, space = self._maps(pictures, distance), self.development.color_space
         results = []
         for i, (picture, z, sample) in enumerate(zip(pictures, maps, samples, strict=True)):
             result = picture[None]
@@ -392,8 +395,8 @@ class RandomUnderwater(SampleTransform):
                         result, effective, medium, look, color_space=space, light=self.light
                     )
             results.append(result)
-        batch = torch.cat(results)
-        return typed(batch[0] if image.ndim == 3 else batch, type(image))
+        result = results[0][0] if image.ndim == 3 else torch.cat(results)
+        return typed(result, type(image))
 
     def _maps(self, pictures: Tensor, distance: Any) -> Sequence[Tensor | None]:
         """What each picture has for a map."""

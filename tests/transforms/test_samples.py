@@ -1,0 +1,126 @@
+"""Samples as loaders give them: structures, classes of tensors, pipelines."""
+
+from collections import OrderedDict, defaultdict
+from typing import Any, NamedTuple
+
+import pytest
+import torch
+from augmenting import EVERYTHING, OPTIONS, H, W, distances, picture, same
+from torch import Tensor
+
+from uwaug import RandomUnderwater
+
+
+class Sample(NamedTuple):
+    image: Tensor
+    distance: Tensor
+    label: int
+
+
+@pytest.mark.parametrize("batch", [None, 2], ids=["single", "batch"])
+@pytest.mark.parametrize("name", ["default", "keys", "plane", "network"])
+def test_the_same_structure_comes_back(name: str, batch: int | None) -> None:
+    aug = RandomUnderwater(**OPTIONS[name])
+    image, distance = picture(batch), distances(batch)
+    kept = image.clone(), distance.clone()
+    label, boxes = object(), [torch.zeros(2, 4)]
+    named = {aug.keys[0]: image, "label": label, aug.keys[1]: distance, "boxes": boxes}
+    default: defaultdict[str, Any] = defaultdict(list, named)
+    for sample in (named, OrderedDict(named), default):
+        out = aug(sample)
+        assert type(out) is type(sample)
+        assert list(out) == list(sample)
+        assert all(out[k] is sample[k] for k in sample if k != aug.keys[0])
+        assert out[aug.keys[0]].shape == image.shape
+        assert not torch.equal(out[aug.keys[0]], image)
+    leaves = (image, distance, label, boxes)
+    for sample in (leaves, list(leaves), Sample(image, distance, 3)):
+        out = aug(sample)
+        assert type(out) is type(sample)
+        assert all(a is b for a, b in zip(out[1:], sample[1:], strict=True))
+        assert not torch.equal(out[0], image)
+    assert all(torch.equal(a, b) for a, b in zip((image, distance), kept, strict=True))
+
+
+class Photo(Tensor):
+    """Wrapped and unwrapped as torchvision's tv_tensors are."""
+
+
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.float32])
+@pytest.mark.parametrize("batch", [None, 2], ids=["single", "batch"])
+def test_subclasses_come_back(batch: int | None, dtype: torch.dtype) -> None:
+    aug = RandomUnderwater().at(0, 0, 0)
+    image, distance = picture(batch, dtype), distances(batch) + 1
+    out, _ = aug(image.as_subclass(Photo), distance.as_subclass(Photo))
+    assert type(out) is Photo
+    assert same(aug(image, distance)[0], out.as_subclass(Tensor))
+
+
+@pytest.mark.parametrize("name", ["default", "keys", "plane"])
+def test_a_map_in_the_dict_in_second_place(name: str) -> None:
+    aug = RandomUnderwater(**OPTIONS[name])
+    target = {"boxes": torch.zeros(2, 4), aug.keys[1]: distances(), "labels": [1, 2]}
+    expected = aug.at(0, 0, 0)(picture(), target[aug.keys[1]])[0]
+    for sample in ((picture(), target, "more"), [picture(), target]):
+        out = aug.at(0, 0, 0)(sample)
+        assert type(out) is type(sample)
+        assert same(out[0], expected)
+        assert out[1] is target
+
+
+@pytest.mark.parametrize(
+    "sample, message",
+    [
+        ({"image": picture(), "depth": 0}, "no 'distance', only 'image', 'depth': see keys"),
+        ((picture(), {"depth": 1}), "dict in second place has no 'distance', only 'depth'"),
+        ((), "sample is empty"),
+        (picture(), "distance is missing"),
+    ],
+)
+def test_refused_samples(sample: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        RandomUnderwater()(sample)
+
+
+def test_maps_are_checked_whatever_is_drawn() -> None:
+    with pytest.raises(ValueError, match="height and width must agree"):
+        RandomUnderwater(p=0.0)(picture(), distances()[:, 1:])
+
+
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.float32])
+def test_in_a_torchvision_pipeline(torchvision: Any, dtype: torch.dtype) -> None:
+    v2, tv = torchvision.transforms.v2, torchvision.tv_tensors
+    pipeline = v2.Compose(
+        [
+            v2.RandomResizedCrop((20, 28), antialias=True),
+            v2.ColorJitter(0.2, 0.2),
+            RandomUnderwater(**EVERYTHING),
+            v2.ToDtype(torch.float32, scale=True),
+            v2.Normalize([0.5] * 3, [0.25] * 3),
+        ]
+    )
+    image, distance, label = tv.Image(picture(dtype=dtype)), tv.Mask(distances() + 1), object()
+    values = set(distance.flatten().tolist())
+    named = {"image": image, "distance": distance, "label": label}
+    for sample in ((image, distance, label), named):
+        out = pipeline(sample)
+        made, z, same_label = out.values() if isinstance(out, dict) else out
+        assert type(out) is type(sample)
+        assert same_label is label
+        assert (type(made), type(z)) == (tv.Image, tv.Mask)
+        assert made.shape == (3, 20, 28)
+        assert made.isfinite().all()
+        assert set(z.flatten().tolist()) <= values  # moved, not jittered
+
+
+def test_torchvision_detection(torchvision: Any) -> None:
+    v2, tv = torchvision.transforms.v2, torchvision.tv_tensors
+    pipeline = v2.Compose([v2.RandomHorizontalFlip(p=1.0), RandomUnderwater(**EVERYTHING)])
+    image = tv.Image(picture(dtype=torch.uint8))
+    boxes = tv.BoundingBoxes([[1, 2, 9, 12]], format="XYXY", canvas_size=(H, W))
+    target = {"boxes": boxes, "distance": tv.Mask(distances() + 1)}
+    made, moved = pipeline(image, target)
+    assert type(made) is tv.Image
+    assert not torch.equal(made, image.flip(-1))
+    assert moved["boxes"].tolist() == [[W - 9, 2, W - 1, 12]]
+    assert torch.equal(moved["distance"], target["distance"].flip(-1))
