@@ -10,7 +10,6 @@ from referees import reference, spectral
 from referees.spectral import NIKON, SIGMA
 
 from uwaug import JERLOV_TYPES, Camera, Medium, Water, form_image, load_camera
-from uwaug.optics.bands import Bands
 from uwaug.optics.surfaces import reflectances
 
 Z = np.concatenate([[0.0], np.geomspace(1e-3, 30, 160)])
@@ -185,13 +184,12 @@ def test_a_lamp_lights_surfaces_with_spectra(tolerance: float) -> None:
     np.testing.assert_allclose(scattered.numpy(), wanted, rtol=0, atol=1e-7 + 3 * tolerance)
 
 
-def test_bands_of_both_kinds_are_no_batch() -> None:
-    parts = [m.bands for m in (Medium.from_water("3C"), medium_of("3C"))]
-    assert Bands.stack([part for part in parts if part is not None]) is None
-    stacked = Medium.stack([medium_of("3C"), medium_of("7C")]).under_lamp()
-    z = torch.tensor(1.5)
-    alone = medium_of("7C").under_lamp()
-    torch.testing.assert_close(stacked.signal(z)[1:], alone.signal(z))
+def test_media_of_both_kinds_under_a_lamp() -> None:
+    media = [Medium.from_water("3C"), medium_of("7C")]
+    stacked, z = Medium.stack(media).under_lamp().signal(torch.tensor(1.5)), torch.tensor(1.5)
+    for ours, medium in zip(stacked, media, strict=True):
+        alone = medium.under_lamp().signal(z)[0]
+        torch.testing.assert_close(ours, alone if medium.is_spectral else torch.diag(alone))
 
 
 def test_a_camera_whose_channels_see_the_same_is_refused() -> None:
