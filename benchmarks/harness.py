@@ -8,7 +8,8 @@ import random
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
@@ -21,8 +22,10 @@ import torch
 from torch import Tensor
 
 from uwaug._support.atomic import written_whole
+from uwaug.optics.camera import load_camera
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.reduction import attenuations
 from uwaug.optics.water import Water
 from uwaug.presets.scene import motorcycle_depth
 
@@ -129,12 +132,20 @@ def command(main: Callable[[bool], object], about: str | None) -> None:
     main(parser.parse_args().quick)
 
 
-def measure_eager() -> None:
-    """Let "uwaug" be eager PyTorch in all figures, here and in what is started from here.
+@contextmanager
+def loops(used: bool) -> Iterator[None]:
+    """Where pictures are formed by the compiled loops, or by PyTorch."""
+    before = os.environ.get("UWAUG_FAST", "1")
+    os.environ["UWAUG_FAST"] = "1" if used else "0"
+    try:
+        yield
+    finally:
+        os.environ["UWAUG_FAST"] = before
 
-    `benchmarks.speed.loops` has those of the compiled loops; it chooses the path run by run.
-    """
-    os.environ.setdefault("UWAUG_FUSED", "0")
+
+def measure_eager() -> None:
+    """Let "uwaug" be eager PyTorch where a benchmark does not ask for the loops."""
+    os.environ.setdefault("UWAUG_FAST", "0")
 
 
 def machine() -> dict[str, Any]:
@@ -203,6 +214,18 @@ def water_medium(water: str, widest: float = WIDEST, **options: Any) -> Medium:
     medium = Medium.from_water(Water.jerlov(water), **options)
     law = PointSpread(widest / DISTANCES[1] / float(medium.b_mean))
     return replace(medium, point_spread=law)
+
+
+def banded_medium(water: str, wavelengths: Sequence[float]) -> Medium:
+    """A Jerlov type 1 m deep by some wavelengths alone, each a rate."""
+    spectra = Water.jerlov(water).at(wavelengths)
+    weights = torch.from_numpy(load_camera("Nikon 5100 (NPL)").weights(wavelengths).T)[None]
+    beta, G = (torch.from_numpy(x)[None] for x in attenuations(spectra.a, spectra.b, 0.2))
+    light = torch.from_numpy(np.exp(-spectra.kd))
+    veil = 0.3 * torch.from_numpy(spectra.b) * light / G
+    like = water_medium(water)
+    tensors = [beta, weights * light, G, weights * light, weights * veil[:, None], like.b_mean]
+    return Medium.of_tensors(tensors, like.point_spread)
 
 
 def scene(size: int, batch: int = 1) -> tuple[Tensor, Tensor]:

@@ -7,20 +7,29 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from uwaug import Camera, Constituents, Light, PointSpread, RandomUnderwater, Water
-from uwaug.transforms.random_underwater import SURVEY
+from uwaug import (
+    Camera,
+    Constituents,
+    Medium,
+    PointSpread,
+    RandomDevelopment,
+    RandomUnderwater,
+    Water,
+)
+from uwaug.distance import Inverse, Metres, Network, Plane, Relative
 
 H, W = 24, 33
 TANK = Water([400, 550, 700], [0.5, 0.2, 0.7], [1.3, 1.1, 1.0], [0.7, 0.3, 0.8], name="tank")
 COAST = Constituents(chlorophyll=(1, 20), cdom=(0.1, 2), minerals=0.5)
 LASERS = Camera([450, 550, 600], [[0, 0, 1], [0, 1, 0], [1, 0, 0]], name="lasers")
+FIT = Medium.from_coefficients([0.4, 0.2, 0.1], [0.3, 0.15, 0.1], [0.1, 0.3, 0.4], b_mean=0.2)
+RAW = RandomDevelopment(None, 0.0, False, 0.0, 1.0, 0.0, 1.0)
 EVERYTHING = {
     "mixing": (0.0, 1.0),
-    "visibility": (1.5, 9.0),
+    "contrast": (0.2, 0.4),
     "vertical_depth": (0.5, 8.0),
     "g": (0.1, 0.4),
     "mu": (0.2, 0.35),
-    "blur_factor": (0.5, 3.0),
 }
 
 
@@ -29,43 +38,27 @@ def brightness(image: Tensor) -> Tensor:
     return image.mean(-3, keepdim=True)
 
 
-LIGHTS = [
-    Light.ambient() + Light.lamp((0.4, -0.2, 0.0), (-0.1, 0.0, 1.0), 4.0, 40.0),
-    Light.parallel(50.0, 120.0, gradient=0.3),
-]
-
-# in a plane, in relative and in inverse distance, 0…1 is a map as good as any
+# 0…1 is a map as good as any in metres, in relative and in inverse distance
 OPTIONS: dict[str, dict[str, Any]] = {
     "default": {},
-    "survey": SURVEY,
-    "exposures": {"exposure": (-1.0, 2.0), "contrast": 0.3, "focal_px": 30.0},
+    "raw": {"development": RAW, "contrast": None},
     "one water": {"waters": "7C"},
-    "weights": {"waters": {"II": 3.0, "9C": 0, TANK: 1.5}},
+    "waters": {"waters": ["II", "II", TANK, "chlorophyll=5,cdom=.3"]},
     "everything random": EVERYTHING,
     "contents": {"waters": [COAST, "II", TANK], "mixing": (0.0, 1.0)},
-    "cameras": {"cameras": ["sigma sdmerill (npl)", LASERS]},
-    "calibrated": {"point_spread": PointSpread.calibrated(28.6), "g": 0.05, "mu": 0.075},
+    "fit": {"waters": [FIT, "II"]},
+    "camera": {"camera": LASERS},
     "heavy tails": {"point_spread": PointSpread(1.0, 0.6, "exponential")},
-    "no blur": {"point_spread": PointSpread.none(), "tolerance": 0.01},
-    "no field": {"field_probability": 0.0},
-    "fields": {"field_probability": 0.5, "field_range": [0.3, 1.7]},
-    "relative": {
-        "distance_kind": "relative",
-        "near": (0.0, 1.0),
-        "far": (4.0, 8.0),
-        "gamma": (1.0, 3.0),
-    },
-    "inverse": {"distance_kind": "inverse", "near": (0.5, 1.0), "far": 8.0},
+    "even": {"field": None},
+    "relative": {"distance": Relative((0.0, 1.0), (4.0, 8.0), (1.0, 3.0))},
+    "inverse": {"distance": Inverse((0.5, 1.0), 8.0)},
     "plane": {"distance": 3.0},
-    "planes": {"distance": (1.0, 4.0)},
-    "network": {"distance": brightness, "distance_kind": "inverse"},
+    "planes": {"distance": Plane(1.0, 4.0)},
+    "network": {"distance": Network(brightness)},
     "half": {"p": 0.5},
-    "batch": {"same_on_batch": True, **EVERYTHING},
-    "fill": {"unknown": "fill"},
-    "keys": {"image_key": "rgb", "distance_key": "range"},
-    "light": {"color_space": "linear", "order": "source"},
-    "dim daylight": {"light": Light.ambient(0.4)},
-    "lamps": {"light": LIGHTS, "vertical_depth": (5.0, 30.0), "focal_px": 40.0},
+    "fill": {"distance": Metres("fill")},
+    "keys": {"keys": ("rgb", "range")},
+    "linear": {"development": RandomDevelopment(color_space="linear")},
 }
 
 
@@ -100,7 +93,8 @@ def _leading(batch: int | None) -> tuple[int, ...]:
 
 def leaves(aug: RandomUnderwater, batch: int | None = None) -> tuple[Tensor, ...]:
     """What a transform takes: image and map, or image alone."""
-    return (picture(batch), distances(batch)) if aug.distance is None else (picture(batch),)
+    reads_maps = aug.distance.reads_maps  # type: ignore[union-attr]
+    return (picture(batch), distances(batch)) if reads_maps else (picture(batch),)
 
 
 def result(aug: RandomUnderwater, batch: int | None = None, key: int = 0) -> Tensor:

@@ -12,6 +12,10 @@ from hypothesis import settings
 from threadpoolctl import threadpool_limits
 from torch import Tensor
 
+import uwaug.distance.fill
+import uwaug.presets.scene
+import uwaug.transforms.random_underwater
+
 pytest.register_assert_rewrite("referees.terms")  # before a test imports it
 # at the end, so that `benchmarks` is found but an installed uwaug is tested, not the checkout's
 sys.path.append(str(Path(__file__).parent.parent))
@@ -97,3 +101,12 @@ def torchvision() -> Any:
     import torchvision.transforms.v2
 
     return torchvision
+
+
+@pytest.fixture(autouse=True)
+def warnings_are_fresh(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let every test be the first that fills a map: it warns once in a process. Of pictures in
+    which nothing is left only those tests hear that ask for it: many take such a water.
+    """
+    monkeypatch.setattr(uwaug.distance.fill, "_warned", [])
+    monkeypatch.setattr(uwaug.transforms.random_underwater, "_looks_left", [0])

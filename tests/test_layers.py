@@ -11,13 +11,16 @@ PACKAGE = Path(uwaug.__file__).parent
 LAYERS = (
     "_support",
     "optics blur distance",
-    "io light",
-    "formation",
-    "presets fitting onnx labels",
+    "light",
+    "formation fast",
+    "presets fitting onnx",
     "transforms",
-    "adapters jobs figures",
+    "published",
+    "files adapters figures",
     "cli",
 )
+TWINS = {("fast", "formation"), ("formation", "fast")}
+"""The compiled loops are one floor with what they stand for, behind one gate."""
 
 
 def arrows() -> Iterator[tuple[str, str, str]]:
@@ -37,7 +40,7 @@ def arrows() -> Iterator[tuple[str, str, str]]:
             for name in names:
                 package, _, rest = name.partition(".")
                 other = rest.split(".")[0]
-                if package == "uwaug" and other != file.parts[0]:
+                if package == "uwaug" and other not in (file.parts[0], "__version__"):
                     yield str(file), file.parts[0], other
 
 
@@ -52,5 +55,9 @@ def test_rooms_import_downwards_only() -> None:
     floors = {room: n for n, rooms in enumerate(LAYERS) for room in rooms.split()}
     # the package's face knows every room but the command line, which alone may import it
     face = floors["cli"] - 1
-    climbs = [arrow for arrow in arrows() if floors.get(arrow[2], face) >= floors[arrow[1]]]
+    climbs = [
+        (file, room, other)
+        for file, room, other in arrows()
+        if floors.get(other, face) >= floors[room] and (room, other) not in TWINS
+    ]
     assert climbs == []

@@ -1,20 +1,24 @@
 """How near do draws lie to real underwater photographs? 26 numbers of a picture, of which 12 hang
-on the water more than on the scene, and three shares of two clouds of such numbers:
+on the water more than on the scene, and five shares of two clouds of such numbers:
 
-    recall     photographs inside the cloud of draws (Kynkäänniemi et al. 2019)
-    coverage   photographs that have a draw among their nearest neighbours (Naeem et al. 2020)
-    precision  draws inside the cloud of photographs
+    recall            photographs inside the cloud of draws (Kynkäänniemi et al. 2019)
+    coverage          photographs with a draw among their nearest neighbours (Naeem et al. 2020)
+    precision         draws inside the cloud of photographs
+    clipped density   draws that might be photographs (Salvy et al. 2025, arXiv 2507.01761)
+    clipped coverage  draws that would cover as much, were they photographs (the same)
 
 `results/photographs.csv` holds the numbers of 342 photographs of UIEB, RUIE, LSUI, U45, OceanDark,
 and of the test sets of EUVP, UFO and SUIM; without those that a network made.
 """
 
+from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, minimum_filter
 from scipy.spatial.distance import cdist
+from scipy.stats import betabinom
 from skimage.color import rgb2lab
 
 from benchmarks.harness import RESULTS
@@ -37,6 +41,8 @@ OF_WATER = [
     "dark",
 ]
 """Names of the numbers that hang on the water more than on the scene."""
+
+MEASURES = ("recall", "coverage", "precision", "clipped density", "clipped coverage")
 
 _NEIGHBOURS = 5
 _SPLITS = 12
@@ -154,16 +160,25 @@ def _of_layout(luminance: NDArray[np.float32]) -> dict[str, float]:
     }
 
 
-def closeness(pictures: list[Picture]) -> dict[str, tuple[float, float]]:
-    """Recall, coverage and precision of draws, each by all numbers and by those of water."""
+def neon(picture: Picture) -> bool:
+    """Whether half of the pixels have a saturation (HSV) above .9."""
+    brightest, darkest = picture.max(2).astype(np.float64), picture.min(2)
+    return bool(np.median((brightest - darkest) / brightest.clip(1)) > 0.9)
+
+
+def dead(picture: Picture) -> bool:
+    """Whether the mean of a channel is below .02."""
+    return bool(picture.mean((0, 1)).min() < 0.02 * 255)
+
+
+def closeness(draws: list[dict[str, float]]) -> Numbers:
+    """`MEASURES` of draws, each by all numbers of a picture and by those of water (5x2)."""
     photographs, names, groups = load_photographs()
-    draws = np.array([list(map(numbers_of(picture).get, names)) for picture in pictures], float)
-    real, drawn = _standardised(photographs, draws, groups)
+    drawn = np.array([[numbers[name] for name in names] for numbers in draws])
+    real, drawn = _standardised(photographs, drawn, groups)
     water = [names.index(name) for name in OF_WATER]
-    everything = _shares(real, drawn, groups)
     of_water = _shares(real[:, water], drawn[:, water], groups)
-    pairs = zip(everything, of_water, strict=True)
-    return dict(zip(("recall", "coverage", "precision"), pairs, strict=True))
+    return np.stack([_shares(real, drawn, groups), of_water], 1)
 
 
 def _standardised(real: Numbers, drawn: Numbers, groups: NDArray[Any]) -> tuple[Numbers, Numbers]:
@@ -175,8 +190,8 @@ def _standardised(real: Numbers, drawn: Numbers, groups: NDArray[Any]) -> tuple[
     return np.clip((real - mean) / spread, -4, 4), np.clip((drawn - mean) / spread, -4, 4)
 
 
-def _shares(real: Numbers, drawn: Numbers, groups: NDArray[Any]) -> list[float]:
-    """Recall, coverage, precision: means over random subsets of equal size."""
+def _shares(real: Numbers, drawn: Numbers, groups: NDArray[Any]) -> Numbers:
+    """`MEASURES`: means over random subsets of equal size."""
     generator, rows = np.random.default_rng(0), []
     for _ in range(_SPLITS):
         parts = [
@@ -187,9 +202,36 @@ def _shares(real: Numbers, drawn: Numbers, groups: NDArray[Any]) -> list[float]:
         count = min(_MOST, len(part), len(drawn))
         R = real[generator.permutation(part)[:count]]
         D = drawn[generator.permutation(len(drawn))[:count]]
-        of_real, of_drawn = (np.sort(cdist(x, x), 1)[:, _NEIGHBOURS] for x in (R, D))
-        apart = cdist(R, D)
-        inside, near = apart < of_drawn[None], apart < of_real[:, None]
-        rows.append((inside.any(1).mean(), near.any(1).mean(), near.any(0).mean()))
-    shares: list[float] = np.mean(rows, 0).tolist()
+        rows.append(_measures(cdist(R, R), cdist(R, D), cdist(D, D)))
+    shares: Numbers = np.mean(rows, 0)
     return shares
+
+
+def _measures(real: Numbers, apart: Numbers, drawn: Numbers) -> list[float]:
+    """`MEASURES` of distances between photographs (NxN), to draws (NxM), between draws (MxM)."""
+    k = _NEIGHBOURS
+    of_real, of_drawn = (np.sort(distances, 1)[:, k] for distances in (real, drawn))
+    near = apart < of_real[:, None]
+    # balls of outliers are no larger than those of the others, and a draw counts once
+    balls = np.minimum(of_real, np.median(of_real))[:, None]
+    inside = np.minimum((apart <= balls).sum(0) / k, 1).mean()
+    others = np.minimum(((real <= balls).sum(0) - 1) / k, 1).mean()
+    covered = np.minimum(near.sum(1) / k, 1).mean()
+    return [
+        (apart < of_drawn).any(1).mean(),
+        near.any(1).mean(),
+        near.any(0).mean(),
+        min(inside / others, 1.0),
+        np.searchsorted(_covered_by_good(*apart.shape), covered) / (apart.shape[1] + 1),
+    ]
+
+
+@cache
+def _covered_by_good(real: int, draws: int) -> Numbers:
+    """What clipped coverage is, before its calibration, where 0…`draws` draws are photographs: of
+    m the number that falls into the ball of a photograph is beta-binomial.
+    """
+    k, good = _NEIGHBOURS, np.arange(draws + 1)[:, None]
+    few = np.arange(k)
+    missing = betabinom.pmf(few, good, k, real - k) * (k - few) / k
+    return 1 - missing.sum(1)

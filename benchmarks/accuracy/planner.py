@@ -20,6 +20,7 @@ from benchmarks.harness import command, motorcycle, race, save, use_threads
 from uwaug.blur.plan import BlurPlan, plan_blur
 from uwaug.formation.colour import srgb_to_linear
 from uwaug.formation.demand import BlurDemand, blur_demand
+from uwaug.formation.image import form
 
 RANGES = ((0.05, 1.0), (1.0, 5.0), (1.0, 20.0))
 TOLERANCE = 0.002
@@ -30,6 +31,11 @@ class Law(NamedTuple):
 
     g: float
     point_spread: uwaug.PointSpread
+
+
+def formed_by(scene: "Probe", medium: uwaug.Medium, plan: BlurPlan) -> Tensor:
+    """The scene in a medium, linear light."""
+    return form(scene.image, scene.z, medium.to(scene.z), color_space="linear", plan=plan)
 
 
 class Probe(NamedTuple):
@@ -43,7 +49,7 @@ class Probe(NamedTuple):
     def error(self, medium: uwaug.Medium, plan: BlurPlan) -> tuple[float, float]:
         """RMSE and largest error at these pixels."""
         with torch.no_grad():
-            formed = uwaug.form_image(self.image, self.z, medium, plan=plan).image
+            formed = formed_by(self, medium, plan)
         difference = (formed[0].flatten(1)[:, self.at].double() - self.exact).abs()
         return float(difference.square().mean().sqrt()), float(difference.max())
 
@@ -97,7 +103,6 @@ def cell(
     g, point_spread = laws(w)[law]
     options = {
         "g": g,
-        "mu": 0.3 * g / 0.2,
         "point_spread": point_spread,
     }
     water = uwaug.Water.jerlov(name)
@@ -108,11 +113,8 @@ def cell(
     rmse, worst = scene.error(medium, plan)
     fewer = one_blur_less(demand, plan, (h, w))
 
-    def form() -> uwaug.Terms:
-        return uwaug.form_image(scene.image, scene.z, medium, plan=plan)
-
     with torch.no_grad():
-        times = race({"form": form}, rounds)
+        times = race({"form": lambda: formed_by(scene, medium, plan)}, rounds)
     return {
         "type": name,
         "distance_m": distances,

@@ -50,7 +50,7 @@ Matrix = dict[str, dict[str, Verdicts]]  # of each condition and method
 
 
 def ours(case: Case) -> Tensor:
-    """Uwaug as it comes; in linear light where gradients are wanted, as what is clipped has none."""
+    """Uwaug as it comes; in linear light where gradients are wanted: what is clipped has none."""
     medium = _medium(case)
     if not torch.is_grad_enabled():
         color_space = "srgb" if case.srgb else "linear"

@@ -1,5 +1,4 @@
-"""Surfaces with spectra: how near the three basis reflectances come to real ones, and what they
-cost.
+"""Surfaces with spectra: how near the three basis reflectances come to real ones.
 
 Truth is the integral over 61 bands of the spectra of 24 patches of the ColorChecker and of 99
 CIE 2017 samples: all light that arrives from them, without blur and veil, through the default
@@ -18,8 +17,6 @@ plate at that place, where that has at least 1/64 of its light at the surface: n
 makes up for more.
 """
 
-import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -31,12 +28,10 @@ from PIL import Image
 from referees import spectral
 from referees.spectral import BANDS, colour
 
-import uwaug
 from benchmarks.figures.charts import FIGURES, STYLE
-from benchmarks.harness import command, race, save, scene, use_threads
-from uwaug import JERLOV_TYPES, Medium, Underwater, Water
+from benchmarks.harness import command, save, use_threads
+from uwaug import JERLOV_TYPES, Medium, Water
 from uwaug.formation.colour import linear_to_srgb
-from uwaug.onnx import OnnxUnderwater, export_onnx
 
 DEPTHS = (0.0, 2.0, 5.0, 10.0, 25.0)  # m below the surface
 DISTANCES = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)  # m to the camera
@@ -50,7 +45,6 @@ BASIS, CHANNEL, THREE, PUBLISHED = (
     "one number, as published",
 )
 SHOWN = ("red", "green", "light skin", "white 9.5 (.05 D)")
-RACED = ("II", "1C", "7C")
 FIGURE = FIGURES / "surfaces.png"
 
 Array = np.ndarray
@@ -122,34 +116,6 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     return table
 
 
-def costs(water: str, size: int, folder: Path, quick: bool) -> dict[str, Any]:
-    """Milliseconds of spectral and grey media in one process and in turn, by each engine."""
-    image, distance = scene(size, 1)
-    runners: dict[str, Callable[[], object]] = {}
-    for surfaces in ("grey", "spectral"):
-        medium = Medium.from_water(water, surfaces=surfaces)
-        degrade = Underwater(medium, (1.0, 5.0), sides=(32, 1024))
-        file = folder / f"{water}-{surfaces}.onnx"
-        run = OnnxUnderwater(file if file.exists() else export_onnx(degrade, file), 1)
-
-        def by(fast: bool, degrade: Underwater = degrade) -> object:
-            with uwaug.fused.use(fast):
-                return degrade(image, distance)
-
-        runners[f"loops, {surfaces}"] = lambda by=by: by(True)
-        runners[f"eager, {surfaces}"] = lambda by=by: by(False)
-        runners[f"ONNX Runtime, {surfaces}"] = lambda run=run: run(image, distance)
-    with torch.no_grad():
-        times = race(runners, 4 if quick else 41)
-    ratios = {}
-    for engine in ("loops", "eager", "ONNX Runtime"):
-        medians = [times[f"{engine}, {kind}"]["median_ms"] for kind in ("spectral", "grey")]
-        ratios[engine] = medians[0] / medians[1]
-    said = ", ".join(f"{engine} {ratio:.2f}" for engine, ratio in ratios.items())
-    print(f"{water}, {size}²: spectral over grey: {said}", flush=True)
-    return {"water": water, "size": size, "ms": times, "ratio": ratios}
-
-
 def draw(path: Path | None) -> None:
     """Patches against depth, as a camera shows them whose exposure keeps the brightest channel of a
     white plate.
@@ -195,12 +161,6 @@ def main(quick: bool = False) -> dict[str, Any]:
         for method, found in results["errors"][name].items():
             where = ", ".join(map(str, found["where"].values()))
             print(f"  {method}: mean {found['mean']:.4f}, worst {found['worst']:.4f} ({where})")
-    with tempfile.TemporaryDirectory() as folder:
-        results["speed"] = [
-            costs(water, size, Path(folder), quick)
-            for water in (RACED[:1] if quick else RACED)
-            for size in ((256,) if quick else (256, 512))
-        ]
     draw(None if quick else FIGURE)
     if not quick:
         print(save("surfaces", results))

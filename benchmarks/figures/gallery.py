@@ -1,19 +1,13 @@
-"""The galleries of the README: the published systems in two waters, nine waters at three
-visibilities, and a red tank at five depths.
-"""
+"""The galleries of the guides: published systems in two waters, a red tank at five depths."""
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from benchmarks.accuracy.information import pictured
 from benchmarks.harness import RESULTS, command
-from uwaug import Development, Medium, Underwater
+from uwaug import Development, Medium, Underwater, published
 from uwaug._support.atomic import written_whole
-from uwaug.figures.comparison import seen_by
 from uwaug.optics.scattering import Scattering
-from uwaug.optics.water import JERLOV_TYPES, Water
-from uwaug.presets import load_preset, published_systems
 from uwaug.presets.scene import Scene, motorcycle
 
 FIGURES = RESULTS.parent / "figures"
@@ -23,7 +17,6 @@ WATERS = {"II": 1.0, "7C": 0.2}
 OWN = "hou-2020"
 """The system that knows no waters and no distances."""
 
-VISIBILITIES = (16.0, 8.0, 4.0)  # m
 DEPTHS = (0.0, 5.0, 10.0, 20.0, 30.0)
 """m below the surface, of the red tank in type II; a diver is some .7 to 2 m away from it."""
 
@@ -55,32 +48,19 @@ class Grid:
 
 def systems(scene: Scene) -> Figure:
     """The scene, and each published system in II and in 7C, two systems a row."""
-    names = [name for name in published_systems() if name != OWN]
+    names = [name for name in published.systems() if name != OWN]
     rows = -(-(len(names) + 1) // 2)
     grid = Grid(rows, 4, (scene.image.shape[-2], scene.image.shape[-1]))
     grid.show(0, scene.image, "no water")
-    grid.show(1, seen_by(load_preset(OWN), scene.image, scene.distance), f"{OWN}, its own water")
+    own = published.picture(OWN, scene.image, scene.distance)
+    grid.show(1, own, f"{OWN}, its own water")
     place = 2
     for name in names:
         for water, factor in WATERS.items():
             z = factor * scene.distance
-            picture = seen_by(load_preset(name, water=water), scene.image, z)
+            picture = published.picture(name, scene.image, z, water)
             grid.show(place, picture, f"{name}, {water}")
             place += 1
-    return grid.figure
-
-
-def visibilities(scene: Scene) -> Figure:
-    """Nine waters, scaled to three visibilities: five waters beside one another. (No amount of what
-    type I holds brings it to 4 m.)
-    """
-    grid = Grid(6, 5, (scene.image.shape[-2], scene.image.shape[-1]))
-    for i, name in enumerate(JERLOV_TYPES[1:]):
-        block, column = divmod(i, 5)
-        for row, metres in enumerate(VISIBILITIES):
-            picture, _ = pictured(scene, Water.jerlov(name).with_visibility(metres))
-            place = (3 * block + row) * 5 + column
-            grid.show(place, picture, f"{name}, {metres:g} m")
     return grid.figure
 
 
@@ -98,11 +78,10 @@ def reds(scene: Scene) -> Figure:
                 "II",
                 vertical_depth=depth,
                 g=Scattering.CALIBRATED.g,
-                mu=Scattering.CALIBRATED.mu,
                 surfaces=surfaces,
             )
-            gamut = Development(gamut=float(surfaces == "spectral"))
-            degrade = Underwater(medium, exposure="auto", development=gamut)
+            camera = Development(exposure="auto", gamut=float(surfaces == "spectral"))
+            degrade = Underwater(medium, development=camera)
             label = f"{depth:g} m, {'spectra' if row else 'one number a channel'}"
             grid.show(row * len(DEPTHS) + column, degrade(image, distance), label)
     return grid.figure
@@ -113,7 +92,7 @@ def main(quick: bool = False) -> dict[str, Figure]:
     scene = motorcycle()
     if quick:
         scene = Scene(scene.image[:, ::8, ::8], scene.distance[:, ::8, ::8], 125.0)
-    found = {"systems": systems(scene), "visibilities": visibilities(scene), "reds": reds(scene)}
+    found = {"systems": systems(scene), "reds": reds(scene)}
     if not quick:
         for name, figure in found.items():
             with written_whole(FIGURES / f"{name}.jpg") as part:

@@ -17,8 +17,7 @@ from torch import Tensor
 
 from uwaug.blur.kernels import reflect
 from uwaug.blur.plan import BlurPlan
-from uwaug.blur.stack import mixed, node_weights
-from uwaug.blur.tiled import blurred_tiles
+from uwaug.blur.stack import blurred, mixed, node_weights
 
 Array = np.ndarray[Any, Any]
 Gaussian = Callable[[Array, float], Array]
@@ -62,11 +61,8 @@ def exact(image: Tensor, sigma: Tensor, most: int | None = None) -> tuple[Tensor
 
 
 def stack(image: Tensor, sigma: Tensor, plan: BlurPlan) -> Tensor:
-    """Our stack, a strip of rows at a time, as `form_image` uses it."""
-    out = torch.empty_like(image)
-    for tile, blurs in blurred_tiles(image, plan):
-        out[tile] = mixed(blurs, node_weights(sigma[tile], plan))
-    return out
+    """Our stack."""
+    return mixed(blurred(image, plan), node_weights(sigma, plan))
 
 
 def stack_opencv(image: Tensor, sigma: Tensor, plan: BlurPlan) -> Tensor:

@@ -19,6 +19,7 @@ from benchmarks.harness import (
     DISTANCES,
     WIDEST,
     command,
+    loops,
     motorcycle,
     peak_of,
     printed,
@@ -32,7 +33,7 @@ from uwaug.blur.plan import plan_blur
 from uwaug.blur.stack import varying_blur
 from uwaug.optics.spectra import WAVELENGTHS
 
-MU = 0.3  # of `Medium.from_water`
+MU = 0.3
 
 
 def _module(water: str, widest: float = WIDEST, **options: Any) -> uwaug.Underwater:
@@ -81,9 +82,16 @@ def _contestants(water: str, size: int, batch: int) -> dict[str, Callable[[], ob
     return {
         "uwaug": lambda: degrade(image, distance, field),
         "uwaug, default": lambda: default(image, distance, field),
+        "uwaug, loops": lambda: by_loops(default, image, distance, field),
         "published, OpenCV": lambda: [published.published(*x, bands) for x in arrays],
         "naive kornia": lambda: published.naive_kornia(image, distance, field, channels, phi),
     }
+
+
+def by_loops(degrade: uwaug.Underwater, *scene: Tensor) -> Tensor:
+    """A picture by the compiled loops."""
+    with loops(True):
+        return degrade(*scene)
 
 
 def _arrays(batch: Tensor) -> list[np.ndarray]:
@@ -121,9 +129,8 @@ def scaling(rounds: int = 15) -> dict[str, float]:
 
 def _learning(image: Tensor, distance: Tensor) -> dict[str, Callable[[], object]]:
     """Forward and backward, to image, distance and all parameters."""
-    learned = _module("7C", learnable=True)
-    for parameter in learned.parameters():
-        parameter.requires_grad_(True)
+    medium = water_medium("7C").as_coefficients().to(torch.float32)
+    learned = uwaug.Underwater(medium, DISTANCES, color_space="linear", learnable=True)
     picture, z = (t.clone().requires_grad_() for t in (image, distance))
 
     def forward() -> Tensor:
@@ -205,7 +212,7 @@ def _curve_error(name: str, depth: float, g: float, tolerance: float) -> dict[st
     near = torch.linspace(0, 20, 2001, dtype=torch.float64)
     z = torch.cat([near, torch.logspace(-6, 5, 1001, dtype=torch.float64)])
     water = uwaug.Water.jerlov(name).at(WAVELENGTHS)
-    medium = uwaug.Medium.from_water(water, vertical_depth=depth, g=g, tolerance=tolerance)
+    medium = uwaug.Medium.from_water(water, vertical_depth=depth, g=g, mu=MU, tolerance=tolerance)
     response = uwaug.load_camera("Nikon 5100 (NPL)").weights(WAVELENGTHS).T
     lit = response * np.exp(-water.kd * depth)
     rates = water.a + g * water.b

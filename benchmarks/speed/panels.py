@@ -7,7 +7,7 @@ import importlib.util
 import logging
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -19,14 +19,10 @@ from referees import published
 from torch import Tensor
 
 import uwaug
-from benchmarks.harness import DISTANCES, WIDEST, scene, water_medium
+from benchmarks.harness import DISTANCES, WIDEST, banded_medium, loops, scene, water_medium
 from benchmarks.speed import blurs
-from uwaug import fused
 from uwaug.blur.plan import BlurPlan, plan_blur
-from uwaug.blur.tiled import rows_of_strip
-from uwaug.formation.scene import total
 from uwaug.onnx import OnnxUnderwater, export_onnx
-from uwaug.optics.curves import curves
 from uwaug.optics.medium import Medium
 
 BLUR = "ours, default"
@@ -104,8 +100,6 @@ def blur_contest(size: int, widest: float) -> Contest:
             full = replace(plan, cells=(1.0,) * len(plan.cells))
             methods[f"{name}, no coarse grids"] = partial(blurs.stack, c.image, c.sigma, full)
     default = plans[BLUR]
-    whole = partial(uwaug.blur.varying_blur, c.image, c.sigma, default)
-    methods["ours, whole image (varying_blur)"] = whole
     methods["our plan, OpenCV blurs"] = partial(blurs.stack_opencv, c.image, c.sigma, default)
     planes, widths = c.image[0].permute(1, 2, 0).contiguous().numpy(), c.sigma[0, 0].numpy()
     binned = partial(blurs.hard_bins, planes, widths)
@@ -135,32 +129,13 @@ def _blur_plans(c: Case, size: int) -> dict[str, BlurPlan]:
     return plans
 
 
-def _strips(image: Tensor) -> Iterator[slice]:
-    """Rows of an image, as many at a time as its blurs are made of."""
-    height, step = image.shape[-2], rows_of_strip(image.shape[1], image.shape[-1])
-    return (slice(first, min(first + step, height)) for first in range(0, height, step))
-
-
-def pointwise(c: Case, medium: Medium, scattered: Tensor) -> Tensor:
-    """Curves, veil and sum as `form_image` computes them."""
-    out, sums = torch.empty_like(c.image), medium.sums(exact_at_lens=False)
-    for rows in _strips(c.image):
-        image, z, blurred = (t[..., rows, :] for t in (c.image, c.z, scattered))
-        (out[..., rows, :],) = total(curves(sums, z), image, blurred)
-    return out
-
-
 def table_lookup(c: Case, table: Tensor, farthest: float, scattered: Tensor) -> Tensor:
     """Direct, share and veil (3×3 curves) interpolated linearly in a table over 0…farthest."""
-    out = torch.empty_like(c.image)
-    for rows in _strips(c.image):
-        image, z, blurred = (t[0, :, rows] for t in (c.image, c.z, scattered))
-        place = (z * ((table.shape[1] - 1) / farthest)).flatten().clamp(0, table.shape[1] - 1.001)
-        index = place.int()
-        left, right = table.index_select(1, index), table.index_select(1, index + 1)
-        direct, share, veil = torch.lerp(left, right, place - index).reshape(3, *image.shape)
-        out[0, :, rows] = veil.addcmul_(share, blurred).addcmul_(direct, image)
-    return out
+    place = (c.z * ((table.shape[1] - 1) / farthest)).flatten().clamp(0, table.shape[1] - 1.001)
+    index = place.int()
+    left, right = table.index_select(1, index), table.index_select(1, index + 1)
+    direct, share, veil = torch.lerp(left, right, place - index).reshape(3, *c.image.shape)
+    return veil.addcmul_(share, scattered).addcmul_(direct, c.image)
 
 
 def _table(bands: Medium, entries: int) -> Tensor:
@@ -186,14 +161,13 @@ def spectra_contest(size: int, water: str) -> Contest:
     ours = f"ours, default ({default})"
     media[ours] = c.medium
     del media[default]  # the first tolerance that gave as many
-    seven = published.WAVELENGTHS
-    media["7 bands"] = water_medium(water, tolerance=0.0, wavelengths=seven)
+    media["7 bands"] = banded_medium(water, published.WAVELENGTHS)
     media["61 bands"] = bands = water_medium(water, tolerance=0.0)
     three = published.three_wavelengths(water)
     media["3 wavelengths"] = Medium.from_coefficients(**three)
     methods: dict[str, Method] = {}
     for name, medium in media.items():
-        methods[name] = partial(pointwise, c, medium.to(torch.float32), scattered)
+        methods[name] = partial(medium.to(torch.float32).image, c.z, c.image, scattered)
     for n in (32, 256, 2048):
         table = _table(bands, n)
         methods[f"table of {n}"] = partial(table_lookup, c, table, DISTANCES[1], scattered)
@@ -206,9 +180,8 @@ def number_contest(size: int) -> Contest:
     methods: dict[str, Method] = {}
     for tolerance in (0.002, 1e-5):
         medium = water_medium("7C", tolerance=tolerance)
-        for dtype in (torch.float64, torch.float32, torch.bfloat16):
-            computed = medium.to(torch.promote_types(dtype, torch.float32))
-            degrade = uwaug.Underwater(computed, DISTANCES, tolerance, "linear")
+        for dtype in (torch.float64, torch.float32):
+            degrade = uwaug.Underwater(medium.to(dtype), DISTANCES, tolerance, "linear")
             name = f"{str(dtype).removeprefix('torch.')}, tolerance {tolerance:g}"
             methods[name] = partial(degrade, c.image.to(dtype), c.z.to(dtype))
     return Contest(c, methods, "float32, tolerance 0.002")
@@ -241,7 +214,7 @@ def runtime_contest(size: int, backward: bool, threads: int, quick: bool) -> Con
         models["ONNX Runtime"] = exported(degrade, threads)
     if importlib.util.find_spec("numba") is None:
         skipped.append("compiled loops (numba missing)")
-    else:
+    elif not backward:
         models[LOOPS] = by_loops(degrade)
     once = forward_and_backward if backward else forward
     methods: dict[str, Method] = {}
@@ -266,7 +239,7 @@ def by_loops(model: Model) -> Model:
     """A model as the compiled loops run it."""
 
     def run(image: Tensor, z: Tensor) -> Tensor:
-        with fused.use(True):
+        with loops(True):
             return model(image, z)
 
     return run
@@ -288,7 +261,7 @@ def exported(degrade: uwaug.Underwater, threads: int) -> Model:
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of the exporter, about itself
         logging.getLogger("torch.onnx").setLevel(logging.ERROR)
-        path = export_onnx(degrade, Path(folder) / "model.onnx", verify=False)
+        path = export_onnx(degrade, Path(folder) / "model.onnx")
         run = OnnxUnderwater(path, threads)
         run(torch.zeros(1, 3, 8, 8), torch.ones(1, 1, 8, 8))  # reads the file, which is then gone
     return run

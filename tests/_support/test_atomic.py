@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from uwaug._support.atomic import held, is_part, remove_left, require_regular, written_whole
+from uwaug._support.atomic import is_part, remove_left, require_regular, written_whole
 
 
 def write(path: Path, text: str = "new") -> Path:
@@ -89,18 +89,6 @@ def test_what_is_no_regular_file_is_refused(tmp_path, make, linked):
     assert len(list(tmp_path.iterdir())) == count
 
 
-def test_nobody_can_plant_a_link_in_place_of_the_part(tmp_path, monkeypatch):
-    assert write(tmp_path / "a").name != write(tmp_path / "a").name
-    monkeypatch.setattr(secrets, "token_hex", lambda n: "0" * 2 * n)
-    part = write(tmp_path / "a")
-    victim = tmp_path / "victim"
-    victim.write_text("mine")
-    part.symlink_to(victim)
-    with pytest.raises(FileExistsError, match="cannot write to the folder"):
-        write(tmp_path / "a")
-    assert victim.read_text() == "mine"
-
-
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
 def test_nothing_is_left_after_an_exception(tmp_path, error):
     path = tmp_path / "a.txt"
@@ -126,18 +114,6 @@ def test_a_full_disk_is_named_with_the_path(tmp_path):
         raise full
     assert str(path) in str(info.value)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_folder_is_held_by_one_run_or_by_many_who_share_it(tmp_path):
-    with held(tmp_path):
-        for shared in (True, False):
-            with pytest.raises(BlockingIOError, match=f"{tmp_path}: another run writes to"):
-                held(tmp_path, shared=shared).__enter__()
-    sharing = held(tmp_path, shared=True), held(tmp_path, shared=True)
-    with sharing[0], sharing[1], pytest.raises(BlockingIOError):
-        held(tmp_path).__enter__()
-    with held(tmp_path):
-        assert list(tmp_path.iterdir()) == []
 
 
 def test_what_killed_processes_have_left_is_removed(tmp_path):

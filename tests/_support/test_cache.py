@@ -1,5 +1,3 @@
-from concurrent.futures import ThreadPoolExecutor
-
 from uwaug._support.cache import Cache
 
 
@@ -24,18 +22,3 @@ def test_a_value_put_again_counts_once_and_a_large_one_alone() -> None:
     assert (cache.get("b"), cache.held) == (None, 1)
     cache.cache_clear()
     assert (cache.get("c"), cache.held) == (None, 0)
-
-
-def test_threads_may_share_it() -> None:
-    cache: Cache[int] = Cache(50)
-
-    def work(seed: int) -> None:
-        for n in range(2000):
-            key = (seed * 7 + n) % 23
-            found = cache.get(key)
-            assert found in (None, key)
-            cache.put(key, key, 5)
-
-    with ThreadPoolExecutor(8) as threads:
-        list(threads.map(work, range(8)))
-    assert cache.held <= 50

@@ -3,12 +3,15 @@ import math
 import numpy as np
 import pytest
 import torch
-from blurring import RANGES, constant
 from referees import reference
-from scenes import rand
+from scenes import coefficients, constant, rand, uniform
 
-from uwaug.blur.plan import _exponential_transfer, _frequencies, plan_blur
+from uwaug import PointSpread
+from uwaug.blur.plan import plan_blur
 from uwaug.blur.stack import varying_blur
+from uwaug.formation.demand import BlurDemand, blur_demand
+
+RANGES = [(0.9, 4.5), (0.75, 15.0), (2.0, 60.0)]
 
 
 @pytest.mark.parametrize("shape", ["gaussian", "exponential"])
@@ -52,13 +55,6 @@ def test_few_blurs_serve_a_wide_range() -> None:
     assert [len(plan_blur(low, high, 0.002).sigmas) for low, high in RANGES] == [4, 7, 8]
 
 
-def test_wide_blurs_live_on_small_grids() -> None:
-    plan = plan_blur(2.0, 60.0, 0.002)
-    # pitches are 16/m or 16·m px, which costs no time: 8 instead of 10.7 px takes 3 % more for that
-    # blur
-    assert all(0.5 < c / s <= 1 for s, c in zip(plan.sigmas, plan.cells, strict=True) if s > 4)
-
-
 def test_no_blur_where_it_would_not_show() -> None:
     plan = plan_blur(0.0, 0.02)
     assert plan.sigmas == (0.0,)
@@ -69,24 +65,6 @@ def test_no_blur_where_it_would_not_show() -> None:
 
 def test_a_wide_range_may_ask_for_a_fine_tolerance() -> None:
     assert len(plan_blur(0.1, 2000.0, 0.0002).sigmas) <= 33
-
-
-def test_plans_are_values() -> None:
-    plan = plan_blur(0.9, 4.5, 0.002)
-    assert plan == plan_blur(0.9, 4.5, 0.002)
-    assert hash(plan) == hash(plan_blur(0.9, 4.5, 0.002))
-    assert "4 blurs for σ 0.9…4.5 px" in str(plan)
-
-
-def test_plans_and_the_longest_side() -> None:
-    for longest in (0, 0.5, math.inf, math.nan):
-        with pytest.raises(ValueError, match="longest must be finite and ≥ 1"):
-            plan_blur(1.0, 4.0, longest=longest)
-    assert plan_blur(1.0, 4.0, longest=100) is plan_blur(1.0, 4.0, longest=5000)
-    sides = (64, 300, 512, 2000)
-    plans = [plan_blur(3.0, 40.0, 0.002, "exponential", longest) for longest in sides]
-    assert plans[1] is plans[2]
-    assert max(plans[0].sigmas) < 256 < max(plans[-1].sigmas) < 2000
 
 
 @pytest.mark.parametrize("height, width", [(32, 32), (40, 1500)])
@@ -109,26 +87,15 @@ def test_exponential_plans_hold_in_small_and_in_long_pictures(height, width) -> 
         ((math.nan, 2.0), "sigma_min.*nan"),
         ((0.0, math.nan), "sigma_max.*nan"),
         ((0.0, 2.0, 0.0), r"tolerance.*\(0, 1\).*0"),
-        ((0.0, 2.0, 1.0), "tolerance.*1"),
-        ((0.0, 2.0, -0.1), "tolerance.*-0.1"),
         ((0.0, 2.0, math.nan), "tolerance.*nan"),
         ((0.0, 2.0, 0.002, "box"), "shape.*box"),
+        ((1.0, 4.0, 0.002, "gaussian", 0.5), "longest must be finite and ≥ 1"),
         ((0.0, 900.0, 1e-12), "0…900 px need more than 32 blurs.*1e-12.*larger tolerance"),
     ],
 )
 def test_plan_rejects(arguments, match) -> None:
     with pytest.raises(ValueError, match=match):
         plan_blur(*arguments)
-
-
-@pytest.mark.parametrize("sigma", [0.02, 0.03, 0.05, 0.1, 0.15, 0.3, 1.0, 3.0])
-def test_no_light_is_added_by_an_exponential_shape(sigma) -> None:
-    # the mixture that stands for it adds up to 1, so that low frequencies see e^(−2πσf)
-    (transfer,) = _exponential_transfer(np.array([sigma]), 512.0)
-    f = np.hypot(*_frequencies(512.0))
-    assert transfer.max() <= 1
-    low = f < 0.02
-    np.testing.assert_allclose(transfer[low], np.exp(-2 * np.pi * sigma * f[low]), atol=2e-4)
 
 
 def test_a_narrow_exponential_keeps_a_fine_tolerance() -> None:
@@ -138,3 +105,31 @@ def test_a_narrow_exponential_keeps_a_fine_tolerance() -> None:
         result = constant(torch.from_numpy(image)[None], sigma, plan=plan)[0].numpy()
         error = result - reference.exponential(image, sigma)
         assert math.sqrt((error**2).mean()) <= 0.0001
+
+
+# ---- what a medium asks for
+
+
+def test_demand_leaves_out_what_cannot_show() -> None:
+    medium = coefficients(law=PointSpread(1.0, 1.0))
+    near, far = blur_demand(medium, (0.1, 3.0)), blur_demand(medium, (0.1, 1e6))
+    assert far.high < 0.7 * 1e3, "at a million metres nothing is left to be blurred"
+    assert far.high > near.high
+    assert blur_demand(uniform(0.4, 0.4)(), (0.1, 20.0)).high == 0
+    assert blur_demand(uniform(1e4, 1e4 - 1)(), (1.0, 20.0)).high == 0
+    widened = blur_demand(medium, (0.1, 3.0), margin=2.0)
+    assert (widened.low, widened.high) == pytest.approx((near.low / 2, near.high * 2))
+
+
+def test_a_plan_for_all_sizes_serves_pictures_four_times_as_long() -> None:
+    demand = BlurDemand(2.0, 3.0, 0.01, "exponential", 96.0)
+    expected = plan_blur(2.0 * 32 / 96, 3.0 * 144 / 96, 0.01, "exponential", 4 * 144)
+    assert demand.plan_all((32, 144)) == expected
+
+
+def test_similar_media_share_a_plan() -> None:
+    plans = set()
+    for b_mean in np.linspace(0.7, 0.72, 9):
+        demand = blur_demand(uniform(0.5, 0.2, b_mean=b_mean)(), (1.0, 6.0))
+        plans.add(demand.plan((100, 100), shared=True))
+    assert len(plans) <= 2

@@ -11,14 +11,10 @@ from referees import reference
 from scipy.fft import dctn, idct
 from torch import Tensor
 
+from uwaug import Medium, PointSpread, Underwater, Water, form_image
 from uwaug._support.types import Shape
-from uwaug.blur.plan import NO_BLUR
 from uwaug.formation.demand import blur_demand
-from uwaug.formation.model import form_image
-from uwaug.formation.underwater import Underwater
-from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread
-from uwaug.optics.water import Water
+from uwaug.formation.image import form
 
 SIDE, NEAR, FAR = 48, 1.0, 5.5  # px, m
 Model = Callable[[Medium], Tensor]
@@ -69,7 +65,7 @@ def slope(model: Model, medium: Medium, target: Tensor) -> float:
 
 
 @pytest.mark.parametrize("shape", ["gaussian", "exponential"])
-@pytest.mark.parametrize("name", ["7C", "9C", "1C", "II", "III"])
+@pytest.mark.parametrize("name", ["7C", "1C", "II"])
 def test_the_slope_in_the_width_is_that_of_the_exact_model(name: str, shape: Shape) -> None:
     image, z = scene()
     medium = Medium.from_water(Water.jerlov(name), tolerance=1e-4)
@@ -94,15 +90,12 @@ def test_the_slope_in_the_width_is_that_of_the_exact_model(name: str, shape: Sha
         return (up - down) / (2 * step)
 
     right = per_pixel(lambda m: exact(image, z, m))
-    ours = per_pixel(lambda m: form_image(image, z, m, plan=plan).image)
+    ours = per_pixel(lambda m: form(image, z, m, color_space="linear", plan=plan))
     assert (ours - right).norm() <= 0.03 * right.norm()
 
 
-NARROW = [0.0, 1e-3, 0.01, 0.1]
-
-
 @pytest.mark.parametrize("shape", ["gaussian", "exponential"])
-@pytest.mark.parametrize("scale", NARROW)
+@pytest.mark.parametrize("scale", [0.0, 1e-3, 0.01, 0.1])
 @pytest.mark.parametrize("name", ["7C", "I"])
 def test_a_narrow_width_can_be_learned(name: str, scale: float, shape: Shape) -> None:
     # no blur would show, but its slope does
@@ -119,25 +112,6 @@ def test_a_narrow_width_can_be_learned(name: str, scale: float, shape: Shape) ->
         assert float(width.grad.abs()) > 0
 
 
-def test_a_plan_of_one_blur_leaves_the_width_without_effect_but_in_the_graph() -> None:
-    image, z = scene()
-    width = torch.tensor([0.1], dtype=torch.float64, requires_grad=True)
-    medium = Medium.from_water(Water.jerlov("7C"), point_spread=PointSpread(width))
-    form_image(image, z, medium, plan=NO_BLUR).image.sum().backward()
-    assert float(width.grad) == 0
-
-
-@pytest.mark.parametrize("name, scale", [("7C", 0.01), ("I", 4.0), ("II", 0.05)])
-def test_every_parameter_of_a_module_gets_a_gradient(name: str, scale: float) -> None:
-    image, z = scene()
-    medium = Medium.from_water(Water.jerlov(name), point_spread=PointSpread(scale))
-    degrade = Underwater(medium, learnable=True)
-    degrade(image, z).square().sum().backward()
-    for parameter, value in degrade.named_parameters():
-        assert value.grad is not None, parameter
-        assert bool(value.grad.isfinite().all()), parameter
-
-
 @pytest.mark.parametrize("start", [0.05, 0.1, 0.5, 2.5])
 def test_a_width_is_learned_from_far_away(start: float) -> None:
     # ends of the plan, an octave from the start, are no ends for what is learned
@@ -152,9 +126,8 @@ def test_a_width_is_learned_from_far_away(start: float) -> None:
     with torch.no_grad():
         observed = form_image(image, z, truth, tolerance=1e-4).image
     begun = with_scale(truth, 4.0 * start)
-    degrade = Underwater(begun, (0.5, 6.0), color_space="linear", learnable=True)
-    (scale,) = (p for name, p in degrade.named_parameters() if name.endswith("raw_scale"))
-    optimiser = torch.optim.LBFGS([scale], max_iter=60, line_search_fn="strong_wolfe")
+    degrade = Underwater(begun, (0.5, 6.0), color_space="linear", learnable=["width"])
+    optimiser = torch.optim.LBFGS(degrade.parameters(), max_iter=60, line_search_fn="strong_wolfe")
 
     def loss() -> Tensor:
         optimiser.zero_grad()
@@ -167,7 +140,7 @@ def test_a_width_is_learned_from_far_away(start: float) -> None:
     assert float(learned) == pytest.approx(4.0, rel=0.02)
     # the module that is exported plans for what was learned, and so does one that loads its state
     assert degrade.demand.high >= float(learned) * 0.3 * 6.0
-    loaded = Underwater(begun, (0.5, 6.0), color_space="linear", learnable=True)
+    loaded = Underwater(begun, (0.5, 6.0), color_space="linear", learnable=["width"])
     loaded.load_state_dict(degrade.state_dict())
     with torch.no_grad():
         assert (loaded(image, z) - degrade(image, z)).square().mean().sqrt() <= 0.0005

@@ -1,5 +1,4 @@
 import math
-import pickle
 
 import numpy as np
 import pytest
@@ -8,16 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import rand
 
-from uwaug._support import tiles
-from uwaug.distance.convert import (
-    along_ray,
-    check_distance,
-    fill_unknown,
-    from_disparity,
-    from_inverse,
-    from_relative,
-)
-from uwaug.distance.sample import Scaling, UnknownDistanceError, metres_by_rows, to_metres
+from uwaug.distance import along_ray, from_disparity, from_inverse, from_relative
 
 NAN, INF = math.nan, math.inf
 
@@ -191,105 +181,16 @@ class TestAlongRay:
             along_ray(torch.ones(2, 2), 1.0, (NAN, 0.0))
 
 
-@pytest.mark.filterwarnings("ignore:distance is unknown")
-class TestPolicy:
-    def test_known_distance_is_returned_as_it_is(self) -> None:
-        z = torch.tensor([[0.5, INF, 3.0]])
-        for result in (check_distance(z), fill_unknown(z)):
-            assert result is z
-        assert check_distance(torch.zeros(0, 1, 4, 4)).shape == (0, 1, 4, 4)
-        assert fill_unknown(torch.zeros(0, 1, 4, 4)).shape == (0, 1, 4, 4)
-
-    def test_strict_counts_what_is_unknown(self) -> None:
-        z = torch.tensor([[NAN, NAN, -1.0, -INF, -2.0, 0.0, 1.0, INF]])
-        message = r"distance must be above 0 m.* NaN at 2, negative at 3 and zero at 1 of 8 pixels"
-        with pytest.raises(ValueError, match=message):
-            check_distance(z)
-
-    def test_fills_with_the_nearest_known_pixel_of_the_same_map(self) -> None:
-        z = 1 + rand(2, 3, 1, 9, 11)
-        z[rand(2, 3, 1, 9, 11, seed=1) < 0.7] = NAN
-        z[0, 0, 0, 4], z[1, 1, 0, 0, 0] = 0.0, INF
-        filled = fill_unknown(z)
-        for *where, i, j in np.ndindex(*z.shape):
-            one = z[tuple(where)]
-            known = torch.nonzero(one > 0)
-            away = (known - torch.tensor([i, j])).square().sum(-1)
-            nearest = [one[tuple(k)].item() for k in known[away == away.min()]]
-            assert filled[(*where, i, j)].item() in nearest
-
-    def test_gradient_goes_to_the_known_pixel(self) -> None:
-        z = torch.tensor([[2.0, NAN, 0.0, -1.0, 5.0]], requires_grad=True)
-        weighted = fill_unknown(z) * torch.tensor([[1.0, 10, 100, 1000, 10000]])
-        (slope,) = torch.autograd.grad(weighted.sum(), z)
-        assert slope[0, 1:4].tolist() == [0, 0, 0]
-        assert slope.sum() == 11111
-
-    def test_rejects_a_map_without_any_known_pixel(self) -> None:
-        z = torch.ones(2, 1, 3, 3)
-        z[1] = torch.tensor([NAN, 0.0, -1.0]).expand(3, 3)
-        with pytest.raises(ValueError, match="distance must have at least one known pixel"):
-            fill_unknown(z)
-
-
 def test_refusals_name_the_map() -> None:
-    z = torch.ones(3, 1, 4, 5)
-    z[2] = NAN
-    with pytest.raises(
-        ValueError, match=r"got map 2 of 3, counted from 0, without any: fill whole"
-    ):
-        fill_unknown(z)
     inverse = torch.arange(60.0).reshape(3, 1, 4, 5)
     inverse[1] = 7.0
     with pytest.raises(ValueError, match=r"got map 1 of 3, counted from 0, that is constant.*crop"):
         from_inverse(inverse, 1.0, 2.0)
 
 
-def test_warns_once_where_much_is_guessed() -> None:
-    z = torch.ones(2, 1, 10, 10)
-    z[1, :, :2] = 0.0
-    fill_unknown(z)  # 20 % is not yet much
-    z[1, :, 2] = 0.0
-    with pytest.warns(UserWarning, match="distance is unknown at 30 % of a map's pixels") as seen:
-        fill_unknown(z)
-    fill_unknown(z)  # silent: a warning would be an error
-    assert len(seen) == 1
-    assert seen[0].filename == __file__
-
-
 def test_rejects_what_is_not_a_floating_point_map() -> None:
     message = r"depth must be a floating-point tensor, got torch\.int32.*millimetres"
     with pytest.raises(TypeError, match=message):
         along_ray(torch.ones(2, 2, dtype=torch.int32), 1.0)
-    with pytest.raises(TypeError, match="distance must be a floating-point tensor, got ndarray"):
-        check_distance(np.ones((2, 2)))
     with pytest.raises(ValueError, match=r"inverse must have shape \(\.\.\., H, W\), got \(2,\)"):
         from_inverse(torch.ones(2), 1.0, 2.0)
-
-
-def test_errors_say_which_option_would_help() -> None:
-    scaling, holed = Scaling(1.0, 2.0, 1.0), torch.tensor([[[1.0, NAN]]])
-    with pytest.raises(UnknownDistanceError, match=r"NaN at 1.*; or use unknown='fill'") as info:
-        to_metres(holed, scaling, "metric", "error")
-    assert (info.value.argument, info.value.cures) == ("unknown", ("fill", "behind", "skip", "far"))
-    twin = pickle.loads(pickle.dumps(info.value))
-    assert (str(twin), twin.cures) == (str(info.value), info.value.cures)
-    with pytest.raises(UnknownDistanceError, match="or use unknown='skip'"):
-        to_metres(torch.zeros(1, 2, 2), scaling, "metric", "fill")
-    with pytest.raises(UnknownDistanceError, match=r"inverse must vary.*; or use unknown='skip'"):
-        to_metres(torch.ones(1, 2, 2), scaling, "inverse", "fill")
-    assert torch.equal(to_metres(holed, scaling, "metric", "far"), torch.tensor([[[1.0, INF]]]))
-    assert torch.equal(to_metres(holed, scaling, "metric", 7.0), torch.tensor([[[1.0, 7.0]]]))
-
-
-@pytest.mark.parametrize(
-    "kind, unknown", [("metric", "fill"), ("inverse", "far"), ("relative", 2.0)]
-)
-def test_rows_are_those_of_the_whole_map(kind, unknown, monkeypatch) -> None:
-    monkeypatch.setattr(tiles, "_BAND", 40 * 30)
-    z = rand(1, 200, 30).float()
-    z[:, 50:60, 3:9] = NAN
-    scaling = Scaling(0.5, 8.0, 1.5)
-    rows = metres_by_rows(z, scaling, kind, unknown)
-    whole = to_metres(z, scaling, kind, unknown)
-    torch.testing.assert_close(torch.cat([rows(0, 55), rows(55, 200)], 1), whole)

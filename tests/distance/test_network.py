@@ -9,8 +9,7 @@ from networks import mean_of_channels, save
 from onnx import TensorProto, helper
 from scenes import rand
 
-from uwaug.distance.convert import from_inverse
-from uwaug.distance.network import DepthNetwork
+from uwaug.distance import Network, from_inverse
 
 
 def side_lengths(path, shape) -> str:
@@ -29,12 +28,12 @@ def side_lengths(path, shape) -> str:
     return save(path, nodes, shape)
 
 
-class TestDepthNetwork:
+class TestNetwork:
     @pytest.mark.parametrize("keepdims", [0, 1])
     def test_normalises_and_keeps_pixels_in_place(self, tmp_path, keepdims) -> None:
         image = rand(2, 3, 5, 7).float()
         path = mean_of_channels(tmp_path / "n.onnx", keepdims=keepdims)
-        network = DepthNetwork(path, short_side=5, multiple=1)
+        network = Network(path, short_side=5, multiple=1)
         mean, std = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
         normalised = (image.numpy() - mean[:, None, None]) / std[:, None, None]
         expected = normalised.mean(1, keepdims=True)
@@ -57,7 +56,7 @@ class TestDepthNetwork:
     def test_gives_the_network_the_size_it_needs(
         self, tmp_path, shape, size, options, seen
     ) -> None:
-        network = DepthNetwork(side_lengths(tmp_path / "n.onnx", shape), **options)
+        network = Network(side_lengths(tmp_path / "n.onnx", shape), **options)
         depth = network(torch.rand(3, *size))
         assert depth.shape == (1, *size)
         assert torch.equal(depth.round(), torch.full((1, *size), 1000.0 * seen[0] + seen[1]))
@@ -66,17 +65,17 @@ class TestDepthNetwork:
         path = mean_of_channels(tmp_path / "n.onnx", shape=(1, 3, 32, 48))
         rows, columns = torch.linspace(0.2, 0.6, 64)[:, None], torch.linspace(0, 0.3, 80)
         image = (rows + columns).expand(3, 64, 80).clone()
-        depth = DepthNetwork(path, mean=(0, 0, 0), std=(1, 1, 1))(image)
+        depth = Network(path, mean=(0, 0, 0), std=(1, 1, 1))(image)
         assert (depth[0] - image[0])[2:-2, 2:-2].abs().max() < 2e-3
         assert from_inverse(depth, 1.0, 5.0)[0, -1, -1].item() == pytest.approx(1.0)
 
     def test_dtype_follows_the_image(self, tmp_path) -> None:
-        network = DepthNetwork(mean_of_channels(tmp_path / "n.onnx"), short_side=5, multiple=1)
+        network = Network(mean_of_channels(tmp_path / "n.onnx"), short_side=5, multiple=1)
         assert network(rand(3, 5, 5)).dtype == torch.float64
         assert not network(rand(3, 5, 5).requires_grad_()).requires_grad
 
     def test_pickles_with_and_without_a_session(self, tmp_path) -> None:
-        network = DepthNetwork(mean_of_channels(tmp_path / "n.onnx"), short_side=6, multiple=3)
+        network = Network(mean_of_channels(tmp_path / "n.onnx"), short_side=6, multiple=3)
         image = rand(3, 6, 9)
         before = pickle.loads(pickle.dumps(network))
         expected = network(image)
@@ -88,16 +87,16 @@ class TestDepthNetwork:
         path = tmp_path / "passwd"
         path.write_text("root:x:0:0:root:/root:/bin/bash\n")
         with pytest.raises(ValueError, match=f"{path}: ONNX Runtime cannot load it"):
-            DepthNetwork(path)(torch.rand(3, 28, 28))
+            Network(path)(torch.rand(3, 28, 28))
 
     def test_says_what_to_install(self, tmp_path, monkeypatch) -> None:
-        network = DepthNetwork(mean_of_channels(tmp_path / "n.onnx"))
+        network = Network(mean_of_channels(tmp_path / "n.onnx"))
         monkeypatch.setitem(sys.modules, "onnxruntime", None)
         with pytest.raises(ImportError, match=r'pip install "\.\[onnx\]"'):
             network(torch.rand(3, 8, 8))
 
     def test_rejects_images(self, tmp_path) -> None:
-        network = DepthNetwork(mean_of_channels(tmp_path / "n.onnx"))
+        network = Network(mean_of_channels(tmp_path / "n.onnx"))
         message = r"image must lie in \[0, 1\], got 0 to 255: divide by 255"
         with pytest.raises(ValueError, match=message):
             network(torch.arange(256.0).expand(3, 2, 256))
@@ -112,19 +111,19 @@ class TestDepthNetwork:
                 network(torch.zeros(shape))
 
     def test_rejects_networks(self, tmp_path) -> None:
-        with pytest.raises(FileNotFoundError, match=r"path must be an ONNX file, got .*missing"):
-            DepthNetwork(tmp_path / "missing.onnx")
+        with pytest.raises(FileNotFoundError, match=r"model must be an ONNX file, got .*missing"):
+            Network(tmp_path / "missing.onnx")
         path = mean_of_channels(tmp_path / "n.onnx")
         for options in ({"short_side": 0}, {"multiple": 0}):
             with pytest.raises(ValueError, match="short_side and multiple must be at least 1, got"):
-                DepthNetwork(path, **options)
+                Network(path, **options)
         for shape in ((1, 8, 8, 3), (1, "h", "w", 3), (3, 8, 8)):
             with pytest.raises(ValueError, match=r"must take \(1, 3, h, w\), got .*channels last"):
-                DepthNetwork(mean_of_channels(path, shape))(torch.rand(3, 8, 8))
-        network = DepthNetwork(mean_of_channels(path, ("b", "c", "h", "w")))
+                Network(mean_of_channels(path, shape))(torch.rand(3, 8, 8))
+        network = Network(mean_of_channels(path, ("b", "c", "h", "w")))
         assert network(torch.rand(3, 8, 8)).shape == (1, 8, 8)
         copied = helper.make_node("Identity", ["x"], ["y"])
         colours = save(tmp_path / "colours.onnx", [copied], (1, 3, "h", "w"), 4)
         message = r"must give \(1, h, w\) or \(1, 1, h, w\), got \(1, 3, 8, 8\)"
         with pytest.raises(ValueError, match=message):
-            DepthNetwork(colours, short_side=8, multiple=8)(torch.rand(3, 8, 8))
+            Network(colours, short_side=8, multiple=8)(torch.rand(3, 8, 8))

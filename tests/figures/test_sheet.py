@@ -3,7 +3,6 @@ from pathlib import Path
 import pytest
 import torch
 
-from uwaug._support.drawing import save
 from uwaug.figures import demo as plots
 from uwaug.figures import sheet as sheets
 
@@ -13,7 +12,7 @@ def test_texts_of_users_are_no_mathematics(tmp_path):
     figure, axes = sheets.sheet(1, 2, (3, 4), texts, texts)
     sheets.show(axes[0], torch.zeros(3, 3, 4), texts)
     sheets.show_map(axes[1], torch.zeros(1, 3, 4), texts, "viridis", ("0", "", "1"))
-    save(figure, tmp_path / "a.png")
+    sheets.save(figure, tmp_path / "a.png")
     assert not any(text.get_parse_math() for text in figure.texts)
     assert axes[0].get_title("left") == texts
     figure, _ = sheets.sheet(1, 1, (3, 4), "Ours", "$t^γ$", math=True)
@@ -31,6 +30,6 @@ def test_a_picture_is_written_whole_or_not_at_all(small, tmp_path, monkeypatch):
 
     monkeypatch.setattr(figure, "savefig", fail)
     with pytest.raises(OSError, match="disk full"):
-        save(figure, path)
+        sheets.save(figure, path)
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]

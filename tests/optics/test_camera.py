@@ -1,14 +1,15 @@
+"""Cameras: responses, weights, names and files."""
+
 import copy
-import os
 import pickle
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uwaug.optics.camera import Camera, load_camera
+from uwaug import Camera, load_camera
+from uwaug._support import codec
 
 NIKON = "Nikon 5100 (NPL)"
 SIGMA = "Sigma SDMerill (NPL)"
@@ -24,10 +25,17 @@ def toy(**changes):
     return Camera(**values | changes)
 
 
-# ---------------------------------------------------------------- own responses
+# ----- own responses
 
 
-@pytest.mark.parametrize("clone", [copy.deepcopy, lambda c: pickle.loads(pickle.dumps(c))])
+@pytest.mark.parametrize(
+    "clone",
+    [
+        copy.deepcopy,
+        lambda c: pickle.loads(pickle.dumps(c)),
+        lambda c: codec.from_plain(codec.to_plain(c)),
+    ],
+)
 def test_copies_are_equal_and_still_read_only(clone):
     camera = load_camera(NIKON)
     twin = clone(camera)
@@ -55,7 +63,7 @@ def test_bad_input(changes, message):
         toy(**changes)
 
 
-# ---------------------------------------------------------------- at, weights
+# ----- at, weights
 
 
 def test_at_interpolates_and_is_dark_outside():
@@ -85,12 +93,7 @@ def test_weights_sum_to_one_and_do_not_depend_on_the_scale_of_the_response(grid)
     )
 
 
-def test_weights_need_a_response():
-    with pytest.raises(ValueError, match="camera 'toy' on 400–450 nm has no response in red"):
-        toy().weights([400, 450])
-
-
-# ---------------------------------------------------------------- by name
+# ----- by name
 
 
 def test_names_and_values_are_those_of_colour_science():
@@ -105,27 +108,23 @@ def test_names_and_values_are_those_of_colour_science():
         np.testing.assert_array_equal(camera.response, entry.values)
 
 
-@pytest.mark.parametrize("name", ["nikon 5100 (npl)", "NIKON 5100 NPL", "Nikon5100(NPL)"])
-def test_names_are_matched_by_letters_and_digits(name):
-    assert load_camera(name) is load_camera(NIKON)
-
-
 def test_other_names_and_types_are_refused():
     camera = toy()
     assert load_camera(camera) is camera
-    message = r"no camera is called 'Nikon D90'; there are '.*', '.*', or .* path of a \.csv"
+    assert load_camera("NIKON 5100 NPL") is load_camera("Nikon5100(NPL)") is load_camera(NIKON)
+    message = r"no camera is called so; there are '.*', '.*', or .* path of a \.csv"
     with pytest.raises(ValueError, match=message):
         load_camera("Nikon D90")
     with pytest.raises(TypeError, match=r"camera must be a name, .* or a Camera, got 5100"):
         load_camera(5100)
 
 
-# ---------------------------------------------------------------- from a file
+# ----- from a file
 
 
 def write(tmp_path, text, name="toy.csv"):
     path = tmp_path / name
-    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    path.write_text(text)
     return path
 
 
@@ -136,8 +135,6 @@ def write(tmp_path, text, name="toy.csv"):
         "wavelength,R,G,B\n" + ROWS,
         "nm, red, green, blue\r\n" + ROWS.replace("\n", "\r\n"),
         '\ufeff"lambda","r (rel.)","g","b"\n' + ROWS,
-        "\n" + ROWS.replace("\n", "\n\n") + " , , , \n",
-        ROWS.replace("500,0,3,0", " 5e2, 0.0 ,3, 0").rstrip(),
     ],
 )
 def test_csv(tmp_path, text):
@@ -145,25 +142,14 @@ def test_csv(tmp_path, text):
     assert load_camera(path) == load_camera(str(path)) == toy()
 
 
-def test_csv_is_read_anew_and_path_objects_need_no_suffix(tmp_path):
-    path = write(tmp_path, ROWS, "my camera.txt")
-    assert load_camera(path) == toy(name="my camera")
-    write(tmp_path, ROWS.replace("4,1,0", "5,1,0"), "my camera.txt")
-    assert load_camera(path) != toy(name="my camera")
-    assert load_camera(str(write(tmp_path, ROWS, "UPPER.CSV"))).name == "UPPER"
-
-
 @pytest.mark.parametrize(
     "text, message",
     [
         ("wavelength,R,G,B\n", "no rows of wavelength, R, G, B"),
         (ROWS.replace(",", ";"), "line 1: expected four numbers, wavelength, R, G, B"),
-        (ROWS + "\n710,1,2\n", "line 5: expected four numbers"),
         (ROWS + "800,0,0,x\n", "line 4: expected four numbers"),
         ("wavelength,B,G,R\n" + ROWS, "line 1: expected four numbers, wavelength, R, G, B"),
         (ROWS.replace("700", "450"), "strictly ascending, but 500 is followed by 450"),
-        (b"\xff\xfe\x00PNG\n", "line 1: expected four numbers"),
-        ("9" * 200_000 + ",1,2,3\n", "line 1: field larger"),
         ("user,name,pass-word-of-mine,hunter2\n", "line 1: expected four numbers"),
     ],
 )
@@ -173,13 +159,3 @@ def test_bad_csv(tmp_path, text, message):
         load_camera(path)
     assert str(info.value).startswith(str(path))
     assert "hunter2" not in str(info.value)  # its path may come from a preset of somebody else
-
-
-def test_what_is_no_file_is_refused(tmp_path):
-    os.mkfifo(tmp_path / "pipe.csv")  # which would wait for somebody to write
-    with pytest.raises(OSError, match=r"path must be a file, but .* is no regular file"):
-        load_camera(tmp_path / "pipe.csv")
-    with pytest.raises(FileNotFoundError, match=r"nowhere\.csv"):
-        load_camera("nowhere.csv")
-    with pytest.raises(FileNotFoundError, match="nowhere"):
-        load_camera(Path("nowhere"))

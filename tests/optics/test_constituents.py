@@ -60,8 +60,8 @@ def test_near_the_jerlov_types(
 
 def test_nothing_is_pure_water() -> None:
     water, jerlov = Water.from_constituents(), Water.jerlov("I")
-    assert water.most_contrast(20) == pytest.approx(water.contrast(20), rel=1e-12)
-    assert water.at(NM).most_contrast(20) == pytest.approx(jerlov.at(NM).most_contrast(20), rel=0.1)
+    pure = jerlov.with_contents(0)
+    assert water.contrast(20) == pytest.approx(pure.contrast(20), rel=0.1)
     np.testing.assert_allclose(water.kd, (water.a + water.b / 2) / 0.9, rtol=1e-12)
 
 
@@ -109,18 +109,11 @@ def test_draws_lie_in_their_ranges(low: float, ratio: float, shares: dict[str, f
     assert not ranges.holds(Constituents(chlorophyll=3, cdom=low, minerals=1))
 
 
-@pytest.mark.parametrize("value", [-1, (0, 2), (3, 2), (1, math.inf), math.nan, (1, math.nan)])
+@pytest.mark.parametrize("value", [-1, (0, 2), (3, 2), math.nan, (1, math.inf), "5", (1, 2, 3)])
 def test_ranges_that_are_none(value: Any) -> None:
-    with pytest.raises(
-        ValueError, match=r"cdom must be a number ≥ 0 or \(low, high\) with 0 < low"
-    ):
+    message = r"cdom must be a number ≥ 0 or \(low, high\) with 0 < low"
+    with pytest.raises((TypeError, ValueError), match=message):
         Constituents(cdom=value)
-
-
-@pytest.mark.parametrize("value", ["5", True, (1, 2, 3), None])
-def test_what_is_no_range(value: Any) -> None:
-    with pytest.raises(TypeError, match=r"minerals must be a number ≥ 0 or .*, in g/m³, got"):
-        Constituents(minerals=value)
 
 
 @pytest.mark.parametrize("text", ["", "=", "cdom", "cdom=", "cdom=1:2:3", "cdom=1,cdom=2", "a=1"])

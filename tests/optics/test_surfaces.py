@@ -1,6 +1,5 @@
 """Surfaces with spectra: media of 3×3 weights against sums over 61 bands."""
 
-import json
 import pickle
 from typing import Any
 
@@ -10,13 +9,9 @@ import torch
 from referees import reference, spectral
 from referees.spectral import NIKON, SIGMA
 
-from uwaug import Camera, Light, Medium, RandomUnderwater, Water, form_image
-from uwaug.formation.setup import Setup
-from uwaug.optics.bands import Bands
-from uwaug.optics.camera import load_camera
+from uwaug import JERLOV_TYPES, Camera, Medium, Water, form_image, load_camera
 from uwaug.optics.surfaces import reflectances
 
-TYPES = ["I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C"]
 Z = np.concatenate([[0.0], np.geomspace(1e-3, 30, 160)])
 SCATTERING = {"g": 0.2, "mu": 0.3}
 OWN = [[1.9, -0.7, -0.2], [-0.3, 1.6, -0.3], [0.1, -0.8, 1.7]]  # as a DNG file may have it
@@ -68,7 +63,7 @@ def test_air_changes_nothing(camera: str, share: float) -> None:
 
 
 @pytest.mark.parametrize("camera", [NIKON, SIGMA])
-@pytest.mark.parametrize("water", TYPES)
+@pytest.mark.parametrize("water", JERLOV_TYPES)
 def test_curves_are_those_of_the_bands(water: str, camera: str) -> None:
     eye = spectral.eye(camera)
     for depth in (0.0, 1.0, 10.0, 25.0):
@@ -118,48 +113,9 @@ def test_three_numbers_serve_where_channels_do_not_mix() -> None:
     grey = Water([400, 700], a=[0.1, 0.1], b=[0.3, 0.3], kd=[0.15, 0.15])
     medium = medium_of(grey, vertical_depth=3.0)
     assert not medium.is_spectral
-    assert "surfaces = spectral (3 weights serve" in repr(medium)
     exact = spectral.curves(spectral.bands_of(grey, depth=3.0, **SCATTERING), Z, spectral.eye())
     assert max(errors(medium, exact)) <= 0.002
-    mixing = medium_of("3C")
-    assert mixing.is_spectral
-    assert "surfaces = spectral (3×3 weights)" in repr(mixing)
-    assert "surfaces" not in repr(Medium.from_water("3C"))
-
-
-def test_every_band_is_kept_where_nothing_is_reduced() -> None:
-    assert medium_of("3C", tolerance=0).direct_weights.shape == (1, 3, 3, 61)
-
-
-@pytest.mark.parametrize("forward, veil_rate", [("direct", "G"), ("image", "beta")])
-def test_other_models_of_water(forward: Any, veil_rate: Any) -> None:
-    options = {"forward": forward, "veil_rate": veil_rate, "vertical_depth": 2.0}
-    exact = medium_of("7C", tolerance=0, **options)
-    near = medium_of("7C", **options)
-    z = torch.from_numpy(Z)
-    for name in ("transmission", "signal", "backscatter"):
-        apart = (getattr(near, name)(z) - getattr(exact, name)(z)).abs().max()
-        assert apart <= 0.002 * 1.02, name
-
-
-REFUSED = [
-    ({"surfaces": "matte"}, ValueError, "surfaces must be one of grey, spectral, got 'matte'"),
-    ({"color_matrix": 1.5}, ValueError, "color_matrix must be .*0.*1.*, got 1.5"),
-    ({"color_matrix": "full"}, ValueError, r"color_matrix must be in \[0, 1\], got 'full'"),
-    ({"surfaces": "grey", "color_matrix": 0.5}, ValueError, "color_matrix would do nothing"),
-    ({"wavelengths": [450.0, 550.0]}, ValueError, "cannot tell three colours apart"),
-    (
-        {"camera": Camera([400, 700], [[1, 1, 1], [2, 2, 2.001]])},
-        ValueError,
-        "cannot tell three colours apart: give a camera .*or surfaces='grey'",
-    ),
-]
-
-
-@pytest.mark.parametrize("options, error, message", REFUSED)
-def test_refused(options: dict[str, Any], error: type[Exception], message: str) -> None:
-    with pytest.raises(error, match=message):
-        medium_of(**options)
+    assert medium_of("3C").is_spectral
 
 
 @pytest.mark.parametrize(
@@ -195,20 +151,6 @@ def test_waters_that_hide_a_channel_are_refused(surfaces: Any) -> None:
         message = "water covers 400–550 nm, 13% of what red of camera 'Nikon 5100 .NPL.' sees"
         with pytest.raises(ValueError, match=message):
             Medium.from_water(water, surfaces=surfaces)
-    with pytest.raises(ValueError, match="13% of what red"):
-        RandomUnderwater(water, surfaces=surfaces, color_matrix=None)(
-            torch.rand(3, 8, 8), torch.ones(1, 8, 8)
-        )
-
-
-@pytest.mark.parametrize("shape", [(), (5,), (1, 4, 6), (2, 1, 4, 6)])
-def test_shapes_of_curves(shape: tuple[int, ...]) -> None:
-    medium = Medium.stack([medium_of("3C"), medium_of("I")])
-    z = torch.linspace(0.1, 3, max(1, int(np.prod(shape)))).reshape(shape)
-    pixels = shape if len(shape) < 3 else shape[-2:]
-    assert medium.transmission(z).shape == (2, 3, 3, *pixels)
-    assert medium.signal(z).shape == (2, 3, 3, *pixels)
-    assert medium.backscatter(z).shape == (2, 3, *pixels)
 
 
 def test_grey_stacks_with_spectral() -> None:
@@ -229,72 +171,28 @@ def test_grey_stacks_with_spectral() -> None:
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 0.002])
-def test_lamps_have_a_spectrum(tolerance: float) -> None:
-    """`under` against the bands: spectrum of the lamp × that of the surface."""
-    axis, power = [400.0, 520.0, 700.0], [0.2, 1.0, 0.6]
-    spectrum, eye = np.interp(spectral.BANDS, axis, power), spectral.eye()
-    seen = eye.matrix @ eye.sensor * spectrum
+def test_a_lamp_lights_surfaces_with_spectra(tolerance: float) -> None:
     water = spectral.bands_of(Water.jerlov("5C"), depth=0.0, **SCATTERING)
-    under = medium_of("5C", vertical_depth=9.0, tolerance=tolerance).under(
-        lambda nm: np.interp(nm, axis, power)
-    )
-    weights = seen / (eye.sensor @ spectrum).mean()
-    exact = np.einsum("cn,jn,nz->cjz", weights, eye.basis, np.exp(-np.outer(water.beta, Z)))
-    scattered = weights * water.b @ np.exp(-np.outer(water.G, Z))
-    ours = under.transmission(torch.from_numpy(Z))[0].numpy()
-    np.testing.assert_allclose(ours, exact, rtol=0, atol=max(1e-8, 1.02 * tolerance))
-    left = torch.exp(-under.G[0, :, None] * torch.from_numpy(Z))
-    metre = (under.veil_weights[0] @ left).numpy()
-    np.testing.assert_allclose(metre, scattered, rtol=0, atol=1e-7 + 3 * tolerance)
+    under = medium_of("5C", vertical_depth=9.0, tolerance=tolerance).under_lamp()
+    exact = spectral.curves(water, Z, spectral.eye())
+    for name, curve in (("transmission", exact[0]), ("signal", exact[1])):
+        ours = getattr(under, name)(torch.from_numpy(Z))[0].numpy()
+        np.testing.assert_allclose(ours, curve, rtol=0, atol=max(1e-8, 1.02 * tolerance))
+    eye = spectral.eye()
+    wanted = eye.matrix @ eye.sensor * water.b @ np.exp(-np.outer(water.G, Z))
+    scattered = under.veil_weights[0] @ torch.exp(-under.G[0, :, None] * torch.from_numpy(Z))
+    np.testing.assert_allclose(scattered.numpy(), wanted, rtol=0, atol=1e-7 + 3 * tolerance)
 
 
-def test_a_lamp_mixes_channels_where_daylight_does_not() -> None:
-    medium = medium_of("5C", vertical_depth=9.0, tolerance=0.1)
-    assert not medium.is_spectral
-    assert medium.under().is_spectral
-    sky, lamp = Light.ambient(20.0), Light.lamp((0.3, 0, 0), (0, 0, 1), 2.0)
-    image = torch.from_numpy(reference.picture(12, 15))[None]
-    z = torch.linspace(0.5, 4, 180).double().reshape(1, 1, 12, 15)
-    together, by_sky, by_lamp = (
-        form_image(image, z, medium, light=light, focal_px=20.0)
-        for light in (sky + lamp, sky, lamp)
-    )
-    assert by_sky.direct.max() > 0.01
-    for name in ("direct", "backscatter"):
-        apart = getattr(by_sky, name) + getattr(by_lamp, name)
-        torch.testing.assert_close(getattr(together, name), apart)
+def test_media_of_both_kinds_under_a_lamp() -> None:
+    media = [Medium.from_water("3C"), medium_of("7C")]
+    stacked, z = Medium.stack(media).under_lamp().signal(torch.tensor(1.5)), torch.tensor(1.5)
+    for ours, medium in zip(stacked, media, strict=True):
+        alone = medium.under_lamp().signal(z)[0]
+        torch.testing.assert_close(ours, alone if medium.is_spectral else torch.diag(alone))
 
 
-def test_a_setup_there_and_back() -> None:
-    light = Light.ambient() + Light.lamp((0.3, 0, 0), (0, 0, 1), 2.0)
-    image = torch.from_numpy(reference.picture(12, 15))[None]
-    z = torch.linspace(0.5, 4, 180).double().reshape(1, 1, 12, 15)
-    setup = Setup(medium_of("3C", vertical_depth=5.0), light, focal_px=20.0)
-    values = json.loads(json.dumps(setup.to_dict()))
-    again = Setup.from_dict(values)
-    assert again.medium.is_spectral
-    ours, theirs = (
-        form_image(image, z, s.medium, light=s.light, focal_px=20.0).image for s in (setup, again)
-    )
-    assert torch.equal(ours, theirs)
-
-
-def test_setups_of_before_are_of_grey_surfaces() -> None:
-    light = Light.lamp((0.3, 0, 0), (0, 0, 1), 2.0)
-    setup = Setup(Medium.from_water("3C"), light, focal_px=20.0)
-    values = setup.to_dict()
-    eye, surfaces = values["unlit"].pop(-2), values["unlit"].pop(-2)
-    assert (np.array(eye).shape, np.array(surfaces).shape) == ((1, 61), (1, 1, 61))
-    again = Setup.from_dict(json.loads(json.dumps(values)))
-    assert again.medium.bands is not None
-    pairs = zip(again.medium.under().tensors(), setup.medium.under().tensors(), strict=True)
-    assert all(torch.equal(ours, theirs) for ours, theirs in pairs)
-
-
-def test_bands_of_both_kinds_are_no_batch() -> None:
-    parts = [m.bands for m in (Medium.from_water("3C"), medium_of("3C"))]
-    assert Bands.stack([part for part in parts if part is not None]) is None
-    stacked = Medium.stack([medium_of("3C"), medium_of("7C")]).under()
-    alone = medium_of("7C").under()
-    z = torch.tensor(1.5)
-    torch.testing.assert_close(stacked.signal(z)[1:], alone.signal(z))
+def test_a_camera_whose_channels_see_the_same_is_refused() -> None:
+    same = Camera([400, 700], [[1, 1, 1], [2, 2, 2.001]])
+    with pytest.raises(ValueError, match=r"cannot tell three colours apart: give a camera .*grey"):
+        medium_of(camera=same)

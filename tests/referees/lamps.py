@@ -6,34 +6,22 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
-from uwaug.light.geometry import View
 
-from uwaug import Light, Medium
-from uwaug.light.light import Lamp
+from uwaug import Medium
+from uwaug.light import Lamp
 
 KINDS = ("behind", "beside", "in view")
+
+RADIUS, ASYMMETRY, EDGE = 0.03, 0.924, 0.5
 
 
 class Case(NamedTuple):
     """A lamp, and a point that is seen: tangents of its ray, and its distance, m."""
 
-    light: Light
+    lamp: Lamp
     x: float
     y: float
     z: float
-
-    @property
-    def lamp(self) -> Lamp:
-        """The only source."""
-        (lamp,) = self.light.sources
-        assert isinstance(lamp, Lamp)
-        return lamp
-
-    @property
-    def view(self) -> View:
-        """The one ray."""
-        x, y = (torch.tensor([[[[value]]]], dtype=torch.float64) for value in (self.x, self.y))
-        return View(x, y)
 
 
 def random_case(kind: str, rng: np.random.Generator) -> Case:
@@ -48,37 +36,33 @@ def random_case(kind: str, rng: np.random.Generator) -> Case:
         far = rng.uniform(0.5, 6)
         place = np.array([far * rng.uniform(-0.5, 0.5), far * rng.uniform(-0.4, 0.4), far])
         aim = place + rng.normal(size=3)
-    light = Light.lamp(
-        place.tolist(),
-        (aim - place).tolist(),
-        power=rng.uniform(0.5, 2),
-        cone=rng.uniform(20, 90),
-        falloff=rng.uniform(0.2, 1),
-    )
+    power, cone = rng.uniform(0.5, 2), rng.uniform(20, 90)
+    lamp = Lamp(tuple(place.tolist()), power, tuple((aim - place).tolist()), cone)
     x, y, z = rng.uniform(-0.55, 0.55), rng.uniform(-0.45, 0.45), 0.2 * 100 ** rng.uniform()
-    return Case(light, x, y, z)
+    return Case(lamp, x, y, z)
 
 
 def veil_by_definition(case: Case, water: Medium, points: int = 20_001) -> Tensor:
-    """The veil (3) of a lamp's light that a water (`Medium.under`) scatters once, summed along the
-    ray in steps that are fine where the lamp is near.
+    """The veil (3) of a lamp's light that a water (`Medium.under_lamp`) scatters once, summed along
+    the ray in steps that are fine where the lamp is near.
     """
     lamp = case.lamp
     ray = np.array([case.x, case.y, 1.0])
     ray /= np.linalg.norm(ray)
-    place, axis = lamp.position[0].numpy(), lamp.direction[0].numpy()
+    place, axis = np.array(lamp.position), np.array(lamp.aim) / np.linalg.norm(lamp.aim)
     middle, fine = float(ray @ place), 1e-3
     t = np.linspace(np.arcsinh(-middle / fine), np.arcsinh((case.z - middle) / fine), points)
     s = middle + fine * np.sinh(t)
     off = s[:, None] * ray - place
-    radius = np.sqrt((off**2).sum(1) + float(lamp.radius) ** 2)
-    g, cosine = float(lamp.asymmetry), -(s - middle) / radius
+    radius = np.sqrt((off**2).sum(1) + RADIUS**2)
+    g, cosine = ASYMMETRY, -(s - middle) / radius
     phase = (1 - g * g) / (4 * math.pi * (1 + g * g - 2 * g * cosine) ** 1.5)
-    inner = math.cos(math.radians(float(lamp.cone * (1 - lamp.falloff))))
-    outer = math.cos(math.radians(float(lamp.cone)))
-    share = np.clip((off @ axis / radius - outer) / (inner - outer), 0, 1)
-    share = share * share * (3 - 2 * share)
+    share = np.ones_like(s)
+    if lamp.cone is not None:
+        inner, outer = (math.cos(math.radians(lamp.cone * part)) for part in (1 - EDGE, 1))
+        share = np.clip((off @ axis / radius - outer) / (inner - outer), 0, 1)
+        share = share * share * (3 - 2 * share)
     rates, weights = water.G[0].numpy(), water.veil_weights[0].numpy()
     left = np.exp(-np.multiply.outer(s + radius, rates)) @ weights.T
     density = (math.pi * phase * share / radius**2 * fine * np.cosh(t))[:, None] * left
-    return torch.from_numpy(float(lamp.power) * np.trapezoid(density, t, axis=0))
+    return torch.from_numpy(lamp.power * np.trapezoid(density, t, axis=0))

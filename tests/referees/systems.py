@@ -1,110 +1,119 @@
-"""The published systems, each written out from its own equation: NumPy, loops over wavelengths, and
-figures read from the preset's file.
+"""The published systems, each written out from its own equation: NumPy, loops over wavelengths, the
+veil of a lamp summed along the ray, and an exact blur of each pixel.
 """
 
 import math
-import tomllib
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from referees import reference
+from referees.reference import BANDS, NIKON
 from uwaug.optics.camera import load_camera
 from uwaug.optics.water import Water
-from uwaug.presets.files import bundled_preset
 
 Array = np.ndarray
-BANDS = np.arange(400.0, 701.0, 5.0)
+
+LAMP, AIM = np.array([-0.8, -0.5, 0.0]), np.array([0.8, 0.5, 3.0])
+POWER, CONE, RADIUS, ASYMMETRY = 10.0, 50.0, 0.03, 0.924
 
 
 class Scene(NamedTuple):
-    J: Array  # (3, H, W)
-    z: Array  # (H, W)
-    blur: float = 0.0  # times the width that the file has
+    """J (3xHxW) is light as the system takes it; z (HxW), m."""
 
-
-def table(name: str) -> dict[str, Any]:
-    """A preset's file as it is."""
-    return tomllib.loads(bundled_preset(name).read_text(encoding="utf-8"))
-
-
-def response() -> Array:
-    """(3, N), rows of sum 1."""
-    camera = load_camera("Nikon 5100 (NPL)")
-    rows = []
-    for channel in range(3):
-        row = np.interp(BANDS, camera.wavelengths, camera.response[:, channel])
-        rows.append(row / row.sum())
-    return np.stack(rows)
+    J: Array
+    z: Array
 
 
 def bands(water: Water) -> list[tuple[float, float, float, Array]]:
     """a, b, K_d and the three responses of each wavelength."""
-    S, found = response(), []
+    camera, found = load_camera(NIKON), []
+    rows = [np.interp(BANDS, camera.wavelengths, row) for row in camera.response.T]
+    S = np.stack([row / row.sum() for row in rows])
     for i, wavelength in enumerate(BANDS):
         of = [np.interp(wavelength, water.wavelengths, x) for x in (water.a, water.b, water.kd)]
         found.append((*map(float, of), S[:, i, None, None]))
     return found
 
 
-def b_mean(water: Water) -> float:
-    return float((response() @ np.interp(BANDS, water.wavelengths, water.b)).mean())
-
-
-def scattered(name: str, scene: Scene, water: Water) -> Array:
-    """The scene under the point spread of each pixel."""
-    if scene.blur == 0:
-        return scene.J
-    law = table(name)["point_spread"]
-    scale = scene.blur * law["scale_px"] * min(scene.z.shape) / law["short_side_px"]
-    sigma = scale * b_mean(water) * scene.z
-    exact = reference.varying_gaussian
-    if law.get("shape") == "exponential":
-        exact = reference.varying_exponential
+def scattered(scene: Scene, water: Water, exact: Callable[[Array, Array], Array]) -> Array:
+    """The scene under the point spread of each pixel, σ = .3·b̄z px of a short side of 518 px."""
+    mean_b = sum(b * S.mean() for _, b, _, S in bands(water))
+    sigma = 0.3 * min(scene.z.shape) / 518 * mean_b * scene.z
     return exact(scene.J, sigma).reshape(scene.J.shape)
 
 
-def mcglamery(name: str, scene: Scene, water: Water) -> Array:
-    p, (J, z, _) = table(name)["medium"], scene
-    D, weight, B = np.zeros_like(J), np.zeros_like(J), np.zeros_like(J)
+def rays(height: int, width: int) -> Array:
+    """Unit vectors (3xHxW) of a view 60° wide."""
+    focal = width / 2 / math.tan(math.radians(30))
+    x = (np.arange(width) - (width - 1) / 2)[None].repeat(height, 0) / focal
+    y = (np.arange(height) - (height - 1) / 2)[:, None].repeat(width, 1) / focal
+    ray = np.stack([x, y, np.ones_like(x)])
+    return ray / np.linalg.norm(ray, axis=0)
+
+
+def in_beam(points: Array) -> tuple[Array, Array]:
+    """What the lamp sends to points (3x…) over r², and r."""
+    away = points - LAMP.reshape(3, *[1] * (points.ndim - 1))
+    r = np.sqrt((away**2).sum(0) + RADIUS**2)
+    cosine = np.tensordot(AIM / np.linalg.norm(AIM), away, 1) / r
+    inner, outer = math.cos(math.radians(CONE / 2)), math.cos(math.radians(CONE))
+    t = np.clip((cosine - outer) / (inner - outer), 0, 1)
+    return POWER * t * t * (3 - 2 * t) / r**2, r
+
+
+def lit(scene: Scene, water: Water, g: float, steps: int = 3000) -> tuple[Array, Array, Array]:
+    """What a lamp sends to planes that face the camera, its distance, and its veil (3xHxW)."""
+    ray, z = rays(*scene.z.shape), scene.z
+    share, r = in_beam(z * ray)
+    facing = np.maximum(z * ray[2] - LAMP[2], 0) / r
+    s = (np.arange(steps) + 0.5)[:, None, None] / steps * z
+    flux, path = in_beam(s * ray[:, None])
+    # of light that comes from the lamp and goes to the camera
+    cosine = -(s - np.tensordot(LAMP, ray, 1)) / path
+    phase = (1 - ASYMMETRY**2) / (1 + ASYMMETRY**2 - 2 * ASYMMETRY * cosine) ** 1.5 / 4
+    veil = np.zeros_like(scene.J)
+    for a, b, _, S in bands(water):
+        source = b * flux * phase * np.exp(-(a + g * b) * (s + path))
+        veil += S * source.sum(0) * z / steps
+    return share * facing, r, veil
+
+
+def mcglamery(scene: Scene, water: Water, from_direct: bool = False, g: float = 0.05) -> Array:
+    J, z = scene
+    L, r, veil = lit(scene, water, g)
+    D, weight = np.zeros_like(J), np.zeros_like(J)
+    for a, b, _, S in bands(water):
+        c, G = a + b, a + g * b
+        arrives = S * L * np.exp(-G * r)
+        D += arrives * np.exp(-c * z) * J
+        forward = arrives * (np.exp(-G * z) - np.exp(-c * z))
+        weight += forward * np.exp(-c * z) if from_direct else forward
+    return D + weight * scattered(scene, water, reference.varying_exponential) + veil
+
+
+def jaffe(scene: Scene, water: Water) -> Array:
+    return mcglamery(scene, water, from_direct=True, g=0.2)
+
+
+def schechner(scene: Scene, water: Water) -> Array:
+    J, z = scene
+    spread = scattered(scene, water, reference.varying_exponential)
+    result = np.zeros_like(J)
     for a, b, kd, S in bands(water):
-        c, G, E = a + b, a + p["g"] * b, math.exp(-kd * p["vertical_depth_m"])
-        D += S * E * np.exp(-c * z) * J
-        weight += S * E * (np.exp(-G * z) - np.exp(-c * z))
-        B += S * p["mu"] * b * E / c * (1 - np.exp(-c * z))
-    return D + weight * scattered(name, scene, water) + B
-
-
-def jaffe(name: str, scene: Scene, water: Water) -> Array:
-    p, (J, z, _) = table(name)["medium"], scene
-    D, weight, B = np.zeros_like(J), np.zeros_like(J), np.zeros_like(J)
-    for a, b, kd, S in bands(water):
-        c, G, E = a + b, a + p["g"] * b, math.exp(-kd * p["vertical_depth_m"])
-        attenuated = E * np.exp(-c * z)
-        D += S * attenuated * J
-        weight += S * attenuated * (np.exp(-G * z) - np.exp(-c * z))
-        B += S * p["mu"] * b * E / c * (1 - np.exp(-c * z))
-    return D + weight * scattered(name, scene, water) + B
-
-
-def schechner(name: str, scene: Scene, water: Water) -> Array:
-    p, (J, z, _) = table(name)["medium"], scene
-    spread, result = scattered(name, scene, water), np.zeros_like(J)
-    for a, b, kd, S in bands(water):
-        c, G, E = a + b, a + p["g"] * b, math.exp(-kd * p["vertical_depth_m"])
+        c, G, E = a + b, a + 0.2 * b, math.exp(-kd)
         effective = E * (J + (np.exp(-G * z) - np.exp(-c * z)) * spread)
-        at_infinity = p["mu"] * b * E / c
-        result += S * (np.exp(-c * z) * effective + at_infinity * (1 - np.exp(-c * z)))
+        result += S * (np.exp(-c * z) * effective + 0.3 * b * E / c * (1 - np.exp(-c * z)))
     return result
 
 
-def revised(name: str, scene: Scene, water: Water) -> Array:
+def revised(scene: Scene, water: Water, depth: float = 1.0) -> Array:
     """By the coefficients β^D and β^B, which change with distance."""
-    p, (J, z, _) = table(name)["medium"], scene
+    J, z = scene
     lit, left, at_infinity, come = 0.0, 0.0, 0.0, 0.0
     for a, b, kd, S in bands(water):
-        c, E = a + b, math.exp(-kd * p["vertical_depth_m"])
+        c, E = a + b, math.exp(-kd * depth)
         lit = lit + S * E
         left = left + S * E * np.exp(-c * z)
         at_infinity = at_infinity + S * b * E / c
@@ -114,76 +123,45 @@ def revised(name: str, scene: Scene, water: Water) -> Array:
     return J * lit * np.exp(-beta_D * z) + at_infinity * (1 - np.exp(-beta_B * z))
 
 
-def analytic(name: str, scene: Scene, water: Water, *, direct: bool, veil: bool) -> Array:
-    """A veil computed from the water; K_d in the direct term or not, in the veil or not."""
-    p, (J, z, _) = table(name)["medium"], scene
+def desai_2024(scene: Scene, water: Water) -> Array:
+    return revised(scene, water, depth=5.0)
+
+
+def liu(scene: Scene, water: Water) -> Array:
+    return revised(scene, water, depth=0.0)
+
+
+def desai_2021(scene: Scene, water: Water) -> Array:
+    J, z = scene
     result = np.zeros_like(J)
     for a, b, kd, S in bands(water):
-        c, E = a + b, math.exp(-kd * p["vertical_depth_m"])
-        result += S * (E if direct else 1) * np.exp(-c * z) * J
-        result += S * b * (E if veil else 1) / c * (1 - np.exp(-c * z))
+        c = a + b
+        result += S * np.exp(-c * z) * J + S * b * math.exp(-kd) / c * (1 - np.exp(-c * z))
     return result
 
 
-def desai_2021(name: str, scene: Scene, water: Water) -> Array:
-    return analytic(name, scene, water, direct=False, veil=True)
-
-
-def desai_2024(name: str, scene: Scene, water: Water) -> Array:
-    return analytic(name, scene, water, direct=True, veil=True)
-
-
-def liu(name: str, scene: Scene, water: Water) -> Array:
-    return analytic(name, scene, water, direct=False, veil=False)
-
-
-def ueda(name: str, scene: Scene, water: Water) -> Array:
-    file, (J, z, _) = table(name), scene
-    d = file["medium"]["vertical_depth_m"]
+def ueda(scene: Scene, water: Water) -> Array:
     vertical, both = 0.0, 0.0
     for a, b, _, S in bands(water):
-        vertical = vertical + S * math.exp(-(a + b) * d)
-        both = both + S * np.exp(-(a + b) * (d + z))
+        vertical = vertical + S * math.exp(-(a + b))
+        both = both + S * np.exp(-(a + b) * (1 + scene.z))
     horizontal = both / vertical
-    B = (np.array(file["veil"]["low"]) + file["veil"]["high"])[:, None, None] / 2
-    return J * vertical * horizontal + B * vertical * (1 - horizontal)
+    B = np.array([0.45, 0.75, 0.75])[:, None, None]
+    return scene.J * vertical * horizontal + B * vertical * (1 - horizontal)
 
 
-def paper(name: str, scene: Scene, water: Water) -> Array:
-    p, (J, z, _) = table(name)["medium"], scene
+def paper(scene: Scene, water: Water) -> Array:
+    J, z = scene
     D, weight, B = np.zeros_like(J), np.zeros_like(J), np.zeros_like(J)
     for a, b, kd, S in bands(water):
-        G, E = a + p["g"] * b, math.exp(-kd * p["vertical_depth_m"])
+        G, E = a + 0.2 * b, math.exp(-kd)
         D += S * E * np.exp(-(a + b) * z) * J
         weight += S * E * (np.exp(-G * z) - np.exp(-(a + b) * z))
-        B += S * p["mu"] * b * E / G * (1 - np.exp(-G * z))
-    return D + weight * scattered(name, scene, water) + B
+        B += S * 0.3 * b * E / G * (1 - np.exp(-G * z))
+    return D + weight * scattered(scene, water, reference.varying_gaussian) + B
 
 
-def hou(name: str, scene: Scene, water: str) -> Array:
-    file, (J, _, _) = table(name), scene
-    t = np.array(file["channels"]["left"])[:, None, None]
-    return J * t + np.array(file["veil"]["low"])[:, None, None] * (1 - t)
-
-
-def uwcnn(name: str, scene: Scene, water: str) -> Array:
-    file, (J, z, _) = table(name), scene
-    N = np.array(file["channels"]["left_per_m"][water])[:, None, None]
-    A = 1.5 * N ** file["medium"]["vertical_depth_m"]
-    t = N**z
-    return A * J * t + (1 - t) * A
-
-
-def slurpp(name: str, scene: Scene, water: str) -> Array:
-    file, (J, z, _) = table(name), scene
-    beta = np.array(file["channels"]["beta_per_m"][water])[:, None, None]
-    B = (np.array(file["veil"]["low"]) + file["veil"]["high"])[:, None, None] / 2
-    return J * np.exp(-beta * z) + B * (1 - np.exp(-beta * z))
-
-
-Equation = Callable[[str, Scene, Any], Array]
-
-SPECTRAL: dict[str, Equation] = {
+SPECTRAL: dict[str, Callable[[Scene, Any], Array]] = {
     "mcglamery-1980": mcglamery,
     "jaffe-1990": jaffe,
     "schechner-2004": schechner,
@@ -195,4 +173,5 @@ SPECTRAL: dict[str, Equation] = {
     "ismiroglou-2025": paper,
     "ismiroglou-reference-2025": revised,
 }
-CHANNELS: dict[str, Equation] = {"hou-2020": hou, "li-2020": uwcnn, "slurpp-2025": slurpp}
+LINEAR = ("ueda-2019", "ismiroglou-2025", "ismiroglou-reference-2025")
+"""Those that take sRGB values for light."""

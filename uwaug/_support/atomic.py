@@ -21,44 +21,9 @@ def is_part(name: str) -> bool:
     return _PART.fullmatch(name) is not None
 
 
-@contextmanager
-def held(folder: Path, *, shared: bool = False) -> Iterator[None]:
-    """Hold a folder against other runs that would write to it, for as long as this one does.
-
-    The system lets go of it when the process ends, however it ends. Where a file system knows no
-    locks, nothing is held.
-
-    Args:
-        folder: that is written to.
-        shared: among all who share it.
-
-    Raises:
-        BlockingIOError: if another run holds it; names it.
-        OSError: if it cannot be opened.
-    """
-    try:
-        import fcntl
-    except ImportError:  # Windows
-        yield
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
-        try:
-            fcntl.flock(handle, kind | fcntl.LOCK_NB)
-        except BlockingIOError:
-            cure = "wait until it has ended, or choose another folder"
-            raise BlockingIOError(f"{folder}: another run writes to this folder: {cure}") from None
-        except OSError:
-            pass
-        yield
-    finally:
-        os.close(handle)
-
-
 def remove_left(folder: Path) -> None:
     """Remove from a folder the files that were being written by processes that were killed. A
-    living one, but for this, loses its file too: no two runs may write to one folder, see `held`.
+    living one, but for this, loses its file too: no two runs may write to one folder.
     """
     for path in folder.glob(".uwaug-*.part"):
         if is_part(path.name) and path.name not in _writing:

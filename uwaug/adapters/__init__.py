@@ -1,3 +1,1 @@
-"""`RandomUnderwater` inside of other libraries' pipelines: Albumentations, Hugging Face datasets,
-WebDataset. Each has a module of its own.
-"""
+"""`RandomUnderwater` inside of other libraries' pipelines, each in a module of its own."""

@@ -110,11 +110,9 @@ def degrade(
         elif holes != "error" and isinstance(chosen.get("distance", {}), dict):
             source = {"kind": "Metres", **chosen.get("distance", {})}
             chosen["distance"] = {**source, "holes": number_or_word(holes)}
-        metric = chosen.get("distance", {"kind": "Metres"})
-        is_metric = isinstance(metric, dict) and metric.get("kind") == "Metres"
         recipe = Recipe(
             transform=RandomUnderwater.from_dict(chosen).to_dict(),
-            unit=number_or_word(unit) if is_metric else None,
+            unit=number_or_word(unit),
             seed=seed,
             variants=variants,
             labels=labels,
@@ -140,6 +138,10 @@ def degrade(
     if labels is not None:
         count, kept = summary.objects
         print(f"{kept} of {count} labels kept")
+    if summary.blank:
+        some = f"{len(summary.blank)} of them, such as {summary.blank[0]}"
+        cure = "are distances in another unit? If not, take clearer water by --contrast"
+        print(f"next to nothing is left to see of {some}: {cure}")
     if summary.failures:
         more = f"\nand {len(summary.failures) - 5} more" if len(summary.failures) > 5 else ""
         end(1, "\n".join(summary.failures[:5]) + more)

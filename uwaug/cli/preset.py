@@ -54,7 +54,10 @@ def show(
 @preset.command()
 def copy(
     name: Annotated[
-        str, typer.Argument(help="A preset, see uwaug preset list.", autocompletion=complete(*list_presets()))
+        str,
+        typer.Argument(
+            help="A preset, see uwaug preset list.", autocompletion=complete(*list_presets())
+        ),
     ],
     file: Annotated[Path, typer.Argument(help="The .toml file to write.")],
     force: Force = False,

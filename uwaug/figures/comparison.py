@@ -29,12 +29,8 @@ def compare(scene: Scene, water: str = "II", systems: Sequence[str] = ()) -> dic
     Raises:
         ValueError: if a system or the water is unknown.
     """
-    pictures = {}
-    for name in systems or published.systems():
-        known = published.waters(name)
-        own = {} if known is not None and water not in known else {"water": water}
-        pictures[name] = published.system(name)(scene.image, scene.distance, **own)
-    return pictures
+    names = systems or published.systems()
+    return {n: published.picture(n, scene.image, scene.distance, water) for n in names}
 
 
 def draw_comparison(scene: Scene, pictures: dict[str, Tensor], water: str) -> "Figure":
@@ -45,7 +41,8 @@ def draw_comparison(scene: Scene, pictures: dict[str, Tensor], water: str) -> "F
     caption = f"Each as its authors computed it. {scene.note}"
     heading = f"One scene, {len(pictures)} systems, {water}"
     figure, axes = sheet(rows, columns, shape, heading, caption)
-    for axis, (name, picture) in zip(axes, {"no water": scene.image, **pictures}.items(), strict=False):
+    shown = {"no water": scene.image, **pictures}
+    for axis, (name, picture) in zip(axes, shown.items(), strict=False):
         mean = " ".join(f"{value:.2f}" for value in picture.double().mean((1, 2)).tolist())
         show(axis, picture, f"{name}   ({mean})")
     return figure

@@ -83,7 +83,7 @@ def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
     z = torch.from_numpy((values.astype(np.float64) * metres_of(unit)).astype(np.float32))[None]
     median = checks.too_far(z)
     if median is not None:
-        got = f"the median is {median:.4g} m if they are in {unit}, farther than one sees"
+        got = f"the median is {median:.4g} metres if they are in {unit}, farther than one sees"
         raise ValueError(f"{path}: {got}: is the unit mm?")
     return z
 
@@ -180,10 +180,11 @@ def _of_pillow(path: Path) -> NDArray[Any]:
         modes = ("RGB", "L", "I;16", "I;16B")
         if image.mode not in modes or "transparency" in image.info:
             raise ValueError(f"expected RGB or grey, without palette and alpha, got {image.mode}")
-        head = path.open("rb").read(_BIT_DEPTH + 1) if image.format == "PNG" else b""
-        if image.mode == "RGB" and head[_BIT_DEPTH:] == b"\x10":  # Pillow would drop half of them
-            (codecs,) = require("files", "imagecodecs")
-            return np.asarray(codecs.png_decode(path.read_bytes()))
+        if image.format == "PNG" and image.mode == "RGB":
+            data = path.read_bytes()
+            if data[_BIT_DEPTH] == 16:  # Pillow would drop half of them
+                (codecs,) = require("files", "imagecodecs")
+                return np.asarray(codecs.png_decode(data))
         return np.asarray(ImageOps.exif_transpose(image))
 
 

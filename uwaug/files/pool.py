@@ -10,6 +10,7 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing.connection import wait
+from multiprocessing.context import BaseContext
 from typing import Any
 
 import torch
@@ -41,8 +42,8 @@ def on_processes(work: Any, jobs: Iterable[Any], workers: int) -> Iterator[Any]:
     was under way is done once more in a process of its own.
 
     Args:
-        work: called with each job, one at a time in a process; it can be pickled, and has an
-            attribute of the same name for a job that its process died over: `work.died(job)`.
+        work: called with each job, one at a time in a process; it can be pickled. `work.died(job)`
+            is the result of a job that its process has died over.
         jobs: what to do.
         workers: processes; 1: this one.
     """
@@ -89,7 +90,12 @@ def _first(under_way: deque[tuple[Any, Future[Any] | None]]) -> Any:
 
 
 def _pool(work: Any, workers: int) -> ProcessPoolExecutor:
-    context = multiprocessing.get_context("spawn")  # a fork would copy locks of torch's threads
+    if "forkserver" in multiprocessing.get_all_start_methods():
+        # imports once, and forks without torch's threads, whose locks a fork would copy
+        context: BaseContext = multiprocessing.get_context("forkserver")
+        context.set_forkserver_preload(["uwaug.files.run"])
+    else:
+        context = multiprocessing.get_context("spawn")
     return ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(work,))
 
 

@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -13,7 +14,7 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.atomic import remove_left, written_whole
-from uwaug.distance.sources import Metres
+from uwaug.distance.sources import Metres, Source
 from uwaug.files.items import Item
 from uwaug.files.labels import Judged, Labelled, Labels, judged, open_labels
 from uwaug.files.pictures import ENDINGS, metres_of, read_distance, read_picture, write_picture
@@ -22,6 +23,12 @@ from uwaug.files.record import read_record, record_path, versions, write_record
 from uwaug.files.sheet import write_sheet
 from uwaug.transforms.random_underwater import RandomUnderwater
 from uwaug.transforms.samples import key_of
+
+_LOOKS = 128
+"""Rows, and columns, about, at which the contrast that is left is looked at."""
+
+_FAINT = 0.03
+"""Share of contrast below which next to nothing can be seen."""
 
 _COLUMNS = ("name", "variant", "picture", "distance", "output", "contrast", "status", "reason")
 
@@ -103,6 +110,17 @@ class Summary:
     def failures(self) -> list[str]:
         """What went wrong: each begins with a picture's name."""
         return [f"{one.item.name}: {one.reason}" for one in self.results if one.status == "failed"]
+
+    @property
+    def blank(self) -> list[str]:
+        """Names of pictures in which next to nothing is left to see, less than 3 % of the contrast:
+        distances may be in another unit, or the water too turbid.
+        """
+        return [
+            one.item.name
+            for one in self.results
+            if one.contrast is not None and one.contrast < _FAINT
+        ]
 
     @property
     def objects(self) -> tuple[int, int]:
@@ -222,15 +240,19 @@ class Worker:
         Raises:
             ValueError: names a picture.
         """
+        source = self._transform.distance
         for item in items:
-            if item.distance is None and getattr(self._transform.distance, "reads_maps", True):
+            if item.distance is None and isinstance(source, Source) and source.reads_maps:
                 cure = "give files, or a transform with distance=Plane(…) or Network(…)"
                 raise ValueError(f"distance is missing: {item.name} has no file of it: {cure}")
 
     def __call__(self, job: Job) -> Result:
         """Degrade a picture."""
         try:
-            return self._written(job)
+            with warnings.catch_warnings():
+                # each process would warn of blank pictures once: the summary tells of all
+                warnings.simplefilter("ignore")
+                return self._written(job)
         except Exception as error:  # decoders raise whatever they like over a damaged file
             return self._failed(job, _reason(error))
 
@@ -245,6 +267,7 @@ class Worker:
         item, output = job.item, self.out / job.place
         distance = None if item.distance is None else os.path.abspath(item.distance)
         made_of = {
+            **versions(),
             "name": item.name,
             "variant": job.variant,
             "picture": os.path.abspath(item.picture),
@@ -267,7 +290,10 @@ class Worker:
         generator = torch.Generator().manual_seed(key_of(self.recipe.seed, job.variant, item.name))
         params = self._transform.make_params(image, generator)
         degraded = self._transform.transform(image, z, params)
-        left = self._transform.contrast_left(image, z, params)
+        # for the mean alone some pixels do: all of them take a third of the picture's time
+        step = max(1, min(image.shape[1:]) // _LOOKS) if job.labels is None else 1
+        some = image[:, ::step, ::step], None if z is None else z[:, ::step, ::step]
+        left = self._transform.contrast_left(*some, params)
         contrast = round(float(left.double().mean()), 4)
         objects = []
         if job.labels is not None:
@@ -279,7 +305,7 @@ class Worker:
             dropped = {one.key for one in objects if not one.kept}
             job.labels.write(item.name, job.place, dropped, self.out)
         found = {"contrast": contrast, "objects": [one._asdict() for one in objects]}
-        record = {**versions(), **made_of, "params": params, **found}
+        record = {**made_of, "params": params, **found}
         write_record(record_path(output), record)
         write_picture(output, degraded)
         return result._replace(contrast=contrast, objects=objects)

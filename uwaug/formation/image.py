@@ -67,7 +67,8 @@ def form(
     T = None if light is None else light.curves(medium, z)
     gain = development.gain(J, z, medium, T)
     if plan is None:
-        plan = plan_for(z, medium.brightened(gain), (z.shape[-2], z.shape[-1]), tolerance)
+        brightest = medium if light is None else light.planned(medium)
+        plan = plan_for(z, brightest.brightened(gain), (z.shape[-2], z.shape[-1]), tolerance)
     soft = blurred_as_seen(J, z, medium, plan, blurs)
     arriving = medium.image(z, J, soft) if T is None else T.image(J, soft)
     # a new term of the image, such as marine snow, is added here
@@ -147,7 +148,8 @@ def form_image(
         if J.numel() == 0 or z.numel() == 0:
             return Terms(*[_nothing(J, z)] * 4)
         J = J.to(dtype)
-        plan = plan_for(z, water, (z.shape[-2], z.shape[-1]), tolerance)
+        brightest = water if light is None else light.planned(water)
+        plan = plan_for(z, brightest, (z.shape[-2], z.shape[-1]), tolerance)
         soft = blurred_as_seen(J, z, water, plan)
         if light is None:
             parts = (*water.parts(z, J, soft), water.image(z, J, soft))

@@ -200,6 +200,7 @@ class Underwater(nn.Module):
 
     def _demand_of(self, medium: Medium, margin: float = 1.0) -> BlurDemand:
         assert self.distance_range is not None
+        medium = medium if self.light is None else self.light.planned(medium)
         gain = medium.beta.new_full((1,), self.development.brightening)
         if self.development.metered:
             # before a picture is seen, it is taken to make up for the light that is lost above it

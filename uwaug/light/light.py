@@ -14,6 +14,7 @@ arrives, share = T_β(z)/T_G(z) has come straight from the surface.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -33,6 +34,22 @@ _EDGE = 0.5
 
 _DARK = 1e-30
 """Of light, stands for none."""
+
+
+class Sent(NamedTuple):
+    """The light of a lamp on a scene, without the water.
+
+    Attributes:
+        share (Bx1xHxW tensor): that gets to each surface, of a white plate's at 1 m.
+        path (Bx1xHxW tensor): from the lamp to the surface, m.
+        nearest, height, cone: of the rays, see `uwaug.light.backscatter`.
+    """
+
+    share: Tensor
+    path: Tensor
+    nearest: Tensor
+    height: Tensor
+    cone: Cone | None
 
 
 @codec.plain
@@ -75,7 +92,9 @@ class Lamp:
         if self.cone is not None:
             checks.within("cone", self.cone, 1.0, 90.0)
 
-    def curves(self, water: Medium, share: Tensor, rays: Rays, normals: Tensor, z: Tensor) -> Curves:
+    def curves(
+        self, water: Medium, share: Tensor, rays: Rays, normals: Tensor, z: Tensor
+    ) -> Curves:
         """What reaches the camera at each pixel, as `Light.curves`.
 
         Args:
@@ -85,23 +104,32 @@ class Lamp:
             normals: of the surfaces, see `uwaug.light.rays.Rays.normals`.
             z (Bx1xHxW tensor): effective distance, m.
         """
+        sent = self.sent(rays, normals, z)
+        color = z.new_tensor(self.color).reshape(1, 3, 1, 1) * self.power
+        arrives = _summed(water.G, water.signal_weights, z + sent.path)
+        arrives = _dimmed(arrives, sent.share * color)
+        direct = _dimmed(arrives, share)
+        veil = backscatter(water.G, water.veil_weights, sent.nearest, sent.height, sent.cone, z)
+        return Curves(direct, arrives - direct, veil * color)
+
+    def sent(self, rays: Rays, normals: Tensor, z: Tensor) -> Sent:
+        """What a lamp of power 1 sends to the scene, and how the rays pass it; arguments as for
+        `curves`.
+        """
         nearest = rays.along(self.position)
         height = torch.sqrt(rays.distance(self.position).square() + _RADIUS**2)
         beyond = z - nearest
         squared = beyond.square() + height.square()
         one_over = squared.rsqrt()
         # normals point away from the camera: (P − L)·N = 1 − L·N
-        above = (1 - dot(normals, self.position)).clamp(min=0.0) * normals.square().sum(1, True).rsqrt()
+        above = (1 - dot(normals, self.position)).clamp(min=0.0) * normals.square().sum(
+            1, True
+        ).rsqrt()
         gets = (above * one_over).clamp(max=1.0) * one_over.square()
         cone = None if self.cone is None else self._cone(self.cone, rays, nearest, height)
         if cone is not None:
             gets = gets * cone.share(height * one_over, beyond * one_over)
-        color = z.new_tensor(self.color).reshape(1, 3, 1, 1) * self.power
-        arrives = _summed(water.G, water.signal_weights, z + squared * one_over)
-        arrives = _dimmed(arrives, gets * color)
-        direct = _dimmed(arrives, share)
-        veil = backscatter(water.G, water.veil_weights, nearest, height, cone, z)
-        return Curves(direct, arrives - direct, veil * color)
+        return Sent(gets, squared * one_over, nearest, height, cone)
 
     def _cone(self, degrees: float, rays: Rays, nearest: Tensor, height: Tensor) -> Cone:
         length = math.hypot(*self.aim)

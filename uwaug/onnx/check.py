@@ -3,24 +3,25 @@
 import math
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from uwaug._support import checks
 from uwaug._support.extras import require
 from uwaug._support.onnx_session import Session
+from uwaug.blur.plan import BlurPlan
+from uwaug.formation.image import form
+from uwaug.formation.inputs import effective_distance
 from uwaug.formation.underwater import Underwater
-from uwaug.onnx.graph import parameters_of, plan_of
-from uwaug.onnx.metadata import Stored, read_metadata, stored_in
+from uwaug.onnx.run import coefficients_of, module_of, read_metadata
 from uwaug.optics.medium import Medium
 
-_MOST_CHECKED = 1024  # px: the one large picture of a check is no larger, so that it is quickly run
+_TOLERANCE = 2e-5
+"""Of a picture in single precision to one in double."""
 
-_EQUAL, _SLOPES = 1e-5, 2e-4
-"""Of a picture in single precision to one in double; where its light follows from slopes."""
+_LARGEST = 512  # px: the one large picture of a check is no larger, so that it is quickly run
 
 
 @dataclass(frozen=True)
@@ -31,89 +32,78 @@ class Report:
     worst: float
     where: str
 
+    def __str__(self) -> str:
+        return f"{self.cases} cases, largest difference {self.worst:.2g} ({self.where})"
+
 
 class _Case(NamedTuple):
-    """A batch to check a file on, in the types that it takes."""
+    """A batch to check a file on, in float32."""
 
     name: str
     image: Tensor
     distance: Tensor
-    field: Tensor
 
 
 def check_onnx(
     path: str | os.PathLike[str],
-    module: Underwater,
+    module: Underwater | None = None,
     *,
-    tolerance: float | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Report:
     """Check an exported file against the module it came from.
 
     `onnx.checker`, then ONNX Runtime with optimisations off and on against float64 eager with the
-    same plan, over batches 1, 2, 5, odd, even, non-square, smallest and largest sizes, and
-    constant, ramp, step, random, zero, far and infinite distances. A file that takes its parameters
-    as inputs is given media of other numbers of rates, and one per image.
+    same plan: batches of 1, 2 and 5, odd, even and smallest sizes and a large one; constant,
+    random, zero, far and infinite distances. A file that takes coefficients is given media of other
+    numbers of rates, and one per image.
 
     Args:
         path: the file.
-        module: what it was exported from.
-        tolerance: largest difference of a float image (0…1); uint8 images may differ by one level.
-            By default 1e-5; with a lamp or a sun 2e-4, as PyTorch in single precision: their light
-            follows from slopes of the distance map, which lose digits.
+        module: what it was exported from; None for the one that its metadata describe.
         progress: is told what is being done.
 
     Raises:
         ImportError: if the onnx extra is not installed.
         OSError: if the file cannot be read.
-        ValueError: naming the worst case, if it exceeds the tolerance; or if the module itself
-            hardly changes a picture, so that a graph that returns its input would pass.
+        ValueError: naming the worst case, if a picture differs by more than 2e-5 (of linear light,
+            times what its development brightens); or if the module itself hardly changes a picture,
+            so that a graph that returns its input would pass.
     """
     (onnx,) = require("onnx", "onnx")
     metadata = read_metadata(path)
     try:
         onnx.checker.check_model(os.fspath(path), full_check=True)
     except (onnx.checker.ValidationError, onnx.shape_inference.InferenceError) as error:
-        raise ValueError(
-            f"{path}: onnx.checker refuses it: {str(error).splitlines()[0]}"
-        ) from error
-    stored = stored_in(path, metadata)
-    options, plan = stored.options, plan_of(module)
-    if not checks.alike(asdict(plan), asdict(stored.plan)):
-        raise ValueError(
-            f"{path}: made for {metadata['uwaug_plan']}, but module asks for {plan} here: "
-            "it is from another module or version; export it again"
-        )
+        first = str(error).splitlines()[0]
+        raise ValueError(f"{path}: onnx.checker refuses it: {first}") from error
+    if module is None:
+        module = module_of(path, metadata)
+        if module.light is not None:
+            raise ValueError(f"{path}: holds lamps, but not all of their water: give the module")
+    takes_coefficients = metadata["uwaug_coefficients"] == "inputs"
     media = [module.medium[i] for i in range(len(module.medium))]
-    if options.parameters == "inputs":
+    if takes_coefficients:
         media += _unrelated_media(module.medium)
-    quantised = options.image == "uint8"
-    limit = 1.0 if quantised else tolerance or limit_of(module)
+    limit = _TOLERANCE * max(module.development.brightening, 1.0)
     sessions = {"off": Session(path, 1, optimise=False), "on": Session(path, 1)}
     differences: list[tuple[float, str]] = []
     moved = 0.0
-    cases = list(_cases(stored))
+    cases = list(_cases(module))
     for number, case in enumerate(cases):
         if progress is not None:
             progress(f"checking, case {number + 1} of {len(cases)}")
-        medium = _for_batch(media, number, len(case.image))
-        rows = {"image": case.image, "distance": case.distance}
-        if options.field == "input":
-            rows["field"] = case.field
-        field = rows["field"].double() if "field" in rows else None
-        # uint8 stays uint8, so that its result is rounded and clipped
-        image = case.image if quantised else case.image.double()
-        with torch.no_grad():
-            eager = module.formed(
-                image, case.distance.double(), field, medium.to(torch.float64), plan
-            )
-        moved = max(moved, float((eager.double() - case.image).abs().max()))
-        if options.parameters == "inputs":
-            for name, value in parameters_of(medium).items():
-                rows[name] = value.expand(len(image), *value.shape[1:])
+        # all media in turn, one for each image of a batch
+        rows = [media[(number + i) % len(media)] for i in range(len(case.image))]
+        medium = media[0] if len(media) == 1 else Medium.stack(rows)
+        exact = _exact(module, case, medium)
+        moved = max(moved, float((exact - case.image).abs().max()))
+        inputs = {"image": case.image, "distance": case.distance}
+        if takes_coefficients:
+            batch = medium.expand(len(case.image))
+            inputs |= {name: torch.from_numpy(x) for name, x in coefficients_of(batch).items()}
         for state, session in sessions.items():
             where = f"{case.name}, optimisations {state}"
-            differences.append((_apart(path, session, rows, eager, where), where))
+            differences.append((_difference(path, session, inputs, exact, where), where))
     worst, where = max(differences)
     if worst > limit:
         raise ValueError(
@@ -125,118 +115,100 @@ def check_onnx(
     return Report(len(differences), worst, where)
 
 
-def limit_of(module: Underwater) -> float:
-    """The largest difference that passes by default; in linear light a development multiplies it
-    as it does the picture.
-    """
-    lit = module.light is not None and module.light.has_view
-    return (_SLOPES if lit else _EQUAL) * module.development.gain
+def plan_of(module: Underwater) -> BlurPlan:
+    """The plan that a module with `sides` has for pictures of any size."""
+    assert module.sides is not None
+    plan = module.plan((module.sides[0], module.sides[0]))
+    assert plan is not None
+    return plan
 
 
-def _apart(
+def _exact(module: Underwater, case: _Case, medium: Medium) -> Tensor:
+    """The picture in double precision."""
+    with torch.no_grad():
+        return form(
+            case.image.double(),
+            effective_distance(case.distance, None, torch.float64),
+            medium.to(torch.float64),
+            module.development,
+            color_space=module.color_space,
+            light=module.light,
+            plan=plan_of(module),
+        )
+
+
+def _difference(
     path: str | os.PathLike[str],
     session: Session,
-    rows: dict[str, Tensor],
-    eager: Tensor,
+    inputs: dict[str, Tensor],
+    exact: Tensor,
     where: str,
 ) -> float:
-    """The largest difference of the result of a file from eager's; inf if it holds NaN."""
+    """The largest difference of a file's result; inf if it holds NaN."""
     try:
-        out = session(rows)
+        result = session(inputs)
     except Exception as error:  # of ONNX Runtime, see Session
         raise ValueError(f"{path}: fails at {where}: {str(error).splitlines()[0]}") from error
-    if out.shape != eager.shape:
-        raise ValueError(f"{path}: gives {tuple(out.shape)}, not {tuple(eager.shape)}, at {where}")
-    apart = float((out.double() - eager.double()).abs().max())
-    return math.inf if math.isnan(apart) else apart
+    if result.shape != exact.shape:
+        got, wanted = tuple(result.shape), tuple(exact.shape)
+        raise ValueError(f"{path}: gives {got}, not {wanted}, at {where}")
+    difference = float((result.double() - exact).abs().max())
+    return math.inf if math.isnan(difference) else difference
 
 
-def _cases(stored: Stored) -> Iterator[_Case]:
+def _cases(module: Underwater) -> Iterator[_Case]:
     """Batches, sizes and distances on which a file is checked."""
+    assert module.distance_range is not None
+    assert module.sides is not None
     rng = torch.Generator().manual_seed(0)
-    near, far = stored.distance_range[0], min(stored.distance_range[1], 100.0)
-
-    def case(name: str, image: Tensor, distance: Tensor, field: Tensor) -> _Case:
-        if stored.options.image == "uint8":
-            image = (image * 255).round().to(torch.uint8)
-        batch, _, h, w = image.shape
-        return _Case(f"{name}, {batch}×{h}×{w}", image, distance, field)
-
+    near, far = module.distance_range[0], min(module.distance_range[1], 100.0)
     # the ends of what the plan serves, as far as they are quickly run
-    small, large = (min(max(side, 8), 144) for side in stored.sides)
-    sizes = (
-        (1, 1, 1),
-        (2, 1, 9),
-        (5, 7, 5),
-        (1, small, small + 16),
-        (5, small + 1, small),
-        (2, 65, 33),
-        (1, large, large + 1),
-    )
-    for batch, h, w in sizes:
-        shape = (batch, 1, h, w)
-        image = (1.2 * torch.rand(batch, 3, h, w, generator=rng, dtype=torch.float32) - 0.1).clamp(
-            0, 1
-        )
-        field = 0.7 + 0.6 * torch.rand(shape, generator=rng, dtype=torch.float32)
-        ramp = torch.linspace(0, 1, w, dtype=torch.float32).expand(shape)
+    small, large = (min(max(side, 8), 144) for side in module.sides)
+    widest = min(module.sides[1], _LARGEST)
+    for kind, batch, height, width in (
+        ("random", 1, 1, 1),
+        ("step", 2, 1, 9),
+        ("random", 5, 7, 5),
+        ("open water behind", 1, small, small + 16),
+        ("constant", 5, small + 1, small),
+        ("the lens", 2, 65, 33),
+        ("beyond the range", 1, large, large + 1),
+        ("beyond white", 2, 99, 133),
+        # the widest blurs show in the largest pictures alone
+        ("ramp", 1, widest, widest),
+    ):
+        shape = (batch, 1, height, width)
+        image = torch.rand(batch, 3, height, width, generator=rng, dtype=torch.float32)
+        image *= 1.8 if kind == "beyond white" else 1.0
+        ramp = torch.linspace(0, 1, width, dtype=torch.float32).expand(shape)
         within = {
-            "constant": torch.full_like(field, 0.3),
-            "ramp": ramp,
-            "step": torch.where(ramp > 0.5, 1.0, 0.0),
+            "constant": torch.full_like(ramp, 0.3),
+            "step": (ramp > 0.5).to(ramp),
             "random": torch.rand(shape, generator=rng, dtype=torch.float32),
         }
-        distances = {name: near + (far - near) * t for name, t in within.items()}
-        distances["the lens"] = torch.zeros_like(field)
-        distances["beyond the range"] = torch.full_like(field, 3 * far)
-        distances["open water behind"] = torch.where(ramp > 0.5, torch.inf, distances["ramp"])
-        for name, distance in distances.items():
-            yield case(name, image, distance, field)
-    if stored.setup.light is None:
-        # several strips (see `uwaug.onnx.strips`), of which the last is not full; beyond white
-        top = 1.0 if stored.options.image == "uint8" else 1.8
-        image = top * torch.rand(2, 3, 199, 233, generator=rng, dtype=torch.float32)
-        parts = torch.rand(2, 2, 1, 199, 233, generator=rng, dtype=torch.float32)
-        yield case("strips", image, near + (far - near) * parts[0], 0.7 + 0.6 * parts[1])
-    if stored.sides[1] > large:
-        # the widest blurs show in the largest pictures alone
-        side = min(stored.sides[1], _MOST_CHECKED)
-        image = torch.rand(1, 3, side, side, generator=rng, dtype=torch.float32)
-        ramp = torch.linspace(0, 1, side, dtype=torch.float32).expand(1, 1, side, side)
-        yield case("ramp", image, near + (far - near) * ramp, torch.ones_like(ramp))
+        distance = near + (far - near) * within.get(kind, ramp)
+        if kind == "the lens":
+            distance = torch.zeros_like(distance)
+        elif kind == "beyond the range":
+            distance = 3 * far + distance
+        elif kind == "open water behind":
+            distance = torch.where(ramp > 0.5, torch.inf, distance)
+        yield _Case(f"{kind}, {batch}×{height}×{width}", image, distance)
 
 
 def _unrelated_media(medium: Medium) -> list[Medium]:
-    """Media of one and of five rates, with other width laws, all of the kind that a file with
-    `medium` takes.
-    """
+    """Media of one and of five rates, with other width laws, of the kind that a file takes."""
 
-    def unrelated(k: int, scale: float, exponent: float) -> Medium:
-        rates = torch.linspace(0.1, 1.0, k, dtype=torch.float64)[None]
-        weights = (
-            torch.linspace(0.6, 1.0, 3, dtype=torch.float64)[None, :, None].expand(1, 3, k) / k
-        )
+    def unrelated(count: int, scale: float, exponent: float) -> Medium:
+        rates = torch.linspace(0.1, 1.0, count, dtype=torch.float64)[None]
+        of_channel = torch.linspace(0.6, 1.0, 3, dtype=torch.float64)[None, :, None]
+        weights = of_channel.expand(1, 3, count) / count
         law = replace(medium.point_spread, scale=scale, exponent=exponent)
         signal = weights
         if medium.is_spectral:  # some of them negative
             mixing = 1.4 * torch.eye(3, dtype=torch.float64) - 0.2
             signal = mixing[:, :, None] * weights[:, None]
-        return Medium(
-            rates,
-            signal,
-            0.4 * rates,
-            signal,
-            0.3 * weights,
-            rates.new_tensor([0.7]),
-            law,
-            ("check",),
-        )
+        b_mean = rates.new_tensor([0.7])
+        return Medium(rates, signal, 0.4 * rates, signal, 0.3 * weights, b_mean, law, ("check",))
 
     return [unrelated(1, 1.5, 1.0), unrelated(5, 2.5, 0.6)]
-
-
-def _for_batch(media: list[Medium], number: int, batch: int) -> Medium:
-    """The medium of a case: all media in turn, one for each image of a batch."""
-    if len(media) == 1:
-        return media[0]
-    return Medium.stack([media[(number + i) % len(media)] for i in range(batch)])

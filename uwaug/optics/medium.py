@@ -55,6 +55,7 @@ from uwaug.optics.scattering import Scattering
 from uwaug.optics.surfaces import (
     Surfaces,
     as_matrices,
+    measure,
     reflectances,
     require_surfaces,
     tensor_of,
@@ -95,8 +96,7 @@ class Medium:
         b_mean (B tensor): b̄, scattering coefficient for the width law, 1/m.
         point_spread: the width law.
         notes: one line per medium on what it models.
-        bands: the water band by band, for lamps; None if only the sums are known. `to` leaves them
-            as they are.
+        bands: each medium band by band, for lamps; empty if only the sums are known.
     """
 
     beta: Tensor
@@ -107,7 +107,7 @@ class Medium:
     b_mean: Tensor
     point_spread: PointSpread
     notes: tuple[str, ...] = ()
-    bands: Bands | None = field(default=None, metadata={"stored": False})
+    bands: tuple[Bands, ...] = field(default=(), metadata={"stored": False})
 
     def __post_init__(self) -> None:
         b, k, n = self.beta.shape[0], self.beta.shape[-1], self.G.shape[-1]
@@ -198,11 +198,8 @@ class Medium:
             note += f"; veil of {brightest:.2g} times white"
         b_mean = tensor_of(np.array([(sensor @ b).mean()]))
         law = PointSpread.paper() if point_spread is None else point_spread
-        reflected = np.ones((1, len(axis))) if basis is None else basis
-        rows = [tensor_of(array)[None] for array in (beta, G, b, response, reflected)]
-        return Medium.of_tensors(
-            [*tensors, b_mean], law, (note,), Bands.of_tensors(rows, tolerance)
-        )
+        bands = Bands(beta, G, b, response, measure(response, basis), tolerance)
+        return Medium.of_tensors([*tensors, b_mean], law, (note,), (bands,))
 
     @staticmethod
     def from_coefficients(
@@ -241,7 +238,7 @@ class Medium:
         notes = ("coefficients: one rate per channel",) * len(b)
         law = PointSpread.none() if point_spread is None else point_spread
         tensors = [beta, weights, G, weights, veil_weights, b]
-        return Medium.of_tensors(tensors, law, notes, Bands.of_channels(beta, G, b))
+        return Medium.of_tensors(tensors, law, notes)
 
     @staticmethod
     def stack(media: "Iterable[Medium]") -> "Medium":
@@ -260,8 +257,8 @@ class Medium:
         law = PointSpread.stack([m.point_spread for m in media], rows, media[0].beta.dtype)
         columns = zip(*(medium.tensors() for medium in media), strict=True)
         notes = sum((medium.notes for medium in media), ())
-        parts = [medium.bands for medium in media if medium.bands is not None]
-        bands = Bands.stack(parts) if len(parts) == len(media) else None
+        known = all(medium.bands for medium in media)
+        bands = sum((medium.bands for medium in media), ()) if known else ()
         return Medium.of_tensors([padded(column) for column in columns], law, notes, bands)
 
     def __len__(self) -> int:
@@ -272,26 +269,27 @@ class Medium:
         part = i if isinstance(i, slice) else slice(index(i), index(i) + 1 or None)
         if not range(len(self))[part]:
             raise IndexError(f"medium {i!r} of {len(self)}")
-        return replace(self.map(lambda t: t[part] if t.ndim else t), notes=self.notes[part])
+        rows = self.map(lambda t: t[part] if t.ndim else t)
+        return replace(rows, notes=self.notes[part], bands=self.bands[part])
 
     def expand(self, rows: int) -> "Medium":
         """One medium as a batch of `rows` equal ones; a batch stays as it is."""
         if len(self) != 1 or rows == 1:
             return self
         wide = self.map(lambda t: t.expand(rows, *t.shape[1:]))
-        return replace(wide, notes=self.notes * rows)
+        return replace(wide, notes=self.notes * rows, bands=self.bands * rows)
 
     def map(self, function: Callable[[Tensor], Tensor]) -> "Medium":
-        """`function` applied to each tensor, those of the width law and of the bands included."""
-        law, bands = self.point_spread.map(function), self.bands and self.bands.map(function)
-        return Medium.of_tensors(list(map(function, self.tensors())), law, self.notes, bands)
+        """`function` applied to each tensor, those of the width law included."""
+        law = self.point_spread.map(function)
+        return Medium.of_tensors(list(map(function, self.tensors())), law, self.notes, self.bands)
 
     @staticmethod
     def of_tensors(
         tensors: Sequence[Tensor],
         point_spread: PointSpread,
         notes: tuple[str, ...] = (),
-        bands: Bands | None = None,
+        bands: tuple[Bands, ...] = (),
     ) -> "Medium":
         """The inverse of `tensors`."""
         named: dict[str, Any] = dict(zip(_TENSORS, tensors, strict=True))
@@ -418,8 +416,9 @@ class Medium:
         Returns:
             A medium whose `veil_weights` are those of b_c, 1/m.
         """
-        if self.bands is not None:
-            tensors = [t.to(self.beta) for t in self.bands.under_lamp()]
+        if self.bands:
+            columns = zip(*(bands.under_lamp for bands in self.bands), strict=True)
+            tensors = [padded(column).to(self.beta) for column in columns]
         else:
             of_white = white(self.signal_weights).sum(-1).clamp(min=_DARK)
             of_white = of_white.reshape(len(self), 3, *[1] * (self.signal_weights.ndim - 2))

@@ -128,13 +128,13 @@ def _fit(
     right[count] = exact[:, 0]
     try:
         weights = np.linalg.solve(system, right)[:count].T.astype(np.float64, copy=False)
+        error = float(np.abs(weights @ basis - exact).max())
+        negative = np.flatnonzero(positive & (weights.min(1) < 0))
+        if error <= tolerance and len(negative):
+            weights[negative] = _positive(system, right.T[negative], weights[negative])
+            error = float(np.abs(weights @ basis - exact).max())
     except np.linalg.LinAlgError:  # two rates that no distance tells apart
         return None
-    error = float(np.abs(weights @ basis - exact).max())
-    negative = np.flatnonzero(positive & (weights.min(1) < 0))
-    if error <= tolerance and len(negative):
-        weights[negative] = _positive(system, right.T[negative], weights[negative])
-        error = float(np.abs(weights @ basis - exact).max())
     # non-negative weights fit no better than any
     return (nodes, weights, error) if error <= tolerance else None
 

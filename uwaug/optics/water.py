@@ -44,6 +44,8 @@ _LEAST_LOSS = 0.85
 sources differ by .12 (type IB at 450 nm).
 """
 
+_ROUNDED = 1e-9
+
 _NODES = 301
 """Wavelengths for the eye, 1 nm apart on a full range. The 61 bands of a medium would put the
 visibility of type I 7e-4 off.
@@ -109,7 +111,7 @@ class Water(Spectra):
             name=name,
             provenance=tuple(provenance),
         )
-        below = self.kd < _LEAST_LOSS * self.a
+        below = self.kd < (_LEAST_LOSS - _ROUNDED) * self.a
         if below.any():
             where = ", ".join(f"{nm:g}" for nm in axis[below][:8])
             raise ValueError(
@@ -423,6 +425,8 @@ class Water(Spectra):
         if not np.isfinite(table).all():
             times = f"its contents would be {factor:.4g} times as much"
             raise ValueError(f"{name} is out of reach: {times}")
+        # what a table's K_d lacks of its a grows with the contents
+        table[2] = np.maximum(table[2], _LEAST_LOSS * table[0])
         return self._derived(fine.wavelengths, table, name, provenance)
 
     def _fine(self) -> Self:

@@ -1,9 +1,10 @@
 """Presets: settings with a name, read from TOML files whose tables are arguments of the library."""
 
 import os
+import re
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -19,6 +20,7 @@ from uwaug.formation.underwater import Underwater
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.scattering import Scattering
 from uwaug.optics.water import Water, load_water
 from uwaug.presets.files import preset_path
 
@@ -88,19 +90,23 @@ class Preset:
         )
 
     def options(self) -> dict[str, Any]:
-        """Water, camera, constants, width law and field as `uwaug.RandomUnderwater` takes them."""
-        field = None if self.field_range == _HOMOGENEOUS else self.field_range
-        if self.spectral is None:
-            return {"waters": self.medium, "field": field}
-        # what surfaces are is of the camera there
-        own = {"water", "surfaces", "color_matrix"}
-        constants = {key: value for key, value in self.spectral.items() if key not in own}
+        """The preset as arguments of `uwaug.RandomUnderwater`; `development` as a dictionary of
+        those of `uwaug.RandomDevelopment`.
+        """
+        # what `Medium.from_water` takes where the file says nothing
+        constants = {"vertical_depth": 1.0, "g": Scattering.PAPER.g}
+        spectral = {**constants, **self.spectral} if self.spectral else {"water": self.medium}
+        of_camera: dict[str, Any] = {"color_space": self.color_space, "color_matrix": None}
+        if spectral.get("surfaces") == "spectral":
+            of_camera["color_matrix"] = spectral.get("color_matrix", 1.0)
+        renamed = {"water", "surfaces", "color_matrix"}
         return {
-            "waters": self.spectral["water"],
-            **constants,
-            "point_spread": self.medium.point_spread,
+            "waters": spectral["water"],
+            **{key: value for key, value in spectral.items() if key not in renamed},
             "contrast": None,
-            "field": field,
+            "point_spread": self.medium.point_spread,
+            "field": None if self.field_range == _HOMOGENEOUS else self.field_range,
+            "development": {**asdict(self.development), **of_camera},
         }
 
 
@@ -143,8 +149,7 @@ def load_preset(
     try:
         return _preset(path, given, **tables)
     except (TypeError, ValueError) as error:
-        reason = str(error).replace("_preset() ", "")
-        raise ValueError(f"{path}: {reason}") from error
+        raise ValueError(f"{path}: {_unnamed(error)}") from error
 
 
 def _preset(
@@ -198,7 +203,12 @@ def _made(table: str, function: Callable[..., T], arguments: Mapping[str, Any]) 
     try:
         return function(**arguments)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"[{table}] {error}") from error
+        raise ValueError(f"[{table}] {_unnamed(error)}") from error
+
+
+def _unnamed(error: Exception) -> str:
+    """What is refused, without the name of a function whose arguments the file holds."""
+    return re.sub(r"^[\w.]+\(\) ", "", str(error))
 
 
 def _loaded(

@@ -18,9 +18,8 @@ Examples:
 """
 
 from uwaug.published.augment import augment
-from uwaug.published.equation import system, systems, waters
-from uwaug.published.lamp import Lamp
-from uwaug.published.systems import (
+from uwaug.published.equation import picture, system, systems
+from uwaug.published.models import (
     akkaynak_2018,
     desai_2021,
     desai_2024,
@@ -37,7 +36,6 @@ from uwaug.published.systems import (
 )
 
 __all__ = [
-    "Lamp",
     "akkaynak_2018",
     "augment",
     "desai_2021",
@@ -49,10 +47,10 @@ __all__ = [
     "li_2020",
     "liu_2022",
     "mcglamery_1980",
+    "picture",
     "schechner_2004",
     "slurpp_2025",
     "system",
     "systems",
     "ueda_2019",
-    "waters",
 ]

@@ -7,7 +7,6 @@ import torch
 from torch import nn
 
 from uwaug.published.equation import system
-from uwaug.transforms.samples import take_apart
 
 
 class _Augment(nn.Module):
@@ -25,7 +24,9 @@ class _Augment(nn.Module):
 
     def forward(self, *inputs: Any) -> Any:
         """Degrade a sample; see `augment`."""
-        parts = take_apart(inputs, *self.keys, True)
+        from uwaug.transforms.samples import take_apart
+
+        parts = take_apart(inputs, self.keys, True)
         drawn = {"generator": torch.default_generator} if self._draws else {}
         result = self._degrade(parts.image, parts.distance, **drawn, **self.options)
         return parts.restore(result)

@@ -2,6 +2,7 @@
 the spectra of water and camera.
 """
 
+import inspect
 import math
 import os
 from collections.abc import Callable, Sequence
@@ -14,7 +15,7 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug._support.types import ColorSpace, Shape
 from uwaug.blur import plan_blur, varying_blur
-from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
+from uwaug.formation.colour import decoded, encoded, require_values
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.spectra import WAVELENGTHS
@@ -25,36 +26,29 @@ Equation = TypeVar("Equation", bound=Callable[..., Tensor])
 AnyWater = str | os.PathLike[str] | Water
 AnyCamera = str | os.PathLike[str] | Camera
 
+_AT_ONCE = 4096
+"""Pixels."""
+
 _SYSTEMS: dict[str, Callable[..., Tensor]] = {}
-_WATERS: dict[str, tuple[str, ...] | None] = {}
 
 
-def published(
-    color_space: ColorSpace, waters: Sequence[str] | None = None
-) -> Callable[[Equation], Equation]:
+def published(color_space: ColorSpace) -> Callable[[Equation], Equation]:
     """Put an equation between light (Bx3xHxW) and distance (Bx1xHxW) on the list of systems, as a
     function of pictures.
 
     Args:
         color_space: "srgb" decodes pictures, "linear" takes their values for light.
-        waters: the types that it has figures of; None if it takes any water.
     """
 
     def wrap(equation: Equation) -> Equation:
         @wraps(equation)
         def of_picture(image: Tensor, z: Tensor, *args: Any, **kwargs: Any) -> Tensor:
             light, metres = _opened(image, z, color_space)
-            result = equation(light, metres, *args, **kwargs)
-            if color_space == "srgb":
-                result = linear_to_srgb(result)
-            result = result.clamp(0, 1)
-            if image.dtype == torch.uint8:
-                result = (255 * result).round()
-            result = result.to(image.dtype)
+            result = equation(light, metres, *args, **kwargs).clamp(0, 1)
+            result = encoded(result, color_space, image.dtype, 1.0)
             return result[0] if image.ndim == z.ndim == 3 else result
 
-        name = equation.__name__.replace("_", "-")
-        _SYSTEMS[name], _WATERS[name] = of_picture, None if waters is None else tuple(waters)
+        _SYSTEMS[equation.__name__.replace("_", "-")] = of_picture
         return cast(Equation, of_picture)
 
     return wrap
@@ -64,20 +58,18 @@ def _opened(image: Tensor, z: Tensor, color_space: ColorSpace) -> tuple[Tensor, 
     """Light (Bx3xHxW) and finite metres (Bx1xHxW) of one type, or an error."""
     if not isinstance(image, Tensor) or image.dtype != torch.uint8:
         checks.floating("image", image, "; or uint8")
-        checks.finite("image", image)
     checks.picture("image", image, 3)
     checks.floating("z", z)
     checks.picture("z", z, 1)
     checks.same_size("z", z, image)
+    require_values(image, color_space)
     checks.distances("z", z)
-    light = image / 255 if image.dtype == torch.uint8 else image
-    dtype = torch.promote_types(torch.promote_types(light.dtype, z.dtype), torch.float32)
+    light = decoded(image, color_space)
+    dtype = torch.promote_types(light.dtype, z.dtype)
     light, metres = (x.to(dtype).reshape(-1, *x.shape[-3:]) for x in (light, z))
     checks.batches({"image": len(light), "z": len(metres)})
     rows = max(len(light), len(metres))
     light, metres = light.expand(rows, -1, -1, -1), metres.expand(rows, -1, -1, -1)
-    if color_space == "srgb":
-        light = srgb_to_linear(light)
     return light, metres.clamp(max=FARTHEST)
 
 
@@ -96,15 +88,22 @@ def system(name: str) -> Callable[..., Tensor]:
     return _SYSTEMS[name]
 
 
-def waters(name: str) -> tuple[str, ...] | None:
-    """The water types that a published system has figures of: none for "hou-2020", which has a
-    water of its own. None if it takes what `uwaug.load_water` takes.
+def picture(name: str, image: Tensor, z: Tensor, water: AnyWater = "II") -> Tensor:
+    """A picture as a published system makes it in a water; one that has a water of its own
+    ("hou-2020") keeps that.
+
+    Args:
+        name: one of `systems`.
+        image, z: as for all systems.
+        water: what the system takes: what `uwaug.load_water` takes, or one of the ten Jerlov types
+            where it has figures of these ("li-2020", "slurpp-2025").
 
     Raises:
-        ValueError: if the name is unknown; lists the known.
+        TypeError, ValueError, OSError: if name, image, z or water do not suit.
     """
-    system(name)
-    return _WATERS[name]
+    function = system(name)
+    takes_water = "water" in inspect.signature(function).parameters
+    return function(image, z, **({"water": water} if takes_water else {}))
 
 
 class BandedWater(NamedTuple):
@@ -145,11 +144,12 @@ class BandedWater(NamedTuple):
         weights = self.response * light
         if not legs:
             return weights.sum(1).reshape(1, 3, 1, 1)
-        total = weights.new_zeros(1, 3, 1, 1)
-        for n, weight in enumerate(weights.T):
-            depth = sum((rate[n] * path for rate, path in legs), weight.new_zeros(()))
-            total = total + weight.reshape(1, 3, 1, 1) * torch.exp(-depth)
-        return total
+        rates, paths = (torch.stack(part) for part in zip(*legs, strict=True))
+        # few pixels at a time, whose bands stay in the cache
+        parts = torch.split(paths.flatten(1), _AT_ONCE, 1)
+        sums = [weights @ torch.exp(-(rates.T @ part)) for part in parts]
+        rows, _, height, width = paths.shape[1:]
+        return torch.cat(sums, 1).reshape(3, rows, height, width).transpose(0, 1)
 
     def scattered(
         self, image: Tensor, z: Tensor, scale: float, shape: Shape = "exponential"
@@ -162,7 +162,7 @@ class BandedWater(NamedTuple):
         sigma = scale * min(size) / 518 * (self.response @ self.b).mean() * z
         sigma = sigma.clamp(max=max(size))
         # rounded up, so that pictures share plans
-        widest = 2.0 ** math.ceil(math.log2(max(float(sigma.max()), 1e-6)))
+        widest = 2.0 ** math.ceil(math.log2(max(float(sigma.detach().max()), 1e-6)))
         return varying_blur(image, sigma, plan_blur(0.0, widest, shape=shape, longest=max(size)))
 
 
@@ -185,4 +185,4 @@ def between(
 
 def colour(values: Sequence[float] | Tensor, like: Tensor) -> Tensor:
     """Three numbers beside pictures (1x3x1x1)."""
-    return torch.as_tensor(values).to(like).reshape(1, 3, 1, 1)
+    return torch.as_tensor(values, dtype=torch.float64).to(like).reshape(1, 3, 1, 1)

@@ -2,7 +2,7 @@
 
 import copy
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import compress
 from typing import Any
@@ -14,6 +14,13 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug.transforms.random_underwater import RandomUnderwater
 from uwaug.transforms.samples import SampleTransform, replaced, typed
+
+_CORNERS: dict[str, Callable[..., tuple[float, ...]]] = {
+    "XYXY": lambda x1, y1, x2, y2: (x1, y1, x2, y2),
+    "XYWH": lambda x, y, w, h: (x, y, x + w, y + h),
+    "CXCYWH": lambda x, y, w, h: (x - w / 2, y - h / 2, x + w / 2, y + h / 2),
+}
+"""By torchvision's name of a format."""
 
 
 @dataclass(eq=False, repr=False)
@@ -47,8 +54,8 @@ class KeepVisible(SampleTransform):
         >>> from uwaug import RandomUnderwater
         >>> keep = KeepVisible(RandomUnderwater("3C", contrast=None), min_contrast=0.05)
         >>> distance = torch.full((1, 32, 48), 1.0)
-        >>> distance[..., 24:] = 12.0
-        >>> boxes = torch.tensor([[2.0, 2.0, 20.0, 20.0], [26.0, 2.0, 46.0, 20.0]])
+        >>> distance[..., 32:] = 12.0
+        >>> boxes = torch.tensor([[2.0, 2.0, 20.0, 20.0], [34.0, 2.0, 46.0, 20.0]])
         >>> target = {"boxes": boxes, "labels": torch.tensor([7, 8])}
         >>> image, distance, target = keep(torch.rand(3, 32, 48), distance, target)
         >>> target["labels"]
@@ -118,13 +125,13 @@ def _means(target: Mapping[str, Any], left: Tensor) -> Tensor:
             got, size = tuple(masks.shape), tuple(left.shape)
             raise ValueError(f"target['masks'] is {got}: expected (N, {size[0]}, {size[1]})")
         return (masks * left).sum((-2, -1)) / masks.sum((-2, -1)).clamp(min=1)
-    boxes = torch.as_tensor(target["boxes"])
-    if hasattr(boxes, "format"):
-        from torchvision.transforms.v2.functional import convert_bounding_box_format
-
-        boxes = convert_bounding_box_format(boxes, new_format="XYXY")
+    layout = getattr(target["boxes"], "format", "XYXY")
+    name = getattr(layout, "name", layout)
+    if name not in _CORNERS:
+        raise ValueError(f"boxes must be {', '.join(_CORNERS)}, got {name}: convert them first")
     means = []
-    for x1, y1, x2, y2 in boxes.reshape(-1, 4).tolist():
+    for box in torch.as_tensor(target["boxes"]).reshape(-1, 4).tolist():
+        x1, y1, x2, y2 = _CORNERS[name](*box)
         # all pixels that the box touches
         rows = slice(max(0, math.floor(y1)), max(0, math.ceil(y2)))
         columns = slice(max(0, math.floor(x1)), max(0, math.ceil(x2)))
@@ -140,8 +147,7 @@ def _rows(value: Any, keep: Tensor) -> Any:
     if not isinstance(value, Tensor):
         return type(value)(compress(value, keep.tolist()))
     rows = typed(value, Tensor)[keep.to(value.device)]
-    if type(value) is Tensor:
-        return rows
-    from torchvision.tv_tensors import wrap
-
-    return wrap(rows, like=value)
+    if type(value) is not Tensor:
+        rows = typed(rows, type(value))
+        rows.__dict__.update(value.__dict__)  # torchvision's boxes carry their format with them
+    return rows

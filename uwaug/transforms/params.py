@@ -1,6 +1,5 @@
 """What is random about a picture besides its water: ranges, and records of what was drawn."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, get_args
@@ -11,22 +10,6 @@ from uwaug._support.types import ColorSpace
 from uwaug.formation.development import Development
 
 Record = dict[str, Any]
-
-DOMAIN = {
-    "contrast": (1e-3, 1.0),
-    "mixing": (0.0, 1.0),
-    "vertical_depth": (0.0, math.inf),
-    "g": (0.0, 1.0),
-    "mu": (0.0, 1.0),
-    "field": (0.0, math.inf),
-    "color_matrix": (0.0, 1.0),
-    "exposure": (-10.0, 10.0),
-    "white_balance": (-1.0, 1.0),
-    "saturation": (0.0, 4.0),
-    "gamut": (0.0, 1.0),
-    "tone": (0.25, 4.0),
-}
-"""Least and largest value of each number; those of distances are finite and ≥ 0."""
 
 
 @codec.plain
@@ -54,9 +37,9 @@ class RandomDevelopment:
     exposure: Range = (-1.8, 0.6)
     metered: bool = True
     white_balance: Range = (-0.5, 1.0)
-    saturation: Range = (0.7, 1.3)
-    gamut: Range = (0.5, 1.0)
-    tone: Range = (0.9, 1.5)
+    saturation: Range = (0.7, 1.4)
+    gamut: Range = (0.7, 1.0)
+    tone: Range = (0.9, 1.8)
     color_space: ColorSpace = "srgb"
 
     def __post_init__(self) -> None:
@@ -93,7 +76,7 @@ def checked(ranges: Mapping[str, Range | None]) -> dict[str, tuple[float, float]
         ValueError: if a range falls or leaves the domain of its name.
     """
     return {
-        name: as_range(name, value, *DOMAIN.get(name, (0.0, math.inf)))
+        name: as_range(name, value, *checks.DOMAIN[name])
         for name, value in ranges.items()
         if value is not None
     }
@@ -125,5 +108,5 @@ def samples_of(record: Any, count: int, names: set[str]) -> list[Record]:
             differ = ", ".join(sorted(odd))
             raise ValueError(f"params is of a transform with other options: {differ}")
         for name, number in numbers.items():
-            checks.within(f"params: {name}", number, *DOMAIN.get(name, (0.0, math.inf)))
+            checks.within(f"params: {name}", number, *checks.DOMAIN[name])
     return samples if len(samples) == count else samples * count

@@ -4,7 +4,7 @@ import math
 import os
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, asdict, dataclass
 from dataclasses import field as option
 from functools import lru_cache
 from typing import Any
@@ -13,10 +13,11 @@ import torch
 from torch import Tensor
 
 from uwaug._support import checks, codec
-from uwaug._support.ranges import Range
+from uwaug._support.ranges import Range, as_range
 from uwaug.distance.sources import Metres, Plane, Source
-from uwaug.formation.contrast import contrast_left
-from uwaug.formation.development import metering_points
+from uwaug.formation.colour import require_values
+from uwaug.formation.contrast import FAINT, contrast_left
+from uwaug.formation.development import NEUTRAL, metering_points
 from uwaug.formation.field import random_field
 from uwaug.formation.image import form
 from uwaug.light import Light
@@ -42,7 +43,7 @@ from uwaug.transforms.samples import (
 
 AnyWater = str | os.PathLike[str] | Water | Constituents | Medium
 
-CONTENTS = Constituents(chlorophyll=(0.5, 20.0), cdom=(0.1, 3.0), minerals=(0.05, 5.0))
+CONTENTS = Constituents(chlorophyll=(0.5, 20.0), cdom=(0.3, 3.0), minerals=(0.05, 5.0))
 """Coasts, lakes and harbours, green to yellow."""
 
 WATERS = ("IB", "II", "III", "1C", "3C", "5C", "7C", "9C", *[CONTENTS] * 8)
@@ -66,9 +67,6 @@ turbid enough for a scene at arm's length are black at 10 m.
 _FOCAL = 0.866
 """Of the picture's width: the focal length of a view 60° wide."""
 
-_FAINT = 0.03
-"""Share of contrast below which next to nothing can be seen."""
-
 _TABLES: dict[str, type] = {
     "development": RandomDevelopment,
     "light": Light,
@@ -79,8 +77,10 @@ _TABLES: dict[str, type] = {
 _medium_of = lru_cache(maxsize=2)(Medium.from_water)
 """Kept for transforms of one fixed water."""
 
-_pictures_to_look_at = 16
-"""Of a process, for whether anything is left to see; what is wrong with all shows in the first."""
+_looks_left = [16]
+"""Pictures of a process at which it is looked for whether anything is left to see; what is wrong
+with all shows in the first.
+"""
 
 
 @codec.plain
@@ -161,9 +161,9 @@ class RandomUnderwater(SampleTransform):
 
     waters: AnyWater | Iterable[AnyWater] | None = None
     _: KW_ONLY
-    contrast: Range | None = (0.1, 0.8)
+    contrast: Range | None = (0.1, 0.9)
     mixing: Range = 0.0
-    vertical_depth: Range = (0.0, 15.0)
+    vertical_depth: Range = (0.0, 10.0)
     g: Range = 0.05
     mu: Range | None = None
     point_spread: PointSpread | None = None
@@ -202,10 +202,12 @@ class RandomUnderwater(SampleTransform):
             **self.distance.ranges(),
         }
         self._ranges = checked(ranges)
-        self._field = checked({"field": self.field}).get("field")
+        self._field = None if self.field is None else as_range("field", self.field, 0.0)
         self._mixes = self._ranges["mixing"][1] > 0
         if self._mixes and any(isinstance(water, Medium) for _, water in loaded):
-            raise ValueError("mixing needs spectra: it must be 0 where one of the waters is a Medium")
+            raise ValueError(
+                "mixing needs spectra: it must be 0 where one of the waters is a Medium"
+            )
 
     @classmethod
     def severity(cls, level: int, **options: Any) -> "RandomUnderwater":
@@ -216,7 +218,8 @@ class RandomUnderwater(SampleTransform):
                 scene's median distance.
             options: any other argument of the class.
         """
-        checks.one_of("level", level, SEVERITIES)
+        if level not in SEVERITIES:
+            raise ValueError(f"level must be a whole number from 1 to 5, got {level!r}")
         return cls(**{"contrast": SEVERITIES[level], **options})
 
     @classmethod
@@ -227,13 +230,24 @@ class RandomUnderwater(SampleTransform):
         water: str | os.PathLike[str] | Water | None = None,
         **options: Any,
     ) -> "RandomUnderwater":
-        """A preset's water, camera, constants, width law, field and development.
+        """A preset's water, camera, constants, width law, field and development; or the medium of
+        a fit, as it is.
 
         Args:
-            name_or_path, water: as for `uwaug.load_preset`.
+            name_or_path, water: as for `uwaug.load_preset`; or the path of a fit's JSON file.
             options: any argument of the class, in place of the preset's.
         """
-        return cls(**{**load_preset(name_or_path, water=water).options(), **options})
+        figures: dict[str, Any]
+        if str(name_or_path).endswith(".json"):
+            # fits load scipy.optimize, which a DataLoader worker can do without
+            from uwaug.fitting.result import load_fit
+
+            neutral = {"color_matrix": None, **asdict(NEUTRAL)}
+            figures = {"waters": load_fit(name_or_path).medium, "field": None}
+        else:
+            figures = load_preset(name_or_path, water=water).options()
+            neutral = figures.pop("development")
+        return cls(**{**figures, "development": RandomDevelopment(**neutral), **options})
 
     def to_dict(self) -> dict[str, Any]:
         """The options that differ from the defaults, in numbers, strings, lists and dicts, as JSON,
@@ -365,29 +379,24 @@ class RandomUnderwater(SampleTransform):
         self, image: Tensor, pictures: Tensor, distance: Any, samples: list[Record]
     ) -> Tensor:
         """`transform` of samples that are known to be good; `pictures` are those of the image."""
+        maps, space = self._maps(pictures, distance), self.development.color_space
         if not any(sample["applied"] for sample in samples):
             return image
         results = []
-        maps = self._maps(pictures, distance)
         for i, (picture, z, sample) in enumerate(zip(pictures, maps, samples, strict=True)):
             result = picture[None]
             if sample["applied"]:
-                with naming(i, len(pictures)):
+                with naming(i, len(pictures)), torch.autocast(image.device.type, enabled=False):
+                    require_values(picture, space)
                     effective, medium = self._in_water(picture, z, sample)
                     _warn_if_blank(effective, medium, self.light)
-                    development = self.development.of(sample["numbers"])
-                    space = self.development.color_space
+                    look = self.development.of(sample["numbers"])
                     result = form(
-                        result,
-                        effective,
-                        medium,
-                        development,
-                        color_space=space,
-                        light=self.light,
+                        result, effective, medium, look, color_space=space, light=self.light
                     )
             results.append(result)
-        batch = torch.cat(results)
-        return typed(batch[0] if image.ndim == 3 else batch, type(image))
+        result = results[0][0] if image.ndim == 3 else torch.cat(results)
+        return typed(result, type(image))
 
     def _maps(self, pictures: Tensor, distance: Any) -> Sequence[Tensor | None]:
         """What each picture has for a map."""
@@ -476,7 +485,8 @@ def _loaded(waters: Any) -> list[tuple[str, Water | Constituents | Medium]]:
     if isinstance(waters, (set, frozenset)):
         raise TypeError("waters must have an order, as draws follow it; got a set")
     loaded: list[tuple[str, Water | Constituents | Medium]] = []
-    for water in [waters] if isinstance(waters, kinds) else waters:
+    alone = isinstance(waters, kinds) or not isinstance(waters, Iterable)
+    for water in [waters] if alone else waters:
         if isinstance(water, Medium):
             loaded += [(f"medium {len(loaded) + i}", water[i]) for i in range(len(water))]
             continue
@@ -510,14 +520,13 @@ def _warn_if_blank(z: Tensor, medium: Medium, light: Light | None) -> None:
     """Warn, once in a process, if next to nothing is left to see of a picture at these effective
     distances (1x1xHxW).
     """
-    global _pictures_to_look_at
-    if _pictures_to_look_at == 0:
+    if _looks_left[0] == 0:
         return
-    _pictures_to_look_at -= 1
+    _looks_left[0] -= 1
     shares = contrast_left(z.detach(), medium, light=light)[z < checks.OPEN]
     # by the median: the far end of a scene is hidden in many a good draw
-    if shares.numel() and shares.median() < _FAINT:
-        _pictures_to_look_at = 0
-        got = f"less than {100 * _FAINT:g} % of the contrast is left on half of a picture or more"
+    if shares.numel() and shares.median() < FAINT:
+        _looks_left[0] = 0
+        got = f"less than {100 * FAINT:g} % of the contrast is left on half of a picture or more"
         cure = "are distances metres? If so, take clearer water by contrast"
         warnings.warn(f"{got}, of median distance {_median(z):.3g} m: {cure}", stacklevel=2)

@@ -153,7 +153,9 @@ def maps_for(pictures: Tensor, distance: Any) -> list[Tensor]:
     """
     if distance is None:
         cure = "for pictures without maps there are uwaug.distance.Plane and Network"
-        raise ValueError(f"distance is missing: give a map, or RandomUnderwater(distance=…): {cure}")
+        raise ValueError(
+            f"distance is missing: give a map, or RandomUnderwater(distance=…): {cure}"
+        )
     hint = "; divide a map in millimetres by 1000"
     if not isinstance(distance, Tensor):
         hint = "; expected (image, distance, …), (image, {'distance': …}) or a dict of both"

@@ -11,12 +11,19 @@ import torch
 from torch import Tensor
 
 from uwaug._support import checks
+from uwaug.light.backscatter import backscatter
+from uwaug.light.light import Lamp
+from uwaug.light.rays import Rays
 from uwaug.optics.water import Water
 from uwaug.published.equation import AnyCamera, AnyWater, BandedWater, between, colour, published
-from uwaug.published.lamp import Lamp
 
 _CAMERA = "Nikon 5100 (NPL)"
-_LAMP = Lamp()
+_LAMP = Lamp(position=(-0.8, -0.5, 0.0), power=10.0, aim=(0.8, 0.5, 3.0), cone=50.0)
+"""Beside the camera, aimed at what is 3 m ahead."""
+
+_ROWS = 16
+"""Of a picture, of which the bands of a lamp's beam are held at a time."""
+
 _RGB = tuple[float, float, float]
 
 
@@ -29,6 +36,7 @@ def mcglamery_1980(
     *,
     g: float = 0.05,
     lamp: Lamp = _LAMP,
+    view: float = 60.0,
 ) -> Tensor:
     """Direct light, forward scatter as a blur of the scene, and backscatter, under a lamp.
 
@@ -38,16 +46,16 @@ def mcglamery_1980(
     the equation is written from general knowledge of the literature.
     Left open: the colours (it has one wavelength), and G and φ, which it fits, with a ≤ G ≤ K_d.
     Ours: spectra and a camera; G = a + g·b, with a g that keeps that bound in all ten types at all
-    wavelengths; φ = 2π·.3 px·b̄ where the short side has 518 px; the lamp. Its light L on the scene
-    is cone·cos/r², as on planes that face the camera, and fades with G on its way, as Monte Carlo
-    transport has it, and not with β. What the beam adds is scattered by a phase function of Henyey
-    and Greenstein.
+    wavelengths; φ = 2π·.3 px·b̄ where the short side has 518 px; the lamp, and a view of `view`
+    degrees from side to side. Its light L on the scene is cone·cos/r², of surfaces as the distances
+    have them, and fades with G on its way, as Monte Carlo transport has it, and not with β. What
+    the beam adds is scattered by a phase function of Henyey and Greenstein. The lamp is white.
     """
     w = BandedWater.of(water, camera, z)
     G = w.a + g * w.b
-    L, r = lamp.on_scene(z)
+    L, r, beam = _lit(lamp, view, z, G, w)
     direct, arriving = (L * w.integral(1.0, (rate, z), (G, r)) for rate in (w.beta, G))
-    return direct * image + (arriving - direct) * w.scattered(image, z, 0.3) + lamp.veil(z, G, w)
+    return direct * image + (arriving - direct) * w.scattered(image, z, 0.3) + beam
 
 
 @published("srgb")
@@ -59,6 +67,7 @@ def jaffe_1990(
     *,
     g: float = 0.2,
     lamp: Lamp = _LAMP,
+    view: float = 60.0,
 ) -> Tensor:
     """As McGlamery, but what is scattered forward is the direct light.
 
@@ -72,11 +81,11 @@ def jaffe_1990(
     """
     w = BandedWater.of(water, camera, z)
     G = w.a + g * w.b
-    L, r = lamp.on_scene(z)
+    L, r, beam = _lit(lamp, view, z, G, w)
     direct = L * w.integral(1.0, (w.beta, z), (G, r))
     weight = [L * w.integral(1.0, (w.beta + rate, z), (G, r)) for rate in (G, w.beta)]
     forward = (weight[0] - weight[1]) * w.scattered(image, z, 0.3)
-    return direct * image + forward + lamp.veil(z, G, w)
+    return direct * image + forward + beam
 
 
 @published("srgb")
@@ -166,7 +175,7 @@ def ueda_2019(
     return image * both + B * (vertical - both)
 
 
-@published("linear", waters=())
+@published("linear")
 def hou_2020(
     image: Tensor,
     z: Tensor,
@@ -206,7 +215,7 @@ UWCNN = {
 """What is left of red, green and blue after a metre of each type, for `li_2020`."""
 
 
-@published("linear", waters=tuple(UWCNN))
+@published("linear")
 def li_2020(
     image: Tensor,
     z: Tensor,
@@ -392,7 +401,7 @@ SLURPP = {
 """Attenuation of red, green and blue in each type, 1/m, for `slurpp_2025`."""
 
 
-@published("linear", waters=tuple(SLURPP))
+@published("linear")
 def slurpp_2025(
     image: Tensor,
     z: Tensor,
@@ -417,6 +426,25 @@ def slurpp_2025(
     beta, B = colour(_row(water, SLURPP), z), between(*veil, generator, z)
     left = torch.exp(-beta * z)
     return image * left + B * (1 - left)
+
+
+def _lit(
+    lamp: Lamp, view: float, z: Tensor, G: Tensor, w: BandedWater
+) -> tuple[Tensor, Tensor, Tensor]:
+    """What a lamp sends to the scene without the water between, how far that is (Bx1xHxW), and the
+    veil that the water of its beam makes (Bx3xHxW).
+    """
+    rays = Rays.of(z, view)
+    sent = lamp.sent(rays, rays.normals(z), z)
+    cone, scattering, strips = sent.cone, (w.response * w.b)[None], []
+    # a few rows at a time, whose bands stay in the cache
+    for first in range(0, z.shape[-2], _ROWS):
+        rows = (..., slice(first, first + _ROWS), slice(None))
+        if sent.cone is not None:
+            cone = sent.cone._replace(across=sent.cone.across[rows], along=sent.cone.along[rows])
+        maps = sent.nearest[rows], sent.height[rows], cone, z[rows]
+        strips.append(backscatter(G[None], scattering, *maps))
+    return lamp.power * sent.share, sent.path, lamp.power * torch.cat(strips, 2)
 
 
 def _revised(image: Tensor, z: Tensor, w: BandedWater, lit: Tensor, veiling: Tensor) -> Tensor:

@@ -7,11 +7,18 @@ import torch
 from scenes import rand
 from torch import Tensor
 
-from uwaug.distance.complete import _membrane
-from uwaug.distance.convert import fill_unknown
+import uwaug.distance.fill
+from uwaug.distance import fill_unknown
+from uwaug.distance.fill import _membrane
 
 NAN, INF = math.nan, math.inf
-pytestmark = pytest.mark.filterwarnings("ignore:distance is unknown")
+
+
+@pytest.fixture(autouse=True)
+def nothing_to_say(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Holes of most tests are large, of which one is told once."""
+    if "warns" not in request.node.name:
+        monkeypatch.setattr(uwaug.distance.fill, "_warned", [100])
 
 
 def slope(height: int, width: int) -> Tensor:
@@ -134,21 +141,6 @@ def test_stays_between_what_is_known(size: tuple[int, int], share: float) -> Non
         assert filled.max() <= largest * (1 + 1e-12)
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_a_batch_is_its_maps_one_by_one(dtype: torch.dtype) -> None:
-    z = (1 + 5 * rand(3, 2, 1, 41, 53)).to(dtype)
-    z[0, 0, :, 4:30, 10:44] = NAN  # one with a wide hole, one with thin ones, one with none
-    z[1, 1, :, ::5] = 0.0
-    z[2, 0] = -1.0
-    z[2, 0, 0, 7, 9] = 3.0
-    filled = fill_unknown(z)
-    assert filled.dtype == dtype
-    for where in np.ndindex(3, 2):
-        assert torch.equal(filled[where], fill_unknown(z[where]))
-    assert torch.equal(filled[2, 0], torch.full((1, 41, 53), 3.0, dtype=dtype))
-    assert torch.equal(filled, fill_unknown(z))
-
-
 def test_open_water_and_absurd_distances() -> None:
     hole = disc(40, 50, 15.0)
     z = torch.full((1, 40, 50), INF)
@@ -182,3 +174,111 @@ def test_gradients() -> None:
     (slope_,) = torch.autograd.grad(fill_unknown(z)[hole].sum(), z)
     assert slope_.isfinite().all()
     assert (slope_[hole] == 0).all()
+
+
+def test_known_distances_are_returned_as_they_are() -> None:
+    z = torch.tensor([[0.5, INF, 3.0]])
+    assert fill_unknown(z) is z
+    assert fill_unknown(torch.zeros(0, 1, 4, 4)).shape == (0, 1, 4, 4)
+
+
+def test_refuses_a_map_without_any_known_pixel() -> None:
+    z = torch.ones(3, 1, 4, 5)
+    z[2] = NAN
+    with pytest.raises(ValueError, match=r"got map 2 of 3, counted from 0, without any: fill"):
+        fill_unknown(z)
+
+
+def test_warns_once_where_much_is_guessed() -> None:
+    z = torch.ones(2, 1, 10, 10)
+    z[1, :, :2] = 0.0
+    fill_unknown(z)  # 20 % is not yet much
+    z[1, :, 2] = 0.0
+    with pytest.warns(UserWarning, match="distance is unknown at 30 % of a map's pixels") as said:
+        fill_unknown(z)
+    fill_unknown(z)  # silent: a warning would be an error
+    assert len(said) == 1
+    assert said[0].filename == __file__
+
+
+# From behind
+
+
+def desk() -> Tensor:
+    """Something at 1 m before a wall at 3 m, in a map of 60×80."""
+    z = torch.full((1, 60, 80), 3.0)
+    z[:, 20:, 20:50] = 1.0
+    return z
+
+
+def test_the_shadow_of_an_edge_is_as_far_as_what_is_behind() -> None:
+    z = desk()
+    truth = z.clone()
+    z[:, 10:, 50:62] = 0
+    assert torch.equal(fill_unknown(z, behind=True), truth)
+    assert (fill_unknown(z) != truth).sum() > 200
+
+
+@pytest.mark.parametrize(("size", "gap"), [(4, 6), (8, 4), (8, 10), (12, 10)])
+def test_a_hole_is_filled_from_its_own_rim(size: int, gap: int) -> None:
+    """And not from that of a speck beside it, nor the speck from the shadow's."""
+    z = torch.full((1, 100, 160), 10.0)
+    z[:, 30:70, 40:80] = 1.0
+    z[:, 30:70, 80:88] = 0
+    speck = slice(48, 48 + size), slice(80 - gap - size, 80 - gap)
+    z[:, *speck] = 0
+    filled = fill_unknown(z, behind=True)
+    assert filled[:, *speck].max() == 1
+    assert filled[:, 30:70, 80:88].mean() > 9
+    assert filled[:, 30:70, 84:88].min() > 7
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_hole_within_a_thing_stays_in_it(side: int) -> None:
+    z = desk()
+    truth = z.clone()
+    z[:, 30:45, 28:42] = math.nan
+    if side:  # a frame without distances is no shadow either
+        z = torch.full((1, 60, 80), 2.0)
+        truth = z.clone()
+        z[..., :5] = 0
+        z[..., -3:, :] = 0
+    torch.testing.assert_close(fill_unknown(z, behind=True), truth)
+
+
+def test_specks_in_a_floor_keep_its_slope() -> None:
+    z = (1 / torch.linspace(0.2, 0.8, 60))[None, :, None].expand(1, 60, 80).contiguous()
+    specks = torch.rand(z.shape, generator=torch.Generator().manual_seed(0)) < 0.02
+    error = fill_unknown(z.masked_fill(specks, 0), behind=True)[specks] / z[specks] - 1
+    assert error.abs().max() < 0.15
+
+
+def test_what_lies_beyond_the_range_is_not_pulled_to_the_foreground() -> None:
+    z = desk()
+    z[:, :20] = 0  # the wall, beyond the range, borders on the thing
+    z[:, 20:, 60:] = 3 + torch.linspace(0, 2, 20)
+    filled = fill_unknown(z, behind=True)
+    assert filled[:, 5:12].min() > 4.5
+    assert fill_unknown(z)[:, 5:12, 20:50].max() < 3
+    assert filled.max() <= 5
+    z[:, 20, 60] = 90.0  # a wild one at the hole's edge
+    assert fill_unknown(z, behind=True)[:, 5:12, :40].max() <= 5
+
+
+def test_open_water_is_behind_everything() -> None:
+    z = desk()
+    z[:, :, 56:] = math.inf
+    z[:, 25:, 50:56] = 0
+    assert fill_unknown(z, behind=True)[:, 25:, 50:56].isinf().all()
+
+
+def test_a_batch_is_filled_map_by_map_with_gradients() -> None:
+    z = torch.stack([desk(), desk() + 1]).double()
+    z[:, :, 10:, 50:62] = math.nan
+    one = torch.stack([fill_unknown(part, behind=True) for part in z])
+    z.requires_grad_()
+    both = fill_unknown(z, behind=True)
+    assert torch.equal(both, one)
+    (slope,) = torch.autograd.grad(both[:, :, 10:, 50:62].sum(), z)
+    assert slope.sum() == pytest.approx(2 * 50 * 12)
+    assert slope.isfinite().all()

@@ -1,0 +1,82 @@
+"""Dataclasses as plain dictionaries, and back."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from uwaug import Camera, Constituents, Development, Medium, PointSpread, Water, load_camera
+from uwaug._support import codec
+
+LAW = PointSpread(torch.tensor([0.5, 2.0]), 0.7, "exponential")
+VALUES = {
+    "width law": PointSpread.paper(),
+    "development": Development("auto", tone=1.3, gamut=0.5),
+    "contents": Constituents(chlorophyll=(1, 5), cdom=0.3),
+    "water": Water.jerlov("5C").with_contrast(0.2, 3),
+    "camera": load_camera("Sigma SDMerill (NPL)"),
+    "camera with a matrix": Camera([400, 700], [[0, 1, 1], [1, 1, 0]], "own", np.eye(3) + 0.1),
+    "all at once": ("a", (1, 2.5, None, True), {"law": PointSpread(2.0)}),
+}
+
+
+@pytest.mark.parametrize("name", VALUES)
+def test_there_and_back_as_json(name: str) -> None:
+    value = VALUES[name]
+    stored = json.loads(json.dumps(codec.to_plain(value)))
+    assert codec.from_plain(stored) == value
+
+
+def test_media_there_and_back() -> None:
+    waters = [
+        Medium.from_water(w, surfaces="spectral", point_spread=LAW.paper()) for w in ["I", "II"]
+    ]
+    for medium in (
+        Medium.stack(waters),
+        Medium.from_coefficients((0.3,) * 3, (0.1,) * 3, (0.2,) * 3),
+    ):
+        again = codec.from_plain(json.loads(json.dumps(codec.to_plain(medium))), Medium)
+        pairs = zip(again.tensors(), medium.tensors(), strict=True)
+        assert all(torch.equal(ours, theirs) for ours, theirs in pairs)
+        assert codec.to_plain(again) == codec.to_plain(medium)
+
+
+def test_what_is_as_by_default_is_not_stored() -> None:
+    assert codec.to_plain(Development()) == {"kind": "Development"}
+    stored = {"kind": "PointSpread", "scale": [0.5, 2.0], "exponent": 0.7, "shape": "exponential"}
+    assert codec.to_plain(LAW) == stored
+    assert codec.from_plain({"scale": 2.0}, PointSpread) == PointSpread(2.0)
+
+
+def test_arrays_paths_and_mappings() -> None:
+    plain = codec.to_plain({1: np.float32(2), "a": np.arange(3), "b": torch.eye(2), "c": Path("x")})
+    assert plain == {"1": 2.0, "a": [0, 1, 2], "b": [[1, 0], [0, 1]], "c": "x"}
+
+
+@dataclass
+class Unknown:
+    """Of no room."""
+
+
+@pytest.mark.parametrize("value", [print, Unknown(), {"law": object()}])
+def test_what_cannot_be_written(value: Any) -> None:
+    with pytest.raises(TypeError, match="cannot be written as numbers and words"):
+        codec.to_plain(value)
+
+
+@pytest.mark.parametrize(
+    "data, expected, message",
+    [
+        ({"kind": "Sea"}, None, "kind must be .*PointSpread.*, got 'Sea'"),
+        ({"kind": "Development"}, PointSpread, "kind must be PointSpread, got 'Development'"),
+        ({"kind": "PointSpread", "width": 2}, None, "PointSpread: .*width"),
+        ({"kind": "PointSpread", "scale": -2}, None, "PointSpread.scale must be"),
+    ],
+)
+def test_what_cannot_be_read(data: Any, expected: type | None, message: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=message):
+        codec.from_plain(data, expected)

@@ -1,0 +1,103 @@
+"""What `RandomUnderwater(distance=…)` takes."""
+
+import math
+from typing import Any
+
+import pytest
+import torch
+
+from uwaug._support import codec
+from uwaug.distance import (
+    Inverse,
+    Metres,
+    Network,
+    Plane,
+    Relative,
+    fill_unknown,
+    from_inverse,
+    from_relative,
+)
+
+NAN, INF = math.nan, math.inf
+IMAGE = torch.rand(3, 2, 4)
+NUMBERS = {"near": 1.0, "far": 3.0, "gamma": 2.0, "distance": 2.5}
+T = torch.tensor([[[0.0, 0.25, 0.5, 1.0], [0.1, 0.2, 0.3, 0.4]]])
+
+
+@pytest.mark.parametrize(
+    "source, given, expected",
+    [
+        (Metres(), T + 1, T + 1),
+        (Metres(), torch.full((1, 2, 4), INF), torch.full((1, 2, 4), INF)),
+        (Relative(), T, from_relative(T, 1.0, 3.0, 2.0)),
+        (Inverse(), T, from_inverse(T, 1.0, 3.0)),
+        (Plane(), None, torch.full((1, 2, 4), 2.5)),
+        (Network(lambda image: T), None, from_inverse(T, 1.0, 3.0)),
+        (Network(lambda image: T + 1, Metres()), None, T + 1),
+    ],
+)
+def test_metres(source: Any, given: Any, expected: Any) -> None:
+    assert torch.equal(source.metres(given, IMAGE, NUMBERS), expected)
+
+
+HOLED = torch.tensor([[[1.0, 2.0, 0.0, NAN], [1.0, 2.0, 3.0, -1.0]]])
+
+
+@pytest.mark.parametrize(
+    "holes, expected",
+    [
+        ("far", torch.where(HOLED > 0, HOLED, INF)),
+        (7.0, torch.where(HOLED > 0, HOLED, 7.0)),
+        ("behind", fill_unknown(HOLED, behind=True)),
+    ],
+)
+def test_holes(holes: Any, expected: Any) -> None:
+    assert torch.equal(Metres(holes).metres(HOLED, IMAGE, {}), expected)
+    relative = Relative(holes=holes).metres(torch.where(HOLED > 0, T, NAN), IMAGE, NUMBERS)
+    assert bool((relative > 0).all())
+
+
+def test_relative_distance_0_is_no_hole() -> None:
+    z = Relative(0.0).metres(T, IMAGE, {**NUMBERS, "near": 0.0})
+    assert 0 < float(z.min()) < 1e-5
+
+
+REFUSED: list[tuple[Any, Any, str]] = [
+    (Metres(), HOLED, r"NaN at 1, negative at 1 and zero at 1 of 8 pixels: holes='behind' fills"),
+    (Metres(), 2000 * (T + 1), "metres.*millimetres"),
+    (Metres("fill"), 0 * T, "at least one known pixel"),
+    (Relative(), T + 1, r"t must lie in \[0, 1\]"),
+    (Inverse(), 0 * T, "inverse must vary"),
+    (Network(lambda image: T[..., 1:]), None, r"map must be \(1, 2, 4\), got \(1, 2, 3\)"),
+]
+
+
+@pytest.mark.parametrize("source, given, message", REFUSED)
+def test_refused_maps(source: Any, given: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        source.metres(given, IMAGE, NUMBERS)
+
+
+@pytest.mark.parametrize(
+    "kind, arguments, message",
+    [
+        (Metres, ("skip",), "holes must be one of error, fill, behind, far"),
+        (Metres, (0.0,), "holes must be finite and > 0 m"),
+        (Relative, ((1, 3), (2, 5)), "near must lie below far"),
+        (Relative, (1, 5, 0.0), "gamma must be"),
+        (Inverse, ((0.0, 1.0),), "near must lie above 0 m"),
+        (Plane, (3.0, 1.0), "distance must be"),
+        (Plane, (-1.0,), "distance must be"),
+        (Network, (len, 3.0), "holds must be a uwaug.Source"),
+    ],
+)
+def test_refused_sources(kind: Any, arguments: tuple[Any, ...], message: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=message):
+        kind(*arguments)
+
+
+@pytest.mark.parametrize(
+    "source", [Metres("far"), Relative((0, 1), 5), Inverse(holes=3.0), Plane(1.0, 2.0)]
+)
+def test_sources_as_plain_data(source: Any) -> None:
+    assert codec.from_plain(codec.to_plain(source)) == source

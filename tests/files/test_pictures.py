@@ -1,0 +1,161 @@
+"""What is written is what was read; what cannot be used is refused by name."""
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tifffile
+import torch
+from filing import H, W, metres, pixels, save, words
+from PIL import Image
+
+from uwaug.files import read_distance, read_picture, write_picture
+
+NAMES = {
+    "uint8": ("a.png", "a.TIF", "a.npy"),
+    "uint16": ("a.png", "a.tif"),
+    "float32": ("a.npy", "a.exr"),
+}
+LOSSLESS = [(kind, name) for kind, names in NAMES.items() for name in names]
+
+
+def picture(kind: str) -> torch.Tensor:
+    """3xHxW, as `read_picture` gives it."""
+    if kind == "uint16":
+        return torch.from_numpy(words().transpose(2, 0, 1) / np.float32(65535))
+    image = torch.from_numpy(pixels().transpose(2, 0, 1).copy())
+    return image if kind == "uint8" else image.float() / 255
+
+
+@pytest.mark.parametrize("kind, name", LOSSLESS)
+def test_nothing_is_lost(tmp_path: Path, kind: str, name: str) -> None:
+    image = picture(kind)
+    write_picture(tmp_path / name, image)
+    again = read_picture(tmp_path / name)
+    assert again.dtype == image.dtype
+    assert torch.equal(again, image)
+    first = (tmp_path / name).read_bytes()
+    write_picture(tmp_path / name, image)
+    assert (tmp_path / name).read_bytes() == first
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_jpeg_loses_little(tmp_path: Path) -> None:
+    smooth = torch.linspace(0, 1, 3 * 64 * 64).reshape(3, 64, 64)
+    write_picture(tmp_path / "a.jpg", smooth)
+    assert (read_picture(tmp_path / "a.jpg") / 255 - smooth).abs().mean() < 0.01
+
+
+def test_other_programs_files(tmp_path: Path) -> None:
+    expected = torch.from_numpy(pixels().transpose(2, 0, 1).copy())
+    exif = Image.Exif()
+    exif[0x0112] = 6  # the camera was held upright
+    turned = Image.fromarray(np.ascontiguousarray(np.rot90(pixels())))
+    turned.save(tmp_path / "a.png", exif=exif)
+    assert torch.equal(read_picture(tmp_path / "a.png"), expected)
+    planes = pixels().transpose(2, 0, 1)
+    tifffile.imwrite(tmp_path / "a.tif", planes, photometric="rgb", planarconfig="separate")
+    assert torch.equal(read_picture(tmp_path / "a.tif"), expected)
+    save(tmp_path / "b.png", words())
+    assert torch.equal(read_picture(tmp_path / "b.png"), picture("uint16"))
+
+
+@pytest.mark.parametrize("unit, scale", [("m", 1.0), ("cm", 0.01), ("mm", 0.001), (0.25, 0.25)])
+@pytest.mark.parametrize("name", ["z.npy", "z.tif", "z.png"])
+def test_distances_in_all_units(tmp_path: Path, name: str, unit: Any, scale: float) -> None:
+    counts = np.rint(metres() / scale).astype(np.uint16)
+    z = read_distance(save(tmp_path / name, counts), unit)
+    assert z.shape == (1, H, W)
+    assert torch.equal(z, torch.from_numpy((counts * scale).astype(np.float32))[None])
+
+
+def test_distances_as_they_are(tmp_path: Path) -> None:
+    values = metres()
+    values[0, :3] = (0, np.nan, np.inf)
+    z = read_distance(save(tmp_path / "z.npy", values))
+    assert np.array_equal(z[0], values, equal_nan=True)
+    shares = read_distance(save(tmp_path / "z.png", pixels()[..., 0]), None)
+    assert torch.allclose(shares, torch.from_numpy(pixels()[..., 0] / np.float32(255)))
+    OpenEXR = pytest.importorskip("OpenEXR")
+    channels = {"Z": metres(), "other": metres() + 1}
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, channels).write(str(tmp_path / "z.exr"))
+    assert torch.equal(read_distance(tmp_path / "z.exr"), torch.from_numpy(metres())[None])
+
+
+def _png(mode: str) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(pixels()).convert(mode).save(file, "PNG")
+    return file.getvalue()
+
+
+def _npy(values: Any) -> bytes:
+    file = io.BytesIO()
+    np.save(file, values, allow_pickle=True)
+    return file.getvalue()
+
+
+def _tiff(values: Any, **options: Any) -> bytes:
+    file = io.BytesIO()
+    tifffile.imwrite(file, values, **options)
+    return file.getvalue()
+
+
+WHOLE = _png("RGB")
+REFUSED: list[tuple[str, bytes, str]] = [
+    ("a.png", _png("RGBA"), "without palette and alpha, got RGBA"),
+    ("a.png", _png("P"), "got P"),
+    ("a.png", _png("L"), r"expected a picture in colour \(H, W, 3\), got \(12, 16\)"),
+    ("a.png", WHOLE[: len(WHOLE) // 2], "cannot be decoded"),
+    ("a.png", b"", "cannot be decoded"),
+    ("a.gif", WHOLE, r"a file that ends in \.npy"),
+    ("a.npy", _npy(metres()[None, None]), "got .1, 1, 12, 16."),
+    ("a.npy", _npy(np.array([{}])), "cannot be decoded"),
+    ("a.npy", _npy(pixels().astype(np.int32)), "8 or 16 bits without sign, .* got int32"),
+    ("a.npy", _npy(metres())[:200], "cannot be decoded"),
+    ("a.npy", _npy(np.empty((0, 4, 3))), "holds no pixels"),
+    ("a.tif", _tiff(pixels(), photometric="ycbcr"), "expected RGB or grey"),
+    ("a.tif", _tiff(pixels(channels=4), photometric="rgb"), "got .12, 16, 4."),
+]
+
+
+@pytest.mark.parametrize("name, data, message", REFUSED)
+def test_pictures_that_are_refused(tmp_path: Path, name: str, data: bytes, message: str) -> None:
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(ValueError, match=message) as refused:
+        read_picture(tmp_path / name)
+    assert str(tmp_path / name) in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "values, unit, message",
+    [
+        (pixels(), "m", "in one channel, got"),
+        (pixels()[..., 0], "mm", "8 bits are too few for distances in mm"),
+        (1000 * metres(), "m", "farther than one sees: is the unit mm"),
+        (metres(), "inch", "unit must be one of m, cm, mm"),
+        (metres(), -1, "unit must be finite and > 0 m"),
+    ],
+)
+def test_maps_that_are_refused(tmp_path: Path, values: Any, unit: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        read_distance(save(tmp_path / "z.npy", values), unit)
+
+
+def test_a_picture_that_would_fill_the_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 50)
+    for name in ("a.png", "a.tif"):
+        path = save(tmp_path / name, pixels(), **({"photometric": "rgb"} if "tif" in name else {}))
+        with pytest.raises(ValueError, match="cannot be decoded"):
+            read_picture(path)
+
+
+def test_no_file_is_none(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        read_picture(tmp_path / "a.png")
+    with pytest.raises(ValueError, match="ends in"):
+        write_picture(tmp_path / "a.bmp", picture("uint8"))
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,414 @@
+"""Runs over folders: their bytes, what they leave alone, and what stops them."""
+
+import csv
+import json
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from deadly import Deadly
+from filing import content, metres, pixels, save, words
+from PIL import Image
+
+from uwaug import RandomUnderwater
+from uwaug.distance import Plane, Relative
+from uwaug.files import Item, Recipe, degrade, find_items, read_picture, read_record, replay
+from uwaug.files.pool import on_processes
+from uwaug.transforms.samples import key_of
+
+H, W = 24, 32
+WATER = RandomUnderwater("II", contrast=None)
+RECIPE = Recipe(transform=RandomUnderwater(["II", "7C"], contrast=(0.3, 0.5)).to_dict(), seed=4)
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    here = Path(__file__).parent.parent
+    monkeypatch.setenv("PYTHONPATH", f"{here.parent}{os.pathsep}{here}")
+    for number in range(4):
+        save(f"all/{number}.png", pixels(H, W, seed=number))
+        save(f"depth/{number}.npy", metres(H, W))
+    return tmp_path
+
+
+def items() -> list[Item]:
+    return find_items("all", "depth")
+
+
+def statuses(summary: Any) -> list[str]:
+    return [result.status for result in summary.results]
+
+
+# Which pictures
+
+
+def names(*arguments: Any, **options: Any) -> dict[str, str]:
+    found = find_items(*arguments, **options)
+    return {item.name: item.distance.as_posix() if item.distance else "" for item in found}
+
+
+def test_items() -> None:
+    for place in ("deep/2.PNG", "deep/2_depth.png", "maps/2.tif", "out/1.png", "deep/notes.txt"):
+        Path("ds", place).parent.mkdir(parents=True, exist_ok=True)
+        Path("ds", place).touch()
+    assert names("ds/deep", "{stem}_depth.png") == {"2.PNG": "ds/deep/2_depth.png"}
+    with pytest.raises(ValueError, match=r"ds/maps has no map for any picture: .*ds/maps/deep/2,"):
+        find_items("ds", "ds/maps", apart=["ds/out"])
+    Path("ds/maps/deep").mkdir()
+    Path("ds/maps/deep/2.npy").touch()
+    assert names("ds", "ds/maps", apart=["ds/out"]) == {
+        "deep/2.PNG": "ds/maps/deep/2.npy",
+        "deep/2_depth.png": "ds/maps/deep/2_depth",  # is missing
+    }
+    assert names("ds/out/1.png", "ds/maps/2.tif") == {"1.png": "ds/maps/2.tif"}
+    assert names("ds/out") == {"1.png": ""}
+    # as data sets lie
+    for place in ("images/train/1.jpg", "depth/train/1.png"):
+        Path("yolo", place).parent.mkdir(parents=True)
+        Path("yolo", place).touch()
+    assert names("yolo", "yolo/depth") == {"images/train/1.jpg": "yolo/depth/train/1.png"}
+    with pytest.raises(ValueError, match="no pictures in ds/maps/deep"):
+        find_items("ds/maps/deep")
+    with pytest.raises(FileNotFoundError):
+        find_items("nowhere")
+
+
+def test_what_a_run_has_written_is_no_picture_of_the_next() -> None:
+    degrade(RECIPE, items(), "all/under")
+    assert list(names("all")) == [f"{number}.png" for number in range(4)]
+
+
+# What is written
+
+
+def test_a_picture_is_that_of_the_transform() -> None:
+    recipe = Recipe(transform=WATER.to_dict(), variants=2)
+    summary = degrade(recipe, items()[:1], "out")
+    assert [result.place for result in summary.results] == ["0_1.png", "0_2.png"]
+    image, z = read_picture("all/0.png"), torch.from_numpy(metres(H, W))[None]
+    for variant in range(2):
+        path = Path(f"out/0_{variant + 1}.png")
+        generator = torch.Generator().manual_seed(key_of(0, variant, "0.png"))
+        params = WATER.make_params(image, generator)
+        record = read_record(Path(f"{path}.json"))
+        assert record["params"] == params
+        assert record["contrast"] == summary.results[variant].contrast
+        left = WATER.contrast_left(image, z, params)
+        assert record["contrast"] == pytest.approx(float(left.mean()), abs=1e-4)
+        made = WATER.transform(image, z, params).int()
+        assert (read_picture(path).int() - made).abs().max() <= 1
+    assert content("out").keys() == {f"0_{n}.png{end}" for n in (1, 2) for end in ("", ".json")} | {
+        "index.csv"
+    }
+
+
+def test_bytes_depend_on_neither_workers_nor_order_nor_threads() -> None:
+    mixed = items()
+    random.Random(0).shuffle(mixed)
+    before = torch.get_num_threads()
+    told: list[Any] = []
+    degrade(RECIPE, items(), "one", progress=lambda *counts: told.append(counts))
+    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    degrade(RECIPE, mixed, "two", workers=2)
+    assert torch.get_num_threads() == before
+    one, two = content("one"), content("two")
+    lines = [sorted(folder.pop("index.csv").splitlines()) for folder in (one, two)]
+    assert lines[0] == lines[1]
+    assert one == two
+    assert len({one[f"{number}.png"] for number in range(4)}) == 4
+
+
+def test_blank_pictures_are_told_of() -> None:
+    save("depth/1.npy", 20 * metres(H, W))
+    assert degrade(Recipe(transform=WATER.to_dict()), items(), "out").blank == ["1.png"]
+
+
+def test_formats() -> None:
+    save("many/a.tif", words()), save("many/b.jpg", pixels()), save("many/sub/c.png", words())
+    save("z.npy", metres())
+    degrade(RECIPE, find_items("many", "z.npy"), "out")
+    assert {name for name in content("out") if "json" not in name} == {
+        "a.tif",
+        "b.jpg",
+        "sub/c.png",
+        "index.csv",
+    }
+    assert read_picture("out/sub/c.png").dtype == torch.float32
+    recipe = Recipe(transform=WATER.to_dict(), ending=".npy")
+    degrade(recipe, find_items("many", "z.npy"), "arrays")
+    assert read_picture("arrays/b.npy").dtype == torch.uint8
+
+
+def test_one_picture_into_a_file() -> None:
+    summary = degrade(RECIPE, items()[:1], "under.png")
+    assert statuses(summary) == ["written"]
+    assert Path("under.png.json").exists()
+    assert not Path("index.csv").exists()
+    with pytest.raises(FileExistsError, match=r"under\.png exists: resume"):
+        degrade(RECIPE, items()[:1], "under.png")
+    assert statuses(degrade(RECIPE, items()[:1], "under.png", resume=True)) == ["skipped"]
+    with pytest.raises(ValueError, match="is a file, which is for one picture"):
+        degrade(RECIPE, items(), "all.png")
+
+
+def test_maps_of_other_kinds() -> None:
+    save("shares/0.png", np.linspace(0, 65535, H * W).reshape(H, W).astype(np.uint16))
+    save("metres/0.npy", (1 + 4 * np.linspace(0, 65535, H * W).astype(int) / 65535).reshape(H, W))
+    save("cm/0.npy", 100 * metres(H, W))
+    relative = RandomUnderwater("II", contrast=None, distance=Relative(1.0, 5.0), field=None)
+    plain = RandomUnderwater("II", contrast=None, field=None)
+    plane = RandomUnderwater("II", contrast=None, distance=Plane(3.0))
+    made = {}
+    for name, transform, maps, unit in (
+        ("relative", relative, "shares", "m"),
+        ("metres", plain, "metres", "m"),
+        ("in m", plain, "depth", "m"),
+        ("in cm", plain, "cm", "cm"),
+        ("plane", plane, None, "m"),
+    ):
+        found = find_items("all/0.png", None if maps is None else f"{maps}")
+        summary = degrade(Recipe(transform=transform.to_dict(), unit=unit), found, f"out {name}")
+        assert summary.failures == []
+        made[name] = read_picture(f"out {name}/0.png").int()
+    assert (made["in m"] - made["in cm"]).abs().max() <= 1
+    assert (made["in m"] - made["plane"]).abs().max() > 1
+
+
+def test_labels() -> None:
+    Path("labels").mkdir()
+    for number in range(4):  # an object above, which is near, and one below
+        Path(f"labels/{number}.txt").write_text("0 .5 .1 1 .2\n1 .5 .9 1 .2\n")
+        save(f"depth/{number}.npy", np.repeat(np.linspace(0.2, 20, H), W).reshape(H, W))
+    recipe = Recipe(transform=WATER.to_dict(), labels="labels", min_contrast=0.05)
+    summary = degrade(recipe, items(), "out", workers=2)
+    assert summary.objects == (8, 4)
+    assert Path("out/labels/3.txt").read_text() == "0 .5 .1 1 .2\n"
+    assert Path("out/images/3.png").exists()
+    (seen, hidden) = read_record(Path("out/images/3.png.json"))["objects"]
+    assert (seen["key"], seen["kept"], hidden["key"], hidden["kept"]) == (1, True, 2, False)
+    assert seen["contrast"] > 0.05 > hidden["contrast"]
+    before = content("out")
+    again = degrade(recipe, items(), "out", resume=True)
+    assert (again.count("skipped"), again.objects) == (4, (8, 4))
+    after = content("out")
+    assert after.pop("index.csv") != before.pop("index.csv")
+    assert after == before
+
+
+def test_a_sheet() -> None:
+    degrade(RECIPE, items(), "out", sheet=True)
+    with Image.open("out/sheet.jpg") as sheet:
+        assert sheet.size == (3 * 496, 2 * 212)
+        shown = np.asarray(sheet, dtype=float)
+    # the second pair, before and after: each at the corner of its place, with white behind
+    for x, path in ((496, "all/1.png"), (496 + 240, "out/1.png")):
+        picture = read_picture(path).permute(1, 2, 0).numpy()
+        assert np.abs(shown[:H, x : x + W].mean((0, 1)) - picture.mean((0, 1))).max() < 8
+        assert shown[H + 8 : 170, x : x + W].min() > 240
+
+
+# Once more
+
+
+def test_replay() -> None:
+    degrade(RECIPE, items(), "out")
+    replay("out/2.png.json", "again.png")
+    assert Path("again.png").read_bytes() == Path("out/2.png").read_bytes()
+    with pytest.raises(FileExistsError, match="force writes over it"):
+        replay("out/2.png.json", "again.png")
+    Path("all/2.png").rename("moved.png")
+    with pytest.raises(FileNotFoundError):
+        replay("out/2.png.json", "again.png", force=True)
+    replay("out/2.png.json", "again.png", picture="moved.png", force=True)
+    assert Path("again.png").read_bytes() == Path("out/2.png").read_bytes()
+    with pytest.raises(ValueError, match="is read, and would be written over"):
+        replay("out/2.png.json", "moved.png", picture="moved.png", force=True)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", "[" * 100_000])
+def test_what_is_no_record(text: str) -> None:
+    Path("a.json").write_text(text)
+    with pytest.raises(ValueError, match=r"a\.json: is no record of a picture"):
+        replay("a.json", "again.png")
+
+
+def test_resume_and_force() -> None:
+    first = degrade(RECIPE, items()[:3], "out")
+    assert statuses(first) == ["written"] * 3
+    before = content("out")
+    Path("out/1.png").unlink()
+    with pytest.raises(FileExistsError, match="out is not empty: another folder, resume"):
+        degrade(RECIPE, items(), "out")
+    summary = degrade(RECIPE, items(), "out", resume=True)
+    assert statuses(summary) == ["skipped", "written", "skipped", "written"]
+    assert summary.results[0].contrast == first.results[0].contrast
+    after = content("out")
+    assert {name: after[name] for name in before if name != "index.csv"} == {
+        name: data for name, data in before.items() if name != "index.csv"
+    }
+    other = Recipe(transform=RECIPE.transform, seed=5)
+    kept = degrade(other, items(), "out", resume=True)
+    assert statuses(kept) == ["failed"] * 4
+    assert "out/0.png was made with another recipe: choose another folder" in kept.failures[0]
+    assert {**content("out"), "index.csv": b""} == {**after, "index.csv": b""}
+    assert statuses(degrade(other, items(), "out", force=True)) == ["written"] * 4
+    assert content("out")["0.png"] != after["0.png"]
+
+
+def test_one_bad_picture_does_not_stop_the_rest() -> None:
+    Path("all/1.png").write_bytes(b"")
+    Path("depth/2.npy").unlink()
+    save("depth/3.npy", metres(9, 9))
+    summary = degrade(RECIPE, items(), "out")
+    assert statuses(summary) == ["written", "failed", "failed", "failed"]
+    first, second, third = summary.failures
+    assert first.startswith("1.png: all/1.png: cannot be decoded")
+    assert second.startswith("2.png: depth/2: expected a file that ends in")
+    assert third.startswith("3.png: distance is (9, 9) but image is (24, 32)")
+    with open("out/index.csv", newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert [line["status"] for line in lines] == statuses(summary)
+    assert lines[3]["reason"] == third.removeprefix("3.png: ")
+    assert set(content("out")) == {"0.png", "0.png.json", "index.csv"}
+
+
+@pytest.mark.parametrize(
+    "options, maps, out, message",
+    [
+        ({"ending": ".png"}, "depth", "out", "would both be written to .*out/0.png: rename one"),
+        ({}, None, "out", "distance is missing: 0.png has no file of it"),
+        ({}, "depth", "all", "is read, and would be written over"),
+        ({"transform": {"contrasts": 1}}, "depth", "out", "contrasts"),
+        ({"unit": "inch"}, "depth", "out", "unit must be one of m, cm, mm"),
+        ({"variants": 0}, "depth", "out", "variants must be 1 or more"),
+        ({"ending": ".gif"}, "depth", "out", "ending must be one of .npy"),
+        ({"min_contrast": 2}, "depth", "out", "min_contrast must be in"),
+    ],
+)
+def test_refusals(options: dict[str, Any], maps: str | None, out: str, message: str) -> None:
+    if "ending" in options:
+        save("all/0.tif", pixels(H, W))
+    before = content(".")
+    with pytest.raises((ValueError, TypeError), match=message):
+        degrade(Recipe(**options), find_items("all", maps), out, force=True)
+    assert content(".") == before
+
+
+# What is stopped
+
+
+def test_a_process_that_dies_takes_no_other_job_with_it() -> None:
+    jobs = [str(number) for number in range(8)]
+    jobs[3] = "deadly"
+    expected = [f"did {job}" for job in jobs]
+    expected[3] = "died over deadly"
+    assert list(on_processes(Deadly(), jobs, 2)) == expected
+
+
+COMMAND = """
+from uwaug.files import *
+from test_run import RECIPE
+if __name__ == "__main__":
+    print(degrade(RECIPE, find_items("all", "z.npy"), "out", workers=2, resume={resume}).failures)
+"""
+
+
+def start(resume: bool) -> "subprocess.Popen[bytes]":
+    Path("command.py").write_text(COMMAND.format(resume=resume))
+    paths = [os.environ["PYTHONPATH"], str(Path(__file__).parent)]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+    return subprocess.Popen([sys.executable, "command.py"], env=environment, start_new_session=True)
+
+
+def wait_for(what: Callable[[], bool], seconds: float = 120) -> None:
+    end = time.monotonic() + seconds
+    while not what():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def living(leader: int) -> Iterator[int]:
+    """The processes of a group that have not ended. Linux."""
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            state, _, group = (entry / "stat").read_text().rsplit(")", 1)[1].split()[:3]
+        except OSError:
+            continue
+        if int(group) == leader and state != "Z":
+            yield int(entry.name)
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc")
+def test_killed_and_resumed() -> None:
+    for number in range(12):
+        save(f"all/{number}.png", pixels(120, 160, seed=number))
+    save("z.npy", metres(120, 160))
+    degrade(RECIPE, find_items("all", "z.npy"), "whole")
+    process = start(resume=False)
+    wait_for(lambda: len(list(Path("out").glob("*.png"))) >= 3)
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    # its workers end with it
+    wait_for(lambda: not any(living(process.pid)), 20)
+    assert len(list(Path("out").glob("*.png"))) < 12
+    (Path("out") / f".uwaug-{'0' * 16}.part").touch()
+    assert start(resume=True).wait() == 0
+    found, whole = content("out"), content("whole")
+    lines = found.pop("index.csv").decode()
+    assert set(re.findall("skipped|written|failed", lines)) == {"skipped", "written"}
+    whole.pop("index.csv")
+    assert found == whole
+
+
+# On Ray
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_ray_writes_the_same() -> None:
+    ray = pytest.importorskip("ray")
+    paths = os.environ["PYTHONPATH"]
+    ray.init(
+        "local",
+        num_cpus=2,
+        include_dashboard=False,
+        log_to_driver=False,
+        logging_level="error",
+        object_store_memory=10**8,
+        runtime_env={"env_vars": {"PYTHONPATH": paths, "RAY_USAGE_STATS_ENABLED": "0"}},
+    )
+    try:
+        Path("all/3.png").write_bytes(b"")
+        here = degrade(RECIPE, items(), "here")
+        there = degrade(RECIPE, items(), "there", ray="local")
+        from uwaug.files.ray import on_ray
+
+        jobs = ["0", "1", "deadly", "3"]
+        told = list(on_ray(Deadly(), jobs, "local", 2))
+    finally:
+        ray.shutdown()
+    assert there == here
+    assert content("there") == content("here")
+    assert told == ["did 0", "did 1", "died over deadly", "did 3"]
+
+
+def test_an_index_is_text_that_json_and_csv_read() -> None:
+    name = 'ü 🐟, "a".png'
+    save(f"odd/{name}", pixels(H, W))
+    degrade(RECIPE, find_items("odd", "depth/0.npy"), "out")
+    with open("out/index.csv", encoding="utf-8", newline="") as file:
+        (line,) = csv.DictReader(file)
+    assert line["name"] == name
+    assert json.loads(Path(f"out/{name}.json").read_text(encoding="utf-8"))["name"] == name

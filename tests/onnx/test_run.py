@@ -1,0 +1,138 @@
+"""The runner of exported files."""
+
+import copy
+import multiprocessing
+import os
+import pickle
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from exporting import Pictures, scene, without_graph
+from torch.utils.data import DataLoader
+
+from uwaug import Medium, PointSpread, Underwater
+from uwaug.onnx import OnnxUnderwater, check_onnx, read_metadata
+
+# by its version: without the package, "onnx" would be the folder of these tests
+pytest.importorskip("onnx", minversion="1.17")
+pytest.importorskip("onnxruntime")
+
+MEDIUM = Medium.from_water("7C")
+
+
+def test_it_has_the_shapes_of_the_module(frozen) -> None:
+    path, module = frozen
+    run = OnnxUnderwater(path)
+    image, distance = scene(2)
+    for i, d in (
+        (image, distance),
+        (image[:1], distance),
+        (image, distance[0]),
+        (image[0], distance[0]),
+        (image[0], distance),
+        (image[:0], distance[:0]),
+        (image[..., :0], distance[..., :0]),
+    ):
+        assert run(i, d).shape == module(i, d).shape
+    assert str(module.medium) in repr(run)
+
+
+def test_arrays_and_other_types_are_taken(frozen) -> None:
+    run, (image, distance) = OnnxUnderwater(frozen[0], threads=1), scene(1)
+    wanted = run(image, distance)
+    of_array = run(image.numpy(), distance.double().numpy())
+    assert isinstance(of_array, np.ndarray)
+    np.testing.assert_array_equal(of_array, wanted.numpy())
+    torch.testing.assert_close(run(image.double(), distance), wanted, rtol=0, atol=0)
+
+
+def test_what_does_not_suit_a_file_is_refused(frozen, waters) -> None:
+    image, distance = scene(2)
+    run, serve = OnnxUnderwater(frozen[0]), OnnxUnderwater(waters[0])
+    absolute = replace(MEDIUM, point_spread=PointSpread(1.0))
+    spectral = Medium.from_water("7C", surfaces="spectral")
+    for call, message in (
+        (lambda: run(image, distance, MEDIUM), "the file takes none: export with coefficients"),
+        (lambda: serve(image, distance), "medium: the file needs one"),
+        (lambda: serve(image, distance, absolute), "but the file is for shape 'gaussian' and ref"),
+        (lambda: serve(image, distance, spectral), "the file is for grey surfaces"),
+        (lambda: run((255 * image).byte(), distance), "image must be a floating-point"),
+        (lambda: run(255 * image, distance), "divide a 0…255 image by 255"),
+        (lambda: run(image, distance[..., 1:]), r"distance is \(45, 61\) but image is \(45, 62\)"),
+        (lambda: run(image, distance * torch.nan), "distance is NaN"),
+        (lambda: run(image, -distance), "negative"),
+        (lambda: run(torch.cat([image, image[:1]]), distance), "batch sizes must agree or be 1"),
+    ):
+        with pytest.raises((TypeError, ValueError), match=message):
+            call()
+
+
+def test_a_file_of_spectra_takes_media_of_grey_surfaces(tmp_path, monkeypatch) -> None:
+    module = Underwater(Medium.from_water("7C", surfaces="spectral"), sides=(32, 144))
+    path = without_graph(tmp_path / "a.onnx", module, uwaug_coefficients="inputs")
+    run = OnnxUnderwater(path)
+    given: dict[str, torch.Tensor] = {}
+    monkeypatch.setattr(run, "session", lambda rows: given.update(rows) or rows["image"])
+    run(*scene(1), medium=MEDIUM)
+    for name in ("direct_weights", "signal_weights"):
+        assert given[name].shape[:3] == (1, 3, 3)
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda run: pickle.loads(pickle.dumps(run))])
+def test_copies_after_use(frozen, copied) -> None:
+    image, distance = scene(1)
+    run = OnnxUnderwater(frozen[0], threads=1)
+    before = run(image, distance)
+    assert torch.equal(copied(run)(image, distance), before)
+
+
+def test_in_a_worker(frozen) -> None:
+    run, (image, distance) = OnnxUnderwater(frozen[0], threads=1), scene(4)
+    loader = DataLoader(Pictures(run), 2, num_workers=1, multiprocessing_context="spawn")
+    together = run(image, distance)
+    torch.testing.assert_close(torch.cat(list(loader)), together, rtol=0, atol=1e-6)
+
+
+def test_a_forked_process_opens_its_own(frozen) -> None:
+    """What it inherits has no threads."""
+    run, (image, distance) = OnnxUnderwater(frozen[0], threads=2), scene(1)
+    wanted = run(image, distance)
+    found: Any = multiprocessing.get_context("fork").Queue()
+    work = multiprocessing.get_context("fork").Process(
+        target=lambda: found.put(run(image, distance).numpy())
+    )
+    work.start()
+    np.testing.assert_allclose(found.get(timeout=60), wanted.numpy(), atol=1e-6)
+    work.join(60)
+    assert work.exitcode == 0
+
+
+@pytest.mark.parametrize(
+    ("metadata", "message"),
+    [
+        ({"uwaug_module": None}, "has no metadata of"),
+        ({"uwaug_module": "[" * 100_000}, "its metadata are damaged"),
+        ({"uwaug_module": "{}"}, "its metadata are damaged"),
+        ({"uwaug_module": '{"medium": 1, "sides": [9, 3]}'}, "its metadata are damaged"),
+    ],
+)
+def test_other_metadata_are_refused(tmp_path, metadata, message) -> None:
+    path = without_graph(tmp_path / "a.onnx", Underwater(MEDIUM, sides=(32, 64)), **metadata)
+    for call in (OnnxUnderwater, check_onnx):
+        with pytest.raises(ValueError, match=rf"a\.onnx: {message}"):
+            call(path)
+
+
+def test_what_is_no_model_is_refused(tmp_path) -> None:
+    os.mkfifo(tmp_path / "pipe.onnx")
+    (tmp_path / "no.onnx").write_text("no model")
+    for call in (read_metadata, OnnxUnderwater):
+        with pytest.raises(OSError, match=r"path must be a file, but .* is no regular file"):
+            call(tmp_path / "pipe.onnx")
+        with pytest.raises(ValueError, match="ONNX Runtime cannot load it"):
+            call(tmp_path / "no.onnx")
+        with pytest.raises(FileNotFoundError):
+            call(tmp_path / "missing.onnx")

@@ -1,0 +1,144 @@
+"""Run an exported file, and read what it says of itself."""
+
+import json
+import os
+from typing import Any, TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from uwaug._support import checks
+from uwaug._support.codec import from_plain
+from uwaug._support.onnx_session import Session
+from uwaug._support.types import Array
+from uwaug.formation.inputs import validate
+from uwaug.formation.underwater import Underwater
+from uwaug.optics.medium import Medium
+from uwaug.optics.surfaces import as_matrices
+
+Picture = TypeVar("Picture", Tensor, Array)
+
+
+def read_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
+    """The metadata that `export_onnx` wrote into a file: `uwaug_version`, `uwaug_water`,
+    `uwaug_plan`, `uwaug_coefficients` ("constants" or "inputs") and, as JSON, `uwaug_module`.
+
+    Raises:
+        ImportError: if onnxruntime is not installed.
+        OSError: if the file cannot be read.
+        ValueError: if it is not from uwaug.
+    """
+    session = Session(path, 1, optimise=False).opened
+    metadata: dict[str, str] = session.get_modelmeta().custom_metadata_map
+    if not {"uwaug_module", "uwaug_coefficients"} <= set(metadata):
+        raise ValueError(f"{path}: has no metadata of uwaug.onnx.export_onnx")
+    return metadata
+
+
+def module_of(path: str | os.PathLike[str], metadata: dict[str, str]) -> Underwater:
+    """The module that the file at `path` was exported from.
+
+    Raises:
+        ValueError: if its metadata are not what `export_onnx` wrote.
+    """
+    try:
+        return Underwater(**from_plain(json.loads(metadata["uwaug_module"])))
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
+        cause = f"{type(error).__name__}: {error!s:.200}"
+        raise ValueError(f"{path}: its metadata are damaged ({cause})") from error
+
+
+def coefficients_of(medium: Medium) -> dict[str, Array]:
+    """The numbers of a medium as a file exported with `coefficients=True` takes them, by name:
+    float32, a row for each medium; shapes as `Medium.parameters`. Media of other numbers of rates K
+    and L need no padding.
+    """
+    return {
+        name: np.ascontiguousarray(value.detach().to("cpu", torch.float32).numpy())
+        for name, value in medium.parameters().items()
+    }
+
+
+class OnnxUnderwater:
+    """Run an exported file like the module that it came from.
+
+    The session is opened at the first call and not pickled, so that the object can live in
+    DataLoader workers.
+
+    Args:
+        path: of the file.
+        threads: of ONNX Runtime; 0 lets it choose. In DataLoader workers, 1.
+
+    Attributes:
+        metadata: what the file says of itself, see `read_metadata`.
+
+    Raises:
+        ImportError, OSError, ValueError: as `read_metadata`.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], threads: int = 0) -> None:
+        self.metadata = read_metadata(path)
+        self.module = module_of(path, self.metadata)
+        self.session = Session(path, threads)
+
+    def __repr__(self) -> str:
+        return f"OnnxUnderwater({str(self.session.path)!r}: {self.module.medium})"
+
+    def __call__(self, image: Picture, distance: Any, medium: Medium | None = None) -> Picture:
+        """Degrade an image.
+
+        Args:
+            image (Bx3xHxW or 3xHxW tensor or array): floating point, in the module's color space.
+            distance (Bx1xHxW or 1xHxW tensor or array): metres, ≥ 0; +inf is open water.
+            medium: if the file has the coefficients as inputs; one, or one for each image.
+
+        Returns:
+            The picture in float32: a tensor or an array, as the image.
+
+        Raises:
+            TypeError, ValueError: as `Underwater` would; and if a medium is lacking, or given to a
+                file that takes none.
+        """
+        pictures, maps = map(_tensor, (image, distance))
+        checks.floating("image", pictures)
+        kind = self.module
+        validate(pictures, maps, medium or kind.medium[0], color_space=kind.color_space)
+        rows = {"image": pictures, "distance": maps}
+        rows = {name: x.float() if x.ndim == 4 else x[None].float() for name, x in rows.items()}
+        rows |= self._coefficients(medium)
+        # all batches are 1 or one common size; if that is 0, the result is empty
+        sizes = {len(row) for row in rows.values()}
+        batch = 0 if 0 in sizes else max(sizes)
+        if batch == 0 or not pictures.numel():
+            result = torch.zeros(batch, 3, *pictures.shape[-2:])
+        else:
+            result = self.session({n: x.expand(batch, *x.shape[1:]) for n, x in rows.items()})
+        if pictures.ndim == 3 and batch == 1:
+            result = result[0]
+        return result if isinstance(image, Tensor) else result.numpy()
+
+    def _coefficients(self, medium: Medium | None) -> dict[str, Tensor]:
+        """The medium's numbers as the file takes them."""
+        if (medium is not None) != (self.metadata["uwaug_coefficients"] == "inputs"):
+            verb = "needs one" if medium is None else "takes none: export with coefficients=True"
+            raise ValueError(f"medium: the file {verb}")
+        if medium is None:
+            return {}
+        law, wanted = medium.point_spread, self.module.medium.point_spread
+        if (law.shape, law.reference_size) != (wanted.shape, wanted.reference_size):
+            kind = f"shape {wanted.shape!r} and reference_size {wanted.reference_size}"
+            raise ValueError(f"medium: its point spread is {law}, but the file is for {kind}")
+        rows = {name: torch.from_numpy(x) for name, x in coefficients_of(medium).items()}
+        if self.module.medium.is_spectral:
+            for name in ("direct_weights", "signal_weights"):
+                rows[name] = as_matrices(rows[name])
+        elif medium.is_spectral:
+            got = "the file is for grey surfaces, got a medium of surfaces with spectra"
+            raise ValueError(f"medium: {got}")
+        return rows
+
+
+def _tensor(value: Any) -> Any:
+    """Arrays as tensors; whatever else is looked at by `validate`."""
+    return torch.from_numpy(value) if isinstance(value, np.ndarray) else value
