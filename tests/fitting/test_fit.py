@@ -171,7 +171,7 @@ def test_a_blur_within_a_pixel_tells_no_scattering(known):
     fit = uwaug.fit(clean, observed, z, model="gaussian", pixels=1000)
     assert values(fit, "beta") == [None] * 3
     assert values(fit, "G") == pytest.approx(TRUTH["G"], rel=0.05)
-    assert remark(fit, "A blur below 0.6 px is hardly told from none")
+    assert remark(fit, "A blur below 0.8 px is hardly told from none")
 
 
 # ---- what may be wrong

@@ -28,8 +28,9 @@ COLOURS = ("red", "green", "blue")
 MAX_OPTICAL_DEPTH = 40.0  # to the median distance: more than any picture survives
 MOST_GAIN = 1e4  # and one over it the least
 # px, σ at the median distance, below which a blur is hardly told from none: in pictures of the
-# default tolerance β is 40 % too small at .2 px, 10 % at .45, right at .7.
-NARROW = 0.6
+# default tolerance β is 40 % too small at .2 px, 10 % at .45, right at .7; and one of .13 px was
+# taken for .68 px.
+NARROW = 0.8
 EXPONENTS = (0.2, 3.0)  # of a width law: least and largest
 _MAX_G_OVER_BETA = 4.0  # where no light is scattered forward and nothing ties the two together
 _MIN_G = 1e-9  # 1/m, stands for smaller G, where the veil has no end
