@@ -24,6 +24,13 @@ from uwaug.fitting.solve import (
 )
 
 
+@pytest.fixture(autouse=True)
+def calmly():
+    """As fits run: threads that wait for each other take 3 to 6 times as long."""
+    with one_thread():
+        yield
+
+
 @pytest.fixture(scope="module")
 def settled(hazy):
     problem = objective(hazy)
@@ -129,7 +136,7 @@ def test_far_starts_meet(known):
     problem = objective(known, "gaussian", 1000, gain=True)
     rng = np.random.default_rng(3)
     costs = []
-    for seed in range(4):
+    for seed in range(3):
         away = {name: x * np.exp(rng.uniform(-1, 1)) for name, x in guess(problem).items()}
         costs.append(multistart(problem, [away], seed).cost)
     assert max(costs) < min(costs) * (1 + 1e-4)
@@ -153,8 +160,7 @@ def test_what_lies_far_off_has_no_weight(settled):
     observed = problem.pixels.observed.clone()
     observed[..., ::20] += 0.3  # particles
     spoilt = replace(problem, pixels=replace(problem.pixels, observed=observed))
-    with one_thread():
-        weighed, _ = reweighed(spoilt, solution.theta, "srgb")
+    weighed, _ = reweighed(spoilt, solution.theta, "srgb")
     assert not (weighed.weights[..., ::20] > 0).any()
     assert (weighed.weights > 0).double().mean() > 0.8
 
