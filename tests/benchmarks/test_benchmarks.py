@@ -1,6 +1,5 @@
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
