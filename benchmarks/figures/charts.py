@@ -1,6 +1,6 @@
-"""All charts of the benchmarks: error against time, scaling, light transport.
+"""The charts of the benchmarks: error against time, light transport.
 
-`python -m benchmarks.figures.charts` draws the first two from their results.
+`python -m benchmarks.figures.charts` draws the first from its results.
 """
 
 import json
@@ -28,12 +28,6 @@ if TYPE_CHECKING:
 
 FIGURES = Path(__file__).parent
 DEFAULT, OURS, RIVAL, FRONT = "#c1272d", "#0b6e99", "#7a7a7a", "#e8a33d"
-STYLES = {
-    "uwaug": (OURS, "o"),
-    "fused C++": ("#8a5a9e", "s"),
-    "copy bound": (RIVAL, "^"),
-    "memory": ("#2a7f4f", "D"),
-}
 SHOWN = (512, 1)  # size and threads of the panels drawn; all others are in the JSON
 _OUR_NAMES = ("ours", "eager", "compiled loops", "torch.compile", "ONNX", "float", "bfloat")
 _NUMBER = re.compile(r"\b\d[\de.-]*(?: \+ \d+)?\b")
@@ -42,12 +36,6 @@ STYLE = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.titlesize": 9,
-}
-_SWEEPS = {
-    "pixels": "pixels",
-    "batch": "batch, images",
-    "widest": "widest σ, px",
-    "rates": "rates, direct + scatter",
 }
 _WALKS = {"HG 0.85": "C0", "HG 0.924": "C1", "AUTEC 7": "C2", "HAOCE 11": "C3", "NUC 2200": "C4"}
 # colour and dashes of its line, colour of its bars
@@ -66,10 +54,6 @@ _TRUTHS = {
 
 def draw_frontier(results: dict[str, Any]) -> Path:
     return save_small(frontier_figure(results), "frontier")
-
-
-def draw_scaling(results: dict[str, Any]) -> Path:
-    return save_small(scaling_figure(results), "scaling")
 
 
 def draw_physics(spreads: "Spreads", laws: "dict[str, Law]", errors: "Errors") -> Path:
@@ -203,46 +187,6 @@ def plain_numbers(axis: Axis) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def scaling_figure(results: dict[str, Any]) -> Figure:
-    """Time and peak memory on log–log axes, with the fitted exponents in the labels."""
-    with matplotlib.rc_context(STYLE):
-        figure = Figure((13, 6.4), layout="constrained")
-        axes = figure.subplots(2, 4, sharex="col", sharey="row", height_ratios=(1.5, 1))
-        for (name, title), (time, memory) in zip(_SWEEPS.items(), axes.T, strict=True):
-            _scaling_column(time, memory, results["sweeps"][name])
-            memory.set_xlabel(title)
-            time.set_title(f"against {title.split(',')[0]}", loc="left")
-        for panel in axes.flat:
-            panel.yaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
-        for panel in axes[1, 1:]:
-            plain_numbers(panel.xaxis)
-        for row in axes:
-            low, high = row[0].get_ylim()
-            row[0].set_ylim(low, high * (high / low) ** 0.25)  # room for the legends
-        axes[0, 0].set_ylabel("time, ms")
-        axes[1, 0].set_ylabel("peak memory of uwaug, MiB")
-        figure.suptitle(f"Scaling; {results['setting']}", fontsize=10)
-    return figure
-
-
-def _scaling_column(time: Axes, memory: Axes, sweep: dict[str, Any]) -> None:
-    points = sweep["points"]
-    x = [point["x"] for point in points]
-    for method, fit in sweep["fits"].items():
-        law = f"∝ $x^{{{fit['exponent']:.2f}}}$ (×/÷ {fit['residual_factor']:.2f})"
-        if method in points[0]["ms"]:
-            panel, (colour, marker), label = time, STYLES[method], f"{method} {law}"
-            y = [point["ms"][method]["median_ms"] for point in points]
-        else:
-            panel, (colour, marker), label = memory, STYLES["memory"], law
-            y = [point["peak_mib"] for point in points]
-        panel.plot(x, y, color=colour, marker=marker, markersize=4, linewidth=1, label=label)
-    for panel in (time, memory):
-        panel.set(xscale="log", yscale="log")
-        panel.grid(alpha=0.2)
-        panel.legend(frameon=False, fontsize=7.5, loc="upper left", handlelength=1.2)
-
-
 def physics_figure(spreads: "Spreads", laws: "dict[str, Law]", errors: "Errors") -> Figure:
     """Walks against laws: g, width, shape, and the error of the laws."""
     figure = Figure((11, 7.6), layout="constrained")
@@ -288,5 +232,4 @@ def _physics_bars(axes: Axes, errors: "Errors") -> None:
 
 
 if __name__ == "__main__":
-    for name, draw in (("frontier", draw_frontier), ("scaling", draw_scaling)):
-        print(draw(json.loads((RESULTS / f"{name}.json").read_text())))
+    print(draw_frontier(json.loads((RESULTS / "frontier.json").read_text())))

@@ -42,8 +42,6 @@ def accuracy() -> str:
     unblurred = sum(not row["blurred"] for row in rows)
     ours = load("stability")["counts"]["uwaug"]
     draws = load("draws")
-    scenes = draws["scenes"].values()
-    good = min(min(row[bar] for bar in ("kept", "veil", "bright")) for row in scenes)
     right = min(ours["value"]["right"], ours["gradient"]["right"])
     conditions = sum(ours["value"].values())
     paragraphs = [
@@ -67,17 +65,14 @@ def accuracy() -> str:
         "Monte Carlo walk over 0.1 to 5 scattering lengths, and in six Monte Carlo pictures "
         "(`python -m benchmarks.accuracy.physics`):",
         _transport_table(load("physics")),
-        f"**Default pictures**: {draws['draws']} draws of `RandomUnderwater()` on each of "
-        f"{len(scenes)} scenes (the one above and {len(scenes) - 1} public RGB-D pairs). In the "
-        f"worst scene {100 * good:.0f} % of them are good: 10 to 95 % of the contrast is left at "
-        "the median distance (as standard deviation of sRGB luminance), no veil is brighter than "
-        "white, and the brightest channel's mean is at least .1 (`python -m "
-        "benchmarks.accuracy.draws`).",
         "**Real photographs** (342 of seven sets; by 26 numbers of a picture / by the 12 that hang "
-        "on the water; 16 draws of each of 40 pictures in air): recall, the photographs inside the "
-        "cloud of draws; coverage, those with a draw in their neighbourhood; precision, draws "
-        "inside the cloud of photographs. Rows: the defaults, the same with one range changed, and "
-        "`RandomUnderwater.hazy()`, the defaults of versions up to 0.1:",
+        f"on the water; {draws['draws']} draws of each of 40 pictures in air): recall, the "
+        "photographs inside the cloud of draws; coverage, those with a draw in their "
+        "neighbourhood; precision, draws inside the cloud of photographs; clipped density, draws "
+        "that might be photographs; clipped coverage, draws that would cover as much, were they "
+        "photographs. Neon: half of the pixels have a saturation above .9 (photographs: .06). "
+        "Dead: the mean of a channel is below .02 (photographs: .015). Rows: the defaults, and the "
+        "same with one range changed (`python -m benchmarks.accuracy.draws`):",
         _photograph_table(draws["photographs"]),
         f"**Stability**: {right} of {conditions} hard conditions right in value and gradient.",
         "![Methods against hard conditions: value and gradient of each](figures/stability.svg)",
@@ -86,12 +81,16 @@ def accuracy() -> str:
 
 
 def _photograph_table(rows: Results) -> str:
-    head = ["", "recall", "coverage", "precision"]
+    pairs = ["recall", "coverage", "precision", "clipped density", "clipped coverage"]
+    shares = ["neon", "dead"]
     shown = []
     for name, row in rows.items():
-        pairs = (row[measure] for measure in head[1:])
-        shown.append([name, *(f"{everything:.2f} / {water:.2f}" for everything, water in pairs)])
-    return table(head, shown)
+        cells = [
+            " / ".join(f"{row[f'{measure}, {kind}']['mean']:.2f}" for kind in ("all", "water"))
+            for measure in pairs
+        ]
+        shown.append([name, *cells, *(f"{row[share]['mean']:.2f}" for share in shares)])
+    return table(["", *pairs, *shares], shown)
 
 
 def _blur_table(model: Results) -> str:
@@ -165,16 +164,10 @@ def surfaces() -> str:
 
 def chart() -> str:
     """Where the defaults stand among all that we know, and how time grows."""
-    verdicts, scaling = {}, load("scaling")
+    verdicts = {}
     for panel in load("frontier")["panels"].values():
         verdicts[panel["part"], panel["size"], panel["threads"]] = panel["verdict"]
     near = sum(verdict["within_10_percent"] for verdict in verdicts.values())
-    fits = {name: sweep["fits"]["uwaug"] for name, sweep in scaling["sweeps"].items()}
-    pixels, widest = (f"{fits[name]['exponent']:.2f}" for name in ("pixels", "widest"))
-    fused = {}
-    for point in scaling["sweeps"]["widest"]["points"]:
-        median = {name: times["median_ms"] for name, times in point["ms"].items()}
-        fused[f"{point['x']:g}"] = median["uwaug"] / median["fused C++"]
     paragraphs = [
         "Every way that we know to compute each part, error of the final image against time, "
         "512², one thread (`python -m benchmarks.speed.frontier`). Red is our default, "
@@ -184,11 +177,6 @@ def chart() -> str:
         "PSNR of the default and, where one exists, the fastest method that is at least as "
         "accurate (without numba; the compiled loops are the extra `fast`):",
         _verdict_table(verdicts),
-        f"Time grows with pixels to the power {pixels}, with the widest blur to the power "
-        f"{widest}. One fused loop in C++, compiled on the spot, without coarse grids, is "
-        f"{fused['4']:.1f} times as fast at 4 px and {1 / fused['64']:.1f} times as slow at 64 px "
-        "(`python -m benchmarks.speed.scaling`).",
-        "![Time and memory against pixels, batch, widest blur and rates](figures/scaling.png)",
     ]
     return "\n\n".join(paragraphs)
 
@@ -231,17 +219,17 @@ def speed() -> str:
         f"backward together take {both:.1f} times forward alone; to fit, `torch.compile(degrade)` "
         f"is faster still. At 1024² the peak of memory is {model['memory_times_input']:.1f} times "
         f"the input. `import uwaug` adds {model['import_s']:.2f} s to torch and kornia.",
+        "One picture with a field, one thread, by the compiled loops (`python -m "
+        "benchmarks.speed.throughput`), milliseconds, and how many times as fast as the recipe:",
+        _transform_table(load("throughput")),
         _loaders(load("throughput")),
-        "The exported file (`python -m benchmarks.speed.runtime`), milliseconds:",
-        _runtime_table(load("runtime")),
-        "These are PyTorch's own loops. For eight times the published recipe and more, see "
-        "[Faster on a CPU](#faster-on-a-cpu).",
     ]
     return "\n\n".join(paragraphs)
 
 
 def _speed_table(model: Results) -> str:
-    ours, others = ("uwaug", "uwaug, default"), ("published, OpenCV", "naive kornia")
+    ours = ("uwaug", "uwaug, default", "uwaug, loops")
+    others = ("published, OpenCV", "naive kornia")
     rows = []
     for found in model["speed"]:
         ms, times = found["ms"], found["times_faster"]
@@ -249,78 +237,35 @@ def _speed_table(model: Results) -> str:
         row += [f"{ms[name]['median_ms']:.1f}" for name in ours]
         row += [f"{ms[name]['median_ms']:.0f} ({times[name]:.1f}×)" for name in others]
         rows.append(row)
-    return table(["water, size × batch", "uwaug, blur ≥ 60 dB", "uwaug, default", *others], rows)
+    head = ["water, size × batch", "uwaug, blur ≥ 60 dB", "default", "loops", *others]
+    return table(head, rows)
+
+
+def _transform_table(throughput: Results) -> str:
+    sizes = throughput["single"]
+    recipe = [one["ms"]["recipe, as published (OpenCV), float32"]["median_ms"] for one in sizes]
+    rows = []
+    for name in sizes[0]["ms"]:
+        row = [name]
+        for one, other in zip(sizes, recipe, strict=True):
+            ms = one["ms"][name]["median_ms"]
+            row.append(f"{ms:.1f} ({other / ms:.1f}×)")
+        rows.append(row)
+    return table(["", *(f"{one['size']}²" for one in sizes)], rows)
 
 
 def _loaders(throughput: Results) -> str:
-    one = next(t for t in throughput["throughput"] if (t["size"], t["workers"]) == (256, 1))
-    rate = {name: f"{found['median']:.0f}" for name, found in one["pictures_per_s"].items()}
-    other = "torchvision blur + jitter"
-    torchvision = ""
-    if other in rate:
-        torchvision = f"; torchvision's GaussianBlur and ColorJitter make {rate[other]}"
-    parts = next(found for found in throughput["parts"] if found["size"] == 256)["ms_per_picture"]
-    share = {name: 100 * part["draw and medium, share of all"] for name, part in parts.items()}
-    return (
-        "`RandomUnderwater.survey()` at 256 px, field included, one worker (`python -m "
-        f"benchmarks.speed.throughput`): {rate['uwaug, survey']} pictures per second, "
-        f'{rate["uwaug, survey in linear light"]} with `color_space="linear"` as the published '
-        f"recipe works; the published recipe processes {rate['published, OpenCV']} per second"
-        f"{torchvision}. Drawing parameters and building the medium take "
-        f"{share['uwaug, survey']:.0f} % of the time with discrete waters, "
-        f"{share['uwaug, everything random']:.0f} % when every parameter has a range."
-    )
-
-
-def _runtime_table(runtime: Results) -> str:
-    rows = []
-    for found in runtime["speed"]:
-        ms = {name: f"{times['median_ms']:.1f}" for name, times in found["ms"].items()}
-        setting = f"{found['threads']}, {found['size']}² × {found['batch']}"
-        onnx = f"{ms['ONNX Runtime']} ({found['of_eager']:.2f} of eager)"
-        rows.append([setting, onnx, ms["eager"], ms["compiled"]])
-    return table(["threads, size × batch", "ONNX Runtime", "eager", "torch.compile"], rows)
-
-
-def compiled() -> str:
-    """How many times as fast the compiled loops are as what ran beside them."""
-    found = load("fused")
-    others = ("eager", "published recipe", "authors' loops", "direct + veil")
-    rows = []
-    for one in found["whole_model"]:
-        rows.append([_setting(one), *(_times(one, name) for name in others)])
-    encoded = []
-    for one in found["colours"]:
-        encoded.append([_setting(one), *(_times(one, f"eager, {kind}") for kind in _KINDS)])
-    waters = []
-    for one in found["random"]:
-        waters.append([one["transform"], *(_times(one, name) for name in others[:2])])
-    paragraphs = [
-        "How many times as long others take, in the same process "
-        "(`python -m benchmarks.speed.loops`; a shared machine). "
-        "The whole model with field, in linear light:",
-        table(["size, threads", *others], rows),
-        "sRGB in and out; bytes in and out:",
-        table(["size, threads", "eager, sRGB", "eager, bytes"], encoded),
-        "`RandomUnderwater` at 256 px, one worker:",
-        table(["transform", "eager", "published recipe"], waters),
+    rows = [
+        [name, *(f"{rates[name]:.0f}" for rates in throughput["loader"].values())]
+        for name in next(iter(throughput["loader"].values()))
     ]
-    return "\n\n".join(paragraphs)
-
-
-_KINDS = ("sRGB", "bytes")
-
-
-def _setting(one: Results) -> str:
-    return f"{one['size']}², {one['threads']} thread{'s' * (one['threads'] > 1)}"
-
-
-def _times(one: Results, name: str) -> str:
-    times = one["times_faster"]
-    if name not in times:
-        return "–"
-    ours = times[name.replace("eager", "fused")] if name.startswith("eager, ") else 1.0
-    return f"{times[name] / ours:.1f}"
+    calls = throughput["calls"]
+    sizes = (f"{size}², pictures/s" for size in throughput["loader"])
+    return (
+        f"A default picture takes {calls['eager']} Python calls by PyTorch, {calls['loops']} by "
+        f"the loops; the first in a fresh process {throughput['first_picture_s']:.1f} s after "
+        "torch. A DataLoader with two workers:\n\n" + table(["", *sizes], rows)
+    )
 
 
 def fits() -> str:
@@ -339,9 +284,8 @@ def fits() -> str:
 
 def sections() -> dict[str, str]:
     """What belongs between the markers of each name."""
-    found = fits()
-    text = {"accuracy": accuracy(), "surfaces": surfaces(), "fits": found, "chart": chart()}
-    return text | {"speed": speed(), "fused": compiled()}
+    text = {"accuracy": accuracy(), "surfaces": surfaces(), "fits": fits()}
+    return text | {"chart": chart(), "speed": speed()}
 
 
 def updated(text: str) -> str:

@@ -181,7 +181,7 @@ LEARNED_LAW = coefficients(law=PointSpread(torch.tensor([1.0], requires_grad=Tru
         {"image": IMAGE.to("meta")},
         {"light": object()},
     ],
-    ids=str,
+    ids=lambda change: next(iter(change)),
 )
 def test_the_gate_is_closed(change: dict[str, Any]) -> None:
     given = {"image": IMAGE, "z": Z, "medium": WATER, "light": None}

@@ -21,7 +21,8 @@ _CAMERA = "Nikon 5100 (NPL)"
 _LAMP = Lamp(position=(-0.8, -0.5, 0.0), power=10.0, aim=(0.8, 0.5, 3.0), cone=50.0)
 """Beside the camera, aimed at what is 3 m ahead."""
 
-_ROWS = 4
+_ROWS = 16
+"""Of a picture, of which the bands of a lamp's beam are held at a time."""
 
 _RGB = tuple[float, float, float]
 
