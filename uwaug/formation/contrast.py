@@ -26,12 +26,6 @@ from uwaug.light import Light
 from uwaug.optics.curves import FARTHEST, Curves, of_white, passed
 from uwaug.optics.medium import Medium
 
-FAINT = 0.03
-"""Share of contrast below which next to nothing can be seen."""
-
-_MUCH = 0.2
-"""Share of a picture's pixels that is worth a word if it is faint."""
-
 
 def contrast_left(
     distance: Tensor,
@@ -89,20 +83,6 @@ def contrast_of(T: Curves, reflectance: float | Tensor = 0.18) -> Tensor:
     # where no light arrives the slope of a quotient would be NaN
     dark = whole <= 0
     return torch.where(dark, 0.0, detail / torch.where(dark, 1.0, whole))
-
-
-def faintness(shares: Tensor) -> str | None:
-    """What to say of a picture in which next to nothing is left to see; None of any other.
-
-    Args:
-        shares: of contrast that is left at some pixels (N) spread over the picture; without open
-            water, where nothing was to be seen.
-    """
-    faint = float((shares < FAINT).double().mean()) if shares.numel() else 0.0
-    if faint < _MUCH:
-        return None
-    part = "half of the picture or more" if faint >= 0.5 else "a fifth of the picture or more"
-    return f"less than {100 * FAINT:g} % of the contrast is left on {part}"
 
 
 def _left(T: Tensor, reflectance: float | Tensor) -> Tensor:
