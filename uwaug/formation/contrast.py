@@ -26,6 +26,9 @@ from uwaug.light import Light
 from uwaug.optics.curves import FARTHEST, Curves, of_white, passed
 from uwaug.optics.medium import Medium
 
+FAINT = 0.03
+"""Share of contrast below which next to nothing can be seen."""
+
 
 def contrast_left(
     distance: Tensor,
