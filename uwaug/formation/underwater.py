@@ -67,7 +67,7 @@ class Underwater(nn.Module):
         light: lamps, see `uwaug.Light`; None for daylight as the medium has it.
 
     Keep torch's default matmul precision. With `torch.set_float32_matmul_precision("medium")`, CPUs
-    that support it multiply in bfloat16, and the error is visible. `torch.compile` needs torch 2.13.
+    that support it multiply in bfloat16: the error is visible. `torch.compile` needs torch 2.13.
 
     Shapes:
         image (Bx3xHxW or 3xHxW; uint8 0…255, or floating point 0…1), distance (Bx1xHxW or 1xHxW,
