@@ -8,26 +8,27 @@ from scenes import coefficients, distances, picture
 from torch import Tensor
 
 import uwaug
-from uwaug import Development, Medium, Underwater, form_image
+from uwaug import Development, Lamp, Light, Medium, Underwater, form_image
 from uwaug.fitting import fit
+from uwaug.optics.curves import Curves
 
 FORMED = Medium.image
 IMAGE, DISTANCE = 0.5 * picture(48, 64), distances(48, 64)
 
 
-def glowing(medium: Medium, z: Tensor, J: Tensor, soft: Tensor) -> Tensor:
+def glowing(medium: Medium, z: Tensor, J: Tensor, soft: Tensor, T: Curves | None = None) -> Tensor:
     """`Medium.image` with one more term."""
-    return FORMED(medium, z, J, soft) - 0.05 * torch.expm1(-z)
+    return FORMED(medium, z, J, soft, T) - 0.05 * torch.expm1(-z)
 
 
-def by_default() -> Tensor:
-    """A picture of `RandomUnderwater` as it comes, with the exposure that its record has."""
-    plain = uwaug.RandomDevelopment(metered=False)
-    augment = uwaug.RandomUnderwater(development=plain)
+def by_default(metered: bool = False) -> Tensor:
+    """A picture of `RandomUnderwater` as it comes, with or without its meter."""
+    augment = uwaug.RandomUnderwater(development=uwaug.RandomDevelopment(metered=metered))
     record = augment.make_params(IMAGE[0], torch.Generator().manual_seed(3))
     return augment.transform(IMAGE[0], DISTANCE[0], record)
 
 
+LIGHT = Light((Lamp((0.4, 0.0, 0.0), 2.0),), daylight=0.3)
 DEVELOPED = Development(exposure=1.0, saturation=1.2, gamut=0.5)
 WAYS = {
     "grey": lambda: Underwater(coefficients(), None)(IMAGE, DISTANCE),
@@ -35,6 +36,7 @@ WAYS = {
         Medium.from_water("II", surfaces="spectral"), None, development=DEVELOPED
     )(IMAGE, DISTANCE),
     "terms": lambda: form_image(IMAGE, DISTANCE, coefficients()).image,
+    "under a lamp": lambda: Underwater(coefficients(), None, light=LIGHT)(IMAGE, DISTANCE),
     "default pictures": by_default,
 }
 
@@ -52,6 +54,15 @@ def test_in_pictures(way: str, monkeypatch: pytest.MonkeyPatch) -> None:
     brighter = WAYS[way]() - before
     assert brighter.mean() > 0.01
     assert brighter.min() > -1e-3
+
+
+def test_the_meter_sees_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = by_default(metered=True)
+    monkeypatch.setattr(Medium, "image", glowing)
+    change = by_default(metered=True) - before
+    assert change.abs().max() > 0.01
+    # the mean luminance of the scene is kept, so that the picture is not blown out
+    assert change.mean().abs() < 0.1
 
 
 def test_in_files(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ multiplied by, in luminance. The gain of an exposure multiplies all terms alike 
 
 That holds for patterns finer than the blur, such as the texture and the edges of an object. Coarser
 ones keep more, up to T_G·ρ/(T_G·ρ + B): this is a lower bound. Against Monte Carlo light transport
-without veil (`python -m benchmarks.accuracy.contrast`), patterns of a period of 1° (2 px of the
+without veil, patterns of a period of 1° (2 px of the
 pictures) keep up to .011 more in six pictures and up to .019 more in walks of the same phase
 function (Henyey–Greenstein, mean cosine .924). Petzold's measured ones scatter into smaller angles:
 with those, patterns of .5° keep .02 to .05 more in the mean, and up to .10.
