@@ -129,7 +129,7 @@ def _transport_table(physics: Results) -> str:
 
 
 def surfaces() -> str:
-    """How near colours come to those of real spectra, and what it costs."""
+    """How near colours come to those of real spectra."""
     found = load("surfaces")
     methods = found["errors"]["ColorChecker"]
     rows = []
@@ -140,10 +140,6 @@ def surfaces() -> str:
         rows.append(row)
     head = ["method", *(f"{name}, {key}" for name in found["errors"] for key in ("mean", "worst"))]
     places = found["places"]["ColorChecker"]
-    costs = []
-    for race in found["speed"]:
-        setting = f"{race['water']}, {race['size']}²"
-        costs.append([setting, *(f"{ratio:.2f}" for ratio in race["ratio"].values())])
     paragraphs = [
         "**Colours**, against the spectra of the 24 patches of the ColorChecker and of 99 CIE 2017 "
         "samples in 61 bands (`python -m benchmarks.accuracy.surfaces`): RMSE in units of a white "
@@ -155,9 +151,6 @@ def surfaces() -> str:
         table(head, rows),
         "![Red, green, skin and white against depth: truth, uwaug, one number a channel]"
         "(figures/surfaces.png)",
-        'How many times as long pictures take with `surfaces="spectral"` as with grey ones, one '
-        "thread, in one process:",
-        table(["water, size", *found["speed"][0]["ratio"]], costs),
     ]
     return "\n\n".join(paragraphs)
 

@@ -38,12 +38,6 @@ def test_from_the_lens_to_open_water(dtype: torch.dtype) -> None:
     assert found[-1] == 0
 
 
-def test_an_exposure_changes_nothing() -> None:
-    medium = Medium.from_water(WATER, vertical_depth=4.0)
-    brighter = medium.brightened(torch.tensor([7.0]))
-    torch.testing.assert_close(contrast_left(Z, brighter), contrast_left(Z, medium))
-
-
 def test_without_veil_it_is_the_direct_share() -> None:
     beta, G = (0.6, 0.6, 0.6), (0.2, 0.2, 0.2)
     medium = Medium.from_coefficients(beta, G, (0, 0, 0))

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from packaging.version import Version
 from referees.lamps import KINDS, random_case, veil_by_definition
 from scenes import rand
 from torch import Tensor
@@ -257,6 +258,8 @@ def test_modules_take_a_light(exposure: Development) -> None:
     found = module(image.float(), z.float())
     exact = module.double()(image, z)
     torch.testing.assert_close(found, exact.float(), rtol=0, atol=2e-4)
+    if Version(torch.__version__) < Version("2.13"):
+        pytest.skip("torch.compile takes the module whole from torch 2.13 on")
     compiled = torch.compile(module, fullgraph=True, backend="aot_eager")
     with torch.no_grad():
         torch.testing.assert_close(compiled(image, z), exact, rtol=0, atol=1e-5)

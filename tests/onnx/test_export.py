@@ -128,9 +128,9 @@ def test_a_file_with_a_lamp(tmp_path) -> None:
         check_onnx(path)
 
 
-def brighter(self, z, J, soft):
+def brighter(self, z, J, soft, T=None):
     """A term that somebody adds to the sum."""
-    return IMAGE(self, z, J, soft) + 0.2 * z / (1 + z)
+    return IMAGE(self, z, J, soft, T) + 0.2 * z / (1 + z)
 
 
 IMAGE = Medium.image

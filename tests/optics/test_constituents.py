@@ -79,13 +79,6 @@ def test_the_equations_by_hand() -> None:
         assert b == pytest.approx(0.347 * chlorophyll**0.766 * (440 / 660) ** slope, rel=1e-9)
 
 
-def test_what_waters_look_like() -> None:
-    """Where light goes farthest: blue in the ocean, green at coasts, red in peat."""
-    clearest = [water.wavelengths[water.beta.argmin()] for water in (of(0.03, 0.005, 0),)]
-    clearest += [w.wavelengths[w.beta.argmin()] for w in (of(5, 0.3, 1), of(5, 10, 1))]
-    assert clearest[0] < 500 < clearest[1] < 600 < clearest[2]
-
-
 @pytest.mark.parametrize("content", ["chlorophyll", "cdom", "minerals"])
 @pytest.mark.parametrize("value", [-1.0, math.nan, math.inf, 1e5, "5", (1, 2)])
 def test_contents_that_no_water_has(content: str, value: Any) -> None:

@@ -86,16 +86,6 @@ def test_a_share_of_the_matrix(share: float, own: Any) -> None:
     assert max(errors(medium_of("1C", tolerance=0, **options), exact)) <= 1e-8
 
 
-def test_the_matrix_takes_red_out_of_water() -> None:
-    """Of a white plate under ten metres, raw red has three times what the matrix leaves of it."""
-    z = torch.tensor(2.0)
-    raw, developed = (
-        medium_of("II", vertical_depth=10.0, color_matrix=share).signal(z)[0].sum(1)
-        for share in (0.0, 1.0)
-    )
-    assert raw[0] > 3 * developed[0]
-
-
 def test_a_red_thing_turns_grey_and_then_black() -> None:
     paint = torch.tensor([0.5, 0.04, 0.03], dtype=torch.float64)
     z = torch.tensor(0.5, dtype=torch.float64)

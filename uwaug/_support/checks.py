@@ -22,7 +22,6 @@ DOMAIN = {
     "far": (0.0, math.inf),
     "gamma": (1e-3, math.inf),
     "distance": (0.0, math.inf),
-    "field_range": (0.0, math.inf),
     "contrast": (1e-3, 1.0),
     "exposure": (-10.0, 10.0),
     "chlorophyll": (0.0, 1e4),

@@ -58,33 +58,11 @@ class Run(NamedTuple):
     transposed: Tensor
 
 
-class Span(NamedTuple):
-    """Rows `first` to `end` of a matrix, whole blocks, and the columns that they use."""
-
-    first: int
-    end: int
-    low: int
-    high: int
-
-
 class Banded(NamedTuple):
     """A banded matrix of `rows` rows, as runs of row blocks."""
 
     rows: int
     runs: tuple[Run, ...]
-
-    def span(self, first: int, end: int) -> Span:
-        """The blocks that hold rows `first` to `end`."""
-        top, bottom, low, high = end, first, math.inf, 0
-        for row, height, repeats, col, step, block, _ in self.runs:
-            begin = max(0, (first - row) // height)
-            stop = min(repeats, -((row - end) // height))
-            if stop <= begin:
-                continue
-            top, bottom = min(top, row + begin * height), max(bottom, row + stop * height)
-            low = min(low, col + begin * step)
-            high = max(high, col + (stop - 1) * step + block.shape[1])
-        return Span(top, min(bottom, self.rows), int(low), high)
 
     @property
     def bytes(self) -> int:
@@ -240,23 +218,11 @@ class Matrix(NamedTuple):
         return runs
 
 
-def along_rows(
-    matrix: Banded, x: Tensor, first: int = 0, end: int | None = None, top: int = 0
-) -> Tensor:
-    """`matrix @ x` for x (rows, N), contiguous.
-
-    Only rows `first` to `end` of the result, which lie between blocks. Of x, all above row `top`
-    may be missing, and what these do not use.
-    """
+def along_rows(matrix: Banded, x: Tensor) -> Tensor:
+    """`matrix @ x` for x (rows, N), contiguous."""
     n, start = x.shape[1], x.storage_offset()
-    end = matrix.rows if end is None else min(end, matrix.rows)
-    out = x.new_empty(end - first, n)
+    out = x.new_empty(matrix.rows, n)
     for row, height, repeats, col, step, block, _ in matrix.runs:
-        skip = max(0, (first - row) // height)
-        repeats = min(repeats, (end - row + height - 1) // height) - skip
-        if repeats < 1:
-            continue
-        row, col = row + skip * height - first, col + skip * step - top
         part, width = out.narrow(0, row, repeats * height), block.shape[1]
         if repeats == 1:
             torch.mm(block, x.narrow(0, col, width), out=part)

@@ -4,6 +4,7 @@ The library is not loaded for these, so that help and completion do not wait for
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -85,4 +86,7 @@ def read_scene(picture: Path, distance: str, unit: str, holes: str) -> "Scene":
         z = torch.full((1, *image.shape[-2:]), metres)
     else:
         z = read_distance(distance, number_or_word(unit))
-    return own_scene(image, Metres(number_or_word(holes)).metres(z, image, {}))
+    unknown = float((~(z > 0)).double().mean())
+    scene = own_scene(image, Metres(number_or_word(holes)).metres(z, image, {}))
+    filled = f" {unknown:.2%} of the distances were unknown, and got: {holes}." if unknown else ""
+    return replace(scene, note=(scene.note + filled).strip())

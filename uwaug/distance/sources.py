@@ -205,7 +205,6 @@ def _without_holes(z: Tensor, holes: Holes) -> Tensor:
     # NaN if any is; a mask of all pixels takes several times as long
     if z.numel() and not z.detach().amin() > 0:
         counts = checks.counted(z, "NaN", "negative", "zero")
-        cure = "holes='behind' fills those of depth cameras, 'fill' others, 'far' is open water"
-        given = "RandomUnderwater(distance=uwaug.distance.Metres(holes=…))"
-        raise ValueError(f"distance must be above 0 m, but is {counts}: {cure}: {given}")
+        cure = "give holes, such as 'behind' for those of depth cameras: Metres(holes='behind')"
+        raise ValueError(f"distance must be above 0 m, but is {counts}: {cure}")
     return z

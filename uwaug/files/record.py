@@ -1,12 +1,12 @@
 """The record beside each picture of a run: what it was made of, and all that was drawn for it."""
 
 import json
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import torch
 
+import uwaug
 from uwaug._support.atomic import written_whole
 
 KEYS = ("uwaug", "torch", "name", "variant", "picture", "distance", "recipe", "params")
@@ -15,11 +15,7 @@ KEYS = ("uwaug", "torch", "name", "variant", "picture", "distance", "recipe", "p
 
 def versions() -> dict[str, str]:
     """Of uwaug and torch."""
-    try:
-        own = version("uwaug")
-    except PackageNotFoundError:
-        own = "not installed"
-    return {"uwaug": own, "torch": str(torch.__version__)}
+    return {"uwaug": uwaug.__version__, "torch": str(torch.__version__)}
 
 
 def record_path(picture: Path) -> Path:

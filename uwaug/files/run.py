@@ -186,7 +186,7 @@ def degrade(
         out = out.parent
     else:
         labels = open_labels(recipe.labels) if recipe.labels is not None else None
-        if not (resume or force) and out.is_dir() and any(out.iterdir()):
+        if not (resume or force) and out.is_dir() and set(os.listdir(out)) - {"index.csv"}:
             cure = "another folder, resume to go on, or force to write over it"
             raise FileExistsError(f"{out} is not empty: {cure}")
         out.mkdir(parents=True, exist_ok=True)

@@ -10,7 +10,7 @@ multiplied by, in luminance. The gain of an exposure multiplies all terms alike 
 
 That holds for patterns finer than the blur, such as the texture and the edges of an object. Coarser
 ones keep more, up to T_G·ρ/(T_G·ρ + B): this is a lower bound. Against Monte Carlo light transport
-without veil (`python -m benchmarks.accuracy.contrast`), patterns of a period of 1° (2 px of the
+without veil, patterns of a period of 1° (2 px of the
 pictures) keep up to .011 more in six pictures and up to .019 more in walks of the same phase
 function (Henyey–Greenstein, mean cosine .924). Petzold's measured ones scatter into smaller angles:
 with those, patterns of .5° keep .02 to .05 more in the mean, and up to .10.
@@ -28,9 +28,6 @@ from uwaug.optics.medium import Medium
 
 FAINT = 0.03
 """Share of contrast below which next to nothing can be seen."""
-
-_MUCH = 0.2
-"""Share of a picture's pixels that is worth a word if it is faint."""
 
 
 def contrast_left(
@@ -89,20 +86,6 @@ def contrast_of(T: Curves, reflectance: float | Tensor = 0.18) -> Tensor:
     # where no light arrives the slope of a quotient would be NaN
     dark = whole <= 0
     return torch.where(dark, 0.0, detail / torch.where(dark, 1.0, whole))
-
-
-def faintness(shares: Tensor) -> str | None:
-    """What to say of a picture in which next to nothing is left to see; None of any other.
-
-    Args:
-        shares: of contrast that is left at some pixels (N) spread over the picture; without open
-            water, where nothing was to be seen.
-    """
-    faint = float((shares < FAINT).double().mean()) if shares.numel() else 0.0
-    if faint < _MUCH:
-        return None
-    part = "half of the picture or more" if faint >= 0.5 else "a fifth of the picture or more"
-    return f"less than {100 * FAINT:g} % of the contrast is left on {part}"
 
 
 def _left(T: Tensor, reflectance: float | Tensor) -> Tensor:

@@ -168,9 +168,9 @@ def metered(J: Tensor, z: Tensor, medium: Medium, T: Curves | None = None) -> tu
     """
     points = metering_points(z.shape[-2], z.shape[-1], z.device)
     light = _at(J, points)
-    if T is None:
-        return light, medium.image(_at(z, points), light, light)
-    return light, Curves(*(_at(curve, points) for curve in T)).image(light, light)
+    if T is not None:
+        T = Curves(*(_at(curve, points) for curve in T))
+    return light, medium.image(_at(z, points), light, light, T)
 
 
 def farthest_veil(z: Tensor, medium: Medium, T: Curves | None = None) -> Tensor:

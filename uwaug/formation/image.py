@@ -70,8 +70,7 @@ def form(
         brightest = medium if light is None else light.planned(medium)
         plan = plan_for(z, brightest.brightened(gain), (z.shape[-2], z.shape[-1]), tolerance)
     soft = blurred_as_seen(J, z, medium, plan, blurs)
-    arriving = medium.image(z, J, soft) if T is None else T.image(J, soft)
-    # a new term of the image, such as marine snow, is added here
+    arriving = medium.image(z, J, soft, T)
     developed = development.shaped(exposed(arriving, gain))
     largest = headroom(image) if color_space == "srgb" else 1.0
     return encoded(developed, color_space, image.dtype, largest)
@@ -151,10 +150,7 @@ def form_image(
         brightest = water if light is None else light.planned(water)
         plan = plan_for(z, brightest, (z.shape[-2], z.shape[-1]), tolerance)
         soft = blurred_as_seen(J, z, water, plan)
-        if light is None:
-            parts = (*water.parts(z, J, soft), water.image(z, J, soft))
-        else:
-            T = light.curves(water, z)
-            parts = (*T.parts(J, soft), T.image(J, soft))
+        T = None if light is None else light.curves(water, z)
+        parts = (*water.parts(z, J, soft, T), water.image(z, J, soft, T))
     single = image.ndim == 3 and len(parts[0]) == 1
     return Terms(*(part.to(image.dtype)[0 if single else slice(None)] for part in parts))

@@ -33,6 +33,9 @@ _FEW = 0.01
 _ROOM = 2.0
 """Either way, for the width that is learned, until it is planned anew."""
 
+_COMPILES = tuple(map(int, torch.__version__.split(".")[:2])) >= (2, 13)
+"""Whether this torch compiles the module; older ones were tried, and do not."""
+
 _ROUNDING = 1e-6
 """Of float32: a field of .7…1.3 on a range that was planned for it reaches so far beyond."""
 
@@ -64,7 +67,7 @@ class Underwater(nn.Module):
         light: lamps, see `uwaug.Light`; None for daylight as the medium has it.
 
     Keep torch's default matmul precision. With `torch.set_float32_matmul_precision("medium")`, CPUs
-    that support it multiply in bfloat16, and the error is visible.
+    that support it multiply in bfloat16: the error is visible. `torch.compile` needs torch 2.13.
 
     Shapes:
         image (Bx3xHxW or 3xHxW; uint8 0…255, or floating point 0…1), distance (Bx1xHxW or 1xHxW,
@@ -147,6 +150,8 @@ class Underwater(nn.Module):
 
     def forward(self, image: Tensor, distance: Tensor, field: Tensor | None = None) -> Tensor:
         """Degrade an image; see the class."""
+        if torch.compiler.is_compiling() and not _COMPILES:
+            raise RuntimeError("torch.compile of Underwater needs torch 2.13 or newer")
         medium = self.medium
         validate(image, distance, medium, field, color_space=self.color_space, light=self.light)
         dtype = torch.promote_types(image.dtype, torch.float32)

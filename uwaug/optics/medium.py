@@ -431,22 +431,29 @@ class Medium:
         """T_β, T_G − T_β and V(0) − V at effective distances (Bx1xHxW), m, finite, ≥ 0."""
         return curves(self.sums(exact_at_lens=self._any_at_lens(z)), z)
 
-    def image(self, z: Tensor, J: Tensor, soft: Tensor) -> Tensor:
+    def image(self, z: Tensor, J: Tensor, soft: Tensor, T: Curves | None = None) -> Tensor:
         """D + F + B, the sum of the model: Σ T_β·(J − soft) + T_G·soft + V(0) − V.
 
         Args:
             z (Bx1xHxW tensor): effective distance, m, finite, ≥ 0.
             J, soft (Bx3xHxW tensors): the scene's linear light, and what the blur makes of it.
+            T: the curves at z where they are not this medium's own, as under lamps.
         """
-        sums = self.sums(exact_at_lens=self._any_at_lens(z))
-        # `mix` goes over the rates, whose number a graph does not know
-        if self.is_spectral and not torch.compiler.is_compiling():
-            return mix(sums, z, J, soft)
-        return curves(sums, z).image(J, soft)
+        if T is not None:
+            arriving = T.image(J, soft)
+        else:
+            sums = self.sums(exact_at_lens=self._any_at_lens(z))
+            # `mix` goes over the rates, whose number a graph does not know
+            mixes = self.is_spectral and not torch.compiler.is_compiling()
+            arriving = mix(sums, z, J, soft) if mixes else curves(sums, z).image(J, soft)
+        # a new term of the image, such as marine snow, is added here
+        return arriving
 
-    def parts(self, z: Tensor, J: Tensor, soft: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def parts(
+        self, z: Tensor, J: Tensor, soft: Tensor, T: Curves | None = None
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """Direct, forward-scattered and backscattered light, which add up to `image`."""
-        return self.curves(z).parts(J, soft)
+        return (self.curves(z) if T is None else T).parts(J, soft)
 
     def transmission(self, z: Tensor) -> Tensor:
         """T_β(z): share of the light at the surface that arrives unscattered.
