@@ -6,7 +6,7 @@ from typing import Any
 
 import torch
 
-import uwaug
+from uwaug import __version__
 from uwaug._support.atomic import written_whole
 
 KEYS = ("uwaug", "torch", "name", "variant", "picture", "distance", "recipe", "params")
@@ -15,7 +15,7 @@ KEYS = ("uwaug", "torch", "name", "variant", "picture", "distance", "recipe", "p
 
 def versions() -> dict[str, str]:
     """Of uwaug and torch."""
-    return {"uwaug": uwaug.__version__, "torch": str(torch.__version__)}
+    return {"uwaug": __version__, "torch": str(torch.__version__)}
 
 
 def record_path(picture: Path) -> Path:
