@@ -21,14 +21,12 @@ from uwaug.files.pictures import ENDINGS, metres_of, read_distance, read_picture
 from uwaug.files.pool import on_processes, one_thread
 from uwaug.files.record import read_record, record_path, versions, write_record
 from uwaug.files.sheet import write_sheet
+from uwaug.formation.contrast import FAINT
 from uwaug.transforms.random_underwater import RandomUnderwater
 from uwaug.transforms.samples import key_of
 
 _LOOKS = 128
 """Rows, and columns, about, at which the contrast that is left is looked at."""
-
-_FAINT = 0.03
-"""Share of contrast below which next to nothing can be seen."""
 
 _COLUMNS = ("name", "variant", "picture", "distance", "output", "contrast", "status", "reason")
 
@@ -119,7 +117,7 @@ class Summary:
         return [
             one.item.name
             for one in self.results
-            if one.contrast is not None and one.contrast < _FAINT
+            if one.contrast is not None and one.contrast < FAINT
         ]
 
     @property
