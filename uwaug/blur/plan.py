@@ -56,6 +56,9 @@ _WIDEST = 0.75
 _CORE = 0.5
 # px, the narrowest blur that is not σ = 0 (.2 and .5: 246).
 _NARROWEST_EXPONENTIAL = 0.3
+# dB, to which shared plans round what grids and kernels err. 400 drawn waters then need 59 blurs of
+# 512 px, with 8 % more taps (not rounded: 112; one step for all: 36, with 36 % more taps).
+_STEP = 6
 
 
 @dataclass(frozen=True)
@@ -101,6 +104,8 @@ def plan_blur(
     tolerance: float = 0.002,
     shape: Shape = "gaussian",
     longest: float = 512.0,
+    *,
+    shared: bool = False,
 ) -> BlurPlan:
     """Choose the fewest blurs that serve all widths in a range.
 
@@ -116,6 +121,8 @@ def plan_blur(
             mixture of those, of widths σ/|N(0, 1)|, that an exponential is.
         longest: longest side of the images, px. An exponential shape needs no blurs much wider than
             that, and no waves longer than twice it are planned for. Gaussians do not depend on it.
+        shared: take widths from half octaves, and round what grids and kernels may err, so that
+            plans of many media are put together from a few dozen blurs: 4 % more of them.
 
     Raises:
         ValueError: if the range, the longest side or the tolerance is not as above, or the
@@ -128,17 +135,21 @@ def plan_blur(
     checks.one_of("shape", shape, get_args(Shape))
     checks.within("longest", longest, 1)
     octave = _octave(shape, longest)
-    return _plan_blur(float(sigma_min), float(sigma_max), float(tolerance), shape, octave)
+    return _plan_blur(float(sigma_min), float(sigma_max), float(tolerance), shape, octave, shared)
 
 
 @lru_cache(maxsize=1024)
-def _plan_blur(low: float, high: float, tolerance: float, shape: Shape, longest: float) -> BlurPlan:
+def _plan_blur(
+    low: float, high: float, tolerance: float, shape: Shape, longest: float, shared: bool
+) -> BlurPlan:
     target = _PLANNED * tolerance
     places, wanted = _wanted(low, high, shape, longest)
     if np.sqrt(((wanted - _amplitude(longest)) ** 2).sum(1)).max() <= target:
         return NO_BLUR
     for count in range(1, _MOST_NODES + 1):
         sigmas = _nodes(count, low, high, target, shape, longest)
+        if shared:
+            sigmas = _snapped(sigmas)
         coefficients, error = _fit(sigmas, places, wanted, target / _NOISE, longest)
         last_resort = count == _MOST_NODES and error <= _PLANNED_AT_MOST * tolerance
         if error <= target or last_resort:
@@ -148,6 +159,8 @@ def _plan_blur(low: float, high: float, tolerance: float, shape: Shape, longest:
         cure = "ask for a larger tolerance, or for a smaller range of distances or widths"
         raise ValueError(f"{widths} for an RMSE of {tolerance:.3g} of the blurred picture: {cure}")
     decibel = -20 * math.log10(target)
+    if shared:
+        decibel = _STEP * math.ceil(decibel / _STEP)
     # Grid samples per σ, and σ at which kernels are cut, so that either errs by a _NOISE-th of the
     # plan, 9.5 dB less: a grid of 1.1 samples by 70 dB and one of 1.5 by 84; a kernel of 3 σ by 70
     # and one of 3.5 σ by 85.
@@ -201,6 +214,15 @@ def _nodes(
     steps = (0.3 * steps + 0.35 * (1 - np.cos(np.pi * steps))) ** 1.1
     identity = (0.0,) if first < _IDENTITY_BELOW else ()
     return (*identity, *(_sigma(start + (end - start) * step, "gaussian") for step in steps))
+
+
+def _snapped(sigmas: tuple[float, ...]) -> tuple[float, ...]:
+    """Widths at half octaves; at finer steps where two would become one."""
+    steps, snapped = 1, tuple[float, ...]()
+    while len(set(snapped)) < len(set(sigmas)):
+        steps *= 2
+        snapped = tuple(octave_steps(sigma, steps, round) if sigma else 0.0 for sigma in sigmas)
+    return snapped
 
 
 def _fit(

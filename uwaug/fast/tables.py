@@ -96,16 +96,18 @@ class MediumTable(NamedTuple):
 
 # ------------------------------------------------------------------------------ plans
 
-_CACHE: Cache[PlanTable] = Cache(64 * 2**20)
-"""Pictures of 512 px in waters that are drawn ask for some 50 MiB."""
+_PLANS: Cache[PlanTable] = Cache(8 * 2**20)
+_GRIDS: Cache[tuple[CoarseTable, Indices, Floats]] = Cache(32 * 2**20)
+"""Coarse grids and their rows `back`: those of drawn waters take some 8 MiB for each size."""
 
 
 def plan_table(plan: BlurPlan, size: Size) -> PlanTable:
     """A plan for pictures of (height, width) `size`."""
-    table = _CACHE.get((plan, size))
+    table = _PLANS.get((plan, size))
     if table is None:
         table = _plan_table(plan, size)
-        _CACHE.put((plan, size), table, _bytes(table))
+        # what the grids take is counted with them
+        _PLANS.put((plan, size), table, _bytes(table.stack))
     return table
 
 
@@ -138,9 +140,9 @@ def _plan_table(plan: BlurPlan, size: Size) -> PlanTable:
     wide = [node for node in _nodes(plan) if node.cell != 1]
     taps = _taps(narrow)
     margin = taps.shape[1] - 1
-    coarse = tuple(coarse_table(node, height, width) for node in wide)
+    grids = [_grid(node, size) for node in wide]
+    coarse = tuple(grid for grid, *_ in grids)
     lines = [3 * len(grid.down_first) for grid in coarse]
-    back = [_rows_of("enlarge", node, height) for node in wide]
     stack = StackTable(
         series=series_table([plan.coefficients[k] for k in stack_order(plan)]),
         taps=taps,
@@ -149,10 +151,19 @@ def _plan_table(plan: BlurPlan, size: Size) -> PlanTable:
         rows=_mirrored(margin, height),
         columns=_mirrored(margin, width),
         starts=np.cumsum([0, *lines])[:-1].astype(np.int64),
-        back_first=np.array([first for first, _ in back], np.int64).reshape(-1, height),
-        back=np.array([weights for _, weights in back], np.float32).reshape(-1, height, 4),
+        back_first=np.array([first for _, first, _ in grids], np.int64).reshape(-1, height),
+        back=np.array([back for *_, back in grids], np.float32).reshape(-1, height, 4),
     )
     return PlanTable(stack, coarse)
+
+
+def _grid(node: Node, size: Size) -> tuple[CoarseTable, Indices, Floats]:
+    """A blur on a coarse grid for pictures of one size; first cell and weights of each row."""
+    grid = _GRIDS.get((node, size))
+    if grid is None:
+        grid = coarse_table(node, *size), *_rows_of("enlarge", node, size[0])
+        _GRIDS.put((node, size), grid, _bytes(grid))
+    return grid
 
 
 def _pairs(node: Node) -> int:

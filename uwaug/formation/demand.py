@@ -118,7 +118,8 @@ class BlurDemand:
         if shared:
             high = octave_steps(high, 2, math.ceil)
             low = octave_steps(low, 2, math.floor) if low > 0.2 else 0.0
-        return plan_blur(min(low, high), high, self.blur_tolerance, self.shape, longest)
+        low = min(low, high)
+        return plan_blur(low, high, self.blur_tolerance, self.shape, longest, shared=shared)
 
 
 def blur_demand(
