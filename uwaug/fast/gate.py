@@ -5,7 +5,6 @@ computes the same to 2e-6. UWAUG_FAST=0 in the environment keeps to PyTorch.
 """
 
 import logging
-import os
 import warnings
 from collections.abc import Callable
 from functools import cache
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import torch
 from torch import Tensor
 
+from uwaug._support.compiled import OPTIONS, kept, loops_are_loaded, wanted
 from uwaug._support.types import ColorSpace
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
@@ -26,9 +26,6 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-
-# what may be fused is fused; sums keep their order, NaN and infinity their meaning
-_OPTIONS = {"fastmath": {"contract", "nsz"}, "nogil": True, "error_model": "numpy"}
 
 
 def can(image: Tensor, z: Tensor, medium: Medium, light: object) -> bool:
@@ -95,8 +92,7 @@ def _neutral() -> "Development":
 
 def _is_there() -> bool:
     """Whether the loops are wanted, and numba is installed and may compile."""
-    switches = os.environ.get("UWAUG_FAST"), os.environ.get("NUMBA_DISABLE_JIT", "0")
-    return switches[0] != "0" and switches[1] in ("", "0") and _has_numba()
+    return wanted() and _has_numba()
 
 
 @cache
@@ -113,6 +109,7 @@ def _works() -> bool:
         warnings.warn(f"numba does not work, so PyTorch computes alone: {error}", stacklevel=2)
         return False
     _tell_of_compiling()
+    loops_are_loaded()
     return True
 
 
@@ -137,16 +134,9 @@ def inner(function: _F) -> _F:
     """A part of loops."""
     import numba
 
-    compiled: _F = numba.njit(forceinline=True, **_OPTIONS)(function)
+    compiled: _F = numba.njit(forceinline=True, **OPTIONS)(function)
     return compiled
 
 
-def kernel(function: _F) -> _F:
-    """Loops that Python calls: compiled once, and kept on disk where there is room."""
-    import numba
-
-    try:
-        compiled: _F = numba.njit(cache=True, **_OPTIONS)(function)
-    except RuntimeError:  # no folder can be written to
-        compiled = numba.njit(**_OPTIONS)(function)
-    return compiled
+kernel = kept
+"""Loops that Python calls: compiled once, and kept on disk where there is room."""

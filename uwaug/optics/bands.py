@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -41,9 +42,10 @@ class Bands:
         # tolerance relative to it
         mean = float(self.b.mean()) or 1.0
         scatter = self.response * self.b / mean
-        rates, (direct,), _ = reduce_rates(self.beta, (self.lit,), self.tolerance)
-        G, (signal, scatter), _ = reduce_rates(self.G, (self.lit, scatter), self.tolerance)
-        arrays = (rates, direct, G, signal, scatter * mean)
+        rates, direct, _ = reduce_rates(self.beta, self.lit, self.tolerance)
+        both = np.concatenate([self.lit, scatter])
+        G, weights, _ = reduce_rates(self.G, both, self.tolerance)
+        arrays = (rates, direct, G, weights[:-3], weights[-3:] * mean)
         return tuple(tensor_of(array)[None] for array in arrays)
 
 

@@ -5,11 +5,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from uwaug._support.compiled import compiled
 from uwaug._support.types import Array
 from uwaug.optics.curves import FARTHEST
 
-Reduced = tuple[Array, list[Array], float]
-"""The rates (K), ascending; the weights, (C, K) for each measure; the largest error."""
+Reduced = tuple[Array, Array, float]
+"""The rates (K), ascending; the weights (C, K); the largest error."""
 
 _FIRST_RATES, _MOST_RATES = 4, 12
 """Rates tried first, and at all. At a tolerance of .002 the ten types need 2 to 4, and each of them
@@ -31,7 +32,7 @@ _LEAST = 1e-300
 """Stands for 0 under a logarithm and a fraction."""
 
 
-def reduce_rates(rates: Array, measures: tuple[Array, ...], tolerance: float) -> Reduced:
+def reduce_rates(rates: Array, weights: Array, tolerance: float) -> Reduced:
     """Replace sums over all bands by sums over as few shared rates as `tolerance` allows, at any
     distance.
 
@@ -43,45 +44,51 @@ def reduce_rates(rates: Array, measures: tuple[Array, ...], tolerance: float) ->
 
     Args:
         rates (M): rate of each band.
-        measures: each (C, M), the weights of C curves Σ_m measure_cm e^(−rate_m z).
+        weights (C, M): of the C curves Σ_m weight_cm e^(−rate_m z).
         tolerance: largest error of any curve; 0 keeps every band.
     """
-    weights = np.concatenate(measures)  # (C, M)
     if tolerance == 0:
-        return rates, list(measures), 0.0
-    sizes = np.abs(weights)
-    totals = sizes.sum(1, keepdims=True)
-    if totals.max() < _LEAST:  # no light so deep
-        return rates[:1], [measure[:, :1] for measure in measures], 0.0
+        return rates, weights, 0.0
     # rates of any size: what overflows has decayed, and what is invalid keeps no tolerance
     with np.errstate(over="ignore", invalid="ignore"):
-        z = distances_of(rates)
-        exact = weights @ np.exp(np.multiply.outer(-rates, z))  # (C, N)
-        shares = (sizes / np.maximum(totals, _LEAST)).sum(0)
-        positive = weights.min(1) >= 0
-        logs = np.log(np.maximum(rates, _LEAST))
-        tried = 1
-        for most in (_FIRST_RATES, _MOST_RATES):
-            jacobi = _jacobi(logs, shares, most)
-            for count in range(min(tried + 1, len(jacobi)), len(jacobi) + 1):
-                fit = _fit(jacobi, count, z, exact, positive, tolerance)
-                if fit is not None:
-                    # one rate seldom serves, and never where two do not
-                    alone = _fit(jacobi, 1, z, exact, positive, tolerance) if count == 2 else None
-                    nodes, fitted, error = alone or fit
-                    ends = np.cumsum([len(measure) for measure in measures])
-                    return nodes, np.split(fitted, ends[:-1]), error
-            tried = len(jacobi)
-    return rates, list(measures), 0.0  # every band is a rate: slow, and exact
+        return _reduced(rates, weights, tolerance)
 
 
+@compiled
+def _reduced(rates: Array, weights: Array, tolerance: float) -> Reduced:
+    sizes = np.abs(weights)
+    totals = np.maximum(sizes.sum(1), _LEAST)
+    if totals.max() == _LEAST:  # no light so deep
+        return rates[:1].copy(), weights[:, :1].copy(), 0.0
+    z = distances_of(rates)
+    exact = weights @ np.exp(-rates[:, None] * z)  # (C, N)
+    shares = (sizes / totals[:, None]).sum(0)
+    positive = (weights < 0).sum(1) == 0
+    logs = np.log(np.maximum(rates, _LEAST))
+    tried = 1
+    for most in (_FIRST_RATES, _MOST_RATES):
+        jacobi = _jacobi(logs, shares, most)
+        for count in range(min(tried + 1, len(jacobi)), len(jacobi) + 1):
+            fit = _fit(jacobi, count, z, exact, positive, tolerance)
+            if fit[2] <= tolerance:
+                if count > 2:
+                    return fit
+                # one rate seldom serves, and never where two do not
+                alone = _fit(jacobi, 1, z, exact, positive, tolerance)
+                return alone if alone[2] <= tolerance else fit
+        tried = len(jacobi)
+    return rates, weights, 0.0  # every band is a rate: slow, and exact
+
+
+@compiled
 def distances_of(rates: Array) -> Array:
     """0, then logarithmic steps in which the curves of these rates bend."""
-    near = min(max(_BEGUN / max(float(rates.max()), _LEAST), _NEAREST), FARTHEST)
-    far = min(_ENDED / max(float(rates.min()), _LEAST), FARTHEST)
-    return np.concatenate([[0.0], near * (far / near) ** _STEPS])
+    near = min(max(_BEGUN / max(rates.max(), _LEAST), _NEAREST), FARTHEST)
+    far = min(_ENDED / max(rates.min(), _LEAST), FARTHEST)
+    return np.concatenate((np.zeros(1), near * (far / near) ** _STEPS))
 
 
+@compiled
 def _jacobi(points: Array, weights: Array, most: int) -> Array:
     """Jacobi matrix of a discrete measure, below the diagonal: the nodes of the k-point Gauss rule
     are the eigenvalues of its leading k×k block.
@@ -97,14 +104,15 @@ def _jacobi(points: Array, weights: Array, most: int) -> Array:
         along = vectors[: k + 1] @ moved
         matrix[k, k] = along[k]
         moved -= along @ vectors[: k + 1]
-        norm = math.sqrt(float(moved @ moved))
+        norm = math.sqrt(moved @ moved)
         if k + 1 == most or norm < 1e-9:  # as many nodes as there are different points
-            break
+            return matrix[: k + 1, : k + 1].copy()
         matrix[k + 1, k] = norm
         vectors[k + 1] = moved / norm
-    return matrix[: k + 1, : k + 1]
+    return matrix
 
 
+@compiled
 def _fit(
     jacobi: Array,
     count: int,
@@ -112,12 +120,12 @@ def _fit(
     exact: Array,
     positive: NDArray[np.bool_],
     tolerance: float,
-) -> tuple[Array, Array, float] | None:
-    """Rates (K), weights (C, K) and error of `count` rates; None if the error is beyond the
-    tolerance. `positive`: which curves have no negative weights.
+) -> Reduced:
+    """Rates (K), weights (C, K) and error of `count` rates; the error of curves with weights of
+    any sign where that is beyond the tolerance. `positive`: which curves have no negative weights.
     """
-    nodes = np.exp(np.linalg.eigvalsh(jacobi[:count, :count]).astype(np.float64, copy=False))
-    basis = np.exp(np.multiply.outer(-nodes, z))
+    nodes = np.exp(np.linalg.eigvalsh(jacobi[:count, :count].copy()))
+    basis = np.exp(-nodes[:, None] * z)
     # the normal equations, bordered by the condition that the weights keep their sum, the value
     # at z = 0. They hold down to a tolerance of 1e-6, and take half as long as QR factors
     system = np.ones((count + 1, count + 1))
@@ -127,32 +135,28 @@ def _fit(
     right[:count] = basis @ exact.T
     right[count] = exact[:, 0]
     try:
-        weights = np.linalg.solve(system, right)[:count].T.astype(np.float64, copy=False)
-        error = float(np.abs(weights @ basis - exact).max())
-        negative = np.flatnonzero(positive & (weights.min(1) < 0))
-        if error <= tolerance and len(negative):
-            weights[negative] = _positive(system, right.T[negative], weights[negative])
-            error = float(np.abs(weights @ basis - exact).max())
-    except np.linalg.LinAlgError:  # two rates that no distance tells apart
-        return None
-    # non-negative weights fit no better than any
-    return (nodes, weights, error) if error <= tolerance else None
+        weights = np.linalg.solve(system, right)[:count].T.copy()
+    except Exception:  # two rates that no distance tells apart; of its kind numba knows no more
+        return nodes, np.zeros((len(exact), count)), math.inf
+    error = np.abs(weights @ basis - exact).max()
+    if not error <= tolerance:  # non-negative weights fit no better than any
+        return nodes, weights, math.inf
+    for row in range(len(exact)):
+        if positive[row] and weights[row].min() < 0:
+            weights[row] = _positive(system, right[:, row].copy(), weights[row])
+            error = max(error, np.abs(weights[row] @ basis - exact[row]).max())
+    return nodes, weights, error
 
 
+@compiled
 def _positive(system: Array, right: Array, weights: Array) -> Array:
-    """Weights ≥ 0: strikes out the most negative of each curve, refits the rest."""
-    weights = weights.copy()
-    count = weights.shape[1]
-    rows = np.flatnonzero(weights.min(1) < 0)
-    kept = np.ones((len(weights), count + 1))
-    diagonal = np.arange(count + 1)
-    while len(rows):
-        kept[rows, weights[rows].argmin(1)] = 0
-        used = kept[rows]
+    """Weights (K) ≥ 0 of a curve: strikes out the most negative, refits the rest."""
+    kept = np.ones(len(right))
+    while weights.min() < 0:
+        kept[weights.argmin()] = 0
         # a struck weight's equation says that it is 0
-        systems = system * (used[:, :, None] * used[:, None, :])
-        systems[:, diagonal, diagonal] += 1 - used
-        solved = np.linalg.solve(systems, (right[rows] * used)[..., None])
-        weights[rows] = (solved[..., 0] * used)[:, :count]
-        rows = rows[weights[rows].min(1) < 0]
+        struck = system * kept[:, None] * kept
+        for i in range(len(kept)):
+            struck[i, i] += 1 - kept[i]
+        weights = np.linalg.solve(struck, right * kept)[: len(weights)] * kept[: len(weights)]
     return weights

@@ -55,13 +55,14 @@ def reduced(
     if basis is not None and not _mixes(lit, np.stack([beta, G]), tolerance / 2):
         # three numbers serve, and so leave half of the tolerance
         lit, tolerance = response * light, tolerance / 2
+    both = np.concatenate([lit, haze])
     if np.array_equal(beta, G):
         # nothing is scattered forward: of two reductions, the difference would be left
-        rates, (direct, veil_weights), error = reduce_rates(beta, (lit, haze), tolerance)
-        return _tensors(rates, direct, rates, direct, veil_weights), error
-    rates, (direct,), error = reduce_rates(beta, (lit,), tolerance)
-    G_rates, (signal, veil_weights), other = reduce_rates(G, (lit, haze), tolerance)
-    return _tensors(rates, direct, G_rates, signal, veil_weights), max(error, other)
+        rates, weights, error = reduce_rates(beta, both, tolerance)
+        return _tensors(rates, weights[:-3], rates, weights[:-3], weights[-3:]), error
+    rates, direct, error = reduce_rates(beta, lit, tolerance)
+    G_rates, weights, other = reduce_rates(G, both, tolerance)
+    return _tensors(rates, direct, G_rates, weights[:-3], weights[-3:]), max(error, other)
 
 
 def _mixes(lit: Array, rates: Array, tolerance: float) -> bool:
