@@ -18,7 +18,15 @@ from typing import Any
 import numpy as np
 
 from uwaug.fast.gate import inner, kernel
-from uwaug.fast.tables import Bytes, CoarseTable, Floats, MediumTable, StackTable
+from uwaug.fast.tables import (
+    Bytes,
+    CoarseTable,
+    Doubles,
+    Floats,
+    Indices,
+    MediumTable,
+    StackTable,
+)
 
 # ------------------------------------------------------------------------------ functions
 
@@ -309,6 +317,52 @@ def look_up(image: Bytes, table: Floats, light: Floats, start: int, stop: int) -
         values, decoded = image[y], light[y]
         for x in range(decoded.size):
             decoded[x] = table[values[x]]
+
+
+@kernel
+def meter(light: Floats, z: Floats, points: Indices, medium: MediumTable) -> Doubles:
+    """Mean light (3x3) of the scene, of what arrives of it without the blur, and of what is
+    positive of that, at some pixels.
+
+    Args:
+        light (3xN), z (N): of all pixels of a picture.
+        points (M): which of them.
+        medium: tables.
+    """
+    count, rates, direct = points.size, medium.rates, medium.direct.shape[1]
+    far, J, d = np.empty(count, f32), np.empty((3, count), f32), np.zeros((3, count), f32)
+    for x in range(count):
+        far[x] = z[points[x]]
+    for c in range(3):
+        row, plane = J[c], light[c]
+        for x in range(count):
+            row[x] = plane[points[x]]
+    red, green, blue = J[0], J[1], J[2]
+    for r in range(direct, rates.size):
+        rate = rates[r]
+        for c in range(3):
+            a0 = a1 = a2 = _0
+            if medium.scatter.shape[0] == 9:
+                a0, a1 = medium.scatter[3 * c, r], medium.scatter[3 * c + 1, r]
+                a2 = medium.scatter[3 * c + 2, r]
+            elif c == 0:
+                a0 = medium.scatter[0, r]
+            elif c == 1:
+                a1 = medium.scatter[1, r]
+            else:
+                a2 = medium.scatter[2, r]
+            row, veil = d[c], medium.veil[c, r - direct]
+            for x in range(count):
+                power, rest = exp2_parts(rate * far[x])
+                seen = a0 * red[x] + a1 * green[x] + a2 * blue[x]
+                row[x] += (power + rest) * seen + ((power - _1) + rest) * veil
+    means = np.zeros((3, 3))
+    for c in range(3):
+        for x in range(count):
+            means[0, c] += J[c, x]
+            means[1, c] += d[c, x]
+            means[2, c] += max(d[c, x], _0)
+    return means / count
 
 
 @inner

@@ -15,10 +15,22 @@ from torch.utils.data import get_worker_info
 from uwaug._support.types import ColorSpace
 from uwaug.blur.plan import BlurPlan
 from uwaug.fast import kernels
-from uwaug.fast.tables import Floats, Indices, PlanTable, medium_tables, plan_table
+from uwaug.fast.tables import (
+    Floats,
+    Indices,
+    PlanTable,
+    medium_tables,
+    plan_table,
+    with_laws,
+)
 from uwaug.formation.colour import headroom
 from uwaug.formation.demand import plan_for
-from uwaug.formation.development import Development, tone_offset
+from uwaug.formation.development import (
+    Development,
+    Means,
+    metering_points,
+    tone_offset,
+)
 from uwaug.optics.medium import Medium
 
 _NO_FLOATS, _NO_BYTES = np.zeros((3, 1, 0), np.float32), np.zeros((3, 1, 0), np.uint8)
@@ -40,14 +52,30 @@ def form(
     srgb = color_space == "srgb"
     largest = headroom(image) if srgb else 1.0
     J = decode(image, srgb)
-    gain = development.gain(J, z, medium)
-    seen = medium.brightened(gain)
+    means = metered(J, z, medium) if development.measures else None
+    seen = medium.brightened(development.gain_of(means, z))
     if plan is None:
         plan = plan_for(z, seen, (z.shape[-2], z.shape[-1]), tolerance)
     look = np.array(
         [development.gamut, development.tone, tone_offset(development.tone)], np.float32
     )
     return render(J, z, seen, plan, srgb=srgb, largest=largest, look=look, dtype=image.dtype)
+
+
+def metered(J: Tensor, z: Tensor, medium: Medium) -> Means:
+    """As `uwaug.formation.development.metered`."""
+    points = metering_points(z.shape[-2], z.shape[-1], z.device).numpy()
+    lights, maps, tables = J.flatten(2).numpy(), z.flatten(1).numpy(), medium_tables(medium)
+    far, batch = maps.max(1), max(len(J), len(z), len(medium))
+    means = [
+        kernels.meter(lights[n % len(J)], maps[n % len(z)], points, tables[n % len(medium)])
+        for n in range(batch)
+    ]
+    scene, arriving, positive = torch.from_numpy(np.stack(means, 1)).to(torch.float32)
+    veil = torch.tensor(
+        [[tables[n % len(medium)].veil_at(far[n % len(z)]).max()] for n in range(batch)]
+    )
+    return Means(scene, arriving, positive, veil)
 
 
 def decode(image: Tensor, srgb: bool) -> Tensor:
@@ -102,7 +130,7 @@ def render(
     result = torch.empty(batch, 3, *size, dtype=kind, device="cpu")
     largest = torch.as_tensor(largest, dtype=torch.float32, device="cpu")
     highest = largest.reshape(-1).expand(batch).numpy()
-    media = medium_tables(medium, plan, size)
+    media = with_laws(medium_tables(medium), medium, plan, size)
     scenes, metres = light.detach().contiguous().numpy(), z.detach().contiguous().numpy()
     table, results = plan_table(plan, size), result.numpy()
     for i, scene in enumerate(scenes):

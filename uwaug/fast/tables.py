@@ -13,9 +13,10 @@ from uwaug.blur.banded import Kind, Node, mirrored, whole
 from uwaug.blur.kernels import blur_kernel
 from uwaug.blur.plan import V_FLOOR, BlurPlan, place_line
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import LEAST_LENGTH, MOST_LENGTH, pixel_scale
+from uwaug.optics.point_spread import LENGTHS, pixel_scale
 
 Floats = NDArray[np.float32]
+Doubles = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 Indices = NDArray[np.int64]
 Size = tuple[int, int]
@@ -92,6 +93,12 @@ class MediumTable(NamedTuple):
     scatter: Floats
     veil: Floats
     law: Floats
+
+    def veil_at(self, z: float) -> Floats:
+        """V(0) − V (3) at a distance, m."""
+        powers = self.rates[-self.veil.shape[1] :] * z
+        veil: Floats = self.veil @ np.expm1(powers * np.float32(math.log(2)))
+        return veil
 
 
 # ------------------------------------------------------------------------------ plans
@@ -204,9 +211,15 @@ def coarse_table(node: Node, height: int, width: int) -> CoarseTable:
 
 
 def _rows_of(kind: Kind, node: Node, size: int) -> tuple[Indices, Floats]:
-    """First column and weights of every row of a matrix; 4, 8, … weights, some of them 0."""
+    """First column and weights of every row of a matrix; 4, 8, … weights, some of them 0. Rows
+    that reach beyond the axis and back are folded.
+    """
     matrix = whole(kind, size, node)
     kernels = matrix.kernels
+    if kernels.taps > size and kernels.reflects:
+        first, dense = matrix.slab(0, matrix.rows)
+        dense = np.pad(dense, ((0, 0), (0, -dense.shape[1] % 4)))
+        return np.full(matrix.rows, first), dense.astype(np.float32)
     place = (np.arange(matrix.rows) - kernels.shift) % len(kernels.first)
     weights = np.pad(kernels.weights, ((0, 0), (0, -kernels.taps % 4)))[place]
     return kernels.starts(0, matrix.rows), weights.astype(np.float32)
@@ -226,27 +239,32 @@ def _mirrored(margin: int, size: int) -> Indices:
 # ------------------------------------------------------------------------------ media
 
 
-def medium_tables(medium: Medium, plan: BlurPlan, size: Size) -> list[MediumTable]:
-    """Each row of a medium, for a plan and pictures of (height, width) `size`."""
-    beta, direct, G, signal, veil, b_mean = medium.tensors()
-    # matrices as rows
-    weights = direct.flatten(1, -2), G, signal.flatten(1, -2)
-    tensors = [
-        np.array(t.detach().numpy(), np.float32, order="C") for t in (beta, *weights, veil, b_mean)
+def medium_tables(medium: Medium) -> list[MediumTable]:
+    """Each row of a medium, without a law."""
+    beta, direct, G, signal, veil = (table_of(values) for values in medium.tensors()[:5])
+    rates = np.concatenate([beta, G], 1) * np.float32(-math.log2(math.e))
+    scatter = np.concatenate([-direct, signal], 2)
+    rows = zip(rates, direct, scatter, -veil, strict=True)
+    return [MediumTable(*row, _NO_LAW) for row in rows]
+
+
+_NO_LAW = np.zeros(9, np.float32)
+
+
+def table_of(x: Tensor) -> Floats:
+    """A tensor of a medium; matrices as rows."""
+    rows = x.detach().flatten(1, 2) if x.ndim == 4 else x.detach()
+    return np.array(rows.numpy(), np.float32, order="C")
+
+
+def with_laws(
+    tables: list[MediumTable], medium: Medium, plan: BlurPlan, size: Size
+) -> list[MediumTable]:
+    """Tables with the width law of their media, for a plan and pictures of (height, width)."""
+    b_mean = medium.b_mean.tolist()
+    return [
+        table._replace(law=_law(medium, n, b_mean[n], plan, size)) for n, table in enumerate(tables)
     ]
-    tables = []
-    for n in range(len(medium)):
-        beta, direct, rates, signal, veil, b_mean = (values[n] for values in tensors)
-        tables.append(
-            MediumTable(
-                rates=np.concatenate([beta, rates]) * np.float32(-math.log2(math.e)),
-                direct=direct,
-                scatter=np.concatenate([-direct, signal], 1),
-                veil=-veil,
-                law=_law(medium, n, float(b_mean), plan, size),
-            )
-        )
-    return tables
 
 
 def _law(medium: Medium, n: int, b_mean: float, plan: BlurPlan, size: Size) -> Floats:
@@ -257,7 +275,7 @@ def _law(medium: Medium, n: int, b_mean: float, plan: BlurPlan, size: Size) -> F
     slope, offset = place_line(plan)
     powers = (1 / V_FLOOR, 0.0) if plan.shape == "exponential" else (0.0, 1 / V_FLOOR)
     law = (b_mean, scale * per_pixel, exponent, *powers, slope * math.log(2), offset)
-    return np.array((*law, LEAST_LENGTH, MOST_LENGTH), np.float32)
+    return np.array((*law, *LENGTHS), np.float32)
 
 
 def _number(value: float | Tensor, n: int) -> float:

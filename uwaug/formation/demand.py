@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from uwaug._support import checks
+from uwaug._support.compiled import compiled
 from uwaug._support.types import Array, Shape
 from uwaug.blur.plan import NO_BLUR, BlurPlan, octave_steps, plan_blur
 from uwaug.optics.curves import FARTHEST
@@ -147,27 +148,18 @@ def blur_demand(
     """
     checks.tolerance(tolerance)
     law = medium.point_spread
-    medium = medium.to(torch.promote_types(medium.beta.dtype, torch.float32))
-    near = min(max(distance_range[0], 0.0), FARTHEST)
-    far = min(max(distance_range[1], 0.0), FARTHEST)
-    far = min(far, _farthest_blurred(medium))
-    least = max(near, 1e-3)
-    z = least * (max(far, least) / least) ** _STEPS
-    strength, direct = _strongest(medium, z)
-    if learned and strength.max() <= tolerance:
-        strength = np.maximum(strength, direct)
-    visible = np.flatnonzero(strength > tolerance)
+    sums = [_table(values) for values in medium.tensors()[:4]]
+    near, far = (min(max(z, 0.0), FARTHEST) for z in distance_range)
+    first, last, strength = _scattered(*sums, near, far, tolerance, learned)
     traced = any(isinstance(v, Tensor) and v.requires_grad for v in law.numbers().values())
-    if len(visible) == 0:
+    if strength == 0:
         learns = learned and traced
         return BlurDemand(0.0, 0.0, tolerance, law.shape, law.reference_size, learns)
-    first, last = max(visible[0] - 1, 0), min(visible[-1] + 1, len(z) - 1)
-    ends = (near if first == 0 else float(z[first]), float(z[last]))
     with torch.no_grad(), torch.autocast(medium.beta.device.type, enabled=False):
-        widths = medium.width(medium.beta.new_tensor(ends)[None, None, None], None)
-        low, high = checks.extent(widths)
+        ends = torch.tensor([[[[first, last]]]], dtype=torch.float64, device=medium.beta.device)
+        low, high = checks.extent(medium.width(ends, None))
     # in half octaves, so that similar media may share a plan
-    slack = _SLACK * octave_steps(1 / float(strength.max()), 2, math.floor)
+    slack = _SLACK * octave_steps(1 / strength, 2, math.floor)
     blur_tolerance = min(tolerance * slack, _FOR_SLOPES if learned else 0.5)
     blur_tolerance = max(blur_tolerance, min(tolerance, _FINEST))
     learns = learned and (traced or high > 0)
@@ -176,44 +168,71 @@ def blur_demand(
     )
 
 
-def _strongest(medium: Medium, z: Array) -> tuple[Array, Array]:
-    """Forward scatter and direct light (N) at each distance, of the medium and the channel that
-    have most of it. A tenth of the time that `curves` would take for so few distances.
+@compiled
+def _scattered(
+    beta: Array,
+    direct_weights: Array,
+    G: Array,
+    signal_weights: Array,
+    near: float,
+    far: float,
+    tolerance: float,
+    learned: bool,
+) -> tuple[float, float, float]:
+    """Between which distances forward scatter shows, and the most of it, of the medium and the
+    channel that have most; 0 if none does. Of what is learned, direct light counts where there is
+    no scatter.
     """
-    beta, direct_weights, G, signal_weights = map(_table, medium.tensors()[:4])
-    direct = _sums_at(direct_weights, beta, z)
-    arriving = _sums_at(signal_weights, G, z)
-    return _most(arriving - direct), _most(direct)
+    scattered, direct = np.zeros(len(_STEPS)), np.zeros(len(_STEPS))
+    least = max(near, 1e-3)
+    far = max(min(far, _farthest_blurred(G, signal_weights)), least)
+    z = least * (far / least) ** _STEPS
+    for row in range(len(beta)):
+        left = direct_weights[row] @ np.exp(-beta[row][:, None] * z)
+        _take_most(direct, left)
+        _take_most(scattered, signal_weights[row] @ np.exp(-G[row][:, None] * z) - left)
+    if learned and scattered.max() <= tolerance:
+        scattered = np.maximum(scattered, direct)
+    shown = np.flatnonzero(scattered > tolerance)
+    if len(shown) == 0:
+        return near, far, 0.0
+    first, last = max(shown[0] - 1, 0), min(shown[-1] + 1, len(z) - 1)
+    return near if first == 0 else z[first], z[last], scattered.max()
 
 
-def _sums_at(weights: Array, rates: Array, z: Array) -> Array:
-    """Σ weight·e^(−rate·z) at distances (N), of every channel (Bx3xN) or matrix (Bx3x3xN)."""
-    left = np.exp(np.multiply.outer(-rates, z))
-    sums: Array = weights @ (left[:, None] if weights.ndim == 4 else left)
-    return sums
+@compiled
+def _take_most(most: Array, T: Array) -> None:
+    """Raise `most` (N) to the light that transmittances (3xN, or 9xN of matrices) make of any
+    scene, or take.
+    """
+    each = len(T) // 3
+    for row in range(0, len(T), each):
+        for n in range(len(most)):
+            # with the colour in 0…1 that adds up all that is positive, or negative
+            made = taken = 0.0
+            for j in range(row, row + each):
+                made += max(T[j, n], 0.0)
+                taken -= min(T[j, n], 0.0)
+            most[n] = max(most[n], made, taken)
 
 
-def _most(T: Array) -> Array:
-    """The most light (N) that transmittances make of any scene, or take."""
-    # of matrices, with the colour in 0…1 that adds up all that is positive, or negative
-    ends = (T.clip(min=0).sum(2), -T.clip(max=0).sum(2)) if T.ndim == 4 else (np.abs(T),)
-    most: Array = np.maximum.reduce(ends).max((0, 1))
-    return most
-
-
-def _table(x: Tensor) -> Array:
-    """A tensor of a medium, in double precision."""
-    return np.asarray(x.detach().cpu().numpy(), np.float64)
-
-
-def _farthest_blurred(medium: Medium) -> float:
+@compiled
+def _farthest_blurred(G: Array, signal_weights: Array) -> float:
     """The distance, m, from which on a pixel asks nothing of the blur, as all of the signal has
     faded below any tolerance; `FARTHEST` if there is none.
     """
-    weights = _table(medium.signal_weights)
-    dark = (weights == 0).all((1, 2)) if medium.is_spectral else (weights <= 0).all(1)
-    slowest = float(np.where(dark, math.inf, _table(medium.G)).min())
+    slowest = math.inf
+    for row in range(len(G)):
+        for k in range(G.shape[1]):
+            if np.any(signal_weights[row, :, k] != 0):
+                slowest = min(slowest, G[row, k])
     return FARTHEST if slowest <= 0 else min(40 / slowest, FARTHEST)
+
+
+def _table(x: Tensor) -> Array:
+    """A tensor of a medium, in double precision; matrices as rows."""
+    rows = x.detach().flatten(1, 2) if x.ndim == 4 else x.detach()
+    return np.ascontiguousarray(rows.cpu().double().numpy())
 
 
 def plan_for(z: Tensor, medium: Medium, size: tuple[int, int], tolerance: float) -> BlurPlan:
@@ -222,7 +241,7 @@ def plan_for(z: Tensor, medium: Medium, size: tuple[int, int], tolerance: float)
     """
     learned = torch.is_grad_enabled() and medium.requires_grad
     nearest, farthest = checks.extent(z)
-    end = _farthest_blurred(medium)
+    end = _farthest_blurred(_table(medium.G), _table(medium.signal_weights))
     if farthest >= end < FARTHEST:
         blurred = z.detach()[z.detach() < end]
         farthest = float(blurred.max()) if blurred.numel() else nearest

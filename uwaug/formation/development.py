@@ -16,7 +16,7 @@ none.
 
 from dataclasses import dataclass, fields
 from functools import lru_cache
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor
@@ -132,17 +132,22 @@ class Development:
             medium: what lies between.
             T: the curves at every pixel, where they are not the medium's.
         """
-        gain = J.new_full((1, 1), 2.0**self.stops)
-        if self.measures:
-            light, arriving = metered(J, z, medium, T)
+        return self.gain_of(metered(J, z, medium, T) if self.measures else None, J)
+
+    def gain_of(self, means: "Means | None", like: Tensor) -> Tensor:
+        """The gain for what is measured, see `metered`, of the type of a tensor; None for what
+        measures nothing.
+        """
+        gain = like.new_full((1, 1), 2.0**self.stops)
+        if means is not None:
             if self.metered:
-                gain = gain * _automatic(light, arriving, farthest_veil(z, medium, T))[:, None]
+                gain = gain * _automatic(means)
             if self.white_balance > 0:
-                gain = gain * _balance(gain[..., None, None] * arriving, self.white_balance)
+                gain = gain * _balance(means.positive, self.white_balance)
         if self.saturation == 1:
             return gain
-        unit = torch.eye(3, dtype=J.dtype, device=J.device)
-        grey = J.new_tensor(LUMINANCE).expand(3, 3)
+        unit = torch.eye(3, dtype=gain.dtype, device=gain.device)
+        grey = gain.new_tensor(LUMINANCE).expand(3, 3)
         return (grey + self.saturation * (unit - grey)) * gain[:, None]
 
     def shaped(self, light: Tensor) -> Tensor:
@@ -162,49 +167,54 @@ def exposed(light: Tensor, gain: Tensor) -> Tensor:
     return torch.unflatten(gain @ light.flatten(2), -1, light.shape[-2:])
 
 
-def metered(J: Tensor, z: Tensor, medium: Medium, T: Curves | None = None) -> tuple[Tensor, Tensor]:
-    """The light (Bx3x1xN) of the scene at some pixels, and what arrives of it, without the blur;
-    arguments as for `Development.gain`.
+class Means(NamedTuple):
+    """What is measured of each picture: mean light of the scene, of what arrives of it, and of
+    what is positive of that, as no picture shows the negative channels of colours out of sRGB
+    (B, 3 each); and the veil of the farthest pixel (B, 1), the highlight that a camera protects: a
+    lamp in view may be blown out.
     """
+
+    scene: Tensor
+    arriving: Tensor
+    positive: Tensor
+    veil: Tensor
+
+
+def metered(J: Tensor, z: Tensor, medium: Medium, T: Curves | None = None) -> Means:
+    """The means of some pixels, without the blur; arguments as for `Development.gain`."""
     points = metering_points(z.shape[-2], z.shape[-1], z.device)
     light = _at(J, points)
     if T is not None:
         T = Curves(*(_at(curve, points) for curve in T))
-    return light, medium.image(_at(z, points), light, light, T)
+    arriving = medium.image(_at(z, points), light, light, T)
+    lights = (light, arriving, arriving.clamp(min=0.0))
+    return Means(*(x.mean((-2, -1)) for x in lights), farthest_veil(z, medium, T))
 
 
 def farthest_veil(z: Tensor, medium: Medium, T: Curves | None = None) -> Tensor:
-    """The veil (B) of the farthest pixel, the highlight that a camera protects; a lamp in view may
-    be blown out.
-    """
+    """See `Means`."""
     if T is not None:
-        return T.veil.new_zeros(len(T.veil))
-    return medium.curves(z.amax((-3, -2, -1), keepdim=True)).veil.amax((-3, -2, -1))
+        return T.veil.new_zeros(len(T.veil), 1)
+    return medium.curves(z.amax((-3, -2, -1), keepdim=True)).veil.flatten(1).amax(1, keepdim=True)
 
 
-def _automatic(light: Tensor, arriving: Tensor, veil: Tensor) -> Tensor:
-    """The gain (B) with which pictures have the mean luminance of their scenes; 1 where no light
+def _automatic(means: Means) -> Tensor:
+    """The gain (B, 1) with which pictures have the mean luminance of their scenes; 1 where no light
     arrives.
     """
-    before, after = _luminance(light), _luminance(arriving)
+    before, after = _luminance(means.scene), _luminance(means.arriving)
     dark = after <= 0
     gain = torch.where(dark, 1.0, before / torch.where(dark, 1.0, after))
-    return gain.clamp(*GAINS).minimum(1 / veil.clamp(min=1 / GAINS[1]))
+    return gain.clamp(*GAINS).minimum(1 / means.veil.clamp(min=1 / GAINS[1]))
 
 
-def _balance(light: Tensor, share: float) -> Tensor:
-    """What a white balance multiplies each channel by (B, 3).
-
-    light (Bx3x1xN tensor): what arrives at some pixels, as exposed.
-    """
-    # colours out of sRGB have negative channels, which no picture shows
-    means = light.clamp(min=0.0).mean((-2, -1))
-    weights = means.new_tensor(LUMINANCE)
-    before = (means * weights).sum(-1, keepdim=True)
+def _balance(means: Tensor, share: float) -> Tensor:
+    """What a white balance multiplies each channel by (B, 3), of mean light (B, 3)."""
+    before = _luminance(means)
     lit = before > 0
     before = torch.where(lit, before, 1.0)
     balance: Tensor = (before / means.maximum(before / _MOST)) ** share
-    after = (balance * means * weights).sum(-1, keepdim=True)
+    after = _luminance(balance * means)
     balance = balance * before / torch.where(after > 0, after, before)
     return torch.where(lit, balance, 1.0)
 
@@ -238,9 +248,8 @@ def _at(values: Tensor, pixels: Tensor) -> Tensor:
 
 
 def _luminance(light: Tensor) -> Tensor:
-    """Mean luminance of each picture, (B,)."""
-    means = light.mean((-2, -1))
-    return (means * means.new_tensor(LUMINANCE)).sum(-1)
+    """Of colours (B, 3): (B, 1)."""
+    return (light * light.new_tensor(LUMINANCE)).sum(-1, keepdim=True)
 
 
 def compressed(light: Tensor, share: float) -> Tensor:

@@ -156,9 +156,10 @@ def _synthesise(
     field = (down @ amplitude @ across)[:, None]
     least, largest = field.amin((-2, -1), keepdim=True), field.amax((-2, -1), keepdim=True)
     flat = largest == least
-    scale = (high - low) / torch.where(flat, 1.0, largest - least)
-    start = torch.where(flat, (low + high) / 2, torch.full_like(least, low))
-    return (field - least).mul_(scale).add_(start).clamp_(low, high)
+    scale = torch.where(flat, 0.0, (high - low) / torch.where(flat, 1.0, largest - least))
+    start = torch.where(flat, (low + high) / 2, low - least * scale)
+    # (torch.addcmul takes three times as long)
+    return (field * scale).add_(start).clamp_(low, high)
 
 
 class _Waves(NamedTuple):

@@ -15,7 +15,7 @@ from uwaug._support.types import Shape
 PAPER_SIZE = 518
 """px, short side of the paper's pictures."""
 
-LEAST_LENGTH, MOST_LENGTH = 1e-6, 1e4
+LENGTHS = 1e-6, 1e4
 """Scattering lengths between which a width changes: a power below 1 has an infinite slope at 0, so
 that σ(0) is tiny instead of 0; and at 1e4 all light is gone.
 """
@@ -173,7 +173,7 @@ class PointSpread:
 
 def width_at(lengths: Tensor, scale: float | Tensor, exponent: float | Tensor) -> Tensor:
     """scale·lengths^exponent, of shapes that broadcast."""
-    x = lengths.clamp(LEAST_LENGTH, MOST_LENGTH)
+    x = lengths.clamp(*LENGTHS)
     if isinstance(exponent, Tensor) or exponent != 1:
         x = x**exponent  # ONNX Runtime would compute x^1
     return scale * x

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from uwaug._support import checks
 from uwaug._support.codec import plain
+from uwaug._support.compiled import compiled
 from uwaug._support.types import Array
 from uwaug.optics.constituents import Constituents, optical_properties, pure_water
 from uwaug.optics.jerlov import JERLOV_TYPES, repaired_table
@@ -436,6 +437,8 @@ class Water(Spectra):
         """
         low, high = self.wavelengths[[0, -1]]
         bands = WAVELENGTHS[(low <= WAVELENGTHS) & (high >= WAVELENGTHS)]
+        if np.array_equal(self.wavelengths, bands):
+            return self
         return self.at(np.union1d(self.wavelengths, bands))
 
     def _derived(self, axis: Array, table: Array, name: str, provenance: tuple[str, ...]) -> Self:
@@ -520,17 +523,18 @@ def _bracketed(name: str) -> str:
     return f"({name})" if " " in name else name
 
 
+@compiled
 def _distance_to(share: float, weights: Array, rates: Array) -> float:
     """The z ≥ 0 at which Σ weights·e^(−rates·z) falls to `share`; inf if it never does."""
-    if weights[rates <= 0].sum() >= share:
+    if (weights * (rates <= 0)).sum() >= share:
         return math.inf
     # the logarithm of the sum is convex and falls, so Newton's steps from 0 never overshoot
     fading = weights * rates
     z, step = 0.0, math.inf
     while step > 1e-15 * z:
         left = np.exp(-rates * z)
-        total = float(weights @ left)
-        step = math.log(total / share) * total / float(fading @ left)
+        total = weights @ left
+        step = math.log(total / share) * total / (fading @ left)
         z += step
     return z
 

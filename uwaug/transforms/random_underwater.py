@@ -9,6 +9,7 @@ from dataclasses import field as option
 from functools import lru_cache
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -63,6 +64,9 @@ _DIMMEST = 1 / 32
 largest gain makes up for, and an octave for what is lost on the way to the camera. Waters that are
 turbid enough for a scene at arm's length are black at 10 m.
 """
+
+_LOOKED_AT = 2048
+"""Pixels of which the median distance is taken: it is right within 2 %."""
 
 _FOCAL = 0.866
 """Of the picture's width: the focal length of a view 60° wide."""
@@ -508,12 +512,14 @@ def _loaded(waters: Any) -> list[tuple[str, Water | Constituents | Medium]]:
 
 def _median(z: Tensor) -> float:
     """The median distance, m, of some pixels, or of all if these show nothing but open water."""
-    z = z.detach()
-    some = z.flatten()[metering_points(z.shape[-2], z.shape[-1], z.device)]
-    near = some[some.isfinite()]
-    if not near.numel():
-        near = z[z.isfinite()]
-    return float(near.median()) if near.numel() else math.inf
+    points = metering_points(z.shape[-2], z.shape[-1], z.device)[:_LOOKED_AT]
+    for some in (z.flatten()[points], z.flatten()):
+        near = some.detach().cpu().numpy()
+        near = near[np.isfinite(near)]
+        if near.size:
+            middle = near.size // 2
+            return float(np.partition(near, middle)[middle])
+    return math.inf
 
 
 def _warn_if_blank(z: Tensor, medium: Medium, light: Light | None) -> None:
