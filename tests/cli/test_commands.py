@@ -120,8 +120,8 @@ def test_what_is_refused_in_one_line(folder, run, line, words):
 def test_demo_draws_the_scene(small, run, tmp_path):
     code, out, err = run("demo", "--out", str(tmp_path / "demo"))
     assert (code, err) == (0, "")
-    assert "5 pictures" in out
-    assert len(list((tmp_path / "demo").iterdir())) == 5
+    assert "4 pictures" in out
+    assert len(list((tmp_path / "demo").iterdir())) == 4
 
 
 def test_plot_and_compare_draw_a_picture_of_ones_own(folder, run):

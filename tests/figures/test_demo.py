@@ -40,7 +40,7 @@ def test_the_terms_are_those_of_the_picture_beside_them(small, monkeypatch):
     for case in (preset_case(load_preset("survey")), water_case(Water.jerlov("1C"), small)):
         demo.draw_terms(small, case._replace(field_range=(1.0, 1.0)))
         terms = [shown[name] for name in ("D   direct", "F   forward scatter", "B   backscatter")]
-        if case.color_space == "linear":
+        if case.module.color_space == "linear":
             torch.testing.assert_close(sum(terms), shown["I   image"], atol=5e-3, rtol=0)
         else:  # no term is brighter than all of them
             assert all((term.clamp(0, 1) <= shown["I   image"] + 0.05).all() for term in terms)

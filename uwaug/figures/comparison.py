@@ -1,13 +1,12 @@
 """Published systems side by side: one scene in one water, as each of them makes it."""
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from torch import Tensor
 
 from uwaug import published
-from uwaug.figures.sheet import columns_for, sheet, show
+from uwaug.figures.sheet import sheet, show
 from uwaug.presets.scene import Scene
 
 if TYPE_CHECKING:
@@ -35,12 +34,8 @@ def compare(scene: Scene, water: str = "II", systems: Sequence[str] = ()) -> dic
 
 def draw_comparison(scene: Scene, pictures: dict[str, Tensor], water: str) -> "Figure":
     """The scene and what systems make of it, with the mean colour of each."""
-    shape = (scene.image.shape[-2], scene.image.shape[-1])
-    columns = columns_for(shape)
-    rows = math.ceil((1 + len(pictures)) / columns)
-    caption = f"Each as its authors computed it. {scene.note}"
     heading = f"One scene, {len(pictures)} systems, {water}"
-    figure, axes = sheet(rows, columns, shape, heading, caption)
+    figure, axes = sheet(scene, 1 + len(pictures), heading, "Each as its authors computed it.")
     shown = {"no water": scene.image, **pictures}
     for axis, (name, picture) in zip(axes, shown.items(), strict=False):
         mean = " ".join(f"{value:.2f}" for value in picture.double().mean((1, 2)).tolist())
