@@ -1,8 +1,8 @@
 """`uwaug degrade`: pictures and folders under water."""
 
-import json
 import os
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -103,10 +103,10 @@ def degrade(
         from uwaug.files.run import degrade as run
         from uwaug.transforms import RandomUnderwater
 
-        maps, plane = _place(distance)
         chosen = _transform_options(preset, options, set_ or (), water or (), contrast)
-        if plane is not None:
-            chosen["distance"] = plane
+        plane = None if distance is None else _value(distance)
+        if isinstance(plane, (float, list)):
+            chosen["distance"], distance = plane, None
         elif holes != "error" and isinstance(chosen.get("distance", {}), dict):
             source = {"kind": "Metres", **chosen.get("distance", {})}
             chosen["distance"] = {**source, "holes": number_or_word(holes)}
@@ -119,7 +119,7 @@ def degrade(
             min_contrast=min_contrast,
         )
         apart = [str(out)] if labels is None else [str(out), labels]
-        items = find_items(pictures, maps, apart=apart)
+        items = find_items(pictures, distance, apart=apart)
         with counted() as progress:
             summary = run(
                 recipe,
@@ -147,21 +147,11 @@ def degrade(
         end(1, "\n".join(summary.failures[:5]) + more)
 
 
-def _place(distance: str | None) -> tuple[str | None, list[float] | None]:
-    """What `--distance` says: files, or the metres of a plane."""
-    if distance is None:
-        return None, None
-    try:
-        return None, [float(end_) for end_ in distance.split(":")]
-    except ValueError:
-        return distance, None
-
-
 def _transform_options(
     preset: str | None,
     file: Path | None,
-    settings: "list[str] | tuple[str, ...]",
-    waters: "list[str] | tuple[str, ...]",
+    settings: Sequence[str],
+    waters: Sequence[str],
     contrast: str | None,
 ) -> dict[str, Any]:
     """Options of `RandomUnderwater` as plain values; the later of these take the place of the
@@ -181,7 +171,7 @@ def _transform_options(
         except tomllib.TOMLDecodeError as error:
             raise ValueError(f"{file}: {error}") from None
     if contrast is not None:
-        options["contrast"] = None if contrast == "none" else _value(contrast)
+        options["contrast"] = _value(contrast)
     for setting in settings:
         name, equals, text = setting.partition("=")
         if not equals:
@@ -191,8 +181,7 @@ def _transform_options(
         for table in tables:
             target = target.setdefault(table, {})
         target[last] = _value(text)
-    plain: dict[str, Any] = json.loads(json.dumps(options))
-    return plain
+    return options
 
 
 def _value(text: str) -> Any:

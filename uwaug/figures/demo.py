@@ -232,14 +232,11 @@ PICTURES: "dict[str, Callable[[Scene], Figure]]" = {
 """The demo's files and who draws them."""
 
 
-def own_pictures(case: Case | Water) -> "dict[str, Callable[[Scene], Figure]]":
-    """The files that show a scene of one's own, and who draws them; the terms in a water, or in a
-    case, such as that of a preset.
-
-    The other sheets of the demo need distances that are relative, or a focal length.
+def own_pictures(case: Case) -> "dict[str, Callable[[Scene], Figure]]":
+    """The files that show a scene of one's own, and who draws them. The other sheets of the demo
+    need distances that are relative, or a focal length.
     """
-
-    def draw_own_terms(scene: Scene) -> "Figure":
-        return draw_terms(scene, water_case(case, scene) if isinstance(case, Water) else case)
-
-    return {"1-waters.jpg": draw_contact_sheet, "2-terms.jpg": draw_own_terms}
+    return {
+        "1-waters.jpg": draw_contact_sheet,
+        "2-terms.jpg": lambda scene: draw_terms(scene, case),
+    }
