@@ -61,6 +61,13 @@ def test_options_reach_the_transform(folder, run):
     assert transform.distance == uwaug.distance.Plane(3.0)
 
 
+def test_a_preset_in_several_waters(folder, run):
+    flags = ("--distance", "3", "--preset", "survey", "--water", "II", "--water", "7C")
+    assert run("degrade", "photos/a.png", *flags, "--out", "wet.png")[0] == 0
+    recipe = json.loads((folder / "wet.png.json").read_text())["recipe"]
+    assert recipe["transform"]["waters"] == ["II", "7C"]
+
+
 def test_a_preset_degrades_as_its_module(folder, run):
     flags = ("--distance", "0.5", "--preset", "tank-proposed-1", "--set", "field=none")
     assert run("degrade", "photos/a.png", *flags, "--out", "tank.npy", "--workers", "1")[0] == 0
@@ -150,6 +157,10 @@ def test_a_fit_is_a_preset(folder, run):
     flags = ("--distance", "z.npy", "--preset", "fit.json", "--workers", "1")
     assert run("degrade", "clean.npy", *flags, "--out", "again.npy")[0] == 0
     assert np.abs(np.load("again.npy") - np.load("observed.npy")).max() < 0.01
+    for line in ("degrade clean.npy --distance 3 --out b.npy", "export --out fit.onnx"):
+        code, _, err = run(*line.split(), "--preset", "fit.json", "--water", "II")
+        assert code == 2
+        assert "holds coefficients, which no water replaces" in err
 
 
 def test_presets_and_waters_are_listed(run, tmp_path, monkeypatch):

@@ -11,8 +11,6 @@ import typer
 from uwaug.cli.choices import Force, Holes, Preset, Unit, number_or_word
 from uwaug.cli.console import counted, end, print_written, reported_errors
 
-_RUN, _WATER, _LABELS = "Run", "Water", "Labels"
-
 
 def degrade(
     pictures: Annotated[
@@ -32,16 +30,12 @@ def degrade(
         list[str] | None,
         typer.Option(
             help="A Jerlov type, contents, also in ranges (chlorophyll=1:20,cdom=.1:1), or a CSV "
-            "file; repeat it to draw. Many waters by default.",
-            rich_help_panel=_WATER,
+            "file; repeat it to draw. Many waters by default."
         ),
     ] = None,
     contrast: Annotated[
         str | None,
-        typer.Option(
-            help="Left at the median distance: .4, or .1:.8; none for the water as it is.",
-            rich_help_panel=_WATER,
-        ),
+        typer.Option(help="Left at the median distance: .4, or .1:.8; none: the water as it is."),
     ] = None,
     preset: Preset = None,
     set_: Annotated[
@@ -51,39 +45,21 @@ def degrade(
             help="Any argument of RandomUnderwater: vertical_depth=0:5, development.saturation=1, "
             "mixing=0:1; repeat it.",
             metavar="NAME=VALUE",
-            rich_help_panel=_WATER,
         ),
     ] = None,
-    options: Annotated[
-        Path | None, typer.Option(help="The same in a TOML file.", rich_help_panel=_WATER)
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Of all that is random.", rich_help_panel=_RUN)] = 0,
-    variants: Annotated[int, typer.Option(help="Of each picture.", rich_help_panel=_RUN)] = 1,
-    workers: Annotated[
-        int, typer.Option(help="Processes; 0: one for each core.", rich_help_panel=_RUN)
-    ] = 0,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on after a stop.", rich_help_panel=_RUN)
-    ] = False,
+    options: Annotated[Path | None, typer.Option(help="The same in a TOML file.")] = None,
+    seed: Annotated[int, typer.Option(help="Of all that is random.")] = 0,
+    variants: Annotated[int, typer.Option(help="Of each picture.")] = 1,
+    workers: Annotated[int, typer.Option(help="Processes; 0: one for each core.")] = 0,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on after a stop.")] = False,
     force: Force = False,
-    sheet: Annotated[
-        bool, typer.Option("--sheet", help="Draw some results on a sheet.", rich_help_panel=_RUN)
-    ] = False,
-    ray: Annotated[
-        str | None,
-        typer.Option(help="Address of a Ray cluster: auto, host:port.", rich_help_panel=_RUN),
-    ] = None,
+    sheet: Annotated[bool, typer.Option("--sheet", help="Draw some results on a sheet.")] = False,
+    ray: Annotated[str | None, typer.Option(help="A Ray cluster: auto, host:port; local.")] = None,
     labels: Annotated[
-        str | None,
-        typer.Option(
-            help="A COCO file, a folder of YOLO's, or one of masks.", rich_help_panel=_LABELS
-        ),
+        str | None, typer.Option(help="A COCO file, a folder of YOLO's, or one of masks.")
     ] = None,
     min_contrast: Annotated[
-        float | None,
-        typer.Option(
-            help="Leaves out labels of which less contrast is left.", rich_help_panel=_LABELS
-        ),
+        float | None, typer.Option(help="Leaves out labels of which less contrast is left.")
     ] = None,
 ) -> None:
     """Put pictures under water: a random water for each, or the ones that you name.
@@ -161,9 +137,9 @@ def _transform_options(
 
     options: dict[str, Any] = {}
     if preset is not None:
-        replaced = {"water": waters[0]} if len(waters) == 1 else {}
+        replaced = {"water": waters[0]} if waters else {}
         options = RandomUnderwater.from_preset(preset, **replaced).to_dict()
-    elif waters:
+    if waters:
         options["waters"] = list(waters)
     if file is not None:
         try:
