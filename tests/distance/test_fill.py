@@ -51,21 +51,6 @@ def test_a_plane_is_continued_across_a_wide_hole() -> None:
     assert error.max() < 0.1 * (nearest(holed) / z - 1).abs().max()
 
 
-def test_wide_holes_have_no_seams() -> None:
-    # six walls around a hole, as far apart as they get
-    y, x = torch.meshgrid(torch.arange(-50.0, 50.0), torch.arange(-50.0, 50.0), indexing="ij")
-    sector = (6 * (torch.atan2(y, x) / math.tau + 0.5)).long() % 2
-    z = torch.where(sector == 1, 2.0, 8.0)[None].masked_fill(torch.hypot(y, x) < 40, NAN)
-    inside = torch.hypot(y, x) < 30
-
-    def steepest(filled: Tensor) -> float:
-        steps = (1 / filled[0]).diff(dim=-1).abs()
-        return steps[inside[:, 1:]].max().item()
-
-    assert steepest(nearest(z)) == pytest.approx(1 / 2 - 1 / 8)
-    assert steepest(fill_unknown(z)) < 0.06 * (1 / 2 - 1 / 8)
-
-
 def test_thin_holes_keep_edges_sharp() -> None:
     z = torch.full((1, 30, 40), 2.0)
     z[..., 20:] = 6.0

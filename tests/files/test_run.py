@@ -144,9 +144,7 @@ def test_formats_and_names() -> None:
     with open("out/index.csv", encoding="utf-8", newline="") as file:
         assert odd in [line["name"] for line in csv.DictReader(file)]
     assert read_record(Path(f"out/{odd}.json"))["name"] == odd
-    recipe = Recipe(transform=WATER.to_dict(), ending=".npy")
-    degrade(recipe, find_items("many", "z.npy"), "arrays")
-    assert read_picture("arrays/b.npy").dtype == torch.uint8
+    assert read_picture("out/b.jpg").dtype == torch.uint8
 
 
 def test_one_picture_into_a_file() -> None:
@@ -282,19 +280,19 @@ def test_one_bad_picture_does_not_stop_the_rest() -> None:
 @pytest.mark.parametrize(
     "options, maps, out, message",
     [
-        ({"ending": ".png"}, "depth", "out", "would both be written to .*out/0.png: rename one"),
+        ({"labels": "labels"}, "depth", "out", "would both be written to .*images/0: rename one"),
         ({}, None, "out", "distance is missing: 0.png has no file of it"),
         ({}, "depth", "all", "is read, and would be written over"),
         ({"transform": {"contrasts": 1}}, "depth", "out", "contrasts"),
         ({"unit": "inch"}, "depth", "out", "unit must be one of m, cm, mm"),
         ({"variants": 0}, "depth", "out", "variants must be 1 or more"),
-        ({"ending": ".gif"}, "depth", "out", "ending must be one of .npy"),
         ({"min_contrast": 2}, "depth", "out", "min_contrast must be in"),
     ],
 )
 def test_refusals(options: dict[str, Any], maps: str | None, out: str, message: str) -> None:
-    if "ending" in options:
+    if "labels" in options:
         save("all/0.tif", pixels(H, W))
+        save("labels/0.png", pixels()[..., 0])
     before = content(".")
     with pytest.raises((ValueError, TypeError), match=message):
         degrade(Recipe(**options), find_items("all", maps), out, force=True)

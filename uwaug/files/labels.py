@@ -1,9 +1,9 @@
 """Labels of pictures as COCO, YOLO and masks have them: found, judged by what can still be seen of
 each object, and written where trainers look.
 
-A format is a class of `Labels` and a line in `open_labels`; nothing else knows formats. Positions of
-objects are continuous, from the picture's upper left corner: the pixel in row i and column j covers
-j ≤ x < j + 1, i ≤ y < i + 1.
+A format is a class of `Labels` and a line in `open_labels`; nothing else knows formats. Positions
+of objects are continuous, from the picture's upper left corner: the pixel in row i and column j
+covers j ≤ x < j + 1, i ≤ y < i + 1.
 """
 
 import json

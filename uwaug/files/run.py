@@ -41,7 +41,6 @@ class Recipe:
         unit: of distances in files, see `read_distance`, where the transform takes metres.
         seed: of all that is random.
         variants: of each picture.
-        ending: of the files to write, such as ".png"; None: as of each picture.
         labels: a COCO file, or a folder of YOLO's files or of masks; None for none.
         min_contrast: labels of objects of which less contrast is left, 0…1, are left out; None
             keeps all.
@@ -54,7 +53,6 @@ class Recipe:
     unit: str | float = "m"
     seed: int = 0
     variants: int = 1
-    ending: str | None = None
     labels: str | None = None
     min_contrast: float | None = None
 
@@ -62,8 +60,6 @@ class Recipe:
         metres_of(self.unit)
         if self.variants < 1:
             raise ValueError(f"variants must be 1 or more, got {self.variants}")
-        if self.ending is not None:
-            checks.one_of("ending", self.ending, ENDINGS)
         if self.min_contrast is not None:
             checks.within("min_contrast", self.min_contrast, 0.0, 1.0)
 
@@ -335,7 +331,6 @@ def _jobs(recipe: Recipe, items: Sequence[Item], labels: Labels | None) -> Itera
     for item in items:
         place = item.name if labels is None else labels.place(item.name)
         stem, end = os.path.splitext(place)
-        end = recipe.ending or end
         for variant in range(recipe.variants):
             number = f"_{variant + 1}" if recipe.variants > 1 else ""
             own = None if labels is None else labels.only(item.name)
@@ -351,10 +346,12 @@ def _require_apart(jobs: Sequence[Job], out: Path) -> None:
         output = os.path.realpath(out / job.place)
         if output in read:
             raise ValueError(f"{output} is read, and would be written over: another folder?")
-        if output in written:
-            both = f"{written[output]} and {job.item.picture}"
-            raise ValueError(f"{both} would both be written to {output}: rename one")
-        written[output] = job.item.picture
+        # files of labels are found by a picture's name without its end
+        key = output if job.labels is None else os.path.splitext(output)[0]
+        if key in written:
+            both = f"{written[key]} and {job.item.picture}"
+            raise ValueError(f"{both} would both be written to {key}: rename one")
+        written[key] = job.item.picture
 
 
 def _write_index(results: Sequence[Result], out: Path) -> None:
