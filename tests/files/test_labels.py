@@ -93,11 +93,13 @@ def test_coco(tmp_path: Path) -> None:
         run(tmp_path / "instances.json", ["b.jpg"], tmp_path)
 
 
-def test_coco_of_several_pictures_from_one(tmp_path: Path) -> None:
+@pytest.mark.parametrize("names", [("b.jpg", "b.jpg"), ("one/b.jpg", "two/b.jpg")])
+def test_coco_of_several_pictures_from_one(tmp_path: Path, names: tuple[str, str]) -> None:
     labels = open_labels(coco(tmp_path))
     objects = judged(labels, "b.jpg", LEFT, None)
     (tmp_path / "o").mkdir()
-    labels.finish([Labelled("b.jpg", f"b_{i}.png", objects) for i in (1, 2)], tmp_path / "o")
+    pictures = [Labelled(name, f"b_{i}.png", objects) for i, name in enumerate(names, 1)]
+    labels.finish(pictures, tmp_path / "o")
     written = json.loads((tmp_path / "o/instances.json").read_text())
     images = [(one["id"], one["file_name"]) for one in written["images"]]
     assert images == [(1, "b_1.png"), (2, "b_2.png")]

@@ -71,6 +71,7 @@ def test_items() -> None:
         "deep/2_depth.png": "ds/maps/deep/2_depth",  # is missing
     }
     assert names("ds/out/1.png", "ds/maps/2.tif") == {"1.png": "ds/maps/2.tif"}
+    assert names("ds/deep", "ds/deep/2_depth.png") == {"2.PNG": "ds/deep/2_depth.png"}
     assert names("ds/out") == {"1.png": ""}
     # as data sets lie
     for place in ("images/train/1.jpg", "depth/train/1.png"):

@@ -10,7 +10,6 @@ import json
 import math
 import re
 import shutil
-from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -312,7 +311,8 @@ class _Coco(Labels):
         """Write a file of the same name, with a "contrast" in each annotation. Where a picture was
         written more than once, images and annotations are numbered anew.
         """
-        anew = max(Counter(picture.name for picture in pictures).values(), default=0) > 1
+        ids = [self._image(picture.name)["id"] for picture in pictures]
+        anew = len(set(ids)) < len(ids)
         images: list[Entry] = []
         annotations: list[Entry] = []
         for picture in pictures:
