@@ -1,5 +1,4 @@
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -59,21 +58,6 @@ def test_thin_holes_keep_edges_sharp() -> None:
     filled = fill_unknown(z)
     assert filled.unique().tolist() == [2.0, 6.0]
     assert torch.equal(filled, nearest(z))
-
-
-def test_a_real_scene(motorcycle: Any) -> None:
-    """Smooth random holes that hide 15 % of it."""
-    from scipy.ndimage import gaussian_filter
-
-    z = motorcycle.distance
-    wavy = gaussian_filter(np.random.default_rng(0).standard_normal(z.shape[1:]), 40)
-    hole = torch.from_numpy(wavy > np.quantile(wavy, 0.85))[None]
-    holed = z.masked_fill(hole, NAN)
-
-    def error(filled: Tensor) -> float:
-        return (filled / z).log()[hole].square().mean().sqrt().item()
-
-    assert error(fill_unknown(holed)) < 0.85 * error(nearest(holed))
 
 
 def exact(distance: Tensor) -> Tensor:

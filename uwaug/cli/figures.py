@@ -68,7 +68,6 @@ def compare(
     """Your scene as each published system makes it."""
     require_writable(out, force=force, endings=(".png", ".jpg"))
     from uwaug._support.extras import require
-    from uwaug.figures.comparison import compare as systems_on
     from uwaug.figures.comparison import draw_comparison
     from uwaug.figures.sheet import save
 
@@ -76,8 +75,7 @@ def compare(
         require("plot", "matplotlib")
         scene = read_scene(picture, distance, unit, holes)
         say("computing the systems")
-        pictures = systems_on(scene, water or "II", system or ())
-        save(draw_comparison(scene, pictures, water or "II"), out)
+        save(draw_comparison(scene, water or "II", system or ()), out)
     print_written(out)
 
 
