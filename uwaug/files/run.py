@@ -12,6 +12,7 @@ from typing import Any, Literal, NamedTuple
 import torch
 from torch import Tensor
 
+from uwaug import __version__
 from uwaug._support import checks
 from uwaug._support.atomic import remove_left, written_whole
 from uwaug.distance.sources import Metres, Source
@@ -19,7 +20,7 @@ from uwaug.files.items import Item
 from uwaug.files.labels import Judged, Labelled, Labels, judged, open_labels
 from uwaug.files.pictures import ENDINGS, metres_of, read_distance, read_picture, write_picture
 from uwaug.files.pool import on_processes, one_thread
-from uwaug.files.record import read_record, record_path, versions, write_record
+from uwaug.files.record import read_record, record_path, write_record
 from uwaug.files.sheet import write_sheet
 from uwaug.formation.contrast import FAINT
 from uwaug.transforms.random_underwater import RandomUnderwater
@@ -241,7 +242,8 @@ class _Worker:
     def _written(self, job: Job) -> Result:
         item, output = job.item, self.out / job.place
         made_of = {
-            **versions(),
+            "uwaug": __version__,
+            "torch": str(torch.__version__),
             "name": item.name,
             "variant": job.variant,
             "picture": os.path.abspath(item.picture),
