@@ -6,10 +6,10 @@ of objects are continuous, from the picture's upper left corner: the pixel in ro
 covers j ≤ x < j + 1, i ≤ y < i + 1.
 """
 
+import io
 import json
 import math
 import re
-import shutil
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -158,13 +158,10 @@ class _Folder(Labels):
         target = (out / aliases(place)[-1]).with_suffix(self.end)
         target.parent.mkdir(parents=True, exist_ok=True)
         with written_whole(_not(target, source)) as part:
-            if dropped:
-                self.copy_without(dropped, source, part)
-            else:
-                shutil.copyfile(source, part)
+            part.write_bytes(self.without(dropped, source) if dropped else source.read_bytes())
 
-    def copy_without(self, dropped: Collection[Key], source: Path, target: Path) -> None:
-        """Copy a label file, but for the labels of some objects."""
+    def without(self, dropped: Collection[Key], source: Path) -> bytes:
+        """A label file, but for the labels of some objects."""
         raise NotImplementedError
 
 
@@ -203,11 +200,9 @@ class _Yolo(_Folder):
             except ValueError as error:
                 raise ValueError(f"{file}, line {number}: {error}") from error
 
-    def copy_without(self, dropped: Collection[Key], source: Path, target: Path) -> None:
-        kept = [
-            f"{line}\n" for number, line in enumerate(_lines(source), 1) if number not in dropped
-        ]
-        target.write_text("".join(kept), encoding="utf-8")
+    def without(self, dropped: Collection[Key], source: Path) -> bytes:
+        lines = enumerate(_lines(source), 1)
+        return "".join(f"{line}\n" for number, line in lines if number not in dropped).encode()
 
     def finish(self, pictures: Sequence[Labelled], out: Path) -> None:
         """Write data.yaml: the classes as the labels' own has them, or how many there are; and the
@@ -248,21 +243,17 @@ class _Masks(_Folder):
         for value in np.unique(values[values > 0]).tolist():
             yield value, values == value
 
-    def copy_without(self, dropped: Collection[Key], source: Path, target: Path) -> None:
-        values = _mask(source)
+    def without(self, dropped: Collection[Key], source: Path) -> bytes:
+        values, file = _mask(source), io.BytesIO()
         values[np.isin(values, list(dropped))] = 0
-        Image.fromarray(values).save(target, "PNG")
+        Image.fromarray(values).save(file, "PNG")
+        return file.getvalue()
 
 
 @dataclass(frozen=True)
 class _Coco(Labels):
-    """One JSON file for all pictures.
-
-    Attributes:
-        path: of the file.
-        content: all of it but images and annotations.
-        images: by file name.
-        annotations: by the id of their image.
+    """One JSON file for all pictures: images by file name, annotations by the id of their image,
+    and what else it holds.
     """
 
     path: Path
