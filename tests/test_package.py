@@ -45,7 +45,7 @@ if os.fork() == 0:
     from uwaug.cli.app import main
 
     os.environ |= {"COMP_WORDS": "uwaug plot --preset s", "COMP_CWORD": "3"}
-    for line in ("--help", "--version", "degrade --help", "preset copy --help", ""):
+    for line in ("--help", "--version", "degrade --help", "preset show --help", ""):
         sys.argv = ["uwaug", *line.split()]
         os.environ["_UWAUG_COMPLETE"] = "" if line else "complete_bash"
         with redirect_stdout(io.StringIO()) as out, suppress(SystemExit):

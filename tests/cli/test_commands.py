@@ -61,6 +61,13 @@ def test_options_reach_the_transform(folder, run):
     assert transform.distance == uwaug.distance.Plane(3.0)
 
 
+def test_a_preset_in_several_waters(folder, run):
+    flags = ("--distance", "3", "--preset", "survey", "--water", "II", "--water", "7C")
+    assert run("degrade", "photos/a.png", *flags, "--out", "wet.png")[0] == 0
+    recipe = json.loads((folder / "wet.png.json").read_text())["recipe"]
+    assert recipe["transform"]["waters"] == ["II", "7C"]
+
+
 def test_a_preset_degrades_as_its_module(folder, run):
     flags = ("--distance", "0.5", "--preset", "tank-proposed-1", "--set", "field=none")
     assert run("degrade", "photos/a.png", *flags, "--out", "tank.npy", "--workers", "1")[0] == 0
@@ -71,25 +78,22 @@ def test_a_preset_degrades_as_its_module(folder, run):
     assert (made.int() - wanted.int()).abs().max() <= 1
 
 
-def test_resume_and_force(folder, run):
+def test_a_broken_map_fails_alone_and_resume_goes_on(folder, run):
     flags = ("degrade", "photos", *MAPS, "--out", "wet")
-    assert run(*flags)[0] == 0
+    whole = (folder / "depth/a.png").read_bytes()
+    (folder / "depth/a.png").write_bytes(b"no picture")
+    code, out, err = run(*flags)
+    assert code == 1
+    assert "1 of 2 pictures written" in out
+    assert "a.png" in err
+    (folder / "depth/a.png").write_bytes(whole)
     code, _, err = run(*flags)
     assert code != 0
     assert "force" in err
-    (folder / "wet/a.png").unlink()
     code, out, _ = run(*flags, "--resume")
     assert code == 0
     assert "1 of 2 pictures written to wet, 1 were there" in out
     assert run(*flags, "--force")[0] == 0
-
-
-def test_a_broken_map_fails_alone(folder, run):
-    (folder / "depth/a.png").write_bytes(b"no picture")
-    code, out, err = run("degrade", "photos", *MAPS, "--out", "wet")
-    assert code == 1
-    assert "1 of 2 pictures written" in out
-    assert "a.png" in err
 
 
 @pytest.mark.parametrize(
@@ -104,8 +108,9 @@ def test_a_broken_map_fails_alone(folder, run):
         ("export --out x.onnx", "--preset"),
         ("export --preset survey --out x.bin", ".onnx"),
         ("plot photos/a.png --distance depth/b.png", "metres"),
+        ("degrade photos --distance depth --unit mm --out wet", "give holes 'behind'"),
         ("preset show nothing", "nothing"),
-        ("preset copy survey mine.txt", ".toml"),
+        ("plot photos/a.png --distance 3 --holes near", "holes must be one of"),
         ("check photos/a.png", "a.png"),
     ],
 )
@@ -120,8 +125,8 @@ def test_what_is_refused_in_one_line(folder, run, line, words):
 def test_demo_draws_the_scene(small, run, tmp_path):
     code, out, err = run("demo", "--out", str(tmp_path / "demo"))
     assert (code, err) == (0, "")
-    assert "5 pictures" in out
-    assert len(list((tmp_path / "demo").iterdir())) == 5
+    assert "4 pictures" in out
+    assert len(list((tmp_path / "demo").iterdir())) == 4
 
 
 def test_plot_and_compare_draw_a_picture_of_ones_own(folder, run):
@@ -149,6 +154,10 @@ def test_a_fit_is_a_preset(folder, run):
     flags = ("--distance", "z.npy", "--preset", "fit.json", "--workers", "1")
     assert run("degrade", "clean.npy", *flags, "--out", "again.npy")[0] == 0
     assert np.abs(np.load("again.npy") - np.load("observed.npy")).max() < 0.01
+    for line in ("degrade clean.npy --distance 3 --out b.npy", "export --out fit.onnx"):
+        code, _, err = run(*line.split(), "--preset", "fit.json", "--water", "II")
+        assert code == 2
+        assert "holds coefficients, which no water replaces" in err
 
 
 def test_presets_and_waters_are_listed(run, tmp_path, monkeypatch):
@@ -157,7 +166,7 @@ def test_presets_and_waters_are_listed(run, tmp_path, monkeypatch):
     code, out, _ = run("preset", "show", "survey")
     assert code == 0
     assert "[water]" in out
-    assert run("preset", "copy", "survey", "mine.toml")[0] == 0
+    (tmp_path / "mine.toml").write_text(out)
     assert uwaug.load_preset(tmp_path / "mine.toml").near == 1.0
     waters = run("waters")[1]
     assert all(name in waters for name in uwaug.JERLOV_TYPES)

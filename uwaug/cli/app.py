@@ -30,25 +30,22 @@ app = typer.Typer(
     epilog="To begin: uwaug demo; then uwaug degrade photo.jpg --distance 3 --out wet.jpg",
 )
 
-EXAMPLES = {
-    degrade: "degrade photos/ --distance depth/ --unit mm --holes behind --out wet/ --sheet",
-    plot: "plot photo.jpg --distance depth.npy --water 7C",
-    compare: "compare photo.jpg --distance depth.npy --water II --out sheet.png",
-    fit: "fit --clean air.png --observed wet.png --distance depth.npy --out fit.json",
-    export: "export --preset survey --water 7C --out 7C.onnx",
-}
-"""What stands below the flags in the help of a command."""
+_COMMANDS = (
+    ("Pictures", degrade, "photos/ --distance depth/ --unit mm --holes behind --out wet/ --sheet"),
+    ("Pictures", plot, "photo.jpg --distance depth.npy --water 7C"),
+    ("Pictures", compare, "photo.jpg --distance depth.npy --water II --out sheet.png"),
+    ("Pictures", demo, ""),
+    ("Waters", fit, "--clean air.png --observed wet.png --distance depth.npy --out fit.json"),
+    ("Waters", waters, ""),
+    ("ONNX files", export, "--preset survey --water 7C --out 7C.onnx"),
+    ("ONNX files", check, "7C.onnx"),
+    ("This machine", warm_up, ""),
+)
+"""With the heading above each in the help, and an example that stands below its flags."""
 
-_PANELS = {
-    "Pictures": (degrade, plot, compare, demo),
-    "Waters": (fit, waters),
-    "ONNX files": (export, check),
-    "This machine": (warm_up,),
-}
-for panel, commands in _PANELS.items():
-    for command in commands:
-        example = f"Example: uwaug {EXAMPLES[command]}" if command in EXAMPLES else None
-        app.command(rich_help_panel=panel, epilog=example)(command)
+for panel, command, example in _COMMANDS:
+    epilog = f"Example: uwaug {command.__name__} {example}" if example else None
+    app.command(rich_help_panel=panel, epilog=epilog)(command)
 app.add_typer(preset, name="preset", rich_help_panel="Waters")
 
 

@@ -13,6 +13,8 @@ import typer
 from uwaug.presets.files import list_presets
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from uwaug.presets.scene import Scene
 
 WATERS = ("I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C")
@@ -68,24 +70,26 @@ def number_or_word(text: str) -> Any:
         return text
 
 
-def read_scene(picture: Path, distance: str, unit: str, holes: str) -> "Scene":
-    """A picture and its distances as a sheet shows them.
-
-    Raises:
-        TypeError, ValueError, OSError: if one cannot be read, or they do not go together.
-    """
+def read_metres(distance: str, unit: str, image: "Tensor") -> "Tensor":
+    """The distances (1xHxW, m) of a picture (3xHxW): of a file, or everywhere the same."""
     import torch
 
+    from uwaug.files.pictures import read_distance
+
+    metres = number_or_word(distance)
+    if isinstance(metres, float):
+        return torch.full((1, *image.shape[-2:]), metres)
+    return read_distance(distance, number_or_word(unit))
+
+
+def read_scene(picture: Path, distance: str, unit: str, holes: str) -> "Scene":
+    """A picture and its distances as a sheet shows them."""
     from uwaug.distance import Metres
-    from uwaug.files.pictures import read_distance, read_picture
+    from uwaug.files.pictures import read_picture
     from uwaug.presets.scene import own_scene
 
     image = read_picture(picture)
-    metres = number_or_word(distance)
-    if isinstance(metres, float):
-        z = torch.full((1, *image.shape[-2:]), metres)
-    else:
-        z = read_distance(distance, number_or_word(unit))
+    z = read_metres(distance, unit, image)
     unknown = float((~(z > 0)).double().mean())
     scene = own_scene(image, Metres(number_or_word(holes)).metres(z, image, {}))
     filled = f" {unknown:.2%} of the distances were unknown, and got: {holes}." if unknown else ""

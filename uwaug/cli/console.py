@@ -2,16 +2,12 @@
 
 import os
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NoReturn
 
 import typer
-
-_PAUSE = 10.0
-"""Seconds between two lines of progress where there is no terminal."""
 
 
 def end(code: int, message: object) -> NoReturn:
@@ -35,14 +31,6 @@ def reported_errors() -> Iterator[None]:
         end(1, error)
     except (TypeError, ValueError) as error:
         end(1 if os.path.exists(str(error).partition(": ")[0]) else 2, error)
-
-
-def require_package(extra: str, name: str) -> None:
-    """Fail before long work without a package of an extra."""
-    from uwaug._support.extras import require
-
-    with reported_errors():
-        require(extra, name)
 
 
 def require_writable(path: Path, *, force: bool, endings: tuple[str, ...] = ()) -> None:
@@ -70,33 +58,19 @@ def status() -> Iterator[Callable[[str], None]]:
     """Say on a terminal what is being done, for as long as it is."""
     from rich.console import Console
 
-    errors = Console(stderr=True)
-    if not errors.is_terminal:
-        yield lambda _: None
-        return
-    with errors.status("starting") as line:
+    with Console(stderr=True).status("starting") as line:
         yield line.update
 
 
 @contextmanager
 def counted() -> Iterator[Callable[[int, int], None]]:
-    """Tell how many of how many are done: a bar on a terminal, else a line now and then."""
+    """Tell on a terminal how many of how many are done."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
-    console = Console(stderr=True)
-    printed = time.monotonic()
-
-    def line(done: int, total: int) -> None:
-        nonlocal printed
-        if time.monotonic() - printed > _PAUSE and done < total:
-            printed = time.monotonic()
-            print(f"{done} of {total}", file=sys.stderr, flush=True)
-
-    if not console.is_terminal:
-        yield line
-        return
     columns = BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with Progress(*columns, console=console, transient=True) as progress:
+    console = Console(stderr=True)
+    off = not console.is_terminal
+    with Progress(*columns, console=console, transient=True, disable=off) as progress:
         task = progress.add_task("")
         yield lambda done, total: progress.update(task, completed=done, total=total)

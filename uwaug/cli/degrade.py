@@ -1,8 +1,8 @@
 """`uwaug degrade`: pictures and folders under water."""
 
-import json
 import os
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,8 +10,6 @@ import typer
 
 from uwaug.cli.choices import Force, Holes, Preset, Unit, number_or_word
 from uwaug.cli.console import counted, end, print_written, reported_errors
-
-_RUN, _WATER, _LABELS = "Run", "Water", "Labels"
 
 
 def degrade(
@@ -32,16 +30,12 @@ def degrade(
         list[str] | None,
         typer.Option(
             help="A Jerlov type, contents, also in ranges (chlorophyll=1:20,cdom=.1:1), or a CSV "
-            "file; repeat it to draw. Many waters by default.",
-            rich_help_panel=_WATER,
+            "file; repeat it to draw. Many waters by default."
         ),
     ] = None,
     contrast: Annotated[
         str | None,
-        typer.Option(
-            help="Left at the median distance: .4, or .1:.8; none for the water as it is.",
-            rich_help_panel=_WATER,
-        ),
+        typer.Option(help="Left at the median distance: .4, or .1:.8; none: the water as it is."),
     ] = None,
     preset: Preset = None,
     set_: Annotated[
@@ -51,39 +45,21 @@ def degrade(
             help="Any argument of RandomUnderwater: vertical_depth=0:5, development.saturation=1, "
             "mixing=0:1; repeat it.",
             metavar="NAME=VALUE",
-            rich_help_panel=_WATER,
         ),
     ] = None,
-    options: Annotated[
-        Path | None, typer.Option(help="The same in a TOML file.", rich_help_panel=_WATER)
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Of all that is random.", rich_help_panel=_RUN)] = 0,
-    variants: Annotated[int, typer.Option(help="Of each picture.", rich_help_panel=_RUN)] = 1,
-    workers: Annotated[
-        int, typer.Option(help="Processes; 0: one for each core.", rich_help_panel=_RUN)
-    ] = 0,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on after a stop.", rich_help_panel=_RUN)
-    ] = False,
+    options: Annotated[Path | None, typer.Option(help="The same in a TOML file.")] = None,
+    seed: Annotated[int, typer.Option(help="Of all that is random.")] = 0,
+    variants: Annotated[int, typer.Option(help="Of each picture.")] = 1,
+    workers: Annotated[int, typer.Option(help="Processes; 0: one for each core.")] = 0,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on after a stop.")] = False,
     force: Force = False,
-    sheet: Annotated[
-        bool, typer.Option("--sheet", help="Draw some results on a sheet.", rich_help_panel=_RUN)
-    ] = False,
-    ray: Annotated[
-        str | None,
-        typer.Option(help="Address of a Ray cluster: auto, host:port.", rich_help_panel=_RUN),
-    ] = None,
+    sheet: Annotated[bool, typer.Option("--sheet", help="Draw some results on a sheet.")] = False,
+    ray: Annotated[str | None, typer.Option(help="A Ray cluster: auto, host:port; local.")] = None,
     labels: Annotated[
-        str | None,
-        typer.Option(
-            help="A COCO file, a folder of YOLO's, or one of masks.", rich_help_panel=_LABELS
-        ),
+        str | None, typer.Option(help="A COCO file, a folder of YOLO's, or one of masks.")
     ] = None,
     min_contrast: Annotated[
-        float | None,
-        typer.Option(
-            help="Leaves out labels of which less contrast is left.", rich_help_panel=_LABELS
-        ),
+        float | None, typer.Option(help="Leaves out labels of which less contrast is left.")
     ] = None,
 ) -> None:
     """Put pictures under water: a random water for each, or the ones that you name.
@@ -103,10 +79,10 @@ def degrade(
         from uwaug.files.run import degrade as run
         from uwaug.transforms import RandomUnderwater
 
-        maps, plane = _place(distance)
         chosen = _transform_options(preset, options, set_ or (), water or (), contrast)
-        if plane is not None:
-            chosen["distance"] = plane
+        plane = None if distance is None else _value(distance)
+        if isinstance(plane, (float, list)):
+            chosen["distance"], distance = plane, None
         elif holes != "error" and isinstance(chosen.get("distance", {}), dict):
             source = {"kind": "Metres", **chosen.get("distance", {})}
             chosen["distance"] = {**source, "holes": number_or_word(holes)}
@@ -119,7 +95,7 @@ def degrade(
             min_contrast=min_contrast,
         )
         apart = [str(out)] if labels is None else [str(out), labels]
-        items = find_items(pictures, maps, apart=apart)
+        items = find_items(pictures, distance, apart=apart)
         with counted() as progress:
             summary = run(
                 recipe,
@@ -147,21 +123,11 @@ def degrade(
         end(1, "\n".join(summary.failures[:5]) + more)
 
 
-def _place(distance: str | None) -> tuple[str | None, list[float] | None]:
-    """What `--distance` says: files, or the metres of a plane."""
-    if distance is None:
-        return None, None
-    try:
-        return None, [float(end_) for end_ in distance.split(":")]
-    except ValueError:
-        return distance, None
-
-
 def _transform_options(
     preset: str | None,
     file: Path | None,
-    settings: "list[str] | tuple[str, ...]",
-    waters: "list[str] | tuple[str, ...]",
+    settings: Sequence[str],
+    waters: Sequence[str],
     contrast: str | None,
 ) -> dict[str, Any]:
     """Options of `RandomUnderwater` as plain values; the later of these take the place of the
@@ -171,9 +137,9 @@ def _transform_options(
 
     options: dict[str, Any] = {}
     if preset is not None:
-        replaced = {"water": waters[0]} if len(waters) == 1 else {}
+        replaced = {"water": waters[0]} if waters else {}
         options = RandomUnderwater.from_preset(preset, **replaced).to_dict()
-    elif waters:
+    if waters:
         options["waters"] = list(waters)
     if file is not None:
         try:
@@ -181,7 +147,7 @@ def _transform_options(
         except tomllib.TOMLDecodeError as error:
             raise ValueError(f"{file}: {error}") from None
     if contrast is not None:
-        options["contrast"] = None if contrast == "none" else _value(contrast)
+        options["contrast"] = _value(contrast)
     for setting in settings:
         name, equals, text = setting.partition("=")
         if not equals:
@@ -191,8 +157,7 @@ def _transform_options(
         for table in tables:
             target = target.setdefault(table, {})
         target[last] = _value(text)
-    plain: dict[str, Any] = json.loads(json.dumps(options))
-    return plain
+    return options
 
 
 def _value(text: str) -> Any:

@@ -31,6 +31,8 @@ def export(
 
     with reported_errors(), status() as say:
         if preset.endswith(".json"):
+            if water is not None:
+                raise ValueError(f"{preset} holds coefficients, which no water replaces")
             module = load_fit(preset).module(sides=sides)
         else:
             module = load_preset(preset, water=water).module(sides=sides)

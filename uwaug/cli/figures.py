@@ -9,14 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from uwaug.cli.choices import Distance, Force, Holes, Picture, Preset, Unit, Water, read_scene
-from uwaug.cli.console import (
-    end,
-    print_written,
-    reported_errors,
-    require_package,
-    require_writable,
-    status,
-)
+from uwaug.cli.console import end, print_written, reported_errors, require_writable, status
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,7 +21,6 @@ OutFolder = Annotated[Path, typer.Option(help="Folder for the pictures; made if 
 
 def demo(out: OutFolder = Path("uwaug-demo"), force: Force = False) -> None:
     """Draw a real scene in ten waters, term by term."""
-    require_package("plot", "matplotlib")
     from uwaug.figures.demo import PICTURES
     from uwaug.presets import scene
 
@@ -46,18 +38,16 @@ def plot(
     force: Force = False,
 ) -> None:
     """Draw your own scene in ten waters, and term by term in one: 1C by default."""
-    require_package("plot", "matplotlib")
-    from uwaug.figures.demo import own_pictures, preset_case
+    from uwaug.figures.demo import own_pictures, preset_case, water_case
     from uwaug.optics import load_water
     from uwaug.presets import load_preset
 
     with reported_errors():
-        case = (
-            load_water(water or "1C")
-            if preset is None
-            else preset_case(load_preset(preset, water=water))
-        )
         scene = read_scene(picture, distance, unit, holes)
+        if preset is None:
+            case = water_case(load_water(water or "1C"), scene)
+        else:
+            case = preset_case(load_preset(preset, water=water))
     _draw_into(out, scene, own_pictures(case), force)
     if scene.note:
         print(scene.note)
@@ -77,17 +67,15 @@ def compare(
 ) -> None:
     """Your scene as each published system makes it."""
     require_writable(out, force=force, endings=(".png", ".jpg"))
-    require_package("plot", "matplotlib")
-    from uwaug.figures.comparison import compare as systems_on
+    from uwaug._support.extras import require
     from uwaug.figures.comparison import draw_comparison
     from uwaug.figures.sheet import save
 
     with reported_errors(), status() as say:
-        say("reading the picture")
+        require("plot", "matplotlib")
         scene = read_scene(picture, distance, unit, holes)
         say("computing the systems")
-        pictures = systems_on(scene, water or "II", system or ())
-        save(draw_comparison(scene, pictures, water or "II"), out)
+        save(draw_comparison(scene, water or "II", system or ()), out)
     print_written(out)
 
 
@@ -95,6 +83,7 @@ def _draw_into(
     out: Path, scene: "Scene", pictures: "Mapping[str, Callable[[Scene], Figure]]", force: bool
 ) -> None:
     """Draw the sheets of a scene into a folder, which is made if need be, and name them."""
+    from uwaug._support.extras import require
     from uwaug.figures.sheet import save
 
     others = sorted(set(os.listdir(out)) - set(pictures)) if out.is_dir() else []
@@ -102,6 +91,7 @@ def _draw_into(
         end(2, f"{out} holds other files, such as {others[0]}: choose an empty folder, or --force")
     start = time.perf_counter()
     with reported_errors(), status() as say:
+        require("plot", "matplotlib")
         out.mkdir(parents=True, exist_ok=True)
         for name, draw in pictures.items():
             say(f"drawing {name}")

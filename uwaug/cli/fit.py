@@ -5,8 +5,8 @@ from typing import Annotated, Literal
 
 import typer
 
-from uwaug.cli.choices import Distance, Force, Unit, number_or_word
-from uwaug.cli.console import print_written, reported_errors, require_package, require_writable
+from uwaug.cli.choices import Distance, Force, Unit, number_or_word, read_metres
+from uwaug.cli.console import print_written, reported_errors, require_writable
 
 
 def fit(
@@ -30,21 +30,17 @@ def fit(
     require_writable(out, force=force, endings=(".json",))
     if figure is not None:
         require_writable(figure, force=force, endings=(".png",))
-        require_package("plot", "matplotlib")
-    import torch
-
     import uwaug
+    from uwaug._support.extras import require
     from uwaug.distance import Metres
-    from uwaug.files.pictures import read_distance, read_picture
+    from uwaug.files.pictures import read_picture
     from uwaug.fitting import fit_water
 
     with reported_errors():
+        if figure is not None:
+            require("plot", "matplotlib")
         pictures = read_picture(clean), read_picture(observed)
-        metres = number_or_word(distance)
-        if isinstance(metres, float):
-            z = torch.full((1, *pictures[0].shape[-2:]), metres)
-        else:
-            z = read_distance(distance, number_or_word(unit))
+        z = read_metres(distance, unit, pictures[0])
         if holes != "none":
             z = Metres(number_or_word(holes)).metres(z, pictures[0], {})
         if model == "waters":

@@ -1,18 +1,17 @@
 """`uwaug preset …` and `uwaug waters`."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from uwaug.cli.choices import WATERS, Force, complete
-from uwaug.cli.console import print_written, reported_errors, require_writable
-from uwaug.presets.files import bundled_preset, list_presets, preset_path
+from uwaug.cli.choices import WATERS, complete
+from uwaug.cli.console import reported_errors
+from uwaug.presets.files import list_presets, preset_path
 
 _WIDE = 250
 """Columns: more than any row has."""
 
-preset = typer.Typer(help="List presets, show one, or copy one to edit it.", no_args_is_help=True)
+preset = typer.Typer(help="List presets, or show one.", no_args_is_help=True)
 
 
 @preset.command("list")
@@ -41,7 +40,7 @@ def show(
         ),
     ],
 ) -> None:
-    """Print a preset's file, and the medium that it comes to."""
+    """Print a preset's file, from which to make your own, and the medium that it comes to."""
     from uwaug.presets import load_preset
 
     with reported_errors():
@@ -49,29 +48,6 @@ def show(
         text, medium = path.read_text(encoding="utf-8"), load_preset(path).medium
     # as a comment: what is printed is a preset's file too
     print(f"{text.rstrip()}\n\n# It comes to {medium}")
-
-
-@preset.command()
-def copy(
-    name: Annotated[
-        str,
-        typer.Argument(
-            help="A preset, see uwaug preset list.", autocompletion=complete(*list_presets())
-        ),
-    ],
-    file: Annotated[Path, typer.Argument(help="The .toml file to write.")],
-    force: Force = False,
-) -> None:
-    """Copy a preset into a file of your own, to edit it."""
-    require_writable(file, force=force, endings=(".toml",))
-    from uwaug._support.atomic import written_whole
-
-    with reported_errors():
-        source = bundled_preset(name)
-        with written_whole(file) as part:
-            part.write_bytes(source.read_bytes())
-    print_written(file)
-    print(f"    a copy of {name}: edit it, then use it with --preset {file}")
 
 
 def waters() -> None:

@@ -20,10 +20,9 @@ def from_relative(
     Args:
         t: (..., H, W), relative distance in [0, 1], 0 = near; NaN = unknown. Networks give
             *inverse* depth instead: see `from_inverse`.
-        near: metres at t = 0, ≥ 0; a number, or a tensor that broadcasts against `t`, such as (B,
-            1, 1, 1).
-        far: metres at t = 1, ≥ `near` and finite; likewise.
-        gamma: > 0; above 1 moves the middle distance nearer; likewise.
+        near, far: metres at t = 0 and at t = 1, 0 ≤ near ≤ far < inf; numbers, or tensors that
+            broadcast against `t`, such as (B, 1, 1, 1).
+        gamma: > 0, likewise; above 1 moves the middle distance nearer.
 
     Returns:
         Distance in metres, shape of `t` (broadcast). t^gamma is continued as a straight line below
@@ -61,9 +60,8 @@ def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> 
 
     Args:
         inverse: (..., H, W), any scale and shift; NaN or infinite = unknown.
-        near: metres at the map's largest value, > 0; a number, or a tensor that broadcasts against
-            `inverse`.
-        far: metres at its least value, ≥ `near`; inf for open water or sky; likewise.
+        near, far: metres at the map's largest and at its least value, 0 < near ≤ far; far is inf
+            for open water or sky; numbers, or tensors that broadcast against `inverse`.
 
     Returns:
         Distance in metres, shape of `inverse` (broadcast), NaN where unknown.

@@ -115,7 +115,7 @@ def fill_unknown(distance: Tensor, *, behind: bool = False) -> Tensor:
     percent = round(100 * float(shares.max()))
     if not behind and percent > 100 * _MANY and not _warned:  # once: a loader fills thousands
         guess = f"distance is unknown at {percent} % of a map's pixels, and is guessed there"
-        cure = "maps of depth cameras want holes='behind', or 'far' for open water"
+        cure = "maps of depth cameras want holes 'behind', open water wants 'far'"
         warnings.warn(f"{guess}: {cure}", UserWarning, stacklevel=2)
         _warned.append(percent)
     find = _from_behind if behind else _from_nearest

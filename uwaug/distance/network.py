@@ -1,7 +1,7 @@
 """Depth networks."""
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import cast
@@ -13,7 +13,7 @@ from torch.nn.functional import interpolate
 from uwaug._support import checks, codec
 from uwaug._support.onnx_session import Session
 from uwaug._support.ranges import Range
-from uwaug.distance.sources import Inverse, Source
+from uwaug.distance.sources import Inverse, Numbers, Source
 
 
 @codec.plain
@@ -77,14 +77,12 @@ class Network(Source):
         """See `Source.ranges`."""
         return self.holds.ranges()
 
-    def metres(
-        self, distance: Tensor | None, image: Tensor, numbers: Mapping[str, float]
-    ) -> Tensor:
+    def metres(self, distance: Tensor | None, image: Tensor, numbers: Numbers) -> Tensor:
         """See `Source.metres`."""
         guess = self(image / 255 if image.dtype == torch.uint8 else image)
         checks.floating("the network's map", guess)
-        if guess.shape != (1, *image.shape[1:]):
-            wanted = (1, *image.shape[1:])
+        wanted = (1, *image.shape[1:])
+        if guess.shape != wanted:
             raise ValueError(f"the network's map must be {wanted}, got {tuple(guess.shape)}")
         return self.holds.metres(guess, image, numbers)
 
@@ -120,29 +118,22 @@ class Network(Source):
         session = cast(Session, self._session)
         entry = session.opened.get_inputs()[0]
         shape = entry.shape
+        # channels that are free are taken for colours, unless colours come last
         last = len(shape) == 4 and shape[3] == 3 and not isinstance(shape[1], int)
         if len(shape) != 4 or last or (isinstance(shape[1], int) and shape[1] != 3):
             raise ValueError(f"{self.model} must take (1, 3, h, w), got {shape}: channels last?")
-        size = self._input_size(shape, *image.shape[-2:])
+        scale = self.short_side / min(image.shape[-2:])
+        size = []
+        for fixed, side in zip(shape[-2:], image.shape[-2:], strict=True):
+            free = max(1, round(side * scale / self.multiple)) * self.multiple
+            size.append(fixed if isinstance(fixed, int) else free)
         x = interpolate(
             image.float().cpu(), size, mode="bicubic", align_corners=False, antialias=True
         ).clamp(0, 1)
         x = (x - x.new_tensor(self.mean).view(3, 1, 1)) / x.new_tensor(self.std).view(3, 1, 1)
         depth = session({entry.name: x})
         if depth.ndim not in (3, 4) or depth.shape[:-2].numel() != 1:
-            raise ValueError(
-                f"{self.model} must give (1, h, w) or (1, 1, h, w), got {tuple(depth.shape)}"
-            )
+            got = tuple(depth.shape)
+            raise ValueError(f"{self.model} must give (1, h, w) or (1, 1, h, w), got {got}")
         depth = depth.reshape(1, 1, *depth.shape[-2:]).float()
         return interpolate(depth, image.shape[-2:], mode="bilinear", align_corners=False).to(image)
-
-    def _input_size(
-        self, declared: Sequence[int | str | None], height: int, width: int
-    ) -> tuple[int, int]:
-        """What the file fixes; else the image's size, scaled and rounded."""
-        scale = self.short_side / min(height, width)
-        size = []
-        for fixed, side in zip(declared[-2:], (height, width), strict=True):
-            free = max(1, round(side * scale / self.multiple)) * self.multiple
-            size.append(fixed if isinstance(fixed, int) else free)
-        return size[0], size[1]

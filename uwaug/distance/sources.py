@@ -14,6 +14,9 @@ from uwaug._support.ranges import Range, as_range
 from uwaug.distance.convert import as_maps, from_inverse, from_relative
 from uwaug.distance.fill import fill_unknown
 
+Numbers = Mapping[str, float]
+"""What a picture has drawn, by name."""
+
 _Policy = Literal["error", "fill", "behind", "far"]
 Holes = _Policy | float
 """What pixels without a distance get. "error": an error. "fill": a distance from the known ones
@@ -22,7 +25,7 @@ around, "behind": from those behind, for maps of depth cameras with their shadow
 """
 
 _TOUCHING = 1e-6
-"""m, for relative distance 0 with near = 0: in a map of metres 0 means unknown."""
+"""m, for relative distance 0 with near = 0: a distance of 0 means unknown."""
 
 
 class Source:
@@ -38,9 +41,7 @@ class Source:
         """Each number that a picture draws, by name."""
         return {}
 
-    def metres(
-        self, distance: Tensor | None, image: Tensor, numbers: Mapping[str, float]
-    ) -> Tensor:
+    def metres(self, distance: Tensor | None, image: Tensor, numbers: Numbers) -> Tensor:
         """The distances of a picture (1xHxW): metres above 0, or +inf for open water.
 
         Args:
@@ -68,9 +69,7 @@ class Metres(Source):
     def __post_init__(self) -> None:
         _require_holes(self.holes)
 
-    def metres(
-        self, distance: Tensor | None, image: Tensor, numbers: Mapping[str, float]
-    ) -> Tensor:
+    def metres(self, distance: Tensor | None, image: Tensor, numbers: Numbers) -> Tensor:
         """See `Source.metres`."""
         assert distance is not None
         z = as_maps("distance", distance)
@@ -104,9 +103,7 @@ class Relative(Source):
         """See `Source.ranges`."""
         return {"near": self.near, "far": self.far, "gamma": self.gamma}
 
-    def metres(
-        self, distance: Tensor | None, image: Tensor, numbers: Mapping[str, float]
-    ) -> Tensor:
+    def metres(self, distance: Tensor | None, image: Tensor, numbers: Numbers) -> Tensor:
         """See `Source.metres`."""
         assert distance is not None
         near = max(numbers["near"], _TOUCHING)
@@ -139,9 +136,7 @@ class Inverse(Source):
         """See `Source.ranges`."""
         return {"near": self.near, "far": self.far}
 
-    def metres(
-        self, distance: Tensor | None, image: Tensor, numbers: Mapping[str, float]
-    ) -> Tensor:
+    def metres(self, distance: Tensor | None, image: Tensor, numbers: Numbers) -> Tensor:
         """See `Source.metres`."""
         assert distance is not None
         return _without_holes(from_inverse(distance, numbers["near"], numbers["far"]), self.holes)
@@ -171,9 +166,7 @@ class Plane(Source):
         """See `Source.ranges`."""
         return {"distance": (self.low, self.low if self.high is None else self.high)}
 
-    def metres(
-        self, distance: Tensor | None, image: Tensor, numbers: Mapping[str, float]
-    ) -> Tensor:
+    def metres(self, distance: Tensor | None, image: Tensor, numbers: Numbers) -> Tensor:
         """See `Source.metres`."""
         dtype = torch.promote_types(image.dtype, torch.float32)
         return image.new_full((1, *image.shape[-2:]), numbers["distance"], dtype=dtype)
@@ -205,6 +198,7 @@ def _without_holes(z: Tensor, holes: Holes) -> Tensor:
     # NaN if any is; a mask of all pixels takes several times as long
     if z.numel() and not z.detach().amin() > 0:
         counts = checks.counted(z, "NaN", "negative", "zero")
-        cure = "give holes, such as 'behind' for those of depth cameras: Metres(holes='behind')"
-        raise ValueError(f"distance must be above 0 m, but is {counts}: {cure}")
+        cure = "give holes 'behind' (maps of depth cameras), 'fill', 'far' or metres"
+        got = f"distance must be above 0 m, but is {counts}"
+        raise ValueError(f"{got}: {cure}, see uwaug.distance.Metres")
     return z

@@ -1,21 +1,18 @@
 """Published systems side by side: one scene in one water, as each of them makes it."""
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from torch import Tensor
-
 from uwaug import published
-from uwaug.figures.sheet import columns_for, sheet, show
+from uwaug.figures.sheet import sheet, show
 from uwaug.presets.scene import Scene
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def compare(scene: Scene, water: str = "II", systems: Sequence[str] = ()) -> dict[str, Tensor]:
-    """A scene as each of several published systems makes it.
+def draw_comparison(scene: Scene, water: str, systems: Sequence[str] = ()) -> "Figure":
+    """A scene and what published systems make of it, with the mean colour of each.
 
     Args:
         scene: picture and distances.
@@ -23,25 +20,14 @@ def compare(scene: Scene, water: str = "II", systems: Sequence[str] = ()) -> dic
             where it is none of these.
         systems: names of `uwaug.published.systems`; all of them by default.
 
-    Returns:
-        Pictures (3xHxW, sRGB, 0…1) by the name of their system.
-
     Raises:
         ValueError: if a system or the water is unknown.
     """
-    names = systems or published.systems()
-    return {n: published.picture(n, scene.image, scene.distance, water) for n in names}
-
-
-def draw_comparison(scene: Scene, pictures: dict[str, Tensor], water: str) -> "Figure":
-    """The scene and what systems make of it, with the mean colour of each."""
-    shape = (scene.image.shape[-2], scene.image.shape[-1])
-    columns = columns_for(shape)
-    rows = math.ceil((1 + len(pictures)) / columns)
-    caption = f"Each as its authors computed it. {scene.note}"
-    heading = f"One scene, {len(pictures)} systems, {water}"
-    figure, axes = sheet(rows, columns, shape, heading, caption)
-    shown = {"no water": scene.image, **pictures}
+    shown = {"no water": scene.image}
+    for name in systems or published.systems():
+        shown[name] = published.picture(name, scene.image, scene.distance, water)
+    heading = f"One scene, {len(shown) - 1} systems, {water}"
+    figure, axes = sheet(scene, len(shown), heading, "Each as its authors computed it.")
     for axis, (name, picture) in zip(axes, shown.items(), strict=False):
         mean = " ".join(f"{value:.2f}" for value in picture.double().mean((1, 2)).tolist())
         show(axis, picture, f"{name}   ({mean})")

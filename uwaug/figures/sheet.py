@@ -8,6 +8,7 @@ from torch import Tensor
 
 from uwaug._support.atomic import written_whole
 from uwaug._support.checks import extent
+from uwaug.presets.scene import Scene
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,7 +19,7 @@ INK, GREY = "#1a1a1a", "#5a5a5a"
 RGB = ("#c0392b", "#2e8b57", "#2a5caa")
 
 _DPI, _WIDTH = 100, 1400  # px
-MARGIN, GAP, _LABEL, HEADER = 32, 18, 30, 92  # px
+_MARGIN, _GAP, _LABEL, _HEADER = 32, 18, 30, 92  # px
 _LINE = 20
 """px: height of a caption's line."""
 
@@ -31,74 +32,42 @@ _PLAIN: dict[str, Any] = {"parse_math": False}
 """Of a text that may be a user's, such as a file's name: a $ in it is a $."""
 
 
-class Canvas:
-    """A figure that is drawn on in px from its top left corner, with a heading. `math` says that
-    the caption has mathematics between $.
-    """
-
-    width = _WIDTH
-
-    def __init__(self, height: float, heading: str, caption: str, *, math: bool = False) -> None:
-        from matplotlib.figure import Figure
-
-        self.height = height
-        self.figure: Figure = Figure(figsize=(_WIDTH / _DPI, height / _DPI), dpi=_DPI)
-        self.write(MARGIN, 26, heading, 18, va="top", fontweight="bold")
-        self.write(MARGIN, 62, caption, 11.5, GREY, va="top", parse_math=math)
-
-    def write(
-        self, x: float, y: float, text: str, size: float, colour: str = INK, **style: Any
-    ) -> None:
-        """Write a text; y is its middle."""
-        style = {"va": "center", **_PLAIN, **style}
-        at = (x / _WIDTH, 1 - y / self.height)
-        self.figure.text(*at, text, fontsize=size, color=colour, **style)
-
-    def axes(self, x: float, y: float, width: float, height: float) -> "Axes":
-        """A cell, from its top left corner."""
-        bottom = 1 - (y + height) / self.height
-        box = (x / _WIDTH, bottom, width / _WIDTH, height / self.height)
-        return self.figure.add_axes(box)
-
-
-def columns_for(shape: tuple[int, int]) -> int:
-    """How many pictures of (height, width) go beside one another: 4, or fewer panoramas."""
-    for columns in (4, 2):
-        if _cell_width(columns) * shape[0] / shape[1] >= _LOW:
-            return columns
-    return 1
-
-
-def _cell_width(columns: int) -> float:
-    return (_WIDTH - 2 * MARGIN - (columns - 1) * GAP) / columns
-
-
 def sheet(
-    rows: int,
-    columns: int,
-    shape: tuple[int, int],
-    heading: str,
-    caption: str,
-    *,
-    math: bool = False,
-    below: float = 0,
-    title_lines: int = 1,
+    scene: Scene, cells: int, heading: str, caption: str, columns: int | None = None
 ) -> tuple["Figure", list["Axes"]]:
-    """A grid of cells, row by row, each of the shape of a picture of (height, width). The caption
-    may have several lines, and so may titles; for `math` see `Canvas`; `below` is room under the
-    cells, px.
+    """At least so many cells, row by row, each of the shape of a scene's picture, below a heading
+    and a caption, which tells what was done to the scene. By default 4 go beside one another, or
+    fewer panoramas.
     """
-    width = _cell_width(columns)
-    tall, label = width * shape[0] / shape[1], _LABEL + _LINE * (title_lines - 1)
-    pitch = label + tall + GAP
-    top = HEADER + _LINE * caption.count("\n")
-    canvas = Canvas(round(top + rows * pitch + MARGIN - GAP + below), heading, caption, math=math)
+    from matplotlib.figure import Figure
+
+    height, width = scene.image.shape[-2:]
+
+    def cell_width(columns: int) -> float:
+        return (_WIDTH - 2 * _MARGIN - (columns - 1) * _GAP) / columns
+
+    if columns is None:
+        high = (n for n in (4, 2) if cell_width(n) * height / width >= _LOW)
+        columns = next(high, 1)
+    rows = math.ceil(cells / columns)
+    caption = f"{caption}\n{scene.note}".rstrip()
+    wide = cell_width(columns)
+    tall = wide * height / width
+    pitch = _LABEL + tall + _GAP
+    top = _HEADER + _LINE * caption.count("\n")
+    size = _WIDTH, round(top + rows * pitch + _MARGIN - _GAP)
+    figure = Figure(figsize=(size[0] / _DPI, size[1] / _DPI), dpi=_DPI)
+    style = {"va": "top", **_PLAIN}
+    left = _MARGIN / size[0]
+    figure.text(left, 1 - 26 / size[1], heading, fontsize=18, fontweight="bold", **style)
+    figure.text(left, 1 - 62 / size[1], caption, fontsize=11.5, color=GREY, **style)
     axes = []
     for i in range(rows * columns):
-        x, y = MARGIN + i % columns * (width + GAP), top + label + i // columns * pitch
-        axes.append(canvas.axes(x, y, width, tall))
+        x = _MARGIN + i % columns * (wide + _GAP)
+        y = size[1] - (top + i // columns * pitch + _LABEL + tall)
+        axes.append(figure.add_axes((x / size[0], y / size[1], wide / size[0], tall / size[1])))
         axes[-1].set_axis_off()
-    return canvas.figure, axes
+    return figure, axes
 
 
 def show(axis: "Axes", picture: Tensor, label: str) -> None:
@@ -112,14 +81,17 @@ def show_map(
     values: Tensor,
     label: str,
     colours: str,
-    ticks: tuple[str, str, str],
-    bar: bool = True,
+    span: tuple[float, float],
+    unit: str = "",
 ) -> None:
-    """A map (1xHxW), with a colour bar inside: labels for its low end, middle and high end."""
-    low, high = (float(tick.split()[0]) for tick in (ticks[0], ticks[2]))
-    picture = axis.imshow(values[0].numpy(), cmap=colours, vmin=low, vmax=high, aspect="auto")
+    """A map (1xHxW), with a colour bar inside; one colour and none if the span is a point."""
+    low, high = span
+    flat = _is_point(span)
+    ends = (0, 2 * high) if flat else span
+    pixels = values[0].numpy()
+    picture = axis.imshow(pixels, cmap=colours, vmin=ends[0], vmax=ends[1], aspect="auto")
     axis.set_title(label, **_TITLE, **_PLAIN)
-    if not bar:
+    if flat:
         return
     # what is written beneath a bar is as high in a low cell, and in a high one
     tall = axis.get_window_extent().height
@@ -127,14 +99,25 @@ def show_map(
     frame = axis.inset_axes((0.03, 0.04 * k, 0.94, 0.14 * k), facecolor=(1, 1, 1, 0.85))
     frame.set(xticks=[], yticks=[])
     frame.spines[:].set_visible(False)
-    scale = axis.inset_axes((0.06, 0.13 * k, 0.88, 0.03 * k))
+    bar = axis.inset_axes((0.06, 0.13 * k, 0.88, 0.03 * k))
     at = [low, (low + high) / 2, high]
-    axis.figure.colorbar(picture, cax=scale, orientation="horizontal", ticks=at)
-    scale.set_xticklabels(ticks, fontsize=9.5, color=INK)
-    scale.tick_params(length=2, pad=2)
+    axis.figure.colorbar(picture, cax=bar, orientation="horizontal", ticks=at)
+    bar.set_xticklabels(in_words(span, unit), fontsize=9.5, color=INK)
+    bar.tick_params(length=2, pad=2)
     sides: tuple[Literal["left", "center", "right"], ...] = ("left", "center", "right")
-    for text, side in zip(scale.get_xticklabels(), sides, strict=True):
+    for text, side in zip(bar.get_xticklabels(), sides, strict=True):
         text.set_horizontalalignment(side)
+
+
+def _is_point(span: tuple[float, float]) -> bool:
+    return span[1] - span[0] <= span[1] / 1000
+
+
+def in_words(span: tuple[float, float], unit: str) -> list[str]:
+    """The low end, the middle and the high end, with the digits that tell them apart."""
+    low, high = span
+    digits = max(0, 1 - math.floor(math.log10(high - low)))
+    return [f"{value:.{digits}f}{unit}" for value in (low, (low + high) / 2, high)]
 
 
 def seen(z: Tensor) -> tuple[float, float]:
@@ -142,48 +125,32 @@ def seen(z: Tensor) -> tuple[float, float]:
     return extent(z[z.isfinite()])
 
 
-def ticks_of(z: Tensor) -> tuple[str, str, str]:
-    """The nearest, the middle and the farthest distance in words, with the digits that tell them
-    apart.
-    """
-    low, high = seen(z)
-    digits = _digits(max(high - low, high / 1000))
-    return f"{low:.{digits}f} m", f"{(low + high) / 2:.{digits}f} m", f"{high:.{digits}f} m"
-
-
-def _digits(span: float) -> int:
-    """Decimals of numbers that span so much."""
-    return max(0, 1 - math.floor(math.log10(span)))
-
-
-def round_up(metres: float) -> float:
-    """To 1, 2 or 5 times a power of ten."""
-    power: float = 10.0 ** math.floor(math.log10(metres))
-    return next(step * power for step in (1, 2, 5, 10) if step * power >= metres)
+def metres(z: Tensor) -> str:
+    """What `seen` gives, in words."""
+    span = seen(z)
+    if _is_point(span):
+        return f"{span[1]:.3g} m"
+    low, _, high = in_words(span, "")
+    return f"{low}–{high} m"
 
 
 def show_distance(axis: "Axes", z: Tensor) -> None:
     """Distances (1xHxW, m); +inf is open water."""
-    ticks, far = ticks_of(z), seen(z)[1]
-    everywhere = bool(z.isfinite().all())
-    if ticks[0] == ticks[2]:
-        label = f"z   distance, {far:.3g} m {'everywhere' if everywhere else 'or open water'}"
-        show_map(axis, z.clamp(max=2 * far), label, "viridis_r", ("0", "", f"{2 * far}"), bar=False)
-        return
-    label = "z   distance" if everywhere else "z   distance (darkest: open water too)"
-    show_map(axis, z.clamp(max=far), label, "viridis_r", ticks)
+    span = seen(z)
+    flat, endless = _is_point(span), not bool(z.isfinite().all())
+    label = "z   distance (darkest: open water too)" if endless else "z   distance"
+    if flat:
+        label = f"z   distance, {metres(z)} {'or open water' if endless else 'everywhere'}"
+    farthest = 2 * span[1] if flat else span[1]
+    show_map(axis, z.clamp(max=farthest), label, "viridis_r", span, " m")
 
 
 def show_field(axis: "Axes", field: Tensor, span: tuple[float, float]) -> None:
     """A medium field (1xHxW), in colours for `span`."""
-    low, high = span
-    if low == high:
-        label = f"m   medium field, {low:g} everywhere"
-        show_map(axis, field, label, "RdBu_r", ("0", "", str(2 * low)), bar=False)
-        return
-    digits = _digits(high - low)
-    ticks = (f"{low:.{digits}f}", f"{(low + high) / 2:.{digits}f}", f"{high:.{digits}f}")
-    show_map(axis, field, "m   medium field (multiplies z)", "RdBu_r", ticks)
+    label = "m   medium field (multiplies z)"
+    if _is_point(span):
+        label = f"m   medium field, {span[0]:g} everywhere"
+    show_map(axis, field, label, "RdBu_r", span)
 
 
 def plot(cell: "Axes", label: str, xlabel: str, ylabel: str) -> "Axes":

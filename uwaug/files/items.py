@@ -49,23 +49,17 @@ def find_items(
         OSError: if there is no such file or folder.
     """
     source = Path(pictures)
-    pattern = str(distance) if "{stem}" in str(distance) else None
-    distances = None if distance is None or pattern else Path(distance)
     if source.is_file():
-        paths = [source]
-        source = source.parent
+        folder, paths = source.parent, [source]
     else:
-        places = [*apart, *([distances] if distances is not None else [])]
-        paths = sorted(_inside(source, {os.path.realpath(place) for place in places}))
-    if pattern is not None:
-        beside = {path: path.with_name(pattern.format(stem=path.stem)) for path in paths}
-        maps = set(beside.values())
-        paths = [path for path in paths if path not in maps]
-    items = []
+        places = {os.path.realpath(place) for place in (*apart, distance) if place is not None}
+        folder, paths = source, sorted(_inside(source, places))
+    found = []
     for path in paths:
-        name = path.relative_to(source).as_posix()
-        where = beside[path] if pattern else None if distances is None else _map(distances, name)
-        items.append(Item(name, path, where))
+        name = path.relative_to(folder).as_posix()
+        found.append(Item(name, path, _map(distance, path, name)))
+    maps = {item.distance for item in found}
+    items = [item for item in found if item.picture not in maps]
     if not items:
         raise ValueError(f"no pictures in {pictures}: expected {', '.join(_PICTURES)}")
     if distance is not None and not any(item.distance.is_file() for item in items if item.distance):
@@ -88,8 +82,13 @@ def _refuse(error: OSError) -> None:
     raise error
 
 
-def _map(place: Path, name: str) -> Path:
-    """The distances of a picture, in a folder or a file."""
+def _map(distance: str | Path | None, path: Path, name: str) -> Path | None:
+    """The distances of a picture: beside it, in a folder or a file."""
+    if distance is None:
+        return None
+    if "{stem}" in str(distance):
+        return path.with_name(str(distance).replace("{stem}", path.stem))
+    place = Path(distance)
     if place.is_file():
         return place
     bases = [(place / alias).with_suffix("") for alias in aliases(name)]

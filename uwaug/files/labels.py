@@ -1,21 +1,20 @@
 """Labels of pictures as COCO, YOLO and masks have them: found, judged by what can still be seen of
 each object, and written where trainers look.
 
-A format is a class with the methods of `Labels` and a line in `open_labels`; nothing else knows
-formats. Positions of objects are continuous, from the picture's upper left corner: the pixel in row
-i and column j covers j ≤ x < j + 1, i ≤ y < i + 1.
+A format is a class of `Labels` and a line in `open_labels`; nothing else knows formats. Positions
+of objects are continuous, from the picture's upper left corner: the pixel in row i and column j
+covers j ≤ x < j + 1, i ≤ y < i + 1.
 """
 
+import io
 import json
 import math
 import re
-import shutil
-from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, Protocol, Self
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +62,7 @@ class Labelled(NamedTuple):
     objects: Sequence[Judged]
 
 
-class Labels(Protocol):
+class Labels:
     """The labels of the pictures of a run; `name` is a picture's path below the folder of all."""
 
     def only(self, name: str) -> "Labels":
@@ -72,7 +71,7 @@ class Labels(Protocol):
         Raises:
             ValueError: if the picture must have labels and has none.
         """
-        ...
+        return self
 
     def objects(self, name: str, size: Size) -> Iterator[tuple[Key, Pixels]]:
         """The objects of a picture of a size, in the file's order.
@@ -80,19 +79,17 @@ class Labels(Protocol):
         Raises:
             ValueError: if a label is malformed; names the file and the object.
         """
-        ...
+        raise NotImplementedError
 
     def place(self, name: str) -> str:
         """Where a picture belongs in the folder of the run, so that trainers find its labels."""
-        ...
+        return name
 
     def write(self, name: str, place: str, dropped: Collection[Key], out: Path) -> None:
         """Write the labels of one picture to the folder of the run, but for the dropped ones."""
-        ...
 
     def finish(self, pictures: Sequence[Labelled], out: Path) -> None:
         """Write what the format has one file of for all pictures."""
-        ...
 
 
 def open_labels(path: str | Path) -> Labels:
@@ -113,14 +110,8 @@ def open_labels(path: str | Path) -> Labels:
 
 
 def judged(labels: Labels, name: str, contrast: Tensor, least: float | None) -> list[Judged]:
-    """What is left of each object of a picture: the mean share of contrast over its pixels, 0 of an
-    object without any in the picture.
-
-    Args:
-        labels: that hold the picture's.
-        name: of the picture.
-        contrast (1xHxW tensor): share that is left at each pixel.
-        least: below which an object's label is not kept; None keeps all.
+    """What is left of each object of a picture: the mean over its pixels of a map of contrast
+    (1xHxW, 0…1), 0 of an object without any in the picture. Below `least` no label is kept.
     """
     values = contrast[0].detach().cpu().numpy()
     found = []
@@ -144,7 +135,7 @@ def aliases(name: str) -> list[str]:
 
 
 @dataclass(frozen=True)
-class _Folder:
+class _Folder(Labels):
     """Labels in a folder with a file for each picture. Ultralytics puts "labels" in place of the
     last "images" of a picture's path: pictures are written below such a folder.
     """
@@ -157,9 +148,6 @@ class _Folder:
         paths = [(self.folder / alias).with_suffix(self.end) for alias in aliases(name)]
         return next((path for path in paths if path.is_file()), None)
 
-    def only(self, name: str) -> Self:
-        return self
-
     def place(self, name: str) -> str:
         return name if "images" in name.split("/")[:-1] else f"images/{name}"
 
@@ -170,17 +158,11 @@ class _Folder:
         target = (out / aliases(place)[-1]).with_suffix(self.end)
         target.parent.mkdir(parents=True, exist_ok=True)
         with written_whole(_not(target, source)) as part:
-            if dropped:
-                self.copy_without(dropped, source, part)
-            else:
-                shutil.copyfile(source, part)
+            part.write_bytes(self.without(dropped, source) if dropped else source.read_bytes())
 
-    def copy_without(self, dropped: Collection[Key], source: Path, target: Path) -> None:
-        """Copy a label file, but for the labels of some objects."""
+    def without(self, dropped: Collection[Key], source: Path) -> bytes:
+        """A label file, but for the labels of some objects."""
         raise NotImplementedError
-
-    def finish(self, pictures: Sequence[Labelled], out: Path) -> None:
-        pass
 
 
 class _Yolo(_Folder):
@@ -212,16 +194,15 @@ class _Yolo(_Folder):
                     raise ValueError("expected a class, and shares of width and height, 0…1")
                 if len(points) == 2:
                     middle, half = points[0], points[1] / 2
-                    points = np.stack([middle - half, middle + half])
-                yield number, _box(points, size) if len(points) == 2 else _polygons([points], size)
+                    yield number, _box(np.stack([middle - half, middle + half]), size)
+                else:
+                    yield number, _polygons([points], size)
             except ValueError as error:
                 raise ValueError(f"{file}, line {number}: {error}") from error
 
-    def copy_without(self, dropped: Collection[Key], source: Path, target: Path) -> None:
-        kept = [
-            f"{line}\n" for number, line in enumerate(_lines(source), 1) if number not in dropped
-        ]
-        target.write_text("".join(kept), encoding="utf-8")
+    def without(self, dropped: Collection[Key], source: Path) -> bytes:
+        lines = enumerate(_lines(source), 1)
+        return "".join(f"{line}\n" for number, line in lines if number not in dropped).encode()
 
     def finish(self, pictures: Sequence[Labelled], out: Path) -> None:
         """Write data.yaml: the classes as the labels' own has them, or how many there are; and the
@@ -239,8 +220,9 @@ class _Yolo(_Folder):
         classes = _PLACES.sub("", self.description)
         if not re.search(r"^(names|nc)\s*:", classes, re.MULTILINE):
             files = {self.file(picture.name) for picture in pictures}
-            numbers = [int(line.split()[0]) for file in files for line in _lines(file) if line]
-            classes += f"nc: {max(numbers, default=0) + 1}\n"
+            objects = [line.split() for file in files for line in _lines(file)]
+            largest = max((int(words[0]) for words in objects if words), default=0)
+            classes += f"nc: {largest + 1}\n"
         with written_whole(out / "data.yaml") as part:
             places = "".join(f"{split}: {split}.txt\n" for split in splits)
             part.write_text(places + classes, encoding="utf-8")
@@ -255,30 +237,23 @@ class _Masks(_Folder):
         file = self.file(name)
         if file is None:
             return
-        values, _ = _mask(file)
+        values = _mask(file)
         if values.shape != tuple(size):
             raise ValueError(f"{file}: is {values.shape} but its picture {tuple(size)} px")
         for value in np.unique(values[values > 0]).tolist():
             yield value, values == value
 
-    def copy_without(self, dropped: Collection[Key], source: Path, target: Path) -> None:
-        values, palette = _mask(source)
-        image = Image.fromarray(np.where(np.isin(values, list(dropped)), 0, values))
-        if palette is not None:
-            # Pillow writes fewer bits for a short palette, and cuts the values
-            image.putpalette(palette + [0] * (3 * 256 - len(palette)))
-        image.save(target, "PNG")
+    def without(self, dropped: Collection[Key], source: Path) -> bytes:
+        values, file = _mask(source), io.BytesIO()
+        values[np.isin(values, list(dropped))] = 0
+        Image.fromarray(values).save(file, "PNG")
+        return file.getvalue()
 
 
 @dataclass(frozen=True)
-class _Coco:
-    """One JSON file for all pictures.
-
-    Attributes:
-        path: of the file.
-        content: all of it but images and annotations.
-        images: by file name.
-        annotations: by the id of their image.
+class _Coco(Labels):
+    """One JSON file for all pictures: images by file name, annotations by the id of their image,
+    and what else it holds.
     """
 
     path: Path
@@ -288,11 +263,6 @@ class _Coco:
 
     @staticmethod
     def read(path: Path) -> "_Coco":
-        """Read a file.
-
-        Raises:
-            ValueError: if it is no COCO file.
-        """
         try:
             content = json.loads(path.read_text(encoding="utf-8-sig"))
             images = {image["file_name"]: image for image in content.pop("images")}
@@ -316,9 +286,6 @@ class _Coco:
         id = image["id"]
         return _Coco(self.path, {}, {image["file_name"]: image}, {id: self.annotations[id]})
 
-    def place(self, name: str) -> str:
-        return name
-
     def objects(self, name: str, size: Size) -> Iterator[tuple[Key, Pixels]]:
         image = self._image(name)
         stated = (image.get("height", size[0]), image.get("width", size[1]))
@@ -331,14 +298,12 @@ class _Coco:
                 got = f"annotation {entry.get('id')}: {error!r}"
                 raise ValueError(f"{self.path}, {got}") from error
 
-    def write(self, name: str, place: str, dropped: Collection[Key], out: Path) -> None:
-        pass
-
     def finish(self, pictures: Sequence[Labelled], out: Path) -> None:
         """Write a file of the same name, with a "contrast" in each annotation. Where a picture was
         written more than once, images and annotations are numbered anew.
         """
-        anew = max(Counter(picture.name for picture in pictures).values(), default=0) > 1
+        ids = [self._image(picture.name)["id"] for picture in pictures]
+        anew = len(set(ids)) < len(ids)
         images: list[Entry] = []
         annotations: list[Entry] = []
         for picture in pictures:
@@ -364,6 +329,8 @@ def _coco_pixels(entry: Entry, size: Size) -> Pixels:
     segmentation = entry.get("segmentation")
     if isinstance(segmentation, dict):
         counts = segmentation["counts"]
+        if tuple(segmentation["size"]) != tuple(size):
+            raise ValueError(f"run lengths of {segmentation['size']} px")
         runs = _decompressed(counts) if isinstance(counts, str) else counts
         # down the columns, beginning outside
         inside = np.repeat(np.arange(len(runs)) % 2 == 1, runs)
@@ -379,17 +346,11 @@ def _decompressed(text: str) -> list[int]:
     the fourth on, differences to the number before the last (Lin et al., maskApi.c).
     """
     counts: list[int] = []
-    value = shift = 0
-    for letter in text:
-        bits = ord(letter) - 48
-        value |= (bits & 31) << shift
-        shift += 5
-        if bits & 32:
-            continue
-        if bits & 16:
-            value -= 1 << shift
+    for letters in re.findall("[P-o]*[0-O]", text):  # the last one lacks the bit of 32
+        value = sum((ord(letter) - 48 & 31) << 5 * i for i, letter in enumerate(letters))
+        if letters[-1] >= "@":  # the bit of 16
+            value -= 1 << 5 * len(letters)
         counts.append(value + counts[-2] if len(counts) > 2 else value)
-        value = shift = 0
     return counts
 
 
@@ -419,14 +380,13 @@ def _lines(file: Path | None) -> list[str]:
     return [] if file is None else file.read_text(encoding="utf-8-sig").splitlines()
 
 
-def _mask(file: Path) -> tuple[NDArray[Any], list[int] | None]:
-    """Values (HxW), and a palette if there is one."""
+def _mask(file: Path) -> NDArray[Any]:
+    """Values (HxW); of a mask with a palette, their places in it."""
     with Image.open(file) as image:
         if image.mode not in ("L", "P", "1", "I;16"):
             raise ValueError(f"{file}: expected a mask of one channel, got {image.mode}")
-        values = np.asarray(image)
-        palette = image.getpalette() if image.mode == "P" else None
-    return values.astype(np.uint8) if values.dtype == bool else values, palette
+        values = np.array(image)
+    return values.astype(np.uint8) if values.dtype == bool else values
 
 
 def _not(target: Path, source: Path) -> Path:

@@ -36,7 +36,7 @@ def one_thread() -> Iterator[None]:
 
 
 def on_processes(work: Any, jobs: Iterable[Any], workers: int) -> Iterator[Any]:
-    """Results of jobs, in their order.
+    """Results of jobs, in their order; with one worker, of this process.
 
     Where a process dies, as decoders of damaged files and a full memory can make it, each job that
     was under way is done once more in a process of its own.
@@ -44,32 +44,33 @@ def on_processes(work: Any, jobs: Iterable[Any], workers: int) -> Iterator[Any]:
     Args:
         work: called with each job, one at a time in a process; it can be pickled. `work.died(job)`
             is the result of a job that its process has died over.
-        jobs: what to do.
-        workers: processes; 1: this one.
     """
     if workers == 1:
         with one_thread():
             yield from map(work, jobs)
         return
     remaining = iter(jobs)
-    under_way: deque[tuple[Any, Future[Any] | None]] = deque()
+    under_way: deque[Any] = deque()
     while True:
         pool = _pool(work, workers)
+        futures: deque[Future[Any]] = deque()
         try:
             for job in remaining:
-                under_way.append((job, None))
-                under_way[-1] = (job, pool.submit(_call, job))
-                if len(under_way) == _AHEAD * workers:
-                    yield _first(under_way)
-            while under_way:
-                yield _first(under_way)
+                under_way.append(job)
+                futures.append(pool.submit(_call, job))
+                if len(futures) == _AHEAD * workers:
+                    yield futures.popleft().result()
+                    under_way.popleft()
+            while futures:
+                yield futures.popleft().result()
+                under_way.popleft()
             return
         except BrokenProcessPool:
             pass
         finally:
             pool.shutdown(cancel_futures=True)
         while under_way:
-            yield alone(work, under_way.popleft()[0])
+            yield alone(work, under_way.popleft())
 
 
 def alone(work: Any, job: Any) -> Any:
@@ -79,14 +80,6 @@ def alone(work: Any, job: Any) -> Any:
             return pool.submit(_call, job).result()
     except BrokenProcessPool:
         return work.died(job)
-
-
-def _first(under_way: deque[tuple[Any, Future[Any] | None]]) -> Any:
-    future = under_way[0][1]
-    assert future is not None
-    result = future.result()
-    under_way.popleft()
-    return result
 
 
 def _pool(work: Any, workers: int) -> ProcessPoolExecutor:

@@ -4,18 +4,10 @@ import json
 from pathlib import Path
 from typing import Any
 
-import torch
-
-from uwaug import __version__
 from uwaug._support.atomic import written_whole
 
 KEYS = ("uwaug", "torch", "name", "variant", "picture", "distance", "recipe", "params")
 """What a record must have to make its picture again."""
-
-
-def versions() -> dict[str, str]:
-    """Of uwaug and torch."""
-    return {"uwaug": __version__, "torch": str(torch.__version__)}
 
 
 def record_path(picture: Path) -> Path:

@@ -12,6 +12,7 @@ from typing import Any, Literal, NamedTuple
 import torch
 from torch import Tensor
 
+from uwaug import __version__
 from uwaug._support import checks
 from uwaug._support.atomic import remove_left, written_whole
 from uwaug.distance.sources import Metres, Source
@@ -19,7 +20,7 @@ from uwaug.files.items import Item
 from uwaug.files.labels import Judged, Labelled, Labels, judged, open_labels
 from uwaug.files.pictures import ENDINGS, metres_of, read_distance, read_picture, write_picture
 from uwaug.files.pool import on_processes, one_thread
-from uwaug.files.record import read_record, record_path, versions, write_record
+from uwaug.files.record import read_record, record_path, write_record
 from uwaug.files.sheet import write_sheet
 from uwaug.formation.contrast import FAINT
 from uwaug.transforms.random_underwater import RandomUnderwater
@@ -41,7 +42,6 @@ class Recipe:
         unit: of distances in files, see `read_distance`, where the transform takes metres.
         seed: of all that is random.
         variants: of each picture.
-        ending: of the files to write, such as ".png"; None: as of each picture.
         labels: a COCO file, or a folder of YOLO's files or of masks; None for none.
         min_contrast: labels of objects of which less contrast is left, 0…1, are left out; None
             keeps all.
@@ -54,7 +54,6 @@ class Recipe:
     unit: str | float = "m"
     seed: int = 0
     variants: int = 1
-    ending: str | None = None
     labels: str | None = None
     min_contrast: float | None = None
 
@@ -62,8 +61,6 @@ class Recipe:
         metres_of(self.unit)
         if self.variants < 1:
             raise ValueError(f"variants must be 1 or more, got {self.variants}")
-        if self.ending is not None:
-            checks.one_of("ending", self.ending, ENDINGS)
         if self.min_contrast is not None:
             checks.within("min_contrast", self.min_contrast, 0.0, 1.0)
 
@@ -114,11 +111,8 @@ class Summary:
         """Names of pictures in which next to nothing is left to see, less than 3 % of the contrast:
         distances may be in another unit, or the water too turbid.
         """
-        return [
-            one.item.name
-            for one in self.results
-            if one.contrast is not None and one.contrast < FAINT
-        ]
+        left = [(one.item.name, one.contrast) for one in self.results]
+        return [name for name, share in left if share is not None and share < FAINT]
 
     @property
     def objects(self) -> tuple[int, int]:
@@ -189,8 +183,12 @@ def degrade(
             raise FileExistsError(f"{out} is not empty: {cure}")
         out.mkdir(parents=True, exist_ok=True)
         jobs = list(_jobs(recipe, items, labels))
-    work = Worker(recipe, out, resume=resume, force=force)
-    work.require_maps(items)
+    work = _Worker(recipe, out, resume=resume, force=force)
+    source = work.transform.distance
+    missing = next((item.name for item in items if item.distance is None), None)
+    if missing and isinstance(source, Source) and source.reads_maps:
+        cure = "give files of distances, or a distance in metres"
+        raise ValueError(f"distance is missing: {missing} has no file of it: {cure}")
     _require_apart(jobs, out)
     if resume:
         for folder in {(out / job.place).parent for job in jobs}:
@@ -218,34 +216,15 @@ def degrade(
     return summary
 
 
-class Worker:
-    """A recipe in a process: it degrades one picture at a call, and raises nothing over a file.
-
-    Args:
-        recipe: what is done to pictures.
-        out: the folder of the run.
-        resume, force: as for `degrade`.
-    """
+class _Worker:
+    """A recipe in a process: it degrades one picture at a call, and raises nothing over a file."""
 
     def __init__(self, recipe: Recipe, out: Path, *, resume: bool, force: bool) -> None:
         self.recipe, self.out, self.resume, self.force = recipe, out, resume, force
         self._plain = recipe.to_dict()
-        self._transform = RandomUnderwater.from_dict(recipe.transform)
-
-    def require_maps(self, items: Sequence[Item]) -> None:
-        """Refuse pictures without distances if the transform reads them from files.
-
-        Raises:
-            ValueError: names a picture.
-        """
-        source = self._transform.distance
-        for item in items:
-            if item.distance is None and isinstance(source, Source) and source.reads_maps:
-                cure = "give files, or a transform with distance=Plane(…) or Network(…)"
-                raise ValueError(f"distance is missing: {item.name} has no file of it: {cure}")
+        self.transform = RandomUnderwater.from_dict(recipe.transform)
 
     def __call__(self, job: Job) -> Result:
-        """Degrade a picture."""
         try:
             with warnings.catch_warnings():
                 # each process would warn of blank pictures once: the summary tells of all
@@ -255,7 +234,6 @@ class Worker:
             return self._failed(job, _reason(error))
 
     def died(self, job: Job) -> Result:
-        """What to say of a picture over which a process has died."""
         return self._failed(job, "the process died over it: out of memory, or a damaged file")
 
     def _failed(self, job: Job, reason: str) -> Result:
@@ -263,35 +241,33 @@ class Worker:
 
     def _written(self, job: Job) -> Result:
         item, output = job.item, self.out / job.place
-        distance = None if item.distance is None else os.path.abspath(item.distance)
         made_of = {
-            **versions(),
+            "uwaug": __version__,
+            "torch": str(torch.__version__),
             "name": item.name,
             "variant": job.variant,
             "picture": os.path.abspath(item.picture),
-            "distance": distance,
+            "distance": item.distance and os.path.abspath(item.distance),
             "recipe": self._plain,
         }
-        result = Result(item, job.variant, job.place, "written")
+        named = item, job.variant, job.place
         if self.resume and output.exists():
             record = read_record(record_path(output))
             other = [name for name, value in made_of.items() if record[name] != value]
             if not other:
                 objects = [Judged(**entry) for entry in record["objects"]]
-                return result._replace(
-                    status="skipped", contrast=record["contrast"], objects=objects
-                )
+                return Result(*named, "skipped", record["contrast"], objects)
             if not self.force:
                 got = f"{output} was made with another {' and '.join(other)}"
                 raise FileExistsError(f"{got}: choose another folder, or force to write over it")
-        image, z = _read(item, self.recipe, self._transform)
+        image, z = _read(item, self.recipe, self.transform)
         generator = torch.Generator().manual_seed(key_of(self.recipe.seed, job.variant, item.name))
-        params = self._transform.make_params(image, generator)
-        degraded = self._transform.transform(image, z, params)
+        params = self.transform.make_params(image, generator)
+        degraded = self.transform.transform(image, z, params)
         # for the mean alone some pixels do: all of them take a third of the picture's time
         step = max(1, min(image.shape[1:]) // _LOOKS) if job.labels is None else 1
         some = image[:, ::step, ::step], None if z is None else z[:, ::step, ::step]
-        left = self._transform.contrast_left(*some, params)
+        left = self.transform.contrast_left(*some, params)
         contrast = round(float(left.double().mean()), 4)
         objects = []
         if job.labels is not None:
@@ -303,10 +279,9 @@ class Worker:
             dropped = {one.key for one in objects if not one.kept}
             job.labels.write(item.name, job.place, dropped, self.out)
         found = {"contrast": contrast, "objects": [one._asdict() for one in objects]}
-        record = {**made_of, "params": params, **found}
-        write_record(record_path(output), record)
+        write_record(record_path(output), {**made_of, "params": params, **found})
         write_picture(output, degraded)
-        return result._replace(contrast=contrast, objects=objects)
+        return Result(*named, "written", contrast, objects)
 
 
 def replay(
@@ -336,10 +311,8 @@ def replay(
         raise FileExistsError(f"{output} exists: force writes over it")
     plain = read_record(Path(record))
     recipe = Recipe(**plain["recipe"])
-    places = [plain["picture"] if picture is None else picture, distance or plain["distance"]]
-    source, where = (None if place is None else Path(place) for place in places)
-    assert source is not None
-    item = Item(plain["name"], source, where)
+    where = distance or plain["distance"]
+    item = Item(plain["name"], Path(picture or plain["picture"]), where and Path(where))
     _require_apart([Job(item, 0, output.name)], output.parent)
     with one_thread():
         transform = RandomUnderwater.from_dict(recipe.transform)
@@ -360,7 +333,6 @@ def _jobs(recipe: Recipe, items: Sequence[Item], labels: Labels | None) -> Itera
     for item in items:
         place = item.name if labels is None else labels.place(item.name)
         stem, end = os.path.splitext(place)
-        end = recipe.ending or end
         for variant in range(recipe.variants):
             number = f"_{variant + 1}" if recipe.variants > 1 else ""
             own = None if labels is None else labels.only(item.name)
@@ -376,10 +348,12 @@ def _require_apart(jobs: Sequence[Job], out: Path) -> None:
         output = os.path.realpath(out / job.place)
         if output in read:
             raise ValueError(f"{output} is read, and would be written over: another folder?")
-        if output in written:
-            both = f"{written[output]} and {job.item.picture}"
-            raise ValueError(f"{both} would both be written to {output}: rename one")
-        written[output] = job.item.picture
+        # files of labels are found by a picture's name without its end
+        key = output if job.labels is None else os.path.splitext(output)[0]
+        if key in written:
+            both = f"{written[key]} and {job.item.picture}"
+            raise ValueError(f"{both} would both be written to {key}: rename one")
+        written[key] = job.item.picture
 
 
 def _write_index(results: Sequence[Result], out: Path) -> None:

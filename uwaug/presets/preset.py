@@ -120,7 +120,7 @@ def load_preset(
 
     Args:
         name_or_path: a name, see `list_presets`; or the path of a TOML file (a string that ends in
-            ``.toml``, or any path object). `uwaug preset copy` copies one to make your own.
+            ``.toml``, or any path object). `uwaug preset show` prints one to make your own.
         water: takes the place of the preset's, see `uwaug.load_water`.
         camera: a camera that takes the place of the preset's, see `uwaug.load_camera`.
 

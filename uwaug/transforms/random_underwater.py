@@ -243,6 +243,8 @@ class RandomUnderwater(SampleTransform):
         """
         figures: dict[str, Any]
         if str(name_or_path).endswith(".json"):
+            if water is not None:
+                raise ValueError(f"{name_or_path} holds coefficients, which no water replaces")
             # fits load scipy.optimize, which a DataLoader worker can do without
             from uwaug.fitting.result import load_fit
 
