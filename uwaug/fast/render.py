@@ -4,7 +4,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
+from functools import cache, partial
 from threading import Lock
 
 import numpy as np
@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import get_worker_info
 
+from uwaug._support.checks import extent
 from uwaug._support.types import ColorSpace
 from uwaug.blur.plan import BlurPlan
 from uwaug.fast import kernels
@@ -50,8 +51,9 @@ def form(
 ) -> Tensor:
     """D + F + B as the camera stores it, see `uwaug.formation.image.form`."""
     srgb = color_space == "srgb"
-    largest = headroom(image) if srgb else 1.0
-    J = decode(image, srgb)
+    low, high = (0.0, 1.0) if image.dtype == torch.uint8 else extent(image)
+    largest = headroom(image) if srgb and high > 1 else 1.0
+    J = decode(image, srgb, low < 0 or high > 1)
     means = metered(J, z, medium) if development.measures else None
     seen = medium.brightened(development.gain_of(means, z))
     if plan is None:
@@ -78,8 +80,8 @@ def metered(J: Tensor, z: Tensor, medium: Medium) -> Means:
     return Means(scene, arriving, positive, veil)
 
 
-def decode(image: Tensor, srgb: bool) -> Tensor:
-    """Linear light of a picture of bytes, or of floating point."""
+def decode(image: Tensor, srgb: bool, beyond: bool = False) -> Tensor:
+    """Linear light of a picture of bytes, or of floating point; `beyond`: not all of it in 0…1."""
     width = image.shape[-1]
     if image.dtype != torch.uint8:
         image = image.to(torch.float32)
@@ -89,17 +91,21 @@ def decode(image: Tensor, srgb: bool) -> Tensor:
     values = image.detach().contiguous().numpy().reshape(-1, width)
     rows = light.numpy().reshape(-1, width)
     if image.dtype == torch.uint8:
-        # by the same arithmetic as floating point, so that both give one picture
-        unit = np.arange(256, dtype=np.float32)[None] / np.float32(255)
-        table = unit.copy()
-        if srgb:
-            kernels.decode_rows(unit, table, False, 0, 1)
-        run = partial(kernels.look_up, values, table[0], rows)
+        run = partial(kernels.look_up, values, _light_of_bytes(srgb), rows)
     else:
-        low, high = image.aminmax()
-        run = partial(kernels.decode_rows, values, rows, bool(low < 0) or bool(high > 1))
+        run = partial(kernels.decode_rows, values, rows, beyond)
     in_bands(run, range(len(values)), width)
     return light
+
+
+@cache
+def _light_of_bytes(srgb: bool) -> Floats:
+    """The light of each byte (256), by the same arithmetic as floating point."""
+    unit = np.arange(256, dtype=np.float32)[None] / np.float32(255)
+    table = unit.copy()
+    if srgb:
+        kernels.decode_rows(unit, table, False, 0, 1)
+    return np.asarray(table[0])
 
 
 def render(

@@ -52,7 +52,7 @@ def form(
     Args:
         image (Bx3xHxW tensor): uint8 or floating point, in the color space.
         z (Bx1xHxW tensor): effective distances, m, finite, ≥ 0; float32 or float64.
-        medium: of the type of z; one row, or one for each picture.
+        medium: one row, or one for each picture.
         development: what the camera makes of the light.
         light: lamps; None for daylight as the medium has it.
         plan: of the blur; None for one for the distances at hand.
@@ -63,7 +63,7 @@ def form(
         return _nothing(image, z)
     if fast.can(image, z, medium, light):
         return fast.form(image, z, medium, development, color_space, plan, tolerance)
-    J = decoded(image, color_space).to(z.dtype)
+    J, medium = decoded(image, color_space).to(z.dtype), medium.to(z)
     T = None if light is None else light.curves(medium, z)
     gain = development.gain(J, z, medium, T)
     if plan is None:

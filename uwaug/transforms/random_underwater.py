@@ -420,7 +420,7 @@ class RandomUnderwater(SampleTransform):
         if self._field is not None and sample["field_seed"] is not None:
             size = (z.shape[-2], z.shape[-1])
             z = z * random_field(size, sample["field_seed"], *self._field, z)
-        return z, medium.to(z)
+        return z, medium
 
     def _medium(self, z: Tensor, sample: Record) -> Medium:
         """The medium of a picture at these distances (1xHxW, m)."""
