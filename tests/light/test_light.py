@@ -12,7 +12,16 @@ from referees.lamps import KINDS, random_case, veil_by_definition
 from scenes import rand
 from torch import Tensor
 
-from uwaug import Development, Light, Medium, PointSpread, Underwater, contrast_left, form_image
+from uwaug import (
+    Development,
+    Light,
+    Medium,
+    PointSpread,
+    Underwater,
+    Water,
+    contrast_left,
+    form_image,
+)
 from uwaug._support import codec
 from uwaug.light import Lamp
 from uwaug.light.rays import Rays
@@ -240,6 +249,25 @@ def test_a_blur_is_planned_for_lamps() -> None:
     sharp = form_image(image, z, law, light=light)
     assert float((found.image - exact.image).square().mean().sqrt()) < 0.001
     assert float((sharp.forward - exact.forward).square().mean().sqrt()) > 0.01
+
+
+@pytest.mark.parametrize("surfaces", ["grey", "spectral"])
+def test_a_field_is_denser_water(surfaces: Any) -> None:
+    """The lamps and the scene stay where they are."""
+    water = Water.jerlov("5C").at(range(400, 701, 5))
+    denser = Water(water.wavelengths, 1.7 * water.a, 1.7 * water.b, 1.7 * water.kd)
+    options: dict[str, Any] = {"surfaces": surfaces, "tolerance": 0}
+    thin = Medium.from_water(water, vertical_depth=1.7, **options)
+    dense = Medium.from_water(denser, vertical_depth=1.0, **options)
+    image, z = scene()
+    z[:, :, :2], z[:, :, -2:] = 1e-3, math.inf
+    field = torch.full_like(z[:1], 1.7)
+    degrade, wanted = (
+        Underwater(medium, None, light=Light((BESIDE, AROUND))) for medium in (thin, dense)
+    )
+    found = degrade(image, z, field)
+    torch.testing.assert_close(found, wanted(image, z), rtol=0, atol=1e-5)
+    assert (found - degrade(image, 1.7 * z)).abs().max() > 0.05
 
 
 def test_objects_are_judged_under_their_light() -> None:

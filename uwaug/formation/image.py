@@ -43,6 +43,7 @@ def form(
     *,
     color_space: ColorSpace = "srgb",
     light: Light | None = None,
+    metres: Tensor | None = None,
     plan: BlurPlan | None = None,
     tolerance: float = 0.002,
     blurs: Blurs = blurred,
@@ -55,6 +56,7 @@ def form(
         medium: one row, or one for each picture.
         development: what the camera makes of the light.
         light: lamps; None for daylight as the medium has it.
+        metres (Bx1xHxW): distances, m, where a field multiplies them in z: for lamps.
         plan: of the blur; None for one for the distances at hand.
         tolerance: of that plan.
         blurs: what computes the blurs of the plan.
@@ -64,7 +66,7 @@ def form(
     if fast.can(image, z, medium, light):
         return fast.form(image, z, medium, development, color_space, plan, tolerance)
     J, medium = decoded(image, color_space).to(z.dtype), medium.to(z)
-    T = None if light is None else light.curves(medium, z)
+    T = None if light is None else light.curves(medium, z, metres)
     gain = development.gain(J, z, medium, T)
     if plan is None:
         brightest = medium if light is None else light.planned(medium)
@@ -121,7 +123,8 @@ def form_image(
         image (Bx3xHxW or 3xHxW tensor): J, linear light, 1 = white plate at the surface; may exceed
             [0, 1].
         distance (Bx1xHxW or 1xHxW tensor): z, metres along the ray, ≥ 0, times the medium field if
-            the water is uneven; +inf is open water. A batch of 1 serves all images.
+            the water is uneven (but under lamps `Underwater` takes the field apart); +inf is open
+            water. A batch of 1 serves all images.
         medium: one row, or as many as images. One image and B media give B images.
         light: lamps; None for daylight as the medium has it.
         tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f²;

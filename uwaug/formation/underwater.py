@@ -157,6 +157,9 @@ class Underwater(nn.Module):
         dtype = torch.promote_types(image.dtype, torch.float32)
         with torch.autocast(image.device.type, enabled=False):
             z = effective_distance(distance, field, dtype)
+            metres = None
+            if field is not None and self.light is not None:
+                metres = effective_distance(distance, None, dtype).expand_as(z)
             if not torch.compiler.is_compiling():
                 self._keep_up(medium)
                 self._warn_outside(z)
@@ -167,6 +170,7 @@ class Underwater(nn.Module):
                 self.development,
                 color_space=self.color_space,
                 light=self.light,
+                metres=metres,
                 plan=self.plan((image.shape[-2], image.shape[-1])),
                 tolerance=self.tolerance,
             )

@@ -3,10 +3,10 @@
 Along a ray of the camera, s metres from it, the water scatters b·p(α) of the lamp's light to the
 camera, of which e^(−G(s + r)) is left of both ways:
 
-    B_c(z) = π·power ∫_0^z Σ_l f_cl e^(−G_l (s + r)) p(α) cone(ψ) / r² ds
+    B_c(z) = π·power ∫_0^z Σ_l m·f_cl e^(−m·G_l (s + r)) p(α) cone(ψ) / r² ds
 
 r is the distance to the lamp, α the angle of scattering with p of Henyey & Greenstein (1941), ψ the
-angle to the lamp's axis; f_cl are the weights of b. In the angle θ = atan((s − s₀)/h) that the lamp
+angle to the lamp's axis; f_cl are the weights of b, m is the field at the pixel. In the angle θ = atan((s − s₀)/h) that the lamp
 sees (Kulla & Fajardo 2012, equiangular), with s₀ the ray's nearest point to the lamp and h the
 distance there, ds/r² is dθ/h: the inverse square is gone, and with u = tan(π/4 + θ/2)
 
@@ -69,7 +69,13 @@ class Cone(NamedTuple):
 
 
 def backscatter(
-    G: Tensor, weights: Tensor, nearest: Tensor, height: Tensor, cone: Cone | None, z: Tensor
+    G: Tensor,
+    weights: Tensor,
+    nearest: Tensor,
+    height: Tensor,
+    cone: Cone | None,
+    z: Tensor,
+    density: float | Tensor,
 ) -> Tensor:
     """What a lamp of power 1 sends to the camera before points at a distance (Bx3xHxW).
 
@@ -80,6 +86,7 @@ def backscatter(
         height (1x1xHxW tensor): h of each ray, m, > 0.
         cone: None for a lamp that shines to all sides.
         z (Bx1xHxW tensor): distance, m.
+        density (number or Bx1xHxW tensor): m, the medium field.
     """
     low, high = torch.atan(-nearest / height), torch.atan((z - nearest) / height)
     if cone is not None:
@@ -88,6 +95,7 @@ def backscatter(
     half = ((high - low) / 2).clamp(min=0.0)
     angle = math.pi / 4 + (low + half) / 2
     rates, total = G[..., None, None], z.new_zeros(())
+    optical_nearest, optical_height = density * nearest, density * height
     for node, weight in zip(_NODES, _WEIGHTS, strict=True):
         u = torch.tan((angle + (node / 2) * half).clamp(max=_STEEPEST))
         level = 2 * u / (1 + u * u)  # cos θ
@@ -96,8 +104,8 @@ def backscatter(
         scattered = root * root * root * weight
         if cone is not None:
             scattered = scattered * cone.share(level, raised - 1)
-        left = decay(rates, torch.addcmul(nearest, height, u))
+        left = decay(rates, torch.addcmul(optical_nearest, optical_height, u))
         total = torch.addcmul(total, scattered, left)
     # the 4π of the phase function and the π of a white plate leave 1/4
     summed = torch.unflatten(weights @ total.flatten(2), -1, z.shape[-2:])
-    return summed * (half / height * ((1 - ASYMMETRY**2) / 4))
+    return summed * (density * half / height * ((1 - ASYMMETRY**2) / 4))

@@ -32,6 +32,9 @@ _RADIUS = 0.03
 _EDGE = 0.5
 """Of the cone, over which the light fades to its edge."""
 
+_LEAST = 1e-6
+"""m; nearer, a distance does not tell the field that multiplies it."""
+
 _DARK = 1e-30
 """Of light, stands for none."""
 
@@ -93,23 +96,33 @@ class Lamp:
             checks.within("cone", self.cone, 1.0, 90.0)
 
     def curves(
-        self, water: Medium, share: Tensor, rays: Rays, normals: Tensor, z: Tensor
+        self,
+        water: Medium,
+        share: Tensor,
+        rays: Rays,
+        normals: Tensor,
+        z: Tensor,
+        density: float | Tensor = 1.0,
     ) -> Curves:
         """What reaches the camera at each pixel, as `Light.curves`.
 
         Args:
             water: `uwaug.Medium.under_lamp` the light of lamps.
-            share: T_β/T_G of it at z.
+            share: T_β/T_G of it at the effective distance.
             rays: of the picture.
             normals: of the surfaces, see `uwaug.light.rays.Rays.normals`.
-            z (Bx1xHxW tensor): effective distance, m.
+            z (Bx1xHxW tensor): distance, m.
+            density (number or Bx1xHxW tensor): of the water on each ray and on the lamp's way to
+                its surface, the medium field.
         """
         sent = self.sent(rays, normals, z)
         color = z.new_tensor(self.color).reshape(1, 3, 1, 1) * self.power
-        arrives = _summed(water.G, water.signal_weights, z + sent.path)
+        arrives = _summed(water.G, water.signal_weights, density * (z + sent.path))
         arrives = _dimmed(arrives, sent.share * color)
         direct = _dimmed(arrives, share)
-        veil = backscatter(water.G, water.veil_weights, sent.nearest, sent.height, sent.cone, z)
+        veil = backscatter(
+            water.G, water.veil_weights, sent.nearest, sent.height, sent.cone, z, density
+        )
         return Curves(direct, arrives - direct, veil * color)
 
     def sent(self, rays: Rays, normals: Tensor, z: Tensor) -> Sent:
@@ -174,7 +187,7 @@ class Light:
         checks.within("daylight", self.daylight, 0.0)
         checks.within("view", self.view, 1.0, 170.0)
 
-    def curves(self, medium: Medium, z: Tensor) -> Curves:
+    def curves(self, medium: Medium, z: Tensor, metres: Tensor | None = None) -> Curves:
         """What reaches the camera at each pixel, of light that the scene would send back if it were
         white: unscattered, scattered forward, and the veil. In place of `Medium.curves`; gradients
         pass to distances and medium.
@@ -184,17 +197,23 @@ class Light:
 
         Args:
             medium: of B or 1 rows, of the type of z.
-            z (Bx1xHxW tensor): effective distance, m, finite: where a field multiplies it, the
-                scene is so far from the lamps, too.
+            z (Bx1xHxW tensor): effective distance, m, finite.
+            metres (Bx1xHxW tensor): the distance itself, where a field multiplies it in z: lamps
+                and scene are where they are, and the water between is so dense.
         """
         day = medium.curves(z)
         total = Curves(*(part * self.daylight for part in day))
         if not self.lamps:
             return total
-        water, rays = medium.under_lamp(), Rays.of(z, self.view)
-        normals, share = rays.normals(z), _straight(water, z)
+        density: float | Tensor = 1.0
+        if metres is None:
+            metres = z
+        else:
+            density = torch.where(metres > _LEAST, z / metres.clamp(min=_LEAST), 1.0)
+        water, rays = medium.under_lamp(), Rays.of(metres, self.view)
+        normals, share = rays.normals(metres), _straight(water, z)
         for lamp in self.lamps:
-            total = added(total, lamp.curves(water, share, rays, normals, z))
+            total = added(total, lamp.curves(water, share, rays, normals, metres, density))
         return total
 
     def planned(self, medium: Medium) -> Medium:
