@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from uwaug.fast.gate import inner, kernel
-from uwaug.fast.tables import Bytes, CoarseTable, Floats, MediumTable, StackTable
+from uwaug.fast.tables import Bytes, CoarseTable, Floats, Indices, MediumTable, StackTable
 
 # ------------------------------------------------------------------------------ functions
 
@@ -438,12 +438,12 @@ def blur_weights(t: Any, place: int, to: int, series: Any) -> None:
 def curves(t: Any, z: int, to: int, medium: Any) -> None:
     """T_β, T_G − T_β and V(0) − V of three channels in turn, from the distances in row z."""
     far, rates, direct = tile_row(t, z), medium.rates, medium.direct.shape[1]
-    d = tile_rows(t, to, 9)
+    scatter, veil, d = medium.scatter, medium.veil, tile_rows(t, to, 9)
     d[:] = _0
     for r in range(direct):
         rate = rates[r]
         a0, a1, a2 = medium.direct[0, r], medium.direct[1, r], medium.direct[2, r]
-        b0, b1, b2 = medium.scatter[0, r], medium.scatter[1, r], medium.scatter[2, r]
+        b0, b1, b2 = scatter[0, r], scatter[1, r], scatter[2, r]
         for x in range(TILE):
             e = exp2(rate * far[x])
             d[x] += a0 * e
@@ -454,12 +454,8 @@ def curves(t: Any, z: int, to: int, medium: Any) -> None:
             d[x + 7 * TILE] += b2 * e
     for r in range(direct, rates.size):
         rate = rates[r]
-        a0, a1, a2 = (
-            medium.veil[0, r - direct],
-            medium.veil[1, r - direct],
-            medium.veil[2, r - direct],
-        )
-        b0, b1, b2 = medium.scatter[0, r], medium.scatter[1, r], medium.scatter[2, r]
+        a0, a1, a2 = veil[0, r - direct], veil[1, r - direct], veil[2, r - direct]
+        b0, b1, b2 = scatter[0, r], scatter[1, r], scatter[2, r]
         for x in range(TILE):
             power, rest = exp2_parts(rate * far[x])
             e, less = power + rest, (power - _1) + rest
@@ -569,6 +565,7 @@ def render_rows(
     medium: MediumTable,
     stack: StackTable,
     grid: Floats,
+    starts: Indices,
     srgb: bool,
     most: Any,
     look: Floats,
@@ -582,7 +579,7 @@ def render_rows(
     Args:
         light (3xHxW), z (HxW): of the scene; effective distance, m.
         medium, stack: tables.
-        grid (NxW): the lines of all coarse grids.
+        grid (NxW), starts (m): the lines of all coarse grids; where those of each would start.
         srgb, most: whether to encode, and the largest value then.
         look (3): of the development: share of the gamut, tone and its offset.
         out, out_bytes (3xHxW): the result, one of them; the other is 3x1x0.
@@ -627,7 +624,7 @@ def render_rows(
                     add_line(total_row, share, line, margin + left, stack.taps[k], stack.pairs[k])
                 for k in range(wide):
                     share = tile_row(t, shares + sharp + narrow + k)
-                    first = stack.starts[k] + 3 * stack.back_first[k, y] + c
+                    first = starts[k] + 3 * stack.back_first[k, y] + c
                     add_enlarged(total_row, share, grid, first, left, right, stack.back[k, y])
             if spectral:
                 for c in range(3):
@@ -640,10 +637,6 @@ def render_rows(
                     _sum(tile_row(t, totals + c), near, light[c, y, left:right])
             _develop(t, totals, look)
             for c in range(3):
-                _store(
-                    tile_row(t, totals + c),
-                    srgb,
-                    most,
-                    out[c, y % out.shape[1], left:right],
-                    out_bytes[c, y % out_bytes.shape[1], left:right],
-                )
+                floats = out[c, y % out.shape[1], left:right]
+                whole = out_bytes[c, y % out_bytes.shape[1], left:right]
+                _store(tile_row(t, totals + c), srgb, most, floats, whole)

@@ -62,7 +62,9 @@ def form(
     if image.numel() == 0 or z.numel() == 0:
         return _nothing(image, z)
     if fast.can(image, z, medium, light):
-        return fast.form(image, z, medium, development, color_space, plan, tolerance)
+        from uwaug.fast import render  # imports numba, which takes a second
+
+        return render.form(image, z, medium, development, color_space, plan, tolerance)
     J = decoded(image, color_space).to(z.dtype)
     T = None if light is None else light.curves(medium, z)
     gain = development.gain(J, z, medium, T)
