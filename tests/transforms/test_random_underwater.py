@@ -168,7 +168,7 @@ def test_a_field_is_drawn_for_each_picture() -> None:
     z = torch.full((1, 24, 33), 3.0)
     params = aug.make_params(picture())
     left = aug.contrast_left(picture(), z, params)
-    medium = aug._in_water(picture(), z, params["samples"][0])[1]
+    medium = aug._water(picture(), z, params["samples"][0])[1]
     ends = uwaug.contrast_left(torch.tensor([[[9.0, 0.6]]]), medium)
     assert float(left.min()) == pytest.approx(float(ends.min()), rel=0.02)
     assert float(left.max()) == pytest.approx(float(ends.max()), rel=0.02)

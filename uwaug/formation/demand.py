@@ -1,7 +1,7 @@
 """What a medium asks of the blur over a range of distances, and the plans for it."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -85,10 +85,6 @@ class BlurDemand:
         """Whether this leaves nothing to be wished by another, of the same law."""
         wide_enough = self.low <= other.low and other.high <= self.high
         return wide_enough and self.blur_tolerance <= other.blur_tolerance
-
-    def widened(self, factor: float) -> "BlurDemand":
-        """With a range of widths larger by this factor either way."""
-        return replace(self, low=self.low / factor, high=self.high * factor)
 
     def plan(self, size: tuple[int, int], *, shared: bool = False) -> BlurPlan:
         """The plan for an image of (height, width) `size`.
@@ -201,7 +197,6 @@ def _most(T: Array) -> Array:
 
 
 def _table(x: Tensor) -> Array:
-    """A tensor of a medium, in double precision."""
     return np.asarray(x.detach().cpu().numpy(), np.float64)
 
 

@@ -123,7 +123,9 @@ def form_image(
         image (Bx3xHxW or 3xHxW tensor): J, linear light, 1 = white plate at the surface; may exceed
             [0, 1].
         distance (Bx1xHxW or 1xHxW tensor): z, metres along the ray, ≥ 0, times the medium field if
-            the water is uneven; +inf is open water. A batch of 1 serves all images.
+            the water is uneven; +inf is open water. A batch of 1 serves all images. Where z is
+            +inf, the gradient of such a product to the field is NaN: `Underwater(…)(image, z,
+            field)` keeps it finite.
         medium: one row, or as many as images. One image and B media give B images.
         light: lamps; None for daylight as the medium has it.
         tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f²;

@@ -199,9 +199,8 @@ class Underwater(nn.Module):
         """
         if not self.learnable or self.demand is None:
             return
-        demand = self._demand_of(medium)
-        if not self.demand.covers(demand):
-            self.demand = demand.widened(_ROOM)
+        if not self.demand.covers(self._demand_of(medium)):
+            self.demand = self._demand_of(medium, margin=_ROOM)
 
     def _demand_of(self, medium: Medium, margin: float = 1.0) -> BlurDemand:
         assert self.distance_range is not None

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug.transforms.random_underwater import RandomUnderwater
-from uwaug.transforms.samples import SampleTransform, replaced, typed
+from uwaug.transforms.samples import SampleTransform, pictures_of, replaced, typed
 
 _CORNERS: dict[str, Callable[..., tuple[float, ...]]] = {
     "XYXY": lambda x1, y1, x2, y2: (x1, y1, x2, y2),
@@ -73,12 +73,14 @@ class KeepVisible(SampleTransform):
 
     def _sampled(self, inputs: tuple[Any, ...], generator: torch.Generator | None) -> Any:
         image, distance, restore = self.augment.take_apart(inputs)
+        pictures = pictures_of(image)
         if image.ndim != 3:
             got = f"a batch {tuple(image.shape)}"
             raise ValueError(f"KeepVisible takes one picture (3, H, W) at a time, got {got}")
-        record = self.augment.make_params(image, generator)
-        sample = restore(self.augment.transform(image, distance, record))
-        left = self.augment.contrast_left(image, distance, record)[0].detach()
+        samples = self.augment.make_params(image, generator)["samples"]
+        scenes = self.augment.scenes(pictures, distance, samples)
+        sample = restore(self.augment.degraded(image, scenes))
+        left = self.augment.left(image, scenes)[0].detach()
         if _has_objects(sample):
             return self._kept(sample, left)
         members = dict(enumerate(sample)) if isinstance(sample, (tuple, list)) else dict(sample)

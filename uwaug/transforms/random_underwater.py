@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, asdict, dataclass
 from dataclasses import field as option
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -18,14 +18,14 @@ from uwaug.distance.sources import Metres, Plane, Source
 from uwaug.formation.colour import require_values
 from uwaug.formation.contrast import FAINT, contrast_left
 from uwaug.formation.development import NEUTRAL, metering_points
-from uwaug.formation.field import random_field
+from uwaug.formation.field import gaussian_random_field
 from uwaug.formation.image import form
 from uwaug.light import Light
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.constituents import UNITS, Constituents
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.point_spread import FOCAL_LENGTH, PointSpread
 from uwaug.optics.reduction import default_bands
 from uwaug.optics.water import Water, load_water
 from uwaug.presets.preset import load_preset
@@ -55,17 +55,11 @@ wider ranges of them: recall and coverage of photographs each .02 to .05 less.)
 SEVERITIES = {1: 0.65, 2: 0.5, 3: 0.35, 4: 0.2, 5: 0.08}
 """The contrast of each grade of severity."""
 
-_LOGARITHMIC = ("contrast",)
-"""Numbers that are drawn uniformly in their logarithm."""
-
 _DIMMEST = 1 / 32
 """Share of the surface's light that a scene has at least, where the exposure is automatic: what the
 largest gain makes up for, and an octave for what is lost on the way to the camera. Waters that are
 turbid enough for a scene at arm's length are black at 10 m.
 """
-
-_FOCAL = 0.866
-"""Of the picture's width: the focal length of a view 60° wide."""
 
 _TABLES: dict[str, type] = {
     "development": RandomDevelopment,
@@ -81,6 +75,16 @@ _looks_left = [16]
 """Pictures of a process at which it is looked for whether anything is left to see; what is wrong
 with all shows in the first.
 """
+
+
+class Scene(NamedTuple):
+    """A picture (3xHxW), what it has drawn, and, where it is degraded, its effective distances
+    (1x1xHxW, m) and its medium.
+    """
+
+    picture: Tensor
+    numbers: Mapping[str, float]
+    water: tuple[Tensor, Medium] | None
 
 
 @codec.plain
@@ -302,7 +306,7 @@ class RandomUnderwater(SampleTransform):
             for (name, (low, high)), u in zip(
                 self._ranges.items(), rest[len(UNITS) :], strict=True
             ):
-                log = name in _LOGARITHMIC
+                log = name == "contrast"
                 numbers[name] = low * (high / low) ** u if log else low + (high - low) * u
             sample = {
                 "applied": applied < self.p,
@@ -337,8 +341,7 @@ class RandomUnderwater(SampleTransform):
             TypeError, ValueError: if an input does not suit, naming what came and what was
                 expected.
         """
-        pictures = pictures_of(image)
-        return self._transform(image, pictures, distance, self._read(params, len(pictures)))
+        return self.degraded(image, self._recorded(image, distance, params))
 
     @uncompiled
     def contrast_left(self, image: Tensor, distance: Tensor | None, params: Record) -> Tensor:
@@ -351,19 +354,7 @@ class RandomUnderwater(SampleTransform):
         Returns:
             1xHxW of a picture, Bx1xHxW of a batch; 1 where a picture is left alone.
         """
-        pictures = pictures_of(image)
-        samples = self._read(params, len(pictures))
-        shares = []
-        maps = self._maps(pictures, distance)
-        for i, (picture, z, sample) in enumerate(zip(pictures, maps, samples, strict=True)):
-            share = picture.new_ones(1, 1, *picture.shape[1:], dtype=torch.float32)
-            if sample["applied"]:
-                with naming(i, len(pictures)):
-                    effective, medium = self._in_water(picture, z, sample)
-                    share = contrast_left(effective, medium, light=self.light)
-            shares.append(share)
-        left = torch.cat(shares)
-        return left[0] if image.ndim == 3 else left
+        return self.left(image, self._recorded(image, distance, params))
 
     def take_apart(self, inputs: tuple[Any, ...]) -> Parts:
         """Image, map and the way back, of what the transform was called with."""
@@ -373,38 +364,54 @@ class RandomUnderwater(SampleTransform):
         image, distance, restore = self.take_apart(inputs)
         pictures = pictures_of(image)
         samples = self.make_params(image, generator)["samples"]
-        return restore(self._transform(image, pictures, distance, samples))
+        return restore(self.degraded(image, self.scenes(pictures, distance, samples)))
 
-    def _transform(
-        self, image: Tensor, pictures: Tensor, distance: Any, samples: list[Record]
-    ) -> Tensor:
-        """`transform` of samples that are known to be good; `pictures` are those of the image."""
-        maps, space = self._maps(pictures, distance), self.development.color_space
-        if not any(sample["applied"] for sample in samples):
+    def scenes(self, pictures: Tensor, distance: Any, samples: list[Record]) -> list[Scene]:
+        """What pictures (Bx3xHxW) with these maps have for distances and waters, by samples that
+        are known to be good.
+        """
+        maps: Sequence[Tensor | None] = [None] * len(pictures)
+        if self._source.reads_maps:
+            maps = maps_for(pictures, distance)
+        scenes = []
+        for i, (picture, z, sample) in enumerate(zip(pictures, maps, samples, strict=True)):
+            water = None
+            if sample["applied"]:
+                with naming(i, len(pictures)), torch.autocast(pictures.device.type, enabled=False):
+                    require_values(picture, self.development.color_space)
+                    water = self._water(picture, z, sample)
+            scenes.append(Scene(picture, sample["numbers"], water))
+        return scenes
+
+    def degraded(self, image: Tensor, scenes: list[Scene]) -> Tensor:
+        """`transform` of the scenes of an image."""
+        if not any(scene.water for scene in scenes):
             return image
         results = []
-        for i, (picture, z, sample) in enumerate(zip(pictures, maps, samples, strict=True)):
+        for i, (picture, numbers, water) in enumerate(scenes):
             result = picture[None]
-            if sample["applied"]:
-                with naming(i, len(pictures)), torch.autocast(image.device.type, enabled=False):
-                    require_values(picture, space)
-                    effective, medium = self._in_water(picture, z, sample)
-                    _warn_if_blank(effective, medium, self.light)
-                    look = self.development.of(sample["numbers"])
-                    result = form(
-                        result, effective, medium, look, color_space=space, light=self.light
-                    )
+            if water is not None:
+                look, space = self.development.of(numbers), self.development.color_space
+                with naming(i, len(scenes)), torch.autocast(image.device.type, enabled=False):
+                    _warn_if_blank(*water, self.light)
+                    result = form(result, *water, look, color_space=space, light=self.light)
             results.append(result)
         result = results[0][0] if image.ndim == 3 else torch.cat(results)
         return typed(result, type(image))
 
-    def _maps(self, pictures: Tensor, distance: Any) -> Sequence[Tensor | None]:
-        """What each picture has for a map."""
-        if self._source.reads_maps:
-            return maps_for(pictures, distance)
-        return [None] * len(pictures)
+    def left(self, image: Tensor, scenes: list[Scene]) -> Tensor:
+        """`contrast_left` of the scenes of an image."""
+        left = torch.cat(
+            [
+                picture.new_ones(1, 1, *picture.shape[1:], dtype=torch.float32)
+                if water is None
+                else contrast_left(*water, light=self.light)
+                for picture, _, water in scenes
+            ]
+        )
+        return left[0] if image.ndim == 3 else left
 
-    def _in_water(
+    def _water(
         self, picture: Tensor, distance: Tensor | None, sample: Record
     ) -> tuple[Tensor, Medium]:
         """The effective distances (1x1xHxW) of a picture (3xHxW), and its medium."""
@@ -412,8 +419,10 @@ class RandomUnderwater(SampleTransform):
         medium = self._medium(z, sample)
         z = z.to(torch.promote_types(picture.dtype, torch.float32)).clamp(max=FARTHEST)[None]
         if self._field is not None and sample["field_seed"] is not None:
-            size = (z.shape[-2], z.shape[-1])
-            z = z * random_field(size, sample["field_seed"], *self._field, z)
+            low, high = self._field
+            generator = torch.Generator().manual_seed(sample["field_seed"])
+            kind: Any = {"generator": generator, "dtype": torch.float32, "device": "cpu"}
+            z = z * gaussian_random_field(z.shape, low=low, high=high, **kind).to(z.device)
         return z, medium.to(z)
 
     def _medium(self, z: Tensor, sample: Record) -> Medium:
@@ -437,7 +446,7 @@ class RandomUnderwater(SampleTransform):
         lamps = self.light is not None and self.light.lamps  # they shine at any depth
         if self.development.metered and not lamps and water.daylight(depth) < _DIMMEST:
             depth = min(depth, water.depth_of_daylight(_DIMMEST))
-        law = self.point_spread or PointSpread.calibrated(_FOCAL * z.shape[-1])
+        law = self.point_spread or PointSpread.calibrated(FOCAL_LENGTH * z.shape[-1])
         grey = "color_matrix" not in numbers
         return _medium_of(
             water,
@@ -455,13 +464,14 @@ class RandomUnderwater(SampleTransform):
         water = self._waters.get(name)
         return water if isinstance(water, Water) else load_water(name)
 
-    def _read(self, record: Any, count: int) -> list[Record]:
-        """The samples of a record, one for each of `count` pictures."""
-        samples = samples_of(record, count, set(self._ranges))
+    def _recorded(self, image: Tensor, distance: Any, record: Any) -> list[Scene]:
+        """The scenes of an image by a record, which is checked."""
+        pictures = pictures_of(image)
+        samples = samples_of(record, len(pictures), set(self._ranges))
         for sample in samples:
             for name in sample["waters"]:
                 self._require_water(name)
-        return samples
+        return self.scenes(pictures, distance, samples)
 
     def _require_water(self, name: Any) -> None:
         """Refuse the name of a water that cannot have been drawn."""
