@@ -1,7 +1,7 @@
 """What is random about a picture besides its water: ranges, and records of what was drawn."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, get_args
 
 from uwaug._support import checks, codec
@@ -48,14 +48,8 @@ class RandomDevelopment:
 
     def ranges(self) -> dict[str, Range | None]:
         """Each number that a picture draws, by name; None where there is none."""
-        return {
-            "color_matrix": self.color_matrix,
-            "exposure": self.exposure,
-            "white_balance": self.white_balance,
-            "saturation": self.saturation,
-            "gamut": self.gamut,
-            "tone": self.tone,
-        }
+        fixed = ("metered", "color_space")
+        return {name: value for name, value in asdict(self).items() if name not in fixed}
 
     def of(self, numbers: Mapping[str, float]) -> Development:
         """The development of a picture that has drawn these numbers."""

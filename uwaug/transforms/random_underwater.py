@@ -61,13 +61,6 @@ largest gain makes up for, and an octave for what is lost on the way to the came
 turbid enough for a scene at arm's length are black at 10 m.
 """
 
-_TABLES: dict[str, type] = {
-    "development": RandomDevelopment,
-    "light": Light,
-    "point_spread": PointSpread,
-}
-"""Options whose class a table need not name."""
-
 _medium_of = lru_cache(maxsize=2)(Medium.from_water)
 """Kept for transforms of one fixed water."""
 
@@ -78,13 +71,11 @@ with all shows in the first.
 
 
 class Scene(NamedTuple):
-    """A picture (3xHxW), what it has drawn, and, where it is degraded, its effective distances
-    (1x1xHxW, m) and its medium.
-    """
+    """A picture, and its water where it is degraded."""
 
-    picture: Tensor
-    numbers: Mapping[str, float]
-    water: tuple[Tensor, Medium] | None
+    picture: Tensor  # 3xHxW
+    numbers: Mapping[str, float]  # that it has drawn
+    water: tuple[Tensor, Medium] | None  # effective distances (1x1xHxW, m), and the medium
 
 
 @codec.plain
@@ -134,13 +125,11 @@ class RandomUnderwater(SampleTransform):
         share one map; uint8 (0…255) or floating point (0…1); plain tensors or torchvision's
         tv_tensors (a distance map is best a `Mask`). The same structure comes back with a new image
         of the same type; every other leaf is returned as it is, and no input is changed. Gradients
-        pass to image and distance; what is drawn is constant. `torch.compile` leaves the transform
-        as it is, at a break of the graph, as it does torchvision's.
+        pass to image and distance; what is drawn is constant.
 
     Randomness comes from torch's global generator, which a DataLoader seeds for each worker and
     epoch; `at` draws from a key instead. Place the transform before normalisation, and after
-    resizing and cropping: a width law with a reference size, such as the default, takes the picture
-    that it gets for the whole view.
+    resizing and cropping: the default width law takes the picture for the whole view.
 
     Raises:
         TypeError, ValueError: if an option or an input does not suit, naming what came and what was
@@ -209,9 +198,7 @@ class RandomUnderwater(SampleTransform):
         self._field = None if self.field is None else as_range("field", self.field, 0.0)
         self._mixes = self._ranges["mixing"][1] > 0
         if self._mixes and any(isinstance(water, Medium) for _, water in loaded):
-            raise ValueError(
-                "mixing needs spectra: it must be 0 where one of the waters is a Medium"
-            )
+            raise ValueError("mixing needs spectra: it must be 0 where a water is a Medium")
 
     @classmethod
     def severity(cls, level: int, **options: Any) -> "RandomUnderwater":
@@ -272,12 +259,12 @@ class RandomUnderwater(SampleTransform):
         Raises:
             TypeError, ValueError: as the class, and if a table does not suit.
         """
-        read = {
-            name: codec.from_plain(options[name], kind) if options.get(name) else None
-            for name, kind in _TABLES.items()
-            if name in options
-        }
-        transform: RandomUnderwater = codec.from_plain({**options, **read}, RandomUnderwater)
+        read = dict(options)
+        tables = {"development": RandomDevelopment, "light": Light, "point_spread": PointSpread}
+        for name, kind in tables.items():
+            if options.get(name):
+                read[name] = codec.from_plain(options[name], kind)
+        transform: RandomUnderwater = codec.from_plain(read, RandomUnderwater)
         return transform
 
     def make_params(self, image: Tensor, generator: torch.Generator | None = None) -> Record:
@@ -367,9 +354,7 @@ class RandomUnderwater(SampleTransform):
         return restore(self.degraded(image, self.scenes(pictures, distance, samples)))
 
     def scenes(self, pictures: Tensor, distance: Any, samples: list[Record]) -> list[Scene]:
-        """What pictures (Bx3xHxW) with these maps have for distances and waters, by samples that
-        are known to be good.
-        """
+        """Pictures (Bx3xHxW) and maps in the waters of samples, which are known to be good."""
         maps: Sequence[Tensor | None] = [None] * len(pictures)
         if self._source.reads_maps:
             maps = maps_for(pictures, distance)
@@ -384,7 +369,7 @@ class RandomUnderwater(SampleTransform):
         return scenes
 
     def degraded(self, image: Tensor, scenes: list[Scene]) -> Tensor:
-        """`transform` of the scenes of an image."""
+        """The degraded image of these scenes, see `transform`."""
         if not any(scene.water for scene in scenes):
             return image
         results = []
@@ -400,16 +385,12 @@ class RandomUnderwater(SampleTransform):
         return typed(result, type(image))
 
     def left(self, image: Tensor, scenes: list[Scene]) -> Tensor:
-        """`contrast_left` of the scenes of an image."""
-        left = torch.cat(
-            [
-                picture.new_ones(1, 1, *picture.shape[1:], dtype=torch.float32)
-                if water is None
-                else contrast_left(*water, light=self.light)
-                for picture, _, water in scenes
-            ]
-        )
-        return left[0] if image.ndim == 3 else left
+        """The share of contrast in these scenes, see `contrast_left`."""
+        shares = []
+        for picture, _, water in scenes:
+            share = picture.new_ones(1, 1, *picture.shape[1:], dtype=torch.float32)
+            shares.append(share if water is None else contrast_left(*water, light=self.light))
+        return shares[0][0] if image.ndim == 3 else torch.cat(shares)
 
     def _water(
         self, picture: Tensor, distance: Tensor | None, sample: Record
