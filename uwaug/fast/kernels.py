@@ -367,21 +367,17 @@ def tile_rows(t: Any, first: int, count: int) -> Any:
 
 
 @inner
-def powers(t: Any, z: int, to: int, law: Any) -> None:
-    """(b̄·z)^exponent of the distances in row `z`, as `uwaug.optics.point_spread.width_at`."""
+def width_places(t: Any, z: int, to: int, law: Any) -> None:
+    """Where the widths at distances in row `z` lie in a plan, −1…1; the widths as in
+    `uwaug.optics.point_spread.width_at`.
+    """
     far, v = tile_row(t, z), tile_row(t, to)
-    b_mean, exponent, least, most = law[0], law[2], law[7], law[8]
+    b_mean, scale, exponent, least, most = law[0], law[1], law[2], law[7], law[8]
     for x in range(TILE):
         v[x] = min(max(b_mean * far[x], least), most)
     if exponent != _1:
         for x in range(TILE):
             v[x] = exp2(exponent * log2(v[x]))
-
-
-@inner
-def width_places(t: Any, row: int, law: Any) -> None:
-    """Where widths lie in a plan, −1…1, in place of the powers in a row."""
-    v, scale = tile_row(t, row), law[1]
     linear, square, slope, offset = law[3] * scale, law[4] * scale * scale, law[5], law[6]
     for x in range(TILE):
         place = slope * log2_1p(v[x] * (linear + square * v[x])) + offset
@@ -609,8 +605,7 @@ def render_rows(
             right = min(left + TILE, width)
             copy(z_row, z[y, left:right])
             if count > 1:
-                powers(t, 0, totals + 3, medium.law)
-                width_places(t, totals + 3, medium.law)
+                width_places(t, 0, totals + 3, medium.law)
                 blur_weights(t, totals + 3, shares, stack.series)
             for c in range(3):
                 J, total_row = light[c, y, left:right], tile_row(t, totals + c)

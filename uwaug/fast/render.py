@@ -2,7 +2,7 @@
 
 import os
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from threading import Lock
@@ -50,10 +50,12 @@ def form(
     kind = torch.uint8 if image.dtype == torch.uint8 else torch.float32
     result = torch.empty(batch, 3, *size, dtype=kind, device="cpu")
     scenes, metres = J.detach().contiguous().numpy(), z.detach().contiguous().numpy()
+    step = max(_BAND // size[1], 64)
     for i, scene in enumerate(scenes):
         # one picture in several waters is blurred once
         samples = range(batch) if len(scenes) == 1 else (i,)
-        for rows in _bands(size):
+        for first in range(0, size[0], step):
+            rows = range(first, min(first + step, size[0]))
             grid, starts = _coarse_grids(scene, table, rows)
             for n in samples:
                 out = result[n].numpy()
@@ -87,13 +89,6 @@ def _decoded(image: Tensor, srgb: bool) -> Tensor:
         run = partial(kernels.decode_rows, values, rows, bool(low < 0) or bool(high > 1))
     _in_bands(run, range(len(values)), width)
     return light
-
-
-def _bands(size: tuple[int, int]) -> Iterator[range]:
-    """Rows whose coarse grids are held at a time."""
-    height, width = size
-    step = max(_BAND // width, 64)
-    return (range(first, min(first + step, height)) for first in range(0, height, step))
 
 
 def _coarse_grids(light: Floats, table: PlanTable, rows: range) -> tuple[Floats, Indices]:
