@@ -118,11 +118,8 @@ _lock = Lock()
 
 
 def _in_bands(run: Callable[[int, int], None], lines: range, width: int, multiple: int = 1) -> None:
-    """Call `run(start, stop)` for lines of `width` px, in bands on as many threads as torch may
-    use; in a DataLoader's worker, on this one.
-
-    Args:
-        multiple: bands hold multiples of so many lines.
+    """Call `run(start, stop)` for lines of `width` px, in bands of multiples of so many lines, on
+    as many threads as torch may use; in a DataLoader's worker, on this one.
     """
     threads = 1 if get_worker_info() else torch.get_num_threads()
     threads = min(threads, len(lines) * width // _LEAST)
@@ -159,7 +156,7 @@ def _executor(threads: int) -> ThreadPoolExecutor:
 
 
 def _forget() -> None:
-    """In a child process there are no threads but its own."""
+    """After a fork, as a child has no threads but its own."""
     global _pool, _lock
     _pool, _lock = None, Lock()
 

@@ -197,9 +197,8 @@ def _balance(light: Tensor, share: float) -> Tensor:
 
 def metering_points(height: int, width: int, device: torch.device) -> Tensor:
     """The flat indices of some pixels, spread evenly over a picture."""
-    if torch.compiler.is_compiling() or not isinstance(height, int):
-        return _points(height, width, device)
-    return _cached_points(height, width, device)
+    traced = torch.compiler.is_compiling() or not isinstance(height, int)
+    return (_points if traced else _cached_points)(height, width, device)
 
 
 def _points(height: int, width: int, device: torch.device) -> Tensor:

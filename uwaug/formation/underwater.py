@@ -224,11 +224,10 @@ class Underwater(nn.Module):
         blur = "planned at each call"
         if self.distance_range is not None:
             near, far = self.distance_range
-            at = " at 512 px"
+            at = "at 512 px"
             if self.sides is not None:
-                every = self.sides == EVERY_SIDE
-                at = "" if every else " for short sides of {}…{} px".format(*self.sides)
-            blur = f"{near:g}…{far:g} m, {self.plan((512, 512))}{at}"
+                at = "for short sides of {}…{} px".format(*self.sides)
+            blur = f"{near:g}…{far:g} m, {self.plan((512, 512))} {at}"
         settings = f"tolerance={self.tolerance:g}, {self.color_space}"
         if self.development != NEUTRAL:
             settings += f", {self.development!r}"

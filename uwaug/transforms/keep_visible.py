@@ -2,7 +2,7 @@
 
 import copy
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import compress
 from typing import Any
@@ -14,13 +14,6 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug.transforms.random_underwater import RandomUnderwater
 from uwaug.transforms.samples import SampleTransform, pictures_of, replaced, typed
-
-_CORNERS: dict[str, Callable[..., tuple[float, ...]]] = {
-    "XYXY": lambda x1, y1, x2, y2: (x1, y1, x2, y2),
-    "XYWH": lambda x, y, w, h: (x, y, x + w, y + h),
-    "CXCYWH": lambda x, y, w, h: (x - w / 2, y - h / 2, x + w / 2, y + h / 2),
-}
-"""By torchvision's name of a format."""
 
 
 @dataclass(eq=False, repr=False)
@@ -127,13 +120,13 @@ def _means(target: Mapping[str, Any], left: Tensor) -> Tensor:
             got, size = tuple(masks.shape), tuple(left.shape)
             raise ValueError(f"target['masks'] is {got}: expected (N, {size[0]}, {size[1]})")
         return (masks * left).sum((-2, -1)) / masks.sum((-2, -1)).clamp(min=1)
-    layout = getattr(target["boxes"], "format", "XYXY")
-    name = getattr(layout, "name", layout)
-    if name not in _CORNERS:
-        raise ValueError(f"boxes must be {', '.join(_CORNERS)}, got {name}: convert them first")
+    boxes = target["boxes"]
+    if hasattr(boxes, "format"):  # torchvision's
+        from torchvision.transforms.v2.functional import convert_bounding_box_format
+
+        boxes = convert_bounding_box_format(boxes, new_format="XYXY")
     means = []
-    for box in torch.as_tensor(target["boxes"]).reshape(-1, 4).tolist():
-        x1, y1, x2, y2 = _CORNERS[name](*box)
+    for x1, y1, x2, y2 in torch.as_tensor(boxes).reshape(-1, 4).tolist():
         # all pixels that the box touches
         rows = slice(max(0, math.floor(y1)), max(0, math.ceil(y2)))
         columns = slice(max(0, math.floor(x1)), max(0, math.ceil(x2)))
