@@ -372,15 +372,15 @@ class RandomUnderwater(SampleTransform):
         """The degraded image of these scenes, see `transform`."""
         if not any(scene.water for scene in scenes):
             return image
-        results = []
-        for i, (picture, numbers, water) in enumerate(scenes):
-            result = picture[None]
-            if water is not None:
-                look, space = self.development.of(numbers), self.development.color_space
-                with naming(i, len(scenes)), torch.autocast(image.device.type, enabled=False):
+        space, results = self.development.color_space, []
+        with torch.autocast(image.device.type, enabled=False):
+            for picture, numbers, water in scenes:
+                result = picture[None]
+                if water is not None:
                     _warn_if_blank(*water, self.light)
+                    look = self.development.of(numbers)
                     result = form(result, *water, look, color_space=space, light=self.light)
-            results.append(result)
+                results.append(result)
         result = results[0][0] if image.ndim == 3 else torch.cat(results)
         return typed(result, type(image))
 
