@@ -35,7 +35,7 @@ from uwaug.formation.image import form_image
 from uwaug.formation.underwater import Underwater
 from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import FOCAL_LENGTH, PointSpread
+from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.scattering import Scattering
 from uwaug.optics.water import Water
 from uwaug.presets.preset import Preset
@@ -93,7 +93,7 @@ def water_case(water: Water, scene: Scene, field_range: tuple[float, float] = (1
 def _media(waters: Sequence[Water], scene: Scene) -> Medium:
     """Each water with spectra, a colour matrix, and the calibrated width law."""
     width = scene.image.shape[-1]
-    law = PointSpread.calibrated(scene.focal_px or FOCAL_LENGTH * width)
+    law = PointSpread.calibrated(scene.focal_px or 0.866 * width)
     return Medium.stack(
         Medium.from_water(
             water,
