@@ -1,7 +1,7 @@
 """What a medium asks of the blur over a range of distances, and the plans for it."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -86,10 +86,6 @@ class BlurDemand:
         wide_enough = self.low <= other.low and other.high <= self.high
         return wide_enough and self.blur_tolerance <= other.blur_tolerance
 
-    def widened(self, factor: float) -> "BlurDemand":
-        """With a range of widths larger by this factor either way."""
-        return replace(self, low=self.low / factor, high=self.high * factor)
-
     def plan(self, size: tuple[int, int], *, shared: bool = False) -> BlurPlan:
         """The plan for an image of (height, width) `size`.
 
@@ -152,7 +148,10 @@ def blur_demand(
     far = min(far, _farthest_blurred(medium))
     least = max(near, 1e-3)
     z = least * (max(far, least) / least) ** _STEPS
-    strength, direct = _strongest(medium, z)
+    # a tenth of the time that `curves` would take for so few distances
+    beta, direct_weights, G, signal_weights = map(_table, medium.tensors()[:4])
+    left, arriving = _sums_at(direct_weights, beta, z), _sums_at(signal_weights, G, z)
+    strength, direct = _most(arriving - left), _most(left)
     if learned and strength.max() <= tolerance:
         strength = np.maximum(strength, direct)
     visible = np.flatnonzero(strength > tolerance)
@@ -175,16 +174,6 @@ def blur_demand(
     )
 
 
-def _strongest(medium: Medium, z: Array) -> tuple[Array, Array]:
-    """Forward scatter and direct light (N) at each distance, of the medium and the channel that
-    have most of it. A tenth of the time that `curves` would take for so few distances.
-    """
-    beta, direct_weights, G, signal_weights = map(_table, medium.tensors()[:4])
-    direct = _sums_at(direct_weights, beta, z)
-    arriving = _sums_at(signal_weights, G, z)
-    return _most(arriving - direct), _most(direct)
-
-
 def _sums_at(weights: Array, rates: Array, z: Array) -> Array:
     """Σ weight·e^(−rate·z) at distances (N), of every channel (Bx3xN) or matrix (Bx3x3xN)."""
     left = np.exp(np.multiply.outer(-rates, z))
@@ -201,7 +190,6 @@ def _most(T: Array) -> Array:
 
 
 def _table(x: Tensor) -> Array:
-    """A tensor of a medium, in double precision."""
     return np.asarray(x.detach().cpu().numpy(), np.float64)
 
 

@@ -102,25 +102,9 @@ class Development:
             checks.within(name, getattr(self, field.name), *DOMAIN[field.name])
 
     @property
-    def stops(self) -> float:
-        """Of the exposure."""
-        return float(self.exposure)
-
-    @property
-    def measures(self) -> bool:
-        """Whether something of it depends on the picture."""
-        return self.metered or self.white_balance > 0
-
-    @property
-    def shapes(self) -> bool:
-        """Whether something of it is not linear."""
-        return self.gamut != 0 or self.tone != 1
-
-    @property
     def brightening(self) -> float:
         """By how much it may multiply small differences, without meter and white balance."""
-        stops: float = 2.0**self.stops
-        return stops * max(self.saturation, 1.0)
+        return float(2.0 ** float(self.exposure)) * max(self.saturation, 1.0)
 
     def gain(self, J: Tensor, z: Tensor, medium: Medium, T: Curves | None = None) -> Tensor:
         """What its linear part multiplies the light of each picture by: one number (B or 1, 1), a
@@ -132,11 +116,11 @@ class Development:
             medium: what lies between.
             T: the curves at every pixel, where they are not the medium's.
         """
-        gain = J.new_full((1, 1), 2.0**self.stops)
-        if self.measures:
-            light, arriving = metered(J, z, medium, T)
+        gain = J.new_full((1, 1), 2.0 ** float(self.exposure))
+        if self.metered or self.white_balance > 0:
+            light, arriving = _metered(J, z, medium, T)
             if self.metered:
-                gain = gain * _automatic(light, arriving, farthest_veil(z, medium, T))[:, None]
+                gain = gain * _automatic(light, arriving, _farthest_veil(z, medium, T))[:, None]
             if self.white_balance > 0:
                 gain = gain * _balance(gain[..., None, None] * arriving, self.white_balance)
         if self.saturation == 1:
@@ -162,7 +146,9 @@ def exposed(light: Tensor, gain: Tensor) -> Tensor:
     return torch.unflatten(gain @ light.flatten(2), -1, light.shape[-2:])
 
 
-def metered(J: Tensor, z: Tensor, medium: Medium, T: Curves | None = None) -> tuple[Tensor, Tensor]:
+def _metered(
+    J: Tensor, z: Tensor, medium: Medium, T: Curves | None = None
+) -> tuple[Tensor, Tensor]:
     """The light (Bx3x1xN) of the scene at some pixels, and what arrives of it, without the blur;
     arguments as for `Development.gain`.
     """
@@ -173,7 +159,7 @@ def metered(J: Tensor, z: Tensor, medium: Medium, T: Curves | None = None) -> tu
     return light, medium.image(_at(z, points), light, light, T)
 
 
-def farthest_veil(z: Tensor, medium: Medium, T: Curves | None = None) -> Tensor:
+def _farthest_veil(z: Tensor, medium: Medium, T: Curves | None = None) -> Tensor:
     """The veil (B) of the farthest pixel, the highlight that a camera protects; a lamp in view may
     be blown out.
     """
@@ -211,9 +197,8 @@ def _balance(light: Tensor, share: float) -> Tensor:
 
 def metering_points(height: int, width: int, device: torch.device) -> Tensor:
     """The flat indices of some pixels, spread evenly over a picture."""
-    if torch.compiler.is_compiling() or not isinstance(height, int):
-        return _points(height, width, device)
-    return _cached_points(height, width, device)
+    traced = torch.compiler.is_compiling() or not isinstance(height, int)
+    return (_points if traced else _cached_points)(height, width, device)
 
 
 def _points(height: int, width: int, device: torch.device) -> Tensor:
