@@ -338,11 +338,7 @@ def main(quick: bool = False) -> None:
         print(f"{condition:24}" + " ".join(cells))
     counts = counted(result)
     for method, of in counts.items():
-        said = []
-        for what, kinds in of.items():
-            numbers = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
-            said.append(f"{what}: {numbers}")
-        print(f"{method:16}", "; ".join(said))
+        print(f"{method:16}", of)
     if not quick:
         groups = {group: list(cases) for group, cases in conditions().items()}
         with written_whole(FIGURE) as part:

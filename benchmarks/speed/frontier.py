@@ -128,16 +128,6 @@ def contests(size: int, threads: int, quick: bool) -> dict[str, Callable[[], Con
     return made
 
 
-def report(panels: dict[str, dict[str, Any]]) -> None:
-    """Say of each panel whether our default is on the front, or how far off and beaten by what."""
-    print(f"\n{'panel':<52} default")
-    for name, panel in panels.items():
-        verdict = panel["verdict"]
-        stands = f"{100 * verdict['slower_than_front']:.0f} % off: {verdict['beaten_by']}"
-        stands = "on front" if verdict["on_front"] else stands
-        print(f"{name:<52} {verdict['psnr_db']:5.1f} dB  {stands}")
-
-
 def _print(panel: str, entries: list[Entry]) -> None:
     for entry in entries:
         psnr = "     ∞" if entry["psnr_db"] is None else f"{entry['psnr_db']:6.1f}"
@@ -164,7 +154,7 @@ def main(quick: bool = False) -> dict[str, Any]:
             panels[name] = panel
             skipped |= set(contest.skipped)
             _print(name, entries)
-    report(panels)
+            print(panel["verdict"], flush=True)
     results = {"scene": SCENE, "skipped": sorted(skipped), "panels": panels}
     if not quick:
         from benchmarks.figures.charts import draw_frontier

@@ -6,6 +6,7 @@ of curves and blur.
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,8 @@ import uwaug
 from benchmarks.harness import (
     DISTANCES,
     WIDEST,
+    by_loops,
     command,
-    loops,
     motorcycle,
     peak_of,
     printed,
@@ -82,16 +83,10 @@ def _contestants(water: str, size: int, batch: int) -> dict[str, Callable[[], ob
     return {
         "uwaug": lambda: degrade(image, distance, field),
         "uwaug, default": lambda: default(image, distance, field),
-        "uwaug, loops": lambda: by_loops(default, image, distance, field),
+        "uwaug, loops": partial(by_loops(default), image, distance, field),
         "published, OpenCV": lambda: [published.published(*x, bands) for x in arrays],
         "naive kornia": lambda: published.naive_kornia(image, distance, field, channels, phi),
     }
-
-
-def by_loops(degrade: uwaug.Underwater, *scene: Tensor) -> Tensor:
-    """A picture by the compiled loops."""
-    with loops(True):
-        return degrade(*scene)
 
 
 def _arrays(batch: Tensor) -> list[np.ndarray]:
