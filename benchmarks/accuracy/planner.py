@@ -35,6 +35,7 @@ class Probe(NamedTuple):
     exact: Tensor  # (3, P)
 
     def formed(self, medium: uwaug.Medium, plan: BlurPlan) -> Tensor:
+        """The scene in a medium, linear light."""
         return form(self.image, self.z, medium.to(self.z), color_space="linear", plan=plan)
 
     def error(self, medium: uwaug.Medium, plan: BlurPlan) -> tuple[float, float]:

@@ -97,16 +97,11 @@ def _arrays(batch: Tensor) -> list[np.ndarray]:
 def scaling(rounds: int = 15) -> dict[str, float]:
     """Ratios of time: widest blur 60 px to 4 px, 1024² to 256², forward and backward to forward."""
     use_threads(1)
-    image, distance = scene(512)
     near, far = scene(256), scene(1024)
     small, large = _module("7C", 4.0), _module("7C", 60.0)
     with torch.no_grad():
-        narrow_and_wide = {
-            "4": lambda: small(image, distance),
-            "60": lambda: large(image, distance),
-        }
-        wide = race(narrow_and_wide, rounds)
-        tiles = race({"256": lambda: small(*near), "1024": lambda: small(*far)}, rounds)
+        wide = race({"4": partial(small, *scene(512)), "60": partial(large, *scene(512))}, rounds)
+        tiles = race({"256": partial(small, *near), "1024": partial(small, *far)}, rounds)
     grads = race(_learning(*near), rounds)
 
     def ratio(times: dict[str, dict[str, float]], one: str, other: str) -> float:
@@ -117,8 +112,7 @@ def scaling(rounds: int = 15) -> dict[str, float]:
         "1024² / 256²": ratio(tiles, "1024", "256"),
         "forward + backward / forward": ratio(grads, "both", "forward"),
     }
-    for name, value in result.items():
-        print(f"{name}: {value:.2f}", flush=True)
+    print(result, flush=True)
     return result
 
 
