@@ -176,8 +176,7 @@ def blur_accuracy(pixels: int = 3000) -> list[dict[str, Any]]:
             blurs = len(plan.sigmas)
             row = {"sigma_px": [low, high], "tolerance": tolerance}
             rows.append({**row, "blurs": blurs, "psnr_db": psnr})
-            said = f"{blurs} blurs, {psnr:.1f} dB"
-            print(f"σ {low}…{high} px, tolerance {tolerance}: {said}", flush=True)
+            print(rows[-1], flush=True)
     return rows
 
 
