@@ -44,7 +44,7 @@ class _Compiled:
         self.function: Any = function
 
     def __call__(self, *args: Any) -> Any:
-        return (self.loop if _loops[0] and wanted() else self.function)(*args)
+        return (self.loop if _loops[0] else self.function)(*args)
 
     @cached_property
     def loop(self) -> Callable[..., Any]:
