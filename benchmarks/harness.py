@@ -81,19 +81,15 @@ def race(
             running = [name for name in runners if medians[name] < 10 * medians[reference]]
         for name in order.sample(running, len(running)):
             runners[name]()
-            times[name].append(_milliseconds(runners[name]))
-    return {name: _quartiles(taken) for name, taken in times.items()}
-
-
-def _milliseconds(run: Callable[[], object]) -> float:
-    began = time.perf_counter()
-    run()
-    return 1e3 * (time.perf_counter() - began)
-
-
-def _quartiles(times: list[float]) -> dict[str, float]:
-    first, median, third = (float(q) for q in np.percentile(times, (25, 50, 75)))
-    return {"median_ms": median, "q1_ms": first, "q3_ms": third, "rounds": len(times)}
+            began = time.perf_counter()
+            runners[name]()
+            times[name].append(1e3 * (time.perf_counter() - began))
+    found = {}
+    for name, taken in times.items():
+        first, median, third = (float(q) for q in np.percentile(taken, (25, 50, 75)))
+        spread = {"median_ms": median, "q1_ms": first, "q3_ms": third}
+        found[name] = {**spread, "rounds": len(taken)}
+    return found
 
 
 def peak_of(run: Callable[[], object]) -> int:
@@ -141,6 +137,16 @@ def loops(used: bool) -> Iterator[None]:
         yield
     finally:
         os.environ["UWAUG_FAST"] = before
+
+
+def by_loops(model: Callable[..., Tensor]) -> Callable[..., Tensor]:
+    """A model as the compiled loops run it."""
+
+    def run(*inputs: Tensor) -> Tensor:
+        with loops(True):
+            return model(*inputs)
+
+    return run
 
 
 def measure_eager() -> None:

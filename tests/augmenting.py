@@ -2,9 +2,7 @@
 
 from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from uwaug import (
@@ -69,22 +67,10 @@ def picture(batch: int | None = None, dtype: torch.dtype = torch.float32) -> Ten
     return (255 * image).round().byte() if dtype == torch.uint8 else image.to(dtype)
 
 
-def array(dtype: str = "uint8") -> NDArray[Any]:
-    """The picture as an array, HxWx3."""
-    image = np.ascontiguousarray(picture().permute(1, 2, 0).numpy())
-    return np.rint(255 * image).astype(np.uint8) if dtype == "uint8" else image.astype(dtype)
-
-
 def distances(batch: int | None = None) -> Tensor:
     """The same map, or batch of maps, at every call: .001 to 1."""
     generator = torch.Generator().manual_seed(8)
     return 1e-3 + 0.999 * torch.rand(*_leading(batch), 1, H, W, generator=generator)
-
-
-def metres() -> NDArray[np.float32]:
-    """A map as an array, HxW: 1…5 m."""
-    z: NDArray[np.float32] = 1 + 4 * distances()[0].numpy()
-    return z
 
 
 def _leading(batch: int | None) -> tuple[int, ...]:

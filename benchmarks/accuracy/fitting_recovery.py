@@ -1,10 +1,9 @@
 """Fits of random waters that are known: are the numbers right, and their errors?
 
 `python -m benchmarks.accuracy.fitting_recovery` fits 200 pictures (250×370, 1 % noise, 8 bits),
-writes results/fitting_recovery.json and prints the shares that matter; `--runs 40` fits fewer.
+writes results/fitting_recovery.json and prints the shares that matter.
 """
 
-import argparse
 import time
 from dataclasses import dataclass
 from functools import lru_cache
@@ -15,7 +14,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from benchmarks.harness import save, use_threads
+from benchmarks.harness import command, save, use_threads
 from uwaug.fitting import Fit, fit
 from uwaug.fitting.model import COLOURS
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
@@ -23,7 +22,7 @@ from uwaug.formation.image import form_image
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PAPER_SIZE, PointSpread
 from uwaug.optics.scattering import Scattering
-from uwaug.presets.scene import motorcycle
+from uwaug.presets.scene import Scene, motorcycle
 
 RUNS = 200
 NOISE = 0.01  # standard deviation, of linear light
@@ -35,18 +34,9 @@ Array = np.ndarray[Any, np.dtype[np.float64]]
 Row = dict[str, Any]
 
 
-@dataclass(frozen=True, eq=False)
-class View:
-    """The motorcycle: picture (3xHxW) in linear light, distance (1xHxW, m), focal length (px)."""
-
-    light: Tensor
-    distance: Tensor
-    focal_px: float
-
-
 @lru_cache(maxsize=1)
-def view() -> View:
-    """The scene of the package, half as large."""
+def view() -> Scene:
+    """The scene of the package, half as large and in linear light."""
     scene = motorcycle()
     height, whole = scene.image.shape[-2:]
     size = (round(height * WIDTH / whole), WIDTH)
@@ -54,7 +44,7 @@ def view() -> View:
         interpolate(x[None].double(), size, mode="area")[0]
         for x in (srgb_to_linear(scene.image.double()), scene.distance)
     )
-    return View(light, distance, (scene.focal_px or 0.0) * WIDTH / whole)
+    return Scene(light, distance, (scene.focal_px or 0.0) * WIDTH / whole)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +75,7 @@ class Truth:
         }
 
 
-def random_truth(kind: str, rng: np.random.Generator, scene: View) -> Truth:
+def random_truth(kind: str, rng: np.random.Generator, scene: Scene) -> Truth:
     """A water that neither hides the scene nor leaves it as it is: .2 to 2.3 optical depths at the
     median distance; width laws are about the calibrated one, or ("narrow") the paper's.
     """
@@ -105,11 +95,11 @@ def random_truth(kind: str, rng: np.random.Generator, scene: View) -> Truth:
     return Truth(beta, G, veil, law)
 
 
-def photographed(truth: Truth, scene: View, rng: np.random.Generator) -> Tensor:
+def photographed(truth: Truth, scene: Scene, rng: np.random.Generator) -> Tensor:
     """The picture with noise, in 8 bits of sRGB."""
     rows = (torch.from_numpy(x) for x in (truth.beta, truth.G, truth.veil))
     water = Medium.from_coefficients(*rows, b_mean=truth.b_mean, point_spread=truth.law)
-    light = form_image(scene.light, scene.distance, water, tolerance=1e-4).image
+    light = form_image(scene.image, scene.distance, water, tolerance=1e-4).image
     noisy = light + NOISE * torch.from_numpy(rng.standard_normal(light.shape))
     return (255 * linear_to_srgb(noisy.clamp(0, 1))).round().to(torch.uint8)
 
@@ -120,9 +110,8 @@ def recovered(seed: int, pixels: int = 20_000) -> Row:
     truth = random_truth(kind, rng, scene)
     observed = photographed(truth, scene, rng)
     began = time.perf_counter()
-    found = fit(
-        linear_to_srgb(scene.light), observed, scene.distance, pixels=pixels, progress=False
-    )
+    clean = linear_to_srgb(scene.image)
+    found = fit(clean, observed, scene.distance, pixels=pixels, progress=False)
     seconds = time.perf_counter() - began
     return {"kind": kind, "model": found.model, "seconds": seconds, "numbers": _rows(truth, found)}
 
@@ -165,11 +154,11 @@ def summarised(rows: list[Row]) -> dict[str, Any]:
     }
 
 
-def main(quick: bool = False, runs: int = RUNS) -> None:
+def main(quick: bool = False) -> None:
     """Run, print, save."""
     use_threads(1)
     rows = []
-    for seed in range(1 if quick else runs):
+    for seed in range(1 if quick else RUNS):
         rows.append(recovered(seed, pixels=1000 if quick else 20_000))
         print(".", end="", flush=True)
     results = summarised(rows)
@@ -179,8 +168,4 @@ def main(quick: bool = False, runs: int = RUNS) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--runs", type=int, default=RUNS)
-    arguments = parser.parse_args()
-    main(arguments.quick, arguments.runs)
+    command(main, __doc__)

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import chain
-from typing import Any
 
 import numpy as np
 import torch
@@ -22,7 +21,6 @@ from referees.transport import (
     Array,
     PhaseFunction,
     Spread,
-    chosen,
     henyey_greenstein,
     petzold,
     survey,
@@ -80,10 +78,6 @@ class Law:
             beyond = 1 / np.hypot(r, 1) if self.shape == "exponential" else np.exp(-0.5 * r * r)
             total += share * (1 - beyond)
         return total
-
-    def __str__(self) -> str:
-        parts = " + ".join(f"{share:.2f}·[{s:.4f} (bz)^{p:.2f}]" for share, s, p in self.widths)
-        return f"g = {self.g:.3f}, {self.shape} σ/f = {parts}"
 
 
 def _error(truth: Spread, g: float, transfer: Array) -> float:
@@ -233,40 +227,12 @@ def compare(spreads: Spreads, own: Spreads) -> tuple[dict[str, Law], Errors]:
     return found, errors
 
 
-def _print_walks(phases: Sequence[PhaseFunction], spreads: Spreads) -> None:
-    seen = "seen on a disc of 10°, 3°; median tangent"
-    print(f"phase function   ⟨cos⟩    a/b=.4: g at b·z = .1     1     5; {seen}")
-    for phase in phases:
-        row = [chosen(spreads[phase.name], x, 0.4).figures for x in (0.1, 1.0, 5.0)]
-        g = [f"{figures['g']:.4f}" for figures in row]
-        median = [f"{figures['q50']:.4f}" for figures in row]
-        disc = f"{row[1]['g_10deg']:.3f}, {row[1]['g_3deg']:.3f}"
-        print(f"{phase.name:14s} {phase.mean_cosine:8.4f} ", *g, disc, *median)
-
-
-def _print_rule(rule: dict[str, float]) -> None:
-    law = "g = {k:.3f} (1 − ⟨cos⟩)^{p_cosine:.2f} (a/b)^{q_absorption:.2f} (bz)^{r_lengths:.2f}"
-    print(f"{law}, within a factor {{deviation_factor:.2f}}".format(**rule))
-
-
-def _print_errors(found: dict[str, Law], errors: Errors) -> None:
-    columns = (key.replace("HG 0", "HG ").replace("exposed", "ex.") for key in errors["paper"])
-    print("mean RMSE of D + F".ljust(30), *(column.rjust(13) for column in columns))
-    for name, row in errors.items():
-        law = f"  {found[name]}" if name in found else ""
-        print(name.ljust(30), *(f"{v:13.4f}" for v in row.values()), law, flush=True)
-
-
 def _walks_as_json(spreads: Sequence[Spread]) -> list[dict[str, float]]:
     rows = []
     for s in spreads:
         figures = {name: float(f"{value:.5g}") for name, value in s.figures.items()}
         rows.append({"bz": s.lengths, "a/b": s.absorption, **figures})
     return rows
-
-
-def _law_as_json(law: Law) -> dict[str, Any]:
-    return {"g": law.g, "shape": law.shape, "share_scale_exponent": law.widths}
 
 
 def main(quick: bool = False) -> None:
@@ -277,28 +243,30 @@ def main(quick: bool = False) -> None:
     for names in stations.values():
         phases += map(petzold, names)
     spreads = survey(phases, 10_000 if quick else 400_000)
-    _print_walks(phases, spreads)
     rule = rule_for_g(phases, spreads)
-    _print_rule(rule)
+    print(f"g = k·(1 − ⟨cos⟩)^p·(a/b)^q·(bz)^r: {rule}")
     own: Spreads = {}
     for group, names in stations.items():
         walks = chain.from_iterable(spreads[name] for name in names)
         own[group] = [s for s in walks if s.absorption not in ABSORPTION]
     found, errors = compare(spreads, own)
-    _print_errors(found, errors)
+    for name, row in errors.items():
+        print(name, *(f"{key}: {error:.4f}" for key, error in row.items()), sep="; ", flush=True)
     if quick:
         return
     each: dict[str, dict[str, list[float]]] = {}
     for name, truths in spreads.items():
         fits = {shape: fit_law(truths, shape) for shape in ("gaussian", "exponential")}
-        print(name, *fits.values(), sep="; ", flush=True)
         each[name] = {shape: [law.g, *law.widths[0][1:]] for shape, law in fits.items()}
     results = {
         "picture": {"mean": MEAN, "contrast": CONTRAST, "size_px": SIZE, "focal_px": FOCAL},
         "mean_cosine": {phase.name: phase.mean_cosine for phase in phases},
         "walks": {name: _walks_as_json(row) for name, row in spreads.items()},
         "rule_for_g": rule,
-        "laws": {name: _law_as_json(law) for name, law in found.items()},
+        "laws": {
+            name: {"g": law.g, "shape": law.shape, "share_scale_exponent": law.widths}
+            for name, law in found.items()
+        },
         "each": each,
         "errors": errors,
     }

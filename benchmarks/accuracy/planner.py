@@ -26,18 +26,6 @@ RANGES = ((0.05, 1.0), (1.0, 5.0), (1.0, 20.0))
 TOLERANCE = 0.002
 
 
-class Law(NamedTuple):
-    """A width law for pictures of some width, and the g that goes with it."""
-
-    g: float
-    point_spread: uwaug.PointSpread
-
-
-def formed_by(scene: "Probe", medium: uwaug.Medium, plan: BlurPlan) -> Tensor:
-    """The scene in a medium, linear light."""
-    return form(scene.image, scene.z, medium.to(scene.z), color_space="linear", plan=plan)
-
-
 class Probe(NamedTuple):
     """A picture in linear light, its distances, and what is right at some of its pixels."""
 
@@ -46,19 +34,23 @@ class Probe(NamedTuple):
     at: Tensor  # (P), flat indices
     exact: Tensor  # (3, P)
 
+    def formed(self, medium: uwaug.Medium, plan: BlurPlan) -> Tensor:
+        """The scene in a medium, linear light."""
+        return form(self.image, self.z, medium.to(self.z), color_space="linear", plan=plan)
+
     def error(self, medium: uwaug.Medium, plan: BlurPlan) -> tuple[float, float]:
         """RMSE and largest error at these pixels."""
         with torch.no_grad():
-            formed = formed_by(self, medium, plan)
+            formed = self.formed(medium, plan)
         difference = (formed[0].flatten(1)[:, self.at].double() - self.exact).abs()
         return float(difference.square().mean().sqrt()), float(difference.max())
 
 
-def laws(width: int) -> dict[str, Law]:
-    """The paper's, and the one calibrated to a picture of 60° so many px wide."""
+def laws(width: int) -> dict[str, tuple[float, uwaug.PointSpread]]:
+    """The paper's g and width law, and those calibrated to a picture of 60° so many px wide."""
     return {
-        "paper": Law(0.2, uwaug.PointSpread.paper()),
-        "calibrated": Law(0.05, uwaug.PointSpread.calibrated(0.866 * width)),
+        "paper": (0.2, uwaug.PointSpread.paper()),
+        "calibrated": (0.05, uwaug.PointSpread.calibrated(0.866 * width)),
     }
 
 
@@ -101,10 +93,7 @@ def cell(
     """One cell of the table."""
     h, w = motorcycle()[0].shape[-2:]
     g, point_spread = laws(w)[law]
-    options = {
-        "g": g,
-        "point_spread": point_spread,
-    }
+    options = {"g": g, "point_spread": point_spread}
     water = uwaug.Water.jerlov(name)
     medium = uwaug.Medium.from_water(water, tolerance=TOLERANCE, **options)
     scene = probe(uwaug.Medium.from_water(water, tolerance=0, **options), distances, pixels)
@@ -114,7 +103,7 @@ def cell(
     fewer = one_blur_less(demand, plan, (h, w))
 
     with torch.no_grad():
-        times = race({"form": lambda: formed_by(scene, medium, plan)}, rounds)
+        times = race({"form": lambda: scene.formed(medium, plan)}, rounds)
     return {
         "type": name,
         "distance_m": distances,
@@ -131,18 +120,6 @@ def cell(
     }
 
 
-def said(row: dict[str, Any]) -> str:
-    """A row of the table as a line."""
-    near, far = row["distance_m"]
-    blurs = len(row["widths_px"]) if row["blurred"] else "none"
-    without = row["rmse_one_blur_less"]
-    less = "–" if without is None else f"{without:.5f}"
-    return (
-        f"{row['law']:10} {row['type']:3} {near:g}–{far:g} m: rates {row['rates']}, blurs {blurs}, "
-        f"{row['ms']:.0f} ms, RMSE {row['rmse']:.5f}, max {row['max']:.4f}, one blur less {less}"
-    )
-
-
 def main(quick: bool = False) -> None:
     """Print the table and save it."""
     use_threads(1)
@@ -155,15 +132,11 @@ def main(quick: bool = False) -> None:
             for distances in ranges:
                 row = cell(name, distances, law, pixels, rounds)
                 rows.append(row)
-                print(said(row), flush=True)
+                print(row, flush=True)
     held = sum(row["rmse"] <= TOLERANCE for row in rows)
     without = [row["rmse_one_blur_less"] for row in rows]
     spare = [rmse for rmse in without if rmse is not None]
     broken = sum(rmse > 0.5 * TOLERANCE for rmse in spare)
-    rmse, worst = (max(row[key] for row in rows) for key in ("rmse", "max"))
-    kept = f"RMSE within {TOLERANCE} in {held} of {len(rows)} cells, at most {rmse:.5f}"
-    kept += f"; the largest error of a single value {worst:.4f}"
-    print(f"{kept}; one blur less breaks half of it in {broken} of {len(spare)}")
     if not quick:
         table = {"rows": rows, "within": held, "one_less_breaks": broken, "with_blurs": len(spare)}
         print(save("planner", table))

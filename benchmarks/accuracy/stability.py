@@ -264,9 +264,9 @@ def _gradients(out: Tensor, leaves: dict[str, Tensor], weights: Tensor) -> dict[
 
 def _worst(verdicts: list[str]) -> str:
     bad = [verdict for verdict in verdicts if verdict != "right"]
-    if not bad:
-        return "right"
-    return "NaN" if "NaN" in bad else max(bad, key=_amount)
+    if "NaN" in bad:
+        return "NaN"
+    return max(bad, key=_amount, default="right")
 
 
 def _amount(verdict: str) -> float:
@@ -321,13 +321,13 @@ def matrix() -> Matrix:
 
 def counted(result: Matrix) -> dict[str, dict[str, dict[str, int]]]:
     """{method: {"value" or "gradient": {kind of verdict: conditions}}}."""
-    counts: dict[str, dict[str, dict[str, int]]] = {}
-    for method in next(iter(result.values())):
-        of = counts[method] = {}
-        for what in ("value", "gradient"):
-            kinds = (matrix_chart.kind(row[method][what]) for row in result.values())
-            of[what] = dict(Counter(kinds))
-    return counts
+    return {
+        method: {
+            what: dict(Counter(matrix_chart.kind(row[method][what]) for row in result.values()))
+            for what in ("value", "gradient")
+        }
+        for method in next(iter(result.values()))
+    }
 
 
 def main(quick: bool = False) -> None:
@@ -338,11 +338,7 @@ def main(quick: bool = False) -> None:
         print(f"{condition:24}" + " ".join(cells))
     counts = counted(result)
     for method, of in counts.items():
-        said = []
-        for what, kinds in of.items():
-            numbers = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
-            said.append(f"{what}: {numbers}")
-        print(f"{method:16}", "; ".join(said))
+        print(f"{method:16}", of)
     if not quick:
         groups = {group: list(cases) for group, cases in conditions().items()}
         with written_whole(FIGURE) as part:

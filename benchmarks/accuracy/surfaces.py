@@ -157,10 +157,7 @@ def main(quick: bool = False) -> dict[str, Any]:
         reflectances = np.stack(list(table.values()))
         rows = errors(reflectances, JERLOV_TYPES[:2] if quick else JERLOV_TYPES)
         results["errors"][name], results["places"][name] = summary(rows), len(rows)
-        print(f"{name}: {len(rows)} places")
-        for method, found in results["errors"][name].items():
-            where = ", ".join(map(str, found["where"].values()))
-            print(f"  {method}: mean {found['mean']:.4f}, worst {found['worst']:.4f} ({where})")
+        print(name, results["errors"][name])
     draw(None if quick else FIGURE)
     if not quick:
         print(save("surfaces", results))

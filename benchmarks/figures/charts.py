@@ -5,8 +5,10 @@
 
 import json
 import re
+from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -15,11 +17,12 @@ from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.transforms import Bbox
 from PIL import Image
 from referees.transport import EDGES, LENGTHS, Spread, chosen
 
-from benchmarks.figures.chart_labels import Point, write_labels
 from benchmarks.harness import RESULTS
 from uwaug._support.atomic import written_whole
 
@@ -50,6 +53,20 @@ _TRUTHS = {
     "Petzold": "Petzold's stations",
     "pictures": "pictures (HG .924)",
 }
+_COMPASS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1))
+_STEPS = [(r * dx, r * dy) for r in (8, 12, 17, 24, 32, 42, 56, 72) for dx, dy in _COMPASS]
+"""Points of 1/72 in from a point to its label, nearest first."""
+_LETTERS: dict[str, Any] = {"textcoords": "offset points", "va": "center", "fontsize": 7.5}
+_LEADER = 14  # points; a label farther off is joined to its point by a line
+
+
+class Point(NamedTuple):
+    """A point of a chart, in its data, and what is to be written beside it; "" for nothing."""
+
+    x: float
+    y: float
+    label: str
+    colour: str
 
 
 def draw_frontier(results: dict[str, Any]) -> Path:
@@ -99,7 +116,7 @@ def frontier_figure(results: dict[str, Any], shown: tuple[int, int] = SHOWN) -> 
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # labels must not move what they were placed against
         for axes, points in marked:
-            write_labels(figure, axes, points, DEFAULT)
+            write_labels(figure, axes, points)
     return figure
 
 
@@ -178,6 +195,76 @@ def _finish_frontier(axes: Axes, panel: dict[str, Any]) -> None:
     title = f"{panel['part']}\ndefault: {verdict['psnr_db']:.1f} dB, {stands}"
     axes.set_title(title, loc="left")
     axes.grid(alpha=0.2)
+
+
+def write_labels(figure: Figure, axes: Axes, points: Sequence[Point]) -> None:
+    """Write each label beside its point, where it covers the least of points, labels and axes
+    already there; those of our default choose before the others.
+    """
+    scale = figure.dpi / 72
+    frame, taken = axes.get_window_extent(), _taken(axes, points, scale)
+    for point in sorted(points, key=lambda p: (p.colour != DEFAULT, p.x)):
+        if not point.label:
+            continue
+        x, y = axes.transData.transform(point[:2])
+        measured = axes.annotate(point.label, point[:2], (0, 0), **_LETTERS)
+        extent = measured.get_window_extent()
+        measured.remove()
+        # outlines are wider than hinted text
+        width, height = 1.05 * extent.width + 4, extent.height + 2
+
+        def box(dx: float, dy: float) -> Bbox:
+            left = x + dx * scale - width * (0.5 - 0.5 * np.sign(dx))
+            return Bbox.from_bounds(left, y + dy * scale - height / 2, width, height)
+
+        others = [one for one in taken if not one.contains(x, y)]
+
+        def cost(step: tuple[float, float]) -> float:
+            """Of what it covers, how far off it is, and what the line to it crosses."""
+            (dx, dy), place = step, box(*step)
+            outside = width * height - _overlap(place, frame)
+            covered = sum(_overlap(place, one) for one in taken)
+            ways = [(x + t * scale * dx, y + t * scale * dy) for t in (0.5, 0.7, 0.9)]
+            crossed = sum(one.contains(*at) for one in others for at in ways)
+            return covered + 3 * outside + scale * (abs(dx) + abs(dy)) + 10 * crossed
+
+        dx, dy = min(_STEPS, key=cost)
+        taken.append(box(dx, dy))
+        leader = {"arrowstyle": "-", "color": point.colour, "linewidth": 0.4}
+        axes.annotate(
+            point.label,
+            point[:2],
+            (dx - 0.04 * width / scale * (dx < 0), dy),
+            ha={-1: "right", 0: "center", 1: "left"}[int(np.sign(dx))],
+            color=point.colour,
+            path_effects=[withStroke(linewidth=2, foreground="white")],
+            zorder=5,
+            arrowprops=leader if abs(dx) + abs(dy) > _LEADER else None,
+            **_LETTERS,
+        )
+
+
+def _taken(axes: Axes, points: Sequence[Point], scale: float) -> list[Bbox]:
+    """Boxes around points and along lines."""
+    boxes = []
+    for point in points:
+        reach = scale * (8 if point.colour == DEFAULT else 4)
+        boxes.append(Bbox.from_extents(*_around(axes.transData.transform(point[:2]), reach)))
+    for line in axes.lines:
+        path = axes.transData.transform(line.get_path().vertices)
+        for start, end in pairwise(path):
+            for share in np.linspace(0, 1, 2 + int(np.hypot(*(end - start)) / (6 * scale))):
+                boxes.append(Bbox.from_extents(*_around(start + share * (end - start), scale)))
+    return boxes
+
+
+def _around(at: np.ndarray, reach: float) -> np.ndarray:
+    return np.concatenate([at - reach, at + reach])
+
+
+def _overlap(a: Bbox, b: Bbox) -> float:
+    width, height = min(a.x1, b.x1) - max(a.x0, b.x0), min(a.y1, b.y1) - max(a.y0, b.y0)
+    return float(max(width, 0) * max(height, 0))
 
 
 def plain_numbers(axis: Axis) -> None:

@@ -128,25 +128,6 @@ def contests(size: int, threads: int, quick: bool) -> dict[str, Callable[[], Con
     return made
 
 
-def report(panels: dict[str, dict[str, Any]]) -> None:
-    """Say of each panel whether our default is on the front, or how far off and beaten by what."""
-    print(f"\n{'panel':<52} default")
-    for name, panel in panels.items():
-        verdict = panel["verdict"]
-        stands = f"{100 * verdict['slower_than_front']:.0f} % off: {verdict['beaten_by']}"
-        stands = "on front" if verdict["on_front"] else stands
-        print(f"{name:<52} {verdict['psnr_db']:5.1f} dB  {stands}")
-
-
-def _print(panel: str, entries: list[Entry]) -> None:
-    for entry in entries:
-        psnr = "     ∞" if entry["psnr_db"] is None else f"{entry['psnr_db']:6.1f}"
-        mark = "·" if entry["front"] else " "
-        mark = "●" if entry["default"] else mark
-        found = f"{entry['median_ms']:9.2f} ms {psnr} dB"
-        print(f"{panel:<46} {mark} {entry['name']:<34} {found}", flush=True)
-
-
 def main(quick: bool = False) -> dict[str, Any]:
     """Run all panels; return what is saved (nothing is, if quick)."""
     rounds, seconds = (1, 1.0) if quick else (25, 6.0)
@@ -163,8 +144,7 @@ def main(quick: bool = False) -> dict[str, Any]:
             name = f"{part}, {size}², {threads} thread{'s' * (threads > 1)}"
             panels[name] = panel
             skipped |= set(contest.skipped)
-            _print(name, entries)
-    report(panels)
+            print(name, panel["verdict"], flush=True)
     results = {"scene": SCENE, "skipped": sorted(skipped), "panels": panels}
     if not quick:
         from benchmarks.figures.charts import draw_frontier

@@ -6,6 +6,7 @@ of curves and blur.
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,8 @@ import uwaug
 from benchmarks.harness import (
     DISTANCES,
     WIDEST,
+    by_loops,
     command,
-    loops,
     motorcycle,
     peak_of,
     printed,
@@ -82,16 +83,10 @@ def _contestants(water: str, size: int, batch: int) -> dict[str, Callable[[], ob
     return {
         "uwaug": lambda: degrade(image, distance, field),
         "uwaug, default": lambda: default(image, distance, field),
-        "uwaug, loops": lambda: by_loops(default, image, distance, field),
+        "uwaug, loops": partial(by_loops(default), image, distance, field),
         "published, OpenCV": lambda: [published.published(*x, bands) for x in arrays],
         "naive kornia": lambda: published.naive_kornia(image, distance, field, channels, phi),
     }
-
-
-def by_loops(degrade: uwaug.Underwater, *scene: Tensor) -> Tensor:
-    """A picture by the compiled loops."""
-    with loops(True):
-        return degrade(*scene)
 
 
 def _arrays(batch: Tensor) -> list[np.ndarray]:
@@ -102,16 +97,11 @@ def _arrays(batch: Tensor) -> list[np.ndarray]:
 def scaling(rounds: int = 15) -> dict[str, float]:
     """Ratios of time: widest blur 60 px to 4 px, 1024² to 256², forward and backward to forward."""
     use_threads(1)
-    image, distance = scene(512)
     near, far = scene(256), scene(1024)
     small, large = _module("7C", 4.0), _module("7C", 60.0)
     with torch.no_grad():
-        narrow_and_wide = {
-            "4": lambda: small(image, distance),
-            "60": lambda: large(image, distance),
-        }
-        wide = race(narrow_and_wide, rounds)
-        tiles = race({"256": lambda: small(*near), "1024": lambda: small(*far)}, rounds)
+        wide = race({"4": partial(small, *scene(512)), "60": partial(large, *scene(512))}, rounds)
+        tiles = race({"256": partial(small, *near), "1024": partial(small, *far)}, rounds)
     grads = race(_learning(*near), rounds)
 
     def ratio(times: dict[str, dict[str, float]], one: str, other: str) -> float:
@@ -122,8 +112,7 @@ def scaling(rounds: int = 15) -> dict[str, float]:
         "1024² / 256²": ratio(tiles, "1024", "256"),
         "forward + backward / forward": ratio(grads, "both", "forward"),
     }
-    for name, value in result.items():
-        print(f"{name}: {value:.2f}", flush=True)
+    print(result, flush=True)
     return result
 
 
@@ -187,8 +176,7 @@ def blur_accuracy(pixels: int = 3000) -> list[dict[str, Any]]:
             blurs = len(plan.sigmas)
             row = {"sigma_px": [low, high], "tolerance": tolerance}
             rows.append({**row, "blurs": blurs, "psnr_db": psnr})
-            said = f"{blurs} blurs, {psnr:.1f} dB"
-            print(f"σ {low}…{high} px, tolerance {tolerance}: {said}", flush=True)
+            print(rows[-1], flush=True)
     return rows
 
 

@@ -19,7 +19,14 @@ from referees import published
 from torch import Tensor
 
 import uwaug
-from benchmarks.harness import DISTANCES, WIDEST, banded_medium, loops, scene, water_medium
+from benchmarks.harness import (
+    DISTANCES,
+    WIDEST,
+    banded_medium,
+    by_loops,
+    scene,
+    water_medium,
+)
 from benchmarks.speed import blurs
 from uwaug.blur.plan import BlurPlan, plan_blur
 from uwaug.onnx import OnnxUnderwater, export_onnx
@@ -233,16 +240,6 @@ def forward_and_backward(model: Model, c: Case) -> Tensor:
     out = model(image, z)
     out.sum().backward()
     return out.detach()
-
-
-def by_loops(model: Model) -> Model:
-    """A model as the compiled loops run it."""
-
-    def run(image: Tensor, z: Tensor) -> Tensor:
-        with loops(True):
-            return model(image, z)
-
-    return run
 
 
 def naive(image: Tensor, z: Tensor) -> Tensor:

@@ -22,14 +22,6 @@ from benchmarks.speed import blurs, frontier
 POINTS = [(1.0, 0.5), (2.0, 0.1), (3.0, 0.2), (4.0, 0.01), (4.0, 0.02), (9.0, 0.0)]
 
 
-def test_front_holds_what_nothing_beats() -> None:
-    assert frontier.pareto(POINTS) == [0, 1, 3, 5]
-
-
-def test_front_of_equal_points_holds_them_all() -> None:
-    assert sorted(frontier.pareto([(1.0, 1.0), (1.0, 1.0), (2.0, 1.0), (1.0, 2.0)])) == [0, 1]
-
-
 def test_front_agrees_with_its_definition() -> None:
     generator = torch.Generator().manual_seed(0)
     points = [tuple(p) for p in torch.randint(0, 12, (60, 2), generator=generator).tolist()]

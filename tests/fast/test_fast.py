@@ -189,12 +189,10 @@ def test_the_gate_is_closed(change: dict[str, Any]) -> None:
     assert not fast.can(**given | change)
 
 
-def test_the_gate_and_gradients_that_are_off(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_gate_is_open_where_gradients_are_off_and_to_bytes() -> None:
     with torch.no_grad():
         assert fast.can(IMAGE.clone().requires_grad_(), Z, LEARNED, None)
     assert fast.can((255 * IMAGE).byte(), Z, WATER, None)
-    monkeypatch.setenv("UWAUG_FAST", "0")
-    assert not fast.can(IMAGE, Z, WATER, None)
 
 
 def test_the_switches(rendered: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -210,13 +208,6 @@ def test_the_switches(rendered: list[Any], monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(gate, "_has_numba", lambda: False)
     degrade(IMAGE, Z)
     assert len(rendered) == 1
-
-
-def test_a_law_of_ones_own_goes_by_pytorch(rendered: list[Any]) -> None:
-    own, usual = (Underwater(coefficients(law=law)) for law in (OwnLaw(1.0), PointSpread(2.0)))
-    picture = own(IMAGE, Z)
-    assert not rendered
-    torch.testing.assert_close(picture, usual(IMAGE, Z), rtol=0, atol=1e-3)
 
 
 BROKEN = """

@@ -38,14 +38,6 @@ def test_from_the_lens_to_open_water(dtype: torch.dtype) -> None:
     assert found[-1] == 0
 
 
-def test_without_veil_it_is_the_direct_share() -> None:
-    beta, G = (0.6, 0.6, 0.6), (0.2, 0.2, 0.2)
-    medium = Medium.from_coefficients(beta, G, (0, 0, 0))
-    torch.testing.assert_close(
-        contrast_left(Z, medium), torch.exp(-0.4 * Z).where(Z < 60, 0), atol=1e-9, rtol=0
-    )
-
-
 def test_batches() -> None:
     media = Medium.stack([Medium.from_water(Water.jerlov(name)) for name in ("II", "7C")])
     maps = torch.rand(2, 1, 4, 5) * 5

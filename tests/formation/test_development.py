@@ -98,14 +98,6 @@ def test_the_gain_is_bounded() -> None:
     assert black == pytest.approx(float(almost), rel=1e-3)
 
 
-@pytest.mark.parametrize("stops", [-1.0, 2.0])
-def test_stops_double_the_light(stops: float) -> None:
-    image, z = coloured(32, 40), stepped(1, 1, 32, 40)
-    for medium in MEDIA.values():
-        plain, ours = (developed(medium(), image, z, exposure=x) for x in (0.0, stops))
-        torch.testing.assert_close(ours, 2**stops * plain, rtol=0, atol=4e-3)
-
-
 @pytest.mark.parametrize("planned", [None, (0.1, 20.0)])
 def test_bright_exposures_ask_for_no_more_blurs_than_there_are(planned: Any) -> None:
     bright = Development(10.0, metered=True)

@@ -56,8 +56,6 @@ def test_form_image_refuses(change: Any, error: type[Exception], message: str) -
 CALLS: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"image": 255 * IMAGE}, ValueError, r"image reaches 2\d\d.*: .*divide a 0…255 image by 255"),
     ({"image": IMAGE - 0.5}, ValueError, r"image falls to -0\.\d*: .*place it before Normalize"),
-    ({"image": (255 * IMAGE).int()}, TypeError, "image.*int32"),
-    ({"distance": HOLED}, ValueError, "distance is NaN at 1"),
     ({"field": -DISTANCE}, ValueError, "field is NaN at 0, negative at 96 and infinite at 0"),
     ({"field": DISTANCE + math.inf}, ValueError, "field.*infinite at 96"),
     ({"field": DISTANCE[..., :4]}, ValueError, r"field is \(6, 4\)"),
@@ -102,9 +100,7 @@ def test_underwater_refuses_an_option(change: Any, error: type[Exception], messa
 DEVELOPMENTS: list[tuple[dict[str, Any], str]] = [
     ({"exposure": "bright"}, "exposure must be"),
     ({"exposure": math.nan}, "exposure must be"),
-    ({"exposure": 11.0}, "exposure must be.*11"),
     ({"white_balance": 1.5}, "white_balance must be"),
-    ({"saturation": -0.1}, "saturation must be"),
     ({"gamut": 2.0}, r"gamut must be in \[0, 1\]"),
     ({"tone": 0.1}, "tone must be"),
 ]

@@ -163,12 +163,3 @@ def test_gradients_of_image_distance_and_coefficients(space: Any) -> None:
 
     # weights that are 0 stay, as a sum of exponentials of one channel has no others
     assert torch.autograd.gradcheck(formed, leaves, atol=1e-5)
-
-
-def test_gradients_pass_surfaces_with_spectra() -> None:
-    medium = Medium.from_water("3C", surfaces="spectral", point_spread=LAW)
-    image, z = rand(1, 3, 4, 5).requires_grad_(), stepped(1, 1, 4, 5).requires_grad_()
-    plan = Underwater(medium, (0.1, 8.0), tolerance=0.02).plan((4, 5))
-    assert torch.autograd.gradcheck(
-        lambda image, z: form(image, z, medium, color_space="linear", plan=plan), (image, z)
-    )

@@ -28,12 +28,6 @@ def medium(request: pytest.FixtureRequest) -> Medium:
     return MEDIA[request.param]()
 
 
-def test_nothing_is_learned_by_default(medium: Medium) -> None:
-    degrade = Underwater(medium)
-    assert list(degrade.parameters()) == []
-    assert not degrade(picture(), distances()).requires_grad
-
-
 def test_learning_starts_at_the_medium(medium: Medium) -> None:
     begun = LearnableMedium(medium)()
     for name in ("transmission", "signal", "backscatter"):

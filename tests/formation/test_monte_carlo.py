@@ -47,12 +47,6 @@ def test_the_papers_constants_are_five_times_as_far() -> None:
     assert paper > 5 * np.mean(errors(PointSpread.calibrated, G))
 
 
-def test_the_gaussian_fitted_to_henyey_greenstein_alone_is_no_nearer() -> None:
-    gaussian = np.mean(errors(lambda focal_px: PointSpread(0.08 * focal_px, 0.51), 0.066))
-    assert gaussian == pytest.approx(0.0146, abs=2e-4)
-    assert gaussian > 1.15 * np.mean(errors(PointSpread.calibrated, G))
-
-
 def test_what_the_blur_brings() -> None:
     direct_only = np.mean(errors(lambda _: PointSpread.none(), 1.0))
     unblurred = np.mean(errors(lambda _: PointSpread.none(), G))

@@ -67,15 +67,6 @@ def test_open_water_is_the_veil_and_no_water_is_the_picture() -> None:
     torch.testing.assert_close(result, picture(), rtol=0, atol=2e-6)
 
 
-def test_planned_at_each_call() -> None:
-    medium, image, z = coastal(), picture(), distances()
-    free = Underwater(medium, distance_range=None, color_space="linear")
-    assert free.plan((32, 40)) is None
-    expected = form_image(image, z, medium).image
-    torch.testing.assert_close(free(image, z), expected, rtol=0, atol=2e-6)
-    assert "planned at each call" in repr(free)
-
-
 @pytest.mark.filterwarnings("ignore:.*the blur is planned for")
 def test_beyond_its_range_only_widths_stop() -> None:
     medium, image = coastal(), torch.full((1, 3, 32, 40), 0.6)
@@ -179,6 +170,7 @@ def test_what_it_says_of_itself() -> None:
     parts = ("3C", "0.1…20 m", "blurs for σ", "tolerance=0.002, srgb", "tone=1.2")
     assert [part for part in parts if part not in said] == []
     assert "at 512 px" in repr(Underwater(coastal(point_spread=PointSpread.paper(0.8))))
+    assert "planned at each call" in repr(Underwater(coastal(), distance_range=None))
     assert "no blur" in repr(Underwater(coastal(point_spread=PointSpread(0.001))))
 
 

@@ -4,7 +4,6 @@ and what a camera and its colour matrix make of the sum.
 Of uwaug it takes only a water's spectra. Reflectances and cameras are those of colour-science.
 """
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -108,59 +107,3 @@ def terms(
         forward += np.multiply.outer(seen, water.light[n] * (far - near) * soft)
         veil += np.multiply.outer(seen, water.glow[n] * -np.expm1(-water.G[n] * z) / water.G[n])
     return direct, forward, veil
-
-
-class Lamp61(NamedTuple):
-    """A lamp beside the camera that shines to all sides alike.
-
-    Attributes:
-        position (3): m, in the camera's coordinates.
-        power: see `uwaug.Light.lamp`.
-        spectrum (61): of any scale.
-        radius: m.
-        asymmetry: of the phase function.
-    """
-
-    position: Array
-    power: float
-    spectrum: Array
-    radius: float = 0.03
-    asymmetry: float = 0.924
-
-
-def lit_wall(
-    J: Array, far: float, focal: float, water: Water61, camera: Eye, lamp: Lamp61
-) -> tuple[Array, Array, Array]:
-    """Distance (HxW), the light of a lamp that arrives from a wall at `far` metres (3xHxW), and the
-    veil before it (3xHxW). There is no blur.
-    """
-    _, h, w = J.shape
-    y, x = np.mgrid[:h, :w]
-    rays = np.stack([x - (w - 1) / 2, y - (h - 1) / 2, np.full((h, w), focal)], -1)
-    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-    z = far / rays[..., 2]
-    seen = camera.matrix @ camera.sensor
-    spectrum = lamp.spectrum / ((camera.sensor * lamp.spectrum).sum() / 3) * lamp.power
-    to_wall = z[..., None] * rays - lamp.position
-    squared = (to_wall**2).sum(-1) + lamp.radius**2
-    facing = to_wall[..., 2] / np.sqrt(squared)
-    # steps that are fine where the lamp is near
-    middle = rays @ lamp.position
-    fine = np.sqrt(np.maximum((lamp.position**2).sum() - middle**2 + lamp.radius**2, 1e-9))
-    turn = np.linspace(0, 1, 2001)
-    low, high = np.arcsinh(-middle / fine), np.arcsinh((z - middle) / fine)
-    t = low[..., None] + (high - low)[..., None] * turn
-    s = middle[..., None] + fine[..., None] * np.sinh(t)
-    step = fine[..., None] * np.cosh(t)
-    radius = np.sqrt((s - middle[..., None]) ** 2 + fine[..., None] ** 2)
-    g, cosine = lamp.asymmetry, -(s - middle[..., None]) / radius
-    phase = (1 - g * g) / (4 * math.pi * (1 + g * g - 2 * g * cosine) ** 1.5)
-    arrives, veil = np.zeros((2, 3, h, w))
-    for n in range(61):
-        there = spectrum[n] * facing / squared * np.exp(-water.G[n] * np.sqrt(squared))
-        reflected = np.tensordot(camera.basis[:, n], J, 1)
-        arrives += np.multiply.outer(seen[:, n], there * np.exp(-water.G[n] * z) * reflected)
-        glows = math.pi * phase / radius**2 * np.exp(-water.G[n] * (s + radius)) * step
-        total = np.trapezoid(glows, t, axis=-1) * water.b[n] * spectrum[n]
-        veil += np.multiply.outer(seen[:, n], total)
-    return z, arrives, veil

@@ -11,6 +11,7 @@ from augmenting import same
 from torch import Tensor
 
 from uwaug import KeepVisible, RandomUnderwater
+from uwaug.distance import Network
 
 H, W = 40, 60
 NEAR = [4.0, 5.0, 24.0, 30.0]
@@ -68,6 +69,18 @@ def test_the_contrast_is_that_of_the_picture() -> None:
     for box, value in zip((NEAR, FAR, BOTH), found["contrast"].tolist(), strict=True):
         x1, y1, x2, y2 = map(int, box)
         assert value == pytest.approx(float(left[0, y1:y2, x1:x2].mean()), abs=1e-5)
+
+
+def test_distances_are_found_once() -> None:
+    calls = []
+
+    def network(image: Tensor) -> Tensor:
+        calls.append(image)
+        return image.mean(-3, keepdim=True)
+
+    keep = KeepVisible(RandomUnderwater("3C", distance=Network(network)))
+    keep(image(), target())
+    assert len(calls) == 1
 
 
 def test_masks_decide_where_there_are_any() -> None:

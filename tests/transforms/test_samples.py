@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import pytest
 import torch
-from augmenting import EVERYTHING, OPTIONS, H, W, distances, picture, same
+from augmenting import EVERYTHING, OPTIONS, distances, picture, same
 from torch import Tensor
 
 from uwaug import RandomUnderwater
@@ -111,16 +111,3 @@ def test_in_a_torchvision_pipeline(torchvision: Any, dtype: torch.dtype) -> None
         assert made.shape == (3, 20, 28)
         assert made.isfinite().all()
         assert set(z.flatten().tolist()) <= values  # moved, not jittered
-
-
-def test_torchvision_detection(torchvision: Any) -> None:
-    v2, tv = torchvision.transforms.v2, torchvision.tv_tensors
-    pipeline = v2.Compose([v2.RandomHorizontalFlip(p=1.0), RandomUnderwater(**EVERYTHING)])
-    image = tv.Image(picture(dtype=torch.uint8))
-    boxes = tv.BoundingBoxes([[1, 2, 9, 12]], format="XYXY", canvas_size=(H, W))
-    target = {"boxes": boxes, "distance": tv.Mask(distances() + 1)}
-    made, moved = pipeline(image, target)
-    assert type(made) is tv.Image
-    assert not torch.equal(made, image.flip(-1))
-    assert moved["boxes"].tolist() == [[W - 9, 2, W - 1, 12]]
-    assert torch.equal(moved["distance"], target["distance"].flip(-1))

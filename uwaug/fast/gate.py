@@ -9,19 +9,14 @@ import warnings
 from collections.abc import Callable
 from functools import cache
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
 
 from uwaug._support.compiled import OPTIONS, kept, loops_are_loaded, wanted
-from uwaug._support.types import ColorSpace
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
-
-if TYPE_CHECKING:
-    from uwaug.blur.plan import BlurPlan
-    from uwaug.formation.development import Development
 
 _log = logging.getLogger(__name__)
 
@@ -47,21 +42,6 @@ def can(image: Tensor, z: Tensor, medium: Medium, light: object) -> bool:
     return z.dtype == torch.float32 and not tracing and _works()
 
 
-def form(
-    image: Tensor,
-    z: Tensor,
-    medium: Medium,
-    development: "Development",
-    color_space: ColorSpace,
-    plan: "BlurPlan | None",
-    tolerance: float,
-) -> Tensor:
-    """As `uwaug.formation.image.form`, where `can` says so."""
-    from uwaug.fast.render import form as compiled
-
-    return compiled(image, z, medium, development, color_space, plan, tolerance)
-
-
 def warm_up() -> None:
     """Compile all loops, so that no picture waits for the compiler. They are kept on disk, beside
     the package or in NUMBA_CACHE_DIR.
@@ -71,23 +51,15 @@ def warm_up() -> None:
     """
     if not (_is_there() and _works()):
         raise ModuleNotFoundError("the compiled loops need numba: pip install 'uwaug[fast]'")
-    z = torch.full((1, 1, 8, 8), 3.0)
-    for medium in (_example(), Medium.from_water("II", surfaces="spectral").to(torch.float32)):
-        for image in (torch.full((1, 3, 8, 8), 0.5), torch.zeros(1, 3, 8, 8, dtype=torch.uint8)):
-            form(image, z, medium, _neutral(), "srgb", None, 0.002)
-
-
-def _example() -> Medium:
-    law = PointSpread(30.0)
-    beta, G = (0.5, 0.4, 0.3), (0.2, 0.1, 0.1)
-    medium = Medium.from_coefficients(beta, G, (0.1, 0.2, 0.3), b_mean=0.3, point_spread=law)
-    return medium.to(torch.float32)
-
-
-def _neutral() -> "Development":
+    from uwaug.fast.render import form
     from uwaug.formation.development import NEUTRAL
 
-    return NEUTRAL
+    z = torch.full((1, 1, 8, 8), 3.0)
+    for surfaces in ("grey", "spectral"):
+        # a blur on coarse grids, so that their loops are compiled too
+        medium = Medium.from_water("7C", surfaces=surfaces, point_spread=PointSpread(30.0))
+        for image in (torch.full((1, 3, 8, 8), 0.5), torch.zeros(1, 3, 8, 8, dtype=torch.uint8)):
+            form(image, z, medium.to(torch.float32), NEUTRAL, "srgb", None, 0.002)
 
 
 def _is_there() -> bool:

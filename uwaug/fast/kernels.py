@@ -337,25 +337,21 @@ def meter(light: Floats, z: Floats, points: Indices, medium: MediumTable) -> Dou
         row, plane = J[c], light[c]
         for x in range(count):
             row[x] = plane[points[x]]
-    red, green, blue = J[0], J[1], J[2]
+    left, less = np.empty(count, f32), np.empty(count, f32)
+    channels = medium.scatter.shape[0] // 3
     for r in range(direct, rates.size):
         rate = rates[r]
+        for x in range(count):
+            power, rest = exp2_parts(rate * far[x])
+            left[x], less[x] = power + rest, (power - _1) + rest
         for c in range(3):
-            a0 = a1 = a2 = _0
-            if medium.scatter.shape[0] == 9:
-                a0, a1 = medium.scatter[3 * c, r], medium.scatter[3 * c + 1, r]
-                a2 = medium.scatter[3 * c + 2, r]
-            elif c == 0:
-                a0 = medium.scatter[0, r]
-            elif c == 1:
-                a1 = medium.scatter[1, r]
-            else:
-                a2 = medium.scatter[2, r]
             row, veil = d[c], medium.veil[c, r - direct]
             for x in range(count):
-                power, rest = exp2_parts(rate * far[x])
-                seen = a0 * red[x] + a1 * green[x] + a2 * blue[x]
-                row[x] += (power + rest) * seen + ((power - _1) + rest) * veil
+                row[x] += less[x] * veil
+            for j in range(channels):
+                weight, plane = medium.scatter[channels * c + j, r], J[j if channels == 3 else c]
+                for x in range(count):
+                    row[x] += weight * left[x] * plane[x]
     means = np.zeros((3, 3))
     for c in range(3):
         for x in range(count):
@@ -421,21 +417,17 @@ def tile_rows(t: Any, first: int, count: int) -> Any:
 
 
 @inner
-def powers(t: Any, z: int, to: int, law: Any) -> None:
-    """(b̄·z)^exponent of the distances in row `z`, as `uwaug.optics.point_spread.width_at`."""
+def width_places(t: Any, z: int, to: int, law: Any) -> None:
+    """Where the widths at distances in row `z` lie in a plan, −1…1; the widths as in
+    `uwaug.optics.point_spread.width_at`.
+    """
     far, v = tile_row(t, z), tile_row(t, to)
-    b_mean, exponent, least, most = law[0], law[2], law[7], law[8]
+    b_mean, scale, exponent, least, most = law[0], law[1], law[2], law[7], law[8]
     for x in range(TILE):
         v[x] = min(max(b_mean * far[x], least), most)
     if exponent != _1:
         for x in range(TILE):
             v[x] = exp2(exponent * log2(v[x]))
-
-
-@inner
-def width_places(t: Any, row: int, law: Any) -> None:
-    """Where widths lie in a plan, −1…1, in place of the powers in a row."""
-    v, scale = tile_row(t, row), law[1]
     linear, square, slope, offset = law[3] * scale, law[4] * scale * scale, law[5], law[6]
     for x in range(TILE):
         place = slope * log2_1p(v[x] * (linear + square * v[x])) + offset
@@ -492,12 +484,12 @@ def blur_weights(t: Any, place: int, to: int, series: Any) -> None:
 def curves(t: Any, z: int, to: int, medium: Any) -> None:
     """T_β, T_G − T_β and V(0) − V of three channels in turn, from the distances in row z."""
     far, rates, direct = tile_row(t, z), medium.rates, medium.direct.shape[1]
-    d = tile_rows(t, to, 9)
+    scatter, veil, d = medium.scatter, medium.veil, tile_rows(t, to, 9)
     d[:] = _0
     for r in range(direct):
         rate = rates[r]
         a0, a1, a2 = medium.direct[0, r], medium.direct[1, r], medium.direct[2, r]
-        b0, b1, b2 = medium.scatter[0, r], medium.scatter[1, r], medium.scatter[2, r]
+        b0, b1, b2 = scatter[0, r], scatter[1, r], scatter[2, r]
         for x in range(TILE):
             e = exp2(rate * far[x])
             d[x] += a0 * e
@@ -508,12 +500,8 @@ def curves(t: Any, z: int, to: int, medium: Any) -> None:
             d[x + 7 * TILE] += b2 * e
     for r in range(direct, rates.size):
         rate = rates[r]
-        a0, a1, a2 = (
-            medium.veil[0, r - direct],
-            medium.veil[1, r - direct],
-            medium.veil[2, r - direct],
-        )
-        b0, b1, b2 = medium.scatter[0, r], medium.scatter[1, r], medium.scatter[2, r]
+        a0, a1, a2 = veil[0, r - direct], veil[1, r - direct], veil[2, r - direct]
+        b0, b1, b2 = scatter[0, r], scatter[1, r], scatter[2, r]
         for x in range(TILE):
             power, rest = exp2_parts(rate * far[x])
             e, less = power + rest, (power - _1) + rest
@@ -623,6 +611,7 @@ def render_rows(
     medium: MediumTable,
     stack: StackTable,
     grid: Floats,
+    starts: Indices,
     srgb: bool,
     most: Any,
     look: Floats,
@@ -636,7 +625,7 @@ def render_rows(
     Args:
         light (3xHxW), z (HxW): of the scene; effective distance, m.
         medium, stack: tables.
-        grid (NxW): the lines of all coarse grids.
+        grid (NxW), starts (m): the lines of all coarse grids; where those of each would start.
         srgb, most: whether to encode, and the largest value then.
         look (3): of the development: share of the gamut, tone and its offset.
         out, out_bytes (3xHxW): the result, one of them; the other is 3x1x0.
@@ -666,8 +655,7 @@ def render_rows(
             right = min(left + TILE, width)
             copy(z_row, z[y, left:right])
             if count > 1:
-                powers(t, 0, totals + 3, medium.law)
-                width_places(t, totals + 3, medium.law)
+                width_places(t, 0, totals + 3, medium.law)
                 blur_weights(t, totals + 3, shares, stack.series)
             for c in range(3):
                 J, total_row = light[c, y, left:right], tile_row(t, totals + c)
@@ -681,7 +669,7 @@ def render_rows(
                     add_line(total_row, share, line, margin + left, stack.taps[k], stack.pairs[k])
                 for k in range(wide):
                     share = tile_row(t, shares + sharp + narrow + k)
-                    first = stack.starts[k] + 3 * stack.back_first[k, y] + c
+                    first = starts[k] + 3 * stack.back_first[k, y] + c
                     add_enlarged(total_row, share, grid, first, left, right, stack.back[k, y])
             if spectral:
                 for c in range(3):
@@ -694,10 +682,6 @@ def render_rows(
                     _sum(tile_row(t, totals + c), near, light[c, y, left:right])
             _develop(t, totals, look)
             for c in range(3):
-                _store(
-                    tile_row(t, totals + c),
-                    srgb,
-                    most,
-                    out[c, y % out.shape[1], left:right],
-                    out_bytes[c, y % out_bytes.shape[1], left:right],
-                )
+                floats = out[c, y % out.shape[1], left:right]
+                whole = out_bytes[c, y % out_bytes.shape[1], left:right]
+                _store(tile_row(t, totals + c), srgb, most, floats, whole)

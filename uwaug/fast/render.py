@@ -2,7 +2,7 @@
 
 import os
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
 from threading import Lock
@@ -50,21 +50,41 @@ def form(
     tolerance: float,
 ) -> Tensor:
     """D + F + B as the camera stores it, see `uwaug.formation.image.form`."""
-    srgb = color_space == "srgb"
+    srgb, size = color_space == "srgb", (z.shape[-2], z.shape[-1])
     low, high = (0.0, 1.0) if image.dtype == torch.uint8 else extent(image)
-    largest = headroom(image) if srgb and high > 1 else 1.0
-    J = decode(image, srgb, low < 0 or high > 1)
-    means = metered(J, z, medium) if development.measures else None
+    J = _decoded(image, srgb, low < 0 or high > 1)
+    means = _metered(J, z, medium) if development.metered or development.white_balance > 0 else None
     seen = medium.brightened(development.gain_of(means, z))
-    if plan is None:
-        plan = plan_for(z, seen, (z.shape[-2], z.shape[-1]), tolerance)
-    look = np.array(
-        [development.gamut, development.tone, tone_offset(development.tone)], np.float32
-    )
-    return render(J, z, seen, plan, srgb=srgb, largest=largest, look=look, dtype=image.dtype)
+    plan = plan or plan_for(z, seen, size, tolerance)
+    media = with_laws(medium_tables(seen), seen, plan, size)
+    table = plan_table(plan, size)
+    tone = development.tone
+    look = np.array([development.gamut, tone, tone_offset(tone)], np.float32)
+    batch = max(len(J), len(z), len(medium))
+    largest = headroom(image) if srgb and high > 1 else 1.0
+    largest = torch.as_tensor(largest, dtype=torch.float32, device="cpu")
+    highest = largest.reshape(-1).expand(batch).numpy()
+    kind = torch.uint8 if image.dtype == torch.uint8 else torch.float32
+    result = torch.empty(batch, 3, *size, dtype=kind, device="cpu")
+    scenes, metres = J.detach().contiguous().numpy(), z.detach().contiguous().numpy()
+    step = max(_BAND // size[1], 64)
+    for i, scene in enumerate(scenes):
+        # one picture in several waters is blurred once
+        samples = range(batch) if len(scenes) == 1 else (i,)
+        for first in range(0, size[0], step):
+            rows = range(first, min(first + step, size[0]))
+            grid, starts = _coarse_grids(scene, table, rows)
+            for n in samples:
+                out = result[n].numpy()
+                outs = (_NO_FLOATS, out) if out.dtype == np.uint8 else (out, _NO_BYTES)
+                maps = scene, metres[n % len(metres), 0], media[n % len(media)]
+                blurs, encoding = (table.stack, grid, starts), (srgb, highest[n], look)
+                run = partial(kernels.render_rows, *maps, *blurs, *encoding, *outs)
+                _in_bands(run, rows, size[1])
+    return result.to(image.dtype)
 
 
-def metered(J: Tensor, z: Tensor, medium: Medium) -> Means:
+def _metered(J: Tensor, z: Tensor, medium: Medium) -> Means:
     """As `uwaug.formation.development.metered`."""
     points = metering_points(z.shape[-2], z.shape[-1], z.device).numpy()
     lights, maps, tables = J.flatten(2).numpy(), z.flatten(1).numpy(), medium_tables(medium)
@@ -74,13 +94,11 @@ def metered(J: Tensor, z: Tensor, medium: Medium) -> Means:
         for n in range(batch)
     ]
     scene, arriving, positive = torch.from_numpy(np.stack(means, 1)).to(torch.float32)
-    veil = torch.tensor(
-        [[tables[n % len(medium)].veil_at(far[n % len(z)]).max()] for n in range(batch)]
-    )
-    return Means(scene, arriving, positive, veil)
+    veils = [tables[n % len(medium)].veil_at(far[n % len(z)]).max() for n in range(batch)]
+    return Means(scene, arriving, positive, torch.tensor(veils)[:, None])
 
 
-def decode(image: Tensor, srgb: bool, beyond: bool = False) -> Tensor:
+def _decoded(image: Tensor, srgb: bool, beyond: bool) -> Tensor:
     """Linear light of a picture of bytes, or of floating point; `beyond`: not all of it in 0…1."""
     width = image.shape[-1]
     if image.dtype != torch.uint8:
@@ -94,7 +112,7 @@ def decode(image: Tensor, srgb: bool, beyond: bool = False) -> Tensor:
         run = partial(kernels.look_up, values, _light_of_bytes(srgb), rows)
     else:
         run = partial(kernels.decode_rows, values, rows, beyond)
-    in_bands(run, range(len(values)), width)
+    _in_bands(run, range(len(values)), width)
     return light
 
 
@@ -108,61 +126,7 @@ def _light_of_bytes(srgb: bool) -> Floats:
     return np.asarray(table[0])
 
 
-def render(
-    light: Tensor,
-    z: Tensor,
-    medium: Medium,
-    plan: BlurPlan,
-    *,
-    srgb: bool,
-    largest: float | Tensor,
-    look: Floats,
-    dtype: torch.dtype,
-) -> Tensor:
-    """D + F + B of a batch of pictures, in the line of sight, developed and encoded.
-
-    Args:
-        light (Bx3xHxW tensor), z (Bx1xHxW tensor): of the scene; effective distances, m; float32.
-        medium: of any number of rows.
-        plan: of the blur.
-        srgb: encode; otherwise the result is linear light.
-        largest: sRGB value of the result, ≥ 1, one or (B, …).
-        look (3): gamut, tone and its offset of the development.
-        dtype: of the result; uint8 is rounded and clipped.
-    """
-    size = (light.shape[-2], light.shape[-1])
-    batch = max(len(light), len(z), len(medium))
-    kind = torch.uint8 if dtype == torch.uint8 else torch.float32
-    result = torch.empty(batch, 3, *size, dtype=kind, device="cpu")
-    largest = torch.as_tensor(largest, dtype=torch.float32, device="cpu")
-    highest = largest.reshape(-1).expand(batch).numpy()
-    media = with_laws(medium_tables(medium), medium, plan, size)
-    scenes, metres = light.detach().contiguous().numpy(), z.detach().contiguous().numpy()
-    table, results = plan_table(plan, size), result.numpy()
-    for i, scene in enumerate(scenes):
-        # one picture in several waters is blurred once
-        samples = range(batch) if len(scenes) == 1 else (i,)
-        for rows in _bands(size):
-            grid, starts = coarse_grids(scene, table, rows)
-            stack = table.stack._replace(starts=starts)
-            for n in samples:
-                out = results[n]
-                outs = (_NO_FLOATS, out) if out.dtype == np.uint8 else (out, _NO_BYTES)
-                maps = (scene, metres[n % len(metres), 0], media[n % len(media)])
-                encoding = srgb, highest[n], look
-                run = partial(kernels.render_rows, *maps, stack, grid, *encoding, *outs)
-                in_bands(run, rows, size[1])
-    return result.to(dtype)
-
-
-def _bands(size: tuple[int, int]) -> Iterator[range]:
-    """Rows whose coarse grids are held at a time."""
-    height, width = size
-    step = max(_BAND // width, 64)
-    return (range(first, min(first + step, height)) for first in range(0, height, step))
-
-
-def coarse_grids(light: Floats, table: PlanTable, rows: range) -> tuple[Floats, Indices]:
+def _coarse_grids(light: Floats, table: PlanTable, rows: range) -> tuple[Floats, Indices]:
     """The lines of all coarse grids that some rows of a picture need, and where those of each would
     start if they were whole.
     """
@@ -174,7 +138,7 @@ def coarse_grids(light: Floats, table: PlanTable, rows: range) -> tuple[Floats, 
     for k, (origin, count, place) in enumerate(zip(low, counts, places, strict=True)):
         lines, coarse = grid[place : place + count], table.coarse[k]
         run = partial(kernels.coarse_lines, light, lines, coarse, int(origin))
-        in_bands(run, range(count), width, kernels.LANES)
+        _in_bands(run, range(count), width, kernels.LANES)
     return grid, places - low
 
 
@@ -188,12 +152,9 @@ _workers = 0
 _lock = Lock()
 
 
-def in_bands(run: Callable[[int, int], None], lines: range, width: int, multiple: int = 1) -> None:
-    """Call `run(start, stop)` for lines of `width` px, in bands on as many threads as torch may
-    use; in a DataLoader's worker, on this one.
-
-    Args:
-        multiple: bands hold multiples of so many lines.
+def _in_bands(run: Callable[[int, int], None], lines: range, width: int, multiple: int = 1) -> None:
+    """Call `run(start, stop)` for lines of `width` px, in bands of multiples of so many lines, on
+    as many threads as torch may use; in a DataLoader's worker, on this one.
     """
     threads = 1 if get_worker_info() else torch.get_num_threads()
     threads = min(threads, len(lines) * width // _LEAST)
@@ -230,7 +191,7 @@ def _executor(threads: int) -> ThreadPoolExecutor:
 
 
 def _forget() -> None:
-    """In a child process there are no threads but its own."""
+    """After a fork, as a child has no threads but its own."""
     global _pool, _lock
     _pool, _lock = None, Lock()
 

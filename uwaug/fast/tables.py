@@ -26,7 +26,7 @@ class CoarseTable(NamedTuple):
     """One coarse grid of h cells by w, for pictures of HxW.
 
     Attributes:
-        rows, row_margin: the picture's rows from `row_margin` before the first on, mirrored.
+        rows: the picture's rows, mirrored, from so many before the first on as cells need.
         down_first (h), down (h, taps): the first of these rows for each cell, and weights from
             there on.
         columns, column_margin, across_first (w), across (w, taps): the same along rows.
@@ -34,7 +34,6 @@ class CoarseTable(NamedTuple):
     """
 
     rows: Indices
-    row_margin: int
     down_first: Indices
     down: Floats
     columns: Indices
@@ -54,7 +53,6 @@ class StackTable(NamedTuple):
             of those count, an even number.
         margin: px that the widest of them reaches.
         rows, columns: of the picture, mirrored, from `margin` before the first on.
-        starts (m): the first line of each coarse grid.
         back_first (m, H), back (m, H, 4): the first cell of each row, and weights from there on.
     """
 
@@ -64,7 +62,6 @@ class StackTable(NamedTuple):
     margin: int
     rows: Indices
     columns: Indices
-    starts: Indices
     back_first: Indices
     back: Floats
 
@@ -118,18 +115,6 @@ def plan_table(plan: BlurPlan, size: Size) -> PlanTable:
     return table
 
 
-def stack_order(plan: BlurPlan) -> list[int]:
-    """The blurs of a plan in the order of `StackTable`."""
-    return sorted(range(len(plan.sigmas)), key=lambda k: (plan.cells[k] != 1, plan.sigmas[k] > 0))
-
-
-def series_table(coefficients: Any) -> Floats:
-    """Chebyshev series as the loops take them: with 4, 6, … terms."""
-    series = np.array(coefficients, np.float32, order="C")
-    count = series.shape[1]
-    return np.pad(series, ((0, 0), (0, max(4, count + count % 2) - count)))
-
-
 def _bytes(table: Any) -> int:
     """Memory of all arrays of a table and of those in it."""
     if isinstance(table, tuple):
@@ -137,38 +122,37 @@ def _bytes(table: Any) -> int:
     return int(getattr(table, "nbytes", 0))
 
 
-def _nodes(plan: BlurPlan) -> list[Node]:
-    return [Node(plan.sigmas[k], plan.cells[k], plan.reach) for k in stack_order(plan)]
-
-
 def _plan_table(plan: BlurPlan, size: Size) -> PlanTable:
     height, width = size
-    narrow = [node for node in _nodes(plan) if node.cell == 1 and node.sigma > 0]
-    wide = [node for node in _nodes(plan) if node.cell != 1]
+    order = sorted(range(len(plan.sigmas)), key=lambda k: (plan.cells[k] != 1, plan.sigmas[k] > 0))
+    nodes = [Node(plan.sigmas[k], plan.cells[k], plan.reach) for k in order]
+    narrow = [node for node in nodes if node.cell == 1 and node.sigma > 0]
+    wide = [node for node in nodes if node.cell != 1]
     taps = _taps(narrow)
     margin = taps.shape[1] - 1
     grids = [_grid(node, size) for node in wide]
-    coarse = tuple(grid for grid, *_ in grids)
-    lines = [3 * len(grid.down_first) for grid in coarse]
+    # the loops take series of 4, 6, … terms
+    series = np.array([plan.coefficients[k] for k in order], np.float32)
+    terms = series.shape[1]
+    series = np.pad(series, ((0, 0), (0, max(4, terms + terms % 2) - terms)))
     stack = StackTable(
-        series=series_table([plan.coefficients[k] for k in stack_order(plan)]),
+        series=series,
         taps=taps,
         pairs=np.array([_pairs(node) for node in narrow], np.int64),
         margin=margin,
         rows=_mirrored(margin, height),
         columns=_mirrored(margin, width),
-        starts=np.cumsum([0, *lines])[:-1].astype(np.int64),
         back_first=np.array([first for _, first, _ in grids], np.int64).reshape(-1, height),
         back=np.array([back for *_, back in grids], np.float32).reshape(-1, height, 4),
     )
-    return PlanTable(stack, coarse)
+    return PlanTable(stack, tuple(grid for grid, *_ in grids))
 
 
 def _grid(node: Node, size: Size) -> tuple[CoarseTable, Indices, Floats]:
     """A blur on a coarse grid for pictures of one size; first cell and weights of each row."""
     grid = _GRIDS.get((node, size))
     if grid is None:
-        grid = coarse_table(node, *size), *_rows_of("enlarge", node, size[0])
+        grid = _coarse_table(node, *size), *_rows_of("enlarge", node, size[0])
         _GRIDS.put((node, size), grid, _bytes(grid))
     return grid
 
@@ -189,8 +173,7 @@ def _taps(nodes: list[Node]) -> Floats:
     return taps
 
 
-def coarse_table(node: Node, height: int, width: int) -> CoarseTable:
-    """A blur on a coarse grid, for pictures of one size."""
+def _coarse_table(node: Node, height: int, width: int) -> CoarseTable:
     down_first, down = _rows_of("shrink", node, height)
     across_first, across = _rows_of("shrink", node, width)
     back_first, back = _rows_of("enlarge", node, width)
@@ -198,7 +181,6 @@ def coarse_table(node: Node, height: int, width: int) -> CoarseTable:
     column_margin = _beyond(across_first, across, width)
     return CoarseTable(
         rows=_mirrored(row_margin, height),
-        row_margin=row_margin,
         down_first=down_first + row_margin,
         down=down,
         columns=_mirrored(column_margin, width),

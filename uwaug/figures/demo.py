@@ -28,7 +28,7 @@ from uwaug.formation.image import form_image
 from uwaug.formation.underwater import Underwater
 from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.point_spread import FOCAL_LENGTH, PointSpread
 from uwaug.optics.scattering import Scattering
 from uwaug.optics.water import Water
 from uwaug.presets.preset import Preset
@@ -84,7 +84,7 @@ def preset_case(preset: Preset) -> Case:
 
 def _in_waters(waters: Sequence[Water], scene: Scene) -> Underwater:
     """Each water with spectra, a colour matrix, and the calibrated width law."""
-    law = PointSpread.calibrated(scene.focal_px or 0.866 * scene.image.shape[-1])
+    law = PointSpread.calibrated(scene.focal_px or FOCAL_LENGTH * scene.image.shape[-1])
     media = (
         Medium.from_water(
             water,

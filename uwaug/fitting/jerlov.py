@@ -21,12 +21,11 @@ from uwaug.fitting.solve import Objective, loss, one_thread, reweighed, roughly_
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.point_spread import FOCAL_LENGTH, PointSpread
 from uwaug.optics.scattering import Scattering
 from uwaug.optics.surfaces import Surfaces, require_surfaces
 from uwaug.optics.water import Water
 
-_FOCAL = 0.866  # of the width: a view 60° wide
 _SEEN = 0.02  # share of the contrast that is left at the visibility
 _SCOUTS = 1000  # pixels of the fits that others begin from
 _VISIBILITIES = np.geomspace(0.4, 25.0, 8)  # to begin at, in multiples of the median distance
@@ -200,7 +199,7 @@ def fit_water(
     geometry = pictures.geometry
     law = point_spread
     if law is None:
-        law = PointSpread.calibrated(_FOCAL * geometry.size[1])
+        law = PointSpread.calibrated(FOCAL_LENGTH * geometry.size[1])
     checks.instance("point_spread", law, PointSpread)
     models = [
         TypeModel(Water.jerlov(name), camera, surfaces, g, law, vertical_depth, geometry)

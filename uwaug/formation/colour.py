@@ -28,6 +28,8 @@ _LINEAR_KNEE = _SRGB_KNEE / 12.92
 _LARGEST = 1e30  # finite, so that infinity / m stays infinity
 _LN2 = math.log(2)
 
+_Kernel = Callable[..., Tensor]
+
 _PIECE = 1 << 16
 """Values, 256 KiB in float32; larger temporaries may go back to the system after each call, which
 takes 3 to 5 times as long.
@@ -112,34 +114,20 @@ def srgb_to_linear(x: Tensor) -> Tensor:
         >>> srgb_to_linear(torch.tensor([0.0, 0.5, 1.0]))
         tensor([0.0000, 0.2140, 1.0000])
     """
-    return _apply(x, _Decode, _decode)
+    return _apply(x, _decode, _decode_, _decode_grad)
 
 
 def linear_to_srgb(x: Tensor) -> Tensor:
     """Encode linear light as sRGB values: 12.92·x up to 0.0031308, 1.055·x^(1/2.4) − 0.055 above.
 
-    Convention: elementwise on any shape; odd, f(−x) = −f(x), so negative values and values above 1
-    keep their meaning; 0 and 1 map to exactly 0 and 1. float16 and bfloat16 are computed in float32
-    and returned in their own type.
-
-    Args:
-        x: linear light, nominally in [0, 1].
-
-    Returns:
-        sRGB values, shape and dtype of `x`, within 1e-6 of the formula in float32. Its gradient is
-        finite everywhere.
-
-    Raises:
-        TypeError: `x` is no floating-point tensor.
-
-    Source: IEC 61966-2-1:1999.
+    The inverse of `srgb_to_linear`, with its convention, types, precision and source.
 
     Examples:
         >>> import torch
         >>> linear_to_srgb(torch.tensor([0.0, 0.5, 1.0]))
         tensor([0.0000, 0.7354, 1.0000])
     """
-    return _apply(x, _Encode, _encode)
+    return _apply(x, _encode, _encode_, _encode_grad)
 
 
 # The curves are (x/m)·curve(m) with m = max(|x|, knee): the straight piece is a constant
@@ -189,7 +177,7 @@ def _encode_grad(x: Tensor, grad: Tensor) -> Tensor:
     return power.add_(math.log2(1.055 / 2.4)).exp2_() * grad
 
 
-def _piecewise(kernel: Callable[..., Tensor], x: Tensor, *others: Tensor) -> Tensor:
+def _piecewise(kernel: _Kernel, x: Tensor, *others: Tensor) -> Tensor:
     inputs = (x, *others)
     dense = x.device.type == "cpu" and all(v.is_contiguous() for v in inputs)
     if not dense or x.numel() <= _PIECE or torch.is_grad_enabled():
@@ -202,35 +190,25 @@ def _piecewise(kernel: Callable[..., Tensor], x: Tensor, *others: Tensor) -> Ten
     return result
 
 
-class _Decode(torch.autograd.Function):
+class _Curve(torch.autograd.Function):
+    """A curve whose slope is a function of its input."""
+
     @staticmethod
-    def forward(ctx: Any, x: Tensor) -> Tensor:
+    def forward(ctx: Any, x: Tensor, value: _Kernel, slope: _Kernel) -> Tensor:
         ctx.save_for_backward(x)
-        return _piecewise(_decode_, x)
+        ctx.slope = slope
+        return _piecewise(value, x)
 
     @staticmethod
-    def backward(ctx: Any, grad: Tensor) -> Tensor:
-        return _piecewise(_decode_grad, *ctx.saved_tensors, grad)
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
+        return _piecewise(ctx.slope, *ctx.saved_tensors, grad), None, None
 
 
-class _Encode(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, x: Tensor) -> Tensor:
-        ctx.save_for_backward(x)
-        return _piecewise(_encode_, x)
-
-    @staticmethod
-    def backward(ctx: Any, grad: Tensor) -> Tensor:
-        return _piecewise(_encode_grad, *ctx.saved_tensors, grad)
-
-
-def _apply(
-    x: Tensor, eager: type[torch.autograd.Function], traced: Callable[[Tensor], Tensor]
-) -> Tensor:
+def _apply(x: Tensor, traced: _Kernel, value: _Kernel, slope: _Kernel) -> Tensor:
     checks.floating("x", x, ", nominally in [0, 1]: divide by 255 first?")
     v = x.float() if x.dtype.itemsize < 4 else x
     if torch.compiler.is_compiling():
         # a compiler fuses and differentiates the plain formula; autograd functions make it warn
         return traced(v).to(x.dtype)
-    y: Tensor = eager.apply(v)  # type: ignore[no-untyped-call]
+    y: Tensor = _Curve.apply(v, value, slope)  # type: ignore[no-untyped-call]
     return y.to(x.dtype)

@@ -23,7 +23,7 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug.formation.colour import LUMINANCE
 from uwaug.light import Light
-from uwaug.optics.curves import FARTHEST, Curves, of_white, passed
+from uwaug.optics.curves import FARTHEST, of_white, passed
 from uwaug.optics.medium import Medium
 
 FAINT = 0.03
@@ -67,48 +67,37 @@ def contrast_left(
         >>> contrast_left(torch.tensor([[[0.0, 1.0, 3.0, torch.inf]]]), medium).round(decimals=2)
         tensor([[[1.0000, 0.1300, 0.0100, 0.0000]]])
     """
-    _validate(medium, distance, light)
+    checks.instance("medium", medium, Medium, "; see Medium.from_water")
+    checks.floating("distance", distance)
+    checks.picture("distance", distance, 1)
+    checks.batches({"medium": len(medium), "distance": len(distance) if distance.ndim == 4 else 1})
+    if light is not None:
+        checks.instance("light", light, Light)
+    if not torch.compiler.is_compiling():
+        checks.distances("distance", distance)
     with torch.autocast(distance.device.type, enabled=False):
         z = distance.to(torch.promote_types(distance.dtype, torch.float32))
         z = (z if z.ndim == 4 else z[None]).clamp(0.0, FARTHEST)
+        object_light = _checked_light(reflectance, z)
         water = medium.to(z)
         T = water.curves(z) if light is None else light.curves(water, z)
-        share = contrast_of(T, _light(reflectance, z)).to(distance.dtype)
+        detail = _luminance(_left(T.direct, object_light))
+        whole = _luminance(_left(T.direct + T.scatter, object_light) + T.veil)
+        # where no light arrives the slope of a quotient would be NaN
+        dark = whole <= 0
+        share = torch.where(dark, 0.0, detail / torch.where(dark, 1.0, whole)).to(distance.dtype)
     return share[0] if distance.ndim == 3 and len(share) == 1 else share
 
 
-def contrast_of(T: Curves, reflectance: float | Tensor = 0.18) -> Tensor:
-    """The share of contrast (Bx1xHxW) that transmittances leave; reflectance as for
-    `contrast_left`, of their type.
-    """
-    detail = _luminance(_left(T.direct, reflectance))
-    whole = _luminance(_left(T.direct + T.scatter, reflectance) + T.veil)
-    # where no light arrives the slope of a quotient would be NaN
-    dark = whole <= 0
-    return torch.where(dark, 0.0, detail / torch.where(dark, 1.0, whole))
-
-
-def _left(T: Tensor, reflectance: float | Tensor) -> Tensor:
+def _left(T: Tensor, reflectance: Tensor) -> Tensor:
     """Light of surfaces after transmittances; grey ones are the same in all channels."""
-    if not isinstance(reflectance, Tensor) or reflectance.ndim == 0:
+    if reflectance.ndim == 0:
         return of_white(T) * reflectance
     shape = np.broadcast_shapes(reflectance.shape, (1, 3, *T.shape[-2:]))
     return passed(T, reflectance.expand(shape))
 
 
-def _validate(medium: Medium, distance: Tensor, light: Light | None) -> None:
-    checks.instance("medium", medium, Medium, "; see Medium.from_water")
-    checks.floating("distance", distance)
-    checks.picture("distance", distance, 1)
-    sizes = {"medium": len(medium), "distance": len(distance) if distance.ndim == 4 else 1}
-    if light is not None:
-        checks.instance("light", light, Light)
-    checks.batches(sizes)
-    if not torch.compiler.is_compiling():
-        checks.distances("distance", distance)
-
-
-def _light(reflectance: float | Tensor, z: Tensor) -> Tensor:
+def _checked_light(reflectance: float | Tensor, z: Tensor) -> Tensor:
     """The object's light, in the type of z."""
     if not isinstance(reflectance, Tensor):
         checks.within("reflectance", reflectance, low=0.0)

@@ -1,7 +1,7 @@
 """What a medium asks of the blur over a range of distances, and the plans for it."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -87,10 +87,6 @@ class BlurDemand:
         wide_enough = self.low <= other.low and other.high <= self.high
         return wide_enough and self.blur_tolerance <= other.blur_tolerance
 
-    def widened(self, factor: float) -> "BlurDemand":
-        """With a range of widths larger by this factor either way."""
-        return replace(self, low=self.low / factor, high=self.high * factor)
-
     def plan(self, size: tuple[int, int], *, shared: bool = False) -> BlurPlan:
         """The plan for an image of (height, width) `size`.
 
@@ -148,9 +144,9 @@ def blur_demand(
     """
     checks.tolerance(tolerance)
     law = medium.point_spread
-    sums = [_table(values) for values in medium.tensors()[:4]]
+    beta, direct, G, signal = (_table(values) for values in medium.tensors()[:4])
     near, far = (min(max(z, 0.0), FARTHEST) for z in distance_range)
-    first, last, strength = _scattered(*sums, near, far, tolerance, learned)
+    first, last, strength = _scattered(beta, direct, G, signal, near, far, tolerance, learned)
     traced = any(isinstance(v, Tensor) and v.requires_grad for v in law.numbers().values())
     if strength == 0:
         learns = learned and traced

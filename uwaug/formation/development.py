@@ -102,25 +102,9 @@ class Development:
             checks.within(name, getattr(self, field.name), *DOMAIN[field.name])
 
     @property
-    def stops(self) -> float:
-        """Of the exposure."""
-        return float(self.exposure)
-
-    @property
-    def measures(self) -> bool:
-        """Whether something of it depends on the picture."""
-        return self.metered or self.white_balance > 0
-
-    @property
-    def shapes(self) -> bool:
-        """Whether something of it is not linear."""
-        return self.gamut != 0 or self.tone != 1
-
-    @property
     def brightening(self) -> float:
         """By how much it may multiply small differences, without meter and white balance."""
-        stops: float = 2.0**self.stops
-        return stops * max(self.saturation, 1.0)
+        return float(2.0 ** float(self.exposure)) * max(self.saturation, 1.0)
 
     def gain(self, J: Tensor, z: Tensor, medium: Medium, T: Curves | None = None) -> Tensor:
         """What its linear part multiplies the light of each picture by: one number (B or 1, 1), a
@@ -132,13 +116,12 @@ class Development:
             medium: what lies between.
             T: the curves at every pixel, where they are not the medium's.
         """
-        return self.gain_of(metered(J, z, medium, T) if self.measures else None, J)
+        measures = self.metered or self.white_balance > 0
+        return self.gain_of(metered(J, z, medium, T) if measures else None, J)
 
     def gain_of(self, means: "Means | None", like: Tensor) -> Tensor:
-        """The gain for what is measured, see `metered`, of the type of a tensor; None for what
-        measures nothing.
-        """
-        gain = like.new_full((1, 1), 2.0**self.stops)
+        """The gain for what is measured, see `metered`, of the type of a tensor."""
+        gain = like.new_full((1, 1), 2.0 ** float(self.exposure))
         if means is not None:
             if self.metered:
                 gain = gain * _automatic(means)
@@ -187,8 +170,8 @@ def metered(J: Tensor, z: Tensor, medium: Medium, T: Curves | None = None) -> Me
     if T is not None:
         T = Curves(*(_at(curve, points) for curve in T))
     arriving = medium.image(_at(z, points), light, light, T)
-    lights = (light, arriving, arriving.clamp(min=0.0))
-    return Means(*(x.mean((-2, -1)) for x in lights), farthest_veil(z, medium, T))
+    scene, means, positive = (x.mean((-2, -1)) for x in (light, arriving, arriving.clamp(min=0.0)))
+    return Means(scene, means, positive, farthest_veil(z, medium, T))
 
 
 def farthest_veil(z: Tensor, medium: Medium, T: Curves | None = None) -> Tensor:
@@ -221,9 +204,8 @@ def _balance(means: Tensor, share: float) -> Tensor:
 
 def metering_points(height: int, width: int, device: torch.device) -> Tensor:
     """The flat indices of some pixels, spread evenly over a picture."""
-    if torch.compiler.is_compiling() or not isinstance(height, int):
-        return _points(height, width, device)
-    return _cached_points(height, width, device)
+    traced = torch.compiler.is_compiling() or not isinstance(height, int)
+    return (_points if traced else _cached_points)(height, width, device)
 
 
 def _points(height: int, width: int, device: torch.device) -> Tensor:

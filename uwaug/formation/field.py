@@ -4,7 +4,7 @@ distance.
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -25,9 +25,17 @@ def gaussian_random_field(
 ) -> Tensor:
     """Draw scale-free Gaussian random fields, one per image.
 
-    The draws are independent. A seed gives the same field, sampled more or less finely, at every
-    size whose longest side is 32 px or more (at the default exponent; below it, and at smaller
-    exponents, the size limits the detail). See `field_from_noise` for the field itself.
+    The draws are independent. Each field is a sum of cosines and sines on a square torus of twice
+    the image's longest side, at the pixel centres: isotropic in pixels, and not periodic at the
+    image's borders. A seed gives the same field, sampled more or less finely, at every size whose
+    longest side is 32 px or more (at the default exponent; below it, and at smaller exponents, the
+    size limits the detail).
+
+    Each is mapped affinely so that its least and largest value are `low` and `high`. This bounds
+    the distance strictly, where a fixed multiple of the standard deviation would have to be
+    clipped. The price: one field's values are not Gaussian, and its mean varies from draw to draw
+    (at α = 4 by .08 of the range, one standard deviation). Noise and its negative are equally
+    likely, so the mean over draws is exactly (low + high)/2.
 
     Args:
         shape: (B, 1, H, W) as a distance map has it, (B, H, W), or (H, W) for one field; pixels.
@@ -40,11 +48,15 @@ def gaussian_random_field(
         device: of the result; torch's default if None.
 
     Returns:
-        (B, 1, H, W), each field reaching from `low` to `high` (to rounding).
+        (B, 1, H, W), each field reaching from `low` to `high` (to rounding). A field of one pixel
+        has no range and gets (low + high)/2.
 
     Raises:
         ValueError: `shape` is none of the three, a side is empty, or `exponent`, `low`, `high` are
             out of range.
+
+    Source: the published pipeline draws a periodic field on the image's own grid and divides by its
+    mean.
 
     Examples:
         >>> m = gaussian_random_field((2, 1, 48, 64), generator=torch.Generator().manual_seed(0))
@@ -52,108 +64,29 @@ def gaussian_random_field(
         (torch.Size([2, 1, 48, 64]), tensor([0.7000, 0.7000]), tensor([1.3000, 1.3000]))
     """
     batch, height, width = _parse(shape)
-    _check(exponent, low, high)
-    noise = _drawn((batch, height, width), exponent, generator, device)
-    dtype = dtype or torch.get_default_dtype()
-    return field_from_noise(noise.to(dtype), (height, width), exponent=exponent, low=low, high=high)
-
-
-def random_field(size: tuple[int, int], seed: int, low: float, high: float, like: Tensor) -> Tensor:
-    """The field (1x1xHxW) that a seed stands for, in float32.
-
-    Args:
-        size: height and width in pixels.
-        seed: of torch's generator on the CPU.
-        low, high: the least and the largest value.
-        like: a tensor on the wanted device.
-    """
-    options: Any = {"low": low, "high": high, "generator": torch.Generator().manual_seed(seed)}
-    return gaussian_random_field(size, **options, dtype=torch.float32, device="cpu").to(like.device)
-
-
-def _drawn(
-    shape: tuple[int, int, int],
-    exponent: float,
-    generator: torch.Generator | None,
-    device: torch.device | str | None,
-) -> Tensor:
-    batch, height, width = shape
+    checks.within("exponent", exponent, 0.0)
+    if not 0 <= low <= high < math.inf:
+        got = f"{low} and {high}: the field multiplies distance"
+        raise ValueError(f"low and high must satisfy 0 <= low <= high < inf, got {got}")
     n = 2 * _cutoff(exponent, max(height, width)) + 1
-    return torch.randn(batch, n, n, generator=generator, device=device, dtype=torch.float32)
-
-
-def field_from_noise(
-    noise: Tensor,
-    size: tuple[int, int],
-    *,
-    exponent: float = 4.0,
-    low: float = 0.7,
-    high: float = 1.3,
-) -> Tensor:
-    """Shape white noise into scale-free Gaussian random fields: a pure function, for when the noise
-    is an input.
-
-    The noise holds the coefficients of cosines and sines on a square torus of twice the image's
-    longest side, of spectral density |k|^−α with k in cycles per pixel or per image (a power law
-    does not care). The field is their sum at the pixel centres: isotropic in pixels, the same at
-    any resolution, and, as the image covers at most half the torus each way, not periodic at the
-    image's borders.
-
-    Each field is mapped affinely so that its least and largest value are `low` and `high`. This
-    bounds the distance strictly, where a fixed multiple of the standard deviation would have to be
-    clipped. The price: one field's values are not Gaussian, and its mean varies from draw to draw
-    (at α = 4 by .08 of the range, one standard deviation). Noise and its negative are equally
-    likely, so the mean over draws is exactly (low + high)/2.
-
-    Convention: linear in the noise up to the affine map; differentiable; traces and exports.
-    float16 and bfloat16 are computed in float32.
-
-    Args:
-        noise: (B, n, n), independent standard normal; n odd. Index i of the last two axes stands
-            for (i + 1)//2 cycles per torus (half as many per longest side), as a sine if i is odd,
-            else a cosine. n = 65 suffices at α = 4: what it omits has an rms of .8 % of the range.
-        size: height and width in pixels.
-        exponent: α ≥ 0 of the power spectrum; more is smoother.
-        low: the least value, ≥ 0.
-        high: the largest value, ≥ `low`.
-
-    Returns:
-        (B, 1, H, W), dtype and device of `noise`. An image of one pixel has no range and gets (low
-        + high)/2.
-
-    Raises:
-        ValueError: `noise` is not (B, n, n) with odd n ≥ 3, a side of `size` is empty, or
-            `exponent`, `low`, `high` are out of range.
-        TypeError: `noise` is no floating-point tensor.
-
-    Source: the published pipeline draws a periodic field on the image's own grid and divides by its
-    mean.
-    """
-    _check(exponent, low, high)
-    checks.floating("noise", noise)
-    if (
-        noise.ndim != 3
-        or noise.shape[1] != noise.shape[2]
-        or noise.shape[1] < 3
-        or noise.shape[1] % 2 == 0
-    ):
-        raise ValueError(
-            f"noise must have shape (B, n, n) with odd n >= 3, got {tuple(noise.shape)}"
-        )
-    _, height, width = _parse(tuple(size))
+    noise = torch.randn(batch, n, n, generator=generator, device=device, dtype=torch.float32)
+    dtype = dtype or torch.get_default_dtype()
+    working = torch.promote_types(dtype, torch.float32)
     with torch.autocast(noise.device.type, enabled=False):
-        coefficients = noise.float() if noise.dtype.itemsize < 4 else noise
-        return _synthesise(coefficients, height, width, exponent, low, high).to(noise.dtype)
+        return field_of(noise.to(working), height, width, exponent, low, high).to(dtype)
 
 
 # One thread, 256² / 1024², a draw included: this takes .27 / 2.2 ms; 64² by FFT and bicubic
 # interpolation .51 / 6.5; FFT at full size 1.3 / 48. A 64² grid and cubic upsampling as two matrix
 # products cost as much as this does.
-def _synthesise(
+def field_of(
     noise: Tensor, height: int, width: int, exponent: float, low: float, high: float
 ) -> Tensor:
-    down, amplitude, across = _waves(noise, height, width, exponent)
-    field = (down @ amplitude @ across)[:, None]
+    """The fields that white noise (Bxnxn, n odd) stands for. Index i of its last two axes stands
+    for (i + 1)//2 cycles per torus, as a sine if i is odd, else a cosine.
+    """
+    waves = _waves(noise, height, width, exponent)
+    field = (waves.down @ (noise * waves.amplitude) @ waves.across)[:, None]
     least, largest = field.amin((-2, -1), keepdim=True), field.amax((-2, -1), keepdim=True)
     flat = largest == least
     scale = torch.where(flat, 0.0, (high - low) / torch.where(flat, 1.0, largest - least))
@@ -163,7 +96,7 @@ def _synthesise(
 
 
 class _Waves(NamedTuple):
-    """Cosines along the rows (HxN) and columns (NxW), and their amplitudes (BxNxN)."""
+    """Cosines along the rows (HxN) and columns (NxW), and their amplitudes (NxN)."""
 
     down: Tensor
     amplitude: Tensor
@@ -175,10 +108,9 @@ _CACHE: Cache[_Waves] = Cache(4 * 2**20)
 
 
 def _waves(noise: Tensor, height: int, width: int, exponent: float) -> _Waves:
-    """The waves of some noise, which gives their amplitudes."""
+    """The waves of some noise, of which only the type and the last size are looked at."""
     if type(noise) is not Tensor or torch.compiler.is_compiling():
-        unit = _unit_waves(noise, height, width, exponent)
-        return unit._replace(amplitude=noise * unit.amplitude)
+        return _unit_waves(noise, height, width, exponent)
     key = (height, width, exponent, noise.shape[-1], noise.dtype, noise.device)
     waves = _CACHE.get(key)
     if waves is None:
@@ -186,11 +118,10 @@ def _waves(noise: Tensor, height: int, width: int, exponent: float) -> _Waves:
         with torch.inference_mode(False), torch.no_grad():
             waves = _unit_waves(noise.new_empty(noise.shape[-1]), height, width, exponent)
         _CACHE.put(key, waves, sum(t.numel() * t.element_size() for t in waves))
-    return waves._replace(amplitude=noise * waves.amplitude)
+    return waves
 
 
 def _unit_waves(noise: Tensor, height: int, width: int, exponent: float) -> _Waves:
-    """The waves of noise that is 1; of `noise` only the type and the last size are looked at."""
     index = torch.arange(noise.shape[-1], dtype=noise.dtype, device=noise.device)
     cycles, phase = ((index + 1) / 2).floor(), index % 2 * (math.pi / 2)
     square = cycles**2 + cycles[:, None] ** 2
@@ -236,10 +167,3 @@ def _parse(shape: Sequence[int]) -> tuple[int, int, int]:
     if min(sides[-2:]) < 1 or sides[0] < 0:
         raise ValueError(f"shape must have at least one pixel per side, got {sides}")
     return (sides[0] if len(sides) > 2 else 1), sides[-2], sides[-1]
-
-
-def _check(exponent: float, low: float, high: float) -> None:
-    checks.within("exponent", exponent, 0.0)
-    if not 0 <= low <= high < math.inf:
-        got = f"{low} and {high}: the field multiplies distance"
-        raise ValueError(f"low and high must satisfy 0 <= low <= high < inf, got {got}")

@@ -64,7 +64,9 @@ def form(
     if image.numel() == 0 or z.numel() == 0:
         return _nothing(image, z)
     if fast.can(image, z, medium, light):
-        return fast.form(image, z, medium, development, color_space, plan, tolerance)
+        from uwaug.fast import render  # imports numba, which takes a second
+
+        return render.form(image, z, medium, development, color_space, plan, tolerance)
     J, medium = decoded(image, color_space).to(z.dtype), medium.to(z)
     T = None if light is None else light.curves(medium, z, metres)
     gain = development.gain(J, z, medium, T)
@@ -123,8 +125,9 @@ def form_image(
         image (Bx3xHxW or 3xHxW tensor): J, linear light, 1 = white plate at the surface; may exceed
             [0, 1].
         distance (Bx1xHxW or 1xHxW tensor): z, metres along the ray, ≥ 0, times the medium field if
-            the water is uneven (but under lamps `Underwater` takes the field apart); +inf is open
-            water. A batch of 1 serves all images.
+            the water is uneven; +inf is open water. A batch of 1 serves all images. Where z is
+            +inf, the gradient of such a product to the field is NaN; and of lamps it does not say
+            how far they are: `Underwater(…)(image, z, field)` does right by both.
         medium: one row, or as many as images. One image and B media give B images.
         light: lamps; None for daylight as the medium has it.
         tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f²;

@@ -203,9 +203,8 @@ class Underwater(nn.Module):
         """
         if not self.learnable or self.demand is None:
             return
-        demand = self._demand_of(medium)
-        if not self.demand.covers(demand):
-            self.demand = demand.widened(_ROOM)
+        if not self.demand.covers(self._demand_of(medium)):
+            self.demand = self._demand_of(medium, margin=_ROOM)
 
     def _demand_of(self, medium: Medium, margin: float = 1.0) -> BlurDemand:
         assert self.distance_range is not None
@@ -229,11 +228,10 @@ class Underwater(nn.Module):
         blur = "planned at each call"
         if self.distance_range is not None:
             near, far = self.distance_range
-            at = " at 512 px"
+            at = "at 512 px"
             if self.sides is not None:
-                every = self.sides == EVERY_SIDE
-                at = "" if every else " for short sides of {}…{} px".format(*self.sides)
-            blur = f"{near:g}…{far:g} m, {self.plan((512, 512))}{at}"
+                at = "for short sides of {}…{} px".format(*self.sides)
+            blur = f"{near:g}…{far:g} m, {self.plan((512, 512))} {at}"
         settings = f"tolerance={self.tolerance:g}, {self.color_space}"
         if self.development != NEUTRAL:
             settings += f", {self.development!r}"

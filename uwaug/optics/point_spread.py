@@ -15,6 +15,9 @@ from uwaug._support.types import Shape
 PAPER_SIZE = 518
 """px, short side of the paper's pictures."""
 
+FOCAL_LENGTH = 0.866
+"""Of a picture's width: that of a view 60° wide."""
+
 LENGTHS = 1e-6, 1e4
 """Scattering lengths between which a width changes: a power below 1 has an infinite slope at 0, so
 that σ(0) is tiny instead of 0; and at 1e4 all light is gone.

@@ -134,8 +134,9 @@ def _fit(
     right = np.empty((count + 1, len(exact)))
     right[:count] = basis @ exact.T
     right[count] = exact[:, 0]
+    weights = np.empty((len(exact), count))
     try:
-        weights = np.linalg.solve(system, right)[:count].T.copy()
+        weights[:] = np.linalg.solve(system, right)[:count].T
     except Exception:  # two rates that no distance tells apart; of its kind numba knows no more
         return nodes, np.zeros((len(exact), count)), math.inf
     error = np.abs(weights @ basis - exact).max()

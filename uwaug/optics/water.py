@@ -533,8 +533,8 @@ def _distance_to(share: float, weights: Array, rates: Array) -> float:
     z, step = 0.0, math.inf
     while step > 1e-15 * z:
         left = np.exp(-rates * z)
-        total = weights @ left
-        step = math.log(total / share) * total / (fading @ left)
+        total = (weights * left).sum()
+        step = math.log(total / share) * total / (fading * left).sum()
         z += step
     return z
 

@@ -2,7 +2,7 @@
 
 import copy
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import compress
 from typing import Any
@@ -13,14 +13,7 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug.transforms.random_underwater import RandomUnderwater
-from uwaug.transforms.samples import SampleTransform, replaced, typed
-
-_CORNERS: dict[str, Callable[..., tuple[float, ...]]] = {
-    "XYXY": lambda x1, y1, x2, y2: (x1, y1, x2, y2),
-    "XYWH": lambda x, y, w, h: (x, y, x + w, y + h),
-    "CXCYWH": lambda x, y, w, h: (x - w / 2, y - h / 2, x + w / 2, y + h / 2),
-}
-"""By torchvision's name of a format."""
+from uwaug.transforms.samples import SampleTransform, pictures_of, replaced, typed
 
 
 @dataclass(eq=False, repr=False)
@@ -73,12 +66,14 @@ class KeepVisible(SampleTransform):
 
     def _sampled(self, inputs: tuple[Any, ...], generator: torch.Generator | None) -> Any:
         image, distance, restore = self.augment.take_apart(inputs)
+        pictures = pictures_of(image)
         if image.ndim != 3:
             got = f"a batch {tuple(image.shape)}"
             raise ValueError(f"KeepVisible takes one picture (3, H, W) at a time, got {got}")
-        record = self.augment.make_params(image, generator)
-        sample = restore(self.augment.transform(image, distance, record))
-        left = self.augment.contrast_left(image, distance, record)[0].detach()
+        samples = self.augment.make_params(image, generator)["samples"]
+        scenes = self.augment.scenes(pictures, distance, samples)
+        sample = restore(self.augment.degraded(image, scenes))
+        left = self.augment.left(image, scenes)[0].detach()
         if _has_objects(sample):
             return self._kept(sample, left)
         members = dict(enumerate(sample)) if isinstance(sample, (tuple, list)) else dict(sample)
@@ -125,13 +120,13 @@ def _means(target: Mapping[str, Any], left: Tensor) -> Tensor:
             got, size = tuple(masks.shape), tuple(left.shape)
             raise ValueError(f"target['masks'] is {got}: expected (N, {size[0]}, {size[1]})")
         return (masks * left).sum((-2, -1)) / masks.sum((-2, -1)).clamp(min=1)
-    layout = getattr(target["boxes"], "format", "XYXY")
-    name = getattr(layout, "name", layout)
-    if name not in _CORNERS:
-        raise ValueError(f"boxes must be {', '.join(_CORNERS)}, got {name}: convert them first")
+    boxes = target["boxes"]
+    if hasattr(boxes, "format"):  # torchvision's
+        from torchvision.transforms.v2.functional import convert_bounding_box_format
+
+        boxes = convert_bounding_box_format(boxes, new_format="XYXY")
     means = []
-    for box in torch.as_tensor(target["boxes"]).reshape(-1, 4).tolist():
-        x1, y1, x2, y2 = _CORNERS[name](*box)
+    for x1, y1, x2, y2 in torch.as_tensor(boxes).reshape(-1, 4).tolist():
         # all pixels that the box touches
         rows = slice(max(0, math.floor(y1)), max(0, math.ceil(y2)))
         columns = slice(max(0, math.floor(x1)), max(0, math.ceil(x2)))

@@ -1,7 +1,7 @@
 """What is random about a picture besides its water: ranges, and records of what was drawn."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, get_args
 
 from uwaug._support import checks, codec
@@ -48,14 +48,8 @@ class RandomDevelopment:
 
     def ranges(self) -> dict[str, Range | None]:
         """Each number that a picture draws, by name; None where there is none."""
-        return {
-            "color_matrix": self.color_matrix,
-            "exposure": self.exposure,
-            "white_balance": self.white_balance,
-            "saturation": self.saturation,
-            "gamut": self.gamut,
-            "tone": self.tone,
-        }
+        fixed = ("metered", "color_space")
+        return {name: value for name, value in asdict(self).items() if name not in fixed}
 
     def of(self, numbers: Mapping[str, float]) -> Development:
         """The development of a picture that has drawn these numbers."""
@@ -70,11 +64,7 @@ class RandomDevelopment:
 
 
 def checked(ranges: Mapping[str, Range | None]) -> dict[str, tuple[float, float]]:
-    """(low, high) of each number that is drawn.
-
-    Raises:
-        ValueError: if a range falls or leaves the domain of its name.
-    """
+    """(low, high) of each number that is drawn; refuses what leaves the domain of its name."""
     return {
         name: as_range(name, value, *checks.DOMAIN[name])
         for name, value in ranges.items()
@@ -83,16 +73,8 @@ def checked(ranges: Mapping[str, Range | None]) -> dict[str, tuple[float, float]
 
 
 def samples_of(record: Any, count: int, names: set[str]) -> list[Record]:
-    """The sample of each of `count` pictures; that of a single one serves all.
-
-    Args:
-        record: from `RandomUnderwater.make_params`.
-        count: of pictures.
-        names: of the numbers that each picture draws.
-
-    Raises:
-        TypeError: if it is no record.
-        ValueError: if it is one of other options, of another batch, or a number leaves its domain.
+    """The sample of each of `count` pictures that draw numbers of these names; refuses a record of
+    other options, of another batch, or with numbers outside of their domain.
     """
     samples = record.get("samples") if isinstance(record, Mapping) else None
     if not isinstance(samples, list) or not all(isinstance(s, Mapping) for s in samples):

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, asdict, dataclass
 from dataclasses import field as option
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -19,14 +19,14 @@ from uwaug.distance.sources import Metres, Plane, Source
 from uwaug.formation.colour import require_values
 from uwaug.formation.contrast import FAINT, contrast_left
 from uwaug.formation.development import NEUTRAL, metering_points
-from uwaug.formation.field import random_field
+from uwaug.formation.field import gaussian_random_field
 from uwaug.formation.image import form
 from uwaug.light import Light
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.constituents import UNITS, Constituents
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.point_spread import FOCAL_LENGTH, PointSpread
 from uwaug.optics.reduction import default_bands
 from uwaug.optics.water import Water, load_water
 from uwaug.presets.preset import load_preset
@@ -56,9 +56,6 @@ wider ranges of them: recall and coverage of photographs each .02 to .05 less.)
 SEVERITIES = {1: 0.65, 2: 0.5, 3: 0.35, 4: 0.2, 5: 0.08}
 """The contrast of each grade of severity."""
 
-_LOGARITHMIC = ("contrast",)
-"""Numbers that are drawn uniformly in their logarithm."""
-
 _DIMMEST = 1 / 32
 """Share of the surface's light that a scene has at least, where the exposure is automatic: what the
 largest gain makes up for, and an octave for what is lost on the way to the camera. Waters that are
@@ -68,16 +65,6 @@ turbid enough for a scene at arm's length are black at 10 m.
 _LOOKED_AT = 2048
 """Pixels of which the median distance is taken: it is right within 2 %."""
 
-_FOCAL = 0.866
-"""Of the picture's width: the focal length of a view 60° wide."""
-
-_TABLES: dict[str, type] = {
-    "development": RandomDevelopment,
-    "light": Light,
-    "point_spread": PointSpread,
-}
-"""Options whose class a table need not name."""
-
 _medium_of = lru_cache(maxsize=2)(Medium.from_water)
 """Kept for transforms of one fixed water."""
 
@@ -85,6 +72,14 @@ _looks_left = [16]
 """Pictures of a process at which it is looked for whether anything is left to see; what is wrong
 with all shows in the first.
 """
+
+
+class Scene(NamedTuple):
+    """A picture, and its water where it is degraded."""
+
+    picture: Tensor  # 3xHxW
+    numbers: Mapping[str, float]  # that it has drawn
+    water: tuple[Tensor, Medium] | None  # effective distances (1x1xHxW, m), and the medium
 
 
 @codec.plain
@@ -134,13 +129,11 @@ class RandomUnderwater(SampleTransform):
         share one map; uint8 (0…255) or floating point (0…1); plain tensors or torchvision's
         tv_tensors (a distance map is best a `Mask`). The same structure comes back with a new image
         of the same type; every other leaf is returned as it is, and no input is changed. Gradients
-        pass to image and distance; what is drawn is constant. `torch.compile` leaves the transform
-        as it is, at a break of the graph, as it does torchvision's.
+        pass to image and distance; what is drawn is constant.
 
     Randomness comes from torch's global generator, which a DataLoader seeds for each worker and
     epoch; `at` draws from a key instead. Place the transform before normalisation, and after
-    resizing and cropping: a width law with a reference size, such as the default, takes the picture
-    that it gets for the whole view.
+    resizing and cropping: the default width law takes the picture for the whole view.
 
     Raises:
         TypeError, ValueError: if an option or an input does not suit, naming what came and what was
@@ -209,9 +202,7 @@ class RandomUnderwater(SampleTransform):
         self._field = None if self.field is None else as_range("field", self.field, 0.0)
         self._mixes = self._ranges["mixing"][1] > 0
         if self._mixes and any(isinstance(water, Medium) for _, water in loaded):
-            raise ValueError(
-                "mixing needs spectra: it must be 0 where one of the waters is a Medium"
-            )
+            raise ValueError("mixing needs spectra: it must be 0 where a water is a Medium")
 
     @classmethod
     def severity(cls, level: int, **options: Any) -> "RandomUnderwater":
@@ -274,12 +265,12 @@ class RandomUnderwater(SampleTransform):
         Raises:
             TypeError, ValueError: as the class, and if a table does not suit.
         """
-        read = {
-            name: codec.from_plain(options[name], kind) if options.get(name) else None
-            for name, kind in _TABLES.items()
-            if name in options
-        }
-        transform: RandomUnderwater = codec.from_plain({**options, **read}, RandomUnderwater)
+        read = dict(options)
+        tables = {"development": RandomDevelopment, "light": Light, "point_spread": PointSpread}
+        for name, kind in tables.items():
+            if options.get(name):
+                read[name] = codec.from_plain(options[name], kind)
+        transform: RandomUnderwater = codec.from_plain(read, RandomUnderwater)
         return transform
 
     def make_params(self, image: Tensor, generator: torch.Generator | None = None) -> Record:
@@ -308,7 +299,7 @@ class RandomUnderwater(SampleTransform):
             for (name, (low, high)), u in zip(
                 self._ranges.items(), rest[len(UNITS) :], strict=True
             ):
-                log = name in _LOGARITHMIC
+                log = name == "contrast"
                 numbers[name] = low * (high / low) ** u if log else low + (high - low) * u
             sample = {
                 "applied": applied < self.p,
@@ -343,8 +334,7 @@ class RandomUnderwater(SampleTransform):
             TypeError, ValueError: if an input does not suit, naming what came and what was
                 expected.
         """
-        pictures = pictures_of(image)
-        return self._transform(image, pictures, distance, self._read(params, len(pictures)))
+        return self.degraded(image, self._recorded(image, distance, params))
 
     @uncompiled
     def contrast_left(self, image: Tensor, distance: Tensor | None, params: Record) -> Tensor:
@@ -357,19 +347,7 @@ class RandomUnderwater(SampleTransform):
         Returns:
             1xHxW of a picture, Bx1xHxW of a batch; 1 where a picture is left alone.
         """
-        pictures = pictures_of(image)
-        samples = self._read(params, len(pictures))
-        shares = []
-        maps = self._maps(pictures, distance)
-        for i, (picture, z, sample) in enumerate(zip(pictures, maps, samples, strict=True)):
-            share = picture.new_ones(1, 1, *picture.shape[1:], dtype=torch.float32)
-            if sample["applied"]:
-                with naming(i, len(pictures)):
-                    effective, medium = self._in_water(picture, z, sample)
-                    share = contrast_left(effective, medium, light=self.light)
-            shares.append(share)
-        left = torch.cat(shares)
-        return left[0] if image.ndim == 3 else left
+        return self.left(image, self._recorded(image, distance, params))
 
     def take_apart(self, inputs: tuple[Any, ...]) -> Parts:
         """Image, map and the way back, of what the transform was called with."""
@@ -379,38 +357,48 @@ class RandomUnderwater(SampleTransform):
         image, distance, restore = self.take_apart(inputs)
         pictures = pictures_of(image)
         samples = self.make_params(image, generator)["samples"]
-        return restore(self._transform(image, pictures, distance, samples))
+        return restore(self.degraded(image, self.scenes(pictures, distance, samples)))
 
-    def _transform(
-        self, image: Tensor, pictures: Tensor, distance: Any, samples: list[Record]
-    ) -> Tensor:
-        """`transform` of samples that are known to be good; `pictures` are those of the image."""
-        maps, space = self._maps(pictures, distance), self.development.color_space
-        if not any(sample["applied"] for sample in samples):
-            return image
-        results = []
+    def scenes(self, pictures: Tensor, distance: Any, samples: list[Record]) -> list[Scene]:
+        """Pictures (Bx3xHxW) and maps in the waters of samples, which are known to be good."""
+        maps: Sequence[Tensor | None] = [None] * len(pictures)
+        if self._source.reads_maps:
+            maps = maps_for(pictures, distance)
+        scenes = []
         for i, (picture, z, sample) in enumerate(zip(pictures, maps, samples, strict=True)):
-            result = picture[None]
+            water = None
             if sample["applied"]:
-                with naming(i, len(pictures)), torch.autocast(image.device.type, enabled=False):
-                    require_values(picture, space)
-                    effective, medium = self._in_water(picture, z, sample)
-                    _warn_if_blank(effective, medium, self.light)
-                    look = self.development.of(sample["numbers"])
-                    result = form(
-                        result, effective, medium, look, color_space=space, light=self.light
-                    )
-            results.append(result)
+                with naming(i, len(pictures)), torch.autocast(pictures.device.type, enabled=False):
+                    require_values(picture, self.development.color_space)
+                    water = self._water(picture, z, sample)
+            scenes.append(Scene(picture, sample["numbers"], water))
+        return scenes
+
+    def degraded(self, image: Tensor, scenes: list[Scene]) -> Tensor:
+        """The degraded image of these scenes, see `transform`."""
+        if not any(scene.water for scene in scenes):
+            return image
+        space, results = self.development.color_space, []
+        with torch.autocast(image.device.type, enabled=False):
+            for picture, numbers, water in scenes:
+                result = picture[None]
+                if water is not None:
+                    _warn_if_blank(*water, self.light)
+                    look = self.development.of(numbers)
+                    result = form(result, *water, look, color_space=space, light=self.light)
+                results.append(result)
         result = results[0][0] if image.ndim == 3 else torch.cat(results)
         return typed(result, type(image))
 
-    def _maps(self, pictures: Tensor, distance: Any) -> Sequence[Tensor | None]:
-        """What each picture has for a map."""
-        if self._source.reads_maps:
-            return maps_for(pictures, distance)
-        return [None] * len(pictures)
+    def left(self, image: Tensor, scenes: list[Scene]) -> Tensor:
+        """The share of contrast in these scenes, see `contrast_left`."""
+        shares = []
+        for picture, _, water in scenes:
+            share = picture.new_ones(1, 1, *picture.shape[1:], dtype=torch.float32)
+            shares.append(share if water is None else contrast_left(*water, light=self.light))
+        return shares[0][0] if image.ndim == 3 else torch.cat(shares)
 
-    def _in_water(
+    def _water(
         self, picture: Tensor, distance: Tensor | None, sample: Record
     ) -> tuple[Tensor, Medium]:
         """The effective distances (1x1xHxW) of a picture (3xHxW), and its medium."""
@@ -418,8 +406,10 @@ class RandomUnderwater(SampleTransform):
         medium = self._medium(z, sample)
         z = z.to(torch.promote_types(picture.dtype, torch.float32)).clamp(max=FARTHEST)[None]
         if self._field is not None and sample["field_seed"] is not None:
-            size = (z.shape[-2], z.shape[-1])
-            z = z * random_field(size, sample["field_seed"], *self._field, z)
+            low, high = self._field
+            generator = torch.Generator().manual_seed(sample["field_seed"])
+            kind: Any = {"generator": generator, "dtype": torch.float32, "device": "cpu"}
+            z = z * gaussian_random_field(z.shape, low=low, high=high, **kind).to(z.device)
         return z, medium
 
     def _medium(self, z: Tensor, sample: Record) -> Medium:
@@ -443,7 +433,7 @@ class RandomUnderwater(SampleTransform):
         lamps = self.light is not None and self.light.lamps  # they shine at any depth
         if self.development.metered and not lamps and water.daylight(depth) < _DIMMEST:
             depth = min(depth, water.depth_of_daylight(_DIMMEST))
-        law = self.point_spread or PointSpread.calibrated(_FOCAL * z.shape[-1])
+        law = self.point_spread or PointSpread.calibrated(FOCAL_LENGTH * z.shape[-1])
         grey = "color_matrix" not in numbers
         return _medium_of(
             water,
@@ -461,13 +451,14 @@ class RandomUnderwater(SampleTransform):
         water = self._waters.get(name)
         return water if isinstance(water, Water) else load_water(name)
 
-    def _read(self, record: Any, count: int) -> list[Record]:
-        """The samples of a record, one for each of `count` pictures."""
-        samples = samples_of(record, count, set(self._ranges))
+    def _recorded(self, image: Tensor, distance: Any, record: Any) -> list[Scene]:
+        """The scenes of an image by a record, which is checked."""
+        pictures = pictures_of(image)
+        samples = samples_of(record, len(pictures), set(self._ranges))
         for sample in samples:
             for name in sample["waters"]:
                 self._require_water(name)
-        return samples
+        return self.scenes(pictures, distance, samples)
 
     def _require_water(self, name: Any) -> None:
         """Refuse the name of a water that cannot have been drawn."""

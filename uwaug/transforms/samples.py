@@ -29,16 +29,8 @@ class Parts(NamedTuple):
 
 
 def take_apart(inputs: tuple[Any, ...], keys: tuple[str, str], reads_maps: bool) -> Parts:
-    """Find image and map in what a transform was called with.
-
-    Args:
-        inputs: (image, distance, …), or one tuple, list or dict that holds them, or an image. In
-            second place of a tuple, a dict may hold the map.
-        keys: of image and map in a dict.
-        reads_maps: whether there has to be a map; if not, none is looked for.
-
-    Raises:
-        ValueError: if there is no image or no map.
+    """Find image and map in (image, distance, …), or in one tuple, list or dict that holds them; in
+    second place of a tuple, a dict may hold the map. Without `reads_maps` none is looked for.
     """
     sample = inputs[0] if len(inputs) == 1 else inputs
     if isinstance(sample, Mapping):
@@ -146,11 +138,7 @@ def pictures_of(image: Any) -> Tensor:
 
 
 def maps_for(pictures: Tensor, distance: Any) -> list[Tensor]:
-    """A map (1xHxW) for each picture of a batch, as plain tensors.
-
-    Raises:
-        TypeError, ValueError: if a map does not suit the pictures, or there is none.
-    """
+    """A map (1xHxW) for each picture of a batch, as plain tensors."""
     if distance is None:
         cure = "for pictures without maps there are uwaug.distance.Plane and Network"
         raise ValueError(
