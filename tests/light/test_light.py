@@ -1,3 +1,4 @@
+import copy
 import json
 import math
 from collections.abc import Callable
@@ -17,6 +18,7 @@ from uwaug import (
     Light,
     Medium,
     PointSpread,
+    RandomUnderwater,
     Underwater,
     Water,
     contrast_left,
@@ -268,6 +270,23 @@ def test_a_field_is_denser_water(surfaces: Any) -> None:
     found = degrade(image, z, field)
     torch.testing.assert_close(found, wanted(image, z), rtol=0, atol=1e-5)
     assert (found - degrade(image, 1.7 * z)).abs().max() > 0.05
+    left = contrast_left(1.7 * z, thin, light=degrade.light, metres=z)
+    torch.testing.assert_close(left, contrast_left(z, dense, light=degrade.light))
+
+
+def test_a_drawn_field_moves_no_lamps() -> None:
+    """In water so clear that a field does not show."""
+    clear = Medium.from_coefficients((1e-7,) * 3, (1e-7,) * 3, (0.0,) * 3)
+    light = Light((BESIDE,), daylight=0.0)
+    random = RandomUnderwater(clear, contrast=None, mixing=0, field=(0.3, 3.0), light=light)
+    image, z = (value[0] for value in scene(1))
+    params = random.make_params(image)
+    even = copy.deepcopy(params)
+    even["samples"][0]["field_seed"] = None
+    for found in (random.transform, random.contrast_left):
+        torch.testing.assert_close(
+            found(image, z, params), found(image, z, even), rtol=0, atol=1e-5
+        )
 
 
 def test_objects_are_judged_under_their_light() -> None:

@@ -36,6 +36,7 @@ def contrast_left(
     *,
     reflectance: float | Tensor = 0.18,
     light: Light | None = None,
+    metres: Tensor | None = None,
 ) -> Tensor:
     """Share of the contrast of fine detail that water leaves at each pixel.
 
@@ -49,6 +50,7 @@ def contrast_left(
             more behind the veil. A number, or a tensor that broadcasts with (B, 3, H, W), such as
             the scene's own linear light. The default is the grey of photography.
         light: lamps; None for daylight as the medium has it.
+        metres (as distance): in uneven water, the distance without the field, for lamps.
 
     Returns:
         1xHxW if distance has no batch, and medium one row, else Bx1xHxW; of distance's
@@ -68,19 +70,25 @@ def contrast_left(
         tensor([[[1.0000, 0.1300, 0.0100, 0.0000]]])
     """
     checks.instance("medium", medium, Medium, "; see Medium.from_water")
-    checks.floating("distance", distance)
-    checks.picture("distance", distance, 1)
+    maps = {"distance": distance} if metres is None else {"distance": distance, "metres": metres}
+    for name, value in maps.items():
+        checks.floating(name, value)
+        checks.picture(name, value, 1)
+        checks.same_size(name, value, distance)
+        if not torch.compiler.is_compiling():
+            checks.distances(name, value)
     checks.batches({"medium": len(medium), "distance": len(distance) if distance.ndim == 4 else 1})
     if light is not None:
         checks.instance("light", light, Light)
-    if not torch.compiler.is_compiling():
-        checks.distances("distance", distance)
     with torch.autocast(distance.device.type, enabled=False):
-        z = distance.to(torch.promote_types(distance.dtype, torch.float32))
-        z = (z if z.ndim == 4 else z[None]).clamp(0.0, FARTHEST)
+        dtype = torch.promote_types(distance.dtype, torch.float32)
+        z, *unscaled = (
+            (value if value.ndim == 4 else value[None]).to(dtype).clamp(0.0, FARTHEST)
+            for value in maps.values()
+        )
         object_light = _checked_light(reflectance, z)
         water = medium.to(z)
-        T = water.curves(z) if light is None else light.curves(water, z)
+        T = water.curves(z) if light is None else light.curves(water, z, *unscaled)
         detail = _luminance(_left(T.direct, object_light))
         whole = _luminance(_left(T.direct + T.scatter, object_light) + T.veil)
         # where no light arrives the slope of a quotient would be NaN

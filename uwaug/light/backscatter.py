@@ -6,9 +6,10 @@ camera, of which e^(−G(s + r)) is left of both ways:
     B_c(z) = π·power ∫_0^z Σ_l m·f_cl e^(−m·G_l (s + r)) p(α) cone(ψ) / r² ds
 
 r is the distance to the lamp, α the angle of scattering with p of Henyey & Greenstein (1941), ψ the
-angle to the lamp's axis; f_cl are the weights of b, m is the field at the pixel. In the angle θ = atan((s − s₀)/h) that the lamp
-sees (Kulla & Fajardo 2012, equiangular), with s₀ the ray's nearest point to the lamp and h the
-distance there, ds/r² is dθ/h: the inverse square is gone, and with u = tan(π/4 + θ/2)
+angle to the lamp's axis; f_cl are the weights of b, m is the field at the pixel. In the angle
+θ = atan((s − s₀)/h) that the lamp sees (Kulla & Fajardo 2012, equiangular), with s₀ the ray's
+nearest point to the lamp and h the distance there, ds/r² is dθ/h: the inverse square is gone, and
+with u = tan(π/4 + θ/2)
 
     s + r = s₀ + h·u        cos α = −sin θ = 1 − 2u²/(1 + u²)        cos θ = 2u/(1 + u²)
 

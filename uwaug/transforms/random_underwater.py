@@ -79,7 +79,8 @@ class Scene(NamedTuple):
 
     picture: Tensor  # 3xHxW
     numbers: Mapping[str, float]  # that it has drawn
-    water: tuple[Tensor, Medium] | None  # effective distances (1x1xHxW, m), and the medium
+    # effective distances (1x1xHxW, m), the medium, and distances where a field multiplies them
+    water: tuple[Tensor, Medium, Tensor | None] | None
 
 
 @codec.plain
@@ -383,9 +384,11 @@ class RandomUnderwater(SampleTransform):
             for picture, numbers, water in scenes:
                 result = picture[None]
                 if water is not None:
-                    _warn_if_blank(*water, self.light)
+                    z, medium, metres = water
+                    lit: Any = {"light": self.light, "metres": metres}
+                    _warn_if_blank(z, medium, **lit)
                     look = self.development.of(numbers)
-                    result = form(result, *water, look, color_space=space, light=self.light)
+                    result = form(result, z, medium, look, color_space=space, **lit)
                 results.append(result)
         result = results[0][0] if image.ndim == 3 else torch.cat(results)
         return typed(result, type(image))
@@ -395,22 +398,27 @@ class RandomUnderwater(SampleTransform):
         shares = []
         for picture, _, water in scenes:
             share = picture.new_ones(1, 1, *picture.shape[1:], dtype=torch.float32)
-            shares.append(share if water is None else contrast_left(*water, light=self.light))
+            if water is not None:
+                z, medium, metres = water
+                share = contrast_left(z, medium, light=self.light, metres=metres)
+            shares.append(share)
         return shares[0][0] if image.ndim == 3 else torch.cat(shares)
 
     def _water(
         self, picture: Tensor, distance: Tensor | None, sample: Record
-    ) -> tuple[Tensor, Medium]:
-        """The effective distances (1x1xHxW) of a picture (3xHxW), and its medium."""
+    ) -> tuple[Tensor, Medium, Tensor | None]:
+        """What a picture (3xHxW) is seen through, see `Scene.water`."""
         z = self._source.metres(distance, picture, sample["numbers"])
         medium = self._medium(z, sample)
         z = z.to(torch.promote_types(picture.dtype, torch.float32)).clamp(max=FARTHEST)[None]
+        metres = None
         if self._field is not None and sample["field_seed"] is not None:
+            metres = z
             low, high = self._field
             generator = torch.Generator().manual_seed(sample["field_seed"])
             kind: Any = {"generator": generator, "dtype": torch.float32, "device": "cpu"}
             z = z * gaussian_random_field(z.shape, low=low, high=high, **kind).to(z.device)
-        return z, medium
+        return z, medium, metres
 
     def _medium(self, z: Tensor, sample: Record) -> Medium:
         """The medium of a picture at these distances (1xHxW, m)."""
@@ -515,14 +523,14 @@ def _median(z: Tensor) -> float:
     return math.inf
 
 
-def _warn_if_blank(z: Tensor, medium: Medium, light: Light | None) -> None:
+def _warn_if_blank(z: Tensor, medium: Medium, light: Light | None, metres: Tensor | None) -> None:
     """Warn, once in a process, if next to nothing is left to see of a picture at these effective
     distances (1x1xHxW).
     """
     if _looks_left[0] == 0:
         return
     _looks_left[0] -= 1
-    shares = contrast_left(z.detach(), medium, light=light)[z < checks.OPEN]
+    shares = contrast_left(z.detach(), medium, light=light, metres=metres)[z < checks.OPEN]
     # by the median: the far end of a scene is hidden in many a good draw
     if shares.numel() and shares.median() < FAINT:
         _looks_left[0] = 0
