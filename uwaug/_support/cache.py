@@ -39,9 +39,3 @@ class Cache(Generic[Value]):
             while self.held > self.budget and len(self._values) > 1:
                 _, (_, freed) = self._values.popitem(last=False)
                 self.held -= freed
-
-    def cache_clear(self) -> None:
-        """Forget all."""
-        with self._lock:
-            self._values.clear()
-            self.held = 0

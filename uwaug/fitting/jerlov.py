@@ -4,6 +4,7 @@ import math
 import os
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import get_args
 
 import numpy as np
 import torch
@@ -23,7 +24,7 @@ from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import FOCAL_LENGTH, PointSpread
 from uwaug.optics.scattering import Scattering
-from uwaug.optics.surfaces import Surfaces, require_surfaces
+from uwaug.optics.surfaces import Surfaces
 from uwaug.optics.water import Water
 
 _SEEN = 0.02  # share of the contrast that is left at the visibility
@@ -192,7 +193,7 @@ def fit_water(
     say = checked_options(pixels, seed, progress)
     checks.within("g", g, *checks.DOMAIN["g"])
     camera = load_camera(camera)
-    require_surfaces(surfaces)
+    checks.one_of("surfaces", surfaces, get_args(Surfaces))
     if vertical_depth is not None:
         checks.within("vertical_depth", vertical_depth, *checks.DOMAIN["vertical_depth"])
     pictures = Pictures.of(clean, observed, distance, color_space)

@@ -99,4 +99,4 @@ class LearnableMedium(nn.Module):
         law = self.start.point_spread
         law = replace(law, scale=scale) if "width" in self.learned else law
         weights, b_mean = self.start.direct_weights.to(beta), self.start.b_mean.to(beta)
-        return Medium.of_tensors([beta, weights, G, weights, veil, b_mean], law, self.start.notes)
+        return Medium(beta, weights, G, weights, veil, b_mean, law, self.start.notes)

@@ -76,7 +76,7 @@ def backscatter(
     height: Tensor,
     cone: Cone | None,
     z: Tensor,
-    density: float | Tensor,
+    density: float | Tensor = 1.0,
 ) -> Tensor:
     """What a lamp of power 1 sends to the camera before points at a distance (Bx3xHxW).
 

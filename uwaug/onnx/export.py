@@ -6,7 +6,7 @@ import os
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -145,8 +145,9 @@ class Graph(nn.Module):
         image, distance, *coefficients = values
         medium = self.medium
         if coefficients:
-            named = dict(zip(medium.parameters(), coefficients, strict=True))
-            medium = Medium.of(named, medium)
+            *tensors, scale, exponent = coefficients
+            law = replace(medium.point_spread, scale=scale, exponent=exponent)
+            medium = Medium.of_tensors(tensors, law, medium.notes)
         return form(
             image,
             effective_distance(distance, None, torch.float32),

@@ -37,7 +37,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from operator import index
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import torch
@@ -57,7 +57,6 @@ from uwaug.optics.surfaces import (
     as_matrices,
     measure,
     reflectances,
-    require_surfaces,
     tensor_of,
     through_camera,
     white,
@@ -65,9 +64,6 @@ from uwaug.optics.surfaces import (
 from uwaug.optics.water import Water, load_water
 
 _TENSORS = ("beta", "direct_weights", "G", "signal_weights", "veil_weights", "b_mean")
-
-_ALL = 5e-4
-"""Of the light: what is left is shown if less than all is, by more than rounding."""
 
 _ROUNDED = 1e-6
 """1/m, and of beta: by so much G may be more."""
@@ -120,12 +116,10 @@ class Medium:
         self.point_spread.require_rows(b)
 
     @staticmethod
-    def of_plain(
-        point_spread: PointSpread, notes: tuple[str, ...] = (), **numbers: Any
-    ) -> "Medium":
+    def of_plain(**values: Any) -> "Medium":
         """A medium of plain numbers, see `uwaug._support.codec`."""
-        tensors = [torch.tensor(numbers.pop(name), dtype=torch.float64) for name in _TENSORS]
-        return Medium.of_tensors(tensors, point_spread, notes, **numbers)
+        tensors = {name: torch.tensor(values[name], dtype=torch.float64) for name in _TENSORS}
+        return Medium(**values | tensors)
 
     @staticmethod
     def from_water(
@@ -174,7 +168,7 @@ class Medium:
             checks.within(name, value, *DOMAIN[name])
         if tolerance != 0:
             checks.tolerance(tolerance)
-        require_surfaces(surfaces)
+        checks.one_of("surfaces", surfaces, get_args(Surfaces))
         spectra = water.at(default_bands(water))
         axis, b = spectra.wavelengths, spectra.b
         eye = load_camera(camera)
@@ -237,8 +231,7 @@ class Medium:
         weights, veil_weights = torch.diag_embed(rows["light"]), torch.diag_embed(rows["veil"])
         notes = ("coefficients: one rate per channel",) * len(b)
         law = PointSpread.none() if point_spread is None else point_spread
-        tensors = [beta, weights, G, weights, veil_weights, b]
-        return Medium.of_tensors(tensors, law, notes)
+        return Medium(beta, weights, G, weights, veil_weights, b, law, notes)
 
     @staticmethod
     def stack(media: "Iterable[Medium]") -> "Medium":
@@ -259,7 +252,7 @@ class Medium:
         notes = sum((medium.notes for medium in media), ())
         known = all(medium.bands for medium in media)
         bands = sum((medium.bands for medium in media), ()) if known else ()
-        return Medium.of_tensors([padded(column) for column in columns], law, notes, bands)
+        return Medium.of_tensors(map(padded, columns), law, notes, bands)
 
     def __len__(self) -> int:
         return len(self.beta)
@@ -282,11 +275,11 @@ class Medium:
     def map(self, function: Callable[[Tensor], Tensor]) -> "Medium":
         """`function` applied to each tensor, those of the width law included."""
         law = self.point_spread.map(function)
-        return Medium.of_tensors(list(map(function, self.tensors())), law, self.notes, self.bands)
+        return Medium.of_tensors(map(function, self.tensors()), law, self.notes, self.bands)
 
     @staticmethod
     def of_tensors(
-        tensors: Sequence[Tensor],
+        tensors: Iterable[Tensor],
         point_spread: PointSpread,
         notes: tuple[str, ...] = (),
         bands: tuple[Bands, ...] = (),
@@ -300,11 +293,7 @@ class Medium:
         if all(t.to(*args, **kwargs) is t for t in self.tensors()):
             return self
 
-        def moved(tensor: Tensor) -> Tensor:
-            return tensor.to(*args, **kwargs)
-
-        law = self.point_spread.map(moved)
-        return self.of_tensors(list(map(moved, self.tensors())), law, self.notes, self.bands)
+        return self.map(lambda t: t.to(*args, **kwargs))
 
     def tensors(self) -> tuple[Tensor, ...]:
         """Rates, weights and b̄, in the order of the attributes."""
@@ -318,14 +307,6 @@ class Medium:
         """
         tensors = dict(zip(_TENSORS, self.tensors(), strict=True))
         return tensors | self.point_spread.rows(len(self), self.beta)
-
-    @staticmethod
-    def of(parameters: Mapping[str, Tensor], like: "Medium") -> "Medium":
-        """The inverse of `parameters`; kind of width law and notes are those of `like`."""
-        tensors = [parameters[name] for name in _TENSORS]
-        numbers: dict[str, Any] = {name: parameters[name] for name in PointSpread.NUMBERS}
-        law = replace(like.point_spread, **numbers)
-        return Medium.of_tensors(tensors, law, like.notes)
 
     @property
     def is_spectral(self) -> bool:
@@ -508,49 +489,26 @@ class Medium:
             veil_weights=factor * wide.veil_weights,
         )
 
-    def lengths(self, z: Tensor) -> Tensor:
-        """Scattering lengths b̄·z of finite distances (B or 1, 1, H, W)."""
-        return self.b_mean.reshape(-1, 1, 1, 1).to(z) * z
-
     def width(self, z: Tensor, size: tuple[int, int] | None) -> Tensor:
         """σ(z), px, of distances (B or 1, 1, H, W) in an image of `size`; None: in the law's px."""
-        return self.point_spread.sigma(self.lengths(z.clamp(max=FARTHEST)), size)
-
-    def _numbers(self) -> str:
-        """Of the first medium: β and G of each channel, as light fades with them at the lens, V(0),
-        and what is left of the light if it is not all.
-        """
-        first = self[0].map(lambda t: t.detach().double())
-        direct, signal = white(first.direct_weights)[0], white(first.signal_weights)[0]
-        light = direct.sum(-1)
-        shown = {
-            "β": direct @ first.beta[0] / light,
-            "G": signal @ first.G[0] / signal.sum(-1),
-            "V(0)": first.veil_weights[0].sum(-1),
-        }
-        if not bool(((light - 1).abs() < _ALL).all()):
-            shown["light"] = light
-        rows = (
-            f"{name} = {', '.join(f'{x:.3g}' for x in row.tolist())}" for name, row in shown.items()
-        )
-        return "; ".join(rows)
+        lengths = self.b_mean.reshape(-1, 1, 1, 1).to(z) * z.clamp(max=FARTHEST)
+        return self.point_spread.sigma(lengths, size)
 
     def __repr__(self) -> str:
         more = f", and {len(self) - 1} more" if len(self) > 1 else ""
         b_mean = ", ".join(f"{float(b):.3g}" for b in self.b_mean.detach()[:3])
         cut = ", …" if len(self) > 3 else ""
-        note = self.notes[0] if self.notes else self._numbers()
+        note = self.notes[0] if self.notes else "of numbers"
         return f"Medium({note}{more}; {self.point_spread}, b̄ = {b_mean}{cut}/m)"
 
 
 def _rows(coefficients: Mapping[str, Any]) -> dict[str, Tensor]:
-    """The coefficients that are not None, by name, as tensors of one type and batch."""
-    numbers = {name: value for name, value in coefficients.items() if value is not None}
-    dtypes = [v.dtype for v in numbers.values() if isinstance(v, Tensor) and v.is_floating_point()]
-    dtype = dtypes[0] if dtypes else torch.float64
+    """Coefficients by name as tensors of one type and batch."""
+    tensors = (v for v in coefficients.values() if isinstance(v, Tensor) and v.is_floating_point())
+    dtype = next((tensor.dtype for tensor in tensors), torch.float64)
     rows = {
         name: _row(name, value, () if name == "b_mean" else (3,), dtype)
-        for name, value in numbers.items()
+        for name, value in coefficients.items()
     }
     batches = {name: len(row) for name, row in rows.items()}
     checks.batches(batches)

@@ -140,10 +140,6 @@ class PointSpread:
                 got = tuple(value.shape)
                 raise ValueError(f"PointSpread.{name} must have shape {expected}, got {got}")
 
-    def widened(self, factor: float) -> "PointSpread":
-        """The law with all widths `factor` times as large."""
-        return replace(self, scale=self.scale * factor)
-
     def map(self, function: Callable[[Tensor], Tensor]) -> "PointSpread":
         """The law with `function` applied to its tensors."""
         tensors = {n: value for n, value in self.numbers().items() if isinstance(value, Tensor)}

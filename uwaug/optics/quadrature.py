@@ -134,18 +134,17 @@ def _fit(
     right = np.empty((count + 1, len(exact)))
     right[:count] = basis @ exact.T
     right[count] = exact[:, 0]
-    weights = np.empty((len(exact), count))
+    weights = np.zeros((len(exact), count))
     try:
         weights[:] = np.linalg.solve(system, right)[:count].T
+        error = np.abs(weights @ basis - exact).max()
+        if error <= tolerance:  # non-negative weights fit no better than any
+            for row in range(len(exact)):
+                if positive[row] and weights[row].min() < 0:
+                    weights[row] = _positive(system, right[:, row].copy(), weights[row])
+                    error = max(error, np.abs(weights[row] @ basis - exact[row]).max())
     except Exception:  # two rates that no distance tells apart; of its kind numba knows no more
-        return nodes, np.zeros((len(exact), count)), math.inf
-    error = np.abs(weights @ basis - exact).max()
-    if not error <= tolerance:  # non-negative weights fit no better than any
         return nodes, weights, math.inf
-    for row in range(len(exact)):
-        if positive[row] and weights[row].min() < 0:
-            weights[row] = _positive(system, right[:, row].copy(), weights[row])
-            error = max(error, np.abs(weights[row] @ basis - exact[row]).max())
     return nodes, weights, error
 
 

@@ -13,13 +13,12 @@ let in, and its channels have an integral of 1 as those of S have.
 
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from uwaug._support import checks
 from uwaug._support.types import Array
 
 Surfaces = Literal["grey", "spectral"]
@@ -29,11 +28,6 @@ right for grey surfaces; "spectral", on all three, as surfaces have spectra.
 
 _SINGULAR = 1e3
 """Condition number of M from which on the three channels see the same. Of usual cameras it is 3."""
-
-
-def require_surfaces(surfaces: str) -> None:
-    """Refuse what surfaces are not."""
-    checks.one_of("surfaces", surfaces, get_args(Surfaces))
 
 
 @lru_cache(maxsize=16)
