@@ -72,7 +72,6 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
             # or a crash of the machine could leave an empty file in place of the old
             os.fsync(file.fileno())
         part.replace(target)
-        _flush_folder(target.parent)
     except OSError as error:
         if error.errno is not None and error.filename in (None, part, str(part)):
             error.filename = os.fspath(path)
@@ -104,13 +103,3 @@ def _new_part(folder: Path, *, private: bool) -> Path:
         reason = f"cannot write to the folder {folder}: {error.strerror}"
         raise type(error)(f"path: {reason}") from error
     return part
-
-
-def _flush_folder(folder: Path) -> None:
-    """The new entry onto the disk too, where the system can do that."""
-    with suppress(OSError, AttributeError):
-        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)

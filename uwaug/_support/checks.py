@@ -68,7 +68,9 @@ def bounds(low: float, high: float) -> str:
 
 def within(name: str, value: Any, low: float = -math.inf, high: float = math.inf) -> None:
     """Refuse a number outside [low, high], an infinite one, and what is no number."""
-    number_only(name, value)
+    if hasattr(value, "requires_grad"):  # it would get no gradient
+        cure = "to learn what water does, use Underwater(…, learnable=True)"
+        raise TypeError(f"{name} must be a number, got a tensor; {cure}")
     number = isinstance(value, (int, float, np.number))
     # compilers have symbols for numbers, of which isfinite knows nothing
     if not number or not (low <= value <= high and abs(value) < math.inf):
@@ -83,13 +85,6 @@ def pair(name: str, value: Any, wanted: str) -> tuple[float, float]:
     except (TypeError, ValueError):
         raise TypeError(f"{name} must be {wanted}, got {value!r}") from None
     return low, high
-
-
-def number_only(name: str, value: object) -> None:
-    """Refuse a tensor where a number is asked for, which would get no gradient."""
-    if hasattr(value, "requires_grad"):
-        cure = "to learn what water does, use Underwater(…, learnable=True)"
-        raise TypeError(f"{name} must be a number, got a tensor; {cure}")
 
 
 def positive(name: str, value: float, unit: str = "") -> None:
@@ -177,24 +172,7 @@ def picture(name: str, value: "Tensor", channels: int) -> None:
     """Refuse a tensor that is neither (B, channels, H, W) nor (channels, H, W)."""
     if value.ndim not in (3, 4) or value.shape[-3] != channels:
         shapes = f"({channels}, H, W) or (B, {channels}, H, W)"
-        got = f"{tuple(value.shape)}{_reshaped(name, value.shape, channels)}"
-        raise ValueError(f"{name} must have shape {shapes}, got {got}")
-
-
-def _reshaped(name: str, shape: tuple[int, ...], channels: int) -> str:
-    """What to do about a picture's shape, where that can be told."""
-    colour, batch = channels == 3, len(shape) == 4
-    if len(shape) == 2:
-        return f": repeat grey with {name}.expand(3, -1, -1)" if colour else f": give {name}[None]"
-    if len(shape) not in (3, 4):
-        return ""
-    if colour and shape[-3] == 4:
-        return f": drop alpha with {name}[{':, :3' if batch else ':3'}]"
-    if colour and shape[-3] == 1:
-        return f": repeat grey with {name}.expand({'-1, 3, -1, -1' if batch else '3, -1, -1'})"
-    if shape[-1] == channels:
-        return f": put channels first with {name}.permute({'0, 3, 1, 2' if batch else '2, 0, 1'})"
-    return ""
+        raise ValueError(f"{name} must have shape {shapes}, got {tuple(value.shape)}")
 
 
 def same_size(name: str, value: "Tensor", image: "Tensor") -> None:

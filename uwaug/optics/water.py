@@ -79,8 +79,6 @@ class Water(Spectra):
         >>> tank = Water([450, 550, 600], a, b, kd, name="tank")
         >>> tank
         Water('tank', 3 wavelengths, 450–600 nm)
-        >>> round(tank.visibility(550), 3)
-        0.355
     """
 
     wavelengths: Array
@@ -212,7 +210,10 @@ class Water(Spectra):
         if np.array_equal(wavelengths, self.wavelengths):
             return self
         axis = wavelength_axis(wavelengths)
-        self._require_inside(axis[0], axis[-1])
+        (low, high), (first, last) = axis[[0, -1]], self.wavelengths[[0, -1]]
+        if not (first <= low and high <= last):
+            data = f"the data of {self.name!r}, {first:g}–{last:g} nm"
+            raise ValueError(f"{low:g}–{high:g} nm is outside {data}: nothing is extrapolated")
         return self._derived(axis, self._table(axis), self.name, self.provenance)
 
     def mix(self, other: "Water", t: float) -> Self:
@@ -242,29 +243,25 @@ class Water(Spectra):
         if grid is None:
             raise ValueError(f"{self} and {other} have no common wavelength to mix at")
         mixture = (1 - t) * self._table(grid) + t * other._table(grid)
-        name = f"{1 - t:.2g}·{_bracketed(self.name)} + {t:.2g}·{_bracketed(other.name)}"
+        one, two = (f"({w.name})" if " " in w.name else w.name for w in (self, other))
+        name = f"{1 - t:.2g}·{one} + {t:.2g}·{two}"
         provenance = tuple(dict.fromkeys(self.provenance + other.provenance))
         return self._derived(grid, mixture, name, provenance)
 
-    def visibility(self, wavelength: float | None = None) -> float:
+    def visibility(self) -> float:
         """Horizontal visibility V [m]: the distance at which contrast falls to 2 %.
 
-        At one wavelength contrast falls as e^(−β z), so V = −ln 0.02 / β. Without a wavelength it
-        is the contrast of luminance, what a diver sees: ∫ ȳ e^(−β V) dλ / ∫ ȳ dλ = 0.02 with the
-        CIE 1931 observer ȳ over 400–700 nm, or what this water covers of it. A grey water has −ln
-        0.02 / β either way. The best transmitted wavelength alone promises 179 m in type I and is
-        the red end in 9C; a β averaged over the eye says 35 m in type I, as if red, long gone,
-        still took its share. Luminance gives 78 m there, near the clearest water on record.
-
-        Args:
-            wavelength: wavelength [nm] inside the range of this water; None for what the eye sees.
+        Contrast is that of luminance, what a diver sees: ∫ ȳ e^(−β V) dλ / ∫ ȳ dλ = 0.02 with the
+        CIE 1931 observer ȳ over 400–700 nm, or what this water covers of it. A grey water has
+        V = −ln 0.02 / β. The best transmitted wavelength alone promises 179 m in type I; a β
+        averaged over the eye says 35 m, as if red, long gone, still took its share. Luminance gives
+        78 m, near the clearest water on record.
 
         Returns:
             The visibility, inf where nothing is attenuated.
 
         Raises:
-            ValueError: if the wavelength is outside the range, or the water has no sample range in
-                400–700 nm.
+            ValueError: if the water has no wavelength in 400–700 nm.
 
         References:
             Duntley, *Light in the sea*, JOSA 53 (1963): contrast along a horizontal path falls as
@@ -276,11 +273,7 @@ class Water(Spectra):
             >>> {t: round(Water.jerlov(t).visibility(), 1) for t in ("I", "IB", "II", "3C", "9C")}
             {'I': 78.5, 'IB': 32.6, 'II': 8.7, '3C': 3.3, '9C': 1.2}
         """
-        if wavelength is None:
-            return _distance_to(CONTRAST_THRESHOLD, *self._seen(self.beta))
-        self._require_inside(wavelength, wavelength)
-        beta = float(np.interp(wavelength, self.wavelengths, self.beta))
-        return -math.log(CONTRAST_THRESHOLD) / beta if beta > 0 else math.inf
+        return _distance_to(CONTRAST_THRESHOLD, *self._seen(self.beta))
 
     def contrast(self, metres: float) -> float:
         """The share of its luminance contrast that an object at this distance [m] keeps, 0…1: the
@@ -324,7 +317,6 @@ class Water(Spectra):
             metres: distance [m], > 0.
 
         Raises:
-            TypeError: if an argument is no number.
             ValueError: if ``contrast`` is more than pure water allows, or cannot be reached because
                 nothing but water is there to be scaled; if ``metres`` is no positive number; if the
                 spectra leave 300–800 nm, where the absorption of pure water is tabulated; or as
@@ -340,9 +332,7 @@ class Water(Spectra):
             >>> hazy, round(hazy.contrast(3), 9)
             (Water('1C with 0.5 of the contrast at 3 m', 65 wavelengths, 300–700 nm), 0.5)
         """
-        for name, value in {"metres": metres, "contrast": contrast}.items():
-            checks.number_only(name, value)
-            checks.positive(name, value)
+        checks.positive("metres", metres)
         fine = self._fine()
         most = fine._luminance(fine._pure()[:2].sum(0), metres)
         if contrast > most:
@@ -398,8 +388,7 @@ class Water(Spectra):
         """The eye's weights at wavelengths that the water has, whose sum is 1, and rates there."""
         low, high = self.wavelengths[[0, -1]].tolist()
         if low > _VISIBLE[1] or high < _VISIBLE[0]:
-            cure = "give visibility() a wavelength"
-            raise ValueError(f"{self} has no wavelength in 400–700 nm: {cure}")
+            raise ValueError(f"{self} has no wavelength in 400–700 nm")
         nodes, weights = _eye(low, high)
         return weights, np.interp(nodes, self.wavelengths, rates)
 
@@ -458,13 +447,6 @@ class Water(Spectra):
             rows = [np.interp(axis, self.wavelengths, row) for row in rows]
         return np.array(rows)
 
-    def _require_inside(self, low: float, high: float) -> None:
-        first, last = self.wavelengths[[0, -1]]
-        if not (first <= low and high <= last):
-            asked = f"{low:g} nm" if low == high else f"{low:g}–{high:g} nm"
-            data = f"the data of {self.name!r}, {first:g}–{last:g} nm"
-            raise ValueError(f"{asked} is outside {data}: nothing is extrapolated")
-
 
 def load_water(water: "str | os.PathLike[str] | Water") -> Water:
     """A water by name, by its contents or from a file; a ``Water`` passes through.
@@ -517,10 +499,6 @@ def _read_csv(path: Path) -> Water:
         return Water(*table.T, name=path.stem, provenance=(f"a, b, K_d: {path.name}",))
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-
-
-def _bracketed(name: str) -> str:
-    return f"({name})" if " " in name else name
 
 
 @compiled
