@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from uwaug import Camera, load_camera
-from uwaug._support import codec
 
 NIKON = "Nikon 5100 (NPL)"
 SIGMA = "Sigma SDMerill (NPL)"
@@ -28,14 +27,7 @@ def toy(**changes):
 # ----- own responses
 
 
-@pytest.mark.parametrize(
-    "clone",
-    [
-        copy.deepcopy,
-        lambda c: pickle.loads(pickle.dumps(c)),
-        lambda c: codec.from_plain(codec.to_plain(c)),
-    ],
-)
+@pytest.mark.parametrize("clone", [copy.deepcopy, lambda c: pickle.loads(pickle.dumps(c))])
 def test_copies_are_equal_and_still_read_only(clone):
     camera = load_camera(NIKON)
     twin = clone(camera)
@@ -128,15 +120,7 @@ def write(tmp_path, text, name="toy.csv"):
     return path
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        ROWS,
-        "wavelength,R,G,B\n" + ROWS,
-        "nm, red, green, blue\r\n" + ROWS.replace("\n", "\r\n"),
-        '\ufeff"lambda","r (rel.)","g","b"\n' + ROWS,
-    ],
-)
+@pytest.mark.parametrize("text", [ROWS, '\ufeff"lambda","r (rel.)","Green","b"\r\n' + ROWS])
 def test_csv(tmp_path, text):
     path = write(tmp_path, text)
     assert load_camera(path) == load_camera(str(path)) == toy()
@@ -145,11 +129,8 @@ def test_csv(tmp_path, text):
 @pytest.mark.parametrize(
     "text, message",
     [
-        ("wavelength,R,G,B\n", "no rows of wavelength, R, G, B"),
         (ROWS.replace(",", ";"), "line 1: expected four numbers, wavelength, R, G, B"),
-        (ROWS + "800,0,0,x\n", "line 4: expected four numbers"),
         ("wavelength,B,G,R\n" + ROWS, "line 1: expected four numbers, wavelength, R, G, B"),
-        (ROWS.replace("700", "450"), "strictly ascending, but 500 is followed by 450"),
         ("user,name,pass-word-of-mine,hunter2\n", "line 1: expected four numbers"),
     ],
 )

@@ -16,7 +16,6 @@ from referees import reference
 from scenes import CURVES, Z, coastal
 
 from uwaug import Medium, PointSpread, Water, load_camera
-from uwaug._support import codec
 
 SIGMA = "Sigma SDMerill (NPL)"
 
@@ -177,15 +176,7 @@ def test_to_casts_every_tensor_and_keeps_gradients() -> None:
     assert scale.grad is not None
 
 
-@pytest.mark.parametrize(
-    "twin",
-    [
-        copy.deepcopy,
-        lambda m: pickle.loads(pickle.dumps(m)),
-        lambda m: codec.from_plain(codec.to_plain(m)),
-    ],
-    ids=["copy", "pickle", "codec"],
-)
+@pytest.mark.parametrize("twin", [copy.deepcopy, lambda m: pickle.loads(pickle.dumps(m))])
 def test_copies(twin: Any) -> None:
     for medium in (coastal(), coastal(surfaces="spectral")):
         again = twin(medium)

@@ -54,6 +54,11 @@ _MU_0 = 0.9
 the coast.
 """
 
+_CDOM = np.exp(-0.014 * (WAVELENGTHS - 440))
+_ABSORBED_BY_MINERALS = 0.041 * np.exp(-0.0123 * (WAVELENGTHS - 443))
+_SCATTERED_BY_MINERALS = 1.1513 * (400 / WAVELENGTHS) ** 1.7
+"""Per unit of each content, 1/m."""
+
 
 @plain
 @dataclass(frozen=True)
@@ -159,8 +164,8 @@ def _text(value: float | tuple[float, float]) -> str:
 def optical_properties(chlorophyll: float, cdom: float, minerals: float) -> Array:
     """a, b and K_d (3, N) [1/m] at `WAVELENGTHS` of a water with these contents."""
     absorption, scattering = pure_water(WAVELENGTHS.tobytes())
-    a = absorption + cdom * _cdom() + minerals * _minerals()[0]
-    by_particles = minerals * _minerals()[1]
+    a = absorption + cdom * _CDOM + minerals * _ABSORBED_BY_MINERALS
+    by_particles = minerals * _SCATTERED_BY_MINERALS
     if chlorophyll > 0:
         at_1, exponents = _phytoplankton()
         a += at_1 * chlorophyll**exponents
@@ -170,18 +175,6 @@ def optical_properties(chlorophyll: float, cdom: float, minerals: float) -> Arra
     lost = a + scattering / 2
     kd = np.sqrt(lost * lost + (0.425 * _MU_0 - 0.19) * lost * by_particles) / _MU_0
     return np.array([a, scattering + by_particles, kd])
-
-
-@cache
-def _cdom() -> Array:
-    return np.asarray(np.exp(-0.014 * (WAVELENGTHS - 440)))
-
-
-@cache
-def _minerals() -> Array:
-    """Absorption and scattering of 1 g/m³."""
-    a = 0.041 * np.exp(-0.0123 * (WAVELENGTHS - 443))
-    return np.array([a, 1.1513 * (400 / WAVELENGTHS) ** 1.7])
 
 
 @cache

@@ -79,17 +79,6 @@ def wavelength_axis(values: ArrayLike) -> Array:
     return axis
 
 
-def common_axis(first: Spectra, second: Spectra) -> Array | None:
-    """The wavelengths of both, in the range that both cover; None if there is none."""
-    a, b = first.wavelengths, second.wavelengths
-    if np.array_equal(a, b):
-        return a
-    both = np.union1d(a, b)
-    low, high = max(a[0], b[0]), min(a[-1], b[-1])
-    shared = both[(both >= low) & (both <= high)]
-    return wavelength_axis(shared) if shared.size else None
-
-
 def spectrum(name: str, values: ArrayLike, axis: Array, channels: tuple[int, ...] = ()) -> Array:
     """A read-only spectrum ≥ 0 on a wavelength axis (N), of shape (N, *channels).
 

@@ -23,7 +23,6 @@ from uwaug.optics.jerlov import JERLOV_TYPES, repaired_table
 from uwaug.optics.spectra import (
     WAVELENGTHS,
     Spectra,
-    common_axis,
     read_spectra,
     spectrum,
     wavelength_axis,
@@ -239,8 +238,10 @@ class Water(Spectra):
         checks.within("t", t, *checks.DOMAIN["mixing"])
         if self == other:
             return self
-        grid = common_axis(self, other)
-        if grid is None:
+        mine, theirs = self.wavelengths, other.wavelengths
+        grid = np.union1d(mine, theirs)
+        grid = grid[(grid >= max(mine[0], theirs[0])) & (grid <= min(mine[-1], theirs[-1]))]
+        if not grid.size:
             raise ValueError(f"{self} and {other} have no common wavelength to mix at")
         mixture = (1 - t) * self._table(grid) + t * other._table(grid)
         one, two = (f"({w.name})" if " " in w.name else w.name for w in (self, other))
@@ -436,6 +437,7 @@ class Water(Spectra):
         """
         water = object.__new__(type(self))
         table.flags.writeable = False
+        axis.flags.writeable = False
         a, b, kd = table
         vars(water).update(wavelengths=axis, a=a, b=b, kd=kd, name=name, provenance=provenance)
         return water
