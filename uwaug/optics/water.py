@@ -516,7 +516,7 @@ def _distance_to(share: float, weights: Array, rates: Array) -> float:
         total = (weights * left).sum()
         step = math.log(total / share) * total / (fading * left).sum()
         z += step
-    return z
+    return float(z)
 
 
 @lru_cache(maxsize=16)
