@@ -13,9 +13,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from uwaug import fast
 from uwaug._support import checks, codec
 from uwaug._support.ranges import Range, as_range
-from uwaug.blur.plan import BlurPlan
 from uwaug.distance.sources import Metres, Plane, Source
 from uwaug.formation.colour import require_values
 from uwaug.formation.contrast import FAINT, contrast_left
@@ -69,6 +69,9 @@ _LOOKED_AT = 2048
 
 _medium_of = lru_cache(maxsize=2)(Medium.from_water)
 """Kept for transforms of one fixed water."""
+
+_GREY = 0.25
+"""Linear light of a scene that nobody has looked at."""
 
 _OUTDOORS = 500.0
 """m: maps whose median is beyond are looked at for millimetres."""
@@ -388,6 +391,7 @@ class RandomUnderwater(SampleTransform):
         every = len(chosen) == len(pictures)
         scene = pictures if every else pictures[torch.tensor(chosen).to(pictures.device)]
         size = (pictures.shape[-2], pictures.shape[-1])
+        fast.load()
         with torch.autocast(image.device.type, enabled=False):
             z = self._metres_together(pictures, distance, chosen, drawn)
             looks = _looked_at(scene, z)
@@ -400,15 +404,17 @@ class RandomUnderwater(SampleTransform):
             if self._field is not None:
                 z = z * random_fields([s["field_seed"] for s in drawn], size, low, high, z)
             developments = [self.development.of(sample["numbers"]) for sample in drawn]
+            water = Medium.stack(media)
+            seen = _grey_seen(water, developments, looks, high)
             ends = [(low * look.nearest, high * look.farthest) for look in looks]
-            plans = list(map(_plan_of, media, developments, looks, ends, [size] * len(looks)))
+            demands = [blur_demand(seen[i], ends[i]) for i in range(len(looks))]
             result = form(
                 scene,
                 z,
-                Medium.stack(media),
+                water,
                 Development.stack(developments, z),
                 color_space=self.development.color_space,
-                plans=plans,
+                plans=[demand.plan(size, shared=True) for demand in demands],
             )
         if scene is not pictures:
             result = pictures.index_copy(0, torch.tensor(chosen).to(scene.device), result)
@@ -610,21 +616,17 @@ def _looked_at(scene: Tensor, z: Tensor) -> list[Look]:
     return [Look(dark / scale, bright / scale, *metres) for dark, bright, *metres in rows]
 
 
-def _plan_of(
-    medium: Medium,
-    development: Development,
-    look: Look,
-    ends: tuple[float, float],
-    size: tuple[int, int],
-) -> BlurPlan:
-    """The plan of a picture, as if it were grey and all at its median distance."""
-    z = torch.tensor([min(look.median, FARTHEST), ends[1]], dtype=torch.float64)
-    grey = z.new_full((1, 3, 1, 1), 0.25)
-    arriving = medium.image(z[:1, None, None, None], grey, grey).flatten(1)
-    veil = medium.curves(z[1:, None, None, None]).veil.flatten(1).amax(1, keepdim=True)
+def _grey_seen(
+    medium: Medium, developments: list[Development], looks: list[Look], densest: float
+) -> Medium:
+    """Media as a camera brightens them where the scene is grey and all at its median distance."""
+    rows = [(min(look.median, FARTHEST), densest * look.farthest) for look in looks]
+    z, far = torch.tensor(rows, dtype=torch.float64).T[..., None, None, None]
+    grey = z.new_full((len(z), 3, 1, 1), _GREY)
+    arriving = medium.image(z, grey, grey).flatten(1)
+    veil = medium.curves(far).veil.flatten(1).amax(1, keepdim=True)
     means = Means(grey.flatten(1), arriving, arriving.clamp(min=0.0), veil)
-    seen = medium.brightened(development.gain_of(means, z))
-    return blur_demand(seen, ends).plan(size, shared=True)
+    return medium.brightened(Development.stack(developments, z).gain_of(means, z))
 
 
 def _median(z: Tensor) -> float:
