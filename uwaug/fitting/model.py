@@ -88,6 +88,11 @@ class Model(Protocol):
 
     def hidden(self, theta: Array) -> Sequence[str]:
         """The quantities that pictures of these numbers do not tell, whatever their errors."""
+        return ()
+
+    def shown(self, theta: Array) -> Mapping[str, float]:
+        """What a table of candidates says of each."""
+        return {}
 
 
 def report_slopes(model: Model, theta: Array) -> Array:
@@ -202,7 +207,7 @@ def _growth_slope(x: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True)
-class CoefficientModel:
+class CoefficientModel(Model):
     """A water by coefficients for each colour.
 
     θ holds β, share (G/β), source and the logarithm of light of each colour, width and exponent: G

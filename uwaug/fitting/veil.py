@@ -11,7 +11,7 @@ from uwaug._support.types import Array, ColorSpace
 from uwaug.fitting.data import Pictures, Places, blocks_of, mean_3x3
 from uwaug.fitting.errors import parameter, sandwich
 from uwaug.fitting.model import COLOURS, MAX_OPTICAL_DEPTH, Quantity
-from uwaug.fitting.result import Fit, unknown
+from uwaug.fitting.result import THIN, Fit, straight_line, unknown
 from uwaug.fitting.solve import ROBUST, influence, one_thread
 from uwaug.formation.colour import LUMINANCE
 from uwaug.optics.curves import FARTHEST
@@ -40,7 +40,6 @@ _RESOLUTION = 1e-6  # light may be of any unit here, so that any change may show
 # Optical depth G·z at the near end, above which less than a third of the growth is left to be seen.
 # With surfaces that reflect .05 to .5 everywhere the bundled scene comes to 1.2 to 22.
 _FULL_GROWN = 1.2
-_THIN = 0.3  # optical depth G·z at the far end, below which a veil is still a straight line
 
 
 class Dark(NamedTuple):
@@ -129,7 +128,7 @@ def fit_veil(
                 full_grown.append(colour)
                 shows = {"veil": bool(np.isinf(farthest)), "G": False, "source": False}
             else:  # of a straight line its growth alone
-                bent = bool(G * farthest >= _THIN)
+                bent = bool(G * farthest >= THIN)
                 shows = {"veil": bent, "G": bent, "source": True}
             errors = np.sqrt(np.diag(spread)).tolist()
             for kind, value, error in zip(_KINDS, values.tolist(), errors, strict=True):
@@ -147,12 +146,7 @@ def fit_veil(
             f"In {', '.join(full_grown)} what is darkest is as light at {nearest:.3g} m as farther "
             "away: the water is very turbid, or nothing in view is black and V(0) is too high."
         )
-    straight = [colour for colour, rate in zip(COLOURS, G, strict=True) if rate * farthest < _THIN]
-    if straight:
-        notes.append(
-            f"In {', '.join(straight)} the veil still grows as a straight line at {farthest:.3g} "
-            "m: its growth (source) is seen, where it ends is not."
-        )
+    notes += straight_line(dict(zip(COLOURS, G.tolist(), strict=True)), farthest)
     return Fit(
         model="darkest pixels",
         parameters=numbers,
