@@ -24,7 +24,6 @@ from uwaug.fitting.model import (
     MODELS,
     NARROW,
     CoefficientModel,
-    without_gain,
 )
 from uwaug.fitting.result import Fit, Parameter, straight_line
 from uwaug.fitting.solve import Objective, multistart, one_thread, reweighed, roughly_weighed, solve
@@ -123,7 +122,7 @@ def fit(
         chosen = one_standard_error_rule(tried)
         if chosen.model.gain:
             say("fitting without a gain")
-            objective = Objective(without_gain(chosen.model), weighed)
+            objective = Objective(replace(chosen.model, gain=False), weighed)
             solution = multistart(objective, [chosen.numbers], seed)
             tried.append(cross_validated(objective, solution, seed))
             chosen = one_standard_error_rule([chosen, tried[-1]])

@@ -145,7 +145,8 @@ def cross_validated(objective: Objective[M], solution: Solution, seed: int) -> F
     losses = np.zeros(count)
     for k in range(_FOLDS):
         outside = torch.from_numpy(fold[pixels.blocks] != k)
-        part = replace(objective, pixels=pixels.weighed(pixels.weights * outside))
+        kept = replace(pixels, weights=pixels.weights * outside)
+        part = replace(objective, pixels=kept)
         theta = solve(part, solution.theta, most=_STEPS).theta
         losses += np.where(fold == k, block_losses(objective, theta), 0.0)
     return FittedModel(objective, solution, losses)

@@ -4,11 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.types import Array, ColorSpace
-from uwaug.fitting.data import Pictures, Places, blocks_of, mean_3x3
+from uwaug.fitting.data import Pictures, Places, blocks_of
 from uwaug.fitting.errors import parameter, sandwich
 from uwaug.fitting.model import COLOURS, MAX_OPTICAL_DEPTH, Quantity
 from uwaug.fitting.result import THIN, Fit, straight_line, unknown
@@ -162,7 +163,8 @@ def fit_veil(
 def _darkest(pictures: Pictures, rng: np.random.Generator) -> Dark:
     """The darkest pixels of each step of distance, and any of open water."""
     weights = torch.tensor(LUMINANCE, dtype=torch.float64).reshape(3, 1, 1)
-    grey = mean_3x3((weights * pictures.observed).sum(1, keepdim=True))
+    grey = (weights * pictures.observed).sum(1, keepdim=True)
+    grey = F.avg_pool2d(F.pad(grey, (1, 1, 1, 1), mode="replicate"), 3, 1)
     used = pictures.usable[:, 0]
     luminance, z = grey[:, 0][used].numpy(), pictures.z[:, 0][used].numpy()
     light = pictures.observed.movedim(1, -1)[used].numpy()
