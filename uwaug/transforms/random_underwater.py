@@ -374,7 +374,11 @@ class RandomUnderwater(SampleTransform):
         self, image: Tensor, pictures: Tensor, distance: Any, samples: list[Record]
     ) -> Tensor:
         """The image of samples, which are known to be good: on a device all pictures at once."""
-        if self.light is None and not checks.on_host(pictures):
+        # media of fits may have other width laws, which no batch holds
+        alike = len(self._waters) == 1 or not any(
+            isinstance(water, Medium) for water in self._waters.values()
+        )
+        if alike and self.light is None and not checks.on_host(pictures):
             return self._formed_together(image, pictures, distance, samples)
         return self.degraded(image, self.scenes(pictures, distance, samples))
 
