@@ -1,14 +1,16 @@
-"""What `RandomUnderwater` costs: milliseconds of a picture beside the published recipe, and
-pictures per second of a DataLoader.
+"""What `RandomUnderwater` costs: milliseconds of a picture beside the published recipe, pictures
+per second of batches, of a GPU where there is one, and of a DataLoader.
 
 `python -m benchmarks.speed.throughput` writes results/throughput.json and prints the tables.
 """
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
+import albumentations
+import kornia
 import numpy as np
 import torch
 from referees import published
@@ -19,6 +21,8 @@ import uwaug
 from benchmarks.harness import command, loops, printed, race, save, scene, use_threads
 
 BATCH = 4
+WARM = 200
+"""Pictures after which most plans of the blur are there, as in all of an epoch but its start."""
 RECIPE = "recipe, as published (OpenCV)"
 
 Augment = Callable[[Tensor, Tensor], Any]
@@ -52,12 +56,37 @@ def augments() -> dict[str, Augment]:
     }
 
 
+def warm(augment: Augment, image: Tensor, distance: Tensor) -> None:
+    """Draw so many pictures that plans are seldom new."""
+    if isinstance(augment, uwaug.RandomUnderwater):
+        for _ in range(WARM):
+            augment(image, distance)
+
+
+def others() -> dict[str, Augment]:
+    """The nearest that other packages have, which know no distances."""
+    fog = albumentations.RandomFog(p=1.0)
+    contrast = kornia.augmentation.RandomPlasmaContrast(p=1.0)
+
+    def foggy(image: Tensor, distance: Tensor) -> Tensor:
+        picture = (image * 255).byte().permute(1, 2, 0).numpy()
+        return torch.from_numpy(fog(image=picture)["image"]).permute(2, 0, 1)
+
+    return {
+        "none": lambda image, distance: image,
+        "Albumentations: RandomFog": foggy,
+        "kornia: RandomPlasmaContrast": lambda image, distance: contrast(image[None])[0],
+    }
+
+
 def single(size: int, rounds: int) -> dict[str, Any]:
     """Milliseconds of one picture, one thread, by the loops."""
     use_threads(1)
     image, distance = (values[0] for values in scene(size))
     runners: dict[str, Callable[[], object]] = {}
     for name, augment in augments().items():
+        with torch.no_grad(), loops(True):
+            warm(augment, image, distance)
         runners[f"{name}, float32"] = lambda augment=augment: augment(image, distance)
         if name != RECIPE:
             picture = (image * 255).byte()
@@ -72,23 +101,79 @@ def single(size: int, rounds: int) -> dict[str, Any]:
 
 
 def calls(fast: bool) -> int:
-    """Python calls of a default picture, warm."""
+    """Python calls of a default picture, the median of some."""
     image, distance = (values[0] for values in scene(256))
-    augment, count = uwaug.RandomUnderwater(), 0
+    augment, counts = uwaug.RandomUnderwater(), []
 
     def counted(frame: object, event: str, argument: object) -> None:
-        nonlocal count
-        count += event == "call"
+        counts[-1] += event == "call"
 
     with loops(fast):
-        for index in range(8):
-            augment.at(0, 0, index)(image, distance)
-        sys.setprofile(counted)
-        try:
-            augment.at(0, 0, 9)(image, distance)
-        finally:
-            sys.setprofile(None)
-    return count
+        warm(augment, image, distance)
+        for index in range(25):
+            counts.append(0)
+            sys.setprofile(counted)
+            try:
+                augment.at(0, 0, index)(image, distance)
+            finally:
+                sys.setprofile(None)
+    return int(np.median(counts))
+
+
+def batches(size: int, sizes: Sequence[int], rounds: int) -> dict[str, float]:
+    """Milliseconds of a picture in batches on the CPU, by loops and PyTorch, one thread and two."""
+    image, distance = scene(size)
+    results = {}
+    for threads in (1, 2):
+        use_threads(threads)
+        for fast in (True, False):
+            augment = uwaug.RandomUnderwater()
+            with torch.no_grad(), loops(fast):
+                warm(augment, image[0], distance[0])
+                for count in (1, *sizes):
+                    pictures = image[:1].expand(count, -1, -1, -1).contiguous()
+                    maps = distance[:1].expand(count, -1, -1, -1).contiguous()
+                    run = {"": lambda p=pictures, z=maps, a=augment: a(p, z)}
+                    ms = race(run, rounds)[""]["median_ms"] / count
+                    engine = "loops" if fast else "PyTorch"
+                    name = f"{engine}, {threads} thread{'s' * (threads > 1)}, batch of {count}"
+                    results[name] = ms
+                    print(f"{size}²: {name}: {ms:.2f} ms a picture", flush=True)
+    return results
+
+
+def device(size: int, count: int, rounds: int) -> dict[str, float]:
+    """Pictures per second on a GPU, bytes in and out, beside direct light and a veil alone and a
+    copy of the pixels.
+    """
+    image, distance = (values[:1].cuda() for values in scene(size))
+    pictures = (image * 255).byte().expand(count, -1, -1, -1).contiguous()
+    maps = distance.expand(count, -1, -1, -1).contiguous()
+    augment = uwaug.RandomUnderwater()
+    beta, veil = (torch.rand(3, 1, 1, device="cuda") for _ in range(2))
+
+    def plain() -> Tensor:
+        left = torch.exp(-beta * maps)
+        light = (pictures / 255) ** 2.2 * left + veil * (1 - left)
+        return (light.clamp(0, 1) ** (1 / 2.2) * 255).round().byte()
+
+    contestants: dict[str, Callable[[], object]] = {
+        "RandomUnderwater()": lambda: augment(pictures, maps),
+        "direct and veil alone": plain,
+        "a copy of the pixels": pictures.clone,
+    }
+    rates = {}
+    for name, run in contestants.items():
+        for _ in range(3):
+            run()
+        torch.cuda.synchronize()
+        began = time.perf_counter()
+        for _ in range(rounds):
+            run()
+        torch.cuda.synchronize()
+        rates[name] = count * rounds / (time.perf_counter() - began)
+        print(f"{size}², batch of {count}: {name}: {rates[name]:.0f}/s", flush=True)
+    return rates
 
 
 class Pictures(Dataset[Any]):
@@ -107,7 +192,7 @@ class Pictures(Dataset[Any]):
 
 def loader(size: int, workers: int, count: int) -> dict[str, float]:
     """Pictures per second of a DataLoader, the loops in its workers."""
-    contestants: dict[str, Augment] = {"none": lambda image, distance: image, **augments()}
+    contestants = {**others(), **augments()}
     rates = {}
     with loops(True):
         for name, augment in contestants.items():
@@ -136,7 +221,17 @@ def main(quick: bool = False) -> None:
     """Run all parts and save the figures."""
     sizes = (64,) if quick else (256, 512, 1024)
     results = {
-        "single": [single(size, 2 if quick else 15) for size in sizes],
+        "single": [single(size, 2 if quick else 40) for size in sizes],
+        "batches": {
+            str(size): batches(size, (2,) if quick else (16, 64), 2 if quick else 7)
+            for size in sizes[:1]
+        },
+        "device": {
+            f"{size}², batch of {count}": device(size, count, 2 if quick else 20)
+            for size in sizes[:2]
+            for count in (64, 256)
+            if torch.cuda.is_available()
+        },
         "calls": {"eager": calls(False), "loops": calls(True)},
         "first_picture_s": float(printed(FIRST, UWAUG_FAST="1")),
         "loader": {

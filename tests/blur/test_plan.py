@@ -19,11 +19,12 @@ RANGES = [(0.9, 4.5), (0.75, 15.0), (2.0, 60.0)]
     "low, high",
     [*RANGES, (0.0, 0.5), (0.0, 4.0), (0.6, 1.0), (2.0, 2.0), (5.0, 5.0), (0.0, 200.0)],
 )
-def test_error_on_a_picture_is_the_predicted_one(shape, low, high) -> None:
+@pytest.mark.parametrize("shared", [False, True])
+def test_error_on_a_picture_is_the_predicted_one(shape, low, high, shared) -> None:
     image = reference.picture(160, 200)
     single = torch.from_numpy(image)[None].float()
     for tolerance in (0.01, 0.002):
-        plan = plan_blur(low, high, tolerance, shape)
+        plan = plan_blur(low, high, tolerance, shape, shared=shared)
         assert plan.error <= 0.6 * tolerance
         squares = []
         for sigma in np.geomspace(max(low, 0.2), high, 7):
@@ -47,6 +48,18 @@ def test_one_blur_fewer_would_miss_the_tolerance(shape, low, high) -> None:
         fewer = [e for k, e in error.items() if 1 < k < len(plan.sigmas)]
         assert fewer
         assert min(fewer) > 0.48 * tolerance
+
+
+def test_shared_plans_are_put_together_from_few_blurs() -> None:
+    ends = [2.0 ** (n / 2) for n in range(-4, 12)]
+    ranges = [(low, high) for low in ends for high in ends if low < high]
+    plans = {
+        shared: [plan_blur(*each, 0.004, "exponential", shared=shared) for each in ranges]
+        for shared in (False, True)
+    }
+    widths = {shared: [s for plan in each for s in plan.sigmas] for shared, each in plans.items()}
+    assert len(set(widths[True])) < len(set(widths[False])) / 8
+    assert len(widths[True]) < 1.1 * len(widths[False])
 
 
 def test_few_blurs_serve_a_wide_range() -> None:

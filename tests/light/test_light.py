@@ -1,4 +1,3 @@
-import copy
 import json
 import math
 from collections.abc import Callable
@@ -278,15 +277,16 @@ def test_a_drawn_field_moves_no_lamps() -> None:
     """In water so clear that a field does not show."""
     clear = Medium.from_coefficients((1e-7,) * 3, (1e-7,) * 3, (0.0,) * 3)
     light = Light((BESIDE,), daylight=0.0)
-    random = RandomUnderwater(clear, contrast=None, mixing=0, field=(0.3, 3.0), light=light)
+    options: dict[str, Any] = {"waters": clear, "contrast": None, "mixing": 0, "light": light}
+    uneven, even = (RandomUnderwater(**options, field=field) for field in ((0.3, 3.0), None))
     image, z = (value[0] for value in scene(1))
-    params = random.make_params(image)
-    even = copy.deepcopy(params)
-    even["samples"][0]["field_seed"] = None
-    for found in (random.transform, random.contrast_left):
-        torch.testing.assert_close(
-            found(image, z, params), found(image, z, even), rtol=0, atol=1e-5
-        )
+    params = uneven.make_params(image)
+    for found, wanted in (
+        (uneven.transform, even.transform),
+        (uneven.contrast_left, even.contrast_left),
+    ):
+        ours, theirs = found(image, z, params), wanted(image, z, params)
+        torch.testing.assert_close(ours, theirs, rtol=0, atol=1e-5)
 
 
 def test_objects_are_judged_under_their_light() -> None:

@@ -202,6 +202,13 @@ def counted(x: "Tensor", *kinds: str, of: str = "pixels") -> str:
     return f"{', '.join(first)} and {last} of {x.numel()} {of}"
 
 
+def on_host(x: "Tensor") -> bool:
+    """Whether values can be looked at: a compiler does not have them, and a device would wait."""
+    import torch
+
+    return x.is_cpu and not torch.compiler.is_compiling()
+
+
 def extent(x: "Tensor") -> tuple[float, float]:
     """The least and the largest value of a tensor; NaN if it holds any."""
     low, high = x.detach().aminmax()

@@ -148,7 +148,7 @@ def _plan_blur(
         return NO_BLUR
     for count in range(1, _MOST_NODES + 1):
         sigmas = _nodes(count, low, high, target, shape, longest)
-        if shared:
+        if shared and low < high:
             sigmas = _snapped(sigmas)
         coefficients, error = _fit(sigmas, places, wanted, target / _NOISE, longest)
         last_resort = count == _MOST_NODES and error <= _PLANNED_AT_MOST * tolerance

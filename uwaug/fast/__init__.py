@@ -1,5 +1,5 @@
 """The compiled twin of image formation: loops by numba, with the extra `fast`."""
 
-from uwaug.fast.gate import can, warm_up
+from uwaug.fast.gate import can, load, warm_up
 
-__all__ = ["can", "warm_up"]
+__all__ = ["can", "load", "warm_up"]

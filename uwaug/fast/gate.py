@@ -27,7 +27,7 @@ def can(image: Tensor, z: Tensor, medium: Medium, light: object) -> bool:
     """Whether the loops form these pictures: in float32 or bytes on a CPU, by daylight, without
     gradients. Arguments as for `uwaug.formation.image.form`.
     """
-    if light is not None or torch.compiler.is_compiling() or not _is_there():
+    if light is not None or torch.compiler.is_compiling() or not (wanted() and _has_numba()):
         return False
     # of a law of one's own the loops know nothing
     if type(medium) is not Medium or type(medium.point_spread) is not PointSpread:
@@ -42,6 +42,11 @@ def can(image: Tensor, z: Tensor, medium: Medium, light: object) -> bool:
     return z.dtype == torch.float32 and not tracing and _works()
 
 
+def load() -> bool:
+    """Load the loops, and with them what is compiled of small sums; whether they are there."""
+    return wanted() and _has_numba() and _works()
+
+
 def warm_up() -> None:
     """Compile all loops, so that no picture waits for the compiler. They are kept on disk, beside
     the package or in NUMBA_CACHE_DIR.
@@ -49,7 +54,7 @@ def warm_up() -> None:
     Raises:
         ModuleNotFoundError: if numba is missing, switched off, or does not work.
     """
-    if not (_is_there() and _works()):
+    if not load():
         raise ModuleNotFoundError("the compiled loops need numba: pip install 'uwaug[fast]'")
     from uwaug.fast.render import form
     from uwaug.formation.development import NEUTRAL
@@ -60,11 +65,6 @@ def warm_up() -> None:
         medium = Medium.from_water("7C", surfaces=surfaces, point_spread=PointSpread(30.0))
         for image in (torch.full((1, 3, 8, 8), 0.5), torch.zeros(1, 3, 8, 8, dtype=torch.uint8)):
             form(image, z, medium.to(torch.float32), NEUTRAL, "srgb", None, 0.002)
-
-
-def _is_there() -> bool:
-    """Whether the loops are wanted, and numba is installed and may compile."""
-    return wanted() and _has_numba()
 
 
 @cache

@@ -53,12 +53,12 @@ def form(
     srgb, size = color_space == "srgb", (z.shape[-2], z.shape[-1])
     low, high = (0.0, 1.0) if image.dtype == torch.uint8 else extent(image)
     J = _decoded(image, srgb, low < 0 or high > 1)
-    means = _metered(J, z, medium) if development.metered or development.white_balance > 0 else None
+    means = _metered(J, z, medium) if development.measures else None
     seen = medium.brightened(development.gain_of(means, z))
     plan = plan or plan_for(z, seen, size, tolerance)
     media = with_laws(medium_tables(seen), seen, plan, size)
     table = plan_table(plan, size)
-    tone = development.tone
+    tone = float(development.tone)
     look = np.array([development.gamut, tone, tone_offset(tone)], np.float32)
     batch = max(len(J), len(z), len(medium))
     largest = headroom(image) if srgb and high > 1 else 1.0

@@ -13,21 +13,19 @@ from uwaug._support.types import ColorSpace
 from uwaug.fitting.choose import (
     FittedModel,
     best_of,
-    candidates_of,
     cross_validated,
     one_standard_error_rule,
+    result_of,
 )
 from uwaug.fitting.data import Geometry, Pictures
-from uwaug.fitting.errors import covariance_of, parameters, remainder
 from uwaug.fitting.model import (
     COLOURS,
     EXPONENTS,
     MODELS,
     NARROW,
     CoefficientModel,
-    without_gain,
 )
-from uwaug.fitting.result import Fit, Parameter, left_over, unknown
+from uwaug.fitting.result import Fit, Parameter, straight_line
 from uwaug.fitting.solve import Objective, multistart, one_thread, reweighed, roughly_weighed, solve
 
 Progress = Callable[[str], None]
@@ -36,7 +34,6 @@ _MAX_KNOWN = 1e6  # of numbers that a caller knows
 _SCOUTS = 4000  # pixels of the fits that noise is first learnt from
 _PATIENCE = 1.0  # s, after which a fit says what it does
 _POOR = 0.8  # share of the observed variance, below which a model does not explain a picture
-_THIN = 0.3  # optical depth G·z at the far end, below which a veil is still a straight line
 _FASTEST = 30.0  # 1/m; no natural water attenuates more
 
 
@@ -125,31 +122,14 @@ def fit(
         chosen = one_standard_error_rule(tried)
         if chosen.model.gain:
             say("fitting without a gain")
-            objective = Objective(without_gain(chosen.model), weighed)
+            objective = Objective(replace(chosen.model, gain=False), weighed)
             solution = multistart(objective, [chosen.numbers], seed)
             tried.append(cross_validated(objective, solution, seed))
             chosen = one_standard_error_rule([chosen, tried[-1]])
-        covariance = covariance_of(chosen.objective, chosen.solution)
-        numbers, matrix = parameters(chosen.model, chosen.solution, covariance)
-        left = remainder(chosen.objective, chosen.solution.theta)
         medium = chosen.model.medium(chosen.solution.theta)
-    return Fit(
-        model=chosen.model.spec.name,
-        parameters=numbers,
-        covariance=matrix,
-        medium=medium,
-        geometry=pictures.geometry,
-        rms=chosen.rms,
-        notes=(
-            *_chosen(chosen, tried),
-            *left_over(left, covariance.design_effect, chosen.rms),
-            *_doubts(chosen, numbers),
-            *unknown(numbers),
-        ),
-        candidates=candidates_of(tried, chosen),
-        remainder=tuple(left),
-        pictures=pictures,
-    )
+        result = result_of(chosen, tried, chosen.model.spec.name, medium, pictures)
+    doubts = _doubts(chosen, result.parameters)
+    return replace(result, notes=(*_chosen(chosen, tried), *result.notes, *doubts))
 
 
 def checked_options(pixels: int, seed: int, progress: bool | Progress) -> Progress:
@@ -235,16 +215,12 @@ def _doubts(chosen: FittedModel[CoefficientModel], numbers: Mapping[str, Paramet
         )
     else:
         sentences.append(f"Width law: {model.medium(theta).point_spread}, at b̄ of the medium.")
-    straight = [
-        colour
+    rates = {
+        colour: float(G)
         for colour, G in zip(COLOURS, c.G, strict=True)
-        if numbers[f"veil_{colour}"].value is None and G * geometry.farthest < _THIN
-    ]
-    if straight:
-        sentences.append(
-            f"In {', '.join(straight)} the veil still grows as a straight line at "
-            f"{geometry.farthest:.3g} m: its growth (source) is seen, where it ends is not."
-        )
+        if numbers[f"veil_{colour}"].value is None
+    }
+    sentences += straight_line(rates, geometry.farthest)
     if c.beta.max() > _FASTEST:
         sentences.append(f"β reaches {c.beta.max():.3g}/m: are the distances in metres?")
     if not chosen.solution.converged:

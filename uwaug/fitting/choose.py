@@ -9,8 +9,11 @@ import numpy as np
 import torch
 
 from uwaug._support.types import Array
-from uwaug.fitting.result import Candidate
+from uwaug.fitting.data import Pictures
+from uwaug.fitting.errors import covariance_of, parameters, remainder
+from uwaug.fitting.result import Candidate, Fit, left_over, unknown
 from uwaug.fitting.solve import M, Objective, Solution, loss, solve
+from uwaug.optics.medium import Medium
 
 _FOLDS = 5
 _CHANCE = 2.0  # of summed loss: what a number gains by chance
@@ -70,16 +73,35 @@ class FittedModel(Generic[M]):
         return 1 - self.rms**2 * count / variance if variance > 0 else 0.0
 
 
-def candidates_of(
-    fitted: Sequence[FittedModel[M]], chosen: FittedModel[M]
-) -> tuple[Candidate, ...]:
-    """What is reported of each."""
-    best, rows = best_of(fitted), []
-    for x in fitted:
+def result_of(
+    chosen: FittedModel[M],
+    tried: Sequence[FittedModel[M]],
+    name: str,
+    medium: Medium,
+    pictures: Pictures,
+) -> Fit:
+    """The fit: numbers and errors of the chosen candidate, and the notes that all fits share."""
+    objective, solution = chosen.objective, chosen.solution
+    covariance = covariance_of(objective, solution)
+    numbers, matrix = parameters(chosen.model, solution, covariance)
+    left, best, rows = remainder(objective, solution.theta), best_of(tried), []
+    for x in tried:
         counted = int((x.objective.pixels.weights > 0).sum())
-        error, numbers = float(np.sqrt(x.loss / max(counted, 1))), len(x.solution.theta)
-        rows.append(Candidate(x.model.name, numbers, error, *x.behind(best), x is chosen))
-    return tuple(rows)
+        error = float(np.sqrt(x.loss / max(counted, 1)))
+        about = (x.model.name, len(x.solution.theta), error, *x.behind(best), x is chosen)
+        rows.append(Candidate(*about, x.model.shown(x.solution.theta)))
+    return Fit(
+        model=name,
+        parameters=numbers,
+        covariance=matrix,
+        medium=medium,
+        geometry=pictures.geometry,
+        rms=chosen.rms,
+        notes=(*left_over(left, covariance.design_effect, chosen.rms), *unknown(numbers)),
+        candidates=tuple(rows),
+        remainder=tuple(left),
+        pictures=pictures,
+    )
 
 
 def best_of(fitted: Sequence[FittedModel[M]]) -> FittedModel[M]:
@@ -123,7 +145,8 @@ def cross_validated(objective: Objective[M], solution: Solution, seed: int) -> F
     losses = np.zeros(count)
     for k in range(_FOLDS):
         outside = torch.from_numpy(fold[pixels.blocks] != k)
-        part = replace(objective, pixels=pixels.weighed(pixels.weights * outside))
+        kept = replace(pixels, weights=pixels.weights * outside)
+        part = replace(objective, pixels=kept)
         theta = solve(part, solution.theta, most=_STEPS).theta
         losses += np.where(fold == k, block_losses(objective, theta), 0.0)
     return FittedModel(objective, solution, losses)

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple, get_args
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -243,15 +242,6 @@ class Pixels:
             for shape, (plan, blurs) in self.stacks.items()
         }
         return replace(self, **values, stacks=stacks)
-
-    def weighed(self, weights: Tensor) -> "Pixels":
-        """The same pixels with other weights."""
-        return replace(self, weights=weights)
-
-
-def mean_3x3(light: Tensor) -> Tensor:
-    """The mean (BxCxHxW) over 3×3 neighbours."""
-    return F.avg_pool2d(F.pad(light, (1, 1, 1, 1), mode="replicate"), 3, 1)
 
 
 def blocks_of(places: Sequence[Places], size: tuple[int, int]) -> Places:

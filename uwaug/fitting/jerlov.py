@@ -13,11 +13,10 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug._support.types import Array, ColorSpace
 from uwaug.fitting.api import Progress, checked_options
-from uwaug.fitting.choose import FittedModel, best_of, block_losses, candidates_of
+from uwaug.fitting.choose import FittedModel, block_losses, result_of
 from uwaug.fitting.data import Geometry, Pictures, Pixels
-from uwaug.fitting.errors import covariance_of, parameters, remainder
-from uwaug.fitting.model import MAX_OPTICAL_DEPTH, MOST_GAIN, Bounds, Quantity
-from uwaug.fitting.result import Fit, left_over, unknown
+from uwaug.fitting.model import MAX_OPTICAL_DEPTH, MOST_GAIN, Bounds, Model, Quantity
+from uwaug.fitting.result import Fit
 from uwaug.fitting.solve import Objective, loss, one_thread, reweighed, roughly_weighed, solve
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.jerlov import JERLOV_TYPES
@@ -38,7 +37,7 @@ _TOLERANCE = 0.002  # of the medium of a result
 
 
 @dataclass(frozen=True, eq=False)
-class TypeModel:
+class TypeModel(Model):
     """A scene in a Jerlov type with more or less in it.
 
     θ holds the logarithms of contents and gain, and the vertical depth [m].
@@ -131,12 +130,16 @@ class TypeModel:
 
     def report(self, theta: Array) -> Array:
         """The value of each of `quantities`."""
-        numbers = {**self.numbers(theta), "visibility": self.water_of(theta).visibility()}
+        numbers = self.numbers(theta) | self.shown(theta)
         return np.array([numbers[quantity.name] for quantity in self.quantities])
 
-    def hidden(self, theta: Array) -> tuple[str, ...]:
-        """None of `quantities`."""
-        return ()
+    def shown(self, theta: Array) -> dict[str, float]:
+        """Visibility and depth, m."""
+        visibility = self.water_of(theta).visibility()
+        return {
+            "visibility": visibility,
+            "vertical_depth": self.numbers(theta)["vertical_depth"],
+        }
 
 
 def fit_water(
@@ -226,40 +229,20 @@ def fit_water(
             losses = block_losses(objective, solution.theta)
             tried.append(FittedModel(objective, solution, losses))
         tried.sort(key=lambda fitted: fitted.loss)
-        chosen = best_of(tried)
-        theta = chosen.solution.theta
-        covariance = covariance_of(chosen.objective, chosen.solution)
-        numbers, matrix = parameters(chosen.model, chosen.solution, covariance)
-        left = remainder(chosen.objective, theta)
-        medium = chosen.model.medium(theta, _TOLERANCE)
-    types = []
-    for row, x in zip(candidates_of(tried, chosen), tried, strict=True):
-        names = [quantity.name for quantity in x.model.quantities]
-        values = dict(zip(names, x.model.report(x.solution.theta).tolist(), strict=True))
-        types.append(replace(row, values={k: values[k] for k in ("visibility", "vertical_depth")}))
-    alike = [x.name for x in types if not x.chosen and x.behind <= x.behind_error]
+        chosen = tried[0]
+        model, theta = chosen.model, chosen.solution.theta
+        result = result_of(chosen, tried, model.name, model.medium(theta, _TOLERANCE), pictures)
+    others = result.candidates[1:]
+    alike = [x.name for x in others if x.behind <= x.behind_error]
     told = "All others explain the picture worse by more than one standard error."
     if alike:
         told = f"Within one standard error, these explain it as well: {', '.join(alike)}."
-    return Fit(
-        model=chosen.model.name,
-        parameters=numbers,
-        covariance=matrix,
-        medium=medium,
-        geometry=geometry,
-        rms=chosen.rms,
-        notes=(
-            f"Jerlov type {chosen.model.name}. {told}",
-            f"The residual is {chosen.rms:.2g} RMS of linear light. Camera, g, surfaces and a "
-            "linear camera are taken for known.",
-            *left_over(left, covariance.design_effect, chosen.rms),
-            *unknown(numbers),
-        ),
-        candidates=tuple(types),
-        remainder=tuple(left),
-        water=chosen.model.water_of(theta),
-        pictures=pictures,
+    notes = (
+        f"Jerlov type {model.name}. {told}",
+        f"The residual is {result.rms:.2g} RMS of linear light. Camera, g, surfaces and a linear "
+        "camera are taken for known.",
     )
+    return replace(result, notes=(*notes, *result.notes), water=model.water_of(theta))
 
 
 def _start(objective: Objective[TypeModel]) -> Array:

@@ -9,7 +9,7 @@ numbers, as any other image is; slopes are written out.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, Protocol
 
@@ -88,6 +88,11 @@ class Model(Protocol):
 
     def hidden(self, theta: Array) -> Sequence[str]:
         """The quantities that pictures of these numbers do not tell, whatever their errors."""
+        return ()
+
+    def shown(self, theta: Array) -> Mapping[str, float]:
+        """What a table of candidates says of each."""
+        return {}
 
 
 def report_slopes(model: Model, theta: Array) -> Array:
@@ -149,21 +154,10 @@ class Coefficients(NamedTuple):
     exponent: float
 
 
-class Slopes(NamedTuple):
-    """Derivatives of the picture (1x3x1xN) by each of the `Coefficients`."""
-
-    beta: Tensor
-    G: Tensor
-    source: Tensor
-    light: Tensor
-    width: Tensor
-    exponent: Tensor
-
-
 def picture_slopes(
     c: Coefficients, pixels: Pixels, shape: Shape | None, reference: float
-) -> Slopes:
-    """Written out, as colours do not mix; a test compares them with differences of the image."""
+) -> dict[str, Tensor]:
+    """Derivatives of the picture (1x3x1xN) by each of the `Coefficients`; colours do not mix."""
     beta, G, source, light = (torch.from_numpy(x).reshape(1, 3, 1, 1) for x in c[:4])
     z = pixels.z
     direct, signal = torch.exp(-beta * z), torch.exp(-G * z)
@@ -176,14 +170,14 @@ def picture_slopes(
         by_width = by_log / max(c.width, _MIN_WIDTH)
         by_exponent = by_log * (z / reference).log()
     sharp = direct * (pixels.clean - soft)
-    return Slopes(
-        beta=-z * light * sharp,
-        G=-z * light * signal * soft - source * z * z * _growth_slope(G * z),
-        source=z * _growth(G * z),
-        light=sharp + signal * soft,
-        width=by_width,
-        exponent=by_exponent,
-    )
+    return {
+        "beta": -z * light * sharp,
+        "G": -z * light * signal * soft - source * z * z * _growth_slope(G * z),
+        "source": z * _growth(G * z),
+        "light": sharp + signal * soft,
+        "width": by_width,
+        "exponent": by_exponent,
+    }
 
 
 def _growth(x: Tensor) -> Tensor:
@@ -202,7 +196,7 @@ def _growth_slope(x: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True)
-class CoefficientModel:
+class CoefficientModel(Model):
     """A water by coefficients for each colour.
 
     θ holds β, share (G/β), source and the logarithm of light of each colour, width and exponent: G
@@ -319,23 +313,19 @@ class CoefficientModel:
             of_veil[:, i] = self.fixed.get(f"veil_{colour}", 0.0)
             if f"G_{colour}" in self.fixed:
                 of_G[:, i] = 0.0
-        by_G = by.G + of_veil * by.source
-        of_colours = {
-            "beta": by.beta + of_G * by_G,
+        by_G = by["G"] + of_veil * by["source"]
+        by |= {
+            "beta": by["beta"] + of_G * by_G,
             "share": beta * by_G,
-            "source": by.source,
-            "light": torch.from_numpy(c.light).reshape(1, 3, 1, 1) * by.light,
+            "light": torch.from_numpy(c.light).reshape(1, 3, 1, 1) * by["light"],
         }
-        places = {name: i for i, name in enumerate(self.bounds)}
-        jacobian = np.zeros((3, pixels.z.shape[-1], len(places)))
-        for kind, slope in of_colours.items():
-            for i, colour in enumerate(COLOURS):
-                if f"{kind}_{colour}" in places:
-                    jacobian[i, :, places[f"{kind}_{colour}"]] = slope[0, i, 0]
-        for kind, slope in {"width": by.width, "exponent": by.exponent}.items():
-            if kind in places:
-                jacobian[..., places[kind]] = slope[0, :, 0]
-        return jacobian.reshape(-1, len(places))
+        jacobian = np.zeros((3, pixels.z.shape[-1], len(self.bounds)))
+        for column, name in enumerate(self.bounds):
+            kind, _, colour = name.partition("_")
+            # a number of one colour moves no other
+            rows = [COLOURS.index(colour)] if colour else [0, 1, 2]
+            jacobian[rows, :, column] = by[kind][0, rows, 0]
+        return jacobian.reshape(-1, len(self.bounds))
 
     @cached_property
     def quantities(self) -> list[Quantity]:
@@ -386,8 +376,3 @@ def _without_scatter(beta: Tensor, G: Tensor, light: Tensor, veil: Tensor) -> Me
         point_spread=PointSpread.none(),
         notes=("fitted: direct light and veil, no forward scatter",),
     )
-
-
-def without_gain(model: CoefficientModel) -> CoefficientModel:
-    """The same model with the light of the clean picture."""
-    return replace(model, gain=False)

@@ -30,6 +30,7 @@ SHOWS = 0.002
 tolerance of media and blurs puts pictures .0007 off (RMS).
 """
 
+THIN = 0.3  # optical depth G·z at the far end, below which a veil is still a straight line
 _SURELY = 5.0  # standard errors of independent noise, that a mean of residuals is off by
 _DEPENDENT = 1.5  # design effect, above which neighbouring residuals depend on each other
 # Of the median distance and of the farthest: what a fit's module is planned for.
@@ -276,6 +277,17 @@ def left_over(remainder: list[Remainder], design_effect: float, rms: float) -> l
     return [
         f"What is left is not noise: errors are {design_effect:.1f} times those of independent "
         f"pixels{where}. The model misses something, such as {causes}: numbers may be off by more."
+    ]
+
+
+def straight_line(rates: Mapping[str, float], farthest: float) -> list[str]:
+    """The sentence on colours whose veil, of rates G by colour, has hardly begun to bend."""
+    straight = [colour for colour, G in rates.items() if G * farthest < THIN]
+    if not straight:
+        return []
+    return [
+        f"In {', '.join(straight)} the veil still grows as a straight line at {farthest:.3g} m: "
+        "its growth (source) is seen, where it ends is not."
     ]
 
 

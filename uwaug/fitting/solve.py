@@ -214,7 +214,9 @@ def guess(
             ones = np.ones(3)
             c = law._replace(beta=beta * ones, G=share * beta * ones, source=0 * ones, light=ones)
             by = picture_slopes(c, pixels, model.spec.shape, reference)
-            error, light, source = _light_and_source(by.light, by.source, pixels, gain=model.gain)
+            error, light, source = _light_and_source(
+                by["light"], by["source"], pixels, gain=model.gain
+            )
             found.append((error, beta, share, light, source))
     for i, colour in enumerate(COLOURS):
         _, beta, share, light, source = min(found, key=lambda row: float(row[0][i]))
@@ -250,7 +252,7 @@ def _light_and_source(
 
 def roughly_weighed(pixels: Pixels) -> Pixels:
     """The pixels with weights for a first fit."""
-    return pixels.weighed(pixels.weights / _ROUGH)
+    return replace(pixels, weights=pixels.weights / _ROUGH)
 
 
 def reweighed(
@@ -287,7 +289,7 @@ def reweighed(
         if bright < _MIN_VALUES:
             few = f"only {bright} of {counted.numel()} values that are fitted lie above the noise"
             raise ValueError(f"observed: {few}, expected {_MIN_VALUES}: raise the exposure")
-        objective = replace(objective, pixels=pixels.weighed(counted / deviation))
+        objective = replace(objective, pixels=replace(pixels, weights=counted / deviation))
     return objective.pixels, theta
 
 

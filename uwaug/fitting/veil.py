@@ -4,14 +4,15 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.types import Array, ColorSpace
-from uwaug.fitting.data import Pictures, Places, blocks_of, mean_3x3
+from uwaug.fitting.data import Pictures, Places, blocks_of
 from uwaug.fitting.errors import parameter, sandwich
 from uwaug.fitting.model import COLOURS, MAX_OPTICAL_DEPTH, Quantity
-from uwaug.fitting.result import Fit, unknown
+from uwaug.fitting.result import THIN, Fit, straight_line, unknown
 from uwaug.fitting.solve import ROBUST, influence, one_thread
 from uwaug.formation.colour import LUMINANCE
 from uwaug.optics.curves import FARTHEST
@@ -40,7 +41,6 @@ _RESOLUTION = 1e-6  # light may be of any unit here, so that any change may show
 # Optical depth G·z at the near end, above which less than a third of the growth is left to be seen.
 # With surfaces that reflect .05 to .5 everywhere the bundled scene comes to 1.2 to 22.
 _FULL_GROWN = 1.2
-_THIN = 0.3  # optical depth G·z at the far end, below which a veil is still a straight line
 
 
 class Dark(NamedTuple):
@@ -129,7 +129,7 @@ def fit_veil(
                 full_grown.append(colour)
                 shows = {"veil": bool(np.isinf(farthest)), "G": False, "source": False}
             else:  # of a straight line its growth alone
-                bent = bool(G * farthest >= _THIN)
+                bent = bool(G * farthest >= THIN)
                 shows = {"veil": bent, "G": bent, "source": True}
             errors = np.sqrt(np.diag(spread)).tolist()
             for kind, value, error in zip(_KINDS, values.tolist(), errors, strict=True):
@@ -147,12 +147,7 @@ def fit_veil(
             f"In {', '.join(full_grown)} what is darkest is as light at {nearest:.3g} m as farther "
             "away: the water is very turbid, or nothing in view is black and V(0) is too high."
         )
-    straight = [colour for colour, rate in zip(COLOURS, G, strict=True) if rate * farthest < _THIN]
-    if straight:
-        notes.append(
-            f"In {', '.join(straight)} the veil still grows as a straight line at {farthest:.3g} "
-            "m: its growth (source) is seen, where it ends is not."
-        )
+    notes += straight_line(dict(zip(COLOURS, G.tolist(), strict=True)), farthest)
     return Fit(
         model="darkest pixels",
         parameters=numbers,
@@ -168,7 +163,8 @@ def fit_veil(
 def _darkest(pictures: Pictures, rng: np.random.Generator) -> Dark:
     """The darkest pixels of each step of distance, and any of open water."""
     weights = torch.tensor(LUMINANCE, dtype=torch.float64).reshape(3, 1, 1)
-    grey = mean_3x3((weights * pictures.observed).sum(1, keepdim=True))
+    grey = (weights * pictures.observed).sum(1, keepdim=True)
+    grey = F.avg_pool2d(F.pad(grey, (1, 1, 1, 1), mode="replicate"), 3, 1)
     used = pictures.usable[:, 0]
     luminance, z = grey[:, 0][used].numpy(), pictures.z[:, 0][used].numpy()
     light = pictures.observed.movedim(1, -1)[used].numpy()

@@ -67,7 +67,7 @@ def headroom(image: Tensor) -> float | Tensor:
     """
     if image.dtype == torch.uint8:
         return 1.0
-    if not torch.compiler.is_compiling() and float(image.detach().amax()) <= 1:
+    if checks.on_host(image) and float(image.detach().amax()) <= 1:
         return 1.0
     return image.detach().amax((-3, -2, -1), keepdim=True).clamp(min=1)
 

@@ -14,9 +14,10 @@ measured at some pixels, spread over it, of light that is not blurred: the blur 
 none.
 """
 
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import torch
 from torch import Tensor
@@ -43,6 +44,9 @@ reaches 0."""
 
 _BEYOND = 1 / (1 - _GAMUT_FROM)
 
+_STRAIGHT = 1e6
+"""Stands for the infinite offset of a curve that is straight."""
+
 _TOE = 1e-4
 """Linear light below which the curve of tone is straight: curves of less contrast are infinitely
 steep at 0.
@@ -60,6 +64,9 @@ _STEPS = (791_547, 597_521)
 """Of the sequence along rows and columns, of `_TURN` for a whole side: 1/x and 1/x² with x³ = x + 1
 (Roberts 2018, the R₂ sequence), as odd whole numbers, which ONNX Runtime multiplies exactly.
 """
+
+
+_NUMBERS = ("exposure", "white_balance", "saturation", "gamut", "tone")
 
 
 @plain
@@ -82,29 +89,40 @@ class Development:
         metered: whether the exposure's stops are on top of one gain for each picture, from 1/8 to
             64, that keeps the mean luminance of the scene, and its farthest veil at or below white.
 
+    `stack` makes one of several, whose numbers are tensors (B).
+
     Raises:
         TypeError, ValueError: if a number is none, or outside of its range.
     """
 
-    exposure: float | Literal["auto"] = 0.0
-    white_balance: float = 0.0
-    saturation: float = 1.0
-    gamut: float = 0.0
-    tone: float = 1.0
+    exposure: float | Tensor | Literal["auto"] = 0.0
+    white_balance: float | Tensor = 0.0
+    saturation: float | Tensor = 1.0
+    gamut: float | Tensor = 0.0
+    tone: float | Tensor = 1.0
     metered: bool = False
 
     def __post_init__(self) -> None:
-        if self.exposure == "auto":
+        if isinstance(self.exposure, str) and self.exposure == "auto":
             object.__setattr__(self, "exposure", 0.0)
             object.__setattr__(self, "metered", True)
-        for field in fields(self)[:5]:
-            name = f"development: {field.name}"
-            checks.within(name, getattr(self, field.name), *DOMAIN[field.name])
+        for name in _NUMBERS:
+            value = getattr(self, name)
+            if not isinstance(value, Tensor):
+                checks.within(f"development: {name}", value, *DOMAIN[name])
+
+    @staticmethod
+    def stack(developments: "Sequence[Development]", like: Tensor) -> "Development":
+        """One for each picture of a batch, on the device of a tensor; all metered or none."""
+        columns = [[getattr(d, name) for d in developments] for name in _NUMBERS]
+        numbers = torch.tensor(columns, dtype=like.dtype).to(like.device)
+        named = dict(zip(_NUMBERS, numbers, strict=True))
+        return Development(**named, metered=developments[0].metered)
 
     @property
     def brightening(self) -> float:
         """By how much it may multiply small differences, without meter and white balance."""
-        return float(2.0 ** float(self.exposure)) * max(self.saturation, 1.0)
+        return float(2.0 ** float(self.exposure)) * max(float(self.saturation), 1.0)
 
     def gain(self, J: Tensor, z: Tensor, medium: Medium, T: Curves | None = None) -> Tensor:
         """What its linear part multiplies the light of each picture by: one number (B or 1, 1), a
@@ -116,28 +134,39 @@ class Development:
             medium: what lies between.
             T: the curves at every pixel, where they are not the medium's.
         """
-        measures = self.metered or self.white_balance > 0
-        return self.gain_of(metered(J, z, medium, T) if measures else None, J)
+        return self.gain_of(metered(J, z, medium, T) if self.measures else None, J)
+
+    @property
+    def measures(self) -> bool:
+        """Whether the gain depends on the picture."""
+        return self.metered or isinstance(self.white_balance, Tensor) or self.white_balance > 0
 
     def gain_of(self, means: "Means | None", like: Tensor) -> Tensor:
         """The gain for what is measured, see `metered`, of the type of a tensor."""
-        gain = like.new_full((1, 1), 2.0 ** float(self.exposure))
+        share, saturation = _of_rows(self.white_balance, 2), _of_rows(self.saturation, 3)
+        gain = like.new_ones(1, 1) * 2.0 ** _of_rows(self.exposure, 2)
         if means is not None:
             if self.metered:
                 gain = gain * _automatic(means)
-            if self.white_balance > 0:
-                gain = gain * _balance(means.positive, self.white_balance)
-        if self.saturation == 1:
+            if isinstance(share, Tensor) or share > 0:
+                gain = gain * _balance(means.positive, share)
+        if isinstance(saturation, float) and saturation == 1:
             return gain
         unit = torch.eye(3, dtype=gain.dtype, device=gain.device)
         grey = gain.new_tensor(LUMINANCE).expand(3, 3)
-        return (grey + self.saturation * (unit - grey)) * gain[:, None]
+        return (grey + saturation * (unit - grey)) * gain[:, None]
 
     def shaped(self, light: Tensor) -> Tensor:
         """Light (Bx3xHxW) after what is not linear."""
-        if self.gamut > 0:
-            light = compressed(light, self.gamut)
-        return light if self.tone == 1 else curved(light, self.tone)
+        gamut, tone = _of_rows(self.gamut, 4), _of_rows(self.tone, 4)
+        if isinstance(gamut, Tensor) or gamut > 0:
+            light = compressed(light, gamut)
+        return curved(light, tone) if isinstance(tone, Tensor) or tone != 1 else light
+
+
+def _of_rows(number: Any, axes: int) -> float | Tensor:
+    """A number, or those of each picture (B) in so many axes."""
+    return number.reshape(-1, *[1] * (axes - 1)) if isinstance(number, Tensor) else float(number)
 
 
 NEUTRAL = Development()
@@ -191,8 +220,9 @@ def _automatic(means: Means) -> Tensor:
     return gain.clamp(*GAINS).minimum(1 / means.veil.clamp(min=1 / GAINS[1]))
 
 
-def _balance(means: Tensor, share: float) -> Tensor:
+def _balance(means: Tensor, share: float | Tensor) -> Tensor:
     """What a white balance multiplies each channel by (B, 3), of mean light (B, 3)."""
+    share = share.clamp(min=0.0) if isinstance(share, Tensor) else share
     before = _luminance(means)
     lit = before > 0
     before = torch.where(lit, before, 1.0)
@@ -234,7 +264,7 @@ def _luminance(light: Tensor) -> Tensor:
     return (light * light.new_tensor(LUMINANCE)).sum(-1, keepdim=True)
 
 
-def compressed(light: Tensor, share: float) -> Tensor:
+def compressed(light: Tensor, share: float | Tensor) -> Tensor:
     """Colours outside of the gamut, moved inside by a share of the way; others stay."""
     brightest = light.amax(1, keepdim=True)
     lit = brightest > 0
@@ -247,16 +277,20 @@ def compressed(light: Tensor, share: float) -> Tensor:
 
 
 def tone_offset(contrast: float) -> float:
-    """K of the curve, for which mid-grey stays; 0 where there is none."""
+    """K of the curve, for which mid-grey stays; of a straight one, as much as makes it that."""
     grey = MID_GREY**contrast
-    return 0.0 if contrast == 1 else (1 - MID_GREY) * grey / (MID_GREY - grey)
+    return _STRAIGHT if contrast == 1 else (1 - MID_GREY) * grey / (MID_GREY - grey)
 
 
-def curved(light: Tensor, contrast: float) -> Tensor:
+def curved(light: Tensor, contrast: float | Tensor) -> Tensor:
     """Light along the curve (1 + k)·x^c/(x^c + k), odd, through 0, mid-grey and 1; straight below
-    `_TOE`, and from 1 on, as curves of c < 1 have a pole beyond.
+    `_TOE`, and from 1 on, as curves of c < 1 have a pole beyond. Contrast: a number, or (Bx1x1x1).
     """
-    k = tone_offset(contrast)
+    if isinstance(contrast, Tensor):
+        exact = contrast.double()
+        grey = MID_GREY**exact
+        offset = torch.where(exact == 1, _STRAIGHT, (1 - MID_GREY) * grey / (MID_GREY - grey))
+    k: Any = offset.to(light) if isinstance(contrast, Tensor) else tone_offset(contrast)
     size = light.abs().clamp(min=_TOE)
     inside = size.clamp(max=1.0)
     power = inside**contrast

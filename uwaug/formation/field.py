@@ -76,6 +76,18 @@ def gaussian_random_field(
         return field_of(noise.to(working), height, width, exponent, low, high).to(dtype)
 
 
+def random_fields(
+    seeds: Sequence[int], size: tuple[int, int], low: float, high: float, like: Tensor
+) -> Tensor:
+    """The fields (Bx1xHxW) that seeds of torch's generator on the CPU stand for, on the device of a
+    tensor, in float32.
+    """
+    n = 2 * _cutoff(4.0, max(size)) + 1
+    generators = (torch.Generator().manual_seed(seed) for seed in seeds)
+    drawn = [torch.randn(n, n, generator=g, dtype=torch.float32, device="cpu") for g in generators]
+    return field_of(torch.stack(drawn).to(like.device), *size, 4.0, low, high)
+
+
 # One thread, 256² / 1024², a draw included: this takes .27 / 2.2 ms; 64² by FFT and bicubic
 # interpolation .51 / 6.5; FFT at full size 1.3 / 48. A 64² grid and cubic upsampling as two matrix
 # products cost as much as this does.

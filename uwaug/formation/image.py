@@ -13,7 +13,7 @@ product, as the paper prints it, is no nearer to Monte Carlo light transport: RM
 of .0268 (two planes, edge region).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -45,6 +45,7 @@ def form(
     light: Light | None = None,
     metres: Tensor | None = None,
     plan: BlurPlan | None = None,
+    plans: Sequence[BlurPlan] = (),
     tolerance: float = 0.002,
     blurs: Blurs = blurred,
 ) -> Tensor:
@@ -58,22 +59,28 @@ def form(
         light: lamps; None for daylight as the medium has it.
         metres (Bx1xHxW): distances, m, where a field multiplies them in z: for lamps.
         plan: of the blur; None for one for the distances at hand.
+        plans: one for each picture, in its place.
         tolerance: of that plan.
         blurs: what computes the blurs of the plan.
     """
     if image.numel() == 0 or z.numel() == 0:
         return _nothing(image, z)
-    if fast.can(image, z, medium, light):
+    if not plans and fast.can(image, z, medium, light):
         from uwaug.fast import render  # imports numba, which takes a second
 
         return render.form(image, z, medium, development, color_space, plan, tolerance)
     J, medium = decoded(image, color_space).to(z.dtype), medium.to(z)
     T = None if light is None else light.curves(medium, z, metres)
     gain = development.gain(J, z, medium, T)
-    if plan is None:
-        brightest = medium if light is None else light.planned(medium)
-        plan = plan_for(z, brightest.brightened(gain), (z.shape[-2], z.shape[-1]), tolerance)
-    soft = blurred_as_seen(J, z, medium, plan, blurs)
+    if plans:
+        pictures = [slice(i, i + 1) for i in range(len(J))]
+        each = zip(pictures, plans, strict=True)
+        soft = torch.cat([blurred_as_seen(J[i], z[i], medium[i], plan) for i, plan in each])
+    else:
+        if plan is None:
+            brightest = medium if light is None else light.planned(medium)
+            plan = plan_for(z, brightest.brightened(gain), (z.shape[-2], z.shape[-1]), tolerance)
+        soft = blurred_as_seen(J, z, medium, plan, blurs)
     arriving = medium.image(z, J, soft, T)
     developed = development.shaped(exposed(arriving, gain))
     largest = headroom(image) if color_space == "srgb" else 1.0

@@ -376,10 +376,10 @@ class Medium:
         return Sums(rates, torch.cat(weights, 1), self.beta.shape[1], split)
 
     def _any_at_lens(self, z: Tensor) -> bool:
-        """Whether a distance z (B or 1, …), m, is so near that V(0) − V(z) would cancel. A compiler
-        cannot look.
+        """Whether a distance z (B or 1, …), m, is so near that V(0) − V(z) would cancel; it is
+        taken to be where nobody can look.
         """
-        if torch.compiler.is_compiling():
+        if not checks.on_host(z):
             return True
         slowest = self.G.masked_fill(self.G <= 0, math.inf).amin(1)
         return cancels(slowest, z.flatten(1).amin(1) if z.ndim > 1 else z)

@@ -13,13 +13,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from uwaug import fast
 from uwaug._support import checks, codec
 from uwaug._support.ranges import Range, as_range
 from uwaug.distance.sources import Metres, Plane, Source
 from uwaug.formation.colour import require_values
 from uwaug.formation.contrast import FAINT, contrast_left
-from uwaug.formation.development import NEUTRAL, metering_points
-from uwaug.formation.field import gaussian_random_field
+from uwaug.formation.demand import blur_demand
+from uwaug.formation.development import NEUTRAL, Development, Means, metering_points
+from uwaug.formation.field import random_fields
 from uwaug.formation.image import form
 from uwaug.light import Light
 from uwaug.optics.camera import Camera, load_camera
@@ -67,6 +69,12 @@ _LOOKED_AT = 2048
 
 _medium_of = lru_cache(maxsize=2)(Medium.from_water)
 """Kept for transforms of one fixed water."""
+
+_GREY = 0.25
+"""Linear light of a scene that nobody has looked at."""
+
+_OUTDOORS = 500.0
+"""m: maps whose median is beyond are looked at for millimetres."""
 
 _looks_left = [16]
 """Pictures of a process at which it is looked for whether anything is left to see; what is wrong
@@ -335,7 +343,8 @@ class RandomUnderwater(SampleTransform):
             TypeError, ValueError: if an input does not suit, naming what came and what was
                 expected.
         """
-        return self.degraded(image, self._recorded(image, distance, params))
+        pictures = pictures_of(image)
+        return self._formed(image, pictures, distance, self._read(params, len(pictures)))
 
     @uncompiled
     def contrast_left(self, image: Tensor, distance: Tensor | None, params: Record) -> Tensor:
@@ -348,7 +357,9 @@ class RandomUnderwater(SampleTransform):
         Returns:
             1xHxW of a picture, Bx1xHxW of a batch; 1 where a picture is left alone.
         """
-        return self.left(image, self._recorded(image, distance, params))
+        pictures = pictures_of(image)
+        samples = self._read(params, len(pictures))
+        return self.left(image, self.scenes(pictures, distance, samples))
 
     def take_apart(self, inputs: tuple[Any, ...]) -> Parts:
         """Image, map and the way back, of what the transform was called with."""
@@ -358,7 +369,87 @@ class RandomUnderwater(SampleTransform):
         image, distance, restore = self.take_apart(inputs)
         pictures = pictures_of(image)
         samples = self.make_params(image, generator)["samples"]
-        return restore(self.degraded(image, self.scenes(pictures, distance, samples)))
+        return restore(self._formed(image, pictures, distance, samples))
+
+    def _formed(
+        self, image: Tensor, pictures: Tensor, distance: Any, samples: list[Record]
+    ) -> Tensor:
+        """The image of samples, which are known to be good: on a device all pictures at once."""
+        # media of fits may have other width laws, which no batch holds
+        alike = len(self._waters) == 1 or not any(
+            isinstance(water, Medium) for water in self._waters.values()
+        )
+        if alike and self.light is None and not checks.on_host(pictures):
+            return self._formed_together(image, pictures, distance, samples)
+        return self.degraded(image, self.scenes(pictures, distance, samples))
+
+    def _formed_together(
+        self, image: Tensor, pictures: Tensor, distance: Any, samples: list[Record]
+    ) -> Tensor:
+        """`_formed` with one look at the distances, all that a device has to wait for. What of the
+        blur may be left out follows from a grey scene, as its light is not known here.
+        """
+        chosen = [i for i, sample in enumerate(samples) if sample["applied"]]
+        if not chosen:
+            return image
+        drawn = [samples[i] for i in chosen]
+        every = len(chosen) == len(pictures)
+        scene = pictures if every else pictures[torch.tensor(chosen).to(pictures.device)]
+        size = (pictures.shape[-2], pictures.shape[-1])
+        fast.load()
+        with torch.autocast(image.device.type, enabled=False):
+            z = self._metres_together(pictures, distance, chosen, drawn)
+            looks = _looked_at(scene, z)
+            self._require(looks, scene, z)
+            pairs = zip(looks, drawn, strict=True)
+            media = [self._medium(look.median, size[1], sample) for look, sample in pairs]
+            _warn_if_blank(torch.full((1, 1, 1, 1), looks[0].median), media[0], None)
+            z = z.to(torch.promote_types(scene.dtype, torch.float32)).clamp(max=FARTHEST)
+            low, high = (1.0, 1.0) if self._field is None else self._field
+            if self._field is not None:
+                z = z * random_fields([s["field_seed"] for s in drawn], size, low, high, z)
+            developments = [self.development.of(sample["numbers"]) for sample in drawn]
+            water = Medium.stack(media)
+            seen = _grey_seen(water, developments, looks, high)
+            ends = [(low * look.nearest, high * look.farthest) for look in looks]
+            demands = [blur_demand(seen[i], ends[i]) for i in range(len(looks))]
+            result = form(
+                scene,
+                z,
+                water,
+                Development.stack(developments, z),
+                color_space=self.development.color_space,
+                plans=[demand.plan(size, shared=True) for demand in demands],
+            )
+        if scene is not pictures:
+            result = pictures.index_copy(0, torch.tensor(chosen).to(scene.device), result)
+        return typed(result[0] if image.ndim == 3 else result, type(image))
+
+    def _metres_together(
+        self, pictures: Tensor, distance: Any, chosen: list[int], drawn: list[Record]
+    ) -> Tensor:
+        """The distances (Bx1xHxW) of the chosen pictures, m. Of a source other than `Metres()` the
+        host may have to wait for each.
+        """
+        maps: list[Any] = [None] * len(drawn)
+        if self._source.reads_maps:
+            given = maps_for(pictures, distance)
+            maps = [given[i] for i in chosen]
+            if self._source == Metres():
+                return torch.stack(maps)
+        numbers = [sample["numbers"] for sample in drawn]
+        chosen_pictures = [pictures[i] for i in chosen]
+        return torch.stack(list(map(self._source.metres, maps, chosen_pictures, numbers)))
+
+    def _require(self, looks: "list[Look]", scene: Tensor, z: Tensor) -> None:
+        """Refuse pictures and maps by their numbers; only if one is wrong, by a second look."""
+        space = self.development.color_space
+        for i, (darkest, brightest, nearest, _, median) in enumerate(looks):
+            with naming(i, len(looks)):
+                if not (darkest >= 0 and brightest <= 1):
+                    require_values(scene[i], space)
+                if self._source == Metres() and not (nearest > 0 and median < _OUTDOORS):
+                    self._source.metres(z[i], scene[i], {})
 
     def scenes(self, pictures: Tensor, distance: Any, samples: list[Record]) -> list[Scene]:
         """Pictures (Bx3xHxW) and maps in the waters of samples, which are known to be good."""
@@ -409,19 +500,16 @@ class RandomUnderwater(SampleTransform):
     ) -> tuple[Tensor, Medium, Tensor | None]:
         """What a picture (3xHxW) is seen through, see `Scene.water`."""
         z = self._source.metres(distance, picture, sample["numbers"])
-        medium = self._medium(z, sample)
+        medium = self._medium(_median(z), z.shape[-1], sample)
         z = z.to(torch.promote_types(picture.dtype, torch.float32)).clamp(max=FARTHEST)[None]
-        metres = None
-        if self._field is not None and sample["field_seed"] is not None:
-            metres = z
-            low, high = self._field
-            generator = torch.Generator().manual_seed(sample["field_seed"])
-            kind: Any = {"generator": generator, "dtype": torch.float32, "device": "cpu"}
-            z = z * gaussian_random_field(z.shape, low=low, high=high, **kind).to(z.device)
-        return z, medium, metres
+        if self._field is None:
+            return z, medium, None
+        size = (z.shape[-2], z.shape[-1])
+        field = random_fields([sample["field_seed"]], size, *self._field, z)
+        return z * field, medium, z
 
-    def _medium(self, z: Tensor, sample: Record) -> Medium:
-        """The medium of a picture at these distances (1xHxW, m)."""
+    def _medium(self, metres: float, width: int, sample: Record) -> Medium:
+        """The medium of a picture of this median distance, m, and width, px."""
         names, numbers = sample["waters"], sample["numbers"]
         fixed = self._waters.get(names[0])
         if isinstance(fixed, Medium):
@@ -430,7 +518,7 @@ class RandomUnderwater(SampleTransform):
         if others:
             water = water.mix(others[0], numbers["mixing"])
         if "contrast" in numbers:
-            contents = water.contents_for(numbers["contrast"], _median(z))
+            contents = water.contents_for(numbers["contrast"], metres)
             if math.isinf(contents):
                 cure = "draw from waters that have something in them, or give contrast=None"
                 raise ValueError(
@@ -441,7 +529,7 @@ class RandomUnderwater(SampleTransform):
         lamps = self.light is not None and self.light.lamps  # they shine at any depth
         if self.development.metered and not lamps and water.daylight(depth) < _DIMMEST:
             depth = min(depth, water.depth_of_daylight(_DIMMEST))
-        law = self.point_spread or PointSpread.calibrated(FOCAL_LENGTH * z.shape[-1])
+        law = self.point_spread or PointSpread.calibrated(FOCAL_LENGTH * width)
         grey = "color_matrix" not in numbers
         return _medium_of(
             water,
@@ -459,14 +547,13 @@ class RandomUnderwater(SampleTransform):
         water = self._waters.get(name)
         return water if isinstance(water, Water) else load_water(name)
 
-    def _recorded(self, image: Tensor, distance: Any, record: Any) -> list[Scene]:
-        """The scenes of an image by a record, which is checked."""
-        pictures = pictures_of(image)
-        samples = samples_of(record, len(pictures), set(self._ranges))
+    def _read(self, record: Any, count: int) -> list[Record]:
+        """The samples of a record, one for each of `count` pictures; refuses one of others."""
+        samples = samples_of(record, count, set(self._ranges))
         for sample in samples:
             for name in sample["waters"]:
                 self._require_water(name)
-        return self.scenes(pictures, distance, samples)
+        return samples
 
     def _require_water(self, name: Any) -> None:
         """Refuse the name of a water that cannot have been drawn."""
@@ -511,6 +598,48 @@ def _loaded(waters: Any) -> list[tuple[str, Water | Constituents | Medium]]:
     return loaded
 
 
+class Look(NamedTuple):
+    """What the host knows of a picture on a device: values, and distances, m."""
+
+    darkest: float
+    brightest: float
+    nearest: float
+    farthest: float  # of all but open water
+    median: float
+
+
+def _looked_at(scene: Tensor, z: Tensor) -> list[Look]:
+    """A look at pictures (Bx3xHxW) and distances (Bx1xHxW): the one transfer from their device."""
+    values, metres = scene.detach().flatten(1), z.detach().flatten(1)
+    some = metres[:, metering_points(z.shape[-2], z.shape[-1], z.device)[:_LOOKED_AT]]
+    some = some.sort(1).values  # open water and NaN come last
+    middle = some.isfinite().sum(1, keepdim=True) // 2
+    farthest = torch.where(metres.isfinite(), metres, 0.0).amax(1)
+    columns = (
+        values.amin(1),
+        values.amax(1),
+        metres.amin(1),
+        farthest,
+        some.gather(1, middle)[:, 0],
+    )
+    scale = 1.0 if scene.is_floating_point() else 255.0
+    rows = torch.stack([column.to(torch.float32) for column in columns], 1).cpu().tolist()
+    return [Look(dark / scale, bright / scale, *metres) for dark, bright, *metres in rows]
+
+
+def _grey_seen(
+    medium: Medium, developments: list[Development], looks: list[Look], densest: float
+) -> Medium:
+    """Media as a camera brightens them where the scene is grey and all at its median distance."""
+    rows = [(min(look.median, FARTHEST), densest * look.farthest) for look in looks]
+    z, far = torch.tensor(rows, dtype=torch.float64).T[..., None, None, None]
+    grey = z.new_full((len(z), 3, 1, 1), _GREY)
+    arriving = medium.image(z, grey, grey).flatten(1)
+    veil = medium.curves(far).veil.flatten(1).amax(1, keepdim=True)
+    means = Means(grey.flatten(1), arriving, arriving.clamp(min=0.0), veil)
+    return medium.brightened(Development.stack(developments, z).gain_of(means, z))
+
+
 def _median(z: Tensor) -> float:
     """The median distance, m, of some pixels, or of all if these show nothing but open water."""
     points = metering_points(z.shape[-2], z.shape[-1], z.device)[:_LOOKED_AT]
@@ -523,7 +652,9 @@ def _median(z: Tensor) -> float:
     return math.inf
 
 
-def _warn_if_blank(z: Tensor, medium: Medium, light: Light | None, metres: Tensor | None) -> None:
+def _warn_if_blank(
+    z: Tensor, medium: Medium, light: Light | None, metres: Tensor | None = None
+) -> None:
     """Warn, once in a process, if next to nothing is left to see of a picture at these effective
     distances (1x1xHxW).
     """

@@ -1,0 +1,63 @@
+"""Functions on small arrays: as compiled and as they are."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from uwaug import JERLOV_TYPES, Water, fast
+from uwaug._support.compiled import compiled
+from uwaug.formation import demand
+from uwaug.optics import quadrature, water
+from uwaug.optics.reduction import default_bands
+
+pytest.importorskip("numba")
+
+
+@compiled
+def _twice(x: float) -> float:
+    return 2 * x
+
+
+@compiled
+def _sum_of_twice(values: np.ndarray) -> float:
+    total = 0.0
+    for value in values:
+        total += _twice(value)
+    return total
+
+
+def test_compiled_functions_call_each_other() -> None:
+    values = np.arange(5.0)
+    assert _sum_of_twice(values) == _sum_of_twice.function(values) == _sum_of_twice.loop(values)
+
+
+@pytest.mark.parametrize("tolerance", [0.02, 0.002, 1e-5])
+@pytest.mark.parametrize("name", JERLOV_TYPES)
+def test_quadrature(name: str, tolerance: float) -> None:
+    spectra = Water.jerlov(name).at(default_bands(Water.jerlov(name)))
+    weights = np.random.default_rng(0).normal(0.02, 0.02, (6, 61))
+    weights[3:] = np.abs(weights[3:])
+    reduced = quadrature._reduced
+    plain = reduced.function(spectra.beta, weights, tolerance)
+    for ours, theirs in zip(reduced.loop(spectra.beta, weights, tolerance), plain, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-7)
+
+
+def test_demand_and_contents() -> None:
+    rng = np.random.default_rng(1)
+    rates, weights = rng.uniform(0.05, 1, (2, 3)), rng.normal(0, 0.3, (2, 9, 3))
+    scattered = demand._scattered
+    case = (rates, weights, rates / 2, np.abs(weights), 0.3, 9.0, 0.002, False)
+    np.testing.assert_allclose(scattered.loop(*case), scattered.function(*case), rtol=1e-9)
+    case = 0.1, np.full(4, 0.25), np.array([0.0, 0.1, 0.5, 2.0])
+    assert water._distance_to.loop(*case) == water._distance_to.function(*case) == np.inf
+    case = 0.3, *case[1:]
+    np.testing.assert_allclose(water._distance_to.loop(*case), water._distance_to.function(*case))
+
+
+def test_one_medium_waits_for_no_compiler() -> None:
+    code = "import sys, uwaug; uwaug.Medium.from_water('3C'); assert 'numba' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
+    assert fast.load()
