@@ -4,6 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scenes import rand
 
 import uwaug
 from uwaug import (
@@ -169,11 +170,11 @@ def test_a_camera_that_develops_spectral_surfaces(tmp_path):
     medium = Medium.from_water(
         "II", g=0.05, point_spread=law, surfaces="spectral", color_matrix=0.7
     )
-    image, z = torch.rand(3, 20, 24), torch.full((1, 20, 24), 3.0)
+    image, z = rand(3, 20, 24).float(), torch.full((1, 20, 24), 3.0)
     expected = Underwater(medium, (0.7, 6.5), development=Development(**numbers))(image, z)
     assert torch.equal(preset.module()(image, z), expected)
     drawn = RandomUnderwater.from_preset(path, water="II", field=None)
-    assert (drawn(image, z)[0] - expected).abs().max() < 2e-3
+    assert (drawn(image, z)[0] - expected).square().mean().sqrt() < 1e-3  # of noise, by other plans
 
 
 def test_water_and_camera_in_place_of_the_files(tmp_path):
