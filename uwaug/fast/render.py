@@ -13,22 +13,24 @@ from torch import Tensor
 from torch.utils.data import get_worker_info
 
 from uwaug._support.checks import extent
-from uwaug._support.types import ColorSpace
+from uwaug._support.types import Array, ColorSpace
 from uwaug.blur.plan import BlurPlan
 from uwaug.fast import kernels
 from uwaug.fast.tables import (
     Floats,
     Indices,
+    MediumTable,
     PlanTable,
+    law_of,
     medium_tables,
     plan_table,
-    with_laws,
 )
-from uwaug.formation.colour import headroom
+from uwaug.formation.colour import LUMINANCE, headroom
 from uwaug.formation.demand import plan_for
 from uwaug.formation.development import (
+    GAINS,
+    MOST,
     Development,
-    Means,
     metering_points,
     tone_offset,
 )
@@ -53,10 +55,14 @@ def form(
     srgb, size = color_space == "srgb", (z.shape[-2], z.shape[-1])
     low, high = (0.0, 1.0) if image.dtype == torch.uint8 else extent(image)
     J = _decoded(image, srgb, low < 0 or high > 1)
-    means = _metered(J, z, medium) if development.measures else None
-    seen = medium.brightened(development.gain_of(means, z))
-    plan = plan or plan_for(z, seen, size, tolerance)
-    media = with_laws(medium_tables(seen), seen, plan, size)
+    tables = medium_tables(medium)
+    gain = _gain(J, z, tables, development)
+    plan = plan or plan_for(z, medium, size, tolerance, gain)
+    laws = [law_of(medium, n, plan, size) for n in range(len(medium))]
+    media = [
+        tables[n % len(medium)]._replace(law=laws[n % len(medium)]).brightened(gain[n % len(gain)])
+        for n in range(max(len(gain), len(medium)))
+    ]
     table = plan_table(plan, size)
     tone = float(development.tone)
     look = np.array([development.gamut, tone, tone_offset(tone)], np.float32)
@@ -84,18 +90,32 @@ def form(
     return result.to(image.dtype)
 
 
-def _metered(J: Tensor, z: Tensor, medium: Medium) -> Means:
-    """As `uwaug.formation.development.metered`."""
-    points = metering_points(z.shape[-2], z.shape[-1], z.device).numpy()
-    lights, maps, tables = J.flatten(2).numpy(), z.flatten(1).numpy(), medium_tables(medium)
-    far, batch = maps.max(1), max(len(J), len(z), len(medium))
-    means = [
-        kernels.meter(lights[n % len(J)], maps[n % len(z)], points, tables[n % len(medium)])
-        for n in range(batch)
-    ]
-    scene, arriving, positive = torch.from_numpy(np.stack(means, 1)).to(torch.float32)
-    veils = [tables[n % len(medium)].veil_at(far[n % len(z)]).max() for n in range(batch)]
-    return Means(scene, arriving, positive, torch.tensor(veils)[:, None])
+def _gain(J: Tensor, z: Tensor, tables: list[MediumTable], development: Development) -> Array:
+    """As `Development.gain`: (B or 1, 3), or (B or 1, 3, 3)."""
+    white_balance, saturation = float(development.white_balance), float(development.saturation)
+    gains = np.full((1, 3), 2.0 ** float(development.exposure))
+    if development.measures:
+        points = metering_points(z.shape[-2], z.shape[-1], z.device).numpy()
+        lights, maps = J.flatten(2).numpy(), z.flatten(1).numpy()
+        batch, far = max(len(J), len(z), len(tables)), maps.max(1)
+        gains = gains.repeat(batch, 0)
+        for n in range(batch):
+            i, table = n % len(z), tables[n % len(tables)]
+            scene, arriving, positive = kernels.meter(lights[n % len(J)], maps[i], points, table)
+            if development.metered:
+                veil = max(float(table.veil_at(far[i]).max()), 1 / GAINS[1])
+                before, after = scene @ LUMINANCE, arriving @ LUMINANCE
+                automatic = before / after if after > 0 else 1.0
+                gains[n] *= min(max(automatic, GAINS[0]), GAINS[1], 1 / veil)
+            before = positive @ LUMINANCE
+            if white_balance > 0 and before > 0:
+                balance = (before / np.maximum(positive, before / MOST)) ** white_balance
+                gains[n] *= balance * before / ((balance * positive) @ LUMINANCE or before)
+    if saturation == 1:
+        return gains
+    grey = np.tile(LUMINANCE, (3, 1))
+    mixing: Array = (grey + saturation * (np.eye(3) - grey)) * gains[:, None]
+    return mixing
 
 
 def _decoded(image: Tensor, srgb: bool, beyond: bool) -> Tensor:

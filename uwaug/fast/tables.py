@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from uwaug._support.cache import Cache
+from uwaug._support.types import Array
 from uwaug.blur.banded import Kind, Node, mirrored, whole
 from uwaug.blur.kernels import blur_kernel
 from uwaug.blur.plan import V_FLOOR, BlurPlan, place_line
+from uwaug.formation.demand import seen_by
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import LENGTHS, pixel_scale
 
@@ -96,6 +98,15 @@ class MediumTable(NamedTuple):
         powers = self.rates[-self.veil.shape[1] :] * z
         veil: Floats = self.veil @ np.expm1(powers * np.float32(math.log(2)))
         return veil
+
+    def brightened(self, gain: Array) -> "MediumTable":
+        """As seen by a camera that multiplies channels (3), or mixes them (3, 3)."""
+        veil: Any = gain @ self.veil if gain.ndim == 2 else gain[:, None] * self.veil
+        direct, scatter, veil = (
+            weights.astype(np.float32)
+            for weights in (seen_by(gain, self.direct), seen_by(gain, self.scatter), veil)
+        )
+        return self._replace(direct=direct, scatter=scatter, veil=veil)
 
 
 # ------------------------------------------------------------------------------ plans
@@ -239,23 +250,14 @@ def table_of(x: Tensor) -> Floats:
     return np.array(rows.numpy(), np.float32, order="C")
 
 
-def with_laws(
-    tables: list[MediumTable], medium: Medium, plan: BlurPlan, size: Size
-) -> list[MediumTable]:
-    """Tables with the width law of their media, for a plan and pictures of (height, width)."""
-    b_mean = medium.b_mean.tolist()
-    return [
-        table._replace(law=_law(medium, n, b_mean[n], plan, size)) for n, table in enumerate(tables)
-    ]
-
-
-def _law(medium: Medium, n: int, b_mean: float, plan: BlurPlan, size: Size) -> Floats:
+def law_of(medium: Medium, n: int, plan: BlurPlan, size: Size) -> Floats:
     """Width law of the `n`-th medium, and the place of a width in a plan."""
     spread = medium.point_spread
     scale, exponent = (_number(value, n) for value in spread.numbers().values())
     per_pixel = pixel_scale(spread.reference_size, size)
     slope, offset = place_line(plan)
     powers = (1 / V_FLOOR, 0.0) if plan.shape == "exponential" else (0.0, 1 / V_FLOOR)
+    b_mean = float(medium.b_mean[n])
     law = (b_mean, scale * per_pixel, exponent, *powers, slope * math.log(2), offset)
     return np.array((*law, *LENGTHS), np.float32)
 

@@ -126,6 +126,7 @@ def blur_demand(
     *,
     learned: bool = False,
     margin: float = 1.0,
+    gain: Array | None = None,
 ) -> BlurDemand:
     """What a medium needs of the blur over a range of effective distances, and no more.
 
@@ -141,10 +142,18 @@ def blur_demand(
             forward scatter or its width is invisible now; its gradient is not negligible.
         margin: widen the range of widths by this factor either way, for parameters that will be
             learned.
+        gain: (B, 3) or (B, 3, 3), by which a camera multiplies all light.
     """
     checks.tolerance(tolerance)
     law = medium.point_spread
     beta, direct, G, signal = (_table(values) for values in medium.tensors()[:4])
+    if gain is not None:
+        rows = np.arange(max(len(gain), len(beta)))
+        gain, beta, G = gain[rows % len(gain)], beta[rows % len(beta)], G[rows % len(G)]
+        direct, signal = (
+            np.stack([seen_by(gain[n], weights[n % len(weights)]) for n in rows])
+            for weights in (direct, signal)
+        )
     near, far = (min(max(z, 0.0), FARTHEST) for z in distance_range)
     first, last, strength = _scattered(beta, direct, G, signal, near, far, tolerance, learned)
     traced = any(isinstance(v, Tensor) and v.requires_grad for v in law.numbers().values())
@@ -231,7 +240,25 @@ def _table(x: Tensor) -> Array:
     return np.ascontiguousarray(rows.cpu().double().numpy())
 
 
-def plan_for(z: Tensor, medium: Medium, size: tuple[int, int], tolerance: float) -> BlurPlan:
+def seen_by(gain: Any, weights: Any) -> Any:
+    """Weights (3xK, or 9xK of matrices) as seen by a camera that multiplies channels by a gain (3),
+    or mixes them (3, 3); arrays.
+    """
+    if len(weights) == 9:
+        rows = weights.reshape(3, -1)
+        return (gain @ rows if gain.ndim == 2 else gain[:, None] * rows).reshape(9, -1)
+    if gain.ndim == 1:
+        return gain[:, None] * weights
+    return (gain[:, :, None] * weights).reshape(9, -1)
+
+
+def plan_for(
+    z: Tensor,
+    medium: Medium,
+    size: tuple[int, int],
+    tolerance: float,
+    gain: Array | None = None,
+) -> BlurPlan:
     """The plan for effective distances z, m, in a picture of (height, width) `size`, rounded so
     that similar ones share it. Gradients of the medium take a finer one.
     """
@@ -243,7 +270,7 @@ def plan_for(z: Tensor, medium: Medium, size: tuple[int, int], tolerance: float)
         farthest = float(blurred.max()) if blurred.numel() else nearest
     margin = _MARGIN if learned else 1.0
     ends = nearest, max(farthest, nearest)
-    demand = blur_demand(medium, ends, tolerance, learned=learned, margin=margin)
+    demand = blur_demand(medium, ends, tolerance, learned=learned, margin=margin, gain=gain)
     return demand.plan(size, shared=True)
 
 

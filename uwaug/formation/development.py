@@ -35,7 +35,7 @@ MID_GREY = 0.18
 GAINS = (1 / 8, 64.0)
 """Of a metered exposure, −3 to +6 stops: 6 is what a camera has between ISO 100 and 6400."""
 
-_MOST = 16.0
+MOST = 16.0
 """Of the ratio of luminance to a channel's mean that a white balance makes up for."""
 
 _GAMUT_FROM = 0.75
@@ -226,7 +226,7 @@ def _balance(means: Tensor, share: float | Tensor) -> Tensor:
     before = _luminance(means)
     lit = before > 0
     before = torch.where(lit, before, 1.0)
-    balance: Tensor = (before / means.maximum(before / _MOST)) ** share
+    balance: Tensor = (before / means.maximum(before / MOST)) ** share
     after = _luminance(balance * means)
     balance = balance * before / torch.where(after > 0, after, before)
     return torch.where(lit, balance, 1.0)
