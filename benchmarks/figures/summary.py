@@ -216,6 +216,7 @@ def speed() -> str:
         "benchmarks.speed.throughput`), milliseconds, and how many times as fast as the recipe:",
         _transform_table(load("throughput")),
         _loaders(load("throughput")),
+        _batches(load("throughput")),
     ]
     return "\n\n".join(paragraphs)
 
@@ -256,9 +257,22 @@ def _loaders(throughput: Results) -> str:
     sizes = (f"{size}², pictures/s" for size in throughput["loader"])
     return (
         f"A default picture takes {calls['eager']} Python calls by PyTorch, {calls['loops']} by "
-        f"the loops; the first in a fresh process {throughput['first_picture_s']:.1f} s after "
+        f"the loops, where plans are there; the first in a fresh process {throughput['first_picture_s']:.1f} s after "
         "torch. A DataLoader with two workers:\n\n" + table(["", *sizes], rows)
     )
+
+
+def _batches(throughput: Results) -> str:
+    """Batches on the CPU, and on a GPU if there was one."""
+    ((size, rates),) = throughput["batches"].items()
+    rows = [[name, f"{ms:.2f}"] for name, ms in rates.items()]
+    text = f"`RandomUnderwater()` on batches of {size}² on the CPU:\n\n"
+    text += table(["", "ms a picture"], rows)
+    if not throughput["device"]:
+        return text + "\n\nNo GPU was there to measure batches on a device."
+    names = next(iter(throughput["device"].values()))
+    rows = [[case, *(f"{r[n]:.0f}" for n in names)] for case, r in throughput["device"].items()]
+    return text + "\n\nOn a GPU, bytes in and out, pictures/s:\n\n" + table(["", *names], rows)
 
 
 def fits() -> str:

@@ -297,7 +297,8 @@ class Medium:
 
     def tensors(self) -> tuple[Tensor, ...]:
         """Rates, weights and b̄, in the order of the attributes."""
-        return tuple(getattr(self, name) for name in _TENSORS)
+        weights = self.direct_weights, self.signal_weights, self.veil_weights
+        return self.beta, weights[0], self.G, weights[1], weights[2], self.b_mean
 
     def parameters(self) -> dict[str, Tensor]:
         """All that is continuous in a medium, by name, each with a row for every medium.

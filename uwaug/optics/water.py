@@ -491,7 +491,10 @@ def load_water(water: "str | os.PathLike[str] | Water") -> Water:
         raise ValueError(f"water must have one number for each content, got {water!r}: {drawn}")
     lows = {name: low for name, (low, _) in contents.ranges.items()}
     return Water.from_constituents(
-        chlorophyll=lows["chlorophyll"], cdom=lows["cdom"], minerals=lows["minerals"]
+        chlorophyll=lows["chlorophyll"],
+        cdom=lows["cdom"],
+        minerals=lows["minerals"],
+        name=contents.name,
     )
 
 
