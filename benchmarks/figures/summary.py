@@ -253,11 +253,11 @@ def _loaders(throughput: Results) -> str:
         [name, *(f"{rates[name]:.0f}" for rates in throughput["loader"].values())]
         for name in next(iter(throughput["loader"].values()))
     ]
-    calls = throughput["calls"]
+    calls, first = throughput["calls"], throughput["first_picture_s"]
     sizes = (f"{size}², pictures/s" for size in throughput["loader"])
     return (
-        f"A default picture takes {calls['eager']} Python calls by PyTorch, {calls['loops']} by "
-        f"the loops, where plans are there; the first in a fresh process {throughput['first_picture_s']:.1f} s after "
+        f"A default picture takes {calls['eager']} Python calls by PyTorch and {calls['loops']} by "
+        f"the loops, where plans are there; the first in a fresh process {first:.1f} s after "
         "torch. A DataLoader with two workers:\n\n" + table(["", *sizes], rows)
     )
 
