@@ -40,8 +40,9 @@ def test_quadrature(name: str, tolerance: float) -> None:
     weights = np.random.default_rng(0).normal(0.02, 0.02, (6, 61))
     weights[3:] = np.abs(weights[3:])
     reduced = quadrature._reduced
-    plain = reduced.function(spectra.beta, weights, tolerance)
-    for ours, theirs in zip(reduced.loop(spectra.beta, weights, tolerance), plain, strict=True):
+    z = quadrature.distances_of(spectra.beta)
+    case = spectra.beta, weights, z, weights @ np.exp(-spectra.beta[:, None] * z), tolerance
+    for ours, theirs in zip(reduced.loop(*case), reduced.function(*case), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-7)
 
 

@@ -286,11 +286,14 @@ def curved(light: Tensor, contrast: float | Tensor) -> Tensor:
     """Light along the curve (1 + k)·x^c/(x^c + k), odd, through 0, mid-grey and 1; straight below
     `_TOE`, and from 1 on, as curves of c < 1 have a pole beyond. Contrast: a number, or (Bx1x1x1).
     """
+    k: Any = _STRAIGHT
     if isinstance(contrast, Tensor):
-        exact = contrast.double()
-        grey = MID_GREY**exact
-        offset = torch.where(exact == 1, _STRAIGHT, (1 - MID_GREY) * grey / (MID_GREY - grey))
-    k: Any = offset.to(light) if isinstance(contrast, Tensor) else tone_offset(contrast)
+        grey = MID_GREY**contrast
+        below = MID_GREY - grey
+        straight = below.abs() < 1e-7
+        k = torch.where(straight, k, (1 - MID_GREY) * grey / torch.where(straight, 1.0, below))
+    else:
+        k = tone_offset(contrast)
     size = light.abs().clamp(min=_TOE)
     inside = size.clamp(max=1.0)
     power = inside**contrast

@@ -150,6 +150,7 @@ def maps_for(pictures: Tensor, distance: Any) -> list[Tensor]:
     checks.floating("distance", distance, hint)
     checks.picture("distance", distance, 1)
     checks.same_size("distance", distance, pictures)
+    checks.same_device("distance", distance, pictures)
     plain, batch = typed(distance, Tensor), len(pictures)
     maps = list(plain) if plain.ndim == 4 else [plain]
     if len(maps) not in (1, batch):
