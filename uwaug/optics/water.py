@@ -519,7 +519,7 @@ def _distance_to(share: float, weights: Array, rates: Array) -> float:
         total = (weights * left).sum()
         step = math.log(total / share) * total / (fading * left).sum()
         z += step
-    return float(z)
+    return float(max(z, 0.0))  # rounding may take the sum at 0 below the share
 
 
 @lru_cache(maxsize=16)
