@@ -273,7 +273,7 @@ def coarse_lines(
         start, stop: lines, counted from `origin`.
     """
     channels, _, width = light.shape
-    cells, taps = c.across.shape
+    cells, taps = c.across.shape[0], c.down.shape[1]
     # columns of a power of two would share few places of the cache: half as long again at 1024 px
     lines = np.zeros((LANES, width + 24), np.float32)
     flat = np.zeros((width + 2 * c.column_margin) * LANES, np.float32)
