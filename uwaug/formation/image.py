@@ -31,9 +31,9 @@ from uwaug.formation.inputs import effective_distance, validate
 from uwaug.light import Light
 from uwaug.optics.medium import Medium
 
-_BAND = 1 << 16
-"""Pixels that are mixed and developed at a time, so that they stay in the caches: two thirds of the
-time at 1024 px, as much at 512.
+_BAND = 1 << 18
+"""Pixels that are decoded, mixed and developed at a time, so that they stay in the caches: half of
+the time at 1024 px, as much at 512.
 """
 
 Blurs = Callable[[Tensor, BlurPlan], list[Tensor]]
@@ -74,7 +74,8 @@ def form(
         from uwaug.fast import render  # imports numba, which takes a second
 
         return render.form(image, z, medium, development, color_space, plan, tolerance)
-    J, medium = decoded(image, color_space).to(z.dtype), medium.to(z)
+    medium = medium.to(z)
+    J = _in_bands(medium, lambda x: decoded(x, color_space).to(z.dtype), image)
     T = None if light is None else light.curves(medium, z, metres)
     gain = development.gain(J, z, medium, T)
     if plans:
@@ -93,17 +94,19 @@ def form(
         developed = development.shaped(exposed(arriving, gain))
         return encoded(developed, color_space, image.dtype, largest)
 
-    if T is not None or not checks.on_host(z) or _learns(medium, z, J, soft):
-        return stored(z, J, soft)
-    rows = max(1, _BAND // z.shape[-1])
-    bands = zip(*(torch.split(x, rows, -2) for x in (z, J, soft)), strict=True)
-    return torch.cat([stored(*band) for band in bands], -2)
+    return stored(z, J, soft) if T is not None else _in_bands(medium, stored, z, J, soft)
 
 
-def _learns(medium: Medium, *images: Tensor) -> bool:
-    """Whether gradients are recorded."""
+def _in_bands(medium: Medium, function: Callable[..., Tensor], *images: Tensor) -> Tensor:
+    """A function of each pixel on its own, of images in bands of rows where nothing is learned."""
+    if not checks.on_host(images[0]):
+        return function(*images)
     recorded = medium.requires_grad or any(image.requires_grad for image in images)
-    return torch.is_grad_enabled() and recorded
+    if torch.is_grad_enabled() and recorded:
+        return function(*images)
+    rows = max(1, _BAND // images[0].shape[-1])
+    bands = zip(*(torch.split(image, rows, -2) for image in images), strict=True)
+    return torch.cat([function(*band) for band in bands], -2)
 
 
 def _nothing(image: Tensor, z: Tensor) -> Tensor:
@@ -117,11 +120,14 @@ def blurred_as_seen(
     """J (Bx3xHxW) as forward scatter blurs it: at each pixel by the width at its distance z."""
     if plan.sigmas == (0.0,) and not medium.requires_grad:
         return J
-    stack = blurs(J, plan)
-    sigma = medium.width(z, (z.shape[-2], z.shape[-1]))
+    stack, size = blurs(J, plan), (z.shape[-2], z.shape[-1])
     if len(stack) == 1:  # the width does nothing: its gradient is 0, not missing
-        return stack[0] + 0 * sigma if medium.requires_grad else stack[0]
-    return mixed(stack, node_weights(sigma, plan))
+        return stack[0] + 0 * medium.width(z, size) if medium.requires_grad else stack[0]
+
+    def mixture(z: Tensor, *stack: Tensor) -> Tensor:
+        return mixed(list(stack), node_weights(medium.width(z, size), plan))
+
+    return _in_bands(medium, mixture, z, *stack)
 
 
 @dataclass(frozen=True, eq=False)
