@@ -64,6 +64,9 @@ largest gain makes up for, and an octave for what is lost on the way to the came
 turbid enough for a scene at arm's length are black at 10 m.
 """
 
+_TOLERANCE = 0.002
+"""Of the curves of a medium, in the light that a metered exposure makes of it."""
+
 _LOOKED_AT = 2048
 """Pixels of which the median distance is taken: it is right within 2 %."""
 
@@ -453,6 +456,7 @@ class RandomUnderwater(SampleTransform):
 
     def scenes(self, pictures: Tensor, distance: Any, samples: list[Record]) -> list[Scene]:
         """Pictures (Bx3xHxW) and maps in the waters of samples, which are known to be good."""
+        fast.load()  # else the first picture of a process would be off by the last bits
         maps: Sequence[Tensor | None] = [None] * len(pictures)
         if self._source.reads_maps:
             maps = maps_for(pictures, distance)
@@ -527,8 +531,11 @@ class RandomUnderwater(SampleTransform):
             water = water.with_contents(contents)
         depth = numbers["vertical_depth"]
         lamps = self.light is not None and self.light.lamps  # they shine at any depth
-        if self.development.metered and not lamps and water.daylight(depth) < _DIMMEST:
-            depth = min(depth, water.depth_of_daylight(_DIMMEST))
+        left = 1.0
+        if self.development.metered and not lamps:
+            left = water.daylight(depth)
+            if left < _DIMMEST:
+                depth, left = min(depth, water.depth_of_daylight(_DIMMEST)), _DIMMEST
         law = self.point_spread or PointSpread.calibrated(FOCAL_LENGTH * width)
         grey = "color_matrix" not in numbers
         return _medium_of(
@@ -540,6 +547,7 @@ class RandomUnderwater(SampleTransform):
             point_spread=law,
             surfaces="grey" if grey else "spectral",
             color_matrix=numbers.get("color_matrix", 1.0),
+            tolerance=_TOLERANCE * left,  # what an exposure brings up, errors included
         )
 
     def _spectra(self, name: str) -> Water:
