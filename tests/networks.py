@@ -4,13 +4,13 @@ import onnx
 from onnx import TensorProto, helper
 
 
-def save(path, nodes, shape, output_rank=3) -> str:
+def save(path, nodes, shape, output_rank=3, kind=TensorProto.FLOAT, constants=()) -> str:
     """Save a network that maps input "x" of the given shape to output "y"."""
-    x = helper.make_tensor_value_info("x", TensorProto.FLOAT, shape)
+    x = helper.make_tensor_value_info("x", kind, shape)
     y = helper.make_tensor_value_info("y", TensorProto.FLOAT, [None] * output_rank)
     zero = helper.make_tensor("zero", TensorProto.FLOAT, [], [0.0])
     axis = helper.make_tensor("axis", TensorProto.INT64, [1], [1])
-    graph = helper.make_graph(nodes, "network", [x], [y], [zero, axis])
+    graph = helper.make_graph(nodes, "network", [x], [y], [zero, axis, *constants])
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9)
     onnx.checker.check_model(model)
     onnx.save(model, path)

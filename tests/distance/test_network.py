@@ -3,6 +3,7 @@ import pickle
 import sys
 
 import numpy as np
+import onnx
 import pytest
 import torch
 from networks import mean_of_channels, save
@@ -71,6 +72,32 @@ class TestNetwork:
         assert (depth[0] - image[0])[2:-2, 2:-2].abs().max() < 2e-3
         assert from_inverse(depth, 1.0, 5.0)[0, -1, -1].item() == pytest.approx(1.0)
 
+    @pytest.mark.parametrize("shape", [(1, 8, 12, 3), ("b", "h", "w", 3)])
+    def test_colours_may_come_last_and_blue_first(self, tmp_path, shape) -> None:
+        first = save(
+            tmp_path / "red.onnx",
+            [helper.make_node("Gather", ["x", "zeroth"], ["y"], axis=3)],
+            shape,
+            constants=[helper.make_tensor("zeroth", TensorProto.INT64, [], [0])],
+        )
+        image = rand(3, 8, 12).float()
+        options = {"mean": (0, 0, 0), "std": (1, 1, 1), "short_side": 8, "multiple": 1}
+        torch.testing.assert_close(Network(first, **options)(image), image[:1])
+        torch.testing.assert_close(Network(first, bgr=True, **options)(image), image[2:])
+        model = onnx.load(first)
+        onnx.helper.set_model_props(model, {"Image.BitmapPixelFormat": "Bgr8"})
+        onnx.save(model, first)
+        torch.testing.assert_close(Network(first, **options)(image), image[2:])
+
+    def test_bytes_go_in_as_they_are(self, tmp_path) -> None:
+        nodes = [
+            helper.make_node("Cast", ["x"], ["z"], to=TensorProto.FLOAT),
+            helper.make_node("ReduceMean", ["z", "axis"], ["y"], keepdims=0),
+        ]
+        path = save(tmp_path / "n.onnx", nodes, (1, 3, 8, 8), kind=TensorProto.UINT8)
+        image = (torch.rand(3, 8, 8) * 255).round()
+        torch.testing.assert_close(Network(path)(image / 255), image.mean(0, keepdim=True))
+
     def test_pickles_with_and_without_a_session(self, tmp_path) -> None:
         network = Network(mean_of_channels(tmp_path / "n.onnx"), short_side=6, multiple=3)
         image = rand(3, 6, 9)
@@ -114,13 +141,13 @@ class TestNetwork:
         for options in ({"short_side": 0}, {"multiple": 0}):
             with pytest.raises(ValueError, match="short_side and multiple must be at least 1, got"):
                 Network(path, **options)
-        for shape in ((1, 8, 8, 3), (1, "h", "w", 3), (3, 8, 8)):
-            with pytest.raises(ValueError, match=r"must take \(1, 3, h, w\), got .*channels last"):
+        for shape in ((1, 8, 8, 1), (1, 4, 8, 8), (3, 8, 8)):
+            with pytest.raises(ValueError, match=r"must take \(1, 3, h, w\) or \(1, h, w, 3\)"):
                 Network(mean_of_channels(path, shape))(torch.rand(3, 8, 8))
         network = Network(mean_of_channels(path, ("b", "c", "h", "w")))
         assert network(torch.rand(3, 8, 8)).shape == (1, 8, 8)
         copied = helper.make_node("Identity", ["x"], ["y"])
         colours = save(tmp_path / "colours.onnx", [copied], (1, 3, "h", "w"), 4)
-        message = r"must give \(1, h, w\) or \(1, 1, h, w\), got \(1, 3, 8, 8\)"
+        message = r"must give \(1, h, w\), .*, got \(1, 3, 8, 8\)"
         with pytest.raises(ValueError, match=message):
             Network(colours, short_side=8, multiple=8)(torch.rand(3, 8, 8))

@@ -15,6 +15,7 @@ import typer
 
 from uwaug import __version__
 from uwaug.cli.degrade import degrade
+from uwaug.cli.depth import depth
 from uwaug.cli.export import check, export
 from uwaug.cli.figures import compare, demo, plot
 from uwaug.cli.fit import fit
@@ -34,6 +35,7 @@ _COMMANDS = (
     ("Pictures", degrade, "photos/ --distance depth/ --unit mm --holes behind --out wet/ --sheet"),
     ("Pictures", plot, "photo.jpg --distance depth.npy --water 7C"),
     ("Pictures", compare, "photo.jpg --distance depth.npy --water II --out sheet.png"),
+    ("Pictures", depth, "photos/ --network depth_anything_v2_vits.onnx --out depth/ --sheet"),
     ("Pictures", demo, ""),
     ("Waters", fit, "--clean air.png --observed wet.png --distance depth.npy --out fit.json"),
     ("Waters", waters, ""),

@@ -15,6 +15,12 @@ from uwaug._support.onnx_session import Session
 from uwaug._support.ranges import Range
 from uwaug.distance.sources import Inverse, Numbers, Source
 
+_TYPES = {
+    "tensor(float)": torch.float32,
+    "tensor(float16)": torch.float16,
+    "tensor(uint8)": torch.uint8,
+}
+
 
 @codec.plain
 @dataclass(frozen=True)
@@ -24,11 +30,11 @@ class Network(Source):
     Its errors become wrong colours, and it takes its own time for every picture: where pictures
     come again, keep its maps in files.
 
-    A file must take one (1, 3, h, w) float32 input and give (1, h', w') or (1, 1, h', w') first, as
-    exports of MiDaS, DPT and Depth Anything do. A fixed h and w is used as it is, otherwise the
-    image's short side becomes `short_side`. ONNX Runtime opens it at the first call and with as
-    many threads as torch has there; a session is not pickled, so that DataLoader workers each make
-    their own.
+    A file must take one picture, (1, 3, h, w) or (1, h, w, 3), and give (1, h', w'), (1, 1, h', w')
+    or (1, h', w', 1) first, as exports of MiDaS, DPT and Depth Anything do. A fixed h and w is used
+    as it is, otherwise the image's short side becomes `short_side`. A file of bytes gets them as
+    they are, without mean and std. ONNX Runtime opens it at the first call and with as many threads
+    as torch has there; a session is not pickled, so that DataLoader workers each make their own.
 
     Attributes:
         model: path of an ONNX file, or a function of a picture (3xHxW, 0…1) that gives a map
@@ -39,6 +45,8 @@ class Network(Source):
             for MiDaS.
         mean, std: of each channel: mean is taken from the image in 0…1 before the file sees it, and
             the difference divided by std. By default ImageNet's.
+        bgr: whether the file wants blue first; also where its metadata say so
+            (`Image.BitmapPixelFormat`).
         providers: ONNX Runtime's execution providers.
 
     Raises:
@@ -58,6 +66,7 @@ class Network(Source):
     multiple: int = 14
     mean: Sequence[float] = (0.485, 0.456, 0.406)
     std: Sequence[float] = (0.229, 0.224, 0.225)
+    bgr: bool = False
     providers: Sequence[str] = ("CPUExecutionProvider",)
     _session: Session | None = field(init=False, repr=False, compare=False, default=None)
 
@@ -117,23 +126,35 @@ class Network(Source):
     def _predict(self, image: Tensor) -> Tensor:
         session = cast(Session, self._session)
         entry = session.opened.get_inputs()[0]
-        shape = entry.shape
         # channels that are free are taken for colours, unless colours come last
-        last = len(shape) == 4 and shape[3] == 3 and not isinstance(shape[1], int)
-        if len(shape) != 4 or last or (isinstance(shape[1], int) and shape[1] != 3):
-            raise ValueError(f"{self.model} must take (1, 3, h, w), got {shape}: channels last?")
+        shape = entry.shape if len(entry.shape) == 4 else [0] * 4
+        last = shape[3] == 3 and shape[1] != 3
+        if not (last or shape[1] == 3 or not isinstance(shape[1], int)) or entry.type not in _TYPES:
+            expected = "(1, 3, h, w) or (1, h, w, 3) of floating point or bytes"
+            raise ValueError(f"{self.model} must take {expected}, got {entry.shape}, {entry.type}")
         scale = self.short_side / min(image.shape[-2:])
         size = []
-        for fixed, side in zip(shape[-2:], image.shape[-2:], strict=True):
+        sides = shape[1:3] if last else shape[2:]
+        for fixed, side in zip(sides, image.shape[-2:], strict=True):
             free = max(1, round(side * scale / self.multiple)) * self.multiple
             size.append(fixed if isinstance(fixed, int) else free)
         x = interpolate(
             image.float().cpu(), size, mode="bicubic", align_corners=False, antialias=True
         ).clamp(0, 1)
-        x = (x - x.new_tensor(self.mean).view(3, 1, 1)) / x.new_tensor(self.std).view(3, 1, 1)
-        depth = session({entry.name: x})
+        described = session.opened.get_modelmeta().custom_metadata_map
+        if self.bgr or described.get("Image.BitmapPixelFormat", "").startswith("Bgr"):
+            x = x.flip(1)
+        if entry.type == "tensor(uint8)":
+            x = x * 255 + 0.5
+        else:
+            x = (x - x.new_tensor(self.mean).view(3, 1, 1)) / x.new_tensor(self.std).view(3, 1, 1)
+        x = x.to(_TYPES[entry.type])
+        depth = session({entry.name: x.permute(0, 2, 3, 1) if last else x}).float()
+        if depth.ndim == 4 and depth.shape[3] == 1:
+            depth = depth[..., 0]
         if depth.ndim not in (3, 4) or depth.shape[:-2].numel() != 1:
             got = tuple(depth.shape)
-            raise ValueError(f"{self.model} must give (1, h, w) or (1, 1, h, w), got {got}")
-        depth = depth.reshape(1, 1, *depth.shape[-2:]).float()
+            expected = "(1, h, w), (1, 1, h, w) or (1, h, w, 1)"
+            raise ValueError(f"{self.model} must give {expected}, got {got}")
+        depth = depth.reshape(1, 1, *depth.shape[-2:])
         return interpolate(depth, image.shape[-2:], mode="bilinear", align_corners=False).to(image)

@@ -1,0 +1,74 @@
+"""`uwaug depth`: distance maps by a depth network."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from uwaug.cli.choices import Force, complete
+from uwaug.cli.console import counted, end, reported_errors
+
+_HOLDS = ("inverse", "relative", "metres")
+
+
+def depth(
+    pictures: Annotated[Path, typer.Argument(help="A picture or a folder.")],
+    network: Annotated[Path, typer.Option(help="An ONNX file that takes one picture.")],
+    out: Annotated[Path, typer.Option(help="The folder of the maps.")],
+    holds: Annotated[
+        str,
+        typer.Option(
+            help="What it gives: inverse depth, large = near (MiDaS, Depth Anything); relative, "
+            "0 near … 1 far; or metres.",
+            metavar="|".join(_HOLDS),
+            autocompletion=complete(*_HOLDS),
+        ),
+    ] = "inverse",
+    short_side: Annotated[int, typer.Option(help="Of its input, px, where the file allows.")] = 518,
+    multiple: Annotated[int, typer.Option(help="Of its patches, px; 32 for MiDaS.")] = 14,
+    mean: Annotated[str, typer.Option(help="Of red, green, blue.")] = "0.485,0.456,0.406",
+    std: Annotated[str, typer.Option(help="Of red, green, blue.")] = "0.229,0.224,0.225",
+    bgr: Annotated[bool, typer.Option("--bgr", help="It takes blue first.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on after a stop.")] = False,
+    force: Force = False,
+    sheet: Annotated[bool, typer.Option("--sheet", help="Draw some maps on a sheet.")] = False,
+) -> None:
+    """Make distance maps of pictures by a depth network, once, for runs of degrade."""
+    with reported_errors():
+        from uwaug._support import checks
+        from uwaug.distance import Inverse, Metres, Network, Relative
+        from uwaug.files.depth import write_maps
+        from uwaug.files.items import find_items
+
+        checks.one_of("holds", holds, _HOLDS)
+        kind = {"inverse": Inverse, "relative": Relative, "metres": Metres}[holds]
+        model = Network(
+            network,
+            holds=kind(),
+            short_side=short_side,
+            multiple=multiple,
+            mean=_colour("mean", mean),
+            std=_colour("std", std),
+            bgr=bgr,
+        )
+        items = find_items(pictures, apart=[out])
+        with counted() as progress:
+            written, skipped, failures = write_maps(
+                model, items, out, resume=resume, force=force, sheet=sheet, progress=progress
+            )
+    already = f", {skipped} were there" if skipped else ""
+    print(f"{written} of {len(items)} maps written to {out}{already}")
+    if failures:
+        end(1, "\n".join(failures[:5]))
+    said = "--unit mm" if holds == "metres" else f"--set distance.kind={kind.__name__}"
+    ends = "" if holds == "metres" else " --set distance.near=1 --set distance.far=5"
+    print(f"go on: uwaug degrade {pictures} --distance {out} {said}{ends} --out underwater")
+
+
+def _colour(name: str, text: str) -> tuple[float, ...]:
+    """Three numbers."""
+    try:
+        red, green, blue = map(float, text.split(","))
+    except ValueError:
+        raise ValueError(f"{name} must be three numbers, such as 0.5,0.5,0.5; got {text}") from None
+    return red, green, blue
