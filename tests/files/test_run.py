@@ -1,6 +1,7 @@
 """Runs over folders: their bytes, what they leave alone, and what stops them."""
 
 import csv
+import json
 import os
 import random
 import re
@@ -127,6 +128,30 @@ def test_bytes_depend_on_neither_workers_nor_order_nor_threads() -> None:
     assert lines[0] == lines[1]
     assert one == two
     assert len({one[f"{number}.png"] for number in range(4)}) == 4
+
+
+def test_frames_of_a_folder_share_a_draw() -> None:
+    for folder in ("one", "other"):
+        for number in range(3):
+            save(f"films/{folder}/{number}.png", pixels(seed=number))
+    recipe = Recipe({"distance": 3.0}, sequence=True, variants=2)
+    items = find_items("films")
+    assert degrade(recipe, items, "wet").failures == []
+    assert degrade(recipe, items[::-1], "again", workers=2).failures == []
+    pictures = [path for path in content("wet") if path.endswith(".png")]
+    assert all(content("wet")[path] == content("again")[path] for path in pictures)
+    records = {path: json.loads(path.read_text()) for path in Path("wet").rglob("*.json")}
+    clips = {}
+    for path, record in records.items():
+        (sample,) = record["params"]["samples"]
+        moved = sample["clip"].pop("moved")
+        frame = int(Path(record["name"]).stem)
+        assert moved == pytest.approx(0.004 * frame)
+        clips.setdefault((path.parent.name, record["variant"]), []).append(sample)
+    assert len(clips) == 4
+    assert all(samples == [samples[0]] * 3 for samples in clips.values())
+    replay("wet/one/2_1.png.json", "frame.png")
+    assert Path("frame.png").read_bytes() == Path("wet/one/2_1.png").read_bytes()
 
 
 def test_blank_pictures_are_told_of() -> None:

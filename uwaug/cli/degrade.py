@@ -43,7 +43,7 @@ def degrade(
         typer.Option(
             "--set",
             help="Any argument of RandomUnderwater: vertical_depth=0:5, development.saturation=1, "
-            "mixing=0:1; repeat it.",
+            "mixing=0:1; drift=.004, m a frame, of a sequence; repeat it.",
             metavar="NAME=VALUE",
         ),
     ] = None,
@@ -51,6 +51,9 @@ def degrade(
     seed: Annotated[int, typer.Option(help="Of all that is random.")] = 0,
     variants: Annotated[int, typer.Option(help="Of each picture.")] = 1,
     workers: Annotated[int, typer.Option(help="Processes; 0: one for each core.")] = 0,
+    sequence: Annotated[
+        bool, typer.Option("--sequence", help="Each folder is a film: one draw for its frames.")
+    ] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Go on after a stop.")] = False,
     force: Force = False,
     sheet: Annotated[bool, typer.Option("--sheet", help="Draw some results on a sheet.")] = False,
@@ -80,6 +83,7 @@ def degrade(
         from uwaug.transforms import RandomUnderwater
 
         chosen = _transform_options(preset, options, set_ or (), water or (), contrast)
+        of_run = {name: chosen.pop(name) for name in ("drift",) if name in chosen}
         plane = None if distance is None else _value(distance)
         if isinstance(plane, (float, list)):
             chosen["distance"], distance = plane, None
@@ -93,6 +97,8 @@ def degrade(
             variants=variants,
             labels=labels,
             min_contrast=min_contrast,
+            sequence=sequence,
+            **of_run,
         )
         apart = [str(out)] if labels is None else [str(out), labels]
         items = find_items(pictures, distance, apart=apart)

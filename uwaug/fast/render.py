@@ -92,8 +92,13 @@ def form(
 
 def _gain(J: Tensor, z: Tensor, tables: list[MediumTable], development: Development) -> Array:
     """As `Development.gain`: (B or 1, 3), or (B or 1, 3, 3)."""
-    white_balance, saturation = float(development.white_balance), float(development.saturation)
+    balance, saturation = development.white_balance, float(development.saturation)
     gains = np.full((1, 3), 2.0 ** float(development.exposure))
+    white_balance = 0.0
+    if isinstance(balance, tuple):
+        gains *= balance
+    else:
+        white_balance = float(balance)
     if development.measures:
         points = metering_points(z.shape[-2], z.shape[-1], z.device).numpy()
         lights, maps = J.flatten(2).numpy(), z.flatten(1).numpy()
@@ -109,8 +114,8 @@ def _gain(J: Tensor, z: Tensor, tables: list[MediumTable], development: Developm
                 gains[n] *= min(max(automatic, GAINS[0]), GAINS[1], 1 / veil)
             before = positive @ LUMINANCE
             if white_balance > 0 and before > 0:
-                balance = (before / np.maximum(positive, before / MOST)) ** white_balance
-                gains[n] *= balance * before / ((balance * positive) @ LUMINANCE or before)
+                factors = (before / np.maximum(positive, before / MOST)) ** white_balance
+                gains[n] *= factors * before / ((factors * positive) @ LUMINANCE or before)
     if saturation == 1:
         return gains
     grey = np.tile(LUMINANCE, (3, 1))

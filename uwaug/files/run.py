@@ -23,6 +23,7 @@ from uwaug.files.pool import on_processes, one_thread
 from uwaug.files.record import read_record, record_path, write_record
 from uwaug.files.sheet import write_sheet
 from uwaug.formation.contrast import FAINT
+from uwaug.transforms.params import Record
 from uwaug.transforms.random_underwater import RandomUnderwater
 from uwaug.transforms.samples import key_of
 
@@ -45,6 +46,10 @@ class Recipe:
         labels: a COCO file, or a folder of YOLO's files or of masks; None for none.
         min_contrast: labels of objects of which less contrast is left, 0…1, are left out; None
             keeps all.
+        sequence: whether the pictures of a folder are frames of one film, in the order of their
+            names: one draw for all, as of the first (see `RandomUnderwater.for_clip`).
+        drift: m by which the field of a sequence drifts from frame to frame; .004 is .1 m/s at 25
+            frames a second.
 
     Raises:
         ValueError: if a value does not suit.
@@ -56,6 +61,8 @@ class Recipe:
     variants: int = 1
     labels: str | None = None
     min_contrast: float | None = None
+    sequence: bool = False
+    drift: float = 0.004
 
     def __post_init__(self) -> None:
         metres_of(self.unit)
@@ -63,6 +70,7 @@ class Recipe:
             raise ValueError(f"variants must be 1 or more, got {self.variants}")
         if self.min_contrast is not None:
             checks.within("min_contrast", self.min_contrast, 0.0, 1.0)
+        checks.within("drift", self.drift)
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON holds it, and reads it back."""
@@ -122,12 +130,16 @@ class Summary:
 
 
 class Job(NamedTuple):
-    """A picture to write; `place` is from the folder of the run."""
+    """A picture to write; `place` is from the folder of the run. Of a sequence, its first frame and
+    the number of this one.
+    """
 
     item: Item
     variant: int
     place: str
     labels: Labels | None = None
+    first: Item | None = None
+    frame: int = 0
 
 
 def degrade(
@@ -223,6 +235,7 @@ class _Worker:
         self.recipe, self.out, self.resume, self.force = recipe, out, resume, force
         self._plain = recipe.to_dict()
         self.transform = RandomUnderwater.from_dict(recipe.transform)
+        self._clips: dict[tuple[str, int], Record] = {}
 
     def __call__(self, job: Job) -> Result:
         try:
@@ -261,8 +274,7 @@ class _Worker:
                 got = f"{output} was made with another {' and '.join(other)}"
                 raise FileExistsError(f"{got}: choose another folder, or force to write over it")
         image, z = _read(item, self.recipe, self.transform)
-        generator = torch.Generator().manual_seed(key_of(self.recipe.seed, job.variant, item.name))
-        params = self.transform.make_params(image, generator)
+        params = self._drawn(job, image)
         degraded = self.transform.transform(image, z, params)
         # for the mean alone some pixels do: all of them take a third of the picture's time
         step = max(1, min(image.shape[1:]) // _LOOKS) if job.labels is None else 1
@@ -282,6 +294,27 @@ class _Worker:
         write_record(record_path(output), {**made_of, "params": params, **found})
         write_picture(output, degraded)
         return Result(*named, "written", contrast, objects)
+
+    def _drawn(self, job: Job, image: Tensor) -> Record:
+        """All that is random about a picture; of a frame, about its film."""
+        first = job.first
+        named = job.item.name if first is None else first.name
+        generator = torch.Generator().manual_seed(key_of(self.recipe.seed, job.variant, named))
+        if first is None:
+            return self.transform.make_params(image, generator)
+        key = first.name, job.variant
+        if key not in self._clips:
+            # those of one film at a time
+            self._clips = {key: clip for key, clip in self._clips.items() if key[0] == first.name}
+            frame, z = _read(first, self.recipe, self.transform)
+            params = self.transform.make_params(frame, generator)
+            self._clips[key] = self.transform.for_clip(params, frame, z)
+        record = self._clips[key]
+        (sample,) = record["samples"]
+        if "clip" not in sample:
+            return record
+        moved = self.recipe.drift * job.frame
+        return {"samples": [{**sample, "clip": {**sample["clip"], "moved": moved}}]}
 
 
 def replay(
@@ -330,13 +363,20 @@ def _read(item: Item, recipe: Recipe, transform: RandomUnderwater) -> tuple[Tens
 
 
 def _jobs(recipe: Recipe, items: Sequence[Item], labels: Labels | None) -> Iterator[Job]:
+    films: dict[str, list[Item]] = {}
+    for item in sorted(items):
+        films.setdefault(os.path.dirname(item.name), []).append(item)
+    numbers = {item.name: n for film in films.values() for n, item in enumerate(film)}
     for item in items:
+        first, frame = None, 0
+        if recipe.sequence:
+            first, frame = films[os.path.dirname(item.name)][0], numbers[item.name]
         place = item.name if labels is None else labels.place(item.name)
         stem, end = os.path.splitext(place)
         for variant in range(recipe.variants):
             number = f"_{variant + 1}" if recipe.variants > 1 else ""
             own = None if labels is None else labels.only(item.name)
-            yield Job(item, variant, f"{stem}{number}{end}", own)
+            yield Job(item, variant, f"{stem}{number}{end}", own, first, frame)
 
 
 def _require_apart(jobs: Sequence[Job], out: Path) -> None:

@@ -14,8 +14,9 @@ measured at some pixels, spread over it, of light that is not blurred: the blur 
 none.
 """
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Literal, NamedTuple
 
@@ -77,7 +78,7 @@ class Development:
     Attributes:
         exposure: −10…10 stops; or "auto", which stands for 0 stops, metered.
         white_balance: share of a grey-world correction, up to 1; 0 and less is none. Luminance is
-            kept.
+            kept. Or three numbers that channels are multiplied by, as a camera's that was set.
         saturation: 0 for grey, 1 to leave colours as they are, up to 4.
         gamut: share of gamut compression, 0…1. 0 clips negative channels, so that saturated colours
             turn flat; 1 squeezes distances from grey, (max − c)/max, above .75 to below 1, along
@@ -96,7 +97,7 @@ class Development:
     """
 
     exposure: float | Tensor | Literal["auto"] = 0.0
-    white_balance: float | Tensor = 0.0
+    white_balance: float | Tensor | tuple[float, float, float] = 0.0
     saturation: float | Tensor = 1.0
     gamut: float | Tensor = 0.0
     tone: float | Tensor = 1.0
@@ -108,7 +109,10 @@ class Development:
             object.__setattr__(self, "metered", True)
         for name in _NUMBERS:
             value = getattr(self, name)
-            if not isinstance(value, Tensor):
+            if name == "white_balance" and isinstance(value, tuple):
+                for factor in value:
+                    checks.positive("development: white_balance", factor)
+            elif not isinstance(value, Tensor):
                 checks.within(f"development: {name}", value, *DOMAIN[name])
 
     @staticmethod
@@ -139,17 +143,36 @@ class Development:
     @property
     def measures(self) -> bool:
         """Whether the gain depends on the picture."""
-        return self.metered or isinstance(self.white_balance, Tensor) or self.white_balance > 0
+        share = self.white_balance
+        return self.metered or (not isinstance(share, tuple) and _some(share))
+
+    def settled(
+        self, J: Tensor, z: Tensor, medium: Medium, T: Curves | None = None
+    ) -> "Development":
+        """This development with the exposure and the white balance that one picture would get, for
+        others of the same scene; arguments as for `gain`.
+        """
+        if not self.measures:
+            return self
+        means, share = metered(J, z, medium, T), self.white_balance
+        exposure = self.exposure
+        if self.metered:
+            exposure = float(exposure) + math.log2(float(_automatic(means)))
+        if not isinstance(share, tuple):
+            red, green, blue = _balance(means.positive, max(float(share), 0.0))[0].tolist()
+            share = (red, green, blue)
+        return replace(self, exposure=exposure, white_balance=share, metered=False)
 
     def gain_of(self, means: "Means | None", like: Tensor) -> Tensor:
         """The gain for what is measured, see `metered`, of the type of a tensor."""
-        share, saturation = _of_rows(self.white_balance, 2), _of_rows(self.saturation, 3)
+        saturation = _of_rows(self.saturation, 3)
         gain = like.new_ones(1, 1) * 2.0 ** _of_rows(self.exposure, 2)
-        if means is not None:
-            if self.metered:
-                gain = gain * _automatic(means)
-            if isinstance(share, Tensor) or share > 0:
-                gain = gain * _balance(means.positive, share)
+        if means is not None and self.metered:
+            gain = gain * _automatic(means)
+        if isinstance(self.white_balance, tuple):
+            gain = gain * like.new_tensor(self.white_balance)
+        elif means is not None and _some(self.white_balance):
+            gain = gain * _balance(means.positive, _of_rows(self.white_balance, 2))
         if isinstance(saturation, float) and saturation == 1:
             return gain
         unit = torch.eye(3, dtype=gain.dtype, device=gain.device)
@@ -162,6 +185,11 @@ class Development:
         if isinstance(gamut, Tensor) or gamut > 0:
             light = compressed(light, gamut)
         return curved(light, tone) if isinstance(tone, Tensor) or tone != 1 else light
+
+
+def _some(share: float | Tensor) -> bool:
+    """Whether a white balance does anything; of those of several pictures it is not asked."""
+    return isinstance(share, Tensor) or share > 0
 
 
 def _of_rows(number: Any, axes: int) -> float | Tensor:

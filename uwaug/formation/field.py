@@ -77,34 +77,61 @@ def gaussian_random_field(
 
 
 def random_fields(
-    seeds: Sequence[int], size: tuple[int, int], low: float, high: float, like: Tensor
+    seeds: Sequence[int],
+    size: tuple[int, int],
+    low: float,
+    high: float,
+    like: Tensor,
+    moved: float = 0.0,
 ) -> Tensor:
     """The fields (Bx1xHxW) that seeds of torch's generator on the CPU stand for, on the device of a
-    tensor, in float32.
+    tensor, in float32; moved to the right by as many px, into what they are beyond the left edge.
     """
     n = 2 * _cutoff(4.0, max(size)) + 1
     generators = (torch.Generator().manual_seed(seed) for seed in seeds)
     drawn = [torch.randn(n, n, generator=g, dtype=torch.float32, device="cpu") for g in generators]
-    return field_of(torch.stack(drawn).to(like.device), *size, 4.0, low, high)
+    noise = torch.stack(drawn).to(like.device)
+    return field_of(noise, *size, 4.0, low, high, moved)
 
 
 # One thread, 256² / 1024², a draw included: this takes .27 / 2.2 ms; 64² by FFT and bicubic
 # interpolation .51 / 6.5; FFT at full size 1.3 / 48. A 64² grid and cubic upsampling as two matrix
 # products cost as much as this does.
 def field_of(
-    noise: Tensor, height: int, width: int, exponent: float, low: float, high: float
+    noise: Tensor,
+    height: int,
+    width: int,
+    exponent: float,
+    low: float,
+    high: float,
+    moved: float = 0.0,
 ) -> Tensor:
     """The fields that white noise (Bxnxn, n odd) stands for. Index i of its last two axes stands
     for (i + 1)//2 cycles per torus, as a sine if i is odd, else a cosine.
     """
     waves = _waves(noise, height, width, exponent)
     field = (waves.down @ (noise * waves.amplitude) @ waves.across)[:, None]
+    here = field
+    if moved:
+        turned = _turned(noise, math.pi / max(height, width) * moved)
+        here = (waves.down @ (turned * waves.amplitude) @ waves.across)[:, None]
+    # the ends are those of the field that has not moved, so that a film does not flicker
     least, largest = field.amin((-2, -1), keepdim=True), field.amax((-2, -1), keepdim=True)
     flat = largest == least
     scale = torch.where(flat, 0.0, (high - low) / torch.where(flat, 1.0, largest - least))
     start = torch.where(flat, (low + high) / 2, low - least * scale)
     # (torch.addcmul takes three times as long)
-    return (field * scale).add_(start).clamp_(low, high)
+    return (here * scale).add_(start).clamp_(low, high)
+
+
+def _turned(noise: Tensor, angle: float) -> Tensor:
+    """The noise whose field lies to the right by an angle of the slowest wave."""
+    sines, cosines = noise[..., 1::2], noise[..., 2::2]
+    angles = angle * torch.arange(1, sines.shape[-1] + 1, dtype=noise.dtype, device=noise.device)
+    turned = noise.clone()
+    turned[..., 1::2] = sines * angles.cos() + cosines * angles.sin()
+    turned[..., 2::2] = cosines * angles.cos() - sines * angles.sin()
+    return turned
 
 
 class _Waves(NamedTuple):

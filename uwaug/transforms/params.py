@@ -51,15 +51,17 @@ class RandomDevelopment:
         fixed = ("metered", "color_space")
         return {name: value for name, value in asdict(self).items() if name not in fixed}
 
-    def of(self, numbers: Mapping[str, float]) -> Development:
-        """The development of a picture that has drawn these numbers."""
+    def of(self, sample: Record) -> Development:
+        """The development of a picture of this sample; that of a clip has been settled."""
+        numbers = {**sample["numbers"], **sample.get("clip", {})}
+        balance = numbers["white_balance"]
         return Development(
             exposure=numbers["exposure"],
-            white_balance=numbers["white_balance"],
+            white_balance=tuple(balance) if isinstance(balance, list) else balance,
             saturation=numbers["saturation"],
             gamut=numbers["gamut"],
             tone=numbers["tone"],
-            metered=self.metered,
+            metered=self.metered and "clip" not in sample,
         )
 
 
@@ -85,7 +87,7 @@ def samples_of(record: Any, count: int, names: set[str]) -> list[Record]:
     for sample in samples:
         numbers = sample.get("numbers", {})
         given = set(sample) | set(numbers)
-        odd = given ^ names ^ {"applied", "waters", "numbers", "field_seed"}
+        odd = (given - {"clip"}) ^ names ^ {"applied", "waters", "numbers", "field_seed"}
         if odd:
             differ = ", ".join(sorted(odd))
             raise ValueError(f"params is of a transform with other options: {differ}")

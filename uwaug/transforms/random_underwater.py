@@ -17,7 +17,7 @@ from uwaug import fast
 from uwaug._support import checks, codec
 from uwaug._support.ranges import Range, as_range
 from uwaug.distance.sources import Metres, Plane, Source
-from uwaug.formation.colour import require_values
+from uwaug.formation.colour import decoded, require_values
 from uwaug.formation.contrast import FAINT, contrast_left
 from uwaug.formation.demand import blur_demand
 from uwaug.formation.development import NEUTRAL, Development, Means, metering_points
@@ -89,7 +89,7 @@ class Scene(NamedTuple):
     """A picture, and its water where it is degraded."""
 
     picture: Tensor  # 3xHxW
-    numbers: Mapping[str, float]  # that it has drawn
+    sample: Record  # that it has drawn
     # effective distances (1x1xHxW, m), the medium, and distances where a field multiplies them
     water: tuple[Tensor, Medium, Tensor | None] | None
 
@@ -350,6 +350,41 @@ class RandomUnderwater(SampleTransform):
         return self._formed(image, pictures, distance, self._read(params, len(pictures)))
 
     @uncompiled
+    def for_clip(self, params: Record, image: Tensor, distance: Tensor | None) -> Record:
+        """The record of one picture for all frames of a clip: what a draw takes from the picture
+        (the median distance to which the water is scaled, exposure, white balance) is that of this
+        one for all of them. They may then come in any order, on any worker.
+
+        Args:
+            params: from `make_params`, of one picture.
+            image, distance: a frame of the clip, as for `transform`.
+
+        Returns:
+            A record whose sample has a "clip" of numbers. Its "moved", m, 0 here, says how far the
+            field has drifted to the right at a frame: set it to m/s times seconds.
+        """
+        pictures = pictures_of(image)
+        if len(pictures) != 1:
+            raise ValueError(f"image must be one frame of the clip, got {len(pictures)}")
+        (sample,) = self._read(params, 1)
+        (scene,) = self.scenes(pictures, distance, [sample])
+        if scene.water is None:
+            return {"samples": [sample]}
+        z, medium, metres = scene.water
+        medium = medium.to(z)
+        J = decoded(pictures, self.development.color_space).to(z.dtype)
+        T = None if self.light is None else self.light.curves(medium, z, metres)
+        look = self.development.of(sample).settled(J, z, medium, T)
+        median = _median((z if metres is None else metres)[0])
+        clip = {
+            "metres": median,
+            "exposure": look.exposure,
+            "white_balance": look.white_balance,
+            "moved": 0.0,
+        }
+        return {"samples": [{**sample, "clip": clip}]}
+
+    @uncompiled
     def contrast_left(self, image: Tensor, distance: Tensor | None, params: Record) -> Tensor:
         """The share of contrast that is left at each pixel, see `uwaug.contrast_left`: what of an
         object can still be seen.
@@ -379,9 +414,9 @@ class RandomUnderwater(SampleTransform):
     ) -> Tensor:
         """The image of samples, which are known to be good: on a device all pictures at once."""
         # media of fits may have other width laws, which no batch holds
-        alike = len(self._waters) == 1 or not any(
-            isinstance(water, Medium) for water in self._waters.values()
-        )
+        fitted = any(isinstance(water, Medium) for water in self._waters.values())
+        alike = len(self._waters) == 1 or not fitted
+        alike = alike and not any("clip" in sample for sample in samples)
         if alike and self.light is None and not checks.on_host(pictures):
             return self._formed_together(image, pictures, distance, samples)
         return self.degraded(image, self.scenes(pictures, distance, samples))
@@ -411,7 +446,7 @@ class RandomUnderwater(SampleTransform):
             low, high = (1.0, 1.0) if self._field is None else self._field
             if self._field is not None:
                 z = z * random_fields([s["field_seed"] for s in drawn], size, low, high, z)
-            developments = [self.development.of(sample["numbers"]) for sample in drawn]
+            developments = [self.development.of(sample) for sample in drawn]
             water = Medium.stack(media)
             seen = _grey_seen(water, developments, looks, high)
             ends = [(low * look.nearest, high * look.farthest) for look in looks]
@@ -467,7 +502,7 @@ class RandomUnderwater(SampleTransform):
                 with naming(i, len(pictures)), torch.autocast(pictures.device.type, enabled=False):
                     require_values(picture, self.development.color_space)
                     water = self._water(picture, z, sample)
-            scenes.append(Scene(picture, sample["numbers"], water))
+            scenes.append(Scene(picture, sample, water))
         return scenes
 
     def degraded(self, image: Tensor, scenes: list[Scene]) -> Tensor:
@@ -476,13 +511,13 @@ class RandomUnderwater(SampleTransform):
             return image
         space, results = self.development.color_space, []
         with torch.autocast(image.device.type, enabled=False):
-            for picture, numbers, water in scenes:
+            for picture, sample, water in scenes:
                 result = picture[None]
                 if water is not None:
                     z, medium, metres = water
                     lit: Any = {"light": self.light, "metres": metres}
                     _warn_if_blank(z, medium, **lit)
-                    look = self.development.of(numbers)
+                    look = self.development.of(sample)
                     result = form(result, z, medium, look, color_space=space, **lit)
                 results.append(result)
         result = results[0][0] if image.ndim == 3 else torch.cat(results)
@@ -504,12 +539,16 @@ class RandomUnderwater(SampleTransform):
     ) -> tuple[Tensor, Medium, Tensor | None]:
         """What a picture (3xHxW) is seen through, see `Scene.water`."""
         z = self._source.metres(distance, picture, sample["numbers"])
-        medium = self._medium(_median(z), z.shape[-1], sample)
+        clip = sample.get("clip", {})
+        metres = clip["metres"] if clip else _median(z)
+        medium = self._medium(metres, z.shape[-1], sample)
         z = z.to(torch.promote_types(picture.dtype, torch.float32)).clamp(max=FARTHEST)[None]
         if self._field is None:
             return z, medium, None
         size = (z.shape[-2], z.shape[-1])
-        field = random_fields([sample["field_seed"]], size, *self._field, z)
+        # of the view that the width law takes the picture for
+        moved = FOCAL_LENGTH * size[1] * clip.get("moved", 0.0) / metres
+        field = random_fields([sample["field_seed"]], size, *self._field, z, moved)
         return z * field, medium, z
 
     def _medium(self, metres: float, width: int, sample: Record) -> Medium:

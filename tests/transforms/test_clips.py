@@ -1,0 +1,81 @@
+"""All frames of a clip in one water."""
+
+import json
+
+import pytest
+import torch
+
+from uwaug import RandomUnderwater
+from uwaug.formation.field import random_fields
+from uwaug.presets.scene import motorcycle
+
+STEP = 20
+WIDTH = 240
+
+
+@pytest.fixture(scope="module")
+def frames():
+    """A pan to the right, and a move towards the scene."""
+    scene = motorcycle()
+    image = (scene.image[:, 100:340] * 255).byte()
+    distance = scene.distance[:, 100:340].float()
+    views = [slice(STEP * t, STEP * t + WIDTH) for t in range(8)]
+    pan = [(image[..., view], distance[..., view]) for view in views]
+    dolly = [(image[..., :WIDTH], (1 - 0.03 * t) * distance[..., :WIDTH]) for t in range(8)]
+    return pan, dolly
+
+
+def clip(augment, frames, seed, drift=0.0):
+    generator = torch.Generator().manual_seed(seed)
+    params = augment.make_params(frames[0][0], generator)
+    record = json.loads(json.dumps(augment.for_clip(params, *frames[0])))
+    for t, frame in enumerate(frames):
+        record["samples"][0]["clip"]["moved"] = drift * t
+        yield augment.transform(*frame, record).float()
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.004])
+def test_what_two_frames_share_changes_by_two_levels_at_most(frames, drift):
+    pan, dolly = frames
+    for seed in range(6):
+        augment = RandomUnderwater()
+        panned = list(clip(augment, pan, seed, drift))
+        pairs = [(a[..., STEP:], b[..., :-STEP]) for a, b in zip(panned, panned[1:], strict=False)]
+        moved = list(clip(augment, dolly, seed, drift))
+        for one, other in pairs + list(zip(moved, moved[1:], strict=False)):
+            assert float((one.mean((1, 2)) - other.mean((1, 2))).abs().max()) <= 2
+
+
+def test_the_first_frame_is_that_of_a_still(frames):
+    first = frames[0][0]
+    augment = RandomUnderwater()
+    params = augment.make_params(first[0], torch.Generator().manual_seed(3))
+    record = augment.for_clip(params, *first)
+    still, frame = (augment.transform(*first, each) for each in (params, record))
+    assert int((still.int() - frame.int()).abs().max()) <= 1
+    # all frames at once, and by PyTorch for gradients
+    batch = torch.stack([image for image, _ in frames[0]])
+    maps = torch.stack([z for _, z in frames[0]])
+    together = augment.transform(batch, maps, record)
+    alone = [augment.transform(*each, record) for each in frames[0]]
+    assert torch.equal(together, torch.stack(alone))
+    image = (first[0] / 255).requires_grad_()
+    slow = augment.transform(image, first[1], record)
+    assert float((slow.detach() * 255 - frame).abs().max()) < 1.5
+
+
+def test_a_field_moves_as_a_whole():
+    like = torch.zeros(1)
+    still, moved = (random_fields([5], (60, 90), 0.7, 1.3, like, px) for px in (0.0, 12.0))
+    shared = still[..., :-12], moved[..., 12:]
+    inside = (shared[1] > 0.7) & (shared[1] < 1.3)
+    torch.testing.assert_close(shared[0][inside], shared[1][inside], atol=1e-5, rtol=0)
+    assert float((still - moved).abs().max()) > 0.05
+
+
+def test_a_clip_is_settled_on_one_frame(frames):
+    augment = RandomUnderwater()
+    batch = torch.stack([image for image, _ in frames[0]])
+    params = augment.make_params(batch[0])
+    with pytest.raises(ValueError, match="image must be one frame of the clip, got 8"):
+        augment.for_clip(params, batch, frames[0][0][1])
