@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import re
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
@@ -262,11 +263,12 @@ class _Worker:
             "picture": os.path.abspath(item.picture),
             "distance": item.distance and os.path.abspath(item.distance),
             "recipe": self._plain,
+            "frame": job.first and [job.first.name, job.frame],
         }
         named = item, job.variant, job.place
         if self.resume and output.exists():
             record = read_record(record_path(output))
-            other = [name for name, value in made_of.items() if record[name] != value]
+            other = [name for name, value in made_of.items() if record.get(name) != value]
             if not other:
                 objects = [Judged(**entry) for entry in record["objects"]]
                 return Result(*named, "skipped", record["contrast"], objects)
@@ -364,19 +366,22 @@ def _read(item: Item, recipe: Recipe, transform: RandomUnderwater) -> tuple[Tens
 
 def _jobs(recipe: Recipe, items: Sequence[Item], labels: Labels | None) -> Iterator[Job]:
     films: dict[str, list[Item]] = {}
-    for item in sorted(items):
+    for item in sorted(items, key=_counting):
         films.setdefault(os.path.dirname(item.name), []).append(item)
-    numbers = {item.name: n for film in films.values() for n, item in enumerate(film)}
+    frames = {item: (film[0], n) for film in films.values() for n, item in enumerate(film)}
     for item in items:
-        first, frame = None, 0
-        if recipe.sequence:
-            first, frame = films[os.path.dirname(item.name)][0], numbers[item.name]
+        first, frame = frames[item] if recipe.sequence else (None, 0)
         place = item.name if labels is None else labels.place(item.name)
         stem, end = os.path.splitext(place)
         for variant in range(recipe.variants):
             number = f"_{variant + 1}" if recipe.variants > 1 else ""
             own = None if labels is None else labels.only(item.name)
             yield Job(item, variant, f"{stem}{number}{end}", own, first, frame)
+
+
+def _counting(item: Item) -> list[Any]:
+    """A key that sorts names as one counts: 2.png before 10.png."""
+    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", item.name)]
 
 
 def _require_apart(jobs: Sequence[Job], out: Path) -> None:

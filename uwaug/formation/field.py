@@ -110,28 +110,18 @@ def field_of(
     for (i + 1)//2 cycles per torus, as a sine if i is odd, else a cosine.
     """
     waves = _waves(noise, height, width, exponent)
-    field = (waves.down @ (noise * waves.amplitude) @ waves.across)[:, None]
-    here = field
+    rows = waves.down @ (noise * waves.amplitude)
+    field = here = (rows @ waves.across)[:, None]
     if moved:
-        turned = _turned(noise, math.pi / max(height, width) * moved)
-        here = (waves.down @ (turned * waves.amplitude) @ waves.across)[:, None]
-    # the ends are those of the field that has not moved, so that a film does not flicker
+        across = _cosines(width, max(height, width), noise, noise.shape[-1], moved)
+        here = (rows @ across.mT)[:, None]
+    # the ends are those of the field that has not moved: else all of it would change as it moves
     least, largest = field.amin((-2, -1), keepdim=True), field.amax((-2, -1), keepdim=True)
     flat = largest == least
     scale = torch.where(flat, 0.0, (high - low) / torch.where(flat, 1.0, largest - least))
     start = torch.where(flat, (low + high) / 2, low - least * scale)
     # (torch.addcmul takes three times as long)
     return (here * scale).add_(start).clamp_(low, high)
-
-
-def _turned(noise: Tensor, angle: float) -> Tensor:
-    """The noise whose field lies to the right by an angle of the slowest wave."""
-    sines, cosines = noise[..., 1::2], noise[..., 2::2]
-    angles = angle * torch.arange(1, sines.shape[-1] + 1, dtype=noise.dtype, device=noise.device)
-    turned = noise.clone()
-    turned[..., 1::2] = sines * angles.cos() + cosines * angles.sin()
-    turned[..., 2::2] = cosines * angles.cos() - sines * angles.sin()
-    return turned
 
 
 class _Waves(NamedTuple):
@@ -161,24 +151,23 @@ def _waves(noise: Tensor, height: int, width: int, exponent: float) -> _Waves:
 
 
 def _unit_waves(noise: Tensor, height: int, width: int, exponent: float) -> _Waves:
-    index = torch.arange(noise.shape[-1], dtype=noise.dtype, device=noise.device)
-    cycles, phase = ((index + 1) / 2).floor(), index % 2 * (math.pi / 2)
+    count, longest = noise.shape[-1], max(height, width)
+    cycles = ((torch.arange(count, dtype=noise.dtype, device=noise.device) + 1) / 2).floor()
     square = cycles**2 + cycles[:, None] ** 2
     square[0, 0] = math.inf  # no constant term: the affine map would take it out again
     # the constant in x or y stands for one wave, all others for two: k and −k
     twofold = (1 + cycles.clamp(max=1)).sqrt()
     amplitude = square ** (-exponent / 4) * twofold * twofold[:, None]
-
-    step = math.pi / max(height, width)
-    y = torch.cos(_centred(height, noise) * cycles * step - phase)
-    x = torch.cos(_centred(width, noise) * cycles * step - phase)
-    return _Waves(y, amplitude, x.mT)
+    down, across = (_cosines(side, longest, noise, count) for side in (height, width))
+    return _Waves(down, amplitude, across.mT)
 
 
-def _centred(side: int, like: Tensor) -> Tensor:
-    """Pixel centres (side, 1), 0 in the middle."""
-    index = torch.arange(side, dtype=like.dtype, device=like.device)
-    return (index - (side - 1) / 2)[:, None]
+def _cosines(side: int, longest: int, like: Tensor, count: int, moved: float = 0.0) -> Tensor:
+    """Waves (side, count) at pixel centres, 0 in the middle; moved by as many px."""
+    pixel, index = (torch.arange(n, dtype=like.dtype, device=like.device) for n in (side, count))
+    cycles, phase = ((index + 1) / 2).floor(), index % 2 * (math.pi / 2)
+    centred = (pixel - (side - 1) / 2 - moved)[:, None]
+    return torch.cos(centred * cycles * (math.pi / longest) - phase)
 
 
 def _cutoff(exponent: float, longest: int) -> int:
