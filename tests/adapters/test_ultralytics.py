@@ -1,0 +1,87 @@
+"""One epoch of a small YOLO. The package is no test extra: it brings 390 MB, and a second OpenCV."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from uwaug import RandomDevelopment, RandomUnderwater
+
+pytest.importorskip("albumentations")
+
+from uwaug.adapters.albumentations import AlbumentationsUnderwater  # noqa: E402
+
+BOXES = torch.tensor([[0.5, 0.4, 0.25, 0.5], [0.2, 0.25, 0.125, 0.25]])  # x, y, width, height
+STILL = ("mosaic", "scale", "translate", "fliplr", "hsv_h", "hsv_s", "hsv_v")
+SIDE = 64
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    random = np.random.default_rng(0)
+    for folder in ("images", "labels"):
+        (tmp_path / folder).mkdir()
+    for number in range(4):
+        picture = random.integers(0, 256, (SIDE, SIDE, 3), dtype=np.uint8)
+        Image.fromarray(picture).save(tmp_path / "images" / f"{number}.png")
+        lines = [f"0 {' '.join(map(str, box.tolist()))}\n" for box in BOXES]
+        (tmp_path / "labels" / f"{number}.txt").write_text("".join(lines))
+    data = tmp_path / "data.yaml"
+    data.write_text(f"path: {tmp_path}\ntrain: images\nval: images\nnames: [fish]\n")
+    return data
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_an_epoch_of_yolo(
+    data: Path, torchvision: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("YOLO_CONFIG_DIR", str(data.parent))
+    monkeypatch.setenv("YOLO_OFFLINE", "true")
+    pytest.importorskip("ultralytics", reason="not installed: 390 MB; run by hand")
+    from ultralytics import YOLO
+    from ultralytics.models.yolo.detect import DetectionTrainer
+
+    batches = []
+
+    class Recorded(DetectionTrainer):  # type: ignore[misc]
+        def preprocess_batch(self, batch: dict[str, Any]) -> Any:
+            batches.append(dict(batch))
+            return super().preprocess_batch(batch)
+
+        # torchvision's own operators may be missing, see the fixture
+        def validate(self) -> Any:
+            return {}, 0.0
+
+        def final_eval(self) -> None: ...
+
+    # nothing is random but whether a picture gets water
+    fixed = RandomDevelopment(None, 0, metered=False, white_balance=0, saturation=1, gamut=1, tone=1)
+    augment = RandomUnderwater(
+        "7C", contrast=None, vertical_depth=2, field=None, distance=3, development=fixed
+    )
+    YOLO("yolo26n.yaml").train(
+        trainer=Recorded,
+        data=data,
+        epochs=3,
+        imgsz=SIDE,
+        batch=2,
+        workers=0,
+        device="cpu",
+        project=data.parent,
+        plots=False,
+        pretrained=False,
+        augmentations=[AlbumentationsUnderwater(augment, channels="bgr", p=0.5)],
+        **dict.fromkeys(STILL, 0.0),
+    )
+    wet = []
+    for batch in batches:
+        assert torch.equal(batch["bboxes"].sort(0)[0], BOXES.repeat(2, 1).sort(0)[0])
+        for file, picture in zip(batch["im_file"], batch["img"], strict=True):
+            dry = torch.from_numpy(np.array(Image.open(file))).movedim(-1, 0)
+            wet.append(not torch.equal(picture, dry))
+            if wet[-1]:
+                assert torch.equal(picture, augment(dry, None)[0])
+    assert 0 < sum(wet) < len(wet) == 12
