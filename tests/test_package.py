@@ -21,6 +21,7 @@ HEAVY = (
     "albumentations",
     "colour",
     "cv2",
+    "deepinv",
     "jerlov",
     "matplotlib",
     "onnx",
@@ -101,9 +102,9 @@ def test_typed() -> None:
 
 @pytest.mark.parametrize("name", MODULES)
 def test_examples_in_docstrings_run(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, torchvision: Any
 ) -> None:
-    monkeypatch.chdir(tmp_path)
+    monkeypatch.chdir(tmp_path)  # and deepinv imports torchvision
     assert doctest.testmod(importlib.import_module(name)).failed == 0
 
 

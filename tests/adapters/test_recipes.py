@@ -1,23 +1,35 @@
-"""The guide's own code."""
+"""The guide's own code, and the lines for trainers in README."""
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
+import torch
 
 import uwaug
 
+README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
 GUIDE = Path(uwaug.__file__).parent / "adapters" / "README.md"
 BLOCKS = re.findall(r"```py(?:thon)?\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.DOTALL)
 
 
 @pytest.mark.parametrize(
-    "package, block", [*zip(("albumentations", "datasets", "numpy"), BLOCKS, strict=True)]
+    "package, block",
+    [*zip(("albumentations", "ultralytics", "deepinv", "datasets", "numpy"), BLOCKS, strict=True)],
 )
-def test_recipes(package: str, block: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_recipes(
+    package: str, block: str, torchvision: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if package == "ultralytics":
+        pytest.skip("tests/adapters/test_ultralytics.py trains one without weights")
     pytest.importorskip(package)
     found: dict[str, object] = {}
     exec(compile(block, str(GUIDE), "exec"), found)
+    if package == "deepinv":
+        assert capsys.readouterr().out == "tensor(True)\n"
     if package == "datasets":
         assert capsys.readouterr().out == "torch.Size([3, 32, 48])\n"
     if package == "numpy":  # WebDataset's: draws follow the name
@@ -27,3 +39,68 @@ def test_recipes(package: str, block: str, capsys: pytest.CaptureFixture[str]) -
         )
         assert (first == again).all()
         assert not (first == other).all()
+
+
+def line_for(trainer: str) -> str:
+    """What README tells to write; what stands before the water is a flip."""
+    return re.findall(rf"^\| {trainer} \| `(.*?)`", README, re.MULTILINE)[0]
+
+
+PICTURE = np.random.default_rng(0).integers(0, 256, (24, 32, 3), dtype=np.uint8)
+METRES = np.linspace(1, 4, 24 * 32, dtype=np.float32).reshape(24, 32)
+MASK = (METRES > 2).astype(np.uint8)
+
+
+def test_the_line_for_albumentations() -> None:
+    A = pytest.importorskip("albumentations")
+    from uwaug.adapters.albumentations import AlbumentationsUnderwater
+
+    code = line_for("Albumentations").replace("…", "A.HorizontalFlip(p=1)")
+    pipeline = eval(code, {"A": A, "AlbumentationsUnderwater": AlbumentationsUnderwater})
+    pipeline.set_random_seed(0)
+    results = [pipeline(image=PICTURE, distance=METRES, mask=MASK) for _ in range(8)]
+    wet = [not np.array_equal(result["image"], PICTURE[:, ::-1]) for result in results]
+    assert 0 < sum(wet) < 8
+    for result in results:
+        assert np.array_equal(result["distance"], METRES[:, ::-1])
+        assert np.array_equal(result["mask"], MASK[:, ::-1])
+
+
+def test_the_line_for_torchvision(torchvision: Any) -> None:
+    v2, tv = torchvision.transforms.v2, torchvision.tv_tensors
+    code = line_for("torchvision").replace("…", "v2.RandomHorizontalFlip(p=1), v2.ToDtype(one)")
+    one = {tv.Image: torch.float32, "others": None}
+    names = {"v2": v2, "uwaug": uwaug, "mean": [0, 0, 0], "std": [1, 1, 1], "one": one}
+    pipeline = eval(code, names)
+    image = torch.from_numpy(PICTURE).movedim(-1, 0) / 255
+    metres, mask = torch.from_numpy(METRES)[None], torch.from_numpy(MASK)[None]
+    box = tv.BoundingBoxes([[2, 3, 12, 13]], format="XYXY", canvas_size=(24, 32))
+    torch.manual_seed(0)
+    wet = []
+    for _ in range(8):
+        result = pipeline(
+            {
+                "image": tv.Image(image),
+                "distance": tv.Mask(metres),
+                "target": {"mask": tv.Mask(mask), "box": box},
+            }
+        )
+        wet.append(not torch.equal(result["image"], image.flip(-1)))
+        assert torch.equal(result["distance"], metres.flip(-1))
+        assert torch.equal(result["target"]["mask"], mask.flip(-1))
+        assert result["target"]["box"].tolist() == [[20, 3, 30, 13]]
+    assert 0 < sum(wet) < 8
+
+
+def test_the_line_for_ultralytics() -> None:
+    A = pytest.importorskip("albumentations")
+    from uwaug.adapters.albumentations import AlbumentationsUnderwater
+
+    model = SimpleNamespace(train=lambda data, augmentations: augmentations)
+    names = {"AlbumentationsUnderwater": AlbumentationsUnderwater, "uwaug": uwaug, "model": model}
+    # Ultralytics writes the list, and reads it again
+    written = [A.to_dict(t) for t in eval(line_for("Ultralytics"), names)]
+    pipeline = A.Compose([A.from_dict(t) for t in written])
+    pipeline.set_random_seed(0)
+    wet = [not np.array_equal(pipeline(image=PICTURE)["image"], PICTURE) for _ in range(8)]
+    assert 0 < sum(wet) < 8

@@ -1,1 +1,1 @@
-"""`RandomUnderwater` inside of other libraries' pipelines, each in a module of its own."""
+"""uwaug inside of other libraries, each in a module of its own."""
