@@ -1,4 +1,4 @@
-"""One epoch of a small YOLO. The package is no test extra: it brings 390 MB, and a second OpenCV."""
+"""Epochs of a small YOLO. The package is no test extra: it brings 390 MB and a second OpenCV."""
 
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ def data(tmp_path: Path) -> Path:
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_an_epoch_of_yolo(data: Path, torchvision: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_epochs_of_yolo(data: Path, torchvision: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("YOLO_CONFIG_DIR", str(data.parent))
     monkeypatch.setenv("YOLO_OFFLINE", "true")
     pytest.importorskip("ultralytics", reason="not installed: 390 MB; run by hand")
