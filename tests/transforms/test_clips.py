@@ -1,6 +1,7 @@
 """All frames of a clip in one water."""
 
 import json
+from itertools import pairwise
 
 import pytest
 import torch
@@ -40,9 +41,9 @@ def test_what_two_frames_share_changes_by_two_levels_at_most(frames, drift):
     for seed in range(6):
         augment = RandomUnderwater()
         panned = list(clip(augment, pan, seed, drift))
-        pairs = [(a[..., STEP:], b[..., :-STEP]) for a, b in zip(panned, panned[1:], strict=False)]
+        pairs = [(a[..., STEP:], b[..., :-STEP]) for a, b in pairwise(panned)]
         moved = list(clip(augment, dolly, seed, drift))
-        for one, other in pairs + list(zip(moved, moved[1:], strict=False)):
+        for one, other in pairs + list(pairwise(moved)):
             assert float((one.mean((1, 2)) - other.mean((1, 2))).abs().max()) <= 2
 
 
