@@ -159,6 +159,20 @@ def test_blank_pictures_are_told_of() -> None:
     assert degrade(Recipe(transform=WATER.to_dict()), items(), "out").blank == ["1.png"]
 
 
+def test_odd_scenes_are_told_of() -> None:
+    save("depth/1.npy", 50 * metres(H, W))
+    recipe = Recipe(transform=RandomUnderwater(contrast=0.4).to_dict())
+    summary = degrade(recipe, items(), "out")
+    (odd,) = summary.odd
+    assert odd.startswith("1.png (0.0")
+    assert degrade(recipe, items(), "out", resume=True).odd == summary.odd
+    for result in summary.results:
+        reached = read_record(Path(f"out/{result.place}.json"))["reached"]
+        assert result.reached is not None
+        assert reached == result.reached._asdict()
+        assert (reached["contrast"], reached["asked"]) == (0.4, 0.4)
+
+
 def test_formats_and_names() -> None:
     odd = 'ü 🐟, "a".tif'
     save(f"many/{odd}", words()), save("many/b.jpg", pixels()), save("many/sub/c.png", words())

@@ -16,6 +16,8 @@ from augmenting import (
     OPTIONS,
     RAW,
     TANK,
+    H,
+    W,
     distances,
     leaves,
     picture,
@@ -37,6 +39,7 @@ from uwaug import (
     Water,
     load_preset,
 )
+from uwaug._support import checks
 from uwaug.distance import Inverse, Metres, Network, Plane, Relative
 
 
@@ -161,7 +164,7 @@ def test_a_field_is_drawn_for_each_picture() -> None:
     z = torch.full((1, 24, 33), 3.0)
     params = aug.make_params(picture())
     left = aug.contrast_left(picture(), z, params)
-    medium = aug._water(picture(), z, params["samples"][0])[1]
+    (_, medium, _), _ = aug._water(picture(), z, params["samples"][0])
     ends = uwaug.contrast_left(torch.tensor([[[9.0, 0.6]]]), medium)
     assert float(left.min()) == pytest.approx(float(ends.min()), rel=0.02)
     assert float(left.max()) == pytest.approx(float(ends.max()), rel=0.02)
@@ -276,12 +279,77 @@ def test_says_once_where_nothing_is_left_to_see(monkeypatch: pytest.MonkeyPatch)
     aug(picture(), torch.full((1, 24, 33), 50.0))  # silent: a warning would be an error
 
 
-def test_open_water_and_far_scenes() -> None:
+def test_open_water() -> None:
     z = torch.full((1, 24, 33), math.inf)
     record = RandomUnderwater().make_params(picture())
     assert RandomUnderwater().transform(picture(), z, record).isfinite().all()
-    z[..., 20:] = 60.0  # pure water leaves less than any contrast asked for
-    assert RandomUnderwater(["II", COAST])(picture(), z)[0].isfinite().all()
+
+
+LAMP = Light([Lamp((0.2, 0.0, 0.0))])
+AS_IT_IS: dict[str, dict[str, Any]] = {
+    "nature": {"contrast": None},
+    "medium": {"waters": FIT},
+    "lamps": {"light": LAMP},
+}
+
+
+@pytest.mark.parametrize("host", [True, False])
+@pytest.mark.parametrize(("metres", "size"), [(32.0, 8.0), (0.25, 1.0), (3.0, 3.0)])
+def test_distances_are_scaled_to_where_water_has_a_colour(
+    metres: float, size: float, host: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(checks, "on_host", lambda x: host)
+    aug, z = RandomUnderwater(), 0.5 + distances(3)
+    z[..., 4:-4, :] = 1.0  # the median, whichever pixels are looked at
+    z[..., :3, :3] = math.inf
+    record = aug.make_params(picture(3))
+    made, expected = (aug.transform(picture(3), k * z, record) for k in (metres, size))
+    assert torch.equal(made, expected)
+    scenes = aug.scenes(picture(3), metres * z, record["samples"])
+    assert [s.reached.scale for s in scenes if s.reached] == 3 * [size / metres]
+
+
+@pytest.mark.parametrize("name", AS_IT_IS)
+def test_distances_that_stay(name: str) -> None:
+    aug = RandomUnderwater(**AS_IT_IS[name], field=None)
+    z = torch.full((1, H, W), 0.2)
+    (scene,) = aug.scenes(picture(1), z[None], aug.make_params(picture(1))["samples"])
+    assert scene.water is not None
+    assert torch.equal(scene.water[0][0], z)
+
+
+ODD: dict[str, tuple[dict[str, Any], float, str]] = {
+    "centimetres": ({}, 350.0, "350 m: 0.0229 times its distances"),
+    "kilometres": ({}, 0.0035, "0.0035 m: 286 times its distances"),
+    "type": ({"waters": "I", "contrast": 0.1}, 1.0, r"and 1.45e\+03 times the contents"),
+    "lamps": ({"light": LAMP, "contrast": 0.9}, 30.0, "leave 0.16 of contrast, 0.9 asked"),
+}
+
+
+@pytest.mark.parametrize("host", [True, False])
+@pytest.mark.parametrize("case", ODD)
+def test_says_once_that_a_water_is_none(
+    case: str, host: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(checks, "on_host", lambda x: host)
+    monkeypatch.setattr(uwaug.transforms.random_underwater, "_says_odd", [True])
+    options, metres, message = ODD[case]
+    aug, z = RandomUnderwater(**options), torch.full((1, H, W), metres)
+    with pytest.warns(UserWarning, match=message):
+        aug(picture(), z)
+    aug(picture(), z)  # silent: a warning would be an error
+
+
+@pytest.mark.parametrize("metres", [0.3, 1.0, 3.0, 8.0, 30.0])
+def test_default_draws_are_waters(metres: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """None is odd, at any contrast that is drawn: a warning would be an error."""
+    monkeypatch.setattr(uwaug.transforms.random_underwater, "_says_odd", [True])
+    aug, z = RandomUnderwater(), torch.full((1, H, W), metres)
+    (sample,) = aug.make_params(picture())["samples"]
+    for water in uwaug.transforms.random_underwater.WATERS[:8]:
+        for contrast in (0.08, 0.9):
+            sample["waters"], sample["numbers"]["contrast"] = [water], contrast
+            aug.scenes(picture(1), z[None], [sample])
 
 
 REFUSED_OPTIONS: dict[str, tuple[dict[str, Any], str]] = {

@@ -124,6 +124,9 @@ def degrade(
         some = f"{len(summary.blank)} of them, such as {summary.blank[0]}"
         cure = "are distances in another unit? If not, take clearer water by --contrast"
         print(f"next to nothing is left to see of {some}: {cure}")
+    if summary.odd:
+        cure = "are distances metres? --contrast none leaves them and the water as they are"
+        print(f"odd scenes: {len(summary.odd)}, such as {summary.odd[0]}: {cure}")
     if summary.failures:
         more = f"\nand {len(summary.failures) - 5} more" if len(summary.failures) > 5 else ""
         end(1, "\n".join(summary.failures[:5]) + more)

@@ -25,7 +25,7 @@ from uwaug.files.record import read_record, record_path, write_record
 from uwaug.files.sheet import write_sheet
 from uwaug.formation.contrast import FAINT
 from uwaug.transforms.params import Record
-from uwaug.transforms.random_underwater import RandomUnderwater
+from uwaug.transforms.random_underwater import RandomUnderwater, Reached
 from uwaug.transforms.samples import key_of
 
 _LOOKS = 128
@@ -89,6 +89,7 @@ class Result(NamedTuple):
         contrast: mean share of contrast that is left; None if it failed.
         objects: of the picture, if there are labels.
         reason: why it failed.
+        reached: what it took to reach the contrast asked for, if one was.
     """
 
     item: Item
@@ -98,6 +99,7 @@ class Result(NamedTuple):
     contrast: float | None = None
     objects: Sequence[Judged] = ()
     reason: str = ""
+    reached: Reached | None = None
 
 
 @dataclass(frozen=True)
@@ -122,6 +124,14 @@ class Summary:
         """
         left = [(one.item.name, one.contrast) for one in self.results]
         return [name for name, share in left if share is not None and share < FAINT]
+
+    @property
+    def odd(self) -> list[str]:
+        """Names of pictures whose contrast it took odd distances or contents to reach, or that did
+        not reach it, and how, see `RandomUnderwater`: distances may be in another unit.
+        """
+        named = [(one.item.name, one.reached) for one in self.results]
+        return [f"{name} ({reached})" for name, reached in named if reached and reached.odd]
 
     @property
     def objects(self) -> tuple[int, int]:
@@ -271,13 +281,17 @@ class _Worker:
             other = [name for name, value in made_of.items() if record.get(name) != value]
             if not other:
                 objects = [Judged(**entry) for entry in record["objects"]]
-                return Result(*named, "skipped", record["contrast"], objects)
+                reached = record.get("reached") and Reached(**record["reached"])
+                return Result(*named, "skipped", record["contrast"], objects, reached=reached)
             if not self.force:
                 got = f"{output} was made with another {' and '.join(other)}"
                 raise FileExistsError(f"{got}: choose another folder, or force to write over it")
         image, z = _read(item, self.recipe, self.transform)
         params = self._drawn(job, image)
-        degraded = self.transform.transform(image, z, params)
+        maps = None if z is None else z[None]
+        scenes = self.transform.scenes(image[None], maps, params["samples"])
+        degraded = self.transform.degraded(image, scenes)
+        reached = scenes[0].reached
         # for the mean alone some pixels do: all of them take a third of the picture's time
         step = max(1, min(image.shape[1:]) // _LOOKS) if job.labels is None else 1
         some = image[:, ::step, ::step], None if z is None else z[:, ::step, ::step]
@@ -292,10 +306,14 @@ class _Worker:
         if job.labels is not None:
             dropped = {one.key for one in objects if not one.kept}
             job.labels.write(item.name, job.place, dropped, self.out)
-        found = {"contrast": contrast, "objects": [one._asdict() for one in objects]}
+        found = {
+            "contrast": contrast,
+            "reached": reached and reached._asdict(),
+            "objects": [one._asdict() for one in objects],
+        }
         write_record(record_path(output), {**made_of, "params": params, **found})
         write_picture(output, degraded)
-        return Result(*named, "written", contrast, objects)
+        return Result(*named, "written", contrast, objects, reached=reached)
 
     def _drawn(self, job: Job, image: Tensor) -> Record:
         """All that is random about a picture; of a frame, about its film."""
@@ -408,7 +426,7 @@ def _write_index(results: Sequence[Result], out: Path) -> None:
     ):
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(_COLUMNS)
-        for item, variant, place, status, contrast, _, reason in results:
+        for item, variant, place, status, contrast, _, reason, _ in results:
             where = [item.name, variant, item.picture, item.distance, place]
             writer.writerow([*where, contrast, status, reason])
 

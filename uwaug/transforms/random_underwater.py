@@ -67,6 +67,20 @@ turbid enough for a scene at arm's length are black at 10 m.
 _TOLERANCE = 0.002
 """Of the curves of a medium, in the light that a metered exposure makes of it."""
 
+_SIZES = (1.0, 8.0)
+"""m: median distances between which water can be brought to a contrast and have a colour of its
+own. Default draws at 35 m, as they are, are pure water in 90 of 100, at .1 m brown or orange; of
+photographs .34 and .67 lie inside their cloud, and .78 and .77 once the scene is scaled. (Contrasts
+that contents .1 to 10 times the type can leave: .78 and .68, but less than a fifth of the
+photographs has a draw near at 35 m; another water until one suits: .34 and .67.)
+"""
+
+_OFTEN, _MUCH, _MISSED = 4.0, 50.0, 2.0
+"""What is worth a word: a scene scaled by more; contents more times those of the water, where the
+clearest of `WATERS` need 42 for the severest grade at 1 m; a contrast so many times less than what
+was asked for.
+"""
+
 _LOOKED_AT = 2048
 """Pixels of which the median distance is taken: it is right within 2 %."""
 
@@ -84,6 +98,31 @@ _looks_left = [16]
 with all shows in the first.
 """
 
+_says_odd = [True]
+"""Until a process has warned of what it took to reach a contrast."""
+
+
+class Reached(NamedTuple):
+    """What it took to bring a water to the contrast asked for."""
+
+    scale: float  # times every distance
+    contents: float  # times what is in the water besides pure water
+    contrast: float  # left at the median distance
+    asked: float
+
+    @property
+    def odd(self) -> bool:
+        """Whether distances are hardly metres, or the water is hardly the one that was named."""
+        return (
+            not 1 / _OFTEN <= self.scale <= _OFTEN
+            or self.contents > _MUCH
+            or self.contrast < self.asked / _MISSED
+        )
+
+    def __str__(self) -> str:
+        times = f"{self.scale:.3g} times its distances and {self.contents:.3g} times the contents"
+        return f"{times} of the water leave {self.contrast:.2g} of contrast, {self.asked:.2g} asked"
+
 
 class Scene(NamedTuple):
     """A picture, and its water where it is degraded."""
@@ -92,6 +131,7 @@ class Scene(NamedTuple):
     sample: Record  # that it has drawn
     # effective distances (1x1xHxW, m), the medium, and distances where a field multiplies them
     water: tuple[Tensor, Medium, Tensor | None] | None
+    reached: Reached | None  # where a contrast was asked for
 
 
 @codec.plain
@@ -115,7 +155,9 @@ class RandomUnderwater(SampleTransform):
             weight; one that is given twice counts twice.
         contrast: share of an object's contrast of luminance that is left at the scene's median
             distance, ignoring scattered light (see `Water.contrast`); the contents of the water are
-            scaled to it, as far as pure water allows. None leaves waters as they are in nature.
+            scaled to it, as far as pure water allows. Where the median is below 1 m or above 8 m,
+            the distances are scaled to that first, but with lamps, whose places are metres. None
+            leaves distances, and waters as they are in nature.
         mixing: share of a second water, picked like the first; 0 for none, (0, 1) for a continuous
             slider between types. Contents of both are drawn at the same shares of their ranges.
         vertical_depth: m below the surface; with an automatic exposure no deeper than where 1/32 of
@@ -153,7 +195,9 @@ class RandomUnderwater(SampleTransform):
 
     Warns:
         UserWarning: once in a process, if next to nothing is left to see in one of its first
-            pictures.
+            pictures; and once, if distances are scaled by more than 4 or less than 1/4 for a
+            contrast, contents are more than 50 times those of the water, or less than half of the
+            contrast is reached.
 
     Examples:
         >>> import torch
@@ -375,9 +419,9 @@ class RandomUnderwater(SampleTransform):
         J = decoded(pictures, self.development.color_space).to(z.dtype)
         T = None if self.light is None else self.light.curves(medium, z, metres)
         look = self.development.of(sample).settled(J, z, medium, T)
-        median = _median((z if metres is None else metres)[0])
+        scale = scene.reached.scale if scene.reached else 1.0
         clip = {
-            "metres": median,
+            "metres": _median((z if metres is None else metres)[0]) / scale,
             "exposure": look.exposure,
             "white_balance": look.white_balance,
             "moved": 0.0,
@@ -439,10 +483,17 @@ class RandomUnderwater(SampleTransform):
             z = self._metres_together(pictures, distance, chosen, drawn)
             looks = _looked_at(scene, z)
             self._require(looks, scene, z)
-            pairs = zip(looks, drawn, strict=True)
-            media = [self._medium(look.median, size[1], sample) for look, sample in pairs]
+            pairs = list(zip(looks, drawn, strict=True))
+            scales = [self._scale(look.median, sample) for look, sample in pairs]
+            looks = [look.scaled(scale) for look, scale in zip(looks, scales, strict=True)]
+            several = zip(looks, scales, drawn, strict=True)
+            media = [
+                self._medium(look.median, scale, size[1], sample)[0]
+                for look, scale, sample in several
+            ]
             _warn_if_blank(torch.full((1, 1, 1, 1), looks[0].median), media[0], None)
-            z = z.to(torch.promote_types(scene.dtype, torch.float32)).clamp(max=FARTHEST)
+            z = z.to(torch.promote_types(scene.dtype, torch.float32))
+            z = (z * z.new_tensor(scales)[:, None, None, None]).clamp(max=FARTHEST)
             low, high = (1.0, 1.0) if self._field is None else self._field
             if self._field is not None:
                 z = z * random_fields([s["field_seed"] for s in drawn], size, low, high, z)
@@ -497,12 +548,12 @@ class RandomUnderwater(SampleTransform):
             maps = maps_for(pictures, distance)
         scenes = []
         for i, (picture, z, sample) in enumerate(zip(pictures, maps, samples, strict=True)):
-            water = None
+            water = reached = None
             if sample["applied"]:
                 with naming(i, len(pictures)), torch.autocast(pictures.device.type, enabled=False):
                     require_values(picture, self.development.color_space)
-                    water = self._water(picture, z, sample)
-            scenes.append(Scene(picture, sample, water))
+                    water, reached = self._water(picture, z, sample)
+            scenes.append(Scene(picture, sample, water, reached))
         return scenes
 
     def degraded(self, image: Tensor, scenes: list[Scene]) -> Tensor:
@@ -511,7 +562,7 @@ class RandomUnderwater(SampleTransform):
             return image
         space, results = self.development.color_space, []
         with torch.autocast(image.device.type, enabled=False):
-            for picture, sample, water in scenes:
+            for picture, sample, water, _ in scenes:
                 result = picture[None]
                 if water is not None:
                     z, medium, metres = water
@@ -526,7 +577,7 @@ class RandomUnderwater(SampleTransform):
     def left(self, image: Tensor, scenes: list[Scene]) -> Tensor:
         """The share of contrast in these scenes, see `contrast_left`."""
         shares = []
-        for picture, _, water in scenes:
+        for picture, _, water, _ in scenes:
             share = picture.new_ones(1, 1, *picture.shape[1:], dtype=torch.float32)
             if water is not None:
                 z, medium, metres = water
@@ -536,38 +587,58 @@ class RandomUnderwater(SampleTransform):
 
     def _water(
         self, picture: Tensor, distance: Tensor | None, sample: Record
-    ) -> tuple[Tensor, Medium, Tensor | None]:
-        """What a picture (3xHxW) is seen through, see `Scene.water`."""
+    ) -> tuple[tuple[Tensor, Medium, Tensor | None], Reached | None]:
+        """What a picture (3xHxW) is seen through, see `Scene`."""
         z = self._source.metres(distance, picture, sample["numbers"])
         clip = sample.get("clip", {})
         metres = clip["metres"] if clip else _median(z)
-        medium = self._medium(metres, z.shape[-1], sample)
-        z = z.to(torch.promote_types(picture.dtype, torch.float32)).clamp(max=FARTHEST)[None]
+        scale = self._scale(metres, sample)
+        medium, reached = self._medium(metres * scale, scale, z.shape[-1], sample)
+        z = z.to(torch.promote_types(picture.dtype, torch.float32))
+        z = (z if scale == 1 else z * scale).clamp(max=FARTHEST)[None]
         if self._field is None:
-            return z, medium, None
+            return (z, medium, None), reached
         size = (z.shape[-2], z.shape[-1])
         # of the view that the width law takes the picture for
         moved = FOCAL_LENGTH * size[1] * clip.get("moved", 0.0) / metres
         field = random_fields([sample["field_seed"]], size, *self._field, z, moved)
-        return z * field, medium, z
+        return (z * field, medium, z), reached
 
-    def _medium(self, metres: float, width: int, sample: Record) -> Medium:
-        """The medium of a picture of this median distance, m, and width, px."""
+    def _scale(self, median: float, sample: Record) -> float:
+        """What the distances of a picture of this median, m, are multiplied by."""
+        fixed = isinstance(self._waters.get(sample["waters"][0]), Medium)
+        lamps = self.light is not None and self.light.lamps
+        if fixed or lamps or "contrast" not in sample["numbers"] or math.isinf(median):
+            return 1.0
+        nearest, farthest = _SIZES
+        return min(max(median, nearest), farthest) / median
+
+    def _medium(
+        self, metres: float, scale: float, width: int, sample: Record
+    ) -> tuple[Medium, Reached | None]:
+        """The medium of a picture of this median distance, m, and width, px; and what came of the
+        contrast asked for, where its distances were multiplied by `scale`.
+        """
         names, numbers = sample["waters"], sample["numbers"]
-        fixed = self._waters.get(names[0])
+        fixed, reached = self._waters.get(names[0]), None
         if isinstance(fixed, Medium):
-            return fixed
+            return fixed, None
         water, *others = (self._spectra(name) for name in names)
         if others:
             water = water.mix(others[0], numbers["mixing"])
         if "contrast" in numbers:
-            contents = water.contents_for(numbers["contrast"], metres)
+            asked = numbers["contrast"]
+            contents = water.contents_for(asked, metres)
             if math.isinf(contents):
                 cure = "draw from waters that have something in them, or give contrast=None"
                 raise ValueError(
                     f"contrast: {water.name!r} is nothing but pure water to the eye: {cure}"
                 )
             water = water.with_contents(contents)
+            most = asked if contents else water.contrast(metres)
+            reached = Reached(scale, contents, most, asked)
+            if reached.odd:
+                _warn_of(reached, metres / scale)
         depth = numbers["vertical_depth"]
         lamps = self.light is not None and self.light.lamps  # they shine at any depth
         left = 1.0
@@ -577,7 +648,7 @@ class RandomUnderwater(SampleTransform):
                 depth, left = min(depth, water.depth_of_daylight(_DIMMEST)), _DIMMEST
         law = self.point_spread or PointSpread.calibrated(FOCAL_LENGTH * width)
         grey = "color_matrix" not in numbers
-        return _medium_of(
+        medium = _medium_of(
             water,
             self._response,
             vertical_depth=depth,
@@ -588,6 +659,7 @@ class RandomUnderwater(SampleTransform):
             color_matrix=numbers.get("color_matrix", 1.0),
             tolerance=_TOLERANCE * left,  # what an exposure brings up, errors included
         )
+        return medium, reached
 
     def _spectra(self, name: str) -> Water:
         """A water by the name that a record gives it."""
@@ -654,6 +726,10 @@ class Look(NamedTuple):
     farthest: float  # of all but open water
     median: float
 
+    def scaled(self, scale: float) -> "Look":
+        """The same, of distances that are multiplied."""
+        return Look(*self[:2], *(scale * metres for metres in self[2:]))
+
 
 def _looked_at(scene: Tensor, z: Tensor) -> list[Look]:
     """A look at pictures (Bx3xHxW) and distances (Bx1xHxW): the one transfer from their device."""
@@ -697,6 +773,14 @@ def _median(z: Tensor) -> float:
             middle = near.size // 2
             return float(np.partition(near, middle)[middle])
     return math.inf
+
+
+def _warn_of(reached: Reached, median: float) -> None:
+    """Warn, once in a process, of an odd scene of this median distance, m."""
+    if _says_odd[0]:
+        _says_odd[0] = False
+        cure = "are distances metres? contrast=None leaves them and the water as they are"
+        warnings.warn(f"a scene of median distance {median:.3g} m: {reached}: {cure}", stacklevel=2)
 
 
 def _warn_if_blank(
