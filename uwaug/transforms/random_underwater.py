@@ -69,10 +69,11 @@ _TOLERANCE = 0.002
 
 _SIZES = (1.0, 8.0)
 """m: median distances between which water can be brought to a contrast and have a colour of its
-own. Default draws at 35 m, as they are, are pure water in 90 of 100, at .1 m brown or orange; of
-photographs .34 and .67 lie inside their cloud, and .78 and .77 once the scene is scaled. (Contrasts
-that contents .1 to 10 times the type can leave: .78 and .68, but less than a fifth of the
-photographs has a draw near at 35 m; another water until one suits: .34 and .67.)
+own. Of photographs .34 lie inside the cloud of default draws at 35 m, nine in ten of them pure
+water, and .67 at .1 m, many orange; .77 once the scene is scaled, as at 1 to 8 m. (Contrasts that
+.1 to 10 times the contents leave: .78 and .68, but .17 and .33 have a draw near, of .48 and .44;
+another water until one suits: .34 and .67; a scale of its own for each draw: .73 and .77, but
+.28 near at .1 m.)
 """
 
 _OFTEN, _MUCH, _MISSED = 4.0, 50.0, 2.0
