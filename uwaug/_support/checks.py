@@ -22,6 +22,7 @@ DOMAIN = {
     "far": (0.0, math.inf),
     "gamma": (1e-3, math.inf),
     "distance": (0.0, math.inf),
+    "scene": (0.0, 1.0),
     "contrast": (1e-3, 1.0),
     "exposure": (-10.0, 10.0),
     "chlorophyll": (0.0, 1e4),

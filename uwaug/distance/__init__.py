@@ -4,11 +4,13 @@ a depth network, a plane.
 
 from uwaug.distance.convert import along_ray, from_disparity, from_inverse, from_relative
 from uwaug.distance.fill import fill_unknown
+from uwaug.distance.made_up import MadeUp
 from uwaug.distance.network import Network
 from uwaug.distance.sources import Inverse, Metres, Plane, Relative, Source
 
 __all__ = [
     "Inverse",
+    "MadeUp",
     "Metres",
     "Network",
     "Plane",

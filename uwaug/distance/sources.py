@@ -95,7 +95,7 @@ class Relative(Source):
     holes: Holes = "error"
 
     def __post_init__(self) -> None:
-        _require_ends(self.near, self.far)
+        require_ends(self.near, self.far)
         as_range("gamma", self.gamma, 1e-3)
         _require_holes(self.holes)
 
@@ -128,7 +128,7 @@ class Inverse(Source):
     holes: Holes = "error"
 
     def __post_init__(self) -> None:
-        if _require_ends(self.near, self.far) == 0:
+        if require_ends(self.near, self.far) == 0:
             raise ValueError(f"near must lie above 0 m in inverse depth, got {self.near}")
         _require_holes(self.holes)
 
@@ -179,7 +179,7 @@ def _require_holes(holes: object) -> None:
         checks.one_of("holes", holes, (*get_args(_Policy), "a number of metres"))
 
 
-def _require_ends(near: Range, far: Range) -> float:
+def require_ends(near: Range, far: Range) -> float:
     """Refuse ranges of near and far that meet; return the least near."""
     least, largest = as_range("near", near, 0.0, unit="m")
     if not largest < as_range("far", far, 0.0, unit="m")[0]:
