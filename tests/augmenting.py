@@ -14,7 +14,7 @@ from uwaug import (
     RandomUnderwater,
     Water,
 )
-from uwaug.distance import Inverse, Metres, Network, Plane, Relative
+from uwaug.distance import Inverse, MadeUp, Metres, Network, Plane, Relative
 
 H, W = 24, 33
 TANK = Water([400, 550, 700], [0.5, 0.2, 0.7], [1.3, 1.1, 1.0], [0.7, 0.3, 0.8], name="tank")
@@ -53,6 +53,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "plane": {"distance": 3.0},
     "planes": {"distance": Plane(1.0, 4.0)},
     "network": {"distance": Network(brightness)},
+    "made up": {"distance": MadeUp()},
     "half": {"p": 0.5},
     "fill": {"distance": Metres("fill")},
     "keys": {"keys": ("rgb", "range")},

@@ -1,12 +1,18 @@
-"""The galleries of the guides: published systems in two waters, a red tank at five depths."""
+"""The galleries of the guides: published systems in two waters, a red tank at five depths, made-up
+distances.
+"""
 
+import torch
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from skimage import data
 from torch import Tensor
 
 from benchmarks.harness import RESULTS, command
-from uwaug import Development, Medium, Underwater, published
+from uwaug import Development, Medium, RandomUnderwater, Underwater, published
 from uwaug._support.atomic import written_whole
+from uwaug.distance import MadeUp
 from uwaug.optics.scattering import Scattering
 from uwaug.presets.scene import Scene, motorcycle
 
@@ -87,12 +93,39 @@ def reds(scene: Scene) -> Figure:
     return grid.figure
 
 
+def made_up() -> Figure:
+    """Four pictures of scikit-image, with two made-up maps and what default draws make of each."""
+    names, draws = ("coffee", "astronaut", "rocket", "chelsea"), 2
+    source = MadeUp()
+    augment = RandomUnderwater(distance=source)
+    grid = Grid(len(names), 1 + 2 * draws, (2, 3))
+    for row, name in enumerate(names):
+        image = torch.from_numpy(getattr(data, name)()).permute(2, 0, 1)
+        image = image[:, : 2 * image.shape[2] // 3]
+        grid.show(row * grid.columns, image / 255, name)
+        for draw in range(draws):
+            generator = torch.Generator().manual_seed(draws * row + draw)
+            record = augment.make_params(image, generator)
+            numbers = record["samples"][0]["numbers"]
+            z = source.metres(None, image, numbers)[0]
+            shade = (z / 0.5).log() / torch.tensor(24.0).log()
+            colours = torch.from_numpy(colormaps["viridis_r"](shade.numpy())[..., :3])
+            colours[z.isinf()] = 0
+            place = row * grid.columns + 1 + 2 * draw
+            grid.show(
+                place, colours.permute(2, 0, 1), f"{numbers['near']:.1f} to {numbers['far']:.0f} m"
+            )
+            wet = augment.transform(image, None, record)
+            grid.show(place + 1, wet / 255, "")
+    return grid.figure
+
+
 def main(quick: bool = False) -> dict[str, Figure]:
     """Draw and save."""
     scene = motorcycle()
     if quick:
         scene = Scene(scene.image[:, ::8, ::8], scene.distance[:, ::8, ::8], 125.0)
-    found = {"systems": systems(scene), "reds": reds(scene)}
+    found = {"systems": systems(scene), "reds": reds(scene), "made-up": made_up()}
     if not quick:
         for name, figure in found.items():
             with written_whole(FIGURES / f"{name}.jpg") as part:

@@ -38,6 +38,46 @@ def test_the_example_of_degrade_runs_on_a_depth_cameras_maps(folder, run):
         assert [row["status"] for row in csv.DictReader(file)] == ["written", "written"]
 
 
+def written(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.suffix == ".png"}
+
+
+def test_pictures_alone_get_distances_that_are_made_up(folder, run):
+    bare = ("degrade", "photos", "--variants", "2", "--out")
+    code, out, err = run(*bare, "wet", "--sheet")
+    assert (code, err) == (0, "")
+    assert out.count("made up") == 1
+    assert "not for restoration" in out
+    assert "4 of 4 pictures written to wet" in out
+    assert (folder / "wet/sheet.jpg").is_file()
+    # said explicitly, by one process, they are the same; and nobody is told twice
+    code, out, _ = run(*bare, "again", "--distance", "made-up", "--workers", "1")
+    assert code == 0
+    assert "made up" not in out
+    assert len(written(folder / "wet")) == 4
+    assert written(folder / "wet") == written(folder / "again")
+    assert run("degrade", "wet/b_2.png.json", "--out", "b.png")[0] == 0
+    assert (folder / "b.png").read_bytes() == (folder / "wet/b_2.png").read_bytes()
+    (folder / "wet/b_2.png").unlink()
+    code, out, _ = run(*bare, "wet", "--resume")
+    assert code == 0
+    assert "1 of 4 pictures written to wet, 3 were there" in out
+    assert written(folder / "wet") == written(folder / "again")
+
+
+def test_labels_of_pictures_alone(folder, run):
+    (folder / "labels").mkdir()
+    for name in ("a", "b"):
+        Image.fromarray(np.ones((24, 32), np.uint8)).save(f"labels/{name}.png")
+    flags = ("--labels", "labels", "--min-contrast", ".01", "--contrast", ".5")
+    code, out, err = run("degrade", "photos", *flags, "--out", "wet")
+    assert (code, err) == (0, "")
+    assert "2 of 2 labels kept" in out
+    plain = json.loads(next((folder / "wet").rglob("a.png.json")).read_text())
+    assert plain["recipe"]["transform"]["distance"] == {"kind": "MadeUp"}
+    assert plain["objects"][0]["contrast"] == pytest.approx(plain["contrast"], abs=1e-3)
+
+
 def test_a_record_makes_the_same_bytes_again(folder, run):
     assert run("degrade", "photos", *MAPS, "--out", "wet", "--seed", "3")[0] == 0
     assert run("degrade", "wet/a.png.json", "--out", "again.png")[0] == 0
@@ -109,6 +149,7 @@ def test_a_broken_map_fails_alone_and_resume_goes_on(folder, run):
         ("export --preset survey --out x.bin", ".onnx"),
         ("plot photos/a.png --distance depth/b.png", "metres"),
         ("degrade photos --distance depth --unit mm --out wet", "give holes 'behind'"),
+        ("degrade photos --unit mm --out wet", "distance is missing"),
         ("preset show nothing", "nothing"),
         ("plot photos/a.png --distance 3 --holes near", "holes must be one of"),
         ("check photos/a.png", "a.png"),

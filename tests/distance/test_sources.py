@@ -9,6 +9,7 @@ import torch
 from uwaug._support import codec
 from uwaug.distance import (
     Inverse,
+    MadeUp,
     Metres,
     Network,
     Plane,
@@ -86,6 +87,8 @@ def test_refused_maps(source: Any, given: Any, message: str) -> None:
         (Relative, ((1, 3), (2, 5)), "near must lie below far"),
         (Relative, (1, 5, 0.0), "gamma must be"),
         (Inverse, ((0.0, 1.0),), "near must lie above 0 m"),
+        (MadeUp, ((0.0, 1.0),), "near must lie above 0 m"),
+        (MadeUp, (1, (1, 5)), "near must lie below far"),
         (Plane, (3.0, 1.0), "distance must be"),
         (Plane, (-1.0,), "distance must be"),
         (Network, (len, 3.0), "holds must be a uwaug.Source"),
@@ -97,7 +100,7 @@ def test_refused_sources(kind: Any, arguments: tuple[Any, ...], message: str) ->
 
 
 @pytest.mark.parametrize(
-    "source", [Metres("far"), Relative((0, 1), 5), Inverse(holes=3.0), Plane(1.0, 2.0)]
+    "source", [Metres("far"), Relative((0, 1), 5), Inverse(holes=3.0), MadeUp(1.0), Plane(1.0, 2.0)]
 )
 def test_sources_as_plain_data(source: Any) -> None:
     assert codec.from_plain(codec.to_plain(source)) == source

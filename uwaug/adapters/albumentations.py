@@ -26,7 +26,7 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
         augment: a `RandomUnderwater`, or its options as a dict. Its own `p` has to be 1.
         distance_key: the name under which a call passes the map, an array (HxW). A pipeline has to
             have it in `additional_targets={"distance": "mask"}`, so that it moves with the picture.
-            Not needed where `augment` makes distances itself (`Plane`, `Network`).
+            Not needed where `augment` makes distances itself (`MadeUp`, `Network`, `Plane`).
         scale: what the numbers of a map are multiplied by, such as .001 for mm.
         channels: the order of the picture's colours; "bgr" is what OpenCV reads, and Ultralytics
             passes on.

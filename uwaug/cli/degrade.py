@@ -20,8 +20,9 @@ def degrade(
     distance: Annotated[
         str | None,
         typer.Option(
-            help="A file, a folder, or a pattern such as {stem}_depth.png; metres, or 1:5.",
-            metavar="PATH|METRES",
+            help="A file, a folder, or a pattern such as {stem}_depth.png; metres, or 1:5. By "
+            "default made-up, from each picture alone.",
+            metavar="PATH|METRES|made-up",
         ),
     ] = None,
     unit: Unit = "m",
@@ -85,7 +86,11 @@ def degrade(
         chosen = _transform_options(preset, options, set_ or (), water or (), contrast)
         of_run = {name: chosen.pop(name) for name in ("drift",) if name in chosen}
         plane = None if distance is None else _value(distance)
-        if isinstance(plane, (float, list)):
+        # whoever speaks of units or holes has maps
+        untold = distance is None and "distance" not in chosen and (unit, holes) == ("m", "error")
+        if distance == "made-up" or untold:
+            chosen["distance"], distance = {"kind": "MadeUp"}, None
+        elif isinstance(plane, (float, list)):
             chosen["distance"], distance = plane, None
         elif holes != "error" and isinstance(chosen.get("distance", {}), dict):
             source = {"kind": "Metres", **chosen.get("distance", {})}
@@ -102,6 +107,11 @@ def degrade(
         )
         apart = [str(out)] if labels is None else [str(out), labels]
         items = find_items(pictures, distance, apart=apart)
+        if untold:
+            print(
+                "Without --distance, distances are made up from each picture: an invented cue, "
+                "good for robustness, not for restoration."
+            )
         with counted() as progress:
             summary = run(
                 recipe,

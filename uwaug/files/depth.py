@@ -101,7 +101,7 @@ def write_maps(
             progress(done, len(items))
     if sheet:
         pairs = [
-            (i.picture, place) for i, place in zip(items, maps, strict=True) if place.is_file()
+            (i.picture, [place]) for i, place in zip(items, maps, strict=True) if place.is_file()
         ]
         near_is_large = isinstance(network.holds, Inverse)
         write_sheet(out / "sheet.jpg", pairs, lambda path: _shown(path, near_is_large))

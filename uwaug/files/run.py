@@ -210,7 +210,7 @@ def degrade(
     source = work.transform.distance
     missing = next((item.name for item in items if item.distance is None), None)
     if missing and isinstance(source, Source) and source.reads_maps:
-        cure = "give files of distances, or a distance in metres"
+        cure = "give files of distances, a distance in metres, or MadeUp"
         raise ValueError(f"distance is missing: {missing} has no file of it: {cure}")
     _require_apart(jobs, out)
     if resume:
@@ -234,8 +234,10 @@ def degrade(
         if labels is not None:
             labels.finish([Labelled(one.item.name, one.place, one.objects) for one in done], out)
         if sheet and done:
-            pairs = [(one.item.picture, out / one.place) for one in done]
-            write_sheet(out / "sheet.jpg", pairs)
+            made: dict[Path, list[Path]] = {}
+            for one in done:
+                made.setdefault(one.item.picture, []).append(out / one.place)
+            write_sheet(out / "sheet.jpg", list(made.items()))
     return summary
 
 
@@ -294,8 +296,7 @@ class _Worker:
         reached = scenes[0].reached
         # for the mean alone some pixels do: all of them take a third of the picture's time
         step = max(1, min(image.shape[1:]) // _LOOKS) if job.labels is None else 1
-        some = image[:, ::step, ::step], None if z is None else z[:, ::step, ::step]
-        left = self.transform.contrast_left(*some, params)
+        left = self.transform.left(image, scenes, step)
         contrast = round(float(left.double().mean()), 4)
         objects = []
         if job.labels is not None:

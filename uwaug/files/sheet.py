@@ -11,11 +11,11 @@ from torch import Tensor
 from uwaug._support.atomic import written_whole
 from uwaug.files.pictures import read_picture
 
-_PAIRS = 12
-"""On a sheet, at most: from the first to the last of a run."""
+_PICTURES, _VARIANTS = 12, 5
+"""On a sheet, at most: pictures from the first to the last of a run, and variants of each."""
 
-_ACROSS = 3
-"""Pairs in a row."""
+_ACROSS = 6
+"""Columns, before and after."""
 
 _WIDTH, _HEIGHT, _LINE = 240, 180, 16
 """Of a picture, and the height of a line below it, px."""
@@ -23,31 +23,33 @@ _WIDTH, _HEIGHT, _LINE = 240, 180, 16
 
 def write_sheet(
     path: Path,
-    pairs: Sequence[tuple[Path, Path]],
+    made: Sequence[tuple[Path, Sequence[Path]]],
     read: Callable[[Path], Tensor] = read_picture,
 ) -> None:
-    """Draw pictures, each with what was made of it to its right and its name below.
+    """Draw pictures, each with what was made of it to its right, and all names below.
 
     Args:
         path: of the sheet.
-        pairs: files before and after.
+        made: a file before, and those after.
         read: gives the picture (3xHxW) of a file after.
 
     Raises:
         ValueError, OSError: if a picture cannot be read, or the sheet not be written.
     """
-    step = max(1, (len(pairs) - 1) // max(1, _PAIRS - 1))
-    shown = pairs[::step][:_PAIRS]
-    rows = -(-len(shown) // _ACROSS)
-    cell = (2 * _WIDTH + _LINE, _HEIGHT + 2 * _LINE)
-    size = (min(len(shown), _ACROSS) * cell[0], rows * cell[1])
-    sheet = Image.new("RGB", size, "white")
+    step = max(1, (len(made) - 1) // max(1, _PICTURES - 1))
+    shown = [(before, *after[:_VARIANTS]) for before, after in made[::step][:_PICTURES]]
+    columns = max(map(len, shown))
+    across = min(len(shown), max(1, _ACROSS // columns))
+    cell = (columns * _WIDTH + _LINE, _HEIGHT + 2 * _LINE)
+    sheet = Image.new("RGB", (across * cell[0], -(-len(shown) // across) * cell[1]), "white")
     draw = ImageDraw.Draw(sheet)
-    for number, (before, after) in enumerate(shown):
-        x, y = number % _ACROSS * cell[0], number // _ACROSS * cell[1]
-        for column, picture in enumerate((read_picture(before), read(after))):
-            sheet.paste(_small(picture), (x + column * _WIDTH, y))
-        draw.text((x, y + _HEIGHT), after.name.encode("ascii", "replace").decode(), "black")
+    for number, files in enumerate(shown):
+        y, x = number // across * cell[1], number % across * cell[0]
+        for column, file in enumerate(files):
+            picture = read(file) if column else read_picture(file)
+            sheet.paste(_small(picture), (x, y))
+            draw.text((x, y + _HEIGHT), file.name.encode("ascii", "replace").decode(), "black")
+            x += _WIDTH
     with written_whole(path) as part:
         sheet.save(part, "JPEG", quality=90)
 

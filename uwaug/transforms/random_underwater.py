@@ -170,8 +170,8 @@ class RandomUnderwater(SampleTransform):
         field: least and largest value of the medium field, which is drawn anew for each picture and
             multiplies its distances; None for even water.
         distance: what maps hold, and what pixels without a distance get: `uwaug.distance.Metres`,
-            `Relative` or `Inverse`. Or where distances come from without maps: `Network`, or
-            `Plane`, for which a number or a range may stand, m.
+            `Relative` or `Inverse`. Or where distances come from without maps: `MadeUp`, `Network`,
+            or `Plane`, for which a number or a range may stand, m.
         camera: a name, the path of a CSV file or a `Camera`.
         development: what the camera does, and the colour space, see `RandomDevelopment`.
         light: a `Light` with lamps; None for daylight.
@@ -233,7 +233,7 @@ class RandomUnderwater(SampleTransform):
         if isinstance(self.distance, (int, float, tuple, list)):
             ends = self.distance if isinstance(self.distance, (tuple, list)) else (self.distance,)
             self.distance = Plane(*ends)
-        cure = "Metres, Relative, Inverse, Network(…) or Plane of uwaug.distance"
+        cure = "Metres, Relative, Inverse, MadeUp, Network(…) or Plane of uwaug.distance"
         checks.instance("distance", self.distance, Source, f"; give {cure}")
         checks.instance("development", self.development, RandomDevelopment)
         checks.within("p", self.p, 0.0, 1.0)
@@ -575,13 +575,17 @@ class RandomUnderwater(SampleTransform):
         result = results[0][0] if image.ndim == 3 else torch.cat(results)
         return typed(result, type(image))
 
-    def left(self, image: Tensor, scenes: list[Scene]) -> Tensor:
-        """The share of contrast in these scenes, see `contrast_left`."""
+    def left(self, image: Tensor, scenes: list[Scene], step: int = 1) -> Tensor:
+        """The share of contrast in these scenes, see `contrast_left`; in every so many rows and
+        columns.
+        """
         shares = []
         for picture, _, water, _ in scenes:
-            share = picture.new_ones(1, 1, *picture.shape[1:], dtype=torch.float32)
+            share = picture.new_ones(1, 1, *picture[0, ::step, ::step].shape, dtype=torch.float32)
             if water is not None:
                 z, medium, metres = water
+                z = z[..., ::step, ::step]
+                metres = None if metres is None else metres[..., ::step, ::step]
                 share = contrast_left(z, medium, light=self.light, metres=metres)
             shares.append(share)
         return shares[0][0] if image.ndim == 3 else torch.cat(shares)

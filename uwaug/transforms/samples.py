@@ -140,7 +140,7 @@ def pictures_of(image: Any) -> Tensor:
 def maps_for(pictures: Tensor, distance: Any) -> list[Tensor]:
     """A map (1xHxW) for each picture of a batch, as plain tensors."""
     if distance is None:
-        cure = "for pictures without maps there are uwaug.distance.Plane and Network"
+        cure = "for pictures without maps there are MadeUp, Network and Plane of uwaug.distance"
         raise ValueError(
             f"distance is missing: give a map, or RandomUnderwater(distance=…): {cure}"
         )
