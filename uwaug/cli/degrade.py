@@ -89,7 +89,9 @@ def degrade(
         # whoever speaks of units or holes has maps
         untold = distance is None and "distance" not in chosen and (unit, holes) == ("m", "error")
         if distance == "made-up" or untold:
-            chosen["distance"], distance = {"kind": "MadeUp"}, None
+            given = chosen.get("distance")
+            chosen["distance"] = {**(given if isinstance(given, dict) else {}), "kind": "MadeUp"}
+            distance = None
         elif isinstance(plane, (float, list)):
             chosen["distance"], distance = plane, None
         elif holes != "error" and isinstance(chosen.get("distance", {}), dict):
