@@ -12,6 +12,7 @@ from uwaug import (
     PointSpread,
     RandomDevelopment,
     RandomUnderwater,
+    Sensor,
     Water,
 )
 from uwaug.distance import Inverse, MadeUp, Metres, Network, Plane, Relative
@@ -58,6 +59,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "fill": {"distance": Metres("fill")},
     "keys": {"keys": ("rgb", "range")},
     "linear": {"development": RandomDevelopment(color_space="linear")},
+    "noisy": {"development": RandomDevelopment(noise=Sensor((2e3, 2e4), (1.0, 4.0)))},
 }
 
 

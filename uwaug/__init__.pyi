@@ -12,6 +12,7 @@ from . import published as published
 from . import transforms as transforms
 from .fitting import fit as fit
 from .formation import Development as Development
+from .formation import Sensor as Sensor
 from .formation import Terms as Terms
 from .formation import Underwater as Underwater
 from .formation import contrast_left as contrast_left

@@ -90,6 +90,7 @@ def test_options_reach_the_transform(folder, run):
         *("degrade", "photos/a.png", "--distance", "3", "--out", "wet.png", "--workers", "1"),
         *("--water", "3C", "--water", "II", "--contrast", ".2:.5", "--options", "options.toml"),
         *("--set", "vertical_depth=0:5", "--set", "development.tone=1", "--set", "field=none"),
+        *("--set", "development.noise.full_well=2000:9000", "--set", "quality=80"),
     )
     assert (code, err) == (0, "")
     recipe = json.loads((folder / "wet.png.json").read_text())["recipe"]
@@ -97,6 +98,7 @@ def test_options_reach_the_transform(folder, run):
     assert transform.waters == ("3C", "II")
     assert (transform.contrast, transform.vertical_depth) == ((0.2, 0.5), (0, 5))
     assert (transform.mixing, transform.field) == ((0, 1), None)
+    assert (transform.development.noise, recipe["quality"]) == (uwaug.Sensor((2000, 9000)), 80)
     assert (transform.development.saturation, transform.development.tone) == (1.2, 1)
     assert transform.distance == uwaug.distance.Plane(3.0)
 

@@ -16,7 +16,7 @@ from torch import Tensor
 
 import uwaug
 from benchmarks.accuracy import stability
-from uwaug import Development, Medium, PointSpread, Underwater, fast
+from uwaug import Development, Medium, PointSpread, Sensor, Underwater, fast
 from uwaug.fast import gate
 from uwaug.formation.demand import blur_demand
 from uwaug.formation.image import form
@@ -39,6 +39,8 @@ DEVELOPMENTS = {
     "more contrast": Development(tone=1.6),
     "less contrast": Development(tone=0.6),
     "all": Development(0.5, 0.6, 1.4, 0.8, 1.3, metered=True),
+    "noise": Development("auto", 0.6, tone=1.3, noise=Sensor(1000, seed=1)),
+    "noise of all": Development(0.5, 0.6, 1.4, 0.8, 1.3, metered=True, noise=Sensor(1000, seed=1)),
 }
 MEDIA = {
     "grey": lambda: Medium.from_water("1C"),

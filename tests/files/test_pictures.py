@@ -46,6 +46,8 @@ def test_jpeg_loses_little(tmp_path: Path) -> None:
     smooth = torch.linspace(0, 1, 3 * 64 * 64).reshape(3, 64, 64)
     write_picture(tmp_path / "a.jpg", smooth)
     assert (read_picture(tmp_path / "a.jpg") / 255 - smooth).abs().mean() < 0.01
+    write_picture(tmp_path / "less.jpg", smooth, quality=40)
+    assert (tmp_path / "less.jpg").stat().st_size < (tmp_path / "a.jpg").stat().st_size
 
 
 def test_other_programs_files(tmp_path: Path) -> None:

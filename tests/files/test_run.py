@@ -134,7 +134,8 @@ def test_frames_of_a_folder_share_a_draw() -> None:
     for folder in ("one", "other"):
         for number in range(3):
             save(f"films/{folder}/{number}.png", pixels(seed=number))
-    recipe = Recipe({"distance": 3.0}, sequence=True, variants=2)
+    noise = {"kind": "RandomDevelopment", "noise": {"full_well": 2000}}
+    recipe = Recipe({"distance": 3.0, "development": noise}, sequence=True, variants=2)
     items = find_items("films")
     assert degrade(recipe, items, "wet").failures == []
     assert degrade(recipe, items[::-1], "again", workers=2).failures == []
@@ -147,6 +148,8 @@ def test_frames_of_a_folder_share_a_draw() -> None:
         moved = sample["clip"].pop("moved")
         frame = int(Path(record["name"]).stem)
         assert moved == pytest.approx(0.004 * frame)
+        # the noise of a sensor is that of a frame
+        assert sample["clip"].pop("noise_seed") == sample["numbers"]["noise_seed"] + frame
         clips.setdefault((path.parent.name, record["variant"]), []).append(sample)
     assert len(clips) == 4
     assert all(samples == [samples[0]] * 3 for samples in clips.values())
@@ -327,6 +330,7 @@ def test_one_bad_picture_does_not_stop_the_rest() -> None:
         ({"unit": "inch"}, "depth", "out", "unit must be one of m, cm, mm"),
         ({"variants": 0}, "depth", "out", "variants must be 1 or more"),
         ({"min_contrast": 2}, "depth", "out", "min_contrast must be in"),
+        ({"quality": 0}, "depth", "out", "quality must be in"),
     ],
 )
 def test_refusals(options: dict[str, Any], maps: str | None, out: str, message: str) -> None:

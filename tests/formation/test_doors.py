@@ -7,7 +7,16 @@ import pytest
 import torch
 from scenes import coastal, coefficients
 
-from uwaug import Development, Medium, PointSpread, Underwater, Water, contrast_left, form_image
+from uwaug import (
+    Development,
+    Medium,
+    PointSpread,
+    Sensor,
+    Underwater,
+    Water,
+    contrast_left,
+    form_image,
+)
 
 IMAGE, DISTANCE = torch.rand(2, 3, 6, 8), 5 * torch.rand(2, 1, 6, 8)
 HOLED = DISTANCE.clone()
@@ -102,12 +111,16 @@ DEVELOPMENTS: list[tuple[dict[str, Any], str]] = [
     ({"white_balance": 1.5}, "white_balance must be"),
     ({"gamut": 2.0}, r"gamut must be in \[0, 1\]"),
     ({"tone": 0.1}, "tone must be"),
+    ({"noise": Sensor(0)}, "full_well must be finite and ≥ 1"),
+    ({"noise": Sensor((1e3, 2e3))}, r"full_well must be .* got \(1000"),
+    ({"noise": Sensor(1e3, -1)}, "read_noise must be"),
+    ({"noise": 8000}, r"noise must be a uwaug\.Sensor, got int"),
 ]
 
 
 @pytest.mark.parametrize("change, message", DEVELOPMENTS)
 def test_a_development_refuses(change: Any, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises((TypeError, ValueError), match=message):
         Development(**change)
 
 

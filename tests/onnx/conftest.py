@@ -7,7 +7,7 @@ import pytest
 from exporting import COARSE, FAR, NEAR
 from filelock import FileLock
 
-from uwaug import Development, Medium, PointSpread, Underwater
+from uwaug import Development, Medium, PointSpread, Sensor, Underwater
 from uwaug.onnx import export_onnx
 
 File = tuple[Path, Underwater]
@@ -26,10 +26,11 @@ def exported(tmp_path_factory, name: str, module: Underwater, **options: bool) -
 
 @pytest.fixture(scope="session")
 def frozen(tmp_path_factory) -> File:
-    """sRGB, surfaces with spectra, a whole development; a blur wider than a picture."""
+    """sRGB, surfaces with spectra, a whole development, noise; a blur wider than a picture."""
     law = PointSpread(40.0, 0.62, "exponential")
     medium = Medium.from_water("7C", g=0.05, point_spread=law, surfaces="spectral")
-    development = Development(0.5, 0.5, 1.2, 0.7, 1.1, metered=True)
+    noise = Sensor(2000, seed=4)
+    development = Development(0.5, 0.5, 1.2, 0.7, 1.1, metered=True, noise=noise)
     module = Underwater(medium, (NEAR, FAR), 0.1, sides=(32, 144), development=development)
     return exported(tmp_path_factory, "frozen.onnx", module)
 

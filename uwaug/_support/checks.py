@@ -33,6 +33,9 @@ DOMAIN = {
     "saturation": (0.0, 4.0),
     "gamut": (0.0, 1.0),
     "tone": (0.25, 4.0),
+    "full_well": (1.0, math.inf),
+    "read_noise": (0.0, math.inf),
+    "noise_seed": (0.0, 2.0**32 - 1),
 }
 """Least and largest value of every quantity that may be drawn or read from a preset. Infinity
 itself is never allowed.

@@ -44,7 +44,7 @@ def degrade(
         typer.Option(
             "--set",
             help="Any argument of RandomUnderwater: vertical_depth=0:5, development.saturation=1, "
-            "mixing=0:1; drift=.004, m a frame, of a sequence; repeat it.",
+            "mixing=0:1; drift=.004, m a frame, of a sequence; quality=80, of JPEG; repeat it.",
             metavar="NAME=VALUE",
         ),
     ] = None,
@@ -84,7 +84,7 @@ def degrade(
         from uwaug.transforms import RandomUnderwater
 
         chosen = _transform_options(preset, options, set_ or (), water or (), contrast)
-        of_run = {name: chosen.pop(name) for name in ("drift",) if name in chosen}
+        of_run = {name: chosen.pop(name) for name in ("drift", "quality") if name in chosen}
         plane = None if distance is None else _value(distance)
         # whoever speaks of units or holes has maps
         untold = distance is None and "distance" not in chosen and (unit, holes) == ("m", "error")

@@ -560,9 +560,25 @@ def _mix(t: Any, z: int, sharp: int, total: int, medium: Any) -> None:
 
 
 @inner
+def _expose(t: Any, total: int, left: int, normals: Any, begins: Any, m: Any, look: Any) -> None:
+    """Noise of the light in three rows, see `uwaug.formation.sensor`; and the gain m (9) after."""
+    dark, photons, d = look[0], look[1], tile_rows(t, total, 3)
+    for c in range(3):
+        light, noise = tile_row(t, total + c), normals[begins[c] + left :]
+        for x in range(min(TILE, noise.size)):
+            light[x] += np.sqrt(max(light[x], _0) * photons + dark) * noise[x]
+    m0, m1, m2, m3, m4, m5, m6, m7, m8 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
+    for x in range(TILE):
+        red, green, blue = d[x], d[x + TILE], d[x + 2 * TILE]
+        d[x] = m0 * red + m1 * green + m2 * blue
+        d[x + TILE] = m3 * red + m4 * green + m5 * blue
+        d[x + 2 * TILE] = m6 * red + m7 * green + m8 * blue
+
+
+@inner
 def _develop(t: Any, total: int, look: Any) -> None:
     """Gamut and tone of the light in three rows, see `uwaug.formation.development`."""
-    share, contrast, offset = look[0], look[1], look[2]
+    share, contrast, offset = look[2], look[3], look[4]
     d = tile_rows(t, total, 3)
     if share > _0:
         for x in range(TILE):
@@ -612,9 +628,12 @@ def render_rows(
     stack: StackTable,
     grid: Floats,
     starts: Indices,
+    normals: Floats,
+    begins: Indices,
+    gain: Floats,
+    look: Floats,
     srgb: bool,
     most: Any,
-    look: Floats,
     out: Floats,
     out_bytes: Bytes,
     start: int,
@@ -626,8 +645,10 @@ def render_rows(
         light (3xHxW), z (HxW): of the scene; effective distance, m.
         medium, stack: tables.
         grid (NxW), starts (m): the lines of all coarse grids; where those of each would start.
+        normals (N), begins (3xH): of the sensor's noise; where each row of each channel begins.
+        gain (9): after the noise; without noise, N = 0, it is in the medium.
+        look (5): variance of darkness, of light; share of the gamut, tone and its offset.
         srgb, most: whether to encode, and the largest value then.
-        look (3): of the development: share of the gamut, tone and its offset.
         out, out_bytes (3xHxW): the result, one of them; the other is 3x1x0.
         start, stop: rows.
     """
@@ -680,6 +701,8 @@ def render_rows(
                 for c in range(3):
                     near = tile_rows(t, 1 + 3 * c, 3)
                     _sum(tile_row(t, totals + c), near, light[c, y, left:right])
+            if normals.size > 0:
+                _expose(t, totals, left, normals, begins[:, y], gain, look)
             _develop(t, totals, look)
             for c in range(3):
                 floats = out[c, y % out.shape[1], left:right]

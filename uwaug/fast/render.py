@@ -6,6 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
 from threading import Lock
+from typing import Any
 
 import numpy as np
 import torch
@@ -34,6 +35,7 @@ from uwaug.formation.development import (
     metering_points,
     tone_offset,
 )
+from uwaug.formation.sensor import standard_normals
 from uwaug.optics.medium import Medium
 
 _NO_FLOATS, _NO_BYTES = np.zeros((3, 1, 0), np.float32), np.zeros((3, 1, 0), np.uint8)
@@ -60,13 +62,22 @@ def form(
     plan = plan or plan_for(z, medium, size, tolerance, gain)
     laws = [law_of(medium, n, plan, size) for n in range(len(medium))]
     media = [
-        tables[n % len(medium)]._replace(law=laws[n % len(medium)]).brightened(gain[n % len(gain)])
+        tables[n % len(medium)]._replace(law=laws[n % len(medium)])
         for n in range(max(len(gain), len(medium)))
     ]
+    batch, sensor, normals = max(len(J), len(z), len(medium)), development.noise, _NO_FLOATS[0, 0]
+    begins, dark, photons = np.zeros((batch, 3, 0), np.int64), 0.0, 0.0
+    if sensor is None:
+        # the gain in the medium costs nothing
+        media = [media[n].brightened(gain[n % len(gain)]) for n in range(len(media))]
+    else:
+        normals = standard_normals(torch.device("cpu")).numpy()
+        begins, (dark, photons) = sensor.starts(batch, size).numpy(), map(float, sensor.variance)
+        gain = gain if gain.ndim == 3 else gain[:, None] * np.eye(3)
+    gain = gain.astype(np.float32)
     table = plan_table(plan, size)
     tone = float(development.tone)
-    look = np.array([development.gamut, tone, tone_offset(tone)], np.float32)
-    batch = max(len(J), len(z), len(medium))
+    look = np.array([dark, photons, development.gamut, tone, tone_offset(tone)], np.float32)
     largest = headroom(image) if srgb and high > 1 else 1.0
     largest = torch.as_tensor(largest, dtype=torch.float32, device="cpu")
     highest = largest.reshape(-1).expand(batch).numpy()
@@ -84,8 +95,10 @@ def form(
                 out = result[n].numpy()
                 outs = (_NO_FLOATS, out) if out.dtype == np.uint8 else (out, _NO_BYTES)
                 maps = scene, metres[n % len(metres), 0], media[n % len(media)]
-                blurs, encoding = (table.stack, grid, starts), (srgb, highest[n], look)
-                run = partial(kernels.render_rows, *maps, *blurs, *encoding, *outs)
+                blurs, encoding = (table.stack, grid, starts), (srgb, highest[n])
+                camera = normals, begins[n], gain[n % len(gain)].reshape(-1), look
+                arguments: Any = (*maps, *blurs, *camera, *encoding, *outs)
+                run = partial(kernels.render_rows, *arguments)
                 _in_bands(run, rows, size[1])
     return result.to(image.dtype)
 

@@ -101,13 +101,14 @@ def metres_of(unit: str | float) -> float:
     return float(unit)
 
 
-def write_picture(path: str | Path, image: Tensor) -> None:
+def write_picture(path: str | Path, image: Tensor, quality: float = 95) -> None:
     """Write a picture, whole or not at all.
 
     Args:
         path: its end is the format; a file that exists is replaced.
         image (3xHxW tensor): uint8 (0…255), written in 8 bits; or floating point (0…1), written in
             16 bits where the format has them (PNG, TIFF), as float32 in .npy and .exr.
+        quality: of JPEG, 1…100; colours are not subsampled.
 
     Raises:
         ValueError: if the end of the name is unknown.
@@ -137,7 +138,8 @@ def write_picture(path: str | Path, image: Tensor) -> None:
                 Image.fromarray(values).save(file, "PNG")
             else:
                 # colour is what water changes: none of it is subsampled
-                Image.fromarray(values).save(file, "JPEG", quality=95, subsampling="4:4:4")
+                jpeg = {"quality": round(quality), "subsampling": "4:4:4"}
+                Image.fromarray(values).save(file, "JPEG", **jpeg)
 
 
 def _ending(path: Path) -> str:

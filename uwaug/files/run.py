@@ -51,6 +51,7 @@ class Recipe:
             names: one draw for all, as of the first (see `RandomUnderwater.for_clip`).
         drift: m by which the field of a sequence drifts from frame to frame; .004 is .1 m/s at 25
             frames a second.
+        quality: of pictures that are written as JPEG, 1…100.
 
     Raises:
         ValueError: if a value does not suit.
@@ -64,6 +65,7 @@ class Recipe:
     min_contrast: float | None = None
     sequence: bool = False
     drift: float = 0.004
+    quality: float = 95
 
     def __post_init__(self) -> None:
         metres_of(self.unit)
@@ -72,6 +74,7 @@ class Recipe:
         if self.min_contrast is not None:
             checks.within("min_contrast", self.min_contrast, 0.0, 1.0)
         checks.within("drift", self.drift)
+        checks.within("quality", self.quality, 1, 100)
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON holds it, and reads it back."""
@@ -313,7 +316,7 @@ class _Worker:
             "objects": [one._asdict() for one in objects],
         }
         write_record(record_path(output), {**made_of, "params": params, **found})
-        write_picture(output, degraded)
+        write_picture(output, degraded, self.recipe.quality)
         return Result(*named, "written", contrast, objects, reached=reached)
 
     def _drawn(self, job: Job, image: Tensor) -> Record:
@@ -334,8 +337,10 @@ class _Worker:
         (sample,) = record["samples"]
         if "clip" not in sample:
             return record
-        moved = self.recipe.drift * job.frame
-        return {"samples": [{**sample, "clip": {**sample["clip"], "moved": moved}}]}
+        of_frame = {"moved": self.recipe.drift * job.frame}
+        if "noise_seed" in sample["numbers"]:
+            of_frame["noise_seed"] = sample["numbers"]["noise_seed"] + job.frame
+        return {"samples": [{**sample, "clip": {**sample["clip"], **of_frame}}]}
 
 
 def replay(
@@ -371,7 +376,8 @@ def replay(
     with one_thread():
         transform = RandomUnderwater.from_dict(recipe.transform)
         image, z = _read(item, recipe, transform)
-        write_picture(output, transform.transform(image, z, plain["params"]))
+        degraded = transform.transform(image, z, plain["params"])
+        write_picture(output, degraded, recipe.quality)
 
 
 def _read(item: Item, recipe: Recipe, transform: RandomUnderwater) -> tuple[Tensor, Tensor | None]:

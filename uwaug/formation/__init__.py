@@ -6,12 +6,14 @@ from uwaug.formation.development import Development
 from uwaug.formation.field import gaussian_random_field
 from uwaug.formation.image import Terms, form_image
 from uwaug.formation.learnable import LearnableMedium
+from uwaug.formation.sensor import Sensor
 from uwaug.formation.underwater import Underwater
 
 __all__ = [
     "BlurDemand",
     "Development",
     "LearnableMedium",
+    "Sensor",
     "Terms",
     "Underwater",
     "blur_demand",

@@ -2,6 +2,7 @@
 
 In linear light, after the sum of all terms, in this order:
 
+    noise           of the photons that the sensor counts, and of reading it out
     exposure        J → 2^stops·J; metered, on top of one gain for each picture that keeps the mean
                     luminance of the scene, as a camera does when the water takes the light
     white balance   each channel times (Y/mean)^share, then all so that the luminance Y is kept
@@ -9,8 +10,8 @@ In linear light, after the sum of all terms, in this order:
     gamut           colours outside of sRGB, which have negative channels, move inside
     tone            a curve through black, mid-grey and white
 
-The first three are linear: one gain, or one matrix, for each picture. What depends on it is
-measured at some pixels, spread over it, of light that is not blurred: the blur moves light but adds
+The three after the noise are linear: one gain, or one matrix, for each picture. What depends on it
+is measured at some pixels, spread over it, of light that is neither blurred nor noisy: both add
 none.
 """
 
@@ -25,8 +26,9 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.checks import DOMAIN
-from uwaug._support.codec import plain
+from uwaug._support.codec import from_plain, plain
 from uwaug.formation.colour import LUMINANCE
+from uwaug.formation.sensor import Sensor
 from uwaug.optics.curves import Curves
 from uwaug.optics.medium import Medium
 
@@ -89,6 +91,7 @@ class Development:
             goes on along the curve's slope there.
         metered: whether the exposure's stops are on top of one gain for each picture, from 1/8 to
             64, that keeps the mean luminance of the scene, and its farthest veil at or below white.
+        noise: the sensor, see `uwaug.Sensor`; None for light without noise.
 
     `stack` makes one of several, whose numbers are tensors (B).
 
@@ -102,13 +105,17 @@ class Development:
     gamut: float | Tensor = 0.0
     tone: float | Tensor = 1.0
     metered: bool = False
+    noise: Sensor | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.exposure, str) and self.exposure == "auto":
             object.__setattr__(self, "exposure", 0.0)
             object.__setattr__(self, "metered", True)
-        for name in _NUMBERS:
-            value = getattr(self, name)
+        numbers = {name: getattr(self, name) for name in _NUMBERS}
+        object.__setattr__(self, "noise", sensor_of(self.noise))
+        if self.noise is not None:
+            numbers |= {name: getattr(self.noise, name) for name in ("full_well", "read_noise")}
+        for name, value in numbers.items():
             if name == "white_balance" and isinstance(value, tuple):
                 for factor in value:
                     checks.positive("development: white_balance", factor)
@@ -121,7 +128,9 @@ class Development:
         columns = [[getattr(d, name) for d in developments] for name in _NUMBERS]
         numbers = torch.tensor(columns, dtype=like.dtype).to(like.device)
         named = dict(zip(_NUMBERS, numbers, strict=True))
-        return Development(**named, metered=developments[0].metered)
+        sensors = [d.noise for d in developments if d.noise is not None]
+        noise = Sensor.stack(sensors, like) if sensors else None
+        return Development(**named, metered=developments[0].metered, noise=noise)
 
     @property
     def brightening(self) -> float:
@@ -190,6 +199,14 @@ class Development:
 def _some(share: float | Tensor) -> bool:
     """Whether a white balance does anything; of those of several pictures it is not asked."""
     return isinstance(share, Tensor) or share > 0
+
+
+def sensor_of(noise: Any) -> Sensor | None:
+    """The sensor that is given, also as a table of its arguments."""
+    sensor: Sensor | None = from_plain(noise, Sensor)
+    if sensor is not None:
+        checks.instance("development: noise", sensor, Sensor)
+    return sensor
 
 
 def _of_rows(number: Any, axes: int) -> float | Tensor:

@@ -53,6 +53,7 @@ def form(
     plans: Sequence[BlurPlan] = (),
     tolerance: float = 0.002,
     blurs: Blurs = blurred,
+    normals: Tensor | None = None,
 ) -> Tensor:
     """D + F + B as the camera stores it. Nothing is checked.
 
@@ -67,6 +68,7 @@ def form(
         plans: one for each picture, in its place.
         tolerance: of that plan.
         blurs: what computes the blurs of the plan.
+        normals (Bx3xHxW): of which the sensor's noise is made; None draws them.
     """
     if image.numel() == 0 or z.numel() == 0:
         return _nothing(image, z)
@@ -88,13 +90,20 @@ def form(
             plan = plan_for(z, brightest.brightened(gain), (z.shape[-2], z.shape[-1]), tolerance)
         soft = blurred_as_seen(J, z, medium, plan, blurs)
     largest = headroom(image) if color_space == "srgb" else 1.0
+    sensor, noise = development.noise, () if normals is None else (normals,)
+    if sensor is not None and not noise:
+        batch, size = max(len(J), len(z), len(medium)), (z.shape[-2], z.shape[-1])
+        noise = (sensor.normals(batch, size, z),)
 
-    def stored(z: Tensor, J: Tensor, soft: Tensor) -> Tensor:
+    def stored(z: Tensor, J: Tensor, soft: Tensor, *noise: Tensor) -> Tensor:
         arriving = medium.image(z, J, soft, T)
+        if sensor is not None:
+            arriving = sensor.read(arriving, *noise)
         developed = development.shaped(exposed(arriving, gain))
         return encoded(developed, color_space, image.dtype, largest)
 
-    return stored(z, J, soft) if T is not None else _in_bands(medium, stored, z, J, soft)
+    shares = (z, J, soft, *noise)
+    return stored(*shares) if T is not None else _in_bands(medium, stored, *shares)
 
 
 def _in_bands(medium: Medium, function: Callable[..., Tensor], *images: Tensor) -> Tensor:

@@ -95,9 +95,12 @@ def check_onnx(
         # all media in turn, one for each image of a batch
         rows = [media[(number + i) % len(media)] for i in range(len(case.image))]
         medium = media[0] if len(media) == 1 else Medium.stack(rows)
-        exact = _exact(module, case, medium)
-        moved = max(moved, float((exact - case.image).abs().max()))
         inputs = {"image": case.image, "distance": case.distance}
+        if module.development.noise is not None:
+            seeded = torch.Generator().manual_seed(number)
+            inputs["noise"] = torch.randn(case.image.shape, generator=seeded, dtype=torch.float32)
+        exact = _exact(module, inputs, medium)
+        moved = max(moved, float((exact - case.image).abs().max()))
         if takes_coefficients:
             batch = medium.expand(len(case.image))
             inputs |= {name: torch.from_numpy(x) for name, x in coefficients_of(batch).items()}
@@ -123,17 +126,19 @@ def plan_of(module: Underwater) -> BlurPlan:
     return plan
 
 
-def _exact(module: Underwater, case: _Case, medium: Medium) -> Tensor:
+def _exact(module: Underwater, inputs: dict[str, Tensor], medium: Medium) -> Tensor:
     """The picture in double precision."""
+    normals = inputs.get("noise")
     with torch.no_grad():
         return form(
-            case.image.double(),
-            effective_distance(case.distance, None, torch.float64),
+            inputs["image"].double(),
+            effective_distance(inputs["distance"], None, torch.float64),
             medium.to(torch.float64),
             module.development,
             color_space=module.color_space,
             light=module.light,
             plan=plan_of(module),
+            normals=None if normals is None else normals.double(),
         )
 
 

@@ -37,6 +37,7 @@ _TORCH = (2, 13)
 _DOC = {
     "image": "linear light or sRGB, see uwaug_module; 0…1, red, green, blue",
     "distance": "metres along the ray, ≥ 0; +inf is open water",
+    "noise": "standard normals, new ones for each picture: what the sensor's noise is made of",
     "beta": "rates of the direct light, 1/m, ≥ 0",
     "direct_weights": "weights of T_β for each channel (of spectra: channel, scene's channel)",
     "G": "rates of signal and veil, 1/m, ≥ 0",
@@ -58,8 +59,8 @@ def export_onnx(
 ) -> Path:
     """Write a module as an ONNX file that needs no uwaug to run.
 
-    Inputs: image (Bx3xHxW), distance (Bx1xHxW, m), and those asked for below, all float32. Output:
-    as the image.
+    Inputs: image (Bx3xHxW), distance (Bx1xHxW, m), where the development has a sensor noise
+    (Bx3xHxW, standard normals), and those asked for below, all float32. Output: as the image.
 
     Args:
         module: with a `distance_range` and `sides`, which fix the plan of the blur; the file has
@@ -141,9 +142,13 @@ class Graph(nn.Module):
         self.color_space = module.color_space
 
     def forward(self, *values: Tensor) -> Tensor:
-        """Image (Bx3xHxW), distance (Bx1xHxW), and what `Medium.parameters` has, in order."""
+        """Image (Bx3xHxW), distance (Bx1xHxW), noise (Bx3xHxW) if there is a sensor, and what
+        `Medium.parameters` has, in order.
+        """
         image, distance, *coefficients = values
-        medium = self.medium
+        medium, normals = self.medium, None
+        if self.development.noise is not None:
+            normals, *coefficients = coefficients
         if coefficients:
             *tensors, scale, exponent = coefficients
             law = replace(medium.point_spread, scale=scale, exponent=exponent)
@@ -157,6 +162,7 @@ class Graph(nn.Module):
             light=self.light,
             plan=self.plan,
             blurs=self.blurs,
+            normals=normals,
         )
 
 
@@ -168,6 +174,8 @@ def _examples(graph: Graph, coefficients: bool) -> dict[str, tuple[Tensor, dict[
     image = torch.rand(2, 3, 41, 57, dtype=torch.float32)
     free = {0: batch, 2: height, 3: width}
     examples = {"image": (image, free), "distance": (torch.ones_like(image[:, :1]), free)}
+    if graph.development.noise is not None:
+        examples["noise"] = torch.randn_like(image), free
     for name, row in graph.medium[0].parameters().items() if coefficients else ():
         free = {0: batch}
         if row.ndim > 1:

@@ -113,6 +113,9 @@ class OnnxUnderwater:
         if batch == 0 or not pictures.numel():
             result = torch.zeros(batch, 3, *pictures.shape[-2:])
         else:
+            if kind.development.noise is not None:
+                size = (pictures.shape[-2], pictures.shape[-1])
+                rows["noise"] = kind.development.noise.normals(batch, size, rows["image"])
             result = self.session({n: x.expand(batch, *x.shape[1:]) for n, x in rows.items()})
         if pictures.ndim == 3 and batch == 1:
             result = result[0]

@@ -7,7 +7,8 @@ from typing import Any, get_args
 from uwaug._support import checks, codec
 from uwaug._support.ranges import Range, as_range
 from uwaug._support.types import ColorSpace
-from uwaug.formation.development import Development
+from uwaug.formation.development import Development, sensor_of
+from uwaug.formation.sensor import Sensor
 
 Record = dict[str, Any]
 
@@ -28,6 +29,8 @@ class RandomDevelopment:
             the scene. If not, pictures get as dark as it is down there.
         white_balance, saturation, gamut, tone: as for `uwaug.Development`.
         color_space: of pictures, "srgb" or "linear".
+        noise: the sensor, a `uwaug.Sensor` whose numbers may be ranges, full_well drawn uniformly
+            in its logarithm; None for light without noise.
 
     Raises:
         ValueError: if a range falls or leaves its domain, or the colour space is unknown.
@@ -41,20 +44,29 @@ class RandomDevelopment:
     gamut: Range = (0.7, 1.0)
     tone: Range = (0.9, 1.8)
     color_space: ColorSpace = "srgb"
+    noise: Sensor | None = None
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "noise", sensor_of(self.noise))
         checked(self.ranges())
         checks.one_of("color_space", self.color_space, get_args(ColorSpace))
 
     def ranges(self) -> dict[str, Range | None]:
         """Each number that a picture draws, by name; None where there is none."""
-        fixed = ("metered", "color_space")
-        return {name: value for name, value in asdict(self).items() if name not in fixed}
+        fixed = ("metered", "color_space", "noise")
+        own = {name: value for name, value in asdict(self).items() if name not in fixed}
+        if self.noise is not None:
+            own |= {name: getattr(self.noise, name) for name in ("full_well", "read_noise")}
+            own["noise_seed"] = checks.DOMAIN["noise_seed"]
+        return own
 
     def of(self, sample: Record) -> Development:
         """The development of a picture of this sample; that of a clip has been settled."""
         numbers = {**sample["numbers"], **sample.get("clip", {})}
-        balance = numbers["white_balance"]
+        balance, noise = numbers["white_balance"], self.noise
+        if noise is not None:
+            well, read = numbers["full_well"], numbers["read_noise"]
+            noise = Sensor(well, read, int(numbers["noise_seed"]))
         return Development(
             exposure=numbers["exposure"],
             white_balance=tuple(balance) if isinstance(balance, list) else balance,
@@ -62,6 +74,7 @@ class RandomDevelopment:
             gamut=numbers["gamut"],
             tone=numbers["tone"],
             metered=self.metered and "clip" not in sample,
+            noise=noise,
         )
 
 

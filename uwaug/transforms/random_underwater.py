@@ -356,7 +356,7 @@ class RandomUnderwater(SampleTransform):
             for (name, (low, high)), u in zip(
                 self._ranges.items(), rest[len(UNITS) :], strict=True
             ):
-                log = name == "contrast"
+                log = name in ("contrast", "full_well")
                 numbers[name] = low * (high / low) ** u if log else low + (high - low) * u
             sample = {
                 "applied": applied < self.p,
@@ -406,7 +406,8 @@ class RandomUnderwater(SampleTransform):
 
         Returns:
             A record whose sample has a "clip" of numbers. Its "moved", m, 0 here, says how far the
-            field has drifted to the right at a frame: set it to m/s times seconds.
+            field has drifted to the right at a frame: set it to m/s times seconds. A "noise_seed"
+            beside it makes the sensor's noise of a frame its own.
         """
         pictures = pictures_of(image)
         if len(pictures) != 1:
