@@ -97,7 +97,12 @@ def test_the_line_for_ultralytics() -> None:
     from uwaug.adapters.albumentations import AlbumentationsUnderwater
 
     model = SimpleNamespace(train=lambda data, augmentations: augmentations)
-    names = {"AlbumentationsUnderwater": AlbumentationsUnderwater, "uwaug": uwaug, "model": model}
+    names = {
+        "AlbumentationsUnderwater": AlbumentationsUnderwater,
+        "MadeUp": uwaug.distance.MadeUp,
+        "uwaug": uwaug,
+        "model": model,
+    }
     # Ultralytics writes the list, and reads it again
     written = [A.to_dict(t) for t in eval(line_for("Ultralytics"), names)]
     pipeline = A.Compose([A.from_dict(t) for t in written])
