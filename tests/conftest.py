@@ -110,3 +110,4 @@ def warnings_are_fresh(monkeypatch: pytest.MonkeyPatch) -> None:
     """
     monkeypatch.setattr(uwaug.distance.fill, "_warned", [])
     monkeypatch.setattr(uwaug.transforms.random_underwater, "_looks_left", [0])
+    monkeypatch.setattr(uwaug.transforms.random_underwater, "_maps_left", [0])

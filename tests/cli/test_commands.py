@@ -213,3 +213,13 @@ def test_presets_and_waters_are_listed(run, tmp_path, monkeypatch):
     assert uwaug.load_preset(tmp_path / "mine.toml").near == 1.0
     waters = run("waters")[1]
     assert all(name in waters for name in uwaug.JERLOV_TYPES)
+
+
+def test_maps_that_are_no_metres_are_told_of_before_the_first_picture(folder, run):
+    for path in (folder / "depth").iterdir():
+        np.save(path.with_suffix(".npy"), np.linspace(0.01, 1, 24 * 32).reshape(24, 32))
+        path.unlink()
+    code, out, err = run("degrade", "photos", "--distance", "depth", "--out", "wet")
+    assert (code, err) == (0, "")
+    assert out.startswith("distances look relative, 0…1 or standardised: Relative(near, far)")
+    assert "2 of 2 pictures written to wet" in out

@@ -76,7 +76,7 @@ def test_they_are_those_of_the_host(name: str, monkeypatch: pytest.MonkeyPatch) 
     record = aug.make_params(image, torch.Generator().manual_seed(0))
     z = maps[0] if maps else None
     together = aug.transform(image, z, record)
-    monkeypatch.undo()
+    monkeypatch.setattr(checks, "on_host", lambda x: True)
     difference = together - aug.transform(image, z, record)
     # plans differ, as that of a batch is made before its light is measured
     assert difference.square().mean().sqrt() < 0.002

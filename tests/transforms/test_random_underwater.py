@@ -279,6 +279,19 @@ def test_says_once_where_nothing_is_left_to_see(monkeypatch: pytest.MonkeyPatch)
     aug(picture(), torch.full((1, 24, 33), 50.0))  # silent: a warning would be an error
 
 
+@pytest.mark.parametrize("later", [False, True])
+def test_doubts_the_first_maps_of_a_process(later: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(uwaug.transforms.random_underwater, "_maps_left", [8])
+    monkeypatch.setattr(uwaug.transforms.random_underwater, "_questioned", [])
+    aug, shares = RandomUnderwater(), torch.linspace(0.01, 1, 24 * 33).reshape(1, 24, 33)
+    if later:  # the first is right, most are not
+        for z in [1 + 2 * shares, *[shares] * 6]:
+            aug(picture(), z)
+    with pytest.warns(UserWarning, match=r"distances look relative, .* Inverse\(near, far\)"):
+        aug(picture(), shares)
+    aug(picture(), shares)  # silent: a warning would be an error
+
+
 def test_open_water() -> None:
     z = torch.full((1, 24, 33), math.inf)
     record = RandomUnderwater().make_params(picture())

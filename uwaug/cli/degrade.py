@@ -79,7 +79,7 @@ def degrade(
             print_written(out)
             return
         from uwaug.files.items import find_items
-        from uwaug.files.run import Recipe
+        from uwaug.files.run import Recipe, doubts_of
         from uwaug.files.run import degrade as run
         from uwaug.transforms import RandomUnderwater
 
@@ -114,6 +114,8 @@ def degrade(
                 "Without --distance, distances are made up from each picture: an invented cue, "
                 "good for robustness, not for restoration."
             )
+        for doubt in doubts_of(recipe, items):
+            print(doubt, flush=True)
         with counted() as progress:
             summary = run(
                 recipe,

@@ -3,6 +3,7 @@ a depth network, a plane, or made up.
 """
 
 from uwaug.distance.convert import along_ray, from_disparity, from_inverse, from_relative
+from uwaug.distance.doubts import doubts
 from uwaug.distance.fill import fill_unknown
 from uwaug.distance.made_up import MadeUp
 from uwaug.distance.network import Network
@@ -17,6 +18,7 @@ __all__ = [
     "Relative",
     "Source",
     "along_ray",
+    "doubts",
     "fill_unknown",
     "from_disparity",
     "from_inverse",

@@ -6,6 +6,7 @@ import os
 import re
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -16,6 +17,7 @@ from torch import Tensor
 from uwaug import __version__
 from uwaug._support import checks
 from uwaug._support.atomic import remove_left, written_whole
+from uwaug.distance.doubts import doubts
 from uwaug.distance.sources import Metres, Source
 from uwaug.files.items import Item
 from uwaug.files.labels import Judged, Labelled, Labels, judged, open_labels
@@ -242,6 +244,20 @@ def degrade(
                 made.setdefault(one.item.picture, []).append(out / one.place)
             write_sheet(out / "sheet.jpg", list(made.items()))
     return summary
+
+
+def doubts_of(recipe: Recipe, items: Sequence[Item]) -> list[str]:
+    """What speaks against the maps of a run being metres, see `uwaug.distance.doubts`: of eight,
+    from the first to the last. Files that cannot be read are left to the run, which names them.
+    """
+    transform, pairs = RandomUnderwater.from_dict(recipe.transform), []
+    if not isinstance(transform.distance, Metres):
+        return []
+    for item in items[:: -(-len(items) // 8) or 1]:
+        with suppress(Exception):  # decoders raise whatever they like
+            pairs.append(_read(item, recipe, transform))
+    pairs = [(image, z) for image, z in pairs if z is not None]
+    return doubts([z for _, z in pairs], [image for image, _ in pairs])
 
 
 class _Worker:

@@ -16,6 +16,7 @@ from torch import Tensor
 from uwaug import fast
 from uwaug._support import checks, codec
 from uwaug._support.ranges import Range, as_range
+from uwaug.distance.doubts import doubts
 from uwaug.distance.sources import Metres, Plane, Source
 from uwaug.formation.colour import decoded, require_values
 from uwaug.formation.contrast import FAINT, contrast_left
@@ -123,6 +124,13 @@ class Reached(NamedTuple):
     def __str__(self) -> str:
         times = f"{self.scale:.3g} times its distances and {self.contents:.3g} times the contents"
         return f"{times} of the water leave {self.contrast:.2g} of contrast, {self.asked:.2g} asked"
+
+
+_maps_left = [8]
+"""The first maps of a process, which are questioned: one alone, and all of them as a run."""
+
+_questioned: list[tuple[Tensor, Tensor]] = []
+"""These maps and pictures; emptied when all are judged."""
 
 
 class Scene(NamedTuple):
@@ -595,6 +603,9 @@ class RandomUnderwater(SampleTransform):
         self, picture: Tensor, distance: Tensor | None, sample: Record
     ) -> tuple[tuple[Tensor, Medium, Tensor | None], Reached | None]:
         """What a picture (3xHxW) is seen through, see `Scene`."""
+        if _maps_left[0] and isinstance(self._source, Metres) and checks.on_host(picture):
+            assert distance is not None
+            _warn_of_doubts(distance, picture)
         z = self._source.metres(distance, picture, sample["numbers"])
         clip = sample.get("clip", {})
         metres = clip["metres"] if clip else _median(z)
@@ -787,6 +798,18 @@ def _warn_of(reached: Reached, median: float) -> None:
         _says_odd[0] = False
         cure = "are distances metres? contrast=None leaves them and the water as they are"
         warnings.warn(f"a scene of median distance {median:.3g} m: {reached}: {cure}", stacklevel=2)
+
+
+def _warn_of_doubts(distance: Tensor, picture: Tensor) -> None:
+    """Warn, once in a process, of what speaks against its first maps (1xHxW) being metres."""
+    _maps_left[0] -= 1
+    _questioned.append((distance.detach().clone(), picture.detach().clone()))
+    asked = len(_questioned) == 1 or not _maps_left[0]
+    if asked and (said := doubts(*zip(*_questioned, strict=True))):
+        _maps_left[0] = 0
+        warnings.warn("; ".join(said), stacklevel=2)
+    if not _maps_left[0]:
+        _questioned.clear()
 
 
 def _warn_if_blank(

@@ -1,0 +1,80 @@
+"""Maps that are no metres, of a scene with a slanted floor and a box before a wall."""
+
+import pytest
+import torch
+from torch import Tensor
+
+from uwaug.distance import along_ray, doubts
+
+H, W, FOCAL = 240, 320, 300.0
+
+
+def scene() -> tuple[Tensor, Tensor]:
+    """A picture (3xHxW) and distances (1xHxW, m)."""
+    rows = (torch.arange(H) + 0.5 - H / 2)[:, None].expand(H, W) / FOCAL
+    columns = (torch.arange(W) + 0.5 - W / 2).expand(H, W) / FOCAL
+    depth = torch.full((H, W), 6.0)
+    depth = torch.minimum(depth, torch.where(rows > 0, 1.2 / rows.clamp(min=1e-3), torch.inf))
+    depth = torch.minimum(depth, torch.where(columns < 0, -1.5 / columns.clamp(max=-1e-3), 9.0))
+    picture = 0.2 + 0.1 * depth[None].expand(3, H, W)
+    for top, left, metres in ((90, 200, 2.5), (40, 100, 3.0), (150, 60, 1.8), (30, 260, 4.0)):
+        depth[top : top + 60, left : left + 40] = metres
+        picture = picture.clone()
+        picture[:, top : top + 60, left : left + 40] = 0.9 - 0.1 * metres
+    noise = torch.rand(3, H, W, generator=torch.Generator().manual_seed(0))
+    return (picture + 0.05 * noise).clamp(0, 1), along_ray(depth, FOCAL)[None]
+
+
+def unit(z: Tensor) -> Tensor:
+    return (z - z.min()) / (z.max() - z.min())
+
+
+def holed(z: Tensor) -> Tensor:
+    return torch.where(torch.arange(H)[:, None] < 0.6 * H, torch.nan, z)
+
+
+FALSE = {
+    "disparity": (lambda z: 200 / z, "like disparity"),
+    "inverse": (lambda z: unit(1 / z), "relative, 0…1"),
+    "inverse of any scale": (lambda z: 3 + 40 * unit(1 / z), "like disparity"),
+    "relative": (unit, "relative, 0…1"),
+    "8 bits, cropped": (lambda z: (1 + (200 * unit(z)).round()) / 255, "relative, 0…1"),
+    "standardised": (lambda z: (z - z.mean()) / z.std(), "standardised"),
+    "mm": (lambda z: (100 * z).round(), "--unit mm"),
+    "cm": (lambda z: 100 * z, "centimetres"),
+    "km": (lambda z: z / 1000, "--unit 1000"),
+    "holes": (holed, "60 % of the distances are unknown"),
+    "aspect": (lambda z: z[..., :240], "of another aspect"),
+    "turned": (lambda z: z.mT, "turned or cropped"),
+    "size": (lambda z: z[..., ::2, ::2], "resize one"),
+    "shifted": (lambda z: z.roll(24, -1), "moved -10 % and +0 %"),
+}
+
+
+def test_true_maps_are_not_doubted() -> None:
+    image, z = scene()
+    water = torch.where(z > 5.9, torch.inf, z)
+    plane = torch.full_like(z, 3.0)
+    for picture, distance in ((image, z), (image, water), (image, plane), (0.5 + 0 * image, z)):
+        assert doubts(distance, picture) == []
+        assert doubts(distance.flip(-2), (255 * picture.flip(-2)).byte()) == []
+    assert doubts(torch.full((1, 2, 5), torch.inf), image[:, :2, :5]) == []
+
+
+@pytest.mark.parametrize("name", FALSE)
+def test_each_falsification_is_named(name: str) -> None:
+    falsified, said = FALSE[name]
+    image, z = scene()
+    (sentence,) = doubts(falsified(z), image)
+    assert said in sentence
+
+
+def test_maps_of_a_run_are_judged_by_most_of_them() -> None:
+    image, z = scene()
+    maps = [z, 200 / z, 200 / z[..., 40:]]
+    pictures = [image, image, image[..., 40:]]
+    (sentence,) = doubts(maps, pictures)
+    assert "disparity" in sentence
+    assert doubts([z, z, *maps[1:]], [image, image, *pictures[1:]]) == []
+    with pytest.raises(ValueError, match="3 maps but image is 2"):
+        doubts(maps, pictures[:2])

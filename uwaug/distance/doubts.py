@@ -1,0 +1,186 @@
+"""Does a map hold what it is taken for? Sentences for a person, before pictures are made of it."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn.functional import avg_pool2d, interpolate
+
+from uwaug._support import checks
+
+_CELLS = 72
+"""Of a small copy, along the shorter side. Of each cell of a map nine pixels are looked at."""
+
+_REVERSED = -0.1
+"""Convexity below which near and far are exchanged. True maps, flipped and cropped, have more."""
+
+_SCALES = (
+    "look relative, 0…1 or standardised: Relative(near, far) where 0 is near, Inverse(near, far) "
+    "where large is near",
+    "are whole numbers, as metres hardly are: --unit mm or cm (divide by 1000 or 100); or, if they "
+    "are disparities or 8 bits of a network, from_disparity or Inverse(near, far)",
+    "look like millimetres or centimetres, as their median is beyond 100 m: --unit mm or cm "
+    "(divide by 1000 or 100); or like disparities: from_disparity",
+    "look like kilometres, as all is nearer than 5 cm: --unit 1000 (multiply by 1000)",
+)
+
+
+class _Evidence(NamedTuple):
+    """What one map shows."""
+
+    holes: float  # share of unknown pixels
+    scale: int  # which of `_SCALES`, or -1
+    convexity: float  # above 0 for distances, below for disparities; NaN where it says nothing
+    fit: Tensor | None  # of edges to edges, by shift
+    cells: int  # along the shorter side
+
+
+def doubts(distance: Tensor | Sequence[Tensor], image: Tensor | Sequence[Tensor]) -> list[str]:
+    """What speaks against maps being metres along the ray, in step with their pictures.
+
+    Several of a run are judged together: said is what most of them show. Near and far are told
+    apart by surfaces: in the picture of a plane 1/z is linear, so that the logarithm of distances
+    is convex and that of disparities concave, however it is turned or cut. Not told, as it cannot
+    be reliably: planar depth of a wide view (see `along_ray`), relative maps beyond 1, disparities
+    of scenes without slanted surfaces, shifts below 5 % of the shorter side.
+
+    Args:
+        distance: a map (1xHxW, as it is read: 0, negative and NaN = unknown, +inf = open water),
+            several of any size, or a batch (Bx1xHxW).
+        image: as many pictures (3xHxW, uint8 or 0…1).
+
+    Returns:
+        Sentences, each with the cure; none where there is nothing to doubt.
+
+    Raises:
+        TypeError, ValueError: if these are no maps and pictures, or not as many.
+    """
+    maps = [distance] if isinstance(distance, Tensor) and distance.ndim == 3 else list(distance)
+    pictures = [image] if isinstance(image, Tensor) and image.ndim == 3 else list(image)
+    if len(maps) != len(pictures):
+        raise ValueError(f"distance is {len(maps)} maps but image is {len(pictures)} pictures")
+    said, seen = [], []
+    for z, picture in zip(maps, pictures, strict=True):
+        checks.floating("distance", z)
+        checks.picture("distance", z, 1)
+        checks.picture("image", picture, 3)
+        (h, w), (height, width) = z.shape[-2:], picture.shape[-2:]
+        if (h, w) != (height, width):
+            cure = "of another aspect: is one of them turned or cropped?"
+            if abs(h * width - w * height) <= max(height, width):
+                cure = "resize one of them (maps by their nearest pixel)"
+            said.append(f"a map is {w}×{h} px and its picture {width}×{height} px: {cure}")
+        if z.numel():
+            seen.append(_evidence(z.detach().float(), picture.detach()))
+    holes = sorted(one.holes for one in seen)
+    if _most([share > 0.5 for share in holes]):
+        got = f"{100 * holes[len(holes) // 2]:.0f} % of the distances are unknown"
+        said.append(f"{got}: holes='behind' or 'fill' would make up most of a map")
+    for which, sentence in enumerate(_SCALES):
+        if _most([one.scale == which for one in seen]):
+            said.append(f"distances {sentence}")
+    # a logarithm says little of maps from 0 to 1, which have shifts of their own
+    if _most([one.scale != 0 and one.convexity < _REVERSED for one in seen]):
+        cure = "Inverse(near, far), or from_disparity where focal length and baseline are known"
+        said.append(f"distances look like disparity or inverse depth, large where near: {cure}")
+    return [*dict.fromkeys(said), *_shifted(seen)]
+
+
+def _most(votes: list[bool]) -> bool:
+    return 2 * sum(votes) > len(votes)
+
+
+def _evidence(z: Tensor, picture: Tensor) -> _Evidence:
+    """What a map (1xHxW) and its picture (3xHxW) show."""
+    short = min(z.shape[-2:])
+    cells = min(_CELLS, max(1, short // 3))
+    rows, columns = (min(4 * _CELLS, cells * side // short) for side in z.shape[-2:])
+    points = interpolate(z[None], (3 * rows, 3 * columns), mode="nearest-exact")[0, 0]
+    known = points > 0
+    nine = torch.where(known, points, torch.nan).reshape(rows, 3, columns, 3).transpose(1, 2)
+    log = nine.flatten(2).nanmedian(-1).values.log()
+    fit = None
+    if cells >= _CELLS // 2 and z.shape[-2:] == picture.shape[-2:]:
+        green = interpolate(picture[None, 1:2].float(), (rows, columns), mode="area")[0, 0]
+        fit = _fit(log, green if picture.is_floating_point() else green / 255)
+    return _Evidence(1 - float(known.float().mean()), _scale(points), _convexity(log), fit, cells)
+
+
+def _scale(points: Tensor) -> int:
+    """Which of `_SCALES` the points of a map have, or -1."""
+    negative = points[points < 0]
+    # one negative number may stand for unknown pixels
+    if negative.numel() > 0.05 * points.numel() and bool((negative != negative[0]).any()):
+        return 0
+    known = points[(points > 0) & (points < checks.OPEN)]
+    if known.numel() < 64:
+        return -1
+    low, high = checks.extent(known)
+    some = known[:: max(1, known.numel() // 4096)]
+    if high <= 1.0001:
+        # both ends, or the far one, or 8 bits divided by 255
+        relative = (low < 0.02 and high > 0.3) or high > 0.999 or _whole(255 * some, 8)
+        return 0 if relative else 3 if high < 0.05 else -1
+    return 1 if _whole(some, 16) else 2 if float(some.median()) > 100 else -1
+
+
+def _whole(values: Tensor, least: int) -> bool:
+    """Whether these are whole numbers, so many different ones at least."""
+    near = values.round()
+    return bool(torch.allclose(values, near, 0, 1e-3)) and len(set(near.tolist())) >= least
+
+
+def _convexity(log: Tensor) -> float:
+    """How convex the logarithm of a map (HxW) is where it slopes, between edges: −1…1. (What is at
+    the bottom, mostly near, takes longer, and doubts maps that are upside down.)
+    """
+    bend, weight, step = 0.0, 0.0, 3
+    if min(log.shape) <= 4 * step:
+        return torch.nan
+    for along in (log, log.T):
+        before, middle, after = along[: -2 * step], along[step:-step], along[2 * step :]
+        slope, curve = (after - before).abs() / 2, before + after - 2 * middle
+        inside = curve.isfinite() & (slope > 0.01) & (slope < 0.25) & (curve.abs() < 0.03 + slope)
+        slope, curve = slope[inside], curve[inside]
+        bend += float(((curve / slope.square()).clamp(-1, 1) * slope).sum())
+        weight += float(slope.sum())
+    return bend / weight if weight > 0.002 * log.numel() else torch.nan
+
+
+def _fit(log: Tensor, grey: Tensor) -> Tensor | None:
+    """The correlation of the edges of a map and of a picture (HxW), by shifts of up to a sixth of
+    the shorter side, in median deviations from its median; None where there are too few edges.
+    """
+    edges = _edges(log).nan_to_num(0.0).clamp(max=0.1)
+    edges = torch.where(edges > 0.03, edges, 0.0)
+    if not 0.02 < float((edges > 0).float().mean()) < 0.5:
+        return None
+    size, reach = [2 * side for side in edges.shape], min(edges.shape) // 6
+    around = [e - avg_pool2d(e[None], 7, 1, 3)[0] for e in (_edges(grey).clamp(max=0.15), edges)]
+    first, second = (torch.fft.rfft2(e - e.mean(), size) for e in around)
+    shifts = torch.fft.irfft2(first * second.conj(), size).roll((reach, reach), (0, 1))
+    fit = shifts[: 2 * reach + 1, : 2 * reach + 1]
+    fit -= fit.median()
+    deviation = 1.4826 * float(fit.abs().median())
+    return fit / deviation if deviation > 0 else None
+
+
+def _edges(x: Tensor) -> Tensor:
+    return torch.hypot(x.diff(dim=0)[:, :-1], x.diff(dim=1)[:-1])
+
+
+def _shifted(seen: list[_Evidence]) -> list[str]:
+    """Whether the edges of maps, those of the first one's size, fit better elsewhere."""
+    found = [(one.fit, one.cells) for one in seen if one.fit is not None]
+    if not found:
+        return []
+    fit = torch.stack([fit for fit, cells in found if cells == found[0][1]]).mean(0)
+    reach, best = len(fit) // 2, int(fit.argmax())
+    down, right = best // len(fit) - reach, best % len(fit) - reach
+    here = float(fit[reach - 2 : reach + 3, reach - 2 : reach + 3].max())
+    if max(abs(down), abs(right)) <= 2 or float(fit.max()) < max(6, here + 3):
+        return []
+    way = " and ".join(f"{100 * n / found[0][1]:+.0f} %" for n in (right, down))
+    cure = "crop, pad and resize both alike, and register the depth camera to the colour camera"
+    return [f"edges fit better with the map moved {way} of the shorter side right and down: {cure}"]
