@@ -250,14 +250,17 @@ def doubts_of(recipe: Recipe, items: Sequence[Item]) -> list[str]:
     """What speaks against the maps of a run being metres, see `uwaug.distance.doubts`: of eight,
     from the first to the last. Files that cannot be read are left to the run, which names them.
     """
-    transform, pairs = RandomUnderwater.from_dict(recipe.transform), []
+    transform = RandomUnderwater.from_dict(recipe.transform)
     if not isinstance(transform.distance, Metres):
         return []
+    images, maps = [], []
     for item in items[:: -(-len(items) // 8) or 1]:
         with suppress(Exception):  # decoders raise whatever they like
-            pairs.append(_read(item, recipe, transform))
-    pairs = [(image, z) for image, z in pairs if z is not None]
-    return doubts([z for _, z in pairs], [image for image, _ in pairs])
+            image, z = _read(item, recipe, transform)
+            if z is not None:
+                images.append(image)
+                maps.append(z)
+    return doubts(maps, images)
 
 
 class _Worker:
