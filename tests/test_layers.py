@@ -16,7 +16,7 @@ LAYERS = (
     "presets fitting onnx",
     "transforms",
     "published",
-    "files adapters figures",
+    "files adapters figures page",
     "cli",
 )
 TWINS = {("fast", "formation"), ("formation", "fast")}

@@ -19,6 +19,7 @@ from uwaug.cli.depth import depth
 from uwaug.cli.export import check, export
 from uwaug.cli.figures import compare, demo, plot
 from uwaug.cli.fit import fit
+from uwaug.cli.page import page
 from uwaug.cli.preset import preset, waters
 from uwaug.cli.warm_up import warm_up
 
@@ -36,6 +37,7 @@ _COMMANDS = (
     ("Pictures", plot, "photo.jpg --distance depth.npy --water 7C"),
     ("Pictures", compare, "photo.jpg --distance depth.npy --water II --out sheet.png"),
     ("Pictures", depth, "photos/ --network depth_anything_v2_vits.onnx --out depth/ --sheet"),
+    ("Pictures", page, "--image photo.jpg --distance depth.png --unit mm --out page.html --open"),
     ("Pictures", demo, ""),
     ("Waters", fit, "--clean air.png --observed wet.png --distance depth.npy --out fit.json"),
     ("Waters", waters, ""),

@@ -41,30 +41,30 @@ GAINS = (1 / 8, 64.0)
 MOST = 16.0
 """Of the ratio of luminance to a channel's mean that a white balance makes up for."""
 
-_GAMUT_FROM = 0.75
+GAMUT_FROM = 0.75
 """Distance from grey, (max − c)/max, from which on colours are compressed. 1 is where a channel
 reaches 0."""
 
-_BEYOND = 1 / (1 - _GAMUT_FROM)
+_BEYOND = 1 / (1 - GAMUT_FROM)
 
 _STRAIGHT = 1e6
 """Stands for the infinite offset of a curve that is straight."""
 
-_TOE = 1e-4
+TOE = 1e-4
 """Linear light below which the curve of tone is straight: curves of less contrast are infinitely
 steep at 0.
 """
 
-_METERED = 8192
+METERED = 8192
 """Pixels at which the light is measured. Spread by a quasi-random sequence, they see stripes and
 rows of any period, and pictures of any size; the mean luminance of noise is right within 1 %. A
 grid of every fourth pixel is off by 10 % at 16 px and blind to stripes of its own period.
 """
 
 _BITS = 20
-_TURN = 1 << _BITS
-_STEPS = (791_547, 597_521)
-"""Of the sequence along rows and columns, of `_TURN` for a whole side: 1/x and 1/x² with x³ = x + 1
+TURN = 1 << _BITS
+STEPS = (791_547, 597_521)
+"""Of the sequence along rows and columns, of `TURN` for a whole side: 1/x and 1/x² with x³ = x + 1
 (Roberts 2018, the R₂ sequence), as odd whole numbers, which ONNX Runtime multiplies exactly.
 """
 
@@ -284,9 +284,9 @@ def metering_points(height: int, width: int, device: torch.device) -> Tensor:
 
 
 def _points(height: int, width: int, device: torch.device) -> Tensor:
-    count = torch.arange(_METERED, dtype=torch.int64, device=device)
+    count = torch.arange(METERED, dtype=torch.int64, device=device)
     # of a whole side, and back into pixels: a remainder and a quotient take five times as long
-    row, column = (((count * step + _TURN // 2) & (_TURN - 1)) for step in _STEPS)
+    row, column = (((count * step + TURN // 2) & (TURN - 1)) for step in STEPS)
     return (row * height >> _BITS) * width + (column * width >> _BITS)
 
 
@@ -314,9 +314,9 @@ def compressed(light: Tensor, share: float | Tensor) -> Tensor:
     brightest = light.amax(1, keepdim=True)
     lit = brightest > 0
     distance = 1 - light / torch.where(lit, brightest, 1.0)
-    beyond = (distance - _GAMUT_FROM).clamp(min=0.0) * _BEYOND
+    beyond = (distance - GAMUT_FROM).clamp(min=0.0) * _BEYOND
     squeezed = beyond * (1 + beyond * beyond).rsqrt()
-    less = (beyond - squeezed) * ((1 - _GAMUT_FROM) * share)
+    less = (beyond - squeezed) * ((1 - GAMUT_FROM) * share)
     # the limit where no channel is above 0, as below the black point
     return light + torch.where(lit, less * brightest, -share * light)
 
@@ -329,7 +329,7 @@ def tone_offset(contrast: float) -> float:
 
 def curved(light: Tensor, contrast: float | Tensor) -> Tensor:
     """Light along the curve (1 + k)·x^c/(x^c + k), odd, through 0, mid-grey and 1; straight below
-    `_TOE`, and from 1 on, as curves of c < 1 have a pole beyond. Contrast: a number, or (Bx1x1x1).
+    `TOE`, and from 1 on, as curves of c < 1 have a pole beyond. Contrast: a number, or (Bx1x1x1).
     """
     k: Any = _STRAIGHT
     if isinstance(contrast, Tensor):
@@ -339,7 +339,7 @@ def curved(light: Tensor, contrast: float | Tensor) -> Tensor:
         k = torch.where(straight, k, (1 - MID_GREY) * grey / torch.where(straight, 1.0, below))
     else:
         k = tone_offset(contrast)
-    size = light.abs().clamp(min=_TOE)
+    size = light.abs().clamp(min=TOE)
     inside = size.clamp(max=1.0)
     power = inside**contrast
     beyond = (size - inside) * (contrast * k / (1 + k))

@@ -49,14 +49,14 @@ from uwaug.optics.spectra import WAVELENGTHS, read_spectra
 
 UNITS = {"chlorophyll": "mg/m³", "cdom": "1/m at 440 nm", "minerals": "g/m³"}
 
-_MU_0 = 0.9
+MEAN_COSINE = 0.9
 """Mean cosine of daylight below the surface. Solonenko & Mobley have .98 in the ocean and .85 at
 the coast.
 """
 
-_CDOM = np.exp(-0.014 * (WAVELENGTHS - 440))
-_ABSORBED_BY_MINERALS = 0.041 * np.exp(-0.0123 * (WAVELENGTHS - 443))
-_SCATTERED_BY_MINERALS = 1.1513 * (400 / WAVELENGTHS) ** 1.7
+CDOM = np.exp(-0.014 * (WAVELENGTHS - 440))
+ABSORBED_BY_MINERALS = 0.041 * np.exp(-0.0123 * (WAVELENGTHS - 443))
+SCATTERED_BY_MINERALS = 1.1513 * (400 / WAVELENGTHS) ** 1.7
 """Per unit of each content, 1/m."""
 
 
@@ -164,21 +164,21 @@ def _text(value: float | tuple[float, float]) -> str:
 def optical_properties(chlorophyll: float, cdom: float, minerals: float) -> Array:
     """a, b and K_d (3, N) [1/m] at `WAVELENGTHS` of a water with these contents."""
     absorption, scattering = pure_water(WAVELENGTHS.tobytes())
-    a = absorption + cdom * _CDOM + minerals * _ABSORBED_BY_MINERALS
-    by_particles = minerals * _SCATTERED_BY_MINERALS
+    a = absorption + cdom * CDOM + minerals * ABSORBED_BY_MINERALS
+    by_particles = minerals * SCATTERED_BY_MINERALS
     if chlorophyll > 0:
-        at_1, exponents = _phytoplankton()
+        at_1, exponents = phytoplankton()
         a += at_1 * chlorophyll**exponents
         slope = min(max((math.log10(chlorophyll) - 0.3) / 2, -1.0), 0.0)
         by_particles += 0.347 * chlorophyll**0.766 * (WAVELENGTHS / 660) ** slope
     # what molecules scatter backwards, half of it, is lost as if it were absorbed
     lost = a + scattering / 2
-    kd = np.sqrt(lost * lost + (0.425 * _MU_0 - 0.19) * lost * by_particles) / _MU_0
+    kd = np.sqrt(lost * lost + (0.425 * MEAN_COSINE - 0.19) * lost * by_particles) / MEAN_COSINE
     return np.array([a, scattering + by_particles, kd])
 
 
 @cache
-def _phytoplankton() -> tuple[Array, Array]:
+def phytoplankton() -> tuple[Array, Array]:
     """Absorption at 1 mg/m³ of chlorophyll, and its exponent."""
     path = Path(__file__).parent / "phytoplankton.csv"
     table = read_spectra(path, {"A": "absorption", "E": "exponent"})

@@ -39,7 +39,7 @@ _BIO_OPTICAL = (
     "et al. 2003 and Kirk 1984"
 )
 
-_LEAST_LOSS = 0.85
+LEAST_LOSS = 0.85
 """K_d may be so much of a: what is absorbed is lost on the way down, and measured tables of two
 sources differ by .12 (type IB at 450 nm).
 """
@@ -109,7 +109,7 @@ class Water(Spectra):
             name=name,
             provenance=tuple(provenance),
         )
-        below = self.kd < (_LEAST_LOSS - _ROUNDED) * self.a
+        below = self.kd < (LEAST_LOSS - _ROUNDED) * self.a
         if below.any():
             where = ", ".join(f"{nm:g}" for nm in axis[below][:8])
             raise ValueError(
@@ -390,7 +390,7 @@ class Water(Spectra):
         low, high = self.wavelengths[[0, -1]].tolist()
         if low > _VISIBLE[1] or high < _VISIBLE[0]:
             raise ValueError(f"{self} has no wavelength in 400–700 nm")
-        nodes, weights = _eye(low, high)
+        nodes, weights = eye(low, high)
         return weights, np.interp(nodes, self.wavelengths, rates)
 
     def _luminance(self, rates: Array, metres: float) -> float:
@@ -417,7 +417,7 @@ class Water(Spectra):
             times = f"its contents would be {factor:.4g} times as much"
             raise ValueError(f"{name} is out of reach: {times}")
         # what a table's K_d lacks of its a grows with the contents
-        table[2] = np.maximum(table[2], _LEAST_LOSS * table[0])
+        table[2] = np.maximum(table[2], LEAST_LOSS * table[0])
         return self._derived(fine.wavelengths, table, name, provenance)
 
     def _fine(self) -> Self:
@@ -454,10 +454,11 @@ def load_water(water: "str | os.PathLike[str] | Water") -> Water:
     """A water by name, by its contents or from a file; a ``Water`` passes through.
 
     Args:
-        water: a Jerlov type, "3C" or "Jerlov 3C"; contents such as
-            "chlorophyll=5,cdom=0.3,minerals=1" (see `Water.from_constituents`); or the path of a
-            CSV file (a string that ends in ``.csv``, or any path object) whose rows are wavelength
-            [nm], a, b, K_d [1/m], separated by commas, with or without one header line.
+        water: a Jerlov type, "3C" or "Jerlov 3C"; a mixture of two, "0.7*3C+0.3*7C", see
+            `Water.mix`; contents such as "chlorophyll=5,cdom=0.3,minerals=1" (see
+            `Water.from_constituents`); or the path of a CSV file (a string that ends in ``.csv``,
+            or any path object) whose rows are wavelength [nm], a, b, K_d [1/m], separated by
+            commas, with or without one header line.
 
     Raises:
         TypeError: if ``water`` is none of these.
@@ -478,6 +479,8 @@ def load_water(water: "str | os.PathLike[str] | Water") -> Water:
         )
     if not isinstance(water, str) or water.lower().endswith(".csv"):
         return _read_csv(Path(water))
+    if "*" in water:
+        return _mixture(water)
     if "=" not in water:
         type = re.sub("^jerlov[ _-]*", "", water, flags=re.IGNORECASE)  # as sheets have it
         if type.upper() not in JERLOV_TYPES:
@@ -496,6 +499,21 @@ def load_water(water: "str | os.PathLike[str] | Water") -> Water:
         minerals=lows["minerals"],
         name=contents.name,
     )
+
+
+def _mixture(text: str) -> Water:
+    """The water of such as 0.7*3C+0.3*7C, with that name."""
+    parts = [part.partition("*")[::2] for part in text.split("+")]
+    try:
+        (mine, first), (theirs, second) = ((float(share), water) for share, water in parts)
+    except ValueError:
+        mine = theirs = math.nan
+    if not (mine >= 0 and theirs >= 0 and abs(mine + theirs - 1) < 1e-6):
+        expected = "a mixture of two whose shares add up to 1, such as 0.7*3C+0.3*7C"
+        raise ValueError(f"water: expected {expected}, got {text!r:.80}")
+    one, two = (Water.jerlov(water.strip()) for water in (first, second))
+    mixed = one.mix(two, theirs)
+    return mixed._derived(mixed.wavelengths, mixed._table(mixed.wavelengths), text, mixed.provenance)
 
 
 def _read_csv(path: Path) -> Water:
@@ -523,7 +541,7 @@ def _distance_to(share: float, weights: Array, rates: Array) -> float:
 
 
 @lru_cache(maxsize=16)
-def _eye(low: float, high: float) -> tuple[Array, Array]:
+def eye(low: float, high: float) -> tuple[Array, Array]:
     """Wavelengths that are seen between these, and the weights of the CIE 1931 observer's ȳ."""
     nodes = np.linspace(max(low, _VISIBLE[0]), min(high, _VISIBLE[1]), _NODES)
     weights = np.interp(nodes, *_observer())

@@ -58,7 +58,7 @@ def motorcycle_depth() -> tuple[Tensor, Tensor]:
     return torch.from_numpy(left).permute(2, 0, 1) / 255, fill_unknown(depth)
 
 
-def own_scene(image: Tensor, distance: Tensor) -> Scene:
+def own_scene(image: Tensor, distance: Tensor, most: int = _PIXELS) -> Scene:
     """A picture with its distances, as large as a sheet shows it.
 
     The picture is reduced in linear light. Of the distances each keeps one of its own pixels, as a
@@ -67,6 +67,7 @@ def own_scene(image: Tensor, distance: Tensor) -> Scene:
     Args:
         image (3xHxW tensor): sRGB; uint8, or floating point 0…1.
         distance (1xHxW tensor): along the ray, m, ≥ 0; +inf is open water.
+        most: pixels; by default those of a sheet.
 
     Raises:
         ValueError: if the sizes differ, the picture is more than ten times as long as wide, or
@@ -80,7 +81,7 @@ def own_scene(image: Tensor, distance: Tensor) -> Scene:
     require_values(image, "srgb")
     checks.distances("distance", distance)
     light = decoded(image, "srgb")
-    shrink, note = (_PIXELS / (height * width)) ** 0.5, ""
+    shrink, note = (most / (height * width)) ** 0.5, ""
     if shrink < 1:
         size = (max(1, round(height * shrink)), max(1, round(width * shrink)))
         light = interpolate(light[None], size, mode="area")[0]

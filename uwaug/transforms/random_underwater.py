@@ -59,7 +59,7 @@ wider ranges of them: recall and coverage of photographs each .02 to .05 less.)
 SEVERITIES = {1: 0.65, 2: 0.5, 3: 0.35, 4: 0.2, 5: 0.08}
 """The contrast of each grade of severity."""
 
-_DIMMEST = 1 / 32
+DIMMEST = 1 / 32
 """Share of the surface's light that a scene has at least, where the exposure is automatic: what the
 largest gain makes up for, and an octave for what is lost on the way to the camera. Waters that are
 turbid enough for a scene at arm's length are black at 10 m.
@@ -68,7 +68,7 @@ turbid enough for a scene at arm's length are black at 10 m.
 _TOLERANCE = 0.002
 """Of the curves of a medium, in the light that a metered exposure makes of it."""
 
-_SIZES = (1.0, 8.0)
+SIZES = (1.0, 8.0)
 """m: median distances between which water can be brought to a contrast and have a colour of its
 own. Of photographs .34 lie inside the cloud of default draws at 35 m, nine in ten of them pure
 water, and .67 at .1 m, many orange; .77 once the scene is scaled, as at 1 to 8 m. (Contrasts that
@@ -83,7 +83,7 @@ clearest of `WATERS` need 42 for the severest grade at 1 m; a contrast so many t
 was asked for.
 """
 
-_LOOKED_AT = 2048
+LOOKED_AT = 2048
 """Pixels of which the median distance is taken: it is right within 2 %."""
 
 _medium_of = lru_cache(maxsize=2)(Medium.from_water)
@@ -627,7 +627,7 @@ class RandomUnderwater(SampleTransform):
         lamps = self.light is not None and self.light.lamps
         if fixed or lamps or "contrast" not in sample["numbers"] or math.isinf(median):
             return 1.0
-        nearest, farthest = _SIZES
+        nearest, farthest = SIZES
         return min(max(median, nearest), farthest) / median
 
     def _medium(
@@ -661,8 +661,8 @@ class RandomUnderwater(SampleTransform):
         left = 1.0
         if self.development.metered and not lamps:
             left = water.daylight(depth)
-            if left < _DIMMEST:
-                depth, left = min(depth, water.depth_of_daylight(_DIMMEST)), _DIMMEST
+            if left < DIMMEST:
+                depth, left = min(depth, water.depth_of_daylight(DIMMEST)), DIMMEST
         law = self.point_spread or PointSpread.calibrated(FOCAL_LENGTH * width)
         grey = "color_matrix" not in numbers
         medium = _medium_of(
@@ -751,7 +751,7 @@ class Look(NamedTuple):
 def _looked_at(scene: Tensor, z: Tensor) -> list[Look]:
     """A look at pictures (Bx3xHxW) and distances (Bx1xHxW): the one transfer from their device."""
     values, metres = scene.detach().flatten(1), z.detach().flatten(1)
-    some = metres[:, metering_points(z.shape[-2], z.shape[-1], z.device)[:_LOOKED_AT]]
+    some = metres[:, metering_points(z.shape[-2], z.shape[-1], z.device)[:LOOKED_AT]]
     some = some.sort(1).values  # open water and NaN come last
     middle = some.isfinite().sum(1, keepdim=True) // 2
     farthest = torch.where(metres.isfinite(), metres, 0.0).amax(1)
@@ -782,7 +782,7 @@ def _grey_seen(
 
 def _median(z: Tensor) -> float:
     """The median distance, m, of some pixels, or of all if these show nothing but open water."""
-    points = metering_points(z.shape[-2], z.shape[-1], z.device)[:_LOOKED_AT]
+    points = metering_points(z.shape[-2], z.shape[-1], z.device)[:LOOKED_AT]
     for some in (z.flatten()[points], z.flatten()):
         near = some.detach().cpu().numpy()
         near = near[np.isfinite(near)]

@@ -1,0 +1,57 @@
+"""`uwaug page`: a page to try it in a browser."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from uwaug.cli.choices import Force, Holes, Unit, number_or_word
+from uwaug.cli.console import print_written, reported_errors, require_writable
+
+
+def page(
+    out: Annotated[Path, typer.Option(help="The HTML file to write.")] = Path("uwaug-page.html"),
+    image: Annotated[
+        Path | None, typer.Option(help="The scene without water; a motorcycle by default.")
+    ] = None,
+    distance: Annotated[
+        str | None,
+        typer.Option(
+            help="Distances: .npy, PNG, TIFF, EXR. Or metres. By default made-up.",
+            metavar="FILE|METRES",
+        ),
+    ] = None,
+    unit: Unit = "m",
+    holes: Holes = "behind",
+    open_: Annotated[bool, typer.Option("--open", help="Open it in a browser.")] = False,
+    force: Force = False,
+) -> None:
+    """Write a page that shows what degrade makes: your own pictures, every slider, offline."""
+    require_writable(out, force=force, endings=(".html",))
+    from uwaug.cli.choices import read_metres
+    from uwaug.distance import MadeUp, Metres
+    from uwaug.files.pictures import metres_of, read_picture
+    from uwaug.page.write import PIXELS, write_page
+    from uwaug.presets.scene import motorcycle, own_scene
+
+    with reported_errors():
+        source = {"picture": "motorcycle.png", "distance": "motorcycle-distance.npy"}
+        source |= {"unit": 1.0, "holes": "error"}
+        if image is None:
+            scene = motorcycle()
+        else:
+            picture = read_picture(image)
+            if distance is None:
+                metres = MadeUp().metres(None, picture, {"near": 1.0, "far": 8.0, "scene": 0.5})
+                source["distance"] = f"{image.stem}-distance.npy"
+            else:
+                metres = read_metres(distance, unit, picture)
+                metres = Metres(number_or_word(holes)).metres(metres, picture, {})
+                source |= {"distance": distance, "unit": metres_of(number_or_word(unit))}
+                source["holes"] = holes
+            scene = own_scene(picture, metres, PIXELS)
+            source |= {"picture": str(image), "width": picture.shape[-1]}
+        write_page(out, scene, source)
+    print_written(out)
+    if open_:
+        typer.launch(str(out.absolute()))

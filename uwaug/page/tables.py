@@ -1,0 +1,150 @@
+"""What the page knows of the model: spectra, the plan of the blur, constants and defaults, all from
+the package as it is installed.
+"""
+
+from typing import Any
+
+import numpy as np
+import torch
+
+from uwaug._support.codec import to_plain
+from uwaug._support.types import Array
+from uwaug.blur.kernels import MARGIN, blur_kernel, enlarge_kernels, per_cell, shrink_kernels
+from uwaug.blur.plan import BlurPlan, place_line, plan_blur
+from uwaug.formation import development
+from uwaug.formation.colour import LUMINANCE
+from uwaug.optics import constituents
+from uwaug.optics.camera import load_camera, response_at
+from uwaug.optics.curves import FARTHEST
+from uwaug.optics.jerlov import JERLOV_TYPES
+from uwaug.optics.point_spread import FOCAL_LENGTH, LENGTHS, PointSpread
+from uwaug.optics.spectra import WAVELENGTHS
+from uwaug.optics.surfaces import reflectances
+from uwaug.optics.water import LEAST_LOSS, Water, eye
+from uwaug.transforms import random_underwater
+from uwaug.transforms.random_underwater import RandomUnderwater
+
+_WIDTHS = (0.2, 400.0)
+"""px, of the blurs: below, none shows, and wider ones are as good as the mean of a picture."""
+
+_TOLERANCE = 0.0005
+"""Of the blur. At .002 pictures are up to 3 grey levels from those of `uwaug degrade`, which plans
+for each; memory goes with the number of blurs, 13 here.
+"""
+
+_LONGEST = 1024.0
+"""px, side of a picture that the widest blurs are planned for."""
+
+_REFLECTANCE = 0.18
+"""Of the grey detail whose contrast is shown, as `uwaug.contrast_left` has it."""
+
+
+def plan_of_page() -> BlurPlan:
+    """The blurs of every picture on the page."""
+    return plan_blur(*_WIDTHS, _TOLERANCE, "exponential", _LONGEST)
+
+
+def tables() -> dict[str, Any]:
+    """All of it, as JSON holds it."""
+    camera, axis = load_camera(RandomUnderwater.camera), WAVELENGTHS.tobytes()
+    law, (least, most) = PointSpread.calibrated(FOCAL_LENGTH), LENGTHS
+    pure = dict(zip(("a", "b"), constituents.pure_water(axis), strict=True))
+    at_1, exponents = constituents.phytoplankton()
+    kept = {
+        "bands": WAVELENGTHS,
+        "waters": {name: _spectra(Water.jerlov(name).at(WAVELENGTHS)) for name in JERLOV_TYPES},
+        "pure": pure,
+        "contents": {
+            "phytoplankton": at_1,
+            "exponents": exponents,
+            "cdom": constituents.CDOM,
+            "absorbed": constituents.ABSORBED_BY_MINERALS,
+            "scattered": constituents.SCATTERED_BY_MINERALS,
+        },
+        "sun": constituents.MEAN_COSINE,
+        "leastLoss": LEAST_LOSS,
+        "eye": eye(*WAVELENGTHS[[0, -1]].tolist())[1],
+        "sensor": response_at(camera, axis),
+        "reflectances": reflectances(axis),
+        "farthest": FARTHEST,
+        "law": {"scale": law.scale, "exponent": law.exponent, "least": least, "most": most},
+        "luminance": LUMINANCE,
+        "reflectance": _REFLECTANCE,
+        "dimmest": random_underwater.DIMMEST,
+        "sizes": dict(zip(("nearest", "farthest"), random_underwater.SIZES, strict=True)),
+        "meter": {
+            "count": development.METERED,
+            "looks": random_underwater.LOOKED_AT,
+            "steps": development.STEPS,
+            "turn": development.TURN,
+            "gains": development.GAINS,
+            "most": development.MOST,
+        },
+        "tone": {
+            "from": development.GAMUT_FROM,
+            "grey": development.MID_GREY,
+            "toe": development.TOE,
+        },
+        "plan": _plan(plan_of_page()),
+        "draws": _draws(),
+    }
+    plain: dict[str, Any] = to_plain(_rounded(kept))
+    return plain
+
+
+def _spectra(water: Water) -> dict[str, Array]:
+    return {"a": water.a, "b": water.b, "kd": water.kd}
+
+
+def _plan(plan: BlurPlan) -> dict[str, Any]:
+    """The blurs of a plan, as kernels of one axis that repeat every q px."""
+    slope, offset = place_line(plan)
+    nodes = zip(plan.sigmas, plan.cells, strict=True)
+    blurs = [None if sigma == 0 else _blur(sigma, cell, plan.reach) for sigma, cell in nodes]
+    line = {"slope": slope, "offset": offset, "coefficients": plan.coefficients}
+    return {**line, "blurs": blurs, "margin": MARGIN}
+
+
+def _blur(sigma: float, cell: float, reach: float) -> dict[str, Any]:
+    if cell == 1:
+        kernel = blur_kernel(sigma, reach)
+        first = torch.tensor([-(kernel.shape[1] // 2)])
+        return {"shrink": {"a": 1, "q": 1, "first": first, "kernels": kernel}}
+    a, q = per_cell(cell)
+    shrink = shrink_kernels(torch.arange(a), a, q, sigma, reach)
+    enlarge = enlarge_kernels(torch.arange(q), a, q)
+    return {
+        name: {"a": a, "q": q, "first": first, "kernels": kernels}
+        for name, (first, kernels) in (("shrink", shrink), ("enlarge", enlarge))
+    }
+
+
+def _draws() -> dict[str, Any]:
+    """What `RandomUnderwater` draws by default."""
+    augment = RandomUnderwater()
+    development = augment.development.ranges()
+    return {
+        "waters": [w if isinstance(w, str) else "contents" for w in random_underwater.WATERS],
+        "contents": random_underwater.CONTENTS.ranges,
+        "severities": list(random_underwater.SEVERITIES.values()),
+        "contrast": augment.contrast,
+        "depth": augment.vertical_depth,
+        "g": augment.g,
+        "colorMatrix": development["color_matrix"],
+        "exposure": development["exposure"],
+        "whiteBalance": development["white_balance"],
+        "saturation": development["saturation"],
+        "gamut": development["gamut"],
+        "tone": development["tone"],
+    }
+
+
+def _rounded(value: Any) -> Any:
+    """Numbers with eight digits, as many as single precision holds."""
+    if isinstance(value, dict):
+        return {name: _rounded(item) for name, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_rounded(item) for item in value]
+    if isinstance(value, (torch.Tensor, np.ndarray)):
+        return _rounded(value.tolist())
+    return float(f"{value:.8g}") if isinstance(value, float) else value

@@ -1,0 +1,79 @@
+"""The page as one file: code, looks, tables and a scene, put into one HTML document."""
+
+import base64
+import io
+import json
+import re
+import zlib
+from collections.abc import Mapping
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from uwaug._support.atomic import written_whole
+from uwaug.page.tables import tables
+from uwaug.presets.scene import Scene
+
+PIXELS = 1_000_000
+"""Of a picture on the page, at most: its blurs take 160 bytes for each."""
+
+_OPEN = 65535
+"""The code of open water."""
+
+
+def write_page(path: str | Path, scene: Scene, source: Mapping[str, Any]) -> None:
+    """Write a page that shows a scene first.
+
+    Args:
+        path: of the HTML file; written whole, or not at all.
+        scene: of `PIXELS` at most, see `uwaug.presets.scene.own_scene`.
+        source: where it comes from, for what is copied from the page: "picture" and "distance",
+            names of files, or metres; "unit", m; "holes".
+
+    Raises:
+        OSError: if it cannot be written.
+    """
+    parts = {
+        "style.css": _text("style.css"),
+        "model.js worker.js": _plain("model.js", "worker.js"),
+        "tables": _json(tables()),
+        "scene": _json({**_stored(scene), "files": {"holds": "metres", **source}}),
+        "maps.js page.js": _plain("maps.js", "page.js"),
+    }
+    page = re.sub(r"/\* ([\w. ]+) \*/", lambda mark: parts[mark[1]], _text("index.html"))
+    with written_whole(path) as part:
+        part.write_text(page, encoding="utf-8")
+
+
+def _text(name: str) -> str:
+    return files("uwaug.page").joinpath(name).read_text(encoding="utf-8")
+
+
+def _plain(*names: str) -> str:
+    """Modules as one script: browsers load none for a page that is a file."""
+    return re.sub(r"^export ", "", "\n".join(map(_text, names)), flags=re.MULTILINE)
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, separators=(",", ":")).replace("</", "<\\/")
+
+
+def _stored(scene: Scene) -> dict[str, Any]:
+    """Picture and distances; these as whole numbers of equal steps in their logarithm."""
+    pixels = (scene.image * 255).round().byte().permute(1, 2, 0).numpy()
+    webp = io.BytesIO()
+    Image.fromarray(pixels).save(webp, "WEBP", lossless=True, quality=100, method=6)
+    z = scene.distance.double().numpy()
+    known = z[np.isfinite(z)]
+    near, far = (float(known.min()), float(known.max())) if known.size else (1.0, 1.0)
+    step = max(np.log(far / near) / (_OPEN - 1), 1e-9)
+    with np.errstate(invalid="ignore"):
+        codes = np.where(np.isfinite(z), np.rint(np.log(z / near) / step), _OPEN)
+    steps = np.diff(codes.astype("<u2").ravel(), prepend=np.uint16(0))  # pack in half the bytes
+    packed = zlib.compress(steps.tobytes(), 9)
+    text = {"picture": webp.getvalue(), "distance": packed}
+    encoded = {name: base64.b64encode(data).decode() for name, data in text.items()}
+    return {**encoded, "near": near, "step": float(step)}
