@@ -19,7 +19,9 @@ PARTS = {
     "draws": "accuracy",
     "throughput": "speed",
     "jobs": "speed",
+    "page": "speed",
     "gallery": "figures",
+    "knobs": "figures",
     "summary": "figures",
 }
 """Each part and its folder, in the order in which they run."""

@@ -1,7 +1,7 @@
 """`uwaug page`: a page to try it in a browser."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -35,10 +35,10 @@ def page(
     from uwaug.presets.scene import motorcycle, own_scene
 
     with reported_errors():
-        source = {"picture": "motorcycle.png", "distance": "motorcycle-distance.npy"}
-        source |= {"unit": 1.0, "holes": "error"}
+        source: dict[str, Any] = {"unit": 1.0, "holes": "error"}
         if image is None:
             scene = motorcycle()
+            source |= {"picture": "motorcycle.png", "distance": "motorcycle-distance.npy"}
         else:
             picture = read_picture(image)
             if distance is None:

@@ -513,7 +513,9 @@ def _mixture(text: str) -> Water:
         raise ValueError(f"water: expected {expected}, got {text!r:.80}")
     one, two = (Water.jerlov(water.strip()) for water in (first, second))
     mixed = one.mix(two, theirs)
-    return mixed._derived(mixed.wavelengths, mixed._table(mixed.wavelengths), text, mixed.provenance)
+    return mixed._derived(
+        mixed.wavelengths, mixed._table(mixed.wavelengths), text, mixed.provenance
+    )
 
 
 def _read_csv(path: Path) -> Water:

@@ -49,12 +49,13 @@ worker.onmessage = ({ data: { number, answer, error, share } }) => {
   asked.delete(number);
   if (error === undefined) question.resolve(answer); else question.reject(new Error(error));
 };
-let scene, wanted, later = [], busy = false, shown, settle;
+let scene, wanted, drawing = [], thumbnails = [], busy = false, shown, settle;
 async function work() {
   if (busy || !scene) return;
-  for (busy = true; wanted || later.length;) {
-    const job = wanted ? () => picture(wanted) : later.shift();
+  for (busy = true; wanted || drawing.length || thumbnails.length;) {
+    const job = wanted ? () => picture(wanted) : drawing.shift() ?? thumbnails.shift();
     await job().catch(error => { $("water-error").textContent = error.message; });
+    $("view").ariaBusy = String(Boolean(wanted));
   }
   busy = false;
 }
@@ -74,9 +75,10 @@ async function picture({ step, begun }) {
 }
 function changed(dragging) {
   fill();
+  $("view").ariaBusy = "true";
   wanted = { step: dragging && shown?.ms > 60 * shown.step ** 2 ? 2 : 1, begun: performance.now() };
   clearTimeout(settle);
-  if (!dragging) settle = setTimeout(() => { later = thumbnails(); work(); }, 500);
+  if (!dragging) settle = setTimeout(() => { thumbnails = thumbnailsNow(); work(); }, 500);
   work();
 }
 const paint = (canvas, { pixels, width, height }) => {
@@ -137,7 +139,7 @@ function tile(parent, label, value, choose) {
 }
 for (const type of TYPES) tile("waters", type, type, () => { state.water = type; state.share = 0; state.other = ""; changed(); });
 draws.severities.forEach((contrast, i) => tile("severities", `${i + 1}: ${percent(contrast)} left`, contrast, () => { state.contrast = contrast; state.nature = 0; changed(); }));
-const thumbnails = () => [["waters", value => ({ water: value, share: 0 })], ["severities", value => ({ contrast: Number(value) })]].flatMap(([strip, setting]) =>
+const thumbnailsNow = () => [["waters", value => ({ water: value, share: 0 })], ["severities", value => ({ contrast: Number(value) })]].flatMap(([strip, setting]) =>
   [...$(strip).children].map(button => async () => {
     const settings = { ...settingsOf(state), ...setting(button.dataset.value) };
     paint(button.firstChild, await ask("form", { settings, terms: [1, 1, 1], step: Math.ceil(scene.width / 200) }));
@@ -151,7 +153,7 @@ $("draw").addEventListener("click", () => {
       Object.assign(state, button.drawn, { nature: +(button.drawn.contrast === null), contrast: button.drawn.contrast ?? state.contrast, fullWell: state.fullWell });
       changed();
     });
-    later.push(async () => {
+    drawing.push(async () => {
       const made = await ask("draw", { settings: settingsOf(state), held, seed: seed++, step: Math.ceil(scene.width / 300) });
       button.drawn = made.drawn;
       button.lastChild.textContent = `${made.drawn.water}, ${made.drawn.contrast === null ? "as in nature" : percent(made.drawn.contrast)}, ${made.depth.toFixed(1)} m deep`;
@@ -203,9 +205,9 @@ async function setScene(bitmap, mapFor, files) {
   changed();
 }
 const chosen = () => ({ holds: $("holds").value, unit: +$("unit").value, near: +$("near").value, far: +$("far").value, holes: $("holes").value });
-let own = [];
 async function take(files) {
   $("files-error").textContent = "";
+  $("view").ariaBusy = "true";
   const maps = [], pictures = [];
   for (const file of files) {
     const buffer = await file.arrayBuffer(), npy = file.name.endsWith(".npy");
@@ -227,7 +229,11 @@ async function take(files) {
   const distance = map ? map.name : without === "made-up" ? `${pictures[0].name.replace(/\.\w+$/, "")}-distance.npy` : without;
   await setScene(bitmap, mapFor, { picture: pictures[0].name, distance, unit: map ? unit : 1, ...(map ? { holds, near, far, holes } : { holds: "metres", holes: "error" }) });
 }
-const taken = files => { own = [...files]; if (own.length) take(own).catch(error => { $("files-error").textContent = error.message; }); };
+let own = [], taking = Promise.resolve(); // one after another
+function taken(files) {
+  own = [...files];
+  if (own.length) taking = taking.then(() => take(own)).catch(error => { $("files-error").textContent = error.message; $("view").ariaBusy = "false"; });
+}
 $("files").addEventListener("change", event => taken(event.target.files));
 for (const id of ["holds", "unit", "near", "far", "holes", "without"]) $(id).addEventListener("change", () => { fill(); taken(own); });
 for (const kind of ["dragover", "dragleave", "drop"]) addEventListener(kind, event => {

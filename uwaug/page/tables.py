@@ -97,10 +97,12 @@ def _spectra(water: Water) -> dict[str, Array]:
 
 
 def _plan(plan: BlurPlan) -> dict[str, Any]:
-    """The blurs of a plan, as kernels of one axis that repeat every q px."""
+    """The blurs of a plan, as kernels of one axis that repeat every q px; the first, which is none,
+    is left out.
+    """
     slope, offset = place_line(plan)
     nodes = zip(plan.sigmas, plan.cells, strict=True)
-    blurs = [None if sigma == 0 else _blur(sigma, cell, plan.reach) for sigma, cell in nodes]
+    blurs = [_blur(sigma, cell, plan.reach) for sigma, cell in nodes if sigma > 0]
     line = {"slope": slope, "offset": offset, "coefficients": plan.coefficients}
     return {**line, "blurs": blurs, "margin": MARGIN}
 

@@ -1,0 +1,266 @@
+"""The page's functions in V8, against the package."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from py_mini_racer import MiniRacer
+
+import uwaug
+import uwaug.page
+from uwaug.formation.colour import decoded
+from uwaug.formation.development import exposed
+from uwaug.formation.image import blurred_as_seen, form
+from uwaug.page.tables import plan_of_page, tables
+from uwaug.transforms import random_underwater
+
+HEIGHT, WIDTH = 40, 52
+WATERS = 200
+ENGINE = 20  # of them, pictures too
+
+
+def settings_of(rng: np.random.Generator) -> dict[str, Any]:
+    types = list(uwaug.JERLOV_TYPES)
+    share = float(rng.choice([0.0, round(rng.uniform(), 2)]))
+    return {
+        "water": str(rng.choice([*types, *["contents"] * 6])),
+        "other": str(rng.choice(types)),
+        "share": share,
+        "chlorophyll": rng.uniform(0.1, 20),
+        "cdom": rng.uniform(0.02, 3),
+        "minerals": rng.uniform(0.02, 5),
+        "contrast": None if rng.uniform() < 0.2 else rng.uniform(0.05, 0.9),
+        "depth": rng.uniform(0, 20),
+        "times": 10 ** rng.uniform(-1, 1),
+        "g": rng.uniform(0, 0.4),
+        "mu": rng.uniform(0, 0.6),
+        "blur": rng.uniform(0, 2),
+        "colorMatrix": rng.uniform(),
+        "exposure": rng.uniform(-2, 1),
+        "whiteBalance": rng.uniform(-0.5, 1),
+        "saturation": rng.uniform(0, 2),
+        "gamut": rng.uniform(),
+        "tone": 1.0,
+        "fullWell": 0,
+        "readNoise": 0,
+    }
+
+
+def twin_of(settings: dict[str, Any]) -> uwaug.RandomUnderwater:
+    """The transform that the settings stand for."""
+    water = f"{1 - settings['share']}*{settings['water']}+{settings['share']}*{settings['other']}"
+    if settings["water"] == "contents":
+        names = ("chlorophyll", "cdom", "minerals")
+        water = ",".join(f"{name}={settings[name]}" for name in names)
+    elif not settings["share"]:
+        water = settings["water"]
+    law = uwaug.PointSpread.calibrated(0.866 * WIDTH)
+    blur = uwaug.PointSpread(law.scale * settings["blur"], law.exponent, law.shape)
+    return uwaug.RandomUnderwater(
+        [water],
+        contrast=settings["contrast"],
+        vertical_depth=settings["depth"],
+        g=settings["g"],
+        mu=settings["mu"],
+        field=None,
+        point_spread=blur,
+        development=uwaug.RandomDevelopment(
+            settings["colorMatrix"],
+            settings["exposure"],
+            white_balance=settings["whiteBalance"],
+            saturation=settings["saturation"],
+            gamut=settings["gamut"],
+            tone=settings["tone"],
+        ),
+    )
+
+
+class Page:
+    """The page's model, with a scene."""
+
+    def __init__(self) -> None:
+        self.engine = MiniRacer()
+        folder = Path(uwaug.page.__file__).parent
+        for name in ("model.js", "maps.js"):
+            self.engine.eval((folder / name).read_text().replace("export ", ""))
+        self.engine.eval(f"const tables = {json.dumps(tables())}")
+        rng = np.random.default_rng(3)
+        blocks = rng.integers(0, 256, (3, HEIGHT // 8, WIDTH // 4)).repeat(8, 1).repeat(4, 2)
+        noisy = (blocks + rng.integers(-20, 20, blocks.shape)).clip(0, 255)
+        self.image = torch.from_numpy(noisy.astype(np.uint8))
+        z = np.exp(rng.uniform(np.log(0.5), np.log(9), (HEIGHT // 4, WIDTH // 4)))
+        self.distance = torch.from_numpy(z.repeat(4, 0).repeat(4, 1).astype(np.float32))[None]
+        self.distance[0, :4] = math.inf
+        rgba = np.concatenate([noisy, np.full_like(noisy[:1], 255)]).transpose(1, 2, 0)
+        metres = ",".join(map(str, self.distance.flatten().tolist())).replace("inf", "Infinity")
+        self.engine.eval(f"const pixels = Uint8Array.from({rgba.ravel().tolist()})")
+        self.engine.eval(f"const distance = Float32Array.from([{metres}])")
+        self.engine.eval(f"const scene = sceneOf(pixels, distance, {WIDTH}, {HEIGHT}, tables)")
+
+    def __call__(self, expression: str) -> Any:
+        return json.loads(self.engine.eval(f"JSON.stringify({expression})"))
+
+    def use(self, settings: dict[str, Any]) -> None:
+        self.engine.eval(f"var s = {json.dumps(settings)}, water = waterTable(scene, s, tables);")
+        self.engine.eval("var gain = gainOf(scene, water, s, tables)")
+
+
+@pytest.fixture(scope="module")
+def page() -> Page:
+    return Page()
+
+
+@pytest.fixture
+def every_band(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(random_underwater, "_TOLERANCE", 0.0)
+
+
+def test_waters_are_those_of_the_package(page: Page, every_band: None) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(WATERS):
+        settings = settings_of(rng)
+        twin = twin_of(settings)
+        sample = twin.make_params(page.image)["samples"]
+        maps = page.distance[None].double() * settings["times"]
+        (scene,) = twin.scenes(page.image[None], maps, sample)
+        assert scene.water is not None
+        z, medium, _ = scene.water
+        page.use(settings)
+        assert page("water.depth") == pytest.approx(
+            float(medium.notes[0].split(", ")[2].split(" m")[0]), rel=1e-5
+        )
+        if scene.reached is not None:
+            assert page("water.contents") == pytest.approx(scene.reached.contents, rel=1e-6)
+            assert page("water.scale") == pytest.approx(scene.reached.scale, rel=1e-6)
+        size = page("scene.K") + 21
+        rows = np.array(page("Array.from(water.table)")).reshape(-1, size)[:, -21:]
+        near, step = page("[scene.near, scene.step]")
+        places = torch.tensor([0, 100, 500, 900, 1023], dtype=torch.float64)
+        scale = scene.reached.scale if scene.reached else 1.0
+        metres = near * torch.exp(places * step) * settings["times"] * scale
+        curves = medium.curves(metres[None, None, None])
+        parts = (curves.direct.reshape(9, -1), curves.scatter.reshape(9, -1))
+        truth = torch.cat([*parts, curves.veil.reshape(3, -1)]).T
+        torch.testing.assert_close(
+            torch.from_numpy(rows[places.long().numpy()]), truth, rtol=0, atol=1e-5
+        )
+        far = medium.curves(z.amax().reshape(1, 1, 1, 1)).veil.flatten()
+        torch.testing.assert_close(torch.from_numpy(rows[1024, 18:]), far, rtol=0, atol=1e-5)
+
+
+def test_pictures_are_those_of_the_package(page: Page, every_band: None) -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(ENGINE):
+        settings = settings_of(rng)
+        settings["contrast"] = settings["contrast"] or 0.5
+        twin = twin_of(settings)
+        params = twin.make_params(page.image)["samples"]
+        maps = page.distance[None].double() * settings["times"]
+        (scene,) = twin.scenes(page.image[None], maps, params)
+        assert scene.water is not None
+        z, medium, _ = scene.water
+        J, development = decoded(page.image[None], "srgb").double(), twin.development.of(params[0])
+        soft = blurred_as_seen(J, z.double(), medium, plan_of_page())
+        gain = development.gain(J, z.double(), medium)
+        light = development.shaped(exposed(medium.image(z.double(), J, soft), gain))
+        page.use(settings)
+        matrix = gain if gain.ndim == 3 else torch.diag_embed(gain.expand(1, 3))
+        assert np.array(page("gain")) == pytest.approx(matrix[0].numpy(), rel=1e-5, abs=1e-6)
+        page.engine.eval(f"var exact = new Float32Array({3 * WIDTH * HEIGHT})")
+        page.engine.eval("var picture = form(scene, water, gain, s, { exact }, tables)")
+        exact = torch.tensor(page("Array.from(exact)")).reshape(HEIGHT, WIDTH, 3).permute(2, 0, 1)
+        brightest = max(float(gain.abs().max()), 1.0)
+        torch.testing.assert_close(exact.double(), light[0], rtol=1e-5, atol=1e-5 * brightest)
+        # with a tone, and as bytes
+        settings["tone"] = float(rng.uniform(0.5, 2.5))
+        shown = twin_of(settings).development.of(
+            {"numbers": {**params[0]["numbers"], "tone": settings["tone"]}}
+        )
+        truth = form(page.image[None], z, medium.to(z), shown, plan=plan_of_page())[0]
+        page.use(settings)
+        page.engine.eval("var picture = form(scene, water, gain, s, {}, tables)")
+        pixels = np.array(page("Array.from(picture.pixels)")).reshape(HEIGHT, WIDTH, 4)[..., :3]
+        off = np.abs(pixels - truth.permute(1, 2, 0).numpy().astype(int))
+        assert off.max() <= 1
+        assert (off > 0).mean() < 0.02
+
+
+def test_what_is_left_of_contrast(page: Page, every_band: None) -> None:
+    settings = settings_of(np.random.default_rng(2)) | {"contrast": 0.4, "times": 1.0}
+    twin = twin_of(settings)
+    left = twin.contrast_left(page.image, page.distance, twin.make_params(page.image))
+    page.use(settings)
+    shown = page("Array.from(scene.place, p => contrastLeft(p, water, scene.K, tables))")
+    # of the nearest place in the table
+    assert np.array(shown) == pytest.approx(left.flatten().numpy(), abs=3e-3)
+
+
+def test_noise_follows_the_photon_transfer_curve(page: Page) -> None:
+    settings = settings_of(np.random.default_rng(4)) | {"contrast": 0.8, "gamut": 0.0}
+    page.use(settings)
+    pictures = []
+    for well in (0, 1000):
+        page.use(settings | {"fullWell": well, "readNoise": 5})
+        page.engine.eval(
+            f"var exact = new Float32Array({3 * WIDTH * HEIGHT}); gain = [[1,0,0],[0,1,0],[0,0,1]]"
+        )
+        page.engine.eval("form(scene, water, gain, s, { exact }, tables)")
+        pictures.append(np.array(page("Array.from(exact)")))
+    clean, noisy = pictures
+    share = (noisy - clean) / np.sqrt(clean.clip(0) / 1000 + (5 / 1000) ** 2)
+    assert share.mean() == pytest.approx(0, abs=0.05)
+    assert share.std() == pytest.approx(1, abs=0.03)
+
+
+def test_maps(page: Page) -> None:
+    values = "[0, 1000, 2000, 4000]"
+    page.engine.eval(f"const map = {{ values: Float32Array.from({values}), most: 65535 }}")
+
+    def metres(**said: Any) -> list[float]:
+        asked = {"holds": "metres", "unit": 0.001, "near": 1, "far": 4, "holes": "far", **said}
+        shown = page(f"Array.from(metresOf(map, {json.dumps(asked)}), z => z < Infinity ? z : -1)")
+        return [round(z, 6) for z in shown]
+
+    assert metres() == [-1, 1, 2, 4]
+    assert metres(holes="3") == [3, 1, 2, 4]
+    relative = uwaug.distance.from_relative(torch.tensor([[0, 1000, 2000, 4000]]) / 65535, 1, 4)
+    assert metres(holds="relative") == pytest.approx(relative.flatten().tolist(), rel=1e-5)
+    inverse = uwaug.distance.from_inverse(torch.tensor([[0.0, 1000, 2000, 4000]]), 1, 4)
+    assert metres(holds="inverse") == pytest.approx(inverse.flatten().tolist(), rel=1e-5)
+    for asked, words in (
+        ({"holes": "error"}, "1 pixels have no distance"),
+        ({"unit": 1}, "is the unit mm"),
+    ):
+        with pytest.raises(Exception, match=words):
+            metres(**asked)
+
+
+def test_made_up_distances(page: Page) -> None:
+    """Near at the bottom, open water where the top is plain, steps where the picture has them."""
+    height, width = 60, 80
+    picture = np.full((height, width, 4), 230, np.uint8)
+    picture[25:] = 90
+    picture[35:50, 20:40] = (200, 30, 30, 255)
+    page.engine.eval(f"const drawn = Uint8Array.from({picture.ravel().tolist()})")
+    maps = []
+    for seed in range(8):
+        made = f"madeUp(drawn, {width}, {height}, randomOf({seed}))"
+        shown = page(f"Array.from({made}, z => z < Infinity ? z : 1e9)")
+        maps.append(np.array(shown).reshape(height, width))
+    z = np.stack(maps)
+    assert (z > 0).all()
+    assert z.min() == pytest.approx(1, rel=0.05)
+    assert (z < 8.01).mean() > 0.5
+    assert z[:, -20:].max() < 8.01
+    assert (z[:, 0] > 1e3).mean() > 0.5
+    assert np.median(z[:, -1]) < np.median(z[:, 28])
+    inside, outside = (
+        np.log(z[:, 40:45, 26:34].mean((1, 2))),
+        np.log(z[:, 40:45, 60:70].mean((1, 2))),
+    )
+    assert np.abs(inside - outside).max() > 0.1
+    assert not np.array_equal(z[0], z[1])
