@@ -160,7 +160,7 @@ def main(
             [image for image, _ in looked],
             [distance for _, distance in looked],
             draws=30 if quick else 300,
-            keep=2 if quick else 20,
+            keep=2 if quick else 10,
         )
         seconds = time.perf_counter() - began
         wet = [augment.at(1, i, 0)(*scene)[0] for i, scene in enumerate(other)]

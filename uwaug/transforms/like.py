@@ -36,8 +36,13 @@ _PARENTS = 15
 _MORE = 4
 """Pictures on which the best are tried besides their first."""
 
+_COLOUR = ("a_mean", "b_mean", "veil_a", "veil_b", "log_RG", "log_BG")
+"""Numbers that count twice: one looks for colour, and it hangs on what a picture shows least. The
+others come out as near.
+"""
+
 _FAR = 1.0
-"""Standard deviations of photographs, of a number on average, from which a warning is due."""
+"""Standard deviations of photographs from which a warning is due."""
 
 _WORDS = {
     "L_mean": ("darker", "brighter"),
@@ -54,6 +59,10 @@ _WORDS = {
     "dark": ("with deeper shadows", "hazier"),
 }
 """What a picture is that has less, or more, of a number than another."""
+
+_WEIGHTS = np.array([2.0 if name in _COLOUR else 1.0 for name in SPREADS])
+_UNITS = np.array(list(SPREADS.values())) * np.sqrt(np.mean(_WEIGHTS**2)) / _WEIGHTS
+"""What counts as 1 of each number, a standard deviation of photographs on average."""
 
 
 _THRICE = 3
@@ -118,7 +127,7 @@ def like(
     *,
     augment: RandomUnderwater | None = None,
     draws: int = 300,
-    keep: int = 20,
+    keep: int = 10,
     seed: int = 0,
 ) -> UnderwaterLike:
     """Random waters in which pictures look like a photograph, "like that one".
@@ -278,7 +287,7 @@ def _numbers(picture: Tensor, augment: RandomUnderwater) -> Values:
     linear = augment.development.color_space == "linear"
     srgb = linear_to_srgb(picture).clamp(0, 1) if linear else picture
     found = numbers_of_water(srgb.permute(1, 2, 0).numpy())
-    return np.array([found[name] / spread for name, spread in SPREADS.items()])
+    return np.array([found[name] for name in SPREADS]) / _UNITS
 
 
 def _away(draw: _Draw, photograph: Values) -> float:
