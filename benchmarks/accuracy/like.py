@@ -39,8 +39,9 @@ from torch.nn.functional import interpolate
 
 import uwaug
 from benchmarks.accuracy.draws import sources
-from benchmarks.accuracy.photographs import OF_WATER, numbers_of
+from benchmarks.accuracy.photographs import numbers_of
 from benchmarks.harness import save
+from uwaug.transforms.statistics import OF_WATER
 
 REFERENCES = 100
 CHOSEN_ON = 36  # photographs, by this seed:
@@ -130,7 +131,7 @@ def main(
     all_numbers = [judged(photograph) for photograph in every]
     names = list(all_numbers[0])
     spreads = np.std([list(numbers.values()) for numbers in all_numbers], 0) + 1e-9
-    of = {"water": OF_WATER, "all": names, "neither": OF_NEITHER}
+    of = {"water": list(OF_WATER), "all": names, "neither": OF_NEITHER}
     places = {kind: [names.index(name) for name in some] for kind, some in of.items()}
 
     def away(drawn: Numbers, reference: Numbers) -> dict[str, float]:
@@ -185,7 +186,7 @@ def main(
             print(n + 1, summary(rows), flush=True)
     found = summary(rows)
     print(found)
-    if not quick:
+    if photographs and not quick:
         save("like", {"references": len(rows), **found})
     return found
 

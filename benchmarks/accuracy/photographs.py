@@ -22,13 +22,10 @@ from scipy.stats import betabinom
 from skimage.color import rgb2lab
 
 from benchmarks.harness import RESULTS
-from uwaug.transforms.statistics import SPREADS, correlation, numbers_of_water
+from uwaug.transforms.statistics import OF_WATER, correlation, numbers_of_water
 
 Numbers = NDArray[np.float64]
 Picture = NDArray[np.uint8]
-
-OF_WATER = list(SPREADS)
-"""Names of the numbers that hang on the water more than on the scene."""
 
 MEASURES = ("recall", "coverage", "precision", "clipped density", "clipped coverage")
 

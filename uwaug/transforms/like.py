@@ -20,7 +20,7 @@ from uwaug.formation.colour import linear_to_srgb, require_values
 from uwaug.transforms.params import Record
 from uwaug.transforms.random_underwater import RandomUnderwater
 from uwaug.transforms.samples import typed
-from uwaug.transforms.statistics import SPREADS, Values, numbers_of_water
+from uwaug.transforms.statistics import OF_WATER, Values, numbers_of_water
 
 _SHORT = 128
 """px, short side of the pictures that are looked at."""
@@ -36,37 +36,12 @@ _PARENTS = 15
 _MORE = 4
 """Pictures on which the best are tried besides their first."""
 
-_COLOUR = ("a_mean", "b_mean", "veil_a", "veil_b", "log_RG", "log_BG")
-"""Numbers that count twice: one looks for colour, and it hangs on what a picture shows least. The
-others come out as near.
-"""
-
 _FAR = 1.0
 """Standard deviations of photographs from which a warning is due."""
 
-_WORDS = {
-    "L_mean": ("darker", "brighter"),
-    "a_mean": ("greener", "redder"),
-    "b_mean": ("bluer", "yellower"),
-    "chroma": ("paler", "more colourful"),
-    "veil_L": ("with a darker veil", "with a brighter veil"),
-    "veil_a": ("with a greener veil", "with a redder veil"),
-    "veil_b": ("with a bluer veil", "with a yellower veil"),
-    "log_RG": ("with less red", "with more red"),
-    "log_BG": ("with less blue", "with more blue"),
-    "sd_RG": ("with less contrast in red", "with more contrast in red"),
-    "corr_RG": ("with red less like green", "with red more like green"),
-    "dark": ("with deeper shadows", "hazier"),
-}
-"""What a picture is that has less, or more, of a number than another."""
-
-_WEIGHTS = np.array([2.0 if name in _COLOUR else 1.0 for name in SPREADS])
-_UNITS = np.array(list(SPREADS.values())) * np.sqrt(np.mean(_WEIGHTS**2)) / _WEIGHTS
-"""What counts as 1 of each number, a standard deviation of photographs on average."""
-
-
-_THRICE = 3
-"""Words that a warning has at most."""
+_SPREADS, _COUNTS, *_ = map(np.array, zip(*OF_WATER.values(), strict=True))
+_UNITS = _SPREADS * np.sqrt(np.mean(_COUNTS**2)) / _COUNTS
+"""What is 1 of each number: a standard deviation of photographs, on average."""
 
 
 class Nearness(NamedTuple):
@@ -115,8 +90,8 @@ class UnderwaterLike(RandomUnderwater):
     def make_params(self, image: Tensor, generator: torch.Generator | None = None) -> Record:
         """See `RandomUnderwater.make_params`."""
         samples = super().make_params(image, generator)["samples"]
-        picked = torch.randint(len(self.kept), (len(samples),), generator=generator).tolist()
-        kept = [self.kept[i] for i in picked]
+        picked = torch.randint(len(self.kept), (len(samples),), generator=generator, device="cpu")
+        kept = [self.kept[i] for i in picked.tolist()]
         return {"samples": [_in_water(*pair) for pair in zip(samples, kept, strict=True)]}
 
 
@@ -287,7 +262,8 @@ def _numbers(picture: Tensor, augment: RandomUnderwater) -> Values:
     linear = augment.development.color_space == "linear"
     srgb = linear_to_srgb(picture).clamp(0, 1) if linear else picture
     found = numbers_of_water(srgb.permute(1, 2, 0).numpy())
-    return np.array([found[name] for name in SPREADS]) / _UNITS
+    numbers: Values = np.array([found[name] for name in OF_WATER]) / _UNITS
+    return numbers
 
 
 def _away(draw: _Draw, photograph: Values) -> float:
@@ -301,6 +277,7 @@ def _doubt(best: list[_Draw], photograph: Values) -> str:
     if away < _FAR:
         return ""
     over = np.mean([np.mean(one.seen, 0) for one in best], 0) - photograph
-    worst = sorted(zip(over, _WORDS.values(), strict=True), key=lambda pair: -abs(pair[0]))
-    words = ", ".join(pair[int(x > 0)] for x, pair in worst[:_THRICE])
-    return f"even the nearest draws look unlike the reference, {away:.2f} standard deviations off: {words}"
+    worst = np.argsort(-abs(over))[:3]
+    words = [list(OF_WATER.values())[i][3 if over[i] > 0 else 2] for i in worst]
+    off = f"{away:.2f} standard deviations of photographs away: {', '.join(words)}"
+    return f"even the nearest draws look unlike the reference, {off}"

@@ -7,22 +7,23 @@ from numpy.typing import NDArray
 
 Values = NDArray[Any]
 
-SPREADS = {
-    "L_mean": 11.2,
-    "a_mean": 14.7,
-    "b_mean": 17.2,
-    "chroma": 12.1,
-    "veil_L": 18.9,
-    "veil_a": 18.6,
-    "veil_b": 24,
-    "log_RG": 1.43,
-    "log_BG": 0.915,
-    "sd_RG": 0.84,
-    "corr_RG": 0.343,
-    "dark": 0.129,
+OF_WATER = {
+    "L_mean": (11.2, 1, "darker", "brighter"),
+    "a_mean": (14.7, 2, "greener", "redder"),
+    "b_mean": (17.2, 2, "bluer", "yellower"),
+    "chroma": (12.1, 1, "paler", "more colourful"),
+    "veil_L": (18.9, 1, "with a darker veil", "with a brighter veil"),
+    "veil_a": (18.6, 2, "with a greener veil", "with a redder veil"),
+    "veil_b": (24.0, 2, "with a bluer veil", "with a yellower veil"),
+    "log_RG": (1.43, 2, "with less red", "with more red"),
+    "log_BG": (0.915, 2, "with less blue", "with more blue"),
+    "sd_RG": (0.84, 1, "with less contrast in red", "with more contrast in red"),
+    "corr_RG": (0.343, 1, "with red less like green", "with red more like green"),
+    "dark": (0.129, 1, "with deeper shadows", "hazier"),
 }
-"""The twelve numbers, each with its standard deviation in the 342 real photographs of
-benchmarks/results/photographs.csv (short side 256 px).
+"""Of each number: its standard deviation in the 342 real photographs of benchmarks/results/
+photographs.csv (short side 256 px); how much it counts in `like`, colour twice, for which one looks
+(the others then come out as near); what a picture is that has less of it, and more.
 """
 
 _BLOCKS = 16
