@@ -1,5 +1,6 @@
 import csv
 import json
+from functools import partial
 
 import numpy as np
 import pytest
@@ -103,7 +104,9 @@ def test_options_reach_the_transform(folder, run):
     assert transform.distance == uwaug.distance.Plane(3.0)
 
 
-def test_pictures_like_a_photograph(folder, run):
+def test_pictures_like_a_photograph(folder, run, monkeypatch):
+    few = partial(uwaug.like, draws=30, keep=2)
+    monkeypatch.setattr(uwaug.files.run, "like", few)
     murky = np.random.default_rng(1).integers(0, 90, (24, 32, 3), np.uint8)
     murky[..., 1] += 60
     Image.fromarray(murky).save(folder / "green.png")

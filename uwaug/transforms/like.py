@@ -136,11 +136,10 @@ def like(
 
     Examples:
         >>> import torch
-        >>> from uwaug import like
-        >>> pictures, green = torch.rand(2, 3, 32, 48), torch.rand(3, 32, 48) / 4
-        >>> green[1] += 0.4
-        >>> augment = like(green, pictures, torch.full((2, 1, 32, 48), 3.0), draws=30, keep=2)
-        >>> degraded, _ = augment(pictures[0], torch.full((1, 32, 48), 3.0))
+        >>> pictures, distance = torch.rand(2, 3, 32, 48), torch.full((2, 1, 32, 48), 3.0)
+        >>> wet, _ = RandomUnderwater("7C").at(seed=0, epoch=0, index=0)(pictures, distance)
+        >>> augment = like(wet[0], pictures, distance, draws=30, keep=2)
+        >>> degraded, _ = augment(pictures, distance)
     """
     if augment is None:
         augment = RandomUnderwater(distance=Metres() if distance is not None else MadeUp())
