@@ -17,6 +17,7 @@ PARTS = {
     "surfaces": "accuracy",
     "fitting_recovery": "accuracy",
     "draws": "accuracy",
+    "like": "accuracy",
     "throughput": "speed",
     "jobs": "speed",
     "page": "speed",
