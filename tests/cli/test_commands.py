@@ -178,6 +178,9 @@ def test_a_broken_map_fails_alone_and_resume_goes_on(folder, run):
         ("preset show nothing", "nothing"),
         ("plot photos/a.png --distance 3 --holes near", "holes must be one of"),
         ("check photos/a.png", "a.png"),
+        ("page --out page.htm", "--out must end in .html"),
+        ("page --water 4C --out page.html", "water must be one of"),
+        ("page --image photos/a.png --distance depth/b.png --out page.html", "median is"),
     ],
 )
 def test_what_is_refused_in_one_line(folder, run, line, words):

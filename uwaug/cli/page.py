@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from uwaug.cli.choices import Force, Holes, Unit, number_or_word
+from uwaug.cli.choices import WATERS, Force, Holes, Unit, complete, number_or_word
 from uwaug.cli.console import print_written, reported_errors, require_writable
 
 
@@ -23,11 +23,16 @@ def page(
     ] = None,
     unit: Unit = "m",
     holes: Holes = "behind",
+    water: Annotated[
+        str | None,
+        typer.Option(help="The Jerlov type that it begins with.", autocompletion=complete(*WATERS)),
+    ] = None,
     open_: Annotated[bool, typer.Option("--open", help="Open it in a browser.")] = False,
     force: Force = False,
 ) -> None:
     """Write a page that shows what degrade makes: your own pictures, every slider, offline."""
     require_writable(out, force=force, endings=(".html",))
+    from uwaug._support import checks
     from uwaug.cli.choices import read_metres
     from uwaug.distance import MadeUp, Metres
     from uwaug.files.pictures import metres_of, read_picture
@@ -35,6 +40,8 @@ def page(
     from uwaug.presets.scene import motorcycle, own_scene
 
     with reported_errors():
+        if water is not None:
+            checks.one_of("water", water, WATERS)
         source: dict[str, Any] = {"unit": 1.0, "holes": "error"}
         if image is None:
             scene = motorcycle()
@@ -51,7 +58,7 @@ def page(
                 source["holes"] = holes
             scene = own_scene(picture, metres, PIXELS)
             source |= {"picture": str(image), "width": picture.shape[-1]}
-        write_page(out, scene, source)
+        write_page(out, scene, source, water)
     print_written(out)
     if open_:
         typer.launch(str(out.absolute()))

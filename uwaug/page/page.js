@@ -26,7 +26,7 @@ const SLIDERS = {
   blur: ["scattering", "Width of the blur", 0, 3, v => `× ${v.toFixed(2)}`],
 };
 const state = {
-  water: "3C", other: "", share: 0, chlorophyll: 3, cdom: 0.5, minerals: 0.5, contrast: 0.4, nature: 0, depth: 3, times: 1, exposure: 0,
+  water: embedded.water ?? "3C", other: "", share: 0, chlorophyll: 3, cdom: 0.5, minerals: 0.5, contrast: 0.4, nature: 0, depth: 3, times: 1, exposure: 0,
   whiteBalance: 0.3, saturation: 1, gamut: 0.85, tone: 1.2, colorMatrix: 0.4, fullWell: 1e5, readNoise: 3, g: draws.g, mu: rounded(1.5 * draws.g), blur: 1,
 };
 const DEFAULTS = { ...state }, DRAWN = ["water", "contrast", "depth", "exposure", "whiteBalance", "saturation", "gamut", "tone", "colorMatrix"];

@@ -24,7 +24,9 @@ _OPEN = 65535
 """The code of open water."""
 
 
-def write_page(path: str | Path, scene: Scene, source: Mapping[str, Any]) -> None:
+def write_page(
+    path: str | Path, scene: Scene, source: Mapping[str, Any], water: str | None = None
+) -> None:
     """Write a page that shows a scene first.
 
     Args:
@@ -32,6 +34,7 @@ def write_page(path: str | Path, scene: Scene, source: Mapping[str, Any]) -> Non
         scene: of `PIXELS` at most, see `uwaug.presets.scene.own_scene`.
         source: where it comes from, for what is copied from the page: "picture" and "distance",
             names of files, or metres; "unit", m; "holes".
+        water: the Jerlov type to begin with.
 
     Raises:
         OSError: if it cannot be written.
@@ -40,7 +43,7 @@ def write_page(path: str | Path, scene: Scene, source: Mapping[str, Any]) -> Non
         "style.css": _text("style.css"),
         "model.js worker.js": _plain("model.js", "worker.js"),
         "tables": _json(tables()),
-        "scene": _json({**_stored(scene), "files": {"holds": "metres", **source}}),
+        "scene": _json({**_stored(scene), "water": water, "files": {"holds": "metres", **source}}),
         "maps.js page.js": _plain("maps.js", "page.js"),
     }
     page = re.sub(r"/\* ([\w. ]+) \*/", lambda mark: parts[mark[1]], _text("index.html"))
