@@ -1,0 +1,79 @@
+"""How far are painted balls in draws of `RandomUnderwater` from real buoys?
+
+`python -m benchmarks.evidence --colours` draws the balls of `tasks` by the defaults and with ranges
+changed, and prints the mean sRGB values of a ball less those of the ring of water round it, beside
+those of the real buoys, which the first run measured.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from skimage import data
+from torch import Tensor
+
+import uwaug
+from benchmarks.evidence.tasks import COLOURS, Array, painted_balls
+from uwaug import RandomDevelopment
+
+REAL = {"red": (0.40, 0.00, -0.07), "green": (0.02, 0.10, -0.02), "ring": (0.12, 0.63, 0.68)}
+"""Ball less ring, and ring, of the real buoys in coloured water."""
+
+VARIANTS: dict[str, dict[str, Any]] = {
+    "defaults": {},
+    "vertical_depth 0–5": {"vertical_depth": (0.0, 5.0)},
+    "contrast .3–.9": {"contrast": (0.3, 0.9)},
+    "exposure −1.2–1.2": {"development": RandomDevelopment(exposure=(-1.2, 1.2))},
+    "exposure 0–2": {"development": RandomDevelopment(exposure=(0.0, 2.0))},
+    "saturation 1": {"development": RandomDevelopment(saturation=1.0)},
+    "tone 1": {"development": RandomDevelopment(tone=1.0)},
+    "mu .015": {"mu": 0.015},
+    "mu .015–.075": {"mu": (0.015, 0.075)},
+    "and exposure −1.2–1.2": {
+        "mu": (0.015, 0.075),
+        "development": RandomDevelopment(exposure=(-1.2, 1.2)),
+    },
+}
+"""What is put in place of ranges of the defaults, by name."""
+
+
+def ball_less_ring(images: Tensor, radii: Tensor, labels: Tensor) -> dict[str, Array]:
+    """Means of red and of green balls less their rings, and of all rings (sRGB, each 3)."""
+
+    def mean(inside: Tensor) -> Tensor:
+        weights = inside[:, None].float()
+        return (images * weights).sum((2, 3)) / weights.sum((2, 3))
+
+    ball, ring = mean(radii < 0.8), mean((radii > 1.25) & (radii < 1.8))
+    found = {name: (ball - ring)[labels == index].mean(0) for index, name in enumerate(COLOURS)}
+    return {name: value.numpy() for name, value in {**found, "ring": ring.mean(0)}.items()}
+
+
+def distance_to_real(found: dict[str, Array]) -> float:
+    """RMS difference of the nine numbers from those of real buoys."""
+    return float(np.sqrt(np.mean([(found[name] - REAL[name]) ** 2 for name in REAL])))
+
+
+def measured(options: dict[str, Any], photographs: Sequence[Array], count: int) -> dict[str, Array]:
+    """Ball less ring of draws with these options."""
+    pool, radii = painted_balls(photographs, count, np.random.default_rng(0))
+    augment = uwaug.RandomUnderwater(**options)
+    torch.manual_seed(0)
+    pairs = zip(pool.images.split(64), pool.distances.split(64), strict=True)
+    drawn = torch.cat([augment(*pair)[0] for pair in pairs])
+    return ball_less_ring(drawn, radii, pool.labels)
+
+
+def main(count: int = 600, names: Sequence[str] = tuple(VARIANTS)) -> dict[str, Any]:
+    """Print the table, with scikit-image's photographs behind the balls."""
+    behind = [
+        picture() / 255 for picture in (data.astronaut, data.coffee, data.chelsea, data.rocket)
+    ]
+    print(f"\n{'ball − ring, r g b':22}{'red':20}{'green':20}{'ring':20}from real")
+    rows = {"real buoys": {name: np.array(value) for name, value in REAL.items()}}
+    rows |= {name: measured(VARIANTS[name], behind, count) for name in names}
+    for name, row in rows.items():
+        cells = (" ".join(f"{value:+.2f}" for value in row[part]) for part in REAL)
+        print(f"{name:22}{''.join(f'{cell:20}' for cell in cells)}{distance_to_real(row):.3f}")
+    return {name: {part: row[part].tolist() for part in row} for name, row in rows.items()}
