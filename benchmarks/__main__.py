@@ -17,6 +17,7 @@ PARTS = {
     "surfaces": "accuracy",
     "fitting_recovery": "accuracy",
     "draws": "accuracy",
+    "training": "evidence",
     "throughput": "speed",
     "jobs": "speed",
     "gallery": "figures",

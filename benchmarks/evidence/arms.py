@@ -66,8 +66,8 @@ def li_2020(images: Tensor, distances: Tensor) -> Tensor:
 
 
 def slurpp_2025(images: Tensor, distances: Tensor) -> Tensor:
-    """The loader of SLURPP: a type drawn for each picture, times a number of .01 to 1. The table that
-    uwaug has is for the middle of that.
+    """The loader of SLURPP: a type drawn for each picture, times a number from .01 to 1, for the
+    middle of which the table stands.
     """
     times = drawn([0.02], [2.0], len(images))
     return _published("slurpp-2025", images, distances * times)
@@ -99,8 +99,8 @@ ARMS: dict[str, Callable[[], Arm]] = {
     "p=0.5": lambda: ours(p=0.5),
     # candidates for other defaults: to be picked by the part "choose", told by "judge"
     "saturation 1": lambda: ours(development=RandomDevelopment(saturation=1.0)),
-    "mu .015–.075": lambda: ours(mu=(0.015, 0.075)),
-    "the same, p=0.5": lambda: ours(mu=(0.015, 0.075), p=0.5),
+    "mu .01–.05": lambda: ours(mu=(0.01, 0.05)),
+    "mu .01–.05, p=0.5": lambda: ours(mu=(0.01, 0.05), p=0.5),
 }
 """What makes each arm, by its name in the table."""
 
