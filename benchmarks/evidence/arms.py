@@ -99,8 +99,8 @@ ARMS: dict[str, Callable[[], Arm]] = {
     "p=0.5": lambda: ours(p=0.5),
     # candidates for other defaults: to be picked by the part "choose", told by "judge"
     "saturation 1": lambda: ours(development=RandomDevelopment(saturation=1.0)),
-    "mu .01–.05": lambda: ours(mu=(0.01, 0.05)),
-    "mu .01–.05, p=0.5": lambda: ours(mu=(0.01, 0.05), p=0.5),
+    "mu .015–.075": lambda: ours(mu=(0.015, 0.075)),
+    "mu .015–.075, p=0.5": lambda: ours(mu=(0.015, 0.075), p=0.5),
 }
 """What makes each arm, by its name in the table."""
 

@@ -48,7 +48,7 @@ def main(quick: bool = False, data: Path | None = None) -> dict[str, Any]:
         stand_ins.write(Path(folder))
         few = {"colour": 4, "fish": 4}
         found = measured(Path(folder), seeds=1, balls=24, steps=few, arms=list(ARMS))
-    return {**found, "colours": colours.main(count=48, names=["defaults", "mu .01–.05"])}
+    return {**found, "colours": colours.main(count=48, names=["defaults", "mu .015–.075"])}
 
 
 def measured(
