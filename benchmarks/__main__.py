@@ -18,6 +18,7 @@ PARTS = {
     "fitting_recovery": "accuracy",
     "draws": "accuracy",
     "like": "accuracy",
+    "training": "evidence",
     "throughput": "speed",
     "jobs": "speed",
     "page": "speed",
