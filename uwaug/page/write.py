@@ -68,7 +68,7 @@ def _stored(scene: Scene) -> dict[str, Any]:
     """Picture and distances; these as whole numbers of equal steps in their logarithm."""
     pixels = (scene.image * 255).round().byte().permute(1, 2, 0).numpy()
     webp = io.BytesIO()
-    Image.fromarray(pixels).save(webp, "WEBP", lossless=True, quality=100, method=6)
+    Image.fromarray(pixels).save(webp, "WEBP", lossless=True)
     z = scene.distance.double().numpy()
     known = z[np.isfinite(z)]
     near, far = (float(known.min()), float(known.max())) if known.size else (1.0, 1.0)
