@@ -26,17 +26,17 @@ from uwaug.presets.scene import Scene, motorcycle
 
 WATERS = ("IB", "II", "III", "1C", "3C", "5C", "7C", "9C", "0.6*3C+0.4*9C", "0.5*II+0.5*7C")
 SETTINGS: tuple[dict[str, float], ...] = (
-    {"contrast": 0.2, "depth": 6, "exposure": -1, "tone": 1.5, "colorMatrix": 0.7},
-    {"contrast": 0.4, "depth": 2, "whiteBalance": 0.8, "saturation": 1.3, "gamut": 1},
-    {"contrast": 0.7, "depth": 9, "exposure": 0.4, "tone": 1, "colorMatrix": 0},
+    {"contrast": 0.2, "vertical_depth": 6, "exposure": -1, "tone": 1.5, "color_matrix": 0.7},
+    {"contrast": 0.4, "vertical_depth": 2, "white_balance": 0.8, "saturation": 1.3, "gamut": 1},
+    {"contrast": 0.7, "vertical_depth": 9, "exposure": 0.4, "tone": 1, "color_matrix": 0},
 )
 DEFAULTS = {
     "exposure": 0.0,
-    "whiteBalance": 0.3,
+    "white_balance": 0.3,
     "saturation": 1.0,
     "gamut": 0.85,
     "tone": 1.2,
-    "colorMatrix": 0.4,
+    "color_matrix": 0.4,
 }
 MOVES = 20  # of a slider
 FLAGS = ("--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-quic")
@@ -48,12 +48,12 @@ def twin(water: str, settings: dict[str, float]) -> uwaug.RandomUnderwater:
     return uwaug.RandomUnderwater(
         [water],
         contrast=settings["contrast"],
-        vertical_depth=settings["depth"],
+        vertical_depth=settings["vertical_depth"],
         field=None,
         development=uwaug.RandomDevelopment(
-            camera["colorMatrix"],
+            camera["color_matrix"],
             camera["exposure"],
-            white_balance=camera["whiteBalance"],
+            white_balance=camera["white_balance"],
             saturation=camera["saturation"],
             gamut=camera["gamut"],
             tone=camera["tone"],
@@ -132,7 +132,7 @@ def times(browser: Any, path: Path, scene: Scene, moves: int) -> dict[str, Any]:
         taken = []
         with loops(name == "loops"):
             for _ in range(moves):
-                augment = twin("3C", {"contrast": 0.4, "depth": 3.0})
+                augment = twin("3C", {"contrast": 0.4, "vertical_depth": 3.0})
                 began = time.perf_counter()
                 augment(image, scene.distance)
                 taken.append(1e3 * (time.perf_counter() - began))

@@ -34,19 +34,19 @@ def settings_of(rng: np.random.Generator) -> dict[str, Any]:
         "cdom": rng.uniform(0.02, 3),
         "minerals": rng.uniform(0.02, 5),
         "contrast": None if rng.uniform() < 0.2 else rng.uniform(0.05, 0.9),
-        "depth": rng.uniform(0, 20),
+        "vertical_depth": rng.uniform(0, 20),
         "times": 10 ** rng.uniform(-1, 1),
         "g": rng.uniform(0, 0.4),
         "mu": rng.uniform(0, 0.6),
         "blur": rng.uniform(0, 2),
-        "colorMatrix": rng.uniform(),
+        "color_matrix": rng.uniform(),
         "exposure": rng.uniform(-2, 1),
-        "whiteBalance": rng.uniform(-0.5, 1),
+        "white_balance": rng.uniform(-0.5, 1),
         "saturation": rng.uniform(0, 2),
         "gamut": rng.uniform(),
         "tone": 1.0,
-        "fullWell": 0,
-        "readNoise": 0,
+        "full_well": 0,
+        "read_noise": 0,
     }
 
 
@@ -63,15 +63,15 @@ def twin_of(settings: dict[str, Any]) -> uwaug.RandomUnderwater:
     return uwaug.RandomUnderwater(
         [water],
         contrast=settings["contrast"],
-        vertical_depth=settings["depth"],
+        vertical_depth=settings["vertical_depth"],
         g=settings["g"],
         mu=settings["mu"],
         field=None,
         point_spread=blur,
         development=uwaug.RandomDevelopment(
-            settings["colorMatrix"],
+            settings["color_matrix"],
             settings["exposure"],
-            white_balance=settings["whiteBalance"],
+            white_balance=settings["white_balance"],
             saturation=settings["saturation"],
             gamut=settings["gamut"],
             tone=settings["tone"],
@@ -204,7 +204,7 @@ def test_noise_follows_the_photon_transfer_curve(page: Page) -> None:
     page.use(settings)
     pictures = []
     for well in (0, 1000):
-        page.use(settings | {"fullWell": well, "readNoise": 5})
+        page.use(settings | {"full_well": well, "read_noise": 5})
         page.engine.eval(
             f"var exact = new Float32Array({3 * WIDTH * HEIGHT}); gain = [[1,0,0],[0,1,0],[0,0,1]]"
         )
@@ -217,23 +217,30 @@ def test_noise_follows_the_photon_transfer_curve(page: Page) -> None:
 
 
 def test_maps(page: Page) -> None:
-    values = "[0, 1000, 2000, 4000]"
-    page.engine.eval(f"const map = {{ values: Float32Array.from({values}), most: 65535 }}")
-
-    def metres(**said: Any) -> list[float]:
+    def metres(values: str = "[0, 1000, 2000, 4000]", **said: Any) -> list[float]:
+        page.engine.eval(f"var map = {{ width: 2, height: 2, most: 65535, values: {values} }}")
         asked = {"holds": "metres", "unit": 0.001, "near": 1, "far": 4, "holes": "far", **said}
-        shown = page(f"Array.from(metresOf(map, {json.dumps(asked)}), z => z < Infinity ? z : -1)")
+        made = f"metresOf(map, 2, 2, {json.dumps(asked)})"
+        shown: list[float] = page(f"Array.from({made}, z => z < Infinity ? z : -1)")
         return [round(z, 6) for z in shown]
 
     assert metres() == [-1, 1, 2, 4]
     assert metres(holes="3") == [3, 1, 2, 4]
-    relative = uwaug.distance.from_relative(torch.tensor([[0, 1000, 2000, 4000]]) / 65535, 1, 4)
+    values = torch.tensor([[0.0, 1000, 2000, 4000]])
+    relative = uwaug.distance.from_relative(values / 65535, 1, 4)
     assert metres(holds="relative") == pytest.approx(relative.flatten().tolist(), rel=1e-5)
-    inverse = uwaug.distance.from_inverse(torch.tensor([[0.0, 1000, 2000, 4000]]), 1, 4)
+    inverse = uwaug.distance.from_inverse(values, 1, 4)
     assert metres(holds="inverse") == pytest.approx(inverse.flatten().tolist(), rel=1e-5)
+    assert metres("[NaN, 0, 65535, 0]", holds="relative", holes="2") == [2, 1, 4, 1]
+    # of a larger map the nearest
+    page.engine.eval("var map = { width: 4, height: 1, most: 1, values: [1, 2, 3, 4] }")
+    said = json.dumps({"holds": "metres", "unit": 1, "holes": "error"})
+    assert page(f"Array.from(metresOf(map, 2, 1, {said}))") == [2, 4]
     for asked, words in (
         ({"holes": "error"}, "1 pixels have no distance"),
         ({"unit": 1}, "is the unit mm"),
+        ({"values": "[5, 5, 5, 5]", "holds": "inverse"}, "this one is flat"),
+        ({"values": "[5, -5, 5, 5]", "holds": "relative"}, "are these metres, or inverse"),
     ):
         with pytest.raises(Exception, match=words):
             metres(**asked)

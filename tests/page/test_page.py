@@ -23,9 +23,9 @@ from uwaug.presets.scene import motorcycle
 
 WATERS = (*uwaug.JERLOV_TYPES[2:], "mixture", "contents")
 SETTINGS: tuple[dict[str, Any], ...] = (
-    {"contrast": 0.2, "depth": 6, "exposure": -1, "tone": 1.5, "colorMatrix": 0.7},
-    {"contrast": 0.5, "depth": 2, "whiteBalance": 0.8, "saturation": 1.3, "gamut": 1},
-    {"nature": 1, "depth": 1, "g": 0.1, "mu": 0.1, "blur": 2, "times": 0.5},
+    {"contrast": 0.2, "vertical_depth": 6, "exposure": -1, "tone": 1.5, "color_matrix": 0.7},
+    {"contrast": 0.5, "vertical_depth": 2, "white_balance": 0.8, "saturation": 1.3, "gamut": 1},
+    {"nature": 1, "vertical_depth": 1, "g": 0.1, "mu": 0.1, "blur": 2, "times": 0.5},
 )
 
 
@@ -119,7 +119,7 @@ def test_pictures_are_those_of_the_copied_command(browser: Any, folder: Path) ->
 
 
 def test_python_and_toml_say_the_same(browser: Any, folder: Path) -> None:
-    shown = Shown(browser, folder, water="7C", fullWell=3000, nature=1, **{"times": 0.8})
+    shown = Shown(browser, folder, water="7C", full_well=3000, nature=1, **{"times": 0.8})
     first = re.sub(r", noise = \{.*?\}", "", shown.code("command"))
     uwaug_command(folder, first.removeprefix("uwaug ") + " --force")
     told = Image.open(folder / "wet.png").tobytes()
@@ -128,9 +128,8 @@ def test_python_and_toml_say_the_same(browser: Any, folder: Path) -> None:
     assert Image.open(folder / "wet.png").tobytes() == told
     toml = re.sub(r", noise = \{.*?\}", "", shown.code("TOML"))
     (folder / "this.toml").write_text(toml)
-    rest = toml.splitlines()[0].partition("… ")[2]
-    flags = "--distance depth.png --unit 0.0008 --out toml.png"
-    uwaug_command(folder, f"degrade photo.png {flags} {rest}")
+    line = toml.splitlines()[0].removeprefix("# uwaug ")
+    uwaug_command(folder, line.replace("wet.png", "toml.png"))
     assert Image.open(folder / "toml.png").tobytes() == told
     shown.tab.close()
 
@@ -144,6 +143,7 @@ def test_controls(browser: Any, folder: Path) -> None:
     shown.wait()
     after = shown.picture()
     assert after.std() < before.std()
+    shown.tab.wait_for_timeout(700)  # it is written when all is at rest
     assert "contrast=" in shown.tab.url
     assert float(re.findall(r"--contrast ([\d.]+)", shown.code("command"))[0]) < 0.4
     shown.tab.uncheck("#terms label:nth-of-type(3) input")
@@ -179,7 +179,10 @@ def test_own_files(browser: Any, folder: Path) -> None:
         text: str = shown.tab.inner_text("#files-error")
         return text
 
-    assert take("photo.png", "depth.png") == ""
+    assert take("photo.png") == ""  # made up
+    assert "photo-scene.png --distance photo-scene.npy" in shown.code("command")
+    assert shown.tab.is_visible("#unsaved")
+    assert take("depth.png") == ""  # the map of the picture before
     assert np.abs(shown.picture() - first).max() <= 1  # the page's own copy of the same
     depth = np.array(Image.open(folder / "depth.png")).astype(np.float32)
     np.save(folder / "metres.npy", depth / 1000)
@@ -191,8 +194,7 @@ def test_own_files(browser: Any, folder: Path) -> None:
     assert take("photo.png", "inverse.npy") == ""
     assert 'kind = "Inverse"' in shown.code("command")
     shown.tab.select_option("#holds", "metres")
-    assert take("photo.png") == ""  # made up
-    assert "photo-distance.npy" in shown.code("command")
+    assert take("photo.png") == ""
     shown.tab.select_option("#without", "3")
     shown.wait()
     assert "--distance 3" in shown.code("command")
@@ -209,7 +211,7 @@ def test_own_files(browser: Any, folder: Path) -> None:
         (("photo.png", "mm.npy"), "is the unit mm"),
         (("photo.png", "grey.png"), "8 bits are too few"),
         (("broken.png",), "cannot be decoded"),
-        (("depth.png",), "choose one picture"),
+        (("depth.png", "mm.npy"), "choose one picture"),
     ):
         assert words in take(*names), names
     assert shown.errors == []

@@ -36,28 +36,28 @@ def page(
     from uwaug.cli.choices import read_metres
     from uwaug.distance import MadeUp, Metres
     from uwaug.files.pictures import metres_of, read_picture
-    from uwaug.page.write import PIXELS, write_page
+    from uwaug.page.tables import PIXELS
+    from uwaug.page.write import write_page
     from uwaug.presets.scene import motorcycle, own_scene
 
     with reported_errors():
         if water is not None:
             checks.one_of("water", water, WATERS)
-        source: dict[str, Any] = {"unit": 1.0, "holes": "error"}
+        stem = "motorcycle" if image is None else image.stem
+        source: dict[str, Any] = {"picture": f"{stem}-scene.png", "distance": f"{stem}-scene.npy"}
+        source |= {"unit": 1.0, "holes": "error", "unsaved": True}
         if image is None:
             scene = motorcycle()
-            source |= {"picture": "motorcycle.png", "distance": "motorcycle-distance.npy"}
         else:
             picture = read_picture(image)
             if distance is None:
                 metres = MadeUp().metres(None, picture, {"near": 1.0, "far": 8.0, "scene": 0.5})
-                source["distance"] = f"{image.stem}-distance.npy"
             else:
                 metres = read_metres(distance, unit, picture)
                 metres = Metres(number_or_word(holes)).metres(metres, picture, {})
-                source |= {"distance": distance, "unit": metres_of(number_or_word(unit))}
-                source["holes"] = holes
+                source = {"picture": str(image), "distance": distance, "holes": holes}
+                source |= {"unit": metres_of(number_or_word(unit)), "width": picture.shape[-1]}
             scene = own_scene(picture, metres, PIXELS)
-            source |= {"picture": str(image), "width": picture.shape[-1]}
         write_page(out, scene, source, water)
     print_written(out)
     if open_:

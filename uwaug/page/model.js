@@ -94,7 +94,7 @@ export function depthShown(water, depth, tables) {
 
 // --- medium: rates of each band, and what of it each curve has ------------------------------------
 
-const times = (A, B) => A.map(row => B[0].map((_, j) => sum(row.map((x, k) => x * B[k][j]))));
+const product = (A, B) => A.map(row => B[0].map((_, j) => sum(row.map((x, k) => x * B[k][j]))));
 const transposed = A => A[0].map((_, j) => A.map(row => row[j]));
 function inverse([[a, b, c], [d, e, f], [g, h, i]]) {
   const rows = [[e * i - f * h, c * h - b * i, b * f - c * e], [f * g - d * i, a * i - c * g, c * d - a * f],
@@ -104,11 +104,11 @@ function inverse([[a, b, c], [d, e, f], [g, h, i]]) {
 }
 
 /** `Medium.from_water` with surfaces="spectral". */
-export function mediumOf(water, { depth, g, mu, colorMatrix }, { sensor, reflectances }) {
-  const seen = times(sensor, transposed(reflectances)), full = inverse(seen);
-  const matrix = full.map((row, i) => row.map((x, j) => (i === j) + colorMatrix * (x - (i === j))));
-  const response = times(matrix, sensor);
-  const basis = times(transposed(inverse(times(matrix, seen))), reflectances);
+export function mediumOf(water, { vertical_depth: depth, g, mu, color_matrix: share }, { sensor, reflectances }) {
+  const seen = product(sensor, transposed(reflectances)), full = inverse(seen);
+  const matrix = full.map((row, i) => row.map((x, j) => (i === j) + share * (x - (i === j))));
+  const response = product(matrix, sensor);
+  const basis = product(transposed(inverse(product(matrix, seen))), reflectances);
   const G = join(water.a, water.b, (a, b) => Math.max(a + g * b, 1e-6));
   const light = water.kd.map(kd => Math.exp(-kd * depth));
   const veil = light.map((E, i) => mu * water.b[i] * E / G[i]);
@@ -221,7 +221,7 @@ export function sceneOf(pixels, distance, width, height, { plan, meter }, tell =
 
 // --- a water, as a table over the distances of a picture ------------------------------------------
 
-/** Settings → {table, medium, and what came of them}; distances of the scene are multiplied by `times`. */
+/** Settings → {table, and what came of them}; distances of the scene are multiplied by `times`. */
 export function waterTable(scene, settings, tables) {
   let water = waterOf(settings, tables), contents = 1, scale = 1;
   const metres = scene.median * settings.times, { nearest, farthest } = tables.sizes;
@@ -231,8 +231,8 @@ export function waterTable(scene, settings, tables) {
     if (contents === Infinity) throw new RangeError("There is nothing in this water that could be scaled.");
     water = withContents(water, contents, tables);
   }
-  const depth = depthShown(water, settings.depth, tables);
-  const medium = mediumOf(water, { ...settings, depth }, tables);
+  const depth = depthShown(water, settings.vertical_depth, tables);
+  const medium = mediumOf(water, { ...settings, vertical_depth: depth }, tables);
   const { plan } = tables, { exponent, scale: perPixel, least, most } = tables.law, size = scene.K + 21;
   const table = new Float32Array((ENTRIES + 2) * size), row = new Float64Array(size);
   const width = perPixel * settings.blur * scene.width;
@@ -243,7 +243,8 @@ export function waterTable(scene, settings, tables) {
     curvesAt(effective, medium, row, scene.K);
     table.set(row, entry * size);
   }
-  return { table, contents, depth, scale, visibility: visibility(water, tables), veil: Math.max(...table.slice(-size - 3, -size)) };
+  const veil = Math.max(...table.slice(-size - 3, -size));
+  return { table, contents, depth, scale, veil, visibility: visibility(water, tables) };
 }
 
 /** Share of the contrast of grey detail that is left at a place of the table. */
@@ -262,10 +263,10 @@ export function contrastLeft(place, { table }, K, { luminance, reflectance }) {
 // --- the camera: uwaug/formation/development.py -----------------------------------------------------
 
 /** One 3x3 matrix: exposure, white balance and saturation, of some pixels without their blur. */
-export function gainOf(scene, { table }, { exposure, whiteBalance, saturation }, tables) {
+export function gainOf(scene, { table }, { exposure, white_balance, saturation }, tables) {
   const { pixels, light, points, place, K } = scene, size = K + 21, { luminance, meter } = tables;
   const before = [0, 0, 0], after = [0, 0, 0], positive = [0, 0, 0];
-  const Y = light => sum(join(light, luminance, (x, weight) => x * weight));
+  const Y = colour => sum(join(colour, luminance, (x, weight) => x * weight));
   for (const p of points) {
     const entry = Math.floor(place[p]), t = place[p] - entry, at = entry * size + K;
     const J = [0, 1, 2].map(c => light[pixels[4 * p + c]]);
@@ -281,7 +282,7 @@ export function gainOf(scene, { table }, { exposure, whiteBalance, saturation },
   const farthest = (scene.open ? ENTRIES : ENTRIES - 1) * size + K + 18;
   const veil = Math.max(...table.subarray(farthest, farthest + 3)), [least, most] = meter.gains;
   const metered = Y(after) > 0 ? Math.min(Math.max(Y(before) / Y(after), least), most, 1 / Math.max(veil, 1 / most)) : 1;
-  const share = Math.max(whiteBalance, 0), mean = Y(positive);
+  const share = Math.max(white_balance, 0), mean = Y(positive);
   let balance = [1, 1, 1];
   if (share > 0 && mean > 0) {
     balance = positive.map(x => (mean / Math.max(x, mean / meter.most)) ** share);
@@ -303,13 +304,6 @@ function bytesOf(tone, { grey, toe }) {
   return bytes;
 }
 
-let normals;
-function standardNormals() {
-  const random = randomOf(1);
-  normals ??= Float32Array.from({ length: 1 << 16 }, () => Math.sqrt(-2 * Math.log(1 - random())) * Math.cos(2 * Math.PI * random()));
-  return normals;
-}
-
 /** Numbers in [0, 1) from a seed (mulberry32). */
 export const randomOf = seed => () => {
   let x = seed = (seed + 0x6d2b79f5) | 0;
@@ -318,15 +312,23 @@ export const randomOf = seed => () => {
   return ((x ^ (x >>> 14)) >>> 0) / 4294967296;
 };
 
+export const normalOf = random => Math.sqrt(-2 * Math.log(1 - random())) * Math.cos(2 * Math.PI * random());
+
+let normals;
+function standardNormals() {
+  const random = randomOf(1);
+  return normals ??= Float32Array.from({ length: 1 << 16 }, () => normalOf(random));
+}
+
 /**
  * The picture (RGBA bytes) of every `step`-th pixel. `terms` switches direct, forward and veil;
  * `exact` (3 floats a pixel) gets the light after the gamut, before tone and bytes.
  */
-export function form(scene, { table }, gain, { gamut, tone, fullWell, readNoise }, { step = 1, terms, exact }, tables) {
+export function form(scene, { table }, gain, { gamut, tone, full_well: well, read_noise: read }, { step = 1, terms, exact }, tables) {
   const { light, stack, place, K } = scene, size = K + 21, B = K - 1, { from } = tables.tone, beyondFrom = 1 - from;
   const width = Math.ceil(scene.width / step), height = Math.ceil(scene.height / step);
   const shown = new Uint8ClampedArray(4 * width * height), bytes = bytesOf(tone, tables.tone);
-  const noise = fullWell > 0 ? standardNormals() : null, dark = (readNoise / fullWell) ** 2;
+  const noise = well > 0 ? standardNormals() : null, dark = (read / well) ** 2;
   const [direct, forward, veil] = terms ?? [1, 1, 1], [m0, m1, m2, m3, m4, m5, m6, m7, m8] = gain.flat();
   const seen = new Float64Array(3);
   for (let y = 0, at = 0; y < height; y++) for (let x = 0; x < width; x++, at++) {
@@ -351,7 +353,10 @@ export function form(scene, { table }, gain, { gamut, tone, fullWell, readNoise 
       const nextF = table[i + 9] * soft0 + table[i + 10] * soft1 + table[i + 11] * soft2;
       const B = table[v] + t * (table[v + size] - table[v]);
       let arriving = direct * (D + t * (nextD - D)) + forward * (F + t * (nextF - F)) + veil * B;
-      if (noise) arriving += Math.sqrt(Math.max(arriving, 0) / fullWell + dark) * noise[Math.imul(3 * p + c, 0x9e3779b1) >>> 16];
+      if (noise) {
+        const deviation = Math.sqrt(Math.max(arriving, 0) / well + dark);
+        arriving += deviation * noise[Math.imul(3 * p + c, 0x9e3779b1) >>> 16];
+      }
       seen[c] = arriving;
     }
     const r = seen[0], g = seen[1], b = seen[2];

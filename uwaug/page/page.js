@@ -2,130 +2,158 @@
 
 const $ = id => document.getElementById(id), parsed = id => JSON.parse($(id).textContent);
 const tables = parsed("tables"), embedded = parsed("scene"), { draws } = tables, TYPES = Object.keys(tables.waters);
-const percent = value => `${Math.round(100 * value)} %`, rounded = value => Number(value.toPrecision(6)), number = digits => value => value.toFixed(digits), MOST = 1.05e6;
+const percent = value => `${Math.round(100 * value)} %`, rounded = value => Number(value.toPrecision(6));
 
-// name: fieldset, label, least, most, as shown, whether the slider is logarithmic
+// name: place, label, value, least, most, as shown, what else it is
 const SLIDERS = {
-  share: ["water", "Share of the other", 0, 1, percent],
-  chlorophyll: ["water", "Chlorophyll", 0.1, 50, v => `${v.toPrecision(2)} mg/m³`, true],
-  cdom: ["water", "Dissolved organic matter", 0.02, 5, v => `${v.toPrecision(2)} /m at 440 nm`, true],
-  minerals: ["water", "Minerals", 0.02, 20, v => `${v.toPrecision(2)} g/m³`, true],
-  contrast: ["water", "Contrast left at the median distance", 0.02, 0.95, percent],
-  depth: ["water", "Depth below the surface", 0, 30, v => `${v.toFixed(1)} m`],
-  times: ["water", "Distances times", 0.1, 10, v => `× ${v.toPrecision(2)}`, true],
-  exposure: ["camera", "Exposure, from the metered one", -3, 3, v => `${v.toFixed(1)} stops`],
-  whiteBalance: ["camera", "White balance", 0, 1, percent],
-  saturation: ["camera", "Saturation", 0, 2, percent],
-  gamut: ["camera", "Gamut compression", 0, 1, percent],
-  tone: ["camera", "Tone: contrast about mid-grey", 0.5, 2.5, v => `${v.toFixed(2)} stops a stop`],
-  colorMatrix: ["camera", "Colour matrix of the camera", 0, 1, percent],
-  fullWell: ["camera", "Noise: full well of a pixel", 100, 1e5, v => v >= 1e5 ? "no noise" : `${v.toPrecision(2)} electrons`, true],
-  readNoise: ["camera", "Noise of reading", 0, 20, v => `${v.toFixed(1)} electrons`],
-  g: ["scattering", "g: scattered out of the line of sight", 0, 0.4, number(3)],
-  mu: ["scattering", "μ: scattered towards the camera", 0, 0.6, number(3)],
-  blur: ["scattering", "Width of the blur", 0, 3, v => `× ${v.toFixed(2)}`],
+  chlorophyll: ["contents", "Chlorophyll", 3, 0.1, 50, v => `${v.toPrecision(2)} mg/m³`, "log"],
+  cdom: ["contents", "Dissolved organic matter", 0.5, 0.02, 5, v => `${v.toPrecision(2)} /m at 440 nm`, "log"],
+  minerals: ["contents", "Minerals", 0.5, 0.02, 20, v => `${v.toPrecision(2)} g/m³`, "log"],
+  share: ["mixture", "Share of the other", 0, 0, 1, percent],
+  contrast: ["water-controls", "Contrast left at the median distance", 0.4, 0.02, 0.95, percent, "drawn"],
+  vertical_depth: ["water-controls", "Depth below the surface", 3, 0, 30, v => `${v.toFixed(1)} m`, "drawn"],
+  times: ["water-controls", "Distances times", 1, 0.1, 10, v => `× ${v.toPrecision(2)}`, "log"],
+  exposure: ["camera-controls", "Exposure, from the metered one", 0, -3, 3, v => `${v.toFixed(1)} stops`, "drawn"],
+  white_balance: ["camera-controls", "White balance", 0.3, 0, 1, percent, "drawn"],
+  saturation: ["camera-controls", "Saturation", 1, 0, 2, percent, "drawn"],
+  gamut: ["camera-controls", "Gamut compression", 0.85, 0, 1, percent, "drawn"],
+  tone: ["camera-controls", "Tone: contrast about mid-grey", 1.2, 0.5, 2.5, v => `${v.toFixed(2)} stops a stop`, "drawn"],
+  color_matrix: ["camera-controls", "Colour matrix of the camera", 0.4, 0, 1, percent, "drawn"],
+  full_well: ["camera-controls", "Noise: full well of a pixel", 1e5, 100, 1e5,
+    v => v >= 1e5 ? "no noise" : `${v.toPrecision(2)} electrons`, "log"],
+  read_noise: ["camera-controls", "Noise of reading", 3, 0, 20, v => `${v.toFixed(1)} electrons`],
+  g: ["scattering-controls", "g: scattered out of the line of sight", draws.g, 0, 0.4, v => v.toFixed(3)],
+  mu: ["scattering-controls", "μ: scattered towards the camera", rounded(1.5 * draws.g), 0, 0.6, v => v.toFixed(3)],
+  blur: ["scattering-controls", "Width of the blur", 1, 0, 3, v => `× ${v.toFixed(2)}`],
 };
-const state = {
-  water: embedded.water ?? "3C", other: "", share: 0, chlorophyll: 3, cdom: 0.5, minerals: 0.5, contrast: 0.4, nature: 0, depth: 3, times: 1, exposure: 0,
-  whiteBalance: 0.3, saturation: 1, gamut: 0.85, tone: 1.2, colorMatrix: 0.4, fullWell: 1e5, readNoise: 3, g: draws.g, mu: rounded(1.5 * draws.g), blur: 1,
-};
-const DEFAULTS = { ...state }, DRAWN = ["water", "contrast", "depth", "exposure", "whiteBalance", "saturation", "gamut", "tone", "colorMatrix"];
-for (const [name, text] of new URLSearchParams(location.hash.slice(1))) {
-  if (typeof state[name] === "string") state[name] = [...TYPES, "contents", ""].includes(text) ? text : state[name];
-  else if (name in state && Number.isFinite(+text)) state[name] = Math.min(Math.max(+text, SLIDERS[name]?.[2] ?? 0), SLIDERS[name]?.[3] ?? 1);
+const DRAWN = ["water", ...Object.keys(SLIDERS).filter(name => SLIDERS[name][6] === "drawn")];
+const DEFAULTS = { water: embedded.water ?? "3C", other: "", nature: 0 };
+for (const [name, [, , value]] of Object.entries(SLIDERS)) DEFAULTS[name] = value;
+const state = { ...DEFAULTS };
+const settingsOf = ({ nature, contrast, full_well: well, ...rest }) =>
+  ({ ...rest, contrast: nature ? null : contrast, full_well: well >= 1e5 ? 0 : well });
+
+function readAddress() {
+  const said = new URLSearchParams(location.hash.slice(1)), words = { water: [...TYPES, "contents"], other: TYPES };
+  for (const name in DEFAULTS) {
+    const text = said.get(name), [, , , low, high] = SLIDERS[name] ?? [0, 0, 0, 0, 1];
+    if (!text || (words[name] ? !words[name].includes(text) : !Number.isFinite(+text))) state[name] = DEFAULTS[name];
+    else state[name] = words[name] ? text : Math.min(Math.max(+text, low), high);
+  }
 }
-const settingsOf = ({ nature, ...rest }) => ({ ...rest, contrast: nature ? null : rest.contrast, fullWell: rest.fullWell >= 1e5 ? 0 : rest.fullWell });
 
 // --- the worker: one question at a time, and of the pictures only the newest waits ------------------
 const worker = new Worker(URL.createObjectURL(new Blob([$("worker").textContent])));
-const asked = new Map();
+const questions = new Map();
+let asked = 0, scene, wanted, drawing = [], thumbnails = [], busy = false, shown, settle;
 const ask = (what, message, tell) => new Promise((resolve, reject) => {
-  asked.set(asked.last = (asked.last ?? 0) + 1, { resolve, reject, tell });
-  worker.postMessage({ number: asked.last, what, ...message });
+  questions.set(++asked, { resolve, reject, tell });
+  worker.postMessage({ number: asked, what, ...message });
 });
 worker.onmessage = ({ data: { number, answer, error, share } }) => {
-  const question = asked.get(number);
+  const question = questions.get(number);
   if (share !== undefined) return question.tell?.(share);
-  asked.delete(number);
+  questions.delete(number);
   if (error === undefined) question.resolve(answer); else question.reject(new Error(error));
 };
-let scene, wanted, drawing = [], thumbnails = [], busy = false, shown, settle;
 async function work() {
-  if (busy || !scene) return;
-  for (busy = true; wanted || drawing.length || thumbnails.length;) {
-    const job = wanted ? () => picture(wanted) : drawing.shift() ?? thumbnails.shift();
-    await job().catch(error => { $("water-error").textContent = error.message; });
-    $("view").ariaBusy = String(Boolean(wanted));
+  if (busy) return;
+  busy = true;
+  while (scene && (wanted || drawing.length || thumbnails.length)) {
+    if (wanted) await picture(wanted); else await (drawing.shift() ?? thumbnails.shift())();
+    if (scene) $("view").ariaBusy = String(Boolean(wanted));
   }
   busy = false;
 }
 async function picture({ step, begun }) {
   wanted = undefined;
-  const terms = [...$("terms").querySelectorAll("input")].map(box => +box.checked);
-  const made = await ask("form", { settings: settingsOf(state), terms, step });
+  const terms = [...$("terms").querySelectorAll("input")].map(box => +box.checked), { note } = scene;
+  const made = await ask("form", { settings: settingsOf(state), terms, step }).catch(error => error);
+  $("water-error").textContent = made.pixels ? "" : made.message;
+  $("after").hidden = !made.pixels;
+  if (!made.pixels) return say("");
   paint($("after"), made);
   shown = { ...made, ms: performance.now() - begun, step };
-  $("water-error").textContent = "";
-  const said = [`${made.visibility.toPrecision(2)} m of visibility, ${made.contents.toPrecision(2)} times what is in this water`];
-  if (made.contents === 0) said[0] = "pure water: it leaves no more contrast at these distances";
-  if (made.scale !== 1) said.push(`distances × ${made.scale.toPrecision(2)}, to between ${tables.sizes.nearest} and ${tables.sizes.farthest} m`);
-  if (made.depth < state.depth) said.push(`shown ${made.depth.toFixed(1)} m deep: below, no exposure makes up for the light`);
-  if (made.veil > 1.05) said.push(`the veil far away is ${made.veil.toPrecision(2)} times as bright as white`);
-  say([...said, scene.note].filter(Boolean).join("; ") + ` (${shown.ms.toFixed(0)} ms)`);
+  const { contents, scale, depth, veil, visibility } = made;
+  const said = [`${visibility.toPrecision(2)} m of visibility, ${contents.toPrecision(2)} times what is in this water`];
+  if (contents === 0) said[0] = "pure water: it leaves no more contrast at these distances";
+  if (scale !== 1) said.push(`distances × ${scale.toPrecision(2)}, as water has a colour from 1 to 8 m`);
+  if (depth < state.vertical_depth) said.push(`shown ${depth.toFixed(1)} m deep: below, no exposure makes up for the light`);
+  if (veil > 1.05) said.push(`the veil far away is ${veil.toPrecision(2)} times as bright as white`);
+  say([...said, note].filter(Boolean).join("; ") + ` (${shown.ms.toFixed(0)} ms)`);
 }
 function changed(dragging) {
   fill();
   $("view").ariaBusy = "true";
   wanted = { step: dragging && shown?.ms > 60 * shown.step ** 2 ? 2 : 1, begun: performance.now() };
   clearTimeout(settle);
-  if (!dragging) settle = setTimeout(() => { thumbnails = thumbnailsNow(); work(); }, 500);
+  settle = setTimeout(() => {
+    const said = Object.entries(state).filter(([name, value]) => value !== DEFAULTS[name]);
+    history.replaceState(null, "", `#${new URLSearchParams(said)}`);
+    if (!dragging) thumbnails = smallPictures();
+    work();
+  }, 500);
   work();
 }
-const paint = (canvas, { pixels, width, height }) => {
+function paint(canvas, { pixels, width, height }) {
   Object.assign(canvas, { width, height });
   canvas.getContext("2d").putImageData(new ImageData(pixels, width, height), 0, 0);
-};
-const say = (text, share) => {
+}
+function say(text, share) {
   $("status").lastElementChild.textContent = text;
   $("progress").hidden = share === undefined;
   $("progress").value = share ?? 0;
-};
+}
 
 // --- controls -----------------------------------------------------------------------------------------
-const toSlider = (name, value) => { const [, , low, high, , log] = SLIDERS[name]; return log ? Math.log(value / low) / Math.log(high / low) : (value - low) / (high - low); };
-const fromSlider = (name, at) => { const [, , low, high, , log] = SLIDERS[name]; return Number((log ? low * (high / low) ** at : low + (high - low) * at).toPrecision(3)); };
-for (const [name, [group, label]] of Object.entries(SLIDERS)) {
-  const control = document.createElement("div");
-  control.className = "control";
-  control.dataset.name = name;
-  control.innerHTML = `<label for="${name}">${label}</label><output for="${name}"></output><input type="range" id="${name}" min="0" max="1" step="0.002">`;
-  $(`${group}-controls`).append(control);
+const isLog = name => SLIDERS[name][6] === "log";
+function toSlider(name) {
+  const [, , , low, high] = SLIDERS[name], value = state[name];
+  return isLog(name) ? Math.log(value / low) / Math.log(high / low) : (value - low) / (high - low);
+}
+function fromSlider(name, at) {
+  const [, , , low, high] = SLIDERS[name];
+  return Number((isLog(name) ? low * (high / low) ** at : low + (high - low) * at).toPrecision(3));
+}
+for (const [name, [place, label]] of Object.entries(SLIDERS)) {
+  $(place).insertAdjacentHTML("beforeend", `<div class="control"><label for="${name}">${label}</label><span></span>
+    <input type="range" id="${name}" min="0" max="1" step="0.002"></div>`);
   $(name).addEventListener("input", event => { state[name] = fromSlider(name, event.target.valueAsNumber); changed(true); });
   $(name).addEventListener("change", () => changed());
 }
-for (const name of DRAWN) $(name).closest(".row, .control").insertAdjacentHTML("beforeend", `<label class="hold" title="Held in the twelve draws"><input type="checkbox" id="hold-${name}">hold</label>`);
+for (const name of DRAWN) {
+  const hold = `<label class="hold" title="Held in the twelve draws"><input type="checkbox" id="hold-${name}"
+    aria-label="hold ${name.replace("_", " ")} in the twelve draws">hold</label>`;
+  $(name).closest(".row, .control").insertAdjacentHTML("beforeend", hold);
+  $(`hold-${name}`).addEventListener("change", fill);
+}
 $("water").append(...TYPES.map(type => new Option(`Jerlov ${type}`, type)), new Option("of contents", "contents"));
 $("other").append(new Option("nothing", ""), ...TYPES.map(type => new Option(`Jerlov ${type}`, type)));
-for (const name of ["water", "other"]) $(name).addEventListener("change", event => { state[name] = event.target.value; if (name === "other") state.share ||= 0.3; changed(); });
+$("water").addEventListener("change", event => { state.water = event.target.value; changed(); });
+$("other").addEventListener("change", event => { state.other = event.target.value; state.share ||= 0.3; changed(); });
 $("nature").addEventListener("change", event => { state.nature = +event.target.checked; changed(); });
 $("terms").addEventListener("change", () => changed());
-$("camera-controls").addEventListener("change", () => fill());
 function fill() {
-  for (const [name, [, , , , text]] of Object.entries(SLIDERS)) {
-    $(name).value = toSlider(name, state[name]);
+  for (const [name, [, , , , , text]] of Object.entries(SLIDERS)) {
+    $(name).value = toSlider(name);
     $(name).previousElementSibling.textContent = $(name).ariaValueText = text(state[name]);
   }
   for (const name of ["water", "other"]) $(name).value = state[name];
   $("nature").checked = Boolean(state.nature);
-  const contents = state.water === "contents", hidden = { share: contents || !state.other, chlorophyll: !contents, cdom: !contents, minerals: !contents, contrast: state.nature, readNoise: state.fullWell >= 1e5 };
-  for (const [name, hide] of Object.entries(hidden)) $(name).parentElement.hidden = Boolean(hide);
-  $("other").parentElement.hidden = contents;
-  for (const row of $("scene-controls").querySelectorAll("[data-of]")) row.hidden = !row.dataset.of.includes($("holds").value);
-  for (const button of $("waters").children) button.ariaPressed = String(button.dataset.value === state.water);
-  for (const button of $("severities").children) button.ariaPressed = String(!state.nature && Number(button.dataset.value) === state.contrast);
+  const hide = (element, hidden) => { element.hidden = Boolean(hidden); };
+  hide($("contents"), state.water !== "contents");
+  hide($("mixture"), state.water === "contents");
+  hide($("share").parentElement, !state.other);
+  hide($("contrast").parentElement, state.nature);
+  hide($("read_noise").parentElement, state.full_well >= 1e5);
+  const holds = own.map ? $("holds").value : "made-up";
+  for (const row of document.querySelectorAll("[data-of]")) hide(row, !row.dataset.of.includes(holds));
+  for (const tile of $("waters").children) tile.ariaPressed = String(tile.dataset.value === state.water);
+  for (const tile of $("severities").children) tile.ariaPressed = String(!state.nature && +tile.dataset.value === state.contrast);
+  const { unsaved } = scene?.files ?? embedded.files;
+  hide($("unsaved"), !unsaved);
+  hide($("save-scene"), !unsaved);
   $("code").textContent = code();
-  const said = Object.entries(state).filter(([name, value]) => value !== DEFAULTS[name]);
-  history.replaceState(null, "", `#${new URLSearchParams(said)}`);
 }
 
 // --- small pictures -----------------------------------------------------------------------------------
@@ -137,27 +165,39 @@ function tile(parent, label, value, choose) {
   $(parent).append(button);
   return button;
 }
-for (const type of TYPES) tile("waters", type, type, () => { state.water = type; state.share = 0; state.other = ""; changed(); });
-draws.severities.forEach((contrast, i) => tile("severities", `${i + 1}: ${percent(contrast)} left`, contrast, () => { state.contrast = contrast; state.nature = 0; changed(); }));
-const thumbnailsNow = () => [["waters", value => ({ water: value, share: 0 })], ["severities", value => ({ contrast: Number(value) })]].flatMap(([strip, setting]) =>
-  [...$(strip).children].map(button => async () => {
-    const settings = { ...settingsOf(state), ...setting(button.dataset.value) };
-    paint(button.firstChild, await ask("form", { settings, terms: [1, 1, 1], step: Math.ceil(scene.width / 200) }));
-  }));
-let seed = 1;
+async function fillTile(button, what, message, width) {
+  const made = await ask(what, { ...message, step: Math.ceil(scene.width / width) }).catch(error => error);
+  button.title = made.message ?? "";
+  button.disabled = !made.pixels;
+  if (made.pixels) paint(button.firstChild, made);
+  return made;
+}
+for (const type of TYPES) tile("waters", type, type, () => { Object.assign(state, { water: type, other: "" }); changed(); });
+draws.severities.forEach((contrast, i) => tile("severities", `${i + 1}: ${percent(contrast)} left`, contrast, () => {
+  Object.assign(state, { contrast, nature: 0 });
+  changed();
+}));
+const smallPictures = () => [...$("waters").children, ...$("severities").children].map(button => () => {
+  const { value } = button.dataset, alone = button.parentElement.id === "waters";
+  const settings = { ...settingsOf(state), ...(alone ? { water: value, other: "" } : { contrast: +value }) };
+  return fillTile(button, "form", { settings }, 200);
+});
+let seed = 0;
 $("draw").addEventListener("click", () => {
-  const held = DRAWN.filter(name => $(`hold-${name}`).checked), tiles = $("draws").children;
-  if (state.nature) held.push("contrast");
+  const held = DRAWN.filter(name => $(`hold-${name}`).checked || (name === "contrast" && state.nature));
   for (let i = 0; i < 12; i++) {
-    const button = tiles[i] ?? tile("draws", "", i, () => {
-      Object.assign(state, button.drawn, { nature: +(button.drawn.contrast === null), contrast: button.drawn.contrast ?? state.contrast, fullWell: state.fullWell });
+    const button = $("draws").children[i] ?? tile("draws", "", i, () => {
+      const { contrast, full_well, ...drawn } = button.drawn;
+      Object.assign(state, drawn, contrast === null ? { nature: 1 } : { nature: 0, contrast });
       changed();
     });
+    button.disabled = true;
     drawing.push(async () => {
-      const made = await ask("draw", { settings: settingsOf(state), held, seed: seed++, step: Math.ceil(scene.width / 300) });
-      button.drawn = made.drawn;
-      button.lastChild.textContent = `${made.drawn.water}, ${made.drawn.contrast === null ? "as in nature" : percent(made.drawn.contrast)}, ${made.depth.toFixed(1)} m deep`;
-      paint(button.firstChild, made);
+      const { drawn, depth } = await fillTile(button, "draw", { settings: settingsOf(state), held, seed: seed++ }, 300);
+      if (!drawn) return;
+      const left = drawn.contrast === null ? "as in nature" : percent(drawn.contrast);
+      button.drawn = drawn;
+      button.lastChild.textContent = `${drawn.water}, ${left}, ${depth.toFixed(1)} m deep`;
     });
   }
   work();
@@ -170,145 +210,196 @@ function split(at) {
   $("before").style.clipPath = `inset(0 ${100 - share}% 0 0)`;
   $("split").style.left = `${share}%`;
 }
-const placeOf = (event, box = $("after").getBoundingClientRect()) => [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height];
-$("view").addEventListener("pointerdown", event => { $("view").setPointerCapture(event.pointerId); split(100 * placeOf(event)[0]); });
-$("view").addEventListener("pointermove", event => {
-  const [u, v] = placeOf(event);
+function pointed(event) {
+  const box = $("view").getBoundingClientRect(), u = (event.clientX - box.left) / box.width, v = (event.clientY - box.top) / box.height;
   if (event.buttons) split(100 * u);
-  if (!shown || !(u >= 0 && u < 1 && v >= 0 && v < 1)) return;
-  const z = scene.distance[Math.floor(v * scene.height) * scene.width + Math.floor(u * scene.width)], last = shown.left.length - 1;
-  const entry = z === Infinity ? last : Math.min(Math.round(Math.log(z / shown.near) / shown.stepOfPlace), last - 1);
+  if (!scene || !shown || !(u >= 0 && u < 1 && v >= 0 && v < 1)) return;
+  const z = scene.distance[Math.floor(v * scene.height) * scene.width + Math.floor(u * scene.width)];
+  const last = shown.left.length - 1, entry = Math.round(Math.log(z / shown.near) / shown.stepOfPlace);
+  const left = shown.left[z === Infinity ? last : Math.min(entry, last - 1)];
   const metres = z === Infinity ? "open water" : `${(z * state.times).toPrecision(3)} m`;
-  $("readout").innerHTML = `<b>${metres}</b> away, <b>${(100 * shown.left[entry]).toPrecision(2)} %</b> of fine contrast left <span>(--min-contrast ${shown.left[entry].toPrecision(2)})</span>`;
-});
+  $("readout").innerHTML = `<b>${metres}</b> away, <b>${(100 * left).toPrecision(2)} %</b> of fine contrast left
+    <span>(--min-contrast ${left.toPrecision(2)})</span>`;
+}
+$("view").addEventListener("pointerdown", event => { $("view").setPointerCapture(event.pointerId); pointed(event); });
+$("view").addEventListener("pointermove", pointed);
 $("view").addEventListener("keydown", event => {
   const by = { ArrowLeft: -2, ArrowRight: 2, Home: -100, End: 100 }[event.key];
   if (by) { split(Number($("view").ariaValueNow) + by); event.preventDefault(); }
 });
 
 // --- pictures -----------------------------------------------------------------------------------------
-async function setScene(bitmap, mapFor, files) {
-  const shrink = Math.min(1, Math.sqrt(MOST / (bitmap.width * bitmap.height)));
-  const width = Math.max(1, Math.round(bitmap.width * shrink)), height = Math.max(1, Math.round(bitmap.height * shrink)), canvas = document.createElement("canvas");
-  Object.assign(canvas, { width, height });
+const own = {}; // files that were chosen
+async function setScene(bitmap, from, files, note) {
+  const [before, whole] = [scene, [bitmap.width, bitmap.height]];
+  const shrink = Math.min(1, Math.sqrt(tables.pixels / (whole[0] * whole[1])));
+  const [width, height] = whole.map(side => Math.max(1, Math.round(side * shrink)));
+  const canvas = Object.assign(document.createElement("canvas"), { width, height });
   const context = canvas.getContext("2d", { willReadFrequently: true });
   context.imageSmoothingQuality = "high";
   context.drawImage(bitmap, 0, 0, width, height);
-  const { data } = context.getImageData(0, 0, width, height), distance = mapFor(data, width, height);
-  paint($("before"), { pixels: data, width, height });
+  bitmap.close();
+  const { data: pixels } = context.getImageData(0, 0, width, height);
+  scene = undefined;
+  [drawing, thumbnails] = [[], []];
+  $("view").ariaBusy = "true";
+  try {
+    const message = { pixels, width, height, from: { ...from, whole }, seed: seed++ };
+    const { distance } = await ask("scene", message, share => say("making the blurs of the picture", share));
+    if (shrink < 1) note += `; shown at ${width}×${height} of ${whole[0]}×${whole[1]} px`;
+    scene = { width, height, distance, note, files: { width: files.unsaved ? width : whole[0], ...files } };
+  } catch (error) {
+    scene = before;
+    throw error;
+  } finally {
+    if (scene) changed(); // also where the one before stays
+  }
+  $("draws").replaceChildren();
+  paint($("before"), { pixels, width, height });
   Object.assign($("after"), { width, height });
-  scene = null;
-  const began = { width, height, distance, files: { width: bitmap.width, ...files }, note: shrink < 1 ? `shown at ${width}×${height} of ${bitmap.width}×${bitmap.height} px` : "" };
-  await ask("scene", { pixels: data, distance, width, height }, share => say("making the blurs of the picture", share));
-  scene = began;
+  $("view").style.setProperty("--aspect", width / height);
   split(50);
-  changed();
 }
-const chosen = () => ({ holds: $("holds").value, unit: +$("unit").value, near: +$("near").value, far: +$("far").value, holes: $("holes").value });
 async function take(files) {
   $("files-error").textContent = "";
-  $("view").ariaBusy = "true";
-  const maps = [], pictures = [];
-  for (const file of files) {
-    const buffer = await file.arrayBuffer(), npy = file.name.endsWith(".npy");
-    const grey = file.type === "image/png" && new Uint8Array(buffer)[25] === 0;
-    if (npy || grey) maps.push({ ...(npy ? readNpy(buffer) : await readPng(buffer)), name: file.name, npy }); else pictures.push(file);
+  const isMap = ({ name, bytes }) => name.endsWith(".npy") || (/\.png$/i.test(name) && bytes[25] === 0);
+  const read = await Promise.all(files.map(async file => ({ name: file.name, file, bytes: new Uint8Array(await file.arrayBuffer()) })));
+  const maps = read.filter(isMap), pictures = read.filter(one => !isMap(one));
+  if (pictures.length > 1 || maps.length > 1 || !(pictures.length || own.picture)) {
+    const got = `got ${pictures.length} and ${maps.length}`;
+    throw new Error(`choose one picture in colour, and one map (grey PNG of 8 or 16 bits, or .npy) if there is one: ${got}`);
   }
-  if (pictures.length !== 1 || maps.length > 1) throw new Error(`choose one picture in colour and at most one map, got ${pictures.length} and ${maps.length}`);
-  const bitmap = await createImageBitmap(pictures[0], { colorSpaceConversion: "none" }).catch(() => { throw new Error(`${pictures[0].name} cannot be decoded as a picture`); });
-  const [map] = maps, without = $("without").value, { holds, unit, near, far, holes } = chosen();
-  if (map && (map.width !== bitmap.width || map.height !== bitmap.height)) throw new Error(`the map is ${map.width}×${map.height} px, the picture ${bitmap.width}×${bitmap.height}`);
-  if (map && holds === "metres" && map.most === 255) throw new Error("8 bits are too few for metres: is the map relative or inverse?");
-  if (map && holds !== "metres" && !(near > 0 && near < far)) throw new Error("nearest must be above 0 m and below farthest");
-  const mapFor = (data, width, height) => {
-    if (!map) return without === "made-up" ? madeUp(data, width, height, Math.random) : new Float32Array(width * height).fill(Number(without));
-    const metres = metresOf(map, chosen());
-    return Float32Array.from({ length: width * height }, (_, i) => // nearest: a mean across an edge is the distance of nothing
-      metres[Math.floor((Math.floor(i / width) + 0.5) * map.height / height) * map.width + Math.floor((i % width + 0.5) * map.width / width)]);
-  };
-  const distance = map ? map.name : without === "made-up" ? `${pictures[0].name.replace(/\.\w+$/, "")}-distance.npy` : without;
-  await setScene(bitmap, mapFor, { picture: pictures[0].name, distance, unit: map ? unit : 1, ...(map ? { holds, near, far, holes } : { holds: "metres", holes: "error" }) });
+  if (pictures.length) Object.assign(own, { picture: pictures[0], map: undefined });
+  if (maps.length) own.map = maps[0];
+  await useOwn();
 }
-let own = [], taking = Promise.resolve(); // one after another
-function taken(files) {
-  own = [...files];
-  if (own.length) taking = taking.then(() => take(own)).catch(error => { $("files-error").textContent = error.message; $("view").ariaBusy = "false"; });
+async function useOwn() {
+  const { picture: { name, file, bytes }, map } = own, stem = name.replace(/\.\w+$/, ""), without = $("without").value;
+  const undecoded = () => { throw new Error(`${name} cannot be decoded as a picture`); };
+  const bitmap = await createImageBitmap(file, { colorSpaceConversion: "none" }).catch(undecoded);
+  const said = { unit: +$("unit").value, near: +$("near").value, far: +$("far").value };
+  Object.assign(said, { holds: map ? $("holds").value : "metres", holes: map ? $("holes").value : "error" });
+  const taken = /\.(png|jpe?g)$/i.test(name) && (!/\.png$/i.test(name) || bytes[25] === 2);
+  const note = taken ? "" : "uwaug degrade takes PNG and JPEG in RGB, without alpha and palette";
+  if (map) await setScene(bitmap, { file: map.bytes.buffer, npy: map.name.endsWith(".npy"), said }, { picture: name, distance: map.name, ...said }, note);
+  else if (without !== "made-up") await setScene(bitmap, { metres: +without }, { ...said, picture: name, distance: without }, note);
+  else await setScene(bitmap, {}, { ...said, unit: 1, picture: `${stem}-scene.png`, distance: `${stem}-scene.npy`, unsaved: true }, "");
 }
-$("files").addEventListener("change", event => taken(event.target.files));
-for (const id of ["holds", "unit", "near", "far", "holes", "without"]) $(id).addEventListener("change", () => { fill(); taken(own); });
+let taking = Promise.resolve(); // one after another
+function queued(job) {
+  taking = taking.then(job).catch(error => { $("files-error").textContent = error.message; fill(); });
+}
+$("files").addEventListener("change", event => { const files = [...event.target.files]; if (files.length) queued(() => take(files)); });
+for (const id of ["holds", "unit", "near", "far", "holes", "without"]) {
+  $(id).addEventListener("change", () => { fill(); $("files-error").textContent = ""; if (own.picture) queued(useOwn); });
+}
 for (const kind of ["dragover", "dragleave", "drop"]) addEventListener(kind, event => {
   event.preventDefault();
   $("view").classList.toggle("drop", kind === "dragover");
-  if (kind === "drop") taken(event.dataTransfer.files);
+  if (kind === "drop") { const files = [...event.dataTransfer.files]; queued(() => take(files)); }
 });
 $("real").addEventListener("change", ({ target: { files: [file] } }) => {
+  const image = $("reference").lastElementChild;
+  URL.revokeObjectURL(image.src);
   $("reference").hidden = !file;
-  if (file) $("reference").lastElementChild.src = URL.createObjectURL(file);
+  if (file) image.src = URL.createObjectURL(file);
 });
 
 // --- copies -------------------------------------------------------------------------------------------
 /** Options of RandomUnderwater, as TOML and JSON hold them; for draws, those that are held. */
 function optionsOf(files, everything) {
-  const { depth, g, mu, blur, times, fullWell, readNoise } = state, held = name => everything || $(`hold-${name}`).checked;
+  const { water, other, share, nature, g, mu, blur, times, full_well, read_noise } = state, options = {}, development = {};
+  const held = name => everything || $(`hold-${name}`).checked;
   const contents = ["chlorophyll", "cdom", "minerals"].map(name => `${name}=${state[name]}`).join(",");
-  const mixture = state.other && state.share ? `${rounded(1 - state.share)}*${state.water}+${state.share}*${state.other}` : state.water;
-  const names = { color_matrix: "colorMatrix", exposure: "exposure", white_balance: "whiteBalance", saturation: "saturation", gamut: "gamut", tone: "tone" };
-  const development = Object.fromEntries(Object.entries(names).filter(([, name]) => held(name)).map(([name, key]) => [name, state[key]]));
-  if (fullWell < 1e5) development.noise = { full_well: fullWell, read_noise: readNoise };
-  const options = {};
-  if (held("water")) options.waters = [state.water === "contents" ? contents : mixture];
-  if (held("contrast") || state.nature) options.contrast = state.nature ? null : state.contrast;
-  if (held("depth")) options.vertical_depth = depth;
+  const mixture = other && share ? `${rounded(1 - share)}*${water}+${share}*${other}` : water;
+  if (held("water")) options.waters = [water === "contents" ? contents : mixture];
+  if (held("contrast") || nature) options.contrast = nature ? null : state.contrast;
+  if (held("vertical_depth")) options.vertical_depth = state.vertical_depth;
   if (everything) options.field = null;
   if (g !== DEFAULTS.g) options.g = g;
   if (mu !== rounded(1.5 * g)) options.mu = mu;
-  if (blur !== 1) options.point_spread = { scale: rounded(tables.law.scale * blur * files.width), exponent: tables.law.exponent, shape: "exponential" };
+  const { scale, exponent } = tables.law;
+  if (blur !== 1) options.point_spread = { scale: rounded(scale * blur * files.width), exponent, shape: "exponential" };
+  for (const name of DRAWN) if (SLIDERS[name]?.[0] === "camera-controls" && held(name)) development[name] = state[name];
+  if (full_well < 1e5) development.noise = { full_well, read_noise };
   if (Object.keys(development).length) options.development = development;
-  const holes = files.holes === "error" ? {} : { holes: Number(files.holes) || files.holes };
-  if (Number.isFinite(+files.distance)) options.distance = files.distance * times;
-  else if (files.holds !== "metres") options.distance = { kind: { relative: "Relative", inverse: "Inverse" }[files.holds], near: files.near * times, far: files.far * times, ...holes };
+  const holes = files.holes === "error" ? {} : { holes: rounded(files.holes * times) || files.holes };
+  const near = rounded(files.near * times), far = rounded(files.far * times);
+  if (Number.isFinite(+files.distance)) options.distance = rounded(files.distance * times);
+  else if (files.holds === "relative") options.distance = { kind: "Relative", near, far, ...holes };
+  else if (files.holds === "inverse") options.distance = { kind: "Inverse", near, far, ...holes };
   else if (files.holes !== "error") options.distance = { kind: "Metres", ...holes };
   return options;
 }
-const toml = value => Array.isArray(value) ? `[${value.map(toml).join(", ")}]` : typeof value !== "object" ? JSON.stringify(value)
-  : `{${Object.entries(value).map(([name, inner]) => `${name} = ${toml(inner)}`).join(", ")}}`;
-function code() {
-  const files = { width: 0, ...embedded.files, ...scene?.files }, language = $("language").value, options = optionsOf(files, language !== "command for draws");
-  const map = Number.isFinite(+files.distance) ? null : files.distance, unit = files.holds === "metres" ? rounded(files.unit * state.times) : null;
-  if (language === "TOML") {
-    const none = Object.keys(options).filter(name => options[name] === null);
-    const lines = Object.entries(options).filter(([, value]) => value !== null).map(([name, value]) => `${name} = ${toml(value)}`);
-    return [`# uwaug degrade … --options this.toml${none.map(name => ` --set ${name}=none`).join("")}`, ...lines].join("\n");
-  }
-  if (language === "Python") {
-    const plain = JSON.stringify(options, null, 4).replaceAll("null", "None"), reads = map && `read_distance(${JSON.stringify(map)}, ${unit ?? "None"})`;
-    return `import uwaug\nfrom uwaug.files import read_distance, read_picture, write_picture\n\naugment = uwaug.RandomUnderwater.from_dict(${plain})\n`
-      + `image = read_picture(${JSON.stringify(files.picture)})\ndistance = ${reads ?? "None"}\nwet = augment.transform(image, distance, augment.make_params(image))\nwrite_picture("wet.png", wet)`;
-  }
-  const quoted = text => /^[\w./:=,+*-]+$/.test(text) && !text.includes("*") ? text : `'${String(text).replaceAll("'", "'\\''")}'`;
-  const { waters, contrast, distance, ...rest } = options, flags = [];
-  if (map) flags.push(`--distance ${quoted(map)}`); else flags.push(`--distance ${distance}`);
-  if (map && unit && unit !== 1) flags.push(`--unit ${unit}`);
-  if (map && distance) flags.push(`--set ${quoted(`distance=${toml(distance)}`)}`);
-  if (waters) flags.push(`--water ${quoted(waters[0])}`);
-  if (contrast !== undefined) flags.push(`--contrast ${contrast ?? "none"}`);
-  for (const [name, value] of Object.entries(rest)) flags.push(`--set ${quoted(`${name}=${value === null ? "none" : toml(value)}`)}`);
-  return `uwaug degrade ${quoted(files.picture)} ${flags.join(" ")} ${options.field === null ? "--out wet.png" : "--variants 12 --sheet --out wet/"}`;
+function toml(value) {
+  if (Array.isArray(value)) return `[${value.map(toml).join(", ")}]`;
+  if (typeof value !== "object") return JSON.stringify(value);
+  return `{${Object.entries(value).map(([name, inner]) => `${name} = ${toml(inner)}`).join(", ")}}`;
 }
-const download = (blob, name) => Object.assign(document.createElement("a"), { href: URL.createObjectURL(blob), download: name }).click();
+const quoted = text => /^[\w./:=,+-]+$/.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`;
+function code() {
+  const files = { width: 0, ...embedded.files, ...scene?.files }, language = $("language").value;
+  const options = optionsOf(files, language !== "command for draws");
+  const map = Number.isFinite(+files.distance) ? null : files.distance;
+  const unit = files.holds === "metres" ? rounded(files.unit * state.times) : null;
+  if (language === "Python") {
+    const plain = JSON.stringify(options, null, 4).replaceAll("null", "None");
+    const distance = map ? `read_distance(${JSON.stringify(map)}, ${unit ?? "None"})` : "None";
+    return ["import uwaug", "from uwaug.files import read_distance, read_picture, write_picture", "",
+      `augment = uwaug.RandomUnderwater.from_dict(${plain})`, `image = read_picture(${JSON.stringify(files.picture)})`,
+      `distance = ${distance}`, "wet = augment.transform(image, distance, augment.make_params(image))",
+      `write_picture("wet.png", wet)`].join("\n");
+  }
+  const words = [`uwaug degrade ${quoted(files.picture)} --distance ${map ? quoted(map) : options.distance}`];
+  if (map && unit && unit !== 1) words.push(`--unit ${unit}`);
+  if (!map) delete options.distance;
+  const entries = Object.entries(options);
+  if (language === "TOML") {
+    for (const [name, value] of entries) if (value === null) words.push(`--set ${name}=none`);
+    const lines = entries.filter(([, value]) => value !== null).map(([name, value]) => `${name} = ${toml(value)}`);
+    return [`# ${words.join(" ")} --options this.toml --out wet.png`, ...lines].join("\n");
+  }
+  for (const [name, value] of entries) {
+    if (name === "waters") words.push(`--water ${quoted(value[0])}`);
+    else if (name === "contrast") words.push(`--contrast ${value ?? "none"}`);
+    else words.push(`--set ${quoted(`${name}=${value === null ? "none" : toml(value)}`)}`);
+  }
+  return `${words.join(" ")} ${options.field === null ? "--out wet.png" : "--variants 12 --sheet --out wet/"}`;
+}
+function download(blob, name) {
+  const href = URL.createObjectURL(blob);
+  Object.assign(document.createElement("a"), { href, download: name }).click();
+  setTimeout(() => URL.revokeObjectURL(href), 1000);
+}
+/** A .npy file of float32. */
+function npyOf(values, width, height) {
+  const header = `{'descr': '<f4', 'fortran_order': False, 'shape': (${height}, ${width}), }`.padEnd(117) + "\n";
+  return new Blob([new Uint8Array([0x93, 78, 85, 77, 80, 89, 1, 0, 118, 0]), header, values]);
+}
 $("language").addEventListener("change", fill);
-$("copy").addEventListener("click", () => navigator.clipboard.writeText(code()).then(() => say("copied"), () => { getSelection().selectAllChildren($("code")); say("select is made: copy by Ctrl+C"); }));
-$("save").addEventListener("click", () => $("after").toBlob(blob => download(blob, "wet.png")));
+$("copy").addEventListener("click", async () => {
+  try {
+    await navigator.clipboard.writeText(code());
+    say("copied");
+  } catch {
+    getSelection().selectAllChildren($("code"));
+    say("the browser does not let pages copy here: it is selected, copy by Ctrl+C");
+  }
+});
+$("save").addEventListener("click", () => { if (shown) $("after").toBlob(blob => download(blob, "wet.png")); });
 $("save-scene").addEventListener("click", () => {
-  $("before").toBlob(blob => download(blob, scene.files.picture.replace(/\.\w+$/, ".png")));
-  download(npyOf(scene.distance, scene.width, scene.height), `${scene.files.picture.replace(/\.\w+$/, "")}-distance.npy`);
+  if (!scene) return;
+  const { files: { picture, distance }, width, height } = scene;
+  $("before").toBlob(blob => download(blob, picture));
+  download(npyOf(scene.distance, width, height), distance);
 });
 
 // --- begin --------------------------------------------------------------------------------------------
+readAddress();
 fill();
-const bytesOf64 = text => Uint8Array.from(atob(text), letter => letter.charCodeAt(0));
+addEventListener("hashchange", () => { readAddress(); changed(); });
 await ask("open", { tables });
-const codes = new Uint16Array((await inflated([bytesOf64(embedded.distance)])).buffer); // each as the step from the one before
-for (let i = 1; i < codes.length; i++) codes[i] += codes[i - 1];
-const first = await createImageBitmap(new Blob([bytesOf64(embedded.picture)]), { colorSpaceConversion: "none" });
-await setScene(first, () => Float32Array.from(codes, code => code === 65535 ? Infinity : embedded.near * Math.exp(code * embedded.step)), embedded.files);
+const picked = Uint8Array.from(atob(embedded.picture), letter => letter.charCodeAt(0));
+const first = await createImageBitmap(new Blob([picked]), { colorSpaceConversion: "none" });
+const { distance: packed, near, step } = embedded;
+await setScene(first, { embedded: { packed, near, step } }, embedded.files, "");

@@ -24,8 +24,8 @@ from uwaug.optics.water import LEAST_LOSS, Water, eye
 from uwaug.transforms import random_underwater
 from uwaug.transforms.random_underwater import RandomUnderwater
 
-_WIDTHS = (0.2, 400.0)
-"""px, of the blurs: below, none shows, and wider ones are as good as the mean of a picture."""
+_WIDTHS = (0.0, 400.0)
+"""px, of the blurs; wider ones are as good as the mean of a picture."""
 
 _TOLERANCE = 0.0005
 """Of the blur. At .002 pictures are up to 3 grey levels from those of `uwaug degrade`, which plans
@@ -34,6 +34,9 @@ for each; memory goes with the number of blurs, 13 here.
 
 _LONGEST = 1024.0
 """px, side of a picture that the widest blurs are planned for."""
+
+PIXELS = 1_000_000
+"""Of a picture on the page, at most: its blurs take 72 bytes for each, all of it some 170."""
 
 _REFLECTANCE = 0.18
 """Of the grey detail whose contrast is shown, as `uwaug.contrast_left` has it."""
@@ -85,6 +88,7 @@ def tables() -> dict[str, Any]:
             "grey": development.MID_GREY,
             "toe": development.TOE,
         },
+        "pixels": PIXELS,
         "plan": _plan(plan_of_page()),
         "draws": _draws(),
     }
@@ -124,20 +128,16 @@ def _blur(sigma: float, cell: float, reach: float) -> dict[str, Any]:
 def _draws() -> dict[str, Any]:
     """What `RandomUnderwater` draws by default."""
     augment = RandomUnderwater()
-    development = augment.development.ranges()
     return {
         "waters": [w if isinstance(w, str) else "contents" for w in random_underwater.WATERS],
         "contents": random_underwater.CONTENTS.ranges,
         "severities": list(random_underwater.SEVERITIES.values()),
-        "contrast": augment.contrast,
-        "depth": augment.vertical_depth,
         "g": augment.g,
-        "colorMatrix": development["color_matrix"],
-        "exposure": development["exposure"],
-        "whiteBalance": development["white_balance"],
-        "saturation": development["saturation"],
-        "gamut": development["gamut"],
-        "tone": development["tone"],
+        "ranges": {
+            "contrast": augment.contrast,
+            "vertical_depth": augment.vertical_depth,
+            **augment.development.ranges(),
+        },
     }
 
 

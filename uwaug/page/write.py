@@ -17,9 +17,6 @@ from uwaug._support.atomic import written_whole
 from uwaug.page.tables import tables
 from uwaug.presets.scene import Scene
 
-PIXELS = 1_000_000
-"""Of a picture on the page, at most: its blurs take 160 bytes for each."""
-
 _OPEN = 65535
 """The code of open water."""
 
@@ -31,9 +28,10 @@ def write_page(
 
     Args:
         path: of the HTML file; written whole, or not at all.
-        scene: of `PIXELS` at most, see `uwaug.presets.scene.own_scene`.
+        scene: of `tables.PIXELS` at most, see `uwaug.presets.scene.own_scene`.
         source: where it comes from, for what is copied from the page: "picture" and "distance",
-            names of files, or metres; "unit", m; "holes".
+            names of files, or metres; "unit", m; "holes"; "unsaved", whether there are no such
+            files before the page has saved them; "width" of the picture, px.
         water: the Jerlov type to begin with.
 
     Raises:
@@ -41,10 +39,10 @@ def write_page(
     """
     parts = {
         "style.css": _text("style.css"),
-        "model.js worker.js": _plain("model.js", "worker.js"),
+        "model.js maps.js worker.js": _plain("model.js", "maps.js", "worker.js"),
         "tables": _json(tables()),
         "scene": _json({**_stored(scene), "water": water, "files": {"holds": "metres", **source}}),
-        "maps.js page.js": _plain("maps.js", "page.js"),
+        "page.js": _plain("page.js"),
     }
     page = re.sub(r"/\* ([\w. ]+) \*/", lambda mark: parts[mark[1]], _text("index.html"))
     with written_whole(path) as part:
