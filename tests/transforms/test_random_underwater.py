@@ -287,7 +287,7 @@ def test_doubts_the_first_maps_of_a_process(later: bool, monkeypatch: pytest.Mon
     if later:  # the first is right, most are not
         for z in [1 + 2 * shares, *[shares] * 6]:
             aug(picture(), z)
-    with pytest.warns(UserWarning, match=r"distances look relative, .* Inverse\(near, far\)"):
+    with pytest.warns(UserWarning, match=r"distances look relative, .* Inverse\(1, 5\)"):
         aug(picture(), shares)
     aug(picture(), shares)  # silent: a warning would be an error
 
@@ -406,7 +406,7 @@ HOLED = (1 + distances()).index_fill(1, torch.tensor(2), 0.0)
 REFUSED_INPUTS: dict[str, tuple[tuple[Any, Any], str]] = {
     "no map": ((picture(), None), r"distance is missing: .*MadeUp, Network and Plane"),
     "millimetres": ((picture(), 1000 * (2 + distances())), "metres.*divide by 1000"),
-    "holes": ((picture(), HOLED), r"zero at 33 of 792 pixels: give holes"),
+    "holes": ((picture(), HOLED), r"zero at 33 of 792 pixels: give holes="),
     "size": ((picture(), distances()[..., 1:]), "height and width must agree"),
     "integers": ((picture(), distances().int()), "distance must be a floating-point tensor"),
     "label": ((picture(), "coral"), r"expected \(image, distance, …\)"),

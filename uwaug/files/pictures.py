@@ -17,6 +17,9 @@ from uwaug._support.extras import require
 ENDINGS = (".npy", ".exr", ".tif", ".tiff", ".png", ".jpg", ".jpeg")
 """Of the names of pictures and, but for JPEG, of distance maps."""
 
+OTHERS = (".avif", ".bmp", ".gif", ".heic", ".heif", ".jp2", ".jxl", ".webp")
+"""Of pictures that are neither read nor written."""
+
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 """What distances may be written in, m."""
 
@@ -84,7 +87,7 @@ def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
     median = checks.too_far(z)
     if median is not None:
         got = f"the median is {median:.4g} metres if they are in {unit}, farther than one sees"
-        raise ValueError(f"{path}: {got}: is the unit mm?")
+        raise ValueError(f"{path}: {got}: is the unit mm (--unit mm)?")
     return z
 
 
