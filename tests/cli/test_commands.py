@@ -222,7 +222,7 @@ def test_maps_that_are_no_metres_are_told_of_before_the_first_picture(folder, ru
     code, out, err = run("degrade", "photos", "--distance", "depth", "--out", "wet")
     assert (code, err) == (0, "")
     assert out.startswith("distances look relative, 0…1 or standardised: ")
-    cure = out.partition("--set '")[2].partition("'")[0]
+    cure = out.partition("--set ")[2].partition(")")[0]
     assert "2 of 2 pictures written to wet" in out
     # the cure that is said can be given as it is
     flags = ("--distance", "depth", "--set", cure, "--out", "cured")

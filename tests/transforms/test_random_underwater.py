@@ -287,7 +287,7 @@ def test_doubts_the_first_maps_of_a_process(later: bool, monkeypatch: pytest.Mon
     if later:  # the first is right, most are not
         for z in [1 + 2 * shares, *[shares] * 6]:
             aug(picture(), z)
-    with pytest.warns(UserWarning, match=r"distances look relative, .* Inverse\(1, 5\)"):
+    with pytest.warns(UserWarning, match=r"distances look relative, .* Inverse\(near, far\)"):
         aug(picture(), shares)
     aug(picture(), shares)  # silent: a warning would be an error
 

@@ -18,11 +18,11 @@ _REVERSED = -0.1
 _SEVERAL = 4
 """Maps of which that is asked: one alone may be a bowl, or a ramp that somebody has made."""
 
-_INVERSE = """Inverse(1, 5), or --set 'distance={kind="Inverse", near=1, far=5}'"""
+_INVERSE = "Inverse(near, far) (--set distance.kind=Inverse)"
 
 _SCALES = (
     f"look relative, 0…1 or standardised: where large is near, {_INVERSE}; where 0 is near, "
-    "Relative in its place",
+    "Relative instead",
     "are whole numbers, as metres hardly are: --unit mm or cm (divide by 1000 or 100); or, if they "
     f"are disparities or 8 bits of a network, {_INVERSE}",
     "look like millimetres or centimetres, as their median is beyond 100 m: --unit mm or cm "
