@@ -17,6 +17,8 @@ PARTS = {
     "surfaces": "accuracy",
     "fitting_recovery": "accuracy",
     "draws": "accuracy",
+    "like": "accuracy",
+    "training": "evidence",
     "throughput": "speed",
     "jobs": "speed",
     "gallery": "figures",

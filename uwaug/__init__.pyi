@@ -35,5 +35,6 @@ from .presets import load_preset as load_preset
 from .transforms import KeepVisible as KeepVisible
 from .transforms import RandomDevelopment as RandomDevelopment
 from .transforms import RandomUnderwater as RandomUnderwater
+from .transforms import like as like
 
 __version__: str

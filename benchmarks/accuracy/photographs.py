@@ -16,31 +16,16 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, minimum_filter
+from scipy.ndimage import gaussian_filter
 from scipy.spatial.distance import cdist
 from scipy.stats import betabinom
 from skimage.color import rgb2lab
 
 from benchmarks.harness import RESULTS
+from uwaug.transforms.statistics import OF_WATER, correlation, numbers_of_water
 
 Numbers = NDArray[np.float64]
 Picture = NDArray[np.uint8]
-
-OF_WATER = [
-    "L_mean",
-    "a_mean",
-    "b_mean",
-    "chroma",
-    "veil_L",
-    "veil_a",
-    "veil_b",
-    "log_RG",
-    "log_BG",
-    "sd_RG",
-    "corr_RG",
-    "dark",
-]
-"""Names of the numbers that hang on the water more than on the scene."""
 
 MEASURES = ("recall", "coverage", "precision", "clipped density", "clipped coverage")
 
@@ -65,58 +50,26 @@ def numbers_of(picture: Picture) -> dict[str, float]:
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     luminance = (linear @ np.array([0.2126, 0.7152, 0.0722]) + 0.002).astype(np.float32)
     return {
-        **_of_colour(srgb, lab, linear),
-        **_of_veil(srgb, lab),
+        **numbers_of_water(srgb),
+        **_of_colour(srgb, lab),
         **_of_detail(lab[..., 0], luminance),
-        "dark": float(minimum_filter(srgb[..., 1:].min(-1), 15).mean()),
         "clip_hi": float(np.sqrt((picture.max(2) >= 253).mean())),
         "clip_lo": float(np.sqrt((picture.min(2) <= 2).mean())),
         **_of_layout(luminance),
     }
 
 
-def _of_colour(srgb: Numbers, lab: Numbers, linear: Numbers) -> dict[str, float]:
+def _of_colour(srgb: Numbers, lab: Numbers) -> dict[str, float]:
     L, a, b = lab[..., 0], lab[..., 1], lab[..., 2]
-    mean, spread = linear.reshape(-1, 3).mean(0) + 0.004, srgb.reshape(-1, 3).std(0) + 0.004
-    # a constant channel has a correlation, too
-    jitter = 1e-4 * np.random.default_rng(0).standard_normal((3, L.size))
-    correlation = np.corrcoef(srgb.reshape(-1, 3).T + jitter)
+    spread = srgb.reshape(-1, 3).std(0) + 0.004
     low, high = np.percentile(L, [5, 95])
     return {
-        "L_mean": L.mean(),
         "L_p5": low,
         "L_p95": high,
-        "a_mean": a.mean(),
-        "b_mean": b.mean(),
-        "chroma": np.hypot(a, b).mean(),
         "ab_spread": np.sqrt(a.var() + b.var()),
-        "log_RG": np.log2(mean[0] / mean[1]),
-        "log_BG": np.log2(mean[2] / mean[1]),
-        "sd_RG": np.log2(spread[0] / spread[1]),
         "sd_BG": np.log2(spread[2] / spread[1]),
-        "corr_RG": correlation[0, 1],
-        "corr_BG": correlation[2, 1],
+        "corr_BG": correlation(srgb[..., 2], srgb[..., 1]),
         "rms": L.std() / 100,
-    }
-
-
-def _of_veil(srgb: Numbers, lab: Numbers) -> dict[str, float]:
-    """Of those blocks of 16 px that have least texture and least red."""
-    height, width = (size // 16 for size in srgb.shape[:2])
-
-    def blocks(x: Numbers) -> Numbers:
-        cut = x[: height * 16, : width * 16].reshape(height, 16, width, 16)
-        return cut.transpose(0, 2, 1, 3).reshape(-1, 256)
-
-    def rank(values: Numbers) -> NDArray[np.int64]:
-        return np.argsort(np.argsort(values))
-
-    texture = blocks(lab[..., 0]).std(1)
-    less_red = blocks(srgb[..., 1:].max(-1) - srgb[..., 0]).mean(1)
-    veil = np.argsort(rank(texture) - rank(less_red))[: max(2, len(texture) // 10)]
-    return {
-        f"veil_{name}": float(np.median(blocks(lab[..., channel])[veil]))
-        for channel, name in enumerate("Lab")
     }
 
 

@@ -1,5 +1,6 @@
 import csv
 import json
+from functools import partial
 
 import numpy as np
 import pytest
@@ -103,6 +104,27 @@ def test_options_reach_the_transform(folder, run):
     assert transform.distance == uwaug.distance.Plane(3.0)
 
 
+def test_pictures_like_a_photograph(folder, run, monkeypatch):
+    few = partial(uwaug.like, draws=30, keep=2)
+    monkeypatch.setattr(uwaug.files.run, "like", few)
+    murky = np.random.default_rng(1).integers(0, 90, (24, 32, 3), np.uint8)
+    murky[..., 1] += 60
+    Image.fromarray(murky).save(folder / "green.png")
+    line = ("degrade", "photos", *MAPS, "--like", "green.png", "--contrast", ".2:.5", "--out")
+    code, out, err = run(*line, "wet")
+    assert (code, err) == (0, "")
+    assert "like green.png: draws that were kept are" in out
+    assert "2 of 2 pictures written to wet" in out
+    recipe = json.loads((folder / "wet/a.png.json").read_text())["recipe"]
+    transform = uwaug.RandomUnderwater.from_dict(recipe["transform"])
+    assert isinstance(transform, uwaug.transforms.UnderwaterLike)
+    assert all(0.2 <= one["numbers"]["contrast"] <= 0.5 for one in transform.kept)
+    # the same draws are kept again, and a record makes the same picture
+    assert "2 were there" in run(*line, "wet", "--resume")[1]
+    assert run("degrade", "wet/b.png.json", "--out", "b.png")[0] == 0
+    assert (folder / "b.png").read_bytes() == (folder / "wet/b.png").read_bytes()
+
+
 def test_a_preset_in_several_waters(folder, run):
     flags = ("--distance", "3", "--preset", "survey", "--water", "II", "--water", "7C")
     assert run("degrade", "photos/a.png", *flags, "--out", "wet.png")[0] == 0
@@ -147,6 +169,7 @@ def test_a_broken_map_fails_alone_and_resume_goes_on(folder, run):
         ("degrade photos --distance 3 --set turbidity=2 --out wet", "turbidity"),
         ("degrade photos --distance 3 --water 4C --out wet", "water must be one of"),
         ("degrade photos --distance 3 --preset nothing --out wet", "nothing"),
+        ("degrade photos --like nothing.png --out wet", "nothing.png"),
         ("export --out x.onnx", "--preset"),
         ("export --preset survey --out x.bin", ".onnx"),
         ("plot photos/a.png --distance depth/b.png", "metres"),

@@ -38,6 +38,13 @@ def degrade(
         str | None,
         typer.Option(help="Left at the median distance: .4, or .1:.8; none: the water as it is."),
     ] = None,
+    like: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="A photograph taken under water that pictures shall look like: of all draws, its "
+            "nearest; repeat it."
+        ),
+    ] = None,
     preset: Preset = None,
     set_: Annotated[
         list[str] | None,
@@ -79,7 +86,7 @@ def degrade(
             print_written(out)
             return
         from uwaug.files.items import find_items, left_out
-        from uwaug.files.run import Recipe, doubts_of
+        from uwaug.files.run import Recipe, doubts_of, like_of
         from uwaug.files.run import degrade as run
         from uwaug.transforms import RandomUnderwater
 
@@ -125,6 +132,11 @@ def degrade(
             )
         for doubt in doubts_of(recipe, items):
             print(doubt, flush=True)
+        if like:
+            recipe, nearness = like_of(recipe, items, like)
+            print(f"like {', '.join(map(str, like))}: {nearness}", flush=True)
+            if nearness.doubt:
+                print(nearness.doubt, flush=True)
         with counted() as progress:
             summary = run(
                 recipe,

@@ -7,7 +7,7 @@ import re
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -34,6 +34,7 @@ from uwaug.files.pool import on_processes, one_thread
 from uwaug.files.record import COLUMNS, read_record, record_path, write_record
 from uwaug.files.sheet import write_sheet
 from uwaug.formation.contrast import FAINT
+from uwaug.transforms.like import Nearness, like
 from uwaug.transforms.params import Record
 from uwaug.transforms.random_underwater import RandomUnderwater, Reached
 from uwaug.transforms.samples import key_of
@@ -311,6 +312,36 @@ def _like_mm(shares: Tensor) -> bool:
     few, whole = some.numel() // 100, some.round()
     narrow = some.numel() >= 64 and float(some[-1 - few] - some[few]) < 6554
     return narrow and len(set(whole.tolist())) > 16 and torch.allclose(some, whole, 0, 0.01)
+
+
+def like_of(
+    recipe: Recipe, items: Sequence[Item], references: Sequence[Path]
+) -> tuple[Recipe, Nearness]:
+    """A recipe that makes the pictures of a run look like photographs in files, as eight of them
+    do, see `uwaug.like`; and how near it comes.
+    """
+    photographs = [read_picture(path) for path in references]
+    transform = RandomUnderwater.from_dict(recipe.transform)
+    found = _some(recipe, items, transform)
+    images, maps = [image for image, _ in found], [z for _, z in found if z is not None]
+    with one_thread(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # all that there is to say is in what is returned
+        augment = like(photographs, images, maps or None, augment=transform, seed=recipe.seed)
+    assert augment.nearness is not None
+    return replace(recipe, transform=augment.to_dict()), augment.nearness
+
+
+def _some(
+    recipe: Recipe, items: Sequence[Item], transform: RandomUnderwater
+) -> list[tuple[Tensor, Tensor | None]]:
+    """Eight pictures of a run and their maps, from the first to the last, but for those that cannot
+    be read.
+    """
+    found = []
+    for item in items[:: -(-len(items) // 8) or 1]:
+        with suppress(Exception):  # decoders raise whatever they like
+            found.append(_read(item, recipe, transform))
+    return found
 
 
 class _Worker:

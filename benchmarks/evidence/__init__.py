@@ -1,0 +1,1 @@
+"""Does training with uwaug help on real underwater pictures? `python -m benchmarks.evidence`."""

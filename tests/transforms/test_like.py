@@ -1,0 +1,175 @@
+"""`like`: draws that are kept as they look like a photograph."""
+
+import json
+import pickle
+from functools import cache
+from typing import Any
+
+import pytest
+import torch
+from augmenting import same
+from torch import Tensor
+
+import uwaug
+from uwaug import KeepVisible, RandomUnderwater, Sensor
+from uwaug.distance import MadeUp
+from uwaug.transforms import RandomDevelopment, UnderwaterLike
+from uwaug.transforms.statistics import OF_WATER, numbers_of_water
+
+H, W = 32, 48
+FEW: dict[str, Any] = {"draws": 45, "keep": 3}
+
+
+def pictures(count: int, seed: int = 0) -> Tensor:
+    """Coloured patches on a ramp of light."""
+    patches = torch.rand(count, 3, 4, 6, generator=torch.Generator().manual_seed(seed))
+    grown = torch.nn.functional.interpolate(patches, (H, W))
+    return grown * torch.linspace(0.3, 1, W)
+
+
+def maps(count: int) -> Tensor:
+    return torch.linspace(1, 6, H * W).reshape(1, 1, H, W).repeat(count, 1, 1, 1)
+
+
+def in_water(water: str, contrast: float) -> Tensor:
+    """What stands for a photograph: another picture in one water."""
+    augment = RandomUnderwater(water, contrast=contrast)
+    wet: Tensor = augment.at(0, 0, 0)(pictures(1, 9), maps(1))[0][0]
+    return wet
+
+
+def far(augment: RandomUnderwater) -> float:
+    """How far draws on other pictures are from the photograph, in standard deviations."""
+    goal, found = numbers_of_water(GREEN.permute(1, 2, 0).numpy()), []
+    for i, (image, z) in enumerate(zip(pictures(18, 3), maps(18), strict=True)):
+        numbers = numbers_of_water(augment.at(0, 0, i)(image, z)[0].permute(1, 2, 0).numpy())
+        off = [(numbers[name] - goal[name]) / OF_WATER[name][0] for name in goal]
+        found.append(sum(x * x for x in off) ** 0.5)
+    return sum(found) / len(found)
+
+
+GREEN = in_water("9C", 0.15)
+
+
+@cache
+def green() -> UnderwaterLike:
+    return uwaug.like(GREEN, pictures(4), maps(4), **FEW)
+
+
+def test_draws_look_like_the_photograph() -> None:
+    assert far(green()) < 0.75 * far(RandomUnderwater())
+    assert green().nearness is not None
+    assert green().nearness.kept < 0.8 * green().nearness.drawn
+    assert f"{green().nearness.kept:.2f}" in str(green().nearness)
+
+
+def test_water_is_kept_and_the_rest_is_drawn_anew() -> None:
+    noisy = RandomDevelopment(noise=Sensor((2000, 9000)))
+    augment = RandomUnderwater(distance=MadeUp(), development=noisy)
+    found = uwaug.like(GREEN, pictures(2), augment=augment, **FEW)
+    samples = found.make_params(pictures(40))["samples"]
+    assert len({s["numbers"]["contrast"] for s in samples}) == 3
+    assert len({s["numbers"]["full_well"] for s in samples}) == 3
+    for name in ("scene", "near", "noise_seed"):
+        assert len({s["numbers"][name] for s in samples}) == 40
+    assert len({s["field_seed"] for s in samples}) == 40
+    assert found.development == noisy
+
+
+def test_it_is_written_and_read_as_any_other() -> None:
+    image, z = pictures(1, 5)[0], maps(1)[0]
+    record = json.loads(json.dumps(green().make_params(image)))
+    twins = (
+        RandomUnderwater.from_dict(json.loads(json.dumps(green().to_dict()))),
+        pickle.loads(pickle.dumps(green())),
+    )
+    for twin in twins:
+        assert isinstance(twin, UnderwaterLike)
+        assert same(twin.transform(image, z, record), green().transform(image, z, record))
+        assert same(twin.at(1, 2, 3)(image, z)[0], green().at(1, 2, 3)(image, z)[0])
+
+
+def test_it_stands_where_any_other_does() -> None:
+    image, z = pictures(1, 5)[0], maps(1)[0]
+    target = {"boxes": torch.tensor([[2.0, 2.0, 20.0, 20.0]])}
+    wet, _, _ = KeepVisible(green(), 0.0)(image, z, target)
+    assert wet.shape == (3, H, W)
+    clip = green().for_clip(green().make_params(image), image, z)
+    assert "clip" in clip["samples"][0]
+
+
+def test_the_same_seed_keeps_the_same_draws() -> None:
+    torch.manual_seed(123)
+    assert uwaug.like(GREEN, pictures(4), maps(4), **FEW).kept == green().kept
+    assert uwaug.like(GREEN, pictures(4), maps(4), seed=1, **FEW).kept != green().kept
+
+
+def test_each_of_several_photographs_is_kept_for() -> None:
+    blue = in_water("II", 0.3)
+    options = {"augment": RandomUnderwater(["II", "9C"]), **FEW}
+    found = uwaug.like([GREEN, (blue * 255).byte()], list(pictures(4)), maps(4), **options)
+    assert len(found.kept) == 6
+    assert {one["waters"][0] for one in found.kept[:3]} == {"9C"}
+    assert "II" in {one["waters"][0] for one in found.kept[3:]}
+
+
+def test_pictures_that_are_left_alone_are_not_looked_at() -> None:
+    augment = RandomUnderwater("9C", p=0.0)
+    found = uwaug.like(GREEN, pictures(2), maps(2), augment=augment, **FEW)
+    assert found.nearness is not None
+    assert found.nearness.kept < 1
+    assert found.p == 0.0
+
+
+def test_what_cannot_be_reached_is_said_in_words() -> None:
+    red = torch.zeros(3, H, W)
+    red[0] = 1
+    with pytest.warns(UserWarning, match=r"nearest draws look unlike.*greener"):
+        uwaug.like(red, pictures(2), maps(2), augment=RandomUnderwater("9C"), **FEW)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"reference": torch.rand(1, H, W)}, "reference must have shape"),
+        ({"reference": []}, "reference: expected at least one"),
+        ({"reference": 255 * torch.rand(3, H, W)}, "reference reaches"),
+        ({"pictures": torch.zeros(3, H, W, dtype=torch.int32)}, "pictures must be a floating"),
+        ({"distance": maps(3)}, "3 maps for 2 pictures"),
+        ({"distance": None, "augment": RandomUnderwater()}, "distance is missing"),
+        ({"augment": "II"}, "augment must be a uwaug.RandomUnderwater"),
+        ({"draws": 44}, "draws must be 15 times keep"),
+        ({"keep": 0}, "keep"),
+    ],
+)
+def test_what_is_refused(options: dict[str, Any], words: str) -> None:
+    given = {"reference": GREEN, "pictures": pictures(2), "distance": maps(2), **FEW, **options}
+    with pytest.raises((TypeError, ValueError), match=words):
+        uwaug.like(**given)
+
+
+def test_kept_draws_are_draws_of_the_transform() -> None:
+    good = {"waters": ["9C"], "numbers": {"contrast": 0.3}}
+    assert UnderwaterLike("9C", kept=[good]).make_params(GREEN)["samples"][0]["waters"] == ["9C"]
+    for bad in ({**good, "waters": ["II"]}, {**good, "numbers": {"contrast": 3.0}}):
+        with pytest.raises(ValueError, match=r"params"):
+            UnderwaterLike("9C", kept=[bad])
+    with pytest.raises(ValueError, match="at least one"):
+        UnderwaterLike("9C", kept=[])
+
+
+def test_numbers_say_what_they_are_called() -> None:
+    x = torch.full((64, 80, 3), 0.5).numpy()
+    x[..., 0] = 0.2
+    # grey and rough above, plain water below
+    x[:32, :, 1:] = torch.rand(32, 80, 1, generator=torch.Generator().manual_seed(0)).numpy() * 0.4
+    found = numbers_of_water(x)
+    assert list(found) == list(OF_WATER)
+    assert found["log_RG"] < -1
+    assert found["sd_RG"] < -4
+    assert found["log_BG"] == pytest.approx(0, abs=1e-6)
+    assert found["corr_RG"] == pytest.approx(0, abs=1e-6)
+    assert 0.2 < found["dark"] < 0.27
+    assert found["veil_a"] < found["a_mean"] < 0
+    assert found["veil_L"] > found["L_mean"]
+    assert found["chroma"] > 5

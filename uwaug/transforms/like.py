@@ -1,0 +1,285 @@
+"""`like`: waters that make pictures look like given photographs. It searches; it knows no physics
+beyond that of the draws.
+"""
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from dataclasses import field as option
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import interpolate
+
+from uwaug._support import checks, codec
+from uwaug.distance.made_up import MadeUp
+from uwaug.distance.sources import Metres
+from uwaug.formation.colour import linear_to_srgb, require_values
+from uwaug.transforms.params import Record
+from uwaug.transforms.random_underwater import RandomUnderwater
+from uwaug.transforms.samples import typed
+from uwaug.transforms.statistics import OF_WATER, Values, numbers_of_water
+
+_SHORT = 128
+"""px, short side of the pictures that are looked at."""
+
+_BROAD, _BETWEEN = 0.4, 0.2
+"""Shares of the draws that are new, and that lie between two good ones; the others try the best on
+more pictures: what is near on one may be so by what that picture shows. (Of 24 photographs, where
+default draws are 1.19 away, this is .74; the nearest of 300 new ones .83, and without the
+second or third part .79 and .77. Two rounds between, numbers beyond their parents', 5 to 20 kept:
+within .03.)
+"""
+
+_PARENTS = 15
+"""The best of the new draws, between which others are made."""
+
+_MORE = 4
+"""Pictures on which the best are tried besides their first."""
+
+_FAR = 1.0
+"""Standard deviations of photographs from which a warning is due."""
+
+_SPREADS, _COUNTS, *_ = map(np.array, zip(*OF_WATER.values(), strict=True))
+_UNITS = _SPREADS * np.sqrt(np.mean(_COUNTS**2)) / _COUNTS
+"""What is 1 of each number: a standard deviation of photographs, on average."""
+
+
+class Nearness(NamedTuple):
+    """How near kept draws came to photographs; as text, in a sentence.
+
+    Attributes:
+        kept, drawn: distance of the kept draws and of new ones, median, in standard deviations of
+            photographs, of a number on average.
+        doubt: what is off, in words, where even the kept ones are far; else empty.
+    """
+
+    kept: float
+    drawn: float
+    doubt: str
+
+    def __str__(self) -> str:
+        unit = "standard deviations of real photographs"
+        return f"draws that were kept are {self.kept:.2f} {unit} away, all draws {self.drawn:.2f}"
+
+
+@codec.plain
+@dataclass(eq=False, repr=False)
+class UnderwaterLike(RandomUnderwater):
+    """A `RandomUnderwater` that picks water and development from a few that were kept, see `like`.
+
+    Args:
+        kept: {"waters": …, "numbers": …}, as samples of `make_params` have them; picked with equal
+            weight. What they leave out is drawn for each picture: medium field, noise, distances.
+        nearness: how near `like` came; not in `to_dict`.
+
+    Raises:
+        ValueError: if there is none, or one is none of this transform's draws.
+    """
+
+    kept: Sequence[Mapping[str, Any]] = option(kw_only=True)
+    nearness: Nearness | None = option(default=None, kw_only=True, metadata={"stored": False})
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.kept:
+            raise ValueError("kept: expected at least one, got none")
+        drawn = super().make_params(torch.empty(3, 1, 1), torch.Generator())["samples"]
+        for one in self.kept:
+            self._read({"samples": [_in_water(drawn[0], one)]}, 1)
+
+    def make_params(self, image: Tensor, generator: torch.Generator | None = None) -> Record:
+        """See `RandomUnderwater.make_params`."""
+        samples = super().make_params(image, generator)["samples"]
+        picked = torch.randint(len(self.kept), (len(samples),), generator=generator, device="cpu")
+        kept = [self.kept[i] for i in picked.tolist()]
+        return {"samples": [_in_water(*pair) for pair in zip(samples, kept, strict=True)]}
+
+
+def like(
+    reference: Tensor | Sequence[Tensor],
+    pictures: Tensor | Sequence[Tensor],
+    distance: Tensor | Sequence[Tensor] | None = None,
+    *,
+    augment: RandomUnderwater | None = None,
+    draws: int = 300,
+    keep: int = 10,
+    seed: int = 0,
+) -> UnderwaterLike:
+    """Random waters in which pictures look like a photograph, "like that one".
+
+    Draws of `augment` are held against the photograph by colour and veil: twelve numbers of a
+    picture that hang on water more than on the scene. What is nearest is tried on more pictures,
+    and kept. It says what looks alike and not which water it is; for that there is `uwaug.fit`.
+
+    Args:
+        reference: photographs taken under water, one or several (3xHxW, a batch, or a list);
+            `keep` draws are kept of each.
+        pictures: some of your own, taken in air, as many-sided as your data set (the same). Four to
+            eight will do. All are looked at small, with 128 px along their short side.
+        distance: their maps (1xHxW, the same), as `augment` reads them; None where it reads none.
+        augment: from which waters and developments to draw, and all other options; by default
+            `RandomUnderwater()`, or without maps `RandomUnderwater(distance=MadeUp())`.
+        draws: pictures that are made for each reference, of which 300 take some 3 s; at least 15
+            times `keep`.
+        keep: draws to keep.
+        seed: of all that is random.
+
+    Returns:
+        A `RandomUnderwater` in every respect, whose draws are those kept. Medium field, noise and
+        made-up distances are drawn anew for each picture.
+
+    Raises:
+        TypeError, ValueError: if an argument does not suit, naming what came and what was expected.
+
+    Warns:
+        UserWarning: if even the kept draws look unlike a reference, and in what.
+
+    Examples:
+        >>> import torch
+        >>> pictures, distance = torch.rand(2, 3, 32, 48), torch.full((2, 1, 32, 48), 3.0)
+        >>> wet, _ = RandomUnderwater("7C").at(seed=0, epoch=0, index=0)(pictures, distance)
+        >>> augment = like(wet[0], pictures, distance, draws=30, keep=2)
+        >>> degraded, _ = augment(pictures, distance)
+    """
+    if augment is None:
+        augment = RandomUnderwater(distance=Metres() if distance is not None else MadeUp())
+    checks.instance("augment", augment, RandomUnderwater)
+    if not 1 <= keep <= draws // 15:
+        raise ValueError(f"draws must be 15 times keep or more, and keep 1, got {draws} and {keep}")
+    photographs = [_numbers(one, augment) for one in _small("reference", reference, 3)]
+    scenes: list[Any] = _small("pictures", pictures, 3)
+    maps = [None] * len(scenes) if distance is None else _small("distance", distance, 1)
+    if len(maps) != len(scenes):
+        raise ValueError(f"distance has {len(maps)} maps for {len(scenes)} pictures")
+    trials = _Trials(augment, list(zip(scenes, maps, strict=True)), seed)
+    new = [trials.new(i) for i in range(round(_BROAD * draws))]
+    drawn = [_away(one, photograph) for photograph in photographs for one in new]
+    kept, near, doubts = [], [], []
+    for photograph in photographs:
+        best = trials.best(new, photograph, draws, keep)
+        kept += [one.sample for one in best]
+        near += [_away(one, photograph) for one in best]
+        doubts.append(_doubt(best, photograph))
+    nearness = Nearness(
+        float(np.median(near)), float(np.median(drawn)), "; ".join(filter(None, doubts))
+    )
+    if nearness.doubt:
+        warnings.warn(nearness.doubt, stacklevel=2)
+    options = {f.name: getattr(augment, f.name) for f in fields(RandomUnderwater) if f.init}
+    return UnderwaterLike(**options, kept=tuple(kept), nearness=nearness)
+
+
+class _Draw(NamedTuple):
+    """Water and numbers of a sample, and what it looks like in those pictures it was tried on."""
+
+    sample: Record
+    first: int  # of these pictures, which stand in a ring
+    seen: list[Values]
+
+
+class _Trials:
+    """Draws of a transform, tried on some scenes: pictures with their maps."""
+
+    def __init__(self, augment: RandomUnderwater, scenes: list[Any], seed: int) -> None:
+        self.augment, self.scenes = augment, scenes
+        self.generator = torch.Generator().manual_seed(seed)
+        # numbers that belong to a picture and not to its water
+        self.own = {"noise_seed", *augment._source.ranges()}
+
+    def new(self, first: int) -> _Draw:
+        (sample,) = self.augment.make_params(self.scenes[0][0], self.generator)["samples"]
+        numbers = {name: x for name, x in sample["numbers"].items() if name not in self.own}
+        return self.tried(_Draw({"waters": sample["waters"], "numbers": numbers}, first, []))
+
+    def between(self, one: _Draw, other: _Draw) -> _Draw:
+        """A draw in the water of one, with numbers between those of both."""
+        numbers, others = one.sample["numbers"], other.sample["numbers"]
+        shares = torch.rand(len(numbers), generator=self.generator, dtype=torch.float64).tolist()
+        mixed = {
+            name: (1 - share) * numbers[name] + share * others[name]
+            for name, share in zip(numbers, shares, strict=True)
+        }
+        return self.tried(_Draw({**one.sample, "numbers": mixed}, other.first + 1, []))
+
+    def tried(self, draw: _Draw) -> _Draw:
+        """The same draw, tried on one more picture."""
+        picture, z = self.scenes[(draw.first + len(draw.seen)) % len(self.scenes)]
+        (drawn,) = self.augment.make_params(picture, self.generator)["samples"]
+        params = {"samples": [_in_water({**drawn, "applied": True}, draw.sample)]}
+        draw.seen.append(_numbers(self.augment.transform(picture, z, params), self.augment))
+        return draw
+
+    def best(self, new: list[_Draw], photograph: Values, draws: int, keep: int) -> list[_Draw]:
+        """The draws that are nearest to a photograph, of new ones and of some between them."""
+
+        def away(draw: _Draw) -> float:
+            return _away(draw, photograph)
+
+        parents = sorted(new, key=away)[:_PARENTS]
+        among = list(new)
+        for _ in range(round(_BETWEEN * draws)):
+            one, other = torch.randperm(len(parents), generator=self.generator)[:2].tolist()
+            among.append(self.between(parents[one], parents[other]))
+        count = max(keep, round((1 - _BROAD - _BETWEEN) * draws / _MORE))
+        tried = sorted(among, key=away)[:count]
+        for draw in tried:
+            for _ in range(_MORE):
+                self.tried(draw)
+        return sorted(tried, key=away)[:keep]
+
+
+def _in_water(drawn: Record, kept: Mapping[str, Any]) -> Record:
+    """A sample with the water and the numbers of a kept one."""
+    numbers = {**drawn["numbers"], **kept["numbers"]}
+    return {**drawn, "waters": list(kept["waters"]), "numbers": numbers}
+
+
+def _small(name: str, given: Any, channels: int) -> list[Tensor]:
+    """Pictures or maps (CxHxW), small, on the host; of one, a batch, or a list of either."""
+    found: list[Tensor] = []
+    for one in given if isinstance(given, (list, tuple)) else [given]:
+        if channels == 1 or getattr(one, "dtype", None) != torch.uint8:
+            checks.floating(name, one, "" if channels == 1 else "; or uint8")
+        checks.picture(name, one, channels)
+        values = typed(one, Tensor).detach().cpu()
+        values = values / 255 if values.dtype == torch.uint8 else values.float()
+        values = values if values.ndim == 4 else values[None]
+        scale = _SHORT / min(values.shape[-2:])
+        size = [round(scale * side) for side in values.shape[-2:]]
+        if channels == 1:
+            found += interpolate(values, size, mode="nearest")
+            continue
+        require_values(values, "srgb", name)
+        found += interpolate(values, size, mode="bilinear", antialias=True).clamp(0, 1)
+    if not found:
+        raise ValueError(f"{name}: expected at least one, got none")
+    return found
+
+
+def _numbers(picture: Tensor, augment: RandomUnderwater) -> Values:
+    """What a picture (3xHxW) looks like, in standard deviations of photographs (12)."""
+    linear = augment.development.color_space == "linear"
+    srgb = linear_to_srgb(picture).clamp(0, 1) if linear else picture
+    found = numbers_of_water(srgb.permute(1, 2, 0).numpy())
+    numbers: Values = np.array([found[name] for name in OF_WATER]) / _UNITS
+    return numbers
+
+
+def _away(draw: _Draw, photograph: Values) -> float:
+    """How far a draw is from a photograph: mean over the pictures it was tried on."""
+    return float(np.sqrt(((np.array(draw.seen) - photograph) ** 2).mean(1)).mean())
+
+
+def _doubt(best: list[_Draw], photograph: Values) -> str:
+    """What is off with draws that are far from a photograph."""
+    away = np.median([_away(one, photograph) for one in best])
+    if away < _FAR:
+        return ""
+    over = np.mean([np.mean(one.seen, 0) for one in best], 0) - photograph
+    worst = np.argsort(-abs(over))[:3]
+    words = [list(OF_WATER.values())[i][3 if over[i] > 0 else 2] for i in worst]
+    off = f"{away:.2f} standard deviations of photographs away: {', '.join(words)}"
+    return f"even the nearest draws look unlike the reference, {off}"

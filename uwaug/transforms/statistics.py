@@ -1,0 +1,95 @@
+"""What of a picture hangs on the water more than on the scene, in twelve numbers."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Values = NDArray[Any]
+
+OF_WATER = {
+    "L_mean": (11.2, 1, "darker", "brighter"),
+    "a_mean": (14.7, 2, "greener", "redder"),
+    "b_mean": (17.2, 2, "bluer", "yellower"),
+    "chroma": (12.1, 1, "paler", "more colourful"),
+    "veil_L": (18.9, 1, "with a darker veil", "with a brighter veil"),
+    "veil_a": (18.6, 2, "with a greener veil", "with a redder veil"),
+    "veil_b": (24.0, 2, "with a bluer veil", "with a yellower veil"),
+    "log_RG": (1.43, 2, "with less red", "with more red"),
+    "log_BG": (0.915, 2, "with less blue", "with more blue"),
+    "sd_RG": (0.84, 1, "with less contrast in red", "with more contrast in red"),
+    "corr_RG": (0.343, 1, "with red less like green", "with red more like green"),
+    "dark": (0.129, 1, "with deeper shadows", "hazier"),
+}
+"""Of each number: its standard deviation in the 342 real photographs of benchmarks/results/
+photographs.csv (short side 256 px); how much it counts in `like`, colour twice, for which one looks
+(the others then come out as near); what a picture is that has less of it, and more.
+"""
+
+_BLOCKS = 16
+"""Of a picture's short side: blocks in which the veil is looked for."""
+
+_JITTER = 1e-8
+"""Variance that a constant channel has, of 0…1."""
+
+
+def numbers_of_water(srgb: Values) -> dict[str, float]:
+    """Twelve numbers of a picture, by name.
+
+    Args:
+        srgb (HxWx3 array): sRGB, floating point, 0…1.
+
+    Returns:
+        Means of CIE L*, a*, b* and chroma; medians of L*, a*, b* where the veil is; log2 of the
+        ratios of red to green and of blue to green, in linear light; log2 of the ratio of the
+        spreads of red and green, and their correlation; "dark", the mean of the darkest green or
+        blue nearby, which a veil lifts.
+    """
+    from scipy.ndimage import minimum_filter
+    from skimage.color import rgb2lab
+
+    side = max(2, min(srgb.shape[:2]) // _BLOCKS)
+    lab = rgb2lab(srgb)
+    L, a, b = lab[..., 0], lab[..., 1], lab[..., 2]
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    mean, spread = linear.reshape(-1, 3).mean(0) + 0.004, srgb.reshape(-1, 3).std(0) + 0.004
+    veil = _veil(srgb, lab, side)
+    found = {
+        "L_mean": L.mean(),
+        "a_mean": a.mean(),
+        "b_mean": b.mean(),
+        "chroma": np.hypot(a, b).mean(),
+        "veil_L": veil[0],
+        "veil_a": veil[1],
+        "veil_b": veil[2],
+        "log_RG": np.log2(mean[0] / mean[1]),
+        "log_BG": np.log2(mean[2] / mean[1]),
+        "sd_RG": np.log2(spread[0] / spread[1]),
+        "corr_RG": correlation(srgb[..., 0], srgb[..., 1]),
+        "dark": minimum_filter(srgb[..., 1:].min(-1), side - 1).mean(),
+    }
+    return {name: float(value) for name, value in found.items()}
+
+
+def correlation(one: Values, other: Values) -> float:
+    """Of two channels; 0 where one is constant."""
+    first, second = one - one.mean(), other - other.mean()
+    spreads = (np.mean(first**2) + _JITTER) * (np.mean(second**2) + _JITTER)
+    return float(np.mean(first * second) / np.sqrt(spreads))
+
+
+def _veil(srgb: Values, lab: Values, side: int) -> Values:
+    """Median L*, a*, b* of those square blocks that have least texture and least red."""
+    height, width = (size // side for size in srgb.shape[:2])
+
+    def blocks(x: Values) -> Values:
+        cut = x[: height * side, : width * side].reshape(height, side, width, side)
+        return cut.transpose(0, 2, 1, 3).reshape(-1, side * side)
+
+    def rank(values: Values) -> Values:
+        return np.argsort(np.argsort(values))
+
+    texture = blocks(lab[..., 0]).std(1)
+    less_red = blocks(srgb[..., 1:].max(-1) - srgb[..., 0]).mean(1)
+    veil = np.argsort(rank(texture) - rank(less_red))[: max(2, len(texture) // 10)]
+    return np.array([np.median(blocks(lab[..., channel])[veil]) for channel in range(3)])
