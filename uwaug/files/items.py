@@ -7,11 +7,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 from uwaug.files.labels import aliases
-from uwaug.files.pictures import ENDINGS, OTHERS
+from uwaug.files.pictures import ENDINGS
 from uwaug.files.record import is_written
 
 _MAPS = tuple(end for end in ENDINGS if end not in (".jpg", ".jpeg"))
 _PICTURES = tuple(end for end in ENDINGS if end not in (".npy", ".exr"))
+
+OTHERS = (".avif", ".bmp", ".gif", ".heic", ".heif", ".jp2", ".jxl", ".webp")
+"""Of pictures that are neither read nor written."""
 
 
 class Item(NamedTuple):

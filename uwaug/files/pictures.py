@@ -17,9 +17,6 @@ from uwaug._support.extras import require
 ENDINGS = (".npy", ".exr", ".tif", ".tiff", ".png", ".jpg", ".jpeg")
 """Of the names of pictures and, but for JPEG, of distance maps."""
 
-OTHERS = (".avif", ".bmp", ".gif", ".heic", ".heif", ".jp2", ".jxl", ".webp")
-"""Of pictures that are neither read nor written."""
-
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 """What distances may be written in, m."""
 

@@ -20,16 +20,9 @@ from uwaug._support.atomic import remove_left, written_whole
 from uwaug.distance.doubts import doubts
 from uwaug.distance.made_up import MadeUp
 from uwaug.distance.sources import Metres, Source
-from uwaug.files.items import Item
+from uwaug.files.items import OTHERS, Item
 from uwaug.files.labels import Judged, Labelled, Labels, judged, open_labels
-from uwaug.files.pictures import (
-    ENDINGS,
-    OTHERS,
-    metres_of,
-    read_distance,
-    read_picture,
-    write_picture,
-)
+from uwaug.files.pictures import ENDINGS, metres_of, read_distance, read_picture, write_picture
 from uwaug.files.pool import on_processes, one_thread
 from uwaug.files.record import COLUMNS, read_record, record_path, write_record
 from uwaug.files.sheet import write_sheet
@@ -444,7 +437,7 @@ class _Worker:
         """The record of a film, as of its first frame that can be read, is not dark, and shows more
         than open water; if there is none, as of the first that can be read.
         """
-        poor, reasons = [], []
+        poor, reasons = [], []  # records, and what is wrong with others
         for frame in film:
             try:
                 image, z = _read(frame, self.recipe, self.transform)
@@ -453,8 +446,8 @@ class _Worker:
                 reasons.append(f"{frame.name}: {_reason(error)}")
                 continue
             metres = record["samples"][0].get("clip", {}).get("metres", 0.0)
-            white = 1.0 if image.is_floating_point() else 255.0
-            if float(image.float().mean()) >= _DARK * white and metres < checks.OPEN:
+            light = float(image.float().mean()) / (1 if image.is_floating_point() else 255)
+            if light >= _DARK and metres < checks.OPEN:
                 return record
             poor.append(record)
         if not poor:
@@ -532,9 +525,8 @@ def _jobs(recipe: Recipe, items: Sequence[Item], labels: Labels | None) -> Itera
 
 def _spread(film: Sequence[Item]) -> tuple[Item, ...]:
     """Some frames from all over a film, the middle one first."""
-    count, some = len(film), range(_TRIED)
-    places = dict.fromkeys((count // 2 + k * count // _TRIED) % count for k in some)
-    return tuple(film[place] for place in places)
+    n = len(film)
+    return tuple(dict.fromkeys(film[(n // 2 + k * n // _TRIED) % n] for k in range(_TRIED)))
 
 
 def _counting(item: Item) -> list[Any]:
