@@ -13,6 +13,7 @@ from torch import Tensor
 import uwaug
 from uwaug import KeepVisible, RandomUnderwater, Sensor
 from uwaug.distance import MadeUp
+from uwaug.formation.colour import srgb_to_linear
 from uwaug.transforms import RandomDevelopment, UnderwaterLike
 from uwaug.transforms.statistics import OF_WATER, numbers_of_water
 
@@ -85,6 +86,7 @@ def test_it_is_written_and_read_as_any_other() -> None:
     )
     for twin in twins:
         assert isinstance(twin, UnderwaterLike)
+        assert "nearness" not in twin.to_dict()
         assert same(twin.transform(image, z, record), green().transform(image, z, record))
         assert same(twin.at(1, 2, 3)(image, z)[0], green().at(1, 2, 3)(image, z)[0])
 
@@ -119,6 +121,18 @@ def test_pictures_that_are_left_alone_are_not_looked_at() -> None:
     assert found.nearness is not None
     assert found.nearness.kept < 1
     assert found.p == 0.0
+
+
+@pytest.mark.filterwarnings("ignore:even the nearest")
+def test_linear_light_is_judged_as_it_looks() -> None:
+    linear = RandomUnderwater(development=RandomDevelopment(color_space="linear"))
+    light = [srgb_to_linear(x) for x in (GREEN, pictures(2))]
+    found = uwaug.like(*light, maps(2), augment=linear, **FEW)
+    seen = uwaug.like(GREEN, pictures(2), maps(2), **FEW)
+    assert found.nearness is not None
+    assert seen.nearness is not None
+    # but for what resampling in linear light changes
+    assert found.nearness.drawn == pytest.approx(seen.nearness.drawn, rel=0.07)
 
 
 def test_what_cannot_be_reached_is_said_in_words() -> None:
