@@ -19,7 +19,7 @@ from uwaug._support import checks
 from uwaug._support.atomic import remove_left, written_whole
 from uwaug.distance.doubts import doubts
 from uwaug.distance.made_up import MadeUp
-from uwaug.distance.sources import Metres, Source
+from uwaug.distance.sources import Inverse, Metres, Relative, Source
 from uwaug.files.items import OTHERS, Item
 from uwaug.files.labels import Judged, Labelled, Labels, judged, open_labels
 from uwaug.files.pictures import ENDINGS, metres_of, read_distance, read_picture, write_picture
@@ -269,6 +269,8 @@ def doubts_of(recipe: Recipe, items: Sequence[Item]) -> list[str]:
     transform = RandomUnderwater.from_dict(recipe.transform)
     source = transform.distance
     assert isinstance(source, Source)
+    if isinstance(source, (Metres, Relative, Inverse)) and source.holes != "error":
+        source = replace(source, holes="far")  # filling takes seconds, and refuses little
     images, maps, refused, asked = [], [], [], 0
     for item in items[:: -(-len(items) // 8) or 1]:
         if item.distance is None or not item.distance.is_file():
