@@ -173,7 +173,7 @@ def test_a_broken_map_fails_alone_and_resume_goes_on(folder, run):
         ("export --out x.onnx", "--preset"),
         ("export --preset survey --out x.bin", ".onnx"),
         ("plot photos/a.png --distance depth/b.png", "metres"),
-        ("degrade photos --distance depth --unit mm --out wet", "give holes 'behind'"),
+        ("degrade photos --distance depth --unit mm --out wet", "--holes behind"),
         ("degrade photos --unit mm --out wet", "distance is missing"),
         ("preset show nothing", "nothing"),
         ("plot photos/a.png --distance 3 --holes near", "holes must be one of"),
@@ -247,5 +247,70 @@ def test_maps_that_are_no_metres_are_told_of_before_the_first_picture(folder, ru
         path.unlink()
     code, out, err = run("degrade", "photos", "--distance", "depth", "--out", "wet")
     assert (code, err) == (0, "")
-    assert out.startswith("distances look relative, 0…1 or standardised: Relative(near, far)")
+    assert out.startswith("distances look relative, 0…1 or standardised: ")
+    cure = out.partition("--set ")[2].partition(")")[0]
     assert "2 of 2 pictures written to wet" in out
+    # the cure that is said can be given as it is
+    flags = ("--distance", "depth", "--set", cure, "--out", "cured")
+    code, out, err = run("degrade", "photos", *flags)
+    assert (code, err) == (0, "")
+    assert out.startswith("2 of 2 pictures")
+
+
+@pytest.mark.parametrize(
+    ("kind", "flags", "said"),
+    [
+        ("mm", (), "--unit mm"),
+        ("mm", ("--unit", "mm"), "--holes behind"),
+        ("8 bits", (), "8 bits are too few"),
+    ],
+)
+def test_maps_that_are_all_refused_end_a_run_before_it_begins(folder, run, kind, flags, said):
+    if kind == "8 bits":
+        for path in (folder / "depth").iterdir():
+            Image.fromarray(np.full((24, 32), 9, np.uint8)).save(path)
+    code, out, err = run("degrade", "photos", "--distance", "depth", *flags, "--out", "wet")
+    assert (code, out) == (1, "")
+    assert err.startswith("Error: depth/a.png: ")
+    assert said in err
+    assert not (folder / "wet").exists()
+
+
+@pytest.mark.parametrize("kind", ["Relative", "Inverse"])
+def test_millimetres_that_are_taken_for_shares_are_told_of(folder, run, kind):
+    source = f'distance={{kind="{kind}", holes="fill"}}'
+    flags = ("--distance", "depth", "--set", source, "--out")
+    code, out, _ = run("degrade", "photos", *flags, "wet")
+    assert code == 0
+    assert "--unit mm" in out.splitlines()[0]
+    for path in (folder / "depth").iterdir():
+        shares = np.linspace(0, 65535, 24 * 32).reshape(24, 32)
+        Image.fromarray(shares.astype(np.uint16)).save(path)
+    code, out, _ = run("degrade", "photos", *flags, "again")
+    assert out.startswith("2 of 2 pictures")
+
+
+def test_a_film_without_maps_is_a_plane(folder, run):
+    code, out, _ = run("degrade", "photos", "--sequence", "--out", "wet")
+    assert code == 0
+    assert "made up from each frame would flicker" in out
+    records = [json.loads(path.read_text()) for path in (folder / "wet").glob("*.json")]
+    samples = [record["params"]["samples"][0]["numbers"] for record in records]
+    assert samples[0] == samples[1]
+    assert 1 <= samples[0]["distance"] <= 5
+    flags = ("--sequence", "--distance", "made-up", "--out", "again")
+    code, _, err = run("degrade", "photos", *flags)
+    assert code == 2
+    assert "flicker: give files of distances, or metres, such as 1:5" in err
+
+
+def test_other_formats_are_told_of(folder, run):
+    for name in ("c.webp", "d.WEBP", "e.bmp"):
+        (folder / "photos" / name).touch()
+    code, out, _ = run("degrade", "photos", "--out", "wet")
+    assert code == 0
+    assert out.startswith("left out, as they are neither PNG, JPEG nor TIFF: 1 .bmp, 2 .webp\n")
+    code, _, err = run("degrade", "photos/a.png", "--distance", "3", "--out", "one.webp")
+    assert code == 2
+    assert "one.webp: pictures are written as .npy, " in err
+    assert not (folder / "one.webp").exists()

@@ -65,16 +65,23 @@ def test_true_maps_are_not_doubted() -> None:
 def test_each_falsification_is_named(name: str) -> None:
     falsified, said = FALSE[name]
     image, z = scene()
-    (sentence,) = doubts(falsified(z), image)
+    several = 4 if said == "like disparity" else 1
+    (sentence,) = doubts([falsified(z)] * several, [image] * several)
     assert said in sentence
 
 
 def test_maps_of_a_run_are_judged_by_most_of_them() -> None:
     image, z = scene()
-    maps = [z, 200 / z, 200 / z[..., 40:]]
-    pictures = [image, image, image[..., 40:]]
+    maps = [z, *[200 / z] * 2, 200 / z[..., 40:]]
+    pictures = [image, image, image, image[..., 40:]]
     (sentence,) = doubts(maps, pictures)
     assert "disparity" in sentence
-    assert doubts([z, z, *maps[1:]], [image, image, *pictures[1:]]) == []
-    with pytest.raises(ValueError, match="3 maps but image is 2"):
+    assert doubts([z, *maps[:3]], [image, *pictures[:3]]) == []
+    with pytest.raises(ValueError, match="4 maps but image is 2"):
         doubts(maps, pictures[:2])
+
+
+def test_one_map_may_be_a_ramp_or_a_bowl_and_end_at_a_metre() -> None:
+    image, z = scene()
+    for distance in (torch.linspace(1, 6, H * W).reshape(1, H, W), 200 / z, z / z.max()):
+        assert doubts(distance, image) == []

@@ -64,7 +64,7 @@ def test_relative_distance_0_is_no_hole() -> None:
 
 
 REFUSED: list[tuple[Any, Any, str]] = [
-    (Metres(), HOLED, r"NaN at 1, negative at 1 and zero at 1 of 8 pixels: give holes"),
+    (Metres(), HOLED, r"NaN at 1, negative at 1 and zero at 1 of 8 pixels: give holes="),
     (Metres(), 2000 * (T + 1), "metres.*millimetres"),
     (Metres("fill"), 0 * T, "at least one known pixel"),
     (Relative(), T + 1, r"t must lie in \[0, 1\]"),

@@ -86,8 +86,12 @@ def test_items() -> None:
 
 
 def test_what_a_run_has_written_is_no_picture_of_the_next() -> None:
-    degrade(RECIPE, items(), "all/under")
+    degrade(RECIPE, items(), "all/under", sheet=True)
     assert list(names("all")) == [f"{number}.png" for number in range(4)]
+    # beside another index a sheet is a picture
+    save("all/sheet.jpg", pixels())
+    Path("all/index.csv").write_text("name,species\n")
+    assert "sheet.jpg" in names("all")
 
 
 # What is written
@@ -155,6 +159,38 @@ def test_frames_of_a_folder_share_a_draw() -> None:
     assert all(samples == [samples[0]] * 3 for samples in clips.values())
     replay("wet/one/2_1.png.json", "frame.png")
     assert Path("frame.png").read_bytes() == Path("wet/one/2_1.png").read_bytes()
+
+
+def test_a_film_is_settled_on_a_frame_that_serves() -> None:
+    maps = Path("maps/film")
+    for number in range(8):
+        # fades in; the middle frame is of a gap
+        light = 0 if number == 4 else min(number, 3) / 3
+        save(f"fade/film/{number}.png", (light * pixels(H, W, seed=number)).astype(np.uint8))
+        save(maps / f"{number}.npy", metres(H, W))
+    save(maps / "0.npy", 0 * metres(H, W))
+    save(maps / "5.npy", np.full((H, W), np.inf, np.float32))
+    Path("fade/film/6.png").write_bytes(b"")
+    recipe = Recipe({"waters": "II"}, sequence=True)
+    found = find_items("fade", "maps")
+    assert statuses(degrade(recipe, found, "wet")).count("written") == 6
+    degrade(recipe, found[::-1], "again", workers=2)
+    clips = []
+    for path in sorted(Path("wet").rglob("*.json")):
+        assert path.read_bytes() == Path("again", path.relative_to("wet")).read_bytes()
+        record = read_record(path)
+        (sample,) = record["params"]["samples"]
+        clips.append({**sample["clip"], "moved": 0.0})
+    transform = RandomUnderwater.from_dict(recipe.transform)
+    del sample["clip"]
+    z = torch.from_numpy(metres(H, W))[None]
+    settled = transform.for_clip({"samples": [sample]}, read_picture("fade/film/7.png"), z)
+    assert clips == [json.loads(json.dumps(settled["samples"][0]["clip"]))] * 6
+    assert set(statuses(degrade(recipe, found, "wet", resume=True))) == {"skipped", "failed"}
+    for number in range(8):
+        save(maps / f"{number}.npy", 0 * metres(H, W))
+    first, *_ = degrade(recipe, found, "none").failures
+    assert "no frame serves to settle the film's draw: film/4.png: distance must be" in first
 
 
 def test_blank_pictures_are_told_of() -> None:

@@ -45,6 +45,10 @@ def test_what_two_frames_share_changes_by_two_levels_at_most(frames, drift):
         moved = list(clip(augment, dolly, seed, drift))
         for one, other in pairs + list(pairwise(moved)):
             assert float((one.mean((1, 2)) - other.mean((1, 2))).abs().max()) <= 2
+        for one, other in pairs:  # a twelfth of the width apart, in a field that stays
+            changes = (one - other).abs().amax(0).flatten()
+            assert changes.quantile(0.5) <= 2
+            assert changes.quantile(0.99) <= 12
 
 
 def test_the_first_frame_is_that_of_a_still(frames):

@@ -406,7 +406,7 @@ HOLED = (1 + distances()).index_fill(1, torch.tensor(2), 0.0)
 REFUSED_INPUTS: dict[str, tuple[tuple[Any, Any], str]] = {
     "no map": ((picture(), None), r"distance is missing: .*MadeUp, Network and Plane"),
     "millimetres": ((picture(), 1000 * (2 + distances())), "metres.*divide by 1000"),
-    "holes": ((picture(), HOLED), r"zero at 33 of 792 pixels: give holes"),
+    "holes": ((picture(), HOLED), r"zero at 33 of 792 pixels: give holes="),
     "size": ((picture(), distances()[..., 1:]), "height and width must agree"),
     "integers": ((picture(), distances().int()), "distance must be a floating-point tensor"),
     "label": ((picture(), "coral"), r"expected \(image, distance, …\)"),

@@ -85,7 +85,7 @@ def degrade(
             replay(pictures, out, force=force)
             print_written(out)
             return
-        from uwaug.files.items import find_items
+        from uwaug.files.items import find_items, left_out
         from uwaug.files.run import Recipe, doubts_of, like_of
         from uwaug.files.run import degrade as run
         from uwaug.transforms import RandomUnderwater
@@ -95,7 +95,9 @@ def degrade(
         plane = None if distance is None else _value(distance)
         # whoever speaks of units or holes has maps
         untold = distance is None and "distance" not in chosen and (unit, holes) == ("m", "error")
-        if distance == "made-up" or untold:
+        if untold and sequence:
+            chosen["distance"] = [1.0, 5.0]
+        elif distance == "made-up" or untold:
             given = chosen.get("distance")
             chosen["distance"] = {**(given if isinstance(given, dict) else {}), "kind": "MadeUp"}
             distance = None
@@ -116,7 +118,14 @@ def degrade(
         )
         apart = [str(out)] if labels is None else [str(out), labels]
         items = find_items(pictures, distance, apart=apart)
-        if untold:
+        if pictures.is_dir() and (others := left_out(pictures, [*apart, distance])):
+            print(f"left out, as they are neither PNG, JPEG nor TIFF: {others}")
+        if untold and sequence:
+            print(
+                "Without --distance, all of a film is a plane, 1 to 5 m away, as distances made up "
+                "from each frame would flicker."
+            )
+        elif untold:
             print(
                 "Without --distance, distances are made up from each picture: an invented cue, "
                 "good for robustness, not for restoration."

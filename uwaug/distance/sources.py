@@ -198,7 +198,8 @@ def _without_holes(z: Tensor, holes: Holes) -> Tensor:
     # NaN if any is; a mask of all pixels takes several times as long
     if z.numel() and not z.detach().amin() > 0:
         counts = checks.counted(z, "NaN", "negative", "zero")
-        cure = "give holes 'behind' (maps of depth cameras), 'fill', 'far' or metres"
-        got = f"distance must be above 0 m, but is {counts}"
-        raise ValueError(f"{got}: {cure}, see uwaug.distance.Metres")
+        cure = (
+            "give holes='behind' (--holes behind; for maps of depth cameras), fill, far or metres"
+        )
+        raise ValueError(f"distance must be above 0 m, but is {counts}: {cure}")
     return z

@@ -1,6 +1,7 @@
 """Which pictures a run degrades, and where their distances are."""
 
 import os
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -11,6 +12,9 @@ from uwaug.files.record import is_written
 
 _MAPS = tuple(end for end in ENDINGS if end not in (".jpg", ".jpeg"))
 _PICTURES = tuple(end for end in ENDINGS if end not in (".npy", ".exr"))
+
+OTHERS = (".avif", ".bmp", ".gif", ".heic", ".heif", ".jp2", ".jxl", ".webp")
+"""Of pictures that are neither read nor written."""
 
 
 class Item(NamedTuple):
@@ -52,8 +56,7 @@ def find_items(
     if source.is_file():
         folder, paths = source.parent, [source]
     else:
-        places = {os.path.realpath(place) for place in (*apart, distance) if place is not None}
-        folder, paths = source, sorted(_inside(source, places))
+        folder, paths = source, sorted(_inside(source, [*apart, distance], _PICTURES))
     found = []
     for path in paths:
         name = path.relative_to(folder).as_posix()
@@ -68,13 +71,24 @@ def find_items(
     return items
 
 
-def _inside(folder: Path, apart: set[str]) -> Iterator[Path]:
+def left_out(pictures: Path, apart: Iterable[str | Path | None]) -> str:
+    """How many pictures of a folder are of formats that are not read, in words; "" for none.
+    Arguments as for `find_items`.
+    """
+    counts = Counter(path.suffix.lower() for path in _inside(pictures, apart, OTHERS))
+    return ", ".join(f"{count} {end}" for end, count in sorted(counts.items()))
+
+
+def _inside(
+    folder: Path, apart: Iterable[str | Path | None], endings: tuple[str, ...]
+) -> Iterator[Path]:
     """The pictures in a folder and those inside it; links to folders are not followed."""
+    places = {os.path.realpath(place) for place in apart if place is not None}
     for here, folders, files in os.walk(folder, onerror=_refuse):
-        kept = [name for name in folders if os.path.realpath(Path(here, name)) not in apart]
+        kept = [name for name in folders if os.path.realpath(Path(here, name)) not in places]
         folders[:] = kept
         for path in (Path(here, name) for name in files):
-            if path.suffix.lower() in _PICTURES and not is_written(path):
+            if path.suffix.lower() in endings and not is_written(path):
                 yield path
 
 

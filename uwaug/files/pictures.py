@@ -77,14 +77,14 @@ def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
         scale = 1 / np.iinfo(values.dtype).max if whole else 1.0
         return torch.from_numpy((values * scale).astype(np.float32))[None]
     if values.dtype == np.uint8:
-        cure = "are they relative? Relative and Inverse maps have no unit"
+        cure = "are they relative? Those have no unit: --set distance.kind=Inverse, or Relative"
         raise ValueError(f"{path}: 8 bits are too few for distances in {unit}: {cure}")
     # rounded once, from double precision
     z = torch.from_numpy((values.astype(np.float64) * metres_of(unit)).astype(np.float32))[None]
     median = checks.too_far(z)
     if median is not None:
         got = f"the median is {median:.4g} metres if they are in {unit}, farther than one sees"
-        raise ValueError(f"{path}: {got}: is the unit mm?")
+        raise ValueError(f"{path}: {got}: is the unit mm (--unit mm)?")
     return z
 
 

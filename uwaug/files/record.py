@@ -1,5 +1,6 @@
 """The record beside each picture of a run: what it was made of, and all that was drawn for it."""
 
+import csv
 import json
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,9 @@ from uwaug._support.atomic import written_whole
 
 KEYS = ("uwaug", "torch", "name", "variant", "picture", "distance", "recipe", "params")
 """What a record must have to make its picture again."""
+
+COLUMNS = ("name", "variant", "picture", "distance", "output", "contrast", "status", "reason")
+"""Of the index of a run."""
 
 
 def record_path(picture: Path) -> Path:
@@ -39,7 +43,10 @@ def read_record(path: Path) -> dict[str, Any]:
 
 
 def is_written(picture: Path) -> bool:
-    """Whether a run has written a picture: its record lies beside it."""
+    """Whether a run has written a picture: its record lies beside it, or, of a sheet, its index."""
+    if picture.name == "sheet.jpg" and (index := picture.with_name("index.csv")).is_file():
+        with index.open(encoding="utf-8", errors="replace", newline="") as file:
+            return next(csv.reader(file), []) == list(COLUMNS)
     try:
         read_record(record_path(picture))
     except (OSError, ValueError):

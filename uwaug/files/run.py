@@ -18,12 +18,13 @@ from uwaug import __version__
 from uwaug._support import checks
 from uwaug._support.atomic import remove_left, written_whole
 from uwaug.distance.doubts import doubts
-from uwaug.distance.sources import Metres, Source
-from uwaug.files.items import Item
+from uwaug.distance.made_up import MadeUp
+from uwaug.distance.sources import Inverse, Metres, Relative, Source
+from uwaug.files.items import OTHERS, Item
 from uwaug.files.labels import Judged, Labelled, Labels, judged, open_labels
 from uwaug.files.pictures import ENDINGS, metres_of, read_distance, read_picture, write_picture
 from uwaug.files.pool import on_processes, one_thread
-from uwaug.files.record import read_record, record_path, write_record
+from uwaug.files.record import COLUMNS, read_record, record_path, write_record
 from uwaug.files.sheet import write_sheet
 from uwaug.formation.contrast import FAINT
 from uwaug.transforms.like import Nearness, like
@@ -34,7 +35,13 @@ from uwaug.transforms.samples import key_of
 _LOOKS = 128
 """Rows, and columns, about, at which the contrast that is left is looked at."""
 
-_COLUMNS = ("name", "variant", "picture", "distance", "output", "contrast", "status", "reason")
+_TRIED = 9
+"""Frames of a film at most on which its draw may be settled."""
+
+_DARK = 0.1
+"""Mean value of a frame, of 0…1, that is no measure of a film's exposure: a fade, or the gap of a
+cut.
+"""
 
 
 @dataclass(frozen=True)
@@ -51,7 +58,7 @@ class Recipe:
         min_contrast: labels of objects of which less contrast is left, 0…1, are left out; None
             keeps all.
         sequence: whether the pictures of a folder are frames of one film, in the order of their
-            names: one draw for all, as of the first (see `RandomUnderwater.for_clip`).
+            names: one draw for all, settled on one of them (see `RandomUnderwater.for_clip`).
         drift: m by which the field of a sequence drifts from frame to frame; .004 is .1 m/s at 25
             frames a second.
         quality: of pictures that are written as JPEG, 1…100.
@@ -147,15 +154,15 @@ class Summary:
 
 
 class Job(NamedTuple):
-    """A picture to write; `place` is from the folder of the run. Of a sequence, its first frame and
-    the number of this one.
+    """A picture to write; `place` is from the folder of the run. Of a sequence, the frames on which
+    its draw may be settled, the middle one first, and the number of this one.
     """
 
     item: Item
     variant: int
     place: str
     labels: Labels | None = None
-    first: Item | None = None
+    film: tuple[Item, ...] = ()
     frame: int = 0
 
 
@@ -197,6 +204,8 @@ def degrade(
     """
     out, labels = Path(out), None
     single = out.suffix.lower() in ENDINGS and not out.is_dir()
+    if out.suffix.lower() in OTHERS and not out.is_dir():
+        raise ValueError(f"{out}: pictures are written as {', '.join(ENDINGS)}")
     if single:
         if len(items) * recipe.variants != 1 or recipe.labels is not None or sheet:
             cure = "more pictures, labels and sheets need a folder"
@@ -218,6 +227,9 @@ def degrade(
     if missing and isinstance(source, Source) and source.reads_maps:
         cure = "give files of distances, a distance in metres, or MadeUp"
         raise ValueError(f"distance is missing: {missing} has no file of it: {cure}")
+    if recipe.sequence and isinstance(source, MadeUp):
+        cure = "give files of distances, or metres, such as 1:5"
+        raise ValueError(f"distance: made up from each frame, a film would flicker: {cure}")
     _require_apart(jobs, out)
     if resume:
         for folder in {(out / job.place).parent for job in jobs}:
@@ -248,14 +260,53 @@ def degrade(
 
 
 def doubts_of(recipe: Recipe, items: Sequence[Item]) -> list[str]:
-    """What speaks against the maps of a run being metres, see `uwaug.distance.doubts`: of eight,
-    from the first to the last. Files that cannot be read are left to the run, which names them.
+    """What speaks against the maps of a run, see `uwaug.distance.doubts`: of eight, from the first
+    to the last. Single files that cannot be read are left to the run, which names them.
+
+    Raises:
+        ValueError: if most of these maps are refused, with what is said of the first.
     """
     transform = RandomUnderwater.from_dict(recipe.transform)
-    if not isinstance(transform.distance, Metres):
+    source = transform.distance
+    assert isinstance(source, Source)
+    if isinstance(source, (Metres, Relative, Inverse)) and source.holes != "error":
+        source = replace(source, holes="far")  # filling takes seconds, and refuses little
+    images, maps, refused, asked = [], [], [], 0
+    for item in items[:: -(-len(items) // 8) or 1]:
+        if item.distance is None or not item.distance.is_file():
+            continue
+        with suppress(Exception), warnings.catch_warnings():  # decoders raise whatever they like
+            warnings.simplefilter("ignore")
+            image = read_picture(item.picture)
+            asked += 1
+            try:
+                z = _read_map(item.distance, recipe, transform)
+                images.append(image)
+                maps.append(z)
+                (sample,) = transform.make_params(image, torch.Generator())["samples"]
+                source.metres(z, image, sample["numbers"])
+            except ValueError as error:
+                named = str(error).startswith(str(item.distance))
+                refused.append(str(error) if named else f"{item.distance}: {error}")
+    if 2 * len(refused) > asked:
+        raise ValueError(refused[0])
+    if isinstance(source, Metres):
+        return doubts(maps, images)
+    if 2 * sum(map(_like_mm, maps)) <= len(maps):
         return []
-    pairs = [(z, image) for image, z in _some(recipe, items, transform) if z is not None]
-    return doubts([z for z, _ in pairs], [image for _, image in pairs])
+    return [
+        "relative or inverse maps hold whole numbers of less than a tenth of what 16 bits do, as "
+        "those in mm: leave out distance.kind and give --unit mm (Metres(), divide by 1000)"
+    ]
+
+
+def _like_mm(shares: Tensor) -> bool:
+    """Whether a map that was read without unit spans next to nothing of 0…1, in whole numbers."""
+    known = 65535 * shares[shares > 0]
+    some = known[:: max(1, known.numel() // 4096)].sort().values
+    few, whole = some.numel() // 100, some.round()
+    narrow = some.numel() >= 64 and float(some[-1 - few] - some[few]) < 6554
+    return narrow and len(set(whole.tolist())) > 16 and torch.allclose(some, whole, 0, 0.01)
 
 
 def like_of(
@@ -322,7 +373,7 @@ class _Worker:
             "picture": os.path.abspath(item.picture),
             "distance": item.distance and os.path.abspath(item.distance),
             "recipe": self._plain,
-            "frame": job.first and [job.first.name, job.frame],
+            "frame": [job.film[0].name, job.frame] if job.film else None,
         }
         named = item, job.variant, job.place
         if self.resume and output.exists():
@@ -365,18 +416,16 @@ class _Worker:
 
     def _drawn(self, job: Job, image: Tensor) -> Record:
         """All that is random about a picture; of a frame, about its film."""
-        first = job.first
-        named = job.item.name if first is None else first.name
+        named = job.film[0].name if job.film else job.item.name
         generator = torch.Generator().manual_seed(key_of(self.recipe.seed, job.variant, named))
-        if first is None:
-            return self.transform.make_params(image, generator)
-        key = first.name, job.variant
+        params = self.transform.make_params(image, generator)
+        if not job.film:
+            return params
+        key = named, job.variant
         if key not in self._clips:
             # those of one film at a time
-            self._clips = {key: clip for key, clip in self._clips.items() if key[0] == first.name}
-            frame, z = _read(first, self.recipe, self.transform)
-            params = self.transform.make_params(frame, generator)
-            self._clips[key] = self.transform.for_clip(params, frame, z)
+            self._clips = {key: clip for key, clip in self._clips.items() if key[0] == named}
+            self._clips[key] = self._settled(params, job.film)
         record = self._clips[key]
         (sample,) = record["samples"]
         if "clip" not in sample:
@@ -385,6 +434,27 @@ class _Worker:
         if "noise_seed" in sample["numbers"]:
             of_frame["noise_seed"] = sample["numbers"]["noise_seed"] + job.frame
         return {"samples": [{**sample, "clip": {**sample["clip"], **of_frame}}]}
+
+    def _settled(self, params: Record, film: Sequence[Item]) -> Record:
+        """The record of a film, as of its first frame that can be read, is not dark, and shows more
+        than open water; if there is none, as of the first that can be read.
+        """
+        poor, reasons = [], []  # records, and what is wrong with others
+        for frame in film:
+            try:
+                image, z = _read(frame, self.recipe, self.transform)
+                record = self.transform.for_clip(params, image, z)
+            except Exception as error:  # as over the picture itself
+                reasons.append(f"{frame.name}: {_reason(error)}")
+                continue
+            metres = record["samples"][0].get("clip", {}).get("metres", 0.0)
+            light = float(image.float().mean()) / (1 if image.is_floating_point() else 255)
+            if light >= _DARK and metres < checks.OPEN:
+                return record
+            poor.append(record)
+        if not poor:
+            raise ValueError(f"no frame serves to settle the film's draw: {reasons[0]}")
+        return poor[0]
 
 
 def replay(
@@ -429,23 +499,36 @@ def _read(item: Item, recipe: Recipe, transform: RandomUnderwater) -> tuple[Tens
     image = read_picture(item.picture)
     if item.distance is None:
         return image, None
+    return image, _read_map(item.distance, recipe, transform)
+
+
+def _read_map(path: Path, recipe: Recipe, transform: RandomUnderwater) -> Tensor:
     unit = recipe.unit if isinstance(transform.distance, Metres) else None
-    return image, read_distance(item.distance, unit)
+    return read_distance(path, unit)
 
 
 def _jobs(recipe: Recipe, items: Sequence[Item], labels: Labels | None) -> Iterator[Job]:
     films: dict[str, list[Item]] = {}
     for item in sorted(items, key=_counting):
         films.setdefault(os.path.dirname(item.name), []).append(item)
-    frames = {item: (film[0], n) for film in films.values() for n, item in enumerate(film)}
+    frames: dict[Item, tuple[tuple[Item, ...], int]] = {}
+    for film in films.values():
+        tried = _spread(film)
+        frames |= {item: (tried, number) for number, item in enumerate(film)}
     for item in items:
-        first, frame = frames[item] if recipe.sequence else (None, 0)
+        settling, frame = frames[item] if recipe.sequence else ((), 0)
         place = item.name if labels is None else labels.place(item.name)
         stem, end = os.path.splitext(place)
         for variant in range(recipe.variants):
             number = f"_{variant + 1}" if recipe.variants > 1 else ""
             own = None if labels is None else labels.only(item.name)
-            yield Job(item, variant, f"{stem}{number}{end}", own, first, frame)
+            yield Job(item, variant, f"{stem}{number}{end}", own, settling, frame)
+
+
+def _spread(film: Sequence[Item]) -> tuple[Item, ...]:
+    """Some frames from all over a film, the middle one first."""
+    n = len(film)
+    return tuple(dict.fromkeys(film[(n // 2 + k * n // _TRIED) % n] for k in range(_TRIED)))
 
 
 def _counting(item: Item) -> list[Any]:
@@ -476,7 +559,7 @@ def _write_index(results: Sequence[Result], out: Path) -> None:
         part.open("w", encoding="utf-8", newline="") as file,
     ):
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(_COLUMNS)
+        writer.writerow(COLUMNS)
         for item, variant, place, status, contrast, _, reason, _ in results:
             where = [item.name, variant, item.picture, item.distance, place]
             writer.writerow([*where, contrast, status, reason])
