@@ -154,7 +154,7 @@ def test_controls(browser: Any, folder: Path) -> None:
     shown.tab.focus("#view")
     shown.tab.keyboard.press("Home")
     assert shown.tab.get_attribute("#view", "aria-valuenow") == "0"
-    shown.tab.check("#hold-depth")
+    shown.tab.check("#hold-vertical_depth")
     shown.tab.click("#draw")
     shown.tab.wait_for_selector("#draws button:nth-child(12):not(:empty) canvas[width]")
     labels = shown.tab.locator("#draws button").all_inner_texts()
