@@ -56,7 +56,8 @@ self.onmessage = async ({ data: { number, what, ...message } }) => {
   const tell = share => self.postMessage({ number, share });
   try {
     const answer = await answers[what](message, tell) ?? {};
-    self.postMessage({ number, answer }, answer.pixels ? [answer.pixels.buffer] : []);
+    const arrays = [answer.pixels, answer.distance].filter(Boolean);
+    self.postMessage({ number, answer }, arrays.map(array => array.buffer));
   } catch (error) {
     self.postMessage({ number, error: error.message });
   }
