@@ -254,7 +254,7 @@ def test_made_up_distances(page: Page) -> None:
     picture[35:50, 20:40] = (200, 30, 30, 255)
     page.engine.eval(f"const drawn = Uint8Array.from({picture.ravel().tolist()})")
     maps = []
-    for seed in range(8):
+    for seed in range(16):
         made = f"madeUp(drawn, {width}, {height}, randomOf({seed}))"
         shown = page(f"Array.from({made}, z => z < Infinity ? z : 1e9)")
         maps.append(np.array(shown).reshape(height, width))
@@ -263,7 +263,7 @@ def test_made_up_distances(page: Page) -> None:
     assert z.min() == pytest.approx(1, rel=0.05)
     assert (z < 8.01).mean() > 0.5
     assert z[:, -20:].max() < 8.01
-    assert (z[:, 0] > 1e3).mean() > 0.5
+    assert 0.4 < (z[:, 0] > 1e3).mean() < 0.95  # in three of four
     assert np.median(z[:, -1]) < np.median(z[:, 28])
     inside, outside = (
         np.log(z[:, 40:45, 26:34].mean((1, 2))),

@@ -91,24 +91,37 @@ export function madeUp(pixels, width, height, random, near = 1, far = 8) {
   const differ = (p, q) => Math.max(...[0, 1, 2].map(c => Math.abs(small[3 * p + c] - small[3 * q + c])));
   const root = regionsOf(w, h, differ);
 
-  const horizon = 0.4 * random(), slant = 0.12 * normalOf(random), standing = random(), sway = 0.15 * random();
+  const plain = new Uint8Array(n), size = new Int32Array(n), plainOf = new Int32Array(n); // of regions, at their roots
+  for (let p = 0; p < n; p++) { // from the top down, as long as nothing is there
+    plain[p] = p < w || (plain[p - w] && differ(p, p - w) < 0.06) ? 1 : 0;
+    size[root(p)]++;
+    plainOf[root(p)] += plain[p];
+  }
+  const closed = random() > 0.75, lowest = 0.3 + 0.5 * random(), fading = y => Math.min(Math.max((lowest - y) / 0.2, 0), 1);
+  const mostly = p => !closed && plainOf[root(p)] > size[root(p)] / 2;
+  let open = Float32Array.from({ length: n }, (_, p) => mostly(p) ? fading((rowOf(p) + 0.5) / h) : 0);
+  const covered = open.reduce((total, value) => total + value, 0) / n;
+  if (covered < 0.05) open = new Float32Array(n);
+  const horizon = covered < 0.05 ? 1.4 * random() - 1 : covered;
+  const slant = 0.12 * normalOf(random), standing = random(), sway = 0.15 * random();
   const spread = 0.1 + 0.4 * random(), own = Float32Array.from({ length: n }, () => spread * normalOf(random));
   const waves = Array.from({ length: 6 }, () => [3 * normalOf(random), 3 * normalOf(random), 2 * Math.PI * random()]);
-  const depth = new Float32Array(n), foot = new Float32Array(n).fill(Infinity), open = new Uint8Array(n);
+  const depth = new Float32Array(n), foot = new Float32Array(n).fill(Infinity);
   for (let p = 0; p < n; p++) {
     depth[p] = -Math.log(Math.max((rowOf(p) + 0.5) / h - horizon + slant * ((p % w) / w - 0.5), 0) + 0.08);
     foot[root(p)] = Math.min(foot[root(p)], depth[p]);
-    // from the top down, as long as all is plain
-    const plain = p < w || (open[p - w] && differ(p, p - w) < 0.06);
-    open[p] = plain && rowOf(p) < (horizon + 0.2) * h ? 1 : 0;
   }
   for (let p = 0; p < n; p++) {
     let field = own[root(p)];
     for (const [kx, ky, phase] of waves) field += sway * Math.cos(kx * (p % w) / w + ky * rowOf(p) / h + phase);
     depth[p] += standing * (foot[root(p)] - depth[p]) + 2 * field;
   }
-  const sorted = depth.slice().sort(), low = sorted[n >> 6], high = sorted[n - 1 - (n >> 6)];
-  const share = depth.map((z, p) => open[p] ? 2 : Math.min(Math.max((z - low) / (high - low || 1), 0), 1));
+  const solid = depth.filter((_, p) => open[p] < 0.5).sort(), low = solid[solid.length >> 6];
+  const high = solid[solid.length - 1 - (solid.length >> 6)];
+  const share = depth.map((z, p) => {
+    const t = high > low ? Math.min(Math.max((z - low) / (high - low), 0), 1) : 0.5;
+    return t + (2 - t) * open[p];
+  });
 
   return Float32Array.from({ length: width * height }, (_, i) => { // of the four nearest, those of like colour
     const x = (i % width + 0.5) / shrink - 0.5, y = (Math.floor(i / width) + 0.5) / shrink - 0.5;

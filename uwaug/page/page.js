@@ -76,6 +76,7 @@ async function picture({ step, begun }) {
   shown = { ...made, ms: performance.now() - begun, step };
   const { contents, scale, depth, veil, visibility } = made;
   const said = [`${visibility.toPrecision(2)} m of visibility, ${contents.toPrecision(2)} times what is in this water`];
+  if (contents > tables.much) said.push("so much that it is hardly this water any more");
   if (contents === 0) said[0] = "pure water: it leaves no more contrast at these distances";
   if (scale !== 1) said.push(`distances × ${scale.toPrecision(2)}, as water has a colour from 1 to 8 m`);
   if (depth < state.vertical_depth) said.push(`shown ${depth.toFixed(1)} m deep: below, no exposure makes up for the light`);

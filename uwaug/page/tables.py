@@ -74,6 +74,7 @@ def tables() -> dict[str, Any]:
         "luminance": LUMINANCE,
         "reflectance": _REFLECTANCE,
         "dimmest": random_underwater.DIMMEST,
+        "much": random_underwater.MUCH,
         "sizes": dict(zip(("nearest", "farthest"), random_underwater.SIZES, strict=True)),
         "meter": {
             "count": development.METERED,

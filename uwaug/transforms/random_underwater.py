@@ -77,7 +77,7 @@ another water until one suits: .34 and .67; a scale of its own for each draw: .7
 .28 near at .1 m.)
 """
 
-_OFTEN, _MUCH, _MISSED = 4.0, 50.0, 2.0
+_OFTEN, MUCH, _MISSED = 4.0, 50.0, 2.0
 """What is worth a word: a scene scaled by more; contents more times those of the water, where the
 clearest of `WATERS` need 42 for the severest grade at 1 m; a contrast so many times less than what
 was asked for.
@@ -117,7 +117,7 @@ class Reached(NamedTuple):
         """Whether distances are hardly metres, or the water is hardly the one that was named."""
         return (
             not 1 / _OFTEN <= self.scale <= _OFTEN
-            or self.contents > _MUCH
+            or self.contents > MUCH
             or self.contrast < self.asked / _MISSED
         )
 
