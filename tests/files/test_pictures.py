@@ -86,10 +86,18 @@ def test_distances_as_they_are(tmp_path: Path) -> None:
     assert torch.equal(read_distance(tmp_path / "z.exr"), torch.from_numpy(metres())[None])
 
 
-def _png(mode: str) -> bytes:
+def _png(mode: str, alpha: int = 255) -> bytes:
     file = io.BytesIO()
-    Image.fromarray(pixels()).convert(mode).save(file, "PNG")
+    image = Image.fromarray(pixels()).convert(mode)
+    if mode == "RGBA":
+        image.putalpha(alpha)
+    image.save(file, "PNG")
     return file.getvalue()
+
+
+def test_alpha_that_hides_nothing(tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_bytes(_png("RGBA"))
+    assert torch.equal(read_picture(tmp_path / "a.png"), picture("uint8"))
 
 
 def _npy(values: Any) -> bytes:
@@ -106,7 +114,7 @@ def _tiff(values: Any, **options: Any) -> bytes:
 
 WHOLE = _png("RGB")
 REFUSED: list[tuple[str, bytes, str]] = [
-    ("a.png", _png("RGBA"), "without palette and alpha, got RGBA"),
+    ("a.png", _png("RGBA", alpha=254), "without palette and alpha, got RGBA"),
     ("a.png", _png("P"), "got P"),
     ("a.png", _png("L"), r"expected a picture in colour \(H, W, 3\), got \(12, 16\)"),
     ("a.png", WHOLE[: len(WHOLE) // 2], "cannot be decoded"),

@@ -221,6 +221,17 @@ def test_own_files(browser: Any, folder: Path) -> None:
 def test_a_page_of_the_bundled_scene(browser: Any, tmp_path: Path) -> None:
     uwaug_command(tmp_path, "page --out page.html")
     assert (tmp_path / "page.html").stat().st_size < 1.7e6
-    shown = Shown(browser, tmp_path)
-    assert shown.picture().shape == (500, 741, 3)
+    shown = Shown(browser, tmp_path, times=1.5)
+    # what it has saved is what the copied command reads
+    files: list[Any] = []
+    shown.tab.on("download", files.append)
+    shown.tab.click("#save-scene")
+    while len(files) < 2:
+        shown.tab.wait_for_timeout(100)
+    for file in files:
+        file.save_as(tmp_path / file.suggested_filename)
+    uwaug_command(tmp_path, shown.code("command").removeprefix("uwaug "))
+    wet = np.array(Image.open(tmp_path / "wet.png")).astype(int)
+    assert wet.shape == (500, 741, 3)
+    assert (np.abs(shown.picture() - wet) > 2).mean() < 1e-3
     shown.tab.close()

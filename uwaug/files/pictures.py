@@ -37,8 +37,8 @@ def read_picture(path: str | Path) -> Tensor:
         Upright, as EXIF says that the camera was held. Profiles of colour are not applied.
 
     Raises:
-        ValueError: if it is of another format, is grey, has a palette, alpha or other channels, or
-            cannot be decoded; names the file.
+        ValueError: if it is of another format, is grey, has a palette, other channels, or an alpha
+            that is not opaque, or cannot be decoded; names the file.
         OSError: if there is no such file, or it cannot be read.
     """
     values = _decoded(Path(path))
@@ -179,15 +179,18 @@ def _decoded(path: Path) -> NDArray[Any]:
 
 def _of_pillow(path: Path) -> NDArray[Any]:
     with Image.open(path) as image:  # refuses pictures that would fill the memory
-        modes = ("RGB", "L", "I;16", "I;16B")
-        if image.mode not in modes or "transparency" in image.info:
+        opaque = image.mode == "RGBA" and image.getextrema()[3] == (255, 255)  # as screenshots are
+        if (
+            not (opaque or image.mode in ("RGB", "L", "I;16", "I;16B"))
+            or "transparency" in image.info
+        ):
             raise ValueError(f"expected RGB or grey, without palette and alpha, got {image.mode}")
-        if image.format == "PNG" and image.mode == "RGB":
+        if image.format == "PNG" and image.mode in ("RGB", "RGBA"):
             data = path.read_bytes()
             if data[_BIT_DEPTH] == 16:  # Pillow would drop half of them
                 (codecs,) = require("files", "imagecodecs")
-                return np.asarray(codecs.png_decode(data))
-        return np.asarray(ImageOps.exif_transpose(image))
+                return np.asarray(codecs.png_decode(data))[..., :3]
+        return np.asarray(ImageOps.exif_transpose(image.convert("RGB") if opaque else image))
 
 
 def _of_tiff(path: Path) -> NDArray[Any]:

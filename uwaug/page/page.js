@@ -280,8 +280,8 @@ async function useOwn() {
   const bitmap = await createImageBitmap(file, { colorSpaceConversion: "none" }).catch(undecoded);
   const said = { unit: +$("unit").value, near: +$("near").value, far: +$("far").value };
   Object.assign(said, { holds: map ? $("holds").value : "metres", holes: map ? $("holes").value : "error" });
-  const taken = /\.(png|jpe?g)$/i.test(name) && (!/\.png$/i.test(name) || bytes[25] === 2);
-  const note = taken ? "" : "uwaug degrade takes PNG and JPEG in RGB, without alpha and palette";
+  const taken = /\.jpe?g$/i.test(name) || (/\.png$/i.test(name) && [2, 6].includes(bytes[25]));
+  const note = taken ? "" : "uwaug degrade takes PNG and JPEG in RGB, without a palette";
   if (map) await setScene(bitmap, { file: map.bytes.buffer, npy: map.name.endsWith(".npy"), said }, { picture: name, distance: map.name, ...said }, note);
   else if (without !== "made-up") await setScene(bitmap, { metres: +without }, { ...said, picture: name, distance: without }, note);
   else await setScene(bitmap, {}, { ...said, unit: 1, picture: `${stem}-scene.png`, distance: `${stem}-scene.npy`, unsaved: true }, "");
