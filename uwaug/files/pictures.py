@@ -179,11 +179,10 @@ def _decoded(path: Path) -> NDArray[Any]:
 
 def _of_pillow(path: Path) -> NDArray[Any]:
     with Image.open(path) as image:  # refuses pictures that would fill the memory
-        opaque = image.mode == "RGBA" and image.getextrema()[3] == (255, 255)  # as screenshots are
-        if (
-            not (opaque or image.mode in ("RGB", "L", "I;16", "I;16B"))
-            or "transparency" in image.info
-        ):
+        alpha = image.getchannel("A").getextrema() if image.mode == "RGBA" else None
+        opaque = alpha == (255, 255)  # as screenshots are
+        modes = ("RGB", "L", "I;16", "I;16B")
+        if not (opaque or image.mode in modes) or "transparency" in image.info:
             raise ValueError(f"expected RGB or grey, without palette and alpha, got {image.mode}")
         if image.format == "PNG" and image.mode in ("RGB", "RGBA"):
             data = path.read_bytes()
