@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -61,8 +62,9 @@ def write_maps(
     """
     out = Path(out)
     maps = [(out / item.name).with_suffix(".png") for item in items]
+    places = Counter(maps)
     for place, item in zip(maps, items, strict=True):
-        if maps.count(place) > 1:
+        if places[place] > 1:
             raise ValueError(f"{item.name} and another picture would both be {place}: rename one")
         if os.path.realpath(place) == os.path.realpath(item.picture):
             raise ValueError(f"{place} is a picture, and would be written over: another folder?")
