@@ -23,6 +23,7 @@ HEAVY = (
     "cv2",
     "deepinv",
     "jerlov",
+    "kornia",
     "matplotlib",
     "onnx",
     "onnxruntime",
@@ -55,7 +56,7 @@ if os.fork() == 0:
     print(*sorted(loaded()))
     sys.exit()
 os.wait()
-import torch, kornia
+import torch
 before, start = loaded(), time.process_time()
 import uwaug
 print(time.process_time() - start)
@@ -77,7 +78,7 @@ def test_imports() -> None:
     assert float(seconds[0]) < 0.1
     assert "uwaug" in face
     assert not set(HEAVY) & set(face)
-    assert not {"matplotlib", "onnx", "onnxruntime", "typer", "rich"} & set(rooms)
+    assert not {"kornia", "matplotlib", "onnx", "onnxruntime", "typer", "rich"} & set(rooms)
 
 
 def test_heavy_packages_are_heavy() -> None:

@@ -6,7 +6,6 @@ from functools import lru_cache
 
 import numpy as np
 import torch
-from kornia.filters import get_gaussian_kernel1d
 from torch import Tensor
 
 from uwaug._support.types import Array
@@ -55,6 +54,8 @@ def reflect(index: Tensor, size: int) -> Tensor:
 
 def blur_kernel(sigma: float, reach: float) -> Tensor:
     """(1, 2r + 1) sampled Gaussian of variance sigma² px², cut at `reach`·sigma."""
+    from kornia.filters import get_gaussian_kernel1d  # 435 modules, which not all need
+
     radius = math.ceil(reach * sigma)
     parameter = float(sampled_parameter(np.array(sigma)))
     kind = {"dtype": torch.float64, "device": torch.device("cpu")}
