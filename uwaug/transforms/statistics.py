@@ -3,7 +3,10 @@
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+
+from uwaug.formation.colour import srgb_to_linear
 
 Values = NDArray[Any]
 
@@ -51,10 +54,10 @@ def numbers_of_water(srgb: Values) -> dict[str, float]:
     side = max(2, min(srgb.shape[:2]) // _BLOCKS)
     lab = rgb2lab(srgb)
     L, a, b = lab[..., 0], lab[..., 1], lab[..., 2]
-    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-    mean, spread = linear.reshape(-1, 3).mean(0) + 0.004, srgb.reshape(-1, 3).std(0) + 0.004
+    light = srgb_to_linear(torch.from_numpy(srgb.astype(np.float64))).numpy()
+    mean, spread = light.reshape(-1, 3).mean(0) + 0.004, srgb.reshape(-1, 3).std(0) + 0.004
     veil = _veil(srgb, lab, side)
-    found = {
+    numbers = {
         "L_mean": L.mean(),
         "a_mean": a.mean(),
         "b_mean": b.mean(),
@@ -68,7 +71,7 @@ def numbers_of_water(srgb: Values) -> dict[str, float]:
         "corr_RG": correlation(srgb[..., 0], srgb[..., 1]),
         "dark": minimum_filter(srgb[..., 1:].min(-1), side - 1).mean(),
     }
-    return {name: float(value) for name, value in found.items()}
+    return {name: float(value) for name, value in numbers.items()}
 
 
 def correlation(one: Values, other: Values) -> float:
