@@ -12,9 +12,9 @@ from hypothesis import settings
 from threadpoolctl import threadpool_limits
 from torch import Tensor
 
-import uwaug.distance.fill
 import uwaug.presets.scene
 import uwaug.transforms.random_underwater
+from uwaug._support.once import Once
 
 pytest.register_assert_rewrite("referees.terms")  # before a test imports it
 # at the end, so that `benchmarks` is found but an installed uwaug is tested, not the checkout's
@@ -104,10 +104,18 @@ def torchvision() -> Any:
 
 
 @pytest.fixture(autouse=True)
-def warnings_are_fresh(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let every test be the first that fills a map: it warns once in a process. Of pictures in
-    which nothing is left only those tests hear that ask for it: many take such a water.
+def all_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a process says once has been said, but for tests that ask for `nothing_is_said`: many
+    take odd waters and maps.
     """
-    monkeypatch.setattr(uwaug.distance.fill, "_warned", [])
+    monkeypatch.setattr(Once, "muted", True)
     monkeypatch.setattr(uwaug.transforms.random_underwater, "_looks_left", [0])
     monkeypatch.setattr(uwaug.transforms.random_underwater, "_maps_left", [0])
+
+
+@pytest.fixture
+def nothing_is_said(all_is_said: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a new process."""
+    monkeypatch.setattr(Once, "muted", False)
+    for warning in Once.every:
+        warning.renew()

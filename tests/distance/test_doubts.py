@@ -4,7 +4,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from uwaug._support.once import muted
 from uwaug.distance import along_ray, doubts
+from uwaug.distance.doubts import evidence, first_maps
 
 H, W, FOCAL = 240, 320, 300.0
 
@@ -23,6 +25,11 @@ def scene() -> tuple[Tensor, Tensor]:
         picture[:, top : top + 60, left : left + 40] = 0.9 - 0.1 * metres
     noise = torch.rand(3, H, W, generator=torch.Generator().manual_seed(0))
     return (picture + 0.05 * noise).clamp(0, 1), along_ray(depth, FOCAL)[None]
+
+
+def crops(x: Tensor, count: int) -> list[Tensor]:
+    """Parts of a picture or a map, each another one."""
+    return [x[..., 4 * k :] for k in range(count)]
 
 
 def unit(z: Tensor) -> Tensor:
@@ -66,17 +73,18 @@ def test_each_falsification_is_named(name: str) -> None:
     falsified, said = FALSE[name]
     image, z = scene()
     several = 4 if said == "like disparity" else 1
-    (sentence,) = doubts([falsified(z)] * several, [image] * several)
+    (sentence,) = doubts(crops(falsified(z), several), crops(image, several))
     assert said in sentence
 
 
 def test_maps_of_a_run_are_judged_by_most_of_them() -> None:
     image, z = scene()
-    maps = [z, *[200 / z] * 2, 200 / z[..., 40:]]
-    pictures = [image, image, image, image[..., 40:]]
+    maps, pictures = [z, *crops(200 / z, 3)], [image, *crops(image, 3)]
     (sentence,) = doubts(maps, pictures)
     assert "disparity" in sentence
-    assert doubts([z, *maps[:3]], [image, *pictures[:3]]) == []
+    maps[1] = z[..., :300]
+    pictures[1] = image[..., :300]
+    assert doubts(maps, pictures) == []
     with pytest.raises(ValueError, match="4 maps but image is 2"):
         doubts(maps, pictures[:2])
 
@@ -85,3 +93,49 @@ def test_one_map_may_be_a_ramp_or_a_bowl_and_end_at_a_metre() -> None:
     image, z = scene()
     for distance in (torch.linspace(1, 6, H * W).reshape(1, H, W), 200 / z, z / z.max()):
         assert doubts(distance, image) == []
+
+
+def test_a_map_that_comes_again_counts_once(nothing_is_said: None) -> None:
+    image, z = scene()
+    assert doubts([200 / z] * 8, [image] * 8) == []
+    ramp = torch.linspace(1, 6, H * W).reshape(1, H, W)
+    for k in range(40):
+        first_maps.question(ramp, image.roll(k, -1))  # silent: a warning would be an error
+
+
+def test_the_first_map_is_questioned_alone(nothing_is_said: None) -> None:
+    image, z = scene()
+    with muted():
+        first_maps.question(unit(z), image)  # a trial, which does not count
+    with pytest.warns(UserWarning, match="relative, 0…1") as said:
+        first_maps.question(unit(z), image, stacklevel=1)
+    assert said[0].filename == __file__
+    first_maps.question(unit(z), image)
+
+
+@pytest.mark.parametrize("again", [1, 3])
+def test_eight_maps_are_questioned_as_a_run(again: int, nothing_is_said: None) -> None:
+    image, z = scene()
+    pairs = zip(crops(200 / z, 8), crops(image, 8), strict=True)
+    *before, last = [pair for pair in pairs for _ in range(again)][: 8 * again - again + 1]
+    for distance, picture in before:
+        first_maps.question(distance, picture)
+    with pytest.warns(UserWarning, match="like disparity"):
+        first_maps.question(*last)
+
+
+def test_five_maps_for_all_pictures_are_questioned_in_the_end(nothing_is_said: None) -> None:
+    image, z = scene()
+    pairs = list(zip(crops(200 / z, 5), crops(image, 5), strict=True))
+    *before, last = (pairs * 7)[:32]
+    for distance, picture in before:
+        first_maps.question(distance, picture)
+    with pytest.warns(UserWarning, match="like disparity"):
+        first_maps.question(*last)
+
+
+def test_a_few_hundred_numbers_are_kept_of_a_map() -> None:
+    image, z = scene()
+    shown = evidence(z, image)
+    assert shown.fit is not None
+    assert len(shown) + shown.fit.untyped_storage().nbytes() / 4 < 700

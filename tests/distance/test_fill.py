@@ -6,18 +6,10 @@ import torch
 from scenes import rand
 from torch import Tensor
 
-import uwaug.distance.fill
 from uwaug.distance import fill_unknown
 from uwaug.distance.fill import _membrane
 
 NAN, INF = math.nan, math.inf
-
-
-@pytest.fixture(autouse=True)
-def nothing_to_say(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Holes of most tests are large, of which one is told once."""
-    if "warns" not in request.node.name:
-        monkeypatch.setattr(uwaug.distance.fill, "_warned", [100])
 
 
 def slope(height: int, width: int) -> Tensor:
@@ -158,7 +150,7 @@ def test_refuses_a_map_without_any_known_pixel() -> None:
         fill_unknown(z)
 
 
-def test_warns_once_where_much_is_guessed() -> None:
+def test_warns_once_where_much_is_guessed(nothing_is_said: None) -> None:
     z = torch.ones(2, 1, 10, 10)
     z[1, :, :2] = 0.0
     fill_unknown(z)  # 20 % is not yet much

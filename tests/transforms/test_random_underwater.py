@@ -285,7 +285,7 @@ def test_doubts_the_first_maps_of_a_process(later: bool, monkeypatch: pytest.Mon
     monkeypatch.setattr(uwaug.transforms.random_underwater, "_questioned", [])
     aug, shares = RandomUnderwater(), torch.linspace(0.01, 1, 24 * 33).reshape(1, 24, 33)
     if later:  # the first is right, most are not
-        for z in [1 + 2 * shares, *[shares] * 6]:
+        for z in [1 + 2 * shares, *[shares.roll(k) for k in range(1, 7)]]:
             aug(picture(), z)
     with pytest.warns(UserWarning, match=r"distances look relative, .* Inverse\(near, far\)"):
         aug(picture(), shares)

@@ -1,6 +1,6 @@
 """Does a map hold what it is taken for? Sentences for a person, before pictures are made of it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import torch
@@ -8,6 +8,7 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate
 
 from uwaug._support import checks
+from uwaug._support.once import Once
 
 _CELLS = 72
 """Of a small copy, along the shorter side. Of each cell of a map nine pixels are looked at."""
@@ -17,6 +18,9 @@ _REVERSED = -0.1
 
 _SEVERAL = 4
 """Maps of which that is asked: one alone may be a bowl, or a ramp that somebody has made."""
+
+_RUN = 8
+"""Maps of a process that are judged together."""
 
 _INVERSE = "Inverse(near, far) (--set distance.kind=Inverse)"
 
@@ -31,9 +35,11 @@ _SCALES = (
 )
 
 
-class _Evidence(NamedTuple):
-    """What one map shows."""
+class Evidence(NamedTuple):
+    """What one map shows, in some 600 numbers."""
 
+    digest: int  # of a small copy: which map it is
+    size: str  # a sentence, where it does not have the picture's
     holes: float  # share of unknown pixels
     scale: int  # which of `_SCALES`, or -1
     convexity: float  # above 0 for distances, below for disparities; NaN where it says nothing
@@ -44,11 +50,12 @@ class _Evidence(NamedTuple):
 def doubts(distance: Tensor | Sequence[Tensor], image: Tensor | Sequence[Tensor]) -> list[str]:
     """What speaks against maps being metres along the ray, in step with their pictures.
 
-    Several of a run are judged together: said is what most of them show. Near and far are told
-    apart by surfaces: in the picture of a plane 1/z is linear, so that the logarithm of distances
-    is convex and that of disparities concave, however it is turned or cut. Not told, as it cannot
-    be reliably: planar depth of a wide view (see `along_ray`), relative maps beyond 1, disparities
-    of scenes without slanted surfaces, shifts below 5 % of the shorter side.
+    Several of a run are judged together: said is what most of them show; one that comes again
+    counts once. Near and far are told apart by surfaces: in the picture of a plane 1/z is linear,
+    so that the logarithm of distances is convex and that of disparities concave, however it is
+    turned or cut. Not told, as it cannot be reliably: planar depth of a wide view (see
+    `along_ray`), relative maps beyond 1, disparities of scenes without slanted surfaces, shifts
+    below 5 % of the shorter side.
 
     Args:
         distance: a map (1xHxW, as it is read: 0, negative and NaN = unknown, +inf = open water),
@@ -65,52 +72,87 @@ def doubts(distance: Tensor | Sequence[Tensor], image: Tensor | Sequence[Tensor]
     pictures = [image] if isinstance(image, Tensor) and image.ndim == 3 else list(image)
     if len(maps) != len(pictures):
         raise ValueError(f"distance is {len(maps)} maps but image is {len(pictures)} pictures")
-    said, seen = [], []
-    for z, picture in zip(maps, pictures, strict=True):
-        checks.floating("distance", z)
-        checks.picture("distance", z, 1)
-        checks.picture("image", picture, 3)
-        (h, w), (height, width) = z.shape[-2:], picture.shape[-2:]
-        if (h, w) != (height, width):
-            cure = "of another aspect: is one of them turned or cropped?"
-            if abs(h * width - w * height) <= max(height, width):
-                cure = "resize one of them (maps by their nearest pixel)"
-            said.append(f"a map is {w}×{h} px and its picture {width}×{height} px: {cure}")
-        if z.numel():
-            seen.append(_evidence(z.detach().float(), picture.detach()))
-    holes = sorted(one.holes for one in seen)
+    return judged(map(evidence, maps, pictures))
+
+
+class FirstMaps(Once):
+    """The first maps of a process: the first is questioned alone, and eight of them as a run."""
+
+    def renew(self) -> None:
+        """See `Once.renew`."""
+        super().renew()
+        self.seen: dict[int, Evidence] = {}
+
+    def question(self, distance: Tensor, image: Tensor, stacklevel: int = 2) -> None:
+        """Warn, once, of what speaks against a map (1xHxW) and those before it being metres."""
+        if not self.due():
+            return
+        shown = evidence(distance, image)
+        first = not self.seen
+        self.seen.setdefault(shown.digest, shown)
+        if len(self.seen) == _RUN:
+            self.looks_left = 0
+        if (first or not self.looks_left) and (said := judged(self.seen.values())):
+            self.warn("; ".join(said), stacklevel + 1)
+
+
+first_maps = FirstMaps(looks=4 * _RUN)
+"""Where one map serves many pictures, a process waits for others no longer than that."""
+
+
+def evidence(distance: Tensor, image: Tensor) -> Evidence:
+    """What a map (1xHxW) and its picture (3xHxW) show, for `judged`."""
+    checks.floating("distance", distance)
+    checks.picture("distance", distance, 1)
+    checks.picture("image", image, 3)
+    z, picture = distance.detach().float(), image.detach()
+    (h, w), (height, width) = z.shape[-2:], picture.shape[-2:]
+    size = ""
+    if (h, w) != (height, width):
+        cure = "of another aspect: is one of them turned or cropped?"
+        if abs(h * width - w * height) <= max(height, width):
+            cure = "resize one of them (maps by their nearest pixel)"
+        size = f"a map is {w}×{h} px and its picture {width}×{height} px: {cure}"
+    if not z.numel():
+        return Evidence(0, size, 0.0, -1, torch.nan, None, 0)
+    short = min(h, w)
+    cells = min(_CELLS, max(1, short // 3))
+    rows, columns = (min(4 * _CELLS, cells * side // short) for side in (h, w))
+    points = interpolate(z[None], (3 * rows, 3 * columns), mode="nearest-exact")[0, 0]
+    is_known = points > 0
+    nine = torch.where(is_known, points, torch.nan).reshape(rows, 3, columns, 3).transpose(1, 2)
+    log = nine.flatten(2).nanmedian(-1).values.log()
+    fit = None
+    if cells >= _CELLS // 2 and not size:
+        green = interpolate(picture[None, 1:2].float(), (rows, columns), mode="area")[0, 0]
+        fit = _fit(log, green if picture.is_floating_point() else green / 255)
+    holes = 1 - float(is_known.float().mean())
+    digest = hash(points.cpu().numpy().tobytes())
+    return Evidence(digest, size, holes, _scale(points), _convexity(log), fit, cells)
+
+
+def judged(evidences: Iterable[Evidence]) -> list[str]:
+    """The sentences of `doubts`, by what most of the maps show."""
+    maps = list({shown.digest: shown for shown in evidences}.values())
+    sentences = [shown.size for shown in maps if shown.size]
+    holes = sorted(shown.holes for shown in maps)
     if _most([share > 0.5 for share in holes]):
         got = f"{100 * holes[len(holes) // 2]:.0f} % of the distances are unknown"
-        said.append(f"{got}: whatever holes get (--holes) would make up most of a map")
+        sentences.append(f"{got}: whatever holes get (--holes) would make up most of a map")
     for which, sentence in enumerate(_SCALES):
-        if _most([one.scale == which for one in seen]):
-            said.append(f"distances {sentence}")
+        if _most([shown.scale == which for shown in maps]):
+            sentences.append(f"distances {sentence}")
     # a logarithm says little of maps from 0 to 1, which have shifts of their own
-    reversed_ = [one.scale != 0 and one.convexity < _REVERSED for one in seen]
-    if len(seen) >= _SEVERAL and _most(reversed_):
+    reversed_ = [shown.scale != 0 and shown.convexity < _REVERSED for shown in maps]
+    if len(maps) >= _SEVERAL and _most(reversed_):
+        look = "distances look like disparity or inverse depth, large where near"
         cure = f"{_INVERSE}; from_disparity where focal length and baseline are known"
-        said.append(f"distances look like disparity or inverse depth, large where near: {cure}")
-    return [*dict.fromkeys(said), *_shifted(seen)]
+        sentences.append(f"{look}: {cure}")
+    return [*dict.fromkeys(sentences), *_shifted(maps)]
 
 
 def _most(votes: list[bool]) -> bool:
     return 2 * sum(votes) > len(votes)
-
-
-def _evidence(z: Tensor, picture: Tensor) -> _Evidence:
-    """What a map (1xHxW) and its picture (3xHxW) show."""
-    short = min(z.shape[-2:])
-    cells = min(_CELLS, max(1, short // 3))
-    rows, columns = (min(4 * _CELLS, cells * side // short) for side in z.shape[-2:])
-    points = interpolate(z[None], (3 * rows, 3 * columns), mode="nearest-exact")[0, 0]
-    known = points > 0
-    nine = torch.where(known, points, torch.nan).reshape(rows, 3, columns, 3).transpose(1, 2)
-    log = nine.flatten(2).nanmedian(-1).values.log()
-    fit = None
-    if cells >= _CELLS // 2 and z.shape[-2:] == picture.shape[-2:]:
-        green = interpolate(picture[None, 1:2].float(), (rows, columns), mode="area")[0, 0]
-        fit = _fit(log, green if picture.is_floating_point() else green / 255)
-    return _Evidence(1 - float(known.float().mean()), _scale(points), _convexity(log), fit, cells)
 
 
 def _scale(points: Tensor) -> int:
@@ -119,11 +161,11 @@ def _scale(points: Tensor) -> int:
     # one negative number may stand for unknown pixels
     if negative.numel() > 0.05 * points.numel() and bool((negative != negative[0]).any()):
         return 0
-    known = points[(points > 0) & (points < checks.OPEN)]
-    if known.numel() < 64:
+    metres = points[(points > 0) & (points < checks.OPEN)]
+    if metres.numel() < 64:
         return -1
-    low, high = checks.extent(known)
-    some = known[:: max(1, known.numel() // 4096)]
+    low, high = checks.extent(metres)
+    some = metres[:: max(1, metres.numel() // 4096)]
     if high <= 1.0001:
         # both ends, or 8 bits divided by 255; those near a lens may all be nearer than 1 m
         relative = (low < 0.02 and high > 0.3) or _whole(255 * some, 8)
@@ -176,17 +218,18 @@ def _edges(x: Tensor) -> Tensor:
     return torch.hypot(x.diff(dim=0)[:, :-1], x.diff(dim=1)[:-1])
 
 
-def _shifted(seen: list[_Evidence]) -> list[str]:
+def _shifted(maps: list[Evidence]) -> list[str]:
     """Whether the edges of maps, those of the first one's size, fit better elsewhere."""
-    found = [(one.fit, one.cells) for one in seen if one.fit is not None]
-    if not found:
+    fits = [(shown.fit, shown.cells) for shown in maps if shown.fit is not None]
+    if not fits:
         return []
-    fit = torch.stack([fit for fit, cells in found if cells == found[0][1]]).mean(0)
+    size = fits[0][1]
+    fit = torch.stack([fit for fit, cells in fits if cells == size]).mean(0)
     reach, best = len(fit) // 2, int(fit.argmax())
     down, right = best // len(fit) - reach, best % len(fit) - reach
     here = float(fit[reach - 2 : reach + 3, reach - 2 : reach + 3].max())
     if max(abs(down), abs(right)) <= 2 or float(fit.max()) < max(6, here + 3):
         return []
-    way = " and ".join(f"{100 * n / found[0][1]:+.0f} %" for n in (right, down))
+    way = " and ".join(f"{100 * n / size:+.0f} %" for n in (right, down))
     cure = "crop, pad and resize both alike, and register the depth camera to the colour camera"
     return [f"edges fit better with the map moved {way} of the shorter side right and down: {cure}"]

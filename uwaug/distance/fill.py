@@ -1,6 +1,5 @@
 """Distances for pixels that have none."""
 
-import warnings
 from typing import Any
 
 import numpy as np
@@ -8,6 +7,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from uwaug._support.once import Once
 from uwaug.distance.convert import as_maps, which
 
 # Artificial holes in five RGB-D pairs and the bundled scene (occlusions, rims, edges, specks,
@@ -61,8 +61,7 @@ _FARTHEST = 0.98
 _NARROWEST = 4
 """Pixels, half the width of a wide hole in the smallest maps."""
 
-_warned: list[int] = []
-"""Percentages that were warned of, one at most."""
+_guessed = Once()
 
 
 def fill_unknown(distance: Tensor, *, behind: bool = False) -> Tensor:
@@ -113,11 +112,10 @@ def fill_unknown(distance: Tensor, *, behind: bool = False) -> Tensor:
         cure = "fill whole maps before they are cropped"
         raise ValueError(f"distance must have {expected}, got {which(empty)} without any: {cure}")
     percent = round(100 * float(shares.max()))
-    if not behind and percent > 100 * _MANY and not _warned:  # once: a loader fills thousands
+    if not behind and percent > 100 * _MANY:
         guess = f"distance is unknown at {percent} % of a map's pixels, and is guessed there"
         cure = "maps of depth cameras want holes 'behind', open water wants 'far'"
-        warnings.warn(f"{guess}: {cure}", UserWarning, stacklevel=2)
-        _warned.append(percent)
+        _guessed.warn(f"{guess}: {cure}")
     find = _from_behind if behind else _from_nearest
     size = distance.shape[-2:]
     maps, holes = distance.reshape(-1, *size), unknown.reshape(-1, *size)
