@@ -28,8 +28,9 @@ from uwaug.files.record import COLUMNS, read_record, record_path, write_record
 from uwaug.files.sheet import write_sheet
 from uwaug.formation.contrast import FAINT
 from uwaug.transforms.like import Nearness, like
-from uwaug.transforms.params import Record
-from uwaug.transforms.random_underwater import RandomUnderwater, Reached
+from uwaug.transforms.draws import Record
+from uwaug.transforms.random_underwater import RandomUnderwater
+from uwaug.transforms.random_water import Reached
 from uwaug.transforms.samples import key_of
 
 _LOOKS = 128

@@ -21,8 +21,9 @@ from uwaug.optics.point_spread import FOCAL_LENGTH, LENGTHS, PointSpread
 from uwaug.optics.spectra import WAVELENGTHS
 from uwaug.optics.surfaces import reflectances
 from uwaug.optics.water import LEAST_LOSS, Water, eye
-from uwaug.transforms import random_underwater
-from uwaug.transforms.random_underwater import RandomUnderwater
+from uwaug.transforms import random_water
+from uwaug.transforms.measured import SAMPLED
+from uwaug.transforms.random_underwater import SEVERITIES, RandomUnderwater
 
 _WIDTHS = (0.0, 400.0)
 """px, of the blurs; wider ones are as good as the mean of a picture."""
@@ -73,12 +74,12 @@ def tables() -> dict[str, Any]:
         "law": {"scale": law.scale, "exponent": law.exponent, "least": least, "most": most},
         "luminance": LUMINANCE,
         "reflectance": _REFLECTANCE,
-        "dimmest": random_underwater.DIMMEST,
-        "much": random_underwater.MUCH,
-        "sizes": dict(zip(("nearest", "farthest"), random_underwater.SIZES, strict=True)),
+        "dimmest": random_water.DIMMEST,
+        "much": random_water.MOST_CONTENTS,
+        "sizes": dict(zip(("nearest", "farthest"), random_water.MEDIANS, strict=True)),
         "meter": {
             "count": development.METERED,
-            "looks": random_underwater.LOOKED_AT,
+            "looks": SAMPLED,
             "steps": development.STEPS,
             "turn": development.TURN,
             "gains": development.GAINS,
@@ -130,9 +131,9 @@ def _draws() -> dict[str, Any]:
     """What `RandomUnderwater` draws by default."""
     augment = RandomUnderwater()
     return {
-        "waters": [w if isinstance(w, str) else "contents" for w in random_underwater.WATERS],
-        "contents": random_underwater.CONTENTS.ranges,
-        "severities": list(random_underwater.SEVERITIES.values()),
+        "waters": [w if isinstance(w, str) else "contents" for w in random_water.WATERS],
+        "contents": random_water.CONTENTS.ranges,
+        "severities": list(SEVERITIES.values()),
         "g": augment.g,
         "ranges": {
             "contrast": augment.contrast,

@@ -17,7 +17,7 @@ from uwaug._support import checks, codec
 from uwaug.distance.made_up import MadeUp
 from uwaug.distance.sources import Metres
 from uwaug.formation.colour import linear_to_srgb, require_values
-from uwaug.transforms.params import Record
+from uwaug.transforms.draws import Record, Uniform, uniform_of
 from uwaug.transforms.random_underwater import RandomUnderwater
 from uwaug.transforms.samples import typed
 from uwaug.transforms.statistics import OF_WATER, Values, numbers_of_water
@@ -86,16 +86,13 @@ class UnderwaterLike(RandomUnderwater):
         super().__post_init__()
         if not self.kept:
             raise ValueError("kept: expected at least one, got none")
-        drawn = super().make_params(torch.empty(3, 1, 1), torch.Generator())["samples"]
-        for one in self.kept:
-            self._read({"samples": [_in_water(drawn[0], one)]}, 1)
+        drawn = super()._sample(uniform_of(0))
+        for kept in self.kept:
+            self.read({"samples": [_in_water(drawn, kept)]}, 1)
 
-    def make_params(self, image: Tensor, generator: torch.Generator | None = None) -> Record:
-        """See `RandomUnderwater.make_params`."""
-        samples = super().make_params(image, generator)["samples"]
-        picked = torch.randint(len(self.kept), (len(samples),), generator=generator, device="cpu")
-        kept = [self.kept[i] for i in picked.tolist()]
-        return {"samples": [_in_water(*pair) for pair in zip(samples, kept, strict=True)]}
+    def _sample(self, uniform: Uniform) -> Record:
+        kept = self.kept[int(uniform("kept") * len(self.kept))]
+        return _in_water(super()._sample(uniform), kept)
 
 
 def like(
@@ -187,7 +184,7 @@ class _Trials:
         self.augment, self.scenes = augment, scenes
         self.generator = torch.Generator().manual_seed(seed)
         # numbers that belong to a picture and not to its water
-        self.own = {"noise_seed", *augment._source.ranges()}
+        self.own = {"noise_seed", *augment.source.ranges()}
 
     def new(self, first: int) -> _Draw:
         (sample,) = self.augment.make_params(self.scenes[0][0], self.generator)["samples"]
