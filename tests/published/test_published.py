@@ -25,9 +25,10 @@ IMAGE = SEEN.reshape(3, 12, 16)
 Z = torch.linspace(0.2, 9, 12 * 16, dtype=torch.float64).reshape(1, 12, 16).flip(2)
 
 
-def test_thirteen_of_them_oldest_first_each_with_its_source_and_what_is_ours():
+def test_oldest_first_each_public_with_its_source_and_what_is_ours():
     names = published.systems()
     assert {*SPECTRAL, *CHANNELS} == set(names)
+    assert {name.replace("-", "_") for name in names} < set(published.__all__)
     years = [int(name.rpartition("-")[2]) for name in names]
     assert years == sorted(years)
     for name in names:

@@ -54,13 +54,14 @@ class MadeUp(Source):
 
     The depth cue is invented: things that look far to you may be near here. It teaches a network
     that water hides some things more than others, which is good for robustness; it is no truth to
-    restore pictures by, or to measure.
+    restore pictures by, or to measure. Pictures are sRGB, as thresholds of its colours are.
 
     Attributes:
         near, far: m; numbers or (low, high), near above 0.
     """
 
     reads_maps = False
+    reads_pictures = True
 
     near: Range = (0.5, 2.0)
     far: Range = (2.5, 12.0)
@@ -164,7 +165,7 @@ def _upsampled(values: Tensor, small: Tensor, picture: Tensor, white: float) -> 
     moments = mean(torch.cat([small, values[None], pairs, small * values]))
     colours, value = moments[:3], moments[3]
     spread = moments[4:13].reshape(3, 3, *values.shape) - colours[:, None] * colours
-    spread += _NOISE * torch.eye(3)[..., None, None]
+    spread.diagonal().add_(_NOISE)
     common = moments[13:] - colours * value
     slopes = torch.linalg.solve(spread.permute(2, 3, 0, 1), common.permute(1, 2, 0)[..., None])
     slopes = slopes[..., 0].permute(2, 0, 1)
@@ -177,4 +178,5 @@ def _upsampled(values: Tensor, small: Tensor, picture: Tensor, white: float) -> 
     result = full(lines[3])
     for slope, colour in zip(lines[:3], picture, strict=True):  # one by one: memory is the cost
         result.addcmul_(full(slope), colour.float())
-    return result.clamp_(0, 2)
+    # regression overshoots: without open water nothing lies beyond 1
+    return result.clamp_(0, float(values.max()))

@@ -37,8 +37,8 @@ class Network(Source):
     as torch has there; a session is not pickled, so that DataLoader workers each make their own.
 
     Attributes:
-        model: path of an ONNX file, or a function of a picture (3xHxW, 0…1) that gives a map
-            (1xHxW).
+        model: path of an ONNX file, or a function of a picture (3xHxW, sRGB in 0…1) that gives a
+            map (1xHxW).
         holds: what its maps hold: `Inverse`, `Relative` or `Metres`.
         short_side: of the file's input, px, where the file leaves it free.
         multiple: what the input's sides are rounded to: the patch size, 14 for Depth Anything, 32
@@ -59,6 +59,7 @@ class Network(Source):
     """
 
     reads_maps = False
+    reads_pictures = True
 
     model: str | os.PathLike[str] | Callable[[Tensor], Tensor]
     holds: Source = field(default_factory=Inverse)

@@ -33,9 +33,12 @@ class Source:
 
     Attributes:
         reads_maps: whether each picture brings a map.
+        reads_pictures: whether distances follow from what a picture shows, which then comes as
+            sRGB; else only its size and type count.
     """
 
-    reads_maps: ClassVar = True
+    reads_maps: ClassVar[bool] = True
+    reads_pictures: ClassVar[bool] = False
 
     def ranges(self) -> dict[str, Range]:
         """Each number that a picture draws, by name."""
@@ -46,7 +49,8 @@ class Source:
 
         Args:
             distance (1xHxW tensor): the picture's map, where there are any.
-            image (3xHxW tensor): the picture; uint8, or floating point in 0…1.
+            image (3xHxW tensor): the picture; uint8, or floating point in 0…1. sRGB where
+                `reads_pictures`.
             numbers: drawn from `ranges`.
 
         Raises:

@@ -6,9 +6,8 @@ Inside of a function `image` is light: decoded sRGB where the source works with 
 values as they are where it takes them for light.
 
 Those of spectra take what `uwaug.load_water` and `uwaug.load_camera` take. Few of the originals
-were at
-hand: each docstring says what its equation was taken from, what the source leaves open, and what is
-ours.
+were at hand: each docstring says what its equation was taken from, what the source leaves open, and
+what is ours.
 
 Examples:
     >>> import torch, uwaug
@@ -17,40 +16,17 @@ Examples:
     torch.Size([3, 32, 48])
 """
 
-from uwaug.published.augment import augment
-from uwaug.published.equation import picture, system, systems
-from uwaug.published.models import (
-    akkaynak_2018,
-    desai_2021,
-    desai_2024,
-    hou_2020,
-    ismiroglou_2025,
-    ismiroglou_reference_2025,
-    jaffe_1990,
-    li_2020,
-    liu_2022,
-    mcglamery_1980,
-    schechner_2004,
-    slurpp_2025,
-    ueda_2019,
-)
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "akkaynak_2018",
-    "augment",
-    "desai_2021",
-    "desai_2024",
-    "hou_2020",
-    "ismiroglou_2025",
-    "ismiroglou_reference_2025",
-    "jaffe_1990",
-    "li_2020",
-    "liu_2022",
-    "mcglamery_1980",
-    "picture",
-    "schechner_2004",
-    "slurpp_2025",
-    "system",
-    "systems",
-    "ueda_2019",
-]
+from uwaug.published import models as models
+from uwaug.published.augment import augment as augment
+from uwaug.published.equation import FUNCTIONS
+from uwaug.published.equation import picture as picture
+from uwaug.published.equation import system as system
+from uwaug.published.equation import systems as systems
+
+if TYPE_CHECKING:  # with their signatures, what the next line brings
+    from uwaug.published.models import *  # noqa: F403
+
+globals().update(FUNCTIONS)
+__all__ = sorted(["augment", "picture", "system", "systems", *FUNCTIONS])  # noqa: PLE0605

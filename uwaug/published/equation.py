@@ -29,7 +29,8 @@ AnyCamera = str | os.PathLike[str] | Camera
 _AT_ONCE = 4096
 """Pixels."""
 
-_SYSTEMS: dict[str, Callable[..., Tensor]] = {}
+FUNCTIONS: dict[str, Callable[..., Tensor]] = {}
+"""The published systems by the names of their functions."""
 
 
 def published(color_space: ColorSpace) -> Callable[[Equation], Equation]:
@@ -48,7 +49,7 @@ def published(color_space: ColorSpace) -> Callable[[Equation], Equation]:
             result = encoded(result, color_space, image.dtype, 1.0)
             return result[0] if image.ndim == z.ndim == 3 else result
 
-        _SYSTEMS[equation.__name__.replace("_", "-")] = of_picture
+        FUNCTIONS[equation.__name__] = of_picture
         return cast(Equation, of_picture)
 
     return wrap
@@ -75,7 +76,8 @@ def _opened(image: Tensor, z: Tensor, color_space: ColorSpace) -> tuple[Tensor, 
 
 def systems() -> list[str]:
     """Names of the published systems, oldest first: "mcglamery-1980" is `mcglamery_1980`."""
-    return sorted(_SYSTEMS, key=lambda name: (name.rpartition("-")[2], name))
+    names = [name.replace("_", "-") for name in FUNCTIONS]
+    return sorted(names, key=lambda name: (name.rpartition("-")[2], name))
 
 
 def system(name: str) -> Callable[..., Tensor]:
@@ -85,7 +87,7 @@ def system(name: str) -> Callable[..., Tensor]:
         ValueError: if the name is unknown; lists the known.
     """
     checks.one_of("system", name, systems())
-    return _SYSTEMS[name]
+    return FUNCTIONS[name.replace("-", "_")]
 
 
 def picture(name: str, image: Tensor, z: Tensor, water: AnyWater = "II") -> Tensor:

@@ -1,4 +1,4 @@
-"""The thirteen systems, oldest first.
+"""The published systems, oldest first. With `@published`, a function here is all that one takes.
 
 In all of them J is the scene, z the distance, d the depth below the surface, S_c the response of
 the camera, and a, b, β = a + b, K_d are spectra of the water. Without a word on it, water is
