@@ -27,8 +27,8 @@ from uwaug.files.pool import on_processes, one_thread
 from uwaug.files.record import COLUMNS, read_record, record_path, write_record
 from uwaug.files.sheet import write_sheet
 from uwaug.formation.contrast import FAINT
-from uwaug.transforms.like import Nearness, like
 from uwaug.transforms.draws import Record
+from uwaug.transforms.like import Nearness, like
 from uwaug.transforms.random_underwater import RandomUnderwater
 from uwaug.transforms.random_water import Reached
 from uwaug.transforms.samples import key_of

@@ -26,6 +26,7 @@ def form_each(
     *,
     color_space: ColorSpace,
     spans: Sequence[tuple[float, float, float]],
+    alike: bool,
     light: Light | None = None,
     metres: Tensor | None = None,
 ) -> Tensor:
@@ -40,8 +41,9 @@ def form_each(
         media, developments: of one row, one for each picture.
         spans: nearest, median and farthest effective distance of each, m, for which blurs are
             planned on a device, in a scene of grey: nobody waits there for a look at its light.
+        alike: whether all have one law of widths, and are metered or none is.
     """
-    if checks.on_host(images) or light is not None or not _are_alike(media, developments):
+    if checks.on_host(images) or light is not None or not alike:
         rows = [slice(i, i + 1) for i in range(len(images))]
         results = [
             form(
@@ -62,13 +64,6 @@ def form_each(
     demands = [blur_demand(grey[i], (near, far)) for i, (near, _, far) in enumerate(spans)]
     plans = [demand.plan(size, shared=True) for demand in demands]
     return form(images, z, medium, development, color_space=color_space, plans=plans)
-
-
-def _are_alike(media: Sequence[Medium], developments: Sequence[Development]) -> bool:
-    """Whether pictures can be formed at once: by one law of widths, and meters that see each."""
-    laws = {(medium.point_spread.shape, medium.point_spread.reference_size) for medium in media}
-    meters = {(one.metered, isinstance(one.white_balance, tuple)) for one in developments}
-    return len(laws) == 1 and meters in ({(True, False)}, {(False, False)})
 
 
 def _of_grey(

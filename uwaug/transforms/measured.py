@@ -51,7 +51,8 @@ def measured(pictures: Tensor, z: Tensor) -> list[Measured]:
     if not checks.on_host(z) or bool(farthest.isinf().any()):
         farthest = torch.where(metres.isfinite(), metres, -math.inf).amax(1).abs()
     columns = (darkest, brightest, nearest, farthest, _median(metres.index_select(1, points)))
-    rows = torch.stack([column.to(torch.float32) for column in columns], 1).cpu().tolist()
+    kind = torch.promote_types(z.dtype, torch.float32)
+    rows = torch.stack([column.to(kind) for column in columns], 1).cpu().tolist()
     white = 1.0 if pictures.is_floating_point() else 255.0
     looks = []
     for i, (dark, bright, near, far, median) in enumerate(rows):

@@ -70,7 +70,7 @@ class Scenes(NamedTuple):
         metres (Nx1xHxW tensor): distances, without the field.
         waters: media, and what it took to reach a contrast.
         developments: of the camera.
-        spans: see `uwaug.formation.each.form_each`.
+        spans, alike: see `uwaug.formation.each.form_each`.
     """
 
     pictures: Tensor
@@ -80,6 +80,7 @@ class Scenes(NamedTuple):
     waters: Sequence[InWater]
     developments: Sequence[Development]
     spans: Sequence[tuple[float, float, float]]
+    alike: bool
 
     def reached(self, picture: int) -> Reached | None:
         """What it took to reach the contrast that a picture asked for, if it did."""
@@ -386,14 +387,17 @@ class RandomUnderwater(SampleTransform):
         """Pictures (Bx3xHxW) and maps in the water of draws that are known to be good."""
         fast.load()  # else the first picture of a process would be off by the last bits
         chosen = [i for i, draw in enumerate(draws) if draw.applied]
+        maps: Sequence[Tensor | None] = [None] * len(pictures)
+        if self.source.reads_maps:
+            maps = maps_for(pictures, distance)
         if not chosen:
-            return Scenes(pictures, chosen, pictures[:0], pictures[:0], [], [], [])
+            return Scenes(pictures, chosen, pictures[:0], pictures[:0], [], [], [], True)
         drawn, scene = [draws[i] for i in chosen], pictures
         if len(chosen) < len(pictures):
             scene = pictures[torch.tensor(chosen).to(pictures.device)]
         lamps = self.light is not None and bool(self.light.lamps)
         with torch.autocast(pictures.device.type, enabled=False):
-            z = self._metres(pictures, distance, chosen, drawn)
+            z = self._metres(pictures, maps, chosen, drawn)
             own = measured(scene, z)
             seen: list[Measured] = []
             waters: list[InWater] = []
@@ -415,17 +419,19 @@ class RandomUnderwater(SampleTransform):
             (scale * thin * look.nearest, scale * look.median, scale * dense * look.farthest)
             for scale, look in zip(scales, own, strict=True)
         ]
-        return Scenes(pictures, chosen, z, metres, waters, developments, spans)
+        alike = self.water.has_one_law and not any(draw.measured for draw in drawn)
+        return Scenes(pictures, chosen, z, metres, waters, developments, spans, alike)
 
     def _metres(
-        self, pictures: Tensor, distance: Any, chosen: list[int], drawn: list[Draw]
+        self,
+        pictures: Tensor,
+        maps: Sequence[Tensor | None],
+        chosen: list[int],
+        drawn: list[Draw],
     ) -> Tensor:
         """The distances (Nx1xHxW) of the chosen pictures, m. Of a source other than `Metres()` a
         device may have to wait for each.
         """
-        maps: Sequence[Tensor | None] = [None] * len(pictures)
-        if self.source.reads_maps:
-            maps = maps_for(pictures, distance)
         on_host, results = checks.on_host(pictures), []
         for i, draw in zip(chosen, drawn, strict=True):
             z, picture = maps[i], pictures[i]
@@ -470,6 +476,7 @@ class RandomUnderwater(SampleTransform):
                 scenes.developments,
                 color_space=self.development.color_space,
                 spans=scenes.spans,
+                alike=scenes.alike,
                 light=self.light,
                 metres=scenes.metres,
             )

@@ -208,8 +208,8 @@ class RandomWater:
         return random_fields(seeds, (like.shape[-2], like.shape[-1]), *self.field, like, moved)
 
     @property
-    def is_uniform(self) -> bool:
-        """Whether media can be stacked: those of fits may have width laws of their own."""
+    def has_one_law(self) -> bool:
+        """Whether all media have one law of widths: those of fits may have laws of their own."""
         fitted = any(isinstance(water, Medium) for water in self.by_name.values())
         return len(self.by_name) == 1 or not fitted
 
