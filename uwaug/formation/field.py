@@ -118,11 +118,11 @@ def field_of(
         here = (rows @ across.mT)[:, None]
     # the ends are those of the field that has not moved: else all of it would change as it moves
     least, largest = field.amin((-2, -1), keepdim=True), field.amax((-2, -1), keepdim=True)
-    flat = largest == least
-    scale = torch.where(flat, 0.0, (high - low) / torch.where(flat, 1.0, largest - least))
-    start = torch.where(flat, (low + high) / 2, low - least * scale)
+    span = largest - least
+    scale = torch.where(span > 0, (high - low) / span, 0.0)
     # (torch.addcmul takes three times as long)
-    return (here * scale).add_(start).clamp_(low, high)
+    middle = (low + high) / 2 - (least + largest) / 2 * scale
+    return (here * scale).add_(middle).clamp_(low, high)
 
 
 class _Waves(NamedTuple):
