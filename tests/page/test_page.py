@@ -2,6 +2,7 @@
 
 import base64
 import io
+import json
 import os
 import re
 import shlex
@@ -19,6 +20,7 @@ from PIL import Image
 
 import uwaug
 from uwaug.files import write_picture
+from uwaug.page.write import write_page
 from uwaug.presets.scene import motorcycle
 
 WATERS = (*uwaug.JERLOV_TYPES[2:], "mixture", "contents")
@@ -89,6 +91,15 @@ class Shown:
         self.tab.select_option("#language", language)
         text: str = self.tab.inner_text("#code")
         return text
+
+
+def test_the_name_of_a_file_does_not_leave_its_script(small: Any, tmp_path: Path) -> None:
+    pages = []
+    for name in ("a.png", "a</script><!--<script>b.png"):
+        write_page(tmp_path / "page.html", small, {"picture": name})
+        pages.append((tmp_path / "page.html").read_text(encoding="utf-8"))
+    assert pages[0].count("<") == pages[1].count("<")
+    assert json.loads(re.findall(r'"picture":("[^"]*u003c[^"]*")', pages[1])[0]) == name
 
 
 def test_pictures_are_those_of_the_copied_command(browser: Any, folder: Path) -> None:

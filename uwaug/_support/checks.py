@@ -41,7 +41,7 @@ DOMAIN = {
 itself is never allowed.
 """
 
-_FARTHEST = 1000.0
+_FARTHEST_MEDIAN = 1000.0
 """m: what a map of metres has at most for its median. No water lets one see farther than 100 m."""
 
 OPEN = 1e7
@@ -49,7 +49,7 @@ OPEN = 1e7
 many.
 """
 
-_LOOKS = 16
+_LINES_SAMPLED = 16
 """Rows and columns of a map, about, at which it is looked for millimetres."""
 
 _CONVERT = (
@@ -149,12 +149,12 @@ def too_far(value: "Tensor") -> float | None:
     Unknown pixels and open water do not count. All pixels are looked at only if one of a few
     hundred holds such a distance.
     """
-    rows, columns = (max(1, side // _LOOKS) for side in value.shape[-2:])
+    rows, columns = (max(1, side // _LINES_SAMPLED) for side in value.shape[-2:])
     sample = value.detach()[..., ::rows, ::columns]
-    if not bool(((sample > _FARTHEST) & (sample < OPEN)).any()):
+    if not bool(((sample > _FARTHEST_MEDIAN) & (sample < OPEN)).any()):
         return None
     median = float(value.detach()[(value > 0) & (value < OPEN)].median())
-    return median if median > _FARTHEST else None
+    return median if median > _FARTHEST_MEDIAN else None
 
 
 def distances(name: str, value: "Tensor") -> tuple[float, float]:
@@ -167,7 +167,7 @@ def distances(name: str, value: "Tensor") -> tuple[float, float]:
         cure = "fill unknown pixels first, see uwaug.distance.fill_unknown"
         counts = counted(value, "NaN", "negative")
         raise ValueError(f"{name} is {counts}: expected metres ≥ 0 (+inf for open water); {cure}")
-    if high > _FARTHEST:
+    if high > _FARTHEST_MEDIAN:
         metres(name, value)
     return low, high
 

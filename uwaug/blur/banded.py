@@ -142,9 +142,9 @@ class Matrix(NamedTuple):
             return 0, np.zeros((stop - start, 1))
         low, high = int(used[0]), int(used[-1]) + 1
         col, dense = kernels.slab(low, high, cols)
-        whole = np.zeros((high - low, max(stop, col + dense.shape[1])))
-        whole[:, col : col + dense.shape[1]] = dense
-        return low, whole[:, start:stop].T
+        padded = np.zeros((high - low, max(stop, col + dense.shape[1])))
+        padded[:, col : col + dense.shape[1]] = dense
+        return low, padded[:, start:stop].T
 
     def edge(self) -> int:
         """How many rows at either end differ from what the period says."""
@@ -172,24 +172,22 @@ class Matrix(NamedTuple):
 
         count = self.cols if self.transposed else self.rows
         edge = self.edge()
-        left, right = -(-edge // period) * period, (count - edge) // period * period
-        if right - left <= period:
+        begin, end = -(-edge // period) * period, (count - edge) // period * period
+        if end - begin <= period:
             return Banded(count, tuple(blocks(0, count)))
-        repeats, step = (
-            (right - left) // period,
-            self.kernels.step * period // len(self.kernels.first),
-        )
+        repeats = (end - begin) // period
+        step = self.kernels.step * period // len(self.kernels.first)
         if self.transposed:
             step = len(self.kernels.first) * period // self.kernels.step
-        middle = blocks(left, left + period)
-        runs = blocks(0, left)
+        middle = blocks(begin, begin + period)
+        runs = blocks(0, begin)
         if len(middle) == 1:
             runs.append(middle[0]._replace(repeats=repeats, step=step))
         else:
             for n in range(repeats):
                 for run in middle:
                     runs.append(run._replace(row=run.row + n * period, col=run.col + n * step))
-        return Banded(count, (*runs, *blocks(right, count)))
+        return Banded(count, (*runs, *blocks(end, count)))
 
     def _blocks(
         self,
@@ -312,15 +310,15 @@ def operator(
     banded = _CACHE.get(key)
     if banded is not None:
         return banded
-    least = 8 if axis == 0 else 32  # rows of a block, the fastest of 4…64 on 256 and 512 px
+    rows = 8 if axis == 0 else 32  # of a block, the fastest of 4…64 on 256 and 512 px
     a, q = per_cell(node.cell)
     # whole periods of the grid repeat; a strip of rows of the image ends between two blocks
-    height = period = least
+    height = period = rows
     if kind != "blur":
-        height, period = max(least, min(q, PERIOD)), q
+        height, period = max(rows, min(q, PERIOD)), q
     if (kind == "enlarge" and adjoint) or (kind == "shrink" and not adjoint):
-        # rows are cells
-        height, period = a * -(-least // a), a
+        # they are cells
+        height, period = a * -(-rows // a), a
     matrix = whole(kind, size, node, adjoint)
     banded = matrix.banded(axis, height, math.lcm(height, period), dtype, device)
     _CACHE.put(key, banded, banded.bytes)

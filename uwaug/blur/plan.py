@@ -27,38 +27,35 @@ V_FLOOR = 0.5
 _CONTRAST = 0.25
 """Standard deviation of the picture that errors refer to, on a scale of 0…1."""
 
-# How a plan is chosen. In brackets: what other values make of the number of blurs in 30 Gaussian +
-# 30 exponential plans (ten ranges of σ from 0…0.5 to 0…200 px, tolerances .01, .002, .0005), which
-# is 182 + 241. With a bound on each wave as well, of 8 tolerances at full contrast (without it: 12
-# at most), a tenth more Gaussian ones would be needed, and pictures would gain little.
+# How a plan is chosen. What other values make of the number of blurs: benchmarks/README.md, "Plans
+# of the blur".
 # Planned RMSE as a share of the tolerance: .002 gives 60 dB and .0005 72 dB.
-_PLANNED = 0.48
+_PLANNED_SHARE = 0.48
 # The same if _MOST_NODES are not enough, as for the sharp tails of an exponential shape.
-_PLANNED_AT_MOST = 0.6
-# Most blurs of a stack, beside σ = 0. (24: refused a tolerance of .0002 for widths of .1…2000 px.)
+_PLANNED_SHARE_AT_MOST = 0.6
+# Most blurs of a stack, beside σ = 0.
 _MOST_NODES = 32
-# Places in the range at which the weights are fitted (17: 180 + 242; 65: 182 + 241).
+# Places in the range at which the weights are fitted.
 _PLACES = 33
-# So many errors of a single blur make up the planned RMSE (1: 263 + 255; 10: 178 + 241).
-_NOISE = 3
-# px. A range from below this has σ = 0 among its blurs (never: 393 + 337).
-_IDENTITY_BELOW = 0.75
-# px, the least width beside σ = 0 (.75: 240 Gaussian; 1: 314).
-_NARROWEST = 0.6
-# Share of the widest σ, if that is less (1: 203 Gaussian).
+# So many errors of a single blur make up the planned RMSE.
+_BLUR_ERRORS = 3
+# A range from below this has σ = 0 among its blurs.
+_IDENTITY_BELOW_PX = 0.75
+# The least width beside σ = 0.
+_NARROWEST_PX = 0.6
+# Share of the widest σ, if that is less.
 _NARROWEST_SHARE = 0.7
 # An exponential shape of σ mixes Gaussians of widths σ/|N(0, 1)|; beyond x·σ lies .8/x of its light
-# The widest blur is _TAIL/target·σ (.2: 238 exponential; .8: 243).
+# The widest blur is _TAIL/target·σ.
 _TAIL = 0.4
-# The widest blur in longest sides; wider ones all give the mean (.375: 304; 1.5: 257).
-_WIDEST = 0.75
-# The narrowest blur as a share of the narrowest σ (.25: 254; 1: 352).
-_CORE = 0.5
-# px, the narrowest blur that is not σ = 0 (.2 and .5: 246).
-_NARROWEST_EXPONENTIAL = 0.3
-# dB, to which shared plans round what grids and kernels err. 400 drawn waters then need 59 blurs of
-# 512 px, with 8 % more taps (not rounded: 112; one step for all: 36, with 36 % more taps).
-_STEP = 6
+# The widest blur in longest sides; wider ones all give the mean.
+_WIDEST_SIDES = 0.75
+# The narrowest blur as a share of the narrowest σ.
+_CORE_SHARE = 0.5
+# The narrowest blur that is not σ = 0.
+_NARROWEST_EXPONENTIAL_PX = 0.3
+# To which shared plans round what grids and kernels err.
+_STEP_DB = 6
 
 
 @dataclass(frozen=True)
@@ -142,7 +139,7 @@ def plan_blur(
 def _plan_blur(
     low: float, high: float, tolerance: float, shape: Shape, longest: float, shared: bool
 ) -> BlurPlan:
-    target = _PLANNED * tolerance
+    target = _PLANNED_SHARE * tolerance
     places, wanted = _wanted(low, high, shape, longest)
     if np.sqrt(((wanted - _amplitude(longest)) ** 2).sum(1)).max() <= target:
         return NO_BLUR
@@ -150,8 +147,8 @@ def _plan_blur(
         sigmas = _nodes(count, low, high, target, shape, longest)
         if shared and low < high:
             sigmas = _snapped(sigmas)
-        coefficients, error = _fit(sigmas, places, wanted, target / _NOISE, longest)
-        last_resort = count == _MOST_NODES and error <= _PLANNED_AT_MOST * tolerance
+        coefficients, error = _fit(sigmas, places, wanted, target / _BLUR_ERRORS, longest)
+        last_resort = count == _MOST_NODES and error <= _PLANNED_SHARE_AT_MOST * tolerance
         if error <= target or last_resort:
             break
     else:
@@ -160,8 +157,8 @@ def _plan_blur(
         raise ValueError(f"{widths} for an RMSE of {tolerance:.3g} of the blurred picture: {cure}")
     decibel = -20 * math.log10(target)
     if shared:
-        decibel = _STEP * math.ceil(decibel / _STEP)
-    # Grid samples per σ, and σ at which kernels are cut, so that either errs by a _NOISE-th of the
+        decibel = _STEP_DB * math.ceil(decibel / _STEP_DB)
+    # Grid samples per σ, and σ at which kernels are cut, so that either errs by a third of the
     # plan, 9.5 dB less: a grid of 1.1 samples by 70 dB and one of 1.5 by 84; a kernel of 3 σ by 70
     # and one of 3.5 σ by 85.
     density = min(max(1.1 + (decibel - 60) / 40, 1.0), 3.0)
@@ -203,16 +200,15 @@ def _nodes(
 ) -> tuple[float, ...]:
     """The widths of a stack: `count` of them, and 0 if that is wanted."""
     if shape == "exponential":
-        first, last = _CORE * low, min(_TAIL / target * high, _WIDEST * longest)
-        narrowest = _NARROWEST_EXPONENTIAL
+        first, last = _CORE_SHARE * low, min(_TAIL / target * high, _WIDEST_SIDES * longest)
+        narrowest = _NARROWEST_EXPONENTIAL_PX
     else:
-        first, last, narrowest = low, high, min(_NARROWEST, _NARROWEST_SHARE * high)
+        first, last, narrowest = low, high, min(_NARROWEST_PX, _NARROWEST_SHARE * high)
     start, end = _v(max(first, narrowest), "gaussian"), _v(max(last, narrowest), "gaussian")
-    # .3 equal steps of v : .7 Chebyshev nodes, to the power 1.1 (equal steps: 241 + 304; Chebyshev
-    # nodes: 182 + 263; power 1: 188 + 244)
+    # .3 equal steps of v : .7 Chebyshev nodes, to the power 1.1
     steps = (np.arange(count) + 0.5) / count
     steps = (0.3 * steps + 0.35 * (1 - np.cos(np.pi * steps))) ** 1.1
-    identity = (0.0,) if first < _IDENTITY_BELOW else ()
+    identity = (0.0,) if first < _IDENTITY_BELOW_PX else ()
     return (*identity, *(_sigma(start + (end - start) * step, "gaussian") for step in steps))
 
 
@@ -243,7 +239,6 @@ def _fit(
     sides = np.concatenate([(wanted - basis[-1]).T, -noise * alone])
     # first over the frequencies, at each place; then along the range
     free = np.linalg.lstsq(system, sides, rcond=1e-12)[0]
-    # one degree less: 189 + 242 blurs; two more: 178 + 241
     degree = 0 if len(places) == 1 or k == 1 else k + (sigmas[0] == 0)
     powers = np.polynomial.chebyshev.chebvander(places, degree)
     fitted = np.linalg.lstsq(powers, free.T, rcond=None)[0].T

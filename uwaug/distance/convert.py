@@ -82,9 +82,9 @@ def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> 
     if not bool(((n > 0) & (f >= n) & n.isfinite()).all()):
         got = f"got near={near}, far={far}"
         raise ValueError(f"near and far must satisfy 0 < near <= far, near finite, {got}")
-    known = inverse.isfinite()
-    least = torch.where(known, inverse, torch.inf).amin((-2, -1), keepdim=True)
-    largest = torch.where(known, inverse, -torch.inf).amax((-2, -1), keepdim=True)
+    finite = inverse.isfinite()
+    least = torch.where(finite, inverse, torch.inf).amin((-2, -1), keepdim=True)
+    largest = torch.where(finite, inverse, -torch.inf).amax((-2, -1), keepdim=True)
     flat = ~(largest > least)
     if bool(flat.any()):
         got = f"{which(flat)} that is constant or has no finite value"
@@ -92,8 +92,8 @@ def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> 
         raise ValueError(f"inverse must vary within each map, got {got}: {cure}")
     # halves, whose difference no pair of finite values can make infinite
     low = least / 2
-    s = (torch.where(known, inverse / 2, low) - low) / (largest / 2 - low)
-    return torch.where(known, 1 / (1 / far + (1 / near - 1 / far) * s), torch.nan)
+    s = (torch.where(finite, inverse / 2, low) - low) / (largest / 2 - low)
+    return torch.where(finite, 1 / (1 / far + (1 / near - 1 / far) * s), torch.nan)
 
 
 def from_disparity(
@@ -129,8 +129,9 @@ def from_disparity(
     checks.positive("baseline_m", baseline_m)
     checks.within("offset_px", offset_px)
     shifted = disparity + offset_px
-    known = shifted.isfinite() & (shifted > 0)
-    return torch.where(known, focal_px * baseline_m / torch.where(known, shifted, 1.0), torch.nan)
+    matched = shifted.isfinite() & (shifted > 0)
+    pixels = torch.where(matched, shifted, 1.0)
+    return torch.where(matched, focal_px * baseline_m / pixels, torch.nan)
 
 
 def along_ray(

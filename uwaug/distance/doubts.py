@@ -92,8 +92,8 @@ class FirstMaps(Once):
         self.seen.setdefault(shown.digest, shown)
         if len(self.seen) == _RUN:
             self.looks_left = 0
-        if (first or not self.looks_left) and (said := judged(self.seen.values())):
-            self.warn("; ".join(said), stacklevel + 1)
+        if (first or not self.looks_left) and (sentences := judged(self.seen.values())):
+            self.warn("; ".join(sentences), stacklevel + 1)
 
 
 first_maps = FirstMaps(looks=4 * _RUN)
@@ -145,9 +145,9 @@ def judged(evidences: Iterable[Evidence]) -> list[str]:
     # a logarithm says little of maps from 0 to 1, which have shifts of their own
     reversed_ = [shown.scale != 0 and shown.convexity < _REVERSED for shown in maps]
     if len(maps) >= _SEVERAL and _most(reversed_):
-        look = "distances look like disparity or inverse depth, large where near"
+        claim = "distances look like disparity or inverse depth, large where near"
         cure = f"{_INVERSE}; from_disparity where focal length and baseline are known"
-        sentences.append(f"{look}: {cure}")
+        sentences.append(f"{claim}: {cure}")
     return [*dict.fromkeys(sentences), *_shifted(maps)]
 
 
@@ -165,12 +165,12 @@ def _scale(points: Tensor) -> int:
     if metres.numel() < 64:
         return -1
     low, high = checks.extent(metres)
-    some = metres[:: max(1, metres.numel() // 4096)]
+    sampled = metres[:: max(1, metres.numel() // 4096)]
     if high <= 1.0001:
         # both ends, or 8 bits divided by 255; those near a lens may all be nearer than 1 m
-        relative = (low < 0.02 and high > 0.3) or _whole(255 * some, 8)
+        relative = (low < 0.02 and high > 0.3) or _whole(255 * sampled, 8)
         return 0 if relative else 3 if high < 0.05 else -1
-    return 1 if _whole(some, 16) else 2 if float(some.median()) > 100 else -1
+    return 1 if _whole(sampled, 16) else 2 if float(sampled.median()) > 100 else -1
 
 
 def _whole(values: Tensor, least: int) -> bool:

@@ -10,56 +10,43 @@ from torch import Tensor
 from uwaug._support.once import Once
 from uwaug.distance.convert import as_maps, which
 
-# Artificial holes in five RGB-D pairs and the bundled scene (occlusions, rims, edges, specks,
-# blobs of 5 to 30 %, all beyond a range): error of log z in blobs of 5, 15, 30 %; of e^(−z/2) at
-# edges; ms at 500×741. The membrane: .041, .069, .112; .0116; 35. Losers:
-# * nearest .054, .092, .175; .0116; 18, and its seams are as sharp as knives;
-# * a membrane everywhere .040, .068, .109; .0203; 250 to 1000 (sparse solve): softens thin holes;
-# * one in log z .042, .072, .111, without an answer for open water; one in z .040, .079, .121;
-# * biharmonic, as skimage has it: better in blobs of the smooth rooms (.105 for .133), 10 times the
-#   time, and it overshoots beyond what is known;
-# * OpenCV's Telea and Navier–Stokes .051, .087, .169, up to 300, no dependency of ours.
-# From behind, mean error of e^(−z/2) in three of the pairs and the scene: shadows of a Kinect's
-# projector .0079 (membrane .067), the farthest quarter of the map .019 (.032), blobs of 10 to 20 px
-# .0027 (.0024), specks of 1 to 5 px .0020 (.0012: those on edges). It takes 3.5 times as long.
+# How these were chosen, and what lost: benchmarks/README.md, "Holes".
 
-_THIN = 4.0
-"""Pixels from what is known, up to which the nearest value is taken; from twice as many on the
-membrane counts alone. 2 to 16 differ little.
+_THIN_PX = 4.0
+"""From what is known, up to which the nearest value is taken; from twice as far on the membrane
+counts alone.
 """
 
 _SWEEPS = 4
-"""Of relaxation on each level; the error is .114 with 2, .110 with 8, .109 once all has settled."""
+"""Of relaxation on each level."""
 
 _OPEN_WATER = 1e-9
 """1/m; anything farther is open water."""
 
-_MANY = 0.2
-"""Share of unknown pixels above which filling is guessing."""
+_GUESSED_SHARE = 0.2
+"""Of unknown pixels, above which filling is guessing."""
 
-_RIM = 3
-"""Pixels beside a hole from which it is filled; the edges of holes are ragged."""
+_RIM_PX = 3
+"""Beside a hole, from which it is filled; the edges of holes are ragged."""
 
-_REACH = 4
-"""Widths of a hole over which the two sides of its rim are compared, halved: a shadow's two sides
-are one width apart. With 2, slanted shadows keep parts of the near side; 4 and 6 differ little.
+_REACH_WIDTHS = 4
+"""Of a hole, over which the two sides of its rim are compared, halved: a shadow's two sides are one
+width apart.
 """
 
-_NEAR_SIDE = 1.25
-"""A rim that is so many times nearer than what is across the hole is what throws the shadow. 1.5
-differs little; with 1.1, holes in floors lose the near half of their rim.
-"""
+_NEARER_TIMES = 1.25
+"""A rim that is so many times nearer than what is across the hole is what throws the shadow."""
 
-_WIDE = 1 / 20
+_WIDE_SHARE = 1 / 20
 """Of the map's shorter side; a hole that is wider than twice that, in the middle, is no shadow.
 Registered maps have frames of up to 1/16.
 """
 
-_FARTHEST = 0.98
-"""Quantile of the distances of a rim that is its farthest: beyond it are wild pixels at edges."""
+_WIDE_LEAST_PX = 4
+"""The same in the smallest maps."""
 
-_NARROWEST = 4
-"""Pixels, half the width of a wide hole in the smallest maps."""
+_FARTHEST_QUANTILE = 0.98
+"""Of the distances of a rim, which is its farthest: beyond it are wild pixels at edges."""
 
 _guessed = Once()
 
@@ -112,16 +99,16 @@ def fill_unknown(distance: Tensor, *, behind: bool = False) -> Tensor:
         cure = "fill whole maps before they are cropped"
         raise ValueError(f"distance must have {expected}, got {which(empty)} without any: {cure}")
     percent = round(100 * float(shares.max()))
-    if not behind and percent > 100 * _MANY:
+    if not behind and percent > 100 * _GUESSED_SHARE:
         guess = f"distance is unknown at {percent} % of a map's pixels, and is guessed there"
         cure = "maps of depth cameras want holes 'behind', open water wants 'far'"
         _guessed.warn(f"{guess}: {cure}")
-    find = _from_behind if behind else _from_nearest
+    sources_of = _from_behind if behind else _from_nearest
     size = distance.shape[-2:]
     maps, holes = distance.reshape(-1, *size), unknown.reshape(-1, *size)
-    each = zip(maps.detach().cpu().numpy(), holes.cpu().numpy(), strict=True)
-    found = zip(*(find(*one) for one in each), strict=True)
-    index, away, free = (torch.from_numpy(np.stack(x)).to(distance.device) for x in found)
+    sources = map(sources_of, maps.detach().cpu().numpy(), holes.cpu().numpy())
+    stacked = map(np.stack, zip(*sources, strict=True))
+    index, away, free = (torch.from_numpy(x).to(distance.device) for x in stacked)
     nearest = maps.flatten(1).gather(1, index.flatten(1)).view_as(maps)
     filled = torch.where(holes, _spanned(nearest, away, free), maps)
     return filled.view(distance.shape)
@@ -151,30 +138,30 @@ def _from_behind(distance: Any, unknown: Any) -> tuple[Any, Any, Any]:
     holes, count = ndimage.label(unknown, np.ones((3, 3)))
     beside, _, _ = _from_nearest(distance, ~unknown)  # the nearest pixel of a hole
     owner = holes.flat[beside]
-    rim = widened(unknown, _RIM) & ~unknown
+    rim = widened(unknown, _RIM_PX) & ~unknown
     values = np.where(rim, distance, 0)
     farthest, highest = _far_ends(values, np.where(rim, owner, 0), count)
     # what is beyond the picture's border is no hole: frames are as wide as they look
     deep = ndimage.distance_transform_cdt(np.pad(unknown, 1), "chessboard")[1:-1, 1:-1]
-    wide = max(_NARROWEST, _WIDE * min(height, width))
+    wide = max(_WIDE_LEAST_PX, _WIDE_SHARE * min(height, width))
     middle = (deep >= wide) & (farthest[holes] >= 0)
     index = np.where(middle, farthest[holes], np.arange(unknown.size).reshape(height, width))
     values[middle] = distance.flat[index[middle]]
-    across = np.where(unknown, widened(values, 2 * _REACH), 0)
+    across = np.where(unknown, widened(values, 2 * _REACH_WIDTHS), 0)
     half = 1
     while half < 2 * wide and (core := deep > half).any():
         # all of a hole that is at least so wide, up to its rim
         opened = widened(core, half) & unknown
-        across = np.where(opened, widened(values, _REACH * (half + 1)), across)
+        across = np.where(opened, widened(values, _REACH_WIDTHS * (half + 1)), across)
         half *= 2
     # not what another hole has across
     across = np.minimum(across, highest[holes])
-    far_side = (rim & (values * _NEAR_SIDE >= across.flat[beside])) | middle
+    far_side = (rim & (values * _NEARER_TIMES >= across.flat[beside])) | middle
 
     def points(pixels: Any) -> Any:
         # of one hole nearer to each other than to any of another
-        apart = owner.flat[pixels] * float(height + width)
-        return np.stack([pixels // width, pixels % width, apart], -1)
+        of_hole = owner.flat[pixels] * float(height + width)
+        return np.stack([pixels // width, pixels % width, of_hole], -1)
 
     sources, wanted = np.flatnonzero(far_side), np.flatnonzero((rim | unknown) & ~far_side)
     steps, nearest = cKDTree(points(sources)).query(points(wanted))
@@ -195,7 +182,7 @@ def _far_ends(values: Any, rims: Any, count: int) -> tuple[Any, Any]:
     starts = np.concatenate([[0], ends[:-1]])
     there = ends > starts
     farthest, highest = np.full(count + 1, -1), np.full(count + 1, np.inf)
-    farthest[there] = pixels[(starts + _FARTHEST * (ends - starts - 1)).astype(int)[there]]
+    farthest[there] = pixels[(starts + _FARTHEST_QUANTILE * (ends - starts - 1)).astype(int)[there]]
     highest[there] = values.flat[pixels[ends[there] - 1]]
     return farthest, highest
 
@@ -208,7 +195,7 @@ def _spanned(nearest: Tensor, away: Tensor, free: Tensor) -> Tensor:
         away (NxHxW tensor): how far the pixel is that has the value, px.
         free (NxHxW tensor): where the membrane is; boolean.
     """
-    weight = (away / _THIN - 1).clamp(0, 1).to(nearest.dtype)
+    weight = (away / _THIN_PX - 1).clamp(0, 1).to(nearest.dtype)
     if not bool((weight > 0).any()):
         return nearest
     # what `where` leaves out must be harmless too, or it spoils the gradient
@@ -219,25 +206,25 @@ def _spanned(nearest: Tensor, away: Tensor, free: Tensor) -> Tensor:
     return torch.where(weight > 0, spanned, nearest)
 
 
-def _membrane(values: Tensor, known: Tensor) -> Tensor:
-    """Solve Laplace's equation where values (Nx1xHxW) are unknown, and 0: from coarse grids to fine
-    ones, each a few sweeps better. The picture's border is free.
+def _membrane(values: Tensor, fixed: Tensor) -> Tensor:
+    """Solve Laplace's equation where values (Nx1xHxW) are not fixed, and 0: from coarse grids to
+    fine ones, each a few sweeps better. The picture's border is free.
     """
     levels = []
-    while not bool(known.all()):
-        levels.append((values, known))
-        # half as many rows and columns: means of what is known
+    while not bool(fixed.all()):
+        levels.append((values, fixed))
+        # half as many rows and columns: means of what is fixed
         rim = (0, values.shape[-1] % 2, 0, values.shape[-2] % 2)
-        share = F.avg_pool2d(F.pad(known.to(values.dtype), rim), 2)
+        share = F.avg_pool2d(F.pad(fixed.to(values.dtype), rim), 2)
         total = F.avg_pool2d(F.pad(values, rim), 2)
-        values, known = total / share.clamp(min=0.25), share > 0
+        values, fixed = total / share.clamp(min=0.25), share > 0
     guess = values
-    for values, known in reversed(levels):
+    for values, fixed in reversed(levels):
         height, width = values.shape[-2:]
         guess = F.interpolate(guess, scale_factor=2, mode="bilinear", align_corners=False)
-        guess = torch.where(known, values, guess[..., :height, :width])
+        guess = torch.where(fixed, values, guess[..., :height, :width])
         for _ in range(_SWEEPS):
-            guess = torch.where(known, values, _mean_of_neighbours(guess))
+            guess = torch.where(fixed, values, _mean_of_neighbours(guess))
     return guess
 
 

@@ -13,34 +13,31 @@ from uwaug._support import codec
 from uwaug._support.ranges import Range
 from uwaug.distance.sources import Numbers, Source, require_ends
 
-# 16 draws for each of 40 pictures, beside 342 photographs: recall .79, coverage .51 (with maps .77
-# and .49, `Plane(1, 5)` .69 and .47). Of all change of light, .037 are steps where the picture has
-# none. Losers: small regions, .051; those of SLIC .046, recall .014 lower; without the guide .175;
-# random waves over colour and place for regions .035, and textures become relief.
+# How it was chosen, and what lost: benchmarks/README.md, "Made-up distances".
 
-_SMALL = 4096
-"""Pixels of the copy in which regions are found. 6144 take 1 ms more, steps are no better."""
+_SMALL_PIXELS = 4096
+"""Of the copy in which regions are found."""
 
-_LIKE = 200.0
+_REGION_SCALE = 200.0
 """Of felzenszwalb: some 33 regions; 60 halves things."""
 
-_PLAIN = 0.06
+_PLAIN_STEP = 0.06
 """Difference of neighbours in a plain place, of 0…1."""
 
-_LEAST = 0.05
-"""Share of a picture that open water takes at least, where there is any."""
+_LEAST_OPEN_SHARE = 0.05
+"""Of a picture that open water takes, where there is any."""
 
-_OPEN = 0.75
-"""Probability that a plain top is open water."""
+_OPEN_PROBABILITY = 0.75
+"""That a plain top is open water."""
 
-_FADES = 0.2
+_FADE_SHARE = 0.2
 """Of the height, over which open water begins where the picture has no edge."""
 
-_REACH = 2
-"""Pixels of the small copy over which its distances follow the picture's colours."""
+_GUIDE_PX = 2
+"""Of the small copy, over which its distances follow the picture's colours."""
 
-_NOISE = 1e-3
-"""Variance of colours, of 0…1, below which there is no edge."""
+_EDGE_VARIANCE = 1e-3
+"""Of colours, of 0…1, below which there is no edge."""
 
 
 @codec.plain
@@ -78,11 +75,11 @@ class MadeUp(Source):
     def metres(self, distance: Tensor | None, image: Tensor, numbers: Numbers) -> Tensor:
         """See `Source.metres`."""
         white = 255.0 if image.dtype == torch.uint8 else 1.0
-        scale = min(1.0, math.sqrt(_SMALL / image[0].numel()))
+        scale = min(1.0, math.sqrt(_SMALL_PIXELS / image[0].numel()))
         size = [max(1, round(scale * side)) for side in image.shape[1:]]
         every = max(1, int(0.25 / scale))  # four samples along each side of a small pixel will do
-        some = image[:, ::every, ::every].float() / white
-        small = interpolate(some[None], size, mode="area")[0].cpu()
+        sampled = image[:, ::every, ::every].float() / white
+        small = interpolate(sampled[None], size, mode="area")[0].cpu()
         rng = np.random.default_rng(int(numbers["scene"] * 2**53))
         layout = torch.from_numpy(_layout(small.permute(1, 2, 0).double().numpy(), rng))
         depth = _upsampled(layout.float(), small, image, white)
@@ -103,12 +100,12 @@ def _layout(picture: Any, rng: np.random.Generator) -> Any:
 
     steps = np.abs(np.diff(picture, axis=0, prepend=picture[:1])).max(-1)
     steps = np.maximum(steps, np.abs(np.diff(picture, axis=1, prepend=picture[:, :1])).max(-1))
-    plain = np.logical_and.accumulate(steps < _PLAIN, axis=0)
+    plain = np.logical_and.accumulate(steps < _PLAIN_STEP, axis=0)
     mostly = np.bincount(flat, plain.ravel()) > sizes / 2
     lowest = rng.uniform(0.3, 0.8)
-    open_water = mostly[regions] * np.clip((lowest - y) / _FADES, 0, 1)
+    open_water = mostly[regions] * np.clip((lowest - y) / _FADE_SHARE, 0, 1)
     horizon = rng.uniform(-1, 0.4)
-    closed = rng.uniform() > _OPEN or open_water.mean() < _LEAST
+    closed = rng.uniform() > _OPEN_PROBABILITY or open_water.mean() < _LEAST_OPEN_SHARE
     if closed or open_water.min() > 0:  # of a row of pixels, say
         open_water[:] = 0
     else:
@@ -141,7 +138,7 @@ def _regions(picture: Any) -> Any:
     from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
     from skimage.segmentation import felzenszwalb
 
-    regions = felzenszwalb(picture, _LIKE, 0.5, max(1, picture[..., 0].size // 300))
+    regions = felzenszwalb(picture, _REGION_SCALE, 0.5, max(1, picture[..., 0].size // 300))
     inner = minimum_filter(regions, 3) == maximum_filter(regions, 3)
     wide = (np.bincount(regions.ravel(), inner.ravel()) > 0)[regions]
     if not wide.any():
@@ -156,7 +153,7 @@ def _upsampled(values: Tensor, small: Tensor, picture: Tensor, white: float) -> 
     """
 
     def mean(x: Tensor) -> Tensor:
-        for reach in ((_REACH, 0), (0, _REACH)):
+        for reach in ((_GUIDE_PX, 0), (0, _GUIDE_PX)):
             window = [2 * pixels + 1 for pixels in reach]
             x = avg_pool2d(x, window, 1, reach, count_include_pad=False)
         return x
@@ -165,7 +162,7 @@ def _upsampled(values: Tensor, small: Tensor, picture: Tensor, white: float) -> 
     moments = mean(torch.cat([small, values[None], pairs, small * values]))
     colours, value = moments[:3], moments[3]
     spread = moments[4:13].reshape(3, 3, *values.shape) - colours[:, None] * colours
-    spread.diagonal().add_(_NOISE)
+    spread.diagonal().add_(_EDGE_VARIANCE)
     common = moments[13:] - colours * value
     slopes = torch.linalg.solve(spread.permute(2, 3, 0, 1), common.permute(1, 2, 0)[..., None])
     slopes = slopes[..., 0].permute(2, 0, 1)

@@ -12,9 +12,9 @@ from uwaug.distance.convert import from_relative
 from uwaug.figures.sheet import (
     INK,
     RGB,
+    finite_extent,
     metres,
     plot,
-    seen,
     sheet,
     show,
     show_distance,
@@ -37,18 +37,18 @@ from uwaug.presets.scene import Scene
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_DEPTH = 5.0
+_DEPTH_M = 5.0
 """m below the surface: of scenes in waters, as a camera takes them."""
 
-_CAMERA = (
-    f"Scene {_DEPTH:g} m deep, surfaces with spectra, a camera with its colour matrix and an "
+_SETTING = (
+    f"Scene {_DEPTH_M:g} m deep, surfaces with spectra, a camera with its colour matrix and an "
     "automatic exposure"
 )
 """In words, what `_in_waters` has."""
 
 _COAST = "1C"
 
-_HALF = {"gaussian": math.sqrt(2 * math.log(2)), "exponential": math.sqrt(3)}
+_HALF_LIGHT = {"gaussian": math.sqrt(2 * math.log(2)), "exponential": math.sqrt(3)}
 """Radius that holds half of the light, in σ."""
 
 
@@ -70,7 +70,7 @@ class Case(NamedTuple):
 def water_case(water: Water, scene: Scene, field_range: tuple[float, float] = (1.0, 1.0)) -> Case:
     """A scene in a water, as the sheet of ten waters has it."""
     name = f"Jerlov {water.name}" if water.name in JERLOV_TYPES else water.name
-    return Case(name, _CAMERA, _in_waters([water], scene), field_range)
+    return Case(name, _SETTING, _in_waters([water], scene), field_range)
 
 
 def preset_case(preset: Preset) -> Case:
@@ -88,7 +88,7 @@ def _in_waters(waters: Sequence[Water], scene: Scene) -> Underwater:
     media = (
         Medium.from_water(
             water,
-            vertical_depth=_DEPTH,
+            vertical_depth=_DEPTH_M,
             g=Scattering.CALIBRATED.g,
             point_spread=law,
             surfaces="spectral",
@@ -103,7 +103,7 @@ def draw_contact_sheet(scene: Scene) -> "Figure":
     waters = [Water.jerlov(name) for name in JERLOV_TYPES]
     beyond = "" if bool(scene.distance.isfinite().all()) else " and open water"
     caption = f"Jerlov types over the scene's distances, {metres(scene.distance)}{beyond}"
-    figure, axes = sheet(scene, 12, "One scene in ten waters", f"{caption}. {_CAMERA}.")
+    figure, axes = sheet(scene, 12, "One scene in ten waters", f"{caption}. {_SETTING}.")
     show(axes[0], scene.image, "No water")
     show_distance(axes[1], scene.distance)
     pictures = _in_waters(waters, scene)(scene.image, scene.distance)
@@ -138,7 +138,7 @@ def draw_terms(scene: Scene, case: Case) -> "Figure":
     show(axes[6], backscatter, "B   backscatter")
     show(axes[7], module(scene.image, z), "I   image")
     axis = plot(axes[3], "Curves of distance, red, green, blue", "z [m]", "")
-    reach = 1.5 * seen(scene.distance)[1]
+    reach = 1.5 * finite_extent(scene.distance)[1]
     path = torch.linspace(0, reach, 201, dtype=torch.float64)
     for label, curve, style in (
         ("$T_β$  direct", _of_white(medium.transmission(path)), "-"),
@@ -207,16 +207,16 @@ def draw_width_laws(scene: Scene) -> "Figure":
         forward = form_image(decoded(scene.image, "srgb"), scene.distance, medium).forward
         show(axis, linear_to_srgb(forward), f"{label}, forward scatter alone")
         sigma = medium.width(z[None, None, None], (height, width)).flatten()
-        half = _HALF[medium.point_spread.shape] * sigma
+        half = _HALF_LIGHT[medium.point_spread.shape] * sigma
         radius.plot(z.numpy(), half.numpy(), color=colour, label=label, linewidth=2)
     low, high = extent(scene.distance)
     radius.axvspan(low, high, color="black", alpha=0.07, linewidth=0, label="this scene")
     radius.set(xlim=(0, 8), yscale="log", ylim=(0.01, 500))
     radius.legend(frameon=False, fontsize=10.5, loc="lower right", reverse=True)
     (y, x), (h, w) = (int(0.32 * height), int(0.50 * width)), (height // 4, width // 4)
-    for whole, part, (label, picture) in zip(axes[:3], axes[3:6], columns, strict=True):
-        show(whole, picture, label)
-        whole.add_patch(Rectangle((x, y), w, h, fill=False, edgecolor="white", linewidth=1.4))
+    for full, part, (label, picture) in zip(axes[:3], axes[3:6], columns, strict=True):
+        show(full, picture, label)
+        full.add_patch(Rectangle((x, y), w, h, fill=False, edgecolor="white", linewidth=1.4))
         show(part, picture[:, y : y + h, x : x + w], f"{label}, enlarged")
     return figure
 

@@ -20,15 +20,15 @@ RGB = ("#c0392b", "#2e8b57", "#2a5caa")
 
 _DPI, _WIDTH = 100, 1400  # px
 _MARGIN, _GAP, _LABEL, _HEADER = 32, 18, 30, 92  # px
-_LINE = 20
-"""px: height of a caption's line."""
+_LINE_PX = 20
+"""Height of a caption's line."""
 
-_LOW = 130
-"""px: a cell that is less high has no room for what is written into it."""
+_LOW_PX = 130
+"""A cell that is less high has no room for what is written into it."""
 
-_TITLE: dict[str, Any] = {"loc": "left", "fontsize": 12.5, "color": INK}
+_TITLE_STYLE: dict[str, Any] = {"loc": "left", "fontsize": 12.5, "color": INK}
 
-_PLAIN: dict[str, Any] = {"parse_math": False}
+_AS_WRITTEN: dict[str, Any] = {"parse_math": False}
 """Of a text that may be a user's, such as a file's name: a $ in it is a $."""
 
 
@@ -47,20 +47,20 @@ def sheet(
         return (_WIDTH - 2 * _MARGIN - (columns - 1) * _GAP) / columns
 
     if columns is None:
-        high = (n for n in (4, 2) if cell_width(n) * height / width >= _LOW)
+        high = (n for n in (4, 2) if cell_width(n) * height / width >= _LOW_PX)
         columns = next(high, 1)
     rows = math.ceil(cells / columns)
     caption = f"{caption}\n{scene.note}".rstrip()
     wide = cell_width(columns)
     tall = wide * height / width
     pitch = _LABEL + tall + _GAP
-    top = _HEADER + _LINE * caption.count("\n")
+    top = _HEADER + _LINE_PX * caption.count("\n")
     size = _WIDTH, round(top + rows * pitch + _MARGIN - _GAP)
     figure = Figure(figsize=(size[0] / _DPI, size[1] / _DPI), dpi=_DPI)
-    style = {"va": "top", **_PLAIN}
-    left = _MARGIN / size[0]
-    figure.text(left, 1 - 26 / size[1], heading, fontsize=18, fontweight="bold", **style)
-    figure.text(left, 1 - 62 / size[1], caption, fontsize=11.5, color=GREY, **style)
+    style = {"va": "top", **_AS_WRITTEN}
+    x0 = _MARGIN / size[0]
+    figure.text(x0, 1 - 26 / size[1], heading, fontsize=18, fontweight="bold", **style)
+    figure.text(x0, 1 - 62 / size[1], caption, fontsize=11.5, color=GREY, **style)
     axes = []
     for i in range(rows * columns):
         x = _MARGIN + i % columns * (wide + _GAP)
@@ -73,7 +73,7 @@ def sheet(
 def show(axis: "Axes", picture: Tensor, label: str) -> None:
     """A picture (3xHxW, sRGB)."""
     axis.imshow(picture.clamp(0, 1).permute(1, 2, 0).numpy(), aspect="auto")
-    axis.set_title(label, **_TITLE, **_PLAIN)
+    axis.set_title(label, **_TITLE_STYLE, **_AS_WRITTEN)
 
 
 def show_map(
@@ -90,7 +90,7 @@ def show_map(
     ends = (0, 2 * high) if flat else span
     pixels = values[0].numpy()
     picture = axis.imshow(pixels, cmap=colours, vmin=ends[0], vmax=ends[1], aspect="auto")
-    axis.set_title(label, **_TITLE, **_PLAIN)
+    axis.set_title(label, **_TITLE_STYLE, **_AS_WRITTEN)
     if flat:
         return
     # what is written beneath a bar is as high in a low cell, and in a high one
@@ -120,14 +120,14 @@ def in_words(span: tuple[float, float], unit: str) -> list[str]:
     return [f"{value:.{digits}f}{unit}" for value in (low, (low + high) / 2, high)]
 
 
-def seen(z: Tensor) -> tuple[float, float]:
+def finite_extent(z: Tensor) -> tuple[float, float]:
     """The nearest and the farthest distance (m) that is not open water."""
     return extent(z[z.isfinite()])
 
 
 def metres(z: Tensor) -> str:
-    """What `seen` gives, in words."""
-    span = seen(z)
+    """What `finite_extent` gives, in words."""
+    span = finite_extent(z)
     if _is_point(span):
         return f"{span[1]:.3g} m"
     low, _, high = in_words(span, "")
@@ -136,7 +136,7 @@ def metres(z: Tensor) -> str:
 
 def show_distance(axis: "Axes", z: Tensor) -> None:
     """Distances (1xHxW, m); +inf is open water."""
-    span = seen(z)
+    span = finite_extent(z)
     flat, endless = _is_point(span), not bool(z.isfinite().all())
     label = "z   distance (darkest: open water too)" if endless else "z   distance"
     if flat:
@@ -157,7 +157,7 @@ def plot(cell: "Axes", label: str, xlabel: str, ylabel: str) -> "Axes":
     """Axes for curves inside a cell of a sheet, with room for what is written on them. The label
     is ours, and may have mathematics between $.
     """
-    cell.set_title(label, **_TITLE)
+    cell.set_title(label, **_TITLE_STYLE)
     bottom = max(0.17, 36 / cell.get_window_extent().height)
     axis = cell.inset_axes((0.14, bottom, 0.84, 0.97 - bottom))
     axis.set_xlabel(xlabel, fontsize=10.5, color=GREY, labelpad=2)

@@ -25,16 +25,16 @@ from uwaug.transforms import random_water
 from uwaug.transforms.measured import SAMPLED
 from uwaug.transforms.random_underwater import SEVERITIES, RandomUnderwater
 
-_WIDTHS = (0.0, 400.0)
-"""px, of the blurs; wider ones are as good as the mean of a picture."""
+_WIDTHS_PX = (0.0, 400.0)
+"""Of the blurs; wider ones are as good as the mean of a picture."""
 
-_TOLERANCE = 0.0005
-"""Of the blur. At .002 pictures are up to 3 grey levels from those of `uwaug degrade`, which plans
+_BLUR_RMSE = 0.0005
+"""At .002 pictures are up to 3 grey levels from those of `uwaug degrade`, which plans
 for each; memory goes with the number of blurs, 13 here.
 """
 
-_LONGEST = 1024.0
-"""px, side of a picture that the widest blurs are planned for."""
+_LONGEST_PX = 1024.0
+"""Side of a picture that the widest blurs are planned for."""
 
 PIXELS = 1_000_000
 """Of a picture on the page, at most: its blurs take 72 bytes for each, all of it some 170."""
@@ -45,7 +45,7 @@ _REFLECTANCE = 0.18
 
 def plan_of_page() -> BlurPlan:
     """The blurs of every picture on the page."""
-    return plan_blur(*_WIDTHS, _TOLERANCE, "exponential", _LONGEST)
+    return plan_blur(*_WIDTHS_PX, _BLUR_RMSE, "exponential", _LONGEST_PX)
 
 
 def tables() -> dict[str, Any]:
@@ -54,7 +54,7 @@ def tables() -> dict[str, Any]:
     law, (least, most) = PointSpread.calibrated(FOCAL_LENGTH), LENGTHS
     pure = dict(zip(("a", "b"), constituents.pure_water(axis), strict=True))
     at_1, exponents = constituents.phytoplankton()
-    kept = {
+    stored = {
         "bands": WAVELENGTHS,
         "waters": {name: _spectra(Water.jerlov(name).at(WAVELENGTHS)) for name in JERLOV_TYPES},
         "pure": pure,
@@ -94,7 +94,7 @@ def tables() -> dict[str, Any]:
         "plan": _plan(plan_of_page()),
         "draws": _draws(),
     }
-    plain: dict[str, Any] = to_plain(_rounded(kept))
+    plain: dict[str, Any] = to_plain(_rounded(stored))
     return plain
 
 

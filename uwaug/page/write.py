@@ -17,8 +17,8 @@ from uwaug._support.atomic import written_whole
 from uwaug.page.tables import tables
 from uwaug.presets.scene import Scene
 
-_OPEN = 65535
-"""The code of open water."""
+_OPEN_CODE = 65535
+"""Of open water, in whole numbers of 16 bits."""
 
 
 def write_page(
@@ -59,7 +59,8 @@ def _plain(*names: str) -> str:
 
 
 def _json(value: Any) -> str:
-    return json.dumps(value, separators=(",", ":")).replace("</", "<\\/")
+    # a script ends at </script>, and <!-- would keep it from ending
+    return json.dumps(value, separators=(",", ":")).replace("<", "\\u003c")
 
 
 def _stored(scene: Scene) -> dict[str, Any]:
@@ -68,11 +69,11 @@ def _stored(scene: Scene) -> dict[str, Any]:
     webp = io.BytesIO()
     Image.fromarray(pixels).save(webp, "WEBP", lossless=True)
     z = scene.distance.double().numpy()
-    known = z[np.isfinite(z)]
-    near, far = (float(known.min()), float(known.max())) if known.size else (1.0, 1.0)
-    step = max(np.log(far / near) / (_OPEN - 1), 1e-9)
+    finite = z[np.isfinite(z)]
+    near, far = (float(finite.min()), float(finite.max())) if finite.size else (1.0, 1.0)
+    step = max(np.log(far / near) / (_OPEN_CODE - 1), 1e-9)
     with np.errstate(invalid="ignore"):
-        codes = np.where(np.isfinite(z), np.rint(np.log(z / near) / step), _OPEN)
+        codes = np.where(np.isfinite(z), np.rint(np.log(z / near) / step), _OPEN_CODE)
     steps = np.diff(codes.astype("<u2").ravel(), prepend=np.uint16(0))  # pack in half the bytes
     packed = zlib.compress(steps.tobytes(), 9)
     text = {"picture": webp.getvalue(), "distance": packed}

@@ -26,8 +26,7 @@ Equation = TypeVar("Equation", bound=Callable[..., Tensor])
 AnyWater = str | os.PathLike[str] | Water
 AnyCamera = str | os.PathLike[str] | Camera
 
-_AT_ONCE = 4096
-"""Pixels."""
+_PIXELS_AT_ONCE = 4096
 
 FUNCTIONS: dict[str, Callable[..., Tensor]] = {}
 """The published systems by the names of their functions."""
@@ -148,7 +147,7 @@ class BandedWater(NamedTuple):
             return weights.sum(1).reshape(1, 3, 1, 1)
         rates, paths = (torch.stack(part) for part in zip(*legs, strict=True))
         # few pixels at a time, whose bands stay in the cache
-        parts = torch.split(paths.flatten(1), _AT_ONCE, 1)
+        parts = torch.split(paths.flatten(1), _PIXELS_AT_ONCE, 1)
         sums = [weights @ torch.exp(-(rates.T @ part)) for part in parts]
         rows, _, height, width = paths.shape[1:]
         return torch.cat(sums, 1).reshape(3, rows, height, width).transpose(0, 1)

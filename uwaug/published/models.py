@@ -21,8 +21,8 @@ _CAMERA = "Nikon 5100 (NPL)"
 _LAMP = Lamp(position=(-0.8, -0.5, 0.0), power=10.0, aim=(0.8, 0.5, 3.0), cone=50.0)
 """Beside the camera, aimed at what is 3 m ahead."""
 
-_ROWS = 16
-"""Of a picture, of which the bands of a lamp's beam are held at a time."""
+_ROWS_AT_ONCE = 16
+"""Of a picture: the bands of a lamp's beam are held for no more."""
 
 _RGB = tuple[float, float, float]
 
@@ -424,8 +424,8 @@ def slurpp_2025(
     Ours: their range, and its middle without a generator.
     """
     beta, B = colour(_row(water, SLURPP), z), between(*veil, generator, z)
-    left = torch.exp(-beta * z)
-    return image * left + B * (1 - left)
+    t = torch.exp(-beta * z)
+    return image * t + B * (1 - t)
 
 
 def _lit(
@@ -438,8 +438,8 @@ def _lit(
     sent = lamp.sent(rays, rays.normals(z), z)
     cone, scattering, strips = sent.cone, (w.response * w.b)[None], []
     # a few rows at a time, whose bands stay in the cache
-    for first in range(0, z.shape[-2], _ROWS):
-        rows = (..., slice(first, first + _ROWS), slice(None))
+    for first in range(0, z.shape[-2], _ROWS_AT_ONCE):
+        rows = (..., slice(first, first + _ROWS_AT_ONCE), slice(None))
         if sent.cone is not None:
             cone = sent.cone._replace(across=sent.cone.across[rows], along=sent.cone.along[rows])
         maps = sent.nearest[rows], sent.height[rows], cone, z[rows]
