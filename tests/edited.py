@@ -1,4 +1,4 @@
-"""Copies of the package with lines added, as the house README says that one adds something."""
+"""Copies of the package with something new in them, put in as the house README says."""
 
 import os
 import shutil
@@ -13,15 +13,15 @@ PACKAGE = Path(uwaug.__file__).parent
 
 
 def edited_copy(folder: Path, edits: Mapping[str, Mapping[str, str]]) -> None:
-    """The package in a folder: by file, what is written behind a piece of text that it has once."""
+    """The package in a folder: by file, what is written in place of a text that it has once."""
     # with what is compiled of files that stay as they are
     shutil.copytree(PACKAGE, folder / PACKAGE.name)
-    for name, additions in edits.items():
+    for name, changes in edits.items():
         file = folder / PACKAGE.name / name
         text = file.read_text(encoding="utf-8")
-        for before, added in additions.items():
+        for before, after in changes.items():
             assert text.count(before) == 1, f"{name} has {text.count(before)} times {before!r}"
-            text = text.replace(before, before + added)
+            text = text.replace(before, after)
         file.write_text(text, encoding="utf-8")
 
 

@@ -121,12 +121,13 @@ def test_texts_that_are_no_contents(text: str) -> None:
 
 BUBBLES = {
     "optics/constituents.py": {
-        '    "minerals": "g/m³",\n': '    "bubbles": "1/cm³",\n',
+        '    "minerals": "g/m³",\n': '    "minerals": "g/m³",\n    "bubbles": "1/cm³",\n',
         "    minerals: float | tuple[float, float] = 0.0\n": (
+            "    minerals: float | tuple[float, float] = 0.0\n"
             "    bubbles: float | tuple[float, float] = 0.0\n"
         ),
-        '    by_particles = amounts["minerals"] * SCATTERED_BY_MINERALS\n': (
-            '    by_particles = by_particles + 0.1 * amounts["bubbles"]\n'
+        'amounts["minerals"] * SCATTERED_BY_MINERALS\n': (
+            'amounts["minerals"] * SCATTERED_BY_MINERALS + 0.1 * amounts["bubbles"]\n'
         ),
     }
 }
