@@ -54,6 +54,7 @@ def tables() -> dict[str, Any]:
     law, (least, most) = PointSpread.calibrated(FOCAL_LENGTH), LENGTHS
     pure = dict(zip(("a", "b"), constituents.pure_water(axis), strict=True))
     at_1, exponents = constituents.phytoplankton()
+    at_660, exponent = constituents.SCATTERED_BY_PHYTOPLANKTON
     stored = {
         "bands": WAVELENGTHS,
         "waters": {name: _spectra(Water.jerlov(name).at(WAVELENGTHS)) for name in JERLOV_TYPES},
@@ -64,8 +65,10 @@ def tables() -> dict[str, Any]:
             "cdom": constituents.CDOM,
             "absorbed": constituents.ABSORBED_BY_MINERALS,
             "scattered": constituents.SCATTERED_BY_MINERALS,
+            "byPhytoplankton": {"at660": at_660, "exponent": exponent},
         },
         "sun": constituents.MEAN_COSINE,
+        "lostByScattering": constituents.LOST_BY_SCATTERING,
         "leastLoss": LEAST_LOSS,
         "eye": eye(*WAVELENGTHS[[0, -1]].tolist())[1],
         "sensor": response_at(camera, axis),
