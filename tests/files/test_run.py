@@ -20,7 +20,7 @@ from deadly import Deadly
 from filing import content, metres, pixels, save, words
 from PIL import Image
 
-from uwaug import RandomUnderwater
+from uwaug import RandomDevelopment, RandomUnderwater, Sensor
 from uwaug.distance import Metres, Plane, Relative
 from uwaug.files import Item, Recipe, degrade, find_items, read_picture, read_record, replay
 from uwaug.files.pool import on_processes
@@ -28,7 +28,7 @@ from uwaug.transforms.samples import key_of
 
 H, W = 24, 32
 WATER = RandomUnderwater("II", contrast=None)
-RECIPE = Recipe(transform=RandomUnderwater(["II", "7C"], contrast=(0.3, 0.5)).to_dict(), seed=4)
+RECIPE = Recipe(RandomUnderwater(["II", "7C"], contrast=(0.3, 0.5)), seed=4)
 
 
 @pytest.fixture(autouse=True)
@@ -64,10 +64,10 @@ def test_items() -> None:
         Path("ds", place).touch()
     assert names("ds/deep", "{stem}_depth.png") == {"2.PNG": "ds/deep/2_depth.png"}
     with pytest.raises(ValueError, match=r"ds/maps has no map for any picture: .*ds/maps/deep/2,"):
-        find_items("ds", "ds/maps", apart=["ds/out"])
+        find_items("ds", "ds/maps", exclude=["ds/out"])
     Path("ds/maps/deep").mkdir()
     Path("ds/maps/deep/2.npy").touch()
-    assert names("ds", "ds/maps", apart=["ds/out"]) == {
+    assert names("ds", "ds/maps", exclude=["ds/out"]) == {
         "deep/2.PNG": "ds/maps/deep/2.npy",
         "deep/2_depth.png": "ds/maps/deep/2_depth",  # is missing
     }
@@ -98,7 +98,7 @@ def test_what_a_run_has_written_is_no_picture_of_the_next() -> None:
 
 
 def test_a_picture_is_that_of_the_transform() -> None:
-    recipe = Recipe(transform=WATER.to_dict(), variants=2)
+    recipe = Recipe(WATER, variants=2)
     summary = degrade(recipe, items()[:1], "out")
     assert [result.place for result in summary.results] == ["0_1.png", "0_2.png"]
     image, z = read_picture("all/0.png"), torch.from_numpy(metres(H, W))[None]
@@ -138,8 +138,8 @@ def test_frames_of_a_folder_share_a_draw() -> None:
     for folder in ("one", "other"):
         for number in range(3):
             save(f"films/{folder}/{number}.png", pixels(seed=number))
-    noise = {"kind": "RandomDevelopment", "noise": {"full_well": 2000}}
-    recipe = Recipe({"distance": 3.0, "development": noise}, sequence=True, variants=2)
+    augment = RandomUnderwater(distance=3.0, development=RandomDevelopment(noise=Sensor(2000)))
+    recipe = Recipe(augment, sequence=True, variants=2)
     items = find_items("films")
     assert degrade(recipe, items, "wet").failures == []
     assert degrade(recipe, items[::-1], "again", workers=2).failures == []
@@ -171,7 +171,7 @@ def test_a_film_is_settled_on_a_frame_that_serves() -> None:
     save(maps / "0.npy", 0 * metres(H, W))
     save(maps / "5.npy", np.full((H, W), np.inf, np.float32))
     Path("fade/film/6.png").write_bytes(b"")
-    recipe = Recipe({"waters": "II"}, sequence=True)
+    recipe = Recipe(RandomUnderwater("II"), sequence=True)
     found = find_items("fade", "maps")
     assert statuses(degrade(recipe, found, "wet")).count("written") == 6
     degrade(recipe, found[::-1], "again", workers=2)
@@ -181,10 +181,9 @@ def test_a_film_is_settled_on_a_frame_that_serves() -> None:
         record = read_record(path)
         (sample,) = record["params"]["samples"]
         clips.append({**sample["clip"], "moved": 0.0})
-    transform = RandomUnderwater.from_dict(recipe.transform)
     del sample["clip"]
     z = torch.from_numpy(metres(H, W))[None]
-    settled = transform.for_clip({"samples": [sample]}, read_picture("fade/film/7.png"), z)
+    settled = recipe.transform.for_clip({"samples": [sample]}, read_picture("fade/film/7.png"), z)
     assert clips == [json.loads(json.dumps(settled["samples"][0]["clip"]))] * 6
     assert set(statuses(degrade(recipe, found, "wet", resume=True))) == {"skipped", "failed"}
     for number in range(8):
@@ -195,12 +194,12 @@ def test_a_film_is_settled_on_a_frame_that_serves() -> None:
 
 def test_blank_pictures_are_told_of() -> None:
     save("depth/1.npy", 20 * metres(H, W))
-    assert degrade(Recipe(transform=WATER.to_dict()), items(), "out").blank == ["1.png"]
+    assert degrade(Recipe(WATER), items(), "out").blank == ["1.png"]
 
 
 def test_odd_scenes_are_told_of() -> None:
     save("depth/1.npy", 50 * metres(H, W))
-    recipe = Recipe(transform=RandomUnderwater(contrast=0.4).to_dict())
+    recipe = Recipe(RandomUnderwater(contrast=0.4))
     summary = degrade(recipe, items(), "out")
     (odd,) = summary.odd
     assert odd.startswith("1.png (0.0")
@@ -251,7 +250,7 @@ def test_maps_of_other_kinds() -> None:
         (None, "m", Plane(3.0)),
     ):
         transform = RandomUnderwater("II", contrast=None, distance=distance, field=None)
-        recipe = Recipe(transform=transform.to_dict(), unit=unit)
+        recipe = Recipe(transform, unit=unit)
         degrade(recipe, find_items("all/0.png", maps), f"{len(made)}.png")
         made.append(read_picture(f"{len(made)}.png").int())
     differences = [int((one - made[0]).abs().max()) for one in made[1:]]
@@ -265,7 +264,7 @@ def test_labels() -> None:
     for number in range(4):  # an object above, which is near, and one below
         Path(f"labels/{number}.txt").write_text("0 .5 .1 1 .2\n1 .5 .9 1 .2\n")
         save(f"depth/{number}.npy", np.repeat(np.linspace(0.2, 20, H), W).reshape(H, W))
-    recipe = Recipe(transform=WATER.to_dict(), labels="labels", min_contrast=0.05)
+    recipe = Recipe(WATER, labels="labels", min_contrast=0.05)
     summary = degrade(recipe, items(), "out", workers=2)
     assert summary.objects == (8, 4)
     assert Path("out/labels/3.txt").read_text() == "0 .5 .1 1 .2\n"
@@ -330,7 +329,7 @@ def test_resume_and_force() -> None:
     assert summary.results[0].contrast == first.results[0].contrast
     after = content("out")
     assert {name: after[name] for name in before} == {**before, "index.csv": after["index.csv"]}
-    other = Recipe(transform=RECIPE.transform, seed=5)
+    other = Recipe(RECIPE.transform, seed=5)
     kept = degrade(other, items(), "out", resume=True)
     assert statuses(kept) == ["failed"] * 4
     assert "out/0.png was made with another recipe: choose another folder" in kept.failures[0]
@@ -362,7 +361,7 @@ def test_one_bad_picture_does_not_stop_the_rest() -> None:
         ({"labels": "labels"}, "depth", "out", "would both be written to .*images/0: rename one"),
         ({}, None, "out", "distance is missing: 0.png has no file of it"),
         ({}, "depth", "all", "is read, and would be written over"),
-        ({"transform": {"contrasts": 1}}, "depth", "out", "contrasts"),
+        ({"transform": {"waters": "II"}}, "depth", "out", "transform must be a uwaug.RandomUnderwater"),
         ({"unit": "inch"}, "depth", "out", "unit must be one of m, cm, mm"),
         ({"variants": 0}, "depth", "out", "variants must be 1 or more"),
         ({"min_contrast": 2}, "depth", "out", "min_contrast must be in"),
@@ -375,7 +374,7 @@ def test_refusals(options: dict[str, Any], maps: str | None, out: str, message: 
         save("labels/0.png", pixels()[..., 0])
     before = content(".")
     with pytest.raises((ValueError, TypeError), match=message):
-        degrade(Recipe(**options), find_items("all", maps), out, force=True)
+        degrade(Recipe(**{"transform": WATER, **options}), find_items("all", maps), out, force=True)
     assert content(".") == before
 
 

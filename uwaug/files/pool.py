@@ -75,7 +75,7 @@ def _pool(work: Any, workers: int) -> ProcessPoolExecutor:
     if "forkserver" in multiprocessing.get_all_start_methods():
         # imports once, and forks without torch's threads, whose locks a fork would copy
         context: BaseContext = multiprocessing.get_context("forkserver")
-        context.set_forkserver_preload(["uwaug.files.run"])
+        context.set_forkserver_preload([type(work).__module__])
     else:
         context = multiprocessing.get_context("spawn")
     return ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(work,))
