@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+import yaml
 from filing import content
 from PIL import Image
 
@@ -185,7 +186,6 @@ def test_splits_are_those_of_folders(tmp_path: Path) -> None:
 
 
 def test_what_a_data_yaml_says_but_for_places_is_kept(tmp_path: Path) -> None:
-    yaml = pytest.importorskip("yaml")
     text = """\
 # some of COCO
 path: ../datasets/reef  # root
@@ -270,7 +270,7 @@ def test_bad_coco_files(tmp_path: Path, changes: dict[str, Any], message: str) -
         ("0 10 20 30 40", "expected a class, and shares of width and height"),
         ("0 nan .5 .5 .5", "expected a class, and shares"),
         ("0 .5 .5", "expected a class, and shares"),
-        ("0 .5 .5 .5", "cannot reshape"),
+        ("0 .5 .5 .5", "expected a class, and shares"),
         ("fish", ""),
         ("0 a b c d", "could not convert"),
     ],
@@ -283,7 +283,7 @@ def test_bad_yolo_files(tmp_path: Path, line: str, message: str) -> None:
 
 
 def test_folders_without_labels(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="labels must be a COCO file, or a folder"):
+    with pytest.raises(ValueError, match="labels must be a COCO file .* a folder of YOLO.* or a folder of .* masks"):
         open_labels(tmp_path)
     (tmp_path / "a.json").write_text("[" * 100_000)
     with pytest.raises(ValueError, match="is no COCO file"):

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -43,44 +42,38 @@ def prepare(
     """
     some = items[:: -(-len(items) // _SAMPLES) or 1]
     samples = _samples(recipe, [item for item in some if references or item.distance is not None])
+    refused = [reason for _, _, reason in samples if reason]
+    if 2 * len(refused) > len(samples):
+        raise ValueError(refused[0])
     sentences = _doubts(recipe, samples)
     if not references:
         return recipe, sentences
     photographs = [read_picture(path) for path in references]
-    usable = [sample for sample in samples if not sample.refused]
-    images, maps = [s.image for s in usable], [s.distance for s in usable if s.distance is not None]
+    images = [image for image, _, reason in samples if not reason]
+    maps = [z for _, z, reason in samples if z is not None and not reason]
     with one_thread(), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # all that there is to say is in what is returned
-        transform = like(
-            photographs, images, maps or None, augment=recipe.transform, seed=recipe.seed
-        )
+        augment, seed = recipe.transform, recipe.seed
+        transform = like(photographs, images, maps or None, augment=augment, seed=seed)
     assert transform.nearness is not None
-    sentences.append(f"like {', '.join(map(str, references))}: {transform.nearness}")
-    if transform.nearness.doubt:
-        sentences.append(transform.nearness.doubt)
+    near = f"like {', '.join(map(str, references))}: {transform.nearness}"
+    sentences += filter(None, (near, transform.nearness.doubt))
     return replace(recipe, transform=transform), sentences
 
 
-class _Sample(NamedTuple):
-    """A picture of a run, its map, and why that is refused."""
-
-    image: Tensor
-    distance: Tensor | None
-    refused: str = ""
-
-
-def _samples(recipe: Recipe, items: Sequence[Item]) -> list[_Sample]:
+def _samples(recipe: Recipe, items: Sequence[Item]) -> list[tuple[Tensor, Tensor | None, str]]:
+    """Pictures, their maps, and why a map is refused."""
     source = recipe.transform.distance
     assert isinstance(source, Source)
     if isinstance(source, (Metres, Relative, Inverse)) and source.holes != "error":
         source = replace(source, holes="far")  # filling takes seconds, and refuses little
     samples = []
     for item in items:
+        if item.distance is not None and not item.distance.is_file():
+            continue
         with warnings.catch_warnings(), suppress(Exception):  # decoders raise whatever they like
             warnings.simplefilter("ignore")
             image, z, refused = read_picture(item.picture), None, ""
-            if item.distance is not None and not item.distance.is_file():
-                continue
             try:
                 z = recipe.read_map(item)
                 if z is not None:
@@ -90,17 +83,14 @@ def _samples(recipe: Recipe, items: Sequence[Item]) -> list[_Sample]:
                 refused = reason_of(error)
                 if not refused.startswith(str(item.distance)):
                     refused = f"{item.distance}: {refused}"
-            samples.append(_Sample(image, z, refused))
+            samples.append((image, z, refused))
     return samples
 
 
-def _doubts(recipe: Recipe, samples: Sequence[_Sample]) -> list[str]:
-    refused = [sample.refused for sample in samples if sample.refused]
-    if 2 * len(refused) > len(samples):
-        raise ValueError(refused[0])
-    pairs = [(s.distance, s.image) for s in samples if s.distance is not None]
+def _doubts(recipe: Recipe, samples: Sequence[tuple[Tensor, Tensor | None, str]]) -> list[str]:
+    pairs = [(z, image) for image, z, _ in samples if z is not None]
     maps, images = [z for z, _ in pairs], [image for _, image in pairs]
-    if recipe.takes_metres:
+    if isinstance(recipe.transform.distance, Metres):
         return doubts(maps, images)
     if 2 * sum(map(_like_mm, maps)) <= len(maps):
         return []

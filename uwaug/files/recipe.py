@@ -65,16 +65,10 @@ class Recipe:
         return self.transform.make_params(torch.empty(3, 1, 1), generator)
 
     def read(self, item: Item) -> tuple[Tensor, Tensor | None]:
-        """The picture (3xHxW) and the map of an item."""
+        """The picture (3xHxW) of an item, and its map (1xHxW) where it has one."""
         return read_picture(item.picture), self.read_map(item)
 
     def read_map(self, item: Item) -> Tensor | None:
-        """The map (1xHxW) of an item, if it has one."""
-        if item.distance is None:
-            return None
-        return read_distance(item.distance, self.unit if self.takes_metres else None)
-
-    @property
-    def takes_metres(self) -> bool:
-        """Whether maps hold metres, and so have a unit."""
-        return isinstance(self.transform.distance, Metres)
+        """The map alone."""
+        unit = self.unit if isinstance(self.transform.distance, Metres) else None
+        return None if item.distance is None else read_distance(item.distance, unit)

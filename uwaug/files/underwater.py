@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from os.path import splitext
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from torch import Tensor
 
@@ -78,8 +78,9 @@ def degrade(
     folder = out.parent if single else out
     work = _Underwater(recipe, folder, resume=resume, force=force)
     jobs = [Job(items[0], out.name)] if single else list(_jobs(recipe, items, labels))
-    options: Any = {"workers": workers, "ray": ray, "progress": progress, "sheet": sheet}
-    summary = run(work, jobs, index=not single, **options)
+    summary = run(
+        work, jobs, workers=workers, ray=ray, index=not single, sheet=sheet, progress=progress
+    )
     if labels is not None:
         done = [result for result in summary.results if result.status != "failed"]
         labels.finish([Labelled(r.item.name, r.place, r.objects) for r in done], out)
@@ -172,20 +173,15 @@ class _Underwater(Work):
         write_picture(path, result, self.recipe.quality)
 
 
-class _Degraded(NamedTuple):
-    """A picture under water, what contrast is left, and what it took to reach the one asked for."""
-
-    image: Tensor  # 3xHxW
-    contrast: Tensor  # 1xHxW, in every so many rows and columns
-    reached: Reached | None
-
-
 def _degraded(
     transform: RandomUnderwater, image: Tensor, z: Tensor | None, params: Record, step: int
-) -> _Degraded:
+) -> tuple[Tensor, Tensor, Reached | None]:
+    """A picture under water (3xHxW); the contrast that is left (1xHxW), in every so many rows and
+    columns; and what it took to reach the one asked for.
+    """
     scenes = transform.scenes(image[None], None if z is None else z[None], params["samples"])
     contrast = transform.left(image, scenes, step)
-    return _Degraded(transform.degraded(image, scenes), contrast, scenes[0].reached)
+    return transform.degraded(image, scenes), contrast, scenes[0].reached
 
 
 def _require_distances(recipe: Recipe, items: Sequence[Item]) -> None:
