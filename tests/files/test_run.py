@@ -192,6 +192,46 @@ def test_a_film_is_settled_on_a_frame_that_serves() -> None:
     assert "no frame serves to settle the film's draw: film/4.png: distance must be" in first
 
 
+def test_a_film_is_not_settled_anew_when_it_is_resumed() -> None:
+    for number in range(6):
+        light = (number + 1) / 6
+        save(f"films/{number}.png", (light * pixels(H, W, seed=number)).astype(np.uint8))
+    whole = Path("films/3.png").read_bytes()  # the middle one
+    Path("films/3.png").write_bytes(whole[:60])
+    recipe, found = Recipe(RandomUnderwater(distance=3.0), sequence=True), find_items("films")
+    assert degrade(recipe, found, "wet").count("written") == 5
+    before = content("wet")
+    assert degrade(recipe, found, "wet", resume=True).count("skipped") == 5
+    # it would now be settled on the middle frame, with another exposure
+    Path("films/3.png").write_bytes(whole)
+    resumed = degrade(recipe, found, "wet", resume=True)
+    assert statuses(resumed).count("failed") == 5
+    assert "0.png was made with another frame: choose another folder" in resumed.failures[0]
+    after = content("wet")
+    assert {name: after[name] for name in before if name != "index.csv"} == {
+        name: data for name, data in before.items() if name != "index.csv"
+    }
+    assert degrade(recipe, found, "wet", resume=True, force=True).failures == []
+    exposures = {
+        read_record(path)["params"]["samples"][0]["clip"]["exposure"]
+        for path in Path("wet").glob("*.json")
+    }
+    assert len(exposures) == 1
+
+
+def test_a_film_is_not_settled_on_a_frame_that_has_changed() -> None:
+    for number in range(3):
+        save(f"films/{number}.png", pixels(H, W, seed=number))
+    recipe, found = Recipe(RandomUnderwater(distance=3.0), sequence=True), find_items("films")
+    degrade(recipe, found, "wet")
+    save("films/1.png", pixels(H, W) // 2)  # the middle one
+    Path("wet/2.png").unlink()
+    kept = degrade(recipe, found, "wet", resume=True)
+    assert statuses(kept) == ["failed", "failed", "written"]
+    assert "0.png was made with another frame" in kept.failures[0]
+    assert "1.png was made with another picture and frame" in kept.failures[1]
+
+
 def test_blank_pictures_are_told_of() -> None:
     save("depth/1.npy", 20 * metres(H, W))
     assert degrade(Recipe(WATER), items(), "out").blank == ["1.png"]
@@ -308,6 +348,9 @@ def test_replay() -> None:
     assert Path("again.png").read_bytes() == Path("out/2.png").read_bytes()
     with pytest.raises(ValueError, match="is read, and would be written over"):
         replay("out/2.png.json", "moved.png", picture="moved.png", force=True)
+    save("depth/2.npy", 2 * metres(H, W))
+    with pytest.raises(ValueError, match=r"depth/2\.npy has changed since .*2\.png\.json was"):
+        replay("out/2.png.json", "again.png", picture="moved.png", force=True)
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", "[" * 100_000])
@@ -338,6 +381,40 @@ def test_resume_and_force() -> None:
     assert content("out")["0.png"] != after["0.png"]
 
 
+@pytest.mark.parametrize(
+    "file, other",
+    [("all/1.png", "picture"), ("depth/1.npy", "distance"), ("labels/1.txt", "labels")],
+)
+def test_what_has_changed_is_not_taken_for_what_it_was(file: str, other: str) -> None:
+    for number in range(4):
+        Path("labels").mkdir(exist_ok=True)
+        Path(f"labels/{number}.txt").write_text("0 .5 .5 1 1\n")
+    recipe = Recipe(WATER, labels="labels")
+    degrade(recipe, items(), "out")
+    before = content("out")
+    if other == "labels":
+        Path(file).write_text("0 .5 .1 1 .2\n")
+    else:
+        save(file, pixels(H, W, seed=9) if other == "picture" else 2 * metres(H, W))
+    resumed = degrade(recipe, items(), "out", resume=True)
+    assert statuses(resumed) == ["skipped", "failed", "skipped", "skipped"]
+    assert f"images/1.png was made with another {other}: choose" in resumed.failures[0]
+    assert content("out")["images/1.png"] == before["images/1.png"]
+    again = degrade(recipe, items(), "out", resume=True, force=True)
+    assert statuses(again) == ["skipped", "written", "skipped", "skipped"]
+    record, label = "images/1.png.json", "labels/1.txt"
+    assert content("out")[record] != before[record]
+    assert (content("out")[label] != before[label]) == (other == "labels")
+
+
+def test_a_picture_that_fails_leaves_nothing_of_before() -> None:
+    degrade(RECIPE, items(), "out")
+    Path("all/1.png").write_bytes(b"")
+    failed = degrade(Recipe(RECIPE.transform, seed=5), items(), "out", force=True)
+    assert statuses(failed) == ["written", "failed", "written", "written"]
+    assert not {"1.png", "1.png.json"} & content("out").keys()
+
+
 def test_one_bad_picture_does_not_stop_the_rest() -> None:
     Path("all/1.png").write_bytes(b"")
     Path("depth/2.npy").unlink()
@@ -359,9 +436,16 @@ def test_one_bad_picture_does_not_stop_the_rest() -> None:
     "options, maps, out, message",
     [
         ({"labels": "labels"}, "depth", "out", "would both be written to .*images/0: rename one"),
+        ({"labels": "other"}, "depth", "out", "labels belong to no picture: other: .*other/0.txt"),
+        ({"labels": "coco.json"}, "depth", "out", "belong to no .* no image has the file_name 0"),
         ({}, None, "out", "distance is missing: 0.png has no file of it"),
         ({}, "depth", "all", "is read, and would be written over"),
-        ({"transform": {"waters": "II"}}, "depth", "out", "transform must be a uwaug.RandomUnderwater"),
+        (
+            {"transform": {"waters": "II"}},
+            "depth",
+            "out",
+            "transform must be a uwaug.RandomUnderwater",
+        ),
         ({"unit": "inch"}, "depth", "out", "unit must be one of m, cm, mm"),
         ({"variants": 0}, "depth", "out", "variants must be 1 or more"),
         ({"min_contrast": 2}, "depth", "out", "min_contrast must be in"),
@@ -369,7 +453,11 @@ def test_one_bad_picture_does_not_stop_the_rest() -> None:
     ],
 )
 def test_refusals(options: dict[str, Any], maps: str | None, out: str, message: str) -> None:
-    if "labels" in options:
+    Path("other").mkdir()
+    Path("other/9.txt").write_text("0 .5 .5 1 1")
+    coco = {"images": [{"id": 1, "file_name": "9.png"}], "annotations": []}
+    Path("coco.json").write_text(json.dumps(coco))
+    if options.get("labels") == "labels":
         save("all/0.tif", pixels(H, W))
         save("labels/0.png", pixels()[..., 0])
     before = content(".")
