@@ -429,19 +429,18 @@ class RandomUnderwater(SampleTransform):
         chosen: list[int],
         drawn: list[Draw],
     ) -> Tensor:
-        """The distances (Nx1xHxW) of the chosen pictures, m. Of a source other than `Metres()` a
-        device may have to wait for each.
+        """The distances (Nx1xHxW) of the chosen pictures, m; those of `Metres()` as they are, which
+        `_require` looks at. Of another source a device may have to wait for each.
         """
         on_host, results = checks.on_host(pictures), []
         for i, draw in zip(chosen, drawn, strict=True):
             z, picture = maps[i], pictures[i]
             if z is not None and on_host and isinstance(self.source, Metres):
                 first_maps.question(z, picture, stacklevel=4)
-            if self.source != Metres() or on_host:
+            if z is None or self.source != Metres():
                 with naming(i, len(pictures)):
                     z = self.source.metres(z, self._shown(picture), draw.numbers)
-            assert z is not None
-            results.append(z)
+            results.append(z.to(torch.promote_types(z.dtype, torch.float32)))
         return results[0][None] if len(results) == 1 else torch.stack(results)
 
     def _shown(self, picture: Tensor) -> Tensor:
