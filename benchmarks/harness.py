@@ -230,8 +230,16 @@ def banded_medium(water: str, wavelengths: Sequence[float]) -> Medium:
     light = torch.from_numpy(np.exp(-spectra.kd))
     veil = 0.3 * torch.from_numpy(spectra.b) * light / G
     like = water_medium(water)
-    tensors = [beta, weights * light, G, weights * light, weights * veil[:, None], like.b_mean]
-    return Medium.of_tensors(tensors, like.point_spread)
+    return replace(
+        like,
+        beta=beta,
+        direct_weights=weights * light,
+        G=G,
+        signal_weights=weights * light,
+        veil_weights=weights * veil[:, None],
+        notes=(),
+        bands=(),
+    )
 
 
 def scene(size: int, batch: int = 1) -> tuple[Tensor, Tensor]:

@@ -13,7 +13,6 @@ from threadpoolctl import threadpool_limits
 from torch import Tensor
 
 import uwaug.presets.scene
-import uwaug.transforms.random_underwater
 from uwaug._support.once import Once
 
 pytest.register_assert_rewrite("referees.terms")  # before a test imports it
@@ -57,7 +56,6 @@ def motorcycle() -> Scene:
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> Any:
     """A scene of a few pixels in place of the motorcycle."""
-    import uwaug.presets.scene
 
     generator = torch.Generator().manual_seed(0)
     scene = uwaug.presets.scene.Scene(
@@ -109,8 +107,6 @@ def all_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     take odd waters and maps.
     """
     monkeypatch.setattr(Once, "muted", True)
-    monkeypatch.setattr(uwaug.transforms.random_underwater, "_looks_left", [0])
-    monkeypatch.setattr(uwaug.transforms.random_underwater, "_maps_left", [0])
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import pytest
 import torch
 from packaging.version import Version
 from referees import reference
-from scenes import MEDIA, coastal, distances, picture, rand
+from scenes import MEDIA, coastal, coefficients, distances, picture, rand
 
 import uwaug
 from uwaug import Medium, PointSpread, Underwater, form_image
@@ -153,6 +153,7 @@ def test_states_and_copies(medium: Medium, learnable: bool) -> None:
     with torch.no_grad():
         for tensor in first.state_dict().values():
             tensor.mul_(1.1)
+    first.load_state_dict(first.state_dict())  # the blur is planned for it
     image, z = picture(), distances()
     expected = first(image, z).detach()
     assert not torch.equal(second(image, z).detach(), expected)
@@ -163,6 +164,38 @@ def test_states_and_copies(medium: Medium, learnable: bool) -> None:
     for twin in (second, copy.deepcopy(first), pickle.loads(pickle.dumps(first))):
         assert torch.equal(twin(image, z).detach(), expected)
     assert {t.device.type for t in second.to("meta").medium.tensors()} == {"meta"}
+
+
+@pytest.mark.parametrize("learnable", [False, True, ["rates"], ["veil"], ["width"]])
+def test_a_state_is_all_of_the_medium(learnable: Any) -> None:
+    law = PointSpread.calibrated(60.0)
+    waters = [Medium.from_water(water, point_spread=law) for water in ("I", "7C")]
+    first, second = (Underwater(w.as_coefficients(), learnable=learnable) for w in waters)
+    image, z = picture(), distances()
+    assert (first(image, z) - second(image, z)).abs().max() > 0.1
+    first.load_state_dict(second.state_dict())
+    torch.testing.assert_close(first(image, z), second(image, z), rtol=0, atol=1e-6)
+
+
+LAWS = {
+    "scale": PointSpread(2.4, 0.8),
+    "exponent": PointSpread(1.2, 0.5),
+    "shape": PointSpread(1.2, 0.8, "exponential"),
+    "size": PointSpread(1.2, 0.8, reference_size=518.0),
+}
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("learnable", [False, True])
+def test_a_state_of_another_width_law_is_refused(law: str, learnable: bool) -> None:
+    own, other = coefficients(law=PointSpread(1.2, 0.8)), coefficients(law=LAWS[law])
+    module, state = Underwater(own, learnable=learnable), Underwater(other, learnable=learnable)
+    if learnable and law == "scale":  # which is learned
+        module.load_state_dict(state.state_dict())
+        return
+    said = r"state_dict is of the law .*, this module's is gaussian σ = .*·\(b̄ z\)\^0.8 px"
+    with pytest.raises(ValueError, match=said):
+        module.load_state_dict(state.state_dict())
 
 
 def test_what_it_says_of_itself() -> None:

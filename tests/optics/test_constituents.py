@@ -1,10 +1,12 @@
 """Waters by what is in them: against the Jerlov types, pure water and the equations."""
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from edited import edited_copy, run_in
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -113,3 +115,44 @@ def test_ranges_that_are_none(value: Any) -> None:
 def test_texts_that_are_no_contents(text: str) -> None:
     with pytest.raises(ValueError, match=r"expected a water such as chlorophyll=5,cdom=0.3"):
         Constituents.parse(text)
+
+
+# A content that is added as the house README says: a line of `UNITS`, a field, its terms
+
+BUBBLES = {
+    "optics/constituents.py": {
+        '    "minerals": "g/m³",\n': '    "minerals": "g/m³",\n    "bubbles": "1/cm³",\n',
+        "    minerals: float | tuple[float, float] = 0.0\n": (
+            "    minerals: float | tuple[float, float] = 0.0\n"
+            "    bubbles: float | tuple[float, float] = 0.0\n"
+        ),
+        'amounts["minerals"] * SCATTERED_BY_MINERALS\n': (
+            'amounts["minerals"] * SCATTERED_BY_MINERALS + 0.1 * amounts["bubbles"]\n'
+        ),
+    }
+}
+SEEN = """
+import numpy as np, pytest, torch, uwaug
+
+plain, foamy = (uwaug.load_water(text) for text in ("chlorophyll=2", "chlorophyll=2,bubbles=3"))
+np.testing.assert_allclose(foamy.b, plain.b + 0.3, rtol=1e-12)
+assert (foamy.kd > plain.kd).all()
+assert foamy == uwaug.Water.from_constituents(chlorophyll=2, bubbles=3)
+with pytest.raises(ValueError, match=r"bubbles must be in \\[0, 10000\\], got -1"):
+    uwaug.Water.from_constituents(bubbles=-1)
+
+image, distance = torch.rand(3, 8, 8), torch.full((1, 8, 8), 3.0)
+augment = uwaug.RandomUnderwater("chlorophyll=2,bubbles=1:9", contrast=None)
+record = augment.make_params(image, torch.Generator().manual_seed(0))
+(name,) = record["samples"][0]["waters"]
+assert 1 < uwaug.Constituents.parse(name).bubbles < 9
+left = augment.contrast_left(image, distance, record)
+without = {"samples": [{**record["samples"][0], "waters": ["chlorophyll=2"]}]}
+augment = uwaug.RandomUnderwater("chlorophyll=2", contrast=None)
+assert (left < 0.8 * augment.contrast_left(image, distance, without)).all()
+"""
+
+
+def test_a_content_that_is_added_scatters(tmp_path: Path) -> None:
+    edited_copy(tmp_path, BUBBLES)
+    run_in(tmp_path, "-c", SEEN, UWAUG_FAST="0")

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from uwaug.formation.colour import decoded
 from uwaug.formation.development import exposed
 from uwaug.formation.image import blurred_as_seen, form
 from uwaug.page.tables import plan_of_page, tables
-from uwaug.transforms import random_underwater
+from uwaug.transforms import random_water
 
 HEIGHT, WIDTH = 40, 52
 WATERS = 200
@@ -116,9 +117,8 @@ def page() -> Page:
 
 @pytest.fixture
 def every_band(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Sums of all bands; odd scenes, which waters of all kinds make, are not warned of."""
-    monkeypatch.setattr(random_underwater, "_TOLERANCE", 0.0)
-    monkeypatch.setattr(random_underwater, "_says_odd", [False])
+    """Sums of all bands."""
+    monkeypatch.setattr(random_water, "_CURVES", 0.0)
 
 
 def test_waters_are_those_of_the_package(page: Page, every_band: None) -> None:
@@ -126,23 +126,20 @@ def test_waters_are_those_of_the_package(page: Page, every_band: None) -> None:
     for _ in range(WATERS):
         settings = settings_of(rng)
         twin = twin_of(settings)
-        sample = twin.make_params(page.image)["samples"]
-        maps = page.distance[None].double() * settings["times"]
-        (scene,) = twin.scenes(page.image[None], maps, sample)
-        assert scene.water is not None
-        z, medium, _ = scene.water
+        maps = page.distance.double() * settings["times"]
+        scenes = twin.scenes(page.image, maps, twin.make_params(page.image))
+        z, (medium, scale, reached) = scenes.z, scenes.waters[0]
         page.use(settings)
         assert page("water.depth") == pytest.approx(
             float(medium.notes[0].split(", ")[2].split(" m")[0]), rel=1e-5
         )
-        if scene.reached is not None:
-            assert page("water.contents") == pytest.approx(scene.reached.contents, rel=1e-6)
-            assert page("water.scale") == pytest.approx(scene.reached.scale, rel=1e-6)
+        if reached is not None:
+            assert page("water.contents") == pytest.approx(reached.contents, rel=1e-6)
+            assert page("water.scale") == pytest.approx(scale, rel=1e-6)
         size = page("scene.K") + 21
         rows = np.array(page("Array.from(water.table)")).reshape(-1, size)[:, -21:]
         near, step = page("[scene.near, scene.step]")
         places = torch.tensor([0, 100, 500, 900, 1023], dtype=torch.float64)
-        scale = scene.reached.scale if scene.reached else 1.0
         metres = near * torch.exp(places * step) * settings["times"] * scale
         curves = medium.curves(metres[None, None, None])
         parts = (curves.direct.reshape(9, -1), curves.scatter.reshape(9, -1))
@@ -160,12 +157,10 @@ def test_pictures_are_those_of_the_package(page: Page, every_band: None) -> None
         settings = settings_of(rng)
         settings["contrast"] = settings["contrast"] or 0.5
         twin = twin_of(settings)
-        params = twin.make_params(page.image)["samples"]
-        maps = page.distance[None].double() * settings["times"]
-        (scene,) = twin.scenes(page.image[None], maps, params)
-        assert scene.water is not None
-        z, medium, _ = scene.water
-        J, development = decoded(page.image[None], "srgb").double(), twin.development.of(params[0])
+        maps = page.distance.double() * settings["times"]
+        scenes = twin.scenes(page.image, maps, twin.make_params(page.image))
+        z, medium, development = scenes.z, scenes.waters[0].medium, scenes.developments[0]
+        J = decoded(page.image[None], "srgb").double()
         soft = blurred_as_seen(J, z.double(), medium, plan_of_page())
         gain = development.gain(J, z.double(), medium)
         light = development.shaped(exposed(medium.image(z.double(), J, soft), gain))
@@ -179,9 +174,7 @@ def test_pictures_are_those_of_the_package(page: Page, every_band: None) -> None
         torch.testing.assert_close(exact.double(), light[0], rtol=1e-5, atol=1e-5 * brightest)
         # with a tone, and as bytes
         settings["tone"] = float(rng.uniform(0.5, 2.5))
-        shown = twin_of(settings).development.of(
-            {"numbers": {**params[0]["numbers"], "tone": settings["tone"]}}
-        )
+        shown = replace(development, tone=settings["tone"])
         truth = form(page.image[None], z, medium.to(z), shown, plan=plan_of_page())[0]
         page.use(settings)
         page.engine.eval("var picture = form(scene, water, gain, s, {}, tables)")

@@ -31,7 +31,7 @@ def clip(augment, frames, seed, drift=0.0):
     params = augment.make_params(frames[0][0], generator)
     record = json.loads(json.dumps(augment.for_clip(params, *frames[0])))
     for t, frame in enumerate(frames):
-        record["samples"][0]["clip"]["moved"] = drift * t
+        record["samples"][0]["moved"] = drift * t
         yield augment.transform(*frame, record).float()
 
 
@@ -71,7 +71,7 @@ def test_the_first_frame_is_that_of_a_still(frames):
 
 def test_a_field_moves_as_a_whole():
     like = torch.zeros(1)
-    still, moved = (random_fields([5], (60, 90), 0.7, 1.3, like, px) for px in (0.0, 12.0))
+    still, moved = random_fields([5, 5], (60, 90), 0.7, 1.3, like, (0.0, 12.0)).split(1)
     shared = still[..., :-12], moved[..., 12:]
     inside = (shared[1] > 0.7) & (shared[1] < 1.3)
     torch.testing.assert_close(shared[0][inside], shared[1][inside], atol=1e-5, rtol=0)
@@ -82,5 +82,5 @@ def test_a_clip_is_settled_on_one_frame(frames):
     augment = RandomUnderwater()
     batch = torch.stack([image for image, _ in frames[0]])
     params = augment.make_params(batch[0])
-    with pytest.raises(ValueError, match="image must be one frame of the clip, got 8"):
+    with pytest.raises(ValueError, match="image must be one frame of the film, got 8"):
         augment.for_clip(params, batch, frames[0][0][1])

@@ -13,6 +13,7 @@ from torch import Tensor
 import uwaug
 from uwaug import KeepVisible, RandomUnderwater, Sensor
 from uwaug.distance import MadeUp
+from uwaug.distance.doubts import first_maps
 from uwaug.formation.colour import srgb_to_linear
 from uwaug.transforms import RandomDevelopment, UnderwaterLike
 from uwaug.transforms.statistics import OF_WATER, numbers_of_water
@@ -97,7 +98,7 @@ def test_it_stands_where_any_other_does() -> None:
     wet, _, _ = KeepVisible(green(), 0.0)(image, z, target)
     assert wet.shape == (3, H, W)
     clip = green().for_clip(green().make_params(image), image, z)
-    assert "clip" in clip["samples"][0]
+    assert "measured" in clip["samples"][0]
 
 
 def test_the_same_seed_keeps_the_same_draws() -> None:
@@ -108,7 +109,7 @@ def test_the_same_seed_keeps_the_same_draws() -> None:
 
 def test_each_of_several_photographs_is_kept_for() -> None:
     blue = in_water("II", 0.3)
-    options = {"augment": RandomUnderwater(["II", "9C"]), **FEW}
+    options = {"augment": RandomUnderwater(["II", "9C"]), "draws": 90, "keep": 3}
     found = uwaug.like([GREEN, (blue * 255).byte()], list(pictures(4)), maps(4), **options)
     assert len(found.kept) == 6
     assert {one["waters"][0] for one in found.kept[:3]} == {"9C"}
@@ -124,15 +125,21 @@ def test_pictures_that_are_left_alone_are_not_looked_at() -> None:
 
 
 @pytest.mark.filterwarnings("ignore:even the nearest")
-def test_linear_light_is_judged_as_it_looks() -> None:
+def test_a_photograph_is_srgb_where_pictures_are_linear_light() -> None:
     linear = RandomUnderwater(development=RandomDevelopment(color_space="linear"))
-    light = [srgb_to_linear(x) for x in (GREEN, pictures(2))]
-    found = uwaug.like(*light, maps(2), augment=linear, **FEW)
+    found = uwaug.like(GREEN, srgb_to_linear(pictures(2)), maps(2), augment=linear, **FEW)
     seen = uwaug.like(GREEN, pictures(2), maps(2), **FEW)
     assert found.nearness is not None
     assert seen.nearness is not None
     # but for what resampling in linear light changes
     assert found.nearness.drawn == pytest.approx(seen.nearness.drawn, rel=0.07)
+
+
+@pytest.mark.usefixtures("nothing_is_said")
+def test_trials_are_no_first_maps_of_a_process() -> None:
+    reversed_maps = 1 / maps(4)
+    uwaug.like(GREEN, pictures(4), reversed_maps, **FEW)  # silent: a warning would be an error
+    assert first_maps.looks_left == first_maps.looks
 
 
 def test_what_cannot_be_reached_is_said_in_words() -> None:

@@ -91,7 +91,7 @@ def test_the_host_waits_for_one_look(
 ) -> None:
     aug = RandomUnderwater(**OPTIONS[name])
     image, z = picture(4, dtype), distances(4)
-    record = aug.make_params(image, torch.Generator().manual_seed(0))
+    record = aug.make_params(image, torch.Generator().manual_seed(1))
     assert any(sample["applied"] for sample in record["samples"])
     copies = []
     for copy in ("cpu", "tolist", "numpy", "item"):

@@ -41,6 +41,8 @@ from uwaug import (
 )
 from uwaug._support import checks
 from uwaug.distance import Inverse, Metres, Network, Plane, Relative
+from uwaug.distance.doubts import first_maps
+from uwaug.transforms.random_water import WATERS
 
 
 def mapped(rest: list[Tensor], i: int | None = None) -> Tensor | None:
@@ -164,7 +166,7 @@ def test_a_field_is_drawn_for_each_picture() -> None:
     z = torch.full((1, 24, 33), 3.0)
     params = aug.make_params(picture())
     left = aug.contrast_left(picture(), z, params)
-    (_, medium, _), _ = aug._water(picture(), z, params["samples"][0])
+    medium = aug.scenes(picture(), z, params).waters[0].medium
     ends = uwaug.contrast_left(torch.tensor([[[9.0, 0.6]]]), medium)
     assert float(left.min()) == pytest.approx(float(ends.min()), rel=0.02)
     assert float(left.max()) == pytest.approx(float(ends.max()), rel=0.02)
@@ -271,18 +273,17 @@ def test_presets_are_their_modules(name: str) -> None:
     assert (changed.p, changed.development) == (0.5, RAW)
 
 
-def test_says_once_where_nothing_is_left_to_see(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(uwaug.transforms.random_underwater, "_looks_left", [16])
+@pytest.mark.usefixtures("nothing_is_said")
+def test_says_once_where_nothing_is_left_to_see() -> None:
     aug = RandomUnderwater("9C", contrast=None, field=None)
     with pytest.warns(UserWarning, match=r"less than 3 % .* median distance 50 m: are distances"):
         aug(picture(), torch.full((1, 24, 33), 50.0))
     aug(picture(), torch.full((1, 24, 33), 50.0))  # silent: a warning would be an error
 
 
+@pytest.mark.usefixtures("nothing_is_said")
 @pytest.mark.parametrize("later", [False, True])
-def test_doubts_the_first_maps_of_a_process(later: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(uwaug.transforms.random_underwater, "_maps_left", [8])
-    monkeypatch.setattr(uwaug.transforms.random_underwater, "_questioned", [])
+def test_doubts_the_first_maps_of_a_process(later: bool) -> None:
     aug, shares = RandomUnderwater(), torch.linspace(0.01, 1, 24 * 33).reshape(1, 24, 33)
     if later:  # the first is right, most are not
         for z in [1 + 2 * shares, *[shares.roll(k) for k in range(1, 7)]]:
@@ -318,17 +319,15 @@ def test_distances_are_scaled_to_where_water_has_a_colour(
     record = aug.make_params(picture(3))
     made, expected = (aug.transform(picture(3), k * z, record) for k in (metres, size))
     assert torch.equal(made, expected)
-    scenes = aug.scenes(picture(3), metres * z, record["samples"])
-    assert [s.reached.scale for s in scenes if s.reached] == 3 * [size / metres]
+    waters = aug.scenes(picture(3), metres * z, record).waters
+    assert [water.scale for water in waters] == 3 * [size / metres]
 
 
 @pytest.mark.parametrize("name", AS_IT_IS)
 def test_distances_that_stay(name: str) -> None:
     aug = RandomUnderwater(**AS_IT_IS[name], field=None)
     z = torch.full((1, H, W), 0.2)
-    (scene,) = aug.scenes(picture(1), z[None], aug.make_params(picture(1))["samples"])
-    assert scene.water is not None
-    assert torch.equal(scene.water[0][0], z)
+    assert torch.equal(aug.scenes(picture(), z, aug.make_params(picture())).z[0], z)
 
 
 ODD: dict[str, tuple[dict[str, Any], float, str]] = {
@@ -339,13 +338,14 @@ ODD: dict[str, tuple[dict[str, Any], float, str]] = {
 }
 
 
+@pytest.mark.usefixtures("nothing_is_said")
 @pytest.mark.parametrize("host", [True, False])
 @pytest.mark.parametrize("case", ODD)
 def test_says_once_that_a_water_is_none(
     case: str, host: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(checks, "on_host", lambda x: host)
-    monkeypatch.setattr(uwaug.transforms.random_underwater, "_says_odd", [True])
+    monkeypatch.setattr(first_maps, "said", True)  # these maps are odd in other ways, too
     options, metres, message = ODD[case]
     aug, z = RandomUnderwater(**options), torch.full((1, H, W), metres)
     with pytest.warns(UserWarning, match=message):
@@ -353,16 +353,17 @@ def test_says_once_that_a_water_is_none(
     aug(picture(), z)  # silent: a warning would be an error
 
 
+@pytest.mark.usefixtures("nothing_is_said")
 @pytest.mark.parametrize("metres", [0.3, 1.0, 3.0, 8.0, 30.0])
-def test_default_draws_are_waters(metres: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_default_draws_are_waters(metres: float) -> None:
     """None is odd, at any contrast that is drawn: a warning would be an error."""
-    monkeypatch.setattr(uwaug.transforms.random_underwater, "_says_odd", [True])
     aug, z = RandomUnderwater(), torch.full((1, H, W), metres)
-    (sample,) = aug.make_params(picture())["samples"]
-    for water in uwaug.transforms.random_underwater.WATERS[:8]:
+    params = aug.make_params(picture())
+    (sample,) = params["samples"]
+    for water in WATERS[:8]:
         for contrast in (0.08, 0.9):
             sample["waters"], sample["numbers"]["contrast"] = [water], contrast
-            aug.scenes(picture(1), z[None], [sample])
+            aug.scenes(picture(), z, params)
 
 
 REFUSED_OPTIONS: dict[str, tuple[dict[str, Any], str]] = {

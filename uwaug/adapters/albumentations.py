@@ -10,7 +10,7 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.extras import install
-from uwaug.transforms.params import Record
+from uwaug.transforms.draws import Record
 from uwaug.transforms.random_underwater import RandomUnderwater
 
 try:

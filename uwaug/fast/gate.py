@@ -20,6 +20,9 @@ from uwaug.optics.point_spread import PointSpread
 
 _log = logging.getLogger(__name__)
 
+_TABLES = ("beta", "direct_weights", "G", "signal_weights", "veil_weights", "b_mean")
+"""The tensors of a medium that the loops know; another must be 0."""
+
 _F = TypeVar("_F", bound=Callable[..., Any])
 
 
@@ -37,6 +40,8 @@ def can(image: Tensor, z: Tensor, medium: Medium, light: object) -> bool:
     if torch.is_grad_enabled() and any(t.requires_grad for t in tensors):
         return False
     if not all(type(t) in (Tensor, torch.nn.Parameter) and t.is_cpu for t in tensors):
+        return False
+    if any(bool(getattr(medium, name).any()) for name in medium.TENSORS if name not in _TABLES):
         return False
     tracing = torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
     return z.dtype == torch.float32 and not tracing and _works()

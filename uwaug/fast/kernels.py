@@ -21,6 +21,7 @@ from uwaug.fast.gate import inner, kernel
 from uwaug.fast.tables import (
     Bytes,
     CoarseTable,
+    DevelopmentTable,
     Doubles,
     Floats,
     Indices,
@@ -182,7 +183,9 @@ TILE = 256
 """px. (128: 2 to 10 % longer; 512: as fast, but half as long again at 256 px; 1024: half again.)"""
 
 LANES = 32
-"""Lines that go through a coarse grid side by side. (16: 10 to 80 % longer; 64: 20 to 40 %.)"""
+"""Pixels that a tile is rounded up to; and lines that go through a coarse grid side by side. (16:
+10 to 80 % longer; 64: 20 to 40 %.)
+"""
 
 GAMUT_FROM, BEYOND, DARK, TOE = f32(0.75), f32(4), f32(1e-8), f32(1e-4)
 """Of the development's curves."""
@@ -337,21 +340,25 @@ def meter(light: Floats, z: Floats, points: Indices, medium: MediumTable) -> Dou
         row, plane = J[c], light[c]
         for x in range(count):
             row[x] = plane[points[x]]
-    left, less = np.empty(count, f32), np.empty(count, f32)
-    channels = medium.scatter.shape[0] // 3
+    e, less = np.empty(count, f32), np.empty(count, f32)
+    mixes = medium.scatter.shape[0] == 9
     for r in range(direct, rates.size):
         rate = rates[r]
         for x in range(count):
             power, rest = exp2_parts(rate * far[x])
-            left[x], less[x] = power + rest, (power - _1) + rest
+            e[x], less[x] = power + rest, (power - _1) + rest
         for c in range(3):
-            row, veil = d[c], medium.veil[c, r - direct]
-            for x in range(count):
-                row[x] += less[x] * veil
-            for j in range(channels):
-                weight, plane = medium.scatter[channels * c + j, r], J[j if channels == 3 else c]
+            row, plane, veil = d[c], J[c], medium.veil[c, r - direct]
+            if mixes:
+                w = medium.scatter[3 * c : 3 * c + 3, r]
+                w0, w1, w2 = w[0], w[1], w[2]
                 for x in range(count):
-                    row[x] += weight * left[x] * plane[x]
+                    mixed = w0 * J[0, x] + w1 * J[1, x] + w2 * J[2, x]
+                    row[x] += less[x] * veil + e[x] * mixed
+            else:
+                weight = medium.scatter[c, r]
+                for x in range(count):
+                    row[x] += less[x] * veil + e[x] * weight * plane[x]
     means = np.zeros((3, 3))
     for c in range(3):
         for x in range(count):
@@ -379,18 +386,18 @@ def blur_rows(d: Any, plane: Any, fold: Any, middle: int, w: Any, pairs: int) ->
 
 
 @inner
-def add_line(d: Any, share: Any, line: Any, at: int, w: Any, pairs: int) -> None:
+def add_line(d: Any, share: Any, line: Any, at: int, w: Any, pairs: int, n: int) -> None:
     """Add a share of the line so blurred along itself, for the tile that begins there."""
-    near = line[at - 2 : at + TILE + 2]
+    near = line[at - 2 : at + n + 2]
     w0, w1, w2 = w[0], w[1], w[2]
-    for x in range(TILE):
+    for x in range(n):
         first, second = near[x + 1] + near[x + 3], near[x] + near[x + 4]
         d[x] += share[x] * (w0 * near[x + 2] + w1 * first + w2 * second)
     for i in range(3, pairs, 2):
-        left, right = line[at - i - 1 : at - i + TILE], line[at + i : at + i + TILE + 1]
+        before, after = line[at - i - 1 : at - i + n], line[at + i : at + i + n + 1]
         w1, w2 = w[i], w[i + 1]
-        for x in range(TILE):
-            d[x] += share[x] * (w1 * (left[x + 1] + right[x]) + w2 * (left[x] + right[x + 1]))
+        for x in range(n):
+            d[x] += share[x] * (w1 * (before[x + 1] + after[x]) + w2 * (before[x] + after[x + 1]))
 
 
 @inner
@@ -405,9 +412,9 @@ def add_enlarged(d: Any, share: Any, grid: Any, n: int, left: int, right: int, w
 
 
 @inner
-def tile_row(t: Any, n: int) -> Any:
+def tile_row(t: Any, row: int) -> Any:
     """One of the rows that a tile works in."""
-    return t[n * TILE : (n + 1) * TILE]
+    return t[row * TILE : (row + 1) * TILE]
 
 
 @inner
@@ -417,33 +424,33 @@ def tile_rows(t: Any, first: int, count: int) -> Any:
 
 
 @inner
-def width_places(t: Any, z: int, to: int, law: Any) -> None:
+def width_places(t: Any, z: int, to: int, law: Any, n: int) -> None:
     """Where the widths at distances in row `z` lie in a plan, −1…1; the widths as in
     `uwaug.optics.point_spread.width_at`.
     """
     far, v = tile_row(t, z), tile_row(t, to)
-    b_mean, scale, exponent, least, most = law[0], law[1], law[2], law[7], law[8]
-    for x in range(TILE):
+    b_mean, exponent, least, most = law.b_mean, law.exponent, law.least, law.most
+    for x in range(n):
         v[x] = min(max(b_mean * far[x], least), most)
     if exponent != _1:
-        for x in range(TILE):
+        for x in range(n):
             v[x] = exp2(exponent * log2(v[x]))
-    linear, square, slope, offset = law[3] * scale, law[4] * scale * scale, law[5], law[6]
-    for x in range(TILE):
+    linear, square, slope, offset = law.linear, law.square, law.slope, law.offset
+    for x in range(n):
         place = slope * log2_1p(v[x] * (linear + square * v[x])) + offset
         v[x] = min(max(place, -_1), _1)
 
 
 @inner
-def _polynomials(t: Any, place: int, count: int) -> None:
+def _polynomials(t: Any, place: int, count: int, n: int) -> None:
     """Chebyshev polynomials of the place, those from 2 on in the rows after it: two at a time."""
     v, s = tile_row(t, place), tile_rows(t, place + 1, 2)
-    for x in range(TILE):
+    for x in range(n):
         s[x] = _2 * v[x] * v[x] - _1
         s[x + TILE] = _2 * v[x] * s[x] - v[x]
-    for n in range(4, count, 2):
-        s = tile_rows(t, place + n - 3, 4)
-        for x in range(TILE):
+    for term in range(4, count, 2):
+        s = tile_rows(t, place + term - 3, 4)
+        for x in range(n):
             twice, last = _2 * v[x], s[x + TILE]
             even = twice * last - s[x]
             s[x + 2 * TILE] = even
@@ -451,46 +458,49 @@ def _polynomials(t: Any, place: int, count: int) -> None:
 
 
 @inner
-def weigh_series(t: Any, to: int, first: int, w: Any) -> None:
+def weigh_series(t: Any, to: int, first: int, w: Any, n: int) -> None:
     """Row `to` = w[0] + Σ w[i]·(row first + i − 1); there are 4, 6, … weights."""
     d, i = tile_row(t, to), 4
     w0, w1, w2, w3 = w[0], w[1], w[2], w[3]
     if w.size > 4:
         s, w4, w5, i = tile_rows(t, first, 5), w[4], w[5], 6
-        for x in range(TILE):
+        for x in range(n):
             near = w0 + w1 * s[x] + w2 * s[x + TILE]
             far = w3 * s[x + 2 * TILE] + w4 * s[x + 3 * TILE] + w5 * s[x + 4 * TILE]
             d[x] = near + far
     else:
         s = tile_rows(t, first, 3)
-        for x in range(TILE):
+        for x in range(n):
             d[x] = w0 + w1 * s[x] + (w2 * s[x + TILE] + w3 * s[x + 2 * TILE])
     while i < w.size:
         s, w0, w1 = tile_rows(t, first + i - 1, 2), w[i], w[i + 1]
-        for x in range(TILE):
+        for x in range(n):
             d[x] += w0 * s[x] + w1 * s[x + TILE]
         i += 2
 
 
 @inner
-def blur_weights(t: Any, place: int, to: int, series: Any) -> None:
+def blur_weights(t: Any, place: int, to: int, series: Any, n: int) -> None:
     """The weights of the blurs, from the places; the rows after those are to work in."""
-    _polynomials(t, place, series.shape[1])
+    _polynomials(t, place, series.shape[1], n)
     for k in range(series.shape[0]):
-        weigh_series(t, to + k, place, series[k])
+        weigh_series(t, to + k, place, series[k], n)
 
 
 @inner
-def curves(t: Any, z: int, to: int, medium: Any) -> None:
+def curves(t: Any, z: int, to: int, medium: Any, n: int) -> None:
     """T_β, T_G − T_β and V(0) − V of three channels in turn, from the distances in row z."""
     far, rates, direct = tile_row(t, z), medium.rates, medium.direct.shape[1]
     scatter, veil, d = medium.scatter, medium.veil, tile_rows(t, to, 9)
-    d[:] = _0
+    for row in range(9):
+        zero = tile_row(d, row)
+        for x in range(n):
+            zero[x] = _0
     for r in range(direct):
         rate = rates[r]
         a0, a1, a2 = medium.direct[0, r], medium.direct[1, r], medium.direct[2, r]
         b0, b1, b2 = scatter[0, r], scatter[1, r], scatter[2, r]
-        for x in range(TILE):
+        for x in range(n):
             e = exp2(rate * far[x])
             d[x] += a0 * e
             d[x + TILE] += b0 * e
@@ -502,7 +512,7 @@ def curves(t: Any, z: int, to: int, medium: Any) -> None:
         rate = rates[r]
         a0, a1, a2 = veil[0, r - direct], veil[1, r - direct], veil[2, r - direct]
         b0, b1, b2 = scatter[0, r], scatter[1, r], scatter[2, r]
-        for x in range(TILE):
+        for x in range(n):
             power, rest = exp2_parts(rate * far[x])
             e, less = power + rest, (power - _1) + rest
             d[x + TILE] += b0 * e
@@ -522,7 +532,7 @@ def _sum(total: Any, curves: Any, light: Any) -> None:
 
 
 @inner
-def _mix(t: Any, z: int, sharp: int, total: int, medium: Any) -> None:
+def _mix(t: Any, z: int, sharp: int, total: int, medium: Any, n: int) -> None:
     """D + F + B of surfaces with spectra, in place of blurred light B in three rows from `total`
     on: Σ T_β·(J − B) + T_G·B and the veil, for J in three rows from `sharp` on.
 
@@ -531,15 +541,17 @@ def _mix(t: Any, z: int, sharp: int, total: int, medium: Any) -> None:
     far, rates, direct = tile_row(t, z), medium.rates, medium.direct.shape[1]
     X, B = tile_rows(t, sharp, 3), tile_rows(t, total, 3)
     d = tile_rows(t, sharp + 3, 3)
-    for x in range(3 * TILE):
-        X[x] -= B[x]
-        d[x] = _0
+    for c in range(3):
+        sharper, blurred, zero = tile_row(X, c), tile_row(B, c), tile_row(d, c)
+        for x in range(n):
+            sharper[x] -= blurred[x]
+            zero[x] = _0
     for r in range(direct):
         rate, w = rates[r], medium.direct
         a0, a1, a2 = w[0, r], w[1, r], w[2, r]
         b0, b1, b2 = w[3, r], w[4, r], w[5, r]
         c0, c1, c2 = w[6, r], w[7, r], w[8, r]
-        for x in range(TILE):
+        for x in range(n):
             e, red, green, blue = exp2(rate * far[x]), X[x], X[x + TILE], X[x + 2 * TILE]
             d[x] += e * (a0 * red + a1 * green + a2 * blue)
             d[x + TILE] += e * (b0 * red + b1 * green + b2 * blue)
@@ -549,26 +561,27 @@ def _mix(t: Any, z: int, sharp: int, total: int, medium: Any) -> None:
         a0, a1, a2, a3 = w[0, r], w[1, r], w[2, r], v[0, r - direct]
         b0, b1, b2, b3 = w[3, r], w[4, r], w[5, r], v[1, r - direct]
         c0, c1, c2, c3 = w[6, r], w[7, r], w[8, r], v[2, r - direct]
-        for x in range(TILE):
+        for x in range(n):
             power, rest = exp2_parts(rate * far[x])
             e, less = power + rest, (power - _1) + rest
             red, green, blue = B[x], B[x + TILE], B[x + 2 * TILE]
             d[x] += e * (a0 * red + a1 * green + a2 * blue) + less * a3
             d[x + TILE] += e * (b0 * red + b1 * green + b2 * blue) + less * b3
             d[x + 2 * TILE] += e * (c0 * red + c1 * green + c2 * blue) + less * c3
-    copy(B, d)
+    for c in range(3):
+        copy(tile_row(B, c)[:n], tile_row(d, c))
 
 
 @inner
-def _expose(t: Any, total: int, left: int, normals: Any, begins: Any, m: Any, look: Any) -> None:
-    """Noise of the light in three rows, see `uwaug.formation.sensor`; and the gain m (9) after."""
-    dark, photons, d = look[0], look[1], tile_rows(t, total, 3)
+def _expose(t: Any, total: int, at: int, normals: Any, begins: Any, shown: Any, n: int) -> None:
+    """Noise of the light in three rows, see `uwaug.formation.sensor`; and the gain after it."""
+    dark, photons, m, d = shown.dark, shown.photons, shown.gain, tile_rows(t, total, 3)
     for c in range(3):
-        light, noise = tile_row(t, total + c), normals[begins[c] + left :]
-        for x in range(min(TILE, noise.size)):
+        light, noise = tile_row(t, total + c), normals[begins[c] + at :]
+        for x in range(min(n, noise.size)):
             light[x] += np.sqrt(max(light[x], _0) * photons + dark) * noise[x]
     m0, m1, m2, m3, m4, m5, m6, m7, m8 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
-    for x in range(TILE):
+    for x in range(n):
         red, green, blue = d[x], d[x + TILE], d[x + 2 * TILE]
         d[x] = m0 * red + m1 * green + m2 * blue
         d[x + TILE] = m3 * red + m4 * green + m5 * blue
@@ -576,12 +589,12 @@ def _expose(t: Any, total: int, left: int, normals: Any, begins: Any, m: Any, lo
 
 
 @inner
-def _develop(t: Any, total: int, look: Any) -> None:
+def _develop(t: Any, total: int, shown: Any, n: int) -> None:
     """Gamut and tone of the light in three rows, see `uwaug.formation.development`."""
-    share, contrast, offset = look[2], look[3], look[4]
+    share, contrast, offset = shown.gamut, shown.tone, shown.tone_offset
     d = tile_rows(t, total, 3)
     if share > _0:
-        for x in range(TILE):
+        for x in range(n):
             red, green, blue = d[x], d[x + TILE], d[x + 2 * TILE]
             brightest = max(red, green, blue, DARK)
             inverse, less = _1 / brightest, share * brightest
@@ -590,12 +603,14 @@ def _develop(t: Any, total: int, look: Any) -> None:
             d[x + 2 * TILE] = blue + less * _compression(_1 - blue * inverse)
     if contrast != _1:
         slope = contrast * offset / (_1 + offset)
-        for x in range(3 * TILE):
-            size = max(abs(d[x]), TOE)
-            inside = min(size, _1)
-            power = exp2(contrast * log2(inside))
-            curve = (_1 + offset) * power / (power + offset) + slope * (size - inside)
-            d[x] *= curve / size
+        for c in range(3):
+            light = tile_row(d, c)
+            for x in range(n):
+                size = max(abs(light[x]), TOE)
+                inside = min(size, _1)
+                power = exp2(contrast * log2(inside))
+                curve = (_1 + offset) * power / (power + offset) + slope * (size - inside)
+                light[x] *= curve / size
 
 
 @inner
@@ -606,14 +621,14 @@ def _compression(distance: Any) -> Any:
 
 
 @inner
-def _store(total: Any, srgb: bool, most: Any, out: Any, out_bytes: Any) -> None:
+def _store(total: Any, srgb: bool, most: Any, out: Any, out_bytes: Any, n: int) -> None:
     """Light of a tile, encoded, to where there is room: into one of the two."""
     if srgb and most > _1:
-        for x in range(TILE):
+        for x in range(n):
             value = total[x]
             total[x] = encode_unit(value) if value <= _1 else min(encode(value), most)
     elif srgb:
-        for x in range(TILE):
+        for x in range(n):
             total[x] = encode_unit(total[x])
     copy(out, total[: out.size])
     for x in range(out_bytes.size):
@@ -630,8 +645,7 @@ def render_rows(
     starts: Indices,
     normals: Floats,
     begins: Indices,
-    gain: Floats,
-    look: Floats,
+    shown: DevelopmentTable,
     srgb: bool,
     most: Any,
     out: Floats,
@@ -646,8 +660,8 @@ def render_rows(
         medium, stack: tables.
         grid (NxW), starts (m): the lines of all coarse grids; where those of each would start.
         normals (N), begins (3xH): of the sensor's noise; where each row of each channel begins.
-        gain (9): after the noise; without noise, N = 0, it is in the medium.
-        look (5): variance of darkness, of light; share of the gamut, tone and its offset.
+            Without noise, N = 0, the gain is in the medium.
+        shown: of the development.
         srgb, most: whether to encode, and the largest value then.
         out, out_bytes (3xHxW): the result, one of them; the other is 3x1x0.
         start, stop: rows.
@@ -674,10 +688,12 @@ def render_rows(
                 extend(line, stack.columns, margin, width, 1)
         for left in range(0, width, TILE):
             right = min(left + TILE, width)
+            # whole registers, whatever of them a processor has: no pixel is computed otherwise
+            n = min(TILE, -(-(right - left) // LANES) * LANES)
             copy(z_row, z[y, left:right])
             if count > 1:
-                width_places(t, 0, totals + 3, medium.law)
-                blur_weights(t, totals + 3, shares, stack.series)
+                width_places(t, 0, totals + 3, medium.law, n)
+                blur_weights(t, totals + 3, shares, stack.series, n)
             for c in range(3):
                 J, total_row = light[c, y, left:right], tile_row(t, totals + c)
                 total_row[:] = _0
@@ -687,7 +703,8 @@ def render_rows(
                         total_row[x] = share[x] * J[x]
                 for k in range(narrow):
                     share, line = tile_row(t, shares + sharp + k), lines[k * 3 + c]
-                    add_line(total_row, share, line, margin + left, stack.taps[k], stack.pairs[k])
+                    taps, pairs = stack.taps[k], stack.pairs[k]
+                    add_line(total_row, share, line, margin + left, taps, pairs, n)
                 for k in range(wide):
                     share = tile_row(t, shares + sharp + narrow + k)
                     first = starts[k] + 3 * stack.back_first[k, y] + c
@@ -695,16 +712,16 @@ def render_rows(
             if spectral:
                 for c in range(3):
                     copy(tile_row(t, 1 + c), light[c, y, left:right])
-                _mix(t, 0, 1, totals, medium)
+                _mix(t, 0, 1, totals, medium, n)
             else:
-                curves(t, 0, 1, medium)
+                curves(t, 0, 1, medium, n)
                 for c in range(3):
                     near = tile_rows(t, 1 + 3 * c, 3)
                     _sum(tile_row(t, totals + c), near, light[c, y, left:right])
             if normals.size > 0:
-                _expose(t, totals, left, normals, begins[:, y], gain, look)
-            _develop(t, totals, look)
+                _expose(t, totals, left, normals, begins[:, y], shown, n)
+            _develop(t, totals, shown, n)
             for c in range(3):
                 floats = out[c, y % out.shape[1], left:right]
                 whole = out_bytes[c, y % out_bytes.shape[1], left:right]
-                _store(tile_row(t, totals + c), srgb, most, floats, whole)
+                _store(tile_row(t, totals + c), srgb, most, floats, whole, n)

@@ -18,23 +18,18 @@ from uwaug._support.types import Array, ColorSpace
 from uwaug.blur.plan import BlurPlan
 from uwaug.fast import kernels
 from uwaug.fast.tables import (
+    NO_LAW,
+    DevelopmentTable,
     Floats,
     Indices,
-    MediumTable,
     PlanTable,
-    law_of,
-    medium_tables,
+    medium_table,
     plan_table,
+    width_law,
 )
-from uwaug.formation.colour import LUMINANCE, headroom
-from uwaug.formation.demand import plan_for
-from uwaug.formation.development import (
-    GAINS,
-    MOST,
-    Development,
-    metering_points,
-    tone_offset,
-)
+from uwaug.formation.colour import headroom
+from uwaug.formation.demand import Weights, plan_for
+from uwaug.formation.development import Development, gain_at, metering_points, tone_offset
 from uwaug.formation.sensor import standard_normals
 from uwaug.optics.medium import Medium
 
@@ -57,33 +52,23 @@ def form(
     srgb, size = color_space == "srgb", (z.shape[-2], z.shape[-1])
     low, high = (0.0, 1.0) if image.dtype == torch.uint8 else extent(image)
     J = _decoded(image, srgb, low < 0 or high > 1)
-    tables = medium_tables(medium)
-    gain = _gain(J, z, tables, development)
-    plan = plan or plan_for(z, medium, size, tolerance, gain)
-    laws = [law_of(medium, n, plan, size) for n in range(len(medium))]
-    media = [
-        tables[n % len(medium)]._replace(law=laws[n % len(medium)])
-        for n in range(max(len(gain), len(medium)))
-    ]
-    batch, sensor, normals = max(len(J), len(z), len(medium)), development.noise, _NO_FLOATS[0, 0]
-    begins, dark, photons = np.zeros((batch, 3, 0), np.int64), 0.0, 0.0
-    if sensor is None:
-        # the gain in the medium costs nothing
-        media = [media[n].brightened(gain[n % len(gain)]) for n in range(len(media))]
-    else:
-        normals = standard_normals(torch.device("cpu")).numpy()
-        begins, (dark, photons) = sensor.starts(batch, size).numpy(), map(float, sensor.variance)
-        gain = gain if gain.ndim == 3 else gain[:, None] * np.eye(3)
-    gain = gain.astype(np.float32)
+    batch = max(len(J), len(z), len(medium))
+    scenes, metres = J.detach().contiguous().numpy(), z.detach().contiguous().numpy()
+    weights = Weights.of(medium)
+    gains = _gains(scenes, metres, weights, development)
+    seen = weights.seen_by(gains)
+    plan = plan or plan_for(z, medium, size, tolerance, seen)
     table = plan_table(plan, size)
-    tone = float(development.tone)
-    look = np.array([dark, photons, development.gamut, tone, tone_offset(tone)], np.float32)
+    # the gain in the medium costs nothing; after noise it has to be a step of its own
+    shown = weights if development.noise else seen
+    laws = [width_law(medium, n, plan, size) for n in range(len(medium))]
+    media = [medium_table(shown, n, laws[n % len(laws)]) for n in range(len(shown.beta))]
+    normals, begins, cameras = _camera(development, gains, batch, size)
     largest = headroom(image) if srgb and high > 1 else 1.0
     largest = torch.as_tensor(largest, dtype=torch.float32, device="cpu")
     highest = largest.reshape(-1).expand(batch).numpy()
     kind = torch.uint8 if image.dtype == torch.uint8 else torch.float32
     result = torch.empty(batch, 3, *size, dtype=kind, device="cpu")
-    scenes, metres = J.detach().contiguous().numpy(), z.detach().contiguous().numpy()
     step = max(_BAND // size[1], 64)
     for i, scene in enumerate(scenes):
         # one picture in several waters is blurred once
@@ -96,44 +81,57 @@ def form(
                 outs = (_NO_FLOATS, out) if out.dtype == np.uint8 else (out, _NO_BYTES)
                 maps = scene, metres[n % len(metres), 0], media[n % len(media)]
                 blurs, encoding = (table.stack, grid, starts), (srgb, highest[n])
-                camera = normals, begins[n], gain[n % len(gain)].reshape(-1), look
+                camera = normals, begins[n], cameras[n % len(cameras)]
                 arguments: Any = (*maps, *blurs, *camera, *encoding, *outs)
-                run = partial(kernels.render_rows, *arguments)
-                _in_bands(run, rows, size[1])
+                _in_bands(partial(kernels.render_rows, *arguments), rows, size[1])
     return result.to(image.dtype)
 
 
-def _gain(J: Tensor, z: Tensor, tables: list[MediumTable], development: Development) -> Array:
+def _gains(scenes: Floats, metres: Floats, weights: Weights, development: Development) -> Array:
     """As `Development.gain`: (B or 1, 3), or (B or 1, 3, 3)."""
-    balance, saturation = development.white_balance, float(development.saturation)
-    gains = np.full((1, 3), 2.0 ** float(development.exposure))
-    white_balance = 0.0
-    if isinstance(balance, tuple):
-        gains *= balance
+    factors, balance = np.ones(3), 0.0
+    if isinstance(development.white_balance, tuple):
+        factors = np.array(development.white_balance)
     else:
-        white_balance = float(balance)
-    if development.measures:
-        points = metering_points(z.shape[-2], z.shape[-1], z.device).numpy()
-        lights, maps = J.flatten(2).numpy(), z.flatten(1).numpy()
-        batch, far = max(len(J), len(z), len(tables)), maps.max(1)
-        gains = gains.repeat(batch, 0)
-        for n in range(batch):
-            i, table = n % len(z), tables[n % len(tables)]
-            scene, arriving, positive = kernels.meter(lights[n % len(J)], maps[i], points, table)
-            if development.metered:
-                veil = max(float(table.veil_at(far[i]).max()), 1 / GAINS[1])
-                before, after = scene @ LUMINANCE, arriving @ LUMINANCE
-                automatic = before / after if after > 0 else 1.0
-                gains[n] *= min(max(automatic, GAINS[0]), GAINS[1], 1 / veil)
-            before = positive @ LUMINANCE
-            if white_balance > 0 and before > 0:
-                factors = (before / np.maximum(positive, before / MOST)) ** white_balance
-                gains[n] *= factors * before / ((factors * positive) @ LUMINANCE or before)
-    if saturation == 1:
-        return gains
-    grey = np.tile(LUMINANCE, (3, 1))
-    mixing: Array = (grey + saturation * (np.eye(3) - grey)) * gains[:, None]
-    return mixing
+        balance = float(development.white_balance)
+    saturation, stops = float(development.saturation), float(development.exposure)
+    camera = stops, development.metered, balance, factors, saturation
+    if not development.measures:
+        matrices = np.stack([gain_at(np.zeros((3, 3)), 0.0, *camera)])
+    else:
+        points = metering_points(metres.shape[-2], metres.shape[-1], torch.device("cpu")).numpy()
+        lights, maps = scenes.reshape(len(scenes), 3, -1), metres.reshape(len(metres), -1)
+        tables = [medium_table(weights, n, NO_LAW) for n in range(len(weights.beta))]
+        matrices = np.empty((max(len(lights), len(maps), len(tables)), 3, 3))
+        for n in range(len(matrices)):
+            far, row = maps[n % len(maps)], n % len(tables)
+            means = kernels.meter(lights[n % len(lights)], far, points, tables[row])
+            veil = -weights.veil[row] @ np.expm1(weights.G[row] * -float(far.max()))
+            matrices[n] = gain_at(means, float(veil.max()), *camera)
+    return matrices if saturation != 1 else np.diagonal(matrices, 0, 1, 2)
+
+
+def _camera(
+    development: Development, gains: Array, batch: int, size: tuple[int, int]
+) -> tuple[Floats, Indices, list[DevelopmentTable]]:
+    """The sensor's normals, where each row of each channel begins in them, and the developments."""
+    sensor, normals, begins = development.noise, _NO_FLOATS[0, 0], np.zeros((batch, 3, 0), np.int64)
+    variance = 0.0, 0.0
+    if sensor is not None:
+        normals = standard_normals(torch.device("cpu")).numpy()
+        begins, variance = sensor.starts(batch, size).numpy(), sensor.variance
+    dark, photons, gamut, tone, offset = np.array(
+        [*variance, development.gamut, development.tone, tone_offset(float(development.tone))],
+        np.float32,
+    )
+    if gains.ndim == 2:
+        gains = gains[:, None] * np.eye(3)
+    flat = gains.reshape(-1, 9).astype(np.float32)
+    return (
+        normals,
+        begins,
+        [DevelopmentTable(dark, photons, gain, gamut, tone, offset) for gain in flat],
+    )
 
 
 def _decoded(image: Tensor, srgb: bool, beyond: bool) -> Tensor:

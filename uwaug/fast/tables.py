@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from uwaug._support.cache import Cache
-from uwaug._support.types import Array
 from uwaug.blur.banded import Kind, Node, mirrored, whole
 from uwaug.blur.kernels import blur_kernel
 from uwaug.blur.plan import V_FLOOR, BlurPlan, place_line
-from uwaug.formation.demand import seen_by
+from uwaug.formation.demand import Weights
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import LENGTHS, pixel_scale
 
@@ -75,38 +74,60 @@ class PlanTable(NamedTuple):
     coarse: tuple[CoarseTable, ...]
 
 
+class WidthLaw(NamedTuple):
+    """Width law of a medium, and the place of a width in a plan, see `kernels.width_places`.
+
+    Attributes:
+        b_mean, exponent: of σ = scale·(b̄ z)^exponent.
+        linear, square: what 2σ and 2σ² are of (b̄ z)^exponent and of its square; one of them is 0.
+        slope, offset: of log2.
+        least, most: scattering lengths between which a width changes.
+    """
+
+    b_mean: np.float32
+    exponent: np.float32
+    linear: np.float32
+    square: np.float32
+    slope: np.float32
+    offset: np.float32
+    least: np.float32
+    most: np.float32
+
+
+class DevelopmentTable(NamedTuple):
+    """A development, see `uwaug.formation.development`.
+
+    Attributes:
+        dark, photons: variance of the sensor's noise at light 0, and what it grows by with light.
+        gain (9): after the noise.
+        gamut: share of the compression.
+        tone, tone_offset: of the curve.
+    """
+
+    dark: np.float32
+    photons: np.float32
+    gain: Floats
+    gamut: np.float32
+    tone: np.float32
+    tone_offset: np.float32
+
+
 class MediumTable(NamedTuple):
-    """A medium, for a plan and pictures of one size.
+    """A medium as the loops take it.
 
     Attributes:
         rates (R): times −log2(e): those of the direct term, then the others.
         direct (3, K), scatter (3, R), veil (3, R − K): weights; the veil's are those of e^−x − 1.
             Of surfaces with spectra, direct and scatter have nine rows: for each channel of the
             picture, those of the scene.
-        law (9): b̄, scale, exponent; what 2σ or 2σ² is of scale and of scale²; slope and offset of
-            log2; the least and the most scattering lengths.
+        law: of widths, for a plan and pictures of one size.
     """
 
     rates: Floats
     direct: Floats
     scatter: Floats
     veil: Floats
-    law: Floats
-
-    def veil_at(self, z: float) -> Floats:
-        """V(0) − V (3) at a distance, m."""
-        powers = self.rates[-self.veil.shape[1] :] * z
-        veil: Floats = self.veil @ np.expm1(powers * np.float32(math.log(2)))
-        return veil
-
-    def brightened(self, gain: Array) -> "MediumTable":
-        """As seen by a camera that multiplies channels (3), or mixes them (3, 3)."""
-        veil: Any = gain @ self.veil if gain.ndim == 2 else gain[:, None] * self.veil
-        direct, scatter, veil = (
-            weights.astype(np.float32)
-            for weights in (seen_by(gain, self.direct), seen_by(gain, self.scatter), veil)
-        )
-        return self._replace(direct=direct, scatter=scatter, veil=veil)
+    law: WidthLaw
 
 
 # ------------------------------------------------------------------------------ plans
@@ -232,34 +253,26 @@ def _mirrored(margin: int, size: int) -> Indices:
 # ------------------------------------------------------------------------------ media
 
 
-def medium_tables(medium: Medium) -> list[MediumTable]:
-    """Each row of a medium, without a law."""
-    beta, direct, G, signal, veil = (table_of(values) for values in medium.tensors()[:5])
-    rates = np.concatenate([beta, G], 1) * np.float32(-math.log2(math.e))
-    scatter = np.concatenate([-direct, signal], 2)
-    rows = zip(rates, direct, scatter, -veil, strict=True)
-    return [MediumTable(*row, _NO_LAW) for row in rows]
+def medium_table(weights: Weights, n: int, law: WidthLaw) -> MediumTable:
+    """The `n`-th row of a medium, with its law."""
+    beta, direct, G, signal, veil = (rows[n].astype(np.float32) for rows in weights)
+    rates = np.concatenate((beta, G)) * np.float32(-math.log2(math.e))
+    return MediumTable(rates, direct, np.concatenate((-direct, signal), 1), -veil, law)
 
 
-_NO_LAW = np.zeros(9, np.float32)
-
-
-def table_of(x: Tensor) -> Floats:
-    """A tensor of a medium; matrices as rows."""
-    rows = x.detach().flatten(1, 2) if x.ndim == 4 else x.detach()
-    return np.array(rows.numpy(), np.float32, order="C")
-
-
-def law_of(medium: Medium, n: int, plan: BlurPlan, size: Size) -> Floats:
+def width_law(medium: Medium, n: int, plan: BlurPlan, size: Size) -> WidthLaw:
     """Width law of the `n`-th medium, and the place of a width in a plan."""
     spread = medium.point_spread
     scale, exponent = (_number(value, n) for value in spread.numbers().values())
-    per_pixel = pixel_scale(spread.reference_size, size)
+    scale *= float(pixel_scale(spread.reference_size, size))
     slope, offset = place_line(plan)
-    powers = (1 / V_FLOOR, 0.0) if plan.shape == "exponential" else (0.0, 1 / V_FLOOR)
-    b_mean = float(medium.b_mean[n])
-    law = (b_mean, scale * per_pixel, exponent, *powers, slope * math.log(2), offset)
-    return np.array((*law, *LENGTHS), np.float32)
+    powers = (scale / V_FLOOR, 0.0) if plan.shape == "exponential" else (0.0, scale**2 / V_FLOOR)
+    numbers = (float(medium.b_mean[n]), exponent, *powers, slope * math.log(2), offset, *LENGTHS)
+    return WidthLaw(*map(np.float32, numbers))
+
+
+NO_LAW = WidthLaw(*[np.float32(0)] * 8)
+"""Of a medium whose blur is not planned yet."""
 
 
 def _number(value: float | Tensor, n: int) -> float:

@@ -9,7 +9,7 @@ numbers, as any other image is; slopes are written out.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple, Protocol
 
@@ -365,14 +365,12 @@ def _without_scatter(beta: Tensor, G: Tensor, light: Tensor, veil: Tensor) -> Me
     """A medium (numbers are 1x3) in which all light that leaves the line of sight is lost, T_G =
     T_β, and whose veil has rates of its own.
     """
-    direct, none = torch.diag_embed(light), torch.zeros(1, 3, 3, dtype=beta.dtype)
-    return Medium(
-        beta=beta,
-        direct_weights=direct,
+    medium = Medium.from_coefficients(beta, beta, veil, light=light)
+    none = torch.zeros_like(medium.veil_weights)
+    return replace(
+        medium,
         G=torch.cat([beta, G], 1),
-        signal_weights=torch.cat([direct, none], 2),
-        veil_weights=torch.cat([none, torch.diag_embed(veil)], 2),
-        b_mean=beta.new_zeros(1),
-        point_spread=PointSpread.none(),
+        signal_weights=torch.cat([medium.signal_weights, none], 2),
+        veil_weights=torch.cat([none, medium.veil_weights], 2),
         notes=("fitted: direct light and veil, no forward scatter",),
     )

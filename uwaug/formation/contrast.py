@@ -23,7 +23,7 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug.formation.colour import LUMINANCE
 from uwaug.light import Light
-from uwaug.optics.curves import FARTHEST, of_white, passed
+from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 
 FAINT = 0.03
@@ -88,28 +88,22 @@ def contrast_left(
         )
         object_light = _checked_light(reflectance, z)
         water = medium.to(z)
-        T = water.curves(z) if light is None else light.curves(water, z, *unscaled)
-        detail = _luminance(_left(T.direct, object_light))
-        whole = _luminance(_left(T.direct + T.scatter, object_light) + T.veil)
+        T = None if light is None else light.curves(water, z, *unscaled)
+        # an even surface, which no blur changes
+        terms = water.parts(z, object_light, object_light, T)
+        detail = _luminance(terms["direct"])
+        whole = _luminance(sum(terms.values(), z.new_zeros(())))
         # where no light arrives the slope of a quotient would be NaN
         dark = whole <= 0
         share = torch.where(dark, 0.0, detail / torch.where(dark, 1.0, whole)).to(distance.dtype)
     return share[0] if distance.ndim == 3 and len(share) == 1 else share
 
 
-def _left(T: Tensor, reflectance: Tensor) -> Tensor:
-    """Light of surfaces after transmittances; grey ones are the same in all channels."""
-    if reflectance.ndim == 0:
-        return of_white(T) * reflectance
-    shape = np.broadcast_shapes(reflectance.shape, (1, 3, *T.shape[-2:]))
-    return passed(T, reflectance.expand(shape))
-
-
 def _checked_light(reflectance: float | Tensor, z: Tensor) -> Tensor:
-    """The object's light, in the type of z."""
+    """The object's light (B or 1, 3, H, W), in the type of z."""
     if not isinstance(reflectance, Tensor):
         checks.within("reflectance", reflectance, low=0.0)
-        return z.new_tensor(reflectance)
+        return z.new_full((1, 3, *z.shape[-2:]), reflectance)
     checks.floating("reflectance", reflectance)
     if not torch.compiler.is_compiling() and reflectance.numel():
         low, _ = checks.finite("reflectance", reflectance)
@@ -117,11 +111,11 @@ def _checked_light(reflectance: float | Tensor, z: Tensor) -> Tensor:
             raise ValueError(f"reflectance falls to {low:g}: expected linear light ≥ 0")
     shape = (len(z), 3, *z.shape[-2:])
     try:
-        np.broadcast_shapes(reflectance.shape, shape)
+        wide = np.broadcast_shapes(reflectance.shape, shape)
     except ValueError:
         got = tuple(reflectance.shape)
         raise ValueError(f"reflectance is {got}: expected what broadcasts with {shape}") from None
-    return reflectance.to(z)
+    return reflectance.to(z).expand(wide)
 
 
 def _luminance(light: Tensor) -> Tensor:

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -55,6 +55,48 @@ _WIDEST = 8
 
 _STEPS = np.linspace(0, 1, 65)
 """Of the logarithm of distance, where forward scatter is looked at."""
+
+
+class Weights(NamedTuple):
+    """A medium of B rows as arrays in double precision: rates (BxK, BxL) and weights of the three
+    curves (Bx3xK, Bx3xL, Bx3xL); of surfaces with spectra the first two have nine rows.
+    """
+
+    beta: Array
+    direct: Array
+    G: Array
+    signal: Array
+    veil: Array
+
+    @staticmethod
+    def of(medium: Medium) -> "Weights":
+        """Those of a medium."""
+        arrays = (values.detach().cpu().double().numpy() for values in medium.tensors()[:5])
+        rows = (x.reshape(len(x), -1, x.shape[-1]) if x.ndim == 4 else x for x in arrays)
+        return Weights(*map(np.ascontiguousarray, rows))
+
+    def seen_by(self, gain: Array) -> "Weights":
+        """As seen by a camera that multiplies channels (B or 1, 3), or mixes them (…, 3, 3)."""
+        beta, G = self.beta, self.G
+        if len(gain) > len(beta):
+            beta, G = beta.repeat(len(gain), 0), G.repeat(len(gain), 0)
+        if gain.ndim == 2 and self.direct.shape[1] == 3:
+            direct, signal, veil = (
+                gain[..., None] * x for x in (self.direct, self.signal, self.veil)
+            )
+            return Weights(beta, direct, G, signal, veil)
+        matrix = gain if gain.ndim == 3 else gain[..., None] * np.eye(3)
+        direct, signal = (_mixed(matrix, x) for x in (self.direct, self.signal))
+        return Weights(beta, direct, G, signal, matrix @ self.veil)
+
+
+def _mixed(matrix: Array, weights: Array) -> Array:
+    """Weights (Bx3xK, or Bx9xK of matrices) as seen by a camera that mixes channels: Bx9xK."""
+    if weights.shape[1] == 3:
+        mixed = matrix[..., None] * weights[:, None]
+    else:
+        mixed = matrix @ weights.reshape(len(weights), 3, -1)
+    return mixed.reshape(len(mixed), 9, -1)
 
 
 @dataclass(frozen=True)
@@ -126,7 +168,7 @@ def blur_demand(
     *,
     learned: bool = False,
     margin: float = 1.0,
-    gain: Array | None = None,
+    seen: Weights | None = None,
 ) -> BlurDemand:
     """What a medium needs of the blur over a range of effective distances, and no more.
 
@@ -142,25 +184,18 @@ def blur_demand(
             forward scatter or its width is invisible now; its gradient is not negligible.
         margin: widen the range of widths by this factor either way, for parameters that will be
             learned.
-        gain: (B, 3) or (B, 3, 3), by which a camera multiplies all light.
+        seen: the medium as a camera sees it, if not as it is.
     """
     checks.tolerance(tolerance)
     law = medium.point_spread
-    beta, direct, G, signal = (_table(values) for values in medium.tensors()[:4])
-    if gain is not None:
-        rows = np.arange(max(len(gain), len(beta)))
-        gain, beta, G = gain[rows % len(gain)], beta[rows % len(beta)], G[rows % len(G)]
-        direct, signal = (
-            np.stack([seen_by(gain[n], weights[n % len(weights)]) for n in rows])
-            for weights in (direct, signal)
-        )
     near, far = (min(max(z, 0.0), FARTHEST) for z in distance_range)
-    first, last, strength = _scattered(beta, direct, G, signal, near, far, tolerance, learned)
+    weights = Weights.of(medium) if seen is None else seen
+    first, last, strength = _scattered(*weights[:4], near, far, tolerance, learned)
     traced = any(isinstance(v, Tensor) and v.requires_grad for v in law.numbers().values())
     if strength == 0:
         learns = learned and traced
         return BlurDemand(0.0, 0.0, tolerance, law.shape, law.reference_size, learns)
-    with torch.no_grad(), torch.autocast(medium.beta.device.type, enabled=False):
+    with torch.no_grad():
         ends = torch.tensor([[[[first, last]]]], dtype=torch.float64, device=medium.beta.device)
         low, high = checks.extent(medium.width(ends, None))
     # in half octaves, so that similar media may share a plan
@@ -234,43 +269,26 @@ def _farthest_blurred(G: Array, signal_weights: Array) -> float:
     return FARTHEST if slowest <= 0 else min(40 / slowest, FARTHEST)
 
 
-def _table(x: Tensor) -> Array:
-    """A tensor of a medium, in double precision; matrices as rows."""
-    rows = x.detach().flatten(1, 2) if x.ndim == 4 else x.detach()
-    return np.ascontiguousarray(rows.cpu().double().numpy())
-
-
-def seen_by(gain: Any, weights: Any) -> Any:
-    """Weights (3xK, or 9xK of matrices) as seen by a camera that multiplies channels by a gain (3),
-    or mixes them (3, 3); arrays.
-    """
-    if len(weights) == 9:
-        rows = weights.reshape(3, -1)
-        return (gain @ rows if gain.ndim == 2 else gain[:, None] * rows).reshape(9, -1)
-    if gain.ndim == 1:
-        return gain[:, None] * weights
-    return (gain[:, :, None] * weights).reshape(9, -1)
-
-
 def plan_for(
     z: Tensor,
     medium: Medium,
     size: tuple[int, int],
     tolerance: float,
-    gain: Array | None = None,
+    seen: Weights | None = None,
 ) -> BlurPlan:
     """The plan for effective distances z, m, in a picture of (height, width) `size`, rounded so
     that similar ones share it. Gradients of the medium take a finer one.
     """
     learned = torch.is_grad_enabled() and medium.requires_grad
     nearest, farthest = checks.extent(z)
-    end = _farthest_blurred(_table(medium.G), _table(medium.signal_weights))
+    seen = Weights.of(medium) if seen is None else seen
+    end = _farthest_blurred(seen.G, seen.signal)
     if farthest >= end < FARTHEST:
         blurred = z.detach()[z.detach() < end]
         farthest = float(blurred.max()) if blurred.numel() else nearest
     margin = _MARGIN if learned else 1.0
     ends = nearest, max(farthest, nearest)
-    demand = blur_demand(medium, ends, tolerance, learned=learned, margin=margin, gain=gain)
+    demand = blur_demand(medium, ends, tolerance, learned=learned, margin=margin, seen=seen)
     return demand.plan(size, shared=True)
 
 

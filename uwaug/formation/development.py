@@ -21,12 +21,15 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Literal, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.checks import DOMAIN
 from uwaug._support.codec import from_plain, plain
+from uwaug._support.compiled import compiled
+from uwaug._support.types import Array
 from uwaug.formation.colour import LUMINANCE
 from uwaug.formation.sensor import Sensor
 from uwaug.optics.curves import Curves
@@ -275,6 +278,44 @@ def _balance(means: Tensor, share: float | Tensor) -> Tensor:
     after = _luminance(balance * means)
     balance = balance * before / torch.where(after > 0, after, before)
     return torch.where(lit, balance, 1.0)
+
+
+@compiled
+def gain_at(
+    means: Array,
+    veil: float,
+    stops: float,
+    metered: bool,
+    white_balance: float,
+    factors: Array,
+    saturation: float,
+) -> Array:
+    """What `Development.gain_of` is for one picture, as a matrix (3, 3), for the loops.
+
+    Args:
+        means (3x3 array): of the scene, of what arrives, of what is positive of that, see `Means`.
+        veil: of the farthest pixel.
+        stops, metered, white_balance, saturation: of the development.
+        factors (3 array): by which a white balance that was set multiplies the channels.
+    """
+    luminance = np.array(LUMINANCE)
+    gains = factors * 2.0**stops
+    if metered:
+        before, after = (means[0] * luminance).sum(), (means[1] * luminance).sum()
+        automatic = before / after if after > 0 else 1.0
+        automatic = min(max(automatic, GAINS[0]), GAINS[1])
+        gains *= min(automatic, 1 / max(veil, 1 / GAINS[1]))
+    before = (means[2] * luminance).sum()
+    if white_balance > 0 and before > 0:
+        balance = (before / np.maximum(means[2], before / MOST)) ** white_balance
+        after = (balance * means[2] * luminance).sum()
+        gains *= balance * (before / after if after > 0 else 1.0)
+    matrix = np.empty((3, 3))
+    for row in range(3):
+        matrix[row] = (1 - saturation) * luminance
+        matrix[row, row] += saturation
+    matrix *= gains  # which come first
+    return matrix
 
 
 def metering_points(height: int, width: int, device: torch.device) -> Tensor:

@@ -82,10 +82,10 @@ def random_fields(
     low: float,
     high: float,
     like: Tensor,
-    moved: float = 0.0,
+    moved: Sequence[float],
 ) -> Tensor:
     """The fields (Bx1xHxW) that seeds of torch's generator on the CPU stand for, on the device of a
-    tensor, in float32; moved to the right by as many px, into what they are beyond the left edge.
+    tensor, in float32; each moved to the right by so many px, into what it is beyond the left edge.
     """
     n = 2 * _cutoff(4.0, max(size)) + 1
     generators = (torch.Generator().manual_seed(seed) for seed in seeds)
@@ -104,7 +104,7 @@ def field_of(
     exponent: float,
     low: float,
     high: float,
-    moved: float = 0.0,
+    moved: Sequence[float] = (),
 ) -> Tensor:
     """The fields that white noise (Bxnxn, n odd) stands for. Index i of its last two axes stands
     for (i + 1)//2 cycles per torus, as a sine if i is odd, else a cosine.
@@ -112,16 +112,17 @@ def field_of(
     waves = _waves(noise, height, width, exponent)
     rows = waves.down @ (noise * waves.amplitude)
     field = here = (rows @ waves.across)[:, None]
-    if moved:
-        across = _cosines(width, max(height, width), noise, noise.shape[-1], moved)
+    if any(moved):
+        longest, count = max(height, width), noise.shape[-1]
+        across = torch.stack([_cosines(width, longest, noise, count, px) for px in moved])
         here = (rows @ across.mT)[:, None]
     # the ends are those of the field that has not moved: else all of it would change as it moves
     least, largest = field.amin((-2, -1), keepdim=True), field.amax((-2, -1), keepdim=True)
-    flat = largest == least
-    scale = torch.where(flat, 0.0, (high - low) / torch.where(flat, 1.0, largest - least))
-    start = torch.where(flat, (low + high) / 2, low - least * scale)
+    span = largest - least
+    scale = torch.where(span > 0, (high - low) / span, 0.0)
     # (torch.addcmul takes three times as long)
-    return (here * scale).add_(start).clamp_(low, high)
+    middle = (low + high) / 2 - (least + largest) / 2 * scale
+    return (here * scale).add_(middle).clamp_(low, high)
 
 
 class _Waves(NamedTuple):

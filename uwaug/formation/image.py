@@ -14,7 +14,7 @@ of .0268 (two planes, edge region).
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import torch
 from torch import Tensor
@@ -149,7 +149,8 @@ class Terms:
     image: Tensor
 
     def __iter__(self) -> Iterator[Tensor]:
-        return iter((self.direct, self.forward, self.backscatter))
+        names = (field.name for field in fields(self) if field.name != "image")
+        return (getattr(self, name) for name in names)
 
 
 def form_image(
@@ -192,12 +193,12 @@ def form_image(
         dtype = torch.promote_types(image.dtype, torch.float32)
         z, water = effective_distance(distance, None, dtype), medium.to(dtype)
         if J.numel() == 0 or z.numel() == 0:
-            return Terms(*[_nothing(J, z)] * 4)
+            return Terms(**{field.name: _nothing(J, z) for field in fields(Terms)})
         J = J.to(dtype)
         brightest = water if light is None else light.planned(water)
         plan = plan_for(z, brightest, (z.shape[-2], z.shape[-1]), tolerance)
         soft = blurred_as_seen(J, z, water, plan)
         T = None if light is None else light.curves(water, z)
-        parts = (*water.parts(z, J, soft, T), water.image(z, J, soft, T))
-    single = image.ndim == 3 and len(parts[0]) == 1
-    return Terms(*(part.to(image.dtype)[0 if single else slice(None)] for part in parts))
+        terms = water.parts(z, J, soft, T) | {"image": water.image(z, J, soft, T)}
+    rows = 0 if image.ndim == 3 and len(terms["image"]) == 1 else slice(None)
+    return Terms(**{name: term.to(image.dtype)[rows] for name, term in terms.items()})

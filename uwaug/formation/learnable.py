@@ -1,5 +1,6 @@
 """A medium inside a module: as buffers, or as parameters for an optimiser."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Literal, get_args
@@ -9,7 +10,9 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from uwaug._support import checks
+from uwaug._support.types import Shape
 from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread
 
 Part = Literal["rates", "veil", "width"]
 
@@ -21,7 +24,9 @@ _SLOWEST = 1e-9
 
 
 class FixedMedium(nn.Module):
-    """A medium whose tensors are buffers: it moves and is saved with a module."""
+    """A medium whose tensors are buffers: it moves and is saved with a module. What of its width
+    law is no tensor is saved, too, and a state with another is refused.
+    """
 
     def __init__(self, medium: Medium) -> None:
         super().__init__()
@@ -41,6 +46,25 @@ class FixedMedium(nn.Module):
         # a law is looked at when it is made, which torch.compile cannot do with numbers of its own
         law = replace(law, **numbers) if numbers else law
         return replace(self.start, **tensors, point_spread=law)
+
+    def get_extra_state(self) -> Tensor:
+        """The width law: its shape, reference size (0: none) and numbers, NaN for tensors."""
+        law = self.start.point_spread
+        numbers = [math.nan if isinstance(x, Tensor) else x for x in law.numbers().values()]
+        size, shape = law.reference_size or 0.0, get_args(Shape).index(law.shape)
+        return torch.tensor([shape, size, *numbers], dtype=torch.float64)
+
+    def set_extra_state(self, state: Tensor) -> None:
+        """Refuse the state of another width law, for which this module has no place."""
+        theirs, ours = state.to("cpu", torch.float64), self.get_extra_state()
+        if torch.allclose(theirs, ours, rtol=1e-3, equal_nan=True):
+            return
+        shape, size, *numbers = theirs.tolist()
+        scale, exponent = (torch.tensor(1.0) if math.isnan(x) else x for x in numbers)
+        law = PointSpread(scale, exponent, get_args(Shape)[int(shape)], size or None)
+        cure = "give it a medium with that law"
+        own = self.start.point_spread
+        raise ValueError(f"state_dict is of the law {law}, this module's is {own}: {cure}")
 
 
 class LearnableMedium(nn.Module):
@@ -65,38 +89,37 @@ class LearnableMedium(nn.Module):
         if not medium.is_of_coefficients:
             cure = "medium.as_coefficients() makes one rate of them"
             raise ValueError(f"learnable: the medium must have one rate for each channel; {cure}")
-        self.start = medium.map(lambda t: t.detach().clone())
         self.learned = tuple(learned)
-        beta, G = self.start.beta, self.start.G
-        slopes = G * self.start.veil_weights.sum(-1)
-        scale = self.start.point_spread.rows(len(medium), beta)["scale"]
-        self._add("G", G, "rates")
-        self._add("excess", beta - G, "rates")
-        self._add("veil_slope", slopes, "veil")
-        self._add("scale", scale, "width")
+        beta, G, law = medium.beta, medium.G, medium.point_spread
+        if "rates" in learned:
+            self._add("G", G)
+            self._add("excess", beta - G)
+        if "veil" in learned:
+            self._add("veil_slope", G * medium.veil_weights.sum(-1))
+        if "width" in learned:
+            scale = law.rows(len(medium), beta)["scale"].detach()
+            self._add("scale", scale)
+            medium = replace(medium, point_spread=replace(law, scale=scale))
+        self.start = FixedMedium(medium)
 
-    def _add(self, name: str, value: Tensor, part: Part) -> None:
-        """A parameter that becomes this value by `softplus`; a buffer if it is known."""
-        value = value.clamp(min=_LEAST)
-        raw = value + torch.log(-torch.expm1(-value))
-        if part in self.learned:
-            self.register_parameter(f"raw_{name}", nn.Parameter(raw))
-        else:
-            self.register_buffer(f"raw_{name}", raw)
+    def _add(self, name: str, value: Tensor) -> None:
+        """A parameter that becomes this value by `softplus`."""
+        value = value.detach().clamp(min=_LEAST)
+        self.register_parameter(
+            f"raw_{name}", nn.Parameter(value + torch.log(-torch.expm1(-value)))
+        )
 
     def forward(self) -> Medium:
         """The medium at hand."""
-        G, excess, slopes, scale = (
-            F.softplus(getattr(self, f"raw_{name}"))
-            for name in ("G", "excess", "veil_slope", "scale")
-        )
-        G = G + _SLOWEST
-        beta, veil = G + excess, torch.diag_embed(slopes / G)
-        if "rates" not in self.learned:
-            beta, G = self.start.beta.to(beta), self.start.G.to(beta)
-        if "veil" not in self.learned:
-            veil = self.start.veil_weights.to(beta)
-        law = self.start.point_spread
-        law = replace(law, scale=scale) if "width" in self.learned else law
-        weights, b_mean = self.start.direct_weights.to(beta), self.start.b_mean.to(beta)
-        return Medium(beta, weights, G, weights, veil, b_mean, law, self.start.notes)
+        medium: Medium = self.start()
+        numbers = {name: F.softplus(raw) for name, raw in self.named_parameters()}
+        learned: dict[str, Any] = {}
+        G = medium.G.clamp(min=_LEAST)
+        if "rates" in self.learned:
+            G = numbers["raw_G"] + _SLOWEST
+            learned |= {"G": G, "beta": G + numbers["raw_excess"]}
+        if "veil" in self.learned:
+            learned["veil_weights"] = torch.diag_embed(numbers["raw_veil_slope"] / G)
+        if "width" in self.learned:
+            learned["point_spread"] = replace(medium.point_spread, scale=numbers["raw_scale"])
+        return replace(medium, **learned, bands=())

@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Sequence
 from operator import index
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import torch
 from torch import Tensor, nn
@@ -66,6 +66,9 @@ class Underwater(nn.Module):
             default.
         light: lamps, see `uwaug.Light`; None for daylight as the medium has it.
 
+    A state (`state_dict`) holds the medium: loaded, the blur is planned for it, and a state of
+    another width law is refused. All other arguments are the module's own.
+
     Keep torch's default matmul precision. With `torch.set_float32_matmul_precision("medium")`, CPUs
     that support it multiply in bfloat16: the error is visible. `torch.compile` needs torch 2.13.
 
@@ -114,11 +117,11 @@ class Underwater(nn.Module):
         if learnable:
             parts = get_args(Part) if learnable is True else tuple(learnable)
             self.coefficients = LearnableMedium(medium, parts)
-        self.demand: BlurDemand | None = None
-        if self.distance_range is not None:
-            self.demand = self._demand_of(self.medium, margin=_ROOM if learnable else 1.0)
-        elif sides is not None:
+        if self.distance_range is None and sides is not None:
             raise ValueError(f"sides need a distance_range to plan for, got sides={sides} alone")
+        self.demand: BlurDemand | None = None
+        self._plan_anew()
+        self.register_load_state_dict_post_hook(Underwater._plan_anew)  # type: ignore[no-untyped-call]
 
     @property
     def medium(self) -> Medium:
@@ -197,6 +200,12 @@ class Underwater(nn.Module):
                 stacklevel=5,  # behind two functions of torch that call forward
             )
 
+    def _plan_anew(self, *_: Any) -> None:
+        """Plan for the medium at hand, also for one whose state has been loaded."""
+        medium = self.medium
+        if self.distance_range is not None and not medium.beta.is_meta:
+            self.demand = self._demand_of(medium, margin=_ROOM if self.learnable else 1.0)
+
     def _keep_up(self, medium: Medium) -> None:
         """Plan anew if what was learned has left the plan, at whose ends widths would stop changing
         and learning would stick. A compiled module keeps the plan that it was compiled with.
@@ -204,7 +213,7 @@ class Underwater(nn.Module):
         if not self.learnable or self.demand is None:
             return
         if not self.demand.covers(self._demand_of(medium)):
-            self.demand = self._demand_of(medium, margin=_ROOM)
+            self._plan_anew()
 
     def _demand_of(self, medium: Medium, margin: float = 1.0) -> BlurDemand:
         assert self.distance_range is not None

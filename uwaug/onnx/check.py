@@ -213,7 +213,17 @@ def _unrelated_media(medium: Medium) -> list[Medium]:
         if medium.is_spectral:  # some of them negative
             mixing = 1.4 * torch.eye(3, dtype=torch.float64) - 0.2
             signal = mixing[:, :, None] * weights[:, None]
-        b_mean = rates.new_tensor([0.7])
-        return Medium(rates, signal, 0.4 * rates, signal, 0.3 * weights, b_mean, law, ("check",))
+        return replace(
+            medium[0].to(torch.float64),
+            beta=rates,
+            direct_weights=signal,
+            G=0.4 * rates,
+            signal_weights=signal,
+            veil_weights=0.3 * weights,
+            b_mean=rates.new_tensor([0.7]),
+            point_spread=law,
+            notes=("check",),
+            bands=(),
+        )
 
     return [unrelated(1, 1.5, 1.0), unrelated(5, 2.5, 0.6)]

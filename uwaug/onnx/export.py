@@ -27,6 +27,7 @@ from uwaug.formation.underwater import Underwater
 from uwaug.onnx.blurs import Blurs
 from uwaug.onnx.check import check_onnx, plan_of
 from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import PointSpread
 
 _OPSET = 18
 """The first in which scattered values are added."""
@@ -135,9 +136,9 @@ class Graph(nn.Module):
         self.plan, self.blurs = plan, Blurs(plan)
         medium = module.medium.map(lambda t: t.detach().to("cpu", torch.float32))
         if module.light is not None:
-            known = {field.name: getattr(medium, field.name) for field in fields(medium)}
-            medium = _InLamplight(**known, lamplit=medium.under_lamp())
-        self.medium = medium
+            values = {field.name: getattr(medium, field.name) for field in fields(medium)}
+            medium = _InLamplight(**values, lamplit=medium.under_lamp())
+        self.medium, self.inputs = medium, tuple(medium.parameters())
         self.development, self.light = module.development, module.light
         self.color_space = module.color_space
 
@@ -150,9 +151,11 @@ class Graph(nn.Module):
         if self.development.noise is not None:
             normals, *coefficients = coefficients
         if coefficients:
-            *tensors, scale, exponent = coefficients
-            law = replace(medium.point_spread, scale=scale, exponent=exponent)
-            medium = Medium.of_tensors(tensors, law, medium.notes)
+            named: dict[str, Any] = dict(zip(self.inputs, coefficients, strict=True))
+            law = {name: named.pop(name) for name in PointSpread.NUMBERS}
+            medium = replace(
+                medium, **named, point_spread=replace(medium.point_spread, **law), bands=()
+            )
         return form(
             image,
             effective_distance(distance, None, torch.float32),
@@ -177,11 +180,11 @@ def _examples(graph: Graph, coefficients: bool) -> dict[str, tuple[Tensor, dict[
     if graph.development.noise is not None:
         examples["noise"] = torch.randn_like(image), free
     for name, row in graph.medium[0].parameters().items() if coefficients else ():
-        free = {0: batch}
-        if row.ndim > 1:
+        free, axis = {0: batch}, Medium.TENSORS.get(name, "B")[-1]
+        if axis in "KL":
             # two more rates of no weight, as an example of one rate would fix that number
             row = pad(row, (0, 2))
-            free[row.ndim - 1] = rates if name in ("beta", "direct_weights") else scatter_rates
+            free[row.ndim - 1] = rates if axis == "K" else scatter_rates
         examples[name] = (row.expand(2, *row.shape[1:]).clone(), free)
     return examples
 
@@ -217,7 +220,7 @@ def _model(module: Underwater, coefficients: bool, tell: Callable[[str], None]) 
     model.graph.doc_string = f"{module.medium}; {plan}"
     # free sizes have names; the output has those of the image
     for value in (*model.graph.input, *model.graph.output):
-        value.doc_string = _DOC[value.name]
+        value.doc_string = _DOC.get(value.name, f"uwaug.Medium.{value.name}")
         dims = value.type.tensor_type.shape.dim
         for axis, size in examples.get(value.name, examples["image"])[1].items():
             dims[axis].dim_param = size.__name__

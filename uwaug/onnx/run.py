@@ -134,8 +134,8 @@ class OnnxUnderwater:
             raise ValueError(f"medium: its point spread is {law}, but the file is for {kind}")
         rows = {name: torch.from_numpy(x) for name, x in coefficients_of(medium).items()}
         if self.module.medium.is_spectral:
-            for name in ("direct_weights", "signal_weights"):
-                rows[name] = as_matrices(rows[name])
+            of_scene = (name for name, axes in Medium.TENSORS.items() if "S" in axes)
+            rows |= {name: as_matrices(rows[name]) for name in of_scene}
         elif medium.is_spectral:
             got = "the file is for grey surfaces, got a medium of surfaces with spectra"
             raise ValueError(f"medium: {got}")

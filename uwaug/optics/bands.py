@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from uwaug._support.types import Array
-from uwaug.optics.quadrature import reduce_rates
-from uwaug.optics.surfaces import as_matrices, tensor_of
+from uwaug.optics.reduction import reduced_curves
+from uwaug.optics.surfaces import as_matrices
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,17 +35,14 @@ class Bands:
     tolerance: float
 
     @cached_property
-    def under_lamp(self) -> tuple[Tensor, ...]:
-        """Rates and weights of `Medium.under_lamp`, of one row: β and T_β's, G, T_G's and b's."""
+    def under_lamp(self) -> dict[str, Tensor]:
+        """Rates and weights of `Medium.under_lamp`, of one row, by name."""
         # b spans some tenths about its mean: as a measure of the scale of the light it keeps the
         # tolerance relative to it
         mean = float(self.b.mean()) or 1.0
         scatter = self.response * self.b / mean
-        rates, direct, _ = reduce_rates(self.beta, self.lit, self.tolerance)
-        both = np.concatenate([self.lit, scatter])
-        G, weights, _ = reduce_rates(self.G, both, self.tolerance)
-        arrays = (rates, direct, G, weights[:-3], weights[-3:] * mean)
-        return tuple(tensor_of(array)[None] for array in arrays)
+        tensors, _ = reduced_curves(self.beta, self.G, self.lit, scatter, self.tolerance)
+        return {**tensors, "veil_weights": mean * tensors["veil_weights"]}
 
 
 def padded(parts: Sequence[Tensor]) -> Tensor:

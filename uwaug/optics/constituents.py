@@ -47,7 +47,17 @@ from uwaug._support.codec import plain
 from uwaug._support.types import Array
 from uwaug.optics.spectra import WAVELENGTHS, read_spectra
 
-UNITS = {"chlorophyll": "mg/m³", "cdom": "1/m at 440 nm", "minerals": "g/m³"}
+UNITS = {
+    "chlorophyll": "mg/m³",
+    "cdom": "1/m at 440 nm",
+    "minerals": "g/m³",
+}
+"""Of each content. A new one is a line here, a field of `Constituents`, and its terms in
+`optical_properties`.
+"""
+
+MAX_CONTENT = 1e4
+"""Of each, in its unit."""
 
 MEAN_COSINE = 0.9
 """Mean cosine of daylight below the surface. Solonenko & Mobley have .98 in the ocean and .85 at
@@ -58,6 +68,12 @@ CDOM = np.exp(-0.014 * (WAVELENGTHS - 440))
 ABSORBED_BY_MINERALS = 0.041 * np.exp(-0.0123 * (WAVELENGTHS - 443))
 SCATTERED_BY_MINERALS = 1.1513 * (400 / WAVELENGTHS) ** 1.7
 """Per unit of each content, 1/m."""
+
+SCATTERED_BY_PHYTOPLANKTON = 0.347, 0.766
+"""1/m at 660 nm and 1 mg/m³ of chlorophyll, and the exponent of chlorophyll."""
+
+LOST_BY_SCATTERING = 0.425 * MEAN_COSINE - 0.19
+"""G(μ₀) of Kirk 1984, the share of A·(b − b_w) in (μ₀ K_d)²."""
 
 
 @plain
@@ -139,6 +155,11 @@ class Constituents:
         """Whether it is one water, with nothing to draw."""
         return all(low == high for low, high in self.ranges.values())
 
+    @property
+    def amounts(self) -> dict[str, float]:
+        """How much of each is in it, where it is one water."""
+        return {name: low for name, (low, _) in self.ranges.items()}
+
     def drawn(self, shares: Mapping[str, float]) -> Self:
         """One water: each at this share (0…1) of the way from low to high, by its logarithm. Four
         digits, so that a record that names the water says all of it.
@@ -161,19 +182,22 @@ def _text(value: float | tuple[float, float]) -> str:
     return ":".join(repr(number).removesuffix(".0") for number in numbers)
 
 
-def optical_properties(chlorophyll: float, cdom: float, minerals: float) -> Array:
-    """a, b and K_d (3, N) [1/m] at `WAVELENGTHS` of a water with these contents."""
+def optical_properties(water: Constituents) -> Array:
+    """a, b and K_d (3, N) [1/m] at `WAVELENGTHS` of one water."""
     absorption, scattering = pure_water(WAVELENGTHS.tobytes())
-    a = absorption + cdom * CDOM + minerals * ABSORBED_BY_MINERALS
-    by_particles = minerals * SCATTERED_BY_MINERALS
+    amounts = water.amounts
+    a = absorption + amounts["cdom"] * CDOM + amounts["minerals"] * ABSORBED_BY_MINERALS
+    by_particles = amounts["minerals"] * SCATTERED_BY_MINERALS
+    chlorophyll = amounts["chlorophyll"]
     if chlorophyll > 0:
         at_1, exponents = phytoplankton()
         a += at_1 * chlorophyll**exponents
+        at_660, exponent = SCATTERED_BY_PHYTOPLANKTON
         slope = min(max((math.log10(chlorophyll) - 0.3) / 2, -1.0), 0.0)
-        by_particles += 0.347 * chlorophyll**0.766 * (WAVELENGTHS / 660) ** slope
+        by_particles += at_660 * chlorophyll**exponent * (WAVELENGTHS / 660) ** slope
     # what molecules scatter backwards, half of it, is lost as if it were absorbed
     lost = a + scattering / 2
-    kd = np.sqrt(lost * lost + (0.425 * MEAN_COSINE - 0.19) * lost * by_particles) / MEAN_COSINE
+    kd = np.sqrt(lost * lost + LOST_BY_SCATTERING * lost * by_particles) / MEAN_COSINE
     return np.array([a, scattering + by_particles, kd])
 
 

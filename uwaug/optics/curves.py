@@ -155,11 +155,6 @@ def _as_matrices(T: Tensor) -> Tensor:
     return unit[:, :, None, None] * T[:, :, None]
 
 
-def of_white(T: Tensor) -> Tensor:
-    """What transmittances leave of white light (Bx3xHxW)."""
-    return T if T.ndim < 5 else T.sum(2)
-
-
 def decay(rates: Tensor, z: Tensor) -> Tensor:
     """e^(−rate·z), of shapes that broadcast."""
     if torch.compiler.is_compiling():

@@ -37,7 +37,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from operator import index
-from typing import Any, get_args
+from typing import Any, ClassVar, get_args
 
 import numpy as np
 import torch
@@ -63,7 +63,7 @@ from uwaug.optics.surfaces import (
 )
 from uwaug.optics.water import Water, load_water
 
-_TENSORS = ("beta", "direct_weights", "G", "signal_weights", "veil_weights", "b_mean")
+_OF_COEFFICIENTS = "coefficients: one rate per channel"
 
 _ROUNDED = 1e-6
 """1/m, and of beta: by so much G may be more."""
@@ -95,6 +95,19 @@ class Medium:
         bands: each medium band by band, for lamps; empty if only the sums are known.
     """
 
+    TENSORS: ClassVar = {
+        "beta": "BK",
+        "direct_weights": "BCSK",
+        "G": "BL",
+        "signal_weights": "BCSL",
+        "veil_weights": "BCL",
+        "b_mean": "B",
+    }
+    """The tensors and their axes: B media, K rates of the direct term, L of signal and veil, C
+    channels of the picture, and of surfaces with spectra S channels of the scene. Whatever copies,
+    stacks, brightens, learns, stores or exports media goes by it.
+    """
+
     beta: Tensor
     direct_weights: Tensor
     G: Tensor
@@ -106,19 +119,23 @@ class Medium:
     bands: tuple[Bands, ...] = field(default=(), metadata={"stored": False})
 
     def __post_init__(self) -> None:
-        b, k, n = self.beta.shape[0], self.beta.shape[-1], self.G.shape[-1]
-        channels = (b, 3, 3) if self.is_spectral else (b, 3)
-        shapes = ((b, k), (*channels, k), (b, n), (*channels, n), (b, 3, n), (b,))
-        for name, shape in zip(_TENSORS, shapes, strict=True):
-            got = tuple(getattr(self, name).shape)
-            if got != shape:
+        sizes = {"B": self.beta.shape[0], "K": self.beta.shape[-1], "L": self.G.shape[-1], "C": 3}
+        if self.is_spectral:
+            sizes["S"] = 3
+        for name, axes in self.TENSORS.items():
+            tensor, shape = getattr(self, name), tuple(sizes[x] for x in axes if x in sizes)
+            if tensor.ndim == 0:  # one number for all, as a default is
+                object.__setattr__(self, name, tensor.to(self.beta).expand(shape))
+            elif tuple(tensor.shape) != shape:
+                got = tuple(tensor.shape)
                 raise ValueError(f"Medium.{name} must have shape {shape}, got {got}")
-        self.point_spread.require_rows(b)
+        self.point_spread.require_rows(sizes["B"])
 
     @staticmethod
     def of_plain(**values: Any) -> "Medium":
         """A medium of plain numbers, see `uwaug._support.codec`."""
-        tensors = {name: torch.tensor(values[name], dtype=torch.float64) for name in _TENSORS}
+        stored = values.keys() & Medium.TENSORS
+        tensors = {name: torch.tensor(values[name], dtype=torch.float64) for name in stored}
         return Medium(**values | tensors)
 
     @staticmethod
@@ -183,8 +200,8 @@ class Medium:
         veil = mu * b * light / G
         tensors, error = reduced(beta, G, light, veil, response, basis, tolerance)
         note = (
-            f"{water.name}: {tensors[0].shape[1]} + {tensors[2].shape[1]} rates, curves within "
-            f"{error:.1g} at any distance, {vertical_depth:g} m deep, g = {g:g}, μ = {mu:g}"
+            f"{water.name}: {tensors['beta'].shape[1]} + {tensors['G'].shape[1]} rates, curves "
+            f"within {error:.1g} at any distance, {vertical_depth:g} m deep, g = {g:g}, μ = {mu:g}"
             + (", surfaces = spectral" if surfaces == "spectral" else "")
         )
         brightest = float((response * veil).sum(1).max())
@@ -193,7 +210,7 @@ class Medium:
         b_mean = tensor_of(np.array([(sensor @ b).mean()]))
         law = PointSpread.paper() if point_spread is None else point_spread
         bands = Bands(beta, G, b, response, measure(response, basis), tolerance)
-        return Medium.of_tensors([*tensors, b_mean], law, (note,), (bands,))
+        return Medium(**tensors, b_mean=b_mean, point_spread=law, notes=(note,), bands=(bands,))
 
     @staticmethod
     def from_coefficients(
@@ -228,10 +245,17 @@ class Medium:
         if bool((G - beta > _ROUNDED * (1 + beta)).any()):
             got = f"G = {G.tolist()} and beta = {beta.tolist()}"
             raise ValueError(f"G must be beta at most, as scatter adds to it: got {got}")
-        weights, veil_weights = torch.diag_embed(rows["light"]), torch.diag_embed(rows["veil"])
-        notes = ("coefficients: one rate per channel",) * len(b)
-        law = PointSpread.none() if point_spread is None else point_spread
-        return Medium(beta, weights, G, weights, veil_weights, b, law, notes)
+        weights = torch.diag_embed(rows["light"])
+        return Medium(
+            beta=beta,
+            direct_weights=weights,
+            G=G,
+            signal_weights=weights,
+            veil_weights=torch.diag_embed(rows["veil"]),
+            b_mean=b,
+            point_spread=PointSpread.none() if point_spread is None else point_spread,
+            notes=(_OF_COEFFICIENTS,) * len(b),
+        )
 
     @staticmethod
     def stack(media: "Iterable[Medium]") -> "Medium":
@@ -248,11 +272,11 @@ class Medium:
             raise ValueError("media is empty: stack needs at least one Medium")
         rows = [len(medium) for medium in media]
         law = PointSpread.stack([m.point_spread for m in media], rows, media[0].beta.dtype)
-        columns = zip(*(medium.tensors() for medium in media), strict=True)
+        tensors = {name: padded([getattr(m, name) for m in media]) for name in Medium.TENSORS}
         notes = sum((medium.notes for medium in media), ())
-        known = all(medium.bands for medium in media)
-        bands = sum((medium.bands for medium in media), ()) if known else ()
-        return Medium.of_tensors(map(padded, columns), law, notes, bands)
+        banded = all(medium.bands for medium in media)
+        bands = sum((medium.bands for medium in media), ()) if banded else ()
+        return Medium(**tensors, point_spread=law, notes=notes, bands=bands)
 
     def __len__(self) -> int:
         return len(self.beta)
@@ -274,19 +298,14 @@ class Medium:
 
     def map(self, function: Callable[[Tensor], Tensor]) -> "Medium":
         """`function` applied to each tensor, those of the width law included."""
-        law = self.point_spread.map(function)
-        return Medium.of_tensors(map(function, self.tensors()), law, self.notes, self.bands)
+        tensors: dict[str, Any] = {name: function(getattr(self, name)) for name in self.TENSORS}
+        return replace(self, **tensors, point_spread=self.point_spread.map(function))
 
     @staticmethod
-    def of_tensors(
-        tensors: Iterable[Tensor],
-        point_spread: PointSpread,
-        notes: tuple[str, ...] = (),
-        bands: tuple[Bands, ...] = (),
-    ) -> "Medium":
+    def of_tensors(tensors: Iterable[Tensor], point_spread: PointSpread) -> "Medium":
         """The inverse of `tensors`."""
-        named: dict[str, Any] = dict(zip(_TENSORS, tensors, strict=True))
-        return Medium(**named, point_spread=point_spread, notes=notes, bands=bands)
+        named: dict[str, Any] = dict(zip(Medium.TENSORS, tensors, strict=True))
+        return Medium(**named, point_spread=point_spread)
 
     def to(self, *args: Any, **kwargs: Any) -> "Medium":
         """Move or cast, as `torch.Tensor.to`."""
@@ -296,17 +315,14 @@ class Medium:
         return self.map(lambda t: t.to(*args, **kwargs))
 
     def tensors(self) -> tuple[Tensor, ...]:
-        """Rates, weights and b̄, in the order of the attributes."""
-        weights = self.direct_weights, self.signal_weights, self.veil_weights
-        return self.beta, weights[0], self.G, weights[1], weights[2], self.b_mean
+        """Rates, weights and b̄, in the order of `TENSORS`."""
+        return tuple(getattr(self, name) for name in self.TENSORS)
 
     def parameters(self) -> dict[str, Tensor]:
-        """All that is continuous in a medium, by name, each with a row for every medium.
-
-        Shapes: beta (B, K), direct_weights (B, 3, K) or (B, 3, 3, K), G (B, L), signal_weights
-        (B, 3, L) or (B, 3, 3, L), veil_weights (B, 3, L), b_mean, scale and exponent (B,).
+        """All that is continuous in a medium, by name, each with a row for every medium: the
+        tensors, and scale and exponent (B,) of the width law.
         """
-        tensors = dict(zip(_TENSORS, self.tensors(), strict=True))
+        tensors = {name: getattr(self, name) for name in self.TENSORS}
         return tensors | self.point_spread.rows(len(self), self.beta)
 
     @property
@@ -328,19 +344,22 @@ class Medium:
         light = white(self.direct_weights).sum(-1)
 
         def rate(weights: Tensor, rates: Tensor) -> Tensor:
-            left = white(weights) @ torch.exp(-rates * metres)[..., None]
+            arriving = white(weights) @ torch.exp(-rates * metres)[..., None]
             # a colour matrix may leave less than nothing
-            share = left[..., 0] / light.clamp(min=_DARK)
+            share = arriving[..., 0] / light.clamp(min=_DARK)
             return -torch.log(share.clamp(_FAINTEST, 1.0)) / metres
 
         beta = rate(self.direct_weights, self.beta)
-        return Medium.from_coefficients(
-            beta,
-            rate(self.signal_weights, self.G).minimum(beta),
-            self.veil_weights.sum(-1).clamp(min=0.0),
-            b_mean=self.b_mean,
-            point_spread=self.point_spread,
-            light=light.clamp(min=0.0),
+        weights = torch.diag_embed(light.clamp(min=0.0))
+        return replace(
+            self,
+            beta=beta,
+            direct_weights=weights,
+            G=rate(self.signal_weights, self.G).minimum(beta),
+            signal_weights=weights,
+            veil_weights=torch.diag_embed(self.veil_weights.sum(-1).clamp(min=0.0)),
+            notes=(_OF_COEFFICIENTS,) * len(self),
+            bands=(),
         )
 
     def ambient(self) -> Tensor:
@@ -350,7 +369,9 @@ class Medium:
     @property
     def requires_grad(self) -> bool:
         """Whether any tensor, the width law's included, records gradients."""
-        return any(t.requires_grad for t in self.parameters().values())
+        # without a look at the number of rows, which a graph does not know
+        values = (*self.tensors(), *self.point_spread.numbers().values())
+        return any(isinstance(value, Tensor) and value.requires_grad for value in values)
 
     def sums(self, *, exact_at_lens: bool) -> Sums:
         """The three curves as sums of exponentials, for `uwaug.optics.curves.curves`.
@@ -399,22 +420,28 @@ class Medium:
             A medium whose `veil_weights` are those of b_c, 1/m.
         """
         if self.bands:
-            columns = zip(*(bands.under_lamp for bands in self.bands), strict=True)
-            tensors = [padded(column).to(self.beta) for column in columns]
-        else:
-            of_white = white(self.signal_weights).sum(-1).clamp(min=_DARK)
-            of_white = of_white.reshape(len(self), 3, *[1] * (self.signal_weights.ndim - 2))
-            direct, signal = self.direct_weights / of_white, self.signal_weights / of_white
-            scatter = white(signal) * self.b_mean[:, None, None]
-            tensors = [self.beta, direct, self.G, signal, scatter]
-        return Medium.of_tensors([*tensors, self.b_mean], self.point_spread, self.notes)
+            media = [bands.under_lamp for bands in self.bands]
+            tensors: dict[str, Any] = {
+                name: padded([medium[name] for medium in media]).to(self.beta) for name in media[0]
+            }
+            return replace(self, **tensors, bands=())
+        of_white = white(self.signal_weights).sum(-1).clamp(min=_DARK)
+        of_white = of_white.reshape(len(self), 3, *[1] * (self.signal_weights.ndim - 2))
+        signal = self.signal_weights / of_white
+        return replace(
+            self,
+            direct_weights=self.direct_weights / of_white,
+            signal_weights=signal,
+            veil_weights=white(signal) * self.b_mean[:, None, None],
+        )
 
     def curves(self, z: Tensor) -> Curves:
         """T_β, T_G − T_β and V(0) − V at effective distances (Bx1xHxW), m, finite, ≥ 0."""
         return curves(self.sums(exact_at_lens=self._any_at_lens(z)), z)
 
     def image(self, z: Tensor, J: Tensor, soft: Tensor, T: Curves | None = None) -> Tensor:
-        """D + F + B, the sum of the model: Σ T_β·(J − soft) + T_G·soft + V(0) − V.
+        """The sum of the model, D + F + B = Σ T_β·(J − soft) + T_G·soft + V(0) − V and the
+        `further_terms`.
 
         Args:
             z (Bx1xHxW tensor): effective distance, m, finite, ≥ 0.
@@ -428,14 +455,24 @@ class Medium:
             # `mix` goes over the rates, whose number a graph does not know
             mixes = self.is_spectral and not torch.compiler.is_compiling()
             arriving = mix(sums, z, J, soft) if mixes else curves(sums, z).image(J, soft)
-        # a new term of the image, such as marine snow, is added here
+        for term in self.further_terms(z, J).values():
+            arriving = arriving + term
         return arriving
 
     def parts(
         self, z: Tensor, J: Tensor, soft: Tensor, T: Curves | None = None
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Direct, forward-scattered and backscattered light, which add up to `image`."""
-        return (self.curves(z) if T is None else T).parts(J, soft)
+    ) -> dict[str, Tensor]:
+        """The terms of the image (Bx3xHxW) by name, which add up to `image`."""
+        direct, forward, backscatter = (self.curves(z) if T is None else T).parts(J, soft)
+        terms = {"direct": direct, "forward": forward, "backscatter": backscatter}
+        terms |= self.further_terms(z, J)
+        return {name: term.expand_as(direct) for name, term in terms.items()}
+
+    def further_terms(self, z: Tensor, J: Tensor) -> dict[str, Tensor]:
+        """Terms (B or 1, 3, H, W) beside the three, by their names in `uwaug.formation.Terms`, of
+        the distance and the scene's light: a new one, such as marine snow, goes here.
+        """
+        return {}
 
     def transmission(self, z: Tensor) -> Tensor:
         """T_β(z): share of the light at the surface that arrives unscattered.
@@ -472,23 +509,17 @@ class Medium:
         """The medium as seen by a camera that multiplies all light by `gain` (B or 1), each
         channel's by its own (B or 1, 3), or mixes channels by a matrix (B or 1, 3, 3).
         """
-        wide = self.expand(len(gain))
-        if gain.ndim == 3:
-            matrix = gain.to(self.beta)
-            direct, signal = (
-                torch.unflatten(matrix @ as_matrices(weights).flatten(2), 2, (3, -1))
-                for weights in (wide.direct_weights, wide.signal_weights)
-            )
-            veil = matrix @ wide.veil_weights
-            return replace(wide, direct_weights=direct, signal_weights=signal, veil_weights=veil)
-        factor = gain.reshape(len(gain), -1, 1).to(self.beta)
-        of_signal = factor[..., None] if self.is_spectral else factor
-        return replace(
-            wide,
-            direct_weights=of_signal * wide.direct_weights,
-            signal_weights=of_signal * wide.signal_weights,
-            veil_weights=factor * wide.veil_weights,
-        )
+        wide, gain = self.expand(len(gain)), gain.to(self.beta)
+        seen: dict[str, Any] = {}
+        for name, axes in self.TENSORS.items():
+            light = getattr(wide, name)
+            if "C" in axes and gain.ndim == 3:
+                light = as_matrices(light) if "S" in axes else light
+                mixed = gain @ light.reshape(len(light), 3, -1)
+                seen[name] = mixed.reshape(-1, *light.shape[1:])
+            elif "C" in axes:
+                seen[name] = gain.reshape(len(gain), -1, *[1] * (light.ndim - 2)) * light
+        return replace(wide, **seen)
 
     def width(self, z: Tensor, size: tuple[int, int] | None) -> Tensor:
         """σ(z), px, of distances (B or 1, 1, H, W) in an image of `size`; None: in the law's px."""

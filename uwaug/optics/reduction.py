@@ -39,9 +39,8 @@ def reduced(
     response: Array,
     basis: Array | None,
     tolerance: float,
-) -> tuple[list[Tensor], float]:
-    """Rates and weights of a medium in the order of its attributes, and the largest error of a
-    curve.
+) -> tuple[dict[str, Tensor], float]:
+    """Rates and weights of a medium (of one row) by name, and the largest error of a curve.
 
     Args:
         beta, G (M arrays): from `attenuations`.
@@ -55,14 +54,30 @@ def reduced(
     if basis is not None and not _mixes(lit, np.stack([beta, G]), tolerance / 2):
         # three numbers serve, and so leave half of the tolerance
         lit, tolerance = response * light, tolerance / 2
-    both = np.concatenate([lit, haze])
+    return reduced_curves(beta, G, lit, haze, tolerance)
+
+
+def reduced_curves(
+    beta: Array, G: Array, lit: Array, veil: Array, tolerance: float
+) -> tuple[dict[str, Tensor], float]:
+    """As `reduced`, of the weights of each band: of T_β and T_G (3xM or 9xM), and of V (3xM)."""
+    both = np.concatenate([lit, veil])
     if np.array_equal(beta, G):
         # nothing is scattered forward: of two reductions, the difference would be left
-        rates, weights, error = reduce_rates(beta, both, tolerance)
-        return _tensors(rates, weights[:-3], rates, weights[:-3], weights[-3:]), error
-    rates, direct, error = reduce_rates(beta, lit, tolerance)
-    G_rates, weights, other = reduce_rates(G, both, tolerance)
-    return _tensors(rates, direct, G_rates, weights[:-3], weights[-3:]), max(error, other)
+        G_rates, weights, error = reduce_rates(beta, both, tolerance)
+        rates, direct = G_rates, weights[:-3]
+    else:
+        rates, direct, direct_error = reduce_rates(beta, lit, tolerance)
+        G_rates, weights, error = reduce_rates(G, both, tolerance)
+        error = max(error, direct_error)
+    arrays = {
+        "beta": rates,
+        "direct_weights": direct,
+        "G": G_rates,
+        "signal_weights": weights[:-3],
+        "veil_weights": weights[-3:],
+    }
+    return {name: tensor_of(array)[None] for name, array in arrays.items()}, error
 
 
 def _mixes(lit: Array, rates: Array, tolerance: float) -> bool:
@@ -79,7 +94,3 @@ def _mixes(lit: Array, rates: Array, tolerance: float) -> bool:
         left = (others @ np.exp(-rate[:, None] * distances_of(rate)) for rate in rates)
         sums = [np.abs(curves).reshape(3, 2, -1).sum(1) for curves in left]
     return max(float(curve.max()) for curve in sums) > tolerance
-
-
-def _tensors(*arrays: Array) -> list[Tensor]:
-    return [tensor_of(array)[None] for array in arrays]

@@ -18,7 +18,13 @@ from uwaug._support import checks
 from uwaug._support.codec import plain
 from uwaug._support.compiled import compiled
 from uwaug._support.types import Array
-from uwaug.optics.constituents import Constituents, optical_properties, pure_water
+from uwaug.optics.constituents import (
+    MAX_CONTENT,
+    UNITS,
+    Constituents,
+    optical_properties,
+    pure_water,
+)
 from uwaug.optics.jerlov import JERLOV_TYPES, repaired_table
 from uwaug.optics.spectra import (
     WAVELENGTHS,
@@ -159,40 +165,36 @@ class Water(Spectra):
         return cls(table.wavelengths, **table.spectra, name=type, provenance=table.provenance)
 
     @classmethod
-    def from_constituents(
-        cls,
-        *,
-        chlorophyll: float = 0.0,
-        cdom: float = 0.0,
-        minerals: float = 0.0,
-        name: str | None = None,
-    ) -> Self:
+    def from_constituents(cls, *, name: str | None = None, **contents: float) -> Self:
         """A water with these contents, at 400–700 nm: greens and browns that no Jerlov type has.
 
         A bio-optical model of the literature; `uwaug/optics/constituents.py` has its equations and
         sources, and how near it comes to the Jerlov types.
 
         Args:
-            chlorophyll: of phytoplankton, mg/m³: .03 to .5 in the open ocean, 1 to 10 at coasts, up
-                to 100 in lakes.
-            cdom: absorption of coloured dissolved organic matter at 440 nm, 1/m: .01 in the ocean,
-                .1 to 1 at coasts, 10 in peat lakes.
-            minerals: suspended, g/m³: 0 in the ocean, .1 to 10 at coasts, 100 in rivers.
             name: what to call it; None for the contents, as `load_water` reads them.
+            contents: how much of each is in it, by the names of `constituents.UNITS`, up to 1e4;
+                what is missing is 0.
+                chlorophyll, of phytoplankton, mg/m³: .03 to .5 in the open ocean, 1 to 10 at
+                coasts, up to 100 in lakes.
+                cdom, absorption of coloured dissolved organic matter at 440 nm, 1/m: .01 in the
+                ocean, .1 to 1 at coasts, 10 in peat lakes.
+                minerals, suspended, g/m³: 0 in the ocean, .1 to 10 at coasts, 100 in rivers.
 
         Raises:
-            ValueError: if a content is no number ≥ 0.
+            ValueError: if a content is unknown, or is no number in its range.
 
         Examples:
             >>> lake = Water.from_constituents(chlorophyll=12, cdom=0.8, minerals=2)
             >>> lake, round(lake.visibility(), 1)
             (Water('chlorophyll=12,cdom=0.8,minerals=2', 61 wavelengths, 400–700 nm), 1.0)
         """
-        contents = {"chlorophyll": chlorophyll, "cdom": cdom, "minerals": minerals}
-        for content, value in contents.items():
-            checks.within(content, value, *checks.DOMAIN[content])
-        name = Constituents(**contents).name if name is None else name
-        table = optical_properties(**contents)
+        for content, amount in contents.items():
+            checks.one_of("content", content, UNITS)
+            checks.within(content, amount, 0.0, MAX_CONTENT)
+        water = Constituents(**contents)
+        name = water.name if name is None else name
+        table = optical_properties(water)
         return cls(WAVELENGTHS, *table, name=name, provenance=(_BIO_OPTICAL,))
 
     def at(self, wavelengths: ArrayLike) -> Self:
@@ -492,13 +494,7 @@ def load_water(water: "str | os.PathLike[str] | Water") -> Water:
     if not contents.fixed:
         drawn = "RandomUnderwater draws from ranges, here is one water"
         raise ValueError(f"water must have one number for each content, got {water!r}: {drawn}")
-    lows = {name: low for name, (low, _) in contents.ranges.items()}
-    return Water.from_constituents(
-        chlorophyll=lows["chlorophyll"],
-        cdom=lows["cdom"],
-        minerals=lows["minerals"],
-        name=contents.name,
-    )
+    return Water.from_constituents(name=contents.name, **contents.amounts)
 
 
 def _mixture(text: str) -> Water:

@@ -19,7 +19,8 @@ export function waterOf({ water, other, share, chlorophyll, cdom, minerals }, ta
 }
 
 /** uwaug/optics/constituents.py: mg/m³, 1/m at 440 nm, g/m³. */
-function waterWith(chlorophyll, cdom, minerals, { pure, contents, bands, sun }) {
+function waterWith(chlorophyll, cdom, minerals, { pure, contents, bands, sun, lostByScattering }) {
+  const { at660, exponent } = contents.byPhytoplankton;
   const slope = Math.min(Math.max((Math.log10(chlorophyll) - 0.3) / 2, -1), 0);
   const a = [], b = [], kd = [];
   for (let i = 0; i < bands.length; i++) {
@@ -27,11 +28,11 @@ function waterWith(chlorophyll, cdom, minerals, { pure, contents, bands, sun }) 
     let particles = minerals * contents.scattered[i];
     if (chlorophyll > 0) {
       a[i] += contents.phytoplankton[i] * chlorophyll ** contents.exponents[i];
-      particles += 0.347 * chlorophyll ** 0.766 * (bands[i] / 660) ** slope;
+      particles += at660 * chlorophyll ** exponent * (bands[i] / 660) ** slope;
     }
     b[i] = pure.b[i] + particles;
     const lost = a[i] + pure.b[i] / 2;
-    kd[i] = Math.sqrt(lost * lost + (0.425 * sun - 0.19) * lost * particles) / sun;
+    kd[i] = Math.sqrt(lost * lost + lostByScattering * lost * particles) / sun;
   }
   return { a, b, kd };
 }

@@ -21,8 +21,9 @@ from uwaug.optics.point_spread import FOCAL_LENGTH, LENGTHS, PointSpread
 from uwaug.optics.spectra import WAVELENGTHS
 from uwaug.optics.surfaces import reflectances
 from uwaug.optics.water import LEAST_LOSS, Water, eye
-from uwaug.transforms import random_underwater
-from uwaug.transforms.random_underwater import RandomUnderwater
+from uwaug.transforms import random_water
+from uwaug.transforms.measured import SAMPLED
+from uwaug.transforms.random_underwater import SEVERITIES, RandomUnderwater
 
 _WIDTHS_PX = (0.0, 400.0)
 """Of the blurs; wider ones are as good as the mean of a picture."""
@@ -53,6 +54,7 @@ def tables() -> dict[str, Any]:
     law, (least, most) = PointSpread.calibrated(FOCAL_LENGTH), LENGTHS
     pure = dict(zip(("a", "b"), constituents.pure_water(axis), strict=True))
     at_1, exponents = constituents.phytoplankton()
+    at_660, exponent = constituents.SCATTERED_BY_PHYTOPLANKTON
     stored = {
         "bands": WAVELENGTHS,
         "waters": {name: _spectra(Water.jerlov(name).at(WAVELENGTHS)) for name in JERLOV_TYPES},
@@ -63,8 +65,10 @@ def tables() -> dict[str, Any]:
             "cdom": constituents.CDOM,
             "absorbed": constituents.ABSORBED_BY_MINERALS,
             "scattered": constituents.SCATTERED_BY_MINERALS,
+            "byPhytoplankton": {"at660": at_660, "exponent": exponent},
         },
         "sun": constituents.MEAN_COSINE,
+        "lostByScattering": constituents.LOST_BY_SCATTERING,
         "leastLoss": LEAST_LOSS,
         "eye": eye(*WAVELENGTHS[[0, -1]].tolist())[1],
         "sensor": response_at(camera, axis),
@@ -73,12 +77,12 @@ def tables() -> dict[str, Any]:
         "law": {"scale": law.scale, "exponent": law.exponent, "least": least, "most": most},
         "luminance": LUMINANCE,
         "reflectance": _REFLECTANCE,
-        "dimmest": random_underwater.DIMMEST,
-        "much": random_underwater.MUCH,
-        "sizes": dict(zip(("nearest", "farthest"), random_underwater.SIZES, strict=True)),
+        "dimmest": random_water.DIMMEST,
+        "much": random_water.MOST_CONTENTS,
+        "sizes": dict(zip(("nearest", "farthest"), random_water.MEDIANS, strict=True)),
         "meter": {
             "count": development.METERED,
-            "looks": random_underwater.LOOKED_AT,
+            "looks": SAMPLED,
             "steps": development.STEPS,
             "turn": development.TURN,
             "gains": development.GAINS,
@@ -130,9 +134,9 @@ def _draws() -> dict[str, Any]:
     """What `RandomUnderwater` draws by default."""
     augment = RandomUnderwater()
     return {
-        "waters": [w if isinstance(w, str) else "contents" for w in random_underwater.WATERS],
-        "contents": random_underwater.CONTENTS.ranges,
-        "severities": list(random_underwater.SEVERITIES.values()),
+        "waters": [w if isinstance(w, str) else "contents" for w in random_water.WATERS],
+        "contents": random_water.CONTENTS.ranges,
+        "severities": list(SEVERITIES.values()),
         "g": augment.g,
         "ranges": {
             "contrast": augment.contrast,

@@ -2,13 +2,17 @@
 
 from uwaug.transforms.keep_visible import KeepVisible
 from uwaug.transforms.like import UnderwaterLike, like
-from uwaug.transforms.params import RandomDevelopment
+from uwaug.transforms.measured import Measured
+from uwaug.transforms.random_development import RandomDevelopment
 from uwaug.transforms.random_underwater import RandomUnderwater
+from uwaug.transforms.random_water import RandomWater
 
 __all__ = [
     "KeepVisible",
+    "Measured",
     "RandomDevelopment",
     "RandomUnderwater",
+    "RandomWater",
     "UnderwaterLike",
     "like",
 ]

@@ -66,27 +66,26 @@ class KeepVisible(SampleTransform):
 
     def _sampled(self, inputs: tuple[Any, ...], generator: torch.Generator | None) -> Any:
         image, distance, restore = self.augment.take_apart(inputs)
-        pictures = pictures_of(image)
+        pictures_of(image)  # refuses what is no image
         if image.ndim != 3:
             got = f"a batch {tuple(image.shape)}"
             raise ValueError(f"KeepVisible takes one picture (3, H, W) at a time, got {got}")
-        samples = self.augment.make_params(image, generator)["samples"]
-        scenes = self.augment.scenes(pictures, distance, samples)
+        scenes = self.augment.scenes(image, distance, self.augment.make_params(image, generator))
         sample = restore(self.augment.degraded(image, scenes))
-        left = self.augment.left(image, scenes)[0].detach()
+        contrast_map = self.augment.contrast_map(image, scenes)[0].detach()
         if _has_objects(sample):
-            return self._kept(sample, left)
+            return self._kept(sample, contrast_map)
         members = dict(enumerate(sample)) if isinstance(sample, (tuple, list)) else dict(sample)
         places = [place for place, member in members.items() if _has_objects(member)]
         if len(places) != 1:
             expected = "one dict with 'boxes' or 'masks', the sample or directly in it"
             raise ValueError(f"expected {expected}; found {len(places)}")
         (place,) = places
-        return replaced(sample, place, self._kept(members[place], left))
+        return replaced(sample, place, self._kept(members[place], contrast_map))
 
-    def _kept(self, target: Mapping[str, Any], left: Tensor) -> Any:
+    def _kept(self, target: Mapping[str, Any], contrast_map: Tensor) -> Any:
         """A copy of a target, of the objects that a map of contrast (HxW) lets one see."""
-        visible = _means(target, left).float().cpu()
+        visible = _means(target, contrast_map).float().cpu()
         keep = visible >= self.min_contrast
         changed: Any = copy.copy(target)
         if self.flag:
@@ -112,14 +111,14 @@ def _has_objects(value: Any) -> bool:
     return isinstance(value, Mapping) and ("boxes" in value or "masks" in value)
 
 
-def _means(target: Mapping[str, Any], left: Tensor) -> Tensor:
+def _means(target: Mapping[str, Any], contrast_map: Tensor) -> Tensor:
     """The mean of a map (HxW) over each object, (N); 0 of one without pixels."""
     if "masks" in target:
-        masks = typed(torch.as_tensor(target["masks"]), Tensor).to(left.device) != 0
-        if masks.shape[1:] != left.shape:
-            got, size = tuple(masks.shape), tuple(left.shape)
+        masks = typed(torch.as_tensor(target["masks"]), Tensor).to(contrast_map.device) != 0
+        if masks.shape[1:] != contrast_map.shape:
+            got, size = tuple(masks.shape), tuple(contrast_map.shape)
             raise ValueError(f"target['masks'] is {got}: expected (N, {size[0]}, {size[1]})")
-        return (masks * left).sum((-2, -1)) / masks.sum((-2, -1)).clamp(min=1)
+        return (masks * contrast_map).sum((-2, -1)) / masks.sum((-2, -1)).clamp(min=1)
     boxes = target["boxes"]
     if hasattr(boxes, "format"):  # torchvision's
         from torchvision.transforms.v2.functional import convert_bounding_box_format
@@ -130,7 +129,7 @@ def _means(target: Mapping[str, Any], left: Tensor) -> Tensor:
         # all pixels that the box touches
         rows = slice(max(0, math.floor(y1)), max(0, math.ceil(y2)))
         columns = slice(max(0, math.floor(x1)), max(0, math.ceil(x2)))
-        part = left[rows, columns]
+        part = contrast_map[rows, columns]
         means.append(float(part.mean()) if part.numel() and x1 < x2 and y1 < y2 else 0.0)
     return torch.tensor(means)
 

@@ -14,10 +14,11 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from uwaug._support import checks, codec
+from uwaug._support.once import muted
 from uwaug.distance.made_up import MadeUp
 from uwaug.distance.sources import Metres
 from uwaug.formation.colour import linear_to_srgb, require_values
-from uwaug.transforms.params import Record
+from uwaug.transforms.draws import Record, Uniform, uniform_of
 from uwaug.transforms.random_underwater import RandomUnderwater
 from uwaug.transforms.samples import typed
 from uwaug.transforms.statistics import OF_WATER, Values, numbers_of_water
@@ -86,16 +87,13 @@ class UnderwaterLike(RandomUnderwater):
         super().__post_init__()
         if not self.kept:
             raise ValueError("kept: expected at least one, got none")
-        drawn = super().make_params(torch.empty(3, 1, 1), torch.Generator())["samples"]
-        for one in self.kept:
-            self._read({"samples": [_in_water(drawn[0], one)]}, 1)
+        drawn = super()._sample(uniform_of(0))
+        for kept in self.kept:
+            self.read({"samples": [_in_water(drawn, kept)]}, 1)
 
-    def make_params(self, image: Tensor, generator: torch.Generator | None = None) -> Record:
-        """See `RandomUnderwater.make_params`."""
-        samples = super().make_params(image, generator)["samples"]
-        picked = torch.randint(len(self.kept), (len(samples),), generator=generator, device="cpu")
-        kept = [self.kept[i] for i in picked.tolist()]
-        return {"samples": [_in_water(*pair) for pair in zip(samples, kept, strict=True)]}
+    def _sample(self, uniform: Uniform) -> Record:
+        kept = self.kept[int(uniform("kept") * len(self.kept))]
+        return _in_water(super()._sample(uniform), kept)
 
 
 def like(
@@ -115,8 +113,8 @@ def like(
     and kept. It says what looks alike and not which water it is; for that there is `uwaug.fit`.
 
     Args:
-        reference: photographs taken under water, one or several (3xHxW, a batch, or a list);
-            `keep` draws are kept of each.
+        reference: photographs taken under water, one or several (3xHxW, a batch, or a list), in
+            sRGB even where `augment` takes linear light; `keep` draws are kept of each.
         pictures: some of your own, taken in air, as many-sided as your data set (the same). Four to
             eight will do. All are looked at small, with 128 px along their short side.
         distance: their maps (1xHxW, the same), as `augment` reads them; None where it reads none.
@@ -149,20 +147,21 @@ def like(
     checks.instance("augment", augment, RandomUnderwater)
     if not 1 <= keep <= draws // 15:
         raise ValueError(f"draws must be 15 times keep or more, and keep 1, got {draws} and {keep}")
-    photographs = [_numbers(one, augment) for one in _small("reference", reference, 3)]
+    photographs = [_numbers(photograph) for photograph in _small("reference", reference, 3)]
     scenes: list[Any] = _small("pictures", pictures, 3)
     maps = [None] * len(scenes) if distance is None else _small("distance", distance, 1)
     if len(maps) != len(scenes):
         raise ValueError(f"distance has {len(maps)} maps for {len(scenes)} pictures")
     trials = _Trials(augment, list(zip(scenes, maps, strict=True)), seed)
-    new = [trials.new(i) for i in range(round(_BROAD * draws))]
-    drawn = [_away(one, photograph) for photograph in photographs for one in new]
     kept, near, doubts = [], [], []
-    for photograph in photographs:
-        best = trials.best(new, photograph, draws, keep)
-        kept += [one.sample for one in best]
-        near += [_away(one, photograph) for one in best]
-        doubts.append(_doubt(best, photograph))
+    with muted():
+        new = [trials.new(i) for i in range(round(_BROAD * draws))]
+        drawn = [_away(draw, photograph) for photograph in photographs for draw in new]
+        for photograph in photographs:
+            best = trials.best(new, photograph, draws, keep)
+            kept += [draw.sample for draw in best]
+            near += [_away(draw, photograph) for draw in best]
+            doubts.append(_doubt(best, photograph))
     nearness = Nearness(
         float(np.median(near)), float(np.median(drawn)), "; ".join(filter(None, doubts))
     )
@@ -187,7 +186,7 @@ class _Trials:
         self.augment, self.scenes = augment, scenes
         self.generator = torch.Generator().manual_seed(seed)
         # numbers that belong to a picture and not to its water
-        self.own = {"noise_seed", *augment._source.ranges()}
+        self.own = {"noise_seed", *augment.source.ranges()}
 
     def new(self, first: int) -> _Draw:
         (sample,) = self.augment.make_params(self.scenes[0][0], self.generator)["samples"]
@@ -209,7 +208,10 @@ class _Trials:
         picture, z = self.scenes[(draw.first + len(draw.seen)) % len(self.scenes)]
         (drawn,) = self.augment.make_params(picture, self.generator)["samples"]
         params = {"samples": [_in_water({**drawn, "applied": True}, draw.sample)]}
-        draw.seen.append(_numbers(self.augment.transform(picture, z, params), self.augment))
+        made = self.augment.transform(picture, z, params)
+        if self.augment.development.color_space == "linear":
+            made = linear_to_srgb(made).clamp(0, 1)
+        draw.seen.append(_numbers(made))
         return draw
 
     def best(self, new: list[_Draw], photograph: Values, draws: int, keep: int) -> list[_Draw]:
@@ -259,13 +261,11 @@ def _small(name: str, given: Any, channels: int) -> list[Tensor]:
     return found
 
 
-def _numbers(picture: Tensor, augment: RandomUnderwater) -> Values:
+def _numbers(srgb: Tensor) -> Values:
     """What a picture (3xHxW) looks like, in standard deviations of photographs (12)."""
-    linear = augment.development.color_space == "linear"
-    srgb = linear_to_srgb(picture).clamp(0, 1) if linear else picture
-    found = numbers_of_water(srgb.permute(1, 2, 0).numpy())
-    numbers: Values = np.array([found[name] for name in OF_WATER]) / _UNITS
-    return numbers
+    numbers = numbers_of_water(srgb.permute(1, 2, 0).numpy())
+    values: Values = np.array([numbers[name] for name in OF_WATER]) / _UNITS
+    return values
 
 
 def _away(draw: _Draw, photograph: Values) -> float:

@@ -7,6 +7,7 @@ import hashlib
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import fields
 from functools import partial, wraps
 from operator import index as whole_number
 from typing import Any, NamedTuple, ParamSpec, Self, TypeVar
@@ -90,6 +91,13 @@ class SampleTransform(nn.Module):
         transform = super().__new__(cls)
         nn.Module.__init__(transform)
         return transform
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """An option is set once: all that was made of it would stay as it is."""
+        if name in vars(self) and name in (field.name for field in fields(self)):  # type: ignore[arg-type]
+            made = f"dataclasses.replace(transform, {name}=…) makes another"
+            raise AttributeError(f"{type(self).__name__}.{name} is read-only: {made}")
+        super().__setattr__(name, value)
 
     def at(self, seed: int, epoch: int, index: int | str) -> Callable[..., Any]:
         """The transform with randomness from a key: the same result in any worker, in any order.

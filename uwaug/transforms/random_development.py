@@ -1,16 +1,15 @@
-"""What is random about a picture besides its water: ranges, and records of what was drawn."""
+"""What is random about a camera."""
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, get_args
+from typing import get_args
 
 from uwaug._support import checks, codec
-from uwaug._support.ranges import Range, as_range
+from uwaug._support.ranges import Range
 from uwaug._support.types import ColorSpace
 from uwaug.formation.development import Development, sensor_of
 from uwaug.formation.sensor import Sensor
-
-Record = dict[str, Any]
+from uwaug.transforms.draws import Draw, checked
+from uwaug.transforms.measured import Measured
 
 
 @codec.plain
@@ -60,50 +59,18 @@ class RandomDevelopment:
             own["noise_seed"] = checks.DOMAIN["noise_seed"]
         return own
 
-    def of(self, sample: Record) -> Development:
-        """The development of a picture of this sample; that of a clip has been settled."""
-        numbers = {**sample["numbers"], **sample.get("clip", {})}
-        balance, noise = numbers["white_balance"], self.noise
+    def of(self, draw: Draw, seen: Measured) -> Development:
+        """The development of a picture; that of a film has been settled."""
+        numbers, noise = draw.numbers, self.noise
         if noise is not None:
             well, read = numbers["full_well"], numbers["read_noise"]
             noise = Sensor(well, read, int(numbers["noise_seed"]))
         return Development(
-            exposure=numbers["exposure"],
-            white_balance=tuple(balance) if isinstance(balance, list) else balance,
+            exposure=numbers["exposure"] if seen.exposure is None else seen.exposure,
+            white_balance=seen.white_balance or numbers["white_balance"],
             saturation=numbers["saturation"],
             gamut=numbers["gamut"],
             tone=numbers["tone"],
-            metered=self.metered and "clip" not in sample,
+            metered=self.metered and seen.exposure is None,
             noise=noise,
         )
-
-
-def checked(ranges: Mapping[str, Range | None]) -> dict[str, tuple[float, float]]:
-    """(low, high) of each number that is drawn; refuses what leaves the domain of its name."""
-    return {
-        name: as_range(name, value, *checks.DOMAIN[name])
-        for name, value in ranges.items()
-        if value is not None
-    }
-
-
-def samples_of(record: Any, count: int, names: set[str]) -> list[Record]:
-    """The sample of each of `count` pictures that draw numbers of these names; refuses a record of
-    other options, of another batch, or with numbers outside of their domain.
-    """
-    samples = record.get("samples") if isinstance(record, Mapping) else None
-    if not isinstance(samples, list) or not all(isinstance(s, Mapping) for s in samples):
-        expected = "a record from make_params, {'samples': [{…}]}"
-        raise TypeError(f"params must be {expected}, got {record!r:.80}")
-    if len(samples) not in (1, count):
-        raise ValueError(f"params has {len(samples)} samples but image is a batch of {count}")
-    for sample in samples:
-        numbers = sample.get("numbers", {})
-        given = set(sample) | set(numbers)
-        odd = (given - {"clip"}) ^ names ^ {"applied", "waters", "numbers", "field_seed"}
-        if odd:
-            differ = ", ".join(sorted(odd))
-            raise ValueError(f"params is of a transform with other options: {differ}")
-        for name, number in numbers.items():
-            checks.within(f"params: {name}", number, *checks.DOMAIN[name])
-    return samples if len(samples) == count else samples * count

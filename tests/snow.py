@@ -1,0 +1,178 @@
+"""Where marine snow is seen that `test_added_term.py` has put into the image: snow·(1 − e^−z)."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from scenes import coefficients, distances, picture
+from torch import Tensor
+
+import uwaug
+from uwaug import (
+    Development,
+    KeepVisible,
+    Lamp,
+    Light,
+    Medium,
+    RandomDevelopment,
+    RandomUnderwater,
+    Underwater,
+    contrast_left,
+    fast,
+    form_image,
+)
+from uwaug._support.codec import from_plain, to_plain
+from uwaug.formation.colour import LUMINANCE
+from uwaug.formation.development import exposed
+
+IMAGE, DISTANCE = 0.5 * picture(48, 64), distances(48, 64)
+SNOW = torch.tensor([[0.1, 0.2, 0.3]], dtype=torch.float64)
+ARRIVING = SNOW[..., None, None] * -torch.expm1(-DISTANCE.double())
+LIGHT = Light((Lamp((0.4, 0.0, 0.0), 2.0),), daylight=0.3)
+DEVELOPED = Development(exposure=1.0, saturation=1.2, gamut=0.5)
+
+
+def snowing(medium: Medium, snow: Tensor = SNOW) -> Medium:
+    return replace(medium, snow=snow.expand(len(medium), 3))
+
+
+def drawn(medium: Medium, metered: bool = False) -> Tensor:
+    """A picture of `RandomUnderwater` in this water."""
+    augment = RandomUnderwater(medium, development=RandomDevelopment(metered=metered))
+    record = augment.make_params(IMAGE[0], torch.Generator().manual_seed(3))
+    return augment.transform(IMAGE[0], DISTANCE[0], record)
+
+
+CLEAR = coefficients()
+WATERS = {
+    "grey": CLEAR,
+    "spectral": Medium.from_water("II", surfaces="spectral"),
+    "batch": Medium.stack([CLEAR, coefficients(4)]),
+}
+WAYS = {
+    "linear": lambda medium: Underwater(medium, None, color_space="linear")(IMAGE, DISTANCE),
+    "planned": lambda medium: Underwater(medium)(IMAGE, DISTANCE),
+    "bytes": lambda medium: Underwater(medium)((255 * IMAGE).byte(), DISTANCE) / 255,
+    "developed": lambda medium: Underwater(medium, development=DEVELOPED)(IMAGE, DISTANCE),
+    "under a lamp": lambda medium: Underwater(medium, None, light=LIGHT)(IMAGE, DISTANCE),
+    "drawn": lambda medium: drawn(medium[0]),
+}
+
+
+@pytest.mark.parametrize("water", WATERS)
+@pytest.mark.parametrize("way", WAYS)
+def test_in_pictures(way: str, water: str) -> None:
+    medium = WATERS[water]
+    brighter = WAYS[way](snowing(medium)) - WAYS[way](medium)
+    assert brighter.mean() > 0.03
+    assert brighter.min() > -0.005
+    if way == "linear":
+        torch.testing.assert_close(brighter, ARRIVING.float().expand_as(brighter))
+
+
+def test_the_loops_form_none_of_it() -> None:
+    assert fast.can(IMAGE, DISTANCE, CLEAR, None)
+    assert not fast.can(IMAGE, DISTANCE, snowing(CLEAR), None)
+
+
+def test_the_meter_sees_it() -> None:
+    change = drawn(snowing(CLEAR), metered=True) - drawn(CLEAR, metered=True)
+    assert change.abs().max() > 0.05
+    # the mean luminance of the scene is kept, so that the picture is not blown out
+    assert change.mean().abs() < 0.1
+
+
+@pytest.mark.parametrize("water", WATERS)
+def test_terms_add_up(water: str) -> None:
+    image, z = IMAGE.double(), DISTANCE.double()
+    terms = form_image(image, z, snowing(WATERS[water]))
+    torch.testing.assert_close(terms.snow, ARRIVING.expand_as(terms.snow))
+    torch.testing.assert_close(sum(terms), terms.image, rtol=0, atol=1e-14)
+    assert len(list(terms)) == 4
+
+
+def test_it_takes_contrast() -> None:
+    z, luminance = DISTANCE.double(), torch.tensor(LUMINANCE, dtype=torch.float64)
+    terms = form_image(torch.full_like(z, 0.18).expand(-1, 3, -1, -1), z, CLEAR)
+    of = {name: luminance @ getattr(terms, name).flatten(2) for name in ("direct", "image")}
+    wanted = of["direct"] / (of["image"] + luminance @ ARRIVING.flatten(2))
+    torch.testing.assert_close(contrast_left(z, snowing(CLEAR)).flatten(2)[:, 0], wanted)
+    near = torch.full_like(DISTANCE[0], 1.5)
+    target = {"boxes": torch.tensor([[4.0, 4.0, 40.0, 40.0]])}
+    for medium, seen in ((CLEAR, 1), (snowing(CLEAR), 0)):
+        least = float(contrast_left(near, CLEAR).mean()) * 0.8
+        keep = KeepVisible(RandomUnderwater(medium, field=None), least)
+        assert len(keep(IMAGE[0], near, target)[2]["boxes"]) == seen
+
+
+def test_in_copies() -> None:
+    medium = snowing(CLEAR)
+    both = Medium.stack([medium, CLEAR])
+    assert torch.equal(both.snow, torch.cat([SNOW, 0 * SNOW]))
+    assert torch.equal(both[0].snow, SNOW)
+    assert torch.equal(medium.expand(3).snow, SNOW.expand(3, 3))
+    assert medium.to(torch.float32).snow.dtype == torch.float32
+    assert torch.equal(medium.as_coefficients().snow, SNOW)
+    assert torch.equal(medium.under_lamp().snow, SNOW)
+    with pytest.raises(ValueError, match=r"Medium\.snow must have shape \(1, 3\), got \(2, 3\)"):
+        replace(CLEAR, snow=SNOW.expand(2, 3))
+
+
+@pytest.mark.parametrize("gain", [[[2.0]], [[1.0, 2.0, 3.0]], torch.rand(1, 3, 3).tolist()])
+def test_a_gain_multiplies_it(gain: Any) -> None:
+    medium, gains, J = snowing(CLEAR), torch.tensor(gain, dtype=torch.float64), IMAGE.double()
+    wanted = exposed(medium.image(DISTANCE.double(), J, J), gains)
+    torch.testing.assert_close(medium.brightened(gains).image(DISTANCE.double(), J, J), wanted)
+
+
+def test_in_records() -> None:
+    medium = snowing(CLEAR)
+    plain = json.loads(json.dumps(to_plain(medium)))
+    assert torch.equal(from_plain(plain).snow, SNOW)
+    del plain["snow"]
+    assert torch.equal(from_plain(plain).snow, 0 * SNOW)
+    augment = RandomUnderwater(medium)
+    again = RandomUnderwater.from_dict(json.loads(json.dumps(augment.to_dict())))
+    assert torch.equal(again.waters.snow, SNOW)
+
+
+def test_where_a_medium_is_learned() -> None:
+    module = Underwater(snowing(CLEAR), None, learnable=True)
+    fixed = Underwater(snowing(CLEAR), None)(IMAGE, DISTANCE)
+    torch.testing.assert_close(module(IMAGE, DISTANCE), fixed, rtol=0, atol=2e-3)
+    other = Underwater(CLEAR, None, learnable=True)
+    other.load_state_dict(module.state_dict())
+    torch.testing.assert_close(other(IMAGE, DISTANCE), module(IMAGE, DISTANCE))
+    other(IMAGE, DISTANCE).sum().backward()
+    assert all(p.grad.isfinite().all() for p in other.parameters())
+
+
+def test_in_fits() -> None:
+    G, veil = (0.5, 0.3, 0.2), (0.1, 0.3, 0.4)
+    water = Medium.from_coefficients(G, G, veil)
+
+    def off(medium: Medium) -> float:
+        observed = Underwater(medium, None)(IMAGE, DISTANCE)
+        fit = uwaug.fit(IMAGE, observed, DISTANCE, model="veil", gain="fixed", progress=False)
+        assert not fit.medium.snow.any()
+        return float((fit.medium.veil_weights.sum(-1) - torch.tensor(veil)).abs().max())
+
+    # what is fitted knows no snow, and takes it for veil
+    assert off(water) < 1e-3 < 0.02 < off(snowing(water))
+
+
+def test_in_files_whose_coefficients_are_inputs(tmp_path: Path) -> None:
+    pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnxscript")
+    from uwaug.onnx import OnnxUnderwater, export_onnx
+
+    water = Medium.from_coefficients((1.0, 0.8, 0.9), (0.4, 0.3, 0.5), (0.1, 0.3, 0.4))
+    module = Underwater(snowing(water), (0.5, 6.0))
+    run = OnnxUnderwater(export_onnx(module, tmp_path / "snow.onnx", coefficients=True))
+    for medium in (water, snowing(water), snowing(water, 2 * SNOW)):
+        expected = Underwater(medium, (0.5, 6.0))(IMAGE, DISTANCE)
+        pictures = run(IMAGE, DISTANCE, medium)
+        torch.testing.assert_close(pictures, expected, rtol=0, atol=2e-5)
