@@ -39,9 +39,9 @@ def snowing(medium: Medium, snow: Tensor = SNOW) -> Medium:
     return replace(medium, snow=snow.expand(len(medium), 3))
 
 
-def drawn(medium: Medium, metered: bool = False) -> Tensor:
+def drawn(medium: Medium) -> Tensor:
     """A picture of `RandomUnderwater` in this water."""
-    augment = RandomUnderwater(medium, development=RandomDevelopment(metered=metered))
+    augment = RandomUnderwater(medium, development=RandomDevelopment(metered=False))
     record = augment.make_params(IMAGE[0], torch.Generator().manual_seed(3))
     return augment.transform(IMAGE[0], DISTANCE[0], record)
 
@@ -79,10 +79,16 @@ def test_the_loops_form_none_of_it() -> None:
 
 
 def test_the_meter_sees_it() -> None:
-    change = drawn(snowing(CLEAR), metered=True) - drawn(CLEAR, metered=True)
-    assert change.abs().max() > 0.05
-    # the mean luminance of the scene is kept, so that the picture is not blown out
-    assert change.mean().abs() < 0.1
+    J, z = IMAGE.double(), DISTANCE.double()
+    gains = [float(Development("auto").gain(J, z, m)) for m in (CLEAR, snowing(CLEAR))]
+    assert gains[1] < 0.7 * gains[0]
+    # the mean luminance of the scene is kept, so that no picture is blown out
+    clear, snowy = (
+        Underwater(medium, None, development=Development("auto"))(IMAGE, DISTANCE)
+        for medium in (CLEAR, snowing(CLEAR))
+    )
+    assert (snowy - clear).abs().max() > 0.05
+    assert (snowy - clear).mean().abs() < 0.1
 
 
 @pytest.mark.parametrize("water", WATERS)
