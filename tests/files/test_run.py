@@ -413,6 +413,12 @@ def test_a_picture_that_fails_leaves_nothing_of_before() -> None:
     failed = degrade(Recipe(RECIPE.transform, seed=5), items(), "out", force=True)
     assert statuses(failed) == ["written", "failed", "written", "written"]
     assert not {"1.png", "1.png.json"} & content("out").keys()
+    frames = items()
+    for frame in frames:
+        frame.picture.write_bytes(b"")  # none serves to settle the film's draw
+    film = degrade(Recipe(RECIPE.transform, sequence=True), frames, "out", force=True)
+    assert statuses(film) == ["failed"] * 4
+    assert content("out").keys() == {"index.csv"}
 
 
 def test_one_bad_picture_does_not_stop_the_rest() -> None:

@@ -43,18 +43,12 @@ def write_maps(
         network: of a file.
         items: which pictures, see `find_items`.
         out: a folder, made if need be.
-        workers: processes, each with the network in its memory; 1: this one, 0: one for each core.
-        resume: go on where a run was stopped: what the same network has made of the same pictures
-            is left as it is.
-        force: write over what is there.
+        workers, resume, force, progress: as for `degrade`; each process has its own network.
         sheet: draw some of the maps on sheet.jpg: what is near is bright.
-        progress: is told after each picture how many are done, and of how many.
 
     Raises:
-        FileExistsError: if there is something in `out`, without `resume` and `force`.
         TypeError: if the network is a function.
-        ValueError: if two pictures would have one map, or a map would be written over a picture.
-        OSError: if `out` cannot be written.
+        ValueError, OSError: as `degrade`.
     """
     out = Path(out)
     require_free(out, resume=resume, force=force)
@@ -108,5 +102,5 @@ def _whole_numbers(depth: Tensor, network: Network) -> NDArray[np.uint16]:
             values = values * _WHITE
         case _:
             values = (values - low) * (_WHITE / (high - low) if high > low else 0.0)
-    whole: NDArray[np.uint16] = np.rint(values.clip(0, _WHITE)).astype(np.uint16)
-    return whole
+    numbers: NDArray[np.uint16] = np.rint(values.clip(0, _WHITE)).astype(np.uint16)
+    return numbers

@@ -10,8 +10,8 @@ from uwaug.files.labels import aliases
 from uwaug.files.pictures import ENDINGS
 from uwaug.files.record import is_written
 
-_MAPS = tuple(end for end in ENDINGS if end not in (".jpg", ".jpeg"))
-_PICTURES = tuple(end for end in ENDINGS if end not in (".npy", ".exr"))
+_MAP_ENDINGS = tuple(end for end in ENDINGS if end not in (".jpg", ".jpeg"))
+_PICTURE_ENDINGS = tuple(end for end in ENDINGS if end not in (".npy", ".exr"))
 
 OTHERS = (".avif", ".bmp", ".gif", ".heic", ".heif", ".jp2", ".jxl", ".webp")
 """Of pictures that are neither read nor written."""
@@ -59,7 +59,7 @@ def find_items(
     if source.is_file():
         folder, paths = source.parent, [source]
     else:
-        folder, paths = source, sorted(_inside(source, [*exclude, distance], _PICTURES))
+        folder, paths = source, sorted(_inside(source, [*exclude, distance], _PICTURE_ENDINGS))
     items = []
     for path in paths:
         name = path.relative_to(folder).as_posix()
@@ -67,9 +67,9 @@ def find_items(
     maps = {item.distance for item in items}
     items = [item for item in items if item.picture not in maps]
     if not items:
-        raise ValueError(f"no pictures in {pictures}: expected {', '.join(_PICTURES)}")
+        raise ValueError(f"no pictures in {pictures}: expected {', '.join(_PICTURE_ENDINGS)}")
     if distance is not None and not any(item.distance.is_file() for item in items if item.distance):
-        expected = f"such as {items[0].distance}, ending in {', '.join(_MAPS)}"
+        expected = f"such as {items[0].distance}, ending in {', '.join(_MAP_ENDINGS)}"
         raise ValueError(f"distance: {distance} has no map for any picture: expected {expected}")
     return items
 
@@ -111,5 +111,5 @@ def _map(distance: str | Path | None, path: Path, name: str) -> Path | None:
     if place.is_file():
         return place
     bases = [(place / alias).with_suffix("") for alias in aliases(name)]
-    paths = [base.with_name(base.name + end) for base in bases for end in _MAPS]
+    paths = [base.with_name(base.name + end) for base in bases for end in _MAP_ENDINGS]
     return next((path for path in paths if path.is_file()), bases[0])

@@ -104,6 +104,6 @@ def _like_mm(shares: Tensor) -> bool:
     """Whether a map that was read without unit spans next to nothing of 0…1, in whole numbers."""
     numbers = 65535 * shares[shares > 0]
     some = numbers[:: max(1, numbers.numel() // 4096)].sort().values
-    few, whole = some.numel() // 100, some.round()
+    few, rounded = some.numel() // 100, some.round()
     narrow = some.numel() >= 64 and float(some[-1 - few] - some[few]) < 6554
-    return narrow and len(set(whole.tolist())) > 16 and torch.allclose(some, whole, 0, 0.01)
+    return narrow and len(set(rounded.tolist())) > 16 and torch.allclose(some, rounded, 0, 0.01)

@@ -5,6 +5,7 @@ with a record beside each result and an index of all.
 import os
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -95,26 +96,29 @@ class Work:
         return self._failed(job, "the process died over it: out of memory, or a damaged file")
 
     def _failed(self, job: Job, reason: str) -> Result:
+        path = self.out / job.place
+        if self.force:  # what was there would pass for the result
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
+                record_path(path).unlink(missing_ok=True)
         return Result(job.item, job.variant, job.place, "failed", reason=reason)
 
     def _done(self, job: Job) -> Result:
         path, made_of = self.out / job.place, self.made_of(job)
         if self.resume and path.exists() and (not self.force or is_written(path)):
             record = read_record(record_path(path))
-            others = [name for name, value in made_of.items() if record.get(name) != value]
-            if not others:
+            changed = [name for name, value in made_of.items() if record.get(name) != value]
+            if not changed:
                 return _of_record(job, "skipped", record)
             if not self.force:
-                got = f"{path} was made with another {' and '.join(others)}"
+                got = f"{path} was made with another {' and '.join(changed)}"
                 raise FileExistsError(f"{got}: choose another folder, or force to write over it")
-        # a result of before would pass for that of a job which fails now
-        path.unlink(missing_ok=True)
-        record_path(path).unlink(missing_ok=True)
         result, about = self.make(job)
-        path.parent.mkdir(parents=True, exist_ok=True)
         record = {**made_of, **about}
+        # the result goes first and comes last: where it is, all that belongs to it is
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.unlink(missing_ok=True)
         write_record(record_path(path), record)
-        # the result comes last: where it is, all that belongs to it is
         self.write(path, result)
         return _of_record(job, "written", record)
 
@@ -151,8 +155,7 @@ def run(
         progress: see `Progress`.
 
     Raises:
-        ValueError: if two results would be one file, or one be written over what is read.
-        OSError: if the folder cannot be written.
+        ValueError, OSError: as `require_apart`, and if the folder cannot be written.
     """
     require_apart(jobs, work.out)
     if index:

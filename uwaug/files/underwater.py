@@ -161,13 +161,13 @@ class _Underwater(Work):
         objects = []
         if labels is not None:
             objects = judged(labels, item.name, contrast, self.recipe.min_contrast)
-            dropped = {judged.key for judged in objects if not judged.kept}
+            dropped = {label.key for label in objects if not label.kept}
             labels.write(item.name, job.place, dropped, self.out)
         return degraded, {
             "params": params,
             "contrast": round(float(contrast.double().mean()), 4),
             "reached": reached and reached._asdict(),
-            "objects": [judged._asdict() for judged in objects],
+            "objects": [label._asdict() for label in objects],
         }
 
     def write(self, path: Path, result: Tensor) -> None:
@@ -187,8 +187,9 @@ def _degraded(
 
 def _require_distances(recipe: Recipe, items: Sequence[Item]) -> None:
     source = recipe.transform.distance
+    assert isinstance(source, Source)
     missing = next((item.name for item in items if item.distance is None), None)
-    if missing and isinstance(source, Source) and source.reads_maps:
+    if missing and source.reads_maps:
         cure = "give files of distances, a distance in metres, or MadeUp"
         raise ValueError(f"distance is missing: {missing} has no file of it: {cure}")
     if recipe.sequence and isinstance(source, MadeUp):

@@ -5,6 +5,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, asdict, dataclass, fields
 from dataclasses import field as option
+from itertools import chain
 from typing import Any, NamedTuple
 
 import torch
@@ -196,8 +197,8 @@ class RandomUnderwater(SampleTransform):
             checks.instance("light", self.light, Light)
         vars(self)["distance"] = self.source = source
         self.water = RandomWater(**{f.name: getattr(self, f.name) for f in _OF_WATER})
-        nouns = (self.water, self.development, self.source)
-        self._ranges = checked({k: v for noun in nouns for k, v in noun.ranges().items()})
+        nouns = (self.source, self.water, self.development)
+        self._ranges = checked(dict(chain(*(noun.ranges().items() for noun in nouns))))
 
     @classmethod
     def severity(cls, level: int, **options: Any) -> "RandomUnderwater":
