@@ -181,8 +181,7 @@ def _degraded(
     columns; and what it took to reach the one asked for.
     """
     scenes = transform.scenes(image, z, params)
-    contrast = transform.contrast_map(image, scenes, step)
-    return transform.degraded(image, scenes), contrast, scenes.reached(0)
+    return scenes.formed(), scenes.contrast_map(step), scenes.reached(0)
 
 
 def _require_distances(recipe: Recipe, items: Sequence[Item]) -> None:

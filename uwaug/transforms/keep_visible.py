@@ -71,8 +71,8 @@ class KeepVisible(SampleTransform):
             got = f"a batch {tuple(image.shape)}"
             raise ValueError(f"KeepVisible takes one picture (3, H, W) at a time, got {got}")
         scenes = self.augment.scenes(image, distance, self.augment.make_params(image, generator))
-        sample = restore(self.augment.degraded(image, scenes))
-        contrast_map = self.augment.contrast_map(image, scenes)[0].detach()
+        sample = restore(scenes.formed())
+        contrast_map = scenes.contrast_map()[0].detach()
         if _has_objects(sample):
             return self._kept(sample, contrast_map)
         members = dict(enumerate(sample)) if isinstance(sample, (tuple, list)) else dict(sample)

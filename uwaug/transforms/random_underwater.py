@@ -1,33 +1,27 @@
 """`RandomUnderwater`: new water for every picture, in a DataLoader worker or on a whole batch."""
 
-import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, asdict, dataclass, fields
 from dataclasses import field as option
 from itertools import chain
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from uwaug import fast
 from uwaug._support import checks, codec
-from uwaug._support.once import Once
 from uwaug._support.ranges import Range
-from uwaug.distance.doubts import first_maps
 from uwaug.distance.sources import Metres, Plane, Source
-from uwaug.formation.colour import decoded, linear_to_srgb, require_values
-from uwaug.formation.contrast import FAINT, contrast_left
-from uwaug.formation.development import NEUTRAL, Development
-from uwaug.formation.each import form_each
+from uwaug.formation.development import NEUTRAL
 from uwaug.light import Light
 from uwaug.optics.camera import Camera
 from uwaug.optics.curves import FARTHEST
-from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
 from uwaug.presets.preset import load_preset
+from uwaug.transforms.distances import metres_of, require
 from uwaug.transforms.draws import (
     Draw,
     Record,
@@ -37,9 +31,9 @@ from uwaug.transforms.draws import (
     read_draws,
     uniform_of,
 )
-from uwaug.transforms.measured import Measured, measured
+from uwaug.transforms.measured import measured
 from uwaug.transforms.random_development import RandomDevelopment
-from uwaug.transforms.random_water import AnyWater, InWater, RandomWater, Reached
+from uwaug.transforms.random_water import AnyWater, RandomWater
 from uwaug.transforms.samples import (
     Parts,
     SampleTransform,
@@ -47,46 +41,12 @@ from uwaug.transforms.samples import (
     naming,
     pictures_of,
     take_apart,
-    typed,
     uncompiled,
 )
+from uwaug.transforms.scenes import Scenes
 
 SEVERITIES = {1: 0.65, 2: 0.5, 3: 0.35, 4: 0.2, 5: 0.08}
 """The contrast of each grade of severity."""
-
-_OUTDOORS = 500.0
-"""m: maps whose median is beyond are looked at for millimetres."""
-
-_blank = Once(looks=16)
-"""Whether anything is left to see: what is wrong with all pictures shows in the first."""
-
-
-class Scenes(NamedTuple):
-    """Pictures in the water that they have drawn, before an image is formed of them.
-
-    Attributes:
-        pictures (Bx3xHxW tensor): all.
-        chosen: the indices of those that have a water; all that follows is of these.
-        z (Nx1xHxW tensor): effective distances, m.
-        metres (Nx1xHxW tensor): distances, without the field.
-        waters: media, and what it took to reach a contrast.
-        developments: of the camera.
-        spans, alike: see `uwaug.formation.each.form_each`.
-    """
-
-    pictures: Tensor
-    chosen: Sequence[int]
-    z: Tensor
-    metres: Tensor
-    waters: Sequence[InWater]
-    developments: Sequence[Development]
-    spans: Sequence[tuple[float, float, float]]
-    alike: bool
-
-    def reached(self, picture: int) -> Reached | None:
-        """What it took to reach the contrast that a picture asked for, if it did."""
-        at = dict(zip(self.chosen, self.waters, strict=True)).get(picture)
-        return at and at.reached
 
 
 @codec.plain
@@ -313,7 +273,7 @@ class RandomUnderwater(SampleTransform):
             TypeError, ValueError: if an input does not suit, naming what came and what was
                 expected.
         """
-        return self.degraded(image, self.scenes(image, distance, params))
+        return self.scenes(image, distance, params).formed()
 
     @uncompiled
     def for_clip(self, params: Record, image: Tensor, distance: Tensor | None) -> Record:
@@ -336,17 +296,7 @@ class RandomUnderwater(SampleTransform):
         (sample,) = params["samples"]
         if not scenes.chosen:
             return {"samples": [sample]}
-        medium, z = scenes.waters[0].medium.to(scenes.z), scenes.z
-        J = decoded(scenes.pictures, self.development.color_space).to(z.dtype)
-        T = None if self.light is None else self.light.curves(medium, z, scenes.metres)
-        settled = scenes.developments[0].settled(J, z, medium, T)
-        balance = settled.white_balance if isinstance(settled.white_balance, tuple) else None
-        once = {
-            "median": scenes.spans[0][1] / scenes.waters[0].scale,
-            "exposure": settled.exposure,
-            "white_balance": balance,
-        }
-        return {"samples": [{**sample, "measured": once, "moved": 0.0}]}
+        return {"samples": [{**sample, "measured": scenes.settled(), "moved": 0.0}]}
 
     @uncompiled
     def contrast_left(self, image: Tensor, distance: Tensor | None, params: Record) -> Tensor:
@@ -359,7 +309,7 @@ class RandomUnderwater(SampleTransform):
         Returns:
             1xHxW of a picture, Bx1xHxW of a batch; 1 where a picture is left alone.
         """
-        return self.contrast_map(image, self.scenes(image, distance, params))
+        return self.scenes(image, distance, params).contrast_map()
 
     def take_apart(self, inputs: tuple[Any, ...]) -> Parts:
         """Image, map and the way back, of what the transform was called with."""
@@ -367,14 +317,13 @@ class RandomUnderwater(SampleTransform):
 
     def _sampled(self, inputs: tuple[Any, ...], generator: torch.Generator | None) -> Any:
         image, distance, restore = self.take_apart(inputs)
-        pictures = pictures_of(image)
+        pictures_of(image)  # refuses what has no number of pictures
         draws = [Draw(**sample) for sample in self.make_params(image, generator)["samples"]]
-        return restore(self.degraded(image, self._scenes(pictures, distance, draws)))
+        return restore(self._scenes(image, distance, draws).formed())
 
     def scenes(self, image: Tensor, distance: Tensor | None, params: Record) -> Scenes:
         """Pictures in the water of their draws; arguments as for `transform`."""
-        pictures = pictures_of(image)
-        return self._scenes(pictures, distance, self.read(params, len(pictures)))
+        return self._scenes(image, distance, self.read(params, len(pictures_of(image))))
 
     def read(self, params: Record, count: int) -> list[Draw]:
         """The draws of a record of `count` pictures; refuses what cannot have been drawn."""
@@ -384,132 +333,42 @@ class RandomUnderwater(SampleTransform):
                 self.water.require(name)
         return draws
 
-    def _scenes(self, pictures: Tensor, distance: Any, draws: list[Draw]) -> Scenes:
-        """Pictures (Bx3xHxW) and maps in the water of draws that are known to be good."""
+    def _scenes(self, image: Tensor, distance: Any, draws: Sequence[Draw]) -> Scenes:
+        """An image in the water of draws that are known to be good."""
         fast.load()  # else the first picture of a process would be off by the last bits
-        chosen = [i for i, draw in enumerate(draws) if draw.applied]
+        pictures, space = pictures_of(image), self.development.color_space
+        given = image, pictures, space, self.light
         maps: Sequence[Tensor | None] = [None] * len(pictures)
         if self.source.reads_maps:
             maps = maps_for(pictures, distance)
+        chosen = [i for i, draw in enumerate(draws) if draw.applied]
         if not chosen:
-            return Scenes(pictures, chosen, pictures[:0], pictures[:0], [], [], [], True)
-        drawn, scene = [draws[i] for i in chosen], pictures
-        if len(chosen) < len(pictures):
-            scene = pictures[torch.tensor(chosen).to(pictures.device)]
+            return Scenes(*given)
+        seen, waters, developments = [], [], []
+        metered = self.development.metered
         lamps = self.light is not None and bool(self.light.lamps)
         with torch.autocast(pictures.device.type, enabled=False):
-            z = self._metres(pictures, maps, chosen, drawn)
-            own = measured(scene, z)
-            seen: list[Measured] = []
-            waters: list[InWater] = []
-            for i, draw, look in zip(chosen, drawn, own, strict=True):
+            z = metres_of(self.source, pictures, maps, draws, space)
+            own = measured(pictures if len(z) == len(pictures) else pictures[chosen], z)
+            for i, look, far in zip(chosen, own, z, strict=True):
                 with naming(i, len(pictures)):
-                    self._require(look, pictures[i], z[len(seen)])
-                    seen.append(look.of_film(draw.measured))
-                    metered = self.development.metered
-                    waters.append(self.water.of(draw, seen[-1], metered=metered, lamps=lamps))
+                    require(self.source, look, pictures[i], far, space)
+                    seen.append(look.of_film(draws[i].measured))
+                    waters.append(self.water.of(draws[i], seen[-1], metered=metered, lamps=lamps))
+                    developments.append(self.development.of(draws[i], seen[-1]))
             scales = [water.scale for water in waters]
-            metres = z.to(torch.promote_types(scene.dtype, torch.float32))
+            metres = z.to(torch.promote_types(pictures.dtype, z.dtype))
             if any(scale != 1 for scale in scales):
                 metres = metres * metres.new_tensor(scales)[:, None, None, None]
             metres = metres.clamp(max=FARTHEST)
-            z = metres * self.water.fields(drawn, seen, metres)
-        developments = [self.development.of(*pair) for pair in zip(drawn, seen, strict=True)]
+            z = metres * self.water.fields([draws[i] for i in chosen], seen, metres)
         thin, dense = self.water.field or (1.0, 1.0)
         spans = [
             (scale * thin * look.nearest, scale * look.median, scale * dense * look.farthest)
             for scale, look in zip(scales, own, strict=True)
         ]
-        alike = self.water.has_one_law and not any(draw.measured for draw in drawn)
-        return Scenes(pictures, chosen, z, metres, waters, developments, spans, alike)
-
-    def _metres(
-        self,
-        pictures: Tensor,
-        maps: Sequence[Tensor | None],
-        chosen: list[int],
-        drawn: list[Draw],
-    ) -> Tensor:
-        """The distances (Nx1xHxW) of the chosen pictures, m; those of `Metres()` as they are, which
-        `_require` looks at. Of another source a device may have to wait for each.
-        """
-        on_host, results = checks.on_host(pictures), []
-        for i, draw in zip(chosen, drawn, strict=True):
-            z, picture = maps[i], pictures[i]
-            if z is not None and on_host and isinstance(self.source, Metres):
-                first_maps.question(z, picture, stacklevel=4)
-            if z is None or self.source != Metres():
-                with naming(i, len(pictures)):
-                    z = self.source.metres(z, self._shown(picture), draw.numbers)
-            results.append(z.to(torch.promote_types(z.dtype, torch.float32)))
-        return results[0][None] if len(results) == 1 else torch.stack(results)
-
-    def _shown(self, picture: Tensor) -> Tensor:
-        """A picture as a source of distances takes it: sRGB, where it looks at it."""
-        if self.development.color_space == "srgb" or not self.source.reads_pictures:
-            return picture
-        light = picture if picture.is_floating_point() else picture / 255
-        return linear_to_srgb(light.clamp(0, 1))
-
-    def _require(self, seen: Measured, picture: Tensor, z: Tensor) -> None:
-        """Refuse a picture and its map by what was measured; if that is odd, by a second look."""
-        if not (seen.darkest >= 0 and seen.brightest <= 1):
-            require_values(picture, self.development.color_space)
-        if isinstance(self.source, Metres) and not (seen.nearest > 0 and seen.median < _OUTDOORS):
-            Metres().metres(z, picture, {})
-
-    def degraded(self, image: Tensor, scenes: Scenes) -> Tensor:
-        """The degraded image of these scenes, see `transform`."""
-        if not scenes.chosen:
-            return image
-        pictures, chosen, some = scenes.pictures, scenes.chosen, scenes.pictures
-        for water, (_, median, _) in zip(scenes.waters, scenes.spans, strict=True):
-            self._warn_if_blank(median, water.medium)
-        if len(chosen) < len(pictures):
-            index = torch.tensor(chosen).to(pictures.device)
-            some = pictures[index]
-        with torch.autocast(pictures.device.type, enabled=False):
-            result = form_each(
-                some,
-                scenes.z,
-                [water.medium for water in scenes.waters],
-                scenes.developments,
-                color_space=self.development.color_space,
-                spans=scenes.spans,
-                alike=scenes.alike,
-                light=self.light,
-                metres=scenes.metres,
-            )
-        if some is not pictures:
-            result = pictures.index_copy(0, index, result)
-        return typed(result[0] if image.ndim == 3 else result, type(image))
-
-    def contrast_map(self, image: Tensor, scenes: Scenes, step: int = 1) -> Tensor:
-        """The share of contrast in these scenes, see `contrast_left`; in every so many rows and
-        columns.
-        """
-        size = scenes.pictures[:, :1, ::step, ::step]
-        shares = list(torch.ones_like(size, dtype=torch.float32))
-        for i, z, metres, water in zip(
-            scenes.chosen, scenes.z, scenes.metres, scenes.waters, strict=True
-        ):
-            far, near = z[..., ::step, ::step], metres[..., ::step, ::step]
-            shares[i] = contrast_left(far, water.medium, light=self.light, metres=near)
-        return shares[0] if image.ndim == 3 else torch.stack(shares)
-
-    def _warn_if_blank(self, median: float, medium: Medium) -> None:
-        """Warn, once in a process, if next to nothing is left to see at the median distance, m; the
-        far end of a scene is hidden in many a good draw.
-        """
-        if not math.isfinite(median) or not _blank.due():
-            return
-        z = medium.beta.new_full((1, 1, 1), median)
-        if float(contrast_left(z, medium, light=self.light)) < FAINT:
-            got = (
-                f"less than {100 * FAINT:g} % of the contrast is left on half of a picture or more"
-            )
-            cure = "are distances metres? If so, take clearer water by contrast"
-            _blank.warn(f"{got}, of median distance {median:.3g} m: {cure}")
+        alike = self.water.has_one_law and not any(draw.measured for draw in draws)
+        return Scenes(*given, chosen, z, metres, waters, developments, spans, alike)
 
     def __repr__(self) -> str:
         shown = [f"{f.name}={getattr(self, f.name)!r}" for f in codec.changed(self)]

@@ -86,8 +86,8 @@ class SampleTransform(nn.Module):
     to a sample.
     """
 
-    def __new__(cls, *args: Any, **kwargs: Any) -> Self:
-        """A module has to be one before the fields of a dataclass are set."""
+    def __new__(cls, *args: Any, **kwargs: Any) -> Self:  # noqa: D102  (no signature of its own)
+        # a module has to be one before the fields of a dataclass are set
         transform = super().__new__(cls)
         nn.Module.__init__(transform)
         return transform
