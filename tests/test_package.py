@@ -15,7 +15,7 @@ import uwaug
 
 ROOT = Path(__file__).parent.parent
 FOUND = {module.name for module in pkgutil.walk_packages(uwaug.__path__, "uwaug.")}
-GUIDES = [ROOT / "README.md", *sorted(ROOT.glob("[!.]*/**/README.md"))]
+GUIDES = [ROOT / "README.md", *sorted(ROOT.glob("[!.]*/**/*.md"))]
 MODULES = sorted({"uwaug"} | {name for name in FOUND if not name.endswith("__main__")})
 HEAVY = (
     "albumentations",

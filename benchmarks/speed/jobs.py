@@ -15,9 +15,7 @@ from PIL import Image
 
 import uwaug
 from benchmarks.harness import command, loops, save, use_threads
-from uwaug.files.items import find_items
-from uwaug.files.pictures import read_distance, read_picture, write_picture
-from uwaug.files.run import Recipe, degrade
+from uwaug.files import Recipe, degrade, find_items, read_distance, read_picture, write_picture
 from uwaug.presets import scene
 
 WORKERS = 2
@@ -60,7 +58,7 @@ def measured(end: str, count: int, sample: int) -> dict[str, Any]:
         steps = apart(folder, end, sample)
         items = find_items(folder / "all", folder / "z.npy")
         began = time.perf_counter()
-        summary = degrade(Recipe(), items, folder / "out", workers=WORKERS)
+        summary = degrade(Recipe(uwaug.RandomUnderwater()), items, folder / "out", workers=WORKERS)
         seconds = time.perf_counter() - began
     if summary.failures:
         raise RuntimeError(summary.failures[0])

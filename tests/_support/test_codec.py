@@ -80,3 +80,9 @@ def test_what_cannot_be_written(value: Any) -> None:
 def test_what_cannot_be_read(data: Any, expected: type | None, message: str) -> None:
     with pytest.raises((TypeError, ValueError), match=message):
         codec.from_plain(data, expected)
+
+
+def test_a_name_stands_for_one_class() -> None:
+    with pytest.raises(TypeError, match=r"'PointSpread' is taken by uwaug\.optics\.point_spread"):
+        codec.plain(dataclass(type("PointSpread", (), {})))
+    assert codec.from_plain({"kind": "PointSpread", "scale": 2.0}) == PointSpread(2.0)

@@ -106,7 +106,7 @@ def test_options_reach_the_transform(folder, run):
 
 def test_pictures_like_a_photograph(folder, run, monkeypatch):
     few = partial(uwaug.like, draws=30, keep=2)
-    monkeypatch.setattr(uwaug.files.run, "like", few)
+    monkeypatch.setattr("uwaug.files.prepare.like", few)
     murky = np.random.default_rng(1).integers(0, 90, (24, 32, 3), np.uint8)
     murky[..., 1] += 60
     Image.fromarray(murky).save(folder / "green.png")

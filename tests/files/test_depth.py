@@ -7,7 +7,7 @@ from networks import mean_of_channels
 from PIL import Image
 
 from uwaug.distance import Network, from_inverse
-from uwaug.files.pictures import read_distance, read_picture
+from uwaug.files import find_items, read_distance, read_picture
 
 PLAIN = ("--mean", "0,0,0", "--std", "1,1,1", "--short-side", "24", "--multiple", "1")
 
@@ -61,8 +61,69 @@ def test_a_stopped_run_goes_on_and_nothing_is_written_over(network, tmp_path, ru
     assert (tmp_path / "depth/a.png").stat().st_mtime_ns == before
     code, _, err = run(*named, "--holds", "relative", "--resume")
     assert code == 1
-    assert "depth was made by another network" in err
+    assert err.count("was made with another network: choose another folder") == 3
+    assert (tmp_path / "depth/a.png").stat().st_mtime_ns == before
     assert "3 of 3" in run(*named, "--holds", "relative", "--force")[1]
+
+
+NEGATIVE = ("--std=-1,-1,-1",)
+"""Near and far are exchanged."""
+
+
+def test_maps_of_another_network_never_pass_for_those_of_this_one(network, tmp_path, run):
+    flags = ("--network", network, *PLAIN)
+    assert run("depth", "photos", *flags, "--out", "depth")[0] == 0
+    assert run("depth", "photos", *flags, *NEGATIVE, "--out", "expected")[0] == 0
+    # a run that was stopped after its first map
+    again = (*flags, *NEGATIVE, "--out", "depth")
+    assert run("depth", "photos/a.png", *again, "--force")[0] == 0
+    code, out, err = run("depth", "photos", *again, "--resume")
+    assert code == 1
+    assert "0 of 3 maps written to depth, 1 were there" in out
+    assert "more/c.png: depth/more/c.png was made with another network" in err
+    # what is not of this one alone is written over
+    code, out, _ = run("depth", "photos", *again, "--resume", "--force")
+    assert code == 0
+    assert "2 of 3 maps written to depth, 1 were there" in out
+    for name in ("a.png", "b.png", "more/c.png"):
+        expected = (tmp_path / "expected" / name).read_bytes()
+        assert (tmp_path / "depth" / name).read_bytes() == expected
+
+
+def test_a_picture_that_fails_keeps_no_map_of_before(network, tmp_path, run):
+    named = ("depth", "photos", "--network", network, "--out", "depth", *PLAIN)
+    assert run(*named)[0] == 0
+    good = (tmp_path / "photos/b.png").read_bytes()
+    (tmp_path / "photos/b.png").write_bytes(good[:100])
+    assert run(*named, *NEGATIVE, "--force")[0] == 1
+    assert not (tmp_path / "depth/b.png").exists()
+    (tmp_path / "photos/b.png").write_bytes(good)
+    code, out, _ = run(*named, *NEGATIVE, "--resume")
+    assert code == 0
+    assert "1 of 3 maps written to depth, 2 were there" in out
+
+
+def test_a_picture_that_has_changed_keeps_no_map_of_before(network, tmp_path, run):
+    named = ("depth", "photos", "--network", network, "--out", "depth", *PLAIN)
+    assert run(*named)[0] == 0
+    before = (tmp_path / "depth/b.png").read_bytes()
+    (tmp_path / "photos/b.png").write_bytes((tmp_path / "photos/a.png").read_bytes())
+    code, _, err = run(*named, "--resume")
+    assert code == 1
+    assert err.startswith("Error: b.png: depth/b.png was made with another picture")
+    assert (tmp_path / "depth/b.png").read_bytes() == before
+    assert run(*named, "--resume", "--force")[0] == 0
+    assert (tmp_path / "depth/b.png").read_bytes() == (tmp_path / "depth/a.png").read_bytes()
+
+
+def test_maps_do_not_depend_on_workers_and_are_no_pictures(network, tmp_path, run):
+    named = ("depth", "photos", "--network", network, *PLAIN, "--sheet", "--out")
+    assert run(*named, "photos/one", "--workers", "1")[0] == 0
+    assert run(*named, "two", "--workers", "2")[0] == 0
+    for name in ("a.png", "b.png", "more/c.png", "sheet.jpg"):
+        one = (tmp_path / "photos/one" / name).read_bytes()
+        assert one == (tmp_path / "two" / name).read_bytes()
+    assert [item.name for item in find_items("photos")] == ["a.png", "b.png", "more/c.png"]
 
 
 def test_what_goes_wrong_is_named(network, tmp_path, run):
@@ -78,4 +139,4 @@ def test_what_goes_wrong_is_named(network, tmp_path, run):
     Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(tmp_path / "photos/a.jpg")
     code, _, err = run("depth", "photos", "--network", network, "--out", "third", *PLAIN)
     assert code == 2
-    assert "would both be third/a.png" in err
+    assert "photos/a.jpg and photos/a.png would both be written to " in err

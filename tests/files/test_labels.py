@@ -3,16 +3,18 @@
 import json
 import os
 import pickle
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+import yaml
 from filing import content
 from PIL import Image
 
-from uwaug.files.labels import Judged, Labelled, judged, open_labels
+from uwaug.files.labels import FORMATS, Judged, Labelled, Labels, judged, open_labels
 
 H, W = 6, 8
 SIZE = (H, W)
@@ -57,7 +59,7 @@ def write(path: Path, text: str) -> Path:
     return path
 
 
-def run(
+def labelled(
     source: Path, names: list[str], out: Path, least: float | None = 0.05
 ) -> list[list[Judged]]:
     """What a run does with the labels of some pictures, each in a process of its own."""
@@ -75,7 +77,9 @@ def run(
 
 def test_coco(tmp_path: Path) -> None:
     before = coco(tmp_path).read_bytes()
-    objects, _ = run(tmp_path / "instances.json", ["reef/a.jpg", "photos/b.jpg"], tmp_path / "out")
+    objects, _ = labelled(
+        tmp_path / "instances.json", ["reef/a.jpg", "photos/b.jpg"], tmp_path / "out"
+    )
     found = [(7, 0.9, True), (8, 0.01, False), (9, MIXED, True), (10, 0.0, False)]
     assert objects == found
     written = json.loads((tmp_path / "out/instances.json").read_text())
@@ -90,7 +94,7 @@ def test_coco(tmp_path: Path) -> None:
     }
     assert (tmp_path / "instances.json").read_bytes() == before
     with pytest.raises(ValueError, match="is read, and would be written over"):
-        run(tmp_path / "instances.json", ["b.jpg"], tmp_path)
+        labelled(tmp_path / "instances.json", ["b.jpg"], tmp_path)
 
 
 @pytest.mark.parametrize("names", [("b.jpg", "b.jpg"), ("one/b.jpg", "two/b.jpg")])
@@ -134,7 +138,7 @@ def test_yolo(tmp_path: Path) -> None:
     write(tmp_path / "ds/labels/train/1.txt", YOLO)
     write(tmp_path / "ds/labels/val/2.txt", " \n")
     names = ["images/train/1.png", "images/val/2.png", "images/val/background.png"]
-    first, *others = run(tmp_path / "ds/labels", names, tmp_path / "out")
+    first, *others = labelled(tmp_path / "ds/labels", names, tmp_path / "out")
     assert first == [(1, 0.9, True), (3, 0.01, False), (4, MIXED, True)]
     assert others == [[], []]
     found = {name: data.decode() for name, data in content(tmp_path / "out").items()}
@@ -161,7 +165,7 @@ def test_yolo(tmp_path: Path) -> None:
 )
 def test_trainers_find_labels(tmp_path: Path, name: str, label: str, place: str) -> None:
     write(tmp_path / label, "0 .5 .5 1 1\n")
-    ((one,),) = run(tmp_path / "labels", [name], tmp_path / "out")
+    ((one,),) = labelled(tmp_path / "labels", [name], tmp_path / "out")
     assert open_labels(tmp_path / "labels").place(name) == place
     # as Ultralytics' img2label_paths
     picture = str(tmp_path / "out" / place)
@@ -173,7 +177,7 @@ def test_trainers_find_labels(tmp_path: Path, name: str, label: str, place: str)
 def test_splits_are_those_of_folders(tmp_path: Path) -> None:
     write(tmp_path / "labels/1.txt", "0 .5 .5 1 1\n")
     names = ["1.png", "reef/1.png", "val2017/1.png", "valley/1.png", "test/1.png"]
-    run(tmp_path / "labels", names, tmp_path / "out")
+    labelled(tmp_path / "labels", names, tmp_path / "out")
     found = {
         split: (tmp_path / f"out/{split}.txt").read_text() for split in ("train", "val", "test")
     }
@@ -185,7 +189,6 @@ def test_splits_are_those_of_folders(tmp_path: Path) -> None:
 
 
 def test_what_a_data_yaml_says_but_for_places_is_kept(tmp_path: Path) -> None:
-    yaml = pytest.importorskip("yaml")
     text = """\
 # some of COCO
 path: ../datasets/reef  # root
@@ -204,7 +207,7 @@ download: |
     write(tmp_path / "ds/data.yaml", text)
     # a box, and a keypoint that is no part of it
     write(tmp_path / "ds/labels/1.txt", "0 .25 .5 .5 1 .9 .9 2\n")
-    ((one,),) = run(tmp_path / "ds/labels", ["1.png"], tmp_path / "out")
+    ((one,),) = labelled(tmp_path / "ds/labels", ["1.png"], tmp_path / "out")
     assert one.contrast == 0.9
     assert yaml.safe_load((tmp_path / "out/data.yaml").read_text()) == {
         "train": "train.txt",
@@ -212,6 +215,45 @@ download: |
         "names": {0: "fish", 1: "crab: red"},
         "kpt_shape": [1, 3],
     }
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{train: images/train, val: images/val, names: [fish, 'crab: red'], nc: 2}\n",
+        "names:\n- fish\n- 'crab: red'\nnc: 2\npath:\n  a: folder\n\n  b: another\n",
+        '"train": here\nval: there\n"names": ["fish", "crab: red"]\nnc: 2',
+    ],
+)
+def test_data_yaml_in_any_style(tmp_path: Path, text: str) -> None:
+    write(tmp_path / "ds/data.yaml", text)
+    write(tmp_path / "ds/labels/1.txt", "0 .25 .5 .5 1\n")
+    labelled(tmp_path / "ds/labels", ["1.png"], tmp_path / "out")
+    assert yaml.safe_load((tmp_path / "out/data.yaml").read_text()) == {
+        "train": "train.txt",
+        "val": "val.txt",
+        "names": ["fish", "crab: red"],
+        "nc": 2,
+    }
+
+
+@pytest.mark.parametrize("text", ["names: [fish", "- fish"])
+def test_what_is_no_data_yaml(tmp_path: Path, text: str) -> None:
+    path = write(tmp_path / "data.yaml", text)
+    write(tmp_path / "labels/1.txt", "0 .25 .5 .5 1\n")
+    with pytest.raises(ValueError, match=r"data\.yaml: ") as refused:
+        labelled(tmp_path / "labels", ["1.png"], tmp_path / "out")
+    assert str(path) in str(refused.value)
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_a_format_says_what_it_reads(
+    format: type[Labels], tmp_path: Path, run: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(ValueError, match=re.escape(format.reads)):
+        open_labels(tmp_path)
+    monkeypatch.setenv("COLUMNS", "250")
+    assert format.reads in run("degrade", "--help")[1]
 
 
 @pytest.mark.parametrize("dtype, palette", [("uint8", False), ("uint8", True), ("uint16", False)])
@@ -223,7 +265,7 @@ def test_masks(tmp_path: Path, dtype: str, palette: bool) -> None:
     if palette:
         image.putpalette([255, 0, 0] * 20)
     image.save(tmp_path / "masks/1.png")
-    (objects,) = run(tmp_path / "masks", ["1.jpg"], tmp_path / "out")
+    (objects,) = labelled(tmp_path / "masks", ["1.jpg"], tmp_path / "out")
     assert objects == [(5, 0.9, True), (7, MIXED, True), (200, 0.01, False)]
     with Image.open(tmp_path / "out/labels/1.png") as written:
         assert np.array_equal(written, np.where(values == 200, 0, values))
@@ -231,7 +273,7 @@ def test_masks(tmp_path: Path, dtype: str, palette: bool) -> None:
 
 def test_without_a_limit_labels_stay_as_they_are(tmp_path: Path) -> None:
     write(tmp_path / "labels/1.txt", "0 .75 .5 .5 1")
-    assert run(tmp_path / "labels", ["1.png"], tmp_path / "out", None) == [[(1, 0.01, True)]]
+    assert labelled(tmp_path / "labels", ["1.png"], tmp_path / "out", None) == [[(1, 0.01, True)]]
     assert (tmp_path / "out/labels/1.txt").read_text() == "0 .75 .5 .5 1"
 
 
@@ -270,7 +312,7 @@ def test_bad_coco_files(tmp_path: Path, changes: dict[str, Any], message: str) -
         ("0 10 20 30 40", "expected a class, and shares of width and height"),
         ("0 nan .5 .5 .5", "expected a class, and shares"),
         ("0 .5 .5", "expected a class, and shares"),
-        ("0 .5 .5 .5", "cannot reshape"),
+        ("0 .5 .5 .5", "expected a class, and shares"),
         ("fish", ""),
         ("0 a b c d", "could not convert"),
     ],
@@ -283,7 +325,10 @@ def test_bad_yolo_files(tmp_path: Path, line: str, message: str) -> None:
 
 
 def test_folders_without_labels(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="labels must be a COCO file, or a folder"):
+    with pytest.raises(
+        ValueError,
+        match=r"labels must be a COCO file .* a folder of YOLO.* or a folder of .* masks",
+    ):
         open_labels(tmp_path)
     (tmp_path / "a.json").write_text("[" * 100_000)
     with pytest.raises(ValueError, match="is no COCO file"):

@@ -20,7 +20,7 @@ from deadly import Deadly
 from filing import content, metres, pixels, save, words
 from PIL import Image
 
-from uwaug import RandomUnderwater
+from uwaug import RandomDevelopment, RandomUnderwater, Sensor
 from uwaug.distance import Metres, Plane, Relative
 from uwaug.files import Item, Recipe, degrade, find_items, read_picture, read_record, replay
 from uwaug.files.pool import on_processes
@@ -28,7 +28,7 @@ from uwaug.transforms.samples import key_of
 
 H, W = 24, 32
 WATER = RandomUnderwater("II", contrast=None)
-RECIPE = Recipe(transform=RandomUnderwater(["II", "7C"], contrast=(0.3, 0.5)).to_dict(), seed=4)
+RECIPE = Recipe(RandomUnderwater(["II", "7C"], contrast=(0.3, 0.5)), seed=4)
 
 
 @pytest.fixture(autouse=True)
@@ -64,10 +64,10 @@ def test_items() -> None:
         Path("ds", place).touch()
     assert names("ds/deep", "{stem}_depth.png") == {"2.PNG": "ds/deep/2_depth.png"}
     with pytest.raises(ValueError, match=r"ds/maps has no map for any picture: .*ds/maps/deep/2,"):
-        find_items("ds", "ds/maps", apart=["ds/out"])
+        find_items("ds", "ds/maps", exclude=["ds/out"])
     Path("ds/maps/deep").mkdir()
     Path("ds/maps/deep/2.npy").touch()
-    assert names("ds", "ds/maps", apart=["ds/out"]) == {
+    assert names("ds", "ds/maps", exclude=["ds/out"]) == {
         "deep/2.PNG": "ds/maps/deep/2.npy",
         "deep/2_depth.png": "ds/maps/deep/2_depth",  # is missing
     }
@@ -98,7 +98,7 @@ def test_what_a_run_has_written_is_no_picture_of_the_next() -> None:
 
 
 def test_a_picture_is_that_of_the_transform() -> None:
-    recipe = Recipe(transform=WATER.to_dict(), variants=2)
+    recipe = Recipe(WATER, variants=2)
     summary = degrade(recipe, items()[:1], "out")
     assert [result.place for result in summary.results] == ["0_1.png", "0_2.png"]
     image, z = read_picture("all/0.png"), torch.from_numpy(metres(H, W))[None]
@@ -138,8 +138,8 @@ def test_frames_of_a_folder_share_a_draw() -> None:
     for folder in ("one", "other"):
         for number in range(3):
             save(f"films/{folder}/{number}.png", pixels(seed=number))
-    noise = {"kind": "RandomDevelopment", "noise": {"full_well": 2000}}
-    recipe = Recipe({"distance": 3.0, "development": noise}, sequence=True, variants=2)
+    augment = RandomUnderwater(distance=3.0, development=RandomDevelopment(noise=Sensor(2000)))
+    recipe = Recipe(augment, sequence=True, variants=2)
     items = find_items("films")
     assert degrade(recipe, items, "wet").failures == []
     assert degrade(recipe, items[::-1], "again", workers=2).failures == []
@@ -149,11 +149,11 @@ def test_frames_of_a_folder_share_a_draw() -> None:
     clips = {}
     for path, record in records.items():
         (sample,) = record["params"]["samples"]
-        moved = sample["clip"].pop("moved")
+        moved = sample.pop("moved")
         frame = int(Path(record["name"]).stem)
         assert moved == pytest.approx(0.004 * frame)
         # the noise of a sensor is that of a frame
-        assert sample["clip"].pop("noise_seed") == sample["numbers"]["noise_seed"] + frame
+        sample["numbers"]["noise_seed"] = (sample["numbers"]["noise_seed"] - frame) % 2**32
         clips.setdefault((path.parent.name, record["variant"]), []).append(sample)
     assert len(clips) == 4
     assert all(samples == [samples[0]] * 3 for samples in clips.values())
@@ -171,7 +171,7 @@ def test_a_film_is_settled_on_a_frame_that_serves() -> None:
     save(maps / "0.npy", 0 * metres(H, W))
     save(maps / "5.npy", np.full((H, W), np.inf, np.float32))
     Path("fade/film/6.png").write_bytes(b"")
-    recipe = Recipe({"waters": "II"}, sequence=True)
+    recipe = Recipe(RandomUnderwater("II"), sequence=True)
     found = find_items("fade", "maps")
     assert statuses(degrade(recipe, found, "wet")).count("written") == 6
     degrade(recipe, found[::-1], "again", workers=2)
@@ -180,12 +180,11 @@ def test_a_film_is_settled_on_a_frame_that_serves() -> None:
         assert path.read_bytes() == Path("again", path.relative_to("wet")).read_bytes()
         record = read_record(path)
         (sample,) = record["params"]["samples"]
-        clips.append({**sample["clip"], "moved": 0.0})
-    transform = RandomUnderwater.from_dict(recipe.transform)
-    del sample["clip"]
+        clips.append(sample.pop("measured"))
+    del sample["moved"]
     z = torch.from_numpy(metres(H, W))[None]
-    settled = transform.for_clip({"samples": [sample]}, read_picture("fade/film/7.png"), z)
-    assert clips == [json.loads(json.dumps(settled["samples"][0]["clip"]))] * 6
+    settled = recipe.transform.for_clip({"samples": [sample]}, read_picture("fade/film/7.png"), z)
+    assert clips == [json.loads(json.dumps(settled["samples"][0]["measured"]))] * 6
     assert set(statuses(degrade(recipe, found, "wet", resume=True))) == {"skipped", "failed"}
     for number in range(8):
         save(maps / f"{number}.npy", 0 * metres(H, W))
@@ -193,14 +192,54 @@ def test_a_film_is_settled_on_a_frame_that_serves() -> None:
     assert "no frame serves to settle the film's draw: film/4.png: distance must be" in first
 
 
+def test_a_film_is_not_settled_anew_when_it_is_resumed() -> None:
+    for number in range(6):
+        light = (number + 1) / 6
+        save(f"films/{number}.png", (light * pixels(H, W, seed=number)).astype(np.uint8))
+    whole = Path("films/3.png").read_bytes()  # the middle one
+    Path("films/3.png").write_bytes(whole[:60])
+    recipe, found = Recipe(RandomUnderwater(distance=3.0), sequence=True), find_items("films")
+    assert degrade(recipe, found, "wet").count("written") == 5
+    before = content("wet")
+    assert degrade(recipe, found, "wet", resume=True).count("skipped") == 5
+    # it would now be settled on the middle frame, with another exposure
+    Path("films/3.png").write_bytes(whole)
+    resumed = degrade(recipe, found, "wet", resume=True)
+    assert statuses(resumed).count("failed") == 5
+    assert "0.png was made with another frame: choose another folder" in resumed.failures[0]
+    after = content("wet")
+    assert {name: after[name] for name in before if name != "index.csv"} == {
+        name: data for name, data in before.items() if name != "index.csv"
+    }
+    assert degrade(recipe, found, "wet", resume=True, force=True).failures == []
+    exposures = {
+        read_record(path)["params"]["samples"][0]["measured"]["exposure"]
+        for path in Path("wet").glob("*.json")
+    }
+    assert len(exposures) == 1
+
+
+def test_a_film_is_not_settled_on_a_frame_that_has_changed() -> None:
+    for number in range(3):
+        save(f"films/{number}.png", pixels(H, W, seed=number))
+    recipe, found = Recipe(RandomUnderwater(distance=3.0), sequence=True), find_items("films")
+    degrade(recipe, found, "wet")
+    save("films/1.png", pixels(H, W) // 2)  # the middle one
+    Path("wet/2.png").unlink()
+    kept = degrade(recipe, found, "wet", resume=True)
+    assert statuses(kept) == ["failed", "failed", "written"]
+    assert "0.png was made with another frame" in kept.failures[0]
+    assert "1.png was made with another picture and frame" in kept.failures[1]
+
+
 def test_blank_pictures_are_told_of() -> None:
     save("depth/1.npy", 20 * metres(H, W))
-    assert degrade(Recipe(transform=WATER.to_dict()), items(), "out").blank == ["1.png"]
+    assert degrade(Recipe(WATER), items(), "out").blank == ["1.png"]
 
 
 def test_odd_scenes_are_told_of() -> None:
     save("depth/1.npy", 50 * metres(H, W))
-    recipe = Recipe(transform=RandomUnderwater(contrast=0.4).to_dict())
+    recipe = Recipe(RandomUnderwater(contrast=0.4))
     summary = degrade(recipe, items(), "out")
     (odd,) = summary.odd
     assert odd.startswith("1.png (0.0")
@@ -251,7 +290,7 @@ def test_maps_of_other_kinds() -> None:
         (None, "m", Plane(3.0)),
     ):
         transform = RandomUnderwater("II", contrast=None, distance=distance, field=None)
-        recipe = Recipe(transform=transform.to_dict(), unit=unit)
+        recipe = Recipe(transform, unit=unit)
         degrade(recipe, find_items("all/0.png", maps), f"{len(made)}.png")
         made.append(read_picture(f"{len(made)}.png").int())
     differences = [int((one - made[0]).abs().max()) for one in made[1:]]
@@ -265,7 +304,7 @@ def test_labels() -> None:
     for number in range(4):  # an object above, which is near, and one below
         Path(f"labels/{number}.txt").write_text("0 .5 .1 1 .2\n1 .5 .9 1 .2\n")
         save(f"depth/{number}.npy", np.repeat(np.linspace(0.2, 20, H), W).reshape(H, W))
-    recipe = Recipe(transform=WATER.to_dict(), labels="labels", min_contrast=0.05)
+    recipe = Recipe(WATER, labels="labels", min_contrast=0.05)
     summary = degrade(recipe, items(), "out", workers=2)
     assert summary.objects == (8, 4)
     assert Path("out/labels/3.txt").read_text() == "0 .5 .1 1 .2\n"
@@ -309,6 +348,9 @@ def test_replay() -> None:
     assert Path("again.png").read_bytes() == Path("out/2.png").read_bytes()
     with pytest.raises(ValueError, match="is read, and would be written over"):
         replay("out/2.png.json", "moved.png", picture="moved.png", force=True)
+    save("depth/2.npy", 2 * metres(H, W))
+    with pytest.raises(ValueError, match=r"depth/2\.npy has changed since .*2\.png\.json was"):
+        replay("out/2.png.json", "again.png", picture="moved.png", force=True)
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", "[" * 100_000])
@@ -330,13 +372,53 @@ def test_resume_and_force() -> None:
     assert summary.results[0].contrast == first.results[0].contrast
     after = content("out")
     assert {name: after[name] for name in before} == {**before, "index.csv": after["index.csv"]}
-    other = Recipe(transform=RECIPE.transform, seed=5)
+    other = Recipe(RECIPE.transform, seed=5)
     kept = degrade(other, items(), "out", resume=True)
     assert statuses(kept) == ["failed"] * 4
     assert "out/0.png was made with another recipe: choose another folder" in kept.failures[0]
     assert {**content("out"), "index.csv": b""} == {**after, "index.csv": b""}
     assert statuses(degrade(other, items(), "out", force=True)) == ["written"] * 4
     assert content("out")["0.png"] != after["0.png"]
+
+
+@pytest.mark.parametrize(
+    "file, other",
+    [("all/1.png", "picture"), ("depth/1.npy", "distance"), ("labels/1.txt", "labels")],
+)
+def test_what_has_changed_is_not_taken_for_what_it_was(file: str, other: str) -> None:
+    for number in range(4):
+        Path("labels").mkdir(exist_ok=True)
+        Path(f"labels/{number}.txt").write_text("0 .5 .5 1 1\n")
+    recipe = Recipe(WATER, labels="labels")
+    degrade(recipe, items(), "out")
+    before = content("out")
+    if other == "labels":
+        Path(file).write_text("0 .5 .1 1 .2\n")
+    else:
+        save(file, pixels(H, W, seed=9) if other == "picture" else 2 * metres(H, W))
+    resumed = degrade(recipe, items(), "out", resume=True)
+    assert statuses(resumed) == ["skipped", "failed", "skipped", "skipped"]
+    assert f"images/1.png was made with another {other}: choose" in resumed.failures[0]
+    assert content("out")["images/1.png"] == before["images/1.png"]
+    again = degrade(recipe, items(), "out", resume=True, force=True)
+    assert statuses(again) == ["skipped", "written", "skipped", "skipped"]
+    record, label = "images/1.png.json", "labels/1.txt"
+    assert content("out")[record] != before[record]
+    assert (content("out")[label] != before[label]) == (other == "labels")
+
+
+def test_a_picture_that_fails_leaves_nothing_of_before() -> None:
+    degrade(RECIPE, items(), "out")
+    Path("all/1.png").write_bytes(b"")
+    failed = degrade(Recipe(RECIPE.transform, seed=5), items(), "out", force=True)
+    assert statuses(failed) == ["written", "failed", "written", "written"]
+    assert not {"1.png", "1.png.json"} & content("out").keys()
+    frames = items()
+    for frame in frames:
+        frame.picture.write_bytes(b"")  # none serves to settle the film's draw
+    film = degrade(Recipe(RECIPE.transform, sequence=True), frames, "out", force=True)
+    assert statuses(film) == ["failed"] * 4
+    assert content("out").keys() == {"index.csv"}
 
 
 def test_one_bad_picture_does_not_stop_the_rest() -> None:
@@ -360,9 +442,16 @@ def test_one_bad_picture_does_not_stop_the_rest() -> None:
     "options, maps, out, message",
     [
         ({"labels": "labels"}, "depth", "out", "would both be written to .*images/0: rename one"),
+        ({"labels": "other"}, "depth", "out", "labels belong to no picture: other: .*other/0.txt"),
+        ({"labels": "coco.json"}, "depth", "out", "belong to no .* no image has the file_name 0"),
         ({}, None, "out", "distance is missing: 0.png has no file of it"),
         ({}, "depth", "all", "is read, and would be written over"),
-        ({"transform": {"contrasts": 1}}, "depth", "out", "contrasts"),
+        (
+            {"transform": {"waters": "II"}},
+            "depth",
+            "out",
+            "transform must be a uwaug.RandomUnderwater",
+        ),
         ({"unit": "inch"}, "depth", "out", "unit must be one of m, cm, mm"),
         ({"variants": 0}, "depth", "out", "variants must be 1 or more"),
         ({"min_contrast": 2}, "depth", "out", "min_contrast must be in"),
@@ -370,12 +459,16 @@ def test_one_bad_picture_does_not_stop_the_rest() -> None:
     ],
 )
 def test_refusals(options: dict[str, Any], maps: str | None, out: str, message: str) -> None:
-    if "labels" in options:
+    Path("other").mkdir()
+    Path("other/9.txt").write_text("0 .5 .5 1 1")
+    coco = {"images": [{"id": 1, "file_name": "9.png"}], "annotations": []}
+    Path("coco.json").write_text(json.dumps(coco))
+    if options.get("labels") == "labels":
         save("all/0.tif", pixels(H, W))
         save("labels/0.png", pixels()[..., 0])
     before = content(".")
     with pytest.raises((ValueError, TypeError), match=message):
-        degrade(Recipe(**options), find_items("all", maps), out, force=True)
+        degrade(Recipe(**{"transform": WATER, **options}), find_items("all", maps), out, force=True)
     assert content(".") == before
 
 

@@ -8,6 +8,7 @@ import pytest
 import torch
 from fitted import COLOURS, HAZE, STONES, TRUTH, errors, medium, objective, seen, veil_water, veiled
 
+from uwaug._support.threads import one_thread
 from uwaug.fitting import fit_veil
 from uwaug.fitting.choose import FittedModel, cross_validated, one_standard_error_rule
 from uwaug.fitting.errors import covariance_of, parameter, parameters
@@ -18,7 +19,6 @@ from uwaug.fitting.solve import (
     loss,
     multistart,
     noise,
-    one_thread,
     reweighed,
     solve,
 )
@@ -27,7 +27,7 @@ from uwaug.fitting.solve import (
 @pytest.fixture(autouse=True)
 def calmly():
     """As fits run: threads that wait for each other take 3 to 6 times as long."""
-    with one_thread():
+    with one_thread(), torch.no_grad():
         yield
 
 

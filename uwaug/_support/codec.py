@@ -15,7 +15,16 @@ _KINDS: dict[str, type] = {}
 
 
 def plain(kind: type[T]) -> type[T]:
-    """Let a dataclass be written as a dictionary: {"kind": its name, attributes…}."""
+    """Let a dataclass be written as a dictionary: {"kind": its name, attributes…}.
+
+    Raises:
+        TypeError: if another class has the name.
+    """
+    taken = _KINDS.get(kind.__name__, kind)
+    # a module that is loaded anew replaces its own
+    if (taken.__module__, taken.__qualname__) != (kind.__module__, kind.__qualname__):
+        where = f"{taken.__module__}.{taken.__qualname__}"
+        raise TypeError(f"kind {kind.__name__!r} is taken by {where}: give the class another name")
     _KINDS[kind.__name__] = kind
     return kind
 

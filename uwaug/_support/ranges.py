@@ -28,3 +28,12 @@ def as_range(
         expected = f"a number or a range (low, high) with low ≤ high, {domain}"
         raise ValueError(f"{name} must be {expected}; got {value!r}")
     return low, high
+
+
+def read_range(text: str) -> Range | None:
+    """A number or a range as a person writes them, .4 or 1:5; None of other words."""
+    try:
+        ends = [float(part) for part in text.split(":")]
+    except ValueError:
+        return None
+    return ends[0] if len(ends) == 1 else (ends[0], ends[1]) if len(ends) == 2 else None

@@ -59,6 +59,8 @@ Preset = Annotated[
         autocompletion=complete(*list_presets()),
     ),
 ]
+Workers = Annotated[int, typer.Option(help="Processes; 0: one for each core.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Go on after a stop.")]
 Force = Annotated[bool, typer.Option("--force", help="Write over what is there.")]
 
 

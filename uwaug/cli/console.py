@@ -2,12 +2,15 @@
 
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import typer
+
+if TYPE_CHECKING:
+    from uwaug.files.summary import Summary
 
 
 def end(code: int, message: object) -> NoReturn:
@@ -45,6 +48,20 @@ def require_writable(path: Path, *, force: bool, endings: tuple[str, ...] = ()) 
         end(2, f"{path} exists: choose another file, or --force to write over it")
     if not path.parent.is_dir():
         end(1, f"there is no folder {path.parent}")
+
+
+def print_counts(summary: "Summary", what: str, out: Path) -> None:
+    """Say how many pictures or maps a run has written to where."""
+    skipped = summary.count("skipped")
+    already = f", {skipped} were there" if skipped else ""
+    print(f"{summary.count('written')} of {len(summary.results)} {what} written to {out}{already}")
+
+
+def end_if_failed(failures: Sequence[str]) -> None:
+    """End with 1 and the first of what went wrong, if anything did."""
+    if failures:
+        more = f"\nand {len(failures) - 5} more" if len(failures) > 5 else ""
+        end(1, "\n".join(failures[:5]) + more)
 
 
 def print_written(*paths: Path) -> None:

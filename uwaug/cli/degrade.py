@@ -1,6 +1,5 @@
 """`uwaug degrade`: pictures and folders under water."""
 
-import os
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,8 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from uwaug.cli.choices import Force, Holes, Preset, Unit, number_or_word
-from uwaug.cli.console import counted, end, print_written, reported_errors
+from uwaug.cli.choices import Force, Holes, Preset, Resume, Unit, Workers, number_or_word
+from uwaug.cli.console import counted, end_if_failed, print_counts, print_written, reported_errors
+from uwaug.files.labels import formats
 
 
 def degrade(
@@ -58,17 +58,15 @@ def degrade(
     options: Annotated[Path | None, typer.Option(help="The same in a TOML file.")] = None,
     seed: Annotated[int, typer.Option(help="Of all that is random.")] = 0,
     variants: Annotated[int, typer.Option(help="Of each picture.")] = 1,
-    workers: Annotated[int, typer.Option(help="Processes; 0: one for each core.")] = 0,
+    workers: Workers = 0,
     sequence: Annotated[
         bool, typer.Option("--sequence", help="Each folder is a film: one draw for its frames.")
     ] = False,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on after a stop.")] = False,
+    resume: Resume = False,
     force: Force = False,
     sheet: Annotated[bool, typer.Option("--sheet", help="Draw some results on a sheet.")] = False,
     ray: Annotated[str | None, typer.Option(help="A Ray cluster: auto, host:port; local.")] = None,
-    labels: Annotated[
-        str | None, typer.Option(help="A COCO file, a folder of YOLO's, or one of masks.")
-    ] = None,
+    labels: Annotated[str | None, typer.Option(help=f"Of the pictures: {formats()}.")] = None,
     min_contrast: Annotated[
         float | None, typer.Option(help="Leaves out labels of which less contrast is left.")
     ] = None,
@@ -80,35 +78,27 @@ def degrade(
     """
     with reported_errors():
         if pictures.suffix == ".json":
-            from uwaug.files.run import replay
+            from uwaug.files import replay
 
             replay(pictures, out, force=force)
             print_written(out)
             return
-        from uwaug.files.items import find_items, left_out
-        from uwaug.files.run import Recipe, doubts_of, like_of
-        from uwaug.files.run import degrade as run
+        from uwaug.files import Recipe, find_items
+        from uwaug.files import degrade as run
+        from uwaug.files.distances import distances_of
+        from uwaug.files.items import left_out
+        from uwaug.files.prepare import prepare
         from uwaug.transforms import RandomUnderwater
 
-        chosen = _transform_options(preset, options, set_ or (), water or (), contrast)
+        chosen = _options(preset, options, set_ or (), water or (), contrast)
         of_run = {name: chosen.pop(name) for name in ("drift", "quality") if name in chosen}
-        plane = None if distance is None else _value(distance)
-        # whoever speaks of units or holes has maps
-        untold = distance is None and "distance" not in chosen and (unit, holes) == ("m", "error")
-        if untold and sequence:
-            chosen["distance"] = [1.0, 5.0]
-        elif distance == "made-up" or untold:
-            given = chosen.get("distance")
-            chosen["distance"] = {**(given if isinstance(given, dict) else {}), "kind": "MadeUp"}
-            distance = None
-        elif isinstance(plane, (float, list)):
-            chosen["distance"], distance = plane, None
-        elif holes != "error" and isinstance(chosen.get("distance", {}), dict):
-            source = {"kind": "Metres", **chosen.get("distance", {})}
-            chosen["distance"] = {**source, "holes": number_or_word(holes)}
+        of_maps: Any = {"unit": number_or_word(unit), "holes": number_or_word(holes)}
+        said = distances_of(distance, chosen.pop("distance", None), sequence=sequence, **of_maps)
+        if said.source is not None:
+            chosen["distance"] = said.source
         recipe = Recipe(
-            transform=RandomUnderwater.from_dict(chosen).to_dict(),
-            unit=number_or_word(unit),
+            RandomUnderwater.from_dict(chosen),
+            unit=of_maps["unit"],
             seed=seed,
             variants=variants,
             labels=labels,
@@ -116,42 +106,25 @@ def degrade(
             sequence=sequence,
             **of_run,
         )
-        apart = [str(out)] if labels is None else [str(out), labels]
-        items = find_items(pictures, distance, apart=apart)
-        if pictures.is_dir() and (others := left_out(pictures, [*apart, distance])):
+        items = find_items(pictures, said.maps, exclude=[out, labels])
+        if others := left_out(pictures, said.maps, exclude=[out, labels]):
             print(f"left out, as they are neither PNG, JPEG nor TIFF: {others}")
-        if untold and sequence:
-            print(
-                "Without --distance, all of a film is a plane, 1 to 5 m away, as distances made up "
-                "from each frame would flicker."
-            )
-        elif untold:
-            print(
-                "Without --distance, distances are made up from each picture: an invented cue, "
-                "good for robustness, not for restoration."
-            )
-        for doubt in doubts_of(recipe, items):
-            print(doubt, flush=True)
-        if like:
-            recipe, nearness = like_of(recipe, items, like)
-            print(f"like {', '.join(map(str, like))}: {nearness}", flush=True)
-            if nearness.doubt:
-                print(nearness.doubt, flush=True)
+        recipe, sentences = prepare(recipe, items, like or ())
+        for sentence in filter(None, (said.note, *sentences)):
+            print(sentence, flush=True)
         with counted() as progress:
             summary = run(
                 recipe,
                 items,
                 out,
-                workers=min(workers or os.cpu_count() or 1, len(items) * variants),
+                workers=workers,
                 resume=resume,
                 force=force,
                 sheet=sheet,
                 ray=ray,
                 progress=progress,
             )
-    written, skipped = summary.count("written"), summary.count("skipped")
-    already = f", {skipped} were there" if skipped else ""
-    print(f"{written} of {len(summary.results)} pictures written to {out}{already}")
+    print_counts(summary, "pictures", out)
     if labels is not None:
         count, kept = summary.objects
         print(f"{kept} of {count} labels kept")
@@ -162,12 +135,10 @@ def degrade(
     if summary.odd:
         cure = "are distances metres? --contrast none leaves them and the water as they are"
         print(f"odd scenes: {len(summary.odd)}, such as {summary.odd[0]}: {cure}")
-    if summary.failures:
-        more = f"\nand {len(summary.failures) - 5} more" if len(summary.failures) > 5 else ""
-        end(1, "\n".join(summary.failures[:5]) + more)
+    end_if_failed(summary.failures)
 
 
-def _transform_options(
+def _options(
     preset: str | None,
     file: Path | None,
     settings: Sequence[str],
@@ -206,13 +177,12 @@ def _transform_options(
 
 def _value(text: str) -> Any:
     """A value as TOML writes it, a range such as .2:.5, none, or a word."""
+    from uwaug._support.ranges import read_range
+
     if text == "none":
         return None
-    try:
-        ends = [float(part) for part in text.split(":")]
-        return ends[0] if len(ends) == 1 else ends
-    except ValueError:
-        pass
+    if (ends := read_range(text)) is not None:
+        return ends
     try:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from uwaug.cli.choices import Force, complete
-from uwaug.cli.console import counted, end, reported_errors
+from uwaug.cli.choices import Force, Resume, Workers, complete
+from uwaug.cli.console import counted, end_if_failed, print_counts, reported_errors
 
 _HOLDS = ("inverse", "relative", "metres")
 
@@ -29,7 +29,8 @@ def depth(
     mean: Annotated[str, typer.Option(help="Of red, green, blue.")] = "0.485,0.456,0.406",
     std: Annotated[str, typer.Option(help="Of red, green, blue.")] = "0.229,0.224,0.225",
     bgr: Annotated[bool, typer.Option("--bgr", help="It takes blue first.")] = False,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on after a stop.")] = False,
+    workers: Workers = 0,
+    resume: Resume = False,
     force: Force = False,
     sheet: Annotated[bool, typer.Option("--sheet", help="Draw some maps on a sheet.")] = False,
 ) -> None:
@@ -51,15 +52,20 @@ def depth(
             std=_colour("std", std),
             bgr=bgr,
         )
-        items = find_items(pictures, apart=[out])
+        items = find_items(pictures, exclude=[out])
         with counted() as progress:
-            written, skipped, failures = write_maps(
-                model, items, out, resume=resume, force=force, sheet=sheet, progress=progress
+            summary = write_maps(
+                model,
+                items,
+                out,
+                workers=workers,
+                resume=resume,
+                force=force,
+                sheet=sheet,
+                progress=progress,
             )
-    already = f", {skipped} were there" if skipped else ""
-    print(f"{written} of {len(items)} maps written to {out}{already}")
-    if failures:
-        end(1, "\n".join(failures[:5]))
+    print_counts(summary, "maps", out)
+    end_if_failed(summary.failures)
     said = "--unit mm" if holds == "metres" else f"--set distance.kind={kind.__name__}"
     ends = "" if holds == "metres" else " --set distance.near=1 --set distance.far=5"
     print(f"go on: uwaug degrade {pictures} --distance {out} {said}{ends} --out underwater")

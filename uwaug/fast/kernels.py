@@ -183,7 +183,9 @@ TILE = 256
 """px. (128: 2 to 10 % longer; 512: as fast, but half as long again at 256 px; 1024: half again.)"""
 
 LANES = 32
-"""Pixels that a tile is rounded up to; and lines that go through a coarse grid side by side. (16: 10 to 80 % longer; 64: 20 to 40 %.)"""
+"""Pixels that a tile is rounded up to; and lines that go through a coarse grid side by side. (16:
+10 to 80 % longer; 64: 20 to 40 %.)
+"""
 
 GAMUT_FROM, BEYOND, DARK, TOE = f32(0.75), f32(4), f32(1e-8), f32(1e-4)
 """Of the development's curves."""

@@ -99,7 +99,7 @@ def _gains(scenes: Floats, metres: Floats, weights: Weights, development: Develo
     if not development.measures:
         matrices = np.stack([gain_at(np.zeros((3, 3)), 0.0, *camera)])
     else:
-        points = metering_points(*metres.shape[-2:], torch.device("cpu")).numpy()
+        points = metering_points(metres.shape[-2], metres.shape[-1], torch.device("cpu")).numpy()
         lights, maps = scenes.reshape(len(scenes), 3, -1), metres.reshape(len(metres), -1)
         tables = [medium_table(weights, n, NO_LAW) for n in range(len(weights.beta))]
         matrices = np.empty((max(len(lights), len(maps), len(tables)), 3, 3))
@@ -120,12 +120,18 @@ def _camera(
     if sensor is not None:
         normals = standard_normals(torch.device("cpu")).numpy()
         begins, variance = sensor.starts(batch, size).numpy(), sensor.variance
-    tone = float(development.tone)
-    curves = np.array([*variance, development.gamut, tone, tone_offset(tone)], np.float32)
+    dark, photons, gamut, tone, offset = np.array(
+        [*variance, development.gamut, development.tone, tone_offset(float(development.tone))],
+        np.float32,
+    )
     if gains.ndim == 2:
         gains = gains[:, None] * np.eye(3)
     flat = gains.reshape(-1, 9).astype(np.float32)
-    return normals, begins, [DevelopmentTable(*curves[:2], gain, *curves[2:]) for gain in flat]
+    return (
+        normals,
+        begins,
+        [DevelopmentTable(dark, photons, gain, gamut, tone, offset) for gain in flat],
+    )
 
 
 def _decoded(image: Tensor, srgb: bool, beyond: bool) -> Tensor:

@@ -264,7 +264,7 @@ def width_law(medium: Medium, n: int, plan: BlurPlan, size: Size) -> WidthLaw:
     """Width law of the `n`-th medium, and the place of a width in a plan."""
     spread = medium.point_spread
     scale, exponent = (_number(value, n) for value in spread.numbers().values())
-    scale *= pixel_scale(spread.reference_size, size)
+    scale *= float(pixel_scale(spread.reference_size, size))
     slope, offset = place_line(plan)
     powers = (scale / V_FLOOR, 0.0) if plan.shape == "exponential" else (0.0, scale**2 / V_FLOOR)
     numbers = (float(medium.b_mean[n]), exponent, *powers, slope * math.log(2), offset, *LENGTHS)

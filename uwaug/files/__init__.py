@@ -1,22 +1,6 @@
 """Pictures, distance maps and labels in files, and runs over folders of them."""
 
-from uwaug.files.items import Item, find_items
-from uwaug.files.labels import open_labels
-from uwaug.files.pictures import read_distance, read_picture, write_picture
-from uwaug.files.record import read_record
-from uwaug.files.run import Recipe, Result, Summary, degrade, replay
+import lazy_loader
 
-__all__ = [
-    "Item",
-    "Recipe",
-    "Result",
-    "Summary",
-    "degrade",
-    "find_items",
-    "open_labels",
-    "read_distance",
-    "read_picture",
-    "read_record",
-    "replay",
-    "write_picture",
-]
+# command lines ask formats of labels what they read, and wait for no torch
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -10,8 +10,8 @@ from uwaug.files.labels import aliases
 from uwaug.files.pictures import ENDINGS
 from uwaug.files.record import is_written
 
-_MAPS = tuple(end for end in ENDINGS if end not in (".jpg", ".jpeg"))
-_PICTURES = tuple(end for end in ENDINGS if end not in (".npy", ".exr"))
+_MAP_ENDINGS = tuple(end for end in ENDINGS if end not in (".jpg", ".jpeg"))
+_PICTURE_ENDINGS = tuple(end for end in ENDINGS if end not in (".npy", ".exr"))
 
 OTHERS = (".avif", ".bmp", ".gif", ".heic", ".heif", ".jp2", ".jxl", ".webp")
 """Of pictures that are neither read nor written."""
@@ -33,7 +33,10 @@ class Item(NamedTuple):
 
 
 def find_items(
-    pictures: str | Path, distance: str | Path | None = None, *, apart: Iterable[str | Path] = ()
+    pictures: str | Path,
+    distance: str | Path | None = None,
+    *,
+    exclude: Iterable[str | Path | None] = (),
 ) -> list[Item]:
     """The pictures in a file or a folder, with the files of their distances.
 
@@ -42,7 +45,7 @@ def find_items(
             What a run has written there is left out, by its records.
         distance: a file, for all pictures; a folder with files of the pictures' names; or a pattern
             with {stem}, such as "{stem}_depth.png", of files beside each picture. None: no files.
-        apart: folders whose files are no pictures, such as that of the run and of its labels.
+        exclude: folders whose files are no pictures, such as that of the run and of its labels.
 
     Returns:
         In the order of their names. A map that is missing is named without its end: reading it
@@ -56,37 +59,39 @@ def find_items(
     if source.is_file():
         folder, paths = source.parent, [source]
     else:
-        folder, paths = source, sorted(_inside(source, [*apart, distance], _PICTURES))
-    found = []
+        folder, paths = source, sorted(_inside(source, [*exclude, distance], _PICTURE_ENDINGS))
+    items = []
     for path in paths:
         name = path.relative_to(folder).as_posix()
-        found.append(Item(name, path, _map(distance, path, name)))
-    maps = {item.distance for item in found}
-    items = [item for item in found if item.picture not in maps]
+        items.append(Item(name, path, _map(distance, path, name)))
+    maps = {item.distance for item in items}
+    items = [item for item in items if item.picture not in maps]
     if not items:
-        raise ValueError(f"no pictures in {pictures}: expected {', '.join(_PICTURES)}")
+        raise ValueError(f"no pictures in {pictures}: expected {', '.join(_PICTURE_ENDINGS)}")
     if distance is not None and not any(item.distance.is_file() for item in items if item.distance):
-        expected = f"such as {items[0].distance}, ending in {', '.join(_MAPS)}"
+        expected = f"such as {items[0].distance}, ending in {', '.join(_MAP_ENDINGS)}"
         raise ValueError(f"distance: {distance} has no map for any picture: expected {expected}")
     return items
 
 
-def left_out(pictures: Path, apart: Iterable[str | Path | None]) -> str:
+def left_out(
+    pictures: Path, distance: str | None = None, *, exclude: Iterable[str | Path | None] = ()
+) -> str:
     """How many pictures of a folder are of formats that are not read, in words; "" for none.
     Arguments as for `find_items`.
     """
-    counts = Counter(path.suffix.lower() for path in _inside(pictures, apart, OTHERS))
+    paths = _inside(pictures, [*exclude, distance], OTHERS) if pictures.is_dir() else ()
+    counts = Counter(path.suffix.lower() for path in paths)
     return ", ".join(f"{count} {end}" for end, count in sorted(counts.items()))
 
 
 def _inside(
-    folder: Path, apart: Iterable[str | Path | None], endings: tuple[str, ...]
+    folder: Path, exclude: Iterable[str | Path | None], endings: tuple[str, ...]
 ) -> Iterator[Path]:
     """The pictures in a folder and those inside it; links to folders are not followed."""
-    places = {os.path.realpath(place) for place in apart if place is not None}
+    places = {os.path.realpath(place) for place in exclude if place is not None}
     for here, folders, files in os.walk(folder, onerror=_refuse):
-        kept = [name for name in folders if os.path.realpath(Path(here, name)) not in places]
-        folders[:] = kept
+        folders[:] = (f for f in folders if os.path.realpath(Path(here, f)) not in places)
         for path in (Path(here, name) for name in files):
             if path.suffix.lower() in endings and not is_written(path):
                 yield path
@@ -106,5 +111,5 @@ def _map(distance: str | Path | None, path: Path, name: str) -> Path | None:
     if place.is_file():
         return place
     bases = [(place / alias).with_suffix("") for alias in aliases(name)]
-    paths = [base.with_name(base.name + end) for base in bases for end in _MAPS]
+    paths = [base.with_name(base.name + end) for base in bases for end in _MAP_ENDINGS]
     return next((path for path in paths if path.is_file()), bases[0])

@@ -72,9 +72,9 @@ def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
     values = _decoded(Path(path))
     if values.ndim != 2:
         raise ValueError(f"{path}: expected distances (H, W) in one channel, got {values.shape}")
-    whole = values.dtype.kind == "u"
+    counts = values.dtype.kind == "u"
     if unit is None:
-        scale = 1 / np.iinfo(values.dtype).max if whole else 1.0
+        scale = 1 / np.iinfo(values.dtype).max if counts else 1.0
         return torch.from_numpy((values * scale).astype(np.float32))[None]
     if values.dtype == np.uint8:
         cure = "are they relative? Those have no unit: --set distance.kind=Inverse, or Relative"

@@ -8,7 +8,6 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from multiprocessing.connection import wait
 from multiprocessing.context import BaseContext
 from typing import Any
@@ -16,23 +15,13 @@ from typing import Any
 import torch
 from threadpoolctl import threadpool_limits
 
+from uwaug._support.threads import one_thread
+
 _AHEAD = 2
 """Jobs for each process that are handed out before the first of them is done."""
 
 _work: Callable[[Any], Any] | None = None
 """Of a process of a pool."""
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Results are then the same to the bit on any number of cores."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        with threadpool_limits(1):
-            yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 def on_processes(work: Any, jobs: Iterable[Any], workers: int) -> Iterator[Any]:
@@ -86,7 +75,7 @@ def _pool(work: Any, workers: int) -> ProcessPoolExecutor:
     if "forkserver" in multiprocessing.get_all_start_methods():
         # imports once, and forks without torch's threads, whose locks a fork would copy
         context: BaseContext = multiprocessing.get_context("forkserver")
-        context.set_forkserver_preload(["uwaug.files.run"])
+        context.set_forkserver_preload([type(work).__module__])
     else:
         context = multiprocessing.get_context("spawn")
     return ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(work,))

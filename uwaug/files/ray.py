@@ -112,6 +112,6 @@ class _Process:
         results = []
         for row in batch["jobs"].to_pylist():
             jobs = pickle.loads(row)
-            found = [alone(self._work, job) if self._careful else self._work(job) for job in jobs]
-            results.append(pickle.dumps(found))
+            done = [alone(self._work, job) if self._careful else self._work(job) for job in jobs]
+            results.append(pickle.dumps(done))
         return pa.table({"results": pa.array(results, pa.large_binary())})

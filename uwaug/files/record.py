@@ -1,22 +1,23 @@
-"""The record beside each picture of a run: what it was made of, and all that was drawn for it."""
+"""The record beside each result of a run: what it was made of, and all that was drawn for it."""
 
 import csv
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
 
-from uwaug._support.atomic import written_whole
+from uwaug._support.atomic import require_regular, written_whole
 
-KEYS = ("uwaug", "torch", "name", "variant", "picture", "distance", "recipe", "params")
-"""What a record must have to make its picture again."""
+_KEYS = ("uwaug", "torch", "name", "variant", "picture", "distance")
+"""What every record has."""
 
 COLUMNS = ("name", "variant", "picture", "distance", "output", "contrast", "status", "reason")
 """Of the index of a run."""
 
 
-def record_path(picture: Path) -> Path:
-    """Of the record of a picture."""
-    return picture.with_name(picture.name + ".json")
+def record_path(result: Path) -> Path:
+    """Of the record of a result."""
+    return result.with_name(result.name + ".json")
 
 
 def write_record(path: Path, record: dict[str, Any]) -> None:
@@ -37,18 +38,39 @@ def read_record(path: Path) -> dict[str, Any]:
         record = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: is no record of a picture: {error}") from None
-    if not isinstance(record, dict) or not set(KEYS) <= record.keys():
+    if not isinstance(record, dict) or not set(_KEYS) <= record.keys():
         raise ValueError(f"{path}: is no record of a picture that uwaug has written")
     return record
 
 
-def is_written(picture: Path) -> bool:
-    """Whether a run has written a picture: its record lies beside it, or, of a sheet, its index."""
-    if picture.name == "sheet.jpg" and (index := picture.with_name("index.csv")).is_file():
+def is_written(result: Path) -> bool:
+    """Whether a run has written a file: its record lies beside it, or, of a sheet, its index."""
+    if result.name == "sheet.jpg" and (index := result.with_name("index.csv")).is_file():
         with index.open(encoding="utf-8", errors="replace", newline="") as file:
             return next(csv.reader(file), []) == list(COLUMNS)
     try:
-        read_record(record_path(picture))
+        read_record(record_path(result))
     except (OSError, ValueError):
         return False
     return True
+
+
+def digest(path: Path) -> str | None:
+    """SHA-256 of a file, by which another of the same name is told from it; None of one that cannot
+    be read.
+    """
+    try:
+        require_regular(path)
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        return None
+
+
+def reason_of(error: Exception) -> str:
+    """An error in words, with its kind if none of our checks has raised it."""
+    if isinstance(error, OSError) and error.strerror and error.filename:
+        return f"{error.filename}: {error.strerror}"
+    if isinstance(error, (ValueError, OSError, ImportError)) and str(error):
+        return str(error)
+    return f"{type(error).__name__}: {error}"

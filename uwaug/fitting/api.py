@@ -6,9 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
 
+import torch
 from torch import Tensor
 
 from uwaug._support import checks
+from uwaug._support.threads import one_thread
 from uwaug._support.types import ColorSpace
 from uwaug.fitting.choose import (
     FittedModel,
@@ -26,7 +28,7 @@ from uwaug.fitting.model import (
     CoefficientModel,
 )
 from uwaug.fitting.result import Fit, Parameter, straight_line
-from uwaug.fitting.solve import Objective, multistart, one_thread, reweighed, roughly_weighed, solve
+from uwaug.fitting.solve import Objective, multistart, reweighed, roughly_weighed, solve
 
 Progress = Callable[[str], None]
 PIXELS = (500, 100_000)  # that may be fitted
@@ -97,7 +99,8 @@ def fit(
     say = checked_options(pixels, seed, progress)
     pictures = Pictures.of(clean, observed, distance, color_space)
     models = _models(model, pictures.geometry, fixed or {}, gain=gain == "free")
-    with one_thread():
+    # a medium that is made in inference mode could not be trained
+    with one_thread(), torch.inference_mode(False), torch.no_grad():
         say("blurring the clean picture")
         shapes = sorted({x.spec.shape for x in models if x.spec.shape is not None})
         drawn = pictures.sample(shapes, int(pixels), seed)

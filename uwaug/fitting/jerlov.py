@@ -11,13 +11,14 @@ import torch
 from torch import Tensor
 
 from uwaug._support import checks
+from uwaug._support.threads import one_thread
 from uwaug._support.types import Array, ColorSpace
 from uwaug.fitting.api import Progress, checked_options
 from uwaug.fitting.choose import FittedModel, block_losses, result_of
 from uwaug.fitting.data import Geometry, Pictures, Pixels
 from uwaug.fitting.model import MAX_OPTICAL_DEPTH, MOST_GAIN, Bounds, Model, Quantity
 from uwaug.fitting.result import Fit
-from uwaug.fitting.solve import Objective, loss, one_thread, reweighed, roughly_weighed, solve
+from uwaug.fitting.solve import Objective, loss, reweighed, roughly_weighed, solve
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.medium import Medium
@@ -209,7 +210,8 @@ def fit_water(
         TypeModel(Water.jerlov(name), camera, surfaces, g, law, vertical_depth, geometry)
         for name in JERLOV_TYPES
     ]
-    with one_thread():
+    # a medium that is made in inference mode could not be trained
+    with one_thread(), torch.inference_mode(False), torch.no_grad():
         say("blurring the clean picture")
         drawn = roughly_weighed(pictures.sample([law.shape], int(pixels), seed))
         few = drawn.subsample(_SCOUTS, seed)

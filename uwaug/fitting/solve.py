@@ -2,8 +2,7 @@
 noise, which the residuals tell.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
@@ -35,24 +34,6 @@ _MAX_MARGIN = 0.1  # of linear light: a very noisy picture would have no pixels 
 _OUTLYING = 6.0  # standard deviations of noise, from where on a residual does not count at all
 _MIN_VALUES = 500  # values between noise and white, of all that are fitted
 _ROUNDS = 2  # of learning the noise: a third changes no number by a tenth of its error
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Run on one thread, NumPy's and SciPy's linear algebra too: the same numbers on any machine,
-    and less time. (Two threads that wait for each other take 3 to 6 times as long for matrices of a
-    dozen columns where other processes run as well.)
-    """
-    from threadpoolctl import threadpool_limits
-
-    threads = torch.get_num_threads()
-    # a medium that is made in inference mode could not be trained
-    with threadpool_limits(1, user_api="blas"), torch.inference_mode(False), torch.no_grad():
-        torch.set_num_threads(1)
-        try:
-            yield
-        finally:
-            torch.set_num_threads(threads)
 
 
 @dataclass(frozen=True, eq=False)

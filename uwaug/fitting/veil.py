@@ -8,12 +8,13 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from uwaug._support import checks
+from uwaug._support.threads import one_thread
 from uwaug._support.types import Array, ColorSpace
 from uwaug.fitting.data import Pictures, Places, blocks_of
 from uwaug.fitting.errors import parameter, sandwich
 from uwaug.fitting.model import COLOURS, MAX_OPTICAL_DEPTH, Quantity
 from uwaug.fitting.result import THIN, Fit, straight_line, unknown
-from uwaug.fitting.solve import ROBUST, influence, one_thread
+from uwaug.fitting.solve import ROBUST, influence
 from uwaug.formation.colour import LUMINANCE
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
@@ -115,7 +116,8 @@ def fit_veil(
     if (dark.z >= FARTHEST).mean() > 0.01:
         farthest = np.inf
     theta, rows, full_grown, covariance = np.zeros((3, 2)), {}, [], np.zeros((9, 9))
-    with one_thread():
+    # a medium that is made in inference mode could not be trained
+    with one_thread(), torch.inference_mode(False), torch.no_grad():
         for c, colour in enumerate(COLOURS):
             theta[c] = source, G = _fit(dark, c, reference)
             slopes = np.array([[1 / G, -source / G**2], [0.0, 1.0], [1.0, 0.0]])

@@ -76,7 +76,7 @@ class Weights(NamedTuple):
         return Weights(*map(np.ascontiguousarray, rows))
 
     def seen_by(self, gain: Array) -> "Weights":
-        """As a camera sees them that multiplies channels (B or 1, 3), or mixes them (B or 1, 3, 3)."""
+        """As seen by a camera that multiplies channels (B or 1, 3), or mixes them (…, 3, 3)."""
         beta, G = self.beta, self.G
         if len(gain) > len(beta):
             beta, G = beta.repeat(len(gain), 0), G.repeat(len(gain), 0)

@@ -314,7 +314,8 @@ def gain_at(
     for row in range(3):
         matrix[row] = (1 - saturation) * luminance
         matrix[row, row] += saturation
-    return matrix * gains  # which come first
+    matrix *= gains  # which come first
+    return matrix
 
 
 def metering_points(height: int, width: int, device: torch.device) -> Tensor:

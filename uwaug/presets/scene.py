@@ -52,10 +52,10 @@ def motorcycle_depth() -> tuple[Tensor, Tensor]:
     """The motorcycle's picture (3xHxW, sRGB), and its depth along the optical axis (1xHxW, m)."""
     from skimage.data import stereo_motorcycle
 
-    left, _, disparity = stereo_motorcycle()
+    picture, _, disparity = stereo_motorcycle()
     pixels = torch.from_numpy(disparity)[None]
     depth = from_disparity(pixels, _FOCAL_PX, baseline_m=0.193001, offset_px=31.086)
-    return torch.from_numpy(left).permute(2, 0, 1) / 255, fill_unknown(depth)
+    return torch.from_numpy(picture).permute(2, 0, 1) / 255, fill_unknown(depth)
 
 
 def own_scene(image: Tensor, distance: Tensor, most: int = _PIXELS) -> Scene:

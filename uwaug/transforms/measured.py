@@ -48,9 +48,11 @@ def measured(pictures: Tensor, z: Tensor) -> list[Measured]:
     """
     points = metering_points(z.shape[-2], z.shape[-1], z.device)[:SAMPLED]
     values, metres = pictures.detach().flatten(1), z.detach().flatten(1)
-    rows = (_rows_of_host if checks.on_host(z) else _rows_of_device)(values, metres, points)
+    rows_of = _rows_of_host if checks.on_host(z) else _rows_of_device
     white, looks = 1.0 if pictures.is_floating_point() else 255.0, []
-    for i, (darkest, brightest, nearest, farthest, median) in enumerate(rows):
+    for i, (darkest, brightest, nearest, farthest, median) in enumerate(
+        rows_of(values, metres, points)
+    ):
         if math.isinf(median):  # all open water, or only where it was looked
             median = _median(metres[i].cpu().numpy())
         ends = darkest / white, brightest / white, nearest, farthest
@@ -58,7 +60,7 @@ def measured(pictures: Tensor, z: Tensor) -> list[Measured]:
     return looks
 
 
-def _rows_of_host(values: Tensor, metres: Tensor, points: Tensor) -> list[tuple[float, ...]]:
+def _rows_of_host(values: Tensor, metres: Tensor, points: Tensor) -> list[list[float]]:
     """Ends of values, ends and median of distances. Along a dimension PyTorch takes 15 times as
     long on a CPU as over all of a picture.
     """
@@ -68,7 +70,7 @@ def _rows_of_host(values: Tensor, metres: Tensor, points: Tensor) -> list[tuple[
         if math.isinf(farthest):
             farthest = checks.extent(far.nan_to_num(posinf=0.0))[1] or math.inf
         median = _median(far.index_select(0, points).numpy())
-        rows.append((*checks.extent(picture), nearest, farthest, median))
+        rows.append([*checks.extent(picture), nearest, farthest, median])
     return rows
 
 

@@ -5,6 +5,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, asdict, dataclass, fields
 from dataclasses import field as option
+from itertools import chain
 from typing import Any, NamedTuple
 
 import torch
@@ -196,8 +197,8 @@ class RandomUnderwater(SampleTransform):
             checks.instance("light", self.light, Light)
         vars(self)["distance"] = self.source = source
         self.water = RandomWater(**{f.name: getattr(self, f.name) for f in _OF_WATER})
-        nouns = (self.water, self.development, self.source)
-        self._ranges = checked({k: v for noun in nouns for k, v in noun.ranges().items()})
+        nouns = (self.source, self.water, self.development)
+        self._ranges = checked(dict(chain(*(noun.ranges().items() for noun in nouns))))
 
     @classmethod
     def severity(cls, level: int, **options: Any) -> "RandomUnderwater":
@@ -429,19 +430,18 @@ class RandomUnderwater(SampleTransform):
         chosen: list[int],
         drawn: list[Draw],
     ) -> Tensor:
-        """The distances (Nx1xHxW) of the chosen pictures, m. Of a source other than `Metres()` a
-        device may have to wait for each.
+        """The distances (Nx1xHxW) of the chosen pictures, m; those of `Metres()` as they are, which
+        `_require` looks at. Of another source a device may have to wait for each.
         """
         on_host, results = checks.on_host(pictures), []
         for i, draw in zip(chosen, drawn, strict=True):
             z, picture = maps[i], pictures[i]
             if z is not None and on_host and isinstance(self.source, Metres):
                 first_maps.question(z, picture, stacklevel=4)
-            if self.source != Metres() or on_host:
+            if z is None or self.source != Metres():
                 with naming(i, len(pictures)):
                     z = self.source.metres(z, self._shown(picture), draw.numbers)
-            assert z is not None
-            results.append(z)
+            results.append(z.to(torch.promote_types(z.dtype, torch.float32)))
         return results[0][None] if len(results) == 1 else torch.stack(results)
 
     def _shown(self, picture: Tensor) -> Tensor:

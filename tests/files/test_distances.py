@@ -1,0 +1,75 @@
+"""Where distances come from, of what is said of them."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from filing import metres, pixels, save
+
+from uwaug import RandomUnderwater
+from uwaug.distance import Inverse, MadeUp, Metres, Plane, Source
+from uwaug.files import find_items
+from uwaug.files.distances import distances_of
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("01", "1:5", "made-up", "maps"):
+        save(f"{name}/a.npy", metres())
+    save("photos/a.png", pixels())
+
+
+@pytest.mark.parametrize(
+    "distance, said, source, maps",
+    [
+        # nothing is said
+        (None, {}, MadeUp(), None),
+        (None, {"sequence": True}, Plane(1.0, 5.0), None),
+        # metres, or a word
+        ("3", {}, Plane(3.0), None),
+        ("2:5.5", {"sequence": True}, Plane(2.0, 5.5), None),
+        ("made up", {}, Metres(), "made up"),
+        # files, whatever they are called
+        ("maps", {}, Metres(), "maps"),
+        ("01", {}, Metres(), "01"),
+        ("1:5", {}, Metres(), "1:5"),
+        ("made-up", {}, Metres(), "made-up"),
+        ("maps/a.npy", {"holes": "behind", "unit": "mm"}, Metres("behind"), "maps/a.npy"),
+        ("{stem}_depth.png", {"holes": 9.0}, Metres(9.0), "{stem}_depth.png"),
+        ("maps", {"source": {"kind": "Inverse"}}, Inverse(), "maps"),
+        ("maps", {"source": {"kind": "Inverse"}, "holes": "far"}, Inverse(holes="far"), "maps"),
+        # who speaks of them has maps
+        (None, {"unit": "mm"}, Metres(), None),
+        (None, {"holes": "fill"}, Metres("fill"), None),
+        (None, {"source": 4.0}, Plane(4.0), None),
+        (None, {"source": {"kind": "MadeUp", "far": 9.0}}, MadeUp(far=9.0), None),
+    ],
+)
+def test_what_is_said_is_done(
+    distance: str | None, said: dict[str, Any], source: Source, maps: str | None
+) -> None:
+    chosen = distances_of(distance, **said)
+    options = {} if chosen.source is None else {"distance": chosen.source}
+    assert RandomUnderwater.from_dict(options).distance == source
+    assert chosen.maps == maps
+    assert bool(chosen.note) == (distance is None and not said.keys() - {"sequence"})
+
+
+def test_made_up_where_no_file_is_called_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path / "photos")
+    chosen = distances_of("made-up", {"far": 9.0})
+    assert RandomUnderwater.from_dict({"distance": chosen.source}).distance == MadeUp(far=9.0)
+    assert (chosen.maps, chosen.note) == (None, "")
+
+
+def test_a_folder_with_a_number_for_a_name(run: Any) -> None:
+    flags = ("--distance", "01", "--workers", "1", "--out", "wet")
+    code, out, err = run("degrade", "photos", *flags)
+    assert (code, err) == (0, "")
+    assert out.endswith("1 of 1 pictures written to wet\n")
+    (item,) = find_items("photos", "01")
+    assert item.distance is not None
+    assert str(item.distance) in Path("wet/a.png.json").read_text()

@@ -1,0 +1,13 @@
+from .depth import write_maps as write_maps
+from .items import Item as Item
+from .items import find_items as find_items
+from .labels import open_labels as open_labels
+from .pictures import read_distance as read_distance
+from .pictures import read_picture as read_picture
+from .pictures import write_picture as write_picture
+from .recipe import Recipe as Recipe
+from .record import read_record as read_record
+from .summary import Result as Result
+from .summary import Summary as Summary
+from .underwater import degrade as degrade
+from .underwater import replay as replay

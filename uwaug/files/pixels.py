@@ -1,0 +1,86 @@
+"""Which pixels of a picture an object covers.
+
+Positions of objects are continuous, from the picture's upper left corner: the pixel in row i and
+column j covers j ≤ x < j + 1, i ≤ y < i + 1.
+"""
+
+import io
+import math
+import re
+from collections.abc import Collection, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+Pixels = NDArray[np.bool_] | tuple[slice, slice]
+"""What selects the pixels of an object from a map (HxW)."""
+
+Size = tuple[int, int]
+"""Height and width, px."""
+
+
+def of_box(x1: float, y1: float, x2: float, y2: float, size: Size) -> Pixels:
+    """All pixels of a picture that a box touches."""
+    rows = slice(max(0, math.floor(y1)), max(0, min(size[0], math.ceil(y2))))
+    return rows, slice(max(0, math.floor(x1)), max(0, min(size[1], math.ceil(x2))))
+
+
+def of_polygons(polygons: Sequence[Any], size: Size) -> Pixels:
+    """The pixels whose centres lie in any of some polygons (each x1, y1, x2, y2, x3, y3, …); of a
+    sliver without any centre, those of its box.
+    """
+    from skimage.draw import polygon
+
+    mask, points = np.zeros(size, bool), [np.reshape(corners, (-1, 2)) for corners in polygons]
+    for corners in points:
+        mask[polygon(corners[:, 1] - 0.5, corners[:, 0] - 0.5, size)] = True
+    if mask.any():
+        return mask
+    (x1, y1), (x2, y2) = np.concatenate(points).min(0), np.concatenate(points).max(0)
+    return of_box(x1, y1, x2, y2, size)
+
+
+def of_runs(counts: str | Sequence[int], size: Size) -> Pixels:
+    """The pixels of COCO's run lengths: down the columns, beginning outside."""
+    runs = _decompressed(counts) if isinstance(counts, str) else counts
+    inside = np.repeat(np.arange(len(runs)) % 2 == 1, runs)
+    return inside.reshape(size[::-1]).T
+
+
+def _decompressed(text: str) -> list[int]:
+    """COCO's compressed run lengths: numbers of 5 bits a letter, least first, with their sign; from
+    the fourth on, differences to the number before the last (Lin et al., maskApi.c).
+    """
+    counts: list[int] = []
+    for letters in re.findall("[P-o]*[0-O]", text):  # the last one lacks the bit of 32
+        value = sum((ord(letter) - 48 & 31) << 5 * i for i, letter in enumerate(letters))
+        if letters[-1] >= "@":  # the bit of 16
+            value -= 1 << 5 * len(letters)
+        counts.append(value + counts[-2] if len(counts) > 2 else value)
+    return counts
+
+
+def read_mask(file: Path) -> NDArray[Any]:
+    """Values (HxW); of a mask with a palette, their places in it."""
+    with Image.open(file) as image:
+        if image.mode not in ("L", "P", "1", "I;16"):
+            raise ValueError(f"{file}: expected a mask of one channel, got {image.mode}")
+        values = np.array(image)
+    return values.astype(np.uint8) if values.dtype == bool else values
+
+
+def of_mask(mask: NDArray[Any]) -> Iterator[tuple[int, Pixels]]:
+    """Each value of a mask but 0, and its pixels."""
+    for value in np.unique(mask[mask > 0]).tolist():
+        yield value, mask == value
+
+
+def without(mask: NDArray[Any], dropped: Collection[Any]) -> bytes:
+    """A mask as PNG, with 0 in place of some values."""
+    mask[np.isin(mask, list(dropped))] = 0
+    file = io.BytesIO()
+    Image.fromarray(mask).save(file, "PNG")
+    return file.getvalue()

@@ -1,0 +1,109 @@
+"""Before a run: what there is to doubt about its maps, and waters like photographs."""
+
+import warnings
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from uwaug._support.threads import one_thread
+from uwaug.distance.doubts import doubts
+from uwaug.distance.sources import Inverse, Metres, Relative, Source
+from uwaug.files.items import Item
+from uwaug.files.pictures import read_picture
+from uwaug.files.recipe import Recipe
+from uwaug.files.record import reason_of
+from uwaug.transforms.like import like
+
+_SAMPLES = 8
+"""Pictures of a run that are looked at, from the first to the last."""
+
+
+def prepare(
+    recipe: Recipe, items: Sequence[Item], references: Sequence[Path] = ()
+) -> tuple[Recipe, list[str]]:
+    """Look at eight pictures of a run before it begins. Those that cannot be read are left to the
+    run, which names them.
+
+    Args:
+        recipe, items: as for `degrade`.
+        references: photographs taken under water that pictures shall look like, see `uwaug.like`.
+
+    Returns:
+        The recipe to run, which draws waters like those of the references; and sentences: what
+        speaks against the maps, see `uwaug.distance.doubts`, and how near the waters come.
+
+    Raises:
+        ValueError: if most of these maps are refused, with what is said of the first.
+        OSError: if a reference cannot be read.
+    """
+    some = items[:: -(-len(items) // _SAMPLES) or 1]
+    samples = _samples(recipe, [item for item in some if references or item.distance is not None])
+    refused = [reason for _, _, reason in samples if reason]
+    if 2 * len(refused) > len(samples):
+        raise ValueError(refused[0])
+    sentences = _doubts(recipe, samples)
+    if not references:
+        return recipe, sentences
+    photographs = [read_picture(path) for path in references]
+    images = [image for image, _, reason in samples if not reason]
+    maps = [z for _, z, reason in samples if z is not None and not reason]
+    with one_thread(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # all that there is to say is in what is returned
+        augment, seed = recipe.transform, recipe.seed
+        transform = like(photographs, images, maps or None, augment=augment, seed=seed)
+    assert transform.nearness is not None
+    near = f"like {', '.join(map(str, references))}: {transform.nearness}"
+    sentences += filter(None, (near, transform.nearness.doubt))
+    return replace(recipe, transform=transform), sentences
+
+
+def _samples(recipe: Recipe, items: Sequence[Item]) -> list[tuple[Tensor, Tensor | None, str]]:
+    """Pictures, their maps, and why a map is refused."""
+    source = recipe.transform.distance
+    assert isinstance(source, Source)
+    if isinstance(source, (Metres, Relative, Inverse)) and source.holes != "error":
+        source = replace(source, holes="far")  # filling takes seconds, and refuses little
+    samples = []
+    for item in items:
+        if item.distance is not None and not item.distance.is_file():
+            continue
+        with warnings.catch_warnings(), suppress(Exception):  # decoders raise whatever they like
+            warnings.simplefilter("ignore")
+            image, z, refused = read_picture(item.picture), None, ""
+            try:
+                z = recipe.read_map(item)
+                if z is not None:
+                    (drawn,) = recipe.drawn(item.name, 0)["samples"]
+                    source.metres(z, image, drawn["numbers"])
+            except Exception as error:
+                refused = reason_of(error)
+                if not refused.startswith(str(item.distance)):
+                    refused = f"{item.distance}: {refused}"
+            samples.append((image, z, refused))
+    return samples
+
+
+def _doubts(recipe: Recipe, samples: Sequence[tuple[Tensor, Tensor | None, str]]) -> list[str]:
+    pairs = [(z, image) for image, z, _ in samples if z is not None]
+    maps, images = [z for z, _ in pairs], [image for _, image in pairs]
+    if isinstance(recipe.transform.distance, Metres):
+        return doubts(maps, images)
+    if 2 * sum(map(_like_mm, maps)) <= len(maps):
+        return []
+    return [
+        "relative or inverse maps hold whole numbers of less than a tenth of what 16 bits do, as "
+        "those in mm: leave out distance.kind and give --unit mm (Metres(), divide by 1000)"
+    ]
+
+
+def _like_mm(shares: Tensor) -> bool:
+    """Whether a map that was read without unit spans next to nothing of 0…1, in whole numbers."""
+    numbers = 65535 * shares[shares > 0]
+    some = numbers[:: max(1, numbers.numel() // 4096)].sort().values
+    few, rounded = some.numel() // 100, some.round()
+    narrow = some.numel() >= 64 and float(some[-1 - few] - some[few]) < 6554
+    return narrow and len(set(rounded.tolist())) > 16 and torch.allclose(some, rounded, 0, 0.01)

@@ -1,0 +1,208 @@
+"""Pictures in files under water."""
+
+from collections.abc import Iterator, Sequence
+from os.path import splitext
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from uwaug._support import codec
+from uwaug._support.threads import one_thread
+from uwaug.distance.made_up import MadeUp
+from uwaug.distance.sources import Source
+from uwaug.files.films import Films, frames_of
+from uwaug.files.items import OTHERS, Item
+from uwaug.files.labels import Labelled, Labels, judged, open_labels
+from uwaug.files.pictures import ENDINGS, write_picture
+from uwaug.files.recipe import Recipe
+from uwaug.files.record import digest, read_record
+from uwaug.files.run import Job, Progress, Work, require_apart, require_free, run
+from uwaug.files.summary import Summary
+from uwaug.transforms.draws import Record
+from uwaug.transforms.random_underwater import RandomUnderwater
+from uwaug.transforms.random_water import Reached
+
+_SAMPLED = 128
+"""Rows, and columns, about, at which the mean contrast of a picture is taken."""
+
+
+def degrade(
+    recipe: Recipe,
+    items: Sequence[Item],
+    out: str | Path,
+    *,
+    workers: int = 1,
+    resume: bool = False,
+    force: bool = False,
+    sheet: bool = False,
+    ray: str | None = None,
+    progress: Progress | None = None,
+) -> Summary:
+    """Put pictures in files under water.
+
+    Each picture gets a record beside it, from which `replay` makes it again; index.csv tells of
+    all. The same recipe and name give the same bytes, whatever the number of workers, their order,
+    and interruptions. A picture that fails does not stop the others.
+
+    Args:
+        recipe: what is done to each picture.
+        items: which pictures, see `find_items`.
+        out: a folder, made if need be; or, for one picture, the file to write.
+        workers: processes; 1: this one, 0: one for each core.
+        resume: go on where a run was stopped: what the same recipe has made of the same files is
+            left as it is.
+        force: write over what is there.
+        sheet: draw some of the results on sheet.jpg.
+        ray: address of a Ray cluster that takes the place of processes: "local", "auto", or
+            host:port. All its machines must see the same folders.
+        progress: is told after each picture how many are done, and of how many.
+
+    Raises:
+        ValueError: if an option does not suit, labels belong to none of the pictures, two pictures
+            would be one file, or a file would be written over that is read.
+        FileExistsError: if there is something in `out`, without `resume` and `force`.
+        OSError: if `out` cannot be written.
+    """
+    out, labels = Path(out), None
+    single = out.suffix.lower() in ENDINGS and not out.is_dir()
+    if out.suffix.lower() in OTHERS and not out.is_dir():
+        raise ValueError(f"{out}: pictures are written as {', '.join(ENDINGS)}")
+    if single and (len(items) * recipe.variants != 1 or recipe.labels is not None or sheet):
+        cure = "more pictures, labels and sheets need a folder"
+        raise ValueError(f"{out} is a file, which is for one picture: {cure}")
+    require_free(out, resume=resume, force=force)
+    if recipe.labels is not None:
+        labels = open_labels(recipe.labels)
+        labels.require_some([item.name for item in items])
+    _require_distances(recipe, items)
+    folder = out.parent if single else out
+    work = _Underwater(recipe, folder, resume=resume, force=force)
+    jobs = [Job(items[0], out.name)] if single else list(_jobs(recipe, items, labels))
+    summary = run(
+        work, jobs, workers=workers, ray=ray, index=not single, sheet=sheet, progress=progress
+    )
+    if labels is not None:
+        done = [result for result in summary.results if result.status != "failed"]
+        labels.finish([Labelled(r.item.name, r.place, r.objects) for r in done], out)
+    return summary
+
+
+def replay(
+    record: str | Path,
+    output: str | Path,
+    *,
+    picture: str | Path | None = None,
+    distance: str | Path | None = None,
+    force: bool = False,
+) -> None:
+    """Make a picture again from its record: the same bytes, by the same versions of uwaug and
+    PyTorch, on the same kind of processor.
+
+    Args:
+        record: file beside a picture that a run has written.
+        output: the file to write.
+        picture, distance: files that it was made of, if they have moved.
+        force: write over what is there.
+
+    Raises:
+        ValueError: if the file is no record, or pictures and distances do not suit or have changed.
+        FileExistsError: if `output` exists, without `force`.
+        OSError: if a file cannot be read or written.
+    """
+    output = Path(output)
+    if output.exists() and not force:
+        raise FileExistsError(f"{output} exists: force writes over it")
+    plain = read_record(Path(record))
+    if "recipe" not in plain:
+        raise ValueError(f"{record}: is no record of a picture under water")
+    recipe = codec.from_plain(plain["recipe"], Recipe)
+    files = []
+    for source, moved in ((plain["picture"], picture), (plain["distance"], distance)):
+        file = source and Path(moved or source["path"])
+        if file and digest(file) not in (None, source["sha256"]):
+            raise ValueError(f"{file} has changed since {record} was written")
+        files.append(file)
+    item = Item(plain["name"], *files)
+    require_apart([Job(item, output.name)], output.parent)
+    with one_thread():
+        image, z = recipe.read(item)
+        degraded = recipe.transform.transform(image, z, plain["params"])
+        write_picture(output, degraded, recipe.quality)
+
+
+class _Underwater(Work):
+    """Pictures under water, by a recipe."""
+
+    def __init__(self, recipe: Recipe, out: Path, *, resume: bool, force: bool) -> None:
+        super().__init__(out, resume=resume, force=force)
+        self.recipe, self._plain = recipe, codec.to_plain(recipe)
+        self._films = Films(recipe)
+
+    def made_of(self, job: Job) -> dict[str, Any]:
+        made_of = {**super().made_of(job), "recipe": self._plain}
+        if job.labels is not None:
+            made_of["labels"] = job.labels.digest(job.item.name)
+        if job.frame is not None:
+            _, settled_on = self._films.settled(job.frame, job.variant)
+            made_of["frame"] = [job.frame.candidates[0].name, job.frame.number, settled_on]
+        return made_of
+
+    def make(self, job: Job) -> tuple[Tensor, dict[str, Any]]:
+        item, labels = job.item, job.labels
+        image, z = self.recipe.read(item)
+        if job.frame is None:
+            params = self.recipe.drawn(item.name, job.variant)
+        else:
+            params = self._films.drawn(job.frame, job.variant)
+        # for the mean alone some pixels do: all of them take a third of the picture's time
+        step = max(1, min(image.shape[1:]) // _SAMPLED) if labels is None else 1
+        degraded, contrast, reached = _degraded(self.recipe.transform, image, z, params, step)
+        objects = []
+        if labels is not None:
+            objects = judged(labels, item.name, contrast, self.recipe.min_contrast)
+            dropped = {label.key for label in objects if not label.kept}
+            labels.write(item.name, job.place, dropped, self.out)
+        return degraded, {
+            "params": params,
+            "contrast": round(float(contrast.double().mean()), 4),
+            "reached": reached and reached._asdict(),
+            "objects": [label._asdict() for label in objects],
+        }
+
+    def write(self, path: Path, result: Tensor) -> None:
+        write_picture(path, result, self.recipe.quality)
+
+
+def _degraded(
+    transform: RandomUnderwater, image: Tensor, z: Tensor | None, params: Record, step: int
+) -> tuple[Tensor, Tensor, Reached | None]:
+    """A picture under water (3xHxW); the contrast that is left (1xHxW), in every so many rows and
+    columns; and what it took to reach the one asked for.
+    """
+    scenes = transform.scenes(image, z, params)
+    contrast = transform.contrast_map(image, scenes, step)
+    return transform.degraded(image, scenes), contrast, scenes.reached(0)
+
+
+def _require_distances(recipe: Recipe, items: Sequence[Item]) -> None:
+    source = recipe.transform.distance
+    assert isinstance(source, Source)
+    missing = next((item.name for item in items if item.distance is None), None)
+    if missing and source.reads_maps:
+        cure = "give files of distances, a distance in metres, or MadeUp"
+        raise ValueError(f"distance is missing: {missing} has no file of it: {cure}")
+    if recipe.sequence and isinstance(source, MadeUp):
+        cure = "give files of distances, or metres, such as 1:5"
+        raise ValueError(f"distance: made up from each frame, a film would flicker: {cure}")
+
+
+def _jobs(recipe: Recipe, items: Sequence[Item], labels: Labels | None) -> Iterator[Job]:
+    frames = frames_of(items) if recipe.sequence else {}
+    for item in items:
+        place = item.name if labels is None else labels.place(item.name)
+        own = None if labels is None else labels.only(item.name)
+        stem, end = splitext(place)
+        for variant in range(recipe.variants):
+            number = f"_{variant + 1}" if recipe.variants > 1 else ""
+            yield Job(item, f"{stem}{number}{end}", variant, own, frames.get(item))
