@@ -123,7 +123,7 @@ class Medium:
         if self.is_spectral:
             sizes["S"] = 3
         for name, axes in self.TENSORS.items():
-            tensor, shape = getattr(self, name), tuple(sizes[x] for x in axes if x in sizes)
+            tensor, shape = getattr(self, name), tuple([sizes[x] for x in axes if x in sizes])
             if tensor.ndim == 0:  # one number for all, as a default is
                 object.__setattr__(self, name, tensor.to(self.beta).expand(shape))
             elif tuple(tensor.shape) != shape:
@@ -316,7 +316,7 @@ class Medium:
 
     def tensors(self) -> tuple[Tensor, ...]:
         """Rates, weights and b̄, in the order of `TENSORS`."""
-        return tuple(getattr(self, name) for name in self.TENSORS)
+        return tuple([getattr(self, name) for name in self.TENSORS])
 
     def parameters(self) -> dict[str, Tensor]:
         """All that is continuous in a medium, by name, each with a row for every medium: the
