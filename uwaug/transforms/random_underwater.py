@@ -156,7 +156,7 @@ class RandomUnderwater(SampleTransform):
         if self.light is not None:
             checks.instance("light", self.light, Light)
         vars(self)["distance"] = self.source = source
-        self.water = RandomWater(**{f.name: getattr(self, f.name) for f in _OF_WATER})
+        self.water = RandomWater(**{f.name: getattr(self, f.name) for f in _WATER_OPTIONS})
         nouns = (self.source, self.water, self.development)
         self._ranges = checked(dict(chain(*(noun.ranges().items() for noun in nouns))))
 
@@ -375,5 +375,5 @@ class RandomUnderwater(SampleTransform):
         return f"{type(self).__name__}({', '.join(shown)})"
 
 
-_OF_WATER = tuple(field for field in fields(RandomWater) if field.init)
+_WATER_OPTIONS = tuple(field for field in fields(RandomWater) if field.init)
 """The arguments of `RandomUnderwater` that are those of its water."""
