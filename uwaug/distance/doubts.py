@@ -9,11 +9,12 @@ from torch.nn.functional import avg_pool2d, interpolate
 
 from uwaug._support import checks
 from uwaug._support.once import Once
+from uwaug.distance.sizes import same_aspect
 
 _CELLS = 72
 """Of a small copy, along the shorter side. Of each cell of a map nine pixels are looked at."""
 
-_REVERSED = -0.1
+REVERSED = -0.1
 """Convexity below which near and far are exchanged. Of true crops 1 in 100 has less."""
 
 _SEVERAL = 4
@@ -110,8 +111,8 @@ def evidence(distance: Tensor, image: Tensor) -> Evidence:
     size = ""
     if (h, w) != (height, width):
         cure = "of another aspect: is one of them turned or cropped?"
-        if abs(h * width - w * height) <= max(height, width):
-            cure = "resize one of them (maps by their nearest pixel)"
+        if same_aspect((h, w), (height, width)):
+            cure = "it is brought to the picture's size"
         size = f"a map is {w}×{h} px and its picture {width}×{height} px: {cure}"
     if not z.numel():
         return Evidence(0, size, 0.0, -1, torch.nan, None, 0)
@@ -143,7 +144,7 @@ def judged(evidences: Iterable[Evidence]) -> list[str]:
         if _most([shown.scale == which for shown in maps]):
             sentences.append(f"distances {sentence}")
     # a logarithm says little of maps from 0 to 1, which have shifts of their own
-    reversed_ = [shown.scale != 0 and shown.convexity < _REVERSED for shown in maps]
+    reversed_ = [shown.scale != 0 and shown.convexity < REVERSED for shown in maps]
     if len(maps) >= _SEVERAL and _most(reversed_):
         claim = "distances look like disparity or inverse depth, large where near"
         cure = f"{_INVERSE}; from_disparity where focal length and baseline are known"

@@ -13,6 +13,7 @@ from uwaug._support import checks, codec
 from uwaug._support.ranges import Range, as_range
 from uwaug.distance.convert import as_maps, from_inverse, from_relative
 from uwaug.distance.fill import fill_unknown
+from uwaug.distance.unknown import End, standing_alone
 
 Numbers = Mapping[str, float]
 """What a picture has drawn, by name."""
@@ -23,6 +24,9 @@ Holes = _Policy | float
 around, "behind": from those behind, for maps of depth cameras with their shadows and their range
 (see `fill_unknown`). "far": open water. A number: as many metres.
 """
+
+FARTHEST_SEEN = 50.0
+"""m: beyond, the largest value of a map is asked whether it is a distance."""
 
 _TOUCHING = 1e-6
 """m, for relative distance 0 with near = 0: a distance of 0 means unknown."""
@@ -65,7 +69,9 @@ class Metres(Source):
     """Maps of metres along the ray, see `along_ray` for depth along the optical axis.
 
     Attributes:
-        holes: what NaN, 0 and negative distances get, see `Holes`. Geometric transforms pad with 0.
+        holes: what NaN, 0 and negative distances get, see `Holes`; and a largest one that stands
+            alone beyond 50 m, as 65.535 or 1000 do. From 1e7 m on a distance is open water.
+            Geometric transforms pad with 0.
     """
 
     holes: Holes = "error"
@@ -78,6 +84,9 @@ class Metres(Source):
         assert distance is not None
         z = as_maps("distance", distance)
         checks.metres("distance", z)
+        z = torch.where(z >= checks.OPEN, torch.inf, z)
+        if bool(((z > FARTHEST_SEEN) & (z < torch.inf)).any()):
+            z = _without_stand_ins(z, ("largest",), self.holes)
         return _without_holes(z, self.holes)
 
 
@@ -111,6 +120,9 @@ class Relative(Source):
         """See `Source.metres`."""
         assert distance is not None
         near = max(numbers["near"], _TOUCHING)
+        distance = as_maps("distance", distance)
+        if bool((distance < 0).any()):
+            distance = _without_stand_ins(distance, ("least",), self.holes)
         z = from_relative(distance, near, numbers["far"], numbers["gamma"])
         return _without_holes(z, self.holes)
 
@@ -143,7 +155,10 @@ class Inverse(Source):
     def metres(self, distance: Tensor | None, image: Tensor, numbers: Numbers) -> Tensor:
         """See `Source.metres`."""
         assert distance is not None
-        return _without_holes(from_inverse(distance, numbers["near"], numbers["far"]), self.holes)
+        inverse = _without_stand_ins(
+            as_maps("distance", distance), ("least", "largest"), self.holes
+        )
+        return _without_holes(from_inverse(inverse, numbers["near"], numbers["far"]), self.holes)
 
 
 @codec.plain
@@ -189,6 +204,24 @@ def require_ends(near: Range, far: Range) -> float:
     if not largest < as_range("far", far, 0.0, unit="m")[0]:
         raise ValueError(f"near must lie below far, got near = {near} and far = {far} in metres")
     return least
+
+
+def _without_stand_ins(x: Tensor, ends: tuple[End, ...], holes: Holes) -> Tensor:
+    """A map with NaN in place of its least or largest value where that stands for something else,
+    see `standing_alone`; refuses it where nothing is said of holes.
+    """
+    for end in ends:
+        alone = standing_alone(x, end)
+        if not bool(alone.any()):
+            continue
+        if holes == "error":
+            got = f"{100 * float(alone.float().mean()):.2g} % of the map are {float(x[alone][0]):g}"
+            cure = (
+                "give holes='behind' (--holes behind; for maps of depth cameras), or far, for sky"
+            )
+            raise ValueError(f"distance: {got}, far from all else: unknown pixels, or sky? {cure}")
+        x = torch.where(alone, torch.nan, x)
+    return x
 
 
 def _without_holes(z: Tensor, holes: Holes) -> Tensor:

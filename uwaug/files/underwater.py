@@ -12,9 +12,9 @@ from uwaug._support.threads import one_thread
 from uwaug.distance.made_up import MadeUp
 from uwaug.distance.sources import Source
 from uwaug.files.films import Films, frames_of
-from uwaug.files.items import OTHERS, Item
+from uwaug.files.items import Item, cure_of
 from uwaug.files.labels import Labelled, Labels, judged, open_labels
-from uwaug.files.pictures import ENDINGS, write_picture
+from uwaug.files.pictures import ENDINGS
 from uwaug.files.recipe import Recipe
 from uwaug.files.record import digest, read_record
 from uwaug.files.run import Job, Progress, Work, require_apart, require_free, run
@@ -66,7 +66,7 @@ def degrade(
     """
     out, labels = Path(out), None
     single = out.suffix.lower() in ENDINGS and not out.is_dir()
-    if out.suffix.lower() in OTHERS and not out.is_dir():
+    if cure_of(out.suffix) and not out.is_dir():
         raise ValueError(f"{out}: pictures are written as {', '.join(ENDINGS)}")
     if single and (len(items) * recipe.variants != 1 or recipe.labels is not None or sheet):
         cure = "more pictures, labels and sheets need a folder"
@@ -128,7 +128,7 @@ def replay(
     with one_thread():
         image, z = recipe.read(item)
         degraded = recipe.transform.transform(image, z, plain["params"])
-        write_picture(output, degraded, recipe.quality)
+        recipe.write(output, degraded)
 
 
 class _Underwater(Work):
@@ -171,7 +171,7 @@ class _Underwater(Work):
         }
 
     def write(self, path: Path, result: Tensor) -> None:
-        write_picture(path, result, self.recipe.quality)
+        self.recipe.write(path, result)
 
 
 def _degraded(

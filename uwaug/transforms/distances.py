@@ -8,14 +8,11 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug._support.types import ColorSpace
 from uwaug.distance.doubts import first_maps
-from uwaug.distance.sources import Metres, Source
+from uwaug.distance.sources import FARTHEST_SEEN, Metres, Source
 from uwaug.formation.colour import linear_to_srgb, require_values
 from uwaug.transforms.draws import Draw
 from uwaug.transforms.measured import Measured
 from uwaug.transforms.samples import naming
-
-_OUTDOORS = 500.0
-"""m: maps whose median is beyond are looked at for millimetres."""
 
 
 def metres_of(
@@ -55,5 +52,5 @@ def require(
     """Refuse a picture and its map by what was measured; if that is odd, by a second look."""
     if not (seen.darkest >= 0 and seen.brightest <= 1):
         require_values(picture, color_space)
-    if isinstance(source, Metres) and not (seen.nearest > 0 and seen.median < _OUTDOORS):
-        Metres().metres(z, picture, {})
+    if source == Metres() and not (seen.nearest > 0 and seen.farthest < FARTHEST_SEEN):
+        source.metres(z, picture, {})

@@ -1,5 +1,6 @@
 """`RandomUnderwater`: new water for every picture, in a DataLoader worker or on a whole batch."""
 
+import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, asdict, dataclass, fields
@@ -349,7 +350,11 @@ class RandomUnderwater(SampleTransform):
         lamps = self.light is not None and bool(self.light.lamps)
         with torch.autocast(pictures.device.type, enabled=False):
             z = metres_of(self.source, pictures, maps, draws, space)
-            own = measured(pictures if len(z) == len(pictures) else pictures[chosen], z)
+            some = pictures if len(chosen) == len(pictures) else pictures[chosen]
+            own = measured(some, z)
+            if any(checks.OPEN <= look.farthest < math.inf for look in own):
+                z = torch.where(z >= checks.OPEN, math.inf, z)
+                own = measured(some, z)
             for i, look, far in zip(chosen, own, z, strict=True):
                 with naming(i, len(pictures)):
                     require(self.source, look, pictures[i], far, space)

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from uwaug._support import checks
+from uwaug.distance.sizes import brought_to, same_aspect
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -157,9 +158,12 @@ def maps_for(pictures: Tensor, distance: Any) -> list[Tensor]:
         hint = "; expected (image, distance, …), (image, {'distance': …}) or a dict of both"
     checks.floating("distance", distance, hint)
     checks.picture("distance", distance, 1)
-    checks.same_size("distance", distance, pictures)
     checks.same_device("distance", distance, pictures)
     plain, batch = typed(distance, Tensor), len(pictures)
+    size, own = (pictures.shape[-2], pictures.shape[-1]), (plain.shape[-2], plain.shape[-1])
+    if own != size and same_aspect(own, size) and min(own) > 0:
+        plain = brought_to(size, plain)
+    checks.same_size("distance", plain, pictures)
     maps = list(plain) if plain.ndim == 4 else [plain]
     if len(maps) not in (1, batch):
         raise ValueError(f"distance is a batch of {len(maps)} but image is one of {batch}")
