@@ -10,10 +10,11 @@ import torch
 from torch import Tensor
 
 from uwaug._support import checks, codec
+from uwaug._support.once import Once
 from uwaug._support.ranges import Range, as_range
 from uwaug.distance.convert import as_maps, from_inverse, from_relative
 from uwaug.distance.fill import fill_unknown
-from uwaug.distance.unknown import End, standing_alone
+from uwaug.distance.unknown import End, alone_in_words, standing_alone
 
 Numbers = Mapping[str, float]
 """What a picture has drawn, by name."""
@@ -27,6 +28,8 @@ around, "behind": from those behind, for maps of depth cameras with their shadow
 
 FARTHEST_SEEN = 50.0
 """m: beyond, the largest value of a map is asked whether it is a distance."""
+
+_asked = Once()
 
 _TOUCHING = 1e-6
 """m, for relative distance 0 with near = 0: a distance of 0 means unknown."""
@@ -86,7 +89,7 @@ class Metres(Source):
         checks.metres("distance", z)
         z = torch.where(z >= checks.OPEN, torch.inf, z)
         if bool(((z > FARTHEST_SEEN) & (z < torch.inf)).any()):
-            z = _without_stand_ins(z, ("largest",), self.holes)
+            z = _without_alone(z, "largest", self.holes)
         return _without_holes(z, self.holes)
 
 
@@ -122,7 +125,7 @@ class Relative(Source):
         near = max(numbers["near"], _TOUCHING)
         distance = as_maps("distance", distance)
         if bool((distance < 0).any()):
-            distance = _without_stand_ins(distance, ("least",), self.holes)
+            distance = _without_alone(distance, "least", self.holes)
         z = from_relative(distance, near, numbers["far"], numbers["gamma"])
         return _without_holes(z, self.holes)
 
@@ -136,7 +139,9 @@ class Inverse(Source):
 
     Attributes:
         near, far: m; numbers or (low, high), near above 0.
-        holes: what NaN and infinite values get, see `Holes`.
+        holes: what NaN and infinite values get, see `Holes`; and a least value that stands alone,
+            such as 0 where a matcher has found nothing. "error" only warns of that one, as it may
+            be the sky.
     """
 
     near: Range = 1.0
@@ -155,9 +160,11 @@ class Inverse(Source):
     def metres(self, distance: Tensor | None, image: Tensor, numbers: Numbers) -> Tensor:
         """See `Source.metres`."""
         assert distance is not None
-        inverse = _without_stand_ins(
-            as_maps("distance", distance), ("least", "largest"), self.holes
-        )
+        inverse = as_maps("distance", distance)
+        if self.holes != "error":
+            inverse = torch.where(standing_alone(inverse, "least"), torch.nan, inverse)
+        elif sentence := alone_in_words(inverse, "least"):
+            _asked.warn(f"distance: {sentence}")
         return _without_holes(from_inverse(inverse, numbers["near"], numbers["far"]), self.holes)
 
 
@@ -206,22 +213,13 @@ def require_ends(near: Range, far: Range) -> float:
     return least
 
 
-def _without_stand_ins(x: Tensor, ends: tuple[End, ...], holes: Holes) -> Tensor:
-    """A map with NaN in place of its least or largest value where that stands for something else,
-    see `standing_alone`; refuses it where nothing is said of holes.
+def _without_alone(x: Tensor, end: End, holes: Holes) -> Tensor:
+    """A map with NaN in place of its least or largest value where that stands alone; refuses it
+    where nothing is said of holes.
     """
-    for end in ends:
-        alone = standing_alone(x, end)
-        if not bool(alone.any()):
-            continue
-        if holes == "error":
-            got = f"{100 * float(alone.float().mean()):.2g} % of the map are {float(x[alone][0]):g}"
-            cure = (
-                "give holes='behind' (--holes behind; for maps of depth cameras), or far, for sky"
-            )
-            raise ValueError(f"distance: {got}, far from all else: unknown pixels, or sky? {cure}")
-        x = torch.where(alone, torch.nan, x)
-    return x
+    if holes == "error" and (sentence := alone_in_words(x, end)):
+        raise ValueError(f"distance: {sentence}")
+    return torch.where(standing_alone(x, end), torch.nan, x)
 
 
 def _without_holes(z: Tensor, holes: Holes) -> Tensor:

@@ -42,3 +42,13 @@ def standing_alone(x: Tensor, end: End) -> Tensor:
     several = len(set(others[:: max(1, others.numel() // 4096)].tolist())) >= _FEWEST
     is_alone = several and bool(top - high > gap)
     return (values == top) if is_alone else torch.zeros_like(x, dtype=torch.bool)
+
+
+def alone_in_words(x: Tensor, end: End) -> str:
+    """What to ask of a value that stands alone, with the cure; "" where none does."""
+    alone = standing_alone(x, end)
+    if not bool(alone.any()):
+        return ""
+    got = f"{100 * float(alone.float().mean()):.2g} % of a map are {float(x[alone][0]):g}"
+    cure = "unknown? --holes behind (holes='behind'); sky? --holes far"
+    return f"{got}, a gap away from all other values: {cure}"

@@ -103,7 +103,7 @@ def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
     if median is not None:
         got = f"the median is {median:.4g} metres if they are in {unit}, farther than one sees"
         cure = "is the unit mm (--unit mm)?"
-        if is_whole and values.min() == 0 and z.max() == metres_of(unit) * values.max():
+        if is_whole and values.min() == 0 and values.max() == np.iinfo(values.dtype).max:
             cure = "they span all that their type holds, as relative distances do: "
             cure += "--set distance.kind=Inverse where large is near, else Relative"
         raise ValueError(f"{path}: {got}: {cure}")
