@@ -14,7 +14,7 @@ from uwaug._support.once import Once
 from uwaug._support.ranges import Range, as_range
 from uwaug.distance.convert import as_maps, from_inverse, from_relative
 from uwaug.distance.fill import fill_unknown
-from uwaug.distance.unknown import End, alone_in_words, standing_alone
+from uwaug.distance.unknown import in_words, of_metres, of_shares, range_end
 
 Numbers = Mapping[str, float]
 """What a picture has drawn, by name."""
@@ -26,10 +26,7 @@ around, "behind": from those behind, for maps of depth cameras with their shadow
 (see `fill_unknown`). "far": open water. A number: as many metres.
 """
 
-FARTHEST_SEEN = 50.0
-"""m: beyond, the largest value of a map is asked whether it is a distance."""
-
-_asked = Once()
+_alone = Once()
 
 _TOUCHING = 1e-6
 """m, for relative distance 0 with near = 0: a distance of 0 means unknown."""
@@ -55,7 +52,8 @@ class Source:
         """The distances of a picture (1xHxW): metres above 0, or +inf for open water.
 
         Args:
-            distance (1xHxW tensor): the picture's map, where there are any.
+            distance (1xhxw tensor): the picture's map, where there are any. It has the picture's
+                aspect; of a smaller one the distances are brought to the picture's size.
             image (3xHxW tensor): the picture; uint8, or floating point in 0…1. sRGB where
                 `reads_pictures`.
             numbers: drawn from `ranges`.
@@ -72,8 +70,8 @@ class Metres(Source):
     """Maps of metres along the ray, see `along_ray` for depth along the optical axis.
 
     Attributes:
-        holes: what NaN, 0 and negative distances get, see `Holes`; and a largest one that stands
-            alone beyond 50 m, as 65.535 or 1000 do. From 1e7 m on a distance is open water.
+        holes: what NaN, 0 and negative distances get, see `Holes`; and the largest one, if it lies
+            beyond 50 m and alone, as 65.535 or 1000 do. From 1e7 m on a distance is open water.
             Geometric transforms pad with 0.
     """
 
@@ -88,8 +86,8 @@ class Metres(Source):
         z = as_maps("distance", distance)
         checks.metres("distance", z)
         z = torch.where(z >= checks.OPEN, torch.inf, z)
-        if bool(((z > FARTHEST_SEEN) & (z < torch.inf)).any()):
-            z = _without_alone(z, "largest", self.holes)
+        z = _asked(z, of_metres(z), self.holes, refuse=True)
+        z = torch.where(range_end(z), torch.inf, z)
         return _without_holes(z, self.holes)
 
 
@@ -102,7 +100,8 @@ class Relative(Source):
     Attributes:
         near, far: m; numbers or (low, high).
         gamma: exponent; a number or (low, high).
-        holes: what NaN gets, see `Holes`. Let geometric transforms pad with NaN.
+        holes: what NaN gets, see `Holes`, and numbers that stand for no distance, such as −1.
+            "error" only warns of these if they lie in 0…1. Let geometric transforms pad with NaN.
     """
 
     near: Range = 1.0
@@ -123,10 +122,9 @@ class Relative(Source):
         """See `Source.metres`."""
         assert distance is not None
         near = max(numbers["near"], _TOUCHING)
-        distance = as_maps("distance", distance)
-        if bool((distance < 0).any()):
-            distance = _without_alone(distance, "least", self.holes)
-        z = from_relative(distance, near, numbers["far"], numbers["gamma"])
+        t = as_maps("distance", distance)
+        t = _asked(t, of_shares(t), self.holes, refuse=bool((t < 0).any()))
+        z = from_relative(t, near, numbers["far"], numbers["gamma"])
         return _without_holes(z, self.holes)
 
 
@@ -139,9 +137,8 @@ class Inverse(Source):
 
     Attributes:
         near, far: m; numbers or (low, high), near above 0.
-        holes: what NaN and infinite values get, see `Holes`; and a least value that stands alone,
-            such as 0 where a matcher has found nothing. "error" only warns of that one, as it may
-            be the sky.
+        holes: what NaN and infinite values get, see `Holes`, and numbers that stand for no
+            distance, such as 0 where a matcher has found nothing. "error" only warns of these.
     """
 
     near: Range = 1.0
@@ -161,10 +158,7 @@ class Inverse(Source):
         """See `Source.metres`."""
         assert distance is not None
         inverse = as_maps("distance", distance)
-        if self.holes != "error":
-            inverse = torch.where(standing_alone(inverse, "least"), torch.nan, inverse)
-        elif sentence := alone_in_words(inverse, "least"):
-            _asked.warn(f"distance: {sentence}")
+        inverse = _asked(inverse, of_shares(inverse), self.holes, refuse=False)
         return _without_holes(from_inverse(inverse, numbers["near"], numbers["far"]), self.holes)
 
 
@@ -213,13 +207,19 @@ def require_ends(near: Range, far: Range) -> float:
     return least
 
 
-def _without_alone(x: Tensor, end: End, holes: Holes) -> Tensor:
-    """A map with NaN in place of its least or largest value where that stands alone; refuses it
-    where nothing is said of holes.
+def _asked(x: Tensor, alone: Tensor, holes: Holes, *, refuse: bool) -> Tensor:
+    """A map with NaN in place of numbers that are alone; where nothing is said of holes, refused,
+    or as it is, with a warning.
     """
-    if holes == "error" and (sentence := alone_in_words(x, end)):
-        raise ValueError(f"distance: {sentence}")
-    return torch.where(standing_alone(x, end), torch.nan, x)
+    if not bool(alone.any()):
+        return x
+    if holes != "error":
+        return torch.where(alone, torch.nan, x)
+    sentence = f"distance: {in_words(x, alone)}"
+    if refuse:
+        raise ValueError(sentence)
+    _alone.warn(sentence)
+    return x
 
 
 def _without_holes(z: Tensor, holes: Holes) -> Tensor:

@@ -14,7 +14,6 @@ from uwaug._support import checks
 from uwaug._support.atomic import require_regular, written_whole
 from uwaug._support.extras import require
 from uwaug._support.types import ColorSpace
-from uwaug.distance.unknown import standing_alone
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
 
 ENDINGS = (".npy", ".exr", ".tif", ".tiff", ".png", ".jpg", ".jpeg")
@@ -88,26 +87,26 @@ def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
     if values.ndim != 2:
         cure = "a map in colours is no distance: save it in grey"
         raise ValueError(f"{path}: expected one channel (H, W), got {values.shape}: {cure}")
-    is_whole = values.dtype.kind in "ui"
+    most = np.iinfo(values.dtype).max if values.dtype.kind in "ui" else np.inf
     if unit is None:
-        scale = 1 / np.iinfo(values.dtype).max if values.dtype.kind == "u" else 1.0
-        return torch.from_numpy((values * scale).astype(np.float32))[None]
+        is_share = values.dtype in (np.uint8, np.uint16)
+        return torch.from_numpy((values / (most if is_share else 1)).astype(np.float32))[None]
     if values.dtype.itemsize == 1:
         cure = "are they relative? Those have no unit: --set distance.kind=Inverse, or Relative"
         raise ValueError(f"{path}: 8 bits are too few for distances in {unit}: {cure}")
     # rounded once, from double precision
-    z = torch.from_numpy((values.astype(np.float64) * metres_of(unit)).astype(np.float32))[None]
-    if is_whole and values.max() == np.iinfo(values.dtype).max:
-        z = torch.where(standing_alone(z, "largest"), 0.0, z)
-    median = checks.too_far(z)
+    z = (values.astype(np.float64) * metres_of(unit)).astype(np.float32)
+    z[values == most] = np.nan if most < np.inf else np.inf
+    metres = torch.from_numpy(z)[None]
+    median = checks.too_far(metres)
     if median is not None:
         got = f"the median is {median:.4g} metres if they are in {unit}, farther than one sees"
         cure = "is the unit mm (--unit mm)?"
-        if is_whole and values.min() == 0 and values.max() == np.iinfo(values.dtype).max:
-            cure = "they span all that their type holds, as relative distances do: "
-            cure += "--set distance.kind=Inverse where large is near, else Relative"
+        if most < np.inf and values[values < most].max() > most / 2:
+            cure = "they span what their type holds, as relative distances do: --set distance.kind="
+            cure += f"Inverse where large is near, else Relative? Or is the unit mm (--unit mm)?"
         raise ValueError(f"{path}: {got}: {cure}")
-    return z
+    return metres
 
 
 def metres_of(unit: str | float) -> float:

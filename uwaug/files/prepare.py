@@ -12,7 +12,7 @@ from torch import Tensor
 from uwaug._support.threads import one_thread
 from uwaug.distance.doubts import REVERSED, doubts, evidence
 from uwaug.distance.sources import Inverse, Metres, Relative, Source
-from uwaug.distance.unknown import alone_in_words
+from uwaug.distance.unknown import in_words, of_shares
 from uwaug.files.items import Item
 from uwaug.files.pictures import read_picture
 from uwaug.files.recipe import Recipe
@@ -99,9 +99,7 @@ def _doubts(recipe: Recipe, samples: Sequence[tuple[Tensor, Tensor | None, str]]
     maps, images = [z for z, _ in pairs], [image for _, image in pairs]
     if isinstance(recipe.transform.distance, Metres):
         return doubts(maps, images)
-    source, asked = recipe.transform.distance, []
-    if isinstance(source, Inverse) and source.holes == "error":
-        asked = [sentence for z in maps if (sentence := alone_in_words(z, "least"))][:1]
+    asked = [in_words(z, alone) for z in maps if bool((alone := of_shares(z)).any())][:1]
     shown = [evidence(z, image) for z, image in pairs]
     disparities = sum(each.convexity < REVERSED for each in shown)
     if 2 * sum(map(_like_mm, maps)) <= len(maps) or 2 * disparities > len(maps):

@@ -1,6 +1,5 @@
 """`RandomUnderwater`: new water for every picture, in a DataLoader worker or on a whole batch."""
 
-import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, asdict, dataclass, fields
@@ -22,7 +21,7 @@ from uwaug.optics.curves import FARTHEST
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
 from uwaug.presets.preset import load_preset
-from uwaug.transforms.distances import metres_of, require
+from uwaug.transforms.distances import metres_of, require, second_look
 from uwaug.transforms.draws import (
     Draw,
     Record,
@@ -352,12 +351,11 @@ class RandomUnderwater(SampleTransform):
             z = metres_of(self.source, pictures, maps, draws, space)
             some = pictures if len(chosen) == len(pictures) else pictures[chosen]
             own = measured(some, z)
-            if any(checks.OPEN <= look.farthest < math.inf for look in own):
-                z = torch.where(z >= checks.OPEN, math.inf, z)
-                own = measured(some, z)
-            for i, look, far in zip(chosen, own, z, strict=True):
+            if (again := second_look(self.source, own, pictures, z, chosen)) is not z:
+                z, own = again, measured(some, again)
+            for i, look in zip(chosen, own, strict=True):
                 with naming(i, len(pictures)):
-                    require(self.source, look, pictures[i], far, space)
+                    require(look, pictures[i], space)
                     seen.append(look.of_film(draws[i].measured))
                     waters.append(self.water.of(draws[i], seen[-1], metered=metered, lamps=lamps))
                     developments.append(self.development.of(draws[i], seen[-1]))

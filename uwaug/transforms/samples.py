@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from uwaug._support import checks
-from uwaug.distance.sizes import brought_to, same_aspect
+from uwaug.distance.sizes import require_aspect
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -147,7 +147,7 @@ def pictures_of(image: Any) -> Tensor:
 
 
 def maps_for(pictures: Tensor, distance: Any) -> list[Tensor]:
-    """A map (1xHxW) for each picture of a batch, as plain tensors."""
+    """A map (1xhxw, of the aspect of the pictures) for each one of a batch, as plain tensors."""
     if distance is None:
         cure = "for pictures without maps there are MadeUp, Network and Plane of uwaug.distance"
         raise ValueError(
@@ -158,12 +158,9 @@ def maps_for(pictures: Tensor, distance: Any) -> list[Tensor]:
         hint = "; expected (image, distance, …), (image, {'distance': …}) or a dict of both"
     checks.floating("distance", distance, hint)
     checks.picture("distance", distance, 1)
+    require_aspect("distance", distance, pictures)
     checks.same_device("distance", distance, pictures)
     plain, batch = typed(distance, Tensor), len(pictures)
-    size, own = (pictures.shape[-2], pictures.shape[-1]), (plain.shape[-2], plain.shape[-1])
-    if own != size and same_aspect(own, size) and min(own) > 0:
-        plain = brought_to(size, plain)
-    checks.same_size("distance", plain, pictures)
     maps = list(plain) if plain.ndim == 4 else [plain]
     if len(maps) not in (1, batch):
         raise ValueError(f"distance is a batch of {len(maps)} but image is one of {batch}")
