@@ -2,6 +2,7 @@
 there are no maps. After it there are metres at every pixel, or an error.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Literal, get_args
@@ -12,7 +13,7 @@ from torch import Tensor
 from uwaug._support import checks, codec
 from uwaug._support.once import Once
 from uwaug._support.ranges import Range, as_range
-from uwaug.distance.convert import as_maps, from_inverse, from_relative
+from uwaug.distance.convert import along_ray, as_maps, from_inverse, from_relative
 from uwaug.distance.fill import fill_unknown
 from uwaug.distance.unknown import End, alone_in_words, standing_alone
 
@@ -33,6 +34,9 @@ _asked = Once()
 
 _TOUCHING = 1e-6
 """m, for relative distance 0 with near = 0: a distance of 0 means unknown."""
+
+_WIDEST = 8.0
+"""Diagonal of a picture over its focal length: of a view of 152°, wider than any without fisheye."""
 
 
 class Source:
@@ -69,18 +73,24 @@ class Source:
 @codec.plain
 @dataclass(frozen=True)
 class Metres(Source):
-    """Maps of metres along the ray, see `along_ray` for depth along the optical axis.
+    """Maps of metres along the ray, or of planar depth.
 
     Attributes:
         holes: what NaN, 0 and negative distances get, see `Holes`; and a largest one that stands
             alone beyond 50 m, as 65.535 or 1000 do. From 1e7 m on a distance is open water.
             Geometric transforms pad with 0.
+        focal_px: focal length, px of the picture, or (fx, fy), of maps that hold depth along the
+            optical axis, as depth cameras and renderers write it, see `along_ray`; None for metres
+            along the ray. The axis goes through the middle: maps are whole views, not crops.
     """
 
     holes: Holes = "error"
+    focal_px: float | tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         _require_holes(self.holes)
+        if self.focal_px is not None:
+            along_ray(torch.ones(1, 1), self.focal_px)  # refuses what is none
 
     def metres(self, distance: Tensor | None, image: Tensor, numbers: Numbers) -> Tensor:
         """See `Source.metres`."""
@@ -90,6 +100,13 @@ class Metres(Source):
         z = torch.where(z >= checks.OPEN, torch.inf, z)
         if bool(((z > FARTHEST_SEEN) & (z < torch.inf)).any()):
             z = _without_alone(z, "largest", self.holes)
+        if self.focal_px is not None:
+            size, focal = z.shape[-2:], self.focal_px
+            fx, fy = focal if isinstance(focal, tuple) else (focal, focal)
+            if math.hypot(size[1] / fx, size[0] / fy) > _WIDEST:
+                cure = f"a lens of f mm before a sensor w mm wide has f/w·{size[1]} px"
+                raise ValueError(f"focal_px must be in px of the picture, got {focal}: {cure}")
+            z = along_ray(z, focal)
         return _without_holes(z, self.holes)
 
 

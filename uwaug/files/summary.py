@@ -50,7 +50,11 @@ class Summary:
     @property
     def failures(self) -> list[str]:
         """What went wrong: each begins with a picture's name."""
-        return [f"{r.item.name}: {r.reason}" for r in self.results if r.status == "failed"]
+        return [
+            r.reason if r.reason.startswith(r.item.name) else f"{r.item.name}: {r.reason}"
+            for r in self.results
+            if r.status == "failed"
+        ]
 
     @property
     def blank(self) -> list[str]:

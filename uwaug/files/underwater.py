@@ -112,7 +112,7 @@ def replay(
     """
     output = Path(output)
     if output.exists() and not force:
-        raise FileExistsError(f"{output} exists: force writes over it")
+        raise FileExistsError(f"{output} exists: force=True (--force) writes over it")
     plain = read_record(Path(record))
     if "recipe" not in plain:
         raise ValueError(f"{record}: is no record of a picture under water")
@@ -189,7 +189,7 @@ def _require_distances(recipe: Recipe, items: Sequence[Item]) -> None:
     assert isinstance(source, Source)
     missing = next((item.name for item in items if item.distance is None), None)
     if missing and source.reads_maps:
-        cure = "give files of distances, a distance in metres, or MadeUp"
+        cure = "give --distance: files, metres, or made-up (MadeUp())"
         raise ValueError(f"distance is missing: {missing} has no file of it: {cure}")
     if recipe.sequence and isinstance(source, MadeUp):
         cure = "give files of distances, or metres, such as 1:5"
