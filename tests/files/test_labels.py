@@ -14,7 +14,9 @@ import yaml
 from filing import content
 from PIL import Image
 
-from uwaug.files.labels import FORMATS, Judged, Labelled, Labels, judged, open_labels
+from uwaug.files.formats import FORMATS, open_labels
+from uwaug.files.items import Item
+from uwaug.files.labels import Judged, Labelled, Labels, judged
 
 H, W = 6, 8
 SIZE = (H, W)
@@ -59,19 +61,30 @@ def write(path: Path, text: str) -> Path:
     return path
 
 
+def opened(source: Path, *names: str) -> Labels:
+    """The labels of pictures of some names, in a folder beside the labels."""
+    return open_labels(source, [Item(name, source.parent / "photos" / name) for name in names])
+
+
 def labelled(
-    source: Path, names: list[str], out: Path, least: float | None = 0.05
+    source: Path,
+    names: list[str],
+    out: Path,
+    least: float | None = 0.05,
+    notes: list[str] | None = None,
 ) -> list[list[Judged]]:
     """What a run does with the labels of some pictures, each in a process of its own."""
-    labels, pictures = open_labels(source), []
+    labels, pictures = opened(source, *names), []
     out.mkdir(exist_ok=True)
     for name in names:
         own = pickle.loads(pickle.dumps(labels.only(name)))
         objects = judged(own, name, LEFT, least)
         place = labels.place(name)
         own.write(name, place, {one.key for one in objects if not one.kept}, out)
-        pictures.append(Labelled(name, place, objects))
-    labels.finish(pictures, out)
+        pictures.append(Labelled(source.parent / "photos" / name, name, place, objects))
+    told = labels.finish(pictures, out)
+    if notes is not None:
+        notes += told
     return [list(picture.objects) for picture in pictures]
 
 
@@ -97,12 +110,11 @@ def test_coco(tmp_path: Path) -> None:
         labelled(tmp_path / "instances.json", ["b.jpg"], tmp_path)
 
 
-@pytest.mark.parametrize("names", [("b.jpg", "b.jpg"), ("one/b.jpg", "two/b.jpg")])
-def test_coco_of_several_pictures_from_one(tmp_path: Path, names: tuple[str, str]) -> None:
-    labels = open_labels(coco(tmp_path))
+def test_coco_of_several_pictures_from_one(tmp_path: Path) -> None:
+    labels = opened(coco(tmp_path), "b.jpg")
     objects = judged(labels, "b.jpg", LEFT, None)
     (tmp_path / "o").mkdir()
-    pictures = [Labelled(name, f"b_{i}.png", objects) for i, name in enumerate(names, 1)]
+    pictures = [Labelled(tmp_path / "b.jpg", "b.jpg", f"b_{i}.png", objects) for i in (1, 2)]
     labels.finish(pictures, tmp_path / "o")
     written = json.loads((tmp_path / "o/instances.json").read_text())
     images = [(one["id"], one["file_name"]) for one in written["images"]]
@@ -122,7 +134,7 @@ def test_run_lengths_as_of_pycocotools(tmp_path: Path, compressed: bool) -> None
         runs += [mask.size - sum(runs)]
     entry = {"id": 1, "image_id": 1, "segmentation": {"size": [40, 30], "counts": runs}}
     image = {"id": 1, "file_name": "a.jpg"}
-    labels = open_labels(coco(tmp_path, images=[image], annotations=[entry]))
+    labels = opened(coco(tmp_path, images=[image], annotations=[entry]), "a.jpg")
     ((_, found),) = labels.objects("a.jpg", (40, 30))
     assert np.array_equal(found, mask)
 
@@ -166,7 +178,7 @@ def test_yolo(tmp_path: Path) -> None:
 def test_trainers_find_labels(tmp_path: Path, name: str, label: str, place: str) -> None:
     write(tmp_path / label, "0 .5 .5 1 1\n")
     ((one,),) = labelled(tmp_path / "labels", [name], tmp_path / "out")
-    assert open_labels(tmp_path / "labels").place(name) == place
+    assert opened(tmp_path / "labels", name).place(name) == place
     # as Ultralytics' img2label_paths
     picture = str(tmp_path / "out" / place)
     images, labels = f"{os.sep}images{os.sep}", f"{os.sep}labels{os.sep}"
@@ -251,7 +263,7 @@ def test_a_format_says_what_it_reads(
     format: type[Labels], tmp_path: Path, run: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(ValueError, match=re.escape(format.reads)):
-        open_labels(tmp_path)
+        opened(tmp_path, "1.jpg")
     monkeypatch.setenv("COLUMNS", "250")
     assert format.reads in run("degrade", "--help")[1]
 
@@ -280,7 +292,7 @@ def test_without_a_limit_labels_stay_as_they_are(tmp_path: Path) -> None:
 def test_slivers_and_what_lies_outside(tmp_path: Path) -> None:
     outside = {**ANNOTATIONS[0], "bbox": [-20, -20, 10, 10]}
     sliver = {**ANNOTATIONS[2], "segmentation": [[1.1, 1.1, 1.3, 1.1, 1.3, 1.2]]}
-    labels = open_labels(coco(tmp_path, annotations=[outside, sliver]))
+    labels = opened(coco(tmp_path, annotations=[outside, sliver]), "reef/a.jpg")
     assert judged(labels, "reef/a.jpg", LEFT, None) == [(7, 0.0, True), (9, 0.9, True)]
 
 
@@ -302,7 +314,7 @@ def test_slivers_and_what_lies_outside(tmp_path: Path) -> None:
 def test_bad_coco_files(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
     path = coco(tmp_path, **changes)
     with pytest.raises(ValueError, match=message) as refused:
-        judged(open_labels(path), "reef/a.jpg", LEFT, None)
+        judged(opened(path, "reef/a.jpg"), "reef/a.jpg", LEFT, None)
     assert str(path) in str(refused.value)
 
 
@@ -320,7 +332,7 @@ def test_bad_coco_files(tmp_path: Path, changes: dict[str, Any], message: str) -
 def test_bad_yolo_files(tmp_path: Path, line: str, message: str) -> None:
     path = write(tmp_path / "labels/1.txt", f"0 .5 .5 1 1\n{line}\n")
     with pytest.raises(ValueError, match=f"line 2: .*{message}") as refused:
-        judged(open_labels(tmp_path / "labels"), "1.png", LEFT, None)
+        judged(opened(tmp_path / "labels", "1.png"), "1.png", LEFT, None)
     assert str(path) in str(refused.value)
 
 
@@ -329,10 +341,10 @@ def test_folders_without_labels(tmp_path: Path) -> None:
         ValueError,
         match=r"labels must be a COCO file .* a folder of YOLO.* or a folder of .* masks",
     ):
-        open_labels(tmp_path)
+        opened(tmp_path, "a.jpg")
     (tmp_path / "a.json").write_text("[" * 100_000)
     with pytest.raises(ValueError, match="is no COCO file"):
-        open_labels(tmp_path / "a.json")
+        opened(tmp_path / "a.json", "a.jpg")
     Image.fromarray(np.zeros((3, 4), np.uint8)).save(tmp_path / "a.png")
     with pytest.raises(ValueError, match=r"is \(3, 4\) but its picture \(6, 8\) px"):
-        judged(open_labels(tmp_path), "a.png", LEFT, None)
+        judged(opened(tmp_path, "a.png"), "a.png", LEFT, None)

@@ -88,17 +88,23 @@ def left_out(
 def _inside(
     folder: Path, exclude: Iterable[str | Path | None], endings: tuple[str, ...]
 ) -> Iterator[Path]:
-    """The pictures in a folder and those inside it; links to folders are not followed."""
-    places = {os.path.realpath(place) for place in exclude if place is not None}
-    for here, folders, files in os.walk(folder, onerror=_refuse):
-        folders[:] = (f for f in folders if os.path.realpath(Path(here, f)) not in places)
-        for path in (Path(here, name) for name in files):
-            if path.suffix.lower() in endings and not is_written(path):
-                yield path
+    """The pictures in a folder and those inside it."""
+    places = (os.path.realpath(place) for place in exclude if place is not None)
+    for path in _files(folder, frozenset(places)):
+        if path.suffix.lower() in endings and not is_written(path):
+            yield path
 
 
-def _refuse(error: OSError) -> None:
-    raise error
+def _files(folder: Path, apart: frozenset[str]) -> Iterator[Path]:
+    """The files in a folder and those inside it, but for some; a link is followed, unless it leads
+    to a folder in which it lies.
+    """
+    apart |= {os.path.realpath(folder)}
+    for path in folder.iterdir():
+        if not path.is_dir():
+            yield path
+        elif os.path.realpath(path) not in apart:
+            yield from _files(path, apart)
 
 
 def _map(distance: str | Path | None, path: Path, name: str) -> Path | None:
