@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 _COLOURS = 256
 """Of a mask at most; a photograph has more."""
 
+_COLOURED = 2**24
+"""From here on numbers stand for colours."""
+
 _SMALL = 20
 """Values of masks that count classes or objects begin below."""
 
@@ -40,29 +43,35 @@ class Masks(Folder):
 
     @staticmethod
     def require(file: Path) -> None:
-        _objects(_read(file)[0], file)
+        _values(_read(file)[0], file)
 
     def described(self, samples: Sequence[Path]) -> Self:
-        keys = {key for file in samples for key in _objects(_read(file)[0], file)}
-        small = any(isinstance(key, int) and key < _SMALL for key in keys)
-        return replace(self, ignored=self.ignored | ({255} & keys)) if small else self
+        import numpy as np
+
+        values = {v for file in samples for v in np.unique(_values(_read(file)[0], file)).tolist()}
+        small = any(0 < value < _SMALL for value in values)
+        return replace(self, ignored=self.ignored | ({255} & values)) if small else self
 
     def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
+        import numpy as np
+
         pixels, _ = _read(self.of[name])
         require_size(self.of[name], pixels.shape[:2], size)
-        for key, chosen in _objects(pixels, self.of[name]).items():
-            if key not in self.ignored:
-                yield key, chosen
+        values = _values(pixels, self.of[name])
+        for value in np.unique(values[values > 0]).tolist():
+            if _key(value) not in self.ignored:
+                yield _key(value), values == value
 
     def without(self, dropped: Collection[Key], source: Path, place: str) -> bytes:
+        import numpy as np
         from PIL import Image
 
         if not dropped:
             return source.read_bytes()
         pixels, palette = _read(source)
-        for key, chosen in _objects(pixels, source).items():
-            if key in dropped:
-                pixels[chosen] = 0
+        values = _values(pixels, source)
+        numbers = [value for value in np.unique(values).tolist() if _key(value) in dropped]
+        pixels[np.isin(values, numbers)] = 0
         image, file = Image.fromarray(pixels), io.BytesIO()
         if palette:
             image.putpalette(palette)
@@ -88,16 +97,21 @@ def _read(file: Path) -> "tuple[NDArray[Any], list[int] | None]":
         return pixels.astype("uint8") if image.mode == "1" else pixels, image.getpalette()
 
 
-def _objects(pixels: "NDArray[Any]", file: Path) -> "dict[Key, NDArray[Any]]":
-    """The pixels (HxW) of each value but 0, or colour but black ("red,green,blue")."""
+def _values(pixels: "NDArray[Any]", file: Path) -> "NDArray[Any]":
+    """A number (HxW) for each value or colour; see `_key`."""
     import numpy as np
 
-    if pixels.ndim == 2:
-        return {value: pixels == value for value in np.unique(pixels[pixels > 0]).tolist()}
-    packed = pixels.astype(np.int32) @ [65536, 256, 1]
-    colours = np.unique(packed[packed > 0])
-    if (pixels == pixels[..., :1]).all():
-        return _objects(pixels[..., 0], file)
-    if len(colours) > _COLOURS:
-        raise ValueError(f"{file}: {len(colours)} colours are those of a picture, not of a mask")
-    return {f"{c >> 16},{c >> 8 & 255},{c & 255}": packed == c for c in colours.tolist()}
+    if pixels.ndim == 2 or (pixels == pixels[..., :1]).all():
+        return pixels.reshape(*pixels.shape[:2], -1)[..., 0]
+    values = pixels.astype(np.int32) @ [65536, 256, 1]
+    values[values > 0] += _COLOURED
+    count = len(np.unique(values))
+    if count > _COLOURS:
+        raise ValueError(f"{file}: {count} colours are those of a picture, not of a mask")
+    return values
+
+
+def _key(value: int) -> Key:
+    """A value of a mask; of a colour that is no grey, "red,green,blue"."""
+    red, green, blue = value >> 16 & 255, value >> 8 & 255, value & 255
+    return value if value < _COLOURED else f"{red},{green},{blue}"
