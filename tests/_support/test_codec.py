@@ -73,7 +73,10 @@ def test_what_cannot_be_written(value: Any) -> None:
     [
         ({"kind": "Sea"}, None, "kind must be .*PointSpread.*, got 'Sea'"),
         ({"kind": "Development"}, PointSpread, "kind must be PointSpread, got 'Development'"),
-        ({"kind": "PointSpread", "width": 2}, None, "PointSpread: .*width"),
+        ({"kind": "pointspread"}, None, "got 'pointspread': did you mean PointSpread"),
+        ({"kind": "PointSpread", "width": 2}, None, "PointSpread has no 'width', only scale, exp"),
+        ({"scale": 1, "sahpe": "gaussian"}, PointSpread, "'sahpe', .*: did you mean shape?"),
+        ({"kind": "PointSpread", "shape": "gaussian"}, None, "PointSpread: .*missing.*'scale'"),
         ({"kind": "PointSpread", "scale": -2}, None, "PointSpread.scale must be"),
     ],
 )

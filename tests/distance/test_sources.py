@@ -14,6 +14,7 @@ from uwaug.distance import (
     Network,
     Plane,
     Relative,
+    along_ray,
     fill_unknown,
     from_inverse,
     from_relative,
@@ -35,6 +36,9 @@ T = torch.tensor([[[0.0, 0.25, 0.5, 1.0], [0.1, 0.2, 0.3, 0.4]]])
         (Plane(), None, torch.full((1, 2, 4), 2.5)),
         (Network(lambda image: T), None, from_inverse(T, 1.0, 3.0)),
         (Network(lambda image: T + 1, Metres()), None, T + 1),
+        (Metres(focal_px=2.0), T + 1, along_ray(T + 1, 2.0)),
+        (Metres("far", (2.0, 1.5)), T, along_ray(T, (2.0, 1.5)).where(T > 0, INF)),
+        (Network(lambda image: T + 1, Metres(focal_px=2.0)), None, along_ray(T + 1, 2.0)),
     ],
 )
 def test_metres(source: Any, given: Any, expected: Any) -> None:
@@ -66,6 +70,7 @@ def test_relative_distance_0_is_no_hole() -> None:
 REFUSED: list[tuple[Any, Any, str]] = [
     (Metres(), HOLED, r"NaN at 1, negative at 1 and zero at 1 of 8 pixels: give holes="),
     (Metres(), 2000 * (T + 1), "metres.*millimetres"),
+    (Metres(focal_px=0.5), T + 1, r"px of the picture, got 0.5: a lens of f mm .* has f/w·4 px"),
     (Metres("fill"), 0 * T, "at least one known pixel"),
     (Relative(), T + 1, r"t must lie in \[0, 1\]"),
     (Inverse(), 0 * T, "inverse must vary"),
@@ -84,6 +89,8 @@ def test_refused_maps(source: Any, given: Any, message: str) -> None:
     [
         (Metres, ("skip",), "holes must be one of error, fill, behind, far"),
         (Metres, (0.0,), "holes must be finite and > 0 m"),
+        (Metres, ("error", -1.0), "focal_px must be finite and > 0"),
+        (Metres, ("error", (500.0, 0.0)), "focal_px must be finite and > 0"),
         (Relative, ((1, 3), (2, 5)), "near must lie below far"),
         (Relative, (1, 5, 0.0), "gamma must be"),
         (Inverse, ((0.0, 1.0),), "near must lie above 0 m"),
@@ -100,7 +107,14 @@ def test_refused_sources(kind: Any, arguments: tuple[Any, ...], message: str) ->
 
 
 @pytest.mark.parametrize(
-    "source", [Metres("far"), Relative((0, 1), 5), Inverse(holes=3.0), MadeUp(1.0), Plane(1.0, 2.0)]
+    "source",
+    [
+        Metres("far", (525.0, 524.0)),
+        Relative((0, 1), 5),
+        Inverse(holes=3.0),
+        MadeUp(1.0),
+        Plane(1.0, 2.0),
+    ],
 )
 def test_sources_as_plain_data(source: Any) -> None:
     assert codec.from_plain(codec.to_plain(source)) == source

@@ -39,6 +39,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ("{stem}_depth.png", {"holes": 9.0}, Metres(9.0), "{stem}_depth.png"),
         ("maps", {"source": {"kind": "Inverse"}}, Inverse(), "maps"),
         ("maps", {"source": {"kind": "Inverse"}, "holes": "far"}, Inverse(holes="far"), "maps"),
+        ("maps", {"source": {"focal_px": 525.0}}, Metres(focal_px=525.0), "maps"),
+        ("maps", {"source": {"focal_px": (9, 8)}, "holes": 2.0}, Metres(2.0, (9, 8)), "maps"),
         # who speaks of them has maps
         (None, {"unit": "mm"}, Metres(), None),
         (None, {"holes": "fill"}, Metres("fill"), None),

@@ -3,8 +3,9 @@ fits, ONNX files, runs and options.
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, Field, fields
+from difflib import get_close_matches
 from typing import Any, TypeVar
 
 import numpy as np
@@ -73,13 +74,23 @@ def from_plain(data: Any, expected: type | None = None) -> Any:
     if name is None:
         return values
     if name not in _KINDS or (expected is not None and not issubclass(_KINDS[name], expected)):
-        wanted = ", ".join(_KINDS) if expected is None else expected.__name__
-        raise ValueError(f"kind must be {wanted}, got {name!r}")
+        wanted = _KINDS if expected is None else [expected.__name__]
+        meant = _meant(str(name), wanted)
+        raise ValueError(f"kind must be {', '.join(wanted)}, got {name!r}{meant}")
+    kind = _KINDS[name]
+    names = [field.name for field in fields(kind) if field.init]
+    for key in values:
+        if key not in names:
+            raise TypeError(f"{name} has no {key!r}, only {', '.join(names)}{_meant(key, names)}")
     try:
-        kind = _KINDS[name]
         return getattr(kind, "of_plain", kind)(**values)  # of_plain: makes tensors of numbers
-    except TypeError as error:  # an argument that it does not have
+    except TypeError as error:  # an argument that is missing
         raise TypeError(f"{name}: {error}") from None
+
+
+def _meant(word: str, words: Iterable[str]) -> str:
+    """A question after the one of some words that another was meant for."""
+    return "".join(f": did you mean {near}?" for near in get_close_matches(word, words, 1))
 
 
 def changed(value: Any) -> list[Field[Any]]:

@@ -33,7 +33,23 @@ def reported_errors() -> Iterator[None]:
     except (OSError, ImportError) as error:
         end(1, error)
     except (TypeError, ValueError) as error:
-        end(1 if os.path.exists(str(error).partition(": ")[0]) else 2, error)
+        end(1 if os.path.exists(str(error).partition(": ")[0]) else 2, _with_flag(str(error)))
+
+
+def _with_flag(message: str) -> str:
+    """An error that begins with an argument of the library, with the flag that was given for it."""
+    name = message.partition(" ")[0].rstrip(":")
+    flag = f"--{name.replace('_', '-')}"
+    is_given = any(word.partition("=")[0] == flag for word in sys.argv)
+    return flag + message.removeprefix(name) if is_given else message
+
+
+def require_folder(out: Path) -> None:
+    """Refuse, before any work, the name of a picture where a command writes a folder of them."""
+    from uwaug.files.pictures import ENDINGS
+
+    if out.suffix.lower() in ENDINGS and not out.is_dir():
+        end(2, f"--out must be a folder, for several pictures; got {out}")
 
 
 def require_writable(path: Path, *, force: bool, endings: tuple[str, ...] = ()) -> None:
@@ -89,5 +105,5 @@ def counted() -> Iterator[Callable[[int, int], None]]:
     console = Console(stderr=True)
     off = not console.is_terminal
     with Progress(*columns, console=console, transient=True, disable=off) as progress:
-        task = progress.add_task("")
+        task = progress.add_task("", total=None)
         yield lambda done, total: progress.update(task, completed=done, total=total)

@@ -6,7 +6,13 @@ from typing import Annotated
 import typer
 
 from uwaug.cli.choices import Force, Resume, Workers, complete
-from uwaug.cli.console import counted, end_if_failed, print_counts, reported_errors
+from uwaug.cli.console import (
+    counted,
+    end_if_failed,
+    print_counts,
+    reported_errors,
+    require_folder,
+)
 
 _HOLDS = ("inverse", "relative", "metres")
 
@@ -35,6 +41,7 @@ def depth(
     sheet: Annotated[bool, typer.Option("--sheet", help="Draw some maps on a sheet.")] = False,
 ) -> None:
     """Make distance maps of pictures by a depth network, once, for runs of degrade."""
+    require_folder(out)
     with reported_errors():
         from uwaug._support import checks
         from uwaug.distance import Inverse, Metres, Network, Relative

@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from uwaug.cli.choices import Distance, Force, Holes, Picture, Preset, Unit, Water, read_scene
-from uwaug.cli.console import end, print_written, reported_errors, require_writable, status
+from uwaug.cli.console import (
+    end,
+    print_written,
+    reported_errors,
+    require_folder,
+    require_writable,
+    status,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,7 +38,7 @@ def plot(
     picture: Picture,
     distance: Distance,
     unit: Unit = "m",
-    holes: Holes = "behind",
+    holes: Holes = "error",
     water: Water = None,
     preset: Preset = None,
     out: OutFolder = Path("uwaug-plot"),
@@ -58,7 +65,7 @@ def compare(
     distance: Distance,
     out: Annotated[Path, typer.Option(help="The sheet to write: .png or .jpg.")],
     unit: Unit = "m",
-    holes: Holes = "behind",
+    holes: Holes = "error",
     water: Water = "II",
     system: Annotated[
         list[str] | None, typer.Option(help="A published system; repeat it. All by default.")
@@ -86,6 +93,7 @@ def _draw_into(
     from uwaug._support.extras import require
     from uwaug.figures.sheet import save
 
+    require_folder(out)
     others = sorted(set(os.listdir(out)) - set(pictures)) if out.is_dir() else []
     if others and not force:
         end(2, f"{out} holds other files, such as {others[0]}: choose an empty folder, or --force")

@@ -15,7 +15,10 @@ def fit(
     distance: Distance,
     out: Annotated[Path, typer.Option(help="The JSON file to write.")],
     unit: Unit = "m",
-    holes: Annotated[str, typer.Option(help="Holes are left out, unless far or filled.")] = "none",
+    holes: Annotated[
+        str,
+        typer.Option(help="Of 0 and NaN: none leaves them out, far is open water; error."),
+    ] = "error",
     model: Annotated[
         Literal["auto", "haze", "veil", "gaussian", "exponential", "waters"],
         typer.Option(help="waters: which Jerlov type, its contrast and depth."),
@@ -23,6 +26,10 @@ def fit(
     gain: Annotated[
         Literal["free", "fixed"], typer.Option(help="Exposure and daylight above the scene.")
     ] = "free",
+    color_space: Annotated[
+        Literal["srgb", "linear"],
+        typer.Option(help="linear: values as they are, of light, or a haze composed in them."),
+    ] = "srgb",
     figure: Annotated[Path | None, typer.Option(help="A PNG of the fit.")] = None,
     force: Force = False,
 ) -> None:
@@ -41,12 +48,15 @@ def fit(
             require("plot", "matplotlib")
         pictures = read_picture(clean), read_picture(observed)
         z = read_metres(distance, unit, pictures[0])
+        if holes == "error" and (unknown := int((~(z > 0)).sum())):
+            cure = "--holes none leaves them out, and far takes them for open water"
+            raise ValueError(f"{distance}: unknown at {unknown} of {z.numel()} pixels: {cure}")
         if holes != "none":
             z = Metres(number_or_word(holes)).metres(z, pictures[0], {})
         if model == "waters":
-            result = fit_water(*pictures, z)
+            result = fit_water(*pictures, z, color_space=color_space)
         else:
-            result = uwaug.fit(*pictures, z, model=model, gain=gain)
+            result = uwaug.fit(*pictures, z, model=model, gain=gain, color_space=color_space)
         result.save(out)
         print(result.summary())
         print_written(out)

@@ -22,7 +22,7 @@ def page(
         ),
     ] = None,
     unit: Unit = "m",
-    holes: Holes = "behind",
+    holes: Holes = "error",
     water: Annotated[
         str | None,
         typer.Option(help="The Jerlov type that it begins with.", autocompletion=complete(*WATERS)),

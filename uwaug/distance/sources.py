@@ -2,6 +2,7 @@
 there are no maps. After it there are metres at every pixel, or an error.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Literal, get_args
@@ -12,7 +13,7 @@ from torch import Tensor
 from uwaug._support import checks, codec
 from uwaug._support.once import Once
 from uwaug._support.ranges import Range, as_range
-from uwaug.distance.convert import as_maps, from_inverse, from_relative
+from uwaug.distance.convert import along_ray, as_maps, from_inverse, from_relative
 from uwaug.distance.fill import fill_unknown
 from uwaug.distance.unknown import in_words, of_metres, of_shares, range_end
 
@@ -30,6 +31,9 @@ _alone = Once()
 
 _TOUCHING = 1e-6
 """m, for relative distance 0 with near = 0: a distance of 0 means unknown."""
+
+_WIDEST = 8.0
+"""Diagonal of a picture over its focal length: a view of 152°, wider than any without fisheye."""
 
 
 class Source:
@@ -67,18 +71,24 @@ class Source:
 @codec.plain
 @dataclass(frozen=True)
 class Metres(Source):
-    """Maps of metres along the ray, see `along_ray` for depth along the optical axis.
+    """Maps of metres along the ray, or of planar depth.
 
     Attributes:
         holes: what NaN, 0 and negative distances get, see `Holes`; and the largest one, if it lies
             beyond 50 m and alone, as 65.535 or 1000 do. From 1e7 m on a distance is open water.
             Geometric transforms pad with 0.
+        focal_px: focal length, px of the picture, or (fx, fy), of maps that hold depth along the
+            optical axis, as depth cameras and renderers write it, see `along_ray`; None for metres
+            along the ray. The axis goes through the middle: maps are whole views, not crops.
     """
 
     holes: Holes = "error"
+    focal_px: float | tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         _require_holes(self.holes)
+        if self.focal_px is not None:
+            along_ray(torch.ones(1, 1), self.focal_px)  # refuses what is none
 
     def metres(self, distance: Tensor | None, image: Tensor, numbers: Numbers) -> Tensor:
         """See `Source.metres`."""
@@ -88,6 +98,13 @@ class Metres(Source):
         z = torch.where(z >= checks.OPEN, torch.inf, z)
         z = _asked(z, of_metres(z), self.holes, refuse=True)
         z = torch.where(range_end(z), torch.inf, z)
+        if self.focal_px is not None:
+            (h, w), (height, width), focal = z.shape[-2:], image.shape[-2:], self.focal_px
+            fx, fy = focal if isinstance(focal, tuple) else (focal, focal)
+            if math.hypot(width / fx, height / fy) > _WIDEST:
+                cure = f"a lens of f mm before a sensor w mm wide has f/w·{width} px"
+                raise ValueError(f"focal_px must be in px of the picture, got {focal}: {cure}")
+            z = along_ray(z, (fx * w / width, fy * h / height))
         return _without_holes(z, self.holes)
 
 

@@ -49,8 +49,9 @@ def distances_of(
             options = source if isinstance(source, Mapping) else {}
             return Distances({**options, "kind": "MadeUp"}, None)
     if distance is not None or source is not None or (unit, holes) != ("m", "error"):
-        if holes != "error" and (source is None or isinstance(source, Mapping)):
-            source = {"kind": "Metres", **(source or {}), "holes": holes}
+        if source is None or isinstance(source, Mapping):
+            said = {} if holes == "error" else {"holes": holes}
+            source = {"kind": "Metres", **(source or {}), **said}
         return Distances(source, distance)
     if sequence:
         low, high = _FILM

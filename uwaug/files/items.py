@@ -111,24 +111,25 @@ def cure_of(end: str) -> str:
 def _inside(
     folder: Path, exclude: Iterable[str | Path | None], endings: tuple[str, ...]
 ) -> Iterator[Path]:
-    """The pictures in a folder and those inside it, each folder once, links to others included.
-    Names that begin with a dot are none.
+    """The pictures in a folder and those inside it."""
+    places = (os.path.realpath(place) for place in exclude if place is not None)
+    for path in _files(folder, frozenset(places)):
+        if path.suffix.lower() in endings and not is_written(path):
+            yield path
+
+
+def _files(folder: Path, apart: frozenset[str]) -> Iterator[Path]:
+    """The files in a folder and those inside it, but for some folders and for names that begin
+    with a dot; a link is followed, unless it leads to a folder in which it lies.
     """
-    seen = {os.path.realpath(place) for place in (*exclude, folder) if place is not None}
-    for here, folders, files in os.walk(folder, onerror=_refuse, followlinks=True):
-        inside = {name: os.path.realpath(Path(here, name)) for name in sorted(folders)}
-        folders[:] = []
-        for name, place in inside.items():
-            if place not in seen and not name.startswith("."):
-                seen.add(place)
-                folders.append(name)
-        for path in (Path(here, name) for name in files if not name.startswith(".")):
-            if path.suffix.lower() in endings and not is_written(path):
-                yield path
-
-
-def _refuse(error: OSError) -> None:
-    raise error
+    apart |= {os.path.realpath(folder)}
+    for path in folder.iterdir():
+        if path.name.startswith("."):
+            continue
+        if not path.is_dir():
+            yield path
+        elif os.path.realpath(path) not in apart:
+            yield from _files(path, apart)
 
 
 def _map(distance: str | Path | None, path: Path, name: str) -> Path | None:

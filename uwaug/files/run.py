@@ -32,7 +32,9 @@ from uwaug.files.summary import Result, Summary
 from uwaug.transforms.random_water import Reached
 
 Progress = Callable[[int, int], None]
-"""Is told after each picture how many are done, and of how many."""
+"""Is told at the beginning, and after each picture, how many are done, and of how many."""
+
+_FORCE = "force=True (--force) writes over it"
 
 
 class Job(NamedTuple):
@@ -112,7 +114,7 @@ class Work:
                 return _of_record(job, "skipped", record)
             if not self.force:
                 got = f"{path} was made with another {' and '.join(changed)}"
-                raise FileExistsError(f"{got}: choose another folder, or force to write over it")
+                raise FileExistsError(f"{got}: choose another folder, or {_FORCE}")
         result, about = self.make(job)
         record = {**made_of, **about}
         # the result goes first and comes last: where it is, all that belongs to it is
@@ -169,11 +171,12 @@ def run(
         from uwaug.files.ray import on_ray
 
         under_way = on_ray(work, jobs, ray, workers)
-    results = []
+    results: list[Result] = []
+    say = progress or (lambda done, of: None)
+    say(0, len(jobs))
     for result in under_way:
         results.append(result)
-        if progress is not None:
-            progress(len(results), len(jobs))
+        say(len(results), len(jobs))
     summary = Summary(results)
     if index:
         summary.write_index(work.out / "index.csv")
@@ -194,11 +197,11 @@ def require_free(out: Path, *, resume: bool, force: bool) -> None:
     """
     if resume or force:
         return
-    cure = "resume to go on, or force to write over it"
+    cure = f"resume=True (--resume) goes on, or {_FORCE}"
     if out.is_file():
         raise FileExistsError(f"{out} exists: {cure}")
     if out.is_dir() and set(os.listdir(out)) - {"index.csv"}:
-        raise FileExistsError(f"{out} is not empty: another folder, {cure}")
+        raise FileExistsError(f"{out} is not empty: choose another folder; {cure}")
 
 
 def require_apart(jobs: Sequence[Job], out: Path) -> None:

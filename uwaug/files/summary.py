@@ -39,9 +39,12 @@ class Result(NamedTuple):
 
 @dataclass(frozen=True)
 class Summary:
-    """What became of a run: the `Result` of each picture, in the order of items and variants."""
+    """What became of a run: the `Result` of each picture, in the order of items and variants; and
+    notes, what there is to say of its labels.
+    """
 
     results: Sequence[Result]
+    notes: Sequence[str] = ()
 
     def count(self, status: str) -> int:
         """How many pictures have a status of `Result`."""
@@ -50,7 +53,11 @@ class Summary:
     @property
     def failures(self) -> list[str]:
         """What went wrong: each begins with a picture's name."""
-        return [f"{r.item.name}: {r.reason}" for r in self.results if r.status == "failed"]
+        return [
+            r.reason if r.reason.startswith(r.item.name) else f"{r.item.name}: {r.reason}"
+            for r in self.results
+            if r.status == "failed"
+        ]
 
     @property
     def blank(self) -> list[str]:

@@ -1,6 +1,7 @@
 """Pictures in files under water."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from os.path import splitext
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,9 @@ from uwaug._support.threads import one_thread
 from uwaug.distance.made_up import MadeUp
 from uwaug.distance.sources import Source
 from uwaug.files.films import Films, frames_of
+from uwaug.files.formats import open_labels
 from uwaug.files.items import Item, cure_of
-from uwaug.files.labels import Labelled, Labels, judged, open_labels
+from uwaug.files.labels import Labelled, Labels, judged
 from uwaug.files.pictures import ENDINGS
 from uwaug.files.recipe import Recipe
 from uwaug.files.record import digest, read_record
@@ -73,8 +75,7 @@ def degrade(
         raise ValueError(f"{out} is a file, which is for one picture: {cure}")
     require_free(out, resume=resume, force=force)
     if recipe.labels is not None:
-        labels = open_labels(recipe.labels)
-        labels.require_some([item.name for item in items])
+        labels = open_labels(recipe.labels, items)
     _require_distances(recipe, items)
     folder = out.parent if single else out
     work = _Underwater(recipe, folder, resume=resume, force=force)
@@ -84,7 +85,8 @@ def degrade(
     )
     if labels is not None:
         done = [result for result in summary.results if result.status != "failed"]
-        labels.finish([Labelled(r.item.name, r.place, r.objects) for r in done], out)
+        pictures = [Labelled(r.item.picture, r.item.name, r.place, r.objects) for r in done]
+        summary = replace(summary, notes=[_belonging(labels, items), *labels.finish(pictures, out)])
     return summary
 
 
@@ -112,7 +114,7 @@ def replay(
     """
     output = Path(output)
     if output.exists() and not force:
-        raise FileExistsError(f"{output} exists: force writes over it")
+        raise FileExistsError(f"{output} exists: force=True (--force) writes over it")
     plain = read_record(Path(record))
     if "recipe" not in plain:
         raise ValueError(f"{record}: is no record of a picture under water")
@@ -129,6 +131,13 @@ def replay(
         image, z = recipe.read(item)
         degraded = recipe.transform.transform(image, z, plain["params"])
         recipe.write(output, degraded)
+
+
+def _belonging(labels: Labels, items: Sequence[Item]) -> str:
+    others = [item.name for item in items if item.name not in labels.of]
+    some = f", not to {others[0]}" + " and others" * (len(others) > 1) if others else ""
+    count = len(items) - len(others)
+    return f"labels, {labels.reads}, belong to {count} of {len(items)} pictures{some}"
 
 
 class _Underwater(Work):
@@ -189,7 +198,7 @@ def _require_distances(recipe: Recipe, items: Sequence[Item]) -> None:
     assert isinstance(source, Source)
     missing = next((item.name for item in items if item.distance is None), None)
     if missing and source.reads_maps:
-        cure = "give files of distances, a distance in metres, or MadeUp"
+        cure = "give --distance: files, metres, or made-up (MadeUp())"
         raise ValueError(f"distance is missing: {missing} has no file of it: {cure}")
     if recipe.sequence and isinstance(source, MadeUp):
         cure = "give files of distances, or metres, such as 1:5"

@@ -20,6 +20,7 @@ from uwaug.fitting.choose import (
     result_of,
 )
 from uwaug.fitting.data import Geometry, Pictures
+from uwaug.fitting.encoded import haze_of_values
 from uwaug.fitting.model import (
     COLOURS,
     EXPONENTS,
@@ -71,7 +72,9 @@ def fit(
             lost above the scene, if left-out pixels are foretold better with it. "fixed": the light
             on the scene, exposure and white balance are those of the clean picture. The factor is
             part of the light and the veil of `Fit.medium`.
-        color_space: "srgb", or "linear" for linear light. All numbers refer to linear light.
+        color_space: "srgb": numbers refer to the light that values stand for. "linear": values as
+            they are, of linear light, or of a haze that was composed in encoded values, as most
+            published synthesisers do; where such a haze fits better, a fit of "srgb" says so.
         pixels: how many are fitted, spread evenly over the distances, 500…100 000.
         seed: of the pixels that are drawn, and of random starts.
         progress: True: lines on stderr of what a fit does that takes longer than a second; False:
@@ -129,10 +132,14 @@ def fit(
             solution = multistart(objective, [chosen.numbers], seed)
             tried.append(cross_validated(objective, solution, seed))
             chosen = one_standard_error_rule([chosen, tried[-1]])
+        composed = []
+        if color_space == "srgb":
+            say("trying encoded values")
+            composed = haze_of_values(chosen, gain == "free", seed)
         medium = chosen.model.medium(chosen.solution.theta)
         result = result_of(chosen, tried, chosen.model.spec.name, medium, pictures)
     doubts = _doubts(chosen, result.parameters)
-    return replace(result, notes=(*_chosen(chosen, tried), *result.notes, *doubts))
+    return replace(result, notes=(*_chosen(chosen, tried), *composed, *result.notes, *doubts))
 
 
 def checked_options(pixels: int, seed: int, progress: bool | Progress) -> Progress:

@@ -100,6 +100,7 @@ def result_of(
         notes=(*left_over(left, covariance.design_effect, chosen.rms), *unknown(numbers)),
         candidates=tuple(rows),
         remainder=tuple(left),
+        color_space=pictures.color_space,
         pictures=pictures,
     )
 

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from uwaug._support import checks, codec
 from uwaug._support.atomic import require_regular, written_whole
-from uwaug._support.types import Array
+from uwaug._support.types import Array, ColorSpace
 from uwaug.fitting.data import Geometry, Pictures
 from uwaug.fitting.model import COLOURS
 from uwaug.formation.image import form_image
@@ -128,6 +128,7 @@ class Fit:
         remainder: what is left, by distance.
         water: of `fit_water`, spectra with as much in them as was found, as
             `uwaug.RandomUnderwater` takes them.
+        color_space: of the pictures, and of those that `module` takes.
         pictures: what was fitted; None if it was read from a file.
     """
 
@@ -141,6 +142,7 @@ class Fit:
     candidates: tuple[Candidate, ...] = ()
     remainder: tuple[Remainder, ...] = ()
     water: Water | None = None
+    color_space: ColorSpace = "srgb"
     pictures: Pictures | None = field(default=None, metadata={"stored": False})
 
     @property
@@ -157,7 +159,7 @@ class Fit:
             sides: smallest and largest short side that it serves, px, as of `uwaug.Underwater`.
         """
         low, high = _NEAREST * self.geometry.reference, _FARTHEST * self.geometry.farthest
-        return Underwater(self.medium, (low, high), sides=sides)
+        return Underwater(self.medium, (low, high), color_space=self.color_space, sides=sides)
 
     def rendered(self) -> Tensor:
         """The observed pictures (Bx3xHxW, linear light) as the water makes them.

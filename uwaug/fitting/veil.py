@@ -158,6 +158,7 @@ def fit_veil(
         geometry=pictures.geometry,
         rms=float(np.sqrt((residual**2).mean())),
         notes=(*notes, *unknown(numbers)),
+        color_space=color_space,
         pictures=pictures,
     )
 

@@ -195,8 +195,9 @@ class RandomUnderwater(SampleTransform):
             # fits load scipy.optimize, which a DataLoader worker can do without
             from uwaug.fitting.result import load_fit
 
-            neutral = {"color_matrix": None, **asdict(NEUTRAL)}
-            figures = {"waters": load_fit(name_or_path).medium, "field": None}
+            fit = load_fit(name_or_path)
+            neutral = {"color_matrix": None, **asdict(NEUTRAL), "color_space": fit.color_space}
+            figures = {"waters": fit.medium, "field": None}
         else:
             figures = load_preset(name_or_path, water=water).options()
             neutral = figures.pop("development")
