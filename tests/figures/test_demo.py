@@ -1,3 +1,5 @@
+from functools import partial
+
 import numpy as np
 import pytest
 import torch
@@ -55,7 +57,16 @@ def test_systems_are_compared_in_one_water(small, monkeypatch):
         return figures[0]
 
     assert require_room(draw, monkeypatch) >= 4
+    assert "mean red, green and blue, 0…1" in figures[0].texts[1].get_text()
     axes = figures[0].axes
     assert [axis.get_title("left").split("  ")[0] for axis in axes[:3]] == ["no water", *systems]
     wanted = published.akkaynak_2018(small.image, small.distance, "7C").permute(1, 2, 0)
     assert np.abs(axes[1].images[0].get_array() - wanted.numpy()).max() < 1e-5
+
+
+@pytest.mark.parametrize("shape", [(20, 30), (30, 20), (6, 60)])
+def test_names_of_systems_do_not_run_into_each_other(shape, monkeypatch):
+    scene = Scene(torch.rand(3, *shape), torch.linspace(1, 4, shape[0] * shape[1]).reshape(1, *shape))
+    systems = ["ismiroglou-reference-2025", "ismiroglou-2025", "slurpp-2025", "mcglamery-1980"]
+    draw = partial(comparison.draw_comparison, scene, "II", systems)
+    assert require_room(draw, monkeypatch) >= 7

@@ -331,10 +331,15 @@ def test_distances_that_stay(name: str) -> None:
 
 
 ODD: dict[str, tuple[dict[str, Any], float, str]] = {
-    "centimetres": ({}, 350.0, "350 m: 0.0229 times its distances"),
-    "kilometres": ({}, 0.0035, "0.0035 m: 286 times its distances"),
-    "type": ({"waters": "I", "contrast": 0.1}, 1.0, r"and 1.45e\+03 times the contents"),
-    "lamps": ({"light": LAMP, "contrast": 0.9}, 30.0, "leave 0.16 of contrast, 0.9 asked"),
+    "centimetres": ({}, 350.0, "350 m is scaled by 0.0229: is it metres?"),
+    "kilometres": ({}, 0.0035, "0.0035 m is scaled by 286: is it metres?"),
+    "type": ({"waters": "I", "contrast": 0.4}, 3.0, "water I is too clear for 0.4 at 3 m: that is"),
+    "contents": (
+        {"waters": "chlorophyll=.01", "contrast": 0.2},
+        2.0,
+        "water chlorophyll=0.01 is too clear for 0.2 at 2 m.*a more turbid one; contrast=None",
+    ),
+    "lamps": ({"light": LAMP, "contrast": 0.9}, 30.0, "leaves 0.16 of contrast, not 0.9 at 30 m"),
 }
 
 

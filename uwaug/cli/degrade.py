@@ -133,8 +133,7 @@ def degrade(
         cure = "are distances in another unit? If not, take clearer water by --contrast"
         print(f"next to nothing is left to see of {some}: {cure}")
     if summary.odd:
-        cure = "are distances metres? --contrast none leaves them and the water as they are"
-        print(f"odd scenes: {len(summary.odd)}, such as {summary.odd[0]}: {cure}")
+        print(f"odd scenes: {len(summary.odd)}, such as {summary.odd[0]}")
     end_if_failed(summary.failures)
 
 

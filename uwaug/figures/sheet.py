@@ -26,6 +26,9 @@ _LINE_PX = 20
 _LOW_PX = 130
 """A cell that is less high has no room for what is written into it."""
 
+_SMALLEST = 6.0
+"""Of a label's letters, pt, which are smaller where it would leave its cell."""
+
 _TITLE_STYLE: dict[str, Any] = {"loc": "left", "fontsize": 12.5, "color": INK}
 
 _AS_WRITTEN: dict[str, Any] = {"parse_math": False}
@@ -73,7 +76,11 @@ def sheet(
 def show(axis: "Axes", picture: Tensor, label: str) -> None:
     """A picture (3xHxW, sRGB)."""
     axis.imshow(picture.clamp(0, 1).permute(1, 2, 0).numpy(), aspect="auto")
-    axis.set_title(label, **_TITLE_STYLE, **_AS_WRITTEN)
+    title = axis.set_title(label, **_TITLE_STYLE, **_AS_WRITTEN)
+    room = axis.get_window_extent().width
+    # letters are not as much narrower as their size says
+    while title.get_window_extent().width > room and title.get_fontsize() > _SMALLEST:
+        title.set_fontsize(title.get_fontsize() - 0.5)
 
 
 def show_map(

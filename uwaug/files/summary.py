@@ -69,11 +69,11 @@ class Summary:
 
     @property
     def odd(self) -> list[str]:
-        """Names of pictures whose contrast it took odd distances or contents to reach, or that did
-        not reach it, and how, see `RandomUnderwater`: distances may be in another unit.
+        """What is odd about pictures whose contrast it took odd distances or contents to reach, or
+        that did not reach it, see `RandomUnderwater`: each begins with a name.
         """
         named = [(result.item.name, result.reached) for result in self.results]
-        return [f"{name} ({reached})" for name, reached in named if reached and reached.odd]
+        return [f"{name}: {reached.odd}" for name, reached in named if reached and reached.odd]
 
     @property
     def objects(self) -> tuple[int, int]:

@@ -64,23 +64,30 @@ odd_scene = Once()
 class Reached(NamedTuple):
     """What it took to bring a water to the contrast asked for."""
 
+    water: str
+    metres: float  # the median distance, scaled
     scale: float  # times every distance
     contents: float  # times what is in the water besides pure water
     contrast: float  # left at the median distance
     asked: float
 
     @property
-    def odd(self) -> bool:
-        """Whether distances are hardly metres, or the water is hardly the one that was named."""
-        return (
-            not 1 / MOST_SCALED <= self.scale <= MOST_SCALED
-            or self.contents > MOST_CONTENTS
-            or self.contrast < self.asked / MOST_MISSED
-        )
-
-    def __str__(self) -> str:
-        times = f"{self.scale:.3g} times its distances and {self.contents:.3g} times the contents"
-        return f"{times} of the water leave {self.contrast:.2g} of contrast, {self.asked:.2g} asked"
+    def odd(self) -> str:
+        """A sentence where distances are hardly metres, or the water is hardly the one that was
+        named; "" where they are.
+        """
+        asked = f"{self.asked:.2g} at {self.metres:.3g} m"
+        if not 1 / MOST_SCALED <= self.scale <= MOST_SCALED:
+            median = self.metres / self.scale
+            odd = f"a median distance of {median:.3g} m is scaled by {self.scale:.3g}: is it metres?"
+        elif self.contents > MOST_CONTENTS:
+            times = f"that is {self.contents:.3g} times what is in it"
+            odd = f"water {self.water} is too clear for {asked}: {times}. Name a more turbid one"
+        elif self.contrast < self.asked / MOST_MISSED:
+            odd = f"pure water leaves {self.contrast:.2g} of contrast, not {asked}: is it metres?"
+        else:
+            return ""
+        return f"{odd}; contrast=None (--contrast none) leaves distances and water as they are"
 
 
 class InWater(NamedTuple):
@@ -242,10 +249,10 @@ def _with_contrast(
         cure = "draw from waters that have something in them, or give contrast=None"
         raise ValueError(f"contrast: {water.name!r} is nothing but pure water to the eye: {cure}")
     scaled = water.with_contents(contents)
-    reached = Reached(scale, contents, asked if contents else scaled.contrast(metres), asked)
+    contrast = asked if contents else scaled.contrast(metres)
+    reached = Reached(water.name, metres, scale, contents, contrast, asked)
     if reached.odd:
-        cure = "are distances metres? contrast=None leaves them and the water as they are"
-        odd_scene.warn(f"a scene of median distance {median:.3g} m: {reached}: {cure}")
+        odd_scene.warn(reached.odd)
     return scaled, reached
 
 
