@@ -519,6 +519,24 @@ def test_splits_are_those_of_the_description(tmp_path: Path) -> None:
     assert told == ["no picture is of the split test: test.txt lists nothing"]
 
 
+@pytest.mark.parametrize("as_lists", [False, True])
+def test_splits_of_a_data_set_below_a_folder_called_train(tmp_path: Path, as_lists: bool) -> None:
+    root, names = tmp_path / "train/ds", ["images/train/1.png", "images/val/2.png"]
+    for name in names:
+        write((root / name.replace("images", "labels")).with_suffix(".txt"), "0 .5 .5 1 1\n")
+    end = ".txt" if as_lists else ""
+    write(root / "data.yaml", f"train: train{end}\nval: val{end}\nnames: [fish]\n")
+    if as_lists:
+        write(root / "train.txt", f"./{names[0]}\n")
+        write(root / "val.txt", f"{root}/{names[1]}\n")
+    labels = open_labels(root / "labels", [Item(name, root / name) for name in names])
+    (tmp_path / "out").mkdir()
+    told = labels.finish([Labelled(root / n, n, n, []) for n in names], tmp_path / "out")
+    lists = [(tmp_path / f"out/{split}.txt").read_text() for split in ("train", "val")]
+    assert lists == [f"./{name}\n" for name in names]
+    assert told == []
+
+
 @pytest.mark.parametrize("split, other", [("train", "those of train"), ("val", "nothing")])
 def test_an_empty_split_is_told(tmp_path: Path, split: str, other: str) -> None:
     write(tmp_path / f"labels/{split}/1.txt", "0 .5 .5 1 1\n")

@@ -9,8 +9,8 @@ from torch.nn.functional import interpolate, max_pool2d, pad
 from uwaug._support.once import Once
 
 _STEP = 1.25
-"""Times as far as what is beside it, a distance is that of something else; see benchmarks/README.md,
-"Sizes".
+"""Times as far as what is beside it, a distance is that of something else; see "Sizes" in
+benchmarks/README.md.
 """
 
 _ASPECT = 0.01

@@ -79,8 +79,10 @@ def show(axis: "Axes", picture: Tensor, label: str) -> None:
     title = axis.set_title(label, **_TITLE_STYLE, **_AS_WRITTEN)
     room = axis.get_window_extent().width
     # letters are not as much narrower as their size says
-    while title.get_window_extent().width > room and title.get_fontsize() > _SMALLEST:
-        title.set_fontsize(title.get_fontsize() - 0.5)
+    size = float(title.get_fontsize())
+    while title.get_window_extent().width > room and size > _SMALLEST:
+        size -= 0.5
+        title.set_fontsize(size)
 
 
 def show_map(

@@ -104,7 +104,7 @@ def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
         cure = "is the unit mm (--unit mm)?"
         if most < np.inf and values[values < most].max() > most / 2:
             cure = "they span what their type holds, as relative distances do: --set distance.kind="
-            cure += f"Inverse where large is near, else Relative? Or is the unit mm (--unit mm)?"
+            cure += "Inverse where large is near, else Relative? Or is the unit mm (--unit mm)?"
         raise ValueError(f"{path}: {got}: {cure}")
     return metres
 

@@ -108,6 +108,17 @@ class Yolo(Folder):
         kept = (" ".join(words) for number, words in lines.items() if number not in dropped)
         return "".join(f"{line}\n" for line in kept).encode()
 
+    def _places(self, split: str) -> list[str]:
+        """The folders and files that data.yaml names for a split, also in a list of its own."""
+        stated = self.description.get(split) or []
+        places = []
+        for place in [stated] if isinstance(stated, str) else stated:
+            folders = (self.path, self.path.parent, self.path.parent.parent)
+            lists = [folder / str(place) for folder in folders if str(place).endswith(".txt")]
+            lines = next((_lines(file) for file in lists if file.is_file()), [str(place)])
+            places += [line.replace("\\", "/").strip("./ ") for line in lines if line.strip()]
+        return places
+
     def finish(self, pictures: Sequence[Labelled], out: Path) -> list[str]:
         """Write data.yaml: the classes as the labels' own has them, or how many there are; and the
         pictures of each split in a file, as one folder may hold another's.
@@ -115,18 +126,17 @@ class Yolo(Folder):
         import yaml
 
         notes, splits = [], {"train": "", "val": ""}
-        said = {split: self.description.get(split) or () for split in ("train", "val", "test")}
-        folders = {
-            split: [str(place).replace("\\", "/").strip("./") for place in places]
-            for split, own in said.items()
-            if (places := [own] if isinstance(own, str) else list(own))
-        }
+        places = {split: self._places(split) for split in ("train", "val", "test")}
         for picture in pictures:
-            path = picture.picture.absolute().as_posix()
-            own = [s for s, places in folders.items() if any(f"/{p}/" in path for p in places)]
+            path = f"{picture.picture.absolute().as_posix()}/"
+            # of folders in one another the inner one counts: a data set may lie in one called train
+            starts = {s: max((path.rfind(f"/{p}/") for p in places[s]), default=-1) for s in places}
+            last = max(starts.values())
+            own = [split for split, at in starts.items() if at == last >= 0]
             for split in own or [split_of(picture.place.split("/")[:-1]) or "train"]:
                 splits[split] = f"{splits.get(split, '')}./{picture.place}\n"
-        for split in [split for split in splits | folders if not splits.get(split)]:
+        stated = {split: "" for split in places if places[split]}
+        for split in [split for split in splits | stated if not splits.get(split)]:
             splits[split] = splits["train"] if split == "val" else ""  # trainers insist on it
             other = "nothing" if not splits[split] else "those of train"
             notes.append(f"no picture is of the split {split}: {split}.txt lists {other}")

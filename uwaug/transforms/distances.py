@@ -52,8 +52,8 @@ def _as_srgb(picture: Tensor, color_space: ColorSpace) -> Tensor:
 def second_look(
     source: Source, seen: Sequence[Measured], pictures: Tensor, z: Tensor, chosen: Sequence[int]
 ) -> Tensor:
-    """The same distances, where what was measured of those of `Metres()` is odd; else `z` itself."""
-    if source != Metres() or all(0 < s.nearest and s.farthest < FARTHEST_SEEN for s in seen):
+    """The same distances, looked at once more where what was measured of `Metres()` is odd."""
+    if source != Metres() or all(s.nearest > 0 and s.farthest < FARTHEST_SEEN for s in seen):
         return z
     results = []
     for i, far in zip(chosen, z, strict=True):

@@ -79,7 +79,9 @@ class Reached(NamedTuple):
         asked = f"{self.asked:.2g} at {self.metres:.3g} m"
         if not 1 / MOST_SCALED <= self.scale <= MOST_SCALED:
             median = self.metres / self.scale
-            odd = f"a median distance of {median:.3g} m is scaled by {self.scale:.3g}: is it metres?"
+            odd = (
+                f"a median distance of {median:.3g} m is scaled by {self.scale:.3g}: is it metres?"
+            )
         elif self.contents > MOST_CONTENTS:
             times = f"that is {self.contents:.3g} times what is in it"
             odd = f"water {self.water} is too clear for {asked}: {times}. Name a more turbid one"
