@@ -6,10 +6,11 @@ from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from uwaug.files.labels import Entry, Folder, Key, Labelled, split_of, write_other
+from uwaug.files.labels import Entry, Folder, Key, split_of, write_other
 
 if TYPE_CHECKING:
     from uwaug.files.pixels import Pixels, Size
+    from uwaug.files.summary import Result
 
 _NAMES = ("classes.txt", "obj.names", "_darknet.labels")
 """Files in which tools leave the names of classes, one a line."""
@@ -108,7 +109,7 @@ class Yolo(Folder):
         kept = (" ".join(words) for number, words in lines.items() if number not in dropped)
         return "".join(f"{line}\n" for line in kept).encode()
 
-    def finish(self, pictures: Sequence[Labelled], out: Path) -> list[str]:
+    def finish(self, pictures: Sequence["Result"], out: Path) -> list[str]:
         """Write data.yaml: the classes as the labels' own has them, or how many there are; and the
         pictures of each split in a file, as one folder may hold another's.
         """
@@ -122,7 +123,7 @@ class Yolo(Folder):
             if (places := [own] if isinstance(own, str) else list(own))
         }
         for picture in pictures:
-            path = picture.picture.absolute().as_posix()
+            path = picture.item.picture.absolute().as_posix()
             own = [s for s, places in folders.items() if any(f"/{p}/" in path for p in places)]
             for split in own or [split_of(picture.place.split("/")[:-1]) or "train"]:
                 splits[split] = f"{splits.get(split, '')}./{picture.place}\n"
@@ -134,7 +135,9 @@ class Yolo(Folder):
             write_other(out / f"{split}.txt", text.encode())
         classes = {key: own for key, own in self.description.items() if key not in _PLACES}
         if not {"names", "nc"} & classes.keys():
-            files = {self.of[picture.name] for picture in pictures if picture.name in self.of}
+            files = {
+                self.of[picture.item.name] for picture in pictures if picture.item.name in self.of
+            }
             lines = (line.split() for file in files for line in _lines(file))
             classes["nc"] = max((int(float(words[0])) for words in lines if words), default=0) + 1
             looked = f"data.yaml, {', '.join(_NAMES)}"
