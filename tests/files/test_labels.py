@@ -4,6 +4,7 @@ import json
 import os
 import pickle
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -17,7 +18,8 @@ from PIL import Image
 
 from uwaug.files.formats import FORMATS, open_labels
 from uwaug.files.items import Item
-from uwaug.files.labels import Judged, Labelled, Labels, judged
+from uwaug.files.labels import Judged, Labels, judged
+from uwaug.files.summary import Result
 
 H, W = 6, 8
 SIZE = (H, W)
@@ -67,6 +69,11 @@ def opened(source: Path, *names: str) -> Labels:
     return open_labels(source, [Item(name, source.parent / "photos" / name) for name in names])
 
 
+def done(picture: Path, name: str, place: str, objects: Sequence[Judged] = ()) -> Result:
+    """What became of a picture."""
+    return Result(Item(name, picture), 0, place, "written", objects=objects)
+
+
 def labelled(
     source: Path,
     names: list[str],
@@ -82,7 +89,7 @@ def labelled(
         objects = judged(own, name, LEFT, least)
         place = labels.place(name)
         own.write(name, place, {one.key for one in objects if not one.kept}, out)
-        pictures.append(Labelled(source.parent / "photos" / name, name, place, objects))
+        pictures.append(done(source.parent / "photos" / name, name, place, objects))
     told = labels.finish(pictures, out)
     if notes is not None:
         notes += told
@@ -115,7 +122,7 @@ def test_coco_of_several_pictures_from_one(tmp_path: Path) -> None:
     labels = opened(coco(tmp_path), "b.jpg")
     objects = judged(labels, "b.jpg", LEFT, None)
     (tmp_path / "o").mkdir()
-    pictures = [Labelled(tmp_path / "b.jpg", "b.jpg", f"b_{i}.png", objects) for i in (1, 2)]
+    pictures = [done(tmp_path / "b.jpg", "b.jpg", f"b_{i}.png", objects) for i in (1, 2)]
     labels.finish(pictures, tmp_path / "o")
     written = json.loads((tmp_path / "o/instances.json").read_text())
     images = [(one["id"], one["file_name"]) for one in written["images"]]
@@ -506,7 +513,7 @@ def test_splits_are_those_of_the_description(tmp_path: Path) -> None:
     )
     (tmp_path / "out").mkdir()
     told = labels.finish(
-        [Labelled(tmp_path / "photos" / name, name, name, []) for name in names], tmp_path / "out"
+        [done(tmp_path / "photos" / name, name, name) for name in names], tmp_path / "out"
     )
     splits = {
         split: (tmp_path / f"out/{split}.txt").read_text() for split in ("train", "val", "test")
@@ -531,7 +538,7 @@ def test_splits_of_a_data_set_below_a_folder_called_train(tmp_path: Path, as_lis
         write(root / "val.txt", f"{root}/{names[1]}\n")
     labels = open_labels(root / "labels", [Item(name, root / name) for name in names])
     (tmp_path / "out").mkdir()
-    told = labels.finish([Labelled(root / n, n, n, []) for n in names], tmp_path / "out")
+    told = labels.finish([done(root / n, n, n) for n in names], tmp_path / "out")
     lists = [(tmp_path / f"out/{split}.txt").read_text() for split in ("train", "val")]
     assert lists == [f"./{name}\n" for name in names]
     assert told == []
@@ -691,7 +698,7 @@ def test_voc_of_variants_and_lists(tmp_path: Path) -> None:
     for number, variant in ((1, 1), (1, 2), (2, 1)):
         place = f"JPEGImages/{number}_{variant}.jpg"
         labels.write(f"{number}.jpg", place, (), tmp_path / "out")
-        pictures.append(Labelled(tmp_path, f"{number}.jpg", place, []))
+        pictures.append(done(tmp_path, f"{number}.jpg", place))
     told = labels.finish(pictures, tmp_path / "out")
     written = tmp_path / "out/ImageSets/Main"
     assert {path.stem: path.read_text() for path in written.iterdir()} == {

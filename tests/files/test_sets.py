@@ -55,13 +55,13 @@ def as_ultralytics(data: str, split: str) -> list[list[str]]:
     """The objects of each picture of a split, found as Ultralytics does."""
     import yaml
 
-    places = Path(data).parent / yaml.safe_load(Path(data).read_text())[split]
-    pictures = places.read_text().split() if places.is_file() else sorted(places.iterdir())
+    place = Path(data).parent / yaml.safe_load(Path(data).read_text())[split]
+    pictures = sorted(place.iterdir()) if place.is_dir() else place.read_text().split()
     objects = []
     for picture in pictures:
-        path = (Path(data).parent / picture).as_posix()
+        path = picture if place.is_dir() else place.parent / picture
         assert Path(path).is_file()
-        label = "/labels/".join(path.rsplit("/images/", 1)).rsplit(".", 1)[0] + ".txt"
+        label = "/labels/".join(str(path).rsplit("/images/", 1)).rsplit(".", 1)[0] + ".txt"
         objects.append(Path(label).read_text().splitlines())
     return objects
 

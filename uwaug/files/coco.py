@@ -14,7 +14,6 @@ from uwaug.files.labels import (
     PICTURES,
     Entry,
     Key,
-    Labelled,
     Labels,
     require_size,
     split_of,
@@ -24,6 +23,7 @@ from uwaug.files.labels import (
 if TYPE_CHECKING:
     from uwaug.files.items import Item
     from uwaug.files.pixels import Pixels, Size
+    from uwaug.files.summary import Result
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,8 @@ class Coco(Labels):
 
     def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
         image, annotations = self.of[name]
-        require_size(self.path, (image.get("height", size[0]), image.get("width", size[1])), size)
+        stated = image.get("height") or size[0], image.get("width") or size[1]
+        require_size(self.path, stated, size)
         for entry in annotations:
             try:
                 yield entry["id"], _pixels(entry, size)
@@ -74,18 +75,18 @@ class Coco(Labels):
                 got = f"annotation {entry.get('id')}: {error!r}"
                 raise ValueError(f"{self.path}, {got}") from error
 
-    def finish(self, pictures: Sequence[Labelled], out: Path) -> list[str]:
+    def finish(self, pictures: Sequence["Result"], out: Path) -> list[str]:
         """Write a file of the same name, of the pictures that have an image there, with a
         "contrast" in each annotation. Where a picture was written more than once, images and
         annotations are numbered anew.
         """
-        own = [picture for picture in pictures if picture.name in self.of]
-        names = {picture.name for picture in own}
+        own = [picture for picture in pictures if picture.item.name in self.of]
+        names = {picture.item.name for picture in own}
         anew = len(names) < len(own)
         images: list[Entry] = []
         annotations: list[Entry] = []
         for picture in own:
-            image, entries = self.of[picture.name]
+            image, entries = self.of[picture.item.name]
             if [entry["id"] for entry in entries] != [judged.key for judged in picture.objects]:
                 raise ValueError(f"{self.path} has changed since {picture.place} was written")
             id = len(images) + 1 if anew else image["id"]

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from uwaug.files.items import Item
     from uwaug.files.pixels import Pixels, Size
+    from uwaug.files.summary import Result
 
 Key = int | str
 """Of an object in its picture: the id of a COCO annotation, a line of a YOLO file or an object of a
@@ -45,17 +46,6 @@ class Judged(NamedTuple):
     key: Key
     contrast: float
     kept: bool
-
-
-class Labelled(NamedTuple):
-    """A picture that was written: the file it was made of, its name, its place in the folder of the
-    run, its objects.
-    """
-
-    picture: Path
-    name: str
-    place: str
-    objects: Sequence[Judged]
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,8 +95,10 @@ class Labels:
     def write(self, name: str, place: str, dropped: Collection[Key], out: Path) -> None:
         """Write the labels of one picture to the folder of the run, but for the dropped ones."""
 
-    def finish(self, pictures: Sequence[Labelled], out: Path) -> list[str]:
-        """Write what the format has one file of for all pictures. Returns what is to be told."""
+    def finish(self, pictures: Sequence["Result"], out: Path) -> list[str]:
+        """Write what the format has one file of for all pictures that were written. Returns what is
+        to be told.
+        """
         return []
 
 

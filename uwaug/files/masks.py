@@ -6,12 +6,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from uwaug.files.labels import Folder, Key, Labelled, require_size, write_other
+from uwaug.files.labels import Folder, Key, require_size, write_other
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from uwaug.files.pixels import Pixels, Size
+    from uwaug.files.summary import Result
 
 _COLOURS = 256
 """Of a mask at most; a photograph has more."""
@@ -21,9 +22,6 @@ _COLOURED = 2**24
 
 _SMALL = 20
 """Values of masks that count classes or objects begin below."""
-
-_NAMES = "labelmap.txt"
-"""A file that says which colour is which class, beside masks or above them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,10 +76,11 @@ class Masks(Folder):
         image.save(file, "PNG")
         return file.getvalue()
 
-    def finish(self, pictures: Sequence[Labelled], out: Path) -> list[str]:
-        for source in (self.path.parent / _NAMES, self.path / _NAMES):
+    def finish(self, pictures: Sequence["Result"], out: Path) -> list[str]:
+        """Copy what says which colour is which class, as CVAT has it."""
+        for source in (self.path.parent / "labelmap.txt", self.path / "labelmap.txt"):
             if source.is_file():
-                write_other(out / _NAMES, source.read_bytes(), source)
+                write_other(out / source.name, source.read_bytes(), source)
         return ["255 in masks says nothing (ignore), and stays"] * (255 in self.ignored)
 
 

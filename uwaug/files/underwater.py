@@ -15,7 +15,7 @@ from uwaug.distance.sources import Source
 from uwaug.files.films import Films, frames_of
 from uwaug.files.formats import open_labels
 from uwaug.files.items import Item, cure_of
-from uwaug.files.labels import Labelled, Labels, judged
+from uwaug.files.labels import Labels, judged
 from uwaug.files.pictures import ENDINGS
 from uwaug.files.recipe import Recipe
 from uwaug.files.record import digest, read_record
@@ -85,8 +85,7 @@ def degrade(
     )
     if labels is not None:
         done = [result for result in summary.results if result.status != "failed"]
-        pictures = [Labelled(r.item.picture, r.item.name, r.place, r.objects) for r in done]
-        summary = replace(summary, notes=[_belonging(labels, items), *labels.finish(pictures, out)])
+        summary = replace(summary, notes=[_belonging(labels, items), *labels.finish(done, out)])
     return summary
 
 

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
-from uwaug.files.labels import Folder, Key, Labelled, require_size, split_of, write_other
+from uwaug.files.labels import Folder, Key, require_size, split_of, write_other
 
 if TYPE_CHECKING:
     from uwaug.files.pixels import Pixels, Size
+    from uwaug.files.summary import Result
 
 _LISTS = "ImageSets/Main"
 """Where a data set lists the pictures of each split, by their names without an end."""
@@ -33,18 +34,16 @@ class Voc(Folder):
 
         file = self.of[name]
         root = _read(file)
-        height, width = (int(root.findtext(f"size/{side}") or 0) for side in ("height", "width"))
-        if height and width:
-            require_size(file, (height, width), size)
+        stated = [float(root.findtext(f"size/{side}") or 0) for side in ("height", "width")]
+        if all(stated):
+            require_size(file, (round(stated[0]), round(stated[1])), size)
         for number, entry in enumerate(root.findall("object"), 1):
-            ends = [
-                entry.findtext(f"bndbox/{end}") or "" for end in ("xmin", "ymin", "xmax", "ymax")
-            ]
+            ends = [entry.findtext(f"bndbox/{end}", "") for end in ["xmin", "ymin", "xmax", "ymax"]]
             try:
                 x1, y1, x2, y2 = map(float, ends)
             except ValueError:
-                got = f"object {number}: expected a bndbox of four numbers, got {ends}"
-                raise ValueError(f"{file}, {got}") from None
+                got = f"expected a bndbox of four numbers, got {ends}"
+                raise ValueError(f"{file}, object {number}: {got}") from None
             yield number, of_box(x1 - 1, y1 - 1, x2, y2, size)
 
     def without(self, dropped: Collection[Key], source: Path, place: str) -> bytes:
@@ -57,12 +56,12 @@ class Voc(Folder):
                 entry.text = place.rpartition("/")[2]
         return ElementTree.tostring(root, encoding="unicode").encode()
 
-    def finish(self, pictures: Sequence[Labelled], out: Path) -> list[str]:
+    def finish(self, pictures: Sequence["Result"], out: Path) -> list[str]:
         """Write the lists: those that lie above the labels, else one for each split."""
         written: dict[str, dict[str, list[str]]] = {}
         for picture in pictures:
             above, place = self.parted(splitext(picture.place)[0])
-            _, name = self.parted(splitext(picture.name)[0])
+            _, name = self.parted(splitext(picture.item.name)[0])
             written.setdefault(above, defaultdict(list))[name].append(place)
         notes = []
         for tree, places in written.items():

@@ -6,10 +6,11 @@ from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from uwaug.files.labels import Entry, Folder, Key, Labelled, split_of, write_other
+from uwaug.files.labels import Entry, Folder, Key, split_of, write_other
 
 if TYPE_CHECKING:
     from uwaug.files.pixels import Pixels, Size
+    from uwaug.files.summary import Result
 
 _NAMES = ("classes.txt", "obj.names", "_darknet.labels")
 """Files in which tools leave the names of classes, one a line."""
@@ -119,7 +120,7 @@ class Yolo(Folder):
             places += [line.replace("\\", "/").strip("./ ") for line in lines if line.strip()]
         return places
 
-    def finish(self, pictures: Sequence[Labelled], out: Path) -> list[str]:
+    def finish(self, pictures: Sequence["Result"], out: Path) -> list[str]:
         """Write data.yaml: the classes as the labels' own has them, or how many there are; and the
         pictures of each split in a file, as one folder may hold another's.
         """
@@ -128,7 +129,7 @@ class Yolo(Folder):
         notes, splits = [], {"train": "", "val": ""}
         places = {split: self._places(split) for split in ("train", "val", "test")}
         for picture in pictures:
-            path = f"{picture.picture.absolute().as_posix()}/"
+            path = f"{picture.item.picture.absolute().as_posix()}/"
             # of folders in one another the inner one counts: a data set may lie in one called train
             starts = {s: max((path.rfind(f"/{p}/") for p in places[s]), default=-1) for s in places}
             last = max(starts.values())
@@ -144,7 +145,9 @@ class Yolo(Folder):
             write_other(out / f"{split}.txt", text.encode())
         classes = {key: own for key, own in self.description.items() if key not in _PLACES}
         if not {"names", "nc"} & classes.keys():
-            files = {self.of[picture.name] for picture in pictures if picture.name in self.of}
+            files = {
+                self.of[picture.item.name] for picture in pictures if picture.item.name in self.of
+            }
             lines = (line.split() for file in files for line in _lines(file))
             classes["nc"] = max((int(float(words[0])) for words in lines if words), default=0) + 1
             looked = f"data.yaml, {', '.join(_NAMES)}"

@@ -13,6 +13,7 @@ from torch import Tensor
 from uwaug import fast
 from uwaug._support import checks, codec
 from uwaug._support.ranges import Range
+from uwaug.distance.made_up import MadeUp
 from uwaug.distance.sources import Metres, Plane, Source
 from uwaug.formation.development import NEUTRAL
 from uwaug.light import Light
@@ -37,6 +38,7 @@ from uwaug.transforms.random_water import AnyWater, RandomWater
 from uwaug.transforms.samples import (
     Parts,
     SampleTransform,
+    is_film,
     maps_for,
     naming,
     pictures_of,
@@ -96,7 +98,8 @@ class RandomUnderwater(SampleTransform):
         (image, distance, …), a tuple or list of them, (image, target) with the map in a dict in
         second place, or a dict. One picture (3xHxW, distance 1xHxW) or a batch, whose pictures may
         share one map; uint8 (0…255) or floating point (0…1); plain tensors or torchvision's
-        tv_tensors (a distance map is best a `Mask`). The same structure comes back with a new image
+        tv_tensors (a distance map is best a `Mask`). A `Video` is a film: one draw for all frames,
+        as by `for_clip`. The same structure comes back with a new image
         of the same type; every other leaf is returned as it is, and no input is changed. Gradients
         pass to image and distance; what is drawn is constant.
 
@@ -234,7 +237,7 @@ class RandomUnderwater(SampleTransform):
         """Draw everything that is random, for a picture or a batch of this shape.
 
         Args:
-            image (3xHxW or Bx3xHxW tensor): only its shape is read.
+            image (3xHxW or Bx3xHxW tensor): only its shape is read; a `Video` draws once.
             generator: source of randomness; torch's global generator if None.
 
         Returns:
@@ -243,7 +246,7 @@ class RandomUnderwater(SampleTransform):
             (that of drawn contents says all of them); "numbers" by name; "field_seed" of the medium
             field, or None.
         """
-        count = 1 if image.ndim == 3 else len(image)
+        count = 1 if image.ndim == 3 or is_film(image) else len(image)
         seeds = torch.randint(2**63 - 1, (count,), generator=generator, device="cpu").tolist()
         return {"samples": [self._sample(uniform_of(seed)) for seed in seeds]}
 
@@ -279,25 +282,35 @@ class RandomUnderwater(SampleTransform):
     @uncompiled
     def for_clip(self, params: Record, image: Tensor, distance: Tensor | None) -> Record:
         """The record of one picture for all frames of a film: what a draw takes from the picture
-        (the median distance to which the water is scaled, exposure, white balance) is that of this
-        one for all of them. They may then come in any order, on any worker.
+        (the median distance to which the water is scaled, exposure, white balance) is that of one
+        frame for all of them. They may then come in any order, on any worker.
 
         Args:
             params: from `make_params`, of one picture.
-            image, distance: a frame of the film, as for `transform`.
+            image, distance: a frame of the film, as for `transform`; or all frames, as a batch, of
+                which the middle one is taken.
 
         Returns:
-            A record whose sample has what was "measured" once for all. Its "moved", m, 0 here, says
-            how far the field has drifted to the right at a frame: set it to m/s times seconds.
-            Another "noise_seed" makes the sensor's noise of a frame its own.
+            A record with a sample for each of these frames, which has what was "measured" once for
+            all. Its "moved", m, 0 here, says how far the field has drifted to the right at a frame:
+            set it to m/s times seconds. By its "noise_seed" the sensor's noise is each frame's own.
         """
-        scenes = self.scenes(image, distance, params)
-        if len(scenes.pictures) != 1:
-            raise ValueError(f"image must be one frame of the film, got {len(scenes.pictures)}")
+        frames = pictures_of(image)
+        if len(frames) > 1 and isinstance(self.source, MadeUp):
+            cure = "give maps, or metres, such as distance=(1, 5)"
+            raise ValueError(f"distance: made up from each frame, a film would flicker: {cure}")
+        maps = maps_for(frames, distance) if self.source.reads_maps else [None] * len(frames)
+        middle = len(frames) // 2
+        scenes = self.scenes(frames[middle], maps[middle], params)
         (sample,) = params["samples"]
         if not scenes.chosen:
             return {"samples": [sample]}
-        return {"samples": [{**sample, "measured": scenes.settled(), "moved": 0.0}]}
+        sample = {**sample, "measured": scenes.settled(), "moved": 0.0}
+        numbers = [dict(sample["numbers"]) for _ in frames]
+        for number, own in enumerate(numbers):
+            if "noise_seed" in own:
+                own["noise_seed"] = (own["noise_seed"] + number) % 2**32
+        return {"samples": [{**sample, "numbers": own} for own in numbers]}
 
     @uncompiled
     def contrast_left(self, image: Tensor, distance: Tensor | None, params: Record) -> Tensor:
@@ -319,12 +332,19 @@ class RandomUnderwater(SampleTransform):
     def _sampled(self, inputs: tuple[Any, ...], generator: torch.Generator | None) -> Any:
         image, distance, restore = self.take_apart(inputs)
         pictures_of(image)  # refuses what has no number of pictures
-        draws = [Draw(**sample) for sample in self.make_params(image, generator)["samples"]]
+        record = self.make_params(image, generator)
+        if is_film(image):
+            return restore(self.transform(image, distance, record))
+        draws = [Draw(**sample) for sample in record["samples"]]
         return restore(self._scenes(image, distance, draws).formed())
 
     def scenes(self, image: Tensor, distance: Tensor | None, params: Record) -> Scenes:
         """Pictures in the water of their draws; arguments as for `transform`."""
-        return self._scenes(image, distance, self.read(params, len(pictures_of(image))))
+        count = len(pictures_of(image))
+        draws = self.read(params, count)
+        if is_film(image) and len(params["samples"]) == 1 and not draws[0].measured:
+            draws = self.read(self.for_clip(params, image, distance), count)
+        return self._scenes(image, distance, draws)
 
     def read(self, params: Record, count: int) -> list[Draw]:
         """The draws of a record of `count` pictures; refuses what cannot have been drawn."""

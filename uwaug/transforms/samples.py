@@ -132,6 +132,12 @@ def key_of(seed: int, epoch: int, index: int | str) -> int:
     return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=4).digest())
 
 
+def is_film(image: Any) -> bool:
+    """Whether an image is torchvision's `Video`: the frames of one film (Tx3xHxW)."""
+    tensors = sys.modules.get("torchvision.tv_tensors")
+    return tensors is not None and isinstance(image, tensors.Video)
+
+
 def typed(x: Tensor, kind: type[Tensor]) -> Tensor:
     """A tensor as another class of tensors."""
     return x if type(x) is kind else x.as_subclass(kind)
