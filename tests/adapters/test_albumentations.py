@@ -150,6 +150,8 @@ def test_several_images_are_a_film() -> None:
     assert np.array_equal(
         shared(images=np.stack([array()] * 3), distances=metres())["images"], same
     )
+    one_by_one = water()(images=[array()] * 2, distances=[metres()] * 2)["images"]
+    assert np.array_equal(one_by_one[0], one_by_one[1])
     plane = water(RandomUnderwater("7C", distance=3.0))
     assert plane(images=frames)["images"].shape == frames.shape
 

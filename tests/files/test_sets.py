@@ -213,6 +213,10 @@ def test_cvat_masks(run: Run) -> None:
     before = classes_in("task/SegmentationClass", "task/labelmap.txt")
     assert classes_in("wet/labels", "wet/labelmap.txt") == before
     assert before == {"background": 2, "fish": 2, "sand": 2}
+    # masks are no pictures
+    out = degraded(run, "task", "--labels", "task", "--out", "all", "--distance", "2")
+    assert "2 of 2 pictures written" in out
+    assert classes_in("all/labels/JPEGImages", "all/labelmap.txt") == before
 
 
 # Blender

@@ -106,12 +106,14 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
         result = dict(kwargs)
         for name, pictures in kwargs.items():
             if name in self._key2func and pictures is not None:
-                distance = self._distance(name, kwargs) if self.augment.source.reads_maps else None
-                result[name] = self.apply(pictures, params["record"], distance)
+                image, distance = np.asarray(pictures), None
+                if self.augment.source.reads_maps:
+                    distance = self._distance(name, image.ndim == 3, kwargs)
+                result[name] = self.apply(image, params["record"], distance)
         return result
 
-    def _distance(self, name: str, targets: Mapping[str, Any]) -> Tensor:
-        """The map of a picture (1xHxW), or those of several (Nx1xHxW), m."""
+    def _distance(self, name: str, single: bool, targets: Mapping[str, Any]) -> Tensor:
+        """The map of a single picture (1xHxW), or those of several (Nx1xHxW), m."""
         key = self.distance_key
         key = name.replace("image", key, 1) if "image" in name else f"{key}_{name}"
         if targets.get(key) is None:
@@ -120,11 +122,11 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
             )
             raise ValueError(f"{key} is missing, for {name}: {cure}")
         if self._in_pipeline and key not in self._moved:
-            kind = "mask" if targets[name].ndim == 3 else "masks"
+            kind = "mask" if single else "masks"
             cure = f"give A.Compose(…, additional_targets={{{key!r}: {kind!r}}})"
             raise ValueError(f"{key} would not move with {name}: {cure}")
         values = np.asarray(targets[key]) * self.scale
-        values = values.squeeze() if targets[name].ndim == 3 else values.reshape(values.shape[:3])
+        values = values.squeeze() if single else values.reshape(values.shape[:3])
         return torch.from_numpy(values.astype(np.float32)).unsqueeze(-3)
 
     def apply(

@@ -33,7 +33,6 @@ class Coco(Labels):
     """
 
     rest: Entry = field(default_factory=dict)
-    count: int = 0
 
     reads = "a COCO file (.json)"
 
@@ -55,7 +54,7 @@ class Coco(Labels):
         of = {name: (image, annotations[image["id"]]) for name, image in matched.items()}
         some = ", ".join(str(image["file_name"]) for image in images[:3])
         expected = f"no image has the file_name {items[0].name} in its split (there are {some})"
-        return cls(path, of, rest, len(images)) if of else f"{path}: {expected}"
+        return cls(path, of, rest) if of else f"{path}: {expected}"
 
     def only(self, name: str) -> "Coco":
         return Coco(self.path, super().only(name).of)
@@ -99,9 +98,7 @@ class Coco(Labels):
         content = {**self.rest, "images": images, "annotations": annotations}
         text = json.dumps(content, ensure_ascii=False)
         write_other(out / self.path.name, text.encode(), self.path)
-        lacking = self.count - len(self.of)
-        note = f"{lacking} of the {self.count} images in {self.path} are of no picture here"
-        return [note] if lacking else []
+        return []
 
 
 def _parts(image: Entry) -> list[str]:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 Key = int | str
 """Of an object in its picture: the id of a COCO annotation, a line of a YOLO file or an object of a
-VOC file counted from 1, a value or a colour of a mask.
+VOC file counted from 1, a value of a mask.
 """
 
 Entry = dict[str, Any]

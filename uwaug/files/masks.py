@@ -17,23 +17,24 @@ if TYPE_CHECKING:
 _COLOURS = 256
 """Of a mask at most; a photograph has more."""
 
-_COLOURED = 2**24
-"""From here on numbers stand for colours."""
-
 _SMALL = 20
 """Values of masks that count classes or objects begin below."""
+
+_IGNORE = 0xE0E0C0
+"""Pascal VOC's colour of pixels that say nothing."""
 
 
 @dataclass(frozen=True, eq=False)
 class Masks(Folder):
-    """Masks of 8 or 16 bits, or in colour, with a value for each object or class; 0, or black, is
-    background. The largest of 8 bits, beside small ones, marks pixels to ignore.
+    """Masks of 8 or 16 bits, or in colour (red·65536 + green·256 + blue, but for greys), with a
+    value for each object or class; 0 is background. The largest of 8 bits, beside small ones, marks
+    pixels to ignore.
 
     Attributes:
-        ignored: values, and Pascal VOC's colour, of such pixels, which stay as they are.
+        ignored: values of such pixels, which stay as they are.
     """
 
-    ignored: frozenset[Key] = frozenset({"224,224,192"})
+    ignored: frozenset[Key] = frozenset({0, _IGNORE})
 
     reads = "a folder of .png masks"
     end = ".png"
@@ -41,24 +42,23 @@ class Masks(Folder):
 
     @staticmethod
     def require(file: Path) -> None:
-        _values(_read(file)[0], file)
+        _read(file)
 
     def described(self, samples: Sequence[Path]) -> Self:
         import numpy as np
 
-        values = {v for file in samples for v in np.unique(_values(_read(file)[0], file)).tolist()}
+        values = {value for file in samples for value in np.unique(_read(file)[1]).tolist()}
         small = any(0 < value < _SMALL for value in values)
         return replace(self, ignored=self.ignored | ({255} & values)) if small else self
 
     def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
         import numpy as np
 
-        pixels, _ = _read(self.of[name])
-        require_size(self.of[name], pixels.shape[:2], size)
-        values = _values(pixels, self.of[name])
-        for value in np.unique(values[values > 0]).tolist():
-            if _key(value) not in self.ignored:
-                yield _key(value), values == value
+        _, values, _ = _read(self.of[name])
+        require_size(self.of[name], values.shape, size)
+        for value in np.unique(values).tolist():
+            if value not in self.ignored:
+                yield value, values == value
 
     def without(self, dropped: Collection[Key], source: Path, place: str) -> bytes:
         import numpy as np
@@ -66,10 +66,8 @@ class Masks(Folder):
 
         if not dropped:
             return source.read_bytes()
-        pixels, palette = _read(source)
-        values = _values(pixels, source)
-        numbers = [value for value in np.unique(values).tolist() if _key(value) in dropped]
-        pixels[np.isin(values, numbers)] = 0
+        pixels, values, palette = _read(source)
+        pixels[np.isin(values, list(dropped))] = 0
         image, file = Image.fromarray(pixels), io.BytesIO()
         if palette:
             image.putpalette(palette)
@@ -84,33 +82,21 @@ class Masks(Folder):
         return ["255 in masks says nothing (ignore), and stays"] * (255 in self.ignored)
 
 
-def _read(file: Path) -> "tuple[NDArray[Any], list[int] | None]":
-    """The pixels of a mask (HxW, or HxWx3 in colour), and its palette, if it has one."""
+def _read(file: Path) -> "tuple[NDArray[Any], NDArray[Any], list[int] | None]":
+    """The pixels of a mask (HxW, or HxWx3 in colour), its values (HxW), and its palette."""
     import numpy as np
     from PIL import Image
 
     with Image.open(file) as image:
         if image.mode not in ("L", "P", "1", "I;16", "RGB"):
             raise ValueError(f"{file}: expected a mask of one channel, or RGB, got {image.mode}")
-        pixels = np.array(image)
-        return pixels.astype("uint8") if image.mode == "1" else pixels, image.getpalette()
-
-
-def _values(pixels: "NDArray[Any]", file: Path) -> "NDArray[Any]":
-    """A number (HxW) for each value or colour; see `_key`."""
-    import numpy as np
-
-    if pixels.ndim == 2 or (pixels == pixels[..., :1]).all():
-        return pixels.reshape(*pixels.shape[:2], -1)[..., 0]
+        pixels, palette = np.array(image), image.getpalette()
+    if pixels.ndim == 2:
+        pixels = pixels.astype(np.uint8) if pixels.dtype == bool else pixels
+        return pixels, pixels, palette
+    if (pixels == pixels[..., :1]).all():
+        return pixels, pixels[..., 0], None
     values = pixels.astype(np.int32) @ [65536, 256, 1]
-    values[values > 0] += _COLOURED
-    count = len(np.unique(values))
-    if count > _COLOURS:
+    if (count := len(np.unique(values))) > _COLOURS:
         raise ValueError(f"{file}: {count} colours are those of a picture, not of a mask")
-    return values
-
-
-def _key(value: int) -> Key:
-    """A value of a mask; of a colour that is no grey, "red,green,blue"."""
-    red, green, blue = value >> 16 & 255, value >> 8 & 255, value & 255
-    return value if value < _COLOURED else f"{red},{green},{blue}"
+    return pixels, values, None

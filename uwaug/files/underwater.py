@@ -76,6 +76,8 @@ def degrade(
     require_free(out, resume=resume, force=force)
     if recipe.labels is not None:
         labels = open_labels(recipe.labels, items)
+        masks = [own for own in labels.of.values() if isinstance(own, Path)]
+        items = [item for item in items if item.picture not in set(masks)]
     _require_distances(recipe, items)
     folder = out.parent if single else out
     work = _Underwater(recipe, folder, resume=resume, force=force)

@@ -58,11 +58,10 @@ class Yolo(Folder):
                 raise ValueError(f"{folder}: more than one .yaml has names: call one data.yaml")
             if contents:
                 return replace(self, description=classes | contents[0])
-        shapes = [_keypoints(numbers[1:]) for file in samples if (numbers := _first(file))]
-        shape = shapes[0] if shapes else None
-        if shape and all(other == shape for other in shapes):
-            got = f"{samples[0]}: objects look like boxes with {shape[0]} keypoints"
-            cure = f"say kpt_shape: {shape}, or nothing but names if they are polygons"
+        counts = {len(numbers) for file in samples if (numbers := _first(file))}
+        if len(counts) == 1 and min(counts) > 6:
+            got = f"{samples[0]}: objects of {min(counts)} numbers are polygons, or have keypoints"
+            cure = "say kpt_shape: [how many, 2 or 3], or of polygons nothing but names"
             raise ValueError(f"{got}: {cure}, in {self.path / 'data.yaml'}")
         return replace(self, description=classes)
 
@@ -156,19 +155,6 @@ class Yolo(Folder):
         text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
         write_other(out / "data.yaml", text.encode())
         return notes
-
-
-def _keypoints(shares: Sequence[float]) -> list[int] | None:
-    """The kpt_shape of an object that is a box in the picture with points inside, if it is one."""
-    x, y, width, height, *rest = shares if len(shares) > 4 else (0.0,) * 4
-    ends = x - width / 2, x + width / 2, y - height / 2, y + height / 2
-    for size in (3, 2) if all(-0.01 < end < 1.01 for end in ends) else ():
-        points = [(a, b) for a, b in zip(rest[::size], rest[1::size], strict=False) if a or b]
-        inside = all(abs(a - x) <= width / 2 and abs(b - y) <= height / 2 for a, b in points)
-        visible = size == 2 or set(rest[2::3]) <= {0, 1, 2}
-        if rest and not len(rest) % size and inside and visible:
-            return [len(rest) // size, size]
-    return None
 
 
 def _first(file: Path) -> list[float]:
