@@ -77,11 +77,12 @@ def inverse(z: Tensor) -> Tensor:
     return (1 / z - 1 / z.max()) / (1 / z.min() - 1 / z.max())
 
 
+FAR = float(scene().max())
 SOURCES: list[tuple[Source, Tensor]] = [
     (Metres(), scene()),
     (Metres(focal_px=150.0), scene()),
-    (Inverse(1.2, 4.0), inverse(scene())),
-    (Relative(1.2, 4.0), (scene() - 1.2) / 3.2),
+    (Inverse(1.2, FAR), inverse(scene())),
+    (Relative(1.2, FAR), ((scene() - 1.2) / (FAR - 1.2)).clamp(max=1)),
 ]
 
 
