@@ -74,7 +74,7 @@ REFUSED: list[tuple[Any, Any, str]] = [
     (Metres("fill"), 0 * T, "at least one known pixel"),
     (Relative(), T + 1, r"t must lie in \[0, 1\]"),
     (Inverse(), 0 * T, "inverse must vary"),
-    (Network(lambda image: T[..., 1:]), None, r"map must be \(1, 2, 4\), got \(1, 2, 3\)"),
+    (Network(lambda image: T[..., 1:]), None, r"map is \(2, 3\) but image is \(2, 4\)"),
 ]
 
 

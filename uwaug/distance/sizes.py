@@ -36,8 +36,9 @@ def require_aspect(name: str, distance: Tensor, image: Tensor) -> None:
 def in_words(size: Sequence[int], other: Sequence[int]) -> str:
     """What becomes of a map of one (height, width) and a picture of another."""
     (h, w), (height, width) = size, other
-    fits = same_aspect(size, other)
-    cure = "it is brought to the picture's size" if fits else "is one of them turned or cropped?"
+    cure = "of another aspect: is one of them turned or cropped?"
+    if same_aspect(size, other):
+        cure = "it is brought to the picture's size"
     return f"a map is {w}×{h} px and its picture {width}×{height} px: {cure}"
 
 

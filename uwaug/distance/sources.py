@@ -96,7 +96,7 @@ class Metres(Source):
         z = as_maps("distance", distance)
         checks.metres("distance", z)
         z = torch.where(z >= checks.OPEN, torch.inf, z)
-        z = _asked(z, of_metres(z), self.holes, refuse=True)
+        z = _asked(z, of_metres(z), self.holes)
         z = torch.where(range_end(z), torch.inf, z)
         if self.focal_px is not None:
             (h, w), (height, width), focal = z.shape[-2:], image.shape[-2:], self.focal_px
@@ -117,8 +117,8 @@ class Relative(Source):
     Attributes:
         near, far: m; numbers or (low, high).
         gamma: exponent; a number or (low, high).
-        holes: what NaN gets, see `Holes`, and numbers that stand for no distance, such as −1.
-            "error" only warns of these if they lie in 0…1. Let geometric transforms pad with NaN.
+        holes: what NaN gets, see `Holes`, and numbers that stand for no distance, such as −1;
+            "error" only warns of 0, which may be near. Let geometric transforms pad with NaN.
     """
 
     near: Range = 1.0
@@ -140,7 +140,7 @@ class Relative(Source):
         assert distance is not None
         near = max(numbers["near"], _TOUCHING)
         t = as_maps("distance", distance)
-        t = _asked(t, of_shares(t), self.holes, refuse=bool((t < 0).any()))
+        t = _asked(t, of_shares(t), self.holes)
         z = from_relative(t, near, numbers["far"], numbers["gamma"])
         return _without_holes(z, self.holes)
 
@@ -155,7 +155,8 @@ class Inverse(Source):
     Attributes:
         near, far: m; numbers or (low, high), near above 0.
         holes: what NaN and infinite values get, see `Holes`, and numbers that stand for no
-            distance, such as 0 where a matcher has found nothing. "error" only warns of these.
+            distance, such as 0 where a matcher has found nothing; "error" only warns of 0, which may
+            be the sky.
     """
 
     near: Range = 1.0
@@ -175,7 +176,7 @@ class Inverse(Source):
         """See `Source.metres`."""
         assert distance is not None
         inverse = as_maps("distance", distance)
-        inverse = _asked(inverse, of_shares(inverse), self.holes, refuse=False)
+        inverse = _asked(inverse, of_shares(inverse), self.holes)
         return _without_holes(from_inverse(inverse, numbers["near"], numbers["far"]), self.holes)
 
 
@@ -224,16 +225,16 @@ def require_ends(near: Range, far: Range) -> float:
     return least
 
 
-def _asked(x: Tensor, alone: Tensor, holes: Holes, *, refuse: bool) -> Tensor:
-    """A map with NaN in place of numbers that are alone; where nothing is said of holes, refused,
-    or as it is, with a warning.
+def _asked(x: Tensor, alone: Tensor, holes: Holes) -> Tensor:
+    """A map with NaN in place of numbers that are alone, if anything is said of holes; else it is
+    refused, or as it is, with a warning, where they are 0, which may be the sky.
     """
     if not bool(alone.any()):
         return x
     if holes != "error":
         return torch.where(alone, torch.nan, x)
     sentence = f"distance: {in_words(x, alone)}"
-    if refuse:
+    if bool((x[alone] != 0).any()):
         raise ValueError(sentence)
     _alone.warn(sentence)
     return x

@@ -29,8 +29,8 @@ _MOST = tuple(most * unit for most in (65504, 65535) for unit in (1.0, 0.1, 0.01
 """m: the largest that 16 bits hold, in usual units; of these no gap is asked."""
 
 _END_SHARE, _END_TIMES = 0.01, 20.0
-"""Of the pixels, that hold the largest distance, and times the mean of all others, from which on
-that is where a renderer ends. Of true contrast no more than .12 would be left there, by default.
+"""Of the pixels, that hold the largest distance, and times the median of all others, from which on
+that is where a renderer ends. Of contrast no more than .12 would be left there, by default.
 """
 
 
@@ -59,7 +59,7 @@ def range_end(z: Tensor) -> Tensor:
     is_end = (z == top) & (top > FARTHEST_SEEN)
     if float(is_end.float().mean()) < _END_SHARE or not others.numel():
         return torch.zeros_like(is_end)
-    return is_end & (top >= _END_TIMES * others.mean())
+    return is_end & (top >= _END_TIMES * others.median())
 
 
 def in_words(x: Tensor, alone: Tensor) -> str:
