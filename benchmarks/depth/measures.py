@@ -31,7 +31,7 @@ _CALM = 0.08
 """Of the true map's span, over 7 px, below which it is calm."""
 
 
-def made_up(source: Any) -> Way:
+def made_up(source: MadeUp) -> Way:
     """Distances of `MadeUp`, drawn as `RandomUnderwater` draws them."""
 
     def way(picture: Tensor, seed: int) -> Array:
@@ -55,7 +55,7 @@ def by_weights(weights: dict[str, tuple[Tensor, Tensor]]) -> Way:
     """What a network says, without anything random: open water only where it is sure."""
 
     def way(picture: Tensor, seed: int) -> Array:
-        log, is_open = cue.relative(picture.float() / 255, weights)
+        log, is_open = cue.relative(cue.small_copy(picture) / 255, weights)
         size = picture.shape[1:]
         log, is_open = (
             torch.nn.functional.interpolate(x[None, None], size, mode="bilinear")[0, 0].numpy()
@@ -129,3 +129,32 @@ def milliseconds(side: int, rounds: int = 30) -> float:
         way.metres(None, picture, {"near": 1.0, "far": 8.0, "scene": number / rounds})
         spent.append(1000 * (time.perf_counter() - began))
     return float(np.median(spent))
+
+
+WAYS: dict[str, tuple[Way, int]] = {
+    "vertical ramp": (ramp, 1),
+    "network alone": (lambda picture, seed: by_weights(cue.learnt())(picture, seed), 1),
+    "MadeUp()": (made_up(MadeUp()), 4),
+    'MadeUp(cue="ramp")': (made_up(MadeUp(cue="ramp")), 4),
+}
+"""And how many draws of each picture."""
+
+
+def main(quick: bool, folders: tuple[Path, ...] = (), only: tuple[str, ...] = ()) -> None:
+    """Print the table."""
+    torch.set_num_threads(1)
+    some = [pair for folder in folders for pair in pairs.read(folder)]
+    some = [pair for pair in some if not only or pair.source in only]
+    for name, (way, seeds) in WAYS.items() if some else ():
+        print(name, judged(way, some[::20] if quick else some, seeds), flush=True)
+    for side in (512, 1024):
+        print(f"{milliseconds(side, 5 if quick else 30):.1f} ms at {side}²")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="little of everything")
+    parser.add_argument("--pairs", type=Path, nargs="*", default=(), help="folders of pairs")
+    parser.add_argument("--sources", nargs="*", default=(), help="some of them, by name")
+    given = parser.parse_args()
+    main(given.quick, tuple(given.pairs), tuple(given.sources))

@@ -158,12 +158,12 @@ def _cropped(rng: np.random.Generator, shape: tuple[int, int], *maps: Array) -> 
 
 
 def _jittered(rng: np.random.Generator, picture: Array) -> Array:
-    picture = picture ** np.exp(rng.normal(0, 0.25)) * np.exp(rng.normal(0, 0.15))
-    picture = picture * np.exp(rng.normal(0, 0.1, 3))
+    picture = picture ** float(np.exp(rng.normal(0, 0.25)))
+    picture = picture * np.exp(rng.normal(0, 0.15) + rng.normal(0, 0.1, 3)).astype(np.float32)
     if rng.uniform() < 0.15:
         picture = np.repeat(picture.mean(-1, keepdims=True), 3, -1)
     if rng.uniform() < 0.3:
-        picture = picture + rng.normal(0, 0.02, picture.shape)
+        picture = picture + 0.02 * rng.standard_normal(picture.shape, np.float32)
     return picture.clip(0, 1)
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import conv2d, interpolate
@@ -50,8 +51,9 @@ def answer(pictures: Tensor, convolve: Convolve) -> Tensor:
     the logarithm) and how open (a logit) each place is (Bx2xH/2xW/2).
     """
     count, _, height, width = pictures.shape
-    down = torch.linspace(-1, 1, height)[:, None].expand(count, 1, height, width)
-    across = torch.linspace(-1, 1, width).expand(count, 1, height, width)
+    like = {"dtype": pictures.dtype, "device": pictures.device}
+    down = torch.linspace(-1, 1, height, **like)[:, None].expand(count, 1, height, width)
+    across = torch.linspace(-1, 1, width, **like).expand(count, 1, height, width)
     half = convolve("half1", torch.cat([4 * (pictures - 0.45), down, across], 1), 2)
     half = convolve("half2", half, 1)
     quarter = convolve("quarter2", convolve("quarter1", half, 2), 1)
@@ -73,22 +75,35 @@ def is_rectified(layer: str) -> bool:
     return layer not in ("answer", "whole") and not layer.startswith("to_")
 
 
-@torch.no_grad()
-def relative(picture: Tensor, weights: Weights) -> tuple[Tensor, Tensor]:
-    """How far each place of a picture (3xHxW, sRGB in 0…1) is, in the logarithm, up to scale and
-    shift; and with what probability it is open: sky, water, a plain backdrop. Both of some 3072
-    places. Of a mirrored picture the mirrored map, as both ways round are asked.
+def small_copy(picture: Tensor) -> Tensor:
+    """A picture (3xHxW) as the network sees it: some 12,000 pixels, sides multiples of 16; on the
+    processor, with whites as they were.
     """
     scale = math.sqrt(_PIXELS / picture[0].numel())
-    sides = (16 * round(side * scale / 16) for side in picture.shape[1:])
-    small = interpolate(picture[None], [min(max(side, 16), 512) for side in sides], mode="area")
+    sides = [min(max(16 * round(side * scale / 16), 16), 512) for side in picture.shape[1:]]
+    every = max(1, int(0.25 / scale))  # four samples along each side of a small pixel will do
+    sampled = picture[:, ::every, ::every].float()
+    return interpolate(sampled[None], sides, mode="area")[0].cpu()
+
+
+def layers_of(weights: Weights) -> Convolve:
+    """The layers with such weights, as `answer` takes them."""
 
     def convolve(name: str, x: Tensor, stride: int) -> Tensor:
         kernel, bias = weights[name]
         x = conv2d(x, kernel, bias, stride, kernel.shape[-1] // 2)
         return x.relu_() if is_rectified(name) else x
 
-    ways = answer(torch.cat([small, small.flip(3)]), convolve)
+    return convolve
+
+
+@torch.no_grad()
+def relative(picture: Tensor, weights: Weights) -> tuple[Tensor, Tensor]:
+    """How far each place of a picture (3xHxW, sRGB in 0…1) is, in the logarithm, up to scale and
+    shift; and with what probability it is open: sky, water, a plain backdrop. Both have half its
+    sides. Of a mirrored picture the mirrored map, as it is asked both ways round.
+    """
+    ways = answer(torch.stack([picture, picture.flip(2)]), layers_of(weights))
     log, is_open = 0.5 * (ways[0] + ways[1].flip(2))
     return log, is_open.sigmoid()
 
@@ -96,7 +111,7 @@ def relative(picture: Tensor, weights: Weights) -> tuple[Tensor, Tensor]:
 @cache
 def learnt() -> Weights:
     """The weights of the wheel, read once."""
-    numbers = torch.frombuffer(bytearray(WEIGHTS.read_bytes()), dtype=torch.float16).float()
+    numbers = torch.from_numpy(np.frombuffer(WEIGHTS.read_bytes(), "<f2").astype(np.float32))
     sizes = [n for i, o, side in LAYERS.values() for n in (i * o * side * side, o)]
     parts = iter(numbers.split(sizes))
     return {

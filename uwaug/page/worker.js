@@ -2,15 +2,17 @@
 
 let tables, scene;
 
+const bytesOf = text => Uint8Array.from(atob(text), letter => letter.charCodeAt(0));
+
 async function distancesOf({ pixels, width, height, from, seed }) {
   if (from.metres) return new Float32Array(width * height).fill(from.metres);
   if (from.embedded) {
     const { packed, near, step } = from.embedded; // codes in equal steps of the logarithm, each less the one before
-    const codes = new Uint16Array((await inflated([Uint8Array.from(atob(packed), letter => letter.charCodeAt(0))])).buffer);
+    const codes = new Uint16Array((await inflated([bytesOf(packed)])).buffer);
     for (let i = 1; i < codes.length; i++) codes[i] += codes[i - 1];
     return Float32Array.from(codes, code => code === 65535 ? Infinity : near * Math.exp(code * step));
   }
-  if (!from.file) return madeUp(pixels, width, height, randomOf(seed));
+  if (!from.file) return madeUp(pixels, width, height, randomOf(seed), tables.cue);
   const map = from.npy ? readNpy(from.file) : await readPng(from.file), { whole, said } = from;
   if (map.width !== whole[0] || map.height !== whole[1]) {
     throw new Error(`the map is ${map.width}×${map.height} px, the picture ${whole[0]}×${whole[1]}`);
@@ -23,7 +25,10 @@ async function distancesOf({ pixels, width, height, from, seed }) {
 }
 
 const answers = {
-  open: message => { tables = message.tables; },
+  open: message => {
+    const { layers, weights } = message.tables.cue;
+    tables = { ...message.tables, cue: layersOf(layers, bytesOf(weights)) };
+  },
   async scene(message, tell) {
     const { pixels, width, height } = message, distance = await distancesOf(message);
     scene = null; // makes room
