@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
+from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.stats import spearmanr
 from torch import Tensor
 
@@ -36,9 +36,7 @@ def made_up(source: MadeUp) -> Way:
 
     def way(picture: Tensor, seed: int) -> Array:
         rng = np.random.default_rng(seed)
-        numbers = {
-            name: float(rng.uniform(*ends)) for name, ends in source.ranges().items()
-        }
+        numbers = {name: float(rng.uniform(*ends)) for name, ends in source.ranges().items()}
         z = source.metres(None, picture, numbers)[0].double().numpy()
         return np.where(z > 1e4, np.inf, z)
 
@@ -133,7 +131,7 @@ def milliseconds(side: int, rounds: int = 30) -> float:
 
 WAYS: dict[str, tuple[Way, int]] = {
     "vertical ramp": (ramp, 1),
-    "network alone": (lambda picture, seed: by_weights(cue.learnt())(picture, seed), 1),
+    "network alone": (by_weights(cue.learnt()), 1),
     "MadeUp()": (made_up(MadeUp()), 4),
     'MadeUp(cue="ramp")': (made_up(MadeUp(cue="ramp")), 4),
 }

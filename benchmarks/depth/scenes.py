@@ -1,6 +1,6 @@
-"""Scenes with distances, rendered: what the depth network learns from. All textures are procedural.
+"""Scenes with distances, rendered: what the depth network learns from. Textures are procedural.
 
-Rooms, streets and landscapes, close things, views from above, walls, plain backdrops and open water,
+Rooms, streets and landscapes, close things, views from above, walls, plain backdrops, open water;
 with people, animals, fish, plants, posters and text; haze, shade, defocus and noise as in
 photographs. One takes some 40 ms. `python -m benchmarks.depth.scenes --sheet FILE` shows some.
 """
@@ -175,6 +175,10 @@ class Thing:
         return distance, normal, place * self.reach
 
 
+def _up(height: float) -> Array:
+    return np.array([0, height, 0])
+
+
 def _at(base: Array, yaw: float, *offset: float) -> Array:
     return base + turned(yaw) @ np.array(offset)
 
@@ -210,7 +214,11 @@ def person(rng: Rng, foot: Array, height: float) -> list[Thing]:
 
 def animal(rng: Rng, foot: Array, size: float) -> list[Thing]:
     """A body, a head with ears, four legs."""
-    yaw, coat, s = rng.uniform(0, 6.3), texture(rng, str(rng.choice(["noise", "spots", "plain"]))), size
+    yaw, coat, s = (
+        rng.uniform(0, 6.3),
+        texture(rng, str(rng.choice(["noise", "spots", "plain"]))),
+        size,
+    )
     leg, neck = rng.uniform(0.15, 0.5), rng.uniform(0, 0.35)
     parts = [
         ("ball", (0, leg + 0.2, 0), (0.22, 0.22, 0.45)),
@@ -219,7 +227,9 @@ def animal(rng: Rng, foot: Array, size: float) -> list[Thing]:
     ]
     for side in (-1, 1):
         parts.append(("ball", (side * 0.1, leg + 0.53 + neck, 0.42), (0.04, 0.1, 0.03)))
-        parts += [("ball", (side * 0.13, leg / 2, z), (0.05, leg / 2 + 0.1, 0.06)) for z in (-0.3, 0.3)]
+        parts += [
+            ("ball", (side * 0.13, leg / 2, z), (0.05, leg / 2 + 0.1, 0.06)) for z in (-0.3, 0.3)
+        ]
     return [
         Thing(shape, _at(foot, yaw, *(s * np.array(at))), s * np.array(reach), coat, turned(yaw))
         for shape, at, reach in parts
@@ -228,7 +238,10 @@ def animal(rng: Rng, foot: Array, size: float) -> list[Thing]:
 
 def fish(rng: Rng, at: Array, size: float) -> list[Thing]:
     """A flat body and a tail."""
-    yaw, coat = rng.uniform(0, 6.3), texture(rng, str(rng.choice(["stripes", "plain", "noise", "spots"])))
+    yaw, coat = (
+        rng.uniform(0, 6.3),
+        texture(rng, str(rng.choice(["stripes", "plain", "noise", "spots"]))),
+    )
     deep = rng.uniform(0.15, 0.6)
     rotation = turned(yaw, rng.normal(0, 0.25))
     body = Thing("ball", at, size * np.array([0.1, deep, 1.0]), coat, rotation)
@@ -243,16 +256,30 @@ def plant(rng: Rng, foot: Array, size: float) -> list[Thing]:
     lively, shift = rng.uniform(0.2, 1), rng.uniform(0, 32, 3)
 
     def foliage(points: Array) -> Array:
-        return np.clip(green * (1 - lively + 2 * lively * noise(9 * points / size + shift, 5))[:, None], 0, 1)
+        return np.clip(
+            green * (1 - lively + 2 * lively * noise(9 * points / size + shift, 5))[:, None], 0, 1
+        )
 
-    trunk = Thing("cylinder", foot + [0, 0.5 * size, 0], size * np.array([0.06, 0.5, 0.06]), texture(rng, "noise"), turned(0))
+    trunk = Thing(
+        "cylinder",
+        foot + _up(0.5 * size),
+        size * np.array([0.06, 0.5, 0.06]),
+        texture(rng, "noise"),
+        turned(0),
+    )
     things = [trunk] if rng.uniform() < 0.8 else []
     tree = rng.uniform() < 0.55
     for _ in range(rng.integers(4, 8) if tree else rng.integers(6, 14)):
         away = rng.normal(size=3) * size * (0.3 if tree else 0.25)
-        at = foot + [0, size * (1.1 if tree else 0.6), 0] + away
-        reach = size * (rng.uniform(0.2, 0.45, 3) if tree else np.array([0.08, 0.35, 0.012]) * np.exp(rng.normal(0, 0.3)))
-        things.append(Thing("ball", at, reach, foliage, turned(rng.uniform(0, 6.3), rng.normal(0, 0.9))))
+        at = foot + _up(size * (1.1 if tree else 0.6)) + away
+        reach = size * (
+            rng.uniform(0.2, 0.45, 3)
+            if tree
+            else np.array([0.08, 0.35, 0.012]) * np.exp(rng.normal(0, 0.3))
+        )
+        things.append(
+            Thing("ball", at, reach, foliage, turned(rng.uniform(0, 6.3), rng.normal(0, 0.9)))
+        )
     return things
 
 
@@ -261,19 +288,35 @@ def coral(rng: Rng, foot: Array, size: float) -> list[Thing]:
     coat = texture(rng, str(rng.choice(["stone", "noise", "spots"])))
     kind = rng.uniform()
     if kind < 0.4:
-        return [Thing("ball", foot, size * np.exp(rng.normal(0, 0.4, 3)), coat, turned(rng.uniform(0, 6.3)))]
+        return [
+            Thing(
+                "ball",
+                foot,
+                size * np.exp(rng.normal(0, 0.4, 3)),
+                coat,
+                turned(rng.uniform(0, 6.3)),
+            )
+        ]
     things = []
     for _ in range(rng.integers(4, 10)):
         away = rng.normal(size=3) * size * [0.5, 0, 0.5]
         reach = size * (np.array([0.1, 0.7, 0.1]) if kind < 0.7 else rng.uniform(0.15, 0.4, 3))
-        things.append(Thing("ball", foot + away + [0, 0.5 * reach[1], 0], reach, coat, turned(rng.uniform(0, 6.3), rng.normal(0, 0.4))))
+        things.append(
+            Thing(
+                "ball",
+                foot + away + [0, 0.5 * reach[1], 0],
+                reach,
+                coat,
+                turned(rng.uniform(0, 6.3), rng.normal(0, 0.4)),
+            )
+        )
     return things
 
 
 def table(rng: Rng, foot: Array, size: float) -> list[Thing]:
     """Legs, a top, perhaps a back, and something on it."""
     yaw, wood, s = rng.uniform(0, 6.3), texture(rng), size * np.exp(rng.normal(0, 0.25, 3))
-    things = [Thing("box", foot + [0, 2 * s[1], 0], s * [1, 0.06, 1], wood, turned(yaw))]
+    things = [Thing("box", foot + _up(2 * s[1]), s * [1, 0.06, 1], wood, turned(yaw))]
     for x in (-0.9, 0.9):
         for z in (-0.9, 0.9):
             at = _at(foot, yaw, x * s[0], s[1], z * s[2])
@@ -282,7 +325,9 @@ def table(rng: Rng, foot: Array, size: float) -> list[Thing]:
         at = _at(foot, yaw, 0, 3 * s[1], 0.9 * s[2])
         things.append(Thing("box", at, s * [1, 0.9, 0.06], wood, turned(yaw)))
     for _ in range(rng.integers(0, 4)):
-        at = _at(foot, yaw, rng.uniform(-0.8, 0.8) * s[0], 2.06 * s[1], rng.uniform(-0.8, 0.8) * s[2])
+        at = _at(
+            foot, yaw, rng.uniform(-0.8, 0.8) * s[0], 2.06 * s[1], rng.uniform(-0.8, 0.8) * s[2]
+        )
         things += solid(rng, at, 0.2 * size)
     return things
 
@@ -293,7 +338,8 @@ def solid(rng: Rng, foot: Array, size: float) -> list[Thing]:
     shape = str(rng.choice(["box", "ball", "cylinder"], p=[0.45, 0.3, 0.25]))
     if shape == "cylinder":
         reach[2] = reach[0]
-    at = foot + [0, reach[1] * (rng.uniform(0.6, 1) if shape == "ball" else 1), 0]
+    sunk = rng.uniform(0.6, 1) if shape == "ball" else 1.0
+    at = foot + _up(sunk * reach[1])
     tilt = rng.normal(0, 0.5) if shape == "box" and rng.uniform() < 0.15 else 0.0
     return [Thing(shape, at, reach, texture(rng), turned(rng.uniform(0, 6.3), tilt))]
 
@@ -316,7 +362,9 @@ def poster(rng: Rng, wall: Array, yaw: float, thick: float = 0.02) -> Thing:
     """Something flat on a wall: a picture, a sign, a shelf, a door."""
     size = np.exp(rng.normal(-1, 0.6, 2))
     kind = rng.choice(["text", "noise", "plain", "stripes", "spots"], p=[0.4, 0.2, 0.2, 0.1, 0.1])
-    return Thing("box", wall, np.array([size[0], size[1], thick]), texture(rng, str(kind)), turned(yaw))
+    return Thing(
+        "box", wall, np.array([size[0], size[1], thick]), texture(rng, str(kind)), turned(yaw)
+    )
 
 
 Planes = list[tuple[Array, float, Texture]]
@@ -326,26 +374,36 @@ def _rooms_walls(rng: Rng, eye: float) -> tuple[Planes, list[Thing], float, floa
     """Three walls and a ceiling, what hangs on them, and the room's half width and length."""
     yaw, length, wide = rng.normal(0, 0.5), rng.uniform(1.8, 8), rng.uniform(1.2, 4)
     top = max(rng.uniform(2.2, 3.3), eye + 0.4)
-    common = texture(rng, str(rng.choice(["plain", "noise", "bricks", "tiles"], p=[0.6, 0.2, 0.1, 0.1])))
+    common = texture(
+        rng, str(rng.choice(["plain", "noise", "bricks", "tiles"], p=[0.6, 0.2, 0.1, 0.1]))
+    )
     rotation = turned(yaw)
     planes: Planes = [(np.array([0, -1.0, 0]), -top, texture(rng, "plain"))]
-    for axis, away in (([0, 0, -1.0], length), ([1.0, 0, 0], wide), ([-1.0, 0, 0], rng.uniform(0.6, 1.2) * wide)):
-        planes.append((rotation @ np.array(axis), -away, common if rng.uniform() < 0.75 else texture(rng)))
+    for axis, away in (
+        ([0, 0, -1.0], length),
+        ([1.0, 0, 0], wide),
+        ([-1.0, 0, 0], rng.uniform(0.6, 1.2) * wide),
+    ):
+        planes.append(
+            (rotation @ np.array(axis), -away, common if rng.uniform() < 0.75 else texture(rng))
+        )
     things = []
     for _ in range(rng.integers(0, 6)):
         thick = float(rng.choice([0.02, 0.02, 0.15]))
         if rng.uniform() < 0.6:
             at = rotation @ np.array([rng.uniform(-0.8, 0.8) * wide, 0, length - thick])
-            things.append(poster(rng, at + [0, rng.uniform(0.7, 2), 0], yaw, thick))
+            things.append(poster(rng, at + _up(rng.uniform(0.7, 2)), yaw, thick))
         else:
             at = rotation @ np.array([-wide + thick, 0, rng.uniform(0.4, 1) * length])
-            things.append(poster(rng, at + [0, rng.uniform(0.7, 2), 0], yaw + np.pi / 2, thick))
+            things.append(poster(rng, at + _up(rng.uniform(0.7, 2)), yaw + np.pi / 2, thick))
     return planes, things, wide, length
 
 
 def _laid_out(rng: Rng, kind: str, eye: float, pitch: float) -> tuple[Planes, list[Thing]]:
     """What stands where. The ground is at height 0, the camera at `eye`, looking along z."""
-    ground = texture(rng, str(rng.choice(["plain", "noise", "stone", "tiles"], p=[0.3, 0.35, 0.25, 0.1])))
+    ground = texture(
+        rng, str(rng.choice(["plain", "noise", "stone", "tiles"], p=[0.3, 0.35, 0.25, 0.1]))
+    )
     planes: Planes = [(np.array([0, 1.0, 0]), 0.0, ground)]
     things: list[Thing] = []
 
@@ -391,7 +449,7 @@ def _laid_out(rng: Rng, kind: str, eye: float, pitch: float) -> tuple[Planes, li
             if draw < 0.3:  # a portrait: the head is before the camera
                 height = rng.uniform(1.4, 1.9)
                 aim = eye + z * np.tan(pitch)
-                things += person(rng, foot + [0, aim - 0.87 * height, 0], height)
+                things += person(rng, foot + _up(aim - 0.87 * height), height)
             elif draw < 0.45:
                 things += animal(rng, foot, rng.uniform(0.2, 0.7) * z)
             else:
@@ -404,7 +462,10 @@ def _laid_out(rng: Rng, kind: str, eye: float, pitch: float) -> tuple[Planes, li
             size = eye * np.exp(rng.normal(-2.2, 0.6))
             things += coral(rng, foot, size) if reef else solid(rng, foot, size)
         for _ in range(rng.integers(0, 6)):
-            at = np.array([rng.uniform(-0.7, 0.7), rng.uniform(0.05, 0.7), rng.uniform(0, 1.5)]) * eye
+            at = (
+                np.array([rng.uniform(-0.7, 0.7), rng.uniform(0.05, 0.7), rng.uniform(0, 1.5)])
+                * eye
+            )
             things += fish(rng, at, eye * rng.uniform(0.04, 0.15))
     if kind == "wall":
         yaw, away = rng.normal(0, 0.5), np.exp(rng.uniform(-0.5, 2))
@@ -413,7 +474,7 @@ def _laid_out(rng: Rng, kind: str, eye: float, pitch: float) -> tuple[Planes, li
         for _ in range(rng.integers(1, 12)):
             thick = float(rng.choice([0.01, 0.03, 0.1, 0.3]))
             at = turned(yaw) @ np.array([rng.uniform(-0.8, 0.8) * away, 0, away - thick])
-            things.append(poster(rng, at + [0, eye + rng.uniform(-0.6, 0.6) * away, 0], yaw, thick))
+            things.append(poster(rng, at + _up(eye + rng.uniform(-0.6, 0.6) * away), yaw, thick))
         if rng.uniform() < 0.4:
             put((1, 3), 0.5 * away, 0.9 * away, 0.15 * away, True)
     if kind == "backdrop":
@@ -421,7 +482,9 @@ def _laid_out(rng: Rng, kind: str, eye: float, pitch: float) -> tuple[Planes, li
             planes.clear()
         for _ in range(rng.integers(1, 5)):
             z = rng.uniform(0.8, 2.5)
-            at = np.array([rng.normal(0, 0.25) * z, 0 if planes else eye + rng.normal(-0.3, 0.2) * z, z])
+            at = np.array(
+                [rng.normal(0, 0.25) * z, 0 if planes else eye + rng.normal(-0.3, 0.2) * z, z]
+            )
             things += anything(rng, at, rng.uniform(0.1, 0.3) * z, True)
     if kind == "water":
         for _ in range(rng.integers(1, 16)):
@@ -430,7 +493,9 @@ def _laid_out(rng: Rng, kind: str, eye: float, pitch: float) -> tuple[Planes, li
             things += fish(rng, at, np.exp(rng.normal(-1.4, 0.6)))
         for _ in range(rng.integers(2, 14)):
             z = np.exp(rng.uniform(0, 2.5))
-            things += coral(rng, np.array([rng.uniform(-0.8, 0.8) * z, 0, z]), 0.3 * np.exp(rng.normal(0, 0.6)))
+            things += coral(
+                rng, np.array([rng.uniform(-0.8, 0.8) * z, 0, z]), 0.3 * np.exp(rng.normal(0, 0.6))
+            )
     return planes, things[:90]
 
 
@@ -516,7 +581,9 @@ def _rendered(rng: Rng, shape: tuple[int, int]) -> tuple[Array, Array, Array, Ar
         away = np.linalg.norm(offset)
         if thing.radius >= away:
             continue
-        candidates = np.flatnonzero(directions @ (offset / away) > np.sqrt(1 - (thing.radius / away) ** 2))
+        candidates = np.flatnonzero(
+            directions @ (offset / away) > np.sqrt(1 - (thing.radius / away) ** 2)
+        )
         if not candidates.size:
             continue
         along, facing, own = thing.hit(eye, rays[candidates])
@@ -542,15 +609,26 @@ def _rendered(rng: Rng, shape: tuple[int, int]) -> tuple[Array, Array, Array, Ar
         clear = np.exp(-np.where(is_open, 0, distance) / reach)[:, None]
         rgb = rgb * clear + haze * (1 - clear)
     elif rng.uniform() < 0.5:  # a lamp or a flash
-        lamp = np.array([rng.normal(), rng.uniform(0.8, 2.2), rng.uniform(0, 3)]) if rng.uniform() < 0.7 else eye
-        squares = ((points - lamp) ** 2).sum(1) / np.median(((points - lamp) ** 2).sum(1)).clip(1e-3)
+        lamp = (
+            np.array([rng.normal(), rng.uniform(0.8, 2.2), rng.uniform(0, 3)])
+            if rng.uniform() < 0.7
+            else eye
+        )
+        squares = ((points - lamp) ** 2).sum(1) / np.median(((points - lamp) ** 2).sum(1)).clip(
+            1e-3
+        )
         fading = 1 / (0.6 + rng.uniform(0.1, 0.6) * squares)
         rgb = rgb * np.where(is_open, 1, fading)[:, None]
     log = np.log(np.maximum(np.where(is_open, 1.0, distance), 0.03))
     farthest = np.percentile(log[~is_open], 99.5) if (~is_open).any() else 0.0
     log = np.where(is_open, farthest + _OPEN_BEHIND, np.minimum(log, farthest + 0.5))
     picture = _photographed(rng, rgb.reshape(height, width, 3), log.reshape(shape), kind)
-    return picture, log.reshape(shape).astype(np.float16), is_open.reshape(shape), owner.reshape(shape)
+    return (
+        picture,
+        log.reshape(shape).astype(np.float16),
+        is_open.reshape(shape),
+        owner.reshape(shape),
+    )
 
 
 def _lit(
@@ -570,7 +648,9 @@ def _lit(
             aside = np.sqrt(np.maximum((offset * offset).sum(1) - along * along, 0)) / radius
             shaded = np.clip((1.3 - aside) / 0.6, 0, 1) * (along > 0) * (owner != number)
             direct = direct * (1 - deep * shaded)
-    contact = rng.uniform(0.1, 0.5) * np.exp(-np.abs(points[:, 1]) / (0.4 if kind == "outdoors" else 0.1))
+    contact = rng.uniform(0.1, 0.5) * np.exp(
+        -np.abs(points[:, 1]) / (0.4 if kind == "outdoors" else 0.1)
+    )
     contact = 1 - contact * (owner >= first)
     upward = 0.75 + 0.25 * normal[:, 1]
     warm = np.exp(rng.normal(0, 0.06, 3))
@@ -588,7 +668,12 @@ def _photographed(rng: Rng, rgb: Array, log: Array, kind: str) -> Array:
             share = np.clip((blur - below) / (sigma - below), 0, 1)[..., None]
             rgb = rgb * (1 - share) + gaussian_filter(sharp, (sigma, sigma, 0)) * share
             below = sigma
-    rgb = rgb * rng.uniform(0.6, 1.3) / (np.percentile(rgb, 95) + 0.05) * np.exp(rng.normal(0, 0.07, 3))
+    rgb = (
+        rgb
+        * rng.uniform(0.6, 1.3)
+        / (np.percentile(rgb, 95) + 0.05)
+        * np.exp(rng.normal(0, 0.07, 3))
+    )
     y, x = np.mgrid[-1 : 1 : rgb.shape[0] * 1j, -1 : 1 : rgb.shape[1] * 1j]
     rgb = rgb * (1 - rng.uniform(0, 0.25) * (x * x + y * y) / 2)[..., None]
     rgb = np.clip(rgb, 0, 1) ** rng.uniform(0.5, 1.0)

@@ -1,9 +1,9 @@
 """Train the network of made-up distances: `python -m benchmarks.depth.train --out FILE`.
 
 One thread trains, another process renders scenes all the while. `--pairs FOLDER` (`pairs.py`) adds
-real pictures with distances, of all sources but those that `--without` names. Every few minutes the
-mean of late weights is written, so that a stopped run is of use. `--compare` trains each variant for
-some minutes on the same scenes, and judges it.
+real pictures with distances, of all sources but those that `--without` names. Every few minutes
+the mean of late weights is written, so that a stopped run is of use. `--compare` trains each
+variant for some minutes on the same scenes, and judges it.
 """
 
 import argparse
@@ -22,7 +22,6 @@ from torch import Tensor, nn
 from torch.nn.functional import (
     binary_cross_entropy_with_logits,
     conv2d,
-    interpolate,
     softplus,
 )
 
@@ -57,7 +56,9 @@ class Trained(nn.Module):
         self.convolutions, self.norms = nn.ModuleDict(), nn.ModuleDict()
         for name, (before, after, side) in layers.items():
             normal = cue.is_rectified(name)
-            self.convolutions[name] = nn.Conv2d(before, after, side, padding=side // 2, bias=not normal)
+            self.convolutions[name] = nn.Conv2d(
+                before, after, side, padding=side // 2, bias=not normal
+            )
             if normal:
                 self.norms[name] = nn.BatchNorm2d(after)
 
@@ -170,7 +171,7 @@ def _jittered(rng: np.random.Generator, picture: Array) -> Array:
 def batch(
     rng: np.random.Generator, pool: Pool, real: dict[str, list[pairs.Pair]], share: float
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Pictures (Bx3xHxW), and at half the size logarithms, their weights and what is open (BxHxW)."""
+    """Pictures (Bx3xHxW); at half the size logarithms, their weights and what is open (BxHxW)."""
     shape = scenes.SHAPES[rng.choice(3, p=[0.5, 0.25, 0.25])]
     rows = []
     for _ in range(BATCH):
@@ -238,12 +239,17 @@ def train(
     decay = torch.optim.swa_utils.get_ema_multi_avg_fn(0.998)
     mean = torch.optim.swa_utils.AveragedModel(network, multi_avg_fn=decay, use_buffers=True)
     optimiser = torch.optim.AdamW(network.parameters(), LEARNING_RATE, weight_decay=1e-3)
-    began, written, step, losses = time.monotonic(), 0.0, 0, []
+    began, written, losses = time.monotonic(), 0.0, []
+
+    def said() -> None:
+        count = f"{len(losses) * BATCH} pictures of {pool.count} scenes"
+        print(f"{spent:.1f} min, {count}, loss {np.mean(losses[-200:]):.3f}", flush=True)
+
     while (spent := (time.monotonic() - began) / 60) < minutes:
         pool.take_in()
         fading = 0.02 + 0.98 * (0.5 + 0.5 * np.cos(np.pi * spent / minutes))
         for group in optimiser.param_groups:
-            group["lr"] = LEARNING_RATE * min(1, (step + 1) / 100) * fading
+            group["lr"] = LEARNING_RATE * min(1, (len(losses) + 1) / 100) * fading
         pictures, *truth = batch(rng, pool, real, settings.real_share)
         value = loss(network(pictures), *truth, settings)
         optimiser.zero_grad()
@@ -252,13 +258,11 @@ def train(
         optimiser.step()
         mean.update_parameters(network)
         losses.append(value.item())
-        step += 1
         if out and spent - written > CHECKPOINT_MINUTES:
             written = spent
             write(mean.module.folded(), out)
-            late = np.mean(losses[-200:])
-            print(f"{spent:.1f} min, {step * BATCH} pictures, {pool.count} scenes: {late:.3f}", flush=True)
-    print(f"{step * BATCH} pictures of {pool.count} scenes, loss {np.mean(losses[-200:]):.3f}", flush=True)
+            said()
+    said()
     return mean.module.folded()
 
 
