@@ -169,15 +169,14 @@ def _jittered(rng: np.random.Generator, picture: Array) -> Array:
 
 
 def batch(
-    rng: np.random.Generator, pool: Pool, real: dict[str, list[pairs.Pair]], share: float
+    rng: np.random.Generator, pool: Pool, real: list[pairs.Pair], share: float
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Pictures (Bx3xHxW); at half the size logarithms, their weights and what is open (BxHxW)."""
     shape = scenes.SHAPES[rng.choice(3, p=[0.5, 0.25, 0.25])]
     rows = []
     for _ in range(BATCH):
         if real and rng.uniform() < share:
-            source = list(real)[rng.integers(len(real))]
-            pair = real[source][rng.integers(len(real[source]))]
+            pair = real[rng.integers(len(real))]
             picture, log = _cropped(rng, shape, pair.picture, pair.log)
             known = np.isfinite(log)
             log, weight, is_open = np.where(known, log, 0), 1.0 * known, 0 * log
@@ -226,7 +225,7 @@ def loss(
 
 def train(
     pool: Pool,
-    real: dict[str, list[pairs.Pair]],
+    real: list[pairs.Pair],
     minutes: float,
     settings: Settings | None = None,
     out: Path | None = None,
@@ -292,13 +291,10 @@ def main(
     """Train, write and judge."""
     torch.set_num_threads(1)
     read = pairs.read(folder) if folder else []
-    real: dict[str, list[pairs.Pair]] = {}
-    for pair in read:
-        if pair.source not in without:
-            real.setdefault(pair.source, []).append(pair)
+    real = [pair for pair in read if pair.source not in without]
     kept = [pair for pair in read if pair.source in without]
     kept += [pair for place in judge for pair in pairs.read(place)]
-    print({source: len(some) for source, some in real.items()}, len(kept), "kept to judge by")
+    print(f"{len(real)} real pairs, {len(kept)} kept to judge by")
     pool = Pool(seed=int(time.time()))
     try:
         pool.take_in(least=40 if quick else 600)

@@ -81,5 +81,5 @@ def test_training_writes_weights_that_are_read(tmp_path, capsys) -> None:
     train.main(True, tmp_path / "cue.f16", folder, without=("other",))
     assert (tmp_path / "cue.f16").stat().st_size == cue.WEIGHTS.stat().st_size
     said = capsys.readouterr().out
-    assert "{'one': 3} 3 kept to judge by" in said
+    assert "3 real pairs, 3 kept to judge by" in said
     assert "rank" in said
