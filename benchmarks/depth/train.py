@@ -7,6 +7,7 @@ variant for some minutes on the same scenes, and judges it.
 """
 
 import argparse
+import contextlib
 import itertools
 import multiprocessing
 import os
@@ -101,7 +102,13 @@ def _render(scenes_made: Any, seed: int) -> None:
     rng = np.random.default_rng(seed)
     for number in itertools.cycle((0, 1, 0, 2)):
         shape = scenes.SHAPES[number]
-        scenes_made.put((shape, [scenes.scene(rng, shape) for _ in range(8)]))
+        made = [scenes.scene(rng, shape) for _ in range(8)]
+        while True:
+            if not multiprocessing.parent_process().is_alive():  # killed, so nobody stops this one
+                return
+            with contextlib.suppress(queue.Full):
+                scenes_made.put((shape, made), timeout=2)
+                break
 
 
 class Pool:
@@ -230,7 +237,7 @@ def train(
     settings: Settings | None = None,
     out: Path | None = None,
 ) -> dict[str, tuple[Tensor, Tensor]]:
-    """Train from scratch for so long, and return folded weights."""
+    """Train from scratch for so many minutes of a processor, and return folded weights."""
     settings = settings or Settings()
     torch.manual_seed(0)
     rng = np.random.default_rng(0)
@@ -238,13 +245,13 @@ def train(
     decay = torch.optim.swa_utils.get_ema_multi_avg_fn(0.998)
     mean = torch.optim.swa_utils.AveragedModel(network, multi_avg_fn=decay, use_buffers=True)
     optimiser = torch.optim.AdamW(network.parameters(), LEARNING_RATE, weight_decay=1e-3)
-    began, written, losses = time.monotonic(), 0.0, []
+    began, written, losses = time.process_time(), 0.0, []
 
     def said() -> None:
         count = f"{len(losses) * BATCH} pictures of {pool.count} scenes"
         print(f"{spent:.1f} min, {count}, loss {np.mean(losses[-200:]):.3f}", flush=True)
 
-    while (spent := (time.monotonic() - began) / 60) < minutes:
+    while (spent := (time.process_time() - began) / 60) < minutes:
         pool.take_in()
         fading = 0.02 + 0.98 * (0.5 + 0.5 * np.cos(np.pi * spent / minutes))
         for group in optimiser.param_groups:
@@ -315,7 +322,7 @@ if __name__ == "__main__":
     parser.add_argument("--pairs", type=Path, help="real pictures with distances")
     parser.add_argument("--without", nargs="*", default=(), help="sources to judge by instead")
     parser.add_argument("--judge", type=Path, nargs="*", default=(), help="more to judge by")
-    parser.add_argument("--minutes", type=float, default=120.0)
+    parser.add_argument("--minutes", type=float, default=120.0, help="of a processor's time")
     parser.add_argument("--compare", action="store_true", help="each variant for `minutes`")
     given = parser.parse_args()
     main(
