@@ -231,7 +231,7 @@ def test_own_files(browser: Any, folder: Path) -> None:
 
 def test_a_page_of_the_bundled_scene(browser: Any, tmp_path: Path) -> None:
     uwaug_command(tmp_path, "page --out page.html")
-    assert (tmp_path / "page.html").stat().st_size < 1.7e6
+    assert (tmp_path / "page.html").stat().st_size < 2.6e6
     shown = Shown(browser, tmp_path, times=1.5)
     # what it has saved is what the copied command reads
     files: list[Any] = []
