@@ -25,10 +25,10 @@ that this network is right.
 """
 
 _LEAST_OPEN_SHARE = 0.03
-"""Of a picture that open water takes, where there is any."""
+"""Of a picture that is open water for sure, where there is any."""
 
-_OPEN_FROM = 0.5
-"""Of the network's probability of open water; it begins at half of what is left to 1 more."""
+_SURE, _OPEN_FROM, _OPEN_TO = 0.7, 0.4, 0.6
+"""Probabilities of open water: for sure; and where it begins and is whole around what is sure."""
 
 _GUIDE_PX = 2
 """Of the small copy, over which its distances follow the picture's colours."""
@@ -110,8 +110,8 @@ def _varied(log: Any, is_open: Any, rng: np.random.Generator) -> Any:
         rng: what is random. All of it is alike to the left and the right.
     """
     height, width = log.shape
-    opened = np.clip((is_open - _OPEN_FROM) / (0.5 * (1 - _OPEN_FROM)), 0, 1)
-    closed = rng.uniform() > _OPEN_PROBABILITY or opened.mean() < _LEAST_OPEN_SHARE
+    opened = np.clip((is_open - _OPEN_FROM) / (_OPEN_TO - _OPEN_FROM), 0, 1)
+    closed = rng.uniform() > _OPEN_PROBABILITY or (is_open > _SURE).mean() < _LEAST_OPEN_SHARE
     if closed or opened.min() > 0:  # of a blue wall, say
         opened = np.zeros_like(log)
     solid = log[opened < 0.5]

@@ -159,8 +159,10 @@ export function madeUp(pixels, width, height, random, layers, near = 1, far = 8)
   const one = guessed(area, layers), other = guessed({ ...area, values: mirrored(area) }, layers);
   const answer = mirrored(other).map((value, i) => (value + one.values[i]) / 2), ramp = random() < 0.1;
   let log = ramp ? Float32Array.from({ length: n }, (_, p) => -Math.floor(p / w)) : answer.subarray(0, n);
-  let open = Float32Array.from({ length: n }, (_, p) => ramp ? 0 : Math.min(Math.max(4 / (1 + Math.exp(-answer[n + p])) - 2, 0), 1));
-  if (random() > 0.75 || open.reduce((total, value) => total + value, 0) < 0.03 * n || Math.min(...open) > 0) open = new Float32Array(n);
+  const chance = Float32Array.from({ length: n }, (_, p) => ramp ? 0 : 1 / (1 + Math.exp(-answer[n + p])));
+  let open = chance.map(value => Math.min(Math.max((value - 0.4) / 0.2, 0), 1));
+  const sure = chance.reduce((count, value) => count + (value > 0.7), 0);
+  if (random() > 0.75 || sure < 0.03 * n || Math.min(...open) > 0) open = new Float32Array(n);
   const solid = log.filter((_, p) => open[p] < 0.5).sort(), low = solid[Math.floor(0.01 * solid.length)];
   const high = solid[Math.ceil(0.99 * solid.length) - 1], exponent = Math.exp(0.3 * normalOf(random));
   const waves = Array.from({ length: 4 }, () => [...[0, 0, 0].map(() => 3 * normalOf(random)), 0.06 * random()]);
