@@ -117,9 +117,8 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
         key = self.distance_key
         key = name.replace("image", key, 1) if "image" in name else f"{key}_{name}"
         if targets.get(key) is None:
-            cure = (
-                "pass a map, or say RandomUnderwater(distance=…), MadeUp() or metres such as (1, 5)"
-            )
+            source = "MadeUp()" if single else "(1, 5)"
+            cure = f"pass a map, or say RandomUnderwater(distance={source})"
             raise ValueError(f"{key} is missing, for {name}: {cure}")
         if self._in_pipeline and key not in self._moved:
             kind = "mask" if single else "masks"
