@@ -96,9 +96,7 @@ def test_a_small_map_gives_nearly_the_scene_of_a_whole_one(
     augment = RandomUnderwater("3C", field=None, distance=source, contrast=None)
     image = torch.rand(2, 3, H, W)
     record = augment.make_params(image)
-    far, near = (
-        augment.scenes(image, torch.stack([m, m]), record).metres for m in (z, sampled(z))
-    )
+    far, near = (augment.scenes(image, torch.stack([m, m]), record).metres for m in (z, sampled(z)))
     assert near.shape == (2, 1, H, W)
     away = (near / far).log().abs()
     assert away.median() < 0.01

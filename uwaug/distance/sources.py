@@ -155,8 +155,8 @@ class Inverse(Source):
     Attributes:
         near, far: m; numbers or (low, high), near above 0.
         holes: what NaN and infinite values get, see `Holes`, and numbers that stand for no
-            distance, such as 0 where a matcher has found nothing; "error" only warns of 0, which may
-            be the sky.
+            distance, such as 0 where a matcher has found nothing; "error" only warns of 0, which
+            may be the sky.
     """
 
     near: Range = 1.0

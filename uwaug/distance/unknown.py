@@ -34,17 +34,17 @@ that is where a renderer ends. Of contrast no more than .12 would be left there,
 """
 
 
-def of_metres(z: Tensor) -> Tensor:
-    """Which pixels of a map (1xHxW) hold a number that is no distance: booleans."""
+def of_metres(z: Tensor, beyond: float = FARTHEST_SEEN) -> Tensor:
+    """Which pixels of a map (1xHxW) hold a number, beyond so many m, that is no distance."""
     top = float(torch.where(z.isfinite(), z.detach(), 0.0).amax())
-    if top <= FARTHEST_SEEN:
+    if top <= beyond:
         return torch.zeros_like(z, dtype=torch.bool)
     is_most = any(abs(top - most) < 1e-5 * most for most in _MOST)
     return _alone(torch.where(z > 0, z, torch.nan), 0.0 if is_most else _GAP)
 
 
 def of_shares(x: Tensor) -> Tensor:
-    """The same of a map of relative or inverse depth, or of disparities."""
+    """The same of a map of relative or inverse depth, or of disparities: booleans."""
     below = _alone(-x.clamp(min=0), _ZERO_GAP) & (x <= 0)  # −1 and 0, and whatever else
     return below | (_alone(-x, _GAP) & (x < 0)) | _alone(x, _WIDE_GAP)
 
@@ -62,10 +62,10 @@ def range_end(z: Tensor) -> Tensor:
     return is_end & (top >= _END_TIMES * others.median())
 
 
-def in_words(x: Tensor, alone: Tensor) -> str:
+def in_words(x: Tensor, alone: Tensor, cure: str = "") -> str:
     """What to ask of numbers that are alone, with the cure."""
     got = f"{100 * float(alone.float().mean()):.2g} % of a map are {float(x[alone][0]):g}"
-    cure = "unknown? --holes behind (holes='behind'); sky? --holes far"
+    cure = cure or "unknown? --holes behind (holes='behind'); sky? --holes far"
     return f"{got}, a gap away from all other values: {cure}"
 
 

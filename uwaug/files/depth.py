@@ -74,7 +74,7 @@ class _Maps(Work):
         image = image if image.is_floating_point() else image / 255
         return _whole_numbers(self.network(image), self.network), {}
 
-    def write(self, path: Path, result: NDArray[np.uint16]) -> None:
+    def write(self, path: Path, result: NDArray[np.uint16], item: Item) -> None:
         with written_whole(path) as part:
             Image.fromarray(result).save(part, "PNG")
 
