@@ -349,7 +349,12 @@ class RandomUnderwater(SampleTransform):
     def read(self, params: Record, count: int) -> list[Draw]:
         """The draws of a record of `count` pictures; refuses what cannot have been drawn."""
         draws = read_draws(params, count, set(self._ranges))
+        waters = 2 if self.water.mixes else 1
         for draw in draws:
+            uneven = (draw.field_seed is None) != (self.water.field is None)
+            if uneven or len(draw.waters) != waters:
+                differ = "field" if uneven else "mixing"
+                raise ValueError(f"params is of a transform with other options: {differ}")
             for name in draw.waters:
                 self.water.require(name)
         return draws
