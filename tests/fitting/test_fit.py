@@ -256,6 +256,7 @@ def test_progress(hazy, capsys, monkeypatch):
         "learning the noise",
         "fitting 'haze + gain', 1 of 1",
         "fitting without a gain",
+        "trying encoded values",
     ]
     assert fit.model == "haze"
     now = iter([0.0, 0.5, 2.0, 0.0, 2.0])

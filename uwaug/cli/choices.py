@@ -84,7 +84,7 @@ def read_metres(distance: str, unit: str, image: "Tensor") -> "Tensor":
         return torch.full((1, *image.shape[-2:]), metres)
     z = read_distance(distance, number_or_word(unit))
     require_aspect(distance, z, image)
-    return brought_to(image.shape[-2:], z)
+    return brought_to((image.shape[-2], image.shape[-1]), z)
 
 
 def read_scene(picture: Path, distance: str, unit: str, holes: str) -> "Scene":

@@ -118,7 +118,6 @@ def _doubts(recipe: Recipe, samples: Sequence[_Sample]) -> list[str]:
     if 2 * sum(map(_like_mm, maps)) <= len(maps) or 2 * disparities > len(maps):
         return sentences
     return [
-        *sentences,
         "relative or inverse maps hold whole numbers of less than a tenth of what 16 bits do, as "
         "those in mm: leave out distance.kind and give --unit mm (Metres(), divide by 1000)",
     ]
