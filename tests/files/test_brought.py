@@ -176,6 +176,16 @@ def test_shapes_that_say_nothing(name: str, values: Any) -> None:
     assert torch.equal(read_distance(save(name, values)), torch.from_numpy(Z)[None])
 
 
+@pytest.mark.parametrize("name", ["z.npy", "z.tif"])
+def test_bytes_of_any_order(name: str) -> None:
+    values = np.rint(1000 * Z).astype(">u2")
+    options = {"byteorder": ">"} if "tif" in name else {}
+    z = read_distance(save(name, values, **options), "mm")
+    assert torch.equal(z[0], torch.from_numpy((values * 0.001).astype(np.float32)))
+    shares = read_distance(name, None)[0]
+    assert torch.equal(shares, torch.from_numpy((values / 65535).astype(np.float32)))
+
+
 @pytest.mark.parametrize("channels", [1, 2, 3, 4])
 def test_channels_that_are_equal_are_one(channels: int) -> None:
     alike = np.repeat(GREY[..., None], 3, 2)
@@ -306,6 +316,12 @@ def test_names_that_differ(pictures: str, pattern: str, expected: dict[str, str]
             for name in items
             for path in expected.values()
         )  # maps are no pictures
+
+
+def test_maps_without_pictures_are_no_pictures_of_a_pattern() -> None:
+    for name in ("rgb_0", "depth_0", "depth_1"):
+        save(f"seq/{name}.png", pixels(H, W))
+    assert [item.name for item in find_items("seq", "{stem:rgb=depth}.png")] == ["rgb_0.png"]
 
 
 def test_names_that_begin_with_a_dot_are_none() -> None:

@@ -55,11 +55,12 @@ def range_end(z: Tensor) -> Tensor:
     """
     z = torch.where((z > 0) & z.isfinite(), z.detach(), 0.0)
     top = z.amax()
-    others = z[(z > 0) & (z < top)]
     is_end = (z == top) & (top > FARTHEST_SEEN)
-    if float(is_end.float().mean()) < _END_SHARE or not others.numel():
-        return torch.zeros_like(is_end)
-    return is_end & (top >= _END_TIMES * others.median())
+    if float(is_end.float().mean()) >= _END_SHARE:
+        others = z[(z > 0) & (z < top)]
+        if others.numel() and bool(top >= _END_TIMES * others.median()):
+            return is_end
+    return torch.zeros_like(is_end)
 
 
 def in_words(x: Tensor, alone: Tensor, cure: str = "") -> str:

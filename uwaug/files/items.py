@@ -44,6 +44,11 @@ class Item(NamedTuple):
     picture: Path
     distance: Path | None = None
 
+    @property
+    def holds_both(self) -> bool:
+        """Whether an EXR holds its distances, too."""
+        return self.picture == self.distance and self.picture.suffix.lower() == ".exr"
+
 
 def find_items(
     pictures: str | Path,
@@ -81,8 +86,8 @@ def find_items(
     for path in paths:
         name = path.relative_to(folder).as_posix()
         items.append(Item(name, path, _map(distance, path, name)))
-    # an EXR may hold both
-    maps = {os.path.abspath(i.distance) for i in items if i.distance and i.distance != i.picture}
+    maps = {os.path.abspath(item.distance) for item in items if item.distance}
+    maps -= {os.path.abspath(item.picture) for item in items if item.holds_both}
     items = [item for item in items if os.path.abspath(item.picture) not in maps]
     items = [item for item in items if holds_picture(item.picture)]
     if not items:

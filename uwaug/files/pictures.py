@@ -89,16 +89,16 @@ def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
     if values.ndim != 2:
         cure = "a map in colours is no distance: save it in grey"
         raise ValueError(f"{path}: expected one channel (H, W), got {values.shape}: {cure}")
-    most = np.iinfo(values.dtype).max if values.dtype.kind in "ui" else np.inf
     if unit is None:
-        is_share = values.dtype in (np.uint8, np.uint16)
-        return torch.from_numpy((values / (most if is_share else 1)).astype(np.float32))[None]
+        white = np.iinfo(values.dtype).max if values.dtype in (np.uint8, np.uint16) else 1
+        return torch.from_numpy((values / white).astype(np.float32))[None]
     if values.dtype.itemsize == 1:
         cure = "are they relative? Those have no unit: --set distance.kind=Inverse, or Relative"
         raise ValueError(f"{path}: 8 bits are too few for distances in {unit}: {cure}")
     # rounded once, from double precision
     z = (values.astype(np.float64) * metres_of(unit)).astype(np.float32)
-    z[values == most] = np.nan if most < np.inf else np.inf
+    most = np.iinfo(values.dtype).max if values.dtype.kind in "ui" else np.inf
+    z[(values == most) & np.isfinite(most)] = np.nan
     metres = torch.from_numpy(z)[None]
     median = checks.too_far(metres)
     if median is not None:
@@ -211,6 +211,7 @@ def _decoded(path: Path, wanted: Literal["RGB", "Z"]) -> NDArray[Any]:
         raise ValueError(f"{path}: cannot be decoded: {error}") from error
     if values.dtype.kind not in "uif":
         raise ValueError(f"{path}: expected numbers, got {values.dtype}")
+    values = values.astype(values.dtype.newbyteorder("="), copy=False)
     if not values.size:
         raise ValueError(f"{path}: holds no pixels, got shape {values.shape}")
     while values.ndim > 2 and values.shape[-1] == 1:
