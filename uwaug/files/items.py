@@ -44,11 +44,6 @@ class Item(NamedTuple):
     picture: Path
     distance: Path | None = None
 
-    @property
-    def holds_both(self) -> bool:
-        """Whether an EXR holds its distances, too."""
-        return self.picture == self.distance and self.picture.suffix.lower() == ".exr"
-
 
 def find_items(
     pictures: str | Path,
@@ -86,8 +81,10 @@ def find_items(
     for path in paths:
         name = path.relative_to(folder).as_posix()
         items.append(Item(name, path, _map(distance, path, name)))
-    maps = {os.path.abspath(item.distance) for item in items if item.distance}
-    maps -= {os.path.abspath(item.picture) for item in items if item.holds_both}
+    maps = set()
+    for item in items:  # an EXR may hold its distances, too
+        if item.distance != item.picture or item.picture.suffix.lower() != ".exr":
+            maps.add(item.distance and os.path.abspath(item.distance))
     items = [item for item in items if os.path.abspath(item.picture) not in maps]
     items = [item for item in items if holds_picture(item.picture)]
     if not items:
