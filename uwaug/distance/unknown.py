@@ -45,8 +45,11 @@ def of_metres(z: Tensor, beyond: float = FARTHEST_SEEN) -> Tensor:
 
 def of_shares(x: Tensor) -> Tensor:
     """The same of a map of relative or inverse depth, or of disparities: booleans."""
-    below = _alone(-x.clamp(min=0), _ZERO_GAP) & (x <= 0)  # −1 and 0, and whatever else
-    return below | (_alone(-x, _GAP) & (x < 0)) | _alone(x, _WIDE_GAP)
+    alone, x = _alone(x, _WIDE_GAP), x.detach()
+    if bool((x <= 0).any()):
+        alone |= _alone(-x.clamp(min=0), _ZERO_GAP) & (x <= 0)  # −1 and 0, and whatever else
+        alone |= _alone(-x, _GAP) & (x < 0)
+    return alone
 
 
 def range_end(z: Tensor) -> Tensor:
@@ -72,14 +75,15 @@ def in_words(x: Tensor, alone: Tensor, cure: str = "") -> str:
 
 def _alone(x: Tensor, gap: float) -> Tensor:
     """Which pixels hold the largest value of a map, if that is alone by so much of its range."""
-    finite = x.isfinite()
-    values = torch.where(finite, x.detach(), -torch.inf)
-    top = values.amax()
+    values, top = x.detach(), x.detach().amax()
+    if not top.isfinite():
+        values = torch.where(values.isfinite(), values, -torch.inf)
+        top = values.amax()
     is_top = values == top
     none = torch.zeros_like(is_top)
     if int(is_top.sum()) < _SEVERAL_PX:
         return none
-    others = values[finite & ~is_top]
+    others = values[(values < top) & values.isfinite()]
     if len(set(others[:: max(1, others.numel() // 4096)].tolist())) < _FEWEST:
         return none
     low, high = others.aminmax()
