@@ -34,8 +34,8 @@ _SCALES = (
     "look like millimetres or centimetres, as their median is beyond 100 m: --unit mm or cm "
     "(divide by 1000 or 100); or like disparities: from_disparity",
     "look like kilometres, as all is nearer than 5 cm: --unit 1000 (multiply by 1000)",
-    "reach to the largest that 16 bits hold, as maps do that were stretched: if they are relative, "
-    f"0…1, {_INVERSE} where large is near, Relative where 0 is near",
+    "span all that 16 bits hold, as maps do that were stretched: if they are relative, 0…1, "
+    f"{_INVERSE} where large is near, Relative where 0 is near",
 )
 _STRETCHED = len(_SCALES) - 1
 
@@ -137,7 +137,12 @@ def evidence(distance: Tensor, image: Tensor) -> Evidence:
     is_asked = 0 < float(alone.float().mean()) < _FEW
     words = in_words(z, alone, "if they are unknown, set them to 0") if is_asked else ""
     digest = hash(points.cpu().numpy().tobytes())
-    return Evidence(digest, size, holes, words, _scale(points), _convexity(log), fit, cells)
+    scale = _scale(points)
+    # of a file of 16 bits the largest is unknown, as 0 is
+    if bool(z.isnan().any() and (z == 0).any()):
+        high = float(torch.where(z < checks.OPEN, z, 0.0).amax())
+        scale = _STRETCHED if any(0.9 * most < high < most for most in _MOST) else scale
+    return Evidence(digest, size, holes, words, scale, _convexity(log), fit, cells)
 
 
 def judged(evidences: Iterable[Evidence]) -> list[str]:
@@ -183,8 +188,6 @@ def _scale(points: Tensor) -> int:
         # both ends, or 8 bits divided by 255; those near a lens may all be nearer than 1 m
         relative = (low < 0.02 and high > 0.3) or _whole(255 * sampled, 8)
         return 0 if relative else 3 if high < 0.05 else -1
-    if any(0.99 * most < high <= most for most in _MOST):
-        return _STRETCHED
     return 1 if _whole(sampled, 16) else 2 if float(sampled.median()) > 100 else -1
 
 
