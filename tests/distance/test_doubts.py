@@ -40,6 +40,16 @@ def holed(z: Tensor) -> Tensor:
     return torch.where(torch.arange(H)[:, None] < 0.6 * H, torch.nan, z)
 
 
+def of_16_bits(z: Tensor) -> Tensor:
+    """A map that was stretched from 0 to 65535, read in mm."""
+    z = (65535 * unit(z)).round()
+    return torch.where(z == 65535, torch.nan, z / 1000)
+
+
+def specked(z: Tensor) -> Tensor:
+    return torch.where((torch.arange(W) % 20 == 0) & (z < 4), 20.0, z)
+
+
 FALSE = {
     "disparity": (lambda z: 200 / z, "like disparity"),
     "inverse": (lambda z: unit(1 / z), "relative, 0…1"),
@@ -48,6 +58,8 @@ FALSE = {
     "8 bits, cropped": (lambda z: (1 + (200 * unit(z)).round()) / 255, "relative, 0…1"),
     "standardised": (lambda z: (z - z.mean()) / z.std(), "standardised"),
     "mm": (lambda z: (100 * z).round(), "--unit mm"),
+    "stretched": (of_16_bits, "span all that 16 bits hold"),
+    "a number alone": (specked, "are 20, a gap away from all other values: if they are unknown"),
     "cm": (lambda z: 100 * z, "centimetres"),
     "km": (lambda z: z / 1000, "--unit 1000"),
     "holes": (holed, "60 % of the distances are unknown"),

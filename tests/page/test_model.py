@@ -13,6 +13,7 @@ from py_mini_racer import MiniRacer
 
 import uwaug
 import uwaug.page
+from uwaug.distance.sizes import brought_to
 from uwaug.formation.colour import decoded
 from uwaug.formation.development import exposed
 from uwaug.formation.image import blurred_as_seen, form
@@ -221,6 +222,7 @@ def test_maps(page: Page) -> None:
 
     assert metres() == [-1, 1, 2, 4]
     assert metres(holes="3") == [3, 1, 2, 4]
+    assert metres("[1000, 65535, 2000, 4000]", holes="3") == [1, 3, 2, 4]
     values = torch.tensor([[0.0, 1000, 2000, 4000]])
     relative = uwaug.distance.from_relative(values / 65535, 1, 4)
     assert metres(holds="relative") == pytest.approx(relative.flatten().tolist(), rel=1e-5)
@@ -239,6 +241,18 @@ def test_maps(page: Page) -> None:
     ):
         with pytest.raises(Exception, match=words):
             metres(**asked)
+
+
+def test_small_maps_are_brought_to_size_as_in_the_package(page: Page) -> None:
+    z = 2 + torch.rand(1, 5, 7, generator=torch.Generator().manual_seed(0))
+    z[..., 1:3, 2:4] = 1.2
+    z[..., 4, 6] = torch.inf
+    values = ", ".join(map(str, z.flatten().tolist())).replace("inf", "1e10")
+    page.engine.eval(f"var map = {{width: 7, height: 5, most: 1, values: [{values}]}}")
+    said = json.dumps({"holds": "metres", "unit": 1, "holes": "error"})
+    made = page(f"Array.from(metresOf(map, 28, 20, {said}), z => z < 1e9 ? z : 1e9)")
+    expected = brought_to((20, 28), z).clamp(max=1e9)
+    assert torch.allclose(torch.tensor(made).reshape(1, 20, 28), expected, rtol=1e-5)
 
 
 def test_made_up_distances(page: Page) -> None:

@@ -9,6 +9,7 @@ import io
 import os
 import signal
 import sys
+import warnings
 from typing import Annotated
 
 import typer
@@ -55,6 +56,7 @@ app.add_typer(preset, name="preset", rich_help_panel="Waters")
 
 def main() -> None:
     """Run the command line."""
+    warnings.formatwarning = lambda message, *_: f"{message}\n"
     # ended by a signal, Python would not remove the file that it is writing
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     for stream in (sys.stdout, sys.stderr):

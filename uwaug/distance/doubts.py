@@ -9,7 +9,8 @@ from torch.nn.functional import avg_pool2d, interpolate
 
 from uwaug._support import checks
 from uwaug._support.once import Once
-from uwaug.distance.sizes import in_words, same_aspect
+from uwaug.distance.sizes import same_aspect, size_in_words
+from uwaug.distance.unknown import in_words, of_metres
 
 _CELLS = 72
 """Of a small copy, along the shorter side. Of each cell of a map nine pixels are looked at."""
@@ -33,7 +34,16 @@ _SCALES = (
     "look like millimetres or centimetres, as their median is beyond 100 m: --unit mm or cm "
     "(divide by 1000 or 100); or like disparities: from_disparity",
     "look like kilometres, as all is nearer than 5 cm: --unit 1000 (multiply by 1000)",
+    "span all that 16 bits hold, as maps do that were stretched: if they are relative, 0…1, "
+    f"{_INVERSE} where large is near, Relative where 0 is near",
 )
+_STRETCHED = len(_SCALES) - 1
+
+_MOST = tuple(65535 * unit for unit in (1e-3, 1e-2))
+"""m, of 16 bits in mm and cm."""
+
+_FEW = 0.2
+"""Of a map's pixels: what is alone on more may be a wall."""
 
 
 class Evidence(NamedTuple):
@@ -42,6 +52,7 @@ class Evidence(NamedTuple):
     digest: int  # of a small copy: which map it is
     size: str  # a sentence, where it does not have the picture's
     holes: float  # share of unknown pixels
+    alone: str  # a sentence, where a number is far from all others
     scale: int  # which of `_SCALES`, or -1
     convexity: float  # above 0 for distances, below for disparities; NaN where it says nothing
     fit: Tensor | None  # of edges to edges, by shift
@@ -108,9 +119,9 @@ def evidence(distance: Tensor, image: Tensor) -> Evidence:
     checks.picture("image", image, 3)
     z, picture = distance.detach().float(), image.detach()
     (h, w), (height, width) = z.shape[-2:], picture.shape[-2:]
-    size = "" if (h, w) == (height, width) else in_words((h, w), (height, width))
+    size = "" if (h, w) == (height, width) else size_in_words((h, w), (height, width))
     if not z.numel():
-        return Evidence(0, size, 0.0, -1, torch.nan, None, 0)
+        return Evidence(0, size, 0.0, "", -1, torch.nan, None, 0)
     short = min(h, w)
     cells = min(_CELLS, max(1, short // 3))
     rows, columns = (min(4 * _CELLS, cells * side // short) for side in (h, w))
@@ -122,9 +133,16 @@ def evidence(distance: Tensor, image: Tensor) -> Evidence:
     if cells >= _CELLS // 2 and same_aspect((h, w), (height, width)):
         green = interpolate(picture[None, 1:2].float(), (rows, columns), mode="area")[0, 0]
         fit = _fit(log, green if picture.is_floating_point() else green / 255)
-    holes = 1 - float(is_known.float().mean())
+    alone, holes = of_metres(z, 0.0), 1 - float(is_known.float().mean())
+    is_asked = 0 < float(alone.float().mean()) < _FEW
+    words = in_words(z, alone, "if they are unknown, set them to 0") if is_asked else ""
     digest = hash(points.cpu().numpy().tobytes())
-    return Evidence(digest, size, holes, _scale(points), _convexity(log), fit, cells)
+    scale = _scale(points)
+    # of a file of 16 bits the largest is unknown, as 0 is
+    if bool(z.isnan().any() and (z == 0).any()):
+        high = float(torch.where(z < checks.OPEN, z, 0.0).amax())
+        scale = _STRETCHED if any(0.9 * most < high < most for most in _MOST) else scale
+    return Evidence(digest, size, holes, words, scale, _convexity(log), fit, cells)
 
 
 def judged(evidences: Iterable[Evidence]) -> list[str]:
@@ -138,8 +156,12 @@ def judged(evidences: Iterable[Evidence]) -> list[str]:
     for which, sentence in enumerate(_SCALES):
         if _most([shown.scale == which for shown in maps]):
             sentences.append(f"distances {sentence}")
-    # a logarithm says little of maps from 0 to 1, which have shifts of their own
-    reversed_ = [shown.scale != 0 and shown.convexity < REVERSED for shown in maps]
+    if _most([bool(shown.alone) for shown in maps]):
+        sentences += [shown.alone for shown in maps if shown.alone][:1]
+    # a logarithm says little of stretched maps, which have shifts of their own
+    reversed_ = [
+        shown.scale not in (0, _STRETCHED) and shown.convexity < REVERSED for shown in maps
+    ]
     if len(maps) >= _SEVERAL and _most(reversed_):
         claim = "distances look like disparity or inverse depth, large where near"
         cure = f"{_INVERSE}; from_disparity where focal length and baseline are known"

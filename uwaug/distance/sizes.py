@@ -33,7 +33,7 @@ def require_aspect(name: str, distance: Tensor, image: Tensor) -> None:
         raise ValueError(f"{got}: crop, turn and pad both alike")
 
 
-def in_words(size: Sequence[int], other: Sequence[int]) -> str:
+def size_in_words(size: Sequence[int], other: Sequence[int]) -> str:
     """What becomes of a map of one (height, width) and a picture of another."""
     (h, w), (height, width) = size, other
     cure = "of another aspect: is one of them turned or cropped?"
@@ -42,18 +42,18 @@ def in_words(size: Sequence[int], other: Sequence[int]) -> str:
     return f"a map is {w}×{h} px and its picture {width}×{height} px: {cure}"
 
 
-def brought_to(size: tuple[int, int], z: Tensor) -> Tensor:
+def brought_to(size: Sequence[int], z: Tensor) -> Tensor:
     """Distances (1xhxw, m) at another (height, width): linear between four that are near to each
     other, else those of the nearest pixel: across steps, and beside holes and open water.
 
     Warns:
         UserWarning: once in a process, with both sizes.
     """
-    if z.shape[-2:] == size:
+    if z.shape[-2:] == tuple(size):
         return z
-    _small.warn(in_words(z.shape[-2:], size), stacklevel=5)
-    nearest = interpolate(z[None], size, mode="nearest-exact")[0]
-    linear = interpolate(z[None], size, mode="bilinear")[0]
+    _small.warn(size_in_words(z.shape[-2:], size), stacklevel=5)
+    nearest = interpolate(z[None], list(size), mode="nearest-exact")[0]
+    linear = interpolate(z[None], list(size), mode="bilinear")[0]
     # the four of each place between pixels
     beside = pad(z[None], (1, 1, 1, 1), mode="replicate")
     farthest, nearer = max_pool2d(beside, 2, 1), -max_pool2d(-beside, 2, 1)

@@ -15,7 +15,7 @@ from uwaug._support.once import Once
 from uwaug._support.ranges import Range, as_range
 from uwaug.distance.convert import along_ray, as_maps, from_inverse, from_relative
 from uwaug.distance.fill import fill_unknown
-from uwaug.distance.unknown import in_words, of_metres, of_shares, range_end
+from uwaug.distance.unknown import FARTHEST_SEEN, in_words, of_metres, of_shares, range_end
 
 Numbers = Mapping[str, float]
 """What a picture has drawn, by name."""
@@ -95,9 +95,10 @@ class Metres(Source):
         assert distance is not None
         z = as_maps("distance", distance)
         checks.metres("distance", z)
-        z = torch.where(z >= checks.OPEN, torch.inf, z)
-        z = _asked(z, of_metres(z), self.holes)
-        z = torch.where(range_end(z), torch.inf, z)
+        if z.numel() and not float(z.detach().amax()) <= FARTHEST_SEEN:  # or NaN
+            z = torch.where(z >= checks.OPEN, torch.inf, z)
+            z = _asked(z, of_metres(z), self.holes)
+            z = torch.where(range_end(z), torch.inf, z)
         if self.focal_px is not None:
             (h, w), (height, width), focal = z.shape[-2:], image.shape[-2:], self.focal_px
             fx, fy = focal if isinstance(focal, tuple) else (focal, focal)

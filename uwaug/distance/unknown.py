@@ -34,19 +34,22 @@ that is where a renderer ends. Of contrast no more than .12 would be left there,
 """
 
 
-def of_metres(z: Tensor) -> Tensor:
-    """Which pixels of a map (1xHxW) hold a number that is no distance: booleans."""
+def of_metres(z: Tensor, beyond: float = FARTHEST_SEEN) -> Tensor:
+    """Which pixels of a map (1xHxW) hold a number, beyond so many m, that is no distance."""
     top = float(torch.where(z.isfinite(), z.detach(), 0.0).amax())
-    if top <= FARTHEST_SEEN:
+    if top <= beyond:
         return torch.zeros_like(z, dtype=torch.bool)
     is_most = any(abs(top - most) < 1e-5 * most for most in _MOST)
     return _alone(torch.where(z > 0, z, torch.nan), 0.0 if is_most else _GAP)
 
 
 def of_shares(x: Tensor) -> Tensor:
-    """The same of a map of relative or inverse depth, or of disparities."""
-    below = _alone(-x.clamp(min=0), _ZERO_GAP) & (x <= 0)  # −1 and 0, and whatever else
-    return below | (_alone(-x, _GAP) & (x < 0)) | _alone(x, _WIDE_GAP)
+    """The same of a map of relative or inverse depth, or of disparities: booleans."""
+    alone, x = _alone(x, _WIDE_GAP), x.detach()
+    if bool((x <= 0).any()):
+        alone |= _alone(-x.clamp(min=0), _ZERO_GAP) & (x <= 0)  # −1 and 0, and whatever else
+        alone |= _alone(-x, _GAP) & (x < 0)
+    return alone
 
 
 def range_end(z: Tensor) -> Tensor:
@@ -55,30 +58,32 @@ def range_end(z: Tensor) -> Tensor:
     """
     z = torch.where((z > 0) & z.isfinite(), z.detach(), 0.0)
     top = z.amax()
-    others = z[(z > 0) & (z < top)]
     is_end = (z == top) & (top > FARTHEST_SEEN)
-    if float(is_end.float().mean()) < _END_SHARE or not others.numel():
-        return torch.zeros_like(is_end)
-    return is_end & (top >= _END_TIMES * others.median())
+    if float(is_end.float().mean()) >= _END_SHARE:
+        others = z[(z > 0) & (z < top)]
+        if others.numel() and bool(top >= _END_TIMES * others.median()):
+            return is_end
+    return torch.zeros_like(is_end)
 
 
-def in_words(x: Tensor, alone: Tensor) -> str:
+def in_words(x: Tensor, alone: Tensor, cure: str = "") -> str:
     """What to ask of numbers that are alone, with the cure."""
     got = f"{100 * float(alone.float().mean()):.2g} % of a map are {float(x[alone][0]):g}"
-    cure = "unknown? --holes behind (holes='behind'); sky? --holes far"
+    cure = cure or "unknown? --holes behind (holes='behind'); sky? --holes far"
     return f"{got}, a gap away from all other values: {cure}"
 
 
 def _alone(x: Tensor, gap: float) -> Tensor:
     """Which pixels hold the largest value of a map, if that is alone by so much of its range."""
-    finite = x.isfinite()
-    values = torch.where(finite, x.detach(), -torch.inf)
-    top = values.amax()
+    values, top = x.detach(), x.detach().amax()
+    if not top.isfinite():
+        values = torch.where(values.isfinite(), values, -torch.inf)
+        top = values.amax()
     is_top = values == top
     none = torch.zeros_like(is_top)
     if int(is_top.sum()) < _SEVERAL_PX:
         return none
-    others = values[finite & ~is_top]
+    others = values[(values < top) & values.isfinite()]
     if len(set(others[:: max(1, others.numel() // 4096)].tolist())) < _FEWEST:
         return none
     low, high = others.aminmax()

@@ -71,10 +71,10 @@ class _Maps(Work):
 
     def make(self, job: Job) -> tuple[NDArray[np.uint16], dict[str, Any]]:
         image = read_picture(job.item.picture)
-        image = image if image.is_floating_point() else image / 255
+        image = image.clamp(0, 1) if image.is_floating_point() else image / 255
         return _whole_numbers(self.network(image), self.network), {}
 
-    def write(self, path: Path, result: NDArray[np.uint16]) -> None:
+    def write(self, path: Path, result: NDArray[np.uint16], item: Item) -> None:
         with written_whole(path) as part:
             Image.fromarray(result).save(part, "PNG")
 

@@ -90,7 +90,7 @@ class Films:
         for item in candidates:
             try:
                 image, z = self.recipe.read(item)
-                record = self.recipe.transform.for_clip(drawn, image, z)
+                record = self.recipe.transform_of(item.picture).for_clip(drawn, image, z)
             except Exception as error:  # as over the picture itself
                 reasons.append(f"{item.name}: {reason_of(error)}")
                 continue

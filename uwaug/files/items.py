@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from uwaug.files.labels import aliases
-from uwaug.files.pictures import ENDINGS
+from uwaug.files.pictures import ENDINGS, holds_picture
 from uwaug.files.record import is_written
 
 _MAP_ENDINGS = tuple(end for end in ENDINGS if end not in (".jpg", ".jpeg"))
-_PICTURE_ENDINGS = tuple(end for end in ENDINGS if end not in (".npy", ".exr"))
+_PICTURE_ENDINGS = tuple(end for end in ENDINGS if end != ".npy")
 
 OTHERS = {
     "convert them first, as by magick mogrify -format png": (
@@ -54,12 +54,12 @@ def find_items(
     """The pictures in a file or a folder, with the files of their distances.
 
     Args:
-        pictures: a picture; or a folder of PNG, JPEG and TIFF files, with all that is in it.
+        pictures: a picture; or a folder of PNG, JPEG, TIFF and EXR files, with all that is in it.
             What a run has written there is left out, by its records.
         distance: a file, for all pictures; a folder with files of the pictures' names; or a pattern
             with {stem}, the name of a picture without its end: "{stem}_depth.png" of files beside
-            each picture, "depth/{stem}.png" of those in a folder, {stem:rgb=depth} with a part of
-            the name replaced. None: no files.
+            each picture, "depth/{stem}_z.png" of those in a folder, {stem:rgb=depth} with a part
+            of the name replaced. None: no files.
         exclude: folders whose files are no pictures, such as that of the run and of its labels.
 
     Returns:
@@ -81,10 +81,16 @@ def find_items(
     for path in paths:
         name = path.relative_to(folder).as_posix()
         items.append(Item(name, path, _map(distance, path, name)))
-    maps = {item.distance for item in items}
-    items = [item for item in items if item.picture not in maps]
+    maps = set()
+    for item in items:  # an EXR may hold its distances, too
+        if item.distance != item.picture or item.picture.suffix.lower() != ".exr":
+            maps.add(item.distance and os.path.abspath(item.distance))
+    items = [item for item in items if os.path.abspath(item.picture) not in maps]
+    items = [item for item in items if holds_picture(item.picture)]
     if not items:
-        raise ValueError(f"no pictures in {pictures}: expected {', '.join(_PICTURE_ENDINGS)}")
+        others = left_out(source, distance, exclude=exclude)
+        got = f"{', '.join(_PICTURE_ENDINGS)}{others and f'; there are {others}'}"
+        raise ValueError(f"no pictures in {pictures}: expected {got}")
     if distance is not None and not any(item.distance.is_file() for item in items if item.distance):
         expected = f"such as {items[0].distance}, ending in {', '.join(_MAP_ENDINGS)}"
         raise ValueError(f"distance: {distance} has no map for any picture: expected {expected}")
@@ -92,7 +98,7 @@ def find_items(
 
 
 def left_out(
-    pictures: Path, distance: str | None = None, *, exclude: Iterable[str | Path | None] = ()
+    pictures: Path, distance: str | Path | None = None, *, exclude: Iterable[str | Path | None] = ()
 ) -> str:
     """How many pictures of a folder are of formats that are not read, in words; "" for none.
     Arguments as for `find_items`.
@@ -134,16 +140,17 @@ def _files(folder: Path, apart: frozenset[str]) -> Iterator[Path]:
 
 def _map(distance: str | Path | None, path: Path, name: str) -> Path | None:
     """The distances of a picture: beside it, in a folder or a file."""
-    if distance is None:
-        return None
-    if _STEM.search(str(distance)):
-        # a pattern with a folder counts from where one stands, and knows the folders of pictures
-        stem = os.path.splitext(name)[0] if os.path.dirname(distance) else path.stem
-        file = _STEM.sub(lambda m: stem.replace(m[1], m[2]) if m[1] else stem, str(distance))
-        return Path(file) if os.path.dirname(distance) else path.with_name(file)
-    place = Path(distance)
-    if place.is_file():
-        return place
-    bases = [(place / alias).with_suffix("") for alias in aliases(name)]
-    paths = [base.with_name(base.name + end) for base in bases for end in _MAP_ENDINGS]
+    if distance is None or Path(distance).is_file():
+        return None if distance is None else Path(distance)
+    pattern = str(distance) if _STEM.search(str(distance)) else f"{distance}/{{stem}}"
+    stems, place = [os.path.splitext(alias)[0] for alias in aliases(name)], Path()
+    if not os.path.dirname(pattern):
+        stems, place = [path.stem], path.parent
+    bases = [place / _filled(pattern, stem) for stem in stems]
+    paths = [base.with_name(base.name + end) for base in bases for end in ("", *_MAP_ENDINGS)]
     return next((path for path in paths if path.is_file()), bases[0])
+
+
+def _filled(pattern: str, stem: str) -> str:
+    """A pattern with the name of a picture in it."""
+    return _STEM.sub(lambda m: stem.replace(m[1], m[2]) if m[1] else stem, pattern)

@@ -48,6 +48,8 @@ def read_picture(path: str | Path, color_space: ColorSpace = "srgb") -> Tensor:
     if values.dtype not in (np.uint8, np.uint16) and values.dtype.kind != "f":
         got = f"expected 8 or 16 bits without sign, or floating point, got {values.dtype}"
         raise ValueError(f"{path}: {got}")
+    if values.ndim == 2 and values.dtype.kind == "f":
+        raise ValueError(f"{path}: one channel of floating point is a map, and no picture")
     if values.ndim == 2:
         values = values[..., None].repeat(3, 2)
     if values.ndim != 3 or values.shape[2] != 3:
@@ -66,15 +68,15 @@ def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
     """Read a map of distances.
 
     Args:
-        path: of a .npy (HxW), .exr (one channel, or one called Z), TIFF or PNG file. Axes of
-            length 1 count as none, and channels that are equal as one.
+        path: of a .npy (HxW), .exr (one channel, or one called Z or depth), TIFF or PNG file. Axes
+            of length 1 count as none, and channels that are equal as one.
         unit: of the numbers in the file: "m", "cm", "mm", or how many metres 1 stands for. None:
-            they are no lengths but relative or inverse; whole numbers are then shares of the
-            largest that their type holds.
+            they are no lengths but relative or inverse; whole numbers of 8 and 16 bits without
+            sign are then shares of the largest that their type holds.
 
     Returns:
-        1xHxW, float32: m, or without unit as it is. Unknown pixels (0, negative, NaN) stay; in
-        metres the largest number of a type is one, if it stands alone (see `standing_alone`).
+        1xHxW, float32: m, or without unit as it is. Unknown pixels (0, negative, NaN) stay; with a
+        unit, the largest number that a type holds is NaN, too.
 
     Raises:
         ValueError: if its channels differ; if it has a unit and 8 bits, which are too few, or a
@@ -82,21 +84,21 @@ def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
         OSError: if there is no such file, or it cannot be read.
     """
     values = _decoded(Path(path), "Z")
-    if values.ndim == 3 and (values == values[..., :1]).all():
+    if values.ndim == 3 and all(np.array_equal(v, values[..., 0].T, True) for v in values.T):
         values = values[..., 0]
     if values.ndim != 2:
         cure = "a map in colours is no distance: save it in grey"
         raise ValueError(f"{path}: expected one channel (H, W), got {values.shape}: {cure}")
-    most = np.iinfo(values.dtype).max if values.dtype.kind in "ui" else np.inf
     if unit is None:
-        is_share = values.dtype in (np.uint8, np.uint16)
-        return torch.from_numpy((values / (most if is_share else 1)).astype(np.float32))[None]
+        white = np.iinfo(values.dtype).max if values.dtype in (np.uint8, np.uint16) else 1
+        return torch.from_numpy((values / white).astype(np.float32))[None]
     if values.dtype.itemsize == 1:
         cure = "are they relative? Those have no unit: --set distance.kind=Inverse, or Relative"
         raise ValueError(f"{path}: 8 bits are too few for distances in {unit}: {cure}")
     # rounded once, from double precision
     z = (values.astype(np.float64) * metres_of(unit)).astype(np.float32)
-    z[values == most] = np.nan if most < np.inf else np.inf
+    most = np.iinfo(values.dtype).max if values.dtype.kind in "ui" else np.inf
+    z[(values == most) & np.isfinite(most)] = np.nan
     metres = torch.from_numpy(z)[None]
     median = checks.too_far(metres)
     if median is not None:
@@ -107,6 +109,18 @@ def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
             cure += "Inverse where large is near, else Relative? Or is the unit mm (--unit mm)?"
         raise ValueError(f"{path}: {got}: {cure}")
     return metres
+
+
+def holds_picture(path: Path) -> bool:
+    """Whether a file may be a picture: of an EXR, whether it has colours, as maps have none."""
+    if path.suffix.lower() != ".exr":
+        return True
+    try:
+        (exr,) = require("files", "OpenEXR")
+        parts = exr.File(str(path), header_only=True).parts
+    except Exception:  # decoders raise whatever they like; who reads it says what is wrong
+        return True
+    return any(channel.name.endswith("R") for part in parts for channel in part.header["channels"])
 
 
 def metres_of(unit: str | float) -> float:
@@ -197,35 +211,30 @@ def _decoded(path: Path, wanted: Literal["RGB", "Z"]) -> NDArray[Any]:
         raise ValueError(f"{path}: cannot be decoded: {error}") from error
     if values.dtype.kind not in "uif":
         raise ValueError(f"{path}: expected numbers, got {values.dtype}")
+    values = values.astype(values.dtype.newbyteorder("="), copy=False)
     if not values.size:
         raise ValueError(f"{path}: holds no pixels, got shape {values.shape}")
     while values.ndim > 2 and values.shape[-1] == 1:
         values = values[..., 0]
-    while values.ndim > 3 or (values.ndim == 3 and values.shape[-1] not in (3, 4)):
-        if values.shape[0] != 1:
-            break
+    while values.ndim > 2 and values.shape[0] == 1 and (values.ndim > 3 or values.shape[-1] > 4):
         values = values[0]
     white = 1 if values.dtype.kind == "f" else np.iinfo(values.dtype).max
-    if values.ndim == 3 and values.shape[-1] == 4 and (values[..., 3] == white).all():
-        values = values[..., :3]
-    return values
+    if values.ndim == 3 and values.shape[-1] in (2, 4) and (values[..., -1] == white).all():
+        values = values[..., :-1]
+    return values[..., 0] if values.ndim == 3 and values.shape[-1] == 1 else values
 
 
 def _of_pillow(path: Path) -> NDArray[Any]:
     with Image.open(path) as image:  # refuses pictures that would fill the memory
-        alpha = image.getchannel("A").getextrema() if image.mode in ("RGBA", "LA") else None
-        opaque = alpha == (255, 255)  # as screenshots are
-        modes = ("RGB", "L", "I;16", "I;16B")
-        if not (opaque or image.mode in modes) or "transparency" in image.info:
-            raise ValueError(f"expected RGB or grey, without palette and alpha, got {image.mode}")
-        if image.mode == "LA":
-            return np.asarray(ImageOps.exif_transpose(image.getchannel("L")))
-        if image.format == "PNG" and image.mode in ("RGB", "RGBA"):
+        modes = ("RGB", "RGBA", "L", "LA", "I;16", "I;16B")
+        if image.mode not in modes or "transparency" in image.info:
+            raise ValueError(f"expected RGB or grey, without a palette, got {image.mode}")
+        if image.format == "PNG" and image.mode in ("RGB", "RGBA", "LA"):
             data = path.read_bytes()
             if data[_BIT_DEPTH] == 16:  # Pillow would drop half of them
                 (codecs,) = require("files", "imagecodecs")
-                return np.asarray(codecs.png_decode(data))[..., :3]
-        return np.asarray(ImageOps.exif_transpose(image.convert("RGB") if opaque else image))
+                return np.asarray(codecs.png_decode(data))
+        return np.asarray(ImageOps.exif_transpose(image))
 
 
 def _of_tiff(path: Path) -> NDArray[Any]:
@@ -240,11 +249,18 @@ def _of_tiff(path: Path) -> NDArray[Any]:
         return np.moveaxis(values, page.axes.index("S"), -1) if "S" in page.axes else values
 
 
-def _of_exr(path: Path, wanted: str) -> NDArray[Any]:
+def _of_exr(path: Path, wanted: Literal["RGB", "Z"]) -> NDArray[Any]:
+    """The colours or the distances of the parts and layers of a file, as renderers name them."""
     (exr,) = require("files", "OpenEXR")
-    channels = exr.File(str(path)).channels()
-    names = {"RGB": ("RGB", "RGBA"), "Z": ("Z",)}[wanted]
-    name = next((name for name in (*names, "RGB", "RGBA") if name in channels), None)
-    if name is None and len(channels) > 1:
-        raise ValueError(f"expected RGB, Z, or one channel, got {', '.join(channels)}")
-    return np.asarray(channels[name or next(iter(channels))].pixels)
+    parts = exr.File(str(path)).parts
+    channels = {name: channel.pixels for part in parts for name, channel in part.channels.items()}
+    colours = [name for name in channels if channels[name].ndim == 3]
+    if wanted == "RGB":
+        names = [name for name in colours if name in ("RGB", "RGBA")]
+        names += [name for name in colours if name.endswith("Combined")] or colours
+    else:
+        names = [name for name in channels if name == "Z" or "depth" in name.lower()]
+        names += [name for name in channels if name.endswith(".Z") or len(channels) == 1] or colours
+    if not names:
+        raise ValueError(f"expected {wanted}, got {', '.join(channels)}")
+    return np.asarray(channels[names[0]])

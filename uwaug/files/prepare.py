@@ -4,7 +4,9 @@ import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
+from os.path import dirname
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -43,19 +45,19 @@ def prepare(
     """
     some = items[:: -(-len(items) // _SAMPLES) or 1]
     samples = _samples(recipe, some)
-    refused = [reason for _, _, reason in samples if reason]
-    if 2 * len(refused) > len(samples):
-        raise ValueError(refused[0])
+    refused = [sample.refused for sample in samples if sample.refused]
     sentences = _doubts(recipe, samples)
-    images = [image for image, _, reason in samples if not reason]
-    if grey := sum(bool((image == image[:1]).all()) for image in images):
-        sentences.append(
-            f"{grey} of {len(images)} pictures looked at are grey: they come in colour"
-        )
+    if 2 * len(refused) > len(samples):
+        raise ValueError("; ".join([refused[0], *sentences]))
+    if grey := [s.item.name for s in samples if bool((s.image == s.image[:1]).all())]:
+        got = f"{len(grey)} of {len(samples)} pictures looked at are grey, such as {grey[0]}"
+        cure = "R = G = B, they come out in colour; if they are maps, name them by --distance"
+        sentences.append(f"{got}: {cure}")
     if not references:
         return recipe, sentences
     photographs = [read_picture(path) for path in references]
-    maps = [z for _, z, reason in samples if z is not None and not reason]
+    good = [sample for sample in samples if not sample.refused]
+    images, maps = [s.image for s in good], [s.z for s in good if s.z is not None]
     with one_thread(), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # all that there is to say is in what is returned
         augment, seed = recipe.transform, recipe.seed
@@ -66,8 +68,16 @@ def prepare(
     return replace(recipe, transform=transform), sentences
 
 
-def _samples(recipe: Recipe, items: Sequence[Item]) -> list[tuple[Tensor, Tensor | None, str]]:
-    """Pictures, their maps, and why a map is refused."""
+class _Sample(NamedTuple):
+    """A picture (3xHxW) that is looked at, its map, and why that is refused."""
+
+    item: Item
+    image: Tensor
+    z: Tensor | None
+    refused: str
+
+
+def _samples(recipe: Recipe, items: Sequence[Item]) -> list[_Sample]:
     source = recipe.transform.distance
     assert isinstance(source, Source)
     if isinstance(source, (Metres, Relative, Inverse)) and source.holes != "error":
@@ -88,22 +98,25 @@ def _samples(recipe: Recipe, items: Sequence[Item]) -> list[tuple[Tensor, Tensor
                 refused = reason_of(error)
                 if not refused.startswith(str(item.distance)):
                     refused = f"{item.distance}: {refused}"
-            samples.append((image, z, refused))
+            samples.append(_Sample(item, image, z, refused))
     return samples
 
 
-def _doubts(recipe: Recipe, samples: Sequence[tuple[Tensor, Tensor | None, str]]) -> list[str]:
-    pairs = [(z, image) for image, z, _ in samples if z is not None]
-    if recipe.sequence:
-        pairs = pairs[:1]  # frames of a film are one witness
+def _doubts(recipe: Recipe, samples: Sequence[_Sample]) -> list[str]:
+    # frames of a film are one witness
+    films = {dirname(s.item.name) if recipe.sequence else s.item.name: s for s in samples}
+    pairs = [(s.z, s.image) for s in films.values() if s.z is not None]
     maps, images = [z for z, _ in pairs], [image for _, image in pairs]
     if isinstance(recipe.transform.distance, Metres):
         return doubts(maps, images)
-    asked = [in_words(z, alone) for z in maps if bool((alone := of_shares(z)).any())][:1]
     shown = [evidence(z, image) for z, image in pairs]
+    sentences = [each.size for each in shown if each.size][:1]
+    is_said = getattr(recipe.transform.distance, "holes", "error") != "error"
+    cure = "they get what --holes says" if is_said else ""
+    sentences += [in_words(z, alone, cure) for z in maps if (alone := of_shares(z)).any()][:1]
     disparities = sum(each.convexity < REVERSED for each in shown)
     if 2 * sum(map(_like_mm, maps)) <= len(maps) or 2 * disparities > len(maps):
-        return asked
+        return sentences
     return [
         "relative or inverse maps hold whole numbers of less than a tenth of what 16 bits do, as "
         "those in mm: leave out distance.kind and give --unit mm (Metres(), divide by 1000)",

@@ -1,6 +1,7 @@
 """What is done to every picture of a run."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import torch
@@ -11,6 +12,7 @@ from uwaug._support.codec import plain
 from uwaug.distance.sources import Metres
 from uwaug.files.items import Item
 from uwaug.files.pictures import metres_of, read_distance, read_picture, write_picture
+from uwaug.formation.colour import linear_to_srgb
 from uwaug.transforms.draws import Record
 from uwaug.transforms.random_underwater import RandomUnderwater
 from uwaug.transforms.samples import key_of
@@ -65,14 +67,27 @@ class Recipe:
         generator = torch.Generator().manual_seed(key_of(self.seed, variant, name))
         return self.transform.make_params(torch.empty(3, 1, 1), generator)
 
+    @cached_property
+    def _in_light(self) -> RandomUnderwater:
+        development = replace(self.transform.development, color_space="linear")
+        return replace(self.transform, development=development)
+
+    def transform_of(self, picture: Path) -> RandomUnderwater:
+        """The transform in the colour space of a picture's file: an EXR holds linear light."""
+        return self._in_light if picture.suffix.lower() == ".exr" else self.transform
+
     def read(self, item: Item) -> tuple[Tensor, Tensor | None]:
         """The picture (3xHxW) of an item, and its map (1xHxW) where it has one."""
-        color_space = self.transform.development.color_space
-        return read_picture(item.picture, color_space), self.read_map(item)
+        space = self.transform_of(item.picture).development.color_space
+        return read_picture(item.picture, space), self.read_map(item)
 
-    def write(self, path: Path, image: Tensor) -> None:
-        """Write a picture as those that were read are."""
-        write_picture(path, image, self.quality, self.transform.development.color_space)
+    def write(self, path: Path, image: Tensor, picture: Path) -> None:
+        """Write what the transform of a picture has made of it."""
+        own = self.transform.development.color_space
+        space = self.transform_of(picture).development.color_space
+        if space != own and path.suffix.lower() != ".exr":
+            image, space = linear_to_srgb(image.clamp(0, 1)), own
+        write_picture(path, image, self.quality, space)
 
     def read_map(self, item: Item) -> Tensor | None:
         """The map alone."""

@@ -75,8 +75,8 @@ class Work:
         """A result, and what its record holds besides."""
         raise NotImplementedError
 
-    def write(self, path: Path, result: Any) -> None:
-        """Write a result, whole or not at all."""
+    def write(self, path: Path, result: Any, item: Item) -> None:
+        """Write the result of an item, whole or not at all."""
         raise NotImplementedError
 
     def read(self, path: Path) -> Tensor:
@@ -121,7 +121,7 @@ class Work:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.unlink(missing_ok=True)
         write_record(record_path(path), record)
-        self.write(path, result)
+        self.write(path, result, job.item)
         return _of_record(job, "written", record)
 
 

@@ -130,8 +130,8 @@ def replay(
     require_apart([Job(item, output.name)], output.parent)
     with one_thread():
         image, z = recipe.read(item)
-        degraded = recipe.transform.transform(image, z, plain["params"])
-        recipe.write(output, degraded)
+        degraded = recipe.transform_of(item.picture).transform(image, z, plain["params"])
+        recipe.write(output, degraded, item.picture)
 
 
 def _belonging(labels: Labels, items: Sequence[Item]) -> str:
@@ -150,7 +150,8 @@ class _Underwater(Work):
         self._films = Films(recipe)
 
     def made_of(self, job: Job) -> dict[str, Any]:
-        made_of = {**super().made_of(job), "recipe": self._plain}
+        space = self.recipe.transform_of(job.item.picture).development.color_space
+        made_of = {**super().made_of(job), "recipe": self._plain, "color_space": space}
         if job.labels is not None:
             made_of["labels"] = job.labels.digest(job.item.name)
         if job.frame is not None:
@@ -161,13 +162,14 @@ class _Underwater(Work):
     def make(self, job: Job) -> tuple[Tensor, dict[str, Any]]:
         item, labels = job.item, job.labels
         image, z = self.recipe.read(item)
+        transform = self.recipe.transform_of(item.picture)
         if job.frame is None:
             params = self.recipe.drawn(item.name, job.variant)
         else:
             params = self._films.drawn(job.frame, job.variant)
         # for the mean alone some pixels do: all of them take a third of the picture's time
         step = max(1, min(image.shape[1:]) // _SAMPLED) if labels is None else 1
-        degraded, contrast, reached = _degraded(self.recipe.transform, image, z, params, step)
+        degraded, contrast, reached = _degraded(transform, image, z, params, step)
         objects = []
         if labels is not None:
             objects = judged(labels, item.name, contrast, self.recipe.min_contrast)
@@ -180,8 +182,8 @@ class _Underwater(Work):
             "objects": [label._asdict() for label in objects],
         }
 
-    def write(self, path: Path, result: Tensor) -> None:
-        self.recipe.write(path, result)
+    def write(self, path: Path, result: Tensor, item: Item) -> None:
+        self.recipe.write(path, result, item.picture)
 
 
 def _degraded(

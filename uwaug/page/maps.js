@@ -34,7 +34,7 @@ export async function readPng(buffer) {
   return { width, height, values, most: 2 ** bits - 1 };
 }
 
-const KINDS = { f4: Float32Array, f8: Float64Array, u2: Uint16Array, u1: Uint8Array };
+const KINDS = { f4: Float32Array, f8: Float64Array, u2: Uint16Array, u1: Uint8Array, i2: Int16Array, i4: Int32Array, u4: Uint32Array };
 
 /** The map of a .npy file. */
 export function readNpy(buffer) {
@@ -43,7 +43,8 @@ export function readNpy(buffer) {
   const header = new TextDecoder().decode(new Uint8Array(buffer, start, length));
   const kind = KINDS[/'descr': *'[<|]([^']+)'/.exec(header)?.[1]], fortran = /'fortran_order': *True/.test(header);
   const shape = /'shape': *\(([^)]*)\)/.exec(header)?.[1].split(",").filter(side => side.trim()).map(Number);
-  const expected = "a .npy file of distances holds one whole plane (H, W), float32, float64 or uint16";
+  const expected = "a .npy file of distances holds one whole plane (H, W) of floating point or whole numbers of up to 32 bits";
+  while (shape?.length > 2 && shape.includes(1)) shape.splice(shape.indexOf(1), 1);
   if (!kind || shape?.length !== 2 || fortran) throw new Error(expected);
   const [height, width] = shape, data = buffer.slice(start + length);
   if (data.byteLength !== width * height * kind.BYTES_PER_ELEMENT) throw new Error(expected);
@@ -52,24 +53,34 @@ export function readNpy(buffer) {
 }
 
 /** Metres at each pixel of a picture, as a map holds them: "metres" in a unit, "relative" (0 is near) or
- *  "inverse" (large is near). Of a larger map the nearest values: a mean across an edge is no distance. */
+ *  "inverse" (large is near). Of a larger map the nearest values, of a smaller one linear between four that are
+ *  alike: a mean across an edge is no distance. See uwaug.distance.sizes. */
 export function metresOf(map, width, height, { holds, unit, near, far, holes }) {
   let low = Infinity, high = -Infinity;
   for (const value of map.values) if (Number.isFinite(value)) { low = Math.min(low, value); high = Math.max(high, value); }
-  const span = high - low, filling = holes === "far" ? Infinity : Number(holes), filled = z => z > 0 ? z : filling;
+  const span = high - low, filling = holes === "far" ? Infinity : Number(holes);
+  const filled = z => z >= 1e7 ? Infinity : z > 0 ? z : filling, unknown = map.most > 1 ? map.most : NaN;
   if (holds === "relative" && !(low >= 0 && high <= map.most)) {
     throw new Error("relative distances lie between 0 (near) and 1 (far): are these metres, or inverse?");
   }
   if (holds === "inverse" && !(span > 0)) throw new Error("an inverse map must vary: this one is flat");
   const scaled = {
-    metres: value => filled(value * unit),
+    metres: value => value === unknown ? filling : filled(value * unit),
     relative: value => filled(near + (far - near) * value / map.most),
     inverse: value => filled(1 / (1 / far + (1 / near - 1 / far) * (value - low) / span)),
   }[holds];
-  const metres = new Float32Array(width * height);
+  const metres = new Float32Array(width * height), small = Float32Array.from(map.values, scaled);
+  const place = (n, size, of) => (n + 0.5) * of / size, isSmall = map.width < width;
+  const beside = (at, size) => [Math.max(Math.ceil(at - 0.5) - 1, 0), Math.min(Math.ceil(at - 0.5), size - 1)];
   for (let y = 0, i = 0; y < height; y++) for (let x = 0; x < width; x++, i++) {
-    const row = Math.floor((y + 0.5) * map.height / height), column = Math.floor((x + 0.5) * map.width / width);
-    metres[i] = scaled(map.values[row * map.width + column]);
+    const v = place(y, height, map.height), u = place(x, width, map.width);
+    metres[i] = small[Math.floor(v) * map.width + Math.floor(u)];
+    if (!isSmall) continue;
+    const [[v0, v1], [u0, u1]] = [beside(v, map.height), beside(u, map.width)], [dv, du] = [v - v0 - 0.5, u - u0 - 0.5];
+    const [a, b, c, d] = [v0, v1].flatMap(row => [u0, u1].map(column => small[row * map.width + column]));
+    const high = Math.max(a, b, c, d);
+    if (high > 1.25 * Math.min(a, b, c, d) || !(high < Infinity)) continue;
+    metres[i] = (1 - dv) * ((1 - du) * a + du * b) + dv * ((1 - du) * c + du * d);
   }
   const missing = metres.reduce((count, z) => count + !(z > 0), 0);
   if (missing) throw new Error(`${missing} pixels have no distance: choose what they get`);

@@ -12,8 +12,9 @@ async function distancesOf({ pixels, width, height, from, seed }) {
   }
   if (!from.file) return madeUp(pixels, width, height, randomOf(seed));
   const map = from.npy ? readNpy(from.file) : await readPng(from.file), { whole, said } = from;
-  if (map.width !== whole[0] || map.height !== whole[1]) {
-    throw new Error(`the map is ${map.width}×${map.height} px, the picture ${whole[0]}×${whole[1]}`);
+  const apart = Math.abs(map.width * whole[1] - map.height * whole[0]);
+  if (apart > Math.max(0.01 * map.width * whole[1], Math.min(...whole) - 1)) {
+    throw new Error(`the map is ${map.width}×${map.height} px, the picture ${whole[0]}×${whole[1]}: of another aspect`);
   }
   if (said.holds === "metres" && map.most === 255) throw new Error("8 bits are too few for metres: relative or inverse?");
   if (said.holds !== "metres" && !(said.near > 0 && said.near < said.far)) {
