@@ -66,7 +66,9 @@ def test_systems_are_compared_in_one_water(small, monkeypatch):
 
 @pytest.mark.parametrize("shape", [(20, 30), (30, 20), (6, 60)])
 def test_names_of_systems_do_not_run_into_each_other(shape, monkeypatch):
-    scene = Scene(torch.rand(3, *shape), torch.linspace(1, 4, shape[0] * shape[1]).reshape(1, *shape))
+    scene = Scene(
+        torch.rand(3, *shape), torch.linspace(1, 4, shape[0] * shape[1]).reshape(1, *shape)
+    )
     systems = ["ismiroglou-reference-2025", "ismiroglou-2025", "slurpp-2025", "mcglamery-1980"]
     draw = partial(comparison.draw_comparison, scene, "II", systems)
     assert require_room(draw, monkeypatch) >= 7

@@ -12,6 +12,7 @@ from torch import Tensor
 from uwaug._support.threads import one_thread
 from uwaug.distance.doubts import doubts
 from uwaug.distance.sources import Inverse, Metres, Relative, Source
+from uwaug.files.films import frames_of
 from uwaug.files.items import Item
 from uwaug.files.pictures import read_picture
 from uwaug.files.recipe import Recipe
@@ -25,8 +26,8 @@ _SAMPLES = 8
 def prepare(
     recipe: Recipe, items: Sequence[Item], references: Sequence[Path] = ()
 ) -> tuple[Recipe, list[str]]:
-    """Look at eight pictures of a run before it begins. Those that cannot be read are left to the
-    run, which names them.
+    """Look at eight pictures of a run, of films at the middle frame of each, before it begins.
+    Those that cannot be read are left to the run, which names them.
 
     Args:
         recipe, items: as for `degrade`.
@@ -40,6 +41,8 @@ def prepare(
         ValueError: if most of these maps are refused, with what is said of the first.
         OSError: if a reference cannot be read.
     """
+    if recipe.sequence:  # the frames of a film are one witness, and in one water
+        items = list(dict.fromkeys(film.candidates[0] for film in frames_of(items).values()))
     some = items[:: -(-len(items) // _SAMPLES) or 1]
     samples = _samples(recipe, [item for item in some if references or item.distance is not None])
     refused = [reason for _, _, reason in samples if reason]

@@ -1,4 +1,4 @@
-"""Was a haze composed in encoded values, as most published synthesisers do? A fit of light tries."""
+"""Was a haze composed in encoded values, as most published synthesisers do? Fits of light try."""
 
 from dataclasses import replace
 
