@@ -41,7 +41,7 @@ import uwaug
 from benchmarks.accuracy.draws import sources
 from benchmarks.accuracy.photographs import numbers_of
 from benchmarks.harness import save
-from uwaug.transforms.statistics import OF_WATER
+from uwaug.transforms.appearance import WATER_FEATURES
 
 REFERENCES = 100
 CHOSEN_ON = 36  # photographs, by this seed:
@@ -131,7 +131,7 @@ def main(
     all_numbers = [judged(photograph) for photograph in every]
     names = list(all_numbers[0])
     spreads = np.std([list(numbers.values()) for numbers in all_numbers], 0) + 1e-9
-    of = {"water": list(OF_WATER), "all": names, "neither": OF_NEITHER}
+    of = {"water": list(WATER_FEATURES), "all": names, "neither": OF_NEITHER}
     places = {kind: [names.index(name) for name in some] for kind, some in of.items()}
 
     def away(drawn: Numbers, reference: Numbers) -> dict[str, float]:

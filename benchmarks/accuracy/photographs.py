@@ -22,7 +22,7 @@ from scipy.stats import betabinom
 from skimage.color import rgb2lab
 
 from benchmarks.harness import RESULTS
-from uwaug.transforms.statistics import OF_WATER, correlation, numbers_of_water
+from uwaug.transforms.appearance import WATER_FEATURES, correlation, water_features
 
 Numbers = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -50,7 +50,7 @@ def numbers_of(picture: Picture) -> dict[str, float]:
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     luminance = (linear @ np.array([0.2126, 0.7152, 0.0722]) + 0.002).astype(np.float32)
     return {
-        **numbers_of_water(srgb),
+        **water_features(srgb),
         **_of_colour(srgb, lab),
         **_of_detail(lab[..., 0], luminance),
         "clip_hi": float(np.sqrt((picture.max(2) >= 253).mean())),
@@ -129,7 +129,7 @@ def closeness(draws: list[dict[str, float]]) -> Numbers:
     photographs, names, groups = load_photographs()
     drawn = np.array([[numbers[name] for name in names] for numbers in draws])
     real, drawn = _standardised(photographs, drawn, groups)
-    water = [names.index(name) for name in OF_WATER]
+    water = [names.index(name) for name in WATER_FEATURES]
     of_water = _shares(real[:, water], drawn[:, water], groups)
     return np.stack([_shares(real, drawn, groups), of_water], 1)
 

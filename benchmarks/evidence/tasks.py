@@ -103,7 +103,8 @@ def _distances_behind(behind: Array, far: float, y: Array, rng: np.random.Genera
         horizon = rng.uniform(0.2, 0.8) * SIDE
         below = np.maximum(y - horizon, 1e-9)
         ground = far * rng.uniform(0.8, 2.0) * (SIDE - horizon) / below
-        return np.where(y > horizon, np.maximum(ground, far), np.inf)
+        # farther than one sees in any water is open water
+        return np.where((y > horizon) & (ground < 50), np.maximum(ground, far), np.inf)
     return np.maximum(made_up(torch.from_numpy(behind).permute(2, 0, 1).float(), rng), far)
 
 

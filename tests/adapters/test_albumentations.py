@@ -107,6 +107,55 @@ def test_pictures_without_maps_in_the_order_of_opencv() -> None:
     assert np.array_equal(bgr[..., ::-1], rgb)
 
 
+def test_each_picture_of_a_pair_has_its_own_map() -> None:
+    kinds = {"image2": "image", "right": "image", "distance2": "mask", "distance_right": "mask"}
+    made = A.Compose(
+        [A.HorizontalFlip(p=1), water()],
+        additional_targets=TARGETS | kinds,
+        seed=1,
+        save_applied_params=True,
+    )
+    maps = {"distance": metres(), "distance2": 2 * metres(), "distance_right": metres()[::-1]}
+    result = made(image=array(), image2=array(), right=array(), **maps)
+    record = result["applied_transforms"][-1][1]["record"]
+    flipped = array()[:, ::-1]
+    for image, z in zip(("image", "image2", "right"), maps.values(), strict=True):
+        assert np.array_equal(result[image], ours(flipped, z[:, ::-1], record))
+    assert not np.array_equal(result["image"], result["image2"])
+    maps.pop("distance2")
+    with pytest.raises(ValueError, match="distance2 is missing, for image2: pass a map"):
+        made(image=array(), image2=array(), right=array(), **maps)
+
+
+def test_several_images_are_a_film() -> None:
+    frames = np.stack([array(), array()[:, ::-1], array()[::-1]])
+    maps = np.stack([metres(), 3 * metres(), 5 * metres()])
+    kinds = {"distances": "masks"}
+    made = A.Compose(
+        [A.HorizontalFlip(p=1), water()], additional_targets=kinds, seed=1, save_applied_params=True
+    )
+    result = made(images=frames, distances=maps)
+    record = result["applied_transforms"][-1][1]["record"]
+    frames, maps = frames[:, :, ::-1], maps[:, :, ::-1]
+    taken = [torch.from_numpy(each.copy()) for each in (frames, maps)]
+    batch, z = taken[0].movedim(-1, 1), taken[1][:, None]
+    film = AUGMENT.for_clip(record, batch[1], z[1])  # settled on the middle one
+    expected = AUGMENT.transform(batch, z, film).movedim(1, -1).numpy()
+    assert np.array_equal(result["images"], expected)
+    still = A.Compose([water()], additional_targets=kinds, seed=2)
+    same = still(images=np.stack([array()] * 3), distances=np.stack([metres()] * 3))["images"]
+    assert np.array_equal(same[0], same[2])
+    # a map that all frames share, and none
+    shared = A.Compose([water()], additional_targets={"distances": "mask"}, seed=2)
+    assert np.array_equal(
+        shared(images=np.stack([array()] * 3), distances=metres())["images"], same
+    )
+    one_by_one = water()(images=[array()] * 2, distances=[metres()] * 2)["images"]
+    assert np.array_equal(one_by_one[0], one_by_one[1])
+    plane = water(RandomUnderwater("7C", distance=3.0))
+    assert plane(images=frames)["images"].shape == frames.shape
+
+
 @pytest.mark.parametrize(
     "options, data, message",
     [
@@ -114,7 +163,13 @@ def test_pictures_without_maps_in_the_order_of_opencv() -> None:
         ({"channels": "rgba"}, {}, "channels must be one of rgb, bgr"),
         ({"scale": -0.5}, {}, "scale must be"),
         ({"p": 2}, {}, "p must be in"),
-        ({}, {}, "distance is missing"),
+        ({}, {}, "distance is missing, for image: pass a map"),
+        ({}, {"distance": metres(), "images": array()[None]}, "distances is missing, for images"),
+        (
+            {},
+            {"distance": metres(), "images": array()[None], "distances": metres()[None, :9]},
+            "height and width must agree",
+        ),
         ({}, {"distance": metres()[:9]}, "height and width must agree"),
         ({}, {"distance": 1000 * metres()}, "divide by 1000"),
     ],
@@ -126,5 +181,7 @@ def test_refusals(options: dict[str, Any], data: dict[str, Any], message: str) -
 
 @pytest.mark.parametrize("targets", [{}, {"distance": "image"}])
 def test_a_map_that_would_not_move_is_refused(targets: dict[str, str]) -> None:
-    with pytest.raises(ValueError, match="distance would not move with the picture"):
+    with pytest.raises(ValueError, match="distance would not move with image"):
         A.Compose([water()], additional_targets=targets)(image=array(), distance=metres())
+    with pytest.raises(ValueError, match=r"distances would not move with images: .*'masks'"):
+        A.Compose([water()])(images=array()[None], distances=metres()[None])

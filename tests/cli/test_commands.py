@@ -373,11 +373,17 @@ def test_a_film_without_maps_is_a_plane(folder, run):
 
 
 def test_other_formats_are_told_of(folder, run):
-    for name in ("c.webp", "d.WEBP", "e.bmp"):
+    for name in ("c.webp", "d.WEBP", "e.bmp", "f.nef", "g.MP4"):
         (folder / "photos" / name).touch()
     code, out, _ = run("degrade", "photos", "--out", "wet")
     assert code == 0
-    assert out.startswith("left out, as they are neither PNG, JPEG nor TIFF: 1 .bmp, 2 .webp\n")
+    told = out.splitlines()[0]
+    assert told.startswith("left out, as they are neither PNG, JPEG nor TIFF: 1 .bmp: convert")
+    for words in ("1 .mp4: make frames of it", "1 .nef: develop them first", "2 .webp: convert"):
+        assert words in told
+    code, _, err = run("degrade", "photos/g.MP4", "--out", "film")
+    assert (code, err.count("g.MP4")) == (1, 1)
+    assert "make frames" in err
     code, _, err = run("degrade", "photos/a.png", "--distance", "3", "--out", "one.webp")
     assert code == 2
     assert "one.webp: pictures are written as .npy, " in err
@@ -420,7 +426,7 @@ def test_planar_depth_of_a_folder_becomes_distance_along_the_ray(folder, run):
     # millimetres of a lens are no pixels
     code, _, err = run(*line, "planar.npy", "--set", "distance.focal_px=2.8", "--out", "d.npy")
     assert code == 1
-    assert "focal_px must be in px of the map, got 2.8: a lens of f mm" in err
+    assert "focal_px must be in px of the picture, got 2.8: a lens of f mm" in err
 
 
 @pytest.mark.parametrize("films", [1, 4])

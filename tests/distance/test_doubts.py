@@ -53,7 +53,7 @@ FALSE = {
     "holes": (holed, "60 % of the distances are unknown"),
     "aspect": (lambda z: z[..., :240], "of another aspect"),
     "turned": (lambda z: z.mT, "turned or cropped"),
-    "size": (lambda z: z[..., ::2, ::2], "resize one"),
+    "size": (lambda z: z[..., ::2, ::2], "brought to the picture's size"),
     "shifted": (lambda z: z.roll(24, -1), "moved -10 % and +0 %"),
 }
 

@@ -70,11 +70,11 @@ def test_relative_distance_0_is_no_hole() -> None:
 REFUSED: list[tuple[Any, Any, str]] = [
     (Metres(), HOLED, r"NaN at 1, negative at 1 and zero at 1 of 8 pixels: give holes="),
     (Metres(), 2000 * (T + 1), "metres.*millimetres"),
-    (Metres(focal_px=0.5), T + 1, r"px of the map, got 0.5: a lens of f mm .* has f/w·4 px"),
+    (Metres(focal_px=0.5), T + 1, r"px of the picture, got 0.5: a lens of f mm .* has f/w·4 px"),
     (Metres("fill"), 0 * T, "at least one known pixel"),
     (Relative(), T + 1, r"t must lie in \[0, 1\]"),
     (Inverse(), 0 * T, "inverse must vary"),
-    (Network(lambda image: T[..., 1:]), None, r"map must be \(1, 2, 4\), got \(1, 2, 3\)"),
+    (Network(lambda image: T[..., 1:]), None, r"map is \(2, 3\) but image is \(2, 4\)"),
 ]
 
 

@@ -35,7 +35,8 @@ def test_nothing_is_lost(tmp_path: Path, kind: str, name: str) -> None:
     write_picture(tmp_path / name, image)
     again = read_picture(tmp_path / name)
     assert again.dtype == image.dtype
-    assert torch.equal(again, image)
+    # an EXR holds linear light, to which and from which sRGB is rounded
+    torch.testing.assert_close(again, image, rtol=0, atol=1e-6 if name.endswith("exr") else 0)
     first = (tmp_path / name).read_bytes()
     write_picture(tmp_path / name, image)
     assert (tmp_path / name).read_bytes() == first
@@ -116,11 +117,10 @@ WHOLE = _png("RGB")
 REFUSED: list[tuple[str, bytes, str]] = [
     ("a.png", _png("RGBA", alpha=254), "without palette and alpha, got RGBA"),
     ("a.png", _png("P"), "got P"),
-    ("a.png", _png("L"), r"expected a picture in colour \(H, W, 3\), got \(12, 16\)"),
     ("a.png", WHOLE[: len(WHOLE) // 2], "cannot be decoded"),
     ("a.png", b"", "cannot be decoded"),
     ("a.gif", WHOLE, r"a file that ends in \.npy"),
-    ("a.npy", _npy(metres()[None, None]), "got .1, 1, 12, 16."),
+    ("a.npy", _npy(np.zeros((2, 12, 16, 3), np.uint8)), "got .2, 12, 16, 3."),
     ("a.npy", _npy(np.array([{}])), "cannot be decoded"),
     ("a.npy", _npy(pixels().astype(np.int32)), "8 or 16 bits without sign, .* got int32"),
     ("a.npy", _npy(metres())[:200], "cannot be decoded"),
@@ -141,7 +141,7 @@ def test_pictures_that_are_refused(tmp_path: Path, name: str, data: bytes, messa
 @pytest.mark.parametrize(
     "values, unit, message",
     [
-        (pixels(), "m", "in one channel, got"),
+        (pixels(), "m", "a map in colours is no distance"),
         (pixels()[..., 0], "mm", "8 bits are too few for distances in mm"),
         (1000 * metres(), "m", "farther than one sees: is the unit mm"),
         (metres(), "inch", "unit must be one of m, cm, mm"),

@@ -85,6 +85,22 @@ def test_items() -> None:
         find_items("nowhere")
 
 
+def test_links_to_folders_are_followed() -> None:
+    for place in ("store/train/1.png", "store/train/deep/2.png", "ds/images/val/3.png"):
+        Path(place).parent.mkdir(parents=True, exist_ok=True)
+        Path(place).touch()
+    Path("ds/images/train").symlink_to(Path("store/train").absolute())
+    Path("ds/test").symlink_to("images/val")  # pictures that are there twice are two
+    there = ["images/train/1.png", "images/train/deep/2.png", "images/val/3.png", "test/3.png"]
+    assert list(names("ds")) == there
+    assert list(names("ds", exclude=["store/train/deep", "ds/test"])) == ["images/train/1.png"]
+    # loops: to itself, to a folder above, and by another link
+    Path("ds/images/val/here").symlink_to(Path("ds/images/val").absolute())
+    Path("store/train/up").symlink_to(Path("ds").absolute())
+    Path("store/train/round").symlink_to(Path("ds/images").absolute())
+    assert list(names("ds")) == there
+
+
 def test_what_a_run_has_written_is_no_picture_of_the_next() -> None:
     degrade(RECIPE, items(), "all/under", sheet=True)
     assert list(names("all")) == [f"{number}.png" for number in range(4)]
@@ -442,7 +458,7 @@ def test_one_bad_picture_does_not_stop_the_rest() -> None:
     "options, maps, out, message",
     [
         ({"labels": "labels"}, "depth", "out", "would both be written to .*images/0: rename one"),
-        ({"labels": "other"}, "depth", "out", "labels belong to no picture: other: .*other/0.txt"),
+        ({"labels": "other"}, "depth", "out", "labels belong to no picture: other .*other/0.txt"),
         ({"labels": "coco.json"}, "depth", "out", "belong to no .* no image has the file_name 0"),
         ({}, None, "out", "distance is missing: 0.png has no file of it"),
         ({}, "depth", "all", "is read, and would be written over"),

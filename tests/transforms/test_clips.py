@@ -6,7 +6,8 @@ from itertools import pairwise
 import pytest
 import torch
 
-from uwaug import RandomUnderwater
+from uwaug import RandomDevelopment, RandomUnderwater, Sensor
+from uwaug.distance import MadeUp
 from uwaug.formation.field import random_fields
 from uwaug.presets.scene import motorcycle
 
@@ -78,9 +79,50 @@ def test_a_field_moves_as_a_whole():
     assert float((still - moved).abs().max()) > 0.05
 
 
-def test_a_clip_is_settled_on_one_frame(frames):
-    augment = RandomUnderwater()
-    batch = torch.stack([image for image, _ in frames[0]])
+def test_a_whole_clip_is_settled_on_its_middle_frame(frames):
+    augment = RandomUnderwater(development=RandomDevelopment(noise=Sensor(2000, 3)))
+    batch, maps = (torch.stack(each) for each in zip(*frames[0], strict=True))
     params = augment.make_params(batch[0])
-    with pytest.raises(ValueError, match="image must be one frame of the film, got 8"):
-        augment.for_clip(params, batch, frames[0][0][1])
+    record, middle = augment.for_clip(params, batch, maps), augment.for_clip(params, *frames[0][4])
+    samples = record["samples"]
+    assert len(samples) == 8
+    assert len({sample["numbers"].pop("noise_seed") for sample in samples}) == 8
+    middle["samples"][0]["numbers"].pop("noise_seed")
+    assert samples == middle["samples"] * 8
+
+
+def test_a_video_is_a_film(torchvision, frames):
+    v2, tv = torchvision.transforms.v2, torchvision.tv_tensors
+    batch, maps = (torch.stack(each) for each in zip(*frames[1], strict=True))
+    augment = RandomUnderwater()
+    video = tv.Video(batch)
+    assert len(augment.make_params(video)["samples"]) == 1
+    for key in range(4):
+        record = augment.make_params(video, torch.Generator().manual_seed(key))
+        film = augment.for_clip(record, batch[4], maps[4])
+        made = augment.transform(video, maps, record)
+        assert type(made) is tv.Video
+        assert torch.equal(made.as_subclass(torch.Tensor), augment.transform(batch, maps, film))
+        # a record that has been settled stays
+        assert torch.equal(augment.transform(video, maps, film), made)
+        assert torch.equal(
+            augment.contrast_left(video, maps, record), augment.contrast_left(batch, maps, film)
+        )
+    pipeline = v2.Compose([v2.RandomHorizontalFlip(1.0), augment])
+    made, z = pipeline(video, tv.Mask(maps))
+    assert (type(made), made.shape, z.shape) == (tv.Video, batch.shape, maps.shape)
+    still, _ = augment.at(0, 0, 0)(tv.Video(batch[:1].repeat(3, 1, 1, 1)), maps[0])
+    assert torch.equal(still[0], still[1])
+    assert torch.equal(still[0], still[2])
+    # pictures in a batch have a water each
+    other, _ = augment.at(0, 0, 0)(batch[:1].repeat(3, 1, 1, 1), maps[0])
+    assert not torch.equal(other[0], other[1])
+
+
+def test_a_film_left_alone_and_one_that_would_flicker(torchvision, frames):
+    video = torchvision.tv_tensors.Video(torch.stack([image for image, _ in frames[0]]))
+    assert RandomUnderwater(p=0.0, distance=3)(video) is video
+    with pytest.raises(
+        ValueError, match="made up from each frame, a film would flicker: give maps"
+    ):
+        RandomUnderwater(distance=MadeUp())(video)

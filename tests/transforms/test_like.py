@@ -16,7 +16,7 @@ from uwaug.distance import MadeUp
 from uwaug.distance.doubts import first_maps
 from uwaug.formation.colour import srgb_to_linear
 from uwaug.transforms import RandomDevelopment, UnderwaterLike
-from uwaug.transforms.statistics import OF_WATER, numbers_of_water
+from uwaug.transforms.appearance import WATER_FEATURES, water_features
 
 H, W = 32, 48
 FEW: dict[str, Any] = {"draws": 45, "keep": 3}
@@ -42,10 +42,10 @@ def in_water(water: str, contrast: float) -> Tensor:
 
 def far(augment: RandomUnderwater) -> float:
     """How far draws on other pictures are from the photograph, in standard deviations."""
-    goal, found = numbers_of_water(GREEN.permute(1, 2, 0).numpy()), []
+    goal, found = water_features(GREEN.permute(1, 2, 0).numpy()), []
     for i, (image, z) in enumerate(zip(pictures(18, 3), maps(18), strict=True)):
-        numbers = numbers_of_water(augment.at(0, 0, i)(image, z)[0].permute(1, 2, 0).numpy())
-        off = [(numbers[name] - goal[name]) / OF_WATER[name][0] for name in goal]
+        numbers = water_features(augment.at(0, 0, i)(image, z)[0].permute(1, 2, 0).numpy())
+        off = [(numbers[name] - goal[name]) / WATER_FEATURES[name][0] for name in goal]
         found.append(sum(x * x for x in off) ** 0.5)
     return sum(found) / len(found)
 
@@ -184,8 +184,8 @@ def test_numbers_say_what_they_are_called() -> None:
     x[..., 0] = 0.2
     # grey and rough above, plain water below
     x[:32, :, 1:] = torch.rand(32, 80, 1, generator=torch.Generator().manual_seed(0)).numpy() * 0.4
-    found = numbers_of_water(x)
-    assert list(found) == list(OF_WATER)
+    found = water_features(x)
+    assert list(found) == list(WATER_FEATURES)
     assert found["log_RG"] < -1
     assert found["sd_RG"] < -4
     assert found["log_BG"] == pytest.approx(0, abs=1e-6)

@@ -413,7 +413,7 @@ REFUSED_INPUTS: dict[str, tuple[tuple[Any, Any], str]] = {
     "no map": ((picture(), None), r"distance is missing: .*MadeUp, Network and Plane"),
     "millimetres": ((picture(), 1000 * (2 + distances())), "metres.*divide by 1000"),
     "holes": ((picture(), HOLED), r"zero at 33 of 792 pixels: give holes="),
-    "size": ((picture(), distances()[..., 1:]), "height and width must agree"),
+    "size": ((picture(), distances()[..., 9:]), "height and width must agree"),
     "integers": ((picture(), distances().int()), "distance must be a floating-point tensor"),
     "label": ((picture(), "coral"), r"expected \(image, distance, …\)"),
     "batches": ((picture(2), distances(3)), "batch of 3 but image is one of 2"),

@@ -84,7 +84,7 @@ def test_refused_samples(sample: Any, message: str) -> None:
 
 def test_maps_are_checked_whatever_is_drawn() -> None:
     with pytest.raises(ValueError, match="height and width must agree"):
-        RandomUnderwater(p=0.0)(picture(), distances()[:, 1:])
+        RandomUnderwater(p=0.0)(picture(), distances()[:, 9:])
 
 
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.float32])

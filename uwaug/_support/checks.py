@@ -143,14 +143,16 @@ def metres(name: str, value: "Tensor") -> None:
 def too_far(value: "Tensor") -> float | None:
     """The median of a map, m, if it lies farther than anybody sees, beyond 1000 m.
 
-    Unknown pixels and open water do not count. All pixels are looked at only if one of a few
-    hundred holds such a distance.
+    Unknown pixels and open water do not count, nor does the largest distance, which may stand for
+    it. All pixels are looked at only if one of a few hundred holds such a distance.
     """
     rows, columns = (max(1, side // _LINES_SAMPLED) for side in value.shape[-2:])
     sample = value.detach()[..., ::rows, ::columns]
     if not bool(((sample > _FARTHEST_MEDIAN) & (sample < OPEN)).any()):
         return None
-    median = float(value.detach()[(value > 0) & (value < OPEN)].median())
+    distances = value.detach()[(value > 0) & (value < OPEN)]
+    nearer = distances[distances < distances.max()]
+    median = float((nearer if nearer.numel() else distances).median())
     return median if median > _FARTHEST_MEDIAN else None
 
 

@@ -19,13 +19,19 @@ except ImportError as missing:
     raise ImportError(f"{missing.name} is missing: {install('albumentations')}") from missing
 
 
+_MASKS = ("mask", "masks", "mask3d", "masks3d")
+"""Kinds of targets that move with pictures and keep their values."""
+
+
 class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
     """Degrade pictures in an Albumentations pipeline.
 
     Args:
         augment: a `RandomUnderwater`, or its options as a dict. Its own `p` has to be 1.
-        distance_key: the name under which a call passes the map, an array (HxW). A pipeline has to
-            have it in `additional_targets={"distance": "mask"}`, so that it moves with the picture.
+        distance_key: the name under which a call passes the map of its image, an array (HxW). A
+            pipeline has to have it in `additional_targets={"distance": "mask"}`, so that it moves
+            with the picture. A second picture, image2, has a second map, distance2; left, say,
+            distance_left; several in `images` (NxHxWx3) have `distances` (NxHxW, of kind "masks").
             Not needed where `augment` makes distances itself (`MadeUp`, `Network`, `Plane`).
         scale: what the numbers of a map are multiplied by, such as .001 for mm.
         channels: the order of the picture's colours; "bgr" is what OpenCV reads, and Ultralytics
@@ -33,9 +39,9 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
         p: probability, as in all transforms of Albumentations.
 
     Targets:
-        image, and others of its kind (`additional_targets`, `images`), in the same water at the
-        same distances: HxWx3, uint8 (0…255) or float32 (0…1). Masks, boxes and keypoints are
-        returned as they are.
+        image, and others of its kind (`additional_targets`), by the same draw, each at its own
+        distances: HxWx3, uint8 (0…255) or float32 (0…1). Pictures of `images` are frames of one
+        film, see `RandomUnderwater.for_clip`. Masks, boxes and keypoints are returned as they are.
 
     Randomness comes from the pipeline: `A.Compose(…, seed=…)`. Albumentations 2.0 draws the same in
     all workers of a DataLoader and in all epochs, whatever the transforms: call
@@ -74,12 +80,12 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
         checks.positive("scale", scale)
         self.augment = augment
         self.distance_key, self.scale, self.channels = distance_key, scale, channels
-        self._in_pipeline, self._moved = False, {"mask"}
+        self._in_pipeline, self._moved = False, set(_MASKS)
 
     def add_targets(self, additional_targets: dict[str, str]) -> None:
         """Hear of the arrays that a pipeline moves with the picture."""
         super().add_targets(additional_targets)
-        self._moved |= {name for name, kind in additional_targets.items() if kind == "mask"}
+        self._moved |= {name for name, kind in additional_targets.items() if kind in _MASKS}
 
     def set_processors(self, processors: dict[str, Any]) -> None:
         """Hear that there is a pipeline: each calls this of all its transforms."""
@@ -94,28 +100,44 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
     def apply_with_params(
         self, params: dict[str, Any], *args: Any, **kwargs: Any
     ) -> dict[str, Any]:
-        """Degrade what a call passed, as a record says."""
-        # the map is found here: Albumentations shows a picture no other target, and as a parameter
-        # it would be kept for replays, which may be of another picture
-        distance, key = kwargs.get(self.distance_key), self.distance_key
-        if distance is not None:
-            if self._in_pipeline and key not in self._moved:
-                cure = f"give A.Compose(…, additional_targets={{{key!r}: 'mask'}})"
-                raise ValueError(f"{key} would not move with the picture: {cure}")
-            values = np.asarray(distance).squeeze() * self.scale
-            distance = torch.from_numpy(values.astype(np.float32))[None]
-        result: dict[str, Any] = super().apply_with_params(
-            {**params, "distance": distance}, *args, **kwargs
-        )
+        """Degrade what a call passed, each picture by the map of its name, as a record says."""
+        # maps are found here: Albumentations shows a picture no other target, and as parameters
+        # they would be kept for replays, which may be of other pictures
+        result = dict(kwargs)
+        for name, pictures in kwargs.items():
+            if name in self._key2func and pictures is not None:
+                image, distance = np.asarray(pictures), None
+                if self.augment.source.reads_maps:
+                    distance = self._distance(name, image.ndim == 3, kwargs)
+                result[name] = self.apply(image, params["record"], distance)
         return result
+
+    def _distance(self, name: str, single: bool, targets: Mapping[str, Any]) -> Tensor:
+        """The map of a single picture (1xHxW), or those of several (Nx1xHxW), m."""
+        key = self.distance_key
+        key = name.replace("image", key, 1) if "image" in name else f"{key}_{name}"
+        if targets.get(key) is None:
+            cure = (
+                "pass a map, or say RandomUnderwater(distance=…), MadeUp() or metres such as (1, 5)"
+            )
+            raise ValueError(f"{key} is missing, for {name}: {cure}")
+        if self._in_pipeline and key not in self._moved:
+            kind = "mask" if single else "masks"
+            cure = f"give A.Compose(…, additional_targets={{{key!r}: {kind!r}}})"
+            raise ValueError(f"{key} would not move with {name}: {cure}")
+        values = np.asarray(targets[key]) * self.scale
+        values = values.squeeze() if single else values.reshape(values.shape[:3])
+        return torch.from_numpy(values.astype(np.float32)).unsqueeze(-3)
 
     def apply(
         self, img: NDArray[Any], record: Record, distance: Tensor | None, **params: Any
     ) -> NDArray[Any]:
-        """One picture with water."""
+        """One picture with water; or several (NxHxWx3), as the frames of a film."""
         step = -1 if self.channels == "bgr" else 1
-        picture = torch.from_numpy(np.ascontiguousarray(img[..., ::step])).movedim(-1, 0)
-        result = self.augment.transform(picture, distance, record).movedim(0, -1).numpy()
+        image = torch.from_numpy(np.ascontiguousarray(img[..., ::step])).movedim(-1, -3)
+        if image.ndim == 4:
+            record = self.augment.for_clip(record, image, distance)
+        result = self.augment.transform(image, distance, record).movedim(-3, -1).numpy()
         return np.ascontiguousarray(result[..., ::step])
 
     def get_transform_init_args(self) -> dict[str, Any]:

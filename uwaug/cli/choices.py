@@ -76,12 +76,15 @@ def read_metres(distance: str, unit: str, image: "Tensor") -> "Tensor":
     """The distances (1xHxW, m) of a picture (3xHxW): of a file, or everywhere the same."""
     import torch
 
+    from uwaug.distance.sizes import brought_to, require_aspect
     from uwaug.files.pictures import read_distance
 
     metres = number_or_word(distance)
     if isinstance(metres, float):
         return torch.full((1, *image.shape[-2:]), metres)
-    return read_distance(distance, number_or_word(unit))
+    z = read_distance(distance, number_or_word(unit))
+    require_aspect(distance, z, image)
+    return brought_to((image.shape[-2], image.shape[-1]), z)
 
 
 def read_scene(picture: Path, distance: str, unit: str, holes: str) -> "Scene":

@@ -10,7 +10,7 @@ import typer
 
 from uwaug.cli.choices import Force, Holes, Preset, Resume, Unit, Workers, number_or_word
 from uwaug.cli.console import counted, end_if_failed, print_counts, print_written, reported_errors
-from uwaug.files.labels import formats
+from uwaug.files.formats import formats
 
 
 def degrade(
@@ -138,7 +138,7 @@ def degrade(
     print_counts(summary, "pictures", out)
     if labels is not None:
         count, kept = summary.objects
-        print(f"{kept} of {count} labels kept")
+        print(f"{kept} of {count} labels kept", *summary.notes, sep="\n")
     if summary.blank:
         some = f"{len(summary.blank)} of them, such as {summary.blank[0]}"
         cure = "are distances in another unit? If not, take clearer water by --contrast"

@@ -9,11 +9,12 @@ from torch.nn.functional import avg_pool2d, interpolate
 
 from uwaug._support import checks
 from uwaug._support.once import Once
+from uwaug.distance.sizes import in_words, same_aspect
 
 _CELLS = 72
 """Of a small copy, along the shorter side. Of each cell of a map nine pixels are looked at."""
 
-_REVERSED = -0.1
+REVERSED = -0.1
 """Convexity below which near and far are exchanged. Of true crops 1 in 100 has less."""
 
 _SEVERAL = 4
@@ -87,7 +88,7 @@ class FirstMaps(Once):
         """Warn, once, of what speaks against a map (1xHxW) and those before it being metres."""
         if not self.due():
             return
-        shown = evidence(distance, image)
+        shown = evidence(distance, image)._replace(size="")  # which `brought_to` tells
         first = not self.seen
         self.seen.setdefault(shown.digest, shown)
         if len(self.seen) == _RUN:
@@ -107,12 +108,7 @@ def evidence(distance: Tensor, image: Tensor) -> Evidence:
     checks.picture("image", image, 3)
     z, picture = distance.detach().float(), image.detach()
     (h, w), (height, width) = z.shape[-2:], picture.shape[-2:]
-    size = ""
-    if (h, w) != (height, width):
-        cure = "of another aspect: is one of them turned or cropped?"
-        if abs(h * width - w * height) <= max(height, width):
-            cure = "resize one of them (maps by their nearest pixel)"
-        size = f"a map is {w}×{h} px and its picture {width}×{height} px: {cure}"
+    size = "" if (h, w) == (height, width) else in_words((h, w), (height, width))
     if not z.numel():
         return Evidence(0, size, 0.0, -1, torch.nan, None, 0)
     short = min(h, w)
@@ -123,7 +119,7 @@ def evidence(distance: Tensor, image: Tensor) -> Evidence:
     nine = torch.where(is_known, points, torch.nan).reshape(rows, 3, columns, 3).transpose(1, 2)
     log = nine.flatten(2).nanmedian(-1).values.log()
     fit = None
-    if cells >= _CELLS // 2 and not size:
+    if cells >= _CELLS // 2 and same_aspect((h, w), (height, width)):
         green = interpolate(picture[None, 1:2].float(), (rows, columns), mode="area")[0, 0]
         fit = _fit(log, green if picture.is_floating_point() else green / 255)
     holes = 1 - float(is_known.float().mean())
@@ -134,7 +130,7 @@ def evidence(distance: Tensor, image: Tensor) -> Evidence:
 def judged(evidences: Iterable[Evidence]) -> list[str]:
     """The sentences of `doubts`, by what most of the maps show."""
     maps = list({shown.digest: shown for shown in evidences}.values())
-    sentences = [shown.size for shown in maps if shown.size]
+    sentences = [shown.size for shown in maps if shown.size][:1]
     holes = sorted(shown.holes for shown in maps)
     if _most([share > 0.5 for share in holes]):
         got = f"{100 * holes[len(holes) // 2]:.0f} % of the distances are unknown"
@@ -143,7 +139,7 @@ def judged(evidences: Iterable[Evidence]) -> list[str]:
         if _most([shown.scale == which for shown in maps]):
             sentences.append(f"distances {sentence}")
     # a logarithm says little of maps from 0 to 1, which have shifts of their own
-    reversed_ = [shown.scale != 0 and shown.convexity < _REVERSED for shown in maps]
+    reversed_ = [shown.scale != 0 and shown.convexity < REVERSED for shown in maps]
     if len(maps) >= _SEVERAL and _most(reversed_):
         claim = "distances look like disparity or inverse depth, large where near"
         cure = (

@@ -13,6 +13,7 @@ from torch.nn.functional import interpolate
 from uwaug._support import checks, codec
 from uwaug._support.onnx_session import Session
 from uwaug._support.ranges import Range
+from uwaug.distance.sizes import require_aspect
 from uwaug.distance.sources import Inverse, Numbers, Source
 
 _TYPES = {
@@ -91,9 +92,8 @@ class Network(Source):
         """See `Source.metres`."""
         guess = self(image / 255 if image.dtype == torch.uint8 else image)
         checks.floating("the network's map", guess)
-        wanted = (1, *image.shape[1:])
-        if guess.shape != wanted:
-            raise ValueError(f"the network's map must be {wanted}, got {tuple(guess.shape)}")
+        checks.picture("the network's map", guess, 1)
+        require_aspect("the network's map", guess, image)
         return self.holds.metres(guess, image, numbers)
 
     @torch.no_grad()

@@ -11,9 +11,11 @@ import torch
 from torch import Tensor
 
 from uwaug._support import checks, codec
+from uwaug._support.once import Once
 from uwaug._support.ranges import Range, as_range
 from uwaug.distance.convert import along_ray, as_maps, from_inverse, from_relative
 from uwaug.distance.fill import fill_unknown
+from uwaug.distance.unknown import in_words, of_metres, of_shares, range_end
 
 Numbers = Mapping[str, float]
 """What a picture has drawn, by name."""
@@ -24,6 +26,8 @@ Holes = _Policy | float
 around, "behind": from those behind, for maps of depth cameras with their shadows and their range
 (see `fill_unknown`). "far": open water. A number: as many metres.
 """
+
+_alone = Once()
 
 _TOUCHING = 1e-6
 """m, for relative distance 0 with near = 0: a distance of 0 means unknown."""
@@ -52,7 +56,8 @@ class Source:
         """The distances of a picture (1xHxW): metres above 0, or +inf for open water.
 
         Args:
-            distance (1xHxW tensor): the picture's map, where there are any.
+            distance (1xhxw tensor): the picture's map, where there are any. It has the picture's
+                aspect; of a smaller one the distances are brought to the picture's size.
             image (3xHxW tensor): the picture; uint8, or floating point in 0…1. sRGB where
                 `reads_pictures`.
             numbers: drawn from `ranges`.
@@ -69,8 +74,10 @@ class Metres(Source):
     """Maps of metres along the ray, or of planar depth.
 
     Attributes:
-        holes: what NaN, 0 and negative distances get, see `Holes`. Geometric transforms pad with 0.
-        focal_px: focal length, px of the map, or (fx, fy), of maps that hold depth along the
+        holes: what NaN, 0 and negative distances get, see `Holes`; and the largest one, if it lies
+            beyond 50 m and alone, as 65.535 or 1000 do. From 1e7 m on a distance is open water.
+            Geometric transforms pad with 0.
+        focal_px: focal length, px of the picture, or (fx, fy), of maps that hold depth along the
             optical axis, as depth cameras and renderers write it, see `along_ray`; None for metres
             along the ray. The axis goes through the middle: maps are whole views, not crops.
     """
@@ -88,13 +95,16 @@ class Metres(Source):
         assert distance is not None
         z = as_maps("distance", distance)
         checks.metres("distance", z)
+        z = torch.where(z >= checks.OPEN, torch.inf, z)
+        z = _asked(z, of_metres(z), self.holes)
+        z = torch.where(range_end(z), torch.inf, z)
         if self.focal_px is not None:
-            size, focal = z.shape[-2:], self.focal_px
+            (h, w), (height, width), focal = z.shape[-2:], image.shape[-2:], self.focal_px
             fx, fy = focal if isinstance(focal, tuple) else (focal, focal)
-            if math.hypot(size[1] / fx, size[0] / fy) > _WIDEST:
-                cure = f"a lens of f mm before a sensor w mm wide has f/w·{size[1]} px"
-                raise ValueError(f"focal_px must be in px of the map, got {focal}: {cure}")
-            z = along_ray(z, focal)
+            if math.hypot(width / fx, height / fy) > _WIDEST:
+                cure = f"a lens of f mm before a sensor w mm wide has f/w·{width} px"
+                raise ValueError(f"focal_px must be in px of the picture, got {focal}: {cure}")
+            z = along_ray(z, (fx * w / width, fy * h / height))
         return _without_holes(z, self.holes)
 
 
@@ -107,7 +117,8 @@ class Relative(Source):
     Attributes:
         near, far: m; numbers or (low, high).
         gamma: exponent; a number or (low, high).
-        holes: what NaN gets, see `Holes`. Let geometric transforms pad with NaN.
+        holes: what NaN gets, see `Holes`, and numbers that stand for no distance, such as −1;
+            "error" only warns of 0, which may be near. Let geometric transforms pad with NaN.
     """
 
     near: Range = 1.0
@@ -128,7 +139,9 @@ class Relative(Source):
         """See `Source.metres`."""
         assert distance is not None
         near = max(numbers["near"], _TOUCHING)
-        z = from_relative(distance, near, numbers["far"], numbers["gamma"])
+        t = as_maps("distance", distance)
+        t = _asked(t, of_shares(t), self.holes)
+        z = from_relative(t, near, numbers["far"], numbers["gamma"])
         return _without_holes(z, self.holes)
 
 
@@ -141,7 +154,9 @@ class Inverse(Source):
 
     Attributes:
         near, far: m; numbers or (low, high), near above 0.
-        holes: what NaN and infinite values get, see `Holes`.
+        holes: what NaN and infinite values get, see `Holes`, and numbers that stand for no
+            distance, such as 0 where a matcher has found nothing; "error" only warns of 0, which
+            may be the sky.
     """
 
     near: Range = 1.0
@@ -160,7 +175,9 @@ class Inverse(Source):
     def metres(self, distance: Tensor | None, image: Tensor, numbers: Numbers) -> Tensor:
         """See `Source.metres`."""
         assert distance is not None
-        return _without_holes(from_inverse(distance, numbers["near"], numbers["far"]), self.holes)
+        inverse = as_maps("distance", distance)
+        inverse = _asked(inverse, of_shares(inverse), self.holes)
+        return _without_holes(from_inverse(inverse, numbers["near"], numbers["far"]), self.holes)
 
 
 @codec.plain
@@ -206,6 +223,21 @@ def require_ends(near: Range, far: Range) -> float:
     if not largest < as_range("far", far, 0.0, unit="m")[0]:
         raise ValueError(f"near must lie below far, got near = {near} and far = {far} in metres")
     return least
+
+
+def _asked(x: Tensor, alone: Tensor, holes: Holes) -> Tensor:
+    """A map with NaN in place of numbers that are alone, if anything is said of holes; else it is
+    refused, or as it is, with a warning, where they are 0, which may be the sky.
+    """
+    if not bool(alone.any()):
+        return x
+    if holes != "error":
+        return torch.where(alone, torch.nan, x)
+    sentence = f"distance: {in_words(x, alone)}"
+    if bool((x[alone] != 0).any()):
+        raise ValueError(sentence)
+    _alone.warn(sentence)
+    return x
 
 
 def _without_holes(z: Tensor, holes: Holes) -> Tensor:

@@ -15,6 +15,8 @@ import torch
 from torch import Tensor
 
 from uwaug._support.compiled import OPTIONS, kept, loops_are_loaded, wanted
+from uwaug.formation.development import NEUTRAL, Development
+from uwaug.formation.sensor import Sensor
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 
@@ -26,14 +28,19 @@ _TABLES = ("beta", "direct_weights", "G", "signal_weights", "veil_weights", "b_m
 _F = TypeVar("_F", bound=Callable[..., Any])
 
 
-def can(image: Tensor, z: Tensor, medium: Medium, light: object) -> bool:
+def can(
+    image: Tensor, z: Tensor, medium: Medium, light: object, development: Development = NEUTRAL
+) -> bool:
     """Whether the loops form these pictures: in float32 or bytes on a CPU, by daylight, without
     gradients. Arguments as for `uwaug.formation.image.form`.
     """
     if light is not None or torch.compiler.is_compiling() or not (wanted() and _has_numba()):
         return False
-    # of a law of one's own the loops know nothing
-    if type(medium) is not Medium or type(medium.point_spread) is not PointSpread:
+    # of what is one's own the loops know nothing
+    own = {Medium: medium, PointSpread: medium.point_spread, Development: development}
+    if any(type(value) is not kind for kind, value in own.items()):
+        return False
+    if type(development.noise) not in (Sensor, type(None)):
         return False
     law = (v for v in medium.point_spread.numbers().values() if isinstance(v, Tensor))
     tensors = (image, z, *medium.tensors(), *law)
@@ -62,7 +69,6 @@ def warm_up() -> None:
     if not load():
         raise ModuleNotFoundError("the compiled loops need numba: pip install 'uwaug[fast]'")
     from uwaug.fast.render import form
-    from uwaug.formation.development import NEUTRAL
 
     z = torch.full((1, 1, 8, 8), 3.0)
     for surfaces in ("grey", "spectral"):

@@ -569,7 +569,7 @@ def _mix(t: Any, z: int, sharp: int, total: int, medium: Any, n: int) -> None:
             d[x + TILE] += e * (b0 * red + b1 * green + b2 * blue) + less * b3
             d[x + 2 * TILE] += e * (c0 * red + c1 * green + c2 * blue) + less * c3
     for c in range(3):
-        copy(tile_row(B, c)[:n], tile_row(d, c))
+        copy(tile_row(B, c), tile_row(d, c)[:n])
 
 
 @inner

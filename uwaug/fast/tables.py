@@ -255,7 +255,7 @@ def _mirrored(margin: int, size: int) -> Indices:
 
 def medium_table(weights: Weights, n: int, law: WidthLaw) -> MediumTable:
     """The `n`-th row of a medium, with its law."""
-    beta, direct, G, signal, veil = (rows[n].astype(np.float32) for rows in weights)
+    beta, direct, G, signal, veil = [rows[n].astype(np.float32) for rows in weights]
     rates = np.concatenate((beta, G)) * np.float32(-math.log2(math.e))
     return MediumTable(rates, direct, np.concatenate((-direct, signal), 1), -veil, law)
 

@@ -1,7 +1,7 @@
 from .depth import write_maps as write_maps
+from .formats import open_labels as open_labels
 from .items import Item as Item
 from .items import find_items as find_items
-from .labels import open_labels as open_labels
 from .pictures import read_distance as read_distance
 from .pictures import read_picture as read_picture
 from .pictures import write_picture as write_picture

@@ -1,7 +1,7 @@
 """Pictures and distance maps in files, in the format that the end of a file's name says."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import tifffile
@@ -13,6 +13,8 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug._support.atomic import require_regular, written_whole
 from uwaug._support.extras import require
+from uwaug._support.types import ColorSpace
+from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
 
 ENDINGS = (".npy", ".exr", ".tif", ".tiff", ".png", ".jpg", ".jpeg")
 """Of the names of pictures and, but for JPEG, of distance maps."""
@@ -24,68 +26,87 @@ _BIT_DEPTH = 24
 """Byte of a PNG that says how many bits a channel has."""
 
 
-def read_picture(path: str | Path) -> Tensor:
-    """Read a picture in colour.
+def read_picture(path: str | Path, color_space: ColorSpace = "srgb") -> Tensor:
+    """Read a picture. Grey is R = G = B, an alpha that is opaque is none.
 
     Args:
         path: of a PNG, JPEG or TIFF file (its first page) of 8 or 16 bits; or of a .npy (HxWx3) or
             .exr file, which may also hold floating-point numbers, 0…1. EXR and PNG of 16 bits need
             the extra "files".
+        color_space: in which it is wanted. An EXR holds linear light; all else comes as it is.
 
     Returns:
         3xHxW: uint8 (0…255) of 8 bits, else float32: 0…1 of 16 bits, as it is of floating point.
         Upright, as EXIF says that the camera was held. Profiles of colour are not applied.
 
     Raises:
-        ValueError: if it is of another format, is grey, has a palette, other channels, or an alpha
-            that is not opaque, or cannot be decoded; names the file.
+        ValueError: if it is of another format, has a palette, other channels, or an alpha that is
+            not opaque, or cannot be decoded; names the file.
         OSError: if there is no such file, or it cannot be read.
     """
-    values = _decoded(Path(path))
+    values = _decoded(Path(path), "RGB")
+    if values.dtype not in (np.uint8, np.uint16) and values.dtype.kind != "f":
+        got = f"expected 8 or 16 bits without sign, or floating point, got {values.dtype}"
+        raise ValueError(f"{path}: {got}")
+    if values.ndim == 2:
+        values = values[..., None].repeat(3, 2)
     if values.ndim != 3 or values.shape[2] != 3:
-        got = f"expected a picture in colour (H, W, 3), got {values.shape}"
+        got = f"expected a picture in colour (H, W, 3), or grey (H, W), got {values.shape}"
         raise ValueError(f"{path}: {got}: save it as RGB, without alpha")
     if values.dtype == np.uint16:
         values = values / np.float32(65535)
     elif values.dtype != np.uint8:
         values = values.astype(np.float32)
-    return torch.from_numpy(np.ascontiguousarray(values.transpose(2, 0, 1)))
+    picture = torch.from_numpy(np.ascontiguousarray(values.transpose(2, 0, 1)))
+    is_light = Path(path).suffix.lower() == ".exr" and color_space == "srgb"
+    return linear_to_srgb(picture) if is_light else picture
 
 
 def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
     """Read a map of distances.
 
     Args:
-        path: of a .npy (HxW), .exr (one channel, or one called Z), TIFF or PNG file.
+        path: of a .npy (HxW), .exr (one channel, or one called Z), TIFF or PNG file. Axes of
+            length 1 count as none, and channels that are equal as one.
         unit: of the numbers in the file: "m", "cm", "mm", or how many metres 1 stands for. None:
             they are no lengths but relative or inverse; whole numbers are then shares of the
             largest that their type holds.
 
     Returns:
-        1xHxW, float32: m, or without unit as it is. Unknown pixels (0, NaN) stay.
+        1xHxW, float32: m, or without unit as it is. Unknown pixels (0, negative, NaN) stay; in
+        metres the largest number of a type is one, if it stands alone (see `standing_alone`).
 
     Raises:
-        ValueError: if it has several channels; if it has a unit and 8 bits, which are too few, or a
+        ValueError: if its channels differ; if it has a unit and 8 bits, which are too few, or a
             median beyond 1000 m; if the unit is unknown; or if it cannot be decoded.
         OSError: if there is no such file, or it cannot be read.
     """
-    values = _decoded(Path(path))
+    values = _decoded(Path(path), "Z")
+    if values.ndim == 3 and (values == values[..., :1]).all():
+        values = values[..., 0]
     if values.ndim != 2:
-        raise ValueError(f"{path}: expected distances (H, W) in one channel, got {values.shape}")
-    counts = values.dtype.kind == "u"
+        cure = "a map in colours is no distance: save it in grey"
+        raise ValueError(f"{path}: expected one channel (H, W), got {values.shape}: {cure}")
+    most = np.iinfo(values.dtype).max if values.dtype.kind in "ui" else np.inf
     if unit is None:
-        scale = 1 / np.iinfo(values.dtype).max if counts else 1.0
-        return torch.from_numpy((values * scale).astype(np.float32))[None]
-    if values.dtype == np.uint8:
+        is_share = values.dtype in (np.uint8, np.uint16)
+        return torch.from_numpy((values / (most if is_share else 1)).astype(np.float32))[None]
+    if values.dtype.itemsize == 1:
         cure = "are they relative? Those have no unit: --set distance.kind=Inverse, or Relative"
         raise ValueError(f"{path}: 8 bits are too few for distances in {unit}: {cure}")
     # rounded once, from double precision
-    z = torch.from_numpy((values.astype(np.float64) * metres_of(unit)).astype(np.float32))[None]
-    median = checks.too_far(z)
+    z = (values.astype(np.float64) * metres_of(unit)).astype(np.float32)
+    z[values == most] = np.nan if most < np.inf else np.inf
+    metres = torch.from_numpy(z)[None]
+    median = checks.too_far(metres)
     if median is not None:
         got = f"the median is {median:.4g} metres if they are in {unit}, farther than one sees"
-        raise ValueError(f"{path}: {got}: is the unit mm (--unit mm)?")
-    return z
+        cure = "is the unit mm (--unit mm)?"
+        if most < np.inf and values[values < most].max() > most / 2:
+            cure = "they span what their type holds, as relative distances do: --set distance.kind="
+            cure += "Inverse where large is near, else Relative? Or is the unit mm (--unit mm)?"
+        raise ValueError(f"{path}: {got}: {cure}")
+    return metres
 
 
 def metres_of(unit: str | float) -> float:
@@ -101,7 +122,9 @@ def metres_of(unit: str | float) -> float:
     return float(unit)
 
 
-def write_picture(path: str | Path, image: Tensor, quality: float = 95) -> None:
+def write_picture(
+    path: str | Path, image: Tensor, quality: float = 95, color_space: ColorSpace = "srgb"
+) -> None:
     """Write a picture, whole or not at all.
 
     Args:
@@ -109,6 +132,7 @@ def write_picture(path: str | Path, image: Tensor, quality: float = 95) -> None:
         image (3xHxW tensor): uint8 (0…255), written in 8 bits; or floating point (0…1), written in
             16 bits where the format has them (PNG, TIFF), as float32 in .npy and .exr.
         quality: of JPEG, 1…100; colours are not subsampled.
+        color_space: of the image. An EXR gets linear light.
 
     Raises:
         ValueError: if the end of the name is unknown.
@@ -123,6 +147,8 @@ def write_picture(path: str | Path, image: Tensor, quality: float = 95) -> None:
         if end == ".exr":
             (exr,) = require("files", "OpenEXR")
             light = (values / 255 if values.dtype == np.uint8 else values).astype(np.float32)
+            if color_space == "srgb":
+                light = srgb_to_linear(torch.from_numpy(light)).numpy()
             exr.File({"type": exr.scanlineimage}, {"RGB": light}).write(str(part))
             return
         with part.open("wb") as file:
@@ -149,8 +175,8 @@ def _ending(path: Path) -> str:
     return end
 
 
-def _decoded(path: Path) -> NDArray[Any]:
-    """The numbers of a file (HxW or HxWxC): uint8, uint16 or floating point."""
+def _decoded(path: Path, wanted: Literal["RGB", "Z"]) -> NDArray[Any]:
+    """The numbers of a file (HxW or HxWxC), without an alpha that is opaque."""
     end = _ending(path)
     require_regular(path)
     try:
@@ -158,7 +184,7 @@ def _decoded(path: Path) -> NDArray[Any]:
             # mapped, so that a header that lies about its size does not fill the memory
             values = np.array(np.load(path, mmap_mode="r", allow_pickle=False))
         elif end == ".exr":
-            values = _of_exr(path)
+            values = _of_exr(path, wanted)
         elif end in (".tif", ".tiff"):
             values = _of_tiff(path)
         else:
@@ -169,21 +195,31 @@ def _decoded(path: Path) -> NDArray[Any]:
         if isinstance(error, OSError) and error.errno is not None:
             raise
         raise ValueError(f"{path}: cannot be decoded: {error}") from error
-    if values.dtype not in (np.uint8, np.uint16) and values.dtype.kind != "f":
-        got = f"expected 8 or 16 bits without sign, or floating point, got {values.dtype}"
-        raise ValueError(f"{path}: {got}")
+    if values.dtype.kind not in "uif":
+        raise ValueError(f"{path}: expected numbers, got {values.dtype}")
     if not values.size:
         raise ValueError(f"{path}: holds no pixels, got shape {values.shape}")
+    while values.ndim > 2 and values.shape[-1] == 1:
+        values = values[..., 0]
+    while values.ndim > 3 or (values.ndim == 3 and values.shape[-1] not in (3, 4)):
+        if values.shape[0] != 1:
+            break
+        values = values[0]
+    white = 1 if values.dtype.kind == "f" else np.iinfo(values.dtype).max
+    if values.ndim == 3 and values.shape[-1] == 4 and (values[..., 3] == white).all():
+        values = values[..., :3]
     return values
 
 
 def _of_pillow(path: Path) -> NDArray[Any]:
     with Image.open(path) as image:  # refuses pictures that would fill the memory
-        alpha = image.getchannel("A").getextrema() if image.mode == "RGBA" else None
+        alpha = image.getchannel("A").getextrema() if image.mode in ("RGBA", "LA") else None
         opaque = alpha == (255, 255)  # as screenshots are
         modes = ("RGB", "L", "I;16", "I;16B")
         if not (opaque or image.mode in modes) or "transparency" in image.info:
             raise ValueError(f"expected RGB or grey, without palette and alpha, got {image.mode}")
+        if image.mode == "LA":
+            return np.asarray(ImageOps.exif_transpose(image.getchannel("L")))
         if image.format == "PNG" and image.mode in ("RGB", "RGBA"):
             data = path.read_bytes()
             if data[_BIT_DEPTH] == 16:  # Pillow would drop half of them
@@ -204,10 +240,11 @@ def _of_tiff(path: Path) -> NDArray[Any]:
         return np.moveaxis(values, page.axes.index("S"), -1) if "S" in page.axes else values
 
 
-def _of_exr(path: Path) -> NDArray[Any]:
+def _of_exr(path: Path, wanted: str) -> NDArray[Any]:
     (exr,) = require("files", "OpenEXR")
     channels = exr.File(str(path)).channels()
-    name = next((name for name in ("RGB", "Z") if name in channels), None)
+    names = {"RGB": ("RGB", "RGBA"), "Z": ("Z",)}[wanted]
+    name = next((name for name in (*names, "RGB", "RGBA") if name in channels), None)
     if name is None and len(channels) > 1:
         raise ValueError(f"expected RGB, Z, or one channel, got {', '.join(channels)}")
     return np.asarray(channels[name or next(iter(channels))].pixels)

@@ -4,16 +4,13 @@ Positions of objects are continuous, from the picture's upper left corner: the p
 column j covers j ≤ x < j + 1, i ≤ y < i + 1.
 """
 
-import io
 import math
 import re
-from collections.abc import Collection, Iterator, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 Pixels = NDArray[np.bool_] | tuple[slice, slice]
 """What selects the pixels of an object from a map (HxW)."""
@@ -61,26 +58,3 @@ def _decompressed(text: str) -> list[int]:
             value -= 1 << 5 * len(letters)
         counts.append(value + counts[-2] if len(counts) > 2 else value)
     return counts
-
-
-def read_mask(file: Path) -> NDArray[Any]:
-    """Values (HxW); of a mask with a palette, their places in it."""
-    with Image.open(file) as image:
-        if image.mode not in ("L", "P", "1", "I;16"):
-            raise ValueError(f"{file}: expected a mask of one channel, got {image.mode}")
-        values = np.array(image)
-    return values.astype(np.uint8) if values.dtype == bool else values
-
-
-def of_mask(mask: NDArray[Any]) -> Iterator[tuple[int, Pixels]]:
-    """Each value of a mask but 0, and its pixels."""
-    for value in np.unique(mask[mask > 0]).tolist():
-        yield value, mask == value
-
-
-def without(mask: NDArray[Any], dropped: Collection[Any]) -> bytes:
-    """A mask as PNG, with 0 in place of some values."""
-    mask[np.isin(mask, list(dropped))] = 0
-    file = io.BytesIO()
-    Image.fromarray(mask).save(file, "PNG")
-    return file.getvalue()

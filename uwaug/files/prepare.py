@@ -10,8 +10,9 @@ import torch
 from torch import Tensor
 
 from uwaug._support.threads import one_thread
-from uwaug.distance.doubts import doubts
+from uwaug.distance.doubts import REVERSED, doubts, evidence
 from uwaug.distance.sources import Inverse, Metres, Relative, Source
+from uwaug.distance.unknown import in_words, of_shares
 from uwaug.files.films import frames_of
 from uwaug.files.items import Item
 from uwaug.files.pictures import read_picture
@@ -44,15 +45,19 @@ def prepare(
     if recipe.sequence:  # the frames of a film are one witness, and in one water
         items = list(dict.fromkeys(film.candidates[0] for film in frames_of(items).values()))
     some = items[:: -(-len(items) // _SAMPLES) or 1]
-    samples = _samples(recipe, [item for item in some if references or item.distance is not None])
+    samples = _samples(recipe, some)
     refused = [reason for _, _, reason in samples if reason]
     if 2 * len(refused) > len(samples):
         raise ValueError(refused[0])
     sentences = _doubts(recipe, samples)
+    images = [image for image, _, reason in samples if not reason]
+    if grey := sum(bool((image == image[:1]).all()) for image in images):
+        sentences.append(
+            f"{grey} of {len(images)} pictures looked at are grey: they come in colour"
+        )
     if not references:
         return recipe, sentences
     photographs = [read_picture(path) for path in references]
-    images = [image for image, _, reason in samples if not reason]
     maps = [z for _, z, reason in samples if z is not None and not reason]
     with one_thread(), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # all that there is to say is in what is returned
@@ -95,11 +100,14 @@ def _doubts(recipe: Recipe, samples: Sequence[tuple[Tensor, Tensor | None, str]]
     maps, images = [z for z, _ in pairs], [image for _, image in pairs]
     if isinstance(recipe.transform.distance, Metres):
         return doubts(maps, images)
-    if 2 * sum(map(_like_mm, maps)) <= len(maps):
-        return []
+    asked = [in_words(z, alone) for z in maps if bool((alone := of_shares(z)).any())][:1]
+    shown = [evidence(z, image) for z, image in pairs]
+    disparities = sum(each.convexity < REVERSED for each in shown)
+    if 2 * sum(map(_like_mm, maps)) <= len(maps) or 2 * disparities > len(maps):
+        return asked
     return [
         "relative or inverse maps hold whole numbers of less than a tenth of what 16 bits do, as "
-        "those in mm: leave out distance.kind and give --unit mm (Metres(), divide by 1000)"
+        "those in mm: leave out distance.kind and give --unit mm (Metres(), divide by 1000)",
     ]
 
 

@@ -1,6 +1,7 @@
 """What is done to every picture of a run."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import torch
 from torch import Tensor
@@ -9,7 +10,7 @@ from uwaug._support import checks
 from uwaug._support.codec import plain
 from uwaug.distance.sources import Metres
 from uwaug.files.items import Item
-from uwaug.files.pictures import metres_of, read_distance, read_picture
+from uwaug.files.pictures import metres_of, read_distance, read_picture, write_picture
 from uwaug.transforms.draws import Record
 from uwaug.transforms.random_underwater import RandomUnderwater
 from uwaug.transforms.samples import key_of
@@ -66,7 +67,12 @@ class Recipe:
 
     def read(self, item: Item) -> tuple[Tensor, Tensor | None]:
         """The picture (3xHxW) of an item, and its map (1xHxW) where it has one."""
-        return read_picture(item.picture), self.read_map(item)
+        color_space = self.transform.development.color_space
+        return read_picture(item.picture, color_space), self.read_map(item)
+
+    def write(self, path: Path, image: Tensor) -> None:
+        """Write a picture as those that were read are."""
+        write_picture(path, image, self.quality, self.transform.development.color_space)
 
     def read_map(self, item: Item) -> Tensor | None:
         """The map alone."""

@@ -39,9 +39,12 @@ class Result(NamedTuple):
 
 @dataclass(frozen=True)
 class Summary:
-    """What became of a run: the `Result` of each picture, in the order of items and variants."""
+    """What became of a run: the `Result` of each picture, in the order of items and variants; and
+    notes, what there is to say of its labels.
+    """
 
     results: Sequence[Result]
+    notes: Sequence[str] = ()
 
     def count(self, status: str) -> int:
         """How many pictures have a status of `Result`."""

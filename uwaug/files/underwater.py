@@ -1,6 +1,7 @@
 """Pictures in files under water."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from os.path import splitext
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,10 @@ from uwaug._support.threads import one_thread
 from uwaug.distance.made_up import MadeUp
 from uwaug.distance.sources import Source
 from uwaug.files.films import Films, frames_of
-from uwaug.files.items import OTHERS, Item
-from uwaug.files.labels import Labelled, Labels, judged, open_labels
-from uwaug.files.pictures import ENDINGS, write_picture
+from uwaug.files.formats import open_labels
+from uwaug.files.items import Item, cure_of
+from uwaug.files.labels import Labels, judged
+from uwaug.files.pictures import ENDINGS
 from uwaug.files.recipe import Recipe
 from uwaug.files.record import digest, read_record
 from uwaug.files.run import Job, Progress, Work, require_apart, require_free, run
@@ -66,15 +68,16 @@ def degrade(
     """
     out, labels = Path(out), None
     single = out.suffix.lower() in ENDINGS and not out.is_dir()
-    if out.suffix.lower() in OTHERS and not out.is_dir():
+    if cure_of(out.suffix) and not out.is_dir():
         raise ValueError(f"{out}: pictures are written as {', '.join(ENDINGS)}")
     if single and (len(items) * recipe.variants != 1 or recipe.labels is not None or sheet):
         cure = "more pictures, labels and sheets need a folder"
         raise ValueError(f"{out} is a file, which is for one picture: {cure}")
     require_free(out, resume=resume, force=force)
     if recipe.labels is not None:
-        labels = open_labels(recipe.labels)
-        labels.require_some([item.name for item in items])
+        labels = open_labels(recipe.labels, items)
+        masks = [own for own in labels.of.values() if isinstance(own, Path)]
+        items = [item for item in items if item.picture not in set(masks)]
     _require_distances(recipe, items)
     folder = out.parent if single else out
     work = _Underwater(recipe, folder, resume=resume, force=force)
@@ -84,7 +87,7 @@ def degrade(
     )
     if labels is not None:
         done = [result for result in summary.results if result.status != "failed"]
-        labels.finish([Labelled(r.item.name, r.place, r.objects) for r in done], out)
+        summary = replace(summary, notes=[_belonging(labels, items), *labels.finish(done, out)])
     return summary
 
 
@@ -128,7 +131,14 @@ def replay(
     with one_thread():
         image, z = recipe.read(item)
         degraded = recipe.transform.transform(image, z, plain["params"])
-        write_picture(output, degraded, recipe.quality)
+        recipe.write(output, degraded)
+
+
+def _belonging(labels: Labels, items: Sequence[Item]) -> str:
+    others = [item.name for item in items if item.name not in labels.of]
+    some = f", not to {others[0]}" + " and others" * (len(others) > 1) if others else ""
+    count = len(items) - len(others)
+    return f"labels, {labels.reads}, belong to {count} of {len(items)} pictures{some}"
 
 
 class _Underwater(Work):
@@ -171,7 +181,7 @@ class _Underwater(Work):
         }
 
     def write(self, path: Path, result: Tensor) -> None:
-        write_picture(path, result, self.recipe.quality)
+        self.recipe.write(path, result)
 
 
 def _degraded(

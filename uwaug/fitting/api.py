@@ -25,7 +25,7 @@ from uwaug.fitting.model import (
     COLOURS,
     EXPONENTS,
     MODELS,
-    NARROW,
+    NARROW_PX,
     CoefficientModel,
 )
 from uwaug.fitting.result import Fit, Parameter, straight_line
@@ -34,10 +34,10 @@ from uwaug.fitting.solve import Objective, multistart, reweighed, roughly_weighe
 Progress = Callable[[str], None]
 PIXELS = (500, 100_000)  # that may be fitted
 _MAX_KNOWN = 1e6  # of numbers that a caller knows
-_SCOUTS = 4000  # pixels of the fits that noise is first learnt from
-_PATIENCE = 1.0  # s, after which a fit says what it does
+_NOISE_PIXELS = 4000  # pixels of the fits that noise is first learnt from
+_QUIET_SECONDS = 1.0  # s, after which a fit says what it does
 _POOR = 0.8  # share of the observed variance, below which a model does not explain a picture
-_FASTEST = 30.0  # 1/m; no natural water attenuates more
+_MAX_BETA = 30.0  # 1/m; no natural water attenuates more
 
 
 def fit(
@@ -108,13 +108,13 @@ def fit(
         shapes = sorted({x.spec.shape for x in models if x.spec.shape is not None})
         drawn = pictures.sample(shapes, int(pixels), seed)
         say("learning the noise")
-        few = roughly_weighed(drawn).subsample(_SCOUTS, seed)
+        few = roughly_weighed(drawn).subsample(_NOISE_PIXELS, seed)
         most = max(len(x.bounds) for x in models)
         scouts = [Objective(x, few) for x in models if len(x.bounds) == most]
         ends = [(x.model, multistart(x, seed=seed)) for x in scouts]
         richest, end = min(ends, key=lambda pair: pair[1].cost)
-        whole = Objective(richest, roughly_weighed(drawn))
-        weighed, theta = reweighed(whole, end.theta, pictures.clips)
+        roughly = Objective(richest, roughly_weighed(drawn))
+        weighed, theta = reweighed(roughly, end.theta, pictures.clips)
         tried: list[FittedModel[CoefficientModel]] = []
         for i, candidate in enumerate(models):
             say(f"fitting {candidate.name!r}, {i + 1} of {len(models)}")
@@ -151,7 +151,7 @@ def checked_options(pixels: int, seed: int, progress: bool | Progress) -> Progre
     began = time.monotonic()
 
     def say(line: str) -> None:
-        if progress and time.monotonic() - began > _PATIENCE:
+        if progress and time.monotonic() - began > _QUIET_SECONDS:
             print(f"uwaug: {line}", file=sys.stderr, flush=True)
 
     return say
@@ -218,9 +218,9 @@ def _doubts(chosen: FittedModel[CoefficientModel], numbers: Mapping[str, Paramet
             "attenuation of both together, and G at least; that of the direct light alone, β of "
             "the water, may be larger."
         )
-    elif c.width < NARROW:
+    elif c.width < NARROW_PX:
         sentences.append(
-            f"A blur below {NARROW} px is hardly told from none, and with it what is scattered "
+            f"A blur below {NARROW_PX} px is hardly told from none, and with it what is scattered "
             "forward from what is not; G and veil do not depend on it."
         )
     else:
@@ -231,7 +231,7 @@ def _doubts(chosen: FittedModel[CoefficientModel], numbers: Mapping[str, Paramet
         if numbers[f"veil_{colour}"].value is None
     }
     sentences += straight_line(rates, geometry.farthest)
-    if c.beta.max() > _FASTEST:
+    if c.beta.max() > _MAX_BETA:
         sentences.append(f"β reaches {c.beta.max():.3g}/m: are the distances in metres?")
     if not chosen.solution.converged:
         sentences.append("The fit stopped before it settled: fix what is known.")

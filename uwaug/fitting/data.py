@@ -27,7 +27,7 @@ BLOCKS = 10
 
 _MIN_PIXELS = 500  # usable pixels that a fit needs
 _MIN_SPAN = 0.03  # of the distances, as a share of their median; less is one distance
-_SAME = 2e-3  # mean difference of two pictures that are one, as a share of their light
+_SAME_PICTURE = 2e-3  # mean difference of two pictures that are one, as a share of their light
 _WHITE = 0.98  # linear light, 253 of 255 in sRGB: the clean picture may be brighter than it says
 _TOLERANCE = 2e-4  # of the blurs: what they are wrong by is the least that a residual can be
 # Of the picture's short side: the widest blur that a law may ask for. The calibrated law reaches
@@ -110,7 +110,7 @@ class Pictures:
         bare = torch.zeros_like(light[:1])
         if clean is not None:
             bare = _light(rows["clean"], color_space, "clean")
-            if float((bare - light).abs().mean()) <= _SAME * float(bare.mean()):
+            if float((bare - light).abs().mean()) <= _SAME_PICTURE * float(bare.mean()):
                 cure = "give the same scene without water and in it"
                 raise ValueError(f"clean and observed are the same picture: {cure}")
         z = z.detach().cpu().double()

@@ -28,9 +28,9 @@ from uwaug.optics.surfaces import Surfaces
 from uwaug.optics.water import Water
 
 _SEEN = 0.02  # share of the contrast that is left at the visibility
-_SCOUTS = 1000  # pixels of the fits that others begin from
+_START_PIXELS = 1000  # pixels of the fits that others begin from
 _VISIBILITIES = np.geomspace(0.4, 25.0, 8)  # to begin at, in multiples of the median distance
-_DEPTHS = (0.5, 3.0, 10.0)  # vertical depths to begin at, m
+_VERTICAL_DEPTHS = (0.5, 3.0, 10.0)  # vertical depths to begin at, m
 _MAX_VERTICAL_DEPTH = 30.0  # m; below, little is left of any light but blue
 _CONTENTS = (1e-3, 1e3)  # of a type's: from pure water to clear types within the tables' error
 _STEP = 1e-5  # of θ, for a difference that stands for the slope of a picture
@@ -214,7 +214,7 @@ def fit_water(
     with one_thread(), torch.inference_mode(False), torch.no_grad():
         say("blurring the clean picture")
         drawn = roughly_weighed(pictures.sample([law.shape], int(pixels), seed))
-        few = drawn.subsample(_SCOUTS, seed)
+        few = drawn.subsample(_START_PIXELS, seed)
         scouts = []
         for model in models:
             say(f"trying {model.name}")
@@ -236,11 +236,11 @@ def fit_water(
         result = result_of(chosen, tried, model.name, model.medium(theta, _TOLERANCE), pictures)
     others = result.candidates[1:]
     alike = [x.name for x in others if x.behind <= x.behind_error]
-    told = "All others explain the picture worse by more than one standard error."
+    comparison = "All others explain the picture worse by more than one standard error."
     if alike:
-        told = f"Within one standard error, these explain it as well: {', '.join(alike)}."
+        comparison = f"Within one standard error, these explain it as well: {', '.join(alike)}."
     notes = (
-        f"Jerlov type {model.name}. {told}",
+        f"Jerlov type {model.name}. {comparison}",
         f"The residual is {result.rms:.2g} RMS of linear light. Camera, g, surfaces and a linear "
         "camera are taken for known.",
     )
@@ -254,7 +254,7 @@ def _start(objective: Objective[TypeModel]) -> Array:
     best, least = np.zeros(len(model.bounds)), math.inf
     for metres in _VISIBILITIES * model.geometry.reference:
         contents = math.log(max(model.water.contents_for(_SEEN, metres), _CONTENTS[0]))
-        for depth in _DEPTHS if model.depth is None else (model.depth,):
+        for depth in _VERTICAL_DEPTHS if model.depth is None else (model.depth,):
             numbers = {"contents": contents, "vertical_depth": depth, "gain": 0.0}
             theta = np.clip([numbers[name] for name in model.bounds], *objective.bounds)
             light = model.render(theta, pixels) * pixels.weights

@@ -30,13 +30,13 @@ MOST_GAIN = 1e4  # and one over it the least
 # px, σ at the median distance, below which a blur is hardly told from none: in pictures of the
 # default tolerance β is 40 % too small at .2 px, 10 % at .45, right at .7; and one of .13 px was
 # taken for .68 px.
-NARROW = 0.8
+NARROW_PX = 0.8
 EXPONENTS = (0.2, 3.0)  # of a width law: least and largest
 _MAX_G_OVER_BETA = 4.0  # where no light is scattered forward and nothing ties the two together
 _MIN_G = 1e-9  # 1/m, stands for smaller G, where the veil has no end
 _MIN_LENGTHS = 1e-2  # scattering lengths to the median distance, that a width law counts by
 _MIN_WIDTH = 1e-9  # px, stands for less: slopes by the width are proportional to it
-_STEP = 1e-5  # of θ, for a difference that stands for the slope of what is reported
+_REPORT_STEP = 1e-5  # of θ, for a difference that stands for the slope of what is reported
 
 
 class Bounds(NamedTuple):
@@ -99,7 +99,7 @@ def report_slopes(model: Model, theta: Array) -> Array:
     """Derivatives of what a model reports by θ (quantities x numbers), by differences."""
     columns = []
     for i, bound in enumerate(model.bounds.values()):
-        step = _STEP * max(abs(theta[i]), abs(bound.begin), 0.01)
+        step = _REPORT_STEP * max(abs(theta[i]), abs(bound.begin), 0.01)
         up, down = theta.copy(), theta.copy()
         up[i], down[i] = min(theta[i] + step, bound.high), max(theta[i] - step, bound.low)
         columns.append((model.report(up) - model.report(down)) / (up[i] - down[i]))
@@ -256,18 +256,18 @@ class CoefficientModel(Model):
 
     def coefficients(self, theta: Array) -> Coefficients:
         """What the picture depends on."""
-        known = dict(self.fixed) | dict(zip(self.bounds, theta.tolist(), strict=True))
+        values = dict(self.fixed) | dict(zip(self.bounds, theta.tolist(), strict=True))
 
         def three(kind: str, otherwise: Array) -> Array:
             rows = zip(COLOURS, otherwise.tolist(), strict=True)
-            return np.array([known.get(f"{kind}_{colour}", value) for colour, value in rows])
+            return np.array([values.get(f"{kind}_{colour}", value) for colour, value in rows])
 
         beta = three("beta", np.zeros(3))
         G = three("G", three("share", np.ones(3)) * beta)
         source = three("source", G * three("veil", np.zeros(3)))
         light = np.exp(three("light", np.zeros(3)))
         return Coefficients(
-            beta, G, source, light, known.get("width", 0.0), known.get("exponent", 1.0)
+            beta, G, source, light, values.get("width", 0.0), values.get("exponent", 1.0)
         )
 
     def start(self, numbers: Mapping[str, float]) -> Array:
@@ -356,7 +356,7 @@ class CoefficientModel(Model):
 
     def hidden(self, theta: Array) -> Sequence[str]:
         """β and the width, where the blur is hardly told from none."""
-        if self.spec.shape is None or self.coefficients(theta).width >= NARROW:
+        if self.spec.shape is None or self.coefficients(theta).width >= NARROW_PX:
             return ()
         return ("beta_red", "beta_green", "beta_blue", "width", "exponent")
 

@@ -73,12 +73,12 @@ def _draw_remainder(axis: "Axes", fit: Fit) -> None:
     """
     seen = [row for row in fit.remainder if row.distance < FARTHEST]
     z = np.array([row.distance for row in seen])
-    apart = 0.004 * np.ptp(z)
+    beside = 0.004 * np.ptp(z)
     axis.axhspan(-SHOWS, SHOWS, color="black", alpha=0.07)
     for c, colour in enumerate(COLOURS):
         mean, error = ([getattr(row, name)[c] for row in seen] for name in ("mean", "error"))
         axis.errorbar(
-            z + (c - 1) * apart,  # colours side by side
+            z + (c - 1) * beside,  # colours side by side
             mean,
             1.96 * np.array(error),
             color=_RGB[c],

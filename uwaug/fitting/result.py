@@ -191,9 +191,9 @@ class Fit:
                 rows.append([*row, values])
             parts += _aligned(rows)
         rows = [["observed − fitted", *COLOURS, "of linear light"]]
-        for left in self.remainder:
-            cells = [f"{m:+.4f} ± {e:.4f}" for m, e in zip(left.mean, left.error, strict=True)]
-            rows.append([f"at {left.distance:.3g} m", *cells, ""])
+        for rest in self.remainder:
+            cells = [f"{m:+.4f} ± {e:.4f}" for m, e in zip(rest.mean, rest.error, strict=True)]
+            rows.append([f"at {rest.distance:.3g} m", *cells, ""])
         return "\n".join([*parts, *(_aligned(rows) if self.remainder else ())])
 
     def __str__(self) -> str:

@@ -21,12 +21,12 @@ _MAX_LOGIT = 16.0  # logarithm of the odds; e^−16 of a number's range is its e
 _AT_BOUND = 1e-6  # of a number's range: nearer to its end, it is there
 _CONVERGED = 1e-7  # relative change of cost or numbers at which a fit ends
 # Optical depths β·z at the reference distance, of the grid that a guess is taken from.
-_DEPTHS = np.geomspace(0.05, 12.0, 24)
+_OPTICAL_DEPTHS = np.geomspace(0.05, 12.0, 24)
 _G_OVER_BETA = (0.1, 0.3, 0.6, 1.0)  # of the same grid
-_SCOUTS = 2000  # pixels that decide between starts
-_APART = 0.5  # of random starts: each number is multiplied by up to e^±_APART
-_ROUGH = 0.01  # of linear light: the noise of a first fit
-_LEAST = 1e-4  # of linear light; no camera is better
+_START_PIXELS = 2000  # pixels that decide between starts
+_START_SPREAD = 0.5  # of random starts: each number is multiplied by up to e^±_START_SPREAD
+_ROUGH_NOISE = 0.01  # of linear light: the noise of a first fit
+_MIN_NOISE = 1e-4  # of linear light; no camera is better
 _LEVELS = 16  # of brightness, in each of which the spread of the residuals is looked at
 _MAD = 1.4826  # standard deviations in a median absolute deviation of Gaussian noise
 _UNCLIPPED = 3.0  # standard deviations of noise, by which a value lies above black and below white
@@ -121,8 +121,8 @@ def logit_prefit(objective: Objective[M], start: Array, most: int = 40) -> Array
     """Numbers near the least cost, from a start that may be far.
 
     Each number goes by the logarithm of its distances from its bounds, so that steps are shares of
-    it. (Without, one start in twelve lets a rate overshoot to where its light is gone, and nothing
-    calls it back: 22 of 276 starts up to e^±1 away, against none of 35 in seven such waters.)
+    it: a rate that overshoots to where its light is gone is called back by nothing
+    (benchmarks/README.md).
     """
     from scipy.optimize import least_squares
 
@@ -166,10 +166,10 @@ def multistart(
     has nothing to call it back (1 start in 9 ended so).
     """
     model, rng = objective.model, np.random.default_rng(seed)
-    few = replace(objective, pixels=objective.pixels.subsample(_SCOUTS, rng))
+    few = replace(objective, pixels=objective.pixels.subsample(_START_PIXELS, rng))
     first = guess(few)
     starts = [model.start({**first, **numbers}) for numbers in ({}, *near)]
-    factor = np.exp(rng.uniform(-_APART, _APART, len(starts[0])))
+    factor = np.exp(rng.uniform(-_START_SPREAD, _START_SPREAD, len(starts[0])))
     starts.append(np.clip(starts[0] * factor, *objective.bounds))
     ends = [solve(few, logit_prefit(few, theta), most=20) for theta in starts]
     nearest = min(ends, key=lambda end: end.cost)
@@ -188,19 +188,19 @@ def guess(
     model = objective.model
     values = {name: bound.begin for name, bound in model.bounds.items()} | dict(numbers or {})
     law = model.coefficients(np.array([values[name] for name in model.bounds]))
-    pixels, reference = objective.pixels.subsample(_SCOUTS // 2, 0), model.geometry.reference
-    found = []
+    pixels, reference = objective.pixels.subsample(_START_PIXELS // 2, 0), model.geometry.reference
+    trials = []
     for share in _G_OVER_BETA if model.spec.own_veil else (1.0,):
-        for beta in (_DEPTHS / reference).tolist():
+        for beta in (_OPTICAL_DEPTHS / reference).tolist():
             ones = np.ones(3)
             c = law._replace(beta=beta * ones, G=share * beta * ones, source=0 * ones, light=ones)
             by = picture_slopes(c, pixels, model.spec.shape, reference)
             error, light, source = _light_and_source(
                 by["light"], by["source"], pixels, gain=model.gain
             )
-            found.append((error, beta, share, light, source))
+            trials.append((error, beta, share, light, source))
     for i, colour in enumerate(COLOURS):
-        _, beta, share, light, source = min(found, key=lambda row: float(row[0][i]))
+        _, beta, share, light, source = min(trials, key=lambda row: float(row[0][i]))
         best = {"beta": beta, "share": share, "light": np.log(light[i]), "source": source[i]}
         values |= {f"{kind}_{colour}": float(value) for kind, value in best.items()}
     return values
@@ -233,7 +233,7 @@ def _light_and_source(
 
 def roughly_weighed(pixels: Pixels) -> Pixels:
     """The pixels with weights for a first fit."""
-    return replace(pixels, weights=pixels.weights / _ROUGH)
+    return replace(pixels, weights=pixels.weights / _ROUGH_NOISE)
 
 
 def reweighed(objective: Objective[M], theta: Array, clips: bool) -> tuple[Pixels, Array]:
@@ -287,10 +287,10 @@ def noise(error: Tensor, light: Tensor, used: Tensor) -> Tensor:
     for part in np.array_split(np.argsort(levels), _LEVELS):
         if len(part) > 1:
             spread = _MAD * float(np.median(np.abs(errors[part] - np.median(errors[part]))))
-            rows.append((max(float(levels[part].mean()), 0.0), max(spread, _LEAST) ** 2))
+            rows.append((max(float(levels[part].mean()), 0.0), max(spread, _MIN_NOISE) ** 2))
     level, variance = np.array(rows).T
     # each variance counts by its own size
     system = np.stack([np.ones_like(level), level], 1) / variance[:, None]
     (read, shot), _ = nnls(system, np.ones_like(level))
-    deviation: Tensor = (read + shot * light.clamp(min=0.0)).clamp(min=_LEAST**2).sqrt()
+    deviation: Tensor = (read + shot * light.clamp(min=0.0)).clamp(min=_MIN_NOISE**2).sqrt()
     return deviation

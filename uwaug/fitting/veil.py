@@ -21,7 +21,7 @@ from uwaug.optics.medium import Medium
 
 _NEAR, _FAR = 0.005, 0.995  # quantiles of the finite distances, between which the bins lie
 _BINS = 10  # equal steps of distance
-_SHARE = 0.01  # of the pixels of each, that are taken for black
+_DARK_SHARE = 0.01  # of the pixels of each, that are taken for black
 _MIN_PIXELS = 50  # pixels of a bin that is looked at
 _MIN_DARK = 10  # dark pixels that are taken from a bin
 _MIN_BINS = 3  # bins that a fit needs
@@ -139,7 +139,7 @@ def fit_veil(
                 rows[quantity.name] = parameter(quantity, value, error, shows=shows[kind])
     numbers = {f"{kind}_{c}": rows[f"{kind}_{c}"] for kind in _KINDS for c in COLOURS}
     source, G = theta.T
-    left = dark.light - np.stack([_veil(s, rate, dark.z) for s, rate in theta], 1)
+    residual = dark.light - np.stack([_veil(s, rate, dark.z) for s, rate in theta], 1)
     notes = [
         "An estimate: the darkest pixels at each distance are taken for black. What their surfaces "
         f"reflect counts as veil; errors are for up to {darkest:.2g} of white (darkest)."
@@ -156,7 +156,7 @@ def fit_veil(
         covariance=covariance,
         medium=Medium.from_coefficients(*map(torch.from_numpy, (G, G, source / G))),
         geometry=pictures.geometry,
-        rms=float(np.sqrt((left**2).mean())),
+        rms=float(np.sqrt((residual**2).mean())),
         notes=(*notes, *unknown(numbers)),
         color_space=color_space,
         pictures=pictures,
@@ -171,7 +171,7 @@ def _darkest(pictures: Pictures, rng: np.random.Generator) -> Dark:
     used = pictures.usable[:, 0]
     luminance, z = grey[:, 0][used].numpy(), pictures.z[:, 0][used].numpy()
     light = pictures.observed.movedim(1, -1)[used].numpy()
-    places = [np.flatnonzero(one.numpy()) for one in used]
+    places = [np.flatnonzero(mask.numpy()) for mask in used]
     blocks = blocks_of(places, pictures.geometry.size)
     if float(np.ptp(light, 0).max()) <= _ONE_COLOUR * float(light.max()):
         raise ValueError("observed is of one colour everywhere, which tells nothing of the water")
@@ -182,7 +182,7 @@ def _darkest(pictures: Pictures, rng: np.random.Generator) -> Dark:
     for k in range(_BINS):
         inside = np.flatnonzero(finite & (step == k))
         if len(inside) >= _MIN_PIXELS:
-            count = max(round(_SHARE * len(inside)), _MIN_DARK)
+            count = max(round(_DARK_SHARE * len(inside)), _MIN_DARK)
             darkest.append(inside[np.argpartition(luminance[inside], count)[:count]])
     if len(darkest) < _MIN_BINS:
         few = f"only {len(darkest)} of {_BINS} steps of distance hold {_MIN_PIXELS} pixels"

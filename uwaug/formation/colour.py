@@ -132,8 +132,7 @@ def linear_to_srgb(x: Tensor) -> Tensor:
 
 # The curves are (x/m)·curve(m) with m = max(|x|, knee): the straight piece is a constant
 # curve(m)/m, the odd extension is free, and no branch left out can spoil a gradient. exp and log1p
-# are exact where a power is 1, at white. As ONNX, 3×256², one thread: .44 ms; with pow .67;
-# kornia's .74.
+# are exact where a power is 1, at white.
 def _decode(x: Tensor) -> Tensor:
     m = x.abs().clamp(_SRGB_KNEE, _LARGEST)
     return x / m * torch.exp(torch.log1p((m - 1) * (1 / 1.055)) * 2.4)
@@ -145,10 +144,8 @@ def _encode(x: Tensor) -> Tensor:
 
 
 # The same for eager mode: in place on pieces that stay in the cache, keeping only x for the
-# backward pass. There, the straight piece's slope is the power piece's at another place. One
-# thread, decode / encode, forward (and backward), ms: 3×256² .26 / .28 (.6), 3×1024² 4.2 / 4.3 (9).
-# Losers: kornia .55 / .53 (1.5), 10 / 9 (27); where + pow .74, 16; pow in the formula above .41;
-# log2 for log1p or exp for exp2 + .06 and + .08; all left to autograd .25 (1.5), 5 … 30 (33).
+# backward pass. There, the straight piece's slope is the power piece's at another place. Half of
+# the time of others (benchmarks/README.md).
 _DECODE_STRAIGHT = 1.055 * (1.055 / (2.4 * 12.92)) ** (1 / 1.4) - 0.055
 _ENCODE_STRAIGHT = (2.4 * 12.92 / 1.055) ** (-2.4 / 1.4)
 

@@ -92,10 +92,11 @@ def contrast_left(
         # an even surface, which no blur changes
         terms = water.parts(z, object_light, object_light, T)
         detail = _luminance(terms["direct"])
-        whole = _luminance(sum(terms.values(), z.new_zeros(())))
+        arriving = _luminance(sum(terms.values(), z.new_zeros(())))
         # where no light arrives the slope of a quotient would be NaN
-        dark = whole <= 0
-        share = torch.where(dark, 0.0, detail / torch.where(dark, 1.0, whole)).to(distance.dtype)
+        dark = arriving <= 0
+        share = torch.where(dark, 0.0, detail / torch.where(dark, 1.0, arriving))
+        share = share.to(distance.dtype)
     return share[0] if distance.ndim == 3 and len(share) == 1 else share
 
 

@@ -71,8 +71,8 @@ class Weights(NamedTuple):
     @staticmethod
     def of(medium: Medium) -> "Weights":
         """Those of a medium."""
-        arrays = (values.detach().cpu().double().numpy() for values in medium.tensors()[:5])
-        rows = (x.reshape(len(x), -1, x.shape[-1]) if x.ndim == 4 else x for x in arrays)
+        arrays = [values.detach().cpu().double().numpy() for values in medium.tensors()[:5]]
+        rows = [x.reshape(len(x), -1, x.shape[-1]) if x.ndim == 4 else x for x in arrays]
         return Weights(*map(np.ascontiguousarray, rows))
 
     def seen_by(self, gain: Array) -> "Weights":

@@ -94,9 +94,7 @@ def random_fields(
     return field_of(noise, *size, 4.0, low, high, moved)
 
 
-# One thread, 256² / 1024², a draw included: this takes .27 / 2.2 ms; 64² by FFT and bicubic
-# interpolation .51 / 6.5; FFT at full size 1.3 / 48. A 64² grid and cubic upsampling as two matrix
-# products cost as much as this does.
+# a quarter to half of the time of an FFT (benchmarks/README.md)
 def field_of(
     noise: Tensor,
     height: int,

@@ -72,7 +72,7 @@ def form(
     """
     if image.numel() == 0 or z.numel() == 0:
         return _nothing(image, z)
-    if not plans and fast.can(image, z, medium, light):
+    if not plans and fast.can(image, z, medium, light, development):
         from uwaug.fast import render  # imports numba, which takes a second
 
         return render.form(image, z, medium, development, color_space, plan, tolerance)
@@ -87,7 +87,9 @@ def form(
     else:
         if plan is None:
             brightest = medium if light is None else light.planned(medium)
-            plan = plan_for(z, brightest.brightened(gain), (z.shape[-2], z.shape[-1]), tolerance)
+            plan = plan_for(
+                z, brightest.brightened(gain.detach()), (z.shape[-2], z.shape[-1]), tolerance
+            )
         soft = blurred_as_seen(J, z, medium, plan, blurs)
     largest = headroom(image) if color_space == "srgb" else 1.0
     sensor, noise = development.noise, () if normals is None else (normals,)

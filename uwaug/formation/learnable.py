@@ -16,10 +16,10 @@ from uwaug.optics.point_spread import PointSpread
 
 Part = Literal["rates", "veil", "width"]
 
-_LEAST = 1e-6
+_MIN_START = 1e-6
 """Where learning starts from 0: a smaller number would hardly learn."""
 
-_SLOWEST = 1e-9
+_MIN_G = 1e-9
 """1/m, of G: the gradient of V(0) = slope/G has no end as G falls to 0."""
 
 
@@ -42,9 +42,9 @@ class FixedMedium(nn.Module):
         """The medium at hand."""
         tensors: dict[str, Any] = dict(self.named_buffers())
         law = self.start.point_spread
-        numbers = {name: tensors.pop(name) for name in law.NUMBERS if name in tensors}
+        of_law = {name: tensors.pop(name) for name in law.NUMBERS if name in tensors}
         # a law is looked at when it is made, which torch.compile cannot do with numbers of its own
-        law = replace(law, **numbers) if numbers else law
+        law = replace(law, **of_law) if of_law else law
         return replace(self.start, **tensors, point_spread=law)
 
     def get_extra_state(self) -> Tensor:
@@ -104,7 +104,7 @@ class LearnableMedium(nn.Module):
 
     def _add(self, name: str, value: Tensor) -> None:
         """A parameter that becomes this value by `softplus`."""
-        value = value.detach().clamp(min=_LEAST)
+        value = value.detach().clamp(min=_MIN_START)
         self.register_parameter(
             f"raw_{name}", nn.Parameter(value + torch.log(-torch.expm1(-value)))
         )
@@ -112,14 +112,14 @@ class LearnableMedium(nn.Module):
     def forward(self) -> Medium:
         """The medium at hand."""
         medium: Medium = self.start()
-        numbers = {name: F.softplus(raw) for name, raw in self.named_parameters()}
+        positive = {name: F.softplus(raw) for name, raw in self.named_parameters()}
         learned: dict[str, Any] = {}
-        G = medium.G.clamp(min=_LEAST)
+        G = medium.G.clamp(min=_MIN_START)
         if "rates" in self.learned:
-            G = numbers["raw_G"] + _SLOWEST
-            learned |= {"G": G, "beta": G + numbers["raw_excess"]}
+            G = positive["raw_G"] + _MIN_G
+            learned |= {"G": G, "beta": G + positive["raw_excess"]}
         if "veil" in self.learned:
-            learned["veil_weights"] = torch.diag_embed(numbers["raw_veil_slope"] / G)
+            learned["veil_weights"] = torch.diag_embed(positive["raw_veil_slope"] / G)
         if "width" in self.learned:
-            learned["point_spread"] = replace(medium.point_spread, scale=numbers["raw_scale"])
+            learned["point_spread"] = replace(medium.point_spread, scale=positive["raw_scale"])
         return replace(medium, **learned, bands=())

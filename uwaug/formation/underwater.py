@@ -27,16 +27,16 @@ from uwaug.formation.learnable import FixedMedium, LearnableMedium, Part
 from uwaug.light import Light
 from uwaug.optics.medium import Medium
 
-_FEW = 0.01
+_MAX_SHARE_OUTSIDE = 0.01
 """Share of the pixels that may lie outside of the range that is planned for without a word."""
 
-_ROOM = 2.0
+_WIDTH_MARGIN = 2.0
 """Either way, for the width that is learned, until it is planned anew."""
 
 _COMPILES = tuple(map(int, torch.__version__.split(".")[:2])) >= (2, 13)
 """Whether this torch compiles the module; older ones were tried, and do not."""
 
-_ROUNDING = 1e-6
+_RANGE_ROUNDING = 1e-6
 """Of float32: a field of .7…1.3 on a range that was planned for it reaches so far beyond."""
 
 
@@ -187,11 +187,11 @@ class Underwater(nn.Module):
             return
         near, far = self.distance_range
         nearest, farthest = checks.extent(z)
-        if near <= nearest * (1 + _ROUNDING) and farthest <= far * (1 + _ROUNDING):
+        if near <= nearest * (1 + _RANGE_ROUNDING) and farthest <= far * (1 + _RANGE_ROUNDING):
             return
         outside = (z < near) | ((z > far) & (z < checks.OPEN))
         share = float(outside.count_nonzero()) / z.numel()
-        if share > _FEW:
+        if share > _MAX_SHARE_OUTSIDE:
             self._warned = True
             warnings.warn(
                 f"{share:.0%} of the pixels lie outside of the {near:g}…{far:g} m that the blur is "
@@ -204,7 +204,7 @@ class Underwater(nn.Module):
         """Plan for the medium at hand, also for one whose state has been loaded."""
         medium = self.medium
         if self.distance_range is not None and not medium.beta.is_meta:
-            self.demand = self._demand_of(medium, margin=_ROOM if self.learnable else 1.0)
+            self.demand = self._demand_of(medium, margin=_WIDTH_MARGIN if self.learnable else 1.0)
 
     def _keep_up(self, medium: Medium) -> None:
         """Plan anew if what was learned has left the plan, at whose ends widths would stop changing
@@ -221,8 +221,8 @@ class Underwater(nn.Module):
         gain = medium.beta.new_full((1,), self.development.brightening)
         if self.development.metered:
             # before a picture is seen, it is taken to make up for the light that is lost above it
-            left = medium.ambient().detach()
-            luminance = (left * left.new_tensor(LUMINANCE)).sum(-1)
+            ambient = medium.ambient().detach()
+            luminance = (ambient * ambient.new_tensor(LUMINANCE)).sum(-1)
             gain = gain * (1 / luminance.clamp(min=1e-30)).clamp(*GAINS)
         return blur_demand(
             medium.brightened(gain),

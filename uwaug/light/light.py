@@ -26,16 +26,16 @@ from uwaug.optics.curves import Curves, added, decay
 from uwaug.optics.medium import Medium
 from uwaug.optics.surfaces import white
 
-_RADIUS = 0.03
+_LAMP_RADIUS_M = 0.03
 """m, of a lamp: nearer, its light grows no more."""
 
-_EDGE = 0.5
+_SOFT_EDGE = 0.5
 """Of the cone, over which the light fades to its edge."""
 
-_LEAST = 1e-6
+_MIN_METRES = 1e-6
 """m; nearer, a distance does not tell the field that multiplies it."""
 
-_DARK = 1e-30
+_MIN_LIGHT = 1e-30
 """Of light, stands for none."""
 
 
@@ -83,12 +83,12 @@ class Lamp:
     def __post_init__(self) -> None:
         limits = {"position": (-1e4, 1e4), "aim": (-1e4, 1e4), "color": (0.0, math.inf)}
         for name, (low, high) in limits.items():
-            numbers = getattr(self, name)
-            if not isinstance(numbers, (tuple, list)) or len(numbers) != 3:
-                raise TypeError(f"{name} must be three numbers, got {numbers!r:.80}")
-            for number in numbers:
+            vector = getattr(self, name)
+            if not isinstance(vector, (tuple, list)) or len(vector) != 3:
+                raise TypeError(f"{name} must be three numbers, got {vector!r:.80}")
+            for number in vector:
                 checks.within(name, number, low, high)
-            object.__setattr__(self, name, tuple(map(float, numbers)))
+            object.__setattr__(self, name, tuple(map(float, vector)))
         if math.hypot(*self.aim) < 1e-6:
             raise ValueError(f"aim must point somewhere, got {self.aim}")
         checks.within("power", self.power, 0.0)
@@ -130,7 +130,7 @@ class Lamp:
         `curves`.
         """
         nearest = rays.along(self.position)
-        height = torch.sqrt(rays.distance(self.position).square() + _RADIUS**2)
+        height = torch.sqrt(rays.distance(self.position).square() + _LAMP_RADIUS_M**2)
         beyond = z - nearest
         squared = beyond.square() + height.square()
         one_over = squared.rsqrt()
@@ -149,7 +149,7 @@ class Lamp:
         x, y, z = (part / length for part in self.aim)
         along = rays.along((x, y, z))
         before = self.position[0] * x + self.position[1] * y + self.position[2] * z
-        inner, outer = (math.cos(math.radians(degrees * part)) for part in (1 - _EDGE, 1))
+        inner, outer = (math.cos(math.radians(degrees * part)) for part in (1 - _SOFT_EDGE, 1))
         return Cone((nearest * along - before) / height, along, inner, outer)
 
 
@@ -209,7 +209,7 @@ class Light:
         if metres is None:
             metres = z
         else:
-            density = torch.where(metres > _LEAST, z / metres.clamp(min=_LEAST), 1.0)
+            density = torch.where(metres > _MIN_METRES, z / metres.clamp(min=_MIN_METRES), 1.0)
         water, rays = medium.under_lamp(), Rays.of(metres, self.view)
         normals, share = rays.normals(metres), _straight(water, z)
         for lamp in self.lamps:
@@ -231,15 +231,15 @@ def _straight(water: Medium, z: Tensor) -> Tensor:
     signal = _summed(water.G, white(water.signal_weights), z)
     if water.is_spectral:
         direct, signal = direct.sum(1, keepdim=True), signal.sum(1, keepdim=True)
-    return (direct / signal.clamp(min=_DARK)).clamp(max=1.0)
+    return (direct / signal.clamp(min=_MIN_LIGHT)).clamp(max=1.0)
 
 
 def _summed(rates: Tensor, weights: Tensor, length: Tensor) -> Tensor:
     """Σ weight·e^(−rate·length) of ways (Bx1xHxW) through the water: three channels (Bx3xHxW), or
     matrices (Bx3x3xHxW).
     """
-    left = decay(rates[..., None], length.flatten(1)[:, None])
-    sums = torch.unflatten(weights.flatten(1, -2) @ left, -1, length.shape[-2:])
+    exponentials = decay(rates[..., None], length.flatten(1)[:, None])
+    sums = torch.unflatten(weights.flatten(1, -2) @ exponentials, -1, length.shape[-2:])
     return sums if weights.ndim == 3 else torch.unflatten(sums, 1, (3, 3))
 
 

@@ -13,35 +13,30 @@ from torch import Tensor
 
 Vector = tuple[float, float, float]
 
-_NEAREST, _FARTHEST = 1e-3, 1e5
+_NEAREST_M, _FARTHEST_M = 1e-3, 1e5
 """m: what lies nearer or farther counts as so far, where a slope is asked for. Squares of both
 keep their digits.
 """
 
-_BESIDE = 2
+_SLOPE_PX = 2
 """px to either side, over which a surface's slope is taken: over 1 px, the steps of a map of 8 bits
 are walls.
 """
 
-_SMOOTH, _PASSES = 4, 2
-"""px to either side, over which a distance map is smoothed before slopes are taken, and how often.
-
-Without, shading was noise: of the lit pixels of the motorcycle, whose map is
-rounded to 1 cm, to 5 cm, or has .3 % or 1 % of noise, 15, 47, 57 and 82 % changed by more than 30 %
-of their light; so 0, 12, 2 and 8 %. (Planes fitted to 11×11 px of like distance: 0, 20, 1 and 9 %,
-in ten times the time. Means of 7×7 px of like distance, twice: 0, 14, 0, 3 %, in three times the
-time, and wrong on planes at borders and edges.)
+_SMOOTH_PX, _PASSES = 4, 2
+"""px to either side, over which a distance map is smoothed before slopes are taken, and how often:
+without, shading was noise (benchmarks/README.md).
 """
 
-_RELIEF = 0.03
+_MAX_RELIEF = 0.03
 """Of the distance: pixels on both sides whose mean is farther from the one between them than so do
-not lie on its surface. (.05 noises less, and takes more relief away.)
+not lie on its surface.
 """
 
-_OUTSIDE = 1e6
+_INVERSE_OUTSIDE = 1e6
 """1/m: the inverse of no distance, beyond the borders of the picture."""
 
-_STEEPEST = 8.0
+_MAX_SLOPE = 8.0
 """The tangent of 83°: what is steeper is the gap between two surfaces, and counts as facing the
 camera. As a surface it would draw a black line round every object.
 """
@@ -96,7 +91,7 @@ class Rays(NamedTuple):
         Args:
             z (Bx1xHxW tensor): distance along the ray, m.
         """
-        inverse = _smoothed(1 / (z.clamp(_NEAREST, _FARTHEST) * self.shortening))
+        inverse = _smoothed(1 / (z.clamp(_NEAREST_M, _FARTHEST_M) * self.shortening))
         across, down = (_slope(inverse, self.focal, axis) for axis in (3, 2))
         return torch.cat([across, down, inverse - self.x * across - self.y * down], 1)
 
@@ -108,16 +103,16 @@ def dot(normals: Tensor, vector: Vector) -> Tensor:
 
 
 def _sides(values: Tensor, far: int, axis: int) -> tuple[Tensor, Tensor]:
-    """What is so many pixels before each, and after it; `values` have `_SMOOTH` more on each side
-    along an axis.
+    """What is so many pixels before each, and after it, of values with `_SMOOTH_PX` more on each
+    side along an axis.
     """
-    size = values.shape[axis] - 2 * _SMOOTH
-    return values.narrow(axis, _SMOOTH - far, size), values.narrow(axis, _SMOOTH + far, size)
+    size = values.shape[axis] - 2 * _SMOOTH_PX
+    return values.narrow(axis, _SMOOTH_PX - far, size), values.narrow(axis, _SMOOTH_PX + far, size)
 
 
 def _padded(inverse: Tensor, axis: int) -> Tensor:
-    pads = (_SMOOTH, _SMOOTH, 0, 0) if axis == 3 else (0, 0, _SMOOTH, _SMOOTH)
-    return F.pad(inverse, pads, value=_OUTSIDE)
+    pads = (_SMOOTH_PX, _SMOOTH_PX, 0, 0) if axis == 3 else (0, 0, _SMOOTH_PX, _SMOOTH_PX)
+    return F.pad(inverse, pads, value=_INVERSE_OUTSIDE)
 
 
 def _smoothed(inverse: Tensor) -> Tensor:
@@ -127,9 +122,9 @@ def _smoothed(inverse: Tensor) -> Tensor:
     """
     for _ in range(_PASSES):
         for axis in (3, 2):
-            around, most = _padded(inverse, axis), 1 / (_RELIEF * inverse)
+            around, most = _padded(inverse, axis), 1 / (_MAX_RELIEF * inverse)
             change, weight = torch.zeros_like(inverse), torch.ones_like(inverse)
-            for far in range(1, _SMOOTH + 1):
+            for far in range(1, _SMOOTH_PX + 1):
                 before, after = _sides(around, far, axis)
                 bend = 0.5 * (before + after) - inverse
                 alike = (1 - (bend * most).square()).clamp(min=0.0)
@@ -143,7 +138,10 @@ def _slope(inverse: Tensor, focal: float, axis: int) -> Tensor:
     """The slope of a map along an axis: of the two sides of a pixel, that where it is smaller,
     which is its own surface where another begins.
     """
-    before, after = _sides(_padded(inverse, axis), _BESIDE, axis)
-    before, after = ((inverse - before) * (focal / _BESIDE), (after - inverse) * (focal / _BESIDE))
+    before, after = _sides(_padded(inverse, axis), _SLOPE_PX, axis)
+    before, after = (
+        (inverse - before) * (focal / _SLOPE_PX),
+        (after - inverse) * (focal / _SLOPE_PX),
+    )
     slope = torch.where(before.abs() <= after.abs(), before, after)
-    return torch.where(slope.abs() > _STEEPEST * inverse, 0.0, slope)
+    return torch.where(slope.abs() > _MAX_SLOPE * inverse, 0.0, slope)

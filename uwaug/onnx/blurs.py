@@ -21,7 +21,7 @@ from uwaug.blur.kernels import (
 )
 from uwaug.blur.plan import BlurPlan
 
-_FEW = 8
+_FEW_TAPS = 8
 """Taps; a kernel of fewer is as fast with a window for each px."""
 
 _ROWS, _COLUMNS = 2, 3
@@ -54,7 +54,7 @@ class _Fine(nn.Module):
         super().__init__()
         kernel = blur_kernel(sigma, reach)
         self.radius = kernel.shape[1] // 2
-        phases = 1 if kernel.shape[1] < _FEW else PERIOD
+        phases = 1 if kernel.shape[1] < _FEW_TAPS else PERIOD
         window = _window(torch.arange(phases), kernel.expand(phases, -1))
         self.register_buffer("window", window)
 
@@ -104,8 +104,8 @@ class _Wide(nn.Module):
     def __init__(self, sigma: float, cell: float, reach: float) -> None:
         super().__init__()
         self.pitch = round(cell)
-        one = torch.zeros(1, dtype=torch.int64)
-        first, kernel = shrink_kernels(one, 1, self.pitch, sigma, reach)
+        cell_0 = torch.zeros(1, dtype=torch.int64)
+        first, kernel = shrink_kernels(cell_0, 1, self.pitch, sigma, reach)
         self.first = int(first[0])
         self.register_buffer("shrink", kernel.to(torch.float32))
         starts, spline = enlarge_kernels(torch.arange(self.pitch), 1, self.pitch)
@@ -157,12 +157,12 @@ def _folded(x: Tensor, axis: int, lead: int, tail: int, period: int) -> Tensor:
     back at the edges.
     """
     size = x.shape[axis]
-    whole = (size + period - 1) // period * period
-    px = reflect(torch.arange(-lead, whole + tail), size)
+    periods = (size + period - 1) // period * period
+    px = reflect(torch.arange(-lead, periods + tail), size)
     if axis == _ROWS:
         return x.index_select(axis, px)
     # to gather whole rows would copy them value by value
-    before, after = px.narrow(0, 0, lead), px.narrow(0, lead + size, whole - size + tail)
+    before, after = px.narrow(0, 0, lead), px.narrow(0, lead + size, periods - size + tail)
     return torch.cat([x.index_select(axis, before), x, x.index_select(axis, after)], axis)
 
 

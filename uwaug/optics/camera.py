@@ -77,8 +77,8 @@ class Camera(Spectra):
         Raises:
             TypeError, ValueError: if they are no such axis.
         """
-        axis, known = wavelength_axis(wavelengths), self.wavelengths
-        rows = [np.interp(axis, known, row, left=0, right=0) for row in self.response.T]
+        axis = wavelength_axis(wavelengths)
+        rows = [np.interp(axis, self.wavelengths, row, left=0, right=0) for row in self.response.T]
         return np.stack(rows, 1)
 
     def weights(self, wavelengths: ArrayLike) -> Array:

@@ -85,25 +85,25 @@ def repaired_table(type: str, source: str) -> Table:
     if type not in types:
         names = ", ".join(types)
         raise ValueError(f"type must be one of {names} with source {source!r}, got {type!r}")
-    kept = SOURCES[source]
+    origin = SOURCES[source]
     grid = jerlov.water(type, source=source).wavelengths
-    grid = grid[(grid >= kept.low) & (grid <= kept.high)]
+    grid = grid[(grid >= origin.low) & (grid <= origin.high)]
     spectra, notes = {}, []
     for key, label in _LABELS.items():
         values, flags = _tabulated(type, source, key, grid)
         gaps = np.isnan(values)
         if not gaps.all():
-            notes.append(f"Jerlov {type}: {label}: {kept.cited}")
+            notes.append(f"Jerlov {type}: {label}: {origin.cited}")
         if gaps.any():
-            if key not in kept.repairs:
+            if key not in origin.repairs:
                 raise ValueError(f"source {source!r} has no {label} for type {type!r}")
-            repair, cited = kept.repairs[key]
+            repair, cited = origin.repairs[key]
             values[gaps], _ = _tabulated(type, repair, key, grid[gaps])
-            reason = "not in this source" if gaps.all() else kept.misprint
+            reason = "not in this source" if gaps.all() else origin.misprint
             flags[f"{cited} ({reason})"] = grid[gaps].tolist()
         for flag, nm in flags.items():
             where = f"{label} at {min(nm):g}–{max(nm):g} nm"
-            notes.append(f"Jerlov {type}: {where}: {kept.flags.get(flag, flag)}")
+            notes.append(f"Jerlov {type}: {where}: {origin.flags.get(flag, flag)}")
         spectra[key] = values
     return Table(grid, spectra, notes)
 

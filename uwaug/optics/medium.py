@@ -65,16 +65,16 @@ from uwaug.optics.water import Water, load_water
 
 _OF_COEFFICIENTS = "coefficients: one rate per channel"
 
-_ROUNDED = 1e-6
+_G_ROUNDING = 1e-6
 """1/m, and of beta: by so much G may be more."""
 
-_DARK = 1e-30
+_MIN_LIGHT = 1e-30
 """Stands for the light of a channel that gets none."""
 
-_FAINTEST = 1e-6
+_MIN_SHARE = 1e-6
 """Share of a channel's light that is told from none."""
 
-_BRIGHT = 1.05
+_BRIGHT_VEIL = 1.05
 """V(0) from which on a veil is said to be brighter than a white plate."""
 
 
@@ -123,7 +123,7 @@ class Medium:
         if self.is_spectral:
             sizes["S"] = 3
         for name, axes in self.TENSORS.items():
-            tensor, shape = getattr(self, name), tuple(sizes[x] for x in axes if x in sizes)
+            tensor, shape = getattr(self, name), tuple([sizes[x] for x in axes if x in sizes])
             if tensor.ndim == 0:  # one number for all, as a default is
                 object.__setattr__(self, name, tensor.to(self.beta).expand(shape))
             elif tuple(tensor.shape) != shape:
@@ -205,7 +205,7 @@ class Medium:
             + (", surfaces = spectral" if surfaces == "spectral" else "")
         )
         brightest = float((response * veil).sum(1).max())
-        if brightest > _BRIGHT:
+        if brightest > _BRIGHT_VEIL:
             note += f"; veil of {brightest:.2g} times white"
         b_mean = tensor_of(np.array([(sensor @ b).mean()]))
         law = PointSpread.paper() if point_spread is None else point_spread
@@ -242,7 +242,7 @@ class Medium:
         """
         rows = _rows({"beta": beta, "G": G, "veil": veil, "light": light, "b_mean": b_mean})
         beta, G, b = rows["beta"], rows["G"], rows["b_mean"]
-        if bool((G - beta > _ROUNDED * (1 + beta)).any()):
+        if bool((G - beta > _G_ROUNDING * (1 + beta)).any()):
             got = f"G = {G.tolist()} and beta = {beta.tolist()}"
             raise ValueError(f"G must be beta at most, as scatter adds to it: got {got}")
         weights = torch.diag_embed(rows["light"])
@@ -316,7 +316,7 @@ class Medium:
 
     def tensors(self) -> tuple[Tensor, ...]:
         """Rates, weights and b̄, in the order of `TENSORS`."""
-        return tuple(getattr(self, name) for name in self.TENSORS)
+        return tuple([getattr(self, name) for name in self.TENSORS])
 
     def parameters(self) -> dict[str, Tensor]:
         """All that is continuous in a medium, by name, each with a row for every medium: the
@@ -346,8 +346,8 @@ class Medium:
         def rate(weights: Tensor, rates: Tensor) -> Tensor:
             arriving = white(weights) @ torch.exp(-rates * metres)[..., None]
             # a colour matrix may leave less than nothing
-            share = arriving[..., 0] / light.clamp(min=_DARK)
-            return -torch.log(share.clamp(_FAINTEST, 1.0)) / metres
+            share = arriving[..., 0] / light.clamp(min=_MIN_LIGHT)
+            return -torch.log(share.clamp(_MIN_SHARE, 1.0)) / metres
 
         beta = rate(self.direct_weights, self.beta)
         weights = torch.diag_embed(light.clamp(min=0.0))
@@ -425,7 +425,7 @@ class Medium:
                 name: padded([medium[name] for medium in media]).to(self.beta) for name in media[0]
             }
             return replace(self, **tensors, bands=())
-        of_white = white(self.signal_weights).sum(-1).clamp(min=_DARK)
+        of_white = white(self.signal_weights).sum(-1).clamp(min=_MIN_LIGHT)
         of_white = of_white.reshape(len(self), 3, *[1] * (self.signal_weights.ndim - 2))
         signal = self.signal_weights / of_white
         return replace(

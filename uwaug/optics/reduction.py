@@ -91,6 +91,6 @@ def _mixes(lit: Array, rates: Array, tolerance: float) -> bool:
     if (np.abs(others.sum(1)).reshape(3, 2).sum(1) > tolerance).any():  # at the lens, as most do
         return True
     with np.errstate(over="ignore", invalid="ignore"):
-        left = (others @ np.exp(-rate[:, None] * distances_of(rate)) for rate in rates)
-        sums = [np.abs(curves).reshape(3, 2, -1).sum(1) for curves in left]
-    return max(float(curve.max()) for curve in sums) > tolerance
+        curves = (others @ np.exp(-rate[:, None] * distances_of(rate)) for rate in rates)
+        taken = [np.abs(of_others).reshape(3, 2, -1).sum(1) for of_others in curves]
+    return max(float(curve.max()) for curve in taken) > tolerance

@@ -37,7 +37,7 @@ from uwaug.optics.spectra import (
 CONTRAST_THRESHOLD = 0.02
 """The contrast at which an object is no longer seen (Koschmieder 1924)."""
 
-_VISIBLE = (400.0, 700.0)
+_VISIBLE_NM = (400.0, 700.0)
 """nm."""
 
 _BIO_OPTICAL = (
@@ -50,9 +50,9 @@ LEAST_LOSS = 0.85
 sources differ by .12 (type IB at 450 nm).
 """
 
-_ROUNDED = 1e-9
+_KD_ROUNDING = 1e-9
 
-_NODES = 301
+_EYE_NODES = 301
 """Wavelengths for the eye, 1 nm apart on a full range. The 61 bands of a medium would put the
 visibility of type I 7e-4 off.
 """
@@ -115,7 +115,7 @@ class Water(Spectra):
             name=name,
             provenance=tuple(provenance),
         )
-        below = self.kd < (LEAST_LOSS - _ROUNDED) * self.a
+        below = self.kd < (LEAST_LOSS - _KD_ROUNDING) * self.a
         if below.any():
             where = ", ".join(f"{nm:g}" for nm in axis[below][:8])
             raise ValueError(
@@ -246,8 +246,8 @@ class Water(Spectra):
         if not grid.size:
             raise ValueError(f"{self} and {other} have no common wavelength to mix at")
         mixture = (1 - t) * self._table(grid) + t * other._table(grid)
-        one, two = (f"({w.name})" if " " in w.name else w.name for w in (self, other))
-        name = f"{1 - t:.2g}·{one} + {t:.2g}·{two}"
+        names = [f"({w.name})" if " " in w.name else w.name for w in (self, other)]
+        name = f"{1 - t:.2g}·{names[0]} + {t:.2g}·{names[1]}"
         provenance = tuple(dict.fromkeys(self.provenance + other.provenance))
         return self._derived(grid, mixture, name, provenance)
 
@@ -390,7 +390,7 @@ class Water(Spectra):
     def _seen(self, rates: Array) -> tuple[Array, Array]:
         """The eye's weights at wavelengths that the water has, whose sum is 1, and rates there."""
         low, high = self.wavelengths[[0, -1]].tolist()
-        if low > _VISIBLE[1] or high < _VISIBLE[0]:
+        if low > _VISIBLE_NM[1] or high < _VISIBLE_NM[0]:
             raise ValueError(f"{self} has no wavelength in 400–700 nm")
         nodes, weights = eye(low, high)
         return weights, np.interp(nodes, self.wavelengths, rates)
@@ -507,8 +507,8 @@ def _mixture(text: str) -> Water:
     if not (mine >= 0 and theirs >= 0 and abs(mine + theirs - 1) < 1e-6):
         expected = "a mixture of two whose shares add up to 1, such as 0.7*3C+0.3*7C"
         raise ValueError(f"water: expected {expected}, got {text!r:.80}")
-    one, two = (Water.jerlov(water.strip()) for water in (first, second))
-    mixed = one.mix(two, theirs)
+    water, other = (Water.jerlov(name.strip()) for name in (first, second))
+    mixed = water.mix(other, theirs)
     return mixed._derived(
         mixed.wavelengths, mixed._table(mixed.wavelengths), text, mixed.provenance
     )
@@ -531,9 +531,9 @@ def _distance_to(share: float, weights: Array, rates: Array) -> float:
     fading = weights * rates
     z, step = 0.0, math.inf
     while step > 1e-15 * z:
-        left = np.exp(-rates * z)
-        total = (weights * left).sum()
-        step = math.log(total / share) * total / (fading * left).sum()
+        transmitted = np.exp(-rates * z)
+        total = (weights * transmitted).sum()
+        step = math.log(total / share) * total / (fading * transmitted).sum()
         z += step
     return float(max(z, 0.0))  # rounding may take the sum at 0 below the share
 
@@ -541,7 +541,7 @@ def _distance_to(share: float, weights: Array, rates: Array) -> float:
 @lru_cache(maxsize=16)
 def eye(low: float, high: float) -> tuple[Array, Array]:
     """Wavelengths that are seen between these, and the weights of the CIE 1931 observer's ȳ."""
-    nodes = np.linspace(max(low, _VISIBLE[0]), min(high, _VISIBLE[1]), _NODES)
+    nodes = np.linspace(max(low, _VISIBLE_NM[0]), min(high, _VISIBLE_NM[1]), _EYE_NODES)
     weights = np.interp(nodes, *_observer())
     return nodes, weights / weights.sum()
 

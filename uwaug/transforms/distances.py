@@ -8,14 +8,13 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug._support.types import ColorSpace
 from uwaug.distance.doubts import first_maps
+from uwaug.distance.sizes import brought_to
 from uwaug.distance.sources import Metres, Source
+from uwaug.distance.unknown import FARTHEST_SEEN
 from uwaug.formation.colour import linear_to_srgb, require_values
 from uwaug.transforms.draws import Draw
 from uwaug.transforms.measured import Measured
 from uwaug.transforms.samples import naming
-
-_OUTDOORS = 500.0
-"""m: maps whose median is beyond are looked at for millimetres."""
 
 
 def metres_of(
@@ -26,7 +25,7 @@ def metres_of(
     color_space: ColorSpace,
 ) -> Tensor:
     """The distances (Nx1xHxW, m) of those pictures (Bx3xHxW) that are degraded. Those of `Metres()`
-    come as they are, for `require`; of another source a device may have to wait for each.
+    come as they are, for `second_look`; of another source a device may have to wait for each.
     """
     results = []
     for i, (z, picture, draw) in enumerate(zip(maps, pictures, draws, strict=True)):
@@ -38,7 +37,8 @@ def metres_of(
             shown = _as_srgb(picture, color_space) if source.reads_pictures else picture
             with naming(i, len(pictures)):
                 z = source.metres(z, shown, draw.numbers)
-        results.append(z.to(torch.promote_types(z.dtype, torch.float32)))
+        z = brought_to(picture.shape[-2:], z.to(torch.promote_types(z.dtype, torch.float32)))
+        results.append(z)
     return results[0][None] if len(results) == 1 else torch.stack(results)
 
 
@@ -49,11 +49,20 @@ def _as_srgb(picture: Tensor, color_space: ColorSpace) -> Tensor:
     return linear_to_srgb(light.clamp(0, 1))
 
 
-def require(
-    source: Source, seen: Measured, picture: Tensor, z: Tensor, color_space: ColorSpace
-) -> None:
-    """Refuse a picture and its map by what was measured; if that is odd, by a second look."""
+def second_look(
+    source: Source, seen: Sequence[Measured], pictures: Tensor, z: Tensor, chosen: Sequence[int]
+) -> Tensor:
+    """The same distances, looked at once more where what was measured of `Metres()` is odd."""
+    if source != Metres() or all(s.nearest > 0 and s.farthest < FARTHEST_SEEN for s in seen):
+        return z
+    results = []
+    for i, far in zip(chosen, z, strict=True):
+        with naming(i, len(pictures)):
+            results.append(source.metres(far, pictures[i], {}))
+    return torch.stack(results)
+
+
+def require(seen: Measured, picture: Tensor, color_space: ColorSpace) -> None:
+    """Refuse a picture by what was measured; if that is odd, by a look at all of it."""
     if not (seen.darkest >= 0 and seen.brightest <= 1):
         require_values(picture, color_space)
-    if isinstance(source, Metres) and not (seen.nearest > 0 and seen.median < _OUTDOORS):
-        Metres().metres(z, picture, {})

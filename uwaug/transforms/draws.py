@@ -101,5 +101,6 @@ def read_draws(record: Any, count: int, names: set[str]) -> list[Draw]:
             raise ValueError(f"params is of a transform with other options: {differ}")
         for name, number in numbers.items():
             checks.within(f"params: {name}", number, *checks.DOMAIN.get(name, ()))
+        checks.within("params: moved", sample.get("moved", 0.0))
     draws = [Draw(**sample) for sample in samples]
     return draws if len(draws) == count else draws * count

@@ -18,20 +18,18 @@ from uwaug._support.once import muted
 from uwaug.distance.made_up import MadeUp
 from uwaug.distance.sources import Metres
 from uwaug.formation.colour import linear_to_srgb, require_values
+from uwaug.transforms.appearance import WATER_FEATURES, Values, water_features
 from uwaug.transforms.draws import Record, Uniform, uniform_of
 from uwaug.transforms.random_underwater import RandomUnderwater
 from uwaug.transforms.samples import typed
-from uwaug.transforms.statistics import OF_WATER, Values, numbers_of_water
 
 _SHORT = 128
 """px, short side of the pictures that are looked at."""
 
 _BROAD, _BETWEEN = 0.4, 0.2
 """Shares of the draws that are new, and that lie between two good ones; the others try the best on
-more pictures: what is near on one may be so by what that picture shows. (Of 24 photographs, where
-default draws are 1.19 away, this is .74; the nearest of 300 new ones .83, and without the
-second or third part .79 and .77. Two rounds between, numbers beyond their parents', 5 to 20 kept:
-within .03.)
+more pictures: what is near on one may be so by what that picture shows. (Other shares, rounds and
+numbers of draws kept: benchmarks/README.md, how constants were chosen.)
 """
 
 _PARENTS = 15
@@ -43,7 +41,7 @@ _MORE = 4
 _FAR = 1.0
 """Standard deviations of photographs from which a warning is due."""
 
-_SPREADS, _COUNTS, *_ = map(np.array, zip(*OF_WATER.values(), strict=True))
+_SPREADS, _COUNTS, *_ = map(np.array, zip(*WATER_FEATURES.values(), strict=True))
 _UNITS = _SPREADS * np.sqrt(np.mean(_COUNTS**2)) / _COUNTS
 """What is 1 of each number: a standard deviation of photographs, on average."""
 
@@ -147,7 +145,7 @@ def like(
     checks.instance("augment", augment, RandomUnderwater)
     if not 1 <= keep <= draws // 15:
         raise ValueError(f"draws must be 15 times keep or more, and keep 1, got {draws} and {keep}")
-    photographs = [_numbers(photograph) for photograph in _small("reference", reference, 3)]
+    photographs = [_features(photograph) for photograph in _small("reference", reference, 3)]
     scenes: list[Any] = _small("pictures", pictures, 3)
     maps = [None] * len(scenes) if distance is None else _small("distance", distance, 1)
     if len(maps) != len(scenes):
@@ -193,15 +191,15 @@ class _Trials:
         numbers = {name: x for name, x in sample["numbers"].items() if name not in self.own}
         return self.tried(_Draw({"waters": sample["waters"], "numbers": numbers}, first, []))
 
-    def between(self, one: _Draw, other: _Draw) -> _Draw:
-        """A draw in the water of one, with numbers between those of both."""
-        numbers, others = one.sample["numbers"], other.sample["numbers"]
+    def between(self, first: _Draw, second: _Draw) -> _Draw:
+        """A draw in the water of the first, with numbers between those of both."""
+        numbers, others = first.sample["numbers"], second.sample["numbers"]
         shares = torch.rand(len(numbers), generator=self.generator, dtype=torch.float64).tolist()
         mixed = {
             name: (1 - share) * numbers[name] + share * others[name]
             for name, share in zip(numbers, shares, strict=True)
         }
-        return self.tried(_Draw({**one.sample, "numbers": mixed}, other.first + 1, []))
+        return self.tried(_Draw({**first.sample, "numbers": mixed}, second.first + 1, []))
 
     def tried(self, draw: _Draw) -> _Draw:
         """The same draw, tried on one more picture."""
@@ -211,7 +209,7 @@ class _Trials:
         made = self.augment.transform(picture, z, params)
         if self.augment.development.color_space == "linear":
             made = linear_to_srgb(made).clamp(0, 1)
-        draw.seen.append(_numbers(made))
+        draw.seen.append(_features(made))
         return draw
 
     def best(self, new: list[_Draw], photograph: Values, draws: int, keep: int) -> list[_Draw]:
@@ -223,8 +221,8 @@ class _Trials:
         parents = sorted(new, key=away)[:_PARENTS]
         among = list(new)
         for _ in range(round(_BETWEEN * draws)):
-            one, other = torch.randperm(len(parents), generator=self.generator)[:2].tolist()
-            among.append(self.between(parents[one], parents[other]))
+            first, second = torch.randperm(len(parents), generator=self.generator)[:2].tolist()
+            among.append(self.between(parents[first], parents[second]))
         count = max(keep, round((1 - _BROAD - _BETWEEN) * draws / _MORE))
         tried = sorted(among, key=away)[:count]
         for draw in tried:
@@ -241,30 +239,30 @@ def _in_water(drawn: Record, kept: Mapping[str, Any]) -> Record:
 
 def _small(name: str, given: Any, channels: int) -> list[Tensor]:
     """Pictures or maps (CxHxW), small, on the host; of one, a batch, or a list of either."""
-    found: list[Tensor] = []
-    for one in given if isinstance(given, (list, tuple)) else [given]:
-        if channels == 1 or getattr(one, "dtype", None) != torch.uint8:
-            checks.floating(name, one, "" if channels == 1 else "; or uint8")
-        checks.picture(name, one, channels)
-        values = typed(one, Tensor).detach().cpu()
+    small: list[Tensor] = []
+    for tensor in given if isinstance(given, (list, tuple)) else [given]:
+        if channels == 1 or getattr(tensor, "dtype", None) != torch.uint8:
+            checks.floating(name, tensor, "" if channels == 1 else "; or uint8")
+        checks.picture(name, tensor, channels)
+        values = typed(tensor, Tensor).detach().cpu()
         values = values / 255 if values.dtype == torch.uint8 else values.float()
         values = values if values.ndim == 4 else values[None]
         scale = _SHORT / min(values.shape[-2:])
         size = [round(scale * side) for side in values.shape[-2:]]
         if channels == 1:
-            found += interpolate(values, size, mode="nearest")
+            small += interpolate(values, size, mode="nearest")
             continue
         require_values(values, "srgb", name)
-        found += interpolate(values, size, mode="bilinear", antialias=True).clamp(0, 1)
-    if not found:
+        small += interpolate(values, size, mode="bilinear", antialias=True).clamp(0, 1)
+    if not small:
         raise ValueError(f"{name}: expected at least one, got none")
-    return found
+    return small
 
 
-def _numbers(srgb: Tensor) -> Values:
+def _features(srgb: Tensor) -> Values:
     """What a picture (3xHxW) looks like, in standard deviations of photographs (12)."""
-    numbers = numbers_of_water(srgb.permute(1, 2, 0).numpy())
-    values: Values = np.array([numbers[name] for name in OF_WATER]) / _UNITS
+    features = water_features(srgb.permute(1, 2, 0).numpy())
+    values: Values = np.array([features[name] for name in WATER_FEATURES]) / _UNITS
     return values
 
 
@@ -275,11 +273,11 @@ def _away(draw: _Draw, photograph: Values) -> float:
 
 def _doubt(best: list[_Draw], photograph: Values) -> str:
     """What is off with draws that are far from a photograph."""
-    away = np.median([_away(one, photograph) for one in best])
+    away = np.median([_away(draw, photograph) for draw in best])
     if away < _FAR:
         return ""
-    over = np.mean([np.mean(one.seen, 0) for one in best], 0) - photograph
+    over = np.mean([np.mean(draw.seen, 0) for draw in best], 0) - photograph
     worst = np.argsort(-abs(over))[:3]
-    words = [list(OF_WATER.values())[i][3 if over[i] > 0 else 2] for i in worst]
+    words = [list(WATER_FEATURES.values())[i][3 if over[i] > 0 else 2] for i in worst]
     off = f"{away:.2f} standard deviations of photographs away: {', '.join(words)}"
     return f"even the nearest draws look unlike the reference, {off}"

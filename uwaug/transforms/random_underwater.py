@@ -13,6 +13,7 @@ from torch import Tensor
 from uwaug import fast
 from uwaug._support import checks, codec
 from uwaug._support.ranges import Range
+from uwaug.distance.made_up import MadeUp
 from uwaug.distance.sources import Metres, Plane, Source
 from uwaug.formation.development import NEUTRAL
 from uwaug.light import Light
@@ -21,7 +22,7 @@ from uwaug.optics.curves import FARTHEST
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.water import Water
 from uwaug.presets.preset import load_preset
-from uwaug.transforms.distances import metres_of, require
+from uwaug.transforms.distances import metres_of, require, second_look
 from uwaug.transforms.draws import (
     Draw,
     Record,
@@ -37,6 +38,7 @@ from uwaug.transforms.random_water import AnyWater, RandomWater
 from uwaug.transforms.samples import (
     Parts,
     SampleTransform,
+    is_film,
     maps_for,
     naming,
     pictures_of,
@@ -104,7 +106,8 @@ class RandomUnderwater(SampleTransform):
         (image, distance, …), a tuple or list of them, (image, target) with the map in a dict in
         second place, or a dict. One picture (3xHxW, distance 1xHxW) or a batch, whose pictures may
         share one map; uint8 (0…255) or floating point (0…1); plain tensors or torchvision's
-        tv_tensors (a distance map is best a `Mask`). The same structure comes back with a new image
+        tv_tensors (a distance map is best a `Mask`). A `Video` is a film: one draw for all frames,
+        as by `for_clip`. The same structure comes back with a new image
         of the same type; every other leaf is returned as it is, and no input is changed. Gradients
         pass to image and distance; what is drawn is constant.
 
@@ -164,7 +167,7 @@ class RandomUnderwater(SampleTransform):
         if self.light is not None:
             checks.instance("light", self.light, Light)
         vars(self)["distance"] = self.source = source
-        self.water = RandomWater(**{f.name: getattr(self, f.name) for f in _OF_WATER})
+        self.water = RandomWater(**{f.name: getattr(self, f.name) for f in _WATER_OPTIONS})
         nouns = (self.source, self.water, self.development)
         self._ranges = checked(dict(chain(*(noun.ranges().items() for noun in nouns))))
 
@@ -242,7 +245,7 @@ class RandomUnderwater(SampleTransform):
         """Draw everything that is random, for a picture or a batch of this shape.
 
         Args:
-            image (3xHxW or Bx3xHxW tensor): only its shape is read.
+            image (3xHxW or Bx3xHxW tensor): only its shape is read; a `Video` draws once.
             generator: source of randomness; torch's global generator if None.
 
         Returns:
@@ -251,7 +254,7 @@ class RandomUnderwater(SampleTransform):
             (that of drawn contents says all of them); "numbers" by name; "field_seed" of the medium
             field, or None.
         """
-        count = 1 if image.ndim == 3 else len(image)
+        count = 1 if image.ndim == 3 or is_film(image) else len(image)
         seeds = torch.randint(2**63 - 1, (count,), generator=generator, device="cpu").tolist()
         return {"samples": [self._sample(uniform_of(seed)) for seed in seeds]}
 
@@ -287,25 +290,35 @@ class RandomUnderwater(SampleTransform):
     @uncompiled
     def for_clip(self, params: Record, image: Tensor, distance: Tensor | None) -> Record:
         """The record of one picture for all frames of a film: what a draw takes from the picture
-        (the median distance to which the water is scaled, exposure, white balance) is that of this
-        one for all of them. They may then come in any order, on any worker.
+        (the median distance to which the water is scaled, exposure, white balance) is that of one
+        frame for all of them. They may then come in any order, on any worker.
 
         Args:
             params: from `make_params`, of one picture.
-            image, distance: a frame of the film, as for `transform`.
+            image, distance: a frame of the film, as for `transform`; or all frames, as a batch, of
+                which the middle one is taken.
 
         Returns:
-            A record whose sample has what was "measured" once for all. Its "moved", m, 0 here, says
-            how far the field has drifted to the right at a frame: set it to m/s times seconds.
-            Another "noise_seed" makes the sensor's noise of a frame its own.
+            A record with a sample for each of these frames, which has what was "measured" once for
+            all. Its "moved", m, 0 here, says how far the field has drifted to the right at a frame:
+            set it to m/s times seconds. By its "noise_seed" the sensor's noise is each frame's own.
         """
-        scenes = self.scenes(image, distance, params)
-        if len(scenes.pictures) != 1:
-            raise ValueError(f"image must be one frame of the film, got {len(scenes.pictures)}")
+        frames = pictures_of(image)
+        if len(frames) > 1 and isinstance(self.source, MadeUp):
+            cure = "give maps, or metres, such as distance=(1, 5)"
+            raise ValueError(f"distance: made up from each frame, a film would flicker: {cure}")
+        maps = maps_for(frames, distance) if self.source.reads_maps else [None] * len(frames)
+        middle = len(frames) // 2
+        scenes = self.scenes(frames[middle], maps[middle], params)
         (sample,) = params["samples"]
         if not scenes.chosen:
             return {"samples": [sample]}
-        return {"samples": [{**sample, "measured": scenes.settled(), "moved": 0.0}]}
+        sample = {**sample, "measured": scenes.settled(), "moved": 0.0}
+        numbers = [dict(sample["numbers"]) for _ in frames]
+        for number, own in enumerate(numbers):
+            if "noise_seed" in own:
+                own["noise_seed"] = (own["noise_seed"] + number) % 2**32
+        return {"samples": [{**sample, "numbers": own} for own in numbers]}
 
     @uncompiled
     def contrast_left(self, image: Tensor, distance: Tensor | None, params: Record) -> Tensor:
@@ -327,17 +340,29 @@ class RandomUnderwater(SampleTransform):
     def _sampled(self, inputs: tuple[Any, ...], generator: torch.Generator | None) -> Any:
         image, distance, restore = self.take_apart(inputs)
         pictures_of(image)  # refuses what has no number of pictures
-        draws = [Draw(**sample) for sample in self.make_params(image, generator)["samples"]]
+        record = self.make_params(image, generator)
+        if is_film(image):
+            return restore(self.transform(image, distance, record))
+        draws = [Draw(**sample) for sample in record["samples"]]
         return restore(self._scenes(image, distance, draws).formed())
 
     def scenes(self, image: Tensor, distance: Tensor | None, params: Record) -> Scenes:
         """Pictures in the water of their draws; arguments as for `transform`."""
-        return self._scenes(image, distance, self.read(params, len(pictures_of(image))))
+        count = len(pictures_of(image))
+        draws = self.read(params, count)
+        if is_film(image) and len(params["samples"]) == 1 and not draws[0].measured:
+            draws = self.read(self.for_clip(params, image, distance), count)
+        return self._scenes(image, distance, draws)
 
     def read(self, params: Record, count: int) -> list[Draw]:
         """The draws of a record of `count` pictures; refuses what cannot have been drawn."""
         draws = read_draws(params, count, set(self._ranges))
+        waters = 2 if self.water.mixes else 1
         for draw in draws:
+            uneven = (draw.field_seed is None) != (self.water.field is None)
+            if uneven or len(draw.waters) != waters:
+                differ = "field" if uneven else "mixing"
+                raise ValueError(f"params is of a transform with other options: {differ}")
             for name in draw.waters:
                 self.water.require(name)
         return draws
@@ -358,10 +383,13 @@ class RandomUnderwater(SampleTransform):
         lamps = self.light is not None and bool(self.light.lamps)
         with torch.autocast(pictures.device.type, enabled=False):
             z = metres_of(self.source, pictures, maps, draws, space)
-            own = measured(pictures if len(z) == len(pictures) else pictures[chosen], z)
-            for i, look, far in zip(chosen, own, z, strict=True):
+            some = pictures if len(chosen) == len(pictures) else pictures[chosen]
+            own = measured(some, z)
+            if (again := second_look(self.source, own, pictures, z, chosen)) is not z:
+                z, own = again, measured(some, again)
+            for i, look in zip(chosen, own, strict=True):
                 with naming(i, len(pictures)):
-                    require(self.source, look, pictures[i], far, space)
+                    require(look, pictures[i], space)
                     seen.append(look.of_film(draws[i].measured))
                     waters.append(self.water.of(draws[i], seen[-1], metered=metered, lamps=lamps))
                     developments.append(self.development.of(draws[i], seen[-1]))
@@ -384,5 +412,5 @@ class RandomUnderwater(SampleTransform):
         return f"{type(self).__name__}({', '.join(shown)})"
 
 
-_OF_WATER = tuple(field for field in fields(RandomWater) if field.init)
+_WATER_OPTIONS = tuple(field for field in fields(RandomWater) if field.init)
 """The arguments of `RandomUnderwater` that are those of its water."""

@@ -31,7 +31,7 @@ CONTENTS = Constituents(chlorophyll=(0.5, 20.0), cdom=(0.3, 3.0), minerals=(0.05
 WATERS = ("IB", "II", "III", "1C", "3C", "5C", "7C", "9C", *[CONTENTS] * 8)
 """Half of the waters are Jerlov types, half are of other contents. The clear oceanic types would
 need 11 to 66 times what is in them to reach a contrast, and turn dark green. (Others that were
-tried: benchmarks/README.md, real photographs.)
+tried: benchmarks/README.md, default draws.)
 """
 
 DIMMEST = 1 / 32
@@ -45,7 +45,7 @@ _CURVES = 0.002
 
 MEDIANS = (1.0, 8.0)
 """m: median distances between which water can be brought to a contrast and have a colour of its
-own. (What scenes at 35 m and at .1 m lose without: benchmarks/README.md, real photographs.)
+own. (What scenes at 35 m and at .1 m lose without: benchmarks/README.md, default draws.)
 """
 
 MOST_SCALED, MOST_CONTENTS, MOST_MISSED = 4.0, 50.0, 2.0

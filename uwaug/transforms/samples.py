@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from uwaug._support import checks
+from uwaug.distance.sizes import require_aspect
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -131,6 +132,12 @@ def key_of(seed: int, epoch: int, index: int | str) -> int:
     return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=4).digest())
 
 
+def is_film(image: Any) -> bool:
+    """Whether an image is torchvision's `Video`: the frames of one film (Tx3xHxW)."""
+    tensors = sys.modules.get("torchvision.tv_tensors")
+    return tensors is not None and isinstance(image, tensors.Video)
+
+
 def typed(x: Tensor, kind: type[Tensor]) -> Tensor:
     """A tensor as another class of tensors."""
     return x if type(x) is kind else x.as_subclass(kind)
@@ -146,7 +153,7 @@ def pictures_of(image: Any) -> Tensor:
 
 
 def maps_for(pictures: Tensor, distance: Any) -> list[Tensor]:
-    """A map (1xHxW) for each picture of a batch, as plain tensors."""
+    """A map (1xhxw, of the aspect of the pictures) for each one of a batch, as plain tensors."""
     if distance is None:
         cure = "for pictures without maps there are MadeUp, Network and Plane of uwaug.distance"
         raise ValueError(
@@ -157,7 +164,7 @@ def maps_for(pictures: Tensor, distance: Any) -> list[Tensor]:
         hint = "; expected (image, distance, …), (image, {'distance': …}) or a dict of both"
     checks.floating("distance", distance, hint)
     checks.picture("distance", distance, 1)
-    checks.same_size("distance", distance, pictures)
+    require_aspect("distance", distance, pictures)
     checks.same_device("distance", distance, pictures)
     plain, batch = typed(distance, Tensor), len(pictures)
     maps = list(plain) if plain.ndim == 4 else [plain]

@@ -10,7 +10,7 @@ from uwaug.formation.colour import srgb_to_linear
 
 Values = NDArray[Any]
 
-OF_WATER = {
+WATER_FEATURES = {
     "L_mean": (11.2, 1, "darker", "brighter"),
     "a_mean": (14.7, 2, "greener", "redder"),
     "b_mean": (17.2, 2, "bluer", "yellower"),
@@ -36,7 +36,7 @@ _JITTER = 1e-8
 """Variance that a constant channel has, of 0…1."""
 
 
-def numbers_of_water(srgb: Values) -> dict[str, float]:
+def water_features(srgb: Values) -> dict[str, float]:
     """Twelve numbers of a picture, by name.
 
     Args:

@@ -1,0 +1,64 @@
+"""Maps of another size than their pictures: telephones and networks give small ones."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+from torch.nn.functional import interpolate, max_pool2d, pad
+
+from uwaug._support.once import Once
+
+_STEP = 1.25
+"""Times as far as what is beside it, a distance is that of something else; see "Sizes" in
+benchmarks/README.md.
+"""
+
+_ASPECT = 0.01
+"""By which two aspects may differ, where sizes were rounded to whole pixels or blocks."""
+
+_small = Once()
+
+
+def same_aspect(size: Sequence[int], other: Sequence[int]) -> bool:
+    """Whether two sizes (height, width) differ in scale alone, but for what is rounded."""
+    (height, width), (h, w) = size, other
+    return abs(h * width - w * height) <= max(_ASPECT * h * width, min(h, w) - 1)
+
+
+def require_aspect(name: str, distance: Tensor, image: Tensor) -> None:
+    """Refuse a map (…xhxw) of another aspect than its picture (…xHxW)."""
+    size, other = tuple(distance.shape[-2:]), tuple(image.shape[-2:])
+    if size != other and (0 in size or not same_aspect(size, other)):
+        got = f"{name} is {size} but image is {other}: height and width must agree, or their ratio"
+        raise ValueError(f"{got}: crop, turn and pad both alike")
+
+
+def in_words(size: Sequence[int], other: Sequence[int]) -> str:
+    """What becomes of a map of one (height, width) and a picture of another."""
+    (h, w), (height, width) = size, other
+    cure = "of another aspect: is one of them turned or cropped?"
+    if same_aspect(size, other):
+        cure = "it is brought to the picture's size"
+    return f"a map is {w}×{h} px and its picture {width}×{height} px: {cure}"
+
+
+def brought_to(size: tuple[int, int], z: Tensor) -> Tensor:
+    """Distances (1xhxw, m) at another (height, width): linear between four that are near to each
+    other, else those of the nearest pixel: across steps, and beside holes and open water.
+
+    Warns:
+        UserWarning: once in a process, with both sizes.
+    """
+    if z.shape[-2:] == size:
+        return z
+    _small.warn(in_words(z.shape[-2:], size), stacklevel=5)
+    nearest = interpolate(z[None], size, mode="nearest-exact")[0]
+    linear = interpolate(z[None], size, mode="bilinear")[0]
+    # the four of each place between pixels
+    beside = pad(z[None], (1, 1, 1, 1), mode="replicate")
+    farthest, nearer = max_pool2d(beside, 2, 1), -max_pool2d(-beside, 2, 1)
+    smooth = ((farthest <= _STEP * nearer) & (farthest < torch.inf))[0]
+    for dim, (old, new) in enumerate(zip(z.shape[-2:], size, strict=True), 1):
+        places = (torch.arange(new, device=z.device) + 0.5) * (old / new) + 0.5
+        smooth = smooth.index_select(dim, places.long())
+    return torch.where(smooth, linear, nearest)

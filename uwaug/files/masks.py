@@ -1,0 +1,102 @@
+"""Labels that are masks: a PNG file for each picture."""
+
+import io
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+from uwaug.files.labels import Folder, Key, require_size, write_other
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from uwaug.files.pixels import Pixels, Size
+    from uwaug.files.summary import Result
+
+_COLOURS = 256
+"""Of a mask at most; a photograph has more."""
+
+_SMALL = 20
+"""Values of masks that count classes or objects begin below."""
+
+_IGNORE = 0xE0E0C0
+"""Pascal VOC's colour of pixels that say nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Masks(Folder):
+    """Masks of 8 or 16 bits, or in colour (red·65536 + green·256 + blue, but for greys), with a
+    value for each object or class; 0 is background. The largest of 8 bits, beside small ones, marks
+    pixels to ignore.
+
+    Attributes:
+        ignored: values of such pixels, which stay as they are.
+    """
+
+    ignored: frozenset[Key] = frozenset({0, _IGNORE})
+
+    reads = "a folder of .png masks"
+    end = ".png"
+    folders = ("labels", "masks", "SegmentationClass")
+
+    @staticmethod
+    def require(file: Path) -> None:
+        _read(file)
+
+    def described(self, samples: Sequence[Path]) -> Self:
+        import numpy as np
+
+        values = {value for file in samples for value in np.unique(_read(file)[1]).tolist()}
+        small = any(0 < value < _SMALL for value in values)
+        return replace(self, ignored=self.ignored | ({255} & values)) if small else self
+
+    def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
+        import numpy as np
+
+        _, values, _ = _read(self.of[name])
+        require_size(self.of[name], values.shape, size)
+        for value in np.unique(values).tolist():
+            if value not in self.ignored:
+                yield value, values == value
+
+    def without(self, dropped: Collection[Key], source: Path, place: str) -> bytes:
+        import numpy as np
+        from PIL import Image
+
+        if not dropped:
+            return source.read_bytes()
+        pixels, values, palette = _read(source)
+        pixels[np.isin(values, list(dropped))] = 0
+        image, file = Image.fromarray(pixels), io.BytesIO()
+        if palette:
+            image.putpalette(palette)
+        image.save(file, "PNG")
+        return file.getvalue()
+
+    def finish(self, pictures: Sequence["Result"], out: Path) -> list[str]:
+        """Copy what says which colour is which class, as CVAT has it."""
+        for source in (self.path.parent / "labelmap.txt", self.path / "labelmap.txt"):
+            if source.is_file():
+                write_other(out / source.name, source.read_bytes(), source)
+        return ["255 in masks says nothing (ignore), and stays"] * (255 in self.ignored)
+
+
+def _read(file: Path) -> "tuple[NDArray[Any], NDArray[Any], list[int] | None]":
+    """The pixels of a mask (HxW, or HxWx3 in colour), its values (HxW), and its palette."""
+    import numpy as np
+    from PIL import Image
+
+    with Image.open(file) as image:
+        if image.mode not in ("L", "P", "1", "I;16", "RGB"):
+            raise ValueError(f"{file}: expected a mask of one channel, or RGB, got {image.mode}")
+        pixels, palette = np.array(image), image.getpalette()
+    if pixels.ndim == 2:
+        pixels = pixels.astype(np.uint8) if pixels.dtype == bool else pixels
+        return pixels, pixels, palette
+    if (pixels == pixels[..., :1]).all():
+        return pixels, pixels[..., 0], None
+    values = pixels.astype(np.int32) @ [65536, 256, 1]
+    if (count := len(np.unique(values))) > _COLOURS:
+        raise ValueError(f"{file}: {count} colours are those of a picture, not of a mask")
+    return pixels, values, None

@@ -1,0 +1,91 @@
+"""Labels of Pascal VOC: an XML file for each picture, and lists of the pictures of each split."""
+
+from collections import defaultdict
+from collections.abc import Collection, Iterator, Sequence
+from os.path import splitext
+from pathlib import Path
+from typing import TYPE_CHECKING
+from xml.etree import ElementTree
+
+from uwaug.files.labels import Folder, Key, require_size, split_of, write_other
+
+if TYPE_CHECKING:
+    from uwaug.files.pixels import Pixels, Size
+    from uwaug.files.summary import Result
+
+_LISTS = "ImageSets/Main"
+"""Where a data set lists the pictures of each split, by their names without an end."""
+
+
+class Voc(Folder):
+    """XML files with boxes, px, of which the first is 1 and the last is inside."""
+
+    reads = "a folder of Pascal VOC's .xml"
+    end = ".xml"
+    folders = ("Annotations", "annotations")
+    pictures = "JPEGImages"
+
+    @staticmethod
+    def require(file: Path) -> None:
+        _read(file)
+
+    def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
+        from uwaug.files.pixels import of_box
+
+        file = self.of[name]
+        root = _read(file)
+        stated = [float(root.findtext(f"size/{side}") or 0) for side in ("height", "width")]
+        if all(stated):
+            require_size(file, (round(stated[0]), round(stated[1])), size)
+        for number, entry in enumerate(root.findall("object"), 1):
+            ends = [entry.findtext(f"bndbox/{end}", "") for end in ["xmin", "ymin", "xmax", "ymax"]]
+            try:
+                x1, y1, x2, y2 = map(float, ends)
+            except ValueError:
+                got = f"expected a bndbox of four numbers, got {ends}"
+                raise ValueError(f"{file}, object {number}: {got}") from None
+            yield number, of_box(x1 - 1, y1 - 1, x2, y2, size)
+
+    def without(self, dropped: Collection[Key], source: Path, place: str) -> bytes:
+        root = _read(source)
+        for number, entry in enumerate(root.findall("object"), 1):
+            if number in dropped:
+                root.remove(entry)
+        for tag in ("filename", "path"):
+            for entry in root.findall(tag):
+                entry.text = place.rpartition("/")[2]
+        return ElementTree.tostring(root, encoding="unicode").encode()
+
+    def finish(self, pictures: Sequence["Result"], out: Path) -> list[str]:
+        """Write the lists: those that lie above the labels, else one for each split."""
+        written: dict[str, dict[str, list[str]]] = {}
+        for picture in pictures:
+            above, place = self.parted(splitext(picture.place)[0])
+            _, name = self.parted(splitext(picture.item.name)[0])
+            written.setdefault(above, defaultdict(list))[name].append(place)
+        notes = []
+        for tree, places in written.items():
+            folders = (folder / tree / _LISTS for folder in (self.path, self.path.parent))
+            files = [file for folder in folders for file in sorted(folder.glob("*.txt"))]
+            lists = {file.name: file.read_text(encoding="utf-8").splitlines() for file in files}
+            for name in places if not lists else ():
+                split = split_of(name.split("/")[:-1]) or "train"
+                lists.setdefault(f"{split}.txt", []).append(name)
+            for own, lines in lists.items():
+                words = [line.strip().partition(" ") for line in lines]
+                text = "".join(f"{p}{a}{b}\n" for name, a, b in words for p in places.get(name, ()))
+                if not text:
+                    notes.append(f"no picture is in the list {own}")
+                source = files[0].with_name(own) if files else None
+                write_other(out / tree / _LISTS / own, text.encode(), source)
+        return notes
+
+
+def _read(file: Path) -> ElementTree.Element:
+    try:
+        root = ElementTree.parse(file).getroot()
+    except ElementTree.ParseError as error:
+        raise ValueError(f"{file}: is no XML file: {error}") from None
+    if root.tag != "annotation":
+        raise ValueError(f"{file}: expected an annotation of Pascal VOC, got {root.tag}")
+    return root

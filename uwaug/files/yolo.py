@@ -1,0 +1,182 @@
+"""Labels of YOLO: a text file for each picture, a data.yaml for all."""
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import cycle
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+from uwaug.files.labels import Entry, Folder, Key, split_of, write_other
+
+if TYPE_CHECKING:
+    from uwaug.files.pixels import Pixels, Size
+    from uwaug.files.summary import Result
+
+_NAMES = ("classes.txt", "obj.names", "_darknet.labels")
+"""Files in which tools leave the names of classes, one a line."""
+
+_PLACES = ("train", "val", "validation", "test", "path", "download")
+"""Keys of a data.yaml that say where pictures are."""
+
+
+@dataclass(frozen=True, eq=False)
+class Yolo(Folder):
+    """Text files with one object a line: `class cx cy w h`, after which a confidence may stand, or
+    `class x1 y1 x2 y2 x3 y3 …` of a polygon; all but the class are shares of the picture's width or
+    height. Where the data.yaml has `kpt_shape`, keypoints follow the box.
+
+    Attributes:
+        description: what the data.yaml says.
+    """
+
+    description: Entry = field(default_factory=dict)
+
+    reads = "a folder of YOLO's .txt"
+    end = ".txt"
+
+    @staticmethod
+    def require(file: Path) -> None:
+        try:
+            _first(file)
+        except ValueError as error:
+            raise ValueError(f"{file}: {error}") from None
+
+    def described(self, samples: Sequence[Path]) -> Self:
+        """With data.yaml, beside the labels or above them, or another .yaml with names; and names
+        that stand in a file of their own.
+        """
+        folders = self.path, self.path.parent, self.path.parent.parent
+        files = [folder / name for folder in (*folders, samples[0].parent) for name in _NAMES]
+        names = next((_lines(file) for file in files if file.is_file()), [])
+        classes: Entry = {"names": list(filter(None, names))} if names else {}
+        for folder in folders:
+            if (file := folder / "data.yaml").is_file():
+                return replace(self, description=classes | _read(file))
+            files = [*folder.glob("*.yaml"), *folder.glob("*.yml")]
+            contents = [content for content in map(_read, files) if "names" in content]
+            if len(contents) > 1:
+                raise ValueError(f"{folder}: more than one .yaml has names: call one data.yaml")
+            if contents:
+                return replace(self, description=classes | contents[0])
+        counts = {len(numbers) for file in samples if (numbers := _first(file))}
+        if len(counts) == 1 and min(counts) > 6:
+            got = f"{samples[0]}: objects of {min(counts)} numbers are polygons, or have keypoints"
+            cure = "say kpt_shape: [how many, 2 or 3], or of polygons nothing but names"
+            raise ValueError(f"{got}: {cure}, in {self.path / 'data.yaml'}")
+        return replace(self, description=classes)
+
+    def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
+        from uwaug.files.pixels import of_box, of_polygons
+
+        file = self.of[name]
+        for number, line in enumerate(_lines(file), 1):
+            if not line.strip():
+                continue
+            try:
+                shares = [float(word) for word in self._words(line)[1:]]
+                shares = shares[:4] if "kpt_shape" in self.description else shares
+                few = len(shares) < 4 or len(shares) % 2
+                if few or not all(-0.5 <= share <= 1.5 for share in shares):
+                    expected = "expected a class, and shares of width and height, 0…1"
+                    raise ValueError(f"{expected}; keypoints need a kpt_shape in data.yaml")
+            except ValueError as error:
+                raise ValueError(f"{file}, line {number}: {error}") from error
+            corners = [share * side for share, side in zip(shares, cycle(size[::-1]), strict=False)]
+            if len(corners) == 4:
+                x, y, width, height = corners
+                box = x - width / 2, y - height / 2, x + width / 2, y + height / 2
+                yield number, of_box(*box, size)
+            else:
+                yield number, of_polygons([corners], size)
+
+    def _words(self, line: str) -> list[str]:
+        """Those of an object, but for its confidence, which trainers refuse."""
+        words, count = line.split(), 5
+        if words and "kpt_shape" in self.description:
+            points, numbers = self.description["kpt_shape"]
+            count += points * numbers
+            if len(words) not in (count, count + 1):
+                expected = f"a class, a box and {points} keypoints of {numbers} numbers each"
+                raise ValueError(f"expected {expected}, got {len(words)} numbers")
+        confident = len(words) == count + 1 and 0 <= float(words[-1]) <= 1
+        return words[:count] if confident else words
+
+    def without(self, dropped: Collection[Key], source: Path, place: str) -> bytes:
+        lines = {number: self._words(line) for number, line in enumerate(_lines(source), 1)}
+        if not dropped and list(lines.values()) == list(map(str.split, _lines(source))):
+            return source.read_bytes()
+        kept = (" ".join(words) for number, words in lines.items() if number not in dropped)
+        return "".join(f"{line}\n" for line in kept).encode()
+
+    def _places(self, split: str) -> list[str]:
+        """The folders and files that data.yaml names for a split, also in a list of its own."""
+        stated = self.description.get(split) or []
+        places = []
+        for place in [stated] if isinstance(stated, str) else stated:
+            folders = (self.path, self.path.parent, self.path.parent.parent)
+            lists = [folder / str(place) for folder in folders if str(place).endswith(".txt")]
+            lines = next((_lines(file) for file in lists if file.is_file()), [str(place)])
+            places += [line.replace("\\", "/").strip("./ ") for line in lines if line.strip()]
+        return places
+
+    def finish(self, pictures: Sequence["Result"], out: Path) -> list[str]:
+        """Write data.yaml: the classes as the labels' own has them, or how many there are; and the
+        pictures of each split in a file, as one folder may hold another's.
+        """
+        import yaml
+
+        notes, splits = [], {"train": "", "val": ""}
+        places = {split: self._places(split) for split in ("train", "val", "test")}
+        for picture in pictures:
+            path = f"{picture.item.picture.absolute().as_posix()}/"
+            # of folders in one another the inner one counts: a data set may lie in one called train
+            starts = {s: max((path.rfind(f"/{p}/") for p in places[s]), default=-1) for s in places}
+            last = max(starts.values())
+            own = [split for split, at in starts.items() if at == last >= 0]
+            for split in own or [split_of(picture.place.split("/")[:-1]) or "train"]:
+                splits[split] = f"{splits.get(split, '')}./{picture.place}\n"
+        stated = {split: "" for split in places if places[split]}
+        for split in [split for split in splits | stated if not splits.get(split)]:
+            splits[split] = splits["train"] if split == "val" else ""  # trainers insist on it
+            other = "nothing" if not splits[split] else "those of train"
+            notes.append(f"no picture is of the split {split}: {split}.txt lists {other}")
+        for split, text in splits.items():
+            write_other(out / f"{split}.txt", text.encode())
+        classes = {key: own for key, own in self.description.items() if key not in _PLACES}
+        if not {"names", "nc"} & classes.keys():
+            files = {
+                self.of[picture.item.name] for picture in pictures if picture.item.name in self.of
+            }
+            lines = (line.split() for file in files for line in _lines(file))
+            classes["nc"] = max((int(float(words[0])) for words in lines if words), default=0) + 1
+            looked = f"data.yaml, {', '.join(_NAMES)}"
+            notes.append(f"no names of classes were found ({looked}): nc: {classes['nc']}, counted")
+        content = {split: f"{split}.txt" for split in splits} | classes
+        text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
+        write_other(out / "data.yaml", text.encode())
+        return notes
+
+
+def _first(file: Path) -> list[float]:
+    """The numbers of the first object of a file; none where there is no object."""
+    words = file.read_text(encoding="utf-8-sig").strip().partition("\n")[0].split()
+    return [float(word) for word in words]
+
+
+def _read(file: Path) -> Entry:
+    """What a .yaml says; nothing of one of another name that says something else."""
+    import yaml
+
+    try:
+        content = yaml.safe_load(file.read_bytes()) or {}
+        if not isinstance(content, dict):
+            raise ValueError(f"expected names and values, got {content!r:.80}")
+    except (yaml.YAMLError, ValueError) as error:
+        if file.name != "data.yaml":
+            return {}
+        raise ValueError(f"{file}: is no YAML file: {error}") from None
+    return content
+
+
+def _lines(file: Path) -> list[str]:
+    return file.read_text(encoding="utf-8-sig").splitlines()
