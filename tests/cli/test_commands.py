@@ -295,6 +295,12 @@ def test_a_fit_leaves_out_what_it_is_told_to(folder, run):
     assert code == 1
     assert "depth/a.png: unknown at 10 of 768 pixels: --holes none leaves them out" in err
     assert run(*line, *maps, "--holes", "none")[0] == 0
+    # the largest number of 16 bits stands for unknown, as everywhere
+    depth = np.array(Image.open("depth/a.png"))
+    Image.fromarray(np.where(depth > 0, depth, 65535).astype(np.uint16)).save("depth/a.png")
+    assert "unknown at 10 of 768" in run(*line, *maps, "--force")[2]
+    assert run(*line, *maps, "--holes", "none", "--force")[0] == 0
+    assert json.loads((folder / "fit.json").read_text())["geometry"]["farthest"] < 4
 
 
 def test_presets_and_waters_are_listed(run, tmp_path, monkeypatch):

@@ -120,7 +120,8 @@ class Pictures:
             inside = (light > 0).any(1) & (light < 1).all(1) & (bare < _WHITE).all(1)
             usable = usable & inside[:, None]
         count = max(len(light), len(z), len(bare))
-        z = torch.where(z > 0, z, 1.0).clamp(max=FARTHEST).expand(count, -1, -1, -1)
+        z = torch.where(z >= checks.OPEN, FARTHEST, torch.where(z > 0, z, 1.0))
+        z = z.expand(count, -1, -1, -1)
         pictures = Pictures(
             bare, light.expand(count, -1, -1, -1), z, usable.expand_as(z), color_space, clips
         )
