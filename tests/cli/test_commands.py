@@ -1,6 +1,7 @@
 import csv
 import json
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -164,19 +165,54 @@ def test_a_broken_map_fails_alone_and_resume_goes_on(folder, run):
     ("line", "words"),
     [
         ("degrade nowhere --out wet", "nowhere"),
-        ("degrade photos --distance depth --unit miles --out wet", "unit must be one of"),
-        ("degrade photos --distance 3 --contrast 2 --out wet", "contrast must be"),
+        ("degrade photos --distance depth --unit miles --out wet", "Error: --unit must be one of"),
+        ("degrade photos --distance 3 --contrast 2 --out wet", "Error: --contrast must be"),
+        ("degrade photos --variants=0 --out wet", "Error: --variants must be 1 or more"),
+        ("degrade photos --min-contrast 2 --out wet", "Error: --min-contrast must be in [0, 1]"),
+        ("degrade photos --set vertical_depth=-1 --out wet", "Error: vertical_depth must be"),
+        ("degrade photos --out photos", "--resume"),
+        ("degrade photos --out photos", "--force"),
         ("degrade photos --distance 3 --set turbidity=2 --out wet", "turbidity"),
+        ("degrade photos --set contarst=.3 --out wet", "has no 'contarst', only waters, contrast,"),
+        ("degrade photos --set contarst=.3 --out wet", "did you mean contrast?"),
+        ("degrade photos --set development.tnoe=1 --out wet", "did you mean tone?"),
+        ("degrade photos --distance depth --set distance.kind=inverse --out wet", "mean Inverse?"),
+        ("degrade photos --options night.toml --out wet", "did you mean light?"),
+        (
+            "degrade photos --contrast .3 --set contrast.low=1 --out wet",
+            "0.3, no table",
+        ),
+        ("degrade photos --plain --out wet", "name one water by --water, and --distance"),
+        (
+            "degrade photos --plain --water 3C --out wet",
+            "name one water by --water, and --distance",
+        ),
+        ("degrade photos --plain --preset survey --distance 3 --out wet", "exclude each other"),
         ("degrade photos --distance 3 --water 4C --out wet", "water must be one of"),
         ("degrade photos --distance 3 --preset nothing --out wet", "nothing"),
         ("degrade photos --like nothing.png --out wet", "nothing.png"),
         ("export --out x.onnx", "--preset"),
         ("export --preset survey --out x.bin", ".onnx"),
         ("plot photos/a.png --distance depth/b.png", "metres"),
+        ("plot photos/a.png --distance 3 --out a.jpg", "--out must be a folder"),
+        ("demo --out demo.png", "--out must be a folder"),
+        ("depth photos --network none.onnx --out maps.png", "--out must be a folder"),
+        ("compare photos/a.png --distance 3 --out sheets", "--out must end in .png or .jpg"),
+        # nothing is invented for pixels without a distance unless that is asked for
+        *(
+            (f"{command} --distance depth/a.png --unit mm {flags}", "--holes")
+            for command, flags in (
+                ("degrade photos", "--out wet"),
+                ("plot photos/a.png", ""),
+                ("compare photos/a.png", "--out a.png"),
+                ("page --image photos/a.png", ""),
+                ("fit --clean photos/a.png --observed photos/b.png", "--out fit.json"),
+            )
+        ),
         ("degrade photos --distance depth --unit mm --out wet", "--holes behind"),
         ("degrade photos --unit mm --out wet", "distance is missing"),
         ("preset show nothing", "nothing"),
-        ("plot photos/a.png --distance 3 --holes near", "holes must be one of"),
+        ("plot photos/a.png --distance 3 --holes near", "Error: --holes must be one of"),
         ("check photos/a.png", "a.png"),
         ("page --out page.htm", "--out must end in .html"),
         ("page --water 4C --out page.html", "water must be one of"),
@@ -184,6 +220,7 @@ def test_a_broken_map_fails_alone_and_resume_goes_on(folder, run):
     ],
 )
 def test_what_is_refused_in_one_line(folder, run, line, words):
+    (folder / "night.toml").write_text("[ligth]\ndaylight = 0.2\n")
     code, _, err = run(*line.split())
     assert code in (1, 2)
     assert err.startswith("Error: ")
@@ -199,7 +236,7 @@ def test_demo_draws_the_scene(small, run, tmp_path):
 
 
 def test_plot_and_compare_draw_a_picture_of_ones_own(folder, run):
-    scene = ("photos/a.png", "--distance", "depth/a.png", "--unit", "mm", "--holes", "fill")
+    scene = ("photos/a.png", "--distance", "depth/a.png", "--unit", "mm", "--holes", "behind")
     code, out, err = run("plot", *scene, "--water", "3C")
     assert (code, err) == (0, "")
     assert "unknown" in out  # what was done to holes
@@ -227,6 +264,43 @@ def test_a_fit_is_a_preset(folder, run):
         code, _, err = run(*line.split(), "--preset", "fit.json", "--water", "II")
         assert code == 2
         assert "holds coefficients, which no water replaces" in err
+
+
+def test_a_haze_of_encoded_values_is_fitted_and_made_again(folder, run):
+    z = torch.linspace(0.5, 5, 48 * 64).reshape(1, 48, 64)
+    clean = torch.rand(3, 48, 64, generator=torch.Generator().manual_seed(0))
+    beta, veil = torch.tensor([[0.3, 0.1, 0.2], [0.1, 0.5, 0.6]])[:, :, None, None]
+    observed = clean * torch.exp(-beta * z) - veil * torch.expm1(-beta * z)
+    np.save("z.npy", z[0].numpy())
+    for name, values in (("clean", clean), ("observed", observed)):
+        np.save(f"{name}.npy", (255 * values).round().byte().permute(1, 2, 0).numpy())
+    line = ("fit", "--clean", "clean.npy", "--observed", "observed.npy", "--distance", "z.npy")
+    _, out, _ = run(*line, "--model", "haze", "--out", "light.json")
+    assert "--color-space linear" in out
+    cured = ("--model", "haze", "--color-space", "linear", "--out", "values.json")
+    code, out, _ = run(*line, *cured)
+    assert code == 0
+    assert "--color-space" not in out
+    numbers = json.loads((folder / "values.json").read_text())["parameters"]
+    assert numbers["beta_red"]["value"] == pytest.approx(0.3, rel=0.01)
+    flags = ("--distance", "z.npy", "--preset", "values.json", "--out", "again.npy")
+    assert run("degrade", "clean.npy", *flags)[0] == 0
+    assert np.abs(np.load("again.npy").astype(int) - np.load("observed.npy")).max() <= 2
+
+
+def test_a_fit_leaves_out_what_it_is_told_to(folder, run):
+    line = ("fit", "--clean", "photos/a.png", "--observed", "photos/b.png", "--out", "fit.json")
+    maps = ("--distance", "depth/a.png", "--unit", "mm", "--model", "haze")
+    code, _, err = run(*line, *maps)
+    assert code == 1
+    assert "depth/a.png: unknown at 10 of 768 pixels: --holes none leaves them out" in err
+    assert run(*line, *maps, "--holes", "none")[0] == 0
+    # the largest number of 16 bits stands for unknown, as everywhere
+    depth = np.array(Image.open("depth/a.png"))
+    Image.fromarray(np.where(depth > 0, depth, 65535).astype(np.uint16)).save("depth/a.png")
+    assert "unknown at 10 of 768" in run(*line, *maps, "--force")[2]
+    assert run(*line, *maps, "--holes", "none", "--force")[0] == 0
+    assert json.loads((folder / "fit.json").read_text())["geometry"]["farthest"] < 4
 
 
 def test_presets_and_waters_are_listed(run, tmp_path, monkeypatch):
@@ -320,3 +394,64 @@ def test_other_formats_are_told_of(folder, run):
     assert code == 2
     assert "one.webp: pictures are written as .npy, " in err
     assert not (folder / "one.webp").exists()
+
+
+def test_plain_pictures_have_nothing_random(folder, run):
+    """`--water 3C --contrast .4` alone draws a depth, a white balance, a tone, a saturation."""
+    (folder / "options.toml").write_text("[development]\ntone = 1.2\n")
+    line = ("degrade", "photos/a.png", "--plain", "--water", "3C", "--distance", "2", "--out")
+    assert run(*line, "wet.png", "--seed", "1")[0] == 0
+    assert run(*line, "again.png", "--seed", "2")[0] == 0
+    assert (folder / "wet.png").read_bytes() == (folder / "again.png").read_bytes()
+    law = uwaug.PointSpread.calibrated(uwaug.optics.point_spread.FOCAL_LENGTH * 32)
+    water = uwaug.Medium.from_water("3C", vertical_depth=0.0, g=0.05, point_spread=law)
+    image = torch.from_numpy(np.array(Image.open("photos/a.png"))).permute(2, 0, 1)
+    wanted = uwaug.Underwater(water)(image, torch.full((1, 24, 32), 2.0)).permute(1, 2, 0)
+    made = torch.from_numpy(np.array(Image.open("wet.png")))
+    assert (made.int() - wanted.int()).abs().max() <= 2
+    # what is named is done, and nothing else
+    named = ("--contrast", ".5", "--set", "vertical_depth=3", "--options", "options.toml")
+    assert run(*line, "named.png", *named)[0] == 0
+    (sample,) = json.loads((folder / "named.png.json").read_text())["params"]["samples"]
+    numbers = {"contrast": 0.5, "vertical_depth": 3, "tone": 1.2, "exposure": 0, "saturation": 1}
+    assert {name: sample["numbers"][name] for name in numbers} == numbers
+    assert "color_matrix" not in sample["numbers"]
+
+
+def test_planar_depth_of_a_folder_becomes_distance_along_the_ray(folder, run):
+    planar = torch.linspace(1, 4, 24 * 32).reshape(1, 24, 32)
+    np.save("planar.npy", planar[0].numpy())
+    np.save("along.npy", uwaug.distance.along_ray(planar, 25.0)[0].numpy())
+    line = ("degrade", "photos/a.png", "--plain", "--water", "3C", "--distance")
+    assert run(*line, "planar.npy", "--set", "distance.focal_px=25", "--out", "a.npy")[0] == 0
+    assert run(*line, "along.npy", "--out", "b.npy")[0] == 0
+    assert run(*line, "planar.npy", "--out", "c.npy")[0] == 0
+    made, wanted, flat = (np.load(f"{name}.npy").astype(int) for name in "abc")
+    assert np.abs(made - wanted).max() == 0
+    assert np.abs(flat - wanted).max() > 5
+    # millimetres of a lens are no pixels
+    code, _, err = run(*line, "planar.npy", "--set", "distance.focal_px=2.8", "--out", "d.npy")
+    assert code == 1
+    assert "focal_px must be in px of the picture, got 2.8: a lens of f mm" in err
+
+
+@pytest.mark.parametrize("films", [1, 4])
+def test_frames_of_a_film_are_one_witness(tmp_path, monkeypatch, run, films):
+    """Right maps of a bowl look reversed: those of four scenes are doubted, of one they are not."""
+    monkeypatch.chdir(tmp_path)
+    y, x = np.mgrid[-1:1:150j, -1:1:200j]
+    bowl = (4 - 1.5 * (x**2 + y**2)).astype(np.float32)
+    for n in range(8):
+        view = bowl[:120, 2 * n : 2 * n + 160]
+        name = f"{n % films}/{n}"
+        for place in (f"film/{name}.png", f"map/{name}.npy"):
+            Path(place).parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(np.repeat((60 * view).astype(np.uint8)[..., None], 3, 2)).save(
+            f"film/{name}.png"
+        )
+        np.save(f"map/{name}.npy", view)
+    line = ("degrade", "film", "--distance", "map", "--plain", "--water", "II", "--out")
+    _, out, _ = run(*line, "wet", "--sequence")
+    assert ("look like disparity" in out) == (films == 4)
+    _, out, _ = run(*line, "each")
+    assert "frames of one scene are one witness (--sequence)" in out

@@ -258,7 +258,7 @@ def test_odd_scenes_are_told_of() -> None:
     recipe = Recipe(RandomUnderwater(contrast=0.4))
     summary = degrade(recipe, items(), "out")
     (odd,) = summary.odd
-    assert odd.startswith("1.png: a median distance of ")
+    assert odd.startswith("1.png: a median of ")
     assert degrade(recipe, items(), "out", resume=True).odd == summary.odd
     for result in summary.results:
         reached = read_record(Path(f"out/{result.place}.json"))["reached"]

@@ -71,6 +71,15 @@ def test_unknown_distances_are_left_out(known):
     assert pictures.z.isfinite().all()
 
 
+def test_numbers_beyond_all_water_are_open_water(known):
+    clean, observed, z = known
+    sea = torch.arange(z.numel()).reshape(z.shape) % 5 == 0
+    for number in (1e7, 1e10, torch.inf):
+        pictures = Pictures.of(clean, observed, torch.where(sea, number, z), "srgb")
+        assert int((~pictures.finite & pictures.usable).sum()) == int((sea & pictures.usable).sum())
+        assert pictures.geometry.farthest < 10
+
+
 def test_pixels_are_spread_over_the_distances():
     z = torch.full((2, 1, 100, 100), 2.0)
     z[:, 0, :10] = torch.linspace(2.0, 6.0, 1000).reshape(10, 100)

@@ -160,7 +160,7 @@ def test_what_lies_far_off_has_no_weight(settled):
     observed = problem.pixels.observed.clone()
     observed[..., ::20] += 0.3  # particles
     spoilt = replace(problem, pixels=replace(problem.pixels, observed=observed))
-    weighed, _ = reweighed(spoilt, solution.theta, "srgb")
+    weighed, _ = reweighed(spoilt, solution.theta, clips=True)
     assert not (weighed.weights[..., ::20] > 0).any()
     assert (weighed.weights > 0).double().mean() > 0.8
 

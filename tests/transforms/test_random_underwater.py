@@ -331,8 +331,8 @@ def test_distances_that_stay(name: str) -> None:
 
 
 ODD: dict[str, tuple[dict[str, Any], float, str]] = {
-    "centimetres": ({}, 350.0, "350 m is scaled by 0.0229: is it metres?"),
-    "kilometres": ({}, 0.0035, "0.0035 m is scaled by 286: is it metres?"),
+    "centimetres": ({}, 350.0, "350 m is scaled by 0.0229: are distances metres?"),
+    "kilometres": ({}, 0.0035, "0.0035 m is scaled by 286: are distances metres?"),
     "type": ({"waters": "I", "contrast": 0.4}, 3.0, "water I is too clear for 0.4 at 3 m: that is"),
     "contents": (
         {"waters": "chlorophyll=.01", "contrast": 0.2},

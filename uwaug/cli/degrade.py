@@ -2,6 +2,7 @@
 
 import tomllib
 from collections.abc import Sequence
+from copy import deepcopy
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -46,6 +47,14 @@ def degrade(
         ),
     ] = None,
     preset: Preset = None,
+    plain: Annotated[
+        bool,
+        typer.Option(
+            "--plain",
+            help="Nothing random but what you name: even water as it is in nature, at the surface, "
+            "a camera that changes nothing.",
+        ),
+    ] = False,
     set_: Annotated[
         list[str] | None,
         typer.Option(
@@ -90,8 +99,10 @@ def degrade(
         from uwaug.files.prepare import prepare
         from uwaug.transforms import RandomUnderwater
 
-        chosen = _options(preset, options, set_ or (), water or (), contrast)
+        chosen = _options(preset, plain, options, set_ or (), water or (), contrast)
         of_run = {name: chosen.pop(name) for name in ("drift", "quality") if name in chosen}
+        if plain and not (chosen.get("waters") and (distance or "distance" in chosen)):
+            raise ValueError("--plain draws nothing: name one water by --water, and --distance")
         of_maps: Any = {"unit": number_or_word(unit), "holes": number_or_word(holes)}
         said = distances_of(distance, chosen.pop("distance", None), sequence=sequence, **of_maps)
         if said.source is not None:
@@ -139,6 +150,7 @@ def degrade(
 
 def _options(
     preset: str | None,
+    plain: bool,
     file: Path | None,
     settings: Sequence[str],
     waters: Sequence[str],
@@ -147,9 +159,11 @@ def _options(
     """Options of `RandomUnderwater` as plain values; the later of these take the place of the
     earlier.
     """
-    from uwaug.transforms import RandomUnderwater
+    from uwaug.transforms.random_underwater import PLAIN, RandomUnderwater
 
-    options: dict[str, Any] = {}
+    if plain and preset is not None:
+        raise ValueError("--plain and --preset exclude each other: presets have figures of theirs")
+    options: dict[str, Any] = deepcopy(PLAIN) if plain else {}
     if preset is not None:
         replaced = {"water": waters[0]} if waters else {}
         options = RandomUnderwater.from_preset(preset, **replaced).to_dict()
@@ -157,19 +171,24 @@ def _options(
         options["waters"] = list(waters)
     if file is not None:
         try:
-            options |= tomllib.loads(file.read_text(encoding="utf-8"))
+            tables = tomllib.loads(file.read_text(encoding="utf-8"))
         except tomllib.TOMLDecodeError as error:
             raise ValueError(f"{file}: {error}") from None
+        for name, value in tables.items():
+            both = isinstance(value, dict) and isinstance(options.get(name), dict)
+            options[name] = options[name] | value if both else value
     if contrast is not None:
         options["contrast"] = _value(contrast)
     for setting in settings:
         name, equals, text = setting.partition("=")
         if not equals:
             raise ValueError(f"--set expects NAME=VALUE, got {setting!r}")
-        *tables, last = name.strip().split(".")
+        *places, last = name.strip().split(".")
         target = options
-        for table in tables:
-            target = target.setdefault(table, {})
+        for place in places:
+            target = target.setdefault(place, {})
+            if not isinstance(target, dict):
+                raise ValueError(f"--set {setting}: {place} is {target!r}, no table")
         target[last] = _value(text)
     return options
 

@@ -37,9 +37,12 @@ def fit(
     require_writable(out, force=force, endings=(".json",))
     if figure is not None:
         require_writable(figure, force=force, endings=(".png",))
+    import torch
+
     import uwaug
     from uwaug._support.extras import require
     from uwaug.distance import Metres
+    from uwaug.distance.unknown import of_metres
     from uwaug.files.pictures import read_picture
     from uwaug.fitting import fit_water
 
@@ -48,11 +51,13 @@ def fit(
             require("plot", "matplotlib")
         pictures = read_picture(clean), read_picture(observed)
         z = read_metres(distance, unit, pictures[0])
+        if holes in ("error", "none"):
+            z = z.masked_fill(of_metres(z), torch.nan)
+        else:
+            z = Metres(number_or_word(holes)).metres(z, pictures[0], {})
         if holes == "error" and (unknown := int((~(z > 0)).sum())):
             cure = "--holes none leaves them out, and far takes them for open water"
             raise ValueError(f"{distance}: unknown at {unknown} of {z.numel()} pixels: {cure}")
-        if holes != "none":
-            z = Metres(number_or_word(holes)).metres(z, pictures[0], {})
         if model == "waters":
             result = fit_water(*pictures, z, color_space=color_space)
         else:

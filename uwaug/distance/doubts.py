@@ -164,7 +164,10 @@ def judged(evidences: Iterable[Evidence]) -> list[str]:
     ]
     if len(maps) >= _SEVERAL and _most(reversed_):
         claim = "distances look like disparity or inverse depth, large where near"
-        cure = f"{_INVERSE}; from_disparity where focal length and baseline are known"
+        cure = (
+            f"{_INVERSE}; from_disparity where focal length and baseline are known; but frames of "
+            "one scene are one witness (--sequence)"
+        )
         sentences.append(f"{claim}: {cure}")
     return [*dict.fromkeys(sentences), *_shifted(maps)]
 

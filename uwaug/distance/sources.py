@@ -33,7 +33,7 @@ _TOUCHING = 1e-6
 """m, for relative distance 0 with near = 0: a distance of 0 means unknown."""
 
 _WIDEST = 8.0
-"""Diagonal of a picture over its focal length: a view of 152°, wider than any without fisheye."""
+"""Diagonal of a picture over its focal length: of 152°, wider than any view without fisheye."""
 
 
 class Source:

@@ -77,9 +77,8 @@ def show(axis: "Axes", picture: Tensor, label: str) -> None:
     """A picture (3xHxW, sRGB)."""
     axis.imshow(picture.clamp(0, 1).permute(1, 2, 0).numpy(), aspect="auto")
     title = axis.set_title(label, **_TITLE_STYLE, **_AS_WRITTEN)
-    room = axis.get_window_extent().width
-    # letters are not as much narrower as their size says
-    size = float(title.get_fontsize())
+    size, room = _TITLE_STYLE["fontsize"], axis.get_window_extent().width
+    # letters do not get narrower as their size does
     while title.get_window_extent().width > room and size > _SMALLEST:
         size -= 0.5
         title.set_fontsize(size)

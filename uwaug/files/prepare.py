@@ -4,7 +4,6 @@ import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from os.path import dirname
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,6 +14,7 @@ from uwaug._support.threads import one_thread
 from uwaug.distance.doubts import REVERSED, doubts, evidence
 from uwaug.distance.sources import Inverse, Metres, Relative, Source
 from uwaug.distance.unknown import in_words, of_shares
+from uwaug.files.films import frames_of
 from uwaug.files.items import Item
 from uwaug.files.pictures import read_picture
 from uwaug.files.recipe import Recipe
@@ -28,8 +28,8 @@ _SAMPLES = 8
 def prepare(
     recipe: Recipe, items: Sequence[Item], references: Sequence[Path] = ()
 ) -> tuple[Recipe, list[str]]:
-    """Look at eight pictures of a run before it begins. Those that cannot be read are left to the
-    run, which names them.
+    """Look at eight pictures of a run, of films at the middle frame of each, before it begins.
+    Those that cannot be read are left to the run, which names them.
 
     Args:
         recipe, items: as for `degrade`.
@@ -43,6 +43,8 @@ def prepare(
         ValueError: if most of these maps are refused, with what is said of the first.
         OSError: if a reference cannot be read.
     """
+    if recipe.sequence:  # the frames of a film are one witness, and in one water
+        items = list(dict.fromkeys(film.candidates[0] for film in frames_of(items).values()))
     some = items[:: -(-len(items) // _SAMPLES) or 1]
     samples = _samples(recipe, some)
     refused = [sample.refused for sample in samples if sample.refused]
@@ -103,9 +105,7 @@ def _samples(recipe: Recipe, items: Sequence[Item]) -> list[_Sample]:
 
 
 def _doubts(recipe: Recipe, samples: Sequence[_Sample]) -> list[str]:
-    # frames of a film are one witness
-    films = {dirname(s.item.name) if recipe.sequence else s.item.name: s for s in samples}
-    pairs = [(s.z, s.image) for s in films.values() if s.z is not None]
+    pairs = [(s.z, s.image) for s in samples if s.z is not None]
     maps, images = [z for z, _ in pairs], [image for _, image in pairs]
     if isinstance(recipe.transform.distance, Metres):
         return doubts(maps, images)

@@ -114,7 +114,7 @@ def fit(
         ends = [(x.model, multistart(x, seed=seed)) for x in scouts]
         richest, end = min(ends, key=lambda pair: pair[1].cost)
         roughly = Objective(richest, roughly_weighed(drawn))
-        weighed, theta = reweighed(roughly, end.theta, color_space)
+        weighed, theta = reweighed(roughly, end.theta, pictures.clips)
         tried: list[FittedModel[CoefficientModel]] = []
         for i, candidate in enumerate(models):
             say(f"fitting {candidate.name!r}, {i + 1} of {len(models)}")

@@ -66,6 +66,7 @@ class Pictures:
         z (Bx1xHxW tensor): m, finite, > 0.
         usable (Bx1xHxW tensor): whether a pixel's distance is known and no value was clipped.
         color_space: of what was given.
+        clips: whether light beyond black and white was lost: of sRGB, and where none lies beyond.
     """
 
     clean: Tensor
@@ -73,6 +74,7 @@ class Pictures:
     z: Tensor
     usable: Tensor
     color_space: ColorSpace
+    clips: bool
 
     @staticmethod
     def of(
@@ -113,13 +115,15 @@ class Pictures:
                 raise ValueError(f"clean and observed are the same picture: {cure}")
         z = z.detach().cpu().double()
         usable = z > 0
-        if color_space == "srgb":
+        clips = color_space == "srgb" or bool(light.min() >= 0 and light.max() <= 1)
+        if clips:
             inside = (light > 0).any(1) & (light < 1).all(1) & (bare < _WHITE).all(1)
             usable = usable & inside[:, None]
         count = max(len(light), len(z), len(bare))
-        z = torch.where(z > 0, z, 1.0).clamp(max=FARTHEST).expand(count, -1, -1, -1)
+        z = torch.where(z >= checks.OPEN, FARTHEST, torch.where(z > 0, z, 1.0))
+        z = z.expand(count, -1, -1, -1)
         pictures = Pictures(
-            bare, light.expand(count, -1, -1, -1), z, usable.expand_as(z), color_space
+            bare, light.expand(count, -1, -1, -1), z, usable.expand_as(z), color_space, clips
         )
         pictures._require_usable()
         return pictures

@@ -1,4 +1,4 @@
-"""Was a haze composed in encoded values, as published synthesisers mostly do? Fits of light try."""
+"""Was a haze composed in encoded values, as most published synthesisers do? Fits of light try."""
 
 from dataclasses import replace
 
@@ -6,10 +6,10 @@ from torch import Tensor
 
 from uwaug.fitting.choose import FittedModel
 from uwaug.fitting.model import MODELS, CoefficientModel
-from uwaug.fitting.solve import Objective, multistart, roughly_weighed
+from uwaug.fitting.solve import Objective, guess, roughly_weighed, solve
 from uwaug.formation.colour import linear_to_srgb
 
-_PIXELS = 4000  # that the haze of values is fitted to
+_PIXELS = 2000  # that the haze of values is fitted to
 _BETTER = 1.05  # times, that is worth a word: pictures of light reached 1.01, hazes of values 1.08
 
 
@@ -28,8 +28,8 @@ def haze_of_values(chosen: FittedModel[CoefficientModel], gain: bool, seed: int)
     is_used = pixels.weights > 0
     clean, observed = linear_to_srgb(pixels.clean), linear_to_srgb(pixels.observed)
     values = replace(pixels, clean=clean, observed=observed, weights=is_used.double(), stacks={})
-    few = roughly_weighed(values).subsample(_PIXELS, seed)
-    theta = multistart(Objective(haze, few), seed=seed).theta
+    few = Objective(haze, roughly_weighed(values).subsample(_PIXELS, seed))
+    theta = solve(few, haze.start(guess(few))).theta
 
     def rms(picture: Tensor) -> float:
         return float((picture - observed)[is_used].square().mean().sqrt())

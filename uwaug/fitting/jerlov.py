@@ -222,7 +222,7 @@ def fit_water(
             scouts.append((model, solve(objective, _start(objective))))
         best, end = min(scouts, key=lambda pair: pair[1].cost)
         say("learning the noise")
-        weighed, _ = reweighed(Objective(best, drawn), end.theta, color_space)
+        weighed, _ = reweighed(Objective(best, drawn), end.theta, pictures.clips)
         tried = []
         for model, end in scouts:
             say(f"fitting {model.name}")

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uwaug._support.types import Array, ColorSpace
+from uwaug._support.types import Array
 from uwaug.fitting.data import Pixels
 from uwaug.fitting.model import COLOURS, MOST_GAIN, CoefficientModel, Model, picture_slopes
 
@@ -236,16 +236,14 @@ def roughly_weighed(pixels: Pixels) -> Pixels:
     return replace(pixels, weights=pixels.weights / _ROUGH_NOISE)
 
 
-def reweighed(
-    objective: Objective[M], theta: Array, color_space: ColorSpace
-) -> tuple[Pixels, Array]:
+def reweighed(objective: Objective[M], theta: Array, clips: bool) -> tuple[Pixels, Array]:
     """Weigh pixels by a model's own light, with a noise that is learnt from its residuals.
 
     Args:
         objective: the model that explains the pixels best, which all candidates are then compared
             with, and roughly weighed pixels.
         theta: where it begins.
-        color_space: of the picture.
+        clips: as of `Pictures`.
 
     Returns:
         The pixels with their weights, and where the model ended.
@@ -261,7 +259,7 @@ def reweighed(
         deviation = noise(error, light, objective.pixels.weights > 0)
         # one-sided outliers, such as particles, would pull the veil up for ever
         counted = error.abs() < _OUTLYING * deviation
-        if color_space == "srgb":  # linear light is never clipped
+        if clips:
             # by what the model says: leaving out dark observations alone would keep the noise
             # that brightens
             margin = (_UNCLIPPED * deviation).clamp(max=_MAX_MARGIN)

@@ -50,6 +50,14 @@ from uwaug.transforms.scenes import Scenes
 SEVERITIES = {1: 0.65, 2: 0.5, 3: 0.35, 4: 0.2, 5: 0.08}
 """The contrast of each grade of severity."""
 
+PLAIN: dict[str, Any] = {
+    "contrast": None,
+    "vertical_depth": 0.0,
+    "field": None,
+    "development": {"color_matrix": None, **asdict(NEUTRAL)},
+}
+"""Options that leave nothing random but waters and distances, and nothing to the camera."""
+
 
 @codec.plain
 @dataclass(eq=False, repr=False)
@@ -199,7 +207,7 @@ class RandomUnderwater(SampleTransform):
             from uwaug.fitting.result import load_fit
 
             fit = load_fit(name_or_path)
-            neutral = {"color_matrix": None, **asdict(NEUTRAL), "color_space": fit.color_space}
+            neutral = {**PLAIN["development"], "color_space": fit.color_space}
             figures = {"waters": fit.medium, "field": None}
         else:
             figures = load_preset(name_or_path, water=water).options()

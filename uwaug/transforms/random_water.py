@@ -76,17 +76,15 @@ class Reached(NamedTuple):
         """A sentence where distances are hardly metres, or the water is hardly the one that was
         named; "" where they are.
         """
-        asked = f"{self.asked:.2g} at {self.metres:.3g} m"
+        asked, unit = f"{self.asked:.2g} at {self.metres:.3g} m", "are distances metres?"
         if not 1 / MOST_SCALED <= self.scale <= MOST_SCALED:
             median = self.metres / self.scale
-            odd = (
-                f"a median distance of {median:.3g} m is scaled by {self.scale:.3g}: is it metres?"
-            )
+            odd = f"a median of {median:.3g} m is scaled by {self.scale:.3g}: {unit}"
         elif self.contents > MOST_CONTENTS:
             times = f"that is {self.contents:.3g} times what is in it"
             odd = f"water {self.water} is too clear for {asked}: {times}. Name a more turbid one"
         elif self.contrast < self.asked / MOST_MISSED:
-            odd = f"pure water leaves {self.contrast:.2g} of contrast, not {asked}: is it metres?"
+            odd = f"pure water leaves {self.contrast:.2g} of contrast, not {asked}: {unit}"
         else:
             return ""
         return f"{odd}; contrast=None (--contrast none) leaves distances and water as they are"
