@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from PIL import Image
+from PIL import ExifTags, Image
 
 import uwaug
 
@@ -384,7 +384,7 @@ def test_other_formats_are_told_of(folder, run):
     code, out, _ = run("degrade", "photos", "--out", "wet")
     assert code == 0
     told = out.splitlines()[0]
-    assert told.startswith("left out, as they are neither PNG, JPEG nor TIFF: 1 .bmp: convert")
+    assert told.startswith("left out, as such files are not read: 1 .bmp: convert")
     for words in ("1 .mp4: make frames of it", "1 .nef: develop them first", "2 .webp: convert"):
         assert words in told
     code, _, err = run("degrade", "photos/g.MP4", "--out", "film")
@@ -394,6 +394,24 @@ def test_other_formats_are_told_of(folder, run):
     assert code == 2
     assert "one.webp: pictures are written as .npy, " in err
     assert not (folder / "one.webp").exists()
+
+
+@pytest.mark.parametrize("orientation", [1, 3, 6])
+def test_pictures_that_exif_turns_are_told_where_maps_or_labels_are(folder, run, orientation):
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = orientation
+    (folder / "turned").mkdir()
+    Image.new("RGB", (8, 8), (90, 60, 30)).save(folder / "turned/c.jpg", exif=exif)
+    np.save(folder / "z.npy", np.full((8, 8), 3.0))
+    (folder / "boxes").mkdir()
+    (folder / "boxes/c.txt").write_text("0 .5 .5 .5 .5\n")
+    told = "1 pictures, such as c.jpg, are upright by EXIF alone"
+    for number, flags in enumerate((("--distance", "z.npy"), ("--labels", "boxes"))):
+        code, out, _ = run("degrade", "turned", *flags, "--out", f"wet{number}")
+        assert code == 0
+        assert (told in out) == (orientation != 1)
+    code, out, _ = run("degrade", "turned", "--out", "without")
+    assert (code, told in out) == (0, False)
 
 
 def test_plain_pictures_have_nothing_random(folder, run):

@@ -119,7 +119,7 @@ def degrade(
         )
         items = find_items(pictures, said.maps, exclude=[out, labels])
         if others := left_out(pictures, said.maps, exclude=[out, labels]):
-            print(f"left out, as they are neither PNG, JPEG nor TIFF: {others}")
+            print(f"left out, as such files are not read: {others}")
         recipe, sentences = prepare(recipe, items, like or ())
         for sentence in filter(None, (said.note, *sentences)):
             print(sentence, flush=True)
@@ -145,6 +145,9 @@ def degrade(
         print(f"next to nothing is left to see of {some}: {cure}")
     if summary.odd:
         print(f"odd scenes: {len(summary.odd)}, such as {summary.odd[0]}")
+    if turned := summary.turned:
+        some = f"{len(turned)} pictures, such as {turned[0]}, are upright by EXIF alone"
+        print(f"{some}: their maps and labels are taken as upright, too. Are they?")
     end_if_failed(summary.failures)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import tifffile
 import torch
 from numpy.typing import NDArray
-from PIL import Image, ImageOps
+from PIL import ExifTags, Image, ImageOps
 from torch import Tensor
 
 from uwaug._support import checks
@@ -121,6 +121,14 @@ def holds_picture(path: Path) -> bool:
     except Exception:  # decoders raise whatever they like; who reads it says what is wrong
         return True
     return any(channel.name.endswith("R") for part in parts for channel in part.header["channels"])
+
+
+def is_turned(path: Path) -> bool:
+    """Whether a picture is upright only as its EXIF turns or mirrors it."""
+    if path.suffix.lower() not in (".jpg", ".jpeg", ".png"):
+        return False
+    with Image.open(path) as image:
+        return bool(image.getexif().get(ExifTags.Base.Orientation, 1) in range(2, 9))
 
 
 def metres_of(unit: str | float) -> float:

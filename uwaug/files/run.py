@@ -132,8 +132,8 @@ def _source(path: Path) -> dict[str, Any]:
 def _of_record(job: Job, status: Any, record: dict[str, Any]) -> Result:
     objects = [Judged(**entry) for entry in record.get("objects", [])]
     reached = Reached(**record["reached"]) if record.get("reached") else None
-    contrast = record.get("contrast")
-    return Result(job.item, job.variant, job.place, status, contrast, objects, reached)
+    contrast, turned = record.get("contrast"), record.get("turned", False)
+    return Result(job.item, job.variant, job.place, status, contrast, objects, reached, turned)
 
 
 def run(

@@ -24,6 +24,7 @@ class Result(NamedTuple):
         contrast: mean share of contrast that is left; None if it failed, and of maps.
         objects: of the picture, if there are labels.
         reached: what it took to reach the contrast asked for, if one was.
+        turned: whether its EXIF turns it, and it has a map or labels, which it does not turn.
         reason: why it failed.
     """
 
@@ -34,6 +35,7 @@ class Result(NamedTuple):
     contrast: float | None = None
     objects: Sequence[Judged] = ()
     reached: Reached | None = None
+    turned: bool = False
     reason: str = ""
 
 
@@ -74,6 +76,11 @@ class Summary:
         """
         named = [(result.item.name, result.reached) for result in self.results]
         return [f"{name}: {reached.odd}" for name, reached in named if reached and reached.odd]
+
+    @property
+    def turned(self) -> list[str]:
+        """Names of pictures that EXIF turns, while their maps and labels are taken as upright."""
+        return list(dict.fromkeys(r.item.name for r in self.results if r.turned))
 
     @property
     def objects(self) -> tuple[int, int]:

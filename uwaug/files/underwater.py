@@ -16,7 +16,7 @@ from uwaug.files.films import Films, frames_of
 from uwaug.files.formats import open_labels
 from uwaug.files.items import Item, cure_of
 from uwaug.files.labels import Labels, judged
-from uwaug.files.pictures import ENDINGS
+from uwaug.files.pictures import ENDINGS, is_turned
 from uwaug.files.recipe import Recipe
 from uwaug.files.record import digest, read_record
 from uwaug.files.run import Job, Progress, Work, require_apart, require_free, run
@@ -180,6 +180,7 @@ class _Underwater(Work):
             "contrast": round(float(contrast.double().mean()), 4),
             "reached": reached and reached._asdict(),
             "objects": [label._asdict() for label in objects],
+            "turned": (labels is not None or z is not None) and is_turned(item.picture),
         }
 
     def write(self, path: Path, result: Tensor, item: Item) -> None:
