@@ -419,13 +419,17 @@ def test_resume_and_force() -> None:
 
 @pytest.mark.parametrize("options", [{"resume": True}, {"force": True}])
 def test_a_folder_of_other_pictures_is_refused(options: dict[str, bool]) -> None:
-    degrade(RECIPE, items()[:2], "out")
+    Path("labels").mkdir()
+    for number in range(3):
+        Path(f"labels/{number}.txt").write_text("0 .5 .5 1 1\n")
+    recipe = Recipe(WATER, labels="labels")
+    degrade(recipe, items()[:2], "out")
     before = content("out")
-    with pytest.raises(FileExistsError, match=r"out holds 1 pictures .* such as 0\.png: remove"):
-        degrade(RECIPE, items()[1:], "out", **options)
+    with pytest.raises(FileExistsError, match=r"out holds 1 pictures .* images/0\.png: remove"):
+        degrade(recipe, items()[1:3], "out", **options)
     assert content("out") == before
-    Path("out/0.png").unlink()
-    assert statuses(degrade(RECIPE, items()[1:], "out", **options))[1:] == ["written"] * 2
+    Path("out/images/0.png").unlink()
+    assert degrade(recipe, items()[1:3], "out", **options).count("failed") == 0
 
 
 @pytest.mark.parametrize(

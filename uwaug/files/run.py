@@ -208,11 +208,13 @@ def require_free(out: Path, *, resume: bool, force: bool) -> None:
 
 
 def _require_own(jobs: Sequence[Job], out: Path) -> None:
-    """Refuse the folder of a run of other pictures: its index, and its labels, would be lost.
+    """Refuse, with labels, the folder of a run of other pictures: its labels would be lost.
 
     Raises:
         FileExistsError: says what to do.
     """
+    if all(job.labels is None for job in jobs):
+        return
     others = {*(places_of(out) or ())} - {job.place for job in jobs}
     if stale := sorted(place for place in others if (out / place).exists()):
         got = f"{out} holds {len(stale)} pictures that this run does not make, such as {stale[0]}"
