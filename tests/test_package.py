@@ -4,12 +4,14 @@ import pkgutil
 import re
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 import uwaug
 
@@ -97,6 +99,21 @@ def test_version_is_a_release() -> None:
     assert re.fullmatch(r"\d+\.\d+\.\d+", uwaug.__version__)
 
 
+def test_it_is_cited_by_its_version() -> None:
+    citation = yaml.safe_load((ROOT / "uwaug" / "CITATION.cff").read_text(encoding="utf-8"))
+    assert citation["version"] == uwaug.__version__
+
+
+def test_an_index_shows_no_link_to_a_file_that_it_does_not_have() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    for rule in project["tool"]["hatch"]["metadata"]["hooks"]["fancy-pypi-readme"]["substitutions"]:
+        text = re.sub(rule["pattern"], rule["replacement"], text)
+    targets = re.findall(r"\]\(([^)]*)\)", text)
+    assert "https://scikit-image.org/" in targets
+    assert [target for target in targets if not target.startswith(("https://", "#"))] == []
+
+
 def test_typed() -> None:
     assert (Path(uwaug.__file__).parent / "py.typed").exists()
 
@@ -140,16 +157,17 @@ def exported_once() -> Callable[..., Path]:
 
 
 @pytest.mark.parametrize("guide", GUIDES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_blocks_of_guides_run(
+def test_each_block_of_a_guide_runs_alone(
     guide: Path, exported_once: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(uwaug.onnx, "export_onnx", exported_once)
     text = guide.read_text(encoding="utf-8")
     blocks = re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
-    monkeypatch.chdir(tmp_path)
-    names: dict[str, object] = {"__name__": "readme"}
     for number, block in enumerate(blocks):
-        exec(compile(block, f"{guide.name}, block {number}", "exec"), names)
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        monkeypatch.chdir(folder)
+        exec(compile(block, f"{guide.name}, block {number}", "exec"), {"__name__": "readme"})
 
 
 def test_links_between_guides_lead_somewhere() -> None:
