@@ -5,7 +5,7 @@ import re
 import subprocess
 import sys
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ import uwaug
 ROOT = Path(__file__).parent.parent
 FOUND = {module.name for module in pkgutil.walk_packages(uwaug.__path__, "uwaug.")}
 GUIDES = [ROOT / "README.md", *sorted(ROOT.glob("[!.]*/**/*.md"))]
+COPIED_FIRST = [ROOT / "README.md", ROOT / "uwaug" / "GUIDE.md"]
 MODULES = sorted({"uwaug"} | {name for name in FOUND if not name.endswith("__main__")})
 HEAVY = (
     "albumentations",
@@ -156,18 +157,39 @@ def exported_once() -> Callable[..., Path]:
     return export
 
 
-@pytest.mark.parametrize("guide", GUIDES, ids=lambda path: str(path.relative_to(ROOT)))
+def blocks_of(guide: Path, folder: Path) -> Iterator[tuple[str, Path]]:
+    """Each Python block of a guide, with an empty folder for it."""
+    text = guide.read_text(encoding="utf-8")
+    blocks = re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    for number, block in enumerate(blocks):
+        own = folder / str(number)
+        own.mkdir()
+        yield block, own
+
+
+@pytest.mark.parametrize("guide", COPIED_FIRST, ids=lambda path: path.name)
+def test_blocks_that_are_copied_first_run_in_a_new_process(guide: Path, tmp_path: Path) -> None:
+    ran = 0
+    for block, folder in blocks_of(guide, tmp_path):
+        command = [sys.executable, "-c", block]
+        done = subprocess.run(command, check=False, cwd=folder, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        ran += 1
+    assert ran > 0
+
+
+@pytest.mark.parametrize(
+    "guide",
+    [guide for guide in GUIDES if guide not in COPIED_FIRST],
+    ids=lambda path: str(path.relative_to(ROOT)),
+)
 def test_each_block_of_a_guide_runs_alone(
     guide: Path, exported_once: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(uwaug.onnx, "export_onnx", exported_once)
-    text = guide.read_text(encoding="utf-8")
-    blocks = re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
-    for number, block in enumerate(blocks):
-        folder = tmp_path / str(number)
-        folder.mkdir()
+    for block, folder in blocks_of(guide, tmp_path):
         monkeypatch.chdir(folder)
-        exec(compile(block, f"{guide.name}, block {number}", "exec"), {"__name__": "readme"})
+        exec(compile(block, str(guide.relative_to(ROOT)), "exec"), {"__name__": "readme"})
 
 
 def test_links_between_guides_lead_somewhere() -> None:
