@@ -86,6 +86,14 @@ def test_a_record_makes_the_same_bytes_again(folder, run):
     assert (folder / "again.png").read_bytes() == (folder / "wet/a.png").read_bytes()
 
 
+def test_a_record_takes_no_other_options(folder, run):
+    assert run("degrade", "photos/a.png", "--distance", "3", "--out", "a.png")[0] == 0
+    code, _, err = run("degrade", "a.png.json", "--water", "9C", "--seed", "0", "--out", "b.png")
+    assert code == 2
+    assert "a.png.json is a record, which says all but --out: not --seed, --water" in err
+    assert not (folder / "b.png").exists()
+
+
 def test_options_reach_the_transform(folder, run):
     (folder / "options.toml").write_text("mixing = [0, 1]\n[development]\nsaturation = 1.2\n")
     code, _, err = run(
@@ -383,7 +391,7 @@ def test_other_formats_are_told_of(folder, run):
         (folder / "photos" / name).touch()
     code, out, _ = run("degrade", "photos", "--out", "wet")
     assert code == 0
-    told = out.splitlines()[0]
+    told, *_ = (line for line in out.splitlines() if line.startswith("left out"))
     assert told.startswith("left out, as such files are not read: 1 .bmp: convert")
     for words in ("1 .mp4: make frames of it", "1 .nef: develop them first", "2 .webp: convert"):
         assert words in told

@@ -86,8 +86,65 @@ def test_a_map_is_no_picture() -> None:
     save("a.npy", Z)
     with pytest.raises(ValueError, match=r"a\.npy: one channel of floating point is a map"):
         read_picture("a.npy")
-    with pytest.raises(ValueError, match=r"a\.exr: .*expected RGB, got Z"):
+    with pytest.raises(ValueError, match=r"a\.exr: .*expected one layer of RGB, got Z"):
         read_picture(save_exr("a.exr", Z=Z))
+
+
+LIGHT = srgb_to_linear(torch.from_numpy(pixels(H, W) / np.float32(255))).numpy()
+VECTOR = {"X": Z, "Y": Z, "Z": Z / 9}
+
+
+@pytest.mark.parametrize(
+    "layers, layer",
+    [
+        ({"Depth.Z": Z, "Denoising Depth.Z": Z / 2}, Z),
+        ({"Depth.Z": Z, **{f"Normal.{axis}": values for axis, values in VECTOR.items()}}, Z),
+        ({f"Position.{axis}": values for axis, values in VECTOR.items()}, None),
+    ],
+)
+def test_distances_among_the_layers_of_a_render(layers: dict[str, Any], layer: Any) -> None:
+    save_exr("a.exr", RGB=LIGHT, **{f"View.{name}": values for name, values in layers.items()})
+    if layer is None:
+        with pytest.raises(ValueError, match="expected one layer of Z, got RGB, View"):
+            read_distance("a.exr")
+    else:
+        assert torch.equal(read_distance("a.exr"), torch.from_numpy(layer)[None])
+
+
+def test_layers_of_colour_that_may_be_the_picture_are_refused() -> None:
+    save_exr("a.exr", albedo=LIGHT / 2, beauty=LIGHT, Z=Z)
+    with pytest.raises(ValueError, match="expected one layer of RGB, got Z, albedo, beauty"):
+        read_picture("a.exr")
+    save_exr("b.exr", **{"Background.Combined": LIGHT / 2, "Composite.Combined": LIGHT, "Z": Z})
+    assert torch.equal(read_picture("b.exr", "linear"), torch.from_numpy(LIGHT).permute(2, 0, 1))
+
+
+def test_bits_that_are_not_used_are_told(run: Run) -> None:
+    words = pixels(H, W).astype(np.uint16)
+    save("photos/a.png", 16 * words)  # 12 bits
+    save("photos/b.png", 257 * words)
+    save("photos/c.png", pixels(H, W) // 20)  # dark, but of 8 bits
+    code, out, _ = run("degrade", "photos", "--distance", "2", "--out", "wet", "--workers", "1")
+    assert code == 0
+    assert "1 pictures, such as a.png, of 16 bits, reach less than 1/8 of white" in out
+
+
+def test_zeros_of_a_map_that_nobody_looked_at_before_are_told(run: Run) -> None:
+    for number in range(20):
+        save(f"photos/{number:02}.png", pixels(H, W))
+        inverse = np.linspace(0.3, 1, H * W, dtype=np.float32).reshape(H, W)
+        inverse[:3, :5] = 0 if number == 4 else inverse[:3, :5]
+        save(f"maps/{number:02}.npy", inverse)
+    flags = ("--distance", "maps", "--set", "distance.kind=Inverse", "--workers", "1")
+    code, out, _ = run("degrade", "photos", *flags, "--out", "wet")
+    assert code == 0
+    assert "1 pictures, such as 04.png, have maps with 0" in out
+    assert (
+        "have maps with 0"
+        not in run("degrade", "photos", *flags, "--holes", "far", "--out", "2")[1]
+    )
+    code, out, _ = run("degrade", "photos", *flags, "--sequence", "--out", "film")
+    assert "each frame's map is stretched from near to far on its own" in out
 
 
 def test_grey_pictures_are_told_of(run: Run) -> None:
@@ -102,7 +159,6 @@ def test_grey_pictures_are_told_of(run: Run) -> None:
 # Linear light
 
 
-LIGHT = srgb_to_linear(torch.from_numpy(pixels(H, W) / np.float32(255))).numpy()
 RECIPE = Recipe(RandomUnderwater("3C", distance=2.0, contrast=0.5))
 
 

@@ -20,6 +20,12 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     save("photos/a.png", pixels())
 
 
+@pytest.mark.parametrize("said", [{"unit": "cm"}, {"holes": "far"}, {"source": {"focal_px": 80}}])
+def test_metres_have_nothing_that_is_of_maps(said: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=r"distance is 80 m for all of a picture: unit, holes"):
+        distances_of("80", **said)
+
+
 @pytest.mark.parametrize(
     "distance, said, source, maps",
     [

@@ -525,11 +525,36 @@ def test_splits_are_those_of_the_description(tmp_path: Path) -> None:
         split: (tmp_path / f"out/{split}.txt").read_text() for split in ("train", "val", "test")
     }
     assert splits == {
-        "train": "./reef/images/1.png\n./wreck/images/1.png\n./other/images/1.png\n",
+        "train": "./reef/images/1.png\n./wreck/images/1.png\n",
         "val": "./harbour/images/1.png\n",
         "test": "",
     }
-    assert told == ["no picture is of the split test: test.txt lists nothing"]
+    assert told == [
+        "1 pictures are of no split, and in no list, such as ./other/images/1.png",
+        "no picture is of the split test: test.txt lists nothing",
+    ]
+
+
+@pytest.mark.parametrize("folder", ["Test", "test_set", "testing", "TEST_DATA"])
+def test_splits_of_folders_in_any_spelling(tmp_path: Path, folder: str) -> None:
+    names = ["train/1.png", f"{folder}/2.png"]
+    for name in names:
+        write((tmp_path / "labels" / name).with_suffix(".txt"), "0 .5 .5 1 1\n")
+    labelled(tmp_path / "labels", names, tmp_path / "out")
+    lists = [(tmp_path / f"out/{split}.txt").read_text() for split in ("train", "test")]
+    assert lists == [f"./images/{name}\n" for name in names]
+
+
+def test_names_of_another_file_are_told_with_it(tmp_path: Path) -> None:
+    write(tmp_path / "ds/labels/1.txt", "2 .5 .5 1 1\n")
+    write(tmp_path / "fish.yaml", "names: [cod, eel, ray]\n")
+    notes: list[str] = []
+    labelled(tmp_path / "ds/labels", ["1.png"], tmp_path / "out", notes=notes)
+    assert notes[0] == f"classes are those of {tmp_path / 'fish.yaml'}"
+    (tmp_path / "fish.yaml").unlink()
+    write(tmp_path / "ds/obj.names", "cod\n\nray\n\n")
+    labelled(tmp_path / "ds/labels", ["1.png"], tmp_path / "again")
+    assert yaml.safe_load((tmp_path / "again/data.yaml").read_text())["names"] == ["cod", "", "ray"]
 
 
 @pytest.mark.parametrize("as_lists", [False, True])
@@ -717,6 +742,19 @@ def test_voc_of_variants_and_lists(tmp_path: Path) -> None:
     assert names_in(tmp_path / "out/Annotations/1_2.xml") == ["near", "far"]
 
 
+def test_names_with_spaces_in_lists_of_voc(tmp_path: Path) -> None:
+    names = ["reef 2", "GOPR 0003", "dive 1"]
+    text = "\ufeff" + "".join(f"{name}\n" for name in names)
+    write(tmp_path / "voc/ImageSets/Main/train.txt", text)
+    write(tmp_path / "voc/ImageSets/Main/fish_train.txt", "reef 2  1\nGOPR 0003 -1\n")
+    for name in names:
+        write(tmp_path / f"voc/Annotations/{name}.xml", VOC)
+    labelled(tmp_path / "voc/Annotations", [f"{name}.jpg" for name in names], tmp_path / "out")
+    written = tmp_path / "out/ImageSets/Main"
+    assert (written / "train.txt").read_text().splitlines() == names
+    assert (written / "fish_train.txt").read_text() == "reef 2  1\nGOPR 0003 -1\n"
+
+
 @pytest.mark.parametrize(
     "old, new, message",
     [
@@ -740,6 +778,17 @@ def test_voc_without_a_size(tmp_path: Path, size: str) -> None:
 
 
 # Masks
+
+
+def test_a_palette_whose_black_is_not_the_background_is_refused(tmp_path: Path) -> None:
+    colours = np.zeros((*SIZE, 3), np.uint8)
+    colours[:, :3] = (0, 150, 0)
+    (tmp_path / "masks").mkdir()
+    mask = Image.fromarray(colours).quantize(4)
+    order = [1, 0] if mask.getpixel((W - 1, 0)) == 0 else [0, 1]  # black second
+    mask.remap_palette(order).save(tmp_path / "masks/1.png")
+    with pytest.raises(ValueError, match=r"0 is \(0, 150, 0\), and 1 is black: which is backgr"):
+        opened(tmp_path / "masks", "1.png")
 
 
 @pytest.mark.parametrize(

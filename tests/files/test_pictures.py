@@ -9,9 +9,10 @@ import pytest
 import tifffile
 import torch
 from filing import H, W, metres, pixels, save, words
-from PIL import Image
+from PIL import ExifTags, Image, ImageOps
 
 from uwaug.files import read_distance, read_picture, write_picture
+from uwaug.files.pictures import orientation_of
 
 NAMES = {
     "uint8": ("a.png", "a.TIF", "a.npy"),
@@ -65,6 +66,30 @@ def test_other_programs_files(tmp_path: Path) -> None:
     assert torch.equal(read_picture(tmp_path / "b.png"), picture("uint16"))
 
 
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif"])
+def test_pictures_are_upright(tmp_path: Path, name: str, orientation: int) -> None:
+    values = np.zeros((16, 8, 3), np.uint8)
+    values[:8, :4], values[8:, :4] = 200, 100
+    Image.fromarray(values).save(tmp_path / name, exif=_exif(orientation))
+    upright = ImageOps.exif_transpose(_with_exif(Image.fromarray(values), orientation))
+    expected = torch.from_numpy(np.array(upright).transpose(2, 0, 1))
+    error = (read_picture(tmp_path / name).int() - expected.int()).abs()
+    assert error.max() <= (4 if "jpg" in name else 0)
+    assert orientation_of(tmp_path / name) == orientation
+
+
+def _exif(orientation: int) -> Image.Exif:
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = orientation
+    return exif
+
+
+def _with_exif(image: Image.Image, orientation: int) -> Image.Image:
+    image.getexif().update(_exif(orientation))
+    return image
+
+
 @pytest.mark.parametrize("unit, scale", [("m", 1.0), ("cm", 0.01), ("mm", 0.001), (0.25, 0.25)])
 @pytest.mark.parametrize("name", ["z.npy", "z.tif", "z.png"])
 def test_distances_in_all_units(tmp_path: Path, name: str, unit: Any, scale: float) -> None:
@@ -113,6 +138,12 @@ def _tiff(values: Any, **options: Any) -> bytes:
     return file.getvalue()
 
 
+def _animated() -> bytes:
+    file, image = io.BytesIO(), Image.fromarray(pixels())
+    image.save(file, "PNG", save_all=True, append_images=[Image.fromarray(pixels(seed=1))])
+    return file.getvalue()
+
+
 WHOLE = _png("RGB")
 REFUSED: list[tuple[str, bytes, str]] = [
     ("a.png", _png("RGBA", alpha=254), "without alpha"),
@@ -127,6 +158,9 @@ REFUSED: list[tuple[str, bytes, str]] = [
     ("a.npy", _npy(np.empty((0, 4, 3))), "holds no pixels"),
     ("a.tif", _tiff(pixels(), photometric="ycbcr"), "expected RGB or grey"),
     ("a.tif", _tiff(pixels(channels=4), photometric="rgb"), "got .12, 16, 4."),
+    ("a.tif", _tiff(np.stack([pixels()] * 3), photometric="rgb"), "holds 3 pictures"),
+    ("a.tif", _tiff(np.stack([words(1)[..., 0]] * 3), imagej=True), "holds 3 pictures"),
+    ("a.png", _animated(), "holds 2 pictures"),
 ]
 
 

@@ -85,6 +85,24 @@ def test_items() -> None:
         find_items("nowhere")
 
 
+def test_a_picture_is_not_its_own_map() -> None:
+    for name in ("a_rgb.png", "a_depth.png", "b_RGB.png", "b_depth.png"):
+        Path("two").mkdir(exist_ok=True)
+        Path("two", name).touch()
+    assert names("two", "{stem:rgb=depth}.png") == {
+        "a_rgb.png": "two/a_depth.png",
+        "b_RGB.png": "two/b_RGB",  # is missing
+    }
+
+
+def test_masks_of_pascal_voc_are_no_pictures() -> None:
+    for place in ("JPEGImages/1.jpg", "SegmentationClass/1.png", "SegmentationObject/1.png"):
+        Path("voc", place).parent.mkdir(parents=True)
+        Path("voc", place).touch()
+    assert list(names("voc")) == ["JPEGImages/1.jpg"]
+    assert list(names("voc/SegmentationClass")) == ["1.png"]
+
+
 def test_links_to_folders_are_followed() -> None:
     for place in ("store/train/1.png", "store/train/deep/2.png", "ds/images/val/3.png"):
         Path(place).parent.mkdir(parents=True, exist_ok=True)
@@ -103,6 +121,8 @@ def test_links_to_folders_are_followed() -> None:
 
 def test_what_a_run_has_written_is_no_picture_of_the_next() -> None:
     degrade(RECIPE, items(), "all/under", sheet=True)
+    assert list(names("all")) == [f"{number}.png" for number in range(4)]
+    save("all/under/labels/0.png", pixels())  # masks have no record
     assert list(names("all")) == [f"{number}.png" for number in range(4)]
     # beside another index a sheet is a picture
     save("all/sheet.jpg", pixels())
@@ -395,6 +415,17 @@ def test_resume_and_force() -> None:
     assert {**content("out"), "index.csv": b""} == {**after, "index.csv": b""}
     assert statuses(degrade(other, items(), "out", force=True)) == ["written"] * 4
     assert content("out")["0.png"] != after["0.png"]
+
+
+@pytest.mark.parametrize("options", [{"resume": True}, {"force": True}])
+def test_a_folder_of_other_pictures_is_refused(options: dict[str, bool]) -> None:
+    degrade(RECIPE, items()[:2], "out")
+    before = content("out")
+    with pytest.raises(FileExistsError, match=r"out holds 1 pictures .* such as 0\.png: remove"):
+        degrade(RECIPE, items()[1:], "out", **options)
+    assert content("out") == before
+    Path("out/0.png").unlink()
+    assert statuses(degrade(RECIPE, items()[1:], "out", **options))[1:] == ["written"] * 2
 
 
 @pytest.mark.parametrize(

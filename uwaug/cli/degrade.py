@@ -14,6 +14,7 @@ from uwaug.files.formats import formats
 
 
 def degrade(
+    context: typer.Context,
     pictures: Annotated[
         Path, typer.Argument(help="A picture, a folder; or a record, to make it again.")
     ],
@@ -89,6 +90,13 @@ def degrade(
         if pictures.suffix == ".json":
             from uwaug.files import replay
 
+            sources = {name: context.get_parameter_source(name) for name in context.params}
+            given = {
+                name for name, source in sources.items() if source and source.name != "DEFAULT"
+            }
+            if said_too := sorted(given - {"pictures", "out", "force"}):
+                flags = ", ".join(f"--{name.rstrip('_').replace('_', '-')}" for name in said_too)
+                raise ValueError(f"{pictures} is a record, which says all but --out: not {flags}")
             replay(pictures, out, force=force)
             print_written(out)
             return
@@ -145,9 +153,8 @@ def degrade(
         print(f"next to nothing is left to see of {some}: {cure}")
     if summary.odd:
         print(f"odd scenes: {len(summary.odd)}, such as {summary.odd[0]}")
-    if turned := summary.turned:
-        some = f"{len(turned)} pictures, such as {turned[0]}, are upright by EXIF alone"
-        print(f"{some}: their maps and labels are taken as upright, too. Are they?")
+    for question in summary.asked:
+        print(question)
     end_if_failed(summary.failures)
 
 

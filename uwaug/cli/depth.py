@@ -1,6 +1,7 @@
 """`uwaug depth`: distance maps by a depth network."""
 
 from pathlib import Path
+from shlex import quote
 from typing import Annotated
 
 import typer
@@ -46,7 +47,7 @@ def depth(
         from uwaug._support import checks
         from uwaug.distance import Inverse, Metres, Network, Relative
         from uwaug.files.depth import write_maps
-        from uwaug.files.items import find_items
+        from uwaug.files.items import find_items, left_out
 
         checks.one_of("holds", holds, _HOLDS)
         kind = {"inverse": Inverse, "relative": Relative, "metres": Metres}[holds]
@@ -60,6 +61,8 @@ def depth(
             bgr=bgr,
         )
         items = find_items(pictures, exclude=[out])
+        if others := left_out(pictures, exclude=[out]):
+            print(f"left out, as such files are not read: {others}")
         with counted() as progress:
             summary = write_maps(
                 model,
@@ -73,9 +76,10 @@ def depth(
             )
     print_counts(summary, "maps", out)
     end_if_failed(summary.failures)
-    said = "--unit mm" if holds == "metres" else f"--set distance.kind={kind.__name__}"
+    said = "--unit mm --holes far" if holds == "metres" else f"--set distance.kind={kind.__name__}"
     ends = "" if holds == "metres" else " --set distance.near=1 --set distance.far=5"
-    print(f"go on: uwaug degrade {pictures} --distance {out} {said}{ends} --out underwater")
+    files = f"{quote(str(pictures))} --distance {quote(str(out))}"
+    print(f"go on: uwaug degrade {files} {said}{ends} --out underwater")
 
 
 def _colour(name: str, text: str) -> tuple[float, ...]:

@@ -29,10 +29,11 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, eq=False)
 class Coco(Labels):
     """One JSON file: images by file name, annotations by the id of their image, and what else it
-    holds. `of` has the image of each picture, and its annotations.
+    holds. `of` has the image of each picture, and its annotations; `count` images there are.
     """
 
     rest: Entry = field(default_factory=dict)
+    count: int = 0
 
     reads = "a COCO file (.json)"
 
@@ -54,7 +55,7 @@ class Coco(Labels):
         of = {name: (image, annotations[image["id"]]) for name, image in matched.items()}
         some = ", ".join(str(image["file_name"]) for image in images[:3])
         expected = f"no image has the file_name {items[0].name} in its split (there are {some})"
-        return cls(path, of, rest) if of else f"{path}: {expected}"
+        return cls(path, of, rest, len(images)) if of else f"{path}: {expected}"
 
     def only(self, name: str) -> "Coco":
         return Coco(self.path, super().only(name).of)
@@ -98,7 +99,10 @@ class Coco(Labels):
         content = {**self.rest, "images": images, "annotations": annotations}
         text = json.dumps(content, ensure_ascii=False)
         write_other(out / self.path.name, text.encode(), self.path)
-        return []
+        lost = self.count - len(self.of)
+        return (
+            [f"{lost} of {self.count} images of {self.path} have no picture here"] if lost else []
+        )
 
 
 def _parts(image: Entry) -> list[str]:

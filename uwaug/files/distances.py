@@ -40,10 +40,16 @@ def distances_of(
         source: what else is said of `RandomUnderwater(distance=…)`, as `from_dict` takes it.
         unit, holes: as for `Recipe` and `Metres`. Who speaks of them has maps.
         sequence: whether pictures are frames of films.
+
+    Raises:
+        ValueError: if metres are given, and something is said of maps.
     """
     if distance is not None and not exists(distance):
         metres = read_range(distance)
         if metres is not None:
+            if source is not None or (unit, holes) != ("m", "error"):
+                cure = "unit, holes and distance.… are of maps; leave them out"
+                raise ValueError(f"distance is {distance} m for all of a picture: {cure}")
             return Distances(metres, None)
         if distance == "made-up":
             options = source if isinstance(source, Mapping) else {}

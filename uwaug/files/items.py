@@ -9,14 +9,15 @@ from typing import NamedTuple
 
 from uwaug.files.labels import aliases
 from uwaug.files.pictures import ENDINGS, holds_picture
-from uwaug.files.record import is_written
+from uwaug.files.record import is_written, places_of
 
 _MAP_ENDINGS = tuple(end for end in ENDINGS if end not in (".jpg", ".jpeg"))
 _PICTURE_ENDINGS = tuple(end for end in ENDINGS if end != ".npy")
 
 OTHERS = {
     "convert them first, as by magick mogrify -format png": (
-        *(".avif", ".bmp", ".gif", ".heic", ".heif", ".jp2", ".jxl", ".webp"),
+        *(".avif", ".bmp", ".gif", ".heic", ".heif", ".jfif", ".jp2", ".jpe", ".jxl"),
+        *(".pgm", ".pnm", ".ppm", ".tga", ".webp"),
     ),
     "develop them first, as by darktable-cli": (
         *(".arw", ".cr2", ".cr3", ".dng", ".nef", ".orf", ".raf", ".rw2"),
@@ -125,16 +126,18 @@ def _inside(
 
 
 def _files(folder: Path, apart: frozenset[str]) -> Iterator[Path]:
-    """The files in a folder and those inside it, but for some folders and for names that begin
-    with a dot; a link is followed, unless it leads to a folder in which it lies.
+    """The files in a folder and those inside it, but for some folders, those of runs, and names
+    that begin with a dot; a link is followed, unless it leads to a folder in which it lies.
     """
     apart |= {os.path.realpath(folder)}
     for path in folder.iterdir():
-        if path.name.startswith("."):
+        if path.name.startswith((".", "@")):  # hidden, or of a disk in the network
             continue
+        if path.name.startswith("Segmentation") and (folder / "JPEGImages").is_dir():
+            continue  # Pascal VOC's masks
         if not path.is_dir():
             yield path
-        elif os.path.realpath(path) not in apart:
+        elif os.path.realpath(path) not in apart and places_of(path) is None:
             yield from _files(path, apart)
 
 
@@ -148,7 +151,11 @@ def _map(distance: str | Path | None, path: Path, name: str) -> Path | None:
         stems, place = [path.stem], path.parent
     bases = [place / _filled(pattern, stem) for stem in stems]
     paths = [base.with_name(base.name + end) for base in bases for end in ("", *_MAP_ENDINGS)]
-    return next((path for path in paths if path.is_file()), bases[0])
+    # a picture is its own map in an EXR alone: in others a part that is replaced was not there
+    is_map = any(new and new in stems[0] for _, new in _STEM.findall(pattern))
+    own = None if is_map or path.suffix.lower() == ".exr" else os.path.realpath(path)
+    others = (other for other in paths if os.path.realpath(other) != own)
+    return next(filter(Path.is_file, others), bases[0].with_suffix(""))
 
 
 def _filled(pattern: str, stem: str) -> str:

@@ -33,7 +33,7 @@ Entry = dict[str, Any]
 PICTURES = ("images", "JPEGImages")
 """Folders of pictures, beside which data sets have others of labels, or of distances."""
 
-_SPLIT = re.compile(r"(?:obj_)?(train|val|test)(?:ing|id|idation)?(?:_data)?[\d_]*")
+_SPLIT = re.compile(r"(?:obj_)?(train|val|test)(?:ing|id|idation)?(?:_?(?:data|set))?[\d_]*")
 """A folder that says which split its pictures are of."""
 
 _SAMPLES = 16
@@ -198,7 +198,8 @@ def aliases(name: str, *folders: str) -> list[str]:
 
 def split_of(folders: Iterable[str]) -> str | None:
     """The split, "train", "val" or "test", that the first of some folders says, if one does."""
-    return next((match[1] for match in map(_SPLIT.fullmatch, folders) if match), None)
+    words = (folder.lower() for folder in folders)
+    return next((match[1] for match in map(_SPLIT.fullmatch, words) if match), None)
 
 
 def require_size(file: Path, stated: "Size", size: "Size") -> None:

@@ -93,6 +93,12 @@ def _read(file: Path) -> "tuple[NDArray[Any], NDArray[Any], list[int] | None]":
         pixels, palette = np.array(image), image.getpalette()
     if pixels.ndim == 2:
         pixels = pixels.astype(np.uint8) if pixels.dtype == bool else pixels
+        used = range(int(pixels.max()) + 1) if palette else ()
+        colours = [tuple((palette or [])[3 * i : 3 * i + 3]) for i in used]
+        black = (0, 0, 0)
+        if black in colours[1:] and colours[0] != black:
+            got = f"in its palette 0 is {colours[0]}, and {colours.index(black)} is black"
+            raise ValueError(f"{file}: {got}: which is background? Save it as RGB")
         return pixels, pixels, palette
     if (pixels == pixels[..., :1]).all():
         return pixels, pixels[..., 0], None

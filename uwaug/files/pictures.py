@@ -7,7 +7,7 @@ import numpy as np
 import tifffile
 import torch
 from numpy.typing import NDArray
-from PIL import ExifTags, Image, ImageOps
+from PIL import ExifTags, Image
 from torch import Tensor
 
 from uwaug._support import checks
@@ -30,9 +30,9 @@ def read_picture(path: str | Path, color_space: ColorSpace = "srgb") -> Tensor:
     """Read a picture. Grey is R = G = B, an alpha that is opaque is none.
 
     Args:
-        path: of a PNG, JPEG or TIFF file (its first page) of 8 or 16 bits; or of a .npy (HxWx3) or
-            .exr file, which may also hold floating-point numbers, 0…1. EXR and PNG of 16 bits need
-            the extra "files".
+        path: of a PNG, JPEG or TIFF file of 8 or 16 bits; or of a .npy (HxWx3) or .exr file, which
+            may also hold floating-point numbers, 0…1. EXR and PNG of 16 bits need the extra
+            "files".
         color_space: in which it is wanted. An EXR holds linear light; all else comes as it is.
 
     Returns:
@@ -41,7 +41,7 @@ def read_picture(path: str | Path, color_space: ColorSpace = "srgb") -> Tensor:
 
     Raises:
         ValueError: if it is of another format, has a palette, other channels, or an alpha that is
-            not opaque, or cannot be decoded; names the file.
+            not opaque, holds several pictures, or cannot be decoded; names the file.
         OSError: if there is no such file, or it cannot be read.
     """
     values = _decoded(Path(path), "RGB")
@@ -123,12 +123,21 @@ def holds_picture(path: Path) -> bool:
     return any(channel.name.endswith("R") for part in parts for channel in part.header["channels"])
 
 
-def is_turned(path: Path) -> bool:
-    """Whether a picture is upright only as its EXIF turns or mirrors it."""
-    if path.suffix.lower() not in (".jpg", ".jpeg", ".png"):
-        return False
+def orientation_of(path: Path) -> int:
+    """How a picture has to be turned or mirrored to be upright, as EXIF counts: 1 is not."""
+    if path.suffix.lower() in (".tif", ".tiff"):
+        with tifffile.TiffFile(path) as file:
+            return int(file.pages.first.tags.valueof(ExifTags.Base.Orientation, 1))
+    if path.suffix.lower() in (".npy", ".exr"):
+        return 1
     with Image.open(path) as image:
-        return bool(image.getexif().get(ExifTags.Base.Orientation, 1) in range(2, 9))
+        return int(image.getexif().get(ExifTags.Base.Orientation, 1))
+
+
+def _upright(values: NDArray[Any], orientation: int) -> NDArray[Any]:
+    mirrored = values[:, ::-1] if orientation in (2, 4, 5, 7) else values
+    quarters = {3: 2, 4: 2, 5: 1, 6: 3, 7: 3, 8: 1}.get(orientation, 0)
+    return np.rot90(mirrored, quarters)
 
 
 def metres_of(unit: str | float) -> float:
@@ -207,10 +216,9 @@ def _decoded(path: Path, wanted: Literal["RGB", "Z"]) -> NDArray[Any]:
             values = np.array(np.load(path, mmap_mode="r", allow_pickle=False))
         elif end == ".exr":
             values = _of_exr(path, wanted)
-        elif end in (".tif", ".tiff"):
-            values = _of_tiff(path)
         else:
-            values = _of_pillow(path)
+            values = _of_tiff(path) if end in (".tif", ".tiff") else _of_pillow(path)
+            values = _upright(values, orientation_of(path))
     except (ImportError, MemoryError):
         raise
     except Exception as error:  # decoders raise whatever they like over a damaged file
@@ -237,12 +245,14 @@ def _of_pillow(path: Path) -> NDArray[Any]:
         modes = ("RGB", "RGBA", "L", "LA", "I;16", "I;16B")
         if image.mode not in modes or "transparency" in image.info:
             raise ValueError(f"expected RGB or grey, without a palette, got {image.mode}")
+        if image.format == "PNG" and (count := getattr(image, "n_frames", 1)) > 1:
+            raise ValueError(f"holds {count} pictures: save each in a file of its own")
         if image.format == "PNG" and image.mode in ("RGB", "RGBA", "LA"):
             data = path.read_bytes()
             if data[_BIT_DEPTH] == 16:  # Pillow would drop half of them
                 (codecs,) = require("files", "imagecodecs")
                 return np.asarray(codecs.png_decode(data))
-        return np.asarray(ImageOps.exif_transpose(image))
+        return np.asarray(image)
 
 
 def _of_tiff(path: Path) -> NDArray[Any]:
@@ -253,22 +263,28 @@ def _of_tiff(path: Path) -> NDArray[Any]:
             raise ValueError(f"expected RGB or grey, got {page.photometric}")
         if page.imagewidth * page.imagelength > 2 * (Image.MAX_IMAGE_PIXELS or np.inf):
             raise ValueError(f"{page.imagewidth}×{page.imagelength} px: see PIL.MAX_IMAGE_PIXELS")
+        if (count := file.series[0].size // page.size) > 1:
+            raise ValueError(f"holds {count} pictures: save each in a file of its own")
         values = page.asarray()
         return np.moveaxis(values, page.axes.index("S"), -1) if "S" in page.axes else values
 
 
 def _of_exr(path: Path, wanted: Literal["RGB", "Z"]) -> NDArray[Any]:
-    """The colours or the distances of the parts and layers of a file, as renderers name them."""
+    """The colours or the distances of the parts and layers of a file, as renderers name them.
+    Denoisers have colours and distances of their own; X, Y and Z are a vector.
+    """
     (exr,) = require("files", "OpenEXR")
     parts = exr.File(str(path)).parts
     channels = {name: channel.pixels for part in parts for name, channel in part.channels.items()}
     colours = [name for name in channels if channels[name].ndim == 3]
     if wanted == "RGB":
         names = [name for name in colours if name in ("RGB", "RGBA")]
-        names += [name for name in colours if name.endswith("Combined")] or colours
+        layers = [name for name in colours if name.endswith("Combined")] or colours
+        names += [name for name in layers if len(layers) == 1 or name.startswith("Composite.")]
     else:
-        names = [name for name in channels if name == "Z" or "depth" in name.lower()]
-        names += [name for name in channels if name.endswith(".Z") or len(channels) == 1] or colours
+        lengths = [n for n in channels if f"{n[:-1]}X" not in channels and "Denois" not in n]
+        names = [name for name in lengths if name == "Z" or "depth" in name.lower()]
+        names += [name for name in lengths if name.endswith(".Z") or len(channels) == 1]
     if not names:
-        raise ValueError(f"expected {wanted}, got {', '.join(channels)}")
+        raise ValueError(f"expected one layer of {wanted}, got {', '.join(channels)}")
     return np.asarray(channels[names[0]])

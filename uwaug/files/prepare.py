@@ -49,6 +49,11 @@ def prepare(
     samples = _samples(recipe, some)
     refused = [sample.refused for sample in samples if sample.refused]
     sentences = _doubts(recipe, samples)
+    if recipe.sequence and isinstance(recipe.transform.distance, (Relative, Inverse)):
+        sentences.append(
+            "each frame's map is stretched from near to far on its own: a film pumps where things "
+            "come and go, unless its maps are metres"
+        )
     if 2 * len(refused) > len(samples):
         raise ValueError("; ".join([refused[0], *sentences]))
     if grey := [s.item.name for s in samples if bool((s.image == s.image[:1]).all())]:

@@ -43,11 +43,21 @@ def read_record(path: Path) -> dict[str, Any]:
     return record
 
 
+def places_of(folder: Path) -> list[str] | None:
+    """What the index of a run in a folder says that it has written; None where there is none."""
+    try:
+        with (folder / "index.csv").open(encoding="utf-8", errors="replace", newline="") as file:
+            rows = csv.DictReader(file)
+            is_index = rows.fieldnames == list(COLUMNS)
+            return [row["output"] for row in rows] if is_index else None
+    except OSError:
+        return None
+
+
 def is_written(result: Path) -> bool:
     """Whether a run has written a file: its record lies beside it, or, of a sheet, its index."""
-    if result.name == "sheet.jpg" and (index := result.with_name("index.csv")).is_file():
-        with index.open(encoding="utf-8", errors="replace", newline="") as file:
-            return next(csv.reader(file), []) == list(COLUMNS)
+    if result.name == "sheet.jpg" and places_of(result.parent) is not None:
+        return True
     try:
         read_record(record_path(result))
     except (OSError, ValueError):

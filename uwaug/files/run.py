@@ -22,6 +22,7 @@ from uwaug.files.pool import on_processes
 from uwaug.files.record import (
     digest,
     is_written,
+    places_of,
     read_record,
     reason_of,
     record_path,
@@ -132,8 +133,8 @@ def _source(path: Path) -> dict[str, Any]:
 def _of_record(job: Job, status: Any, record: dict[str, Any]) -> Result:
     objects = [Judged(**entry) for entry in record.get("objects", [])]
     reached = Reached(**record["reached"]) if record.get("reached") else None
-    contrast, turned = record.get("contrast"), record.get("turned", False)
-    return Result(job.item, job.variant, job.place, status, contrast, objects, reached, turned)
+    contrast, asked = record.get("contrast"), record.get("asked", ())
+    return Result(job.item, job.variant, job.place, status, contrast, objects, reached, asked)
 
 
 def run(
@@ -157,10 +158,12 @@ def run(
         progress: see `Progress`.
 
     Raises:
-        ValueError, OSError: as `require_apart`, and if the folder cannot be written.
+        ValueError, OSError: as `require_apart`; if the folder holds what another run has written,
+            or cannot be written.
     """
     require_apart(jobs, work.out)
     if index:
+        _require_own(jobs, work.out)
         for folder in {(work.out / job.place).parent for job in jobs}:
             remove_left(folder)  # what a killed run was writing
     work.out.mkdir(parents=True, exist_ok=True)
@@ -202,6 +205,18 @@ def require_free(out: Path, *, resume: bool, force: bool) -> None:
         raise FileExistsError(f"{out} exists: {cure}")
     if out.is_dir() and set(os.listdir(out)) - {"index.csv"}:
         raise FileExistsError(f"{out} is not empty: choose another folder; {cure}")
+
+
+def _require_own(jobs: Sequence[Job], out: Path) -> None:
+    """Refuse the folder of a run of other pictures: its index, and its labels, would be lost.
+
+    Raises:
+        FileExistsError: says what to do.
+    """
+    others = {*(places_of(out) or ())} - {job.place for job in jobs}
+    if stale := sorted(place for place in others if (out / place).exists()):
+        got = f"{out} holds {len(stale)} pictures that this run does not make, such as {stale[0]}"
+        raise FileExistsError(f"{got}: remove them and index.csv, or choose another folder")
 
 
 def require_apart(jobs: Sequence[Job], out: Path) -> None:

@@ -13,6 +13,14 @@ from uwaug.files.record import COLUMNS
 from uwaug.formation.contrast import FAINT
 from uwaug.transforms.random_water import Reached
 
+ASKED = {
+    "turned": "are upright by EXIF alone: maps and labels are taken as upright, too. Are they?",
+    "dark": "of 16 bits, reach less than 1/8 of white: have they 10 or 12 bits? Stretch them first",
+    "alone": "have maps with 0, or another end, a gap away from all other values: unknown? --holes "
+    "behind; sky? --holes far",
+}
+"""What there is to ask of a picture of which one cannot be sure."""
+
 
 class Result(NamedTuple):
     """What became of a picture.
@@ -24,7 +32,7 @@ class Result(NamedTuple):
         contrast: mean share of contrast that is left; None if it failed, and of maps.
         objects: of the picture, if there are labels.
         reached: what it took to reach the contrast asked for, if one was.
-        turned: whether its EXIF turns it, and it has a map or labels, which it does not turn.
+        asked: what there is to ask of it, see `ASKED`.
         reason: why it failed.
     """
 
@@ -35,7 +43,7 @@ class Result(NamedTuple):
     contrast: float | None = None
     objects: Sequence[Judged] = ()
     reached: Reached | None = None
-    turned: bool = False
+    asked: Sequence[str] = ()
     reason: str = ""
 
 
@@ -78,9 +86,14 @@ class Summary:
         return [f"{name}: {reached.odd}" for name, reached in named if reached and reached.odd]
 
     @property
-    def turned(self) -> list[str]:
-        """Names of pictures that EXIF turns, while their maps and labels are taken as upright."""
-        return list(dict.fromkeys(r.item.name for r in self.results if r.turned))
+    def asked(self) -> list[str]:
+        """What there is to ask of some pictures, see `ASKED`, with their number and a name."""
+        sentences = []
+        for key, question in ASKED.items():
+            names = list(dict.fromkeys(r.item.name for r in self.results if key in r.asked))
+            if names:
+                sentences.append(f"{len(names)} pictures, such as {names[0]}, {question}")
+        return sentences
 
     @property
     def objects(self) -> tuple[int, int]:

@@ -11,12 +11,13 @@ from torch import Tensor
 from uwaug._support import codec
 from uwaug._support.threads import one_thread
 from uwaug.distance.made_up import MadeUp
-from uwaug.distance.sources import Source
+from uwaug.distance.sources import Inverse, Relative, Source
+from uwaug.distance.unknown import of_shares
 from uwaug.files.films import Films, frames_of
 from uwaug.files.formats import open_labels
 from uwaug.files.items import Item, cure_of
 from uwaug.files.labels import Labels, judged
-from uwaug.files.pictures import ENDINGS, is_turned
+from uwaug.files.pictures import ENDINGS, orientation_of
 from uwaug.files.recipe import Recipe
 from uwaug.files.record import digest, read_record
 from uwaug.files.run import Job, Progress, Work, require_apart, require_free, run
@@ -27,6 +28,9 @@ from uwaug.transforms.random_water import Reached
 
 _SAMPLED = 128
 """Rows, and columns, about, at which the mean contrast of a picture is taken."""
+
+_DARK = 1 / 8
+"""Of white: all of a picture of 12 bits in 16 is darker."""
 
 
 def degrade(
@@ -180,7 +184,7 @@ class _Underwater(Work):
             "contrast": round(float(contrast.double().mean()), 4),
             "reached": reached and reached._asdict(),
             "objects": [label._asdict() for label in objects],
-            "turned": (labels is not None or z is not None) and is_turned(item.picture),
+            "asked": _asked(item, transform, image, z, labels),
         }
 
     def write(self, path: Path, result: Tensor, item: Item) -> None:
@@ -195,6 +199,25 @@ def _degraded(
     """
     scenes = transform.scenes(image, z, params)
     return scenes.formed(), scenes.contrast_map(step), scenes.reached(0)
+
+
+def _asked(
+    item: Item,
+    transform: RandomUnderwater,
+    image: Tensor,
+    z: Tensor | None,
+    labels: Labels | None,
+) -> list[str]:
+    """What there is to ask of a picture, see `ASKED`."""
+    is_file_of_bits = item.picture.suffix.lower() in (".png", ".tif", ".tiff")
+    source = transform.distance
+    silent = isinstance(source, (Relative, Inverse)) and source.holes == "error"
+    doubts = {
+        "turned": (z is not None or labels is not None) and orientation_of(item.picture) > 1,
+        "dark": is_file_of_bits and image.is_floating_point() and float(image.max()) < _DARK,
+        "alone": silent and z is not None and bool(of_shares(z).any()),
+    }
+    return [key for key, is_so in doubts.items() if is_so]
 
 
 def _require_distances(recipe: Recipe, items: Sequence[Item]) -> None:

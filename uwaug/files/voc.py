@@ -67,18 +67,27 @@ class Voc(Folder):
         for tree, places in written.items():
             folders = (folder / tree / _LISTS for folder in (self.path, self.path.parent))
             files = [file for folder in folders for file in sorted(folder.glob("*.txt"))]
-            lists = {file.name: file.read_text(encoding="utf-8").splitlines() for file in files}
+            texts = {file.name: file.read_text(encoding="utf-8-sig") for file in files}
+            lists = {name: text.splitlines() for name, text in texts.items()}
             for name in places if not lists else ():
                 split = split_of(name.split("/")[:-1]) or "train"
                 lists.setdefault(f"{split}.txt", []).append(name)
             for own, lines in lists.items():
-                words = [line.strip().partition(" ") for line in lines]
-                text = "".join(f"{p}{a}{b}\n" for name, a, b in words for p in places.get(name, ()))
+                named = [_parted(line.strip(), places) for line in lines]
+                text = "".join(f"{p}{sign}\n" for name, sign in named for p in places.get(name, ()))
                 if not text:
                     notes.append(f"no picture is in the list {own}")
                 source = files[0].with_name(own) if files else None
                 write_other(out / tree / _LISTS / own, text.encode(), source)
         return notes
+
+
+def _parted(line: str, names: Collection[str]) -> tuple[str, str]:
+    """A name of a list; and, in that of a class, the sign after it: 1, 0, or -1 (not there)."""
+    name, _, sign = line.rpartition(" ")
+    is_whole = line in names or sign not in ("1", "0", "-1")
+    name = line if is_whole else name.rstrip()
+    return name, line.removeprefix(name)
 
 
 def _read(file: Path) -> ElementTree.Element:

@@ -27,9 +27,11 @@ class Yolo(Folder):
 
     Attributes:
         description: what the data.yaml says.
+        described_by: another .yaml that says it.
     """
 
     description: Entry = field(default_factory=dict)
+    described_by: Path | None = None
 
     reads = "a folder of YOLO's .txt"
     end = ".txt"
@@ -48,16 +50,17 @@ class Yolo(Folder):
         folders = self.path, self.path.parent, self.path.parent.parent
         files = [folder / name for folder in (*folders, samples[0].parent) for name in _NAMES]
         names = next((_lines(file) for file in files if file.is_file()), [])
-        classes: Entry = {"names": list(filter(None, names))} if names else {}
+        names = "\n".join(names).rstrip().splitlines()
+        classes: Entry = {"names": names} if names else {}
         for folder in folders:
             if (file := folder / "data.yaml").is_file():
                 return replace(self, description=classes | _read(file))
             files = [*folder.glob("*.yaml"), *folder.glob("*.yml")]
-            contents = [content for content in map(_read, files) if "names" in content]
+            contents = {file: content for file in files if "names" in (content := _read(file))}
             if len(contents) > 1:
                 raise ValueError(f"{folder}: more than one .yaml has names: call one data.yaml")
-            if contents:
-                return replace(self, description=classes | contents[0])
+            for file, content in contents.items():
+                return replace(self, description=classes | content, described_by=file)
         counts = {len(numbers) for file in samples if (numbers := _first(file))}
         if len(counts) == 1 and min(counts) > 6:
             got = f"{samples[0]}: objects of {min(counts)} numbers are polygons, or have keypoints"
@@ -125,7 +128,8 @@ class Yolo(Folder):
         """
         import yaml
 
-        notes, splits = [], {"train": "", "val": ""}
+        notes = [f"classes are those of {self.described_by}"] if self.described_by else []
+        splits, is_described = {"train": "", "val": ""}, False
         places = {split: self._places(split) for split in ("train", "val", "test")}
         for picture in pictures:
             path = f"{picture.item.picture.absolute().as_posix()}/"
@@ -133,8 +137,15 @@ class Yolo(Folder):
             starts = {s: max((path.rfind(f"/{p}/") for p in places[s]), default=-1) for s in places}
             last = max(starts.values())
             own = [split for split, at in starts.items() if at == last >= 0]
-            for split in own or [split_of(picture.place.split("/")[:-1]) or "train"]:
+            is_described |= bool(own)
+            for split in own or [split_of(picture.place.split("/")[:-1]) or ""]:
                 splits[split] = f"{splits.get(split, '')}./{picture.place}\n"
+        others = splits.pop("", "")
+        if not is_described:
+            splits["train"] += others
+        elif others:
+            count, some = others.count("\n"), others.partition("\n")[0]
+            notes.append(f"{count} pictures are of no split, and in no list, such as {some}")
         stated = {split: "" for split in places if places[split]}
         for split in [split for split in splits | stated if not splits.get(split)]:
             splits[split] = splits["train"] if split == "val" else ""  # trainers insist on it
