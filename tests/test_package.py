@@ -4,18 +4,21 @@ import pkgutil
 import re
 import subprocess
 import sys
-from collections.abc import Callable
+import tomllib
+from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 import uwaug
 
 ROOT = Path(__file__).parent.parent
 FOUND = {module.name for module in pkgutil.walk_packages(uwaug.__path__, "uwaug.")}
 GUIDES = [ROOT / "README.md", *sorted(ROOT.glob("[!.]*/**/*.md"))]
+COPIED_FIRST = [ROOT / "README.md", ROOT / "uwaug" / "GUIDE.md"]
 MODULES = sorted({"uwaug"} | {name for name in FOUND if not name.endswith("__main__")})
 HEAVY = (
     "albumentations",
@@ -97,6 +100,21 @@ def test_version_is_a_release() -> None:
     assert re.fullmatch(r"\d+\.\d+\.\d+", uwaug.__version__)
 
 
+def test_it_is_cited_by_its_version() -> None:
+    citation = yaml.safe_load((ROOT / "uwaug" / "CITATION.cff").read_text(encoding="utf-8"))
+    assert citation["version"] == uwaug.__version__
+
+
+def test_an_index_shows_no_link_to_a_file_that_it_does_not_have() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    for rule in project["tool"]["hatch"]["metadata"]["hooks"]["fancy-pypi-readme"]["substitutions"]:
+        text = re.sub(rule["pattern"], rule["replacement"], text)
+    targets = re.findall(r"\]\(([^)]*)\)", text)
+    assert "https://scikit-image.org/" in targets
+    assert [target for target in targets if not target.startswith(("https://", "#"))] == []
+
+
 def test_typed() -> None:
     assert (Path(uwaug.__file__).parent / "py.typed").exists()
 
@@ -139,17 +157,39 @@ def exported_once() -> Callable[..., Path]:
     return export
 
 
-@pytest.mark.parametrize("guide", GUIDES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_blocks_of_guides_run(
+def blocks_of(guide: Path, folder: Path) -> Iterator[tuple[str, Path]]:
+    """Each Python block of a guide, with an empty folder for it."""
+    text = guide.read_text(encoding="utf-8")
+    blocks = re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    for number, block in enumerate(blocks):
+        own = folder / str(number)
+        own.mkdir()
+        yield block, own
+
+
+@pytest.mark.parametrize("guide", COPIED_FIRST, ids=lambda path: path.name)
+def test_blocks_that_are_copied_first_run_in_a_new_process(guide: Path, tmp_path: Path) -> None:
+    ran = 0
+    for block, folder in blocks_of(guide, tmp_path):
+        command = [sys.executable, "-c", block]
+        done = subprocess.run(command, check=False, cwd=folder, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        ran += 1
+    assert ran > 0
+
+
+@pytest.mark.parametrize(
+    "guide",
+    [guide for guide in GUIDES if guide not in COPIED_FIRST],
+    ids=lambda path: str(path.relative_to(ROOT)),
+)
+def test_each_block_of_a_guide_runs_alone(
     guide: Path, exported_once: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(uwaug.onnx, "export_onnx", exported_once)
-    text = guide.read_text(encoding="utf-8")
-    blocks = re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
-    monkeypatch.chdir(tmp_path)
-    names: dict[str, object] = {"__name__": "readme"}
-    for number, block in enumerate(blocks):
-        exec(compile(block, f"{guide.name}, block {number}", "exec"), names)
+    for block, folder in blocks_of(guide, tmp_path):
+        monkeypatch.chdir(folder)
+        exec(compile(block, str(guide.relative_to(ROOT)), "exec"), {"__name__": "readme"})
 
 
 def test_links_between_guides_lead_somewhere() -> None:

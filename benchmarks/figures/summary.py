@@ -45,36 +45,36 @@ def accuracy() -> str:
     right = min(ours["value"]["right"], ours["gradient"]["right"])
     conditions = sum(ours["value"].values())
     paragraphs = [
-        f"Measured by `python -m benchmarks` ({on}); the files in `benchmarks/results` hold all "
-        "figures, and `python -m benchmarks.figures.summary` writes them here.",
-        "**Blur**, against each pixel's own Gaussian, on the scene above (sRGB values, 3000 "
+        f"Measured by `python -m benchmarks` ({on}); `python -m benchmarks.figures.summary` writes "
+        "the numbers of `benchmarks/results` here.",
+        "**Blur**, against each pixel's own Gaussian, on the bundled scene (sRGB values, 3000 "
         "pixels):",
         _blur_table(model),
         "**Curves**, at a tolerance of .002, against 61 bands at any distance (vertical depth 0, "
-        "1, 10 m; g 0, .2, 1). Rates are those of the direct term + those that signal and veil "
-        "share; all three channels use them:",
+        "1, 10 m; g 0, .2, 1). Rates of the direct term + rates that signal and veil share, for "
+        "all three channels:",
         _curve_table(model),
         "**Image**, in ten waters, three ranges of distance and two width laws: "
-        f"{planner['within']} of {len(rows)} pictures within an RMSE of .002, the tolerance, "
-        f"in linear light: at most {largest:.4f}, single values at most {worst:.4f}. "
+        f"{planner['within']} of {len(rows)} pictures have an RMSE within .002 of linear light, "
+        f"the tolerance. The largest is {largest:.4f}, that of a single value {worst:.4f}. "
         f"With one blur less, {planner['one_less_breaks']} of "
-        f"{planner['with_blurs']} would be beyond half of it. {unblurred} need no blur at all.",
-        "**Published implementation**: direct, forward (before its blur) and veil agree to 1e-5 "
-        "where conventions agree.",
+        f"{planner['with_blurs']} would exceed half of it. {unblurred} need no blur.",
+        "**Published implementation**: direct, forward (before its blur) and veil agree with it to "
+        "1e-5 where conventions agree.",
         "**Light transport**, mean RMSE of direct and forward-scattered light against our own "
         "Monte Carlo walk over 0.1 to 5 scattering lengths, and in six Monte Carlo pictures "
         "(`python -m benchmarks.accuracy.physics`):",
         _transport_table(load("physics")),
-        "**Real photographs** (342 of seven sets; by 26 numbers of a picture / by the 12 that hang "
-        f"on the water; {draws['draws']} draws of each of 40 pictures in air): recall, the "
-        "photographs inside the cloud of draws; coverage, those with a draw in their "
-        "neighbourhood; precision, draws inside the cloud of photographs; clipped density, draws "
-        "that might be photographs; clipped coverage, draws that would cover as much, were they "
-        "photographs. Neon: half of the pixels have a saturation above .9 (photographs: .06). "
-        "Dead: the mean of a channel is below .02 (photographs: .015). Rows: the defaults, and the "
-        "same with one range changed (`python -m benchmarks.accuracy.draws`):",
+        "**Real photographs** (`python -m benchmarks.accuracy.draws`): 342 of seven sets, beside "
+        f"{draws['draws']} draws of each of 40 pictures in air, by the defaults and with one range "
+        "changed. Shares by 26 numbers of a picture / by the 12 that the water decides. Recall: "
+        "photographs within the range of draws. Coverage: photographs with a draw near. Precision: "
+        "draws within the range of photographs. Clipped density: draws that might be photographs. "
+        "Clipped coverage: draws that would cover as much if they were photographs. Neon: half of "
+        "the pixels have a saturation above .9 (photographs: .06). Dead: the mean of a channel is "
+        "below .02 (photographs: .015).",
         _photograph_table(draws["photographs"]),
-        f"**Stability**: {right} of {conditions} hard conditions right in value and gradient.",
+        f"**Stability**: value and gradient are right in {right} of {conditions} hard conditions.",
         "![Methods against hard conditions: value and gradient of each](figures/stability.svg)",
     ]
     return "\n\n".join(paragraphs)
@@ -141,13 +141,12 @@ def surfaces() -> str:
     head = ["method", *(f"{name}, {key}" for name in found["errors"] for key in ("mean", "worst"))]
     places = found["places"]["ColorChecker"]
     paragraphs = [
-        "**Colours**, against the spectra of the 24 patches of the ColorChecker and of 99 CIE 2017 "
-        "samples in 61 bands (`python -m benchmarks.accuracy.surfaces`): RMSE in units of a white "
-        f"plate at the same place, in {places} places of ten waters (0 to 25 m deep, 0 to 8 m "
-        "away) where such a plate has 1/64 of its light or more. All but the last have the "
-        "camera's colour matrix, so that the comparison is fair: one number and three wavelengths "
-        "multiply raw channels. The last multiplies sRGB values, as published systems do, and as "
-        "uwaug does with grey surfaces:",
+        "**Colours** (`python -m benchmarks.accuracy.surfaces`), against the spectra of the 24 "
+        "patches of the ColorChecker and of 99 CIE 2017 samples in 61 bands: RMSE in units of a "
+        f"white plate at the same place, in {places} places of ten waters (0 to 25 m deep, 0 to "
+        "8 m away) where such a plate keeps 1/64 of its light. All but the last have the camera's "
+        "colour matrix, so that one number and three wavelengths fairly multiply raw channels. The "
+        "last multiplies sRGB values, as published systems do, and uwaug with grey surfaces:",
         table(head, rows),
         "![Red, green, skin and white against depth: truth, uwaug, one number a channel]"
         "(figures/surfaces.png)",
@@ -162,13 +161,13 @@ def chart() -> str:
         verdicts[panel["part"], panel["size"], panel["threads"]] = panel["verdict"]
     near = sum(verdict["within_10_percent"] for verdict in verdicts.values())
     paragraphs = [
-        "Every way that we know to compute each part, error of the final image against time, "
-        "512², one thread (`python -m benchmarks.speed.frontier`). Red is our default, "
-        "the line the Pareto front:",
+        "`python -m benchmarks.speed.frontier` tries every way that we know to compute each part: "
+        "error of the final image against time, 512², one thread. Our default is red, the line is "
+        "the Pareto front:",
         "![PSNR against time for blur, spectra, number formats and runtimes](figures/frontier.png)",
         f"The default is on the front or within 10 % of it in {near} of {len(verdicts)} panels. "
-        "PSNR of the default and, where one exists, the fastest method that is at least as "
-        "accurate (without numba; the compiled loops are the extra `fast`):",
+        "PSNR of the default without the loops, and the fastest method, if any, that is as "
+        "accurate:",
         _verdict_table(verdicts),
     ]
     return "\n\n".join(paragraphs)
@@ -202,18 +201,18 @@ def speed() -> str:
     scale = model["scaling"]
     both = scale["forward + backward / forward"]
     paragraphs = [
-        "Milliseconds for the whole model, field given, widths .9–4.5 px, one thread, each row a "
-        "race in one process (`python -m benchmarks.speed.model`; medians on a shared machine, "
-        "so read the ratios). The factors are for a blur that keeps 60 dB by itself; by default "
-        "uwaug blurs forward-scattered light, which is faint, less carefully:",
+        "Milliseconds for the whole model (`python -m benchmarks.speed.model`), field given, "
+        "widths .9–4.5 px, one thread. Each row is a race in one process, medians on a shared "
+        "machine, so read the ratios. The factors are for a blur that keeps 60 dB by itself; by "
+        "default uwaug blurs forward-scattered light, which is faint, less carefully:",
         _speed_table(model),
         f"A blur of up to 60 px takes {scale['60 px / 4 px']:.2f} times as long as one of up to "
         f"4 px. 1024² takes {scale['1024² / 256²']:.1f} times as long as 256². Forward and "
         f"backward together take {both:.1f} times forward alone; to fit, `torch.compile(degrade)` "
         f"is faster still. At 1024² the peak of memory is {model['memory_times_input']:.1f} times "
         f"the input. `import uwaug` adds {model['import_s']:.2f} s to torch and kornia.",
-        "One picture with a field, one thread, by the compiled loops (`python -m "
-        "benchmarks.speed.throughput`), milliseconds, and how many times as fast as the recipe:",
+        "One picture with a field (`python -m benchmarks.speed.throughput`), one thread, by the "
+        "loops: milliseconds, and how many times as fast as the recipe:",
         _transform_table(load("throughput")),
         _loaders(load("throughput")),
         _batches(load("throughput")),
@@ -256,23 +255,26 @@ def _loaders(throughput: Results) -> str:
     calls, first = throughput["calls"], throughput["first_picture_s"]
     sizes = (f"{size}², pictures/s" for size in throughput["loader"])
     return (
-        f"A default picture takes {calls['eager']} Python calls by PyTorch and {calls['loops']} by "
-        f"the loops, where plans are there; the first in a fresh process {first:.1f} s after "
-        "torch. A DataLoader with two workers:\n\n" + table(["", *sizes], rows)
+        f"A draw takes {calls['eager']} Python calls by PyTorch and {calls['loops']} by the loops "
+        f"once plans are there. The first of a process takes {first:.1f} s after torch. A "
+        "DataLoader with two workers:\n\n" + table(["", *sizes], rows)
     )
 
 
 def _batches(throughput: Results) -> str:
     """Batches on the CPU, and on a GPU if there was one."""
     ((size, rates),) = throughput["batches"].items()
-    rows = [[name, f"{ms:.2f}"] for name, ms in rates.items()]
-    text = f"`RandomUnderwater()` on batches of {size}² on the CPU:\n\n"
-    text += table(["", "ms a picture"], rows)
+    rows: dict[str, list[str]] = {}
+    for name, ms in rates.items():
+        rows.setdefault(name.rpartition(",")[0], []).append(f"{ms:.2f}")
+    head = list(dict.fromkeys(name.rpartition(", ")[2] for name in rates))
+    text = f"`RandomUnderwater()` on batches of {size}² on the CPU, ms a picture:\n\n"
+    text += table(["", *head], [[name, *cells] for name, cells in rows.items()])
     if not throughput["device"]:
         return text + "\n\nNo GPU was there to measure batches on a device."
     names = next(iter(throughput["device"].values()))
-    rows = [[case, *(f"{r[n]:.0f}" for n in names)] for case, r in throughput["device"].items()]
-    return text + "\n\nOn a GPU, bytes in and out, pictures/s:\n\n" + table(["", *names], rows)
+    shown = [[case, *(f"{r[n]:.0f}" for n in names)] for case, r in throughput["device"].items()]
+    return text + "\n\nOn a GPU, bytes in and out, pictures/s:\n\n" + table(["", *names], shown)
 
 
 def fits() -> str:
@@ -284,8 +286,8 @@ def fits() -> str:
     return (
         f"**Fits** (`python -m benchmarks.accuracy.fitting_recovery`): {found['runs']} random "
         f"waters, 250×370, 1 % noise, 8 bits, model `auto`. {found['covered_percent']:.0f} % of "
-        f"{found['numbers']} intervals hold the truth. Median errors: {off}. The model that made "
-        f"the picture is picked in {found['right_model_percent']:.0f} %."
+        f"{found['numbers']} intervals hold the truth. Median errors are {off}. `auto` picks the "
+        f"model that made the picture in {found['right_model_percent']:.0f} %."
     )
 
 
