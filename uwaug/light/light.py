@@ -5,10 +5,11 @@ Lights add. With T_β, T_G and V of the medium and c for a channel of the pictur
     daylight  daylight·T_β, daylight·(T_G − T_β), daylight·(V(0) − V)
     a lamp    share·A_c, (1 − share)·A_c, and its backscatter (see `uwaug.light.backscatter`)
 
-A_c = power·color_c·cone(ψ)·cos(ι)/r²·T_G,c(r + z) is what arrives of a lamp's light after both ways
-through the water, r from the lamp to the surface and z from there to the camera; ι is the angle of
-incidence. On the way to the scene, light that is scattered forward still lights it. Of what
-arrives, share = T_β(z)/T_G(z) has come straight from the surface.
+A_c = power·color_c·cone(ψ)/r²·T_G,c(r + z) is what arrives of a lamp's light after both ways
+through the water, r from the lamp to the surface and z from there to the camera. The cosine of the
+angle of incidence is left to the photograph, which has its shading in it. On the way to the scene,
+light that is scattered forward still lights it. Of what arrives, share = T_β(z)/T_G(z) has come
+straight from the surface.
 """
 
 import math
@@ -21,7 +22,7 @@ from torch import Tensor
 
 from uwaug._support import checks, codec
 from uwaug.light.backscatter import Cone, backscatter
-from uwaug.light.rays import Rays, Vector, dot
+from uwaug.light.rays import Rays, Vector
 from uwaug.optics.curves import Curves, added, decay
 from uwaug.optics.medium import Medium
 from uwaug.optics.surfaces import white
@@ -63,7 +64,7 @@ class Lamp:
 
     Attributes:
         position: m.
-        power: how bright a white plate is that faces it at 1 m in air, where 1 is a white plate in
+        power: how bright a white plate is at 1 m in air, where 1 is a white plate in
             daylight at the surface; ≥ 0.
         aim: the direction of its axis; of any length.
         cone: angle from the axis to the edge of its light, which fades over the outer half of it,
@@ -100,7 +101,6 @@ class Lamp:
         water: Medium,
         share: Tensor,
         rays: Rays,
-        normals: Tensor,
         z: Tensor,
         density: float | Tensor = 1.0,
     ) -> Curves:
@@ -110,12 +110,11 @@ class Lamp:
             water: `uwaug.Medium.under_lamp` the light of lamps.
             share: T_β/T_G of it at the effective distance.
             rays: of the picture.
-            normals: of the surfaces, see `uwaug.light.rays.Rays.normals`.
             z (Bx1xHxW tensor): distance, m.
             density (number or Bx1xHxW tensor): of the water on each ray and on the lamp's way to
                 its surface, the medium field.
         """
-        sent = self.sent(rays, normals, z)
+        sent = self.sent(rays, z)
         color = z.new_tensor(self.color).reshape(1, 3, 1, 1) * self.power
         arrives = _summed(water.G, water.signal_weights, density * (z + sent.path))
         arrives = _dimmed(arrives, sent.share * color)
@@ -125,7 +124,7 @@ class Lamp:
         )
         return Curves(direct, arrives - direct, veil * color)
 
-    def sent(self, rays: Rays, normals: Tensor, z: Tensor) -> Sent:
+    def sent(self, rays: Rays, z: Tensor) -> Sent:
         """What a lamp of power 1 sends to the scene, and how the rays pass it; arguments as for
         `curves`.
         """
@@ -134,11 +133,7 @@ class Lamp:
         beyond = z - nearest
         squared = beyond.square() + height.square()
         one_over = squared.rsqrt()
-        # normals point away from the camera: (P − L)·N = 1 − L·N
-        above = (1 - dot(normals, self.position)).clamp(min=0.0) * normals.square().sum(
-            1, True
-        ).rsqrt()
-        gets = (above * one_over).clamp(max=1.0) * one_over.square()
+        gets = one_over.square()
         cone = None if self.cone is None else self._cone(self.cone, rays, nearest, height)
         if cone is not None:
             gets = gets * cone.share(height * one_over, beyond * one_over)
@@ -211,9 +206,9 @@ class Light:
         else:
             density = torch.where(metres > _MIN_METRES, z / metres.clamp(min=_MIN_METRES), 1.0)
         water, rays = medium.under_lamp(), Rays.of(metres, self.view)
-        normals, share = rays.normals(metres), _straight(water, z)
+        share = _straight(water, z)
         for lamp in self.lamps:
-            total = added(total, lamp.curves(water, share, rays, normals, metres, density))
+            total = added(total, lamp.curves(water, share, rays, metres, density))
         return total
 
     def planned(self, medium: Medium) -> Medium:
