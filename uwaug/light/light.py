@@ -27,7 +27,7 @@ from uwaug.optics.curves import Curves, added, decay
 from uwaug.optics.medium import Medium
 from uwaug.optics.surfaces import white
 
-_LAMP_RADIUS_M = 0.03
+LAMP_RADIUS_M = 0.03
 """m, of a lamp: nearer, its light grows no more."""
 
 _SOFT_EDGE = 0.5
@@ -64,8 +64,8 @@ class Lamp:
 
     Attributes:
         position: m.
-        power: how bright a white plate is at 1 m in air, where 1 is a white plate in
-            daylight at the surface; ≥ 0.
+        power: how bright a white plate is at 1 m in air, where 1 is a white plate in daylight at
+            the surface; ≥ 0.
         aim: the direction of its axis; of any length.
         cone: angle from the axis to the edge of its light, which fades over the outer half of it,
             degrees, 1…90; None shines to all sides.
@@ -129,23 +129,33 @@ class Lamp:
         `curves`.
         """
         nearest = rays.along(self.position)
-        height = torch.sqrt(rays.distance(self.position).square() + _LAMP_RADIUS_M**2)
+        height = torch.sqrt(rays.distance(self.position).square() + LAMP_RADIUS_M**2)
         beyond = z - nearest
         squared = beyond.square() + height.square()
         one_over = squared.rsqrt()
         gets = one_over.square()
-        cone = None if self.cone is None else self._cone(self.cone, rays, nearest, height)
+        cone = None if self.cone is None else self._cone(rays, nearest, height)
         if cone is not None:
             gets = gets * cone.share(height * one_over, beyond * one_over)
         return Sent(gets, squared * one_over, nearest, height, cone)
 
-    def _cone(self, degrees: float, rays: Rays, nearest: Tensor, height: Tensor) -> Cone:
+    @property
+    def axis(self) -> Vector:
+        """`aim` at length 1."""
         length = math.hypot(*self.aim)
         x, y, z = (part / length for part in self.aim)
-        along = rays.along((x, y, z))
-        before = self.position[0] * x + self.position[1] * y + self.position[2] * z
-        inner, outer = (math.cos(math.radians(degrees * part)) for part in (1 - _SOFT_EDGE, 1))
-        return Cone((nearest * along - before) / height, along, inner, outer)
+        return x, y, z
+
+    @property
+    def fade(self) -> tuple[float, float]:
+        """Cosines of the angles from the axis at which the light begins to fade, and has faded."""
+        edge = math.radians(self.cone or 0.0)
+        return math.cos(edge * (1 - _SOFT_EDGE)), math.cos(edge)
+
+    def _cone(self, rays: Rays, nearest: Tensor, height: Tensor) -> Cone:
+        along = rays.along(self.axis)
+        before = sum(x * y for x, y in zip(self.position, self.axis, strict=True))
+        return Cone((nearest * along - before) / height, along, *self.fade)
 
 
 @codec.plain

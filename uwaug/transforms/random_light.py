@@ -59,8 +59,8 @@ class RandomLight:
         cone: as for `uwaug.Lamp`, degrees.
         across, down: where at the median distance the lamps aim, in shares of that distance, right
             of the middle and below it; the view ends at .58.
-        tint: stops by which the lamps' blue is above their red, beside daylight: −1.2 of a halogen
-            lamp, .3 of a cold LED.
+        tint: stops by which the lamps' blue is above their red, beside daylight: −1.7 of a halogen
+            lamp of 3000 K, .3 of an LED of 6500 K.
 
     Raises:
         TypeError, ValueError: if a value does not suit, or leaves its domain.
@@ -73,7 +73,7 @@ class RandomLight:
     cone: Range = (40.0, 85.0)
     across: Range = (-0.2, 0.2)
     down: Range = (-0.1, 0.3)
-    tint: Range = (-1.2, 0.3)
+    tint: Range = (-1.7, 0.3)
 
     def __post_init__(self) -> None:
         checks.within("light: share", self.share, 0.0, 1.0)
