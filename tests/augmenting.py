@@ -11,6 +11,7 @@ from uwaug import (
     Medium,
     PointSpread,
     RandomDevelopment,
+    RandomLight,
     RandomUnderwater,
     Sensor,
     Water,
@@ -59,6 +60,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "fill": {"distance": Metres("fill")},
     "keys": {"keys": ("rgb", "range")},
     "linear": {"development": RandomDevelopment(color_space="linear")},
+    "night": {"light": RandomLight(share=0.5)},
     "noisy": {"development": RandomDevelopment(noise=Sensor((2e3, 2e4), (1.0, 4.0)))},
 }
 

@@ -34,6 +34,7 @@ from .presets import list_presets as list_presets
 from .presets import load_preset as load_preset
 from .transforms import KeepVisible as KeepVisible
 from .transforms import RandomDevelopment as RandomDevelopment
+from .transforms import RandomLight as RandomLight
 from .transforms import RandomUnderwater as RandomUnderwater
 from .transforms import RandomWater as RandomWater
 from .transforms import like as like

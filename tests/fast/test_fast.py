@@ -16,10 +16,20 @@ from torch import Tensor
 
 import uwaug
 from benchmarks.accuracy import stability
-from uwaug import Development, Medium, PointSpread, Sensor, Underwater, fast
+from uwaug import (
+    Development,
+    Lamp,
+    Light,
+    Medium,
+    PointSpread,
+    Sensor,
+    Underwater,
+    fast,
+)
 from uwaug.fast import gate
 from uwaug.formation.demand import blur_demand
 from uwaug.formation.image import form
+from uwaug.optics.curves import FARTHEST
 
 pytest.importorskip("numba")
 
@@ -69,9 +79,12 @@ def formed(image: Tensor, z: Tensor, medium: Medium, most: float = ERROR, **opti
     """
     z = z.float()
     values = image / 255 if image.dtype == torch.uint8 else image
-    assert fast.can(image, z, medium.to(torch.float32), None)
-    ours = form(image, z, medium.to(torch.float32), **options)
-    exact = form(values.double(), z.double(), medium.to(torch.float64), **options)
+    assert fast.can(image, z, medium.to(torch.float32), options.get("light"))
+    metres = options.pop("metres", None)
+    near = metres if metres is None else metres.float()
+    ours = form(image, z, medium.to(torch.float32), metres=near, **options)
+    near = near if near is None else near.double()
+    exact = form(values.double(), z.double(), medium.to(torch.float64), metres=near, **options)
     if image.dtype == torch.uint8:  # rounded, and clipped as bytes are
         exact, most = 255 * exact.clamp(0, 1), 0.5 + 255 * most
     assert ours.dtype == image.dtype
@@ -132,6 +145,36 @@ def test_every_development(medium: str, development: str) -> None:
     most = 5e-5 if chosen.tone < 1 else 4 * ERROR
     for space in ("linear", "srgb"):
         formed(image, z, MEDIA[medium](), most, development=chosen, color_space=space)
+
+
+BESIDE = Lamp((0.4, -0.3, 0.0), 3.0, (-0.1, 0.1, 1.0), cone=45.0)
+LIGHTS = {
+    "a lamp": Light((BESIDE,), daylight=0.0),
+    "lamps": Light((BESIDE, Lamp((-0.5, 0.0, -0.2), 2.0, color=(1.0, 0.5, 0.2))), daylight=0.3),
+    "in view": Light((Lamp((0.1, 0.05, 1.5), 0.5, (0.0, 0.3, -1.0), cone=80.0),), view=75.0),
+    "away": Light((Lamp((0.2, 0.0, 0.0), 2.0, (1.0, 0.0, -0.2), cone=90.0),)),
+    "dim daylight": Light(daylight=0.4),
+}
+
+
+@pytest.mark.parametrize("field", [None, 0.7])
+@pytest.mark.parametrize("development", ["none", "metered", "all", "noise of all"])
+@pytest.mark.parametrize("medium", MEDIA)
+@pytest.mark.parametrize("light", LIGHTS)
+def test_every_light(light: str, medium: str, development: str, field: float | None) -> None:
+    image, z = rand(1, 3, 40, 270).float(), stepped(1, 1, 40, 270, far=15.0)
+    metres = None if field is None else z / field
+    options = {"light": LIGHTS[light], "development": DEVELOPMENTS[development]}
+    formed(image, z, MEDIA[medium](), 4 * ERROR, metres=metres, **options)
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.0, 0.0, 2.0), (0.0, 0.0, -1.0)])
+@pytest.mark.parametrize("far", [0.0, 1e-3, 2.0, FARTHEST])
+def test_where_rays_meet_lamps(place: tuple[float, float, float], far: float) -> None:
+    image, z = rand(1, 3, 9, 9).float(), torch.full((1, 1, 9, 9), 3.0)
+    z[..., 4:6, 4:6] = far
+    lamps = Lamp(place, 0.1, cone=70.0), Lamp(place, 0.1, aim=(1.0, 0.0, 0.0), cone=90.0)
+    formed(image, z, MEDIA["spectral"](), 4 * ERROR, light=Light(lamps))
 
 
 @pytest.mark.parametrize("images, maps, media", [(1, 1, 3), (3, 1, 1), (2, 2, 2), (1, 2, 2)])

@@ -10,8 +10,8 @@ from referees import developed as referee
 from scenes import picture, rand, stepped
 from torch import Tensor
 
-from uwaug import Development, Medium, PointSpread, Underwater
-from uwaug.formation.development import GAINS, compressed, curved, metering_points
+from uwaug import Development, Lamp, Light, Medium, PointSpread, Underwater, form_image
+from uwaug.formation.development import GAINS, compressed, curved, exposed, metering_points
 
 ALL = {"exposure": 0.5, "white_balance": 0.6, "saturation": 1.4, "gamut": 0.8, "tone": 1.3}
 STAGES: dict[str, dict[str, float]] = {
@@ -33,6 +33,7 @@ MEDIA = {
         "II", **{"surfaces": "spectral", "vertical_depth": 6.0, **options}
     ),
 }
+CLEAR = Medium.from_coefficients(*[(1e-9,) * 3] * 3)
 WEIGHTS = torch.from_numpy(referee.LUMINANCE).reshape(3, 1, 1)
 
 
@@ -81,6 +82,24 @@ def test_metering_keeps_the_mean_luminance(depth: float) -> None:
         after = developed(medium, image, z, exposure="auto")
         before, after = (float((WEIGHTS * x).sum(1).mean()) for x in (image, after))
         assert after == pytest.approx(before, rel=0.04)
+
+
+def test_under_lamps_no_more_than_a_twentieth_burns_out() -> None:
+    image, z = rand(1, 3, 60, 80) ** 2, 0.3 + 6 * rand(1, 1, 60, 80, seed=1)
+    z[..., :20] = 30.0
+    medium = Medium.from_water("II", g=0.05)
+    light = Light((Lamp((0.3, 0.0, 0.0), 9.0),), daylight=0.0)
+    terms = form_image(image, z, medium, light=light).image
+    gain = Development("auto").gain(image, z, medium, light.curves(medium, z))
+    after = (WEIGHTS * exposed(terms, gain)).sum(1)
+    assert float((after > 1).double().mean()) == pytest.approx(0.05, abs=0.01)
+    # on a wall that is lit evenly, the mean luminance is kept
+    image, z = 0.5 * rand(1, 3, 60, 80), torch.full((1, 1, 60, 80), 5.0).double()
+    even = Light((Lamp((0.0, 0.0, -100.0), 1e4),), daylight=0.0)
+    gain = Development("auto").gain(image, z, CLEAR, even.curves(CLEAR, z))
+    after = exposed(form_image(image, z, CLEAR, light=even).image, gain)
+    before, after = (float((WEIGHTS * x).sum(1).mean()) for x in (image, after))
+    assert after == pytest.approx(before, rel=0.02)
 
 
 def test_the_gain_is_bounded() -> None:

@@ -12,7 +12,7 @@ import torch
 from exporting import COARSE, FAR, NEAR, in_water, scene, without_graph
 
 import uwaug
-from uwaug import Light, Medium, PointSpread, RandomUnderwater, Underwater
+from uwaug import Development, Light, Medium, PointSpread, RandomUnderwater, Underwater
 from uwaug.light import Lamp
 from uwaug.onnx import OnnxUnderwater, check_onnx, coefficients_of, export_onnx, read_metadata
 from uwaug.onnx.blurs import Blurs
@@ -117,9 +117,11 @@ def test_a_copy_in_half_precision_runs(frozen, tmp_path) -> None:
     assert 0 < (run(image, distance) - exact(image, distance)).abs().max() < 0.005
 
 
-def test_a_file_with_a_lamp(tmp_path) -> None:
+@pytest.mark.parametrize("metered", [False, True])
+def test_a_file_with_a_lamp(tmp_path, metered) -> None:
     medium = Medium.from_water("7C", vertical_depth=10.0, point_spread=PointSpread.none())
-    module = Underwater(medium, (NEAR, FAR), COARSE, sides=(1, 144), light=LIGHT)
+    lit = {"light": LIGHT, "development": Development(metered=metered)}
+    module = Underwater(medium, (NEAR, FAR), COARSE, sides=(1, 144), **lit)
     said: list[str] = []
     path = export_onnx(module, tmp_path / "lamp.onnx", progress=said.append)
     checks = [f"checking, case {i + 1} of 9" for i in range(9)]

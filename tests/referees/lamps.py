@@ -42,6 +42,25 @@ def random_case(kind: str, rng: np.random.Generator) -> Case:
     return Case(lamp, x, y, z)
 
 
+def light_by_definition(case: Case, water: Medium) -> Tensor:
+    """The light (3) of a lamp that a white point sends to the camera through a water
+    (`Medium.under_lamp`): inverse square, cone, both ways.
+    """
+    lamp = case.lamp
+    ray = np.array([case.x, case.y, 1.0])
+    off = case.z * ray / np.linalg.norm(ray) - np.array(lamp.position)
+    radius = math.sqrt(float(off @ off) + RADIUS**2)
+    share = 1.0
+    if lamp.cone is not None:
+        toward = float(off @ np.array(lamp.aim)) / np.linalg.norm(lamp.aim) / radius
+        inner, outer = (math.cos(math.radians(lamp.cone * part)) for part in (1 - EDGE, 1))
+        share = float(np.clip((toward - outer) / (inner - outer), 0, 1))
+        share = share * share * (3 - 2 * share)
+    rates, weights = water.G[0].numpy(), water.signal_weights[0].numpy()
+    arrives = weights @ np.exp(-rates * (case.z + radius))
+    return torch.from_numpy(lamp.power * share / radius**2 * arrives)
+
+
 def veil_by_definition(case: Case, water: Medium, points: int = 20_001) -> Tensor:
     """The veil (3) of a lamp's light that a water (`Medium.under_lamp`) scatters once, summed along
     the ray in steps that are fine where the lamp is near.

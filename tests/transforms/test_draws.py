@@ -9,7 +9,7 @@ import torch
 from augmenting import distances, picture
 from torch import Tensor
 
-from uwaug import KeepVisible, RandomDevelopment, RandomUnderwater, Sensor
+from uwaug import KeepVisible, RandomDevelopment, RandomLight, RandomUnderwater, Sensor
 from uwaug.distance import MadeUp, Source
 from uwaug.formation.colour import srgb_to_linear
 from uwaug.transforms import Measured
@@ -24,6 +24,7 @@ OTHERS: dict[str, dict[str, Any]] = {
     "noise": {"development": RandomDevelopment(noise=Sensor((2000, 5000), (1, 5)))},
     "grey": {"development": RandomDevelopment(color_matrix=None)},
     "made up": {"distance": MadeUp()},
+    "night": {"light": RandomLight(share=1.0)},
 }
 
 

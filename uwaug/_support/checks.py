@@ -33,6 +33,17 @@ DOMAIN = {
     "full_well": (1.0, math.inf),
     "read_noise": (0.0, math.inf),
     "noise_seed": (0.0, 2.0**32 - 1),
+    "light_night": (0.0, 1.0),
+    "light_daylight": (0.0, math.inf),
+    "lamp_rig": (0.0, 1.0),
+    "lamp_count": (0.0, 1.0),
+    "lamp_aside": (-1.0, 1.0),
+    "lamp_above": (0.0, 1.0),
+    "lamp_across": (-2.0, 2.0),
+    "lamp_down": (-2.0, 2.0),
+    "lamp_cone": (1.0, 90.0),
+    "lamp_power": (-10.0, 10.0),
+    "lamp_tint": (-2.0, 2.0),
 }
 """Least and largest value of every quantity that may be drawn or read from a preset. Infinity
 itself is never allowed.

@@ -17,6 +17,7 @@ from torch import Tensor
 from uwaug._support.compiled import OPTIONS, kept, loops_are_loaded, wanted
 from uwaug.formation.development import NEUTRAL, Development
 from uwaug.formation.sensor import Sensor
+from uwaug.light import Light
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 
@@ -31,16 +32,18 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 def can(
     image: Tensor, z: Tensor, medium: Medium, light: object, development: Development = NEUTRAL
 ) -> bool:
-    """Whether the loops form these pictures: in float32 or bytes on a CPU, by daylight, without
-    gradients. Arguments as for `uwaug.formation.image.form`.
+    """Whether the loops form these pictures: in float32 or bytes on a CPU, without gradients.
+    Arguments as for `uwaug.formation.image.form`.
     """
-    if light is not None or torch.compiler.is_compiling() or not (wanted() and _has_numba()):
+    if torch.compiler.is_compiling() or not (wanted() and _has_numba()):
         return False
     # of what is one's own the loops know nothing
     own = {Medium: medium, PointSpread: medium.point_spread, Development: development}
     if any(type(value) is not kind for kind, value in own.items()):
         return False
     if type(development.noise) not in (Sensor, type(None)):
+        return False
+    if type(light) not in (Light, type(None)):
         return False
     law = (v for v in medium.point_spread.numbers().values() if isinstance(v, Tensor))
     tensors = (image, z, *medium.tensors(), *law)

@@ -25,6 +25,7 @@ from uwaug.fast.tables import (
     Doubles,
     Floats,
     Indices,
+    LampsTable,
     MediumTable,
     StackTable,
 )
@@ -192,6 +193,19 @@ GAMUT_FROM, BEYOND, DARK, TOE = f32(0.75), f32(4), f32(1e-8), f32(1e-4)
 
 _2, _255 = f32(2), f32(255)
 
+
+@inner
+def tile_row(t: Any, row: int) -> Any:
+    """One of the rows that a tile works in."""
+    return t[row * TILE : (row + 1) * TILE]
+
+
+@inner
+def tile_rows(t: Any, first: int, count: int) -> Any:
+    """`count` of the rows that a tile works in."""
+    return t[first * TILE : (first + count) * TILE]
+
+
 # ------------------------------------------------------------------------------ coarse grids
 
 
@@ -297,6 +311,182 @@ def coarse_lines(
         to_lines(grid, top, count, inside)
 
 
+# ------------------------------------------------------------------------------ lamps
+
+METRES, SEEN, LIT, LIT_ROWS = 2, 3, 6, 19
+"""Rows that lamps work in, of which first come tangents to the right and down: distance without the
+field, three colours that surfaces send on, three of what arrives. Rows for each rate follow.
+"""
+
+_HALF, _3 = f32(0.5), f32(3)
+_LEAST_M, _LEAST_LENGTH, _LEAST_LIGHT, _MOST_T = f32(1e-6), f32(1e-6), f32(1e-30), f32(1 - 1e-6)
+
+
+@inner
+def _send(t: Any, z: int, sharp: int, blurred: int, at: int, lamps: Any, n: int) -> None:
+    """What of the scene lamps show: J where light comes straight, its blur elsewhere."""
+    far, e = tile_row(t, z), tile_row(t, at + 9)
+    count, direct = lamps.straight.shape[0], lamps.straight_rates.size
+    sums = tile_rows(t, at + 10, 6)
+    for row in range(2 * count):
+        zero = tile_row(sums, row)
+        for x in range(n):
+            zero[x] = _0
+    for r in range(direct + lamps.rates.size):
+        is_direct = r < direct
+        rate = lamps.straight_rates[r] if is_direct else lamps.rates[r - direct]
+        for x in range(n):
+            e[x] = exp2(rate * far[x])
+        for c in range(count):
+            w = lamps.straight[c, r] if is_direct else lamps.all[c, r - direct]
+            total = tile_row(sums, c if is_direct else count + c)
+            for x in range(n):
+                total[x] += w * e[x]
+    for c in range(3):
+        part = min(c, count - 1)
+        straight, everything = tile_row(sums, part), tile_row(sums, count + part)
+        J, B, d = tile_row(t, sharp + c), tile_row(t, blurred + c), tile_row(t, at + SEEN + c)
+        for x in range(n):
+            share = min(straight[x] / max(everything[x], _LEAST_LIGHT), _1)
+            d[x] = B[x] + share * (J[x] - B[x])
+
+
+@inner
+def _faded(toward: Any, inner_edge: Any, outer_edge: Any) -> Any:
+    """The share of a cone's light at an angle whose cosine is `toward`."""
+    s = min(max((toward - outer_edge) / (inner_edge - outer_edge), _0), _1)
+    return s * s * (_3 - _2 * s)
+
+
+@inner
+def _half_angle(sine: Any, cosine: Any, side: Any) -> Any:
+    """tan(θ/2) of an end of a cone, held at −1…1."""
+    return sine / (_1 + max(cosine, _0)) if cosine > _0 else side
+
+
+@inner
+def _shine(t: Any, z: int, at: int, lamp: Any, lamps: Any, n: int) -> None:
+    """What a lamp of power 1 sends to the scene, and how rays pass it, see `uwaug.light`: into row
+    9 its light on the surface, 10 the way through the water, 11 and 12 (optical) nearest point and
+    height of the ray, 13 and 14 the axis across and along it, 15 and 16 the middle and the half of
+    its lit part, 17 what multiplies the fog.
+    """
+    px, py, pz, ax, ay, az = lamp[0], lamp[1], lamp[2], lamp[3], lamp[4], lamp[5]
+    inner_edge, outer_edge, wide = lamp[6], lamp[7], lamp[8] > _0
+    before = px * ax + py * ay + pz * az
+    radius, phase = lamps.radius, _HALF * (_1 - lamps.asymmetry * lamps.asymmetry)
+    far, s, d = tile_row(t, z), tile_rows(t, at, 3), tile_rows(t, at + 9, 9)
+    for x in range(n):
+        X, Y, metres = s[x], s[x + TILE], s[x + METRES * TILE]
+        shortening = _1 / np.sqrt(_1 + X * X + Y * Y)
+        nearest = (X * px + (Y * py + pz)) * shortening
+        u, v, w = py - pz * Y, pz * X - px, X * py - Y * px
+        squared = (u * u + v * v + w * w) * (shortening * shortening) + radius
+        height = np.sqrt(squared)
+        beyond = metres - nearest
+        one_over = _1 / np.sqrt(beyond * beyond + squared)
+        along = (X * ax + (Y * ay + az)) * shortening
+        across = (nearest * along - before) / height
+        density = far[x] / metres if metres > _LEAST_M else _1
+        toward = (across * height + along * beyond) * one_over
+        share = _1 if wide else _faded(toward, inner_edge, outer_edge)
+        d[x] = share * one_over * one_over
+        d[x + TILE] = density * (metres + _1 / one_over)
+        d[x + 2 * TILE], d[x + 3 * TILE] = density * nearest, density * height
+        d[x + 4 * TILE], d[x + 5 * TILE] = across, along
+        # the lit part: of the ray, and of the cone
+        q = -nearest / height
+        low = q / (_1 + np.sqrt(_1 + q * q))
+        q = beyond / height
+        high = q / (_1 + np.sqrt(_1 + q * q))
+        size = max(np.sqrt(across * across + along * along), _LEAST_LENGTH)
+        c, k = along / size, across / size
+        cosine = min(outer_edge / size, _1)
+        sine = np.sqrt(_1 - cosine * cosine)
+        side = _1 if along > _0 else -_1
+        begin = _half_angle(c * cosine - k * sine, k * cosine + c * sine, side)
+        end = _half_angle(c * cosine + k * sine, k * cosine - c * sine, side)
+        low, high = (low, high) if wide else (max(low, begin), min(high, end))
+        half = max(_HALF * (high - low), _0)
+        d[x + 6 * TILE], d[x + 7 * TILE] = low + half, half
+        d[x + 8 * TILE] = density * half / height * phase
+
+
+@inner
+def _scatter(t: Any, at: int, lamp: Any, lamps: Any, n: int) -> None:
+    """Sum the fog of a lamp along each ray, for each rate: see `uwaug.light.backscatter`."""
+    inner_edge, outer_edge, wide = lamp[6], lamp[7], lamp[8] > _0
+    g = lamps.asymmetry
+    least, twice = (_1 - g) * (_1 - g), _2 * g
+    s = tile_rows(t, at + 9, 9)
+    way, light = tile_row(t, at + 9), tile_row(t, at + 18)
+    for r in range(lamps.rates.size):
+        total = tile_row(t, at + LIT_ROWS + r)
+        for x in range(n):
+            total[x] = _0
+    for q in range(lamps.nodes.shape[1]):
+        node, weight = lamps.nodes[0, q], lamps.nodes[1, q]
+        for x in range(n):
+            v = min(s[x + 6 * TILE] + node * s[x + 7 * TILE], _MOST_T)
+            above, below = _1 + v, _1 - v
+            share = _1 / (_1 + v * v)
+            raised = above * above * share
+            narrow = least + twice * raised
+            scattered = share * weight / (narrow * np.sqrt(narrow))
+            toward = s[x + 4 * TILE] * (above * below * share) + s[x + 5 * TILE] * (raised - _1)
+            faded = _1 if wide else _faded(toward, inner_edge, outer_edge)
+            light[x] = scattered * faded
+            way[x] = s[x + 2 * TILE] + s[x + 3 * TILE] * above / below
+        for r in range(lamps.rates.size):
+            rate, total = lamps.rates[r], tile_row(t, at + LIT_ROWS + r)
+            for x in range(n):
+                total[x] += light[x] * exp2(rate * way[x])
+
+
+@inner
+def lamplight(t: Any, z: int, sharp: int, blurred: int, at: int, lamps: Any, n: int) -> None:
+    """What arrives of the light of lamps, in three rows from `at` + LIT on: of surfaces whose light
+    and its blur stand in rows from `sharp` and `blurred` on, and of the fog before them.
+    """
+    _send(t, z, sharp, blurred, at, lamps, n)
+    d, seen = tile_rows(t, at + LIT, 3), tile_rows(t, at + SEEN, 3)
+    for x in range(n):
+        d[x] = d[x + TILE] = d[x + 2 * TILE] = _0
+    mixes = lamps.arriving.shape[1] == 9
+    s = tile_rows(t, at + 9, 9)
+    for k in range(lamps.places.shape[0]):
+        _shine(t, z, at, lamps.places[k], lamps, n)
+        w, fog = lamps.arriving[k], lamps.fog[k]
+        for r in range(lamps.rates.size):
+            rate = lamps.rates[r]
+            if mixes:
+                a0, a1, a2 = w[0, r], w[1, r], w[2, r]
+                b0, b1, b2 = w[3, r], w[4, r], w[5, r]
+                c0, c1, c2 = w[6, r], w[7, r], w[8, r]
+                for x in range(n):
+                    e = s[x] * exp2(rate * s[x + TILE])
+                    red, green, blue = seen[x], seen[x + TILE], seen[x + 2 * TILE]
+                    d[x] += e * (a0 * red + a1 * green + a2 * blue)
+                    d[x + TILE] += e * (b0 * red + b1 * green + b2 * blue)
+                    d[x + 2 * TILE] += e * (c0 * red + c1 * green + c2 * blue)
+            else:
+                a0, a1, a2 = w[0, r], w[1, r], w[2, r]
+                for x in range(n):
+                    e = s[x] * exp2(rate * s[x + TILE])
+                    d[x] += a0 * e * seen[x]
+                    d[x + TILE] += a1 * e * seen[x + TILE]
+                    d[x + 2 * TILE] += a2 * e * seen[x + 2 * TILE]
+        _scatter(t, at, lamps.places[k], lamps, n)
+        strength = tile_row(t, at + 17)
+        for r in range(lamps.rates.size):
+            total, a0, a1, a2 = tile_row(t, at + LIT_ROWS + r), fog[0, r], fog[1, r], fog[2, r]
+            for x in range(n):
+                light = strength[x] * total[x]
+                d[x] += a0 * light
+                d[x + TILE] += a1 * light
+                d[x + 2 * TILE] += a2 * light
+
+
 # ------------------------------------------------------------------------------ pixels
 
 
@@ -323,14 +513,26 @@ def look_up(image: Bytes, table: Floats, light: Floats, start: int, stop: int) -
 
 
 @kernel
-def meter(light: Floats, z: Floats, points: Indices, medium: MediumTable) -> Doubles:
+def meter(
+    light: Floats,
+    z: Floats,
+    metres: Floats,
+    width: int,
+    points: Indices,
+    medium: MediumTable,
+    lamps: LampsTable,
+    luminance: Doubles,
+    brightness: Floats,
+) -> Doubles:
     """Mean light (3x3) of the scene, of what arrives of it without the blur, and of what is
     positive of that, at some pixels.
 
     Args:
-        light (3xN), z (N): of all pixels of a picture.
+        light (3xN), z, metres (N): of all pixels of a picture, so many in a row.
         points (M): which of them.
-        medium: tables.
+        medium, lamps: tables.
+        luminance (3): weights of the channels.
+        brightness (M, or 0): is filled with the luminance of what arrives.
     """
     count, rates, direct = points.size, medium.rates, medium.direct.shape[1]
     far, J, d = np.empty(count, f32), np.empty((3, count), f32), np.zeros((3, count), f32)
@@ -359,6 +561,30 @@ def meter(light: Floats, z: Floats, points: Indices, medium: MediumTable) -> Dou
                 weight = medium.scatter[c, r]
                 for x in range(count):
                     row[x] += less[x] * veil + e[x] * weight * plane[x]
+    if lamps.places.shape[0] > 0:
+        t = np.zeros((7 + LIT_ROWS + lamps.rates.size) * TILE, np.float32)
+        for first in range(0, count, TILE):
+            n = min(TILE, count - first)
+            rows = tile_rows(t, 0, 9)
+            for x in range(n):
+                point = points[first + x]
+                rows[x] = far[first + x]
+                rows[x + 7 * TILE] = (f32(point % width) - lamps.middle[0]) * lamps.tangent
+                rows[x + 8 * TILE] = (f32(point // width) - lamps.middle[1]) * lamps.tangent
+            row = tile_row(t, 7 + METRES)
+            for x in range(n):
+                row[x] = metres[points[first + x]]
+            for c in range(3):
+                copy(tile_row(t, 1 + c), J[c, first : first + n])
+                copy(tile_row(t, 4 + c), J[c, first : first + n])
+            lamplight(t, 0, 1, 4, 7, lamps, n)
+            for c in range(3):
+                row, lit = d[c, first : first + n], tile_row(t, 7 + LIT + c)
+                for x in range(n):
+                    row[x] += lit[x]
+    for x in range(brightness.size):
+        red, green, blue = d[0, x], d[1, x], d[2, x]
+        brightness[x] = luminance[0] * red + luminance[1] * green + luminance[2] * blue
     means = np.zeros((3, 3))
     for c in range(3):
         for x in range(count):
@@ -409,18 +635,6 @@ def add_enlarged(d: Any, share: Any, grid: Any, n: int, left: int, right: int, w
     p, q = grid[n + 6, left:right], grid[n + 9, left:right]
     for x in range(a.size):
         d[x] += share[x] * ((w0 * a[x] + w1 * b[x]) + (w2 * p[x] + w3 * q[x]))
-
-
-@inner
-def tile_row(t: Any, row: int) -> Any:
-    """One of the rows that a tile works in."""
-    return t[row * TILE : (row + 1) * TILE]
-
-
-@inner
-def tile_rows(t: Any, first: int, count: int) -> Any:
-    """`count` of the rows that a tile works in."""
-    return t[first * TILE : (first + count) * TILE]
 
 
 @inner
@@ -639,7 +853,9 @@ def _store(total: Any, srgb: bool, most: Any, out: Any, out_bytes: Any, n: int) 
 def render_rows(
     light: Floats,
     z: Floats,
+    metres: Floats,
     medium: MediumTable,
+    lamps: LampsTable,
     stack: StackTable,
     grid: Floats,
     starts: Indices,
@@ -656,8 +872,8 @@ def render_rows(
     """Rows of a picture.
 
     Args:
-        light (3xHxW), z (HxW): of the scene; effective distance, m.
-        medium, stack: tables.
+        light (3xHxW), z, metres (HxW): of the scene; effective distance, and without the field, m.
+        medium, lamps, stack: tables.
         grid (NxW), starts (m): the lines of all coarse grids; where those of each would start.
         normals (N), begins (3xH): of the sensor's noise; where each row of each channel begins.
             Without noise, N = 0, the gain is in the medium.
@@ -675,7 +891,10 @@ def render_rows(
     # rows of a tile: distance, curves, shares, totals, and place and terms to work in
     shares = 10
     totals = shares + count
-    t = np.zeros((totals + 3 + max(terms, 1)) * TILE, np.float32)
+    lit = totals + 3 + max(terms, 1)
+    is_lit = lamps.places.shape[0] > 0
+    rows = lit + LIT_ROWS + lamps.rates.size if is_lit else lit
+    t = np.zeros(rows * TILE, np.float32)
     tile_row(t, shares)[:] = _1  # if there is one
     sharp = count - narrow - wide
     z_row = tile_row(t, 0)
@@ -709,6 +928,15 @@ def render_rows(
                     share = tile_row(t, shares + sharp + narrow + k)
                     first = starts[k] + 3 * stack.back_first[k, y] + c
                     add_enlarged(total_row, share, grid, first, left, right, stack.back[k, y])
+            if is_lit:
+                right_of, down = tile_row(t, lit), tile_row(t, lit + 1)
+                for x in range(n):
+                    right_of[x] = (f32(left + x) - lamps.middle[0]) * lamps.tangent
+                    down[x] = (f32(y) - lamps.middle[1]) * lamps.tangent
+                copy(tile_row(t, lit + METRES), metres[y, left:right])
+                for c in range(3):
+                    copy(tile_row(t, 1 + c), light[c, y, left:right])
+                lamplight(t, 0, 1, totals, lit, lamps, n)
             if spectral:
                 for c in range(3):
                     copy(tile_row(t, 1 + c), light[c, y, left:right])
@@ -718,6 +946,10 @@ def render_rows(
                 for c in range(3):
                     near = tile_rows(t, 1 + 3 * c, 3)
                     _sum(tile_row(t, totals + c), near, light[c, y, left:right])
+            for c in range(3 * is_lit):
+                total_row, lamplit = tile_row(t, totals + c), tile_row(t, lit + LIT + c)
+                for x in range(n):
+                    total_row[x] += lamplit[x]
             if normals.size > 0:
                 _expose(t, totals, left, normals, begins[:, y], shown, n)
             _develop(t, totals, shown, n)

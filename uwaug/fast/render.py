@@ -22,18 +22,31 @@ from uwaug.fast.tables import (
     DevelopmentTable,
     Floats,
     Indices,
+    LampsTable,
     PlanTable,
+    lamps_table,
     medium_table,
     plan_table,
     width_law,
 )
-from uwaug.formation.colour import headroom
+from uwaug.formation.colour import LUMINANCE, headroom
 from uwaug.formation.demand import Weights, plan_for
-from uwaug.formation.development import Development, gain_at, metering_points, tone_offset
+from uwaug.formation.development import (
+    BURNT,
+    METERED,
+    Development,
+    gain_at,
+    metering_points,
+    tone_offset,
+)
 from uwaug.formation.sensor import standard_normals
+from uwaug.light import Light
 from uwaug.optics.medium import Medium
 
 _NO_FLOATS, _NO_BYTES = np.zeros((3, 1, 0), np.float32), np.zeros((3, 1, 0), np.uint8)
+
+_ONE = np.ones((1, 3))
+"""No gain."""
 
 _BAND = 1 << 20
 """Pixels whose coarse grids are held at a time: of all together, up to 24 MiB."""
@@ -47,20 +60,29 @@ def form(
     color_space: ColorSpace,
     plan: BlurPlan | None,
     tolerance: float,
+    light: Light | None = None,
+    metres: Tensor | None = None,
 ) -> Tensor:
     """D + F + B as the camera stores it, see `uwaug.formation.image.form`."""
     srgb, size = color_space == "srgb", (z.shape[-2], z.shape[-1])
     low, high = (0.0, 1.0) if image.dtype == torch.uint8 else extent(image)
     J = _decoded(image, srgb, low < 0 or high > 1)
     batch = max(len(J), len(z), len(medium))
-    scenes, metres = J.detach().contiguous().numpy(), z.detach().contiguous().numpy()
-    weights = Weights.of(medium)
-    gains = _gains(scenes, metres, weights, development)
+    scenes, far, near = (
+        x.detach().contiguous().numpy() for x in (J, z, z if metres is None else metres)
+    )
+    weights = brightest = Weights.of(medium)
+    if light is not None:
+        brightest = Weights.of(light.planned(medium))
+        weights = weights.seen_by(np.full((1, 3), light.daylight))
+    lamps_of = partial(lamps_table, light, brightest, size)
+    gains = _gains(scenes, far, near, weights, lamps_of, development, light is not None)
     seen = weights.seen_by(gains)
-    plan = plan or plan_for(z, medium, size, tolerance, seen)
+    plan = plan or plan_for(z, medium, size, tolerance, brightest.seen_by(gains))
     table = plan_table(plan, size)
     # the gain in the medium costs nothing; after noise it has to be a step of its own
     shown = weights if development.noise else seen
+    lamps = [lamps_of(_ONE if development.noise else gains, n) for n in range(len(shown.beta))]
     laws = [width_law(medium, n, plan, size) for n in range(len(medium))]
     media = [medium_table(shown, n, laws[n % len(laws)]) for n in range(len(shown.beta))]
     normals, begins, cameras = _camera(development, gains, batch, size)
@@ -79,15 +101,24 @@ def form(
             for n in samples:
                 out = result[n].numpy()
                 outs = (_NO_FLOATS, out) if out.dtype == np.uint8 else (out, _NO_BYTES)
-                maps = scene, metres[n % len(metres), 0], media[n % len(media)]
+                maps = scene, far[n % len(far), 0], near[n % len(near), 0]
+                tables = media[n % len(media)], lamps[n % len(lamps)]
                 blurs, encoding = (table.stack, grid, starts), (srgb, highest[n])
                 camera = normals, begins[n], cameras[n % len(cameras)]
-                arguments: Any = (*maps, *blurs, *camera, *encoding, *outs)
+                arguments: Any = (*maps, *tables, *blurs, *camera, *encoding, *outs)
                 _in_bands(partial(kernels.render_rows, *arguments), rows, size[1])
     return result.to(image.dtype)
 
 
-def _gains(scenes: Floats, metres: Floats, weights: Weights, development: Development) -> Array:
+def _gains(
+    scenes: Floats,
+    z: Floats,
+    metres: Floats,
+    weights: Weights,
+    lamps_of: Callable[[Array, int], LampsTable],
+    development: Development,
+    lit: bool,
+) -> Array:
     """As `Development.gain`: (B or 1, 3), or (B or 1, 3, 3)."""
     factors, balance = np.ones(3), 0.0
     if isinstance(development.white_balance, tuple):
@@ -99,15 +130,26 @@ def _gains(scenes: Floats, metres: Floats, weights: Weights, development: Develo
     if not development.measures:
         matrices = np.stack([gain_at(np.zeros((3, 3)), 0.0, *camera)])
     else:
-        points = metering_points(metres.shape[-2], metres.shape[-1], torch.device("cpu")).numpy()
-        lights, maps = scenes.reshape(len(scenes), 3, -1), metres.reshape(len(metres), -1)
-        tables = [medium_table(weights, n, NO_LAW) for n in range(len(weights.beta))]
-        matrices = np.empty((max(len(lights), len(maps), len(tables)), 3, 3))
+        height, width = z.shape[-2:]
+        points = metering_points(height, width, torch.device("cpu")).numpy()
+        lights, *maps = (x.reshape(len(x), -1, height * width) for x in (scenes, z, metres))
+        tables = [
+            (medium_table(weights, n, NO_LAW), lamps_of(_ONE, n)) for n in range(len(weights.beta))
+        ]
+        matrices = np.empty((max(len(lights), len(z), len(tables)), 3, 3))
+        brightness = np.empty(len(points) if lit else 0, np.float32)
         for n in range(len(matrices)):
-            far, row = maps[n % len(maps)], n % len(tables)
-            means = kernels.meter(lights[n % len(lights)], far, points, tables[row])
-            veil = -weights.veil[row] @ np.expm1(weights.G[row] * -float(far.max()))
-            matrices[n] = gain_at(means, float(veil.max()), *camera)
+            far, near = (x[n % len(x), 0] for x in maps)
+            row = n % len(tables)
+            where = far, near, width, points, *tables[row]
+            means = kernels.meter(lights[n % len(lights)], *where, np.array(LUMINANCE), brightness)
+            if lit:
+                burnt = round(BURNT * METERED)
+                highlight = float(np.partition(brightness, -burnt)[-burnt])
+            else:
+                veil = -weights.veil[row] @ np.expm1(weights.G[row] * -float(far.max()))
+                highlight = float(veil.max())
+            matrices[n] = gain_at(means, highlight, *camera)
     return matrices if saturation != 1 else np.diagonal(matrices, 0, 1, 2)
 
 

@@ -9,10 +9,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from uwaug._support.cache import Cache
+from uwaug._support.types import Array
 from uwaug.blur.banded import Kind, Node, mirrored, whole
 from uwaug.blur.kernels import blur_kernel
 from uwaug.blur.plan import V_FLOOR, BlurPlan, place_line
 from uwaug.formation.demand import Weights
+from uwaug.light.backscatter import ASYMMETRY, NODE_WEIGHTS, NODES
+from uwaug.light.light import LAMP_RADIUS_M, Light
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import LENGTHS, pixel_scale
 
@@ -128,6 +131,37 @@ class MediumTable(NamedTuple):
     scatter: Floats
     veil: Floats
     law: WidthLaw
+
+
+class LampsTable(NamedTuple):
+    """N lamps as the loops take them; none for daylight. See `uwaug.light`.
+
+    Attributes:
+        places (N, 9): of each lamp position, axis of length 1, cosines of the angles at which its
+            light begins to fade and has faded, and 1 if it shines to all sides.
+        radius, asymmetry: m², of a lamp; of the phase function.
+        nodes (2, Q): of the quadrature along a ray, and their weights.
+        rates (R): times −log2(e).
+        arriving (N, 3 or 9, R), fog (N, 3, R): weights of what surfaces and water send, in the
+            light of each lamp.
+        straight_rates (K), straight (S, K), all (S, R): of T_β and T_G, whose ratio is the share
+            that has come straight: of each channel, or one of all.
+        tangent: of a pixel at the middle of the view.
+        middle: column and row there.
+    """
+
+    places: Floats
+    radius: np.float32
+    asymmetry: np.float32
+    nodes: Floats
+    rates: Floats
+    arriving: Floats
+    fog: Floats
+    straight_rates: Floats
+    straight: Floats
+    all: Floats
+    tangent: np.float32
+    middle: Floats
 
 
 # ------------------------------------------------------------------------------ plans
@@ -270,6 +304,47 @@ def width_law(medium: Medium, n: int, plan: BlurPlan, size: Size) -> WidthLaw:
     numbers = (float(medium.b_mean[n]), exponent, *powers, slope * math.log(2), offset, *LENGTHS)
     return WidthLaw(*map(np.float32, numbers))
 
+
+def lamps_table(
+    light: Light | None, lamplit: Weights, size: Size, gains: Array, n: int
+) -> LampsTable:
+    """Lamps over the `n`-th row of a water (`uwaug.Medium.under_lamp`), as a camera sees them that
+    multiplies or mixes channels, in pictures of one size.
+    """
+    if light is None or not light.lamps:
+        return NO_LAMPS
+    row = Weights(*(rows[n % len(rows)][None] for rows in lamplit))
+    gain = gains[n % len(gains)][None]
+    colours = [lamp.power * np.array(lamp.color) for lamp in light.lamps]
+    seen = [row.seen_by(gain * colour) for colour in colours]  # of a matrix, the columns
+    # what has come straight: of each channel; of surfaces with spectra, of all
+    sums = [
+        x[0] if len(x[0]) == 3 else x[0].sum(0, keepdims=True) for x in (row.direct, row.signal)
+    ]
+    places = [(*lamp.position, *lamp.axis, *lamp.fade, lamp.cone is None) for lamp in light.lamps]
+    middle = [(side - 1) / 2 for side in size[::-1]]
+    tangent = 2 * math.tan(math.radians(light.view / 2)) / size[1]
+    bits = -math.log2(math.e)
+    arrays = (
+        [NODES, NODE_WEIGHTS],
+        bits * row.G[0],
+        [x.signal[0] for x in seen],
+        [x.veil[0] for x in seen],
+        bits * row.beta[0],
+        *sums,
+    )
+    floats = (np.ascontiguousarray(x, np.float32) for x in arrays)
+    numbers = np.float32(LAMP_RADIUS_M**2), np.float32(ASYMMETRY)
+    last = np.float32(tangent), np.array(middle, np.float32)
+    return LampsTable._make([np.array(places, np.float32), *numbers, *floats, *last])
+
+
+_NONE = [np.zeros((0,) * axes, np.float32) for axes in range(4)]
+_0 = np.float32(0)
+NO_LAMPS = LampsTable._make(
+    [_NONE[2], _0, _0, *[_NONE[n] for n in (2, 1, 3, 3, 1, 2, 2)], _0, _NONE[1]]
+)
+"""Daylight."""
 
 NO_LAW = WidthLaw(*[np.float32(0)] * 8)
 """Of a medium whose blur is not planned yet."""

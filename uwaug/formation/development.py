@@ -64,6 +64,11 @@ rows of any period, and pictures of any size; the mean luminance of noise is rig
 grid of every fourth pixel is off by 10 % at 16 px and blind to stripes of its own period.
 """
 
+BURNT = 0.05
+"""Of the metered pixels: may burn out under lamps, before the stops. (.02: white things at the lens
+had no drawing; weights of the centre: no nearer to photographs.)
+"""
+
 _BITS = 20
 TURN = 1 << _BITS
 STEPS = (791_547, 597_521)
@@ -93,7 +98,8 @@ class Development:
             p = .18^c and k = .82·p/(.18 − p); black, mid-grey and white stay. Light above white
             goes on along the curve's slope there.
         metered: whether the exposure's stops are on top of one gain for each picture, from 1/8 to
-            64, that keeps the mean luminance of the scene, and its farthest veil at or below white.
+            64, that keeps the mean luminance of the scene, and its farthest veil at or below white;
+            under a `Light` all but the brightest 5 % of what is seen.
         noise: the sensor, see `uwaug.Sensor`; None for light without noise.
 
     `stack` makes one of several, whose numbers are tensors (B).
@@ -230,14 +236,15 @@ def exposed(light: Tensor, gain: Tensor) -> Tensor:
 class Means(NamedTuple):
     """What is measured of each picture: mean light of the scene, of what arrives of it, and of
     what is positive of that, as no picture shows the negative channels of colours out of sRGB
-    (B, 3 each); and the veil of the farthest pixel (B, 1), the highlight that a camera protects: a
-    lamp in view may be blown out.
+    (B, 3 each); and the highlight that a camera protects (B, 1): the veil of the farthest pixel;
+    under lamps, which light what is near many times as much as the rest, the luminance that
+    `BURNT` of the pixels exceed.
     """
 
     scene: Tensor
     arriving: Tensor
     positive: Tensor
-    veil: Tensor
+    highlight: Tensor
 
 
 def metered(J: Tensor, z: Tensor, medium: Medium, T: Curves | None = None) -> Means:
@@ -248,13 +255,16 @@ def metered(J: Tensor, z: Tensor, medium: Medium, T: Curves | None = None) -> Me
         T = Curves(*(_at(curve, points) for curve in T))
     arriving = medium.image(_at(z, points), light, light, T)
     scene, means, positive = (x.mean((-2, -1)) for x in (light, arriving, arriving.clamp(min=0.0)))
-    return Means(scene, means, positive, farthest_veil(z, medium, T))
+    if T is None:
+        highlight = farthest_veil(z, medium)
+    else:
+        luminance = _luminance(arriving.flatten(2).mT)[..., 0]
+        highlight = luminance.topk(round(BURNT * METERED)).values[:, -1:]
+    return Means(scene, means, positive, highlight)
 
 
-def farthest_veil(z: Tensor, medium: Medium, T: Curves | None = None) -> Tensor:
-    """See `Means`."""
-    if T is not None:
-        return T.veil.new_zeros(len(T.veil), 1)
+def farthest_veil(z: Tensor, medium: Medium) -> Tensor:
+    """Of the brightest channel (B, 1)."""
     return medium.curves(z.amax((-3, -2, -1), keepdim=True)).veil.flatten(1).amax(1, keepdim=True)
 
 
@@ -265,7 +275,7 @@ def _automatic(means: Means) -> Tensor:
     before, after = _luminance(means.scene), _luminance(means.arriving)
     dark = after <= 0
     gain = torch.where(dark, 1.0, before / torch.where(dark, 1.0, after))
-    return gain.clamp(*GAINS).minimum(1 / means.veil.clamp(min=1 / GAINS[1]))
+    return gain.clamp(*GAINS).minimum(1 / means.highlight.clamp(min=1 / GAINS[1]))
 
 
 def _balance(means: Tensor, share: float | Tensor) -> Tensor:
@@ -283,7 +293,7 @@ def _balance(means: Tensor, share: float | Tensor) -> Tensor:
 @compiled
 def gain_at(
     means: Array,
-    veil: float,
+    highlight: float,
     stops: float,
     metered: bool,
     white_balance: float,
@@ -294,7 +304,7 @@ def gain_at(
 
     Args:
         means (3x3 array): of the scene, of what arrives, of what is positive of that, see `Means`.
-        veil: of the farthest pixel.
+        highlight: see `Means`.
         stops, metered, white_balance, saturation: of the development.
         factors (3 array): by which a white balance that was set multiplies the channels.
     """
@@ -304,7 +314,7 @@ def gain_at(
         before, after = (means[0] * luminance).sum(), (means[1] * luminance).sum()
         automatic = before / after if after > 0 else 1.0
         automatic = min(max(automatic, GAINS[0]), GAINS[1])
-        gains *= min(automatic, 1 / max(veil, 1 / GAINS[1]))
+        gains *= min(automatic, 1 / max(highlight, 1 / GAINS[1]))
     before = (means[2] * luminance).sum()
     if white_balance > 0 and before > 0:
         balance = (before / np.maximum(means[2], before / MOST)) ** white_balance

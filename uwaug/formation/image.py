@@ -75,7 +75,8 @@ def form(
     if not plans and fast.can(image, z, medium, light, development):
         from uwaug.fast import render  # imports numba, which takes a second
 
-        return render.form(image, z, medium, development, color_space, plan, tolerance)
+        lit = light, metres
+        return render.form(image, z, medium, development, color_space, plan, tolerance, *lit)
     medium = medium.to(z)
     J = _in_bands(medium, lambda x: decoded(x, color_space).to(z.dtype), image)
     T = None if light is None else light.curves(medium, z, metres)

@@ -9,14 +9,14 @@ r is the distance to the lamp, α the angle of scattering with p of Henyey & Gre
 angle to the lamp's axis; f_cl are the weights of b, m is the field at the pixel. In the angle
 θ = atan((s − s₀)/h) that the lamp sees (Kulla & Fajardo 2012, equiangular), with s₀ the ray's
 nearest point to the lamp and h the distance there, ds/r² is dθ/h: the inverse square is gone, and
-with u = tan(π/4 + θ/2)
+with t = tan(θ/2), which needs no angles,
 
-    s + r = s₀ + h·u        cos α = −sin θ = 1 − 2u²/(1 + u²)        cos θ = 2u/(1 + u²)
+    s + r = s₀ + h·(1 + t)/(1 − t)        dθ = 2/(1 + t²) dt
+    −cos α = sin θ = 2t/(1 + t²)          cos θ = (1 − t²)/(1 + t²)
 
-What is left is smooth within the cone, whose ends in θ are known: a few nodes serve.
+What is left is smooth within the cone, whose ends in t are known: a few nodes serve.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -28,15 +28,13 @@ from uwaug.optics.curves import decay
 ASYMMETRY = 0.924
 """Mean cosine of the phase function: that of Petzold's waters."""
 
-_NODES, _WEIGHTS = (values.tolist() for values in np.polynomial.legendre.leggauss(8))
-"""Of the Gauss quadrature over the lit part of a ray. The worst of 1,800 random lamps is off by
-2e-4 (benchmarks/README.md).
-"""
+NODES, NODE_WEIGHTS = (values.tolist() for values in np.polynomial.legendre.leggauss(6))
+"""Of the Gauss quadrature over the lit part of a ray (benchmarks/README.md)."""
 
-_MAX_ANGLE = math.pi / 2 - 1e-6
-"""Beyond, in single precision, the tangent of an angle may be negative."""
+MAX_T = 1 - 1e-6
+"""Of t, so that 1 − t is more than 0 in single precision."""
 
-_MIN_LENGTH = 1e-6
+MIN_LENGTH = 1e-6
 """Stands for a vector's length 0."""
 
 
@@ -60,11 +58,21 @@ class Cone(NamedTuple):
         return t * t * (3 - 2 * t)
 
     def ends(self) -> tuple[Tensor, Tensor]:
-        """The angles θ between which each ray is lit; of a ray that is not, twice the same."""
-        size = (self.across.square() + self.along.square()).sqrt().clamp(min=_MIN_LENGTH)
-        half = torch.acos((self.outer / size).clamp(max=1.0))
-        middle = torch.atan2(self.along, self.across)
-        return middle - half, middle + half
+        """The t = tan(θ/2), −1…1, between which each ray is lit; of a ray that is not, twice the
+        same.
+        """
+        size = (self.across.square() + self.along.square()).sqrt().clamp(min=MIN_LENGTH)
+        across, along = self.across / size, self.along / size
+        cosine = (self.outer / size).clamp(max=1.0)
+        sine = (1 - cosine.square()).sqrt()
+        # the angle of the axis is that of (across, along), and the cone reaches so far either way
+        side = torch.where(along > 0, 1.0, -1.0)
+        ends = []
+        for away in (-sine, sine):
+            forward = across * cosine - along * away
+            t = (along * cosine + across * away) / (1 + forward.clamp(min=0.0))
+            ends.append(torch.where(forward > 0, t, side))
+        return ends[0], ends[1]
 
 
 def backscatter(
@@ -87,24 +95,24 @@ def backscatter(
         z (Bx1xHxW tensor): distance, m.
         density (number or Bx1xHxW tensor): m, the medium field.
     """
-    low, high = torch.atan(-nearest / height), torch.atan((z - nearest) / height)
+    low, high = (q / (1 + (1 + q * q).sqrt()) for q in (-nearest / height, (z - nearest) / height))
     if cone is not None:
         begin, end = cone.ends()
         low, high = torch.maximum(low, begin), torch.minimum(high, end)
     half = ((high - low) / 2).clamp(min=0.0)
-    angle = math.pi / 4 + (low + half) / 2
+    middle = low + half
     rates, total = G[..., None, None], z.new_zeros(())
     optical_nearest, optical_height = density * nearest, density * height
-    for node, weight in zip(_NODES, _WEIGHTS, strict=True):
-        u = torch.tan((angle + (node / 2) * half).clamp(max=_MAX_ANGLE))
-        level = 2 * u / (1 + u * u)  # cos θ
-        raised = u * level  # 1 + sin θ
+    for node, weight in zip(NODES, NODE_WEIGHTS, strict=True):
+        t = torch.add(middle, half, alpha=node).clamp(max=MAX_T)
+        above, share = 1 + t, 1 / (1 + t * t)
+        raised = above * above * share  # 1 + sin θ
         root = ((1 - ASYMMETRY) ** 2 + 2 * ASYMMETRY * raised).rsqrt()
-        scattered = root * root * root * weight
+        scattered = root * root * root * share * weight
         if cone is not None:
-            scattered = scattered * cone.share(level, raised - 1)
-        arriving = decay(rates, torch.addcmul(optical_nearest, optical_height, u))
+            scattered = scattered * cone.share(above * (1 - t) * share, raised - 1)
+        arriving = decay(rates, torch.addcmul(optical_nearest, optical_height, above / (1 - t)))
         total = torch.addcmul(total, scattered, arriving)
-    # the 4π of the phase function and the π of a white plate leave 1/4
+    # the 4π of the phase function and the π of a white plate leave 1/4, and dθ is 2/(1 + t²) dt
     summed = torch.unflatten(weights @ total.flatten(2), -1, z.shape[-2:])
-    return summed * (density * half / height * ((1 - ASYMMETRY**2) / 4))
+    return summed * (density * half / height * ((1 - ASYMMETRY**2) / 2))

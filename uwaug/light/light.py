@@ -5,10 +5,11 @@ Lights add. With T_β, T_G and V of the medium and c for a channel of the pictur
     daylight  daylight·T_β, daylight·(T_G − T_β), daylight·(V(0) − V)
     a lamp    share·A_c, (1 − share)·A_c, and its backscatter (see `uwaug.light.backscatter`)
 
-A_c = power·color_c·cone(ψ)·cos(ι)/r²·T_G,c(r + z) is what arrives of a lamp's light after both ways
-through the water, r from the lamp to the surface and z from there to the camera; ι is the angle of
-incidence. On the way to the scene, light that is scattered forward still lights it. Of what
-arrives, share = T_β(z)/T_G(z) has come straight from the surface.
+A_c = power·color_c·cone(ψ)/r²·T_G,c(r + z) is what arrives of a lamp's light after both ways
+through the water, r from the lamp to the surface and z from there to the camera. The cosine of the
+angle of incidence is left to the photograph, which has its shading in it. On the way to the scene,
+light that is scattered forward still lights it. Of what arrives, share = T_β(z)/T_G(z) has come
+straight from the surface.
 """
 
 import math
@@ -21,12 +22,12 @@ from torch import Tensor
 
 from uwaug._support import checks, codec
 from uwaug.light.backscatter import Cone, backscatter
-from uwaug.light.rays import Rays, Vector, dot
+from uwaug.light.rays import Rays, Vector
 from uwaug.optics.curves import Curves, added, decay
 from uwaug.optics.medium import Medium
 from uwaug.optics.surfaces import white
 
-_LAMP_RADIUS_M = 0.03
+LAMP_RADIUS_M = 0.03
 """m, of a lamp: nearer, its light grows no more."""
 
 _SOFT_EDGE = 0.5
@@ -63,8 +64,8 @@ class Lamp:
 
     Attributes:
         position: m.
-        power: how bright a white plate is that faces it at 1 m in air, where 1 is a white plate in
-            daylight at the surface; ≥ 0.
+        power: how bright a white plate is at 1 m in air, where 1 is a white plate in daylight at
+            the surface; ≥ 0.
         aim: the direction of its axis; of any length.
         cone: angle from the axis to the edge of its light, which fades over the outer half of it,
             degrees, 1…90; None shines to all sides.
@@ -100,7 +101,6 @@ class Lamp:
         water: Medium,
         share: Tensor,
         rays: Rays,
-        normals: Tensor,
         z: Tensor,
         density: float | Tensor = 1.0,
     ) -> Curves:
@@ -110,12 +110,11 @@ class Lamp:
             water: `uwaug.Medium.under_lamp` the light of lamps.
             share: T_β/T_G of it at the effective distance.
             rays: of the picture.
-            normals: of the surfaces, see `uwaug.light.rays.Rays.normals`.
             z (Bx1xHxW tensor): distance, m.
             density (number or Bx1xHxW tensor): of the water on each ray and on the lamp's way to
                 its surface, the medium field.
         """
-        sent = self.sent(rays, normals, z)
+        sent = self.sent(rays, z)
         color = z.new_tensor(self.color).reshape(1, 3, 1, 1) * self.power
         arrives = _summed(water.G, water.signal_weights, density * (z + sent.path))
         arrives = _dimmed(arrives, sent.share * color)
@@ -125,32 +124,38 @@ class Lamp:
         )
         return Curves(direct, arrives - direct, veil * color)
 
-    def sent(self, rays: Rays, normals: Tensor, z: Tensor) -> Sent:
+    def sent(self, rays: Rays, z: Tensor) -> Sent:
         """What a lamp of power 1 sends to the scene, and how the rays pass it; arguments as for
         `curves`.
         """
         nearest = rays.along(self.position)
-        height = torch.sqrt(rays.distance(self.position).square() + _LAMP_RADIUS_M**2)
+        height = torch.sqrt(rays.distance(self.position).square() + LAMP_RADIUS_M**2)
         beyond = z - nearest
         squared = beyond.square() + height.square()
         one_over = squared.rsqrt()
-        # normals point away from the camera: (P − L)·N = 1 − L·N
-        above = (1 - dot(normals, self.position)).clamp(min=0.0) * normals.square().sum(
-            1, True
-        ).rsqrt()
-        gets = (above * one_over).clamp(max=1.0) * one_over.square()
-        cone = None if self.cone is None else self._cone(self.cone, rays, nearest, height)
+        gets = one_over.square()
+        cone = None if self.cone is None else self._cone(rays, nearest, height)
         if cone is not None:
             gets = gets * cone.share(height * one_over, beyond * one_over)
         return Sent(gets, squared * one_over, nearest, height, cone)
 
-    def _cone(self, degrees: float, rays: Rays, nearest: Tensor, height: Tensor) -> Cone:
+    @property
+    def axis(self) -> Vector:
+        """`aim` at length 1."""
         length = math.hypot(*self.aim)
         x, y, z = (part / length for part in self.aim)
-        along = rays.along((x, y, z))
-        before = self.position[0] * x + self.position[1] * y + self.position[2] * z
-        inner, outer = (math.cos(math.radians(degrees * part)) for part in (1 - _SOFT_EDGE, 1))
-        return Cone((nearest * along - before) / height, along, inner, outer)
+        return x, y, z
+
+    @property
+    def fade(self) -> tuple[float, float]:
+        """Cosines of the angles from the axis at which the light begins to fade, and has faded."""
+        edge = math.radians(self.cone or 0.0)
+        return math.cos(edge * (1 - _SOFT_EDGE)), math.cos(edge)
+
+    def _cone(self, rays: Rays, nearest: Tensor, height: Tensor) -> Cone:
+        along = rays.along(self.axis)
+        before = sum(x * y for x, y in zip(self.position, self.axis, strict=True))
+        return Cone((nearest * along - before) / height, along, *self.fade)
 
 
 @codec.plain
@@ -211,9 +216,9 @@ class Light:
         else:
             density = torch.where(metres > _MIN_METRES, z / metres.clamp(min=_MIN_METRES), 1.0)
         water, rays = medium.under_lamp(), Rays.of(metres, self.view)
-        normals, share = rays.normals(metres), _straight(water, z)
+        share = _straight(water, z)
         for lamp in self.lamps:
-            total = added(total, lamp.curves(water, share, rays, normals, metres, density))
+            total = added(total, lamp.curves(water, share, rays, metres, density))
         return total
 
     def planned(self, medium: Medium) -> Medium:

@@ -431,11 +431,12 @@ def slurpp_2025(
 def _lit(
     lamp: Lamp, view: float, z: Tensor, G: Tensor, w: BandedWater
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """What a lamp sends to the scene without the water between, how far that is (Bx1xHxW), and the
-    veil that the water of its beam makes (Bx3xHxW).
+    """What a lamp sends to surfaces that face the camera without the water between, how far that is
+    (Bx1xHxW), and the veil that the water of its beam makes (Bx3xHxW).
     """
     rays = Rays.of(z, view)
-    sent = lamp.sent(rays, rays.normals(z), z)
+    sent = lamp.sent(rays, z)
+    facing = (z * rays.shortening - lamp.position[2]).clamp(min=0.0) / sent.path
     cone, scattering, strips = sent.cone, (w.response * w.b)[None], []
     # a few rows at a time, whose bands stay in the cache
     for first in range(0, z.shape[-2], _ROWS_AT_ONCE):
@@ -444,7 +445,7 @@ def _lit(
             cone = sent.cone._replace(across=sent.cone.across[rows], along=sent.cone.along[rows])
         maps = sent.nearest[rows], sent.height[rows], cone, z[rows]
         strips.append(backscatter(G[None], scattering, *maps))
-    return lamp.power * sent.share, sent.path, lamp.power * torch.cat(strips, 2)
+    return lamp.power * sent.share * facing, sent.path, lamp.power * torch.cat(strips, 2)
 
 
 def _revised(image: Tensor, z: Tensor, w: BandedWater, lit: Tensor, veiling: Tensor) -> Tensor:

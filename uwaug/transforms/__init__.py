@@ -4,6 +4,7 @@ from uwaug.transforms.keep_visible import KeepVisible
 from uwaug.transforms.like import UnderwaterLike, like
 from uwaug.transforms.measured import Measured
 from uwaug.transforms.random_development import RandomDevelopment
+from uwaug.transforms.random_light import RandomLight
 from uwaug.transforms.random_underwater import RandomUnderwater
 from uwaug.transforms.random_water import RandomWater
 
@@ -11,6 +12,7 @@ __all__ = [
     "KeepVisible",
     "Measured",
     "RandomDevelopment",
+    "RandomLight",
     "RandomUnderwater",
     "RandomWater",
     "UnderwaterLike",

@@ -4,7 +4,6 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, asdict, dataclass, fields
 from dataclasses import field as option
-from itertools import chain
 from typing import Any
 
 import torch
@@ -32,8 +31,9 @@ from uwaug.transforms.draws import (
     read_draws,
     uniform_of,
 )
-from uwaug.transforms.measured import measured
+from uwaug.transforms.measured import Measured, measured
 from uwaug.transforms.random_development import RandomDevelopment
+from uwaug.transforms.random_light import RandomLight
 from uwaug.transforms.random_water import AnyWater, RandomWater
 from uwaug.transforms.samples import (
     Parts,
@@ -98,7 +98,8 @@ class RandomUnderwater(SampleTransform):
             or `Plane`, for which a number or a range may stand, m.
         camera: a name, the path of a CSV file or a `Camera`.
         development: what the camera does, and the colour space, see `RandomDevelopment`.
-        light: a `Light` with lamps; None for daylight.
+        light: what lights the scene, see `RandomLight`; a `Light`, the same for all pictures, whose
+            lamps stand where they are in metres; None for daylight.
         p: probability that a picture is degraded at all.
         keys: of image and map in a dict.
 
@@ -150,7 +151,7 @@ class RandomUnderwater(SampleTransform):
     distance: Source | Range = option(default_factory=Metres)
     camera: str | os.PathLike[str] | Camera = RandomWater.camera
     development: RandomDevelopment = option(default_factory=RandomDevelopment)
-    light: Light | None = None
+    light: RandomLight | Light | None = None
     p: float = 1.0
     keys: tuple[str, str] = ("image", "distance")
 
@@ -164,12 +165,19 @@ class RandomUnderwater(SampleTransform):
         checks.instance("distance", source, Source, f"; give {cure}")
         checks.instance("development", self.development, RandomDevelopment)
         checks.within("p", self.p, 0.0, 1.0)
-        if self.light is not None:
-            checks.instance("light", self.light, Light)
+        if not isinstance(self.light, Light | None):
+            checks.instance("light", self.light, RandomLight, "; or a uwaug.Light")
         vars(self)["distance"] = self.source = source
         self.water = RandomWater(**{f.name: getattr(self, f.name) for f in _WATER_OPTIONS})
+        drawn: dict[str, Range | None] = {}
         nouns = (self.source, self.water, self.development)
-        self._ranges = checked(dict(chain(*(noun.ranges().items() for noun in nouns))))
+        for noun in (*nouns, self.light) if isinstance(self.light, RandomLight) else nouns:
+            ranges = noun.ranges()
+            if twice := sorted(drawn.keys() & ranges):
+                kind = type(noun).__name__
+                raise ValueError(f"{kind} draws {', '.join(twice)}, as another does: rename it")
+            drawn |= ranges
+        self._ranges = checked(drawn)
 
     @classmethod
     def severity(cls, level: int, **options: Any) -> "RandomUnderwater":
@@ -234,9 +242,12 @@ class RandomUnderwater(SampleTransform):
             TypeError, ValueError: as the class, and if a table does not suit.
         """
         read = dict(options)
-        tables = {"development": RandomDevelopment, "light": Light, "point_spread": PointSpread}
+        light = options.get("light")
+        named = isinstance(light, Mapping) and ("lamps" in light or light.get("kind") == "Light")
+        lit = Light if named else RandomLight
+        tables = {"development": RandomDevelopment, "light": lit, "point_spread": PointSpread}
         for name, kind in tables.items():
-            if options.get(name):
+            if isinstance(options.get(name), Mapping):
                 read[name] = codec.from_plain(options[name], kind)
         transform: RandomUnderwater = codec.from_plain(read, RandomUnderwater)
         return transform
@@ -371,16 +382,16 @@ class RandomUnderwater(SampleTransform):
         """An image in the water of draws that are known to be good."""
         fast.load()  # else the first picture of a process would be off by the last bits
         pictures, space = pictures_of(image), self.development.color_space
-        given = image, pictures, space, self.light
+        given = image, pictures, space
         maps: Sequence[Tensor | None] = [None] * len(pictures)
         if self.source.reads_maps:
             maps = maps_for(pictures, distance)
         chosen = [i for i, draw in enumerate(draws) if draw.applied]
         if not chosen:
             return Scenes(*given)
-        seen, waters, developments = [], [], []
+        seen, waters, developments, lights = [], [], [], []
         metered = self.development.metered
-        lamps = self.light is not None and bool(self.light.lamps)
+        lamps = isinstance(self.light, Light) and bool(self.light.lamps)
         with torch.autocast(pictures.device.type, enabled=False):
             z = metres_of(self.source, pictures, maps, draws, space)
             some = pictures if len(chosen) == len(pictures) else pictures[chosen]
@@ -393,6 +404,7 @@ class RandomUnderwater(SampleTransform):
                     seen.append(look.of_film(draws[i].measured))
                     waters.append(self.water.of(draws[i], seen[-1], metered=metered, lamps=lamps))
                     developments.append(self.development.of(draws[i], seen[-1]))
+                    lights.append(self._light_of(draws[i], seen[-1], waters[-1].scale))
             scales = [water.scale for water in waters]
             metres = z.to(torch.promote_types(pictures.dtype, z.dtype))
             if any(scale != 1 for scale in scales):
@@ -405,7 +417,13 @@ class RandomUnderwater(SampleTransform):
             for scale, look in zip(scales, own, strict=True)
         ]
         alike = self.water.has_one_law and not any(draw.measured for draw in draws)
-        return Scenes(*given, chosen, z, metres, waters, developments, spans, alike)
+        return Scenes(*given, chosen, z, metres, waters, developments, lights, spans, alike)
+
+    def _light_of(self, draw: Draw, seen: Measured, scale: float) -> Light | None:
+        """The light of a picture whose distances are scaled."""
+        if isinstance(self.light, RandomLight):
+            return self.light.of(draw, seen, scale=scale)
+        return self.light
 
     def __repr__(self) -> str:
         shown = [f"{f.name}={getattr(self, f.name)!r}" for f in codec.changed(self)]

@@ -29,11 +29,11 @@ class Scenes(NamedTuple):
         image (3xHxW or Bx3xHxW tensor): as it came.
         pictures (Bx3xHxW tensor): all of it, plain.
         color_space: of the pictures.
-        light: lamps.
         chosen: the indices of those that have a water; what follows is of these N alone.
         z, metres (Nx1xHxW tensors): effective distances, and those without the field, m.
         waters: media, and what it took to reach a contrast.
         developments: of the camera.
+        lights: with lamps; None for daylight.
         spans: the nearest, the median and the farthest effective distance of each, m.
         alike: whether all have one law of widths, and are metered or none is.
     """
@@ -41,12 +41,12 @@ class Scenes(NamedTuple):
     image: Tensor
     pictures: Tensor
     color_space: ColorSpace
-    light: Light | None
     chosen: Sequence[int] = ()
     z: Tensor = torch.zeros(0)
     metres: Tensor = torch.zeros(0)
     waters: Sequence[InWater] = ()
     developments: Sequence[Development] = ()
+    lights: Sequence[Light | None] = ()
     spans: Sequence[tuple[float, float, float]] = ()
     alike: bool = True
 
@@ -57,8 +57,8 @@ class Scenes(NamedTuple):
         pictures, index = self.pictures, None
         if len(self.chosen) < len(pictures):
             index = torch.tensor(self.chosen).to(pictures.device)
-        for water, (_, median, _) in zip(self.waters, self.spans, strict=True):
-            _warn_if_blank(median, water.medium, self.light)
+        for water, light, span in zip(self.waters, self.lights, self.spans, strict=True):
+            _warn_if_blank(span[1], water.medium, light)
         with torch.autocast(pictures.device.type, enabled=False):
             result = form_each(
                 pictures if index is None else pictures[index],
@@ -68,7 +68,7 @@ class Scenes(NamedTuple):
                 color_space=self.color_space,
                 spans=self.spans,
                 alike=self.alike,
-                light=self.light,
+                lights=self.lights,
                 metres=self.metres,
             )
         if index is not None:
@@ -80,9 +80,11 @@ class Scenes(NamedTuple):
         columns: 1xhxw of a picture, Bx1xhxw of a batch; 1 where there is no water.
         """
         shares = list(torch.ones_like(self.pictures[:, :1, ::step, ::step], dtype=torch.float32))
-        for i, z, metres, water in zip(self.chosen, self.z, self.metres, self.waters, strict=True):
-            far, near = z[..., ::step, ::step], metres[..., ::step, ::step]
-            shares[i] = contrast_left(far, water.medium, light=self.light, metres=near)
+        maps = (x[..., ::step, ::step] for x in (self.z, self.metres))
+        for i, z, metres, water, light in zip(
+            self.chosen, *maps, self.waters, self.lights, strict=True
+        ):
+            shares[i] = contrast_left(z, water.medium, light=light, metres=metres)
         return shares[0] if self.image.ndim == 3 else torch.stack(shares)
 
     def reached(self, picture: int) -> Reached | None:
@@ -94,7 +96,8 @@ class Scenes(NamedTuple):
         """What this one picture settles for all frames of a film, see `Measured.of_film`."""
         medium = self.waters[0].medium.to(self.z)
         J = decoded(self.pictures, self.color_space).to(self.z.dtype)
-        T = None if self.light is None else self.light.curves(medium, self.z, self.metres)
+        (light,) = self.lights
+        T = None if light is None else light.curves(medium, self.z, self.metres)
         development = self.developments[0].settled(J, self.z, medium, T)
         balance = development.white_balance
         return {

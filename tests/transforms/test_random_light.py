@@ -1,0 +1,189 @@
+"""Pictures that lamps light: how often, by what, and how far."""
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+import torch
+from augmenting import RAW, H, W, distances, picture, same
+
+from uwaug import Lamp, Light, Medium, RandomLight, RandomUnderwater
+from uwaug.distance import Metres
+from uwaug.transforms import Measured
+from uwaug.transforms.draws import Draw, checked, numbers_of, uniform_of
+from uwaug.transforms.random_light import RIGS
+
+NIGHT = RandomLight(share=1.0)
+CLEAR = Medium.from_coefficients((1e-9,) * 3, (1e-9,) * 3, (0.0,) * 3)
+
+
+def lights(random: RandomLight, count: int, metres: float = 3.0, scale: float = 1.0) -> list[Any]:
+    seen = Measured(W, 0.0, 1.0, metres / 2, 2 * metres, metres)
+    ranges = checked(random.ranges())
+    draws = (Draw(True, (), numbers_of(ranges, uniform_of(seed)), None) for seed in range(count))
+    return [random.of(draw, seen, scale=scale) for draw in draws]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_so_many_pictures_are_taken_by_lamps(share: float) -> None:
+    drawn = lights(RandomLight(share=share), 1000)
+    lit = sum(light is not None for light in drawn) / len(drawn)
+    assert lit == pytest.approx(share, abs=0.05 if 0 < share < 1 else 0)
+
+
+def test_the_others_are_those_of_daylight() -> None:
+    by_day, both = RandomUnderwater(light=None), RandomUnderwater(light=RandomLight(share=0.5))
+    changed = []
+    for seed in range(12):
+        image, z = picture(), 1 + distances()
+        ours, usual = (augment.at(0, 0, seed)(image, z)[0] for augment in (both, by_day))
+        changed.append(not torch.equal(ours, usual))
+    assert 2 <= sum(changed) <= 10
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_rigs(name: str) -> None:
+    rig = RIGS[name]
+    drawn = lights(RandomLight(share=1.0, rigs=(name,)), 200)
+    assert {len(light.lamps) for light in drawn} == set(range(rig.lamps[0], rig.lamps[1] + 1))
+    sides = {math.copysign(1, light.lamps[0].position[0]) for light in drawn}
+    assert sides == {-1.0, 1.0}
+    for light in drawn:
+        x, y, z = light.lamps[0].position
+        assert z == 0
+        assert rig.aside[0] <= abs(x) <= rig.aside[1]
+        assert rig.above[0] <= -y <= rig.above[1]
+        for lamp in light.lamps[1:]:
+            assert abs(lamp.position[0]) <= abs(x)
+            assert lamp.position[0] * x < 0 or len(light.lamps) > 2
+
+
+def test_the_axes_of_all_lamps_cross_at_the_scene() -> None:
+    for light in lights(NIGHT, 50, metres=4.0):
+        ends = [
+            tuple(p + a for p, a in zip(lamp.position, lamp.aim, strict=True))
+            for lamp in light.lamps
+        ]
+        for end in ends:
+            assert end == pytest.approx(ends[0])
+            assert end[2] == pytest.approx(4.0)
+            assert abs(end[0]) <= 0.2 * 4 + 1e-9
+            assert -0.1 * 4 - 1e-9 <= end[1] <= 0.3 * 4 + 1e-9
+
+
+@pytest.mark.parametrize("metres, scale", [(0.5, 2.0), (3.0, 1.0), (40.0, 0.2)])
+def test_lamps_reach_the_scene_however_far_it_is(metres: float, scale: float) -> None:
+    """A white plate at the median distance is as bright as in daylight, in clear water."""
+    random = RandomLight(share=1.0, power=0.0, across=0.0, down=0.0, daylight=0.0, tint=0.0)
+    z = torch.full((1, 1, 3, 3), metres * scale, dtype=torch.float64)
+    for light in lights(random, 40, metres, scale):
+        middle = light.curves(CLEAR, z).direct[0, :, 1, 1]
+        assert 0.4 < float(middle.min()) <= float(middle.max()) < 1.01
+
+
+def test_open_water_alone_is_lit_too() -> None:
+    light = lights(NIGHT, 1, metres=math.inf)[0]
+    assert all(math.isfinite(lamp.power) for lamp in light.lamps)
+    z = torch.full((1, H, W), math.inf)
+    assert RandomUnderwater(light=NIGHT)(picture(), z)[0].isfinite().all()
+
+
+def test_one_scene_has_one_picture_in_any_unit_of_length() -> None:
+    """Distances are scaled to the water before lamps are hung."""
+    augment, z = RandomUnderwater(light=NIGHT), 0.5 + distances()
+    z[..., 4:-4, :] = 1.0
+    record = augment.make_params(picture())
+    made, expected = (augment.transform(picture(), k * z, record) for k in (32.0, 8.0))
+    torch.testing.assert_close(made, expected, rtol=0, atol=1e-5)
+
+
+def test_lamps_stay_in_a_film() -> None:
+    augment, z = RandomUnderwater(light=NIGHT), 1 + distances()
+    params = augment.make_params(picture(), torch.Generator().manual_seed(0))
+    record = json.loads(json.dumps(augment.for_clip(params, picture(), z)))
+    first, later = (augment.scenes(picture(), far, record).lights[0] for far in (z, 1.5 * z))
+    assert first == later
+    assert augment.scenes(picture(), 1.5 * z, params).lights[0] != first
+    still, frame = (augment.transform(picture(), z, each) for each in (params, record))
+    torch.testing.assert_close(still, frame, rtol=0, atol=2e-3)
+
+
+def test_objects_are_judged_under_the_lamps_that_were_drawn() -> None:
+    augment = RandomUnderwater("II", light=RandomLight(1.0, daylight=0.0), field=None)
+    image, z = picture(2), 1 + distances(2)
+    record = augment.make_params(image, torch.Generator().manual_seed(2))
+    left = augment.contrast_left(image, z, record)
+    by_day = RandomUnderwater("II", light=None, field=None)
+    names = by_day.make_params(image)["samples"][0]["numbers"]
+    for sample in record["samples"]:
+        sample["numbers"] = {name: sample["numbers"][name] for name in names}
+    assert (left - by_day.contrast_left(image, z, record)).abs().max() > 0.02
+
+
+@pytest.mark.parametrize(
+    "table, expected",
+    [
+        ({"share": 0.5, "rigs": "diver"}, RandomLight(0.5, "diver")),
+        ({"power": [-2, 0]}, RandomLight(power=(-2, 0))),
+        ({"lamps": [{"position": [1, 0, 0]}]}, Light((Lamp((1.0, 0.0, 0.0)),))),
+        ({"kind": "Light", "daylight": 0.5}, Light(daylight=0.5)),
+    ],
+)
+def test_tables(table: dict[str, Any], expected: Any) -> None:
+    augment = RandomUnderwater.from_dict({"light": table})
+    assert augment.light == expected
+    again = RandomUnderwater.from_dict(json.loads(json.dumps(augment.to_dict())))
+    assert again.light == expected
+
+
+def test_nothing_of_the_camera_hides_how_dark_it_is() -> None:
+    """Without a meter, more power is a brighter picture."""
+    image, z = picture(), 2 + distances()
+    dim, bright = (
+        RandomUnderwater(
+            "II", development=RAW, light=RandomLight(1.0, power=stops, daylight=0.0)
+        ).at(0, 0, 1)(image, z)[0]
+        for stops in (-5.0, -3.0)
+    )
+    assert float(bright.mean()) > 1.5 * float(dim.mean()) > 0
+
+
+@dataclass(frozen=True)
+class Twice(Metres):
+    """A source with a number that lamps have, too."""
+
+    def ranges(self) -> dict[str, Any]:
+        return {"lamp_power": (0.0, 1.0)}
+
+
+@pytest.mark.parametrize(
+    "make, message",
+    [
+        (lambda: RandomLight(share=1.5), r"light: share must be in \[0, 1\]"),
+        (lambda: RandomLight(rigs=("torch",)), "rigs must be one of vehicle, diver, strobe"),
+        (lambda: RandomLight(rigs=()), "rigs must be some of vehicle, diver, strobe, got"),
+        (lambda: RandomLight(cone=120.0), r"lamp_cone must be a number or a range"),
+        (lambda: RandomLight(daylight=(-1.0, 0.0)), r"light_daylight must be a number or a range"),
+        (lambda: RandomUnderwater(light="night"), r"light must be a uwaug\.RandomLight, got str"),  # type: ignore[arg-type]
+        (
+            lambda: RandomUnderwater(light=RandomLight(), distance=Twice()),
+            "RandomLight draws lamp_power, as another does: rename it",
+        ),
+    ],
+)
+def test_what_is_refused(make: Callable[[], Any], message: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=message):
+        make()
+
+
+def test_the_same_record_is_the_same_picture() -> None:
+    augment, z = RandomUnderwater(light=NIGHT), 1 + distances()
+    record = json.loads(json.dumps(augment.make_params(picture())))
+    one, other = (augment.transform(picture(), z, record) for _ in range(2))
+    assert same(one, other)
+    without = RandomUnderwater(light=None)
+    with pytest.raises(ValueError, match="of a transform with other options: lamp_above"):
+        without.transform(picture(), z, record)
