@@ -229,3 +229,9 @@ def test_other_refusals() -> None:
         KeepVisible(0.05)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"min_contrast must be in \[0, 1\]"):
         KeepVisible(AUGMENT, 5)
+
+
+def test_all_of_a_dry_picture_can_be_seen() -> None:
+    aug = RandomUnderwater(p=0)
+    record = aug.make_params(image())
+    assert torch.equal(aug.contrast_left(image(), distance(), record), torch.ones(1, H, W))

@@ -42,8 +42,8 @@ class Scenes(NamedTuple):
     pictures: Tensor
     color_space: ColorSpace
     chosen: Sequence[int] = ()
-    z: Tensor = torch.zeros(0)
-    metres: Tensor = torch.zeros(0)
+    z: Tensor = torch.zeros(0, 1, 1, 1)
+    metres: Tensor = torch.zeros(0, 1, 1, 1)
     waters: Sequence[InWater] = ()
     developments: Sequence[Development] = ()
     lights: Sequence[Light | None] = ()
