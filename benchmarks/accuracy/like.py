@@ -93,7 +93,8 @@ def transferred(picture: Tensor, reference: Tensor) -> Tensor:
     own = rgb2lab(picture.permute(1, 2, 0).numpy())
     other = rgb2lab(reference.permute(1, 2, 0).numpy())
     ends = (0, 1)
-    lab = (own - own.mean(ends)) / own.std(ends) * other.std(ends) + other.mean(ends)
+    spread = other.std(ends) / np.maximum(own.std(ends), 1e-3)  # of a plain picture
+    lab = (own - own.mean(ends)) * spread + other.mean(ends)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of colours that sRGB does not have
         rgb = lab2rgb(lab).clip(0, 1).astype(np.float32)

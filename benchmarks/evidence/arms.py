@@ -4,7 +4,7 @@ Each takes pictures (Bx3xHxW, 0…1) and distances (Bx1xHxW, m, +inf for open wa
 torch's global generator, and gives pictures back. All arms then see through the same camera.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from io import BytesIO
 from typing import Any
 
@@ -12,11 +12,13 @@ import numpy as np
 import torch
 from kornia import augmentation
 from PIL import Image
+from skimage.exposure import match_histograms
 from torch import Tensor
 from torch.nn.functional import interpolate
 
 import uwaug
-from uwaug import RandomDevelopment
+from benchmarks.accuracy.like import transferred
+from benchmarks.evidence.tasks import SIDE, Array, Pool
 
 Arm = Callable[[Tensor, Tensor], Tensor]
 
@@ -41,23 +43,18 @@ def jitter(images: Tensor, distances: Tensor) -> Tensor:
     return blur(colours(images))
 
 
-def fog(images: Tensor, distances: Tensor) -> Tensor:
-    """The formula of Albumentations' AtmosphericFog with its defaults: sRGB values, a grey, and
-    distances of its own, from 0 at the bottom to 1 at the top.
-    """
-    depth = torch.linspace(1, 0, images.shape[-2])[:, None]
-    left = torch.exp(-drawn([1.0], [3.0], len(images)) * depth)
-    return images * left + 200 / 255 * (1 - left)
-
-
 def by_hand(images: Tensor, distances: Tensor) -> Tensor:
-    """Three coefficients and a veil, as one writes them down: sRGB values, red fades first. The
-    ranges of the first run are lost; its rings had .18, .49, .46.
+    """Three coefficients and a veil, as one writes them down: sRGB values, red fades first. A scene
+    reaches from .3 m to 1.3…5.3 m, where open water is.
     """
-    fading = drawn([0.25, 0.05, 0.05], [0.8, 0.35, 0.35], len(images))
-    veil = drawn([0.02, 0.3, 0.25], [0.35, 0.7, 0.7], len(images))
-    left = torch.exp(-fading * distances)
-    return images * left + veil * (1 - left)
+    solid = torch.where(distances.isinf(), 0, distances)
+    farthest = solid.amax((1, 2, 3), keepdim=True)
+    reach = (distances / farthest).clamp(max=1)
+    metres = 0.3 + reach * drawn([1.0], [5.0], len(images))
+    fading = drawn([0.3, 0.05, 0.05], [1.2, 0.5, 0.5], len(images))
+    veil = drawn([0.0, 0.2, 0.2], [0.3, 0.8, 0.8], len(images))
+    direct = torch.exp(-fading * metres)
+    return images * direct + veil * (1 - direct)
 
 
 def li_2020(images: Tensor, distances: Tensor) -> Tensor:
@@ -91,26 +88,89 @@ DEFAULTS = "RandomUnderwater()"
 ARMS: dict[str, Callable[[], Arm]] = {
     "no water": lambda: none,
     "jitter, blur": lambda: jitter,
-    "grey fog": lambda: fog,
     "by hand": lambda: by_hand,
     "Li 2020": lambda: li_2020,
     "SLURPP 2025": lambda: slurpp_2025,
     DEFAULTS: ours,
     "p=0.5": lambda: ours(p=0.5),
-    # candidates for other defaults: to be picked by the part "choose", told by "judge"
-    "saturation 1": lambda: ours(development=RandomDevelopment(saturation=1.0)),
-    "mu .015–.075": lambda: ours(mu=(0.015, 0.075)),
-    "mu .015–.075, p=0.5": lambda: ours(mu=(0.015, 0.075), p=0.5),
+    # μ is g at most, .05: no veil is brighter than a white plate in the same place
+    "mu=(0.01, 0.05)": lambda: ours(mu=(0.01, 0.05)),
 }
 """What makes each arm, by its name in the table."""
 
 
-def degraded(arm: Arm, images: Tensor, distances: Tensor, seed: int) -> Tensor:
-    """Pictures of an arm through the camera, 8 bits; one draw a picture."""
+def each(change: Callable[[Tensor, Tensor], Tensor]) -> Callable[[list[Array], Pool, int], Arm]:
+    """An arm that changes each picture by one of the pictures shown, drawn, at its own size."""
+
+    def made(references: list[Array], pool: Pool, trials: int) -> Arm:
+        shown = [interpolate(x[None], (SIDE, SIDE), mode="area")[0] for x in tensors(references)]
+
+        def arm(images: Tensor, distances: Tensor) -> Tensor:
+            picked = torch.randint(len(shown), (len(images),)).tolist()
+            pairs = zip(images, picked, strict=True)
+            return torch.stack([change(image, shown[index]) for image, index in pairs])
+
+        return arm
+
+    return made
+
+
+def tensors(pictures: Sequence[Array]) -> Iterator[Tensor]:
+    """Pictures (HxWx3, uint8) as 3xHxW, 0…1."""
+    return (torch.from_numpy(picture).permute(2, 0, 1) / 255 for picture in pictures)
+
+
+def matched(image: Tensor, reference: Tensor) -> Tensor:
+    """With the histograms of a reference, channel by channel."""
+    return torch.from_numpy(
+        match_histograms(image.numpy(), reference.numpy(), channel_axis=0)
+    ).float()
+
+
+def fourier_adapted(image: Tensor, reference: Tensor) -> Tensor:
+    """With the lowest amplitudes of a reference, up to one of the paper's three shares of the side
+    (Yang and Soatto, CVPR 2020).
+    """
+    reach = int((0.01, 0.05, 0.09)[int(torch.randint(3, ()))] * SIDE)
+    spectrum, other = torch.fft.fft2(image), torch.fft.fft2(reference)
+    lowest = [*range(reach + 1), *range(SIDE - reach, SIDE)]
+    rows, columns = torch.meshgrid(torch.tensor(lowest), torch.tensor(lowest), indexing="ij")
+    amplitude = spectrum.abs()
+    amplitude[:, rows, columns] = other.abs()[:, rows, columns]
+    return torch.fft.ifft2(torch.polar(amplitude, spectrum.angle())).real.clamp(0, 1)
+
+
+def like(references: list[Array], pool: Pool, trials: int) -> Arm:
+    """`uwaug.like` by so many draws a reference, tried on eight pictures of the pool."""
+    picked = torch.linspace(0, len(pool.labels) - 1, 8).long()
+    pictures, distances = list(pool.images[picked]), list(pool.distances[picked])
+    augment = uwaug.like(
+        list(tensors(references)),
+        pictures,
+        distances,
+        draws=trials,
+        keep=max(1, trials // 30),
+        seed=int(torch.randint(2**31, ())),
+    )
+    return lambda images, distances: augment(images, distances)[0]
+
+
+SHOWN: dict[str, Callable[[list[Array], Pool, int], Arm]] = {
+    "colour transfer": each(transferred),
+    "histogram matching": each(matched),
+    "FDA": each(fourier_adapted),
+    "uwaug.like": like,
+}
+"""What makes each arm that is shown pictures of the test set, without labels, before training."""
+
+
+def degraded(arm: Arm, pool: Pool, draws: int, seed: int) -> tuple[Tensor, Tensor]:
+    """Pictures of an arm through the camera, 8 bits, so many draws of each; and their labels."""
     torch.manual_seed(seed)
-    pairs = zip(images.split(64), distances.split(64), strict=True)
-    pictures = torch.cat([arm(*pair) for pair in pairs])
-    return through_camera(pictures, np.random.default_rng(seed))
+    rng = np.random.default_rng(seed)
+    pairs = [*zip(pool.images.split(64), pool.distances.split(64), strict=True)] * draws
+    pictures = torch.cat([through_camera(arm(*pair), rng) for pair in pairs])
+    return pictures, pool.labels.repeat(draws)
 
 
 def through_camera(pictures: Tensor, rng: np.random.Generator) -> Tensor:

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.stats import rankdata
 from torch import Tensor, nn
 
 from benchmarks.evidence.sets import Crops
@@ -19,12 +18,14 @@ RESAMPLES = 1000
 
 
 def net(classes: int) -> nn.Module:
-    """Four convolutions, each halving the sides, a mean over what is left, a line."""
+    """Four convolutions of stride 2, a mean over what they leave, a line: 17 ms a step."""
     layers: list[nn.Module] = []
     for before, after in zip((3, *WIDTHS[:-1]), WIDTHS, strict=True):
-        block = [nn.Conv2d(before, after, 3, padding=1), nn.BatchNorm2d(after), nn.ReLU()]
-        layers += [*block, nn.MaxPool2d(2)]
-    return nn.Sequential(*layers, nn.AdaptiveAvgPool2d(1), nn.Flatten(), nn.Linear(64, classes))
+        convolution = nn.Conv2d(before, after, 3, stride=2, padding=1)
+        layers += [convolution, nn.BatchNorm2d(after), nn.ReLU()]
+    line = nn.Linear(WIDTHS[-1], classes)
+    model = nn.Sequential(*layers, nn.AdaptiveAvgPool2d(1), nn.Flatten(), line)
+    return model.to(memory_format=torch.channels_last)
 
 
 def trained(pictures: Tensor, labels: Tensor, classes: int, steps: int, seed: int) -> nn.Module:
@@ -68,48 +69,57 @@ def grey_world(crops: Crops) -> Array:
 
 def score(answers: Array, labels: Array) -> float:
     """Mean recall of the classes; of two classes the area under the curve."""
-    if answers.shape[1] > 2:
-        right = answers.argmax(1) == labels
-        return float(np.mean([right[labels == label].mean() for label in np.unique(labels)]))
-    positive = labels == 1
-    there = int(positive.sum())
-    if there in (0, len(labels)):
-        return float("nan")
-    ranks = rankdata(answers[:, 1] - answers[:, 0])
-    least = there * (there + 1) / 2
-    return float((ranks[positive].sum() - least) / (there * (len(labels) - there)))
+    return float(scores(answers, labels, np.ones((1, len(labels))))[0])
 
 
-def table(
-    answers: Mapping[str, list[Array]], crops: Crops, reference: str, rng: np.random.Generator
-) -> dict[str, Any]:
-    """Of each arm: mean score and those of its seeds, recalls or not, the parts that choose and
-    judge, and the difference to the reference with its interval of 95 %, over blocks of pictures.
+def scores(answers: Array, labels: Array, weights: Array) -> Array:
+    """The same of resamples (R), which have each crop so often (RxN); classes that one lacks do not
+    count in it.
+    """
+    with np.errstate(invalid="ignore"):
+        if answers.shape[1] > 2:
+            right = answers.argmax(1) == labels
+            classes = [labels == label for label in np.unique(labels)]
+            recalls = [weights[:, of] @ right[of] / weights[:, of].sum(1) for of in classes]
+            return np.nanmean(recalls, 0)
+        margin, there = answers[:, 1] - answers[:, 0], labels == 1
+        fish, places = margin[there][:, None], margin[~there]
+        in_order = (fish > places) + (fish == places) / 2
+        of_fish, of_places = weights[:, there], weights[:, ~there]
+        pairs = of_fish.sum(1) * of_places.sum(1)
+        return ((of_fish @ in_order) * of_places).sum(1) / pairs
+
+
+def table(answers: Mapping[str, list[Array]], crops: Crops, reference: str) -> dict[str, Any]:
+    """Of each arm: its mean score and those of its nets, the parts that choose and judge, recalls
+    of more than two classes, and the difference to the reference with intervals of 95 %: over
+    blocks of pictures, and over whole films. Neither knows of other nets.
     """
 
-    def mean_score(name: str, of: Array) -> float:
-        return float(np.mean([score(seed[of], crops.labels[of]) for seed in answers[name]]))
+    def mean_scores(name: str, weights: Array) -> Array:
+        return np.mean([scores(net, crops.labels, weights) for net in answers[name]], 0)
 
-    everything = np.arange(len(crops.labels))
-    parts = {"choose": everything[~crops.judges], "judge": everything[crops.judges]}
-    members = [np.flatnonzero(crops.blocks == block) for block in np.unique(crops.blocks)]
-    resampled: dict[str, list[float]] = {name: [] for name in answers}
-    for _ in range(RESAMPLES if len(everything) > 200 else 50):
-        of = np.concatenate([members[i] for i in rng.integers(0, len(members), len(members))])
-        for name in answers:
-            resampled[name].append(mean_score(name, of))
-    found = {}
-    for name in answers:
-        apart = np.subtract(resampled[name], resampled[reference])
-        found[name] = {
-            "score": mean_score(name, everything),
-            "seeds": [score(seed, crops.labels) for seed in answers[name]],
-            **{part: mean_score(name, of) if len(of) else None for part, of in parts.items()},
-            "difference": mean_score(name, everything) - mean_score(reference, everything),
-            "interval": np.nanpercentile(apart, (2.5, 97.5)).tolist(),
+    parts = {"score": np.ones(len(crops.labels)), "choose": ~crops.judges, "judge": crops.judges}
+    rows: dict[str, dict[str, Any]] = {}
+    for name, nets in answers.items():
+        row = {
+            part: float(mean_scores(name, of[None] * 1.0)[0]) if of.any() else None
+            for part, of in parts.items()
         }
-        if answers[name][0].shape[1] > 2:
-            right = np.mean([seed.argmax(1) == crops.labels for seed in answers[name]], 0)
+        rows[name] = {**row, "nets": [score(net, crops.labels) for net in nets]}
+        if nets[0].shape[1] > 2:
+            right = np.mean([net.argmax(1) == crops.labels for net in nets], 0)
             classes = np.unique(crops.labels)
-            found[name]["recalls"] = [float(right[crops.labels == c].mean()) for c in classes]
-    return found
+            rows[name]["recalls"] = [float(right[crops.labels == c].mean()) for c in classes]
+    for row in rows.values():
+        row["difference"] = row["score"] - rows[reference]["score"]
+    for kind, units in (("blocks", crops.blocks), ("films", crops.films)):
+        _, unit, sizes = np.unique(units, return_inverse=True, return_counts=True)
+        picked = np.random.default_rng(0).integers(0, len(sizes), (RESAMPLES, len(sizes)))
+        often = np.stack([np.bincount(row, minlength=len(sizes)) for row in picked])
+        weights = often[:, unit.reshape(-1)].astype(float)
+        resampled = {name: mean_scores(name, weights) for name in answers}
+        for name, row in rows.items():
+            apart = resampled[name] - resampled[reference]
+            row[kind] = np.nanpercentile(apart, (2.5, 97.5)).tolist()
+    return rows

@@ -1,21 +1,24 @@
-"""The public sets: where they are, that they are what they were, and crops of them.
+"""The sets that nets are trained and tested on: crops of public repositories, or a kit of them.
 
-They are not committed. Clone them into one folder, each under its own name:
+The repositories are not committed. Clone them into one folder, each under its own name:
 
     git clone https://github.com/OWNER/NAME && git -C NAME checkout COMMIT
 
-with owners, names and commits of `SETS`. The commit is the hash of all that a set holds.
+with owners, names and commits of `SETS`; the commit is the hash of all that a set holds. A kit is a
+folder of crops that were cut of them by the rules below:
 
-The lists of the first run are lost. Sizes of crops, the boxes of a picture that count, and what is
-a grey pool are written anew here; `FIRST_RUN` has its numbers of crops, to hold against.
+    land/*.jpg                 photographs in air
+    NAME.npz                   images (Nx48x48x3, uint8), labels (N), light (Nx3), numbers (N) of
+                               the pictures and, but for the aquaria, films (N)
+    references/NAME_I.jpg      what rivals are shown of buoys, deepfish and fjord
 """
 
-import hashlib
+import re
 import subprocess
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -35,42 +38,66 @@ class Source(NamedTuple):
     owner: str
     commit: str
     folder: str  # that has to be in it
-    at_least: int  # files under it
 
 
 SETS = {
-    BUOYS: Source("beaverauv", "6664557bedc91ad876318029063ce68caef53366", "Images", 1696),
-    AQUARIA: Source(
-        "Chandra0804", "a54dbe6961dd8cea077fe673ef9e50f779a46afb", "aquarium_pretrain/train", 800
-    ),
-    WILD: Source(
-        "facingfrost", "3c46ed90375b98addb75915cf44823a86bbf0b8f", "datasets/fish4knowledge", 800
-    ),
-    LAND: Source("BIDS", "a04b7c6c3a9f0ace74bf205c72a43d32e1c72722", "BSDS500/data/images", 500),
+    BUOYS: Source("beaverauv", "6664557bedc91ad876318029063ce68caef53366", "Images"),
+    AQUARIA: Source("Chandra0804", "a54dbe6961dd8cea077fe673ef9e50f779a46afb", "aquarium_pretrain"),
+    WILD: Source("facingfrost", "3c46ed90375b98addb75915cf44823a86bbf0b8f", "datasets"),
+    LAND: Source("BIDS", "a04b7c6c3a9f0ace74bf205c72a43d32e1c72722", "BSDS500/data/images"),
 }
-"""By the name of the folder. Texts of these commits were read, not their pictures: how labels are
-written, what classes are called. A listing has 1696 pictures of buoys; it leaves out aquaria, fjord
-and land, whose numbers are guesses from what the first run used, and from 500 in BSDS500's name.
+"""By the name of the folder."""
+
+COUNTS = {"buoys": 838, "aquaria": 2072, "deepfish": 1137, "fjord": 1970}
+"""Crops of the public sets, and of each the kit has those of the films that choose: all of aquaria.
 """
 
-FIRST_RUN = {"buoys": 838, "grey pool": 403, "aquaria": 2153, "DeepFish": 1155, "fjord": 1767}
-"""Crops that it had of each."""
+SHOWN = ("buoys", "deepfish", "fjord")
+"""Test sets, of which rivals are shown pictures: so many, of the films that choose."""
+SHOWN_PICTURES = 8
+SHOWN_SIDE = 240  # px, the longer one
 
-SMALLEST = 12
-"""px, of the sides of a box."""
+SMALLEST_BUOY = 12
+"""px, of both sides of its box."""
 
-MOST = 4
-"""Boxes of one picture that count, the largest: schools would outweigh all else."""
+LONGEST_SIDES = {"aquaria": (40, 500), "deepfish": (24, 200), "fjord": (22, 200)}
+"""px, of the longer side of a fish's box, and how many of a picture count, by chance: schools would
+outweigh all else.
+"""
+MOST = {"aquaria": 4, "deepfish": 3, "fjord": 1}
+
+AQUARIA_FISH = ("0", "4", "6")
+"""Fish, sharks and rays; jellyfish, puffins, penguins and starfish are none."""
 
 AROUND = 1.6
 """Times the longer side of its box is the side of a crop: water round it belongs to the question.
 """
 
-GREY = 0.5
-"""Linear red of the whole picture over the mean of green and blue, above which water is grey."""
+BLACK = 10.0
+"""Of 255: rows above and below whose mean is darker are letterboxes. They are no part of a picture:
+most places without fish would show one.
+"""
 
-LEFT_OUT = frozenset({715, *range(1500, 1573)})
-"""Pictures of buoys: a red one that is labelled green; rendered ones."""
+LEFT_OUT = frozenset({715, *range(101, 510), *range(1500, 1573)})
+"""Pictures of buoys: a red one that is labelled green; a grey pool, with one yellow and one green
+buoy among 403; rendered ones.
+"""
+
+BUOY_FILMS = (1, 101, 510, 557, 646, 721, 940, 1001, 1300, 1573, 1609, 1661)
+FJORD_FILMS = (
+    *(0, 66, 136, 156, 176, 256, 316, 476, 496, 556, 636, 666, 736, 826),
+    *(906, 946, 1066, 1226, 1386, 1506, 1546, 1566, 1616, 1626, 1716, 1746, 1816, 1846),
+)
+"""The picture with which each film begins, as seen on sheets; in the fjord counted in the order of
+the numbers in their names, which its folders share.
+"""
+
+CHOOSING = {
+    "buoys": frozenset({2, 4, 7, 9, 10}),
+    "deepfish": frozenset({7117, 7426, 7434, 7585, 9852, 9866, 9870, 9894, 9907, 9908}),
+    "fjord": frozenset({0, 2, 4, 5, 6, 11, 14, 16, 20, 23, 25}),
+}
+"""Films, or places, by which variants are chosen; the others judge. No two parts share one."""
 
 
 class Crops(NamedTuple):
@@ -79,8 +106,17 @@ class Crops(NamedTuple):
     images: Array  # Nx48x48x3, uint8
     labels: Array  # N
     light: Array  # Nx3: mean linear light of the whole picture, for grey-world
-    blocks: Array  # N: ten neighbours in a film share one, which the bootstrap draws whole
+    blocks: Array  # N: ten neighbours in a film share one
+    films: Array  # N: film or place
     judges: Array  # N: whether it is of the part that judges, else of the part that chooses
+
+
+class Sets(NamedTuple):
+    """All that the benchmark reads."""
+
+    land: list[Array]  # HxWx3, 0…1
+    crops: dict[str, Crops]  # of each name of `COUNTS`
+    references: dict[str, list[Array]]  # of each name of `SHOWN`: pictures without labels, HxWx3
 
 
 class _Picture(NamedTuple):
@@ -88,13 +124,60 @@ class _Picture(NamedTuple):
 
     path: Path
     boxes: Array  # Mx4: left, top, right, bottom, px
-    labels: Array  # M
-    sequence: str  # film or place: no two parts share one
-    block: str
+    chosen: Array  # of these, those that are cut
+    labels: Array  # of those
+    number: int  # in its film
+    film: int  # or place
+
+
+def load(data: Path) -> Sets:
+    """The sets of a folder: a kit, or clones of the public repositories.
+
+    Raises:
+        SystemExit: if something is missing, has another state, or holds no crop; with the cure.
+    """
+    if any((data / f"{name}.npz").exists() for name in COUNTS):
+        return _kit(data)
+    require(data)
+    return cut(data)
+
+
+def _kit(data: Path) -> Sets:
+    crops, references = {}, {}
+    for name in COUNTS:
+        path = data / f"{name}.npz"
+        if not path.exists():
+            raise SystemExit(f"{path} is missing: a kit has {', '.join(COUNTS)}")
+        arrays = np.load(path)
+        labels = arrays["labels"].astype(int)
+        films = arrays["films"] if "films" in arrays else np.zeros(len(labels), int)
+        judges = ~np.isin(films, list(CHOOSING[name])) if name in CHOOSING else films > 0
+        blocks = _blocks(films, arrays["numbers"])
+        crops[name] = Crops(arrays["images"], labels, arrays["light"], blocks, films, judges)
+    for name in SHOWN:
+        paths = [data / f"references/{name}_{i}.jpg" for i in range(SHOWN_PICTURES)]
+        missing = [path for path in paths if not path.exists()]
+        if missing:
+            raise SystemExit(f"{missing[0]} is missing: a kit shows {SHOWN_PICTURES} of each set")
+        references[name] = [_read(path) for path in paths]
+    return Sets(_land(data / "land"), _filled(crops, data), references)
+
+
+def cut(data: Path) -> Sets:
+    """The sets of clones, whatever their state."""
+    pictures = {
+        "buoys": list(_buoy_pictures(data / BUOYS)),
+        "aquaria": list(_aquarium_pictures(data / AQUARIA / "aquarium_pretrain")),
+        "deepfish": list(_deepfish_pictures(data / WILD / "datasets")),
+        "fjord": list(_fjord_pictures(data / WILD / "datasets/fish4knowledge")),
+    }
+    crops = {name: _crops(name, pictures[name]) for name in COUNTS}
+    references = {name: _references(name, pictures[name]) for name in SHOWN}
+    return Sets(_land(data / LAND / "BSDS500/data/images"), _filled(crops, data), references)
 
 
 def require(data: Path) -> None:
-    """Refuses a folder that lacks a set, or has another state of it, and says what to do."""
+    """Refuses a folder that lacks a repository, or has another state of it, and says what to do."""
     for name, source in SETS.items():
         folder = data / name
         address = f"https://github.com/{source.owner}/{name}"
@@ -105,45 +188,23 @@ def require(data: Path) -> None:
             )
         command = ["git", "-C", str(folder), "rev-parse", "HEAD"]
         head = subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
-        if head != source.commit:
+        if head != source.commit or not (folder / source.folder).is_dir():
             cure = f"git -C {folder} checkout {source.commit}"
             raise SystemExit(f"{folder} is at {head or 'no commit'}: {cure}")
-        place = folder / source.folder
-        there = sum(path.is_file() for path in place.rglob("*"))
-        if there < source.at_least:
-            raise SystemExit(
-                f"{place} has {there} files, expected {source.at_least} or more; which commit"
-                f" has them says git -C {folder} log -- {source.folder}; put it into SETS"
-            )
 
 
-def photographs_of_land(data: Path) -> list[Array]:
-    """Pictures in air (HxWx3, 0…1)."""
-    paths = sorted((data / LAND / "BSDS500/data/images").rglob("*.jpg"))
-    return [_read(path) / 255 for path in paths]
+def _filled(crops: dict[str, Crops], data: Path) -> dict[str, Crops]:
+    for name, part in crops.items():
+        if len(np.unique(part.labels)) < 2:
+            raise SystemExit(f"{data}: no crops of {name} with labels that differ")
+    return crops
 
 
-def buoys(data: Path) -> tuple[Crops, Crops]:
-    """In coloured water, and in the grey pool."""
-    crops = _crops(_buoy_pictures(data / BUOYS), empty=False)
-    red, green, blue = crops.light.T
-    grey = red > GREY * (green + blue) / 2
-    return _part(crops, ~grey), _part(crops, grey)
-
-
-def aquaria(data: Path) -> Crops:
-    """Fish and as many places without, in zoos."""
-    folder = data / AQUARIA / "aquarium_pretrain"
-    parts = [folder / name for name in ("train", "valid", "test")]
-    return _crops(_fish_pictures(parts, "0"), empty=True)
-
-
-def wild(data: Path) -> tuple[Crops, Crops]:
-    """Fish and as many places without: DeepFish's part for tests, and the fjord."""
-    folder = data / WILD / "datasets"
-    deepfish = _fish_pictures([folder / "labels" / "test"], "0")
-    fjord = _fish_pictures([folder / "fish4knowledge"], None)
-    return _crops(deepfish, empty=True), _crops(fjord, empty=True)
+def _land(folder: Path) -> list[Array]:
+    photographs = [_read(path) / 255 for path in sorted(folder.rglob("*.jpg"))]
+    if not photographs:
+        raise SystemExit(f"{folder}: no photographs in air")
+    return photographs
 
 
 def _buoy_pictures(folder: Path) -> Iterator[_Picture]:
@@ -156,70 +217,114 @@ def _buoy_pictures(folder: Path) -> Iterator[_Picture]:
                 boxes.append([float(thing.findtext(f"bndbox/{name}", "0")) for name in corners])
                 labels.append(COLOURS.index(colour))
         if boxes:
+            corners = np.array(boxes)
+            chosen = np.flatnonzero((corners[:, 2:] - corners[:, :2]).min(1) >= SMALLEST_BUOY)
             image = folder / "Images" / f"{number}.jpg"
-            # numbers go on through a run of a robot; runs have no names
-            block, sequence = str(number // 10), str(number // 100)
-            yield _Picture(image, np.array(boxes), np.array(labels), sequence, block)
+            film = _film(BUOY_FILMS, number)
+            yield _Picture(image, corners, chosen, np.array(labels)[chosen], number, film)
 
 
-def _fish_pictures(folders: list[Path], fish: str | None) -> Iterator[_Picture]:
-    """Pictures by their files of labels, "class x y width height" in shares of the picture.
+def _aquarium_pictures(folder: Path) -> Iterator[_Picture]:
+    paths = [path for part in ("train", "valid", "test") for path in _texts(folder / part)]
+    for number, path in enumerate(paths):
+        yield from _fish(path, "aquaria", number, 0)
 
-    All classes are fish where `fish` is None; of others, the boxes count as no place without fish.
+
+def _deepfish_pictures(folder: Path) -> Iterator[_Picture]:
+    """Of the part that is called val, the only one with labels besides train; names begin with the
+    place.
     """
-    paths = [path for folder in folders for path in sorted(folder.rglob("*.txt"))]
-    for index, path in enumerate(path for path in paths if "labels" in path.parts):
-        parts = ["images" if part == "labels" else part for part in path.parts]
-        image = Path(*parts).with_suffix(".jpg")
-        if not image.exists():
-            continue
-        with Image.open(image) as file:
-            width, height = file.size
-        rows = [line.split()[:5] for line in path.read_text().splitlines() if line.strip()]
-        if not rows:
-            continue
-        labels = np.array([1 if fish in (None, row[0]) else 0 for row in rows])
-        x, y, w, h = np.array([row[1:] for row in rows], float).T
-        boxes = np.stack([x - w / 2, y - h / 2, x + w / 2, y + h / 2], 1)
-        sized = boxes * [width, height, width, height]
-        # DeepFish's names begin with the habitat, others with the film or a number
-        sequence = path.name.split("_")[0]
-        habitat = sequence if len(sequence) == 4 and "_f0" in path.name else str(index // 100)
-        yield _Picture(image, sized, labels, habitat, str(index // 10))
+    for number, path in enumerate(sorted((folder / "labels/val").glob("*.txt"))):
+        yield from _fish(path, "deepfish", number, int(path.name.split("_")[0]))
 
 
-def _crops(pictures: Iterator[_Picture], empty: bool) -> Crops:
-    """Crops of the largest boxes; if `empty`, of fish alone, and of as many places without any."""
-    images, labels, light, blocks, judges = [], [], [], [], []
+def _fjord_pictures(folder: Path) -> Iterator[_Picture]:
+    """Of all parts: they share films, by chance."""
+    paths = [path for part in ("train", "valid", "test") for path in _texts(folder / part)]
+    numbered = sorted(paths, key=lambda path: (_leading_number(path), path.name))
+    for number, path in enumerate(numbered):
+        yield from _fish(path, "fjord", number, _film(FJORD_FILMS, number))
+
+
+def _texts(part: Path) -> list[Path]:
+    return sorted((part / "labels").glob("*.txt"))
+
+
+def _leading_number(path: Path) -> int:
+    digits = re.match(r"\d+", path.name)
+    if digits is None:
+        raise SystemExit(f"{path}: expected a name that begins with a number")
+    return int(digits[0])
+
+
+def _film(beginnings: tuple[int, ...], number: int) -> int:
+    return int(np.searchsorted(beginnings, number, "right")) - 1
+
+
+def _fish(path: Path, name: str, number: int, film: int) -> Iterator[_Picture]:
+    """A picture by its file of labels, "class x y width height" in shares of the picture; none if
+    it has no fish of the sizes that count. Boxes of other classes are no place without fish.
+    """
+    parts = ["images" if part == "labels" else part for part in path.parts]
+    image = Path(*parts).with_suffix(".jpg")
+    rows = [line.split()[:5] for line in path.read_text().splitlines() if line.strip()]
+    if not rows:
+        return
+    if not image.exists():
+        raise SystemExit(f"{image} is missing, {path} has its labels")
+    with Image.open(image) as file:
+        width, height = file.size
+    x, y, w, h = np.array([row[1:] for row in rows], float).T
+    boxes = np.stack([x - w / 2, y - h / 2, x + w / 2, y + h / 2], 1)
+    boxes *= [width, height, width, height]
+    is_fish = np.array([name != "aquaria" or row[0] in AQUARIA_FISH for row in rows])
+    longest = (boxes[:, 2:] - boxes[:, :2]).max(1)
+    low, high = LONGEST_SIDES[name]
+    fish = np.flatnonzero(is_fish & (low <= longest) & (longest <= high))
+    if len(fish):
+        chosen = _rng(path).permutation(fish)[: MOST[name]]
+        yield _Picture(image, boxes, chosen, np.ones(len(chosen), int), number, film)
+
+
+def _crops(name: str, pictures: Iterable[_Picture]) -> Crops:
+    """Crops of the chosen boxes; of fish, and of a place without any for each, of its size."""
+    images, labels, light, numbers, films = [], [], [], [], []
     for picture in pictures:
-        pixels, sides = None, (picture.boxes[:, 2:] - picture.boxes[:, :2])
-        fits = (sides.min(1) >= SMALLEST) & ((picture.labels == 1) | (not empty))
-        largest = np.argsort(-sides.prod(1), kind="stable")
-        rng = np.random.default_rng(zlib.crc32(picture.path.name.encode()))
-        for index in [index for index in largest if fits[index]][:MOST]:
-            if pixels is None:
-                pixels = _read(picture.path)
-                mean = ((pixels / 255) ** 2.2).mean((0, 1))
-            box = picture.boxes[index]
-            side = min(AROUND * sides[index].max(), *pixels.shape[:2])
-            places = [((box[:2] + box[2:] - side) / 2, picture.labels[index])]
-            if empty:
-                places += _elsewhere(picture.boxes, side, pixels, rng)
-            for place, label in places:
+        pixels, boxes = _framed(name, picture)
+        mean = ((pixels / 255) ** 2.2).mean((0, 1))
+        rng = _rng(picture.path)
+        for box, label in zip(boxes[picture.chosen], picture.labels, strict=True):
+            side = min(AROUND * (box[2:] - box[:2]).max(), *pixels.shape[:2])
+            places = [((box[:2] + box[2:] - side) / 2, label)]
+            if name != "buoys":
+                places += _elsewhere(boxes, side, pixels, rng)
+            for place, there in places:
                 images.append(_cut(pixels, place, side))
-                labels.append(label)
+                labels.append(there)
                 light.append(mean)
-                blocks.append(picture.block)
-                judges.append(hashlib.sha256(picture.sequence.encode()).digest()[-1] % 2 == 0)
-    _, numbers = np.unique(blocks, return_inverse=True)
-    shape = (-1, SIDE, SIDE, 3)
+                numbers.append(picture.number)
+                films.append(picture.film)
+    of_films = np.array(films, int)
     return Crops(
-        np.array(images, np.uint8).reshape(shape),
+        np.array(images, np.uint8).reshape(-1, SIDE, SIDE, 3),
         np.array(labels, int),
         np.array(light, float).reshape(-1, 3),
-        numbers,
-        np.array(judges, bool),
+        _blocks(of_films, np.array(numbers, int)),
+        of_films,
+        ~np.isin(of_films, list(CHOOSING.get(name, {0}))),
     )
+
+
+def _framed(name: str, picture: _Picture) -> tuple[Array, Array]:
+    """Pixels of a picture and its boxes; of wild water without letterboxes."""
+    pixels = _read(picture.path)
+    if name not in ("deepfish", "fjord"):
+        return pixels, picture.boxes
+    bright = np.flatnonzero(pixels.mean((1, 2)) >= BLACK)
+    if not len(bright):
+        return pixels, picture.boxes
+    top, bottom = bright[0], bright[-1] + 1
+    return pixels[top:bottom], picture.boxes - [0, top, 0, top]
 
 
 def _elsewhere(
@@ -235,16 +340,38 @@ def _elsewhere(
 
 
 def _cut(pixels: Array, place: Array, side: float) -> Array:
-    """A square of a picture, moved into it where it hangs out, at 48x48 px."""
+    """A square of a picture, moved into it where it hangs out, at 48x48 px. Bilinear: boxes make
+    mosaics of small ones.
+    """
     height, width = pixels.shape[:2]
     left, top = np.clip(place, 0, [width - side, height - side])
     box = (left, top, left + side, top + side)
-    square = Image.fromarray(pixels).resize((SIDE, SIDE), Image.Resampling.BOX, box)
+    square = Image.fromarray(pixels).resize((SIDE, SIDE), Image.Resampling.BILINEAR, box)
     return np.array(square)
 
 
-def _part(crops: Crops, of: Any) -> Crops:
-    return Crops(*(values[of] for values in crops))
+def _references(name: str, pictures: list[_Picture]) -> list[Array]:
+    """Pictures of the films that choose, at equal steps, small."""
+    choosing = [picture for picture in pictures if picture.film in CHOOSING[name]]
+    if not choosing:
+        raise SystemExit(f"{name}: no picture of the films that choose")
+    shown = []
+    for index in np.linspace(0, len(choosing) - 1, SHOWN_PICTURES).round().astype(int):
+        small = Image.fromarray(_framed(name, choosing[index])[0])
+        small.thumbnail((SHOWN_SIDE, SHOWN_SIDE))
+        shown.append(np.array(small))
+    return shown
+
+
+def _blocks(films: Array, numbers: Array) -> Array:
+    """Ten neighbours in a film share one."""
+    pairs = np.stack([films, numbers // 10], 1)
+    return np.unique(pairs, axis=0, return_inverse=True)[1].reshape(-1)
+
+
+def _rng(path: Path) -> np.random.Generator:
+    """By the name of a file."""
+    return np.random.default_rng(zlib.crc32(path.name.encode()))
 
 
 def _read(path: Path) -> Array:

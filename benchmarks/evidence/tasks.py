@@ -27,6 +27,9 @@ BY_EYE = dict.fromkeys(COLOURS, ((0.6, 1.0), (0.45, 1.0)))
 BALL_DISTANCES = (0.8, 8.0)
 """m."""
 
+FARTHEST = 50.0
+"""m: what is farther than one sees in any water is open water."""
+
 Array = np.ndarray[Any, Any]
 
 
@@ -103,8 +106,7 @@ def _distances_behind(behind: Array, far: float, y: Array, rng: np.random.Genera
         horizon = rng.uniform(0.2, 0.8) * SIDE
         below = np.maximum(y - horizon, 1e-9)
         ground = far * rng.uniform(0.8, 2.0) * (SIDE - horizon) / below
-        # farther than one sees in any water is open water
-        return np.where((y > horizon) & (ground < 50), np.maximum(ground, far), np.inf)
+        return np.where((y > horizon) & (ground < FARTHEST), np.maximum(ground, far), np.inf)
     return np.maximum(made_up(torch.from_numpy(behind).permute(2, 0, 1).float(), rng), far)
 
 
@@ -112,7 +114,8 @@ def made_up(image: Tensor, rng: np.random.Generator) -> Array:
     """`MadeUp` distances of a picture (HxW, m), from a generator of numpy."""
     source = MadeUp()
     numbers = {name: rng.uniform(*ends) for name, ends in source.ranges().items()}
-    return source.metres(None, image, numbers)[0].numpy()
+    z = source.metres(None, image, numbers)[0].numpy()
+    return np.where(z < FARTHEST, z, np.inf)
 
 
 def fish_pool(images: Array, labels: Array, rng: np.random.Generator) -> Pool:

@@ -1,108 +1,150 @@
 """Does training with uwaug help on real underwater pictures? Two tasks with a truth.
 
-    python -m benchmarks.evidence --data FOLDER     all arms, three seeds, about an hour on one core
+    python -m benchmarks.evidence --data FOLDER     all arms, three nets each: hours on one core
     python -m benchmarks.evidence --colours         painted balls in draws, beside real buoys
     python -m benchmarks.evidence --quick           a little of both, on made-up pictures
 
 *Colour*: which of three colours has a buoy; trained on painted balls in photographs of land.
-*Fish*: is there one in the crop; trained on aquaria, tested on wild water. Each test set is split
-by place or film into a part that chooses and one that judges, by a checksum of its name: pick
-variants by "choose", tell "judge". `benchmarks.evidence.sets` says where the sets are.
+*Fish*: is there one in the crop; trained on aquaria, tested on wild water. Films and places of each
+test set choose or judge: pick variants by "choose", tell "judge". `benchmarks.evidence.sets` says
+what a folder holds: clones of the public repositories, or a kit of crops.
+
+Some arms are shown eight pictures of the test set, without labels, and so have nets for each.
 """
 
 import argparse
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from torch import nn
 
 from benchmarks.evidence import colours, sets, stand_ins, tasks
-from benchmarks.evidence.arms import ARMS, DEFAULTS, degraded
-from benchmarks.evidence.net import answers, table, trained
-from benchmarks.evidence.sets import Crops
-from benchmarks.evidence.tasks import Pool
+from benchmarks.evidence.arms import ARMS, DEFAULTS, SHOWN, Arm, degraded
+from benchmarks.evidence.net import answers, score, table, trained
+from benchmarks.evidence.sets import Sets
+from benchmarks.evidence.tasks import Array, Pool
 from benchmarks.harness import save
 
-SEEDS = 3
-BALLS = 4000
-STEPS = {"colour": 500, "fish": 400}
+
+class Size(NamedTuple):
+    """How much of everything."""
+
+    nets: int  # of each arm
+    balls: int
+    draws: int  # of each picture
+    steps: int  # of 64 pictures
+    trials: int  # of `uwaug.like`, for each picture that it is shown
+
+
+FULL = Size(nets=3, balls=2000, draws=3, steps=800, trials=300)
+"""With one draw and 400 steps, what is easy to learn wins, and not what helps."""
+
+QUICK = Size(nets=1, balls=24, draws=1, steps=4, trials=15)
+
+TASKS = {"colour": ("buoys",), "fish": ("deepfish", "fjord")}
+"""Test sets of each task."""
+
 PARTS = ("choose", "judge")
 
 
-def main(quick: bool = False, data: Path | None = None) -> dict[str, Any]:
-    """Train, score, print; saved only where the public sets are there."""
+def main(
+    quick: bool = False,
+    data: Path | None = None,
+    size: Size = FULL,
+    arms: Sequence[str] = (*ARMS, *SHOWN),
+    answered: Path | None = None,
+) -> dict[str, Any]:
+    """Train, score, print; saved only where real sets are there."""
     torch.set_num_threads(1)
-    if data is not None:
-        sets.require(data)
-        found = measured(data, SEEDS, BALLS, STEPS, list(ARMS))
-        save("evidence", {"seeds": SEEDS, **found})
-        return found
-    if not quick:
-        print("skipped: the public sets are needed, python -m benchmarks.evidence --data FOLDER")
+    if data is None and not quick:
+        print("skipped: real sets are needed, python -m benchmarks.evidence --data FOLDER")
         return {}
-    print("MADE-UP PICTURES: these numbers mean nothing but that everything runs")
     with TemporaryDirectory() as folder:
-        stand_ins.write(Path(folder))
-        few = {"colour": 4, "fish": 4}
-        found = measured(Path(folder), seeds=1, balls=24, steps=few, arms=list(ARMS))
-    return {**found, "colours": colours.main(count=48, names=["defaults", "mu .015–.075"])}
+        if data is None:
+            print("MADE-UP PICTURES: these numbers mean nothing but that everything runs")
+            results = measured(stand_ins.made(Path(folder)), QUICK, arms, Path(folder))
+            return {**results, "colours": colours.main(48, ["defaults", "mu .015–.075"])}
+        results = measured(sets.load(data), size, arms, answered or Path(folder))
+    save("evidence", {**size._asdict(), **results})
+    return results
 
 
-def measured(
-    data: Path, seeds: int, balls: int, steps: dict[str, int], arms: list[str]
-) -> dict[str, Any]:
-    """Tables of both tasks, as pictures are and after grey-world, and the numbers of crops."""
-    coloured, grey = sets.buoys(data)
-    deepfish, fjord = sets.wild(data)
-    aquaria = sets.aquaria(data)
-    rng = np.random.default_rng(0)
-    ball_pool, _ = tasks.painted_balls(sets.photographs_of_land(data), balls, rng)
-    fish_pool = tasks.fish_pool(aquaria.images, aquaria.labels, rng)
-    tests = {
-        "colour": {"buoys": coloured, "grey pool": grey},
-        "fish": {"DeepFish": deepfish, "fjord": fjord},
-    }
-    counts = {name: len(crops.labels) for task in tests.values() for name, crops in task.items()}
-    counts["aquaria"] = len(aquaria.labels)
+def measured(real: Sets, size: Size, arms: Sequence[str], answered: Path) -> dict[str, Any]:
+    """Tables of all test sets, as pictures are and after grey-world, and the numbers of crops.
+
+    What a net answers is kept in the folder `answered`, and asked once.
+    """
+    counts = {name: len(crops.labels) for name, crops in real.crops.items()}
     for name, count in counts.items():
-        print(f"{name}: {count} crops; the first run had {sets.FIRST_RUN[name]}", flush=True)
-    found: dict[str, Any] = {"crops": counts}
-    for task, pool in (("colour", ball_pool), ("fish", fish_pool)):
-        nets = {
-            arm: [trained_by(arm, task, pool, steps[task], s) for s in range(seeds)] for arm in arms
-        }
-        for name, crops in tests[task].items():
-            for balanced in (False, True):
-                title = f"{name}, grey-world" if balanced else name
-                found[title] = tabled(title, nets, crops, balanced)
-    return found
+        print(f"{name}: {count} of {sets.COUNTS[name]} crops", flush=True)
+    tables: dict[str, Any] = {}
+    rng = np.random.default_rng(0)
+    for task, names in TASKS.items():
+        pool = pool_of(task, real, size.balls, rng)
+        given: dict[str, dict[str, list[Array]]] = {}
+        for arm in arms:
+            for tests, make in makers(arm, names, real, pool, size.trials):
+                for seed in range(size.nets):
+                    path = answered / f"{arm}, {' '.join(tests)}, {seed}.npz"
+                    if not path.exists():
+                        np.savez(path, **asked(make, pool, tests, real, size, seed))
+                    for title, of_net in np.load(path).items():
+                        given.setdefault(title, {}).setdefault(arm, []).append(of_net)
+        for title, of_arms in given.items():
+            crops = real.crops[title.split(",")[0]]
+            tables[title] = table(of_arms, crops, DEFAULTS if DEFAULTS in of_arms else arms[0])
+            printed(title, tables[title])
+    return {"crops": counts, "tables": tables}
 
 
-def trained_by(arm: str, task: str, pool: Pool, steps: int, seed: int) -> nn.Module:
-    """A net that has seen the pictures of an arm."""
-    pictures = degraded(ARMS[arm](), pool.images, pool.distances, seed)
-    return trained(pictures, pool.labels, 3 if task == "colour" else 2, steps, seed)
+def pool_of(task: str, real: Sets, balls: int, rng: np.random.Generator) -> Pool:
+    """What nets of a task see before water."""
+    if task == "colour":
+        return tasks.painted_balls(real.land, balls, rng)[0]
+    aquaria = real.crops["aquaria"]
+    return tasks.fish_pool(aquaria.images, aquaria.labels, rng)
 
 
-def tabled(
-    title: str, nets: dict[str, list[nn.Module]], crops: Crops, balanced: bool
-) -> dict[str, Any]:
-    """The table of one test set, printed."""
-    if not len(crops.labels):
-        return {}
-    given = {arm: [answers(net, crops, balanced) for net in seeds] for arm, seeds in nets.items()}
-    rows = table(given, crops, DEFAULTS, np.random.default_rng(0))
-    print(f"\n{title}: score; less the defaults' (95 %); part that chooses, that judges; recalls")
+def makers(
+    arm: str, names: tuple[str, ...], real: Sets, pool: Pool, trials: int
+) -> Iterator[tuple[tuple[str, ...], Callable[[], Arm]]]:
+    """What makes an arm, with the test sets that its nets are for: all of a task, or each alone."""
+    if arm in ARMS:
+        yield names, ARMS[arm]
+        return
+    for name in names:
+        yield (name,), lambda shown=real.references[name]: SHOWN[arm](shown, pool, trials)
+
+
+def asked(
+    make: Callable[[], Arm], pool: Pool, tests: tuple[str, ...], real: Sets, size: Size, seed: int
+) -> dict[str, Array]:
+    """Answers of a net that has seen the pictures of an arm, of each test set and by grey-world."""
+    torch.manual_seed(seed)
+    pictures, labels = degraded(make(), pool, size.draws, seed)
+    net = trained(pictures, labels, len(pool.labels.unique()), size.steps, seed)
+    given = {}
+    for name in tests:
+        crops = real.crops[name]
+        given[name] = answers(net, crops, balanced=False)
+        given[f"{name}, grey-world"] = answers(net, crops, balanced=True)
+        print(f"  {name}: {score(given[name], crops.labels):.3f}", flush=True)
+    return given
+
+
+def printed(title: str, rows: dict[str, Any]) -> None:
+    """The table of a test set."""
+    print(f"\n{title}: score, its nets; less the defaults', by blocks, by films; choose, judge")
     for arm, row in rows.items():
-        low, high = row["interval"]
+        nets = " ".join(f"{net:.3f}" for net in row["nets"])
+        between = " ".join("({:+.3f} … {:+.3f})".format(*row[kind]) for kind in ("blocks", "films"))
         parts = " ".join("–" if row[part] is None else f"{row[part]:.3f}" for part in PARTS)
         recalls = " / ".join(f"{recall:.2f}" for recall in row.get("recalls", []))
-        difference = f"{row['difference']:+.3f} ({low:+.3f} … {high:+.3f})"
-        print(f"{arm:22}{row['score']:.3f}  {difference}  {parts}  {recalls}", flush=True)
-    return rows
+        means = f"{row['score']:.3f} ({nets})  {row['difference']:+.3f}"
+        print(f"{arm:20}{means} {between}  {parts}  {recalls}", flush=True)
 
 
 def command() -> None:
@@ -111,12 +153,19 @@ def command() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=formatter)
     parser.add_argument("--quick", action="store_true", help="a smoke test, nothing written")
     parser.add_argument("--colours", action="store_true", help="balls in draws, beside real buoys")
-    parser.add_argument("--data", type=Path, help="the folder that holds the public sets")
-    arguments = parser.parse_args()
-    if arguments.colours:
+    parser.add_argument("--data", type=Path, help="a kit, or the folder of the public sets")
+    parser.add_argument("--nets", type=int, default=FULL.nets, help="of each arm")
+    names = (*ARMS, *SHOWN)
+    told = f"some of: {'; '.join(names)}"
+    parser.add_argument("--arms", nargs="+", choices=names, default=names, metavar="ARM", help=told)
+    told = "a folder that keeps what nets answered: a run that was stopped goes on"
+    parser.add_argument("--answered", type=Path, help=told)
+    given = parser.parse_args()
+    if given.colours:
         torch.set_num_threads(1)
         colours.main()
-    elif arguments.quick or arguments.data:
-        main(arguments.quick, arguments.data)
+    elif given.quick or given.data:
+        size = FULL._replace(nets=given.nets)
+        main(given.quick, given.data, size, given.arms, given.answered)
     else:
-        parser.error("say --data FOLDER (where the public sets are), or --colours, or --quick")
+        parser.error("say --data FOLDER (where the sets are), or --colours, or --quick")

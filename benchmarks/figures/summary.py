@@ -291,10 +291,35 @@ def fits() -> str:
     )
 
 
+def training() -> str:
+    """What training gains."""
+    evidence = load("evidence")
+    sets = {"buoys": "colour", "deepfish": "DeepFish", "fjord": "fjord"}
+    titles = [title for name in sets for title in (name, f"{name}, grey-world")]
+    head = [cell for name in sets.values() for cell in (name, "by grey-world")]
+    tables = [evidence["tables"][title] for title in titles]
+    rows = [[arm, *(_gain(rows[arm]) for rows in tables)] for arm in tables[0]]
+    crops, nets = evidence["crops"], evidence["nets"]
+    return (
+        f"{nets} net{'s' * (nets > 1)} an arm; {crops['buoys']} buoys, {crops['deepfish']} crops "
+        f"of DeepFish, {crops['fjord']} of the fjord. In brackets what it has more than the "
+        "defaults, bold where both intervals of 95 %, over blocks and over films, leave out 0:\n\n"
+        + table(["trained with", *head], rows)
+    )
+
+
+def _gain(row: Results) -> str:
+    if not any(row["blocks"]):  # the defaults themselves
+        return f"{row['score']:.2f}"
+    certain = all(row[kind][0] > 0 or row[kind][1] < 0 for kind in ("blocks", "films"))
+    difference = f"{row['difference']:+.2f}".replace("-", "−")
+    return f"{row['score']:.2f} ({f'**{difference}**' if certain else difference})"
+
+
 def sections() -> dict[str, str]:
     """What belongs between the markers of each name."""
     text = {"accuracy": accuracy(), "surfaces": surfaces(), "fits": fits()}
-    return text | {"chart": chart(), "speed": speed()}
+    return text | {"chart": chart(), "speed": speed(), "training": training()}
 
 
 def updated(text: str) -> str:
