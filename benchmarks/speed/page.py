@@ -75,6 +75,13 @@ def settled(tab: Any) -> None:
     tab.wait_for_selector("#view[aria-busy=false]", timeout=60_000)
 
 
+def drawn(tab: Any) -> None:
+    """Wait for the small pictures."""
+    for row in ("#draws button:nth-child(12):not(:disabled)", "#severities button:nth-child(5)"):
+        tab.wait_for_selector(f"{row} canvas[width]", timeout=60_000)
+    tab.wait_for_timeout(1000)
+
+
 def levels(browser: Any, path: Path, scene: Scene, count: int) -> dict[str, Any]:
     """How far pictures are from `RandomUnderwater`'s, in levels of 255."""
     image, rows = (scene.image * 255).round().byte(), []
@@ -118,7 +125,7 @@ def times(browser: Any, path: Path, scene: Scene, moves: int) -> dict[str, Any]:
             seen.disconnect(); requestAnimationFrame(() => done(performance.now() - begun)); } })
             .observe(view, { attributes: true, attributeFilter: ["aria-busy"] });
     })"""
-    tab.wait_for_timeout(3000)  # until its small pictures are there
+    drawn(tab)
     for name, event in (("whole", "change"), ("half", "input")):
         taken = []
         for n in range(moves):
@@ -182,9 +189,7 @@ def main(quick: bool = False) -> None:
             return
         found["bytes_a_pixel"] = memory(browser, Path(place))
         tab, _ = opened(browser, path, contrast=0.4)
-        tab.click("#draw")
-        tab.wait_for_selector("#draws button:nth-child(12) canvas[width]")
-        tab.wait_for_timeout(3000)
+        drawn(tab)
         tab.evaluate("scrollTo(0, 0)")
         shot = Image.open(io.BytesIO(tab.screenshot())).convert("RGB")
         shot.thumbnail((1000, 1000))

@@ -1,39 +1,61 @@
 """Distances made up from a picture."""
 
+import pickle
 from itertools import product
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
+from torch.nn.functional import interpolate
 
-from uwaug.distance import MadeUp
+import uwaug
+from uwaug.distance import MadeUp, cue
 
 SCENES = [k / 24 for k in range(24)]
 
 
-def made(image: Tensor, scene: float, near: float = 1.0, far: float = 8.0) -> Tensor:
-    return MadeUp().metres(None, image, {"near": near, "far": far, "scene": scene})
+def made(image: Tensor, scene: float, near: float = 1.0, far: float = 8.0, **options) -> Tensor:
+    return MadeUp(**options).metres(None, image, {"near": near, "far": far, "scene": scene})
 
 
 def texture(height: int, width: int, seed: int = 0) -> Tensor:
     return torch.rand(3, height, width, generator=torch.Generator().manual_seed(seed))
 
 
-def steps(z: Tensor) -> Tensor:
-    """Of light, from column to column and from row to row, the larger one (H-1 x W-1)."""
-    light = torch.exp(-z[0] / 3)
-    across, down = light.diff(dim=1)[1:], light.diff(dim=0)[:, 1:]
-    return torch.maximum(across.abs(), down.abs())
+def grain() -> Tensor:
+    """240x360."""
+    return 0.1 + 0.3 * texture(40, 60).repeat_interleave(6, 1).repeat_interleave(6, 2)
 
 
+def landscape(horizon: int = 120) -> Tensor:
+    """240x360: a blue sky, paler below, over ground of grain, finer above."""
+    image = torch.empty(3, 240, 360)
+    blue, pale = torch.tensor([[0.35, 0.55, 0.9], [0.7, 0.82, 0.95]])[..., None, None]
+    image[:, :horizon] = torch.lerp(blue, pale, torch.linspace(0, 1, horizon)[:, None])
+    row = horizon
+    for size in (2, 3, 4, 6, 9, 12, 18, 24, 42):
+        rows = texture(1, 360 // size + 1, row).repeat_interleave(size, 2)[..., :360]
+        image[:, row : row + size] = (0.1 + 0.3 * rows) * torch.tensor([1, 0.9, 0.6])[:, None, None]
+        row += size
+    return image
+
+
+def cat() -> Tensor:
+    from skimage.data import chelsea
+
+    return torch.from_numpy(chelsea().copy()).permute(2, 0, 1)
+
+
+@pytest.mark.parametrize("options", [{}, {"cue": "ramp"}], ids=["network", "ramp"])
 @pytest.mark.parametrize(
     ("size", "value"),
     [*product([(1, 1), (1, 90), (90, 1), (2, 3), (40, 61), (6, 2000)], (None, 0.5))],
 )
-def test_every_picture_has_some_solid_ground(size, value) -> None:
+def test_every_picture_has_some_solid_ground(size, value, options) -> None:
     image = texture(*size) if value is None else torch.full((3, *size), value)
-    for scene in SCENES:
-        z = made(image, scene)
+    for scene in SCENES[::4]:
+        z = made(image, scene, **options)
         assert z.shape == (1, *size)
         assert float(z.min()) > 0.999
         assert bool(z.isfinite().any())
@@ -41,9 +63,9 @@ def test_every_picture_has_some_solid_ground(size, value) -> None:
 
 def test_distances_reach_from_near_to_far() -> None:
     for scene in SCENES:
-        z = made(grain(), scene, 0.5, 4.0)  # no top is plain
+        z = made(cat(), scene, 0.5, 4.0)
         assert 0.499 < float(z.min()) < 0.8
-        assert 3.2 < float(z.max()) < 4.001
+        assert 2.5 < float(z.max()) < 4.001
 
 
 def test_another_scene_for_another_number_and_the_same_for_the_same() -> None:
@@ -61,48 +83,98 @@ def test_a_picture_in_whole_numbers_is_the_same_scene() -> None:
         torch.testing.assert_close(z.float(), made(image, 0.3), rtol=1e-3, atol=0)
 
 
-def test_another_default_device_changes_nothing() -> None:
-    image = texture(30, 40)
+def test_another_default_device_or_type_changes_nothing() -> None:
+    image, expected = texture(30, 40), made(texture(30, 40), 0.3)
     with torch.device("meta"):
-        elsewhere = made(image, 0.3)
-    assert torch.equal(elsewhere, made(image, 0.3))
+        assert torch.equal(made(image, 0.3), expected)
+    torch.set_default_dtype(torch.float64)
+    try:
+        assert torch.equal(made(image, 0.3), expected)
+    finally:
+        torch.set_default_dtype(torch.float32)
 
 
-def grain() -> Tensor:
-    """240x360."""
-    return 0.1 + 0.3 * texture(40, 60).repeat_interleave(6, 1).repeat_interleave(6, 2)
+def test_the_number_of_threads_changes_nothing() -> None:
+    threads, maps = torch.get_num_threads(), []
+    try:
+        for count in (1, 2, 3):
+            torch.set_num_threads(count)
+            maps.append(made(cat(), 0.7))
+    finally:
+        torch.set_num_threads(threads)
+    for z in maps[1:]:
+        torch.testing.assert_close(z, maps[0], rtol=1e-5, atol=0)
 
 
-def scene_with_sky(horizon: int = 120) -> Tensor:
-    """240x360: a plain top, ground of coarse grain."""
-    image = grain()
-    image[:, :horizon] = torch.tensor([0.6, 0.8, 0.95])[:, None, None]
-    return image
-
-
-def test_a_plain_top_is_open_water_in_three_of_four() -> None:
-    share = [made(scene_with_sky(), scene).isinf()[0, :20].float().mean() for scene in SCENES]
-    open_water = sum(float(one) > 0.9 for one in share)
-    assert 14 <= open_water <= 23
-    assert all(float(one) > 0.9 or float(one) == 0 for one in share)
+@pytest.mark.parametrize("options", [{}, {"cue": "ramp"}], ids=["network", "ramp"])
+@pytest.mark.parametrize("width", [451, 64, 17])
+def test_a_mirrored_picture_gets_the_mirrored_map(width, options) -> None:
+    image = interpolate(cat()[None].float() / 255, (60, width), mode="area")[0]
     for scene in SCENES:
-        assert bool(made(scene_with_sky(), scene)[0, 130:].isfinite().all())
+        z = made(image.flip(2), scene, **options).flip(2)
+        torch.testing.assert_close(z, made(image, scene, **options), rtol=1e-3, atol=0)
+
+
+def test_the_sky_is_open_water_in_three_of_four() -> None:
+    z = [made(landscape(), scene) for scene in SCENES]
+    share = torch.stack([one.isinf()[0, :80].float().mean() for one in z])
+    assert 12 <= int((share > 0.8).sum()) <= 23
+    assert bool(((share > 0.8) | (share == 0)).all())
+    assert all(bool(one[0, 150:].isfinite().all()) for one in z)
+
+
+def test_a_cat_has_no_open_water_and_is_nearer_than_what_is_behind() -> None:
+    for scene in SCENES:
+        assert bool(made(cat(), scene).isfinite().all())
 
 
 def test_what_is_plain_has_no_steps() -> None:
     plain = torch.full((3, 240, 360), 0.4)
-    assert max(float(steps(made(plain, scene)).max()) for scene in SCENES) < 0.05
+    for scene in SCENES:
+        light = torch.exp(-made(plain, scene)[0] / 3)
+        assert max(float(light.diff(dim=axis).abs().max()) for axis in (0, 1)) < 0.05
 
 
-def test_distances_step_where_the_picture_does() -> None:
-    # an edge between two pixels of the small copy
+def test_distances_step_where_the_picture_does(monkeypatch) -> None:
+    # an edge between two pixels of the small copy, which the network blurs
     image = torch.full((3, 240, 360), 0.2)
     image[:, :, 173:] = torch.tensor([0.9, 0.5, 0.3])[:, None, None]
+
+    def blurred(picture: Tensor, weights: object) -> tuple[Tensor, Tensor]:
+        height, width = (side // 2 for side in picture.shape[1:])
+        log = torch.linspace(-60, 60, width).sigmoid().expand(height, width)
+        return log, torch.zeros_like(log)
+
+    monkeypatch.setattr(cue, "relative", blurred)
     at_edge = beside = 0.0
     for scene in SCENES:
-        light = torch.exp(-made(image, scene)[0, 200:] / 3)
-        across = light.diff(dim=1).abs().mean(0)
+        across = torch.exp(-made(image, scene)[0, 120] / 3).diff().abs()
         at_edge += float(across[172])
-        beside += float(across[150:195].sum() - across[172])
+        beside += float(across.sum() - across[172])
     assert at_edge > 1.0
-    assert beside < 0.7 * at_edge
+    assert beside < 1.2 * at_edge
+
+
+def test_the_ramp_is_near_below_and_needs_no_weights(monkeypatch) -> None:
+    monkeypatch.setattr(cue, "WEIGHTS", cue.WEIGHTS.with_name("nothing"))
+    cue.learnt.cache_clear()
+    for scene in SCENES:
+        z = made(grain(), scene, cue="ramp")
+        assert bool(z.isfinite().all())
+        assert float(z[0, -20:].mean()) < 0.6 * float(z[0, :20].mean())
+    with pytest.raises(FileNotFoundError):
+        [made(grain(), scene) for scene in SCENES]
+
+
+def test_the_weights_are_small_and_stay_where_they_are() -> None:
+    assert cue.WEIGHTS.stat().st_size < 1e6
+    made(grain(), 0.5)
+    assert len(pickle.dumps(MadeUp())) < 300
+    assert len(pickle.dumps(uwaug.RandomUnderwater(distance=MadeUp()))) < 3e5
+    count = sum(i * o * side * side + o for i, o, side in cue.LAYERS.values())
+    assert np.fromfile(cue.WEIGHTS, "<f2").size == count
+
+
+def test_another_cue_is_refused() -> None:
+    with pytest.raises(ValueError, match="cue must be one of network, ramp, got 'regions'"):
+        MadeUp(cue="regions")

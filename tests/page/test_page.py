@@ -82,10 +82,19 @@ class Shown:
         self.tab.wait_for_selector("#progress", state="hidden")
         self.tab.wait_for_selector("#view[aria-busy=false]")
 
-    def picture(self) -> Any:
-        url = self.tab.evaluate("document.getElementById('after').toDataURL()")
+    def draws(self) -> None:
+        """Until twelve draws are painted."""
+        last = "#draws button:nth-child(12):not(:disabled) canvas[width]"
+        self.tab.wait_for_selector(last, timeout=120_000)
+
+    def picture(self, canvas: str = "#after") -> Any:
+        url = self.tab.eval_on_selector(canvas, "canvas => canvas.toDataURL()")
         data = base64.b64decode(url.partition(",")[2])
         return np.array(Image.open(io.BytesIO(data)).convert("RGB")).astype(int)
+
+    def status(self) -> str:
+        text: str = self.tab.inner_text("#status")
+        return text
 
     def code(self, language: str) -> str:
         self.tab.select_option("#language", language)
@@ -157,6 +166,7 @@ def test_controls(browser: Any, folder: Path) -> None:
     shown.tab.wait_for_timeout(700)  # it is written when all is at rest
     assert "contrast=" in shown.tab.url
     assert float(re.findall(r"--contrast ([\d.]+)", shown.code("command"))[0]) < 0.4
+    shown.tab.click("summary")
     shown.tab.uncheck("#terms label:nth-of-type(3) input")
     shown.wait()
     assert shown.picture().mean() < after.mean()
@@ -165,16 +175,91 @@ def test_controls(browser: Any, folder: Path) -> None:
     shown.tab.focus("#view")
     shown.tab.keyboard.press("Home")
     assert shown.tab.get_attribute("#view", "aria-valuenow") == "0"
+    shown.tab.keyboard.press("PageUp")
+    assert shown.tab.get_attribute("#view", "aria-valuetext") == "20 % in air"
     shown.tab.check("#hold-vertical_depth")
+    shown.draws()  # those of the start
     shown.tab.click("#draw")
-    shown.tab.wait_for_selector("#draws button:nth-child(12):not(:empty) canvas[width]")
+    shown.draws()
     labels = shown.tab.locator("#draws button").all_inner_texts()
     assert len(labels) == 12
-    assert all("3.0 m deep" in label for label in labels)
+    assert all(label.endswith("3.0 m") for label in labels)
     code = shown.code("command for draws")
     assert "vertical_depth=3" in code
     assert "--water" not in code
     assert "--variants 12" in code
+    assert shown.errors == []
+    shown.tab.close()
+
+
+def test_each_water_is_as_in_nature_unless_asked(browser: Any, folder: Path) -> None:
+    shown = Shown(browser, folder)
+    shown.draws()
+
+    def spread(number: int) -> float:
+        shown.tab.wait_for_timeout(1000)  # small pictures follow when all is at rest
+        shown.tab.wait_for_selector("#severities button:nth-child(5) canvas[width]")
+        std: float = shown.picture(f"#waters button:nth-child({number}) canvas").mean(-1).std()
+        return std
+
+    assert spread(1) > 2 * spread(10)
+    shown.tab.click("#waters button:nth-child(2)")
+    assert "--water IA --contrast none" in shown.code("command")
+    shown.tab.check("#same")
+    shown.tab.wait_for_timeout(5000)
+    assert spread(3) == pytest.approx(spread(10), rel=0.5)
+    shown.tab.click("#waters button:nth-child(3)")
+    assert "--water IB --contrast 0.4" in shown.code("command")
+    shown.tab.click("#undo")
+    assert "--water IA --contrast none" in shown.code("command")
+    shown.tab.click("#presets button:nth-child(2)")
+    assert "chlorophyll=" in shown.code("command")
+    shown.tab.click("#reset")
+    assert "--water 3C --contrast 0.4" in shown.code("command")
+    assert shown.errors == []
+    shown.tab.close()
+
+
+@pytest.mark.parametrize("width", [360, 820, 1440])
+def test_all_that_is_pressed_is_24_px_high_and_wide(browser: Any, folder: Path, width: int) -> None:
+    shown = Shown(browser, folder, water="contents")
+    shown.tab.set_viewport_size({"width": width, "height": 800})
+    shown.tab.click("summary")
+    pressed = "button, input, select, summary, [tabindex]"
+    boxes = shown.tab.eval_on_selector_all(
+        pressed,
+        """all => all.filter(one => one.checkVisibility()).map(one => {
+            const { width, height } = one.getBoundingClientRect();
+            return [one.id || one.textContent, width, height]; })""",
+    )
+    assert len(boxes) > 50
+    assert [box for box in boxes if min(box[1:]) < 24] == []
+    assert shown.tab.evaluate("document.documentElement.scrollWidth") <= width
+    shown.tab.close()
+
+
+def test_a_real_picture_beside_and_a_draw_that_looks_like_it(browser: Any, folder: Path) -> None:
+    green = {"water": "contents", "chlorophyll": 10, "cdom": 2, "white_balance": 0}
+    shown = Shown(browser, folder, contrast=0.15, **green)
+    Image.fromarray(shown.picture().astype(np.uint8)).save(folder / "a reef.png")
+    shown.tab.click("#reset")
+    shown.wait()
+    before = shown.picture()
+    shown.tab.set_input_files("#real", [str(folder / "a reef.png")])
+    shown.tab.wait_for_selector("#reference")
+    view, real = (shown.tab.locator(name).bounding_box() for name in ("#view", "#reference"))
+    assert view["height"] == pytest.approx(real["height"], abs=1)
+    assert view["y"] == real["y"]
+    assert "--like 'a reef.png' --variants 12" in shown.code("command for draws")
+    shown.tab.click("#like")
+    shown.tab.wait_for_selector("#like:not(:disabled)", timeout=240_000)
+    shown.wait()
+    nearest, usual = map(
+        float, re.findall(r"([\d.]+) away.*most draws ([\d.]+)", shown.status())[0]
+    )
+    assert nearest < 0.5 * usual
+    real_one = np.array(Image.open(folder / "a reef.png")).astype(int)
+    assert abs(shown.picture() - real_one).mean() < 0.6 * abs(before - real_one).mean()
     assert shown.errors == []
     shown.tab.close()
 
@@ -191,6 +276,10 @@ def test_own_files(browser: Any, folder: Path) -> None:
         return text
 
     assert take("photo.png") == ""  # made up
+    shown.tab.select_option("#left", "depths")
+    assert re.fullmatch(r"yellow .* m, violet .* m, made up", shown.tab.inner_text("#left-tag"))
+    near, far = shown.picture("#depths")[-1].mean(0), shown.picture("#depths")[0].mean(0)
+    assert near[0] > far[0]  # yellow below, violet above
     assert "photo-scene.png --distance photo-scene.npy" in shown.code("command")
     assert shown.tab.is_visible("#unsaved")
     assert take("depth.png") == ""  # the map of the picture before
@@ -217,7 +306,7 @@ def test_own_files(browser: Any, folder: Path) -> None:
     Image.fromarray((depth / 40).astype(np.uint8)).save(folder / "grey.png")
     (folder / "broken.png").write_bytes(b"\x89PNG no picture")
     for names, words in (
-        (("photo.png", "holes.npy"), "1 pixels have no distance"),
+        (("photo.png", "holes.npy"), "1 pixels have no distance: choose what the gaps get"),
         (("photo.png", "small.npy"), "the map is 247×158 px, the picture 247×167"),
         (("photo.png", "mm.npy"), "is the unit mm"),
         (("photo.png", "grey.png"), "8 bits are too few"),
@@ -225,13 +314,23 @@ def test_own_files(browser: Any, folder: Path) -> None:
         (("depth.png", "mm.npy"), "choose one picture"),
     ):
         assert words in take(*names), names
+    take("photo.png", "holes.npy")
+    shown.tab.select_option("#holes", "behind")
+    assert take("photo.png", "holes.npy") == ""
+    assert 'holes = "behind"' in shown.code("command")
+    assert np.abs(shown.picture() - first).max() <= 20  # in that one pixel
     assert shown.errors == []
+    shown.tab.close()
+    shown = Shown(browser, folder)
+    Image.open(folder / "photo.png").convert("L").save(folder / "mono.png")
+    assert take("mono.png") == ""
+    assert "mono-scene.png" in shown.code("command")
     shown.tab.close()
 
 
 def test_a_page_of_the_bundled_scene(browser: Any, tmp_path: Path) -> None:
     uwaug_command(tmp_path, "page --out page.html")
-    assert (tmp_path / "page.html").stat().st_size < 1.7e6
+    assert (tmp_path / "page.html").stat().st_size < 2.6e6
     shown = Shown(browser, tmp_path, times=1.5)
     # what it has saved is what the copied command reads
     files: list[Any] = []

@@ -52,6 +52,7 @@ def page(
             picture = read_picture(image)
             if distance is None:
                 metres = MadeUp().metres(None, picture, {"near": 1.0, "far": 8.0, "scene": 0.5})
+                source["guessed"] = True
             else:
                 metres = read_metres(distance, unit, picture)
                 metres = Metres(number_or_word(holes)).metres(metres, picture, {})

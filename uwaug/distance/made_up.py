@@ -2,41 +2,38 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate
 
-from uwaug._support import codec
+from uwaug._support import checks, codec
 from uwaug._support.ranges import Range
+from uwaug.distance import cue
 from uwaug.distance.sources import Numbers, Source, require_ends
 
 # How it was chosen, and what lost: benchmarks/README.md, "Made-up distances".
 
-_SMALL_PIXELS = 4096
-"""Of the copy in which regions are found."""
-
-_REGION_SCALE = 200.0
-"""Of felzenszwalb: some 33 regions; 60 halves things."""
-
-_PLAIN_STEP = 0.06
-"""Difference of neighbours in a plain place, of 0…1."""
-
-_LEAST_OPEN_SHARE = 0.05
-"""Of a picture that open water takes, where there is any."""
-
 _OPEN_PROBABILITY = 0.75
-"""That a plain top is open water."""
+"""That open water is drawn where a picture has a place for it."""
 
-_FADE_SHARE = 0.2
-"""Of the height, over which open water begins where the picture has no edge."""
+_RAMP_PROBABILITY = 0.1
+"""That a picture gets a ramp instead, so that nets learn that water hides by distance, and not
+that this network is right.
+"""
+
+_LEAST_OPEN_SHARE = 0.03
+"""Of a picture that is open water for sure, where there is any."""
+
+_SURE, _OPEN_FROM, _OPEN_TO = 0.7, 0.4, 0.6
+"""Probabilities of open water: for sure; and where it begins and is whole around what is sure."""
 
 _GUIDE_PX = 2
 """Of the small copy, over which its distances follow the picture's colours."""
 
-_EDGE_VARIANCE = 1e-3
+_EDGE_VARIANCE = 0.01
 """Of colours, of 0…1, below which there is no edge."""
 
 
@@ -45,16 +42,23 @@ _EDGE_VARIANCE = 1e-3
 class MadeUp(Source):
     """No maps: each picture gets distances made up from itself alone, drawn anew each time.
 
-    A ground with a horizon; regions of like colour that stand on it, each at a distance of its own;
-    a smooth field; open water behind, in three of four pictures, where the top is plain. Distances
-    step where the picture has edges. All is scaled, in the logarithm, to reach from near to far.
+    A small network of our own, which comes along, says what looks nearer than what, and where there
+    is open water, such as sky; `cue="ramp"` does without: below is near. On it come, drawn anew, an
+    exponent, a smooth field, and whether there is open water (in three of four); a tenth of the
+    pictures get the ramp. Distances step where the picture has edges. All is scaled, in the
+    logarithm, to reach from near to far. Mirrored pictures get mirrored maps.
 
-    The depth cue is invented: things that look far to you may be near here. It teaches a network
-    that water hides some things more than others, which is good for robustness; it is no truth to
-    restore pictures by, or to measure. Pictures are sRGB, as thresholds of its colours are.
+    The depth cue is guessed: some things that look far to you are near here, and sizes are
+    invented. It teaches a network that water hides some things more than others, which is good for
+    robustness; it is no truth to restore pictures by, or to measure. A large network is nearer to
+    the truth, see `Network`. Pictures are sRGB, as those are that the network has seen.
 
     Attributes:
         near, far: m; numbers or (low, high), near above 0.
+        cue: "network" or "ramp".
+
+    Raises:
+        ValueError: `near` or `far` is no such range, or there is no such cue.
     """
 
     reads_maps = False
@@ -62,10 +66,12 @@ class MadeUp(Source):
 
     near: Range = (0.5, 2.0)
     far: Range = (2.5, 12.0)
+    cue: Literal["network", "ramp"] = "network"
 
     def __post_init__(self) -> None:
         if require_ends(self.near, self.far) == 0:
             raise ValueError(f"near must lie above 0 m, as its logarithm counts, got {self.near}")
+        checks.one_of("cue", self.cue, ("network", "ramp"))
 
     def ranges(self) -> dict[str, Range]:
         """See `Source.ranges`; all else that is random follows from "scene"."""
@@ -75,76 +81,48 @@ class MadeUp(Source):
     def metres(self, distance: Tensor | None, image: Tensor, numbers: Numbers) -> Tensor:
         """See `Source.metres`."""
         white = 255.0 if image.dtype == torch.uint8 else 1.0
-        scale = min(1.0, math.sqrt(_SMALL_PIXELS / image[0].numel()))
-        size = [max(1, round(scale * side)) for side in image.shape[1:]]
-        every = max(1, int(0.25 / scale))  # four samples along each side of a small pixel will do
-        sampled = image[:, ::every, ::every].float() / white
-        small = interpolate(sampled[None], size, mode="area")[0].cpu()
         rng = np.random.default_rng(int(numbers["scene"] * 2**53))
-        layout = torch.from_numpy(_layout(small.permute(1, 2, 0).double().numpy(), rng))
-        depth = _upsampled(layout.float(), small, image, white)
+        picture = cue.small_copy(image).float() / white
+        guide = avg_pool2d(picture[None], 2)[0]
+        height, width = guide.shape[1:]
+        if rng.uniform() < _RAMP_PROBABILITY or self.cue == "ramp":
+            log, is_open = np.linspace(1, 0, height)[:, None].repeat(width, 1), np.zeros((1, 1))
+        else:
+            answers = cue.relative(picture, cue.learnt())
+            log, is_open = (answer.double().numpy() for answer in answers)
+        small = torch.from_numpy(_varied(log, is_open, rng)).float()
+        depth = _upsampled(small, guide, image, white)
         near, far = numbers["near"], numbers["far"]
-        z = depth.clamp(max=1).mul_(math.log(far / near)).exp_().mul_(near)
-        # open water from 1.05, endless from 1.95: regression meets neither end exactly
-        z.div_(depth.neg_().add_(1.95).div_(0.9).clamp_(0, 1))
+        z = depth.clamp(max=1) if float(small.max()) > 1 else depth
+        z = z.mul_(math.log(far / near)).exp_().mul_(near)
+        if z is not depth:
+            # open water from 1.05, endless from 1.95: regression meets neither end exactly
+            z.div_(depth.neg_().add_(1.95).div_(0.9).clamp_(0, 1))
         return z[None].to(torch.promote_types(image.dtype, torch.float32))
 
 
-def _layout(picture: Any, rng: np.random.Generator) -> Any:
-    """How far each pixel of a small picture (HxWx3) is: 0 nearest, 1 farthest, 2 open water."""
-    height, width, _ = picture.shape
-    y = np.broadcast_to((np.arange(height)[:, None] + 0.5) / height, (height, width))
-    x = np.broadcast_to((np.arange(width) + 0.5) / width, (height, width))
-    regions = _regions(picture)
-    flat, sizes = regions.ravel(), np.bincount(regions.ravel())
+def _varied(log: Any, is_open: Any, rng: np.random.Generator) -> Any:
+    """How far each place (HxW) is: 0 nearest, 1 farthest, 2 open water.
 
-    steps = np.abs(np.diff(picture, axis=0, prepend=picture[:1])).max(-1)
-    steps = np.maximum(steps, np.abs(np.diff(picture, axis=1, prepend=picture[:, :1])).max(-1))
-    plain = np.logical_and.accumulate(steps < _PLAIN_STEP, axis=0)
-    mostly = np.bincount(flat, plain.ravel()) > sizes / 2
-    lowest = rng.uniform(0.3, 0.8)
-    open_water = mostly[regions] * np.clip((lowest - y) / _FADE_SHARE, 0, 1)
-    horizon = rng.uniform(-1, 0.4)
-    closed = rng.uniform() > _OPEN_PROBABILITY or open_water.mean() < _LEAST_OPEN_SHARE
-    if closed or open_water.min() > 0:  # of a row of pixels, say
-        open_water[:] = 0
-    else:
-        below = (open_water > 0).sum(0)
-        horizon = np.median(below[below > 0]) / height
-
-    # a plane, in the logarithm; above its horizon all is far
-    slant = rng.normal(0, 0.12) * (x - 0.5)
-    ground = -np.log(np.maximum(y - horizon + slant, 0) + 0.08)
-    foot = np.full(len(sizes), np.inf)
-    np.minimum.at(foot, flat, ground.ravel())
-    standing = rng.uniform()
-    depth = ground + standing * (foot[regions] - ground)
-    own = rng.uniform(0.1, 0.5) * rng.normal(size=len(sizes))[regions]
-    waves, phases = rng.normal(0, 3, (2, 6)), rng.uniform(0, 2 * np.pi, 6)
-    cosines = np.cos(waves[0] * x[..., None] + waves[1] * y[..., None] + phases)
-    smooth = rng.uniform(0, 0.15) * cosines.sum(-1)
-    depth += max(np.ptp(ground), 0.5) * (own + smooth)
-
-    solid = depth[open_water < 0.5]
-    low, high = np.percentile(solid, (1, 99)) if solid.size else (0.0, 0.0)
-    depth = np.clip((depth - low) / (high - low), 0, 1) if high > low else np.full_like(depth, 0.5)
-    return depth + (2 - depth) * open_water
-
-
-def _regions(picture: Any) -> Any:
-    """The number of each pixel's region of like colour (HxW). What is nowhere three pixels wide is
-    the blur of an edge, and goes to the nearest region: distances of its own would be a seam.
+    Args:
+        log (HxW): logarithms of distances, up to scale and shift.
+        is_open (HxW): probabilities of open water.
+        rng: what is random. All of it is alike to the left and the right.
     """
-    from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
-    from skimage.segmentation import felzenszwalb
-
-    regions = felzenszwalb(picture, _REGION_SCALE, 0.5, max(1, picture[..., 0].size // 300))
-    inner = minimum_filter(regions, 3) == maximum_filter(regions, 3)
-    wide = (np.bincount(regions.ravel(), inner.ravel()) > 0)[regions]
-    if not wide.any():
-        return regions
-    rows, columns = distance_transform_edt(~wide, return_distances=False, return_indices=True)
-    return regions[rows, columns]
+    height, width = log.shape
+    opened = np.clip((is_open - _OPEN_FROM) / (_OPEN_TO - _OPEN_FROM), 0, 1)
+    closed = rng.uniform() > _OPEN_PROBABILITY or (is_open > _SURE).mean() < _LEAST_OPEN_SHARE
+    if closed or opened.min() > 0:  # of a blue wall, say
+        opened = np.zeros_like(log)
+    solid = log[opened < 0.5]
+    low, high = np.percentile(solid, (1, 99))
+    depth = np.clip((log - low) / (high - low), 0, 1) if high > low else np.full_like(log, 0.5)
+    depth **= np.exp(rng.normal(0, 0.3))
+    y, x = np.arange(height)[:, None] / height, (np.arange(width) + 0.5) / width - 0.5
+    for down, across, phase in zip(*rng.normal(0, 3, (3, 4)), strict=True):
+        depth = depth + rng.uniform(0, 0.06) * np.cos(down * y + phase) * np.cos(across * x)
+    depth = np.clip(depth, 0, 1)
+    return depth + (2 - depth) * opened
 
 
 def _upsampled(values: Tensor, small: Tensor, picture: Tensor, white: float) -> Tensor:

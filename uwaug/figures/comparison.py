@@ -27,7 +27,7 @@ def draw_comparison(scene: Scene, water: str, systems: Sequence[str] = ()) -> "F
     for name in systems or published.systems():
         shown[name] = published.picture(name, scene.image, scene.distance, water)
     heading = f"One scene, {len(shown) - 1} systems, {water}"
-    caption = "Each as its authors computed it, with its mean red, green and blue, 0…1."
+    caption = "Each as its authors computed it; in brackets the means of red, green and blue, 0…1."
     figure, axes = sheet(scene, len(shown), heading, caption)
     for axis, (name, picture) in zip(axes, shown.items(), strict=False):
         mean = " ".join(f"{value:.2f}" for value in picture.double().mean((1, 2)).tolist())

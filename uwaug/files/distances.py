@@ -67,7 +67,7 @@ def distances_of(
         )
         return Distances(_FILM, None, note)
     note = (
-        "Without --distance, distances are made up from each picture: an invented cue, good for "
+        "Without --distance, distances are made up from each picture: a guessed cue, good for "
         "robustness, not for restoration."
     )
     return Distances({"kind": "MadeUp"}, None, note)

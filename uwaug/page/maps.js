@@ -69,7 +69,8 @@ export function metresOf(map, width, height, { holds, unit, near, far, holes }) 
     relative: value => filled(near + (far - near) * value / map.most),
     inverse: value => filled(1 / (1 / far + (1 / near - 1 / far) * (value - low) / span)),
   }[holds];
-  const metres = new Float32Array(width * height), small = Float32Array.from(map.values, scaled);
+  const metres = new Float32Array(width * height), own = Float32Array.from(map.values, scaled);
+  const small = holes === "behind" ? filledFromBehind(own, map.height, map.width) : own;
   const place = (n, size, of) => (n + 0.5) * of / size, isSmall = map.width < width;
   const beside = (at, size) => [Math.max(Math.ceil(at - 0.5) - 1, 0), Math.min(Math.ceil(at - 0.5), size - 1)];
   for (let y = 0, i = 0; y < height; y++) for (let x = 0; x < width; x++, i++) {
@@ -83,64 +84,121 @@ export function metresOf(map, width, height, { holds, unit, near, far, holes }) 
     metres[i] = (1 - dv) * ((1 - du) * a + du * b) + dv * ((1 - du) * c + du * d);
   }
   const missing = metres.reduce((count, z) => count + !(z > 0), 0);
-  if (missing) throw new Error(`${missing} pixels have no distance: choose what they get`);
+  if (missing) throw new Error(`${missing} pixels have no distance: choose what the gaps get`);
   const known = metres.filter(z => z < Infinity).sort(), median = known[known.length >> 1];
   if (median > 500) throw new Error(`the median distance is ${median.toPrecision(3)} m: is the unit mm?`);
   return metres;
 }
 
-/** Distances [m] made up from a picture (RGBA bytes), in the way of uwaug.distance.MadeUp: a ground with
- *  a horizon, regions of like colour at distances of their own, a smooth field, open water at a plain top. */
-export function madeUp(pixels, width, height, random, near = 1, far = 8) {
-  const shrink = Math.max(1, Math.sqrt(width * height / 4096));
-  const w = Math.ceil(width / shrink), h = Math.ceil(height / shrink), n = w * h;
-  const at = (small, size) => Math.min(size - 1, Math.floor((small + 0.5) * shrink)), rowOf = p => Math.floor(p / w);
-  const small = Float32Array.from({ length: 3 * n }, (_, i) => {
-    const p = Math.floor(i / 3);
-    return pixels[4 * (at(rowOf(p), height) * width + at(p % w, width)) + i % 3] / 255;
+/** The layers of uwaug.distance.cue, which guesses distances: kernels and biases, from bytes of float16. */
+export function layersOf(layers, bytes) {
+  const numbers = Float32Array.from(new Uint16Array(bytes.buffer), h => {
+    const exponent = h >> 10 & 31, size = exponent ? (1024 + (h & 1023)) * 2 ** (exponent - 25) : (h & 1023) * 2 ** -24;
+    return h >> 15 ? -size : size;
   });
-  const differ = (p, q) => Math.max(...[0, 1, 2].map(c => Math.abs(small[3 * p + c] - small[3 * q + c])));
-  const root = regionsOf(w, h, differ);
+  let start = 0;
+  const next = count => numbers.subarray(start, start += count);
+  return Object.fromEntries(layers.map(([name, before, after, side, rectified]) =>
+    [name, { before, after, side, rectified, kernel: next(before * after * side * side), bias: next(after) }]));
+}
 
-  const plain = new Uint8Array(n), size = new Int32Array(n), plainOf = new Int32Array(n); // of regions, at their roots
-  for (let p = 0; p < n; p++) { // from the top down, as long as nothing is there
-    plain[p] = p < w || (plain[p - w] && differ(p, p - w) < 0.06) ? 1 : 0;
-    size[root(p)]++;
-    plainOf[root(p)] += plain[p];
+/** A stack of planes {height, width, values} through a layer. */
+function convolved({ height, width, values }, { before, after, side, rectified, kernel, bias }, stride = 1) {
+  const h = Math.ceil(height / stride), w = Math.ceil(width / stride), reach = side >> 1, out = new Float32Array(after * h * w);
+  for (let o = 0, k = 0; o < after; o++) {
+    out.fill(bias[o], o * h * w, (o + 1) * h * w);
+    for (let i = 0; i < before; i++) for (let v = -reach; v <= reach; v++) for (let u = -reach; u <= reach; u++) {
+      const weight = kernel[k++], first = Math.ceil(Math.max(-u, 0) / stride), last = Math.min(w, Math.floor((width - 1 - u) / stride) + 1);
+      for (let y = Math.ceil(Math.max(-v, 0) / stride); y < h && y * stride + v < height; y++) {
+        const to = (o * h + y) * w, from = (i * height + y * stride + v) * width + u;
+        for (let x = first; x < last; x++) out[to + x] += weight * values[from + x * stride];
+      }
+    }
   }
-  const closed = random() > 0.75, lowest = 0.3 + 0.5 * random(), fading = y => Math.min(Math.max((lowest - y) / 0.2, 0), 1);
-  const mostly = p => !closed && plainOf[root(p)] > size[root(p)] / 2;
-  let open = Float32Array.from({ length: n }, (_, p) => mostly(p) ? fading((rowOf(p) + 0.5) / h) : 0);
-  const covered = open.reduce((total, value) => total + value, 0) / n;
-  if (covered < 0.05) open = new Float32Array(n);
-  const horizon = covered < 0.05 ? 1.4 * random() - 1 : covered;
-  const slant = 0.12 * normalOf(random), standing = random(), sway = 0.15 * random();
-  const spread = 0.1 + 0.4 * random(), own = Float32Array.from({ length: n }, () => spread * normalOf(random));
-  const waves = Array.from({ length: 6 }, () => [3 * normalOf(random), 3 * normalOf(random), 2 * Math.PI * random()]);
-  const depth = new Float32Array(n), foot = new Float32Array(n).fill(Infinity);
+  return { height: h, width: w, values: rectified ? out.map(value => Math.max(value, 0)) : out };
+}
+
+/** Twice as high and wide, linear between the middles of pixels. */
+function doubled({ height, width, values }) {
+  const planes = values.length / (height * width), out = new Float32Array(4 * values.length);
+  for (let c = 0, i = 0; c < planes; c++) for (let y = 0; y < 2 * height; y++) for (let x = 0; x < 2 * width; x++) {
+    const a = y >> 1, b = x >> 1, down = Math.min(Math.max(a + (y & 1 ? 1 : -1), 0), height - 1);
+    const at = row => (c * height + row) * width, across = Math.min(Math.max(b + (x & 1 ? 1 : -1), 0), width - 1);
+    out[i++] = (9 * values[at(a) + b] + 3 * values[at(a) + across] + 3 * values[at(down) + b] + values[at(down) + across]) / 16;
+  }
+  return { height: 2 * height, width: 2 * width, values: out };
+}
+
+/** How far (in the logarithm, up to scale) and how open (a logit) each place of a small picture is (planes of 0…1). */
+export function guessed({ height, width, values }, layers) {
+  const n = height * width, input = new Float32Array(5 * n);
+  for (let i = 0; i < 3 * n; i++) input[i] = 4 * (values[i] - 0.45);
   for (let p = 0; p < n; p++) {
-    depth[p] = -Math.log(Math.max((rowOf(p) + 0.5) / h - horizon + slant * ((p % w) / w - 0.5), 0) + 0.08);
-    foot[root(p)] = Math.min(foot[root(p)], depth[p]);
+    input[3 * n + p] = 2 * Math.floor(p / width) / (height - 1) - 1;
+    input[4 * n + p] = 2 * (p % width) / (width - 1) - 1;
   }
-  for (let p = 0; p < n; p++) {
-    let field = own[root(p)];
-    for (const [kx, ky, phase] of waves) field += sway * Math.cos(kx * (p % w) / w + ky * rowOf(p) / h + phase);
-    depth[p] += standing * (foot[root(p)] - depth[p]) + 2 * field;
+  const finer = [];
+  let x = { height, width, values: input };
+  for (const name of ["half", "quarter", "eighth", "sixteenth"]) {
+    x = convolved(convolved(x, layers[name + 1], 2), layers[name + 2]);
+    finer.unshift([name, x]);
   }
-  const solid = depth.filter((_, p) => open[p] < 0.5).sort(), low = solid[solid.length >> 6];
-  const high = solid[solid.length - 1 - (solid.length >> 6)];
-  const share = depth.map((z, p) => {
-    const t = high > low ? Math.min(Math.max((z - low) / (high - low), 0), 1) : 0.5;
+  const size = x.height * x.width, planes = Array.from({ length: layers.whole.before }, (_, c) => x.values.subarray(c * size, (c + 1) * size));
+  const means = Float32Array.from(planes, plane => plane.reduce((total, value) => total + value, 0) / size);
+  const { values: whole } = convolved({ height: 1, width: 1, values: means }, layers.whole);
+  x = { ...x, values: x.values.map((value, i) => value + whole[Math.floor(i / size)]) };
+  for (const [name, like] of finer.slice(1)) {
+    const wide = doubled(convolved(x, layers["to_" + name]));
+    x = convolved({ ...wide, values: wide.values.map((value, i) => Math.max(value + like.values[i], 0)) }, layers["at_" + name]);
+  }
+  return convolved(x, layers.answer);
+}
+
+/** Distances [m] made up from a picture (RGBA bytes), in the way of uwaug.distance.MadeUp: what the network
+ *  guesses, with an exponent, a smooth field and open water (in three of four pictures) drawn on top. */
+export function madeUp(pixels, width, height, random, layers, near = 1, far = 8) {
+  const shrink = Math.sqrt(12288 / (width * height));
+  const [H, W] = [height, width].map(side => Math.min(Math.max(16 * Math.round(side * shrink / 16), 16), 512));
+  const area = { height: H, width: W, values: new Float32Array(3 * H * W) }, h = H / 2, w = W / 2, n = h * w;
+  for (let c = 0, i = 0; c < 3; c++) for (let y = 0; y < H; y++) for (let x = 0; x < W; x++) {
+    const [top, left] = [Math.floor(y * height / H), Math.floor(x * width / W)];
+    const bottom = Math.ceil((y + 1) * height / H), right = Math.ceil((x + 1) * width / W);
+    let total = 0;
+    for (let v = top; v < bottom; v++) for (let u = left; u < right; u++) total += pixels[4 * (v * width + u) + c];
+    area.values[i++] = total / (bottom - top) / (right - left) / 255;
+  }
+  const mirrored = ({ width, values }) => values.map((_, i) => values[i - i % width + width - 1 - i % width]);
+  const one = guessed(area, layers), other = guessed({ ...area, values: mirrored(area) }, layers);
+  const answer = mirrored(other).map((value, i) => (value + one.values[i]) / 2), ramp = random() < 0.1;
+  let log = ramp ? Float32Array.from({ length: n }, (_, p) => -Math.floor(p / w)) : answer.subarray(0, n);
+  const chance = Float32Array.from({ length: n }, (_, p) => ramp ? 0 : 1 / (1 + Math.exp(-answer[n + p])));
+  let open = chance.map(value => Math.min(Math.max((value - 0.4) / 0.2, 0), 1));
+  const sure = chance.reduce((count, value) => count + (value > 0.7), 0);
+  if (random() > 0.75 || sure < 0.03 * n || Math.min(...open) > 0) open = new Float32Array(n);
+  const solid = log.filter((_, p) => open[p] < 0.5).sort(), low = solid[Math.floor(0.01 * solid.length)];
+  const high = solid[Math.ceil(0.99 * solid.length) - 1], exponent = Math.exp(0.3 * normalOf(random));
+  const waves = Array.from({ length: 4 }, () => [...[0, 0, 0].map(() => 3 * normalOf(random)), 0.06 * random()]);
+  const share = Float32Array.from({ length: n }, (_, p) => {
+    let t = high > low ? Math.min(Math.max((log[p] - low) / (high - low), 0), 1) ** exponent : 0.5;
+    for (const [down, across, phase, size] of waves) {
+      t += size * Math.cos(down * Math.floor(p / w) / h + phase) * Math.cos(across * ((p % w + 0.5) / w - 0.5));
+    }
+    t = Math.min(Math.max(t, 0), 1);
     return t + (2 - t) * open[p];
   });
+  const small = (p, c) => { // the mean of two by two
+    const i = (c * H + 2 * Math.floor(p / w)) * W + 2 * (p % w), { values } = area;
+    return (values[i] + values[i + 1] + values[i + W] + values[i + W + 1]) / 4;
+  };
+  const colours = Float32Array.from({ length: 3 * n }, (_, i) => small(Math.floor(i / 3), i % 3));
 
   return Float32Array.from({ length: width * height }, (_, i) => { // of the four nearest, those of like colour
-    const x = (i % width + 0.5) / shrink - 0.5, y = (Math.floor(i / width) + 0.5) / shrink - 0.5;
+    const x = (i % width + 0.5) * w / width - 0.5, y = (Math.floor(i / width) + 0.5) * h / height - 0.5;
     let total = 0, weights = 0;
     for (const v of [Math.floor(y), Math.floor(y) + 1]) for (const u of [Math.floor(x), Math.floor(x) + 1]) {
       const q = Math.min(Math.max(v, 0), h - 1) * w + Math.min(Math.max(u, 0), w - 1);
       let apart = 0;
-      for (let c = 0; c < 3; c++) apart += (pixels[4 * i + c] / 255 - small[3 * q + c]) ** 2;
+      for (let c = 0; c < 3; c++) apart += (pixels[4 * i + c] / 255 - colours[3 * q + c]) ** 2;
       const weight = (1 - Math.abs(x - u)) * (1 - Math.abs(y - v)) * Math.exp(-apart / 0.003) + 1e-9;
       total += weight * share[q];
       weights += weight;
@@ -148,25 +206,4 @@ export function madeUp(pixels, width, height, random, near = 1, far = 8) {
     const t = total / weights;
     return near * (far / near) ** Math.min(t, 1) / Math.min(Math.max((1.95 - t) / 0.9, 0), 1);
   });
-}
-
-/** The root of each pixel's region: neighbours join where they differ less than what is inside of either
- *  (Felzenszwalb and Huttenlocher 2004); then what is small joins its nearest. */
-function regionsOf(w, h, differ) {
-  const n = w * h, parent = Int32Array.from({ length: n }, (_, p) => p), edges = [];
-  const count = new Int32Array(n).fill(1), inside = new Float32Array(n);
-  const root = p => { while (parent[p] !== p) p = parent[p] = parent[parent[p]]; return p; };
-  for (let p = 0; p < n; p++) {
-    if ((p + 1) % w) edges.push([differ(p, p + 1), p, p + 1]);
-    if (p + w < n) edges.push([differ(p, p + w), p, p + w]);
-  }
-  edges.sort((one, other) => one[0] - other[0]);
-  for (const few of [0, n / 150]) for (const [step, p, q] of edges) {
-    const a = root(p), b = root(q), alike = step <= Math.min(inside[a] + 2 / count[a], inside[b] + 2 / count[b]);
-    if (a === b || !(few ? Math.min(count[a], count[b]) < few : alike)) continue;
-    parent[b] = a;
-    count[a] += count[b];
-    inside[a] = step;
-  }
-  return root;
 }

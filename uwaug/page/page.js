@@ -6,25 +6,33 @@ const percent = value => `${Math.round(100 * value)} %`, rounded = value => Numb
 
 // name: place, label, value, least, most, as shown, what else it is
 const SLIDERS = {
-  chlorophyll: ["contents", "Chlorophyll", 3, 0.1, 50, v => `${v.toPrecision(2)} mg/m³`, "log"],
-  cdom: ["contents", "Dissolved organic matter", 0.5, 0.02, 5, v => `${v.toPrecision(2)} /m at 440 nm`, "log"],
-  minerals: ["contents", "Minerals", 0.5, 0.02, 20, v => `${v.toPrecision(2)} g/m³`, "log"],
-  share: ["mixture", "Share of the other", 0, 0, 1, percent],
-  contrast: ["water-controls", "Contrast left at the median distance", 0.4, 0.02, 0.95, percent, "drawn"],
-  vertical_depth: ["water-controls", "Depth below the surface", 3, 0, 30, v => `${v.toFixed(1)} m`, "drawn"],
-  times: ["water-controls", "Distances times", 1, 0.1, 10, v => `× ${v.toPrecision(2)}`, "log"],
-  exposure: ["camera-controls", "Exposure, from the metered one", 0, -3, 3, v => `${v.toFixed(1)} stops`, "drawn"],
+  chlorophyll: ["contents", "Algae (chlorophyll)", 3, 0.1, 50, v => `${v.toPrecision(2)} mg/m³`, "log"],
+  cdom: ["contents", "Yellow stain (dissolved matter)", 0.5, 0.02, 5, v => `${v.toPrecision(2)} /m at 440 nm`, "log"],
+  minerals: ["contents", "Silt (minerals)", 0.5, 0.02, 20, v => `${v.toPrecision(2)} g/m³`, "log"],
+  share: ["mixture", "How much of it", 0, 0, 1, percent],
+  contrast: ["water-controls", "Clarity: contrast left midway", 0.4, 0.02, 0.95, percent, "drawn"],
+  vertical_depth: ["water-controls", "Depth", 3, 0, 30, v => `${v.toFixed(1)} m`, "drawn"],
+  times: ["distances", "Stretch the distances", 1, 0.1, 10, v => `× ${v.toPrecision(2)}`, "log"],
+  exposure: ["camera-controls", "Brightness", 0, -3, 3, v => `${v.toFixed(1)} stops`, "drawn"],
   white_balance: ["camera-controls", "White balance", 0.3, 0, 1, percent, "drawn"],
-  saturation: ["camera-controls", "Saturation", 1, 0, 2, percent, "drawn"],
-  gamut: ["camera-controls", "Gamut compression", 0.85, 0, 1, percent, "drawn"],
-  tone: ["camera-controls", "Tone: contrast about mid-grey", 1.2, 0.5, 2.5, v => `${v.toFixed(2)} stops a stop`, "drawn"],
-  color_matrix: ["camera-controls", "Colour matrix of the camera", 0.4, 0, 1, percent, "drawn"],
-  full_well: ["camera-controls", "Noise: full well of a pixel", 1e5, 100, 1e5,
-    v => v >= 1e5 ? "no noise" : `${v.toPrecision(2)} electrons`, "log"],
-  read_noise: ["camera-controls", "Noise of reading", 3, 0, 20, v => `${v.toFixed(1)} electrons`],
-  g: ["scattering-controls", "g: scattered out of the line of sight", draws.g, 0, 0.4, v => v.toFixed(3)],
-  mu: ["scattering-controls", "μ: scattered towards the camera", rounded(1.5 * draws.g), 0, 0.6, v => v.toFixed(3)],
-  blur: ["scattering-controls", "Width of the blur", 1, 0, 3, v => `× ${v.toFixed(2)}`],
+  saturation: ["camera-controls", "Colourfulness", 1, 0, 2, percent, "drawn"],
+  tone: ["camera-controls", "Contrast of the camera", 1.2, 0.5, 2.5, v => `× ${v.toFixed(2)}`, "drawn"],
+  gamut: ["camera-controls", "Glaring colours tamed", 0.85, 0, 1, percent, "drawn"],
+  color_matrix: ["camera-controls", "Colour correction (matrix)", 0.4, 0, 1, percent, "drawn"],
+  full_well: ["camera-controls", "Noise: light a pixel holds", 1e5, 100, 1e5,
+    v => v >= 1e5 ? "no noise" : `${+v.toPrecision(2)} electrons`, "log"],
+  read_noise: ["camera-controls", "Noise in the dark", 3, 0, 20, v => `${v.toFixed(1)} electrons`],
+  g: ["scattering-controls", "Lost sideways (g)", draws.g, 0, 0.4, v => v.toFixed(3)],
+  mu: ["scattering-controls", "Brightness of the veil (μ)", rounded(1.5 * draws.g), 0, 0.6, v => v.toFixed(3)],
+  blur: ["scattering-controls", "Blur", 1, 0, 3, v => `× ${v.toFixed(2)}`],
+};
+const WORDS = { I: "clearest ocean", IA: "clear ocean", IB: "clear ocean", II: "ocean", III: "murky ocean", "1C": "clear coast",
+  "3C": "coast", "5C": "murky coast", "7C": "very murky coast", "9C": "murkiest coast", contents: "a mix of your own" };
+const PRESETS = {
+  Reef: { water: "II", contrast: 0.6, vertical_depth: 8, white_balance: 0 },
+  Harbour: { water: "contents", chlorophyll: 4, cdom: 1.5, minerals: 3, contrast: 0.2, vertical_depth: 5, white_balance: 0 },
+  Lake: { water: "contents", chlorophyll: 6, cdom: 3, minerals: 0.5, vertical_depth: 4, white_balance: 0 },
+  "Green fjord": { water: "contents", chlorophyll: 5, cdom: 0.6, minerals: 0.2, vertical_depth: 12, white_balance: 0 },
 };
 const DRAWN = ["water", ...Object.keys(SLIDERS).filter(name => SLIDERS[name][6] === "drawn")];
 const DEFAULTS = { water: embedded.water ?? "3C", other: "", nature: 0 };
@@ -75,15 +83,18 @@ async function picture({ step, begun }) {
   paint($("after"), made);
   shown = { ...made, ms: performance.now() - begun, step };
   const { contents, scale, depth, veil, visibility } = made;
-  const said = [`${visibility.toPrecision(2)} m of visibility, ${contents.toPrecision(2)} times what is in this water`];
+  const said = [`${visibility.toPrecision(2)} m of visibility`];
+  if (contents > 0 && contents !== 1) said.push(`${contents.toPrecision(2)} times as much in the water as in nature`);
   if (contents > tables.much) said.push("so much that it is hardly this water any more");
   if (contents === 0) said[0] = "pure water: it leaves no more contrast at these distances";
-  if (scale !== 1) said.push(`distances × ${scale.toPrecision(2)}, as water has a colour from 1 to 8 m`);
+  if (scale !== 1) said.push(`distances × ${scale.toPrecision(2)}: water shows its colour from 1 to 8 m`);
   if (depth < state.vertical_depth) said.push(`shown ${depth.toFixed(1)} m deep: below, no exposure makes up for the light`);
   if (veil > 1.05) said.push(`the veil far away is ${veil.toPrecision(2)} times as bright as white`);
-  say([...said, note].filter(Boolean).join("; ") + ` (${shown.ms.toFixed(0)} ms)`);
+  say([...said, ...note].filter(Boolean).join("; ") + ` (${shown.ms.toFixed(0)} ms)`);
 }
+const past = []; // settings, the last of them those that are shown
 function changed(dragging) {
+  if (!dragging && JSON.stringify(state) !== JSON.stringify(past.at(-1))) past.push({ ...state });
   fill();
   $("view").ariaBusy = "true";
   wanted = { step: dragging && shown?.ms > 60 * shown.step ** 2 ? 2 : 1, begun: performance.now() };
@@ -123,13 +134,22 @@ for (const [name, [place, label]] of Object.entries(SLIDERS)) {
   $(name).addEventListener("change", () => changed());
 }
 for (const name of DRAWN) {
-  const hold = `<label class="hold" title="Held in the twelve draws"><input type="checkbox" id="hold-${name}"
+  const hold = `<label class="chip" title="the twelve draws keep it"><input type="checkbox" id="hold-${name}"
     aria-label="hold ${name.replace("_", " ")} in the twelve draws">hold</label>`;
   $(name).closest(".row, .control").insertAdjacentHTML("beforeend", hold);
   $(`hold-${name}`).addEventListener("change", fill);
 }
-$("water").append(...TYPES.map(type => new Option(`Jerlov ${type}`, type)), new Option("of contents", "contents"));
-$("other").append(new Option("nothing", ""), ...TYPES.map(type => new Option(`Jerlov ${type}`, type)));
+const options = types => types.map(type => new Option(type === "contents" ? WORDS[type] : `${type}: ${WORDS[type]}`, type));
+$("water").append(...options([...TYPES, "contents"]));
+$("other").append(new Option("nothing", ""), ...options(TYPES));
+for (const name in PRESETS) {
+  const button = document.createElement("button");
+  button.textContent = name;
+  button.addEventListener("click", () => { Object.assign(state, DEFAULTS, { times: state.times }, PRESETS[name]); changed(); });
+  $("presets").append(button);
+}
+$("undo").addEventListener("click", () => { past.pop(); Object.assign(state, past.at(-1)); changed(); });
+$("reset").addEventListener("click", () => { Object.assign(state, DEFAULTS); changed(); });
 $("water").addEventListener("change", event => { state.water = event.target.value; changed(); });
 $("other").addEventListener("change", event => { state.other = event.target.value; state.share ||= 0.3; changed(); });
 $("nature").addEventListener("change", event => { state.nature = +event.target.checked; changed(); });
@@ -141,6 +161,7 @@ function fill() {
   }
   for (const name of ["water", "other"]) $(name).value = state[name];
   $("nature").checked = Boolean(state.nature);
+  $("undo").disabled = past.length < 2;
   const hide = (element, hidden) => { element.hidden = Boolean(hidden); };
   hide($("contents"), state.water !== "contents");
   hide($("mixture"), state.water === "contents");
@@ -149,9 +170,13 @@ function fill() {
   hide($("read_noise").parentElement, state.full_well >= 1e5);
   const holds = own.map ? $("holds").value : "made-up";
   for (const row of document.querySelectorAll("[data-of]")) hide(row, !row.dataset.of.includes(holds));
-  for (const tile of $("waters").children) tile.ariaPressed = String(tile.dataset.value === state.water);
+  const asRow = Boolean(state.nature) !== $("same").checked;
+  for (const tile of $("waters").children) tile.ariaPressed = String(asRow && tile.dataset.value === state.water);
   for (const tile of $("severities").children) tile.ariaPressed = String(!state.nature && +tile.dataset.value === state.contrast);
-  const { unsaved } = scene?.files ?? embedded.files;
+  const { unsaved } = scene?.files ?? embedded.files, isMap = $("left").value === "depths", { near, far } = scene ?? {};
+  const [yellow, violet] = [near, far].map(z => (z * state.times).toPrecision(2)), made = scene?.files.guessed ? ", made up" : "";
+  hide($("depths"), !isMap);
+  $("left-tag").textContent = isMap && scene ? `yellow ${yellow} m, violet ${violet} m${made}` : "in air";
   hide($("unsaved"), !unsaved);
   hide($("save-scene"), !unsaved);
   $("code").textContent = code();
@@ -173,42 +198,53 @@ async function fillTile(button, what, message, width) {
   if (made.pixels) paint(button.firstChild, made);
   return made;
 }
-for (const type of TYPES) tile("waters", type, type, () => { Object.assign(state, { water: type, other: "" }); changed(); });
+for (const type of TYPES) tile("waters", type, type, () => {
+  Object.assign(state, { water: type, other: "", nature: +!$("same").checked });
+  changed();
+}).lastChild.title = WORDS[type];
+$("same").addEventListener("change", () => {
+  $("as").textContent = $("same").checked ? "all of the same clarity" : "as clear as in nature";
+  changed();
+});
 draws.severities.forEach((contrast, i) => tile("severities", `${i + 1}: ${percent(contrast)} left`, contrast, () => {
   Object.assign(state, { contrast, nature: 0 });
   changed();
 }));
 const smallPictures = () => [...$("waters").children, ...$("severities").children].map(button => () => {
   const { value } = button.dataset, alone = button.parentElement.id === "waters";
-  const settings = { ...settingsOf(state), ...(alone ? { water: value, other: "" } : { contrast: +value }) };
+  const kept = $("same").checked ? state.contrast : null; // as in nature
+  const settings = { ...settingsOf(state), ...(alone ? { water: value, other: "", contrast: kept } : { contrast: +value }) };
   return fillTile(button, "form", { settings }, 200);
 });
 let seed = 0;
-$("draw").addEventListener("click", () => {
-  const held = DRAWN.filter(name => $(`hold-${name}`).checked || (name === "contrast" && state.nature));
+const heldNames = () => DRAWN.filter(name => $(`hold-${name}`).checked || (name === "contrast" && state.nature));
+function use({ contrast, full_well, ...drawn }) {
+  Object.assign(state, drawn, contrast === null ? { nature: 1 } : { nature: 0, contrast });
+  changed();
+}
+function draw() {
+  const held = heldNames();
   for (let i = 0; i < 12; i++) {
-    const button = $("draws").children[i] ?? tile("draws", "", i, () => {
-      const { contrast, full_well, ...drawn } = button.drawn;
-      Object.assign(state, drawn, contrast === null ? { nature: 1 } : { nature: 0, contrast });
-      changed();
-    });
+    const button = $("draws").children[i] ?? tile("draws", "", i, () => use(button.drawn));
     button.disabled = true;
     drawing.push(async () => {
       const { drawn, depth } = await fillTile(button, "draw", { settings: settingsOf(state), held, seed: seed++ }, 300);
       if (!drawn) return;
       const left = drawn.contrast === null ? "as in nature" : percent(drawn.contrast);
       button.drawn = drawn;
-      button.lastChild.textContent = `${drawn.water}, ${left}, ${depth.toFixed(1)} m deep`;
+      button.lastChild.textContent = `${drawn.water === "contents" ? "mix" : drawn.water}, ${left}, ${depth.toFixed(1)} m`;
     });
   }
   work();
-});
+}
+$("draw").addEventListener("click", draw);
 
 // --- before and after, and what is under the pointer --------------------------------------------------
 function split(at) {
   const share = Math.min(Math.max(at, 0), 100);
   $("view").ariaValueNow = String(Math.round(share));
-  $("before").style.clipPath = `inset(0 ${100 - share}% 0 0)`;
+  $("view").ariaValueText = `${Math.round(share)} % in air`;
+  for (const id of ["before", "depths"]) $(id).style.clipPath = `inset(0 ${100 - share}% 0 0)`;
   $("split").style.left = `${share}%`;
 }
 function pointed(event) {
@@ -225,40 +261,64 @@ function pointed(event) {
 $("view").addEventListener("pointerdown", event => { $("view").setPointerCapture(event.pointerId); pointed(event); });
 $("view").addEventListener("pointermove", pointed);
 $("view").addEventListener("keydown", event => {
-  const by = { ArrowLeft: -2, ArrowRight: 2, Home: -100, End: 100 }[event.key];
+  const by = { ArrowLeft: -2, ArrowDown: -2, PageDown: -20, Home: -100, ArrowRight: 2, ArrowUp: 2, PageUp: 20, End: 100 }[event.key];
   if (by) { split(Number($("view").ariaValueNow) + by); event.preventDefault(); }
 });
 
 // --- pictures -----------------------------------------------------------------------------------------
 const own = {}; // files that were chosen
+function pixelsOf(picture, width, height) {
+  const canvas = Object.assign(document.createElement("canvas"), { width, height });
+  const context = canvas.getContext("2d", { willReadFrequently: true });
+  context.imageSmoothingQuality = "high";
+  context.drawImage(picture, 0, 0, width, height);
+  return { pixels: context.getImageData(0, 0, width, height).data, width, height };
+}
+const VIRIDIS = [[253, 231, 37], [94, 201, 98], [33, 145, 140], [59, 82, 139], [68, 1, 84]]; // near to far
+function coloured({ distance, width, height, near, far }) {
+  const pixels = new Uint8ClampedArray(4 * width * height).fill(255);
+  distance.forEach((z, p) => { // open water as what is farthest
+    const at = 4 * Math.min(Math.log(z / near) / Math.max(Math.log(far / near), 1e-9), 1), i = Math.min(Math.floor(at), 3);
+    for (let c = 0; c < 3; c++) pixels[4 * p + c] = VIRIDIS[i][c] + (at - i) * (VIRIDIS[i + 1][c] - VIRIDIS[i][c]);
+  });
+  return { pixels, width, height };
+}
+/** One height for what stands side by side. */
+function arrange() {
+  const image = $("reference").firstElementChild, aspect = $("after").width / $("after").height;
+  const other = $("reference").hidden ? 0 : image.naturalWidth / image.naturalHeight;
+  $("view").style.cssText = `flex-grow: ${aspect}; aspect-ratio: ${aspect}`;
+  $("reference").style.cssText = `flex-grow: ${other}; aspect-ratio: ${other}`;
+  $("stage").style.setProperty("--aspect", aspect + other);
+}
 async function setScene(bitmap, from, files, note) {
   const [before, whole] = [scene, [bitmap.width, bitmap.height]];
   const shrink = Math.min(1, Math.sqrt(tables.pixels / (whole[0] * whole[1])));
   const [width, height] = whole.map(side => Math.max(1, Math.round(side * shrink)));
-  const canvas = Object.assign(document.createElement("canvas"), { width, height });
-  const context = canvas.getContext("2d", { willReadFrequently: true });
-  context.imageSmoothingQuality = "high";
-  context.drawImage(bitmap, 0, 0, width, height);
+  const { pixels } = pixelsOf(bitmap, width, height);
   bitmap.close();
-  const { data: pixels } = context.getImageData(0, 0, width, height);
   scene = undefined;
   [drawing, thumbnails] = [[], []];
   $("view").ariaBusy = "true";
   try {
     const message = { pixels, width, height, from: { ...from, whole }, seed: seed++ };
     const { distance } = await ask("scene", message, share => say("making the blurs of the picture", share));
-    if (shrink < 1) note += `; shown at ${width}×${height} of ${whole[0]}×${whole[1]} px`;
-    scene = { width, height, distance, note, files: { width: files.unsaved ? width : whole[0], ...files } };
+    if (shrink < 1) note.push(`shown at ${width}×${height} of ${whole[0]}×${whole[1]} px`);
+    const finite = distance.filter(z => z < Infinity).sort(), [near, far] = [finite[0] ?? 1, finite.at(-1) ?? 1];
+    scene = { width, height, distance, near, far, note, files: { width: files.unsaved ? width : whole[0], ...files } };
   } catch (error) {
     scene = before;
     throw error;
   } finally {
-    if (scene) changed(); // also where the one before stays
+    if (scene) { // also where the one before stays
+      changed();
+      draw();
+    }
   }
-  $("draws").replaceChildren();
   paint($("before"), { pixels, width, height });
+  paint($("depths"), coloured(scene));
   Object.assign($("after"), { width, height });
-  $("view").style.setProperty("--aspect", width / height);
+  arrange();
   split(50);
 }
 async function take(files) {
@@ -266,6 +326,7 @@ async function take(files) {
   const isMap = ({ name, bytes }) => name.endsWith(".npy") || (/\.png$/i.test(name) && bytes[25] === 0);
   const read = await Promise.all(files.map(async file => ({ name: file.name, file, bytes: new Uint8Array(await file.arrayBuffer()) })));
   const maps = read.filter(isMap), pictures = read.filter(one => !isMap(one));
+  if (!own.picture && read.length === 1 && !read[0].name.endsWith(".npy")) pictures.push(...maps.splice(0)); // a grey picture
   if (pictures.length > 1 || maps.length > 1 || !(pictures.length || own.picture)) {
     const got = `got ${pictures.length} and ${maps.length}`;
     throw new Error(`choose one picture in colour, and one map (grey PNG of 8 or 16 bits, or .npy) if there is one: ${got}`);
@@ -280,11 +341,11 @@ async function useOwn() {
   const bitmap = await createImageBitmap(file, { colorSpaceConversion: "none" }).catch(undecoded);
   const said = { unit: +$("unit").value, near: +$("near").value, far: +$("far").value };
   Object.assign(said, { holds: map ? $("holds").value : "metres", holes: map ? $("holes").value : "error" });
-  const taken = /\.jpe?g$/i.test(name) || (/\.png$/i.test(name) && [2, 6].includes(bytes[25]));
-  const note = taken ? "" : "uwaug degrade takes PNG and JPEG in RGB, without a palette";
+  const taken = /\.jpe?g$/i.test(name) || (/\.png$/i.test(name) && bytes[25] !== 3);
+  const note = taken ? [] : ["uwaug degrade takes PNG and JPEG, without a palette"];
   if (map) await setScene(bitmap, { file: map.bytes.buffer, npy: map.name.endsWith(".npy"), said }, { picture: name, distance: map.name, ...said }, note);
   else if (without !== "made-up") await setScene(bitmap, { metres: +without }, { ...said, picture: name, distance: without }, note);
-  else await setScene(bitmap, {}, { ...said, unit: 1, picture: `${stem}-scene.png`, distance: `${stem}-scene.npy`, unsaved: true }, "");
+  else await setScene(bitmap, {}, { ...said, unit: 1, picture: `${stem}-scene.png`, distance: `${stem}-scene.npy`, unsaved: true, guessed: true }, []);
 }
 let taking = Promise.resolve(); // one after another
 function queued(job) {
@@ -299,11 +360,39 @@ for (const kind of ["dragover", "dragleave", "drop"]) addEventListener(kind, eve
   $("view").classList.toggle("drop", kind === "dragover");
   if (kind === "drop") { const files = [...event.dataTransfer.files]; queued(() => take(files)); }
 });
-$("real").addEventListener("change", ({ target: { files: [file] } }) => {
-  const image = $("reference").lastElementChild;
+let real; // {name, bitmap}
+$("real").addEventListener("change", async ({ target: { files: [file] } }) => {
+  const image = $("reference").firstElementChild;
   URL.revokeObjectURL(image.src);
-  $("reference").hidden = !file;
-  if (file) image.src = URL.createObjectURL(file);
+  real = undefined;
+  if (file) {
+    image.src = URL.createObjectURL(file);
+    const decoded = await image.decode().then(() => true, () => false);
+    if (decoded) real = { name: file.name, image };
+    $("files-error").textContent = decoded ? "" : `${file.name} cannot be decoded as a picture`;
+  }
+  $("reference").hidden = $("like").hidden = !real;
+  arrange();
+  fill();
+});
+$("like").addEventListener("click", async () => {
+  const short = picture => { // as uwaug.like looks at pictures
+    const [width, height] = [picture.naturalWidth ?? picture.width, picture.naturalHeight ?? picture.height], scale = 128 / Math.min(width, height);
+    return pixelsOf(picture, Math.round(width * scale), Math.round(height * scale));
+  };
+  const at = scene, message = { small: short($("before")), photograph: short(real.image), settings: settingsOf(state), held: heldNames(), seed: seed++ };
+  $("like").disabled = true;
+  try {
+    const { drawn, away, usual, off } = await ask("like", message, share => say("trying 120 draws", share));
+    if (scene !== at) return;
+    const still = off.length ? `; it is still ${off.join(", ")}` : "";
+    scene.note = [`${away.toFixed(2)} away from the real picture, most draws ${usual.toFixed(2)}: 1 is as much as photographs differ${still}`];
+    use(drawn);
+  } catch (error) {
+    say(error.message);
+  } finally {
+    $("like").disabled = false;
+  }
 });
 
 // --- copies -------------------------------------------------------------------------------------------
@@ -365,6 +454,7 @@ function code() {
     else if (name === "contrast") words.push(`--contrast ${value ?? "none"}`);
     else words.push(`--set ${quoted(`${name}=${value === null ? "none" : toml(value)}`)}`);
   }
+  if (real && options.field !== null) words.push(`--like ${quoted(real.name)}`);
   return `${words.join(" ")} ${options.field === null ? "--out wet.png" : "--variants 12 --sheet --out wet/"}`;
 }
 function download(blob, name) {
@@ -377,7 +467,7 @@ function npyOf(values, width, height) {
   const header = `{'descr': '<f4', 'fortran_order': False, 'shape': (${height}, ${width}), }`.padEnd(117) + "\n";
   return new Blob([new Uint8Array([0x93, 78, 85, 77, 80, 89, 1, 0, 118, 0]), header, values]);
 }
-$("language").addEventListener("change", fill);
+for (const id of ["language", "left"]) $(id).addEventListener("change", fill);
 $("copy").addEventListener("click", async () => {
   try {
     await navigator.clipboard.writeText(code());
@@ -403,4 +493,4 @@ await ask("open", { tables });
 const picked = Uint8Array.from(atob(embedded.picture), letter => letter.charCodeAt(0));
 const first = await createImageBitmap(new Blob([picked]), { colorSpaceConversion: "none" });
 const { distance: packed, near, step } = embedded;
-await setScene(first, { embedded: { packed, near, step } }, embedded.files, "");
+await setScene(first, { embedded: { packed, near, step } }, embedded.files, []);

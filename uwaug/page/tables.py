@@ -2,6 +2,7 @@
 the package as it is installed.
 """
 
+import base64
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from uwaug._support.codec import to_plain
 from uwaug._support.types import Array
 from uwaug.blur.kernels import MARGIN, blur_kernel, enlarge_kernels, per_cell, shrink_kernels
 from uwaug.blur.plan import BlurPlan, place_line, plan_blur
+from uwaug.distance import cue
 from uwaug.formation import development
 from uwaug.formation.colour import LUMINANCE
 from uwaug.optics import constituents
@@ -22,6 +24,7 @@ from uwaug.optics.spectra import WAVELENGTHS
 from uwaug.optics.surfaces import reflectances
 from uwaug.optics.water import LEAST_LOSS, Water, eye
 from uwaug.transforms import random_water
+from uwaug.transforms.appearance import WATER_FEATURES
 from uwaug.transforms.measured import SAMPLED
 from uwaug.transforms.random_underwater import SEVERITIES, RandomUnderwater
 
@@ -96,6 +99,11 @@ def tables() -> dict[str, Any]:
         "pixels": PIXELS,
         "plan": _plan(plan_of_page()),
         "draws": _draws(),
+        "appearance": WATER_FEATURES,
+        "cue": {
+            "layers": [(name, *size, cue.is_rectified(name)) for name, size in cue.LAYERS.items()],
+            "weights": base64.b64encode(cue.WEIGHTS.read_bytes()).decode(),
+        },
     }
     plain: dict[str, Any] = to_plain(_rounded(stored))
     return plain

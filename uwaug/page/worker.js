@@ -2,15 +2,17 @@
 
 let tables, scene;
 
+const bytesOfText = text => Uint8Array.from(atob(text), letter => letter.charCodeAt(0));
+
 async function distancesOf({ pixels, width, height, from, seed }) {
   if (from.metres) return new Float32Array(width * height).fill(from.metres);
   if (from.embedded) {
     const { packed, near, step } = from.embedded; // codes in equal steps of the logarithm, each less the one before
-    const codes = new Uint16Array((await inflated([Uint8Array.from(atob(packed), letter => letter.charCodeAt(0))])).buffer);
+    const codes = new Uint16Array((await inflated([bytesOfText(packed)])).buffer);
     for (let i = 1; i < codes.length; i++) codes[i] += codes[i - 1];
     return Float32Array.from(codes, code => code === 65535 ? Infinity : near * Math.exp(code * step));
   }
-  if (!from.file) return madeUp(pixels, width, height, randomOf(seed));
+  if (!from.file) return madeUp(pixels, width, height, randomOf(seed), tables.cue);
   const map = from.npy ? readNpy(from.file) : await readPng(from.file), { whole, said } = from;
   const apart = Math.abs(map.width * whole[1] - map.height * whole[0]);
   if (apart > Math.max(0.01 * map.width * whole[1], Math.min(...whole) - 1)) {
@@ -24,7 +26,10 @@ async function distancesOf({ pixels, width, height, from, seed }) {
 }
 
 const answers = {
-  open: message => { tables = message.tables; },
+  open: message => {
+    const { layers, weights } = message.tables.cue;
+    tables = { ...message.tables, cue: layersOf(layers, bytesOfText(weights)) };
+  },
   async scene(message, tell) {
     const { pixels, width, height } = message, distance = await distancesOf(message);
     scene = null; // makes room
@@ -38,18 +43,18 @@ const answers = {
     const { near, step: stepOfPlace } = scene;
     return { ...form(scene, water, gain, settings, { step, terms }, tables), ...said, left, near, stepOfPlace };
   },
-  /** What `RandomUnderwater` draws by default, but for the settings that are held. */
   draw({ settings, held, seed, step }) {
-    const random = randomOf(seed), { waters, contents, ranges } = tables.draws, drawn = { ...settings };
-    const between = ([low, high], share, log) => Number((log ? low * (high / low) ** share : low + (high - low) * share).toPrecision(3));
-    const water = waters[Math.floor(random() * waters.length)];
-    const inWater = Object.keys(contents).map(name => [name, between(contents[name], random(), true)]);
-    if (!held.includes("water")) Object.assign(drawn, Object.fromEntries(inWater), { water, share: 0, other: "" });
-    for (const name in ranges) {
-      const value = between(ranges[name], random(), name === "contrast");
-      if (!held.includes(name)) drawn[name] = name === "white_balance" ? Math.max(value, 0) : value; // below, none
-    }
+    const drawn = drawnBy(randomOf(seed), settings, held, tables.draws);
     return { ...answers.form({ settings: drawn, step }), drawn };
+  },
+  /** `small`: the scene's picture and the photograph as `uwaug.like` looks at them. */
+  like({ small: { pixels, width, height }, photograph, settings, held, seed }, tell) {
+    const shrink = scene.width / width, metres = Float32Array.from({ length: width * height }, (_, p) => {
+      const row = Math.floor((Math.floor(p / width) + 0.5) * shrink), column = Math.floor((p % width + 0.5) * shrink);
+      const place = scene.place[Math.min(row, scene.height - 1) * scene.width + Math.min(column, scene.width - 1)];
+      return place === ENTRIES ? Infinity : scene.near * Math.exp(place * scene.step);
+    });
+    return nearestDraw(sceneOf(pixels, metres, width, height, tables), photograph, settings, held, randomOf(seed), tables, tell);
   },
 };
 

@@ -20,6 +20,9 @@ from uwaug.presets.scene import Scene
 _OPEN_CODE = 65535
 """Of open water, in whole numbers of 16 bits."""
 
+_WORKER = ("model.js", "maps.js", "holes.js", "like.js", "worker.js")
+"""What runs beside the page: one script, with one name for each thing."""
+
 
 def write_page(
     path: str | Path, scene: Scene, source: Mapping[str, Any], water: str | None = None
@@ -31,7 +34,8 @@ def write_page(
         scene: of `tables.PIXELS` at most, see `uwaug.presets.scene.own_scene`.
         source: where it comes from, for what is copied from the page: "picture" and "distance",
             names of files, or metres; "unit", m; "holes"; "unsaved", whether there are no such
-            files before the page has saved them; "width" of the picture, px.
+            files before the page has saved them; "guessed", whether distances are made up;
+            "width" of the picture, px.
         water: the Jerlov type to begin with.
 
     Raises:
@@ -39,7 +43,7 @@ def write_page(
     """
     parts = {
         "style.css": _text("style.css"),
-        "model.js maps.js worker.js": _plain("model.js", "maps.js", "worker.js"),
+        " ".join(_WORKER): _plain(*_WORKER),
         "tables": _json(tables()),
         "scene": _json({**_stored(scene), "water": water, "files": {"holds": "metres", **source}}),
         "page.js": _plain("page.js"),

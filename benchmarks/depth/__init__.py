@@ -1,0 +1,1 @@
+"""A depth network of our own for distances that are made up: scenes, training, measures."""
