@@ -387,7 +387,7 @@ REFUSED_OPTIONS: dict[str, tuple[dict[str, Any], str]] = {
     "mixed medium": ({"waters": ["II", FIT], "mixing": (0, 1)}, "mixing needs spectra"),
     "module": ({"distance": torch.nn.Identity()}, r"distance must be .*Network\(…\)"),
     "development": ({"development": {"gamut": 1}}, "must be a uwaug.RandomDevelopment"),
-    "light": ({"light": 3.0}, "light must be a uwaug.Light"),
+    "light": ({"light": 3.0}, "light must be a uwaug.RandomLight, got float; or a uwaug.Light"),
     "law": ({"point_spread": 3.0}, "must be a uwaug.PointSpread"),
     "camera": ({"camera": "obscura"}, "no camera is called so"),
 }

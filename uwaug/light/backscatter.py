@@ -28,7 +28,7 @@ from uwaug.optics.curves import decay
 ASYMMETRY = 0.924
 """Mean cosine of the phase function: that of Petzold's waters."""
 
-NODES, NODE_WEIGHTS = (values.tolist() for values in np.polynomial.legendre.leggauss(6))
+NODES, NODE_WEIGHTS = (values.tolist() for values in np.polynomial.legendre.leggauss(7))
 """Of the Gauss quadrature over the lit part of a ray (benchmarks/README.md)."""
 
 MAX_T = 1 - 1e-6

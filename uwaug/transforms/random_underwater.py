@@ -81,8 +81,8 @@ class RandomUnderwater(SampleTransform):
         contrast: share of an object's contrast of luminance that is left at the scene's median
             distance, ignoring scattered light (see `Water.contrast`); the contents of the water are
             scaled to it, as far as pure water allows. Where the median is below 1 m or above 8 m,
-            the distances are scaled to that first, but with lamps, whose places are metres. None
-            leaves distances, and waters as they are in nature.
+            the distances are scaled to that first, but under a `Light`, whose lamps stand in
+            metres. None leaves distances, and waters as they are in nature.
         mixing: share of a second water, picked like the first; 0 for none, (0, 1) for a continuous
             slider between types. Contents of both are drawn at the same shares of their ranges.
         vertical_depth: m below the surface; with an automatic exposure no deeper than where 1/32 of

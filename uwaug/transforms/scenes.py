@@ -80,11 +80,10 @@ class Scenes(NamedTuple):
         columns: 1xhxw of a picture, Bx1xhxw of a batch; 1 where there is no water.
         """
         shares = list(torch.ones_like(self.pictures[:, :1, ::step, ::step], dtype=torch.float32))
-        maps = (x[..., ::step, ::step] for x in (self.z, self.metres))
-        for i, z, metres, water, light in zip(
-            self.chosen, *maps, self.waters, self.lights, strict=True
-        ):
-            shares[i] = contrast_left(z, water.medium, light=light, metres=metres)
+        each = zip(self.chosen, self.z, self.metres, self.waters, self.lights, strict=True)
+        for i, z, metres, water, light in each:
+            far, near = z[..., ::step, ::step], metres[..., ::step, ::step]
+            shares[i] = contrast_left(far, water.medium, light=light, metres=near)
         return shares[0] if self.image.ndim == 3 else torch.stack(shares)
 
     def reached(self, picture: int) -> Reached | None:
