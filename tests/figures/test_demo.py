@@ -57,7 +57,7 @@ def test_systems_are_compared_in_one_water(small, monkeypatch):
         return figures[0]
 
     assert require_room(draw, monkeypatch) >= 4
-    assert "mean red, green and blue, 0…1" in figures[0].texts[1].get_text()
+    assert "in brackets the means of red, green and blue, 0…1" in figures[0].texts[1].get_text()
     axes = figures[0].axes
     assert [axis.get_title("left").split("  ")[0] for axis in axes[:3]] == ["no water", *systems]
     wanted = published.akkaynak_2018(small.image, small.distance, "7C").permute(1, 2, 0)
