@@ -53,7 +53,7 @@ function readAddress() {
 // --- the worker: one question at a time, and of the pictures only the newest waits ------------------
 const worker = new Worker(URL.createObjectURL(new Blob([$("worker").textContent])));
 const questions = new Map();
-let asked = 0, scene, wanted, drawing = [], thumbnails = [], busy = false, shown, settle;
+let asked = 0, pending = 0, scene, wanted, drawing = [], thumbnails = [], busy = false, shown, settle;
 const ask = (what, message, tell) => new Promise((resolve, reject) => {
   questions.set(++asked, { resolve, reject, tell });
   worker.postMessage({ number: asked, what, ...message });
@@ -69,7 +69,7 @@ async function work() {
   busy = true;
   while (scene && (wanted || drawing.length || thumbnails.length)) {
     if (wanted) await picture(wanted); else await (drawing.shift() ?? thumbnails.shift())();
-    if (scene) $("view").ariaBusy = String(Boolean(wanted));
+    if (scene) $("view").ariaBusy = String(Boolean(wanted || pending));
   }
   busy = false;
 }
@@ -349,7 +349,12 @@ async function useOwn() {
 }
 let taking = Promise.resolve(); // one after another
 function queued(job) {
-  taking = taking.then(job).catch(error => { $("files-error").textContent = error.message; fill(); });
+  pending++;
+  $("view").ariaBusy = "true";
+  taking = taking.then(job).catch(error => { $("files-error").textContent = error.message; fill(); }).finally(() => {
+    pending--;
+    if (scene && !busy && !wanted) $("view").ariaBusy = String(pending > 0);
+  });
 }
 $("files").addEventListener("change", event => { const files = [...event.target.files]; if (files.length) queued(() => take(files)); });
 for (const id of ["holds", "unit", "near", "far", "holes", "without"]) {
