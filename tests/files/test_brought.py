@@ -389,7 +389,13 @@ def test_names_that_begin_with_a_dot_are_none() -> None:
 
 @pytest.mark.parametrize(
     "name, cure",
-    [("a.HEIC", "magick mogrify"), ("a.nef", "darktable-cli"), ("a.mp4", "ffmpeg -i FILM")],
+    [
+        ("a.HEIC", "magick mogrify"),
+        ("a.jfif", "magick mogrify"),
+        ("a.pgm", "magick mogrify"),
+        ("a.nef", "darktable-cli"),
+        ("a.mp4", "ffmpeg -i FILM"),
+    ],
 )
 def test_other_formats_come_with_a_cure(name: str, cure: str, run: Run) -> None:
     Path("photos").mkdir()

@@ -587,6 +587,13 @@ def test_an_empty_split_is_told(tmp_path: Path, split: str, other: str) -> None:
 # COCO
 
 
+def test_images_without_a_picture_are_counted(tmp_path: Path) -> None:
+    coco(tmp_path)
+    notes: list[str] = []
+    labelled(tmp_path / "instances.json", ["reef/a.jpg"], tmp_path / "out", notes=notes)
+    assert notes == [f"1 of 2 images of {tmp_path / 'instances.json'} have no picture here"]
+
+
 def owners(file: Path, *pictures: Path, root: Path) -> dict[str, int]:
     """The id of the image that each picture has."""
     items = [Item(picture.relative_to(root).as_posix(), picture) for picture in pictures]
