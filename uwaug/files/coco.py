@@ -100,9 +100,8 @@ class Coco(Labels):
         text = json.dumps(content, ensure_ascii=False)
         write_other(out / self.path.name, text.encode(), self.path)
         lost = self.count - len(self.of)
-        return (
-            [f"{lost} of {self.count} images of {self.path} have no picture here"] if lost else []
-        )
+        note = f"{lost} of {self.count} images of {self.path} have no picture here"
+        return [note] if lost else []
 
 
 def _parts(image: Entry) -> list[str]:

@@ -9,7 +9,7 @@ from uwaug._support import checks
 from uwaug.files.items import Item
 from uwaug.files.recipe import Recipe
 from uwaug.files.record import digest, reason_of
-from uwaug.transforms.draws import Record
+from uwaug.transforms.draws import Record, of_frame
 
 _MAX_TRIED = 9
 """Frames of a film on which its draw may be settled."""
@@ -78,11 +78,8 @@ class Films:
         (sample,) = record["samples"]
         if "measured" not in sample:
             return record
-        numbers = dict(sample["numbers"])
-        if "noise_seed" in numbers:
-            numbers["noise_seed"] = (numbers["noise_seed"] + frame.number) % 2**32
         moved = self.recipe.drift * frame.number
-        return {"samples": [{**sample, "numbers": numbers, "moved": moved}]}
+        return {"samples": [{**of_frame(sample, frame.number), "moved": moved}]}
 
     def _settle(self, candidates: Sequence[Item], variant: int) -> tuple[Record, Item]:
         drawn = self.recipe.drawn(candidates[0].name, variant)

@@ -25,6 +25,9 @@ UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _BIT_DEPTH = 24
 """Byte of a PNG that says how many bits a channel has."""
 
+_IN_PNG = (b"eXIf", b"Raw profile type", b"XML:com.adobe.xmp")
+"""What a PNG has in it that says how it has to be turned."""
+
 
 def read_picture(path: str | Path, color_space: ColorSpace = "srgb") -> Tensor:
     """Read a picture. Grey is R = G = B, an alpha that is opaque is none.
@@ -127,11 +130,21 @@ def orientation_of(path: Path) -> int:
     """How a picture has to be turned or mirrored to be upright, as EXIF counts: 1 is not."""
     if path.suffix.lower() in (".tif", ".tiff"):
         with tifffile.TiffFile(path) as file:
-            return int(file.pages.first.tags.valueof(ExifTags.Base.Orientation, 1))
+            return _of_tag(file.pages.first)
     if path.suffix.lower() in (".npy", ".exr"):
         return 1
+    if path.suffix.lower() == ".png" and not any(map(path.read_bytes().__contains__, _IN_PNG)):
+        return 1  # else Pillow decodes all of it to see what stands behind
     with Image.open(path) as image:
-        return int(image.getexif().get(ExifTags.Base.Orientation, 1))
+        return _orientation(image)
+
+
+def _of_tag(page: tifffile.TiffPage) -> int:
+    return int(page.tags.valueof(ExifTags.Base.Orientation, 1))
+
+
+def _orientation(image: Image.Image) -> int:
+    return int(image.getexif().get(ExifTags.Base.Orientation, 1))
 
 
 def _upright(values: NDArray[Any], orientation: int) -> NDArray[Any]:
@@ -218,7 +231,6 @@ def _decoded(path: Path, wanted: Literal["RGB", "Z"]) -> NDArray[Any]:
             values = _of_exr(path, wanted)
         else:
             values = _of_tiff(path) if end in (".tif", ".tiff") else _of_pillow(path)
-            values = _upright(values, orientation_of(path))
     except (ImportError, MemoryError):
         raise
     except Exception as error:  # decoders raise whatever they like over a damaged file
@@ -251,8 +263,8 @@ def _of_pillow(path: Path) -> NDArray[Any]:
             data = path.read_bytes()
             if data[_BIT_DEPTH] == 16:  # Pillow would drop half of them
                 (codecs,) = require("files", "imagecodecs")
-                return np.asarray(codecs.png_decode(data))
-        return np.asarray(image)
+                return _upright(np.asarray(codecs.png_decode(data)), orientation_of(path))
+        return _upright(np.asarray(image), _orientation(image))
 
 
 def _of_tiff(path: Path) -> NDArray[Any]:
@@ -266,7 +278,8 @@ def _of_tiff(path: Path) -> NDArray[Any]:
         if (count := file.series[0].size // page.size) > 1:
             raise ValueError(f"holds {count} pictures: save each in a file of its own")
         values = page.asarray()
-        return np.moveaxis(values, page.axes.index("S"), -1) if "S" in page.axes else values
+        values = np.moveaxis(values, page.axes.index("S"), -1) if "S" in page.axes else values
+        return _upright(values, _of_tag(page))
 
 
 def _of_exr(path: Path, wanted: Literal["RGB", "Z"]) -> NDArray[Any]:

@@ -82,6 +82,14 @@ def numbers_of(ranges: Mapping[str, tuple[float, float]], uniform: Uniform) -> d
     return numbers
 
 
+def of_frame(sample: Record, number: int) -> Record:
+    """What a picture of a record draws, as that frame of a film: its sensor's noise is its own."""
+    numbers = dict(sample["numbers"])
+    if "noise_seed" in numbers:
+        numbers["noise_seed"] = (numbers["noise_seed"] + number) % 2**32
+    return {**sample, "numbers": numbers}
+
+
 def read_draws(record: Any, count: int, names: set[str]) -> list[Draw]:
     """The draw of each of `count` pictures that draw numbers of these names; refuses a record of
     other options, of another batch, or with numbers outside of their domain.

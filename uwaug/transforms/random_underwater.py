@@ -28,6 +28,7 @@ from uwaug.transforms.draws import (
     Uniform,
     checked,
     numbers_of,
+    of_frame,
     read_draws,
     uniform_of,
 )
@@ -325,11 +326,7 @@ class RandomUnderwater(SampleTransform):
         if not scenes.chosen:
             return {"samples": [sample]}
         sample = {**sample, "measured": scenes.settled(), "moved": 0.0}
-        numbers = [dict(sample["numbers"]) for _ in frames]
-        for number, own in enumerate(numbers):
-            if "noise_seed" in own:
-                own["noise_seed"] = (own["noise_seed"] + number) % 2**32
-        return {"samples": [{**sample, "numbers": own} for own in numbers]}
+        return {"samples": [of_frame(sample, number) for number in range(len(frames))]}
 
     @uncompiled
     def contrast_left(self, image: Tensor, distance: Tensor | None, params: Record) -> Tensor:
