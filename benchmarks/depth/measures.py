@@ -73,27 +73,27 @@ def _steps(values: Array) -> Array:
 
 def compared(pair: pairs.Pair, z: Array, rng: np.random.Generator) -> dict[str, float]:
     """A map (HxW) beside the measured one, by name."""
-    known, water = np.isfinite(pair.log), np.isinf(z)
+    is_measured, water = np.isfinite(pair.log), np.isinf(z)
     behind = 1.5 * z[~water].max() if (~water).any() else 1.0
     log = np.log(np.where(water, behind, z))
-    guess, truth = log[known], pair.log[known]
+    guess, truth = log[is_measured], pair.log[is_measured]
     rank = float(spearmanr(guess, truth).statistic) if np.ptp(guess) > 1e-9 else 0.0
     first, second = rng.integers(0, truth.size, (2, 3000))
     apart, guessed = truth[first] - truth[second], guess[first] - guess[second]
     ordered = np.where(np.abs(guessed) < 1e-9, 0.5, np.sign(guessed) == np.sign(apart))
 
     span = np.ptp(np.percentile(log, (2, 98)))
-    steps = _steps(log / span) > _STEP if span > 1e-3 else np.zeros_like(known)
-    largest = maximum_filter(np.where(known, pair.log, -np.inf), 7)
-    smallest = minimum_filter(np.where(known, pair.log, np.inf), 7)
-    calm = known & (largest - smallest < _CALM * np.ptp(np.percentile(truth, (2, 98))))
-    false = steps & calm & (minimum_filter(known, 7) > 0)
-    near = np.where(known, pair.log, np.inf) < np.quantile(truth, 0.75)
+    steps = _steps(log / span) > _STEP if span > 1e-3 else np.zeros_like(is_measured)
+    largest = maximum_filter(np.where(is_measured, pair.log, -np.inf), 7)
+    smallest = minimum_filter(np.where(is_measured, pair.log, np.inf), 7)
+    calm = is_measured & (largest - smallest < _CALM * np.ptp(np.percentile(truth, (2, 98))))
+    false = steps & calm & (minimum_filter(is_measured, 7) > 0)
+    near = np.where(is_measured, pair.log, np.inf) < np.quantile(truth, 0.75)
     return {
         "rank": rank,
         "pairs": float(ordered[np.abs(apart) > np.log(1.05)].mean()),
         "false steps, %": 100 * float(false.mean() / max(calm.mean(), 0.05)),
-        "wrong open water, %": 100 * float((water & near).sum() / known.sum()),
+        "wrong open water, %": 100 * float((water & near).sum() / is_measured.sum()),
     }
 
 
@@ -111,8 +111,11 @@ def judged(way: Way, some: list[pairs.Pair], seeds: int = 1) -> dict[str, Any]:
         for source, rows in sources.items()
     }
     keys = next(iter(means.values()))
-    found = {key: round(float(np.mean([row[key] for row in means.values()])), 3) for key in keys}
-    return {**found, "by source": {source: round(row["rank"], 2) for source, row in means.items()}}
+    averages = {key: round(float(np.mean([row[key] for row in means.values()])), 3) for key in keys}
+    return {
+        **averages,
+        "by source": {source: round(row["rank"], 2) for source, row in means.items()},
+    }
 
 
 def milliseconds(side: int, rounds: int = 30) -> float:

@@ -132,11 +132,11 @@ class Pool:
                 return
             self.count += len(made)
             for scene in made:
-                kept = self.of_shape[shape]
+                stored = self.of_shape[shape]
                 if sum(map(len, self.of_shape.values())) < MOST_SCENES:
-                    kept.append(scene)
+                    stored.append(scene)
                 else:
-                    kept[self._rng.integers(len(kept))] = scene
+                    stored[self._rng.integers(len(stored))] = scene
 
     def stop(self) -> None:
         """End the other process."""
@@ -185,11 +185,11 @@ def batch(
         if real and rng.uniform() < share:
             pair = real[rng.integers(len(real))]
             picture, log = _cropped(rng, shape, pair.picture, pair.log)
-            known = np.isfinite(log)
-            log, weight, is_open = np.where(known, log, 0), 1.0 * known, 0 * log
+            is_measured = np.isfinite(log)
+            log, weight, is_open = np.where(is_measured, log, 0), 1.0 * is_measured, 0 * log
         else:
-            kept = pool.of_shape[shape]
-            picture, log, is_open = _cropped(rng, shape, *kept[rng.integers(len(kept))])
+            stored = pool.of_shape[shape]
+            picture, log, is_open = _cropped(rng, shape, *stored[rng.integers(len(stored))])
             weight = np.where(is_open, OPEN_WEIGHT, 1)
         picture = _jittered(rng, picture).transpose(2, 0, 1)
         rows.append([picture, log, weight, is_open])
@@ -299,9 +299,9 @@ def main(
     torch.set_num_threads(1)
     read = pairs.read(folder) if folder else []
     real = [pair for pair in read if pair.source not in without]
-    kept = [pair for pair in read if pair.source in without]
-    kept += [pair for place in judge for pair in pairs.read(place)]
-    print(f"{len(real)} real pairs, {len(kept)} kept to judge by")
+    judging = [pair for pair in read if pair.source in without]
+    judging += [pair for place in judge for pair in pairs.read(place)]
+    print(f"{len(real)} real pairs, {len(judging)} kept to judge by")
     pool = Pool(seed=int(time.time()))
     try:
         pool.take_in(least=40 if quick else 600)
@@ -309,8 +309,8 @@ def main(
             weights = train(pool, real, 0.05 if quick else minutes, settings, out)
             if out and not compare:
                 write(weights, out)
-            if kept:
-                print(name, measures.judged(measures.by_weights(weights), kept), flush=True)
+            if judging:
+                print(name, measures.judged(measures.by_weights(weights), judging), flush=True)
     finally:
         pool.stop()
 

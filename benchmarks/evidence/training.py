@@ -156,10 +156,12 @@ def command() -> None:
     parser.add_argument("--data", type=Path, help="a kit, or the folder of the public sets")
     parser.add_argument("--nets", type=int, default=FULL.nets, help="of each arm")
     names = (*ARMS, *SHOWN)
-    told = f"some of: {'; '.join(names)}"
-    parser.add_argument("--arms", nargs="+", choices=names, default=names, metavar="ARM", help=told)
-    told = "a folder that keeps what nets answered: a run that was stopped goes on"
-    parser.add_argument("--answered", type=Path, help=told)
+    meaning = f"some of: {'; '.join(names)}"
+    parser.add_argument(
+        "--arms", nargs="+", choices=names, default=names, metavar="ARM", help=meaning
+    )
+    meaning = "a folder that keeps what nets answered: a run that was stopped goes on"
+    parser.add_argument("--answered", type=Path, help=meaning)
     given = parser.parse_args()
     if given.colours:
         torch.set_num_threads(1)

@@ -154,8 +154,8 @@ def _map(distance: str | Path | None, path: Path, name: str) -> Path | None:
     # a picture is its own map in an EXR alone: in others a part that is replaced was not there
     is_map = any(new and new in stems[0] for _, new in _STEM.findall(pattern))
     own = None if is_map or path.suffix.lower() == ".exr" else os.path.realpath(path)
-    others = (other for other in paths if os.path.realpath(other) != own)
-    return next(filter(Path.is_file, others), bases[0].with_suffix(""))
+    maps = (file for file in filter(Path.is_file, paths) if os.path.realpath(file) != own)
+    return next(maps, bases[0].with_suffix(""))
 
 
 def _filled(pattern: str, stem: str) -> str:

@@ -104,7 +104,7 @@ export function filledFromBehind(distance, height, width) {
   owner.forEach((hole, p) => { if (hole) (members[hole] ??= []).push(p); });
   const rims = members.map(pixels => pixels.filter(p => rim[p]).sort((p, q) => distance[p] - distance[q]));
   const farthest = rims.map(pixels => pixels[Math.floor(FARTHEST_QUANTILE * (pixels.length - 1))]);
-  const known = unknown.map(value => 1 - value), beyond = px => widened(known, height, width, px, 1); // 0 deeper than that
+  const measured = unknown.map(value => 1 - value), beyond = px => widened(measured, height, width, px, 1); // 0 deeper than that
   const wide = Math.max(4, Math.min(height, width) / 20), notMiddle = beyond(Math.ceil(wide) - 1);
   const index = Int32Array.from(holes, (hole, p) => notMiddle[p] ? p : farthest[hole]);
   const values = Float64Array.from(index, (source, p) => rim[p] || !notMiddle[p] ? distance[source] : 0);
