@@ -24,6 +24,8 @@ from uwaug import RandomDevelopment, RandomUnderwater, Sensor
 from uwaug.distance import Metres, Plane, Relative
 from uwaug.files import Item, Recipe, degrade, find_items, read_picture, read_record, replay
 from uwaug.files.pool import on_processes
+from uwaug.files.record import write_record
+from uwaug.files.underwater import _Underwater
 from uwaug.transforms.samples import key_of
 
 H, W = 24, 32
@@ -359,13 +361,25 @@ def test_labels() -> None:
 def test_a_sheet() -> None:
     degrade(RECIPE, items(), "out", sheet=True)
     with Image.open("out/sheet.jpg") as sheet:
-        assert sheet.size == (3 * 496, 2 * 212)
+        assert sheet.size == (3 * 496, 2 * 228)
         shown = np.asarray(sheet, dtype=float)
     # the second pair, before and after: each at the corner of its place, with white behind
     for x, path in ((496, "all/1.png"), (496 + 240, "out/1.png")):
         picture = read_picture(path).permute(1, 2, 0).numpy()
         assert np.abs(shown[:H, x : x + W].mean((0, 1)) - picture.mean((0, 1))).max() < 8
         assert shown[H + 8 : 170, x : x + W].min() > 240
+    # what was drawn stands below what was made, under the name
+    before, after = (shown[196:210, x : x + 240] for x in (496, 736))
+    assert before.min() > 240 > 100 > after.min()
+    params = {"samples": [{"applied": True, "waters": ["7C", "II"]}]}
+    record = read_record(Path("out/1.png.json")) | {
+        "params": params,
+        "reached": {"metres": 2.345},
+        "contrast": 0.4,
+    }
+    write_record(Path("other.png.json"), record)
+    work = _Underwater(RECIPE, Path("out"), resume=False, force=False)
+    assert work.caption(Path("other.png")) == "2.3 m, contrast 0.40, 7C + II"
 
 
 # Once more

@@ -84,6 +84,10 @@ class Work:
         """A result as a picture (3xHxW), for the sheet."""
         return read_picture(path)
 
+    def caption(self, path: Path) -> str:
+        """What the sheet says of a result, in a line."""
+        return ""
+
     def __call__(self, job: Job) -> Result:
         """What becomes of a job."""
         try:
@@ -188,7 +192,7 @@ def run(
         if result.status != "failed":
             made.setdefault(result.item.picture, []).append(work.out / result.place)
     if sheet and made:
-        write_sheet(work.out / "sheet.jpg", list(made.items()), work.read)
+        write_sheet(work.out / "sheet.jpg", list(made.items()), work.read, work.caption)
     return summary
 
 

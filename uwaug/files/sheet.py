@@ -25,13 +25,15 @@ def write_sheet(
     path: Path,
     made: Sequence[tuple[Path, Sequence[Path]]],
     read: Callable[[Path], Tensor] = read_picture,
+    caption: Callable[[Path], str] = lambda path: "",
 ) -> None:
-    """Draw pictures, each with what was made of it to its right, and all names below.
+    """Draw pictures, each with what was made of it to its right; below, names and captions.
 
     Args:
         path: of the sheet.
         made: a file before, and those after.
         read: gives the picture (3xHxW) of a file after.
+        caption: what is said of a file after, in a line.
 
     Raises:
         ValueError, OSError: if a picture cannot be read, or the sheet not be written.
@@ -40,7 +42,7 @@ def write_sheet(
     shown = [(before, *after[:_VARIANTS]) for before, after in made[::step][:_PICTURES]]
     columns = max(map(len, shown))
     across = min(len(shown), max(1, _ACROSS // columns))
-    cell = (columns * _WIDTH + _LINE, _HEIGHT + 2 * _LINE)
+    cell = (columns * _WIDTH + _LINE, _HEIGHT + 3 * _LINE)
     sheet = Image.new("RGB", (across * cell[0], -(-len(shown) // across) * cell[1]), "white")
     draw = ImageDraw.Draw(sheet)
     for number, files in enumerate(shown):
@@ -48,7 +50,9 @@ def write_sheet(
         for column, file in enumerate(files):
             picture = read(file) if column else read_picture(file)
             sheet.paste(_small(picture), (x, y))
-            draw.text((x, y + _HEIGHT), file.name.encode("ascii", "replace").decode(), "black")
+            lines = file.name, caption(file) if column else ""
+            text = "\n".join(lines).encode("ascii", "replace").decode()
+            draw.multiline_text((x, y + _HEIGHT), text, "black")
             x += _WIDTH
     with written_whole(path) as part:
         sheet.save(part, "JPEG", quality=90)

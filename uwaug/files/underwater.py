@@ -19,7 +19,7 @@ from uwaug.files.items import Item, cure_of
 from uwaug.files.labels import Labels, judged
 from uwaug.files.pictures import ENDINGS, orientation_of
 from uwaug.files.recipe import Recipe
-from uwaug.files.record import digest, read_record
+from uwaug.files.record import digest, read_record, record_path
 from uwaug.files.run import Job, Progress, Work, require_apart, require_free, run
 from uwaug.files.summary import Summary
 from uwaug.transforms.draws import Record
@@ -189,6 +189,17 @@ class _Underwater(Work):
 
     def write(self, path: Path, result: Tensor, item: Item) -> None:
         self.recipe.write(path, result, item.picture)
+
+    def caption(self, path: Path) -> str:
+        """Its water, the scene's median distance and the contrast that is left, on average."""
+        record = read_record(record_path(path))
+        (sample,) = record["params"]["samples"]
+        if not sample["applied"]:
+            return "left alone"
+        reached = record["reached"]
+        metres = [f"{reached['metres']:.2g} m"] if reached else []
+        contrast = f"contrast {record['contrast']:.2f}"
+        return ", ".join([*metres, contrast, " + ".join(sample["waters"])])
 
 
 def _degraded(

@@ -54,6 +54,7 @@ SEVERITIES = {1: 0.65, 2: 0.5, 3: 0.35, 4: 0.2, 5: 0.08}
 PLAIN: dict[str, Any] = {
     "contrast": None,
     "vertical_depth": 0.0,
+    "mu": None,
     "field": None,
     "development": {"color_matrix": None, **asdict(NEUTRAL)},
 }
@@ -89,7 +90,8 @@ class RandomUnderwater(SampleTransform):
         vertical_depth: m below the surface; with an automatic exposure no deeper than where 1/32 of
             the light is left, which it can make up for.
         g: share of the scattered light that leaves the line of sight, 0…1.
-        mu: share of the scattered light sent towards the camera, 0…1; None for 1.5·g.
+        mu: share of the scattered light sent towards the camera, 0…1. The veil of endless water has
+            mu/g of the light of a white plate; a range is held at g. None for 1.5·g.
         point_spread: width law of the forward scatter; None for `PointSpread.calibrated` of a view
             60° wide, whose focal length is .866·width. Give one where pictures are crops of a view.
         field: least and largest value of the medium field, which is drawn anew for each picture and

@@ -25,7 +25,7 @@ from uwaug.transforms.measured import Measured
 
 AnyWater = str | os.PathLike[str] | Water | Constituents | Medium
 
-CONTENTS = Constituents(chlorophyll=(0.5, 20.0), cdom=(0.3, 3.0), minerals=(0.05, 5.0))
+CONTENTS = Constituents(chlorophyll=(1.0, 30.0), cdom=(0.3, 3.0), minerals=(0.05, 5.0))
 """Coasts, lakes and harbours, green to yellow."""
 
 WATERS = ("IB", "II", "III", "1C", "3C", "5C", "7C", "9C", *[CONTENTS] * 8)
@@ -109,11 +109,11 @@ class RandomWater:
 
     waters: AnyWater | Iterable[AnyWater] | None = None
     _: KW_ONLY
-    contrast: Range | None = (0.1, 0.9)
+    contrast: Range | None = (0.08, 0.75)
     mixing: Range = 0.0
-    vertical_depth: Range = (0.0, 10.0)
+    vertical_depth: Range = (0.0, 12.0)
     g: Range = 0.05
-    mu: Range | None = None
+    mu: Range | None = (0.01, 0.05)
     point_spread: PointSpread | None = None
     field: tuple[float, float] | None = (0.7, 1.3)
     camera: str | os.PathLike[str] | Camera = "Nikon 5100 (NPL)"
@@ -192,7 +192,7 @@ class RandomWater:
             self.response,
             vertical_depth=depth,
             g=numbers["g"],
-            mu=numbers.get("mu"),
+            mu=self._towards(numbers),
             point_spread=self.point_spread or PointSpread.calibrated(FOCAL_LENGTH * seen.width),
             surfaces="spectral" if "color_matrix" in numbers else "grey",
             color_matrix=numbers.get("color_matrix", 1.0),
@@ -230,6 +230,12 @@ class RandomWater:
         if not can_be:
             has = ", ".join(self.by_name)
             raise ValueError(f"params asks for {name!r}, but this transform has {has}")
+
+    def _towards(self, numbers: Mapping[str, float]) -> float | None:
+        """μ; of a range no more than g, as no veil is brighter than a white plate."""
+        if isinstance(self.mu, (tuple, list)):
+            return min(numbers["mu"], numbers["g"])
+        return numbers.get("mu")
 
     def _spectra(self, name: str) -> Water:
         """A water by the name that a record gives it."""
