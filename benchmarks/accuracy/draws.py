@@ -21,7 +21,15 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 import uwaug
-from benchmarks.accuracy.photographs import MEASURES, Picture, closeness, dead, neon, numbers_of
+from benchmarks.accuracy.photographs import (
+    MEASURES,
+    Picture,
+    closeness,
+    dead,
+    neon,
+    neutral,
+    numbers_of,
+)
 from benchmarks.harness import RESULTS, save
 from uwaug import RandomDevelopment
 from uwaug.presets.scene import motorcycle
@@ -34,15 +42,21 @@ SIDE = 256  # px, short side of the bundled scene
 CHANGED: dict[str, dict[str, Any]] = {
     "defaults": {},
     "Jerlov types alone": {"waters": ("IB", "II", "III", "1C", "3C", "5C", "7C", "9C")},
-    "contrast .1–.6": {"contrast": (0.1, 0.6)},
+    "contrast .1–.9": {"contrast": (0.1, 0.9)},
+    "mu None": {"mu": None},
+    "daylight": {"light": None},
     "grey surfaces": {"development": RandomDevelopment(color_matrix=None)},
-    "exposure 0": {"development": RandomDevelopment(exposure=0.0)},
-    "white_balance 0": {"development": RandomDevelopment(white_balance=0.0)},
+    "exposure −1.8….6": {"development": RandomDevelopment(exposure=(-1.8, 0.6))},
+    "white_balance −.5…1": {"development": RandomDevelopment(white_balance=(-0.5, 1.0))},
     "saturation 1": {"development": RandomDevelopment(saturation=1.0)},
     "gamut 0": {"development": RandomDevelopment(gamut=0.0)},
     "tone 1": {"development": RandomDevelopment(tone=1.0)},
 }
 """What is put in place of a range of the defaults, by name."""
+
+
+MIDDLE = {"chroma": "chroma", "lightness": "L_mean", "log₂ R/G": "log_RG"}
+"""Numbers whose medians over all pictures are told."""
 
 
 def sources(folder: Path | None) -> Iterator[tuple[Tensor, Tensor]]:
@@ -72,21 +86,24 @@ def draws(
 def measured(
     augment: uwaug.RandomUnderwater, folder: Path | None, each: int, seeds: int
 ) -> dict[str, Any]:
-    """Each measure by all numbers and by those of water, and the shares of neon and of dead
-    pictures: means over the seeds, and standard deviations.
+    """Each measure by all numbers and by those of water, the shares of neon, dead and neutral
+    pictures, and medians of what the middle of the draws is: means over the seeds, and standard
+    deviations.
     """
     rows = []
     for seed in range(seeds):
         numbers, shares = [], []
         for picture in draws(augment, folder, each, seed):
             numbers.append(numbers_of(picture))
-            shares.append((neon(picture), dead(picture)))
-        rows.append([*closeness(numbers).ravel(), *np.mean(shares, 0)])
+            shares.append((neon(picture), dead(picture), neutral(numbers[-1])))
+        medians = [np.median([row[name] for row in numbers]) for name in MIDDLE.values()]
+        rows.append([*closeness(numbers).ravel(), *np.mean(shares, 0), *medians])
     means, spreads = (values.round(4).tolist() for values in (np.mean(rows, 0), np.std(rows, 0)))
     names = [f"{measure}, {kind}" for measure in MEASURES for kind in ("all", "water")]
+    names += ["neon", "dead", "neutral", *MIDDLE]
     return {
         name: {"mean": mean, "deviation": spread}
-        for name, mean, spread in zip([*names, "neon", "dead"], means, spreads, strict=True)
+        for name, mean, spread in zip(names, means, spreads, strict=True)
     }
 
 

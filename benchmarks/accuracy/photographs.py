@@ -124,6 +124,11 @@ def dead(picture: Picture) -> bool:
     return bool(picture.mean((0, 1)).min() < 0.02 * 255)
 
 
+def neutral(numbers: dict[str, float]) -> bool:
+    """Whether the mean colour of a picture, of its numbers, is nearly grey."""
+    return abs(numbers["a_mean"]) < 5 and abs(numbers["b_mean"]) < 8
+
+
 def closeness(draws: list[dict[str, float]]) -> Numbers:
     """`MEASURES` of draws, each by all numbers of a picture and by those of water (5x2)."""
     photographs, names, groups = load_photographs()

@@ -93,8 +93,9 @@ ARMS: dict[str, Callable[[], Arm]] = {
     "SLURPP 2025": lambda: slurpp_2025,
     DEFAULTS: ours,
     "p=0.5": lambda: ours(p=0.5),
-    # μ is g at most, .05: no veil is brighter than a white plate in the same place
-    "mu=(0.01, 0.05)": lambda: ours(mu=(0.01, 0.05)),
+    # μ = 1.5·g: veils may be brighter than a white plate in the same place
+    "mu=None": lambda: ours(mu=None),
+    "light=None": lambda: ours(light=None),
 }
 """What makes each arm, by its name in the table."""
 

@@ -66,7 +66,7 @@ def main(
         if data is None:
             print("MADE-UP PICTURES: these numbers mean nothing but that everything runs")
             results = measured(stand_ins.made(Path(folder)), QUICK, arms, Path(folder))
-            return {**results, "colours": colours.main(48, ["defaults", "mu .015–.075"])}
+            return {**results, "colours": colours.main(48, ["defaults", "mu None"])}
         results = measured(sets.load(data), size, arms, answered or Path(folder))
     save("evidence", {**size._asdict(), **results})
     return results
