@@ -218,6 +218,7 @@ def speed() -> str:
         "loops: milliseconds, and how many times as fast as the recipe:",
         _transform_table(load("throughput")),
         _loaders(load("throughput")),
+        _lamps(load("throughput")),
         _batches(load("throughput")),
     ]
     return "\n\n".join(paragraphs)
@@ -262,6 +263,17 @@ def _loaders(throughput: Results) -> str:
         f"once plans are there. The first of a process takes {first:.1f} s after torch. A "
         "DataLoader with two workers:\n\n" + table(["", *sizes], rows)
     )
+
+
+def _lamps(throughput: Results) -> str:
+    """What lamps cost."""
+    sizes = throughput["lamps"]
+    rows = [
+        [name, *(f"{ratios[name]:.2f}" for ratios in sizes.values())]
+        for name in next(iter(sizes.values()))
+    ]
+    text = "Pictures that lamps light and default draws, times as long as by daylight (means of "
+    return f"{text}the same draws, one thread):\n\n" + table(["", *(f"{s}²" for s in sizes)], rows)
 
 
 def _batches(throughput: Results) -> str:

@@ -100,6 +100,35 @@ def single(size: int, rounds: int) -> dict[str, Any]:
     return {"size": size, "ms": times}
 
 
+def lamps(size: int, count: int) -> dict[str, float]:
+    """How many times as long pictures take that lamps light as the same by daylight, and default
+    draws on average; one thread, its own time.
+    """
+    use_threads(1)
+    image, distance = (values[0] for values in scene(size))
+    lights = (None, uwaug.RandomLight(share=1.0))
+    share, ratios = uwaug.RandomLight().share, {}
+    for fast in (True, False):
+        augments = [uwaug.RandomUnderwater(light=light) for light in lights]
+        taken = [0.0, 0.0]
+        with torch.no_grad(), loops(fast):
+            for augment in augments:
+                warm(augment, image, distance)
+            for index in range(count):
+                for lit, augment in enumerate(augments):
+                    keyed = augment.at(0, 0, index)
+                    keyed(image, distance)
+                    began = time.thread_time()
+                    keyed(image, distance)
+                    taken[lit] += time.thread_time() - began
+        times = taken[1] / taken[0]
+        engine = "loops" if fast else "PyTorch"
+        ratios[f"{engine}, lit by lamps"] = times
+        ratios[f"{engine}, default"] = 1 + share * (times - 1)
+        print(f"{size}²: {engine}: {times:.2f} times as long by lamps", flush=True)
+    return ratios
+
+
 def calls(fast: bool) -> int:
     """Python calls of a default picture, the median of some."""
     image, distance = (values[0] for values in scene(256))
@@ -232,6 +261,7 @@ def main(quick: bool = False) -> None:
             for count in (64, 256)
             if torch.cuda.is_available()
         },
+        "lamps": {str(size): lamps(size, 2 if quick else 150) for size in sizes if size < 1024},
         "calls": {"eager": calls(False), "loops": calls(True)},
         "first_picture_s": float(printed(FIRST, UWAUG_FAST="1")),
         "loader": {

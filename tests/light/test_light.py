@@ -54,7 +54,8 @@ def curves_at(lamp: Lamp, medium: Medium, x: float, y: float, z: float) -> Curve
     tangents = (torch.full_like(like, value) for value in (x, y))
     ray = rays._replace(x=next(tangents), y=next(tangents))
     ray = ray._replace(shortening=(1 + ray.x.square() + ray.y.square()).rsqrt())
-    return lamp.curves(medium.under_lamp(), torch.ones_like(like), ray, like)
+    arrives, fog = Light((lamp,)).lit(medium.under_lamp(), ray, like)
+    return Curves(arrives, torch.zeros_like(arrives), fog)
 
 
 @pytest.mark.parametrize("medium", [MEDIUM, SPECTRAL])

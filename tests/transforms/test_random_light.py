@@ -44,6 +44,29 @@ def test_the_others_are_those_of_daylight() -> None:
     assert 2 <= sum(changed) <= 10
 
 
+def test_lamps_light_a_sixth_of_default_draws() -> None:
+    augment, count = RandomUnderwater(), 600
+    record = augment.make_params(picture()[None].expand(count, -1, -1, -1))
+    lit = [sample["numbers"]["light_night"] < 1 / 6 for sample in record["samples"]]
+    assert augment.light == RandomLight()
+    assert sum(lit) / count == pytest.approx(1 / 6, abs=0.06)
+
+
+def test_a_picture_has_one_light_at_every_severity() -> None:
+    z, grades = 1 + distances(), [RandomUnderwater.severity(level) for level in range(1, 6)]
+    for seed in range(12):
+        generators = (torch.Generator().manual_seed(seed) for _ in grades)
+        records = [
+            grade.make_params(picture(), generator)
+            for grade, generator in zip(grades, generators, strict=True)
+        ]
+        drawn = [
+            grade.scenes(picture(), z, record).lights[0]
+            for grade, record in zip(grades, records, strict=True)
+        ]
+        assert drawn == [drawn[0]] * 5
+
+
 @pytest.mark.parametrize("name", RIGS)
 def test_rigs(name: str) -> None:
     rig = RIGS[name]

@@ -254,7 +254,8 @@ def test_severities_leave_less_and_less() -> None:
     z = torch.full((1, 24, 33), 3.0)
     left = []
     for level in range(1, 6):
-        aug = RandomUnderwater.severity(level, vertical_depth=3.0, field=None, waters="1C")
+        options = {"vertical_depth": 3.0, "field": None, "waters": "1C", "light": None}
+        aug = RandomUnderwater.severity(level, **options)
         left.append(float(aug.contrast_left(picture(), z, aug.make_params(picture())).mean()))
     assert left == sorted(left, reverse=True)
     assert left[0] > 4 * left[-1]
@@ -270,7 +271,7 @@ def test_presets_are_their_modules(name: str) -> None:
     )(picture().double(), z)
     assert (aug(picture().double(), z)[0] - expected).abs().max() < 5e-3
     changed = RandomUnderwater.from_preset(name, p=0.5, development=RAW)
-    assert (changed.p, changed.development) == (0.5, RAW)
+    assert (changed.p, changed.development, changed.light) == (0.5, RAW, None)
 
 
 @pytest.mark.usefixtures("nothing_is_said")

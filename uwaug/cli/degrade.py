@@ -196,7 +196,9 @@ def _options(
         *places, last = name.strip().split(".")
         target = options
         for place in places:
-            target = target.setdefault(place, {})
+            if target.get(place) is None:
+                target[place] = {}
+            target = target[place]
             if not isinstance(target, dict):
                 raise ValueError(f"--set {setting}: {place} is {target!r}, no table")
         target[last] = _value(text)

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.types import ColorSpace
+from uwaug.blur.plan import BlurPlan
 from uwaug.formation.demand import blur_demand
 from uwaug.formation.development import Development, Means
 from uwaug.formation.image import form
@@ -17,6 +18,9 @@ from uwaug.optics.medium import Medium
 _GREY = 0.25
 """Linear light of a scene that nobody has looked at."""
 
+_WALL = (9, 12)
+"""px: so many rays see that lamps light a part of it."""
+
 
 def form_each(
     images: Tensor,
@@ -25,52 +29,49 @@ def form_each(
     developments: Sequence[Development],
     *,
     color_space: ColorSpace,
+    lights: Sequence[Light | None],
+    metres: Tensor,
     spans: Sequence[tuple[float, float, float]],
     alike: bool,
-    lights: Sequence[Light | None] = (),
-    metres: Tensor | None = None,
 ) -> Tensor:
     """Pictures (Bx3xHxW) as cameras store them, see `uwaug.formation.image.form`.
 
     On the host one after the other, as what one of them needs then stays in the caches. (By
     PyTorch, 16 of 256² take 15 ms each; all at once, with rates padded to as many for all, 29.) On
-    a device at once, but for those with lamps.
+    a device at once, then those with lamps one by one, without a look at values.
 
     Args:
         images, z, color_space, metres: as for `form`, which says what they are.
-        media, developments, lights: of one row, one for each picture; no lights: daylight.
+        media, developments, lights: of one row, one for each picture; None for daylight.
         spans: nearest, median and farthest effective distance of each, m, for which blurs are
             planned on a device, in a scene of grey: nobody waits there for a look at its light.
         alike: whether all have one law of widths, and are metered or none is.
     """
-    lit = {i for i, light in enumerate(lights) if light is not None}
-    together = [] if checks.on_host(images) or not alike else sorted({*range(len(images))} - lit)
-    results = {
-        i: form(
+    planned = alike and not checks.on_host(images)
+    by_day = [i for i, light in enumerate(lights) if light is None] if planned else []
+    results: dict[int, Tensor] = {}
+    if by_day:
+        some = slice(None) if len(by_day) == len(images) else by_day
+        numbers = ([each[i] for i in by_day] for each in (media, developments, spans))
+        formed = _at_once(images[some], z[some], *numbers, color_space)
+        if len(by_day) == len(images):
+            return formed
+        results |= dict(zip(by_day, formed.split(1), strict=True))
+    for i in sorted({*range(len(images))} - {*by_day}):
+        light, plans = lights[i], []
+        if planned and light is not None:
+            seen = _lit_grey(media[i], developments[i], light, spans[i][1])
+            plans = _plans([seen], [spans[i]], z)
+        results[i] = form(
             images[i : i + 1],
             z[i : i + 1],
             media[i],
             developments[i],
             color_space=color_space,
-            light=lights[i] if lights else None,
-            metres=None if metres is None else metres[i : i + 1],
+            light=light,
+            metres=metres[i : i + 1],
+            plans=plans,
         )
-        for i in range(len(images))
-        if i not in together
-    }
-    if together:
-        some = slice(None) if len(together) == len(images) else together
-        formed = _at_once(
-            images[some],
-            z[some],
-            [media[i] for i in together],
-            [developments[i] for i in together],
-            [spans[i] for i in together],
-            color_space,
-        )
-        results |= dict(zip(together, formed[:, None], strict=True))
-        if not lit:
-            return formed
     ordered = [results[i] for i in range(len(images))]
     return ordered[0] if len(ordered) == 1 else torch.cat(ordered)
 
@@ -86,10 +87,28 @@ def _at_once(
     """Pictures by daylight, without a look at their values."""
     medium, development = Medium.stack(media), Development.stack(developments, z)
     grey = _of_grey(medium, developments, spans)
-    size = (z.shape[-2], z.shape[-1])
-    demands = [blur_demand(grey[i], (near, far)) for i, (near, _, far) in enumerate(spans)]
-    plans = [demand.plan(size, shared=True) for demand in demands]
+    plans = _plans([grey[i] for i in range(len(spans))], spans, z)
     return form(images, z, medium, development, color_space=color_space, plans=plans)
+
+
+def _plans(
+    seen: Sequence[Medium], spans: Sequence[tuple[float, float, float]], z: Tensor
+) -> list[BlurPlan]:
+    """The blur of each picture of the size of a map, for a medium as its camera sees it."""
+    size = (z.shape[-2], z.shape[-1])
+    demands = (
+        blur_demand(medium, (near, far))
+        for medium, (near, _, far) in zip(seen, spans, strict=True)
+    )
+    return [demand.plan(size, shared=True) for demand in demands]
+
+
+def _lit_grey(medium: Medium, development: Development, light: Light, median: float) -> Medium:
+    """A medium as a camera brightens it where lamps light a grey wall at the median distance."""
+    z = torch.full((1, 1, *_WALL), min(median, FARTHEST), dtype=torch.float64)
+    grey, water = z.new_full((1, 3, *_WALL), _GREY), medium.to(z)
+    gain = development.gain(grey, z, water, light.curves(water, z))
+    return light.planned(water).brightened(gain)
 
 
 def _of_grey(

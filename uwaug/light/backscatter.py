@@ -99,20 +99,23 @@ def backscatter(
     if cone is not None:
         begin, end = cone.ends()
         low, high = torch.maximum(low, begin), torch.minimum(high, end)
+    low, high = low.clamp(max=MAX_T), high.clamp(max=MAX_T)
     half = ((high - low) / 2).clamp(min=0.0)
     middle = low + half
     rates, total = G[..., None, None], z.new_zeros(())
-    optical_nearest, optical_height = density * nearest, density * height
+    # s + r = (s₀ − h) + 2h/(1 − t); sums of products, as each pass over the picture takes time
+    shortest, twice = density * (nearest - height), 2 * density * height
+    isotropic = z.new_tensor(1 + ASYMMETRY**2)
     for node, weight in zip(NODES, NODE_WEIGHTS, strict=True):
-        t = torch.add(middle, half, alpha=node).clamp(max=MAX_T)
-        above, share = 1 + t, 1 / (1 + t * t)
-        raised = above * above * share  # 1 + sin θ
-        root = ((1 - ASYMMETRY) ** 2 + 2 * ASYMMETRY * raised).rsqrt()
-        scattered = root * root * root * share * weight
+        t = torch.add(middle, half, alpha=node)
+        share = 1 / (1 + t * t)
+        half_sine = t * share
+        root = torch.add(isotropic, half_sine, alpha=4 * ASYMMETRY).rsqrt()
+        scattered = root * root * root * share
         if cone is not None:
-            scattered = scattered * cone.share(above * (1 - t) * share, raised - 1)
-        arriving = decay(rates, torch.addcmul(optical_nearest, optical_height, above / (1 - t)))
-        total = torch.addcmul(total, scattered, arriving)
+            scattered = scattered * cone.share(2 * share - 1, 2 * half_sine)
+        arriving = decay(rates, torch.addcmul(shortest, twice, 1 / (1 - t)))
+        total = torch.addcmul(total, scattered, arriving, value=weight)
     # the 4π of the phase function and the π of a white plate leave 1/4, and dθ is 2/(1 + t²) dt
     summed = torch.unflatten(weights @ total.flatten(2), -1, z.shape[-2:])
     return summed * (density * half / height * ((1 - ASYMMETRY**2) / 2))

@@ -96,38 +96,8 @@ class Lamp:
         if self.cone is not None:
             checks.within("cone", self.cone, 1.0, 90.0)
 
-    def curves(
-        self,
-        water: Medium,
-        share: Tensor,
-        rays: Rays,
-        z: Tensor,
-        density: float | Tensor = 1.0,
-    ) -> Curves:
-        """What reaches the camera at each pixel, as `Light.curves`.
-
-        Args:
-            water: `uwaug.Medium.under_lamp` the light of lamps.
-            share: T_β/T_G of it at the effective distance.
-            rays: of the picture.
-            z (Bx1xHxW tensor): distance, m.
-            density (number or Bx1xHxW tensor): of the water on each ray and on the lamp's way to
-                its surface, the medium field.
-        """
-        sent = self.sent(rays, z)
-        color = z.new_tensor(self.color).reshape(1, 3, 1, 1) * self.power
-        arrives = _summed(water.G, water.signal_weights, density * (z + sent.path))
-        arrives = _dimmed(arrives, sent.share * color)
-        direct = _dimmed(arrives, share)
-        veil = backscatter(
-            water.G, water.veil_weights, sent.nearest, sent.height, sent.cone, z, density
-        )
-        return Curves(direct, arrives - direct, veil * color)
-
     def sent(self, rays: Rays, z: Tensor) -> Sent:
-        """What a lamp of power 1 sends to the scene, and how the rays pass it; arguments as for
-        `curves`.
-        """
+        """What a lamp of power 1 sends to a scene z (Bx1xHxW) away, m, and how the rays pass it."""
         nearest = rays.along(self.position)
         height = torch.sqrt(rays.distance(self.position).square() + LAMP_RADIUS_M**2)
         beyond = z - nearest
@@ -206,20 +176,46 @@ class Light:
             metres (Bx1xHxW tensor): the distance itself, where a field multiplies it in z: lamps
                 and scene are where they are, and the water between is so dense.
         """
-        day = medium.curves(z)
-        total = Curves(*(part * self.daylight for part in day))
+        day = medium.brightened(z.new_full((1, 1), self.daylight)).curves(z)
         if not self.lamps:
-            return total
+            return day
         density: float | Tensor = 1.0
         if metres is None:
             metres = z
         else:
             density = torch.where(metres > _MIN_METRES, z / metres.clamp(min=_MIN_METRES), 1.0)
-        water, rays = medium.under_lamp(), Rays.of(metres, self.view)
-        share = _straight(water, z)
+        water = medium.under_lamp()
+        arrives, veil = self.lit(water, Rays.of(metres, self.view), metres, density)
+        direct = _dimmed(arrives, _straight(water, z))
+        return added(day, Curves(direct, arrives - direct, veil))
+
+    def lit(
+        self, water: Medium, rays: Rays, z: Tensor, density: float | Tensor = 1.0
+    ) -> tuple[Tensor, Tensor]:
+        """What the lamps make arrive of a white scene at each pixel (Bx3xHxW, or Bx3x3xHxW), and
+        their fog (Bx3xHxW).
+
+        Args:
+            water: `uwaug.Medium.under_lamp` the light of lamps.
+            rays: of the picture.
+            z (Bx1xHxW tensor): distance, m.
+            density (number or Bx1xHxW tensor): of the water on each ray and on the lamps' way to
+                its surface, the medium field.
+        """
+        left, weights, fogs = [], [], []
         for lamp in self.lamps:
-            total = added(total, lamp.curves(water, share, rays, metres, density))
-        return total
+            sent = lamp.sent(rays, z)
+            path = (density * (z + sent.path)).flatten(2)
+            left.append(decay(water.G[..., None], path) * sent.share.flatten(2))
+            color = z.new_tensor(lamp.color)[:, None] * lamp.power
+            weights.append(water.signal_weights.flatten(2) * color)
+            veil, way = water.veil_weights * color, (sent.nearest, sent.height, sent.cone)
+            fogs.append(backscatter(water.G, veil, *way, z, density))
+        # one product for all lamps, which writes what may be nine numbers a pixel once
+        shape = water.signal_weights.shape[1:-1]
+        rows = torch.cat([each.reshape(len(each), shape.numel(), -1) for each in weights], 2)
+        arrives = torch.unflatten(rows @ torch.cat(left, 1), -1, z.shape[-2:])
+        return torch.unflatten(arrives, 1, shape), sum(fogs[1:], fogs[0])
 
     def planned(self, medium: Medium) -> Medium:
         """The medium for which a blur is planned: a lamp may light the scene as daylight does at

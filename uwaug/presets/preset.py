@@ -106,6 +106,7 @@ class Preset:
             "contrast": None,
             "point_spread": self.medium.point_spread,
             "field": None if self.field_range == _HOMOGENEOUS else self.field_range,
+            "light": None,
             "development": {**vars(self.development), **of_camera},
         }
 

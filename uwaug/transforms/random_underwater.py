@@ -56,6 +56,7 @@ PLAIN: dict[str, Any] = {
     "vertical_depth": 0.0,
     "mu": None,
     "field": None,
+    "light": None,
     "development": {"color_matrix": None, **asdict(NEUTRAL)},
 }
 """Options that leave nothing random but waters and distances, and nothing to the camera."""
@@ -101,8 +102,9 @@ class RandomUnderwater(SampleTransform):
             or `Plane`, for which a number or a range may stand, m.
         camera: a name, the path of a CSV file or a `Camera`.
         development: what the camera does, and the colour space, see `RandomDevelopment`.
-        light: what lights the scene, see `RandomLight`; a `Light`, the same for all pictures, whose
-            lamps stand where they are in metres; None for daylight.
+        light: what lights the scene, see `RandomLight`: by default lamps light a sixth of the
+            pictures; a `Light`, the same for all pictures, whose lamps stand where they are in
+            metres; None for daylight.
         p: probability that a picture is degraded at all.
         keys: of image and map in a dict.
 
@@ -154,7 +156,7 @@ class RandomUnderwater(SampleTransform):
     distance: Source | Range = option(default_factory=Metres)
     camera: str | os.PathLike[str] | Camera = RandomWater.camera
     development: RandomDevelopment = option(default_factory=RandomDevelopment)
-    light: RandomLight | Light | None = None
+    light: RandomLight | Light | None = option(default_factory=RandomLight)
     p: float = 1.0
     keys: tuple[str, str] = ("image", "distance")
 
@@ -184,7 +186,9 @@ class RandomUnderwater(SampleTransform):
 
     @classmethod
     def severity(cls, level: int, **options: Any) -> "RandomUnderwater":
-        """One of five grades, for robustness studies: the default at a fixed contrast.
+        """One of five grades, for robustness studies: the default at a fixed contrast. From one key
+        a picture has the same light, camera and kind of water at each grade; `light=None` keeps to
+        daylight.
 
         Args:
             level: 1 (mild) … 5 (severe); .65, .5, .35, .2 and .08 of the contrast are left at the
@@ -204,7 +208,7 @@ class RandomUnderwater(SampleTransform):
         **options: Any,
     ) -> "RandomUnderwater":
         """A preset's water, camera, constants, width law, field and development; or the medium of
-        a fit, as it is.
+        a fit, as it is. By daylight, which their numbers are of.
 
         Args:
             name_or_path, water: as for `uwaug.load_preset`; or the path of a fit's JSON file.
@@ -219,7 +223,7 @@ class RandomUnderwater(SampleTransform):
 
             fit = load_fit(name_or_path)
             neutral = {**PLAIN["development"], "color_space": fit.color_space}
-            figures = {"waters": fit.medium, "field": None}
+            figures = {"waters": fit.medium, "field": None, "light": None}
         else:
             figures = load_preset(name_or_path, water=water).options()
             neutral = figures.pop("development")
