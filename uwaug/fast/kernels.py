@@ -850,10 +850,43 @@ def _store(total: Any, srgb: bool, most: Any, out: Any, out_bytes: Any, n: int) 
 
 
 @kernel
+def splat(
+    column: Floats,
+    row: Floats,
+    inner: Floats,
+    outer: Floats,
+    metres: Floats,
+    light: Floats,
+    scene: Floats,
+    layer: Floats,
+) -> None:
+    """Add the light of particles to a layer (3xHxW), see `uwaug.light.snow.splat`."""
+    height, width = scene.shape
+    for i in range(column.size):
+        x, y, end, most = column[i], row[i], outer[i], int(np.ceil(outer[i]))
+        left, top, slope = int(np.rint(x)) - most, int(np.rint(y)) - most, _1 / (end - inner[i])
+        if left >= width or top >= height or left + 2 * most < 0 or top + 2 * most < 0:
+            continue
+        total = _0
+        for down in range(top, top + 2 * most + 1):
+            for across in range(left, left + 2 * most + 1):
+                away = np.sqrt((f32(across) - x) ** 2 + (f32(down) - y) ** 2)
+                total += min(max((end - away) * slope, _0), _1)
+        for down in range(max(top, 0), min(top + 2 * most + 1, height)):
+            for across in range(max(left, 0), min(left + 2 * most + 1, width)):
+                if scene[down, across] > metres[i]:
+                    away = np.sqrt((f32(across) - x) ** 2 + (f32(down) - y) ** 2)
+                    share = min(max((end - away) * slope, _0), _1) / total
+                    for c in range(3):
+                        layer[c, down, across] += light[c, i] * share
+
+
+@kernel
 def render_rows(
     light: Floats,
     z: Floats,
     metres: Floats,
+    snow: Floats,
     medium: MediumTable,
     lamps: LampsTable,
     stack: StackTable,
@@ -873,6 +906,7 @@ def render_rows(
 
     Args:
         light (3xHxW), z, metres (HxW): of the scene; effective distance, and without the field, m.
+        snow (3xHxW, or 3x1x0): light of particles.
         medium, lamps, stack: tables.
         grid (NxW), starts (m): the lines of all coarse grids; where those of each would start.
         normals (N), begins (3xH): of the sensor's noise; where each row of each channel begins.
@@ -950,6 +984,10 @@ def render_rows(
                 total_row, lamplit = tile_row(t, totals + c), tile_row(t, lit + LIT + c)
                 for x in range(n):
                     total_row[x] += lamplit[x]
+            for c in range(3 * min(1, snow.size)):
+                total_row, layer = tile_row(t, totals + c), snow[c, y, left:right]
+                for x in range(layer.size):
+                    total_row[x] += layer[x]
             if normals.size > 0:
                 _expose(t, totals, left, normals, begins[:, y], shown, n)
             _develop(t, totals, shown, n)

@@ -23,7 +23,7 @@ from torch import Tensor
 from uwaug._support import checks, codec
 from uwaug.light.backscatter import Cone, backscatter
 from uwaug.light.rays import Rays, Vector
-from uwaug.optics.curves import Curves, added, decay
+from uwaug.optics.curves import Curves, added, decay, passed
 from uwaug.optics.medium import Medium
 from uwaug.optics.surfaces import white
 
@@ -115,14 +115,20 @@ class Lamp:
                 its surface, the medium field.
         """
         sent = self.sent(rays, z)
-        color = z.new_tensor(self.color).reshape(1, 3, 1, 1) * self.power
-        arrives = _summed(water.G, water.signal_weights, density * (z + sent.path))
-        arrives = _dimmed(arrives, sent.share * color)
+        arrives = self.arriving(water, sent, z, density)
         direct = _dimmed(arrives, share)
         veil = backscatter(
             water.G, water.veil_weights, sent.nearest, sent.height, sent.cone, z, density
         )
-        return Curves(direct, arrives - direct, veil * color)
+        return Curves(direct, arrives - direct, veil * self._light(z))
+
+    def arriving(self, water: Medium, sent: Sent, z: Tensor, density: float | Tensor) -> Tensor:
+        """A_c, of three channels or of matrices; arguments as for `curves`."""
+        arrives = _summed(water.G, water.signal_weights, density * (z + sent.path))
+        return _dimmed(arrives, sent.share * self._light(z))
+
+    def _light(self, like: Tensor) -> Tensor:
+        return like.new_tensor(self.color).reshape(1, 3, 1, 1) * self.power
 
     def sent(self, rays: Rays, z: Tensor) -> Sent:
         """What a lamp of power 1 sends to the scene, and how the rays pass it; arguments as for
@@ -219,6 +225,21 @@ class Light:
         share = _straight(water, z)
         for lamp in self.lamps:
             total = added(total, lamp.curves(water, share, rays, metres, density))
+        return total
+
+    def on_white(self, medium: Medium, z: Tensor, metres: Tensor, rays: Rays) -> Tensor:
+        """What arrives unscattered of white surfaces (Bx3xHxW); arguments as for `curves`, on any
+        rays.
+        """
+        white_light = z.new_ones(1, 3, 1, 1)
+        total = passed(medium.curves(z).direct, white_light) * self.daylight
+        if not self.lamps:
+            return total
+        water, density = medium.under_lamp(), z / metres
+        share = _straight(water, z)
+        for lamp in self.lamps:
+            arrives = lamp.arriving(water, lamp.sent(rays, metres), metres, density)
+            total = total + passed(_dimmed(arrives, share), white_light)
         return total
 
     def planned(self, medium: Medium) -> Medium:

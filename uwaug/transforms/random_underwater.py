@@ -19,6 +19,7 @@ from uwaug.light import Light
 from uwaug.optics.camera import Camera
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.snow import MarineSnow
 from uwaug.optics.water import Water
 from uwaug.presets.preset import load_preset
 from uwaug.transforms.distances import metres_of, require, second_look
@@ -98,6 +99,8 @@ class RandomUnderwater(SampleTransform):
             `Relative` or `Inverse`. Or where distances come from without maps: `MadeUp`, `Network`,
             or `Plane`, for which a number or a range may stand, m.
         camera: a name, the path of a CSV file or a `Camera`.
+        snow: particles that one sees, see `uwaug.MarineSnow`, whose density may be a range, drawn
+            uniformly in its logarithm; None for clear water.
         development: what the camera does, and the colour space, see `RandomDevelopment`.
         light: what lights the scene, see `RandomLight`; a `Light`, the same for all pictures, whose
             lamps stand where they are in metres; None for daylight.
@@ -151,6 +154,7 @@ class RandomUnderwater(SampleTransform):
     field: tuple[float, float] | None = RandomWater.field
     distance: Source | Range = option(default_factory=Metres)
     camera: str | os.PathLike[str] | Camera = RandomWater.camera
+    snow: MarineSnow | None = RandomWater.snow
     development: RandomDevelopment = option(default_factory=RandomDevelopment)
     light: RandomLight | Light | None = None
     p: float = 1.0
@@ -312,8 +316,8 @@ class RandomUnderwater(SampleTransform):
 
         Returns:
             A record with a sample for each of these frames, which has what was "measured" once for
-            all. Its "moved", m, 0 here, says how far the field has drifted to the right at a frame:
-            set it to m/s times seconds. By its "noise_seed" the sensor's noise is each frame's own.
+            all. Its "moved", m, 0 here, says how far field and snow have drifted to the right at a
+            frame: set it to m/s times seconds. By its "noise_seed" the sensor's noise is each frame's own.
         """
         frames = pictures_of(image)
         if len(frames) > 1 and isinstance(self.source, MadeUp):
