@@ -850,35 +850,29 @@ def _store(total: Any, srgb: bool, most: Any, out: Any, out_bytes: Any, n: int) 
 
 
 @kernel
-def splat(
-    column: Floats,
-    row: Floats,
-    inner: Floats,
-    outer: Floats,
-    metres: Floats,
-    light: Floats,
-    scene: Floats,
-    layer: Floats,
-) -> None:
+def splat(places: Floats, light: Floats, scene: Floats, layer: Floats) -> None:
     """Add the light of particles to a layer (3xHxW), see `uwaug.light.snow.splat`."""
     height, width = scene.shape
-    for i in range(column.size):
-        x, y, end, most = column[i], row[i], outer[i], int(np.ceil(outer[i]))
-        left, top, slope = int(np.rint(x)) - most, int(np.rint(y)) - most, _1 / (end - inner[i])
+    for i in range(places.shape[1]):
+        column, row, inner, outer = places[0, i], places[1, i], places[2, i], places[3, i]
+        across, mixed, down, metres = places[4, i], places[5, i], places[6, i], places[7, i]
+        most = int(np.ceil(outer))
+        left, top = int(np.rint(column)) - most, int(np.rint(row)) - most
         if left >= width or top >= height or left + 2 * most < 0 or top + 2 * most < 0:
             continue
-        total = _0
-        for down in range(top, top + 2 * most + 1):
-            for across in range(left, left + 2 * most + 1):
-                away = np.sqrt((f32(across) - x) ** 2 + (f32(down) - y) ** 2)
-                total += min(max((end - away) * slope, _0), _1)
-        for down in range(max(top, 0), min(top + 2 * most + 1, height)):
-            for across in range(max(left, 0), min(left + 2 * most + 1, width)):
-                if scene[down, across] > metres[i]:
-                    away = np.sqrt((f32(across) - x) ** 2 + (f32(down) - y) ** 2)
-                    share = min(max((end - away) * slope, _0), _1) / total
-                    for c in range(3):
-                        layer[c, down, across] += light[c, i] * share
+        slope, total = _1 / (outer - inner), _0
+        # first what all pixels get together, then each its share
+        for is_share in range(2):
+            for y in range(top, top + 2 * most + 1):
+                for x in range(left, left + 2 * most + 1):
+                    dx, dy = f32(x) - column, f32(y) - row
+                    squared = across * dx * dx + mixed * dx * dy + down * dy * dy
+                    weight = min(max((outer - np.sqrt(max(squared, _0))) * slope, _0), _1)
+                    if not is_share:
+                        total += weight
+                    elif 0 <= x < width and 0 <= y < height and scene[y, x] > metres:
+                        for c in range(3):
+                            layer[c, y, x] += light[c, i] * (weight / total)
 
 
 @kernel

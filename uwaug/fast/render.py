@@ -120,12 +120,12 @@ def _snow(
     particles = flakes(medium, light, z, metres, n) if medium.snow else None
     if particles is None:
         return _NO_FLOATS
-    *places, sent = (values.numpy() for values in particles)
+    places, sent = (values.numpy() for values in particles)
     gain = gains[n % len(gains)]
     sent = gain @ sent if gain.ndim == 2 else gain[:, None] * sent
     scene = (z if metres is None else metres)[n % len(z), 0].contiguous().numpy()
     layer = np.zeros((3, *scene.shape), np.float32)
-    kernels.splat(*places, sent.astype(np.float32), scene, layer)
+    kernels.splat(np.ascontiguousarray(places), sent.astype(np.float32), scene, layer)
     return layer
 
 

@@ -21,6 +21,9 @@ from uwaug.optics.medium import Medium
 _EDGE_PX = 0.75
 """By which an edge is soft to either side: half the diagonal of a pixel, and a lens."""
 
+_FUZZY = 0.4
+"""Of a particle's radius, by which its edge is soft: aggregates have no rim."""
+
 _MIN_METRES = 1e-6
 """As in `uwaug.light.light`."""
 
@@ -29,17 +32,13 @@ class Flakes(NamedTuple):
     """N particles in a picture, see `uwaug.light.snow`.
 
     Attributes:
-        column, row (N): of their middles, px.
-        inner, outer (N): radii where their light begins to fall, and is gone, px.
-        metres (N): along the ray.
+        places (8xN): column and row of their middles, px; radii along the long axis where their
+            light begins to fall, and is gone, px; what of dx², dx·dy and dy² the square of such a
+            radius is; metres along the ray.
         light (3xN): summed over all pixels.
     """
 
-    column: Tensor
-    row: Tensor
-    inner: Tensor
-    outer: Tensor
-    metres: Tensor
+    places: Tensor
     light: Tensor
 
 
@@ -56,20 +55,35 @@ def flakes(
     right = math.tan(math.radians(light.view / 2))
     down, focal = right * height / width, width / 2 / right
     drawn = snow.particles(right, down)
+    if not len(drawn.z):
+        return None
     length = np.sqrt(1 + drawn.x**2 + drawn.y**2)
-    size, blur = (focal / 2 * x for x in (drawn.diameter / drawn.z, snow.blur(drawn.z)))
-    column, row = focal * drawn.x + (width - 1) / 2, focal * drawn.y + (height - 1) / 2
-    inner, outer = np.abs(size - blur) - _EDGE_PX, size + blur + _EDGE_PX
-    columns = (drawn.x, drawn.y, 1 / length, drawn.z * length, column, row, inner.clip(0), outer, size)
-    x, y, shortening, range_, column, row, inner, outer, size = z.new_tensor(np.stack(columns))
-    place = [t.round().long().clamp(0, side - 1) for t, side in ((row, height), (column, width))]
-    far, near = (m[0, place[0], place[1]] for m in (z, scene))
+    radius, blur = (focal / 2 * x for x in (drawn.diameter / drawn.z, snow.blur(drawn.z)))
+    ends = []
+    for axis in (radius * drawn.stretch, radius / drawn.stretch):
+        # what two discs make of each other falls from |R − r| to R + r
+        half = np.minimum(axis, blur) + _FUZZY * axis + _EDGE_PX
+        ends.append(np.maximum(axis, blur) + half)
+    inner = ends[0] - 2 * half
+    slim, cosine, sine = (ends[0] / ends[1]) ** 2, np.cos(drawn.turn), np.sin(drawn.turn)
+    columns = (
+        *(drawn.x, drawn.y, 1 / length, math.pi * radius**2 * snow.reflectance * drawn.brightness),
+        *(focal * drawn.x + (width - 1) / 2, focal * drawn.y + (height - 1) / 2),
+        *(inner.clip(0), ends[0]),
+        *(cosine**2 + slim * sine**2, 2 * (1 - slim) * sine * cosine, sine**2 + slim * cosine**2),
+        drawn.z * length,
+    )
+    values = z.new_tensor(np.stack(columns))
+    (x, y, shortening, flux), places = values[:4], values[4:]
+    column, row = (
+        t.round().long().clamp(0, n - 1) for t, n in zip(places, (width, height), strict=False)
+    )
+    far, near = (m[0, row, column] for m in (z, scene))
     density = torch.where(near > _MIN_METRES, far / near.clamp(min=_MIN_METRES), 1.0)
     rays = Rays(*(t.reshape(1, 1, 1, -1) for t in (x, y, shortening)))
-    at = range_.reshape(1, 1, 1, -1)
+    at = places[-1].reshape(1, 1, 1, -1)
     sent = light.on_white(medium[n % len(medium)], at * density, at, rays)[0, :, 0]
-    area = math.pi * size.square()
-    return Flakes(column, row, inner, outer, range_, snow.reflectance * area * sent)
+    return Flakes(places, flux * sent)
 
 
 def snowing(
@@ -100,17 +114,18 @@ def splat(flakes: Flakes, scene: Tensor) -> Tensor:
     """The light of particles (3xHxW) before a scene (1xHxW), m."""
     height, width = scene.shape[-2:]
     layer = scene.new_zeros(3, height * width)
-    reach = flakes.outer.detach().ceil()
+    reach = flakes.places[3].ceil()
     least = 0.0
     # those of about a size together, in squares of pixels that hold each of them
     while bool((reach > least).any()):
         most = max(2 * least, 2.0)
         alike = (reach > least) & (reach <= most)
         least = most
-        column, row, inner, outer, metres = (t[alike][:, None, None] for t in flakes[:5])
+        column, row, inner, outer, *form, metres = flakes.places[:, alike, None, None]
         side = torch.arange(-most, most + 1, dtype=scene.dtype, device=scene.device)
         across, down = column.round() + side, row.round() + side[:, None]
-        away = torch.hypot(across - column, down - row)
+        dx, dy = across - column, down - row
+        away = (form[0] * dx * dx + form[1] * dx * dy + form[2] * dy * dy).clamp(min=0.0).sqrt()
         shares = ((outer - away) / (outer - inner)).clamp(0.0, 1.0)
         shares = shares / shares.sum((-2, -1), keepdim=True)
         inside = (across >= 0) & (across < width) & (down >= 0) & (down < height)

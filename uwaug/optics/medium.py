@@ -213,7 +213,9 @@ class Medium:
         b_mean = tensor_of(np.array([(sensor @ b).mean()]))
         law = PointSpread.paper() if point_spread is None else point_spread
         bands = Bands(beta, G, b, response, measure(response, basis), tolerance)
-        return Medium(**tensors, b_mean=b_mean, point_spread=law, notes=(note,), bands=(bands,))
+        return Medium(
+            **tensors, b_mean=b_mean, point_spread=law, notes=(note,), bands=(bands,), snow=()
+        )
 
     @staticmethod
     def from_coefficients(
@@ -485,7 +487,7 @@ class Medium:
 
     def further_terms(self, z: Tensor, J: Tensor) -> dict[str, Tensor]:
         """Terms (B or 1, 3, H, W) beside the three, by their names in `uwaug.formation.Terms`, of
-        the distance and the scene's light: a new one, such as marine snow, goes here.
+        the distance and the scene's light: a new one, such as plankton that glows, goes here.
         """
         return {}
 

@@ -12,7 +12,7 @@ from uwaug._support.types import Array
 
 COUNTED = 0.5e-3
 """m: diameter from which particles are called marine snow, and counted (Alldredge and Silver,
-Progress in Oceanography 20, 1988: 1 to 10 in a litre are common, up to 500 were met).
+Progress in Oceanography 20, 1988).
 """
 
 SIZES = (50e-6, 5e-3)
@@ -36,13 +36,19 @@ class Particles(NamedTuple):
     Attributes:
         x, y (N arrays): tangents of the angles to the right and down.
         z (N array): distances along the axis of the camera, m.
-        diameter (N array): m.
+        diameter (N array): of a disc of the same area, m.
+        stretch (N array): √ of long over short axis, 1…√2.
+        turn (N array): of the long axis, radians.
+        brightness (N array): share of the reflectance, 0…1.
     """
 
     x: Array
     y: Array
     z: Array
     diameter: Array
+    stretch: Array
+    turn: Array
+    brightness: Array
 
 
 @plain
@@ -56,8 +62,8 @@ class MarineSnow:
     Attributes:
         density: particles of .5 mm and more in a cubic metre, 1…100 000; in
             `uwaug.RandomUnderwater` also a range (low, high), drawn uniformly in its logarithm.
-        reflectance: light that they send back, of a white plate's, 0…1: aggregates are
-            translucent.
+        reflectance: light that the brightest send back, of a white plate's, 0…1; others, evenly
+            spread, send less, as aggregates are translucent.
         aperture: of the lens, m: focal length over f-number.
         focus: distance at which it is sharp, m.
         seed: 0…2^32 − 1; the same snow in pictures of any size.
@@ -75,8 +81,8 @@ class MarineSnow:
     """
 
     density: Range = 2000.0
-    reflectance: float = 0.3
-    aperture: float = 2e-3
+    reflectance: float = 0.2
+    aperture: float = 3e-3
     focus: float = 1.5
     seed: int = 0
     drift: float = 0.0
@@ -97,16 +103,19 @@ class MarineSnow:
         half = _MARGIN * max(right, down)
         reach = SIZES[1] / LEAST_ANGLE
         # N(> d) is density·(COUNTED/d)², and of a metre at z the view has (2 half·z)² m³
+        assert not isinstance(self.density, tuple)
         each_metre = self.density * (COUNTED / LEAST_ANGLE * 2 * half) ** 2
         count = round(each_metre * reach)
-        x, y, z, share = np.random.default_rng(int(self.seed)).random((count, 4)).T
+        shares = np.random.default_rng(int(self.seed)).random((count, 7)).T
+        x, y, z, share, stretch, turn, brightness = shares
         z = z * reach
         diameter = LEAST_ANGLE * z / np.sqrt(1 - share)
         x, y = (2 * x - 1) * half, (2 * y - 1) * half
         seen = (z > NEAREST) & (diameter > SIZES[0]) & (diameter < SIZES[1])
         x = (x + self.drift / z.clip(NEAREST) + half) % (2 * half) - half
         seen &= (np.abs(x) < _MARGIN * right) & (np.abs(y) < _MARGIN * down)
-        return Particles(x[seen], y[seen], z[seen], diameter[seen])
+        rest = np.sqrt(1 + stretch), np.pi * turn, brightness
+        return Particles(*(values[seen] for values in (x, y, z, diameter, *rest)))
 
     def blur(self, z: Array) -> Array:
         """The diameter of the circle of confusion, as a tangent, of points at distances z, m."""

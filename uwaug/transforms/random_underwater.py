@@ -240,8 +240,8 @@ class RandomUnderwater(SampleTransform):
     @staticmethod
     def from_dict(options: Mapping[str, Any]) -> "RandomUnderwater":
         """A transform from what `to_dict` gives, or from options as a person writes them in TOML: a
-        range as a list of two numbers, `development`, `light` and `point_spread` as tables of their
-        arguments, `distance` as one with a `kind`.
+        range as a list of two numbers, `development`, `light`, `point_spread` and `snow` as
+        tables of their arguments, `distance` as one with a `kind`.
 
         Raises:
             TypeError, ValueError: as the class, and if a table does not suit.
@@ -250,7 +250,8 @@ class RandomUnderwater(SampleTransform):
         light = options.get("light")
         named = isinstance(light, Mapping) and ("lamps" in light or light.get("kind") == "Light")
         lit = Light if named else RandomLight
-        tables = {"development": RandomDevelopment, "light": lit, "point_spread": PointSpread}
+        water = {"point_spread": PointSpread, "snow": MarineSnow}
+        tables = {"development": RandomDevelopment, "light": lit, **water}
         for name, kind in tables.items():
             if isinstance(options.get(name), Mapping):
                 read[name] = codec.from_plain(options[name], kind)
@@ -317,7 +318,8 @@ class RandomUnderwater(SampleTransform):
         Returns:
             A record with a sample for each of these frames, which has what was "measured" once for
             all. Its "moved", m, 0 here, says how far field and snow have drifted to the right at a
-            frame: set it to m/s times seconds. By its "noise_seed" the sensor's noise is each frame's own.
+            frame: set it to m/s times seconds. By its "noise_seed" the sensor's noise is each
+            frame's own.
         """
         frames = pictures_of(image)
         if len(frames) > 1 and isinstance(self.source, MadeUp):

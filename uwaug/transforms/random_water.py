@@ -128,10 +128,8 @@ class RandomWater:
     def __post_init__(self) -> None:
         if self.point_spread is not None:
             checks.instance("point_spread", self.point_spread, PointSpread)
-        snow = codec.from_plain(self.snow, MarineSnow)
-        if snow is not None:
-            checks.instance("snow", snow, MarineSnow)
-        vars(self)["snow"] = snow
+        if self.snow is not None:
+            checks.instance("snow", self.snow, MarineSnow)
         loaded = _loaded(WATERS if self.waters is None else self.waters)
         mixes = checked(self.ranges())["mixing"][1] > 0
         if mixes and any(isinstance(water, Medium) for _, water in loaded):
