@@ -1,5 +1,6 @@
-"""A term of the image with a number of its own, put in as the house README says: marine snow. What
-it reaches is in snow.py, whose tests run in a copy of the package that has it.
+"""A term of the image with a number of its own, put in as the house README says: plankton that
+glows. What
+it reaches is in glow.py, whose tests run in a copy of the package that has it.
 """
 
 from pathlib import Path
@@ -9,25 +10,25 @@ from edited import edited_copy, run_in
 from uwaug import fast
 
 TESTS = Path(__file__).parent
-SNOW = {
+GLOW = {
     "optics/medium.py": {
-        '        "b_mean": "B",\n': '        "b_mean": "B",\n        "snow": "BC",\n',
+        '        "b_mean": "B",\n': '        "b_mean": "B",\n        "glow": "BC",\n',
         'metadata={"stored": False})\n': (
-            'metadata={"stored": False})\n    snow: Tensor = torch.zeros(())\n'
+            'metadata={"stored": False})\n    glow: Tensor = torch.zeros(())\n'
         ),
         "        return {}\n": (
-            '        return {"snow": self.snow[..., None, None] * -torch.expm1(-z)}\n'
+            '        return {"glow": self.glow[..., None, None] * -torch.expm1(-z)}\n'
         ),
     },
     "formation/image.py": {
-        "    backscatter: Tensor\n": "    backscatter: Tensor\n    snow: Tensor\n"
+        "    backscatter: Tensor\n": "    backscatter: Tensor\n    glow: Tensor\n"
     },
 }
 
 
 def test_it_reaches_all_that_a_term_has_to(tmp_path: Path) -> None:
     fast.warm_up()  # what is compiled here need not be compiled there
-    edited_copy(tmp_path, SNOW)
+    edited_copy(tmp_path, GLOW)
     settings = ["-c", str(TESTS.parent / "pyproject.toml"), "--rootdir", str(TESTS.parent)]
     options = ["-q", "-n", "0", "-p", "no:cacheprovider", "--show-capture=no", *settings]
-    run_in(tmp_path, "-m", "pytest", *options, str(TESTS / "snow.py"))
+    run_in(tmp_path, "-m", "pytest", *options, str(TESTS / "glow.py"))

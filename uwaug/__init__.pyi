@@ -23,6 +23,7 @@ from .light import Light as Light
 from .optics import JERLOV_TYPES as JERLOV_TYPES
 from .optics import Camera as Camera
 from .optics import Constituents as Constituents
+from .optics import MarineSnow as MarineSnow
 from .optics import Medium as Medium
 from .optics import PointSpread as PointSpread
 from .optics import Scattering as Scattering

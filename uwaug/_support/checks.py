@@ -33,6 +33,8 @@ DOMAIN = {
     "full_well": (1.0, math.inf),
     "read_noise": (0.0, math.inf),
     "noise_seed": (0.0, 2.0**32 - 1),
+    "snow_density": (1.0, 1e5),
+    "snow_seed": (0.0, 2.0**32 - 1),
     "light_night": (0.0, 1.0),
     "light_daylight": (0.0, math.inf),
     "lamp_rig": (0.0, 1.0),

@@ -20,6 +20,7 @@ from uwaug.formation.sensor import Sensor
 from uwaug.light import Light
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.snow import MarineSnow
 
 _log = logging.getLogger(__name__)
 
@@ -44,6 +45,8 @@ def can(
     if type(development.noise) not in (Sensor, type(None)):
         return False
     if type(light) not in (Light, type(None)):
+        return False
+    if any(type(snow) not in (MarineSnow, type(None)) for snow in medium.snow):
         return False
     law = (v for v in medium.point_spread.numbers().values() if isinstance(v, Tensor))
     tensors = (image, z, *medium.tensors(), *law)
@@ -77,6 +80,7 @@ def warm_up() -> None:
     for surfaces in ("grey", "spectral"):
         # a blur on coarse grids, so that their loops are compiled too
         medium = Medium.from_water("7C", surfaces=surfaces, point_spread=PointSpread(30.0))
+        medium = medium.with_snow(MarineSnow())
         for image in (torch.full((1, 3, 8, 8), 0.5), torch.zeros(1, 3, 8, 8, dtype=torch.uint8)):
             form(image, z, medium.to(torch.float32), NEUTRAL, "srgb", None, 0.002)
 

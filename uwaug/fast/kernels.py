@@ -850,10 +850,37 @@ def _store(total: Any, srgb: bool, most: Any, out: Any, out_bytes: Any, n: int) 
 
 
 @kernel
+def splat(places: Floats, light: Floats, scene: Floats, layer: Floats) -> None:
+    """Add the light of particles to a layer (3xHxW), see `uwaug.light.snow.splat`."""
+    height, width = scene.shape
+    for i in range(places.shape[1]):
+        column, row, inner, outer = places[0, i], places[1, i], places[2, i], places[3, i]
+        across, mixed, down, metres = places[4, i], places[5, i], places[6, i], places[7, i]
+        most = int(np.ceil(outer))
+        left, top = int(np.rint(column)) - most, int(np.rint(row)) - most
+        if left >= width or top >= height or left + 2 * most < 0 or top + 2 * most < 0:
+            continue
+        slope, total = _1 / (outer - inner), _0
+        # first what all pixels get together, then each its share
+        for is_share in range(2):
+            for y in range(top, top + 2 * most + 1):
+                for x in range(left, left + 2 * most + 1):
+                    dx, dy = f32(x) - column, f32(y) - row
+                    squared = across * dx * dx + mixed * dx * dy + down * dy * dy
+                    weight = min(max((outer - np.sqrt(max(squared, _0))) * slope, _0), _1)
+                    if not is_share:
+                        total += weight
+                    elif 0 <= x < width and 0 <= y < height and scene[y, x] > metres:
+                        for c in range(3):
+                            layer[c, y, x] += light[c, i] * (weight / total)
+
+
+@kernel
 def render_rows(
     light: Floats,
     z: Floats,
     metres: Floats,
+    snow: Floats,
     medium: MediumTable,
     lamps: LampsTable,
     stack: StackTable,
@@ -873,6 +900,7 @@ def render_rows(
 
     Args:
         light (3xHxW), z, metres (HxW): of the scene; effective distance, and without the field, m.
+        snow (3xHxW, or 3x1x0): light of particles.
         medium, lamps, stack: tables.
         grid (NxW), starts (m): the lines of all coarse grids; where those of each would start.
         normals (N), begins (3xH): of the sensor's noise; where each row of each channel begins.
@@ -950,6 +978,10 @@ def render_rows(
                 total_row, lamplit = tile_row(t, totals + c), tile_row(t, lit + LIT + c)
                 for x in range(n):
                     total_row[x] += lamplit[x]
+            for c in range(3 * min(1, snow.size)):
+                total_row, layer = tile_row(t, totals + c), snow[c, y, left:right]
+                for x in range(layer.size):
+                    total_row[x] += layer[x]
             if normals.size > 0:
                 _expose(t, totals, left, normals, begins[:, y], shown, n)
             _develop(t, totals, shown, n)

@@ -41,6 +41,7 @@ from uwaug.formation.development import (
 )
 from uwaug.formation.sensor import standard_normals
 from uwaug.light import Light
+from uwaug.light.snow import flakes
 from uwaug.optics.medium import Medium
 
 _NO_FLOATS, _NO_BYTES = np.zeros((3, 1, 0), np.float32), np.zeros((3, 1, 0), np.uint8)
@@ -85,6 +86,8 @@ def form(
     lamps = [lamps_of(_ONE if development.noise else gains, n) for n in range(len(shown.beta))]
     laws = [width_law(medium, n, plan, size) for n in range(len(medium))]
     media = [medium_table(shown, n, laws[n % len(laws)]) for n in range(len(shown.beta))]
+    factors = _ONE if development.noise else gains
+    snow = [_snow(medium, light, z, metres, n, factors) for n in range(batch)]
     normals, begins, cameras = _camera(development, gains, batch, size)
     largest = headroom(image) if srgb and high > 1 else 1.0
     largest = torch.as_tensor(largest, dtype=torch.float32, device="cpu")
@@ -102,12 +105,28 @@ def form(
                 out = result[n].numpy()
                 outs = (_NO_FLOATS, out) if out.dtype == np.uint8 else (out, _NO_BYTES)
                 maps = scene, far[n % len(far), 0], near[n % len(near), 0]
-                tables = media[n % len(media)], lamps[n % len(lamps)]
+                tables = snow[n], media[n % len(media)], lamps[n % len(lamps)]
                 blurs, encoding = (table.stack, grid, starts), (srgb, highest[n])
                 camera = normals, begins[n], cameras[n % len(cameras)]
                 arguments: Any = (*maps, *tables, *blurs, *camera, *encoding, *outs)
                 _in_bands(partial(kernels.render_rows, *arguments), rows, size[1])
     return result.to(image.dtype)
+
+
+def _snow(
+    medium: Medium, light: Light | None, z: Tensor, metres: Tensor | None, n: int, gains: Array
+) -> Floats:
+    """The light of the particles before a picture of a batch (3xHxW, or 3x1x0), after gains."""
+    particles = flakes(medium, light, z, metres, n) if medium.snow else None
+    if particles is None:
+        return _NO_FLOATS
+    places, sent = (values.numpy() for values in particles)
+    gain = gains[n % len(gains)]
+    sent = gain @ sent if gain.ndim == 2 else gain[:, None] * sent
+    scene = (z if metres is None else metres)[n % len(z), 0].contiguous().numpy()
+    layer = np.zeros((3, *scene.shape), np.float32)
+    kernels.splat(np.ascontiguousarray(places), sent.astype(np.float32), scene, layer)
+    return layer
 
 
 def _gains(

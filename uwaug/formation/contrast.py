@@ -23,6 +23,7 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug.formation.colour import LUMINANCE
 from uwaug.light import Light
+from uwaug.light.snow import snowing
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 
@@ -89,6 +90,7 @@ def contrast_left(
         object_light = _checked_light(reflectance, z)
         water = medium.to(z)
         T = None if light is None else light.curves(water, z, *unscaled)
+        T = snowing(T, water, light, z, *unscaled)
         # an even surface, which no blur changes
         terms = water.parts(z, object_light, object_light, T)
         detail = _luminance(terms["direct"])

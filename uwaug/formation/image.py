@@ -29,6 +29,7 @@ from uwaug.formation.demand import plan_for
 from uwaug.formation.development import NEUTRAL, Development, exposed
 from uwaug.formation.inputs import effective_distance, validate
 from uwaug.light import Light
+from uwaug.light.snow import snowing
 from uwaug.optics.medium import Medium
 
 _BAND = 1 << 18
@@ -92,6 +93,8 @@ def form(
                 z, brightest.brightened(gain.detach()), (z.shape[-2], z.shape[-1]), tolerance
             )
         soft = blurred_as_seen(J, z, medium, plan, blurs)
+    # the camera is metered without it: with snow and without, the rest of a picture is the same
+    T = snowing(T, medium, light, z, metres)
     largest = headroom(image) if color_space == "srgb" else 1.0
     sensor, noise = development.noise, () if normals is None else (normals,)
     if sensor is not None and not noise:
@@ -201,7 +204,7 @@ def form_image(
         brightest = water if light is None else light.planned(water)
         plan = plan_for(z, brightest, (z.shape[-2], z.shape[-1]), tolerance)
         soft = blurred_as_seen(J, z, water, plan)
-        T = None if light is None else light.curves(water, z)
+        T = snowing(None if light is None else light.curves(water, z), water, light, z)
         terms = water.parts(z, J, soft, T) | {"image": water.image(z, J, soft, T)}
     rows = 0 if image.ndim == 3 and len(terms["image"]) == 1 else slice(None)
     return Terms(**{name: term.to(image.dtype)[rows] for name, term in terms.items()})

@@ -23,7 +23,7 @@ from torch import Tensor
 from uwaug._support import checks, codec
 from uwaug.light.backscatter import Cone, backscatter
 from uwaug.light.rays import Rays, Vector
-from uwaug.optics.curves import Curves, added, decay
+from uwaug.optics.curves import Curves, added, decay, passed
 from uwaug.optics.medium import Medium
 from uwaug.optics.surfaces import white
 
@@ -216,6 +216,18 @@ class Light:
         rows = torch.cat([each.reshape(len(each), shape.numel(), -1) for each in weights], 2)
         arrives = torch.unflatten(rows @ torch.cat(left, 1), -1, z.shape[-2:])
         return torch.unflatten(arrives, 1, shape), sum(fogs[1:], fogs[0])
+
+    def on_white(self, medium: Medium, z: Tensor, metres: Tensor, rays: Rays) -> Tensor:
+        """What arrives unscattered of white surfaces (Bx3xHxW); arguments as for `curves`, on any
+        rays.
+        """
+        white_light = z.new_ones(1, 3, 1, 1)
+        total = passed(medium.curves(z).direct, white_light) * self.daylight
+        if not self.lamps:
+            return total
+        water = medium.under_lamp()
+        arrives, _ = self.lit(water, rays, metres, z / metres)
+        return total + passed(_dimmed(arrives, _straight(water, z)), white_light)
 
     def planned(self, medium: Medium) -> Medium:
         """The medium for which a blur is planned: a lamp may light the scene as daylight does at

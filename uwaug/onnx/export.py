@@ -113,6 +113,9 @@ def _require_exportable(module: Underwater, coefficients: bool) -> None:
     if len(module.medium) != 1 and not coefficients:
         held = f"{len(module.medium)} media, of which only one can be in a file"
         raise ValueError(f"module holds {held}: give coefficients=True")
+    if module.medium.snow:
+        cure = "export it of medium.with_snow(None)"
+        raise ValueError(f"module has marine snow, which no file can draw: {cure}")
     if module.light is not None and coefficients:
         raise ValueError("coefficients cannot be inputs of a file with lamps: give one water")
 

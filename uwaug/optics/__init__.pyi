@@ -5,5 +5,6 @@ from .jerlov import JERLOV_TYPES as JERLOV_TYPES
 from .medium import Medium as Medium
 from .point_spread import PointSpread as PointSpread
 from .scattering import Scattering as Scattering
+from .snow import MarineSnow as MarineSnow
 from .water import Water as Water
 from .water import load_water as load_water

@@ -52,6 +52,7 @@ from uwaug.optics.curves import FARTHEST, Curves, Sums, cancels, curves, mix
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.reduction import attenuations, default_bands, reduced
 from uwaug.optics.scattering import Scattering
+from uwaug.optics.snow import MarineSnow
 from uwaug.optics.surfaces import (
     Surfaces,
     as_matrices,
@@ -93,6 +94,7 @@ class Medium:
         point_spread: the width law.
         notes: one line per medium on what it models.
         bands: each medium band by band, for lamps; empty if only the sums are known.
+        snow: what particles each has, see `with_snow`; empty if none has any.
     """
 
     TENSORS: ClassVar = {
@@ -117,6 +119,7 @@ class Medium:
     point_spread: PointSpread
     notes: tuple[str, ...] = ()
     bands: tuple[Bands, ...] = field(default=(), metadata={"stored": False})
+    snow: tuple[MarineSnow | None, ...] = ()
 
     def __post_init__(self) -> None:
         sizes = {"B": self.beta.shape[0], "K": self.beta.shape[-1], "L": self.G.shape[-1], "C": 3}
@@ -210,7 +213,9 @@ class Medium:
         b_mean = tensor_of(np.array([(sensor @ b).mean()]))
         law = PointSpread.paper() if point_spread is None else point_spread
         bands = Bands(beta, G, b, response, measure(response, basis), tolerance)
-        return Medium(**tensors, b_mean=b_mean, point_spread=law, notes=(note,), bands=(bands,))
+        return Medium(
+            **tensors, b_mean=b_mean, point_spread=law, notes=(note,), bands=(bands,), snow=()
+        )
 
     @staticmethod
     def from_coefficients(
@@ -276,7 +281,18 @@ class Medium:
         notes = sum((medium.notes for medium in media), ())
         banded = all(medium.bands for medium in media)
         bands = sum((medium.bands for medium in media), ()) if banded else ()
-        return Medium(**tensors, point_spread=law, notes=notes, bands=bands)
+        snow: tuple[MarineSnow | None, ...] = ()
+        if any(medium.snow for medium in media):
+            snow = sum((medium.snow or (None,) * len(medium) for medium in media), ())
+        return Medium(**tensors, point_spread=law, notes=notes, bands=bands, snow=snow)
+
+    def with_snow(self, snow: MarineSnow | None) -> "Medium":
+        """This water with particles in it, which a camera sees one by one."""
+        if snow is None:
+            return replace(self, snow=())
+        checks.instance("snow", snow, MarineSnow)
+        checks.within("snow: density", snow.density, *DOMAIN["snow_density"])  # no range
+        return replace(self, snow=(snow,) * len(self))
 
     def __len__(self) -> int:
         return len(self.beta)
@@ -287,14 +303,15 @@ class Medium:
         if not range(len(self))[part]:
             raise IndexError(f"medium {i!r} of {len(self)}")
         rows = self.map(lambda t: t[part] if t.ndim else t)
-        return replace(rows, notes=self.notes[part], bands=self.bands[part])
+        return replace(rows, notes=self.notes[part], bands=self.bands[part], snow=self.snow[part])
 
     def expand(self, rows: int) -> "Medium":
         """One medium as a batch of `rows` equal ones; a batch stays as it is."""
         if len(self) != 1 or rows == 1:
             return self
         wide = self.map(lambda t: t.expand(rows, *t.shape[1:]))
-        return replace(wide, notes=self.notes * rows, bands=self.bands * rows)
+        rest = {name: getattr(self, name) * rows for name in ("notes", "bands", "snow")}
+        return replace(wide, **rest)
 
     def map(self, function: Callable[[Tensor], Tensor]) -> "Medium":
         """`function` applied to each tensor, those of the width law included."""
@@ -470,7 +487,7 @@ class Medium:
 
     def further_terms(self, z: Tensor, J: Tensor) -> dict[str, Tensor]:
         """Terms (B or 1, 3, H, W) beside the three, by their names in `uwaug.formation.Terms`, of
-        the distance and the scene's light: a new one, such as marine snow, goes here.
+        the distance and the scene's light: a new one, such as plankton that glows, goes here.
         """
         return {}
 

@@ -14,7 +14,7 @@ Record = dict[str, Any]
 Uniform = Callable[[str], float]
 """The number of 0…1 that a picture draws for a name."""
 
-_LOGARITHMIC = ("contrast", "full_well")
+_LOGARITHMIC = ("contrast", "full_well", "snow_density")
 """Numbers that are drawn uniformly in their logarithm."""
 
 
@@ -27,7 +27,7 @@ class Draw(NamedTuple):
         numbers: by name, see `Drawn.ranges`.
         field_seed: of the medium field; None where there is none.
         measured: what is taken from one frame of a film for all of them: attributes of `Measured`.
-        moved: m by which the field of a film has drifted to the right.
+        moved: m by which field and snow of a film have drifted to the right.
     """
 
     applied: bool

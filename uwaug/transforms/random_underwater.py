@@ -19,6 +19,7 @@ from uwaug.light import Light
 from uwaug.optics.camera import Camera
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.snow import MarineSnow
 from uwaug.optics.water import Water
 from uwaug.presets.preset import load_preset
 from uwaug.transforms.distances import metres_of, require, second_look
@@ -101,6 +102,8 @@ class RandomUnderwater(SampleTransform):
             `Relative` or `Inverse`. Or where distances come from without maps: `MadeUp`, `Network`,
             or `Plane`, for which a number or a range may stand, m.
         camera: a name, the path of a CSV file or a `Camera`.
+        snow: particles that one sees, see `uwaug.MarineSnow`, whose density may be a range, drawn
+            uniformly in its logarithm; None for clear water.
         development: what the camera does, and the colour space, see `RandomDevelopment`.
         light: what lights the scene, see `RandomLight`: by default lamps light a sixth of the
             pictures; a `Light`, the same for all pictures, whose lamps stand where they are in
@@ -155,6 +158,7 @@ class RandomUnderwater(SampleTransform):
     field: tuple[float, float] | None = RandomWater.field
     distance: Source | Range = option(default_factory=Metres)
     camera: str | os.PathLike[str] | Camera = RandomWater.camera
+    snow: MarineSnow | None = RandomWater.snow
     development: RandomDevelopment = option(default_factory=RandomDevelopment)
     light: RandomLight | Light | None = option(default_factory=RandomLight)
     p: float = 1.0
@@ -242,8 +246,8 @@ class RandomUnderwater(SampleTransform):
     @staticmethod
     def from_dict(options: Mapping[str, Any]) -> "RandomUnderwater":
         """A transform from what `to_dict` gives, or from options as a person writes them in TOML: a
-        range as a list of two numbers, `development`, `light` and `point_spread` as tables of their
-        arguments, `distance` as one with a `kind`.
+        range as a list of two numbers, `development`, `light`, `point_spread` and `snow` as
+        tables of their arguments, `distance` as one with a `kind`.
 
         Raises:
             TypeError, ValueError: as the class, and if a table does not suit.
@@ -252,7 +256,8 @@ class RandomUnderwater(SampleTransform):
         light = options.get("light")
         named = isinstance(light, Mapping) and ("lamps" in light or light.get("kind") == "Light")
         lit = Light if named else RandomLight
-        tables = {"development": RandomDevelopment, "light": lit, "point_spread": PointSpread}
+        water = {"point_spread": PointSpread, "snow": MarineSnow}
+        tables = {"development": RandomDevelopment, "light": lit, **water}
         for name, kind in tables.items():
             if isinstance(options.get(name), Mapping):
                 read[name] = codec.from_plain(options[name], kind)
@@ -318,8 +323,9 @@ class RandomUnderwater(SampleTransform):
 
         Returns:
             A record with a sample for each of these frames, which has what was "measured" once for
-            all. Its "moved", m, 0 here, says how far the field has drifted to the right at a frame:
-            set it to m/s times seconds. By its "noise_seed" the sensor's noise is each frame's own.
+            all. Its "moved", m, 0 here, says how far field and snow have drifted to the right at a
+            frame: set it to m/s times seconds. By its "noise_seed" the sensor's noise is each
+            frame's own.
         """
         frames = pictures_of(image)
         if len(frames) > 1 and isinstance(self.source, MadeUp):

@@ -3,7 +3,7 @@
 import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from dataclasses import field as derived
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -19,6 +19,7 @@ from uwaug.optics.constituents import UNITS, Constituents
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import FOCAL_LENGTH, PointSpread
 from uwaug.optics.reduction import default_bands
+from uwaug.optics.snow import MarineSnow
 from uwaug.optics.water import Water, load_water
 from uwaug.transforms.draws import Draw, Uniform, checked
 from uwaug.transforms.measured import Measured
@@ -117,6 +118,7 @@ class RandomWater:
     point_spread: PointSpread | None = None
     field: tuple[float, float] | None = (0.7, 1.3)
     camera: str | os.PathLike[str] | Camera = "Nikon 5100 (NPL)"
+    snow: MarineSnow | None = None
 
     names: Sequence[str] = derived(init=False, repr=False)
     by_name: Mapping[str, Water | Constituents | Medium] = derived(init=False, repr=False)
@@ -126,6 +128,8 @@ class RandomWater:
     def __post_init__(self) -> None:
         if self.point_spread is not None:
             checks.instance("point_spread", self.point_spread, PointSpread)
+        if self.snow is not None:
+            checks.instance("snow", self.snow, MarineSnow)
         loaded = _loaded(WATERS if self.waters is None else self.waters)
         mixes = checked(self.ranges())["mixing"][1] > 0
         if mixes and any(isinstance(water, Medium) for _, water in loaded):
@@ -141,7 +145,10 @@ class RandomWater:
     def ranges(self) -> dict[str, Range | None]:
         """Each number that a picture draws, by name; None where there is none."""
         drawn = ("contrast", "mixing", "vertical_depth", "g", "mu")
-        return {name: getattr(self, name) for name in drawn}
+        own = {name: getattr(self, name) for name in drawn}
+        if self.snow is not None:
+            own |= {"snow_density": self.snow.density, "snow_seed": checks.DOMAIN["snow_seed"]}
+        return own
 
     def picked(self, uniform: Uniform) -> list[str]:
         """The names of the waters of a picture; that of drawn contents says all of them."""
@@ -173,7 +180,7 @@ class RandomWater:
         numbers, reached = draw.numbers, None
         fixed = self.by_name.get(draw.waters[0])
         if isinstance(fixed, Medium):
-            return InWater(fixed, 1.0, None)
+            return InWater(self._snowing(fixed, draw), 1.0, None)
         water, *others = map(self._spectra, draw.waters)
         if others:
             water = water.mix(others[0], numbers["mixing"])
@@ -198,7 +205,14 @@ class RandomWater:
             color_matrix=numbers.get("color_matrix", 1.0),
             tolerance=_CURVES * daylight,  # what an exposure brings up, errors included
         )
-        return InWater(medium, scale, reached)
+        return InWater(self._snowing(medium, draw), scale, reached)
+
+    def _snowing(self, medium: Medium, draw: Draw) -> Medium:
+        """A medium with the particles that are drawn; with those of its own if none are."""
+        if self.snow is None:
+            return medium
+        density, seed = draw.numbers["snow_density"], int(draw.numbers["snow_seed"])
+        return medium.with_snow(replace(self.snow, density=density, seed=seed, drift=draw.moved))
 
     def fields(self, draws: Sequence[Draw], seen: Sequence[Measured], like: Tensor) -> Tensor:
         """The medium field (Bx1xHxW) of each picture, for distances of the shape of a tensor; 1 in

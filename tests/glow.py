@@ -1,4 +1,4 @@
-"""Where marine snow is seen that `test_added_term.py` has put into the image: snow·(1 − e^−z)."""
+"""Where plankton glows that `test_added_term.py` has put into the image: glow·(1 − e^−z)."""
 
 import json
 from dataclasses import replace
@@ -29,14 +29,14 @@ from uwaug.formation.colour import LUMINANCE
 from uwaug.formation.development import exposed
 
 IMAGE, DISTANCE = 0.5 * picture(48, 64), distances(48, 64)
-SNOW = torch.tensor([[0.1, 0.2, 0.3]], dtype=torch.float64)
-ARRIVING = SNOW[..., None, None] * -torch.expm1(-DISTANCE.double())
+GLOW = torch.tensor([[0.1, 0.2, 0.3]], dtype=torch.float64)
+ARRIVING = GLOW[..., None, None] * -torch.expm1(-DISTANCE.double())
 LIGHT = Light((Lamp((0.4, 0.0, 0.0), 2.0),), daylight=0.3)
 DEVELOPED = Development(exposure=1.0, saturation=1.2, gamut=0.5)
 
 
-def snowing(medium: Medium, snow: Tensor = SNOW) -> Medium:
-    return replace(medium, snow=snow.expand(len(medium), 3))
+def glowing(medium: Medium, glow: Tensor = GLOW) -> Medium:
+    return replace(medium, glow=glow.expand(len(medium), 3))
 
 
 def drawn(medium: Medium) -> Tensor:
@@ -66,7 +66,7 @@ WAYS = {
 @pytest.mark.parametrize("way", WAYS)
 def test_in_pictures(way: str, water: str) -> None:
     medium = WATERS[water]
-    brighter = WAYS[way](snowing(medium)) - WAYS[way](medium)
+    brighter = WAYS[way](glowing(medium)) - WAYS[way](medium)
     assert brighter.mean() > 0.03
     assert brighter.min() > -0.005
     if way == "linear":
@@ -75,27 +75,27 @@ def test_in_pictures(way: str, water: str) -> None:
 
 def test_the_loops_form_none_of_it() -> None:
     assert fast.can(IMAGE, DISTANCE, CLEAR, None)
-    assert not fast.can(IMAGE, DISTANCE, snowing(CLEAR), None)
+    assert not fast.can(IMAGE, DISTANCE, glowing(CLEAR), None)
 
 
 def test_the_meter_sees_it() -> None:
     J, z = IMAGE.double(), DISTANCE.double()
-    gains = [float(Development("auto").gain(J, z, m)) for m in (CLEAR, snowing(CLEAR))]
+    gains = [float(Development("auto").gain(J, z, m)) for m in (CLEAR, glowing(CLEAR))]
     assert gains[1] < 0.7 * gains[0]
     # the mean luminance of the scene is kept, so that no picture is blown out
-    clear, snowy = (
+    clear, glowy = (
         Underwater(medium, None, development=Development("auto"))(IMAGE, DISTANCE)
-        for medium in (CLEAR, snowing(CLEAR))
+        for medium in (CLEAR, glowing(CLEAR))
     )
-    assert (snowy - clear).abs().max() > 0.05
-    assert (snowy - clear).mean().abs() < 0.1
+    assert (glowy - clear).abs().max() > 0.05
+    assert (glowy - clear).mean().abs() < 0.1
 
 
 @pytest.mark.parametrize("water", WATERS)
 def test_terms_add_up(water: str) -> None:
     image, z = IMAGE.double(), DISTANCE.double()
-    terms = form_image(image, z, snowing(WATERS[water]))
-    torch.testing.assert_close(terms.snow, ARRIVING.expand_as(terms.snow))
+    terms = form_image(image, z, glowing(WATERS[water]))
+    torch.testing.assert_close(terms.glow, ARRIVING.expand_as(terms.glow))
     torch.testing.assert_close(sum(terms), terms.image, rtol=0, atol=1e-14)
     assert len(list(terms)) == 4
 
@@ -105,49 +105,49 @@ def test_it_takes_contrast() -> None:
     terms = form_image(torch.full_like(z, 0.18).expand(-1, 3, -1, -1), z, CLEAR)
     of = {name: luminance @ getattr(terms, name).flatten(2) for name in ("direct", "image")}
     wanted = of["direct"] / (of["image"] + luminance @ ARRIVING.flatten(2))
-    torch.testing.assert_close(contrast_left(z, snowing(CLEAR)).flatten(2)[:, 0], wanted)
+    torch.testing.assert_close(contrast_left(z, glowing(CLEAR)).flatten(2)[:, 0], wanted)
     near = torch.full_like(DISTANCE[0], 1.5)
     target = {"boxes": torch.tensor([[4.0, 4.0, 40.0, 40.0]])}
-    for medium, seen in ((CLEAR, 1), (snowing(CLEAR), 0)):
+    for medium, seen in ((CLEAR, 1), (glowing(CLEAR), 0)):
         least = float(contrast_left(near, CLEAR).mean()) * 0.8
         keep = KeepVisible(RandomUnderwater(medium, field=None), least)
         assert len(keep(IMAGE[0], near, target)[2]["boxes"]) == seen
 
 
 def test_in_copies() -> None:
-    medium = snowing(CLEAR)
+    medium = glowing(CLEAR)
     both = Medium.stack([medium, CLEAR])
-    assert torch.equal(both.snow, torch.cat([SNOW, 0 * SNOW]))
-    assert torch.equal(both[0].snow, SNOW)
-    assert torch.equal(medium.expand(3).snow, SNOW.expand(3, 3))
-    assert medium.to(torch.float32).snow.dtype == torch.float32
-    assert torch.equal(medium.as_coefficients().snow, SNOW)
-    assert torch.equal(medium.under_lamp().snow, SNOW)
-    with pytest.raises(ValueError, match=r"Medium\.snow must have shape \(1, 3\), got \(2, 3\)"):
-        replace(CLEAR, snow=SNOW.expand(2, 3))
+    assert torch.equal(both.glow, torch.cat([GLOW, 0 * GLOW]))
+    assert torch.equal(both[0].glow, GLOW)
+    assert torch.equal(medium.expand(3).glow, GLOW.expand(3, 3))
+    assert medium.to(torch.float32).glow.dtype == torch.float32
+    assert torch.equal(medium.as_coefficients().glow, GLOW)
+    assert torch.equal(medium.under_lamp().glow, GLOW)
+    with pytest.raises(ValueError, match=r"Medium\.glow must have shape \(1, 3\), got \(2, 3\)"):
+        replace(CLEAR, glow=GLOW.expand(2, 3))
 
 
 @pytest.mark.parametrize("gain", [[[2.0]], [[1.0, 2.0, 3.0]], torch.rand(1, 3, 3).tolist()])
 def test_a_gain_multiplies_it(gain: Any) -> None:
-    medium, gains, J = snowing(CLEAR), torch.tensor(gain, dtype=torch.float64), IMAGE.double()
+    medium, gains, J = glowing(CLEAR), torch.tensor(gain, dtype=torch.float64), IMAGE.double()
     wanted = exposed(medium.image(DISTANCE.double(), J, J), gains)
     torch.testing.assert_close(medium.brightened(gains).image(DISTANCE.double(), J, J), wanted)
 
 
 def test_in_records() -> None:
-    medium = snowing(CLEAR)
+    medium = glowing(CLEAR)
     plain = json.loads(json.dumps(to_plain(medium)))
-    assert torch.equal(from_plain(plain).snow, SNOW)
-    del plain["snow"]
-    assert torch.equal(from_plain(plain).snow, 0 * SNOW)
+    assert torch.equal(from_plain(plain).glow, GLOW)
+    del plain["glow"]
+    assert torch.equal(from_plain(plain).glow, 0 * GLOW)
     augment = RandomUnderwater(medium)
     again = RandomUnderwater.from_dict(json.loads(json.dumps(augment.to_dict())))
-    assert torch.equal(again.waters.snow, SNOW)
+    assert torch.equal(again.waters.glow, GLOW)
 
 
 def test_where_a_medium_is_learned() -> None:
-    module = Underwater(snowing(CLEAR), None, learnable=True)
-    fixed = Underwater(snowing(CLEAR), None)(IMAGE, DISTANCE)
+    module = Underwater(glowing(CLEAR), None, learnable=True)
+    fixed = Underwater(glowing(CLEAR), None)(IMAGE, DISTANCE)
     torch.testing.assert_close(module(IMAGE, DISTANCE), fixed, rtol=0, atol=2e-3)
     other = Underwater(CLEAR, None, learnable=True)
     other.load_state_dict(module.state_dict())
@@ -163,11 +163,11 @@ def test_in_fits() -> None:
     def off(medium: Medium) -> float:
         observed = Underwater(medium, None)(IMAGE, DISTANCE)
         fit = uwaug.fit(IMAGE, observed, DISTANCE, model="veil", gain="fixed", progress=False)
-        assert not fit.medium.snow.any()
+        assert not fit.medium.glow.any()
         return float((fit.medium.veil_weights.sum(-1) - torch.tensor(veil)).abs().max())
 
-    # what is fitted knows no snow, and takes it for veil
-    assert off(water) < 1e-3 < 0.02 < off(snowing(water))
+    # what is fitted knows no glow, and takes it for veil
+    assert off(water) < 1e-3 < 0.02 < off(glowing(water))
 
 
 def test_in_files_whose_coefficients_are_inputs(tmp_path: Path) -> None:
@@ -176,9 +176,9 @@ def test_in_files_whose_coefficients_are_inputs(tmp_path: Path) -> None:
     from uwaug.onnx import OnnxUnderwater, export_onnx
 
     water = Medium.from_coefficients((1.0, 0.8, 0.9), (0.4, 0.3, 0.5), (0.1, 0.3, 0.4))
-    module = Underwater(snowing(water), (0.5, 6.0))
-    run = OnnxUnderwater(export_onnx(module, tmp_path / "snow.onnx", coefficients=True))
-    for medium in (water, snowing(water), snowing(water, 2 * SNOW)):
+    module = Underwater(glowing(water), (0.5, 6.0))
+    run = OnnxUnderwater(export_onnx(module, tmp_path / "glow.onnx", coefficients=True))
+    for medium in (water, glowing(water), glowing(water, 2 * GLOW)):
         expected = Underwater(medium, (0.5, 6.0))(IMAGE, DISTANCE)
         pictures = run(IMAGE, DISTANCE, medium)
         torch.testing.assert_close(pictures, expected, rtol=0, atol=2e-5)

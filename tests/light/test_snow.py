@@ -1,0 +1,319 @@
+"""Marine snow: particles in the water, drawn one by one."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scenes import picture, rand
+from torch import Tensor
+
+from uwaug import (
+    Development,
+    Lamp,
+    Light,
+    MarineSnow,
+    Medium,
+    RandomUnderwater,
+    Sensor,
+    Underwater,
+    contrast_left,
+    fast,
+    form_image,
+)
+from uwaug._support import codec
+from uwaug.formation.image import form
+from uwaug.onnx import export_onnx
+from uwaug.optics.snow import COUNTED, SIZES, Particles
+
+BETA, G, AMBIENT = (0.5, 0.3, 0.2), (0.3, 0.2, 0.1), (0.4, 0.6, 0.8)
+WATER = Medium.from_coefficients(BETA, G, (0.1, 0.2, 0.3), light=AMBIENT)
+SPECTRAL = Medium.from_water("II", surfaces="spectral", vertical_depth=5.0)
+LAMPS = Light((Lamp((0.4, -0.3, 0.0), 3.0, (-0.1, 0.1, 1.0), cone=60.0),), daylight=0.3)
+SNOW = MarineSnow(3000, seed=5)
+SIZE = (96, 128)
+
+
+def far(size: tuple[int, int] = SIZE, metres: float = 6.0) -> Tensor:
+    return torch.full((1, 1, *size), metres, dtype=torch.float64)
+
+
+def layer(
+    snow: MarineSnow, z: Tensor, light: Light | None = None, medium: Medium = WATER
+) -> Tensor:
+    """What particles add to a picture (3xHxW)."""
+    black = z.new_zeros(1, 3, *z.shape[-2:])
+    with_it = form_image(black, z, medium.with_snow(snow), light=light)
+    return (with_it.image - form_image(black, z, medium, light=light).image)[0]
+
+
+@pytest.fixture
+def single(monkeypatch: pytest.MonkeyPatch):
+    """Lets one round particle of full reflectance float before the camera."""
+
+    def float_there(x: float, y: float, z: float, diameter: float) -> None:
+        values = (x, y, z, diameter, 1.0, 0.3, 1.0)
+        particle = Particles(*(np.array([value]) for value in values))
+        monkeypatch.setattr(MarineSnow, "particles", lambda *_: particle)
+
+    return float_there
+
+
+def radiance(x: float, y: float, z: float, light: Light | None) -> Tensor:
+    """Of a white surface at a point, by the definitions."""
+    r = math.hypot(x * z, y * z, z)
+    direct = torch.tensor(AMBIENT).double() * torch.exp(-torch.tensor(BETA).double() * r)
+    if light is None:
+        return direct
+    (lamp,) = light.lamps
+    to = torch.tensor([x * z, y * z, z]) - torch.tensor(lamp.position)
+    path = float(to.norm())
+    axis = torch.tensor(lamp.aim) / torch.tensor(lamp.aim).norm()
+    inner, outer = lamp.fade
+    t = min(max((float(to @ axis) / path - outer) / (inner - outer), 0.0), 1.0)
+    cone = t * t * (3 - 2 * t)
+    # to the particle what was scattered forward lights it, too; from there it is lost
+    way = torch.tensor(G).double() * path + torch.tensor(BETA).double() * r
+    return light.daylight * direct + lamp.power * cone / (path**2 + 0.03**2) * torch.exp(-way)
+
+
+@pytest.mark.parametrize("light", [None, LAMPS])
+@pytest.mark.parametrize("diameter", [1e-4, 5e-4, 4e-3])
+@pytest.mark.parametrize("place", [(0.0, 0.0, 1.5), (0.23, -0.11, 0.4), (-0.3, 0.3, 3.0)])
+def test_a_particle_sends_its_radiance_times_its_area(single, place, diameter, light) -> None:
+    single(*place, diameter)
+    focal = SIZE[1] / 2 / math.tan(math.radians(30))
+    area = math.pi / 4 * (diameter / place[2] * focal) ** 2
+    added = layer(replace(SNOW, reflectance=0.4), far(), light)
+    expected = 0.4 * area * radiance(*place, light)
+    # a lamp has a radius, by which angles to it differ
+    torch.testing.assert_close(added.sum((1, 2)), expected, rtol=5e-3, atol=1e-12)
+
+
+def test_a_disc_has_its_radiance(single) -> None:
+    # 50 px wide in focus, and 1.9 mm across a lens of 20 mm
+    size, focal = (400, 400), 200 / math.tan(math.radians(30))
+    single(0.0, 0.0, 0.05, 50 / focal * 0.05)
+    sharp = layer(replace(SNOW, reflectance=1.0, focus=0.05), far(size))
+    white = radiance(0.0, 0.0, 0.05, None)
+    torch.testing.assert_close(sharp[:, 200, 200], white, rtol=0.06, atol=0)
+    single(0.0, 0.0, 0.1, 1.9e-3)
+    blurred = layer(replace(SNOW, reflectance=1.0, aperture=0.02, focus=1e6), far(size))
+    white = radiance(0.0, 0.0, 0.1, None)
+    torch.testing.assert_close(blurred[:, 200, 200], white * 0.095**2, rtol=0.03, atol=0)
+    # as wide as the circle of confusion: .2 of the distance along the axis
+    reach = (blurred[1, 200] > 0.5 * blurred[1, 200, 200]).sum()
+    assert abs(float(reach) - 0.2 * focal) < 2
+
+
+@pytest.mark.parametrize("times", [2, 4])
+def test_the_same_particles_at_any_size(times: int) -> None:
+    size = (SIZE[0] * times, SIZE[1] * times)
+    small, large = layer(SNOW, far()), layer(SNOW, far(size))
+    pooled = torch.nn.functional.avg_pool2d(large, times)
+    torch.testing.assert_close(pooled.sum(), small.sum(), rtol=0.03, atol=0)
+    near = torch.nn.functional.avg_pool2d(pooled - small, 4).abs().mean()
+    assert near < 0.15 * small.mean()
+    other = layer(replace(SNOW, seed=6), far())
+    assert torch.nn.functional.avg_pool2d(other - small, 4).abs().mean() > 0.5 * small.mean()
+
+
+def test_the_scene_hides_what_is_behind_it() -> None:
+    z = far()
+    z[..., :64] = 0.04  # nearer than any particle
+    z[..., 64:96] = 1.0
+    seen, all_of_it = layer(SNOW, z), layer(SNOW, far())
+    assert all_of_it[..., :64].max() > 0.01
+    assert seen[..., :64].abs().max() < 1e-12
+    torch.testing.assert_close(seen[..., 96:], all_of_it[..., 96:])
+    some = seen[..., 64:96].sum() / all_of_it[..., 64:96].sum()
+    assert 0.1 < some < 0.95
+
+
+def test_number_and_sizes_are_those_of_the_water() -> None:
+    near, at_2_mm, volume = 0.45, 0, 0.0
+    count = 0
+    for seed in range(30):
+        drawn = replace(SNOW, density=20_000, seed=seed).particles(0.6, 0.4)
+        inside = (np.abs(drawn.x) < 0.6) & (np.abs(drawn.y) < 0.4)
+        inside &= (drawn.z > 0.2) & (drawn.z < near)
+        count += int((inside & (drawn.diameter > COUNTED)).sum())
+        at_2_mm += int((inside & (drawn.diameter > 4 * COUNTED)).sum())
+        volume += 1.2 * 0.8 * (near**3 - 0.2**3) / 3
+        assert SIZES[0] < drawn.diameter.min() < 1.2 * SIZES[0]
+        assert 0.8 * SIZES[1] < drawn.diameter.max() < SIZES[1]
+    # what is larger than 5 mm, 1 % of it, is not drawn
+    expected = 20_000 * volume * (1 - 0.01)
+    assert abs(count - expected) < 4 * math.sqrt(expected)
+    assert abs(at_2_mm - expected / 16 * (1 - 0.16)) < 4 * math.sqrt(expected / 16)
+
+
+def test_more_of_it_adds_particles() -> None:
+    few, many = (replace(SNOW, density=density).particles(0.6, 0.4) for density in (500, 900))
+    np.testing.assert_array_equal(many.z[: len(few.z)], few.z)
+
+
+def test_by_seed() -> None:
+    assert torch.equal(layer(SNOW, far()), layer(replace(SNOW), far()))
+    assert not torch.equal(layer(SNOW, far()), layer(replace(SNOW, seed=6), far()))
+
+
+def test_bright_in_a_beam_faint_in_daylight() -> None:
+    z, image = far(), 0.3 * torch.ones(1, 3, *SIZE, dtype=torch.float64)
+    shares = []
+    for light in (None, Light(LAMPS.lamps, daylight=0.0)):
+        arriving = form_image(image, z, WATER, light=light).image
+        shares.append(float(layer(SNOW, z, light).mean() / arriving.mean()))
+    assert shares[1] > 5 * shares[0] > 0
+
+
+LIGHTS = {"day": None, "lamps": LAMPS}
+WATERS = {
+    "grey": WATER.with_snow(SNOW),
+    "spectral": SPECTRAL.with_snow(SNOW),
+    "one of two": Medium.stack([WATER.with_snow(SNOW), WATER]),
+}
+CAMERAS = {
+    "neutral": Development(),
+    "auto": Development("auto", white_balance=0.5, saturation=1.2),
+    "noisy": Development(1.0, saturation=0.8, noise=Sensor(20_000, 3.0, 1)),
+}
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+@pytest.mark.parametrize("water", WATERS)
+@pytest.mark.parametrize("light", LIGHTS)
+def test_the_loops_draw_the_same(light: str, water: str, camera: str) -> None:
+    if not fast.load():
+        pytest.skip("numba is not installed")
+    image, metres = 0.4 * picture(*SIZE), 0.3 + 4 * rand(1, 1, *SIZE, dtype=torch.float32)
+    z = metres * (0.7 + 0.6 * rand(1, 1, *SIZE, dtype=torch.float32, seed=2))
+    medium, lit, development = WATERS[water].to(torch.float32), LIGHTS[light], CAMERAS[camera]
+    assert fast.can(image, z, medium, lit, development)
+    ours = form(image, z, medium, development, light=lit, metres=metres)
+    exact = form(
+        *(image.double(), z.double(), medium.to(torch.float64), development),
+        light=lit,
+        metres=metres.double(),
+    )
+    torch.testing.assert_close(ours.double(), exact, rtol=0, atol=2e-5)
+    without = form(image, z, medium.with_snow(None), development, light=lit, metres=metres)
+    assert (ours - without)[0].max() > 0.02
+
+
+def test_the_rest_of_a_picture_stays() -> None:
+    image, z = 0.4 * picture(*SIZE), far().float()
+    pictures = [
+        Underwater(medium, None, development=Development("auto"), light=LAMPS)(image, z)
+        for medium in (WATER, WATER.with_snow(replace(SNOW, density=200)))
+    ]
+    changed = pictures[1] - pictures[0]
+    assert changed.min() > -1e-5
+    assert ((changed.abs() < 1e-5).float().mean()) > 0.5
+    assert changed.max() > 0.05
+
+
+def test_it_drifts(single) -> None:
+    focal = SIZE[1] / 2 / math.tan(math.radians(30))
+    columns = torch.arange(SIZE[1]).double()
+    still = SNOW.particles(0.6, 0.4)
+    moved = replace(SNOW, drift=0.05).particles(0.6, 0.4)
+    # near ones faster, to the right
+    by_z = dict(zip(still.z.tolist(), still.x.tolist(), strict=True))
+    steps = [
+        (x - by_z[z]) * z
+        for x, z in zip(moved.x.tolist(), moved.z.tolist(), strict=True)
+        if z in by_z
+    ]
+    assert np.mean(np.abs(np.array(steps) - 0.05) < 1e-9) > 0.8
+    assert abs(len(moved.z) - len(still.z)) < 0.05 * len(still.z)
+    assert np.abs(moved.x).max() <= 1.1 * 0.6
+    single(0.05, 0.0, 1.0, 2e-3)
+    middle = (layer(SNOW, far())[1].sum(0) * columns).sum() / layer(SNOW, far())[1].sum()
+    assert abs(float(middle) - (63.5 + 0.05 * focal)) < 0.05
+
+
+def test_gradients_pass() -> None:
+    image, z = rand(1, 3, *SIZE).requires_grad_(), far().requires_grad_()
+    beta = torch.tensor(BETA, dtype=torch.float64, requires_grad=True)
+    medium = Medium.from_coefficients(beta, G, (0.1, 0.2, 0.3)).with_snow(SNOW)
+    form_image(image, z, medium, light=LAMPS).image.sum().backward()
+    slopes = (image.grad, z.grad, beta.grad)
+    for slope in slopes:
+        assert slope is not None
+        assert bool(slope.isfinite().all())
+        assert bool((slope != 0).any())
+
+
+def test_it_takes_contrast() -> None:
+    z = far().float()
+    left = [contrast_left(z, medium) for medium in (WATER, WATER.with_snow(SNOW))]
+    assert bool((left[1] <= left[0] + 1e-6).all())
+    assert (left[0] - left[1]).max() > 0.01
+
+
+def test_in_copies_and_records() -> None:
+    medium = WATER.with_snow(SNOW)
+    both = Medium.stack([medium, WATER])
+    assert both.snow == (SNOW, None)
+    assert both[1].snow == (None,)
+    assert medium.expand(3).snow == (SNOW,) * 3
+    assert medium.to(torch.float32).snow == medium.under_lamp().snow == (SNOW,)
+    plain = json.loads(json.dumps(codec.to_plain(both)))
+    assert codec.from_plain(plain).snow == both.snow
+    assert medium.with_snow(None).snow == Medium.stack([WATER, WATER]).snow == ()
+
+
+@pytest.mark.parametrize("waters", ["II", WATER])
+def test_drawn_anew_for_each_picture(waters) -> None:
+    options = {"snow": {"density": [500, 5000], "aperture": 0.002}}
+    plain = RandomUnderwater(waters, field=None)
+    augment = RandomUnderwater(waters, field=None, snow=MarineSnow((500, 5000), aperture=0.002))
+    assert RandomUnderwater.from_dict(options).snow == augment.snow
+    twin = RandomUnderwater.from_dict(json.loads(json.dumps(augment.to_dict())))
+    assert twin.snow == augment.snow
+    image, z = picture(*SIZE), far().float()
+    record = augment.make_params(image, torch.Generator().manual_seed(3))
+    without = plain.make_params(image, torch.Generator().manual_seed(3))
+    drawn = record["samples"][0]["numbers"]
+    numbers = {name: drawn[name] for name in drawn if not name.startswith("snow")}
+    assert numbers == without["samples"][0]["numbers"]
+    assert len(drawn) == len(numbers) + 2
+    assert 500 <= drawn["snow_density"] <= 5000
+    ours, again = (
+        each.transform(image, z, json.loads(json.dumps(record))) for each in (augment, twin)
+    )
+    assert torch.equal(ours, again)
+    assert (ours - plain.transform(image, z, without)).max() > 0.02
+    # frames of a film
+    film = augment.for_clip(record, image[0], z[0])
+    still = augment.transform(image[0], z[0], film)
+    film["samples"][0]["moved"] = 0.1
+    moved = augment.transform(image[0], z[0], film)
+    assert (still - moved).abs().max() > 0.02
+    assert ((still - moved).abs() < 1e-3).float().mean() > 0.3
+
+
+def test_refusals() -> None:
+    with pytest.raises(ValueError, match="snow: density"):
+        MarineSnow(0.0)
+    with pytest.raises(ValueError, match="snow: reflectance must be"):
+        MarineSnow(reflectance=1.5)
+    with pytest.raises(ValueError, match="snow: focus must be finite and > 0"):
+        MarineSnow(focus=0.0)
+    with pytest.raises(ValueError, match="snow: density"):
+        WATER.with_snow(MarineSnow((500, 5000)))
+    with pytest.raises(ValueError, match="snow_density"):
+        RandomUnderwater(snow=MarineSnow((5000, 500)))
+    with pytest.raises(TypeError, match="snow"):
+        RandomUnderwater(snow=2000.0)
+
+
+def test_onnx_refuses_it(tmp_path: Path) -> None:
+    pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnxscript")
+    with pytest.raises(ValueError, match="module has marine snow, which no file can draw"):
+        export_onnx(Underwater(WATER.with_snow(SNOW), sides=(32, 64)), tmp_path / "snow.onnx")
