@@ -269,9 +269,9 @@ def test_in_copies_and_records() -> None:
 
 @pytest.mark.parametrize("waters", ["II", WATER])
 def test_drawn_anew_for_each_picture(waters) -> None:
-    options = {"snow": {"density": [500, 5000], "aperture": 0.002}}
+    options = {"snow": {"density": [500, 2000], "aperture": 0.002}}
     plain = RandomUnderwater(waters, field=None)
-    augment = RandomUnderwater(waters, field=None, snow=MarineSnow((500, 5000), aperture=0.002))
+    augment = RandomUnderwater(waters, field=None, snow=MarineSnow((500, 2000), aperture=0.002))
     assert RandomUnderwater.from_dict(options).snow == augment.snow
     twin = RandomUnderwater.from_dict(json.loads(json.dumps(augment.to_dict())))
     assert twin.snow == augment.snow
@@ -282,7 +282,7 @@ def test_drawn_anew_for_each_picture(waters) -> None:
     numbers = {name: drawn[name] for name in drawn if not name.startswith("snow")}
     assert numbers == without["samples"][0]["numbers"]
     assert len(drawn) == len(numbers) + 2
-    assert 500 <= drawn["snow_density"] <= 5000
+    assert 500 <= drawn["snow_density"] <= 2000
     ours, again = (
         each.transform(image, z, json.loads(json.dumps(record))) for each in (augment, twin)
     )

@@ -97,8 +97,7 @@ def _plans(
     """The blur of each picture of the size of a map, for a medium as its camera sees it."""
     size = (z.shape[-2], z.shape[-1])
     demands = (
-        blur_demand(medium, (near, far))
-        for medium, (near, _, far) in zip(seen, spans, strict=True)
+        blur_demand(medium, (near, far)) for medium, (near, _, far) in zip(seen, spans, strict=True)
     )
     return [demand.plan(size, shared=True) for demand in demands]
 
