@@ -19,7 +19,7 @@ from uwaug.transforms import RandomDevelopment, UnderwaterLike
 from uwaug.transforms.appearance import WATER_FEATURES, water_features
 
 H, W = 32, 48
-FEW: dict[str, Any] = {"draws": 45, "keep": 3}
+FEW: dict[str, Any] = {"draws": 90, "keep": 3}
 
 
 def pictures(count: int, seed: int = 0) -> Tensor:
@@ -35,7 +35,7 @@ def maps(count: int) -> Tensor:
 
 def in_water(water: str, contrast: float) -> Tensor:
     """What stands for a photograph: another picture in one water."""
-    augment = RandomUnderwater(water, contrast=contrast)
+    augment = RandomUnderwater(water, contrast=contrast, light=None)
     wet: Tensor = augment.at(0, 0, 0)(pictures(1, 9), maps(1))[0][0]
     return wet
 
