@@ -40,7 +40,7 @@ def clip(augment, frames, seed, drift=0.0):
 def test_what_two_frames_share_changes_by_two_levels_at_most(frames, drift):
     pan, dolly = frames
     for seed in range(6):
-        augment = RandomUnderwater(light=None)  # lamps go where the camera goes
+        augment = RandomUnderwater(light=None)  # lamps move with the camera
         panned = list(clip(augment, pan, seed, drift))
         pairs = [(a[..., STEP:], b[..., :-STEP]) for a, b in pairwise(panned)]
         moved = list(clip(augment, dolly, seed, drift))

@@ -93,8 +93,8 @@ def test_the_axes_of_all_lamps_cross_at_the_scene() -> None:
         for end in ends:
             assert end == pytest.approx(ends[0])
             assert end[2] == pytest.approx(4.0)
-            assert abs(end[0]) <= 0.2 * 4 + 1e-9
-            assert -0.1 * 4 - 1e-9 <= end[1] <= 0.3 * 4 + 1e-9
+            assert abs(end[0]) <= 0.1 * 4 + 1e-9
+            assert 0.05 * 4 - 1e-9 <= end[1] <= 0.3 * 4 + 1e-9
 
 
 @pytest.mark.parametrize("metres, scale", [(0.5, 2.0), (3.0, 1.0), (40.0, 0.2)])

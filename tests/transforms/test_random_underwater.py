@@ -182,20 +182,22 @@ def test_deep_and_turbid_waters_are_no_deeper_than_a_meter_makes_up_for() -> Non
     assert fixed(*scene)[0].max() < 1e-3
 
 
+@pytest.mark.parametrize("light", [None, Light((Lamp(),), daylight=0.3)])
 @pytest.mark.parametrize("kind", ["srgb", "linear"])
-def test_gradients_pass_to_image_and_distance(kind: Any) -> None:
+def test_gradients_pass_to_image_and_distance(kind: Any, light: Light | None) -> None:
     # a blur is planned for the distances and the exposure at hand, which are not followed
     options: Any = {
         "waters": ["II", "5C"],
         "development": RandomDevelopment(color_space=kind),
         "point_spread": PointSpread.none(),
+        "light": light,
     }
     aug = RandomUnderwater(**options)
     image = (0.2 + 0.6 * torch.rand(3, 6, 7, dtype=torch.float64)).requires_grad_()
     z = (1 + torch.rand(1, 6, 7, dtype=torch.float64)).requires_grad_()
     generator = torch.Generator().manual_seed(3)
     record = aug.make_params(image, generator)
-    # the water is scaled to the median distance, which is not followed
+    # water and drawn lamps are scaled to the median distance, which is not followed
     fixed = RandomUnderwater(**options, contrast=None)
     del record["samples"][0]["numbers"]["contrast"]
 

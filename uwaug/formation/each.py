@@ -52,13 +52,19 @@ def form_each(
     results: dict[int, Tensor] = {}
     if by_day:
         some = slice(None) if len(by_day) == len(images) else by_day
-        numbers = ([each[i] for i in by_day] for each in (media, developments, spans))
-        formed = _at_once(images[some], z[some], *numbers, color_space)
+        formed = _at_once(
+            images[some],
+            z[some],
+            [media[i] for i in by_day],
+            [developments[i] for i in by_day],
+            [spans[i] for i in by_day],
+            color_space,
+        )
         if len(by_day) == len(images):
             return formed
-        results |= dict(zip(by_day, formed.split(1), strict=True))
+        results |= dict(zip(by_day, torch.split(formed, 1), strict=True))
     for i in sorted({*range(len(images))} - {*by_day}):
-        light, plans = lights[i], []
+        light, plans = lights[i], list[BlurPlan]()
         if planned and light is not None:
             seen = _lit_grey(media[i], developments[i], light, spans[i][1])
             plans = _plans([seen], [spans[i]], z)

@@ -248,12 +248,12 @@ def _straight(water: Medium, z: Tensor) -> Tensor:
 
 
 def _summed(rates: Tensor, weights: Tensor, length: Tensor) -> Tensor:
-    """Σ weight·e^(−rate·length) of ways (Bx1xHxW) through the water: three channels (Bx3xHxW), or
-    matrices (Bx3x3xHxW).
+    """Σ weight·e^(−rate·length) of ways (Bx1xHxW) through the water, of three channels
+    (Bx3xHxW).
     """
-    exponentials = decay(rates[..., None], length.flatten(1)[:, None])
-    sums = torch.unflatten(weights.flatten(1, -2) @ exponentials, -1, length.shape[-2:])
-    return sums if weights.ndim == 3 else torch.unflatten(sums, 1, (3, 3))
+    return torch.unflatten(
+        weights @ decay(rates[..., None], length.flatten(2)), -1, length.shape[-2:]
+    )
 
 
 def _dimmed(T: Tensor, light: Tensor) -> Tensor:

@@ -70,9 +70,9 @@ class RandomLight:
     rigs: str | tuple[str, ...] = tuple(RIGS)
     daylight: Range = (0.0, 0.1)
     power: Range = (-1.0, 1.0)
-    cone: Range = (40.0, 85.0)
-    across: Range = (-0.2, 0.2)
-    down: Range = (-0.1, 0.3)
+    cone: Range = (30.0, 75.0)
+    across: Range = (-0.1, 0.1)
+    down: Range = (0.05, 0.3)
     tint: Range = (-1.7, 0.3)
 
     def __post_init__(self) -> None:
