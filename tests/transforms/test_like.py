@@ -109,7 +109,7 @@ def test_the_same_seed_keeps_the_same_draws() -> None:
 
 def test_each_of_several_photographs_is_kept_for() -> None:
     blue = in_water("II", 0.3)
-    options = {"augment": RandomUnderwater(["II", "9C"]), "draws": 90, "keep": 3}
+    options = {"augment": RandomUnderwater(["II", "9C"]), "draws": 180, "keep": 3}
     found = uwaug.like([GREEN, (blue * 255).byte()], list(pictures(4)), maps(4), **options)
     assert len(found.kept) == 6
     assert {one["waters"][0] for one in found.kept[:3]} == {"9C"}
