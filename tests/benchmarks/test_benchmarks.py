@@ -80,13 +80,15 @@ def test_tiles_are_the_exact_blur() -> None:
     torch.testing.assert_close(blurs.exact(image, sigma)[0], whole, rtol=0, atol=1e-13)
 
 
-def test_the_readme_shows_what_was_measured() -> None:
-    text = summary.GUIDE.read_text()
-    assert summary.updated(text) == text
-    for name in ("accuracy", "speed"):
-        message = f"expected the markers of figures: {name} once, found them 0 times"
-        with pytest.raises(ValueError, match=message):
-            summary.updated(text.replace(f"<!-- /figures: {name} -->", ""))
+def test_guides_show_what_was_measured() -> None:
+    assert sorted(sum(summary.PAGES.values(), ())) == sorted(summary.SECTIONS)
+    for page, names in summary.PAGES.items():
+        text = page.read_text()
+        assert summary.updated(text, names) == text
+        for name in names:
+            message = f"expected the markers of figures: {name} once, found them 0 times"
+            with pytest.raises(ValueError, match=message):
+                summary.updated(text.replace(f"<!-- /figures: {name} -->", ""), names)
 
 
 def test_the_authors_loops_are_the_published_recipe() -> None:
