@@ -38,7 +38,7 @@ def values() -> dict[str, tuple[Any, ...]]:
         assert isinstance(ends, tuple)
         five[name] = tuple(torch.linspace(*ends, STEPS).tolist())
     sources = {f"distance.{name}": getattr(MadeUp(), name) for name in ("near", "far")}
-    lights = ("power", "cone", "tint", "daylight", "across", "down")
+    lights = ("power", "cone", "tint", "daylight")
     lamps = {f"light.{name}": getattr(RandomLight(), name) for name in lights}
     for name, (low, high) in {**sources, **lamps}.items():
         five[name] = tuple(torch.linspace(low, high, STEPS).tolist())
@@ -72,7 +72,7 @@ def transform(name: str, value: Any, width: int) -> RandomUnderwater:
         middles[name] = None if value is None else Sensor(value)
     elif name.startswith("distance."):
         options["distance"] = MadeUp(**{name.partition(".")[2]: value})
-        options["contrast"] = None
+        options["contrast"], waters = None, ["II"]
     elif name.startswith("light."):
         own = {name.partition(".")[2]: value}
         options["light"] = RandomLight(share=1.0, rigs="diver", **own)

@@ -14,7 +14,7 @@ from referees.exact import blur_exact
 
 import uwaug
 from benchmarks.accuracy import surfaces
-from benchmarks.figures import charts, gallery, summary
+from benchmarks.figures import charts, gallery, reef, summary
 from benchmarks.harness import race
 from benchmarks.speed import blurs, frontier
 
@@ -134,6 +134,23 @@ def test_galleries_hold_a_picture_for_each() -> None:
     systems = len(uwaug.published.systems()) - 1
     assert len(found["systems"].axes) == 2 + 2 * systems
     assert len(found["reds"].axes) == 2 * len(gallery.DEPTHS)
+
+
+def test_thick_water_hides_fish_of_the_reef(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reef, "CELLS", 160)
+    small = reef.reef.__wrapped__(width=120)
+    image, distance, boxes = small
+    assert image.shape == (3, 80, 120)
+    assert image.min() >= 0
+    assert image.max() <= 1
+    assert distance.isinf().any()
+    for left, top, right, bottom in boxes.int().tolist():
+        assert distance[0, top:bottom, left:right].min() < 6.2
+    monkeypatch.setattr(gallery, "reef", lambda: small)
+    sheet = gallery.detection()
+    dotted = [sum(p.get_linestyle() == ":" for p in axis.patches) for axis in sheet.axes]
+    assert dotted == sorted(dotted)
+    assert dotted[0] == 0 < dotted[-1] < len(boxes)
 
 
 def test_colours_are_refereed() -> None:
