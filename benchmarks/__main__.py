@@ -23,7 +23,6 @@ PARTS = {
     "jobs": "speed",
     "page": "speed",
     "gallery": "figures",
-    "knobs": "figures",
     "summary": "figures",
 }
 """Each part and its folder, in the order in which they run."""

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from matplotlib.figure import Figure
 from PIL import Image
 from torch import Tensor
 from torch.nn.functional import interpolate
@@ -30,13 +29,12 @@ from benchmarks.accuracy.photographs import (
     neutral,
     numbers_of,
 )
-from benchmarks.harness import RESULTS, save
+from benchmarks.harness import save
 from uwaug import RandomDevelopment
 from uwaug.presets.scene import motorcycle
 
 EACH = 16  # draws of a picture
 SEEDS = 3  # of the defaults
-SHEET = (4, 6)  # rows and columns of default draws
 SIDE = 256  # px, short side of the bundled scene
 
 CHANGED: dict[str, dict[str, Any]] = {
@@ -107,20 +105,6 @@ def measured(
     }
 
 
-def draw_sheet(path: Path) -> None:
-    """Default draws of the bundled scene, one beside the other."""
-    rows, columns = SHEET
-    pictures = list(draws(uwaug.RandomUnderwater(), None, rows * columns, 7))
-    height, width, _ = pictures[0].shape
-    figure = Figure(figsize=(columns * 1.6, rows * 1.6 * height / width), dpi=150)
-    for index, picture in enumerate(pictures):
-        left, top = index % columns / columns, 1 - (index // columns + 1) / rows
-        axis = figure.add_axes((left, top, 1 / columns, 1 / rows))
-        axis.imshow(picture)
-        axis.axis("off")
-    figure.savefig(path, pil_kwargs={"quality": 85})
-
-
 def main(quick: bool = False, folder: Path | None = None) -> None:
     """Measure, print and save."""
     each = 8 if quick else EACH if folder else 40 * EACH
@@ -132,7 +116,6 @@ def main(quick: bool = False, folder: Path | None = None) -> None:
         print(f"{name}: {'; '.join(means)}", flush=True)
         if quick:
             return
-    draw_sheet(RESULTS.parent / "figures" / "default-draws.jpg")
     save("draws", {"draws": each, "seeds": SEEDS, "photographs": found})
 
 

@@ -1,5 +1,5 @@
-"""One sheet of every knob: each range of `RandomUnderwater` at five values, on one scene:
-`python -m benchmarks.figures.knobs`. All else stays as it is in the middle of its range.
+"""Each range of `RandomUnderwater` at five values, on one scene. All else stays as it is in the
+middle of its range.
 """
 
 from typing import Any
@@ -8,11 +8,9 @@ import torch
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from benchmarks.figures.gallery import FIGURES, QUALITY, Grid
-from benchmarks.harness import command
-from uwaug import PointSpread, RandomDevelopment, RandomUnderwater, Sensor
-from uwaug._support.atomic import written_whole
-from uwaug.presets.scene import Scene, motorcycle
+from benchmarks.figures.grid import Grid
+from uwaug import PointSpread, RandomDevelopment, RandomLight, RandomUnderwater, Sensor
+from uwaug.distance import MadeUp
 
 STEPS = 5
 WATER = "3C"
@@ -31,15 +29,20 @@ the spread of the field about 1; the full well of the sensor.
 """
 
 
-def knobs() -> dict[str, tuple[Any, ...]]:
+def values() -> dict[str, tuple[Any, ...]]:
     """Five values of each, from the least to the largest that a default draw has."""
     augment = RandomUnderwater()
     ranges = {"contrast": augment.contrast, "vertical_depth": augment.vertical_depth}
-    values = {}
+    five = {}
     for name, ends in {**ranges, **augment.development.ranges()}.items():
         assert isinstance(ends, tuple)
-        values[name] = tuple(torch.linspace(*ends, STEPS).tolist())
-    return {**OWN, **values}
+        five[name] = tuple(torch.linspace(*ends, STEPS).tolist())
+    sources = {f"distance.{name}": getattr(MadeUp(), name) for name in ("near", "far")}
+    lights = ("power", "cone", "tint", "daylight")
+    lamps = {f"light.{name}": getattr(RandomLight(), name) for name in lights}
+    for name, (low, high) in {**sources, **lamps}.items():
+        five[name] = tuple(torch.linspace(low, high, STEPS).tolist())
+    return {**OWN, **five}
 
 
 def transform(name: str, value: Any, width: int) -> RandomUnderwater:
@@ -49,7 +52,12 @@ def transform(name: str, value: Any, width: int) -> RandomUnderwater:
     for own, ends in augment.development.ranges().items():
         assert isinstance(ends, tuple)
         middles[own] = sum(ends) / 2
-    options: dict[str, Any] = {"contrast": 0.4, "vertical_depth": 4.0, "field": None}
+    options: dict[str, Any] = {
+        "contrast": 0.4,
+        "vertical_depth": 4.0,
+        "field": None,
+        "light": None,
+    }
     waters: list[Any] = [WATER]
     if name == "waters":
         waters = [value]
@@ -62,6 +70,12 @@ def transform(name: str, value: Any, width: int) -> RandomUnderwater:
         options[name] = (1 - value, 1 + value)
     elif name == "noise":
         middles[name] = None if value is None else Sensor(value)
+    elif name.startswith("distance."):
+        options["distance"] = MadeUp(**{name.partition(".")[2]: value})
+        options["contrast"], waters = None, ["II"]
+    elif name.startswith("light."):
+        own = {name.partition(".")[2]: value}
+        options["light"] = RandomLight(share=1.0, rigs="diver", **own)
     elif name in middles:
         middles[name] = value
     else:
@@ -69,30 +83,16 @@ def transform(name: str, value: Any, width: int) -> RandomUnderwater:
     return RandomUnderwater(waters, **options, development=RandomDevelopment(**middles))
 
 
-def sheet(scene: Scene) -> Figure:
-    """A row for each knob."""
-    rows = knobs()
-    image, distance = scene.image[..., ::2, ::2], scene.distance[..., ::2, ::2]
-    grid = Grid(len(rows), STEPS, (image.shape[-2], image.shape[-1]))
-    for row, (name, values) in enumerate(rows.items()):
-        for column, value in enumerate(values):
-            picture: Tensor = transform(name, value, image.shape[-1]).at(0, 0, 0)(image, distance)[
-                0
-            ]
+def knobs(image: Tensor, distance: Tensor) -> Figure:
+    """A row for each."""
+    rows = values()
+    grid = Grid(len(rows), STEPS, (image.shape[-2], image.shape[-1]), 150)
+    for row, (name, five) in enumerate(rows.items()):
+        for column, value in enumerate(five):
+            augment = transform(name, value, image.shape[-1])
+            picture, _ = augment.at(0, 0, 0)(image, distance)
             shown = f"{value:.3g}" if isinstance(value, float) else str(value)
-            shown = {"field": "1 ± ", "point_spread": "calibrated × "}.get(name, "") + shown
+            shown = {"field": "1 ± ", "point_spread": "× "}.get(name, "") + shown
             label = f"{name} = {shown}" if column == 0 else shown
             grid.show(row * STEPS + column, picture, label)
     return grid.figure
-
-
-def main(quick: bool = False) -> None:
-    """Draw it into benchmarks/figures."""
-    figure = sheet(motorcycle())
-    if not quick:
-        with written_whole(FIGURES / "knobs.jpg") as part:
-            figure.savefig(part, format="jpeg", pil_kwargs={"quality": QUALITY})
-
-
-if __name__ == "__main__":
-    command(main, __doc__)

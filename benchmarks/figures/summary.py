@@ -1,15 +1,21 @@
-"""The tables of benchmarks/README.md, from results/*.json, between its markers:
+"""The tables of benchmarks/README.md and CHOICES.md, from results/*.json, between their markers:
 `python -m benchmarks.figures.summary`.
 """
 
 import json
 import re
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from benchmarks.harness import RESULTS, ROOT, command
 from uwaug._support.atomic import written_whole
 
-GUIDE = ROOT / "benchmarks" / "README.md"
+PAGES = {
+    ROOT / "benchmarks" / "README.md": ("accuracy", "surfaces", "fits", "speed", "training"),
+    ROOT / "benchmarks" / "CHOICES.md": ("chart",),
+}
+"""Each page, and what stands in it."""
+
 TRUTHS = {
     "Petzold's, in their waters": "Petzold",
     "Henyey–Greenstein, mean cosine .85": "HG 0.85",
@@ -331,33 +337,39 @@ def _gain(row: Results) -> str:
     return f"{row['score']:.2f} ({f'**{difference}**' if certain else difference})"
 
 
-def sections() -> dict[str, str]:
-    """What belongs between the markers of each name."""
-    text = {"accuracy": accuracy(), "surfaces": surfaces(), "fits": fits()}
-    return text | {"chart": chart(), "speed": speed(), "training": training()}
+SECTIONS: dict[str, Callable[[], str]] = {
+    "accuracy": accuracy,
+    "surfaces": surfaces,
+    "fits": fits,
+    "chart": chart,
+    "speed": speed,
+    "training": training,
+}
+"""What belongs between the markers of each name."""
 
 
-def updated(text: str) -> str:
-    """The guide with the figures of the results."""
-    for name, body in sections().items():
+def updated(text: str, names: Sequence[str]) -> str:
+    """A page with the figures of the results."""
+    for name in names:
         pattern = rf"(<!-- figures: {name} -->\n).*?(<!-- /figures: {name} -->)"
 
-        def filled(markers: re.Match[str], body: str = body) -> str:
+        def filled(markers: re.Match[str], body: str = SECTIONS[name]()) -> str:
             return f"{markers[1]}{body}\n{markers[2]}"
 
         text, count = re.subn(pattern, filled, text, flags=re.DOTALL)
         if count != 1:
             wanted = f"expected the markers of figures: {name} once, found them {count} times"
-            raise ValueError(f"{GUIDE.name}: {wanted}")
+            raise ValueError(wanted)
     return text
 
 
 def main(quick: bool = False) -> None:
     """Write the tables; if quick, only make them."""
-    text = updated(GUIDE.read_text())
-    if not quick:
-        with written_whole(GUIDE) as part:
-            part.write_text(text)
+    for page, names in PAGES.items():
+        text = updated(page.read_text(), names)
+        if not quick:
+            with written_whole(page) as part:
+                part.write_text(text)
 
 
 if __name__ == "__main__":

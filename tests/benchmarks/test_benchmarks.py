@@ -14,7 +14,7 @@ from referees.exact import blur_exact
 
 import uwaug
 from benchmarks.accuracy import surfaces
-from benchmarks.figures import charts, gallery, summary
+from benchmarks.figures import charts, gallery, reef, summary
 from benchmarks.harness import race
 from benchmarks.speed import blurs, frontier
 
@@ -80,13 +80,15 @@ def test_tiles_are_the_exact_blur() -> None:
     torch.testing.assert_close(blurs.exact(image, sigma)[0], whole, rtol=0, atol=1e-13)
 
 
-def test_the_readme_shows_what_was_measured() -> None:
-    text = summary.GUIDE.read_text()
-    assert summary.updated(text) == text
-    for name in ("accuracy", "speed"):
-        message = f"expected the markers of figures: {name} once, found them 0 times"
-        with pytest.raises(ValueError, match=message):
-            summary.updated(text.replace(f"<!-- /figures: {name} -->", ""))
+def test_guides_show_what_was_measured() -> None:
+    assert sorted(sum(summary.PAGES.values(), ())) == sorted(summary.SECTIONS)
+    for page, names in summary.PAGES.items():
+        text = page.read_text()
+        assert summary.updated(text, names) == text
+        for name in names:
+            message = f"expected the markers of figures: {name} once, found them 0 times"
+            with pytest.raises(ValueError, match=message):
+                summary.updated(text.replace(f"<!-- /figures: {name} -->", ""), names)
 
 
 def test_the_authors_loops_are_the_published_recipe() -> None:
@@ -132,6 +134,23 @@ def test_galleries_hold_a_picture_for_each() -> None:
     systems = len(uwaug.published.systems()) - 1
     assert len(found["systems"].axes) == 2 + 2 * systems
     assert len(found["reds"].axes) == 2 * len(gallery.DEPTHS)
+
+
+def test_thick_water_hides_fish_of_the_reef(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reef, "CELLS", 160)
+    small = reef.reef.__wrapped__(width=120)
+    image, distance, boxes = small
+    assert image.shape == (3, 80, 120)
+    assert image.min() >= 0
+    assert image.max() <= 1
+    assert distance.isinf().any()
+    for left, top, right, bottom in boxes.int().tolist():
+        assert distance[0, top:bottom, left:right].min() < 6.2
+    monkeypatch.setattr(gallery, "reef", lambda: small)
+    sheet = gallery.detection()
+    dotted = [sum(p.get_linestyle() == ":" for p in axis.patches) for axis in sheet.axes]
+    assert dotted == sorted(dotted)
+    assert dotted[0] == 0 < dotted[-1] < len(boxes)
 
 
 def test_colours_are_refereed() -> None:

@@ -27,7 +27,7 @@ V_FLOOR = 0.5
 _CONTRAST = 0.25
 """Standard deviation of the picture that errors refer to, on a scale of 0…1."""
 
-# How a plan is chosen. What other values make of the number of blurs: benchmarks/README.md, "Plans
+# How a plan is chosen. What other values make of the number of blurs: benchmarks/CHOICES.md, "Plans
 # of the blur".
 # Planned RMSE as a share of the tolerance: .002 gives 60 dB and .0005 72 dB.
 _PLANNED_SHARE = 0.48

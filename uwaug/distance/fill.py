@@ -10,7 +10,7 @@ from torch import Tensor
 from uwaug._support.once import Once
 from uwaug.distance.convert import as_maps, which
 
-# How these were chosen, and what lost: benchmarks/README.md, "Holes".
+# How these were chosen, and what lost: benchmarks/CHOICES.md, "Holes".
 
 _THIN_PX = 4.0
 """From what is known, up to which the nearest value is taken; from twice as far on the membrane

@@ -14,7 +14,7 @@ from uwaug._support.ranges import Range
 from uwaug.distance import cue
 from uwaug.distance.sources import Numbers, Source, require_ends
 
-# How it was chosen, and what lost: benchmarks/README.md, "Made-up distances".
+# How it was chosen, and what lost: benchmarks/CHOICES.md, "Made-up distances".
 
 _OPEN_PROBABILITY = 0.75
 """That open water is drawn where a picture has a place for it."""

@@ -10,7 +10,7 @@ from uwaug._support.once import Once
 
 _STEP = 1.25
 """Times as far as what is beside it, a distance is that of something else; see "Sizes" in
-benchmarks/README.md.
+benchmarks/CHOICES.md.
 """
 
 _ASPECT = 0.01

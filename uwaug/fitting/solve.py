@@ -122,7 +122,7 @@ def logit_prefit(objective: Objective[M], start: Array, most: int = 40) -> Array
 
     Each number goes by the logarithm of its distances from its bounds, so that steps are shares of
     it: a rate that overshoots to where its light is gone is called back by nothing
-    (benchmarks/README.md).
+    (benchmarks/CHOICES.md).
     """
     from scipy.optimize import least_squares
 

@@ -145,7 +145,7 @@ def _encode(x: Tensor) -> Tensor:
 
 # The same for eager mode: in place on pieces that stay in the cache, keeping only x for the
 # backward pass. There, the straight piece's slope is the power piece's at another place. Half of
-# the time of others (benchmarks/README.md).
+# the time of others (benchmarks/CHOICES.md).
 _DECODE_STRAIGHT = 1.055 * (1.055 / (2.4 * 12.92)) ** (1 / 1.4) - 0.055
 _ENCODE_STRAIGHT = (2.4 * 12.92 / 1.055) ** (-2.4 / 1.4)
 

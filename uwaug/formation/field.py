@@ -94,7 +94,7 @@ def random_fields(
     return field_of(noise, *size, 4.0, low, high, moved)
 
 
-# a quarter to half of the time of an FFT (benchmarks/README.md)
+# a quarter to half of the time of an FFT (benchmarks/CHOICES.md)
 def field_of(
     noise: Tensor,
     height: int,

@@ -29,7 +29,7 @@ ASYMMETRY = 0.924
 """Mean cosine of the phase function: that of Petzold's waters."""
 
 NODES, NODE_WEIGHTS = (values.tolist() for values in np.polynomial.legendre.leggauss(7))
-"""Of the Gauss quadrature over the lit part of a ray (benchmarks/README.md)."""
+"""Of the Gauss quadrature over the lit part of a ray (benchmarks/CHOICES.md)."""
 
 MAX_T = 1 - 1e-6
 """Of t, so that 1 − t is more than 0 in single precision."""

@@ -29,7 +29,7 @@ _SHORT = 128
 _BROAD, _BETWEEN = 0.4, 0.2
 """Shares of the draws that are new, and that lie between two good ones; the others try the best on
 more pictures: what is near on one may be so by what that picture shows. (Other shares, rounds and
-numbers of draws kept: benchmarks/README.md, how constants were chosen.)
+numbers of draws kept: benchmarks/CHOICES.md, how constants were chosen.)
 """
 
 _PARENTS = 15

@@ -32,7 +32,7 @@ CONTENTS = Constituents(chlorophyll=(1.0, 30.0), cdom=(0.3, 3.0), minerals=(0.05
 WATERS = ("IB", "II", "III", "1C", "3C", "5C", "7C", "9C", *[CONTENTS] * 8)
 """Half of the waters are Jerlov types, half are of other contents. The clear oceanic types would
 need 11 to 66 times what is in them to reach a contrast, and turn dark green. (Others that were
-tried: benchmarks/README.md, default draws.)
+tried: benchmarks/CHOICES.md, default draws.)
 """
 
 DIMMEST = 1 / 32
@@ -46,7 +46,7 @@ _CURVES = 0.002
 
 MEDIANS = (1.0, 8.0)
 """m: median distances between which water can be brought to a contrast and have a colour of its
-own. (What scenes at 35 m and at .1 m lose without: benchmarks/README.md, default draws.)
+own. (What scenes at 35 m and at .1 m lose without: benchmarks/CHOICES.md, default draws.)
 """
 
 MOST_SCALED, MOST_CONTENTS, MOST_MISSED = 4.0, 50.0, 2.0
