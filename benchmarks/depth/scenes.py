@@ -23,10 +23,10 @@ SHAPES = ((96, 128), (112, 112), (128, 96))
 
 KINDS = {
     "room": 0.25,
-    "outdoors": 0.24,
-    "close": 0.2,
-    "above": 0.14,
-    "wall": 0.07,
+    "outdoors": 0.28,
+    "close": 0.16,
+    "above": 0.15,
+    "wall": 0.06,
     "backdrop": 0.06,
     "water": 0.04,
 }
@@ -57,37 +57,18 @@ def _hashed(*whole: Array) -> Array:
     return np.abs(43758.5 * mixed) % 1
 
 
-_PALETTES = {
-    "wall": ([0.75, 0.72, 0.66], [0.6, 0.6, 0.6], [0.62, 0.5, 0.38], [0.5, 0.3, 0.22]),
-    "floor": ([0.4, 0.27, 0.17], [0.35, 0.33, 0.32], [0.6, 0.55, 0.48], [0.15, 0.13, 0.12]),
-    "ground": (
-        [0.16, 0.24, 0.07],  # grass
-        [0.22, 0.22, 0.22],  # asphalt
-        [0.55, 0.46, 0.33],  # sand
-        [0.28, 0.2, 0.13],  # earth
-        [0.4, 0.38, 0.35],  # stone
-        [0.75, 0.77, 0.8],  # snow
-    ),
-    "distance": ([0.1, 0.16, 0.07], [0.3, 0.27, 0.22], [0.25, 0.3, 0.35]),
-}
-"""Reflectances that surfaces have most often, by what they are."""
-
-
-def colour(rng: Rng, role: str | None = None) -> Array:
-    """Of a thing: mostly dull, now and then vivid. Of walls and grounds: most often the usual."""
-    if role and rng.uniform() < 0.75:
-        usual = np.array(_PALETTES[role][rng.integers(len(_PALETTES[role]))])
-        return np.clip(usual * np.exp(rng.normal(0, 0.3) + rng.normal(0, 0.08, 3)), 0.01, 1)
+def colour(rng: Rng) -> Array:
+    """Of a thing: mostly dull, now and then vivid."""
     value = np.exp(rng.normal(-1.0, 0.6))
     hue = rng.normal(size=3)
-    return np.clip(value * np.exp(rng.choice([0.05, 0.2, 0.7], p=[0.4, 0.4, 0.2]) * hue), 0.01, 1)
+    return np.clip(value * np.exp(rng.choice([0.1, 0.25, 0.7]) * hue), 0.01, 1)
 
 
-def texture(rng: Rng, kind: str | None = None, role: str | None = None) -> Texture:
+def texture(rng: Rng, kind: str | None = None) -> Texture:
     """The colours of a surface by place."""
     kinds = ["plain", "noise", "stone", "stripes", "tiles", "bricks", "text", "spots"]
     kind = kind or str(rng.choice(kinds, p=[0.26, 0.26, 0.18, 0.06, 0.07, 0.05, 0.06, 0.06]))
-    first, second = colour(rng, role), colour(rng, role)
+    first, second = colour(rng), colour(rng)
     size = np.exp(rng.uniform(-2.6, 0.3))
     stretch = np.exp(rng.normal(0, 0.7, 3))
     shift = rng.uniform(0, 32, 3)
@@ -154,8 +135,6 @@ class Thing:
     reach: Array
     texture: Texture
     rotation: Array
-    holes: float = 0.0
-    """Share of its surface through which one looks, as through leaves."""
 
     @property
     def radius(self) -> float:
@@ -182,9 +161,6 @@ class Thing:
             far = np.minimum(far, -b / a + half)
         distance = np.where((near < far) & (near > 1e-2), near, np.inf)
         place = start + np.where(np.isfinite(distance), distance, 0)[:, None] * towards
-        if self.holes:
-            shift = 5 * np.sin(3 * self.centre)
-            distance[noise(9 * place + shift, 2) < self.holes] = np.inf
         if self.shape == "ball":
             normal = place / self.reach
         else:
@@ -292,7 +268,7 @@ def plant(rng: Rng, foot: Array, size: float) -> list[Thing]:
         turned(0),
     )
     things = [trunk] if rng.uniform() < 0.8 else []
-    tree, holes = rng.uniform() < 0.55, rng.uniform(0.2, 0.55)
+    tree = rng.uniform() < 0.55
     for _ in range(rng.integers(4, 8) if tree else rng.integers(6, 14)):
         away = rng.normal(size=3) * size * (0.3 if tree else 0.25)
         at = foot + _up(size * (1.1 if tree else 0.6)) + away
@@ -301,8 +277,9 @@ def plant(rng: Rng, foot: Array, size: float) -> list[Thing]:
             if tree
             else np.array([0.08, 0.35, 0.012]) * np.exp(rng.normal(0, 0.3))
         )
-        rotation = turned(rng.uniform(0, 6.3), rng.normal(0, 0.9))
-        things.append(Thing("ball", at, reach, foliage, rotation, holes if tree else 0.0))
+        things.append(
+            Thing("ball", at, reach, foliage, turned(rng.uniform(0, 6.3), rng.normal(0, 0.9)))
+        )
     return things
 
 
@@ -355,54 +332,6 @@ def table(rng: Rng, foot: Array, size: float) -> list[Thing]:
     return things
 
 
-def sofa(rng: Rng, foot: Array, size: float) -> list[Thing]:
-    """A seat with a back, arms and cushions; without a back, a bed."""
-    yaw, cloth, s = rng.uniform(0, 6.3), texture(rng), size * np.exp(rng.normal(0, 0.2, 3))
-    parts = [((0, 0.45, 0), (1.6, 0.45, 0.8), cloth)]
-    if rng.uniform() < 0.75:
-        parts.append(((0, 1.0, 0.75), (1.6, 0.9, 0.22), cloth))
-        parts += [((side * 1.6, 0.7, 0), (0.2, 0.65, 0.8), cloth) for side in (-1, 1)]
-    for _ in range(rng.integers(0, 4)):
-        parts.append(((rng.uniform(-1.2, 1.2), 1.15, 0.4), (0.35, 0.32, 0.15), texture(rng)))
-    return [
-        Thing("box", _at(foot, yaw, *(s * np.array(at))), s * np.array(reach), own, turned(yaw))
-        for at, reach, own in parts
-    ]
-
-
-def shelves(rng: Rng, foot: Array, height: float) -> list[Thing]:
-    """A case with books and other things before its back; or a lamp on a foot."""
-    yaw, wood, deep = rng.uniform(0, 6.3), texture(rng), rng.uniform(0.12, 0.3)
-    if rng.uniform() < 0.25:
-        shade = np.array([0.12, 0.12, 0.12]) * height
-        rod = np.array([0.012, 0.5, 0.012]) * height
-        return [
-            Thing("cylinder", foot + _up(0.5 * height), rod, wood, turned(0)),
-            Thing("cylinder", foot + _up(height), shade, texture(rng, "plain"), turned(0)),
-        ]
-    half = rng.uniform(0.3, 0.9)
-    things = [
-        Thing(
-            "box",
-            _at(foot, yaw, 0, height / 2, deep),
-            np.array([half, height / 2, 0.02]),
-            wood,
-            turned(yaw),
-        )
-    ]
-    for row in range(levels := int(rng.integers(2, 6))):
-        board = np.array([half, 0.015, deep])
-        at = _at(foot, yaw, 0, height * (row + 1) / levels, 0)
-        things.append(Thing("box", at, board, wood, turned(yaw)))
-        for _ in range(rng.integers(0, 4)):
-            reach = np.array([rng.uniform(0.02, 0.2), rng.uniform(0.3, 0.9), 0.6 * deep])
-            reach[1] *= 0.5 * height / levels
-            x, y = rng.uniform(-0.8, 0.8) * half, height * row / levels + reach[1]
-            own = Thing("box", _at(foot, yaw, x, y, 0), reach, texture(rng), turned(yaw))
-            things.append(own)
-    return things
-
-
 def solid(rng: Rng, foot: Array, size: float) -> list[Thing]:
     """A box, ball or cylinder on the ground."""
     reach = size * np.exp(rng.normal(0, 0.4, 3))
@@ -424,13 +353,8 @@ def anything(rng: Rng, foot: Array, size: float, indoors: bool) -> list[Thing]:
         return person(rng, foot, rng.uniform(1.2, 1.9) if size > 0.2 else 6 * size)
     if draw < 0.7:
         return animal(rng, foot, 1.5 * size)
-    if draw < 0.85 and indoors:
-        furniture = rng.uniform()
-        if furniture < 0.4:
-            return table(rng, foot, size)
-        return sofa(rng, foot, size) if furniture < 0.7 else shelves(rng, foot, 5 * size)
     if draw < 0.85:
-        return plant(rng, foot, 3 * size)
+        return table(rng, foot, size) if indoors else plant(rng, foot, 3 * size)
     return plant(rng, foot, 2 * size)
 
 
@@ -450,21 +374,18 @@ def _rooms_walls(rng: Rng, eye: float) -> tuple[Planes, list[Thing], float, floa
     """Three walls and a ceiling, what hangs on them, and the room's half width and length."""
     yaw, length, wide = rng.normal(0, 0.5), rng.uniform(1.8, 8), rng.uniform(1.2, 4)
     top = max(rng.uniform(2.2, 3.3), eye + 0.4)
-    kind = str(rng.choice(["plain", "noise", "bricks", "tiles"], p=[0.6, 0.2, 0.1, 0.1]))
-    common = texture(rng, kind, "wall")
+    common = texture(
+        rng, str(rng.choice(["plain", "noise", "bricks", "tiles"], p=[0.6, 0.2, 0.1, 0.1]))
+    )
     rotation = turned(yaw)
-    planes: Planes = [(np.array([0, -1.0, 0]), -top, texture(rng, "plain", "wall"))]
+    planes: Planes = [(np.array([0, -1.0, 0]), -top, texture(rng, "plain"))]
     for axis, away in (
         ([0, 0, -1.0], length),
         ([1.0, 0, 0], wide),
         ([-1.0, 0, 0], rng.uniform(0.6, 1.2) * wide),
     ):
         planes.append(
-            (
-                rotation @ np.array(axis),
-                -away,
-                common if rng.uniform() < 0.75 else texture(rng, None, "wall"),
-            )
+            (rotation @ np.array(axis), -away, common if rng.uniform() < 0.75 else texture(rng))
         )
     things = []
     for _ in range(rng.integers(0, 6)):
@@ -480,9 +401,9 @@ def _rooms_walls(rng: Rng, eye: float) -> tuple[Planes, list[Thing], float, floa
 
 def _laid_out(rng: Rng, kind: str, eye: float, pitch: float) -> tuple[Planes, list[Thing]]:
     """What stands where. The ground is at height 0, the camera at `eye`, looking along z."""
-    walled = kind == "room" or (kind in ("close", "above") and rng.uniform() < 0.45)
-    covers = str(rng.choice(["plain", "noise", "stone", "tiles"], p=[0.3, 0.35, 0.25, 0.1]))
-    ground = texture(rng, covers, "floor" if walled else "ground")
+    ground = texture(
+        rng, str(rng.choice(["plain", "noise", "stone", "tiles"], p=[0.3, 0.35, 0.25, 0.1]))
+    )
     planes: Planes = [(np.array([0, 1.0, 0]), 0.0, ground)]
     things: list[Thing] = []
 
@@ -493,6 +414,7 @@ def _laid_out(rng: Rng, kind: str, eye: float, pitch: float) -> tuple[Planes, li
             own = size * np.exp(rng.normal(0, 0.6)) * (1 if indoors else 1 + 0.05 * z)
             things.extend(anything(rng, foot, own, indoors))
 
+    walled = kind == "room" or (kind in ("close", "above") and rng.uniform() < 0.45)
     if walled:
         walls, hung, wide, length = _rooms_walls(rng, eye)
         planes += walls
@@ -505,12 +427,12 @@ def _laid_out(rng: Rng, kind: str, eye: float, pitch: float) -> tuple[Planes, li
     if kind == "outdoors":
         put((1, 14), 2, 60, 0.5, False)
         if rng.uniform() < 0.4:  # a street
-            common, side = texture(rng, None, "wall"), rng.uniform(3, 9)
+            common, side = texture(rng), rng.uniform(3, 9)
             for sign in (-1, 1):
                 z = rng.uniform(3, 10)
                 while z < 90 and rng.uniform() < 0.85:
                     half = np.array([rng.uniform(2, 4), rng.uniform(2.5, 9), rng.uniform(3, 7)])
-                    own = common if rng.uniform() < 0.4 else texture(rng, None, "wall")
+                    own = common if rng.uniform() < 0.4 else texture(rng)
                     at = np.array([sign * (side + half[0]), half[1], z + half[2]])
                     things.append(Thing("box", at, half, own, turned(rng.normal(0, 0.05))))
                     z += 2 * half[2] + rng.exponential(2)
@@ -518,23 +440,18 @@ def _laid_out(rng: Rng, kind: str, eye: float, pitch: float) -> tuple[Planes, li
             z = rng.uniform(60, 600)
             at = np.array([rng.uniform(-1, 1) * z, -0.05 * z, z])
             reach = z * np.array([rng.uniform(0.2, 0.8), rng.uniform(0.08, 0.35), 0.2])
-            things.append(Thing("ball", at, reach, texture(rng, "noise", "distance"), turned(0)))
+            things.append(Thing("ball", at, reach, texture(rng, "noise"), turned(0)))
     if kind == "close":
         for _ in range(rng.integers(1, 4)):
             z = rng.uniform(0.35, 1.5)
             foot = np.array([rng.normal(0, 0.2) * z, 0, z])
             draw = rng.uniform()
-            aim = eye + z * np.tan(pitch)
-            if draw < 0.4:  # from a face that fills the frame to somebody as a whole
-                height = z * np.exp(rng.uniform(-0.2, 1.6))
-                middle = rng.uniform(0.6, 0.95) if height > 1.2 * z else 0.5
-                things += person(rng, foot + _up(aim - middle * height), height)
-            elif draw < 0.55:
-                size = z * np.exp(rng.uniform(-1.6, 0.3))
-                things += animal(rng, foot + _up(aim - rng.uniform(0.5, 1.2) * size), size)
-            elif draw < 0.65:  # reaches beyond the top
-                tall = z * rng.uniform(0.5, 1.2)
-                things += [*shelves(rng, foot, 1.5 * tall), *plant(rng, foot + 0.3 * z, tall)]
+            if draw < 0.3:  # a portrait: the head is before the camera
+                height = rng.uniform(1.4, 1.9)
+                aim = eye + z * np.tan(pitch)
+                things += person(rng, foot + _up(aim - 0.87 * height), height)
+            elif draw < 0.45:
+                things += animal(rng, foot, rng.uniform(0.2, 0.7) * z)
             else:
                 things += anything(rng, foot, rng.uniform(0.08, 0.35) * z, True)
         put((0, 7), 1.8, 12, 0.3, walled)
@@ -551,8 +468,8 @@ def _laid_out(rng: Rng, kind: str, eye: float, pitch: float) -> tuple[Planes, li
             )
             things += fish(rng, at, eye * rng.uniform(0.04, 0.15))
     if kind == "wall":
-        yaw, away = rng.uniform(-1.2, 1.2), np.exp(rng.uniform(-0.5, 2))
-        face = texture(rng, None, "wall")
+        yaw, away = rng.normal(0, 0.5), np.exp(rng.uniform(-0.5, 2))
+        face = texture(rng)
         planes.append((turned(yaw) @ np.array([0, 0, -1.0]), -away, face))
         for _ in range(rng.integers(1, 12)):
             thick = float(rng.choice([0.01, 0.03, 0.1, 0.3]))
@@ -626,7 +543,7 @@ def _rendered(rng: Rng, shape: tuple[int, int]) -> tuple[Array, Array, Array, Ar
     focal = 0.5 * max(shape) / np.tan(np.radians(rng.uniform(36, 80)) / 2)
     x, y = np.meshgrid(np.arange(width) + 0.5 - width / 2, height / 2 - 0.5 - np.arange(height))
     degrees = {
-        "room": rng.normal(-10, 16),
+        "room": rng.normal(-10, 12),
         "outdoors": rng.normal(-4, 10),
         "close": rng.normal(-10, 14),
         "above": rng.uniform(-90, -40),
@@ -635,8 +552,7 @@ def _rendered(rng: Rng, shape: tuple[int, int]) -> tuple[Array, Array, Array, Ar
         "water": rng.normal(0, 18),
     }[kind]
     pitch = np.radians(degrees)
-    tilt = 15 if rng.uniform() < 0.15 else 4
-    looking = turned(0, pitch, np.radians(rng.normal(0, tilt)))
+    looking = turned(0, pitch, np.radians(rng.normal(0, 4)))
     # their part along the axis is 1, so that what they count is distance along the axis
     rays = np.stack([x / focal, y / focal, np.ones_like(x)], -1).reshape(-1, 3) @ looking.T
     heights = {

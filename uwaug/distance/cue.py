@@ -1,6 +1,6 @@
 """What looks near and what looks far in a picture: a small network of our own.
 
-It was trained from scratch by `python -m benchmarks.depth.train --minutes 50 --out FILE`, on scenes
+It was trained from scratch by `python -m benchmarks.depth.train --minutes 35 --out FILE`, on scenes
 that are rendered, with procedural textures: it has seen no photograph.
 """
 
