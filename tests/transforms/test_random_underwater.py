@@ -140,7 +140,14 @@ def test_fixed_options_are_an_underwater() -> None:
     """The same picture by the module, of the water that the transform says it takes."""
     water, law = Water.jerlov("3C"), PointSpread.paper()
     aug = RandomUnderwater(
-        "3C", contrast=0.4, vertical_depth=2.0, field=None, point_spread=law, development=RAW
+        "3C",
+        contrast=0.4,
+        vertical_depth=2.0,
+        mu=None,
+        field=None,
+        point_spread=law,
+        development=RAW,
+        light=None,
     )
     z = 2 + distances().double()
     # of the waters that leave .4 at the median distance, this one
