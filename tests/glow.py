@@ -41,7 +41,8 @@ def glowing(medium: Medium, glow: Tensor = GLOW) -> Medium:
 
 def drawn(medium: Medium) -> Tensor:
     """A picture of `RandomUnderwater` in this water."""
-    augment = RandomUnderwater(medium, development=RandomDevelopment(metered=False))
+    development = RandomDevelopment(metered=False)
+    augment = RandomUnderwater(medium, development=development, light=None)
     record = augment.make_params(IMAGE[0], torch.Generator().manual_seed(3))
     return augment.transform(IMAGE[0], DISTANCE[0], record)
 
