@@ -19,6 +19,7 @@ from benchmarks.harness import command
 from uwaug import (
     Development,
     KeepVisible,
+    MarineSnow,
     Medium,
     RandomDevelopment,
     RandomLight,
@@ -172,14 +173,15 @@ def severity() -> Figure:
 
 
 def night() -> Figure:
-    """Lamps on each rig, on two scenes."""
-    rigs, names = ("vehicle", "diver", "strobe"), ("reef", "motorcycle")
+    """Lamps on each rig, on two scenes; the other in marine snow."""
+    rigs, names = ("vehicle", "diver", "strobe"), {"reef": None, "motorcycle": MarineSnow(2000)}
     grid = Grid(len(names), len(rigs), (2, 3), FRAME_PX)
-    for row, name in enumerate(names):
+    for row, (name, snow) in enumerate(names.items()):
         pair = scene_of(name, 2 * FRAME_PX)
         for column, rig in enumerate(rigs):
-            light = RandomLight(share=1.0, rigs=rig)
-            grid.show(3 * row + column, in_water(pair, 5 + column, light=light), rig)
+            options = {"light": RandomLight(share=1.0, rigs=rig), "snow": snow}
+            label = f"{rig}, marine snow" if snow else rig
+            grid.show(3 * row + column, in_water(pair, 5 + column, **options), label)
     return grid.figure
 
 
