@@ -23,7 +23,7 @@ const SLIDERS = {
     v => v >= 1e5 ? "no noise" : `${+v.toPrecision(2)} electrons`, "log"],
   read_noise: ["camera-controls", "Noise in the dark", 3, 0, 20, v => `${v.toFixed(1)} electrons`],
   g: ["scattering-controls", "Lost sideways (g)", draws.g, 0, 0.4, v => v.toFixed(3)],
-  mu: ["scattering-controls", "Brightness of the veil (μ)", rounded(1.5 * draws.g), 0, 0.6, v => v.toFixed(3)],
+  mu: ["scattering-controls", "Brightness of the veil (μ)", 0.03, 0, 0.6, v => v.toFixed(3), "drawn"],
   blur: ["scattering-controls", "Blur", 1, 0, 3, v => `× ${v.toFixed(2)}`],
 };
 const WORDS = { I: "clearest ocean", IA: "clear ocean", IB: "clear ocean", II: "ocean", III: "murky ocean", "1C": "clear coast",
@@ -410,9 +410,9 @@ function optionsOf(files, everything) {
   if (held("water")) options.waters = [water === "contents" ? contents : mixture];
   if (held("contrast") || nature) options.contrast = nature ? null : state.contrast;
   if (held("vertical_depth")) options.vertical_depth = state.vertical_depth;
-  if (everything) options.field = null;
+  if (everything) Object.assign(options, { field: null, light: null });
   if (g !== DEFAULTS.g) options.g = g;
-  if (mu !== rounded(1.5 * g)) options.mu = mu;
+  if (held("mu")) options.mu = mu;
   const { scale, exponent } = tables.law;
   if (blur !== 1) options.point_spread = { scale: rounded(scale * blur * files.width), exponent, shape: "exponential" };
   for (const name of DRAWN) if (SLIDERS[name]?.[0] === "camera-controls" && held(name)) development[name] = state[name];

@@ -149,6 +149,7 @@ def _draws() -> dict[str, Any]:
         "ranges": {
             "contrast": augment.contrast,
             "vertical_depth": augment.vertical_depth,
+            "mu": augment.mu,
             **augment.development.ranges(),
         },
     }
