@@ -110,7 +110,7 @@ class RandomWater:
 
     waters: AnyWater | Iterable[AnyWater] | None = None
     _: KW_ONLY
-    contrast: Range | None = (0.08, 0.75)
+    contrast: Range | None = (0.08, 0.55)
     mixing: Range = 0.0
     vertical_depth: Range = (0.0, 12.0)
     g: Range = 0.05
