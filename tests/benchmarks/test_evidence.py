@@ -215,9 +215,10 @@ def test_each_draw_of_a_picture_is_another_and_keeps_its_label() -> None:
 def test_like_looks_at_what_it_is_shown(real: sets.Sets) -> None:
     rng = np.random.default_rng(0)
     pool, _ = tasks.painted_balls(real.land, 9, rng)
-    dim, bright = (np.full((48, 48, 3), level, np.uint8) for level in (20, 200))
+    teal = np.array([0.3, 0.9, 1.0])
+    dim, bright = (np.tile(level * teal, (48, 48, 1)).astype(np.uint8) for level in (25, 250))
     seen = [
-        arms.degraded(arms.like([shown], pool, 15), pool, draws=1, seed=0)[0].float().mean()
+        arms.degraded(arms.like([shown], pool, 90), pool, draws=1, seed=0)[0].float().mean()
         for shown in (dim, bright)
     ]
     assert seen[0] + 20 < seen[1]
