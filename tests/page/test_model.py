@@ -72,6 +72,7 @@ def twin_of(settings: dict[str, Any]) -> uwaug.RandomUnderwater:
         mu=settings["mu"],
         field=None,
         point_spread=blur,
+        light=None,
         development=uwaug.RandomDevelopment(
             settings["color_matrix"],
             settings["exposure"],

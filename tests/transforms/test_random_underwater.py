@@ -162,14 +162,15 @@ def test_fixed_options_are_an_underwater() -> None:
 
 
 def test_a_medium_stays_as_it_is() -> None:
-    aug = RandomUnderwater(FIT, field=None, development=RAW, contrast=0.1)
+    aug = RandomUnderwater(FIT, field=None, development=RAW, contrast=0.1, light=None)
     z = 1 + distances()
     expected = Underwater(FIT, (1.0, 2.0))(picture(), z)
     assert (aug(picture(), z)[0] - expected).abs().max() < 1e-4
 
 
 def test_a_field_is_drawn_for_each_picture() -> None:
-    aug = RandomUnderwater("II", field=(0.2, 3.0), contrast=None, vertical_depth=1.0)
+    options: Any = {"contrast": None, "vertical_depth": 1.0, "light": None}
+    aug = RandomUnderwater("II", field=(0.2, 3.0), **options)
     z = torch.full((1, 24, 33), 3.0)
     params = aug.make_params(picture())
     left = aug.contrast_left(picture(), z, params)
@@ -182,10 +183,11 @@ def test_a_field_is_drawn_for_each_picture() -> None:
 def test_deep_and_turbid_waters_are_no_deeper_than_a_meter_makes_up_for() -> None:
     scene = picture(), 1 + distances()
     params = RandomUnderwater("9C", vertical_depth=100.0).make_params(picture())
-    metered = RandomUnderwater("9C", contrast=None, vertical_depth=100.0)
+    options: Any = {"contrast": None, "vertical_depth": 100.0, "light": None}
+    metered = RandomUnderwater("9C", **options)
     assert metered(*scene)[0].mean() > 0.1
     assert params["samples"][0]["numbers"]["vertical_depth"] == 100
-    fixed = RandomUnderwater("9C", contrast=None, vertical_depth=100.0, development=RAW)
+    fixed = RandomUnderwater("9C", **options, development=RAW)
     assert fixed(*scene)[0].max() < 1e-3
 
 
@@ -500,7 +502,7 @@ def test_lamps_shine_at_any_depth() -> None:
     lamps = Light((Lamp((0.3, -0.2, 0.0), power=4.0),))
     options: Any = {"vertical_depth": 200.0, "contrast": None, "development": RAW, "waters": "II"}
     scene = picture(), 1 + distances()
-    assert RandomUnderwater(**options)(*scene)[0].max() < 0.01
+    assert RandomUnderwater(**options, light=None)(*scene)[0].max() < 0.01
     aug = RandomUnderwater(**options, light=lamps)
     assert aug(*scene)[0].mean() > 0.1
     left = aug.contrast_left(*scene, aug.make_params(picture()))
