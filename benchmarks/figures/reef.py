@@ -11,6 +11,7 @@ from skimage import data
 from torch import Tensor
 
 from benchmarks.depth.scenes import Array, Rng, Thing, turned
+from uwaug.formation.colour import linear_to_srgb
 
 SIDE = 14.0  # m of ground, ahead and across
 CELLS = 1100
@@ -36,8 +37,10 @@ def _fractal(rng: Rng, slope: float, lowest: int) -> Array:
     return np.asarray(values / values.std())
 
 
-def _ground(rng: Rng) -> tuple[Array, Array]:
-    """Heights, m, and linear colours (CELLSxCELLSx3), lit by the sun and the sky."""
+def _ground(rng: Rng) -> tuple[Array, Array, Array, Array, Array]:
+    """Heights, m, and whether rock lies there (CELLSxCELLS); linear colours of rock and of sand,
+    and the light on them (CELLSxCELLSx3).
+    """
     z, x = np.mgrid[0 : SIDE : CELLS * 1j, -SIDE / 2 : SIDE / 2 : CELLS * 1j]
     wide = _fractal(rng, 4, 1)
     sand = 0.06 * wide + 0.02 * np.sin(2 * np.pi * (3.5 * z + 0.8 * x + 0.5 * _fractal(rng, 4, 2)))
@@ -162,15 +165,14 @@ def reef(width: int = 720, seed: int = 5) -> tuple[Tensor, Tensor, Tensor]:
     for number, thing in enumerate(_school(rng)):
         along, normal, place = thing.hit(EYE, rays)
         nearer = along < distance
-        shade = 0.45 + 0.8 * np.clip(normal[nearer] @ SUN, 0, 1)
-        light[nearer] = thing.texture(place[nearer]) * shade[:, None]
+        lit = 0.45 + 0.8 * np.clip(normal[nearer] @ SUN, 0, 1)
+        light[nearer] = thing.texture(place[nearer]) * lit[:, None]
         distance[nearer], owner[nearer] = along[nearer], number // 2
     boxes = []
     for number in np.unique(owner[owner >= 0]):
         rows, columns = np.nonzero(owner.reshape(height, width) == number)
         boxes.append([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
-    light = np.clip(light, 0, 1)
-    srgb = np.where(light < 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
-    image = torch.from_numpy(srgb.astype(np.float32).reshape(height, width, 3)).permute(2, 0, 1)
+    linear = torch.from_numpy(light.clip(0, 1).astype(np.float32).reshape(height, width, 3))
+    image = linear_to_srgb(linear).permute(2, 0, 1)
     metres = torch.from_numpy(distance.astype(np.float32).reshape(1, height, width))
     return image, metres, torch.tensor(np.array(boxes), dtype=torch.float32)

@@ -82,11 +82,10 @@ def form(
     plan = plan or plan_for(z, medium, size, tolerance, brightest.seen_by(gains))
     table = plan_table(plan, size)
     # the gain in the medium costs nothing; after noise it has to be a step of its own
-    shown = weights if development.noise else seen
-    lamps = [lamps_of(_ONE if development.noise else gains, n) for n in range(len(shown.beta))]
+    shown, factors = (weights, _ONE) if development.noise else (seen, gains)
+    lamps = [lamps_of(factors, n) for n in range(len(shown.beta))]
     laws = [width_law(medium, n, plan, size) for n in range(len(medium))]
     media = [medium_table(shown, n, laws[n % len(laws)]) for n in range(len(shown.beta))]
-    factors = _ONE if development.noise else gains
     snow = [_snow(medium, light, z, metres, n, factors) for n in range(batch)]
     normals, begins, cameras = _camera(development, gains, batch, size)
     largest = headroom(image) if srgb and high > 1 else 1.0

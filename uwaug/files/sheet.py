@@ -24,8 +24,8 @@ _WIDTH, _HEIGHT, _LINE = 240, 180, 16
 def write_sheet(
     path: Path,
     made: Sequence[tuple[Path, Sequence[Path]]],
-    read: Callable[[Path], Tensor] = read_picture,
-    caption: Callable[[Path], str] = lambda path: "",
+    read: Callable[[Path], Tensor],
+    caption: Callable[[Path], str],
 ) -> None:
     """Draw pictures, each with what was made of it to its right; below, names and captions.
 

@@ -13,7 +13,7 @@ straight from the surface.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -95,6 +95,10 @@ class Lamp:
         checks.within("power", self.power, 0.0)
         if self.cone is not None:
             checks.within("cone", self.cone, 1.0, 90.0)
+
+    def dyed(self, weights: Tensor) -> Tensor:
+        """Weights of its channels (Bx3xL) for the light of this lamp."""
+        return weights * (weights.new_tensor(self.color)[:, None] * self.power)
 
     def sent(self, rays: Rays, z: Tensor) -> Sent:
         """What a lamp of power 1 sends to a scene z (Bx1xHxW) away, m, and how the rays pass it."""
@@ -202,20 +206,26 @@ class Light:
             density (number or Bx1xHxW tensor): of the water on each ray and on the lamps' way to
                 its surface, the medium field.
         """
-        left, weights, fogs = [], [], []
-        for lamp in self.lamps:
-            sent = lamp.sent(rays, z)
-            path = (density * (z + sent.path)).flatten(2)
-            left.append(decay(water.G[..., None], path) * sent.share.flatten(2))
-            color = z.new_tensor(lamp.color)[:, None] * lamp.power
-            weights.append(water.signal_weights.flatten(2) * color)
-            veil, way = water.veil_weights * color, (sent.nearest, sent.height, sent.cone)
+        sent = [lamp.sent(rays, z) for lamp in self.lamps]
+        fogs = []
+        for lamp, light in zip(self.lamps, sent, strict=True):
+            veil, way = lamp.dyed(water.veil_weights), (light.nearest, light.height, light.cone)
             fogs.append(backscatter(water.G, veil, *way, z, density))
+        return self._arriving(water, sent, z, density), sum(fogs[1:], fogs[0])
+
+    def _arriving(
+        self, water: Medium, sent: Sequence[Sent], z: Tensor, density: float | Tensor
+    ) -> Tensor:
+        left, weights = [], []
+        for lamp, light in zip(self.lamps, sent, strict=True):
+            path = (density * (z + light.path)).flatten(2)
+            left.append(decay(water.G[..., None], path) * light.share.flatten(2))
+            weights.append(lamp.dyed(water.signal_weights.flatten(2)))
         # one product for all lamps, which writes what may be nine numbers a pixel once
         shape = water.signal_weights.shape[1:-1]
         rows = torch.cat([each.reshape(len(each), shape.numel(), -1) for each in weights], 2)
         arrives = torch.unflatten(rows @ torch.cat(left, 1), -1, z.shape[-2:])
-        return torch.unflatten(arrives, 1, shape), sum(fogs[1:], fogs[0])
+        return torch.unflatten(arrives, 1, shape)
 
     def on_white(self, medium: Medium, z: Tensor, metres: Tensor, rays: Rays) -> Tensor:
         """What arrives unscattered of white surfaces (Bx3xHxW); arguments as for `curves`, on any
@@ -226,7 +236,8 @@ class Light:
         if not self.lamps:
             return total
         water = medium.under_lamp()
-        arrives, _ = self.lit(water, rays, metres, z / metres)
+        sent = [lamp.sent(rays, metres) for lamp in self.lamps]
+        arrives = self._arriving(water, sent, metres, z / metres)
         return total + passed(_dimmed(arrives, _straight(water, z)), white_light)
 
     def planned(self, medium: Medium) -> Medium:
