@@ -361,7 +361,7 @@ def test_labels() -> None:
 def test_a_sheet() -> None:
     degrade(RECIPE, items(), "out", sheet=True)
     with Image.open("out/sheet.jpg") as sheet:
-        assert sheet.size == (3 * 496, 2 * 228)
+        assert sheet.size == (3 * 496, 2 * 244)
         shown = np.asarray(sheet, dtype=float)
     # the second pair, before and after: each at the corner of its place, with white behind
     for x, path in ((496, "all/1.png"), (496 + 240, "out/1.png")):
@@ -371,7 +371,7 @@ def test_a_sheet() -> None:
     # what was drawn stands below what was made, under the name
     before, after = (shown[196:210, x : x + 240] for x in (496, 736))
     assert before.min() > 240 > 100 > after.min()
-    params = {"samples": [{"applied": True, "waters": ["7C", "II"]}]}
+    params = {"samples": [{"applied": True, "waters": ["7C", "chlorophyll=17.82,cdom=1.5"]}]}
     record = read_record(Path("out/1.png.json")) | {
         "params": params,
         "reached": {"metres": 2.345},
@@ -379,7 +379,7 @@ def test_a_sheet() -> None:
     }
     write_record(Path("other.png.json"), record)
     work = _Underwater(RECIPE, Path("out"), resume=False, force=False)
-    assert work.caption(Path("other.png")) == "2.3 m, contrast 0.40, 7C + II"
+    assert work.caption(Path("other.png")) == "2.3 m, contrast 0.40\n7C + chlorophyll=18,cdom=1.5"
 
 
 # Once more

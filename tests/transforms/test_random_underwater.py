@@ -161,6 +161,23 @@ def test_fixed_options_are_an_underwater() -> None:
     assert (shares - left).abs().max() < 5e-3
 
 
+def test_no_veil_that_is_drawn_is_brighter_than_a_white_plate() -> None:
+    scene = picture(), 1 + distances()
+
+    def veil(**options: Any) -> Tensor:
+        aug = RandomUnderwater("II", contrast=None, **options)
+        record = aug.make_params(picture(), torch.Generator().manual_seed(0))
+        return aug.scenes(*scene, record).waters[0].medium.curves(torch.tensor([[[[1e4]]]])).veil
+
+    held, highest, asked = (
+        veil(g=0.02, mu=(0.03, 0.04)),
+        veil(g=0.02, mu=0.02),
+        veil(g=0.02, mu=0.03),
+    )
+    torch.testing.assert_close(held, highest)
+    torch.testing.assert_close(asked, 1.5 * highest, rtol=1e-3, atol=0)
+
+
 def test_a_medium_stays_as_it_is() -> None:
     aug = RandomUnderwater(FIT, field=None, development=RAW, contrast=0.1, light=None)
     z = 1 + distances()

@@ -85,7 +85,7 @@ class Work:
         return read_picture(path)
 
     def caption(self, path: Path) -> str:
-        """What the sheet says of a result, in a line."""
+        """What the sheet says of a result, in two lines at most."""
         return ""
 
     def __call__(self, job: Job) -> Result:

@@ -17,8 +17,8 @@ _PICTURES, _VARIANTS = 12, 5
 _ACROSS = 6
 """Columns, before and after."""
 
-_WIDTH, _HEIGHT, _LINE = 240, 180, 16
-"""Of a picture, and the height of a line below it, px."""
+_WIDTH, _HEIGHT, _LINE, _GAP = 240, 180, 16, 4
+"""Of a picture, the height of a line below it, and what lies between two labels, px."""
 
 
 def write_sheet(
@@ -33,7 +33,7 @@ def write_sheet(
         path: of the sheet.
         made: a file before, and those after.
         read: gives the picture (3xHxW) of a file after.
-        caption: what is said of a file after, in a line.
+        caption: what is said of a file after, in two lines at most.
 
     Raises:
         ValueError, OSError: if a picture cannot be read, or the sheet not be written.
@@ -42,20 +42,25 @@ def write_sheet(
     shown = [(before, *after[:_VARIANTS]) for before, after in made[::step][:_PICTURES]]
     columns = max(map(len, shown))
     across = min(len(shown), max(1, _ACROSS // columns))
-    cell = (columns * _WIDTH + _LINE, _HEIGHT + 3 * _LINE)
+    cell = (columns * _WIDTH + _LINE, _HEIGHT + 4 * _LINE)
     sheet = Image.new("RGB", (across * cell[0], -(-len(shown) // across) * cell[1]), "white")
-    draw = ImageDraw.Draw(sheet)
     for number, files in enumerate(shown):
         y, x = number // across * cell[1], number % across * cell[0]
         for column, file in enumerate(files):
             picture = read(file) if column else read_picture(file)
             sheet.paste(_small(picture), (x, y))
-            lines = file.name, caption(file) if column else ""
-            text = "\n".join(lines).encode("ascii", "replace").decode()
-            draw.multiline_text((x, y + _HEIGHT), text, "black")
+            sheet.paste(_label(file.name, caption(file) if column else ""), (x, y + _HEIGHT))
             x += _WIDTH
     with written_whole(path) as part:
         sheet.save(part, "JPEG", quality=90)
+
+
+def _label(*lines: str) -> Image.Image:
+    """Lines of text, cut off where the next picture begins."""
+    label = Image.new("RGB", (_WIDTH - _GAP, 3 * _LINE), "white")
+    text = "\n".join(lines).encode("ascii", "replace").decode()
+    ImageDraw.Draw(label).multiline_text((0, 0), text, "black")
+    return label
 
 
 def _small(picture: Tensor) -> Image.Image:

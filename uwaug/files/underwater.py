@@ -1,5 +1,6 @@
 """Pictures in files under water."""
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from os.path import splitext
@@ -191,15 +192,17 @@ class _Underwater(Work):
         self.recipe.write(path, result, item.picture)
 
     def caption(self, path: Path) -> str:
-        """Its water, the scene's median distance and the contrast that is left, on average."""
+        """The scene's median distance and the contrast that is left, on average; its water."""
         record = read_record(record_path(path))
         (sample,) = record["params"]["samples"]
         if not sample["applied"]:
             return "left alone"
         reached = record["reached"]
         metres = [f"{reached['metres']:.2g} m"] if reached else []
-        contrast = f"contrast {record['contrast']:.2f}"
-        return ", ".join([*metres, contrast, " + ".join(sample["waters"])])
+        names = " + ".join(sample["waters"])
+        # contents to two digits, so that a label holds them
+        water = re.sub(r"(?<==)[\d.]+", lambda number: f"{float(number[0]):.2g}", names)
+        return ", ".join([*metres, f"contrast {record['contrast']:.2f}"]) + f"\n{water}"
 
 
 def _degraded(
