@@ -563,7 +563,8 @@ def start(resume: bool) -> "subprocess.Popen[bytes]":
     return subprocess.Popen([sys.executable, "command.py"], env=environment, start_new_session=True)
 
 
-def wait_for(what: Callable[[], bool], seconds: float = 120) -> None:
+def wait_for(what: Callable[[], bool], seconds: float = 600) -> None:
+    """Until it is so; workers may have to compile the loops first, on a machine that is busy."""
     end = time.monotonic() + seconds
     while not what():
         assert time.monotonic() < end
