@@ -44,12 +44,12 @@ def test_the_others_are_those_of_daylight() -> None:
     assert 2 <= sum(changed) <= 10
 
 
-def test_lamps_light_a_sixth_of_default_draws() -> None:
+def test_lamps_light_a_twelfth_of_default_draws() -> None:
     augment, count = RandomUnderwater(), 600
     record = augment.make_params(picture()[None].expand(count, -1, -1, -1))
-    lit = [sample["numbers"]["light_night"] < 1 / 6 for sample in record["samples"]]
+    lit = [sample["numbers"]["light_night"] < 1 / 12 for sample in record["samples"]]
     assert augment.light == RandomLight()
-    assert sum(lit) / count == pytest.approx(1 / 6, abs=0.06)
+    assert sum(lit) / count == pytest.approx(1 / 12, abs=0.04)
 
 
 def test_a_picture_has_one_light_at_every_severity() -> None:

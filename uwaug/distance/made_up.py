@@ -64,8 +64,8 @@ class MadeUp(Source):
     reads_maps = False
     reads_pictures = True
 
-    near: Range = (0.5, 2.0)
-    far: Range = (2.5, 12.0)
+    near: Range = (0.7, 2.0)
+    far: Range = (2.2, 7.0)
     cue: Literal["network", "ramp"] = "network"
 
     def __post_init__(self) -> None:

@@ -36,10 +36,10 @@ class RandomDevelopment:
     """
 
     color_matrix: Range | None = (0.0, 0.8)
-    exposure: Range = (-1.2, 0.8)
+    exposure: Range = (-1.2, 0.45)
     metered: bool = True
     white_balance: Range = (-1.0, 0.3)
-    saturation: Range = (0.85, 1.4)
+    saturation: Range = (0.85, 1.35)
     gamut: Range = (0.7, 1.0)
     tone: Range = (0.9, 1.8)
     color_space: ColorSpace = "srgb"

@@ -66,7 +66,7 @@ class RandomLight:
         TypeError, ValueError: if a value does not suit, or leaves its domain.
     """
 
-    share: float = 1 / 6
+    share: float = 1 / 12
     rigs: str | tuple[str, ...] = tuple(RIGS)
     daylight: Range = (0.0, 0.1)
     power: Range = (-1.0, 1.0)

@@ -105,7 +105,7 @@ class RandomUnderwater(SampleTransform):
         snow: particles that one sees, see `uwaug.MarineSnow`, whose density may be a range, drawn
             uniformly in its logarithm; None for clear water.
         development: what the camera does, and the colour space, see `RandomDevelopment`.
-        light: what lights the scene, see `RandomLight`: by default lamps light a sixth of the
+        light: what lights the scene, see `RandomLight`: by default lamps light a twelfth of the
             pictures; a `Light`, the same for all pictures, whose lamps stand where they are in
             metres; None for daylight.
         p: probability that a picture is degraded at all.

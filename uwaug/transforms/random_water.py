@@ -26,8 +26,8 @@ from uwaug.transforms.measured import Measured
 
 AnyWater = str | os.PathLike[str] | Water | Constituents | Medium
 
-CONTENTS = Constituents(chlorophyll=(1.0, 30.0), cdom=(0.3, 3.0), minerals=(0.05, 5.0))
-"""Coasts, lakes and harbours, green to yellow."""
+CONTENTS = Constituents(chlorophyll=(1.0, 30.0), cdom=(0.03, 0.6), minerals=(0.25, 4.0))
+"""Seas and coasts, blue to green. Lakes hold more CDOM, which turns them yellow."""
 
 WATERS = ("IB", "II", "III", "1C", "3C", "5C", "7C", "9C", *[CONTENTS] * 8)
 """Half of the waters are Jerlov types, half are of other contents. The clear oceanic types would
@@ -110,13 +110,13 @@ class RandomWater:
 
     waters: AnyWater | Iterable[AnyWater] | None = None
     _: KW_ONLY
-    contrast: Range | None = (0.08, 0.55)
+    contrast: Range | None = (0.08, 0.4)
     mixing: Range = 0.0
-    vertical_depth: Range = (0.0, 12.0)
+    vertical_depth: Range = (2.0, 12.0)
     g: Range = 0.05
     mu: Range | None = (0.01, 0.05)
     point_spread: PointSpread | None = None
-    field: tuple[float, float] | None = (0.7, 1.3)
+    field: tuple[float, float] | None = (0.8, 1.2)
     camera: str | os.PathLike[str] | Camera = "Nikon 5100 (NPL)"
     snow: MarineSnow | None = None
 
