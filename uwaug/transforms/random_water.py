@@ -26,7 +26,7 @@ from uwaug.transforms.measured import Measured
 
 AnyWater = str | os.PathLike[str] | Water | Constituents | Medium
 
-CONTENTS = Constituents(chlorophyll=(1.0, 30.0), cdom=(0.03, 0.6), minerals=(0.25, 4.0))
+CONTENTS = Constituents(chlorophyll=(1.0, 30.0), cdom=(0.03, 0.35), minerals=(0.25, 4.0))
 """Seas and coasts, blue to green. Lakes hold more CDOM, which turns them yellow."""
 
 WATERS = ("IB", "II", "III", "1C", "3C", "5C", "7C", "9C", *[CONTENTS] * 8)
@@ -110,9 +110,9 @@ class RandomWater:
 
     waters: AnyWater | Iterable[AnyWater] | None = None
     _: KW_ONLY
-    contrast: Range | None = (0.08, 0.4)
+    contrast: Range | None = (0.08, 0.35)
     mixing: Range = 0.0
-    vertical_depth: Range = (2.0, 12.0)
+    vertical_depth: Range = (4.0, 12.0)
     g: Range = 0.05
     mu: Range | None = (0.01, 0.05)
     point_spread: PointSpread | None = None
