@@ -36,12 +36,12 @@ class RandomDevelopment:
     """
 
     color_matrix: Range | None = (0.0, 0.8)
-    exposure: Range = (-1.2, 0.3)
+    exposure: Range = (-1.2, 0.4)
     metered: bool = True
     white_balance: Range = (-1.0, 0.3)
-    saturation: Range = (0.8, 1.2)
+    saturation: Range = (0.85, 1.3)
     gamut: Range = (0.7, 1.0)
-    tone: Range = (0.9, 1.5)
+    tone: Range = (0.9, 1.6)
     color_space: ColorSpace = "srgb"
     noise: Sensor | None = None
 
