@@ -48,14 +48,14 @@ def test_pictures_alone_get_distances_that_are_made_up(folder, run):
     bare = ("degrade", "photos", "--variants", "2", "--out")
     code, out, err = run(*bare, "wet", "--sheet")
     assert (code, err) == (0, "")
-    assert out.count("made up") == 1
-    assert "not for restoration" in out
+    assert out.count("are guessed") == 1
+    assert "not to measure or restore by" in out
     assert "4 of 4 pictures written to wet" in out
     assert (folder / "wet/sheet.jpg").is_file()
     # said explicitly, by one process, they are the same; and nobody is told twice
-    code, out, _ = run(*bare, "again", "--distance", "made-up", "--set", "distance.far=[2.5, 12]")
+    code, out, _ = run(*bare, "again", "--distance", "made-up", "--set", "distance.far=[2.2, 7]")
     assert code == 0
-    assert "made up" not in out
+    assert "guessed" not in out
     assert len(written(folder / "wet")) == 4
     assert written(folder / "wet") == written(folder / "again")
     assert run("degrade", "wet/b_2.png.json", "--out", "b.png")[0] == 0
@@ -122,7 +122,7 @@ def test_pictures_like_a_photograph(folder, run, monkeypatch):
     line = ("degrade", "photos", *MAPS, "--like", "green.png", "--contrast", ".2:.5", "--out")
     code, out, err = run(*line, "wet")
     assert (code, err) == (0, "")
-    assert "like green.png: draws that were kept are" in out
+    assert "like green.png: the pictures that were kept are" in out
     assert "2 of 2 pictures written to wet" in out
     recipe = json.loads((folder / "wet/a.png.json").read_text())["recipe"]
     transform = uwaug.RandomUnderwater.from_dict(recipe["transform"])
@@ -190,10 +190,10 @@ def test_a_broken_map_fails_alone_and_resume_goes_on(folder, run):
             "degrade photos --contrast .3 --set contrast.low=1 --out wet",
             "0.3, no table",
         ),
-        ("degrade photos --plain --out wet", "name one water by --water, and --distance"),
+        ("degrade photos --plain --out wet", "give both, one --water and --distance"),
         (
             "degrade photos --plain --water 3C --out wet",
-            "name one water by --water, and --distance",
+            "give both, one --water and --distance",
         ),
         ("degrade photos --plain --preset survey --distance 3 --out wet", "exclude each other"),
         ("degrade photos --distance 3 --water 4C --out wet", "water must be one of"),

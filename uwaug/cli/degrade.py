@@ -110,7 +110,7 @@ def degrade(
         chosen = _options(preset, plain, options, set_ or (), water or (), contrast)
         of_run = {name: chosen.pop(name) for name in ("drift", "quality") if name in chosen}
         if plain and not (chosen.get("waters") and (distance or "distance" in chosen)):
-            raise ValueError("--plain draws nothing: name one water by --water, and --distance")
+            raise ValueError("--plain draws nothing: give both, one --water and --distance")
         of_maps: Any = {"unit": number_or_word(unit), "holes": number_or_word(holes)}
         said = distances_of(distance, chosen.pop("distance", None), sequence=sequence, **of_maps)
         if said.source is not None:
@@ -209,7 +209,7 @@ def _value(text: str) -> Any:
     """A value as TOML writes it, a range such as .2:.5, none, or a word."""
     from uwaug._support.ranges import read_range
 
-    if text == "none":
+    if text.lower() == "none":
         return None
     if (ends := read_range(text)) is not None:
         return ends

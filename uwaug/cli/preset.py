@@ -51,27 +51,28 @@ def show(
 
 
 def waters() -> None:
-    """List the water types: visibility, attenuation, doubts."""
+    """List the water types: in words, visibility, attenuation, doubts."""
     from rich.console import Console
     from rich.table import Table
 
     from uwaug import Water, load_camera
+    from uwaug.optics.jerlov import IN_WORDS
     from uwaug.optics.spectra import WAVELENGTHS
 
     camera = load_camera("Nikon 5100 (NPL)")
     weights = camera.weights(WAVELENGTHS)
-    means = f"β, K_d: means over the {camera.name}'s red, green, blue"
+    means = f"view: visibility; β, K_d: red, green, blue of the {camera.name}"
     table = Table(caption=means, caption_justify="left")
     table.add_column("type", no_wrap=True)
-    for heading in ("visibility (m)", "β (1/m)", "K_d (1/m)"):
+    for heading in ("view (m)", "β (1/m)", "K_d (1/m)"):
         table.add_column(heading, justify="right", no_wrap=True)
     types = [Water.jerlov(name) for name in WATERS]
     for water in types:
         bands = water.at(WAVELENGTHS)
-        means_of = [
-            "  ".join(f"{x:.3f}" for x in rate @ weights) for rate in (bands.beta, bands.kd)
-        ]
-        table.add_row(water.name, f"{water.visibility():.1f}", *means_of)
+        means_of = [" ".join(f"{x:.3f}" for x in rate @ weights) for rate in (bands.beta, bands.kd)]
+        table.add_row(
+            f"{water.name}, {IN_WORDS[water.name]}", f"{water.visibility():.1f}", *means_of
+        )
     Console().print(table)
     print("\nNot as printed in Solonenko & Mobley 2015, or doubtful:")
     for water in types:

@@ -67,7 +67,7 @@ def distances_of(
         )
         return Distances(_FILM, None, note)
     note = (
-        "Without --distance, distances are made up from each picture: a guessed cue, good for "
-        "robustness, not for restoration."
+        "Without --distance, distances are guessed from each picture: good to look at and to train "
+        "with, not to measure or restore by."
     )
     return Distances({"kind": "MadeUp"}, None, note)

@@ -267,7 +267,10 @@ def reweighed(objective: Objective[M], theta: Array, clips: bool) -> tuple[Pixel
         bright = int(counted.sum())
         if bright < _MIN_VALUES:
             few = f"only {bright} of {counted.numel()} values that are fitted lie above the noise"
-            raise ValueError(f"observed: {few}, expected {_MIN_VALUES}: raise the exposure")
+            raise ValueError(
+                f"observed: {few}, expected {_MIN_VALUES}: "
+                "raise the exposure, or check distances, g and blur"
+            )
         objective = replace(objective, pixels=replace(pixels, weights=counted / deviation))
     return objective.pixels, theta
 

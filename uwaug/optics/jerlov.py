@@ -12,10 +12,22 @@ import numpy as np
 from uwaug._support import checks
 from uwaug._support.types import Array
 
-JERLOV_TYPES = ("I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C")
-"""The Jerlov water types in the order of their classification: open ocean, then coast, clear to
-turbid.
-"""
+IN_WORDS = {
+    "I": "clearest ocean",
+    "IA": "clear ocean",
+    "IB": "clear ocean",
+    "II": "ocean",
+    "III": "murky ocean",
+    "1C": "clear coast",
+    "3C": "coast",
+    "5C": "murky coast",
+    "7C": "very murky coast",
+    "9C": "murkiest coast",
+}
+"""What the Jerlov water types are."""
+
+JERLOV_TYPES = tuple(IN_WORDS)
+"""In the order of their classification: open ocean, then coast, clear to turbid."""
 
 
 class Source(NamedTuple):

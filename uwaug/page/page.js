@@ -26,8 +26,7 @@ const SLIDERS = {
   mu: ["scattering-controls", "Brightness of the veil (μ)", 0.03, 0, 0.6, v => v.toFixed(3), "drawn"],
   blur: ["scattering-controls", "Blur", 1, 0, 3, v => `× ${v.toFixed(2)}`],
 };
-const WORDS = { I: "clearest ocean", IA: "clear ocean", IB: "clear ocean", II: "ocean", III: "murky ocean", "1C": "clear coast",
-  "3C": "coast", "5C": "murky coast", "7C": "very murky coast", "9C": "murkiest coast", contents: "a mix of your own" };
+const WORDS = { ...tables.words, contents: "a mix of your own" };
 const PRESETS = {
   Reef: { water: "II", contrast: 0.6, vertical_depth: 8, white_balance: 0 },
   Harbour: { water: "contents", chlorophyll: 4, cdom: 1.5, minerals: 3, contrast: 0.2, vertical_depth: 5, white_balance: 0 },

@@ -18,7 +18,7 @@ from uwaug.formation.colour import LUMINANCE
 from uwaug.optics import constituents
 from uwaug.optics.camera import load_camera, response_at
 from uwaug.optics.curves import FARTHEST
-from uwaug.optics.jerlov import JERLOV_TYPES
+from uwaug.optics.jerlov import IN_WORDS, JERLOV_TYPES
 from uwaug.optics.point_spread import FOCAL_LENGTH, LENGTHS, PointSpread
 from uwaug.optics.spectra import WAVELENGTHS
 from uwaug.optics.surfaces import reflectances
@@ -61,6 +61,7 @@ def tables() -> dict[str, Any]:
     stored = {
         "bands": WAVELENGTHS,
         "waters": {name: _spectra(Water.jerlov(name).at(WAVELENGTHS)) for name in JERLOV_TYPES},
+        "words": IN_WORDS,
         "pure": pure,
         "contents": {
             "phytoplankton": at_1,

@@ -60,8 +60,8 @@ class Nearness(NamedTuple):
     doubt: str
 
     def __str__(self) -> str:
-        unit = "standard deviations of real photographs"
-        return f"draws that were kept are {self.kept:.2f} {unit} away, all draws {self.drawn:.2f}"
+        usual = f"all that were tried {self.drawn:.2f}, real photographs among each other about 1"
+        return f"the pictures that were kept are {self.kept:.2f} away from it ({usual})"
 
 
 @codec.plain
