@@ -29,8 +29,8 @@ const SLIDERS = {
 const WORDS = { ...tables.words, contents: "a mix of your own" };
 const PRESETS = {
   Reef: { water: "II", contrast: 0.6, vertical_depth: 8, white_balance: 0 },
-  Harbour: { water: "contents", chlorophyll: 4, cdom: 1.5, minerals: 3, contrast: 0.2, vertical_depth: 5, white_balance: 0 },
-  Lake: { water: "contents", chlorophyll: 6, cdom: 3, minerals: 0.5, vertical_depth: 4, white_balance: 0 },
+  Harbour: { water: "contents", chlorophyll: 4, cdom: 0.3, minerals: 3, contrast: 0.2, vertical_depth: 5, white_balance: 0 },
+  Lake: { water: "contents", chlorophyll: 10, cdom: 0.4, minerals: 1, vertical_depth: 4, white_balance: 0 },
   "Green fjord": { water: "contents", chlorophyll: 5, cdom: 0.6, minerals: 0.2, vertical_depth: 12, white_balance: 0 },
 };
 const DRAWN = ["water", ...Object.keys(SLIDERS).filter(name => SLIDERS[name][6] === "drawn")];
