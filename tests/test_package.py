@@ -111,7 +111,7 @@ def test_an_index_shows_no_link_to_a_file_that_it_does_not_have() -> None:
     for rule in project["tool"]["hatch"]["metadata"]["hooks"]["fancy-pypi-readme"]["substitutions"]:
         text = re.sub(rule["pattern"], rule["replacement"], text)
     targets = re.findall(r"\]\(([^)]*)\)", text)
-    assert "https://scikit-image.org/" in targets
+    assert "https://arxiv.org/abs/2509.15011" in targets
     assert [target for target in targets if not target.startswith(("https://", "#"))] == []
 
 

@@ -239,7 +239,7 @@ def test_all_that_is_pressed_is_24_px_high_and_wide(browser: Any, folder: Path, 
 
 
 def test_a_real_picture_beside_and_a_draw_that_looks_like_it(browser: Any, folder: Path) -> None:
-    green = {"water": "contents", "chlorophyll": 10, "cdom": 2, "white_balance": 0}
+    green = {"water": "contents", "chlorophyll": 10, "cdom": 0.3, "white_balance": 0}
     shown = Shown(browser, folder, contrast=0.15, **green)
     Image.fromarray(shown.picture().astype(np.uint8)).save(folder / "a reef.png")
     shown.tab.click("#reset")

@@ -19,7 +19,7 @@ from uwaug.transforms import RandomDevelopment, UnderwaterLike
 from uwaug.transforms.appearance import WATER_FEATURES, water_features
 
 H, W = 32, 48
-FEW: dict[str, Any] = {"draws": 180, "keep": 3}
+FEW: dict[str, Any] = {"draws": 90, "keep": 3}
 
 
 def pictures(count: int, seed: int = 0) -> Tensor:
@@ -50,7 +50,7 @@ def far(augment: RandomUnderwater) -> float:
     return sum(found) / len(found)
 
 
-GREEN = in_water("9C", 0.15)
+GREEN = in_water("9C", 0.1)
 
 
 @cache
