@@ -3,7 +3,7 @@
     python -m benchmarks.accuracy.blind --photographs FOLDER --sources FOLDER --out PAGES
     python -m benchmarks.accuracy.blind --out PAGES --verdicts FILE…
 
-The first line mixes 60 photographs taken under water and as many draws on pictures in air, and
+The first line mixes 60 photographs taken under water and 60 draws on pictures in air, and
 writes them as numbered pages of twenty, 220 px wide; `PAGES/key.json` says which is which. Show the
 pages, and nothing else, to someone who has not seen this project. A verdict is a line: the number,
 `C` (as for light, colour and haze, taken under water; what is shown does not matter), `O`
@@ -17,11 +17,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import torch
 from PIL import Image, ImageDraw
 
 import uwaug
 from uwaug.distance import MadeUp
+from uwaug.files import read_picture
 
 COUNT, PAGE, ACROSS = 60, 20, 5
 SIDE, WIDTH, HEIGHT = (220, 180), 224, 200  # px, of a picture at most and of its place
@@ -31,12 +31,11 @@ def write_pages(photographs: Path, sources: Path, out: Path, seed: int) -> None:
     """Pages of both kinds, in an order that a seed draws, and the key to them."""
     rng = np.random.default_rng(seed)
     real, air = (sorted(folder.glob("*.jpg")) for folder in (photographs, sources))
-    kinds = ["photograph"] * COUNT + ["draw"] * COUNT
     pictures = [Image.open(real[i]).convert("RGB") for i in rng.permutation(len(real))[:COUNT]]
+    kinds = ["photograph"] * len(pictures) + ["draw"] * COUNT
     augment = uwaug.RandomUnderwater(distance=MadeUp())
     for index in range(COUNT):
-        path = air[rng.integers(len(air))]
-        image = torch.from_numpy(np.array(Image.open(path).convert("RGB"))).movedim(-1, 0)
+        image = read_picture(air[rng.integers(len(air))])
         drawn = augment.at(seed=seed, epoch=0, index=index)(image)
         pictures.append(Image.fromarray(drawn.movedim(0, -1).numpy()))
     order = rng.permutation(len(pictures)).tolist()

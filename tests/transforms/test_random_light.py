@@ -47,7 +47,7 @@ def test_the_others_are_those_of_daylight() -> None:
 def test_lamps_light_a_twelfth_of_default_draws() -> None:
     augment, count = RandomUnderwater(), 600
     record = augment.make_params(picture()[None].expand(count, -1, -1, -1))
-    lit = [sample["numbers"]["light_night"] < 1 / 12 for sample in record["samples"]]
+    lit = [sample["numbers"]["light_night"] < augment.light.share for sample in record["samples"]]
     assert augment.light == RandomLight()
     assert sum(lit) / count == pytest.approx(1 / 12, abs=0.04)
 

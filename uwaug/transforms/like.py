@@ -60,8 +60,8 @@ class Nearness(NamedTuple):
     doubt: str
 
     def __str__(self) -> str:
-        usual = f"all that were tried {self.drawn:.2f}, real photographs among each other about 1"
-        return f"the pictures that were kept are {self.kept:.2f} away from it ({usual})"
+        usual = f"all that were tried {self.drawn:.2f}; 1 is the spread of real photographs"
+        return f"the pictures that were kept are {self.kept:.2f} away from it, {usual}"
 
 
 @codec.plain
