@@ -13,9 +13,9 @@ LAYERS = (
     "optics blur distance",
     "light",
     "formation fast",
-    "presets fitting onnx",
+    "fitting onnx",
     "transforms",
-    "published",
+    "presets published",
     "files adapters figures page",
     "cli",
 )

@@ -30,7 +30,6 @@ from .optics import Scattering as Scattering
 from .optics import Water as Water
 from .optics import load_camera as load_camera
 from .optics import load_water as load_water
-from .presets import Preset as Preset
 from .presets import list_presets as list_presets
 from .presets import load_preset as load_preset
 from .transforms import KeepVisible as KeepVisible

@@ -16,39 +16,12 @@ DOMAIN = {
     "vertical_depth": (0.0, math.inf),
     "g": (0.0, 1.0),
     "mu": (0.0, 1.0),
+    "color_matrix": (0.0, 1.0),
     "scale": (0.0, math.inf),
     "exponent": (1e-3, math.inf),
-    "near": (0.0, math.inf),
-    "far": (0.0, math.inf),
-    "gamma": (1e-3, math.inf),
     "distance": (0.0, math.inf),
-    "scene": (0.0, 1.0),
-    "contrast": (1e-3, 1.0),
-    "exposure": (-10.0, 10.0),
-    "color_matrix": (0.0, 1.0),
-    "white_balance": (-1.0, 1.0),
-    "saturation": (0.0, 4.0),
-    "gamut": (0.0, 1.0),
-    "tone": (0.25, 4.0),
-    "full_well": (1.0, math.inf),
-    "read_noise": (0.0, math.inf),
-    "noise_seed": (0.0, 2.0**32 - 1),
-    "snow_density": (1.0, 1e5),
-    "snow_seed": (0.0, 2.0**32 - 1),
-    "light_night": (0.0, 1.0),
-    "light_daylight": (0.0, math.inf),
-    "lamp_rig": (0.0, 1.0),
-    "lamp_count": (0.0, 1.0),
-    "lamp_aside": (-1.0, 1.0),
-    "lamp_above": (0.0, 1.0),
-    "lamp_across": (-2.0, 2.0),
-    "lamp_down": (-2.0, 2.0),
-    "lamp_cone": (1.0, 90.0),
-    "lamp_power": (-10.0, 10.0),
-    "lamp_tint": (-2.0, 2.0),
 }
-"""Least and largest value of every quantity that may be drawn or read from a preset. Infinity
-itself is never allowed.
+"""Least and largest value of quantities that several rooms read. Infinity itself is never allowed.
 """
 
 _FARTHEST_MEDIAN = 1000.0

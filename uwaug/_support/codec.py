@@ -1,12 +1,16 @@
-"""Dataclasses as plain dictionaries, as JSON and TOML hold them; the one codec of presets, records,
-fits, ONNX files, runs and options.
+"""Dataclasses as plain dictionaries, as JSON, YAML and TOML hold them; the one codec of presets,
+records, fits, ONNX files, runs and options.
+
+"none" stands for None where a field may be None, as TOML has no word for it.
 """
 
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, Field, fields
 from difflib import get_close_matches
-from typing import Any, TypeVar
+from functools import cache
+from types import NoneType
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -49,43 +53,79 @@ def to_plain(value: Any) -> Any:
         return [to_plain(item) for item in value]
     if isinstance(value, Mapping):
         return {str(key): to_plain(item) for key, item in value.items()}
-    if _KINDS.get(type(value).__name__) is type(value):
-        stored = {field.name: to_plain(getattr(value, field.name)) for field in changed(value)}
-        return {"kind": type(value).__name__, **stored}
+    if _is_plain(type(value)):
+        stored = {field.name: getattr(value, field.name) for field in changed(value)}
+        named = {name: "none" if item is None else to_plain(item) for name, item in stored.items()}
+        return {"kind": type(value).__name__, **named}
     raise TypeError(f"cannot be written as numbers and words: {value!r:.80}")
 
 
-def from_plain(data: Any, expected: type | None = None) -> Any:
+def from_plain(data: Any, *expected: type) -> Any:
     """The inverse of `to_plain`; lists become tuples.
 
     Args:
         data: from `to_plain`, or as a person writes it in TOML.
-        expected: the class of the result, where its name may be left out.
+        expected: classes of which the result is one. Where its name is left out, it is the first
+            that has all of the attributes.
 
     Raises:
         TypeError, ValueError: if the class is unknown, or refuses what it is given.
     """
     if isinstance(data, (list, tuple)):
-        return tuple(from_plain(item) for item in data)
+        return tuple(from_plain(item, *expected) for item in data)
     if not isinstance(data, Mapping):
         return data
-    values = {key: from_plain(item) for key, item in data.items()}
-    name = values.pop("kind", expected and expected.__name__)
-    if name is None:
-        return values
-    if name not in _KINDS or (expected is not None and not issubclass(_KINDS[name], expected)):
-        wanted = _KINDS if expected is None else [expected.__name__]
-        meant = _meant(str(name), wanted)
-        raise ValueError(f"kind must be {', '.join(wanted)}, got {name!r}{meant}")
-    kind = _KINDS[name]
-    names = [field.name for field in fields(kind) if field.init]
-    for key in values:
-        if key not in names:
-            raise TypeError(f"{name} has no {key!r}, only {', '.join(names)}{_meant(key, names)}")
+    kind = _kind_of(data, expected)
+    if kind is None:
+        return {key: from_plain(item) for key, item in data.items()}
+    members, values = _members(kind), {}
+    for key, item in data.items():
+        if key == "kind":
+            continue
+        of_field = members.get(key, ())
+        if not hasattr(kind, "of_plain") and key not in members:
+            has = f"{kind.__name__} has no {key!r}, only {', '.join(members)}"
+            raise TypeError(f"{has}{_meant(key, members)}")
+        is_none = isinstance(item, str) and item == "none" and NoneType in of_field
+        values[key] = None if is_none else from_plain(item, *filter(_is_plain, of_field))
     try:
         return getattr(kind, "of_plain", kind)(**values)  # of_plain: makes tensors of numbers
     except TypeError as error:  # an argument that is missing
-        raise TypeError(f"{name}: {error}") from None
+        raise TypeError(f"{kind.__name__}: {error}") from None
+
+
+def _kind_of(data: Mapping[str, Any], expected: tuple[type, ...]) -> type | None:
+    """The class that a dictionary stands for; None for a dictionary as such."""
+    if "kind" not in data:
+        has_all = (kind for kind in expected if data.keys() <= _members(kind).keys())
+        return next(has_all, expected[0] if expected else None)
+    name = data["kind"]
+    kind = _KINDS.get(name) if isinstance(name, str) else None
+    if kind is None or (expected and not issubclass(kind, expected)):
+        wanted = [kind.__name__ for kind in expected] or list(_KINDS)
+        raise ValueError(
+            f"kind must be {', '.join(wanted)}, got {name!r}{_meant(str(name), wanted)}"
+        )
+    return kind
+
+
+@cache
+def _members(kind: type) -> dict[str, tuple[type, ...]]:
+    """The classes that each field of a dataclass may have, by name."""
+    hints = get_type_hints(kind)
+    return {field.name: _flat(hints[field.name]) for field in fields(kind) if field.init}
+
+
+def _flat(hint: Any) -> tuple[Any, ...]:
+    """The classes in a type hint; not those in a mapping, which is written as such."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if not inner or (isinstance(origin, type) and issubclass(origin, Mapping)):
+        return (hint,)
+    return sum((_flat(each) for each in inner), ())
+
+
+def _is_plain(kind: Any) -> bool:
+    return isinstance(kind, type) and _KINDS.get(kind.__name__) is kind
 
 
 def _meant(word: str, words: Iterable[str]) -> str:
@@ -100,7 +140,10 @@ def changed(value: Any) -> list[Field[Any]]:
         return field.default if field.default_factory is MISSING else field.default_factory()
 
     def same(a: Any, b: Any) -> bool:
-        return type(a) is type(b) and not hasattr(a, "shape") and a == b
+        if type(a) is not type(b) or hasattr(a, "shape"):
+            return False
+        # of some classes, such as those of arrays, equality is identity
+        return a == b or (_is_plain(type(a)) and not changed(a) and not changed(b))
 
     stored = (f for f in fields(value) if f.init and f.metadata.get("stored", True))
     return [f for f in stored if not same(getattr(value, f.name), default(f))]

@@ -107,7 +107,7 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
         for name, pictures in kwargs.items():
             if name in self._key2func and pictures is not None:
                 image, distance = np.asarray(pictures), None
-                if self.augment.source.reads_maps:
+                if self.augment.distance.reads_maps:
                     distance = self._distance(name, image.ndim == 3, kwargs)
                 result[name] = self.apply(image, params["record"], distance)
         return result

@@ -2,7 +2,6 @@
 
 import tomllib
 from collections.abc import Sequence
-from copy import deepcopy
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -60,8 +59,8 @@ def degrade(
         list[str] | None,
         typer.Option(
             "--set",
-            help="Any argument of RandomUnderwater: vertical_depth=0:5, development.saturation=1, "
-            "mixing=0:1; drift=.004, m a frame, of a sequence; quality=80, of JPEG; repeat it.",
+            help="Any option: water.vertical_depth=0:5, development.saturation=1, light=none; "
+            "drift=.004, m a frame, of a sequence; quality=80, of JPEG; repeat it.",
             metavar="NAME=VALUE",
         ),
     ] = None,
@@ -109,7 +108,7 @@ def degrade(
 
         chosen = _options(preset, plain, options, set_ or (), water or (), contrast)
         of_run = {name: chosen.pop(name) for name in ("drift", "quality") if name in chosen}
-        if plain and not (chosen.get("waters") and (distance or "distance" in chosen)):
+        if plain and not (chosen["water"].get("waters") and (distance or "distance" in chosen)):
             raise ValueError("--plain draws nothing: give both, one --water and --distance")
         of_maps: Any = {"unit": number_or_word(unit), "holes": number_or_word(holes)}
         said = distances_of(distance, chosen.pop("distance", None), sequence=sequence, **of_maps)
@@ -169,16 +168,19 @@ def _options(
     """Options of `RandomUnderwater` as plain values; the later of these take the place of the
     earlier.
     """
-    from uwaug.transforms.random_underwater import PLAIN, RandomUnderwater
+    from uwaug.presets import load_preset
+    from uwaug.transforms import RandomDevelopment, RandomWater
 
     if plain and preset is not None:
         raise ValueError("--plain and --preset exclude each other: presets have figures of theirs")
-    options: dict[str, Any] = deepcopy(PLAIN) if plain else {}
+    options: dict[str, Any] = {"water": {}}
+    if plain:
+        nouns = {"water": RandomWater.PLAIN, "development": RandomDevelopment.PLAIN}
+        options = {**{name: dict(values) for name, values in nouns.items()}, "light": None}
     if preset is not None:
         replaced = {"water": waters[0]} if waters else {}
-        options = RandomUnderwater.from_preset(preset, **replaced).to_dict()
-    if waters:
-        options["waters"] = list(waters)
+        options |= load_preset(preset, **replaced).to_dict()
+        options.pop("distance", None)  # of a preset's own maps
     if file is not None:
         try:
             tables = tomllib.loads(file.read_text(encoding="utf-8"))
@@ -187,8 +189,12 @@ def _options(
         for name, value in tables.items():
             both = isinstance(value, dict) and isinstance(options.get(name), dict)
             options[name] = options[name] | value if both else value
+    if not isinstance(options["water"], dict):
+        options["water"] = {"waters": options["water"]}
+    if waters:
+        options["water"]["waters"] = list(waters)
     if contrast is not None:
-        options["contrast"] = _value(contrast)
+        options["water"]["contrast"] = _value(contrast)
     for setting in settings:
         name, equals, text = setting.partition("=")
         if not equals:

@@ -30,10 +30,10 @@ def export(
     from uwaug.presets import load_preset
 
     with reported_errors(), status() as say:
-        if preset.endswith(".json"):
-            if water is not None:
-                raise ValueError(f"{preset} holds coefficients, which no water replaces")
-            module = load_fit(preset).module(sides=sides)
+        if preset.endswith(".json") and water is None:
+            module = load_fit(preset).module(
+                sides=sides
+            )  # planned for the distances of its pictures
         else:
             module = load_preset(preset, water=water).module(sides=sides)
         export_onnx(module, out, coefficients=coefficients, progress=say)

@@ -54,7 +54,7 @@ def plot(
         if preset is None:
             case = water_case(load_water(water or "1C"), scene)
         else:
-            case = preset_case(load_preset(preset, water=water))
+            case = preset_case(preset, load_preset(preset, water=water))
     _draw_into(out, scene, own_pictures(case), force)
     if scene.note:
         print(scene.note)

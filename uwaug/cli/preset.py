@@ -1,6 +1,7 @@
 """`uwaug preset …` and `uwaug waters`."""
 
-from typing import Annotated
+from contextlib import suppress
+from typing import Annotated, Any
 
 import typer
 
@@ -22,11 +23,13 @@ def list_() -> None:
 
     from uwaug.presets import load_preset
 
-    table = Table("name", "distance (m)", "γ", "field", "source", box=None, pad_edge=False)
+    table = Table("name", "distance (m)", "γ", "field", "what", box=None, pad_edge=False)
     for name in list_presets():
-        p = load_preset(name)
-        low, high = p.field_range
-        table.add_row(name, f"{p.near:g}–{p.far:g}", f"{p.gamma:g}", f"{low:g}–{high:g}", p.source)
+        preset = load_preset(name)
+        low, high = preset.water.field or (1.0, 1.0)
+        z: Any = preset.distance
+        what = preset_path(name).read_text(encoding="utf-8").partition("\n")[0].lstrip("# ")
+        table.add_row(name, f"{z.near:g}–{z.far:g}", f"{z.gamma:g}", f"{low:g}–{high:g}", what)
     # a line for each, that a script can read, however narrow the terminal
     Console(width=_WIDE).print(table)
 
@@ -45,9 +48,11 @@ def show(
 
     with reported_errors():
         path = preset_path(name)
-        text, medium = path.read_text(encoding="utf-8"), load_preset(path).medium
-    # as a comment: what is printed is a preset's file too
-    print(f"{text.rstrip()}\n\n# It comes to {medium}")
+        text, preset = path.read_text(encoding="utf-8"), load_preset(path)
+    print(text.rstrip())
+    with suppress(ValueError):  # where something is random, there is no one medium
+        # as a comment: what is printed is a preset's file too
+        print(f"\n# It comes to {preset.module().medium}")
 
 
 def waters() -> None:

@@ -10,9 +10,10 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate
 
 from uwaug._support import checks, codec
+from uwaug._support.nouns import Drawn, number
 from uwaug._support.ranges import Range
 from uwaug.distance import cue
-from uwaug.distance.sources import Numbers, Source, require_ends
+from uwaug.distance.sources import Source, require_ends
 
 # How it was chosen, and what lost: benchmarks/CHOICES.md, "Made-up distances".
 
@@ -64,8 +65,8 @@ class MadeUp(Source):
     reads_maps = False
     reads_pictures = True
 
-    near: Range = (0.7, 2.0)
-    far: Range = (2.2, 7.0)
+    near: Range = number((0.7, 2.0), 0.0)
+    far: Range = number((2.2, 7.0), 0.0)
     cue: Literal["network", "ramp"] = "network"
 
     def __post_init__(self) -> None:
@@ -73,15 +74,15 @@ class MadeUp(Source):
             raise ValueError(f"near must lie above 0 m, as its logarithm counts, got {self.near}")
         checks.one_of("cue", self.cue, ("network", "ramp"))
 
-    def ranges(self) -> dict[str, Range]:
-        """See `Source.ranges`; all else that is random follows from "scene"."""
-        return {"near": self.near, "far": self.far, "scene": (0.0, 1.0)}
+    def ranges(self) -> dict[str, Range | None]:
+        """See `Noun.ranges`; all else that is random follows from "scene"."""
+        return {**super().ranges(), "scene": (0.0, 1.0)}
 
     @torch.no_grad()
-    def metres(self, distance: Tensor | None, image: Tensor, numbers: Numbers) -> Tensor:
+    def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn) -> Tensor:
         """See `Source.metres`."""
         white = 255.0 if image.dtype == torch.uint8 else 1.0
-        rng = np.random.default_rng(int(numbers["scene"] * 2**53))
+        rng = np.random.default_rng(int(drawn["scene"] * 2**53))
         picture = cue.small_copy(image).float() / white
         guide = avg_pool2d(picture[None], 2)[0]
         height, width = guide.shape[1:]
@@ -92,7 +93,7 @@ class MadeUp(Source):
             log, is_open = (answer.double().numpy() for answer in answers)
         small = torch.from_numpy(_varied(log, is_open, rng)).float()
         depth = _upsampled(small, guide, image, white)
-        near, far = numbers["near"], numbers["far"]
+        near, far = drawn["near"], drawn["far"]
         z = depth.clamp(max=1) if float(small.max()) > 1 else depth
         z = z.mul_(math.log(far / near)).exp_().mul_(near)
         if z is not depth:

@@ -11,10 +11,10 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from uwaug._support import checks, codec
+from uwaug._support.nouns import Drawn
 from uwaug._support.onnx_session import Session
-from uwaug._support.ranges import Range
 from uwaug.distance.sizes import require_aspect
-from uwaug.distance.sources import Inverse, Numbers, Source
+from uwaug.distance.sources import Inverse, Source
 
 _TYPES = {
     "tensor(float)": torch.float32,
@@ -84,17 +84,13 @@ class Network(Source):
         session = Session(self.model, threads=None, providers=self.providers)
         object.__setattr__(self, "_session", session)
 
-    def ranges(self) -> dict[str, Range]:
-        """See `Source.ranges`."""
-        return self.holds.ranges()
-
-    def metres(self, distance: Tensor | None, image: Tensor, numbers: Numbers) -> Tensor:
+    def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn) -> Tensor:
         """See `Source.metres`."""
         guess = self(image / 255 if image.dtype == torch.uint8 else image)
         checks.floating("the network's map", guess)
         checks.picture("the network's map", guess, 1)
         require_aspect("the network's map", guess, image)
-        return self.holds.metres(guess, image, numbers)
+        return self.holds.metres(guess, image, drawn["holds"])
 
     @torch.no_grad()
     def __call__(self, image: Tensor) -> Tensor:

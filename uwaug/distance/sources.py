@@ -3,7 +3,6 @@ there are no maps. After it there are metres at every pixel, or an error.
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Literal, get_args
 
@@ -11,14 +10,12 @@ import torch
 from torch import Tensor
 
 from uwaug._support import checks, codec
+from uwaug._support.nouns import Drawn, Noun, number
 from uwaug._support.once import Once
 from uwaug._support.ranges import Range, as_range
 from uwaug.distance.convert import along_ray, as_maps, from_inverse, from_relative
 from uwaug.distance.fill import fill_unknown
 from uwaug.distance.unknown import FARTHEST_SEEN, in_words, of_metres, of_shares, range_end
-
-Numbers = Mapping[str, float]
-"""What a picture has drawn, by name."""
 
 _Policy = Literal["error", "fill", "behind", "far"]
 Holes = _Policy | float
@@ -36,7 +33,7 @@ _WIDEST = 8.0
 """Diagonal of a picture over its focal length: of 152°, wider than any view without fisheye."""
 
 
-class Source:
+class Source(Noun):
     """Where the distances of a picture come from. A subclass is a frozen dataclass.
 
     Attributes:
@@ -48,11 +45,13 @@ class Source:
     reads_maps: ClassVar[bool] = True
     reads_pictures: ClassVar[bool] = False
 
-    def ranges(self) -> dict[str, Range]:
-        """Each number that a picture draws, by name."""
-        return {}
+    def reach(self) -> tuple[float, float] | None:
+        """The nearest and the farthest distance of all pictures, m; None where maps say it."""
+        if not {"near", "far"} <= self._ends.keys():
+            return None
+        return self._ends["near"][0], self._ends["far"][1]
 
-    def metres(self, distance: Tensor | None, image: Tensor, numbers: Numbers) -> Tensor:
+    def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn) -> Tensor:
         """The distances of a picture (1xHxW): metres above 0, or +inf for open water.
 
         Args:
@@ -60,7 +59,7 @@ class Source:
                 aspect; of a smaller one the distances are brought to the picture's size.
             image (3xHxW tensor): the picture; uint8, or floating point in 0…1. sRGB where
                 `reads_pictures`.
-            numbers: drawn from `ranges`.
+            drawn: what the picture has drawn, by name.
 
         Raises:
             ValueError: if the map holds something else, or holes that `holes` says nothing of.
@@ -90,7 +89,7 @@ class Metres(Source):
         if self.focal_px is not None:
             along_ray(torch.ones(1, 1), self.focal_px)  # refuses what is none
 
-    def metres(self, distance: Tensor | None, image: Tensor, numbers: Numbers) -> Tensor:
+    def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn) -> Tensor:
         """See `Source.metres`."""
         assert distance is not None
         z = as_maps("distance", distance)
@@ -122,9 +121,9 @@ class Relative(Source):
             "error" only warns of 0, which may be near. Let geometric transforms pad with NaN.
     """
 
-    near: Range = 1.0
-    far: Range = 5.0
-    gamma: Range = 1.0
+    near: Range = number(1.0, 0.0)
+    far: Range = number(5.0, 0.0)
+    gamma: Range = number(1.0, 1e-3)
     holes: Holes = "error"
 
     def __post_init__(self) -> None:
@@ -132,17 +131,13 @@ class Relative(Source):
         as_range("gamma", self.gamma, 1e-3)
         _require_holes(self.holes)
 
-    def ranges(self) -> dict[str, Range]:
-        """See `Source.ranges`."""
-        return {"near": self.near, "far": self.far, "gamma": self.gamma}
-
-    def metres(self, distance: Tensor | None, image: Tensor, numbers: Numbers) -> Tensor:
+    def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn) -> Tensor:
         """See `Source.metres`."""
         assert distance is not None
-        near = max(numbers["near"], _TOUCHING)
+        near = max(drawn["near"], _TOUCHING)
         t = as_maps("distance", distance)
         t = _asked(t, of_shares(t), self.holes)
-        z = from_relative(t, near, numbers["far"], numbers["gamma"])
+        z = from_relative(t, near, drawn["far"], drawn["gamma"])
         return _without_holes(z, self.holes)
 
 
@@ -160,8 +155,8 @@ class Inverse(Source):
             may be the sky.
     """
 
-    near: Range = 1.0
-    far: Range = 5.0
+    near: Range = number(1.0, 0.0)
+    far: Range = number(5.0, 0.0)
     holes: Holes = "error"
 
     def __post_init__(self) -> None:
@@ -169,16 +164,12 @@ class Inverse(Source):
             raise ValueError(f"near must lie above 0 m in inverse depth, got {self.near}")
         _require_holes(self.holes)
 
-    def ranges(self) -> dict[str, Range]:
-        """See `Source.ranges`."""
-        return {"near": self.near, "far": self.far}
-
-    def metres(self, distance: Tensor | None, image: Tensor, numbers: Numbers) -> Tensor:
+    def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn) -> Tensor:
         """See `Source.metres`."""
         assert distance is not None
         inverse = as_maps("distance", distance)
         inverse = _asked(inverse, of_shares(inverse), self.holes)
-        return _without_holes(from_inverse(inverse, numbers["near"], numbers["far"]), self.holes)
+        return _without_holes(from_inverse(inverse, drawn["near"], drawn["far"]), self.holes)
 
 
 @codec.plain
@@ -190,25 +181,20 @@ class Plane(Source):
     network may learn only the tint.
 
     Attributes:
-        low, high: m, between which its distance is drawn; `low` if there is no `high`.
+        distance: m; a number or (low, high).
     """
 
     reads_maps = False
 
-    low: float = 1.0
-    high: float | None = None
+    distance: Range = number(1.0, 0.0)
 
     def __post_init__(self) -> None:
-        as_range("distance", self.ranges()["distance"], 0.0, unit="m")
+        as_range("distance", self.distance, 0.0, unit="m")
 
-    def ranges(self) -> dict[str, Range]:
-        """See `Source.ranges`."""
-        return {"distance": (self.low, self.low if self.high is None else self.high)}
-
-    def metres(self, distance: Tensor | None, image: Tensor, numbers: Numbers) -> Tensor:
+    def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn) -> Tensor:
         """See `Source.metres`."""
         dtype = torch.promote_types(image.dtype, torch.float32)
-        return image.new_full((1, *image.shape[-2:]), numbers["distance"], dtype=dtype)
+        return image.new_full((1, *image.shape[-2:]), drawn["distance"], dtype=dtype)
 
 
 def _require_holes(holes: object) -> None:

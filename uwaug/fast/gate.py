@@ -80,7 +80,7 @@ def warm_up() -> None:
     for surfaces in ("grey", "spectral"):
         # a blur on coarse grids, so that their loops are compiled too
         medium = Medium.from_water("7C", surfaces=surfaces, point_spread=PointSpread(30.0))
-        medium = medium.with_snow(MarineSnow())
+        medium = medium.with_snow(MarineSnow(seed=0))
         for image in (torch.full((1, 3, 8, 8), 0.5), torch.zeros(1, 3, 8, 8, dtype=torch.uint8)):
             form(image, z, medium.to(torch.float32), NEUTRAL, "srgb", None, 0.002)
 

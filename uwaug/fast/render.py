@@ -144,7 +144,7 @@ def _gains(
     else:
         balance = float(development.white_balance)
     saturation, stops = float(development.saturation), float(development.exposure)
-    camera = stops, development.metered, balance, factors, saturation
+    camera = stops, bool(development.metered), balance, factors, saturation
     if not development.measures:
         matrices = np.stack([gain_at(np.zeros((3, 3)), 0.0, *camera)])
     else:

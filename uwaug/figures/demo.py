@@ -31,8 +31,8 @@ from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import FOCAL_LENGTH, PointSpread
 from uwaug.optics.scattering import Scattering
 from uwaug.optics.water import Water
-from uwaug.presets.preset import Preset
 from uwaug.presets.scene import Scene
+from uwaug.transforms.random_underwater import RandomUnderwater
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -73,13 +73,14 @@ def water_case(water: Water, scene: Scene, field_range: tuple[float, float] = (1
     return Case(name, _SETTING, _in_waters([water], scene), field_range)
 
 
-def preset_case(preset: Preset) -> Case:
-    """What a preset comes to."""
+def preset_case(name: str, preset: RandomUnderwater) -> Case:
+    """What a preset of which nothing is random comes to, over the scene's own distances."""
+    only = preset.module()
     module = Underwater(
-        preset.medium, None, color_space=preset.color_space, development=preset.development
+        only.medium, None, color_space=only.color_space, development=only.development
     )
-    setting = f"Preset {preset.name}: {preset.medium.notes[0]}"
-    return Case(f"preset {preset.name}", setting, module, preset.field_range)
+    setting = f"Preset {name}: {only.medium.notes[0]}"
+    return Case(f"preset {name}", setting, module, preset.water.field or (1.0, 1.0))
 
 
 def _in_waters(waters: Sequence[Water], scene: Scene) -> Underwater:

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from uwaug._support.threads import one_thread
 from uwaug.distance.doubts import REVERSED, doubts, evidence
-from uwaug.distance.sources import Inverse, Metres, Relative, Source
+from uwaug.distance.sources import Inverse, Metres, Relative
 from uwaug.distance.unknown import in_words, of_shares
 from uwaug.files.films import frames_of
 from uwaug.files.items import Item
@@ -86,7 +86,6 @@ class _Sample(NamedTuple):
 
 def _samples(recipe: Recipe, items: Sequence[Item]) -> list[_Sample]:
     source = recipe.transform.distance
-    assert isinstance(source, Source)
     if isinstance(source, (Metres, Relative, Inverse)) and source.holes != "error":
         source = replace(source, holes="far")  # filling takes seconds, and refuses little
     samples = []
@@ -100,7 +99,7 @@ def _samples(recipe: Recipe, items: Sequence[Item]) -> list[_Sample]:
                 z = recipe.read_map(item)
                 if z is not None:
                     (drawn,) = recipe.drawn(item.name, 0)["samples"]
-                    source.metres(z, image, drawn["numbers"])
+                    source.metres(z, image, drawn["distance"])
             except Exception as error:
                 refused = reason_of(error)
                 if not refused.startswith(str(item.distance)):

@@ -1,6 +1,5 @@
 """Pictures in files under water."""
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from os.path import splitext
@@ -12,7 +11,7 @@ from torch import Tensor
 from uwaug._support import codec
 from uwaug._support.threads import one_thread
 from uwaug.distance.made_up import MadeUp
-from uwaug.distance.sources import Inverse, Relative, Source
+from uwaug.distance.sources import Inverse, Relative
 from uwaug.distance.unknown import of_shares
 from uwaug.files.films import Films, frames_of
 from uwaug.files.formats import open_labels
@@ -199,10 +198,15 @@ class _Underwater(Work):
             return "left alone"
         reached = record["reached"]
         metres = [f"{reached['metres']:.2g} m"] if reached else []
-        names = " + ".join(sample["waters"])
-        # contents to two digits, so that a label holds them
-        water = re.sub(r"(?<==)[\d.]+", lambda number: f"{float(number[0]):.2g}", names)
+        water = " + ".join(_short_name(water) for water in sample["water"]["waters"])
         return ", ".join([*metres, f"contrast {record['contrast']:.2f}"]) + f"\n{water}"
+
+
+def _short_name(water: str | dict[str, float]) -> str:
+    """The name of a water; contents to two digits, so that a label holds them."""
+    if isinstance(water, str):
+        return water
+    return ",".join(f"{content}={amount:.2g}" for content, amount in water.items() if amount)
 
 
 def _degraded(
@@ -236,7 +240,6 @@ def _asked(
 
 def _require_distances(recipe: Recipe, items: Sequence[Item]) -> None:
     source = recipe.transform.distance
-    assert isinstance(source, Source)
     missing = next((item.name for item in items if item.distance is None), None)
     if missing and source.reads_maps:
         cure = "give --distance: files, metres, or made-up (MadeUp())"

@@ -26,8 +26,7 @@ import torch
 from torch import Tensor
 
 from uwaug._support import checks
-from uwaug._support.checks import DOMAIN
-from uwaug._support.codec import from_plain, plain
+from uwaug._support.codec import plain
 from uwaug._support.compiled import compiled
 from uwaug._support.types import Array
 from uwaug.formation.colour import LUMINANCE
@@ -77,7 +76,14 @@ STEPS = (791_547, 597_521)
 """
 
 
-_NUMBERS = ("exposure", "white_balance", "saturation", "gamut", "tone")
+DOMAINS = {
+    "exposure": (-10.0, 10.0),
+    "white_balance": (-1.0, 1.0),
+    "saturation": (0.0, 4.0),
+    "gamut": (0.0, 1.0),
+    "tone": (0.25, 4.0),
+}
+"""Least and largest value of each number of a development."""
 
 
 @plain
@@ -99,13 +105,14 @@ class Development:
             goes on along the curve's slope there.
         metered: whether the exposure's stops are on top of one gain for each picture, from 1/8 to
             64, that keeps the mean luminance of the scene, and its farthest veil at or below white;
-            under a `Light` all but the brightest 5 % of what is seen.
+            under a `Light` all but the brightest 5 % of what is seen. None: if exposure is "auto".
         noise: the sensor, see `uwaug.Sensor`; None for light without noise.
 
     `stack` makes one of several, whose numbers are tensors (B).
 
     Raises:
-        TypeError, ValueError: if a number is none, or outside of its range.
+        TypeError, ValueError: if a number is none, or outside of its range; or if the exposure is
+            "auto" and not metered.
     """
 
     exposure: float | Tensor | Literal["auto"] = 0.0
@@ -113,30 +120,33 @@ class Development:
     saturation: float | Tensor = 1.0
     gamut: float | Tensor = 0.0
     tone: float | Tensor = 1.0
-    metered: bool = False
+    metered: bool | None = None
     noise: Sensor | None = None
 
     def __post_init__(self) -> None:
-        if isinstance(self.exposure, str) and self.exposure == "auto":
+        is_auto = isinstance(self.exposure, str) and self.exposure == "auto"
+        if is_auto:
+            if self.metered is False:
+                raise ValueError("development: exposure 'auto' is metered, got metered=False")
             object.__setattr__(self, "exposure", 0.0)
             object.__setattr__(self, "metered", True)
-        numbers = {name: getattr(self, name) for name in _NUMBERS}
-        object.__setattr__(self, "noise", sensor_of(self.noise))
         if self.noise is not None:
-            numbers |= {name: getattr(self.noise, name) for name in ("full_well", "read_noise")}
-        for name, value in numbers.items():
+            checks.instance("development: noise", self.noise, Sensor)
+            self.noise.require_fixed("development: noise")
+        for name, domain in DOMAINS.items():
+            value = getattr(self, name)
             if name == "white_balance" and isinstance(value, tuple):
                 for factor in value:
                     checks.positive("development: white_balance", factor)
             elif not isinstance(value, Tensor):
-                checks.within(f"development: {name}", value, *DOMAIN[name])
+                checks.within(f"development: {name}", value, *domain)
 
     @staticmethod
     def stack(developments: "Sequence[Development]", like: Tensor) -> "Development":
         """One for each picture of a batch, on the device of a tensor; all metered or none."""
-        columns = [[getattr(d, name) for d in developments] for name in _NUMBERS]
+        columns = [[getattr(d, name) for d in developments] for name in DOMAINS]
         numbers = torch.tensor(columns, dtype=like.dtype).to(like.device)
-        named = dict(zip(_NUMBERS, numbers, strict=True))
+        named = dict(zip(DOMAINS, numbers, strict=True))
         sensors = [d.noise for d in developments if d.noise is not None]
         noise = Sensor.stack(sensors, like) if sensors else None
         return Development(**named, metered=developments[0].metered, noise=noise)
@@ -162,7 +172,7 @@ class Development:
     def measures(self) -> bool:
         """Whether the gain depends on the picture."""
         share = self.white_balance
-        return self.metered or (not isinstance(share, tuple) and _some(share))
+        return bool(self.metered) or (not isinstance(share, tuple) and _some(share))
 
     def settled(
         self, J: Tensor, z: Tensor, medium: Medium, T: Curves | None = None
@@ -208,14 +218,6 @@ class Development:
 def _some(share: float | Tensor) -> bool:
     """Whether a white balance does anything; of those of several pictures it is not asked."""
     return isinstance(share, Tensor) or share > 0
-
-
-def sensor_of(noise: Any) -> Sensor | None:
-    """The sensor that is given, also as a table of its arguments."""
-    sensor: Sensor | None = from_plain(noise, Sensor)
-    if sensor is not None:
-        checks.instance("development: noise", sensor, Sensor)
-    return sensor
 
 
 def _of_rows(number: Any, axes: int) -> float | Tensor:

@@ -1,7 +1,7 @@
 """The noise of a sensor: of the photons that it counts, and of reading it out."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from uwaug._support.codec import plain
+from uwaug._support.nouns import Seeded, number
 from uwaug._support.ranges import Range
 
 _COUNT = 1 << 20
@@ -19,7 +20,7 @@ that no two pictures look alike. (1024²: .3 ms; anew by torch.randn 7.)
 
 @plain
 @dataclass(frozen=True)
-class Sensor:
+class Sensor(Seeded):
     """A sensor, in electrons of one pixel of the picture.
 
     White light at the surface, 1, fills the well: light L frees N = full_well·L electrons, which
@@ -44,8 +45,8 @@ class Sensor:
     on Image Processing 17, 2008): below 10 electrons the spread of bytes is right within 7 %.
     """
 
-    full_well: Range | Tensor
-    read_noise: Range | Tensor = 3.0
+    full_well: Range | Tensor = number(MISSING, 1.0, logarithmic=True)
+    read_noise: Range | Tensor = number(3.0, 0.0)
     seed: Any = None
 
     @staticmethod

@@ -35,7 +35,7 @@ References:
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Self
@@ -44,6 +44,7 @@ import numpy as np
 
 from uwaug._support import checks
 from uwaug._support.codec import plain
+from uwaug._support.nouns import Noun, number
 from uwaug._support.types import Array
 from uwaug.optics.spectra import WAVELENGTHS, read_spectra
 
@@ -78,7 +79,7 @@ LOST_BY_SCATTERING = 0.425 * MEAN_COSINE - 0.19
 
 @plain
 @dataclass(frozen=True)
-class Constituents:
+class Constituents(Noun):
     """Ranges of what is in a water, from which `RandomUnderwater` draws one for each picture.
 
     Each is a number or (low, high), drawn uniformly in its logarithm.
@@ -99,9 +100,9 @@ class Constituents:
         True
     """
 
-    chlorophyll: float | tuple[float, float] = 0.0
-    cdom: float | tuple[float, float] = 0.0
-    minerals: float | tuple[float, float] = 0.0
+    chlorophyll: float | tuple[float, float] = number(0.0, 0.0, MAX_CONTENT, logarithmic=True)
+    cdom: float | tuple[float, float] = number(0.0, 0.0, MAX_CONTENT, logarithmic=True)
+    minerals: float | tuple[float, float] = number(0.0, 0.0, MAX_CONTENT, logarithmic=True)
 
     def __post_init__(self) -> None:
         for name, unit in UNITS.items():
@@ -145,35 +146,19 @@ class Constituents:
         return ",".join(texts) or "chlorophyll=0"
 
     @property
-    def ranges(self) -> dict[str, tuple[float, float]]:
-        """(low, high) of each."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {name: v if isinstance(v, tuple) else (v, v) for name, v in values.items()}
-
-    @property
     def fixed(self) -> bool:
         """Whether it is one water, with nothing to draw."""
-        return all(low == high for low, high in self.ranges.values())
+        return not self.random()
 
     @property
     def amounts(self) -> dict[str, float]:
         """How much of each is in it, where it is one water."""
-        return {name: low for name, (low, _) in self.ranges.items()}
+        return asdict(self)
 
-    def drawn(self, shares: Mapping[str, float]) -> Self:
-        """One water: each at this share (0…1) of the way from low to high, by its logarithm. Four
-        digits, so that a record that names the water says all of it.
-        """
-        values = {}
-        for name, (low, high) in self.ranges.items():
-            value = low if low == high else low * (high / low) ** shares[name]
-            values[name] = min(max(float(f"{value:.4g}"), low), high)
-        return type(self)(**values)
-
-    def holds(self, other: "Constituents") -> bool:
-        """Whether `other` is one of the waters that can be drawn."""
-        mine, theirs = self.ranges, other.ranges
-        return other.fixed and all(mine[n][0] <= theirs[n][0] <= mine[n][1] for n in UNITS)
+    def holds(self, amounts: Mapping[str, float]) -> bool:
+        """Whether a water with so much of each can be drawn."""
+        each = amounts.keys() == self._ends.keys()
+        return each and all(low <= amounts[n] <= high for n, (low, high, _) in self._ends.items())
 
 
 def _text(value: float | tuple[float, float]) -> str:
@@ -182,10 +167,9 @@ def _text(value: float | tuple[float, float]) -> str:
     return ":".join(repr(number).removesuffix(".0") for number in numbers)
 
 
-def optical_properties(water: Constituents) -> Array:
-    """a, b and K_d (3, N) [1/m] at `WAVELENGTHS` of one water."""
+def optical_properties(amounts: Mapping[str, float]) -> Array:
+    """a, b and K_d (3, N) [1/m] at `WAVELENGTHS` of a water with so much of each content."""
     absorption, scattering = pure_water(WAVELENGTHS.tobytes())
-    amounts = water.amounts
     a = absorption + amounts["cdom"] * CDOM + amounts["minerals"] * ABSORBED_BY_MINERALS
     by_particles = amounts["minerals"] * SCATTERED_BY_MINERALS
     chlorophyll = amounts["chlorophyll"]

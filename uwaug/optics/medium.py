@@ -136,7 +136,11 @@ class Medium:
 
     @staticmethod
     def of_plain(**values: Any) -> "Medium":
-        """A medium of plain numbers, see `uwaug._support.codec`."""
+        """A medium of plain numbers, see `uwaug._support.codec`; or of those of
+        `from_coefficients`, as a person writes them.
+        """
+        if "veil" in values:
+            return Medium.from_coefficients(**values)
         stored = values.keys() & Medium.TENSORS
         tensors = {name: torch.tensor(values[name], dtype=torch.float64) for name in stored}
         return Medium(**values | tensors)
@@ -291,7 +295,7 @@ class Medium:
         if snow is None:
             return replace(self, snow=())
         checks.instance("snow", snow, MarineSnow)
-        checks.within("snow: density", snow.density, *DOMAIN["snow_density"])  # no range
+        snow.require_fixed("snow")
         return replace(self, snow=(snow,) * len(self))
 
     def __len__(self) -> int:

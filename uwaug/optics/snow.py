@@ -4,10 +4,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import torch
 
 from uwaug._support import checks
 from uwaug._support.codec import plain
-from uwaug._support.ranges import Range
+from uwaug._support.nouns import SEEDS, Seeded, number, require_seed
+from uwaug._support.ranges import Range, as_range
 from uwaug._support.types import Array
 
 COUNTED = 0.5e-3
@@ -53,7 +55,7 @@ class Particles(NamedTuple):
 
 @plain
 @dataclass(frozen=True)
-class MarineSnow:
+class MarineSnow(Seeded):
     """Particles in the water before a camera, by a seed.
 
     Their number falls with the third power of the diameter, n(d) ∝ d^−3, from 50 µm to 5 mm. Of
@@ -66,7 +68,8 @@ class MarineSnow:
             spread, send less, as aggregates are translucent.
         aperture: of the lens, m: focal length over f-number.
         focus: distance at which it is sharp, m.
-        seed: 0…2^32 − 1; the same snow in pictures of any size.
+        seed: a whole number from 0 to 2^32 − 1, of snow that is the same in all pictures, of any
+            size; None: anew each time. Pictures that are drawn record their own.
         drift: m by which the particles have moved to the right; those that leave the view come
             back on its other side.
 
@@ -80,20 +83,20 @@ class MarineSnow:
         >>> medium = Medium.from_water("II").with_snow(MarineSnow(5000))  # doctest: +SKIP
     """
 
-    density: Range = 2000.0
+    density: Range = number(2000.0, 1.0, 1e5, logarithmic=True)
     reflectance: float = 0.2
     aperture: float = 3e-3
     focus: float = 1.5
-    seed: int = 0
+    seed: int | None = None
     drift: float = 0.0
 
     def __post_init__(self) -> None:
-        if not isinstance(self.density, tuple):
-            checks.within("snow: density", self.density, *checks.DOMAIN["snow_density"])
+        as_range("snow: density", self.density, 1.0, 1e5)
         checks.within("snow: reflectance", self.reflectance, 0.0, 1.0)
         checks.within("snow: aperture", self.aperture, 0.0, 1.0)
         checks.positive("snow: focus", self.focus)
-        checks.within("snow: seed", self.seed, *checks.DOMAIN["snow_seed"])
+        if self.seed is not None:
+            require_seed("snow: seed", self.seed)
         checks.within("snow: drift", self.drift)
 
     def particles(self, right: float, down: float) -> Particles:
@@ -103,10 +106,11 @@ class MarineSnow:
         half = _MARGIN * max(right, down)
         reach = SIZES[1] / LEAST_ANGLE
         # N(> d) is density·(COUNTED/d)², and of a metre at z the view has (2 half·z)² m³
-        assert not isinstance(self.density, tuple)
+        assert not isinstance(self.density, tuple)  # see `Medium.with_snow`
         each_metre = self.density * (COUNTED / LEAST_ANGLE * 2 * half) ** 2
         count = round(each_metre * reach)
-        shares = np.random.default_rng(int(self.seed)).random((count, 7)).T
+        seed = int(torch.randint(SEEDS, ())) if self.seed is None else self.seed
+        shares = np.random.default_rng(seed).random((count, 7)).T
         x, y, z, share, stretch, turn, brightness = shares
         z = z * reach
         diameter = LEAST_ANGLE * z / np.sqrt(1 - share)

@@ -5,7 +5,7 @@ sees through it, and how much of what is in it that takes.
 import math
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
@@ -192,10 +192,14 @@ class Water(Spectra):
         for content, amount in contents.items():
             checks.one_of("content", content, UNITS)
             checks.within(content, amount, 0.0, MAX_CONTENT)
-        water = Constituents(**contents)
-        name = water.name if name is None else name
-        table = optical_properties(water)
-        return cls(WAVELENGTHS, *table, name=name, provenance=(_BIO_OPTICAL,))
+        return cls.of_amounts(Constituents(**contents).amounts, name)
+
+    @classmethod
+    def of_amounts(cls, amounts: Mapping[str, float], name: str | None = None) -> Self:
+        """As `from_constituents`, of amounts of all contents that are known to be good."""
+        name = Constituents(**amounts).name if name is None else name
+        water = object.__new__(cls)
+        return water._derived(WAVELENGTHS, optical_properties(amounts), name, (_BIO_OPTICAL,))
 
     def at(self, wavelengths: ArrayLike) -> Self:
         """This water on other wavelengths, by linear interpolation.
@@ -276,7 +280,7 @@ class Water(Spectra):
             >>> {t: round(Water.jerlov(t).visibility(), 1) for t in ("I", "IB", "II", "3C", "9C")}
             {'I': 78.5, 'IB': 32.6, 'II': 8.7, '3C': 3.3, '9C': 1.2}
         """
-        return _distance_to(CONTRAST_THRESHOLD, *self._seen(self.beta))
+        return self.metres_for(CONTRAST_THRESHOLD)
 
     def contrast(self, metres: float) -> float:
         """The share of its luminance contrast that an object at this distance [m] keeps, 0…1: the
@@ -298,6 +302,17 @@ class Water(Spectra):
         """
         checks.within("metres", metres, *checks.DOMAIN["distance"])
         return self._luminance(self.beta, metres)
+
+    def metres_for(self, contrast: float) -> float:
+        """The distance [m] at which an object keeps this share of its luminance contrast, the
+        inverse of ``contrast(metres)``; inf where nothing is attenuated.
+
+        Raises:
+            ValueError: if the share does not lie above 0 and up to 1.
+        """
+        checks.positive("contrast", contrast)
+        checks.within("contrast", contrast, 0.0, 1.0)
+        return _distance_to(contrast, *self._seen(self.beta))
 
     def with_contrast(self, contrast: float, metres: float) -> Self:
         """The same kind of water with more or less in it, so that an object at a distance of

@@ -402,20 +402,25 @@ $("like").addEventListener("click", async () => {
 // --- copies -------------------------------------------------------------------------------------------
 /** Options of RandomUnderwater, as TOML and JSON hold them; for draws, those that are held. */
 function optionsOf(files, everything) {
-  const { water, other, share, nature, g, mu, blur, times, full_well, read_noise } = state, options = {}, development = {};
+  const { water, other, share, nature, g, mu, blur, times, full_well, read_noise } = state;
+  const options = {}, ofWater = {}, development = {};
   const held = name => everything || $(`hold-${name}`).checked;
   const contents = ["chlorophyll", "cdom", "minerals"].map(name => `${name}=${state[name]}`).join(",");
   const mixture = other && share ? `${rounded(1 - share)}*${water}+${share}*${other}` : water;
-  if (held("water")) options.waters = [water === "contents" ? contents : mixture];
-  if (held("contrast") || nature) options.contrast = nature ? null : state.contrast;
-  if (held("vertical_depth")) options.vertical_depth = state.vertical_depth;
-  if (everything) Object.assign(options, { field: null, light: null });
-  if (g !== DEFAULTS.g) options.g = g;
-  if (held("mu")) options.mu = mu;
+  if (held("water")) ofWater.waters = [water === "contents" ? contents : mixture];
+  if (held("contrast") || nature) ofWater.contrast = nature ? null : state.contrast;
+  if (held("water") && !nature) ofWater.contrast_by = "contents";
+  if (held("vertical_depth")) ofWater.vertical_depth = state.vertical_depth;
+  if (everything) ofWater.field = options.light = null;
+  if (g !== DEFAULTS.g) ofWater.g = g;
+  if (held("mu")) ofWater.mu = mu;
+  if (held("color_matrix")) ofWater.color_matrix = state.color_matrix;
   const { scale, exponent } = tables.law;
-  if (blur !== 1) options.point_spread = { scale: rounded(scale * blur * files.width), exponent, shape: "exponential" };
-  for (const name of DRAWN) if (SLIDERS[name]?.[0] === "camera-controls" && held(name)) development[name] = state[name];
+  if (blur !== 1) ofWater.point_spread = { scale: rounded(scale * blur * files.width), exponent, shape: "exponential" };
+  const ofCamera = name => SLIDERS[name]?.[0] === "camera-controls" && name !== "color_matrix";
+  for (const name of DRAWN) if (ofCamera(name) && held(name)) development[name] = state[name];
   if (full_well < 1e5) development.noise = { full_well, read_noise };
+  if (Object.keys(ofWater).length) options.water = ofWater;
   if (Object.keys(development).length) options.development = development;
   const holes = files.holes === "error" ? {} : { holes: rounded(files.holes * times) || files.holes };
   const near = rounded(files.near * times), far = rounded(files.far * times);
@@ -426,6 +431,7 @@ function optionsOf(files, everything) {
   return options;
 }
 function toml(value) {
+  if (value === null) return '"none"';
   if (Array.isArray(value)) return `[${value.map(toml).join(", ")}]`;
   if (typeof value !== "object") return JSON.stringify(value);
   return `{${Object.entries(value).map(([name, inner]) => `${name} = ${toml(inner)}`).join(", ")}}`;
@@ -437,7 +443,7 @@ function code() {
   const map = Number.isFinite(+files.distance) ? null : files.distance;
   const unit = files.holds === "metres" ? rounded(files.unit * state.times) : null;
   if (language === "Python") {
-    const plain = JSON.stringify(options, null, 4).replaceAll("null", "None");
+    const plain = JSON.stringify(options, null, 4).replaceAll("null", '"none"');
     const distance = map ? `read_distance(${JSON.stringify(map)}, ${unit ?? "None"})` : "None";
     return ["import uwaug", "from uwaug.files import read_distance, read_picture, write_picture", "",
       `augment = uwaug.RandomUnderwater.from_dict(${plain})`, `image = read_picture(${JSON.stringify(files.picture)})`,
@@ -449,17 +455,20 @@ function code() {
   if (!map) delete options.distance;
   const entries = Object.entries(options);
   if (language === "TOML") {
-    for (const [name, value] of entries) if (value === null) words.push(`--set ${name}=none`);
-    const lines = entries.filter(([, value]) => value !== null).map(([name, value]) => `${name} = ${toml(value)}`);
+    const lines = entries.map(([name, value]) => `${name} = ${toml(value)}`);
     return [`# ${words.join(" ")} --options this.toml --out wet.png`, ...lines].join("\n");
   }
-  for (const [name, value] of entries) {
-    if (name === "waters") words.push(`--water ${quoted(value[0])}`);
-    else if (name === "contrast") words.push(`--contrast ${value ?? "none"}`);
-    else words.push(`--set ${quoted(`${name}=${value === null ? "none" : toml(value)}`)}`);
+  const { waters, contrast, ...rest } = options.water ?? {}, flat = { ...options };
+  delete flat.water;
+  for (const [name, value] of Object.entries(rest)) flat[`water.${name}`] = value;
+  if (waters) words.push(`--water ${quoted(waters[0])}`);
+  if (contrast !== undefined) words.push(`--contrast ${contrast ?? "none"}`);
+  for (const [name, value] of Object.entries(flat)) {
+    words.push(`--set ${quoted(`${name}=${value === null ? "none" : toml(value)}`)}`);
   }
-  if (real && options.field !== null) words.push(`--like ${quoted(real.name)}`);
-  return `${words.join(" ")} ${options.field === null ? "--out wet.png" : "--variants 12 --sheet --out wet/"}`;
+  const draws = language === "command for draws";
+  if (real && draws) words.push(`--like ${quoted(real.name)}`);
+  return `${words.join(" ")} ${draws ? "--variants 12 --sheet --out wet/" : "--out wet.png"}`;
 }
 function download(blob, name) {
   const href = URL.createObjectURL(blob);

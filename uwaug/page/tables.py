@@ -26,7 +26,9 @@ from uwaug.optics.water import LEAST_LOSS, Water, eye
 from uwaug.transforms import random_water
 from uwaug.transforms.appearance import WATER_FEATURES
 from uwaug.transforms.measured import SAMPLED
-from uwaug.transforms.random_underwater import SEVERITIES, RandomUnderwater
+from uwaug.transforms.random_development import RandomDevelopment
+from uwaug.transforms.random_underwater import SEVERITIES
+from uwaug.transforms.random_water import RandomWater
 
 _WIDTHS_PX = (0.0, 400.0)
 """Of the blurs; wider ones are as good as the mean of a picture."""
@@ -53,7 +55,7 @@ def plan_of_page() -> BlurPlan:
 
 def tables() -> dict[str, Any]:
     """All of it, as JSON holds it."""
-    camera, axis = load_camera(RandomUnderwater.camera), WAVELENGTHS.tobytes()
+    camera, axis = load_camera(RandomWater.camera), WAVELENGTHS.tobytes()
     law, (least, most) = PointSpread.calibrated(FOCAL_LENGTH), LENGTHS
     pure = dict(zip(("a", "b"), constituents.pure_water(axis), strict=True))
     at_1, exponents = constituents.phytoplankton()
@@ -141,17 +143,18 @@ def _blur(sigma: float, cell: float, reach: float) -> dict[str, Any]:
 
 def _draws() -> dict[str, Any]:
     """What `RandomUnderwater` draws by default."""
-    augment = RandomUnderwater()
+    water, development = RandomWater(), RandomDevelopment()
     return {
         "waters": [w if isinstance(w, str) else "contents" for w in random_water.WATERS],
-        "contents": random_water.CONTENTS.ranges,
+        "contents": random_water.CONTENTS.ranges(),
         "severities": list(SEVERITIES.values()),
-        "g": augment.g,
+        "g": water.g,
         "ranges": {
-            "contrast": augment.contrast,
-            "vertical_depth": augment.vertical_depth,
-            "mu": augment.mu,
-            **augment.development.ranges(),
+            "contrast": water.contrast,
+            "vertical_depth": water.vertical_depth,
+            "mu": water.mu,
+            "color_matrix": water.color_matrix,
+            **development.ranges(),
         },
     }
 

@@ -1,3 +1,2 @@
 from .files import list_presets as list_presets
-from .preset import Preset as Preset
 from .preset import load_preset as load_preset

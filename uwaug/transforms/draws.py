@@ -1,21 +1,18 @@
-"""Draws: all that is random about one picture, each number by its name, and the record of it."""
+"""Draws: all that is random about one picture, and the record of it."""
 
 import hashlib
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, Protocol
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 from uwaug._support import checks
-from uwaug._support.ranges import Range, as_range
-from uwaug.transforms.measured import Measured
+from uwaug._support.nouns import SEEDS, Drawn, Noun, Uniform, require_names
 
 Record = dict[str, Any]
 """A plain dictionary, {"samples": […]} with one for each picture, as JSON holds it."""
 
-Uniform = Callable[[str], float]
-"""The number of 0…1 that a picture draws for a name."""
-
-_LOGARITHMIC = ("contrast", "full_well", "snow_density")
-"""Numbers that are drawn uniformly in their logarithm."""
+NOUNS = ("water", "distance", "light", "development")
+"""What of a picture is random, by the names of the arguments of `RandomUnderwater`."""
 
 
 class Draw(NamedTuple):
@@ -23,31 +20,18 @@ class Draw(NamedTuple):
 
     Attributes:
         applied: whether it is degraded at all.
-        waters: the name of one, or of two that are mixed.
-        numbers: by name, see `Drawn.ranges`.
-        field_seed: of the medium field; None where there is none.
+        water, distance, light, development: what each noun has drawn.
         measured: what is taken from one frame of a film for all of them: attributes of `Measured`.
         moved: m by which field and snow of a film have drifted to the right.
     """
 
     applied: bool
-    waters: tuple[str, ...]
-    numbers: Mapping[str, float]
-    field_seed: int | None
+    water: Drawn
+    distance: Drawn
+    light: Drawn
+    development: Drawn
     measured: Mapping[str, Any] = {}
     moved: float = 0.0
-
-
-class Drawn(Protocol):
-    """What is drawn anew for each picture: a source of distances, water, development."""
-
-    def ranges(self) -> Mapping[str, Range | None]:
-        """Each number that a picture draws, by name; None where there is none."""
-        ...
-
-    def of(self, draw: Draw, seen: Measured) -> Any:
-        """The thing itself, from these numbers and from what may be known of the picture."""
-        ...
 
 
 def uniform_of(seed: int) -> Uniform:
@@ -56,43 +40,26 @@ def uniform_of(seed: int) -> Uniform:
     """
     key = seed.to_bytes(8)
 
-    def drawn(name: str) -> float:
+    def uniform(name: str) -> float:
         digest = hashlib.blake2b(name.encode(), digest_size=8, key=key).digest()
         return (int.from_bytes(digest) >> 11) * 2.0**-53
 
-    return drawn
-
-
-def checked(ranges: Mapping[str, Range | None]) -> dict[str, tuple[float, float]]:
-    """(low, high) of each number that is drawn; refuses what leaves the domain of its name."""
-    return {
-        name: as_range(name, value, *checks.DOMAIN.get(name, ()))
-        for name, value in ranges.items()
-        if value is not None
-    }
-
-
-def numbers_of(ranges: Mapping[str, tuple[float, float]], uniform: Uniform) -> dict[str, float]:
-    """One number of each range, by name."""
-    numbers = {}
-    for name, (low, high) in ranges.items():
-        share = uniform(name)
-        is_log = name in _LOGARITHMIC
-        numbers[name] = low * (high / low) ** share if is_log else low + (high - low) * share
-    return numbers
+    return uniform
 
 
 def of_frame(sample: Record, number: int) -> Record:
     """What a picture of a record draws, as that frame of a film: its sensor's noise is its own."""
-    numbers = dict(sample["numbers"])
-    if "noise_seed" in numbers:
-        numbers["noise_seed"] = (numbers["noise_seed"] + number) % 2**32
-    return {**sample, "numbers": numbers}
+    development = sample["development"]
+    if "noise" not in development:
+        return dict(sample)
+    noise = development["noise"]
+    noise = {**noise, "seed": (noise["seed"] + number) % SEEDS}
+    return {**sample, "development": {**development, "noise": noise}}
 
 
-def read_draws(record: Any, count: int, names: set[str]) -> list[Draw]:
-    """The draw of each of `count` pictures that draw numbers of these names; refuses a record of
-    other options, of another batch, or with numbers outside of their domain.
+def read_draws(record: Any, count: int, nouns: Mapping[str, Noun]) -> list[Draw]:
+    """The draw of each of `count` pictures; refuses a record of other options, of another batch, or
+    with numbers outside of their domain.
     """
     samples = record.get("samples") if isinstance(record, Mapping) else None
     if not isinstance(samples, list) or not all(isinstance(s, Mapping) for s in samples):
@@ -100,15 +67,27 @@ def read_draws(record: Any, count: int, names: set[str]) -> list[Draw]:
         raise TypeError(f"params must be {expected}, got {record!r:.80}")
     if len(samples) not in (1, count):
         raise ValueError(f"params has {len(samples)} samples but image is a batch of {count}")
-    required = set(Draw._fields) - set(Draw._field_defaults)
     for sample in samples:
-        numbers = sample.get("numbers", {})
-        odd = (set(sample) - set(Draw._field_defaults)) ^ required | set(numbers) ^ names
-        if odd:
-            differ = ", ".join(sorted(odd))
-            raise ValueError(f"params is of a transform with other options: {differ}")
-        for name, number in numbers.items():
-            checks.within(f"params: {name}", number, *checks.DOMAIN.get(name, ()))
+        film = {name for name in Draw._field_defaults if name in sample}
+        require_names(sample, {"applied", *nouns, *film}, "sample")
+        if not isinstance(sample["applied"], bool):
+            raise TypeError(f"params: applied must be true or false, got {sample['applied']!r:.80}")
+        for name, noun in nouns.items():
+            noun.require(sample[name], name)
         checks.within("params: moved", sample.get("moved", 0.0))
+        _require_measured(sample.get("measured", {}))
     draws = [Draw(**sample) for sample in samples]
     return draws if len(draws) == count else draws * count
+
+
+def _require_measured(measured: Any) -> None:
+    """Refuse what cannot have been measured of a film."""
+    known = {"median", "exposure", "white_balance"}
+    require_names(measured, known if measured else set(), "measured")
+    if measured:
+        median = measured["median"]
+        if not (isinstance(median, (int, float)) and median > 0):  # infinite in open water
+            raise ValueError(f"params: measured.median must be above 0 m, got {median!r:.80}")
+        checks.within("params: measured.exposure", measured["exposure"], -math.inf)
+        for factor in measured["white_balance"] or ():
+            checks.positive("params: measured.white_balance", factor)

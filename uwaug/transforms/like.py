@@ -14,12 +14,13 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from uwaug._support import checks, codec
+from uwaug._support.nouns import Uniform
 from uwaug._support.once import muted
 from uwaug.distance.made_up import MadeUp
 from uwaug.distance.sources import Metres
 from uwaug.formation.colour import linear_to_srgb, require_values
 from uwaug.transforms.appearance import WATER_FEATURES, Values, water_features
-from uwaug.transforms.draws import Record, Uniform, uniform_of
+from uwaug.transforms.draws import Record, read_draws, uniform_of
 from uwaug.transforms.random_underwater import RandomUnderwater
 from uwaug.transforms.samples import typed
 
@@ -34,6 +35,9 @@ numbers of draws kept: benchmarks/CHOICES.md, how constants were chosen.)
 
 _PARENTS = 15
 """The best of the new draws, between which others are made."""
+
+_KEPT = ("water", "light", "development")
+"""Nouns whose draws are kept; distances belong to a picture."""
 
 _MORE = 4
 """Pictures on which the best are tried besides their first."""
@@ -65,29 +69,38 @@ class Nearness(NamedTuple):
 
 
 @codec.plain
-@dataclass(eq=False, repr=False)
+@dataclass(init=False, eq=False, repr=False)
 class UnderwaterLike(RandomUnderwater):
     """A `RandomUnderwater` that picks water and development from a few that were kept, see `like`.
 
     Args:
-        kept: {"waters": …, "numbers": …}, as samples of `make_params` have them; picked with equal
-            weight. What they leave out is drawn for each picture: medium field, noise, distances.
+        kept: {"water": …, "light": …, "development": …}, as samples of `make_params` have them;
+            picked with equal weight. What they leave out is drawn for each picture: distances, and
+            the seeds of medium field, particles and noise.
         nearness: how near `like` came; not in `to_dict`.
 
     Raises:
         ValueError: if there is none, or one is none of this transform's draws.
     """
 
-    kept: Sequence[Mapping[str, Any]] = option(kw_only=True)
-    nearness: Nearness | None = option(default=None, kw_only=True, metadata={"stored": False})
+    kept: Sequence[Mapping[str, Any]] = ()
+    nearness: Nearness | None = option(default=None, metadata={"stored": False})
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def __init__(
+        self,
+        water: Any = None,
+        *,
+        kept: Sequence[Mapping[str, Any]],
+        nearness: Nearness | None = None,
+        **options: Any,
+    ) -> None:
+        super().__init__(water, **options)
+        self.kept, self.nearness = kept, nearness
         if not self.kept:
             raise ValueError("kept: expected at least one, got none")
         drawn = super()._sample(uniform_of(0))
         for kept in self.kept:
-            self.read({"samples": [_in_water(drawn, kept)]}, 1)
+            read_draws({"samples": [_in_water(drawn, kept)]}, 1, self._nouns)
 
     def _sample(self, uniform: Uniform) -> Record:
         kept = self.kept[int(uniform("kept") * len(self.kept))]
@@ -124,8 +137,8 @@ def like(
         seed: of all that is random.
 
     Returns:
-        A `RandomUnderwater` in every respect, whose draws are those kept. Medium field, noise and
-        made-up distances are drawn anew for each picture.
+        A `RandomUnderwater` in every respect, whose draws are those kept. Medium field, particles,
+        noise and made-up distances are drawn anew for each picture.
 
     Raises:
         TypeError, ValueError: if an argument does not suit, naming what came and what was expected.
@@ -183,23 +196,29 @@ class _Trials:
     def __init__(self, augment: RandomUnderwater, scenes: list[Any], seed: int) -> None:
         self.augment, self.scenes = augment, scenes
         self.generator = torch.Generator().manual_seed(seed)
-        # numbers that belong to a picture and not to its water
-        self.own = {"noise_seed", *augment.source.ranges()}
 
     def new(self, first: int) -> _Draw:
         (sample,) = self.augment.make_params(self.scenes[0][0], self.generator)["samples"]
-        numbers = {name: x for name, x in sample["numbers"].items() if name not in self.own}
-        return self.tried(_Draw({"waters": sample["waters"], "numbers": numbers}, first, []))
+        kept = {name: _without_seeds(sample[name]) for name in _KEPT}
+        return self.tried(_Draw(kept, first, []))
 
     def between(self, first: _Draw, second: _Draw) -> _Draw:
         """A draw in the water of the first, with numbers between those of both."""
-        numbers, others = first.sample["numbers"], second.sample["numbers"]
-        shares = torch.rand(len(numbers), generator=self.generator, dtype=torch.float64).tolist()
-        mixed = {
-            name: (1 - share) * numbers[name] + share * others[name]
-            for name, share in zip(numbers, shares, strict=True)
-        }
-        return self.tried(_Draw({**first.sample, "numbers": mixed}, second.first + 1, []))
+        mixed = self._mixed(first.sample, second.sample)
+        return self.tried(_Draw(mixed, second.first + 1, []))
+
+    def _mixed(self, first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
+        mixed = {}
+        for name, value in first.items():
+            other = second.get(name)
+            if isinstance(value, Mapping):
+                mixed[name] = self._mixed(value, other or {})
+            elif isinstance(value, float) and other is not None:
+                share = float(torch.rand((), generator=self.generator, dtype=torch.float64))
+                mixed[name] = (1 - share) * value + share * other
+            else:
+                mixed[name] = value
+        return mixed
 
     def tried(self, draw: _Draw) -> _Draw:
         """The same draw, tried on one more picture."""
@@ -231,10 +250,20 @@ class _Trials:
         return sorted(tried, key=away)[:keep]
 
 
+def _without_seeds(drawn: Mapping[str, Any]) -> dict[str, Any]:
+    """What is drawn of a water and a camera, but for what belongs to a picture."""
+    kept = {name: value for name, value in drawn.items() if not name.endswith("seed")}
+    inner = {n: _without_seeds(value) for n, value in kept.items() if isinstance(value, Mapping)}
+    return kept | inner
+
+
 def _in_water(drawn: Record, kept: Mapping[str, Any]) -> Record:
-    """A sample with the water and the numbers of a kept one."""
-    numbers = {**drawn["numbers"], **kept["numbers"]}
-    return {**drawn, "waters": list(kept["waters"]), "numbers": numbers}
+    """A sample with what is kept in place of what was drawn."""
+    changed = dict(drawn)
+    for name, value in kept.items():
+        inner = isinstance(value, Mapping) and value and isinstance(drawn.get(name), Mapping)
+        changed[name] = _in_water(drawn[name], value) if inner else value
+    return changed
 
 
 def _small(name: str, given: Any, channels: int) -> list[Tensor]:

@@ -16,15 +16,18 @@ SAMPLED = 2048
 
 
 class Measured(NamedTuple):
-    """All that a draw may know of a picture and its distances.
+    """All that a draw may know of a picture, its distances and its camera.
 
     Attributes:
         width: px.
         darkest, brightest: values, of 0…1.
         nearest, farthest, median: distances, m; the last two of all but open water, and infinite
             where there is nothing else.
+        metered: whether an exposure makes up for the light that is lost above the scene.
+        lamps: whether lamps shine from places in metres, which no scene may be scaled beside.
         exposure: stops on which a meter has settled, for all frames of a film; None: to be metered.
         white_balance: factors of red, green and blue, likewise.
+        moved: m by which field and snow of a film have drifted to the right.
     """
 
     width: int
@@ -33,16 +36,32 @@ class Measured(NamedTuple):
     nearest: float
     farthest: float
     median: float
+    metered: bool = False
+    lamps: bool = False
     exposure: float | None = None
     white_balance: tuple[float, float, float] | None = None
+    moved: float = 0.0
 
-    def of_film(self, once: Mapping[str, Any]) -> "Measured":
+    def of_film(self, measured: Mapping[str, Any], moved: float) -> "Measured":
         """The same, with what is measured once for all frames of a film."""
-        balance = once.get("white_balance")  # a list, as JSON holds it
-        return self._replace(**{**once, "white_balance": balance and tuple(balance)})
+        if not measured and not moved:
+            return self
+        balance = measured.get("white_balance")  # a list, as JSON holds it
+        settled = {**measured, "white_balance": balance and tuple(balance)}
+        return self._replace(**settled, moved=moved)
+
+    def scaled(self, scale: float) -> "Measured":
+        """The same scene, so many times as large."""
+        if scale == 1:
+            return self
+        lengths = {name: getattr(self, name) * scale for name in _LENGTHS}
+        return self._replace(**lengths)
 
 
-def measured(pictures: Tensor, z: Tensor) -> list[Measured]:
+_LENGTHS = ("nearest", "farthest", "median", "moved")
+
+
+def measured(pictures: Tensor, z: Tensor, *, metered: bool, lamps: bool) -> list[Measured]:
     """What is known of pictures (Bx3xHxW) and their distances (Bx1xHxW, m): all that the host waits
     for where they are on a device.
     """
@@ -56,7 +75,7 @@ def measured(pictures: Tensor, z: Tensor) -> list[Measured]:
         if math.isinf(median):  # all open water, or only where it was looked
             median = _median(metres[i].cpu().numpy())
         ends = darkest / white, brightest / white, nearest, farthest
-        looks.append(Measured(z.shape[-1], *ends, median))
+        looks.append(Measured(z.shape[-1], *ends, median, metered, lamps))
     return looks
 
 

@@ -3,12 +3,12 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from uwaug._support import checks, codec
+from uwaug._support.nouns import Drawn, Noun, Uniform, number
 from uwaug._support.ranges import Range
 from uwaug.light import Lamp, Light
-from uwaug.transforms.draws import Draw, checked
 from uwaug.transforms.measured import Measured
 
 T = TypeVar("T")
@@ -37,13 +37,13 @@ RIGS = {
 _PLACES = ((1.0, 1.0), (-1.0, 1.0), (0.4, 0.3), (-0.4, 0.3))
 """Of the lamps of a rig, in turn: shares of `aside` and `above`."""
 
-_FAR = 8.0
+_OPEN_WATER = 8.0
 """m: stands for the median distance where all is open water."""
 
 
 @codec.plain
-@dataclass(frozen=True)
-class RandomLight:
+@dataclass(frozen=True, repr=False)
+class RandomLight(Noun):
     """From what the light of each picture is drawn: some are taken at night, or where daylight
     hardly comes, by lamps near the camera.
 
@@ -68,61 +68,69 @@ class RandomLight:
 
     share: float = 1 / 12
     rigs: str | tuple[str, ...] = tuple(RIGS)
-    daylight: Range = (0.0, 0.1)
-    power: Range = (-1.0, 1.0)
-    cone: Range = (30.0, 75.0)
-    across: Range = (-0.1, 0.1)
-    down: Range = (0.05, 0.3)
-    tint: Range = (-1.7, 0.3)
+    daylight: Range = number((0.0, 0.1), 0.0)
+    power: Range = number((-1.0, 1.0), -10.0, 10.0)
+    cone: Range = number((30.0, 75.0), 1.0, 90.0)
+    across: Range = number((-0.1, 0.1), -2.0, 2.0)
+    down: Range = number((0.05, 0.3), -2.0, 2.0)
+    tint: Range = number((-1.7, 0.3), -2.0, 2.0)
 
     def __post_init__(self) -> None:
-        checks.within("light: share", self.share, 0.0, 1.0)
+        checks.within("share", self.share, 0.0, 1.0)
         rigs = (self.rigs,) if isinstance(self.rigs, str) else self.rigs
         if not isinstance(rigs, (tuple, list)) or not rigs:
-            raise TypeError(f"light: rigs must be some of {', '.join(RIGS)}, got {rigs!r}")
+            raise TypeError(f"rigs must be some of {', '.join(RIGS)}, got {rigs!r}")
         for rig in rigs:
-            checks.one_of("light: rigs", rig, RIGS)
+            checks.one_of("rigs", rig, RIGS)
         object.__setattr__(self, "rigs", tuple(rigs))
-        checked(self.ranges())
+        self.require_ranges()
 
     def ranges(self) -> dict[str, Range | None]:
-        """Each number that a picture draws, by name."""
-        places = ("light_night", "lamp_rig", "lamp_count", "lamp_aside", "lamp_above")
-        own = ("power", "cone", "across", "down", "tint")
-        return {
-            **{name: checks.DOMAIN[name] for name in places},
-            "light_daylight": self.daylight,
-            **{f"lamp_{name}": getattr(self, name) for name in own},
-        }
+        """See `Noun.ranges`; with a rig, how many lamps it has, and where on it they hang."""
+        places = {"rig": (0.0, 1.0), "count": (0.0, 1.0), "aside": (-1.0, 1.0), "above": (0.0, 1.0)}
+        return {**super().ranges(), **places}
 
-    def of(self, draw: Draw, seen: Measured, *, scale: float = 1.0) -> Light | None:
-        """The light of a picture whose distances are multiplied by `scale`; None for daylight."""
-        numbers = draw.numbers
-        if numbers["light_night"] >= self.share:
+    def drawn(self, uniform: Uniform) -> dict[str, Any]:
+        """What a picture draws; nothing by daylight."""
+        return super().drawn(uniform) if uniform("share") < self.share else {}
+
+    def require(self, drawn: Drawn, name: str) -> None:
+        """See `Noun.require`."""
+        if drawn != {}:
+            super().require(drawn, name)
+
+    def random(self) -> list[str]:
+        """See `Noun.random`."""
+        names = super().random()
+        return ["share", *names] if self.share > 0 else []
+
+    def of(self, drawn: Drawn, seen: Measured) -> Light | None:
+        """The light of a picture; None for daylight."""
+        if not drawn:
             return None
-        metres = seen.median * scale if math.isfinite(seen.median) else _FAR
-        rig = RIGS[_picked(numbers["lamp_rig"], self.rigs)]
+        metres = seen.median if math.isfinite(seen.median) else _OPEN_WATER
+        rig = RIGS[_picked(drawn["rig"], self.rigs)]
         fewest, most = rig.lamps
-        count = _picked(numbers["lamp_count"], range(fewest, most + 1))
+        count = _picked(drawn["count"], range(fewest, most + 1))
         # of −1…1 the sign says on which side the first lamp is
-        side = numbers["lamp_aside"]
+        side = drawn["aside"]
         aside = math.copysign(_between(rig.aside, abs(side)), side)
-        above = _between(rig.above, numbers["lamp_above"])
-        target = numbers["lamp_across"] * metres, numbers["lamp_down"] * metres
-        tint = numbers["lamp_tint"]
+        above = _between(rig.above, drawn["above"])
+        target = drawn["across"] * metres, drawn["down"] * metres
+        tint = drawn["tint"]
         lamps = []
         for right, up in _PLACES[:count]:
             x, y = right * aside, -up * above
             lamps.append(
                 Lamp(
                     (x, y, 0.0),
-                    power=2 ** numbers["lamp_power"] * metres**2 / count,
+                    power=2 ** drawn["power"] * metres**2 / count,
                     aim=(target[0] - x, target[1] - y, metres),
-                    cone=numbers["lamp_cone"],
+                    cone=drawn["cone"],
                     color=(2 ** (-tint / 2), 1.0, 2 ** (tint / 2)),
                 )
             )
-        return Light(tuple(lamps), numbers["light_daylight"])
+        return Light(tuple(lamps), drawn["daylight"])
 
 
 def _picked(share: float, choices: Sequence[T]) -> T:

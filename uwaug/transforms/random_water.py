@@ -6,25 +6,29 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from dataclasses import field as derived
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple, get_args
 
 from torch import Tensor
 
 from uwaug._support import checks, codec
+from uwaug._support.checks import DOMAIN
+from uwaug._support.nouns import SEEDS, Drawn, Noun, Uniform, number, require_names, require_seed
 from uwaug._support.once import Once
 from uwaug._support.ranges import Range, as_range
 from uwaug.formation.field import random_fields
 from uwaug.optics.camera import Camera, load_camera
-from uwaug.optics.constituents import UNITS, Constituents
+from uwaug.optics.constituents import Constituents
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import FOCAL_LENGTH, PointSpread
 from uwaug.optics.reduction import default_bands
 from uwaug.optics.snow import MarineSnow
 from uwaug.optics.water import Water, load_water
-from uwaug.transforms.draws import Draw, Uniform, checked
 from uwaug.transforms.measured import Measured
 
 AnyWater = str | os.PathLike[str] | Water | Constituents | Medium
+
+Knob = Literal["contents", "distance"]
+"""By what a contrast is reached."""
 
 CONTENTS = Constituents(chlorophyll=(1.0, 30.0), cdom=(0.03, 0.35), minerals=(0.25, 4.0))
 """Seas and coasts, blue to green. Lakes hold more CDOM, which turns them yellow."""
@@ -45,8 +49,14 @@ _CURVES = 0.002
 """Tolerance of the curves of a medium, in the light that a metered exposure makes of it."""
 
 MEDIANS = (1.0, 8.0)
-"""m: median distances between which water can be brought to a contrast and have a colour of its
-own. (What scenes at 35 m and at .1 m lose without: benchmarks/CHOICES.md, default draws.)
+"""m: median distances between which water can be brought to a contrast by its contents and have a
+colour of its own. (What scenes at 35 m and at .1 m lose without: benchmarks/CHOICES.md, default
+draws.)
+"""
+
+SCALED = (0.1, 100.0)
+"""m: median distances to which a scene is brought for the contrast of a water as it is. Nearer, the
+lens would touch it; no water lets one see farther.
 """
 
 MOST_SCALED, MOST_CONTENTS, MOST_MISSED = 4.0, 50.0, 2.0
@@ -63,7 +73,7 @@ odd_scene = Once()
 
 
 class Reached(NamedTuple):
-    """What it took to bring a water to the contrast asked for."""
+    """What it took to bring a scene to the contrast asked for."""
 
     water: str
     metres: float  # the median distance, scaled
@@ -71,6 +81,7 @@ class Reached(NamedTuple):
     contents: float  # times what is in the water besides pure water
     contrast: float  # left at the median distance
     asked: float
+    by: Knob
 
     @property
     def odd(self) -> str:
@@ -78,17 +89,20 @@ class Reached(NamedTuple):
         named; "" where they are.
         """
         asked, unit = f"{self.asked:.2g} at {self.metres:.3g} m", "are distances metres?"
-        if not 1 / MOST_SCALED <= self.scale <= MOST_SCALED:
+        is_scaled = not 1 / MOST_SCALED <= self.scale <= MOST_SCALED
+        if self.by == "contents" and is_scaled:
             median = self.metres / self.scale
             odd = f"a median of {median:.3g} m is scaled by {self.scale:.3g}: {unit}"
         elif self.contents > MOST_CONTENTS:
             times = f"that is {self.contents:.3g} times what is in it"
             odd = f"water {self.water} is too clear for {asked}: {times}. Name a more turbid one"
-        elif self.contrast < self.asked / MOST_MISSED:
-            odd = f"pure water leaves {self.contrast:.2g} of contrast, not {asked}: {unit}"
+        elif not 1 / MOST_MISSED <= self.contrast / self.asked <= MOST_MISSED:
+            what = "pure water" if self.by == "contents" else f"water {self.water}"
+            odd = f"{what} leaves {self.contrast:.2g} of contrast, not {asked}: {unit}"
         else:
             return ""
-        return f"{odd}; contrast=None (--contrast none) leaves distances and water as they are"
+        cure = "water.contrast=None (--contrast none) leaves distances and water as they are"
+        return f"{odd}; {cure}"
 
 
 class InWater(NamedTuple):
@@ -100,24 +114,78 @@ class InWater(NamedTuple):
 
 
 @codec.plain
-@dataclass(frozen=True, eq=False)
-class RandomWater:
-    """From what the water of each picture is drawn; arguments as for `RandomUnderwater`.
+@dataclass(frozen=True, eq=False, repr=False)
+class RandomWater(Noun):
+    """From what the water of each picture is drawn, and what of it the camera sees.
+
+    A range is a number or (low, high), drawn uniformly; contrast is drawn uniformly in its
+    logarithm.
+
+    Args:
+        waters: None for `WATERS`: half of the pictures in Jerlov types, half in waters of other
+            contents. Else one or several of what `uwaug.load_water` takes (Jerlov types, contents,
+            CSV files, `Water` objects); `Constituents` (or their text, such as
+            "chlorophyll=1:20,cdom=.1:1"), whose contents are drawn anew for each picture,
+            uniformly in their logarithm; and a `Medium`, such as that of a fit, which stays as it
+            is: contrast, depth, g, mu, blur, camera and its matrix do not apply to it. Picked with
+            equal weight; one that is given twice counts twice.
+        contrast: share of an object's contrast of luminance that is left at the scene's median
+            distance, ignoring scattered light (see `Water.contrast`). None leaves distances, and
+            waters as they are in nature.
+        contrast_by: "contents" brings a water to it by scaling what is in it, as far as pure water
+            allows; a scene whose median lies below 1 m or above 8 m is scaled to that first.
+            "distance" scales the scene, to a median between .1 and 100 m, and leaves the water as
+            it is. Under a `uwaug.Light` no scene is scaled, as lamps stand in metres: there
+            contents alone can reach it. None: by distance where all waters of a picture were asked
+            for by name, else by contents.
+        mixing: share of a second water, picked like the first; 0 for none, (0, 1) for a continuous
+            slider between types. Contents of both are drawn at the same shares of their ranges.
+        vertical_depth: m below the surface; with an automatic exposure no deeper than where 1/32 of
+            the light is left, which it can make up for.
+        g: share of the scattered light that leaves the line of sight, 0…1.
+        mu: share of the scattered light sent towards the camera, 0…1. The veil of endless water has
+            mu/g of the light of a white plate; a range is held at g. None for 1.5·g.
+        point_spread: width law of the forward scatter; None for `PointSpread.calibrated` of a view
+            60° wide, whose focal length is .866·width. Give one where pictures are crops of a view.
+        field: least and largest value of the medium field, which is drawn anew for each picture and
+            multiplies its distances; None for even water.
+        camera: a name, the path of a CSV file or a `Camera`.
+        color_matrix: share of the camera's colour matrix, 0…1: photographs have been through
+            cameras that apply much or little of theirs. None for grey surfaces, where a channel of
+            the picture depends on that of the scene alone, see `uwaug.Medium.from_water`.
+        snow: particles that one sees, see `uwaug.MarineSnow`, whose density may be a range; None
+            for clear water.
+
+    `PLAIN` are the options of even water as it is in nature, at the surface, with grey surfaces.
 
     Raises:
         TypeError, ValueError: if one does not suit, naming what came and what was expected.
+
+    Examples:
+        >>> RandomWater(["1C", "7C"], contrast=(0.2, 0.5))
+        RandomWater(waters=('1C', '7C'), contrast=(0.2, 0.5))
     """
+
+    PLAIN: ClassVar = {
+        "contrast": None,
+        "vertical_depth": 0.0,
+        "mu": None,
+        "field": None,
+        "color_matrix": None,
+    }
 
     waters: AnyWater | Iterable[AnyWater] | None = None
     _: KW_ONLY
-    contrast: Range | None = (0.08, 0.35)
-    mixing: Range = 0.0
-    vertical_depth: Range = (4.0, 12.0)
-    g: Range = 0.05
-    mu: Range | None = (0.01, 0.05)
+    contrast: Range | None = number((0.08, 0.35), 1e-3, 1.0, logarithmic=True)
+    contrast_by: Knob | None = None
+    mixing: Range = number(0.0, *DOMAIN["mixing"])
+    vertical_depth: Range = number((4.0, 12.0), *DOMAIN["vertical_depth"])
+    g: Range = number(0.05, *DOMAIN["g"])
+    mu: Range | None = number((0.01, 0.05), *DOMAIN["mu"])
     point_spread: PointSpread | None = None
     field: tuple[float, float] | None = (0.8, 1.2)
     camera: str | os.PathLike[str] | Camera = "Nikon 5100 (NPL)"
+    color_matrix: Range | None = number((0.0, 0.8), *DOMAIN["color_matrix"])
     snow: MarineSnow | None = None
 
     names: Sequence[str] = derived(init=False, repr=False)
@@ -130,67 +198,93 @@ class RandomWater:
             checks.instance("point_spread", self.point_spread, PointSpread)
         if self.snow is not None:
             checks.instance("snow", self.snow, MarineSnow)
+        if self.contrast_by is not None:
+            checks.one_of("contrast_by", self.contrast_by, get_args(Knob))
+        kinds = (str, os.PathLike, Water, Medium, type(None))
+        if not isinstance(self.waters, kinds):
+            vars(self)["waters"] = _several(self.waters)
         loaded = _loaded(WATERS if self.waters is None else self.waters)
-        mixes = checked(self.ranges())["mixing"][1] > 0
-        if mixes and any(isinstance(water, Medium) for _, water in loaded):
-            raise ValueError("mixing needs spectra: it must be 0 where a water is a Medium")
         vars(self).update(
             names=[name for name, _ in loaded],
             by_name=dict(loaded),
-            mixes=mixes,
+            mixes=as_range("mixing", self.mixing, *DOMAIN["mixing"])[1] > 0,
             response=load_camera(self.camera),
             field=None if self.field is None else as_range("field", self.field, 0.0),
         )
+        self.require_ranges()
+        if self.mixes and self.has_media:
+            raise ValueError("mixing needs spectra: it must be 0 where a water is a Medium")
+
+    @property
+    def has_media(self) -> bool:
+        """Whether a water is a `Medium`, of which no more is known than its curves."""
+        return any(isinstance(water, Medium) for water in self.by_name.values())
+
+    @property
+    def has_one_law(self) -> bool:
+        """Whether all media have one law of widths: those of fits may have laws of their own."""
+        return len(self.by_name) == 1 or not self.has_media
 
     def ranges(self) -> dict[str, Range | None]:
-        """Each number that a picture draws, by name; None where there is none."""
-        drawn = ("contrast", "mixing", "vertical_depth", "g", "mu")
-        own = {name: getattr(self, name) for name in drawn}
-        if self.snow is not None:
-            own |= {"snow_density": self.snow.density, "snow_seed": checks.DOMAIN["snow_seed"]}
-        return own
+        """See `Noun.ranges`; a `Medium` has its own."""
+        is_medium = [isinstance(water, Medium) for water in self.by_name.values()]
+        return {} if all(is_medium) else super().ranges()
 
-    def picked(self, uniform: Uniform) -> list[str]:
-        """The names of the waters of a picture; that of drawn contents says all of them."""
-        drawn = ("water", "second water") if self.mixes else ("water",)
-        names = [self.names[int(uniform(which) * len(self.names))] for which in drawn]
-        waters = [self.by_name[name] for name in names]
-        return [
-            water.drawn({content: uniform(content) for content in UNITS}).name
-            if isinstance(water, Constituents)
-            else name
-            for name, water in zip(names, waters, strict=True)
-        ]
+    def drawn(self, uniform: Uniform) -> dict[str, Any]:
+        """See `Noun.drawn`; "waters" are the names of one or two, or amounts of contents."""
+        waters: list[str | dict[str, float]] = []
+        for which in ("waters", "second water")[: 2 if self.mixes else 1]:
+            name = self.names[int(uniform(which) * len(self.names))]
+            water = self.by_name[name]
+            waters.append(water.drawn(uniform) if isinstance(water, Constituents) else name)
+        drawn = {"waters": waters, **super().drawn(uniform)}
+        if self.field is not None:
+            drawn["field_seed"] = int(uniform("field") * SEEDS)
+        return drawn
 
-    def field_seed(self, uniform: Uniform) -> int | None:
-        """The seed of a picture's medium field, of the 32 bits that a generator of torch takes."""
-        return None if self.field is None else int(uniform("field") * 2**32)
+    def require(self, drawn: Drawn, name: str) -> None:
+        """See `Noun.require`."""
+        further = {"waters"} if self.field is None else {"waters", "field_seed"}
+        require_names(drawn, {*self._ends, *self._nouns, *further}, name)
+        super().require({key: value for key, value in drawn.items() if key not in further}, name)
+        if self.field is not None:
+            require_seed(f"params: {name}.field_seed", drawn["field_seed"])
+        waters, count = drawn["waters"], 2 if self.mixes else 1
+        if not isinstance(waters, (list, tuple)) or len(waters) != count:
+            raise ValueError(f"params: {name}.waters must be {count}, got {waters!r:.80}")
+        for water in waters:
+            self._require_water(water)
 
-    def of(
-        self, draw: Draw, seen: Measured, *, metered: bool = True, lamps: bool = False
-    ) -> InWater:
-        """The water of a picture, scaled to its median distance.
+    def random(self) -> list[str]:
+        """See `Noun.random`; the field is an input of `uwaug.Underwater`."""
+        contents = [w for w in self.by_name.values() if isinstance(w, Constituents)]
+        return ["waters"] * (len(self.by_name) > 1 or len(contents) > 0) + super().random()
 
-        Args:
-            draw: of `ranges`, with the names of its waters.
-            seen: the picture.
-            metered: whether an exposure makes up for the light that is lost above the scene.
-            lamps: whether lamps shine, which they do at any depth, from places in metres.
-        """
-        numbers, reached = draw.numbers, None
-        fixed = self.by_name.get(draw.waters[0])
+    def of_each_picture(self) -> list[str]:
+        """The names of what follows from the size or the distances of a picture."""
+        if self.has_media:
+            return []
+        follows = {"contrast": self.contrast is not None, "point_spread": self.point_spread is None}
+        return [f"water.{name}" for name, is_so in follows.items() if is_so]
+
+    def of(self, drawn: Drawn, seen: Measured) -> InWater:
+        """The water of a picture, and by what its distances are scaled."""
+        named = drawn["waters"][0]
+        fixed = self.by_name.get(named) if isinstance(named, str) else None
         if isinstance(fixed, Medium):
-            return InWater(self._snowing(fixed, draw), 1.0, None)
-        water, *others = map(self._spectra, draw.waters)
+            return InWater(self._snowing(fixed, drawn, seen), 1.0, None)
+        water, *others = map(self._spectra, drawn["waters"])
         if others:
-            water = water.mix(others[0], numbers["mixing"])
-        scale = 1.0
-        if "contrast" in numbers:
-            if not lamps and math.isfinite(seen.median):
-                scale = min(max(seen.median, MEDIANS[0]), MEDIANS[1]) / seen.median
-            water, reached = _with_contrast(water, numbers["contrast"], seen.median, scale)
-        depth, daylight = numbers["vertical_depth"], 1.0
-        if metered and not lamps:
+            water = water.mix(others[0], drawn["mixing"])
+        scale, reached = 1.0, None
+        if "contrast" in drawn:
+            reach = _by_distance if self._is_by_distance(drawn) else _by_contents
+            water, reached = reach(water, drawn["contrast"], seen)
+            scale = reached.scale
+            if reached.odd:
+                odd_scene.warn(reached.odd)
+        depth, daylight = drawn["vertical_depth"], 1.0
+        if seen.metered and not seen.lamps:
             daylight = water.daylight(depth)
             if daylight < DIMMEST:
                 depth, daylight = min(depth, water.depth_of_daylight(DIMMEST)), DIMMEST
@@ -198,92 +292,102 @@ class RandomWater:
             water,
             self.response,
             vertical_depth=depth,
-            g=numbers["g"],
-            mu=self._towards(numbers),
+            g=drawn["g"],
+            mu=self._towards(drawn),
             point_spread=self.point_spread or PointSpread.calibrated(FOCAL_LENGTH * seen.width),
-            surfaces="spectral" if "color_matrix" in numbers else "grey",
-            color_matrix=numbers.get("color_matrix", 1.0),
+            surfaces="spectral" if "color_matrix" in drawn else "grey",
+            color_matrix=drawn.get("color_matrix", 1.0),
             tolerance=_CURVES * daylight,  # what an exposure brings up, errors included
         )
-        return InWater(self._snowing(medium, draw), scale, reached)
+        return InWater(self._snowing(medium, drawn, seen.scaled(scale)), scale, reached)
 
-    def _snowing(self, medium: Medium, draw: Draw) -> Medium:
-        """A medium with the particles that are drawn; with those of its own if none are."""
-        if self.snow is None:
-            return medium
-        density, seed = draw.numbers["snow_density"], int(draw.numbers["snow_seed"])
-        return medium.with_snow(replace(self.snow, density=density, seed=seed, drift=draw.moved))
-
-    def fields(self, draws: Sequence[Draw], seen: Sequence[Measured], like: Tensor) -> Tensor:
+    def fields(self, drawn: Sequence[Drawn], seen: Sequence[Measured], like: Tensor) -> Tensor:
         """The medium field (Bx1xHxW) of each picture, for distances of the shape of a tensor; 1 in
         even water.
         """
         if self.field is None:
             return like.new_ones(())
         # in px of the view that the width law takes the picture for
-        moved = [
-            FOCAL_LENGTH * look.width * draw.moved / look.median
-            for draw, look in zip(draws, seen, strict=True)
-        ]
-        seeds = [draw.field_seed or 0 for draw in draws]
+        moved = [FOCAL_LENGTH * look.width * look.moved / look.median for look in seen]
+        seeds = [each["field_seed"] for each in drawn]
         return random_fields(seeds, (like.shape[-2], like.shape[-1]), *self.field, like, moved)
 
-    @property
-    def has_one_law(self) -> bool:
-        """Whether all media have one law of widths: those of fits may have laws of their own."""
-        fitted = any(isinstance(water, Medium) for water in self.by_name.values())
-        return len(self.by_name) == 1 or not fitted
+    def _is_by_distance(self, drawn: Drawn) -> bool:
+        if self.contrast_by is not None:
+            return self.contrast_by == "distance"
+        return self.waters is not None and all(isinstance(w, str) for w in drawn["waters"])
 
-    def require(self, name: Any) -> None:
-        """Refuse the name of a water that cannot have been drawn."""
-        ranges = [water for water in self.by_name.values() if isinstance(water, Constituents)]
-        can_be = name in self.by_name and not isinstance(self.by_name[name], Constituents)
-        if not can_be and isinstance(name, str) and "=" in name:
-            contents = Constituents.parse(name)
-            can_be = any(each.holds(contents) for each in ranges)
+    def _snowing(self, medium: Medium, drawn: Drawn, seen: Measured) -> Medium:
+        """A medium with the particles that are drawn; with those of its own if none are."""
+        if self.snow is None:
+            return medium
+        snow = self.snow.of(drawn["snow"])
+        return medium.with_snow(replace(snow, drift=snow.drift + seen.moved))
+
+    def _towards(self, drawn: Drawn) -> float | None:
+        """μ; of a range no more than g, as no veil is brighter than a white plate."""
+        mu: float | None = drawn.get("mu")
+        return min(drawn["mu"], drawn["g"]) if isinstance(self.mu, (tuple, list)) else mu
+
+    def _spectra(self, water: str | Mapping[str, float]) -> Water:
+        """A water by its name, or of amounts of contents."""
+        if not isinstance(water, str):
+            return Water.of_amounts(water)
+        spectra = self.by_name[water]
+        assert isinstance(spectra, Water)
+        return spectra
+
+    def _require_water(self, water: Any) -> None:
+        """Refuse a water that cannot have been drawn."""
+        if isinstance(water, Mapping):
+            ranges = [each for each in self.by_name.values() if isinstance(each, Constituents)]
+            can_be = any(each.holds(water) for each in ranges)
+        else:
+            can_be = isinstance(water, str) and not isinstance(
+                self.by_name.get(water), (Constituents, type(None))
+            )
         if not can_be:
             has = ", ".join(self.by_name)
-            raise ValueError(f"params asks for {name!r}, but this transform has {has}")
-
-    def _towards(self, numbers: Mapping[str, float]) -> float | None:
-        """μ; of a range no more than g, as no veil is brighter than a white plate."""
-        if isinstance(self.mu, (tuple, list)):
-            return min(numbers["mu"], numbers["g"])
-        return numbers.get("mu")
-
-    def _spectra(self, name: str) -> Water:
-        """A water by the name that a record gives it."""
-        water = self.by_name.get(name)
-        return water if isinstance(water, Water) else load_water(name)
+            raise ValueError(f"params asks for {water!r:.80}, but this transform has {has}")
 
 
-def _with_contrast(
-    water: Water, asked: float, median: float, scale: float
-) -> tuple[Water, Reached]:
-    """A water with so much in it that this contrast is left at the median distance, m, of a scene
-    whose distances are multiplied by `scale`.
-    """
-    metres = median * scale
+def _by_contents(water: Water, asked: float, seen: Measured) -> tuple[Water, Reached]:
+    """A water with so much in it that this contrast is left at the median distance."""
+    scale = 1.0
+    if not seen.lamps and math.isfinite(seen.median):
+        scale = min(max(seen.median, MEDIANS[0]), MEDIANS[1]) / seen.median
+    metres = seen.median * scale
     contents = water.contents_for(asked, metres)
     if math.isinf(contents):
         cure = "draw from waters that have something in them, or give contrast=None"
         raise ValueError(f"contrast: {water.name!r} is nothing but pure water to the eye: {cure}")
     scaled = water.with_contents(contents)
     contrast = asked if contents else scaled.contrast(metres)
-    reached = Reached(water.name, metres, scale, contents, contrast, asked)
-    if reached.odd:
-        odd_scene.warn(reached.odd)
-    return scaled, reached
+    return scaled, Reached(water.name, metres, scale, contents, contrast, asked, "contents")
+
+
+def _by_distance(water: Water, asked: float, seen: Measured) -> tuple[Water, Reached]:
+    """The same water, and the median distance at which this contrast is left."""
+    metres = seen.median
+    if not seen.lamps and math.isfinite(metres):
+        metres = min(max(water.metres_for(asked), SCALED[0]), SCALED[1])
+    contrast = water.contrast(metres) if math.isfinite(metres) else asked
+    scale = metres / seen.median if math.isfinite(metres) else 1.0
+    return water, Reached(water.name, metres, scale, 1.0, contrast, asked, "distance")
+
+
+def _several(waters: Any) -> tuple[Any, ...]:
+    """Waters as a tuple, which stays as it is whatever becomes of a list."""
+    if isinstance(waters, (set, frozenset)):
+        raise TypeError("waters must have an order, as draws follow it; got a set")
+    is_several = isinstance(waters, Iterable) and not isinstance(waters, Constituents)
+    return tuple(waters) if is_several else (waters,)
 
 
 def _loaded(waters: Any) -> list[tuple[str, Water | Constituents | Medium]]:
     """Waters, or ranges that each picture draws one from, with their names."""
-    kinds = (str, os.PathLike, Water, Constituents, Medium)
-    if isinstance(waters, (set, frozenset)):
-        raise TypeError("waters must have an order, as draws follow it; got a set")
     loaded: list[tuple[str, Water | Constituents | Medium]] = []
-    is_single = isinstance(waters, kinds) or not isinstance(waters, Iterable)
-    for water in [waters] if is_single else waters:
+    for water in waters if isinstance(waters, tuple) else (waters,):
         if isinstance(water, Medium):
             loaded += [(f"medium {len(loaded) + i}", water[i]) for i in range(len(water))]
             continue

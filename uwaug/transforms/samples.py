@@ -5,7 +5,7 @@ common to all that transforms them.
 import copy
 import hashlib
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from functools import partial, wraps
@@ -17,6 +17,7 @@ from torch import Tensor, nn
 
 from uwaug._support import checks
 from uwaug.distance.sizes import require_aspect
+from uwaug.distance.sources import Source
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -32,21 +33,32 @@ class Parts(NamedTuple):
 
 def take_apart(inputs: tuple[Any, ...], keys: tuple[str, str], reads_maps: bool) -> Parts:
     """Find image and map in (image, distance, …), or in one tuple, list or dict that holds them; in
-    second place of a tuple, a dict may hold the map. Without `reads_maps` none is looked for.
+    second place of a tuple, a dict may hold the map. Without `reads_maps` there is to be none.
     """
     sample = inputs[0] if len(inputs) == 1 else inputs
     if isinstance(sample, Mapping):
         image = _leaf(sample, keys[0], "sample")
-        distance = _leaf(sample, keys[1], "sample") if reads_maps else None
+        distance = _leaf(sample, keys[1], "sample") if reads_maps else sample.get(keys[1])
         return Parts(image, distance, partial(replaced, sample, keys[0]))
     if not isinstance(sample, (tuple, list)):
         return Parts(sample, None, lambda result: result)
     if not sample:
         raise ValueError("sample is empty: expected (image, distance, …)")
-    distance = sample[1] if len(sample) > 1 and reads_maps else None
+    distance = sample[1] if len(sample) > 1 else None
     if isinstance(distance, Mapping):  # torchvision's (image, target)
-        distance = _leaf(distance, keys[1], "the dict in second place")
+        is_there = reads_maps or keys[1] in distance
+        distance = _leaf(distance, keys[1], "the dict in second place") if is_there else None
+    elif not reads_maps and not _is_map(distance, sample[0]):
+        distance = None
     return Parts(sample[0], distance, partial(replaced, sample, 0))
+
+
+def _is_map(value: Any, image: Any) -> bool:
+    """Whether what stands after an image can be but a map of distances."""
+    both = isinstance(value, Tensor) and isinstance(image, Tensor)
+    if not both or not value.is_floating_point() or value.ndim != image.ndim or value.ndim < 3:
+        return False
+    return bool(value.shape[-3] == 1 and value.shape[-2:] == image.shape[-2:])
 
 
 def _leaf(sample: Mapping[Any, Any], name: str, what: str) -> Any:
@@ -152,8 +164,14 @@ def pictures_of(image: Any) -> Tensor:
     return plain if plain.ndim == 4 else plain[None]
 
 
-def maps_for(pictures: Tensor, distance: Any) -> list[Tensor]:
-    """A map (1xhxw, of the aspect of the pictures) for each one of a batch, as plain tensors."""
+def maps_for(pictures: Tensor, distance: Any, source: Source) -> Sequence[Tensor | None]:
+    """A map (1xhxw, of the aspect of the pictures) for each one of a batch, as plain tensors; None
+    where their source reads none.
+    """
+    if not source.reads_maps:
+        if distance is not None:
+            raise ValueError(f"distance: a map came, which {source!r:.80} does not read")
+        return [None] * len(pictures)
     if distance is None:
         cure = "for pictures without maps there are MadeUp, Network and Plane of uwaug.distance"
         raise ValueError(
