@@ -56,11 +56,8 @@ class Noun:
 
     def ranges(self) -> dict[str, Range | None]:
         """The range of each number that a picture draws, by name; None where there is none."""
-        return {
-            field.name: getattr(self, field.name)
-            for field in fields(self)  # type: ignore[arg-type]
-            if "domain" in field.metadata
-        }
+        drawn = (f.name for f in fields(self) if "domain" in f.metadata)  # type: ignore[arg-type]
+        return {name: getattr(self, name) for name in drawn}
 
     def require_ranges(self) -> None:
         """Refuse a range that falls, or leaves the domain of its number."""
@@ -90,11 +87,11 @@ class Noun:
 
     def require_fixed(self, name: str) -> None:
         """Refuse ranges, where one thing is wanted, and numbers outside of their domain."""
-        for field in fields(self):  # type: ignore[arg-type]
-            value = getattr(self, field.name)
-            if "domain" in field.metadata and not hasattr(value, "detach"):  # a tensor
-                least, most, _ = field.metadata["domain"]
-                checks.within(f"{name}: {field.name}", value, least, most)
+        for f in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, f.name)
+            if "domain" in f.metadata and not hasattr(value, "detach"):  # a tensor
+                least, most, _ = f.metadata["domain"]
+                checks.within(f"{name}: {f.name}", value, least, most)
 
     def random(self) -> list[str]:
         """The names of what differs from picture to picture."""
@@ -121,7 +118,7 @@ class Noun:
 
     @cached_property
     def _nouns(self) -> "dict[str, Noun]":
-        values = {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
+        values = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
         return {name: value for name, value in values.items() if isinstance(value, Noun)}
 
 

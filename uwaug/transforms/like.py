@@ -99,8 +99,8 @@ class UnderwaterLike(RandomUnderwater):
         if not self.kept:
             raise ValueError("kept: expected at least one, got none")
         drawn = super()._sample(uniform_of(0))
-        for kept in self.kept:
-            read_draws({"samples": [_in_water(drawn, kept)]}, 1, self._nouns)
+        for sample in self.kept:
+            read_draws({"samples": [_in_water(drawn, sample)]}, 1, self._nouns)
 
     def _sample(self, uniform: Uniform) -> Record:
         kept = self.kept[int(uniform("kept") * len(self.kept))]
@@ -261,6 +261,8 @@ def _in_water(drawn: Record, kept: Mapping[str, Any]) -> Record:
     """A sample with what is kept in place of what was drawn."""
     changed = dict(drawn)
     for name, value in kept.items():
+        if isinstance(value, tuple):  # as lists are read
+            value = list(value)
         inner = isinstance(value, Mapping) and value and isinstance(drawn.get(name), Mapping)
         changed[name] = _in_water(drawn[name], value) if inner else value
     return changed
