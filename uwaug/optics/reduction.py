@@ -7,7 +7,7 @@ from torch import Tensor
 
 from uwaug._support.types import Array
 from uwaug.optics.quadrature import distances_of, reduce_rates
-from uwaug.optics.spectra import WAVELENGTHS
+from uwaug.optics.spectra import bands_between
 from uwaug.optics.surfaces import measure, tensor_of
 from uwaug.optics.water import Water
 
@@ -19,8 +19,8 @@ that; a smaller one loses digits in V(0) − V(z), two large numbers.
 
 def default_bands(water: Water) -> Array:
     """Those of `WAVELENGTHS` that the water covers."""
-    low, high = water.wavelengths[[0, -1]]
-    bands: Array = WAVELENGTHS[(low <= WAVELENGTHS) & (high >= WAVELENGTHS)]
+    low, high = float(water.wavelengths[0]), float(water.wavelengths[-1])
+    bands = bands_between(low, high)
     if len(bands) == 0:
         raise ValueError(f"water covers {low:g}–{high:g} nm: no band of 400–700 nm")
     return bands

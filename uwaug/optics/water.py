@@ -29,6 +29,7 @@ from uwaug.optics.jerlov import JERLOV_TYPES, repaired_table
 from uwaug.optics.spectra import (
     WAVELENGTHS,
     Spectra,
+    bands_between,
     read_spectra,
     spectrum,
     wavelength_axis,
@@ -374,12 +375,11 @@ class Water(Spectra):
             return 1.0
         fine = self._fine()
         a, b, _ = fine._pure()
-        weights, water = fine._seen(a + b)
-        seen = weights * np.exp(water * -metres)
-        if float(seen.sum()) <= contrast:
-            return 0.0
-        _, contents = fine._seen(fine.beta - (a + b))
-        return _distance_to(contrast, seen, contents * metres)
+        pure = a + b
+        nodes, weights = fine._eye()
+        return _contents_for(
+            contrast, metres, nodes, weights, fine.wavelengths, pure, fine.beta - pure
+        )
 
     def daylight(self, depth: float) -> float:
         """The share of the surface's luminance that is left at a vertical depth [m]."""
@@ -402,18 +402,22 @@ class Water(Spectra):
             name = f"pure water (without contents of {self.name})"
         return self._with(factor, name, self.provenance)
 
-    def _seen(self, rates: Array) -> tuple[Array, Array]:
-        """The eye's weights at wavelengths that the water has, whose sum is 1, and rates there."""
-        low, high = self.wavelengths[[0, -1]].tolist()
+    def _eye(self) -> tuple[Array, Array]:
+        """Wavelengths that the water has and the eye sees, and the weights of these."""
+        low, high = float(self.wavelengths[0]), float(self.wavelengths[-1])
         if low > _VISIBLE_NM[1] or high < _VISIBLE_NM[0]:
             raise ValueError(f"{self} has no wavelength in 400–700 nm")
-        nodes, weights = eye(low, high)
+        return eye(low, high)
+
+    def _seen(self, rates: Array) -> tuple[Array, Array]:
+        """The eye's weights, whose sum is 1, and rates at its wavelengths."""
+        nodes, weights = self._eye()
         return weights, np.interp(nodes, self.wavelengths, rates)
 
     def _luminance(self, rates: Array, metres: float) -> float:
         """The share of luminance that is left after a path in which light fades at these rates."""
         weights, rates = self._seen(rates)
-        return float((weights * np.exp(rates * -metres)).sum())
+        return float(weights @ np.exp(rates * -metres))
 
     def _pure(self) -> Array:
         """a, b and K_d (3, N) of the pure sea water in this one."""
@@ -442,8 +446,7 @@ class Water(Spectra):
         is not linear between wavelengths 25 nm apart. So a water has the same contents whether it
         is taken to the bands of a medium before it is scaled or after.
         """
-        low, high = self.wavelengths[[0, -1]]
-        bands = WAVELENGTHS[(low <= WAVELENGTHS) & (high >= WAVELENGTHS)]
+        bands = bands_between(float(self.wavelengths[0]), float(self.wavelengths[-1]))
         if np.array_equal(self.wavelengths, bands):
             return self
         return self.at(np.union1d(self.wavelengths, bands))
@@ -551,6 +554,25 @@ def _distance_to(share: float, weights: Array, rates: Array) -> float:
         step = math.log(total / share) * total / (fading * transmitted).sum()
         z += step
     return float(max(z, 0.0))  # rounding may take the sum at 0 below the share
+
+
+@compiled
+def _contents_for(
+    contrast: float,
+    metres: float,
+    nodes: Array,
+    weights: Array,
+    wavelengths: Array,
+    pure: Array,
+    contents: Array,
+) -> float:
+    """By which factor what is in a water leaves a contrast, see `Water.contents_for`; of rates at
+    the water's wavelengths, and the eye's nodes and weights.
+    """
+    seen = weights * np.exp(np.interp(nodes, wavelengths, pure) * -metres)
+    if seen.sum() <= contrast:
+        return 0.0
+    return _distance_to(contrast, seen, np.interp(nodes, wavelengths, contents) * metres)
 
 
 @lru_cache(maxsize=16)
