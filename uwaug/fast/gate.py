@@ -24,9 +24,6 @@ from uwaug.optics.snow import MarineSnow
 
 _log = logging.getLogger(__name__)
 
-_TABLES = ("beta", "direct_weights", "G", "signal_weights", "veil_weights", "b_mean")
-"""The tensors of a medium that the loops know; another must be 0."""
-
 _F = TypeVar("_F", bound=Callable[..., Any])
 
 
@@ -39,8 +36,7 @@ def can(
     if torch.compiler.is_compiling() or not (wanted() and _has_numba()):
         return False
     # of what is one's own the loops know nothing
-    own = {Medium: medium, PointSpread: medium.point_spread, Development: development}
-    if any(type(value) is not kind for kind, value in own.items()):
+    if type(development) is not Development or not _has_its_sums(medium):
         return False
     if type(development.noise) not in (Sensor, type(None)):
         return False
@@ -54,10 +50,15 @@ def can(
         return False
     if not all(type(t) in (Tensor, torch.nn.Parameter) and t.is_cpu for t in tensors):
         return False
-    if any(bool(getattr(medium, name).any()) for name in medium.TENSORS if name not in _TABLES):
-        return False
     tracing = torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
     return z.dtype == torch.float32 and not tracing and _works()
+
+
+def _has_its_sums(medium: Medium) -> bool:
+    """Whether the curves of a medium, which may be of one's own class, are its sums."""
+    kind = type(medium)
+    names = ("sums", "curves", "image", "brightened", "under_lamp")
+    return kind is Medium or all(getattr(kind, n) is getattr(Medium, n) for n in names)
 
 
 def load() -> bool:

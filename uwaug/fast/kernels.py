@@ -22,6 +22,7 @@ from uwaug.fast.tables import (
     Bytes,
     CoarseTable,
     DevelopmentTable,
+    DistanceTable,
     Doubles,
     Floats,
     Indices,
@@ -117,15 +118,6 @@ def log2(y: Any) -> Any:
     """Of positive y."""
     e, m = _split(y)
     return _log2_sum(e, m - _1)
-
-
-@inner
-def log2_1p(x: Any) -> Any:
-    """log2(1 + x), with what rounding leaves out of the sum."""
-    y = _1 + x
-    e, m = _split(y)
-    late = (x - (y - _1)) * i32(i32(127 - e) << 23).view(f32)
-    return _log2_sum(e, (m - _1) + late)
 
 
 @inner
@@ -520,6 +512,7 @@ def meter(
     width: int,
     points: Indices,
     medium: MediumTable,
+    table: DistanceTable,
     lamps: LampsTable,
     luminance: Doubles,
     brightness: Floats,
@@ -530,7 +523,7 @@ def meter(
     Args:
         light (3xN), z, metres (N): of all pixels of a picture, so many in a row.
         points (M): which of them.
-        medium, lamps: tables.
+        medium, table, lamps: tables.
         luminance (3): weights of the channels.
         brightness (M, or 0): is filled with the luminance of what arrives.
     """
@@ -582,6 +575,8 @@ def meter(
                 row, lit = d[c, first : first + n], tile_row(t, 7 + LIT + c)
                 for x in range(n):
                     row[x] += lit[x]
+    for c in range(3 * min(1, table.terms.shape[0])):
+        add_terms(d[c], far, c, table)
     for x in range(brightness.size):
         red, green, blue = d[0, x], d[1, x], d[2, x]
         brightness[x] = luminance[0] * red + luminance[1] * green + luminance[2] * blue
@@ -638,21 +633,28 @@ def add_enlarged(d: Any, share: Any, grid: Any, n: int, left: int, right: int, w
 
 
 @inner
-def width_places(t: Any, z: int, to: int, law: Any, n: int) -> None:
-    """Where the widths at distances in row `z` lie in a plan, −1…1; the widths as in
-    `uwaug.optics.point_spread.width_at`.
-    """
-    far, v = tile_row(t, z), tile_row(t, to)
-    b_mean, exponent, least, most = law.b_mean, law.exponent, law.least, law.most
+def width_places(t: Any, z: int, to: int, table: Any, n: int) -> None:
+    """Where the widths at distances in row `z` lie in a plan, −1…1."""
+    far, d, places = tile_row(t, z), tile_row(t, to), table.places
+    last = f32(places.size - 2)
     for x in range(n):
-        v[x] = min(max(b_mean * far[x], least), most)
-    if exponent != _1:
-        for x in range(n):
-            v[x] = exp2(exponent * log2(v[x]))
-    linear, square, slope, offset = law.linear, law.square, law.slope, law.offset
-    for x in range(n):
-        place = slope * log2_1p(v[x] * (linear + square * v[x])) + offset
-        v[x] = min(max(place, -_1), _1)
+        place = (log2(max(far[x], _LEAST_M)) - table.first) * table.steps
+        below = i32(min(max(place, _0), last))
+        share = min(max(place - f32(below), _0), _1)
+        value = places[below] + share * (places[below + 1] - places[below])
+        d[x] = min(max(value, -_1), _1)
+
+
+@inner
+def add_terms(d: Any, far: Any, channel: int, table: Any) -> None:
+    """Add the light of further terms in a channel, at distances."""
+    last, terms = f32(table.terms.shape[0] - 2), table.terms
+    for x in range(d.size):
+        place = (log2(max(far[x], _LEAST_M)) - table.first) * table.steps
+        below = i32(min(max(place, _0), last))
+        share = min(max(place - f32(below), _0), _1)
+        low = terms[below, channel]
+        d[x] += low + share * (terms[below + 1, channel] - low)
 
 
 @inner
@@ -882,6 +884,7 @@ def render_rows(
     metres: Floats,
     snow: Floats,
     medium: MediumTable,
+    table: DistanceTable,
     lamps: LampsTable,
     stack: StackTable,
     grid: Floats,
@@ -901,7 +904,7 @@ def render_rows(
     Args:
         light (3xHxW), z, metres (HxW): of the scene; effective distance, and without the field, m.
         snow (3xHxW, or 3x1x0): light of particles.
-        medium, lamps, stack: tables.
+        medium, table, lamps, stack: tables.
         grid (NxW), starts (m): the lines of all coarse grids; where those of each would start.
         normals (N), begins (3xH): of the sensor's noise; where each row of each channel begins.
             Without noise, N = 0, the gain is in the medium.
@@ -939,7 +942,7 @@ def render_rows(
             n = min(TILE, -(-(right - left) // LANES) * LANES)
             copy(z_row, z[y, left:right])
             if count > 1:
-                width_places(t, 0, totals + 3, medium.law, n)
+                width_places(t, 0, totals + 3, table, n)
                 blur_weights(t, totals + 3, shares, stack.series, n)
             for c in range(3):
                 J, total_row = light[c, y, left:right], tile_row(t, totals + c)
@@ -974,6 +977,8 @@ def render_rows(
                 for c in range(3):
                     near = tile_rows(t, 1 + 3 * c, 3)
                     _sum(tile_row(t, totals + c), near, light[c, y, left:right])
+            for c in range(3 * min(1, table.terms.shape[0])):
+                add_terms(tile_row(t, totals + c)[: right - left], z_row, c, table)
             for c in range(3 * is_lit):
                 total_row, lamplit = tile_row(t, totals + c), tile_row(t, lit + LIT + c)
                 for x in range(n):

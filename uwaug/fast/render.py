@@ -2,7 +2,7 @@
 
 import os
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
 from threading import Lock
@@ -18,19 +18,19 @@ from uwaug._support.types import Array, ColorSpace
 from uwaug.blur.plan import BlurPlan
 from uwaug.fast import kernels
 from uwaug.fast.tables import (
-    NO_LAW,
     DevelopmentTable,
+    DistanceTable,
     Floats,
     Indices,
     LampsTable,
     PlanTable,
+    distance_table,
     lamps_table,
     medium_table,
     plan_table,
-    width_law,
 )
 from uwaug.formation.colour import LUMINANCE, headroom
-from uwaug.formation.demand import Weights, plan_for
+from uwaug.formation.demand import Weights, blurred_between, plan_between
 from uwaug.formation.development import (
     BURNT,
     METERED,
@@ -76,21 +76,27 @@ def form(
     if light is not None:
         brightest = Weights.of(light.planned(medium))
         weights = weights.seen_by(np.full((1, 3), light.daylight))
+    ends, each = blurred_between(z, brightest), [medium]
+    if len(medium) > 1:
+        each = [medium[n] for n in range(len(medium))]
+    tables_of = partial(distance_table, size=size, ends=ends, z=z)
     lamps_of = partial(lamps_table, light, brightest, size)
-    gains = _gains(scenes, far, near, weights, lamps_of, development, light is not None)
-    seen = weights.seen_by(gains)
-    plan = plan or plan_for(z, medium, size, tolerance, brightest.seen_by(gains))
-    table = plan_table(plan, size)
+    metered = [tables_of(row) for row in each]
+    gains = _gains(scenes, far, near, weights, metered, lamps_of, development, light is not None)
+    if plan is None:
+        plan = plan_between(ends, medium, size, tolerance, brightest.seen_by(gains))
+    stack = plan_table(plan, size)
     # the gain in the medium costs nothing; after noise it has to be a step of its own
-    shown, factors = (weights, _ONE) if development.noise else (seen, gains)
-    lamps = [lamps_of(factors, n) for n in range(len(shown.beta))]
-    laws = [width_law(medium, n, plan, size) for n in range(len(medium))]
-    media = [medium_table(shown, n, laws[n % len(laws)]) for n in range(len(shown.beta))]
+    shown, factors = (weights, _ONE) if development.noise else (weights.seen_by(gains), gains)
+    rows = range(len(shown.beta))
+    media = [medium_table(shown, n) for n in rows]
+    distances = [tables_of(each[n % len(each)], plan, gain=factors[n % len(factors)]) for n in rows]
+    lamps = [lamps_of(factors, n) for n in rows]
     snow = [_snow(medium, light, z, metres, n, factors) for n in range(batch)]
     normals, begins, cameras = _camera(development, gains, batch, size)
-    largest = headroom(image) if srgb and high > 1 else 1.0
-    largest = torch.as_tensor(largest, dtype=torch.float32, device="cpu")
-    highest = largest.reshape(-1).expand(batch).numpy()
+    highest = np.ones(batch, np.float32)
+    if srgb and high > 1:
+        highest *= torch.as_tensor(headroom(image)).float().flatten().numpy()
     kind = torch.uint8 if image.dtype == torch.uint8 else torch.float32
     result = torch.empty(batch, 3, *size, dtype=kind, device="cpu")
     step = max(_BAND // size[1], 64)
@@ -99,13 +105,14 @@ def form(
         samples = range(batch) if len(scenes) == 1 else (i,)
         for first in range(0, size[0], step):
             rows = range(first, min(first + step, size[0]))
-            grid, starts = _coarse_grids(scene, table, rows)
+            grid, starts = _coarse_grids(scene, stack, rows)
             for n in samples:
                 out = result[n].numpy()
                 outs = (_NO_FLOATS, out) if out.dtype == np.uint8 else (out, _NO_BYTES)
                 maps = scene, far[n % len(far), 0], near[n % len(near), 0]
-                tables = snow[n], media[n % len(media)], lamps[n % len(lamps)]
-                blurs, encoding = (table.stack, grid, starts), (srgb, highest[n])
+                row = n % len(media)
+                tables = snow[n], media[row], distances[row], lamps[row]
+                blurs, encoding = (stack.stack, grid, starts), (srgb, highest[n])
                 camera = normals, begins[n], cameras[n % len(cameras)]
                 arguments: Any = (*maps, *tables, *blurs, *camera, *encoding, *outs)
                 _in_bands(partial(kernels.render_rows, *arguments), rows, size[1])
@@ -133,6 +140,7 @@ def _gains(
     z: Floats,
     metres: Floats,
     weights: Weights,
+    distances: Sequence[DistanceTable],
     lamps_of: Callable[[Array, int], LampsTable],
     development: Development,
     lit: bool,
@@ -152,7 +160,8 @@ def _gains(
         points = metering_points(height, width, torch.device("cpu")).numpy()
         lights, *maps = (x.reshape(len(x), -1, height * width) for x in (scenes, z, metres))
         tables = [
-            (medium_table(weights, n, NO_LAW), lamps_of(_ONE, n)) for n in range(len(weights.beta))
+            (medium_table(weights, n), distances[n % len(distances)], lamps_of(_ONE, n))
+            for n in range(len(weights.beta))
         ]
         matrices = np.empty((max(len(lights), len(z), len(tables)), 3, 3))
         brightness = np.empty(len(points) if lit else 0, np.float32)
@@ -165,8 +174,9 @@ def _gains(
                 burnt = round(BURNT * METERED)
                 highlight = float(np.partition(brightness, -burnt)[-burnt])
             else:
-                veil = -weights.veil[row] @ np.expm1(weights.G[row] * -float(far.max()))
-                highlight = float(veil.max())
+                farthest = float(far.max())
+                veil = -weights.veil[row] @ np.expm1(weights.G[row] * -farthest)
+                highlight = float((veil + tables[row][1].terms[-1:].sum(0)).max())
             matrices[n] = gain_at(means, highlight, *camera)
     return matrices if saturation != 1 else np.diagonal(matrices, 0, 1, 2)
 

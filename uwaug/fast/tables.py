@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from uwaug._support.cache import Cache
+from uwaug._support.checks import extent
 from uwaug._support.types import Array
 from uwaug.blur.banded import Kind, Node, mirrored, whole
 from uwaug.blur.kernels import blur_kernel
-from uwaug.blur.plan import V_FLOOR, BlurPlan, place_line
+from uwaug.blur.plan import NO_BLUR, V_FLOOR, BlurPlan, place_line
 from uwaug.formation.demand import Weights
 from uwaug.light.backscatter import ASYMMETRY, NODE_WEIGHTS, NODES
 from uwaug.light.light import LAMP_RADIUS_M, Light
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import LENGTHS, pixel_scale
 
 Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]
@@ -77,24 +77,20 @@ class PlanTable(NamedTuple):
     coarse: tuple[CoarseTable, ...]
 
 
-class WidthLaw(NamedTuple):
-    """Width law of a medium, and the place of a width in a plan, see `kernels.width_places`.
+class DistanceTable(NamedTuple):
+    """What PyTorch computes of distances, at E of them, evenly spaced in their logarithm; between
+    them it is linear in that.
 
     Attributes:
-        b_mean, exponent: of σ = scale·(b̄ z)^exponent.
-        linear, square: what 2σ and 2σ² are of (b̄ z)^exponent and of its square; one of them is 0.
-        slope, offset: of log2.
-        least, most: scattering lengths between which a width changes.
+        first, steps: log2 of the first distance, m; entries an octave.
+        places (E, or 1 without a blur that varies): of the blur's width in its plan, −1…1.
+        terms (Ex3, or 0x3 where there are none): light of the medium's further terms.
     """
 
-    b_mean: np.float32
-    exponent: np.float32
-    linear: np.float32
-    square: np.float32
-    slope: np.float32
-    offset: np.float32
-    least: np.float32
-    most: np.float32
+    first: np.float32
+    steps: np.float32
+    places: Floats
+    terms: Floats
 
 
 class DevelopmentTable(NamedTuple):
@@ -123,14 +119,12 @@ class MediumTable(NamedTuple):
         direct (3, K), scatter (3, R), veil (3, R − K): weights; the veil's are those of e^−x − 1.
             Of surfaces with spectra, direct and scatter have nine rows: for each channel of the
             picture, those of the scene.
-        law: of widths, for a plan and pictures of one size.
     """
 
     rates: Floats
     direct: Floats
     scatter: Floats
     veil: Floats
-    law: WidthLaw
 
 
 class LampsTable(NamedTuple):
@@ -286,23 +280,69 @@ def _mirrored(margin: int, size: int) -> Indices:
 
 # ------------------------------------------------------------------------------ media
 
+_ENTRIES = 1024
+"""Of a table over distance: with linear interpolation, places are right within 1e-6 over six
+octaves. (All curves and the weights of the blurs so: 4.7 ms instead of 1.6 for that stage at 512²;
+benchmarks/CHOICES.md, loops.)
+"""
 
-def medium_table(weights: Weights, n: int, law: WidthLaw) -> MediumTable:
-    """The `n`-th row of a medium, with its law."""
-    beta, direct, G, signal, veil = [rows[n].astype(np.float32) for rows in weights]
+_NEAREST = 1e-6
+"""m, and of the farthest distance: stands for the distance 0, which has no logarithm."""
+
+_NO_DISTANCES = DistanceTable(
+    np.float32(0), np.float32(0), np.zeros(0, np.float32), np.zeros((0, 3), np.float32)
+)
+
+
+def medium_table(weights: Weights, n: int) -> MediumTable:
+    """The `n`-th row of a medium."""
+    beta, direct, G, signal, veil = [rows[n].astype(np.float32) for rows in weights[:5]]
     rates = np.concatenate((beta, G)) * np.float32(-math.log2(math.e))
-    return MediumTable(rates, direct, np.concatenate((-direct, signal), 1), -veil, law)
+    return MediumTable(rates, direct, np.concatenate((-direct, signal), 1), -veil)
 
 
-def width_law(medium: Medium, n: int, plan: BlurPlan, size: Size) -> WidthLaw:
-    """Width law of the `n`-th medium, and the place of a width in a plan."""
-    spread = medium.point_spread
-    scale, exponent = (_number(value, n) for value in spread.numbers().values())
-    scale *= float(pixel_scale(spread.reference_size, size))
-    slope, offset = place_line(plan)
-    powers = (scale / V_FLOOR, 0.0) if plan.shape == "exponential" else (0.0, scale**2 / V_FLOOR)
-    numbers = (float(medium.b_mean[n]), exponent, *powers, slope * math.log(2), offset, *LENGTHS)
-    return WidthLaw(*map(np.float32, numbers))
+def distance_table(
+    medium: Medium,
+    plan: BlurPlan = NO_BLUR,
+    *,
+    size: Size,
+    ends: tuple[float, float],
+    z: Tensor,
+    gain: Array | None = None,
+) -> DistanceTable:
+    """What PyTorch makes of the distances of a picture, for a medium of one row.
+
+    Args:
+        plan: in which widths have places.
+        size: (height, width) of the picture.
+        ends: between which distances blurs show, m.
+        z: all distances.
+        gain (3, or 3x3): that multiplies or mixes channels.
+    """
+    terms = medium.further_terms(torch.ones(1, 1, 1, 1, dtype=torch.float64))
+    if len(plan.sigmas) == 1 and not terms:
+        return _NO_DISTANCES
+    near, far = extent(z) if terms else ends
+    near = max(near, _NEAREST * far, _NEAREST)
+    first, last = math.log2(near), math.log2(max(far, 2 * near))
+    steps = (_ENTRIES - 1) / (last - first)
+    nodes = torch.exp2(torch.linspace(first, last, _ENTRIES, dtype=torch.float64))
+    nodes = nodes.reshape(1, 1, 1, -1)
+    places, light = _NO_DISTANCES.places, _NO_DISTANCES.terms
+    if len(plan.sigmas) > 1:
+        slope, offset = place_line(plan)
+        x = medium.width(nodes, size).flatten() / V_FLOOR
+        x = x if plan.shape == "exponential" else V_FLOOR * x * x
+        places = (slope * torch.log1p(x) + offset).float().numpy()
+    if terms:
+        each = medium.to(nodes).further_terms(nodes).values()
+        sums = np.zeros((3, _ENTRIES))
+        for term in each:
+            sums += term.detach().expand(1, 3, 1, _ENTRIES)[0, :, 0].numpy()
+        if gain is not None:
+            sums = gain @ sums if gain.ndim == 2 else gain[:, None] * sums
+        light = np.ascontiguousarray(sums.T, np.float32)
+    return DistanceTable(np.float32(first), np.float32(steps), places, light)
 
 
 def lamps_table(
@@ -345,14 +385,3 @@ NO_LAMPS = LampsTable._make(
     [_NONE[2], _0, _0, *[_NONE[n] for n in (2, 1, 3, 3, 1, 2, 2)], _0, _NONE[1]]
 )
 """Daylight."""
-
-NO_LAW = WidthLaw(*[np.float32(0)] * 8)
-"""Of a medium whose blur is not planned yet."""
-
-
-def _number(value: float | Tensor, n: int) -> float:
-    """The n-th of a law's numbers, as `Medium.to` leaves it: a tensor's is rounded to float32."""
-    if not isinstance(value, Tensor):
-        return float(value)
-    values = value.detach().to(torch.float32).reshape(-1)
-    return float(values[n if len(values) > 1 else 0])

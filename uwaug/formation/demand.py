@@ -58,8 +58,9 @@ _STEPS = np.linspace(0, 1, 65)
 
 
 class Weights(NamedTuple):
-    """A medium of B rows as arrays in double precision: rates (BxK, BxL) and weights of the three
-    curves (Bx3xK, Bx3xL, Bx3xL); of surfaces with spectra the first two have nine rows.
+    """A medium of B rows as arrays in double precision: rates (BxK, BxL), weights of the three
+    curves (Bx3xK, Bx3xL, Bx3xL), of which the first two have nine rows for surfaces with spectra;
+    and b̄ (B).
     """
 
     beta: Array
@@ -67,27 +68,28 @@ class Weights(NamedTuple):
     G: Array
     signal: Array
     veil: Array
+    b_mean: Array
 
     @staticmethod
     def of(medium: Medium) -> "Weights":
         """Those of a medium."""
-        arrays = [values.detach().cpu().double().numpy() for values in medium.tensors()[:5]]
-        rows = [x.reshape(len(x), -1, x.shape[-1]) if x.ndim == 4 else x for x in arrays]
-        return Weights(*map(np.ascontiguousarray, rows))
+        direct, signal = medium.direct_weights.flatten(1, -2), medium.signal_weights.flatten(1, -2)
+        values = (medium.beta, direct, medium.G, signal, medium.veil_weights, medium.b_mean)
+        return Weights(*(x.detach().cpu().double().contiguous().numpy() for x in values))
 
     def seen_by(self, gain: Array) -> "Weights":
         """As seen by a camera that multiplies channels (B or 1, 3), or mixes them (…, 3, 3)."""
-        beta, G = self.beta, self.G
+        beta, G, b_mean = self.beta, self.G, self.b_mean
         if len(gain) > len(beta):
-            beta, G = beta.repeat(len(gain), 0), G.repeat(len(gain), 0)
+            beta, G, b_mean = (x.repeat(len(gain), 0) for x in (beta, G, b_mean))
         if gain.ndim == 2 and self.direct.shape[1] == 3:
             direct, signal, veil = (
                 gain[..., None] * x for x in (self.direct, self.signal, self.veil)
             )
-            return Weights(beta, direct, G, signal, veil)
+            return Weights(beta, direct, G, signal, veil, b_mean)
         matrix = gain if gain.ndim == 3 else gain[..., None] * np.eye(3)
         direct, signal = (_mixed(matrix, x) for x in (self.direct, self.signal))
-        return Weights(beta, direct, G, signal, matrix @ self.veil)
+        return Weights(beta, direct, G, signal, matrix @ self.veil, b_mean)
 
 
 def _mixed(matrix: Array, weights: Array) -> Array:
@@ -190,14 +192,13 @@ def blur_demand(
     law = medium.point_spread
     near, far = (min(max(z, 0.0), FARTHEST) for z in distance_range)
     weights = Weights.of(medium) if seen is None else seen
-    first, last, strength = _scattered(*weights[:4], near, far, tolerance, learned)
+    curves = weights.beta, weights.direct, weights.G, weights.signal
+    first, last, strength = _scattered(*curves, near, far, tolerance, learned)
     traced = any(isinstance(v, Tensor) and v.requires_grad for v in law.numbers().values())
     if strength == 0:
         learns = learned and traced
         return BlurDemand(0.0, 0.0, tolerance, law.shape, law.reference_size, learns)
-    with torch.no_grad():
-        ends = torch.tensor([[[[first, last]]]], dtype=torch.float64, device=medium.beta.device)
-        low, high = checks.extent(medium.width(ends, None))
+    low, high = _widths(medium, weights.b_mean, first, last)
     # in half octaves, so that similar media may share a plan
     slack = _SLACK * octave_steps(1 / strength, 2, math.floor)
     blur_tolerance = min(tolerance * slack, _FOR_SLOPES if learned else 0.5)
@@ -206,6 +207,17 @@ def blur_demand(
     return BlurDemand(
         low / margin, high * margin, blur_tolerance, law.shape, law.reference_size, learns
     )
+
+
+def _widths(medium: Medium, b_mean: Array, first: float, last: float) -> tuple[float, float]:
+    """The least and the largest width, px of the law, at two distances of all rows."""
+    law = medium.point_spread
+    if any(isinstance(value, Tensor) for value in law.numbers().values()):
+        with torch.no_grad():
+            ends = torch.tensor([[[[first, last]]]], dtype=torch.float64, device=medium.beta.device)
+            return checks.extent(medium.width(ends, None))
+    widths = law.sigma(b_mean[:, None] * (first, last), None)
+    return float(widths.min()), float(widths.max())
 
 
 @compiled
@@ -269,27 +281,36 @@ def _farthest_blurred(G: Array, signal_weights: Array) -> float:
     return FARTHEST if slowest <= 0 else min(40 / slowest, FARTHEST)
 
 
-def plan_for(
-    z: Tensor,
-    medium: Medium,
-    size: tuple[int, int],
-    tolerance: float,
-    seen: Weights | None = None,
-) -> BlurPlan:
+def plan_for(z: Tensor, medium: Medium, size: tuple[int, int], tolerance: float) -> BlurPlan:
     """The plan for effective distances z, m, in a picture of (height, width) `size`, rounded so
     that similar ones share it. Gradients of the medium take a finer one.
     """
+    seen = Weights.of(medium)
+    return plan_between(blurred_between(z, seen), medium, size, tolerance, seen)
+
+
+def plan_between(
+    ends: tuple[float, float],
+    medium: Medium,
+    size: tuple[int, int],
+    tolerance: float,
+    seen: Weights,
+) -> BlurPlan:
+    """As `plan_for`, of a medium as a camera sees it, between two distances, m."""
     learned = torch.is_grad_enabled() and medium.requires_grad
+    margin = _MARGIN if learned else 1.0
+    demand = blur_demand(medium, ends, tolerance, learned=learned, margin=margin, seen=seen)
+    return demand.plan(size, shared=True)
+
+
+def blurred_between(z: Tensor, seen: Weights) -> tuple[float, float]:
+    """The nearest distance of a map, m, and the farthest of those at which blurs may show."""
     nearest, farthest = checks.extent(z)
-    seen = Weights.of(medium) if seen is None else seen
     end = _farthest_blurred(seen.G, seen.signal)
     if farthest >= end < FARTHEST:
         blurred = z.detach()[z.detach() < end]
         farthest = float(blurred.max()) if blurred.numel() else nearest
-    margin = _MARGIN if learned else 1.0
-    ends = nearest, max(farthest, nearest)
-    demand = blur_demand(medium, ends, tolerance, learned=learned, margin=margin, seen=seen)
-    return demand.plan(size, shared=True)
+    return nearest, max(farthest, nearest)
 
 
 def constant_plan(

@@ -266,8 +266,12 @@ def metered(J: Tensor, z: Tensor, medium: Medium, T: Curves | None = None) -> Me
 
 
 def farthest_veil(z: Tensor, medium: Medium) -> Tensor:
-    """Of the brightest channel (B, 1)."""
-    return medium.curves(z.amax((-3, -2, -1), keepdim=True)).veil.flatten(1).amax(1, keepdim=True)
+    """What light the water adds before the farthest pixel, in the brightest channel (B, 1)."""
+    farthest = z.amax((-3, -2, -1), keepdim=True)
+    veil = medium.curves(farthest).veil
+    for term in medium.further_terms(farthest).values():
+        veil = veil + term
+    return veil.flatten(1).amax(1, keepdim=True)
 
 
 def _automatic(means: Means) -> Tensor:

@@ -58,7 +58,6 @@ from uwaug.optics.surfaces import (
     as_matrices,
     measure,
     reflectances,
-    tensor_of,
     through_camera,
     white,
 )
@@ -196,7 +195,7 @@ class Medium:
         spectra = water.at(default_bands(water))
         axis, b = spectra.wavelengths, spectra.b
         eye = load_camera(camera)
-        require_seen(eye, *map(float, axis[[0, -1]]))
+        require_seen(eye, float(axis[0]), float(axis[-1]))
         sensor = response_at(eye, axis.tobytes())
         basis, response = None, sensor
         if surfaces == "spectral":
@@ -211,10 +210,10 @@ class Medium:
             f"within {error:.1g} at any distance, {vertical_depth:g} m deep, g = {g:g}, μ = {mu:g}"
             + (", surfaces = spectral" if surfaces == "spectral" else "")
         )
-        brightest = float((response * veil).sum(1).max())
+        brightest = float((response @ veil).max())
         if brightest > _BRIGHT_VEIL:
             note += f"; veil of {brightest:.2g} times white"
-        b_mean = tensor_of(np.array([(sensor @ b).mean()]))
+        b_mean = torch.from_numpy((sensor @ b).mean(keepdims=True))
         law = PointSpread.paper() if point_spread is None else point_spread
         bands = Bands(beta, G, b, response, measure(response, basis), tolerance)
         return Medium(
@@ -476,7 +475,7 @@ class Medium:
             # `mix` goes over the rates, whose number a graph does not know
             mixes = self.is_spectral and not torch.compiler.is_compiling()
             arriving = mix(sums, z, J, soft) if mixes else curves(sums, z).image(J, soft)
-        for term in self.further_terms(z, J).values():
+        for term in self.further_terms(z).values():
             arriving = arriving + term
         return arriving
 
@@ -486,12 +485,13 @@ class Medium:
         """The terms of the image (Bx3xHxW) by name, which add up to `image`."""
         direct, forward, backscatter = (self.curves(z) if T is None else T).parts(J, soft)
         terms = {"direct": direct, "forward": forward, "backscatter": backscatter}
-        terms |= self.further_terms(z, J)
+        terms |= self.further_terms(z)
         return {name: term.expand_as(direct) for name, term in terms.items()}
 
-    def further_terms(self, z: Tensor, J: Tensor) -> dict[str, Tensor]:
-        """Terms (B or 1, 3, H, W) beside the three, by their names in `uwaug.formation.Terms`, of
-        the distance and the scene's light: a new one, such as plankton that glows, goes here.
+    def further_terms(self, z: Tensor) -> dict[str, Tensor]:
+        """Terms (B or 1, 3, H, W) beside the three, by their names in `uwaug.formation.Terms`: what
+        light the water adds before a point at a distance (Bx1xHxW), m. A new one, such as plankton
+        that glows, goes here.
         """
         return {}
 
@@ -545,7 +545,8 @@ class Medium:
     def width(self, z: Tensor, size: tuple[int, int] | None) -> Tensor:
         """σ(z), px, of distances (B or 1, 1, H, W) in an image of `size`; None: in the law's px."""
         lengths = self.b_mean.reshape(-1, 1, 1, 1).to(z) * z.clamp(max=FARTHEST)
-        return self.point_spread.sigma(lengths, size)
+        width: Tensor = self.point_spread.sigma(lengths, size)
+        return width
 
     def __repr__(self) -> str:
         more = f", and {len(self) - 1} more" if len(self) > 1 else ""

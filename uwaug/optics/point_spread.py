@@ -146,11 +146,12 @@ class PointSpread:
         changed: dict[str, Any] = {name: function(value) for name, value in tensors.items()}
         return replace(self, **changed) if changed else self
 
-    def sigma(self, lengths: Tensor, size: tuple[int, int] | None) -> Tensor:
-        """σ, px.
+    def sigma(self, lengths: Any, size: tuple[int, int] | None) -> Any:
+        """σ, px, as tensor or array.
 
         Args:
-            lengths (BxC'xHxW tensor): scattering lengths b̄·z, ≥ 0.
+            lengths (BxC'xHxW tensor; of a law of plain numbers also an array of any shape):
+                scattering lengths b̄·z, ≥ 0.
             size: (height, width) of the image, px; None for px of `reference_size`.
         """
         scale, exponent = (
@@ -170,9 +171,9 @@ class PointSpread:
         return f"{self.shape} σ = {shown[0]}·(b̄ z)^{shown[1]} px{at}"
 
 
-def width_at(lengths: Tensor, scale: float | Tensor, exponent: float | Tensor) -> Tensor:
-    """scale·lengths^exponent, of shapes that broadcast."""
-    x = lengths.clamp(*LENGTHS)
+def width_at(lengths: Any, scale: float | Tensor, exponent: float | Tensor) -> Any:
+    """scale·lengths^exponent, of tensors or arrays whose shapes broadcast."""
+    x = lengths.clip(*LENGTHS)
     if isinstance(exponent, Tensor) or exponent != 1:
         x = x**exponent  # ONNX Runtime would compute x^1
     return scale * x

@@ -8,7 +8,7 @@ from torch import Tensor
 from uwaug._support.types import Array
 from uwaug.optics.quadrature import distances_of, reduce_rates
 from uwaug.optics.spectra import bands_between
-from uwaug.optics.surfaces import measure, tensor_of
+from uwaug.optics.surfaces import measure, row_of
 from uwaug.optics.water import Water
 
 _LOSSLESS = 1e-6
@@ -77,7 +77,7 @@ def reduced_curves(
         "signal_weights": weights[:-3],
         "veil_weights": weights[-3:],
     }
-    return {name: tensor_of(array)[None] for name, array in arrays.items()}, error
+    return {name: row_of(array) for name, array in arrays.items()}, error
 
 
 def _mixes(lit: Array, rates: Array, tolerance: float) -> bool:

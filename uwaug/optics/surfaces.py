@@ -26,6 +26,8 @@ Surfaces = Literal["grey", "spectral"]
 right for grey surfaces; "spectral", on all three, as surfaces have spectra.
 """
 
+_UNIT = np.eye(3)
+
 _SINGULAR = 1e3
 """Condition number of M from which on the three channels see the same. Of usual cameras it is 3."""
 
@@ -64,9 +66,8 @@ def through_camera(
         ValueError: if the channels cannot tell three colours apart.
     """
     seen = sensor @ basis.T
-    inverse = _inverse(seen.tobytes())
-    full = inverse if own is None else own
-    matrix = np.eye(3) + share * (full - np.eye(3))
+    full = _inverse(seen.tobytes()) if own is None else own
+    matrix = _UNIT + share * (full - _UNIT)
     return matrix @ sensor, np.linalg.inv(matrix @ seen).T @ basis
 
 
@@ -87,13 +88,12 @@ def measure(response: Array, basis: Array | None) -> Array:
     return response if basis is None else (response[:, None] * basis).reshape(9, -1)
 
 
-def tensor_of(values: Array) -> Tensor:
-    """Rates (K) or weights (3, K) as they are, weights (9, K) as (3, 3, K); on the CPU, whatever
-    torch's default device.
+def row_of(values: Array) -> Tensor:
+    """Rates (K) as a tensor (1, K), weights (3, K) as (1, 3, K), weights (9, K) as (1, 3, 3, K); on
+    the CPU, whatever torch's default device, and of the same memory.
     """
-    if values.ndim == 2 and len(values) == 9:
-        values = values.reshape(3, 3, -1)
-    return torch.from_numpy(values).clone()  # a third of the time of torch.tensor
+    shape = (3, 3, -1) if values.ndim == 2 and len(values) == 9 else values.shape
+    return torch.from_numpy(values.reshape(1, *shape))  # a tenth of the time of torch.tensor
 
 
 def white(weights: Tensor) -> Tensor:
