@@ -22,6 +22,11 @@ def loops_are_loaded() -> None:
     _loops[0] = True
 
 
+def are_loaded() -> bool:
+    """Whether the compiled loops are loaded."""
+    return _loops[0]
+
+
 def wanted() -> bool:
     """Whether the environment allows for compiled functions."""
     switches = os.environ.get("UWAUG_FAST"), os.environ.get("NUMBA_DISABLE_JIT", "0")

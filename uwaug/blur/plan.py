@@ -81,6 +81,9 @@ class BlurPlan:
     error: float
     shape: Shape = "gaussian"
 
+    def __hash__(self) -> int:
+        return hash((self.sigma_min, self.sigma_max, self.sigmas, self.shape))
+
     def __str__(self) -> str:
         if self.sigmas == (0.0,):
             return "no blur (it would not show)"

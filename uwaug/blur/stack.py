@@ -39,7 +39,7 @@ def varying_blur(
     if image.numel() == 0 or sigma.numel() == 0:
         return image.clone() if len(sigma) else image[:0].clone()
     dtype = torch.promote_types(torch.promote_types(image.dtype, sigma.dtype), torch.float32)
-    with torch.autocast(image.device.type, enabled=False):
+    with checks.full_precision(image):
         widths = sigma.to(dtype)
         if plan is None:
             plan = plan_blur(*checks.extent(widths), tolerance)

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
-from uwaug._support.compiled import OPTIONS, kept, loops_are_loaded, wanted
+from uwaug._support.compiled import OPTIONS, are_loaded, kept, loops_are_loaded, wanted
 from uwaug.formation.development import NEUTRAL, Development
 from uwaug.formation.sensor import Sensor
 from uwaug.light import Light
@@ -63,7 +63,7 @@ def _has_its_sums(medium: Medium) -> bool:
 
 def load() -> bool:
     """Load the loops, and with them what is compiled of small sums; whether they are there."""
-    return wanted() and _has_numba() and _works()
+    return are_loaded() or (wanted() and _has_numba() and _works())
 
 
 def warm_up() -> None:

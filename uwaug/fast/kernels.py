@@ -535,25 +535,25 @@ def meter(
         row, plane = J[c], light[c]
         for x in range(count):
             row[x] = plane[points[x]]
-    e, less = np.empty(count, f32), np.empty(count, f32)
+    red, green, blue = J[0], J[1], J[2]
+    d0, d1, d2 = d[0], d[1], d[2]
     mixes = medium.scatter.shape[0] == 9
     for r in range(direct, rates.size):
-        rate = rates[r]
+        rate, w, v = rates[r], medium.scatter, medium.veil
+        a3, b3, c3 = v[0, r - direct], v[1, r - direct], v[2, r - direct]
+        if mixes:
+            a0, a1, a2 = w[0, r], w[1, r], w[2, r]
+            b0, b1, b2 = w[3, r], w[4, r], w[5, r]
+            c0, c1, c2 = w[6, r], w[7, r], w[8, r]
+        else:
+            a0, b1, c2 = w[0, r], w[1, r], w[2, r]
+            a1 = a2 = b0 = b2 = c0 = c1 = _0
         for x in range(count):
             power, rest = exp2_parts(rate * far[x])
-            e[x], less[x] = power + rest, (power - _1) + rest
-        for c in range(3):
-            row, plane, veil = d[c], J[c], medium.veil[c, r - direct]
-            if mixes:
-                w = medium.scatter[3 * c : 3 * c + 3, r]
-                w0, w1, w2 = w[0], w[1], w[2]
-                for x in range(count):
-                    mixed = w0 * J[0, x] + w1 * J[1, x] + w2 * J[2, x]
-                    row[x] += less[x] * veil + e[x] * mixed
-            else:
-                weight = medium.scatter[c, r]
-                for x in range(count):
-                    row[x] += less[x] * veil + e[x] * weight * plane[x]
+            e, less = power + rest, (power - _1) + rest
+            d0[x] += e * (a0 * red[x] + a1 * green[x] + a2 * blue[x]) + less * a3
+            d1[x] += e * (b0 * red[x] + b1 * green[x] + b2 * blue[x]) + less * b3
+            d2[x] += e * (c0 * red[x] + c1 * green[x] + c2 * blue[x]) + less * c3
     if lamps.places.shape[0] > 0:
         t = np.zeros((7 + LIT_ROWS + lamps.rates.size) * TILE, np.float32)
         for first in range(0, count, TILE):
@@ -575,17 +575,31 @@ def meter(
                 row, lit = d[c, first : first + n], tile_row(t, 7 + LIT + c)
                 for x in range(n):
                     row[x] += lit[x]
-    for c in range(3 * min(1, table.terms.shape[0])):
-        add_terms(d[c], far, c, table)
+    if table.terms.shape[1] > 0:
+        # in tiles, as all that looks up distances
+        t, below = np.zeros(2 * TILE, f32), np.zeros(TILE, i32)
+        for first in range(0, count, TILE):
+            n = min(TILE, count - first)
+            copy(tile_row(t, 0), far[first : first + n])
+            find_entries(t, 0, 1, below, table, n)
+            for c in range(3):
+                add_terms(d[c, first : first + n], below, tile_row(t, 1), table.terms[c])
     for x in range(brightness.size):
         red, green, blue = d[0, x], d[1, x], d[2, x]
         brightness[x] = luminance[0] * red + luminance[1] * green + luminance[2] * blue
-    means = np.zeros((3, 3))
+    means, sums = np.zeros((3, 3)), np.zeros((3, LANES))
     for c in range(3):
-        for x in range(count):
-            means[0, c] += J[c, x]
-            means[1, c] += d[c, x]
-            means[2, c] += max(d[c, x], _0)
+        sums[:] = 0
+        sent, arrives = J[c], d[c]
+        # side by side, as one sum waits for itself
+        for first in range(0, count, LANES):
+            s, a = sent[first : first + LANES], arrives[first : first + LANES]
+            for x in range(s.size):
+                sums[0, x] += s[x]
+                sums[1, x] += a[x]
+                sums[2, x] += max(a[x], _0)
+        for k in range(3):
+            means[k, c] = sums[k].sum()
     return means / count
 
 
@@ -633,28 +647,38 @@ def add_enlarged(d: Any, share: Any, grid: Any, n: int, left: int, right: int, w
 
 
 @inner
-def width_places(t: Any, z: int, to: int, table: Any, n: int) -> None:
-    """Where the widths at distances in row `z` lie in a plan, −1…1."""
-    far, d, places = tile_row(t, z), tile_row(t, to), table.places
-    last = f32(places.size - 2)
+def find_entries(t: Any, z: int, share: int, below: Any, table: Any, n: int) -> None:
+    """Which entry of a table lies below each distance in row `z`, and how far beyond it that is."""
+    far, s = tile_row(t, z), tile_row(t, share)
+    last = f32(max(table.places.size, table.terms.shape[1]) - 2)
     for x in range(n):
         place = (log2(max(far[x], _LEAST_M)) - table.first) * table.steps
-        below = i32(min(max(place, _0), last))
-        share = min(max(place - f32(below), _0), _1)
-        value = places[below] + share * (places[below + 1] - places[below])
-        d[x] = min(max(value, -_1), _1)
+        entry = i32(min(max(place, _0), last))
+        below[x], s[x] = entry, min(max(place - f32(entry), _0), _1)
 
 
 @inner
-def add_terms(d: Any, far: Any, channel: int, table: Any) -> None:
-    """Add the light of further terms in a channel, at distances."""
-    last, terms = f32(table.terms.shape[0] - 2), table.terms
+def looked_up(column: Any, below: Any, share: Any) -> Any:
+    """A value of a table between two entries."""
+    # an index that has no sign: numba would test one that has
+    entry = np.uint32(below)
+    low = column[entry]
+    return low + share * (column[entry + np.uint32(1)] - low)
+
+
+@inner
+def width_places(t: Any, share: int, below: Any, to: int, places: Any, n: int) -> None:
+    """Where the widths of pixels lie in a plan, −1…1."""
+    s, d = tile_row(t, share), tile_row(t, to)
+    for x in range(n):
+        d[x] = min(max(looked_up(places, below[x], s[x]), -_1), _1)
+
+
+@inner
+def add_terms(d: Any, below: Any, share: Any, terms: Any) -> None:
+    """Add the light of further terms in a channel."""
     for x in range(d.size):
-        place = (log2(max(far[x], _LEAST_M)) - table.first) * table.steps
-        below = i32(min(max(place, _0), last))
-        share = min(max(place - f32(below), _0), _1)
-        low = terms[below, channel]
-        d[x] += low + share * (terms[below + 1, channel] - low)
+        d[x] += looked_up(terms, below[x], share[x])
 
 
 @inner
@@ -919,13 +943,14 @@ def render_rows(
     padded = -(-width // TILE) * TILE + 2 * margin + 2
     lines = np.zeros((narrow * 3 + 1, padded), np.float32)
     spectral = medium.direct.shape[0] == 9
-    # rows of a tile: distance, curves, shares, totals, and place and terms to work in
+    # rows of a tile: distance, curves, shares, totals, place and terms to work in, what lamps need,
+    # and how far distances are beyond an entry of the table
     shares = 10
     totals = shares + count
     lit = totals + 3 + max(terms, 1)
     is_lit = lamps.places.shape[0] > 0
-    rows = lit + LIT_ROWS + lamps.rates.size if is_lit else lit
-    t = np.zeros(rows * TILE, np.float32)
+    beyond = lit + LIT_ROWS + lamps.rates.size if is_lit else lit
+    t, below = np.zeros((beyond + 1) * TILE, np.float32), np.zeros(TILE, np.int32)
     tile_row(t, shares)[:] = _1  # if there is one
     sharp = count - narrow - wide
     z_row = tile_row(t, 0)
@@ -941,8 +966,10 @@ def render_rows(
             # whole registers, whatever of them a processor has: no pixel is computed otherwise
             n = min(TILE, -(-(right - left) // LANES) * LANES)
             copy(z_row, z[y, left:right])
+            if table.steps > _0:
+                find_entries(t, 0, beyond, below, table, n)
             if count > 1:
-                width_places(t, 0, totals + 3, table, n)
+                width_places(t, beyond, below, totals + 3, table.places, n)
                 blur_weights(t, totals + 3, shares, stack.series, n)
             for c in range(3):
                 J, total_row = light[c, y, left:right], tile_row(t, totals + c)
@@ -977,8 +1004,9 @@ def render_rows(
                 for c in range(3):
                     near = tile_rows(t, 1 + 3 * c, 3)
                     _sum(tile_row(t, totals + c), near, light[c, y, left:right])
-            for c in range(3 * min(1, table.terms.shape[0])):
-                add_terms(tile_row(t, totals + c)[: right - left], z_row, c, table)
+            for c in range(3 * min(1, table.terms.shape[1])):
+                total_row = tile_row(t, totals + c)[: right - left]
+                add_terms(total_row, below, tile_row(t, beyond), table.terms[c])
             for c in range(3 * is_lit):
                 total_row, lamplit = tile_row(t, totals + c), tile_row(t, lit + LIT + c)
                 for x in range(n):

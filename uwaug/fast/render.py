@@ -176,7 +176,7 @@ def _gains(
             else:
                 farthest = float(far.max())
                 veil = -weights.veil[row] @ np.expm1(weights.G[row] * -farthest)
-                highlight = float((veil + tables[row][1].terms[-1:].sum(0)).max())
+                highlight = float((veil + tables[row][1].terms[:, -1:].sum(1)).max())
             matrices[n] = gain_at(means, highlight, *camera)
     return matrices if saturation != 1 else np.diagonal(matrices, 0, 1, 2)
 

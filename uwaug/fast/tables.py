@@ -14,7 +14,7 @@ from uwaug._support.types import Array
 from uwaug.blur.banded import Kind, Node, mirrored, whole
 from uwaug.blur.kernels import blur_kernel
 from uwaug.blur.plan import NO_BLUR, V_FLOOR, BlurPlan, place_line
-from uwaug.formation.demand import Weights
+from uwaug.formation.demand import Weights, widths_at
 from uwaug.light.backscatter import ASYMMETRY, NODE_WEIGHTS, NODES
 from uwaug.light.light import LAMP_RADIUS_M, Light
 from uwaug.optics.medium import Medium
@@ -83,8 +83,8 @@ class DistanceTable(NamedTuple):
 
     Attributes:
         first, steps: log2 of the first distance, m; entries an octave.
-        places (E, or 1 without a blur that varies): of the blur's width in its plan, −1…1.
-        terms (Ex3, or 0x3 where there are none): light of the medium's further terms.
+        places (E, or 0 without a blur that varies): of the blur's width in its plan, −1…1.
+        terms (3xE, or 3x0 where there are none): light of the medium's further terms.
     """
 
     first: np.float32
@@ -280,17 +280,19 @@ def _mirrored(margin: int, size: int) -> Indices:
 
 # ------------------------------------------------------------------------------ media
 
-_ENTRIES = 1024
-"""Of a table over distance: with linear interpolation, places are right within 1e-6 over six
+_ENTRIES = 512
+"""Of a table over distance: with linear interpolation, places are right within 4e-6 over six
 octaves. (All curves and the weights of the blurs so: 4.7 ms instead of 1.6 for that stage at 512²;
 benchmarks/CHOICES.md, loops.)
 """
+
+_EVENLY = np.linspace(0, 1, _ENTRIES)
 
 _NEAREST = 1e-6
 """m, and of the farthest distance: stands for the distance 0, which has no logarithm."""
 
 _NO_DISTANCES = DistanceTable(
-    np.float32(0), np.float32(0), np.zeros(0, np.float32), np.zeros((0, 3), np.float32)
+    np.float32(0), np.float32(0), np.zeros(0, np.float32), np.zeros((3, 0), np.float32)
 )
 
 
@@ -319,29 +321,29 @@ def distance_table(
         z: all distances.
         gain (3, or 3x3): that multiplies or mixes channels.
     """
-    terms = medium.further_terms(torch.ones(1, 1, 1, 1, dtype=torch.float64))
+    terms = medium.further_terms(z[:1, :, :1, :1])
     if len(plan.sigmas) == 1 and not terms:
         return _NO_DISTANCES
     near, far = extent(z) if terms else ends
     near = max(near, _NEAREST * far, _NEAREST)
     first, last = math.log2(near), math.log2(max(far, 2 * near))
     steps = (_ENTRIES - 1) / (last - first)
-    nodes = torch.exp2(torch.linspace(first, last, _ENTRIES, dtype=torch.float64))
-    nodes = nodes.reshape(1, 1, 1, -1)
+    nodes = np.exp2(first + (last - first) * _EVENLY)
     places, light = _NO_DISTANCES.places, _NO_DISTANCES.terms
     if len(plan.sigmas) > 1:
         slope, offset = place_line(plan)
-        x = medium.width(nodes, size).flatten() / V_FLOOR
+        x = widths_at(medium, nodes, size)[0] / V_FLOOR
         x = x if plan.shape == "exponential" else V_FLOOR * x * x
-        places = (slope * torch.log1p(x) + offset).float().numpy()
+        places = (slope * np.log1p(x) + offset).astype(np.float32)
     if terms:
-        each = medium.to(nodes).further_terms(nodes).values()
+        at = torch.from_numpy(nodes)[None, None, None]
+        each = medium.to(at).further_terms(at).values()
         sums = np.zeros((3, _ENTRIES))
         for term in each:
             sums += term.detach().expand(1, 3, 1, _ENTRIES)[0, :, 0].numpy()
         if gain is not None:
             sums = gain @ sums if gain.ndim == 2 else gain[:, None] * sums
-        light = np.ascontiguousarray(sums.T, np.float32)
+        light = np.ascontiguousarray(sums, np.float32)
     return DistanceTable(np.float32(first), np.float32(steps), places, light)
 
 

@@ -81,7 +81,7 @@ def contrast_left(
     checks.batches({"medium": len(medium), "distance": len(distance) if distance.ndim == 4 else 1})
     if light is not None:
         checks.instance("light", light, Light)
-    with torch.autocast(distance.device.type, enabled=False):
+    with checks.full_precision(distance):
         dtype = torch.promote_types(distance.dtype, torch.float32)
         z, *unscaled = (
             (value if value.ndim == 4 else value[None]).to(dtype).clamp(0.0, FARTHEST)

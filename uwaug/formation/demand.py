@@ -59,8 +59,7 @@ _STEPS = np.linspace(0, 1, 65)
 
 class Weights(NamedTuple):
     """A medium of B rows as arrays in double precision: rates (BxK, BxL), weights of the three
-    curves (Bx3xK, Bx3xL, Bx3xL), of which the first two have nine rows for surfaces with spectra;
-    and b̄ (B).
+    curves (Bx3xK, Bx3xL, Bx3xL), of which the first two have nine rows for surfaces with spectra.
     """
 
     beta: Array
@@ -68,28 +67,27 @@ class Weights(NamedTuple):
     G: Array
     signal: Array
     veil: Array
-    b_mean: Array
 
     @staticmethod
     def of(medium: Medium) -> "Weights":
         """Those of a medium."""
         direct, signal = medium.direct_weights.flatten(1, -2), medium.signal_weights.flatten(1, -2)
-        values = (medium.beta, direct, medium.G, signal, medium.veil_weights, medium.b_mean)
+        values = (medium.beta, direct, medium.G, signal, medium.veil_weights)
         return Weights(*(x.detach().cpu().double().contiguous().numpy() for x in values))
 
     def seen_by(self, gain: Array) -> "Weights":
         """As seen by a camera that multiplies channels (B or 1, 3), or mixes them (…, 3, 3)."""
-        beta, G, b_mean = self.beta, self.G, self.b_mean
+        beta, G = self.beta, self.G
         if len(gain) > len(beta):
-            beta, G, b_mean = (x.repeat(len(gain), 0) for x in (beta, G, b_mean))
+            beta, G = beta.repeat(len(gain), 0), G.repeat(len(gain), 0)
         if gain.ndim == 2 and self.direct.shape[1] == 3:
             direct, signal, veil = (
                 gain[..., None] * x for x in (self.direct, self.signal, self.veil)
             )
-            return Weights(beta, direct, G, signal, veil, b_mean)
+            return Weights(beta, direct, G, signal, veil)
         matrix = gain if gain.ndim == 3 else gain[..., None] * np.eye(3)
         direct, signal = (_mixed(matrix, x) for x in (self.direct, self.signal))
-        return Weights(beta, direct, G, signal, matrix @ self.veil, b_mean)
+        return Weights(beta, direct, G, signal, matrix @ self.veil)
 
 
 def _mixed(matrix: Array, weights: Array) -> Array:
@@ -192,13 +190,13 @@ def blur_demand(
     law = medium.point_spread
     near, far = (min(max(z, 0.0), FARTHEST) for z in distance_range)
     weights = Weights.of(medium) if seen is None else seen
-    curves = weights.beta, weights.direct, weights.G, weights.signal
-    first, last, strength = _scattered(*curves, near, far, tolerance, learned)
+    first, last, strength = _scattered(*weights[:4], near, far, tolerance, learned)
     traced = any(isinstance(v, Tensor) and v.requires_grad for v in law.numbers().values())
     if strength == 0:
         learns = learned and traced
         return BlurDemand(0.0, 0.0, tolerance, law.shape, law.reference_size, learns)
-    low, high = _widths(medium, weights.b_mean, first, last)
+    widths = widths_at(medium, np.array([first, last]), None)
+    low, high = float(widths.min()), float(widths.max())
     # in half octaves, so that similar media may share a plan
     slack = _SLACK * octave_steps(1 / strength, 2, math.floor)
     blur_tolerance = min(tolerance * slack, _FOR_SLOPES if learned else 0.5)
@@ -209,15 +207,15 @@ def blur_demand(
     )
 
 
-def _widths(medium: Medium, b_mean: Array, first: float, last: float) -> tuple[float, float]:
-    """The least and the largest width, px of the law, at two distances of all rows."""
-    law = medium.point_spread
-    if any(isinstance(value, Tensor) for value in law.numbers().values()):
-        with torch.no_grad():
-            ends = torch.tensor([[[[first, last]]]], dtype=torch.float64, device=medium.beta.device)
-            return checks.extent(medium.width(ends, None))
-    widths = law.sigma(b_mean[:, None] * (first, last), None)
-    return float(widths.min()), float(widths.max())
+def widths_at(medium: Medium, z: Array, size: tuple[int, int] | None) -> Array:
+    """The widths, px, of all rows at distances (N), m, in double precision."""
+    law, b_mean = medium.point_spread, medium.b_mean.detach().cpu().double().numpy()
+    if not any(isinstance(value, Tensor) for value in law.numbers().values()):
+        widths: Array = law.sigma(b_mean[:, None] * z, size)
+        return widths
+    with torch.no_grad():
+        distances = torch.from_numpy(z).to(medium.beta.device)[None, None, None]
+        return medium.width(distances, size).flatten(1).cpu().numpy()
 
 
 @compiled

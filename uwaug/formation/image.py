@@ -194,7 +194,7 @@ def form_image(
     """
     checks.floating("image", image)
     validate(image, distance, medium, color_space="linear", light=light)
-    with torch.autocast(image.device.type, enabled=False):
+    with checks.full_precision(image):
         J = image if image.ndim == 4 else image[None]
         dtype = torch.promote_types(image.dtype, torch.float32)
         z, water = effective_distance(distance, None, dtype), medium.to(dtype)

@@ -158,7 +158,7 @@ class Underwater(nn.Module):
         medium = self.medium
         validate(image, distance, medium, field, color_space=self.color_space, light=self.light)
         dtype = torch.promote_types(image.dtype, torch.float32)
-        with torch.autocast(image.device.type, enabled=False):
+        with checks.full_precision(image):
             z = effective_distance(distance, field, dtype)
             metres = None
             if field is not None and self.light is not None:

@@ -517,7 +517,7 @@ class Medium:
         return self._curves(z, exact_at_lens=True).veil
 
     def _curves(self, z: Tensor, *, exact_at_lens: bool = False) -> Curves:
-        with torch.autocast(z.device.type, enabled=False):
+        with checks.full_precision(z):
             x = z.to(torch.promote_types(z.dtype, torch.float32)).clamp(max=FARTHEST)
             plane = x if z.ndim > 2 else x.reshape(1, 1, -1)
             batch = plane if plane.ndim == 4 else plane[None]

@@ -374,12 +374,9 @@ class Water(Spectra):
         if math.isinf(metres):
             return 1.0
         fine = self._fine()
-        a, b, _ = fine._pure()
-        pure = a + b
-        nodes, weights = fine._eye()
-        return _contents_for(
-            contrast, metres, nodes, weights, fine.wavelengths, pure, fine.beta - pure
-        )
+        pure = fine._pure()[:2].sum(0)
+        seen = *fine._eye(), fine.wavelengths
+        return _contents_for(contrast, metres, *seen, pure, fine.beta - pure)
 
     def daylight(self, depth: float) -> float:
         """The share of the surface's luminance that is left at a vertical depth [m]."""

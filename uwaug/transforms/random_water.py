@@ -65,8 +65,7 @@ clearest of `WATERS` need 42 for the severest grade at 1 m; a contrast so many t
 was asked for.
 """
 
-_medium_of = lru_cache(maxsize=2)(Medium.from_water)
-"""Kept for transforms of one fixed water."""
+_calibrated = lru_cache(maxsize=16)(PointSpread.calibrated)
 
 odd_scene = Once()
 """What it took to reach a contrast."""
@@ -288,17 +287,16 @@ class RandomWater(Noun):
             daylight = water.daylight(depth)
             if daylight < DIMMEST:
                 depth, daylight = min(depth, water.depth_of_daylight(DIMMEST)), DIMMEST
-        medium = _medium_of(
-            water,
-            self.response,
-            vertical_depth=depth,
-            g=drawn["g"],
-            mu=self._towards(drawn),
-            point_spread=self.point_spread or PointSpread.calibrated(FOCAL_LENGTH * seen.width),
-            surfaces="spectral" if "color_matrix" in drawn else "grey",
-            color_matrix=drawn.get("color_matrix", 1.0),
-            tolerance=_CURVES * daylight,  # what an exposure brings up, errors included
-        )
+        options = {
+            "vertical_depth": depth,
+            "g": drawn["g"],
+            "mu": self._towards(drawn),
+            "point_spread": self.point_spread or _calibrated(FOCAL_LENGTH * seen.width),
+            "surfaces": "spectral" if "color_matrix" in drawn else "grey",
+            "color_matrix": drawn.get("color_matrix", 1.0),
+            "tolerance": _CURVES * daylight,  # what an exposure brings up, errors included
+        }
+        medium = self._medium_of(water, options)
         return InWater(self._snowing(medium, drawn, seen.scaled(scale)), scale, reached)
 
     def fields(self, drawn: Sequence[Drawn], seen: Sequence[Measured], like: Tensor) -> Tensor:
@@ -311,6 +309,15 @@ class RandomWater(Noun):
         moved = [FOCAL_LENGTH * look.width * look.moved / look.median for look in seen]
         seeds = [each["field_seed"] for each in drawn]
         return random_fields(seeds, (like.shape[-2], like.shape[-1]), *self.field, like, moved)
+
+    def _medium_of(self, water: Water, options: dict[str, Any]) -> Medium:
+        """A medium; the one before if it is of the same water, as where nothing is random."""
+        before: tuple[Water, dict[str, Any], Medium] | None = vars(self).get("_before")
+        if before and before[0] is water and before[1] == options:
+            return before[2]
+        medium = Medium.from_water(water, self.response, **options)
+        vars(self)["_before"] = water, options, medium
+        return medium
 
     def _is_by_distance(self, drawn: Drawn) -> bool:
         if self.contrast_by is not None:

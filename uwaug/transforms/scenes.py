@@ -27,6 +27,9 @@ from uwaug.transforms.measured import Measured, measured
 from uwaug.transforms.random_water import RandomWater, Reached
 from uwaug.transforms.samples import maps_for, naming, pictures_of, typed
 
+_AS_THEY_COME = Metres()
+"""Maps of metres without holes."""
+
 _blank = Once(looks=16)
 """Whether anything is left to see: what is wrong with all pictures shows in the first."""
 
@@ -80,7 +83,7 @@ class Scenes(NamedTuple):
             index = torch.tensor(self.chosen).to(pictures.device)
         for setting in self.settings:
             _warn_if_blank(setting)
-        with torch.autocast(pictures.device.type, enabled=False):
+        with checks.full_precision(pictures):
             result = form_each(
                 pictures if index is None else pictures[index],
                 self.z,
@@ -145,7 +148,7 @@ def scenes_of(
     chosen = [i for i, draw in enumerate(draws) if draw.applied]
     if not chosen:
         return Scenes(image, pictures, space)
-    with torch.autocast(pictures.device.type, enabled=False):
+    with checks.full_precision(pictures):
         z = _metres_of(source, pictures, maps, draws, space)
         some = pictures if len(chosen) == len(pictures) else pictures[chosen]
         rig = getattr(nouns["light"], "value", None)  # the same for all pictures, in metres
@@ -161,7 +164,9 @@ def scenes_of(
                 seen.append(look.of_film(draws[i].measured, draws[i].moved))
                 settings.append(_setting(draws[i], look, seen[-1], nouns))
         scales = [setting.scale for setting in settings]
-        metres = z.to(torch.promote_types(pictures.dtype, z.dtype))
+        metres = z
+        if pictures.dtype == torch.float64:
+            metres = z.double()
         if any(scale != 1 for scale in scales):
             metres = metres * metres.new_tensor(scales)[:, None, None, None]
         metres = metres.clamp(max=FARTHEST)
@@ -198,12 +203,13 @@ def _metres_of(
             continue
         if z is not None and isinstance(source, Metres) and checks.on_host(picture):
             first_maps.question(z, picture, stacklevel=5)
-        if z is None or source != Metres():
+        if z is None or source != _AS_THEY_COME:
             shown = _as_srgb(picture, color_space) if source.reads_pictures else picture
             with naming(i, len(pictures)):
                 z = source.metres(z, shown, draw.distance)
-        z = brought_to(picture.shape[-2:], z.to(torch.promote_types(z.dtype, torch.float32)))
-        results.append(z)
+        if z.dtype.itemsize < 4:
+            z = z.float()
+        results.append(brought_to(picture.shape[-2:], z))
     return results[0][None] if len(results) == 1 else torch.stack(results)
 
 
@@ -218,7 +224,7 @@ def _second_look(
     source: Source, looks: Sequence[Measured], pictures: Tensor, z: Tensor, chosen: Sequence[int]
 ) -> Tensor:
     """The same distances, looked at once more where what was measured of `Metres()` is odd."""
-    if source != Metres() or all(s.nearest > 0 and s.farthest < FARTHEST_SEEN for s in looks):
+    if all(s.nearest > 0 and s.farthest < FARTHEST_SEEN for s in looks) or source != _AS_THEY_COME:
         return z
     results = []
     for i, far in zip(chosen, z, strict=True):
