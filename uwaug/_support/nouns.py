@@ -1,7 +1,8 @@
 """Nouns: what is random about a picture, such as its water or its light."""
 
+import hashlib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, Self
@@ -10,9 +11,6 @@ from uwaug._support import checks
 from uwaug._support.codec import changed
 from uwaug._support.ranges import Range, as_range
 
-Uniform = Callable[[str], float]
-"""The number of 0…1 that a picture draws for a name."""
-
 Drawn = Mapping[str, Any]
 """What a noun has drawn for a picture, by name, as JSON holds it."""
 
@@ -20,9 +18,26 @@ SEEDS = 2**32
 """Seeds are whole numbers from 0 to below this one."""
 
 
-def named(noun: str, uniform: Uniform) -> Uniform:
-    """The numbers that a picture draws for the names of a noun."""
-    return lambda name: uniform(f"{noun}.{name}")
+class Uniform:
+    """The number of 0…1 that a picture draws for a name. A name stands for its number alone: a
+    range that comes or goes moves no other.
+
+    Args:
+        key: of the picture, 8 bytes.
+        noun: in front of all names.
+    """
+
+    def __init__(self, key: bytes, noun: str = "") -> None:
+        self.key, self.noun = key, noun
+
+    def __call__(self, name: str) -> float:
+        name = f"{self.noun}{name}"
+        digest = hashlib.blake2b(name.encode(), digest_size=8, key=self.key).digest()
+        return (int.from_bytes(digest) >> 11) * 2.0**-53
+
+    def of(self, noun: str) -> "Uniform":
+        """The same for the names of a noun."""
+        return Uniform(self.key, f"{self.noun}{noun}.")
 
 
 class Domain(NamedTuple):
@@ -74,7 +89,7 @@ class Noun:
             else:
                 drawn[name] = low + (high - low) * uniform(name)
         for name, noun in self._nouns.items():
-            drawn[name] = noun.drawn(named(name, uniform))
+            drawn[name] = noun.drawn(uniform.of(name))
         return drawn
 
     def require(self, drawn: Drawn, name: str) -> None:

@@ -24,6 +24,9 @@ from uwaug.optics.snow import MarineSnow
 
 _log = logging.getLogger(__name__)
 
+_KNOWN = {Development, Sensor, Light, MarineSnow, type(None)}
+"""The classes that the loops know."""
+
 _F = TypeVar("_F", bound=Callable[..., Any])
 
 
@@ -35,23 +38,19 @@ def can(
     """
     if torch.compiler.is_compiling() or not (wanted() and _has_numba()):
         return False
+    if z.dtype != torch.float32 or torch.jit.is_tracing():  # type: ignore[attr-defined, no-untyped-call]
+        return False
     # of what is one's own the loops know nothing
-    if type(development) is not Development or not _has_its_sums(medium):
+    kinds = {type(development), type(development.noise), type(light), *map(type, medium.snow)}
+    if not kinds <= _KNOWN or not _has_its_sums(medium):
         return False
-    if type(development.noise) not in (Sensor, type(None)):
-        return False
-    if type(light) not in (Light, type(None)):
-        return False
-    if any(type(snow) not in (MarineSnow, type(None)) for snow in medium.snow):
-        return False
-    law = (v for v in medium.point_spread.numbers().values() if isinstance(v, Tensor))
-    tensors = (image, z, *medium.tensors(), *law)
-    if torch.is_grad_enabled() and any(t.requires_grad for t in tensors):
-        return False
-    if not all(type(t) in (Tensor, torch.nn.Parameter) and t.is_cpu for t in tensors):
-        return False
-    tracing = torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
-    return z.dtype == torch.float32 and not tracing and _works()
+    recorded = torch.is_grad_enabled()
+    for value in (image, z, *medium.tensors(), *medium.point_spread.numbers().values()):
+        if isinstance(value, Tensor):
+            is_plain = type(value) in (Tensor, torch.nn.Parameter) and value.is_cpu
+            if not is_plain or (recorded and value.requires_grad):
+                return False
+    return _works()
 
 
 def _has_its_sums(medium: Medium) -> bool:

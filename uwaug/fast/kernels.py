@@ -35,6 +35,7 @@ from uwaug.fast.tables import (
 
 f32, i32 = np.float32, np.int32
 _0, _1 = f32(0), f32(1)
+_LOG2E = np.log2(np.e)
 _WHOLE = f32(1.5 * 2**23)  # added to a number, it leaves the nearest whole one in the last bits
 _WHOLE_BITS = int(np.float32(1.5 * 2**23).view(np.int32))
 _ROOT_HALF_BITS = int(np.float32(0.5**0.5).view(np.int32))
@@ -512,18 +513,18 @@ def meter(
     width: int,
     points: Indices,
     medium: MediumTable,
-    table: DistanceTable,
+    further: DistanceTable,
     lamps: LampsTable,
     luminance: Doubles,
     brightness: Floats,
-) -> Doubles:
+) -> tuple[Doubles, float]:
     """Mean light (3x3) of the scene, of what arrives of it without the blur, and of what is
-    positive of that, at some pixels.
+    positive of that, at some pixels; and the veil of the farthest, of the brightest channel.
 
     Args:
         light (3xN), z, metres (N): of all pixels of a picture, so many in a row.
         points (M): which of them.
-        medium, table, lamps: tables.
+        medium, further, lamps: tables.
         luminance (3): weights of the channels.
         brightness (M, or 0): is filled with the luminance of what arrives.
     """
@@ -575,15 +576,15 @@ def meter(
                 row, lit = d[c, first : first + n], tile_row(t, 7 + LIT + c)
                 for x in range(n):
                     row[x] += lit[x]
-    if table.terms.shape[1] > 0:
-        # in tiles, as all that looks up distances
-        t, below = np.zeros(2 * TILE, f32), np.zeros(TILE, i32)
-        for first in range(0, count, TILE):
-            n = min(TILE, count - first)
-            copy(tile_row(t, 0), far[first : first + n])
-            find_entries(t, 0, 1, below, table, n)
-            for c in range(3):
-                add_terms(d[c, first : first + n], below, tile_row(t, 1), table.terms[c])
+    t, below = np.zeros(5 * TILE, f32), np.zeros(TILE, i32)
+    for first in range(0, count * min(1, further.rows.shape[1]), TILE):  # in tiles, as in a picture
+        n = min(TILE, count - first)
+        copy(tile_row(t, 0), far[first : first + n])
+        for c in range(3):
+            copy(tile_row(t, 1 + c), d[c, first : first + n])
+        add_terms(t, 0, 1, 4, below, further, n)
+        for c in range(3):
+            copy(d[c, first : first + n], tile_row(t, 1 + c)[:n])
     for x in range(brightness.size):
         red, green, blue = d[0, x], d[1, x], d[2, x]
         brightness[x] = luminance[0] * red + luminance[1] * green + luminance[2] * blue
@@ -600,7 +601,13 @@ def meter(
                 sums[2, x] += max(a[x], _0)
         for k in range(3):
             means[k, c] = sums[k].sum()
-    return means / count
+    farthest, brightest = z.max(), -np.inf
+    for c in range(3):
+        veil = further.rows[c, -1:].sum() + 0.0
+        for r in range(direct, rates.size):
+            veil += medium.veil[c, r - direct] * np.expm1(rates[r] / _LOG2E * np.float64(farthest))
+        brightest = max(brightest, veil)
+    return means / count, brightest
 
 
 @inner
@@ -649,8 +656,7 @@ def add_enlarged(d: Any, share: Any, grid: Any, n: int, left: int, right: int, w
 @inner
 def find_entries(t: Any, z: int, share: int, below: Any, table: Any, n: int) -> None:
     """Which entry of a table lies below each distance in row `z`, and how far beyond it that is."""
-    far, s = tile_row(t, z), tile_row(t, share)
-    last = f32(max(table.places.size, table.terms.shape[1]) - 2)
+    far, s, last = tile_row(t, z), tile_row(t, share), f32(table.rows.shape[1] - 2)
     for x in range(n):
         place = (log2(max(far[x], _LEAST_M)) - table.first) * table.steps
         entry = i32(min(max(place, _0), last))
@@ -667,18 +673,23 @@ def looked_up(column: Any, below: Any, share: Any) -> Any:
 
 
 @inner
-def width_places(t: Any, share: int, below: Any, to: int, places: Any, n: int) -> None:
-    """Where the widths of pixels lie in a plan, −1…1."""
-    s, d = tile_row(t, share), tile_row(t, to)
+def width_places(t: Any, z: int, to: int, share: int, below: Any, table: Any, n: int) -> None:
+    """Where the widths at distances in row `z` lie in a plan, −1…1."""
+    find_entries(t, z, share, below, table, n)
+    s, d, places = tile_row(t, share), tile_row(t, to), table.rows[0]
     for x in range(n):
         d[x] = min(max(looked_up(places, below[x], s[x]), -_1), _1)
 
 
 @inner
-def add_terms(d: Any, below: Any, share: Any, terms: Any) -> None:
-    """Add the light of further terms in a channel."""
-    for x in range(d.size):
-        d[x] += looked_up(terms, below[x], share[x])
+def add_terms(t: Any, z: int, to: int, share: int, below: Any, table: Any, n: int) -> None:
+    """Add the light of further terms to three channels."""
+    find_entries(t, z, share, below, table, n)
+    s = tile_row(t, share)
+    for c in range(3):
+        d, light = tile_row(t, to + c), table.rows[c]
+        for x in range(n):
+            d[x] += looked_up(light, below[x], s[x])
 
 
 @inner
@@ -813,13 +824,19 @@ def _mix(t: Any, z: int, sharp: int, total: int, medium: Any, n: int) -> None:
 
 
 @inner
-def _expose(t: Any, total: int, at: int, normals: Any, begins: Any, shown: Any, n: int) -> None:
-    """Noise of the light in three rows, see `uwaug.formation.sensor`; and the gain after it."""
-    dark, photons, m, d = shown.dark, shown.photons, shown.gain, tile_rows(t, total, 3)
+def _add_noise(t: Any, total: int, at: int, normals: Any, begins: Any, shown: Any, n: int) -> None:
+    """Add the sensor's noise to the light in three rows, see `uwaug.formation.sensor`."""
     for c in range(3):
         light, noise = tile_row(t, total + c), normals[begins[c] + at :]
         for x in range(min(n, noise.size)):
-            light[x] += np.sqrt(max(light[x], _0) * photons + dark) * noise[x]
+            variance = max(light[x], _0) * shown.photons + shown.dark
+            light[x] += np.sqrt(variance) * noise[x]
+
+
+@inner
+def _expose(t: Any, total: int, m: Any, n: int) -> None:
+    """The gain of the light in three rows, a matrix (9)."""
+    d = tile_rows(t, total, 3)
     m0, m1, m2, m3, m4, m5, m6, m7, m8 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
     for x in range(n):
         red, green, blue = d[x], d[x + TILE], d[x + 2 * TILE]
@@ -908,8 +925,9 @@ def render_rows(
     metres: Floats,
     snow: Floats,
     medium: MediumTable,
-    table: DistanceTable,
+    further: DistanceTable,
     lamps: LampsTable,
+    widths: DistanceTable,
     stack: StackTable,
     grid: Floats,
     starts: Indices,
@@ -928,10 +946,10 @@ def render_rows(
     Args:
         light (3xHxW), z, metres (HxW): of the scene; effective distance, and without the field, m.
         snow (3xHxW, or 3x1x0): light of particles.
-        medium, table, lamps, stack: tables.
+        medium, further, lamps, widths, stack: tables.
         grid (NxW), starts (m): the lines of all coarse grids; where those of each would start.
         normals (N), begins (3xH): of the sensor's noise; where each row of each channel begins.
-            Without noise, N = 0, the gain is in the medium.
+            Without noise, N = 0.
         shown: of the development.
         srgb, most: whether to encode, and the largest value then.
         out, out_bytes (3xHxW): the result, one of them; the other is 3x1x0.
@@ -966,10 +984,8 @@ def render_rows(
             # whole registers, whatever of them a processor has: no pixel is computed otherwise
             n = min(TILE, -(-(right - left) // LANES) * LANES)
             copy(z_row, z[y, left:right])
-            if table.steps > _0:
-                find_entries(t, 0, beyond, below, table, n)
             if count > 1:
-                width_places(t, beyond, below, totals + 3, table.places, n)
+                width_places(t, 0, totals + 3, beyond, below, widths, n)
                 blur_weights(t, totals + 3, shares, stack.series, n)
             for c in range(3):
                 J, total_row = light[c, y, left:right], tile_row(t, totals + c)
@@ -1004,9 +1020,8 @@ def render_rows(
                 for c in range(3):
                     near = tile_rows(t, 1 + 3 * c, 3)
                     _sum(tile_row(t, totals + c), near, light[c, y, left:right])
-            for c in range(3 * min(1, table.terms.shape[1])):
-                total_row = tile_row(t, totals + c)[: right - left]
-                add_terms(total_row, below, tile_row(t, beyond), table.terms[c])
+            if further.rows.shape[1] > 0:
+                add_terms(t, 0, totals, beyond, below, further, n)
             for c in range(3 * is_lit):
                 total_row, lamplit = tile_row(t, totals + c), tile_row(t, lit + LIT + c)
                 for x in range(n):
@@ -1016,7 +1031,8 @@ def render_rows(
                 for x in range(layer.size):
                     total_row[x] += layer[x]
             if normals.size > 0:
-                _expose(t, totals, left, normals, begins[:, y], shown, n)
+                _add_noise(t, totals, left, normals, begins[:, y], shown, n)
+            _expose(t, totals, shown.gain, n)
             _develop(t, totals, shown, n)
             for c in range(3):
                 floats = out[c, y % out.shape[1], left:right]

@@ -23,11 +23,13 @@ from uwaug.fast.tables import (
     Floats,
     Indices,
     LampsTable,
+    MediumTable,
     PlanTable,
-    distance_table,
     lamps_table,
     medium_table,
+    places_table,
     plan_table,
+    terms_table,
 )
 from uwaug.formation.colour import LUMINANCE, headroom
 from uwaug.formation.demand import Weights, blurred_between, plan_between
@@ -46,8 +48,7 @@ from uwaug.optics.medium import Medium
 
 _NO_FLOATS, _NO_BYTES = np.zeros((3, 1, 0), np.float32), np.zeros((3, 1, 0), np.uint8)
 
-_ONE = np.ones((1, 3))
-"""No gain."""
+_LUMINANCE = np.array(LUMINANCE)
 
 _BAND = 1 << 20
 """Pixels whose coarse grids are held at a time: of all together, up to 24 MiB."""
@@ -68,31 +69,23 @@ def form(
     srgb, size = color_space == "srgb", (z.shape[-2], z.shape[-1])
     low, high = (0.0, 1.0) if image.dtype == torch.uint8 else extent(image)
     J = _decoded(image, srgb, low < 0 or high > 1)
-    batch = max(len(J), len(z), len(medium))
-    scenes, far, near = (
-        x.detach().contiguous().numpy() for x in (J, z, z if metres is None else metres)
-    )
+    batch, rows = max(len(J), len(z), len(medium)), range(len(medium))
+    scenes, far = J.contiguous().numpy(), z.detach().contiguous().numpy()
+    near = far if metres is None else metres.detach().contiguous().numpy()
     weights = brightest = Weights.of(medium)
     if light is not None:
         brightest = Weights.of(light.planned(medium))
         weights = weights.seen_by(np.full((1, 3), light.daylight))
-    ends, each = blurred_between(z, brightest), [medium]
-    if len(medium) > 1:
-        each = [medium[n] for n in range(len(medium))]
-    tables_of = partial(distance_table, size=size, ends=ends, z=z)
-    lamps_of = partial(lamps_table, light, brightest, size)
-    metered = [tables_of(row) for row in each]
-    gains = _gains(scenes, far, near, weights, metered, lamps_of, development, light is not None)
+    each = [medium] if len(medium) == 1 else [medium[n] for n in rows]
+    ends = blurred_between(z, brightest)
+    lamps = [lamps_table(light, brightest, size, n) for n in rows]
+    media = [medium_table(weights, n) for n in rows]
+    tables = [(media[n], terms_table(each[n], far), lamps[n]) for n in rows]
+    gains = _gains(scenes, far, near, tables, development, light is not None)
     if plan is None:
         plan = plan_between(ends, medium, size, tolerance, brightest.seen_by(gains))
     stack = plan_table(plan, size)
-    # the gain in the medium costs nothing; after noise it has to be a step of its own
-    shown, factors = (weights, _ONE) if development.noise else (weights.seen_by(gains), gains)
-    rows = range(len(shown.beta))
-    media = [medium_table(shown, n) for n in rows]
-    distances = [tables_of(each[n % len(each)], plan, gain=factors[n % len(factors)]) for n in rows]
-    lamps = [lamps_of(factors, n) for n in rows]
-    snow = [_snow(medium, light, z, metres, n, factors) for n in range(batch)]
+    widths = [places_table(each[n], plan, size, ends) for n in rows]
     normals, begins, cameras = _camera(development, gains, batch, size)
     highest = np.ones(batch, np.float32)
     if srgb and high > 1:
@@ -104,31 +97,26 @@ def form(
         # one picture in several waters is blurred once
         samples = range(batch) if len(scenes) == 1 else (i,)
         for first in range(0, size[0], step):
-            rows = range(first, min(first + step, size[0]))
-            grid, starts = _coarse_grids(scene, stack, rows)
+            lines = range(first, min(first + step, size[0]))
+            grid, starts = _coarse_grids(scene, stack, lines)
             for n in samples:
-                out = result[n].numpy()
+                out, row = result[n].numpy(), n % len(medium)
                 outs = (_NO_FLOATS, out) if out.dtype == np.uint8 else (out, _NO_BYTES)
                 maps = scene, far[n % len(far), 0], near[n % len(near), 0]
-                row = n % len(media)
-                tables = snow[n], media[row], distances[row], lamps[row]
-                blurs, encoding = (stack.stack, grid, starts), (srgb, highest[n])
+                snow = _snow(medium, light, z, metres, n)
+                blurs, encoding = (widths[row], stack.stack, grid, starts), (srgb, highest[n])
                 camera = normals, begins[n], cameras[n % len(cameras)]
-                arguments: Any = (*maps, *tables, *blurs, *camera, *encoding, *outs)
-                _in_bands(partial(kernels.render_rows, *arguments), rows, size[1])
+                arguments: Any = (*maps, snow, *tables[row], *blurs, *camera, *encoding, *outs)
+                _in_bands(partial(kernels.render_rows, *arguments), lines, size[1])
     return result.to(image.dtype)
 
 
-def _snow(
-    medium: Medium, light: Light | None, z: Tensor, metres: Tensor | None, n: int, gains: Array
-) -> Floats:
-    """The light of the particles before a picture of a batch (3xHxW, or 3x1x0), after gains."""
+def _snow(medium: Medium, light: Light | None, z: Tensor, metres: Tensor | None, n: int) -> Floats:
+    """The light of the particles before a picture of a batch (3xHxW, or 3x1x0)."""
     particles = flakes(medium, light, z, metres, n) if medium.snow else None
     if particles is None:
         return _NO_FLOATS
     places, sent = (values.numpy() for values in particles)
-    gain = gains[n % len(gains)]
-    sent = gain @ sent if gain.ndim == 2 else gain[:, None] * sent
     scene = (z if metres is None else metres)[n % len(z), 0].contiguous().numpy()
     layer = np.zeros((3, *scene.shape), np.float32)
     kernels.splat(np.ascontiguousarray(places), sent.astype(np.float32), scene, layer)
@@ -139,9 +127,7 @@ def _gains(
     scenes: Floats,
     z: Floats,
     metres: Floats,
-    weights: Weights,
-    distances: Sequence[DistanceTable],
-    lamps_of: Callable[[Array, int], LampsTable],
+    tables: Sequence[tuple[MediumTable, DistanceTable, LampsTable]],
     development: Development,
     lit: bool,
 ) -> Array:
@@ -154,30 +140,23 @@ def _gains(
     saturation, stops = float(development.saturation), float(development.exposure)
     camera = stops, bool(development.metered), balance, factors, saturation
     if not development.measures:
-        matrices = np.stack([gain_at(np.zeros((3, 3)), 0.0, *camera)])
+        matrices = gain_at(np.zeros((3, 3)), 0.0, *camera)[None]
     else:
         height, width = z.shape[-2:]
         points = metering_points(height, width, torch.device("cpu")).numpy()
-        lights, *maps = (x.reshape(len(x), -1, height * width) for x in (scenes, z, metres))
-        tables = [
-            (medium_table(weights, n), distances[n % len(distances)], lamps_of(_ONE, n))
-            for n in range(len(weights.beta))
-        ]
+        lights, far, near = scenes.reshape(len(scenes), 3, -1), z.reshape(len(z), -1), metres
+        near = near.reshape(len(near), -1)
         matrices = np.empty((max(len(lights), len(z), len(tables)), 3, 3))
         brightness = np.empty(len(points) if lit else 0, np.float32)
         for n in range(len(matrices)):
-            far, near = (x[n % len(x), 0] for x in maps)
-            row = n % len(tables)
-            where = far, near, width, points, *tables[row]
-            means = kernels.meter(lights[n % len(lights)], *where, np.array(LUMINANCE), brightness)
+            light, row = lights[n % len(lights)], tables[n % len(tables)]
+            maps = far[n % len(far)], near[n % len(near)]
+            seen: Any = (light, *maps, width, points, *row, _LUMINANCE, brightness)
+            means, veil = kernels.meter(*seen)
             if lit:
                 burnt = round(BURNT * METERED)
-                highlight = float(np.partition(brightness, -burnt)[-burnt])
-            else:
-                farthest = float(far.max())
-                veil = -weights.veil[row] @ np.expm1(weights.G[row] * -farthest)
-                highlight = float((veil + tables[row][1].terms[:, -1:].sum(1)).max())
-            matrices[n] = gain_at(means, highlight, *camera)
+                veil = float(np.partition(brightness, -burnt)[-burnt])
+            matrices[n] = gain_at(means, veil, *camera)
     return matrices if saturation != 1 else np.diagonal(matrices, 0, 1, 2)
 
 
@@ -190,18 +169,13 @@ def _camera(
     if sensor is not None:
         normals = standard_normals(torch.device("cpu")).numpy()
         begins, variance = sensor.starts(batch, size).numpy(), sensor.variance
-    dark, photons, gamut, tone, offset = np.array(
-        [*variance, development.gamut, development.tone, tone_offset(float(development.tone))],
-        np.float32,
-    )
+    shape = development.gamut, development.tone, tone_offset(float(development.tone))
+    dark, photons, gamut, tone, offset = np.array([*variance, *shape], np.float32)
     if gains.ndim == 2:
         gains = gains[:, None] * np.eye(3)
     flat = gains.reshape(-1, 9).astype(np.float32)
-    return (
-        normals,
-        begins,
-        [DevelopmentTable(dark, photons, gain, gamut, tone, offset) for gain in flat],
-    )
+    cameras = [DevelopmentTable(dark, photons, gain, gamut, tone, offset) for gain in flat]
+    return normals, begins, cameras
 
 
 def _decoded(image: Tensor, srgb: bool, beyond: bool) -> Tensor:

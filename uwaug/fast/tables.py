@@ -1,19 +1,18 @@
 """What the compiled loops look up: a plan for pictures of one size, and a medium, as arrays."""
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from uwaug._support.cache import Cache
-from uwaug._support.checks import extent
 from uwaug._support.types import Array
 from uwaug.blur.banded import Kind, Node, mirrored, whole
 from uwaug.blur.kernels import blur_kernel
-from uwaug.blur.plan import NO_BLUR, V_FLOOR, BlurPlan, place_line
+from uwaug.blur.plan import V_FLOOR, BlurPlan, place_line
 from uwaug.formation.demand import Weights, widths_at
 from uwaug.light.backscatter import ASYMMETRY, NODE_WEIGHTS, NODES
 from uwaug.light.light import LAMP_RADIUS_M, Light
@@ -78,19 +77,17 @@ class PlanTable(NamedTuple):
 
 
 class DistanceTable(NamedTuple):
-    """What PyTorch computes of distances, at E of them, evenly spaced in their logarithm; between
-    them it is linear in that.
+    """What PyTorch makes of distances, at E of them, evenly spaced in their logarithm; between them
+    it is linear in that.
 
     Attributes:
         first, steps: log2 of the first distance, m; entries an octave.
-        places (E, or 0 without a blur that varies): of the blur's width in its plan, −1…1.
-        terms (3xE, or 3x0 where there are none): light of the medium's further terms.
+        rows (NxE, or Nx0): of N numbers.
     """
 
     first: np.float32
     steps: np.float32
-    places: Floats
-    terms: Floats
+    rows: Floats
 
 
 class DevelopmentTable(NamedTuple):
@@ -291,10 +288,6 @@ _EVENLY = np.linspace(0, 1, _ENTRIES)
 _NEAREST = 1e-6
 """m, and of the farthest distance: stands for the distance 0, which has no logarithm."""
 
-_NO_DISTANCES = DistanceTable(
-    np.float32(0), np.float32(0), np.zeros(0, np.float32), np.zeros((3, 0), np.float32)
-)
-
 
 def medium_table(weights: Weights, n: int) -> MediumTable:
     """The `n`-th row of a medium."""
@@ -303,62 +296,56 @@ def medium_table(weights: Weights, n: int) -> MediumTable:
     return MediumTable(rates, direct, np.concatenate((-direct, signal), 1), -veil)
 
 
-def distance_table(
-    medium: Medium,
-    plan: BlurPlan = NO_BLUR,
-    *,
-    size: Size,
-    ends: tuple[float, float],
-    z: Tensor,
-    gain: Array | None = None,
+def places_table(
+    medium: Medium, plan: BlurPlan, size: Size, ends: tuple[float, float]
 ) -> DistanceTable:
-    """What PyTorch makes of the distances of a picture, for a medium of one row.
-
-    Args:
-        plan: in which widths have places.
-        size: (height, width) of the picture.
-        ends: between which distances blurs show, m.
-        z: all distances.
-        gain (3, or 3x3): that multiplies or mixes channels.
+    """The place of the blur's width in its plan, −1…1, at distances between two, m, in pictures of
+    one size; of no entries where it does not vary.
     """
-    terms = medium.further_terms(z[:1, :, :1, :1])
-    if len(plan.sigmas) == 1 and not terms:
-        return _NO_DISTANCES
-    near, far = extent(z) if terms else ends
-    near = max(near, _NEAREST * far, _NEAREST)
-    first, last = math.log2(near), math.log2(max(far, 2 * near))
-    steps = (_ENTRIES - 1) / (last - first)
-    nodes = np.exp2(first + (last - first) * _EVENLY)
-    places, light = _NO_DISTANCES.places, _NO_DISTANCES.terms
-    if len(plan.sigmas) > 1:
-        slope, offset = place_line(plan)
-        x = widths_at(medium, nodes, size)[0] / V_FLOOR
+    if len(plan.sigmas) == 1:
+        return DistanceTable(_0, _0, _NONE[2].reshape(1, 0))
+    slope, offset = place_line(plan)
+
+    def places(z: Array) -> Array:
+        x = widths_at(medium, z, size) / V_FLOOR
         x = x if plan.shape == "exponential" else V_FLOOR * x * x
-        places = (slope * np.log1p(x) + offset).astype(np.float32)
-    if terms:
-        at = torch.from_numpy(nodes)[None, None, None]
-        each = medium.to(at).further_terms(at).values()
-        sums = np.zeros((3, _ENTRIES))
-        for term in each:
-            sums += term.detach().expand(1, 3, 1, _ENTRIES)[0, :, 0].numpy()
-        if gain is not None:
-            sums = gain @ sums if gain.ndim == 2 else gain[:, None] * sums
-        light = np.ascontiguousarray(sums, np.float32)
-    return DistanceTable(np.float32(first), np.float32(steps), places, light)
+        return slope * np.log1p(x) + offset
+
+    return _tabulated(places, ends)
 
 
-def lamps_table(
-    light: Light | None, lamplit: Weights, size: Size, gains: Array, n: int
-) -> LampsTable:
-    """Lamps over the `n`-th row of a water (`uwaug.Medium.under_lamp`), as a camera sees them that
-    multiplies or mixes channels, in pictures of one size.
+def terms_table(medium: Medium, z: Floats) -> DistanceTable:
+    """The light of a medium's further terms (3) at the distances of a picture; of no entries where
+    there are none.
     """
+    if not medium.further_terms(medium.b_mean.reshape(1, 1, 1, 1)):
+        return DistanceTable(_0, _0, _NONE[2].reshape(3, 0))
+
+    def light(z: Array) -> Array:
+        at, total = torch.from_numpy(z)[None, None, None], np.zeros((3, len(z)))
+        for term in medium.to(at).further_terms(at).values():
+            total += term.detach().expand(1, 3, 1, len(z))[0, :, 0].numpy()
+        return total
+
+    return _tabulated(light, (float(z.min()), float(z.max())))
+
+
+def _tabulated(function: Callable[[Array], Array], ends: tuple[float, float]) -> DistanceTable:
+    """A table of a function of distances (N) that gives some numbers of each."""
+    near, far = max(ends[0], _NEAREST * ends[1], _NEAREST), ends[1]
+    first, last = math.log2(near), math.log2(max(far, 2 * near))
+    rows = function(np.exp2(first + (last - first) * _EVENLY))
+    steps = (_ENTRIES - 1) / (last - first)
+    return DistanceTable(np.float32(first), np.float32(steps), rows.astype(np.float32))
+
+
+def lamps_table(light: Light | None, lamplit: Weights, size: Size, n: int) -> LampsTable:
+    """Lamps over the `n`-th row of a water (`uwaug.Medium.under_lamp`), in pictures of one size."""
     if light is None or not light.lamps:
         return NO_LAMPS
     row = Weights(*(rows[n % len(rows)][None] for rows in lamplit))
-    gain = gains[n % len(gains)][None]
     colours = [lamp.power * np.array(lamp.color) for lamp in light.lamps]
-    seen = [row.seen_by(gain * colour) for colour in colours]  # of a matrix, the columns
+    seen = [row.seen_by(colour[None]) for colour in colours]
     # what has come straight: of each channel; of surfaces with spectra, of all
     sums = [
         x[0] if len(x[0]) == 3 else x[0].sum(0, keepdims=True) for x in (row.direct, row.signal)

@@ -72,8 +72,9 @@ class Weights(NamedTuple):
     def of(medium: Medium) -> "Weights":
         """Those of a medium."""
         direct, signal = medium.direct_weights.flatten(1, -2), medium.signal_weights.flatten(1, -2)
-        values = (medium.beta, direct, medium.G, signal, medium.veil_weights)
-        return Weights(*(x.detach().cpu().double().contiguous().numpy() for x in values))
+        return Weights(
+            *map(_array_of, (medium.beta, direct, medium.G, signal, medium.veil_weights))
+        )
 
     def seen_by(self, gain: Array) -> "Weights":
         """As seen by a camera that multiplies channels (B or 1, 3), or mixes them (…, 3, 3)."""
@@ -81,13 +82,15 @@ class Weights(NamedTuple):
         if len(gain) > len(beta):
             beta, G = beta.repeat(len(gain), 0), G.repeat(len(gain), 0)
         if gain.ndim == 2 and self.direct.shape[1] == 3:
-            direct, signal, veil = (
-                gain[..., None] * x for x in (self.direct, self.signal, self.veil)
-            )
-            return Weights(beta, direct, G, signal, veil)
+            gain = gain[..., None]
+            return Weights(beta, gain * self.direct, G, gain * self.signal, gain * self.veil)
         matrix = gain if gain.ndim == 3 else gain[..., None] * np.eye(3)
-        direct, signal = (_mixed(matrix, x) for x in (self.direct, self.signal))
+        direct, signal = _mixed(matrix, self.direct), _mixed(matrix, self.signal)
         return Weights(beta, direct, G, signal, matrix @ self.veil)
+
+
+def _array_of(values: Tensor) -> Array:
+    return values.detach().cpu().double().contiguous().numpy()
 
 
 def _mixed(matrix: Array, weights: Array) -> Array:
@@ -188,10 +191,10 @@ def blur_demand(
     """
     checks.tolerance(tolerance)
     law = medium.point_spread
-    near, far = (min(max(z, 0.0), FARTHEST) for z in distance_range)
+    near, far = max(distance_range[0], 0.0), min(distance_range[1], FARTHEST)
     weights = Weights.of(medium) if seen is None else seen
     first, last, strength = _scattered(*weights[:4], near, far, tolerance, learned)
-    traced = any(isinstance(v, Tensor) and v.requires_grad for v in law.numbers().values())
+    traced = learned and law.requires_grad
     if strength == 0:
         learns = learned and traced
         return BlurDemand(0.0, 0.0, tolerance, law.shape, law.reference_size, learns)
@@ -210,7 +213,7 @@ def blur_demand(
 def widths_at(medium: Medium, z: Array, size: tuple[int, int] | None) -> Array:
     """The widths, px, of all rows at distances (N), m, in double precision."""
     law, b_mean = medium.point_spread, medium.b_mean.detach().cpu().double().numpy()
-    if not any(isinstance(value, Tensor) for value in law.numbers().values()):
+    if not law.has_tensors:
         widths: Array = law.sigma(b_mean[:, None] * z, size)
         return widths
     with torch.no_grad():

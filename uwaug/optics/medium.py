@@ -125,7 +125,8 @@ class Medium:
         if self.is_spectral:
             sizes["S"] = 3
         for name, axes in self.TENSORS.items():
-            tensor, shape = getattr(self, name), tuple([sizes[x] for x in axes if x in sizes])
+            tensor = getattr(self, name)
+            shape = tuple(map(sizes.__getitem__, filter(sizes.__contains__, axes)))
             if tensor.ndim == 0:  # one number for all, as a default is
                 object.__setattr__(self, name, tensor.to(self.beta).expand(shape))
             elif tuple(tensor.shape) != shape:
@@ -336,7 +337,7 @@ class Medium:
 
     def tensors(self) -> tuple[Tensor, ...]:
         """Rates, weights and b̄, in the order of `TENSORS`."""
-        return tuple([getattr(self, name) for name in self.TENSORS])
+        return tuple(map(self.__getattribute__, self.TENSORS))
 
     def parameters(self) -> dict[str, Tensor]:
         """All that is continuous in a medium, by name, each with a row for every medium: the
@@ -389,9 +390,8 @@ class Medium:
     @property
     def requires_grad(self) -> bool:
         """Whether any tensor, the width law's included, records gradients."""
-        # without a look at the number of rows, which a graph does not know
-        values = (*self.tensors(), *self.point_spread.numbers().values())
-        return any(isinstance(value, Tensor) and value.requires_grad for value in values)
+        recorded = any(tensor.requires_grad for tensor in self.tensors())
+        return recorded or self.point_spread.requires_grad
 
     def sums(self, *, exact_at_lens: bool) -> Sums:
         """The three curves as sums of exponentials, for `uwaug.optics.curves.curves`.

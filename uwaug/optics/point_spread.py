@@ -125,6 +125,17 @@ class PointSpread:
         """The numbers that are continuous, by name."""
         return {name: getattr(self, name) for name in self.NUMBERS}
 
+    @property
+    def has_tensors(self) -> bool:
+        """Whether a number is a tensor, which has one for each medium, or is learned."""
+        return isinstance(self.scale, Tensor) or isinstance(self.exponent, Tensor)
+
+    @property
+    def requires_grad(self) -> bool:
+        """Whether a number records gradients."""
+        values = self.numbers().values()
+        return any(isinstance(value, Tensor) and value.requires_grad for value in values)
+
     def rows(self, count: int, like: Tensor) -> dict[str, Tensor]:
         """The numbers as tensors of `count` rows, by name."""
         return {
@@ -134,7 +145,7 @@ class PointSpread:
 
     def require_rows(self, count: int) -> None:
         """Refuse tensors that are neither one number for all media nor one for each of `count`."""
-        for name, value in self.numbers().items():
+        for name, value in self.numbers().items() if self.has_tensors else ():
             if isinstance(value, Tensor) and value.shape not in ((), (count,)):
                 expected = f"() or ({count},), a number for each medium"
                 got = tuple(value.shape)
@@ -154,10 +165,11 @@ class PointSpread:
                 scattering lengths b̄·z, ≥ 0.
             size: (height, width) of the image, px; None for px of `reference_size`.
         """
-        scale, exponent = (
-            value.reshape(-1, 1, 1, 1).to(lengths) if isinstance(value, Tensor) else value
-            for value in self.numbers().values()
-        )
+        scale, exponent = self.scale, self.exponent
+        if isinstance(scale, Tensor):
+            scale = scale.reshape(-1, 1, 1, 1).to(lengths)
+        if isinstance(exponent, Tensor):
+            exponent = exponent.reshape(-1, 1, 1, 1).to(lengths)
         return width_at(lengths, scale * pixel_scale(self.reference_size, size), exponent)
 
     def __str__(self) -> str:

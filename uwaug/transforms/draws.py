@@ -1,6 +1,5 @@
 """Draws: all that is random about one picture, and the record of it."""
 
-import hashlib
 import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -35,16 +34,8 @@ class Draw(NamedTuple):
 
 
 def uniform_of(seed: int) -> Uniform:
-    """What a picture of this seed (0…2^63) draws. A name stands for its number alone: a range that
-    comes or goes moves no other.
-    """
-    key = seed.to_bytes(8)
-
-    def uniform(name: str) -> float:
-        digest = hashlib.blake2b(name.encode(), digest_size=8, key=key).digest()
-        return (int.from_bytes(digest) >> 11) * 2.0**-53
-
-    return uniform
+    """What a picture of this seed (0…2^63) draws."""
+    return Uniform(seed.to_bytes(8))
 
 
 def of_frame(sample: Record, number: int) -> Record:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from uwaug._support import checks, codec
-from uwaug._support.nouns import Fixed, Uniform, named
+from uwaug._support.nouns import Fixed, Uniform
 from uwaug._support.ranges import Range
 from uwaug.distance.made_up import MadeUp
 from uwaug.distance.sources import Metres, Plane, Source
@@ -245,7 +245,7 @@ class RandomUnderwater(SampleTransform):
 
     def _sample(self, uniform: Uniform) -> Record:
         """What a picture draws, of a record."""
-        nouns = {name: noun.drawn(named(name, uniform)) for name, noun in self._nouns.items()}
+        nouns = {name: noun.drawn(uniform.of(name)) for name, noun in self._nouns.items()}
         return {"applied": uniform("applied") < self.p, **nouns}
 
     @uncompiled

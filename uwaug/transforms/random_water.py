@@ -5,7 +5,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from dataclasses import field as derived
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, ClassVar, Literal, NamedTuple, get_args
 
 from torch import Tensor
@@ -214,7 +214,7 @@ class RandomWater(Noun):
         if self.mixes and self.has_media:
             raise ValueError("mixing needs spectra: it must be 0 where a water is a Medium")
 
-    @property
+    @cached_property
     def has_media(self) -> bool:
         """Whether a water is a `Medium`, of which no more is known than its curves."""
         return any(isinstance(water, Medium) for water in self.by_name.values())
@@ -322,7 +322,7 @@ class RandomWater(Noun):
     def _is_by_distance(self, drawn: Drawn) -> bool:
         if self.contrast_by is not None:
             return self.contrast_by == "distance"
-        return self.waters is not None and all(isinstance(w, str) for w in drawn["waters"])
+        return self.waters is not None and {*map(type, drawn["waters"])} == {str}
 
     def _snowing(self, medium: Medium, drawn: Drawn, seen: Measured) -> Medium:
         """A medium with the particles that are drawn; with those of its own if none are."""
