@@ -511,7 +511,8 @@ def meter(
     z: Floats,
     metres: Floats,
     width: int,
-    points: Indices,
+    farthest: float,
+    points: Any,
     medium: MediumTable,
     further: DistanceTable,
     lamps: LampsTable,
@@ -523,7 +524,8 @@ def meter(
 
     Args:
         light (3xN), z, metres (N): of all pixels of a picture, so many in a row.
-        points (M): which of them.
+        farthest: of z.
+        points (M): which of them; without a sign, as numba would test each that has one.
         medium, further, lamps: tables.
         luminance (3): weights of the channels.
         brightness (M, or 0): is filled with the luminance of what arrives.
@@ -601,11 +603,11 @@ def meter(
                 sums[2, x] += max(a[x], _0)
         for k in range(3):
             means[k, c] = sums[k].sum()
-    farthest, brightest = z.max(), -np.inf
+    brightest = -np.inf
     for c in range(3):
         veil = further.rows[c, -1:].sum() + 0.0
         for r in range(direct, rates.size):
-            veil += medium.veil[c, r - direct] * np.expm1(rates[r] / _LOG2E * np.float64(farthest))
+            veil += medium.veil[c, r - direct] * np.expm1(rates[r] / _LOG2E * farthest)
         brightest = max(brightest, veil)
     return means / count, brightest
 
@@ -834,30 +836,23 @@ def _add_noise(t: Any, total: int, at: int, normals: Any, begins: Any, shown: An
 
 
 @inner
-def _expose(t: Any, total: int, m: Any, n: int) -> None:
-    """The gain of the light in three rows, a matrix (9)."""
+def _develop(t: Any, total: int, shown: Any, n: int) -> None:
+    """Gain, gamut and tone of the light in three rows, see `uwaug.formation.development`."""
+    share, contrast, offset, m = shown.gamut, shown.tone, shown.tone_offset, shown.gain
     d = tile_rows(t, total, 3)
     m0, m1, m2, m3, m4, m5, m6, m7, m8 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
     for x in range(n):
-        red, green, blue = d[x], d[x + TILE], d[x + 2 * TILE]
-        d[x] = m0 * red + m1 * green + m2 * blue
-        d[x + TILE] = m3 * red + m4 * green + m5 * blue
-        d[x + 2 * TILE] = m6 * red + m7 * green + m8 * blue
-
-
-@inner
-def _develop(t: Any, total: int, shown: Any, n: int) -> None:
-    """Gamut and tone of the light in three rows, see `uwaug.formation.development`."""
-    share, contrast, offset = shown.gamut, shown.tone, shown.tone_offset
-    d = tile_rows(t, total, 3)
-    if share > _0:
-        for x in range(n):
-            red, green, blue = d[x], d[x + TILE], d[x + 2 * TILE]
+        R, G, B = d[x], d[x + TILE], d[x + 2 * TILE]
+        red = m0 * R + m1 * G + m2 * B
+        green = m3 * R + m4 * G + m5 * B
+        blue = m6 * R + m7 * G + m8 * B
+        if share > _0:  # of all pixels or none
             brightest = max(red, green, blue, DARK)
             inverse, less = _1 / brightest, share * brightest
-            d[x] = red + less * _compression(_1 - red * inverse)
-            d[x + TILE] = green + less * _compression(_1 - green * inverse)
-            d[x + 2 * TILE] = blue + less * _compression(_1 - blue * inverse)
+            red += less * _compression(_1 - red * inverse)
+            green += less * _compression(_1 - green * inverse)
+            blue += less * _compression(_1 - blue * inverse)
+        d[x], d[x + TILE], d[x + 2 * TILE] = red, green, blue
     if contrast != _1:
         slope = contrast * offset / (_1 + offset)
         for c in range(3):
@@ -1032,7 +1027,6 @@ def render_rows(
                     total_row[x] += layer[x]
             if normals.size > 0:
                 _add_noise(t, totals, left, normals, begins[:, y], shown, n)
-            _expose(t, totals, shown.gain, n)
             _develop(t, totals, shown, n)
             for c in range(3):
                 floats = out[c, y % out.shape[1], left:right]

@@ -4,12 +4,13 @@ import os
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from threading import Lock
 from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import get_worker_info
 
@@ -143,7 +144,7 @@ def _gains(
         matrices = gain_at(np.zeros((3, 3)), 0.0, *camera)[None]
     else:
         height, width = z.shape[-2:]
-        points = metering_points(height, width, torch.device("cpu")).numpy()
+        points = _points(height, width)
         lights, far, near = scenes.reshape(len(scenes), 3, -1), z.reshape(len(z), -1), metres
         near = near.reshape(len(near), -1)
         matrices = np.empty((max(len(lights), len(z), len(tables)), 3, 3))
@@ -151,13 +152,21 @@ def _gains(
         for n in range(len(matrices)):
             light, row = lights[n % len(lights)], tables[n % len(tables)]
             maps = far[n % len(far)], near[n % len(near)]
-            seen: Any = (light, *maps, width, points, *row, _LUMINANCE, brightness)
+            farthest = float(maps[0].max())
+            seen: Any = (light, *maps, width, farthest, points, *row, _LUMINANCE, brightness)
             means, veil = kernels.meter(*seen)
             if lit:
                 burnt = round(BURNT * METERED)
                 veil = float(np.partition(brightness, -burnt)[-burnt])
             matrices[n] = gain_at(means, veil, *camera)
     return matrices if saturation != 1 else np.diagonal(matrices, 0, 1, 2)
+
+
+@lru_cache(maxsize=8)
+def _points(height: int, width: int) -> NDArray[np.uint32]:
+    """The flat indices of the metered pixels, in their order, as the caches like it."""
+    points = metering_points(height, width, torch.device("cpu")).numpy()
+    return np.sort(points).astype(np.uint32)
 
 
 def _camera(
