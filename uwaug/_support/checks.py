@@ -5,6 +5,7 @@ And the domain of each quantity.
 import math
 from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,6 +36,8 @@ many.
 
 _LINES_SAMPLED = 16
 """Rows and columns of a map, about, at which it is looked for millimetres."""
+
+_REQUIRES_GRAD = attrgetter("requires_grad")
 
 _CONVERT = (
     ". Convert a PIL image with torchvision.transforms.v2.functional.pil_to_tensor, an array with "
@@ -201,6 +204,11 @@ def full_precision(x: "Tensor") -> AbstractContextManager[object]:
     if not torch.compiler.is_compiling() and not torch.is_autocast_enabled(kind):
         return nullcontext()
     return torch.autocast(kind, enabled=False)
+
+
+def records(*values: "Tensor") -> bool:
+    """Whether a tensor records gradients."""
+    return any(map(_REQUIRES_GRAD, values))
 
 
 def on_host(x: "Tensor") -> bool:

@@ -116,10 +116,11 @@ def _in_bands(medium: Medium, function: Callable[..., Tensor], *images: Tensor) 
     """A function of each pixel on its own, of images in bands of rows where nothing is learned."""
     if not checks.on_host(images[0]):
         return function(*images)
-    recorded = medium.requires_grad or any(image.requires_grad for image in images)
-    if torch.is_grad_enabled() and recorded:
+    if torch.is_grad_enabled() and (medium.requires_grad or checks.records(*images)):
         return function(*images)
     rows = max(1, _BAND // images[0].shape[-1])
+    if rows >= images[0].shape[-2]:
+        return function(*images)
     bands = zip(*(torch.split(image, rows, -2) for image in images), strict=True)
     return torch.cat([function(*band) for band in bands], -2)
 

@@ -193,13 +193,29 @@ class Medium:
         if tolerance != 0:
             checks.tolerance(tolerance)
         checks.one_of("surfaces", surfaces, get_args(Surfaces))
+        law = PointSpread.paper() if point_spread is None else point_spread
+        options = (vertical_depth, g, mu, law, surfaces == "spectral", color_matrix, tolerance)
+        return Medium.of_spectra(water, load_camera(camera), *options)
+
+    @staticmethod
+    def of_spectra(
+        water: Water,
+        eye: Camera,
+        vertical_depth: float,
+        g: float,
+        mu: float,
+        law: PointSpread,
+        is_spectral: bool,
+        color_matrix: float,
+        tolerance: float,
+    ) -> "Medium":
+        """As `from_water`, of numbers that are known to be good."""
         spectra = water.at(default_bands(water))
         axis, b = spectra.wavelengths, spectra.b
-        eye = load_camera(camera)
         require_seen(eye, float(axis[0]), float(axis[-1]))
         sensor = response_at(eye, axis.tobytes())
         basis, response = None, sensor
-        if surfaces == "spectral":
+        if is_spectral:
             basis = reflectances(axis.tobytes())
             response, basis = through_camera(sensor, basis, color_matrix, eye.color_matrix)
         beta, G = attenuations(spectra.a, b, g)
@@ -209,13 +225,12 @@ class Medium:
         note = (
             f"{water.name}: {tensors['beta'].shape[1]} + {tensors['G'].shape[1]} rates, curves "
             f"within {error:.1g} at any distance, {vertical_depth:g} m deep, g = {g:g}, μ = {mu:g}"
-            + (", surfaces = spectral" if surfaces == "spectral" else "")
+            + (", surfaces = spectral" if is_spectral else "")
         )
         brightest = float((response @ veil).max())
         if brightest > _BRIGHT_VEIL:
             note += f"; veil of {brightest:.2g} times white"
         b_mean = torch.from_numpy((sensor @ b).mean(keepdims=True))
-        law = PointSpread.paper() if point_spread is None else point_spread
         bands = Bands(beta, G, b, response, measure(response, basis), tolerance)
         return Medium(
             **tensors, b_mean=b_mean, point_spread=law, notes=(note,), bands=(bands,), snow=()
@@ -330,10 +345,10 @@ class Medium:
 
     def to(self, *args: Any, **kwargs: Any) -> "Medium":
         """Move or cast, as `torch.Tensor.to`."""
-        if all(t.to(*args, **kwargs) is t for t in self.tensors()):
-            return self
-
-        return self.map(lambda t: t.to(*args, **kwargs))
+        for tensor in self.tensors():
+            if tensor.to(*args, **kwargs) is not tensor:
+                return self.map(lambda t: t.to(*args, **kwargs))
+        return self
 
     def tensors(self) -> tuple[Tensor, ...]:
         """Rates, weights and b̄, in the order of `TENSORS`."""
@@ -390,8 +405,7 @@ class Medium:
     @property
     def requires_grad(self) -> bool:
         """Whether any tensor, the width law's included, records gradients."""
-        recorded = any(tensor.requires_grad for tensor in self.tensors())
-        return recorded or self.point_spread.requires_grad
+        return checks.records(*self.tensors()) or self.point_spread.requires_grad
 
     def sums(self, *, exact_at_lens: bool) -> Sums:
         """The three curves as sums of exponentials, for `uwaug.optics.curves.curves`.

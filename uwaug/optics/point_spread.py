@@ -133,7 +133,7 @@ class PointSpread:
     @property
     def requires_grad(self) -> bool:
         """Whether a number records gradients."""
-        values = self.numbers().values()
+        values = self.numbers().values() if self.has_tensors else ()
         return any(isinstance(value, Tensor) and value.requires_grad for value in values)
 
     def rows(self, count: int, like: Tensor) -> dict[str, Tensor]:

@@ -316,20 +316,21 @@ class RandomUnderwater(SampleTransform):
 
     def scenes(self, image: Tensor, distance: Tensor | None, params: Record) -> Scenes:
         """Pictures in the water of their draws; arguments as for `transform`."""
-        count = len(pictures_of(image))
+        pictures = pictures_of(image)
+        count = len(pictures)
         draws = read_draws(params, count, self._nouns)
         if is_film(image) and len(params["samples"]) == 1 and not draws[0].measured:
             draws = read_draws(self.for_clip(params, image, distance), count, self._nouns)
-        return scenes_of(image, distance, draws, self._nouns)
+        return scenes_of(image, pictures, distance, draws, self._nouns)
 
     def _sampled(self, inputs: tuple[Any, ...], generator: torch.Generator | None) -> Any:
         image, distance, restore = self.take_apart(inputs)
-        pictures_of(image)  # refuses what has no number of pictures
+        pictures = pictures_of(image)
         record = self.make_params(image, generator)
         if is_film(image):
             return restore(self.transform(image, distance, record))
         draws = [Draw(**sample) for sample in record["samples"]]
-        return restore(scenes_of(image, distance, draws, self._nouns).formed())
+        return restore(scenes_of(image, pictures, distance, draws, self._nouns).formed())
 
     def __repr__(self) -> str:
         shown = [f"{f.name}={getattr(self, f.name)!r}" for f in codec.changed(self)]

@@ -287,15 +287,10 @@ class RandomWater(Noun):
             daylight = water.daylight(depth)
             if daylight < DIMMEST:
                 depth, daylight = min(depth, water.depth_of_daylight(DIMMEST)), DIMMEST
-        options = {
-            "vertical_depth": depth,
-            "g": drawn["g"],
-            "mu": self._towards(drawn),
-            "point_spread": self.point_spread or _calibrated(FOCAL_LENGTH * seen.width),
-            "surfaces": "spectral" if "color_matrix" in drawn else "grey",
-            "color_matrix": drawn.get("color_matrix", 1.0),
-            "tolerance": _CURVES * daylight,  # what an exposure brings up, errors included
-        }
+        law = self.point_spread or _calibrated(FOCAL_LENGTH * seen.width)
+        camera = "color_matrix" in drawn, drawn.get("color_matrix", 1.0)
+        tolerance = _CURVES * daylight  # what an exposure brings up, errors included
+        options = (depth, drawn["g"], self._towards(drawn), law, *camera, tolerance)
         medium = self._medium_of(water, options)
         return InWater(self._snowing(medium, drawn, seen.scaled(scale)), scale, reached)
 
@@ -310,12 +305,12 @@ class RandomWater(Noun):
         seeds = [each["field_seed"] for each in drawn]
         return random_fields(seeds, (like.shape[-2], like.shape[-1]), *self.field, like, moved)
 
-    def _medium_of(self, water: Water, options: dict[str, Any]) -> Medium:
+    def _medium_of(self, water: Water, options: tuple[Any, ...]) -> Medium:
         """A medium; the one before if it is of the same water, as where nothing is random."""
-        before: tuple[Water, dict[str, Any], Medium] | None = vars(self).get("_before")
+        before: tuple[Water, tuple[Any, ...], Medium] | None = vars(self).get("_before")
         if before and before[0] is water and before[1] == options:
             return before[2]
-        medium = Medium.from_water(water, self.response, **options)
+        medium = Medium.of_spectra(water, self.response, *options)
         vars(self)["_before"] = water, options, medium
         return medium
 
@@ -331,10 +326,13 @@ class RandomWater(Noun):
         snow = self.snow.of(drawn["snow"])
         return medium.with_snow(replace(snow, drift=snow.drift + seen.moved))
 
-    def _towards(self, drawn: Drawn) -> float | None:
+    def _towards(self, drawn: Drawn) -> float:
         """μ; of a range no more than g, as no veil is brighter than a white plate."""
-        mu: float | None = drawn.get("mu")
-        return min(drawn["mu"], drawn["g"]) if isinstance(self.mu, (tuple, list)) else mu
+        g: float = drawn["g"]
+        if self.mu is None:
+            return min(1.5 * g, 1.0)
+        mu: float = drawn["mu"]
+        return min(mu, g) if isinstance(self.mu, (tuple, list)) else mu
 
     def _spectra(self, water: str | Mapping[str, float]) -> Water:
         """A water by its name, or of amounts of contents."""

@@ -25,7 +25,7 @@ from uwaug.optics.medium import Medium
 from uwaug.transforms.draws import Draw
 from uwaug.transforms.measured import Measured, measured
 from uwaug.transforms.random_water import RandomWater, Reached
-from uwaug.transforms.samples import maps_for, naming, pictures_of, typed
+from uwaug.transforms.samples import maps_for, naming, typed
 
 _AS_THEY_COME = Metres()
 """Maps of metres without holes."""
@@ -83,16 +83,17 @@ class Scenes(NamedTuple):
             index = torch.tensor(self.chosen).to(pictures.device)
         for setting in self.settings:
             _warn_if_blank(setting)
+        media, lights, developments, _, _, spans = zip(*self.settings, strict=True)
         with checks.full_precision(pictures):
             result = form_each(
                 pictures if index is None else pictures[index],
                 self.z,
-                [setting.medium for setting in self.settings],
-                [setting.development for setting in self.settings],
+                media,
+                developments,
                 color_space=self.color_space,
-                spans=[setting.span for setting in self.settings],
+                spans=spans,
                 alike=self.alike,
-                lights=[setting.light for setting in self.settings],
+                lights=lights,
                 metres=self.metres,
             )
         if index is not None:
@@ -131,19 +132,20 @@ class Scenes(NamedTuple):
 
 
 def scenes_of(
-    image: Tensor, distance: Any, draws: Sequence[Draw], nouns: Mapping[str, Any]
+    image: Tensor, pictures: Tensor, distance: Any, draws: Sequence[Draw], nouns: Mapping[str, Any]
 ) -> Scenes:
     """An image in the water of draws that are known to be good.
 
     Args:
         image (3xHxW or Bx3xHxW tensor), distance: as for `RandomUnderwater.transform`.
+        pictures (Bx3xHxW tensor): all of the image, from `pictures_of`.
         draws: of each picture.
         nouns: by the names of `Draw`.
     """
     fast.load()  # else the first picture of a process would be off by the last bits
     water: RandomWater = nouns["water"]
     source: Source = nouns["distance"]
-    pictures, space = pictures_of(image), nouns["development"].color_space
+    space = nouns["development"].color_space
     maps = maps_for(pictures, distance, source)
     chosen = [i for i, draw in enumerate(draws) if draw.applied]
     if not chosen:
@@ -156,22 +158,22 @@ def scenes_of(
         looks = measured(some, z, **camera)
         if (again := _second_look(source, looks, pictures, z, chosen)) is not z:
             z, looks = again, measured(some, again, **camera)
-        settings, seen = [], []
+        settings, seen, scales, drawn, is_film = [], [], [], [], False
         for i, look in zip(chosen, looks, strict=True):
             with naming(i, len(pictures)):
                 if not (look.darkest >= 0 and look.brightest <= 1):
                     require_values(pictures[i], space)
                 seen.append(look.of_film(draws[i].measured, draws[i].moved))
                 settings.append(_setting(draws[i], look, seen[-1], nouns))
-        scales = [setting.scale for setting in settings]
-        metres = z
-        if pictures.dtype == torch.float64:
-            metres = z.double()
-        if any(scale != 1 for scale in scales):
+            scales.append(settings[-1].scale)
+            drawn.append(draws[i].water)
+            is_film = is_film or bool(draws[i].measured)
+        metres = z.double() if pictures.dtype == torch.float64 else z
+        if {*scales} != {1.0}:
             metres = metres * metres.new_tensor(scales)[:, None, None, None]
         metres = metres.clamp(max=FARTHEST)
-        z = metres * water.fields([draws[i].water for i in chosen], seen, metres)
-    alike = water.has_one_law and not any(draw.measured for draw in draws)
+        z = metres * water.fields(drawn, seen, metres)
+    alike = water.has_one_law and not is_film
     return Scenes(image, pictures, space, chosen, z, metres, settings, alike)
 
 
