@@ -192,7 +192,8 @@ class RandomUnderwater(SampleTransform):
             raise ValueError(f"a module makes the same of all pictures, but {got} differ: fix them")
         ends = self.distance.reach() or (0.1, 20.0)
         thin, dense = self.water.field or (1.0, 1.0)
-        seen = Measured(1, 0.0, 1.0, *ends, ends[1], bool(self.development.metered))
+        lamps = isinstance(self.light, Light) and bool(self.light.lamps)
+        seen = Measured(1, 0.0, 1.0, *ends, ends[1], bool(self.development.metered), lamps)
         draw = Draw(**self._sample(uniform_of(0)))
         light = self._nouns["light"].of(draw.light, seen)
         return Underwater(
