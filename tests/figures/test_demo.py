@@ -32,14 +32,17 @@ def test_nor_in_scenes_of_other_shapes_and_distances(
     z[0, 0] = rest
     note = "Drawn at 1000×500 of 20000×10000 px. 0.0017 % of the distances were unknown."
     scene = Scene(torch.rand(3, *shape), z, None, note)
-    draw = demo.own_pictures(preset_case(load_preset("tank-proposed-4")))[name]
+    draw = demo.own_pictures(preset_case("tank-proposed-4", load_preset("tank-proposed-4")))[name]
     assert require_room(lambda: draw(scene), monkeypatch) > 10
 
 
 def test_the_terms_are_those_of_the_picture_beside_them(small, monkeypatch):
     shown = {}
     monkeypatch.setattr(demo, "show", lambda _, picture, label: shown.update({label: picture}))
-    for case in (preset_case(load_preset("survey")), water_case(Water.jerlov("1C"), small)):
+    for case in (
+        preset_case("survey", load_preset("survey")),
+        water_case(Water.jerlov("1C"), small),
+    ):
         demo.draw_terms(small, case._replace(field_range=(1.0, 1.0)))
         terms = [shown[name] for name in ("D   direct", "F   forward scatter", "B   backscatter")]
         if case.module.color_space == "linear":

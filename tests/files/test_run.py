@@ -20,7 +20,7 @@ from deadly import Deadly
 from filing import content, metres, pixels, save, words
 from PIL import Image
 
-from uwaug import RandomDevelopment, RandomUnderwater, Sensor
+from uwaug import RandomDevelopment, RandomUnderwater, RandomWater, Sensor
 from uwaug.distance import Metres, Plane, Relative
 from uwaug.files import Item, Recipe, degrade, find_items, read_picture, read_record, replay
 from uwaug.files.pool import on_processes
@@ -29,8 +29,8 @@ from uwaug.files.underwater import _Underwater
 from uwaug.transforms.samples import key_of
 
 H, W = 24, 32
-WATER = RandomUnderwater("II", contrast=None)
-RECIPE = Recipe(RandomUnderwater(["II", "7C"], contrast=(0.3, 0.5)), seed=4)
+WATER = RandomUnderwater(RandomWater("II", contrast=None))
+RECIPE = Recipe(RandomUnderwater(RandomWater(["II", "7C"], contrast=(0.3, 0.5))), seed=4)
 
 
 @pytest.fixture(autouse=True)
@@ -191,7 +191,8 @@ def test_frames_of_a_folder_share_a_draw() -> None:
         frame = int(Path(record["name"]).stem)
         assert moved == pytest.approx(0.004 * frame)
         # the noise of a sensor is that of a frame
-        sample["numbers"]["noise_seed"] = (sample["numbers"]["noise_seed"] - frame) % 2**32
+        noise = sample["development"]["noise"]
+        noise["seed"] = (noise["seed"] - frame) % 2**32
         clips.setdefault((path.parent.name, record["variant"]), []).append(sample)
     assert len(clips) == 4
     assert all(samples == [samples[0]] * 3 for samples in clips.values())
@@ -277,7 +278,7 @@ def test_blank_pictures_are_told_of() -> None:
 
 def test_odd_scenes_are_told_of() -> None:
     save("depth/1.npy", 50 * metres(H, W))
-    recipe = Recipe(RandomUnderwater(contrast=0.4))
+    recipe = Recipe(RandomUnderwater(RandomWater(contrast=0.4)))
     summary = degrade(recipe, items(), "out")
     (odd,) = summary.odd
     assert odd.startswith("1.png: a median of ")
@@ -327,7 +328,9 @@ def test_maps_of_other_kinds() -> None:
         ("shares.png", "m", Relative(1.0, 5.0)),
         (None, "m", Plane(3.0)),
     ):
-        transform = RandomUnderwater("II", contrast=None, distance=distance, field=None)
+        transform = RandomUnderwater(
+            RandomWater("II", contrast=None, field=None), distance=distance
+        )
         recipe = Recipe(transform, unit=unit)
         degrade(recipe, find_items("all/0.png", maps), f"{len(made)}.png")
         made.append(read_picture(f"{len(made)}.png").int())
@@ -371,9 +374,9 @@ def test_a_sheet() -> None:
     # what was drawn stands below what was made, under the name
     before, after = (shown[196:210, x : x + 240] for x in (496, 736))
     assert before.min() > 240 > 100 > after.min()
-    params = {"samples": [{"applied": True, "waters": ["7C", "chlorophyll=17.82,cdom=1.5"]}]}
+    waters = ["7C", {"chlorophyll": 17.82, "cdom": 1.5, "minerals": 0.0}]
     record = read_record(Path("out/1.png.json")) | {
-        "params": params,
+        "params": {"samples": [{"applied": True, "water": {"waters": waters}}]},
         "reached": {"metres": 2.345},
         "contrast": 0.4,
     }
@@ -512,7 +515,7 @@ def test_one_bad_picture_does_not_stop_the_rest() -> None:
         ({}, None, "out", "distance is missing: 0.png has no file of it"),
         ({}, "depth", "all", "is read, and would be written over"),
         (
-            {"transform": {"waters": "II"}},
+            {"transform": {"water": "II"}},
             "depth",
             "out",
             "transform must be a uwaug.RandomUnderwater",
