@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from deadly import Deadly
 from filing import content, metres, pixels, save, words
 from PIL import Image
 
-from uwaug import RandomDevelopment, RandomUnderwater, RandomWater, Sensor
+from uwaug import Lamp, Light, RandomDevelopment, RandomUnderwater, RandomWater, Sensor
 from uwaug.distance import Metres, Plane, Relative
 from uwaug.files import Item, Recipe, degrade, find_items, read_picture, read_record, replay
 from uwaug.files.pool import on_processes
@@ -288,6 +289,15 @@ def test_odd_scenes_are_told_of() -> None:
         assert result.reached is not None
         assert reached == result.reached._asdict()
         assert (reached["contrast"], reached["asked"]) == (0.4, 0.4)
+
+
+def test_a_named_water_by_lamps_in_metres_is_told_of() -> None:
+    lamps = Light((Lamp((0.4, 0.0, 0.0)),))
+    water = RandomWater("II", contrast=0.01)
+    (odd,) = degrade(Recipe(RandomUnderwater(water, light=lamps)), items()[:1], "a.png").odd
+    assert "water II leaves 0.32 of contrast, not 0.01 at 2.5 m: water.contrast_by=contents" in odd
+    by_contents = RandomUnderwater(replace(water, contrast_by="contents"), light=lamps)
+    assert degrade(Recipe(by_contents), items()[:1], "b.png").odd == []
 
 
 def test_formats_and_names() -> None:
