@@ -1,3 +1,4 @@
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -5,7 +6,7 @@ import pytest
 import torch
 from texts import require_room
 
-from uwaug import Water, load_preset, published
+from uwaug import Lamp, Light, Water, load_preset, published
 from uwaug.figures import comparison, demo
 from uwaug.figures.demo import preset_case, water_case
 from uwaug.presets.scene import Scene
@@ -49,6 +50,12 @@ def test_the_terms_are_those_of_the_picture_beside_them(small, monkeypatch):
             torch.testing.assert_close(sum(terms), shown["I   image"], atol=5e-3, rtol=0)
         else:  # no term is brighter than all of them
             assert all((term.clamp(0, 1) <= shown["I   image"] + 0.05).all() for term in terms)
+
+
+def test_a_preset_with_lamps_is_not_shown_by_daylight():
+    lit = replace(load_preset("survey"), light=Light((Lamp((0.3, 0.0, 0.0)),)))
+    with pytest.raises(ValueError, match="night: sheets of terms are by daylight"):
+        preset_case("night", lit)
 
 
 def test_systems_are_compared_in_one_water(small, monkeypatch):

@@ -11,6 +11,7 @@ import uwaug
 from uwaug import (
     JERLOV_TYPES,
     Camera,
+    Constituents,
     Development,
     Lamp,
     Light,
@@ -226,6 +227,9 @@ def test_water_and_camera_in_place_of_the_files(tmp_path):
         assert same(medium_of(load_preset(given)), theirs)
     several = edited(tmp_path, path, r"^waters = .*", 'waters = ["harbour.csv", "II"]')
     assert load_preset(several).water.names == ["harbour", "II"]
+    contents = edited(tmp_path, "survey", r"^waters = .*", "waters = {chlorophyll = [1, 9]}")
+    assert load_preset(contents).water.waters == (Constituents(chlorophyll=(1, 9)),)
+    assert load_preset(contents, water="II").water.waters == "II"
     text = edited(tmp_path, "survey", r"^waters = .*", 'waters = "chlorophyll=5,cdom=0.3"')
     assert same(medium_of(load_preset(text)), Medium.from_water("chlorophyll=5,cdom=0.3", **paper))
 

@@ -47,7 +47,8 @@ def load_preset(
         return _of_fit(Path(name_or_path), given)
     path = preset_path(name_or_path)
     tables = read_tables(path)
-    if given and isinstance(tables["water"].get("waters"), dict):
+    waters = tables["water"].get("waters")
+    if given and isinstance(waters, dict) and waters.get("kind") == "Medium":
         _refuse(path, given)
     try:
         return RandomUnderwater.from_dict({**tables, "water": {**tables["water"], **given}})
