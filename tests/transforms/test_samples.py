@@ -5,10 +5,11 @@ from typing import Any, NamedTuple
 
 import pytest
 import torch
-from augmenting import EVERYTHING, OPTIONS, distances, picture, same
+from augmenting import EVERYTHING, OPTIONS, H, W, distances, leaves, picture, same
 from torch import Tensor
 
-from uwaug import RandomUnderwater
+from uwaug import RandomUnderwater, RandomWater
+from uwaug.distance import MadeUp, Network, Plane, Source
 
 
 class Sample(NamedTuple):
@@ -21,10 +22,11 @@ class Sample(NamedTuple):
 @pytest.mark.parametrize("name", ["default", "keys", "plane", "network"])
 def test_the_same_structure_comes_back(name: str, batch: int | None) -> None:
     aug = RandomUnderwater(**OPTIONS[name])
-    image, distance = picture(batch), distances(batch)
-    kept = image.clone(), distance.clone()
+    image, *maps = inputs = leaves(aug, batch)
+    kept = [x.clone() for x in inputs]
     label, boxes = object(), [torch.zeros(2, 4)]
-    named = {aug.keys[0]: image, "label": label, aug.keys[1]: distance, "boxes": boxes}
+    named = {aug.keys[0]: image, "label": label, "boxes": boxes}
+    named |= dict(zip(aug.keys[1:], maps, strict=False))
     default: defaultdict[str, Any] = defaultdict(list, named)
     for sample in (named, OrderedDict(named), default):
         out = aug(sample)
@@ -33,13 +35,40 @@ def test_the_same_structure_comes_back(name: str, batch: int | None) -> None:
         assert all(out[k] is sample[k] for k in sample if k != aug.keys[0])
         assert out[aug.keys[0]].shape == image.shape
         assert not torch.equal(out[aug.keys[0]], image)
-    leaves = (image, distance, label, boxes)
-    for sample in (leaves, list(leaves), Sample(image, distance, 3)):
+    listed = [image, *maps, label, boxes]
+    for sample in (tuple(listed), listed, Sample(image, maps[0] if maps else "a", 3)):
         out = aug(sample)
         assert type(out) is type(sample)
         assert all(a is b for a, b in zip(out[1:], sample[1:], strict=True))
         assert not torch.equal(out[0], image)
-    assert all(torch.equal(a, b) for a, b in zip((image, distance), kept, strict=True))
+    assert all(torch.equal(a, b) for a, b in zip(inputs, kept, strict=True))
+
+
+@pytest.mark.parametrize("source", [MadeUp(), Plane(3.0), Network(torch.mean)])
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda aug, image, z: aug(image, z),
+        lambda aug, image, z: aug([image, z, 3]),
+        lambda aug, image, z: aug(image, {"distance": z}),
+        lambda aug, image, z: aug({"image": image, "distance": z}),
+        lambda aug, image, z: aug.transform(image, z, aug.make_params(image)),
+        lambda aug, image, z: aug.contrast_left(image, z, aug.make_params(image)),
+    ],
+)
+def test_a_map_that_nothing_reads_is_refused(call: Any, source: Source) -> None:
+    with pytest.raises(ValueError, match=r"distance: a map came, which (Made|Plane|Net).* not read"):
+        call(RandomUnderwater(distance=source), picture(2), distances(2))
+
+
+@pytest.mark.parametrize(
+    "label",
+    [torch.tensor(3), torch.rand(5), torch.zeros(1, H, W).long(), torch.rand(H, W), {"boxes": 0}],
+)
+def test_what_else_stands_after_a_picture_is_no_map(label: Any) -> None:
+    degraded, same_label = RandomUnderwater(distance=3.0)(picture(), label)
+    assert same_label is label
+    assert not torch.equal(degraded, picture())
 
 
 class Photo(Tensor):
@@ -56,7 +85,7 @@ def test_subclasses_come_back(batch: int | None, dtype: torch.dtype) -> None:
     assert same(aug(image, distance)[0], out.as_subclass(Tensor))
 
 
-@pytest.mark.parametrize("name", ["default", "keys", "plane"])
+@pytest.mark.parametrize("name", ["default", "keys"])
 def test_a_map_in_the_dict_in_second_place(name: str) -> None:
     aug = RandomUnderwater(**OPTIONS[name])
     target = {"boxes": torch.zeros(2, 4), aug.keys[1]: distances(), "labels": [1, 2]}
@@ -94,7 +123,7 @@ def test_in_a_torchvision_pipeline(torchvision: Any, dtype: torch.dtype) -> None
         [
             v2.RandomResizedCrop((20, 28), antialias=True),
             v2.ColorJitter(0.2, 0.2),
-            RandomUnderwater(**EVERYTHING),
+            RandomUnderwater(RandomWater(**EVERYTHING)),
             v2.ToDtype(torch.float32, scale=True),
             v2.Normalize([0.5] * 3, [0.25] * 3),
         ]
