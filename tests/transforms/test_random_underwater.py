@@ -4,6 +4,9 @@ import copy
 import json
 import math
 import pickle
+import tomllib
+from dataclasses import replace
+from functools import reduce
 from typing import Any
 
 import pytest
@@ -19,6 +22,7 @@ from augmenting import (
     H,
     W,
     distances,
+    flat,
     leaves,
     picture,
     result,
@@ -28,20 +32,25 @@ from torch import Tensor
 
 import uwaug
 from uwaug import (
-    Constituents,
     Lamp,
     Light,
+    MarineSnow,
     Medium,
     PointSpread,
     RandomDevelopment,
+    RandomLight,
     RandomUnderwater,
+    RandomWater,
+    Sensor,
     Underwater,
     Water,
     load_preset,
+    load_water,
 )
 from uwaug._support import checks
-from uwaug.distance import Inverse, Metres, Network, Plane, Relative
+from uwaug.distance import Inverse, MadeUp, Metres, Network, Plane, Relative
 from uwaug.distance.doubts import first_maps
+from uwaug.transforms.random_underwater import SEVERITIES
 from uwaug.transforms.random_water import WATERS
 
 
@@ -81,74 +90,100 @@ def test_a_batch_is_its_pictures_one_by_one(name: str) -> None:
     assert same(aug.transform(image, mapped(rest), record), torch.stack(pictures))
 
 
+def toml(value: Any) -> str:
+    """A value of JSON, but null, which TOML lacks."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{name} = {toml(inner)}" for name, inner in value.items()) + "}"
+    return "[" + ", ".join(map(toml, value)) + "]" if isinstance(value, list) else json.dumps(value)
+
+
+@pytest.mark.parametrize(
+    "there_and_back",
+    [lambda x: json.loads(json.dumps(x)), lambda x: tomllib.loads(f"x={toml(x)}")["x"]],
+)
 @pytest.mark.parametrize("name", OPTIONS)
-def test_options_as_plain_data(name: str) -> None:
+def test_options_as_plain_data(name: str, there_and_back: Any) -> None:
     aug = RandomUnderwater(**OPTIONS[name])
     if name == "network":
         with pytest.raises(TypeError, match="cannot be written as numbers and words"):
             aug.to_dict()
         return
-    twin = RandomUnderwater.from_dict(json.loads(json.dumps(aug.to_dict())))
+    twin = RandomUnderwater.from_dict(there_and_back(aug.to_dict()))
     assert same(result(twin), result(aug))
     assert twin.to_dict() == aug.to_dict()
+
+
+SAID: list[Any] = [
+    RandomWater("3C"),
+    RandomWater(["3c"]),
+    Water.jerlov("3C"),
+    {"water": "3C"},
+    {"water": ["3C"]},
+    {"water": {"waters": "3C"}},
+    {"water": {"kind": "RandomWater", "waters": ["3C"]}},
+]
+
+
+@pytest.mark.parametrize("said", SAID)
+def test_a_water_is_said_in_many_ways(said: Any) -> None:
+    make = RandomUnderwater.from_dict if isinstance(said, dict) else RandomUnderwater
+    assert same(result(make(said)), result(RandomUnderwater(water="3C")))
 
 
 def test_tables_as_a_person_writes_them() -> None:
     aug = RandomUnderwater.from_dict(
         {
-            "waters": ["II", "chlorophyll=1:20,cdom=.1:2,minerals=.5"],
+            "water": {
+                "waters": ["II", "chlorophyll=1:20,cdom=.1:2,minerals=.5"],
+                "contrast": "none",
+                "point_spread": {"scale": 3.0},
+            },
             "development": {"exposure": [-1, 0]},
             "distance": {"kind": "Relative", "far": [4, 8]},
-            "point_spread": {"scale": 3.0},
         }
     )
     assert aug.development == RandomDevelopment(exposure=(-1, 0))
     assert aug.distance == Relative(far=(4, 8))
-    assert aug.point_spread == PointSpread(3.0)
-    assert aug.make_params(picture())["samples"][0]["numbers"]["gamma"] == 1.0
+    assert (aug.water.contrast, aug.water.point_spread) == (None, PointSpread(3.0))
+    assert aug.make_params(picture())["samples"][0]["distance"]["gamma"] == 1.0
 
 
 def test_repr_shows_what_differs_from_the_default() -> None:
     assert repr(RandomUnderwater()) == "RandomUnderwater()"
-    aug = RandomUnderwater("3C", distance=(1.0, 2.0), contrast=None)
-    expected = "waters='3C', contrast=None, distance=Plane(low=1.0, high=2.0)"
-    assert repr(aug) == f"RandomUnderwater({expected})"
+    aug = RandomUnderwater(RandomWater("3C", contrast=None), distance=(1.0, 2.0))
+    water = "RandomWater(waters='3C', contrast=None)"
+    assert repr(aug) == f"RandomUnderwater(water={water}, distance=Plane(distance=(1.0, 2.0)))"
 
 
 def test_draws_fill_their_ranges() -> None:
-    aug = RandomUnderwater([COAST, "II", "II"], **EVERYTHING, p=0.5, distance=Relative(1, (3, 9)))
+    water = RandomWater([COAST, "II", "II"], **EVERYTHING)
+    aug = RandomUnderwater(water, p=0.5, distance=Relative(1, (3, 9)))
     image = torch.empty(2000, 3, 1, 1)
     samples = aug.make_params(image, torch.Generator().manual_seed(0))["samples"]
     assert sum(sample["applied"] for sample in samples) / 2000 == pytest.approx(0.5, abs=0.04)
     for name, (low, high) in {
-        **EVERYTHING,
-        "far": (3, 9),
-        "gamut": RandomDevelopment().gamut,
+        **{f"water.{name}": ends for name, ends in EVERYTHING.items()},
+        "distance.far": (3, 9),
+        "development.gamut": RandomDevelopment().gamut,
     }.items():
-        drawn = torch.tensor([sample["numbers"][name] for sample in samples])
+        drawn = torch.tensor([flat(sample)[name] for sample in samples])
         assert drawn.min() >= low
         assert drawn.max() <= high
-        middle = math.sqrt(low * high) if name == "contrast" else (low + high) / 2
+        middle = math.sqrt(low * high) if name == "water.contrast" else (low + high) / 2
         assert float(drawn.median()) == pytest.approx(middle, abs=0.04 * (high - low))
-    names = [name for sample in samples for name in sample["waters"]]
-    assert names.count("II") / len(names) == pytest.approx(2 / 3, abs=0.03)
-    assert all(COAST.holds(Constituents.parse(name)) for name in names if name != "II")
-    assert len(set(names)) > 1000
+    waters = [water for sample in samples for water in sample["water"]["waters"]]
+    assert waters.count("II") / len(waters) == pytest.approx(2 / 3, abs=0.03)
+    amounts = [water for water in waters if water != "II"]
+    assert all(COAST.holds(each) for each in amounts)
+    assert len({each["cdom"] for each in amounts}) > 1000
 
 
 def test_fixed_options_are_an_underwater() -> None:
     """The same picture by the module, of the water that the transform says it takes."""
     water, law = Water.jerlov("3C"), PointSpread.paper()
-    aug = RandomUnderwater(
-        "3C",
-        contrast=0.4,
-        vertical_depth=2.0,
-        mu=None,
-        field=None,
-        point_spread=law,
-        development=RAW,
-        light=None,
-    )
+    options: Any = {**RandomWater.PLAIN, "vertical_depth": 2.0, "point_spread": law}
+    options |= {"contrast": 0.4, "contrast_by": "contents"}
+    aug = RandomUnderwater(RandomWater("3C", **options), development=RAW, light=None)
     z = 2 + distances().double()
     # of the waters that leave .4 at the median distance, this one
     scaled = water.with_contrast(0.4, float(z.median()))
@@ -165,9 +200,10 @@ def test_no_veil_that_is_drawn_is_brighter_than_a_white_plate() -> None:
     scene = picture(), 1 + distances()
 
     def veil(**options: Any) -> Tensor:
-        aug = RandomUnderwater("II", contrast=None, **options)
+        aug = RandomUnderwater(RandomWater("II", contrast=None, **options))
         record = aug.make_params(picture(), torch.Generator().manual_seed(0))
-        return aug.scenes(*scene, record).waters[0].medium.curves(torch.tensor([[[[1e4]]]])).veil
+        (setting,) = aug.scenes(*scene, record).settings
+        return setting.medium.curves(torch.tensor([[[[1e4]]]])).veil
 
     held, highest, asked = (
         veil(g=0.02, mu=(0.03, 0.04)),
@@ -179,19 +215,19 @@ def test_no_veil_that_is_drawn_is_brighter_than_a_white_plate() -> None:
 
 
 def test_a_medium_stays_as_it_is() -> None:
-    aug = RandomUnderwater(FIT, field=None, development=RAW, contrast=0.1, light=None)
+    aug = RandomUnderwater(RandomWater(FIT, field=None, contrast=0.1), development=RAW)
     z = 1 + distances()
     expected = Underwater(FIT, (1.0, 2.0))(picture(), z)
     assert (aug(picture(), z)[0] - expected).abs().max() < 1e-4
 
 
 def test_a_field_is_drawn_for_each_picture() -> None:
-    options: Any = {"contrast": None, "vertical_depth": 1.0, "light": None}
-    aug = RandomUnderwater("II", field=(0.2, 3.0), **options)
+    water = RandomWater("II", field=(0.2, 3.0), contrast=None, vertical_depth=1.0)
+    aug = RandomUnderwater(water, light=None)
     z = torch.full((1, 24, 33), 3.0)
     params = aug.make_params(picture())
     left = aug.contrast_left(picture(), z, params)
-    medium = aug.scenes(picture(), z, params).waters[0].medium
+    medium = aug.scenes(picture(), z, params).settings[0].medium
     ends = uwaug.contrast_left(torch.tensor([[[9.0, 0.6]]]), medium)
     assert float(left.min()) == pytest.approx(float(ends.min()), rel=0.02)
     assert float(left.max()) == pytest.approx(float(ends.max()), rel=0.02)
@@ -199,12 +235,11 @@ def test_a_field_is_drawn_for_each_picture() -> None:
 
 def test_deep_and_turbid_waters_are_no_deeper_than_a_meter_makes_up_for() -> None:
     scene = picture(), 1 + distances()
-    params = RandomUnderwater("9C", vertical_depth=100.0).make_params(picture())
-    options: Any = {"contrast": None, "vertical_depth": 100.0, "light": None}
-    metered = RandomUnderwater("9C", **options)
+    water = RandomWater("9C", contrast=None, vertical_depth=100.0)
+    metered = RandomUnderwater(water, light=None)
     assert metered(*scene)[0].mean() > 0.1
-    assert params["samples"][0]["numbers"]["vertical_depth"] == 100
-    fixed = RandomUnderwater("9C", **options, development=RAW)
+    assert metered.make_params(picture())["samples"][0]["water"]["vertical_depth"] == 100
+    fixed = RandomUnderwater(water, light=None, development=RAW)
     assert fixed(*scene)[0].max() < 1e-3
 
 
@@ -212,20 +247,15 @@ def test_deep_and_turbid_waters_are_no_deeper_than_a_meter_makes_up_for() -> Non
 @pytest.mark.parametrize("kind", ["srgb", "linear"])
 def test_gradients_pass_to_image_and_distance(kind: Any, light: Light | None) -> None:
     # a blur is planned for the distances and the exposure at hand, which are not followed
-    options: Any = {
-        "waters": ["II", "5C"],
-        "development": RandomDevelopment(color_space=kind),
-        "point_spread": PointSpread.none(),
-        "light": light,
-    }
-    aug = RandomUnderwater(**options)
+    water = RandomWater(["II", "5C"], point_spread=PointSpread.none())
+    aug = RandomUnderwater(water, development=RandomDevelopment(color_space=kind), light=light)
     image = (0.2 + 0.6 * torch.rand(3, 6, 7, dtype=torch.float64)).requires_grad_()
     z = (1 + torch.rand(1, 6, 7, dtype=torch.float64)).requires_grad_()
     generator = torch.Generator().manual_seed(3)
     record = aug.make_params(image, generator)
     # water and drawn lamps are scaled to the median distance, which is not followed
-    fixed = RandomUnderwater(**options, contrast=None)
-    del record["samples"][0]["numbers"]["contrast"]
+    fixed = replace(aug, water=replace(water, contrast=None))
+    del record["samples"][0]["water"]["contrast"]
 
     assert torch.autograd.gradcheck(
         lambda image, z: fixed.transform(image, z, record), (image, z), atol=1e-5, rtol=1e-3
@@ -278,33 +308,167 @@ def test_torch_compile_breaks_the_graph_and_draws_the_same() -> None:
     assert counts["unique_graphs"] == 2  # before and behind the transform
 
 
-def test_severities_leave_less_and_less() -> None:
-    z = torch.full((1, 24, 33), 3.0)
-    left = []
-    for level in range(1, 6):
-        options = {"vertical_depth": 3.0, "field": None, "waters": "1C", "light": None}
-        aug = RandomUnderwater.severity(level, **options)
+PLAIN: dict[str, Any] = {**RandomWater.PLAIN, "point_spread": PointSpread.paper()}
+
+
+@pytest.mark.parametrize("water", ["I", "7C", TANK, "chlorophyll=5,cdom=.3"], ids=str)
+def test_a_grade_of_a_named_water_is_a_distance_in_it(water: Any) -> None:
+    z, medians = torch.full((1, H, W), 3.0), []
+    spectra = load_water(water)
+    options: Any = {"point_spread": PLAIN["point_spread"], "tolerance": 0.002}
+    itself = Medium.from_water(spectra, vertical_depth=0.0, g=0.05, **options)
+    for level, grade in SEVERITIES.items():
+        aug = RandomUnderwater.severity(level, RandomWater(water, **PLAIN), light=None)
+        record = aug.make_params(picture())
+        scenes = aug.scenes(picture(), z, record)
+        medians.append(float(scenes.metres[0, 0, 0, 0]))
+        (setting,) = scenes.settings
+        assert spectra.contrast(medians[-1]) == pytest.approx(grade, abs=1e-6)
+        assert setting.span[1] == pytest.approx(3 * setting.scale) == pytest.approx(medians[-1])
+        assert torch.equal(setting.medium.transmission(z), itself.transmission(z))
+        left = aug.contrast_left(picture(), z, record)
+        torch.testing.assert_close(left[0], uwaug.contrast_left(scenes.z[0], itself)[0])
+    assert medians == sorted(medians)
+
+
+@pytest.mark.parametrize("water, metres", [("I", 100.0), ("chlorophyll=1e3,minerals=1e3", 0.1)])
+def test_no_scene_is_nearer_than_a_lens_or_farther_than_one_sees(water: str, metres: float) -> None:
+    aug = RandomUnderwater(RandomWater(water, contrast=1e-3 if metres > 1 else 0.9, field=None))
+    scenes = aug.scenes(picture(), torch.full((1, H, W), 3.0), aug.make_params(picture()))
+    torch.testing.assert_close(scenes.metres, torch.full_like(scenes.metres, metres))
+
+
+KNOBS: dict[str, tuple[Any, str]] = {
+    "default": (None, "contents"),
+    "drawn contents": (COAST, "contents"),
+    "a type by contents": (RandomWater("7C", contrast_by="contents"), "contents"),
+    "a type": ("7C", "distance"),
+    "spectra": ([TANK, "chlorophyll=5"], "distance"),
+    "two types": (RandomWater(["II", "7C"], mixing=(0.0, 1.0)), "distance"),
+    "drawn contents by distance": (RandomWater(COAST, contrast_by="distance"), "distance"),
+}
+
+
+@pytest.mark.parametrize("light", [None, Light(daylight=0.5), Light((Lamp(),), 0.5)])
+@pytest.mark.parametrize("name", KNOBS)
+def test_by_what_a_contrast_is_reached(name: str, light: Light | None) -> None:
+    water, by = KNOBS[name]
+    aug = RandomUnderwater(water, light=light)
+    z = torch.full((1, H, W), 3.0)
+    record = aug.make_params(picture())
+    reached = aug.scenes(picture(), z, record).reached(0)
+    assert (reached.by, reached.contents != 1) == (by, by == "contents")
+    lamps = light is not None and bool(light.lamps)
+    assert (reached.scale != 1) == (by == "distance" and not lamps)
+    if not lamps or by == "contents":
+        assert reached.contrast == pytest.approx(record["samples"][0]["water"]["contrast"])
+
+
+def test_a_picture_is_scaled_if_all_of_its_waters_have_names() -> None:
+    aug, z = RandomUnderwater(RandomWater(["II", COAST], mixing=0.5), light=None), 2 + distances(16)
+    record = aug.make_params(picture(16), torch.Generator().manual_seed(0))
+    named = [sample["water"]["waters"] == ["II", "II"] for sample in record["samples"]]
+    settings = aug.scenes(picture(16), z, record).settings
+    assert [setting.reached.by == "distance" for setting in settings] == named
+    assert 0 < sum(named) < 16
+
+
+def test_by_contents_the_grades_of_a_type_leave_less_and_less() -> None:
+    z, left = torch.full((1, 24, 33), 3.0), []
+    water = RandomWater("1C", vertical_depth=3.0, field=None, contrast_by="contents")
+    for level in SEVERITIES:
+        aug = RandomUnderwater.severity(level, water, light=None)
         left.append(float(aug.contrast_left(picture(), z, aug.make_params(picture())).mean()))
     assert left == sorted(left, reverse=True)
     assert left[0] > 4 * left[-1]
 
 
-@pytest.mark.parametrize("name", ["calibrated", "survey", "tank-proposed-1"])
-def test_presets_are_their_modules(name: str) -> None:
-    preset = load_preset(name)
-    aug = RandomUnderwater.from_preset(name, field=None)
-    z = 1 + 2 * distances().double()
-    expected = Underwater(
-        preset.medium, (1, 3), color_space=preset.color_space, development=preset.development
-    )(picture().double(), z)
-    assert (aug(picture().double(), z)[0] - expected).abs().max() < 5e-3
-    changed = RandomUnderwater.from_preset(name, p=0.5, development=RAW)
-    assert (changed.p, changed.development, changed.light) == (0.5, RAW, None)
+def fixed(development: Any = RAW, light: Any = None, **water: Any) -> RandomUnderwater:
+    """A transform of which nothing is random but what is said."""
+    noun = RandomWater(**{"waters": "3C", **PLAIN, **water})
+    return RandomUnderwater(noun, light=light, development=development)
+
+
+METERED = RandomDevelopment(**{**RandomDevelopment.PLAIN, "metered": True, "tone": 1.2})
+NOISY = replace(RAW, noise=Sensor(2000.0, 3.0, seed=1))
+FIXED = {
+    "plain": fixed(),
+    "spectral": fixed(color_matrix=0.5, field=(0.5, 2.0)),
+    "deep and metered": fixed(METERED, vertical_depth=100.0),
+    "noisy": fixed(NOISY),
+    "snowy": fixed(snow=MarineSnow(5000.0, seed=3)),
+    "lamps": fixed(light=Light((Lamp((0.3, 0.0, -0.5), 2.0),), 0.5)),
+    "never a lamp": fixed(light=RandomLight(share=0.0)),
+    "medium": fixed(waters=FIT, contrast=0.1),
+    "plane": replace(fixed(), distance=3.0),
+    "linear": fixed(replace(RAW, color_space="linear")),
+    **{name: load_preset(name) for name in ("calibrated", "survey", "tank-proposed-1")},
+}
+
+
+@pytest.mark.parametrize("name", FIXED)
+def test_a_module_is_the_only_draw(name: str) -> None:
+    aug, z = FIXED[name], 1 + 2 * distances().double()
+    metres = replace(aug, distance=Metres(), water=replace(aug.water, field=None))
+    module = aug.module((1, 3), sides=(H, H))
+    assert (module.color_space, module.sides) == (aug.development.color_space, (H, H))
+    made = module(picture().double(), z)
+    assert (metres(picture().double(), z)[0] - made).abs().max() < 5e-3
+    assert (made - picture()).abs().mean() > 0.01
+
+
+@pytest.mark.parametrize(
+    "distance, ends",
+    [
+        (Metres(), (0.05, 40.0)),
+        (Relative(2, (4, 8)), (1.0, 16.0)),
+        (MadeUp(1, 5), (0.5, 10.0)),
+        (Plane((25, 30)), (12.5, 60.0)),
+        (Network(torch.mean, Inverse(3, 4)), (1.5, 8.0)),
+    ],
+)
+def test_a_module_is_planned_for_the_distances_times_the_field(distance: Any, ends: Any) -> None:
+    aug = replace(fixed(field=(0.5, 2.0)), distance=distance)
+    assert aug.module().distance_range == ends
+
+
+RANDOM: dict[str, RandomUnderwater] = {
+    "water.contrast": fixed(contrast=0.2),
+    "water.point_spread": fixed(point_spread=None),
+    "water.vertical_depth": fixed(vertical_depth=(0.0, 3.0)),
+    "water.waters": fixed(waters=["II", "7C"]),
+    "water.mixing": fixed(mixing=(0.0, 0.5)),
+    "water.snow.seed": fixed(snow=MarineSnow()),
+    "development.exposure": fixed(replace(RAW, exposure=(-1.0, 0.0))),
+    "development.noise.seed": fixed(replace(RAW, noise=Sensor(2000.0))),
+    "p": replace(fixed(), p=0.5),
+}
+
+
+@pytest.mark.parametrize("name", RANDOM)
+def test_what_is_random_is_no_module(name: str) -> None:
+    with pytest.raises(ValueError, match=f"the same of all pictures, but {name} differ: fix them"):
+        RANDOM[name].module()
+
+
+def test_lamps_and_contents_that_are_drawn_are_no_module() -> None:
+    names = "light.share, light.daylight, light.power"
+    with pytest.raises(ValueError, match=f"but water.waters, {names}, .* differ"):
+        fixed(waters=COAST, light=RandomLight()).module()
+
+
+def test_a_medium_has_its_own_daylight_unless_lamps_are_asked_for() -> None:
+    assert RandomUnderwater("II").light == RandomLight()
+    for water in (FIT, ["II", FIT]):
+        assert RandomUnderwater(water).light is None
+        for light in (RandomLight(), RandomLight(share=0.5)):
+            aug = RandomUnderwater(water, light=light)
+            assert RandomUnderwater.from_dict(aug.to_dict()).light == aug.light == light
 
 
 @pytest.mark.usefixtures("nothing_is_said")
 def test_says_once_where_nothing_is_left_to_see() -> None:
-    aug = RandomUnderwater("9C", contrast=None, field=None)
+    aug = RandomUnderwater(RandomWater("9C", contrast=None, field=None))
     with pytest.warns(UserWarning, match=r"less than 3 % .* median distance 50 m: are distances"):
         aug(picture(), torch.full((1, 24, 33), 50.0))
     aug(picture(), torch.full((1, 24, 33), 50.0))  # silent: a warning would be an error
@@ -330,9 +494,9 @@ def test_open_water() -> None:
 
 LAMP = Light([Lamp((0.2, 0.0, 0.0))])
 AS_IT_IS: dict[str, dict[str, Any]] = {
-    "nature": {"contrast": None},
-    "medium": {"waters": FIT},
-    "lamps": {"light": LAMP},
+    "nature": {"water": RandomWater(contrast=None, field=None)},
+    "medium": {"water": RandomWater(FIT, field=None)},
+    "lamps": {"water": RandomWater(field=None), "light": LAMP},
 }
 
 
@@ -348,13 +512,13 @@ def test_distances_are_scaled_to_where_water_has_a_colour(
     record = aug.make_params(picture(3))
     made, expected = (aug.transform(picture(3), k * z, record) for k in (metres, size))
     assert torch.equal(made, expected)
-    waters = aug.scenes(picture(3), metres * z, record).waters
-    assert [water.scale for water in waters] == 3 * [size / metres]
+    settings = aug.scenes(picture(3), metres * z, record).settings
+    assert [setting.scale for setting in settings] == 3 * [size / metres]
 
 
 @pytest.mark.parametrize("name", AS_IT_IS)
 def test_distances_that_stay(name: str) -> None:
-    aug = RandomUnderwater(**AS_IT_IS[name], field=None)
+    aug = RandomUnderwater(**AS_IT_IS[name])
     z = torch.full((1, H, W), 0.2)
     assert torch.equal(aug.scenes(picture(), z, aug.make_params(picture())).z[0], z)
 
@@ -362,13 +526,26 @@ def test_distances_that_stay(name: str) -> None:
 ODD: dict[str, tuple[dict[str, Any], float, str]] = {
     "centimetres": ({}, 350.0, "350 m is scaled by 0.0229: are distances metres?"),
     "kilometres": ({}, 0.0035, "0.0035 m is scaled by 286: are distances metres?"),
-    "type": ({"waters": "I", "contrast": 0.4}, 3.0, "water I is too clear for 0.4 at 3 m: that is"),
-    "contents": (
-        {"waters": "chlorophyll=.01", "contrast": 0.2},
-        2.0,
-        "water chlorophyll=0.01 is too clear for 0.2 at 2 m.*a more turbid one; contrast=None",
+    "type": (
+        {"water": RandomWater("I", contrast=0.4, contrast_by="contents")},
+        3.0,
+        "water I is too clear for 0.4 at 3 m: that is",
     ),
-    "lamps": ({"light": LAMP, "contrast": 0.9}, 30.0, "leaves 0.16 of contrast, not 0.9 at 30 m"),
+    "contents": (
+        {"water": RandomWater("chlorophyll=.01", contrast=0.2, contrast_by="contents")},
+        2.0,
+        "chlorophyll=0.01 is too clear for 0.2 at 2 m.*a more turbid one; water.contrast=None",
+    ),
+    "lamps": (
+        {"water": RandomWater(contrast=0.9), "light": LAMP},
+        30.0,
+        "pure water leaves 0.16 of contrast, not 0.9 at 30 m",
+    ),
+    "a type under lamps": (
+        {"water": RandomWater("II", contrast=0.9), "light": LAMP},
+        4.0,
+        "water II leaves 0.16 of contrast, not 0.9 at 4 m",
+    ),
 }
 
 
@@ -396,44 +573,54 @@ def test_default_draws_are_waters(metres: float) -> None:
     (sample,) = params["samples"]
     for water in WATERS[:8]:
         for contrast in (0.08, 0.9):
-            sample["waters"], sample["numbers"]["contrast"] = [water], contrast
+            sample["water"] |= {"waters": [water], "contrast": contrast}
             aug.scenes(picture(), z, params)
 
 
-REFUSED_OPTIONS: dict[str, tuple[dict[str, Any], str]] = {
-    "falling range": ({"contrast": (0.5, 0.2)}, r"contrast must be a number or a range"),
-    "domain": ({"g": 1.5}, r"g must be .* in \[0, 1\]; got 1.5"),
-    "field": ({"field": (-1.0, 1.0)}, "field must be"),
-    "p": ({"p": 2.0}, r"p must be in \[0, 1\]"),
-    "no water": ({"waters": []}, "waters: expected at least one"),
-    "set": ({"waters": {"II"}}, "waters must have an order"),
-    "unknown water": ({"waters": "IX"}, "water must be one of"),
-    "no text": ({"waters": 3.0}, "water must be a Jerlov type"),
+REFUSED_OPTIONS: dict[str, tuple[Any, str]] = {
+    "falling range": (lambda: RandomWater(contrast=(0.5, 0.2)), r"contrast must be a number or"),
+    "domain": (lambda: RandomWater(g=1.5), r"g must be .* in \[0, 1\]; got 1.5"),
+    "field": (lambda: RandomWater(field=(-1.0, 1.0)), "field must be"),
+    "no water": (lambda: RandomWater([]), "waters: expected at least one"),
+    "set": (lambda: RandomWater({"II"}), "waters must have an order"),
+    "unknown water": (lambda: RandomUnderwater("IX"), "water must be one of"),
+    "no text": (lambda: RandomUnderwater(3.0), "water must be a Jerlov type"),
     "names": (
-        {"waters": [TANK, Water([400, 700], [1, 1], [1, 1], [1, 1], name="tank")]},
+        lambda: RandomWater([TANK, Water([400, 700], [1, 1], [1, 1], [1, 1], name="tank")]),
         "two are called 'tank'",
     ),
-    "mixed medium": ({"waters": ["II", FIT], "mixing": (0, 1)}, "mixing needs spectra"),
-    "module": ({"distance": torch.nn.Identity()}, r"distance must be .*Network\(…\)"),
-    "development": ({"development": {"gamut": 1}}, "must be a uwaug.RandomDevelopment"),
-    "light": ({"light": 3.0}, "light must be a uwaug.RandomLight, got float; or a uwaug.Light"),
-    "law": ({"point_spread": 3.0}, "must be a uwaug.PointSpread"),
-    "camera": ({"camera": "obscura"}, "no camera is called so"),
+    "mixed medium": (lambda: RandomWater(["II", FIT], mixing=(0, 1)), "mixing needs spectra"),
+    "law": (lambda: RandomWater(point_spread=3.0), "must be a uwaug.PointSpread"),
+    "camera": (lambda: RandomWater(camera="obscura"), "no camera is called so"),
+    "knob": (lambda: RandomWater(contrast_by="depth"), "must be one of contents, distance"),
+    "option of a noun": (lambda: RandomUnderwater("II", contrast=0.2), "contrast"),
+    "p": (lambda: RandomUnderwater(p=2.0), r"p must be in \[0, 1\]"),
+    "one key": (lambda: RandomUnderwater(keys=["a"]), r"names of image and map, got \['a'\]"),
+    "number for a key": (lambda: RandomUnderwater(keys=("a", 1)), "names of image and map"),
+    "module": (
+        lambda: RandomUnderwater(distance=torch.nn.Identity()),
+        r"distance must be .*Network\(…\)",
+    ),
+    "development": (
+        lambda: RandomUnderwater(development={"gamut": 1}),
+        "must be a uwaug.RandomDevelopment",
+    ),
+    "tone": (lambda: RandomDevelopment(tone=9.0), "tone must be"),
+    "light": (
+        lambda: RandomUnderwater(light=3.0),
+        "light must be a uwaug.RandomLight, got float; or a uwaug.Light",
+    ),
+    "grade": (lambda: RandomUnderwater.severity(6), "level must be a whole number from 1 to 5"),
+    "grade of a medium": (lambda: RandomUnderwater.severity(1, FIT), "a Medium stays as it is"),
+    "table": (lambda: RandomUnderwater.from_dict({"waters": "II"}), "no 'waters'.*mean water"),
 }
 
 
 @pytest.mark.parametrize("case", REFUSED_OPTIONS)
 def test_refused_options(case: str) -> None:
-    options, message = REFUSED_OPTIONS[case]
+    make, message = REFUSED_OPTIONS[case]
     with pytest.raises((TypeError, ValueError), match=message):
-        RandomUnderwater(**options)
-
-
-def test_refused_grades_and_developments() -> None:
-    with pytest.raises(ValueError, match="level must be a whole number from 1 to 5"):
-        RandomUnderwater.severity(6)
-    with pytest.raises(ValueError, match="tone must be"):
-        RandomDevelopment(tone=9.0)
+        make()
 
 
 NAN_IMAGE = picture().index_fill(1, torch.tensor(2), math.nan)
@@ -462,43 +649,76 @@ def test_refused_inputs(case: str) -> None:
         RandomUnderwater().transform(*inputs, record)
 
 
-REFUSED_RECORDS: dict[str, tuple[dict[str, Any], str]] = {
-    "key": ({"camera": "D90"}, "other options: camera"),
-    "numbers": ({"numbers": {"contrast": 0.4}}, "other options: color_matrix"),
-    "water": ({"waters": ["9C"]}, "asks for '9C', but this transform has II, chlorophyll"),
-    "contents": ({"waters": ["chlorophyll=99"]}, "asks for 'chlorophyll=99'"),
-}
+ALL_DRAWN = RandomUnderwater(
+    RandomWater(["II", COAST], snow=MarineSnow((500, 5000))),
+    distance=Relative((0.5, 1.0), 5.0),
+    light=RandomLight(share=1.0),
+    development=RandomDevelopment(noise=Sensor(2000.0)),
+)
+FILM = {"median": 2.0, "exposure": 0.0, "white_balance": None}
+REFUSED_RECORDS: list[tuple[str, Any, str]] = [
+    ("camera", "D90", "other options: sample.camera"),
+    ("applied", "yes", "applied must be true or false, got 'yes'"),
+    ("water", {"contrast": 0.4}, "other options: water.color_matrix"),
+    ("water", None, "water must be a table"),
+    ("water.waters", ["9C"], "asks for '9C', but this transform has II, chlorophyll"),
+    ("water.waters", [{"chlorophyll": 99.0}], "asks for {'chlorophyll': 99"),
+    ("water.waters", ["II", "II"], "water.waters must be 1, got"),
+    ("water.contrast", 2.0, r"water.contrast must be in \[0.001, 1\], got 2"),
+    ("water.snow.density", 0.5, "water.snow.density must be in"),
+    *[
+        (name, seed, f"{name} must be a whole number from 0 to 4294967295")
+        for name in ("water.field_seed", "water.snow.seed", "development.noise.seed")
+        for seed in (1.5, -1, 2**32, True, "7", None)
+    ],
+    ("distance.near", -1.0, "distance.near must be"),
+    ("light.power", "bright", "light.power must be"),
+    ("development.gamut", 7.0, r"development.gamut must be in \[0, 1\], got 7"),
+    ("moved", math.inf, "moved must be finite"),
+    ("measured", 3.0, "measured must be a table"),
+    ("measured", {"median": -1}, "other options: measured.exposure, measured.white_balance"),
+    *[("measured", {**FILM, "median": m}, "median must be above 0 m") for m in (-1, math.nan, "3")],
+    *[
+        ("measured", {**FILM, "white_balance": b}, "white_balance must be")
+        for b in (3.0, [1.0, 2.0], [1.0, 2.0, -1.0])
+    ],
+]
 
 
-@pytest.mark.parametrize("case", REFUSED_RECORDS)
-def test_refused_records(case: str) -> None:
-    change, message = REFUSED_RECORDS[case]
-    aug = RandomUnderwater(["II", COAST])
-    good = aug.make_params(picture(2))
-    with pytest.raises(ValueError, match=message):
-        aug.transform(picture(), 1 + distances(), {"samples": [good["samples"][0] | change]})
+@pytest.mark.parametrize("name, value, message", REFUSED_RECORDS)
+def test_refused_records(name: str, value: Any, message: str) -> None:
+    record = ALL_DRAWN.make_params(picture())
+    *outer, last = name.split(".")
+    reduce(dict.__getitem__, outer, record["samples"][0])[last] = value
+    with pytest.raises((TypeError, ValueError), match=f"params.*{message}"):
+        ALL_DRAWN.transform(picture(), distances(), record)
 
 
 def test_refused_records_of_another_kind() -> None:
     aug = RandomUnderwater()
-    two = aug.make_params(picture(2))
     for record in (None, {}, {"samples": {}}, {"samples": [1]}):
         with pytest.raises(TypeError, match="params must be a record from make_params"):
             aug.transform(picture(), distances(), record)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="params has 2 samples but image is a batch of 1"):
-        aug.transform(picture(), distances(), two)
-    two["samples"][0]["numbers"]["gamut"] = 7.0
-    with pytest.raises(ValueError, match=r"params: gamut must be in \[0, 1\], got 7"):
-        aug.transform(picture(2), distances(), two)
+        aug.transform(picture(), distances(), aug.make_params(picture(2)))
+
+
+def test_seeds_that_are_given_are_kept() -> None:
+    aug = RandomUnderwater(
+        RandomWater(snow=MarineSnow(seed=5)),
+        development=RandomDevelopment(noise=Sensor(2000.0, seed=6)),
+    )
+    for sample in aug.make_params(picture(3))["samples"]:
+        assert (sample["water"]["snow"]["seed"], sample["development"]["noise"]["seed"]) == (5, 6)
 
 
 @pytest.mark.parametrize(
-    "source", [Metres("behind"), Relative(0.5, (3, 8), holes="far"), Inverse(holes=4.0), Plane(2)]
+    "source", [Metres("behind"), Relative(0.5, (3, 8), holes="far"), Inverse(holes=4.0)]
 )
 def test_sources_and_holes(source: Any) -> None:
     maps = distances(2)
     maps[:, :, 3:8, 4:9] = math.nan
-    aug = RandomUnderwater(distance=source, camera=LASERS)
+    aug = RandomUnderwater(RandomWater(camera=LASERS), distance=source)
     made = aug(picture(2), maps)
     assert made[0].isfinite().all()
     assert made[1] is maps
@@ -509,7 +729,8 @@ def test_a_network_in_place_of_maps() -> None:
     maps = picture(2).mean(1, keepdim=True)
     by_maps = RandomUnderwater("II", distance=Inverse())
     record = aug.make_params(picture(2))
-    expected = by_maps.transform(picture(2), maps, record)
+    held = [{**each, "distance": each["distance"]["holds"]} for each in record["samples"]]
+    expected = by_maps.transform(picture(2), maps, {"samples": held})
     assert same(aug.transform(picture(2), None, record), expected)
     inputs = picture(2, torch.uint8), "label", "other"
     assert aug(*inputs)[1:] == inputs[1:]
@@ -517,10 +738,10 @@ def test_a_network_in_place_of_maps() -> None:
 
 def test_lamps_shine_at_any_depth() -> None:
     lamps = Light((Lamp((0.3, -0.2, 0.0), power=4.0),))
-    options: Any = {"vertical_depth": 200.0, "contrast": None, "development": RAW, "waters": "II"}
+    water = RandomWater("II", vertical_depth=200.0, contrast=None)
     scene = picture(), 1 + distances()
-    assert RandomUnderwater(**options, light=None)(*scene)[0].max() < 0.01
-    aug = RandomUnderwater(**options, light=lamps)
+    assert RandomUnderwater(water, development=RAW, light=None)(*scene)[0].max() < 0.01
+    aug = RandomUnderwater(water, development=RAW, light=lamps)
     assert aug(*scene)[0].mean() > 0.1
     left = aug.contrast_left(*scene, aug.make_params(picture()))
     assert 0.1 < left.median() < 0.9

@@ -57,7 +57,9 @@ def test_the_same_structure_comes_back(name: str, batch: int | None) -> None:
     ],
 )
 def test_a_map_that_nothing_reads_is_refused(call: Any, source: Source) -> None:
-    with pytest.raises(ValueError, match=r"distance: a map came, which (Made|Plane|Net).* not read"):
+    with pytest.raises(
+        ValueError, match=r"distance: a map came, which (Made|Plane|Net).* not read"
+    ):
         call(RandomUnderwater(distance=source), picture(2), distances(2))
 
 
