@@ -9,7 +9,18 @@ import numpy as np
 import pytest
 import torch
 
-from uwaug import Camera, Constituents, Development, Medium, PointSpread, Water, load_camera
+from uwaug import (
+    Camera,
+    Constituents,
+    Development,
+    Light,
+    Medium,
+    PointSpread,
+    RandomLight,
+    RandomWater,
+    Water,
+    load_camera,
+)
 from uwaug._support import codec
 
 LAW = PointSpread(torch.tensor([0.5, 2.0]), 0.7, "exponential")
@@ -71,18 +82,33 @@ def test_what_cannot_be_written(value: Any) -> None:
 @pytest.mark.parametrize(
     "data, expected, message",
     [
-        ({"kind": "Sea"}, None, "kind must be .*PointSpread.*, got 'Sea'"),
-        ({"kind": "Development"}, PointSpread, "kind must be PointSpread, got 'Development'"),
-        ({"kind": "pointspread"}, None, "got 'pointspread': did you mean PointSpread"),
-        ({"kind": "PointSpread", "width": 2}, None, "PointSpread has no 'width', only scale, exp"),
-        ({"scale": 1, "sahpe": "gaussian"}, PointSpread, "'sahpe', .*: did you mean shape?"),
-        ({"kind": "PointSpread", "shape": "gaussian"}, None, "PointSpread: .*missing.*'scale'"),
-        ({"kind": "PointSpread", "scale": -2}, None, "PointSpread.scale must be"),
+        ({"kind": "Sea"}, (), "kind must be .*PointSpread.*, got 'Sea'"),
+        ({"kind": "Development"}, (PointSpread,), "kind must be PointSpread, got 'Development'"),
+        ({"kind": "pointspread"}, (), "got 'pointspread': did you mean PointSpread"),
+        ({"kind": "PointSpread", "width": 2}, (), "PointSpread has no 'width', only scale, exp"),
+        ({"scale": 1, "sahpe": "gaussian"}, (PointSpread,), "'sahpe', .*: did you mean shape?"),
+        ({"kind": "PointSpread", "shape": "gaussian"}, (), "PointSpread: .*missing.*'scale'"),
+        ({"kind": "PointSpread", "scale": -2}, (), "PointSpread.scale must be"),
     ],
 )
-def test_what_cannot_be_read(data: Any, expected: type | None, message: str) -> None:
+def test_what_cannot_be_read(data: Any, expected: tuple[type, ...], message: str) -> None:
     with pytest.raises((TypeError, ValueError), match=message):
-        codec.from_plain(data, expected)
+        codec.from_plain(data, *expected)
+
+
+def test_none_is_a_word_where_a_field_may_be_none() -> None:
+    plain = {"kind": "RandomWater", "field": "none"}
+    assert codec.to_plain(RandomWater(field=None)) == plain
+    assert codec.from_plain(plain).field is None
+    with pytest.raises(ValueError, match="got 'none'"):
+        codec.from_plain({"kind": "RandomLight", "share": "none"})
+
+
+def test_without_its_name_a_table_is_the_first_class_that_has_all_of_it() -> None:
+    both = RandomLight, Light
+    assert codec.from_plain({"share": 0.5}, *both) == RandomLight(0.5)
+    assert codec.from_plain({"daylight": 0.5}, *both) == RandomLight(daylight=0.5)
+    assert codec.from_plain({"daylight": 0.5, "view": 50.0}, *both) == Light((), 0.5, 50.0)
 
 
 def test_a_name_stands_for_one_class() -> None:

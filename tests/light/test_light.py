@@ -18,6 +18,7 @@ from uwaug import (
     Medium,
     PointSpread,
     RandomUnderwater,
+    RandomWater,
     Underwater,
     Water,
     contrast_left,
@@ -273,11 +274,11 @@ def test_a_drawn_field_moves_no_lamps() -> None:
     """In water so clear that a field does not show."""
     clear = Medium.from_coefficients((1e-7,) * 3, (1e-7,) * 3, (0.0,) * 3)
     light = Light((BESIDE,), daylight=0.0)
-    options: dict[str, Any] = {"waters": clear, "contrast": None, "mixing": 0, "light": light}
-    uneven, even = (RandomUnderwater(**options, field=field) for field in ((0.3, 3.0), None))
+    waters = (RandomWater(clear, field=field) for field in ((0.3, 3.0), None))
+    uneven, even = (RandomUnderwater(water, light=light) for water in waters)
     image, z = (value[0] for value in scene(1))
     params = uneven.make_params(image)
-    without = {"samples": [{**params["samples"][0], "field_seed": None}]}
+    without = {"samples": [{**params["samples"][0], "water": {"waters": ["medium 0"]}}]}
     for found, wanted in (
         (uneven.transform, even.transform),
         (uneven.contrast_left, even.contrast_left),
