@@ -22,7 +22,8 @@ from uwaug.distance import (
 
 NAN, INF = math.nan, math.inf
 IMAGE = torch.rand(3, 2, 4)
-NUMBERS = {"near": 1.0, "far": 3.0, "gamma": 2.0, "distance": 2.5}
+ENDS = {"near": 1.0, "far": 3.0}
+NUMBERS = {**ENDS, "gamma": 2.0, "distance": 2.5, "holds": ENDS}
 T = torch.tensor([[[0.0, 0.25, 0.5, 1.0], [0.1, 0.2, 0.3, 0.4]]])
 
 
@@ -96,7 +97,7 @@ def test_refused_maps(source: Any, given: Any, message: str) -> None:
         (Inverse, ((0.0, 1.0),), "near must lie above 0 m"),
         (MadeUp, ((0.0, 1.0),), "near must lie above 0 m"),
         (MadeUp, (1, (1, 5)), "near must lie below far"),
-        (Plane, (3.0, 1.0), "distance must be"),
+        (Plane, ((3.0, 1.0),), "distance must be"),
         (Plane, (-1.0,), "distance must be"),
         (Network, (len, 3.0), "holds must be a uwaug.Source"),
     ],
@@ -113,7 +114,7 @@ def test_refused_sources(kind: Any, arguments: tuple[Any, ...], message: str) ->
         Relative((0, 1), 5),
         Inverse(holes=3.0),
         MadeUp(1.0),
-        Plane(1.0, 2.0),
+        Plane((1.0, 2.0)),
     ],
 )
 def test_sources_as_plain_data(source: Any) -> None:

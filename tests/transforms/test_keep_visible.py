@@ -10,14 +10,14 @@ import torch
 from augmenting import same
 from torch import Tensor
 
-from uwaug import KeepVisible, RandomUnderwater
+from uwaug import KeepVisible, RandomUnderwater, RandomWater
 from uwaug.distance import Network
 
 H, W = 40, 60
 NEAR = [4.0, 5.0, 24.0, 30.0]
 FAR = [34.0, 2.0, 58.0, 38.0]
 BOTH = [20.0, 10.0, 40.0, 30.0]
-AUGMENT = RandomUnderwater("3C", contrast=None, field=None)
+AUGMENT = RandomUnderwater(RandomWater("3C", contrast=None, field=None))
 KEEP = KeepVisible(AUGMENT, 0.05)
 
 
@@ -59,7 +59,7 @@ def test_what_is_far_is_taken_out() -> None:
 
 
 def test_the_contrast_is_that_of_the_picture() -> None:
-    aug = RandomUnderwater("3C", contrast=None, field=(0.5, 2.0))
+    aug = RandomUnderwater(RandomWater("3C", contrast=None, field=(0.5, 2.0)))
     torch.manual_seed(3)
     record = aug.make_params(image())
     left = aug.contrast_left(image(), distance(), record)
