@@ -13,10 +13,7 @@ from uwaug import (
     Camera,
     Constituents,
     Development,
-    Light,
-    Medium,
     PointSpread,
-    RandomLight,
     RandomWater,
     Water,
     load_camera,
@@ -40,20 +37,6 @@ def test_there_and_back_as_json(name: str) -> None:
     value = VALUES[name]
     stored = json.loads(json.dumps(codec.to_plain(value)))
     assert codec.from_plain(stored) == value
-
-
-def test_media_there_and_back() -> None:
-    waters = [
-        Medium.from_water(w, surfaces="spectral", point_spread=LAW.paper()) for w in ["I", "II"]
-    ]
-    for medium in (
-        Medium.stack(waters),
-        Medium.from_coefficients((0.3,) * 3, (0.1,) * 3, (0.2,) * 3),
-    ):
-        again = codec.from_plain(json.loads(json.dumps(codec.to_plain(medium))), Medium)
-        pairs = zip(again.tensors(), medium.tensors(), strict=True)
-        assert all(torch.equal(ours, theirs) for ours, theirs in pairs)
-        assert codec.to_plain(again) == codec.to_plain(medium)
 
 
 def test_what_is_as_by_default_is_not_stored() -> None:
@@ -102,13 +85,6 @@ def test_none_is_a_word_where_a_field_may_be_none() -> None:
     assert codec.from_plain(plain).field is None
     with pytest.raises(ValueError, match="got 'none'"):
         codec.from_plain({"kind": "RandomLight", "share": "none"})
-
-
-def test_without_its_name_a_table_is_the_first_class_that_has_all_of_it() -> None:
-    both = RandomLight, Light
-    assert codec.from_plain({"share": 0.5}, *both) == RandomLight(0.5)
-    assert codec.from_plain({"daylight": 0.5}, *both) == RandomLight(daylight=0.5)
-    assert codec.from_plain({"daylight": 0.5, "view": 50.0}, *both) == Light((), 0.5, 50.0)
 
 
 def test_a_name_stands_for_one_class() -> None:

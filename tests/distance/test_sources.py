@@ -6,7 +6,6 @@ from typing import Any
 import pytest
 import torch
 
-from uwaug._support import codec
 from uwaug.distance import (
     Inverse,
     MadeUp,
@@ -105,17 +104,3 @@ def test_refused_maps(source: Any, given: Any, message: str) -> None:
 def test_refused_sources(kind: Any, arguments: tuple[Any, ...], message: str) -> None:
     with pytest.raises((TypeError, ValueError), match=message):
         kind(*arguments)
-
-
-@pytest.mark.parametrize(
-    "source",
-    [
-        Metres("far", (525.0, 524.0)),
-        Relative((0, 1), 5),
-        Inverse(holes=3.0),
-        MadeUp(1.0),
-        Plane((1.0, 2.0)),
-    ],
-)
-def test_sources_as_plain_data(source: Any) -> None:
-    assert codec.from_plain(codec.to_plain(source)) == source

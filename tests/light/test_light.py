@@ -1,4 +1,3 @@
-import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -24,7 +23,6 @@ from uwaug import (
     contrast_left,
     form_image,
 )
-from uwaug._support import codec
 from uwaug.light import Lamp
 from uwaug.light.rays import Rays
 from uwaug.optics.curves import Curves
@@ -310,13 +308,6 @@ def test_modules_take_a_light(exposure: Development) -> None:
         torch.testing.assert_close(compiled(image, z), exact, rtol=0, atol=1e-5)
 
 
-def test_numbers_there_and_back() -> None:
-    light = Light((BESIDE, AROUND), daylight=0.4, view=75.0)
-    assert codec.from_plain(json.loads(json.dumps(codec.to_plain(light)))) == light
-    table = {"lamps": [{"position": [1, 0, 0], "cone": 30}], "daylight": 0.1}
-    assert codec.from_plain(table, Light) == Light((Lamp((1.0, 0.0, 0.0), cone=30.0),), 0.1)
-
-
 @pytest.mark.parametrize(
     "make, message",
     [
@@ -331,7 +322,6 @@ def test_numbers_there_and_back() -> None:
         (lambda: Light((3,)), r"lamps must be a uwaug\.Lamp, got int"),  # type: ignore[arg-type]
         (lambda: Light(daylight=-1.0), "daylight must be finite and ≥ 0"),
         (lambda: Light(view=180.0), r"view must be in \[1, 170\]"),
-        (lambda: Underwater(MEDIUM, light="lamp"), r"light must be a uwaug\.Light, got str"),  # type: ignore[arg-type]
     ],
 )
 def test_wrong_lights_are_refused(make: Callable[[], Any], message: str) -> None:

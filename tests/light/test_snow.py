@@ -157,11 +157,6 @@ def test_more_of_it_adds_particles() -> None:
     np.testing.assert_array_equal(many.z[: len(few.z)], few.z)
 
 
-def test_by_seed() -> None:
-    assert torch.equal(layer(SNOW, far()), layer(replace(SNOW), far()))
-    assert not torch.equal(layer(SNOW, far()), layer(replace(SNOW, seed=6), far()))
-
-
 def test_bright_in_a_beam_faint_in_daylight() -> None:
     z, image = far(), 0.3 * torch.ones(1, 3, *SIZE, dtype=torch.float64)
     shares = []

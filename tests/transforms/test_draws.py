@@ -141,7 +141,7 @@ def test_what_is_measured_of_a_film_takes_the_place_of_a_frame() -> None:
 
 
 def test_median_and_ends_are_those_of_what_is_not_open_water() -> None:
-    augment, z = RandomUnderwater(RandomWater(contrast=None, field=None)), 1 + distances()
+    augment, z = RandomUnderwater(RandomWater(contrast=None, field=None)), 0.1 + distances()
     z[..., :20, :] = torch.inf
     scenes = augment.scenes(picture(), z, augment.make_params(picture()))
     nearest, median, farthest = scenes.settings[0].span

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 import torch
-from augmenting import RAW, H, W, distances, picture, same
+from augmenting import RAW, H, W, distances, picture
 from torch import Tensor
 
 from uwaug import Lamp, Light, Medium, RandomLight, RandomUnderwater, RandomWater
@@ -111,15 +111,6 @@ def test_open_water_alone_is_lit_too() -> None:
     assert RandomUnderwater(light=NIGHT)(picture(), z)[0].isfinite().all()
 
 
-def test_one_scene_has_one_picture_in_any_unit_of_length() -> None:
-    """Distances are scaled to the water before lamps are hung."""
-    augment, z = RandomUnderwater(light=NIGHT), 0.5 + distances()
-    z[..., 4:-4, :] = 1.0
-    record = augment.make_params(picture())
-    made, expected = (augment.transform(picture(), k * z, record) for k in (32.0, 8.0))
-    torch.testing.assert_close(made, expected, rtol=0, atol=1e-5)
-
-
 def test_lamps_stay_in_a_film() -> None:
     augment, z = RandomUnderwater(light=NIGHT), 1 + distances()
     params = augment.make_params(picture(), torch.Generator().manual_seed(0))
@@ -155,10 +146,7 @@ def test_objects_are_judged_under_the_lamps_that_were_drawn() -> None:
     ],
 )
 def test_tables(table: dict[str, Any], expected: Any) -> None:
-    augment = RandomUnderwater.from_dict({"light": table})
-    assert augment.light == expected
-    again = RandomUnderwater.from_dict(json.loads(json.dumps(augment.to_dict())))
-    assert again.light == expected
+    assert RandomUnderwater.from_dict({"light": table}).light == expected
 
 
 def test_nothing_of_the_camera_hides_how_dark_it_is() -> None:
@@ -181,19 +169,8 @@ def test_nothing_of_the_camera_hides_how_dark_it_is() -> None:
         (lambda: RandomLight(rigs=()), "rigs must be some of vehicle, diver, strobe, got"),
         (lambda: RandomLight(cone=120.0), r"cone must be a number or a range"),
         (lambda: RandomLight(daylight=(-1.0, 0.0)), r"daylight must be a number or a range"),
-        (lambda: RandomUnderwater(light="night"), r"light must be a uwaug\.RandomLight, got str"),  # type: ignore[arg-type]
     ],
 )
 def test_what_is_refused(make: Callable[[], Any], message: str) -> None:
     with pytest.raises((TypeError, ValueError), match=message):
         make()
-
-
-def test_the_same_record_is_the_same_picture() -> None:
-    augment, z = RandomUnderwater(light=NIGHT), 1 + distances()
-    record = json.loads(json.dumps(augment.make_params(picture())))
-    one, other = (augment.transform(picture(), z, record) for _ in range(2))
-    assert same(one, other)
-    without = RandomUnderwater(light=None)
-    with pytest.raises(ValueError, match="of a transform with other options: light"):
-        without.transform(picture(), z, record)
