@@ -96,6 +96,7 @@ def test_refused_maps(source: Any, given: Any, message: str) -> None:
         (Inverse, ((0.0, 1.0),), "near must lie above 0 m"),
         (MadeUp, ((0.0, 1.0),), "near must lie above 0 m"),
         (MadeUp, (1, (1, 5)), "near must lie below far"),
+        (MadeUp, (1, 5, "regions"), "cue must be one of network, ramp, got 'regions'"),
         (Plane, ((3.0, 1.0),), "distance must be"),
         (Plane, (-1.0,), "distance must be"),
         (Network, (len, 3.0), "holds must be a uwaug.Source"),

@@ -81,18 +81,6 @@ def test_water_is_kept_and_the_rest_is_drawn_anew() -> None:
     assert (found.water, found.development) == (snowy, noisy)
 
 
-def test_two_pictures_of_one_kept_draw_have_snow_of_their_own() -> None:
-    water = RandomWater("9C", field=None, snow=MarineSnow(20_000))
-    augment = RandomUnderwater(water, light=None)
-    (drawn,) = augment.make_params(GREEN)["samples"]
-    kept = {"water": {"snow": {"density": 20_000.0}}, "development": drawn["development"]}
-    found = UnderwaterLike(water, light=None, kept=[kept])
-    record, z = found.make_params(pictures(2)), maps(2)
-    one, other = found.scenes(pictures(2), z, record).settings
-    assert one.medium.snow[0].seed != other.medium.snow[0].seed
-    assert one.development == other.development
-
-
 def test_it_is_written_and_read_as_any_other() -> None:
     image, z = pictures(1, 5)[0], maps(1)[0]
     record = json.loads(json.dumps(green().make_params(image)))
