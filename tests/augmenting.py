@@ -1,5 +1,6 @@
 """What the tests of RandomUnderwater and its adapters share."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -8,11 +9,15 @@ from torch import Tensor
 from uwaug import (
     Camera,
     Constituents,
+    Lamp,
+    Light,
+    MarineSnow,
     Medium,
     PointSpread,
     RandomDevelopment,
     RandomLight,
     RandomUnderwater,
+    RandomWater,
     Sensor,
     Water,
 )
@@ -23,7 +28,7 @@ TANK = Water([400, 550, 700], [0.5, 0.2, 0.7], [1.3, 1.1, 1.0], [0.7, 0.3, 0.8],
 COAST = Constituents(chlorophyll=(1, 20), cdom=(0.1, 2), minerals=0.5)
 LASERS = Camera([450, 550, 600], [[0, 0, 1], [0, 1, 0], [1, 0, 0]], name="lasers")
 FIT = Medium.from_coefficients([0.4, 0.2, 0.1], [0.3, 0.15, 0.1], [0.1, 0.3, 0.4], b_mean=0.2)
-RAW = RandomDevelopment(None, 0.0, False, 0.0, 1.0, 0.0, 1.0)
+RAW = RandomDevelopment(**RandomDevelopment.PLAIN)
 EVERYTHING = {
     "mixing": (0.0, 1.0),
     "contrast": (0.2, 0.4),
@@ -41,26 +46,28 @@ def brightness(image: Tensor) -> Tensor:
 # 0…1 is a map as good as any in metres, in relative and in inverse distance
 OPTIONS: dict[str, dict[str, Any]] = {
     "default": {},
-    "raw": {"development": RAW, "contrast": None},
-    "one water": {"waters": "7C"},
-    "waters": {"waters": ["II", "II", TANK, "chlorophyll=5,cdom=.3"]},
-    "everything random": EVERYTHING,
-    "contents": {"waters": [COAST, "II", TANK], "mixing": (0.0, 1.0)},
-    "fit": {"waters": [FIT, "II"]},
-    "camera": {"camera": LASERS},
-    "heavy tails": {"point_spread": PointSpread(1.0, 0.6, "exponential")},
-    "even": {"field": None},
+    "raw": {"water": RandomWater(contrast=None, color_matrix=None), "development": RAW},
+    "one water": {"water": "7C"},
+    "waters": {"water": ["II", "II", TANK, "chlorophyll=5,cdom=.3"]},
+    "everything random": {"water": RandomWater(**EVERYTHING)},
+    "contents": {"water": RandomWater([COAST, "II", TANK], mixing=(0.0, 1.0))},
+    "fit": {"water": [FIT, "II"]},
+    "camera": {"water": RandomWater(camera=LASERS)},
+    "heavy tails": {"water": RandomWater(point_spread=PointSpread(1.0, 0.6, "exponential"))},
+    "even": {"water": RandomWater(field=None)},
+    "snowy": {"water": RandomWater(snow=MarineSnow((500.0, 2000.0)))},
     "relative": {"distance": Relative((0.0, 1.0), (4.0, 8.0), (1.0, 3.0))},
-    "inverse": {"distance": Inverse((0.5, 1.0), 8.0)},
+    "inverse": {"distance": Inverse((0.5, 1.0), 8.0, holes=3.0)},
     "plane": {"distance": 3.0},
-    "planes": {"distance": Plane(1.0, 4.0)},
+    "planes": {"distance": Plane((1.0, 4.0))},
     "network": {"distance": Network(brightness)},
     "made up": {"distance": MadeUp()},
     "half": {"p": 0.5},
-    "fill": {"distance": Metres("fill")},
+    "fill": {"distance": Metres("fill", (40.0, 41.0))},
     "keys": {"keys": ("rgb", "range")},
     "linear": {"development": RandomDevelopment(color_space="linear")},
     "night": {"light": RandomLight(share=0.5)},
+    "lamp": {"light": Light((Lamp((0.5, 0.0, -1.0), 3.0),), 0.5)},
     "noisy": {"development": RandomDevelopment(noise=Sensor((2e3, 2e4), (1.0, 4.0)))},
 }
 
@@ -84,8 +91,7 @@ def _leading(batch: int | None) -> tuple[int, ...]:
 
 def leaves(aug: RandomUnderwater, batch: int | None = None) -> tuple[Tensor, ...]:
     """What a transform takes: image and map, or image alone."""
-    reads_maps = aug.distance.reads_maps  # type: ignore[union-attr]
-    return (picture(batch), distances(batch)) if reads_maps else (picture(batch),)
+    return (picture(batch), distances(batch)) if aug.distance.reads_maps else (picture(batch),)
 
 
 def result(aug: RandomUnderwater, batch: int | None = None, key: int = 0) -> Tensor:
@@ -97,3 +103,12 @@ def result(aug: RandomUnderwater, batch: int | None = None, key: int = 0) -> Ten
 def same(a: Any, b: Any) -> bool:
     """Whether two tensors agree in class, type, shape and every bit."""
     return type(a) is type(b) and a.dtype == b.dtype and a.shape == b.shape and torch.equal(a, b)
+
+
+def flat(drawn: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """What is drawn, by names such as "water.contrast"."""
+    leaves: dict[str, Any] = {}
+    for name, value in drawn.items():
+        inner = isinstance(value, Mapping)
+        leaves |= flat(value, f"{prefix}{name}.") if inner else {prefix + name: value}
+    return leaves

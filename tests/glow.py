@@ -19,6 +19,7 @@ from uwaug import (
     Medium,
     RandomDevelopment,
     RandomUnderwater,
+    RandomWater,
     Underwater,
     contrast_left,
     fast,
@@ -111,7 +112,7 @@ def test_it_takes_contrast() -> None:
     target = {"boxes": torch.tensor([[4.0, 4.0, 40.0, 40.0]])}
     for medium, seen in ((CLEAR, 1), (glowing(CLEAR), 0)):
         least = float(contrast_left(near, CLEAR).mean()) * 0.8
-        keep = KeepVisible(RandomUnderwater(medium, field=None), least)
+        keep = KeepVisible(RandomUnderwater(RandomWater(medium, field=None)), least)
         assert len(keep(IMAGE[0], near, target)[2]["boxes"]) == seen
 
 
@@ -143,7 +144,7 @@ def test_in_records() -> None:
     assert torch.equal(from_plain(plain).glow, 0 * GLOW)
     augment = RandomUnderwater(medium)
     again = RandomUnderwater.from_dict(json.loads(json.dumps(augment.to_dict())))
-    assert torch.equal(again.waters.glow, GLOW)
+    assert torch.equal(again.water.waters.glow, GLOW)
 
 
 def test_where_a_medium_is_learned() -> None:

@@ -30,7 +30,7 @@ from benchmarks.accuracy.photographs import (
     numbers_of,
 )
 from benchmarks.harness import save
-from uwaug import RandomDevelopment
+from uwaug import RandomDevelopment, RandomWater
 from uwaug.presets.scene import motorcycle
 
 EACH = 16  # draws of a picture
@@ -39,11 +39,15 @@ SIDE = 256  # px, short side of the bundled scene
 
 CHANGED: dict[str, dict[str, Any]] = {
     "defaults": {},
-    "Jerlov types alone": {"waters": ("IB", "II", "III", "1C", "3C", "5C", "7C", "9C")},
-    "contrast .1–.9": {"contrast": (0.1, 0.9)},
-    "mu None": {"mu": None},
+    "Jerlov types alone": {
+        "water": RandomWater(
+            ("IB", "II", "III", "1C", "3C", "5C", "7C", "9C"), contrast_by="contents"
+        )
+    },
+    "contrast .1–.9": {"water": RandomWater(contrast=(0.1, 0.9))},
+    "mu None": {"water": RandomWater(mu=None)},
     "daylight": {"light": None},
-    "grey surfaces": {"development": RandomDevelopment(color_matrix=None)},
+    "grey surfaces": {"water": RandomWater(color_matrix=None)},
     "exposure −1.8….6": {"development": RandomDevelopment(exposure=(-1.8, 0.6))},
     "white_balance −.5…1": {"development": RandomDevelopment(white_balance=(-0.5, 1.0))},
     "saturation 1": {"development": RandomDevelopment(saturation=1.0)},

@@ -94,7 +94,7 @@ ARMS: dict[str, Callable[[], Arm]] = {
     DEFAULTS: ours,
     "p=0.5": lambda: ours(p=0.5),
     # μ = 1.5·g: veils may be brighter than a white plate in the same place
-    "mu=None": lambda: ours(mu=None),
+    "mu=None": lambda: ours(water=uwaug.RandomWater(mu=None)),
     "light=None": lambda: ours(light=None),
 }
 """What makes each arm, by its name in the table."""

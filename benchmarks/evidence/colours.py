@@ -15,19 +15,19 @@ from torch import Tensor
 
 import uwaug
 from benchmarks.evidence.tasks import BY_EYE, COLOURS, Array, painted_balls
-from uwaug import RandomDevelopment
+from uwaug import RandomDevelopment, RandomWater
 
 REAL = {"red": (0.40, 0.00, -0.07), "green": (0.02, 0.10, -0.02), "ring": (0.12, 0.63, 0.68)}
 """Ball less ring, and ring, of the real buoys in coloured water."""
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "defaults": {},
-    "vertical_depth 0–5": {"vertical_depth": (0.0, 5.0)},
-    "contrast .3–.9": {"contrast": (0.3, 0.9)},
+    "vertical_depth 0–5": {"water": RandomWater(vertical_depth=(0.0, 5.0))},
+    "contrast .3–.9": {"water": RandomWater(contrast=(0.3, 0.9))},
     "exposure −1.8–.6": {"development": RandomDevelopment(exposure=(-1.8, 0.6))},
     "saturation 1": {"development": RandomDevelopment(saturation=1.0)},
     "tone 1": {"development": RandomDevelopment(tone=1.0)},
-    "mu None": {"mu": None},
+    "mu None": {"water": RandomWater(mu=None)},
     "light None": {"light": None},
 }
 """What is put in place of ranges of the defaults, by name."""

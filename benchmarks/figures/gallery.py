@@ -24,6 +24,7 @@ from uwaug import (
     RandomDevelopment,
     RandomLight,
     RandomUnderwater,
+    RandomWater,
     Underwater,
     published,
 )
@@ -127,9 +128,8 @@ def detection() -> Figure:
     numbers = torch.arange(len(boxes))
     show(0, image, numbers, f"in air: {len(boxes)} fish")
     for place, contrast in enumerate(contrasts, 1):
-        augment = RandomUnderwater(
-            "3C", contrast=contrast, vertical_depth=3, light=None, development=camera
-        )
+        water = RandomWater("3C", contrast=contrast, contrast_by="contents", vertical_depth=3)
+        augment = RandomUnderwater(water, light=None, development=camera)
         target = {"boxes": boxes, "labels": numbers}
         torch.manual_seed(0)
         wet, _, target = KeepVisible(augment, min_contrast=0.05)(image, distance, target)
@@ -145,9 +145,9 @@ def restoration() -> Figure:
     for row, name in enumerate(names):
         image, distance = scene_of(name, 460)
         source = Metres() if distance is not None else MadeUp()
-        augment = RandomUnderwater(distance=source, contrast=(0.2, 0.5), light=None)
+        augment = RandomUnderwater(RandomWater(contrast=(0.2, 0.5)), distance=source, light=None)
         record = augment.make_params(image, torch.Generator().manual_seed(40 + row))
-        metres = source.metres(distance, image, record["samples"][0]["numbers"])
+        metres = source.metres(distance, image, record["samples"][0]["distance"])
         left = augment.contrast_left(image, distance, record)
         shown = (augment.transform(image, distance, record), image)
         cells = (*shown, shown_distance(metres), left.expand(3, -1, -1))
@@ -166,8 +166,8 @@ def severity() -> Figure:
         pair = scene_of(name, 310)
         grid.show(6 * row, pair[0], "in air")
         for level in range(1, 6):
-            contrast = RandomUnderwater.severity(level).contrast
-            picture = in_water(pair, 2, contrast=contrast, light=None)
+            water = RandomUnderwater.severity(level).water
+            picture = in_water(pair, 2, water=water, light=None)
             grid.show(6 * row + level, picture, f"severity {level}" if row == 0 else "")
     return grid.figure
 
@@ -177,11 +177,11 @@ def night() -> Figure:
     rigs, names = ("vehicle", "diver", "strobe"), {"reef": None, "motorcycle": MarineSnow(2000)}
     grid = Grid(len(names), len(rigs), (2, 3), FRAME_PX)
     for row, (name, snow) in enumerate(names.items()):
-        pair = scene_of(name, 2 * FRAME_PX)
+        pair, water = scene_of(name, 2 * FRAME_PX), RandomWater(snow=snow)
         for column, rig in enumerate(rigs):
-            options = {"light": RandomLight(share=1.0, rigs=rig), "snow": snow}
+            light = RandomLight(share=1.0, rigs=rig)
             label = f"{rig}, marine snow" if snow else rig
-            grid.show(3 * row + column, in_water(pair, 5 + column, **options), label)
+            grid.show(3 * row + column, in_water(pair, 5 + column, water=water, light=light), label)
     return grid.figure
 
 
@@ -191,7 +191,7 @@ def film() -> Figure:
     image, distance, _ = reef()
     wide = image.shape[-1] - (frames - 1) * step
     views = [(..., slice(k * step, k * step + wide)) for k in range(frames)]
-    augment = RandomUnderwater(field=(0.6, 1.4), light=None)
+    augment = RandomUnderwater(RandomWater(field=(0.6, 1.4)), light=None)
     record = augment.make_params(image, torch.Generator().manual_seed(4))
     middle = views[frames // 2]
     (sample,) = augment.for_clip(record, image[middle], distance[middle])["samples"]
@@ -256,7 +256,7 @@ def made_up() -> Figure:
         for draw in range(draws):
             generator = torch.Generator().manual_seed(draws * row + draw)
             record = augment.make_params(image, generator)
-            numbers = record["samples"][0]["numbers"]
+            numbers = record["samples"][0]["distance"]
             z = source.metres(None, image, numbers)
             place = row * grid.columns + 1 + 2 * draw
             grid.show(place, shown_distance(z), f"{numbers['near']:.1f} to {numbers['far']:.0f} m")

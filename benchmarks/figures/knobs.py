@@ -9,7 +9,14 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from benchmarks.figures.grid import Grid
-from uwaug import PointSpread, RandomDevelopment, RandomLight, RandomUnderwater, Sensor
+from uwaug import (
+    PointSpread,
+    RandomDevelopment,
+    RandomLight,
+    RandomUnderwater,
+    RandomWater,
+    Sensor,
+)
 from uwaug.distance import MadeUp
 
 STEPS = 5
@@ -31,10 +38,10 @@ the spread of the field about 1; the full well of the sensor.
 
 def values() -> dict[str, tuple[Any, ...]]:
     """Five values of each, from the least to the largest that a default draw has."""
-    augment = RandomUnderwater()
-    ranges = {"contrast": augment.contrast, "vertical_depth": augment.vertical_depth}
+    water = RandomWater()
+    ranges = {name: getattr(water, name) for name in ("contrast", "vertical_depth", "color_matrix")}
     five = {}
-    for name, ends in {**ranges, **augment.development.ranges()}.items():
+    for name, ends in {**ranges, **RandomDevelopment().ranges()}.items():
         assert isinstance(ends, tuple)
         five[name] = tuple(torch.linspace(*ends, STEPS).tolist())
     sources = {f"distance.{name}": getattr(MadeUp(), name) for name in ("near", "far")}
@@ -47,40 +54,48 @@ def values() -> dict[str, tuple[Any, ...]]:
 
 def transform(name: str, value: Any, width: int) -> RandomUnderwater:
     """Fixed in all but one."""
-    augment = RandomUnderwater()
-    middles = {}
-    for own, ends in augment.development.ranges().items():
+    middles: dict[str, Any] = {}
+    for own, ends in RandomDevelopment().ranges().items():
         assert isinstance(ends, tuple)
         middles[own] = sum(ends) / 2
-    options: dict[str, Any] = {
+    water: dict[str, Any] = {
+        "waters": WATER,
         "contrast": 0.4,
+        "contrast_by": "contents",
         "vertical_depth": 4.0,
         "field": None,
-        "light": None,
+        "color_matrix": 0.4,
     }
-    waters: list[Any] = [WATER]
-    if name == "waters":
-        waters = [value]
-    elif name == "mixing":
-        waters = [f"{1 - value}*{WATER}+{value}*9C"]
+    nouns: dict[str, Any] = {"light": None}
+    if name == "mixing":
+        water["waters"] = f"{1 - value}*{WATER}+{value}*9C"
     elif name == "point_spread":
         law = PointSpread.calibrated(0.866 * width)
-        options[name] = PointSpread(law.scale * value, law.exponent, law.shape)
+        water[name] = PointSpread(law.scale * value, law.exponent, law.shape)
     elif name == "field":
-        options[name] = (1 - value, 1 + value)
+        water[name] = (1 - value, 1 + value)
     elif name == "noise":
         middles[name] = None if value is None else Sensor(value)
     elif name.startswith("distance."):
-        options["distance"] = MadeUp(**{name.partition(".")[2]: value})
-        options["contrast"], waters = None, ["II"]
+        nouns["distance"] = MadeUp(**{name.partition(".")[2]: value})
+        water |= {"waters": "II", "contrast": None}
     elif name.startswith("light."):
         own = {name.partition(".")[2]: value}
-        options["light"] = RandomLight(share=1.0, rigs="diver", **own)
+        nouns["light"] = RandomLight(share=1.0, rigs="diver", **own)
     elif name in middles:
         middles[name] = value
     else:
-        options[name] = value
-    return RandomUnderwater(waters, **options, development=RandomDevelopment(**middles))
+        water[name] = value
+    camera = RandomDevelopment(**middles)
+    return RandomUnderwater(RandomWater(**water), development=camera, **nouns)
+
+
+def at(name: str, value: Any, image: Tensor, distance: Tensor) -> Tensor:
+    """The scene at a value."""
+    augment = transform(name, value, image.shape[-1])
+    drawn = augment.at(0, 0, 0)
+    picture: Tensor = drawn(image, distance)[0] if augment.distance.reads_maps else drawn(image)
+    return picture
 
 
 def knobs(image: Tensor, distance: Tensor) -> Figure:
@@ -89,8 +104,7 @@ def knobs(image: Tensor, distance: Tensor) -> Figure:
     grid = Grid(len(rows), STEPS, (image.shape[-2], image.shape[-1]), 150)
     for row, (name, five) in enumerate(rows.items()):
         for column, value in enumerate(five):
-            augment = transform(name, value, image.shape[-1])
-            picture, _ = augment.at(0, 0, 0)(image, distance)
+            picture = at(name, value, image, distance)
             shown = f"{value:.3g}" if isinstance(value, float) else str(value)
             shown = {"field": "1 ± ", "point_spread": "× "}.get(name, "") + shown
             label = f"{name} = {shown}" if column == 0 else shown

@@ -37,6 +37,7 @@ DEFAULTS = {
     "gamut": 0.85,
     "tone": 1.2,
     "color_matrix": 0.4,
+    "mu": 0.03,
 }
 MOVES = 20  # of a slider
 FLAGS = ("--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-quic")
@@ -46,12 +47,17 @@ def twin(water: str, settings: dict[str, float]) -> uwaug.RandomUnderwater:
     """The transform with these settings of the page."""
     camera = DEFAULTS | settings
     return uwaug.RandomUnderwater(
-        [water],
-        contrast=settings["contrast"],
-        vertical_depth=settings["vertical_depth"],
-        field=None,
+        uwaug.RandomWater(
+            water,
+            contrast=settings["contrast"],
+            contrast_by="contents",
+            vertical_depth=settings["vertical_depth"],
+            mu=camera["mu"],
+            field=None,
+            color_matrix=camera["color_matrix"],
+        ),
+        light=None,
         development=uwaug.RandomDevelopment(
-            camera["color_matrix"],
             camera["exposure"],
             white_balance=camera["white_balance"],
             saturation=camera["saturation"],

@@ -7,6 +7,7 @@ per second of batches, of a GPU where there is one, and of a DataLoader.
 import sys
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import albumentations
@@ -19,6 +20,7 @@ from torch.utils.data import DataLoader, Dataset
 
 import uwaug
 from benchmarks.harness import command, loops, printed, race, save, scene, use_threads
+from uwaug.distance import Metres
 
 BATCH = 4
 WARM = 200
@@ -50,9 +52,9 @@ def augments() -> dict[str, Augment]:
         "preset survey, a module": uwaug.load_preset("survey").module(),
         "RandomUnderwater()": uwaug.RandomUnderwater(),
         "RandomUnderwater(), grey surfaces": uwaug.RandomUnderwater(
-            development=uwaug.RandomDevelopment(color_matrix=None)
+            uwaug.RandomWater(color_matrix=None)
         ),
-        "RandomUnderwater.from_preset('survey')": uwaug.RandomUnderwater.from_preset("survey"),
+        "preset survey, a transform": replace(uwaug.load_preset("survey"), distance=Metres()),
     }
 
 

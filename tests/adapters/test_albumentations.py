@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from uwaug import RandomUnderwater
+from uwaug import RandomUnderwater, RandomWater
 from uwaug.distance import Plane
 
 A = pytest.importorskip("albumentations")
 
 from uwaug.adapters.albumentations import AlbumentationsUnderwater  # noqa: E402
 
-AUGMENT = RandomUnderwater(["II", "7C"], contrast=(0.2, 0.4))
+AUGMENT = RandomUnderwater(RandomWater(["II", "7C"], contrast=(0.2, 0.4), contrast_by="contents"))
 TARGETS = {"distance": "mask"}
 H, W = 24, 33
 
@@ -101,7 +101,7 @@ def test_written_and_read() -> None:
 
 
 def test_pictures_without_maps_in_the_order_of_opencv() -> None:
-    augment = RandomUnderwater("7C", distance=Plane(2.0, 6.0))
+    augment = RandomUnderwater("7C", distance=Plane((2.0, 6.0)))
     rgb = A.Compose([water(augment)], seed=0)(image=array())["image"]
     bgr = A.Compose([water(augment, channels="bgr")], seed=0)(image=array()[..., ::-1])["image"]
     assert np.array_equal(bgr[..., ::-1], rgb)

@@ -8,7 +8,7 @@ import pytest
 import torch
 from PIL import Image
 
-from uwaug import RandomDevelopment, RandomUnderwater
+from uwaug import RandomDevelopment, RandomUnderwater, RandomWater
 
 pytest.importorskip("albumentations")
 
@@ -56,11 +56,11 @@ def test_epochs_of_yolo(data: Path, torchvision: Any, monkeypatch: pytest.Monkey
         def final_eval(self) -> None: ...
 
     # nothing is random but whether a picture gets water
-    fixed = RandomDevelopment(
-        None, 0, metered=False, white_balance=0, saturation=1, gamut=1, tone=1
-    )
     augment = RandomUnderwater(
-        "7C", contrast=None, vertical_depth=2, field=None, distance=3, development=fixed
+        RandomWater("7C", **{**RandomWater.PLAIN, "vertical_depth": 2}),
+        distance=3,
+        light=None,
+        development=RandomDevelopment(**RandomDevelopment.PLAIN),
     )
     YOLO("yolo26n.yaml").train(
         trainer=Recorded,

@@ -14,7 +14,7 @@ from referees.exact import blur_exact
 
 import uwaug
 from benchmarks.accuracy import surfaces
-from benchmarks.figures import charts, gallery, reef, summary
+from benchmarks.figures import charts, gallery, knobs, reef, summary
 from benchmarks.harness import race
 from benchmarks.speed import blurs, frontier
 
@@ -151,6 +151,14 @@ def test_thick_water_hides_fish_of_the_reef(monkeypatch: pytest.MonkeyPatch) -> 
     dotted = [sum(p.get_linestyle() == ":" for p in axis.patches) for axis in sheet.axes]
     assert dotted == sorted(dotted)
     assert dotted[0] == 0 < dotted[-1] < len(boxes)
+
+
+def test_each_row_of_the_sheet_of_ranges_changes_the_picture() -> None:
+    image = torch.rand(3, 24, 36, generator=torch.Generator().manual_seed(0))
+    distance = torch.linspace(1, 5, 24 * 36).reshape(1, 24, 36)
+    for name, five in knobs.values().items():
+        pictures = [knobs.at(name, value, image, distance) for value in (five[0], five[-1])]
+        assert (pictures[0] - pictures[1]).abs().max() > 0.02, name
 
 
 def test_colours_are_refereed() -> None:

@@ -1,5 +1,6 @@
 import csv
 import json
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import torch
 from PIL import ExifTags, Image
 
 import uwaug
+from uwaug.distance import MadeUp, Metres, Plane, Relative
 
 
 @pytest.fixture
@@ -95,19 +97,24 @@ def test_a_record_takes_no_other_options(folder, run):
 
 
 def test_options_reach_the_transform(folder, run):
-    (folder / "options.toml").write_text("mixing = [0, 1]\n[development]\nsaturation = 1.2\n")
+    (folder / "options.toml").write_text(
+        "[water]\nmixing = [0, 1]\n[development]\nsaturation = 1.2\n"
+    )
     code, _, err = run(
         *("degrade", "photos/a.png", "--distance", "3", "--out", "wet.png", "--workers", "1"),
         *("--water", "3C", "--water", "II", "--contrast", ".2:.5", "--options", "options.toml"),
-        *("--set", "vertical_depth=0:5", "--set", "development.tone=1", "--set", "field=none"),
+        *("--set", "water.vertical_depth=0:5", "--set", "development.tone=1"),
+        *("--set", "water.field=none", "--set", "water.snow.density=500:5000"),
         *("--set", "development.noise.full_well=2000:9000", "--set", "quality=80"),
     )
     assert (code, err) == (0, "")
     recipe = json.loads((folder / "wet.png.json").read_text())["recipe"]
     transform = uwaug.RandomUnderwater.from_dict(recipe["transform"])
-    assert transform.waters == ("3C", "II")
-    assert (transform.contrast, transform.vertical_depth) == ((0.2, 0.5), (0, 5))
-    assert (transform.mixing, transform.field) == ((0, 1), None)
+    water = transform.water
+    assert water.waters == ("3C", "II")
+    assert (water.contrast, water.vertical_depth) == ((0.2, 0.5), (0, 5))
+    assert (water.mixing, water.field) == ((0, 1), None)
+    assert water.snow == uwaug.MarineSnow((500, 5000))
     assert (transform.development.noise, recipe["quality"]) == (uwaug.Sensor((2000, 9000)), 80)
     assert (transform.development.saturation, transform.development.tone) == (1.2, 1)
     assert transform.distance == uwaug.distance.Plane(3.0)
@@ -127,7 +134,7 @@ def test_pictures_like_a_photograph(folder, run, monkeypatch):
     recipe = json.loads((folder / "wet/a.png.json").read_text())["recipe"]
     transform = uwaug.RandomUnderwater.from_dict(recipe["transform"])
     assert isinstance(transform, uwaug.transforms.UnderwaterLike)
-    assert all(0.2 <= one["numbers"]["contrast"] <= 0.5 for one in transform.kept)
+    assert all(0.2 <= one["water"]["contrast"] <= 0.5 for one in transform.kept)
     # the same draws are kept again, and a record makes the same picture
     assert "2 were there" in run(*line, "wet", "--resume")[1]
     assert run("degrade", "wet/b.png.json", "--out", "b.png")[0] == 0
@@ -138,17 +145,85 @@ def test_a_preset_in_several_waters(folder, run):
     flags = ("--distance", "3", "--preset", "survey", "--water", "II", "--water", "7C")
     assert run("degrade", "photos/a.png", *flags, "--out", "wet.png")[0] == 0
     recipe = json.loads((folder / "wet.png.json").read_text())["recipe"]
-    assert recipe["transform"]["waters"] == ["II", "7C"]
+    assert recipe["transform"]["water"]["waters"] == ["II", "7C"]
 
 
 def test_a_preset_degrades_as_its_module(folder, run):
-    flags = ("--distance", "0.5", "--preset", "tank-proposed-1", "--set", "field=none")
+    flags = ("--distance", "0.5", "--preset", "tank-proposed-1", "--set", "water.field=none")
     assert run("degrade", "photos/a.png", *flags, "--out", "tank.npy", "--workers", "1")[0] == 0
     image = torch.from_numpy(np.array(Image.open("photos/a.png"))).permute(2, 0, 1)
     module = uwaug.load_preset("tank-proposed-1").module()
     wanted = module(image, torch.full((1, 24, 32), 0.5)).permute(1, 2, 0)
     made = torch.from_numpy(np.load("tank.npy"))
     assert (made.int() - wanted.int()).abs().max() <= 1
+
+
+@pytest.mark.parametrize(
+    ("flags", "source"),
+    [
+        ("", MadeUp()),
+        ("--distance made-up", MadeUp()),
+        ("--distance 3", Plane(3.0)),
+        ("--distance 1:5", Plane((1.0, 5.0))),
+        ("--distance depth --unit mm --holes behind", Metres("behind")),
+        ("--distance depth/{stem}.png --unit mm --holes 4", Metres(4.0)),
+        (
+            "--distance depth --set distance.kind=Relative --set distance.holes=fill",
+            Relative(holes="fill"),
+        ),
+    ],
+)
+@pytest.mark.parametrize("preset", ["survey", "tank-proposed-1"])
+def test_a_preset_takes_distances_of_all_kinds(folder, run, preset, flags, source):
+    line = ("degrade", "photos/a.png", "--preset", preset, *flags.split(), "--out", "wet.png")
+    code, _, err = run(*line)
+    assert (code, err) == (0, "")
+    recipe = json.loads((folder / "wet.png.json").read_text())["recipe"]
+    transform = uwaug.RandomUnderwater.from_dict(recipe["transform"])
+    wanted = replace(uwaug.load_preset(preset), distance=source)
+    assert transform.to_dict() == wanted.to_dict()
+
+
+@pytest.mark.parametrize("preset", ["survey", "tank-proposed-1"])
+def test_the_file_of_a_preset_is_a_file_of_options(folder, run, preset):
+    np.save("t.npy", np.linspace(0, 1, 24 * 32).reshape(24, 32))
+    (folder / "p.toml").write_text(run("preset", "show", preset)[1])
+    line = (
+        "degrade",
+        "photos/a.png",
+        "--distance",
+        "t.npy",
+        "--options",
+        "p.toml",
+        "--out",
+        "a.npy",
+    )
+    code, _, err = run(*line)
+    assert (code, err) == (0, "")
+    record = json.loads((folder / "a.npy.json").read_text())
+    transform = uwaug.load_preset(preset)
+    assert record["recipe"]["transform"] == transform.to_dict()
+    image = torch.from_numpy(np.array(Image.open("photos/a.png"))).permute(2, 0, 1)
+    wanted = transform.transform(image, torch.from_numpy(np.load("t.npy"))[None], record["params"])
+    assert np.array_equal(np.load("a.npy"), wanted.permute(1, 2, 0))
+
+
+def test_tables_of_a_file_of_options_lie_beside_it(folder, run):
+    (folder / "own").mkdir()
+    water = "wavelength,a,b,kd\n400,.5,1,.7\n700,.7,1,.8\n"
+    (folder / "own/harbour.csv").write_text(water)
+    (folder / "own/o.toml").write_text('water = "harbour.csv"\n')
+    line = ("degrade", "photos/a.png", "--plain", "--distance", "2", "--out", "wet.png")
+    assert run(*line, "--options", "own/o.toml")[0] == 0
+    (sample,) = json.loads((folder / "wet.png.json").read_text())["params"]["samples"]
+    assert sample["water"] == {"waters": ["harbour"], "mixing": 0, "vertical_depth": 0, "g": 0.05}
+
+
+def test_a_preset_by_lamps(folder, run):
+    flags = ("--distance", "3", "--preset", "survey", "--set", "light.share=1")
+    assert run("degrade", "photos/a.png", *flags, "--out", "wet.png")[0] == 0
+    (sample,) = json.loads((folder / "wet.png.json").read_text())["params"]["samples"]
+    assert "power" in sample["light"]
 
 
 def test_a_broken_map_fails_alone_and_resume_goes_on(folder, run):
@@ -177,17 +252,21 @@ def test_a_broken_map_fails_alone_and_resume_goes_on(folder, run):
         ("degrade photos --distance 3 --contrast 2 --out wet", "Error: --contrast must be"),
         ("degrade photos --variants=0 --out wet", "Error: --variants must be 1 or more"),
         ("degrade photos --min-contrast 2 --out wet", "Error: --min-contrast must be in [0, 1]"),
-        ("degrade photos --set vertical_depth=-1 --out wet", "Error: vertical_depth must be"),
+        ("degrade photos --set water.vertical_depth=-1 --out wet", "Error: vertical_depth must be"),
+        ("degrade photos --set vertical_depth=1 --out wet", "has no 'vertical_depth', only water,"),
         ("degrade photos --out photos", "--resume"),
         ("degrade photos --out photos", "--force"),
         ("degrade photos --distance 3 --set turbidity=2 --out wet", "turbidity"),
-        ("degrade photos --set contarst=.3 --out wet", "has no 'contarst', only waters, contrast,"),
-        ("degrade photos --set contarst=.3 --out wet", "did you mean contrast?"),
+        (
+            "degrade photos --set water.contarst=.3 --out wet",
+            "RandomWater has no 'contarst', only waters, contrast,",
+        ),
+        ("degrade photos --set water.contarst=.3 --out wet", "did you mean contrast?"),
         ("degrade photos --set development.tnoe=1 --out wet", "did you mean tone?"),
         ("degrade photos --distance depth --set distance.kind=inverse --out wet", "mean Inverse?"),
         ("degrade photos --options night.toml --out wet", "did you mean light?"),
         (
-            "degrade photos --contrast .3 --set contrast.low=1 --out wet",
+            "degrade photos --contrast .3 --set water.contrast.low=1 --out wet",
             "0.3, no table",
         ),
         ("degrade photos --plain --out wet", "give both, one --water and --distance"),
@@ -313,14 +392,27 @@ def test_a_fit_leaves_out_what_it_is_told_to(folder, run):
 
 def test_presets_and_waters_are_listed(run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert "survey" in run("preset", "list")[1]
-    code, out, _ = run("preset", "show", "survey")
-    assert code == 0
-    assert "[water]" in out
-    (tmp_path / "mine.toml").write_text(out)
-    assert uwaug.load_preset(tmp_path / "mine.toml").near == 1.0
+    listed = run("preset", "list")[1]
+    assert all(name in listed for name in uwaug.list_presets())
+    assert "arXiv:2509.15011, table 2" in listed
     waters = run("waters")[1]
     assert all(name in waters for name in uwaug.JERLOV_TYPES)
+
+
+@pytest.mark.parametrize("name", uwaug.list_presets())
+def test_what_is_shown_of_a_preset_is_its_file(run, tmp_path, name):
+    code, out, _ = run("preset", "show", name)
+    assert code == 0
+    (tmp_path / "mine.toml").write_text(out)
+    shown = uwaug.load_preset(tmp_path / "mine.toml")
+    assert shown.to_dict() == uwaug.load_preset(name).to_dict()
+    assert f"# It comes to {shown.module().medium}" in out
+
+
+def test_of_a_preset_that_draws_no_medium_is_shown(run, tmp_path):
+    (tmp_path / "mine.toml").write_text('[water]\nwaters = ["II", "7C"]\n')
+    code, out, _ = run("preset", "show", str(tmp_path / "mine.toml"))
+    assert (code, out) == (0, '[water]\nwaters = ["II", "7C"]\n')
 
 
 def test_maps_that_are_no_metres_are_told_of_before_the_first_picture(folder, run):
@@ -377,9 +469,10 @@ def test_a_film_without_maps_is_a_plane(folder, run):
     assert code == 0
     assert "made up from each frame would flicker" in out
     records = [json.loads(path.read_text()) for path in (folder / "wet").glob("*.json")]
-    samples = [record["params"]["samples"][0]["numbers"] for record in records]
-    assert samples[0] == samples[1]
-    assert 1 <= samples[0]["distance"] <= 5
+    samples = [record["params"]["samples"][0] for record in records]
+    for noun in ("water", "distance", "light", "development"):
+        assert samples[0][noun] == samples[1][noun]
+    assert 1 <= samples[0]["distance"]["distance"] <= 5
     flags = ("--sequence", "--distance", "made-up", "--out", "again")
     code, _, err = run("degrade", "photos", *flags)
     assert code == 2
@@ -436,12 +529,13 @@ def test_plain_pictures_have_nothing_random(folder, run):
     made = torch.from_numpy(np.array(Image.open("wet.png")))
     assert (made.int() - wanted.int()).abs().max() <= 2
     # what is named is done, and nothing else
-    named = ("--contrast", ".5", "--set", "vertical_depth=3", "--options", "options.toml")
+    named = ("--contrast", ".5", "--set", "water.vertical_depth=3", "--options", "options.toml")
     assert run(*line, "named.png", *named)[0] == 0
     (sample,) = json.loads((folder / "named.png.json").read_text())["params"]["samples"]
-    numbers = {"contrast": 0.5, "vertical_depth": 3, "tone": 1.2, "exposure": 0, "saturation": 1}
-    assert {name: sample["numbers"][name] for name in numbers} == numbers
-    assert "color_matrix" not in sample["numbers"]
+    water = {"waters": ["3C"], "contrast": 0.5, "mixing": 0, "vertical_depth": 3, "g": 0.05}
+    assert sample["water"] == water
+    camera = {"exposure": 0, "white_balance": 0, "saturation": 1, "gamut": 0, "tone": 1.2}
+    assert (sample["light"], sample["development"]) == ({}, camera)
 
 
 def test_planar_depth_of_a_folder_becomes_distance_along_the_ray(folder, run):

@@ -173,8 +173,3 @@ def test_the_weights_are_small_and_stay_where_they_are() -> None:
     assert len(pickle.dumps(uwaug.RandomUnderwater(distance=MadeUp()))) < 3e5
     count = sum(i * o * side * side + o for i, o, side in cue.LAYERS.values())
     assert np.fromfile(cue.WEIGHTS, "<f2").size == count
-
-
-def test_another_cue_is_refused() -> None:
-    with pytest.raises(ValueError, match="cue must be one of network, ramp, got 'regions'"):
-        MadeUp(cue="regions")

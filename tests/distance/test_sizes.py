@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from uwaug import RandomUnderwater
+from uwaug import RandomUnderwater, RandomWater
 from uwaug.distance import Inverse, Metres, Network, Relative, Source, along_ray
 from uwaug.distance.sizes import brought_to, same_aspect
 
@@ -93,7 +93,7 @@ def test_a_small_map_gives_nearly_the_scene_of_a_whole_one(
     source: Source, z: Tensor, host: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("uwaug._support.checks.on_host", lambda x: host)
-    augment = RandomUnderwater("3C", field=None, distance=source, contrast=None)
+    augment = RandomUnderwater(RandomWater("3C", field=None, contrast=None), distance=source)
     image = torch.rand(2, 3, H, W)
     record = augment.make_params(image)
     far, near = (augment.scenes(image, torch.stack([m, m]), record).metres for m in (z, sampled(z)))
@@ -107,7 +107,7 @@ def test_a_small_map_gives_nearly_the_scene_of_a_whole_one(
 
 def test_functions_may_give_small_maps() -> None:
     network = Network(lambda image: sampled(scene()), Metres())
-    augment = RandomUnderwater("3C", field=None, distance=network, contrast=None)
+    augment = RandomUnderwater(RandomWater("3C", field=None, contrast=None), distance=network)
     image = torch.rand(3, H, W)
     assert augment.scenes(image, None, augment.make_params(image)).metres.shape[-2:] == (H, W)
 

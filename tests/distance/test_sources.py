@@ -6,7 +6,6 @@ from typing import Any
 import pytest
 import torch
 
-from uwaug._support import codec
 from uwaug.distance import (
     Inverse,
     MadeUp,
@@ -22,7 +21,8 @@ from uwaug.distance import (
 
 NAN, INF = math.nan, math.inf
 IMAGE = torch.rand(3, 2, 4)
-NUMBERS = {"near": 1.0, "far": 3.0, "gamma": 2.0, "distance": 2.5}
+ENDS = {"near": 1.0, "far": 3.0}
+NUMBERS = {**ENDS, "gamma": 2.0, "distance": 2.5, "holds": ENDS}
 T = torch.tensor([[[0.0, 0.25, 0.5, 1.0], [0.1, 0.2, 0.3, 0.4]]])
 
 
@@ -96,7 +96,8 @@ def test_refused_maps(source: Any, given: Any, message: str) -> None:
         (Inverse, ((0.0, 1.0),), "near must lie above 0 m"),
         (MadeUp, ((0.0, 1.0),), "near must lie above 0 m"),
         (MadeUp, (1, (1, 5)), "near must lie below far"),
-        (Plane, (3.0, 1.0), "distance must be"),
+        (MadeUp, (1, 5, "regions"), "cue must be one of network, ramp, got 'regions'"),
+        (Plane, ((3.0, 1.0),), "distance must be"),
         (Plane, (-1.0,), "distance must be"),
         (Network, (len, 3.0), "holds must be a uwaug.Source"),
     ],
@@ -104,17 +105,3 @@ def test_refused_maps(source: Any, given: Any, message: str) -> None:
 def test_refused_sources(kind: Any, arguments: tuple[Any, ...], message: str) -> None:
     with pytest.raises((TypeError, ValueError), match=message):
         kind(*arguments)
-
-
-@pytest.mark.parametrize(
-    "source",
-    [
-        Metres("far", (525.0, 524.0)),
-        Relative((0, 1), 5),
-        Inverse(holes=3.0),
-        MadeUp(1.0),
-        Plane(1.0, 2.0),
-    ],
-)
-def test_sources_as_plain_data(source: Any) -> None:
-    assert codec.from_plain(codec.to_plain(source)) == source

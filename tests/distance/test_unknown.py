@@ -8,13 +8,13 @@ import torch
 from augmenting import picture
 from torch import Tensor
 
-from uwaug import RandomUnderwater
+from uwaug import RandomUnderwater, RandomWater
 from uwaug.distance import Inverse, Metres, Relative, Source
 from uwaug.distance.unknown import of_metres, of_shares, range_end
 
 H, W = 24, 33
-AUG = RandomUnderwater("3C", contrast=0.5)
-RECORD = AUG.make_params(picture(), torch.Generator().manual_seed(0))
+WATER = RandomWater("3C", contrast=0.5)
+RECORD = RandomUnderwater(WATER).make_params(picture(), torch.Generator().manual_seed(0))
 NUMBERS = {"near": 1.0, "far": 5.0, "gamma": 1.0}
 
 
@@ -38,7 +38,7 @@ def holed(z: Tensor, *values: float) -> Tensor:
 
 
 def transformed(z: Tensor, source: Source | None = None) -> Tensor:
-    augment = RandomUnderwater("3C", contrast=0.5, distance=source or Metres())
+    augment = RandomUnderwater(WATER, distance=source or Metres())
     return augment.transform(picture(), z, RECORD)
 
 

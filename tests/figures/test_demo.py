@@ -1,3 +1,4 @@
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -5,7 +6,7 @@ import pytest
 import torch
 from texts import require_room
 
-from uwaug import Water, load_preset, published
+from uwaug import Lamp, Light, Water, load_preset, published
 from uwaug.figures import comparison, demo
 from uwaug.figures.demo import preset_case, water_case
 from uwaug.presets.scene import Scene
@@ -32,20 +33,29 @@ def test_nor_in_scenes_of_other_shapes_and_distances(
     z[0, 0] = rest
     note = "Drawn at 1000×500 of 20000×10000 px. 0.0017 % of the distances were unknown."
     scene = Scene(torch.rand(3, *shape), z, None, note)
-    draw = demo.own_pictures(preset_case(load_preset("tank-proposed-4")))[name]
+    draw = demo.own_pictures(preset_case("tank-proposed-4", load_preset("tank-proposed-4")))[name]
     assert require_room(lambda: draw(scene), monkeypatch) > 10
 
 
 def test_the_terms_are_those_of_the_picture_beside_them(small, monkeypatch):
     shown = {}
     monkeypatch.setattr(demo, "show", lambda _, picture, label: shown.update({label: picture}))
-    for case in (preset_case(load_preset("survey")), water_case(Water.jerlov("1C"), small)):
+    for case in (
+        preset_case("survey", load_preset("survey")),
+        water_case(Water.jerlov("1C"), small),
+    ):
         demo.draw_terms(small, case._replace(field_range=(1.0, 1.0)))
         terms = [shown[name] for name in ("D   direct", "F   forward scatter", "B   backscatter")]
         if case.module.color_space == "linear":
             torch.testing.assert_close(sum(terms), shown["I   image"], atol=5e-3, rtol=0)
         else:  # no term is brighter than all of them
             assert all((term.clamp(0, 1) <= shown["I   image"] + 0.05).all() for term in terms)
+
+
+def test_a_preset_with_lamps_is_not_shown_by_daylight():
+    lit = replace(load_preset("survey"), light=Light((Lamp((0.3, 0.0, 0.0)),)))
+    with pytest.raises(ValueError, match="night: sheets of terms are by daylight"):
+        preset_case("night", lit)
 
 
 def test_systems_are_compared_in_one_water(small, monkeypatch):

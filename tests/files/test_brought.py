@@ -10,7 +10,7 @@ import torch
 from filing import content, metres, pixels, save
 from PIL import Image
 
-from uwaug import RandomDevelopment, RandomUnderwater
+from uwaug import RandomDevelopment, RandomUnderwater, RandomWater
 from uwaug.distance import Metres
 from uwaug.files import (
     Recipe,
@@ -159,7 +159,8 @@ def test_grey_pictures_are_told_of(run: Run) -> None:
 # Linear light
 
 
-RECIPE = Recipe(RandomUnderwater("3C", distance=2.0, contrast=0.5))
+WATER = RandomWater("3C", contrast=0.5)
+RECIPE = Recipe(RandomUnderwater(WATER, distance=2.0))
 
 
 def exr_pixels(path: str) -> Any:
@@ -173,7 +174,7 @@ def test_an_exr_stays_linear_light() -> None:
     record = read_record(Path("wet.exr.json"))
     assert record["color_space"] == "linear"
     linear = RandomUnderwater(
-        "3C", distance=2.0, contrast=0.5, development=RandomDevelopment(color_space="linear")
+        WATER, distance=2.0, development=RandomDevelopment(color_space="linear")
     )
     image = torch.from_numpy(bright).permute(2, 0, 1)
     expected = linear.transform(image, None, record["params"])
@@ -201,7 +202,7 @@ def test_a_folder_of_a_renderer() -> None:
         save_exr(f"render/{name}.exr", RGBA=opaque(LIGHT).clip(0, 1), Z=Z)
         save_exr(f"depth/{name}.exr", V=Z)
         save_exr(f"apart/{name}.exr", RGB=LIGHT)
-    recipe = Recipe(RandomUnderwater("3C", contrast=0.5))
+    recipe = Recipe(RandomUnderwater(WATER))
     degrade(recipe, find_items("render", "render"), "own")
     degrade(recipe, find_items("apart", "depth"), "other")
     for name in "ab":
@@ -433,7 +434,7 @@ def test_metres_of_a_sky_in_files() -> None:
         z = np.where(np.arange(H)[:, None] < 0.58 * H, value, Z).astype(np.float32)
         save(f"{name}/a.npy", z)
     save("photos/a.png", pixels(H, W))
-    recipe = Recipe(RandomUnderwater("3C", contrast=0.5, distance=Metres()))
+    recipe = Recipe(RandomUnderwater(WATER, distance=Metres()))
     for name in ("sky", "inf"):
         degrade(recipe, find_items("photos", name), f"wet-{name}")
     assert same("wet-sky", "wet-inf")

@@ -31,10 +31,10 @@ def test_metres_have_nothing_that_is_of_maps(said: dict[str, Any]) -> None:
     [
         # nothing is said
         (None, {}, MadeUp(), None),
-        (None, {"sequence": True}, Plane(1.0, 5.0), None),
+        (None, {"sequence": True}, Plane((1.0, 5.0)), None),
         # metres, or a word
         ("3", {}, Plane(3.0), None),
-        ("2:5.5", {"sequence": True}, Plane(2.0, 5.5), None),
+        ("2:5.5", {"sequence": True}, Plane((2.0, 5.5)), None),
         ("made up", {}, Metres(), "made up"),
         # files, whatever they are called
         ("maps", {}, Metres(), "maps"),

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from deadly import Deadly
 from filing import content, metres, pixels, save, words
 from PIL import Image
 
-from uwaug import RandomDevelopment, RandomUnderwater, Sensor
+from uwaug import Lamp, Light, RandomDevelopment, RandomUnderwater, RandomWater, Sensor
 from uwaug.distance import Metres, Plane, Relative
 from uwaug.files import Item, Recipe, degrade, find_items, read_picture, read_record, replay
 from uwaug.files.pool import on_processes
@@ -29,8 +30,8 @@ from uwaug.files.underwater import _Underwater
 from uwaug.transforms.samples import key_of
 
 H, W = 24, 32
-WATER = RandomUnderwater("II", contrast=None)
-RECIPE = Recipe(RandomUnderwater(["II", "7C"], contrast=(0.3, 0.5)), seed=4)
+WATER = RandomUnderwater(RandomWater("II", contrast=None))
+RECIPE = Recipe(RandomUnderwater(RandomWater(["II", "7C"], contrast=(0.3, 0.5))), seed=4)
 
 
 @pytest.fixture(autouse=True)
@@ -191,7 +192,8 @@ def test_frames_of_a_folder_share_a_draw() -> None:
         frame = int(Path(record["name"]).stem)
         assert moved == pytest.approx(0.004 * frame)
         # the noise of a sensor is that of a frame
-        sample["numbers"]["noise_seed"] = (sample["numbers"]["noise_seed"] - frame) % 2**32
+        noise = sample["development"]["noise"]
+        noise["seed"] = (noise["seed"] - frame) % 2**32
         clips.setdefault((path.parent.name, record["variant"]), []).append(sample)
     assert len(clips) == 4
     assert all(samples == [samples[0]] * 3 for samples in clips.values())
@@ -277,7 +279,7 @@ def test_blank_pictures_are_told_of() -> None:
 
 def test_odd_scenes_are_told_of() -> None:
     save("depth/1.npy", 50 * metres(H, W))
-    recipe = Recipe(RandomUnderwater(contrast=0.4))
+    recipe = Recipe(RandomUnderwater(RandomWater(contrast=0.4)))
     summary = degrade(recipe, items(), "out")
     (odd,) = summary.odd
     assert odd.startswith("1.png: a median of ")
@@ -287,6 +289,15 @@ def test_odd_scenes_are_told_of() -> None:
         assert result.reached is not None
         assert reached == result.reached._asdict()
         assert (reached["contrast"], reached["asked"]) == (0.4, 0.4)
+
+
+def test_a_named_water_by_lamps_in_metres_is_told_of() -> None:
+    lamps = Light((Lamp((0.4, 0.0, 0.0)),))
+    water = RandomWater("II", contrast=0.01)
+    (odd,) = degrade(Recipe(RandomUnderwater(water, light=lamps)), items()[:1], "a.png").odd
+    assert "water II leaves 0.32 of contrast, not 0.01 at 2.5 m: water.contrast_by=contents" in odd
+    by_contents = RandomUnderwater(replace(water, contrast_by="contents"), light=lamps)
+    assert degrade(Recipe(by_contents), items()[:1], "b.png").odd == []
 
 
 def test_formats_and_names() -> None:
@@ -327,7 +338,9 @@ def test_maps_of_other_kinds() -> None:
         ("shares.png", "m", Relative(1.0, 5.0)),
         (None, "m", Plane(3.0)),
     ):
-        transform = RandomUnderwater("II", contrast=None, distance=distance, field=None)
+        transform = RandomUnderwater(
+            RandomWater("II", contrast=None, field=None), distance=distance
+        )
         recipe = Recipe(transform, unit=unit)
         degrade(recipe, find_items("all/0.png", maps), f"{len(made)}.png")
         made.append(read_picture(f"{len(made)}.png").int())
@@ -371,9 +384,9 @@ def test_a_sheet() -> None:
     # what was drawn stands below what was made, under the name
     before, after = (shown[196:210, x : x + 240] for x in (496, 736))
     assert before.min() > 240 > 100 > after.min()
-    params = {"samples": [{"applied": True, "waters": ["7C", "chlorophyll=17.82,cdom=1.5"]}]}
+    waters = ["7C", {"chlorophyll": 17.82, "cdom": 1.5, "minerals": 0.0}]
     record = read_record(Path("out/1.png.json")) | {
-        "params": params,
+        "params": {"samples": [{"applied": True, "water": {"waters": waters}}]},
         "reached": {"metres": 2.345},
         "contrast": 0.4,
     }
@@ -512,7 +525,7 @@ def test_one_bad_picture_does_not_stop_the_rest() -> None:
         ({}, None, "out", "distance is missing: 0.png has no file of it"),
         ({}, "depth", "all", "is read, and would be written over"),
         (
-            {"transform": {"waters": "II"}},
+            {"transform": {"water": "II"}},
             "depth",
             "out",
             "transform must be a uwaug.RandomUnderwater",

@@ -109,7 +109,7 @@ def test_a_sheet_shows_what_is_left(auto):
 
 
 def test_a_fit_draws_pictures_of_its_own_water(water):
-    aug = uwaug.RandomUnderwater(waters=[water.water])
+    aug = uwaug.RandomUnderwater(water.water)
     x, z = torch.rand(3, 30, 40), torch.rand(1, 30, 40) + 1
     assert aug(x, z)[0].shape == x.shape
     assert isinstance(Fit.from_dict(water.to_dict()).water, uwaug.Water)

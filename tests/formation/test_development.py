@@ -67,6 +67,8 @@ def test_stages(stage: str, medium: str, metered: bool) -> None:
 def test_auto_is_0_stops_metered() -> None:
     assert Development("auto") == Development(0.0, metered=True)
     assert Development(exposure="auto", tone=2.0) == Development(tone=2.0, metered=True)
+    with pytest.raises(ValueError, match="exposure 'auto' is metered, got metered=False"):
+        Development("auto", metered=False)
 
 
 # ---- exposure

@@ -1,4 +1,3 @@
-import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,12 +17,12 @@ from uwaug import (
     Medium,
     PointSpread,
     RandomUnderwater,
+    RandomWater,
     Underwater,
     Water,
     contrast_left,
     form_image,
 )
-from uwaug._support import codec
 from uwaug.light import Lamp
 from uwaug.light.rays import Rays
 from uwaug.optics.curves import Curves
@@ -273,11 +272,11 @@ def test_a_drawn_field_moves_no_lamps() -> None:
     """In water so clear that a field does not show."""
     clear = Medium.from_coefficients((1e-7,) * 3, (1e-7,) * 3, (0.0,) * 3)
     light = Light((BESIDE,), daylight=0.0)
-    options: dict[str, Any] = {"waters": clear, "contrast": None, "mixing": 0, "light": light}
-    uneven, even = (RandomUnderwater(**options, field=field) for field in ((0.3, 3.0), None))
+    waters = (RandomWater(clear, field=field) for field in ((0.3, 3.0), None))
+    uneven, even = (RandomUnderwater(water, light=light) for water in waters)
     image, z = (value[0] for value in scene(1))
     params = uneven.make_params(image)
-    without = {"samples": [{**params["samples"][0], "field_seed": None}]}
+    without = {"samples": [{**params["samples"][0], "water": {"waters": ["medium 0"]}}]}
     for found, wanted in (
         (uneven.transform, even.transform),
         (uneven.contrast_left, even.contrast_left),
@@ -309,13 +308,6 @@ def test_modules_take_a_light(exposure: Development) -> None:
         torch.testing.assert_close(compiled(image, z), exact, rtol=0, atol=1e-5)
 
 
-def test_numbers_there_and_back() -> None:
-    light = Light((BESIDE, AROUND), daylight=0.4, view=75.0)
-    assert codec.from_plain(json.loads(json.dumps(codec.to_plain(light)))) == light
-    table = {"lamps": [{"position": [1, 0, 0], "cone": 30}], "daylight": 0.1}
-    assert codec.from_plain(table, Light) == Light((Lamp((1.0, 0.0, 0.0), cone=30.0),), 0.1)
-
-
 @pytest.mark.parametrize(
     "make, message",
     [
@@ -330,7 +322,6 @@ def test_numbers_there_and_back() -> None:
         (lambda: Light((3,)), r"lamps must be a uwaug\.Lamp, got int"),  # type: ignore[arg-type]
         (lambda: Light(daylight=-1.0), "daylight must be finite and ≥ 0"),
         (lambda: Light(view=180.0), r"view must be in \[1, 170\]"),
-        (lambda: Underwater(MEDIUM, light="lamp"), r"light must be a uwaug\.Light, got str"),  # type: ignore[arg-type]
     ],
 )
 def test_wrong_lights_are_refused(make: Callable[[], Any], message: str) -> None:

@@ -18,6 +18,7 @@ from uwaug import (
     MarineSnow,
     Medium,
     RandomUnderwater,
+    RandomWater,
     Sensor,
     Underwater,
     contrast_left,
@@ -156,11 +157,6 @@ def test_more_of_it_adds_particles() -> None:
     np.testing.assert_array_equal(many.z[: len(few.z)], few.z)
 
 
-def test_by_seed() -> None:
-    assert torch.equal(layer(SNOW, far()), layer(replace(SNOW), far()))
-    assert not torch.equal(layer(SNOW, far()), layer(replace(SNOW, seed=6), far()))
-
-
 def test_bright_in_a_beam_faint_in_daylight() -> None:
     z, image = far(), 0.3 * torch.ones(1, 3, *SIZE, dtype=torch.float64)
     shares = []
@@ -269,20 +265,21 @@ def test_in_copies_and_records() -> None:
 
 @pytest.mark.parametrize("waters", ["II", WATER])
 def test_drawn_anew_for_each_picture(waters) -> None:
-    options = {"snow": {"density": [500, 2000], "aperture": 0.002}}
-    plain = RandomUnderwater(waters, field=None)
-    augment = RandomUnderwater(waters, field=None, snow=MarineSnow((500, 2000), aperture=0.002))
-    assert RandomUnderwater.from_dict(options).snow == augment.snow
+    snow = MarineSnow((500, 2000), aperture=0.002)
+    plain = RandomUnderwater(RandomWater(waters, field=None))
+    augment = RandomUnderwater(RandomWater(waters, field=None, snow=snow))
+    options = {"water": {"snow": {"density": [500, 2000], "aperture": 0.002}}}
+    assert RandomUnderwater.from_dict(options).water.snow == snow
     twin = RandomUnderwater.from_dict(json.loads(json.dumps(augment.to_dict())))
-    assert twin.snow == augment.snow
+    assert twin.water.snow == snow
     image, z = picture(*SIZE), far().float()
     record = augment.make_params(image, torch.Generator().manual_seed(3))
     without = plain.make_params(image, torch.Generator().manual_seed(3))
-    drawn = record["samples"][0]["numbers"]
-    numbers = {name: drawn[name] for name in drawn if not name.startswith("snow")}
-    assert numbers == without["samples"][0]["numbers"]
-    assert len(drawn) == len(numbers) + 2
-    assert 500 <= drawn["snow_density"] <= 2000
+    sample = json.loads(json.dumps(record["samples"][0]))
+    drawn = sample["water"].pop("snow")
+    assert sample == without["samples"][0]
+    assert drawn.keys() == {"density", "seed"}
+    assert 500 <= drawn["density"] <= 2000
     ours, again = (
         each.transform(image, z, json.loads(json.dumps(record))) for each in (augment, twin)
     )
@@ -297,6 +294,14 @@ def test_drawn_anew_for_each_picture(waters) -> None:
     assert ((still - moved).abs() < 1e-3).float().mean() > 0.3
 
 
+def test_a_seed_is_kept_and_a_film_adds_to_its_drift() -> None:
+    augment = RandomUnderwater(RandomWater(WATER, snow=replace(SNOW, drift=0.25)))
+    image, z = picture(*SIZE)[0], far().float()[0]
+    (sample,) = augment.make_params(image)["samples"]
+    scenes = augment.scenes(image, z, {"samples": [{**sample, "moved": 0.5}]})
+    assert scenes.settings[0].medium.snow == (replace(SNOW, drift=0.75),)
+
+
 def test_refusals() -> None:
     with pytest.raises(ValueError, match="snow: density"):
         MarineSnow(0.0)
@@ -306,10 +311,13 @@ def test_refusals() -> None:
         MarineSnow(focus=0.0)
     with pytest.raises(ValueError, match="snow: density"):
         WATER.with_snow(MarineSnow((500, 5000)))
-    with pytest.raises(ValueError, match="snow_density"):
-        RandomUnderwater(snow=MarineSnow((5000, 500)))
-    with pytest.raises(TypeError, match="snow"):
-        RandomUnderwater(snow=2000.0)
+    with pytest.raises(ValueError, match="density must be a number or a range"):
+        MarineSnow((5000, 500))
+    with pytest.raises(TypeError, match=r"snow must be a uwaug\.MarineSnow"):
+        RandomWater(snow=2000.0)
+    for seed in (1.5, -1, 2**32):
+        with pytest.raises(ValueError, match="snow: seed must be a whole number"):
+            MarineSnow(seed=seed)
 
 
 def test_onnx_refuses_it(tmp_path: Path) -> None:

@@ -94,14 +94,14 @@ def test_contents_that_no_water_has(content: str, value: Any) -> None:
 @given(st.floats(1e-3, 50), st.floats(1, 30), st.fixed_dictionaries({"cdom": st.floats(0, 1)}))
 def test_draws_lie_in_their_ranges(low: float, ratio: float, shares: dict[str, float]) -> None:
     ranges = Constituents(chlorophyll=3, cdom=(low, low * ratio))
-    drawn = ranges.drawn(shares)
-    assert drawn.fixed
+    drawn = ranges.drawn(shares.__getitem__)
     assert ranges.holds(drawn)
-    assert drawn.cdom == pytest.approx(low * ratio ** shares["cdom"], rel=1e-3)
-    assert Constituents.parse(drawn.name) == drawn
+    cdom = pytest.approx(low * ratio ** shares["cdom"], rel=1e-9)
+    assert drawn == {"chlorophyll": 3, "cdom": cdom, "minerals": 0}
     assert Constituents.parse(ranges.name) == ranges
-    assert not ranges.holds(Constituents(chlorophyll=3.001, cdom=low))
-    assert not ranges.holds(Constituents(chlorophyll=3, cdom=low, minerals=1))
+    for other in ({"chlorophyll": 3.001}, {"minerals": 1.0}, {"salt": 1.0}):
+        assert not ranges.holds({**drawn, **other})
+    assert not ranges.holds({"chlorophyll": 3})
 
 
 @pytest.mark.parametrize("value", [-1, (0, 2), (3, 2), math.nan, (1, math.inf), "5", (1, 2, 3)])
@@ -119,13 +119,11 @@ def test_texts_that_are_no_contents(text: str) -> None:
 
 # A content that is added as the house README says: a line of `UNITS`, a field, its terms
 
+FIELD = "float | tuple[float, float] = number(0.0, 0.0, MAX_CONTENT, logarithmic=True)\n"
 BUBBLES = {
     "optics/constituents.py": {
         '    "minerals": "g/m³",\n': '    "minerals": "g/m³",\n    "bubbles": "1/cm³",\n',
-        "    minerals: float | tuple[float, float] = 0.0\n": (
-            "    minerals: float | tuple[float, float] = 0.0\n"
-            "    bubbles: float | tuple[float, float] = 0.0\n"
-        ),
+        f"    minerals: {FIELD}": f"    minerals: {FIELD}    bubbles: {FIELD}",
         'amounts["minerals"] * SCATTERED_BY_MINERALS\n': (
             'amounts["minerals"] * SCATTERED_BY_MINERALS + 0.1 * amounts["bubbles"]\n'
         ),
@@ -142,14 +140,15 @@ with pytest.raises(ValueError, match=r"bubbles must be in \\[0, 10000\\], got -1
     uwaug.Water.from_constituents(bubbles=-1)
 
 image, distance = torch.rand(3, 8, 8), torch.full((1, 8, 8), 3.0)
-augment = uwaug.RandomUnderwater("chlorophyll=2,bubbles=1:9", contrast=None)
+water = uwaug.RandomWater("chlorophyll=2,bubbles=1:9", contrast=None)
+augment = uwaug.RandomUnderwater(water)
 record = augment.make_params(image, torch.Generator().manual_seed(0))
-(name,) = record["samples"][0]["waters"]
-assert 1 < uwaug.Constituents.parse(name).bubbles < 9
+(amounts,) = record["samples"][0]["water"]["waters"]
+assert 1 < amounts["bubbles"] < 9
 left = augment.contrast_left(image, distance, record)
-without = {"samples": [{**record["samples"][0], "waters": ["chlorophyll=2"]}]}
-augment = uwaug.RandomUnderwater("chlorophyll=2", contrast=None)
-assert (left < 0.8 * augment.contrast_left(image, distance, without)).all()
+record["samples"][0]["water"]["waters"] = ["chlorophyll=2"]
+augment = uwaug.RandomUnderwater(uwaug.RandomWater("chlorophyll=2", contrast=None))
+assert (left < 0.8 * augment.contrast_left(image, distance, record)).all()
 """
 
 

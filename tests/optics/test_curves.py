@@ -158,7 +158,6 @@ def test_width_laws() -> None:
         (PointSpread.paper(0.8), 0.8, 1.0, (800, 518)),
         (PointSpread.calibrated(400.0), 12.0, 0.62, (64, 64)),
         (PointSpread(3.0, 2.0), 3.0, 2.0, (9, 9)),
-        (PointSpread(3.0, 2.0), 3.0, 2.0, (9, 9)),
         (PointSpread.none(), 0.0, 1.0, (9, 9)),
     ):
         width = law.sigma(lengths, size)

@@ -2,6 +2,7 @@
 
 import copy
 import itertools
+import json
 import math
 import pickle
 import re
@@ -16,6 +17,7 @@ from referees import reference
 from scenes import CURVES, Z, coastal
 
 from uwaug import Medium, PointSpread, Water, load_camera
+from uwaug._support import codec
 
 SIGMA = "Sigma SDMerill (NPL)"
 
@@ -176,10 +178,18 @@ def test_to_casts_every_tensor_and_keeps_gradients() -> None:
     assert scale.grad is not None
 
 
-@pytest.mark.parametrize("twin", [copy.deepcopy, lambda m: pickle.loads(pickle.dumps(m))])
-def test_copies(twin: Any) -> None:
-    for medium in (coastal(), coastal(surfaces="spectral")):
-        again = twin(medium)
+COPIES = {
+    "copy": copy.deepcopy,
+    "pickle": lambda medium: pickle.loads(pickle.dumps(medium)),
+    "json": lambda medium: codec.from_plain(json.loads(json.dumps(codec.to_plain(medium))), Medium),
+}
+
+
+@pytest.mark.parametrize("twin", COPIES)
+def test_copies(twin: str) -> None:
+    stack = Medium.stack([Medium.from_water(w, surfaces="spectral") for w in ("I", "II")])
+    for medium in (coastal(), stack, Medium.from_coefficients(**COEFFICIENTS)):
+        again = COPIES[twin](medium)
         pairs = zip(again.tensors(), medium.tensors(), strict=True)
         assert all(torch.equal(a, b) for a, b in pairs)
         assert (again.point_spread, again.notes) == (medium.point_spread, medium.notes)

@@ -65,16 +65,19 @@ def twin_of(settings: dict[str, Any]) -> uwaug.RandomUnderwater:
     law = uwaug.PointSpread.calibrated(0.866 * WIDTH)
     blur = uwaug.PointSpread(law.scale * settings["blur"], law.exponent, law.shape)
     return uwaug.RandomUnderwater(
-        [water],
-        contrast=settings["contrast"],
-        vertical_depth=settings["vertical_depth"],
-        g=settings["g"],
-        mu=settings["mu"],
-        field=None,
-        point_spread=blur,
+        uwaug.RandomWater(
+            water,
+            contrast=settings["contrast"],
+            contrast_by="contents",
+            vertical_depth=settings["vertical_depth"],
+            g=settings["g"],
+            mu=settings["mu"],
+            field=None,
+            point_spread=blur,
+            color_matrix=settings["color_matrix"],
+        ),
         light=None,
         development=uwaug.RandomDevelopment(
-            settings["color_matrix"],
             settings["exposure"],
             white_balance=settings["white_balance"],
             saturation=settings["saturation"],
@@ -134,7 +137,8 @@ def test_waters_are_those_of_the_package(page: Page, every_band: None) -> None:
         twin = twin_of(settings)
         maps = page.distance.double() * settings["times"]
         scenes = twin.scenes(page.image, maps, twin.make_params(page.image))
-        z, (medium, scale, reached) = scenes.z, scenes.waters[0]
+        z, setting = scenes.z, scenes.settings[0]
+        medium, scale, reached = setting.medium, setting.scale, setting.reached
         page.use(settings)
         assert page("water.depth") == pytest.approx(
             float(medium.notes[0].split(", ")[2].split(" m")[0]), rel=1e-5
@@ -165,7 +169,7 @@ def test_pictures_are_those_of_the_package(page: Page, every_band: None) -> None
         twin = twin_of(settings)
         maps = page.distance.double() * settings["times"]
         scenes = twin.scenes(page.image, maps, twin.make_params(page.image))
-        z, medium, development = scenes.z, scenes.waters[0].medium, scenes.developments[0]
+        z, medium, development = scenes.z, scenes.settings[0].medium, scenes.settings[0].development
         J = decoded(page.image[None], "srgb").double()
         soft = blurred_as_seen(J, z.double(), medium, plan_of_page())
         gain = development.gain(J, z.double(), medium)

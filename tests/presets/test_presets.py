@@ -1,4 +1,5 @@
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +11,20 @@ import uwaug
 from uwaug import (
     JERLOV_TYPES,
     Camera,
+    Constituents,
     Development,
+    Lamp,
+    Light,
     Medium,
     PointSpread,
+    RandomDevelopment,
     RandomUnderwater,
+    RandomWater,
     Underwater,
 )
-from uwaug.presets import Preset, list_presets, load_preset
-from uwaug.presets.files import bundled_preset
+from uwaug.distance import Metres, Relative
+from uwaug.presets import list_presets, load_preset
+from uwaug.presets.files import bundled_preset, preset_path
 
 NAMES = list_presets()
 KEPT = np.load(Path(__file__).parent.parent / "data" / "presets.npz")
@@ -54,17 +61,28 @@ def numbers(cells: str) -> torch.Tensor:
     return torch.tensor([float(v) for v in cells.split()], dtype=torch.float64)
 
 
-def ranges(preset: Preset) -> tuple:
-    return preset.near, preset.far, preset.gamma, preset.field_range
+def ranges(preset: RandomUnderwater) -> tuple:
+    z = preset.distance
+    return z.near, z.far, z.gamma, preset.water.field
+
+
+def medium_of(preset: RandomUnderwater) -> Medium:
+    return preset.module().medium
+
+
+def metres(preset: RandomUnderwater, t: torch.Tensor) -> torch.Tensor:
+    """Distances of a map, whose ends are not random."""
+    source = preset.distance
+    return source.metres(t, torch.empty(3, *t.shape[-2:]), source.drawn(lambda name: 0.0))
 
 
 def same(first: Medium, second: Medium) -> bool:
     return all(torch.equal(x, y) for x, y in zip(first.tensors(), second.tensors(), strict=True))
 
 
-def edited(folder: Path, name: str, pattern: str, replacement: str) -> Path:
-    """A bundled preset with its first match of a pattern replaced, as a file of one's own."""
-    text = bundled_preset(name).read_text(encoding="utf-8")
+def edited(folder: Path, preset: str | Path, pattern: str, replacement: str) -> Path:
+    """A preset with its first match of a pattern replaced, as a file of one's own."""
+    text = preset_path(preset).read_text(encoding="utf-8")
     text, count = re.subn(pattern, replacement, text, count=1, flags=re.MULTILINE)
     assert count == 1
     path = folder / "mine.toml"
@@ -84,7 +102,7 @@ def test_tank_rows(model, turbidity):
     row = TANK[turbidity - 1]
     a, b = (numbers(cells) for cells in row[:2])
     preset = load_preset(f"tank-{model}-{turbidity}")
-    medium = preset.medium
+    medium = medium_of(preset)
     assert [f"{v:.2f}" for v in medium.G[0].tolist()] == row[column].split()
     # where a and b, each rounded in print, give the printed G but for their rounding
     assert (a + g * b - medium.G[0]).abs().max() <= 0.005 * (2 + g) + 1e-12
@@ -96,8 +114,8 @@ def test_tank_rows(model, turbidity):
     law = PointSpread(scale, 1.0, reference_size=518) if scale else PointSpread.none()
     assert medium.point_spread == law
     assert ranges(preset) == (0.3, 0.7, 1.0, (0.3, 1.7))
-    assert preset.color_space == "linear"
-    assert preset.spectral is None
+    assert preset.development.color_space == "linear"
+    assert preset.water.has_media
 
 
 @pytest.mark.parametrize("name", PRINTED)
@@ -106,23 +124,24 @@ def test_spectral_rows(name, water):
     g, mu, scale, *rest = PRINTED[name]
     preset = load_preset(name, water=water)
     kind = water or {"s": "7C", "e": "5C", "d": "II"}[name[0]]
-    assert same(preset.medium, Medium.from_water(kind, vertical_depth=1.0, g=g, mu=mu))
-    assert preset.medium.point_spread == PointSpread.paper(scale)
+    assert same(medium_of(preset), Medium.from_water(kind, vertical_depth=1.0, g=g, mu=mu))
+    assert medium_of(preset).point_spread == PointSpread.paper(scale)
     assert ranges(preset) == tuple(rest)
-    assert preset.color_space == "linear"
-    assert preset.source.startswith("arXiv:2509.15011")
+    assert preset.development.color_space == "linear"
+    assert bundled_preset(name).read_text(encoding="utf-8").startswith("# arXiv:2509.15011")
 
 
 def test_calibrated_is_the_width_law_for_60_degrees_across():
     preset = load_preset("calibrated")
-    law, size = preset.medium.point_spread, (518, 691)
+    law, size = medium_of(preset).point_spread, (518, 691)
     expected = PointSpread.calibrated(691 / 2 / torch.tensor(30.0).deg2rad().tan().item())
     z = torch.tensor([0.5, 1.0, 4.0]).reshape(1, 1, 1, 3)
     torch.testing.assert_close(law.sigma(z, size), expected.sigma(z, size), rtol=1e-3, atol=0)
     assert (law.shape, law.exponent) == (expected.shape, expected.exponent)
-    assert preset.color_space == "srgb"
+    assert preset.development.color_space == "srgb"
     for type in JERLOV_TYPES:  # below a white plate
-        assert load_preset("calibrated", water=type).medium.veil_weights.sum(-1).max() < 1
+        medium = medium_of(load_preset("calibrated", water=type))
+        assert medium.veil_weights.sum(-1).max() < 1
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -130,30 +149,44 @@ def test_pictures_of_presets(name):
     preset = load_preset(name)
     image, t, field = (torch.from_numpy(KEPT[key]).double() for key in ("image", "t", "field"))
     module = preset.module()
-    assert module.distance_range == tuple(
-        z * m for z, m in zip((preset.near, preset.far), preset.field_range, strict=True)
-    )
-    result = module(image / 255, preset.distance(t), field)
+    z, (thin, dense) = preset.distance, preset.water.field
+    assert module.distance_range == (z.near * thin, z.far * dense)
+    result = module(image / 255, metres(preset, t), field)
     assert np.abs(result.numpy() - KEPT[name]).max() < 1e-5
 
 
 def test_fields_and_sides():
     preset = load_preset("survey")
-    first, second = (preset.field((8, 8), torch.Generator().manual_seed(3)) for _ in range(2))
+    drawn = preset.make_params(torch.empty(3, 8, 8))["samples"][0]["water"]
+    first, second = (preset.water.fields([drawn], [], torch.ones(1, 1, 8, 8)) for _ in range(2))
     assert torch.equal(first, second)
-    assert (float(first.min()), float(first.max())) == pytest.approx(preset.field_range)
+    assert (float(first.min()), float(first.max())) == pytest.approx(preset.water.field)
     assert preset.module(sides=(32, 700)).sides == (32, 700)
+    assert preset.module(distance_range=(0.5, 9.0)).distance_range == (0.5, 9.0)
 
 
 @pytest.mark.filterwarnings("ignore:less than 3 % of the contrast")
-@pytest.mark.parametrize(("name", "water"), [("survey", "IA"), ("tank-proposed-2", None)])
-def test_a_random_transform_from_a_preset(name, water):
-    preset = load_preset(name, water=water)
+@pytest.mark.parametrize("name", NAMES)
+def test_a_preset_makes_the_picture_of_its_module(name):
+    preset = load_preset(name)
     image, t = (torch.from_numpy(KEPT[key]) for key in ("image", "t"))
-    z = preset.distance(t)
-    expected = preset.module()(image, z)
-    drawn = RandomUnderwater.from_preset(name, water=water, field=None)(image, z)[0]
-    assert (drawn.int() - expected.int()).abs().max() <= 1
+    expected = preset.module()(image, metres(preset, t))
+    even = replace(preset, water=replace(preset.water, field=None))
+    of_metres = replace(even, distance=Metres())
+    for made in (even(image, t)[0], of_metres(image, metres(preset, t))[0]):
+        assert (made.int() - expected.int()).abs().max() <= 1
+
+
+@pytest.mark.filterwarnings("ignore:less than 3 % of the contrast")
+@pytest.mark.parametrize("lamps", [(), (Lamp((0.3, -0.3, 0.0)),)])
+def test_a_module_is_as_deep_as_its_transform_by_lamps_and_by_daylight(lamps):
+    law = PointSpread.calibrated(30)
+    water = RandomWater("9C", **{**RandomWater.PLAIN, "vertical_depth": 12.0, "point_spread": law})
+    metered = RandomDevelopment(**{**RandomDevelopment.PLAIN, "metered": True})
+    transform = RandomUnderwater(water, light=Light(lamps), development=metered)
+    image, z = rand(3, 20, 24).float(), torch.full((1, 20, 24), 2.0)
+    made, expected = transform(image, z)[0], transform.module()(image, z)
+    assert (made - expected).square().mean().sqrt() < 1e-3  # of noise, by other plans
 
 
 # ------------------------------------------------------------------------ files of one's own
@@ -161,73 +194,128 @@ def test_a_random_transform_from_a_preset(name, water):
 
 def test_a_camera_that_develops_spectral_surfaces(tmp_path):
     numbers = {"exposure": 0.5, "white_balance": 0.6, "gamut": 1.0}
-    lines = "\n".join(f"{name} = {value}" for name, value in numbers.items())
-    path = edited(tmp_path, "calibrated", r"^\[field\]", f"[development]\n{lines}\n[field]")
-    spectral = 'surfaces = "spectral"\ncolor_matrix = 0.7\n'
-    path.write_text(path.read_text().replace("g = 0.05\n", f"g = 0.05\n{spectral}"))
+    path = edited(tmp_path, "calibrated", r"^color_matrix = .*", "color_matrix = 0.7")
+    for name, value in numbers.items():
+        path = edited(tmp_path, path, rf"^{name} = .*", f"{name} = {value}")
     preset = load_preset(path, water="II")
-    law = preset.medium.point_spread
+    law = medium_of(preset).point_spread
     medium = Medium.from_water(
         "II", g=0.05, point_spread=law, surfaces="spectral", color_matrix=0.7
     )
     image, z = rand(3, 20, 24).float(), torch.full((1, 20, 24), 3.0)
     expected = Underwater(medium, (0.7, 6.5), development=Development(**numbers))(image, z)
     assert torch.equal(preset.module()(image, z), expected)
-    drawn = RandomUnderwater.from_preset(path, water="II", field=None)
+    drawn = replace(preset, water=replace(preset.water, field=None), distance=Metres())
     assert (drawn(image, z)[0] - expected).square().mean().sqrt() < 1e-3  # of noise, by other plans
 
 
 def test_water_and_camera_in_place_of_the_files(tmp_path):
     camera = Camera([400, 500, 600, 700], [[0, 0, 1], [0, 1, 1], [1, 1, 0], [1, 0, 0]], "box")
-    ours = load_preset("survey", camera=camera).medium
+    ours = medium_of(load_preset("survey", camera=camera))
     paper = {"g": 0.2, "mu": 0.3}
     assert same(ours, Medium.from_water("7C", camera, **paper))
     (tmp_path / "box.csv").write_text("wavelength,R,G,B\n400,0,0,1\n550,0,1,0\n700,1,0,0\n")
     (tmp_path / "harbour.csv").write_text("wavelength,a,b,kd\n400,.5,1,.7\n700,.7,1,.8\n")
     path = edited(
-        tmp_path, "survey", r"^water = .*\ncamera = .*", 'water = "harbour.csv"\ncamera = "box.csv"'
+        tmp_path,
+        "survey",
+        r"^waters = .*\ncamera = .*",
+        'waters = "harbour.csv"\ncamera = "box.csv"',
     )
+    theirs = Medium.from_water(tmp_path / "harbour.csv", tmp_path / "box.csv", **paper)
     for given in (path, str(path)):
-        preset = load_preset(given)
-        assert preset.name == "mine"
-        theirs = Medium.from_water(tmp_path / "harbour.csv", tmp_path / "box.csv", **paper)
-        assert same(preset.medium, theirs)
-    text = edited(tmp_path, "survey", r"^water = .*", 'water = "chlorophyll=5,cdom=0.3"')
-    assert same(load_preset(text).medium, Medium.from_water("chlorophyll=5,cdom=0.3", **paper))
+        assert same(medium_of(load_preset(given)), theirs)
+    several = edited(tmp_path, path, r"^waters = .*", 'waters = ["harbour.csv", "II"]')
+    assert load_preset(several).water.names == ["harbour", "II"]
+    contents = edited(tmp_path, "survey", r"^waters = .*", "waters = {chlorophyll = [1, 9]}")
+    assert load_preset(contents).water.waters == (Constituents(chlorophyll=(1, 9)),)
+    assert load_preset(contents, water="II").water.waters == "II"
+    text = edited(tmp_path, "survey", r"^waters = .*", 'waters = "chlorophyll=5,cdom=0.3"')
+    assert same(medium_of(load_preset(text)), Medium.from_water("chlorophyll=5,cdom=0.3", **paper))
 
 
-def test_what_may_be_left_out(tmp_path):
+def test_what_is_left_out_is_as_in_the_library(tmp_path):
     path = tmp_path / "least.toml"
-    path.write_text('source = "me"\n[water]\nwater = "II"\n[distance]\nnear = 1\nfar = 2\n')
-    preset = load_preset(path)
-    assert same(preset.medium, Medium.from_water("II"))
-    assert ranges(preset) == (1, 2, 1.0, (1.0, 1.0))
-    assert (preset.color_space, preset.development) == ("srgb", Development())
-    assert preset.options()["field"] is None
+    path.write_text('water = "II"\n[distance]\nkind = "Relative"\nfar = 2\n')
+    ours = RandomUnderwater("II", distance=Relative(far=2))
+    assert load_preset(path).to_dict() == ours.to_dict()
+    path.write_text("")
+    assert load_preset(path).to_dict() == RandomUnderwater().to_dict()
+
+
+DRAWN = {
+    "light": "light.share",
+    "waters": "water.waters",
+    "contrast": "water.contrast",
+    "color_matrix": "water.color_matrix",
+    "vertical_depth": "water.vertical_depth",
+    "mu": "water.mu",
+    "exposure": "development.exposure",
+    "white_balance": "development.white_balance",
+    "saturation": "development.saturation",
+    "gamut": "development.gamut",
+    "tone": "development.tone",
+}
+"""What differs from picture to picture where a line is left out."""
+
+FIXED = [
+    *("camera", "g", "field", "exponent", "reference_size"),
+    *("near", "far", "gamma", "color_space", "metered"),
+]
+"""What is the same for all pictures where a line is left out."""
+
+
+def test_these_are_all_lines_of_a_preset():
+    text = bundled_preset("survey").read_text(encoding="utf-8")
+    assert {*re.findall(r"^\w+(?= =)", text, re.MULTILINE)} == {*DRAWN, *FIXED, "kind", "scale"}
+
+
+@pytest.mark.parametrize("line", DRAWN)
+def test_what_is_drawn_where_a_line_is_left_out_makes_no_module(tmp_path, line):
+    preset = load_preset(edited(tmp_path, "survey", rf"^{line} = .*\n", ""))
+    with pytest.raises(ValueError, match=rf"{DRAWN[line]}\b.* differ: fix them"):
+        preset.module()
+
+
+@pytest.mark.filterwarnings("ignore:less than 3 % of the contrast")
+@pytest.mark.parametrize("line", ["mu", *FIXED])
+def test_a_line_that_is_left_out_is_the_same_to_module_and_transform(tmp_path, line):
+    without = "" if line != "mu" else 'mu = "none"\n'  # 1.5·g
+    preset = load_preset(edited(tmp_path, "survey", rf"^{line} = .*\n", without))
+    preset = replace(preset, water=replace(preset.water, field=None))
+    image, t = (torch.from_numpy(KEPT[key]) for key in ("image", "t"))
+    expected = preset.module()(image, metres(preset, t))
+    assert (preset(image, t)[0].int() - expected.int()).abs().max() <= 1
 
 
 REFUSED = [
-    ("survey", r"^water = .*", 'water = "harbour"', "[water] water must be one of I, IA"),
-    ("survey", r"^mu =", "haze =", "'haze'"),
-    ("survey", r"^\[field\]", "[noise]", "'noise'"),
-    ("survey", r"^far = .*", "", "[distance] missing 1 required positional argument: 'far'"),
-    ("survey", r"^source = .*", "", "missing 1 required keyword-only argument: 'source'"),
-    ("survey", r"^g = .*", 'g = "0.2"', "[water] g must be"),
-    ("survey", r"^g = .*", "g = 20", "[water] g must be in [0, 1], got 20"),
-    ("survey", r"^far = .*", "far = 1.0", "[distance] far must be > near = 1.0, got 1.0"),
-    ("survey", r"^far = .*", "far = nan", "[distance] far must be finite and ≥ 0, got nan"),
-    ("survey", r"^gamma = .*", "gamma = 0", "[distance] gamma must be finite and > 0, got 0"),
-    ("survey", r"^low = .*", "low = 0", "[field] low must be finite and > 0, got 0"),
-    ("survey", r"^high = .*", "high = 0.5", "[field] high must be ≥ low = 0.7, got 0.5"),
+    ("survey", r"^waters = .*", 'waters = "harbour"', "water must be one of I, IA"),
+    ("survey", r"^mu =", "haze =", "RandomWater has no 'haze', only waters, contrast,"),
+    ("survey", r"^\[development\]", "[noise]", "RandomUnderwater has no 'noise', only water,"),
+    ("survey", r"^light = .*", "lihgt = 1", "did you mean light?"),
+    ("survey", r"^kind = .*", "", "distance must be a uwaug.Source, got dict; give Metres,"),
+    ("survey", r"^kind = .*", 'kind = "Relativ"', "did you mean Relative?"),
+    ("survey", r"^g = .*", 'g = "0.2"', "g must be a number or a range"),
+    (
+        "survey",
+        r"^g = .*",
+        "g = 20",
+        "g must be a number or a range (low, high) with low ≤ high, in",
+    ),
+    ("survey", r"^far = .*", "far = 1.0", "near must lie below far, got near = 1.0 and far = 1.0"),
+    ("survey", r"^far = .*", "far = nan", "far must be a number or a range"),
+    ("survey", r"^gamma = .*", "gamma = 0", "gamma must be a number or a range"),
+    ("survey", r"^field = .*", "field = [-1, 1]", "field must be a number or a range"),
+    ("survey", r"^field = .*", "field = [0.7, 0.5]", "got (0.7, 0.5)"),
     ("survey", r"^scale = .*", "scale = -1", "scale must be finite and ≥ 0"),
     ("survey", r"^color_space = .*", 'color_space = "sRGB"', "must be one of srgb, linear"),
     ("survey", r"^\[water\]", "water", "not a TOML file"),
-    ("survey", r"^\[water\]", "[coefficients]", "[coefficients]"),
-    ("survey", r"^\[field\]", "[development]\ngamut = 2.0\n[field]", "gamut must be in [0, 1]"),
-    ("survey", r"^\[field\]", "[development]\ngamma = 2.0\n[field]", "'gamma'"),
+    ("survey", r"^gamut = .*", "gamut = 2.0", "gamut must be a number or a range"),
+    ("survey", r"^gamut = .*", "gamma = 2.0", "RandomDevelopment has no 'gamma'"),
     ("tank-proposed-1", r"^beta = .*", "beta = [0.72, 0.77]", "beta must have shape (3,)"),
-    ("tank-proposed-1", r"^G = .*", "G = [99.0, 2.82, 3.65]", "[coefficients] G must be"),
-    ("tank-proposed-1", r"^\[field\]", '[water]\nwater = "II"\n[field]', "one of the tables"),
+    ("tank-proposed-1", r"^veil = .*", "", "Medium: Medium.from_coefficients() missing 1"),
+    ("tank-proposed-1", r"^G = .*", "G = [99.0, 2.82, 3.65]", "G must be"),
+    ("tank-proposed-1", r'^kind = "Medium"', "", "Water has no 'beta'"),
 ]
 """What takes the place of a pattern in a preset's file, and what is said of it."""
 

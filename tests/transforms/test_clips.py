@@ -84,11 +84,10 @@ def test_a_whole_clip_is_settled_on_its_middle_frame(frames):
     batch, maps = (torch.stack(each) for each in zip(*frames[0], strict=True))
     params = augment.make_params(batch[0])
     record, middle = augment.for_clip(params, batch, maps), augment.for_clip(params, *frames[0][4])
-    samples = record["samples"]
-    assert len(samples) == 8
-    assert len({sample["numbers"].pop("noise_seed") for sample in samples}) == 8
-    middle["samples"][0]["numbers"].pop("noise_seed")
-    assert samples == middle["samples"] * 8
+    samples = record["samples"] + middle["samples"]
+    seeds = [sample["development"]["noise"].pop("seed") for sample in samples]
+    assert len(set(seeds[:8])) == 8
+    assert samples == middle["samples"] * 9
 
 
 def test_a_video_is_a_film(torchvision, frames):

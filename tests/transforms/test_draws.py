@@ -6,44 +6,52 @@ from typing import Any
 
 import pytest
 import torch
-from augmenting import distances, picture
+from augmenting import distances, flat, picture, same
 from torch import Tensor
 
-from uwaug import KeepVisible, RandomDevelopment, RandomLight, RandomUnderwater, Sensor
-from uwaug.distance import MadeUp, Source
+from uwaug import (
+    KeepVisible,
+    MarineSnow,
+    RandomDevelopment,
+    RandomLight,
+    RandomUnderwater,
+    RandomWater,
+    Sensor,
+)
+from uwaug._support.nouns import number
+from uwaug.distance import MadeUp, Relative, Source
 from uwaug.formation.colour import srgb_to_linear
 from uwaug.transforms import Measured
 from uwaug.transforms.draws import uniform_of
 
 OTHERS: dict[str, dict[str, Any]] = {
-    "mu": {"mu": (0.01, 0.05)},
-    "no contrast": {"contrast": None},
-    "no field": {"field": None},
-    "half of the pictures": {"p": 0.5},
-    "mixed": {"mixing": (0, 1)},
+    "mu": {"water": RandomWater(mu=(0.02, 0.04))},
+    "contrast": {"water": RandomWater(contrast=None)},
+    "field_seed": {"water": RandomWater(field=None)},
+    "mixing": {"water": RandomWater(mixing=(0, 1))},
+    "color_matrix": {"water": RandomWater(color_matrix=None)},
+    "snow": {"water": RandomWater(snow=MarineSnow((500, 2000)))},
     "noise": {"development": RandomDevelopment(noise=Sensor((2000, 5000), (1, 5)))},
-    "grey": {"development": RandomDevelopment(color_matrix=None)},
-    "made up": {"distance": MadeUp()},
-    "night": {"light": RandomLight(share=1.0)},
+    "distance": {"distance": MadeUp()},
+    "light": {"light": RandomLight(share=1.0)},
+    "applied": {"p": 0.5},
 }
 
 
 def drawn(**options: Any) -> list[dict[str, Any]]:
     generator = torch.Generator().manual_seed(5)
-    samples: list[dict[str, Any]] = RandomUnderwater(**options).make_params(picture(4), generator)[
-        "samples"
-    ]
-    return samples
+    record = RandomUnderwater(**options).make_params(picture(16), generator)
+    return [flat(sample) for sample in record["samples"]]
 
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_an_option_moves_no_other_number_and_no_other_picture(name: str) -> None:
+    changed = set()
     for usual, other in zip(drawn(), drawn(**OTHERS[name]), strict=True):
-        assert usual["waters"][0] == other["waters"][0]
-        shared = usual["numbers"].keys() & other["numbers"].keys() - OTHERS[name].keys()
-        assert len(shared) >= 8
-        assert {n: usual["numbers"][n] for n in shared} == {n: other["numbers"][n] for n in shared}
-        assert other["field_seed"] in (usual["field_seed"], None)
+        assert usual.pop("water.waters")[0] == other.pop("water.waters")[0]
+        changed |= {n for n in {*usual, *other} if usual.get(n) != other.get(n)}
+    assert changed
+    assert all(name in n.split(".") for n in changed)
 
 
 def test_numbers_of_other_names_and_seeds_are_independent() -> None:
@@ -55,32 +63,58 @@ def test_numbers_of_other_names_and_seeds_are_independent() -> None:
     assert (torch.corrcoef(torch.stack([table[1:, 0], table[:-1, 0]]))[0, 1]).abs() < 0.05
 
 
-@pytest.mark.parametrize("name", ["contrast", "waters", "distance", "p", "development"])
-def test_options_are_read_only(name: str) -> None:
-    augment = RandomUnderwater("7C")
-    with pytest.raises(AttributeError, match=rf"{name} is read-only: dataclasses.replace\(trans"):
-        setattr(augment, name, 0.5)
-    with pytest.raises(AttributeError, match="min_contrast is read-only"):
-        KeepVisible(augment).min_contrast = 0.5
-    assert augment.eval().training is False
-    assert replace(augment, contrast=0.5).to_dict()["contrast"] == 0.5
-    assert "contrast" not in augment.to_dict()
+AUGMENT = RandomUnderwater("7C")
+OPTIONS: list[tuple[Any, str]] = [
+    *[(AUGMENT, n) for n in ("water", "distance", "light", "development", "p", "keys")],
+    (KeepVisible(AUGMENT), "min_contrast"),
+    (RandomWater(), "contrast"),
+    (RandomLight(), "share"),
+    (RandomDevelopment(), "exposure"),
+    (MadeUp(), "near"),
+    (MarineSnow(), "seed"),
+]
+
+
+@pytest.mark.parametrize("owner, name", OPTIONS)
+def test_options_are_read_only(owner: Any, name: str) -> None:
+    said = f"cannot assign to field '{name}'|{name} is read-only: dataclasses.replace"
+    with pytest.raises(AttributeError, match=said):
+        setattr(owner, name, 0.5)
+
+
+def test_another_transform_has_other_options() -> None:
+    assert AUGMENT.eval().training is False
+    assert replace(AUGMENT, p=0.5).to_dict()["p"] == 0.5
+    assert "p" not in AUGMENT.to_dict()
+
+
+def test_lists_stay_the_callers_own() -> None:
+    waters, contrast, near, keys = ["II", "7C"], [0.2, 0.4], [1.0, 2.0], ["a", "b"]
+    snow = MarineSnow([500.0, 600.0])
+    water = RandomWater(waters, contrast=contrast, snow=snow)
+    augment = RandomUnderwater(water, distance=Relative(near, 5.0), keys=keys)
+    before, drawn = augment.to_dict(), augment.at(0, 0, 0)({"a": picture(), "b": distances()})
+    for own in (waters, contrast, near, keys):
+        own[0] = own[1]
+    assert augment.to_dict() == before
+    assert same(augment.at(0, 0, 0)({"a": picture(), "b": distances()})["a"], drawn["a"])
+    assert (water.waters, snow.density) == (("II", "7C"), (500.0, 600.0))
 
 
 @dataclass(frozen=True)
 class Brightness(Source):
-    """Distances of a network that takes sRGB, with a number of its own."""
+    """Distances of a network that takes sRGB, with numbers of its own."""
 
     reads_maps = False
     reads_pictures = True
 
-    def ranges(self) -> dict[str, Any]:
-        return {"metres a unit": (1.0, 2.0)}
+    power: Any = number((0.1, 0.2), 0.0)
 
-    def metres(
-        self, distance: Tensor | None, image: Tensor, numbers: Mapping[str, float]
-    ) -> Tensor:
-        return 0.1 + numbers["metres a unit"] * image[:1]
+    def ranges(self) -> dict[str, Any]:
+        return {**super().ranges(), "metres a unit": (1.0, 2.0)}
+
+    def metres(self, distance: Tensor | None, image: Tensor, drawn: Mapping[str, Any]) -> Tensor:
+        return drawn["power"] + drawn["metres a unit"] * image[:1]
 
 
 def test_a_source_that_reads_pictures_gets_srgb() -> None:
@@ -88,24 +122,27 @@ def test_a_source_that_reads_pictures_gets_srgb() -> None:
     metres = []
     for space, image in (("srgb", srgb), ("linear", srgb_to_linear(srgb))):
         development = RandomDevelopment(color_space=space)  # type: ignore[arg-type]
-        augment = RandomUnderwater(distance=Brightness(), development=development, contrast=None)
+        water = RandomWater(contrast=None)
+        augment = RandomUnderwater(water, distance=Brightness(), development=development)
         record = augment.make_params(image, torch.Generator().manual_seed(1))
         metres.append(augment.scenes(image, None, record).metres)
+        assert record["samples"][0]["distance"].keys() == {"power", "metres a unit"}
     torch.testing.assert_close(*metres, rtol=0, atol=1e-5)
 
 
 def test_what_is_measured_of_a_film_takes_the_place_of_a_frame() -> None:
     own = Measured(64, 0.0, 1.0, 1.0, 4.0, 2.0)
-    film = own.of_film({"median": 3.0, "exposure": 0.5, "white_balance": [1.0, 2.0, 3.0]})
-    assert film == (64, 0.0, 1.0, 1.0, 4.0, 3.0, 0.5, (1.0, 2.0, 3.0))
-    assert own.of_film({}) == own
+    settled = {"median": 3.0, "exposure": 0.5, "white_balance": [1.0, 2.0, 3.0]}
+    balance = {"white_balance": (1.0, 2.0, 3.0)}
+    assert own.of_film(settled, 0.5) == own._replace(**{**settled, **balance}, moved=0.5)
+    assert own.of_film({}, 0.0) == own
 
 
 def test_median_and_ends_are_those_of_what_is_not_open_water() -> None:
-    augment, z = RandomUnderwater(contrast=None, field=None), 1 + distances()
+    augment, z = RandomUnderwater(RandomWater(contrast=None, field=None)), 0.1 + distances()
     z[..., :20, :] = torch.inf
     scenes = augment.scenes(picture(), z, augment.make_params(picture()))
-    nearest, median, farthest = scenes.spans[0]
+    nearest, median, farthest = scenes.settings[0].span
     rest = z[z < torch.inf]
     assert (nearest, farthest) == (rest.min(), rest.max())
     assert median == pytest.approx(float(rest.median()), rel=0.1)

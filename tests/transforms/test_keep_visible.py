@@ -10,14 +10,14 @@ import torch
 from augmenting import same
 from torch import Tensor
 
-from uwaug import KeepVisible, RandomUnderwater
+from uwaug import KeepVisible, RandomUnderwater, RandomWater
 from uwaug.distance import Network
 
 H, W = 40, 60
 NEAR = [4.0, 5.0, 24.0, 30.0]
 FAR = [34.0, 2.0, 58.0, 38.0]
 BOTH = [20.0, 10.0, 40.0, 30.0]
-AUGMENT = RandomUnderwater("3C", contrast=None, field=None)
+AUGMENT = RandomUnderwater(RandomWater("3C", contrast=None, field=None))
 KEEP = KeepVisible(AUGMENT, 0.05)
 
 
@@ -59,7 +59,7 @@ def test_what_is_far_is_taken_out() -> None:
 
 
 def test_the_contrast_is_that_of_the_picture() -> None:
-    aug = RandomUnderwater("3C", contrast=None, field=(0.5, 2.0))
+    aug = RandomUnderwater(RandomWater("3C", contrast=None, field=(0.5, 2.0)))
     torch.manual_seed(3)
     record = aug.make_params(image())
     left = aug.contrast_left(image(), distance(), record)
@@ -106,8 +106,11 @@ def test_the_draws_are_those_of_the_augmentation_alone() -> None:
 
 def test_a_picture_left_alone_keeps_everything() -> None:
     picture = image()
-    degraded, _, found = KeepVisible(RandomUnderwater(p=0.0), 1.0)(picture, distance(), target())
+    aug = RandomUnderwater(p=0.0)
+    degraded, _, found = KeepVisible(aug, 1.0)(picture, distance(), target())
     assert degraded is picture
+    left = aug.contrast_left(picture, distance(), aug.make_params(picture))
+    assert torch.equal(left, torch.ones(1, H, W))
     assert found["contrast"].tolist() == [1, 1, 1]
 
 
@@ -229,9 +232,3 @@ def test_other_refusals() -> None:
         KeepVisible(0.05)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"min_contrast must be in \[0, 1\]"):
         KeepVisible(AUGMENT, 5)
-
-
-def test_all_of_a_dry_picture_can_be_seen() -> None:
-    aug = RandomUnderwater(p=0)
-    record = aug.make_params(image())
-    assert torch.equal(aug.contrast_left(image(), distance(), record), torch.ones(1, H, W))

@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 import torch
-from augmenting import same
+from augmenting import flat, same
 from torch import Tensor
 
 import uwaug
-from uwaug import KeepVisible, RandomUnderwater, Sensor
+from uwaug import KeepVisible, MarineSnow, RandomUnderwater, RandomWater, Sensor
 from uwaug.distance import MadeUp
 from uwaug.distance.doubts import first_maps
 from uwaug.formation.colour import srgb_to_linear
@@ -35,8 +35,9 @@ def maps(count: int) -> Tensor:
 
 def in_water(water: str, contrast: float) -> Tensor:
     """What stands for a photograph: another picture in one water."""
-    augment = RandomUnderwater(water, contrast=contrast, light=None)
-    wet: Tensor = augment.at(0, 0, 0)(pictures(1, 9), maps(1))[0][0]
+    noun = RandomWater(water, contrast=contrast, contrast_by="contents")
+    augment = RandomUnderwater(noun, light=None)
+    wet: Tensor = augment.at(0, 0, 6)(pictures(1, 9), maps(1))[0][0]
     return wet
 
 
@@ -67,15 +68,17 @@ def test_draws_look_like_the_photograph() -> None:
 
 def test_water_is_kept_and_the_rest_is_drawn_anew() -> None:
     noisy = RandomDevelopment(noise=Sensor((2000, 9000)))
-    augment = RandomUnderwater(distance=MadeUp(), development=noisy)
+    snowy = RandomWater(snow=MarineSnow((500, 5000)))
+    augment = RandomUnderwater(snowy, distance=MadeUp(), development=noisy)
     found = uwaug.like(GREEN, pictures(2), augment=augment, **FEW)
-    samples = found.make_params(pictures(40))["samples"]
-    assert len({s["numbers"]["contrast"] for s in samples}) == 3
-    assert len({s["numbers"]["full_well"] for s in samples}) == 3
-    for name in ("scene", "near", "noise_seed"):
-        assert len({s["numbers"][name] for s in samples}) == 40
-    assert len({s["field_seed"] for s in samples}) == 40
-    assert found.development == noisy
+    assert not any("seed" in name for kept in found.kept for name in flat(kept))
+    samples = [flat(sample) for sample in found.make_params(pictures(40))["samples"]]
+    for name in ("water.contrast", "water.snow.density", "development.noise.full_well"):
+        assert len({sample[name] for sample in samples}) == 3
+    seeds = ("water.field_seed", "water.snow.seed", "development.noise.seed")
+    for name in (*seeds, "distance.scene", "distance.near"):
+        assert len({sample[name] for sample in samples}) == 40
+    assert (found.water, found.development) == (snowy, noisy)
 
 
 def test_it_is_written_and_read_as_any_other() -> None:
@@ -109,15 +112,17 @@ def test_the_same_seed_keeps_the_same_draws() -> None:
 
 def test_each_of_several_photographs_is_kept_for() -> None:
     blue = in_water("II", 0.3)
-    options = {"augment": RandomUnderwater(["II", "9C"]), "draws": 180, "keep": 3}
+    water = RandomWater(["II", "9C"], contrast_by="contents")
+    options = {"augment": RandomUnderwater(water), "draws": 180, "keep": 3}
     found = uwaug.like([GREEN, (blue * 255).byte()], list(pictures(4)), maps(4), **options)
     assert len(found.kept) == 6
-    assert {one["waters"][0] for one in found.kept[:3]} == {"9C"}
-    assert "II" in {one["waters"][0] for one in found.kept[3:]}
+    names = [one["water"]["waters"][0] for one in found.kept]
+    assert set(names[:3]) == {"9C"}
+    assert "II" in names[3:]
 
 
 def test_pictures_that_are_left_alone_are_not_looked_at() -> None:
-    augment = RandomUnderwater("9C", p=0.0)
+    augment = RandomUnderwater(RandomWater("9C", contrast_by="contents"), p=0.0)
     found = uwaug.like(GREEN, pictures(2), maps(2), augment=augment, **FEW)
     assert found.nearness is not None
     assert found.nearness.kept < 1
@@ -170,11 +175,13 @@ def test_what_is_refused(options: dict[str, Any], words: str) -> None:
 
 
 def test_kept_draws_are_draws_of_the_transform() -> None:
-    good = {"waters": ["9C"], "numbers": {"contrast": 0.3}}
-    assert UnderwaterLike("9C", kept=[good]).make_params(GREEN)["samples"][0]["waters"] == ["9C"]
-    for bad in ({**good, "waters": ["II"]}, {**good, "numbers": {"contrast": 3.0}}):
+    (drawn,) = UnderwaterLike("9C", kept=[{"water": {"contrast": 0.3}}]).make_params(GREEN)[
+        "samples"
+    ]
+    assert (drawn["water"]["waters"], drawn["water"]["contrast"]) == (["9C"], 0.3)
+    for bad in ({"waters": ["II"]}, {"contrast": 3.0}, {"salt": 3.0}):
         with pytest.raises(ValueError, match=r"params"):
-            UnderwaterLike("9C", kept=[bad])
+            UnderwaterLike("9C", kept=[{"water": bad}])
     with pytest.raises(ValueError, match="at least one"):
         UnderwaterLike("9C", kept=[])
 

@@ -8,7 +8,7 @@ from loading import SIZE, Crops, DegradeBatch, Epochs, Keyed, Pairs
 from torch import Tensor
 from torch.utils.data import DataLoader
 
-from uwaug import RandomUnderwater
+from uwaug import RandomUnderwater, RandomWater
 
 pytestmark = [
     # Python ≥ 3.12 warns of every fork with threads
@@ -36,7 +36,8 @@ def loader(
 @pytest.mark.parametrize("persistent", [False, True])
 def test_workers_and_epochs_draw_anew_and_records_replay(persistent: bool, crops: Crops) -> None:
     torch.manual_seed(1)
-    augment = RandomUnderwater(["II", "1C"], mixing=(0, 1), contrast=(0.2, 0.4), g=(0.1, 0.3))
+    water = RandomWater(["II", "1C"], mixing=(0, 1), contrast=(0.2, 0.4), g=(0.1, 0.3))
+    augment = RandomUnderwater(water)
     data = loader(Pairs(crops, augment), persistent_workers=persistent)
     seeds = []
     for _ in range(2):
@@ -47,7 +48,7 @@ def test_workers_and_epochs_draw_anew_and_records_replay(persistent: bool, crops
             # what a worker has drawn, with one thread, is replayed here bit for bit
             record = json.loads(text)
             assert torch.equal(augment.transform(image, distance, record), made)
-            seeds.append(record["samples"][0]["field_seed"])
+            seeds.append(record["samples"][0]["water"]["field_seed"])
     # two workers, two epochs, no draw twice
     assert len(seeds) == len(set(seeds)) == 2 * len(crops)
 
@@ -64,7 +65,7 @@ def equal(one: dict[int, Tensor], other: dict[int, Tensor]) -> bool:
 
 
 def test_keys_do_not_depend_on_workers(crops: Crops) -> None:
-    dataset = Keyed(crops, RandomUnderwater(mixing=(0, 1)))
+    dataset = Keyed(crops, RandomUnderwater(RandomWater(mixing=(0, 1))))
     before = torch.get_num_threads()
     torch.set_num_threads(2)  # the main process has more than a worker
     expected = run(loader(dataset, workers=0))

@@ -4,6 +4,9 @@ import copy
 import json
 import math
 import pickle
+import tomllib
+from dataclasses import replace
+from functools import reduce
 from typing import Any
 
 import pytest
@@ -12,13 +15,13 @@ from augmenting import (
     COAST,
     EVERYTHING,
     FIT,
-    LASERS,
     OPTIONS,
     RAW,
     TANK,
     H,
     W,
     distances,
+    flat,
     leaves,
     picture,
     result,
@@ -28,20 +31,25 @@ from torch import Tensor
 
 import uwaug
 from uwaug import (
-    Constituents,
     Lamp,
     Light,
+    MarineSnow,
     Medium,
     PointSpread,
     RandomDevelopment,
+    RandomLight,
     RandomUnderwater,
+    RandomWater,
+    Sensor,
     Underwater,
     Water,
     load_preset,
+    load_water,
 )
 from uwaug._support import checks
-from uwaug.distance import Inverse, Metres, Network, Plane, Relative
+from uwaug.distance import Inverse, MadeUp, Metres, Network, Plane, Relative
 from uwaug.distance.doubts import first_maps
+from uwaug.transforms.random_underwater import SEVERITIES
 from uwaug.transforms.random_water import WATERS
 
 
@@ -69,86 +77,107 @@ def test_a_record_makes_the_picture_again(name: str) -> None:
         assert same(made, twin.transform(image, mapped(rest), read))
 
 
-@pytest.mark.parametrize("name", OPTIONS)
-def test_a_batch_is_its_pictures_one_by_one(name: str) -> None:
-    aug = RandomUnderwater(**OPTIONS[name])
-    image, *rest = leaves(aug, 3)
-    record = aug.make_params(image)
-    pictures = [
-        aug.transform(one, mapped(rest, i), {"samples": [record["samples"][i]]})
-        for i, one in enumerate(image)
-    ]
-    assert same(aug.transform(image, mapped(rest), record), torch.stack(pictures))
+def toml(value: Any) -> str:
+    """A value of JSON, but null, which TOML lacks."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{name} = {toml(inner)}" for name, inner in value.items()) + "}"
+    return "[" + ", ".join(map(toml, value)) + "]" if isinstance(value, list) else json.dumps(value)
 
 
+@pytest.mark.parametrize(
+    "there_and_back",
+    [lambda x: json.loads(json.dumps(x)), lambda x: tomllib.loads(f"x={toml(x)}")["x"]],
+)
 @pytest.mark.parametrize("name", OPTIONS)
-def test_options_as_plain_data(name: str) -> None:
+def test_options_as_plain_data(name: str, there_and_back: Any) -> None:
     aug = RandomUnderwater(**OPTIONS[name])
     if name == "network":
         with pytest.raises(TypeError, match="cannot be written as numbers and words"):
             aug.to_dict()
         return
-    twin = RandomUnderwater.from_dict(json.loads(json.dumps(aug.to_dict())))
+    twin = RandomUnderwater.from_dict(there_and_back(aug.to_dict()))
     assert same(result(twin), result(aug))
     assert twin.to_dict() == aug.to_dict()
+
+
+SAID: list[Any] = [
+    RandomWater("3C"),
+    RandomWater(["3c"]),
+    Water.jerlov("3C"),
+    {"water": "3C"},
+    {"water": ["3C"]},
+    {"water": {"waters": "3C"}},
+    {"water": {"kind": "RandomWater", "waters": ["3C"]}},
+]
+
+
+@pytest.mark.parametrize("said", SAID)
+def test_a_water_is_said_in_many_ways(said: Any) -> None:
+    make = RandomUnderwater.from_dict if isinstance(said, dict) else RandomUnderwater
+    assert same(result(make(said)), result(RandomUnderwater(water="3C")))
 
 
 def test_tables_as_a_person_writes_them() -> None:
     aug = RandomUnderwater.from_dict(
         {
-            "waters": ["II", "chlorophyll=1:20,cdom=.1:2,minerals=.5"],
+            "water": {
+                "waters": ["II", "chlorophyll=1:20,cdom=.1:2,minerals=.5"],
+                "contrast": "none",
+                "point_spread": {"scale": 3.0},
+            },
             "development": {"exposure": [-1, 0]},
             "distance": {"kind": "Relative", "far": [4, 8]},
-            "point_spread": {"scale": 3.0},
         }
     )
     assert aug.development == RandomDevelopment(exposure=(-1, 0))
     assert aug.distance == Relative(far=(4, 8))
-    assert aug.point_spread == PointSpread(3.0)
-    assert aug.make_params(picture())["samples"][0]["numbers"]["gamma"] == 1.0
+    assert (aug.water.contrast, aug.water.point_spread) == (None, PointSpread(3.0))
+    assert aug.make_params(picture())["samples"][0]["distance"]["gamma"] == 1.0
 
 
 def test_repr_shows_what_differs_from_the_default() -> None:
     assert repr(RandomUnderwater()) == "RandomUnderwater()"
-    aug = RandomUnderwater("3C", distance=(1.0, 2.0), contrast=None)
-    expected = "waters='3C', contrast=None, distance=Plane(low=1.0, high=2.0)"
-    assert repr(aug) == f"RandomUnderwater({expected})"
+    aug = RandomUnderwater(RandomWater("3C", contrast=None), distance=(1.0, 2.0))
+    water = "RandomWater(waters='3C', contrast=None)"
+    assert repr(aug) == f"RandomUnderwater(water={water}, distance=Plane(distance=(1.0, 2.0)))"
 
 
 def test_draws_fill_their_ranges() -> None:
-    aug = RandomUnderwater([COAST, "II", "II"], **EVERYTHING, p=0.5, distance=Relative(1, (3, 9)))
+    water = RandomWater([COAST, "II", "II"], **EVERYTHING)
+    aug = RandomUnderwater(water, p=0.5, distance=Relative(1, (3, 9)))
     image = torch.empty(2000, 3, 1, 1)
     samples = aug.make_params(image, torch.Generator().manual_seed(0))["samples"]
     assert sum(sample["applied"] for sample in samples) / 2000 == pytest.approx(0.5, abs=0.04)
     for name, (low, high) in {
-        **EVERYTHING,
-        "far": (3, 9),
-        "gamut": RandomDevelopment().gamut,
+        **{f"water.{name}": ends for name, ends in EVERYTHING.items()},
+        "distance.far": (3, 9),
+        "development.gamut": RandomDevelopment().gamut,
     }.items():
-        drawn = torch.tensor([sample["numbers"][name] for sample in samples])
+        drawn = torch.tensor([flat(sample)[name] for sample in samples])
         assert drawn.min() >= low
         assert drawn.max() <= high
-        middle = math.sqrt(low * high) if name == "contrast" else (low + high) / 2
+        middle = math.sqrt(low * high) if name == "water.contrast" else (low + high) / 2
         assert float(drawn.median()) == pytest.approx(middle, abs=0.04 * (high - low))
-    names = [name for sample in samples for name in sample["waters"]]
-    assert names.count("II") / len(names) == pytest.approx(2 / 3, abs=0.03)
-    assert all(COAST.holds(Constituents.parse(name)) for name in names if name != "II")
-    assert len(set(names)) > 1000
+    waters = [water for sample in samples for water in sample["water"]["waters"]]
+    assert waters.count("II") / len(waters) == pytest.approx(2 / 3, abs=0.03)
+    amounts = [water for water in waters if water != "II"]
+    assert all(COAST.holds(each) for each in amounts)
+    assert len({each["cdom"] for each in amounts}) > 1000
+
+
+PLAIN: dict[str, Any] = {**RandomWater.PLAIN, "point_spread": PointSpread.paper()}
+
+
+def fixed(development: Any = RAW, light: Any = None, **water: Any) -> RandomUnderwater:
+    """A transform of which nothing is random but what is said."""
+    noun = RandomWater(**{"waters": "3C", **PLAIN, **water})
+    return RandomUnderwater(noun, light=light, development=development)
 
 
 def test_fixed_options_are_an_underwater() -> None:
     """The same picture by the module, of the water that the transform says it takes."""
-    water, law = Water.jerlov("3C"), PointSpread.paper()
-    aug = RandomUnderwater(
-        "3C",
-        contrast=0.4,
-        vertical_depth=2.0,
-        mu=None,
-        field=None,
-        point_spread=law,
-        development=RAW,
-        light=None,
-    )
+    water, law = Water.jerlov("3C"), PLAIN["point_spread"]
+    aug = fixed(vertical_depth=2.0, contrast=0.4, contrast_by="contents")
     z = 2 + distances().double()
     # of the waters that leave .4 at the median distance, this one
     scaled = water.with_contrast(0.4, float(z.median()))
@@ -165,9 +194,10 @@ def test_no_veil_that_is_drawn_is_brighter_than_a_white_plate() -> None:
     scene = picture(), 1 + distances()
 
     def veil(**options: Any) -> Tensor:
-        aug = RandomUnderwater("II", contrast=None, **options)
+        aug = RandomUnderwater(RandomWater("II", contrast=None, **options))
         record = aug.make_params(picture(), torch.Generator().manual_seed(0))
-        return aug.scenes(*scene, record).waters[0].medium.curves(torch.tensor([[[[1e4]]]])).veil
+        (setting,) = aug.scenes(*scene, record).settings
+        return setting.medium.curves(torch.tensor([[[[1e4]]]])).veil
 
     held, highest, asked = (
         veil(g=0.02, mu=(0.03, 0.04)),
@@ -179,19 +209,19 @@ def test_no_veil_that_is_drawn_is_brighter_than_a_white_plate() -> None:
 
 
 def test_a_medium_stays_as_it_is() -> None:
-    aug = RandomUnderwater(FIT, field=None, development=RAW, contrast=0.1, light=None)
-    z = 1 + distances()
-    expected = Underwater(FIT, (1.0, 2.0))(picture(), z)
+    aug = RandomUnderwater(RandomWater(FIT, field=None, contrast=0.1), development=RAW)
+    z = 0.1 + distances()
+    expected = Underwater(FIT, (0.1, 1.1))(picture(), z)
     assert (aug(picture(), z)[0] - expected).abs().max() < 1e-4
 
 
 def test_a_field_is_drawn_for_each_picture() -> None:
-    options: Any = {"contrast": None, "vertical_depth": 1.0, "light": None}
-    aug = RandomUnderwater("II", field=(0.2, 3.0), **options)
+    water = RandomWater("II", field=(0.2, 3.0), contrast=None, vertical_depth=1.0)
+    aug = RandomUnderwater(water, light=None)
     z = torch.full((1, 24, 33), 3.0)
     params = aug.make_params(picture())
     left = aug.contrast_left(picture(), z, params)
-    medium = aug.scenes(picture(), z, params).waters[0].medium
+    medium = aug.scenes(picture(), z, params).settings[0].medium
     ends = uwaug.contrast_left(torch.tensor([[[9.0, 0.6]]]), medium)
     assert float(left.min()) == pytest.approx(float(ends.min()), rel=0.02)
     assert float(left.max()) == pytest.approx(float(ends.max()), rel=0.02)
@@ -199,12 +229,11 @@ def test_a_field_is_drawn_for_each_picture() -> None:
 
 def test_deep_and_turbid_waters_are_no_deeper_than_a_meter_makes_up_for() -> None:
     scene = picture(), 1 + distances()
-    params = RandomUnderwater("9C", vertical_depth=100.0).make_params(picture())
-    options: Any = {"contrast": None, "vertical_depth": 100.0, "light": None}
-    metered = RandomUnderwater("9C", **options)
+    water = RandomWater("9C", contrast=None, vertical_depth=100.0)
+    metered = RandomUnderwater(water, light=None)
     assert metered(*scene)[0].mean() > 0.1
-    assert params["samples"][0]["numbers"]["vertical_depth"] == 100
-    fixed = RandomUnderwater("9C", **options, development=RAW)
+    assert metered.make_params(picture())["samples"][0]["water"]["vertical_depth"] == 100
+    fixed = RandomUnderwater(water, light=None, development=RAW)
     assert fixed(*scene)[0].max() < 1e-3
 
 
@@ -212,20 +241,15 @@ def test_deep_and_turbid_waters_are_no_deeper_than_a_meter_makes_up_for() -> Non
 @pytest.mark.parametrize("kind", ["srgb", "linear"])
 def test_gradients_pass_to_image_and_distance(kind: Any, light: Light | None) -> None:
     # a blur is planned for the distances and the exposure at hand, which are not followed
-    options: Any = {
-        "waters": ["II", "5C"],
-        "development": RandomDevelopment(color_space=kind),
-        "point_spread": PointSpread.none(),
-        "light": light,
-    }
-    aug = RandomUnderwater(**options)
+    water = RandomWater(["II", "5C"], point_spread=PointSpread.none())
+    aug = RandomUnderwater(water, development=RandomDevelopment(color_space=kind), light=light)
     image = (0.2 + 0.6 * torch.rand(3, 6, 7, dtype=torch.float64)).requires_grad_()
     z = (1 + torch.rand(1, 6, 7, dtype=torch.float64)).requires_grad_()
     generator = torch.Generator().manual_seed(3)
     record = aug.make_params(image, generator)
     # water and drawn lamps are scaled to the median distance, which is not followed
-    fixed = RandomUnderwater(**options, contrast=None)
-    del record["samples"][0]["numbers"]["contrast"]
+    fixed = replace(aug, water=replace(water, contrast=None))
+    del record["samples"][0]["water"]["contrast"]
 
     assert torch.autograd.gradcheck(
         lambda image, z: fixed.transform(image, z, record), (image, z), atol=1e-5, rtol=1e-3
@@ -278,33 +302,143 @@ def test_torch_compile_breaks_the_graph_and_draws_the_same() -> None:
     assert counts["unique_graphs"] == 2  # before and behind the transform
 
 
-def test_severities_leave_less_and_less() -> None:
-    z = torch.full((1, 24, 33), 3.0)
-    left = []
-    for level in range(1, 6):
-        options = {"vertical_depth": 3.0, "field": None, "waters": "1C", "light": None}
-        aug = RandomUnderwater.severity(level, **options)
-        left.append(float(aug.contrast_left(picture(), z, aug.make_params(picture())).mean()))
-    assert left == sorted(left, reverse=True)
-    assert left[0] > 4 * left[-1]
+@pytest.mark.parametrize("water", ["I", "7C", TANK, "chlorophyll=5,cdom=.3"], ids=str)
+def test_a_grade_of_a_named_water_is_a_distance_in_it(water: Any) -> None:
+    z, medians = torch.full((1, H, W), 3.0), []
+    spectra = load_water(water)
+    options: Any = {"point_spread": PLAIN["point_spread"], "tolerance": 0.002}
+    itself = Medium.from_water(spectra, vertical_depth=0.0, g=0.05, **options)
+    for level, grade in SEVERITIES.items():
+        aug = RandomUnderwater.severity(level, RandomWater(water, **PLAIN), light=None)
+        record = aug.make_params(picture())
+        scenes = aug.scenes(picture(), z, record)
+        medians.append(float(scenes.metres[0, 0, 0, 0]))
+        (setting,) = scenes.settings
+        assert spectra.contrast(medians[-1]) == pytest.approx(grade, abs=1e-6)
+        assert setting.span[1] == pytest.approx(3 * setting.scale) == pytest.approx(medians[-1])
+        assert torch.equal(setting.medium.transmission(z), itself.transmission(z))
+        left = aug.contrast_left(picture(), z, record)
+        torch.testing.assert_close(left[0], uwaug.contrast_left(scenes.z[0], itself)[0])
+    assert medians == sorted(medians)
 
 
-@pytest.mark.parametrize("name", ["calibrated", "survey", "tank-proposed-1"])
-def test_presets_are_their_modules(name: str) -> None:
-    preset = load_preset(name)
-    aug = RandomUnderwater.from_preset(name, field=None)
-    z = 1 + 2 * distances().double()
-    expected = Underwater(
-        preset.medium, (1, 3), color_space=preset.color_space, development=preset.development
-    )(picture().double(), z)
-    assert (aug(picture().double(), z)[0] - expected).abs().max() < 5e-3
-    changed = RandomUnderwater.from_preset(name, p=0.5, development=RAW)
-    assert (changed.p, changed.development, changed.light) == (0.5, RAW, None)
+@pytest.mark.parametrize("water, metres", [("I", 100.0), ("chlorophyll=1e3,minerals=1e3", 0.1)])
+def test_no_scene_is_nearer_than_a_lens_or_farther_than_one_sees(water: str, metres: float) -> None:
+    aug = RandomUnderwater(RandomWater(water, contrast=1e-3 if metres > 1 else 0.9, field=None))
+    scenes = aug.scenes(picture(), torch.full((1, H, W), 3.0), aug.make_params(picture()))
+    torch.testing.assert_close(scenes.metres, torch.full_like(scenes.metres, metres))
+
+
+KNOBS: dict[str, tuple[Any, str]] = {
+    "default": (None, "contents"),
+    "drawn contents": (COAST, "contents"),
+    "a type by contents": (RandomWater("7C", contrast_by="contents"), "contents"),
+    "a type": ("7C", "distance"),
+    "spectra": ([TANK, "chlorophyll=5"], "distance"),
+    "two types": (RandomWater(["II", "7C"], mixing=(0.0, 1.0)), "distance"),
+    "drawn contents by distance": (RandomWater(COAST, contrast_by="distance"), "distance"),
+}
+
+
+@pytest.mark.parametrize("light", [None, Light(daylight=0.5), Light((Lamp(),), 0.5)])
+@pytest.mark.parametrize("name", KNOBS)
+def test_by_what_a_contrast_is_reached(name: str, light: Light | None) -> None:
+    water, by = KNOBS[name]
+    aug = RandomUnderwater(water, light=light)
+    z = torch.full((1, H, W), 0.5)
+    record = aug.make_params(picture())
+    reached = aug.scenes(picture(), z, record).reached(0)
+    assert (reached.by, reached.contents != 1) == (by, by == "contents")
+    lamps = light is not None and bool(light.lamps)
+    assert (reached.scale != 1) == (not lamps)
+    if not lamps or by == "contents":
+        assert reached.contrast == pytest.approx(record["samples"][0]["water"]["contrast"])
+
+
+def test_a_picture_is_scaled_if_all_of_its_waters_have_names() -> None:
+    aug, z = RandomUnderwater(RandomWater(["II", COAST], mixing=0.5), light=None), 2 + distances(16)
+    record = aug.make_params(picture(16), torch.Generator().manual_seed(0))
+    named = [sample["water"]["waters"] == ["II", "II"] for sample in record["samples"]]
+    settings = aug.scenes(picture(16), z, record).settings
+    assert [setting.reached.by == "distance" for setting in settings] == named
+    assert 0 < sum(named) < 16
+
+
+METERED = RandomDevelopment(**{**RandomDevelopment.PLAIN, "metered": True, "tone": 1.2})
+NOISY = replace(RAW, noise=Sensor(2000.0, 3.0, seed=1))
+FIXED = {
+    "plain": fixed(),
+    "spectral": fixed(color_matrix=0.5, field=(0.5, 2.0)),
+    "deep and metered": fixed(METERED, vertical_depth=100.0),
+    "noisy": fixed(NOISY),
+    "snowy": fixed(snow=MarineSnow(5000.0, seed=3)),
+    "lamps": fixed(light=Light((Lamp((0.3, 0.0, -0.5), 2.0),), 0.5)),
+    "never a lamp": fixed(light=RandomLight(share=0.0)),
+    "medium": fixed(waters=FIT, contrast=0.1),
+    "plane": replace(fixed(), distance=3.0),
+    "linear": fixed(replace(RAW, color_space="linear")),
+    **{name: load_preset(name) for name in ("calibrated", "survey", "tank-proposed-1")},
+}
+
+
+@pytest.mark.parametrize("name", FIXED)
+def test_a_module_is_the_only_draw(name: str) -> None:
+    aug, z = FIXED[name], 1 + 2 * distances().double()
+    metres = replace(aug, distance=Metres(), water=replace(aug.water, field=None))
+    module = aug.module((1, 3), sides=(H, H))
+    assert (module.color_space, module.sides) == (aug.development.color_space, (H, H))
+    made = module(picture().double(), z)
+    assert (metres(picture().double(), z)[0] - made).abs().max() < 5e-3
+    assert (made - picture()).abs().mean() > 0.01
+
+
+@pytest.mark.parametrize(
+    "distance, ends",
+    [
+        (Metres(), (0.05, 40.0)),
+        (Relative(2, (4, 8)), (1.0, 16.0)),
+        (MadeUp(1, 5), (0.5, 10.0)),
+        (Plane((25, 30)), (12.5, 60.0)),
+        (Network(torch.mean, Inverse(3, 4)), (1.5, 8.0)),
+    ],
+)
+def test_a_module_is_planned_for_the_distances_times_the_field(distance: Any, ends: Any) -> None:
+    aug = replace(fixed(field=(0.5, 2.0)), distance=distance)
+    assert aug.module().distance_range == ends
+
+
+RANDOM: dict[str, RandomUnderwater] = {
+    "water.contrast": fixed(contrast=0.2),
+    "water.point_spread": fixed(point_spread=None),
+    "water.vertical_depth": fixed(vertical_depth=(0.0, 3.0)),
+    "water.waters": fixed(waters=["II", "7C"]),
+    "water.mixing": fixed(mixing=(0.0, 0.5)),
+    "water.snow.seed": fixed(snow=MarineSnow()),
+    "development.exposure": fixed(replace(RAW, exposure=(-1.0, 0.0))),
+    "development.noise.seed": fixed(replace(RAW, noise=Sensor(2000.0))),
+    "p": replace(fixed(), p=0.5),
+    "water.waters, light.share, light.daylight, .*": fixed(waters=COAST, light=RandomLight()),
+}
+
+
+@pytest.mark.parametrize("name", RANDOM)
+def test_what_is_random_is_no_module(name: str) -> None:
+    with pytest.raises(ValueError, match=f"the same of all pictures, but {name} differ: fix them"):
+        RANDOM[name].module()
+
+
+def test_a_medium_has_its_own_daylight_unless_lamps_are_asked_for() -> None:
+    assert RandomUnderwater("II").light == RandomLight()
+    for water in (FIT, ["II", FIT]):
+        assert RandomUnderwater(water).light is None
+        for light in (RandomLight(), RandomLight(share=0.5)):
+            aug = RandomUnderwater(water, light=light)
+            assert RandomUnderwater.from_dict(aug.to_dict()).light == aug.light == light
 
 
 @pytest.mark.usefixtures("nothing_is_said")
 def test_says_once_where_nothing_is_left_to_see() -> None:
-    aug = RandomUnderwater("9C", contrast=None, field=None)
+    aug = RandomUnderwater(RandomWater("9C", contrast=None, field=None))
     with pytest.warns(UserWarning, match=r"less than 3 % .* median distance 50 m: are distances"):
         aug(picture(), torch.full((1, 24, 33), 50.0))
     aug(picture(), torch.full((1, 24, 33), 50.0))  # silent: a warning would be an error
@@ -322,66 +456,63 @@ def test_doubts_the_first_maps_of_a_process(later: bool) -> None:
     aug(picture(), shares)  # silent: a warning would be an error
 
 
-def test_open_water() -> None:
-    z = torch.full((1, 24, 33), math.inf)
-    record = RandomUnderwater().make_params(picture())
-    assert RandomUnderwater().transform(picture(), z, record).isfinite().all()
+HOSTS = pytest.mark.parametrize("host", [True, False])
+
+
+@HOSTS
+def test_open_water(host: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checks, "on_host", lambda x: host)
+    z = distances(2)
+    z[0] = z[1, ..., : W // 2] = math.inf
+    assert RandomUnderwater()(picture(2), z)[0].isfinite().all()
 
 
 LAMP = Light([Lamp((0.2, 0.0, 0.0))])
-AS_IT_IS: dict[str, dict[str, Any]] = {
-    "nature": {"contrast": None},
-    "medium": {"waters": FIT},
-    "lamps": {"light": LAMP},
-}
 
 
-@pytest.mark.parametrize("host", [True, False])
+@HOSTS
+@pytest.mark.parametrize("share", [0.0, 1.0])
 @pytest.mark.parametrize(("metres", "size"), [(32.0, 8.0), (0.25, 1.0), (3.0, 3.0)])
 def test_distances_are_scaled_to_where_water_has_a_colour(
-    metres: float, size: float, host: bool, monkeypatch: pytest.MonkeyPatch
+    metres: float, size: float, share: float, host: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(checks, "on_host", lambda x: host)
-    aug, z = RandomUnderwater(), 0.5 + distances(3)
+    aug, z = RandomUnderwater(light=RandomLight(share)), 0.5 + distances(3)
     z[..., 4:-4, :] = 1.0  # the median, whichever pixels are looked at
     z[..., :3, :3] = math.inf
     record = aug.make_params(picture(3))
     made, expected = (aug.transform(picture(3), k * z, record) for k in (metres, size))
     assert torch.equal(made, expected)
-    waters = aug.scenes(picture(3), metres * z, record).waters
-    assert [water.scale for water in waters] == 3 * [size / metres]
+    settings = aug.scenes(picture(3), metres * z, record).settings
+    assert [setting.scale for setting in settings] == 3 * [size / metres]
 
 
-@pytest.mark.parametrize("name", AS_IT_IS)
-def test_distances_that_stay(name: str) -> None:
-    aug = RandomUnderwater(**AS_IT_IS[name], field=None)
-    z = torch.full((1, H, W), 0.2)
-    assert torch.equal(aug.scenes(picture(), z, aug.make_params(picture())).z[0], z)
-
-
-ODD: dict[str, tuple[dict[str, Any], float, str]] = {
-    "centimetres": ({}, 350.0, "350 m is scaled by 0.0229: are distances metres?"),
-    "kilometres": ({}, 0.0035, "0.0035 m is scaled by 286: are distances metres?"),
-    "type": ({"waters": "I", "contrast": 0.4}, 3.0, "water I is too clear for 0.4 at 3 m: that is"),
-    "contents": (
-        {"waters": "chlorophyll=.01", "contrast": 0.2},
-        2.0,
-        "water chlorophyll=0.01 is too clear for 0.2 at 2 m.*a more turbid one; contrast=None",
+TOO_CLEAR = RandomWater("I", contrast=0.4, contrast_by="contents")
+CLEAR = RandomWater("chlorophyll=.01", contrast=0.2, contrast_by="contents")
+ODD: list[tuple[RandomWater, Light | None, float, str]] = [
+    (RandomWater(), None, 350.0, "350 m is scaled by 0.0229: are distances metres?"),
+    (RandomWater(), None, 0.0035, "0.0035 m is scaled by 286: are distances metres?"),
+    (TOO_CLEAR, None, 3.0, "water I is too clear for 0.4 at 3 m: that is"),
+    (CLEAR, None, 2.0, "=0.01 is too clear for 0.2 at 2 m.*a more turbid one; water.contrast=None"),
+    (RandomWater(contrast=0.9), LAMP, 30.0, "pure water leaves 0.16 of contrast, not 0.9 at 30 m"),
+    (
+        RandomWater("II", contrast=0.9),
+        LAMP,
+        4.0,
+        "water II leaves 0.16 of contrast, not 0.9 at 4 m",
     ),
-    "lamps": ({"light": LAMP, "contrast": 0.9}, 30.0, "leaves 0.16 of contrast, not 0.9 at 30 m"),
-}
+]
 
 
 @pytest.mark.usefixtures("nothing_is_said")
-@pytest.mark.parametrize("host", [True, False])
-@pytest.mark.parametrize("case", ODD)
+@HOSTS
+@pytest.mark.parametrize("water, light, metres, message", ODD)
 def test_says_once_that_a_water_is_none(
-    case: str, host: bool, monkeypatch: pytest.MonkeyPatch
+    water: Any, light: Any, metres: float, message: str, host: bool, monkeypatch: Any
 ) -> None:
     monkeypatch.setattr(checks, "on_host", lambda x: host)
     monkeypatch.setattr(first_maps, "said", True)  # these maps are odd in other ways, too
-    options, metres, message = ODD[case]
-    aug, z = RandomUnderwater(**options), torch.full((1, H, W), metres)
+    aug, z = RandomUnderwater(water, light=light), torch.full((1, H, W), metres)
     with pytest.warns(UserWarning, match=message):
         aug(picture(), z)
     aug(picture(), z)  # silent: a warning would be an error
@@ -396,112 +527,136 @@ def test_default_draws_are_waters(metres: float) -> None:
     (sample,) = params["samples"]
     for water in WATERS[:8]:
         for contrast in (0.08, 0.9):
-            sample["waters"], sample["numbers"]["contrast"] = [water], contrast
+            sample["water"] |= {"waters": [water], "contrast": contrast}
             aug.scenes(picture(), z, params)
 
 
-REFUSED_OPTIONS: dict[str, tuple[dict[str, Any], str]] = {
-    "falling range": ({"contrast": (0.5, 0.2)}, r"contrast must be a number or a range"),
-    "domain": ({"g": 1.5}, r"g must be .* in \[0, 1\]; got 1.5"),
-    "field": ({"field": (-1.0, 1.0)}, "field must be"),
-    "p": ({"p": 2.0}, r"p must be in \[0, 1\]"),
-    "no water": ({"waters": []}, "waters: expected at least one"),
-    "set": ({"waters": {"II"}}, "waters must have an order"),
-    "unknown water": ({"waters": "IX"}, "water must be one of"),
-    "no text": ({"waters": 3.0}, "water must be a Jerlov type"),
-    "names": (
-        {"waters": [TANK, Water([400, 700], [1, 1], [1, 1], [1, 1], name="tank")]},
-        "two are called 'tank'",
-    ),
-    "mixed medium": ({"waters": ["II", FIT], "mixing": (0, 1)}, "mixing needs spectra"),
-    "module": ({"distance": torch.nn.Identity()}, r"distance must be .*Network\(…\)"),
-    "development": ({"development": {"gamut": 1}}, "must be a uwaug.RandomDevelopment"),
-    "light": ({"light": 3.0}, "light must be a uwaug.RandomLight, got float; or a uwaug.Light"),
-    "law": ({"point_spread": 3.0}, "must be a uwaug.PointSpread"),
-    "camera": ({"camera": "obscura"}, "no camera is called so"),
+NAMED = Water([400, 700], [1, 1], [1, 1], [1, 1], name="tank")
+REFUSED_OPTIONS: dict[str, Any] = {
+    "contrast must be a number or a range": lambda: RandomWater(contrast=(0.5, 0.2)),
+    r"g must be .* in \[0, 1\]; got 1.5": lambda: RandomWater(g=1.5),
+    "field must be": lambda: RandomWater(field=(-1.0, 1.0)),
+    "waters: expected at least one": lambda: RandomWater([]),
+    "waters must have an order": lambda: RandomWater({"II"}),
+    "water must be one of": lambda: RandomUnderwater("IX"),
+    "water must be a Jerlov type": lambda: RandomUnderwater(3.0),
+    "two are called 'tank'": lambda: RandomWater([TANK, NAMED]),
+    "mixing needs spectra": lambda: RandomWater(["II", FIT], mixing=(0, 1)),
+    "must be a uwaug.PointSpread": lambda: RandomWater(point_spread=3.0),
+    "no camera is called so": lambda: RandomWater(camera="obscura"),
+    "must be one of contents, distance": lambda: RandomWater(contrast_by="depth"),
+    "unexpected keyword argument 'contrast'": lambda: RandomUnderwater("II", contrast=0.2),
+    r"p must be in \[0, 1\]": lambda: RandomUnderwater(p=2.0),
+    r"names of image and map, got \['a'\]": lambda: RandomUnderwater(keys=["a"]),
+    "names of image and map, got .'a', 1": lambda: RandomUnderwater(keys=("a", 1)),
+    r"distance must be .*Network\(…\)": lambda: RandomUnderwater(distance=torch.nn.Identity()),
+    "must be a uwaug.RandomDevelopment": lambda: RandomUnderwater(development={"gamut": 1}),
+    "tone must be": lambda: RandomDevelopment(tone=9.0),
+    "light must be a .*RandomLight, got float; or a": lambda: RandomUnderwater(light=3.0),
+    "level must be a whole number from 1 to 5": lambda: RandomUnderwater.severity(6),
+    "a Medium stays as it is": lambda: RandomUnderwater.severity(1, FIT),
+    "no 'waters'.*mean water": lambda: RandomUnderwater.from_dict({"waters": "II"}),
 }
 
 
-@pytest.mark.parametrize("case", REFUSED_OPTIONS)
-def test_refused_options(case: str) -> None:
-    options, message = REFUSED_OPTIONS[case]
+@pytest.mark.parametrize("message", REFUSED_OPTIONS)
+def test_refused_options(message: str) -> None:
     with pytest.raises((TypeError, ValueError), match=message):
-        RandomUnderwater(**options)
+        REFUSED_OPTIONS[message]()
 
 
-def test_refused_grades_and_developments() -> None:
-    with pytest.raises(ValueError, match="level must be a whole number from 1 to 5"):
-        RandomUnderwater.severity(6)
-    with pytest.raises(ValueError, match="tone must be"):
-        RandomDevelopment(tone=9.0)
-
-
-NAN_IMAGE = picture().index_fill(1, torch.tensor(2), math.nan)
-HOLED = (1 + distances()).index_fill(1, torch.tensor(2), 0.0)
+THREE, ones = picture(3), torch.ones(3, 1, H, W)
+BAD = torch.zeros(3, 1, 1, 1).index_fill(0, torch.tensor(1), 1.0)
+SECOND = "^picture 1 of 3, counted from 0"
 REFUSED_INPUTS: dict[str, tuple[tuple[Any, Any], str]] = {
     "no map": ((picture(), None), r"distance is missing: .*MadeUp, Network and Plane"),
-    "millimetres": ((picture(), 1000 * (2 + distances())), "metres.*divide by 1000"),
-    "holes": ((picture(), HOLED), r"zero at 33 of 792 pixels: give holes="),
+    "millimetres": ((THREE, ones + 3000 * BAD), rf"{SECOND}: distance must be in metres.*by 1000"),
+    "holes": ((THREE, ones.where(BAD < 1, 0.0)), rf"{SECOND}: .* zero at 792 of 792 pixels: give"),
+    "negative": ((THREE, ones - 9 * BAD), f"{SECOND}: distance must be above 0 m"),
     "size": ((picture(), distances()[..., 9:]), "height and width must agree"),
     "integers": ((picture(), distances().int()), "distance must be a floating-point tensor"),
     "label": ((picture(), "coral"), r"expected \(image, distance, …\)"),
     "batches": ((picture(2), distances(3)), "batch of 3 but image is one of 2"),
-    "NaN": ((NAN_IMAGE, 1 + distances()), "image is NaN at 99"),
-    "0…255": ((255 * picture(), 1 + distances()), "image"),
+    "NaN": ((THREE + torch.nan * BAD, ones), "image is NaN"),
+    "0…255": ((THREE + 300 * BAD, ones), f"{SECOND}: image reaches"),
+    "normalised": ((THREE - 9 * BAD, ones), f"{SECOND}: image falls to"),
     "grey": ((picture()[:1], distances()), "image must have shape"),
     "array": ((picture().numpy(), distances()), r"from_numpy"),
-    "which": ((picture(2), torch.stack([1 + distances(), HOLED])), "^picture 1 of 2, counted"),
 }
 
 
+@HOSTS
 @pytest.mark.parametrize("case", REFUSED_INPUTS)
-def test_refused_inputs(case: str) -> None:
+def test_refused_inputs(case: str, host: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checks, "on_host", lambda x: host)
     inputs, message = REFUSED_INPUTS[case]
     record = RandomUnderwater().make_params(picture())
     with pytest.raises((TypeError, ValueError), match=message):
         RandomUnderwater().transform(*inputs, record)
 
 
-REFUSED_RECORDS: dict[str, tuple[dict[str, Any], str]] = {
-    "key": ({"camera": "D90"}, "other options: camera"),
-    "numbers": ({"numbers": {"contrast": 0.4}}, "other options: color_matrix"),
-    "water": ({"waters": ["9C"]}, "asks for '9C', but this transform has II, chlorophyll"),
-    "contents": ({"waters": ["chlorophyll=99"]}, "asks for 'chlorophyll=99'"),
-}
+ALL_DRAWN = RandomUnderwater(
+    RandomWater(["II", COAST], snow=MarineSnow((500, 5000))),
+    distance=Relative((0.5, 1.0), 5.0),
+    light=RandomLight(share=1.0),
+    development=RandomDevelopment(noise=Sensor(2000.0)),
+)
+FILM = {"median": 2.0, "exposure": 0.0, "white_balance": None}
+REFUSED_RECORDS: list[tuple[str, Any, str]] = [
+    ("camera", "D90", "other options: sample.camera"),
+    ("applied", "yes", "applied must be true or false, got 'yes'"),
+    ("water", {"contrast": 0.4}, "other options: water.color_matrix"),
+    ("water", None, "water must be a table"),
+    ("water.waters", ["9C"], "asks for '9C', but this transform has II, chlorophyll"),
+    ("water.waters", [{"chlorophyll": 99.0}], "asks for {'chlorophyll': 99"),
+    ("water.waters", ["II", "II"], "water.waters must be 1, got"),
+    ("water.contrast", 2.0, r"water.contrast must be in \[0.001, 1\], got 2"),
+    ("water.snow.density", 0.5, "water.snow.density must be in"),
+    *[
+        (name, seed, f"{name} must be a whole number from 0 to 4294967295")
+        for name in ("water.field_seed", "water.snow.seed", "development.noise.seed")
+        for seed in (1.5, -1, 2**32, True, "7", None)
+    ],
+    ("distance.near", -1.0, "distance.near must be"),
+    ("light.power", "bright", "light.power must be"),
+    ("light", {"power": 1.0}, "of a transform with other options: light.above"),
+    ("development.gamut", 7.0, r"development.gamut must be in \[0, 1\], got 7"),
+    ("moved", math.inf, "moved must be finite"),
+    ("measured", 3.0, "measured must be a table"),
+    ("measured", {"median": -1}, "other options: measured.exposure, measured.white_balance"),
+    *[("measured", {**FILM, "median": m}, "median must be above 0 m") for m in (-1, math.nan, "3")],
+    *[
+        ("measured", {**FILM, "white_balance": b}, "white_balance must be")
+        for b in (3.0, [1.0, 2.0], [1.0, 2.0, -1.0])
+    ],
+]
 
 
-@pytest.mark.parametrize("case", REFUSED_RECORDS)
-def test_refused_records(case: str) -> None:
-    change, message = REFUSED_RECORDS[case]
-    aug = RandomUnderwater(["II", COAST])
-    good = aug.make_params(picture(2))
-    with pytest.raises(ValueError, match=message):
-        aug.transform(picture(), 1 + distances(), {"samples": [good["samples"][0] | change]})
+@pytest.mark.parametrize("name, value, message", REFUSED_RECORDS)
+def test_refused_records(name: str, value: Any, message: str) -> None:
+    record = ALL_DRAWN.make_params(picture())
+    *outer, last = name.split(".")
+    reduce(dict.__getitem__, outer, record["samples"][0])[last] = value
+    with pytest.raises((TypeError, ValueError), match=f"params.*{message}"):
+        ALL_DRAWN.transform(picture(), distances(), record)
 
 
 def test_refused_records_of_another_kind() -> None:
     aug = RandomUnderwater()
-    two = aug.make_params(picture(2))
     for record in (None, {}, {"samples": {}}, {"samples": [1]}):
         with pytest.raises(TypeError, match="params must be a record from make_params"):
             aug.transform(picture(), distances(), record)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="params has 2 samples but image is a batch of 1"):
-        aug.transform(picture(), distances(), two)
-    two["samples"][0]["numbers"]["gamut"] = 7.0
-    with pytest.raises(ValueError, match=r"params: gamut must be in \[0, 1\], got 7"):
-        aug.transform(picture(2), distances(), two)
+        aug.transform(picture(), distances(), aug.make_params(picture(2)))
 
 
-@pytest.mark.parametrize(
-    "source", [Metres("behind"), Relative(0.5, (3, 8), holes="far"), Inverse(holes=4.0), Plane(2)]
-)
-def test_sources_and_holes(source: Any) -> None:
-    maps = distances(2)
-    maps[:, :, 3:8, 4:9] = math.nan
-    aug = RandomUnderwater(distance=source, camera=LASERS)
-    made = aug(picture(2), maps)
-    assert made[0].isfinite().all()
-    assert made[1] is maps
+def test_seeds_that_are_given_are_kept() -> None:
+    aug = RandomUnderwater(
+        RandomWater(snow=MarineSnow(seed=5)),
+        development=RandomDevelopment(noise=Sensor(2000.0, seed=6)),
+    )
+    for sample in aug.make_params(picture(3))["samples"]:
+        assert (sample["water"]["snow"]["seed"], sample["development"]["noise"]["seed"]) == (5, 6)
 
 
 def test_a_network_in_place_of_maps() -> None:
@@ -509,7 +664,8 @@ def test_a_network_in_place_of_maps() -> None:
     maps = picture(2).mean(1, keepdim=True)
     by_maps = RandomUnderwater("II", distance=Inverse())
     record = aug.make_params(picture(2))
-    expected = by_maps.transform(picture(2), maps, record)
+    held = [{**each, "distance": each["distance"]["holds"]} for each in record["samples"]]
+    expected = by_maps.transform(picture(2), maps, {"samples": held})
     assert same(aug.transform(picture(2), None, record), expected)
     inputs = picture(2, torch.uint8), "label", "other"
     assert aug(*inputs)[1:] == inputs[1:]
@@ -517,11 +673,10 @@ def test_a_network_in_place_of_maps() -> None:
 
 def test_lamps_shine_at_any_depth() -> None:
     lamps = Light((Lamp((0.3, -0.2, 0.0), power=4.0),))
-    options: Any = {"vertical_depth": 200.0, "contrast": None, "development": RAW, "waters": "II"}
+    water = RandomWater("II", vertical_depth=200.0, contrast=None)
     scene = picture(), 1 + distances()
-    assert RandomUnderwater(**options, light=None)(*scene)[0].max() < 0.01
-    aug = RandomUnderwater(**options, light=lamps)
+    assert RandomUnderwater(water, development=RAW, light=None)(*scene)[0].max() < 0.01
+    aug = RandomUnderwater(water, development=RAW, light=lamps)
     assert aug(*scene)[0].mean() > 0.1
     left = aug.contrast_left(*scene, aug.make_params(picture()))
     assert 0.1 < left.median() < 0.9
-    assert RandomUnderwater.from_dict(aug.to_dict()).light == lamps

@@ -5,10 +5,11 @@ from typing import Any, NamedTuple
 
 import pytest
 import torch
-from augmenting import EVERYTHING, OPTIONS, distances, picture, same
+from augmenting import EVERYTHING, OPTIONS, H, W, distances, leaves, picture, result, same
 from torch import Tensor
 
-from uwaug import RandomUnderwater
+from uwaug import RandomUnderwater, RandomWater
+from uwaug.distance import MadeUp, Network, Plane, Source
 
 
 class Sample(NamedTuple):
@@ -21,25 +22,57 @@ class Sample(NamedTuple):
 @pytest.mark.parametrize("name", ["default", "keys", "plane", "network"])
 def test_the_same_structure_comes_back(name: str, batch: int | None) -> None:
     aug = RandomUnderwater(**OPTIONS[name])
-    image, distance = picture(batch), distances(batch)
-    kept = image.clone(), distance.clone()
+    image, *maps = inputs = leaves(aug, batch)
+    kept, expected = [x.clone() for x in inputs], result(aug, batch)
+    assert not torch.equal(expected, image)
     label, boxes = object(), [torch.zeros(2, 4)]
-    named = {aug.keys[0]: image, "label": label, aug.keys[1]: distance, "boxes": boxes}
+    named = {aug.keys[0]: image, "label": label, "boxes": boxes}
+    named |= dict(zip(aug.keys[1:], maps, strict=False))
     default: defaultdict[str, Any] = defaultdict(list, named)
     for sample in (named, OrderedDict(named), default):
-        out = aug(sample)
+        out = aug.at(1, 2, 0)(sample)
         assert type(out) is type(sample)
         assert list(out) == list(sample)
         assert all(out[k] is sample[k] for k in sample if k != aug.keys[0])
-        assert out[aug.keys[0]].shape == image.shape
-        assert not torch.equal(out[aug.keys[0]], image)
-    leaves = (image, distance, label, boxes)
-    for sample in (leaves, list(leaves), Sample(image, distance, 3)):
-        out = aug(sample)
+        assert same(out[aug.keys[0]], expected)
+    listed, target = [image, *maps, label, boxes], dict(named)
+    del target[aug.keys[0]]
+    named_tuple = Sample(image, maps[0] if maps else "a", 3)
+    for sample in (tuple(listed), listed, named_tuple, (image, target, "more"), [image, target]):
+        out = aug.at(1, 2, 0)(sample)
         assert type(out) is type(sample)
         assert all(a is b for a, b in zip(out[1:], sample[1:], strict=True))
-        assert not torch.equal(out[0], image)
-    assert all(torch.equal(a, b) for a, b in zip((image, distance), kept, strict=True))
+        assert same(out[0], expected)
+    assert all(torch.equal(a, b) for a, b in zip(inputs, kept, strict=True))
+
+
+@pytest.mark.parametrize("source", [MadeUp(), Plane(3.0), Network(torch.mean)])
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda aug, image, z: aug(image, z),
+        lambda aug, image, z: aug([image, z, 3]),
+        lambda aug, image, z: aug(image, {"distance": z}),
+        lambda aug, image, z: aug({"image": image, "distance": z}),
+        lambda aug, image, z: aug.transform(image, z, aug.make_params(image)),
+        lambda aug, image, z: aug.contrast_left(image, z, aug.make_params(image)),
+    ],
+)
+def test_a_map_that_nothing_reads_is_refused(call: Any, source: Source) -> None:
+    with pytest.raises(
+        ValueError, match=r"distance: a map came, which (Made|Plane|Net).* not read"
+    ):
+        call(RandomUnderwater(distance=source), picture(2), distances(2))
+
+
+@pytest.mark.parametrize(
+    "label",
+    [torch.tensor(3), torch.rand(5), torch.zeros(1, H, W).long(), torch.rand(H, W), {"boxes": 0}],
+)
+def test_what_else_stands_after_a_picture_is_no_map(label: Any) -> None:
+    degraded, same_label = RandomUnderwater(distance=3.0)(picture(), label)
+    assert same_label is label
+    assert not torch.equal(degraded, picture())
 
 
 class Photo(Tensor):
@@ -54,18 +87,6 @@ def test_subclasses_come_back(batch: int | None, dtype: torch.dtype) -> None:
     out, _ = aug(image.as_subclass(Photo), distance.as_subclass(Photo))
     assert type(out) is Photo
     assert same(aug(image, distance)[0], out.as_subclass(Tensor))
-
-
-@pytest.mark.parametrize("name", ["default", "keys", "plane"])
-def test_a_map_in_the_dict_in_second_place(name: str) -> None:
-    aug = RandomUnderwater(**OPTIONS[name])
-    target = {"boxes": torch.zeros(2, 4), aug.keys[1]: distances(), "labels": [1, 2]}
-    expected = aug.at(0, 0, 0)(picture(), target[aug.keys[1]])[0]
-    for sample in ((picture(), target, "more"), [picture(), target]):
-        out = aug.at(0, 0, 0)(sample)
-        assert type(out) is type(sample)
-        assert same(out[0], expected)
-        assert out[1] is target
 
 
 @pytest.mark.parametrize(
@@ -94,7 +115,7 @@ def test_in_a_torchvision_pipeline(torchvision: Any, dtype: torch.dtype) -> None
         [
             v2.RandomResizedCrop((20, 28), antialias=True),
             v2.ColorJitter(0.2, 0.2),
-            RandomUnderwater(**EVERYTHING),
+            RandomUnderwater(RandomWater(**EVERYTHING)),
             v2.ToDtype(torch.float32, scale=True),
             v2.Normalize([0.5] * 3, [0.25] * 3),
         ]

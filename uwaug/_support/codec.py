@@ -134,7 +134,7 @@ def _meant(word: str, words: Iterable[str]) -> str:
 
 
 def changed(value: Any) -> list[Field[Any]]:
-    """The fields of a dataclass that are not as by default."""
+    """The fields of a dataclass that are not as by default, or that it names in `always_stored`."""
 
     def default(field: Any) -> Any:
         return field.default if field.default_factory is MISSING else field.default_factory()
@@ -146,4 +146,5 @@ def changed(value: Any) -> list[Field[Any]]:
         return a == b or (_is_plain(type(a)) and not changed(a) and not changed(b))
 
     stored = (f for f in fields(value) if f.init and f.metadata.get("stored", True))
-    return [f for f in stored if not same(getattr(value, f.name), default(f))]
+    always = getattr(value, "always_stored", ())
+    return [f for f in stored if f.name in always or not same(getattr(value, f.name), default(f))]

@@ -75,8 +75,14 @@ class Noun:
         return {name: getattr(self, name) for name in drawn}
 
     def require_ranges(self) -> None:
-        """Refuse a range that falls, or leaves the domain of its number."""
+        """Refuse a range that falls, or leaves the domain of its number; a list becomes a tuple,
+        which stays as it is.
+        """
         self.random()  # looks at all of them
+        for noun in (self, *self._nouns.values()):
+            for name, value in [*vars(noun).items()]:
+                if name in noun._ends and isinstance(value, list):
+                    object.__setattr__(noun, name, tuple(value))
 
     def drawn(self, uniform: Uniform) -> dict[str, Any]:
         """What a picture draws."""

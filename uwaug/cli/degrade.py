@@ -64,7 +64,9 @@ def degrade(
             metavar="NAME=VALUE",
         ),
     ] = None,
-    options: Annotated[Path | None, typer.Option(help="The same in a TOML file.")] = None,
+    options: Annotated[
+        Path | None, typer.Option(help="The same in a TOML file, such as a preset's.")
+    ] = None,
     seed: Annotated[int, typer.Option(help="Of all that is random.")] = 0,
     variants: Annotated[int, typer.Option(help="Of each picture.")] = 1,
     workers: Workers = 0,
@@ -168,7 +170,7 @@ def _options(
     """Options of `RandomUnderwater` as plain values; the later of these take the place of the
     earlier.
     """
-    from uwaug.presets import load_preset
+    from uwaug.presets.preset import load_preset, read_tables
     from uwaug.transforms import RandomDevelopment, RandomWater
 
     if plain and preset is not None:
@@ -182,15 +184,9 @@ def _options(
         options |= load_preset(preset, **replaced).to_dict()
         options.pop("distance", None)  # of a preset's own maps
     if file is not None:
-        try:
-            tables = tomllib.loads(file.read_text(encoding="utf-8"))
-        except tomllib.TOMLDecodeError as error:
-            raise ValueError(f"{file}: {error}") from None
-        for name, value in tables.items():
+        for name, value in read_tables(file).items():
             both = isinstance(value, dict) and isinstance(options.get(name), dict)
             options[name] = options[name] | value if both else value
-    if not isinstance(options["water"], dict):
-        options["water"] = {"waters": options["water"]}
     if waters:
         options["water"]["waters"] = list(waters)
     if contrast is not None:
@@ -202,7 +198,7 @@ def _options(
         *places, last = name.strip().split(".")
         target = options
         for place in places:
-            if target.get(place) is None:
+            if target.get(place) in (None, "none"):
                 target[place] = {}
             target = target[place]
             if not isinstance(target, dict):

@@ -31,9 +31,8 @@ def export(
 
     with reported_errors(), status() as say:
         if preset.endswith(".json") and water is None:
-            module = load_fit(preset).module(
-                sides=sides
-            )  # planned for the distances of its pictures
+            # planned for the distances of its pictures
+            module = load_fit(preset).module(sides=sides)
         else:
             module = load_preset(preset, water=water).module(sides=sides)
         export_onnx(module, out, coefficients=coefficients, progress=say)

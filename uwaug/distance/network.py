@@ -84,6 +84,10 @@ class Network(Source):
         session = Session(self.model, threads=None, providers=self.providers)
         object.__setattr__(self, "_session", session)
 
+    def reach(self) -> tuple[float, float] | None:
+        """See `Source.reach`."""
+        return self.holds.reach()
+
     def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn) -> Tensor:
         """See `Source.metres`."""
         guess = self(image / 255 if image.dtype == torch.uint8 else image)

@@ -191,6 +191,11 @@ class Plane(Source):
     def __post_init__(self) -> None:
         as_range("distance", self.distance, 0.0, unit="m")
 
+    def reach(self) -> tuple[float, float]:
+        """See `Source.reach`."""
+        low, high, _ = self._ends["distance"]
+        return low, high
+
     def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn) -> Tensor:
         """See `Source.metres`."""
         dtype = torch.promote_types(image.dtype, torch.float32)

@@ -76,6 +76,8 @@ def water_case(water: Water, scene: Scene, field_range: tuple[float, float] = (1
 def preset_case(name: str, preset: RandomUnderwater) -> Case:
     """What a preset of which nothing is random comes to, over the scene's own distances."""
     only = preset.module()
+    if only.light is not None:
+        raise ValueError(f"{name}: sheets of terms are by daylight, but it has a light of its own")
     module = Underwater(
         only.medium, None, color_space=only.color_space, development=only.development
     )

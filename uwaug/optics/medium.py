@@ -139,7 +139,7 @@ class Medium:
         """A medium of plain numbers, see `uwaug._support.codec`; or of those of
         `from_coefficients`, as a person writes them.
         """
-        if "veil" in values:
+        if "direct_weights" not in values:
             return Medium.from_coefficients(**values)
         stored = values.keys() & Medium.TENSORS
         tensors = {name: torch.tensor(values[name], dtype=torch.float64) for name in stored}

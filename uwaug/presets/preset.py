@@ -42,24 +42,35 @@ def load_preset(
         >>> preset.module().distance_range
         (0.7, 6.5)
     """
-    path = preset_path(name_or_path)
     given = {key: value for key, value in (("waters", water), ("camera", camera)) if value}
-    if path.suffix == ".json":
-        return _of_fit(path, given)
+    if os.fspath(name_or_path).endswith(".json"):
+        return _of_fit(Path(name_or_path), given)
+    path = preset_path(name_or_path)
+    tables = read_tables(path)
+    waters = tables["water"].get("waters")
+    if given and isinstance(waters, dict) and waters.get("kind") == "Medium":
+        _refuse(path, given)
+    try:
+        return RandomUnderwater.from_dict({**tables, "water": {**tables["water"], **given}})
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def read_tables(path: Path) -> dict[str, Any]:
+    """The options of `RandomUnderwater` that a TOML file holds; those of water as a table.
+
+    Raises:
+        ValueError: the file is no TOML.
+    """
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: not a TOML file: {error}") from error
-    options = tables.get("water", {})
-    if not isinstance(options, dict):
-        options = {"waters": options}
-    if given and isinstance(options.get("waters"), dict):
-        _refuse(path, given)
-    named = {key: _beside(path, options[key]) for key in ("waters", "camera") if key in options}
-    try:
-        return RandomUnderwater.from_dict({**tables, "water": {**options, **named, **given}})
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{path}: {error}") from error
+    water = tables.get("water", {})
+    if not isinstance(water, dict):
+        water = {"waters": water}
+    named = {key: _beside(path, water[key]) for key in ("waters", "camera") if key in water}
+    return {**tables, "water": {**water, **named}}
 
 
 def _of_fit(path: Path, given: dict[str, Any]) -> RandomUnderwater:

@@ -80,5 +80,11 @@ def _require_measured(measured: Any) -> None:
         if not (isinstance(median, (int, float)) and median > 0):  # infinite in open water
             raise ValueError(f"params: measured.median must be above 0 m, got {median!r:.80}")
         checks.within("params: measured.exposure", measured["exposure"], -math.inf)
-        for factor in measured["white_balance"] or ():
+        balance = measured["white_balance"]
+        if balance is not None and not (isinstance(balance, (list, tuple)) and len(balance) == 3):
+            expected = "three numbers, or null"
+            raise ValueError(
+                f"params: measured.white_balance must be {expected}, got {balance!r:.80}"
+            )
+        for factor in balance or ():
             checks.positive("params: measured.white_balance", factor)

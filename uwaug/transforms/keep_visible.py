@@ -44,8 +44,9 @@ class KeepVisible(SampleTransform):
 
     Examples:
         >>> import torch
-        >>> from uwaug import RandomUnderwater
-        >>> keep = KeepVisible(RandomUnderwater("3C", contrast=None), min_contrast=0.05)
+        >>> from uwaug import RandomUnderwater, RandomWater
+        >>> augment = RandomUnderwater(RandomWater("3C", contrast=None))
+        >>> keep = KeepVisible(augment, min_contrast=0.05)
         >>> distance = torch.full((1, 32, 48), 1.0)
         >>> distance[..., 32:] = 12.0
         >>> boxes = torch.tensor([[2.0, 2.0, 20.0, 20.0], [34.0, 2.0, 46.0, 20.0]])

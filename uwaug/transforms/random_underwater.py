@@ -145,6 +145,7 @@ class RandomUnderwater(SampleTransform):
         light_noun = self.light if isinstance(self.light, RandomLight) else Fixed(self.light)
         each = (self.water, self.distance, light_noun, self.development)
         self._nouns: dict[str, Any] = dict(zip(NOUNS, each, strict=True))
+        self.always_stored = {"light"} if self.water.has_media else set()
 
     @classmethod
     def severity(cls, level: int, water: Any = None, **options: Any) -> "RandomUnderwater":
@@ -192,12 +193,14 @@ class RandomUnderwater(SampleTransform):
             raise ValueError(f"a module makes the same of all pictures, but {got} differ: fix them")
         ends = self.distance.reach() or (0.1, 20.0)
         thin, dense = self.water.field or (1.0, 1.0)
-        seen = Measured(1, 0.0, 1.0, *ends, ends[1], bool(self.development.metered))
+        near, far = ends[0] * thin, ends[1] * dense
+        lamps = isinstance(self.light, Light) and bool(self.light.lamps)
+        seen = Measured(1, 0.0, 1.0, *ends, ends[1], bool(self.development.metered), lamps)
         draw = Draw(**self._sample(uniform_of(0)))
         light = self._nouns["light"].of(draw.light, seen)
         return Underwater(
             self.water.of(draw.water, seen).medium,
-            distance_range or (ends[0] * thin, ends[1] * dense),
+            distance_range or (near, max(far, 1.01 * near)),  # of a plane, too
             color_space=self.development.color_space,
             sides=sides,
             development=self.development.of(draw.development, seen),

@@ -96,8 +96,10 @@ class Reached(NamedTuple):
             times = f"that is {self.contents:.3g} times what is in it"
             odd = f"water {self.water} is too clear for {asked}: {times}. Name a more turbid one"
         elif not 1 / MOST_MISSED <= self.contrast / self.asked <= MOST_MISSED:
-            what = "pure water" if self.by == "contents" else f"water {self.water}"
-            odd = f"{what} leaves {self.contrast:.2g} of contrast, not {asked}: {unit}"
+            by_contents = self.by == "contents"
+            what = "pure water" if by_contents else f"water {self.water}"
+            why = unit if by_contents else "water.contrast_by=contents would change what is in it"
+            odd = f"{what} leaves {self.contrast:.2g} of contrast, not {asked}: {why}"
         else:
             return ""
         cure = "water.contrast=None (--contrast none) leaves distances and water as they are"
