@@ -75,9 +75,12 @@ def test_in_pictures(way: str, water: str) -> None:
         torch.testing.assert_close(brighter, ARRIVING.float().expand_as(brighter))
 
 
-def test_the_loops_form_none_of_it() -> None:
-    assert fast.can(IMAGE, DISTANCE, CLEAR, None)
-    assert not fast.can(IMAGE, DISTANCE, glowing(CLEAR), None)
+def test_the_loops_form_it_too() -> None:
+    medium = glowing(WATERS["spectral"])
+    degrade = Underwater(medium, None, development=Development("auto", saturation=1.2))
+    assert fast.can(IMAGE, DISTANCE, medium, None, degrade.development)
+    exact = degrade(IMAGE.double(), DISTANCE.double())
+    torch.testing.assert_close(degrade(IMAGE, DISTANCE).double(), exact, rtol=0, atol=1e-5)
 
 
 def test_the_meter_sees_it() -> None:

@@ -5,14 +5,14 @@ it reaches is in glow.py, whose tests run in a copy of the package that has it.
 
 from pathlib import Path
 
+import pytest
 from edited import edited_copy, run_in
 
-from uwaug import fast
+from uwaug import Medium, fast
 
 TESTS = Path(__file__).parent
 GLOW = {
     "optics/medium.py": {
-        '        "b_mean": "B",\n': '        "b_mean": "B",\n        "glow": "BC",\n',
         'metadata={"stored": False})\n': (
             'metadata={"stored": False})\n    glow: Tensor = torch.zeros(())\n'
         ),
@@ -26,9 +26,15 @@ GLOW = {
 }
 
 
-def test_it_reaches_all_that_a_term_has_to(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("after", "tests"), [("b_mean", ""), ("signal_weights", "pictures or loops")]
+)
+def test_it_reaches_all_that_a_term_has_to(after: str, tests: str, tmp_path: Path) -> None:
+    """Wherever its line stands among the tensors."""
     fast.warm_up()  # what is compiled here need not be compiled there
-    edited_copy(tmp_path, GLOW)
+    line = f'        "{after}": "{Medium.TENSORS[after]}",\n'
+    medium = {**GLOW["optics/medium.py"], line: f'{line}        "glow": "BC",\n'}
+    edited_copy(tmp_path, {**GLOW, "optics/medium.py": medium})
     settings = ["-c", str(TESTS.parent / "pyproject.toml"), "--rootdir", str(TESTS.parent)]
     options = ["-q", "-n", "0", "-p", "no:cacheprovider", "--show-capture=no", *settings]
-    run_in(tmp_path, "-m", "pytest", *options, str(TESTS / "glow.py"))
+    run_in(tmp_path, "-m", "pytest", *options, "-k", tests, str(TESTS / "glow.py"))

@@ -5,6 +5,7 @@ import multiprocessing
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -205,7 +206,15 @@ class OwnLaw(PointSpread):
 
 
 class OwnMedium(Medium):
-    """One of somebody's own."""
+    """One of somebody's own, in which plankton glows."""
+
+    def further_terms(self, z: Tensor) -> dict[str, Tensor]:
+        return {"glow": z.new_tensor([0.1, 0.2, 0.3])[:, None, None] * -torch.expm1(-z)}
+
+
+class OwnCurves(Medium):
+    def curves(self, z: Tensor) -> Any:
+        return super().curves(2 * z)
 
 
 IMAGE, Z, WATER = rand(1, 3, 20, 30).float(), stepped(1, 1, 20, 30).float(), coefficients()
@@ -220,8 +229,7 @@ LEARNED_LAW = coefficients(law=PointSpread(torch.tensor([1.0], requires_grad=Tru
         {"z": Z.clone().requires_grad_()},
         {"medium": LEARNED},
         {"medium": LEARNED_LAW},
-        {"medium": coefficients(law=OwnLaw(1.0))},
-        {"medium": OwnMedium(*WATER.tensors(), WATER.point_spread)},
+        {"medium": OwnCurves(*WATER.tensors(), WATER.point_spread)},
         {"z": Z.double()},
         {"image": IMAGE.to("meta")},
         {"light": object()},
@@ -232,6 +240,26 @@ def test_the_gate_is_closed(change: dict[str, Any]) -> None:
     given = {"image": IMAGE, "z": Z, "medium": WATER, "light": None}
     assert fast.can(**given)
     assert not fast.can(**given | change)
+
+
+@pytest.mark.parametrize("surfaces", ["grey", "spectral"])
+@pytest.mark.parametrize("lit", [False, True])
+@pytest.mark.parametrize("kind", ["law", "terms"])
+def test_what_is_of_distance_alone_acts_in_the_loops(kind: str, lit: bool, surfaces: Any) -> None:
+    plain = Medium.from_water("7C", surfaces=surfaces, point_spread=PointSpread(3.0, 0.8))
+    own = replace(plain, point_spread=OwnLaw(3.0, 0.8))
+    if kind == "terms":
+        own = OwnMedium(*plain.tensors(), plain.point_spread, bands=plain.bands)
+    light = Light((Lamp(),), daylight=0.5) if lit else None
+    development = Development("auto", saturation=1.2, gamut=0.5)
+    pictures = []
+    for medium in (own, plain):
+        degrade = Underwater(medium, None, development=development, light=light)
+        assert fast.can(IMAGE, Z, medium, light, development)
+        pictures.append(degrade(IMAGE, Z))
+        exact = degrade(IMAGE.double(), Z.double())
+        torch.testing.assert_close(pictures[-1].double(), exact, rtol=0, atol=1e-5)
+    assert (pictures[0] - pictures[1]).abs().max() > 0.003
 
 
 def test_the_gate_is_open_where_gradients_are_off_and_to_bytes() -> None:

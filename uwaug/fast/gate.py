@@ -72,7 +72,7 @@ def warm_up() -> None:
     Raises:
         ModuleNotFoundError: if numba is missing, switched off, or does not work.
     """
-    if not load():
+    if not (wanted() and load()):
         raise ModuleNotFoundError("the compiled loops need numba: pip install 'uwaug[fast]'")
     from uwaug.fast.render import form
 

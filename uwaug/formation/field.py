@@ -116,17 +116,24 @@ def field_of(
         across = torch.stack([_cosines(width, longest, noise, count, px) for px in moved])
         here = (rows @ across.mT)[:, None]
     # the ends are those of the field that has not moved: else all of it would change as it moves
-    if field.shape[0] == 1 and checks.on_host(field):
-        bottom, top = checks.extent(field)  # along dimensions it takes five times as long
-        times = (high - low) / (top - bottom) if top > bottom else 0.0
-        shift = (low + high) / 2 - (bottom + top) / 2 * times
-        return (here * times).add_(shift).clamp_(low, high)
+    if checks.on_host(field) and len(field):
+        each = zip(torch.split(here, 1), field, strict=True)
+        stretched = [_stretched(some, *checks.extent(whole), low, high) for some, whole in each]
+        return stretched[0] if len(stretched) == 1 else torch.cat(stretched)
     least, largest = field.amin((-2, -1), keepdim=True), field.amax((-2, -1), keepdim=True)
     span = largest - least
     scale = torch.where(span > 0, (high - low) / span, 0.0)
     # (torch.addcmul takes three times as long)
     middle = (low + high) / 2 - (least + largest) / 2 * scale
     return (here * scale).add_(middle).clamp_(low, high)
+
+
+def _stretched(field: Tensor, least: float, largest: float, low: float, high: float) -> Tensor:
+    """A field between two values, mapped to lie between two others. (Ends along dimensions take
+    five times as long.)
+    """
+    scale = (high - low) / (largest - least) if largest > least else 0.0
+    return (field * scale).add_((low + high) / 2 - (least + largest) / 2 * scale).clamp_(low, high)
 
 
 class _Waves(NamedTuple):

@@ -352,7 +352,7 @@ class Medium:
 
     def tensors(self) -> tuple[Tensor, ...]:
         """Rates, weights and b̄, in the order of `TENSORS`."""
-        return tuple(map(self.__getattribute__, self.TENSORS))
+        return tuple([getattr(self, name) for name in self.TENSORS])
 
     def parameters(self) -> dict[str, Tensor]:
         """All that is continuous in a medium, by name, each with a row for every medium: the
