@@ -13,8 +13,9 @@ from uwaug import Medium, fast
 TESTS = Path(__file__).parent
 GLOW = {
     "optics/medium.py": {
-        'metadata={"stored": False})\n': (
-            'metadata={"stored": False})\n    glow: Tensor = torch.zeros(())\n'
+        "    snow: tuple[MarineSnow | None, ...] = ()\n\n    def __post": (
+            "    snow: tuple[MarineSnow | None, ...] = ()\n"
+            "    glow: Tensor = torch.zeros(())\n\n    def __post"
         ),
         "        return {}\n": (
             '        return {"glow": self.glow[..., None, None] * -torch.expm1(-z)}\n'

@@ -252,6 +252,14 @@ def test_a_broken_map_fails_alone_and_resume_goes_on(folder, run):
         ("degrade photos --distance 3 --contrast 2 --out wet", "Error: --contrast must be"),
         ("degrade photos --variants=0 --out wet", "Error: --variants must be 1 or more"),
         ("degrade photos --min-contrast 2 --out wet", "Error: --min-contrast must be in [0, 1]"),
+        ("degrade photos --min-contrast .1 --out wet", "is of labels, of which none are given"),
+        ("degrade photos --set drift=.1 --out wet", "is of films, whose frames --sequence makes"),
+        ("page --distance nowhere.npy --unit mm --out page.html", "of a picture: give --image"),
+        (
+            "fit --clean a.png --observed b.png --distance z.npy --out f.json --model waters "
+            "--gain fixed",
+            "--model waters fits the gain",
+        ),
         ("degrade photos --set water.vertical_depth=-1 --out wet", "Error: vertical_depth must be"),
         ("degrade photos --set vertical_depth=1 --out wet", "has no 'vertical_depth', only water,"),
         ("degrade photos --out photos", "--resume"),

@@ -55,13 +55,34 @@ def test_what_no_one_sees_is_open_water(
 
 
 @pytest.mark.parametrize("rows", [1, 14, 20])
-@pytest.mark.parametrize("value", [65.535, 655.35, 1000.0, 9999.0, 65504.0])
-def test_a_sky_that_stands_alone_is_asked_for(value: float, rows: int) -> None:
-    share = f"{100 * rows / H:.2g} % of a map are {value:g}"
-    with pytest.raises(ValueError, match=rf"{share}, a gap .*sky\? --holes far"):
-        transformed(sky(value, rows))
+@pytest.mark.parametrize("value", [327.67, 655.35, 1000.0, 9999.0, 65504.0])
+def test_a_sky_that_stands_alone_is_open_water(value: float, rows: int) -> None:
     expected = transformed(sky(math.inf, rows))
-    assert torch.equal(transformed(sky(value, rows), Metres("far")), expected)
+    for source in (Metres(), Metres("far")):
+        assert torch.equal(transformed(sky(value, rows), source), expected)
+
+
+@pytest.mark.usefixtures("nothing_is_said")
+@pytest.mark.parametrize("value", [60.0, 65.535])
+def test_what_a_depth_camera_may_not_have_seen_is_told_once(value: float) -> None:
+    few = holed(floor(), value)
+    with pytest.warns(UserWarning, match=rf"1.9 % of a map are {value:g}, a gap .*--holes behind"):
+        once = Metres().metres(few, picture(), {})
+    assert torch.equal(once, few)
+    assert torch.equal(Metres().metres(few, picture(), {}), few)  # silent
+
+
+@pytest.mark.parametrize("source", [Metres(), Metres("behind"), Metres("fill")])
+@pytest.mark.parametrize("value", [51.3, 306.0, 459.1, 123.456])
+def test_facades_and_horizons_are_no_stand_ins(value: float, source: Metres) -> None:
+    """One number, far beyond all others, as planar depth has of whatever faces the camera."""
+    horizon = 3 * floor()
+    horizon[:, 0] = value
+    for z in (holed(3 * floor(), value), horizon):
+        kept = source.metres(z, picture(), {})
+        # 20 times the median are open water, as where a renderer ends
+        open_water = (kept == torch.inf) & (z == value) & (value > 200)
+        assert bool(((kept == z) | open_water).all())
 
 
 def test_millimetres_are_told_from_a_sky() -> None:

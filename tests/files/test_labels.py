@@ -826,6 +826,22 @@ def test_255_beside_small_values_says_nothing(
         assert np.array_equal(written, np.where(mask == 255, 255 * ignored, 0))
 
 
+def test_255_says_nothing_in_masks_that_nobody_looked_at(tmp_path: Path) -> None:
+    names = [f"{i:03}.jpg" for i in range(40)]
+    mask = np.zeros(SIZE, np.uint8)
+    mask[:, -1] = 1
+    for name in names:
+        save(tmp_path / "masks" / name.replace("jpg", "png"), mask)
+    mask[:, -2] = 255
+    save(tmp_path / "masks/001.png", mask)
+    keys = [
+        [label.key for label in of] for of in labelled(tmp_path / "masks", names, tmp_path / "out")
+    ]
+    assert keys == [[1]] * 40
+    with Image.open(tmp_path / "out/labels/001.png") as written:
+        assert np.unique(written).tolist() == [0, 255]
+
+
 def test_masks_in_colour(tmp_path: Path) -> None:
     mask = np.zeros((*SIZE, 3), np.uint8)
     mask[:, 0], mask[:, 1], mask[:, -1] = (128, 0, 0), (224, 224, 192), (0, 128, 0)

@@ -21,7 +21,7 @@ from deadly import Deadly
 from filing import content, metres, pixels, save, words
 from PIL import Image
 
-from uwaug import Lamp, Light, RandomDevelopment, RandomUnderwater, RandomWater, Sensor
+from uwaug import Lamp, Light, Medium, RandomDevelopment, RandomUnderwater, RandomWater, Sensor
 from uwaug.distance import Metres, Plane, Relative
 from uwaug.files import Item, Recipe, degrade, find_items, read_picture, read_record, replay
 from uwaug.files.pool import on_processes
@@ -86,6 +86,12 @@ def test_items() -> None:
         find_items("ds/maps/deep")
     with pytest.raises(FileNotFoundError):
         find_items("nowhere")
+
+
+def test_names_that_begin_with_an_at() -> None:
+    for place in ("@home.png", "@eaDir/1.png", ".hidden.png"):
+        save(f"ats/{place}", pixels(H, W))
+    assert names("ats") == {"@home.png": ""}
 
 
 def test_a_picture_is_not_its_own_map() -> None:
@@ -414,6 +420,24 @@ def test_replay() -> None:
     save("depth/2.npy", 2 * metres(H, W))
     with pytest.raises(ValueError, match=r"depth/2\.npy has changed since .*2\.png\.json was"):
         replay("out/2.png.json", "again.png", picture="moved.png", force=True)
+
+
+@pytest.mark.parametrize("name", ["uwaug", "torch"])
+def test_records_of_another_version_say_so(name: str) -> None:
+    degrade(RECIPE, items()[:1], "new")
+    record = read_record(Path("new/0.png.json"))
+    replay("new/0.png.json", "same.png")  # silent: a warning would be an error
+    write_record(Path("old.json"), {**record, name: "0.0.1"})
+    with pytest.warns(UserWarning, match=rf"old.json was written by .*{name} 0\.0\.1.*: defaults"):
+        replay("old.json", "again.png")
+
+
+def test_a_medium_under_lamps_is_made_again_from_its_record() -> None:
+    medium = Medium.from_water("3C", vertical_depth=5, surfaces="spectral")
+    light = Light((Lamp((0.4, -0.3, 0.0), 3.0),), daylight=0.1)
+    degrade(Recipe(RandomUnderwater(medium, light=light)), items()[:1], "new")
+    replay("new/0.png.json", "again.png")
+    assert Path("new/0.png").read_bytes() == Path("again.png").read_bytes()
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", "[" * 100_000])

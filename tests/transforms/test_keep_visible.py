@@ -144,11 +144,27 @@ def test_lists_and_arrays_keep_their_kind() -> None:
 
 def test_only_the_entries_named_have_rows() -> None:
     more = {"track": np.array([5, 6, 7]), "other": torch.arange(3)}
-    keep = KeepVisible(AUGMENT, 0.05, along=("boxes", "track"))
+    apart = ("image_id", "other", "labels", "area")
+    keep = KeepVisible(AUGMENT, 0.05, along=("boxes", "track"), apart=apart)
     found = keep(image(), distance(), target() | more)[2]
     assert found["track"].tolist() == [5, 7]
     assert found["other"] is more["other"]
     assert len(found["labels"]) == 3
+
+
+def test_rows_of_entries_that_nobody_has_named() -> None:
+    given = target() | {"track_ids": [1, 2, 3]}
+    with pytest.raises(ValueError, match=r"target\['track_ids'\] has a row for each of 3 objects"):
+        KEEP(image(), distance(), given)
+    along = (*KEEP.along, "track_ids")
+    assert KeepVisible(AUGMENT, along=along)(image(), distance(), given)[2]["track_ids"] == [1, 3]
+    apart = (*KEEP.apart, "track_ids")
+    assert KeepVisible(AUGMENT, apart=apart)(image(), distance(), given)[2]["track_ids"] == [
+        1,
+        2,
+        3,
+    ]
+    assert len(KeepVisible(AUGMENT, 0.0)(image(), distance(), given)[2]["boxes"]) == 3
 
 
 def test_flags_in_place_of_removal() -> None:
@@ -210,6 +226,14 @@ def test_keys_draw_the_same_and_copies_are_alike() -> None:
     "change, message",
     [
         ({"labels": torch.arange(2)}, r"target\['labels'\] has 2 rows for 3 objects"),
+        (
+            {"boxes": torch.tensor([[20.0, 5.0, 9.0, 30.0]] * 3)},
+            r"\['boxes'\] end before they begin: .* for \(x, y, width, height\) give torchvision's",
+        ),
+        (
+            {"boxes": torch.tensor([[0.1, 0.2, 0.5, 1.0]] * 3)},
+            r"\['boxes'\] lie in 0…1: expected px, so multiply by width and height",
+        ),
         (
             {"masks": torch.ones(3, 4, 5)},
             r"target\['masks'\] is \(3, 4, 5\): expected \(N, 40, 60\)",

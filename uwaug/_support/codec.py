@@ -53,6 +53,8 @@ def to_plain(value: Any) -> Any:
         return [to_plain(item) for item in value]
     if isinstance(value, Mapping):
         return {str(key): to_plain(item) for key, item in value.items()}
+    if hasattr(value, "as_stored"):
+        return to_plain(value.as_stored())
     if _is_plain(type(value)):
         stored = {field.name: getattr(value, field.name) for field in changed(value)}
         named = {name: "none" if item is None else to_plain(item) for name, item in stored.items()}

@@ -110,6 +110,8 @@ def degrade(
 
         chosen = _options(preset, plain, options, set_ or (), water or (), contrast)
         of_run = {name: chosen.pop(name) for name in ("drift", "quality") if name in chosen}
+        if "drift" in of_run and not sequence:
+            raise ValueError("--set drift is of films, whose frames --sequence makes of a folder")
         if plain and not (chosen["water"].get("waters") and (distance or "distance" in chosen)):
             raise ValueError("--plain draws nothing: give both, one --water and --distance")
         of_maps: Any = {"unit": number_or_word(unit), "holes": number_or_word(holes)}

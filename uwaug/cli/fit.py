@@ -49,6 +49,8 @@ def fit(
     with reported_errors():
         if figure is not None:
             require("plot", "matplotlib")
+        if model == "waters" and gain == "fixed":
+            raise ValueError("--model waters fits the gain: leave out --gain fixed")
         pictures = read_picture(clean), read_picture(observed)
         z = read_metres(distance, unit, pictures[0])
         if holes in ("error", "none"):

@@ -43,6 +43,8 @@ def page(
     with reported_errors():
         if water is not None:
             checks.one_of("water", water, WATERS)
+        if image is None and (distance is not None or (unit, holes) != ("m", "error")):
+            raise ValueError("--distance, --unit and --holes are of a picture: give --image")
         stem = "motorcycle" if image is None else image.stem
         source: dict[str, Any] = {"picture": f"{stem}-scene.png", "distance": f"{stem}-scene.npy"}
         source |= {"unit": 1.0, "holes": "error", "unsaved": True}

@@ -10,7 +10,7 @@ from torch.nn.functional import avg_pool2d, interpolate
 from uwaug._support import checks
 from uwaug._support.once import Once
 from uwaug.distance.sizes import same_aspect, size_in_words
-from uwaug.distance.unknown import in_words, of_metres
+from uwaug.distance.unknown import FARTHEST_SEEN, alone_of_metres, in_words, of_metres
 
 _CELLS = 72
 """Of a small copy, along the shorter side. Of each cell of a map nine pixels are looked at."""
@@ -53,6 +53,7 @@ class Evidence(NamedTuple):
     size: str  # a sentence, where it does not have the picture's
     holes: float  # share of unknown pixels
     alone: str  # a sentence, where a number is far from all others
+    top: float  # the number
     scale: int  # which of `_SCALES`, or -1
     convexity: float  # above 0 for distances, below for disparities; NaN where it says nothing
     fit: Tensor | None  # of edges to edges, by shift
@@ -121,7 +122,7 @@ def evidence(distance: Tensor, image: Tensor) -> Evidence:
     (h, w), (height, width) = z.shape[-2:], picture.shape[-2:]
     size = "" if (h, w) == (height, width) else size_in_words((h, w), (height, width))
     if not z.numel():
-        return Evidence(0, size, 0.0, "", -1, torch.nan, None, 0)
+        return Evidence(0, size, 0.0, "", torch.nan, -1, torch.nan, None, 0)
     short = min(h, w)
     cells = min(_CELLS, max(1, short // 3))
     rows, columns = (min(4 * _CELLS, cells * side // short) for side in (h, w))
@@ -133,16 +134,17 @@ def evidence(distance: Tensor, image: Tensor) -> Evidence:
     if cells >= _CELLS // 2 and same_aspect((h, w), (height, width)):
         green = interpolate(picture[None, 1:2].float(), (rows, columns), mode="area")[0, 0]
         fit = _fit(log, green if picture.is_floating_point() else green / 255)
-    alone, holes = of_metres(z, 0.0), 1 - float(is_known.float().mean())
+    alone, holes = of_metres(z) | alone_of_metres(z), 1 - float(is_known.float().mean())
     is_asked = 0 < float(alone.float().mean()) < _FEW
     words = in_words(z, alone, "if they are unknown, set them to 0") if is_asked else ""
+    top = float(z[alone][0]) if is_asked else torch.nan
     digest = hash(points.cpu().numpy().tobytes())
     scale = _scale(points)
     # of a file of 16 bits the largest is unknown, as 0 is
     if bool(z.isnan().any() and (z == 0).any()):
         high = float(torch.where(z < checks.OPEN, z, 0.0).amax())
         scale = _STRETCHED if any(0.9 * most < high < most for most in _MOST) else scale
-    return Evidence(digest, size, holes, words, scale, _convexity(log), fit, cells)
+    return Evidence(digest, size, holes, words, top, scale, _convexity(log), fit, cells)
 
 
 def judged(evidences: Iterable[Evidence]) -> list[str]:
@@ -156,7 +158,9 @@ def judged(evidences: Iterable[Evidence]) -> list[str]:
     for which, sentence in enumerate(_SCALES):
         if _most([shown.scale == which for shown in maps]):
             sentences.append(f"distances {sentence}")
-    if _most([bool(shown.alone) for shown in maps]):
+    # a stand-in comes again, a facade does not
+    tops = [shown.top for shown in maps if shown.top > FARTHEST_SEEN]
+    if _most([bool(shown.alone) for shown in maps]) or len(set(tops)) < len(tops):
         sentences += [shown.alone for shown in maps if shown.alone][:1]
     # a logarithm says little of stretched maps, which have shifts of their own
     reversed_ = [

@@ -15,7 +15,14 @@ from uwaug._support.once import Once
 from uwaug._support.ranges import Range, as_range
 from uwaug.distance.convert import along_ray, as_maps, from_inverse, from_relative
 from uwaug.distance.fill import fill_unknown
-from uwaug.distance.unknown import FARTHEST_SEEN, in_words, of_metres, of_shares, range_end
+from uwaug.distance.unknown import (
+    FARTHEST_SEEN,
+    NO_RANGE,
+    in_words,
+    of_metres,
+    of_shares,
+    range_end,
+)
 
 _Policy = Literal["error", "fill", "behind", "far"]
 Holes = _Policy | float
@@ -74,8 +81,9 @@ class Metres(Source):
 
     Attributes:
         holes: what NaN, 0 and negative distances get, see `Holes`; and the largest one, if it lies
-            beyond 50 m and alone, as 65.535 or 1000 do. From 1e7 m on a distance is open water.
-            Geometric transforms pad with 0.
+            beyond 50 m and alone, and looks like a stand-in: the end of a type, such as 65.535, or
+            one or two digits, such as 1000. With "error" a stand-in from 100 m on is open water, as
+            are 1e7 m and more; a nearer one stays, with a warning. Geometric transforms pad with 0.
         focal_px: focal length, px of the picture, or (fx, fy), of maps that hold depth along the
             optical axis, as depth cameras and renderers write it, see `along_ray`; None for metres
             along the ray. The axis goes through the middle: maps are whole views, not crops.
@@ -96,7 +104,13 @@ class Metres(Source):
         checks.metres("distance", z)
         if z.numel() and not float(z.detach().amax()) <= FARTHEST_SEEN:  # or NaN
             z = torch.where(z >= checks.OPEN, torch.inf, z)
-            z = _asked(z, of_metres(z), self.holes)
+            stand_in = of_metres(z)
+            if self.holes != "error":
+                z = torch.where(stand_in, torch.nan, z)
+            elif bool((stand_in & (z < NO_RANGE)).any()):
+                _alone.warn(f"distance: {in_words(z, stand_in)}")
+            else:
+                z = torch.where(stand_in, torch.inf, z)
             z = torch.where(range_end(z), torch.inf, z)
         if self.focal_px is not None:
             (h, w), (height, width), focal = z.shape[-2:], image.shape[-2:], self.focal_px

@@ -1,8 +1,9 @@
 """Numbers in maps that are no distance: they stand for unknown pixels, or for the sky.
 
-Several pixels hold exactly such a number, and it is alone: a gap away from all others. Of true maps
-only those of something flat that a computer made have the like. In metres 0, negative and NaN are
-unknown anyway, and from `checks.OPEN` on all is open water.
+Several pixels hold exactly such a number, and it is alone: a gap away from all others. So is many a
+true distance: that of a facade that faces the camera, or of the last row of ground before the
+horizon. A number of metres is a stand-in only if it looks like one, too, as 65.535 or 1000 do. In
+metres 0, negative and NaN are unknown anyway, and from `checks.OPEN` on all is open water.
 """
 
 import torch
@@ -25,8 +26,13 @@ what is nearest in a scene.
 _ZERO_GAP = 0.02
 """The same above 0. A network's maps are stretched to 0 without a gap."""
 
-_MOST = tuple(most * unit for most in (65504, 65535) for unit in (1.0, 0.1, 0.01, 0.001))
-"""m: the largest that 16 bits hold, in usual units; of these no gap is asked."""
+_ENDS = tuple(end * unit for end in (32767, 65504, 65535) for unit in (1.0, 0.1, 0.01, 0.001))
+"""m: the largest numbers that types of 16 bits hold, in usual units; of these no gap is asked."""
+
+NO_RANGE = 100.0
+"""m: from here on a stand-in is the sky of a renderer, nearer it may be what a depth camera did not
+see.
+"""
 
 _END_SHARE, _END_TIMES = 0.01, 20.0
 """Of the pixels, that hold the largest distance, and times the median of all others, from which on
@@ -34,13 +40,28 @@ that is where a renderer ends. Of contrast no more than .12 would be left there,
 """
 
 
-def of_metres(z: Tensor, beyond: float = FARTHEST_SEEN) -> Tensor:
-    """Which pixels of a map (1xHxW) hold a number, beyond so many m, that is no distance."""
+def of_metres(z: Tensor) -> Tensor:
+    """Which pixels of a map (1xHxW) hold a stand-in for a distance."""
     top = float(torch.where(z.isfinite(), z.detach(), 0.0).amax())
-    if top <= beyond:
+    if top <= FARTHEST_SEEN or not (is_end := _is_end(top)) | _is_round(top):
         return torch.zeros_like(z, dtype=torch.bool)
-    is_most = any(abs(top - most) < 1e-5 * most for most in _MOST)
-    return _alone(torch.where(z > 0, z, torch.nan), 0.0 if is_most else _GAP)
+    return alone_of_metres(z, 0.0 if is_end else _GAP)
+
+
+def alone_of_metres(z: Tensor, gap: float = _GAP) -> Tensor:
+    """Which pixels of a map (1xHxW) hold the largest distance, if that is alone."""
+    return _alone(torch.where(z > 0, z, torch.nan), gap)
+
+
+def _is_end(metres: float) -> bool:
+    """Whether this is the largest number of a type."""
+    return any(abs(metres - end) < 1e-5 * end for end in _ENDS)
+
+
+def _is_round(metres: float) -> bool:
+    """Whether this is a number of one or two digits, or of nines."""
+    digits = f"{metres:.6g}".replace(".", "").strip("0")
+    return len(digits) <= 2 or set(digits) == {"9"}
 
 
 def of_shares(x: Tensor) -> Tensor:

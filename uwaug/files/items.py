@@ -131,8 +131,8 @@ def _files(folder: Path, apart: frozenset[str]) -> Iterator[Path]:
     """
     apart |= {os.path.realpath(folder)}
     for path in folder.iterdir():
-        if path.name.startswith((".", "@")):  # hidden, or of a disk in the network
-            continue
+        if path.name.startswith(".") or (path.name.startswith("@") and path.is_dir()):
+            continue  # hidden, or of a disk in the network
         if path.name.startswith("Segmentation") and (folder / "JPEGImages").is_dir():
             continue  # Pascal VOC's masks
         if not path.is_dir():

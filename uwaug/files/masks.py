@@ -31,10 +31,12 @@ class Masks(Folder):
     pixels to ignore.
 
     Attributes:
-        ignored: values of such pixels, which stay as they are.
+        ignored: values of pixels that are no object, which stay as they are.
+        tells: whether 255 was seen among small values, and is told of.
     """
 
     ignored: frozenset[Key] = frozenset({0, _IGNORE})
+    tells: bool = False
 
     reads = "a folder of .png masks"
     end = ".png"
@@ -48,16 +50,20 @@ class Masks(Folder):
         import numpy as np
 
         values = {value for file in samples for value in np.unique(_read(file)[1]).tolist()}
-        small = any(0 < value < _SMALL for value in values)
-        return replace(self, ignored=self.ignored | ({255} & values)) if small else self
+        if not _counts(values):
+            return self
+        # a picture whose mask is not among the samples may have it, too
+        return replace(self, ignored=self.ignored | {255}, tells=255 in values)
 
     def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
         import numpy as np
 
         _, values, _ = _read(self.of[name])
         require_size(self.of[name], values.shape, size)
-        for value in np.unique(values).tolist():
-            if value not in self.ignored:
+        present = np.unique(values).tolist()
+        ignored = self.ignored | ({255} if _counts(present) else set())
+        for value in present:
+            if value not in ignored:
                 yield value, values == value
 
     def without(self, dropped: Collection[Key], source: Path, place: str) -> bytes:
@@ -79,7 +85,12 @@ class Masks(Folder):
         for source in (self.path.parent / "labelmap.txt", self.path / "labelmap.txt"):
             if source.is_file():
                 write_other(out / source.name, source.read_bytes(), source)
-        return ["255 in masks says nothing (ignore), and stays"] * (255 in self.ignored)
+        return ["255 in masks says nothing (ignore), and stays"] * self.tells
+
+
+def _counts(values: Collection[int]) -> bool:
+    """Whether values count classes or objects, so that 255 is none of them."""
+    return any(0 < value < _SMALL for value in values)
 
 
 def _read(file: Path) -> "tuple[NDArray[Any], NDArray[Any], list[int] | None]":

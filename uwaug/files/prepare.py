@@ -13,7 +13,7 @@ from torch import Tensor
 from uwaug._support.threads import one_thread
 from uwaug.distance.doubts import REVERSED, doubts, evidence
 from uwaug.distance.sources import Inverse, Metres, Relative
-from uwaug.distance.unknown import in_words, of_shares
+from uwaug.distance.unknown import NO_RANGE, in_words, of_metres, of_shares
 from uwaug.files.films import frames_of
 from uwaug.files.items import Item
 from uwaug.files.pictures import read_picture
@@ -100,12 +100,23 @@ def _samples(recipe: Recipe, items: Sequence[Item]) -> list[_Sample]:
                 if z is not None:
                     (drawn,) = recipe.drawn(item.name, 0)["samples"]
                     source.metres(z, image, drawn["distance"])
+                    if isinstance(source, Metres) and source.holes == "error":
+                        _require_told(z)
             except Exception as error:
                 refused = reason_of(error)
                 if not refused.startswith(str(item.distance)):
                     refused = f"{item.distance}: {refused}"
             samples.append(_Sample(item, image, z, refused))
     return samples
+
+
+def _require_told(z: Tensor) -> None:
+    """Refuse a map with a number that may be what a depth camera did not see, of which nothing is
+    said; in a training it is only warned of.
+    """
+    alone = of_metres(z) & (z < NO_RANGE)
+    if bool(alone.any()):
+        raise ValueError(in_words(z, alone))
 
 
 def _doubts(recipe: Recipe, samples: Sequence[_Sample]) -> list[str]:

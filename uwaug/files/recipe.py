@@ -59,6 +59,8 @@ class Recipe:
             raise ValueError(f"variants must be 1 or more, got {self.variants}")
         if self.min_contrast is not None:
             checks.within("min_contrast", self.min_contrast, 0.0, 1.0)
+        if self.min_contrast is not None and self.labels is None:
+            raise ValueError("min_contrast (--min-contrast) is of labels, of which none are given")
         checks.within("drift", self.drift)
         checks.within("quality", self.quality, 1, 100)
 

@@ -64,8 +64,7 @@ class Work:
     def made_of(self, job: Job) -> dict[str, Any]:
         """All that a result follows from, as its record has it."""
         return {
-            "uwaug": __version__,
-            "torch": str(torch.__version__),
+            **versions(),
             "name": job.item.name,
             "variant": job.variant,
             "picture": _source(job.item.picture),
@@ -128,6 +127,11 @@ class Work:
         write_record(record_path(path), record)
         self.write(path, result, job.item)
         return _of_record(job, "written", record)
+
+
+def versions() -> dict[str, str]:
+    """Those that a result follows from."""
+    return {"uwaug": __version__, "torch": str(torch.__version__)}
 
 
 def _source(path: Path) -> dict[str, Any]:

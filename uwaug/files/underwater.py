@@ -1,5 +1,6 @@
 """Pictures in files under water."""
 
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from os.path import splitext
@@ -20,7 +21,7 @@ from uwaug.files.labels import Labels, judged
 from uwaug.files.pictures import ENDINGS, orientation_of
 from uwaug.files.recipe import Recipe
 from uwaug.files.record import digest, read_record, record_path
-from uwaug.files.run import Job, Progress, Work, require_apart, require_free, run
+from uwaug.files.run import Job, Progress, Work, require_apart, require_free, run, versions
 from uwaug.files.summary import Summary
 from uwaug.transforms.draws import Record
 from uwaug.transforms.random_underwater import RandomUnderwater
@@ -112,6 +113,9 @@ def replay(
         picture, distance: files that it was made of, if they have moved.
         force: write over what is there.
 
+    Warns:
+        UserWarning: if the record is of other versions.
+
     Raises:
         ValueError: if the file is no record, or pictures and distances do not suit or have changed.
         FileExistsError: if `output` exists, without `force`.
@@ -123,6 +127,11 @@ def replay(
     plain = read_record(Path(record))
     if "recipe" not in plain:
         raise ValueError(f"{record}: is no record of a picture under water")
+    made_by = {name: plain[name] for name in ("uwaug", "torch")}
+    if made_by != versions():
+        got = " and ".join(f"{name} {version}" for name, version in made_by.items())
+        cure = "defaults and last bits may differ"
+        warnings.warn(f"{record} was written by {got}: {cure}", stacklevel=2)
     recipe = codec.from_plain(plain["recipe"], Recipe)
     files = []
     for source, moved in ((plain["picture"], picture), (plain["distance"], distance)):

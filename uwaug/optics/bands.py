@@ -2,17 +2,33 @@
 down from the surface, needs to know of the water.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from uwaug._support.codec import plain
 from uwaug._support.types import Array
 from uwaug.optics.reduction import reduced_curves
 from uwaug.optics.surfaces import as_matrices
+
+
+@plain
+@dataclass(frozen=True, eq=False)
+class Lamplit:
+    """What files hold of `Bands`: their `under_lamp`."""
+
+    under_lamp: Mapping[str, Tensor]
+
+    @staticmethod
+    def of_plain(under_lamp: Mapping[str, Any]) -> "Lamplit":
+        """Of plain numbers, see `uwaug._support.codec`."""
+        tensors = {n: torch.tensor(x, dtype=torch.float64) for n, x in under_lamp.items()}
+        return Lamplit(tensors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +49,10 @@ class Bands:
     response: Array
     lit: Array
     tolerance: float
+
+    def as_stored(self) -> Lamplit:
+        """What stands for this in a file."""
+        return Lamplit(self.under_lamp)
 
     @cached_property
     def under_lamp(self) -> dict[str, Tensor]:

@@ -35,7 +35,7 @@ needs 15 to 24 exponentials, shared rates need 4 to 8.)
 import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from operator import index
 from typing import Any, ClassVar, get_args
 
@@ -46,7 +46,7 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug._support.checks import DOMAIN
 from uwaug._support.codec import plain
-from uwaug.optics.bands import Bands, padded
+from uwaug.optics.bands import Bands, Lamplit, padded
 from uwaug.optics.camera import Camera, load_camera, require_seen, response_at
 from uwaug.optics.curves import FARTHEST, Curves, Sums, cancels, curves, mix
 from uwaug.optics.point_spread import PointSpread
@@ -117,7 +117,7 @@ class Medium:
     b_mean: Tensor
     point_spread: PointSpread
     notes: tuple[str, ...] = ()
-    bands: tuple[Bands, ...] = field(default=(), metadata={"stored": False})
+    bands: tuple[Bands | Lamplit, ...] = ()
     snow: tuple[MarineSnow | None, ...] = ()
 
     def __post_init__(self) -> None:

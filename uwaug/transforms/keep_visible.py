@@ -29,18 +29,21 @@ class KeepVisible(SampleTransform):
         min_contrast: objects with less are taken out, 0…1.
         flag: keep them, and set their "iscrowd" to 1: losses and scores leave those out.
         along: names of the entries that have a row for each object, where they are there.
+        apart: names of those that are of the picture, whatever their length.
 
     Inputs:
         As for `augment`, one picture at a time. One dict holds the objects: the sample itself, or a
         dict directly in it, such as torchvision's target. It has "boxes" (Nx4) or "masks" (NxHxW)
         or both. Plain boxes are corners (x1, y1, x2, y2) in px; torchvision's `BoundingBoxes` say
-        what they are. The same structure comes back, with the rows of the objects that are left in
-        a copy of that dict. "contrast" (N, float32) is new; it is 0 of objects with no pixel in the
-        picture.
+        what they are. Where objects are taken out, another tensor, array or list of that dict with
+        as many rows as there are objects has to be named in `along` or `apart`. The same structure
+        comes back, with the rows of the objects that are left in a copy of that dict. "contrast"
+        (N, float32) is new; it is 0 of objects with no pixel in the picture.
 
     Raises:
         TypeError, ValueError: as `augment`; if there is no such dict, or more than one; if an entry
-            has another number of rows, or the picture is a batch.
+            has another number of rows, or as many and no name here; if boxes end before they begin,
+            or all lie in 0…1; or if the picture is a batch.
 
     Examples:
         >>> import torch
@@ -60,6 +63,7 @@ class KeepVisible(SampleTransform):
     min_contrast: float = 0.05
     flag: bool = False
     along: tuple[str, ...] = ("boxes", "masks", "labels", "area", "iscrowd", "keypoints")
+    apart: tuple[str, ...] = ("image_id", "size", "orig_size")
 
     def __post_init__(self) -> None:
         checks.instance("augment", self.augment, RandomUnderwater)
@@ -94,12 +98,20 @@ class KeepVisible(SampleTransform):
             crowd = torch.as_tensor(target.get("iscrowd", torch.zeros_like(visible).long()))
             changed["iscrowd"] = torch.where(keep.to(crowd.device), crowd, 1)
             return changed
-        for name in self.along:
-            if name in target:
-                if len(target[name]) != len(keep):
-                    got = f"target[{name!r}] has {len(target[name])} rows for {len(keep)} objects"
+        known = {*self.along, *self.apart, *self.augment.keys}
+        for name, value in target.items():
+            count = len(value) if isinstance(value, (np.ndarray, list, tuple)) else None
+            count = len(value) if isinstance(value, Tensor) and value.ndim else count
+            if name in self.along:
+                if count != len(keep):
+                    got = f"target[{name!r}] has {count} rows for {len(keep)} objects"
                     raise ValueError(f"{got}: expected one each")
-                changed[name] = _rows(target[name], keep)
+                changed[name] = _rows(value, keep)
+            elif name not in known and count == len(keep) and not bool(keep.all()):
+                got = f"target[{name!r}] has a row for each of {count} objects, it seems"
+                raise ValueError(
+                    f"{got}: name it in along=…, or in apart=… if it is of the picture"
+                )
         changed["contrast"] = visible[keep]
         return changed
 
@@ -125,8 +137,13 @@ def _means(target: Mapping[str, Any], contrast_map: Tensor) -> Tensor:
         from torchvision.transforms.v2.functional import convert_bounding_box_format
 
         boxes = convert_bounding_box_format(boxes, new_format="XYXY")
-    means = []
-    for x1, y1, x2, y2 in torch.as_tensor(boxes).reshape(-1, 4).tolist():
+    corners, means = torch.as_tensor(boxes).reshape(-1, 4), []
+    if bool((corners[:, 2:] < corners[:, :2]).any()):
+        cure = "for (x, y, width, height) give torchvision's BoundingBoxes, which say what they are"
+        raise ValueError(f"target['boxes'] end before they begin: expected corners in px; {cure}")
+    if len(corners) and 0 < float(corners.max()) <= 1 < max(contrast_map.shape):
+        raise ValueError("target['boxes'] lie in 0…1: expected px, so multiply by width and height")
+    for x1, y1, x2, y2 in corners.tolist():
         # all pixels that the box touches
         rows = slice(max(0, math.floor(y1)), max(0, math.ceil(y2)))
         columns = slice(max(0, math.floor(x1)), max(0, math.ceil(x2)))
