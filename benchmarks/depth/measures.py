@@ -134,7 +134,7 @@ def milliseconds(side: int, rounds: int = 30) -> float:
 
 WAYS: dict[str, tuple[Way, int]] = {
     "vertical ramp": (ramp, 1),
-    "network alone": (by_weights(cue.learnt()), 1),
+    "network alone": (lambda picture, seed: by_weights(cue.learnt())(picture, seed), 1),
     "MadeUp()": (made_up(MadeUp()), 4),
     'MadeUp(cue="ramp")': (made_up(MadeUp(cue="ramp")), 4),
 }

@@ -1,19 +1,19 @@
 """Train the network of made-up distances: `python -m benchmarks.depth.train --out FILE`.
 
-One thread trains, another process renders scenes all the while. `--pairs FOLDER` (`pairs.py`) adds
-real pictures with distances, of all sources but those that `--without` names. Every few minutes
-the mean of late weights is written, so that a stopped run is of use. `--compare` trains each
-variant for some minutes on the same scenes, and judges it.
+Its encoder is YOLOX-nano's backbone, from the weights of that (`--encoder FILE`, as NumPy arrays by
+the names of its layers), or as it lies in the package; it stays as it is. Its decoder learns from
+scenes that are rendered meanwhile, by another process, in chunks of a folder (`--scenes`). Which
+scenes a step sees follows from its number alone, so that a run can be made again. Every thousand
+steps the mean of late weights is written; a run that was stopped goes on (`--resume`).
+
+`--compare` trains each variant for fewer steps, and judges it.
 """
 
 import argparse
-import contextlib
-import itertools
 import multiprocessing
 import os
-import queue
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -33,117 +33,211 @@ Array = np.ndarray[Any, Any]
 
 BATCH = 16
 LEARNING_RATE = 3e-3
-MOST_SCENES = 4000  # kept in memory; then new ones replace old ones
-REAL_SHARE = 0.12
-CHECKPOINT_MINUTES = 3.0
+CHUNK = 64  # scenes of a file
+FIRST_CHUNKS = 12  # with which training begins
+STEPS_OF_CHUNK = 100  # after which another one joins
 OPEN_WEIGHT = 0.3  # of open pixels in the loss of distances
+SHAPES = ((128, 160), (160, 128))
+MARGIN = 8  # px that a rendered scene is larger, to be cropped
+CHECKPOINT = 1000
+
+ENCODER_WIDTHS = (16, 32, 64, 128, 256)
 
 
 @dataclass
 class Settings:
     """What variants differ in."""
 
-    real_share: float = REAL_SHARE
     gradients: float = 0.25
-    ranks: float = 0.0
-    widths: dict[str, tuple[int, int, int]] = field(default_factory=lambda: dict(cue.LAYERS))
+    ranks: float = 0.2
+    widths: tuple[int, ...] = (16, 32, 48, 64, 96)
+    is_frozen: bool = True
+    is_fine: bool = False
 
 
-class Trained(nn.Module):
-    """The layers of the network, with batch normalisation before each ReLU."""
+def encoder_of(path: Path) -> cue.Weights:
+    """The backbone from a file of YOLOX-nano whose batch norms are folded into its convolutions, by
+    the names of the package. Its phases and its bytes, blue first, go into the first kernel.
+    """
+    with np.load(path) as file:
+        arrays = {name: torch.from_numpy(file[name]).float() for name in file.files}
 
-    def __init__(self, layers: dict[str, tuple[int, int, int]]) -> None:
+    def layer(*names: str) -> tuple[Tensor, Tensor]:
+        parts = [
+            torch.cat([arrays[f"{name}.conv.{part}"] for name in names])
+            for part in ("weight", "bias")
+        ]
+        return parts[0], parts[1]
+
+    kernel, bias = layer("stem")
+    phases = kernel.view(16, 2, 2, 3, 3, 3).flip(3)  # column, row, channel, window
+    stem = 255 * phases.permute(0, 3, 4, 2, 5, 1).reshape(16, 3, 6, 6)
+    weights = {"stem": (stem.contiguous(), bias)}
+    for stage, blocks in cue.STAGES.items():
+        weights[f"{stage}.down.window"] = layer(f"{stage}.0.0")
+        weights[f"{stage}.down.points"] = layer(f"{stage}.0.1")
+        crossed = f"{stage}.1"
+        if stage == "d5":
+            weights["d5.pooled.in"], weights["d5.pooled.out"] = layer("d5.1.a"), layer("d5.1.b")
+            crossed = "d5.2"
+        weights[f"{stage}.split"] = layer(f"{crossed}.a", f"{crossed}.b")
+        for block in range(blocks):
+            inner = f"{crossed}.m.{block}"
+            weights[f"{stage}.{block}.in"] = layer(f"{inner}.a")
+            weights[f"{stage}.{block}.window"] = layer(f"{inner}.b.0")
+            weights[f"{stage}.{block}.points"] = layer(f"{inner}.b.1")
+        weights[f"{stage}.joined"] = layer(f"{crossed}.c")
+    return weights
+
+
+def shipped_encoder() -> cue.Weights:
+    """The backbone in the package."""
+    stages = {"stem", *cue.STAGES}
+    return {n: layer for n, layer in cue.learnt().items() if n.split(".")[0] in stages}
+
+
+class Layers(nn.Module):
+    """Layers to be trained, by name, each with batch normalisation but for some."""
+
+    def __init__(self, shapes: dict[str, tuple[int, ...]], plain: tuple[str, ...] = ()) -> None:
         super().__init__()
         self.convolutions, self.norms = nn.ModuleDict(), nn.ModuleDict()
-        for name, (before, after, side) in layers.items():
-            normal = cue.is_rectified(name)
-            self.convolutions[name] = nn.Conv2d(
-                before, after, side, padding=side // 2, bias=not normal
+        for name, (after, before, side, _) in shapes.items():
+            key = name.replace(".", "/")
+            groups = after if before == 1 else 1
+            self.convolutions[key] = nn.Conv2d(
+                before * groups,
+                after,
+                side,
+                padding=(side - 1) // 2,
+                groups=groups,
+                bias=name in plain,
             )
-            if normal:
-                self.norms[name] = nn.BatchNorm2d(after)
+            if name not in plain:
+                self.norms[key] = nn.BatchNorm2d(after)
 
-    def forward(self, pictures: Tensor) -> Tensor:
-        """See `cue.answer`."""
-
-        def convolve(name: str, x: Tensor, stride: int) -> Tensor:
-            layer = self.convolutions[name]
-            x = conv2d(x, layer.weight, layer.bias, stride, layer.padding)
-            return self.norms[name](x).relu() if name in self.norms else x
-
-        return cue.answer(pictures, convolve)
+    def forward(self, name: str, x: Tensor, stride: int) -> Tensor:
+        """See `cue.Convolve`."""
+        key = name.replace(".", "/")
+        layer = self.convolutions[key]
+        x = conv2d(x, layer.weight, layer.bias, stride, layer.padding, groups=layer.groups)
+        return self.norms[key](x) if key in self.norms else x
 
     @torch.no_grad()
-    def folded(self) -> dict[str, tuple[Tensor, Tensor]]:
+    def folded(self) -> cue.Weights:
         """Kernels and biases with the normalisation in them."""
         weights = {}
-        for name, layer in self.convolutions.items():
-            kernel, bias = layer.weight, layer.bias
-            if name in self.norms:
-                norm = self.norms[name]
+        for key, layer in self.convolutions.items():
+            kernel, bias = layer.weight.detach(), layer.bias
+            if key in self.norms:
+                norm = self.norms[key]
                 gain = norm.weight / (norm.running_var + norm.eps).sqrt()
-                kernel = kernel * gain[:, None, None, None]
-                bias = norm.bias - norm.running_mean * gain
-            weights[name] = (kernel.detach().half().float(), bias.detach().half().float())
+                kernel, bias = (
+                    kernel * gain[:, None, None, None],
+                    norm.bias - norm.running_mean * gain,
+                )
+            weights[key.replace("/", ".")] = (kernel, bias.detach())
         return weights
 
 
-def write(weights: dict[str, tuple[Tensor, Tensor]], path: Path) -> None:
-    """In the order of layers, as float16."""
-    numbers = torch.cat([part.flatten() for layer in weights.values() for part in layer])
-    partial = path.with_suffix(".part")
-    partial.write_bytes(numbers.half().numpy().tobytes())
+class Network(nn.Module):
+    """The network as it is trained."""
+
+    def __init__(self, encoder: cue.Weights, settings: Settings) -> None:
+        super().__init__()
+        self.encoder, self.frozen, self.is_fine = None, encoder, settings.is_fine
+        if not settings.is_frozen:
+            self.encoder = Layers({name: kernel.shape for name, (kernel, _) in encoder.items()})
+        widths = settings.widths
+        shapes = {
+            "whole.in": (64, sum(ENCODER_WIDTHS[-2:]), 1, 1),
+            "whole.out": (widths[-1], 64, 1, 1),
+            "answer": (2, widths[0], 3, 3),
+        }
+        befores = (3, *ENCODER_WIDTHS) if settings.is_fine else ENCODER_WIDTHS
+        for level, (before, width) in enumerate(zip(befores, widths, strict=True)):
+            shapes[f"side{level}"] = (width, before + 2, 1, 1)
+            shapes[f"at{level}"] = (width, width, 3, 3)
+            if level + 1 < len(widths):
+                shapes[f"up{level}"] = (width, widths[level + 1], 1, 1)
+        self.decoder = Layers(shapes, ("whole.in", "whole.out", "answer"))
+
+    def forward(self, pictures: Tensor) -> Tensor:
+        """See `cue.decoded`."""
+        if self.encoder is None:
+            with torch.no_grad():
+                features = cue.encoded(pictures, cue.layers_of(self.frozen))
+        else:
+            features = cue.encoded(pictures, self.encoder)
+        if self.is_fine:
+            features = [4 * (pictures - 0.45), *features]
+        return cue.decoded(features, self.decoder)
+
+    def folded(self) -> cue.Weights:
+        """The weights of both."""
+        encoder = self.frozen if self.encoder is None else self.encoder.folded()
+        return {**encoder, **self.decoder.folded()}
+
+
+def write(weights: cue.Weights, path: Path) -> None:
+    """As float16."""
+    arrays = {}
+    for name, (kernel, bias) in weights.items():
+        arrays[name], arrays[f"{name}.bias"] = kernel.half().numpy(), bias.half().numpy()
+    partial = path.with_suffix(".part.npz")
+    np.savez(partial, **arrays)
     partial.replace(path)
 
 
-def _render(scenes_made: Any, seed: int) -> None:
+def render(folder: Path, count: int) -> None:
+    """Render chunks of scenes, by their numbers, that are not there yet."""
     os.nice(1)
     torch.set_num_threads(1)
-    rng = np.random.default_rng(seed)
-    for number in itertools.cycle((0, 1, 0, 2)):
-        shape = scenes.SHAPES[number]
-        made = [scenes.scene(rng, shape) for _ in range(8)]
-        while True:
-            if not multiprocessing.parent_process().is_alive():  # killed, so nobody stops this one
-                return
-            with contextlib.suppress(queue.Full):
-                scenes_made.put((shape, made), timeout=2)
-                break
+    for number in range(count):
+        path = folder / f"{number:04d}.npz"
+        if path.exists():
+            continue
+        if multiprocessing.parent_process() and not multiprocessing.parent_process().is_alive():
+            return  # killed, so nobody stops this one
+        rng = np.random.default_rng((number, 1))
+        shape = [side + MARGIN for side in SHAPES[number % len(SHAPES)]]
+        made = [scenes.scene(rng, (shape[0], shape[1])) for _ in range(CHUNK)]
+        rgb, log, is_open = (np.stack(maps) for maps in zip(*made, strict=True))
+        partial = path.with_suffix(".part.npz")
+        np.savez(partial, rgb=rgb, log=log, is_open=is_open)
+        partial.replace(path)
 
 
 class Pool:
-    """Scenes rendered by another process, by shape."""
+    """Scenes that another process renders, a chunk after the other."""
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, folder: Path, steps: int) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self.folder, self.chunks = folder, []
+        count = FIRST_CHUNKS + steps // STEPS_OF_CHUNK
         context = multiprocessing.get_context("spawn")
-        self._queue = context.Queue(maxsize=16)
-        self._process = context.Process(target=_render, args=(self._queue, seed), daemon=True)
+        self._process = context.Process(target=render, args=(folder, count), daemon=True)
         self._process.start()
-        self._rng = np.random.default_rng(seed)
-        self.of_shape: dict[tuple[int, int], list[Any]] = {shape: [] for shape in scenes.SHAPES}
-        self.count = 0
 
-    def take_in(self, least: int = 0) -> None:
-        """What has been rendered meanwhile; wait until there are `least`."""
-        while True:
-            try:
-                shape, made = self._queue.get(block=self.count < least)
-            except queue.Empty:
-                return
-            self.count += len(made)
-            for scene in made:
-                stored = self.of_shape[shape]
-                if sum(map(len, self.of_shape.values())) < MOST_SCENES:
-                    stored.append(scene)
-                else:
-                    stored[self._rng.integers(len(stored))] = scene
+    def at(self, step: int) -> list[tuple[Array, Array, Array]]:
+        """The chunks that a step draws from; waits until they are there."""
+        count = FIRST_CHUNKS + step // STEPS_OF_CHUNK
+        while len(self.chunks) < count:
+            path = self.folder / f"{len(self.chunks):04d}.npz"
+            while not path.exists():
+                time.sleep(0.5)
+            with np.load(path) as file:
+                self.chunks.append((file["rgb"], file["log"], file["is_open"]))
+        return self.chunks[:count]
 
     def stop(self) -> None:
         """End the other process."""
         self._process.terminate()
 
 
-def _cropped(rng: np.random.Generator, shape: tuple[int, int], *maps: Array) -> list[Array]:
+def _cropped(
+    rng: np.random.Generator, shape: tuple[int, int], every: int, *maps: Array
+) -> list[Array]:
     """A part of a picture and its maps, perhaps mirrored, at another size: nearest pixels of maps,
     the mean of two by two of them for the picture.
     """
@@ -161,7 +255,7 @@ def _cropped(rng: np.random.Generator, shape: tuple[int, int], *maps: Array) -> 
 
     picture = part(maps[0], 2 * shape[0], 2 * shape[1]).astype(np.float32) / 255
     picture = picture.reshape(shape[0], 2, shape[1], 2, 3).mean((1, 3))
-    parts = [picture, *(part(values, shape[0] // 2, shape[1] // 2) for values in maps[1:])]
+    parts = [picture, *(part(values, shape[0] // every, shape[1] // every) for values in maps[1:])]
     return [values[:, ::-1] for values in parts] if rng.uniform() < 0.5 else parts
 
 
@@ -175,27 +269,21 @@ def _jittered(rng: np.random.Generator, picture: Array) -> Array:
     return picture.clip(0, 1)
 
 
-def batch(
-    rng: np.random.Generator, pool: Pool, real: list[pairs.Pair], share: float
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def batch(step: int, pool: Pool, every: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Pictures (Bx3xHxW); at half the size logarithms, their weights and what is open (BxHxW)."""
-    shape = scenes.SHAPES[rng.choice(3, p=[0.5, 0.25, 0.25])]
+    rng = np.random.default_rng((step, 2))
+    which = int(rng.integers(len(SHAPES)))
+    chunks = pool.at(step)[which :: len(SHAPES)]
     rows = []
     for _ in range(BATCH):
-        if real and rng.uniform() < share:
-            pair = real[rng.integers(len(real))]
-            picture, log = _cropped(rng, shape, pair.picture, pair.log)
-            is_measured = np.isfinite(log)
-            log, weight, is_open = np.where(is_measured, log, 0), 1.0 * is_measured, 0 * log
-        else:
-            stored = pool.of_shape[shape]
-            picture, log, is_open = _cropped(rng, shape, *stored[rng.integers(len(stored))])
-            weight = np.where(is_open, OPEN_WEIGHT, 1)
+        number = rng.integers(CHUNK)
+        maps = (values[number] for values in chunks[rng.integers(len(chunks))])
+        picture, log, is_open = _cropped(rng, SHAPES[which], every, *maps)
         picture = _jittered(rng, picture).transpose(2, 0, 1)
-        rows.append([picture, log, weight, is_open])
+        rows.append([picture, log, np.where(is_open, OPEN_WEIGHT, 1), is_open])
     stacked = (np.stack(column).astype(np.float32) for column in zip(*rows, strict=True))
     pictures, logs, weights, is_open = map(torch.from_numpy, stacked)
-    return pictures, logs, weights, is_open.nan_to_num()
+    return pictures.contiguous(memory_format=torch.channels_last), logs, weights, is_open
 
 
 def _standardised(log: Tensor, weight: Tensor) -> Tensor:
@@ -232,85 +320,85 @@ def loss(
 
 def train(
     pool: Pool,
-    real: list[pairs.Pair],
-    minutes: float,
-    settings: Settings | None = None,
-    out: Path | None = None,
-) -> dict[str, tuple[Tensor, Tensor]]:
-    """Train from scratch for so many minutes of a processor, and return folded weights."""
-    settings = settings or Settings()
+    encoder: cue.Weights,
+    steps: int,
+    settings: Settings,
+    out: Path,
+    resume: bool = False,
+) -> cue.Weights:
+    """Train the decoder and return folded weights, which are written to `out` now and then."""
     torch.manual_seed(0)
-    rng = np.random.default_rng(0)
-    network = Trained(settings.widths).to(memory_format=torch.channels_last)
+    network = Network(encoder, settings).to(memory_format=torch.channels_last)
     decay = torch.optim.swa_utils.get_ema_multi_avg_fn(0.998)
     mean = torch.optim.swa_utils.AveragedModel(network, multi_avg_fn=decay, use_buffers=True)
     optimiser = torch.optim.AdamW(network.parameters(), LEARNING_RATE, weight_decay=1e-3)
-    began, written, losses = time.process_time(), 0.0, []
-
-    def said() -> None:
-        count = f"{len(losses) * BATCH} pictures of {pool.count} scenes"
-        print(f"{spent:.1f} min, {count}, loss {np.mean(losses[-200:]):.3f}", flush=True)
-
-    while (spent := (time.process_time() - began) / 60) < minutes:
-        pool.take_in()
-        fading = 0.02 + 0.98 * (0.5 + 0.5 * np.cos(np.pi * spent / minutes))
+    stopped, first, losses, spent = out.with_suffix(".state.pt"), 0, [], 0.0
+    if resume and stopped.exists():
+        states = torch.load(stopped)
+        first, spent = states["step"], states["spent"]
+        for part, state in zip((network, mean, optimiser), states["parts"], strict=True):
+            part.load_state_dict(state)
+    began = time.process_time() - spent
+    for step in range(first, steps):
+        fading = 0.02 + 0.98 * (0.5 + 0.5 * np.cos(np.pi * step / steps))
         for group in optimiser.param_groups:
-            group["lr"] = LEARNING_RATE * min(1, (len(losses) + 1) / 100) * fading
-        pictures, *truth = batch(rng, pool, real, settings.real_share)
+            group["lr"] = LEARNING_RATE * min(1, (step + 1) / 100) * fading
+        torch.manual_seed(step)
+        pictures, *truth = batch(step, pool, 1 if settings.is_fine else 2)
+        network.train()
         value = loss(network(pictures), *truth, settings)
         optimiser.zero_grad()
         value.backward()
         nn.utils.clip_grad_norm_(network.parameters(), 5.0)
         optimiser.step()
+        if step == 200:
+            mean.n_averaged.zero_()  # what came before is forgotten
         mean.update_parameters(network)
         losses.append(value.item())
-        if out and spent - written > CHECKPOINT_MINUTES:
-            written = spent
+        if (step + 1) % CHECKPOINT == 0 or step + 1 == steps:
+            spent = time.process_time() - began
+            parts = [part.state_dict() for part in (network, mean, optimiser)]
+            torch.save({"step": step + 1, "spent": spent, "parts": parts}, stopped)
             write(mean.module.folded(), out)
-            said()
-    said()
+            said = f"{step + 1} steps, {spent / 60:.1f} min, {len(pool.chunks) * CHUNK} scenes"
+            print(f"{said}, loss {np.mean(losses[-500:]):.4f}", flush=True)
     return mean.module.folded()
 
 
-_NARROW = {
-    name: (before if before == 5 else before // 2, after if after == 2 else after // 2, side)
-    for name, (before, after, side) in cue.LAYERS.items()
-}
-
 VARIANTS = {
     "as it is": Settings(),
-    "no real pairs": Settings(real_share=0.0),
-    "with order of pairs": Settings(ranks=0.5),
+    "fine": Settings(is_fine=True, widths=(8, 16, 32, 48, 64, 96)),
+    "from scratch": Settings(is_frozen=False),
+    "without order of pairs": Settings(ranks=0.0),
     "without steps": Settings(gradients=0.0),
-    "half as wide": Settings(widths=_NARROW),
 }
 
 
 def main(
     quick: bool,
-    out: Path | None = None,
-    folder: Path | None = None,
-    without: tuple[str, ...] = (),
-    minutes: float = 120.0,
-    compare: bool = False,
+    out: Path,
+    scenes_in: Path,
+    encoder: Path | None = None,
+    steps: int = 12000,
+    compare: tuple[str, ...] = (),
     judge: tuple[Path, ...] = (),
+    resume: bool = False,
 ) -> None:
     """Train, write and judge."""
     torch.set_num_threads(1)
-    read = pairs.read(folder) if folder else []
-    real = [pair for pair in read if pair.source not in without]
-    judging = [pair for pair in read if pair.source in without]
-    judging += [pair for place in judge for pair in pairs.read(place)]
-    print(f"{len(real)} real pairs, {len(judging)} kept to judge by")
-    pool = Pool(seed=int(time.time()))
+    judging = [pair for place in judge for pair in pairs.read(place)]
+    steps = 5 if quick else steps
+    backbone = encoder_of(encoder) if encoder else shipped_encoder()
+    pool = Pool(scenes_in, steps)
     try:
-        pool.take_in(least=40 if quick else 600)
-        for name, settings in VARIANTS.items() if compare else [("as it is", Settings())]:
-            weights = train(pool, real, 0.05 if quick else minutes, settings, out)
-            if out and not compare:
-                write(weights, out)
+        for name, settings in VARIANTS.items():
+            if name not in (compare or ("as it is",)):
+                continue
+            to = out.with_stem(f"{out.stem} {name}") if compare else out
+            train(pool, backbone, steps, settings, to, resume)
             if judging:
-                print(name, measures.judged(measures.by_weights(weights), judging), flush=True)
+                way = measures.by_weights(cue.learnt(to))
+                print(name, measures.judged(way, judging), flush=True)
     finally:
         pool.stop()
 
@@ -318,19 +406,21 @@ def main(
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="seconds, to see that it runs")
-    parser.add_argument("--out", type=Path, help="the weights to write")
-    parser.add_argument("--pairs", type=Path, help="real pictures with distances")
-    parser.add_argument("--without", nargs="*", default=(), help="sources to judge by instead")
-    parser.add_argument("--judge", type=Path, nargs="*", default=(), help="more to judge by")
-    parser.add_argument("--minutes", type=float, default=120.0, help="of a processor's time")
-    parser.add_argument("--compare", action="store_true", help="each variant for `minutes`")
+    parser.add_argument("--out", type=Path, required=True, help="the weights to write")
+    parser.add_argument("--scenes", type=Path, required=True, help="folder of rendered scenes")
+    parser.add_argument("--encoder", type=Path, help="weights of YOLOX-nano, .npz")
+    parser.add_argument("--judge", type=Path, nargs="*", default=(), help="pairs to judge by")
+    parser.add_argument("--steps", type=int, default=12000)
+    parser.add_argument("--compare", nargs="*", default=(), help="variants, each for `steps`")
+    parser.add_argument("--resume", action="store_true", help="go on where it stopped")
     given = parser.parse_args()
     main(
         given.quick,
         given.out,
-        given.pairs,
-        tuple(given.without),
-        given.minutes,
-        given.compare,
+        given.scenes,
+        given.encoder,
+        given.steps,
+        tuple(given.compare),
         tuple(given.judge),
+        given.resume,
     )

@@ -1,7 +1,8 @@
-"""What looks near and what looks far in a picture: a small network of our own.
+"""A small network that says what looks near and what looks far in a picture.
 
-It was trained from scratch by `python -m benchmarks.depth.train --minutes 35 --out FILE`, on scenes
-that are rendered, with procedural textures: it has seen no photograph.
+Its encoder, the backbone of YOLOX-nano, has learnt from COCO's photographs to find things; it stays
+as its authors trained it (`cue.LICENSE`). Its decoder was trained on rendered scenes alone, by
+`python -m benchmarks.depth.train`.
 """
 
 import math
@@ -12,87 +13,98 @@ from pathlib import Path
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import conv2d, interpolate
+from torch.nn.functional import conv2d, interpolate, max_pool2d, silu
 
-WEIGHTS = Path(__file__).with_name("cue.f16")
-"""Kernels and biases of `LAYERS` in turn, as little-endian float16."""
+FILE = Path(__file__).with_name("cue.npz")
+"""Kernels and biases by the names of layers, as float16."""
 
-LAYERS = {
-    "half1": (5, 16, 3),
-    "half2": (16, 16, 3),
-    "quarter1": (16, 32, 3),
-    "quarter2": (32, 32, 3),
-    "eighth1": (32, 64, 3),
-    "eighth2": (64, 64, 3),
-    "sixteenth1": (64, 128, 3),
-    "sixteenth2": (128, 128, 3),
-    "whole": (128, 128, 1),
-    "to_eighth": (128, 64, 1),
-    "at_eighth": (64, 64, 3),
-    "to_quarter": (64, 32, 1),
-    "at_quarter": (32, 32, 3),
-    "to_half": (32, 16, 1),
-    "at_half": (16, 16, 3),
-    "answer": (16, 2, 3),
-}
-"""Channels in and out and the side of the kernel. All are followed by ReLU, but "answer", "whole"
-and "to_…".
-"""
+STAGES = {"d2": 1, "d3": 3, "d4": 3, "d5": 1}
+"""Stages of the encoder, each at half the size of the one before, and blocks in them."""
 
-_PIXELS = 12288
-"""Of the copy that the network sees."""
+POOLED_PX = (5, 9, 13)
+"""Windows of the last stage."""
+
+PIXELS = 16384
+"""Size of the copy that the network sees."""
 
 Convolve = Callable[[str, Tensor, int], Tensor]
-"""A layer by name, of an input, with a stride."""
-
-
-def answer(pictures: Tensor, convolve: Convolve) -> Tensor:
-    """The network: pictures (Bx3xHxW, sRGB in 0…1, sides multiples of 16) to how far (relative, in
-    the logarithm) and how open (a logit) each place is (Bx2xH/2xW/2).
-    """
-    count, _, height, width = pictures.shape
-    rows, columns = (pictures.new_tensor(np.linspace(-1, 1, side)) for side in (height, width))
-    down = rows[:, None].expand(count, 1, height, width)
-    across = columns.expand(count, 1, height, width)
-    half = convolve("half1", torch.cat([4 * (pictures - 0.45), down, across], 1), 2)
-    half = convolve("half2", half, 1)
-    quarter = convolve("quarter2", convolve("quarter1", half, 2), 1)
-    eighth = convolve("eighth2", convolve("eighth1", quarter, 2), 1)
-    x = convolve("sixteenth2", convolve("sixteenth1", eighth, 2), 1)
-    x = x + convolve("whole", x.mean((2, 3), keepdim=True), 1)
-    for name, like in (("eighth", eighth), ("quarter", quarter), ("half", half)):
-        finer = interpolate(convolve(f"to_{name}", x, 1), like.shape[2:], mode="bilinear")
-        x = convolve(f"at_{name}", (finer + like).relu(), 1)
-    return convolve("answer", x, 1)
-
+"""A convolution by the name of its layer, of an input, with a stride."""
 
 Weights = dict[str, tuple[Tensor, Tensor]]
 """Kernel and bias of each layer."""
 
 
-def is_rectified(layer: str) -> bool:
-    """Whether ReLU follows a layer."""
-    return layer not in ("answer", "whole") and not layer.startswith("to_")
+def encoded(pictures: Tensor, convolve: Convolve) -> list[Tensor]:
+    """Features of pictures (Bx3xHxW, sRGB in 0…1, sides multiples of 32) at 1/2 to 1/32 of their
+    size. The backbone of YOLOX-nano (Ge et al., arXiv:2107.08430).
+    """
+
+    def layer(name: str, x: Tensor, stride: int = 1) -> Tensor:
+        return silu(convolve(name, x, stride))
+
+    def separable(name: str, x: Tensor, stride: int = 1) -> Tensor:
+        return layer(f"{name}.points", layer(f"{name}.window", x, stride))
+
+    x = layer("stem", pictures, 2)
+    features = [x]
+    for stage, blocks in STAGES.items():
+        x = separable(f"{stage}.down", x, 2)
+        if stage == "d5":
+            x = layer(f"{stage}.pooled.in", x)
+            windows = [max_pool2d(x, side, 1, side // 2) for side in POOLED_PX]
+            x = layer(f"{stage}.pooled.out", torch.cat([x, *windows], 1))
+        deep, passed = layer(f"{stage}.split", x).chunk(2, 1)
+        for block in range(blocks):
+            change = separable(f"{stage}.{block}", layer(f"{stage}.{block}.in", deep))
+            deep = change if stage == "d5" else deep + change
+        x = layer(f"{stage}.joined", torch.cat([deep, passed], 1))
+        features.append(x)
+    return features
+
+
+def decoded(features: list[Tensor], convolve: Convolve) -> Tensor:
+    """How far each place is (in the logarithm, up to scale and shift), and how open (a logit), from
+    the encoder's features: Bx2xH/2xW/2.
+    """
+    sides = []
+    for level, feature in enumerate(features):
+        count, _, height, width = feature.shape
+        rows, columns = (
+            torch.linspace(-1, 1, side, dtype=feature.dtype) for side in (height, width)
+        )
+        down = rows[:, None].expand(count, 1, height, width)
+        across = columns.expand(count, 1, height, width)
+        sides.append(convolve(f"side{level}", torch.cat([feature, down, across], 1), 1))
+    means = torch.cat([feature.mean((2, 3), keepdim=True) for feature in features[:-3:-1]], 1)
+    whole = convolve("whole.out", convolve("whole.in", means, 1).relu(), 1)
+    last = len(features) - 1
+    x = convolve(f"at{last}", (sides[-1] + whole).relu(), 1).relu()
+    for level in reversed(range(last)):
+        like = sides[level].shape[2:]
+        finer = interpolate(convolve(f"up{level}", x, 1), like, mode="bilinear")
+        x = convolve(f"at{level}", (finer + sides[level]).relu(), 1).relu()
+    return convolve("answer", x, 1)
 
 
 def small_copy(picture: Tensor) -> Tensor:
-    """A picture (3xHxW) as the network sees it: some 12,000 pixels, sides multiples of 16; on the
+    """A picture (3xHxW) as the network sees it: some `PIXELS`, sides multiples of 32; on the
     processor, with whites as they were.
     """
-    scale = math.sqrt(_PIXELS / picture[0].numel())
-    sides = [min(max(16 * round(side * scale / 16), 16), 512) for side in picture.shape[1:]]
+    scale = math.sqrt(PIXELS / picture[0].numel())
+    sides = [min(max(32 * round(side * scale / 32), 32), 512) for side in picture.shape[1:]]
     every = max(1, int(0.25 / scale))  # four samples along each side of a small pixel will do
     sampled = picture[:, ::every, ::every].float()
-    return interpolate(sampled[None], sides, mode="area")[0].cpu()
+    mode = "area" if scale < 1 else "bilinear"
+    return interpolate(sampled[None], sides, mode=mode)[0].cpu()
 
 
 def layers_of(weights: Weights) -> Convolve:
-    """The layers with such weights, as `answer` takes them."""
+    """The layers with such weights; with kernels of one channel, each channel has its own."""
 
     def convolve(name: str, x: Tensor, stride: int) -> Tensor:
         kernel, bias = weights[name]
-        x = conv2d(x, kernel, bias, stride, kernel.shape[-1] // 2)
-        return x.relu_() if is_rectified(name) else x
+        around = (kernel.shape[-1] - 1) // 2
+        return conv2d(x, kernel, bias, stride, around, groups=x.shape[1] // kernel.shape[1])
 
     return convolve
 
@@ -103,20 +115,21 @@ def relative(picture: Tensor, weights: Weights) -> tuple[Tensor, Tensor]:
     shift; and with what probability it is open: sky, water, a plain backdrop. Both have half its
     sides. Of a mirrored picture the mirrored map, as it is asked both ways round.
     """
-    ways = answer(torch.stack([picture, picture.flip(2)]), layers_of(weights))
+    ways = torch.stack([picture, picture.flip(2)]).contiguous(memory_format=torch.channels_last)
+    convolve = layers_of(weights)
+    ways = decoded(encoded(ways, convolve), convolve)
     log, is_open = 0.5 * (ways[0] + ways[1].flip(2))
     return log, is_open.sigmoid()
 
 
 @cache
-def learnt() -> Weights:
-    """The weights of the wheel, read once."""
-    numbers, weights, start = np.fromfile(WEIGHTS, "<f2").astype(np.float32), {}, 0
-    for name, (before, after, side) in LAYERS.items():
-        middle = start + before * after * side * side
-        kernel = torch.from_numpy(numbers[start:middle]).view(after, before, side, side)
+def learnt(path: Path = FILE) -> Weights:
+    """The weights of a file, read once."""
+    with np.load(path) as file:
+        arrays = {name: torch.from_numpy(file[name].astype(np.float32)) for name in file.files}
+    return {
         # channels last take a fifth less time
-        kernel = kernel.contiguous(memory_format=torch.channels_last)
-        start = middle + after
-        weights[name] = (kernel, torch.from_numpy(numbers[middle:start]))
-    return weights
+        name: (kernel.contiguous(memory_format=torch.channels_last), arrays[f"{name}.bias"])
+        for name, kernel in arrays.items()
+        if not name.endswith(".bias")
+    }
