@@ -31,7 +31,7 @@ def distances_of(
     holes: str | float = "error",
     sequence: bool = False,
 ) -> Distances:
-    """Choose the distances of a run by its options.
+    """Choose the distances of a run by its options; refuses metres with options of maps.
 
     Args:
         distance: a file, a folder or a pattern, see `find_items`; else metres, as 3 or 1:5, or
@@ -39,9 +39,6 @@ def distances_of(
         source: plain value of `RandomUnderwater(distance=…)`; None if not given.
         unit, holes: as for `Recipe` and `Metres`; any but the defaults are of maps.
         sequence: True if pictures are frames of films.
-
-    Raises:
-        ValueError: if metres are given together with options of maps.
     """
     has_options = source is not None or (unit, holes) != ("m", "error")
     if distance is not None and not exists(distance):

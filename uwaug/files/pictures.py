@@ -153,11 +153,7 @@ def _upright(values: NDArray[Any], orientation: int) -> NDArray[Any]:
 
 
 def metres_of(unit: str | float) -> float:
-    """Metres that a unit of distances stands for.
-
-    Raises:
-        ValueError: if it is no unit.
-    """
+    """Metres that a unit of distances stands for; refuses any other word or number."""
     if isinstance(unit, str):
         checks.one_of("unit", unit, (*UNITS, "a number of metres"))
         return UNITS[unit]

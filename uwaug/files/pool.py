@@ -30,8 +30,6 @@ def on_processes(work: Any, jobs: Iterable[Any], workers: int) -> Iterator[Any]:
     Args:
         work: callable for one job, which can be pickled; `work.died(job)` gives the result of a job
             that its process has died over.
-        jobs: the jobs.
-        workers: number of processes.
     """
     if workers == 1:
         with one_thread():

@@ -28,7 +28,8 @@ def prepare(
     recipe: Recipe, items: Sequence[Item], references: Sequence[Path] = ()
 ) -> tuple[Recipe, list[str]]:
     """Look at eight pictures of a run, or the middle frames of eight films, before it begins.
-    Pictures that cannot be read are left to the run, which names them.
+    Refuses a run if most of these maps are refused, with the reason for the first. Pictures that
+    cannot be read are left to the run, which names them.
 
     Args:
         recipe, items: as for `degrade`.
@@ -37,10 +38,6 @@ def prepare(
     Returns:
         The recipe to run, which draws waters like those of the references; and sentences to tell:
         doubts about the maps, see `uwaug.distance.doubts`, and the nearness of the waters.
-
-    Raises:
-        ValueError: if most of these maps are refused, with the reason for the first.
-        OSError: if a reference cannot be read.
     """
     if recipe.sequence:  # the frames of a film are one witness, and in one water
         items = list(dict.fromkeys(film.candidates[0] for film in frames_of(items).values()))

@@ -82,15 +82,8 @@ class Pictures:
     def of(
         clean: Tensor | None, observed: Tensor, distance: Tensor, color_space: ColorSpace
     ) -> "Pictures":
-        """Check the input of a fit.
-
-        Args:
-            clean: as of `uwaug.fit`; None where there is no clean picture.
-            observed, distance, color_space: as of `uwaug.fit`.
-
-        Raises:
-            TypeError, ValueError: if an input does not suit; if too few pixels can be used, the
-                distances are all alike, or clean and observed are one picture.
+        """Check the input of a fit; arguments and errors are those of `uwaug.fit`. `clean` is None
+        where there is no clean picture.
         """
         checks.one_of("color_space", color_space, get_args(ColorSpace))
         tensors = {"observed": observed, "distance": distance}
@@ -253,11 +246,8 @@ class Pixels:
 
 
 def blocks_of(places: Sequence[Places], size: tuple[int, int]) -> Places:
-    """Number of the block of each pixel, from 0; no two pictures share a block.
-
-    Args:
-        places: for each picture, the places of pixels, counted row by row.
-        size: height and width of the pictures, px.
+    """Number of the block of each place of each picture of a size (height, width), from 0. Places
+    count pixels row by row. No two pictures share a block.
     """
     side = max(1, min(size) // BLOCKS)
     columns, area = -(-size[1] // side), size[0] * size[1]

@@ -17,10 +17,6 @@ _MIN_RATIO = 1.05
 def encoded_haze_notes(winner: FittedModel[CoefficientModel], gain: bool, seed: int) -> list[str]:
     """The note on sRGB values that a haze, fitted to them as if they were light, explains better
     than the winner explains the light they stand for; none if it does not.
-
-    Args:
-        winner: the model that was chosen for linear light.
-        gain, seed: options of the fit.
     """
     haze = replace(winner.model, spec=MODELS["haze"], gain=gain)
     if not set(haze.fixed) <= set(haze.fixable) or not haze.bounds:

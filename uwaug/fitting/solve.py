@@ -234,19 +234,16 @@ def roughly_weighed(pixels: Pixels) -> Pixels:
 
 
 def reweighed(objective: Objective[M], theta: Array, clips: bool) -> tuple[Pixels, Array]:
-    """Weights for all candidates, by the light of the model that explains the pixels best and a
-    noise estimated from its residuals.
+    """Weigh pixels for all candidates by the light of the best model, with a noise estimated from
+    its residuals. Refuses pixels of which too few values lie above the noise.
 
     Args:
-        objective: that model, with roughly weighed pixels.
+        objective: the best model, with roughly weighed pixels.
         theta: start of its fit.
         clips: as of `Pictures`.
 
     Returns:
         The pixels with their weights, and θ of the model.
-
-    Raises:
-        ValueError: if too few values lie above the noise.
     """
     pixels = objective.pixels
     for _ in range(_NOISE_ROUNDS):
