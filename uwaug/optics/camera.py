@@ -68,10 +68,8 @@ class Camera(Spectra):
         vars(self).update(wavelengths=axis, response=values, name=name, color_matrix=matrix)
 
     def at(self, wavelengths: ArrayLike) -> Array:
-        """Response (M, 3) at other wavelengths, by linear interpolation; 0 outside its range.
-
-        Args:
-            wavelengths (M array): wavelengths [nm], strictly ascending.
+        """Response (M, 3) at other wavelengths (M array) [nm], strictly ascending, by linear
+        interpolation; 0 outside its range.
 
         Raises:
             TypeError, ValueError: if they are no such axis.

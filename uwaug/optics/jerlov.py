@@ -48,14 +48,6 @@ class Source(NamedTuple):
     flags: dict[str, str]
 
 
-class Table(NamedTuple):
-    """Wavelengths [nm], spectra a, b and K_d [1/m], and a statement of the source of each."""
-
-    wavelengths: Array
-    spectra: dict[str, Array]
-    provenance: list[str]
-
-
 _LABELS = {"a": "a", "b": "b", "kd": "K_d"}
 _MEASURED = ("williamson2022", "Williamson & Hollins 2022")
 _JERLOV = ("jerlov1976", "Jerlov 1976, Table XXVII")
@@ -86,8 +78,10 @@ SOURCES = {
 }
 
 
-def repaired_table(type: str, source: str) -> Table:
-    """Table of a water type, without gaps; see `Water.jerlov`."""
+def repaired_table(type: str, source: str) -> tuple[Array, dict[str, Array], list[str]]:
+    """Wavelengths [nm], spectra a, b and kd [1/m] without gaps, and their sources, of a water type;
+    see `Water.jerlov`.
+    """
     import jerlov
 
     checks.one_of("source", source, SOURCES)
@@ -115,7 +109,7 @@ def repaired_table(type: str, source: str) -> Table:
             subject = f"{label} at {min(nm):g}–{max(nm):g} nm"
             notes.append(f"Jerlov {type}: {subject}: {origin.flags.get(flag, flag)}")
         spectra[key] = values
-    return Table(grid, spectra, notes)
+    return grid, spectra, notes
 
 
 def _tabulated(

@@ -571,29 +571,24 @@ class Medium:
 
 
 def _rows(coefficients: Mapping[str, Any]) -> dict[str, Tensor]:
-    """Check coefficients by name, and make them tensors of one type and batch."""
+    """Check coefficients by name, and make them tensors of one type: b_mean (B), others (B, 3)."""
     tensors = (v for v in coefficients.values() if isinstance(v, Tensor) and v.is_floating_point())
     dtype = next((tensor.dtype for tensor in tensors), torch.float64)
-    rows = {
-        name: _row(name, value, () if name == "b_mean" else (3,), dtype)
-        for name, value in coefficients.items()
-    }
+    rows: dict[str, Tensor] = {}
+    for name, value in coefficients.items():
+        if not isinstance(value, Tensor):
+            value = torch.as_tensor(value, dtype=dtype, device="cpu")
+        row = value.to(dtype)
+        shape = () if name == "b_mean" else (3,)
+        is_batch = row.ndim == len(shape) + 1
+        if row.shape[is_batch:] != shape:
+            expected = "a number or (B,)" if name == "b_mean" else "(3,) or (B, 3)"
+            raise ValueError(f"{name} must have shape {expected}, got {tuple(row.shape)}")
+        numbers = row.detach()
+        if not bool(((numbers >= 0) & numbers.isfinite()).all()):
+            raise ValueError(f"{name} must be finite and ≥ 0, got {numbers.tolist()}")
+        rows[name] = row if is_batch else row[None]
     batches = {name: len(row) for name, row in rows.items()}
     checks.batches(batches)
     b = max(batches.values())
     return {name: row.expand(b, *row.shape[1:]) for name, row in rows.items()}
-
-
-def _row(name: str, value: Any, shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
-    """Check a coefficient of `shape`, or a batch of them, and make it (B, *shape)."""
-    if not isinstance(value, Tensor):
-        value = torch.as_tensor(value, dtype=dtype, device="cpu")
-    row: Tensor = value.to(dtype)
-    batched = row.ndim == len(shape) + 1
-    if row.shape[batched:] != shape:
-        expected = "a number or (B,)" if shape == () else "(3,) or (B, 3)"
-        raise ValueError(f"{name} must have shape {expected}, got {tuple(row.shape)}")
-    numbers = row.detach()
-    if not bool(((numbers >= 0) & numbers.isfinite()).all()):
-        raise ValueError(f"{name} must be finite and ≥ 0, got {numbers.tolist()}")
-    return row if batched else row[None]

@@ -140,8 +140,7 @@ class Water(Spectra):
                 Jerlov 1976.
 
         Returns:
-            The water; its ``provenance`` names the source of each quantity, and of wavelengths that
-            differ.
+            The water; its ``provenance`` names the source of each quantity.
 
         Raises:
             ValueError: if the type or the source is unknown, or the source lacks the type.
@@ -160,8 +159,8 @@ class Water(Spectra):
             'Jerlov 5C: a at 600–700 nm: Williamson & Hollins 2022'
         """
         type = type.upper() if str(type).upper() in JERLOV_TYPES else type
-        table = repaired_table(type, source)
-        return cls(table.wavelengths, **table.spectra, name=type, provenance=table.provenance)
+        wavelengths, spectra, provenance = repaired_table(type, source)
+        return cls(wavelengths, **spectra, name=type, provenance=provenance)
 
     @classmethod
     def from_constituents(cls, *, name: str | None = None, **contents: float) -> Self:
@@ -257,9 +256,8 @@ class Water(Spectra):
 
         Contrast is that of luminance: ∫ ȳ e^(−β V) dλ / ∫ ȳ dλ = 0.02 with the CIE 1931 observer ȳ
         over 400–700 nm, or the part of it that this water covers. A grey water has
-        V = −ln 0.02 / β. Type I has 78 m, near the clearest water on record. The best transmitted
-        wavelength alone would give 179 m, and a β averaged over the eye 35 m, as if red were not
-        long gone.
+        V = −ln 0.02 / β. Type I has 78 m, near the clearest water on record, where its best
+        transmitted wavelength alone has 179 m.
 
         Returns:
             The visibility, inf where nothing is attenuated.
@@ -283,12 +281,10 @@ class Water(Spectra):
         """Share of its luminance contrast that an object at this distance [m] keeps, 0…1: the
         ∫ ȳ e^(−β z) dλ of ``visibility()``, the distance where it is 2 %.
 
-        It is the contrast with the open water behind the object, as of a Secchi disc, and a number
-        of the water alone. ``uwaug.contrast_left`` is the contrast of patterns on an object: the
-        veil before it takes some, and light scattered forward counts as the object's, so that it
-        depends on the depth and on g and μ. Where ``contrast`` is .5, ``contrast_left`` is .38 to
-        .39 with g = .2 and μ = .3, and .54 to .56 with g = .05 and μ = .075 (types 1C, 7C and II,
-        3 m).
+        It is the contrast with the open water behind the object, as of a Secchi disc, and depends
+        on the water alone. ``uwaug.contrast_left``, of patterns on an object, depends on depth, g
+        and μ as well: where this is .5, that is .38 to .39 with g = .2 and μ = .3, and .54 to .56
+        with g = .05 and μ = .075 (types 1C, 7C and II, 3 m).
 
         Raises:
             TypeError, ValueError: if the distance is no number, negative or infinite; or as
@@ -323,10 +319,9 @@ class Water(Spectra):
             K_d = K_w + s (K_d − K_w),  K_w = a_w + b_w / 2.
 
         So type 9C brought to the visibility of 1C absorbs .345/m at 650 nm, where 1C has .344/m.
-        With pure water scaled as well it would be .06/m, a fifth of what pure water absorbs. Where
-        a spectrum lies below pure water (noise, or another water table), all of it counts as water.
-        K_d is linear in the contents only to first order. The hue of the contents stays: to change
-        it, ``mix``.
+        Where a spectrum lies below pure water (noise, or another water table), all of it counts as
+        water. K_d is linear in the contents only to first order. The hue of the contents stays: to
+        change it, ``mix``.
 
         Args:
             contrast: the share wanted, above 0, up to that of pure water.
