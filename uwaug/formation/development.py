@@ -351,7 +351,7 @@ def _points(height: int, width: int, device: torch.device) -> Tensor:
 
 @lru_cache(maxsize=8)
 def _cached_points(height: int, width: int, device: torch.device) -> Tensor:
-    # what inference mode makes cannot be used outside
+    # tensors of inference mode cannot be used outside
     with torch.inference_mode(False):
         return _points(height, width, device)
 

@@ -153,7 +153,7 @@ def _waves(noise: Tensor, height: int, width: int, exponent: float) -> _Waves:
     key = (height, width, exponent, noise.shape[-1], noise.dtype, noise.device)
     waves = _CACHE.get(key)
     if waves is None:
-        # what inference mode makes cannot be used outside
+        # tensors of inference mode cannot be used outside
         with torch.inference_mode(False), torch.no_grad():
             waves = _unit_waves(noise.new_empty(noise.shape[-1]), height, width, exponent)
         _CACHE.put(key, waves, sum(t.numel() * t.element_size() for t in waves))

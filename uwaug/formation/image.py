@@ -84,8 +84,8 @@ def form(
     gain = development.gain(J, z, medium, T)
     if plans:
         pictures = [slice(i, i + 1) for i in range(len(J))]
-        each = zip(pictures, plans, strict=True)
-        soft = torch.cat([blurred_as_seen(J[i], z[i], medium[i], plan) for i, plan in each])
+        pairs = zip(pictures, plans, strict=True)
+        soft = torch.cat([blurred_as_seen(J[i], z[i], medium[i], plan) for i, plan in pairs])
     else:
         if plan is None:
             brightest = medium if light is None else light.planned(medium)

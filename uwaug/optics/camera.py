@@ -1,4 +1,4 @@
-"""Cameras: how strongly red, green and blue respond to each wavelength."""
+"""Cameras: responses of red, green and blue by wavelength."""
 
 import os
 from dataclasses import dataclass

@@ -82,8 +82,8 @@ class Constituents(Noun):
     A range (low, high) is drawn uniformly in its logarithm.
 
     Args:
-        chlorophyll, cdom, minerals: in the units of `Water.from_constituents`, which says what
-            natural waters have.
+        chlorophyll, cdom, minerals: amounts in the units of `Water.from_constituents`, which gives
+            those of natural waters.
 
     Raises:
         TypeError: if one is neither a number nor a pair of them.

@@ -6,7 +6,7 @@ distance.
 | a, b, K_d | absorption, scattering, diffuse attenuation of the water at each wavelength | 1/m |
 | β = a + b | beam attenuation | 1/m |
 | g | share of the scattered light that leaves the line of sight | 1 |
-| G = a + g·b | attenuation of what still carries the picture | 1/m |
+| G = a + g·b | attenuation of the light that carries the picture | 1/m |
 | d | depth of the scene below the surface | m |
 | E = e^(−K_d d) | light that is left at that depth | 1 |
 | μ | share of the scattered light that is sent towards the camera | 1 |
@@ -15,14 +15,14 @@ distance.
 | z | distance along the ray; a medium field m multiplies it before it comes here | m |
 | b̄ | mean of b over the channels | 1/m |
 
-    T_β,c(z) = ∫ S_c·E·e^(−β z) dλ  ≈ Σ_k w_ck e^(−β_k z)    what arrives unscattered
-    T_G,c(z) = ∫ S_c·E·e^(−G z) dλ  ≈ Σ_l s_cl e^(−G_l z)    what arrives at all (direct + forward)
-    V_c(z) = ∫ S_c·V(0)·e^(−G z) dλ ≈ Σ_l v_cl e^(−G_l z)    so that the veil is V(0) − V(z)
+    T_β,c(z) = ∫ S_c·E·e^(−β z) dλ  ≈ Σ_k w_ck e^(−β_k z)    light that arrives unscattered
+    T_G,c(z) = ∫ S_c·E·e^(−G z) dλ  ≈ Σ_l s_cl e^(−G_l z)    the same, and scattered forward
+    V_c(z) = ∫ S_c·V(0)·e^(−G z) dλ ≈ Σ_l v_cl e^(−G_l z)    the veil is V(0) − V(z)
     σ(z) = scale·(b̄ z)^exponent                              width of the forward scatter, px
 
-With surfaces that have spectra, T_β and T_G are matrices: what channel c shows of the scene's
-channel j, with S_c·ρ_j for S_c, and S the response of the camera with its colour matrix, which may
-be negative (see `uwaug.optics.surfaces`).
+With surfaces that have spectra, T_β and T_G are matrices from channel j of the scene to channel c,
+with S_c·ρ_j for S_c. S is the response of the camera with its colour matrix, which may be negative
+(see `uwaug.optics.surfaces`).
 
 Each integral becomes a sum of a few exponentials, of positive weights where the integrand is
 positive: exact at z = 0, right at any distance.
@@ -91,7 +91,7 @@ class Medium:
         veil_weights (Bx3xL tensor): weights of V; their sum is the veil at infinite distance.
         b_mean (B tensor): b̄, scattering coefficient for the width law, 1/m.
         point_spread: the width law.
-        notes: one line per medium on what it models.
+        notes: a line on each medium.
         bands: each medium at each wavelength, for lamps; empty if only the sums are known.
         snow: particles of each medium, see `with_snow`; empty if none has any.
     """
@@ -105,8 +105,8 @@ class Medium:
         "b_mean": "B",
     }
     """The tensors and their axes: B media, K rates of the direct term, L of signal and veil, C
-    channels of the picture, and of surfaces with spectra S channels of the scene. Whatever copies,
-    stacks, brightens, learns, stores or exports media goes by it.
+    channels of the picture, and of surfaces with spectra S channels of the scene. All code that
+    copies, stacks, brightens, learns, stores or exports media goes by it.
     """
 
     beta: Tensor
@@ -441,9 +441,9 @@ class Medium:
     def under_lamp(self) -> "Medium":
         """The water in the white light of a lamp, which does not come down from the surface.
 
-            T_β,c(z) = ∫ S_c·e^(−β z) dλ        what arrives unscattered
-            T_G,c(z) = ∫ S_c·e^(−G z) dλ        what arrives at all
-            b_c(x) = ∫ S_c·b·e^(−G x) dλ        what a metre of water scatters, seen after x metres
+            T_β,c(z) = ∫ S_c·e^(−β z) dλ        light that arrives unscattered
+            T_G,c(z) = ∫ S_c·e^(−G z) dλ        the same, and scattered forward
+            b_c(x) = ∫ S_c·b·e^(−G x) dλ        scattered by a metre of water, seen after x metres
 
         Without bands, as in a medium that learns, the medium's rates and shares of light stand for
         these curves, and b̄ for b.
