@@ -1,4 +1,4 @@
-"""A small network that says what looks near and what looks far in a picture.
+"""Guesses of near and far in a picture, by a small network.
 
 Its encoder, the backbone of YOLOX-nano, has learnt from COCO's photographs to find things; it stays
 as its authors trained it (`cue.LICENSE`). Its decoder was trained on rendered scenes alone, by
@@ -28,15 +28,15 @@ PIXELS = 16384
 """Size of the copy that the network sees."""
 
 Convolve = Callable[[str, Tensor, int], Tensor]
-"""A convolution by the name of its layer, of an input, with a stride."""
+"""Function (name, input, stride) → output of a layer."""
 
 Weights = dict[str, tuple[Tensor, Tensor]]
 """Kernel and bias of each layer."""
 
 
 def encoded(pictures: Tensor, convolve: Convolve) -> list[Tensor]:
-    """Features of pictures (Bx3xHxW, sRGB in 0…1, sides multiples of 32) at 1/2 to 1/32 of their
-    size. The backbone of YOLOX-nano (Ge et al., arXiv:2107.08430).
+    """Encode pictures (Bx3xHxW, sRGB in 0…1, sides multiples of 32): features at 1/2 to 1/32 of
+    their size. The backbone of YOLOX-nano (Ge et al., arXiv:2107.08430).
     """
 
     def layer(name: str, x: Tensor, stride: int = 1) -> Tensor:
@@ -63,8 +63,8 @@ def encoded(pictures: Tensor, convolve: Convolve) -> list[Tensor]:
 
 
 def decoded(features: list[Tensor], convolve: Convolve) -> Tensor:
-    """How far each place is (in the logarithm, up to scale and shift), and how open (a logit), from
-    the encoder's features: Bx2xH/2xW/2.
+    """Decode features of the encoder to Bx2xH/2xW/2: the logarithm of the distance, up to scale and
+    shift, and the logit of open water.
     """
     sides = []
     for level, feature in enumerate(features):
@@ -87,8 +87,8 @@ def decoded(features: list[Tensor], convolve: Convolve) -> Tensor:
 
 
 def small_copy(picture: Tensor) -> Tensor:
-    """A picture (3xHxW) as the network sees it: some `PIXELS`, sides multiples of 32; on the
-    processor, with whites as they were.
+    """Shrink a picture (3xHxW) to some `PIXELS`, with sides that are multiples of 32, on the host.
+    Whites stay as they were.
     """
     scale = math.sqrt(PIXELS / picture[0].numel())
     sides = [min(max(32 * round(side * scale / 32), 32), 512) for side in picture.shape[1:]]
@@ -99,7 +99,7 @@ def small_copy(picture: Tensor) -> Tensor:
 
 
 def layers_of(weights: Weights) -> Convolve:
-    """The layers with such weights; with kernels of one channel, each channel has its own."""
+    """Return convolutions with these weights; kernels of one channel act on each channel apart."""
 
     def convolve(name: str, x: Tensor, stride: int) -> Tensor:
         kernel, bias = weights[name]
@@ -111,9 +111,9 @@ def layers_of(weights: Weights) -> Convolve:
 
 @torch.no_grad()
 def relative(picture: Tensor, weights: Weights) -> tuple[Tensor, Tensor]:
-    """How far each place of a picture (3xHxW, sRGB in 0…1) is, in the logarithm, up to scale and
-    shift; and with what probability it is open: sky, water, a plain backdrop. Both have half its
-    sides. Of a mirrored picture the mirrored map, as it is asked both ways round.
+    """Guess the logarithm of the distance of a picture (3xHxW, sRGB in 0…1), up to scale and shift,
+    and the probability that a place is open: sky, water, a plain backdrop. Both have half its
+    sides. The network is asked both ways round, so that a mirrored picture gets mirrored maps.
     """
     ways = torch.stack([picture, picture.flip(2)]).contiguous(memory_format=torch.channels_last)
     convolve = layers_of(weights)
@@ -124,7 +124,7 @@ def relative(picture: Tensor, weights: Weights) -> tuple[Tensor, Tensor]:
 
 @cache
 def learnt(path: Path = FILE) -> Weights:
-    """The weights of a file, read once."""
+    """Read the weights of a file, once."""
     with np.load(path) as file:
         arrays = {name: torch.from_numpy(file[name].astype(np.float32)) for name in file.files}
     return {
